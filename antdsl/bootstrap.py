@@ -43,7 +43,7 @@ APT_INSTALL_COMMAND = "apt-get install -y --no-install-recommends"
 VENV_PACKAGE = "python3-venv"
 
 
-def missing_packages(libraries: Mapping[str, str]) -> list[str]:
+def find_missing_packages(libraries: Mapping[str, str]) -> list[str]:
     """Return the Debian packages of the shared libraries that this machine cannot load (Linux only)."""
     if not sys.platform.startswith("linux"):
         return []
@@ -59,7 +59,7 @@ def missing_packages(libraries: Mapping[str, str]) -> list[str]:
 def install_system_packages() -> None:
     """Install the system packages that Open3D needs, if this user has the right to. Otherwise print the command for it and
     stop."""
-    packages = missing_packages(SYSTEM_LIBRARIES)
+    packages = find_missing_packages(SYSTEM_LIBRARIES)
     if not packages:
         return
     if not can_install():
@@ -68,13 +68,13 @@ def install_system_packages() -> None:
             f"Open3D needs system libraries that are missing here; on Debian or Ubuntu, run as root:\n  "
             f"{APT_INSTALL_COMMAND} {words}"
         )
-    install(packages)
+    install_packages(packages)
 
 
 def install_browser() -> None:
     """Install Chromium for the tests of the preview's page, on Debian, if this user has the right to. Elsewhere these tests are
     skipped."""
-    packages = missing_packages(DRIVER_LIBRARIES)
+    packages = find_missing_packages(DRIVER_LIBRARIES)
     if not any(shutil.which(name) for name in BROWSERS):
         packages.insert(0, BROWSERS[0])
     if not packages:
@@ -85,7 +85,7 @@ def install_browser() -> None:
         print(words, flush=True)
         return
     try:
-        install(packages)
+        install_packages(packages)
     except subprocess.CalledProcessError:
         print(words, flush=True)
 
@@ -97,7 +97,7 @@ def install_test_programs() -> None:
     if not packages or not sys.platform.startswith("linux"):
         return
     if can_install():
-        install(packages)
+        install_packages(packages)
     else:
         print(f"some tests will fail: they need {' '.join(packages)}; on Debian or Ubuntu, run as root:", flush=True)
         print(f"  {APT_INSTALL_COMMAND} {' '.join(packages)}", flush=True)
@@ -117,7 +117,7 @@ def can_install() -> bool:
     return bool(shutil.which("apt-get")) and (os.geteuid() == 0 or bool(shutil.which("sudo")))
 
 
-def install(packages: list[str]) -> None:
+def install_packages(packages: list[str]) -> None:
     """Install Debian packages. Raises CalledProcessError if the installation fails."""
     print(f"installing system packages: {' '.join(packages)}", flush=True)
     prefix = [] if os.geteuid() == 0 else ["sudo"]
@@ -137,7 +137,7 @@ def ensure_environment(folder: Path, requirements: list[str]) -> Path:
     stamp.unlink(missing_ok=True)
     # Debian's Python comes without what its `venv` needs.
     if importlib.util.find_spec("ensurepip") is None and is_debian() and can_install():
-        install([VENV_PACKAGE])
+        install_packages([VENV_PACKAGE])
     if subprocess.run([sys.executable, "-m", "venv", str(folder)]).returncode:
         sys.exit(
             f"cannot create a virtual environment; on Debian or Ubuntu, run as root:\n  {APT_INSTALL_COMMAND} {VENV_PACKAGE}"

@@ -14,19 +14,19 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from antdsl import syntax
-from antdsl.bounded import real_path
-from antdsl.cpu_budget import CpuBudgetSpent, cpu_budget
+from antdsl.atomic_write import write_parts
+from antdsl.cpu_budget import CpuBudgetSpent, limit_cpu_seconds
 from antdsl.diagnostics import Report
 from antdsl.diagnostics.transfer import decode_reports, encode_reports
 from antdsl.files import load_sources
 from antdsl.loading import SharedParsedFiles
 from antdsl.pipeline import RunChoices, check_path
 from antdsl.program.model import Program
+from antdsl.safe_read import resolve_path
 from antdsl.source import Source, Span
-from antdsl.whole import write_parts
 
 # So few files are checked sooner than a process begins.
-LEAST_FILES_TO_SHARE = 12
+MIN_FILES_FOR_PROCESSES = 12
 MAX_PROCESSES = 8
 MAX_GROUPS = 256  # that a byte can name; what is beyond is checked in the end
 
@@ -45,7 +45,7 @@ class CheckResult:
     programs: dict[Path, Program] = field(default_factory=dict)
     cpu_seconds: float = 0.0
 
-    def add(self, other: CheckResult) -> None:
+    def merge(self, other: CheckResult) -> None:
         """Add the results of another check."""
         self.reports |= other.reports
         self.programs |= other.programs
@@ -53,7 +53,7 @@ class CheckResult:
         self.sources += [source for source in other.sources if source.path not in known]
 
 
-def check_all(
+def check_files(
     files: Sequence[Path],
     choices: RunChoices,
     *,
@@ -70,13 +70,13 @@ def check_all(
     result = CheckResult(cpu_seconds=cpu_seconds)
     groups = _group_files(files)
     parsed = SharedParsedFiles()
-    if programs or choices.grants or len(files) < LEAST_FILES_TO_SHARE or len(groups) < 3 or cores < 2 or not _can_fork():
-        _check(files, choices, strict, parsed, result, programs)
+    if programs or choices.grants or len(files) < MIN_FILES_FOR_PROCESSES or len(groups) < 3 or cores < 2 or not _can_fork():
+        _check_sequentially(files, choices, strict, parsed, result, programs)
     else:
         _check_in_processes(groups, choices, strict, min(cores, MAX_PROCESSES), parsed, result)
     # Here is what was left over, or was taken by a process that was ended from outside.
-    _check([file for file in files if file not in result.reports], choices, strict, parsed, result)
-    result.add(CheckResult(sources=load_sources(files, parsed)))
+    _check_sequentially([file for file in files if file not in result.reports], choices, strict, parsed, result)
+    result.merge(CheckResult(sources=load_sources(files, parsed)))
     result.sources.sort(key=lambda source: source.path)
     return result
 
@@ -91,7 +91,7 @@ def check_text(data: bytes, choices: RunChoices, *, strict: bool = False, cpu_se
     file, findings = syntax.parse(source)
     report.extend(findings)
     parsed[os.path.realpath(path)] = file, report
-    _check([path], choices, strict, parsed, result, programs=True)
+    _check_sequentially([path], choices, strict, parsed, result, programs=True)
     result.sources.append(source)
     return result
 
@@ -101,7 +101,7 @@ def _check_in_processes(
 ) -> None:
     """Check groups of files in parallel processes. Each process takes the next unchecked group from a pipe."""
     # The first is checked before the others are shared out: all that is imported and the library are then there once.
-    _check(groups[0], choices, strict, parsed, result)
+    _check_sequentially(groups[0], choices, strict, parsed, result)
     gc.freeze()  # so that no process copies what it has not changed, only to look for garbage in it
     # A process that is ready takes the next group, the heaviest first: one byte of a pipe is the right to one group.
     groups = groups[:0:-1][:MAX_GROUPS]
@@ -112,9 +112,9 @@ def _check_in_processes(
     try:
         for _ in range(min(cores, len(groups)) - 1):
             children.append(_start_child(groups, mine, choices, strict, parsed, result.cpu_seconds))
-        _check_claimed(groups, mine, choices, strict, parsed, result)
+        _check_claimed_groups(groups, mine, choices, strict, parsed, result)
         while children:
-            result.add(_collect_child(*children.pop(0)))
+            result.merge(_collect_child_result(*children.pop(0)))
     finally:
         os.close(mine)
         for process, pipe in children:  # of a check that was interrupted
@@ -123,15 +123,20 @@ def _check_in_processes(
             os.waitpid(process, 0)
 
 
-def _check_claimed(
-    groups: Sequence[list[Path]], claims: int, choices: RunChoices, strict: bool, parsed: SharedParsedFiles, result: CheckResult
+def _check_claimed_groups(
+    groups: Sequence[list[Path]],
+    claim_pipe: int,
+    choices: RunChoices,
+    strict: bool,
+    parsed: SharedParsedFiles,
+    result: CheckResult,
 ) -> None:
-    """Check groups until none is left. `claims`: the pipe that yields the number of the next group."""
-    while claim := os.read(claims, 1):
-        _check(groups[claim[0]], choices, strict, parsed, result)
+    """Check groups until none is left. `claim_pipe`: the pipe that yields the number of the next group."""
+    while claim := os.read(claim_pipe, 1):
+        _check_sequentially(groups[claim[0]], choices, strict, parsed, result)
 
 
-def _check(
+def _check_sequentially(
     files: Iterable[Path],
     choices: RunChoices,
     strict: bool,
@@ -142,15 +147,15 @@ def _check(
     """Check files one after the other, and store their reports in `result`. `programs`: also store their programs."""
     for file in files:
         try:
-            with cpu_budget(result.cpu_seconds):
+            with limit_cpu_seconds(result.cpu_seconds):
                 program, result.reports[file] = check_path(file, choices, strict=strict, parsed=parsed)
         except CpuBudgetSpent as spent:
-            program, result.reports[file] = None, _overdue_report(file, result.cpu_seconds, spent)
+            program, result.reports[file] = None, _make_overdue_report(file, result.cpu_seconds, spent)
         if programs and program is not None:
             result.programs[file] = program
 
 
-def _overdue_report(file: Path, seconds: float, spent: CpuBudgetSpent) -> Report:
+def _make_overdue_report(file: Path, seconds: float, spent: CpuBudgetSpent) -> Report:
     """Return the report of a file that exceeded its processor time. It names the file and the stage of the check that was
     running."""
     modules = [each.f_globals.get("__name__", "") for each, _ in traceback.walk_tb(spent.__traceback__)]
@@ -179,17 +184,17 @@ def _group_files(files: Sequence[Path]) -> list[list[Path]]:
     """Group files that may use each other: the files of a folder and of all folders below it. Small groups come first."""
     groups: dict[Path, list[Path]] = {}
     tops: list[Path] = []
-    for folder in sorted({real_path(file).parent for file in files}):
+    for folder in sorted({resolve_path(file).parent for file in files}):
         if not tops or not folder.is_relative_to(tops[-1]):
             tops.append(folder)
         groups.setdefault(tops[-1], [])
     for file in files:
-        folder = real_path(file).parent
+        folder = resolve_path(file).parent
         groups[next(top for top in reversed(tops) if folder.is_relative_to(top))].append(file)
-    return sorted(groups.values(), key=_file_weight)
+    return sorted(groups.values(), key=_estimate_check_cost)
 
 
-def _file_weight(files: Iterable[Path]) -> int:
+def _estimate_check_cost(files: Iterable[Path]) -> int:
     """Return an estimate of the time to check files, comparable only with other estimates."""
     weight = 0
     for file in files:
@@ -204,7 +209,12 @@ def _can_fork() -> bool:
 
 
 def _start_child(
-    groups: Sequence[list[Path]], claims: int, choices: RunChoices, strict: bool, parsed: SharedParsedFiles, cpu_seconds: float
+    groups: Sequence[list[Path]],
+    claim_pipe: int,
+    choices: RunChoices,
+    strict: bool,
+    parsed: SharedParsedFiles,
+    cpu_seconds: float,
 ) -> tuple[int, int]:
     """Start a child process that checks groups of files. Return its process id, and the handle of the pipe with its result."""
     ours, theirs = os.pipe()
@@ -213,7 +223,7 @@ def _start_child(
         code = 1
         try:
             os.close(ours)
-            _run_child(theirs, groups, claims, choices, strict, parsed, cpu_seconds)
+            _check_in_child(theirs, groups, claim_pipe, choices, strict, parsed, cpu_seconds)
             code = 0
             if "antdsl.reader.client" in sys.modules:
                 from antdsl.reader.client import end_reader
@@ -225,25 +235,25 @@ def _start_child(
     return process, ours
 
 
-def _run_child(
-    pipe: int,
+def _check_in_child(
+    result_pipe: int,
     groups: Sequence[list[Path]],
-    claims: int,
+    claim_pipe: int,
     choices: RunChoices,
     strict: bool,
     parsed: SharedParsedFiles,
     cpu_seconds: float,
 ) -> None:
-    """Check groups in a child process, and write the encoded reports to `pipe`."""
+    """Check groups in a child process, and write the encoded reports to `result_pipe`."""
     results = CheckResult(cpu_seconds=cpu_seconds)
-    _check_claimed(groups, claims, choices, strict, parsed, results)
-    write_parts(pipe, [encode_reports(results.reports, load_sources((), parsed))])  # scenes are read once, by the parent
+    _check_claimed_groups(groups, claim_pipe, choices, strict, parsed, results)
+    write_parts(result_pipe, [encode_reports(results.reports, load_sources((), parsed))])  # scenes are read once, by the parent
 
 
-def _collect_child(process: int, pipe: int) -> CheckResult:
+def _collect_child_result(process: int, result_pipe: int) -> CheckResult:
     """Return the result of a child process. It is empty if the child ended before or during its answer."""
     results = CheckResult()
-    with os.fdopen(pipe, "rb") as file, suppress(ValueError):
+    with os.fdopen(result_pipe, "rb") as file, suppress(ValueError):
         results.reports, results.sources = decode_reports(file.read())
     os.waitpid(process, 0)
     return results

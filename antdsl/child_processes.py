@@ -1,12 +1,12 @@
 """Starts child processes with search paths that never contain the working directory.
 
 Started with `-c` or `-m`, Python first looks for modules in the working directory. All children that the standard library or Dask
-start do the same. `isolate` disables this for the current process and all its children, whatever code starts them.
-`module_command` and `module_environment` start a module of antdsl.
+start do the same. `isolate_search_paths` disables this for the current process and all its children, whatever code starts them.
+`build_module_command` and `build_module_environment` start a module of antdsl.
 
-An empty or relative entry of `PATH`, `PYTHONPATH` or a list of library folders means the working directory. `isolate` removes
-such entries. They are rarely intended (`PYTHONPATH=$PYTHONPATH:/studio` with an empty variable), and would let an opened project
-run its own code. Absolute entries are the user's own choice.
+An empty or relative entry of `PATH`, `PYTHONPATH` or a list of library folders means the working directory.
+`isolate_search_paths` removes such entries. They are rarely intended (`PYTHONPATH=$PYTHONPATH:/studio` with an empty variable),
+and would let an opened project run its own code. Absolute entries are the user's own choice.
 """
 
 import os
@@ -18,13 +18,13 @@ SEARCH_PATH_VARIABLES = ("PATH", "PYTHONPATH", "LD_LIBRARY_PATH", "DYLD_LIBRARY_
 INSTALLATION_FOLDER = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 
 
-def isolate() -> None:
+def isolate_search_paths() -> None:
     """Remove the working directory from all search paths of this process and of its children. A second call changes nothing.
 
     The change lasts for the life of the process. It cannot be limited to one call: a pool starts its children when tasks arrive,
     and libraries start theirs in separate threads.
     """
-    relative = _relative_entries(os.environ.get("PYTHONPATH", ""))
+    relative = _find_relative_entries(os.environ.get("PYTHONPATH", ""))
     for name in SEARCH_PATH_VARIABLES:
         if value := os.environ.get(name):
             entries = [entry for entry in value.split(os.pathsep) if os.path.isabs(entry)]
@@ -40,20 +40,20 @@ def isolate() -> None:
         sys.path.append(INSTALLATION_FOLDER)  # last, so that nothing in a checkout hides a package of that name
 
 
-def module_command(module: str, *arguments: str) -> list[str]:
-    """Return the command that runs a module of antdsl in a new interpreter. The command needs `module_environment`."""
+def build_module_command(module: str, *arguments: str) -> list[str]:
+    """Return the command that runs a module of antdsl in a new interpreter. The command needs `build_module_environment`."""
     return [sys.executable, "-P", "-m", module, *arguments]
 
 
-def module_environment() -> dict[str, str]:
-    """Return the environment for `module_command`: that of this process, so that the child imports the same antdsl."""
-    isolate()
+def build_module_environment() -> dict[str, str]:
+    """Return the environment for `build_module_command`: that of this process, so that the child imports the same antdsl."""
+    isolate_search_paths()
     path = [entry for entry in os.environ.get("PYTHONPATH", "").split(os.pathsep) if entry]
     if os.path.basename(INSTALLATION_FOLDER) not in ("site-packages", "dist-packages") and INSTALLATION_FOLDER not in path:
         path.insert(0, INSTALLATION_FOLDER)
     return {**os.environ, "PYTHONPATH": os.pathsep.join(path)} if path else dict(os.environ)
 
 
-def _relative_entries(value: str) -> list[str]:
+def _find_relative_entries(value: str) -> list[str]:
     """Return the empty and relative entries of a list of folders, such as that of `PATH`."""
     return [entry for entry in value.split(os.pathsep) if not os.path.isabs(entry)] if value else []

@@ -21,7 +21,7 @@ class CpuBudgetSpent(BaseException):
 
 
 @contextmanager
-def cpu_budget(seconds: float) -> Iterator[None]:
+def limit_cpu_seconds(seconds: float) -> Iterator[None]:
     """Raise CpuBudgetSpent inside the context once this process and charged time exceed `seconds` of processor time. 0 is no
     limit.
 
@@ -46,18 +46,18 @@ def cpu_budget(seconds: float) -> Iterator[None]:
         signal.signal(signal.SIGPROF, previous)
 
 
-def remaining_seconds() -> float:
+def remaining_cpu_seconds() -> float:
     """Return the remaining seconds of the budget; infinity without a budget."""
     return max(_budget_end_seconds - time.process_time(), 0.0) if _budget_process == os.getpid() else math.inf
 
 
-def charge(seconds: float) -> None:
+def charge_cpu_seconds(seconds: float) -> None:
     """Subtract processor time of another process from the budget. Raises CpuBudgetSpent in the main thread if nothing is left."""
     global _budget_end_seconds
     if _budget_process != os.getpid():
         return
     _budget_end_seconds -= seconds
-    left = remaining_seconds()
+    left = remaining_cpu_seconds()
     if left > 0.0:
         signal.setitimer(signal.ITIMER_PROF, max(left, _SOONEST_SIGNAL_SECONDS))
     elif threading.current_thread() is threading.main_thread():

@@ -1,8 +1,8 @@
 """A shot as a job for any render farm. The input is a scene, the output is steps with dependencies.
 
-`shot_job` defines the commands of a shot and their dependencies. `job_template` writes them as a template of Open Job
-Description, `json_lines` as one line per command for any script. Every command may be stopped and restarted: it continues from
-existing results.
+`build_shot_job` defines the commands of a shot and their dependencies. `build_job_template` writes them as a template of Open Job
+Description, `format_json_lines` as one line per command for any script. Every command may be stopped and restarted: it continues
+from existing results.
 """
 
 from __future__ import annotations
@@ -14,59 +14,59 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-MOST_TASKS = 1024  # values that a list of a parameter may have in a template
-_FRAMES = "Frames"  # the name of a task's frames
+MAX_TASKS = 1024  # values that a list of a parameter may have in a template
+_FRAMES_PARAMETER = "Frames"  # the name of a task's frames
 _PLACEHOLDER = re.compile("\0(\\w+)\0")  # no word of a command line has this character
 
 
 @dataclass(frozen=True, slots=True)
 class JobPath:
-    """A path that may differ on another machine. `flow`: whether it is read (IN), written (OUT), or both (INOUT)."""
+    """A path that may differ on another machine. `data_flow`: whether it is read (IN), written (OUT), or both (INOUT)."""
 
     name: str
     path: Path
-    flow: Literal["IN", "OUT", "INOUT"]
+    data_flow: Literal["IN", "OUT", "INOUT"]
     description: str
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class JobStep:
     """One command, or one command per chunk of frames.
 
-    `command`: the words; `_placeholder` stands for a path or the chunk.
-    `needs`: the steps that must finish first.
-    `chunks`: ranges of frames, one task each; empty for a step of one task.
-    `grace`: seconds from SIGTERM to SIGKILL.
+    `command`: the words; `_make_placeholder` stands for a path or the chunk.
+    `dependencies`: the steps that must finish first.
+    `chunk_ranges`: ranges of frames, one task each; empty for a step of one task.
+    `grace_seconds`: seconds from SIGTERM to SIGKILL.
     """
 
     name: str
     description: str
     command: tuple[str, ...]
-    needs: tuple[str, ...] = ()
-    chunks: tuple[str, ...] = ()
-    grace: int = 120
+    dependencies: tuple[str, ...] = ()
+    chunk_ranges: tuple[str, ...] = ()
+    grace_seconds: int = 120
 
-    def fixed_texts(self) -> list[str]:
+    def find_fixed_texts(self) -> list[str]:
         """Return the parts of the command that are equal on all machines and for all chunks."""
         return [text for word in self.command for text in _PLACEHOLDER.split(word)[::2]]
 
 
 @dataclass(frozen=True, slots=True)
-class Job:
+class FarmJob:
     """All steps of a shot. A step comes after all steps that it needs. `paths`: the paths that commands use."""
 
     name: str
     paths: tuple[JobPath, ...]
-    steps: tuple[Step, ...]
+    steps: tuple[JobStep, ...]
 
 
 @dataclass(frozen=True, slots=True)
-class Shot:
+class ShotRequest:
     """The requested output: frames `first` to `last` of a scene.
 
     `every`: one frame in `every` is drawn.
-    `chunk`: pictures per task.
-    `run` and `render`: extra arguments of these two commands.
+    `pictures_per_task`: pictures per task.
+    `run` and `render_arguments`: extra arguments of these two commands.
     """
 
     scene: Path
@@ -75,63 +75,65 @@ class Shot:
     first: int
     last: int
     every: int = 1
-    chunk: int = 10
+    pictures_per_task: int = 10
     run: tuple[str, ...] = ()
-    render: tuple[str, ...] = ()
-    roots: tuple[tuple[str, Path], ...] = ()
-    film: bool = True
+    render_arguments: tuple[str, ...] = ()
+    granted_roots: tuple[tuple[str, Path], ...] = ()
+    makes_film: bool = True
 
 
-def shot_job(shot: Shot, name: str) -> Job:
+def build_shot_job(shot: ShotRequest, name: str) -> FarmJob:
     """Return the job that simulates and draws a shot."""
     project = JobPath("Project", shot.scene.parent, "IN", "The folder of the scene, with all that lies below it")
     cache = JobPath("Cache", shot.cache, "INOUT", "The folder of the cache")
     pictures = JobPath("Pictures", shot.pictures, "INOUT", "The folder of the pictures")
-    roots = tuple(JobPath(f"Root_{root}", path, "IN", f"The folder that the scene calls {root}") for root, path in shot.roots)
+    roots = tuple(
+        JobPath(f"Root_{root}", path, "IN", f"The folder that the scene calls {root}") for root, path in shot.granted_roots
+    )
     between = f"{shot.first}..{shot.last}"
-    granted = [word for root, _ in shot.roots for word in ("--root", f"{root}={_placeholder(f'Root_{root}')}")]
-    scene, cache_word = f"{_placeholder('Project')}/{shot.scene.name}", _placeholder("Cache")
-    draw = ("antdsl", "render", cache_word, "--out", _placeholder("Pictures"))
-    look = (*(("--every", str(shot.every)) if shot.every > 1 else ()), *shot.render, "--resume")
+    granted = [word for root, _ in shot.granted_roots for word in ("--root", f"{root}={_make_placeholder(f'Root_{root}')}")]
+    scene, cache_word = f"{_make_placeholder('Project')}/{shot.scene.name}", _make_placeholder("Cache")
+    draw = ("antdsl", "render", cache_word, "--out", _make_placeholder("Pictures"))
+    look = (*(("--every", str(shot.every)) if shot.every > 1 else ()), *shot.render_arguments, "--resume")
     steps = [
-        Step(
+        JobStep(
             "simulation",
             "Frames are simulated one after the other, on one machine; a run that was ended goes on from its last checkpoint",
             ("antdsl", "run", scene, "--frames", between, "--out", cache_word, *granted, *shot.run, "--resume"),
         ),
-        Step(
+        JobStep(
             "frames",
             "Pictures are drawn in chunks, each on any machine; those that are there, whole, are not drawn again",
-            (*draw, "--frames", _placeholder(_FRAMES), "--shot", between, *look),
+            (*draw, "--frames", _make_placeholder(_FRAMES_PARAMETER), "--shot", between, *look),
             ("simulation",),
-            frame_chunks(shot.first, shot.last, shot.every, shot.chunk),
+            split_frames(shot.first, shot.last, shot.every, shot.pictures_per_task),
             30,
         ),
     ]
-    if shot.film:
+    if shot.makes_film:
         film = (*draw, "--film", "--frames", between, *look)
-        steps.append(Step("film", "The pictures become a film; missing pictures are drawn first", film, ("frames",), (), 30))
-    return Job(name, (project, *roots, cache, pictures), tuple(steps))
+        steps.append(JobStep("film", "The pictures become a film; missing pictures are drawn first", film, ("frames",), (), 30))
+    return FarmJob(name, (project, *roots, cache, pictures), tuple(steps))
 
 
-def frame_chunks(first: int, last: int, every: int, count: int) -> tuple[str, ...]:
+def split_frames(first: int, last: int, every: int, count: int) -> tuple[str, ...]:
     """Return ranges of frames with `count` pictures each; the last may have fewer. Each range begins with a frame that is
     drawn."""
     starts = range(first, last + 1, every * count)
     return tuple(f"{start}..{min(start + every * count - 1, last)}" for start in starts)
 
 
-def _placeholder(name: str) -> str:
+def _make_placeholder(name: str) -> str:
     """Return the text that stands for a path or the chunk in the words of a command."""
     return f"\0{name}\0"
 
 
-def _command_words(command: Sequence[str], values: Mapping[str, str]) -> list[str]:
+def _fill_placeholders(command: Sequence[str], values: Mapping[str, str]) -> list[str]:
     """Return the words of a command with the value of each placeholder inserted."""
     return [_PLACEHOLDER.sub(lambda match: values[match[1]], word) for word in command]
 
 
-def json_lines(job: Job) -> str:
+def format_json_lines(job: FarmJob) -> str:
     """Return one JSON line per command, each after the commands that it needs. Paths are absolute paths of this machine.
 
     `name` and `step`: names of the command and of its step.
@@ -139,22 +141,22 @@ def json_lines(job: Job) -> str:
     `needs`: the names of the commands that must finish first.
     """
     paths = {place.name: str(place.path.resolve()) for place in job.paths}
-    names = {step.name: [_command_name(step, frames) for frames in step.chunks or ("",)] for step in job.steps}
+    names = {step.name: [_command_name(step, frames) for frames in step.chunk_ranges or ("",)] for step in job.steps}
     lines = []
     for step in job.steps:
-        needs = [name for earlier_step in step.needs for name in names[earlier_step]]
-        for name, frames in zip(names[step.name], step.chunks or ("",), strict=True):
-            command = _command_words(step.command, paths | {_FRAMES: frames})
+        needs = [name for earlier_step in step.dependencies for name in names[earlier_step]]
+        for name, frames in zip(names[step.name], step.chunk_ranges or ("",), strict=True):
+            command = _fill_placeholders(step.command, paths | {_FRAMES_PARAMETER: frames})
             entry = {"name": name, "step": step.name, "command": command, "needs": needs}
             lines.append(json.dumps(entry, ensure_ascii=False))
     return "".join(f"{line}\n" for line in lines)
 
 
-def _command_name(step: Step, frames: str) -> str:
+def _command_name(step: JobStep, frames: str) -> str:
     return f"{step.name} {frames}" if frames else step.name
 
 
-def job_template(job: Job, folder: Path) -> dict[str, Any]:
+def build_job_template(job: FarmJob, folder: Path) -> dict[str, Any]:
     """Return a template of Open Job Description, revision 2023-09, as JSON values, without extensions of the format
     (https://github.com/OpenJobDescription/openjd-specifications/wiki/2023-09-Template-Schemas).
 
@@ -164,48 +166,50 @@ def job_template(job: Job, folder: Path) -> dict[str, Any]:
     return {
         "specificationVersion": "jobtemplate-2023-09",
         "name": job.name,
-        "parameterDefinitions": [_path_parameter(place, folder) for place in job.paths],
-        "steps": [_step_template(job, step) for step in job.steps],
+        "parameterDefinitions": [_build_path_parameter(place, folder) for place in job.paths],
+        "steps": [_build_step_template(job, step) for step in job.steps],
     }
 
 
-def paths_to_name(job: Job, folder: Path) -> list[JobPath]:
+def find_external_paths(job: FarmJob, folder: Path) -> list[JobPath]:
     """Return the paths that the submitter of the job must name: those outside `folder`, the folder of the template file."""
-    return [place for place in job.paths if _path_below(place, folder) is None]
+    return [place for place in job.paths if _find_path_below(place, folder) is None]
 
 
-def _path_below(place: JobPath, folder: Path) -> str | None:
+def _find_path_below(place: JobPath, folder: Path) -> str | None:
     """Return a path relative to `folder`, or None if it is not below it."""
     path, start = place.path.resolve(), folder.resolve()
     return path.relative_to(start).as_posix() if path.is_relative_to(start) else None
 
 
-def _path_parameter(place: JobPath, folder: Path) -> dict[str, Any]:
+def _build_path_parameter(place: JobPath, folder: Path) -> dict[str, Any]:
     """Return the declaration of a path as a parameter of a job template."""
     parameter = {
         "name": place.name,
         "type": "PATH",
         "objectType": "DIRECTORY",
-        "dataFlow": place.flow,
+        "dataFlow": place.data_flow,
         "description": place.description,
     }
-    below = _path_below(place, folder)
+    below = _find_path_below(place, folder)
     return parameter if below is None else parameter | {"default": below}
 
 
-def _step_template(job: Job, step: Step) -> dict[str, Any]:
+def _build_step_template(job: FarmJob, step: JobStep) -> dict[str, Any]:
     """Return one step of a job template."""
     expressions = {place.name: f"{{{{Param.{place.name}}}}}" for place in job.paths}
-    command, *rest = _command_words(step.command, expressions | {_FRAMES: f"{{{{Task.Param.{_FRAMES}}}}}"})
+    command, *rest = _fill_placeholders(
+        step.command, expressions | {_FRAMES_PARAMETER: f"{{{{Task.Param.{_FRAMES_PARAMETER}}}}}"}
+    )
     action = {
         "command": command,
         "args": rest,
-        "cancelation": {"mode": "NOTIFY_THEN_TERMINATE", "notifyPeriodInSeconds": step.grace},
+        "cancelation": {"mode": "NOTIFY_THEN_TERMINATE", "notifyPeriodInSeconds": step.grace_seconds},
     }
     entry: dict[str, Any] = {"name": step.name, "description": step.description}
-    if step.needs:
-        entry["dependencies"] = [{"dependsOn": name} for name in step.needs]
-    if step.chunks:
-        tasks = {"name": _FRAMES, "type": "STRING", "range": list(step.chunks)}
+    if step.dependencies:
+        entry["dependencies"] = [{"dependsOn": name} for name in step.dependencies]
+    if step.chunk_ranges:
+        tasks = {"name": _FRAMES_PARAMETER, "type": "STRING", "range": list(step.chunk_ranges)}
         entry["parameterSpace"] = {"taskParameterDefinitions": [tasks]}
     return entry | {"script": {"actions": {"onRun": action}}}

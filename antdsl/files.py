@@ -8,11 +8,11 @@ from glob import glob, has_magic
 from pathlib import Path
 
 from antdsl import limits
-from antdsl.bounded import read_start
 from antdsl.diagnostics import Report
 from antdsl.loading import ParsedFileCache, display_path
-from antdsl.scene.document import decode
-from antdsl.scene.paths import PathRefused, read_named
+from antdsl.safe_read import read_first_bytes
+from antdsl.scene.document import decode_source
+from antdsl.scene.paths import PathRefused, read_user_file
 from antdsl.source import Source
 
 SKIPPED_FOLDERS = frozenset(["node_modules", "__pycache__", "out", "build", "dist", "_data"])
@@ -61,7 +61,7 @@ def load_sources(files: Iterable[Path], parsed: ParsedFileCache) -> list[Source]
     for path in files:
         if path.suffix != ".ant":
             try:
-                source, report = decode(read_named(path, limits.MAX_SCENE_BYTES), str(path))
+                source, report = decode_source(read_user_file(path, limits.MAX_SCENE_BYTES), str(path))
             except PathRefused:
                 continue
             texts += [source] if report.ok else []
@@ -71,7 +71,7 @@ def load_sources(files: Iterable[Path], parsed: ParsedFileCache) -> list[Source]
 def _is_scene(path: Path) -> bool:
     """Return whether a YAML file begins like a scene; folders may contain other YAML files."""
     try:
-        lines = read_start(path, 4096).removeprefix(b"\xef\xbb\xbf").splitlines()
+        lines = read_first_bytes(path, 4096).removeprefix(b"\xef\xbb\xbf").splitlines()
     except OSError:
         return False
     first = next((line for line in lines if line.strip() and not line.lstrip().startswith(b"#")), b"")

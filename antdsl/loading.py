@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from antdsl import limits, syntax
 from antdsl.diagnostics import Label, Report
-from antdsl.resources import library_file
+from antdsl.resources import find_library_file
 from antdsl.scene.paths import PathRefused, Roots
 from antdsl.source import Source, Span
 from antdsl.syntax import nodes
@@ -26,13 +26,14 @@ ParsedFileCache = dict[str, tuple[nodes.File, Report]]
 class SharedParsedFiles(ParsedFileCache):
     """A cache of parsed files for checking many files that do not change meanwhile.
 
-    `checked`: results of checking programs, so that a program that several scenes name is checked once. Each result also has the
+    `check_results`: results of checking programs, so that a program that several scenes name is checked once. Each result also
+    has the
         names of the libraries that the program uses.
     """
 
     def __init__(self) -> None:
         super().__init__()
-        self.checked: dict[tuple[object, ...], tuple[Program, Report, tuple[str, ...]]] = {}
+        self.check_results: dict[tuple[object, ...], tuple[Program, Report, tuple[str, ...]]] = {}
 
 
 def find_library(name: str) -> nodes.File | None:
@@ -42,7 +43,7 @@ def find_library(name: str) -> nodes.File | None:
 
 
 @lru_cache(maxsize=64)
-def _parsed_library(name: str, text: str) -> tuple[nodes.File, Report]:
+def _parse_library(name: str, text: str) -> tuple[nodes.File, Report]:
     """Return a parsed library file, cached: parsing takes longer than checking the parts that most programs use."""
     return syntax.parse(Source(name, text))
 
@@ -51,127 +52,129 @@ def _parsed_library(name: str, text: str) -> tuple[nodes.File, Report]:
 class LoadedSources:
     """Programs and the files that they use.
 
-    `modules`: used files, by the path as written in `use`.
-    `texts`: all sources, by their path below `folder`; library files as `<steering>`.
-    `parsed`: a cache that several LoadedSources may share, so that each file is read once and findings have one location.
+    `module_by_path`: used files, by the path as written in `use`.
+    `text_by_name`: all sources, by their path below `folder`; library files as `<steering>`.
+    `parse_cache`: a cache that several LoadedSources may share, so that each file is read once and findings have one location.
     """
 
     folder: Path
     files: list[nodes.File] = field(default_factory=list)
-    modules: dict[str, nodes.File] = field(default_factory=dict)
-    texts: dict[str, str] = field(default_factory=dict)
+    module_by_path: dict[str, nodes.File] = field(default_factory=dict)
+    text_by_name: dict[str, str] = field(default_factory=dict)
     report: Report = field(default_factory=Report)
-    parsed: ParsedFileCache = field(default_factory=dict)
-    _library: dict[str, nodes.File | None] = field(default_factory=dict)
+    parse_cache: ParsedFileCache = field(default_factory=dict)
+    _library_files: dict[str, nodes.File | None] = field(default_factory=dict)
     _module_paths: dict[str, Path] = field(default_factory=dict)
-    _bytes: int = 0
+    _total_bytes: int = 0
 
     def find_library(self, name: str) -> nodes.File | None:
         """Return the file behind `use NAME`, or None if there is none."""
-        if name not in self._library:
-            path = library_file(name)
-            self._library[name] = None if path is None else self._parse(path, f"<{name}>", of_library=True)
-        return self._library[name]
+        if name not in self._library_files:
+            path = find_library_file(name)
+            self._library_files[name] = None if path is None else self._parse_file(path, f"<{name}>", is_library=True)
+        return self._library_files[name]
 
-    def library_names(self) -> tuple[str, ...]:
+    def list_library_names(self) -> tuple[str, ...]:
         """Return the names of the library files that were requested."""
-        return tuple(self._library)
+        return tuple(self._library_files)
 
     def add_file(self, path: Path) -> nodes.File | None:
         """Add a program that the user named. The program may have any path, but files that it uses must be below its folder."""
-        file = self._parse(path, str(path))
+        file = self._parse_file(path, str(path))
         if file is not None:
             self.files.append(file)
-            self._load_uses(file, Roots(path.resolve().parent), 1, (path.resolve(),))
+            self._load_used_files(file, Roots(path.resolve().parent), 1, (path.resolve(),))
         return file
 
-    def add_named(self, text: str, roots: Roots, span: Span) -> nodes.File | None:
+    def add_scene_program(self, text: str, roots: Roots, span: Span) -> nodes.File | None:
         """Add a program that a scene names. It has the scene's access to files. Return None if it cannot be read."""
-        path = self._locate(text, roots, span)
+        path = self._locate_program(text, roots, span)
         if path is None:
             return None
-        file = self._parse(path, display_path(path), span, (roots, text))
+        file = self._parse_file(path, display_path(path), span, (roots, text))
         if file is not None:
             self.files.append(file)
-            self._load_uses(file, Roots(path.parent, roots.granted), 1, (path,))
+            self._load_used_files(file, Roots(path.parent, roots.granted), 1, (path,))
         return file
 
-    def hashes(self) -> dict[str, str]:
+    def hash_texts(self) -> dict[str, str]:
         """Return a hash of each file's text, by the name under which the file was read."""
-        return {name: hashlib.blake2b(text.encode(), digest_size=16).hexdigest() for name, text in sorted(self.texts.items())}
+        return {
+            name: hashlib.blake2b(text.encode(), digest_size=16).hexdigest() for name, text in sorted(self.text_by_name.items())
+        }
 
-    def _key(self, path: Path) -> str:
+    def _make_text_key(self, path: Path) -> str:
         """Return the key of a file's text: its path relative to `folder`, or its full path if it is not below `folder`."""
         full, folder = path.resolve(), self.folder.resolve()
         return full.relative_to(folder).as_posix() if full.is_relative_to(folder) else full.as_posix()
 
-    def _locate(self, text: str, roots: Roots, span: Span) -> Path | None:
+    def _locate_program(self, text: str, roots: Roots, span: Span) -> Path | None:
         """Return the path of a program that a scene or a `use` line names, or None with the reason in the report."""
         if not text.endswith(".ant"):
             self.report.error("bad-path", f"`{text[:80]}` is not an .ant file", span, "name a file that ends in `.ant`")
             return None
         try:
-            roots.file_size(text)
+            roots.measure_file_size(text)
             return roots.path(text)
         except PathRefused as refused:
             self.report.error(refused.code, str(refused), span, refused.help)
             return None
 
-    def _parse(
+    def _parse_file(
         self,
         path: Path,
         name: str,
         span: Span | None = None,
         origin: tuple[Roots, str] | None = None,
         *,
-        of_library: bool = False,
+        is_library: bool = False,
     ) -> nodes.File | None:
         """Return a parsed file, or None with the reason in the report. `origin`: the roots that may contain the file, and its
         path there. It is None for a file of the library, and for one that the user named."""
         place = os.path.realpath(path)
-        if place in self.parsed:
-            file, report = self.parsed[place]
+        if place in self.parse_cache:
+            file, report = self.parse_cache[place]
         else:
             try:
-                source, report = syntax.read(path, None if origin is None else origin[0].open(origin[1]))
+                source, report = syntax.read(path, None if origin is None else origin[0].open_file(origin[1]))
             except PathRefused as refused:  # it has changed since it was looked for
                 self.report.error(refused.code, str(refused), span, refused.help)
                 return None
             if source is None:
                 self.report.extend(report)
                 return None
-            file, findings = _parsed_library(name, source.text) if of_library else syntax.parse(Source(name, source.text))
+            file, findings = _parse_library(name, source.text) if is_library else syntax.parse(Source(name, source.text))
             report.extend(findings)
-            self.parsed[place] = file, report
+            self.parse_cache[place] = file, report
         source = file.source
-        if not of_library:
-            self._bytes += len(source.text)
-            if self._bytes > limits.MAX_PROJECT_BYTES:
+        if not is_library:
+            self._total_bytes += len(source.text)
+            if self._total_bytes > limits.MAX_PROJECT_BYTES:
                 self.report.error("too-large", f"the programs together have more than {limits.MAX_PROJECT_BYTES:,} bytes", span)
                 return None
-        self.texts[name if of_library else self._key(path)] = source.text
+        self.text_by_name[name if is_library else self._make_text_key(path)] = source.text
         self.report.extend(report)
         return file
 
-    def _load_uses(self, file: nodes.File, roots: Roots, depth: int, chain: tuple[Path, ...]) -> None:
-        """Load the files that a file uses. `depth`: the number of nested uses. `chain`: the files that lead to this one."""
-        for use in use_lines(file):
+    def _load_used_files(self, file: nodes.File, roots: Roots, depth: int, using_files: tuple[Path, ...]) -> None:
+        """Load the files that a file uses. `depth`: the number of nested uses. `using_files`: the files that lead to this one."""
+        for use in find_use_lines(file):
             if use.path is None:
                 continue
             text, span = use.path.text, use.path.span
-            if depth > limits.MAX_USE_DEPTH or len(self.modules) >= limits.MAX_USED_FILES:
+            if depth > limits.MAX_USE_DEPTH or len(self.module_by_path) >= limits.MAX_USED_FILES:
                 self.report.error("too-large", "too many files use each other", span, "bring fewer files in")
                 return
-            path = self._locate(text, roots, span)
+            path = self._locate_program(text, roots, span)
             if path is None:
                 continue
-            if path in chain:
-                cycle_text = " -> ".join(p.name for p in (*chain[chain.index(path) :], path))
+            if path in using_files:
+                cycle_text = " -> ".join(p.name for p in (*using_files[using_files.index(path) :], path))
                 self.report.error(
                     "use-cycle", f"files use each other in a circle: {cycle_text}", span, "remove one of the `use` lines"
                 )
                 continue
-            known = self.modules.get(text)
+            known = self.module_by_path.get(text)
             if known is not None:
                 if self._module_paths[text] != path:
                     labels = (Label(Span(known.source, 0, 1), "the other file"),)
@@ -183,13 +186,13 @@ class LoadedSources:
                         labels=labels,
                     )
                 continue
-            module = self._parse(path, display_path(path), span, (roots, text))
+            module = self._parse_file(path, display_path(path), span, (roots, text))
             if module is not None:
-                self.modules[text], self._module_paths[text] = module, path
-                self._load_uses(module, Roots(path.parent, roots.granted), depth + 1, (*chain, path))
+                self.module_by_path[text], self._module_paths[text] = module, path
+                self._load_used_files(module, Roots(path.parent, roots.granted), depth + 1, (*using_files, path))
 
 
-def use_lines(file: nodes.File) -> tuple[nodes.Use, ...]:
+def find_use_lines(file: nodes.File) -> tuple[nodes.Use, ...]:
     """Return the `use` lines of a file."""
     return tuple(item for item in file.items if isinstance(item, nodes.Use))
 

@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from antdsl import __version__
-from antdsl.bounded import real_path
 from antdsl.diagnostics import Report
 from antdsl.loading import LoadedSources, ParsedFileCache, SharedParsedFiles
 from antdsl.numerics.float_environment import standard_floats
+from antdsl.safe_read import resolve_path
 
 if TYPE_CHECKING:
     from antdsl.bodies.agents.definition import Definition
@@ -79,13 +79,13 @@ def compile_files(
     `parsed` and `memo`: caches of parsed and checked parts, for the next call.
     """
     files = [Path(path) for path in paths]
-    loaded = LoadedSources(real_path(files[0]).parent if files else Path.cwd(), parsed={} if parsed is None else parsed)
+    loaded = LoadedSources(resolve_path(files[0]).parent if files else Path.cwd(), parse_cache={} if parsed is None else parsed)
     for file in files:
         loaded.add_file(file)
-    return _check_loaded(loaded, strict, memo)
+    return _check_loaded_sources(loaded, strict, memo)
 
 
-def _check_loaded(loaded: LoadedSources, strict: bool, memo: CheckMemo | None = None) -> tuple[Program | None, Report]:
+def _check_loaded_sources(loaded: LoadedSources, strict: bool, memo: CheckMemo | None = None) -> tuple[Program | None, Report]:
     """Check loaded files as one program. `strict`: as in `compile_files`."""
     from antdsl.program import check
 
@@ -94,10 +94,17 @@ def _check_loaded(loaded: LoadedSources, strict: bool, memo: CheckMemo | None = 
         report.extend(loaded.report)
         return None, report
     # files are the same objects as long as they are in `parsed`; names of modules are read from their texts
-    key = (strict, *(id(file) for file in loaded.files), *((name, id(file)) for name, file in sorted(loaded.modules.items())))
-    cache = loaded.parsed.checked if isinstance(loaded.parsed, SharedParsedFiles) else {}
+    key = (
+        strict,
+        *(id(file) for file in loaded.files),
+        *((name, id(file)) for name, file in sorted(loaded.module_by_path.items())),
+    )
+    cache = loaded.parse_cache.check_results if isinstance(loaded.parse_cache, SharedParsedFiles) else {}
     if key not in cache:
-        cache[key] = *check(loaded.files, loaded.find_library, loaded.modules, strict=strict, memo=memo), loaded.library_names()
+        cache[key] = (
+            *check(loaded.files, loaded.find_library, loaded.module_by_path, strict=strict, memo=memo),
+            loaded.list_library_names(),
+        )
     program, findings, libraries = cache[key]
     for name in libraries:  # a program's parts are reported with it, also if it was checked before
         loaded.find_library(name)
@@ -123,44 +130,46 @@ def open_scene(
     """
     path = Path(path)
     from antdsl import passes, plan
-    from antdsl.bodies.crowd_bodies import crowd_bodies
-    from antdsl.scene.field_settings import with_field_settings
-    from antdsl.scene.matching import layer_order
-    from antdsl.scene.overriding import read_overrides, with_changed_fields, with_changed_params
-    from antdsl.scene.staging.stage_scene import stage
+    from antdsl.bodies.crowd_bodies import load_crowd_bodies
+    from antdsl.scene.field_settings import replace_field_settings
+    from antdsl.scene.overrides import apply_field_changes, apply_param_changes, read_overrides
+    from antdsl.scene.scene_checks import resolve_layer_order
+    from antdsl.scene.staging.stage_scene import build_setting
 
     choices = choices or RunChoices()
     scene, program, loaded, report = _read_scene(path, choices, parsed=parsed)
     if scene is None or program is None or not report.ok:
         return None, report
     param_overrides = read_overrides(scene, program, choices.params, Report())
-    program = with_field_settings(program, scene, {**scene.model.set, **param_overrides})
-    program = with_changed_fields(program, choices.changes)
-    orders = {name: order for name in scene.model.layers if (order := layer_order(scene, program, name)[0]) is not None}
-    setting, findings, meshes = stage(scene, program, param_overrides)
+    program = replace_field_settings(program, scene, {**scene.model.set, **param_overrides})
+    program = apply_field_changes(program, choices.changes)
+    orders = {name: order for name in scene.model.layers if (order := resolve_layer_order(scene, program, name)[0]) is not None}
+    setting, findings, meshes = build_setting(scene, program, param_overrides)
     report.extend(findings)
     if setting is None or not report.ok:
         return None, report
-    report.answer(_attribute_warnings(report, scene, program, setting))
-    bodies, body_findings = crowd_bodies(scene, program)
-    lowered, findings = plan.lower(program, orders=orders, begun_with=setting.initial_attributes, proportions=bodies.proportions)
+    report.drop_warnings(_find_stale_attribute_warnings(report, scene, program, setting))
+    bodies, body_findings = load_crowd_bodies(scene, program)
+    lowered, findings = plan.lower(
+        program, orders=orders, scene_attributes=setting.initial_attributes, proportions=bodies.proportions
+    )
     report.extend(findings)
     report.extend(body_findings)
     if not report.ok:
         return None, report
-    setting = with_changed_params(setting, scene, program, choices.changes)
+    setting = apply_param_changes(setting, scene, program, choices.changes)
     setting = replace(
-        setting, body_weights=bodies.weights, clips=bodies.clips, rooms=bodies.rooms, legs=bodies.legs,
-        unseen=_undrawn_things(scene),
+        setting, body_weights=bodies.weights, clips=bodies.clips, body_capsules=bodies.collision_sizes, legs=bodies.legs,
+        undrawn_things=_find_undrawn_things(scene),
     )  # fmt: skip
-    inputs = {"antdsl": __version__, "scene": scene.digest(), **loaded.hashes(), **meshes, **bodies.hashes}
+    inputs = {"antdsl": __version__, "scene": scene.compute_digest(), **loaded.hash_texts(), **meshes, **bodies.hashes}
     inputs |= {f"--set {name}": text for name, text in choices.params.items()}
     inputs |= {f"set {change.name}": change.value.span.text for change in choices.changes}
     final_plan = lowered if raw else passes.optimise(lowered, thorough=thorough)
     return Shot(scene, program, final_plan, setting, inputs, loaded, bodies.definitions, bodies.proportions), report
 
 
-def _undrawn_things(scene: Scene) -> frozenset[str]:
+def _find_undrawn_things(scene: Scene) -> frozenset[str]:
     """Return the names of things of the world that pictures leave out."""
     return frozenset(name for name, thing in scene.model.world.items() if getattr(thing, "look", None) == "none")
 
@@ -174,24 +183,24 @@ def _read_scene(
     texts: Mapping[Path, bytes] | None = None,
 ) -> tuple[Scene | None, Program | None, LoadedSources, Report]:
     """Return the scene, its programs checked together, their sources, and a report of how scene and programs match."""
-    from antdsl.scene.load import load, load_text
-    from antdsl.scene.matching import match_scene
-    from antdsl.scene.overriding import read_overrides
+    from antdsl.scene.load import load_scene, load_text
+    from antdsl.scene.overrides import read_overrides
     from antdsl.scene.paths import Roots
+    from antdsl.scene.scene_checks import match_scene
 
     if data is None:
-        scene, report = load(path, choices.grants)
+        scene, report = load_scene(path, choices.grants)
     else:
-        scene, report = load_text(data, str(path), Roots(real_path(path).parent, dict(choices.grants)), texts)
-    loaded = LoadedSources(real_path(path).parent, parsed={} if parsed is None else parsed)
+        scene, report = load_text(data, str(path), Roots(resolve_path(path).parent, dict(choices.grants)), texts)
+    loaded = LoadedSources(resolve_path(path).parent, parse_cache={} if parsed is None else parsed)
     if scene is None:
         return None, None, loaded, report
     if data is None:  # an editor's text is read without the meshes of its world
-        _begin_reading(scene)
-    scene = scene.changed(frames=choices.frames, seed=choices.seed)
+        _notify_format_reader(scene)
+    scene = scene.replace_values(frames=choices.frames, seed=choices.seed)
     for number, line in enumerate(scene.model.crowd):
         if line.source not in {other.source for other in scene.model.crowd[:number]}:
-            loaded.add_named(line.source, scene.roots, scene.span("crowd", number, "from"))
+            loaded.add_scene_program(line.source, scene.roots, scene.span("crowd", number, "from"))
     if not scene.model.crowd:
         report.error(
             "no-crowd",
@@ -199,7 +208,7 @@ def _read_scene(
             scene.span("antdsl", key=True),
             _MISSING_CROWD_HELP,
         )
-    program, findings = _check_loaded(loaded, strict)
+    program, findings = _check_loaded_sources(loaded, strict)
     report.extend(findings)
     if program is not None and findings.ok:
         report.extend(match_scene(scene, program))
@@ -207,7 +216,7 @@ def _read_scene(
     return scene, program, loaded, report
 
 
-def _begin_reading(scene: Scene) -> None:
+def _notify_format_reader(scene: Scene) -> None:
     """Notify the reader of foreign formats of a new scene. If the scene has things from USD files, the USD library is loaded
     while the programs are checked."""
     if "antdsl.reader.client" in sys.modules:
@@ -217,7 +226,7 @@ def _begin_reading(scene: Scene) -> None:
     if any(getattr(thing, "usd", None) for thing in (*scene.model.world.values(), scene.model.camera)):
         from antdsl.reader import client
 
-        client.prepare("usd")
+        client.start_reader_early("usd")
 
 
 _MISSING_CROWD_HELP = "add `crowd:` and below it `  - {species: NAME, from: FILE.ant, count: 100, place: {on: SURFACE}}`"
@@ -245,11 +254,11 @@ def check_scene_text(
 
     `texts`: texts that override scenes on disk: this scene, and the scenes that it extends.
     """
-    from antdsl.bodies.crowd_bodies import crowd_bodies
+    from antdsl.bodies.crowd_bodies import load_crowd_bodies
 
     scene, program, _, report = _read_scene(path, RunChoices(), parsed=parsed, data=texts[path], texts=texts)
     if scene is not None and program is not None and report.ok:
-        report.extend(crowd_bodies(scene, program)[1])
+        report.extend(load_crowd_bodies(scene, program)[1])
     return scene, program, report
 
 
@@ -277,28 +286,30 @@ def check_path(
     report.extend(check_spec_scenes(program, choices.grants) if specs else ())
     setting = None
     if scene is not None and program is not None and report.ok and scene.model.world:
-        from antdsl.bodies.crowd_bodies import crowd_bodies
-        from antdsl.scene.overriding import read_overrides
-        from antdsl.scene.staging.stage_scene import stage
+        from antdsl.bodies.crowd_bodies import load_crowd_bodies
+        from antdsl.scene.overrides import read_overrides
+        from antdsl.scene.staging.stage_scene import build_setting
 
-        setting, findings, _ = stage(scene, program, read_overrides(scene, program, choices.params, Report()))
+        setting, findings, _ = build_setting(scene, program, read_overrides(scene, program, choices.params, Report()))
         report.extend(findings)
-        report.extend(crowd_bodies(scene, program)[1])
+        report.extend(load_crowd_bodies(scene, program)[1])
     if scene is not None and program is not None:
-        report.answer(_attribute_warnings(report, scene, program, setting))
+        report.drop_warnings(_find_stale_attribute_warnings(report, scene, program, setting))
     return program, report
 
 
-def mesh_imports(path: Path, choices: RunChoices) -> tuple[Mapping[str, MeshImport], str]:
+def read_mesh_imports(path: Path, choices: RunChoices) -> tuple[Mapping[str, MeshImport], str]:
     """Return the import report of each readable mesh of a scene by name, and the scene's unit. Other errors of the scene do not
     matter."""
-    from antdsl.scene.staging.stage_scene import import_reports
+    from antdsl.scene.staging.stage_scene import collect_import_reports
 
     scene, program, _, _ = _read_scene(path, choices)
-    return ({}, "mm") if scene is None or program is None else (import_reports(scene, program), scene.model.units)
+    return ({}, "mm") if scene is None or program is None else (collect_import_reports(scene, program), scene.model.units)
 
 
-def _attribute_warnings(report: Report, scene: Scene, program: Program, setting: WorldSetting | None) -> list[Diagnostic]:
+def _find_stale_attribute_warnings(
+    report: Report, scene: Scene, program: Program, setting: WorldSetting | None
+) -> list[Diagnostic]:
     """Return the warnings about attributes that do not hold in a scene.
 
     One kind of warning says that an attribute is constant; it does not hold if the scene sets the attribute for some agents at

@@ -9,7 +9,7 @@ from pathlib import Path
 _PACKAGE_FOLDER = Path(__file__).resolve().parent
 
 
-def _folder(name: str) -> Path:
+def _locate_folder(name: str) -> Path:
     """Return the path of a folder: in `_data` in an installed package, next to the package in a checkout."""
     packed = _PACKAGE_FOLDER / "_data" / name
     return packed if packed.is_dir() else _PACKAGE_FOLDER.parent / name
@@ -17,12 +17,12 @@ def _folder(name: str) -> Path:
 
 def grammar_folder() -> Path:
     """Return the folder of the grammar, its tables and the language reference."""
-    return _folder("grammar")
+    return _locate_folder("grammar")
 
 
 def behaviours_folder() -> Path:
     """Return the folder of the library; it has one `.ant` file for each name that `use NAME` accepts."""
-    return _folder("behaviours")
+    return _locate_folder("behaviours")
 
 
 def grammar_file(name: str) -> Path:
@@ -30,12 +30,12 @@ def grammar_file(name: str) -> Path:
     return grammar_folder() / name
 
 
-def library_names() -> tuple[str, ...]:
+def list_library_names() -> tuple[str, ...]:
     """Return the names that `use NAME` accepts, sorted."""
     return tuple(sorted(path.stem for path in behaviours_folder().glob("*.ant")))
 
 
-def library_file(name: str) -> Path | None:
+def find_library_file(name: str) -> Path | None:
     """Return the file behind `use NAME`, or None if the library has no such file."""
     file = behaviours_folder() / f"{name}.ant"
     return file if name.isidentifier() and os.path.isfile(file) else None  # whatever its length
@@ -43,21 +43,21 @@ def library_file(name: str) -> Path | None:
 
 def example_file(name: str) -> Path:
     """Return the path of a file of the shipped examples, such as `foraging/scene.yaml`; `antdsl bench` measures them."""
-    return _folder("examples") / name
+    return _locate_folder("examples") / name
 
 
-def project_file(name: str) -> Path:
+def project_template_file(name: str) -> Path:
     """Return the path of a file of the project that `antdsl new` writes."""
     return _PACKAGE_FOLDER / "cli" / "project" / name
 
 
-def code_page(code: str) -> Path | None:
+def find_code_page(code: str) -> Path | None:
     """Return the Markdown page of a diagnostic's code, or None if there is none."""
-    page = _folder("docs/codes") / f"{code}.md"
+    page = _locate_folder("docs/codes") / f"{code}.md"
     return page if page.is_file() else None
 
 
-def page_file(name: str) -> Path:
+def preview_page_file(name: str) -> Path:
     """Return a built file of the preview's page: `index.html`, `app.js`, `app.css`."""
     return _PACKAGE_FOLDER / "preview" / "page" / name
 

@@ -8,13 +8,13 @@ from dataclasses import dataclass, field
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Source:
-    """The text of one file, with its display name. `part`: the number of a part of a file, 0 for a complete file. Each part is a
-    separate source, so that it can move within the file without a change."""
+    """The text of one file, with its display name. `part_number`: the number of a part of a file, 0 for a complete file. Each
+    part is a separate source, so that it can move within the file without a change."""
 
     path: str
     text: str
-    part: int = 0
-    _starts: tuple[int, ...] = field(init=False, repr=False)
+    part_number: int = 0
+    _line_starts: tuple[int, ...] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         starts = [0]
@@ -22,20 +22,20 @@ class Source:
         while position >= 0:
             starts.append(position + 1)
             position = self.text.find("\n", position + 1)
-        object.__setattr__(self, "_starts", tuple(starts))
+        object.__setattr__(self, "_line_starts", tuple(starts))
 
-    def line_column(self, offset: int) -> tuple[int, int]:
+    def find_line_column(self, offset: int) -> tuple[int, int]:
         """Return line and column of a character offset, both counted from 1."""
         offset = max(0, min(offset, len(self.text)))
-        line = bisect_right(self._starts, offset)
-        return line, offset - self._starts[line - 1] + 1
+        line = bisect_right(self._line_starts, offset)
+        return line, offset - self._line_starts[line - 1] + 1
 
     def line_text(self, line: int) -> str:
         """Return the text of a line, counted from 1, without its line end."""
-        if not 1 <= line <= len(self._starts):
+        if not 1 <= line <= len(self._line_starts):
             return ""
-        start = self._starts[line - 1]
-        end = self._starts[line] if line < len(self._starts) else len(self.text)
+        start = self._line_starts[line - 1]
+        end = self._line_starts[line] if line < len(self._line_starts) else len(self.text)
         return self.text[start:end].rstrip("\r\n")
 
 
@@ -57,6 +57,6 @@ class Span:
         return Span(self.source, min(self.start, other.start), max(self.end, other.end))
 
     def __str__(self) -> str:
-        line, column = self.source.line_column(self.start)
-        part = f"#{self.source.part}" if self.source.part else ""
+        line, column = self.source.find_line_column(self.start)
+        part = f"#{self.source.part_number}" if self.source.part_number else ""
         return f"{self.source.path}{part}:{line}:{column}"

@@ -11,12 +11,12 @@ import stat
 import sys
 from pathlib import Path
 
-from antdsl.bounded import open_regular, read_handle
+from antdsl.safe_read import open_regular_file, read_handle
 
 _LOCAL_APP_DATA_FOLDER_ID = "f1b32785-6fba-4fcf-9d55-7b8e7f157091"  # the known folder for data of one user on one machine
 
 
-class NotPrivate(PermissionError):
+class NotPrivateError(PermissionError):
     """Error for a file or folder that another user could have read or written. The message is the reason."""
 
 
@@ -37,14 +37,14 @@ def cache_folder() -> Path:
     """Return the folder in which programs of this user cache data that they can compute again. Raises OSError without a home
     folder."""
     if sys.platform == "win32":
-        return _local_app_data()
+        return _find_local_app_data()
     return home_folder() / ("Library/Caches" if sys.platform == "darwin" else ".cache")
 
 
 def state_folder() -> Path:
     """Return the folder in which programs of this user store data that must survive a restart. Raises OSError without a home
     folder."""
-    return _local_app_data() if sys.platform == "win32" else home_folder() / ".local" / "state"
+    return _find_local_app_data() if sys.platform == "win32" else home_folder() / ".local" / "state"
 
 
 def make_private_folder(path: Path) -> None:
@@ -62,7 +62,7 @@ def read_private(path: Path, cap: int) -> bytes:
     names, belongs to another user, or is readable or writable by others.
     """
     _require_private(os.lstat(path.parent), stat.S_IWGRP | stat.S_IWOTH)
-    handle = open_regular(path, follow=False)
+    handle = open_regular_file(path, follow=False)
     try:
         _require_private(os.fstat(handle), stat.S_IRWXG | stat.S_IRWXO)
     except BaseException:
@@ -71,22 +71,24 @@ def read_private(path: Path, cap: int) -> bytes:
     return read_handle(handle, cap)
 
 
-def _require_private(status: os.stat_result, others: int) -> None:
-    """Raise NotPrivate for a file that others may access. `others`: mode bits that no private file has. On Windows, access lists
-    control this; the lists of a user's own folders exclude others."""
+def _require_private(status: os.stat_result, forbidden_mode_bits: int) -> None:
+    """Raise NotPrivate for a file that others may access. `forbidden_mode_bits`: mode bits that no private file has. On Windows,
+    access lists control this; the lists of a user's own folders exclude others."""
     if stat.S_ISLNK(status.st_mode) or getattr(status, "st_reparse_tag", False):
-        raise NotPrivate(0, "it is a link")
+        raise NotPrivateError(0, "it is a link")
     if stat.S_ISREG(status.st_mode) and status.st_nlink > 1:
-        raise NotPrivate(0, "it has a second name elsewhere")
+        raise NotPrivateError(0, "it has a second name elsewhere")
     if sys.platform == "win32":
         return
     if status.st_uid != os.geteuid():
-        raise NotPrivate(0, "it belongs to another user")
-    if status.st_mode & others:
-        raise NotPrivate(0, "others may read or write it" if others & stat.S_IROTH else "others may write to it")
+        raise NotPrivateError(0, "it belongs to another user")
+    if status.st_mode & forbidden_mode_bits:
+        raise NotPrivateError(
+            0, "others may read or write it" if forbidden_mode_bits & stat.S_IROTH else "others may write to it"
+        )
 
 
-def _local_app_data() -> Path:
+def _find_local_app_data() -> Path:
     if sys.platform != "win32":
         raise FileNotFoundError(0, "only Windows has this folder")
     import ctypes

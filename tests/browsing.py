@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from antdsl.bootstrap import BROWSERS, DRIVER_LIBRARIES, missing_packages
+from antdsl.bootstrap import BROWSERS, DRIVER_LIBRARIES, find_missing_packages
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
@@ -35,7 +35,7 @@ def find_browser() -> str | None:
 def chromium(*extra_flags: str) -> Iterator[Browser]:
     """A browser, with `extra_flags` flags. The test that asks for it is skipped where there is none, or fails where one is
     required."""
-    path, lacking = find_browser(), missing_packages(DRIVER_LIBRARIES)
+    path, lacking = find_browser(), find_missing_packages(DRIVER_LIBRARIES)
     if path is None or lacking:
         no = pytest.fail if os.environ.get(BROWSER_VARIABLE) == "required" else pytest.skip
         no(f"this machine has no {' '.join(lacking) or 'Chromium'}")

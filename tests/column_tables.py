@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-from antdsl.program.tables.columns import FRAME, Column
+from antdsl.program.tables.columns import FRAME_COLUMNS, Column
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "cache.md"
 HEAD = "| array | type, shape | what |\n|---|---|---|\n"
@@ -22,8 +22,8 @@ def shape(column: Column) -> str:
 
 def lines() -> Iterator[str]:
     """The rows of the table."""
-    for column in FRAME:
-        condition = "if `output` requests it: " if column.saved == "request" else ""
+    for column in FRAME_COLUMNS:
+        condition = "if `output` requests it: " if column.save_mode == "request" else ""
         yield f"| `{column.frame_name}` | {column.frame_type}, {shape(column)} | {condition}{column.help} |\n"
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from subprocess import CompletedProcess
 from unittest.mock import patch
 
-from antdsl.cli import _run
+from antdsl.cli import _run_without_warnings
 
 
 def run(*words: str, cwd: Path, env: Mapping[str, str] | None = None) -> CompletedProcess[str]:
@@ -24,7 +24,7 @@ def run(*words: str, cwd: Path, env: Mapping[str, str] | None = None) -> Complet
         stack.enter_context(patch.object(sys, "argv", ["antdsl", *words]))
         for number, file in zip((1, 2), files, strict=True):
             stack.enter_context(_redirect(number, file))
-        code = _run()
+        code = _run_without_warnings()
         stack.close()
         return CompletedProcess(["antdsl", *words], code, *(file.read_text(encoding="utf-8") for file in files))
 

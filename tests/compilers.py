@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import pytest
 
-from antdsl.machine_code import machine
+from antdsl.machine_code import llvm_compiler
 
 
 def need_numba() -> None:
@@ -18,5 +18,5 @@ def need_numba() -> None:
 
 def need_llvmlite() -> None:
     """Skip the test where machine code cannot be made."""
-    if why := machine.unavailable():
+    if why := llvm_compiler.unavailability_reason():
         pytest.skip(why)

@@ -36,7 +36,7 @@ def can_sign() -> bool:
     from antdsl.machine_code import signing
 
     try:
-        return signing.signer(create=True) is not None
+        return signing.get_signer(create=True) is not None
     except OSError:
         return False
 
@@ -81,7 +81,7 @@ SHARED_CACHE = SharedCache()
 def _shared_meshes() -> Iterator[None]:
     """What is made of meshes is made once a file or two, not once a world: most worlds stand on the same ground. How it is made
     is tested where it is made. A file with tests that simulate has imported what does before the first of them."""
-    reuse = sys.modules.get("antdsl.runtime.binding.reuse")
+    reuse = sys.modules.get("antdsl.runtime.binding.binding_cache")
     if reuse is None:
         yield
         return
@@ -89,7 +89,7 @@ def _shared_meshes() -> Iterator[None]:
 
     def begin(built: BindingCache) -> None:
         plain(built)
-        built._kept = SHARED_CACHE
+        built._values = SHARED_CACHE
 
     SHARED_CACHE.asked.clear()
     with pytest.MonkeyPatch.context() as patch:

@@ -8,7 +8,7 @@ import numpy as np
 import trimesh
 from meshes import Mesh
 
-from antdsl.bodies.shapes import sheet, stone
+from antdsl.bodies.shapes import build_flat_grid, build_stone
 from antdsl.pipeline import Shot, open_scene
 
 PROGRAM = """ant 1
@@ -66,13 +66,13 @@ output: {checkpoint: 8}
 
 def ground() -> Mesh:
     line = np.linspace(-70.0, 70.0, 36)
-    vertices, faces = sheet(line, line)
+    vertices, faces = build_flat_grid(line, line)
     x, z = vertices[:, 0], vertices[:, 2]
     return np.stack([x, 1.2 * np.sin(x / 20) + np.cos(z / 17), z], axis=1), faces
 
 
 def hill() -> Mesh:
-    return stone(5, (20.0, 17.0, 26.0), detail=4, roughness=0.05)
+    return build_stone(5, (20.0, 17.0, 26.0), detail=4, roughness=0.05)
 
 
 def save(mesh: Mesh, path: Path) -> None:
@@ -90,5 +90,5 @@ def folder(path: Path, program: str = PROGRAM, scene: str = SCENE) -> Path:
 
 def opened(scene: Path) -> Shot:
     shot, report = open_scene(scene)
-    assert shot is not None and report.ok, [(d.message, d.help) for d in report.sorted()]
+    assert shot is not None and report.ok, [(d.message, d.help) for d in report.sort_by_place()]
     return shot

@@ -40,17 +40,17 @@ EFFECT_BY_OPERATION["scratch"] = Effect(
     "scratch",
     "surface",
     (
-        ArgumentRow("depth", "length", above=0, called="depth of a scratch", sample="1 mm"),
+        ArgumentRow("depth", "length", lower_bound=0, display_name="depth of a scratch", sample="1 mm"),
         ArgumentRow("width", "length", default="2 mm"),
-        ArgumentRow("into", "own mm^2", optional=True, called="an area", sample="dust"),
+        ArgumentRow("into", "own mm^2", optional=True, display_name="an area", sample="dust"),
     ),
     "effects",
     "scratches a surface",
     "takes depth times width off a surface and gives it to the agent's own register",
     "scratch {of} {depth} by {width}[ -> {own}]",
     "scratch {of}, {depth} mm deep",
-    refused="scratch {of}",
-    above_0=True,
+    fault_name="scratch {of}",
+    needs_positive_operand=True,
     cost=UseCost(30, "scratches {thing}"),
 )
 
@@ -58,13 +58,13 @@ from explained import cached, shot_of  # noqa: E402
 
 from antdsl.explain import explain  # noqa: E402
 from antdsl.highlighting.lexer import AntLexer  # noqa: E402
-from antdsl.lsp.features.completion import complete  # noqa: E402
-from antdsl.lsp.features.tokens import keywords  # noqa: E402
-from antdsl.lsp.language import explain_word  # noqa: E402
+from antdsl.lsp.features.completion import complete_program  # noqa: E402
+from antdsl.lsp.features.tokens import list_keywords  # noqa: E402
+from antdsl.lsp.word_help import explain_word  # noqa: E402
 from antdsl.lsp.workspace import Workspace  # noqa: E402
 from antdsl.plan.show import show  # noqa: E402
 from antdsl.program import check  # noqa: E402
-from antdsl.program.cost import costs  # noqa: E402
+from antdsl.program.cost import estimate_costs  # noqa: E402
 from antdsl.runtime import Options, bind, phases, step  # noqa: E402
 from antdsl.runtime.world import World  # noqa: E402
 from antdsl.source import Source  # noqa: E402
@@ -75,9 +75,9 @@ from antdsl.syntax.grammar import write_tables  # noqa: E402
 def scratched(world: World) -> None:
     """Give all who scratch what comes of it."""
     for population in world.populations.values():
-        for entry in population.effects.drain("scratch"):
+        for entry in population.effects.take_requests("scratch"):
             if entry.request.own is not None:
-                population.now[entry.request.own][entry.rows] += entry.arg(0) * entry.arg(1)
+                population.now[entry.request.own][entry.rows] += entry.required_operand(0) * entry.required_operand(1)
 
 
 phases.SETTLER_BY_EFFECT["scratch"] = scratched
@@ -128,13 +128,13 @@ def proposals(typed_text: str) -> list[str]:
     """What an editor proposes behind a text at the beginning of the state's body."""
     text = PROGRAM.replace("scratch ground(depth: claw, into: dust)", typed_text)
     workspace = Workspace()
-    document = workspace.put(FOLDER / "other.ant", text)
-    return [item.label for item in complete(workspace, document, text.index(typed_text) + len(typed_text))]
+    document = workspace.put_document(FOLDER / "other.ant", text)
+    return [item.label for item in complete_program(workspace, document, text.index(typed_text) + len(typed_text))]
 
 
 def meanings() -> list[tuple[str, ...]]:
     """What the names of a line stand for in an editor."""
-    document = Workspace().put(FOLDER / "other.ant", PROGRAM)
+    document = Workspace().put_document(FOLDER / "other.ant", PROGRAM)
     start = PROGRAM.index("scratch")
     end = PROGRAM.index("\n", start)
     return [each.key for each in document.index.occurrences if start <= document.start(each.span) < end]
@@ -162,7 +162,7 @@ def main() -> None:
         "plan": show(shot.plan),
         "dust": dust,
         "did": [explain(cache, 0, frame).did for frame in (2, 5, 6)],
-        "costs": [use.words for part in costs(shot.program, species) for use in part.uses],
+        "costs": [use.description for part in estimate_costs(shot.program, species) for use in part.uses],
         "complaints": {line: complaints(line) for line in LINES}
         | {"misplaced": complaints("die }\n  scratch ground(depth: 1 mm)\n  on collision(other) { die")},
         "formatted": format(Source("ant.ant", loose))[0] == PROGRAM,
@@ -172,7 +172,7 @@ def main() -> None:
         },
         "meanings": meanings(),
         "about": explain_word("scratch"),
-        "keyword": "scratch" in keywords(),
+        "keyword": "scratch" in list_keywords(),
         "colour": [
             str(kind) for _, kind, word in AntLexer().get_tokens_unprocessed("  scratch ground(depth: 1 mm)") if word == "scratch"
         ],

@@ -24,7 +24,7 @@ from antdsl.plan import ir
 from antdsl.program.tables import senses
 from antdsl.program.tables.rows import ArgumentRow, BuiltinRow
 from antdsl.program.tables.set_senses import SET_RESULT_OPERATIONS, SET_SENSE_BY_OPERATION
-from antdsl.runtime import FieldStart, WorldSetting
+from antdsl.runtime import FieldStartData, WorldSetting
 from antdsl.scene.setting import PaintedValues
 
 Size = Literal["sets", "all", "pairs"]
@@ -255,5 +255,5 @@ def setting(who: str, life: Life, kind: str = "still", seed: int = 0) -> WorldSe
     params["egg.life"] = life.until if ends else ENDLESS
     base_setting = random_extremes.setting(extremes)
     plain = {"damp": PaintedValues("ground", np.abs(base_setting.surfaces["ground"].vertices[:, 1]) / 8)}
-    start = {"trail": FieldStart(0.5, (0.0, 0.0, 0.0), 40.0)}
+    start = {"trail": FieldStartData(0.5, (0.0, 0.0, 0.0), 40.0)}
     return replace(base_setting, crowds=crowds, params=params, maps=plain, field_start=start)

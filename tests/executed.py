@@ -6,8 +6,8 @@ import json
 from concurrent.futures import Future
 from typing import Any
 
-from antdsl.executors import Engine, Task, Worker
-from antdsl.executors.tasks import perform
+from antdsl.executors import Engine, Task, WorkerContext
+from antdsl.executors.tasks import run_task
 
 
 class InThisProcess(Engine):
@@ -16,7 +16,7 @@ class InThisProcess(Engine):
     task_capacity = 1
 
     def __init__(self, count: int = 1, threads: int = 1) -> None:
-        self.task_capacity, self.tasks, self._worker = count, list[Task](), Worker(threads)
+        self.task_capacity, self.tasks, self._worker = count, list[Task](), WorkerContext(threads)
 
     def start(self) -> None:
         pass
@@ -25,7 +25,7 @@ class InThisProcess(Engine):
         self.tasks.append(task)
         future: Future[Any] = Future()
         try:
-            future.set_result(perform(task.work, json.dumps(task.document), self._worker))
+            future.set_result(run_task(task.function, json.dumps(task.document), self._worker))
         except Exception as why:
             future.set_exception(why)
         return future

@@ -14,7 +14,7 @@ import pytest
 from antdsl.explain import CacheHistory, Explanation, Replay, explain_agents, open_shot
 from antdsl.numerics import randomness
 from antdsl.outputs.cache.cache_reader import Cache, open_cache
-from antdsl.outputs.recording import begin, record
+from antdsl.outputs.recording import begin_recording, record_frames
 from antdsl.pipeline import RunChoices, Shot, open_scene
 from antdsl.runtime import Options, World, bind, state_hash
 from antdsl.runtime.phases import PHASES
@@ -39,13 +39,13 @@ class Fact:
 
 def shot_of(scene: Path, last: int, **choices: Any) -> Shot:
     shot, report = open_scene(scene, RunChoices(frames=FrameRange(1, last), **choices))
-    assert shot is not None, report.sorted()
+    assert shot is not None, report.sort_by_place()
     return shot
 
 
 def cached(scene: Path, last: int, folder: Path, **choices: Any) -> Cache:
     """A cache as `antdsl run` writes it; `choices` are choices of who runs it."""
-    for _ in record(begin(shot_of(scene, last, **choices), folder, Options(), resume=False, force=False)):
+    for _ in record_frames(begin_recording(shot_of(scene, last, **choices), folder, Options(), resume=False, force=False)):
         pass
     return open_cache(folder)
 
@@ -53,14 +53,14 @@ def cached(scene: Path, last: int, folder: Path, **choices: Any) -> Cache:
 def facts(shot: Shot, pairs: int, monkeypatch: pytest.MonkeyPatch, seed: int) -> list[Fact]:
     """Facts of some random agents in random frames, as many of those that change their state as of the others."""
     drawn: list[tuple[str, str, int, Any, Any]] = []
-    words = randomness.words
+    words = randomness.draw_four_words
 
     def noted(seed: int, frame: int, species: str, site: str, block: int, ids: Any) -> Any:
         results = words(seed, frame, species, site, block, ids)
         drawn.append((species, site, block, np.array(ids), results))
         return results
 
-    monkeypatch.setattr(randomness, "words", noted)
+    monkeypatch.setattr(randomness, "draw_four_words", noted)
     world, picks = bind(shot.plan, shot.setting, Options()), random.Random(seed)
     steps = shot.frames.last - shot.frames.first
     chosen_frames = sorted(picks.choices(range(1, steps + 1), k=pairs))
@@ -76,7 +76,7 @@ def facts(shot: Shot, pairs: int, monkeypatch: pytest.MonkeyPatch, seed: int) ->
         value = state_hash(world) if frame_facts else ""
         for fact in frame_facts:
             population = world.populations[fact.species]
-            row = int(population.rows_of(np.array([fact.agent]))[0])
+            row = int(population.find_rows(np.array([fact.agent]))[0])
             fact.next_velocity = None if row < 0 else tuple(population.now[f"velocity.{axis}"][row] for axis in "xyz")
             fact.hash = value
         results += frame_facts
@@ -96,7 +96,7 @@ def fact_of(world: World, picks: random.Random, drawn: list[tuple[str, str, int,
         at = np.flatnonzero(ids == agent)
         if species == population.name and len(at):
             for k, word in enumerate(words):
-                draws[site, 4 * block + k] = randomness.unit_floats(word)[at[0]]
+                draws[site, 4 * block + k] = randomness.to_unit_floats(word)[at[0]]
     return Fact(
         population.name,
         agent,
@@ -127,7 +127,7 @@ def differences(shot: Shot, fact: Fact, explanation: Explanation) -> list[str]:
         number = fact.pending[machine.name]
         won = [looked for looked in step.looked if looked.wins]
         if number and [(w.place.line, w.fires) for w in won] != [
-            (transitions[number - 1].span.source.line_column(transitions[number - 1].span.start)[0], True)
+            (transitions[number - 1].span.source.find_line_column(transitions[number - 1].span.start)[0], True)
         ]:
             wrong.append(f"{machine.name}: transition {number} won, not {won}")
         if not number and (won or any(looked.fires for looked in step.looked)):

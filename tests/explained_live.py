@@ -24,7 +24,7 @@ def session_of(name: str, folder: Path, **how: Any) -> Session:
     """A session on a copy of an example, so that it can be edited."""
     shutil.copytree(EXAMPLES / name, folder / name)
     session, report = Session.open(folder / name / "scene.yaml", **how)
-    assert session is not None, report.sorted()
+    assert session is not None, report.sort_by_place()
     return session
 
 
@@ -34,14 +34,14 @@ class Notes:
     def __init__(self, session: Session, monkeypatch: pytest.MonkeyPatch, seed: int, each: int) -> None:
         self.session, self.each, self.facts = session, each, list[Fact]()
         self._picks, self._drawn, self._here = random.Random(seed), list[Any](), list[Fact]()
-        words = randomness.words
+        words = randomness.draw_four_words
 
         def noted(seed: int, frame: int, species: str, site: str, block: int, ids: Any) -> Any:
             values = words(seed, frame, species, site, block, ids)
             self._drawn.append((species, site, block, np.array(ids), values))
             return values
 
-        monkeypatch.setattr(randomness, "words", noted)
+        monkeypatch.setattr(randomness, "draw_four_words", noted)
         at = [name for name, _ in phases.PHASES].index("effects")
         observed = (*phases.PHASES[:at], ("noted", self._note), *phases.PHASES[at:])
         monkeypatch.setattr(phases, "PHASES", observed)
@@ -59,7 +59,7 @@ class Notes:
             self.session.step()
             for fact in self._here:
                 population = self.session.world.populations[fact.species]
-                row = int(population.rows_of(np.array([fact.agent]))[0])
+                row = int(population.find_rows(np.array([fact.agent]))[0])
                 velocity = None if row < 0 else tuple(population.now[f"velocity.{axis}"][row] for axis in "xyz")
                 self.facts.append(replace(fact, next_velocity=velocity, hash=self.session.hash))
 

@@ -10,7 +10,7 @@ import struct
 
 import numpy as np
 
-from antdsl.machine_code import machine
+from antdsl.machine_code import llvm_compiler
 
 _LIBC = ctypes.CDLL(None, use_errno=True)
 _LIBC.mmap.restype = ctypes.c_void_p
@@ -52,10 +52,10 @@ def program(numbers: list[float]) -> str:
 
 def main() -> None:
     numbers = [1 + 1 / (3 + k) for k in range(400)]
-    code = machine.object_code(program(numbers), machine.host())
+    code = llvm_compiler.compile_object(program(numbers), llvm_compiler.host_target())
     buffer = np.array([0.3])
     split()
-    machine.load(code).function("far")(buffer.ctypes.data, 0, 0)
+    llvm_compiler.load_object(code).function("far")(buffer.ctypes.data, 0, 0)
     expected = 0.3
     for number in numbers:
         expected = expected * number + number

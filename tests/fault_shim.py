@@ -1,7 +1,7 @@
 """System calls of this process on files below a folder, seen from below: they are counted, made to fail, or recorded.
 
-`antdsl/whole.py` writes all files, so what is patched here is under every writer of caches, checkpoints, exports, pictures and
-tables. `Faults` fails one call; `Disk` keeps what is durable and says what a power loss leaves."""
+`antdsl/atomic_write.py` writes all files, so what is patched here is under every writer of caches, checkpoints, exports,
+pictures and tables. `Faults` fails one call; `Disk` keeps what is durable and says what a power loss leaves."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ class SystemCalls(AbstractContextManager["SystemCalls"]):
                 written: int = os_write(self.fileno(), data)
                 return written
 
-        self._patches.enter_context(patch("antdsl.whole.FileIO", Written))
+        self._patches.enter_context(patch("antdsl.atomic_write.FileIO", Written))
         return self
 
     def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None) -> None:

@@ -12,10 +12,10 @@ from subprocess import CompletedProcess
 import commands
 
 from antdsl.executors import Task
-from antdsl.executors.processes import Processes
-from antdsl.executors.tasks import Worker, perform
-from antdsl.outputs.cache.cache_reader import frame_path
-from antdsl.outputs.cache.hashes import HASHES, read_lines
+from antdsl.executors.processes import ProcessEngine
+from antdsl.executors.tasks import WorkerContext, run_task
+from antdsl.outputs.cache.cache_reader import make_frame_path
+from antdsl.outputs.cache.hashes import HASHES_FILE_NAME, read_lines
 
 OUTPUT_FOLDER = "made"
 EXPORTS = {
@@ -84,22 +84,22 @@ def assert_same(folder: Path, unbroken: Path) -> None:
     """The cache has the frames of a run that nothing happened to, and no leftovers."""
     mine, reference = folder / "out" / "scene", unbroken / "out" / "scene"
     for frame in range(1, LAST + 1):
-        assert frame_path(mine, frame).read_bytes() == frame_path(reference, frame).read_bytes()
-    lines = read_lines(reference / HASHES)
-    assert {f: (line.hash, line.file) for f, line in read_lines(mine / HASHES).items()} == {
+        assert make_frame_path(mine, frame).read_bytes() == make_frame_path(reference, frame).read_bytes()
+    lines = read_lines(reference / HASHES_FILE_NAME)
+    assert {f: (line.hash, line.file) for f, line in read_lines(mine / HASHES_FILE_NAME).items()} == {
         f: (line.hash, line.file) for f, line in lines.items()
     }
     assert not [path for path in mine.rglob("*.part")]
 
 
-class Inline(Processes):
+class Inline(ProcessEngine):
     """Runs of a sweep in this process, so that their faults are its own."""
 
     def start(self) -> None:
         self.pool = ThreadPoolExecutor(1)
 
     def submit(self, task: Task) -> Future[str]:
-        return self.pool.submit(perform, task.work, json.dumps(task.document), Worker(1))
+        return self.pool.submit(run_task, task.function, json.dumps(task.document), WorkerContext(1))
 
     def frame(self, future: Future[str]) -> int | None:
         return None

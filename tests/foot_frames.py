@@ -24,9 +24,9 @@ class BodyFrames:
     @staticmethod
     def of(population: Population) -> BodyFrames:
         """The bodies of a population by id."""
-        rows = population.in_id_order()
+        rows = population.rows_by_id()
         heading, up = (
-            np.stack(vec.vector_registers(population.now, name), axis=1)[rows].astype(float) for name in ("heading", "up")
+            np.stack(vec.get_vector_registers(population.now, name), axis=1)[rows].astype(float) for name in ("heading", "up")
         )
         ahead = heading / np.linalg.norm(heading, axis=1, keepdims=True)
         above = up - ahead * (up * ahead).sum(axis=1, keepdims=True)

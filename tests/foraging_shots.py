@@ -27,7 +27,7 @@ APPLE = (120.0, 0.0, 90.0)
 def shot(scene: Path = EXAMPLE / "scene.yaml") -> Shot:
     """A scene, ready to be bound."""
     opened, report = open_scene(scene, RunChoices())
-    assert opened is not None and report.ok, [d.message for d in report.sorted()]
+    assert opened is not None and report.ok, [d.message for d in report.sort_by_place()]
     return opened
 
 
@@ -44,7 +44,7 @@ def setting(
     """The example's setting with another crowd, rate, load of all food or parameters (base units)."""
     base_setting = shot(scene).setting
     crowd = base_setting.crowds[0]
-    place = dataclasses.replace(crowd.place, around=around or crowd.place.around, radius=radius or crowd.place.radius)
+    place = dataclasses.replace(crowd.place, disc_centre=around or crowd.place.disc_centre, radius=radius or crowd.place.radius)
     crowd = dataclasses.replace(crowd, count=crowd.count if count is None else count, place=place)
     items = dict(base_setting.items)
     if load is not None:
@@ -110,7 +110,7 @@ def watch(world: World, frames: int, every: int = 24) -> Watched:
         record.surface_error = max(record.surface_error, surface_error(world))
         if frame and frame % every == 0:
             record.concentration.append(concentration(world))
-            gap, _ = stones.signed_distances(*world.populations["forager"].position.T, within=np.inf)
+            gap, _ = stones.measure_signed_distances(*world.populations["forager"].position.T, max_distance=np.inf)
             record.in_stones = max(record.in_stones, float(-gap.min()))
     return record
 
@@ -133,7 +133,7 @@ def motion(world: World, **bounds: float) -> None:
 def by_id(world: World, names: Sequence[str] | None = None, species: str = "forager") -> dict[str, NDArray[Any]]:
     """Registers of a species in the order of ids, for comparing bit for bit; those that belong to one step only are left out."""
     population = world.populations[species]
-    order = population.in_id_order()
+    order = population.rows_by_id()
     column_names = names or [name for name, register in population.plan.registers.items() if register.role != "temp"]
     columns = {name: population.now[name][order].copy() for name in column_names}
     return columns | {"ids": population.ids[order], "exact position": population.position[order]}

@@ -102,10 +102,10 @@ def main(arguments: list[str]) -> None:
     import random_extremes
     from random_extremes import Extremes
 
-    from antdsl.machine_code import machine
+    from antdsl.machine_code import llvm_compiler
     from antdsl.runtime import Options, bind, state_hash, step
 
-    assert machine.is_available()
+    assert llvm_compiler.is_available()
     usual = Options("numpy", on_fault="quarantine")
     native = Options("native", on_fault="quarantine", wait_for_code=True)
     steps, programs, *counts = map(int, arguments)

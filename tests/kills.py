@@ -24,13 +24,14 @@ from fault_shim import Fault, Faults
 from fault_shots import BESIDE, OUTPUT_FOLDER, WRITERS, Inline, assert_same, copied, files, project, same
 
 import antdsl.executors
-from antdsl.cli import _run
+from antdsl.cli import _run_without_warnings
 from antdsl.outputs.cache.cache_reader import open_cache
 from antdsl.outputs.cache.manifest import ManifestError
 
 IMPORTED = (
     "antdsl.outputs.recording", "antdsl.outputs.exports", "antdsl.outputs.drawing", "antdsl.outputs.pictures", "antdsl.sweep",
-    "antdsl.outputs.editing", "antdsl.runtime", "antdsl.sweep.measuring", "antdsl.cli.printing.progress", "open3d", "PIL.Image",
+    "antdsl.outputs.orientation_smoothing", "antdsl.runtime", "antdsl.sweep.measuring", "antdsl.cli.printing.progress",
+    "open3d", "PIL.Image",
 )  # fmt: skip
 RUN = ("run", "scene.yaml", "--threads", "1", "--backend", "numpy", "--resume")
 KINDS = ("run", "run", "run", "sweep", "stills", "csv", "geo", "npz", "edit", "edit")
@@ -51,10 +52,10 @@ def forked(folder: Path, words: tuple[str, ...], shim: Faults | None = None) -> 
         sys.argv = ["antdsl", *words]
         with chdir(folder):
             if shim is None:
-                code = _run()
+                code = _run_without_warnings()
             else:
                 with shim:
-                    code = _run()
+                    code = _run_without_warnings()
                 (folder / "calls").write_text(str(shim.count))
     finally:
         os._exit(code)
@@ -111,7 +112,7 @@ class Kind:
                 lines = cache.lines()
                 for frame in cache.frames():
                     cache.frame(frame)
-                    assert frame not in lines or cache.damage(frame, lines[frame]) is None
+                    assert frame not in lines or cache.find_frame_damage(frame, lines[frame]) is None
             return
         for path, data in files(folder, self.name).items():
             hidden = Path(path).name.startswith(".")
@@ -138,7 +139,7 @@ def kill(count: int, seed: int, report: Callable[[str], None] = say) -> int:
     """Kill commands so often; after how many of these kills anything was lost or damaged."""
     for name in IMPORTED:
         importlib.import_module(name)
-    antdsl.executors.Processes = Inline  # type: ignore[misc]
+    antdsl.executors.ProcessEngine = Inline  # type: ignore[misc]
     chance, consistent, total = random.Random(seed), 0, 0
     with tempfile.TemporaryDirectory(prefix="antdsl.kills.") as name:
         place = Path(name)

@@ -40,7 +40,7 @@ def pieces() -> dict[str, list[str]]:
             for group in line.groups:
                 inner = (
                     "weight"
-                    if group.chooses
+                    if group.is_choice
                     else BODY_RULE_BY_LINE.get((rule, words.split()[0])) or BODY_RULE_BY_LINE.get((rule, "*"))
                 )
                 walk(text, group.lines, inner or "")
@@ -93,14 +93,14 @@ class Layout:
         out: list[str] = [self.ending(True)] if self.free and self.rng.random() < 0.2 else []
         depth = 0  # of ( and [
         for token, following in zip(tokens, [*tokens[1:], None], strict=True):
-            sign = "".join(scan_result.clean[token.start : token.end])
+            sign = "".join(scan_result.clean_characters[token.start : token.end])
             if token.kind == "end":
                 out.append(self.ending(False) if self.free else sign)
                 continue
             out.append(self.number(sign) if token.kind == "number" else sign)
             depth += (sign in ("(", "[")) - (sign in (")", "]"))
             if following is not None:
-                next_sign = "".join(scan_result.clean[following.start : following.end])
+                next_sign = "".join(scan_result.clean_characters[following.start : following.end])
                 out.append(self.gap(sign, next_sign, following.start > token.end, depth))
         joined = "".join(out)
         if self.free and self.rng.random() < 0.2:

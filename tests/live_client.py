@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from antdsl.pipeline import open_scene, simulate
 from antdsl.preview import Live
-from antdsl.preview.binary_packets import unpack
-from antdsl.preview.requests import ASK
+from antdsl.preview.binary_packets import unpack_arrays
+from antdsl.preview.requests import REQUEST_ADAPTER
 from antdsl.runtime import state_hash
 
 Message = dict[str, Any]
@@ -29,7 +29,7 @@ class Page:
     def __init__(self, live: Live) -> None:
         self.live = live
         self.told: list[Message] = []
-        self.packets: dict[str, bytes] = {}
+        self.make_packets: dict[str, bytes] = {}
         self.frames: list[tuple[int, bool]] = []  # each that was shown, and whether it was a light one
         self._changed = Condition()
         live.join(self)
@@ -41,14 +41,14 @@ class Page:
 
     def show(self, slot: str, packet: bytes) -> None:
         with self._changed:
-            self.packets[slot] = packet
+            self.make_packets[slot] = packet
             if slot == "frame":
-                header, _ = unpack(packet)
+                header, _ = unpack_arrays(packet)
                 self.frames.append((header["frame"], header["light"]))
             self._changed.notify_all()
 
     def ask(self, op: str, **what: Any) -> None:
-        self.live.ask(ASK.validate_json(json.dumps({"op": op, **what})), self)
+        self.live.ask(REQUEST_ADAPTER.validate_json(json.dumps({"op": op, **what})), self)
 
     def until(self, true: Callable[[], Any]) -> Any:
         """What `true` gives, once it gives something."""
@@ -77,7 +77,7 @@ class Page:
     def frame_arrays(self, frame: int, *, light: bool = False) -> dict[str, NDArray[Any]]:
         """The arrays of a frame, once it is the one that is shown."""
         self.until(lambda: self.frames and self.frames[-1] == (frame, light))
-        return unpack(self.packets["frame"])[1]
+        return unpack_arrays(self.make_packets["frame"])[1]
 
     def message_after(self, op: str, number: int) -> Message:
         """The first message of an op among those after the first `number` of all."""

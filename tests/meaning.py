@@ -11,7 +11,7 @@ from plan_text import WORLD, plan_of
 
 from antdsl.passes import optimise
 from antdsl.plan import ir
-from antdsl.runtime import CrowdData, ItemData, Options, PlaceData, World, WorldSetting, bind, state_hash, step
+from antdsl.runtime import CrowdData, ItemData, Options, PlacementData, World, WorldSetting, bind, state_hash, step
 
 OPTION_SETS = (
     Options(backend="numpy"),
@@ -26,8 +26,8 @@ Points = Sequence[tuple[float, float]]
 def crowd(count: int = 1, species: str = "a", at: Points | None = None, radius: float = 0.0, group: int = 0) -> CrowdData:
     """Agents on the plane: at points (x, z), or in a disc about the origin."""
     if at is None:
-        return CrowdData(species, count, PlaceData(around=(0.0, 0.0, 0.0), radius=radius), group)
-    return CrowdData(species, len(at), PlaceData(points=np.array([(x, 0.0, z) for x, z in at])), group)
+        return CrowdData(species, count, PlacementData(disc_centre=(0.0, 0.0, 0.0), radius=radius), group)
+    return CrowdData(species, len(at), PlacementData(points=np.array([(x, 0.0, z) for x, z in at])), group)
 
 
 def item(name: str, x: float, z: float, radius: float = 1.0, **attributes: float) -> ItemData:
@@ -46,7 +46,7 @@ class RunHistory:
         self.world = world
         frame = {}
         for name, population in world.populations.items():
-            rows = population.in_id_order()
+            rows = population.rows_by_id()
             frame[name] = {register: array[rows].copy() for register, array in population.now.items()}
             frame[name]["id"] = population.ids[rows].copy()
         self.frames.append(frame)

@@ -20,10 +20,10 @@ import trimesh
 from motion_track import MEASURES, MotionRow, measure_cache
 from torture_walks import shapes
 
-from antdsl.outputs.recording import begin, record
+from antdsl.outputs.recording import begin_recording, record_frames
 from antdsl.pipeline import RunChoices, Shot, open_scene
 from antdsl.runtime import Options
-from antdsl.runtime.moving.capsules import capsule_of
+from antdsl.runtime.moving.capsules import find_capsule
 from antdsl.scene.values import FrameRange
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -131,17 +131,17 @@ def open_row(row: Bound, folder: Path) -> Shot:
     shot, report = open_scene(scene, RunChoices(frames=FrameRange(first, min(shot.frames.last, first + row.frames - 1))))
     assert shot is not None, report
     output = shot.scene.model.output.model_copy(update={"checkpoint": 1})
-    return replace(shot, scene=shot.scene.changed(output=output))
+    return replace(shot, scene=shot.scene.replace_values(output=output))
 
 
 def measure_row(row: Bound, cache: Path | None = None, saved: Path | None = None) -> MotionRow:
     """Return the measures of a row, from a new cache or from the one given. `saved`: the folder for a new cache."""
     with tempfile.TemporaryDirectory() as folder:
         shot = open_row(row, Path(folder))
-        recording = begin(shot, saved or Path(folder) / "cache", Options(threads=1), resume=False, force=True)
-        capsules = {name: capsule_of(recording.world, name) for name in recording.world.populations}
+        recording = begin_recording(shot, saved or Path(folder) / "cache", Options(threads=1), resume=False, force=True)
+        capsules = {name: find_capsule(recording.world, name) for name in recording.world.populations}
         if cache is None:
-            for _ in record(recording):
+            for _ in record_frames(recording):
                 pass
         return measure_cache(cache or recording.folder, capsules)
 

@@ -251,11 +251,11 @@ def find_walls(ground, crowd, agents: list[Agent]) -> None:
     """Give agents the walls before them."""
     if ground.meshes is None:
         return
-    rows = ground.meshes.rows_near_rises(crowd.footing, crowd.position, np.array([3 * agent.half for agent in agents]), 1)
+    rows = ground.meshes.find_rows_near_slopes(crowd.footing, crowd.position, np.array([3 * agent.half for agent in agents]), 1)
     looks = [(agents[i], ahead) for i in rows for ahead in agents[i].looks()]
     if looks:
         origins = np.array([agent.place + agent.normal * (0.06 * agent.half) for agent, _ in looks])
-        hit, parts, normals = ground.meshes.trace_normals(
+        hit, parts, normals = ground.meshes.find_hit_normals(
             origins, np.array([ahead * (3 * agent.half) for agent, ahead in looks]), 1
         )
         for k, part, normal in zip(hit, parts, normals.T, strict=True):

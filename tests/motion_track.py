@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 
 from antdsl.outputs.cache.cache_reader import Cache, open_cache
 from antdsl.outputs.cache.dug_solids import DugSolids
-from antdsl.scene.library_bodies import Capsule
+from antdsl.scene.library_bodies import TrunkCapsule
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -119,7 +119,7 @@ class Surroundings:
     """The surfaces and obstacles of a cache at a frame, for rays, and its solids."""
 
     def __init__(self, cache: Cache) -> None:
-        self._static = cache.static()
+        self._static = cache.read_static()
         self._meshes = [mesh for mesh in cache.manifest.meshes if not mesh.row.is_dug]
         self._dug = DugSolids(cache, self._static) if any(mesh.row.is_dug for mesh in cache.manifest.meshes) else None
         self._scale = MILLIMETRES[cache.manifest.units]
@@ -156,7 +156,7 @@ class Surroundings:
                 result |= np.abs((displacement * normal).sum(axis=1)) * (1 - part) > MAX_DEPTH * trunks.size
         if self._dug is not None:
             self._dug.at(frame)
-            for _, volume, offset in self._dug.volumes():
+            for _, volume, offset in self._dug.iterate_volumes():
                 depth = np.maximum(MAX_DEPTH * trunks.size * self._scale, volume.bricks.voxel / 2)
                 for end in (trunks.middle, trunks.middle + ends, trunks.middle - ends):
                     result |= volume.sample(end * self._scale - offset) < -depth
@@ -168,12 +168,14 @@ class MotionTrack:
 
     `capsules`: of each species, by name. Arrays of the track have the shape (frames, n, …)."""
 
-    def __init__(self, cache: Cache, capsules: Mapping[str, Capsule]) -> None:
+    def __init__(self, cache: Cache, capsules: Mapping[str, TrunkCapsule]) -> None:
         self.cache, self.numbers = cache, cache.frames()
         self.names = [each.name for each in cache.manifest.species]
         self.fps = float(Fraction(cache.manifest.fps))
         self._frames = [cache.frame(number) for number in self.numbers]
-        self._capsule = np.array([(c.length, c.width, c.height, c.ahead) for c in (capsules[name] for name in self.names)])
+        self._capsule = np.array(
+            [(c.length, c.width, c.height, c.forward_offset) for c in (capsules[name] for name in self.names)]
+        )
         keys = [self._species(arrays) * 10**12 + np.asarray(arrays["id"], np.int64) for arrays in self._frames]
         self.common = keys[0]
         for each in keys[1:]:
@@ -298,7 +300,7 @@ class MotionTrack:
         count, total, step = 0, 0, 0.0
         numbers, previous = set(self.cache.checkpoints()), {}
         for frame in (k for k, number in enumerate(self.numbers) if number in numbers):
-            arrays = self.cache.checkpoint(self.numbers[frame])
+            arrays = self.cache.read_checkpoint(self.numbers[frame])
             for species, name in enumerate(self.names):
                 prefix = f"world.species.{name}."
                 own = self.common // 10**12 == species
@@ -332,6 +334,6 @@ class MotionTrack:
         return worst
 
 
-def measure_cache(folder: Any, capsules: Mapping[str, Capsule]) -> MotionRow:
+def measure_cache(folder: Any, capsules: Mapping[str, TrunkCapsule]) -> MotionRow:
     """Return the measures of the cache in a folder."""
     return MotionTrack(open_cache(folder), capsules).measure()

@@ -1,9 +1,10 @@
 """Mutation testing of kernels: how many small changes of a kernel do its tests notice?
 
 `python tests/mutants.py antdsl/ground/plane.py --tests tests/ground/test_ground.py` changes one place of a `@kernel`, `@inlined`
-or `@called` function of the file, runs the tests, restores the file, and repeats that for `--count` places. `--kernel NAME` takes
-functions of that name only. It prints each mutant that survives as a diff, and the share of killed mutants. Mutants that no
-kernel can be made of, or with kernels of the same text or machine code, are not counted. Do not edit the file meanwhile."""
+or `@kernel_helper` function of the file, runs the tests, restores the file, and repeats that for `--count` places.
+`--kernel NAME` takes functions of that name only. It prints each mutant that survives as a diff, and the share of killed
+mutants. Mutants that no kernel can be made of, or with kernels of the same text or machine code, are not counted. Do not edit
+the file meanwhile."""
 
 from __future__ import annotations
 
@@ -25,12 +26,12 @@ from hashlib import blake2b
 from pathlib import Path
 from typing import Any
 
-from antdsl.machine_code import library, machine
-from antdsl.machine_code.kernels import sources
+from antdsl.machine_code import library, llvm_compiler
+from antdsl.machine_code.kernels import source_key
 from antdsl.machine_code.kernels.kernel import Kernel
 
 ROOT = Path(__file__).resolve().parent.parent
-DECORATORS = {"kernel", "inlined", "called"}
+DECORATORS = {"kernel", "inlined", "kernel_helper"}
 ARITHMETIC: dict[type, type] = {ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult}
 COMPARED: dict[type, type] = {
     ast.Lt: ast.LtE,
@@ -40,7 +41,7 @@ COMPARED: dict[type, type] = {
     ast.Eq: ast.NotEq,
     ast.NotEq: ast.Eq,
 }
-PREFETCH = "fetch"  # in the names of functions that only prefetch: `fetch_ahead`, `fetch_columns`, `prefetch_rays`
+PREFETCH = "fetch"  # in the names of functions that only prefetch: `prefetch`, `prefetch_columns`, `prefetch_rays`
 TIMES, LEAST_SECONDS = 5, 60  # a mutant with tests that take longer than both counts as endless
 
 
@@ -127,12 +128,12 @@ def texts(file: Path) -> dict[str, str]:
     """The texts of all kernels that are made of functions of a file."""
     module = ".".join(file.resolve().relative_to(ROOT).with_suffix("").parts)
     kernel_texts = {}
-    for each in library.load():
+    for each in library.load_entries():
         if isinstance(each, Kernel):
             source_lines: list[str] = []
-            sources._describe_function(each.part, source_lines, {})
+            source_key._describe_function(each.part, source_lines, {})
             if any(line.startswith(f"{module} ") for line in source_lines):
-                kernel_texts[f"{each.__module__}.{each.__name__}"] = each.text(machine.host())
+                kernel_texts[f"{each.__module__}.{each.__name__}"] = each.text(llvm_compiler.host_target())
     return kernel_texts
 
 
@@ -145,7 +146,10 @@ def digests(file: Path, compiled: bool = False) -> dict[str, str] | None:
 
 def _print_digests(file: Path, compiled: bool) -> None:
     kernel_texts = texts(file)
-    code = {name: machine.object_code(text, machine.host()) if compiled else text.encode() for name, text in kernel_texts.items()}
+    code = {
+        name: llvm_compiler.compile_object(text, llvm_compiler.host_target()) if compiled else text.encode()
+        for name, text in kernel_texts.items()
+    }
     print(json.dumps({name: blake2b(each, digest_size=16).hexdigest() for name, each in code.items()}))
 
 

@@ -11,14 +11,14 @@ from pathlib import Path
 
 import plans
 
-from antdsl.machine_code import machine
+from antdsl.machine_code import llvm_compiler
 from antdsl.pipeline import open_scene
 from antdsl.plan import ir
 from antdsl.runtime import Options, WorldSetting, bind, state_hash, step
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
 FRAMES = 8
-PLAIN = machine.Target("x86_64-unknown-linux-gnu", "x86-64", "")
+PLAIN = llvm_compiler.Target("x86_64-unknown-linux-gnu", "x86-64", "")
 
 
 def states(plan: ir.Plan, setting: WorldSetting, backend: str) -> list[str]:
@@ -28,7 +28,7 @@ def states(plan: ir.Plan, setting: WorldSetting, backend: str) -> list[str]:
     for _ in range(FRAMES):
         step(world)
         hashes.append(state_hash(world))
-    assert backend == "numpy" or (world.backend.ready is None) == bool(machine.unavailable())  # type: ignore[attr-defined]
+    assert backend == "numpy" or (world.backend.ready_code is None) == bool(llvm_compiler.unavailability_reason())  # type: ignore[attr-defined]
     return hashes
 
 
@@ -47,8 +47,8 @@ def of_scene(scene: str, backend: str) -> list[str]:
 
 if __name__ == "__main__":
     if "--plain" in sys.argv:
-        machine.host = lambda: PLAIN  # type: ignore[assignment]
-    print(machine.unavailable() or "as machine code")
+        llvm_compiler.host_target = lambda: PLAIN  # type: ignore[assignment]
+    print(llvm_compiler.unavailability_reason() or "as machine code")
     print(*of_plan("native"))
     for scene in sys.argv[1:]:
         if not scene.startswith("-"):

@@ -6,13 +6,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from antdsl.machine_code.kernels import BOOL, F64, I64, Array1, Array2, kernel, scratch
+from antdsl.machine_code.kernels import BOOL, F64, I64, Array1, Array2, allocate_scratch, kernel
 from antdsl.runtime import World
-from antdsl.runtime.neighbourhood import request_nearest
+from antdsl.runtime.neighbourhood import build_nearest_search
 from antdsl.runtime.world import Population
 from antdsl.senses import nearest_others as others
-from antdsl.senses.clear_velocity import nearest_velocity, set_border
-from antdsl.senses.nearest_others import SIZE, Crowd, Other, Requesters, SearchMemory
+from antdsl.senses.clear_velocity import find_nearest_velocity, set_velocity_border
+from antdsl.senses.nearest_others import SEARCH_CAPACITY, CrowdTables, RelativeAgent, Requesters, SearchMemory
 
 
 class Moves(NamedTuple):
@@ -25,7 +25,7 @@ class Moves(NamedTuple):
 
 
 class Neighbours(NamedTuple):
-    """Fields of `Other` for n agents, at most m each: float64[n,m]. `is_present`: which entries are valid."""
+    """Fields of `RelativeAgent` for n agents, at most m each: float64[n,m]. `is_present`: which entries are valid."""
 
     x: Array2[F64]
     y: Array2[F64]
@@ -45,18 +45,30 @@ def clear_velocities(neighbours: Neighbours, moves: Moves, dt: float) -> tuple[n
 
 @kernel
 def _fill_velocities(neighbours: Neighbours, moves: Moves, dt: F64, x: Array1[F64], y: Array1[F64]) -> None:
-    borders = (scratch(SIZE, F64), scratch(SIZE, F64), scratch(SIZE, F64), scratch(SIZE, F64), scratch(SIZE, I64))
-    between = (scratch(SIZE, F64), scratch(SIZE, F64), scratch(SIZE, F64), scratch(SIZE, F64), scratch(SIZE, I64))
+    borders = (
+        allocate_scratch(SEARCH_CAPACITY, F64),
+        allocate_scratch(SEARCH_CAPACITY, F64),
+        allocate_scratch(SEARCH_CAPACITY, F64),
+        allocate_scratch(SEARCH_CAPACITY, F64),
+        allocate_scratch(SEARCH_CAPACITY, I64),
+    )
+    between = (
+        allocate_scratch(SEARCH_CAPACITY, F64),
+        allocate_scratch(SEARCH_CAPACITY, F64),
+        allocate_scratch(SEARCH_CAPACITY, F64),
+        allocate_scratch(SEARCH_CAPACITY, F64),
+        allocate_scratch(SEARCH_CAPACITY, I64),
+    )
     for k in range(x.size):
         count = 0
         for c in range(neighbours.x.shape[1]):
             if neighbours.is_present[k, c]:
                 ahead, left, radius_sum = neighbours.x[k, c], neighbours.y[k, c], neighbours.radius_sum[k, c]
-                other = Other(ahead, left, neighbours.vx[k, c], neighbours.vy[k, c], radius_sum)
+                other = RelativeAgent(ahead, left, neighbours.vx[k, c], neighbours.vy[k, c], radius_sum)
                 side = -1.0 if neighbours.first[k, c] else 1.0
-                set_border(other, side, count, moves.velocity[0][k], moves.velocity[1][k], moves.horizon[k], dt, borders)
+                set_velocity_border(other, side, count, moves.velocity[0][k], moves.velocity[1][k], moves.horizon[k], dt, borders)
                 count += 1
-        x[k], y[k] = nearest_velocity(borders, between, count, moves.fastest[k], moves.wish[0][k], moves.wish[1][k])
+        x[k], y[k] = find_nearest_velocity(borders, between, count, moves.fastest[k], moves.wish[0][k], moves.wish[1][k])
 
 
 def nearest_others(
@@ -65,20 +77,26 @@ def nearest_others(
     """The nearest others of rows of a population, and the axes up, ahead and left of these rows (9, n)."""
     shape = len(rows), 256
     columns, planes = Neighbours(*np.zeros((5, *shape)), *np.zeros((2, *shape), np.bool_)), np.empty((9, len(rows)))
-    fill_neighbours(*request_nearest(world, population, rows, within, most), columns, planes)
+    fill_neighbours(*build_nearest_search(world, population, rows, within, most), columns, planes)
     return columns, planes
 
 
 @kernel
-def fill_neighbours(crowd: Crowd, requesters: Requesters, columns: Neighbours, planes: Array2[F64]) -> None:
-    memory = SearchMemory(scratch(SIZE, I64), scratch(SIZE, I64), scratch(SIZE, I64), scratch(SIZE, I64), scratch(SIZE, I64))
-    others.clear_memory(memory)
-    for k in range(requesters.most.size):
-        at, plane = requesters.positions[k], others.plane_of(crowd, requesters, k)
+def fill_neighbours(crowd: CrowdTables, requesters: Requesters, columns: Neighbours, planes: Array2[F64]) -> None:
+    memory = SearchMemory(
+        allocate_scratch(SEARCH_CAPACITY, I64),
+        allocate_scratch(SEARCH_CAPACITY, I64),
+        allocate_scratch(SEARCH_CAPACITY, I64),
+        allocate_scratch(SEARCH_CAPACITY, I64),
+        allocate_scratch(SEARCH_CAPACITY, I64),
+    )
+    others.reset_candidates(memory)
+    for k in range(requesters.max_others.size):
+        at, plane = requesters.positions[k], others.compute_tangent_plane(crowd, requesters, k)
         for axis in range(3):
             planes[axis, k], planes[3 + axis, k], planes[6 + axis, k] = plane.up[axis], plane.ahead[axis], plane.left[axis]
         for c in range(others.find_nearest(crowd, requesters, k, plane.up, memory)):
-            other = others.relative_to(crowd, plane, at, memory.nearest[c])
+            other = others.compute_relative_agent(crowd, plane, at, memory.nearest[c])
             columns.x[k, c], columns.y[k, c], columns.vx[k, c], columns.vy[k, c] = other.x, other.y, other.vx, other.vy
             columns.radius_sum[k, c], columns.is_present[k, c] = other.radius_sum, True
-            columns.first[k, c] = others.side_by_name(crowd, at, memory.nearest_keys[c]) < 0.0
+            columns.first[k, c] = others.compare_names(crowd, at, memory.nearest_keys[c]) < 0.0

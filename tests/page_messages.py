@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from antdsl.preview.binary_packets import pack
+from antdsl.preview.binary_packets import pack_arrays
 
 TEXT = """ant 1
 # 🐜 a comment with a letter of two units
@@ -95,7 +95,7 @@ def frame(states: list[int], number: int = 20) -> bytes:
         "ant/size": np.ones(count, np.float32), "ant/speed": np.zeros(count, np.float32), "ant/born": np.zeros(count, np.int32),
         "ant/state/main": np.array(states, np.uint8),
     }  # fmt: skip
-    return pack("frame", arrays, frame=number, light=False)
+    return pack_arrays("frame", arrays, frame=number, light=False)
 
 
 def curves(frames: list[int], walk: list[float], **other: Any) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from antdsl.preview.requests import ASK
+from antdsl.preview.requests import REQUEST_ADAPTER
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Locator, Page, Route, WebSocketRoute
@@ -58,7 +58,7 @@ class Stage:
         socket.on_message(self._heard)
 
     def _heard(self, said: str | bytes) -> None:
-        ASK.validate_json(said)  # a page that asks what no server takes fails here
+        REQUEST_ADAPTER.validate_json(said)  # a page that asks what no server takes fails here
         self.asks.append(json.loads(said))
 
     def tell(self, *messages: dict[str, Any] | bytes) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 
 from antdsl.plan import ir
 from antdsl.plan.ir import Block, PlanNode
-from antdsl.plan.simplify import ARITHMETIC_FUNCTIONS, COMPARISON_FUNCTIONS, f32
+from antdsl.plan.simplify import ARITHMETIC_FUNCTIONS, COMPARISON_FUNCTIONS, round_to_f32
 
 KERNELS: dict[str, Callable[..., float]] = {
     "sin": math.sin, "cos": math.cos, "exp": math.exp, "atan2": math.atan2, "pow": math.pow,
@@ -27,7 +27,7 @@ class Agent:
         self.done: list[tuple[Any, ...]] = []
         self.win = True
         self.frame = 0
-        self.now: dict[str, Any] = {name: r.zero for name, r in self.species.registers.items()}
+        self.now: dict[str, Any] = {name: r.initial_value for name, r in self.species.registers.items()}
         self.now |= {"heading.x": 1.0, "up.y": 1.0}
         self.start = dict(self.now)
         self._run(self.species.born)
@@ -49,7 +49,7 @@ class Agent:
             self.done = []
             for name, register in self.species.registers.items():
                 if register.role == "temp":
-                    self.now[name] = register.zero
+                    self.now[name] = register.initial_value
             self.start = dict(self.now)
             for phase in (self.species.decide, self.species.act, self.species.blend):
                 self._run(phase)
@@ -64,12 +64,12 @@ class Agent:
                         self._run(s.then)
                 case ir.Store():
                     value = self.value(s.value)
-                    assert s.infinite or not isinstance(value, float) or math.isfinite(value), s
+                    assert s.allows_infinity or not isinstance(value, float) or math.isfinite(value), s
                     self.now[s.register] = value
                 case ir.Claim():
                     assert s.item is not None and s.amount is not None
                     self.done.append(("claim", s.of, s.attribute, self.value(s.item), self.value(s.amount)))
-                    self.now[s.won] = self.win
+                    self.now[s.won_register] = self.win
                     if s.own and self.win:
                         self.now[s.own] += self.value(s.amount)
                 case ir.Give():
@@ -90,9 +90,9 @@ class Agent:
         if op == "load":
             return self.now[attrs[0]]
         if op == "run":
-            return {"dt": f32(self.dt), "u": 1.0, "up_x": 0.0, "up_y": 1.0, "up_z": 0.0}[attrs[0]]
+            return {"dt": round_to_f32(self.dt), "u": 1.0, "up_x": 0.0, "up_y": 1.0, "up_z": 0.0}[attrs[0]]
         if op == "step":
-            return float(self.frame) if attrs[0] == "frame" else f32(self.frame * self.dt)
+            return float(self.frame) if attrs[0] == "frame" else round_to_f32(self.frame * self.dt)
         if op == "param":
             return self.params.get(attrs[0], self.value(self.plan.params[attrs[0]].default))
         if op == "where":
@@ -104,11 +104,11 @@ class Agent:
 
     def _computed(self, op: str, attrs: tuple, values: list[Any]) -> Any:
         if op in ARITHMETIC_FUNCTIONS:
-            return f32(ARITHMETIC_FUNCTIONS[op](*values))
+            return round_to_f32(ARITHMETIC_FUNCTIONS[op](*values))
         if op in COMPARISON_FUNCTIONS:
             return COMPARISON_FUNCTIONS[op](*values)
         if op in KERNELS:
-            return f32(KERNELS[op](*values))
+            return round_to_f32(KERNELS[op](*values))
         if op in ("and", "or"):
             return all(values) if op == "and" else any(values)
         if op == "not":

@@ -44,4 +44,4 @@ def plan_of(text: str, world: str = WORLD, **options: object) -> ir.Plan:
 
 
 def codes(report: Report) -> list[str]:
-    return [d.code for d in report.sorted()]
+    return [d.code for d in report.sort_by_place()]

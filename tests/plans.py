@@ -9,7 +9,7 @@ import numpy as np
 from antdsl.plan import ir
 from antdsl.plan.builder import PlanBuilder
 from antdsl.runtime import CrowdData, ItemData, WorldSetting
-from antdsl.scene.setting import PlaceData
+from antdsl.scene.setting import PlacementData
 
 DEFAULT_ATTRIBUTES = {
     "size": 4.0,
@@ -109,7 +109,7 @@ def rich() -> ir.Plan:
     heading = [t("reduce.sum", near, t.b.true, t("other", attrs=(f"heading.{a}",)), attrs=(-24,)) for a in "xyz"]
     best_friend = t("reduce.agent", near, t.b.true, t("neg", t("abs", t("sub", t("other", attrs=("fear",)), t.snap("fear")))))
     fear_of_flies = t("reduce.max", flies, t.b.true, t("exp", t("neg", t("mul", t("pair.distance"), 0.05))))
-    nearest_fly = t("reduce.min", flies, t("ne", t("other.id"), t.b.agent(0)), t("pair.distance"))
+    nearest_fly = t("reduce.min", flies, t("ne", t("other.id"), t.b.agent_id(0)), t("pair.distance"))
     touching = t("le", t("pair.distance"), t("add", t("other", attrs=("radius",)), t.snap("radius")))
     at_food = t("reduce.any", nearby_food, t("and", touching, t("ge", t("number", t("other.row")), 0.0)))
     crowd = t("reduce.count", around, t("lt", t("pair.distance"), 8.0))
@@ -204,9 +204,11 @@ def rich() -> ir.Plan:
         store("size", t("add", 3.6, t("mul", t.draw("size"), 0.8))),
         store("radius", t("mul", t.load("size", 1), 0.5)),
         store("max_turn", t("where", t("lt", t.draw("stiff"), 0.5), t.b.number(float("inf")), t.b.number(9.0)), infinite=True),
-        store("fear", t("add", t("sin", t("number", t("eq", t("id"), t.b.agent(3)))), 0.5)),
+        store("fear", t("add", t("sin", t("number", t("eq", t("id"), t.b.agent_id(3)))), 0.5)),
     )
-    ant = ir.SpeciesPlan("ant", ant_registers, (main,), born, decide, act, blend, ("alarm",), (), lazy=(meal, best_friend, crowd))
+    ant = ir.SpeciesPlan(
+        "ant", ant_registers, (main,), born, decide, act, blend, ("alarm",), (), memoised_senses=(meal, best_friend, crowd)
+    )
     late = t("ge", t("step", attrs=("time",)), t("mul", 8.0, t("run", attrs=("dt",))))
     chase = t("reduce.agent", t("set.every", attrs=("ant",)), t("surface.touching", attrs=("ground",)), t("pair.distance"))
     fly_blend = block(
@@ -227,7 +229,7 @@ def rich() -> ir.Plan:
         fields={},
         items={"food": ir.ItemsPlan("food", {"load": 0.0}), "nest": ir.ItemsPlan("nest", {"load": 0.0})},
         params={"ant.smell": ir.ParamPlan("ant.smell", t.b.number(40.0))},
-        things={"surface": ("ground",)},
+        thing_names_by_kind={"surface": ("ground",)},
         nodes=tuple(t.b.nodes),
     )
 
@@ -243,8 +245,10 @@ def setting(ants: int = 40, flies: int = 3, **overrides: object) -> WorldSetting
         "nest": (ItemData("home", (0.0, 0.0, 0.0), 10.0),),
     }
     crowds = (
-        CrowdData("ant", ants, PlaceData(around=(0.0, 0.0, 0.0), radius=35.0)),
-        CrowdData("fly", flies, PlaceData(points=np.array([[50.0, 0.0, 0.0], [0.0, 0.0, 50.0], [-20.0, 0.0, 0.0]])), group=1),
+        CrowdData("ant", ants, PlacementData(disc_centre=(0.0, 0.0, 0.0), radius=35.0)),
+        CrowdData(
+            "fly", flies, PlacementData(points=np.array([[50.0, 0.0, 0.0], [0.0, 0.0, 50.0], [-20.0, 0.0, 0.0]])), line_index=1
+        ),
     )
     defaults = dict(fps=Fraction(24), seed=11, items=items, crowds=crowds)
     return WorldSetting(**{**defaults, **overrides})  # type: ignore[arg-type]
@@ -263,11 +267,11 @@ def bare(
     ant_registers = registers(*(ir.Register(name, ir.ValueKind.F32, "attribute") for name in numbers), *extra_registers)
     empty = block()
     ant = ir.SpeciesPlan("ant", ant_registers, (), born or empty, decide or empty, act, blend or empty, (), ())
-    defaults: dict = dict(fields={}, items={}, params={}, things={})
+    defaults: dict = dict(fields={}, items={}, params={}, thing_names_by_kind={})
     return ir.Plan(species={"ant": ant}, **{**defaults, **plan})
 
 
 def crowd(count: int, radius: float = 40.0, **overrides: object) -> WorldSetting:
     """So many ants about the origin."""
-    crowds = (CrowdData("ant", count, PlaceData(around=(0.0, 0.0, 0.0), radius=radius)),)
+    crowds = (CrowdData("ant", count, PlacementData(disc_centre=(0.0, 0.0, 0.0), radius=radius)),)
     return WorldSetting(**{**dict(seed=3, crowds=crowds), **overrides})  # type: ignore[arg-type]

@@ -12,10 +12,10 @@ from websockets.asyncio.client import ClientConnection, connect
 from websockets.frames import Opcode
 
 from antdsl.preview.live import Client, QueueFull
-from antdsl.preview.requests import Ask
-from antdsl.preview.serving.addresses import ListeningSockets, listen
+from antdsl.preview.requests import AnyRequest
+from antdsl.preview.serving.addresses import ListeningSockets, open_listening_sockets
 from antdsl.preview.serving.guard import RequestGuard
-from antdsl.preview.serving.pages import PageFiles, load_pages
+from antdsl.preview.serving.page_files import PageFiles, load_pages
 from antdsl.preview.serving.server import PreviewServer
 
 SECONDS = 20  # that a test may take at most
@@ -25,16 +25,16 @@ SECONDS = 20  # that a test may take at most
 class Noted:
     """Answers each ask with a separate outcome; `busy` answers none."""
 
-    asks: list[Ask] = field(default_factory=list)
+    asks: list[AnyRequest] = field(default_factory=list)
     clients: list[Client] = field(default_factory=list)
     joined: int = 0
     busy: bool = False
 
-    def ask(self, ask: Ask, client: Client) -> None:
+    def ask(self, request: AnyRequest, client: Client) -> None:
         if self.busy:
             raise QueueFull
-        self.asks.append(ask)
-        client.tell({"op": "outcome", "of": ask.op, "number": len(self.asks)})
+        self.asks.append(request)
+        client.tell({"op": "outcome", "of": request.op, "number": len(self.asks)})
 
     def join(self, client: Client) -> None:
         self.joined += 1
@@ -113,9 +113,9 @@ class Served:
 
 @asynccontextmanager
 async def served(**live: Any) -> AsyncIterator[Served]:
-    listening = listen(port=0)
-    server = Served(Noted(**live), RequestGuard(listening.names), load_pages(), listening)
-    async with asyncio.timeout(SECONDS), PreviewServer(server.live, server.guard, server.pages, listening).running():
+    listening = open_listening_sockets(port=0)
+    server = Served(Noted(**live), RequestGuard(listening.host_names), load_pages(), listening)
+    async with asyncio.timeout(SECONDS), PreviewServer(server.live, server.guard, server.pages, listening).run():
         yield server
 
 

@@ -17,7 +17,7 @@ from plan_text import program_of
 
 from antdsl.passes import optimise
 from antdsl.plan import ir, lower, verify
-from antdsl.plan.traverse import blocks, statements
+from antdsl.plan.traverse import iterate_statements, list_blocks
 from antdsl.program import typed
 from antdsl.program.model import Program
 from antdsl.program.tables.effects import EFFECT_BY_OPERATION
@@ -29,10 +29,10 @@ from antdsl.program.tables.vocabulary import (
     OTHER_OPERATIONS,
     REDUCER_HELP,
 )
-from antdsl.program.traverse import parts
-from antdsl.runtime import FieldStart, MeshData, World, WorldSetting, set_param
-from antdsl.scene.setting import DetailData, FlowTarget, GeometryMoves, PaintedValues, SolidData, SpreadFlow
-from antdsl.scene.staging.moves import MeshMoves
+from antdsl.program.traverse import iterate_parts
+from antdsl.runtime import FieldStartData, MeshData, World, WorldSetting, set_param
+from antdsl.scene.setting import DetailData, FlowTarget, GeometryMoves, PaintedValues, SolidData, SpreadFlowData
+from antdsl.scene.staging.motion import MeshMoves
 
 ODD = (np.nan, np.inf, -np.inf, 1e30, -1e30, 3.4e38, 1e-40, -1e-45, 1e-30, -0.0, 0.0, 1.0, -1.0, 16777217.0, 2147483648.0)
 BODY = ("size", "mass", "max_speed", "radius")  # spoiled more seldom: who has no size is soon out of all that happens
@@ -207,17 +207,17 @@ def setting(extremes: Extremes, agents: int = 21) -> WorldSetting:
     if extremes.kind != "loose":
         optional_parts = {
             "surfaces": {"ground": ground},
-            "flows": {"drift": SpreadFlow("toward", goal, radius=90.0)},
+            "flows": {"drift": SpreadFlowData("toward", goal, radius=90.0)},
             "maps": {"damp": PaintedValues("ground", lay)},
             "solids": {"hill": SolidData(MeshData(*meshes.box((-70, -20, -70), (-30, 25, -30))), 4.0)},
-            "field_start": {"trail": FieldStart(float(draw.choice([0.5, 1e30, 1e-40, 1e-310])), (0.0, 0.0, 0.0), 40.0)},
+            "field_start": {"trail": FieldStartData(float(draw.choice([0.5, 1e30, 1e-40, 1e-310])), (0.0, 0.0, 0.0), 40.0)},
         }
     if extremes.kind == "moving":
         poses = np.repeat(np.eye(3, 4)[None], 30, axis=0)
         poses[:, 0, 3] = np.arange(30) * 0.5
-        optional_parts["moves"] = GeometryMoves(meshes={"ground": MeshMoves.rigid(poses, len(ground.vertices))})
+        optional_parts["motion"] = GeometryMoves(meshes={"ground": MeshMoves.from_transforms(poses, len(ground.vertices))})
     if extremes.kind == "detail":
-        optional_parts["detail"] = DetailData(np.array([[0.0, 60.0, 0.0]]), 70.0, 90.0)
+        optional_parts["level_of_detail"] = DetailData(np.array([[0.0, 60.0, 0.0]]), 70.0, 90.0)
     return WorldSetting(
         fps=Fraction(10),
         seed=extremes.seed,
@@ -238,7 +238,7 @@ def spoil(world: World, frame: int, seed: int) -> None:
     if frame % 5:
         return
     for _, population in sorted(world.populations.items()):
-        rows = population.in_id_order()
+        rows = population.rows_by_id()
         for register in SPOILED:
             hit, value = draw.integers(0, 12, len(rows)) == 0, draw.choice(ODD, len(rows)).astype(np.float32)
             if register in population.now and (register not in BODY or frame % 20 == 0):
@@ -266,11 +266,11 @@ def one_nan(world: World) -> None:
 
 def constructs(plan: ir.Plan, program: Program) -> Iterator[str]:
     """What of the language's tables a program has: words and reductions as checked, operations and statements of its plan."""
-    for part in parts(program):
+    for part in iterate_parts(program):
         if isinstance(part, typed.OperationExpr):
             yield f"word {part.name}"
         elif isinstance(part, typed.ReduceExpr):
-            yield f"reduce {part.how}"
+            yield f"reduce {part.reducer}"
         elif isinstance(part, typed.SetExpr):
             yield f"set {part.source}"
         elif isinstance(part, typed.AttributeRef) and part.name in BUILTIN_ATTRIBUTE_BY_NAME:
@@ -278,8 +278,8 @@ def constructs(plan: ir.Plan, program: Program) -> Iterator[str]:
     for node in plan.nodes:
         yield f"operation {node.op}"
     for species in plan.species.values():
-        for _, block in blocks(species):
-            for _, statement in statements(block):
+        for _, block in list_blocks(species):
+            for _, statement in iterate_statements(block):
                 yield f"effect {statement.op}" if isinstance(statement, ir.Request) else f"statement {type(statement).__name__}"
 
 

@@ -16,7 +16,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from antdsl.machine_code import machine
+from antdsl.machine_code import llvm_compiler
 from antdsl.pipeline import open_scene
 from antdsl.runtime import Options, bind, feet_hash, state_hash, step
 
@@ -92,7 +92,7 @@ def main() -> int:
     parser.add_argument("--feet", action="store_true")
     options = parser.parse_args()
     if os.environ.get("COMPILED") == "oldest":
-        machine.host = lambda: machine.Target("x86_64-unknown-linux-gnu", "x86-64", "")
+        llvm_compiler.host_target = lambda: llvm_compiler.Target("x86_64-unknown-linux-gnu", "x86-64", "")
     if options.feet:
         return _feet(options.scenes, record=options.record)
     known = recorded() if RECORDED.exists() else {}

@@ -232,7 +232,7 @@ def write_scene(
 
 def opened(path: Path) -> Shot:
     shot, report = open_scene(path, RunChoices())
-    assert shot is not None and report.ok, [d.message for d in report.sorted()]
+    assert shot is not None and report.ok, [d.message for d in report.sort_by_place()]
     return shot
 
 

@@ -74,7 +74,7 @@ class Walls:
 
     def _ask(self, ground: MeshGround, at: GroundMove, rows: NDArray[np.int64]) -> None:
         if rows.size:
-            now = self.rooms.winding(above(ground, at.take(rows), self.near))
+            now = self.rooms.winding(above(ground, at.take_rows(rows), self.near))
             self.through |= set(rows[(now != self.began[:, rows]).any(axis=0)].tolist())
 
 
@@ -84,10 +84,10 @@ def start_crowd(ground: MeshGround, mesh: Mesh, closed: list[Mesh], n: int, rng:
     begin = crowd(ground, [mesh], n if len(closed) < 2 else 3 * n, rng)
     if len(closed) > 1:
         free = ~np.any([np.abs(winding(each, above(ground, begin))) > 0.5 for each in closed], axis=0)
-        begin = begin.take(np.flatnonzero(free)[:n])
+        begin = begin.take_rows(np.flatnonzero(free)[:n])
     for each in closed if len(closed) > 1 else []:
         feet, eye = (np.round(winding(each, above(ground, begin, high))) for high in (HAIR, EYE_HEIGHT_PER_BODY * BODY))
-        begin = begin.take(np.flatnonzero(feet == eye))
+        begin = begin.take_rows(np.flatnonzero(feet == eye))
     return begin
 
 
@@ -98,7 +98,7 @@ def solid(name: str, mesh: Mesh) -> list[Mesh]:
     if name == "stones":
         return parts(mesh, len(SHAPES.STACK))
     if name == "broken":
-        plain = SHAPES.stone(65, (22.0, 20.0, 22.0), detail=2)
+        plain = SHAPES.build_stone(65, (22.0, 20.0, 22.0), detail=2)
         return [(plain[0] + np.array([0.0, 19.0, 0.0]), plain[1])]
     return [mesh]
 

@@ -12,7 +12,7 @@ import numpy as np
 from meshes import Mesh
 from numpy.typing import NDArray
 
-from antdsl.casting.faces import nearest_on_triangle
+from antdsl.casting.faces import find_nearest_on_triangle
 from antdsl.casting.rays import RayScene
 from antdsl.ground.mesh.surface import MeshGround
 from antdsl.ground.protocol import Footing, GroundMove
@@ -42,7 +42,7 @@ def crowd(ground: MeshGround, meshes: list[Mesh], n: int, rng: np.random.Generat
     owner = np.repeat(np.arange(len(meshes)), [len(f) for _, f in meshes])
     first = np.cumsum([0, *(len(f) for _, f in meshes)])
     u, v = np.sort(rng.uniform(0, 1, (2, n)), axis=0)
-    footing = Footing.on_faces(owner[face].astype(np.int32), (face - first[owner[face]]).astype(np.int32), u, 1 - v)
+    footing = Footing.from_faces(owner[face].astype(np.int32), (face - first[owner[face]]).astype(np.int32), u, 1 - v)
     up = ground.normal(footing) * rng.choice([-1.0, 1.0], (n, 1))
     return ground.move(footing, np.zeros((n, 3)), rng.normal(size=(n, 3)), up, BODY)
 
@@ -93,7 +93,7 @@ def inside(mesh: Mesh, points: NDArray[np.float64]) -> NDArray[np.bool_]:
 def depth(mesh: Mesh, points: NDArray[np.float64]) -> float:
     """How far any point is inside a closed mesh, mm; 0 where none is."""
     within = points[inside(mesh, points)]
-    return float(RayScene(*mesh).closest(within)[3].max()) if len(within) else 0.0
+    return float(RayScene(*mesh).find_closest(within)[3].max()) if len(within) else 0.0
 
 
 @dataclass(slots=True)
@@ -107,9 +107,9 @@ class WalkMeasures:
     moved: float = 0.0
 
     def look(self, ground: MeshGround, meshes: list[Mesh], previous: GroundMove, at: GroundMove) -> None:
-        corners = ground.triangles[0][ground.triangles[1][ground.on_faces(at.footing)[0]]]
+        corners = ground.triangles[0][ground.triangles[1][ground.get_face_numbers(at.footing)[0]]]
         written = at.position.astype(np.float32).astype(np.float64)
-        away = np.linalg.norm(nearest_on_triangle(written, corners) - written, axis=1)
+        away = np.linalg.norm(find_nearest_on_triangle(written, corners) - written, axis=1)
         distances = np.linalg.norm(at.position - previous.position, axis=1)
         self.away = max(self.away, float(away.max()) / BODY)
         self.tilt = max(self.tilt, float(np.abs((at.heading * at.up).sum(axis=1)).max()))

@@ -194,7 +194,7 @@ class Reference:
         side = -1.0 if up @ normal < 0 else 1.0
         direction, left = self._laid(face, wish, self.table.axis1[:, face])
         w = Walker(face, place, side, direction, self._laid(face, heading, direction)[0], left, body, over * side, straight)
-        self.look_around(place, 2 * left + 2 * body + 1e3 * self.scale.noise)
+        self.look_around(place, 2 * left + 2 * body + 1e3 * self.scale.distance_noise)
         if w.over != 0 and w.left > 0:
             self._hang(w)
         turn = 0
@@ -318,16 +318,16 @@ class Reference:
     def ahead(self, w: Walker, length: float) -> Landing | None:
         """What cuts the own face, or another piece that is nearer."""
         hit = self.crossed(w, length)
-        if self.table.pieces > 1:
+        if self.table.piece_count > 1:
             other = self._other(w, length if hit is None else hit.distance)
             hit = hit if other is None else other
         return hit
 
     def crossed(self, w: Walker, length: float) -> Landing | None:
         """The first face of the own piece that cuts the own face across the way."""
-        touch, own, up, cuts = self.scale.touch, w.face, self.normal[w.face] * w.side, self.table.cuts
+        touch, own, up, cuts = self.scale.touch_distance, w.face, self.normal[w.face] * w.side, self.table.cuts
         result = []
-        for other in cuts.other[cuts.first[own] : cuts.first[own + 1]].tolist():
+        for other in cuts.cutting_faces[cuts.first[own] : cuts.first[own + 1]].tolist():
             n, a = self.normal[other], self.corners[other, 0]
             begins = float(n @ (w.place - a))
             ends = begins + float(n @ w.direction) * length
@@ -372,16 +372,16 @@ class Reference:
             up = self.normal[other] * (-1.0 if begins < 0 else 1.0)
             return float(((self.corners[face] - self.corners[other, 0]) @ up).min())
 
-        if lowest(w.face) < -self.scale.touch:
+        if lowest(w.face) < -self.scale.touch_distance:
             return True
         one, two = self.weights(w.face, self.onto(w.face, crossing_place))
         link = self.beyond_edge(w.face, w.side, int(np.argmin([1 - one - two, one, two])))
-        return link == NO_LINK or lowest(link >> 3) < -self.scale.touch
+        return link == NO_LINK or lowest(link >> 3) < -self.scale.touch_distance
 
     def _tight(self, face: int, own: int, place: Floats, off: Floats) -> bool:
         """Whether feet put upon a face at a place, and off another, would be through a third one or touch it."""
-        touch, cuts = self.scale.touch, self.table.cuts
-        for third in cuts.other[cuts.first[face] : cuts.first[face + 1]].tolist():
+        touch, cuts = self.scale.touch_distance, self.table.cuts
+        for third in cuts.cutting_faces[cuts.first[face] : cuts.first[face + 1]].tolist():
             begins = float(self.normal[third] @ (place - self.corners[third, 0]))
             ends = begins + float(self.normal[third] @ off)
             hit = (begins * ends < 0 and abs(begins) > touch) or abs(ends) <= touch
@@ -391,7 +391,7 @@ class Reference:
 
     def _other(self, w: Walker, length: float) -> Landing | None:
         """Another piece within the way, seen from above the ground; where the own piece lies before it, from a grain above."""
-        least = self.scale.least
+        least = self.scale.min_eye_height
         for high in (max(min(EYE_HEIGHT_PER_BODY * w.body, w.left / MIN_LOOK_AHEAD_FACTOR), least), least):
             landing, hidden = self._look_ahead(w, length, high)
             if landing is None or not hidden:
@@ -401,9 +401,9 @@ class Reference:
     def _look_ahead(self, w: Walker, length: float, high: float) -> tuple[Landing | None, bool]:
         """Another piece seen from so high, below a low ceiling from half its height, or at the way's end from there down; and
         whether the own piece lies before it."""
-        up, piece, fine = self.normal[w.face] * w.side, int(self.table.piece[w.face]), self.scale.fine
+        up, piece, fine = self.normal[w.face] * w.side, int(self.table.piece[w.face]), self.scale.coincident_distance
         roof, part, _ = self.first(w.place, up * high, fine, piece=piece)
-        if roof >= 0 and (self.normal[roof] @ up < 0 or high * part > self.scale.under):
+        if roof >= 0 and (self.normal[roof] @ up < 0 or high * part > self.scale.max_below_height):
             high = high * part / 2
         eye, step, down = w.place + up * high, w.direction * length, -up * high
         towards = step
@@ -428,8 +428,8 @@ class Reference:
         """What a way meets that leads up off the own face, out over the border, down beyond it and back towards it."""
         scale, up, out = self.scale, self.normal[own] * side, self.edge(own, edge)[2]
         body, fine = (
-            max(body, scale.least / EYE_HEIGHT_PER_BODY) if body == body else scale.least / EYE_HEIGHT_PER_BODY,
-            scale.fine,
+            max(body, scale.min_eye_height / EYE_HEIGHT_PER_BODY) if body == body else scale.min_eye_height / EYE_HEIGHT_PER_BODY,
+            scale.coincident_distance,
         )
         gap, high = BORDER_GAP_PER_BODY * body, BORDER_RAY_HEIGHT_PER_BODY * body
         hair = out * (2 * fine)
@@ -468,7 +468,7 @@ class Reference:
         nearest_place = _nearest_of(self.corners[face], above)
         away = _length(nearest_place - above)
         first, part, previous = self.first(above, nearest_place - above, 0.0, own=own)
-        if part * away < away - self.scale.fine:
+        if part * away < away - self.scale.coincident_distance:
             return first, previous, part * away, level, nearest_place - above
         return face, nearest_place, away, level, fall
 
@@ -487,7 +487,7 @@ class Reference:
         gap: float,
     ) -> Landing | None:
         """What is deep below may be met sooner at the border itself."""
-        fine = self.scale.fine
+        fine = self.scale.coincident_distance
         if rise < -gap:
             fall = up * (rise + fine)
             sooner, part, hit = self.first(place + hair - up * fine, fall, 0.0, own=own)

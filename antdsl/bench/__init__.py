@@ -7,7 +7,17 @@ are in `tests/benchmarks`. Nothing in this package changes a result.
 """
 
 from antdsl.bench.cases import CASES, Case
-from antdsl.bench.costs import Cost, Job, Measurement, measure_in_process
-from antdsl.bench.ratios import Ratio, bootstrap_interval, measure_in_turn
+from antdsl.bench.costs import BenchJob, Measurement, StepCost, measure_in_process
+from antdsl.bench.ratios import Ratio, compute_bootstrap_interval, measure_in_turn
 
-__all__ = ["CASES", "Case", "Cost", "Job", "Measurement", "Ratio", "bootstrap_interval", "measure_in_process", "measure_in_turn"]
+__all__ = [
+    "CASES",
+    "BenchJob",
+    "Case",
+    "Measurement",
+    "Ratio",
+    "StepCost",
+    "compute_bootstrap_interval",
+    "measure_in_process",
+    "measure_in_turn",
+]

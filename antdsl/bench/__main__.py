@@ -6,19 +6,19 @@ import sys
 import warnings
 
 from antdsl.bench.cases import CaseError
-from antdsl.bench.costs import JOBS, MEASUREMENTS
+from antdsl.bench.costs import JOB_ADAPTER, MEASUREMENT_ADAPTER
 
 
 def main() -> None:
     """Run the job and print its result."""
     warnings.simplefilter("ignore")  # what libraries say to programmers
-    from antdsl.bench.measuring import measure
+    from antdsl.bench.measuring import measure_job
 
     try:
-        measurement = measure(JOBS.validate_json(sys.argv[1]))
+        measurement = measure_job(JOB_ADAPTER.validate_json(sys.argv[1]))
     except CaseError as why:
         raise SystemExit(str(why)) from None
-    print(MEASUREMENTS.dump_json(measurement).decode())
+    print(MEASUREMENT_ADAPTER.dump_json(measurement).decode())
 
 
 if __name__ == "__main__":

@@ -15,8 +15,8 @@ from antdsl.resources import example_file
 if TYPE_CHECKING:
     from antdsl.pipeline import Shot
 
-FRAMES = 100_000  # of a shot that is measured: more than anybody asks for
-FEW = 2_000  # foraging ants up to which the small scene is taken
+MAX_MEASURED_FRAMES = 100_000  # of a shot that is measured: more than anybody asks for
+MAX_SMALL_SCENE_AGENTS = 2_000  # foraging ants up to which the small scene is taken
 
 
 class CaseError(Exception):
@@ -32,25 +32,25 @@ class CaseError(Exception):
 class Case:
     """A case to measure.
 
-    `make`: returns the shot with a given number of agents; None means its own number.
+    `make_shot`: returns the shot with a given number of agents; None means its own number.
     `agents`: the numbers of agents for the case's table; empty if the case has one size.
-    `quick`: the numbers of agents for a quick selection.
-    `bare`: removes the parts of the shot that bare steps leave out.
-    `sight`: the radius in mm within which neighbours are counted.
+    `quick_agent_counts`: the numbers of agents for a quick selection.
+    `make_bare_shot`: removes the parts of the shot that bare steps leave out.
+    `sight_radius_mm`: the radius in mm within which neighbours are counted.
     `published_figures`: results that others have reported.
     """
 
     name: str
     description: str
-    make: Callable[[int | None], Shot]
+    make_shot: Callable[[int | None], Shot]
     agents: tuple[int, ...] = ()
-    quick: tuple[int, ...] = ()
-    bare: Callable[[Shot], Shot] = lambda shot: shot
-    sight: float = 0.0
+    quick_agent_counts: tuple[int, ...] = ()
+    make_bare_shot: Callable[[Shot], Shot] = lambda shot: shot
+    sight_radius_mm: float = 0.0
     published_figures: str = ""
 
 
-def open_shot(path: Path, agents: int | None, *, frames: int = FRAMES) -> Shot:
+def open_shot(path: Path, agents: int | None, *, frames: int = MAX_MEASURED_FRAMES) -> Shot:
     """Return the shot of a scene. `agents`: scale the world to this number of agents; None leaves it unchanged. Raises
     CaseError."""
     from antdsl.bench.scaling import scale_setting
@@ -68,7 +68,7 @@ def open_shot(path: Path, agents: int | None, *, frames: int = FRAMES) -> Shot:
         raise CaseError(f"`{path.name}` cannot have {agents:,} agents: {why}") from None
 
 
-def _open_texts(texts: Mapping[str, str]) -> Shot:
+def _open_shot_from_texts(texts: Mapping[str, str]) -> Shot:
     """Return a shot from texts: `scene.yaml` and the files that it names."""
     with tempfile.TemporaryDirectory() as folder:
         for name, text in texts.items():
@@ -76,61 +76,63 @@ def _open_texts(texts: Mapping[str, str]) -> Shot:
         return open_shot(Path(folder, "scene.yaml"), None)
 
 
-def _example_maker(name: str) -> Callable[[int | None], Shot]:
+def _make_example_opener(name: str) -> Callable[[int | None], Shot]:
     """Return a function that opens an example with a given number of agents."""
     return lambda agents: open_shot(example_file(name), agents)
 
 
-def _foraging(agents: int | None) -> Shot:
+def _open_foraging_case(agents: int | None) -> Shot:
     """Open the foraging example. Large numbers of agents use the scene `many.yaml`."""
-    small = agents is not None and agents <= FEW
+    small = agents is not None and agents <= MAX_SMALL_SCENE_AGENTS
     return open_shot(example_file("foraging/scene.yaml" if small else "foraging/many.yaml"), agents)
 
 
-def _without_contacts(shot: Shot) -> Shot:
+def _disable_contacts(shot: Shot) -> Shot:
     """Return the shot without contacts, for comparison with the hand-written frame, which has no contacts."""
     return replace(shot, setting=replace(shot.setting, contacts="off"))
 
 
-def _boids(agents: int | None) -> Shot:
+def _open_boids_case(agents: int | None) -> Shot:
     """Open boids on a plane, each with about nine neighbours."""
     count = agents or 15_000
-    scene = programs.plane_scene("boid", count, programs.disc_radius(count))
-    return _open_texts({"scene.yaml": scene, "boid.ant": programs.BOIDS})
+    scene = programs.build_plane_scene("boid", count, programs.compute_disc_radius(count))
+    return _open_shot_from_texts({"scene.yaml": scene, "boid.ant": programs.BOIDS_PROGRAM})
 
 
-def _crowd(agents: int | None) -> Shot:
+def _open_crowd_case(agents: int | None) -> Shot:
     """Open people on a plane, each with about nine neighbours."""
     count = agents or 15_000
-    scene = programs.plane_scene("person", count, programs.disc_radius(count, programs.PERSON_SIGHT))
-    return _open_texts({"scene.yaml": scene, "person.ant": programs.CROWD})
+    scene = programs.build_plane_scene("person", count, programs.compute_disc_radius(count, programs.PERSON_SIGHT_RADIUS_MM))
+    return _open_shot_from_texts({"scene.yaml": scene, "person.ant": programs.CROWD_PROGRAM})
 
 
-def _trails(agents: int | None) -> Shot:
+def _open_trails_case(agents: int | None) -> Shot:
     """Open ants that follow two scents on flat ground."""
-    texts = {"scene.yaml": programs.trails_scene(agents or 15_000), "ant.ant": programs.TRAILS}
-    return _open_texts({**texts, "ground.ply": programs.flat_ground(1_000.0)})
+    texts = {"scene.yaml": programs.build_trails_scene(agents or 15_000), "ant.ant": programs.TRAILS_PROGRAM}
+    return _open_shot_from_texts({**texts, "ground.ply": programs.build_flat_ground(1_000.0)})
 
 
-def _cluster(agents: int | None) -> Shot:
+def _open_cluster_case(agents: int | None) -> Shot:
     """Open the boids compressed to a tenth of their area."""
-    from antdsl.bench.scaling import gather_crowds
+    from antdsl.bench.scaling import compress_crowds
 
-    shot = _boids(agents)
-    return replace(shot, setting=gather_crowds(shot.setting, 0.1))
+    shot = _open_boids_case(agents)
+    return replace(shot, setting=compress_crowds(shot.setting, 0.1))
 
 
-def _node(agents: int | None) -> Shot:
+def _open_node_case(agents: int | None) -> Shot:
     """Open ants that wander and keep apart on a plane."""
     count = agents or 500
-    return _open_texts({"scene.yaml": programs.plane_scene("ant", count, 70.0 * (count / 500) ** 0.5), "ant.ant": programs.NODE})
+    return _open_shot_from_texts(
+        {"scene.yaml": programs.build_plane_scene("ant", count, 70.0 * (count / 500) ** 0.5), "ant.ant": programs.NODE_PROGRAM}
+    )
 
 
-def _valley(agents: int | None) -> Shot:
-    return open_shot(_valley_file(agents), None)
+def _open_valley_case(agents: int | None) -> Shot:
+    return open_shot(_find_valley_scene(agents), None)
 
 
-def _valley_file(agents: int | None) -> Path:
+def _find_valley_scene(agents: int | None) -> Path:
     """Return the path of the valley's scene. Raises CaseError unless it has this number of agents."""
     names = {None: "five_hundred", 500: "five_hundred", 15_000: "many"}
     if agents not in names:
@@ -138,13 +140,13 @@ def _valley_file(agents: int | None) -> Path:
     return example_file(f"thesis/{names[agents]}.yaml")
 
 
-def _valley_of_meshes(agents: int | None) -> Shot:
+def _open_mesh_valley_case(agents: int | None) -> Shot:
     """Return the valley with its hill as a mesh, so that no agent can dig it."""
     folder = example_file("thesis/base.yaml").parent
-    texts = {"scene.yaml": _valley_file(agents).read_text(encoding="utf-8")}
+    texts = {"scene.yaml": _find_valley_scene(agents).read_text(encoding="utf-8")}
     texts["base.yaml"] = (folder / "base.yaml").read_text(encoding="utf-8")
     for name in ("scene.yaml", "base.yaml"):
-        texts[name] = "".join(f"{line}\n" for line in _without_voxels(texts[name]))
+        texts[name] = "".join(f"{line}\n" for line in _remove_voxel_settings(texts[name]))
     program = (folder / "ant.ant").read_text(encoding="utf-8")
     program = program[: program.index("\nspec ")].replace("  solid    hill", "  surface  hill")
     texts["ant.ant"] = "".join(f"{line}\n" for line in program.splitlines() if not line.lstrip().startswith("carve "))
@@ -157,59 +159,76 @@ def _valley_of_meshes(agents: int | None) -> Shot:
         return open_shot(Path(place, "scene.yaml"), None)
 
 
-def _without_voxels(text: str) -> list[str]:
+def _remove_voxel_settings(text: str) -> list[str]:
     """Return the lines of a scene without `voxel` settings."""
     import re
 
     return [re.sub(r",\s*voxel: [^,}]*", "", line) for line in text.splitlines()]
 
 
-_FORAGING = (125, 1_000, 15_000, 100_000, 1_000_000)
+_FORAGING_AGENT_COUNTS = (125, 1_000, 15_000, 100_000, 1_000_000)
 CASES: Mapping[str, Case] = {
     case.name: case
     for case in (
         Case(
-            "foraging", "ants that search, carry and lay scent on hills", _foraging, _FORAGING, (1_000, 15_000), _without_contacts
+            "foraging",
+            "ants that search, carry and lay scent on hills",
+            _open_foraging_case,
+            _FORAGING_AGENT_COUNTS,
+            (1_000, 15_000),
+            _disable_contacts,
         ),
         Case(
             "boids",
             "three rules on a plane, about 9 neighbours each",
-            _boids,
+            _open_boids_case,
             (1_000, 15_000, 100_000),
             (1_000, 15_000),
-            sight=programs.SIGHT,
+            sight_radius_mm=programs.SIGHT_RADIUS_MM,
         ),
-        Case("trails", "ants by two scents on flat ground, as on a grid", _trails, (1_000, 15_000, 100_000)),
+        Case("trails", "ants by two scents on flat ground, as on a grid", _open_trails_case, (1_000, 15_000, 100_000)),
         Case(
             "crowd",
             "people who walk round each other on a plane, about 9 neighbours each",
-            _crowd,
+            _open_crowd_case,
             (1_000, 15_000, 100_000),
-            sight=programs.PERSON_SIGHT,
+            sight_radius_mm=programs.PERSON_SIGHT_RADIUS_MM,
         ),
-        Case("cluster", "the boids, all within a tenth of the area", _cluster, (1_000, 15_000), sight=programs.SIGHT),
-        Case("flocking", "boids on a wavy ground with states", _example_maker("flocking/scene.yaml"), (400, 15_000), sight=25.0),
-        Case("tunnel", "scouts dig through a hill, others follow", _example_maker("tunnel/scene.yaml")),
-        Case("moods", "roaches with several machines of states", _example_maker("moods/scene.yaml"), (200, 15_000)),
-        Case("anthill", "builders that dig a nest out of a block", _example_maker("anthill/scene.yaml")),
+        Case(
+            "cluster",
+            "the boids, all within a tenth of the area",
+            _open_cluster_case,
+            (1_000, 15_000),
+            sight_radius_mm=programs.SIGHT_RADIUS_MM,
+        ),
+        Case(
+            "flocking",
+            "boids on a wavy ground with states",
+            _make_example_opener("flocking/scene.yaml"),
+            (400, 15_000),
+            sight_radius_mm=25.0,
+        ),
+        Case("tunnel", "scouts dig through a hill, others follow", _make_example_opener("tunnel/scene.yaml")),
+        Case("moods", "roaches with several machines of states", _make_example_opener("moods/scene.yaml"), (200, 15_000)),
+        Case("anthill", "builders that dig a nest out of a block", _make_example_opener("anthill/scene.yaml")),
         Case(
             "node",
             "500 points that wander and keep apart: the work of one node",
-            _node,
+            _open_node_case,
             (500,),
             published_figures="Houdini: 58.8 frames a second in VEX, 3.98 in Python",
         ),
         Case(
             "valley",
             "the thesis' ants, the hill as a volume",
-            _valley,
+            _open_valley_case,
             (500, 15_000),
             published_figures="the thesis: 9 frames a second with 500, 3 with 15,000",
         ),
         Case(
             "valley_of_meshes",
             "the same, the hill as a mesh that is not dug",
-            _valley_of_meshes,
+            _open_mesh_valley_case,
             (500, 15_000),
             published_figures="the thesis: about 5 frames a second more without the volume",
         ),
@@ -217,6 +236,6 @@ CASES: Mapping[str, Case] = {
 }
 
 
-def case_of(name: str) -> Case:
+def find_case(name: str) -> Case:
     """Return the case of a name, or a new case for a scene's path."""
     return CASES.get(name) or Case(name, "a scene", lambda agents: open_shot(Path(name), agents))

@@ -10,11 +10,11 @@ from statistics import median
 
 from pydantic import TypeAdapter
 
-from antdsl.child_processes import module_command, module_environment
+from antdsl.child_processes import build_module_command, build_module_environment
 
 
 @dataclass(frozen=True, slots=True)
-class Job:
+class BenchJob:
     """A case to measure on some backends.
 
     `case`: its name, or the path of a scene.
@@ -34,7 +34,7 @@ class Job:
 
 
 @dataclass(frozen=True, slots=True)
-class Cost:
+class StepCost:
     """Seconds of a step. `cpu` and `wall`: CPU and wall time, one number per turn. `phases_cpu` and `phases_wall`: by phase, the
     mean of all turns."""
 
@@ -55,7 +55,7 @@ class Cost:
 
 
 @dataclass(frozen=True, slots=True)
-class SetUp:
+class SetUpCost:
     """CPU seconds of a set-up.
 
     Until the first frame:
@@ -85,7 +85,7 @@ class SetUp:
 
 
 @dataclass(frozen=True, slots=True)
-class FullRun:
+class FullRunCost:
     """Seconds per frame of a run with cache, feet and contacts as in the scene.
 
     `cpu` and `wall`: of all threads, including the writer.
@@ -113,36 +113,36 @@ class Measurement:
         name of its backend.
     """
 
-    job: Job
+    job: BenchJob
     agents: int
     steps: int
-    costs: dict[str, Cost]
-    set_up: SetUp
+    costs: dict[str, StepCost]
+    set_up: SetUpCost
     memory: int
     state: int
     nodes: int
     neighbours: float | None = None
-    full_run: FullRun | None = None
+    full_run: FullRunCost | None = None
     told: tuple[str, ...] = ()
 
-    def ratios(self, name: str, other: str) -> list[float]:
+    def compute_ratios(self, name: str, other: str) -> list[float]:
         """Return the CPU time of a step of `name` divided by that of `other` (two entries of `costs`), turn by turn."""
         return [one / two for one, two in zip(self.costs[name].cpu, self.costs[other].cpu, strict=True)]
 
 
-JOBS, MEASUREMENTS = TypeAdapter(Job), TypeAdapter(Measurement)  # which read and write JSON
+JOB_ADAPTER, MEASUREMENT_ADAPTER = TypeAdapter(BenchJob), TypeAdapter(Measurement)  # which read and write JSON
 
 
 class MeasuringError(Exception):
     """Error if the measuring process ended without a result. The message is the last output of the process."""
 
 
-def measure_in_process(job: Job, words: Sequence[str] = ()) -> Measurement:
-    """Return the measurement of a job in a separate process. `words`: the command to run, without the job; by default that of
-    antdsl. Raises MeasuringError."""
-    text = JOBS.dump_json(job).decode()
-    command = [*words, text] if words else module_command("antdsl.bench", text)
-    process = subprocess.run(command, capture_output=True, text=True, env=module_environment())
+def measure_in_process(job: BenchJob, base_command: Sequence[str] = ()) -> Measurement:
+    """Return the measurement of a job in a separate process. `base_command`: the command to run, without the job; by default that
+    of antdsl. Raises MeasuringError."""
+    text = JOB_ADAPTER.dump_json(job).decode()
+    command = [*base_command, text] if base_command else build_module_command("antdsl.bench", text)
+    process = subprocess.run(command, capture_output=True, text=True, env=build_module_environment())
     if process.returncode:
         raise MeasuringError((process.stderr.strip() or f"the process ended with {process.returncode}").splitlines()[-1])
-    return MEASUREMENTS.validate_json(process.stdout.splitlines()[-1])
+    return MEASUREMENT_ADAPTER.validate_json(process.stdout.splitlines()[-1])

@@ -14,42 +14,42 @@ from typing import Any
 
 import numpy as np
 
-from antdsl.bench.cases import case_of
-from antdsl.bench.costs import Cost, FullRun, Job, Measurement, SetUp
+from antdsl.bench.cases import find_case
+from antdsl.bench.costs import BenchJob, FullRunCost, Measurement, SetUpCost, StepCost
 from antdsl.bench.ratios import measure_in_turn
-from antdsl.machine_code import machine
+from antdsl.machine_code import llvm_compiler
 from antdsl.machine_code.object_cache import CACHE_VARIABLE
 from antdsl.numerics import stored_tables
-from antdsl.numerics.host import memory
+from antdsl.numerics.host import measure_memory
 from antdsl.pipeline import Shot
-from antdsl.plan.traverse import blocks, operands, required_nodes, statements
+from antdsl.plan.traverse import collect_required_nodes, iterate_statements, list_blocks, list_operands
 from antdsl.runtime import Options, World, bind, step
 from antdsl.runtime.backends import NativeBackend
-from antdsl.runtime.backends.native import ready
+from antdsl.runtime.backends.native import compile_queue
 
-WARM = 4  # steps that are not counted: the rows come into order of place after the first, kernels are loaded
-_TURN = 0.02  # seconds that a turn takes at least, where the number of steps is left open
-_MOST_STEPS = 64
-_FEWEST_FRAMES = 8  # of a run
-
-
-Frame = Callable[[], None]
+WARM_UP_STEPS = 4  # steps that are not counted: the rows come into order of place after the first, kernels are loaded
+_MIN_TURN_SECONDS = 0.02  # seconds that a turn takes at least, where the number of steps is left open
+_MAX_STEPS_PER_TURN = 64
+_MIN_RUN_FRAMES = 8  # of a run
 
 
-def measure(job: Job, make_others: Callable[[int], Mapping[str, Frame]] = lambda agents: {}) -> Measurement:
+StepFunction = Callable[[], None]
+
+
+def measure_job(job: BenchJob, make_others: Callable[[int], Mapping[str, StepFunction]] = lambda agents: {}) -> Measurement:
     """Return the measurement of a job. `make_others(agents)` returns other frames by name, which take turns with the backends.
     Raises CaseError for a scene that cannot be opened or scaled."""
     with _use_empty_code_folder():
-        return _measure(job, make_others)
+        return _measure_job(job, make_others)
 
 
-def _measure(job: Job, make_others: Callable[[int], Mapping[str, Frame]]) -> Measurement:
-    """Measure a job as `measure` does, with the current folder for machine code."""
+def _measure_job(job: BenchJob, make_others: Callable[[int], Mapping[str, StepFunction]]) -> Measurement:
+    """Measure a job as `measure_job` does, with the current folder for machine code."""
     start = _import_packages("native" in job.backends)
-    case = case_of(job.case)
-    shot, compile_ = _time_call(lambda: case.make(job.agents))
-    bare = case.bare(shot)
-    initial_memory, _ = memory()
+    case = find_case(job.case)
+    shot, compile_ = _time_call(lambda: case.make_shot(job.agents))
+    bare = case.make_bare_shot(shot)
+    initial_memory, _ = measure_memory()
     options = [Options(backend=_untyped_name(name), threads=job.threads) for name in job.backends]
     world, bound_s = _time_call(lambda: bind(bare.plan, bare.setting, options[0]))
     _, first = _time_call(lambda: step(world))
@@ -60,13 +60,13 @@ def _measure(job: Job, make_others: Callable[[int], Mapping[str, Frame]]) -> Mea
         step(worlds[name])
         wait_for_code(worlds[name])
     agents = len(world)
-    runners: dict[str, Frame] = {name: _make_stepper(each) for name, each in worlds.items()}
+    runners: dict[str, StepFunction] = {name: _make_stepper(each) for name, each in worlds.items()}
     _, second = _time_call(runners[job.backends[0]])
     for stepped in runners.values():
         stepped()
     _, step_seconds = _time_call(runners[job.backends[0]])
-    steps = job.steps or max(1, min(_MOST_STEPS, ceil(_TURN / max(step_seconds, 1e-6))))
-    most = memory()[1]  # before other frames are made
+    steps = job.steps or max(1, min(_MAX_STEPS_PER_TURN, ceil(_MIN_TURN_SECONDS / max(step_seconds, 1e-6))))
+    most = measure_memory()[1]  # before other frames are made
     runners |= make_others(agents)
     costs = _measure_turns(runners, worlds, steps, job.turns)
     messages = [f"{name}: {sentence}" for name, each in worlds.items() for sentence in each.backend.messages()]
@@ -76,12 +76,12 @@ def _measure(job: Job, make_others: Callable[[int], Mapping[str, Frame]]) -> Mea
         agents=agents,
         steps=steps,
         costs=costs,
-        set_up=SetUp(start, compile_, bound_s, first, code if has_code else None, load_seconds, second),
+        set_up=SetUpCost(start, compile_, bound_s, first, code if has_code else None, load_seconds, second),
         memory=most - initial_memory,
-        state=_state_bytes(world),
+        state=_count_state_bytes(world),
         nodes=_count_nodes(shot),
-        neighbours=mean_neighbours(world, case.sight) if case.sight else None,
-        full_run=_measure_full_run(shot, options[0], count_run_frames(step_seconds)) if job.full_run else None,
+        neighbours=count_mean_neighbours(world, case.sight_radius_mm) if case.sight_radius_mm else None,
+        full_run=_measure_full_run(shot, options[0], choose_run_frames(step_seconds)) if job.full_run else None,
         told=tuple(dict.fromkeys(messages + [f"{job.backends[0]}: {sentence}" for sentence in load_messages])),
     )
 
@@ -98,8 +98,8 @@ def _use_empty_code_folder() -> Iterator[None]:
     previous_values = {name: os.environ.get(name) for name in (CACHE_VARIABLE, stored_tables.TABLE_STORE.variable)}
     with tempfile.TemporaryDirectory(prefix="antdsl-code-") as folder:
         os.environ |= dict.fromkeys(previous_values, folder)
-        ready.release_code()
-        stored_tables.forget()
+        compile_queue.release_code()
+        stored_tables.forget_store()
         try:
             yield
         finally:
@@ -107,18 +107,18 @@ def _use_empty_code_folder() -> Iterator[None]:
                 os.environ.pop(name)
                 if value is not None:
                     os.environ[name] = value
-            ready.release_code()
-            stored_tables.forget()
+            compile_queue.release_code()
+            stored_tables.forget_store()
 
 
-def _import_packages(llvm: bool) -> float:
-    """Import all packages that steps need, and return the CPU seconds of this process so far. `llvm`: include the packages that
-    build machine code."""
+def _import_packages(include_llvm: bool) -> float:
+    """Import all packages that steps need, and return the CPU seconds of this process so far. `include_llvm`: include the
+    packages that build machine code."""
     import antdsl.casting.rays
     import antdsl.runtime.backends  # noqa: F401
 
-    if llvm:
-        machine.is_available()
+    if include_llvm:
+        llvm_compiler.is_available()
     return process_time()
 
 
@@ -129,7 +129,7 @@ def _time_call(work: Callable[[], Any]) -> tuple[Any, float]:
     return result, process_time() - began
 
 
-def _make_stepper(world: World) -> Frame:
+def _make_stepper(world: World) -> StepFunction:
     """Return a function that steps a world once."""
     return lambda: step(world)
 
@@ -140,7 +140,7 @@ def wait_for_code(world: World) -> bool:
     if not isinstance(world.backend, NativeBackend):
         return False
     world.backend.wait_for_code(world)
-    return world.backend.ready is not None
+    return world.backend.ready_code is not None
 
 
 def _time_code_load(world: World) -> tuple[float | None, list[str]]:
@@ -148,21 +148,21 @@ def _time_code_load(world: World) -> tuple[float | None, list[str]]:
     machine code, or if it cannot be stored; the messages then say why."""
     if not wait_for_code(world):
         return None, []
-    ready.release_code()
+    compile_queue.release_code()
     again = NativeBackend(world.plan)
     _, seconds = _time_call(lambda: again.wait_for_code(world))
     messages = again.messages()
     return (None if messages else seconds), messages
 
 
-def _measure_turns(runners: dict[str, Frame], worlds: dict[str, World], steps: int, turns: int) -> dict[str, Cost]:
+def _measure_turns(runners: dict[str, StepFunction], worlds: dict[str, World], steps: int, turns: int) -> dict[str, StepCost]:
     """Return the cost of each runner over `turns` turns of `steps` steps each. Each runner first makes WARM uncounted steps."""
     for run in runners.values():
-        for _ in range(WARM):
+        for _ in range(WARM_UP_STEPS):
             run()
     for world in worlds.values():
         world.timings.clear()
-        world.worked.clear()
+        world.cpu_seconds.clear()
     names = list(runners)
 
     def measure_turn(number: int) -> tuple[float, float]:
@@ -172,23 +172,23 @@ def _measure_turns(runners: dict[str, Frame], worlds: dict[str, World], steps: i
             run()
         return (process_time() - worked) / steps, (perf_counter() - passed) / steps
 
-    turn_costs = measure_in_turn(measure_turn, len(names), turns, warm=0)
+    turn_costs = measure_in_turn(measure_turn, len(names), turns, warm_up_runs=0)
     count = turns * steps
     costs = {}
     for number, name in enumerate(names):
         cpu, wall = ([turn[number][k] for turn in turn_costs] for k in (0, 1))
         own = worlds.get(name)
-        phases = [] if own is None else [{p: s / count for p, s in each.items()} for each in (own.worked, own.timings)]
-        costs[name] = Cost(cpu, wall, *phases)
+        phases = [] if own is None else [{p: s / count for p, s in each.items()} for each in (own.cpu_seconds, own.timings)]
+        costs[name] = StepCost(cpu, wall, *phases)
     return costs
 
 
-def _state_bytes(world: World) -> int:
+def _count_state_bytes(world: World) -> int:
     """Return the bytes of the arrays that hold the agents. An array that is used twice counts once."""
     arrays: dict[int, int] = {}
     for population in world.populations.values():
         held = [population.ids, population.born, population.quarantined, population.position, population.normal]
-        for part in (population.start, population.now, population.events, population.raised, population.cells):
+        for part in (population.start, population.now, population.events, population.raised_events, population.cells):
             held += part.values()
         held += population.footing.columns.values()
         arrays |= {id(array): array.nbytes for array in held}
@@ -198,50 +198,50 @@ def _state_bytes(world: World) -> int:
 def _count_nodes(shot: Shot) -> int:
     """Return the number of nodes of the plan: its operations, each counted once per block."""
     return sum(
-        len(required_nodes([node for _, each in statements(block) for node in operands(each)]))
+        len(collect_required_nodes([node for _, each in iterate_statements(block) for node in list_operands(each)]))
         for species in shot.plan.species.values()
-        for _, block in blocks(species)
+        for _, block in list_blocks(species)
     )
 
 
-def mean_neighbours(world: World, sight: float) -> float:
-    """Return the mean number of other agents within `sight` mm of an agent."""
+def count_mean_neighbours(world: World, sight_radius_mm: float) -> float:
+    """Return the mean number of other agents within `sight_radius_mm` mm of an agent."""
     from scipy.spatial import cKDTree
 
     tree = cKDTree(np.concatenate([population.position for population in world.populations.values()]))
-    return float(tree.count_neighbors(tree, sight) / tree.n - 1)
+    return float(tree.count_neighbors(tree, sight_radius_mm) / tree.n - 1)
 
 
-def count_run_frames(step: float) -> int:
+def choose_run_frames(step: float) -> int:
     """Return how many frames of a run to measure: about two seconds' worth, within limits. `step`: seconds of a bare step."""
-    return min(max(int(2.0 / max(8.0 * step, 1e-6)), _FEWEST_FRAMES), _MOST_STEPS)
+    return min(max(int(2.0 / max(8.0 * step, 1e-6)), _MIN_RUN_FRAMES), _MAX_STEPS_PER_TURN)
 
 
-def _measure_full_run(shot: Shot, options: Options, frames: int) -> FullRun:
+def _measure_full_run(shot: Shot, options: Options, frames: int) -> FullRunCost:
     """Return the cost of `frames` frames of a run after WARM uncounted frames. Then measure the same number of steps of the same
     world without writing."""
-    from antdsl.outputs.recording import begin, record
+    from antdsl.outputs.recording import begin_recording, record_frames
     from antdsl.scene.values import parse_frames
 
-    shot = replace(shot, scene=shot.scene.changed(frames=parse_frames(f"1..{WARM + frames}")))
+    shot = replace(shot, scene=shot.scene.replace_values(frames=parse_frames(f"1..{WARM_UP_STEPS + frames}")))
     with tempfile.TemporaryDirectory() as folder:
         began = (0.0, 0.0)
-        recording = begin(shot, Path(folder, "cache"), options, resume=False, force=False)
-        for number, _ in enumerate(record(recording), 1):
-            if number == WARM:
+        recording = begin_recording(shot, Path(folder, "cache"), options, resume=False, force=False)
+        for number, _ in enumerate(record_frames(recording), 1):
+            if number == WARM_UP_STEPS:
                 wait_for_code(recording.world)
                 began = process_time(), perf_counter()
         cpu, wall = process_time() - began[0], perf_counter() - began[1]
     world = bind(shot.plan, shot.setting, replace(options, feet=True))
-    for _ in range(WARM - 1):
+    for _ in range(WARM_UP_STEPS - 1):
         step(world)
     wait_for_code(world)
-    world.worked.clear()
+    world.cpu_seconds.clear()
 
     def run() -> None:
         for _ in range(frames):
             step(world)
 
     _, alone = _time_call(run)
-    feet = world.worked.get("feet", 0.0)
-    return FullRun(frames, cpu / frames, wall / frames, alone / frames, feet / frames)
+    feet = world.cpu_seconds.get("feet", 0.0)
+    return FullRunCost(frames, cpu / frames, wall / frames, alone / frames, feet / frames)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from math import sqrt
 
-SIGHT = 40.0  # mm, how far a boid sees others
-NEIGHBOURS = 9.0  # others within it
-PERSON_SIGHT = 3_000.0  # mm, how far a person reckons with others
+SIGHT_RADIUS_MM = 40.0  # mm, how far a boid sees others
+MEAN_NEIGHBOURS = 9.0  # others within it
+PERSON_SIGHT_RADIUS_MM = 3_000.0  # mm, how far a person reckons with others
 
-BOIDS = """ant 1
+BOIDS_PROGRAM = """ant 1
 "The three rules of boids: keep apart, go along, stay together."
 use steering
 
@@ -27,7 +27,7 @@ species boid {
 }
 """
 
-CROWD = """ant 1
+CROWD_PROGRAM = """ant 1
 "People on an open place, each on its own course: round the others by velocities that avoid collisions."
 use steering
 
@@ -45,7 +45,7 @@ species person {
 """
 
 # Ants on grids: two scents, read from the nine cells around; no obstacles, and agents do not avoid each other.
-TRAILS = """ant 1
+TRAILS_PROGRAM = """ant 1
 "Ants on flat ground that find food by one scent and the nest by another."
 use steering
 
@@ -80,7 +80,7 @@ species ant {
 """
 
 # What one wrangle of a solver does: points that wander and keep apart.
-NODE = """ant 1
+NODE_PROGRAM = """ant 1
 "Ants that wander and keep apart, all in one node."
 use steering
 
@@ -99,20 +99,20 @@ species ant {
 """
 
 
-def plane_scene(species: str, agents: int, radius: float) -> str:
+def build_plane_scene(species: str, agents: int, radius: float) -> str:
     """Return a scene of one species on the empty plane, in a disc of `radius` mm."""
     crowd = f"{{species: {species}, from: {species}.ant, count: {agents}, place: {{radius: {radius:.3f} mm}}}}"
     return f"antdsl: 1\nunits: mm\nfps: 24\nframes: 1..480\nseed: 1\ncrowd: [{crowd}]\n"
 
 
-def flat_ground(side: float) -> str:
-    """Return a square of two triangles centred on the origin, `side` mm wide, as PLY."""
+def build_flat_ground(side_length: float) -> str:
+    """Return a square of two triangles centred on the origin, `side_length` mm wide, as PLY."""
     head = "ply\nformat ascii 1.0\nelement vertex 4\n" + "".join(f"property float {axis}\n" for axis in "xyz")
-    corners = "".join(f"{x * side / 2:g} 0 {z * side / 2:g}\n" for x, z in ((-1, -1), (-1, 1), (1, 1), (1, -1)))
+    corners = "".join(f"{x * side_length / 2:g} 0 {z * side_length / 2:g}\n" for x, z in ((-1, -1), (-1, 1), (1, 1), (1, -1)))
     return f"{head}element face 2\nproperty list uchar int vertex_indices\nend_header\n{corners}3 0 1 2\n3 0 2 3\n"
 
 
-def trails_scene(agents: int) -> str:
+def build_trails_scene(agents: int) -> str:
     """Return a scene of `agents` ants from one nest on a square metre with 200 x 200 scent cells, as in krABMaga's example."""
     return f"""antdsl: 1
 units: mm
@@ -128,6 +128,6 @@ crowd: [{{species: ant, from: ant.ant, count: {agents}, place: {{on: ground, rad
 """
 
 
-def disc_radius(agents: int, sight: float = SIGHT) -> float:
-    """Return the radius (mm) of the disc in which each of `agents` agents has about nine others within `sight`."""
-    return sight * sqrt(agents / NEIGHBOURS)
+def compute_disc_radius(agents: int, sight_radius: float = SIGHT_RADIUS_MM) -> float:
+    """Return the radius (mm) of the disc in which each of `agents` agents has about nine others within `sight_radius`."""
+    return sight_radius * sqrt(agents / MEAN_NEIGHBOURS)

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from statistics import fmean
 from typing import TypeVar
 
-LEAST_PAIRS = 20  # pairs from which a ratio is reported with its interval
-_RESAMPLED = 10_000
+MIN_PAIRS = 20  # pairs from which a ratio is reported with its interval
+_RESAMPLE_COUNT = 10_000
 T = TypeVar("T")
 
 
@@ -27,25 +27,25 @@ class Ratio:
     def __str__(self) -> str:
         return f"{self.mean:.3f} ({self.low:.3f} to {self.high:.3f})"
 
-    def is_above(self, most: float) -> bool:
-        """Return whether the complete interval lies above `most`: the cost is higher, and not by chance."""
-        return self.low > most
+    def is_above(self, limit: float) -> bool:
+        """Return whether the complete interval lies above `limit`: the cost is higher, and not by chance."""
+        return self.low > limit
 
 
-def bootstrap_interval(ratios: Sequence[float], seed: int = 1) -> Ratio:
+def compute_bootstrap_interval(ratios: Sequence[float], seed: int = 1) -> Ratio:
     """Return the mean of ratios, with the 2.5th and 97.5th percentile of bootstrap means (B. Efron, Annals of Statistics 7,
     1979). Equal ratios give equal intervals. Raises ValueError for an empty sequence."""
     if not ratios:
         raise ValueError("no ratios were measured")
     draw = random.Random(seed)
-    means = sorted(fmean(draw.choices(ratios, k=len(ratios))) for _ in range(_RESAMPLED))
-    return Ratio(fmean(ratios), means[round(0.025 * _RESAMPLED)], means[round(0.975 * _RESAMPLED)])
+    means = sorted(fmean(draw.choices(ratios, k=len(ratios))) for _ in range(_RESAMPLE_COUNT))
+    return Ratio(fmean(ratios), means[round(0.025 * _RESAMPLE_COUNT)], means[round(0.975 * _RESAMPLE_COUNT)])
 
 
-def measure_in_turn(measure: Callable[[int], T], runners: int, count: int, warm: int = 1) -> list[tuple[T, ...]]:
+def measure_in_turn(measure: Callable[[int], T], runners: int, count: int, warm_up_runs: int = 1) -> list[tuple[T, ...]]:
     """Return the costs of runners 0, 1, … measured in turn, `count` times. The runner that begins changes from turn to turn.
-    `warm`: uncounted runs of each runner at the start, which fill caches."""
-    for _ in range(warm):
+    `warm_up_runs`: uncounted runs of each runner at the start, which fill caches."""
+    for _ in range(warm_up_runs):
         for runner in range(runners):
             measure(runner)
     turn_costs = []

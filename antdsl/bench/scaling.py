@@ -16,7 +16,12 @@ def scale_setting(setting: WorldSetting, agents: int) -> WorldSetting:
 
     Raises ValueError for a world with solids, flows, maps or moving things.
     """
-    if setting.solids or setting.flows or setting.maps or any((setting.moves.meshes, setting.moves.items, setting.moves.curves)):
+    if (
+        setting.solids
+        or setting.flows
+        or setting.maps
+        or any((setting.motion.meshes, setting.motion.items, setting.motion.curves))
+    ):
         raise ValueError("only worlds of meshes, items and curves that stand still can be scaled")
     previous_count = sum(crowd.count for crowd in setting.crowds)
     by = (agents / previous_count) ** 0.5
@@ -32,8 +37,8 @@ def scale_setting(setting: WorldSetting, agents: int) -> WorldSetting:
         at = crowd.place
         radius = None if at.radius is None else at.radius * by
         points = None if at.points is None else at.points * by
-        around, inside = (None if place is None else point(place) for place in (at.around, at.inside))
-        place = replace(at, around=around, inside=inside, radius=radius, points=points)
+        around, inside = (None if place is None else point(place) for place in (at.disc_centre, at.ray_origin))
+        place = replace(at, disc_centre=around, ray_origin=inside, radius=radius, points=points)
         crowds.append(replace(crowd, count=count, place=place))
     items = {name: tuple(replace(item, position=point(item.position)) for item in those) for name, those in setting.items.items()}
     surfaces, obstacles = (
@@ -44,11 +49,11 @@ def scale_setting(setting: WorldSetting, agents: int) -> WorldSetting:
     return replace(setting, crowds=tuple(crowds), surfaces=surfaces, obstacles=obstacles, items=items, curves=curves)
 
 
-def gather_crowds(setting: WorldSetting, share: float) -> WorldSetting:
-    """Return the setting with crowds compressed to `share` of their area, around the same centre. Crowds without a radius do not
-    change."""
+def compress_crowds(setting: WorldSetting, area_share: float) -> WorldSetting:
+    """Return the setting with crowds compressed to `area_share` of their area, around the same centre. Crowds without a radius do
+    not change."""
     crowds = tuple(
-        replace(crowd, place=replace(crowd.place, radius=crowd.place.radius * share**0.5)) if crowd.place.radius else crowd
+        replace(crowd, place=replace(crowd.place, radius=crowd.place.radius * area_share**0.5)) if crowd.place.radius else crowd
         for crowd in setting.crowds
     )
     return replace(setting, crowds=crowds)

@@ -14,14 +14,14 @@ from typing import Any
 from antdsl import __version__
 from antdsl.bench.cases import CASES
 from antdsl.bench.costs import Measurement
-from antdsl.bench.ratios import LEAST_PAIRS, bootstrap_interval
-from antdsl.numerics.host import processor_name
+from antdsl.bench.ratios import MIN_PAIRS, compute_bootstrap_interval
+from antdsl.numerics.host import read_processor_name
 
-PACKAGES = ("numpy", "scipy", "llvmlite", "open3d", "open3d-cpu")
+REPORTED_PACKAGES = ("numpy", "scipy", "llvmlite", "open3d", "open3d-cpu")
 
 
 @dataclass(frozen=True, slots=True)
-class Result:
+class CaseResult:
     """A case with one number of agents. `alone`: the measurement of one process per backend. `together`: that of one process in
     which several backends took turns."""
 
@@ -29,32 +29,32 @@ class Result:
     together: Measurement | None = None
 
 
-def ratio_text(ratios: Sequence[float]) -> str:
+def format_ratios(ratios: Sequence[float]) -> str:
     """Return the mean of ratios as text, with its interval if there are enough turns for one."""
-    return str(bootstrap_interval(ratios)) if len(ratios) >= LEAST_PAIRS else f"{mean(ratios):.2f} ({len(ratios)} turns)"
+    return str(compute_bootstrap_interval(ratios)) if len(ratios) >= MIN_PAIRS else f"{mean(ratios):.2f} ({len(ratios)} turns)"
 
 
-def backend_of(measured: Measurement) -> str:
+def find_measured_backend(measured: Measurement) -> str:
     """Return the name of the backend of a process that measured only one."""
     return measured.job.backends[0]
 
 
-SET_UP = ("start", "compile", "bind", "first step", "code", "code cached", "second step")
-COLUMNS = (
+SET_UP_COLUMNS = ("start", "compile", "bind", "first step", "code", "code cached", "second step")
+STEP_COLUMNS = (
     "backend", "run, CPU ms", "run, wall ms", "run, frames/s", "step in run, CPU ms", "feet in run, CPU ms",
     "bare step, CPU ms", "wall ms", "frames/s", "µs per agent",
-    "bytes per agent", "grew by, MiB", *(f"{name}, CPU s" for name in SET_UP),
+    "bytes per agent", "grew by, MiB", *(f"{name}, CPU s" for name in SET_UP_COLUMNS),
 )  # fmt: skip
 
 
-def set_up_of(measurement: Measurement) -> list[str]:
+def format_set_up(measurement: Measurement) -> list[str]:
     """Return the values of a set-up as text, in the order of SET_UP. Missing values are empty."""
     one = measurement.set_up
     seconds = (one.start, one.compile, one.bind, one.first, one.code, one.kept, one.second)
     return ["" if each is None else f"{each:.2f}" if each >= 0.1 else f"{each:.4f}" for each in seconds]
 
 
-def full_run_of(measurement: Measurement) -> list[str]:
+def format_full_run(measurement: Measurement) -> list[str]:
     """Return texts: CPU milliseconds, wall milliseconds and frames per second of a run, then CPU milliseconds of its step and of
     its feet. All are empty if no run was measured."""
     run = measurement.full_run
@@ -64,63 +64,63 @@ def full_run_of(measurement: Measurement) -> list[str]:
     return [*ms[:2], f"{1 / max(run.wall, 1e-9):.1f}", *ms[2:]]
 
 
-def step_rows(result: Result) -> list[list[str]]:
-    """Return one row of `COLUMNS` per backend. Bytes are those of the stored values of agents; `grew by` refers to the complete
-    process."""
+def build_step_rows(result: CaseResult) -> list[list[str]]:
+    """Return one row of `STEP_COLUMNS` per backend. Bytes are those of the stored values of agents; `grew by` refers to the
+    complete process."""
     rows = []
     for measurement in result.alone:
-        name = backend_of(measurement)
+        name = find_measured_backend(measurement)
         cost = measurement.costs[name]
         rows.append(
             [
                 name,
-                *full_run_of(measurement),
+                *format_full_run(measurement),
                 f"{cost.cpu_ms:.2f}",
                 f"{cost.wall_ms:.2f}",
                 f"{1000 / max(cost.wall_ms, 1e-9):.1f}",
                 f"{1000 * cost.cpu_ms / max(measurement.agents, 1):.2f}",
                 f"{measurement.state / max(measurement.agents, 1):,.0f}",
                 f"{measurement.memory / 2**20:,.0f}",
-                *set_up_of(measurement),
+                *format_set_up(measurement),
             ]
         )
     return rows
 
 
-def phases(result: Result) -> tuple[list[str], list[list[str]]]:
+def build_phase_table(result: CaseResult) -> tuple[list[str], list[list[str]]]:
     """Return column names and rows of CPU and wall milliseconds by phase, sorted by the cost on the first backend."""
     columns = ["phase"]
     for measurement in result.alone:
-        columns += [f"{backend_of(measurement)}: CPU ms", "wall ms"]
-    first = result.alone[0].costs[backend_of(result.alone[0])]
+        columns += [f"{find_measured_backend(measurement)}: CPU ms", "wall ms"]
+    first = result.alone[0].costs[find_measured_backend(result.alone[0])]
     rows = []
     for phase in sorted(first.phases_cpu, key=lambda each: -first.phases_cpu[each]):
         row = [phase]
         for measurement in result.alone:
-            cost = measurement.costs[backend_of(measurement)]
+            cost = measurement.costs[find_measured_backend(measurement)]
             row += [f"{1000 * each.get(phase, 0.0):.3f}" for each in (cost.phases_cpu, cost.phases_wall)]
         rows.append(row)
     return columns, rows
 
 
-def compare_backends(result: Result) -> list[str]:
+def compare_backends(result: CaseResult) -> list[str]:
     """Return a line for each backend after the first: its ratio to the first, from turns in one process."""
     if result.together is None:
         return []
     first, *others = result.together.job.backends
     return [
-        f"{name}: {ratio_text(result.together.ratios(name, first))} of the CPU time of {first}, in turn in one process"
+        f"{name}: {format_ratios(result.together.compute_ratios(name, first))} of the CPU time of {first}, in turn in one process"
         for name in others
     ]
 
 
-def list_messages(result: Result) -> list[str]:
+def list_messages(result: CaseResult) -> list[str]:
     """Return the messages about deviations from the request, each line once."""
     measured = [*result.alone, *([] if result.together is None else [result.together])]
     return list(dict.fromkeys(line for each in measured for line in each.told))
 
 
-def describe_result(result: Result) -> str:
+def describe_result(result: CaseResult) -> str:
     """Return a text with the case, its number of agents, and further facts about it."""
     measurement = result.alone[0]
     case = CASES.get(measurement.job.case)
@@ -132,7 +132,7 @@ def describe_result(result: Result) -> str:
     return "; ".join(words)
 
 
-def as_json(results: Sequence[Result]) -> dict[str, Any]:
+def as_json(results: Sequence[CaseResult]) -> dict[str, Any]:
     """Return all measurements, with the ratios that tables display, as JSON values."""
     return {"machine": describe_machine(), "results": [asdict(result) for result in results]}
 
@@ -141,12 +141,12 @@ def describe_machine() -> dict[str, str]:
     """Return a description of the machine as a mapping: date, machine, system and versions."""
     details = {
         "date": datetime.date.today().isoformat(),
-        "machine": f"{processor_name()}, {os.cpu_count()} cores",
+        "machine": f"{read_processor_name()}, {os.cpu_count()} cores",
         "system": f"{platform.system()} {platform.machine()}",
         "antdsl": __version__,
         "python": platform.python_version(),
     }
-    for name in PACKAGES:
+    for name in REPORTED_PACKAGES:
         try:
             details[name] = version(name)
         except PackageNotFoundError:

@@ -5,12 +5,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.numerics.vector_rows import unit_or
+from antdsl.numerics.vector_rows import normalise_or_fallback
 
 Array = NDArray[np.float64]
 
 
-def vertex_normals(vertices: Array, faces: NDArray[np.int32]) -> NDArray[np.float32]:
+def compute_vertex_normals(vertices: Array, faces: NDArray[np.int32]) -> NDArray[np.float32]:
     """Return unit normals (n, 3) of vertices: the mean of their faces, weighted by area. A vertex without faces gets +y."""
     corners = vertices[faces]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -22,7 +22,7 @@ def vertex_normals(vertices: Array, faces: NDArray[np.int32]) -> NDArray[np.floa
     return total.astype(np.float32)
 
 
-def unit_normals(normals: NDArray[Any], tolerance: float = 0.0) -> NDArray[np.float32]:
+def normalise_normals(normals: NDArray[Any], tolerance: float = 0.0) -> NDArray[np.float32]:
     """Return normals (n, 3) scaled to length 1. A length that differs from 1 by at most `tolerance` is not changed. A normal of
     length 0 becomes +y."""
     wide = normals.astype(np.float64)
@@ -31,28 +31,28 @@ def unit_normals(normals: NDArray[Any], tolerance: float = 0.0) -> NDArray[np.fl
     return np.where(length > 1e-12, scaled, np.array([0.0, 1.0, 0.0])).astype(np.float32)
 
 
-def orientation(heading: Array, up: Array) -> Array:
+def build_orientations(heading: Array, up: Array) -> Array:
     """Return quaternions (n, 4) as x, y, z, w that rotate +x to `heading` (n, 3) and +y to `up` (n, 3).
 
     The rotated +y equals `up` exactly: the heading is first projected onto the plane perpendicular to `up`. If the two define no
     frame (zero or parallel), any heading perpendicular to `up` is used.
     """
-    up = unit_or(up, np.array([0.0, 1.0, 0.0]))
+    up = normalise_or_fallback(up, np.array([0.0, 1.0, 0.0]))
     ahead = heading - up * (heading * up).sum(axis=1, keepdims=True)
     level = np.cross(up, np.where(np.abs(up[:, :1]) < 0.9, np.array([[1.0, 0.0, 0.0]]), np.array([[0.0, 0.0, 1.0]])))
-    ahead = unit_or(ahead, level)
+    ahead = normalise_or_fallback(ahead, level)
     side = np.cross(ahead, up)
     matrix = np.stack([ahead, up, side], axis=2)
-    return _quaternions_of(matrix)
+    return _matrices_to_quaternions(matrix)
 
 
-def turned(orient: Array, vectors: Array) -> Array:
+def rotate_vectors(orient: Array, vectors: Array) -> Array:
     """Return vectors (n, …, 3) rotated by the quaternions `orient` (n, 4) of the same row."""
-    matrix = rotation_matrices(orient).astype(vectors.dtype)
+    matrix = build_rotation_matrices(orient).astype(vectors.dtype)
     return np.asarray(np.einsum("nij,n...j->n...i", matrix, vectors, optimize=True))
 
 
-def rotation_matrices(orient: Array) -> Array:
+def build_rotation_matrices(orient: Array) -> Array:
     """Return rotation matrices (n, 3, 3) of quaternions (n, 4) as x, y, z, w. A zero quaternion becomes the identity."""
     length = np.linalg.norm(orient, axis=1, keepdims=True)
     q = np.where(length > 1e-12, orient / np.maximum(length, 1e-12), np.array([0.0, 0.0, 0.0, 1.0]))
@@ -65,7 +65,7 @@ def rotation_matrices(orient: Array) -> Array:
     return np.stack([np.stack(row, axis=1) for row in rows], axis=1)
 
 
-def _quaternions_of(m: Array) -> Array:
+def _matrices_to_quaternions(m: Array) -> Array:
     """Return quaternions (n, 4) of rotation matrices (n, 3, 3). The largest of the four components is computed first, so that no
     divisor is small."""
     xx, yy, zz = m[:, 0, 0], m[:, 1, 1], m[:, 2, 2]

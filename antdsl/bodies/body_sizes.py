@@ -6,8 +6,8 @@ from collections.abc import Mapping
 
 from antdsl.bodies.agents.body_extents import standing_box
 from antdsl.bodies.agents.definition import Definition
-from antdsl.bodies.library import library_body
-from antdsl.bodies.posed_body import COLLISION_LAYER, own_layer
+from antdsl.bodies.library import load_library_body
+from antdsl.bodies.posed_body import COLLISION_LAYER, find_base_layer
 from antdsl.diagnostics import Report
 from antdsl.plan.lowering.birth import is_standing
 from antdsl.plan.lowering.writer import BodyProportions
@@ -15,7 +15,7 @@ from antdsl.program.kinds import Dimension
 from antdsl.program.model import AttributeDecl, Constant, Expr, OperationExpr, ParamRef, Program, Species
 from antdsl.scene.library_bodies import CAPSULE_BY_BODY
 from antdsl.scene.load import Scene
-from antdsl.scene.matching import const_in_base_units
+from antdsl.scene.scene_checks import convert_constant
 
 _GREATEST_RATIO = 2.0  # between numbers about one body
 _LENGTH = Dimension(length=1)
@@ -28,17 +28,17 @@ def standing_proportions(
     """Return the proportions of the bodies of species that set their height. `worn`: bodies from files. `words`: the library's
     bodies by species."""
     return {
-        name: _proportions(worn.get(name) or library_body(words[name]), words.get(name))
+        name: _proportions(worn.get(name) or load_library_body(words[name]), words.get(name))
         for name, species in program.species.items()
         if is_standing(species) and (name in worn or name in words)
     }
 
 
 def _proportions(body: Definition, word: str | None) -> BodyProportions:
-    low, high = standing_box(body, own_layer(body))
+    low, high = standing_box(body, find_base_layer(body))
     if word in CAPSULE_BY_BODY:
         return BodyProportions(1.0 / max(float(high[1] - low[1]), 1e-3), CAPSULE_BY_BODY[word].width / 2)
-    least, most = standing_box(body, body.layers.get(COLLISION_LAYER) or own_layer(body))
+    least, most = standing_box(body, body.layers.get(COLLISION_LAYER) or find_base_layer(body))
     return BodyProportions(1.0 / max(float(high[1] - low[1]), 1e-3), max(float(most[2] - least[2]), 1e-3) / 2)
 
 
@@ -50,7 +50,7 @@ def warn_of_sizes(
     for line in scene.model.crowd:
         species = program.species.get(line.species)
         word = words.get(line.species)
-        body = worn.get(line.species) or (library_body(word) if word in _STANDING_BODIES else None)
+        body = worn.get(line.species) or (load_library_body(word) if word in _STANDING_BODIES else None)
         if species is not None and body is not None:
             _warn_of_species(scene, program, species, body, word, report)
 
@@ -93,8 +93,8 @@ def _first_length(expression: Expr, program: Program, scene: Scene) -> float | N
     stack: list[Expr | None] = [expression]
     while stack:
         part = stack.pop()
-        if isinstance(part, Constant) and part.type.dim == _LENGTH and part.number > 0:
-            return const_in_base_units(part, scene)
+        if isinstance(part, Constant) and part.type.dimension == _LENGTH and part.number > 0:
+            return convert_constant(part, scene)
         if isinstance(part, ParamRef):
             stack.append(program.params[part.name].default)
         elif isinstance(part, OperationExpr):

@@ -9,25 +9,25 @@ from functools import cached_property
 from typing import TypeVar
 
 from antdsl.bodies.agents.body_extents import standing_box, turn_box
-from antdsl.bodies.agents.boxes import rest_box
-from antdsl.bodies.agents.definition import Clip, Definition, language_names
-from antdsl.bodies.agents.leg_chains import legs_data
-from antdsl.bodies.agents.packed import digest
+from antdsl.bodies.agents.boxes import compute_rest_box
+from antdsl.bodies.agents.definition import Clip, Definition, map_language_names
+from antdsl.bodies.agents.leg_chains import build_legs_data
+from antdsl.bodies.agents.packed import hash_definition
 from antdsl.bodies.body_sizes import standing_proportions, warn_of_sizes
 from antdsl.bodies.files.reading import load_definition
-from antdsl.bodies.library import library_body
-from antdsl.bodies.posed_body import COLLISION_LAYER, own_layer
+from antdsl.bodies.library import load_library_body
+from antdsl.bodies.posed_body import COLLISION_LAYER, find_base_layer
 from antdsl.diagnostics import Label, Report
-from antdsl.diagnostics.suggestion import nearest_name
+from antdsl.diagnostics.suggestion import find_nearest_name
 from antdsl.limits import MAX_WORN_LAYERS
 from antdsl.plan.lowering.writer import BodyProportions
 from antdsl.program.model import Channel, ClipTest, Look, Machine, Play, Program, Species, Wear
-from antdsl.program.traverse import parts
+from antdsl.program.traverse import iterate_parts
 from antdsl.scene.body_choice import body_key, number_of_key, species_of_key
 from antdsl.scene.existence_checks import body_span
-from antdsl.scene.library_bodies import BODY_WORDS, CAPSULE_BY_BODY, body_for_species
+from antdsl.scene.library_bodies import BODY_WORDS, CAPSULE_BY_BODY, find_body_for_species
 from antdsl.scene.load import Scene
-from antdsl.scene.setting import ClipData, LegsData, RoomData
+from antdsl.scene.setting import BodyCapsuleData, ClipData, LegsData
 from antdsl.source import Span
 
 Body = TypeVar("Body", Definition, str)
@@ -56,7 +56,7 @@ class CrowdBodies:
 
     `definitions`: of bodies from files; bodies from the same file share one object.
     `clips`: of all species.
-    `rooms`: the collision sizes of the bodies in `definitions`, and of all bodies of species with several.
+    `collision_sizes`: the collision sizes of the bodies in `definitions`, and of all bodies of species with several.
     `legs`: of bodies with legs and gaits.
     `hashes`: content hash of each file, by its path in the scene.
     `proportions`: of species that set their height.
@@ -65,7 +65,7 @@ class CrowdBodies:
 
     definitions: Mapping[str, Definition] = field(default_factory=dict)
     clips: Mapping[str, Mapping[str, ClipData]] = field(default_factory=dict)
-    rooms: Mapping[str, RoomData] = field(default_factory=dict)
+    collision_sizes: Mapping[str, BodyCapsuleData] = field(default_factory=dict)
     legs: Mapping[str, LegsData] = field(default_factory=dict)
     hashes: Mapping[str, str] = field(default_factory=dict)
     proportions: Mapping[str, BodyProportions] = field(default_factory=dict)
@@ -84,8 +84,8 @@ class LegsByBody(Mapping[str, LegsData]):
     @cached_property
     def _legs(self) -> dict[str, LegsData]:
         """Return the legs of all bodies that have legs, by species."""
-        definitions = {name: library_body(body) if isinstance(body, str) else body for name, body in self._bodies.items()}
-        return {name: legs_data(body) for name, body in definitions.items() if body.legs and body.gaits}
+        definitions = {name: load_library_body(body) if isinstance(body, str) else body for name, body in self._bodies.items()}
+        return {name: build_legs_data(body) for name, body in definitions.items() if body.legs and body.gaits}
 
     def __getitem__(self, key: str) -> LegsData:
         return self._legs[key]
@@ -97,7 +97,7 @@ class LegsByBody(Mapping[str, LegsData]):
         return len(self._legs)
 
 
-def crowd_bodies(scene: Scene, program: Program) -> tuple[CrowdBodies, Report]:
+def load_crowd_bodies(scene: Scene, program: Program) -> tuple[CrowdBodies, Report]:
     """Return the bodies of a scene's crowd, from files and from the library, and a report of mismatches. A finding is located
     where the scene names the body; a label marks where the program uses the missing part."""
     report = Report()
@@ -106,9 +106,11 @@ def crowd_bodies(scene: Scene, program: Program) -> tuple[CrowdBodies, Report]:
     chosen = {line.species for line in scene.model.crowd if line.body is not None}
     words = {each.key: each.text for each in named if each.text in BODY_WORDS and each.species in program.species}
     shown_species = {line.species for line in scene.model.crowd if line.wear} | {
-        n for n, s in program.species.items() if any(True for m in s.machines for _ in (*_play_lines(m), *_display_lines(m)))
+        n
+        for n, s in program.species.items()
+        if any(True for m in s.machines for _ in (*_iterate_play_lines(m), *_iterate_display_lines(m)))
     }
-    library = {each.key: library_body(each.text) for each in named if each.key in words and each.species in shown_species}
+    library = {each.key: load_library_body(each.text) for each in named if each.key in words and each.species in shown_species}
     worn: dict[str, Definition] = {}
     in_crowd = {line.species for line in scene.model.crowd}
     for each in named:
@@ -133,11 +135,11 @@ def crowd_bodies(scene: Scene, program: Program) -> tuple[CrowdBodies, Report]:
     definitions = {text: definition for text, definition in files.items() if definition is not None}
     bodies = CrowdBodies(
         worn,
-        {key: {name: clip_data(clip, body) for name, clip in body.clips.items()} for key, body in (worn | library).items()},
-        {key: body_room(body, program.species[species_of_key(key)].edition > 1) for key, body in worn.items()}
+        {key: {name: build_clip_data(clip, body) for name, clip in body.clips.items()} for key, body in (worn | library).items()},
+        {key: compute_collision_size(body, program.species[species_of_key(key)].edition > 1) for key, body in worn.items()}
         | {key: _capsule_room(text) for key, text in mixed.items()},
         LegsByBody({**worn, **words}),
-        {text: digest(body) for text, body in definitions.items()},
+        {text: hash_definition(body) for text, body in definitions.items()},
         standing_proportions(program, _first_bodies(worn), _first_bodies(words)),
         weights,
     )
@@ -162,7 +164,7 @@ def _check_layers(
     for number, line in enumerate(scene.model.crowd):
         if line.species not in program.species:
             continue
-        appearances = (each for machine in program.species[line.species].machines for each in _display_lines(machine))
+        appearances = (each for machine in program.species[line.species].machines for each in _iterate_display_lines(machine))
         named = layers.setdefault(line.species, {each.layer for each in appearances if isinstance(each, Wear)})
         dressed = tuple(dict.fromkeys(name for part in line.layers() for name in part if name))
         named |= set(dressed)
@@ -181,7 +183,7 @@ def _check_worn_layers(
     """Report layers of a crowd line that a body does not have. `several`: the species has other bodies too."""
     for name in dressed:
         if name not in body.layers:
-            near = nearest_name(name, list(body.layers))
+            near = find_nearest_name(name, list(body.layers))
             known = ", ".join(f"`{each}`" for each in list(body.layers)[:_MAX_LISTED_NAMES])
             has = f"it has {known}" if known else "it has no layers"
             which = f"the body `{body.name}` of `{species}`" if several else f"the body of `{species}`"
@@ -190,31 +192,33 @@ def _check_worn_layers(
             )
 
 
-def clip_data(clip: Clip, body: Definition) -> ClipData:
+def build_clip_data(clip: Clip, body: Definition) -> ClipData:
     """Return a clip's data for a run, in seconds, body lengths and cycles."""
     seconds = clip.duration
     marks = {name: mark_time / seconds if seconds > 0 else 0.0 for name, mark_time in clip.marks.items()}
     return ClipData(seconds, clip.stride / body.length, clip.loop, marks)
 
 
-def body_room(body: Definition, stands: bool = False) -> RoomData:
+def compute_collision_size(body: Definition, stands: bool = False) -> BodyCapsuleData:
     """Return the collision size of a body: its own capsule, else length and width of the box of its layer `collision` in the rest
     pose, or, if it `stands`, in its idle clip. Without that layer, use the layer that is always displayed. The length is never
     less than the width."""
     if body.capsule is not None:
         length, width, height, ahead = (each / body.length for each in body.capsule)
-        return RoomData(max(length, width), width, height, ahead)
-    layer = body.layers.get(COLLISION_LAYER) or own_layer(body)
-    low, high = standing_box(body, layer) if stands else turn_box(body, rest_box(replace(body, layers={layer.name: layer})))
+        return BodyCapsuleData(max(length, width), width, height, ahead)
+    layer = body.layers.get(COLLISION_LAYER) or find_base_layer(body)
+    low, high = (
+        standing_box(body, layer) if stands else turn_box(body, compute_rest_box(replace(body, layers={layer.name: layer})))
+    )
     width = max(float(high[2] - low[2]), 1e-3)
     middle = (low + high) / 2
-    return RoomData(max(float(high[0] - low[0]), width), width, float(middle[1]), float(middle[0]))
+    return BodyCapsuleData(max(float(high[0] - low[0]), width), width, float(middle[1]), float(middle[0]))
 
 
-def _capsule_room(word: str) -> RoomData:
+def _capsule_room(word: str) -> BodyCapsuleData:
     """Return the collision size of a body of the library."""
     capsule = CAPSULE_BY_BODY[word]
-    return RoomData(capsule.length, capsule.width, capsule.height, capsule.ahead)
+    return BodyCapsuleData(capsule.length, capsule.width, capsule.height, capsule.forward_offset)
 
 
 def named_bodies(scene: Scene, species: Iterable[str] = ()) -> list[NamedBody]:
@@ -235,48 +239,50 @@ def named_bodies(scene: Scene, species: Iterable[str] = ()) -> list[NamedBody]:
         if line.species not in lines:
             lines[line.species] = number
             span = scene.span("crowd", number, "species")
-            bodies.append(NamedBody(line.species, line.species, body_for_species(line.species), span))
+            bodies.append(NamedBody(line.species, line.species, find_body_for_species(line.species), span))
     scene_start = scene.span("antdsl", key=True)
-    return bodies + [NamedBody(name, name, body_for_species(name), scene_start) for name in species if name not in lines]
+    return bodies + [NamedBody(name, name, find_body_for_species(name), scene_start) for name in species if name not in lines]
 
 
-def _check_body(species: Species, body: Definition, text: str, place: Span, report: Report, by_name: bool = False) -> None:
-    """Report the clips, transform groups and marks that a species needs and its body lacks. `by_name`: no crowd line names a
-    body, so the body was chosen by the species' name."""
+def _check_body(
+    species: Species, body: Definition, text: str, place: Span, report: Report, chosen_by_species: bool = False
+) -> None:
+    """Report the clips, transform groups and marks that a species needs and its body lacks. `chosen_by_species`: no crowd line
+    names a body, so the body was chosen by the species' name."""
     lacks: dict[str, tuple[str, Label]] = {}  # help text and place of each missing name
 
     def want(what: str, name: str, known: Iterable[str], label: Label) -> None:
         names = sorted(set(known))
         if not name or name in names:
             return
-        near = nearest_name(name, names)
+        near = find_nearest_name(name, names)
         listed = ", ".join(f"`{each}`" for each in names[:_MAX_LISTED_NAMES]) + (" …" if len(names) > _MAX_LISTED_NAMES else "")
         has = f"it has {listed}" if names else f"it has no {what}s"
         help = f"did you mean `{near}`? {has}" if near else has  # more than a word to put in place of the file's path
         lacks.setdefault(f"{what} `{name}`", (help, label))
 
     marks = [mark for clip in body.clips.values() for mark in clip.marks]
-    channels = language_names(each.name for each in body.rig.channels).values()
+    channels = map_language_names(each.name for each in body.rig.channels).values()
     for machine in species.machines:
-        for appearance in _display_lines(machine):
+        for appearance in _iterate_display_lines(machine):
             if isinstance(appearance, Wear):
                 want("layer", appearance.layer, body.layers, Label(appearance.span, "worn here"))
             elif isinstance(appearance, Channel):
                 want("channel", appearance.channel, channels, Label(appearance.span, "set here"))
             else:
                 want("transform group", appearance.group, body.groups, Label(appearance.span, "turned here"))
-        for line in _play_lines(machine):
+        for line in _iterate_play_lines(machine):
             for clip in (line.clip, *line.blend_clips):
                 want("clip", clip, body.clips, Label(line.span, "played here"))
             want("transform group", line.on, body.groups, Label(line.span, "named here"))
-    for test in parts(species):
+    for test in iterate_parts(species):
         if isinstance(test, ClipTest):
             want("mark", test.mark, marks, Label(test.span, "requested here"))
     for what, help, label in _find_misplaced_marks(species, body):
         lacks.setdefault(what, (help, label))
     if lacks:
         helps = [help if len(lacks) == 1 else f"{name}: {help}" for name, (help, _) in lacks.items()]
-        if by_name:
+        if chosen_by_species:
             helps.append(f"without a `body`, `{species.name}` has this one, by its name: add `body: …` for another")
         labels = tuple(label for _, label in lacks.values())
         words = f"`{text[-60:]}` has no {', no '.join(lacks)}"
@@ -297,7 +303,7 @@ def _find_misplaced_marks(species: Species, body: Definition) -> Iterator[tuple[
                 continue
             # a change `from any` may be meant for other states
             own = [each for each in state.transitions if each.key.startswith(f"{species.name}.{machine.name}.{state.name}->")]
-            for test in (part for each in own for part in parts(each)):
+            for test in (part for each in own for part in iterate_parts(each)):
                 if not isinstance(test, ClipTest) or test.machine != machine.name or test.mark not in having:
                     continue
                 if test.mark in playing.marks:
@@ -311,13 +317,13 @@ def _find_misplaced_marks(species: Species, body: Definition) -> Iterator[tuple[
                 )
 
 
-def _play_lines(machine: Machine) -> Iterator[Play]:
+def _iterate_play_lines(machine: Machine) -> Iterator[Play]:
     """Yield the `play` statements of a machine's states."""
     for state in machine.states:
         yield from (line for line in state.body if isinstance(line, Play))
 
 
-def _display_lines(machine: Machine) -> Iterator[Wear | Channel | Look]:
+def _iterate_display_lines(machine: Machine) -> Iterator[Wear | Channel | Look]:
     """Yield the statements of a machine's states that display something in addition to clips: worn layers, channels and looks."""
     for state in machine.states:
         yield from (line for line in state.body if isinstance(line, (Wear, Channel, Look)))

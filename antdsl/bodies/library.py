@@ -11,11 +11,11 @@ from antdsl.scene.library_bodies import BODY_WORDS
 
 
 @cache
-def library_body(word: str) -> Definition:
-    """Return the body called `word`. Raises KeyError if it is not among BODY_WORDS, BodyError if its file is damaged."""
-    if word not in BODY_WORDS:
-        raise KeyError(word)
-    definition, report = read_definition(resources.body_file(f"{word}.json"))
+def load_library_body(body_name: str) -> Definition:
+    """Return the body called `body_name`. Raises KeyError if it is not among BODY_WORDS, BodyError if its file is damaged."""
+    if body_name not in BODY_WORDS:
+        raise KeyError(body_name)
+    definition, report = read_definition(resources.body_file(f"{body_name}.json"))
     if definition is None or not report.ok:
-        raise BodyError(f"`{word}` in the installation is damaged: {report.errors[0].message}", "install antdsl again")
+        raise BodyError(f"`{body_name}` in the installation is damaged: {report.errors[0].message}", "install antdsl again")
     return definition

@@ -15,17 +15,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.bodies.agents.affine import Floats
-from antdsl.bodies.agents.blending import posed
-from antdsl.bodies.agents.boxes import rest_box
+from antdsl.bodies.agents.blending import blend_poses
+from antdsl.bodies.agents.boxes import compute_rest_box
 from antdsl.bodies.agents.definition import STATE_MATERIAL, Binding, Capture, Definition, Layer, Shape
-from antdsl.bodies.agents.deformers import bound
-from antdsl.bodies.agents.driving import DrivenPose, with_channels, with_looks
+from antdsl.bodies.agents.deformers import deform_binding
+from antdsl.bodies.agents.driving import DrivenPose, set_pose_channels, turn_towards_looks
 from antdsl.bodies.agents.leg_ik import BodySpaceFeet, LegSolver
-from antdsl.bodies.agents.machine_clips import MachineClips, PlayedClip, playing_of_machines
-from antdsl.bodies.agents.poses import Poses, clip_table, local_transforms
-from antdsl.bodies.agents.varied_bodies import colours_of, with_scales
-from antdsl.bodies.body import vertex_normals
-from antdsl.bodies.skinned_mesh import SkinnedMesh, skinned_mesh
+from antdsl.bodies.agents.machine_clips import MachineClips, PlayedClip, build_machine_playback
+from antdsl.bodies.agents.poses import Poses, build_clip_table, to_local_transforms
+from antdsl.bodies.agents.varied_bodies import compute_vertex_colours, scale_groups
+from antdsl.bodies.body import compute_vertex_normals
+from antdsl.bodies.skinned_mesh import SkinnedMesh, build_skinned_mesh
 
 COARSE_CELLS_PER_BODY_LENGTH = 14  # grid cells of coarse shapes along a body's length
 _CELL_GROWTH = 2.0  # largest factor by which a coarse shape is stretched to its original box
@@ -44,40 +44,44 @@ class PosedBody:
     if it exists, else the first layer not called `collision`.
 
     `faces`: int32[m, 3].
-    `own`: float32[v, 3], linear colours of materials, times those of points (`Cd`), which textures become.
-    `tint`: float32[v]. 1 takes the agent's colour, 0 that of the material. Vertices without a material, or with one named
+    `material_colours`: float32[v, 3], linear colours of materials, times those of points (`Cd`), which textures become.
+    `tint_weights`: float32[v]. 1 takes the agent's colour, 0 that of the material. Vertices without a material, or with one named
         `state`, have 1.
-    `material`: [v], names.
-    `taken`: int[v], the point of each vertex, counted through the shapes of all `bindings`.
+    `material_names`: [v], names.
+    `point_indices`: int[v], the point of each vertex, counted through the shapes of all `bindings`.
     `fine`, `coarse`, `distant`: versions for agents that are large, small, or only some pixels long in a picture.
     """
 
     def __init__(self, definition: Definition, clips: Sequence[tuple[str, str] | PlayedClip], layers: Sequence[str] = ()) -> None:
-        self.clips, self.layers, self._whole, self.name = tuple(clips), tuple(layers), definition, definition.name
+        self.clips, self.layers, self._full_definition, self.name = tuple(clips), tuple(layers), definition, definition.name
         self._played = (*self.clips, (definition.idle, ""))
-        self._table = clip_table(definition)
-        self._bindings = _visible_bindings(definition, layers)
+        self._table = build_clip_table(definition)
+        self._bindings = _select_visible_bindings(definition, layers)
         names = {binding.shape for binding in self._bindings}
-        shaded = {n: _with_normals(shape) if n in names else shape for n, shape in _needed_shapes(definition, names).items()}
+        shaded = {
+            n: _with_normals(shape) if n in names else shape for n, shape in _select_needed_shapes(definition, names).items()
+        }
         self._definition = replace(definition, shapes=shaded)
-        base = definition.base_matrix()[:3, :3]
-        self._base = base.astype(np.float32)
-        self._turn = (base * definition.length).astype(np.float32)
+        base = definition.compute_base_matrix()[:3, :3]
+        self._base_matrix = base.astype(np.float32)
+        self._rotation = (base * definition.length).astype(np.float32)
         parts = [_split_by_material(shaded[binding.shape], definition.materials) for binding in self._bindings]
         starts = np.cumsum([0, *(len(shaded[binding.shape].points) for binding in self._bindings)])
         counts = np.cumsum([0, *(len(part[0]) for part in parts)])
         none = np.zeros(0, np.int64)
-        self.taken = np.concatenate([none, *(part[0] + s for part, s in zip(parts, starts, strict=False))])
+        self.point_indices = np.concatenate([none, *(part[0] + s for part, s in zip(parts, starts, strict=False))])
         self.faces = np.concatenate(
             [np.zeros((0, 3), np.int32), *(part[1] + np.int32(s) for part, s in zip(parts, counts, strict=False))]
         )
-        self.own = np.concatenate([np.zeros((0, 3), np.float32), *(part[2] for part in parts)])
-        self.tint = np.concatenate([np.zeros(0, np.float32), *(part[3] for part in parts)])
-        self.material = np.concatenate([np.zeros(0, "U1"), *(part[4] for part in parts)])
+        self.material_colours = np.concatenate([np.zeros((0, 3), np.float32), *(part[2] for part in parts)])
+        self.tint_weights = np.concatenate([np.zeros(0, np.float32), *(part[3] for part in parts)])
+        self.material_names = np.concatenate([np.zeros(0, "U1"), *(part[4] for part in parts)])
 
-    def colours(self, driven: DrivenPose) -> Floats:
+    def compute_colours(self, driven: DrivenPose) -> Floats:
         """Return linear colours of materials, float32[n, v, 3], or [1, v, 3] if all agents have the same."""
-        return colours_of(self._definition.variation, driven.draws, self.material, self.own)
+        return compute_vertex_colours(
+            self._definition.variation, driven.variation_draws, self.material_names, self.material_colours
+        )
 
     @cached_property
     def reach(self) -> float:
@@ -85,37 +89,43 @@ class PosedBody:
         drawn = Layer(
             BODY_LAYER, tuple(b for b in self._bindings if not b.deformer), tuple(b for b in self._bindings if b.deformer)
         )
-        low, high = rest_box(replace(self._definition, layers={BODY_LAYER: drawn}))
-        return float(np.linalg.norm(np.maximum(np.abs(low), np.abs(high)))) / self._whole.length
+        low, high = compute_rest_box(replace(self._definition, layers={BODY_LAYER: drawn}))
+        return float(np.linalg.norm(np.maximum(np.abs(low), np.abs(high)))) / self._full_definition.length
 
     @cached_property
     def fine(self) -> PosedBody:
         """Return the version for agents that are large in a picture, with the layer `close` if it exists."""
-        close = self._whole.layers.get(CLOSE_LAYER)
+        close = self._full_definition.layers.get(CLOSE_LAYER)
         if close is None:
             return self
-        layers = {name: layer for name, layer in self._whole.layers.items() if name != CLOSE_LAYER}
+        layers = {name: layer for name, layer in self._full_definition.layers.items() if name != CLOSE_LAYER}
         return PosedBody(
-            replace(self._whole, layers=layers | {BODY_LAYER: replace(close, name=BODY_LAYER)}), self.clips, self.layers
+            replace(self._full_definition, layers=layers | {BODY_LAYER: replace(close, name=BODY_LAYER)}), self.clips, self.layers
         )
 
     @cached_property
     def coarse(self) -> PosedBody:
         """Return the version with fewer triangles, for agents that are small in a picture. If there is a layer `close`, the layer
         `body` is used unchanged."""
-        return self if CLOSE_LAYER in self._whole.layers else PosedBody(coarse_definition(self._whole), self.clips, self.layers)
+        return (
+            self
+            if CLOSE_LAYER in self._full_definition.layers
+            else PosedBody(coarsen_definition(self._full_definition), self.clips, self.layers)
+        )
 
     @cached_property
     def distant(self) -> PosedBody:
         """Return the version with the fewest triangles, for agents of a few pixels."""
-        layers = {name: layer for name, layer in self._whole.layers.items() if name != CLOSE_LAYER}
-        drawn = _needed_shapes(self._whole, {binding.shape for layer in layers.values() for binding in _layer_bindings(layer)})
-        return PosedBody(coarse_definition(replace(self._whole, layers=layers, shapes=drawn)), self.clips, self.layers)
+        layers = {name: layer for name, layer in self._full_definition.layers.items() if name != CLOSE_LAYER}
+        drawn = _select_needed_shapes(
+            self._full_definition, {binding.shape for layer in layers.values() for binding in _layer_bindings(layer)}
+        )
+        return PosedBody(coarsen_definition(replace(self._full_definition, layers=layers, shapes=drawn)), self.clips, self.layers)
 
-    def idle_clips(self, ids: NDArray[Any], seconds: float) -> tuple[MachineClips, ...]:
+    def build_idle_clips(self, ids: NDArray[Any], seconds: float) -> tuple[MachineClips, ...]:
         """Return the clips that agents with these ids play by default: the idle clip of the definition, with a different start
         for each agent. `seconds`: time since frame 0. Empty if there is no idle clip."""
-        clip = self._whole.clips.get(self._whole.idle)
+        clip = self._full_definition.clips.get(self._full_definition.idle)
         if clip is None or clip.duration <= 0:
             return ()
         turns = (np.asarray(ids, np.float64) * _GOLDEN_RATIO_FRACTION + seconds / clip.duration) % 1.0
@@ -126,33 +136,33 @@ class PosedBody:
     @cached_property
     def mesh(self) -> SkinnedMesh:
         """Return the same vertices with the bones that they follow, so that graphics hardware can pose them."""
-        return skinned_mesh(self._definition, self._bindings, self.taken)
+        return build_skinned_mesh(self._definition, self._bindings, self.point_indices)
 
     @cached_property
-    def masks(self) -> NDArray[np.uint64]:
+    def layer_masks(self) -> NDArray[np.uint64]:
         """Return which of `layers` make each vertex visible, uint64[v]: bit k for layer number k. Vertices that are always
         visible have 0."""
-        own, layers = own_layer(self._whole), self._whole.layers
+        own, layers = find_base_layer(self._full_definition), self._full_definition.layers
         vertex_masks = []
         for binding in self._bindings:
             worn = [k for k, name in enumerate(self.layers) if name in layers and binding in _layer_bindings(layers[name])]
             mask = 0 if binding in _layer_bindings(own) else sum(1 << k for k in worn)
             vertex_masks.append(np.full(len(self._definition.shapes[binding.shape].points), mask, np.uint64))
-        taken: NDArray[np.uint64] = np.concatenate([np.zeros(0, np.uint64), *vertex_masks])[self.taken]
+        taken: NDArray[np.uint64] = np.concatenate([np.zeros(0, np.uint64), *vertex_masks])[self.point_indices]
         return taken
 
     @cached_property
-    def legs(self) -> LegSolver | None:
+    def leg_solver(self) -> LegSolver | None:
         """Return the solver that places the body's feet; None for a body without legs."""
-        return LegSolver(self._whole) if self._whole.legs else None
+        return LegSolver(self._full_definition) if self._full_definition.legs else None
 
     @property
     def definition(self) -> Definition:
         """Return the agent definition."""
-        return self._whole
+        return self._full_definition
 
     @property
-    def shaded(self) -> Definition:
+    def drawn_definition(self) -> Definition:
         """Return the definition with only the drawn shapes, all of them with normals."""
         return self._definition
 
@@ -163,9 +173,9 @@ class PosedBody:
 
     def with_clips(self, clips: Sequence[tuple[str, str] | PlayedClip]) -> PosedBody:
         """Return the same body for agents that play other clips."""
-        return PosedBody(self._whole, clips, self.layers)
+        return PosedBody(self._full_definition, clips, self.layers)
 
-    def poses(
+    def compute_poses(
         self,
         machines: Sequence[MachineClips],
         count: int,
@@ -182,17 +192,19 @@ class PosedBody:
         `driven`: values that drive poses in addition to clips.
         `local`: also return local transforms.
         """
-        playing = playing_of_machines(self._table, self._played, machines, count, driven.lean)
-        poses = posed(self._table, self._definition.groups, playing, local=local, threads=threads)
-        poses = with_channels(self._table, poses, driven.channels)
-        poses = with_looks(self._table, poses, driven.looks, self._definition.groups, self._definition.base_matrix()[:3, :3])
-        poses = with_scales(self._table, poses, self._definition.variation, self._definition.groups, driven.draws)
-        if self.legs is not None and feet is not None:
-            stands = self.legs.stance_weights(self._played, machines, count)
-            poses = self.legs.bend_legs(poses, feet.scale_trunk(stands), stands)
-        return replace(poses, local=local_transforms(self._table, poses.world)) if local and poses.local is None else poses
+        playing = build_machine_playback(self._table, self._played, machines, count, driven.lean)
+        poses = blend_poses(self._table, self._definition.groups, playing, with_local=local, threads=threads)
+        poses = set_pose_channels(self._table, poses, driven.channels)
+        poses = turn_towards_looks(
+            self._table, poses, driven.look_directions, self._definition.groups, self._definition.compute_base_matrix()[:3, :3]
+        )
+        poses = scale_groups(self._table, poses, self._definition.variation, self._definition.groups, driven.variation_draws)
+        if self.leg_solver is not None and feet is not None:
+            stands = self.leg_solver.compute_stance_weights(self._played, machines, count)
+            poses = self.leg_solver.bend_legs(poses, feet.scale_trunk(stands), stands)
+        return replace(poses, local=to_local_transforms(self._table, poses.world)) if local and poses.local is None else poses
 
-    def posed(
+    def pose_vertices(
         self,
         machines: Sequence[MachineClips],
         count: int,
@@ -202,27 +214,27 @@ class PosedBody:
         driven: DrivenPose = NO_DRIVEN_POSE,
     ) -> tuple[Floats, Floats]:
         """Return vertices and unit normals float32[n, v, 3] of `count` agents, in body lengths. Arguments: as in `poses`."""
-        points, normals = self.shape_points(self.poses(machines, count, feet, threads, driven=driven))
-        return points[:, self.taken], normals[:, self.taken]
+        points, normals = self.compute_shape_points(self.compute_poses(machines, count, feet, threads, driven=driven))
+        return points[:, self.point_indices], normals[:, self.point_indices]
 
-    def shape_points(self, poses: Poses) -> tuple[Floats, Floats]:
+    def compute_shape_points(self, poses: Poses) -> tuple[Floats, Floats]:
         """Return points and unit normals float32[n, p, 3] of the shapes of all bindings, one after the other. Lengths are body
         lengths; front is +x, up +y."""
-        deformed_shapes = [bound(self._definition, binding, poses) for binding in self._bindings]
+        deformed_shapes = [deform_binding(self._definition, binding, poses) for binding in self._bindings]
         none = np.zeros((len(poses.world), 0, 3), np.float32)
         points = np.concatenate([none, *(each.points for each in deformed_shapes)], axis=1)
         normals = np.concatenate([none, *(each.normals for each in deformed_shapes if each.normals is not None)], axis=1)
-        return points @ self._base.T, normals @ self._turn.T
+        return points @ self._base_matrix.T, normals @ self._rotation.T
 
 
-def own_layer(definition: Definition) -> Layer:
+def find_base_layer(definition: Definition) -> Layer:
     """Return the layer that is always drawn. A body without one gets a layer without shapes."""
     layers = definition.layers
     worn = [layer for name, layer in layers.items() if name != COLLISION_LAYER]
     return layers.get(BODY_LAYER) or next(iter(worn), Layer(BODY_LAYER))
 
 
-def _needed_shapes(definition: Definition, names: Iterable[str]) -> dict[str, Shape]:
+def _select_needed_shapes(definition: Definition, names: Iterable[str]) -> dict[str, Shape]:
     """Return the named shapes, and the shapes that they blend with, by name."""
     shapes: dict[str, Shape] = {}
     left = list(names)
@@ -230,13 +242,13 @@ def _needed_shapes(definition: Definition, names: Iterable[str]) -> dict[str, Sh
         name = left.pop()
         if name not in shapes and name in definition.shapes:
             shapes[name] = shape = definition.shapes[name]
-            left += [*(shape.blend.shapes if shape.blend else ()), *(shape.between.shapes if shape.between else ())]
+            left += [*(shape.blend.shapes if shape.blend else ()), *(shape.in_betweens.shapes if shape.in_betweens else ())]
     return shapes
 
 
-def _visible_bindings(definition: Definition, layers: Sequence[str]) -> tuple[Binding, ...]:
+def _select_visible_bindings(definition: Definition, layers: Sequence[str]) -> tuple[Binding, ...]:
     """Return the bindings of the base layer and of `layers`, each once, in the order of the definition's layers."""
-    own = own_layer(definition)
+    own = find_base_layer(definition)
     worn = (own, *(layer for name, layer in definition.layers.items() if name in layers and layer is not own))
     return tuple(dict.fromkeys(binding for layer in worn for binding in _layer_bindings(layer)))
 
@@ -250,7 +262,7 @@ def _with_normals(shape: Shape) -> Shape:
     """Return a shape with normals; missing ones are computed from its faces."""
     if shape.normals is not None:
         return shape
-    return replace(shape, normals=vertex_normals(shape.points.astype(np.float64), shape.faces))
+    return replace(shape, normals=compute_vertex_normals(shape.points.astype(np.float64), shape.faces))
 
 
 def _split_by_material(
@@ -274,10 +286,10 @@ def _split_by_material(
     return point, faces.reshape(-1, 3).astype(np.int32), own, tint, np.array(names)[of]
 
 
-def coarse_definition(definition: Definition) -> Definition:
+def coarsen_definition(definition: Definition) -> Definition:
     """Return the definition with fewer points. Shapes still follow joints by the same deformers, but are not blended."""
     cell = definition.length / COARSE_CELLS_PER_BODY_LENGTH
-    shapes = {name: coarse_shape(shape, cell) for name, shape in definition.shapes.items()}
+    shapes = {name: coarsen_shape(shape, cell) for name, shape in definition.shapes.items()}
     layers = {
         name: Layer(name, layer.static, tuple(_without_blending(each) for each in layer.deforming))
         for name, layer in definition.layers.items()
@@ -285,7 +297,7 @@ def coarse_definition(definition: Definition) -> Definition:
     return replace(definition, shapes=shapes, layers=layers)
 
 
-def coarse_shape(shape: Shape, cell: float) -> Shape:
+def coarsen_shape(shape: Shape, cell: float) -> Shape:
     """Return a shape in which the points of each grid cell are replaced by their mean. The mean follows the joints of the first
     point of the cell. Triangles with two corners in one cell are left out. The bounding box keeps its size, so that the shape
     does not get thinner."""

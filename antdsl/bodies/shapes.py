@@ -17,21 +17,21 @@ MeshArrays = tuple[NDArray[np.float64], NDArray[np.int32]]
 ColouredMesh = tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.float32]]  # vertices, faces, display colour per vertex
 
 
-def _apple() -> ColouredMesh:
+def _build_apple() -> ColouredMesh:
     """Return a red and golden apple with a stem."""
-    vertices, faces = sphere(4)
+    vertices, faces = build_sphere(4)
     flat = np.hypot(vertices[:, 0], vertices[:, 2])
     turn = np.arctan2(vertices[:, 2], vertices[:, 0])
     high = vertices[:, 1]
     top = np.exp(-((flat / 0.32) ** 2)) * np.where(high > 0, 0.42, 0.22) * np.sign(high)
     shoulder = 1 + 0.05 * np.cos(5 * turn) * (1 - high) / 2
     body = np.stack([vertices[:, 0] * shoulder, high * 0.9 - top, vertices[:, 2] * shoulder], axis=1)
-    blush = np.clip(0.5 + 0.55 * wave_noise(vertices, 41, 1.5, 2), 0, 1)[:, None]
-    streak = np.clip(0.5 + 0.5 * np.sin(17 * turn + 4 * wave_noise(vertices, 42, 1.2, 1)), 0, 1)[:, None] * 0.25
+    blush = np.clip(0.5 + 0.55 * compute_wave_noise(vertices, 41, 1.5, 2), 0, 1)[:, None]
+    streak = np.clip(0.5 + 0.5 * np.sin(17 * turn + 4 * compute_wave_noise(vertices, 42, 1.2, 1)), 0, 1)[:, None] * 0.25
     red, gold = np.array([0.74, 0.11, 0.10]), np.array([0.90, 0.68, 0.22])
     near_top = np.exp(-(((flat - 0.05) / 0.34) ** 2))[:, None] * (high > 0)[:, None]
     colour = red + (gold - red) * np.clip(0.55 * (1 - blush) + streak * 0.5 + 0.8 * near_top, 0, 1)
-    stem_points, stem_faces = sphere(1)
+    stem_points, stem_faces = build_sphere(1)
     bend = 0.10 * (stem_points[:, 1] + 1) ** 2
     stem = np.stack([stem_points[:, 0] * 0.045 + bend * 0.5, 0.72 + 0.22 * stem_points[:, 1], stem_points[:, 2] * 0.045], axis=1)
     points, triangles = join_meshes([(body, faces), (stem, stem_faces)])
@@ -40,7 +40,7 @@ def _apple() -> ColouredMesh:
     return points, triangles, shade.astype(np.float32)
 
 
-def _ring() -> ColouredMesh:
+def _build_ring() -> ColouredMesh:
     """Return a glazed ring: outer radius 1, tube radius 0.38, icing on the upper half with a wavy border, and sprinkles."""
     around, across = 48, 20
     u = np.arange(around) * 2 * np.pi / around
@@ -63,7 +63,7 @@ def _ring() -> ColouredMesh:
     hues = np.array([(0.98, 0.96, 0.92), (0.97, 0.83, 0.25), (0.36, 0.68, 0.86), (0.45, 0.76, 0.42), (0.85, 0.26, 0.24)])
     for k in range(34):
         turn, side, own = draw.uniform(0, 2 * np.pi), draw.uniform(0.35, np.pi - 0.35), draw.uniform(0, np.pi)
-        grain, triangles = sphere(0)
+        grain, triangles = build_sphere(0)
         grain = grain * np.array([0.075, 0.022, 0.022])
         grain = np.stack(
             [
@@ -81,7 +81,7 @@ def _ring() -> ColouredMesh:
     return vertices, triangles, np.concatenate(shades).astype(np.float32)
 
 
-def _mound() -> ColouredMesh:
+def _build_mound() -> ColouredMesh:
     """Return a low ring of loose soil with a dark hole, as ants pile it up around a nest entrance. It is lower than an ant, so
     that it hides no ant."""
     rings, around = 22, 40
@@ -94,28 +94,30 @@ def _mound() -> ColouredMesh:
     high = np.where(r > crest, outside, np.maximum(inside, 0.012))  # the ground continues below, so a hole is not visible
     points = np.stack([r * np.cos(t), high, r * np.sin(t)], axis=2).reshape(-1, 3)
     soft = np.clip(r.reshape(-1) / 0.25, 0, 1)
-    points[:, 1] += 0.012 * wave_noise(points * np.array([1, 0, 1]), 61, 0.35, 2) * soft
+    points[:, 1] += 0.012 * compute_wave_noise(points * np.array([1, 0, 1]), 61, 0.35, 2) * soft
     points[:, 1] -= np.clip(r.reshape(-1) - 0.9, 0, None) * 0.35
     row, column = np.meshgrid(np.arange(rings - 1), np.arange(around), indexing="ij")
     a, b = (row * around + column).reshape(-1), (row * around + (column + 1) % around).reshape(-1)
     faces = np.concatenate([np.stack([a, b, b + around], 1), np.stack([a, b + around, a + around], 1)]).astype(np.int32)
     depth = np.clip((r.reshape(-1) - 0.10) / 0.22, 0.0, 1.0)[:, None]
     soil, dark = np.array([0.60, 0.46, 0.33]), np.array([0.07, 0.05, 0.04])
-    tone = 1 + 0.10 * wave_noise(points, 62, 0.22, 2)[:, None]
+    tone = 1 + 0.10 * compute_wave_noise(points, 62, 0.22, 2)[:, None]
     return points, faces, np.clip((dark + (soil - dark) * depth) * tone, 0, 1).astype(np.float32)
 
 
-def _crumb() -> ColouredMesh:
+def _build_crumb() -> ColouredMesh:
     """Return a crumb of bread: broken faces, pores, and crust on one side."""
-    vertices, faces = sphere(5)
+    vertices, faces = build_sphere(5)
     draw = np.random.Generator(np.random.Philox(71))
     directions = draw.normal(size=(13, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     # The shape is cut by planes with worn edges.
     cut = (vertices @ directions.T) / draw.uniform(0.66, 0.92, 13)
     size = np.minimum(1.0, 1 / np.maximum((np.maximum(cut, 0) ** 14).sum(axis=1) ** (1 / 14), 1e-9))
-    rough = wave_noise(vertices, 72, 0.75, 3)
-    pore = np.clip(wave_noise(vertices, 73, 0.34, 1) - 0.25, 0, 1) + 0.6 * np.clip(wave_noise(vertices, 74, 0.17, 1) - 0.3, 0, 1)
+    rough = compute_wave_noise(vertices, 72, 0.75, 3)
+    pore = np.clip(compute_wave_noise(vertices, 73, 0.34, 1) - 0.25, 0, 1) + 0.6 * np.clip(
+        compute_wave_noise(vertices, 74, 0.17, 1) - 0.3, 0, 1
+    )
     points = vertices * (size * (1 + 0.03 * rough - 0.075 * pore))[:, None]
     points *= 1.06 / np.hypot(points[:, 0], points[:, 2]).max()
     points[:, 1] -= points[:, 1].min() + 0.06
@@ -125,31 +127,31 @@ def _crumb() -> ColouredMesh:
     return points, faces, np.clip(inside + (brown - inside) * crust, 0, 1).astype(np.float32)
 
 
-def _cube() -> ColouredMesh:
+def _build_cube() -> ColouredMesh:
     """Return a lump of sugar: a grainy block with worn edges."""
-    vertices, faces = sphere(5)
+    vertices, faces = build_sphere(5)
     norm = (np.abs(vertices) ** 9).sum(axis=1) ** (1 / 9)
-    grain = wave_noise(vertices, 81, 0.09, 2)
+    grain = compute_wave_noise(vertices, 81, 0.09, 2)
     points = vertices / norm[:, None] * (1 + 0.018 * grain)[:, None] * np.array([0.78, 0.66, 0.72])
     points[:, 1] -= points[:, 1].min()
     tone = 0.93 + 0.06 * grain
     return points, faces, np.clip(tone[:, None] * np.array([1.0, 0.985, 0.95]), 0, 1).astype(np.float32)
 
 
-def _ball() -> ColouredMesh:
+def _build_ball() -> ColouredMesh:
     """Return a plain ball of radius 1 with its lowest point at y = -0.15."""
-    vertices, faces = sphere(3)
+    vertices, faces = build_sphere(3)
     vertices[:, 1] += 0.85
     return vertices, faces, np.full((len(vertices), 3), (0.86, 0.80, 0.62), np.float32)
 
 
 ITEM_SHAPES: dict[str, Callable[[], ColouredMesh]] = {
-    "apple": _apple,
-    "ring": _ring,
-    "crumb": _crumb,
-    "cube": _cube,
-    "mound": _mound,
-    "sphere": _ball,
+    "apple": _build_apple,
+    "ring": _build_ring,
+    "crumb": _build_crumb,
+    "cube": _build_cube,
+    "mound": _build_mound,
+    "sphere": _build_ball,
 }
 
 # Words in an item's name and the shape that they mean; the first match counts.
@@ -174,7 +176,7 @@ _SHAPE_WORDS: tuple[tuple[str, str], ...] = (
 
 
 @cache
-def placed(shape: str) -> ColouredMesh:
+def build_item_mesh(shape: str) -> ColouredMesh:
     """Return vertices, faces and display colours (0 to 1) of the named shape."""
     arrays = ITEM_SHAPES[shape]()
     for array in arrays:
@@ -182,13 +184,13 @@ def placed(shape: str) -> ColouredMesh:
     return arrays
 
 
-def item_shape(kind: str, name: str) -> str:
+def choose_item_shape(kind: str, name: str) -> str:
     """Return the shape that suits items of a `kind` (`food`, `nest`) with this `name` (`apple`)."""
     return next((shape for text in (name, kind) for word, shape in _SHAPE_WORDS if word in text.lower()), "sphere")
 
 
 @lru_cache(maxsize=8)
-def _icosphere(detail: int) -> MeshArrays:
+def _build_icosphere(detail: int) -> MeshArrays:
     """Return a unit sphere: an icosahedron with each triangle divided into four, `detail` times."""
     import trimesh
 
@@ -199,13 +201,13 @@ def _icosphere(detail: int) -> MeshArrays:
     return vertices, faces
 
 
-def sphere(detail: int = 2) -> MeshArrays:
+def build_sphere(detail: int = 2) -> MeshArrays:
     """Return the unit sphere around the origin, with 20 · 4^detail triangles."""
-    vertices, faces = _icosphere(detail)
+    vertices, faces = _build_icosphere(detail)
     return vertices.copy(), faces.copy()
 
 
-def wave_noise(
+def compute_wave_noise(
     points: NDArray[np.float64], seed: int, wavelength: float, octaves: int, *, fade: float = 0.5, count: int = 7
 ) -> NDArray[np.float64]:
     """Return smooth noise of about unit size at `points` (n, d): a sum of `count` sines per octave, in random directions. Each
@@ -222,21 +224,21 @@ def wave_noise(
     return total
 
 
-def stone(seed: int, radii: tuple[float, float, float], *, detail: int = 2, roughness: float = 0.16) -> MeshArrays:
+def build_stone(seed: int, radii: tuple[float, float, float], *, detail: int = 2, roughness: float = 0.16) -> MeshArrays:
     """Return an irregular stone around the origin with approximately these half axes: a sphere cut flat by planes, then dented by
     noise."""
-    vertices, faces = sphere(detail)
+    vertices, faces = build_sphere(detail)
     draw = np.random.Generator(np.random.Philox(seed))
     cuts = draw.normal(size=(9, 3))
     cuts /= np.linalg.norm(cuts, axis=1, keepdims=True)
     depth = draw.uniform(0.72, 0.95, size=9)
     reach = vertices @ cuts.T
     allowed = np.where(reach > 1e-6, depth / np.maximum(reach, 1e-6), 2.0).min(axis=1)
-    radius = np.minimum(1.0, allowed) * (1.0 + roughness * 0.5 * wave_noise(vertices, seed + 1, 1.6, 3))
+    radius = np.minimum(1.0, allowed) * (1.0 + roughness * 0.5 * compute_wave_noise(vertices, seed + 1, 1.6, 3))
     return vertices * radius[:, None] * np.asarray(radii, np.float64), faces
 
 
-def sheet(x: NDArray[np.float64], z: NDArray[np.float64]) -> MeshArrays:
+def build_flat_grid(x: NDArray[np.float64], z: NDArray[np.float64]) -> MeshArrays:
     """Return a flat grid over the lines `x` (a,) and `z` (b,) at y = 0. It has a · b vertices; the z index runs fastest, and
     faces look up."""
     a, b = len(x), len(z)

@@ -10,10 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.bodies.agents.affine import Floats
-from antdsl.bodies.agents.blend_shapes import attribute_difference, blend_shapes, knots_of, match_points, shares_of
+from antdsl.bodies.agents.blend_shapes import (
+    blend_shapes,
+    compute_attribute_offsets,
+    compute_knot_shares,
+    find_blend_knots,
+    match_points,
+)
 from antdsl.bodies.agents.definition import Binding, Capture, Clip, Definition, Rig, Shape
-from antdsl.bodies.agents.deformers import SKINNING_DEFORMERS, deformer_steps
-from antdsl.bodies.agents.transforms import world_matrices
+from antdsl.bodies.agents.deformers import SKINNING_DEFORMERS, find_deformers
+from antdsl.bodies.agents.transforms import compute_world_matrices
 
 MAX_JOINTS_PER_VERTEX = 4  # most joints that a vertex follows
 NO_JOINT = -1  # the joint of a bone that does not move in agent space
@@ -29,35 +35,37 @@ class SkinnedMesh:
     `points` and `normals`: float32[v, 3] in the rest pose, in the definition's units.
     `bones`: int32[v, 4], the bones that each vertex follows.
     `weights`: float32[v, 4], which add up to 1.
-    `joint`: int32[B], the number of each bone's joint in the rig.
-    `inverse`: float32[B, 3, 4], transforms the rest pose to the space of each bone.
+    `bone_joints`: int32[B], the number of each bone's joint in the rig.
+    `inverse_matrices`: float32[B, 3, 4], transforms the rest pose to the space of each bone.
     """
 
     points: NDArray[np.float32]
     normals: NDArray[np.float32]
     bones: NDArray[np.int32]
     weights: NDArray[np.float32]
-    joint: NDArray[np.int32]
-    inverse: NDArray[np.float32]
+    bone_joints: NDArray[np.int32]
+    inverse_matrices: NDArray[np.float32]
 
 
-def skinned_mesh(definition: Definition, bindings: Sequence[Binding], taken: NDArray[np.integer]) -> SkinnedMesh:
-    """Return the mesh of some bindings. Their shapes must have normals. `taken` int[v]: the selected vertices, counted through
-    all bindings.
+def build_skinned_mesh(definition: Definition, bindings: Sequence[Binding], vertex_points: NDArray[np.integer]) -> SkinnedMesh:
+    """Return the mesh of some bindings. Their shapes must have normals. `vertex_points` int[v]: the selected vertices, counted
+    through all bindings.
 
     A static shape follows its joint only. If a point follows more than four joints, the four with the largest weights remain.
     Deformers other than linear skinning are not applied: dual quaternions become linear, and blend shapes have their base shape.
-    `blend_targets` returns the differences from that base.
+    `compute_blend_targets` returns the differences from that base.
     """
     bone_table = _BoneTable(definition)
-    parts = [(_skinned_part if _is_skinned(each) else _static_part)(definition, each, bone_table) for each in bindings]
+    parts = [
+        (_build_skinned_part if _is_skinned(each) else _build_static_part)(definition, each, bone_table) for each in bindings
+    ]
     none = np.zeros((0, 3), np.float32)
     fours = np.zeros((0, MAX_JOINTS_PER_VERTEX), np.float32)
     return SkinnedMesh(
-        np.concatenate([none, *(each.points for each in parts)]).astype(np.float32)[taken],
-        np.concatenate([none, *(each.normals for each in parts)]).astype(np.float32)[taken],
-        np.concatenate([fours.astype(np.int32), *(each.bones for each in parts)])[taken],
-        np.concatenate([fours, *(each.weights for each in parts)])[taken],
+        np.concatenate([none, *(each.points for each in parts)]).astype(np.float32)[vertex_points],
+        np.concatenate([none, *(each.normals for each in parts)]).astype(np.float32)[vertex_points],
+        np.concatenate([fours.astype(np.int32), *(each.bones for each in parts)])[vertex_points],
+        np.concatenate([fours, *(each.weights for each in parts)])[vertex_points],
         np.array(bone_table.joints, np.int32),
         np.array([each[:3] for each in bone_table.inverses], np.float32).reshape(-1, 3, 4),
     )
@@ -77,11 +85,11 @@ class _BoneTable:
     """The bones that were requested so far. Each bone is stored once."""
 
     def __init__(self, definition: Definition) -> None:
-        self.rest = world_matrices(definition.rig.parents, definition.rig.rest)
+        self.rest = compute_world_matrices(definition.rig.parents, definition.rig.rest)
         self.joints: list[int] = []
         self.inverses: list[Matrix] = []
 
-    def number(self, joint: int, inverse: Matrix) -> int:
+    def get_bone_number(self, joint: int, inverse: Matrix) -> int:
         """Return the number of the bone with a joint and an inverse matrix. A new pair gets the next number."""
         for number, (other, known) in enumerate(zip(self.joints, self.inverses, strict=True)):
             if other == joint and np.abs(known - inverse).max() <= _EQUAL_MATRIX_TOLERANCE * max(
@@ -95,14 +103,14 @@ class _BoneTable:
 
 def _is_skinned(binding: Binding) -> bool:
     """Return whether a binding moves its points by the joints that they follow."""
-    return bool(binding.deformer) and any(step in SKINNING_DEFORMERS for step in deformer_steps(binding.deformer))
+    return bool(binding.deformer) and any(step in SKINNING_DEFORMERS for step in find_deformers(binding.deformer))
 
 
-def _static_part(definition: Definition, binding: Binding, bone_table: _BoneTable) -> _MeshPart:
+def _build_static_part(definition: Definition, binding: Binding, bone_table: _BoneTable) -> _MeshPart:
     """Return a static shape, moved to the position of its joint in the rest pose. It then shares the bone of shapes that are
     skinned to that joint."""
     shape = definition.shapes[binding.shape]
-    points, normals = shape.points.astype(np.float64), _normals(shape).astype(np.float64)
+    points, normals = shape.points.astype(np.float64), _normals_or_zeros(shape).astype(np.float64)
     bones = np.zeros((len(points), MAX_JOINTS_PER_VERTEX), np.int32)
     weights = np.zeros((len(points), MAX_JOINTS_PER_VERTEX), np.float32)
     weights[:, 0] = 1
@@ -115,24 +123,25 @@ def _static_part(definition: Definition, binding: Binding, bone_table: _BoneTabl
             points = points @ rest[:3, :3].T + rest[:3, 3]
             normals = normals @ inverse[:3, :3]
             normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-20)
-    bones[:] = bone_table.number(joint, inverse)
+    bones[:] = bone_table.get_bone_number(joint, inverse)
     return _MeshPart(points, normals, bones, weights)
 
 
-def _skinned_part(definition: Definition, binding: Binding, bone_table: _BoneTable) -> _MeshPart:
+def _build_skinned_part(definition: Definition, binding: Binding, bone_table: _BoneTable) -> _MeshPart:
     """Return a shape in which each point follows its own joints."""
     shape = definition.shapes[binding.shape]
     capture = shape.capture
     if capture is None:
         raise ValueError(f"shape `{shape.name}` says for none of its points which joints they follow (capture)")
     number = np.array(
-        [bone_table.number(definition.rig.joint(name), capture.inverse[k]) for k, name in enumerate(capture.names)], np.int32
+        [bone_table.get_bone_number(definition.rig.joint(name), capture.inverse[k]) for k, name in enumerate(capture.names)],
+        np.int32,
     )
-    joints, weights = _strongest_joints(capture)
-    return _MeshPart(shape.points, _normals(shape), number[joints], weights)
+    joints, weights = _select_strongest_joints(capture)
+    return _MeshPart(shape.points, _normals_or_zeros(shape), number[joints], weights)
 
 
-def _strongest_joints(capture: Capture) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+def _select_strongest_joints(capture: Capture) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
     """Return the joints with the largest weights of each point, at most four, and their weights."""
     joints, weights = capture.joints, capture.weights
     if joints.shape[1] < MAX_JOINTS_PER_VERTEX:
@@ -146,7 +155,7 @@ def _strongest_joints(capture: Capture) -> tuple[NDArray[np.int32], NDArray[np.f
     )
 
 
-def _normals(shape: Shape) -> NDArray[np.float32]:
+def _normals_or_zeros(shape: Shape) -> NDArray[np.float32]:
     """Return the normals of a shape; zeros if it has none."""
     return np.zeros_like(shape.points) if shape.normals is None else shape.normals
 
@@ -157,73 +166,75 @@ class BlendTarget:
 
     `channel`: the channel that weights the input.
     `knots`: the weights at which the input has shapes.
-    `place`: the index of this shape in `knots`.
+    `knot_index`: the index of this shape in `knots`.
     """
 
     channel: str
     knots: tuple[float, ...]
-    place: int
+    knot_index: int
 
 
-def blend_targets(
-    definition: Definition, bindings: Sequence[Binding], taken: NDArray[np.integer]
+def compute_blend_targets(
+    definition: Definition, bindings: Sequence[Binding], vertex_points: NDArray[np.integer]
 ) -> dict[BlendTarget, NDArray[np.float32]]:
     """Return the differences that each target adds at weight 1 to the rest pose of a skinned mesh, float32[v, 6]: three numbers
-    for points and three for normals. Only shapes with blending as their first deformer have targets. `taken` int[v]: the selected
-    vertices, counted through all bindings."""
+    for points and three for normals. Only shapes with blending as their first deformer have targets. `vertex_points` int[v]: the
+    selected vertices, counted through all bindings."""
     sizes = [len(definition.shapes[each.shape].points) for each in bindings]
     starts = np.cumsum([0, *sizes])
     offsets_by_target: dict[BlendTarget, NDArray[np.float32]] = {}
-    rest = world_matrices(definition.rig.parents, definition.rig.rest)
+    rest = compute_world_matrices(definition.rig.parents, definition.rig.rest)
     for start, binding in zip(starts, bindings, strict=False):
-        shape, chain = definition.shapes[binding.shape], deformer_steps(binding.deformer) if binding.deformer else ()
+        shape, chain = definition.shapes[binding.shape], find_deformers(binding.deformer) if binding.deformer else ()
         if shape.blend is None or chain[:1] != (blend_shapes,):
             continue
         carried = binding.transform and not any(step in SKINNING_DEFORMERS for step in chain)
         turn = rest[definition.rig.joint(binding.transform)][:3, :3] if carried else np.eye(3)
-        for target, rows, offsets in _offsets(definition, shape, turn):
+        for target, rows, offsets in _compute_target_offsets(definition, shape, turn):
             target_offsets = offsets_by_target.setdefault(target, np.zeros((int(starts[-1]), 6), np.float32))
             target_offsets[start + rows] += offsets
-    return {target: offsets[taken] for target, offsets in offsets_by_target.items()}
+    return {target: offsets[vertex_points] for target, offsets in offsets_by_target.items()}
 
 
-def _offsets(
-    definition: Definition, shape: Shape, turn: NDArray[np.float64]
+def _compute_target_offsets(
+    definition: Definition, shape: Shape, rotation: NDArray[np.float64]
 ) -> list[tuple[BlendTarget, NDArray[np.intp], NDArray[np.float64]]]:
-    """Return each target of a shape with its points and their offsets, rotated by `turn`."""
+    """Return each target of a shape with its points and their offsets, rotated by `rotation`."""
     blend = shape.blend
     assert blend is not None
     target_offsets = []
     for name, channel in zip(blend.shapes, blend.channels, strict=True):
-        targets, knots = knots_of(definition, name)
+        targets, knots = find_blend_knots(definition, name)
         for place, target in enumerate(targets):
             base_points, target_points = match_points(shape, target, blend.point_id)
             offsets = np.zeros((len(base_points), 6))
             for first, attribute, values in ((0, "P", target.points), (3, "N", target.normals)):
                 if attribute in blend.attributes and values is not None:
                     offsets[:, first : first + 3] = (
-                        attribute_difference(shape, target, attribute, base_points, target_points).T @ turn.T
+                        compute_attribute_offsets(shape, target, attribute, base_points, target_points).T @ rotation.T
                     )
             target_offsets.append((BlendTarget(channel, tuple(knots), place), base_points, offsets))
     return target_offsets
 
 
-def weights_of(targets: Sequence[BlendTarget], rig: Rig, channels: Floats) -> Floats:
+def compute_target_weights(targets: Sequence[BlendTarget], rig: Rig, channels: Floats) -> Floats:
     """Return the weights float32[n, K] of K targets for n agents. `channels`: float32[n, C]."""
     weights = np.zeros((len(channels), len(targets)), np.float32)
     for k, target in enumerate(targets):
-        weights[:, k] = shares_of(channels[:, rig.channel(target.channel)], np.array(target.knots))[target.place]
+        weights[:, k] = compute_knot_shares(channels[:, rig.find_channel(target.channel)], np.array(target.knots))[
+            target.knot_index
+        ]
     return weights
 
 
-def channels_only(definition: Definition) -> Definition:
+def reduce_to_channels(definition: Definition) -> Definition:
     """Return the definition reduced to its channels: one static joint, and clips with only channel values. Its poses have the
     same channel values as those of the definition."""
 
     def valued(clip: Clip) -> Clip:
-        empty = np.zeros((clip.samples, 0, 3), np.float32)
+        empty = np.zeros((clip.sample_count, 0, 3), np.float32)
         return replace(
-            clip, joints=(), translation=empty, rotation=np.zeros((clip.samples, 0, 4), np.float32), scale=empty, shear=None
+            clip, joints=(), translation=empty, rotation=np.zeros((clip.sample_count, 0, 4), np.float32), scale=empty, shear=None
         )
 
     channels = tuple(replace(each, transform="") for each in definition.rig.channels)

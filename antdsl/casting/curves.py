@@ -41,60 +41,62 @@ class SampledCurve:
         if not spacing > 0:
             raise ValueError("the spacing of a curve must be more than 0")
         self.samples = resample(points[::-1] if reverse else points, spacing)
-        self._step = np.diff(self.samples, axis=0)
-        self._size = np.sqrt((self._step * self._step).sum(axis=1))
-        self.length = float(self._size.sum())
-        directions = unit(self._step)
+        self._segment_vectors = np.diff(self.samples, axis=0)
+        self._segment_lengths = np.sqrt((self._segment_vectors * self._segment_vectors).sum(axis=1))
+        self.length = float(self._segment_lengths.sum())
+        directions = unit(self._segment_vectors)
         self._tangent = unit(np.concatenate([directions[:1], directions[:-1] + directions[1:], directions[-1:]]))
-        self._tree: Any = None
+        self._sample_tree: Any = None
 
-    def closest(self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any]) -> CurvePoints:
+    def find_closest(self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any]) -> CurvePoints:
         """Return the nearest points to positions (1-D arrays, mm); of equally near points, the first along the curve.
 
         The result is exact for the resampled curve: the nearest sample bounds the distance, and only segments within that bound
         plus one piece can contain the nearest point. Positions that are not finite get an infinite distance."""
         from scipy.spatial import cKDTree
 
-        if self._tree is None:
-            self._tree = cKDTree(self.samples)
+        if self._sample_tree is None:
+            self._sample_tree = cKDTree(self.samples)
         place = np.stack([np.asarray(a, np.float64) for a in (x, y, z)], axis=1)
         finite = np.isfinite(place).all(axis=1)
         place[~finite] = 0.0
         if len(self.samples) == 1:
             point, tangent = np.broadcast_to(self.samples[0], place.shape), np.zeros_like(place)
         else:
-            point, tangent = self._nearest_on_segments(place)
+            point, tangent = self._find_nearest_points(place)
         away = point - place
         distance = np.where(finite, np.sqrt((away[:, 0] ** 2 + away[:, 1] ** 2) + away[:, 2] ** 2), np.inf)
         columns = (distance, *point.T, *tangent.T)
         return CurvePoints(*(np.ascontiguousarray(c, np.float32) for c in columns))
 
-    def _nearest_on_segments(self, place: Vectors) -> tuple[Vectors, Vectors]:
+    def _find_nearest_points(self, positions: Vectors) -> tuple[Vectors, Vectors]:
         """Return the nearest point and tangent, from the segments with samples that are near enough."""
         few = min(_NEAREST_SAMPLES, len(self.samples))
-        gap, sample = self._tree.query(place, k=list(range(1, few + 1)))
-        best = self._nearest_segment(place, sample)
+        gap, sample = self._sample_tree.query(positions, k=list(range(1, few + 1)))
+        best = self._find_nearest_segment(positions, sample)
         # A segment nearer than the nearest sample has an end within that distance plus half a piece.
-        reach = np.sqrt(gap[:, 0] ** 2 + (self._size.max() / 2) ** 2) * (1 + 1e-9) + 1e-12
+        reach = np.sqrt(gap[:, 0] ** 2 + (self._segment_lengths.max() / 2) ** 2) * (1 + 1e-9) + 1e-12
         for row in np.flatnonzero((gap[:, -1] <= reach) & (few < len(self.samples))):
-            near = self._tree.query_ball_point(place[row], reach[row])
-            best[row] = self._nearest_segment(place[row : row + 1], np.asarray(near, np.int64)[None])[0]
-        part = self._project_on_segment(place, best)[0][:, None]
+            near = self._sample_tree.query_ball_point(positions[row], reach[row])
+            best[row] = self._find_nearest_segment(positions[row : row + 1], np.asarray(near, np.int64)[None])[0]
+        part = self._project_on_segment(positions, best)[0][:, None]
         # The tangent rotates evenly along each piece, so that agents that follow the curve do not jerk.
         tangent = self._tangent[best] * (1 - part) + self._tangent[best + 1] * part
-        return self.samples[best] + part * self._step[best], unit(tangent)
+        return self.samples[best] + part * self._segment_vectors[best], unit(tangent)
 
-    def _nearest_segment(self, place: Vectors, sample: NDArray[np.int64]) -> NDArray[np.int64]:
+    def _find_nearest_segment(self, positions: Vectors, sample: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return the nearest of the segments next to samples int[n,k]; of equally near ones, the first."""
-        segment = np.sort(np.clip(np.concatenate([sample - 1, sample], axis=1), 0, len(self._step) - 1), axis=1)
-        gaps = np.stack([self._project_on_segment(place, column)[1] for column in segment.T], axis=1)
-        best: NDArray[np.int64] = segment[np.arange(len(place)), gaps.argmin(axis=1)]
+        segment = np.sort(np.clip(np.concatenate([sample - 1, sample], axis=1), 0, len(self._segment_vectors) - 1), axis=1)
+        gaps = np.stack([self._project_on_segment(positions, column)[1] for column in segment.T], axis=1)
+        best: NDArray[np.int64] = segment[np.arange(len(positions)), gaps.argmin(axis=1)]
         return best
 
-    def _project_on_segment(self, place: Vectors, segment: NDArray[np.int64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _project_on_segment(
+        self, positions: Vectors, segment: NDArray[np.int64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the position of the nearest point along its segment (0 to 1), and the squared distance."""
-        away, step = place - self.samples[segment], self._step[segment]
-        square = self._size[segment] ** 2
+        away, step = positions - self.samples[segment], self._segment_vectors[segment]
+        square = self._segment_lengths[segment] ** 2
         along = (away[:, 0] * step[:, 0] + away[:, 1] * step[:, 1]) + away[:, 2] * step[:, 2]
         part = np.clip(along / np.where(square > 0, square, 1.0), 0.0, 1.0)
         away = away - part[:, None] * step

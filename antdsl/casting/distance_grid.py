@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.casting.grid_filters import distances_to_blocked
-from antdsl.casting.rasterise import triangle_cells
-from antdsl.machine_code.kernels import F32, F64, I64, Array1, independent, inlined, kernel, nearest_integer
+from antdsl.casting.grid_filters import compute_blocked_distances
+from antdsl.casting.rasterise import iterate_triangle_cells
+from antdsl.machine_code.kernels import F32, F64, I64, Array1, inlined, kernel, round_to_int, simd_range
 from antdsl.numerics import parallel, stored_tables
 from antdsl.numerics.vector_rows import dot
 
@@ -22,7 +22,7 @@ _MAX_REFINED_CELLS = 150_000  # each takes about 2 microseconds
 
 PointColumns = tuple[Array1[F32], Array1[F32], Array1[F32]]
 PointColumns64 = tuple[Array1[F64], Array1[F64], Array1[F64]]
-Cells = tuple[Array1[F64], Array1[F64], Array1[I64], F64]  # lowest and highest corner, cells along each axis, cell width
+CellLayout = tuple[Array1[F64], Array1[F64], Array1[I64], F64]  # lowest and highest corner, cells along each axis, cell width
 
 
 class DistanceGrid:
@@ -30,43 +30,45 @@ class DistanceGrid:
 
     If `lasting`, the bounds are stored for other runs that may need them."""
 
-    def __init__(self, corners: NDArray[np.float64], cells: int = _TARGET_CELLS, lasting: bool = True) -> None:
+    def __init__(self, corners: NDArray[np.float64], target_cells: int = _TARGET_CELLS, store_tables: bool = True) -> None:
         self._low = corners.min(axis=(0, 1)) if len(corners) else np.zeros(3)
         extent = (corners.max(axis=(0, 1)) if len(corners) else np.zeros(3)) - self._low
-        self._width = triangle_width(corners, cell_width(extent, cells))
+        self._width = limit_cell_width(corners, choose_cell_width(extent, target_cells))
         self._size = np.floor(extent / self._width).astype(np.int64) + 1
         self._high = self._low + extent
-        self._cells = (self._low, self._high, self._size, self._width)
+        self._cell_layout = (self._low, self._high, self._size, self._width)
         work = partial(self._measure_bounds, corners)
-        size = int(np.prod(self._size)) if lasting else 0
-        self._least = stored_tables.get_or_compute("distance grid", size, (corners, float(cells)), work, "cells")["least"]
+        size = int(np.prod(self._size)) if store_tables else 0
+        self._cell_bounds = stored_tables.get_or_compute("distance grid", size, (corners, float(target_cells)), work, "cells")[
+            "least"
+        ]
 
     def _measure_bounds(self, corners: NDArray[np.float64]) -> stored_tables.Tables:
         """Return a lower bound of the distance from each cell to all triangles."""
         free = np.ones(tuple(self._size), bool)
-        for cell, _ in triangle_cells((corners - self._low) / self._width, exact=False):
+        for cell, _ in iterate_triangle_cells((corners - self._low) / self._width, exact=False):
             cell = np.minimum(cell, self._size - 1)
             free[cell[:, 0], cell[:, 1], cell[:, 2]] = False
-        away = distances_to_blocked(free) if len(corners) else np.full(tuple(self._size), np.inf)
+        away = compute_blocked_distances(free) if len(corners) else np.full(tuple(self._size), np.inf)
         # The query point and the triangle may be anywhere in their cells: two half diagonals.
         least = np.maximum((away - np.sqrt(3.0)) * self._width * (1 - 1e-6), 0.0).astype(np.float32).ravel()
         return {"least": least}
 
-    def refine(self, distance: Callable[[NDArray[np.float64]], NDArray[np.float64]]) -> None:
+    def refine_near_cells(self, distance: Callable[[NDArray[np.float64]], NDArray[np.float64]]) -> None:
         """Raise the bounds of cells near triangles. `distance` measures the distance (mm) of the cell centres [n,3].
 
         Refined bounds are too low by at most half the diagonal of a cell, others by twice as much. The method does nothing if the
         measurement would take longer than it saves a crowd in a few hundred steps."""
-        near = np.flatnonzero(self._least < 2 * self._width)
+        near = np.flatnonzero(self._cell_bounds < 2 * self._width)
         if near.size > _MAX_REFINED_CELLS:
             return
         cells = np.stack(np.unravel_index(near, tuple(self._size)), axis=1)
         measured_distances = distance(self._low + (cells + 0.5) * self._width)
         error = 2e-3 + 2e-6 * float((self._high - self._low).max())  # mm: rounding error of float32
         least = measured_distances - np.sqrt(0.75) * self._width * (1 + 1e-6) - error
-        self._least[near] = np.maximum(self._least[near], least.astype(np.float32))
+        self._cell_bounds[near] = np.maximum(self._cell_bounds[near], least.astype(np.float32))
 
-    def lower_bounds(self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], threads: int = 1) -> NDArray[np.float32]:
+    def compute_lower_bounds(self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], threads: int = 1) -> NDArray[np.float32]:
         """Return a distance (mm, float32[n]) from each position within which there is no triangle; 0 near triangles."""
         least_distances, columns = np.empty(len(x), np.float32), (x, y, z)
         single = all(each.dtype == np.float32 for each in columns)
@@ -74,25 +76,27 @@ class DistanceGrid:
             columns = (x.astype(np.float64), y.astype(np.float64), z.astype(np.float64))
         work = partial(
             write_lower_bounds if single else write_lower_bounds64,
-            parallel.contiguous(*columns),
-            self._cells,
-            self._least,
+            parallel.make_contiguous(*columns),
+            self._cell_layout,
+            self._cell_bounds,
             least_distances,
         )
-        parallel.in_parts(work, len(x), threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD)
+        parallel.run_in_parts(work, len(x), threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD)
         return least_distances
 
 
 @inlined
-def _lower_bound(cells: Cells, least: Array1[F32], px: F64, py: F64, pz: F64) -> F32:
+def _compute_lower_bound(cells: CellLayout, least: Array1[F32], px: F64, py: F64, pz: F64) -> F32:
     """Return a lower bound (mm) of the distance from a position to all triangles."""
     low, high, size, width = cells
     part = 1.0 / width
     ix, iy, iz = _clamp(px, low[0], high[0]), _clamp(py, low[1], high[1]), _clamp(pz, low[2], high[2])
     gx, gy, gz = px - ix, py - iy, pz - iz
     outside = (gx * gx + gy * gy) + gz * gz
-    cell = min(_cell_number((ix - low[0]) * part), size[0] - 1) * size[1] + min(_cell_number((iy - low[1]) * part), size[1] - 1)
-    cell = cell * size[2] + min(_cell_number((iz - low[2]) * part), size[2] - 1)
+    cell = min(_to_cell_number((ix - low[0]) * part), size[0] - 1) * size[1] + min(
+        _to_cell_number((iy - low[1]) * part), size[1] - 1
+    )
+    cell = cell * size[2] + min(_to_cell_number((iz - low[2]) * part), size[2] - 1)
     away = least[cell]
     # The position in the box is a projection, so the angle between both distances is at least a right angle.
     further = np.float32(np.sqrt(np.float64(away * away) + outside) * (1 - 1e-5))
@@ -101,28 +105,28 @@ def _lower_bound(cells: Cells, least: Array1[F32], px: F64, py: F64, pz: F64) ->
 
 @kernel
 def write_lower_bounds(
-    positions: PointColumns, cells: Cells, least: Array1[F32], least_distances: Array1[F32], begin: I64, end: I64
+    positions: PointColumns, cells: CellLayout, cell_bounds: Array1[F32], bounds: Array1[F32], begin: I64, end: I64
 ) -> None:
     """Write the distance bounds of the positions in rows `begin` to `end` (exclusive)."""
     x, y, z = positions
-    for n in independent(begin, end):
-        least_distances[n] = _lower_bound(cells, least, np.float64(x[n]), np.float64(y[n]), np.float64(z[n]))
+    for n in simd_range(begin, end):
+        bounds[n] = _compute_lower_bound(cells, cell_bounds, np.float64(x[n]), np.float64(y[n]), np.float64(z[n]))
 
 
 @kernel
 def write_lower_bounds64(
-    positions: PointColumns64, cells: Cells, least: Array1[F32], least_distances: Array1[F32], begin: I64, end: I64
+    positions: PointColumns64, cells: CellLayout, cell_bounds: Array1[F32], bounds: Array1[F32], begin: I64, end: I64
 ) -> None:
     """Write the bounds of `write_lower_bounds` for positions in float64."""
     x, y, z = positions
-    for n in independent(begin, end):
-        least_distances[n] = _lower_bound(cells, least, x[n], y[n], z[n])
+    for n in simd_range(begin, end):
+        bounds[n] = _compute_lower_bound(cells, cell_bounds, x[n], y[n], z[n])
 
 
 @inlined
-def _cell_number(place: F64) -> I64:
+def _to_cell_number(place: F64) -> I64:
     """Return the cell number of a coordinate (in cells), which must not be negative."""
-    return nearest_integer(np.floor(place))
+    return round_to_int(np.floor(place))
 
 
 @inlined
@@ -132,7 +136,7 @@ def _clamp(place: F64, low: F64, high: F64) -> F64:
     return inside if inside < high else high
 
 
-def cell_width(extent: NDArray[np.float64], cells: int) -> float:
+def choose_cell_width(extent: NDArray[np.float64], cells: int) -> float:
     """Return the edge length of cubes of which about `cells` fill a box. For a thin box, only its long sides count."""
     longest = float(extent.max())
     if not longest > 0:
@@ -147,19 +151,19 @@ def cell_width(extent: NDArray[np.float64], cells: int) -> float:
     return high
 
 
-def triangle_width(corners: NDArray[np.float64], width: float) -> float:
+def limit_cell_width(corners: NDArray[np.float64], width: float) -> float:
     """Return an edge length of cubes, at least `width`, for which it takes at most a few seconds to list the cubes that triangles
     touch.
 
     The triangles have corners float64[m,3,3]."""
-    lengths, area = sides_and_area(corners)
+    lengths, area = measure_sides_and_area(corners)
     around = float(lengths.sum())
     while 3 * area / width**2 + 2 * around / width > _MAX_LISTED_CELLS + 8.0 * len(corners):
         width *= 1.25
     return width
 
 
-def sides_and_area(corners: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
+def measure_sides_and_area(corners: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
     """Return the lengths (3, m) of the sides of triangles, and their total area. They determine how many cubes the triangles
     touch."""
     sides = [corners[:, (k + 1) % 3] - corners[:, k] for k in range(3)]

@@ -17,11 +17,11 @@ Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 # Relative to the largest coordinate: several times the float32 rounding error of a corner, a ray and their intersection
-HAIR_PER_COORDINATE = 1e-6
+TOLERANCE_PER_COORDINATE = 1e-6
 # In tolerances: faces are widened by this for rays, so that rounded rays hit them even at an angle of 4 degrees
-WIDENED_HAIRS = 16.0
-_RIM_HAIRS = 20.0  # in tolerances: nearer to a side than this, the faces at its end are tested too
-RETEST_HAIRS = 40.0  # in tolerances: another face up to this far behind a reported face may be the first hit
+WIDENING_TOLERANCES = 16.0
+_BORDER_TOLERANCES = 20.0  # in tolerances: nearer to a side than this, the faces at its end are tested too
+RETEST_TOLERANCES = 40.0  # in tolerances: another face up to this far behind a reported face may be the first hit
 _MAX_PRECOMPUTED_FACES = 200_000  # faces: above this number, the tables of each face are computed on demand
 _SHARP_CORNER_LIMIT = 1 / 128  # 1 + cosine between the outward directions of two sides; limits how far a sharp corner moves out
 
@@ -30,18 +30,20 @@ FaceTable = tuple[Array3[F64], Array1[F64], Array1[I64], Array1[I64], Array1[I64
 
 
 class Faces:
-    """Triangles with corners float64[m,3,3] (mm). `brief`: build no tables, since few faces are queried. `largest`: the
-    coordinate (mm) that the length `hair` is relative to; by default the largest of all corners."""
+    """Triangles with corners float64[m,3,3] (mm). `is_short_lived`: build no tables, since few faces are queried.
+    `largest_coordinate`: the coordinate (mm) that `tolerance` is relative to; by default the largest of all corners."""
 
-    def __init__(self, corners: Floats, brief: bool = False, largest: float | None = None) -> None:
+    def __init__(self, corners: Floats, is_short_lived: bool = False, largest_coordinate: float | None = None) -> None:
         self.corners = corners
-        self.hair = HAIR_PER_COORDINATE * (float(np.abs(corners).max(initial=0.0)) if largest is None else largest)
-        self._brief = brief or len(corners) > _MAX_PRECOMPUTED_FACES
+        self.tolerance = TOLERANCE_PER_COORDINATE * (
+            float(np.abs(corners).max(initial=0.0)) if largest_coordinate is None else largest_coordinate
+        )
+        self._is_short_lived = is_short_lived or len(corners) > _MAX_PRECOMPUTED_FACES
         self._normals: Floats | None = None
         self._planes: tuple[Floats, Floats] | None = None
-        self._meeting: tuple[Index, Index, Index] | None = None
+        self._corner_tables: tuple[Index, Index, Index] | None = None
 
-    def widened_corners(self) -> NDArray[np.float32]:
+    def compute_widened_corners(self) -> NDArray[np.float32]:
         """Return corners float32[3m,3] of slightly enlarged triangles, so that float32 rays miss no face. Each side is moved out
         by a few `hair`."""
         a, b, c = (self.corners[:, k] for k in range(3))
@@ -50,22 +52,24 @@ class Faces:
         moved = []
         for corner, one, two in ((a, ca, ab), (b, ab, bc), (c, bc, ca)):
             moved.append(
-                corner + (one + two) * (WIDENED_HAIRS * self.hair / np.maximum(1.0 + dot(one, two), _SHARP_CORNER_LIMIT))[:, None]
+                corner
+                + (one + two)
+                * (WIDENING_TOLERANCES * self.tolerance / np.maximum(1.0 + dot(one, two), _SHARP_CORNER_LIMIT))[:, None]
             )
         return np.stack(moved, axis=1).reshape(-1, 3).astype(np.float32)
 
-    def normals(self, face: Index) -> Floats:
+    def get_normals(self, face: Index) -> Floats:
         """Return unit normals [k,3] of faces, by their winding; 0 for faces without area."""
-        if self._brief:
+        if self._is_short_lived:
             corners = self.corners.take(face, axis=0)
             return unit(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
         if self._normals is None:
             self._normals = unit(np.cross(self.corners[:, 1] - self.corners[:, 0], self.corners[:, 2] - self.corners[:, 0]))
         return self._normals.take(face, axis=0)
 
-    def _planes_and_rims(self, face: Index) -> tuple[Floats, Floats]:
-        """Return the `planes` of faces, and for each face the weight below which a point counts as near its border."""
-        if self._brief:
+    def _get_planes_and_borders(self, face: Index) -> tuple[Floats, Floats]:
+        """Return the `compute_planes` of faces, and for each face the weight below which a point counts as near its border."""
+        if self._is_short_lived:
             return self._compute_planes(self.corners.take(face, axis=0))
         if self._planes is None:
             rows, rims = self._compute_planes(self.corners)
@@ -75,20 +79,20 @@ class Faces:
         return rows.take(face, axis=0), rims.take(face)
 
     def _compute_planes(self, corners: Floats) -> tuple[Floats, Floats]:
-        rows = planes(corners)
+        rows = compute_planes(corners)
         one, two = rows[:, 1, :3], rows[:, 2, :3]
         both = one + two
         steepest = np.maximum(np.maximum(dot(one, one), dot(two, two)), dot(both, both))
-        return rows, _RIM_HAIRS * self.hair * np.sqrt(steepest)
+        return rows, _BORDER_TOLERANCES * self.tolerance * np.sqrt(steepest)
 
-    def cross_planes(
+    def intersect_planes(
         self, face: Index, origin: Floats, displacement: Floats
     ) -> tuple[Floats, Floats, NDArray[np.bool_], NDArray[np.bool_]]:
         """Intersect rays from `origin` [k,3] along `displacement` [k,3] with the planes of faces.
 
         Returns the ray parameter in lengths of `displacement`; the corner weights [k,3] of the intersection; whether it is in the
         face; and whether it is within float32 error of the border."""
-        rows, rim = self._planes_and_rims(face)
+        rows, rim = self._get_planes_and_borders(face)
         at = ((rows[:, :, 0] * origin[:, 0:1] + rows[:, :, 1] * origin[:, 1:2]) + rows[:, :, 2] * origin[:, 2:]) + rows[:, :, 3]
         to = (rows[:, :, 0] * displacement[:, 0:1] + rows[:, :, 1] * displacement[:, 1:2]) + rows[:, :, 2] * displacement[:, 2:]
         with np.errstate(all="ignore"):
@@ -99,68 +103,70 @@ class Faces:
             return t, weights, (least >= -EDGE_WEIGHT_TOLERANCE) & (np.abs(t) < np.inf), ~(np.abs(least) > rim)
 
     def check_hits(
-        self, named: Index, origin: Floats, displacement: Floats, at: NDArray[np.floating]
+        self, reported_faces: Index, origin: Floats, displacement: Floats, ray_parameters: NDArray[np.floating]
     ) -> tuple[Floats, Floats, NDArray[np.bool_], Floats]:
-        """Check hits that Open3D reports: on the faces `named`, at approximate ray parameters `at` (in lengths of
-        `displacement`).
+        """Check hits that Open3D reports: on the faces `reported_faces`, at approximate ray parameters `ray_parameters` (in
+        lengths of `displacement`).
 
         Returns the exact ray parameter, the corner weights, whether the ray hits, and `hair` in lengths of `displacement`. Near
-        the border of a named face, the first hit among the faces that meet there counts, and `named` is changed to that face."""
-        tables = self.tables()
+        the border of a named face, the first hit among the faces that meet there counts, and `reported_faces` is changed to that
+        face."""
+        tables = self.build_tables()
         if tables is not None:
-            n = len(named)
+            n = len(reported_faces)
             fractions, hair, weights, hit = np.empty(n), np.empty(n), np.empty((n, 3)), np.empty(n, np.bool_)
-            hits(
-                tables, self.hair, RETEST_HAIRS, at.astype(np.float64), origin, displacement, named, fractions, weights, hit, hair
-            )
+            write_checked_hits(
+                tables, self.tolerance, RETEST_TOLERANCES, ray_parameters.astype(np.float64), origin, displacement,
+                reported_faces, fractions, weights, hit, hair,
+            )  # fmt: skip
             return fractions, weights, hit, hair
-        hair = self.hair / np.sqrt(
+        hair = self.tolerance / np.sqrt(
             (displacement[:, 0] * displacement[:, 0] + displacement[:, 1] * displacement[:, 1])
             + displacement[:, 2] * displacement[:, 2]
         )
-        fractions, weights, hit, beside = self.cross_planes(named, origin, displacement)
+        fractions, weights, hit, beside = self.intersect_planes(reported_faces, origin, displacement)
         hit &= fractions > hair
         unsure = np.flatnonzero(beside)
         if unsure.size:
-            which, other = self.faces_at_corner(named[unsure], weights[unsure])
+            which, other = self.find_faces_at_corner(reported_faces[unsure], weights[unsure])
             row = unsure[which]
-            t, other_weights, inside, _ = self.cross_planes(other, origin[row], displacement[row])
-            near = (t <= at[row] + RETEST_HAIRS * hair[row]) | (other == named[row])
+            t, other_weights, inside, _ = self.intersect_planes(other, origin[row], displacement[row])
+            near = (t <= ray_parameters[row] + RETEST_TOLERANCES * hair[row]) | (other == reported_faces[row])
             good = np.flatnonzero(inside & near & (t > hair[row]))
             order = good[np.lexsort((other[good], t[good], row[good]))]
             first = order[np.concatenate(([True], row[order[1:]] != row[order[:-1]]))] if order.size else order
             hit[unsure] = False
             row = row[first]
-            named[row], fractions[row], weights[row], hit[row] = other[first], t[first], other_weights[first], True
+            reported_faces[row], fractions[row], weights[row], hit[row] = other[first], t[first], other_weights[first], True
         return fractions, weights, hit, hair
 
-    def tables(self) -> tuple[Floats, Floats, Index, Index, Index] | None:
+    def build_tables(self) -> tuple[Floats, Floats, Index, Index, Index] | None:
         """Return the tables that kernels read, for all faces: planes, border widths, and the results of `_weld_corners`. None for
-        `brief` faces."""
-        if self._brief:
+        short-lived faces."""
+        if self._is_short_lived:
             return None
-        self._planes_and_rims(np.empty(0, np.int64))
-        assert self._planes is not None and self._meeting is not None
-        return *self._planes, *self._meeting
+        self._get_planes_and_borders(np.empty(0, np.int64))
+        assert self._planes is not None and self._corner_tables is not None
+        return *self._planes, *self._corner_tables
 
-    def nearest(self, points: Floats, face: Index) -> tuple[Floats, Floats, Index]:
+    def find_nearest(self, points: Floats, face: Index) -> tuple[Floats, Floats, Index]:
         """Return the nearest position to each point [k,3], its squared distance and its face. `face` is the nearest face in
         float32. The result is that face, or one that meets it at the nearest position; of equally near faces, the first."""
-        tables = self.tables()
+        tables = self.build_tables()
         if tables is not None:
             face, place, square = face.copy(), np.empty((len(points), 3)), np.empty(len(points))
-            nearest(tables, self.corners, points, face, place, square)
+            write_nearest(tables, self.corners, points, face, place, square)
             return place, square, face
-        place = nearest_on_triangle(points, self.corners.take(face, axis=0))
+        place = find_nearest_on_triangle(points, self.corners.take(face, axis=0))
         gap = place - points
         square = dot(gap, gap)
-        rows, rim = self._planes_and_rims(face)
+        rows, rim = self._get_planes_and_borders(face)
         weights = ((rows[:, :, 0] * place[:, 0:1] + rows[:, :, 1] * place[:, 1:2]) + rows[:, :, 2] * place[:, 2:]) + rows[:, :, 3]
         weights[:, 0] = (1.0 - weights[:, 1]) - weights[:, 2]
         beside = np.flatnonzero(~(np.minimum(np.minimum(weights[:, 0], weights[:, 1]), weights[:, 2]) > rim))
         if beside.size:
-            which, other = self.faces_at_corner(face[beside], weights[beside])
-            other_places = nearest_on_triangle(points[beside[which]], self.corners.take(other, axis=0))
+            which, other = self.find_faces_at_corner(face[beside], weights[beside])
+            other_places = find_nearest_on_triangle(points[beside[which]], self.corners.take(other, axis=0))
             gap = other_places - points[beside[which]]
             other_squares = dot(gap, gap)
             order = np.lexsort((other, other_squares, which))
@@ -169,12 +175,12 @@ class Faces:
             face[beside], place[beside], square[beside] = other[first], other_places[first], other_squares[first]
         return place, square, face
 
-    def faces_at_corner(self, face: Index, weights: Floats) -> tuple[Index, Index]:
+    def find_faces_at_corner(self, face: Index, weights: Floats) -> tuple[Index, Index]:
         """Return all faces that share the corner of largest weight with a queried face, itself included: the index of the queried
         face, and the face number, ascending."""
-        if self._meeting is None:
-            self._meeting = self._weld_corners()
-        weld, first, faces = self._meeting
+        if self._corner_tables is None:
+            self._corner_tables = self._weld_corners()
+        weld, first, faces = self._corner_tables
         corner = weld.take(3 * face + np.argmax(weights, axis=1))
         count = first.take(corner + 1) - first.take(corner)
         which = np.repeat(np.arange(face.size), count)
@@ -183,9 +189,9 @@ class Faces:
 
     def _find_duplicates(self) -> NDArray[np.bool_]:
         """Return which faces have the same corners as another face."""
-        if self._meeting is None:
-            self._meeting = self._weld_corners()
-        three = np.sort(self._meeting[0].reshape(-1, 3), axis=1)
+        if self._corner_tables is None:
+            self._corner_tables = self._weld_corners()
+        three = np.sort(self._corner_tables[0].reshape(-1, 3), axis=1)
         order = np.lexsort((three[:, 2], three[:, 1], three[:, 0]))
         same = (three[order[1:]] == three[order[:-1]]).all(axis=1)
         is_doubled = np.zeros(len(three), bool)
@@ -204,7 +210,7 @@ class Faces:
         return weld, first, np.argsort(weld, kind="stable") // 3
 
 
-def planes(corners: Floats) -> Floats:
+def compute_planes(corners: Floats) -> Floats:
     """Return three rows (k, 3, 4) for triangles [k,3,3]. Multiplied with a point's coordinates and 1, they give the height along
     the normal and the weights of the second and third corner. All are zero for a triangle without area (D. Baldwin, M. Weber,
     Fast Ray-Triangle Intersections by Coordinate Transformation, JCGT 5(3), 2016)."""
@@ -219,7 +225,7 @@ def planes(corners: Floats) -> Floats:
     return rows
 
 
-def nearest_on_triangle(points: Floats, corners: Floats) -> Floats:
+def find_nearest_on_triangle(points: Floats, corners: Floats) -> Floats:
     """Return the nearest point of each triangle [n,3,3] to each point [n,3] (Ericson, Real-Time Collision Detection, 2005, p.
     136-142)."""
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
@@ -233,11 +239,11 @@ def nearest_on_triangle(points: Floats, corners: Floats) -> Floats:
     best = (a + s[:, None] * u) + t[:, None] * v
     out = np.flatnonzero(~inside)
     if out.size:
-        best[out] = _nearest_on_sides(points[out], corners[out])
+        best[out] = _find_nearest_on_sides(points[out], corners[out])
     return best
 
 
-def _nearest_on_sides(points: Floats, corners: Floats) -> Floats:
+def _find_nearest_on_sides(points: Floats, corners: Floats) -> Floats:
     best = np.empty_like(points)
     gap = np.full(len(points), np.inf)
     for k in range(3):
@@ -254,65 +260,63 @@ def _nearest_on_sides(points: Floats, corners: Floats) -> Floats:
 
 
 @kernel
-def hits(
-    table: FaceTable,
-    hair: F64,
-    ahead: F64,
-    at: Array1[F64],
-    origin: Strided2[F64],
-    displacement: Strided2[F64],
-    named: Array1[I64],
-    fractions: Array1[F64],
-    weights: Array2[F64],
-    hit: Array1[BOOL],
-    short: Array1[F64],
-) -> None:
+def write_checked_hits(
+    table: FaceTable, tolerance: F64, retest_tolerances: F64, ray_parameters: Array1[F64], origin: Strided2[F64],
+    displacement: Strided2[F64], reported_faces: Array1[I64], fractions: Array1[F64], weights: Array2[F64], hit: Array1[BOOL],
+    ray_tolerances: Array1[F64],
+) -> None:  # fmt: skip
     """Write the results of `Faces.check_hits` to the last five arrays: face, ray parameter, corner weights, whether the ray hits,
-    and `hair`."""
+    and `tolerance`."""
     planes, rims, weld, first, faces = table
-    for i in range(named.size):
+    for i in range(reported_faces.size):
         x, y, z = displacement[i, 0], displacement[i, 1], displacement[i, 2]
         a, b, c = origin[i, 0], origin[i, 1], origin[i, 2]
-        h = hair / np.sqrt((x * x + y * y) + z * z)
-        face = named[i]
-        t, (w0, w1, w2), least = _cross_plane(planes, face, a, b, c, x, y, z)
-        short[i], fractions[i], hit[i] = h, t, least >= -EDGE_WEIGHT_TOLERANCE and abs(t) < np.inf and t > h
+        h = tolerance / np.sqrt((x * x + y * y) + z * z)
+        face = reported_faces[i]
+        t, (w0, w1, w2), least = _intersect_plane(planes, face, a, b, c, x, y, z)
+        ray_tolerances[i], fractions[i], hit[i] = h, t, least >= -EDGE_WEIGHT_TOLERANCE and abs(t) < np.inf and t > h
         weights[i, 0], weights[i, 1], weights[i, 2] = w0, w1, w2
         if not abs(least) > rims[face]:
             hit[i] = False
             place = weld[3 * face + _greatest_index(w0, w1, w2)]
-            most = at[i] + ahead * h
+            most = ray_parameters[i] + retest_tolerances * h
             for k in range(first[place], first[place + 1]):
-                t, (w0, w1, w2), least = _cross_plane(planes, faces[k], a, b, c, x, y, z)
+                t, (w0, w1, w2), least = _intersect_plane(planes, faces[k], a, b, c, x, y, z)
                 good = least >= -EDGE_WEIGHT_TOLERANCE and abs(t) < np.inf and t > h and (t <= most or faces[k] == face)
                 if good and (not hit[i] or t < fractions[i]):
-                    named[i], fractions[i], hit[i] = faces[k], t, True
+                    reported_faces[i], fractions[i], hit[i] = faces[k], t, True
                     weights[i, 0], weights[i, 1], weights[i, 2] = w0, w1, w2
 
 
 @kernel
-def nearest(
-    table: FaceTable, corners: Array3[F64], points: Strided2[F64], face: Array1[I64], place: Array2[F64], square: Array1[F64]
+def write_nearest(
+    table: FaceTable,
+    corners: Array3[F64],
+    points: Strided2[F64],
+    face: Array1[I64],
+    positions: Array2[F64],
+    squared_distances: Array1[F64],
 ) -> None:
-    """Write the results of `Faces.nearest` to the last three arrays. At the start, `face` has the faces that Open3D reports."""
+    """Write the results of `Faces.write_nearest` to the last three arrays. At the start, `face` has the faces that Open3D
+    reports."""
     planes, rims, weld, first, faces = table
     for i in range(face.size):
         p = (points[i, 0], points[i, 1], points[i, 2])
         f = face[i]
-        q = nearest_on(corners, f, p)
-        d = squared_length(minus(q, p))
-        place[i, 0], place[i, 1], place[i, 2], square[i] = q[0], q[1], q[2], d
+        q = find_nearest_on_face(corners, f, p)
+        d = compute_squared_length(minus(q, p))
+        positions[i, 0], positions[i, 1], positions[i, 2], squared_distances[i] = q[0], q[1], q[2], d
         w1, w2 = evaluate_point(planes, f, 1, q[0], q[1], q[2]), evaluate_point(planes, f, 2, q[0], q[1], q[2])
         w0 = (1.0 - w1) - w2
         if not _minimum(w0, w1, w2) > rims[f]:
             at = weld[3 * f + _greatest_index(w0, w1, w2)]
             begin = True
             for k in range(first[at], first[at + 1]):
-                q = nearest_on(corners, faces[k], p)
-                d = squared_length(minus(q, p))
-                if begin or d < square[i]:
+                q = find_nearest_on_face(corners, faces[k], p)
+                d = compute_squared_length(minus(q, p))
+                if begin or d < squared_distances[i]:
                     face[i], begin = faces[k], False
-                    place[i, 0], place[i, 1], place[i, 2], square[i] = q[0], q[1], q[2], d
+                    positions[i, 0], positions[i, 1], positions[i, 2], squared_distances[i] = q[0], q[1], q[2], d
 
 
 @inlined
@@ -346,7 +350,7 @@ def _greatest_index(a: F64, b: F64, c: F64) -> I64:
 
 
 @inlined
-def _cross_plane(planes: Array3[F64], face: I64, a: F64, b: F64, c: F64, x: F64, y: F64, z: F64) -> tuple[F64, Vec3, F64]:
+def _intersect_plane(planes: Array3[F64], face: I64, a: F64, b: F64, c: F64, x: F64, y: F64, z: F64) -> tuple[F64, Vec3, F64]:
     """Return the ray parameter at a face's plane, the corner weights there, and the least of these weights."""
     t = -evaluate_point(planes, face, 0, a, b, c) / evaluate_direction(planes, face, 0, x, y, z)
     w1 = evaluate_point(planes, face, 1, a, b, c) + t * evaluate_direction(planes, face, 1, x, y, z)
@@ -356,19 +360,19 @@ def _cross_plane(planes: Array3[F64], face: I64, a: F64, b: F64, c: F64, x: F64,
 
 
 @inlined
-def squared_length(a: Vec3) -> F64:
+def compute_squared_length(a: Vec3) -> F64:
     """Return the square of a vector's length."""
     return dot_of(a, a)
 
 
 @inlined
-def _point_along(a: Vec3, v: Vec3, s: F64) -> Vec3:
+def _advance_point(a: Vec3, v: Vec3, s: F64) -> Vec3:
     return a[0] + s * v[0], a[1] + s * v[1], a[2] + s * v[2]
 
 
 @inlined
-def nearest_on(corners: Array3[F64], face: I64, p: Vec3) -> Vec3:
-    """Return the nearest point of a face to a point, as `nearest_on_triangle`."""
+def find_nearest_on_face(corners: Array3[F64], face: I64, p: Vec3) -> Vec3:
+    """Return the nearest point of a face to a point, as `find_nearest_on_triangle`."""
     a = (corners[face, 0, 0], corners[face, 0, 1], corners[face, 0, 2])
     b = (corners[face, 1, 0], corners[face, 1, 1], corners[face, 1, 2])
     c = (corners[face, 2, 0], corners[face, 2, 1], corners[face, 2, 2])
@@ -378,15 +382,15 @@ def nearest_on(corners: Array3[F64], face: I64, p: Vec3) -> Vec3:
     if size > 0:
         s, t = (vv * wu - uv * wv) / size, (uu * wv - uv * wu) / size
         if s >= 0 and t >= 0 and s + t <= 1:
-            return _point_along(_point_along(a, u, s), v, t)
+            return _advance_point(_advance_point(a, u, s), v, t)
     best, gap = a, np.inf
     for k in range(3):
         start = a if k == 0 else (b if k == 1 else c)
         side = minus(b if k == 0 else (c if k == 1 else a), start)
         length = dot_of(side, side)
         s = min(max(dot_of(minus(p, start), side) / (length if length > 0 else 1.0), 0.0), 1.0)
-        place = _point_along(start, side, s)
-        square = squared_length(minus(place, p))
+        place = _advance_point(start, side, s)
+        square = compute_squared_length(minus(place, p))
         if square < gap:
             best, gap = place, square
     return best

@@ -14,18 +14,18 @@ T = TypeVar("T", np.bool_, np.int32)
 _MAX_SQUARED_CELLS = 1 << 29  # squared cells: more than the length of any grid; the sum of two fits into int32
 
 
-def greatest_around(grid: NDArray[T], rings: int) -> NDArray[T]:
+def filter_maximum(grid: NDArray[T], rings: int) -> NDArray[T]:
     """Return the maximum over the cells within `rings` cells of each, along all axes."""
-    return _filter_around(grid, rings, np.maximum)
+    return _filter_neighbourhood(grid, rings, np.maximum)
 
 
-def least_around(grid: NDArray[T], rings: int) -> NDArray[T]:
+def filter_minimum(grid: NDArray[T], rings: int) -> NDArray[T]:
     """Return the minimum over the cells within `rings` cells of each, along all axes."""
-    return _filter_around(grid, rings, np.minimum)
+    return _filter_neighbourhood(grid, rings, np.minimum)
 
 
-def _filter_around(grid: NDArray[T], rings: int, better: Any) -> NDArray[T]:
-    """Combine each cell with those within `rings` cells, axis by axis, by the function `better`."""
+def _filter_neighbourhood(grid: NDArray[T], rings: int, combine: Any) -> NDArray[T]:
+    """Combine each cell with those within `rings` cells, axis by axis, by the function `combine`."""
     for axis in range(grid.ndim):
         for flip in (False, True):  # first the following cells, then the preceding ones
             line = np.moveaxis(grid, axis, 0)
@@ -34,13 +34,13 @@ def _filter_around(grid: NDArray[T], rings: int, better: Any) -> NDArray[T]:
             while covered < window:
                 step = min(covered, window - covered)
                 ahead = line.copy()
-                better(line[:-step], line[step:], out=ahead[:-step])
+                combine(line[:-step], line[step:], out=ahead[:-step])
                 line, covered = ahead, covered + step
             grid = np.moveaxis(line[::-1] if flip else line, 0, axis)
     return np.ascontiguousarray(grid)
 
 
-def distances_to_blocked(free: NDArray[np.bool_]) -> NDArray[np.float64]:
+def compute_blocked_distances(free: NDArray[np.bool_]) -> NDArray[np.float64]:
     """Return the distance, in cells between centres, to the nearest cell that is not `free`; at least one cell must not be free.
 
     The axes are processed one after another. For each cell, the result is the minimum over its line of two terms: the squared

@@ -13,9 +13,9 @@ from antdsl.casting.tolerances import (
     NO_FACE,
     ROUNDING_BOUND,
 )
-from antdsl.machine_code.kernels import called, fetch_ahead, inlined, kernel, nearest_integer, scratch
+from antdsl.machine_code.kernels import allocate_scratch, inlined, kernel, kernel_helper, prefetch, round_to_int
 from antdsl.machine_code.kernels.types import BOOL, F32, F64, I32, I64, Array1, Array2, Array3, Strided2
-from antdsl.numerics.kernel_vectors import Vec3, Vec3F32, minus, of
+from antdsl.numerics.kernel_vectors import Vec3, Vec3F32, get_column, minus
 
 # As `TriangleGrid.tables`.
 GridTables = tuple[Array1[F64], Array1[I64], Array1[I32], Array1[I32], Array2[F32], Array3[F64], Array3[F64], Array2[F64]]
@@ -29,59 +29,63 @@ _MIN_AXIS_CUBES = 1e-12  # cubes along an axis below which a ray counts as stayi
 
 
 @kernel
-def first_hits(
+def write_first_hits(
     grid: GridTables, origin: Strided2[F64], displacement: Strided2[F64], t: Array1[F64], face: Array1[I64], begin: I64, end: I64
 ) -> None:
     """Write the results of `TriangleGrid.first` to `t` and `face`, for rays `begin` to `end` (exclusive)."""
-    cells = scratch(2 * PREFETCH_GROUP_SIZE, I64)
+    cells = allocate_scratch(2 * PREFETCH_GROUP_SIZE, I64)
     for low in range(begin, end, PREFETCH_GROUP_SIZE):
         high = min(low + PREFETCH_GROUP_SIZE, end)
         _prefetch_faces(grid, origin, (0.0, 0.0, 0.0), displacement, cells, low, high)
         for i in range(low, high):
-            t[i], face[i] = first_hit(
+            t[i], face[i] = find_first_hit(
                 grid, (origin[i, 0], origin[i, 1], origin[i, 2]), (displacement[i, 0], displacement[i, 1], displacement[i, 2])
             )
 
 
 @kernel
-def trace_normals(
+def write_hit_normals(
     grid: GridTables,
     origin: Strided2[F64],
     displacement: Strided2[F64],
     normals: Array2[F64],
-    named: Array1[I64],
-    which: Array1[I64],
+    normal_columns: Array1[I64],
+    hit_rays: Array1[I64],
     results: Array2[F64],
     begin: I64,
     end: I64,
 ) -> tuple[I64, I64, I64]:
-    """Write the results of `TriangleGrid.trace_normals` for rays `begin` to `end` (exclusive), to the last two arrays from index
-    `begin` on.
+    """Write the results of `TriangleGrid.write_hit_normals` for rays `begin` to `end` (exclusive), to the last two arrays from
+    index `begin` on.
 
-    - `which`: the rays that hit
+    - `hit_rays`: the rays that hit
     - `results` [4, n]: ray parameter and normal (x y z)
 
     Returns `begin`, the number of hits, and the number of rays beyond the grid's reach."""
     shape, count, left = grid[0], 0, 0
     zero = shape[6], shape[7], shape[8]
-    cells, faces, many = scratch(2 * PREFETCH_GROUP_SIZE, I64), scratch(PREFETCH_GROUP_SIZE, I64), normals.shape[1]
+    cells, faces, many = (
+        allocate_scratch(2 * PREFETCH_GROUP_SIZE, I64),
+        allocate_scratch(PREFETCH_GROUP_SIZE, I64),
+        normals.shape[1],
+    )
     for low in range(begin, end, PREFETCH_GROUP_SIZE):
         high = min(low + PREFETCH_GROUP_SIZE, end)
         _prefetch_faces(grid, origin, zero, displacement, cells, low, high)
         hit = 0
         for i in range(low, high):
             a = minus((origin[i, 0], origin[i, 1], origin[i, 2]), zero)
-            t, face = first_hit(grid, a, (displacement[i, 0], displacement[i, 1], displacement[i, 2]))
+            t, face = find_first_hit(grid, a, (displacement[i, 0], displacement[i, 1], displacement[i, 2]))
             left += 1 if face == FACE_BEYOND_GRID else 0
             if face >= 0:
                 k = begin + count + hit
-                which[k], results[0, k], faces[hit] = i, t, face
-                fetch_ahead(named, face)
+                hit_rays[k], results[0, k], faces[hit] = i, t, face
+                prefetch(normal_columns, face)
                 hit += 1
         for n in range(hit):
-            faces[n] = named[faces[n]]
+            faces[n] = normal_columns[faces[n]]
             for axis in range(3):
-                fetch_ahead(normals, axis * many + faces[n])
+                prefetch(normals, axis * many + faces[n])
         for n in range(hit):
             for axis in range(3):
                 results[1 + axis, begin + count + n] = normals[axis, faces[n]]
@@ -101,8 +105,8 @@ def _prefetch_faces(
 
 
 @kernel
-def cast_feelers(grid: GridTables, rays: SevenColumns, results: Array2[F32]) -> I64:
-    """Write the results of `TriangleGrid.cast_feelers` to the last array: distance and normal.
+def write_feeler_hits(grid: GridTables, rays: SevenColumns, results: Array2[F32]) -> I64:
+    """Write the results of `TriangleGrid.write_feeler_hits` to the last array: distance and normal.
 
     The distance is NaN for feelers that the grid cannot resolve. Returns the number of these."""
     x, y, z, dx, dy, dz, reach = rays
@@ -117,16 +121,16 @@ def cast_feelers(grid: GridTables, rays: SevenColumns, results: Array2[F32]) -> 
 
 
 @kernel
-def feel_askers(
+def write_requested_feelers(
     grid: GridTables,
     positions: FourColumns,
-    asking: Array1[BOOL],
+    is_requested: Array1[BOOL],
     directions: FourColumns,
     results: FeelerResults,
     begin: I64,
     end: I64,
 ) -> I64:
-    """Write the results of `TriangleGrid.feel_askers`, for agents `begin` to `end` (exclusive).
+    """Write the results of `TriangleGrid.write_requested_feelers`, for agents `begin` to `end` (exclusive).
 
     The distance is NaN for feelers that the grid cannot resolve. Returns the number of these."""
     x, y, z, clear = positions
@@ -134,7 +138,7 @@ def feel_askers(
     hit, t, nx, ny, nz = results
     count = 0
     for i in range(begin, end):
-        if not asking[i]:
+        if not is_requested[i]:
             continue
         far = reach[i]
         if not (far > 0 and far < np.inf and clear[i] <= far * (FLOAT32_ONE + ROUNDING_SLACK) + ROUNDING_SLACK):
@@ -152,7 +156,7 @@ def feel_askers(
     return count
 
 
-@called
+@kernel_helper
 def cast_feeler(grid: GridTables, p: Vec3F32, d: Vec3F32, reach: F32) -> tuple[tuple[F64, F64, F64, F64], I64]:
     """Return the hit of a feeler, and the face. A hit is the distance (mm) and the unit normal towards the feeler's origin.
 
@@ -161,7 +165,7 @@ def cast_feeler(grid: GridTables, p: Vec3F32, d: Vec3F32, reach: F32) -> tuple[t
     far = np.float64(reach)
     a = np.float64(p[0]) - shape[6], np.float64(p[1]) - shape[7], np.float64(p[2]) - shape[8]
     w = np.float64(d[0]) * far, np.float64(d[1]) * far, np.float64(d[2]) * far
-    t, face = first_hit(grid, a, w)
+    t, face = find_first_hit(grid, a, w)
     if face < 0:
         return (0.0, 0.0, 0.0, np.nan if face == FACE_BEYOND_GRID else np.inf), face
     x, y, z = normals[face, 0], normals[face, 1], normals[face, 2]
@@ -170,8 +174,8 @@ def cast_feeler(grid: GridTables, p: Vec3F32, d: Vec3F32, reach: F32) -> tuple[t
     return (x, y, z, t * far), face
 
 
-@called
-def first_hit(grid: GridTables, a: Vec3, w: Vec3) -> tuple[F64, I64]:
+@kernel_helper
+def find_first_hit(grid: GridTables, a: Vec3, w: Vec3) -> tuple[F64, I64]:
     """Return the ray parameter (0 to 1) at which a ray from `a` by `w` hits its first face, and the face."""
     shape, size, first, listed, bound, planes = grid[0], grid[1], grid[2], grid[3], grid[4], grid[5]
     part = 1.0 / shape[3]
@@ -185,9 +189,9 @@ def first_hit(grid: GridTables, a: Vec3, w: Vec3) -> tuple[F64, I64]:
     # A ray that stays in a layer never reaches the layer's borders; a ray outside a layer never enters it.
     mx, my, mz = abs(dx) > _MIN_AXIS_CUBES, abs(dy) > _MIN_AXIS_CUBES, abs(dz) > _MIN_AXIS_CUBES
     ix, iy, iz = 1.0 / dx if mx else np.inf, 1.0 / dy if my else np.inf, 1.0 / dz if mz else np.inf
-    bx, ex = _axis_interval(px, ix, mx, np.float64(size[0]))
-    by, ey = _axis_interval(py, iy, my, np.float64(size[1]))
-    bz, ez = _axis_interval(pz, iz, mz, np.float64(size[2]))
+    bx, ex = _intersect_axis(px, ix, mx, np.float64(size[0]))
+    by, ey = _intersect_axis(py, iy, my, np.float64(size[1]))
+    bz, ez = _intersect_axis(pz, iz, mz, np.float64(size[2]))
     begin, end = max(max(max(bx, by), bz), 0.0), min(min(min(ex, ey), ez), 1.0)
     if begin > end:
         return np.inf, NO_FACE
@@ -254,7 +258,7 @@ def prefetch_rays(
     """Prefetch the faces near both ends of the rays with numbers in `rays`. Origins and displacements (3, k) are relative to
     `zero`."""
     for n in range(count):
-        _list_end_cubes(grid, minus(of(origins, rays[n]), zero), of(displacements, rays[n]), cells, n)
+        _list_end_cubes(grid, minus(get_column(origins, rays[n]), zero), get_column(displacements, rays[n]), cells, n)
     _prefetch_lists(grid, cells, count)
 
 
@@ -278,11 +282,11 @@ def _prefetch_cube(grid: GridTables, a: Vec3) -> I64:
     list."""
     shape, size, first = grid[0], grid[1], grid[2]
     part = 1.0 / shape[3]
-    x = min(max(nearest_integer(np.floor((a[0] - shape[0]) * part)), 0), size[0] - 1)
-    y = min(max(nearest_integer(np.floor((a[1] - shape[1]) * part)), 0), size[1] - 1)
-    z = min(max(nearest_integer(np.floor((a[2] - shape[2]) * part)), 0), size[2] - 1)
+    x = min(max(round_to_int(np.floor((a[0] - shape[0]) * part)), 0), size[0] - 1)
+    y = min(max(round_to_int(np.floor((a[1] - shape[1]) * part)), 0), size[1] - 1)
+    z = min(max(round_to_int(np.floor((a[2] - shape[2]) * part)), 0), size[2] - 1)
     cell = (x * size[1] + y) * size[2] + z
-    fetch_ahead(first, cell)
+    prefetch(first, cell)
     return cell
 
 
@@ -291,15 +295,15 @@ def _prefetch_list(grid: GridTables, cell: I64) -> None:
     """Prefetch the first faces of a cube: one cache line has two faces."""
     first, listed, bound = grid[2], grid[3], grid[4]
     k: I64 = first[cell]
-    fetch_ahead(listed, k)
-    fetch_ahead(bound, 8 * k)
-    fetch_ahead(bound, 8 * k + 16)
-    fetch_ahead(bound, 8 * k + 32)
-    fetch_ahead(bound, 8 * k + 48)
+    prefetch(listed, k)
+    prefetch(bound, 8 * k)
+    prefetch(bound, 8 * k + 16)
+    prefetch(bound, 8 * k + 32)
+    prefetch(bound, 8 * k + 48)
 
 
 @inlined
-def _axis_interval(p: F64, inverse: F64, moves: BOOL, size: F64) -> tuple[F64, F64]:
+def _intersect_axis(p: F64, inverse: F64, moves: BOOL, size: F64) -> tuple[F64, F64]:
     """Return the ray parameters at which a ray enters and leaves the grid along one axis."""
     if not moves:
         return (0.0, 1.0) if p >= 0.0 and p < size else (np.inf, -np.inf)

@@ -43,40 +43,40 @@ class FeelerHits:
     nz: NDArray[np.float32]
 
 
-def list_askers(asks: Sequence[FeelerQuery]) -> list[tuple[int, NDArray[np.intp]]]:
+def list_query_rows(queries: Sequence[FeelerQuery]) -> list[tuple[int, NDArray[np.intp]]]:
     """Return, for each request, its number and the rows of its agents."""
-    return [(number, np.flatnonzero(asking)) for number, (asking, *_) in enumerate(asks)]
+    return [(number, np.flatnonzero(asking)) for number, (asking, *_) in enumerate(queries)]
 
 
 class ProximityQueries:
     """Queries about triangles near positions. `casting.rays` implements the basic queries that they use."""
 
     origin: Vectors
-    _brief: bool
-    _lasting: bool
+    _is_short_lived: bool
+    _stores_tables: bool
     _faces: Faces
     _first_face: Index
-    _empty: bool
+    _is_empty: bool
     _grid: DistanceGrid | None
-    _refined: bool
+    _has_refined_grid: bool
 
-    def closest(
-        self, points: Vectors, threads: int = 1, within: NDArray[Any] | float = np.inf
+    def find_closest(
+        self, points: Vectors, threads: int = 1, max_distance: NDArray[Any] | float = np.inf
     ) -> tuple[NDArray[np.int32], NDArray[np.int32], Vectors, Vectors]:
         """Return mesh, face, position and distance of the nearest face to each point."""
         raise NotImplementedError
 
-    def _first_hits_within(
+    def _find_hits_within(
         self, origin: Vectors, displacement: Vectors, threads: int, most_hit: bool = False
     ) -> tuple[Index, Vectors, Index]:
         """Return the rays that hit within one `displacement`, ascending, with ray parameter and face."""
         raise NotImplementedError
 
-    def _facing_normals(self, face: Index, direction: NDArray[Any]) -> NDArray[np.float32]:
+    def _get_facing_normals(self, face: Index, direction: NDArray[Any]) -> NDArray[np.float32]:
         """Return the normals of faces, on the sides that rays with these directions hit."""
         raise NotImplementedError
 
-    def _triangle_grid(self) -> TriangleGrid | None:
+    def _get_triangle_grid(self) -> TriangleGrid | None:
         """Return the grid for short rays and near faces; None if there is none."""
         raise NotImplementedError
 
@@ -84,22 +84,24 @@ class ProximityQueries:
         """Return the approximate distances [n] (mm) to the nearest face."""
         raise NotImplementedError
 
-    def clearance(self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], threads: int = 1) -> NDArray[np.float32]:
+    def measure_clearance(self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], threads: int = 1) -> NDArray[np.float32]:
         """Return a distance (mm, float32[n]) within which positions have no face; 0 when near, inf without faces."""
-        if self._empty:
+        if self._is_empty:
             return np.full(len(x), np.inf, np.float32)
         if self._grid is None:
-            self._grid = self._distance_grid()
-        if len(x) >= _MIN_POINTS_TO_REFINE and not self._refined and not self._brief:
-            self._refined = True
-            self._grid.refine(self._bound_distances)
-        return self._grid.lower_bounds(x, y, z, threads)
+            self._grid = self._get_distance_grid()
+        if len(x) >= _MIN_POINTS_TO_REFINE and not self._has_refined_grid and not self._is_short_lived:
+            self._has_refined_grid = True
+            self._grid.refine_near_cells(self._bound_distances)
+        return self._grid.compute_lower_bounds(x, y, z, threads)
 
-    def _distance_grid(self) -> DistanceGrid:
+    def _get_distance_grid(self) -> DistanceGrid:
         """Return the grid of lower bounds, built on first use."""
         corners = self._faces.corners + self.origin
         return (
-            DistanceGrid(corners, _SHORT_LIVED_GRID_CELLS, False) if self._brief else DistanceGrid(corners, lasting=self._lasting)
+            DistanceGrid(corners, _SHORT_LIVED_GRID_CELLS, False)
+            if self._is_short_lived
+            else DistanceGrid(corners, store_tables=self._stores_tables)
         )
 
     def cast_feelers(
@@ -115,7 +117,7 @@ class ProximityQueries:
             reach = np.broadcast_to(np.asarray(reach, np.float32), (len(x),))
         assert isinstance(reach, np.ndarray)
         rays = (x, y, z, dx, dy, dz)
-        grid = self._grid_for(rays)
+        grid = self._get_usable_grid(rays)
         if grid is not None:
             results, left = grid.cast_feelers((x, y, z), (dx, dy, dz), reach)
             if left:
@@ -127,34 +129,36 @@ class ProximityQueries:
             t, normal = self._cast_rays(rays, reach, threads)
         return FeelerHits(t < np.inf, t, *normal)
 
-    def feel_batch(self, positions: Arrays, asks: Sequence[FeelerQuery], threads: int = 1) -> list[tuple[int, NDArray[np.intp]]]:
-        """Write the results of `cast_feelers` for several requests together, each for some of n agents.
+    def cast_feeler_batch(
+        self, positions: Arrays, queries: Sequence[FeelerQuery], threads: int = 1
+    ) -> list[tuple[int, NDArray[np.intp]]]:
+        """Write the results of `write_feeler_hits` for several requests together, each for some of n agents.
 
         - `positions`: x y z, and a distance (mm) within which there is no face, [n] each
-        - `asks`: each request has directions (x y z) of any length and their reach, [n] each, and its result arrays
+        - `queries`: each request has directions (x y z) of any length and their reach, [n] each, and its result arrays
         - result arrays: hit, distance and normal (x y z), [n] each, initialised to no hit
 
-        All arrays are contiguous float32. Returns, for each request, its number and the rows that still need `cast_feelers`;
+        All arrays are contiguous float32. Returns, for each request, its number and the rows that still need `write_feeler_hits`;
         these are all rows if there is no grid."""
-        grid = self._triangle_grid()
+        grid = self._get_triangle_grid()
         if grid is None:
-            return list_askers(asks)
+            return list_query_rows(queries)
         left = []
-        for number, (asking, directions, results) in enumerate(asks):
-            if grid.feel_askers(positions, asking, directions, results, threads):
+        for number, (asking, directions, results) in enumerate(queries):
+            if grid.cast_requested_feelers(positions, asking, directions, results, threads):
                 unknown_rows = np.flatnonzero(asking & np.isnan(results[1]))
                 results[1][unknown_rows] = np.inf
                 left.append((number, unknown_rows))
         return left
 
-    def tables(self) -> Tables | None:
+    def get_tables(self) -> Tables | None:
         """Return the arrays of the triangle grid that kernels read; None if there is no grid."""
-        grid = self._triangle_grid()
+        grid = self._get_triangle_grid()
         return None if grid is None else grid.tables
 
-    def _grid_for(self, columns: tuple[NDArray[Any], ...]) -> TriangleGrid | None:
+    def _get_usable_grid(self, columns: tuple[NDArray[Any], ...]) -> TriangleGrid | None:
         """Return the grid if its kernels accept these columns; else None."""
-        return self._triangle_grid() if all(each.dtype == np.float32 for each in columns) else None
+        return self._get_triangle_grid() if all(each.dtype == np.float32 for each in columns) else None
 
     def _cast_rays(
         self, rays: tuple[NDArray[Any], ...], reach: NDArray[np.float32], threads: int
@@ -170,14 +174,14 @@ class ProximityQueries:
             for axis, (place, step) in enumerate(((x, dx), (y, dy), (z, dz))):
                 np.subtract(place.take(near), self.origin[axis], out=origin[axis])
                 np.multiply(step.take(near), length, out=displacement[axis], dtype=np.float64)
-            hit_rows, part, face = self._first_hits_within(origin.T, displacement.T, threads)
+            hit_rows, part, face = self._find_hits_within(origin.T, displacement.T, threads)
             if hit_rows.size:
                 near = near.take(hit_rows)
                 t[near] = part * length.take(hit_rows)
-                normal[:, near] = self._facing_normals(face, displacement.T[hit_rows]).T
+                normal[:, near] = self._get_facing_normals(face, displacement.T[hit_rows]).T
         return t, normal
 
-    def nearest_within(
+    def find_nearest_within(
         self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], reach: NDArray[Any] | float, threads: int = 1
     ) -> FeelerHits:
         """Return the nearest face within `reach` (mm, one or float[n]) of positions (1-D arrays): distance, and unit direction
@@ -186,43 +190,43 @@ class ProximityQueries:
         reach = np.broadcast_to(np.asarray(reach, np.float32), (n,))
         t = np.full(n, np.inf, np.float32)
         normal = np.zeros((3, n), np.float32)
-        if not self._empty and n:
+        if not self._is_empty and n:
             if self._grid is None:
-                self._grid = self._distance_grid()
-            candidates = np.flatnonzero(self._grid.lower_bounds(x, y, z) <= reach)
+                self._grid = self._get_distance_grid()
+            candidates = np.flatnonzero(self._grid.compute_lower_bounds(x, y, z) <= reach)
             points = np.stack([x[candidates], y[candidates], z[candidates]], axis=1).astype(np.float64)
-            _, _, place, distance = self.closest(points, threads, reach[candidates] * RAY_LENGTH_FACTOR)
+            _, _, place, distance = self.find_closest(points, threads, reach[candidates] * RAY_LENGTH_FACTOR)
             hit_rows = np.flatnonzero(distance.astype(np.float32) <= reach[candidates])
             away = (points[hit_rows] - place[hit_rows]) / np.maximum(distance[hit_rows], 1e-12)[:, None]
             t[candidates[hit_rows]] = distance[hit_rows]
             normal[:, candidates[hit_rows]] = away.T
         return FeelerHits(np.isfinite(t), t, *normal)
 
-    def signed_distances(
-        self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], within: NDArray[Any] | float, threads: int = 1
+    def measure_signed_distances(
+        self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], max_distance: NDArray[Any] | float, threads: int = 1
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Return the signed distance (mm, float32[n]) of positions from the meshes, and the unit direction out, float32[3,n].
 
         The distance is negative inside, which means behind the nearest face. Slow far from the surface."""
-        grid = self._grid_for((x, y, z))
+        grid = self._get_usable_grid((x, y, z))
         if grid is None:
-            return self._signed_distances(np.stack([x, y, z], axis=1).astype(np.float64), within, threads)
-        results, left = grid.signed_distances((x, y, z), threads)
+            return self._measure_from_faces(np.stack([x, y, z], axis=1).astype(np.float64), max_distance, threads)
+        results, left = grid.measure_signed_distances((x, y, z), threads)
         if left:
             unknown_rows = np.flatnonzero(np.isnan(results[0]))
             points = np.stack([each.take(unknown_rows) for each in (x, y, z)], axis=1).astype(np.float64)
-            most = np.broadcast_to(np.asarray(within), (len(x),)).take(unknown_rows)
-            results[0, unknown_rows], results[1:, unknown_rows] = self._signed_distances(points, most, threads)
+            most = np.broadcast_to(np.asarray(max_distance), (len(x),)).take(unknown_rows)
+            results[0, unknown_rows], results[1:, unknown_rows] = self._measure_from_faces(points, most, threads)
         return results[0], results[1:]
 
-    def _signed_distances(
-        self, points: Vectors, within: NDArray[Any] | float, threads: int
+    def _measure_from_faces(
+        self, points: Vectors, max_distance: NDArray[Any] | float, threads: int
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Return the results of `signed_distances` for points [n,3], from their nearest faces."""
-        mesh, face, place, distance = self.closest(points, threads, within)
-        if self._empty or not len(points):
+        mesh, face, place, distance = self.find_closest(points, threads, max_distance)
+        if self._is_empty or not len(points):
             return distance.astype(np.float32), np.zeros((3, len(points)), np.float32)
-        normal = self._faces.normals(face + self._first_face[mesh])
+        normal = self._faces.get_normals(face + self._first_face[mesh])
         away = points - place
         side = np.where((away[:, 0] * normal[:, 0] + away[:, 1] * normal[:, 1]) + away[:, 2] * normal[:, 2] < 0, -1.0, 1.0)
         touching = distance < TOUCHING_DISTANCE_MM
@@ -232,11 +236,11 @@ class ProximityQueries:
     def _select_reachable(self, rays: Arrays, reach: NDArray[Any]) -> NDArray[np.int64]:
         """Return the rows of feelers that may hit. A feeler is excluded if the ball around its middle that contains it is known
         to be empty."""
-        if self._empty:
+        if self._is_empty:
             return np.empty(0, np.int64)
         if self._grid is None:
-            self._grid = self._distance_grid()
+            self._grid = self._get_distance_grid()
         x, y, z, dx, dy, dz = rays
         half = reach * np.float32(0.5)
-        least = self._grid.lower_bounds(x + dx * half, y + dy * half, z + dz * half)
+        least = self._grid.compute_lower_bounds(x + dx * half, y + dy * half, z + dz * half)
         return np.flatnonzero(least <= half * np.float32(1 + 1e-4) + np.float32(1e-4))

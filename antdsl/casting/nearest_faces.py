@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from antdsl.casting.faces import nearest_on, squared_length
+from antdsl.casting.faces import compute_squared_length, find_nearest_on_face
 from antdsl.casting.grid_rays import GridTables, ThreeColumns
 from antdsl.casting.tolerances import (
     FACE_BEYOND_GRID,
@@ -14,7 +14,7 @@ from antdsl.casting.tolerances import (
     NEAREST_UNKNOWN,
     TOUCHING_DISTANCE_MM,
 )
-from antdsl.machine_code.kernels import called, fetch_ahead, inlined, kernel, nearest_integer
+from antdsl.machine_code.kernels import inlined, kernel, kernel_helper, prefetch, round_to_int
 from antdsl.machine_code.kernels.types import BOOL, F32, F64, I64, Array1, Array2, Strided2
 from antdsl.numerics.kernel_vectors import Vec3, Vec3F32, minus
 
@@ -22,31 +22,31 @@ _PREFETCHED_FACES = 12  # prefetched faces of a row of cubes
 
 
 @kernel
-def signed_distances(grid: GridTables, positions: ThreeColumns, results: Array2[F32], begin: I64, end: I64) -> I64:
-    """Write the results of `TriangleGrid.signed_distances` for positions `begin` to `end` (exclusive): signed distance and
+def write_signed_distances(grid: GridTables, positions: ThreeColumns, results: Array2[F32], begin: I64, end: I64) -> I64:
+    """Write the results of `TriangleGrid.write_signed_distances` for positions `begin` to `end` (exclusive): signed distance and
     direction out.
 
     The distance is NaN if the grid cannot tell. Returns the number of these positions."""
     x, y, z = positions
     count = 0
     for i in range(begin, end):
-        gap, out = signed_distance(grid, (x[i], y[i], z[i]), np.inf)
+        gap, out = measure_signed_distance(grid, (x[i], y[i], z[i]), np.inf)
         count += 1 if gap != gap else 0
         results[0, i], results[1, i], results[2, i], results[3, i] = gap, out[0], out[1], out[2]
     return count
 
 
 @inlined
-def signed_distance(grid: GridTables, place: Vec3F32, within: F64) -> tuple[F32, Vec3F32]:
+def measure_signed_distance(grid: GridTables, place: Vec3F32, max_distance: F64) -> tuple[F32, Vec3F32]:
     """Return the signed distance (mm) of one position to the faces, and the direction out.
 
-    The distance is NaN if the grid cannot tell, and infinite if it is more than `within` mm."""
+    The distance is NaN if the grid cannot tell, and infinite if it is more than `max_distance` mm."""
     shape, normals = grid[0], grid[7]
     p = np.float64(place[0]), np.float64(place[1]), np.float64(place[2])
     a = p[0] - shape[6], p[1] - shape[7], p[2] - shape[8]
-    square, face, q = nearest_face(grid, a, within)
+    square, face, q = find_nearest_face(grid, a, max_distance)
     if face == NEAREST_UNKNOWN:
-        square, face, q = nearest_face(grid, a, np.inf)
+        square, face, q = find_nearest_face(grid, a, np.inf)
     gap, x, y, z = np.float32(np.nan), np.float32(0), np.float32(0), np.float32(0)
     if face >= 0:
         distance = np.sqrt(square)
@@ -65,12 +65,14 @@ def signed_distance(grid: GridTables, place: Vec3F32, within: F64) -> tuple[F32,
 
 
 @kernel
-def nearest_points(grid: GridTables, points: Strided2[F64], place: Array2[F64], square: Array1[F64], face: Array1[I64]) -> None:
+def write_nearest_points(
+    grid: GridTables, points: Strided2[F64], positions: Array2[F64], squared_distances: Array1[F64], face: Array1[I64]
+) -> None:
     """Write the results of `TriangleGrid.nearest` to the last three arrays."""
     for i in range(face.size):
         p = (points[i, 0], points[i, 1], points[i, 2])
-        square[i], face[i], q = nearest_face(grid, p, np.inf)
-        place[i, 0], place[i, 1], place[i, 2] = q[0], q[1], q[2]
+        squared_distances[i], face[i], q = find_nearest_face(grid, p, np.inf)
+        positions[i, 0], positions[i, 1], positions[i, 2] = q[0], q[1], q[2]
 
 
 @inlined
@@ -79,15 +81,15 @@ def prefetch_around(grid: GridTables, place: Vec3F32, rows: Array1[I64], k: I64)
     `k` on."""
     shape, size, first = grid[0], grid[1], grid[2]
     part = 1.0 / shape[3]
-    mx = _layer_index(np.float64(place[0]) - shape[6], shape[0], part, size[0])
-    my = _layer_index(np.float64(place[1]) - shape[7], shape[1], part, size[1])
-    mz = _layer_index(np.float64(place[2]) - shape[8], shape[2], part, size[2])
+    mx = _find_layer(np.float64(place[0]) - shape[6], shape[0], part, size[0])
+    my = _find_layer(np.float64(place[1]) - shape[7], shape[1], part, size[1])
+    mz = _find_layer(np.float64(place[2]) - shape[8], shape[2], part, size[2])
     for x in range(3):
         for y in range(3):
             row = min(max(mx + x - 1, 0), size[0] - 1) * size[1] + min(max(my + y - 1, 0), size[1] - 1)
             cell = row * size[2] + max(mz - 1, 0)
             rows[9 * k + 3 * x + y] = cell
-            fetch_ahead(first, cell)
+            prefetch(first, cell)
 
 
 @inlined
@@ -98,32 +100,32 @@ def prefetch_lists(grid: GridTables, rows: Array1[I64], count: I64) -> None:
     for n in range(count):
         begin, end = first[rows[n]], first[min(rows[n] + 3, last)]
         for k in range(begin, min(end, begin + _PREFETCHED_FACES), 2):
-            fetch_ahead(bound, 8 * k)
+            prefetch(bound, 8 * k)
         if begin < end:
-            fetch_ahead(listed, begin)
+            prefetch(listed, begin)
 
 
 @inlined
-def _layer_index(at: F64, low: F64, part: F64, size: I64) -> I64:
+def _find_layer(at: F64, low: F64, part: F64, size: I64) -> I64:
     """Return the layer of cubes at a coordinate (mm), limited to the grid."""
-    return min(max(nearest_integer(np.floor((at - low) * part)), 0), size - 1)
+    return min(max(round_to_int(np.floor((at - low) * part)), 0), size - 1)
 
 
-@called
-def nearest_face(grid: GridTables, p: Vec3, within: F64) -> tuple[F64, I64, Vec3]:
+@kernel_helper
+def find_nearest_face(grid: GridTables, p: Vec3, max_distance: F64) -> tuple[F64, I64, Vec3]:
     """Return the squared distance to a point's nearest face, that face, and the nearest position on it.
 
-    If all faces are farther than `within` (mm), the result may be NEAREST_BEYOND_RANGE or NEAREST_UNKNOWN instead of a face.
-    NEAREST_BEYOND_RANGE means that the point is in front of the nearest face, which then need not be measured. Two facts are
-    sufficient: an upper bound of the distance of a face that has the point in front; and that faces with the point behind them
-    are farther."""
+    If all faces are farther than `max_distance` (mm), the result may be NEAREST_BEYOND_RANGE or NEAREST_UNKNOWN instead of a
+    face. NEAREST_BEYOND_RANGE means that the point is in front of the nearest face, which then need not be measured. Two facts
+    are sufficient: an upper bound of the distance of a face that has the point in front; and that faces with the point behind
+    them are farther."""
     shape, size, first, listed, bound, corners = grid[0], grid[1], grid[2], grid[3], grid[4], grid[6]
     width, off = shape[3], shape[4]
     part = 1.0 / width
     ax, ay, az = (p[0] - shape[0]) * part, (p[1] - shape[1]) * part, (p[2] - shape[2]) * part
     best, face, place, least = np.inf, FACE_BEYOND_GRID, p, np.inf
     # Upper bounds: of the nearest face in front, and of any face; limits for faces in front and behind.
-    ahead, until, before_it, behind_it = np.inf, np.inf, within + off, np.inf
+    ahead, until, before_it, behind_it = np.inf, np.inf, max_distance + off, np.inf
     latest, second, third = (
         FACE_BEYOND_GRID,
         FACE_BEYOND_GRID,
@@ -131,13 +133,13 @@ def nearest_face(grid: GridTables, p: Vec3, within: F64) -> tuple[F64, I64, Vec3
     )  # faces queried last: neighbouring cubes contain them too
     if not (_is_near_grid(ax, size[0]) and _is_near_grid(ay, size[1]) and _is_near_grid(az, size[2])):
         return best, face, place
-    mx, my, mz = _clamped_index(ax, size[0]), _clamped_index(ay, size[1]), _clamped_index(az, size[2])
+    mx, my, mz = _clamp_index(ax, size[0]), _clamp_index(ay, size[1]), _clamp_index(az, size[2])
     ring, looking = 0, True
     while looking and ring <= MAX_SEARCH_RINGS:
         low, high = max(mz - ring, 0), min(mz + ring, size[2] - 1)
         for x in range(max(mx - ring, 0), min(mx + ring, size[0] - 1) + 1):
             for y in range(max(my - ring, 0), min(my + ring, size[1] - 1) + 1):
-                if _squared_layer_gap(ax, x) + _squared_layer_gap(ay, y) > until * part * part * (1 + 1e-6):
+                if _measure_squared_gap(ax, x) + _measure_squared_gap(ay, y) > until * part * part * (1 + 1e-6):
                     continue
                 # On the sides of the ring all cubes of a row are new and contiguous; elsewhere only its two ends are new.
                 side = abs(x - mx) == ring or abs(y - my) == ring
@@ -147,7 +149,7 @@ def nearest_face(grid: GridTables, p: Vec3, within: F64) -> tuple[F64, I64, Vec3
                     last = high if side else z
                     if side or abs(z - mz) == ring:
                         for k in range(first[row + z], first[row + last + 1]):
-                            above, from_ball = _plane_and_ball(bound, k, p)
+                            above, from_ball = _measure_plane_and_ball(bound, k, p)
                             if above > off:
                                 if from_ball < ahead:
                                     ahead = from_ball
@@ -162,18 +164,18 @@ def nearest_face(grid: GridTables, p: Vec3, within: F64) -> tuple[F64, I64, Vec3
                             if f == face or latest == f or second == f or third == f:
                                 continue
                             latest, second, third = f, latest, second
-                            q = nearest_on(corners, f, p)
-                            d = squared_length(minus(q, p))
+                            q = find_nearest_on_face(corners, f, p)
+                            d = compute_squared_length(minus(q, p))
                             if d < best or (d == best and f < face):
                                 best, face, place, least = d, f, q, np.sqrt(d) + off
                                 until, before_it, behind_it = min(until, d), min(before_it, least), min(behind_it, least)
                     z = last + 1 if side or z == high else high
-        known = _covered_distance(ax, mx, ring, size[0])
-        known = min(known, _covered_distance(ay, my, ring, size[1]))
-        known = min(known, _covered_distance(az, mz, ring, size[2])) * width
+        known = _measure_searched_distance(ax, mx, ring, size[0])
+        known = min(known, _measure_searched_distance(ay, my, ring, size[1]))
+        known = min(known, _measure_searched_distance(az, mz, ring, size[2])) * width
         looking = not until <= known * known
         ring += 1
-    if within < np.inf and (looking or best > within * within):
+    if max_distance < np.inf and (looking or best > max_distance * max_distance):
         return np.inf, NEAREST_BEYOND_RANGE if until < best and not looking else NEAREST_UNKNOWN, p
     if looking:
         best, face, place = np.inf, FACE_BEYOND_GRID, p
@@ -181,7 +183,7 @@ def nearest_face(grid: GridTables, p: Vec3, within: F64) -> tuple[F64, I64, Vec3
 
 
 @inlined
-def _plane_and_ball(bound: Array2[F32], k: I64, p: Vec3) -> tuple[F64, F64]:
+def _measure_plane_and_ball(bound: Array2[F32], k: I64, p: Vec3) -> tuple[F64, F64]:
     """Return a point's height above a face's plane, and its squared distance from the centre of the face's bounding ball."""
     nx, ny, nz = np.float64(bound[k, 0]), np.float64(bound[k, 1]), np.float64(bound[k, 2])
     above = ((nx * p[0] + ny * p[1]) + nz * p[2]) + np.float64(bound[k, 3])
@@ -208,13 +210,13 @@ def _is_near_grid(at: F64, size: I64) -> BOOL:
 
 
 @inlined
-def _clamped_index(at: F64, size: I64) -> I64:
+def _clamp_index(at: F64, size: I64) -> I64:
     """Return the layer of cubes at a coordinate (in cubes), limited to the grid."""
     return min(np.int64(np.floor(max(at, 0.0))), size - 1)
 
 
 @inlined
-def _covered_distance(at: F64, middle: I64, ring: I64, size: I64) -> F64:
+def _measure_searched_distance(at: F64, middle: I64, ring: I64, size: I64) -> F64:
     """Return the distance (in cubes) along an axis up to which the rings so far contain all faces."""
     below, above = middle - ring, middle + ring + 1
     low = np.inf if below <= 0 else at - np.float64(below)
@@ -223,7 +225,7 @@ def _covered_distance(at: F64, middle: I64, ring: I64, size: I64) -> F64:
 
 
 @inlined
-def _squared_layer_gap(at: F64, cell: I64) -> F64:
+def _measure_squared_gap(at: F64, cell: I64) -> F64:
     """Return the squared distance (in cubes) of a point from a layer of cubes along one axis.
 
     A tolerance allows for faces that extend beyond their cubes."""

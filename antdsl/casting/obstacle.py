@@ -17,7 +17,7 @@ class Obstacle(Protocol):
     """A surface that agents can sense ahead: a mesh (`RayScene`) or a solid (`SolidFeelers`). Positions and directions are 1-D
     arrays of one length n; lengths are in mm."""
 
-    def clearance(self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], threads: int = 1) -> NDArray[np.float32]:
+    def measure_clearance(self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], threads: int = 1) -> NDArray[np.float32]:
         """Return a distance (float32[n]) from each position within which there is no surface; 0 near a surface."""
 
     def cast_feelers(
@@ -26,16 +26,18 @@ class Obstacle(Protocol):
         """Return the first hits of feelers from positions (x y z) along unit directions (x y z), within `reach` (one or
         float[n])."""
 
-    def feel_batch(self, positions: Arrays, asks: Sequence[FeelerQuery], threads: int = 1) -> list[tuple[int, NDArray[np.intp]]]:
+    def cast_feeler_batch(
+        self, positions: Arrays, queries: Sequence[FeelerQuery], threads: int = 1
+    ) -> list[tuple[int, NDArray[np.intp]]]:
         """Write the hits of feelers for several requests together, each for some of n agents.
 
         - `positions`: x y z, and a distance (mm) within which there is no surface
-        - `asks`: each request has directions (x y z) of any length and their reach, and its result arrays
+        - `queries`: each request has directions (x y z) of any length and their reach, and its result arrays
         - result arrays: hit, distance and normal (x y z), initialised to no hit
 
-        Returns, for each request, its number and the rows that still need `cast_feelers`."""
+        Returns, for each request, its number and the rows that still need `write_feeler_hits`."""
 
-    def nearest_within(
+    def find_nearest_within(
         self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], reach: NDArray[Any] | float, threads: int = 1
     ) -> FeelerHits:
         """Return the nearest surface within `reach` (one or float[n]) of positions: distance, and unit direction from the surface

@@ -28,7 +28,7 @@ class _DeferredModule(ModuleType):
 
 
 @cache
-def open3d() -> Any:
+def load_open3d() -> Any:
     """Return the Open3D module, imported at first use.
 
     Its plotting parts are not imported. They need a web server and an HTTP client (dash, requests), take half of the import time,
@@ -38,11 +38,11 @@ def open3d() -> Any:
     try:
         import open3d
     except (ImportError, OSError) as problem:
-        raise ImportError(_not_loaded(str(problem))) from problem
+        raise ImportError(_describe_load_failure(str(problem))) from problem
     return open3d
 
 
-def _not_loaded(why: str) -> str:
+def _describe_load_failure(why: str) -> str:
     """Return the message of a failed import, with a correction."""
     return (
         f"open3d cannot be loaded ({why}): install the package `open3d-cpu`; on a bare Linux system it also needs "
@@ -56,4 +56,4 @@ def require_open3d() -> None:
 
     The check itself is fast. Open3D is slow to import, and may be needed only late in a run."""
     if find_spec("open3d") is None:
-        raise ImportError(_not_loaded("the package is not installed"))
+        raise ImportError(_describe_load_failure("the package is not installed"))

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.casting.open3d_module import open3d
+from antdsl.casting.open3d_module import load_open3d
 
 _RAYS_PER_CHUNK = 1 << 17  # rays per chunk
 
@@ -41,18 +41,18 @@ class PictureRays:
             return
         self.origin = (vertices.min(axis=0).astype(np.float64) + vertices.max(axis=0)) / 2
         # Built by one thread, so that the tree is the same on all machines of one kind.
-        self._scene = open3d().t.geometry.RaycastingScene(nthreads=1)
+        self._scene = load_open3d().t.geometry.RaycastingScene(nthreads=1)
         points = (vertices - self.origin.astype(vertices.dtype)).astype(np.float32)
-        self._scene.add_triangles(_tensor(points), _tensor(faces.astype(np.uint32)))
+        self._scene.add_triangles(_to_tensor(points), _to_tensor(faces.astype(np.uint32)))
 
-    def cast(self, origin: NDArray[Any], direction: NDArray[np.float32], threads: int = 1) -> PictureHits:
+    def find_first_hits(self, origin: NDArray[Any], direction: NDArray[np.float32], threads: int = 1) -> PictureHits:
         """Return the first hit of each ray from `origin` [n,3] or [3] along `direction` [n,3]."""
         n = len(direction)
         t, face = np.full(n, np.inf, np.float32), np.full(n, -1, np.int32)
         u, v, normal = np.zeros(n, np.float32), np.zeros(n, np.float32), np.zeros((n, 3), np.float32)
         for start in range(0, n if self.faces else 0, _RAYS_PER_CHUNK):
             own = slice(start, min(start + _RAYS_PER_CHUNK, n))
-            answer = self._scene.cast_rays(_tensor(self._prepare_rays(origin, direction, own)), nthreads=threads)
+            answer = self._scene.cast_rays(_to_tensor(self._prepare_rays(origin, direction, own)), nthreads=threads)
             t[own] = answer["t_hit"].numpy()
             named = answer["primitive_ids"].numpy()
             face[own] = np.where(np.isfinite(t[own]), named, 0).astype(np.int32) - ~np.isfinite(t[own])
@@ -62,24 +62,24 @@ class PictureRays:
         normal[away] *= -1
         return PictureHits(t, face, u, v, normal)
 
-    def occluded(
-        self, origin: NDArray[Any], direction: NDArray[np.float32], far: float = np.inf, threads: int = 1
+    def find_occluded(
+        self, origin: NDArray[Any], direction: NDArray[np.float32], max_parameter: float = np.inf, threads: int = 1
     ) -> NDArray[np.bool_]:
-        """Return whether each ray hits anything before `far` lengths of its direction."""
+        """Return whether each ray hits anything before `max_parameter` lengths of its direction."""
         n = len(direction)
         is_occluded = np.zeros(n, np.bool_)
         for start in range(0, n if self.faces else 0, _RAYS_PER_CHUNK):
             own = slice(start, min(start + _RAYS_PER_CHUNK, n))
-            rays = _tensor(self._prepare_rays(origin, direction, own))
-            is_occluded[own] = self._scene.test_occlusions(rays, tnear=0.0, tfar=far, nthreads=threads).numpy()
+            rays = _to_tensor(self._prepare_rays(origin, direction, own))
+            is_occluded[own] = self._scene.test_occlusions(rays, tnear=0.0, tfar=max_parameter, nthreads=threads).numpy()
         return is_occluded
 
-    def _prepare_rays(self, origin: NDArray[Any], direction: NDArray[np.float32], own: slice) -> NDArray[np.float32]:
-        rays = np.empty((own.stop - own.start, 6), np.float32)
-        np.subtract(origin if origin.ndim == 1 else origin[own], self.origin, out=rays[:, :3], casting="unsafe")
-        rays[:, 3:] = direction[own]
+    def _prepare_rays(self, origin: NDArray[Any], direction: NDArray[np.float32], rows: slice) -> NDArray[np.float32]:
+        rays = np.empty((rows.stop - rows.start, 6), np.float32)
+        np.subtract(origin if origin.ndim == 1 else origin[rows], self.origin, out=rays[:, :3], casting="unsafe")
+        rays[:, 3:] = direction[rows]
         return rays
 
 
-def _tensor(array: NDArray[Any]) -> Any:
-    return open3d().core.Tensor.from_numpy(np.ascontiguousarray(array))
+def _to_tensor(array: NDArray[Any]) -> Any:
+    return load_open3d().core.Tensor.from_numpy(np.ascontiguousarray(array))

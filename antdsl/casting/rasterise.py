@@ -17,7 +17,7 @@ _MAX_CELL_NUMBER = float(1 << 62)
 _THIN_TRIANGLE_RATIO = 64.0  # ratio of length in cells to touched cells, from which a triangle is sliced
 
 
-def triangle_cells(
+def iterate_triangle_cells(
     corners: NDArray[np.float64], exact: bool = True, margin: float = 0.0
 ) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
     """Yield (cells int64[k,3], triangle int64[k]) until all touched cells of all triangles are listed.
@@ -29,56 +29,56 @@ def triangle_cells(
     A cell may be yielded more than once for a large triangle. Triangle against box: Akenine-Möller, Fast 3D Triangle-Box Overlap
     Testing, 2001, p. 2-4."""
     for a in range(0, len(corners), _TRIANGLES_PER_CHUNK):
-        yield from _touched_cells(
+        yield from _iterate_touched_cells(
             corners[a : a + _TRIANGLES_PER_CHUNK], np.arange(a, min(a + _TRIANGLES_PER_CHUNK, len(corners))), exact, margin
         )
 
 
-def _touched_cells(
-    tri: NDArray[np.float64], name: NDArray[np.int64], exact: bool, margin: float
+def _iterate_touched_cells(
+    tri: NDArray[np.float64], triangle_numbers: NDArray[np.int64], exact: bool, margin: float
 ) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
-    """Yield cells as `triangle_cells`, for at most `_PIECE` triangles with numbers `name`.
+    """Yield cells as `iterate_triangle_cells`, for at most `_PIECE` triangles with numbers `triangle_numbers`.
 
     A needle triangle is cut into slices across its length, each as wide as the needle. Quarters would still be needles: a needle
     of n cells length would need n²/4 of them."""
-    todo = [(tri, name)]
+    todo = [(tri, triangle_numbers)]
     while todo:
-        tri, name = todo.pop()
-        low, high = _bounds(tri)
+        tri, triangle_numbers = todo.pop()
+        low, high = _compute_bounds(tri)
         large = (high - low).max(axis=1) > _MAX_TRIANGLE_CELLS
         small = ~large
         if small.any():
-            yield _box_cells(tri[small], name[small], exact, margin)
+            yield _find_cells_by_box(tri[small], triangle_numbers[small], exact, margin)
         if not large.any():
             continue
-        tri, name = tri[large], name[large]
-        thin = _are_thin(tri)
+        tri, triangle_numbers = tri[large], triangle_numbers[large]
+        thin = _find_thin_triangles(tri)
         if not thin.all():
-            quarters, names = _quarter(tri[~thin]), np.tile(name[~thin], 4)
+            quarters, names = _quarter_triangles(tri[~thin]), np.tile(triangle_numbers[~thin], 4)
             for a in range(0, len(quarters), _TRIANGLES_PER_CHUNK):
                 todo.append((quarters[a : a + _TRIANGLES_PER_CHUNK], names[a : a + _TRIANGLES_PER_CHUNK]))
         if thin.any():
             for slices, which in _slice_triangles(tri[thin]):
-                for pairs in _touched_cells(slices, name[thin][which], exact, margin):
+                for pairs in _iterate_touched_cells(slices, triangle_numbers[thin][which], exact, margin):
                     yield _drop_repeats(*pairs)
 
 
-def _drop_repeats(cells: NDArray[np.int64], name: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _drop_repeats(cells: NDArray[np.int64], triangle_numbers: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return the pairs of cell and triangle without most duplicates. Duplicates occur because halves of a slice, and neighbouring
     parts, share cells."""
     least = cells.min(axis=0, initial=np.iinfo(np.int64).max)
-    key = name - name.min(initial=0)
+    key = triangle_numbers - triangle_numbers.min(initial=0)
     key_count = float(key.max(initial=0)) + 1
     for axis in range(3):
         span = int(cells[:, axis].max(initial=least[axis]) - least[axis]) + 1
         key, key_count = key * span + (cells[:, axis] - least[axis]), key_count * span
     if key_count >= _MAX_CELL_NUMBER:
-        return cells, name
+        return cells, triangle_numbers
     first_rows = np.unique(key, return_index=True)[1]
-    return cells[first_rows], name[first_rows]
+    return cells[first_rows], triangle_numbers[first_rows]
 
 
-def _are_thin(tri: NDArray[np.float64]) -> NDArray[np.bool_]:
+def _find_thin_triangles(tri: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Return which triangles are thin: cut into quarters, they would have far more parts than cells."""
     sides = [tri[:, (k + 1) % 3] - tri[:, k] for k in range(3)]
     square = np.max([(side * side).sum(axis=1) for side in sides], axis=0)
@@ -113,7 +113,7 @@ def _slice_triangles(tri: NDArray[np.float64]) -> Iterator[tuple[NDArray[np.floa
         yield parts, np.tile(half % len(tri), 2)
 
 
-def _quarter(tri: NDArray[np.float64]) -> NDArray[np.float64]:
+def _quarter_triangles(tri: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return each triangle divided into four at the middles of its sides."""
     a, b, c = tri[:, 0], tri[:, 1], tri[:, 2]
     ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
@@ -121,7 +121,7 @@ def _quarter(tri: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.concatenate([np.stack(part, axis=1) for part in parts])
 
 
-def _bounds(tri: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _compute_bounds(tri: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the lowest and highest coordinates of triangles, each float64[n,3].
 
     It handles three separate corners, which is faster than a reduction along an axis."""
@@ -129,11 +129,11 @@ def _bounds(tri: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.f
     return np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
 
 
-def _box_cells(
-    tri: NDArray[np.float64], name: NDArray[np.int64], exact: bool, margin: float
+def _find_cells_by_box(
+    tri: NDArray[np.float64], triangle_numbers: NDArray[np.int64], exact: bool, margin: float
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return the touched cells in the bounding box of each triangle, and their triangles."""
-    least, most = _bounds(tri)
+    least, most = _compute_bounds(tri)
     low, high = np.floor(least - margin).astype(np.int64), np.floor(most + margin).astype(np.int64)
     size = high - low + 1
     count = size[:, 0] * size[:, 1] * size[:, 2]
@@ -148,18 +148,20 @@ def _box_cells(
     if exact:
         flat = np.ascontiguousarray(tri.reshape(-1, 9).T)
         parts = [slice(at, at + _PAIRS_PER_CHUNK) for at in range(0, len(which), _PAIRS_PER_CHUNK)]
-        touched = np.concatenate([_is_touching(flat, which[part], cells[part], 0.5 + margin) for part in parts])
+        touched = np.concatenate([_find_touching_cells(flat, which[part], cells[part], 0.5 + margin) for part in parts])
         cells, which = cells[touched], which[touched]
-    return cells, name[which]
+    return cells, triangle_numbers[which]
 
 
-def _is_touching(tri: NDArray[np.float64], which: NDArray[np.int64], cells: NDArray[np.int64], half: float) -> NDArray[np.bool_]:
-    """Return whether triangles `which` int64[k] of float64[9,n] touch the cells int64[k,3], as bool[k]. Their bounding boxes must
-    touch.
+def _find_touching_cells(
+    tri: NDArray[np.float64], triangle_rows: NDArray[np.int64], cells: NDArray[np.int64], half: float
+) -> NDArray[np.bool_]:
+    """Return whether triangles `triangle_rows` int64[k] of float64[9,n] touch the cells int64[k,3], as bool[k]. Their bounding
+    boxes must touch.
 
     `half`: half the edge of the tested cells."""
     middle = cells.T + 0.5
-    v = [[tri[3 * corner + axis].take(which) - middle[axis] for axis in range(3)] for corner in range(3)]
+    v = [[tri[3 * corner + axis].take(triangle_rows) - middle[axis] for axis in range(3)] for corner in range(3)]
     e = [[w - u for u, w in zip(v[one], v[other], strict=True)] for one, other in ((0, 1), (1, 2), (2, 0))]
     normal = [e[0][p] * e[1][q] - e[0][q] * e[1][p] for p, q in _OTHER_AXES]
     away = np.abs(normal[0] * v[0][0] + normal[1] * v[0][1] + normal[2] * v[0][2])

@@ -3,7 +3,7 @@
 The ring of a face is all faces that share a corner with it. A face has a ball around its middle if its ring is flat: seen along
 the face's normal, all faces of the ring show the same side, and none overlaps another. No face outside the ring reaches into the
 ball. So a ray within the ball can hit only the ring, and passes over its faces one after another. A walk begins at the face below
-the ray's origin, and tests faces in this order with the test of `grid_rays.first_hit`.
+the ray's origin, and tests faces in this order with the test of `grid_rays.find_first_hit`.
 
 The grid answers for rays that pass near a corner or hit near a side, since it has a rule for hits at equal distances. So all
 answers are those of the grid, to the bit, from whichever face the walk begins."""
@@ -16,10 +16,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.casting.faces import nearest_on
+from antdsl.casting.faces import find_nearest_on_face
 from antdsl.casting.grid_rays import GridTables
 from antdsl.casting.tolerances import NEAREST_UNKNOWN, NO_FACE
-from antdsl.machine_code.kernels import called, fetch_ahead, inlined, kernel, load_consecutive, nearest_integer
+from antdsl.machine_code.kernels import inlined, kernel, kernel_helper, load_consecutive, prefetch, round_to_int
 from antdsl.machine_code.kernels.types import BOOL, F32, F64, I32, I64, Array1, Array2
 from antdsl.numerics import parallel, stored_tables
 from antdsl.numerics.kernel_vectors import Vec3, cross, dot, minus, plus
@@ -30,53 +30,60 @@ if TYPE_CHECKING:
 Rings = tuple[Array1[F64], Array1[I32], Array1[F32]]  # as `find_rings`
 Plane = tuple[F64, F64, F64, F64]
 Arrays = tuple[NDArray[Any], ...]
-Corners = tuple[Array1[I64], Array1[I64], Array1[I64], Array1[BOOL]]
+CornerTables = tuple[Array1[I64], Array1[I64], Array1[I64], Array1[BOOL]]
 
-ROW, LINK, BALL = 32, 24, 28  # 4-byte words per row, and the offsets of its parts
-_SEARCH, _WALK = 4, 3  # most faces searched for the start, and most faces of a walk; all are in the ring of the first face
-_SURE = 1e-4  # smallest corner weight for which a ray is certainly inside a face
-_FLAT = 0.2  # smallest cosine between the normals of a face and of a face in its ring
-_THIN = 1e-3  # in cube edges; faces with a smaller height have no ring
-_ROUNDING = 1 + 1e-5  # factor above the rounding error of a square in float32
-_FACES = 512  # number of faces from which another thread is worthwhile
+RING_ROW_WORDS, LINK_OFFSET, BALL_OFFSET = 32, 24, 28  # 4-byte words per row, and the offsets of its parts
+_MAX_SEARCHED_FACES, _MAX_WALKED_FACES = (
+    4,
+    3,
+)  # most faces searched for the start, and most faces of a walk; all are in the ring of the first face
+_MIN_INSIDE_WEIGHT = 1e-4  # smallest corner weight for which a ray is certainly inside a face
+_MIN_RING_COSINE = 0.2  # smallest cosine between the normals of a face and of a face in its ring
+_MIN_FACE_HEIGHT_CUBES = 1e-3  # in cube edges; faces with a smaller height have no ring
+_SQUARE_ROUNDING_FACTOR = 1 + 1e-5  # factor above the rounding error of a square in float32
+_MIN_FACES_PER_THREAD = 512  # number of faces from which another thread is worthwhile
 
 
-def find_rings(faces: Faces, grid: GridTables, lasting: bool, threads: int = 1) -> Arrays:
+def find_rings(faces: Faces, grid: GridTables, store_tables: bool, threads: int = 1) -> Arrays:
     """Return a row of two cache lines for each face, as three views of one table:
 
     - float64[16 m]: the three planes of a face
     - int32[32 m]: at LINK, the face across the side opposite each corner, -1 for none
     - float32[32 m]: at BALL, the middle and squared radius of the ball; the radius is 0 if the ring is open or not flat
 
-    If `lasting`, the table is stored for other runs."""
-    count = len(faces.corners) if lasting else 0
-    tables = stored_tables.get_or_compute("rings", count, (faces.corners, *grid[0][:5]), partial(_rings, faces, grid, threads))
+    If `store_tables`, the table is stored for other runs."""
+    count = len(faces.corners) if store_tables else 0
+    tables = stored_tables.get_or_compute(
+        "rings", count, (faces.corners, *grid[0][:5]), partial(_compute_rings, faces, grid, threads)
+    )
     space = np.zeros(16 * len(faces.corners) + 8)
     rows = space[-space.ctypes.data % 64 // 8 :][: 16 * len(faces.corners)].reshape(-1, 4, 4)
     links, balls = (rows.reshape(-1, 16).view(kind) for kind in (np.int32, np.float32))
-    rows[:, :3], links[:, LINK : LINK + 3], balls[:, BALL:] = grid[5], tables["links"], tables["balls"]
+    rows[:, :3], links[:, LINK_OFFSET : LINK_OFFSET + 3], balls[:, BALL_OFFSET:] = grid[5], tables["links"], tables["balls"]
     return rows.ravel(), links.ravel(), balls.ravel()
 
 
-def _rings(faces: Faces, grid: GridTables, threads: int) -> stored_tables.Tables:
+def _compute_rings(faces: Faces, grid: GridTables, threads: int) -> stored_tables.Tables:
     """Compute the links and balls of `find_rings`."""
-    tables = faces.tables()
+    tables = faces.build_tables()
     assert tables is not None
     weld, first, listed = tables[2:]
     three = weld.reshape(-1, 3)
-    links = _links(three)
+    links = _find_side_links(three)
     closed = np.ones(len(first) - 1, np.bool_)
     for corner in (1, 2):
         closed[np.roll(three, -corner, axis=1)[links < 0]] = False
     sides, normals = grid[6] - np.roll(grid[6], 1, axis=1), grid[5][:, 0, :3]
-    thin = (normals * normals).sum(axis=1) < (_THIN * grid[0][3]) ** 2 * (sides * sides).sum(axis=2).max(axis=1)
+    thin = (normals * normals).sum(axis=1) < (_MIN_FACE_HEIGHT_CUBES * grid[0][3]) ** 2 * (sides * sides).sum(axis=2).max(axis=1)
     closed[three[thin]] = False
     balls = np.zeros((len(links), 4), np.float32)
-    parallel.in_parts(partial(_find_balls, grid, (weld, first, listed, closed), balls), len(links), threads, _FACES)
+    parallel.run_in_parts(
+        partial(_find_balls, grid, (weld, first, listed, closed), balls), len(links), threads, _MIN_FACES_PER_THREAD
+    )
     return {"links": links, "balls": balls}
 
 
-def _links(weld: NDArray[np.int64]) -> NDArray[np.int32]:
+def _find_side_links(weld: NDArray[np.int64]) -> NDArray[np.int32]:
     """Return the face across each side of faces (m, 3), given by corner numbers; -1 unless exactly two faces with equal winding
     share the side."""
     one, two = np.roll(weld, -1, axis=1).ravel(), np.roll(weld, -2, axis=1).ravel()
@@ -93,7 +100,7 @@ def _links(weld: NDArray[np.int64]) -> NDArray[np.int32]:
 
 
 @kernel
-def _find_balls(grid: GridTables, corners: Corners, balls: Array2[F32], begin: I64, end: I64) -> None:
+def _find_balls(grid: GridTables, corners: CornerTables, balls: Array2[F32], begin: I64, end: I64) -> None:
     """Write the balls of faces `begin` to `end` (exclusive).
 
     `corners` has the last three arrays of `Faces.tables`, and which corners have no open side."""
@@ -103,14 +110,14 @@ def _find_balls(grid: GridTables, corners: Corners, balls: Array2[F32], begin: I
         for j in range(3):
             middle = plus(middle, (points[f, j, 0] / 3.0, points[f, j, 1] / 3.0, points[f, j, 2] / 3.0))
         radius = 0.0
-        if _is_flat(grid, corners, f, middle):
-            radius = max(_clearance(grid, weld, f, middle) - 2.0 * grid[0][4], 0.0)
+        if _has_flat_ring(grid, corners, f, middle):
+            radius = max(_measure_ring_clearance(grid, weld, f, middle) - 2.0 * grid[0][4], 0.0)
         balls[f, 0], balls[f, 1], balls[f, 2] = np.float32(middle[0]), np.float32(middle[1]), np.float32(middle[2])
-        balls[f, 3] = np.float32(radius * radius / _ROUNDING)
+        balls[f, 3] = np.float32(radius * radius / _SQUARE_ROUNDING_FACTOR)
 
 
-@called
-def _is_flat(grid: GridTables, corners: Corners, f: I64, middle: Vec3) -> BOOL:
+@kernel_helper
+def _has_flat_ring(grid: GridTables, corners: CornerTables, f: I64, middle: Vec3) -> BOOL:
     """Return whether the ring of a face is closed and, seen along the normal, its border goes once around the middle."""
     points, normals = grid[6], grid[7]
     weld, first, listed, closed = corners
@@ -123,10 +130,10 @@ def _is_flat(grid: GridTables, corners: Corners, f: I64, middle: Vec3) -> BOOL:
             g = listed[k]
             if g == f:
                 continue
-            good = good and dot(up, (normals[g, 0], normals[g, 1], normals[g, 2])) > _FLAT
+            good = good and dot(up, (normals[g, 0], normals[g, 1], normals[g, 2])) > _MIN_RING_COSINE
             shared, j = 0, 0
             for n in range(3):
-                if _has(weld, f, weld[3 * g + n]):
+                if _has_corner(weld, f, weld[3 * g + n]):
                     shared, j = shared + 1, n
             good = good and shared < 3
             if shared == 1:
@@ -141,14 +148,14 @@ def _is_flat(grid: GridTables, corners: Corners, f: I64, middle: Vec3) -> BOOL:
     return good and turns == 1
 
 
-@called
-def _clearance(grid: GridTables, weld: Array1[I64], f: I64, middle: Vec3) -> F64:
+@kernel_helper
+def _measure_ring_clearance(grid: GridTables, weld: Array1[I64], f: I64, middle: Vec3) -> F64:
     """Return the distance of a position from all faces outside the ring of face `f`. It is limited by the border of the cubes
     next to the position's cube."""
     shape, size, first, listed, bound, corners = grid[0], grid[1], grid[2], grid[3], grid[4], grid[6]
     width, least = shape[3], np.inf
     at = (middle[0] - shape[0]) / width, (middle[1] - shape[1]) / width, (middle[2] - shape[2]) / width
-    x, y, z = nearest_integer(np.floor(at[0])), nearest_integer(np.floor(at[1])), nearest_integer(np.floor(at[2]))
+    x, y, z = round_to_int(np.floor(at[0])), round_to_int(np.floor(at[1])), round_to_int(np.floor(at[2]))
     for axis in range(3):
         part = at[axis] - np.floor(at[axis])
         least = min(least, (1.0 + min(part, 1.0 - part)) * width)
@@ -162,116 +169,120 @@ def _clearance(grid: GridTables, weld: Array1[I64], f: I64, middle: Vec3) -> F64
                 ball = np.float64(bound[k, 4]), np.float64(bound[k, 5]), np.float64(bound[k, 6])
                 gap, far = minus(ball, middle), least + np.float64(bound[k, 7]) + shape[4]
                 if dot(gap, gap) < far * far:
-                    near = _has(weld, f, weld[3 * g]) or _has(weld, f, weld[3 * g + 1]) or _has(weld, f, weld[3 * g + 2])
+                    near = (
+                        _has_corner(weld, f, weld[3 * g])
+                        or _has_corner(weld, f, weld[3 * g + 1])
+                        or _has_corner(weld, f, weld[3 * g + 2])
+                    )
                     if not near:
-                        gap = minus(nearest_on(corners, g, middle), middle)
+                        gap = minus(find_nearest_on_face(corners, g, middle), middle)
                         least = min(least, np.sqrt(dot(gap, gap)))
     return least
 
 
 @inlined
-def _has(weld: Array1[I64], f: I64, v: I64) -> BOOL:
+def _has_corner(weld: Array1[I64], f: I64, v: I64) -> BOOL:
     """Return whether a corner belongs to a face."""
     return weld[3 * f] == v or weld[3 * f + 1] == v or weld[3 * f + 2] == v
 
 
 @inlined
-def fetch_start(rings: Rings, face: I64) -> None:
+def prefetch_first_face(rings: Rings, face: I64) -> None:
     """Prefetch the data that a walk reads of its first face."""
-    fetch_ahead(rings[0], 16 * face)
-    fetch_ahead(rings[0], 16 * face + 8)
+    prefetch(rings[0], 16 * face)
+    prefetch(rings[0], 16 * face + 8)
 
 
 @inlined
-def walked_hit(grid: GridTables, rings: Rings, start: I64, a: Vec3, w: Vec3) -> tuple[F64, I64]:
-    """Return the result of `first_hit` by a walk from the face below the origin `a`, which is searched from `start` on.
+def find_hit_by_walk(grid: GridTables, rings: Rings, start: I64, a: Vec3, w: Vec3) -> tuple[F64, I64]:
+    """Return the result of `find_first_hit` by a walk from the face below the origin `a`, which is searched from `start` on.
 
     The face is NEAREST_UNKNOWN if a walk cannot answer."""
     links, balls = rings[1], rings[2]
-    f = _below(rings, start, a)
-    if f < 0 or not _is_near(balls, f, a):
+    f = _find_face_below(rings, start, a)
+    if f < 0 or not _is_in_ball(balls, f, a):
         return np.inf, NEAREST_UNKNOWN
-    plane, _, _ = _planes(rings, f)
+    plane, _, _ = _load_planes(rings, f)
     up = plane[0], plane[1], plane[2]
     h = grid[0][5] / np.sqrt(dot(w, w))
     g, count = f, 0
-    while g >= 0 and count < _WALK:
-        plane, plane1, plane2 = _planes(rings, g)
-        at, to = _rise(plane, a), _slope(plane, w)
-        a1, d1 = _rise(plane1, a), _slope(plane1, w)
-        a2, d2 = _rise(plane2, a), _slope(plane2, w)
+    while g >= 0 and count < _MAX_WALKED_FACES:
+        plane, plane1, plane2 = _load_planes(rings, g)
+        at, to = _evaluate_plane(plane, a), _evaluate_plane_slope(plane, w)
+        a1, d1 = _evaluate_plane(plane1, a), _evaluate_plane_slope(plane1, w)
+        a2, d2 = _evaluate_plane(plane2, a), _evaluate_plane_slope(plane2, w)
         t = -at / to
         if t > h and t <= 1.0:
             w1, w2 = a1 + t * d1, a2 + t * d2
             least = min(min((1.0 - w1) - w2, w1), w2)
-            if least >= _SURE and _is_near(balls, f, (a[0] + t * w[0], a[1] + t * w[1], a[2] + t * w[2])):
+            if least >= _MIN_INSIDE_WEIGHT and _is_in_ball(balls, f, (a[0] + t * w[0], a[1] + t * w[1], a[2] + t * w[2])):
                 return t, g
-            if least > -_SURE:
+            if least > -_MIN_INSIDE_WEIGHT:
                 break
         # Weights of the ray's projection along the first face's normal: at the origin, and their change along the ray.
-        rise = _slope(plane, up)
-        r1, r2 = _slope(plane1, up) / rise, _slope(plane2, up) / rise
+        rise = _evaluate_plane_slope(plane, up)
+        r1, r2 = _evaluate_plane_slope(plane1, up) / rise, _evaluate_plane_slope(plane2, up) / rise
         a1, d1, a2, d2 = a1 - r1 * at, d1 - r1 * to, a2 - r2 * at, d2 - r2 * to
         a0, d0 = (1.0 - a1) - a2, -d1 - d2
         out0, out1 = -a0 / d0 if d0 < 0 else 1.0, -a1 / d1 if d1 < 0 else 1.0
         out = min(min(min(out0, out1), -a2 / d2 if d2 < 0 else 1.0), 1.0)
         w0, w1, w2 = a0 + out * d0, a1 + out * d1, a2 + out * d2
         if out == 1.0:
-            if min(min(w0, w1), w2) >= _SURE and _is_near(balls, f, plus(a, w)):
+            if min(min(w0, w1), w2) >= _MIN_INSIDE_WEIGHT and _is_in_ball(balls, f, plus(a, w)):
                 return np.inf, NO_FACE
             break
-        if max(max(min(w0, w1), min(w1, w2)), min(w2, w0)) < _SURE:
+        if max(max(min(w0, w1), min(w1, w2)), min(w2, w0)) < _MIN_INSIDE_WEIGHT:
             break
-        g = links[ROW * g + LINK + _least_of(w0, w1, w2)]
+        g = links[RING_ROW_WORDS * g + LINK_OFFSET + _find_least_index(w0, w1, w2)]
         count += 1
     return np.inf, NEAREST_UNKNOWN
 
 
 @inlined
-def _below(rings: Rings, start: I64, place: Vec3) -> I64:
+def _find_face_below(rings: Rings, start: I64, place: Vec3) -> I64:
     """Return the face below or above a position, by a search over neighbours from `start` on. Return -1 if there is none, or if
     the position is near a side."""
     f, count = start, 0
-    while f >= 0 and count < _SEARCH:
-        _, plane1, plane2 = _planes(rings, f)
-        w1, w2 = _rise(plane1, place), _rise(plane2, place)
+    while f >= 0 and count < _MAX_SEARCHED_FACES:
+        _, plane1, plane2 = _load_planes(rings, f)
+        w1, w2 = _evaluate_plane(plane1, place), _evaluate_plane(plane2, place)
         w0 = (1.0 - w1) - w2
         least = min(min(w0, w1), w2)
-        if least >= _SURE:
+        if least >= _MIN_INSIDE_WEIGHT:
             return f
-        f = np.int64(rings[1][ROW * f + LINK + _least_of(w0, w1, w2)]) if least < 0 else -1
+        f = np.int64(rings[1][RING_ROW_WORDS * f + LINK_OFFSET + _find_least_index(w0, w1, w2)]) if least < 0 else -1
         count += 1
     return -1
 
 
 @inlined
-def _planes(rings: Rings, f: I64) -> tuple[Plane, Plane, Plane]:
+def _load_planes(rings: Rings, f: I64) -> tuple[Plane, Plane, Plane]:
     """Return the planes of a face: its own, and two that give the weights of its second and third corner."""
     x0, y0, z0, c0, x1, y1, z1, c1, x2, y2, z2, c2 = load_consecutive(rings[0], 16 * f, 12)
     return (x0, y0, z0, c0), (x1, y1, z1, c1), (x2, y2, z2, c2)
 
 
 @inlined
-def _rise(plane: Plane, place: Vec3) -> F64:
+def _evaluate_plane(plane: Plane, place: Vec3) -> F64:
     """Return the value of a plane at a position, as `faces.evaluate_point`."""
     return ((plane[0] * place[0] + plane[1] * place[1]) + plane[2] * place[2]) + plane[3]
 
 
 @inlined
-def _slope(plane: Plane, way: Vec3) -> F64:
+def _evaluate_plane_slope(plane: Plane, displacement: Vec3) -> F64:
     """Return the growth of a plane's value along a displacement, as `faces.evaluate_direction`."""
-    return (plane[0] * way[0] + plane[1] * way[1]) + plane[2] * way[2]
+    return (plane[0] * displacement[0] + plane[1] * displacement[1]) + plane[2] * displacement[2]
 
 
 @inlined
-def _least_of(a: F64, b: F64, c: F64) -> I64:
+def _find_least_index(a: F64, b: F64, c: F64) -> I64:
     """Return the index of the least number; of equal ones, the first."""
     return 0 if a <= b and a <= c else (1 if b <= c else 2)
 
 
 @inlined
-def _is_near(balls: Array1[F32], f: I64, place: Vec3) -> BOOL:
+def _is_in_ball(balls: Array1[F32], f: I64, place: Vec3) -> BOOL:
     """Return whether a position is in the ball of a face."""
-    x, y, z, square = load_consecutive(balls, ROW * f + BALL, 4)
+    x, y, z, square = load_consecutive(balls, RING_ROW_WORDS * f + BALL_OFFSET, 4)
     gap = minus(place, (np.float64(x), np.float64(y), np.float64(z)))
     return dot(gap, gap) < np.float64(square)

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.casting.distance_grid import DistanceGrid
-from antdsl.casting.faces import Faces, nearest_on_triangle
+from antdsl.casting.faces import Faces, find_nearest_on_triangle
 from antdsl.casting.nearby import RAY_LENGTH_FACTOR, Index, ProximityQueries, Vectors
-from antdsl.casting.open3d_module import open3d, require_open3d
+from antdsl.casting.open3d_module import load_open3d, require_open3d
 from antdsl.casting.ray_walks import Arrays, find_rings
 from antdsl.casting.tolerances import FACE_BEYOND_GRID, NO_FACE
 from antdsl.casting.triangle_grid import TriangleGrid
@@ -23,7 +23,7 @@ RayHits = tuple[Index, Vectors, Index, Vectors]
 
 _RAYS_PER_CHUNK = 1 << 16  # rays per chunk
 _MAX_RECASTS = 16  # most faces that a ray may miss by less than the tolerance
-_NUDGE_HAIRS = 8.0  # in tolerances: a point moved this far from its face is nearer to an equally near face on another side
+_NUDGE_TOLERANCES = 8.0  # in tolerances: a point moved this far from its face is nearer to an equally near face on another side
 _MAX_RAYS_CAST_ONCE = 128  # rays: up to this number, one cast to the end of the scene is faster than two queries
 _MAX_NEAREST_DISTANCE_MM = 1e15  # mm; much farther away Open3D reports no nearest face, because squares overflow in float32
 FAR_FROM_ORIGIN_MM = 2000.0  # mm; nearer to zero, float32 is exact to a ten-thousandth of a millimetre
@@ -46,7 +46,7 @@ class RayHitArrays:
     normal: NDArray[np.float32]
 
     @property
-    def hit(self) -> NDArray[np.bool_]:
+    def is_hit(self) -> NDArray[np.bool_]:
         """Return which rays hit."""
         return self.face >= 0
 
@@ -59,33 +59,38 @@ class RayScene(ProximityQueries):
     from the proposed face and the faces that share its corner there. Of equally near faces, the first mesh counts, then the first
     face.
 
-    A `brief` scene, for a single step, is faster to build but has coarser lower bounds of distances. A scene that is not
-    `lasting` stores no table for other runs. The smallest resolved length, `hair`, is relative to the largest coordinate, or to
-    `largest` (mm) if anything beyond that is a backdrop.
+    A short-lived scene, for a single step, is faster to build but has coarser lower bounds of distances. Without
+    `store_tables`, it stores no table for other runs. The smallest resolved length, `hair`, is relative to the largest
+    coordinate, or to `largest_coordinate` (mm) if anything beyond that is a backdrop.
 
     Rays with an end, and nearest-face queries within a distance, use a `TriangleGrid` if that is useful. The grid measures all
     nearby faces in float64. Open3D answers longer rays, and queries too far from all faces. The choice depends on the scene and
     the ray only, so no answer depends on other rays. If two faces without a common corner are closer than float32 resolves, the
     grid names the nearer one, and Open3D either of them."""
 
-    _brief = False
-    _lasting = True
-    _largest: float | None = None
+    _is_short_lived = False
+    _stores_tables = True
+    _largest_coordinate: float | None = None
 
     def __init__(
-        self, vertices: Vectors, faces: NDArray[np.int32], brief: bool = False, largest: float | None = None, lasting: bool = True
+        self,
+        vertices: Vectors,
+        faces: NDArray[np.int32],
+        is_short_lived: bool = False,
+        largest_coordinate: float | None = None,
+        store_tables: bool = True,
     ) -> None:
-        self._brief, self._largest, self._lasting = brief, largest, lasting
-        self._fill([(vertices, faces)])
+        self._is_short_lived, self._largest_coordinate, self._stores_tables = is_short_lived, largest_coordinate, store_tables
+        self._set_meshes([(vertices, faces)])
 
     @classmethod
     def of(cls, meshes: Sequence[MeshArrays]) -> RayScene:
         """Return a scene of several meshes; `RayHitArrays.mesh` counts them from 0."""
         scene = cls.__new__(cls)
-        scene._fill(meshes)
+        scene._set_meshes(meshes)
         return scene
 
-    def _fill(self, meshes: Sequence[MeshArrays]) -> None:
+    def _set_meshes(self, meshes: Sequence[MeshArrays]) -> None:
         """Set the triangles of the scene, relative to an origin near their centre."""
         arrays = [(np.asarray(v, np.float64).reshape(-1, 3), np.asarray(f, np.int32).reshape(-1, 3)) for v, f in meshes]
         counts = np.array([len(f) for _, f in arrays], np.int64)
@@ -95,39 +100,39 @@ class RayScene(ProximityQueries):
         middle = (corners.min(axis=(0, 1)) + corners.max(axis=(0, 1))) / 2 if corners.size else np.zeros(3)
         # Multiples of a metre, and zero near the origin: another mesh at the border then changes no bit of other results.
         self.origin = np.round(middle / 1000.0) * 1000.0 if np.abs(middle).max() > FAR_FROM_ORIGIN_MM else np.zeros(3)
-        self._faces = Faces(corners - self.origin, self._brief, self._largest)
-        self._empty = not len(corners)
-        if not self._empty:
+        self._faces = Faces(corners - self.origin, self._is_short_lived, self._largest_coordinate)
+        self._is_empty = not len(corners)
+        if not self._is_empty:
             require_open3d()
-        self._tree: Any = None
+        self._open3d_scene: Any = None
         self._grid: DistanceGrid | None = None
-        self._refined = False
-        self._exact: Any = None
-        self._short: TriangleGrid | None = None
-        self._sought = False
-        self._rings: Arrays | None = None
+        self._has_refined_grid = False
+        self._exact_scene: Any = None
+        self._short_ray_grid: TriangleGrid | None = None
+        self._has_built_grid = False
+        self._ring_tables: Arrays | None = None
 
     @property
-    def _scene(self) -> Any:
+    def _widened_scene(self) -> Any:
         """Return Open3D's scene, built on first use: the grid answers most queries of a run."""
-        if self._tree is None:
-            self._tree = self._build_scene(self._faces.widened_corners())
-        return self._tree
+        if self._open3d_scene is None:
+            self._open3d_scene = self._build_scene(self._faces.compute_widened_corners())
+        return self._open3d_scene
 
     def _build_scene(self, corners: NDArray[np.float32]) -> Any:
         """Return an Open3D scene of triangles with corners float32[3m,3]."""
         # Built by one thread, so that the tree is the same on all machines of one kind.
-        scene = open3d().t.geometry.RaycastingScene(nthreads=1)
-        scene.add_triangles(self._tensor(corners), self._tensor(np.arange(len(corners), dtype=np.uint32).reshape(-1, 3)))
+        scene = load_open3d().t.geometry.RaycastingScene(nthreads=1)
+        scene.add_triangles(self._to_tensor(corners), self._to_tensor(np.arange(len(corners), dtype=np.uint32).reshape(-1, 3)))
         return scene
 
     @staticmethod
-    def _tensor(array: NDArray[Any]) -> Any:
-        return open3d().core.Tensor.from_numpy(np.ascontiguousarray(array))
+    def _to_tensor(array: NDArray[Any]) -> Any:
+        return load_open3d().core.Tensor.from_numpy(np.ascontiguousarray(array))
 
     # ---- rays
 
-    def cast(self, origin: Vectors, direction: Vectors, threads: int = 1) -> RayHitArrays:
+    def find_first_hits(self, origin: Vectors, direction: Vectors, threads: int = 1) -> RayHitArrays:
         """Return the first hit of each ray from `origin` [n,3] along `direction` [n,3] (any length)."""
         n = len(origin)
         t, mesh, local = np.full(n, np.inf), np.full(n, -1, np.int32), np.full(n, -1, np.int32)
@@ -135,73 +140,76 @@ class RayScene(ProximityQueries):
         for start in range(0, n, _RAYS_PER_CHUNK):
             rays = slice(start, start + _RAYS_PER_CHUNK)
             directions = np.ascontiguousarray(direction[rays], np.float64)
-            hit_rows, fractions, face, at = self._first_hits(
+            hit_rows, fractions, face, at = self._find_open3d_hits(
                 np.asarray(origin[rays], np.float64) - self.origin, directions, np.inf, threads
             )
             rows = start + hit_rows
-            t[rows], weights[rows], normal[rows] = fractions, at, self._facing_normals(face, directions[hit_rows])
-            mesh[rows], local[rows] = self._mesh_and_face(face)
+            t[rows], weights[rows], normal[rows] = fractions, at, self._get_facing_normals(face, directions[hit_rows])
+            mesh[rows], local[rows] = self._split_face_numbers(face)
         return RayHitArrays(t, mesh, local, weights[:, 1], weights[:, 2], normal)
 
-    def cast_within(
+    def find_hits_within(
         self, origin: Vectors, step: Vectors, threads: int = 1, most_hit: bool = False
     ) -> tuple[Index, Vectors, NDArray[np.int32], NDArray[np.int32]]:
         """Return the rays that hit between `origin` [n,3] and `origin + step`, ascending, with ray parameter, mesh and face.
 
         `most_hit`: skip the occlusion query, because most rays hit."""
-        which, t, face = self._first_hits_within(origin - self.origin, step, threads, most_hit)
-        return which, t, *self._mesh_and_face(face)
+        which, t, face = self._find_hits_within(origin - self.origin, step, threads, most_hit)
+        return which, t, *self._split_face_numbers(face)
 
-    def trace_normals(
-        self, origin: Vectors, displacement: Vectors, normals: Vectors, named: Index, threads: int = 1
+    def find_hit_normals(
+        self, origin: Vectors, displacement: Vectors, normals: Vectors, normal_columns: Index, threads: int = 1
     ) -> tuple[Index, Vectors, Vectors]:
         """Return the rays that hit between `origin` [n,3] and `origin + displacement`: their numbers, ascending, ray parameters
         and normals (3, k).
 
-        The ray parameter is in lengths of `displacement`. Normals are columns of `normals` (3, m); `named` has the column of each
-        face."""
-        grid = self._triangle_grid()
+        The ray parameter is in lengths of `displacement`. Normals are columns of `normals` (3, m); `normal_columns` has the
+        column of each face."""
+        grid = self._get_triangle_grid()
         if grid is not None:
-            results, left = grid.trace_normals(origin, displacement, normals, named, threads)
+            results, left = grid.find_hit_normals(origin, displacement, normals, normal_columns, threads)
             if not left:
                 return results
-        which, part, face = self._first_hits_within(origin - self.origin, displacement, threads)
-        return which, part, normals.take(named.take(face), axis=1)
+        which, part, face = self._find_hits_within(origin - self.origin, displacement, threads)
+        return which, part, normals.take(normal_columns.take(face), axis=1)
 
-    def rings(self, threads: int = 1) -> Arrays | None:
+    def get_ring_tables(self, threads: int = 1) -> Arrays | None:
         """Return the tables that walks of rays need in addition to `tables`, computed at the first call; None if there is no
         grid."""
-        grid = self._triangle_grid()
-        if grid is not None and self._rings is None:
-            self._rings = find_rings(self._faces, grid.tables, self._lasting, threads)
-        return self._rings
+        grid = self._get_triangle_grid()
+        if grid is not None and self._ring_tables is None:
+            self._ring_tables = find_rings(self._faces, grid.tables, self._stores_tables, threads)
+        return self._ring_tables
 
-    def _triangle_grid(self) -> TriangleGrid | None:
+    def _get_triangle_grid(self) -> TriangleGrid | None:
         """Return the grid for short rays and near faces, built on first use; None for a scene of a single step."""
-        if not self._sought:
-            self._sought = True
-            self._short = TriangleGrid.of(self._faces, self.origin, self._lasting)
-        return self._short
+        if not self._has_built_grid:
+            self._has_built_grid = True
+            self._short_ray_grid = TriangleGrid.of(self._faces, self.origin, self._stores_tables)
+        return self._short_ray_grid
 
-    def _first_hits_within(
+    def _find_hits_within(
         self, origin: Vectors, displacement: Vectors, threads: int, most_hit: bool = False
     ) -> tuple[Index, Vectors, Index]:
-        """Return the hits of `_first_hits` within one length of `displacement`, without weights. Short rays use the grid."""
-        grid = self._triangle_grid()
+        """Return the hits of `_find_open3d_hits` within one length of `displacement`, without weights. Short rays use the
+        grid."""
+        grid = self._get_triangle_grid()
         if grid is None:
-            return self._first_hits(origin, displacement, 1.0, threads, most_hit)[:3]
+            return self._find_open3d_hits(origin, displacement, 1.0, threads, most_hit)[:3]
         t, face = grid.first(origin, displacement, threads)
         further = np.flatnonzero(face == FACE_BEYOND_GRID)
         if further.size:
             face[further] = NO_FACE
-            rows, part, named, _ = self._first_hits(origin[further], displacement[further], 1.0, threads, most_hit)
+            rows, part, named, _ = self._find_open3d_hits(origin[further], displacement[further], 1.0, threads, most_hit)
             t[further[rows]], face[further[rows]] = part, named
         hit_rows = np.flatnonzero(face >= 0)
         return hit_rows, t.take(hit_rows), face.take(hit_rows)
 
-    def _first_hits(self, origin: Vectors, displacement: Vectors, most: float, threads: int, most_hit: bool = False) -> RayHits:
-        """Return the rays that hit within `most` lengths of `displacement` [n,3], from points [n,3] relative to the scene's
-        origin.
+    def _find_open3d_hits(
+        self, origin: Vectors, displacement: Vectors, max_parameter: float, threads: int, most_hit: bool = False
+    ) -> RayHits:
+        """Return the rays that hit within `max_parameter` lengths of `displacement` [n,3], from points [n,3] relative to the
+        scene's origin.
 
         The result has their numbers, ascending, ray parameters (in lengths of `displacement`), faces over all meshes, and corner
         weights.
@@ -209,7 +217,7 @@ class RayScene(ProximityQueries):
         Hits within a `hair` of a ray's start are ignored. So Open3D searches slightly farther than the end. It searches again
         behind each reported face that the ray does not hit: the ray starts from that face, or misses it by less than a `hair`."""
         nothing = np.empty(0, np.int64), np.empty(0), np.empty(0, np.int64), np.empty((0, 3))
-        if self._empty:
+        if self._is_empty:
             return nothing
         rows, a, w = np.arange(len(origin)), origin, displacement
         begin: Vectors | None = None
@@ -221,17 +229,19 @@ class RayScene(ProximityQueries):
             rays[:, :3] = a if begin is None else a + w * begin[:, None]
             rays[:, 3:] = w
             many = len(rows) > _MAX_RAYS_CAST_ONCE and not most_hit
-            if most < np.inf and many:
+            if max_parameter < np.inf and many:
                 # A ray without a hit traverses the complete scene. Only occlusion queries can limit its length.
-                maybe = self._occluded(rays, most * RAY_LENGTH_FACTOR, threads).nonzero()[0]
+                maybe = self._test_occlusions(rays, max_parameter * RAY_LENGTH_FACTOR, threads).nonzero()[0]
                 rows, rays = rows.take(maybe), rays.take(maybe, axis=0)
                 a, w = a.take(maybe, axis=0), w.take(maybe, axis=0)
                 begin = None if begin is None else begin[maybe]
             if not rows.size:
                 break
-            part, named = self._open3d_hits(rays, threads)
-            if most < np.inf and not many:  # a ray is occluded before the end exactly if its first hit lies before the end
-                named[part > np.float32(most * RAY_LENGTH_FACTOR)] = -1
+            part, named = self._cast_open3d_rays(rays, threads)
+            if (
+                max_parameter < np.inf and not many
+            ):  # a ray is occluded before the end exactly if its first hit lies before the end
+                named[part > np.float32(max_parameter * RAY_LENGTH_FACTOR)] = -1
             at: NDArray[Any] = part if begin is None else begin + part
             if named.min() < 0:
                 named_rows = np.flatnonzero(named >= 0)
@@ -255,16 +265,16 @@ class RayScene(ProximityQueries):
             order = np.argsort(rows)
             batches = [(rows[order], fractions[order], named[order], weights[order])]
         rows, fractions, named, weights = batches[0]
-        near = fractions <= most
+        near = fractions <= max_parameter
         if near.all():
             return batches[0]
         near_rows = np.flatnonzero(near)
         return rows.take(near_rows), fractions.take(near_rows), named.take(near_rows), weights.take(near_rows, axis=0)
 
-    def _open3d_hits(self, rays: NDArray[np.float32], threads: int) -> tuple[NDArray[np.float32], Index]:
+    def _cast_open3d_rays(self, rays: NDArray[np.float32], threads: int) -> tuple[NDArray[np.float32], Index]:
         """Return, for prepared rays, the approximate ray parameter at which Open3D reports a face, and the face over all meshes
         (-1 = none)."""
-        answer = self._scene.cast_rays(self._tensor(rays), nthreads=threads)
+        answer = self._widened_scene.cast_rays(self._to_tensor(rays), nthreads=threads)
         t = answer["t_hit"].numpy()
         face = answer["primitive_ids"].numpy().astype(np.int64)
         nothing = ~np.isfinite(t)
@@ -272,75 +282,81 @@ class RayScene(ProximityQueries):
             face[nothing] = -1
         return t, face
 
-    def _mesh_and_face(self, face: Index) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    def _split_face_numbers(self, face: Index) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
         """Convert face numbers over all meshes to mesh numbers and face numbers within the mesh."""
         mesh = self._mesh_of_face.take(face)
         return mesh, (face - self._first_face.take(mesh)).astype(np.int32)
 
-    def _facing_normals(self, face: Index, direction: NDArray[Any]) -> NDArray[np.float32]:
+    def _get_facing_normals(self, face: Index, direction: NDArray[Any]) -> NDArray[np.float32]:
         """Return the normals of faces, on the sides that rays with these directions hit."""
-        normal = self._faces.normals(face)
+        normal = self._faces.get_normals(face)
         along = (normal[:, 0] * direction[:, 0] + normal[:, 1] * direction[:, 1]) + normal[:, 2] * direction[:, 2]
         turned: NDArray[np.float32] = np.where(along[:, None] > 0, -normal, normal).astype(np.float32)
         return turned
 
-    def occluded(self, origin: Vectors, direction: Vectors, far: float = np.inf, threads: int = 1) -> NDArray[np.bool_]:
-        """Return whether each ray hits anything before `far` lengths of its direction. The result is Open3D's: for pictures
-        only."""
+    def find_occluded(
+        self, origin: Vectors, direction: Vectors, max_parameter: float = np.inf, threads: int = 1
+    ) -> NDArray[np.bool_]:
+        """Return whether each ray hits anything before `max_parameter` lengths of its direction. The result is Open3D's: for
+        pictures only."""
         rays = np.empty((len(origin), 6), np.float32)
         np.subtract(origin, self.origin, out=rays[:, :3], casting="unsafe")
         rays[:, 3:] = direction
-        return self._occluded(rays, far, threads)
+        return self._test_occlusions(rays, max_parameter, threads)
 
-    def _occluded(self, rays: NDArray[np.float32], far: float, threads: int) -> NDArray[np.bool_]:
-        """Return whether prepared rays hit anything before `far` lengths of their directions, by Open3D."""
-        if self._empty or len(rays) == 0:
+    def _test_occlusions(self, rays: NDArray[np.float32], max_parameter: float, threads: int) -> NDArray[np.bool_]:
+        """Return whether prepared rays hit anything before `max_parameter` lengths of their directions, by Open3D."""
+        if self._is_empty or len(rays) == 0:
             return np.zeros(len(rays), bool)
-        is_occluded: NDArray[np.bool_] = self._scene.test_occlusions(
-            self._tensor(rays), tnear=0.0, tfar=far, nthreads=threads
+        is_occluded: NDArray[np.bool_] = self._widened_scene.test_occlusions(
+            self._to_tensor(rays), tnear=0.0, tfar=max_parameter, nthreads=threads
         ).numpy()
         return is_occluded
 
     # ---- nearest faces
 
-    def closest(
-        self, points: Vectors, threads: int = 1, within: NDArray[Any] | float = np.inf
+    def find_closest(
+        self, points: Vectors, threads: int = 1, max_distance: NDArray[Any] | float = np.inf
     ) -> tuple[NDArray[np.int32], NDArray[np.int32], Vectors, NDArray[np.float64]]:
         """Return the nearest surface point to each point [n,3]: mesh, face, position [n,3] in float64 on that face, distance [n]
         (mm).
 
         Far from the surface, a query costs as much as 10 to 30 rays: use it for the few points that no other search resolves.
-        Beyond `within` (mm, one or float[n]) the result may be an equally near face on another side."""
+        Beyond `max_distance` (mm, one or float[n]) the result may be an equally near face on another side."""
         n = len(points)
-        if self._empty or n == 0:
+        if self._is_empty or n == 0:
             nothing = np.full(n, -1, np.int32)
             return nothing, nothing.copy(), np.array(points, np.float64).reshape(-1, 3), np.full(n, np.inf)
         local = np.asarray(points, np.float64) - self.origin
-        endless = isinstance(within, float) and within == np.inf
-        grid = None if endless else self._triangle_grid()
+        endless = isinstance(max_distance, float) and max_distance == np.inf
+        grid = None if endless else self._get_triangle_grid()
         if grid is None:
-            place, distance, face = self._closest(local, threads, within)
+            place, distance, face = self._find_closest_by_open3d(local, threads, max_distance)
         else:
-            place, square, face = grid.nearest(local)
+            place, square, face = grid.find_nearest(local)
             distance = np.sqrt(square)
             rows = np.flatnonzero(face == FACE_BEYOND_GRID)
             if rows.size:
-                most = np.broadcast_to(np.asarray(within), (n,))[rows]
-                place[rows], distance[rows], face[rows] = self._closest(local[rows], threads, most)
-        return *self._mesh_and_face(face), place + self.origin, distance
+                most = np.broadcast_to(np.asarray(max_distance), (n,))[rows]
+                place[rows], distance[rows], face[rows] = self._find_closest_by_open3d(local[rows], threads, most)
+        return *self._split_face_numbers(face), place + self.origin, distance
 
-    def _closest(self, local: Vectors, threads: int, within: NDArray[Any] | float) -> tuple[Vectors, Vectors, Index]:
+    def _find_closest_by_open3d(
+        self, local: Vectors, threads: int, max_distance: NDArray[Any] | float
+    ) -> tuple[Vectors, Vectors, Index]:
         """Return position, distance and face nearest to points relative to the scene's origin, by Open3D."""
-        place, square, face = self._faces.nearest(local, self._open3d_nearest(local, threads))
+        place, square, face = self._faces.find_nearest(local, self._query_open3d_nearest(local, threads))
         # Slightly farther away, an equally near face on another side is nearer. So both are found in any case.
         distance = np.sqrt(square)
-        candidates = np.flatnonzero(distance <= within)
+        candidates = np.flatnonzero(distance <= max_distance)
         if candidates.size:
             local, square, one = local[candidates], square[candidates], face[candidates]
-            away = (local - place[candidates]) * (_NUDGE_HAIRS * self._faces.hair / np.maximum(distance[candidates], 1e-30))[
-                :, None
-            ]
-            other_places, other_squares, other = self._faces.nearest(local, self._open3d_nearest(local + away, threads))
+            away = (local - place[candidates]) * (
+                _NUDGE_TOLERANCES * self._faces.tolerance / np.maximum(distance[candidates], 1e-30)
+            )[:, None]
+            other_places, other_squares, other = self._faces.find_nearest(
+                local, self._query_open3d_nearest(local + away, threads)
+            )
             nearer = np.flatnonzero((other_squares < square) | ((other_squares == square) & (other < one)))
             rows = candidates[nearer]
             place[rows], face[rows], distance[rows] = other_places[nearer], other[nearer], np.sqrt(other_squares[nearer])
@@ -349,28 +365,32 @@ class RayScene(ProximityQueries):
     def _bound_distances(self, points: Vectors) -> Vectors:
         """Return distances [n] to the nearest face, or to a face that is as near within float32 error. They serve as bounds."""
         local = points - self.origin
-        gap = nearest_on_triangle(local, self._faces.corners.take(self._open3d_nearest(local, 1), axis=0)) - local
+        gap = find_nearest_on_triangle(local, self._faces.corners.take(self._query_open3d_nearest(local, 1), axis=0)) - local
         return np.sqrt((gap[:, 0] * gap[:, 0] + gap[:, 1] * gap[:, 1]) + gap[:, 2] * gap[:, 2])
 
-    def _open3d_nearest(self, points: Vectors, threads: int) -> Index:
+    def _query_open3d_nearest(self, points: Vectors, threads: int) -> Index:
         """Return the face that Open3D reports as nearest to points relative to the scene's origin."""
-        if self._exact is None:
-            self._exact = self._scene if self._brief else self._build_scene(self._faces.corners.reshape(-1, 3).astype(np.float32))
+        if self._exact_scene is None:
+            self._exact_scene = (
+                self._widened_scene
+                if self._is_short_lived
+                else self._build_scene(self._faces.corners.reshape(-1, 3).astype(np.float32))
+            )
         near = np.fmin(np.fmax(points, -_MAX_NEAREST_DISTANCE_MM), _MAX_NEAREST_DISTANCE_MM).astype(
             np.float32
         )  # NaN gets an arbitrary nearest face
-        answer = self._exact.compute_closest_points(self._tensor(near), nthreads=threads)
+        answer = self._exact_scene.compute_closest_points(self._to_tensor(near), nthreads=threads)
         face: Index = answer["primitive_ids"].numpy().astype(np.int64)
         return face
 
-    def depth_inside(self, points: Vectors, threads: int = 1) -> NDArray[np.float64]:
+    def measure_depth_inside(self, points: Vectors, threads: int = 1) -> NDArray[np.float64]:
         """Return the depth of each point [n,3] inside the meshes, which are assumed to be closed: the distance to the surface in
         mm.
 
         A point is inside if at least two of three rays from it cross an odd number of faces; outside, the result is 0."""
         depths = np.zeros(len(points))
-        if not self._empty and len(points):
-            local = self._tensor((np.asarray(points, np.float64) - self.origin).astype(np.float32))
-            inside = np.flatnonzero(self._scene.compute_occupancy(local, nthreads=threads, nsamples=3).numpy() > 0.5)
-            depths[inside] = self.closest(points[inside], threads)[3]
+        if not self._is_empty and len(points):
+            local = self._to_tensor((np.asarray(points, np.float64) - self.origin).astype(np.float32))
+            inside = np.flatnonzero(self._widened_scene.compute_occupancy(local, nthreads=threads, nsamples=3).numpy() > 0.5)
+            depths[inside] = self.find_closest(points[inside], threads)[3]
         return depths

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.casting import grid_rays, nearest_faces
-from antdsl.casting.distance_grid import cell_width, sides_and_area
+from antdsl.casting.distance_grid import choose_cell_width, measure_sides_and_area
 from antdsl.casting.faces import Faces
-from antdsl.casting.rasterise import triangle_cells
+from antdsl.casting.rasterise import iterate_triangle_cells
 from antdsl.casting.tolerances import MAX_RAY_CUBES, MAX_SEARCH_RINGS
 from antdsl.numerics import parallel, stored_tables
 from antdsl.numerics.vector_rows import dot
@@ -47,42 +47,42 @@ class TriangleGrid:
     - plane and bounding ball of each listed face, float32[e,8]
     - planes (m, 3, 4), corners (m, 3, 3) and unit normals (m, 3) of all faces"""
 
-    def __init__(self, faces: Faces, planes: Floats, width: float, origin: Floats, lasting: bool = True) -> None:
+    def __init__(self, faces: Faces, planes: Floats, width: float, origin: Floats, store_tables: bool = True) -> None:
         corners = faces.corners
         low = corners.min(axis=(0, 1)) - width / 4
         size = np.floor((corners.max(axis=(0, 1)) + width / 4 - low) / width).astype(np.int64) + 1
-        work, count = partial(_list_cube_faces, corners, low, size, width), len(corners) if lasting else 0
+        work, count = partial(_list_cube_faces, corners, low, size, width), len(corners) if store_tables else 0
         lists = stored_tables.get_or_compute("triangle grid", count, (corners, width), work)
         first, listed = lists["first"], lists["listed"]
-        normals = faces.normals(np.arange(len(corners)))
+        normals = faces.get_normals(np.arange(len(corners)))
         off = 1e-6 * (
             float(np.abs(corners).max()) + (MAX_RAY_CUBES + MAX_SEARCH_RINGS) * width
         )  # several times the rounding error of float32
         self.tables: Tables = (
-            np.array([*low, width, off, faces.hair, *origin]),  # lowest corner of the grid; world position of its zero
+            np.array([*low, width, off, faces.tolerance, *origin]),  # lowest corner of the grid; world position of its zero
             size,
             first,
             listed,
-            _face_bounds(corners, normals)[listed],
+            _compute_face_bounds(corners, normals)[listed],
             np.ascontiguousarray(_drop_thin_planes(corners, planes)),
             np.ascontiguousarray(corners),
             normals,
         )
         many = np.diff(first).astype(np.float64)
-        self.crowded = float((many * many).sum() / max(many.sum(), 1.0))
+        self.mean_faces_per_cube = float((many * many).sum() / max(many.sum(), 1.0))
 
     @staticmethod
-    def of(faces: Faces, origin: Floats, lasting: bool = True) -> TriangleGrid | None:
+    def of(faces: Faces, origin: Floats, store_tables: bool = True) -> TriangleGrid | None:
         """Return a grid if it is useful and not too large; otherwise None. Its size is computed before any allocation.
 
         - `origin`: the world position that the corners of the faces are relative to
-        - `lasting`: whether another run may need the same faces"""
-        tables = faces.tables()
-        width = None if tables is None else _cube_width(faces.corners)
+        - `store_tables`: whether another run may need the same faces"""
+        tables = faces.build_tables()
+        width = None if tables is None else _choose_cube_width(faces.corners)
         if tables is None or width is None:
             return None
-        grid = TriangleGrid(faces, tables[0], width, origin, lasting)
-        return grid if grid.crowded <= _CROWDED_CUBE_FACES else None
+        grid = TriangleGrid(faces, tables[0], width, origin, store_tables)
+        return grid if grid.mean_faces_per_cube <= _CROWDED_CUBE_FACES else None
 
     # ---- rays
 
@@ -92,65 +92,65 @@ class TriangleGrid:
         The ray parameter is in lengths of `displacement`. Hits within a `hair` of the start are ignored. The face is NO_FACE if
         there is none, and FACE_BEYOND_GRID for rays that are too long."""
         t, face = np.empty(len(origin)), np.empty(len(origin), np.int64)
-        work = partial(grid_rays.first_hits, self.tables, origin, displacement, t, face)
-        parallel.in_parts(work, len(origin), threads, _RAYS_PER_THREAD)
+        work = partial(grid_rays.write_first_hits, self.tables, origin, displacement, t, face)
+        parallel.run_in_parts(work, len(origin), threads, _RAYS_PER_THREAD)
         return t, face
 
-    def trace_normals(
-        self, origin: Floats, displacement: Floats, normals: Floats, named: Index, threads: int = 1
+    def find_hit_normals(
+        self, origin: Floats, displacement: Floats, normals: Floats, normal_columns: Index, threads: int = 1
     ) -> tuple[tuple[Index, Floats, Floats], int]:
         """Return the rays from world positions for which `first` finds a face: their numbers, ascending, ray parameters, and
         normals (3, k).
 
-        Normals are columns of `normals` (3, m); `named` has the column of each face. Returns also the number of rays that the
-        grid cannot resolve."""
+        Normals are columns of `normals` (3, m); `normal_columns` has the column of each face. Returns also the number of rays
+        that the grid cannot resolve."""
         which, results = np.empty(len(origin), np.int64), np.empty((4, len(origin)))
-        work = partial(grid_rays.trace_normals, self.tables, origin, displacement, normals, named, which, results)
-        parts = parallel.in_parts(work, len(origin), threads, _RAYS_PER_THREAD)
+        work = partial(grid_rays.write_hit_normals, self.tables, origin, displacement, normals, normal_columns, which, results)
+        parts = parallel.run_in_parts(work, len(origin), threads, _RAYS_PER_THREAD)
         which, results = parallel.join_parts(parts, which, results)
         return (which, results[0], results[1:]), sum([left for _, _, left in parts])
 
-    def cast_feelers(self, place: PointColumns, direction: PointColumns, reach: Float32Array) -> tuple[Float32Array, int]:
+    def cast_feelers(self, positions: PointColumns, direction: PointColumns, reach: Float32Array) -> tuple[Float32Array, int]:
         """Return the hits of feelers from positions along unit directions, up to `reach` (mm). Inputs are float32 columns in the
         world.
 
         The result is float32[4,n]: distance (infinite for no hit, NaN if the grid cannot answer) and unit normal towards the
         feeler's origin. Returns also the number of feelers that the grid cannot answer."""
         results = np.empty((4, len(reach)), np.float32)
-        return results, grid_rays.cast_feelers(self.tables, _contiguous(*place, *direction, reach), results)
+        return results, grid_rays.write_feeler_hits(self.tables, _make_contiguous(*positions, *direction, reach), results)
 
-    def feel_askers(
-        self, positions: Arrays, asking: NDArray[np.bool_], directions: Arrays, results: Arrays, threads: int = 1
+    def cast_requested_feelers(
+        self, positions: Arrays, is_requested: NDArray[np.bool_], directions: Arrays, results: Arrays, threads: int = 1
     ) -> int:
-        """Write the hits of `cast_feelers` for the positions, of n, that are `asking`. Returns the number of feelers that the
-        grid cannot resolve.
+        """Write the hits of `write_feeler_hits` for the positions, of n, that are `is_requested`. Returns the number of feelers
+        that the grid cannot resolve.
 
         - `positions`: x y z, and a distance within which there is no face
         - `directions`: x y z of any length, and the reach
         - `results`: hit, distance and normal (x y z); written for rows that hit or that the grid cannot resolve"""
-        work = partial(grid_rays.feel_askers, self.tables, positions, asking, directions, results)
-        return sum(parallel.in_parts(work, len(asking), threads))
+        work = partial(grid_rays.write_requested_feelers, self.tables, positions, is_requested, directions, results)
+        return sum(parallel.run_in_parts(work, len(is_requested), threads))
 
     # ---- nearest faces
 
-    def signed_distances(self, place: PointColumns, threads: int = 1) -> tuple[Float32Array, int]:
+    def measure_signed_distances(self, positions: PointColumns, threads: int = 1) -> tuple[Float32Array, int]:
         """Return the signed distance (mm) to the faces and the unit direction out, float32[4,n], and the number of rows that are
         NaN.
 
         The distance is negative behind the nearest face, and NaN if the grid cannot tell."""
-        results = np.empty((4, len(place[0])), np.float32)
-        work = partial(nearest_faces.signed_distances, self.tables, _contiguous(*place), results)
-        return results, sum(parallel.in_parts(work, len(place[0]), threads, _RAYS_PER_THREAD))
+        results = np.empty((4, len(positions[0])), np.float32)
+        work = partial(nearest_faces.write_signed_distances, self.tables, _make_contiguous(*positions), results)
+        return results, sum(parallel.run_in_parts(work, len(positions[0]), threads, _RAYS_PER_THREAD))
 
-    def nearest(self, points: Floats) -> tuple[Floats, Floats, Index]:
+    def find_nearest(self, points: Floats) -> tuple[Floats, Floats, Index]:
         """Return the position nearest to each point [n,3], its squared distance and its face. The face is FACE_BEYOND_GRID if no
         face is near enough to tell."""
         place, square, face = np.empty((len(points), 3)), np.empty(len(points)), np.empty(len(points), np.int64)
-        nearest_faces.nearest_points(self.tables, points, place, square, face)
+        nearest_faces.write_nearest_points(self.tables, points, place, square, face)
         return place, square, face
 
 
-def _contiguous(*columns: Float32Array) -> tuple[Float32Array, ...]:
+def _make_contiguous(*columns: Float32Array) -> tuple[Float32Array, ...]:
     """Return the columns as contiguous arrays."""
     return tuple([np.ascontiguousarray(each) for each in columns])
 
@@ -159,7 +159,7 @@ def _list_cube_faces(corners: Floats, low: Floats, size: Index, width: float) ->
     """Return a list of the face numbers of all cubes, after the start of each cube's faces in it. The grid has `size` cubes from
     its lowest corner."""
     count, keys = len(corners), [np.empty(0, np.int64)]
-    for cell, face in triangle_cells((corners - low) / width, margin=_CUBE_MARGIN):
+    for cell, face in iterate_triangle_cells((corners - low) / width, margin=_CUBE_MARGIN):
         cell = np.minimum(np.maximum(cell, 0), size - 1)
         keys.append(((cell[:, 0] * size[1] + cell[:, 1]) * size[2] + cell[:, 2]) * count + face)
     cells, listed = np.divmod(np.unique(np.concatenate(keys)), count)
@@ -168,15 +168,15 @@ def _list_cube_faces(corners: Floats, low: Floats, size: Index, width: float) ->
     return {"first": first, "listed": listed.astype(np.int32)}
 
 
-def _cube_width(corners: Floats) -> float | None:
+def _choose_cube_width(corners: Floats) -> float | None:
     """Return the edge of cubes (mm): about that of the faces, but larger if there would be too many cubes, or too many faces per
     cube."""
     if not len(corners):
         return None
-    lengths, area = sides_and_area(corners)
+    lengths, area = measure_sides_and_area(corners)
     around = lengths.sum()
     extent = corners.max(axis=(0, 1)) - corners.min(axis=(0, 1))
-    width = max(float(lengths.mean()) * _CUBE_WIDTH_IN_FACE_EDGES, cell_width(extent, _MAX_CUBES))
+    width = max(float(lengths.mean()) * _CUBE_WIDTH_IN_FACE_EDGES, choose_cell_width(extent, _MAX_CUBES))
     if not 0 < width < np.inf:
         return None
     # A face touches cubes by its area, its sides and its corners.
@@ -187,7 +187,7 @@ def _cube_width(corners: Floats) -> float | None:
     return None
 
 
-def _face_bounds(corners: Floats, normals: Floats) -> Float32Array:
+def _compute_face_bounds(corners: Floats, normals: Floats) -> Float32Array:
     """Return planes and bounding balls of faces, float32[m,8].
 
     A plane is the unit normal and minus its distance from the origin. A ball is its centre, which lies in the plane, and its

@@ -1,8 +1,8 @@
 """The command line. Each command has one file, which defines its flags, calls the pipeline, prints, and sets the exit code."""
 
-from antdsl.child_processes import isolate
+from antdsl.child_processes import isolate_search_paths
 
-isolate()  # before another import could look into the working directory
+isolate_search_paths()  # before another import could look into the working directory
 
 import gc  # noqa: E402
 import os  # noqa: E402
@@ -39,7 +39,7 @@ from antdsl.cli.commands import (  # noqa: E402
     sweep,
     test,
 )
-from antdsl.cli.exits import CommandError, ExitCode, as_machine_failure, failure_error, limit_threads  # noqa: E402
+from antdsl.cli.exits import CommandError, ExitCode, find_machine_failure, limit_threads, make_failure_error  # noqa: E402
 from antdsl.cli.printing.messages import close_streams, guard_streams, print_result  # noqa: E402
 
 
@@ -112,7 +112,7 @@ for _command_row in COMMANDS:
     app.command(_command_row.name, rich_help_panel=_panel, epilog=_example)(_command_row.function)
 
 
-def _version(value: bool) -> None:
+def _print_version(value: bool) -> None:
     """Print the version and exit if the flag is set."""
     if value:
         from antdsl import __version__
@@ -129,8 +129,10 @@ def _trust_usd(value: bool) -> None:
 
 
 @app.callback()
-def _root(
-    version: bool = typer.Option(False, "--version", "-V", callback=_version, is_eager=True, help="Print the version and stop."),
+def _set_global_options(
+    version: bool = typer.Option(
+        False, "--version", "-V", callback=_print_version, is_eager=True, help="Print the version and stop."
+    ),
     trust_usd: bool = typer.Option(
         False, "--trust-usd", callback=_trust_usd, help="Read USD files where this system has no sandbox for them."
     ),
@@ -143,7 +145,7 @@ def main() -> None:
     """Run a command and exit with its code. No user error ends in a traceback."""
     _restart_with_safe_path()
     guard_streams()
-    code = _deliver(_run())
+    code = _flush_output(_run_without_warnings())
     # What is left goes with the process; looking through it for garbage once more would be a tenth of a check.
     gc.freeze()
     sys.exit(code)
@@ -161,41 +163,41 @@ def _restart_with_safe_path() -> None:
         sys.exit(subprocess.run(command).returncode)
 
 
-def _deliver(code: int) -> int:
+def _flush_output(code: int) -> int:
     """Flush buffered output and return the exit code. If a part of the result could not be written, the exit code reports the
     loss."""
     try:
         loss = close_streams()
     except KeyboardInterrupt:  # the work is done, and nothing reads the rest
         return code
-    if loss is None or code not in (ExitCode.FINE, ExitCode.FINDINGS):
+    if loss is None or code not in (ExitCode.SUCCESS, ExitCode.FINDINGS):
         return code
     print(f"error: cannot write to standard output: {(loss.strerror or str(loss)).lower()}", file=sys.stderr)
     return ExitCode.INPUT_OUTPUT
 
 
-def _run() -> int:
+def _run_without_warnings() -> int:
     """Run the command with the warnings of libraries disabled. Return its exit code."""
     with warnings.catch_warnings():
         if not sys.warnoptions:  # what libraries have to say to those who program with them; `python -W default` shows it
             warnings.simplefilter("ignore")
-        return _command()
+        return _run_command_line()
 
 
-def _require_text(words: list[str]) -> None:
+def _require_utf8_arguments(words: list[str]) -> None:
     """Reject file names that are not UTF-8 before any work. Manifests, tables and stages contain file names and are UTF-8."""
     for word in words:
         try:
             word.encode()
         except UnicodeEncodeError:
-            from antdsl.diagnostics.model import printable
+            from antdsl.diagnostics.model import replace_unprintable
 
-            display_name = printable(os.fsencode(word).decode(errors="backslashreplace"))
+            display_name = replace_unprintable(os.fsencode(word).decode(errors="backslashreplace"))
             message = f"error: the name `{display_name}` is not UTF-8"
             raise CommandError(ExitCode.USAGE, message, "rename the file or folder") from None
 
 
-def _require_order(words: list[str]) -> None:
+def _require_flag_order(words: list[str]) -> None:
     """Raise CommandError if `--trust-usd` follows the command. The flag belongs to all commands, so it must precede the
     command."""
     own = words[: words.index("--")] if "--" in words else words
@@ -205,16 +207,16 @@ def _require_order(words: list[str]) -> None:
         raise CommandError(ExitCode.USAGE, message, f"write: {shlex.join(['antdsl', '--trust-usd', *rest])}")
 
 
-def _command() -> int:
+def _run_command_line() -> int:
     """Run the command that the arguments name. Return its exit code, also after an error."""
     try:
         try:
-            _require_text(sys.argv[1:])
-            _require_order(sys.argv[1:])
+            _require_utf8_arguments(sys.argv[1:])
+            _require_flag_order(sys.argv[1:])
             app(standalone_mode=True, prog_name="antdsl")
         except SystemExit as leave:
-            return leave.code if isinstance(leave.code, int) else ExitCode.FINE
-        return ExitCode.FINE
+            return leave.code if isinstance(leave.code, int) else ExitCode.SUCCESS
+        return ExitCode.SUCCESS
     except CommandError as stop:
         for line in (stop.message, stop.hint):
             if line:
@@ -224,11 +226,11 @@ def _command() -> int:
         print("interrupted", file=sys.stderr)
         return ExitCode.INTERRUPTED
     except Exception as problem:
-        if (cause := as_machine_failure(problem)) is not None:
-            end = failure_error(cause)
+        if (cause := find_machine_failure(problem)) is not None:
+            end = make_failure_error(cause)
             print(end.message, end.hint, sep="\n", file=sys.stderr)
             return end.code
-        from antdsl.machine_code.machine import MachineCodeUnavailable
+        from antdsl.machine_code.llvm_compiler import MachineCodeUnavailable
 
         if isinstance(problem, MachineCodeUnavailable):
             print(f"error: simulation needs machine code: {problem}", file=sys.stderr)

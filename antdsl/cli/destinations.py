@@ -13,8 +13,8 @@ from typing import TextIO
 
 import typer
 
+from antdsl.atomic_write import create_sibling_file, write_atomically
 from antdsl.cli.exits import CommandError, ExitCode
-from antdsl.whole import new_sibling, write_atomically
 
 
 def require_writable_file(path: Path | None, flag: str) -> None:
@@ -28,7 +28,7 @@ def require_writable_file(path: Path | None, flag: str) -> None:
         raise typer.BadParameter(f"`{path}` is no regular file", param_hint=flag)
     if not path.absolute().parent.is_dir():
         raise typer.BadParameter(f"there is no folder `{path.parent}`", param_hint=flag)
-    _try_writing(path, path, flag)
+    _require_writable(path, path, flag)
 
 
 def is_standard_output(path: Path | None) -> bool:
@@ -57,12 +57,12 @@ def write_result(path: Path | None, data: bytes, output: TextIO) -> None:
     output.buffer.flush()
 
 
-def default_path(base: Path, *names: str, flag: str = "--out") -> Path:
+def choose_default_path(base: Path, *names: str, flag: str = "--out") -> Path:
     """Return the default output path below `base`, for use if the user gives no `flag`. Exit if one of `names` is a link: a link
     could lead anywhere, and only the user may choose such a path."""
-    from antdsl.whole import first_link
+    from antdsl.atomic_write import find_first_link
 
-    link = first_link(base, *names)
+    link = find_first_link(base, *names)
     if link is not None:
         words = f"error: `{link}` is a link, and results follow no link that you did not name"
         raise CommandError(ExitCode.INPUT_OUTPUT, words, f"name the place that it leads to, or another one, with `{flag}`")
@@ -82,7 +82,7 @@ def require_writable_folder(path: Path | None, flag: str, *names: str) -> None:
         if (path / name).is_dir():
             words = f"error: `{path / name}` is a folder, but a file is needed there"
             raise CommandError(ExitCode.INPUT_OUTPUT, words, f"name another folder with `{flag}`")
-    _try_writing(existing_parent / "antdsl", path, flag)
+    _require_writable(existing_parent / "antdsl", path, flag)
 
 
 @contextmanager
@@ -96,10 +96,10 @@ def protect_inputs(
     `folders`: the output folders by their flags, with the names of files that are written there.
     """
     from antdsl.resources import behaviours_folder
-    from antdsl.scene.paths import record_sought
+    from antdsl.scene.paths import record_requested_paths
 
     named: list[Path] = []
-    with record_sought() as sought_files:
+    with record_requested_paths() as sought_files:
         yield named
     inputs = [*named, *sought_files, *behaviours_folder().glob("*.ant")]
     results = {flag: path for flag, path in files.items() if path is not None and not _is_same_file(path, Path(os.devnull))}
@@ -114,43 +114,43 @@ def protect_inputs(
         lost = (
             []
             if folder is None
-            else [each for each in inputs if each.exists() and _first_name_below(each, folder) in result_names]
+            else [each for each in inputs if each.exists() and _find_first_name_below(each, folder) in result_names]
         )
         if lost:
             words = f"error: `{lost[0]}` is an input and would be lost"
             raise CommandError(ExitCode.USAGE, words, f"name another folder with `{flag}`")
         for other, path in results.items():
-            if folder is not None and _first_name_below(path, folder) in result_names:
+            if folder is not None and _find_first_name_below(path, folder) in result_names:
                 raise typer.BadParameter(f"`{path}` is also a result of `{flag}`; name another file", param_hint=other)
 
 
-def _is_same_file(one: Path, other: Path) -> bool:
+def _is_same_file(path: Path, other: Path) -> bool:
     """Return whether two paths lead to the same existing file."""
     try:
-        return os.path.samefile(one, other)
+        return os.path.samefile(path, other)
     except (OSError, ValueError):
         return False
 
 
-def _is_same_destination(one: Path, other: Path) -> bool:
+def _is_same_destination(path: Path, other: Path) -> bool:
     """Return whether output to two paths would go to the same file or stream."""
     return (
-        (is_standard_output(one) and is_standard_output(other))
-        or _is_same_file(one, other)
-        or os.path.realpath(one) == os.path.realpath(other)
+        (is_standard_output(path) and is_standard_output(other))
+        or _is_same_file(path, other)
+        or os.path.realpath(path) == os.path.realpath(other)
     )
 
 
-def _first_name_below(path: Path, folder: Path) -> str | None:
+def _find_first_name_below(path: Path, folder: Path) -> str | None:
     """Return the first component of `path` relative to `folder`, or None if `path` is not below `folder`."""
     real_path, start = Path(os.path.realpath(path)), os.path.realpath(folder)
     return real_path.relative_to(start).parts[0] if real_path != Path(start) and real_path.is_relative_to(start) else None
 
 
-def _try_writing(beside: Path, path: Path, flag: str) -> None:
-    """Exit with a message about `flag` if no file can be created next to `beside`. The message names `path`."""
+def _require_writable(probe_path: Path, path: Path, flag: str) -> None:
+    """Exit with a message about `flag` if no file can be created next to `probe_path`. The message names `path`."""
     try:
-        new_sibling(beside).unlink()
+        create_sibling_file(probe_path).unlink()
     except OSError as why:
         words = f"error: cannot write `{path}`: {(why.strerror or str(why)).lower()}"
         advice = "free space, or " if why.errno in (errno.ENOSPC, errno.EDQUOT) else ""

@@ -28,7 +28,7 @@ _ADVICE_BY_ERRNO = {
 class ExitCode(IntEnum):
     """Exit codes of commands."""
 
-    FINE = 0
+    SUCCESS = 0
     FINDINGS = 1
     USAGE = 2
     INPUT_OUTPUT = 3
@@ -67,21 +67,23 @@ def is_out_of_memory(problem: BaseException | None) -> bool:
     while problem is not None and id(problem) not in visited:
         visited.add(id(problem))
         words = str(problem).lower()
-        if isinstance(problem, MemoryError) or (isinstance(problem, OSError) and _cannot_start_process(problem)):
+        if isinstance(problem, MemoryError) or (isinstance(problem, OSError) and is_out_of_process_memory(problem)):
             return True
-        if isinstance(problem, RuntimeError | ImportError | OSError | SystemError) and _mentions(words, _OUT_OF_MEMORY_PHRASES):
+        if isinstance(problem, RuntimeError | ImportError | OSError | SystemError) and _contains_phrase(
+            words, _OUT_OF_MEMORY_PHRASES
+        ):
             return True
-        if isinstance(problem, RuntimeError) and _mentions(words, _OUT_OF_THREADS_PHRASES):
+        if isinstance(problem, RuntimeError) and _contains_phrase(words, _OUT_OF_THREADS_PHRASES):
             return True
         problem = problem.__cause__ or (None if problem.__suppress_context__ else problem.__context__)
     return False
 
 
-def _mentions(words: str, parts: tuple[str, ...]) -> bool:
-    return any(part in words for part in parts)
+def _contains_phrase(words: str, phrases: tuple[str, ...]) -> bool:
+    return any(part in words for part in phrases)
 
 
-def _cannot_start_process(problem: OSError) -> bool:
+def is_out_of_process_memory(problem: OSError) -> bool:
     """Return whether the system refused to provide memory, or a process for lack of memory."""
     if problem.errno != EAGAIN:
         return problem.errno == ENOMEM
@@ -92,46 +94,46 @@ def _cannot_start_process(problem: OSError) -> bool:
 
 
 @contextmanager
-def report_failures(what: str, again: str = RETRY_ADVICE) -> Iterator[None]:
-    """End the command with exit code 3 if the disk or memory fails. `what`: the operation that failed. `again`: how to
-    continue."""
+def report_failures(operation: str, retry_advice: str = RETRY_ADVICE) -> Iterator[None]:
+    """End the command with exit code 3 if the disk or memory fails. `operation`: the operation that failed. `retry_advice`: how
+    to continue."""
     try:
         yield
     except (BrokenPipeError, CommandError):  # the reader of standard output is gone: that is not the disk
         raise
     except Exception as problem:
-        cause = as_machine_failure(problem)
+        cause = find_machine_failure(problem)
         if cause is None:
             raise
-        raise failure_error(cause, what, again) from None
+        raise make_failure_error(cause, operation, retry_advice) from None
 
 
 @contextmanager
-def explain_cache_errors(cache: Path | None = None, again: str = "to compute damaged frames again") -> Iterator[None]:
-    """End the command with advice if a cache cannot be read or written. `again`: the introduction to the command that computes
-    damaged frames of `cache` again."""
+def explain_cache_errors(cache: Path | None = None, retry_purpose: str = "to compute damaged frames again") -> Iterator[None]:
+    """End the command with advice if a cache cannot be read or written. `retry_purpose`: the introduction to the command that
+    computes damaged frames of `cache` again."""
     try:
         yield
     except Exception as why:
-        code, advice = _cache_advice(why)
+        code, advice = _find_cache_advice(why)
         if code is ExitCode.BUG:
             raise
         if cache is not None and not advice:
-            from antdsl.outputs.provenance import resume_command
+            from antdsl.outputs.provenance import make_resume_command
 
-            advice = f"{again}: {resume_command(cache)}"
+            advice = f"{retry_purpose}: {make_resume_command(cache)}"
         raise CommandError(code, f"error: {why}", advice) from None
 
 
-def _cache_advice(why: Exception) -> tuple[ExitCode, str]:
+def _find_cache_advice(why: Exception) -> tuple[ExitCode, str]:
     """Return the exit code for an error of a cache, and advice; the code is BUG for any other error. Damaged frames have no
     advice here: the caller adds the command that computed them."""
     from antdsl.outputs.cache.cache_reader import CacheError
     from antdsl.outputs.cache.cache_writer import DifferentHashes, DifferentInputs, ForeignFolder, PathBlocked
     from antdsl.outputs.cache.lock import FolderLocked
     from antdsl.outputs.cache.manifest import ManifestError
-    from antdsl.outputs.editing import NotEditable
     from antdsl.outputs.gallery import PictureUnavailable
+    from antdsl.outputs.orientation_smoothing import NotEditable
     from antdsl.outputs.recording import NothingToResume
 
     attribute = "add it to `output: {attributes: …}` of the scene and run again"
@@ -150,34 +152,34 @@ def _cache_advice(why: Exception) -> tuple[ExitCode, str]:
     return rows.get(type(why), (ExitCode.BUG, ""))
 
 
-def as_machine_failure(problem: Exception) -> OSError | MemoryError | None:
+def find_machine_failure(problem: Exception) -> OSError | MemoryError | None:
     """Return the disk or memory error behind an error of any library; None if there is none."""
     if is_out_of_memory(problem):
         return MemoryError()
     return problem if isinstance(problem, OSError) else None
 
 
-def failure_error(problem: OSError | MemoryError, what: str = "", again: str = RETRY_ADVICE) -> CommandError:
+def make_failure_error(problem: OSError | MemoryError, operation: str = "", retry_advice: str = RETRY_ADVICE) -> CommandError:
     """Return the exception that ends a command after a disk or memory failure."""
     if isinstance(problem, MemoryError):
         words = "error: out of memory; use fewer agents, larger cells or a lighter mesh"
-        return CommandError(ExitCode.INPUT_OUTPUT, words, f"once there is more, {again}")
+        return CommandError(ExitCode.INPUT_OUTPUT, words, f"once there is more, {retry_advice}")
     if problem.errno == errno.ENOENT and not problem.filename and not _has_working_directory():
         return CommandError(
-            ExitCode.INPUT_OUTPUT, "error: the working directory was removed", f"change to another folder, then {again}"
+            ExitCode.INPUT_OUTPUT, "error: the working directory was removed", f"change to another folder, then {retry_advice}"
         )
     place = f": `{problem.filename}`" if problem.filename else ""
-    words = f"error: {what}{': ' if what else ''}{(problem.strerror or str(problem)).lower()}{place}"
-    return CommandError(ExitCode.INPUT_OUTPUT, words, f"{recovery_advice(problem)} {again}")
+    words = f"error: {operation}{': ' if operation else ''}{(problem.strerror or str(problem)).lower()}{place}"
+    return CommandError(ExitCode.INPUT_OUTPUT, words, f"{describe_recovery(problem)} {retry_advice}")
 
 
 def limit_threads() -> None:
     """Limit threads if the address space of this process is limited. The linear algebra library of NumPy, not loaded yet,
     reserves memory for each thread, and ends the process if it gets none. Raises CommandError if the limit is too low even for
     one thread."""
-    from antdsl.numerics.host import address_space
+    from antdsl.numerics.host import get_address_space_limit
 
-    most = address_space()
+    most = get_address_space_limit()
     if most == inf:
         return
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -195,6 +197,6 @@ def _has_working_directory() -> bool:
     return True
 
 
-def recovery_advice(problem: OSError) -> str:
+def describe_recovery(problem: OSError) -> str:
     """Return what the user must do before the command can continue, as the start of a sentence."""
     return _ADVICE_BY_ERRNO.get(problem.errno or 0, "once that is mended,")

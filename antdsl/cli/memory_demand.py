@@ -12,7 +12,7 @@ from antdsl.cli.exits import CommandError, ExitCode
 
 if TYPE_CHECKING:
     from antdsl.pipeline import Shot
-    from antdsl.runtime.binding.world_work import WorkEstimate
+    from antdsl.runtime.binding.work_estimates import WorkEstimate
     from antdsl.source import Span
 
 ANY_MEMORY_OPTION: bool = typer.Option(False, "--any-memory", help="Start even if the estimate exceeds the available memory.")
@@ -22,43 +22,45 @@ _MAX_LISTED_THINGS = 3  # things that a message names
 
 def estimate_work(shot: Shot) -> list[WorkEstimate]:
     """Return the estimated allocations of a shot's world and crowd."""
-    from antdsl.plan.registers import bytes_by_purpose
+    from antdsl.plan.registers import count_bytes_by_purpose
     from antdsl.program.model import Constant
-    from antdsl.runtime.binding.world_work import world_work
-    from antdsl.scene.matching import const_in_base_units
+    from antdsl.runtime.binding.work_estimates import estimate_world_work
+    from antdsl.scene.scene_checks import convert_constant
 
-    sizes = {name: sum(bytes_by_purpose(species).values()) for name, species in shot.plan.species.items()}
+    sizes = {name: sum(count_bytes_by_purpose(species).values()) for name, species in shot.plan.species.items()}
     fields = {
-        name: (declared.surfaces, const_in_base_units(declared.cell, shot.scene))
+        name: (declared.surfaces, convert_constant(declared.cell, shot.scene))
         for name, declared in shot.program.fields.items()
         if isinstance(declared.cell, Constant)
     }
-    return world_work(shot.setting, fields, sizes)
+    return estimate_world_work(shot.setting, fields, sizes)
 
 
-def require_memory(shots: Sequence[Shot], at_once: int = 1, runs: int = 1) -> None:
-    """End the command if the `at_once` largest runs need more than 80 % of the available memory. Each shot is run `runs` times.
-    The message names the largest allocations; its location is where the scene causes the largest one."""
-    from antdsl.numerics.host import available_memory
+def require_memory(shots: Sequence[Shot], parallel_runs: int = 1, runs_per_shot: int = 1) -> None:
+    """End the command if the `parallel_runs` largest runs need more than 80 % of the available memory. Each shot is run
+    `runs_per_shot` times. The message names the largest allocations; its location is where the scene causes the largest one."""
+    from antdsl.numerics.host import measure_available_memory
 
-    available = available_memory()
+    available = measure_available_memory()
     works = sorted(
         ((sum(each.bytes for each in work), k, work) for k, work in enumerate(map(estimate_work, shots))), reverse=True
     )
-    needed = sum([each for each, *_ in works for _ in range(min(runs, at_once))][:at_once])
+    needed = sum([each for each, *_ in works for _ in range(min(runs_per_shot, parallel_runs))][:parallel_runs])
     if available is None or not works or needed <= _USABLE_MEMORY_SHARE * available:
         return
     _, k, work = works[0]
     largest = sorted(work, key=lambda each: -each.bytes)[:_MAX_LISTED_THINGS]
-    names = ", ".join(f"{each.thing} {size_text(each.bytes)} ({each.number:,} {each.parts})" for each in largest if each.bytes)
-    words = f"this needs at least {size_text(needed)}, and 80 % of what is available are "
-    words += f"{size_text(int(_USABLE_MEMORY_SHARE * available))}: {names}"
-    fewer = ", fewer agents or fewer `--jobs`" if at_once > 1 and runs > 1 else " or fewer agents"
+    names = ", ".join(
+        f"{each.thing} {format_bytes(each.bytes)} ({each.part_count:,} {each.unit_name})" for each in largest if each.bytes
+    )
+    words = f"this needs at least {format_bytes(needed)}, and 80 % of what is available are "
+    words += f"{format_bytes(int(_USABLE_MEMORY_SHARE * available))}: {names}"
+    fewer = ", fewer agents or fewer `--jobs`" if parallel_runs > 1 and runs_per_shot > 1 else " or fewer agents"
     hint = f"use larger cells or voxels, a lighter mesh{fewer}; to start anyway, add `--any-memory`"
-    raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {_work_span(shots[k], largest[0])}: {words}", hint)
+    raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {_find_work_span(shots[k], largest[0])}: {words}", hint)
 
 
-def _work_span(shot: Shot, work: WorkEstimate) -> Span:
+def _find_work_span(shot: Shot, work: WorkEstimate) -> Span:
     """Return the location in the scene, or in its program, that causes an allocation."""
     kind, _, name = work.thing.partition(" ")
     if kind == "field":
@@ -66,7 +68,7 @@ def _work_span(shot: Shot, work: WorkEstimate) -> Span:
     return shot.scene.span("crowd") if kind == "species" else shot.scene.span("world", name)
 
 
-def size_text(bytes: int) -> str:
+def format_bytes(bytes: int) -> str:
     """Return a number of bytes as text, in the largest unit that fits."""
     from antdsl import limits
 

@@ -19,12 +19,12 @@ import typer
 
 from antdsl.cli.exits import CommandError, ExitCode
 from antdsl.cli.printing.messages import print_note
-from antdsl.numerics.host import cores
+from antdsl.numerics.host import count_available_cores
 
 if TYPE_CHECKING:
     from antdsl.executors import Engine, Task, TaskOutcome
     from antdsl.executors.input_bundle import VisibleFile
-    from antdsl.shots.placing import Destination
+    from antdsl.shots.task_destination import Destination
 
 SchedulerAddress = tuple[
     str | None, Path | None, bool
@@ -49,7 +49,7 @@ _INSTALL_HINT = "pip install 'antdsl[cluster]'"
 def require_scheduler(address: str | None, tls: Path | None, no_tls: bool) -> None:
     """Check that the scheduler arguments are consistent before anything is created. Raises BadParameter if they are not."""
     if address is not None:
-        _certificate_folder(address, tls, no_tls)
+        _find_certificate_folder(address, tls, no_tls)
     elif tls is not None or no_tls:
         flag = "--tls" if tls is not None else "--no-tls"
         raise typer.BadParameter(
@@ -59,18 +59,18 @@ def require_scheduler(address: str | None, tls: Path | None, no_tls: bool) -> No
 
 @contextmanager
 def open_engine(
-    where: SchedulerAddress, workers: int, threads: int, files: Iterable[Path], visible_file: VisibleFile | None = None
+    scheduler: SchedulerAddress, workers: int, threads: int, files: Iterable[Path], visible_file: VisibleFile | None = None
 ) -> Iterator[Engine]:
     """Yield the engine that runs the tasks of a command: `workers` processes with `threads` threads each, or the cluster at an
     address. Cluster workers have received the files, or see `visible_file` at its path. Problems end the command. Raises
     WorkersLost if no scheduler answers."""
-    address, tls, no_tls = where
+    address, tls, no_tls = scheduler
     if not address:
-        from antdsl.executors import Processes
+        from antdsl.executors import ProcessEngine
 
-        yield Processes(workers, threads)
+        yield ProcessEngine(workers, threads)
         return
-    folder = _certificate_folder(address, tls, no_tls)
+    folder = _find_certificate_folder(address, tls, no_tls)
     from importlib.util import find_spec
 
     if find_spec("distributed") is None or find_spec("cryptography") is None:
@@ -79,21 +79,21 @@ def open_engine(
             ExitCode.INPUT_OUTPUT, words, f"install it: {_INSTALL_HINT}; without `--scheduler` all runs on this machine"
         )
     from antdsl.executors import TaskRefused
-    from antdsl.executors.cluster import connect, load_security, local_cluster
+    from antdsl.executors.cluster import connect_cluster, load_security, start_local_cluster
 
     try:
         with ExitStack() as stack:
             security = None if folder is None else load_security(folder)
             if address == "local":
-                address, security = stack.enter_context(local_cluster(workers, threads))
-            yield stack.enter_context(connect(address, security, files, visible_file))
+                address, security = stack.enter_context(start_local_cluster(workers, threads))
+            yield stack.enter_context(connect_cluster(address, security, files, visible_file))
     except TaskRefused as why:
         raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {why}") from None
 
 
-def _certificate_folder(address: str, tls: Path | None, no_tls: bool) -> Path | None:
+def _find_certificate_folder(address: str, tls: Path | None, no_tls: bool) -> Path | None:
     """Return the folder of certificates for an address, or None if none is needed."""
-    from antdsl.executors.tasks import TLS_FILES
+    from antdsl.executors.tasks import TLS_FILE_NAMES
 
     match = re.fullmatch(r"(tls|tcp)://(\[[0-9A-Fa-f:.]{2,45}\]|[A-Za-z0-9_.-]{1,253}):([0-9]{1,5})", address)
     if address == "local":
@@ -109,14 +109,14 @@ def _certificate_folder(address: str, tls: Path | None, no_tls: bool) -> Path | 
             raise typer.BadParameter(
                 f"`{address}` wants certificates: name their folder with `--tls DIR`", param_hint="--scheduler"
             )
-        missing = [name for name in TLS_FILES if not (tls / name).is_file()]
+        missing = [name for name in TLS_FILE_NAMES if not (tls / name).is_file()]
         if missing:
             raise typer.BadParameter(f"`{tls}` has no `{missing[0]}`", param_hint="--tls")
         _require_certificates(tls)
         return tls
     if tls is not None:
         raise typer.BadParameter(f"`{address}` is in the clear; write tls://{match[2]}:{match[3]}", param_hint="--scheduler")
-    if not no_tls and not _is_loopback(match[2].strip("[]")):
+    if not no_tls and not _is_loopback_address(match[2].strip("[]")):
         raise typer.BadParameter(
             f"`{address}` is not encrypted, so everyone who can reach it can run code on it; write tls:// and `--tls DIR`, or, "
             "on a network that is trusted, add `--no-tls`",
@@ -130,9 +130,9 @@ def _require_certificates(folder: Path) -> None:
     would only report that no scheduler answers."""
     import ssl
 
-    from antdsl.executors.tasks import TLS_FILES
+    from antdsl.executors.tasks import TLS_FILE_NAMES
 
-    authority, certificate, key = (folder / name for name in TLS_FILES)
+    authority, certificate, key = (folder / name for name in TLS_FILE_NAMES)
     for certificate_file, words in (
         (authority, "is no certificate"),
         (certificate, "and `key.pem` are not a certificate with its key"),
@@ -148,7 +148,7 @@ def _require_certificates(folder: Path) -> None:
             raise typer.BadParameter(message, param_hint="--tls") from None
 
 
-def _is_loopback(host: str) -> bool:
+def _is_loopback_address(host: str) -> bool:
     try:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:
@@ -159,9 +159,9 @@ class TerminationSignal(KeyboardInterrupt):
     """SIGTERM was received. Handled like Ctrl-C, but with a separate exit code."""
 
 
-def stop_exit_code(why: BaseException) -> ExitCode:
+def choose_stop_exit_code(exception: BaseException) -> ExitCode:
     """Return the exit code of a command that was stopped by Ctrl-C or by SIGTERM."""
-    return ExitCode.TERMINATED if isinstance(why, TerminationSignal) else ExitCode.INTERRUPTED
+    return ExitCode.TERMINATED if isinstance(exception, TerminationSignal) else ExitCode.INTERRUPTED
 
 
 @contextmanager
@@ -180,29 +180,37 @@ def raise_on_sigterm() -> Iterator[None]:
 
 
 def run_cache_tasks(
-    where: SchedulerAddress, cache: Path, to: Path, tasks: Callable[[Path, Destination], Iterable[Task]]
+    scheduler: SchedulerAddress, cache: Path, folder: Path, make_tasks: Callable[[Path, Destination], Iterable[Task]]
 ) -> Iterator[TaskOutcome]:
-    """Yield the result of each task on a cluster, after its files are in the folder `to`. If a task fails, the command ends after
-    all tasks have run. It also ends if the scheduler is lost.
+    """Yield the result of each task on a cluster, after its files are in the folder `folder`. If a task fails, the command ends
+    after all tasks have run. It also ends if the scheduler is lost.
 
-    `where`: address, certificates, and whether the scheduler may run without certificates.
-    `tasks`: is called with the path of the cache, its links resolved, and the destination of files.
+    `scheduler`: address, certificates, and whether the scheduler may run without certificates.
+    `make_tasks`: is called with the path of the cache, its links resolved, and the destination of files.
     """
-    from antdsl.bounded import real_path
     from antdsl.executors import WorkersLost, run_tasks
     from antdsl.executors.input_bundle import VisibleFile
-    from antdsl.outputs.cache.cache_reader import STATIC, frame_path, open_cache
-    from antdsl.outputs.cache.hashes import HASHES
-    from antdsl.outputs.cache.manifest import MANIFEST
-    from antdsl.shots.placing import mark_folder
+    from antdsl.outputs.cache.cache_reader import STATIC_FILE_NAME, make_frame_path, open_cache
+    from antdsl.outputs.cache.hashes import HASHES_FILE_NAME
+    from antdsl.outputs.cache.manifest import MANIFEST_FILE_NAME
+    from antdsl.safe_read import resolve_path
+    from antdsl.shots.task_destination import mark_folder
 
-    cache = real_path(cache)
-    files = [*(cache / name for name in (MANIFEST, STATIC, HASHES)), *(frame_path(cache, f) for f in open_cache(cache).frames())]
+    cache = resolve_path(cache)
+    files = [
+        *(cache / name for name in (MANIFEST_FILE_NAME, STATIC_FILE_NAME, HASHES_FILE_NAME)),
+        *(make_frame_path(cache, f) for f in open_cache(cache).frames()),
+    ]
     failed = 0
-    print_warning = partial(print_note, err=True)
+    print_warning = partial(print_note, to_stderr=True)
     try:
-        with open_engine(where, cores(), 1, files, VisibleFile.of(cache / HASHES)) as engine, mark_folder(to) as place:
-            for answered in run_tasks(tasks(cache, place), engine, noted=print_warning, folder_of=lambda task: to):
+        with (
+            open_engine(scheduler, count_available_cores(), 1, files, VisibleFile.of(cache / HASHES_FILE_NAME)) as engine,
+            mark_folder(folder) as place,
+        ):
+            for answered in run_tasks(
+                make_tasks(cache, place), engine, report_note=print_warning, choose_folder=lambda task: folder
+            ):
                 if answered.answer is None:
                     failed += 1
                     first, last = (answered.task.document["frames"][number] for number in (0, -1))

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from antdsl.cli.destinations import default_path, protect_inputs, require_writable_folder
+from antdsl.cli.destinations import choose_default_path, protect_inputs, require_writable_folder
 from antdsl.cli.exits import CommandError, ExitCode
 from antdsl.cli.memory_demand import require_memory
 from antdsl.cli.printing.messages import print_note
-from antdsl.cli.scheduler import SchedulerAddress, open_engine, raise_on_sigterm, stop_exit_code
-from antdsl.numerics.host import cores
+from antdsl.cli.scheduler import SchedulerAddress, choose_stop_exit_code, open_engine, raise_on_sigterm
+from antdsl.numerics.host import count_available_cores
 
 if TYPE_CHECKING:
     from antdsl.executors import Task
@@ -28,54 +28,54 @@ def run_shots(
     out: Path | None,
     options: Mapping[str, Any],
     threads: int,
-    where: SchedulerAddress,
+    scheduler: SchedulerAddress,
     quiet: bool,
-    any_memory: bool,
+    ignore_memory_limit: bool,
 ) -> None:
     """Simulate scenes in parallel.
 
     `out`: the folder for all caches.
-    `options`: as in `shots.caches.cache_task`.
+    `options`: as in `shots.caches.make_cache_task`.
     `threads`: threads per scene; 0 divides the cores among the scenes.
-    `where`: the scheduler, its certificates, and whether it may run without certificates.
-    `any_memory`: start even if the runs need too much memory.
+    `scheduler`: the scheduler, its certificates, and whether it may run without certificates.
+    `ignore_memory_limit`: start even if the runs need too much memory.
     """
     from antdsl.cli.printing.reports import exit_on_errors
     from antdsl.diagnostics import Report
     from antdsl.executors import WorkersLost, run_tasks
-    from antdsl.outputs.cache.cache_reader import NAMES
+    from antdsl.outputs.cache.cache_reader import CACHE_ENTRY_NAMES
     from antdsl.outputs.cache.cache_writer import ForeignFolder, PathBlocked, prepare_folder
-    from antdsl.outputs.starting import StartError
+    from antdsl.outputs.cache_start import StartError
     from antdsl.pipeline import open_scene
-    from antdsl.scene.paths import record_sought
-    from antdsl.shots.caches import cache_task, remove_other_frames
-    from antdsl.shots.placing import mark_folder
-    from antdsl.sweep.jobs import start_hashes
+    from antdsl.scene.paths import record_requested_paths
+    from antdsl.shots.caches import make_cache_task, remove_other_frames
+    from antdsl.shots.task_destination import mark_folder
+    from antdsl.sweep.jobs import find_start_hashes
 
-    folders = _cache_folders(scenes, out)
+    folders = _choose_cache_folders(scenes, out)
     for folder in folders:
         require_writable_folder(folder, "--out")
     shots, report = [], Report()
-    with record_sought() as read:
+    with record_requested_paths() as read:
         for scene, folder in zip(scenes, folders, strict=True):
-            with protect_inputs({}, {"--out": (folder, NAMES)}) as inputs:
+            with protect_inputs({}, {"--out": (folder, CACHE_ENTRY_NAMES)}) as inputs:
                 inputs.append(scene)
                 shot, findings = open_scene(scene, choices)
                 report.extend(findings)
                 try:
                     if shot is not None:
-                        start_hashes(shot)
+                        find_start_hashes(shot)
                 except StartError as why:
                     report.extend(why.report)
             shots.append(shot)
     exit_on_errors(report)
-    processes = min(cores(), len(scenes))
-    per = threads or max(1, cores() // processes)
-    if not any_memory and not where[0]:  # a cluster's machines have memory of their own
+    processes = min(count_available_cores(), len(scenes))
+    per = threads or max(1, count_available_cores() // processes)
+    if not ignore_memory_limit and not scheduler[0]:  # a cluster's machines have memory of their own
         require_memory([shot for shot in shots if shot is not None], processes)
     files = [path for path in read if path.is_file()]
     failed = 0
-    print_warning = partial(print_note, err=True)
+    print_warning = partial(print_note, to_stderr=True)
     try:
         with ExitStack() as stack:
             stack.enter_context(raise_on_sigterm())
@@ -90,14 +90,14 @@ def run_shots(
             tasks = []
             for shot, scene, folder in zip(shots, scenes, folders, strict=True):
                 assert shot is not None
-                tasks.append(cache_task(shot, scene, choices, options, parents[folder.parent], folder.name))
-            engine = stack.enter_context(open_engine(where, processes, per, files))
+                tasks.append(make_cache_task(shot, scene, choices, options, parents[folder.parent], folder.name))
+            engine = stack.enter_context(open_engine(scheduler, processes, per, files))
             where_to = {each.key: folder for each, folder in zip(tasks, folders, strict=True)}
 
             def parent(each: Task) -> Path:
                 return where_to[each.key].parent
 
-            for answered in run_tasks(tasks, engine, noted=print_warning, folder_of=parent):
+            for answered in run_tasks(tasks, engine, report_note=print_warning, choose_folder=parent):
                 folder = where_to[answered.task.key]
                 for note in answered.notes:
                     print_warning(f"{folder.name}: {note}")
@@ -110,18 +110,22 @@ def run_shots(
                 if not quiet:
                     print_note(f"{answered.answer['frames']} frames; the cache is in {folder}")
     except KeyboardInterrupt as why:
-        raise CommandError(stop_exit_code(why), "stopped", "go on with the same command and `--resume`") from None
+        raise CommandError(choose_stop_exit_code(why), "stopped", "go on with the same command and `--resume`") from None
     except WorkersLost as why:
         raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {why}", "go on with the same command and `--resume`") from None
     if failed:
         raise CommandError(ExitCode.FINDINGS, f"error: {failed} of {len(scenes)} scenes failed")
 
 
-def _cache_folders(scenes: Sequence[Path], out: Path | None) -> list[Path]:
+def _choose_cache_folders(scenes: Sequence[Path], out: Path | None) -> list[Path]:
     """Return the folder of each scene's cache."""
     one = len(scenes) == 1 and out is not None
     folders = [
-        out if one and out else default_path(out, scene.stem) if out else default_path(scene.resolve().parent, "out", scene.stem)
+        out
+        if one and out
+        else choose_default_path(out, scene.stem)
+        if out
+        else choose_default_path(scene.resolve().parent, "out", scene.stem)
         for scene in scenes
     ]
     twice = [folder for number, folder in enumerate(folders) if folder in folders[:number]]

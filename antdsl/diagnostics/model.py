@@ -12,9 +12,10 @@ from antdsl.source import Span
 Severity = Literal["error", "warning"]
 
 
-def printable(text: str, keep: str = "") -> str:
-    """Return the text with every non-printing character, such as NUL or ESC, replaced by U+FFFD, except those in `keep`."""
-    return "".join(c if c.isprintable() or c in keep else "\ufffd" for c in text)
+def replace_unprintable(text: str, allowed_characters: str = "") -> str:
+    """Return the text with every non-printing character, such as NUL or ESC, replaced by U+FFFD, except those in
+    `allowed_characters`."""
+    return "".join(c if c.isprintable() or c in allowed_characters else "\ufffd" for c in text)
 
 
 _MAX_QUOTED_CHARACTERS = 160  # characters of a quoted value; a line of a terminal or two
@@ -63,18 +64,18 @@ class Diagnostic:
             if text is None:
                 continue
             if not text.isprintable():
-                object.__setattr__(self, name, text := printable(text, keep="\n"))
+                object.__setattr__(self, name, text := replace_unprintable(text, allowed_characters="\n"))
             if len(text) > _MAX_QUOTED_CHARACTERS:
                 object.__setattr__(self, name, shorten_values(text))
 
 
-def _diagnostic_key(diagnostic: Diagnostic) -> tuple[str | int, ...]:
+def _make_diagnostic_key(diagnostic: Diagnostic) -> tuple[str | int, ...]:
     """Return a key that is equal for duplicates. It contains the file's name and not its text, because a file that scenes share
     is read once per scene."""
     span = diagnostic.span
     if span is None:
         return (diagnostic.code, diagnostic.message)
-    return (diagnostic.code, span.source.path, span.source.part, span.start, span.end)
+    return (diagnostic.code, span.source.path, span.source.part_number, span.start, span.end)
 
 
 _REPLACEMENT_PATTERN = re.compile("(?:did you mean|write) `([^`…]+)`\\??")
@@ -89,40 +90,40 @@ def find_fix(message: str, span: Span | None, help: str | None) -> Fix | None:
 
 @dataclass(slots=True)
 class Report:
-    """Findings of one or more stages. The same code at the same place is stored once. `answered`: warnings about a program that
-    do not hold for a scene that uses it, so that they hold nowhere."""
+    """Findings of one or more stages. The same code at the same place is stored once. `dropped_warnings`: warnings about a
+    program that do not hold for a scene that uses it, so that they hold nowhere."""
 
     diagnostics: list[Diagnostic] = field(default_factory=list)
-    answered: list[Diagnostic] = field(default_factory=list)
+    dropped_warnings: list[Diagnostic] = field(default_factory=list)
     _known_keys: set[tuple[str | int, ...]] = field(init=False, repr=False, compare=False, default_factory=set)
 
     def __post_init__(self) -> None:
-        self._known_keys.update(_diagnostic_key(d) for d in self.diagnostics)
+        self._known_keys.update(_make_diagnostic_key(d) for d in self.diagnostics)
 
     def add(self, diagnostic: Diagnostic) -> None:
         """Add a finding, unless an equal one is in the report."""
-        key = _diagnostic_key(diagnostic)
+        key = _make_diagnostic_key(diagnostic)
         if key not in self._known_keys:
             self._known_keys.add(key)
             self.diagnostics.append(diagnostic)
 
-    def answer(self, diagnostics: Iterable[Diagnostic]) -> None:
+    def drop_warnings(self, diagnostics: Iterable[Diagnostic]) -> None:
         """Drop warnings from the report, also if they are added later."""
         warnings = list(diagnostics)
-        keys = {_diagnostic_key(d) for d in warnings}
-        self.answered += warnings
-        self.diagnostics = [d for d in self.diagnostics if _diagnostic_key(d) not in keys]
+        keys = {_make_diagnostic_key(d) for d in warnings}
+        self.dropped_warnings += warnings
+        self.diagnostics = [d for d in self.diagnostics if _make_diagnostic_key(d) not in keys]
         self._known_keys |= keys
 
     def error(self, code: str, message: str, span: Span | None, help: str | None = None, **details: object) -> None:
         """Add an error. `details`: further fields of the Diagnostic."""
-        self._add_complaint("error", code, message, span, help, details)
+        self._add_finding("error", code, message, span, help, details)
 
     def warning(self, code: str, message: str, span: Span | None, help: str | None = None, **details: object) -> None:
         """Add a warning. `details`: further fields of the Diagnostic."""
-        self._add_complaint("warning", code, message, span, help, details)
+        self._add_finding("warning", code, message, span, help, details)
 
-    def _add_complaint(
+    def _add_finding(
         self, severity: Severity, code: str, message: str, span: Span | None, help: str | None, details: dict[str, object]
     ) -> None:
         if details.get("fix") is None:
@@ -131,8 +132,8 @@ class Report:
 
     def extend(self, others: Report | Iterable[Diagnostic]) -> None:
         """Add findings. The dropped warnings of another report are also dropped here."""
-        if isinstance(others, Report) and others.answered:
-            self.answer(others.answered)
+        if isinstance(others, Report) and others.dropped_warnings:
+            self.drop_warnings(others.dropped_warnings)
         for diagnostic in others.diagnostics if isinstance(others, Report) else others:
             self.add(diagnostic)
 
@@ -146,7 +147,7 @@ class Report:
         """Return whether there are no errors."""
         return not any(d.severity == "error" for d in self.diagnostics)
 
-    def sorted(self) -> list[Diagnostic]:
+    def sort_by_place(self) -> list[Diagnostic]:
         """Return the findings in order of file and place; those without a place come last."""
 
         def key(d: Diagnostic) -> tuple[int, str, int]:

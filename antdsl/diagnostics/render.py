@@ -5,36 +5,36 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from antdsl import limits
-from antdsl.diagnostics.exchange import document, github, junit, sarif
-from antdsl.diagnostics.full import full
+from antdsl.diagnostics.exchange_formats import format_github, format_json, format_junit, format_sarif
+from antdsl.diagnostics.full_format import format_full
 from antdsl.diagnostics.model import Diagnostic, Report
-from antdsl.diagnostics.places import escape_text, line_range
+from antdsl.diagnostics.text_positions import escape_text, find_line_range
 
 
-def concise(diagnostics: Sequence[Diagnostic], omitted_count: int) -> str:
+def format_concise(diagnostics: Sequence[Diagnostic], omitted_count: int) -> str:
     """Return findings as one line each."""
-    lines = [_line(diagnostic) for diagnostic in diagnostics]
+    lines = [_format_line(diagnostic) for diagnostic in diagnostics]
     if omitted_count:
         lines.append(f"… and {omitted_count:,} more")
     return "".join(f"{line}\n" for line in lines)
 
 
-def _line(diagnostic: Diagnostic) -> str:
+def _format_line(diagnostic: Diagnostic) -> str:
     text = f"{diagnostic.severity}[{diagnostic.code}]: {escape_text(diagnostic.message)}"
     if diagnostic.span is None:
         return text
-    place = line_range(diagnostic.span)
+    place = find_line_range(diagnostic.span)
     return f"{escape_text(place.path)}:{place.line}:{place.column}: {text}"
 
 
 # Each takes the complaints to show, in order, and the number of those that are left out.
 FORMATTERS: dict[str, Callable[[Sequence[Diagnostic], int], str]] = {
-    "full": full,
-    "concise": concise,
-    "json": document,
-    "github": github,
-    "sarif": sarif,
-    "junit": junit,
+    "full": format_full,
+    "concise": format_concise,
+    "json": format_json,
+    "github": format_github,
+    "sarif": format_sarif,
+    "junit": format_junit,
 }
 
 
@@ -43,13 +43,13 @@ def render(report: Report, format: str = "full") -> str:
     another format.
 
     Errors take precedence over warnings where not all can be shown."""
-    diagnostics = visible_diagnostics(report)
+    diagnostics = choose_visible_diagnostics(report)
     return FORMATTERS[format](diagnostics, len(report.diagnostics) - len(diagnostics))
 
 
-def visible_diagnostics(report: Report) -> list[Diagnostic]:
+def choose_visible_diagnostics(report: Report) -> list[Diagnostic]:
     """Return the findings that people see, by place: at most 50, where errors take precedence over warnings."""
-    ordered = report.sorted()
+    ordered = report.sort_by_place()
     if len(ordered) <= limits.MAX_SHOWN_DIAGNOSTICS:
         return ordered
     most_severe = sorted(ordered, key=lambda diagnostic: diagnostic.severity != "error")[: limits.MAX_SHOWN_DIAGNOSTICS]

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from difflib import get_close_matches
 
 
-def nearest_name(word: str, candidates: Iterable[str]) -> str | None:
+def find_nearest_name(word: str, candidates: Iterable[str]) -> str | None:
     """Return the candidate most similar to `word`, or None if none is similar enough to be a typing error.
 
     Ties go to the first name in sort order, so that the result does not depend on the order of the candidates."""

@@ -14,15 +14,18 @@ from antdsl.source import Source, Span
 def encode_reports(reports: Mapping[Path, Report], sources: Iterable[Source]) -> bytes:
     """Return the reports of files, and further texts, in order."""
     numbers: dict[Source, int] = {}
-    texts = [_source_number(source, numbers) for source in sources]
+    texts = [_index_source(source, numbers) for source in sources]
     entries = [
         [
             str(file),
-            *([_encode_diagnostic(diagnostic, numbers) for diagnostic in part] for part in (report.diagnostics, report.answered)),
+            *(
+                [_encode_diagnostic(diagnostic, numbers) for diagnostic in part]
+                for part in (report.diagnostics, report.dropped_warnings)
+            ),
         ]
         for file, report in reports.items()
     ]
-    table = [[source.path, source.text, source.part] for source in numbers]
+    table = [[source.path, source.text, source.part_number] for source in numbers]
     return json.dumps({"table": table, "sources": texts, "reports": entries}).encode()
 
 
@@ -40,7 +43,7 @@ def decode_reports(data: bytes) -> tuple[dict[Path, Report], list[Source]]:
         raise ValueError("these are not reports") from problem
 
 
-def _source_number(source: Source, numbers: dict[Source, int]) -> int:
+def _index_source(source: Source, numbers: dict[Source, int]) -> int:
     """Return the index of a text in the table. Add the text if it is new."""
     return numbers.setdefault(source, len(numbers))
 
@@ -53,7 +56,7 @@ def _encode_diagnostic(diagnostic: Diagnostic, numbers: dict[Source, int]) -> li
 
 
 def _encode_span(span: Span, numbers: dict[Source, int]) -> list[int]:
-    return [_source_number(span.source, numbers), span.start, span.end]
+    return [_index_source(span.source, numbers), span.start, span.end]
 
 
 def _decode_diagnostic(entry: list[Any], table: list[Source]) -> Diagnostic:

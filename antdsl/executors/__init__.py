@@ -10,28 +10,28 @@ answers before it creates more. `run_tasks` fetches the files that tasks write o
 caller stores the answers. If a process is lost, its task may run twice, but is answered once.
 """
 
-from antdsl.executors.processes import Processes
+from antdsl.executors.processes import ProcessEngine
 from antdsl.executors.tasks import (
     Engine,
     Task,
     TaskOutcome,
     TaskRefused,
-    Worker,
+    WorkerContext,
     WorkersLost,
-    document_digest,
-    refuse_task,
+    convert_to_refusal,
+    hash_document,
     run_tasks,
 )
 
 __all__ = [
     "Engine",
-    "Processes",
+    "ProcessEngine",
     "Task",
     "TaskOutcome",
     "TaskRefused",
-    "Worker",
+    "WorkerContext",
     "WorkersLost",
-    "document_digest",
-    "refuse_task",
+    "convert_to_refusal",
+    "hash_document",
     "run_tasks",
 ]

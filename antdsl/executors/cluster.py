@@ -19,44 +19,44 @@ from typing import Any
 import dask
 from distributed import Client, KilledWorker, LocalCluster, Security
 
-from antdsl.child_processes import isolate
+from antdsl.child_processes import isolate_search_paths
 from antdsl.executors.cluster_worker import (
-    Project,
+    ProjectPlugin,
+    can_see_file,
+    describe_worker,
     explain_mismatch,
-    perform_on_worker,
-    read_part,
-    remove_results,
-    sees_file,
-    worker_identity,
+    read_file_part,
+    remove_task_files,
+    run_task_on_worker,
 )
-from antdsl.executors.input_bundle import FileBundle, VisibleFile, pack
-from antdsl.executors.tasks import LOOK, LOOPBACK, TLS_FILES, Engine, Task, TaskRefused, WorkersLost
-from antdsl.source_hash import sources
+from antdsl.executors.input_bundle import FileBundle, VisibleFile, pack_files
+from antdsl.executors.tasks import LOOPBACK, POLL_SECONDS, TLS_FILE_NAMES, Engine, Task, TaskRefused, WorkersLost
+from antdsl.source_hash import hash_sources
 
 _ROLES = ("scheduler", "worker", "nanny")
-_CONNECT = 15  # seconds to wait for a scheduler
-_FIRST = 5.0  # seconds for the files to be there, until tasks are given
-_IN_VAIN = 3  # times that all tasks are resubmitted without an answer in between
-_ALL_LOST = "each worker that it was given to was lost"
-_SENTENCE_LENGTH = 2000  # characters of one sentence of a worker
+_CONNECT_SECONDS = 15  # seconds to wait for a scheduler
+_FILE_TRANSFER_SECONDS = 5.0  # seconds for the files to be there, until tasks are given
+_MAX_FUTILE_RESUBMITS = 3  # times that all tasks are resubmitted without an answer in between
+_ALL_WORKERS_LOST = "each worker that it was given to was lost"
+_MAX_MESSAGE_CHARACTERS = 2000  # characters of one sentence of a worker
 
 
 def load_security(folder: Path) -> Security:
     """Return mutual TLS with the certificate files of a folder. Peers without a certificate of the same authority are
     rejected."""
-    ca, cert, key = (str(folder / name) for name in TLS_FILES)
+    ca, cert, key = (str(folder / name) for name in TLS_FILE_NAMES)
     return Security(require_encryption=True, tls_ca_file=ca, tls_client_cert=cert, tls_client_key=key)
 
 
 @contextmanager
-def local_cluster(workers: int, threads: int) -> Iterator[tuple[str, Security]]:
+def start_local_cluster(workers: int, threads: int) -> Iterator[tuple[str, Security]]:
     """Start a scheduler and worker processes on the loopback interface. Yield the address and the certificates, which are new and
     only in memory.
 
     There is no dashboard, and workers have no memory limit. Dask still starts an HTTP server without pages in the scheduler and
     in each worker. Without an explicit address, that server would listen on every interface.
     """
-    isolate()
+    isolate_search_paths()
     nothing: dict[str, list[str]] = {f"distributed.{role}.http.routes": [] for role in _ROLES}
     nothing |= {f"distributed.{role}.preload": [] for role in (*_ROLES, "client")}  # modules that a configuration file names
     with dask.config.set({**nothing, "distributed.worker.memory.terminate": False}):
@@ -76,7 +76,7 @@ def local_cluster(workers: int, threads: int) -> Iterator[tuple[str, Security]]:
 
 
 @contextmanager
-def connect(
+def connect_cluster(
     address: str, security: Security | None, files: Iterable[Path], visible_file: VisibleFile | None = None
 ) -> Iterator[Cluster]:
     """Yield a connection to a cluster. Its workers have received the files, or they all see `visible_file` and are assumed to see
@@ -86,13 +86,13 @@ def connect(
         logging.getLogger(name).setLevel(logging.CRITICAL)  # what there is to tell we tell
     with ExitStack() as stack:
         try:
-            client = stack.enter_context(Client(address, security=security, timeout=_CONNECT, set_as_default=False))
+            client = stack.enter_context(Client(address, security=security, timeout=_CONNECT_SECONDS, set_as_default=False))
         except (OSError, ValueError) as why:
             raise WorkersLost(f"no scheduler answers at {address}: {str(why).splitlines()[0]}") from None
         shared = visible_file is not None and all(
-            saw is True for saw in client.run(sees_file, visible_file, on_error="return").values()
+            saw is True for saw in client.run(can_see_file, visible_file, on_error="return").values()
         )
-        cluster = Cluster(client, pack([] if shared else files), visible_file if shared else None)
+        cluster = Cluster(client, pack_files([] if shared else files), visible_file if shared else None)
         cluster.send_files()
         yield cluster
 
@@ -102,48 +102,48 @@ class Cluster(Engine):
 
     def __init__(self, client: Any, bundle: FileBundle, visible_file: VisibleFile | None) -> None:
         self._client = client
-        self._project = Project(bundle, sources(), visible_file)
+        self._project = ProjectPlugin(bundle, hash_sources(), visible_file)
         self.name: str = self._project.name
-        self._events: SimpleQueue[dict[str, Any]] = SimpleQueue()
+        self._event_queue: SimpleQueue[dict[str, Any]] = SimpleQueue()
         self._messages: list[str] = []
-        self._reported: set[str] = set()
-        self._frames: dict[str, int] = {}
-        self._keys: dict[Future[str], str] = {}  # of running tasks
-        self._abandoned: set[str] = set()  # keys of tasks that are not submitted again
-        self._fit: set[str] = set()  # workers that have said so
-        self._present: set[str] = set()  # those of them that were there when it was looked last
-        self._looked = -1e9
+        self._reported_messages: set[str] = set()
+        self._frame_by_key: dict[str, int] = {}
+        self._key_by_future: dict[Future[str], str] = {}  # of running tasks
+        self._abandoned_keys: set[str] = set()  # keys of tasks that are not submitted again
+        self._suitable_workers: set[str] = set()  # workers that have said so
+        self._present_workers: set[str] = set()  # those of them that were there when it was looked last
+        self._last_check_seconds = -1e9
         self._attempt = 0
-        self._in_vain = 0  # times that all tasks were resubmitted since the last answer
+        self._futile_resubmits = 0  # times that all tasks were resubmitted since the last answer
 
     def send_files(self) -> None:
         """Send the files to all workers, also to those that join later."""
         client = self._client
-        client.subscribe_topic(self.name, lambda event: self._events.put(event[1]))
-        worker_identities = client.run(worker_identity, on_error="return")
+        client.subscribe_topic(self.name, lambda event: self._event_queue.put(event[1]))
+        worker_identities = client.run(describe_worker, on_error="return")
         unfit = {}
         for address, has in worker_identities.items():
             if isinstance(has, BaseException):
                 unfit[address] = f"worker {address} cannot run this antdsl, so it gets no tasks: {has}"
-            elif has["sources"] != sources():
-                unfit[address] = explain_mismatch(address, has, sources())
+            elif has["sources"] != hash_sources():
+                unfit[address] = explain_mismatch(address, has, hash_sources())
         if worker_identities and len(unfit) == len(worker_identities):
             raise TaskRefused("\n".join(unfit.values()))
         self._messages += unfit.values()
         with suppress(ImportError, AttributeError):  # by a worker that has been reported
             client.register_plugin(self._project)
-        until = time.monotonic() + _FIRST
-        while worker_identities and not self._fit and time.monotonic() < until:
+        until = time.monotonic() + _FILE_TRANSFER_SECONDS
+        while worker_identities and not self._suitable_workers and time.monotonic() < until:
             self._read_events()
             time.sleep(0.02)
-        self._present = set(self._fit)
+        self._present_workers = set(self._suitable_workers)
         if not worker_identities:
             self._messages.append("no worker has come to the scheduler yet; it goes on once one does")
 
     @property
     def task_capacity(self) -> int:
         """Return two tasks per worker, so that no worker waits for its next task."""
-        return 2 * max(len(self._present), 1)
+        return 2 * max(len(self._present_workers), 1)
 
     def start(self) -> None:
         self._require_scheduler()
@@ -151,84 +151,84 @@ class Cluster(Engine):
 
     def submit(self, task: Task) -> Future[str]:
         self._require_scheduler()
-        self._frames.pop(task.key, None)
+        self._frame_by_key.pop(task.key, None)
         future: Future[str] = Future()
-        if task.key in self._abandoned:
-            future.set_exception(TaskRefused(_ALL_LOST))
+        if task.key in self._abandoned_keys:
+            future.set_exception(TaskRefused(_ALL_WORKERS_LOST))
         else:
-            words = task.work, json.dumps(task.document), self.name, task.key, self._attempt
-            future = self._executor.submit(perform_on_worker, *words)
-        self._keys[future] = task.key
+            words = task.function, json.dumps(task.document), self.name, task.key, self._attempt
+            future = self._executor.submit(run_task_on_worker, *words)
+        self._key_by_future[future] = task.key
         return future
 
     def _require_scheduler(self) -> None:
         """Raise WorkersLost if the connection to the scheduler is lost."""
         if self._client.status != "running":
-            raise WorkersLost(self.break_reason())
+            raise WorkersLost(self.describe_break())
 
     def frame(self, future: Future[str]) -> int | None:
-        return self._frames.get(self._keys.get(future, ""))
+        return self._frame_by_key.get(self._key_by_future.get(future, ""))
 
-    def take_notes(self) -> Iterable[str]:
+    def collect_notes(self) -> Iterable[str]:
         self._read_events()
         self._check_workers()
-        messages = [message for message in dict.fromkeys(self._messages) if message not in self._reported]
+        messages = [message for message in dict.fromkeys(self._messages) if message not in self._reported_messages]
         self._messages = []
-        self._reported.update(messages)  # a rejected worker reports this too
+        self._reported_messages.update(messages)  # a rejected worker reports this too
         return messages
 
     def _read_events(self) -> None:
         """Read the messages of workers: frames of tasks, and whether a worker can run tasks."""
         with suppress(Empty):
             while True:
-                said = self._events.get_nowait()
+                said = self._event_queue.get_nowait()
                 if isinstance(said.get("frame"), int):
-                    self._frames[str(said.get("key"))] = said["frame"]
+                    self._frame_by_key[str(said.get("key"))] = said["frame"]
                 elif "fit" in said:
-                    self._fit.add(str(said["fit"]))
+                    self._suitable_workers.add(str(said["fit"]))
                 elif "refused" in said:
-                    message = str(said["refused"])[:_SENTENCE_LENGTH]
+                    message = str(said["refused"])[:_MAX_MESSAGE_CHARACTERS]
                     self._messages.append("".join(s if s.isprintable() else " " for s in message))
 
     def _check_workers(self) -> None:
         """Check from time to time which workers are available. If none was available before and one is now, cancel all tasks, so
         that they are submitted again. Dask assigns waiting tasks when a worker joins, which is before the worker has the files.
         """
-        finished_futures = [future for future in self._keys if future.done()]
+        finished_futures = [future for future in self._key_by_future if future.done()]
         if not all(future.cancelled() for future in finished_futures):
-            self._in_vain = 0
+            self._futile_resubmits = 0
         for future in finished_futures:
-            del self._keys[future]
-        if time.monotonic() - self._looked < LOOK:
+            del self._key_by_future[future]
+        if time.monotonic() - self._last_check_seconds < POLL_SECONDS:
             return
-        self._looked = time.monotonic()
+        self._last_check_seconds = time.monotonic()
         try:
-            present_workers = self._fit & set(self._client.nthreads())
+            present_workers = self._suitable_workers & set(self._client.nthreads())
         except OSError:
             return  # of a scheduler that is gone; the tasks say so
-        if present_workers and not present_workers & self._present:
-            self._attempt, self._in_vain = self._attempt + 1, self._in_vain + 1
-            if self._in_vain > _IN_VAIN:
-                self._abandoned.update(self._keys.values())
-            for future in list(self._keys):
+        if present_workers and not present_workers & self._present_workers:
+            self._attempt, self._futile_resubmits = self._attempt + 1, self._futile_resubmits + 1
+            if self._futile_resubmits > _MAX_FUTILE_RESUBMITS:
+                self._abandoned_keys.update(self._key_by_future.values())
+            for future in list(self._key_by_future):
                 future.cancel()
-        self._present = present_workers
+        self._present_workers = present_workers
 
-    def break_reason(self) -> str:
+    def describe_break(self) -> str:
         return "the scheduler is gone"
 
-    def describe_failure(self, why: BaseException) -> str:
-        return _ALL_LOST if isinstance(why, KilledWorker) else super().describe_failure(why)
+    def describe_failure(self, exception: BaseException) -> str:
+        return _ALL_WORKERS_LOST if isinstance(exception, KilledWorker) else super().describe_failure(exception)
 
     def stop(self) -> None:
         with suppress(Exception):  # of a scheduler that is gone
             self._executor.shutdown(wait=False)
 
-    def fetch(self, worker: str, file: str, size: int) -> Iterator[bytes]:
+    def fetch_file(self, worker: str, file: str, size: int) -> Iterator[bytes]:
         start = 0
         while start < size:
             try:
-                part = self._client.run(read_part, self.name, file, start, workers=[worker])[worker]
+                part = self._client.run(read_file_part, self.name, file, start, workers=[worker])[worker]
             except (OSError, KeyError) as why:
                 raise WorkersLost(f"worker {worker} was lost: {why}") from None
             if not part:
@@ -236,6 +236,6 @@ class Cluster(Engine):
             start += len(part)
             yield part
 
-    def forget(self, worker: str, folder: str) -> None:
+    def remove_task_files(self, worker: str, folder: str) -> None:
         with suppress(OSError, KeyError):
-            self._client.run(remove_results, self.name, folder, workers=[worker])
+            self._client.run(remove_task_files, self.name, folder, workers=[worker])

@@ -21,28 +21,28 @@ from distributed import get_worker
 from distributed.diagnostics.plugin import WorkerPlugin
 
 from antdsl import __version__
-from antdsl.bounded import open_bounded
-from antdsl.executors.input_bundle import FileBundle, VisibleFile, unpacked_path
-from antdsl.executors.tasks import TaskRefused, Work, Worker, perform
+from antdsl.executors.input_bundle import FileBundle, VisibleFile, find_unpacked_path
+from antdsl.executors.tasks import TaskFunction, TaskRefused, WorkerContext, run_task
 from antdsl.limits import MAX_TASK_OUTPUT_BYTES, MIB
-from antdsl.source_hash import sources
+from antdsl.safe_read import open_size_limited
+from antdsl.source_hash import hash_sources
 
-PART_BYTES = 8 * MIB  # of a file that is fetched, at a time
+FILE_PART_BYTES = 8 * MIB  # of a file that is fetched, at a time
 
 
-class Project(WorkerPlugin):  # type: ignore[misc]
+class ProjectPlugin(WorkerPlugin):  # type: ignore[misc]
     """The files of a project, as every worker of a cluster receives them. The bytes of the files are the only user data in this
     object."""
 
     def __init__(self, bundle: FileBundle, sources: str, visible_file: VisibleFile | None) -> None:
         self.name = f"antdsl-{visible_file.digest if visible_file is not None else bundle.digest}-{sources}"
         self.bundle, self.sources, self.visible_file = bundle, sources, visible_file
-        self.worker: Worker | None = None
+        self.worker: WorkerContext | None = None
 
     async def setup(self, worker: Any) -> None:
         """Install the files. Called when a worker starts, or when the project reaches a running worker."""
-        if self.sources != sources():
-            worker.log_event(self.name, {"refused": explain_mismatch(worker.address, worker_identity(), self.sources)})
+        if self.sources != hash_sources():
+            worker.log_event(self.name, {"refused": explain_mismatch(worker.address, describe_worker(), self.sources)})
             return
         if self.visible_file is not None and not self.visible_file.is_visible():
             message = f"worker {worker.address} does not see `{self.visible_file.path}`, as the others do, so it is given nothing"
@@ -58,19 +58,21 @@ class Project(WorkerPlugin):  # type: ignore[misc]
             )
             return
         files = folder / "files"
-        local_path = Path if self.visible_file is not None else functools.partial(unpacked_path, files)
-        self.worker = Worker(worker.state.nthreads, local_path=local_path, scratch=folder / "made", name=worker.address)
+        local_path = Path if self.visible_file is not None else functools.partial(find_unpacked_path, files)
+        self.worker = WorkerContext(
+            worker.state.nthreads, find_local_path=local_path, scratch_folder=folder / "made", name=worker.address
+        )
         if self.name not in worker.state.total_resources:  # said again, it would count as free what a task has
             await worker.set_resources(**{self.name: 1})
         worker.log_event(self.name, {"fit": worker.address})
 
 
-_one_at_a_time = threading.Lock()
+_task_lock = threading.Lock()
 
 
 def _unpack_bundle(bundle: FileBundle, folder: Path) -> None:
     """Unpack the files to the folder where tasks look for them, unless an earlier command did."""
-    with _one_at_a_time:
+    with _task_lock:
         complete_mark = folder / "whole"  # is there once all the others are
         if complete_mark.is_file():
             return
@@ -80,53 +82,55 @@ def _unpack_bundle(bundle: FileBundle, folder: Path) -> None:
         complete_mark.touch()
 
 
-def worker_identity() -> dict[str, str]:
+def describe_worker() -> dict[str, str]:
     """Return the versions and the host name of this worker."""
-    return {"antdsl": __version__, "sources": sources(), "host": platform.node()}
+    return {"antdsl": __version__, "sources": hash_sources(), "host": platform.node()}
 
 
-def sees_file(visible_file: VisibleFile) -> bool:
+def can_see_file(visible_file: VisibleFile) -> bool:
     """Return whether this worker sees a file of the requester."""
     return visible_file.is_visible()
 
 
-def explain_mismatch(address: str, has: Mapping[str, str], expected_sources: str) -> str:
+def explain_mismatch(address: str, worker_versions: Mapping[str, str], expected_sources: str) -> str:
     """Return the message that a worker with other sources gets no tasks."""
     return (
-        f"worker {address} on {has['host']} has antdsl {has['antdsl']} with other sources ({has['sources'][:8]}, "
+        f"worker {address} on {worker_versions['host']} has antdsl {worker_versions['antdsl']} with other sources "
+        f"({worker_versions['sources'][:8]}, "
         f"here {expected_sources[:8]}), so it is given nothing: install there what is installed here"
     )
 
 
-def perform_on_worker(work: Work, text: str, name: str, key: str, attempt: int) -> str:
-    """Run a task on this worker, and return its answer as JSON. `text`: its argument as JSON. `name`: the project's name.
+def run_task_on_worker(work: TaskFunction, document_text: str, project_name: str, key: str, attempt: int) -> str:
+    """Run a task on this worker, and return its answer as JSON. `document_text`: its argument as JSON. `project_name`: the
+    project's name.
     `attempt`: the number of earlier attempts."""
     dask_worker = get_worker()
-    project = dask_worker.plugins.get(name)
+    project = dask_worker.plugins.get(project_name)
     if project is None or project.worker is None:
         raise TaskRefused(f"worker {dask_worker.address} does not have the files")
 
     def say_frame(frame: int) -> None:
-        dask_worker.log_event(name, {"key": key, "frame": frame})
+        dask_worker.log_event(project_name, {"key": key, "frame": frame})
 
     try:
-        return perform(work, text, project.worker, say_frame)
+        return run_task(work, document_text, project.worker, say_frame)
     except OSError as why:
         raise TaskRefused(f"worker {dask_worker.address}: {(why.strerror or str(why)).lower()}") from None
 
 
-def read_part(name: str, file: str, start: int) -> bytes:
+def read_file_part(project_name: str, file: str, start: int) -> bytes:
     """Return a part of a file that a task wrote on this worker. `start`: the offset of the part in bytes."""
-    folder = Path(get_worker().local_directory) / name / "made"
+    folder = Path(get_worker().local_directory) / project_name / "made"
     path = (folder / file).resolve()
     if not path.is_relative_to(folder.resolve()):
         raise TaskRefused(f"`{file}` is not one of the files that a task wrote")
-    with open_bounded(path, MAX_TASK_OUTPUT_BYTES, follow=False) as handle:
+    with open_size_limited(path, MAX_TASK_OUTPUT_BYTES, follow=False) as handle:
         handle.seek(start)
-        return handle.read(PART_BYTES)
+        return handle.read(FILE_PART_BYTES)
 
 
-def remove_results(name: str, folder: str) -> None:
+def remove_task_files(name: str, folder: str) -> None:
     """Remove the files of a task after they were fetched."""
     scratch_folder = Path(get_worker().local_directory) / name / "made"
     path = (scratch_folder / folder).resolve()

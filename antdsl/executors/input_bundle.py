@@ -8,9 +8,9 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path, PurePath
 
-from antdsl.bounded import read_bounded
 from antdsl.executors.tasks import TaskRefused
 from antdsl.limits import MAX_BUNDLE_BYTES
+from antdsl.safe_read import read_size_limited
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,7 +24,7 @@ class FileBundle:
     def unpack(self, folder: Path) -> None:
         """Write the files below a folder. Raises TaskRefused if they do not match the hash, or if a path leads out of the
         folder."""
-        if digest_files(self.files) != self.digest:
+        if hash_files(self.files) != self.digest:
             raise TaskRefused("the files of the project did not arrive as they were sent")
         for name, content in self.files.items():
             path = folder / name
@@ -46,7 +46,7 @@ class VisibleFile:
     def of(cls, path: Path) -> VisibleFile:
         """Return the visible file for a path. Raises OSError if there is no such file."""
         absolute_path = os.path.abspath(path)
-        return cls(absolute_path, digest_files({"": read_bounded(absolute_path, MAX_BUNDLE_BYTES)}))
+        return cls(absolute_path, hash_files({"": read_size_limited(absolute_path, MAX_BUNDLE_BYTES)}))
 
     def is_visible(self) -> bool:
         """Return whether this machine has the file."""
@@ -56,34 +56,34 @@ class VisibleFile:
             return False
 
 
-def pack(paths: Iterable[Path]) -> FileBundle:
+def pack_files(paths: Iterable[Path]) -> FileBundle:
     """Return an input bundle of regular files. Raises TaskRefused if their total size exceeds `MAX_BUNDLE_BYTES`, OSError if one
     cannot be read."""
     files: dict[str, bytes] = {}
     left = MAX_BUNDLE_BYTES
     for path in sorted({Path(os.path.abspath(path)) for path in paths}):
-        content = read_bounded(path, MAX_BUNDLE_BYTES)
+        content = read_size_limited(path, MAX_BUNDLE_BYTES)
         left -= len(content)
         if left < 0:
             raise TaskRefused(
                 f"the files that the scenes read are more than {MAX_BUNDLE_BYTES >> 20} MiB, and more do not travel"
             )
-        files[_relative_path(path)] = content
-    return FileBundle(files, digest_files(files))
+        files[_make_relative_path(path)] = content
+    return FileBundle(files, hash_files(files))
 
 
-def unpacked_path(folder: Path, path: str) -> Path:
+def find_unpacked_path(folder: Path, path: str) -> Path:
     """Return the path of a bundled file below the folder that the bundle was unpacked into."""
-    return folder / _relative_path(Path(path))
+    return folder / _make_relative_path(Path(path))
 
 
-def _relative_path(path: PurePath) -> str:
+def _make_relative_path(path: PurePath) -> str:
     """Return an absolute path as one relative to a folder: `/shots/a.yaml` as `shots/a.yaml`, `C:\\\\shots` as `C/shots`."""
     drive = path.drive.replace(":", "").replace("\\", "_")
     return "/".join([*([drive] if drive else []), *path.parts[1:]])
 
 
-def digest_files(files: Mapping[str, bytes]) -> str:
+def hash_files(files: Mapping[str, bytes]) -> str:
     """Return a hash of paths and contents."""
     hashed = hashlib.blake2b(digest_size=16)
     for name, content in files.items():

@@ -15,14 +15,14 @@ from collections.abc import MutableSequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from multiprocessing.process import BaseProcess
 
-from antdsl.child_processes import isolate
-from antdsl.executors.tasks import Engine, Task, Work, Worker, perform
+from antdsl.child_processes import isolate_search_paths
+from antdsl.executors.tasks import Engine, Task, TaskFunction, WorkerContext, run_task
 
-_PATIENCE = 5.0  # seconds to wait for the end of a process
-_NONE = -(2**62)  # where no frame is known
+_EXIT_WAIT_SECONDS = 5.0  # seconds to wait for the end of a process
+_NO_FRAME = -(2**62)  # where no frame is known
 
 
-class Processes(Engine):
+class ProcessEngine(Engine):
     """An engine of `count` processes with `threads` threads each."""
 
     task_capacity = 0
@@ -30,44 +30,46 @@ class Processes(Engine):
     def __init__(self, count: int, threads: int) -> None:
         self.task_capacity, self._threads = count, threads
         self._pool: ProcessPoolExecutor | None = None
-        self._before: frozenset[BaseProcess] = frozenset()
-        self._own: set[BaseProcess] = set()
+        self._other_children: frozenset[BaseProcess] = frozenset()
+        self._own_processes: set[BaseProcess] = set()
 
     def start(self) -> None:
-        isolate()
+        isolate_search_paths()
         context = multiprocessing.get_context("spawn")
-        self._frames: MutableSequence[int] = context.RawArray("q", [_NONE] * self.task_capacity)
-        self._slots: list[Future[str] | None] = [None] * self.task_capacity  # which task writes which of the frames
-        self._before, self._own = frozenset(multiprocessing.active_children()), set()
-        self._pool = ProcessPoolExecutor(self.task_capacity, context, _start_process, (self._threads, self._frames))
+        self._frame_by_slot: MutableSequence[int] = context.RawArray("q", [_NO_FRAME] * self.task_capacity)
+        self._future_by_slot: list[Future[str] | None] = [None] * self.task_capacity  # which task writes which of the frames
+        self._other_children, self._own_processes = frozenset(multiprocessing.active_children()), set()
+        self._pool = ProcessPoolExecutor(self.task_capacity, context, _start_process, (self._threads, self._frame_by_slot))
 
     def submit(self, task: Task) -> Future[str]:
         assert self._pool is not None
-        slot = next(number for number, future in enumerate(self._slots) if future is None or future.done())
-        self._frames[slot] = _NONE
-        future = self._slots[slot] = self._pool.submit(_perform, task.work, json.dumps(task.document), slot)
-        self._own.update(set(multiprocessing.active_children()) - self._before)
+        slot = next(number for number, future in enumerate(self._future_by_slot) if future is None or future.done())
+        self._frame_by_slot[slot] = _NO_FRAME
+        future = self._future_by_slot[slot] = self._pool.submit(
+            _run_task_in_process, task.function, json.dumps(task.document), slot
+        )
+        self._own_processes.update(set(multiprocessing.active_children()) - self._other_children)
         return future
 
     def frame(self, future: Future[str]) -> int | None:
-        frame = self._frames[self._slots.index(future)]
-        return None if frame == _NONE else frame
+        frame = self._frame_by_slot[self._future_by_slot.index(future)]
+        return None if frame == _NO_FRAME else frame
 
-    def break_reason(self) -> str:
-        for process in self._own:
-            process.join(_PATIENCE)
-        codes = [process.exitcode for process in self._own]
+    def describe_break(self) -> str:
+        for process in self._own_processes:
+            process.join(_EXIT_WAIT_SECONDS)
+        codes = [process.exitcode for process in self._own_processes]
         # the pool itself ends the others by SIGTERM once one is gone
-        return _describe_end(next((code for code in codes if code not in (None, 0, -signal.SIGTERM)), -signal.SIGTERM))
+        return _describe_exit(next((code for code in codes if code not in (None, 0, -signal.SIGTERM)), -signal.SIGTERM))
 
     def stop(self) -> None:
         if self._pool is None:
             return
         self._pool.shutdown(wait=False, cancel_futures=True)
-        for process in self._own:
+        for process in self._own_processes:
             process.terminate()
-        until = time.monotonic() + _PATIENCE
-        for process in self._own:
+        until = time.monotonic() + _EXIT_WAIT_SECONDS
+        for process in self._own_processes:
             process.join(max(0.0, until - time.monotonic()))
             if process.is_alive():
                 process.kill()
@@ -75,7 +77,7 @@ class Processes(Engine):
         self._pool.shutdown(wait=True)
 
 
-def _describe_end(code: int | None) -> str:
+def _describe_exit(code: int | None) -> str:
     """Return why a process ended, in words. `code`: its exit code; negative codes are signals."""
     if code is not None and code < 0:
         name = signal.Signals(-code).name if -code in {s.value for s in signal.Signals} else str(-code)
@@ -84,14 +86,14 @@ def _describe_end(code: int | None) -> str:
     return f"its process ended with code {code}"
 
 
-_worker = Worker(1)
-_frames: MutableSequence[int] = []
+_worker = WorkerContext(1)
+_frame_by_slot: MutableSequence[int] = []
 
 
-def _start_process(threads: int, frames: MutableSequence[int]) -> None:
+def _start_process(threads: int, frame_by_slot: MutableSequence[int]) -> None:
     """Initialise a process of the pool: its environment, signals, and the thread that ends it with its parent."""
-    global _worker, _frames
-    _worker, _frames = Worker(threads), frames
+    global _worker, _frame_by_slot
+    _worker, _frame_by_slot = WorkerContext(threads), frame_by_slot
     if not sys.warnoptions:
         warnings.simplefilter("ignore")  # of libraries, as in the process that the terminal has
     # Ctrl-C reaches the process that requested the tasks, and that one ends this one
@@ -108,10 +110,10 @@ def _end_with_parent() -> None:
         os._exit(1)
 
 
-def _perform(work: Work, text: str, slot: int) -> str:
+def _run_task_in_process(work: TaskFunction, document_text: str, slot: int) -> str:
     """Run a task in a process of the pool. `slot`: the index at which its current frame is reported."""
 
     def say_frame(frame: int) -> None:
-        _frames[slot] = frame
+        _frame_by_slot[slot] = frame
 
-    return perform(work, text, _worker, say_frame)
+    return run_task(work, document_text, _worker, say_frame)

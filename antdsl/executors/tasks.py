@@ -14,15 +14,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from antdsl.atomic_write import atomic_file, create_folder_durably
 from antdsl.limits import MAX_TASK_ANSWER_BYTES, MAX_TASK_OUTPUT_BYTES
-from antdsl.whole import atomic_file, make_folder
 
-TLS_FILES = ("ca.pem", "cert.pem", "key.pem")  # in a folder of certificates: the authority's, one's own, and its key
+TLS_FILE_NAMES = ("ca.pem", "cert.pem", "key.pem")  # in a folder of certificates: the authority's, one's own, and its key
 LOOPBACK = "127.0.0.1"  # where a cluster of this machine listens
-LOOK = 0.5  # seconds between looks at how far tasks are
-_TRIES = 3  # attempts of a task with files that cannot be fetched
+POLL_SECONDS = 0.5  # seconds between looks at how far tasks are
+_MAX_TASK_ATTEMPTS = 3  # attempts of a task with files that cannot be fetched
 
-Answer = dict[str, Any]
+TaskAnswer = dict[str, Any]
 
 
 class TaskRefused(Exception):
@@ -34,15 +34,15 @@ class WorkersLost(Exception):
 
 
 @dataclass(slots=True)
-class Worker:
+class WorkerContext:
     """The environment of a task.
 
     `threads`: the number of threads that the task may use.
     `report_frame`: is called with the current frame.
     `cached_values`: objects by name that stay in the process for later tasks.
     `notes`: messages about deviations from the request, sent with the answer.
-    `local_path`: maps a path of the requester to this machine.
-    `scratch`: a folder for files that the requester fetches; None if all machines see the same folders.
+    `find_local_path`: maps a path of the requester to this machine.
+    `scratch_folder`: a folder for files that the requester fetches; None if all machines see the same folders.
     `name`: of the process; empty on the requester's machine.
     """
 
@@ -50,12 +50,12 @@ class Worker:
     report_frame: Callable[[int], None] = lambda frame: None
     cached_values: dict[str, Any] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
-    local_path: Callable[[str], Path] = Path
-    scratch: Path | None = None
+    find_local_path: Callable[[str], Path] = Path
+    scratch_folder: Path | None = None
     name: str = ""
 
 
-Work = Callable[[dict[str, Any], Worker], Answer]
+TaskFunction = Callable[[dict[str, Any], WorkerContext], TaskAnswer]
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,14 +63,14 @@ class Task:
     """A task.
 
     `key`: its unique name.
-    `work`: a function at module level of antdsl.
-    `document`: the argument of `work`, as JSON values.
+    `function`: a function at module level of antdsl.
+    `document`: the argument of `function`, as JSON values.
 
     If an answer has `files` (path, size, digest), `worker` and `made`, these files must be fetched.
     """
 
     key: str
-    work: Work
+    function: TaskFunction
     document: Mapping[str, Any]
 
 
@@ -79,7 +79,7 @@ class TaskOutcome:
     """The outcome of a task: an answer, or an error message."""
 
     task: Task
-    answer: Answer | None
+    answer: TaskAnswer | None
     problem: str = ""
     notes: tuple[str, ...] = ()
 
@@ -109,26 +109,26 @@ class Engine(ABC):
         """Return the current frame of a running task, if known."""
         return None
 
-    def take_notes(self) -> Iterable[str]:
+    def collect_notes(self) -> Iterable[str]:
         """Return the messages about workers since the last call."""
         return ()
 
-    def break_reason(self) -> str:
+    def describe_break(self) -> str:
         """Return the reason why the processes ended. Call this only after they have broken."""
         raise NotImplementedError  # only engines with processes on this machine can break
 
-    def describe_failure(self, why: BaseException) -> str:
+    def describe_failure(self, exception: BaseException) -> str:
         """Return the message for a task that ended with an exception. Raises the exception if it is an error of antdsl itself."""
-        if isinstance(why, TaskRefused | MemoryError | OSError):
-            return str(why) or "out of memory"
-        raise why
+        if isinstance(exception, TaskRefused | MemoryError | OSError):
+            return str(exception) or "out of memory"
+        raise exception
 
-    def fetch(self, worker: str, file: str, size: int) -> Iterator[bytes]:
+    def fetch_file(self, worker: str, file: str, size: int) -> Iterator[bytes]:
         """Yield the parts of a file that a task wrote on a worker. Raises WorkersLost if the file is missing or shorter than
         `size`."""
         raise NotImplementedError  # only tasks on other machines leave files to fetch
 
-    def forget(self, worker: str, folder: str) -> None:
+    def remove_task_files(self, worker: str, folder: str) -> None:
         """Make a worker remove the files that a task wrote."""
         return  # tasks on this machine write where the files stay
 
@@ -137,14 +137,14 @@ def run_tasks(
     tasks: Iterable[Task],
     engine: Engine,
     report_frame: Callable[[Task, int], None] = lambda task, frame: None,
-    noted: Callable[[str], None] = lambda sentence: None,
-    folder_of: Callable[[Task], Path] = lambda task: Path(),
+    report_note: Callable[[str], None] = lambda sentence: None,
+    choose_folder: Callable[[Task], Path] = lambda task: Path(),
 ) -> Iterator[TaskOutcome]:
-    """Run tasks and yield the outcome of each as soon as it is known and its files are in `folder_of(task)`.
+    """Run tasks and yield the outcome of each as soon as it is known and its files are in `choose_folder(task)`.
 
     `tasks`: is read one at a time, whenever another task can start.
     `report_frame`: is called from time to time with the current frame of a task.
-    `noted`: is called with messages about workers.
+    `report_note`: is called with messages about workers.
 
     If a process is lost, the cause is unknown, so all running tasks run again, one by one. A task that breaks the engine while it
     runs alone is given up. Raises WorkersLost if the engine cannot start again.
@@ -165,10 +165,10 @@ def run_tasks(
                 running[engine.submit(task)] = task
             if not running:
                 return
-            wait(running, timeout=LOOK, return_when=FIRST_COMPLETED)
-            finished_futures = _finished(running)
-            for sentence in engine.take_notes():
-                noted(sentence)
+            wait(running, timeout=POLL_SECONDS, return_when=FIRST_COMPLETED)
+            finished_futures = _find_finished(running)
+            for sentence in engine.collect_notes():
+                report_note(sentence)
             for future, task in running.items():
                 frame = engine.frame(future) if future not in finished_futures else None
                 if frame is not None:
@@ -176,8 +176,8 @@ def run_tasks(
             is_broken = any(map(_is_broken, finished_futures))
             if is_broken:
                 while len(finished_futures) < len(running):  # with it all the others are broken, or answered just before
-                    wait(running, timeout=LOOK)
-                    finished_futures = _finished(running)
+                    wait(running, timeout=POLL_SECONDS)
+                    finished_futures = _find_finished(running)
             broken_tasks = []
             for future in finished_futures:
                 task = running.pop(future)
@@ -185,12 +185,12 @@ def run_tasks(
                     lost.append(task)
                 elif _is_broken(future):
                     broken_tasks.append(task)
-                elif (outcome := _fetch_outcome(task, future, engine, folder_of, attempts)) is None:
+                elif (outcome := _fetch_outcome(task, future, engine, choose_folder, attempts)) is None:
                     lost.append(task)
                 else:
                     yield outcome
             if is_broken:
-                why = engine.break_reason()
+                why = engine.describe_break()
                 engine.stop()
                 engine.start()
                 if alone:
@@ -201,7 +201,7 @@ def run_tasks(
         engine.stop()
 
 
-def _finished(running: Mapping[Future[str], Task]) -> list[Future[str]]:
+def _find_finished(running: Mapping[Future[str], Task]) -> list[Future[str]]:
     """Return the futures that have ended. `wait` never returns one that was cancelled in the moment in which its task ended."""
     return [future for future in running if future.done()]
 
@@ -212,7 +212,7 @@ def _is_broken(future: Future[str]) -> bool:
 
 
 def _fetch_outcome(
-    task: Task, future: Future[str], engine: Engine, folder_of: Callable[[Task], Path], attempts: dict[str, int]
+    task: Task, future: Future[str], engine: Engine, choose_folder: Callable[[Task], Path], attempts: dict[str, int]
 ) -> TaskOutcome | None:
     """Return the outcome of a task that has ended, after its files were fetched. Return None if the files are lost and the task
     is tried again. `attempts`: the numbers of failed fetches, by the keys of tasks."""
@@ -223,55 +223,57 @@ def _fetch_outcome(
     answer, notes = document["answer"], tuple(document["notes"])
     try:
         if answer.get("files"):
-            _fetch_files(answer, engine, folder_of(task))
+            _fetch_files(answer, engine, choose_folder(task))
     except WorkersLost as lost:
         attempts[task.key] = attempts.get(task.key, 0) + 1
-        return None if attempts[task.key] < _TRIES else TaskOutcome(task, None, str(lost), notes)
+        return None if attempts[task.key] < _MAX_TASK_ATTEMPTS else TaskOutcome(task, None, str(lost), notes)
     except (OSError, TaskRefused) as refused:
         return TaskOutcome(task, None, str(refused), notes)
     return TaskOutcome(task, answer, notes=notes)
 
 
-def _fetch_files(answer: Answer, engine: Engine, folder: Path) -> None:
+def _fetch_files(answer: TaskAnswer, engine: Engine, folder: Path) -> None:
     """Move the files of an answer to a folder, each atomically. Then make the worker remove its copies."""
     root, left = folder.resolve(), MAX_TASK_OUTPUT_BYTES
     for name, size, digest in answer["files"]:
         path, left = (root / name).resolve(), left - size
         if not path.is_relative_to(root) or left < 0:
             raise TaskRefused(f"a worker made `{name}` of {size:,} bytes, which does not fit in `{folder}`")
-        make_folder(path.parent)
+        create_folder_durably(path.parent)
         hashed = hashlib.blake2b(digest_size=16)
         with atomic_file(path) as file:
-            for data in engine.fetch(answer["worker"], f"{answer['made']}/{name}", size):
+            for data in engine.fetch_file(answer["worker"], f"{answer['made']}/{name}", size):
                 hashed.update(data)
                 file.write(data)
             if hashed.hexdigest() != digest:
                 raise WorkersLost(f"`{name}` changed during the transfer")
-    engine.forget(answer["worker"], answer["made"])
+    engine.remove_task_files(answer["worker"], answer["made"])
 
 
-def perform(work: Work, text: str, worker: Worker, say_frame: Callable[[int], None] = lambda frame: None) -> str:
-    """Run a task in the current process. `text`: its argument as JSON. Returns its answer as JSON. `say_frame`: is called from
-    time to time with the current frame."""
+def run_task(
+    work: TaskFunction, document_text: str, worker: WorkerContext, send_frame: Callable[[int], None] = lambda frame: None
+) -> str:
+    """Run a task in the current process. `document_text`: its argument as JSON. Returns its answer as JSON. `send_frame`: is
+    called from time to time with the current frame."""
     said = time.monotonic()
 
     def report_frame(frame: int) -> None:
         nonlocal said
-        if time.monotonic() - said > LOOK:
+        if time.monotonic() - said > POLL_SECONDS:
             said = time.monotonic()
-            say_frame(frame)
+            send_frame(frame)
 
     worker.report_frame = report_frame
     worker.notes.clear()
-    answer = work(json.loads(text), worker)
-    text = json.dumps({"answer": answer, "notes": worker.notes})
-    if len(text) > MAX_TASK_ANSWER_BYTES:
-        raise TaskRefused(f"its result has {len(text):,} bytes, and more than {MAX_TASK_ANSWER_BYTES:,} are not sent")
-    return text
+    answer = work(json.loads(document_text), worker)
+    document_text = json.dumps({"answer": answer, "notes": worker.notes})
+    if len(document_text) > MAX_TASK_ANSWER_BYTES:
+        raise TaskRefused(f"its result has {len(document_text):,} bytes, and more than {MAX_TASK_ANSWER_BYTES:,} are not sent")
+    return document_text
 
 
 @contextmanager
-def refuse_task(*kinds: type[Exception]) -> Iterator[None]:
+def convert_to_refusal(*kinds: type[Exception]) -> Iterator[None]:
     """Raise TaskRefused in place of exceptions of these kinds, with the same message."""
     try:
         yield
@@ -279,6 +281,6 @@ def refuse_task(*kinds: type[Exception]) -> Iterator[None]:
         raise TaskRefused(str(why)) from None
 
 
-def document_digest(document: Mapping[str, Any]) -> str:
+def hash_document(document: Mapping[str, Any]) -> str:
     """Return a hash of JSON values, for the key of a task."""
     return hashlib.blake2b(json.dumps(document, sort_keys=True).encode(), digest_size=12).hexdigest()

@@ -14,10 +14,10 @@ from typing import Protocol
 from antdsl.diagnostics import Report
 from antdsl.outputs.cache.cache_reader import Cache, CacheError
 from antdsl.outputs.cache.cache_writer import read_checkpoint
-from antdsl.outputs.starting import StartError, start_hash
+from antdsl.outputs.cache_start import StartError, hash_start_frame
 from antdsl.pipeline import RunChoices, Shot, open_scene
-from antdsl.runtime import CheckpointError, Options, World, bind, restore, state_hash
-from antdsl.runtime.checkpoints import STATE_HASH
+from antdsl.runtime import CheckpointError, Options, World, bind, restore_checkpoint, state_hash
+from antdsl.runtime.checkpoints import STATE_HASH_VERSION
 from antdsl.scene.values import FrameRange
 
 _SET_PREFIX = "--set "
@@ -30,22 +30,22 @@ class History(Protocol):
     @property
     def shot(self) -> Shot: ...
 
-    def points(self) -> Sequence[int]:
+    def checkpoint_frames(self) -> Sequence[int]:
         """Return the frames that have a checkpoint, in order."""
 
-    def world(self, point: int) -> World | None:
+    def restore_world(self, point: int) -> World | None:
         """Return a separate world in the state of a checkpoint; None if that is damaged."""
 
-    def hash(self, frame: int) -> str | None:
+    def find_hash(self, frame: int) -> str | None:
         """Return the hash of the state at a frame, if it is known."""
 
     def apply_interventions(self, world: World) -> None:
         """Apply the external changes that the run received before the next step."""
 
-    def missing_error(self, frame: int) -> ExplainError:
+    def make_missing_error(self, frame: int) -> ExplainError:
         """Return the error for a frame without a good checkpoint before it."""
 
-    def difference_error(self, frame: int) -> ExplainError:
+    def make_difference_error(self, frame: int) -> ExplainError:
         """Return the error for a frame that differs when it is repeated."""
 
 
@@ -61,32 +61,32 @@ class CacheHistory:
     @classmethod
     def of(cls, cache: Cache, shot: Shot, threads: int = 1) -> CacheHistory:
         """Return the history of a cache. `threads`: threads of the replay."""
-        return cls(cache, shot, threads, cache.hashes())
+        return cls(cache, shot, threads, cache.read_state_hashes())
 
-    def points(self) -> Sequence[int]:
+    def checkpoint_frames(self) -> Sequence[int]:
         return self.cache.checkpoints()
 
-    def world(self, point: int) -> World | None:
+    def restore_world(self, point: int) -> World | None:
         try:
             arrays, _ = read_checkpoint(self.cache, point)
             world = bind(self.shot.plan, self.shot.setting, Options(threads=self.threads, on_fault="quarantine"))
-            restore(world, arrays)
+            restore_checkpoint(world, arrays)
         except (CacheError, CheckpointError):
             return None
-        return world if state_hash(world) == self.hash(point) else None
+        return world if state_hash(world) == self.find_hash(point) else None
 
-    def hash(self, frame: int) -> str | None:
+    def find_hash(self, frame: int) -> str | None:
         return self.hashes.get(frame)
 
     def apply_interventions(self, world: World) -> None:
         """Do nothing: the run of a cache has no changes from outside."""
 
-    def missing_error(self, frame: int) -> ExplainError:
-        what = "no good checkpoint" if any(point <= frame for point in self.points()) else "no checkpoint"
+    def make_missing_error(self, frame: int) -> ExplainError:
+        what = "no good checkpoint" if any(point <= frame for point in self.checkpoint_frames()) else "no checkpoint"
         words = f"`{self.cache.folder}` has {what} up to frame {frame}"
         return ExplainError(words, "run the scene again: each run writes checkpoints")
 
-    def difference_error(self, frame: int) -> ExplainError:
+    def make_difference_error(self, frame: int) -> ExplainError:
         return ExplainError(
             f"frame {frame} is computed differently than `{self.cache.folder}` has it",
             "it was written by another version, or by `antdsl test` with a spec's own settings: run the scene again",
@@ -111,7 +111,7 @@ def open_shot(cache: Cache, scene: Path | None = None, grants: Mapping[str, Path
     if spec:
         words = f"the cache was made by a spec that sets `{spec[0].removeprefix(_SPEC_SET_PREFIX)}`"
         raise ExplainError(words, "only caches of `antdsl run` can be explained")
-    if manifest.state_hash != STATE_HASH:
+    if manifest.state_hash != STATE_HASH_VERSION:
         words = f"`{cache.folder}` was written by an antdsl that hashes states in another way"
         raise ExplainError(words, "run the scene again: then repeated steps can be compared with the cache")
     params = {name.removeprefix(_SET_PREFIX): text for name, text in manifest.inputs.items() if name.startswith(_SET_PREFIX)}
@@ -121,7 +121,7 @@ def open_shot(cache: Cache, scene: Path | None = None, grants: Mapping[str, Path
         other = "" if scene is not None else f"if `{path}` is not its scene, name the right one: `--scene FILE`"
         raise ExplainError(f"`{path}` has errors", other, report=report)
     try:
-        now = {**shot.inputs, **start_hash(shot)}
+        now = {**shot.inputs, **hash_start_frame(shot)}
     except StartError as why:
         raise ExplainError(str(why), report=why.report) from None
     then = manifest.inputs

@@ -46,7 +46,7 @@ class TimerReading:
 
 
 @dataclass(frozen=True, slots=True)
-class TransitionAccount:
+class TransitionReport:
     """A transition that was checked. `kind`: interrupt, from any, when. `held`: whether its condition was true. `fires`: whether
     its condition and its timers were true."""
 
@@ -93,7 +93,7 @@ class MachineStep:
     before: str
     after: str
     since: float
-    looked: tuple[TransitionAccount, ...]
+    looked: tuple[TransitionReport, ...]
     changed: bool
     claim: ClaimResult | None
     choice: ChoiceResult | None
@@ -189,8 +189,8 @@ class StateInterval:
 @dataclass(frozen=True, slots=True)
 class Explanation:
     """The report on one agent in the step to `frame`. `push` has no unit and a length of at most 1; velocities are mm/s,
-    `acceleration` mm/s². `hash`: of the complete state at `frame`, equal to the cache's. `strip`: each machine's states in order
-    of time; a cache stores only the states of the first machine."""
+    `acceleration` mm/s². `hash`: of the complete state at `frame`, equal to the cache's. `state_timeline`: each machine's states
+    in order of time; a cache stores only the states of the first machine."""
 
     scene: str
     species: str

@@ -8,14 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
-from antdsl.diagnostics.suggestion import nearest_name
-from antdsl.explain.account import explain_agents
+from antdsl.diagnostics.suggestion import find_nearest_name
 from antdsl.explain.history import CacheHistory, ExplainError, open_shot
 from antdsl.explain.model import Explanation, StateInterval
 from antdsl.explain.replaying import Replay
-from antdsl.explain.strip import state_timeline
+from antdsl.explain.state_timeline import read_state_timeline
+from antdsl.explain.step_report import explain_agents
 from antdsl.outputs.cache.cache_reader import Cache
-from antdsl.runtime.moving.walks import find_walkers
+from antdsl.runtime.moving.scripted_walks import find_guided_agents
 
 
 def explain(
@@ -34,12 +34,12 @@ def explain(
     `species` is optional if the scene has only one; `scene` if its file is near the cache."""
     name = _require_species(cache, species)
     _require_frame(cache, frame)
-    stretches, alive = state_timeline(cache, name, agent)
+    stretches, alive = read_state_timeline(cache, name, agent)
     _require_alive(cache, name, agent, frame, stretches, alive)
     replay = Replay(CacheHistory.of(cache, open_shot(cache, scene, grants), threads))
     explanation = explain_agents(replay, frame, [(name, agent)])[0]
     if explanation is None:
-        raise absence_error(replay, name, agent, frame)
+        raise make_absence_error(replay, name, agent, frame)
     return replace(explanation, strip=stretches, alive=alive)
 
 
@@ -52,7 +52,7 @@ def _require_species(cache: Cache, requested_species: str | None) -> str:
         if len(names) == 1:
             return names[0]
         raise ExplainError(f"`{cache.folder}` has more than one species", f"name one with `--species`: {listed}", usage=True)
-    near = nearest_name(requested_species, names)
+    near = find_nearest_name(requested_species, names)
     words = f"no species `{requested_species}`"
     raise ExplainError(words, f"did you mean `{near}`?" if near else f"the species are: {listed}", usage=True)
 
@@ -70,18 +70,23 @@ def _require_frame(cache: Cache, frame: int) -> None:
 
 
 def _require_alive(
-    cache: Cache, species: str, agent: int, frame: int, stretches: tuple[StateInterval, ...], alive: tuple[int, int] | None
+    cache: Cache,
+    species: str,
+    agent: int,
+    frame: int,
+    state_intervals: tuple[StateInterval, ...],
+    lifetime: tuple[int, int] | None,
 ) -> None:
     """Check that the agent lived in the frame before, as far as the frames show; they need not store ids."""
     if "id" not in cache.manifest.attributes:
         return
-    if alive is None:
+    if lifetime is None:
         raise ExplainError(f"no {species} {agent}", _describe_agents(cache, species, agent, frame), usage=True)
-    if not any(s.first <= frame - 1 <= s.last for s in stretches):
-        when = f"{species} {agent} exists from frame {alive[0]} to {alive[1]}"
-        if frame <= alive[0]:
+    if not any(s.first <= frame - 1 <= s.last for s in state_intervals):
+        when = f"{species} {agent} exists from frame {lifetime[0]} to {lifetime[1]}"
+        if frame <= lifetime[0]:
             words = f"{species} {agent} had not decided anything by frame {frame}"
-            raise ExplainError(words, f"{when}: its first step leads to {alive[0] + 1}", usage=True)
+            raise ExplainError(words, f"{when}: its first step leads to {lifetime[0] + 1}", usage=True)
         raise ExplainError(f"{species} {agent} is not there at frame {frame}", when, usage=True)
 
 
@@ -93,17 +98,17 @@ def _describe_agents(cache: Cache, species: str, agent: int, frame: int) -> str:
         ids = ids[arrays["species"] == [entry.name for entry in cache.manifest.species].index(species)]
     if not len(ids):
         return f"no {species} lives at frame {frame}"
-    near = nearest_name(str(agent), (str(each) for each in ids.tolist()))
+    near = find_nearest_name(str(agent), (str(each) for each in ids.tolist()))
     range_text = f"at frame {frame} there are {len(ids)}, from {int(ids.min())} to {int(ids.max())}"
     return f"did you mean {near}? {range_text}" if near else range_text
 
 
-def absence_error(replay: Replay, species: str, agent: int, frame: int) -> ExplainError:
+def make_absence_error(replay: Replay, species: str, agent: int, frame: int) -> ExplainError:
     """Return the error for an agent that was not traced: it did not live, was quarantined, or is guided by the scene."""
-    world = replay.restore_before(frame)
+    world = replay.restore_step_start(frame)
     population = world.populations[species]
-    row = int(population.rows_of(np.array([agent]))[0])
-    if row >= 0 and find_walkers(world, population)[row]:
+    row = int(population.find_rows(np.array([agent]))[0])
+    if row >= 0 and find_guided_agents(world, population)[row]:
         return ExplainError(f"{species} {agent} decides nothing: it goes as the `walk` of its line of the crowd says", "")
     if row >= 0:
         return ExplainError(

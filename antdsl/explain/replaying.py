@@ -11,14 +11,14 @@ import numpy as np
 
 from antdsl import plan
 from antdsl.explain.history import History
-from antdsl.explain.tracing import AgentTrace, note_nodes, trace_agent
-from antdsl.passes.hoist import hoist
+from antdsl.explain.tracing import AgentTrace, list_noted_nodes, trace_agent
+from antdsl.passes.hoist import hoist_factors
 from antdsl.plan.ir import Plan, PlanNode
 from antdsl.plan.lowering.source_map import SourceNotes
 from antdsl.runtime import FaultStop, Population, World, state_hash, step
-from antdsl.runtime.moving.walks import find_walkers
+from antdsl.runtime.moving.scripted_walks import find_guided_agents
 from antdsl.runtime.phases import PHASES
-from antdsl.scene.matching import layer_order
+from antdsl.scene.scene_checks import resolve_layer_order
 
 T = TypeVar("T")
 _TRACED_PHASE = "effects"  # every block has run, and nothing that it read has changed
@@ -28,7 +28,7 @@ TraceReader = Callable[[World, Population, AgentTrace], T]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Step(Generic[T]):
+class ReplayedStep(Generic[T]):
     """A repeated step. `results`: the result of `look` for each agent; None for an agent that did not live at the start or was in
     quarantine. `end_world` and `hash`: the world at its end, which the next step changes. `checkpoint`: the frame from which the
     run was continued."""
@@ -49,20 +49,22 @@ class Replay:
         self._world: World | None = None
         self._checkpoint = 0
         self.notes: dict[str, SourceNotes] = {}
-        self.became: dict[PlanNode, PlanNode] = {}  # noted nodes, and what stands for them in the plan
-        self.plan = self._annotated_plan()
+        self.replacement_by_node: dict[PlanNode, PlanNode] = {}  # noted nodes, and what stands for them in the plan
+        self.plan = self._build_annotated_plan()
 
-    def _annotated_plan(self) -> Plan:
+    def _build_annotated_plan(self) -> Plan:
         """Return the plan with notes, after the one pass that changes rounding: its blocks give the same bits as the plan that
         runs."""
         scene, program = self.shot.scene, self.shot.program
-        orders = {name: order for name in scene.model.layers if (order := layer_order(scene, program, name)[0]) is not None}
+        orders = {
+            name: order for name in scene.model.layers if (order := resolve_layer_order(scene, program, name)[0]) is not None
+        }
         begun_with, proportions = self.shot.setting.initial_attributes, self.shot.proportions
-        noted = plan.lower(program, orders=orders, notes=self.notes, begun_with=begun_with, proportions=proportions)[0]
-        self.became = {node: node for notes in self.notes.values() for node in note_nodes(notes)}
-        return hoist(noted, self.became)
+        noted = plan.lower(program, orders=orders, notes=self.notes, scene_attributes=begun_with, proportions=proportions)[0]
+        self.replacement_by_node = {node: node for notes in self.notes.values() for node in list_noted_nodes(notes)}
+        return hoist_factors(noted, self.replacement_by_node)
 
-    def restore_before(self, frame: int) -> World:
+    def restore_step_start(self, frame: int) -> World:
         """Return the world at the start of the step to a frame, which is its state at the frame before."""
         world = self._world
         if world is None or not self._checkpoint <= world.frame <= frame - 1 or self._has_nearer_checkpoint(world.frame, frame):
@@ -75,45 +77,47 @@ class Replay:
         self._world = world
         return world
 
-    def step(self, frame: int, agents: Sequence[tuple[str, int]], look: TraceReader[T]) -> Step[T]:
-        """Repeat the step to a frame and trace the agents, given by species and id. `look` receives each agent's trace while
-        other agents, items and fields are in their state at the start of the step."""
-        world = self.restore_before(frame)
+    def step(self, frame: int, agents: Sequence[tuple[str, int]], read_trace: TraceReader[T]) -> ReplayedStep[T]:
+        """Repeat the step to a frame and trace the agents, given by species and id. `read_trace` receives each agent's trace
+        while other agents, items and fields are in their state at the start of the step."""
+        world = self.restore_step_start(frame)
         self.history.apply_interventions(world)
         self._world = None  # until the step is whole
         results: tuple[T | None, ...] = ()
         for name, phase in PHASES:
             if name == _TRACED_PHASE:
-                results = tuple(self._read_trace(world, species, agent, look) for species, agent in agents)
+                results = tuple(self._read_trace(world, species, agent, read_trace) for species, agent in agents)
             phase(world)
         self._world = world
-        return Step(results, world, self._require_known_hash(world), self._checkpoint)
+        return ReplayedStep(results, world, self._require_known_hash(world), self._checkpoint)
 
-    def _read_trace(self, world: World, species: str, agent: int, look: TraceReader[T]) -> T | None:
+    def _read_trace(self, world: World, species: str, agent: int, read_trace: TraceReader[T]) -> T | None:
         population = world.populations[species]
-        row = int(population.rows_of(np.array([agent]))[0])
-        if row < 0 or population.quarantined[row] or find_walkers(world, population)[row]:
+        row = int(population.find_rows(np.array([agent]))[0])
+        if row < 0 or population.quarantined[row] or find_guided_agents(world, population)[row]:
             return None
-        return look(
-            world, population, trace_agent(world, population, self.plan.species[species], row, self.notes[species], self.became)
+        return read_trace(
+            world,
+            population,
+            trace_agent(world, population, self.plan.species[species], row, self.notes[species], self.replacement_by_node),
         )
 
     def _has_nearer_checkpoint(self, start_frame: int, frame: int) -> bool:
-        return any(start_frame < point < frame for point in self.history.points())
+        return any(start_frame < point < frame for point in self.history.checkpoint_frames())
 
     def _restore_checkpoint(self, frame: int) -> World:
         """Return a world at the last good checkpoint that is not after a frame."""
-        for point in reversed([point for point in self.history.points() if point <= frame]):
-            world = self.history.world(point)
+        for point in reversed([point for point in self.history.checkpoint_frames() if point <= frame]):
+            world = self.history.restore_world(point)
             if world is not None:
                 self._checkpoint = point
                 return world
-        raise self.history.missing_error(frame)
+        raise self.history.make_missing_error(frame)
 
     def _require_known_hash(self, world: World) -> str:
         """Return the hash of the state. Raises the history's error if it differs from the known hash."""
         world_hash = state_hash(world)
-        if self.history.hash(world.frame) not in (None, world_hash):
+        if self.history.find_hash(world.frame) not in (None, world_hash):
             self._world = None
-            raise self.history.difference_error(world.frame)
+            raise self.history.make_difference_error(world.frame)
         return world_hash

@@ -17,7 +17,7 @@ from antdsl.explain.model import (
     ObservedSet,
     SourceLocation,
     StateInterval,
-    TransitionAccount,
+    TransitionReport,
 )
 
 _BAR_CHARACTERS = 20  # characters for the whole budget
@@ -25,31 +25,31 @@ _MAX_INTERVALS = 12  # of a long life, those around the requested frame
 _MAX_DRAWS = 40
 
 
-def tell(e: Explanation) -> str:
+def tell(explanation: Explanation) -> str:
     """Return the complete explanation as lines of text."""
-    return "\n".join(_report_lines(e)) + "\n"
+    return "\n".join(_report_lines(explanation)) + "\n"
 
 
-def _report_lines(e: Explanation) -> Iterator[str]:
-    yield f"{e.species} {e.agent}, the step to frame {e.frame} of {e.scene}"
-    yield from (f"note: {note}" for note in e.notes)
-    if e.strip:
+def _report_lines(explanation: Explanation) -> Iterator[str]:
+    yield f"{explanation.species} {explanation.agent}, the step to frame {explanation.frame} of {explanation.scene}"
+    yield from (f"note: {note}" for note in explanation.notes)
+    if explanation.strip:
         yield ""
         yield "its states"
-        for name in dict.fromkeys(each.machine for each in e.strip):
-            mine = tuple(each for each in e.strip if each.machine == name)
-            yield from _timeline_lines(mine, e.frame, f"{name}: " if len(mine) < len(e.strip) else "")
-    for machine in e.machines:
+        for name in dict.fromkeys(each.machine for each in explanation.strip):
+            mine = tuple(each for each in explanation.strip if each.machine == name)
+            yield from _timeline_lines(mine, explanation.frame, f"{name}: " if len(mine) < len(explanation.strip) else "")
+    for machine in explanation.machines:
         yield ""
         yield from _machine_lines(machine)
-    if e.handlers:
+    if explanation.handlers:
         yield ""
         yield "events that reached it"
-        yield from (f"  {each.text}  ({_format_place(each)})" for each in e.handlers)
+        yield from (f"  {each.text}  ({_format_place(each)})" for each in explanation.handlers)
     yield ""
-    yield from _push_lines(e)
-    yield from _surroundings_lines(e)
-    yield from _effect_lines(e)
+    yield from _push_lines(explanation)
+    yield from _surroundings_lines(explanation)
+    yield from _effect_lines(explanation)
 
 
 def _format_place(place: SourceLocation) -> str:
@@ -77,42 +77,42 @@ def _timeline_lines(timeline: tuple[StateInterval, ...], frame: int, name: str) 
 # --- deciding --------------------------------------------------------------------------------------------------------
 
 
-def _machine_lines(m: MachineStep) -> Iterator[str]:
-    head = "" if m.machine == "main" else f"{m.machine}: "
-    if m.before != m.after or m.changed:
-        yield f"{head}{m.before} -> {m.after}, after {m.since:.4g} s"
+def _machine_lines(machine_step: MachineStep) -> Iterator[str]:
+    head = "" if machine_step.machine == "main" else f"{machine_step.machine}: "
+    if machine_step.before != machine_step.after or machine_step.changed:
+        yield f"{head}{machine_step.before} -> {machine_step.after}, after {machine_step.since:.4g} s"
     else:
-        yield f"{head}stays in {m.after}, since {m.since:.4g} s"
-    if not m.looked:
+        yield f"{head}stays in {machine_step.after}, since {machine_step.since:.4g} s"
+    if not machine_step.looked:
         yield "  no change leads out of it"
     hidden = False
-    for looked in m.looked:
+    for looked in machine_step.looked:
         yield from _transition_lines(looked, hidden)
         hidden = hidden or looked.wins
-    if m.claim is not None:
-        verdict = "won" if m.claim.won else "lost: others came first, or there was not enough"
-        much = "all" if m.claim.amount is None else f"{m.claim.amount:.4g}"
-        what = " ".join(word for word in (much, m.claim.attribute, "of", m.claim.item) if word)
-        yield f"  requested {what} (turn {m.claim.draw:.4f}): {verdict}"
-    if m.choice is not None:
-        bars = ", ".join(f"{name} up to {bar:.4g}" for name, bar in m.choice.bars)
-        yield f"  drew {m.choice.draw:.4f} among {bars}: {m.choice.chosen}"
+    if machine_step.claim is not None:
+        verdict = "won" if machine_step.claim.won else "lost: others came first, or there was not enough"
+        much = "all" if machine_step.claim.amount is None else f"{machine_step.claim.amount:.4g}"
+        what = " ".join(word for word in (much, machine_step.claim.attribute, "of", machine_step.claim.item) if word)
+        yield f"  requested {what} (turn {machine_step.claim.draw:.4f}): {verdict}"
+    if machine_step.choice is not None:
+        bars = ", ".join(f"{name} up to {bar:.4g}" for name, bar in machine_step.choice.bars)
+        yield f"  drew {machine_step.choice.draw:.4f} among {bars}: {machine_step.choice.chosen}"
 
 
-def _transition_lines(looked: TransitionAccount, hidden: bool) -> Iterator[str]:
-    word = "wins" if looked.wins else ("holds too" if hidden else "holds") if looked.fires else "no"
-    yield f"  {word:<9} {looked.place.text}  ({_format_place(looked.place)})"
-    if looked.condition is not None:
-        condition = looked.condition
+def _transition_lines(transition: TransitionReport, hide_condition: bool) -> Iterator[str]:
+    word = "wins" if transition.wins else ("holds too" if hide_condition else "holds") if transition.fires else "no"
+    yield f"  {word:<9} {transition.place.text}  ({_format_place(transition.place)})"
+    if transition.condition is not None:
+        condition = transition.condition
         for part in (
-            condition.parts if condition.role == "joined" and not looked.timers else (condition,)
+            condition.parts if condition.role == "joined" and not transition.timers else (condition,)
         ):  # whether it holds is said already
             yield from _condition_lines(part, "            ")
-    for timer in looked.timers:
+    for timer in transition.timers:
         sign = "has passed" if timer.holds else "has not passed"
         yield f"            {timer.what}: {timer.has:.4g} of {timer.needs:.4g} {timer.unit}, {sign}"
-    if looked.take is not None:
-        yield f"            from: {looked.take.shown}"
+    if transition.take is not None:
+        yield f"            from: {transition.take.shown}"
 
 
 def _condition_lines(part: ExpressionPart, indent: str) -> Iterator[str]:
@@ -132,31 +132,31 @@ def _condition_lines(part: ExpressionPart, indent: str) -> Iterator[str]:
 # --- pushing ---------------------------------------------------------------------------------------------------------
 
 
-def _push_lines(e: Explanation) -> Iterator[str]:
+def _push_lines(explanation: Explanation) -> Iterator[str]:
     yield {
         "budget": "layers, from the top until the strength is spent",
         "sum": "layers, added",
         "first": "layers, the first takes all",
-    }[e.mode]
-    for layer in e.layers:
-        yield f"  {_strength_bar(layer)} {layer.place.text}  ({_format_place(layer.place)})"
-        yield f"  {'':<{_BAR_CHARACTERS + 2}} {_layer_line(layer)}"
+    }[explanation.mode]
+    for layer in explanation.layers:
+        yield f"  {_format_strength_bar(layer)} {layer.place.text}  ({_format_place(layer.place)})"
+        yield f"  {'':<{_BAR_CHARACTERS + 2}} {_format_layer_line(layer)}"
         if layer.condition is not None:
             yield from _condition_lines(layer.condition, " " * (_BAR_CHARACTERS + 7))
-    for steer in e.steers:
+    for steer in explanation.steers:
         push = f"{_format_vector(steer.push)}, length {steer.length:.4g}"
         yield f"  {'':<{_BAR_CHARACTERS + 2}} {steer.part}: {steer.text} = {push}"
-    yield f"  together  {_format_vector(e.push)}, length {_length(e.push):.4g}"
-    old_velocity, new_velocity = e.velocity
-    if new_velocity is not None and e.acceleration is not None:
+    yield f"  together  {_format_vector(explanation.push)}, length {_compute_length(explanation.push):.4g}"
+    old_velocity, new_velocity = explanation.velocity
+    if new_velocity is not None and explanation.acceleration is not None:
         yield (
             f"  velocity  {_format_vector(old_velocity)} -> {_format_vector(new_velocity)} mm/s, "
-            f"speed {_length(old_velocity):.4g} -> {_length(new_velocity):.4g} mm/s"
+            f"speed {_compute_length(old_velocity):.4g} -> {_compute_length(new_velocity):.4g} mm/s"
         )
-        yield f"  so        {_format_vector(e.acceleration)} mm/s^2 in this step"
+        yield f"  so        {_format_vector(explanation.acceleration)} mm/s^2 in this step"
 
 
-def _strength_bar(layer: LayerReport) -> str:
+def _format_strength_bar(layer: LayerReport) -> str:
     """Return a bar of a layer's share of the whole strength, after the share spent before it."""
     had = round(min(layer.share, 1.0) * _BAR_CHARACTERS)
     if layer.share > 0:
@@ -165,7 +165,7 @@ def _strength_bar(layer: LayerReport) -> str:
     return f"[{'.' * spent}{'#' * had}{' ' * (_BAR_CHARACTERS - spent - had)}]"
 
 
-def _layer_line(layer: LayerReport) -> str:
+def _format_layer_line(layer: LayerReport) -> str:
     match layer.state:
         case "no strength":
             return "not evaluated: no strength is left"
@@ -183,34 +183,34 @@ def _format_vector(vector: FloatTriple) -> str:
     return f"({', '.join(f'{x + 0.0:.4g}' for x in vector)})"
 
 
-def _length(vector: FloatTriple) -> float:
+def _compute_length(vector: FloatTriple) -> float:
     return math.sqrt(sum(x * x for x in vector))
 
 
 # --- around ----------------------------------------------------------------------------------------------------------
 
 
-def _surroundings_lines(e: Explanation) -> Iterator[str]:
-    if e.seen:
+def _surroundings_lines(explanation: Explanation) -> Iterator[str]:
+    if explanation.seen:
         yield ""
         yield "looked at"
-        for group in e.seen:
+        for group in explanation.seen:
             yield from _observed_lines(group)
-    if e.fields:
+    if explanation.fields:
         yield ""
         yield "fields at its place"
-        yield from (f"  {name} = {value:.4g}" for name, value in e.fields)
-    if e.senses:
+        yield from (f"  {name} = {value:.4g}" for name, value in explanation.fields)
+    if explanation.senses:
         yield ""
         yield "felt"
-        lines = Counter(f"{sense.kind} {sense.name}: {sense.shown}  ({sense.text})" for sense in e.senses)
+        lines = Counter(f"{sense.kind} {sense.name}: {sense.shown}  ({sense.text})" for sense in explanation.senses)
         yield from (f"  {line}" + (f", {count} times" if count > 1 else "") for line, count in lines.items())
-    if e.draws:
+    if explanation.draws:
         yield ""
         yield "drew"
-        yield from (f"  {draw.value:.6f}  {draw.site}" for draw in e.draws[:_MAX_DRAWS])
-        if len(e.draws) > _MAX_DRAWS:
-            yield f"  and {len(e.draws) - _MAX_DRAWS} more"
+        yield from (f"  {draw.value:.6f}  {draw.site}" for draw in explanation.draws[:_MAX_DRAWS])
+        if len(explanation.draws) > _MAX_DRAWS:
+            yield f"  and {len(explanation.draws) - _MAX_DRAWS} more"
 
 
 def _observed_lines(group: ObservedSet) -> Iterator[str]:
@@ -222,14 +222,14 @@ def _observed_lines(group: ObservedSet) -> Iterator[str]:
         yield f"    and {group.count - len(group.nearest)} more"
 
 
-def _effect_lines(e: Explanation) -> Iterator[str]:
-    if e.did:
+def _effect_lines(explanation: Explanation) -> Iterator[str]:
+    if explanation.did:
         yield ""
         yield "did"
-        yield from (f"  {each}" for each in e.did)
-    if e.changes:
+        yield from (f"  {each}" for each in explanation.did)
+    if explanation.changes:
         yield ""
         yield "changed"
-        yield from (f"  {each.name}: {each.shown[0]} -> {each.shown[1]}" for each in e.changes if not each.memory)
-        memories = [each for each in e.changes if each.memory]
+        yield from (f"  {each.name}: {each.shown[0]} -> {each.shown[1]}" for each in explanation.changes if not each.memory)
+        memories = [each for each in explanation.changes if each.memory]
         yield from (f"  {each.name}: {each.shown[0]} -> {each.shown[1]} (memory)" for each in memories)

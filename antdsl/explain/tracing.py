@@ -12,7 +12,7 @@ import numpy as np
 
 from antdsl.plan import ir
 from antdsl.plan.lowering.source_map import ChangeNote, LayerNote, PartNote, SourceNotes
-from antdsl.plan.registers import statement_numbers
+from antdsl.plan.registers import number_statements
 from antdsl.program.tables.senses import SENSE_BY_OPERATION
 from antdsl.runtime.backends.reference import STEP_BLOCKS, AgentRun, SetMember, apply_claims
 from antdsl.runtime.requests import ClaimEntry, EffectRequests
@@ -30,9 +30,9 @@ class AgentTrace:
     start: dict[str, Any]
     now: dict[str, Any]
     values: dict[ir.PlanNode, Any] = field(default_factory=dict)
-    sets: dict[ir.PlanNode, list[SetMember]] = field(default_factory=dict)
+    set_members: dict[ir.PlanNode, list[SetMember]] = field(default_factory=dict)
     senses: dict[ir.PlanNode, Any] = field(default_factory=dict)
-    draws: dict[ir.PlanNode, Any] = field(default_factory=dict)
+    draw_values: dict[ir.PlanNode, Any] = field(default_factory=dict)
     claims: list[ClaimEntry] = field(default_factory=list)
     effects: EffectRequests = field(default_factory=EffectRequests)
 
@@ -48,13 +48,13 @@ class TracedAgent(AgentRun):
         row: int,
         now: dict[str, Any],
         notes: SourceNotes,
-        became: Mapping[ir.PlanNode, ir.PlanNode],
+        replacement_by_node: Mapping[ir.PlanNode, ir.PlanNode],
     ) -> None:
-        super().__init__(world, population, row, now, 0, EffectRequests(), statement_numbers(plan))
-        self.plan, self.notes, self.became = plan, notes, became
+        super().__init__(world, population, row, now, 0, EffectRequests(), number_statements(plan))
+        self.plan, self.notes, self.replacement_by_node = plan, notes, replacement_by_node
         self.trace = AgentTrace(row, {name: array[0] for name, array in now.items()}, {})
 
-    def run_all(self) -> AgentTrace:
+    def run_step_blocks(self) -> AgentTrace:
         """Run the blocks of a step in order. Claims have the results that the world has resolved."""
         for block in STEP_BLOCKS:
             self.run(block, self.plan)
@@ -62,7 +62,7 @@ class TracedAgent(AgentRun):
                 self._fill_impossible_changes()
                 self.trace.claims = list(self.effects.claims)
                 apply_claims(self, self.population)
-            self._collect(block)
+            self._record_block_values(block)
         self.trace.now = {name: array[0] for name, array in self.now.items()}
         self.trace.effects = self.effects
         return self.trace
@@ -71,9 +71,9 @@ class TracedAgent(AgentRun):
         """Compute the notes of changes that can never fire: no register is stored for them, so they were not recorded."""
         for note in self.notes.changes:
             if note.state.index == int(self.trace.start[f"{note.machine}.state"]):
-                for node in change_nodes(note):
+                for node in list_change_nodes(note):
                     if node not in self.trace.values:
-                        self.trace.values[node] = self.value(self.became.get(node, node))
+                        self.trace.values[node] = self.value(self.replacement_by_node.get(node, node))
 
     def _store(self, s: ir.Store) -> None:
         super()._store(s)
@@ -82,29 +82,29 @@ class TracedAgent(AgentRun):
             state = int(self.trace.start[f"{machine}.state"])
             for note in self.notes.changes:
                 if note.machine == machine and note.state.index == state:
-                    for node in change_nodes(note):
-                        self.trace.values[node] = self.value(self.became[node])
+                    for node in list_change_nodes(note):
+                        self.trace.values[node] = self.value(self.replacement_by_node[node])
 
-    def _members(self, node: ir.PlanNode) -> list[SetMember]:
-        self.trace.sets[node] = super()._members(node)
-        return self.trace.sets[node]
+    def _find_members(self, node: ir.PlanNode) -> list[SetMember]:
+        self.trace.set_members[node] = super()._find_members(node)
+        return self.trace.set_members[node]
 
-    def _collect(self, block: str) -> None:
+    def _record_block_values(self, block: str) -> None:
         """Record the values that a block has computed. Leave out values that it has skipped, such as senses of a layer without
         strength."""
         for node, value in self.values.items():
             if node.op in SENSE_BY_OPERATION:
                 self.trace.senses[node] = value
             elif node.op in _DRAW_OPERATIONS:
-                self.trace.draws[node] = value
+                self.trace.draw_values[node] = value
         if block == "act":
-            self._keep_values(act_nodes(self.notes))
+            self._record_values(list_act_nodes(self.notes))
         elif block == "blend":
-            self._keep_values([node for note in self.notes.layers for node in layer_nodes(note)])
+            self._record_values([node for note in self.notes.layers for node in list_layer_nodes(note)])
 
-    def _keep_values(self, nodes: list[ir.PlanNode]) -> None:
+    def _record_values(self, nodes: list[ir.PlanNode]) -> None:
         for node in nodes:
-            now = self.became[node]
+            now = self.replacement_by_node[node]
             if now in self.values:
                 self.trace.values[node] = self.values[now]
             elif now.rate <= ir.UpdateRate.STEP:
@@ -117,48 +117,49 @@ def trace_agent(
     plan: ir.SpeciesPlan,
     row: int,
     notes: SourceNotes,
-    became: Mapping[ir.PlanNode, ir.PlanNode],
+    replacement_by_node: Mapping[ir.PlanNode, ir.PlanNode],
 ) -> AgentTrace:
     """Return the trace of the agent in a row: its current step after its blocks and before its effects.
 
-    `plan` and `notes` come from lowering the same program again, with notes. `became` maps noted nodes to their replacements."""
+    `plan` and `notes` come from lowering the same program again, with notes. `replacement_by_node` maps noted nodes to their
+    replacements."""
     now = {}
     for name, register in plan.registers.items():
         if register.role == "temp":
-            now[name] = np.full(1, register.zero, DTYPE_BY_KIND[register.kind])
+            now[name] = np.full(1, register.initial_value, DTYPE_BY_KIND[register.kind])
         else:
             now[name] = population.start[name][row : row + 1].copy()
     with np.errstate(all="ignore"):
-        return TracedAgent(world, population, plan, row, now, notes, became).run_all()
+        return TracedAgent(world, population, plan, row, now, notes, replacement_by_node).run_step_blocks()
 
 
-def part_nodes(note: PartNote | None) -> list[ir.PlanNode]:
+def list_part_nodes(note: PartNote | None) -> list[ir.PlanNode]:
     """Return all nodes of a noted part."""
     if note is None:
         return []
-    return [*note.nodes, *(node for part in note.parts for node in part_nodes(part))]
+    return [*note.nodes, *(node for part in note.parts for node in list_part_nodes(part))]
 
 
-def change_nodes(note: ChangeNote) -> list[ir.PlanNode]:
+def list_change_nodes(note: ChangeNote) -> list[ir.PlanNode]:
     """Return all nodes of a noted transition."""
-    timers = [node for timer in note.timers for node in (timer.has, timer.needs, timer.holds)]
+    timers = [node for timer in note.timers for node in (timer.elapsed, timer.required, timer.holds)]
     own = [note.fires] if note.holds is None else [note.fires, note.holds]
-    return [*own, *timers, *part_nodes(note.condition), *part_nodes(note.take)]
+    return [*own, *timers, *list_part_nodes(note.condition), *list_part_nodes(note.take)]
 
 
-def layer_nodes(note: LayerNote) -> list[ir.PlanNode]:
+def list_layer_nodes(note: LayerNote) -> list[ir.PlanNode]:
     """Return all nodes of a noted layer."""
-    return [note.left, note.looked, note.holds, *note.push, *part_nodes(note.condition)]
+    return [note.budget_left, note.has_budget, note.holds, *note.push, *list_part_nodes(note.condition)]
 
 
-def act_nodes(notes: SourceNotes) -> list[ir.PlanNode]:
+def list_act_nodes(notes: SourceNotes) -> list[ir.PlanNode]:
     """Return all nodes noted in acting: `steer` and `face` lines, and choices of a state."""
     chosen = [node for note in notes.choices.values() for node in (note.draw, *(n for _, n in note.weights))]
     steered = [node for note in notes.steers for node in (*note.push, *([] if note.holds is None else [note.holds]))]
     return [*steered, *chosen]
 
 
-def note_nodes(notes: SourceNotes) -> list[ir.PlanNode]:
+def list_noted_nodes(notes: SourceNotes) -> list[ir.PlanNode]:
     """Return all nodes with notes in a species."""
-    changes = [node for note in notes.changes for node in change_nodes(note)]
-    return [*changes, *act_nodes(notes), *(node for note in notes.layers for node in layer_nodes(note))]
+    changes = [node for note in notes.changes for node in list_change_nodes(note)]
+    return [*changes, *list_act_nodes(notes), *(node for note in notes.layers for node in list_layer_nodes(note))]

@@ -11,7 +11,7 @@ from antdsl.explain.model import ExpressionPart, FloatTriple, PlainValue, Source
 from antdsl.plan.ir import PlanNode
 from antdsl.plan.lowering.source_map import PartNote, TimerNote
 from antdsl.program.model import TypeKind, ValueType
-from antdsl.program.tables.units import measure
+from antdsl.program.tables.units import find_unit_measure
 from antdsl.runtime.world import World
 from antdsl.source import Span
 from antdsl.specs.value_text import format_value
@@ -20,43 +20,43 @@ NodeValues = Mapping[PlanNode, Any]
 _MAX_TEXT_CHARACTERS = 160
 
 
-def place(span: Span, text: str | None = None) -> SourceLocation:
+def locate_span(span: Span, text: str | None = None) -> SourceLocation:
     """Return the location and text of a span; long text is cut."""
     line = " ".join((text or span.text).split())
     return SourceLocation(
         line if len(line) <= _MAX_TEXT_CHARACTERS else line[: _MAX_TEXT_CHARACTERS - 1] + "…",
         span.source.path,
-        span.source.line_column(span.start)[0],
+        span.source.find_line_column(span.start)[0],
     )
 
 
-def triple(parts: Any) -> FloatTriple:
+def to_float_triple(parts: Any) -> FloatTriple:
     """Return three components as Python floats."""
     x, y, z = (float(part) for part in parts)
     return x, y, z
 
 
-def condition_part(world: World, note: PartNote | None, values: NodeValues) -> ExpressionPart | None:
+def build_condition_part(world: World, note: PartNote | None, values: NodeValues) -> ExpressionPart | None:
     """Return a noted part with its value."""
     if note is None or any(node not in values for node in note.nodes):
         return None
-    inner = tuple(inner_part for each in note.parts if (inner_part := condition_part(world, each, values)) is not None)
+    inner = tuple(inner_part for each in note.parts if (inner_part := build_condition_part(world, each, values)) is not None)
     if len(note.nodes) == 3:
-        vector = triple(in_unit(world, values[node], note.unit) for node in note.nodes)
+        vector = to_float_triple(convert_to_unit(world, values[node], note.unit) for node in note.nodes)
         words = f"({', '.join(f'{x:.4g}' for x in vector)}) {note.unit}".strip()
         return ExpressionPart(note.text, vector, note.unit, words, note.role, inner)
     raw = values[note.nodes[0]]
     return ExpressionPart(
         note.text,
-        plain_value(world, raw, note.type, note.unit),
+        to_plain_value(world, raw, note.type, note.unit),
         note.unit,
-        said(world, raw, note.type, note.unit),
+        format_author_value(world, raw, note.type, note.unit),
         note.role,
         inner,
     )
 
 
-def said(world: World, raw: Any, type: ValueType, unit: str) -> str:
+def format_author_value(world: World, raw: Any, type: ValueType, unit: str) -> str:
     """Return a value in the author's spelling. The kind of the value, boolean or not, overrides its declared type."""
     if isinstance(raw, np.bool_ | bool):
         type = ValueType(TypeKind.BOOL)
@@ -65,22 +65,28 @@ def said(world: World, raw: Any, type: ValueType, unit: str) -> str:
     return format_value(world, raw, type, unit)
 
 
-def plain_value(world: World, raw: Any, type: ValueType, unit: str) -> PlainValue:
+def to_plain_value(world: World, raw: Any, type: ValueType, unit: str) -> PlainValue:
     """Return a value for programs: a number in its unit, a boolean, or a name."""
     if isinstance(raw, np.bool_ | bool):
         return bool(raw)
     if type.kind in (TypeKind.STATE, TypeKind.ITEM, TypeKind.AGENT):
-        return said(world, raw, type, unit)
-    return float(in_unit(world, raw, unit))
+        return format_author_value(world, raw, type, unit)
+    return float(convert_to_unit(world, raw, unit))
 
 
-def in_unit(world: World, raw: Any, unit: str) -> float:
+def convert_to_unit(world: World, raw: Any, unit: str) -> float:
     """Convert a number in base units to a unit."""
-    known = measure(unit) if unit else None
-    return float(raw) if known is None else float(raw) / (known.factor * world.setting.unit_mm**known.u * world.dt**known.step)
+    known = find_unit_measure(unit) if unit else None
+    return (
+        float(raw)
+        if known is None
+        else float(raw) / (known.factor * world.setting.unit_mm**known.unit_power * world.dt**known.step)
+    )
 
 
-def timer_reading(note: TimerNote, values: NodeValues) -> TimerReading:
+def build_timer_reading(note: TimerNote, values: NodeValues) -> TimerReading:
     """Return a noted timer with its elapsed and required amount."""
-    unit = "steps" if note.what == "held" else "s"
-    return TimerReading(note.what, float(values[note.has]), float(values[note.needs]), unit, bool(values[note.holds]))
+    unit = "steps" if note.timer_kind == "held" else "s"
+    return TimerReading(
+        note.timer_kind, float(values[note.elapsed]), float(values[note.required]), unit, bool(values[note.holds])
+    )

@@ -3,6 +3,6 @@
 `cells` divides surfaces into cells of one size. `growing` adds cells for dug walls (`runtime.digging` requests them).
 `pheromone` deposits amounts in cells, evaporates, diffuses and senses them. Deposits are fixed-point numbers, so their order
     does not matter.
-`reached` finds the cells near which a field is at least as strong as a threshold.
+`threshold_cells` finds the cells near which a field is at least as strong as a threshold.
 `flow` reads vectors and painted numbers at the footings of agents, from values at the points of `face_points`.
-`solved` makes a flow along the cheapest path to a goal, from the path costs of `path_cost`."""
+`path_flow` makes a flow along the cheapest path to a goal, from the path costs of `path_cost`."""

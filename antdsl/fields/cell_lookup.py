@@ -4,14 +4,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from antdsl.machine_code.kernels import BOOL, F64, I8, I32, I64, Array1, fetch_ahead, independent, inlined, kernel, scratch
-from antdsl.numerics.sorting import lower_bound
+from antdsl.machine_code.kernels import BOOL, F64, I8, I32, I64, Array1, allocate_scratch, inlined, kernel, prefetch, simd_range
+from antdsl.numerics.sorting import find_lower_bound
 
 _PREFETCH_GROUP_SIZE = 64  # points with cells prefetched together
 
 
 @inlined
-def _axis_index(place: F64, cell: F64, low: I64, size: I64) -> I64:
+def _find_axis_index(place: F64, cell: F64, low: I64, size: I64) -> I64:
     """Return the index of the voxel at a coordinate along one axis of the box, -1 outside the box."""
     step = np.floor(place / cell + 0.5) - np.float64(low)
     if step >= 0.0 and step < np.float64(size):
@@ -20,28 +20,29 @@ def _axis_index(place: F64, cell: F64, low: I64, size: I64) -> I64:
 
 
 @inlined
-def _find_cell(direct: Array1[I32], listed: BOOL, keys: Array1[I64], shift: I64, start: Array1[I32], key: I64) -> I64:
+def _find_cell(direct: Array1[I32], has_direct_table: BOOL, keys: Array1[I64], shift: I64, start: Array1[I32], key: I64) -> I64:
     """Return the cell of a key, -1 if no cell has the key."""
-    if listed:
+    if has_direct_table:
         return np.int64(direct[key])
-    a = lower_bound(keys, key, np.int64(start[key >> shift]), np.int64(start[(key >> shift) + 1]))
+    a = find_lower_bound(keys, key, np.int64(start[key >> shift]), np.int64(start[(key >> shift) + 1]))
     return a if a < keys.size and keys[a] == key else -1
 
 
 class CellIndex(NamedTuple):
-    """The cells of a box of voxels, by key. A non-empty table `direct` gives the cell of each key; otherwise `keys` is searched.
+    """The cells of a box of voxels, by key. A non-empty table `direct_table` gives the cell of each key; otherwise `keys` is
+    searched.
 
-    `cell`: voxel width (mm).
+    `voxel_width`: voxel width (mm).
     `low`, `size`: lowest voxel of the box, and its number of voxels along each axis.
-    `direct`: the cell of every key, or empty.
+    `direct_table`: the cell of every key, or empty.
     `keys`: ascending keys of the cells, searched by bisection within one block.
     `shift`: each block covers 2**shift keys.
     `start` [blocks + 1]: where each block begins in `keys`."""
 
-    cell: F64
+    voxel_width: F64
     low: Array1[I64]
     size: Array1[I64]
-    direct: Array1[I32]
+    direct_table: Array1[I32]
     keys: Array1[I64]
     shift: I64
     start: Array1[I32]
@@ -52,8 +53,8 @@ def locate_cells(
     points: tuple[Array1[F64], Array1[F64], Array1[F64]],
     side: Array1[I8],
     index: CellIndex,
-    known: Array1[I64],
-    known_cells: Array1[I32],
+    previous_keys: Array1[I64],
+    previous_cells: Array1[I32],
     cells: Array1[I32],
     begin: I64,
     end: I64,
@@ -62,27 +63,27 @@ def locate_cells(
 
     Points without a cell get -1.
     `points`: x, y, z [n] mm.
-    `known` [n]: key of each point at the previous call, -1 outside the box; updated.
-    `known_cells` [n]: cell of each point at the previous call; updated."""
+    `previous_keys` [n]: key of each point at the previous call, -1 outside the box; updated.
+    `previous_cells` [n]: cell of each point at the previous call; updated."""
     cell, box, size, direct, keys, shift, start = index
     listed = direct.size > 0
     point_keys, moved, others = (
-        scratch(_PREFETCH_GROUP_SIZE, I64),
-        scratch(_PREFETCH_GROUP_SIZE, I64),
-        scratch(_PREFETCH_GROUP_SIZE, I64),
+        allocate_scratch(_PREFETCH_GROUP_SIZE, I64),
+        allocate_scratch(_PREFETCH_GROUP_SIZE, I64),
+        allocate_scratch(_PREFETCH_GROUP_SIZE, I64),
     )
     missed = 0
     for low in range(begin, end, _PREFETCH_GROUP_SIZE):
         high = min(low + _PREFETCH_GROUP_SIZE, end)
-        for n in independent(low, high):
-            x = _axis_index(points[0][n], cell, box[0], size[0])
-            y = _axis_index(points[1][n], cell, box[1], size[1])
-            z = _axis_index(points[2][n], cell, box[2], size[2])
+        for n in simd_range(low, high):
+            x = _find_axis_index(points[0][n], cell, box[0], size[0])
+            y = _find_axis_index(points[1][n], cell, box[1], size[1])
+            z = _find_axis_index(points[2][n], cell, box[2], size[2])
             key = -1
             if x >= 0 and y >= 0 and z >= 0:
                 key = ((x * size[1] + y) * size[2] + z) * 6 + side[n]
             point_keys[n - low] = key
-            moved[n - low] = 1 if key != known[n] or known_cells[n] < 0 else 0
+            moved[n - low] = 1 if key != previous_keys[n] or previous_cells[n] < 0 else 0
         count = 0
         for n in range(low, high):
             others[count] = n
@@ -90,18 +91,18 @@ def locate_cells(
         for k in range(count):
             key = max(point_keys[others[k] - low], 0)
             if listed:
-                fetch_ahead(direct, key)
+                prefetch(direct, key)
             else:
-                fetch_ahead(start, key >> shift)
+                prefetch(start, key >> shift)
         if not listed:
             for k in range(count):
-                fetch_ahead(keys, start[max(point_keys[others[k] - low], 0) >> shift])
+                prefetch(keys, start[max(point_keys[others[k] - low], 0) >> shift])
         for k in range(count):
             n = others[k]
             key = point_keys[n - low]
-            known[n] = key
-            known_cells[n] = _find_cell(direct, listed, keys, shift, start, key) if key >= 0 else -1
-            missed += 1 if known_cells[n] < 0 else 0
-        for n in independent(low, high):
-            cells[n] = known_cells[n]
+            previous_keys[n] = key
+            previous_cells[n] = _find_cell(direct, listed, keys, shift, start, key) if key >= 0 else -1
+            missed += 1 if previous_cells[n] < 0 else 0
+        for n in simd_range(low, high):
+            cells[n] = previous_cells[n]
     return missed

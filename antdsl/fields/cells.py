@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
-from antdsl.casting.faces import nearest_on_triangle
-from antdsl.casting.rasterise import triangle_cells
+from antdsl.casting.faces import find_nearest_on_triangle
+from antdsl.casting.rasterise import iterate_triangle_cells
 from antdsl.casting.rays import MeshArrays
+from antdsl.fields.block_index import NO_CELLS, NO_INDEX, BlockIndex, compute_group_ranks, sum_by_key
 from antdsl.fields.cell_lookup import CellIndex, locate_cells
-from antdsl.fields.numbered import NO_CELLS, NO_INDEX, BlockIndex, ranks_in_groups, sum_by_key
-from antdsl.ground.mesh.topology import facing_sides
+from antdsl.ground.mesh.topology import find_facing_sides
 from antdsl.numerics import parallel, stored_tables
 
 Floats = NDArray[np.float64]
@@ -31,12 +31,12 @@ _POINTS_PER_CHUNK = 1 << 15
 
 
 class FieldTooFine(ValueError):
-    """A field would need more cells than `limits.MAX_FIELD_CELLS`, or (`in_a_row`) more along an axis than can be numbered.
+    """A field would need more cells than `limits.MAX_FIELD_CELLS`, or (`is_axis_limit`) more along an axis than can be numbered.
     It is raised before anything is allocated."""
 
-    def __init__(self, needed: int, cap: int, in_a_row: bool = False) -> None:
+    def __init__(self, needed: int, cap: int, is_axis_limit: bool = False) -> None:
         super().__init__(f"about {needed:,} cells are needed, but only {cap:,} are allowed; increase `cell`")
-        self.needed, self.cap, self.in_a_row = needed, cap, in_a_row
+        self.needed, self.cap, self.is_axis_limit = needed, cap, is_axis_limit
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +69,7 @@ class SurfaceCells:
             raise FieldTooFine(int(needed), cap)
         along = float(extent.max()) / self.cell
         if along > _MAX_VOXELS_PER_AXIS:
-            raise FieldTooFine(int(along), _MAX_VOXELS_PER_AXIS, in_a_row=True)
+            raise FieldTooFine(int(along), _MAX_VOXELS_PER_AXIS, is_axis_limit=True)
         touched = float((corners.max(axis=1) - corners.min(axis=1)).max(axis=1).sum()) / self.cell
         if touched > _MAX_SLIVER_CELL_RATIO * cap:
             raise FieldTooFine(int(touched), cap)
@@ -77,27 +77,27 @@ class SurfaceCells:
         self._low = np.floor(scaled.min(axis=(0, 1))).astype(np.int64) if len(corners) else np.zeros(3, np.int64)
         self._size = np.floor(scaled.max(axis=(0, 1))).astype(np.int64) - self._low + 1 if len(corners) else np.ones(3, np.int64)
         normal = across / np.maximum(area, 1e-300)[:, None]
-        work = partial(self._gather, corners, scaled, normal, cap)
+        work = partial(self._build_cell_tables, corners, scaled, normal, cap)
         tables = stored_tables.get_or_compute("surface cells", len(corners), (corners, self.cell), work)
         if len(tables["keys"]) > cap:
             raise FieldTooFine(len(tables["keys"]), cap)
         self._keys: NDArray[np.int64] = tables["keys"]
         self.position: Floats = tables["position"]
         self.normal: Floats = tables["normal"]
-        self._voxels = self._keys // 6
-        self._start_table = self._list_starts()
+        self._voxel_numbers = self._keys // 6
+        self._start_table = self._build_start_table()
         self._tables: dict[int, Cells] = {}
 
-    def _gather(self, corners: Floats, scaled: Floats, normal: Floats, cap: int) -> stored_tables.Tables:
+    def _build_cell_tables(self, corners: Floats, scaled: Floats, normal: Floats, cap: int) -> stored_tables.Tables:
         """Return keys, positions and normals of all cells, computed from the part of each triangle that lies in each voxel."""
-        side = facing_sides(normal)
+        side = find_facing_sides(normal)
         keys, sums = np.empty(0, np.int64), np.empty((0, 7))
         waiting: list[tuple[NDArray[np.int64], Floats]] = []
-        for voxel, face in triangle_cells(scaled):
+        for voxel, face in iterate_triangle_cells(scaled):
             middle = voxel.astype(np.float64) * self.cell
-            point = nearest_on_triangle(middle, corners[face])
+            point = find_nearest_on_triangle(middle, corners[face])
             part = np.column_stack([point, normal[face], np.ones(len(face))])
-            waiting.append(sum_by_key(self._key(voxel - self._low, side[face]), part))
+            waiting.append(sum_by_key(self._pack_keys(voxel - self._low, side[face]), part))
             if sum(len(k) for k, _ in waiting) > max(1 << 20, len(keys)):
                 keys, sums = sum_by_key(*(np.concatenate(c) for c in zip((keys, sums), *waiting, strict=True)))
                 waiting.clear()
@@ -111,30 +111,30 @@ class SurfaceCells:
         return len(self._keys)
 
     @property
-    def side(self) -> NDArray[np.int64]:
-        """Return the direction that each cell faces, numbered as by `facing_sides`."""
+    def sides(self) -> NDArray[np.int64]:
+        """Return the direction that each cell faces, numbered as by `find_facing_sides`."""
         return self._keys % 6
 
-    def _key(self, voxel: NDArray[np.int64], side: NDArray[np.int8]) -> NDArray[np.int64]:
+    def _pack_keys(self, voxel: NDArray[np.int64], side: NDArray[np.int8]) -> NDArray[np.int64]:
         """Return the packed keys of voxels [n,3] and their sides."""
         key: NDArray[np.int64] = ((voxel[:, 0] * self._size[1] + voxel[:, 1]) * self._size[2] + voxel[:, 2]) * 6 + side
         return key
 
-    def _list_starts(self) -> NDArray[np.int32] | None:
+    def _build_start_table(self) -> NDArray[np.int32] | None:
         """Return the first cell of every voxel of the box, or None if the box is too large for a table."""
         count = int(self._size[0]) * int(self._size[1]) * int(self._size[2])
         if count > _MAX_DENSE_VOXELS:
             return None
         table = np.zeros(count + 1, np.int32)
-        np.cumsum(np.bincount(self._voxels, minlength=count), out=table[1:])
+        np.cumsum(np.bincount(self._voxel_numbers, minlength=count), out=table[1:])
         return table
 
     @cached_property
-    def _most_per_voxel(self) -> int:
+    def _max_cells_per_voxel(self) -> int:
         """Return the number of cells in the fullest voxel."""
-        return int(np.unique(self._voxels, return_counts=True)[1].max(initial=0))
+        return int(np.unique(self._voxel_numbers, return_counts=True)[1].max(initial=0))
 
-    def _cell_range(self, voxel: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def _find_cell_ranges(self, voxel: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Return the first cell and the number of cells of voxels [n,3], relative to the box's corner. Voxels outside the box
         have 0 cells."""
         within = ((voxel >= 0) & (voxel < self._size)).all(axis=1)
@@ -142,35 +142,35 @@ class SurfaceCells:
         if self._start_table is not None:
             first, last = (self._start_table.take(v).astype(np.int64) for v in (flat, flat + 1))
         else:
-            first, last = (self._voxels.searchsorted(v).astype(np.int64) for v in (flat, flat + 1))
+            first, last = (self._voxel_numbers.searchsorted(v).astype(np.int64) for v in (flat, flat + 1))
         return first, np.where(within, last - first, 0)
 
-    def _cells_in(self, voxel: NDArray[np.int64]) -> Iterator[tuple[NDArray[np.int64], NDArray[np.bool_]]]:
+    def _iterate_voxel_cells(self, voxel: NDArray[np.int64]) -> Iterator[tuple[NDArray[np.int64], NDArray[np.bool_]]]:
         """Yield pairs of arrays for voxels [n,3]: the k-th cell of each voxel, and whether the voxel has a k-th cell."""
-        first, count = self._cell_range(voxel)
-        for step in range(self._most_per_voxel):
+        first, count = self._find_cell_ranges(voxel)
+        for step in range(self._max_cells_per_voxel):
             yield np.minimum(first + step, len(self) - 1), step < count
 
-    def lookup(self, points: Floats, normals: Floats) -> Cells:
+    def find_cells(self, points: Floats, normals: Floats) -> Cells:
         """Return the cell of each point [n,3] on a face with normal [n,3]. The normal is that of the face, not of the agent's
         side.
         Without a cell there, return the nearest cell in the 27 voxels around the point that has not the opposite side, else
         -1."""
-        return self.lookup_sides(points, facing_sides(np.asarray(normals).reshape(-1, 3)))
+        return self.find_cells_by_side(points, find_facing_sides(np.asarray(normals).reshape(-1, 3)))
 
-    def lookup_sides(self, points: Floats, side: NDArray[np.int8]) -> Cells:
-        """Return cells as `lookup` does, for faces with sides int8[n] as numbered by `facing_sides`."""
-        return self.lookup_again(points, side, None)[0]
+    def find_cells_by_side(self, points: Floats, side: NDArray[np.int8]) -> Cells:
+        """Return cells as `find_cells` does, for faces with sides int8[n] as numbered by `find_facing_sides`."""
+        return self.update_cells(points, side, None)[0]
 
-    def lookup_again(
+    def update_cells(
         self,
         points: Floats,
         side: NDArray[np.int8],
-        previous_cells: KnownCells | None,
+        previous_cells: CellLookupState | None,
         out: Cells | None = None,
         threads: int = 1,
-    ) -> tuple[Cells, KnownCells | None]:
-        """Return cells as `lookup_sides` does, and the state for the next call (None if keys are unordered).
+    ) -> tuple[Cells, CellLookupState | None]:
+        """Return cells as `find_cells_by_side` does, and the state for the next call (None if keys are unordered).
         Only points with a changed voxel or side are searched. `out`: int32[n] for the result.
         `previous_cells`: the state that the previous call returned for the same number of points."""
         points = np.asarray(points, np.float64).reshape(-1, 3)
@@ -188,22 +188,22 @@ class SurfaceCells:
             missed = missed[np.isfinite(points[missed]).all(axis=1)]
             bounded = np.clip(points[missed] / self.cell + 0.5, -1e15, 1e15)
             voxel = np.floor(bounded).astype(np.int64) - self._low
-            cell[missed] = self._nearby(points[missed], voxel, side[missed].astype(np.int64))
+            cell[missed] = self._find_nearby_cells(points[missed], voxel, side[missed].astype(np.int64))
         return cell, known
 
     def _locate_cells(
-        self, points: Floats, side: NDArray[np.int8], previous_cells: KnownCells | None, cell: Cells, threads: int
-    ) -> tuple[int, KnownCells]:
+        self, points: Floats, side: NDArray[np.int8], previous_cells: CellLookupState | None, cell: Cells, threads: int
+    ) -> tuple[int, CellLookupState]:
         """Write the cell of each point's voxel and side, -1 for none. Return the number of points without a cell, and the
         state for the next call."""
         known = previous_cells
-        if known is None or known.of is not self or len(known.key) != len(points):
-            known = KnownCells(self, np.full(len(points), -1), np.full(len(points), -1, np.int32))
-        index, direct = (self._index, NO_CELLS) if self._direct is None else (NO_INDEX, self._direct)
+        if known is None or known.of is not self or len(known.keys) != len(points):
+            known = CellLookupState(self, np.full(len(points), -1), np.full(len(points), -1, np.int32))
+        index, direct = (self._block_index, NO_CELLS) if self._direct_table is None else (NO_INDEX, self._direct_table)
         keys = CellIndex(self.cell, self._low, self._size, direct, self._keys, index.shift, index.start)
         along = tuple(np.ascontiguousarray(points[:, axis]) for axis in range(3))
-        work = partial(locate_cells, along, side, keys, known.key, known.cell, cell)
-        return sum(parallel.in_parts(work, len(points), threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD)), known
+        work = partial(locate_cells, along, side, keys, known.keys, known.cells, cell)
+        return sum(parallel.run_in_parts(work, len(points), threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD)), known
 
     def _search_cells(self, points: Floats, side: NDArray[np.int8], cell: Cells) -> int:
         """Write the cell of each point's voxel and side, for unordered keys; return how many points have no cell."""
@@ -211,8 +211,8 @@ class SurfaceCells:
         within = np.empty(len(points), np.bool_)
         for a in range(0, len(points), _POINTS_PER_CHUNK):
             rows = slice(a, a + _POINTS_PER_CHUNK)
-            self._keys_at(points[rows], side[rows], key[rows], within[rows])
-        cell[:] = self._find_cells(key, within)
+            self._write_keys(points[rows], side[rows], key[rows], within[rows])
+        cell[:] = self._find_cells_by_key(key, within)
         return int(np.count_nonzero(cell < 0))
 
     @property
@@ -220,8 +220,8 @@ class SurfaceCells:
         """Return whether a kernel can find cells: keys ascend with the cell numbers, or a table lists every key."""
         return True
 
-    def _keys_at(self, points: Floats, side: NDArray[np.int8], key: NDArray[np.int64], within: NDArray[np.bool_]) -> None:
-        """Write the key of each point's voxel and side to `key`, and whether the voxel is in the box to `within`."""
+    def _write_keys(self, points: Floats, side: NDArray[np.int8], key: NDArray[np.int64], is_in_box: NDArray[np.bool_]) -> None:
+        """Write the key of each point's voxel and side to `key`, and whether the voxel is in the box to `is_in_box`."""
         for axis in range(3):
             step = np.floor(points[:, axis] / self.cell + 0.5)
             step -= self._low[axis]
@@ -230,31 +230,31 @@ class SurfaceCells:
             if axis:
                 key *= self._size[axis]
                 key += integer_steps
-                within &= inside
+                is_in_box &= inside
             else:
-                key[:], within[:] = integer_steps, inside
+                key[:], is_in_box[:] = integer_steps, inside
         key *= 6
         key += side
 
-    def _find_cells(self, key: NDArray[np.int64], within: NDArray[np.bool_]) -> Cells:
-        """Return the cell of each key, -1 if there is none or if `within` is false."""
-        if self._direct is not None:
-            return np.where(within, self._direct.take(np.where(within, key, 0)), np.int32(-1))
+    def _find_cells_by_key(self, key: NDArray[np.int64], is_in_box: NDArray[np.bool_]) -> Cells:
+        """Return the cell of each key, -1 if there is none or if `is_in_box` is false."""
+        if self._direct_table is not None:
+            return np.where(is_in_box, self._direct_table.take(np.where(is_in_box, key, 0)), np.int32(-1))
         cell = np.full(len(key), -1, np.int32)
         for a in range(0, len(key), _POINTS_PER_CHUNK):
-            rows = a + np.flatnonzero(within[a : a + _POINTS_PER_CHUNK])
+            rows = a + np.flatnonzero(is_in_box[a : a + _POINTS_PER_CHUNK])
             row_keys = key[rows]
-            at = self._index.place(self._keys, row_keys)
+            at = self._block_index.count_smaller(self._keys, row_keys)
             matches = np.flatnonzero(self._keys.take(np.minimum(at, len(self) - 1)) == row_keys)
             cell[rows[matches]] = at[matches]
         return cell
 
     @cached_property
-    def _index(self) -> BlockIndex:
+    def _block_index(self) -> BlockIndex:
         return BlockIndex.of(self._keys, 6 * int(self._size[0]) * int(self._size[1]) * int(self._size[2]))
 
     @cached_property
-    def _direct(self) -> Cells | None:
+    def _direct_table(self) -> Cells | None:
         """Return the cell of every voxel and side, -1 for none; None if the box is too large for a table."""
         count = 6 * int(self._size[0]) * int(self._size[1]) * int(self._size[2])
         if count > _MAX_DENSE_VOXELS:
@@ -263,26 +263,26 @@ class SurfaceCells:
         table[self._keys] = np.arange(len(self), dtype=np.int32)
         return table
 
-    def side_of(self, cell: NDArray[np.integer]) -> NDArray[np.int64]:
-        """Return the sides that cells face, as `facing_sides`."""
+    def get_sides(self, cell: NDArray[np.integer]) -> NDArray[np.int64]:
+        """Return the sides that cells face, as `find_facing_sides`."""
         return self._keys.take(cell) % 6
 
-    def _nearby(self, points: Floats, voxel: NDArray[np.int64], side: NDArray[np.int64]) -> NDArray[np.int64]:
+    def _find_nearby_cells(self, points: Floats, voxel: NDArray[np.int64], side: NDArray[np.int64]) -> NDArray[np.int64]:
         best, distance = np.full(len(points), -1, np.int64), np.full(len(points), np.inf)
         for offset in BLOCK_OFFSETS:
-            for at, has_cell in self._cells_in(voxel + np.array(offset)):
+            for at, has_cell in self._iterate_voxel_cells(voxel + np.array(offset)):
                 gap = ((self.position[at] - points) ** 2).sum(axis=1)
-                closer = has_cell & are_compatible(self.side_of(at), side) & (gap < distance)
+                closer = has_cell & are_sides_compatible(self.get_sides(at), side) & (gap < distance)
                 best, distance = np.where(closer, at, best), np.where(closer, gap, distance)
         return best
 
-    def _neighbour_pairs(
+    def _find_neighbour_pairs(
         self, cells: NDArray[np.int64], column: Callable[[int, int], int]
     ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Return pairs (index in `cells`, neighbour cell) of compatible cells in nearby voxels, sorted by both.
         `column(x, y)`: how far up and down voxels count in the column at offset (x, y); -1: none. A column's cells have
             consecutive numbers."""
-        voxels = self._voxels[cells]
+        voxels = self._voxel_numbers[cells]
         z, rest = voxels % self._size[2], voxels // self._size[2]
         x, y = rest // self._size[1], rest % self._size[1]
         firsts, counts = [], []
@@ -291,21 +291,21 @@ class SurfaceCells:
                 continue
             is_inside = (x + dx >= 0) & (x + dx < self._size[0]) & (y + dy >= 0) & (y + dy < self._size[1])
             base = np.where(is_inside, ((x + dx) * self._size[1] + (y + dy)) * self._size[2], 0)
-            first = self._first_cell(base + np.maximum(z - far, 0))
-            last = self._first_cell(base + np.minimum(z + far, self._size[2] - 1) + 1)
+            first = self._count_earlier_cells(base + np.maximum(z - far, 0))
+            last = self._count_earlier_cells(base + np.minimum(z + far, self._size[2] - 1) + 1)
             firsts.append(first)
             counts.append(np.where(is_inside, last - first, 0))
         first, count = np.stack(firsts, axis=1).ravel(), np.stack(counts, axis=1)
         own, flat = np.repeat(np.arange(len(cells)), count.sum(axis=1)), count.ravel()
         other = np.arange(own.size) + np.repeat(first - (np.cumsum(flat) - flat), flat)
-        compatible_pairs = np.flatnonzero(are_compatible(self.side_of(other), self.side_of(cells).take(own)))
+        compatible_pairs = np.flatnonzero(are_sides_compatible(self.get_sides(other), self.get_sides(cells).take(own)))
         return own.take(compatible_pairs), other.take(compatible_pairs)
 
-    def _first_cell(self, voxel: NDArray[np.int64]) -> NDArray[np.int64]:
+    def _count_earlier_cells(self, voxel: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return, for each voxel number in the box, how many cells lie in voxels with smaller numbers."""
         if self._start_table is not None:
             return self._start_table.take(voxel).astype(np.int64)
-        return self._voxels.searchsorted(voxel).astype(np.int64)
+        return self._voxel_numbers.searchsorted(voxel).astype(np.int64)
 
     @cached_property
     def links(self) -> CellLinks:
@@ -323,17 +323,17 @@ class SurfaceCells:
         counts, cells = [np.zeros(1, np.int64)], [np.empty(0, np.int32)]
         for a in range(0, len(self), _POINTS_PER_CHUNK):
             chosen = np.arange(a, min(a + _POINTS_PER_CHUNK, len(self)))
-            own, other = self._neighbour_pairs(chosen, lambda x, y: min(steps - abs(x) - abs(y), 1))
-            is_neighbour = self._voxel_steps(chosen.take(own), other) == 2 if steps == 2 else other != own + a
+            own, other = self._find_neighbour_pairs(chosen, lambda x, y: min(steps - abs(x) - abs(y), 1))
+            is_neighbour = self._count_voxel_steps(chosen.take(own), other) == 2 if steps == 2 else other != own + a
             others = np.flatnonzero(is_neighbour)
             counts.append(np.bincount(own.take(others), minlength=len(chosen)))
             cells.append(other.take(others).astype(np.int32))
         return CellLinks(np.cumsum(np.concatenate(counts)), np.concatenate(cells))
 
-    def _voxel_steps(self, one: NDArray[np.int64], two: NDArray[np.int64]) -> NDArray[np.int64]:
+    def _count_voxel_steps(self, one: NDArray[np.int64], two: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return the number of voxel steps between the cells of each pair, summed over all axes."""
         steps = np.zeros(len(one), np.int64)
-        voxels = [self._voxels.take(cells) for cells in (one, two)]
+        voxels = [self._voxel_numbers.take(cells) for cells in (one, two)]
         for size in (self._size[2], self._size[1]):
             steps += np.abs(voxels[0] % size - voxels[1] % size)
             voxels = [each // size for each in voxels]
@@ -341,29 +341,29 @@ class SurfaceCells:
         return steps
 
     @property
-    def block(self) -> Cells:
+    def nearest_block(self) -> Cells:
         """Return the 16 nearest cells in the 3³ voxels around each cell, itself included: int32[n,16], ascending, padded with
         `len(self)`."""
-        return self.nearest(NEAREST_CELLS)
+        return self.get_nearest_cells(NEAREST_CELLS)
 
-    def nearest(self, k: int) -> Cells:
+    def get_nearest_cells(self, k: int) -> Cells:
         """Return the `k` nearest cells in the 3³ voxels around each cell, itself included, as int32[n,k], ascending.
         Candidates are ranked by (distance, cell)."""
         if k not in self._tables:
             inputs = (self._keys, self._size, self.position, float(k))
-            work = partial(self._nearest_table, k)
+            work = partial(self._build_nearest_table, k)
             self._tables[k] = stored_tables.get_or_compute("nearest cells", len(self), inputs, work, "cells")["nearest"]
         return self._tables[k]
 
-    def _nearest_table(self, k: int) -> stored_tables.Tables:
-        return {"nearest": self._nearest(np.arange(len(self)), k)}
+    def _build_nearest_table(self, k: int) -> stored_tables.Tables:
+        return {"nearest": self._compute_nearest_cells(np.arange(len(self)), k)}
 
-    def _nearest(self, cells: NDArray[np.int64], k: int) -> Cells:
+    def _compute_nearest_cells(self, cells: NDArray[np.int64], k: int) -> Cells:
         """Return the rows of `nearest` for `cells`."""
         table = np.full((len(cells), k), len(self), np.int32)
         for a in range(0, len(cells), _POINTS_PER_CHUNK):
             chosen = cells[a : a + _POINTS_PER_CHUNK]
-            own, other = self._neighbour_pairs(chosen, lambda x, y: 1)
+            own, other = self._find_neighbour_pairs(chosen, lambda x, y: 1)
             count = np.bincount(own, minlength=len(chosen))
             crowded = np.flatnonzero(count > k)
             if crowded.size:  # most cells have no more neighbours than this
@@ -374,26 +374,26 @@ class SurfaceCells:
                 for axis in range(3):
                     gap += (other_place[:, axis] - place[:, axis]) ** 2
                 order = np.lexsort((two, gap, one))
-                left = crowded_pairs[order[ranks_in_groups(count[crowded]) >= k]]
+                left = crowded_pairs[order[compute_group_ranks(count[crowded]) >= k]]
                 is_nearest = np.ones(len(own), np.bool_)
                 is_nearest[left] = False
                 own, other = own[is_nearest], other[is_nearest]
                 count = np.minimum(count, k)
-            table[a + own, ranks_in_groups(count)] = other
+            table[a + own, compute_group_ranks(count)] = other
         return table
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class KnownCells:
-    """The results of a cell lookup in the cells `of`, for the next lookup: each point's `key` (voxel and side), and its
-    `cell`. `key` is -1 outside the box, `cell` is -1 if there is none."""
+class CellLookupState:
+    """The results of a cell lookup in the cells `of`, for the next lookup: each point's `keys` (voxel and side), and its
+    `cells`. `keys` is -1 outside the box, `cells` is -1 if there is none."""
 
     of: SurfaceCells
-    key: NDArray[np.int64]
-    cell: Cells
+    keys: NDArray[np.int64]
+    cells: Cells
 
 
-def are_compatible(a: NDArray[np.int64], b: NDArray[np.int64]) -> NDArray[np.bool_]:
+def are_sides_compatible(a: NDArray[np.int64], b: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Return whether two sides are not opposite. An agent can walk between compatible sides within one cell."""
     other: NDArray[np.bool_] = (a ^ 1) != b
     return other

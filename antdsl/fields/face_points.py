@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
-from antdsl.scene.setting import BorderFlow, SolvedFlow, SpreadFlow
+from antdsl.scene.setting import BorderFlowData, SolvedFlowData, SpreadFlowData
 
 _PIECES_PER_RADIUS = 8  # pieces per radius or border, if no cell size is set
 _PIECES_PER_EXTENT = 64  # pieces per extent of the ground, if there is no radius either
@@ -38,11 +38,11 @@ def count_slots(cuts: Index) -> int:
     return int(((cuts + 1) * (cuts + 2) // 2).sum())
 
 
-def count_cuts(longest: Floats, cell: float | Floats) -> Index:
+def count_cuts(edge_lengths: Floats, cell: float | Floats) -> Index:
     """Return how many pieces edges of these lengths (mm) need so that each is at most `cell` long. The counts are powers of two;
     1 where `cell` is infinite."""
     with np.errstate(divide="ignore"):
-        pieces = np.clip(longest / cell, 1.0, _MAX_CUTS_PER_EDGE)
+        pieces = np.clip(edge_lengths / cell, 1.0, _MAX_CUTS_PER_EDGE)
     cuts: Index = np.left_shift(1, np.frexp(pieces * (1 - 1e-9))[1].astype(np.int64))
     return cuts
 
@@ -84,18 +84,18 @@ class FaceLattice:
         """Return the face of each slot."""
         return np.repeat(np.arange(len(self.cuts)), (self.cuts + 1) * (self.cuts + 2) // 2)
 
-    def weights(self) -> tuple[Floats, Floats]:
+    def compute_slot_weights(self) -> tuple[Floats, Floats]:
         """Return the barycentric weights of the face's second and third corner, for each slot."""
         b1, b2 = np.empty(len(self)), np.empty(len(self))
-        for n, chosen, i, j in self._groups():
+        for n, chosen, i, j in self._group_by_cuts():
             at = self.start[chosen][:, None] + np.arange(len(i))
             b1[at], b2[at] = i / n, j / n
         return b1, b2
 
-    def triangles(self) -> tuple[Index, Index]:
+    def compute_triangles(self) -> tuple[Index, Index]:
         """Return the small triangles as slots (t, 3), with the winding of their face, and the face of each (t,)."""
         parts, owners = [np.empty((0, 3), np.int64)], [np.empty(0, np.int64)]
-        for n, chosen, i, j in self._groups():
+        for n, chosen, i, j in self._group_by_cuts():
             own = np.arange(len(i))
             low = own[i + j < n]
             high = own[i + j < n - 1]
@@ -107,7 +107,7 @@ class FaceLattice:
             owners.append(np.repeat(chosen, len(small)))
         return np.concatenate(parts), np.concatenate(owners)
 
-    def _groups(self) -> list[tuple[int, Index, Index, Index]]:
+    def _group_by_cuts(self) -> list[tuple[int, Index, Index, Index]]:
         """Return, for each number of cuts n: n, the faces with n cuts, and the column i and row j of each of their slots."""
         groups = []
         for n in np.unique(self.cuts).tolist():
@@ -134,29 +134,29 @@ def weld_points(positions: Floats, owner: NDArray[np.integer]) -> tuple[Index, i
     return point, int(fresh[-1]) + 1
 
 
-def cell_size(flow: SpreadFlow | BorderFlow | SolvedFlow, extent: float) -> float:
+def choose_cell_size(flow: SpreadFlowData | BorderFlowData | SolvedFlowData, extent: float) -> float:
     """Return the edge length (mm) of a flow's cells: its own `cell`, or a default for a ground of size `extent` (mm)."""
     if flow.cell is not None:
         return flow.cell
-    if isinstance(flow, BorderFlow):
-        return flow.within / _PIECES_PER_RADIUS
-    if isinstance(flow, SpreadFlow):
+    if isinstance(flow, BorderFlowData):
+        return flow.max_distance / _PIECES_PER_RADIUS
+    if isinstance(flow, SpreadFlowData):
         return extent / _PIECES_PER_EXTENT if flow.radius is None else flow.radius / _PIECES_PER_RADIUS
     across = extent / (_CROWD_PIECES_PER_EXTENT if flow.crowding else _PIECES_PER_EXTENT)
     return min(across, flow.clearance / 2) if flow.clearance else across
 
 
-def edge_pieces(flow: SpreadFlow | BorderFlow | SolvedFlow, longest: Floats, extent: float) -> Index:
+def count_edge_pieces(flow: SpreadFlowData | BorderFlowData | SolvedFlowData, edge_lengths: Floats, extent: float) -> Index:
     """Return how many pieces the edges of each face are divided into.
 
-    `longest` (n): the longest edge (mm) of each face, 0 where the flow is not needed. A default cell is enlarged if there
+    `edge_lengths` (n): the longest edge (mm) of each face, 0 where the flow is not needed. A default cell is enlarged if there
         would be too many points. Raises LatticeTooFine if the cell that the scene sets is too small."""
-    cell = cell_size(flow, extent)
+    cell = choose_cell_size(flow, extent)
     while True:
-        cuts = count_cuts(longest, cell)
+        cuts = count_cuts(edge_lengths, cell)
         points = count_slots(cuts)
         if flow.cell is not None and points > limits.MAX_FLOW_POINTS:
             raise LatticeTooFine(points)
-        if flow.cell is not None or points <= max(_MAX_DEFAULT_POINTS, 3 * len(longest)):
+        if flow.cell is not None or points <= max(_MAX_DEFAULT_POINTS, 3 * len(edge_lengths)):
             return cuts
         cell = max(1.3 * cell, extent * _MIN_CELL_EXTENT)  # a radius near 0 gives a cell size of 0

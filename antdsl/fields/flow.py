@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from antdsl.casting.curves import SampledCurve
 from antdsl.fields.face_points import FaceLattice
 from antdsl.ground.protocol import Floats, Footing, Index, MeshSurfaces
-from antdsl.scene.setting import FlowTarget, SpreadFlow
+from antdsl.scene.setting import FlowTarget, SpreadFlowData
 
 if TYPE_CHECKING:
     from antdsl.runtime.world import World
@@ -26,7 +26,7 @@ _CURVE_SPACING_MM = 1.0  # mm, as for curves in nearest-point queries
 _MIN_LAID_COSINE = 0.5  # cosine of the angle to the face below which a projected vector loses length
 
 
-def lay_on_faces(v: Floats, axis1: Floats, axis2: Floats) -> tuple[Floats, Floats]:
+def project_to_faces(v: Floats, axis1: Floats, axis2: Floats) -> tuple[Floats, Floats]:
     """Return the components c, s of vectors (n, 3) along the two axes (3, n) of their faces. Vectors up to 60 degrees off the
     face retain their length."""
     c, s = (axis1 * v.T).sum(axis=0), (axis2 * v.T).sum(axis=0)
@@ -36,7 +36,7 @@ def lay_on_faces(v: Floats, axis1: Floats, axis2: Floats) -> tuple[Floats, Float
     return c * factor, s * factor
 
 
-def lay_across_up(v: Floats, up: Floats) -> Floats:
+def project_across_up(v: Floats, up: Floats) -> Floats:
     """Project vectors onto the plane perpendicular to `up` (n, 3), for agents that stand on no face."""
     across = v - (v * up).sum(axis=1)[:, None] * up
     flat, length = (np.sqrt((w * w).sum(axis=1)) for w in (across, v))
@@ -44,16 +44,16 @@ def lay_across_up(v: Floats, up: Floats) -> Floats:
     return down
 
 
-def falloff(distance: Floats, radius: float | None, word: str) -> Floats:
+def compute_falloff(distance: Floats, radius: float | None, kind: str) -> Floats:
     """Return the strength at a distance (mm): 1 at the source, 0 beyond `radius`; 1 everywhere if `radius` is None.
 
-    `word`: the decrease in between: `none`, `linear`, or anything else for a smooth one."""
+    `kind`: the decrease in between: `none`, `linear`, or anything else for a smooth one."""
     if radius is None:
         return np.ones_like(distance)
     t = np.minimum(distance / radius, 1.0)
-    if word == "none":
+    if kind == "none":
         return (distance <= radius).astype(np.float64)
-    strength: Floats = 1 - t if word == "linear" else 1 - t * t * (3 - 2 * t)
+    strength: Floats = 1 - t if kind == "linear" else 1 - t * t * (3 - 2 * t)
     return strength
 
 
@@ -63,15 +63,15 @@ class SurfaceFlow:
 
     `c`, `s`: components along the two axes of each face.
     `source`: evaluates the flow at any position, for agents on other ground. Without a source, the flow is zero on other ground.
-    `renew`: updates the flow after things have moved."""
+    `updater`: updates the flow after things have moved."""
 
     lattice: FaceLattice
     c: Floats
     s: Floats
     source: VectorSource | None = None
-    renew: Callable[[World], None] | None = None
+    updater: Callable[[World], None] | None = None
 
-    def along_face(self, face: Index, b1: Floats, b2: Floats) -> tuple[Floats, Floats]:
+    def sample_on_faces(self, face: Index, b1: Floats, b2: Floats) -> tuple[Floats, Floats]:
         """Return the flow's components along the face axes, at points given by face and barycentric weights."""
         slots, weights = self.lattice.locate(face, b1, b2)
         return (self.c.take(slots) * weights).sum(axis=0), (self.s.take(slots) * weights).sum(axis=0)
@@ -83,27 +83,27 @@ class SurfaceFlow:
         `place`, `up` (n, 3): position and up of each agent, used for agents that stand on no face."""
         vectors, known = np.zeros((3, len(place))), np.zeros(len(place), bool)
         if meshes is not None:
-            face, known = meshes.on_faces(footing)
-            vectors = meshes.to_world_vectors(face, *self.along_face(face, footing.b1, footing.b2))
+            face, known = meshes.get_face_numbers(footing)
+            vectors = meshes.to_world_vectors(face, *self.sample_on_faces(face, footing.b1, footing.b2))
         if not known.all():
             vectors[:, ~known] = 0.0
             if self.source is not None:
-                vectors[:, ~known] = lay_across_up(self.source(place[~known]), up[~known]).T
+                vectors[:, ~known] = project_across_up(self.source(place[~known]), up[~known]).T
         return tuple(np.ascontiguousarray(part, np.float32) for part in vectors)  # type: ignore[return-value]
 
-    def reaches(self, meshes: MeshSurfaces | None, footing: Footing, place: Floats, up: Floats) -> NDArray[np.bool_]:
+    def has_flow_at(self, meshes: MeshSurfaces | None, footing: Footing, place: Floats, up: Floats) -> NDArray[np.bool_]:
         """Return whether the flow is non-zero at each agent's position, bool[n]. Arguments as for `at`."""
         x, y, z = self.at(meshes, footing, place, up)
         is_flowing: NDArray[np.bool_] = (x != 0) | (y != 0) | (z != 0)
         return is_flowing
 
-    def show(self, arrays: dict[str, NDArray[Any]]) -> None:
+    def set_displayed_state(self, arrays: dict[str, NDArray[Any]]) -> None:
         """Make `state` return `arrays` without applying them. This is for a copy that is only displayed."""
 
     def begin(self, world: World) -> None:
         """Update the flow before a step. Does nothing for a flow that is computed only once."""
-        if self.renew is not None:
-            self.renew(world)
+        if self.updater is not None:
+            self.updater(world)
 
     def state(self) -> dict[str, NDArray[Any]]:
         """Return the arrays, by name, that a continued run needs. The result is empty if the frame alone determines the flow."""
@@ -122,7 +122,7 @@ class PaintedMap:
     def at(self, meshes: MeshSurfaces, footing: Footing) -> NDArray[np.float32]:
         """Return the numbers at the agents' footings, float32[n]; 0 for agents that stand on no face. `meshes`: as in
         `SurfaceFlow.at`."""
-        face, known = meshes.on_faces(footing)
+        face, known = meshes.get_face_numbers(footing)
         a, b, c = (corner.take(face) for corner in self.corners)
         return np.where(known, a * (1 - footing.b1 - footing.b2) + b * footing.b1 + c * footing.b2, 0.0).astype(np.float32)
 
@@ -130,13 +130,13 @@ class PaintedMap:
 # --- about a curve or places -----------------------------------------------------------------------------------------
 
 
-def nearest_on_target(target: FlowTarget, positions: Floats) -> tuple[Floats, Floats, Floats]:
+def find_nearest_on_target(target: FlowTarget, positions: Floats) -> tuple[Floats, Floats, Floats]:
     """Return, for each position, the distance (n,) from a target, the nearest point of the target (n, 3) and its unit tangent
     (n, 3).
 
     Lengths are in mm. The tangent is zero for targets that are single points."""
     if target.line:
-        closest = SampledCurve(target.positions, _CURVE_SPACING_MM).closest(*positions.T)
+        closest = SampledCurve(target.positions, _CURVE_SPACING_MM).find_closest(*positions.T)
         columns = (closest.px, closest.py, closest.pz, closest.tx, closest.ty, closest.tz)
         px, py, pz, tx, ty, tz = (part.astype(np.float64) for part in columns)
         return closest.distance.astype(np.float64), np.stack([px, py, pz], axis=1), np.stack([tx, ty, tz], axis=1)
@@ -146,12 +146,12 @@ def nearest_on_target(target: FlowTarget, positions: Floats) -> tuple[Floats, Fl
     return distance, target.positions[which], np.zeros_like(positions)
 
 
-def make_spread_source(flow: SpreadFlow, target: FlowTarget) -> VectorSource:
+def make_spread_source(flow: SpreadFlowData, target: FlowTarget) -> VectorSource:
     """Return a function that gives the vectors of a flow around a target. The target is in the world's axes and relative to its
     origin."""
 
     def vectors(positions: Floats) -> Floats:
-        distance, point, along = nearest_on_target(target, positions)
+        distance, point, along = find_nearest_on_target(target, positions)
         direction = along
         if flow.gather and flow.radius is not None:
             direction = along + (point - positions) * (flow.gather / flow.radius)
@@ -160,6 +160,6 @@ def make_spread_source(flow: SpreadFlow, target: FlowTarget) -> VectorSource:
             away = positions - point
             away /= np.where(distance > 1e-9, distance, 1.0)[:, None]
             direction = away if flow.direction == "away" else -away
-        return direction * (falloff(distance, flow.radius, flow.falloff) * flow.strength)[:, None]
+        return direction * (compute_falloff(distance, flow.radius, flow.falloff) * flow.strength)[:, None]
 
     return vectors

@@ -9,81 +9,81 @@ from numpy.typing import NDArray
 
 from antdsl import limits
 from antdsl.casting.rays import MeshArrays
-from antdsl.fields.cells import BLOCK_OFFSETS, Cells, Floats, SurfaceCells, are_compatible
-from antdsl.fields.numbered import sum_by_key
-from antdsl.ground.mesh.topology import facing_sides
-from antdsl.machine_code.kernels import F64, I32, I64, Array1, Array2, inlined, kernel, scratch
+from antdsl.fields.block_index import sum_by_key
+from antdsl.fields.cells import BLOCK_OFFSETS, Cells, Floats, SurfaceCells, are_sides_compatible
+from antdsl.ground.mesh.topology import find_facing_sides
+from antdsl.machine_code.kernels import F64, I32, I64, Array1, Array2, allocate_scratch, inlined, kernel
 
 _GROWTH_DIVISOR = 8  # capacity grows by 1 / this number, so that most steps need no copy
 _MIN_ADDED_CAPACITY = 1024
 _NO_KEY = -1
 _ISOLATED_VOXEL = -(1 << 60)  # number of a voxel without neighbours
 _MAX_NEIGHBOUR_CELLS = 27 * 6  # most cells in 3³ voxels
-Numbers = tuple[Array1[I64], Array1[I64]]  # voxels and keys of cells
+VoxelIndex = tuple[Array1[I64], Array1[I64]]  # voxels and keys of cells
 
 
 class GrowingCells(SurfaceCells):
-    """`SurfaceCells` that can `grow`. A cell never changes its number.
+    """`SurfaceCells` that can `grow_surface`. A cell never changes its number.
 
     The initial cells come first, ordered by position, then side. Added cells follow, step by step. Unused reserve cells come
     last; no query returns them."""
 
     def __init__(self, surfaces: Sequence[MeshArrays], cell: float, cap: int = limits.MAX_FIELD_CELLS) -> None:
         super().__init__(surfaces, cell, cap)
-        self.at_start = self.used = len(self._keys)
+        self.initial_count = self.used_count = len(self._keys)
         self._cap = cap
-        self._sorted = np.arange(self.used)
-        self._direct  # noqa: B018  # listed now, while every key is a cell's
+        self._sorted = np.arange(self.used_count)
+        self._direct_table  # noqa: B018  # listed now, while every key is a cell's
 
     @property
-    def added(self) -> dict[str, NDArray[np.generic]]:
+    def added_cells(self) -> dict[str, NDArray[np.generic]]:
         """Return the keys and positions of all cells added since the start, as arguments for `add`."""
-        new = slice(self.at_start, self.used)
+        new = slice(self.initial_count, self.used_count)
         return {"keys": self._keys[new], "places": np.concatenate([self.position[new], self.normal[new]], axis=1)}
 
-    def grow(self, points: Floats, normals: Floats) -> NDArray[np.int64]:
+    def grow_surface(self, points: Floats, normals: Floats) -> NDArray[np.int64]:
         """Add cells for points [n,3] of new surface with unit normals [n,3], where no cell exists yet. Return the numbers of the
         new cells."""
         voxel = np.floor(points / self.cell + 0.5).astype(np.int64) - self._low
         within = ((voxel >= 0) & (voxel < self._size)).all(axis=1)
         points, normals, voxel = points[within], normals[within], voxel[within]
-        key = self._key(voxel, facing_sides(normals))
-        fresh = self._find_cells(key, np.ones(len(key), np.bool_)) < 0
+        key = self._pack_keys(voxel, find_facing_sides(normals))
+        fresh = self._find_cells_by_key(key, np.ones(len(key), np.bool_)) < 0
         keys, sums = sum_by_key(key[fresh], np.column_stack([points[fresh], normals[fresh], np.ones(int(fresh.sum()))]))
         normal = sums[:, 3:6] / np.maximum(np.sqrt((sums[:, 3:6] ** 2).sum(axis=1)), 1e-300)[:, None]
-        return self.add(keys, np.concatenate([sums[:, :3] / sums[:, 6:], normal], axis=1))
+        return self.add_cells(keys, np.concatenate([sums[:, :3] / sums[:, 6:], normal], axis=1))
 
-    def add(self, keys: NDArray[np.int64], positions: Floats) -> NDArray[np.int64]:
+    def add_cells(self, keys: NDArray[np.int64], positions: Floats) -> NDArray[np.int64]:
         """Add cells with new keys and rows `positions` [n,6] of position and normal. Return their numbers."""
-        count = min(len(keys), max(self._cap - self.used, 0))
+        count = min(len(keys), max(self._cap - self.used_count, 0))
         if not count:
             return np.empty(0, np.int64)
-        self._grow_capacity(self.used + count)
-        new = np.arange(self.used, self.used + count)
-        self.used += count
+        self._grow_capacity(self.used_count + count)
+        new = np.arange(self.used_count, self.used_count + count)
+        self.used_count += count
         self._keys[new], self.position[new], self.normal[new] = keys[:count], positions[:count, :3], positions[:count, 3:]
-        self._voxels[new] = self._keys[new] // 6
-        if self._direct is not None:
-            self._direct[self._keys[new]] = new
+        self._voxel_numbers[new] = self._keys[new] // 6
+        if self._direct_table is not None:
+            self._direct_table[self._keys[new]] = new
         else:
-            self._sorted = np.argsort(self._keys[: self.used], kind="stable")
+            self._sorted = np.argsort(self._keys[: self.used_count], kind="stable")
         self.__dict__.pop("links", None)
         self.__dict__.pop("diagonals", None)
-        changed = np.unique(self._neighbour_pairs(new, lambda x, y: 1)[1])
+        changed = np.unique(self._find_neighbour_pairs(new, lambda x, y: 1)[1])
         for k, table in self._tables.items():
-            if self._direct is not None:
-                numbers = (self._voxels, self._keys)
-                nearest(self._direct, numbers, self._size, self.position, changed, k, len(self), table)
+            if self._direct_table is not None:
+                numbers = (self._voxel_numbers, self._keys)
+                fill_nearest_cells(self._direct_table, numbers, self._size, self.position, changed, k, len(self), table)
             else:
-                table[changed] = self._nearest(changed, k)
+                table[changed] = self._compute_nearest_cells(changed, k)
         return new
 
-    def _nearby(self, points: Floats, voxel: NDArray[np.int64], side: NDArray[np.int64]) -> NDArray[np.int64]:
+    def _find_nearby_cells(self, points: Floats, voxel: NDArray[np.int64], side: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return the nearest cell of a compatible side in the 27 voxels around each point, -1 for none."""
-        if self._direct is None:
-            return super()._nearby(points, voxel, side)
+        if self._direct_table is None:
+            return super()._find_nearby_cells(points, voxel, side)
         best = np.empty(len(points), np.int64)
-        nearby(self._direct, self._size, self.position, points, voxel, side, best)
+        fill_nearby_cells(self._direct_table, self._size, self.position, points, voxel, side, best)
         return best
 
     def _grow_capacity(self, needed: int) -> None:
@@ -93,7 +93,7 @@ class GrowingCells(SurfaceCells):
         old_count = len(self)
         added_count = max(needed - old_count, old_count // _GROWTH_DIVISOR, _MIN_ADDED_CAPACITY)
         self._keys = np.concatenate([self._keys, np.full(added_count, _NO_KEY)])
-        self._voxels = np.concatenate([self._voxels, np.full(added_count, _ISOLATED_VOXEL)])
+        self._voxel_numbers = np.concatenate([self._voxel_numbers, np.full(added_count, _ISOLATED_VOXEL)])
         self.position, self.normal = (np.concatenate([v, np.zeros((added_count, 3))]) for v in (self.position, self.normal))
         for k, table in self._tables.items():
             grown = np.full((old_count + added_count, k), old_count + added_count, np.int32)
@@ -103,23 +103,23 @@ class GrowingCells(SurfaceCells):
     @property
     def _has_kernel_lookup(self) -> bool:
         """Return whether a table lists every key: keys of added cells are not in ascending order."""
-        return self._direct is not None
+        return self._direct_table is not None
 
-    def _find_cells(self, key: NDArray[np.int64], within: NDArray[np.bool_]) -> Cells:
-        if self._direct is not None:
-            return super()._find_cells(key, within)
+    def _find_cells_by_key(self, key: NDArray[np.int64], is_in_box: NDArray[np.bool_]) -> Cells:
+        if self._direct_table is not None:
+            return super()._find_cells_by_key(key, is_in_box)
         if not len(self._sorted):
             return np.full(len(key), -1, np.int32)
         keys = self._keys.take(self._sorted)
         at = np.minimum(keys.searchsorted(key), len(keys) - 1)
-        return np.where(within & (keys.take(at) == key), self._sorted.take(at), -1).astype(np.int32)
+        return np.where(is_in_box & (keys.take(at) == key), self._sorted.take(at), -1).astype(np.int32)
 
-    def _neighbour_pairs(
+    def _find_neighbour_pairs(
         self, cells: NDArray[np.int64], column: Callable[[int, int], int]
     ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return pairs as `SurfaceCells._neighbour_pairs` does, but with all voxels and sides in one pass, since a step adds few
-        cells."""
-        at = self._voxels[cells]
+        """Return pairs as `SurfaceCells._find_neighbour_pairs` does, but with all voxels and sides in one pass, since a step adds
+        few cells."""
+        at = self._voxel_numbers[cells]
         voxel = np.stack([at // (self._size[1] * self._size[2]), at // self._size[2] % self._size[1], at % self._size[2]])
         block = [offset for offset in BLOCK_OFFSETS if abs(offset[2]) <= column(*offset[:2])]
         neighbour_voxels = voxel[:, None, :] + np.array(block).T[:, :, None]
@@ -131,36 +131,36 @@ class GrowingCells(SurfaceCells):
         )
         keys = key[:, None, :] + np.arange(6)[None, :, None]
         inside = np.repeat(within[:, None, :], 6, axis=1)
-        near_cells = self._find_cells(keys.ravel(), inside.ravel()).reshape(-1, len(cells))
-        near = are_compatible(self.side_of(np.maximum(near_cells, 0)), self.side_of(cells))
+        near_cells = self._find_cells_by_key(keys.ravel(), inside.ravel()).reshape(-1, len(cells))
+        near = are_sides_compatible(self.get_sides(np.maximum(near_cells, 0)), self.get_sides(cells))
         other = np.sort(np.where(near, near_cells, -1).astype(np.int64), axis=0).T
         own, which = np.nonzero(other >= 0)
         return own, other[own, which]
 
-    def _cells_in(self, voxel: NDArray[np.int64]) -> Iterator[tuple[NDArray[np.int64], NDArray[np.bool_]]]:
+    def _iterate_voxel_cells(self, voxel: NDArray[np.int64]) -> Iterator[tuple[NDArray[np.int64], NDArray[np.bool_]]]:
         within: NDArray[np.bool_] = np.logical_and.reduce((voxel >= 0) & (voxel < self._size), axis=1)
         key = np.where(within, (voxel[:, 0] * self._size[1] + voxel[:, 1]) * self._size[2] + voxel[:, 2], 0) * 6
         for side in range(6):
-            at = self._find_cells(key + side, within).astype(np.int64)
+            at = self._find_cells_by_key(key + side, within).astype(np.int64)
             yield np.maximum(at, 0), at >= 0
 
 
 @inlined
-def _squared_distance(position: Array2[F64], at: I64, x: F64, y: F64, z: F64) -> F64:
+def _compute_squared_distance(position: Array2[F64], cell: I64, x: F64, y: F64, z: F64) -> F64:
     """Return the squared distance (mm²) of a cell's position from a point."""
-    dx, dy, dz = position[at, 0] - x, position[at, 1] - y, position[at, 2] - z
+    dx, dy, dz = position[cell, 0] - x, position[cell, 1] - y, position[cell, 2] - z
     return (dx * dx + dy * dy) + dz * dz
 
 
 @kernel
-def nearest(
-    direct: Array1[I32], numbers: Numbers, size: Array1[I64], position: Array2[F64], cells: Array1[I64], k: I64, none: I64,
-    table: Array2[I32],
+def fill_nearest_cells(
+    direct_table: Array1[I32], numbers: VoxelIndex, size: Array1[I64], position: Array2[F64], cells: Array1[I64], k: I64,
+    missing_cell: I64, table: Array2[I32],
 ) -> None:  # fmt: skip
     """Fill the rows `cells` of `table` with the `k` nearest cells in the 3³ voxels around each cell, ascending by number.
 
-    Missing cells are `none`."""
-    gaps, candidates = scratch(_MAX_NEIGHBOUR_CELLS, F64), scratch(_MAX_NEIGHBOUR_CELLS, I64)
+    Missing cells are `missing_cell`."""
+    gaps, candidates = allocate_scratch(_MAX_NEIGHBOUR_CELLS, F64), allocate_scratch(_MAX_NEIGHBOUR_CELLS, I64)
     voxels, keys = numbers
     across = size[1] * size[2]
     for own in cells:
@@ -171,10 +171,10 @@ def nearest(
             for j in range(max(y - 1, 0), min(y + 2, size[1])):
                 for m in range(max(z - 1, 0), min(z + 2, size[2])):
                     for s in range(6):
-                        at = direct[((i * size[1] + j) * size[2] + m) * 6 + s]
+                        at = direct_table[((i * size[1] + j) * size[2] + m) * 6 + s]
                         if at < 0 or (s ^ 1) == side:
                             continue
-                        gap = _squared_distance(position, at, position[own, 0], position[own, 1], position[own, 2])
+                        gap = _compute_squared_distance(position, at, position[own, 0], position[own, 1], position[own, 2])
                         place = count
                         while place > 0 and (gaps[place - 1] > gap or (gaps[place - 1] == gap and candidates[place - 1] > at)):
                             gaps[place], candidates[place] = gaps[place - 1], candidates[place - 1]
@@ -190,13 +190,13 @@ def nearest(
                 place -= 1
             candidates[place] = at
         for n in range(k):
-            table[own, n] = candidates[n] if n < count else none
+            table[own, n] = candidates[n] if n < count else missing_cell
 
 
 @kernel
-def nearby(
-    direct: Array1[I32], size: Array1[I64], position: Array2[F64], points: Array2[F64], voxel: Array2[I64], side: Array1[I64],
-    best: Array1[I64],
+def fill_nearby_cells(
+    direct_table: Array1[I32], size: Array1[I64], position: Array2[F64], points: Array2[F64], voxel: Array2[I64],
+    side: Array1[I64], best: Array1[I64],
 ) -> None:  # fmt: skip
     """Write to `best` the nearest cell of a compatible side in the 27 voxels around each point, -1 for none."""
     for n in range(best.size):
@@ -208,9 +208,9 @@ def nearby(
                     if i < 0 or j < 0 or m < 0 or i >= size[0] or j >= size[1] or m >= size[2]:
                         continue
                     for s in range(6):
-                        at = direct[((i * size[1] + j) * size[2] + m) * 6 + s]
+                        at = direct_table[((i * size[1] + j) * size[2] + m) * 6 + s]
                         if at < 0 or (s ^ 1) == side[n]:
                             continue
-                        gap = _squared_distance(position, at, points[n, 0], points[n, 1], points[n, 2])
+                        gap = _compute_squared_distance(position, at, points[n, 0], points[n, 1], points[n, 2])
                         if gap < least:
                             least, best[n] = gap, at

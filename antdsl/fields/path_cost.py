@@ -21,46 +21,46 @@ _CONVERGENCE_TOLERANCE = 0.01  # relative to the median edge length; smaller cha
 class WalkableSurface:
     """Triangles (t, 3) between points (n, 3), on which paths are computed.
 
-    `open` (t,): whether a path can cross each triangle.
-    `links` (k, 2): adjacent points of different surfaces."""
+    `is_open` (t,): whether a path can cross each triangle.
+    `point_links` (k, 2): adjacent points of different surfaces."""
 
     points: Floats
     triangles: Index
-    open: Flags
-    links: Index
+    is_open: Flags
+    point_links: Index
 
 
-def path_costs(land: WalkableSurface, cost: Floats, start: Index, first: Floats) -> Floats:
+def compute_path_costs(surface: WalkableSurface, cost: Floats, start: Index, start_costs: Floats) -> Floats:
     """Return the least cost of a path from each point to the goal, inf if there is no path.
 
     `cost` (t,): the cost per mm within each triangle.
     `start`: the points at the goal.
-    `first`: the remaining cost from each of these points.
+    `start_costs`: the remaining cost from each of these points.
 
     Dijkstra's shortest paths along edges give an upper bound for all points. In order of that bound, the cost of each point is
     then recomputed from the opposite edges of its triangles. The wave front is straight within a triangle (R. Kimmel and J. A.
     Sethian, Computing geodesic paths on manifolds, PNAS 95, 1998, p. 8432). For obtuse corners, the bound along edges replaces
     their update."""
-    bound = _edge_costs(land, cost, start, first)
-    halves = _make_corner_edges(land, cost)
+    bound = _compute_edge_costs(surface, cost, start, start_costs)
+    halves = _make_corner_edges(surface, cost)
     enough = _CONVERGENCE_TOLERANCE * float(np.median(halves.length)) if len(halves.length) else 0.0
     for _ in range(_MAX_PASSES):
         previous_bound = bound.copy()
         _straighten_costs(bound, halves)
-        _relax_links(land, cost, bound)
+        _relax_links(surface, cost, bound)
         reached = np.isfinite(bound)
         if (previous_bound[reached] - bound[reached]).max(initial=0.0) <= enough:
             break
     return bound
 
 
-def directions(land: WalkableSurface, bound: Floats) -> Floats:
-    """Return the unit direction of descent of `bound` at each point (n, 3): the mean over its triangles, weighted by area.
+def compute_directions(surface: WalkableSurface, path_costs: Floats) -> Floats:
+    """Return the unit direction of descent of `path_costs` at each point (n, 3): the mean over its triangles, weighted by area.
 
     It is zero at the goal and where there is no path."""
-    corners, values = land.points[land.triangles], bound[land.triangles]
-    known = land.open & np.isfinite(values).all(axis=1)
-    corners, values, triangles = corners[known], values[known], land.triangles[known]
+    corners, values = surface.points[surface.triangles], path_costs[surface.triangles]
+    known = surface.is_open & np.isfinite(values).all(axis=1)
+    corners, values, triangles = corners[known], values[known], surface.triangles[known]
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     twice = np.sqrt((across * across).sum(axis=1))
     normal = across / np.where(twice > 0, twice, 1.0)[:, None]
@@ -68,14 +68,14 @@ def directions(land: WalkableSurface, bound: Floats) -> Floats:
     for k in range(3):
         edge = corners[:, (k + 2) % 3] - corners[:, (k + 1) % 3]
         uphill += (values[:, k] - values[:, 0])[:, None] * np.cross(normal, edge)
-    downhill = -_unit(uphill) * twice[:, None]
+    downhill = -_normalise(uphill) * twice[:, None]
     total = np.stack(
-        [sum(np.bincount(triangles[:, k], downhill[:, axis], len(land.points)) for k in range(3)) for axis in range(3)], axis=1
+        [sum(np.bincount(triangles[:, k], downhill[:, axis], len(surface.points)) for k in range(3)) for axis in range(3)], axis=1
     )
-    return _unit(total)
+    return _normalise(total)
 
 
-def _unit(v: Floats) -> Floats:
+def _normalise(v: Floats) -> Floats:
     """Return vectors (n, 3) scaled to length 1; vectors that are much shorter than the longest become 0."""
     size = np.sqrt((v * v).sum(axis=1))
     return v / np.where(size > 1e-12 * size.max(initial=0.0) + 1e-300, size, np.inf)[:, None]
@@ -84,27 +84,27 @@ def _unit(v: Floats) -> Floats:
 # --- along edges -----------------------------------------------------------------------------------------------------
 
 
-def _edge_costs(land: WalkableSurface, cost: Floats, start: Index, first: Floats) -> Floats:
+def _compute_edge_costs(surface: WalkableSurface, cost: Floats, start: Index, start_costs: Floats) -> Floats:
     """Return the cost of the shortest path from each point to the goal, along edges of open triangles and along links."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import dijkstra
 
-    n = len(land.points)
-    sides = land.triangles[land.open]
+    n = len(surface.points)
+    sides = surface.triangles[surface.is_open]
     a = np.concatenate([sides[:, k] for k in range(3)])
     b = np.concatenate([sides[:, (k + 1) % 3] for k in range(3)])
-    price = np.tile(cost[land.open], 3)
+    price = np.tile(cost[surface.is_open], 3)
     low, high = np.minimum(a, b), np.maximum(a, b)
     order = np.lexsort((price, high, low))
     low, high, price = low[order], high[order], price[order]
     fresh = np.concatenate(([True], (low[1:] != low[:-1]) | (high[1:] != high[:-1]))) if len(low) else np.zeros(0, bool)
     low, high, price = low[fresh], high[fresh], price[fresh]
-    step = land.points[high] - land.points[low]
+    step = surface.points[high] - surface.points[low]
     weight = np.sqrt((step * step).sum(axis=1)) * price
-    rows = [low, land.links[:, 0], np.full(len(start), n)]
-    columns = [high, land.links[:, 1], start]
+    rows = [low, surface.point_links[:, 0], np.full(len(start), n)]
+    columns = [high, surface.point_links[:, 1], start]
     # start costs plus one, because the graph ignores links of length 0
-    weights = [weight, _link_costs(land, cost), first + 1.0]
+    weights = [weight, _compute_link_costs(surface, cost), start_costs + 1.0]
     # 32 bits: older SciPy versions need them, and there are far fewer points
     ends = tuple(np.concatenate(numbers).astype(np.int32) for numbers in (rows, columns))
     graph = coo_array((np.concatenate(weights), ends), shape=(n + 1, n + 1))
@@ -113,19 +113,19 @@ def _edge_costs(land: WalkableSurface, cost: Floats, start: Index, first: Floats
     return bound
 
 
-def _link_costs(land: WalkableSurface, cost: Floats) -> Floats:
+def _compute_link_costs(surface: WalkableSurface, cost: Floats) -> Floats:
     """Return the cost of each link: its length times the median cost per mm of open triangles."""
-    step = land.points[land.links[:, 1]] - land.points[land.links[:, 0]]
-    usual = float(np.median(cost[land.open])) if land.open.any() else 1.0
+    step = surface.points[surface.point_links[:, 1]] - surface.points[surface.point_links[:, 0]]
+    usual = float(np.median(cost[surface.is_open])) if surface.is_open.any() else 1.0
     price: Floats = np.maximum(np.sqrt((step * step).sum(axis=1)), 1e-9) * usual
     return price
 
 
-def _relax_links(land: WalkableSurface, cost: Floats, bound: Floats) -> None:
+def _relax_links(surface: WalkableSurface, cost: Floats, bound: Floats) -> None:
     """Lower `bound` at both ends of each link to the bound at the other end plus the link's cost, in place."""
-    price = _link_costs(land, cost)
+    price = _compute_link_costs(surface, cost)
     for a, b in ((0, 1), (1, 0)):
-        np.minimum.at(bound, land.links[:, b], bound[land.links[:, a]] + price)
+        np.minimum.at(bound, surface.point_links[:, b], bound[surface.point_links[:, a]] + price)
 
 
 # --- across triangles ------------------------------------------------------------------------------------------------
@@ -135,47 +135,47 @@ def _relax_links(land: WalkableSurface, cost: Floats, bound: Floats) -> None:
 class _CornerEdges:
     """One entry for each corner of each open triangle.
 
-    `corner`: its point. `one`, `two`: the ends of the opposite edge. `length`: the length (mm) of that edge.
-    `foot`: where the perpendicular from the corner meets that edge.
+    `corner`: its point. `edge_start`, `edge_end`: the ends of the opposite edge. `length`: the length (mm) of that edge.
+    `perpendicular_foot`: where the perpendicular from the corner meets that edge.
     `height`: the length (mm) of the perpendicular.
     `cost`: the cost per mm."""
 
     corner: Index
-    one: Index
-    two: Index
+    edge_start: Index
+    edge_end: Index
     length: Floats
-    foot: Floats
+    perpendicular_foot: Floats
     height: Floats
     cost: Floats
 
     def take_rows(self, rows: NDArray[np.intp] | NDArray[np.bool_] | slice) -> _CornerEdges:
         """Return some entries."""
-        ends = self.corner[rows], self.one[rows], self.two[rows]
-        return _CornerEdges(*ends, self.length[rows], self.foot[rows], self.height[rows], self.cost[rows])
+        ends = self.corner[rows], self.edge_start[rows], self.edge_end[rows]
+        return _CornerEdges(*ends, self.length[rows], self.perpendicular_foot[rows], self.height[rows], self.cost[rows])
 
 
-def _make_corner_edges(land: WalkableSurface, cost: Floats) -> _CornerEdges:
+def _make_corner_edges(surface: WalkableSurface, cost: Floats) -> _CornerEdges:
     """Return the entries for all corners of open triangles."""
-    t = land.triangles[land.open]
+    t = surface.triangles[surface.is_open]
     corner, one, two = (np.concatenate([t[:, (k + shift) % 3] for k in range(3)]) for shift in range(3))
-    edge, side = land.points[two] - land.points[one], land.points[corner] - land.points[one]
+    edge, side = surface.points[two] - surface.points[one], surface.points[corner] - surface.points[one]
     length = np.sqrt((edge * edge).sum(axis=1))
     foot = (edge * side).sum(axis=1) / np.where(length > 0, length, 1.0)
     height = np.sqrt(np.maximum((side * side).sum(axis=1) - foot * foot, 0.0))
     sound = (length > 0) & (height > 0)
-    return _CornerEdges(corner, one, two, length, foot, height, np.tile(cost[land.open], 3)).take_rows(sound)
+    return _CornerEdges(corner, one, two, length, foot, height, np.tile(cost[surface.is_open], 3)).take_rows(sound)
 
 
-def _straighten_costs(bound: Floats, halves: _CornerEdges) -> None:
+def _straighten_costs(bound: Floats, edges: _CornerEdges) -> None:
     """Lower `bound` where a straight path across a triangle is cheaper. Points are processed in bands of ascending cost."""
     reached = np.isfinite(bound)
     rank = np.empty(len(bound), np.int64)
     rank[np.argsort(bound, kind="stable")] = np.arange(len(bound))
     bands = max(1, int(2 * np.sqrt(reached.sum())))
     band = rank * bands // max(1, int(reached.sum()))
-    usable = np.flatnonzero(reached[halves.corner] & reached[halves.one] & reached[halves.two])
-    usable = usable[np.lexsort((usable, halves.corner[usable], band[halves.corner[usable]]))]
-    ordered = halves.take_rows(usable)
+    usable = np.flatnonzero(reached[edges.corner] & reached[edges.edge_start] & reached[edges.edge_end])
+    usable = usable[np.lexsort((usable, edges.corner[usable], band[edges.corner[usable]]))]
+    ordered = edges.take_rows(usable)
     ends = np.searchsorted(band[ordered.corner], np.arange(bands + 1))
     for first, last in zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True):
         if first < last:
@@ -183,16 +183,16 @@ def _straighten_costs(bound: Floats, halves: _CornerEdges) -> None:
             begin = np.flatnonzero(np.concatenate(([True], part.corner[1:] != part.corner[:-1])))
             points = part.corner[begin]
             for _ in range(_MAX_BAND_ITERATIONS):
-                lower = np.minimum(bound[points], np.minimum.reduceat(_corner_costs(bound, part), begin))
+                lower = np.minimum(bound[points], np.minimum.reduceat(_compute_corner_costs(bound, part), begin))
                 if np.array_equal(lower, bound[points]):
                     break
                 bound[points] = lower
 
 
-def _corner_costs(bound: Floats, h: _CornerEdges) -> Floats:
+def _compute_corner_costs(bound: Floats, edges: _CornerEdges) -> Floats:
     """Return the cost of each corner by the best straight path from the opposite edge."""
-    from_one, rise = bound[h.one], (bound[h.two] - bound[h.one]) / h.length
-    share = np.clip(rise / h.cost, -1 + 1e-12, 1 - 1e-12)
-    left = np.clip(h.foot - share * h.height / np.sqrt(1 - share * share), 0.0, h.length)
-    aside = h.foot - left
-    return from_one + rise * left + h.cost * np.sqrt(aside * aside + h.height * h.height)
+    from_one, rise = bound[edges.edge_start], (bound[edges.edge_end] - bound[edges.edge_start]) / edges.length
+    share = np.clip(rise / edges.cost, -1 + 1e-12, 1 - 1e-12)
+    left = np.clip(edges.perpendicular_foot - share * edges.height / np.sqrt(1 - share * share), 0.0, edges.length)
+    aside = edges.perpendicular_foot - left
+    return from_one + rise * left + edges.cost * np.sqrt(aside * aside + edges.height * edges.height)

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from antdsl.fields.cells import NEAREST_CELLS, CellLinks, Cells, SurfaceCells
 from antdsl.fields.growing import GrowingCells
-from antdsl.machine_code.kernels import F64, I32, I64, Array1, Array2, independent, kernel
+from antdsl.machine_code.kernels import F64, I32, I64, Array1, Array2, kernel, simd_range
 from antdsl.numerics import parallel
 from antdsl.numerics.row_hash import RowHasher
-from antdsl.numerics.sorting import stable_order
-from antdsl.scene.field_settings import largest_stable_diffusion
+from antdsl.numerics.sorting import sort_stably
+from antdsl.scene.field_settings import compute_max_diffusion
 
 Floats = NDArray[np.float32]
 
@@ -48,10 +48,12 @@ class PheromoneField:
         self._padded = np.zeros(len(cells) + 1)  # the extra entry is the amount of "no cell"
         self._pending = np.zeros(len(cells), np.int64)
         self.version = 0  # increases whenever an array of the field or of its cells is replaced
-        self.hashed = RowHasher()  # of `values`
-        self._touched = False
-        self._left: list[tuple[NDArray[np.integer[Any]], NDArray[np.float64]]] = []  # cells, and their amounts after claims
-        self._askers: dict[int, tuple[NDArray[np.int64], Cells]] = {}
+        self.row_hasher = RowHasher()  # of `values`
+        self._has_pending = False
+        self._remaining_amounts: list[
+            tuple[NDArray[np.integer[Any]], NDArray[np.float64]]
+        ] = []  # cells, and their amounts after claims
+        self._dependents_by_size: dict[int, tuple[NDArray[np.int64], Cells]] = {}
 
     @property
     def values(self) -> NDArray[np.float64]:
@@ -59,27 +61,27 @@ class PheromoneField:
         return self._padded[:-1]
 
     @property
-    def held(self) -> NDArray[np.float64]:
+    def padded_values(self) -> NDArray[np.float64]:
         """Return the amount in each cell, followed by a 0 that stands for "no cell"."""
         return self._padded
 
     @property
-    def seen_places(self) -> NDArray[np.float32]:
+    def sensed_positions(self) -> NDArray[np.float32]:
         """Return the cell positions that agents sense: rows x, y, z, 0 in float32[cells + 1, 4]. The last row stands for "no
         cell"."""
         return self._seen
 
     @property
-    def pending(self) -> NDArray[np.int64]:
+    def pending_deposits(self) -> NDArray[np.int64]:
         """Return the deposits in each cell that are not added yet, in units of `DEPOSIT_UNIT`. Call `mark_pending` after
         writing into the array."""
         return self._pending
 
     def mark_pending(self) -> None:
         """Record that deposits were written which the field has not added yet."""
-        self._touched = True
+        self._has_pending = True
 
-    def grow(self, new: NDArray[np.int64]) -> None:
+    def extend_arrays(self, new: NDArray[np.int64]) -> None:
         """Extend the arrays for cells that were added."""
         self.version += 1
         added_count = len(self.cells) - len(self.values)
@@ -94,16 +96,17 @@ class PheromoneField:
         self.__dict__.pop("_laplacian", None)
 
     @property
-    def added(self) -> dict[str, NDArray[Any]]:
-        """Return the cells added since the start, as arguments for `grow_again`. The result is empty if cells cannot be added."""
-        return self.cells.added if isinstance(self.cells, GrowingCells) else {}
+    def added_cells(self) -> dict[str, NDArray[Any]]:
+        """Return the cells added since the start, as arguments for `restore_added_cells`. The result is empty if cells cannot be
+        added."""
+        return self.cells.added_cells if isinstance(self.cells, GrowingCells) else {}
 
-    def grow_again(self, keys: NDArray[np.int64], positions: NDArray[np.float64]) -> None:
+    def restore_added_cells(self, keys: NDArray[np.int64], positions: NDArray[np.float64]) -> None:
         """Add those cells reported by `added` that are missing. Other fields may share the cells and have added them already."""
         assert isinstance(self.cells, GrowingCells)
-        known = self.cells.used - self.cells.at_start
-        self.cells.add(keys[known:], positions[known:])
-        self.grow(np.arange(self.cells.at_start, self.cells.used))
+        known = self.cells.used_count - self.cells.initial_count
+        self.cells.add_cells(keys[known:], positions[known:])
+        self.extend_arrays(np.arange(self.cells.initial_count, self.cells.used_count))
 
     def deposit(self, cells: Cells, amounts: Floats) -> int:
         """Deposit amounts in cells (-1: nowhere); `step` adds them. Return how many amounts were rejected or reduced.
@@ -116,42 +119,43 @@ class PheromoneField:
         if laid.size:
             unit_counts = np.rint(np.clip(amounts[laid], -MAX_DEPOSIT, MAX_DEPOSIT) / DEPOSIT_UNIT).astype(np.int64)
             (np.add if self.combine == "add" else np.maximum).at(self._pending, cells[laid], unit_counts)
-            self._touched = True
+            self._has_pending = True
         return wrong
 
     def set_remaining(self, cells: NDArray[np.integer[Any]], amounts: NDArray[np.float64]) -> None:
         """Set the amount of each of these distinct cells after agents took from it. It takes effect when the field steps."""
-        self._left.append((cells, amounts))
+        self._remaining_amounts.append((cells, amounts))
 
-    def step(self, keep: float, diffusion: float, dt: float, threads: int = 1) -> None:
-        """Advance by `dt` s: remove what agents took, diffuse by `diffusion` (mm²/s), multiply by `keep`, then add deposits.
+    def step(self, remaining_share: float, diffusion: float, dt: float, threads: int = 1) -> None:
+        """Advance by `dt` s: remove what agents took, diffuse by `diffusion` (mm²/s), multiply by `remaining_share`, then add
+        deposits.
 
         With `deposits_first`, deposits are added before diffusion. Raises ValueError with the largest stable value if
         `diffusion` is unstable for the cell size."""
         values = self.values
-        for cells, amounts in self._left:
+        for cells, amounts in self._remaining_amounts:
             values[cells] = amounts
-        self._left.clear()
-        most = largest_stable_diffusion(self.cells.cell, dt)
+        self._remaining_amounts.clear()
+        most = compute_max_diffusion(self.cells.cell, dt)
         if diffusion > most * (1 + 1e-9):
             raise ValueError(f"a diffusion of {diffusion:g} mm²/s is unstable here, the largest that is stable is {most:g} mm²/s")
-        self._run_step_kernels(float(np.float32(keep)), diffusion * dt / self.cells.cell**2, threads)
+        self._run_step_kernels(float(np.float32(remaining_share)), diffusion * dt / self.cells.cell**2, threads)
 
-    def _run_step_kernels(self, keep: float, spread: float, threads: int) -> None:
+    def _run_step_kernels(self, remaining_share: float, spread: float, threads: int) -> None:
         """Diffuse, evaporate and add deposits with kernels."""
 
         def step(*how: Any) -> None:
-            parallel.in_parts(
+            parallel.run_in_parts(
                 partial(step_cells, self._padded, *how), len(self._pending), threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD
             )
 
-        lands = 0 if not self._touched else 1 if self.combine == "add" else 2
-        self._touched = False
+        lands = 0 if not self._has_pending else 1 if self.combine == "add" else 2
+        self._has_pending = False
         if self.deposits_first:
             step(_NO_SHARES, self._pending, 0.0, 1.0, DEPOSIT_UNIT, self.limit, -np.inf, lands)
         change = self._laplacian.of(self._padded, threads) if spread > 0 else _NO_SHARES
         last = (0.0, np.inf, 0) if self.deposits_first else (DEPOSIT_UNIT, self.limit, lands)
-        step(change, self._pending, spread, keep, *last[:2], FLUSH_THRESHOLD, last[2])
+        step(change, self._pending, spread, remaining_share, *last[:2], FLUSH_THRESHOLD, last[2])
 
     @cached_property
     def _laplacian(self) -> _DiffusionFlow:
@@ -164,10 +168,12 @@ class PheromoneField:
         nine-point Laplacian (4, 1) / 6, with the same error in all directions (Patra and Karttunen, Stencils with isotropic
         discretization error for differential operators, Numerical Methods for Partial Differential Equations 22, 2006)."""
         if self.stencil == 4:
-            return _DiffusionFlow(self._flow_along(self.cells.links, 1.0))
-        return _DiffusionFlow(self._flow_along(self.cells.links, 2 / 3) + self._flow_along(self.cells.diagonals, 1 / 6))
+            return _DiffusionFlow(self._build_flow_matrix(self.cells.links, 1.0))
+        return _DiffusionFlow(
+            self._build_flow_matrix(self.cells.links, 2 / 3) + self._build_flow_matrix(self.cells.diagonals, 1 / 6)
+        )
 
-    def _flow_along(self, links: CellLinks, share: float) -> Any:
+    def _build_flow_matrix(self, links: CellLinks, share: float) -> Any:
         """Return the flow between linked cells as a sparse matrix: `share` times 4 / max(4, links of either cell)."""
         from scipy.sparse import csr_array
 
@@ -180,26 +186,26 @@ class PheromoneField:
         """Return the amounts in cells, float32[n]; 0 for cell -1."""
         return self._padded.take(np.where(np.asarray(cells) < 0, len(self.cells), cells)).astype(np.float32)
 
-    def strongest(self, cells: Cells, k: int = NEAREST_CELLS) -> tuple[Floats, Floats, Floats, Floats]:
+    def sample_strongest(self, cells: Cells, k: int = NEAREST_CELLS) -> tuple[Floats, Floats, Floats, Floats]:
         """Return the largest amount in the `k` nearest cells of the 3³ block, and the position of its cell.
 
         Results are amount, x, y, z (mm), float32[n] each. Of cells with equal amounts, the first counts. If all amounts are 0,
         the position is that of the agent's cell. For cell -1 the position is (0, 0, 0)."""
         own = np.asarray(cells).astype(np.int32, copy=False)
         best, value = np.empty(own.size, np.int64), np.empty(own.size)
-        find_strongest(own, self._block(k), self._padded, best, value)
+        find_strongest(own, self._get_nearest_cells(k), self._padded, best, value)
         x, y, z = (self._seen[:, k].take(best) for k in range(3))
         return value.astype(np.float32), x, y, z
 
-    def cells_asking(self, k: int) -> tuple[NDArray[np.int64], Cells]:
+    def get_dependent_cells(self, k: int) -> tuple[NDArray[np.int64], Cells]:
         """Return, for each cell a, the cells that have a among their nearest `k`: `cell[start[a]:start[a+1]]`, ascending.
 
         The two results are `start` and `cell`. The cells must not be able to grow."""
-        if k not in self._askers:
-            self._askers[k] = _cells_asking(self._block(k), len(self.cells))
-        return self._askers[k]
+        if k not in self._dependents_by_size:
+            self._dependents_by_size[k] = _find_dependent_cells(self._get_nearest_cells(k), len(self.cells))
+        return self._dependents_by_size[k]
 
-    def gradient(self, cells: Cells, k: int = NEAREST_CELLS) -> tuple[Floats, Floats, Floats]:
+    def sample_gradient(self, cells: Cells, k: int = NEAREST_CELLS) -> tuple[Floats, Floats, Floats]:
         """Return direction and strength (per mm) of the gradient along the surface: a least-squares fit over the nearest `k`
         cells."""
         own = np.asarray(cells, np.int64)
@@ -213,7 +219,7 @@ class PheromoneField:
         held = self._padded.take(own)
         moments = np.zeros((6, own.size))
         slope = np.zeros((3, own.size))
-        for column in np.ascontiguousarray(self._block(k).take(own, axis=0).T).astype(np.int64):
+        for column in np.ascontiguousarray(self._get_nearest_cells(k).take(own, axis=0).T).astype(np.int64):
             real = column < len(self.cells)
             # A missing cell is replaced by the agent's own cell, which adds nothing.
             column = np.where(real, column, own)
@@ -228,8 +234,8 @@ class PheromoneField:
             moments[m] += stiff * normal[a] * normal[b] * 1e3 + (1e-9 * stiff if m < 3 else 0.0)
         return tuple(np.where(known, g, 0.0).astype(np.float32) for g in _solve_symmetric(moments, slope))  # type: ignore[return-value]
 
-    def _block(self, k: int) -> Cells:
-        return self.cells.nearest(k)
+    def _get_nearest_cells(self, k: int) -> Cells:
+        return self.cells.get_nearest_cells(k)
 
     @cached_property
     def _seen(self) -> NDArray[np.float32]:
@@ -244,12 +250,12 @@ class PheromoneField:
         return np.ascontiguousarray(np.concatenate([self.cells.position.T, np.zeros((3, 1))], axis=1))
 
 
-def _cells_asking(block: Cells, cells: int) -> tuple[NDArray[np.int64], Cells]:
-    """Return the same as `PheromoneField.cells_asking`, for a table of blocks [cells, k]."""
+def _find_dependent_cells(block: Cells, cells: int) -> tuple[NDArray[np.int64], Cells]:
+    """Return the same as `PheromoneField.get_dependent_cells`, for a table of blocks [cells, k]."""
     flat = block.ravel()
     start = np.zeros(cells + 2, np.int64)
     np.cumsum(np.bincount(flat, minlength=cells + 1), out=start[1:])
-    return start, (stable_order(flat) // block.shape[1]).astype(np.int32)
+    return start, (sort_stably(flat) // block.shape[1]).astype(np.int32)
 
 
 class _DiffusionFlow:
@@ -257,18 +263,18 @@ class _DiffusionFlow:
 
     def __init__(self, inward: Any) -> None:
         own = np.repeat(np.arange(inward.shape[0]), np.diff(inward.indptr))
-        self._out = np.bincount(own, inward.data, inward.shape[0]).astype(np.float64)
-        self._links = inward.data, inward.indices.astype(np.int32, copy=False), inward.indptr.astype(np.int64, copy=False)
-        self._change = np.empty(0)
+        self._outflow_shares = np.bincount(own, inward.data, inward.shape[0]).astype(np.float64)
+        self._inflow_matrix = inward.data, inward.indices.astype(np.int32, copy=False), inward.indptr.astype(np.int64, copy=False)
+        self._inflow = np.empty(0)
 
     def of(self, held: NDArray[np.float64], threads: int) -> NDArray[np.float64]:
         """Return the flow into each cell, in an array that the next call overwrites. `held` may have extra entries after the
         cells."""
-        if not len(self._change):
-            self._change = np.empty(len(self._out))
-        work = partial(flow_into_cells, held, *self._links, self._out, self._change)
-        parallel.in_parts(work, len(self._out), threads)
-        return self._change
+        if not len(self._inflow):
+            self._inflow = np.empty(len(self._outflow_shares))
+        work = partial(compute_cell_inflow, held, *self._inflow_matrix, self._outflow_shares, self._inflow)
+        parallel.run_in_parts(work, len(self._outflow_shares), threads)
+        return self._inflow
 
 
 def _solve_symmetric(m: NDArray[np.float64], v: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
@@ -286,81 +292,86 @@ def _solve_symmetric(m: NDArray[np.float64], v: NDArray[np.float64]) -> tuple[ND
 
 
 @kernel
-def flow_into_cells(
-    held: Array1[F64],
-    data: Array1[F64],
+def compute_cell_inflow(
+    values: Array1[F64],
+    inflow_shares: Array1[F64],
     cell: Array1[I32],
     start: Array1[I64],
-    out: Array1[F64],
+    outflow_shares: Array1[F64],
     change: Array1[F64],
     begin: I64,
     end: I64,
 ) -> None:
     """Write the net inflow of each cell from `begin` to before `end` into `change`.
 
-    `cell[start[n]:start[n+1]]`: the cells linked to cell n. `data`: the share of each linked cell's amount that flows in.
-    `out`: the share of the cell's own amount that flows out."""
+    `cell[start[n]:start[n+1]]`: the cells linked to cell n. `inflow_shares`: the share of each linked cell's amount that flows
+    in.
+    `outflow_shares`: the share of the cell's own amount that flows out."""
     for n in range(begin, end):
         total = 0.0
         for k in range(start[n], start[n + 1]):
-            total += data[k] * held[cell[k]]
-        change[n] = total - out[n] * held[n]
+            total += inflow_shares[k] * values[cell[k]]
+        change[n] = total - outflow_shares[n] * values[n]
 
 
 @kernel
 def step_cells(
-    held: Array1[F64],
+    values: Array1[F64],
     change: Array1[F64],
     pending: Array1[I64],
     spread: F64,
-    keep: F64,
+    remaining_share: F64,
     unit: F64,
     limit: F64,
-    least: F64,
-    lands: I64,
+    flush_threshold: F64,
+    deposit_mode: I64,
     begin: I64,
     end: I64,
 ) -> None:
     """Advance the cells from `begin` to before `end` by one step.
 
-    Adds `spread` times `change` (none if the array is empty), multiplies by `keep`, then applies the deposits `pending`.
+    Adds `spread` times `change` (none if the array is empty), multiplies by `remaining_share`, then applies the deposits
+    `pending`.
     `pending`: deposits in multiples of `unit`; set to 0 once applied.
-    `lands`: 1 adds deposits; 2 uses them as the least amount of the cell.
-    `limit`: the largest amount. Amounts below `least` become 0."""
+    `deposit_mode`: 1 adds deposits; 2 uses them as the least amount of the cell.
+    `limit`: the largest amount. Amounts below `flush_threshold` become 0."""
     spreads = change.size > 0
-    for n in independent(begin, end):
-        value = held[n]
+    for n in simd_range(begin, end):
+        value = values[n]
         if spreads:
             value += spread * change[n]
-        value *= keep
-        if lands > 0:
+        value *= remaining_share
+        if deposit_mode > 0:
             landed = np.float64(pending[n]) * unit
-            if lands == 1:
+            if deposit_mode == 1:
                 value += landed
             elif landed > value:
                 value = landed
             pending[n] = 0
         value = min(value, limit)
-        if value < least:
+        if value < flush_threshold:
             value = 0.0
-        held[n] = value
+        values[n] = value
 
 
 @kernel
-def find_strongest(own: Array1[I32], block: Array2[I32], held: Array1[F64], best: Array1[I64], value: Array1[F64]) -> None:
+def find_strongest(
+    agent_cells: Array1[I32], block: Array2[I32], values: Array1[F64], best: Array1[I64], value: Array1[F64]
+) -> None:
     """Write the largest amount in each row of `block` [cells, k] to `value`, and the first cell that has it to `best`.
 
-    `own` [n]: the agents' cells, -1 for none. `held` [cells + 1]: amounts, with a final 0 for "no cell". If all amounts are 0,
+    `agent_cells` [n]: the agents' cells, -1 for none. `values` [cells + 1]: amounts, with a final 0 for "no cell". If all amounts
+    are 0,
         `best` is the agent's own cell and `value` is 0."""
-    none = held.size - 1
-    for n in range(own.size):
-        cell = own[n]
+    none = values.size - 1
+    for n in range(agent_cells.size):
+        cell = agent_cells[n]
         where, most = cell, 0.0
         if cell < 0:
             where = none
         else:
             for k in range(block.shape[1]):
                 at = block[cell, k]
-                if held[at] > most:
-                    where, most = at, held[at]
+                if values[at] > most:
+                    where, most = at, values[at]
         best[n], value[n] = where, most

@@ -12,53 +12,53 @@ from antdsl.graphs.layout import lay_out as lay_out
 from antdsl.graphs.model import Chart as Chart
 from antdsl.graphs.model import PlacedChart as PlacedChart
 
-Written = tuple[bytes | None, Report]
+FileResult = tuple[bytes | None, Report]
 
 
-def _svg(charts: Sequence[Chart]) -> Written:
-    from antdsl.graphs.drawing import draw
-    from antdsl.graphs.svg import svg
+def _write_svg(charts: Sequence[Chart]) -> FileResult:
+    from antdsl.graphs.drawing import draw_charts
+    from antdsl.graphs.svg import format_svg
 
     placed, report = lay_out(charts)
-    return (svg(draw(placed)).encode() if report.ok else None), report
+    return (format_svg(draw_charts(placed)).encode() if report.ok else None), report
 
 
-def _png(charts: Sequence[Chart]) -> Written:
-    from antdsl.graphs.drawing import draw
-    from antdsl.graphs.png import png
+def _write_png(charts: Sequence[Chart]) -> FileResult:
+    from antdsl.graphs.drawing import draw_charts
+    from antdsl.graphs.png import render_png
 
     placed, report = lay_out(charts)
     if not report.ok:
         return None, report
     try:
-        return png(draw(placed)), report
+        return render_png(draw_charts(placed)), report
     except ImportError:
         advice = 'run `pip install "antdsl[graph]"`, or write `--format svg`'
         report.error("missing-extra", "pictures in PNG need the package resvg_py", None, advice)
         return None, report
 
 
-def _mermaid(charts: Sequence[Chart]) -> Written:
-    from antdsl.graphs.mermaid import mermaid
+def _write_mermaid(charts: Sequence[Chart]) -> FileResult:
+    from antdsl.graphs.mermaid import format_mermaid
 
-    return mermaid(charts).encode(), Report()
+    return format_mermaid(charts).encode(), Report()
 
 
-def _dot(charts: Sequence[Chart]) -> Written:
-    from antdsl.graphs.dot import dot
+def _write_dot(charts: Sequence[Chart]) -> FileResult:
+    from antdsl.graphs.dot import format_dot
 
-    return dot(charts).encode(), Report()
+    return format_dot(charts).encode(), Report()
 
 
 # A format's name with the endings of its files, the usual one first, and the function that writes it. The first is the default.
-FORMATS: Mapping[str, tuple[tuple[str, ...], Callable[[Sequence[Chart]], Written]]] = {
-    "svg": ((".svg",), _svg),
-    "png": ((".png",), _png),
-    "mermaid": ((".mmd", ".mermaid"), _mermaid),
-    "dot": ((".dot", ".gv"), _dot),
+FORMATS: Mapping[str, tuple[tuple[str, ...], Callable[[Sequence[Chart]], FileResult]]] = {
+    "svg": ((".svg",), _write_svg),
+    "png": ((".png",), _write_png),
+    "mermaid": ((".mmd", ".mermaid"), _write_mermaid),
+    "dot": ((".dot", ".gv"), _write_dot),
 }
 
 
-def write(charts: Sequence[Chart], format: str) -> Written:
+def write(charts: Sequence[Chart], format: str) -> FileResult:
     """Return the bytes of a file in one of `FORMATS`; None with a finding if a required package is not installed."""
     return FORMATS[format][1](charts)

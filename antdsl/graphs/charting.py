@@ -28,22 +28,22 @@ def charts(program: Program) -> tuple[Chart, ...]:
 
 def _build_chart(title: str, machine: Machine) -> Chart:
     """Return the chart of one machine."""
-    sketch = _Sketch(machine)
+    sketch = _ChartBuilder(machine)
     for state in machine.states:
         own = [change for change in state.transitions if not _is_from_any(change)]
         for number, change in enumerate(own, 1):
             sketch.add_change(f"s{state.index}", change, state.name, f"{number}: " if len(own) > 1 else "")
-    everywhere = _changes_from_any(machine)
+    everywhere = _find_changes_from_any(machine)
     for number, (change, left_out) in enumerate(everywhere, 1):
         sketch.add_change(sketch.add_any_box(left_out), change, "any", f"{number}: " if len(everywhere) > 1 else "")
-    return Chart(title, tuple(sketch.boxes.values()), sketch.arrows())
+    return Chart(title, tuple(sketch.boxes.values()), sketch.build_arrows())
 
 
 def _is_from_any(change: Transition) -> bool:
     return f".{FROM_ANY_KEY}->" in change.key
 
 
-def _changes_from_any(machine: Machine) -> list[tuple[Transition, tuple[str, ...]]]:
+def _find_changes_from_any(machine: Machine) -> list[tuple[Transition, tuple[str, ...]]]:
     """Return each transition `from any` once, with the names of the states that its author excepted."""
     changes: dict[str, Transition] = {}
     where: dict[str, set[int]] = {}
@@ -58,7 +58,7 @@ def _changes_from_any(machine: Machine) -> list[tuple[Transition, tuple[str, ...
     ]
 
 
-class _Sketch:
+class _ChartBuilder:
     """Collects the boxes and arrows of a chart."""
 
     def __init__(self, machine: Machine) -> None:
@@ -67,12 +67,12 @@ class _Sketch:
         first = machine.states[machine.start]
         self.boxes["start"] = Box("start", "start", "start", "", _BLACK, f"starts in {first.name}")
         for state in machine.states:
-            self.boxes[f"s{state.index}"] = _state_box(state)
-        self._arrow("start", f"s{machine.start}", False, "", "")
+            self.boxes[f"s{state.index}"] = _make_state_box(state)
+        self._add_arrow("start", f"s{machine.start}", False, "", "")
 
-    def add_any_box(self, left_out: tuple[str, ...]) -> str:
-        """Add the box of transitions from any state. Return its key. `left_out`: the excepted states."""
-        name = "any state" if not left_out else "any but " + ", ".join(left_out)
+    def add_any_box(self, excepted_states: tuple[str, ...]) -> str:
+        """Add the box of transitions from any state. Return its key. `excepted_states`: the excepted states."""
+        name = "any state" if not excepted_states else "any but " + ", ".join(excepted_states)
         return self._add_extra_box("any", name, name)
 
     def _add_extra_box(self, kind: str, mark: str, name: str, details: str = "") -> str:
@@ -83,22 +83,22 @@ class _Sketch:
 
     def add_change(self, source: str, change: Transition, name: str, number: str) -> None:
         """Add a transition from a box. `number`: its position in the order of evaluation, if the box has several."""
-        words, details = number + _condition_words(change), _details(change.span)
+        words, details = number + _format_condition(change), _make_tooltip(change.span)
         if change.choices:
             target = self._add_extra_box("choice", change.key, "", details)
-        elif change.previous:
+        elif change.targets_previous:
             target = self._add_extra_box("previous", name, "previous", "back to the state before")
         else:
             target = f"s{change.target}"
-        self._arrow(source, target, change.interrupt, words, details)
+        self._add_arrow(source, target, change.is_interrupt, words, details)
         for state, weight in change.choices:
-            self._arrow(target, f"s{state}", False, _source_text(weight.span), details)
+            self._add_arrow(target, f"s{state}", False, _source_text(weight.span), details)
 
-    def _arrow(self, source: str, target: str, interrupt: bool, words: str, details: str) -> None:
+    def _add_arrow(self, source: str, target: str, interrupt: bool, words: str, details: str) -> None:
         """Add a transition. Transitions between the same boxes share an arrow, except that interrupts have their own."""
         self._changes.setdefault((source, target, interrupt), []).append((words, details))
 
-    def arrows(self) -> tuple[Arrow, ...]:
+    def build_arrows(self) -> tuple[Arrow, ...]:
         """Return the arrows of all transitions."""
         return tuple(
             Arrow(source, target, tuple(w for w, _ in labels if w), interrupt, "\n".join(dict.fromkeys(d for _, d in labels)))
@@ -106,27 +106,27 @@ class _Sketch:
         )
 
 
-def _state_box(state: State) -> Box:
+def _make_state_box(state: State) -> Box:
     """Return the box of a state."""
     label = " ".join(state.label.split())
     lasts = f"for at least {_source_text(state.at_least.span)}" if state.at_least is not None else ""
-    details = " · ".join(part for part in (label, lasts, _source_place(state.span)) if part)
+    details = " · ".join(part for part in (label, lasts, _format_location(state.span)) if part)
     return Box(f"s{state.index}", "state", state.name, " · ".join(p for p in (label, lasts) if p), state.colour, details)
 
 
-def _interrupt_words(change: Transition) -> str:
-    if not change.interrupt:
+def _format_interrupt(change: Transition) -> str:
+    if not change.is_interrupt:
         return ""
     return "interrupt when" if change.condition is not None else "interrupt"
 
 
-def _condition_words(change: Transition) -> str:
+def _format_condition(change: Transition) -> str:
     """Return a transition's condition as in the source: condition, required duration, and the take."""
     parts = [
-        _interrupt_words(change),
+        _format_interrupt(change),
         _source_text(change.condition.span) if change.condition is not None else "",
         f"after {_source_text(change.delay.span)}" if change.delay is not None else "",
-        f"held {_source_text(change.held.span)}" if change.held is not None else "",
+        f"held {_source_text(change.hold_time.span)}" if change.hold_time is not None else "",
         _source_text(change.take.span) if change.take is not None else "",
     ]
     return " ".join(part for part in parts if part)
@@ -137,10 +137,10 @@ def _source_text(span: Span) -> str:
     return " ".join(re.sub(r"#[^\n]*", "", span.text).split())
 
 
-def _source_place(span: Span) -> str:
+def _format_location(span: Span) -> str:
     """Return file name and line. The folder is left out, so that equal programs give equal pictures in any folder."""
-    return f"{PurePath(span.source.path).name}:{span.source.line_column(span.start)[0]}"
+    return f"{PurePath(span.source.path).name}:{span.source.find_line_column(span.start)[0]}"
 
 
-def _details(span: Span) -> str:
-    return f"{_source_place(span)}: {_source_text(span)}"
+def _make_tooltip(span: Span) -> str:
+    return f"{_format_location(span)}: {_source_text(span)}"

@@ -5,11 +5,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from antdsl.graphs.drawing import THICK, THIN, darken, hex_colour, ink_on, line_colours
+from antdsl.graphs.drawing import (
+    INTERRUPT_LINE_WIDTH,
+    PLAIN_LINE_WIDTH,
+    choose_line_colours,
+    choose_text_colour,
+    darken,
+    format_hex_colour,
+)
 from antdsl.graphs.model import RGB, Arrow, Box, Chart
 
 
-def dot(charts: Sequence[Chart]) -> str:
+def format_dot(charts: Sequence[Chart]) -> str:
     """Return the complete text, with one cluster for each chart. The same charts give the same text."""
     lines = [
         "digraph antdsl {",
@@ -19,36 +26,37 @@ def dot(charts: Sequence[Chart]) -> str:
     ]
     for number, chart in enumerate(charts):
         keys = {box.key: f"m{number}b{k}" for k, box in enumerate(chart.boxes)}
-        lines += [f"  subgraph cluster_{number} {{", f"    label={_text(chart.title)};", '    color="#d6d6d1";']
-        lines += [f"    {keys[box.key]} [{_box(box)}];" for box in chart.boxes]
-        for arrow, colour in zip(chart.arrows, line_colours(chart), strict=True):
-            lines.append(f"    {keys[arrow.source]} -> {keys[arrow.target]} [{_arrow(arrow, colour)}];")
+        lines += [f"  subgraph cluster_{number} {{", f"    label={_quote_text(chart.title)};", '    color="#d6d6d1";']
+        lines += [f"    {keys[box.key]} [{_format_box(box)}];" for box in chart.boxes]
+        for arrow, colour in zip(chart.arrows, choose_line_colours(chart), strict=True):
+            lines.append(f"    {keys[arrow.source]} -> {keys[arrow.target]} [{_format_arrow(arrow, colour)}];")
         lines.append("  }")
     return "\n".join([*lines, "}"]) + "\n"
 
 
-def _box(box: Box) -> str:
+def _format_box(box: Box) -> str:
     """Return the attributes of a box."""
-    tip = f"tooltip={_text(box.details or box.name)}"
+    tip = f"tooltip={_quote_text(box.details or box.name)}"
     if box.kind == "start":
-        return f'shape=circle, width=0.18, label="", fillcolor="{hex_colour(box.colour)}", {tip}'
+        return f'shape=circle, width=0.18, label="", fillcolor="{format_hex_colour(box.colour)}", {tip}'
     if box.kind == "choice":
-        return f'shape=circle, width=0.18, label="", fillcolor="#ffffff", color="{hex_colour(box.colour)}", {tip}'
-    words = _text("\n".join(word for word in (box.name, box.label) if word))
+        return f'shape=circle, width=0.18, label="", fillcolor="#ffffff", color="{format_hex_colour(box.colour)}", {tip}'
+    words = _quote_text("\n".join(word for word in (box.name, box.label) if word))
     if box.kind != "state":
-        return f'style="rounded,dashed", label={words}, color="{hex_colour(box.colour)}", {tip}'
-    fill, edge, ink = box.colour, darken(box.colour), ink_on(box.colour)
-    return f'label={words}, fillcolor="{hex_colour(fill)}", color="{hex_colour(edge)}", fontcolor="{hex_colour(ink)}", {tip}'
+        return f'style="rounded,dashed", label={words}, color="{format_hex_colour(box.colour)}", {tip}'
+    fill, edge, ink = box.colour, darken(box.colour), choose_text_colour(box.colour)
+    colours = f'fillcolor="{format_hex_colour(fill)}", color="{format_hex_colour(edge)}", fontcolor="{format_hex_colour(ink)}"'
+    return f"label={words}, {colours}, {tip}"
 
 
-def _arrow(arrow: Arrow, colour: RGB) -> str:
+def _format_arrow(arrow: Arrow, colour: RGB) -> str:
     """Return the attributes of an arrow."""
-    words = f"label={_text(chr(10).join(arrow.lines))}, " if arrow.lines else ""
-    ink, thick = hex_colour(darken(colour, 0.1)), THICK if arrow.interrupt else THIN
-    tip = f", tooltip={_text(arrow.details)}" if arrow.details else ""
-    return f'{words}color="{hex_colour(colour)}", fontcolor="{ink}", penwidth={thick}{tip}'
+    words = f"label={_quote_text(chr(10).join(arrow.lines))}, " if arrow.lines else ""
+    ink, thick = format_hex_colour(darken(colour, 0.1)), INTERRUPT_LINE_WIDTH if arrow.interrupt else PLAIN_LINE_WIDTH
+    tip = f", tooltip={_quote_text(arrow.details)}" if arrow.details else ""
+    return f'{words}color="{format_hex_colour(colour)}", fontcolor="{ink}", penwidth={thick}{tip}'
 
 
-def _text(text: str) -> str:
+def _quote_text(text: str) -> str:
     """Return the text in quotes. Within quotes, Graphviz gives a special meaning to backslashes only."""
     return '"' + text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n") + '"'

@@ -6,35 +6,36 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from math import hypot
 
-from antdsl.graphs.layout import LINE, NAME_SIZE, WORD_SIZE
-from antdsl.graphs.letters import width
+from antdsl.graphs.layout import LINE_HEIGHT, NAME_FONT_SIZE, WORD_FONT_SIZE
 from antdsl.graphs.model import RGB, Box, Chart, PlacedArrow, PlacedBox, PlacedChart, Point
+from antdsl.graphs.text_width import measure_text_width
 
 WHITE: RGB = (1.0, 1.0, 1.0)
-INK: RGB = (0.13, 0.13, 0.16)
-FRAME: RGB = (0.84, 0.84, 0.82)
-INTERRUPT: RGB = (0.78, 0.05, 0.16)
-THICK, THIN = 2.6, 1.4  # lines of interrupts and of others, px
-TITLE_SIZE, TITLE_ROOM = 16, 34.0
-GAP = 28.0  # between charts, px
-ROW = 1500.0  # a row of charts is not wider, unless one chart is
-CORNER = 7.0  # radius where an arrow turns
-HEAD = 8.0  # length of an arrow's head
+TEXT_COLOUR: RGB = (0.13, 0.13, 0.16)
+FRAME_COLOUR: RGB = (0.84, 0.84, 0.82)
+INTERRUPT_COLOUR: RGB = (0.78, 0.05, 0.16)
+INTERRUPT_LINE_WIDTH, PLAIN_LINE_WIDTH = 2.6, 1.4  # lines of interrupts and of others, px
+TITLE_SIZE, TITLE_HEIGHT = 16, 34.0
+CHART_GAP = 28.0  # between charts, px
+MAX_ROW_WIDTH = 1500.0  # a row of charts is not wider, unless one chart is
+CORNER_RADIUS = 7.0  # radius where an arrow turns
+ARROW_HEAD_LENGTH = 8.0  # length of an arrow's head
 
 
 @dataclass(frozen=True, slots=True)
 class Rectangle:
-    """A rectangle. `radius`: the radius of its corners. `fill`, `edge`: colours; None for no fill or no edge."""
+    """A rectangle. `corner_radius`: the radius of its corners. `fill_colour`, `edge_colour`: colours; None for no fill or no
+    edge."""
 
     left: float
     top: float
     width: float
     height: float
-    radius: float
-    fill: RGB | None
-    edge: RGB | None
-    thick: float = 1.0
-    dashed: bool = False
+    corner_radius: float
+    fill_colour: RGB | None
+    edge_colour: RGB | None
+    edge_width: float = 1.0
+    is_dashed: bool = False
     details: str = ""
 
 
@@ -44,14 +45,14 @@ class Line:
 
     points: tuple[Point, ...]
     colour: RGB
-    thick: float
-    closed: bool = False
+    line_width: float
+    is_closed: bool = False
     details: str = ""
 
 
 @dataclass(frozen=True, slots=True)
-class Words:
-    """One line of words with its middle at `centre`; always `width` px wide."""
+class TextLine:
+    """One line of words with its middle at `centre`; always `measure_text_width` px wide."""
 
     text: str
     centre: Point
@@ -60,74 +61,75 @@ class Words:
     width: float
 
 
-Shape = Rectangle | Line | Words
+Shape = Rectangle | Line | TextLine
 
 
 @dataclass(frozen=True, slots=True)
 class Drawing:
-    """All shapes, on a white ground of `width` × `height` px."""
+    """All shapes, on a white ground of `measure_text_width` × `height` px."""
 
     width: float
     height: float
     shapes: tuple[Shape, ...]
 
 
-def draw(charts: Sequence[PlacedChart]) -> Drawing:
+def draw_charts(charts: Sequence[PlacedChart]) -> Drawing:
     """Draw charts in rows, each in a frame under its title."""
     shapes: list[Shape] = []
     right = down = high = broadest = 0.0
     for chart in charts:
-        wide = max(chart.width, width(chart.chart.title, TITLE_SIZE) + 24)
-        if right > 0 and right + wide > ROW:
-            right, down, high = 0.0, down + high + GAP, 0.0
-        left, top = GAP + right, GAP + down
-        shapes.append(Rectangle(left, top, wide, chart.height + TITLE_ROOM, 10, WHITE, FRAME))
-        shapes.append(_centred_words(chart.chart.title, (left + wide / 2, top + 18), TITLE_SIZE, INK))
-        shapes += _chart_shapes(chart.shifted_by(left + (wide - chart.width) / 2, top + TITLE_ROOM))
-        right, high = right + wide + GAP, max(high, chart.height + TITLE_ROOM)
+        wide = max(chart.width, measure_text_width(chart.chart.title, TITLE_SIZE) + 24)
+        if right > 0 and right + wide > MAX_ROW_WIDTH:
+            right, down, high = 0.0, down + high + CHART_GAP, 0.0
+        left, top = CHART_GAP + right, CHART_GAP + down
+        shapes.append(Rectangle(left, top, wide, chart.height + TITLE_HEIGHT, 10, WHITE, FRAME_COLOUR))
+        shapes.append(_make_centred_line(chart.chart.title, (left + wide / 2, top + 18), TITLE_SIZE, TEXT_COLOUR))
+        shapes += _draw_chart(chart.shifted_by(left + (wide - chart.width) / 2, top + TITLE_HEIGHT))
+        right, high = right + wide + CHART_GAP, max(high, chart.height + TITLE_HEIGHT)
         broadest = max(broadest, right)
-    return Drawing(broadest + GAP, down + high + 2 * GAP, tuple(shapes))
+    return Drawing(broadest + CHART_GAP, down + high + 2 * CHART_GAP, tuple(shapes))
 
 
-def _chart_shapes(chart: PlacedChart) -> Iterator[Shape]:
-    colours = line_colours(chart.chart)
+def _draw_chart(chart: PlacedChart) -> Iterator[Shape]:
+    colours = choose_line_colours(chart.chart)
     lines = list(zip(chart.arrows, colours, strict=True))
     for arrow, colour in lines:
-        yield from _line_shapes(arrow, colour)
+        yield from _draw_line(arrow, colour)
     for box, place in chart.boxes:
-        yield from _box_shapes(box, place)
+        yield from _draw_box(box, place)
     for arrow, colour in lines:
-        yield from _word_shapes(arrow, colour)
+        yield from _draw_words(arrow, colour)
 
 
-def line_colours(chart: Chart) -> tuple[RGB, ...]:
+def choose_line_colours(chart: Chart) -> tuple[RGB, ...]:
     """Return the colour of each arrow. It is the colour of the source state, dark enough to be visible; interrupts have a
     separate colour."""
     colours = {box.key: darken(box.colour) for box in chart.boxes}
-    return tuple(INTERRUPT if arrow.interrupt else colours[arrow.source] for arrow in chart.arrows)
+    return tuple(INTERRUPT_COLOUR if arrow.interrupt else colours[arrow.source] for arrow in chart.arrows)
 
 
-def hex_colour(colour: RGB) -> str:
+def format_hex_colour(colour: RGB) -> str:
     """Return a colour as `#rrggbb`."""
     return "#" + "".join(f"{round(part * 255):02x}" for part in colour)
 
 
-def _line_shapes(arrow: PlacedArrow, colour: RGB) -> Iterator[Shape]:
+def _draw_line(arrow: PlacedArrow, colour: RGB) -> Iterator[Shape]:
     """Yield the shapes of a line. A white rim below it separates it from lines that it crosses."""
-    thick = THICK if arrow.arrow.interrupt else THIN
-    head, end = _arrow_head(arrow.points[-2], arrow.points[-1], HEAD + thick)
+    thick = INTERRUPT_LINE_WIDTH if arrow.arrow.interrupt else PLAIN_LINE_WIDTH
+    head, end = _compute_arrow_head(arrow.points[-2], arrow.points[-1], ARROW_HEAD_LENGTH + thick)
     path = _round_corners((*arrow.points[:-1], end))
     yield Line(path, WHITE, thick + 4)
     yield Line(path, colour, thick, details=arrow.arrow.details)
-    yield Line(head, colour, 0.0, closed=True)
+    yield Line(head, colour, 0.0, is_closed=True)
 
 
-def _arrow_head(previous_point: Point, tip: Point, long: float) -> tuple[tuple[Point, ...], Point]:
-    """Return the three corners of an arrow's head, and the point at which the line ends. `long`: the length of the head, px."""
+def _compute_arrow_head(previous_point: Point, tip: Point, head_length: float) -> tuple[tuple[Point, ...], Point]:
+    """Return the three corners of an arrow's head, and the point at which the line ends. `head_length`: the length of the head,
+    px."""
     far = hypot(tip[0] - previous_point[0], tip[1] - previous_point[1]) or 1.0
     x, y = (tip[0] - previous_point[0]) / far, (tip[1] - previous_point[1]) / far
-    back = (tip[0] - x * long, tip[1] - y * long)
-    half = long * 0.42
+    back = (tip[0] - x * head_length, tip[1] - y * head_length)
+    half = head_length * 0.42
     return (tip, (back[0] - y * half, back[1] + x * half), (back[0] + y * half, back[1] - x * half)), back
 
 
@@ -135,7 +137,7 @@ def _round_corners(points: Sequence[Point]) -> tuple[Point, ...]:
     """Return the path with rounded corners of six points each."""
     curve = [points[0]]
     for previous_point, corner, next_point in zip(points, points[1:], points[2:], strict=False):
-        into, out = _step_toward(corner, previous_point), _step_toward(corner, next_point)
+        into, out = _move_towards(corner, previous_point), _move_towards(corner, next_point)
         for k in range(7):
             t = k / 6
             a, b, c = (1 - t) ** 2, 2 * t * (1 - t), t * t
@@ -143,60 +145,62 @@ def _round_corners(points: Sequence[Point]) -> tuple[Point, ...]:
     return (*curve, points[-1])
 
 
-def _step_toward(corner: Point, other: Point) -> Point:
+def _move_towards(corner: Point, other: Point) -> Point:
     far = hypot(other[0] - corner[0], other[1] - corner[1])
-    share = min(CORNER, far / 2) / far if far else 0.0
+    share = min(CORNER_RADIUS, far / 2) / far if far else 0.0
     return corner[0] + (other[0] - corner[0]) * share, corner[1] + (other[1] - corner[1]) * share
 
 
-def _box_shapes(box: Box, place: PlacedBox) -> Iterator[Shape]:
+def _draw_box(box: Box, place: PlacedBox) -> Iterator[Shape]:
     frame = Rectangle(
         place.left, place.top, place.width, place.height, 7, box.colour, darken(box.colour), 1.2, details=box.details
     )
     x, y = place.centre
     if box.kind in ("start", "choice"):
-        yield replace(frame, radius=place.height / 2, fill=box.colour if box.kind == "start" else WHITE, thick=1.6)
+        yield replace(
+            frame, corner_radius=place.height / 2, fill_colour=box.colour if box.kind == "start" else WHITE, edge_width=1.6
+        )
     elif box.kind != "state":
-        yield replace(frame, radius=place.height / 2, fill=WHITE, dashed=True)
-        yield _centred_words(box.name, (x, y), WORD_SIZE, INK)
+        yield replace(frame, corner_radius=place.height / 2, fill_colour=WHITE, is_dashed=True)
+        yield _make_centred_line(box.name, (x, y), WORD_FONT_SIZE, TEXT_COLOUR)
     else:
-        ink = ink_on(box.colour)
+        ink = choose_text_colour(box.colour)
         yield frame
-        yield _centred_words(box.name, (x, y - 8 if box.label else y), NAME_SIZE, ink)
+        yield _make_centred_line(box.name, (x, y - 8 if box.label else y), NAME_FONT_SIZE, ink)
         if box.label:
-            yield _centred_words(box.label, (x, y + 10), WORD_SIZE, ink)
+            yield _make_centred_line(box.label, (x, y + 10), WORD_FONT_SIZE, ink)
 
 
-def _word_shapes(arrow: PlacedArrow, colour: RGB) -> Iterator[Shape]:
+def _draw_words(arrow: PlacedArrow, colour: RGB) -> Iterator[Shape]:
     if arrow.words is None:
         return
     x, y = arrow.words.centre
     box = arrow.words
     yield Rectangle(box.left, box.top, box.width, box.height, 3, WHITE, None)
-    first = y - LINE * (len(arrow.lines) - 1) / 2
+    first = y - LINE_HEIGHT * (len(arrow.lines) - 1) / 2
     ink = darken(colour, 0.1)
     for number, line in enumerate(arrow.lines):
-        yield _centred_words(line, (x, first + LINE * number), WORD_SIZE, ink)
+        yield _make_centred_line(line, (x, first + LINE_HEIGHT * number), WORD_FONT_SIZE, ink)
 
 
-def _centred_words(text: str, centre: Point, size: int, colour: RGB) -> Words:
-    return Words(text, centre, size, colour, width(text, size))
+def _make_centred_line(text: str, centre: Point, size: int, colour: RGB) -> TextLine:
+    return TextLine(text, centre, size, colour, measure_text_width(text, size))
 
 
-def ink_on(colour: RGB) -> RGB:
+def choose_text_colour(colour: RGB) -> RGB:
     """Return black or white, whichever is easier to read on the colour."""
-    return INK if _luminance(colour) > 0.3 else WHITE
+    return TEXT_COLOUR if _compute_luminance(colour) > 0.3 else WHITE
 
 
-def _luminance(colour: RGB) -> float:
+def _compute_luminance(colour: RGB) -> float:
     """Return the relative luminance as defined by WCAG 2, from 0 to 1."""
     red, green, blue = ((c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4) for c in colour)
     return 0.2126 * red + 0.7152 * green + 0.0722 * blue
 
 
-def darken(colour: RGB, most: float = 0.22) -> RGB:
-    """Return the colour, darkened to a luminance of at most `most`. The default makes a thin line visible on white. For words,
-    0.1 gives a contrast of 7 : 1."""
-    while _luminance(colour) > most:
+def darken(colour: RGB, max_luminance: float = 0.22) -> RGB:
+    """Return the colour, darkened to a luminance of at most `max_luminance`. The default makes a thin line visible on white. For
+    words, 0.1 gives a contrast of 7 : 1."""
+    while _compute_luminance(colour) > max_luminance:
         colour = (colour[0] * 0.92, colour[1] * 0.92, colour[2] * 0.92)
     return colour

@@ -19,27 +19,31 @@ from typing import Any
 import numpy as np
 
 from antdsl.diagnostics import Report
-from antdsl.graphs.letters import width
 from antdsl.graphs.model import Arrow, Box, Chart, PlacedArrow, PlacedBox, PlacedChart, Point
+from antdsl.graphs.text_width import measure_text_width
 
 Size = tuple[float, float]
 Route = tuple[Point, ...]
 Array = np.ndarray[Any, np.dtype[Any]]
 
-_STEP = 9.0  # px between two places on one line
-_END = 10.0  # px of a line that stay free before its box, where the head is
-_CLEAR = 3.0  # px between words and what they may not touch
-_ROUNDS = 6
+_POSITION_SPACING = 9.0  # px between two places on one line
+_FREE_END_LENGTH = 10.0  # px of a line that stay free before its box, where the head is
+_WORD_CLEARANCE = 3.0  # px between words and what they may not touch
+_MAX_ROUNDS = 6
 # What a place costs: for each box or word and each line or head that it touches, for a turn that it hides, for being beside the
 # line, and for being off the middle.
-_BLOCKED, _CROSSING, _TURN, _OFF, _MIDDLE = 1000.0, 25.0, 4.0, 2.0, 6.0
-NAME_SIZE, WORD_SIZE = 14, 11  # letters, px
-LINE = 14.0  # from line to line of words, px
-FOLD = 30  # letters in a line of words
-LINES = 6  # lines that one condition may have; the pointer shows all of it
-PADDING = 12.0
+_OVERLAP_COST, _CROSSING_COST, _HIDDEN_TURN_COST, _OFF_LINE_COST, _OFF_MIDDLE_COST = 1000.0, 25.0, 4.0, 2.0, 6.0
+NAME_FONT_SIZE, WORD_FONT_SIZE = 14, 11  # letters, px
+LINE_HEIGHT = 14.0  # from line to line of words, px
+MAX_LINE_CHARACTERS = 30  # letters in a line of words
+MAX_CONDITION_LINES = 6  # lines that one condition may have; the pointer shows all of it
+BOX_PADDING = 12.0
 # Against the flow go the changes that lead back to where the start has come by, not those that make the fewest lines turn.
-_OPTIONS: dict[str, Any] = {"routing": {"style": "orthogonal"}, "cycles": {"strategy": "follow_flow"}, "effort": "thorough"}
+_LAYOUT_OPTIONS: dict[str, Any] = {
+    "routing": {"style": "orthogonal"},
+    "cycles": {"strategy": "follow_flow"},
+    "effort": "thorough",
+}
 # Room between lines out of one box, between lines that pass, between boxes, between layers, px: ever more of it.
 _SPACINGS: tuple[dict[str, float], ...] = tuple(
     {"port_gap": port, "dummy_gap": line, "node_gap": box, "layer_gap": layer}
@@ -53,7 +57,7 @@ _SPACINGS: tuple[dict[str, float], ...] = tuple(
         (260, 260, 160, 240),
     )
 )
-_WIDE = 4  # from here on they are made only where words would stand on words or boxes
+_FIRST_WIDE_SPACING = 4  # from here on they are made only where words would stand on words or boxes
 
 
 def lay_out(charts: Sequence[Chart]) -> tuple[tuple[PlacedChart, ...], Report]:
@@ -81,10 +85,10 @@ def _place_chart(chart: Chart) -> PlacedChart:
     best: tuple[int, int, int] | None = None
     best_chart: PlacedChart | None = None
     for number, spacing in enumerate(_SPACINGS):
-        if best is not None and (best[:2] == (0, 0) or (best[0] == 0 and number >= _WIDE)):
+        if best is not None and (best[:2] == (0, 0) or (best[0] == 0 and number >= _FIRST_WIDE_SPACING)):
             break
         placed, placement = _try_spacing(chart, spacing)
-        value = (placement.touching, placement.crossed, number)
+        value = (placement.touching_count, placement.hidden_line_count, number)
         if best is None or value < best:
             best, best_chart = value, placed
     assert best_chart is not None
@@ -97,16 +101,16 @@ def _try_spacing(chart: Chart, spacing: dict[str, float]) -> tuple[PlacedChart, 
 
     graph = graphlay.Graph()
     for box in chart.boxes:
-        wide, high = box_size(box)
+        wide, high = compute_box_size(box)
         graph.node(box.key, width=wide, height=high, shape="ellipse" if box.kind in ("start", "choice") else "box")
-    folded = [fold_words(arrow) for arrow in chart.arrows]
-    extents = [_extent(lines) if lines else None for lines in folded]
+    folded = [wrap_words(arrow) for arrow in chart.arrows]
+    extents = [_measure_text(lines) if lines else None for lines in folded]
     for arrow, extent in zip(chart.arrows, extents, strict=True):
         label_options: dict[str, Any] = {"label_size": {"width": extent[0], "height": extent[1]}} if extent else {}
         graph.edge(arrow.source, arrow.target, **label_options)
-    laid = graphlay.layout(graph, preset="process_map", options={**_OPTIONS, "spacing": spacing})
+    laid = graphlay.layout(graph, preset="process_map", options={**_LAYOUT_OPTIONS, "spacing": spacing})
     node_boxes = [
-        PlacedBox((node["center"]["x"], node["center"]["y"]), *box_size(box))
+        PlacedBox((node["center"]["x"], node["center"]["y"]), *compute_box_size(box))
         for box, node in zip(chart.boxes, laid.nodes, strict=True)
     ]
     routes = [tuple((point["x"], point["y"]) for point in edge["points"]) for edge in laid.edges]
@@ -115,27 +119,31 @@ def _try_spacing(chart: Chart, spacing: dict[str, float]) -> tuple[PlacedChart, 
     return _shift_to_zero(chart, list(zip(chart.boxes, node_boxes, strict=True)), arrows), placement
 
 
-def box_size(box: Box) -> tuple[float, float]:
+def compute_box_size(box: Box) -> tuple[float, float]:
     """Return width and height of a box, px."""
     if box.kind in ("start", "choice"):
         return 14.0, 14.0
     if box.kind != "state":
-        return width(box.name, WORD_SIZE) + 20, 22.0
-    label = width(box.label, WORD_SIZE) if box.label else 0.0
-    return max(width(box.name, NAME_SIZE), label) + 24, 44.0 if box.label else 30.0
+        return measure_text_width(box.name, WORD_FONT_SIZE) + 20, 22.0
+    label = measure_text_width(box.label, WORD_FONT_SIZE) if box.label else 0.0
+    return max(measure_text_width(box.name, NAME_FONT_SIZE), label) + 24, 44.0 if box.label else 30.0
 
 
-def fold_words(arrow: Arrow) -> tuple[str, ...]:
+def wrap_words(arrow: Arrow) -> tuple[str, ...]:
     """Return the words of an arrow, wrapped to short lines."""
     short_lines: list[str] = []
     for line in arrow.lines:
-        lines = textwrap.wrap(line, FOLD, break_on_hyphens=False) or [""]
-        short_lines += lines if len(lines) <= LINES else [*lines[: LINES - 1], lines[LINES - 1][: FOLD - 2] + " …"]
+        lines = textwrap.wrap(line, MAX_LINE_CHARACTERS, break_on_hyphens=False) or [""]
+        short_lines += (
+            lines
+            if len(lines) <= MAX_CONDITION_LINES
+            else [*lines[: MAX_CONDITION_LINES - 1], lines[MAX_CONDITION_LINES - 1][: MAX_LINE_CHARACTERS - 2] + " …"]
+        )
     return tuple(short_lines)
 
 
-def _extent(lines: tuple[str, ...]) -> tuple[float, float]:
-    return max(width(line, WORD_SIZE) for line in lines) + 8, LINE * len(lines) + 2
+def _measure_text(lines: tuple[str, ...]) -> tuple[float, float]:
+    return max(measure_text_width(line, WORD_FONT_SIZE) for line in lines) + 8, LINE_HEIGHT * len(lines) + 2
 
 
 def _shift_to_zero(chart: Chart, boxes: list[tuple[Box, PlacedBox]], arrows: list[PlacedArrow]) -> PlacedChart:
@@ -143,34 +151,34 @@ def _shift_to_zero(chart: Chart, boxes: list[tuple[Box, PlacedBox]], arrows: lis
     all_boxes = [place for _, place in boxes] + [arrow.words for arrow in arrows if arrow.words is not None]
     xs = [x for a in arrows for x, _ in a.points] + [p.left for p in all_boxes] + [p.left + p.width for p in all_boxes]
     ys = [y for a in arrows for _, y in a.points] + [p.top for p in all_boxes] + [p.top + p.height for p in all_boxes]
-    wide, high = max(xs) - min(xs) + 2 * PADDING, max(ys) - min(ys) + 2 * PADDING
-    return PlacedChart(chart, wide, high, tuple(boxes), tuple(arrows)).shifted_by(PADDING - min(xs), PADDING - min(ys))
+    wide, high = max(xs) - min(xs) + 2 * BOX_PADDING, max(ys) - min(ys) + 2 * BOX_PADDING
+    return PlacedChart(chart, wide, high, tuple(boxes), tuple(arrows)).shifted_by(BOX_PADDING - min(xs), BOX_PADDING - min(ys))
 
 
 @dataclass(frozen=True, slots=True)
 class WordPlacement:
     """A position for each arrow's words; None for an arrow without words.
-    - `touching`: the number of words that touch boxes or other words.
-    - `crossed`: the number of lines and arrow heads that words hide."""
+    - `touching_count`: the number of words that touch boxes or other words.
+    - `hidden_line_count`: the number of lines and arrow heads that words hide."""
 
     word_boxes: tuple[PlacedBox | None, ...]
-    touching: int
-    crossed: int
+    touching_count: int
+    hidden_line_count: int
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Spots:
+class _LabelPositions:
     """Candidate positions for words of one size.
     - `centres`: positions [n, 2], px.
     - `costs`: the cost of each position, independent of other words [n].
-    - `hidden`: the number of lines that words at each position hide [n]."""
+    - `hidden_line_counts`: the number of lines that words at each position hide [n]."""
 
     size: Size
     centres: Array
     costs: Array
-    hidden: Array
+    hidden_line_counts: Array
 
-    def place(self, number: int) -> PlacedBox:
+    def make_box(self, number: int) -> PlacedBox:
         """Return the words' box at a candidate position."""
         x, y = self.centres[number].tolist()
         return PlacedBox((x, y), *self.size)
@@ -179,39 +187,44 @@ class _Spots:
 def place_words(boxes: Sequence[PlacedBox], routes: Sequence[Route], sizes: Sequence[Size | None]) -> WordPlacement:
     """Return positions for the words on arrows. `routes`: the arrows' paths, mostly vertical and horizontal. `sizes`: the sizes
     of the words, px."""
-    spots = {number: _find_spots(number, boxes, routes, size) for number, size in enumerate(sizes) if size}
-    order = sorted(spots, key=lambda n: (int((spots[n].costs < _CROSSING).sum()), n))
+    spots = {number: _find_label_positions(number, boxes, routes, size) for number, size in enumerate(sizes) if size}
+    order = sorted(spots, key=lambda n: (int((spots[n].costs < _CROSSING_COST).sum()), n))
     chosen: dict[int, int] = {}
-    for _ in range(_ROUNDS):
+    for _ in range(_MAX_ROUNDS):
         previous_choice = dict(chosen)
         for number in order:
-            others = [spots[n].place(k) for n, k in chosen.items() if n != number]
-            costs = spots[number].costs + _BLOCKED * _count_overlaps(spots[number].centres, spots[number].size, others)
+            others = [spots[n].make_box(k) for n, k in chosen.items() if n != number]
+            costs = spots[number].costs + _OVERLAP_COST * _count_overlaps(spots[number].centres, spots[number].size, others)
             chosen[number] = int(np.argmin(costs))
         if chosen == previous_choice:
             break
-    word_boxes = {n: spots[n].place(k) for n, k in chosen.items()}
-    touching = sum(spots[n].costs[k] >= _BLOCKED for n, k in chosen.items())
+    word_boxes = {n: spots[n].make_box(k) for n, k in chosen.items()}
+    touching = sum(spots[n].costs[k] >= _OVERLAP_COST for n, k in chosen.items())
     for n, place in word_boxes.items():
         centre = np.array([place.centre])
         touching += _count_overlaps(centre, spots[n].size, [other for m, other in word_boxes.items() if m < n])[0]
-    crossed = sum(int(spots[n].hidden[k]) for n, k in chosen.items())
+    crossed = sum(int(spots[n].hidden_line_counts[k]) for n, k in chosen.items())
     return WordPlacement(tuple(word_boxes.get(n) for n in range(len(sizes))), int(touching), crossed)
 
 
-def _find_spots(number: int, boxes: Sequence[PlacedBox], routes: Sequence[Route], size: Size) -> _Spots:
+def _find_label_positions(number: int, boxes: Sequence[PlacedBox], routes: Sequence[Route], size: Size) -> _LabelPositions:
     """Return candidate positions along an arrow's path, on the line and beside it."""
     route = routes[number]
-    centres, costs = _route_spots(route, size)
+    centres, costs = _list_route_positions(route, size)
     others = [part for n, other in enumerate(routes) if n != number for part in pairwise(other)]
-    corners = np.abs(centres[:, None] - np.array(route)) < np.array(size) / 2 + _CLEAR
+    corners = np.abs(centres[:, None] - np.array(route)) < np.array(size) / 2 + _WORD_CLEARANCE
     turns = corners.all(axis=2)
     hidden = _count_crossings(centres, size, others) + turns[:, -1]  # the tip of its arrowhead is hidden like a line of others
-    costs = costs + _TURN * turns.sum(axis=1) + _CROSSING * hidden + _BLOCKED * _count_overlaps(centres, size, boxes)
-    return _Spots(size, centres, costs, hidden)
+    costs = (
+        costs
+        + _HIDDEN_TURN_COST * turns.sum(axis=1)
+        + _CROSSING_COST * hidden
+        + _OVERLAP_COST * _count_overlaps(centres, size, boxes)
+    )
+    return _LabelPositions(size, centres, costs, hidden)
 
 
-def _route_spots(route: Route, size: Size) -> tuple[Array, Array]:
+def _list_route_positions(route: Route, size: Size) -> tuple[Array, Array]:
     """Return candidate positions along a path: centres [n, 2] in px, and the cost of each [n]."""
     centres: list[Point] = []
     costs: list[float] = []
@@ -220,14 +233,14 @@ def _route_spots(route: Route, size: Size) -> tuple[Array, Array]:
     for begin, end in pairwise(route):
         long = dist(begin, end)
         upright = abs(begin[0] - end[0]) < 0.01
-        for k in range(1 + max(0, int((long - 2 * _END) / _STEP))):
-            share = min(1.0, (_END + k * _STEP) / long) if long > 2 * _END else 0.5
+        for k in range(1 + max(0, int((long - 2 * _FREE_END_LENGTH) / _POSITION_SPACING))):
+            share = min(1.0, (_FREE_END_LENGTH + k * _POSITION_SPACING) / long) if long > 2 * _FREE_END_LENGTH else 0.5
             x, y = begin[0] + (end[0] - begin[0]) * share, begin[1] + (end[1] - begin[1]) * share
             middle = abs((start_length + long * share) / length - 0.42)  # a little nearer to where the arrow comes from
             for aside in (0.0, -1.0, 1.0):
                 right, down = (aside * (size[0] / 2 + 2), 0.0) if upright else (0.0, aside * (size[1] / 2 + 2))
                 centres.append((x + right, y + down))
-                costs.append(_OFF * abs(aside) + _MIDDLE * middle)
+                costs.append(_OFF_LINE_COST * abs(aside) + _OFF_MIDDLE_COST * middle)
         start_length += long
     return np.array(centres), np.array(costs)
 
@@ -237,15 +250,15 @@ def _count_overlaps(centres: Array, size: Size, others: Sequence[PlacedBox]) -> 
     if not others:
         return np.zeros(len(centres), int)
     middles = np.array([other.centre for other in others])
-    clearance = (np.array([(other.width, other.height) for other in others]) + np.array(size)) / 2 + _CLEAR
+    clearance = (np.array([(other.width, other.height) for other in others]) + np.array(size)) / 2 + _WORD_CLEARANCE
     return np.asarray((np.abs(centres[:, None] - middles) < clearance).all(axis=2).sum(axis=1))
 
 
-def _count_crossings(centres: Array, size: Size, parts: Sequence[tuple[Point, Point]]) -> Array:
+def _count_crossings(centres: Array, size: Size, line_segments: Sequence[tuple[Point, Point]]) -> Array:
     """Return how many of the straight parts of other lines cross the words at each position, int [n]."""
-    if not parts:
+    if not line_segments:
         return np.zeros(len(centres), int)
-    ends, half = np.array(parts), np.array(size) / 2 + 1
+    ends, half = np.array(line_segments), np.array(size) / 2 + 1
     low, high = ends.min(axis=1), ends.max(axis=1)
     overlaps = (low < (centres + half)[:, None]) & (high > (centres - half)[:, None])
     return np.asarray(overlaps.all(axis=2).sum(axis=1))

@@ -6,13 +6,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from antdsl.graphs.drawing import THICK, darken, hex_colour, ink_on, line_colours
+from antdsl.graphs.drawing import INTERRUPT_LINE_WIDTH, choose_line_colours, choose_text_colour, darken, format_hex_colour
 from antdsl.graphs.model import Arrow, Box, Chart
 
 # What may stand in quotes as it is. Everything else is written as its number: quotes and brackets would end the text, and a
 # star, a backtick or `<` would be taken for Markdown or HTML.
-_PLAIN = frozenset("abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789 .,:()/+-=_%")
-_SHAPES = {
+_UNESCAPED_CHARACTERS = frozenset("abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789 .,:()/+-=_%")
+_BRACKETS_BY_KIND = {
     "state": ('["', '"]'),
     "start": ('(("', '"))'),
     "choice": ('{"', '"}'),
@@ -21,52 +21,52 @@ _SHAPES = {
 }
 
 
-def mermaid(charts: Sequence[Chart]) -> str:
+def format_mermaid(charts: Sequence[Chart]) -> str:
     """Return the complete text, with one subgraph for each chart. The same charts give the same text."""
     lines = ["flowchart TB"]
     styles: list[str] = []
     links = 0
     for number, chart in enumerate(charts):
         keys = {box.key: f"m{number}b{k}" for k, box in enumerate(chart.boxes)}
-        lines += [f'  subgraph m{number}["{_escape(chart.title)}"]', "    direction TB"]
-        lines += [f"    {_box(keys[box.key], box)}" for box in chart.boxes]
-        lines += [f"    {_link(keys, arrow)}" for arrow in chart.arrows]
+        lines += [f'  subgraph m{number}["{_escape_text(chart.title)}"]', "    direction TB"]
+        lines += [f"    {_format_box(keys[box.key], box)}" for box in chart.boxes]
+        lines += [f"    {_format_link(keys, arrow)}" for arrow in chart.arrows]
         lines.append("  end")
-        styles += [f"  style {keys[box.key]} {_style(box)}" for box in chart.boxes]
-        styles += _link_styles(chart, links)
+        styles += [f"  style {keys[box.key]} {_format_style(box)}" for box in chart.boxes]
+        styles += _format_link_styles(chart, links)
         links += len(chart.arrows)
     return "\n".join([*lines, *styles]) + "\n"
 
 
-def _box(key: str, box: Box) -> str:
+def _format_box(key: str, box: Box) -> str:
     """Return the line that declares a box."""
-    prefix, suffix = _SHAPES[box.kind]
+    prefix, suffix = _BRACKETS_BY_KIND[box.kind]
     words = [box.name, box.label] if box.kind in ("state", "any", "previous") else [" "]
-    return key + prefix + "<br/>".join(_escape(word) for word in words if word) + suffix
+    return key + prefix + "<br/>".join(_escape_text(word) for word in words if word) + suffix
 
 
-def _link(keys: dict[str, str], arrow: Arrow) -> str:
+def _format_link(keys: dict[str, str], arrow: Arrow) -> str:
     """Return the line that declares an arrow. `keys`: the boxes' keys in the text."""
     line = "==>" if arrow.interrupt else "-->"
-    words = "<br/>".join(_escape(words) for words in arrow.lines)
+    words = "<br/>".join(_escape_text(words) for words in arrow.lines)
     return f"{keys[arrow.source]} {line}" + (f'|"{words}"|' if words else "") + f" {keys[arrow.target]}"
 
 
-def _style(box: Box) -> str:
+def _format_style(box: Box) -> str:
     """Return the colours of a box as Mermaid styles."""
     if box.kind in ("state", "start"):
-        fill, edge, ink = box.colour, darken(box.colour), ink_on(box.colour)
-        return f"fill:{hex_colour(fill)},stroke:{hex_colour(edge)},color:{hex_colour(ink)}"
+        fill, edge, ink = box.colour, darken(box.colour), choose_text_colour(box.colour)
+        return f"fill:{format_hex_colour(fill)},stroke:{format_hex_colour(edge)},color:{format_hex_colour(ink)}"
     dashes = "" if box.kind == "choice" else ",stroke-dasharray:4 3"
-    return f"fill:#ffffff,stroke:{hex_colour(box.colour)},color:#212129{dashes}"
+    return f"fill:#ffffff,stroke:{format_hex_colour(box.colour)},color:#212129{dashes}"
 
 
-def _link_styles(chart: Chart, first: int) -> Iterator[str]:
-    """Yield the style line of each arrow. `first`: the number of the chart's first arrow in the text."""
-    for k, (arrow, colour) in enumerate(zip(chart.arrows, line_colours(chart), strict=True), first):
-        thick = f",stroke-width:{THICK}px" if arrow.interrupt else ""
-        yield f"  linkStyle {k} stroke:{hex_colour(colour)}{thick}"
+def _format_link_styles(chart: Chart, first_link_number: int) -> Iterator[str]:
+    """Yield the style line of each arrow. `first_link_number`: the number of the chart's first arrow in the text."""
+    for k, (arrow, colour) in enumerate(zip(chart.arrows, choose_line_colours(chart), strict=True), first_link_number):
+        thick = f",stroke-width:{INTERRUPT_LINE_WIDTH}px" if arrow.interrupt else ""
+        yield f"  linkStyle {k} stroke:{format_hex_colour(colour)}{thick}"
 
 
-def _escape(text: str) -> str:
-    return "".join(sign if sign in _PLAIN else f"#{ord(sign)};" for sign in text)
+def _escape_text(text: str) -> str:
+    return "".join(sign if sign in _UNESCAPED_CHARACTERS else f"#{ord(sign)};" for sign in text)

@@ -10,7 +10,7 @@ from typing import Literal
 
 RGB = tuple[float, float, float]  # display values, 0..1
 Point = tuple[float, float]  # x to the right, y down, in px
-Kind = Literal["state", "start", "any", "previous", "choice"]
+BoxKind = Literal["state", "start", "any", "previous", "choice"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,7 +24,7 @@ class Box:
     - `details`: the tooltip."""
 
     key: str
-    kind: Kind
+    kind: BoxKind
     name: str
     label: str
     colour: RGB

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from antdsl.casting.rays import MeshArrays, RayHitArrays, RayScene
 from antdsl.ground.mesh.surface import MeshGround
-from antdsl.ground.mesh.surface_clearance import FaceParts, PieceClearances
+from antdsl.ground.mesh.surface_clearance import FacePartClearances, PieceClearances
 from antdsl.ground.mesh.surroundings import RELATIVE_DISTANCE_NOISE
 from antdsl.ground.mesh.topology import update_shape
 from antdsl.ground.protocol import Floats, Footing, Index
@@ -26,103 +26,105 @@ class MovingGround(MeshGround):
     refer to it."""
 
     def __init__(self, surfaces: Mapping[str, MeshArrays], moving: Iterable[str], by_rays: bool = False) -> None:
-        self._moves = np.isin(list(surfaces), list(moving))
+        self._is_moving = np.isin(list(surfaces), list(moving))
         super().__init__(surfaces, by_rays)
         counts = [len(np.reshape(v, (-1, 3))) for v, _ in surfaces.values()]
         ends = np.cumsum([0, *counts])
-        self._corners = {name: slice(int(ends[k]), int(ends[k + 1])) for k, name in enumerate(self.names)}
-        self._rows = {name: slice(int(self._first[k]), int(self._first[k + 1])) for k, name in enumerate(self.names)}
-        self._rest = self._table.copy()
-        self._still_ones = int((self._table.live & ~self._moves.take(self._mesh)).sum())
-        self._ends = {name: _box_corners(self._vertices[rows]) for name, rows in self._corners.items()}
-        self._still_scenes: dict[tuple[int, ...], tuple[RayScene, Index]] = {}
+        self._vertex_slices = {name: slice(int(ends[k]), int(ends[k + 1])) for k, name in enumerate(self.names)}
+        self._face_slices = {
+            name: slice(int(self._first_face[k]), int(self._first_face[k + 1])) for k, name in enumerate(self.names)
+        }
+        self._rest_topology = self._topology.copy()
+        self._static_face_count = int((self._topology.live & ~self._is_moving.take(self._mesh_of_face)).sum())
+        self._box_by_mesh = {name: _compute_box(self._vertices[rows]) for name, rows in self._vertex_slices.items()}
+        self._static_scenes: dict[tuple[int, ...], tuple[RayScene, Index]] = {}
         self._clearances = _MovingClearances(self)  # type: ignore[assignment]
         # A moving mesh may rise above feet by any height. So a face with its back to an agent always counts as below.
-        self._scale = replace(self._scale, under=np.inf)
+        self._scale = replace(self._scale, max_below_height=np.inf)
 
     def copy(self) -> MovingGround:
         """Return a copy that can be posed separately."""
         ground = copy(self)
-        ground._vertices, ground._table = self._vertices.copy(), self._table.copy()
-        ground._boxes = replace(self._boxes, bounds=self._boxes.bounds.copy())
-        ground._scenes, ground._fast, ground._ends = {}, None, dict(self._ends)
+        ground._vertices, ground._topology = self._vertices.copy(), self._topology.copy()
+        ground._box_tree = replace(self._box_tree, bounds=self._box_tree.bounds.copy())
+        ground._ray_scenes, ground._walk_tables, ground._box_by_mesh = {}, None, dict(self._box_by_mesh)
         ground._clearances = _MovingClearances(ground)  # type: ignore[assignment]
         return ground
 
     def pose_meshes(self, vertices_by_name: Mapping[str, Floats]) -> None:
         """Set the vertices (n, 3) of moving meshes to their current positions."""
         for name, vertices in vertices_by_name.items():
-            rows = self._rows[name]
-            self._vertices[self._corners[name]] = vertices
-            update_shape(self._table, self._vertices, self._faces, rows)
-            if self._fast is not None:
-                self._fast.changed(rows)
-            self._ends[name] = _box_corners(vertices)
-        self.low = np.min([low for low, _ in self._ends.values()], axis=0)
-        self.high = np.max([high for _, high in self._ends.values()], axis=0)
+            rows = self._face_slices[name]
+            self._vertices[self._vertex_slices[name]] = vertices
+            update_shape(self._topology, self._vertices, self._faces, rows)
+            if self._walk_tables is not None:
+                self._walk_tables.update_faces(rows)
+            self._box_by_mesh[name] = _compute_box(vertices)
+        self.low = np.min([low for low, _ in self._box_by_mesh.values()], axis=0)
+        self.high = np.max([high for _, high in self._box_by_mesh.values()], axis=0)
         self.extent = max(self.extent, float((self.high - self.low).max()))
-        self._boxes.refit(self._vertices, self._faces, self._still_ones)
-        self._scenes = {}
+        self._box_tree.refit(self._vertices, self._faces, self._static_face_count)
+        self._ray_scenes = {}
         self._clearances.reset()  # type: ignore[attr-defined]
 
-    def rows_on_moving(self, mesh: NDArray[np.int32]) -> NDArray[np.intp]:
+    def find_rows_on_moving(self, mesh: NDArray[np.int32]) -> NDArray[np.intp]:
         """Return the rows of agents that stand on a moving mesh; mesh numbers out of range do not count."""
-        known = (mesh >= 0) & (mesh < len(self._moves))
-        return np.flatnonzero(known & self._moves.take(np.where(known, mesh, 0)))
+        known = (mesh >= 0) & (mesh < len(self._is_moving))
+        return np.flatnonzero(known & self._is_moving.take(np.where(known, mesh, 0)))
 
     def axes(self, footing: Footing) -> FaceAxes:
         """Return the frames (3, n) of the faces that agents stand on: along the first edge, across it, and along the normal of
         the winding."""
-        face, _ = self._face_numbers(footing)
-        t = self._table
+        face, _ = self._compute_face_numbers(footing)
+        t = self._topology
         return t.axis1.take(face, axis=1), t.axis2.take(face, axis=1), t.normal.take(face, axis=1)
 
-    def rest_axes(self, footing: Footing) -> FaceAxes:
+    def compute_rest_axes(self, footing: Footing) -> FaceAxes:
         """Return the frames of the same faces in their rest positions, as `axes`."""
-        face, _ = self._face_numbers(footing)
-        t = self._rest
+        face, _ = self._compute_face_numbers(footing)
+        t = self._rest_topology
         return t.axis1.take(face, axis=1), t.axis2.take(face, axis=1), t.normal.take(face, axis=1)
 
-    def rest_position(self, footing: Footing) -> Floats:
+    def compute_rest_positions(self, footing: Footing) -> Floats:
         """Return the rest positions (n, 3) of the points that agents stand on."""
-        face, known = self._face_numbers(footing)
-        t = self._rest
+        face, known = self._compute_face_numbers(footing)
+        t = self._rest_topology
         place = t.corner.take(face, axis=1) + footing.b1 * t.edge1.take(face, axis=1) + footing.b2 * t.edge2.take(face, axis=1)
         return np.ascontiguousarray(np.where(known, place, 0.0).T)
 
-    def boxes(self) -> list[tuple[NDArray[np.bool_], Floats, Floats]]:
+    def list_moving_boxes(self) -> list[tuple[NDArray[np.bool_], Floats, Floats]]:
         """Return the moving meshes at their current position: mask of their faces, lowest and highest corner."""
-        return [(self._mesh == k, *self._ends[name]) for k, name in enumerate(self.names) if self._moves[k]]
+        return [(self._mesh_of_face == k, *self._box_by_mesh[name]) for k, name in enumerate(self.names) if self._is_moving[k]]
 
-    def _surface_groups(self) -> NDArray[np.int32]:
-        return np.where(self._moves.take(self._mesh), self._mesh + 1, 0).astype(np.int32)
+    def _group_surfaces(self) -> NDArray[np.int32]:
+        return np.where(self._is_moving.take(self._mesh_of_face), self._mesh_of_face + 1, 0).astype(np.int32)
 
-    def _ray_scene(self, on: Iterable[str] | None) -> tuple[RayScene, Index]:
+    def _get_ray_scene(self, surface_names: Iterable[str] | None) -> tuple[RayScene, Index]:
         """Return ray scenes of some surfaces, separate for static and moving ones, and the ground's face numbers of their
         faces."""
-        chosen = self._surface_numbers(on)
-        if chosen not in self._scenes:
-            still = tuple(k for k in chosen if not self._moves[k])
-            if still not in self._still_scenes:
-                self._still_scenes[still] = self._ray_scene_of(still)
-            moved, live = self._ray_scene_of(tuple(k for k in chosen if self._moves[k]), lasting=False)
-            first, first_live = self._still_scenes[still]
-            self._scenes[chosen] = _RayScenePair(first, moved, len(first_live)), np.concatenate([first_live, live])  # type: ignore[assignment]
-        return self._scenes[chosen]
+        chosen = self._find_surface_numbers(surface_names)
+        if chosen not in self._ray_scenes:
+            still = tuple(k for k in chosen if not self._is_moving[k])
+            if still not in self._static_scenes:
+                self._static_scenes[still] = self._build_ray_scene(still)
+            moved, live = self._build_ray_scene(tuple(k for k in chosen if self._is_moving[k]), store_tables=False)
+            first, first_live = self._static_scenes[still]
+            self._ray_scenes[chosen] = _RayScenePair(first, moved, len(first_live)), np.concatenate([first_live, live])  # type: ignore[assignment]
+        return self._ray_scenes[chosen]
 
-    def _ray_scene_of(self, chosen: tuple[int, ...], lasting: bool = True) -> tuple[RayScene, Index]:
-        """Return a ray scene of the surfaces `chosen`, and the ground's face number of each of its faces."""
-        live = np.flatnonzero(self._table.live & np.isin(self._mesh, chosen))
-        return RayScene(self._vertices, self._faces[live], lasting=lasting), live
+    def _build_ray_scene(self, surfaces: tuple[int, ...], store_tables: bool = True) -> tuple[RayScene, Index]:
+        """Return a ray scene of the surfaces `surfaces`, and the ground's face number of each of its faces."""
+        live = np.flatnonzero(self._topology.live & np.isin(self._mesh_of_face, surfaces))
+        return RayScene(self._vertices, self._faces[live], store_tables=store_tables), live
 
 
-def _box_corners(vertices: Floats) -> tuple[Floats, Floats]:
+def _compute_box(vertices: Floats) -> tuple[Floats, Floats]:
     """Return the lowest and highest corner (3,) of a box around vertices."""
     empty = not len(vertices)
     return (np.full(3, np.inf), np.full(3, -np.inf)) if empty else (vertices.min(axis=0), vertices.max(axis=0))
 
 
-def _face_boxes(vertices: Floats, faces: NDArray[np.int32]) -> tuple[Floats, Floats]:
+def _compute_face_boxes(vertices: Floats, faces: NDArray[np.int32]) -> tuple[Floats, Floats]:
     """Return the lowest and highest corners of the boxes around faces, (n, 3) each."""
     a, b, c = (vertices.take(faces[:, k], axis=0) for k in range(3))
     return np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
@@ -132,43 +134,43 @@ class _RayScenePair:
     """Combines two ray scenes of one mesh each; the faces of the second are numbered after those of the first."""
 
     def __init__(self, one: RayScene, two: RayScene, faces: int) -> None:
-        self._one, self._two, self._faces = one, two, faces
+        self._first_scene, self._second_scene, self._first_face_count = one, two, faces
 
-    def cast(self, origin: Floats, direction: Floats, threads: int = 1) -> RayHitArrays:
+    def find_first_hits(self, origin: Floats, direction: Floats, threads: int = 1) -> RayHitArrays:
         """Return the first hits in both scenes, as `RayScene.cast`."""
-        a, b = (scene.cast(origin, direction, threads) for scene in (self._one, self._two))
-        second = b.hit & (b.t < a.t)
-        face = np.where(second, b.face + np.int32(self._faces), a.face)
+        a, b = (scene.find_first_hits(origin, direction, threads) for scene in (self._first_scene, self._second_scene))
+        second = b.is_hit & (b.t < a.t)
+        face = np.where(second, b.face + np.int32(self._first_face_count), a.face)
         u, v = np.where(second, b.u, a.u), np.where(second, b.v, a.v)
         normal = np.where(second[:, None], b.normal, a.normal)
         return RayHitArrays(np.where(second, b.t, a.t), np.where(second, b.mesh, a.mesh), face, u, v, normal)
 
-    def cast_within(
+    def find_hits_within(
         self, origin: Floats, step: Floats, threads: int = 1
     ) -> tuple[Index, Floats, NDArray[np.int32], NDArray[np.int32]]:
-        """Return the hits within a step in both scenes, as `RayScene.cast_within`."""
+        """Return the hits within a step in both scenes, as `RayScene.find_hits_within`."""
         n = len(origin)
         part, mesh, face = np.full(n, np.inf), np.full(n, -1, np.int32), np.full(n, -1, np.int32)
-        for scene, first_face in ((self._one, 0), (self._two, self._faces)):
-            which, t, _, local = scene.cast_within(origin, step, threads)
+        for scene, first_face in ((self._first_scene, 0), (self._second_scene, self._first_face_count)):
+            which, t, _, local = scene.find_hits_within(origin, step, threads)
             nearer = t < part[which]
             which = which[nearer]
             part[which], mesh[which], face[which] = t[nearer], 0, local[nearer] + first_face
         hit_rows = np.flatnonzero(mesh >= 0)
         return hit_rows, part[hit_rows], mesh[hit_rows], face[hit_rows]
 
-    def trace_normals(
-        self, origin: Floats, displacement: Floats, normals: Floats, named: Index, threads: int = 1
+    def find_hit_normals(
+        self, origin: Floats, displacement: Floats, normals: Floats, normal_columns: Index, threads: int = 1
     ) -> tuple[Index, Floats, Floats]:
-        """Return the hits and their normals in both scenes, as `RayScene.trace_normals`."""
-        which, part, _, face = self.cast_within(origin, displacement, threads)
-        return which, part, normals.take(named.take(face), axis=1)
+        """Return the hits and their normals in both scenes, as `RayScene.find_hit_normals`."""
+        which, part, _, face = self.find_hits_within(origin, displacement, threads)
+        return which, part, normals.take(normal_columns.take(face), axis=1)
 
-    def closest(self, points: Floats, threads: int = 1) -> tuple[NDArray[np.int32], NDArray[np.int32], Floats, Floats]:
-        """Return the nearest surface points in both scenes, as `RayScene.closest`."""
-        a, b = (scene.closest(points, threads) for scene in (self._one, self._two))
+    def find_closest(self, points: Floats, threads: int = 1) -> tuple[NDArray[np.int32], NDArray[np.int32], Floats, Floats]:
+        """Return the nearest surface points in both scenes, as `RayScene.find_closest`."""
+        a, b = (scene.find_closest(points, threads) for scene in (self._first_scene, self._second_scene))
         second = b[3] < a[3]
-        face = np.where(second, b[1] + np.int32(self._faces), a[1])
+        face = np.where(second, b[1] + np.int32(self._first_face_count), a[1])
         return np.where(second, b[0], a[0]), face, np.where(second[:, None], b[2], a[2]), np.where(second, b[3], a[3])
 
 
@@ -179,50 +181,52 @@ class _MovingClearances:
 
     def __init__(self, ground: MovingGround) -> None:
         self._ground = ground
-        self.noise = ground.extent * RELATIVE_DISTANCE_NOISE
-        self._loose = ground._moves.take(ground._mesh)
-        self._fixed = np.flatnonzero(~self._loose)
-        corners = ground._vertices[ground._faces[self._fixed]]
+        self.distance_noise = ground.extent * RELATIVE_DISTANCE_NOISE
+        self._is_moving_face = ground._is_moving.take(ground._mesh_of_face)
+        self._static_faces = np.flatnonzero(~self._is_moving_face)
+        corners = ground._vertices[ground._faces[self._static_faces]]
         low = corners.min(axis=(0, 1)) if len(corners) else np.zeros(3)
-        piece, cut = ground._table.piece, ground._table.cuts.cut
-        self._still = PieceClearances(corners, piece[self._fixed], cut[self._fixed], low, self.noise)
-        several = {name: cut[rows].any() or (np.unique(piece[rows]) >= 0).sum() > 1 for name, rows in ground._rows.items()}
-        self._low, self._high = _face_boxes(ground._vertices, ground._faces)
-        self._several = [name for k, name in enumerate(ground.names) if ground._moves[k] and several[name]]
-        self._parts: FaceParts | None = None
+        piece, cut = ground._topology.piece, ground._topology.cuts.is_cut
+        self._static_clearances = PieceClearances(
+            corners, piece[self._static_faces], cut[self._static_faces], low, self.distance_noise
+        )
+        several = {name: cut[rows].any() or (np.unique(piece[rows]) >= 0).sum() > 1 for name, rows in ground._face_slices.items()}
+        self._low, self._high = _compute_face_boxes(ground._vertices, ground._faces)
+        self._multi_piece_meshes = [name for k, name in enumerate(ground.names) if ground._is_moving[k] and several[name]]
+        self._parts: FacePartClearances | None = None
 
     def reset(self) -> None:
         """Discard the distances after meshes have moved."""
         self._parts = None
 
-    def parts_within(self, reach: float) -> FaceParts:
+    def get_face_parts(self, reach: float) -> FacePartClearances:
         """Return clearances that distinguish distances up to `reach` mm, at the current positions of the meshes."""
         if self._parts is None or self._parts.reach < reach:
             self._parts = self._build_parts(1.5 * reach)
         return self._parts
 
-    def _build_parts(self, reach: float) -> FaceParts:
+    def _build_parts(self, reach: float) -> FacePartClearances:
         """Return the clearances of static meshes; faces near moving meshes get the clearance 0."""
         ground = self._ground
-        still = self._still.parts_within(reach)
+        still = self._static_clearances.get_face_parts(reach)
         count, first = np.zeros(len(ground._faces), np.int32), np.zeros(len(ground._faces), np.int64)
-        count[self._fixed], first[self._fixed] = still.count, still.first
-        at = self._faces_near_moving(reach)
-        count[at], first[at] = 1, len(still.least)
-        return FaceParts(reach, first, count, np.append(still.least, 0.0))
+        count[self._static_faces], first[self._static_faces] = still.count, still.first
+        at = self._find_faces_near_moving(reach)
+        count[at], first[at] = 1, len(still.clearances)
+        return FacePartClearances(reach, first, count, np.append(still.clearances, 0.0))
 
-    def _faces_near_moving(self, reach: float) -> Index:
+    def _find_faces_near_moving(self, reach: float) -> Index:
         """Return the faces that may have another mesh within `reach`, if one of the two meshes moves."""
         ground = self._ground
-        wide = reach + 2 * self.noise
-        for k, rows in enumerate(ground._rows.values()):
-            if ground._moves[k]:
-                self._low[rows], self._high[rows] = _face_boxes(ground._vertices, ground._faces[rows])
+        wide = reach + 2 * self.distance_noise
+        for k, rows in enumerate(ground._face_slices.values()):
+            if ground._is_moving[k]:
+                self._low[rows], self._high[rows] = _compute_face_boxes(ground._vertices, ground._faces[rows])
         is_near = np.zeros(len(self._low), np.bool_)
-        for k, (name, rows) in enumerate(ground._rows.items()):
-            low, high = ground._ends[name]
-            candidates = np.arange(len(is_near)) if ground._moves[k] else np.flatnonzero(self._loose)
+        for k, (name, rows) in enumerate(ground._face_slices.items()):
+            low, high = ground._box_by_mesh[name]
+            candidates = np.arange(len(is_near)) if ground._is_moving[k] else np.flatnonzero(self._is_moving_face)
             near = candidates[((self._low[candidates] <= high + wide) & (self._high[candidates] >= low - wide)).all(axis=1)]
             own = (near >= rows.start) & (near < rows.stop)
-            is_near[near if name in self._several else near[~own]] = True
+            is_near[near if name in self._multi_piece_meshes else near[~own]] = True
         return np.flatnonzero(is_near)

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.ground.mesh.topology import facing_sides
+from antdsl.ground.mesh.topology import find_facing_sides
 from antdsl.ground.protocol import Floats, Footing, GroundMove
 from antdsl.machine_code.kernels import F64, Array1, Array2, Strided2, inlined, kernel
 from antdsl.numerics.kernel_vectors import AgentPose, Vec3, dot, minus, plus, times
@@ -33,27 +33,29 @@ class PlaneGround:
 
     def _flatten(self, vectors: Floats) -> Floats:
         """Return vectors projected onto the plane."""
-        along = self._height(vectors)
+        along = self._compute_heights(vectors)
         flat: Floats = vectors - along[:, None] * self._up
         return flat
 
-    def _height(self, vectors: Floats) -> Floats:
+    def _compute_heights(self, vectors: Floats) -> Floats:
         """Return the signed distance of positions from the plane."""
         along: Floats = (vectors[:, 0] * self._up[0] + vectors[:, 1] * self._up[1]) + vectors[:, 2] * self._up[2]
         return along
 
-    def nowhere(self, n: int) -> Footing:
+    def create_unplaced(self, n: int) -> Footing:
         """Return footings for n agents at the origin."""
-        return Footing.on_plane(np.zeros((n, 3)))
+        return Footing.from_plane(np.zeros((n, 3)))
 
-    def place(self, points: Floats, up: Floats, on: Iterable[str] | None = None) -> tuple[Footing, NDArray[np.bool_]]:
+    def place_points(
+        self, points: Floats, up: Floats, surface_names: Iterable[str] | None = None
+    ) -> tuple[Footing, NDArray[np.bool_]]:
         """Project points [n,3] onto the plane along the plane's own normal; every point succeeds."""
-        return Footing.on_plane(self._flatten(np.asarray(points, np.float64).reshape(-1, 3))), np.ones(len(points), np.bool_)
+        return Footing.from_plane(self._flatten(np.asarray(points, np.float64).reshape(-1, 3))), np.ones(len(points), np.bool_)
 
-    def nearest(self, points: Floats, on: Iterable[str] | None = None) -> tuple[Footing, Floats]:
+    def find_nearest(self, points: Floats, surface_names: Iterable[str] | None = None) -> tuple[Footing, Floats]:
         """Return the nearest footings on the plane to points [n,3], and the distance float64[n]."""
         points = np.asarray(points, np.float64).reshape(-1, 3)
-        return Footing.on_plane(self._flatten(points)), np.abs(self._height(points))
+        return Footing.from_plane(self._flatten(points)), np.abs(self._compute_heights(points))
 
     def position(self, footing: Footing) -> Floats:
         """Return positions in the world, float64[n,3]."""
@@ -63,11 +65,11 @@ class PlaneGround:
         """Return the plane's unit normal for each footing, float64[n,3]."""
         return np.broadcast_to(self._up, footing.point.shape)
 
-    def sides(self, footing: Footing, threads: int = 1) -> NDArray[np.int8]:
+    def find_sides(self, footing: Footing, threads: int = 1) -> NDArray[np.int8]:
         """Return the axis direction nearest to the plane's normal, int8[n], as `Ground.sides`."""
-        return facing_sides(self.normal(footing))
+        return find_facing_sides(self.normal(footing))
 
-    def upright_normals(self, footing: Footing, up: Floats) -> Floats:
+    def compute_upright_normals(self, footing: Footing, up: Floats) -> Floats:
         """Return the plane's normal, on whichever side agents stand."""
         return self.normal(footing)
 
@@ -79,14 +81,14 @@ class PlaneGround:
         up: Floats,
         body: Floats | float,
         threads: int = 1,
-        straight: bool = False,
+        stop_at_borders: bool = False,
     ) -> GroundMove:
         """Move agents straight ahead on the plane."""
         n, none = len(displacement), np.zeros(len(displacement), np.bool_)
         point, ahead, direction, travelled = np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 3)), np.empty(n)
         walk_all_straight(self._up, footing.point, displacement, heading, point, ahead, direction, travelled)
         above = np.broadcast_to(self._up, up.shape)
-        return GroundMove(Footing.on_plane(point), point, above, ahead, direction, travelled, none, none)
+        return GroundMove(Footing.from_plane(point), point, above, ahead, direction, travelled, none, none)
 
 
 @inlined

@@ -30,7 +30,7 @@ _MESH_DEFAULTS: dict[str, ColumnArray | float] = dict.fromkeys(
 )  # of agents on a mesh of a ground that has solids
 
 
-def rows_of(array: NDArray[Any], rows: Rows) -> NDArray[Any]:
+def take_rows(array: NDArray[Any], rows: Rows) -> NDArray[Any]:
     """Return some rows of an array, by `take`, which is several times faster than indexing."""
     return array[rows] if rows.dtype == bool else array.take(rows, axis=0)
 
@@ -54,33 +54,33 @@ class Footing:
     # ---- made
 
     @staticmethod
-    def on_faces(mesh: Numbers, face: Numbers, b1: Floats, b2: Floats, over: Floats | None = None) -> Footing:
+    def from_faces(mesh: Numbers, face: Numbers, b1: Floats, b2: Floats, over: Floats | None = None) -> Footing:
         """Return footings on faces of meshes. Without `over`, no agent is stepping over a border."""
         over = np.zeros(len(face)) if over is None else over
         return Footing({"mesh": mesh, "face": face, "b1": b1, "b2": b2, "over": over})
 
     @staticmethod
-    def on_solids(mesh: int | Numbers, place: Floats) -> Footing:
+    def from_solids(mesh: int | Numbers, place: Floats) -> Footing:
         """Return footings at positions [n,3] on the surfaces of solids with number `mesh` (one, or [n])."""
         n = len(place)
-        on = Footing.on_faces(np.full(n, mesh, np.int32), np.zeros(n, np.int32), *np.zeros((2, n)))
-        return on._with_columns(np.ascontiguousarray(place.T))
+        on = Footing.from_faces(np.full(n, mesh, np.int32), np.zeros(n, np.int32), *np.zeros((2, n)))
+        return on._add_position_columns(np.ascontiguousarray(place.T))
 
     @staticmethod
-    def on_plane(point: Floats) -> Footing:
+    def from_plane(point: Floats) -> Footing:
         """Return footings at points [n,3] of the plane."""
         return Footing({"point": point, "mesh": np.zeros(len(point), np.int32)})
 
     @staticmethod
-    def nowhere(n: int) -> Footing:
+    def create_unplaced(n: int) -> Footing:
         """Return footings of agents that stand on no face of any mesh."""
-        return Footing.on_faces(np.full(n, -1, np.int32), np.full(n, -1, np.int32), np.zeros(n), np.zeros(n))
+        return Footing.from_faces(np.full(n, -1, np.int32), np.full(n, -1, np.int32), np.zeros(n), np.zeros(n))
 
-    def with_places(self) -> Footing:
+    def add_position_columns(self) -> Footing:
         """Return a copy of footings on meshes for a ground that also has solids."""
-        return self.copy()._with_columns(np.zeros((3, len(self))))
+        return self.copy()._add_position_columns(np.zeros((3, len(self))))
 
-    def _with_columns(self, place: Floats) -> Footing:
+    def _add_position_columns(self, place: Floats) -> Footing:
         return Footing(self.columns | dict(zip(_POSITION_COLUMNS, place, strict=True)))
 
     # ---- read
@@ -135,17 +135,17 @@ class Footing:
 
     # ---- rows
 
-    def take(self, rows: Rows | slice) -> Footing:
+    def take_rows(self, rows: Rows | slice) -> Footing:
         """Return the footings of some rows: copies, or views for a slice."""
         if isinstance(rows, slice):
             return Footing({name: column[rows] for name, column in self.columns.items()})
-        return Footing({name: rows_of(column, rows) for name, column in self.columns.items()})
+        return Footing({name: take_rows(column, rows) for name, column in self.columns.items()})
 
     def take_on_meshes(self, rows: Rows) -> Footing:
         """Return the footings of rows that stand on meshes, for a ground of meshes alone."""
-        return Footing({name: rows_of(self.columns[name], rows) for name in _FACE_COLUMNS})
+        return Footing({name: take_rows(self.columns[name], rows) for name in _FACE_COLUMNS})
 
-    def put(self, rows: Rows, other: Footing) -> None:
+    def put_rows(self, rows: Rows, other: Footing) -> None:
         """Write other footings into rows. They are of the same kind of ground, or of its meshes alone."""
         columns = _MESH_DEFAULTS | other.columns
         for name, column in self.columns.items():
@@ -163,9 +163,9 @@ class Footing:
         )
 
     @staticmethod
-    def select(which: Flags, one: Footing, other: Footing) -> Footing:
-        """Return, on meshes, the footings of `one` where `which` is true, else those of `other`."""
-        return Footing({name: np.where(which, column, other.columns[name]) for name, column in one.columns.items()})
+    def select(use_first: Flags, one: Footing, other: Footing) -> Footing:
+        """Return, on meshes, the footings of `one` where `use_first` is true, else those of `other`."""
+        return Footing({name: np.where(use_first, column, other.columns[name]) for name, column in one.columns.items()})
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -189,19 +189,19 @@ class GroundMove:
     blocked: Flags
     lost: Flags
 
-    def columns(self) -> tuple[ColumnArray, ...]:
+    def list_columns(self) -> tuple[ColumnArray, ...]:
         """Return all fields except the footing, in order."""
         return self.position, self.up, self.heading, self.direction, self.travelled, self.blocked, self.lost
 
-    def take(self, rows: Rows) -> GroundMove:
+    def take_rows(self, rows: Rows) -> GroundMove:
         """Return the results of some rows."""
-        position, up, heading, direction, travelled, blocked, lost = (rows_of(column, rows) for column in self.columns())
-        return GroundMove(self.footing.take(rows), position, up, heading, direction, travelled, blocked, lost)
+        position, up, heading, direction, travelled, blocked, lost = (take_rows(column, rows) for column in self.list_columns())
+        return GroundMove(self.footing.take_rows(rows), position, up, heading, direction, travelled, blocked, lost)
 
-    def put(self, rows: Rows, other: GroundMove) -> None:
+    def put_rows(self, rows: Rows, other: GroundMove) -> None:
         """Write other results of the same ground into rows. Values that all agents of a ground share (a plane's `up`) stay."""
-        self.footing.put(rows, other.footing)
-        for column, values in zip(self.columns(), other.columns(), strict=True):
+        self.footing.put_rows(rows, other.footing)
+        for column, values in zip(self.list_columns(), other.list_columns(), strict=True):
             if column.flags.writeable:
                 column[rows] = values
 
@@ -218,18 +218,18 @@ class Ground(Protocol):
     def meshes(self) -> MeshSurfaces | None:
         """Return the part of the ground that consists of meshes; None if there is none."""
 
-    def nowhere(self, n: int) -> Footing:
+    def create_unplaced(self, n: int) -> Footing:
         """Return footings for n agents that stand on nothing yet."""
 
-    def place(self, points: Floats, up: Floats, on: Iterable[str] | None = None) -> tuple[Footing, Flags]:
+    def place_points(self, points: Floats, up: Floats, surface_names: Iterable[str] | None = None) -> tuple[Footing, Flags]:
         """Return footings below points [n,3]: the first hit of a ray from far above along -`up` ([3] or [n,3]).
 
-        `on` names the surfaces and solids to hit; None means all. If the ray hits nothing, the footing is the nearest point, with
-        False in the second array, bool[n]. Raises KeyError for an unknown name."""
+        `surface_names` names the surfaces and solids to hit; None means all. If the ray hits nothing, the footing is the nearest
+        point, with False in the second array, bool[n]. Raises KeyError for an unknown name."""
 
-    def nearest(self, points: Floats, on: Iterable[str] | None = None) -> tuple[Footing, Floats]:
-        """Return footings at the points of the surfaces and solids in `on` (None: all) that are nearest to points [n,3], and the
-        distance float64[n]."""
+    def find_nearest(self, points: Floats, surface_names: Iterable[str] | None = None) -> tuple[Footing, Floats]:
+        """Return footings at the points of the surfaces and solids in `surface_names` (None: all) that are nearest to points
+        [n,3], and the distance float64[n]."""
 
     def position(self, footing: Footing) -> Floats:
         """Return positions in the world, float64[n,3]; zero for agents without a footing."""
@@ -237,11 +237,11 @@ class Ground(Protocol):
     def normal(self, footing: Footing) -> Floats:
         """Return unit normals, float64[n,3]: of faces by their winding, of solids outwards; zero for agents without a footing."""
 
-    def sides(self, footing: Footing, threads: int = 1) -> NDArray[np.int8]:
+    def find_sides(self, footing: Footing, threads: int = 1) -> NDArray[np.int8]:
         """Return the axis direction nearest to each normal, int8[n]: 0 +x, 1 -x, 2 +y, 3 -y, 4 +z, 5 -z; 0 for agents without a
         footing."""
 
-    def upright_normals(self, footing: Footing, up: Floats) -> Floats:
+    def compute_upright_normals(self, footing: Footing, up: Floats) -> Floats:
         """Return smooth unit normals float64[n,3] on the side that `up` ([3] or [n,3]) points to; `up` itself for agents without
         a footing."""
 
@@ -253,13 +253,13 @@ class Ground(Protocol):
         up: Floats,
         body: Floats | float,
         threads: int = 1,
-        straight: bool = False,
+        stop_at_borders: bool = False,
     ) -> GroundMove:
         """Move every agent along the ground by a displacement [n,3], on the side that its `up` [n,3] points to.
 
         - `heading` [n,3]: rotates with the ground
         - `body`: the length of each agent (mm, one or [n])
-        - `straight`: a path ends at an open border; otherwise the agent continues along the border"""
+        - `stop_at_borders`: a path ends at an open border; otherwise the agent continues along the border"""
 
 
 class MeshSurfaces(Ground, Protocol):
@@ -282,24 +282,24 @@ class MeshSurfaces(Ground, Protocol):
         """Return all surfaces as one mesh: vertices [n,3], faces [m,3], the surface number of each face, and the topology
         tables."""
 
-    def on_faces(self, footing: Footing) -> tuple[Index, Flags]:
+    def get_face_numbers(self, footing: Footing) -> tuple[Index, Flags]:
         """Return the face number of each footing, counted over all surfaces (0 for none), and whether the footing is on a
         face."""
 
     def to_world_vectors(self, face: Index, c: Floats, s: Floats) -> Floats:
         """Return world vectors (3, n) from their components along the two axes of their faces."""
 
-    def trace_hits(self, origin: Floats, displacement: Floats, threads: int = 1) -> tuple[Flags, Floats, Footing]:
+    def find_path_hits(self, origin: Floats, displacement: Floats, threads: int = 1) -> tuple[Flags, Floats, Footing]:
         """Return which straight paths from `origin` [n,3] by `displacement` [n,3] hit a surface.
 
         Return also the part of the path before the hit, and the footing at the hit."""
 
-    def trace_normals(self, origin: Floats, displacement: Floats, threads: int = 1) -> tuple[Index, Floats, Floats]:
+    def find_hit_normals(self, origin: Floats, displacement: Floats, threads: int = 1) -> tuple[Index, Floats, Floats]:
         """Return the numbers, ascending, of straight paths from `origin` [n,3] by `displacement` [n,3] that hit a surface.
 
         Return also the part of the path before the hit, and the face's unit normal (3, k), by its winding."""
 
-    def rows_near_rises(self, footing: Footing, place: Floats, reach: Floats, threads: int = 1) -> Index:
+    def find_rows_near_slopes(self, footing: Footing, place: Floats, reach: Floats, threads: int = 1) -> Index:
         """Return the rows, ascending, of agents at positions [n,3] for which a surface may rise within `reach` [n] mm.
 
         A surface rises at an inner crease, at another piece, or at a moving mesh. Agents with a `reach` of 0 or less are left

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.casting.nearby import FeelerHits, FeelerQuery, list_askers
+from antdsl.casting.nearby import FeelerHits, FeelerQuery, list_query_rows
 from antdsl.casting.triangle_grid import Arrays
 from antdsl.ground.solid import Volume
 from antdsl.ground.solid.bricks import BRICK_NODES, BRICK_SIDE_NODES
@@ -33,15 +33,15 @@ class SolidFeelers:
 
     def __init__(self, volume: Volume) -> None:
         self.volume = volume
-        self._far: tuple[float, Any, Floats] | None = None  # volume dug so far, tree of surface points, the points
+        self._surface_tree: tuple[float, Any, Floats] | None = None  # volume dug so far, tree of surface points, the points
 
-    def clearance(self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], threads: int = 1) -> NDArray[np.float32]:
+    def measure_clearance(self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], threads: int = 1) -> NDArray[np.float32]:
         """Return a distance (mm, float32[n]) from each point within which there is no surface; 0 near a surface."""
         place = np.stack([x, y, z], axis=1).astype(np.float64)
-        parts = parallel.in_parts(lambda begin, end: self._clearance(place[begin:end]), len(place), threads)
+        parts = parallel.run_in_parts(lambda begin, end: self._measure_clearance(place[begin:end]), len(place), threads)
         return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
-    def _clearance(self, place: Floats) -> NDArray[np.float32]:
+    def _measure_clearance(self, place: Floats) -> NDArray[np.float32]:
         away = np.maximum(np.maximum(self.volume.low - place, place - self.volume.high), 0.0)
         outside: NDArray[np.float32] = np.sqrt((away * away).sum(axis=1)).astype(np.float32)
         within = np.flatnonzero(outside == 0)
@@ -62,13 +62,13 @@ class SolidFeelers:
         n = len(origin)
         far = np.broadcast_to(np.asarray(reach, np.float64), (n,))
         voxel, through = self.volume.voxel, -_ALLOWED_DEPTH_VOXELS * self.volume.voxel
-        first, last = self._box_interval(origin, direction)
+        first, last = self._intersect_box(origin, direction)
         far = np.minimum(far, last)  # otherwise an infinite reach would march for ever
-        progress = np.where(first > _MAX_MARCH_STEPS * self.volume.band[1], first, 0.0)
+        progress = np.where(first > _MAX_MARCH_STEPS * self.volume.distance_band[1], first, 0.0)
         free, shut = np.zeros(n), np.full(n, np.inf)
         rows = np.flatnonzero((far > 0) & (first <= far))
         previous_distance = self.volume.sample(origin[rows] + progress[rows, None] * direction[rows]).astype(np.float64)
-        for _ in range(_MAX_MARCH_STEPS + int((far - progress)[rows].max(initial=0.0) / self.volume.band[1])):
+        for _ in range(_MAX_MARCH_STEPS + int((far - progress)[rows].max(initial=0.0) / self.volume.distance_band[1])):
             step = np.maximum(np.abs(previous_distance), _MIN_MARCH_VOXELS * voxel)
             ahead = np.minimum(progress[rows] + step, far[rows])
             next_distance = self.volume.sample(origin[rows] + ahead[:, None] * direction[rows]).astype(np.float64)
@@ -82,32 +82,36 @@ class SolidFeelers:
         hit = np.flatnonzero(np.isfinite(shut))
         t, normal = np.full(n, np.inf), np.zeros((3, n), np.float32)
         t[hit] = self._find_entry(origin[hit], direction[hit], free[hit], shut[hit])
-        normal[:, hit] = self._normals(origin[hit] + t[hit, None] * direction[hit])
+        normal[:, hit] = self._compute_normals(origin[hit] + t[hit, None] * direction[hit])
         return FeelerHits(np.isfinite(t), t.astype(np.float32), *normal)
 
-    def feel_batch(self, positions: Arrays, asks: Sequence[FeelerQuery], threads: int = 1) -> list[tuple[int, NDArray[np.intp]]]:
-        """Return, for each request, its number and all rows of its agents: all of them need `cast_feelers`."""
-        return list_askers(asks)
+    def cast_feeler_batch(
+        self, positions: Arrays, queries: Sequence[FeelerQuery], threads: int = 1
+    ) -> list[tuple[int, NDArray[np.intp]]]:
+        """Return, for each request, its number and all rows of its agents: all of them need `write_feeler_hits`."""
+        return list_query_rows(queries)
 
-    def nearest_within(
+    def find_nearest_within(
         self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], reach: NDArray[Any] | float, threads: int = 1
     ) -> FeelerHits:
         """Return the nearest surface within `reach` (mm, one or float[n]) of points (1-D arrays): the distance (0 inside), and
         the unit direction from the surface to the point."""
         place = np.stack([x, y, z], axis=1).astype(np.float64)
         reach = np.broadcast_to(np.asarray(reach, np.float32), (len(place),))
-        distance, slope = self.volume.sample_and_gradient(place)
+        distance, slope = self.volume.sample_with_gradients(place)
         size = np.sqrt((slope * slope).sum(axis=1))
         normal = np.where(size[:, None] > 0, slope / np.where(size > 0, size, 1)[:, None], 0).astype(np.float32)
         t = np.maximum(distance, np.float32(0))
-        beyond = np.flatnonzero((distance > self.volume.band[1] - self.volume.voxel) & (reach >= self.volume.band[1]))
+        beyond = np.flatnonzero(
+            (distance > self.volume.distance_band[1] - self.volume.voxel) & (reach >= self.volume.distance_band[1])
+        )
         if beyond.size:
-            t[beyond], normal[beyond] = self._nearest(place[beyond])
+            t[beyond], normal[beyond] = self._find_nearest_surface(place[beyond])
         hit = t <= reach
         t[~hit], normal[~hit] = np.inf, 0
         return FeelerHits(hit, t, *np.ascontiguousarray(normal.T))
 
-    def _box_interval(self, origin: Floats, direction: Floats) -> tuple[Floats, Floats]:
+    def _intersect_box(self, origin: Floats, direction: Floats) -> tuple[Floats, Floats]:
         """Return the lengths at which each ray enters and leaves the box that contains the solid. For a ray that misses the box,
         the exit is before the entry."""
         with np.errstate(all="ignore"):
@@ -126,22 +130,22 @@ class SolidFeelers:
             free, inside = np.where(solid, free, middle), np.where(solid, middle, inside)
         return free
 
-    def _normals(self, place: Floats) -> NDArray[np.float32]:
+    def _compute_normals(self, place: Floats) -> NDArray[np.float32]:
         """Return unit normals (3, n) out of the solid."""
-        slope = self.volume.gradient(place)
+        slope = self.volume.sample_gradients(place)
         size = np.sqrt((slope * slope).sum(axis=1))
         return np.ascontiguousarray((slope / np.maximum(size, np.float32(1e-12))[:, None]).T)
 
-    def _nearest(self, place: Floats) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    def _find_nearest_surface(self, place: Floats) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Return the distance to the surface, and the unit direction from the surface, for points beyond the band. The result is
         accurate to a few voxels."""
         from scipy.spatial import cKDTree
 
-        removed = self.volume.removed
-        if self._far is None or self._far[0] != removed:
+        removed = self.volume.removed_volume
+        if self._surface_tree is None or self._surface_tree[0] != removed:
             surface_points = self._sample_surface()
-            self._far = (removed, cKDTree(surface_points) if len(surface_points) else None, surface_points)
-        _, tree, surface = self._far
+            self._surface_tree = (removed, cKDTree(surface_points) if len(surface_points) else None, surface_points)
+        _, tree, surface = self._surface_tree
         if tree is None:
             return np.full(len(place), np.inf, np.float32), np.zeros((len(place), 3), np.float32)
         away = place - surface[tree.query(place)[1]]
@@ -152,7 +156,9 @@ class SolidFeelers:
         """Return points float64[n,3] on the surface, one for each small block of nodes that the surface crosses."""
         bricks, parts = self.volume.bricks, BRICK_SIDE_NODES // _SAMPLE_BLOCK_NODES
         stored = np.flatnonzero(bricks.table >= 2)
-        pool = bricks.values[: bricks.used * BRICK_NODES].reshape((-1,) + (parts, _SAMPLE_BLOCK_NODES) * 3)[bricks.table[stored]]
+        pool = bricks.values[: bricks.used_slots * BRICK_NODES].reshape((-1,) + (parts, _SAMPLE_BLOCK_NODES) * 3)[
+            bricks.table[stored]
+        ]
         blocks = np.abs(pool.transpose(0, 1, 3, 5, 2, 4, 6).reshape(len(stored), parts**3, _SAMPLE_BLOCK_NODES**3))
         least = blocks.argmin(axis=2)
         brick, block = np.nonzero(np.take_along_axis(blocks, least[:, :, None], axis=2)[:, :, 0] < bricks.voxel)
@@ -160,5 +166,5 @@ class SolidFeelers:
         corner += np.stack(np.unravel_index(block, (parts,) * 3), axis=1) * _SAMPLE_BLOCK_NODES
         corner += np.stack(np.unravel_index(least[brick, block], (_SAMPLE_BLOCK_NODES,) * 3), axis=1)
         place: Floats = bricks.origin + corner * bricks.voxel
-        distance, slope = self.volume.sample_and_gradient(place)
+        distance, slope = self.volume.sample_with_gradients(place)
         return place - slope.astype(np.float64) * distance.astype(np.float64)[:, None]

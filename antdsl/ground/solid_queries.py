@@ -13,15 +13,15 @@ from antdsl.numerics.vector_rows import length
 Floats = NDArray[np.float64]
 
 _STEP_SAMPLES = 8  # samples of a step that are tested for an entry into a solid
-_REFINEMENTS = 5  # number of refinements: the interval with the entry is sampled again
+_ENTRY_REFINEMENTS = 5  # number of refinements: the interval with the entry is sampled again
 
 
-def entry_fraction(volume: Volume, start: Floats, end: Floats) -> Floats:
+def find_entry_fraction(volume: Volume, start: Floats, end: Floats) -> Floats:
     """Return the share of each path from `start` to `end` before it first enters the solid. `end` lies in the solid.
 
     The share ends at the last sample in air. It is 0 if `start` is not in air."""
     free, long = np.zeros(len(start)), 1.0
-    for _ in range(_REFINEMENTS):
+    for _ in range(_ENTRY_REFINEMENTS):
         parts = free + long * (np.arange(_STEP_SAMPLES) / _STEP_SAMPLES)[:, None]
         positions = start + parts[:, :, None] * (end - start)
         solid = (volume.sample(positions.reshape(-1, 3)) < 0).reshape(parts.shape)
@@ -31,9 +31,9 @@ def entry_fraction(volume: Volume, start: Floats, end: Floats) -> Floats:
     return free
 
 
-def normals(volume: Volume, place: Floats) -> Floats:
+def compute_normals(volume: Volume, place: Floats) -> Floats:
     """Return unit normals float64[n,3] out of a solid; zero where its field is flat."""
-    slope = volume.gradient(place).astype(np.float64)
+    slope = volume.sample_gradients(place).astype(np.float64)
     normal: Floats = slope / np.maximum(length(slope), 1e-12)[:, None]
     return normal
 
@@ -50,5 +50,5 @@ def cast_down(volume: Volume, start: Floats, up: Floats, reach: Floats | float) 
     """Return the first point of a solid that a ray along -`up` hits within `reach` (mm), and whether there is such a point."""
     hits = SolidFeelers(volume).cast_feelers(start.T, -up.T, reach)
     place = start - up * np.where(hits.hit, hits.t, 0.0)[:, None]
-    landed = volume.project(place, up, 2 * volume.voxel)
+    landed = volume.project_to_surface(place, up, 2 * volume.voxel)
     return landed.points, hits.hit & landed.is_in_reach

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from antdsl.ground.protocol import Floats, Footing, GroundMove, MeshSurfaces
-from antdsl.numerics.vectors import dot, stacked_cross
+from antdsl.numerics.vectors import compute_stacked_cross, dot
 
 EYE_HEIGHT_PER_BODY = 0.5  # in body lengths: height of the ray origin above the feet
 RAY_LENGTH_PER_BODY = 1.5  # length of both rays, in body lengths
@@ -34,15 +34,15 @@ def move_by_rays(
     ahead = np.where(going, wish / np.where(going, length, 1.0), heading)
     eye, reach = place + up * (EYE_HEIGHT_PER_BODY * body), RAY_LENGTH_PER_BODY * body
     down, slant = -up * reach, (ahead * FORWARD_SHARE + up * UPWARD_SHARE) * reach
-    found1, part1, footing1 = ground.trace_hits((eye + wish).T, down.T, threads)
-    found2, part2, footing2 = ground.trace_hits(eye.T, slant.T, threads)
+    found1, part1, footing1 = ground.find_path_hits((eye + wish).T, down.T, threads)
+    found2, part2, footing2 = ground.find_path_hits(eye.T, slant.T, threads)
     second = found2 & ~(found1 & (part1 <= part2))
     is_hit = known & going & (found1 | found2)
     towards = np.where(second, slant, down)
     hit = np.where(second, eye, eye + wish) + towards * np.where(second, part2, part1)
     onto = Footing.select(is_hit, Footing.select(second, footing2, footing1), footing)
-    normal = ground.upright_normals(onto, np.where(is_hit, -towards, up).T).T
-    turned, new_direction = (np.where(is_hit, _heading_along_face(vector, up, normal), vector) for vector in (heading, ahead))
+    normal = ground.compute_upright_normals(onto, np.where(is_hit, -towards, up).T).T
+    turned, new_direction = (np.where(is_hit, _project_heading(vector, up, normal), vector) for vector in (heading, ahead))
     hit = np.where(is_hit, hit, place)
     distance = np.sqrt(dot(hit - place, hit - place))
     position, above, ahead, direction = (
@@ -51,12 +51,12 @@ def move_by_rays(
     return GroundMove(onto, position, above, ahead, direction, distance, going & ~is_hit, ~known)
 
 
-def _heading_along_face(vector: Floats, up: Floats, normal: Floats) -> Floats:
+def _project_heading(vector: Floats, up: Floats, normal: Floats) -> Floats:
     """Return normal x side, where side = vector x up, as a unit vector perpendicular to the normal.
 
     For a wall beside or in front of the agent, normal x side is zero. Then return the projection of the vector, or of `up`, onto
     the wall."""
-    flat = stacked_cross(normal, stacked_cross(vector, up))
+    flat = compute_stacked_cross(normal, compute_stacked_cross(vector, up))
     for other in (vector, up):
         flat = np.where(dot(flat, flat) > _MIN_VECTOR_LENGTH, flat, other - dot(other, normal) * normal)
     flat = flat - dot(flat, normal) * normal

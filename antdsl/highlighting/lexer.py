@@ -14,7 +14,7 @@ from antdsl.highlighting.patterns import SCOPE_AND_TOKEN_BY_CLASS, TOKEN_PATTERN
 _TokenStream = Iterator[tuple[int, Any, str]]
 
 
-def token_type(name: str) -> Any:
+def find_token_type(name: str) -> Any:
     """Return the Pygments token type for a class of text, such as a keyword."""
     token: Any = Token
     for part in SCOPE_AND_TOKEN_BY_CLASS[name][1].split("."):
@@ -22,9 +22,9 @@ def token_type(name: str) -> Any:
     return token
 
 
-def _action(pattern: TokenPattern) -> Callable[[RegexLexer, Match[str]], _TokenStream]:
+def _make_group_action(pattern: TokenPattern) -> Callable[[RegexLexer, Match[str]], _TokenStream]:
     """Return an action that splits a match into the groups of its pattern. The text between the groups is blank."""
-    types = [token_type(name) for name in pattern.classes]
+    types = [find_token_type(name) for name in pattern.group_classes]
 
     def action(lexer: RegexLexer, match: Match[str]) -> _TokenStream:
         last = match.start()
@@ -48,5 +48,5 @@ class AntLexer(RegexLexer):
     filenames: ClassVar[list[str]] = ["*.ant"]
     mimetypes: ClassVar[list[str]] = ["text/x-antdsl"]
     tokens: ClassVar[dict[str, list[Any]]] = {
-        "root": [*((pattern.regex, _action(pattern)) for pattern in TOKEN_PATTERNS), (r"\n|[ \t]+", Text)]
+        "root": [*((pattern.regex, _make_group_action(pattern)) for pattern in TOKEN_PATTERNS), (r"\n|[ \t]+", Text)]
     }

@@ -34,7 +34,7 @@ class TokenPattern:
     """A regular expression, and the class of each of its groups. Without groups, the class applies to the complete match."""
 
     regex: str
-    classes: tuple[str, ...]
+    group_classes: tuple[str, ...]
 
 
 # Each class with its scope in TextMate's way of naming, and its token type in Pygments' way.
@@ -77,7 +77,7 @@ _MEMBER_START_REGEX = r"(?:^[ \t]+|(?<=[{;])[ \t]*)"  # in a world stands the sp
 _LINE_START_REGEX = r"(?:^|(?<=[{;]))[ \t]*"
 
 
-def _any_word_of(words: Iterable[str]) -> str:
+def _make_word_regex(words: Iterable[str]) -> str:
     return f"({'|'.join(sorted(set(words)))}){_WORD_END_REGEX}"
 
 
@@ -97,27 +97,27 @@ TOKEN_PATTERNS: tuple[TokenPattern, ...] = (
     TokenPattern(r'"[^"\n]*"?', ("string",)),
     TokenPattern(rf"({NUMBER_REGEX})([ \t]*{UNITS_REGEX})?", ("number", "unit")),
     # the first word of a line
-    TokenPattern(rf"{_any_word_of(SPEC_CLAIM_WORDS)}{_LABEL_AHEAD_REGEX}", ("keyword",)),
+    TokenPattern(rf"{_make_word_regex(SPEC_CLAIM_WORDS)}{_LABEL_AHEAD_REGEX}", ("keyword",)),
     TokenPattern(rf"{_MEMBER_START_REGEX}(species)(?=[ \t]+{_NAME_REGEX})", ("kind",)),
     TokenPattern(
-        rf"{_LINE_START_REGEX}{_any_word_of(DECLARING_WORDS)}[ \t]+(?!when{_WORD_END_REGEX})({_NAME_REGEX})",
+        rf"{_LINE_START_REGEX}{_make_word_regex(DECLARING_WORDS)}[ \t]+(?!when{_WORD_END_REGEX})({_NAME_REGEX})",
         ("declaration", "declared"),
     ),
-    TokenPattern(rf"{_LINE_START_REGEX}{_any_word_of(WORLD_KIND_WORDS)}(?=[ \t]+{_NAME_REGEX})", ("kind",)),
-    TokenPattern(rf"{_LINE_START_REGEX}{_any_word_of(_PLAIN_LINE_WORDS)}{_NOT_VALUE_REGEX}", ("keyword",)),
-    TokenPattern(rf"{_LINE_START_REGEX}{_any_word_of(FIELD_SETTING_WORDS)}(?=[ \t]+[a-z0-9(])", ("given",)),
+    TokenPattern(rf"{_LINE_START_REGEX}{_make_word_regex(WORLD_KIND_WORDS)}(?=[ \t]+{_NAME_REGEX})", ("kind",)),
+    TokenPattern(rf"{_LINE_START_REGEX}{_make_word_regex(_PLAIN_LINE_WORDS)}{_NOT_VALUE_REGEX}", ("keyword",)),
+    TokenPattern(rf"{_LINE_START_REGEX}{_make_word_regex(FIELD_SETTING_WORDS)}(?=[ \t]+[a-z0-9(])", ("given",)),
     # what an arrow leads to
     TokenPattern(r"(->)[ \t]*(previous|choose)" + _WORD_END_REGEX, ("operator", "keyword")),
     TokenPattern(rf"(->)[ \t]*({_NAME_REGEX})", ("operator", "target")),
     # other words
     TokenPattern(rf"{_NAME_REGEX}{_LABEL_AHEAD_REGEX}", ("label",)),
-    TokenPattern(rf"{_any_word_of(_FUNCTION_WORDS)}{_CALL_AHEAD_REGEX}", ("builtin",)),
+    TokenPattern(rf"{_make_word_regex(_FUNCTION_WORDS)}{_CALL_AHEAD_REGEX}", ("builtin",)),
     TokenPattern(rf"{_NAME_REGEX}{_CALL_AHEAD_REGEX}", ("function",)),
-    TokenPattern(rf"(?<!\.){_any_word_of(OPERATOR_WORDS)}", ("word operator",)),
-    TokenPattern(rf"(?<!\.){_any_word_of(INNER_WORDS)}(?![ \t]*[,)=.\[])", ("keyword",)),
-    TokenPattern(rf"(?<!\.){_any_word_of(COLOUR_BY_NAME)}(?=[ \t]*(?:\{{|for{_WORD_END_REGEX}))", ("constant",)),
-    TokenPattern(rf"(?<=[:>] ){_any_word_of(TYPE_BY_WORD)}", ("kind",)),
-    TokenPattern(_any_word_of(_PROPERTY_WORDS), ("given",)),
+    TokenPattern(rf"(?<!\.){_make_word_regex(OPERATOR_WORDS)}", ("word operator",)),
+    TokenPattern(rf"(?<!\.){_make_word_regex(INNER_WORDS)}(?![ \t]*[,)=.\[])", ("keyword",)),
+    TokenPattern(rf"(?<!\.){_make_word_regex(COLOUR_BY_NAME)}(?=[ \t]*(?:\{{|for{_WORD_END_REGEX}))", ("constant",)),
+    TokenPattern(rf"(?<=[:>] ){_make_word_regex(TYPE_BY_WORD)}", ("kind",)),
+    TokenPattern(_make_word_regex(_PROPERTY_WORDS), ("given",)),
     TokenPattern(_NAME_REGEX, ("name",)),
     TokenPattern(r"->|\.\.|[-+<>=!]=|[-+*/^<>=.,:;]", ("operator",)),
     TokenPattern(r"[(){}\[\]]", ("bracket",)),

@@ -19,36 +19,36 @@ GRAMMAR_FILES = (
 )
 
 
-def scope(name: str) -> str:
+def find_scope(name: str) -> str:
     """Return the TextMate scope for a class of text, such as a keyword."""
     return f"{SCOPE_AND_TOKEN_BY_CLASS[name][0]}.antdsl"
 
 
-def _rule(pattern: TokenPattern) -> dict[str, Any]:
+def _make_rule(pattern: TokenPattern) -> dict[str, Any]:
     if not re.compile(pattern.regex).groups:
-        return {"match": pattern.regex, "name": scope(pattern.classes[0])}
-    captures = {str(number): {"name": scope(name)} for number, name in enumerate(pattern.classes, 1)}
+        return {"match": pattern.regex, "name": find_scope(pattern.group_classes[0])}
+    captures = {str(number): {"name": find_scope(name)} for number, name in enumerate(pattern.group_classes, 1)}
     return {"match": pattern.regex, "captures": captures}
 
 
-def grammar_text() -> str:
+def build_grammar_text() -> str:
     """Return the grammar as JSON text."""
     grammar = {
         "comment": "Made from the tables of the language by `python -m antdsl.highlighting.textmate`: change it there.",
         "name": "antdsl",
         "scopeName": SCOPE_NAME,
         "fileTypes": ["ant"],
-        "patterns": [_rule(pattern) for pattern in TOKEN_PATTERNS],
+        "patterns": [_make_rule(pattern) for pattern in TOKEN_PATTERNS],
     }
     return json.dumps(grammar, indent=2) + "\n"
 
 
-def write(folder: Path) -> None:
+def write_grammar_files(folder: Path) -> None:
     """Write the grammar to all its files below a folder."""
     for name in GRAMMAR_FILES:
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
-        (folder / name).write_text(grammar_text(), encoding="utf-8")
+        (folder / name).write_text(build_grammar_text(), encoding="utf-8")
 
 
 if __name__ == "__main__":
-    write(resources.grammar_folder())
+    write_grammar_files(resources.grammar_folder())

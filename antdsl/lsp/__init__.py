@@ -9,7 +9,7 @@ from importlib.util import find_spec
 from antdsl.diagnostics import Report
 
 
-def ready() -> Report:
+def check_server_available() -> Report:
     """Return an empty report if the server can start. Otherwise return one error that names the missing extra."""
     report = Report()
     if find_spec("pygls") is None:

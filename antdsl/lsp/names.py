@@ -7,10 +7,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from antdsl.bounded import real_path
 from antdsl.program.expectations import MOTION_MEASURES
 from antdsl.program.names.bindings import NameBindings, NameKey
-from antdsl.program.names.declared import Declaration, declarations
+from antdsl.program.names.file_declarations import Declaration, list_declarations
 from antdsl.program.tables.effects import EFFECT_BY_OPERATION
 from antdsl.program.tables.vocabulary import (
     BUILTIN_ATTRIBUTE_BY_NAME,
@@ -19,10 +18,11 @@ from antdsl.program.tables.vocabulary import (
     RUN_VALUE_TYPES,
     SENSE_TYPE_BY_NAME,
 )
-from antdsl.program.traverse import written_nodes
+from antdsl.program.traverse import iterate_nodes
 from antdsl.program.types.aggregates import AGGREGATE_WORDS
 from antdsl.program.types.states import STATE_WORDS
-from antdsl.resources import library_file
+from antdsl.resources import find_library_file
+from antdsl.safe_read import resolve_path
 from antdsl.source import Span
 from antdsl.syntax import nodes
 from antdsl.syntax.words import WORD_SETTING_VALUES
@@ -39,7 +39,7 @@ class NameOccurrence:
 
     span: Span
     key: NameKey
-    declares: bool = False
+    is_declaration: bool = False
 
 
 @dataclass(slots=True)
@@ -65,18 +65,18 @@ class ProgramNames:
     libraries: dict[str, Path] = field(default_factory=dict)
     modules: dict[str, Path] = field(default_factory=dict)
     events: dict[str, nodes.Name] = field(default_factory=dict)
-    declared: dict[NameKey, Declaration] = field(default_factory=dict)
-    declaration_keys: dict[Span, NameKey] = field(default_factory=dict)  # where names are declared, again ones too
+    declaration_by_key: dict[NameKey, Declaration] = field(default_factory=dict)
+    key_by_declaration_span: dict[Span, NameKey] = field(default_factory=dict)  # where names are declared, again ones too
 
 
-def names_of(path: Path, file: nodes.File) -> ProgramNames:
+def collect_names(path: Path, file: nodes.File) -> ProgramNames:
     """Return the tables of a file. If a name is declared twice, the first declaration counts, as for the checker."""
     names = ProgramNames(path, file)
-    for each in declarations(file):
-        names.declared.setdefault(each.key, each)
+    for each in list_declarations(file):
+        names.declaration_by_key.setdefault(each.key, each)
         kind, *_, last = each.key
         if kind != "event":  # to raise one is no declaration
-            names.declaration_keys[each.name.span] = each.key
+            names.key_by_declaration_span[each.name.span] = each.key
         if kind == "thing":
             names.things.setdefault(last, each.node)
         elif kind == "field":
@@ -86,7 +86,7 @@ def names_of(path: Path, file: nodes.File) -> ProgramNames:
         elif kind == "event":
             names.events.setdefault(last, each.node)
         elif kind == "alias" and each.node.path is not None:
-            names.modules[last] = real_path(path.parent.joinpath(each.node.path.text))
+            names.modules[last] = resolve_path(path.parent.joinpath(each.node.path.text))
         elif kind == "species":
             names.species.setdefault(last, SpeciesTable(last, each.node if isinstance(each.node, nodes.Species) else None))
         elif kind == "own":
@@ -96,28 +96,32 @@ def names_of(path: Path, file: nodes.File) -> ProgramNames:
         elif kind == "state":
             names.species[each.key[1]].machines.setdefault(each.key[2], {}).setdefault(last, each.node)
     used = [item.library.text for item in file.items if isinstance(item, nodes.Use) and item.library is not None]
-    names.libraries = {name: library_path for name in used if (library_path := library_file(name)) is not None}
+    names.libraries = {name: library_path for name in used if (library_path := find_library_file(name)) is not None}
     return names
 
 
 # --- every name ------------------------------------------------------------------------------------------------------
 
 
-def occurrences(names: ProgramNames, bindings: NameBindings) -> list[NameOccurrence]:
+def find_occurrences(names: ProgramNames, bindings: NameBindings) -> list[NameOccurrence]:
     """Return every name of a file: declared there, bound by the checker, or a word of the language by its position.
 
     If the checker did not resolve or did not reach a name, its kind begins with `?`."""
     bound: dict[Span, dict[NameKey, None]] = {}
     for span, declared in bindings.uses:
-        key = names.declaration_keys.get(declared) or _element_key(names, declared) if isinstance(declared, Span) else declared
+        key = (
+            names.key_by_declaration_span.get(declared) or _make_element_key(names, declared)
+            if isinstance(declared, Span)
+            else declared
+        )
         bound.setdefault(span, {})[key] = None
     index = _OccurrenceIndexer(names, bound)
     for item in names.file.items:
         index.visit(item)
-    return index.found
+    return index.occurrences
 
 
-def _element_key(names: ProgramNames, declared: Span) -> NameKey:
+def _make_element_key(names: ProgramNames, declared: Span) -> NameKey:
     """Return the key of a symbol that is visible in one expression or handler only. Its name is unique only together with its
     position."""
     return ("element", str(names.file.file_span(declared).start), declared.text)
@@ -127,19 +131,20 @@ def _element_key(names: ProgramNames, declared: Span) -> NameKey:
 class _OccurrenceIndexer:
     """Collects all names of one file.
 
-    `bound`: the meanings that the checker found, by span.
-    `meant`: the meanings of words that are neither declared nor bound, and whether each is a declaration; None for no name.
-    `found`: the result.
+    `bound_keys`: the meanings that the checker found, by span.
+    `meaning_by_span`: the meanings of words that are neither declared nor bound, and whether each is a declaration; None for no
+    name.
+    `occurrences`: the result.
     """
 
     names: ProgramNames
-    bound: dict[Span, dict[NameKey, None]]
-    meant: dict[Span, tuple[NameKey, bool] | None] = field(default_factory=dict)
-    found: list[NameOccurrence] = field(default_factory=list)
+    bound_keys: dict[Span, dict[NameKey, None]]
+    meaning_by_span: dict[Span, tuple[NameKey, bool] | None] = field(default_factory=dict)
+    occurrences: list[NameOccurrence] = field(default_factory=list)
 
     def visit(self, item: nodes.TopItem) -> None:
         """Add all names in a top-level item."""
-        for part, _ in written_nodes(item):
+        for part, _ in iterate_nodes(item):
             if isinstance(part, nodes.Name):
                 self.name(part, item)
             elif type(part) in _KINDS_BY_NODE_TYPE:
@@ -151,20 +156,20 @@ class _OccurrenceIndexer:
     def name(self, name: nodes.Name, item: nodes.TopItem) -> None:
         """Add a name with its meaning: its declaration, its bindings, or the meaning of its position."""
         span = Span(name.span.source, name.span.start, name.span.start + len(name.text))  # without the colon of an argument
-        declared = self.names.declaration_keys.get(name.span)
+        declared = self.names.key_by_declaration_span.get(name.span)
         if declared is not None:
-            self.found.append(NameOccurrence(span, declared, True))
-        elif name.span in self.bound:
-            self.found += [NameOccurrence(span, key) for key in self.bound[name.span]]
-        elif (meant := self.meant.get(name.span)) is not None:
-            self.found.append(NameOccurrence(span, self.resolve_nearby(meant[0], item), meant[1]))
+            self.occurrences.append(NameOccurrence(span, declared, True))
+        elif name.span in self.bound_keys:
+            self.occurrences += [NameOccurrence(span, key) for key in self.bound_keys[name.span]]
+        elif (meant := self.meaning_by_span.get(name.span)) is not None:
+            self.occurrences.append(NameOccurrence(span, self.resolve_nearby(meant[0], item), meant[1]))
 
     def resolve_nearby(self, key: NameKey, item: nodes.TopItem) -> NameKey:
         """Return the key of a name that the checker did not reach: the name of that kind in the enclosing behaviour or species,
         if there is one."""
         if key[0] in ("?", "?state") and isinstance(item, (nodes.Behaviour, nodes.Species)):
             around = ("inner", str(self.names.path), item.name.text) if isinstance(item, nodes.Behaviour) else (item.name.text,)
-            for each in self.names.declared:
+            for each in self.names.declaration_by_key:
                 inner = each[0] in ("own", "machine", "state") and each[1:2] == around
                 if each[-1] == key[-1] and (inner or each[:-1] == around):
                     return each
@@ -174,73 +179,75 @@ class _OccurrenceIndexer:
         """Record the meaning of names at their positions, unless one is known."""
         for name in names if isinstance(names, tuple) else (names,):
             if name is not None:
-                self.meant.setdefault(name.span, ((kind, name.text), False))
+                self.meaning_by_span.setdefault(name.span, ((kind, name.text), False))
 
     def text(self, text: object, kind: str = "file") -> None:
         """Add the path of a file that the program names."""
         if isinstance(text, nodes.Text):
-            self.found.append(NameOccurrence(text.span, (kind, str(real_path(self.names.path.parent.joinpath(text.text))))))
+            self.occurrences.append(
+                NameOccurrence(text.span, (kind, str(resolve_path(self.names.path.parent.joinpath(text.text)))))
+            )
 
-    def use(self, node: nodes.Use) -> None:
+    def mark_use(self, node: nodes.Use) -> None:
         if node.alias is not None:
             self.text(node.path)
 
-    def spec(self, node: nodes.Spec) -> None:
+    def mark_spec(self, node: nodes.Spec) -> None:
         self.text(node.scene)
 
-    def spec_line(self, node: nodes.SpecLine) -> None:
+    def mark_spec_line(self, node: nodes.SpecLine) -> None:
         self.text(node.target)
 
-    def quantity(self, node: nodes.Quantity) -> None:
-        self.found.append(NameOccurrence(node.unit_span, ("unit", node.unit)))
+    def mark_quantity(self, node: nodes.Quantity) -> None:
+        self.occurrences.append(NameOccurrence(node.unit_span, ("unit", node.unit)))
 
     def setting(self, node: nodes.Setting) -> None:
         if node.name.text in WORD_SETTING_VALUES:
-            self.meant[node.value.span] = None  # `add`, `first` and so on are no names there
+            self.meaning_by_span[node.value.span] = None  # `add`, `first` and so on are no names there
 
     def target(self, node: nodes.Target) -> None:
         if node.previous and node.name is not None:
-            self.meant[node.name.span] = None
+            self.meaning_by_span[node.name.span] = None
 
-    def layer(self, node: nodes.Layer) -> None:
+    def mark_layer(self, node: nodes.Layer) -> None:
         if isinstance(node.push, nodes.NameRef) and node.push.name.text == "state":
-            self.meant[node.push.name.span] = (("steered", "state"), False)
+            self.meaning_by_span[node.push.name.span] = (("steered", "state"), False)
 
-    def handler(self, node: nodes.On) -> None:
-        self.meant[node.event.span] = (("event", node.event.text), True)
+    def mark_handler(self, node: nodes.On) -> None:
+        self.meaning_by_span[node.event.span] = (("event", node.event.text), True)
         self.element(node.variable)
 
     def element(self, variable: nodes.Name | None) -> None:
         """Record a variable as a declaration."""
         if variable is not None:
-            self.meant[variable.span] = (_element_key(self.names, variable.span), True)
+            self.meaning_by_span[variable.span] = (_make_element_key(self.names, variable.span), True)
 
-    def comprehension(self, node: nodes.Comprehension) -> None:
+    def mark_comprehension(self, node: nodes.Comprehension) -> None:
         self.element(node.variable)
 
-    def each_of(self, node: nodes.IndexAll) -> None:
+    def mark_each_of(self, node: nodes.IndexAll) -> None:
         self.element(node.variable)
 
-    def reference(self, node: nodes.NameRef) -> None:
+    def mark_reference(self, node: nodes.NameRef) -> None:
         """Record the meaning of a plain name in an expression."""
         name = node.name.text
         self.mark_by_position(
             node.name, "given" if name in BUILTIN_ATTRIBUTE_BY_NAME else "word" if name in _LANGUAGE_WORDS else "?"
         )
 
-    def member(self, node: nodes.Member) -> None:
+    def mark_member(self, node: nodes.Member) -> None:
         """Record the meaning of a name after a dot."""
         motion = isinstance(node.owner, nodes.NameRef) and node.owner.name.text == "motion" and node.name.text in MOTION_MEASURES
         self.mark_by_position(node.name, "motion" if motion else "word" if node.name.text in STATE_WORDS else "?member")
 
-    def call(self, node: nodes.Call) -> None:
+    def mark_call(self, node: nodes.Call) -> None:
         """Record the meanings of a called function's name and of its argument names."""
         function = node.function
         called = function.name.text if isinstance(function, (nodes.NameRef, nodes.Member)) else ""
         if isinstance(function, (nodes.NameRef, nodes.Member)):
             bare = isinstance(function, nodes.NameRef)
             self.mark_by_position(function.name, "builtin" if bare and called in _CALLED_WORDS else "?behaviour")
-        self.arguments(called, node)
+        self.mark_arguments(called, node)
 
     def ask(self, node: nodes.Ask) -> None:
         """Record the meanings of the names in a statement with a verb, such as `deposit`."""
@@ -250,13 +257,13 @@ class _OccurrenceIndexer:
             self.mark_by_position(node.name, kind)
         elif node.name is not None:
             self.mark_by_position(node.name, "body")
-        self.arguments(node.verb, node)
+        self.mark_arguments(node.verb, node)
 
-    def arguments(self, called: str, node: nodes.Call | nodes.Ask) -> None:
-        """Record the names of arguments. `called`: the function or verb."""
+    def mark_arguments(self, function_name: str, node: nodes.Call | nodes.Ask) -> None:
+        """Record the names of arguments. `function_name`: the function or verb."""
         for each in node.arguments:
             if isinstance(each, nodes.Argument) and each.name is not None:
-                self.meant[each.name.span] = (("builtin-argument", called, each.name.text), False)
+                self.meaning_by_span[each.name.span] = (("builtin-argument", function_name, each.name.text), False)
 
 
 # Names of which the place in the tree says what they are, or what they are looked for as: by node and field.
@@ -269,12 +276,12 @@ _KINDS_BY_NODE_TYPE: dict[type, tuple[tuple[str, str], ...]] = {
     nodes.Change: (("any_except", "?state"),),
 }  # fmt: skip
 _MARKERS_BY_NODE_TYPE: dict[type, Callable[[_OccurrenceIndexer, Any], None]] = {
-    nodes.Use: _OccurrenceIndexer.use, nodes.Spec: _OccurrenceIndexer.spec, nodes.SpecLine: _OccurrenceIndexer.spec_line,
-    nodes.Quantity: _OccurrenceIndexer.quantity,
-    nodes.Setting: _OccurrenceIndexer.setting, nodes.Layer: _OccurrenceIndexer.layer, nodes.On: _OccurrenceIndexer.handler,
-    nodes.NameRef: _OccurrenceIndexer.reference,
-    nodes.Comprehension: _OccurrenceIndexer.comprehension, nodes.IndexAll: _OccurrenceIndexer.each_of,
-    nodes.Member: _OccurrenceIndexer.member,
-    nodes.Call: _OccurrenceIndexer.call,
+    nodes.Use: _OccurrenceIndexer.mark_use, nodes.Spec: _OccurrenceIndexer.mark_spec,
+    nodes.SpecLine: _OccurrenceIndexer.mark_spec_line, nodes.Quantity: _OccurrenceIndexer.mark_quantity,
+    nodes.Setting: _OccurrenceIndexer.setting, nodes.Layer: _OccurrenceIndexer.mark_layer,
+    nodes.On: _OccurrenceIndexer.mark_handler, nodes.NameRef: _OccurrenceIndexer.mark_reference,
+    nodes.Comprehension: _OccurrenceIndexer.mark_comprehension, nodes.IndexAll: _OccurrenceIndexer.mark_each_of,
+    nodes.Member: _OccurrenceIndexer.mark_member,
+    nodes.Call: _OccurrenceIndexer.mark_call,
     nodes.Ask: _OccurrenceIndexer.ask, nodes.Target: _OccurrenceIndexer.target,
 }  # fmt: skip

@@ -8,10 +8,10 @@ from lsprotocol import types as lsp
 
 from antdsl.diagnostics import Diagnostic
 from antdsl.lsp.features.actions import QuickFix
+from antdsl.lsp.features.expression_completion import CompletionItem
 from antdsl.lsp.features.hints import InlayHint
 from antdsl.lsp.features.outline import FoldedRange, OutlineSymbol
-from antdsl.lsp.features.proposals import CompletionItem
-from antdsl.lsp.text import TextEdit, TextRange, uri_of
+from antdsl.lsp.text import TextEdit, TextRange, path_to_uri
 from antdsl.lsp.workspace import OpenDocument, Workspace
 
 DIAGNOSTIC_SOURCE = "antdsl"
@@ -31,23 +31,25 @@ _COMPLETION_KINDS = {
 }  # fmt: skip
 
 
-def range_of(range: TextRange) -> lsp.Range:
+def to_lsp_range(range: TextRange) -> lsp.Range:
     """Convert lines and columns to the protocol's range."""
     (line, column), (end_line, end_column) = range
     return lsp.Range(lsp.Position(line, column), lsp.Position(end_line, end_column))
 
 
-def diagnostic(workspace: Workspace, document: OpenDocument, complaint: Diagnostic) -> lsp.Diagnostic:
+def to_lsp_diagnostic(workspace: Workspace, document: OpenDocument, complaint: Diagnostic) -> lsp.Diagnostic:
     """Return a finding in the protocol's form: its message with the help, its code, and the related locations."""
     related = []
     for label in complaint.labels:
-        place = workspace.span_of(label.span)
+        place = workspace.locate_span(label.span)
         if place is not None:
-            related.append(lsp.DiagnosticRelatedInformation(lsp.Location(uri_of(place[0].path), range_of(place[1])), label.text))
+            related.append(
+                lsp.DiagnosticRelatedInformation(lsp.Location(path_to_uri(place[0].path), to_lsp_range(place[1])), label.text)
+            )
     severity = lsp.DiagnosticSeverity.Error if complaint.severity == "error" else lsp.DiagnosticSeverity.Warning
     idle = complaint.code.startswith("unused-")
     return lsp.Diagnostic(
-        range_of(document.range(complaint.span))
+        to_lsp_range(document.range(complaint.span))
         if complaint.span is not None
         else lsp.Range(lsp.Position(0, 0), lsp.Position(0, 1)),
         complaint.message + (f"\n{complaint.help}" if complaint.help else ""),
@@ -59,10 +61,10 @@ def diagnostic(workspace: Workspace, document: OpenDocument, complaint: Diagnost
     )
 
 
-def item(proposal: CompletionItem, snippets: bool) -> lsp.CompletionItem:
-    """Convert a proposal. `snippets`: whether the editor supports snippets."""
-    snippet = proposal.snippet and snippets
-    insert = proposal.insert if proposal.insert and (snippet or not proposal.snippet) else None
+def to_completion_item(proposal: CompletionItem, allow_snippets: bool) -> lsp.CompletionItem:
+    """Convert a proposal. `allow_snippets`: whether the editor supports snippets."""
+    snippet = proposal.is_snippet and allow_snippets
+    insert = proposal.insert_text if proposal.insert_text and (snippet or not proposal.is_snippet) else None
     return lsp.CompletionItem(
         proposal.label,
         kind=_COMPLETION_KINDS[proposal.kind],
@@ -73,27 +75,27 @@ def item(proposal: CompletionItem, snippets: bool) -> lsp.CompletionItem:
     )
 
 
-def symbol(document: OpenDocument, entry: OutlineSymbol) -> lsp.DocumentSymbol:
+def to_document_symbol(document: OpenDocument, entry: OutlineSymbol) -> lsp.DocumentSymbol:
     """Convert a symbol of the outline, with the symbols inside it."""
     name = document.range(entry.name_span)
     full_range = document.range(entry.span)
     return lsp.DocumentSymbol(
         entry.name or "…",
         _SYMBOL_KINDS[entry.kind],
-        range_of((min(full_range[0], name[0]), max(full_range[1], name[1]))),
-        range_of(name),
+        to_lsp_range((min(full_range[0], name[0]), max(full_range[1], name[1]))),
+        to_lsp_range(name),
         entry.detail or None,
-        children=[symbol(document, each) for each in entry.inner],
+        children=[to_document_symbol(document, each) for each in entry.children],
     )
 
 
-def fold(region: FoldedRange) -> lsp.FoldingRange:
+def to_folding_range(region: FoldedRange) -> lsp.FoldingRange:
     """Convert a range of lines that can be folded."""
-    kind = lsp.FoldingRangeKind.Comment if region.comment else lsp.FoldingRangeKind.Region
+    kind = lsp.FoldingRangeKind.Comment if region.is_comment else lsp.FoldingRangeKind.Region
     return lsp.FoldingRange(region.first, region.last, kind=kind)
 
 
-def hint(document: OpenDocument, inlay: InlayHint) -> lsp.InlayHint:
+def to_inlay_hint(document: OpenDocument, inlay: InlayHint) -> lsp.InlayHint:
     """Convert an inlay hint."""
     start, end = document.range(inlay.span)
     line, column = start if inlay.is_before else end
@@ -106,22 +108,22 @@ def hint(document: OpenDocument, inlay: InlayHint) -> lsp.InlayHint:
     )
 
 
-def text_edits(document: OpenDocument, edits: list[TextEdit]) -> list[lsp.TextEdit]:
+def to_text_edits(document: OpenDocument, edits: list[TextEdit]) -> list[lsp.TextEdit]:
     """Convert edits of a document."""
-    return [lsp.TextEdit(range_of(document.text.range(each.start, each.end)), each.text) for each in edits]
+    return [lsp.TextEdit(to_lsp_range(document.text.range(each.start, each.end)), each.text) for each in edits]
 
 
-def changes(edits: dict[Path, list[lsp.TextEdit]], uris: dict[Path, str]) -> lsp.WorkspaceEdit:
+def to_workspace_edit(edits: dict[Path, list[lsp.TextEdit]], uris: dict[Path, str]) -> lsp.WorkspaceEdit:
     """Return edits of several files as one change. `uris`: the URIs of open documents."""
-    return lsp.WorkspaceEdit(changes={uris.get(path, uri_of(path)): each for path, each in edits.items()})
+    return lsp.WorkspaceEdit(changes={uris.get(path, path_to_uri(path)): each for path, each in edits.items()})
 
 
-def action(workspace: Workspace, document: OpenDocument, fix: QuickFix, uri: str) -> lsp.CodeAction:
+def to_code_action(workspace: Workspace, document: OpenDocument, fix: QuickFix, uri: str) -> lsp.CodeAction:
     """Convert a correction to a code action of the document `uri`."""
     return lsp.CodeAction(
         fix.title,
         kind=lsp.CodeActionKind.QuickFix,
-        diagnostics=[diagnostic(workspace, document, fix.complaint)],
+        diagnostics=[to_lsp_diagnostic(workspace, document, fix.diagnostic)],
         is_preferred=True,
-        edit=lsp.WorkspaceEdit(changes={uri: text_edits(document, [fix.edit])}),
+        edit=lsp.WorkspaceEdit(changes={uri: to_text_edits(document, [fix.edit])}),
     )

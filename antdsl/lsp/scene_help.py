@@ -6,14 +6,14 @@ import re
 from collections.abc import Iterator
 from typing import Any
 
-from antdsl.lsp.features.proposals import CompletionItem
-from antdsl.lsp.language import help_text
-from antdsl.lsp.words import scene_key_help
+from antdsl.lsp.features.expression_completion import CompletionItem
+from antdsl.lsp.word_descriptions import find_scene_key_help
+from antdsl.lsp.word_help import find_help_text
 from antdsl.lsp.workspace import OpenDocument, Workspace
-from antdsl.program.names.declared import declaration
-from antdsl.program.tables.columns import ATTRIBUTES
-from antdsl.program.tables.things import KIND_BY_WORD, WITH_FACES
-from antdsl.scene import model
+from antdsl.program.names.file_declarations import find_declaring_node
+from antdsl.program.tables.columns import COLUMN_BY_ATTRIBUTE
+from antdsl.program.tables.things import KIND_BY_WORD, KINDS_WITH_FACES
+from antdsl.scene import scene_model
 from antdsl.scene.thing_models import ItemThing
 from antdsl.syntax import nodes
 from antdsl.syntax.words import FIELD_SETTING_WORDS, FIXED_FIELD_SETTINGS
@@ -21,7 +21,7 @@ from antdsl.syntax.words import FIELD_SETTING_WORDS, FIXED_FIELD_SETTINGS
 _KEY_PATTERN = re.compile(r"^(\s*)(?:- )?([A-Za-z_.][A-Za-z_0-9.]*):")
 
 
-def path_at(text: str, offset: int) -> tuple[tuple[str, ...], str]:
+def find_key_path(text: str, offset: int) -> tuple[tuple[str, ...], str]:
     """Return the keys above a position and the text of its line before it. The result comes from indentation and open braces,
     since the YAML may be invalid here."""
     begin = text.rfind("\n", 0, offset) + 1
@@ -38,10 +38,10 @@ def path_at(text: str, offset: int) -> tuple[tuple[str, ...], str]:
         if depth < level:
             above.insert(0, match.group(2))
             level = depth
-    return (*above, *_open_keys(line)), line
+    return (*above, *_find_open_keys(line)), line
 
 
-def _open_keys(line: str) -> list[str]:
+def _find_open_keys(line: str) -> list[str]:
     """Return the keys with an open value in this line: `crowd: - {place: {` gives crowd, place."""
     stack: list[str] = []
     key = ""
@@ -62,92 +62,94 @@ def _open_keys(line: str) -> list[str]:
 
 def complete_scene(workspace: Workspace, document: OpenDocument, offset: int) -> list[CompletionItem]:
     """Return the proposals at an offset of a scene."""
-    path, line = path_at(document.text.text, offset)
+    path, line = find_key_path(document.text.text, offset)
     value = re.search(r"([A-Za-z_.][A-Za-z_0-9.]*):\s*[A-Za-z_0-9./]*$", line)
     if "#" in line:
         return []
     if value is not None:
         above = tuple(part for part in path if not part.endswith(":"))
-        return list(_values(workspace, document, value.group(1), above))
-    return list(_keys(workspace, document, tuple(part for part in path if not part.endswith(":")), line))
+        return list(_propose_values(workspace, document, value.group(1), above))
+    return list(_propose_keys(workspace, document, tuple(part for part in path if not part.endswith(":")), line))
 
 
-def _crowd_programs(workspace: Workspace, document: OpenDocument) -> Iterator[OpenDocument]:
+def _find_crowd_programs(workspace: Workspace, document: OpenDocument) -> Iterator[OpenDocument]:
     """Yield the programs of a scene."""
-    for path in workspace.linked_files(document.path):
+    for path in workspace.find_linked_files(document.path):
         other = workspace.document(path)
         if other is not None and other.is_program:
             yield other
 
 
-def _keys(workspace: Workspace, document: OpenDocument, path: tuple[str, ...], line: str) -> Iterator[CompletionItem]:
+def _propose_keys(workspace: Workspace, document: OpenDocument, path: tuple[str, ...], line: str) -> Iterator[CompletionItem]:
     """Yield the keys that fit at a position. `path`: the keys above it. `line`: its line up to the position."""
     if not path and not line.lstrip().startswith("-"):
-        yield from _fields(model.SceneModel)
+        yield from _propose_model_fields(scene_model.SceneModel)
     elif path[:1] == ("world",):
-        yield from _world(workspace, document, path)
+        yield from _propose_world_keys(workspace, document, path)
     elif path == ("set",):
-        yield from _settings(workspace, document)
+        yield from _propose_settings(workspace, document)
     elif path == ("fields",):
         yield from (
             CompletionItem(name, "property", "field", "", f"{name}: ")
-            for p in _crowd_programs(workspace, document)
+            for p in _find_crowd_programs(workspace, document)
             for name in p.names.fields
         )
     elif path == ("layers",):
         yield from (
             CompletionItem(name, "property", "species", "", f"{name}: ")
-            for p in _crowd_programs(workspace, document)
+            for p in _find_crowd_programs(workspace, document)
             for name in p.names.species
         )
     elif path[:1] == ("fields",):
-        yield from _fields(model.FieldStart)
+        yield from _propose_model_fields(scene_model.FieldStart)
     elif path == ("output", "attributes"):
-        yield from (CompletionItem(name, "property", "attribute of a frame") for name in ATTRIBUTES)
+        yield from (CompletionItem(name, "property", "attribute of a frame") for name in COLUMN_BY_ATTRIBUTE)
     else:
-        part_model = next((model.PARTS[part] for part in reversed(path) if part in model.PARTS), None)
+        part_model = next((scene_model.MODEL_BY_PATH[part] for part in reversed(path) if part in scene_model.MODEL_BY_PATH), None)
         if part_model is not None:
-            yield from _fields(part_model)
+            yield from _propose_model_fields(part_model)
 
 
-def _fields(part: type[model.Part]) -> Iterator[CompletionItem]:
+def _propose_model_fields(part: type[scene_model.ScenePart]) -> Iterator[CompletionItem]:
     """Yield the keys of a part of the scene's schema."""
     for name, field in part.model_fields.items():
         key = field.alias or name
-        yield CompletionItem(key, "property", "must be given" if field.is_required() else "", scene_key_help(key), f"{key}: ")
+        yield CompletionItem(
+            key, "property", "must be given" if field.is_required() else "", find_scene_key_help(key), f"{key}: "
+        )
 
 
-def _world(workspace: Workspace, document: OpenDocument, path: tuple[str, ...]) -> Iterator[CompletionItem]:
+def _propose_world_keys(workspace: Workspace, document: OpenDocument, path: tuple[str, ...]) -> Iterator[CompletionItem]:
     """Yield keys below `world`: names of things, or keys of one thing."""
-    things = {name: item for each in _crowd_programs(workspace, document) for name, item in each.names.things.items()}
+    things = {name: item for each in _find_crowd_programs(workspace, document) for name, item in each.names.things.items()}
     if len(path) == 1:
         for name, item in things.items():
             form = KIND_BY_WORD[item.kind.text].snippet if item.kind.text in KIND_BY_WORD else ""
-            yield CompletionItem(name, "thing", item.kind.text, help_text(item), f"{name}: {form}", bool(form))
+            yield CompletionItem(name, "thing", item.kind.text, find_help_text(item), f"{name}: {form}", bool(form))
         return
     thing = things.get(path[1])
     if thing is not None and thing.kind.text == "items":
         if len(path) > 2:
-            yield from _fields(ItemThing)
+            yield from _propose_model_fields(ItemThing)
             for each in thing.attributes:
                 yield CompletionItem(each.name.text, "property", f"value of {path[1]}", "", f"{each.name.text}: ")
         return
-    for head, part in model.THING_MODELS.items():
-        yield CompletionItem(head, "property", "says what it is", scene_key_help(head), f"{head}: ")
+    for head, part in scene_model.THING_MODELS.items():
+        yield CompletionItem(head, "property", "says what it is", find_scene_key_help(head), f"{head}: ")
         if head == "mesh":
-            yield from _fields(part)
+            yield from _propose_model_fields(part)
 
 
-def _settings(workspace: Workspace, document: OpenDocument) -> Iterator[CompletionItem]:
+def _propose_settings(workspace: Workspace, document: OpenDocument) -> Iterator[CompletionItem]:
     """Yield params and field settings that `set` may change, with their values."""
-    for program in _crowd_programs(workspace, document):
+    for program in _find_crowd_programs(workspace, document):
         for species, table in program.names.species.items():
             for name, member in table.own.items():
-                node = declaration(member)
+                node = find_declaring_node(member)
                 if isinstance(member, nodes.ParamDecl):
                     value = " ".join(node.value.span.text.split())
                     bounds = f" in {' '.join(node.range.span.text.split())}" if node.range is not None else ""
-                    help = help_text(node)
+                    help = find_help_text(node)
                     yield CompletionItem(f"{species}.{name}", "property", f"{value}{bounds}", help, f"{species}.{name}: {value}")
         for name, field in program.names.fields.items():
             for setting in field.settings:
@@ -156,11 +158,11 @@ def _settings(workspace: Workspace, document: OpenDocument) -> Iterator[Completi
                     yield CompletionItem(f"{name}.{word}", "property", value, "setting of a field", f"{name}.{word}: {value}")
 
 
-def _values(workspace: Workspace, document: OpenDocument, key: str, path: tuple[str, ...]) -> Iterator[CompletionItem]:
+def _propose_values(workspace: Workspace, document: OpenDocument, key: str, path: tuple[str, ...]) -> Iterator[CompletionItem]:
     """Yield possible values of a key. `path`: the keys above it."""
-    things: dict[str, Any] = {n: i for each in _crowd_programs(workspace, document) for n, i in each.names.things.items()}
+    things: dict[str, Any] = {n: i for each in _find_crowd_programs(workspace, document) for n, i in each.names.things.items()}
     if key == "species":
-        for each in _crowd_programs(workspace, document):
+        for each in _find_crowd_programs(workspace, document):
             yield from (CompletionItem(n, "thing", "species") for n, t in each.names.species.items() if t.node is not None)
     elif key in ("from", "extends"):
         suffix = (".ant",) if key == "from" and "crowd" in path else (".yaml", ".yml")
@@ -170,7 +172,7 @@ def _values(workspace: Workspace, document: OpenDocument, key: str, path: tuple[
     elif key in ("units", "up"):
         yield from (CompletionItem(word, "unit") for word in (("mm", "cm", "m") if key == "units" else ("x", "y", "z")))
     elif key in ("on", "border"):
-        yield from (CompletionItem(n, "thing", i.kind.text) for n, i in things.items() if i.kind.text in WITH_FACES)
+        yield from (CompletionItem(n, "thing", i.kind.text) for n, i in things.items() if i.kind.text in KINDS_WITH_FACES)
     elif key in ("around", "toward", "away", "solved"):
         yield from (CompletionItem(n, "thing", i.kind.text) for n, i in things.items() if i.kind.text in ("items", "curve"))
         yield from (CompletionItem(name, "thing", "item") for name in document.scene.items)

@@ -7,12 +7,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from antdsl.bounded import real_path
 from antdsl.lsp.names import NameOccurrence
 from antdsl.program.names.bindings import NameKey
 from antdsl.program.tables.vocabulary import ITEM_ATTRIBUTE_TYPES
+from antdsl.safe_read import resolve_path
 from antdsl.scene.document import DocumentNode, MappingNode, ScalarNode, SequenceNode, read_document
-from antdsl.scene.model import FILE_HEADS
+from antdsl.scene.scene_model import FILE_HEADS
 from antdsl.scene.thing_models import ItemThing
 from antdsl.source import Source, Span
 from antdsl.syntax.words import FIELD_SETTING_WORDS
@@ -38,7 +38,7 @@ class SceneIndex:
         self.occurrences.append(NameOccurrence(span, key, declares))
 
 
-def scene_index(path: Path, text: str) -> SceneIndex:
+def build_scene_index(path: Path, text: str) -> SceneIndex:
     """Return the names in a scene's text, in text order. Does not check them."""
     document, _ = read_document(Source(str(path), text))
     index = SceneIndex(path, document)
@@ -53,86 +53,86 @@ def scene_index(path: Path, text: str) -> SceneIndex:
     return index
 
 
-def _mapping(node: DocumentNode | None) -> list[tuple[str, Span, DocumentNode]]:
+def _list_mapping_entries(node: DocumentNode | None) -> list[tuple[str, Span, DocumentNode]]:
     """Return the keys of a mapping with their spans and values; [] for any other node."""
     return [(key, node.keys[key], value) for key, value in node.entries.items()] if isinstance(node, MappingNode) else []
 
 
-def _file(index: SceneIndex, node: DocumentNode) -> None:
+def _index_file(index: SceneIndex, node: DocumentNode) -> None:
     """Record a file that the scene names. A value with `:` is no file."""
     if isinstance(node, ScalarNode) and ":" not in node.text:
-        path = real_path(index.path.parent.joinpath(node.text))
+        path = resolve_path(index.path.parent.joinpath(node.text))
         index.add_occurrence(node.span, ("file", str(path)))
         if path.suffix in (".ant", ".yaml", ".yml"):
             index.files.append(path)
 
 
-def _world(index: SceneIndex, node: DocumentNode) -> None:
+def _index_world(index: SceneIndex, node: DocumentNode) -> None:
     """Record the names below `world`: things, items, attributes and files."""
-    things = {name for name, _, _ in _mapping(node)}
-    for thing, span, value in _mapping(node):
+    things = {name for name, _, _ in _list_mapping_entries(node)}
+    for thing, span, value in _list_mapping_entries(node):
         index.add_occurrence(span, ("thing", thing))
-        for word, place, inner in _mapping(value):
+        for word, place, inner in _list_mapping_entries(value):
             if isinstance(inner, MappingNode) and word not in ("keys", "maps", "each"):
                 index.items[word] = place
                 index.add_occurrence(place, ("scene-item", word), True)
-                _item(index, thing, inner, things)
+                _index_item(index, thing, inner, things)
             elif word == "each":
-                _attributes(index, thing, inner)
+                _index_attributes(index, thing, inner)
             elif word in FILE_HEADS:
-                _file(index, inner)
+                _index_file(index, inner)
             else:
-                _add_named_thing(index, word, inner, things)
+                _index_named_thing(index, word, inner, things)
 
 
-def _item(index: SceneIndex, thing: str, node: DocumentNode, things: set[str]) -> None:
+def _index_item(index: SceneIndex, thing: str, node: DocumentNode, things: set[str]) -> None:
     """Record the attributes of an item, and the thing that it is on."""
-    _attributes(index, thing, node)
-    for word, _, inner in _mapping(node):
+    _index_attributes(index, thing, node)
+    for word, _, inner in _list_mapping_entries(node):
         if word == "on":
-            _add_named_thing(index, word, inner, things)
+            _index_named_thing(index, word, inner, things)
 
 
-def _attributes(index: SceneIndex, thing: str, node: DocumentNode) -> None:
+def _index_attributes(index: SceneIndex, thing: str, node: DocumentNode) -> None:
     """Record the keys of an item that are attributes of the program."""
     known = {*ItemThing.model_fields, *ITEM_ATTRIBUTE_TYPES}
-    for word, span, _ in _mapping(node):
+    for word, span, _ in _list_mapping_entries(node):
         if word not in known:
             index.add_occurrence(span, ("attribute", thing, word))
 
 
-def _add_named_thing(index: SceneIndex, key: str, node: DocumentNode, things: set[str]) -> None:
+def _index_named_thing(index: SceneIndex, key: str, node: DocumentNode, things: set[str]) -> None:
     """Record a value that may name a thing of the world or an item. Its kind is `?scene` if it depends on the base scene."""
     if isinstance(node, ScalarNode):
         if node.text in things:
             index.add_occurrence(node.span, ("thing", node.text))
         elif node.text in index.items:
             index.add_occurrence(node.span, ("scene-item", node.text))
-        elif key in _NAMING_KEYS and _NAME_PATTERN.fullmatch(node.text) and not node.quoted:
+        elif key in _NAMING_KEYS and _NAME_PATTERN.fullmatch(node.text) and not node.is_quoted:
             index.add_occurrence(node.span, ("?scene", node.text))
 
 
-def _crowd(index: SceneIndex, node: DocumentNode) -> None:
+def _index_crowd(index: SceneIndex, node: DocumentNode) -> None:
     """Record the species, files and things that crowd lines name."""
     world = index.document.entries.get("world") if index.document is not None else None
-    things = {name for name, _, _ in _mapping(world)}
+    things = {name for name, _, _ in _list_mapping_entries(world)}
     for line in node.items if isinstance(node, SequenceNode) else ():
-        for word, _, value in _mapping(line):
+        for word, _, value in _list_mapping_entries(line):
             if word == "species" and isinstance(value, ScalarNode):
                 index.add_occurrence(value.span, ("species", value.text))
             elif word == "from":
-                _file(index, value)
+                _index_file(index, value)
             elif word == "place":
-                for key, _, inner in _mapping(value):
+                for key, _, inner in _list_mapping_entries(value):
                     if key == "points":
-                        _file(index, inner)
+                        _index_file(index, inner)
                     elif key in ("on", "around", "density"):
-                        _add_named_thing(index, key, inner, things)
+                        _index_named_thing(index, key, inner, things)
 
 
-def _set(index: SceneIndex, node: DocumentNode) -> None:
+def _index_changed_values(index: SceneIndex, node: DocumentNode) -> None:
     """Record the params and field settings that `set` changes."""
-    for name, span, _ in _mapping(node):
+    for name, span, _ in _list_mapping_entries(node):
         owner, dot, word = name.partition(".")
         if not dot or span.end - span.start != len(name):
             continue
@@ -143,39 +143,40 @@ def _set(index: SceneIndex, node: DocumentNode) -> None:
         index.add_occurrence(second, ("setting", word) if field else ("own", owner, word))
 
 
-def _fields(index: SceneIndex, node: DocumentNode) -> None:
+def _index_fields(index: SceneIndex, node: DocumentNode) -> None:
     """Record the fields that the scene names, and the things around which they start."""
-    for name, span, value in _mapping(node):
+    for name, span, value in _list_mapping_entries(node):
         index.add_occurrence(span, ("field", name))
-        for key, _, inner in _mapping(value):
+        for key, _, inner in _list_mapping_entries(value):
             if key == "around":
-                _add_named_thing(index, key, inner, set())
+                _index_named_thing(index, key, inner, set())
 
 
-def _layers(index: SceneIndex, node: DocumentNode) -> None:
+def _index_layers(index: SceneIndex, node: DocumentNode) -> None:
     """Record the layers of a node. A layer is named by its text, or by the first word of its text."""
-    for species, span, value in _mapping(node):
+    for species, span, value in _list_mapping_entries(node):
         index.add_occurrence(span, ("species", species))
         for item in value.items if isinstance(value, SequenceNode) else ():
             if not isinstance(item, ScalarNode) or item.text.strip() == "state":
                 continue
-            begin = item.span.start + item.quoted
+            begin = item.span.start + item.is_quoted
             plain = item.span.source.text[begin : begin + len(item.text)] == item.text  # no `\\` in it
             for number, word in enumerate(_NAME_PATTERN.finditer(item.text) if plain else ()):
                 place = Span(item.span.source, begin + word.start(), begin + word.end())
                 index.add_occurrence(place, ("?layer", species, word[0]) if number else ("?behaviour", word[0]))
 
 
-def _extends(index: SceneIndex, node: DocumentNode) -> None:
-    _file(index, node)
+def _index_extends(index: SceneIndex, node: DocumentNode) -> None:
+    _index_file(index, node)
 
 
-def _camera(index: SceneIndex, node: DocumentNode) -> None:
-    for word, _, value in _mapping(node):
+def _index_camera(index: SceneIndex, node: DocumentNode) -> None:
+    for word, _, value in _list_mapping_entries(node):
         if word == "usd":
-            _file(index, value)
+            _index_file(index, value)
 
 
 _INDEXERS_BY_KEY: dict[str, Any] = {
-    "world": _world, "extends": _extends, "crowd": _crowd, "set": _set, "fields": _fields, "layers": _layers, "camera": _camera,
+    "world": _index_world, "extends": _index_extends, "crowd": _index_crowd, "set": _index_changed_values,
+    "fields": _index_fields, "layers": _index_layers, "camera": _index_camera,
 }  # fmt: skip

@@ -14,21 +14,21 @@ from pygls.exceptions import JsonRpcInvalidParams
 from pygls.lsp.server import LanguageServer
 
 from antdsl import __version__
+from antdsl.atomic_write import write_parts
 from antdsl.lsp import protocol
 from antdsl.lsp.features import navigation, tokens
-from antdsl.lsp.features.actions import actions
-from antdsl.lsp.features.completion import complete
+from antdsl.lsp.features.actions import find_quick_fixes
+from antdsl.lsp.features.completion import complete_program
 from antdsl.lsp.features.context import is_line_start
-from antdsl.lsp.features.describe import describe
 from antdsl.lsp.features.formatting import formatting_edits
-from antdsl.lsp.features.hints import hints
-from antdsl.lsp.features.outline import folds, symbols
-from antdsl.lsp.language import describe_keyword
+from antdsl.lsp.features.hints import find_hints
+from antdsl.lsp.features.outline import find_folds, list_symbols
+from antdsl.lsp.features.symbol_help import describe_symbol
 from antdsl.lsp.scene_help import complete_scene
-from antdsl.lsp.text import path_of, uri_of
-from antdsl.lsp.words import scene_key_help
+from antdsl.lsp.text import path_to_uri, uri_to_path
+from antdsl.lsp.word_descriptions import find_scene_key_help
+from antdsl.lsp.word_help import describe_keyword
 from antdsl.lsp.workspace import OpenDocument, Workspace
-from antdsl.whole import write_parts
 
 T = TypeVar("T")
 _log = logging.getLogger(__name__)
@@ -42,13 +42,13 @@ class AntLanguageServer(LanguageServer):
         super().__init__("antdsl", __version__)
         self.files = Workspace()
         self.uris: dict[Path, str] = {}
-        self.left_early = False  # the editor ended without a shutdown
-        self.asked_to_end = False
-        self.waiting: set[Path] = set()  # documents with findings to report once there is nothing else to read
+        self.exited_without_shutdown = False  # the editor ended without a shutdown
+        self.is_shutdown_requested = False
+        self.pending_paths: set[Path] = set()  # documents with findings to report once there is nothing else to read
 
     def path(self, uri: str) -> Path:
         """Return the path behind a URI; a document that is no file yet gets a separate one in the current folder."""
-        file_path = path_of(uri)
+        file_path = uri_to_path(uri)
         if file_path is None:
             name = "".join(c if c.isalnum() or c in "._-" else "_" for c in uri)
             file_path = Path.cwd() / (name if name.endswith((".ant", ".yaml", ".yml")) else f"{name}.ant")
@@ -58,10 +58,10 @@ class AntLanguageServer(LanguageServer):
         """Return the document behind a URI; None if it cannot be read."""
         return self.files.document(self.path(uri))
 
-    def location(self, target: navigation.NameLocation) -> lsp.Location:
+    def make_location(self, target: navigation.NameLocation) -> lsp.Location:
         """Return a location in the protocol's form."""
         path = target.document.path
-        return lsp.Location(self.uris.get(path, uri_of(path)), protocol.range_of(target.range))
+        return lsp.Location(self.uris.get(path, path_to_uri(path)), protocol.to_lsp_range(target.range))
 
     def supports_snippets(self) -> bool:
         """Return whether the editor accepts snippets in completions."""
@@ -72,28 +72,28 @@ class AntLanguageServer(LanguageServer):
 
     # --- complaints ---
 
-    def check_soon(self, path: Path) -> None:
+    def schedule_check(self, path: Path) -> None:
         """Check a file when all pending messages have been read. Of ten key presses at once, only the last is answered."""
         import asyncio
 
-        self.waiting.add(path)
+        self.pending_paths.add(path)
         asyncio.get_running_loop().call_soon(self._check_pending)
 
     def _check_pending(self) -> None:
         """Check all pending files, then the scenes that use them."""
-        waiting, self.waiting = self.waiting, set()
+        waiting, self.pending_paths = self.pending_paths, set()
         for path in sorted(waiting):
-            self.tell(path)
-        for path in sorted({scene for each in waiting for scene in self.files.scenes_of(each)} - waiting):
-            self.tell(path)
+            self.publish_findings(path)
+        for path in sorted({scene for each in waiting for scene in self.files.find_scenes_using(each)} - waiting):
+            self.publish_findings(path)
 
-    def tell(self, path: Path) -> None:
+    def publish_findings(self, path: Path) -> None:
         """Publish the findings in an open document."""
-        document = self.files.open.get(path)
+        document = self.files.open_documents.get(path)
         if document is None or path not in self.uris:
             return
         try:
-            diagnostics = [protocol.diagnostic(self.files, document, each) for each in self.files.complaints(path)]
+            diagnostics = [protocol.to_lsp_diagnostic(self.files, document, each) for each in self.files.find_diagnostics(path)]
         except Exception:  # a bug of ours must not end an editor's session
             _log.exception("cannot check %s", path)
             return
@@ -105,12 +105,12 @@ language_server = AntLanguageServer()
 
 @language_server.feature(lsp.SHUTDOWN)
 def _shutdown(ls: AntLanguageServer, *params: object) -> None:
-    ls.asked_to_end = True
+    ls.is_shutdown_requested = True
 
 
 @language_server.feature(lsp.EXIT)
 def _exit(ls: AntLanguageServer, *params: object) -> None:
-    ls.left_early = not ls.asked_to_end
+    ls.exited_without_shutdown = not ls.is_shutdown_requested
 
 
 # --- documents -------------------------------------------------------------------------------------------------------
@@ -120,48 +120,48 @@ def _exit(ls: AntLanguageServer, *params: object) -> None:
 def _initialized(ls: AntLanguageServer, params: lsp.InitializedParams) -> None:
     encoding = ls.workspace.position_encoding
     ls.files.encoding = encoding.value if isinstance(encoding, lsp.PositionEncodingKind) else encoding or "utf-16"
-    ls.files.roots = [path for uri in ls.workspace.folders if (path := path_of(uri)) is not None]
-    if not ls.files.roots and ls.workspace.root_uri and (root := path_of(ls.workspace.root_uri)) is not None:
+    ls.files.roots = [path for uri in ls.workspace.folders if (path := uri_to_path(uri)) is not None]
+    if not ls.files.roots and ls.workspace.root_uri and (root := uri_to_path(ls.workspace.root_uri)) is not None:
         ls.files.roots = [root]
 
 
 @language_server.feature(lsp.WORKSPACE_DID_CHANGE_WORKSPACE_FOLDERS)
-def _folders(ls: AntLanguageServer, params: lsp.DidChangeWorkspaceFoldersParams) -> None:
-    removed_paths = {path_of(folder.uri) for folder in params.event.removed}
-    added = [path for folder in params.event.added if (path := path_of(folder.uri)) is not None]
+def _did_change_workspace_folders(ls: AntLanguageServer, params: lsp.DidChangeWorkspaceFoldersParams) -> None:
+    removed_paths = {uri_to_path(folder.uri) for folder in params.event.removed}
+    added = [path for folder in params.event.added if (path := uri_to_path(folder.uri)) is not None]
     ls.files.roots = [root for root in ls.files.roots if root not in removed_paths] + added
-    ls.files.search_again()
+    ls.files.invalidate_file_list()
 
 
 @language_server.feature(lsp.TEXT_DOCUMENT_DID_OPEN)
 def _did_open(ls: AntLanguageServer, params: lsp.DidOpenTextDocumentParams) -> None:
     path = ls.path(params.text_document.uri)
     ls.uris[path] = params.text_document.uri
-    ls.files.put(path, params.text_document.text, params.text_document.version)
-    ls.check_soon(path)
+    ls.files.put_document(path, params.text_document.text, params.text_document.version)
+    ls.schedule_check(path)
 
 
 @language_server.feature(lsp.TEXT_DOCUMENT_DID_CHANGE)
 def _did_change(ls: AntLanguageServer, params: lsp.DidChangeTextDocumentParams) -> None:
     path = ls.path(params.text_document.uri)
-    document = ls.files.open.get(path)
+    document = ls.files.open_documents.get(path)
     if document is None:
         return
     text = document.text
     for change in params.content_changes:
         if isinstance(change, lsp.TextDocumentContentChangePartial):
             start, end = change.range.start, change.range.end
-            text = text.edited((start.line, start.character), (end.line, end.character), change.text)
+            text = text.replace_range((start.line, start.character), (end.line, end.character), change.text)
         else:
             text = text.with_text(change.text)
-    ls.files.change(path, text, params.text_document.version)
-    ls.check_soon(path)
+    ls.files.change_document(path, text, params.text_document.version)
+    ls.schedule_check(path)
 
 
 @language_server.feature(lsp.TEXT_DOCUMENT_DID_CLOSE)
 def _did_close(ls: AntLanguageServer, params: lsp.DidCloseTextDocumentParams) -> None:
     path = ls.path(params.text_document.uri)
-    ls.files.close(path)
+    ls.files.close_document(path)
     ls.uris.pop(path, None)
     ls.text_document_publish_diagnostics(lsp.PublishDiagnosticsParams(params.text_document.uri, []))
     _recheck_open_documents(ls)
@@ -179,20 +179,20 @@ def _did_change_watched_files(ls: AntLanguageServer, params: lsp.DidChangeWatche
 
 def _recheck_open_documents(ls: AntLanguageServer) -> None:
     """Check all open documents again after a change on disk. This costs almost nothing where nothing changed."""
-    ls.files.search_again()
-    for path in ls.files.open:
-        ls.check_soon(path)
+    ls.files.invalidate_file_list()
+    for path in ls.files.open_documents:
+        ls.schedule_check(path)
 
 
 # --- questions about a place -----------------------------------------------------------------------------------------
 
 
-def _answer_at(ls: AntLanguageServer, params: Any, answer: Callable[[OpenDocument, int], T]) -> T | None:
+def _answer_at_position(ls: AntLanguageServer, params: Any, answer: Callable[[OpenDocument, int], T]) -> T | None:
     """Return the answer of a function for a document and an offset; None if there is no document."""
     document = ls.document(params.text_document.uri)
     if document is None:
         return None
-    return answer(document, document.text.offset(params.position.line, params.position.character))
+    return answer(document, document.text.find_offset(params.position.line, params.position.character))
 
 
 @language_server.feature(lsp.TEXT_DOCUMENT_HOVER)
@@ -202,20 +202,22 @@ def _hover(ls: AntLanguageServer, params: lsp.HoverParams) -> lsp.Hover | None:
         said = {
             text: each.span
             for each in names
-            if (text := describe(ls.files, document, navigation.resolve_key(ls.files, document, each.key))) is not None
+            if (text := describe_symbol(ls.files, document, navigation.resolve_key(ls.files, document, each.key))) is not None
         }
         if not said:
-            start, end = document.word_at(offset)
+            start, end = document.find_word_at(offset)
             word = document.text.text[start:end]
             is_first = is_line_start(document.text.text, start)
-            text = describe_keyword(word, is_first) if document.is_program else scene_key_help(word)
-            return lsp.Hover(_markdown(text), protocol.range_of(document.text.range(start, end))) if text else None
-        return lsp.Hover(_markdown("\n\n---\n\n".join(said)), protocol.range_of(document.range(next(iter(said.values())))))
+            text = describe_keyword(word, is_first) if document.is_program else find_scene_key_help(word)
+            return lsp.Hover(_make_markdown(text), protocol.to_lsp_range(document.text.range(start, end))) if text else None
+        return lsp.Hover(
+            _make_markdown("\n\n---\n\n".join(said)), protocol.to_lsp_range(document.range(next(iter(said.values()))))
+        )
 
-    return _answer_at(ls, params, answer)
+    return _answer_at_position(ls, params, answer)
 
 
-def _markdown(text: str) -> lsp.MarkupContent:
+def _make_markdown(text: str) -> lsp.MarkupContent:
     return lsp.MarkupContent(lsp.MarkupKind.Markdown, text)
 
 
@@ -224,48 +226,54 @@ def _markdown(text: str) -> lsp.MarkupContent:
 )
 def _completion(ls: AntLanguageServer, params: lsp.CompletionParams) -> lsp.CompletionList | None:
     def answer(document: OpenDocument, offset: int) -> lsp.CompletionList:
-        proposals = complete(ls.files, document, offset) if document.is_program else complete_scene(ls.files, document, offset)
+        proposals = (
+            complete_program(ls.files, document, offset) if document.is_program else complete_scene(ls.files, document, offset)
+        )
         snippets = ls.supports_snippets()
-        return lsp.CompletionList(False, [protocol.item(each, snippets) for each in proposals])
+        return lsp.CompletionList(False, [protocol.to_completion_item(each, snippets) for each in proposals])
 
-    return _answer_at(ls, params, answer)
+    return _answer_at_position(ls, params, answer)
 
 
 @language_server.feature(lsp.TEXT_DOCUMENT_DEFINITION)
 def _definition(ls: AntLanguageServer, params: lsp.DefinitionParams) -> list[lsp.Location] | None:
-    return _answer_at(
-        ls, params, lambda document, offset: [ls.location(each) for each in navigation.definition(ls.files, document, offset)]
+    return _answer_at_position(
+        ls,
+        params,
+        lambda document, offset: [ls.make_location(each) for each in navigation.find_definition(ls.files, document, offset)],
     )
 
 
 @language_server.feature(lsp.TEXT_DOCUMENT_REFERENCES)
 def _references(ls: AntLanguageServer, params: lsp.ReferenceParams) -> list[lsp.Location] | None:
     declaration = params.context.include_declaration
-    return _answer_at(
+    return _answer_at_position(
         ls,
         params,
-        lambda document, offset: [ls.location(each) for each in navigation.references(ls.files, document, offset, declaration)],
+        lambda document, offset: [
+            ls.make_location(each) for each in navigation.find_references(ls.files, document, offset, declaration)
+        ],
     )
 
 
 @language_server.feature(lsp.TEXT_DOCUMENT_DOCUMENT_HIGHLIGHT)
-def _highlight(ls: AntLanguageServer, params: lsp.DocumentHighlightParams) -> list[lsp.DocumentHighlight] | None:
+def _document_highlights(ls: AntLanguageServer, params: lsp.DocumentHighlightParams) -> list[lsp.DocumentHighlight] | None:
     def answer(document: OpenDocument, offset: int) -> list[lsp.DocumentHighlight]:
-        locations = navigation.references(ls.files, document, offset)
-        return [lsp.DocumentHighlight(protocol.range_of(each.range)) for each in locations if each.document is document]
+        locations = navigation.find_references(ls.files, document, offset)
+        return [lsp.DocumentHighlight(protocol.to_lsp_range(each.range)) for each in locations if each.document is document]
 
-    return _answer_at(ls, params, answer)
+    return _answer_at_position(ls, params, answer)
 
 
 @language_server.feature(lsp.TEXT_DOCUMENT_PREPARE_RENAME)
 def _prepare_rename(ls: AntLanguageServer, params: lsp.PrepareRenameParams) -> lsp.Range | None:
     def answer(document: OpenDocument, offset: int) -> lsp.Range:
         try:
-            return protocol.range_of(document.range(navigation.renamable_name(ls.files, document, offset).span))
+            return protocol.to_lsp_range(document.range(navigation.find_renamable_name(ls.files, document, offset).span))
         except navigation.RenameRefused as why:
             raise JsonRpcInvalidParams(str(why)) from None
 
-    return _answer_at(ls, params, answer)
+    return _answer_at_position(ls, params, answer)
 
 
 @language_server.feature(lsp.TEXT_DOCUMENT_RENAME, lsp.RenameOptions(prepare_provider=True))
@@ -277,69 +285,71 @@ def _rename(ls: AntLanguageServer, params: lsp.RenameParams) -> lsp.WorkspaceEdi
             raise JsonRpcInvalidParams(str(why)) from None
         edits: dict[Path, list[lsp.TextEdit]] = {}
         for each in locations:
-            edits.setdefault(each.document.path, []).append(lsp.TextEdit(protocol.range_of(each.range), params.new_name))
-        return protocol.changes(edits, ls.uris)
+            edits.setdefault(each.document.path, []).append(lsp.TextEdit(protocol.to_lsp_range(each.range), params.new_name))
+        return protocol.to_workspace_edit(edits, ls.uris)
 
-    return _answer_at(ls, params, answer)
+    return _answer_at_position(ls, params, answer)
 
 
 # --- questions about a document --------------------------------------------------------------------------------------
 
 
 @language_server.feature(lsp.TEXT_DOCUMENT_DOCUMENT_SYMBOL)
-def _symbols(ls: AntLanguageServer, params: lsp.DocumentSymbolParams) -> list[lsp.DocumentSymbol]:
+def _document_symbols(ls: AntLanguageServer, params: lsp.DocumentSymbolParams) -> list[lsp.DocumentSymbol]:
     document = ls.document(params.text_document.uri)
-    return [protocol.symbol(document, each) for each in symbols(document)] if document is not None else []
+    return [protocol.to_document_symbol(document, each) for each in list_symbols(document)] if document is not None else []
 
 
 @language_server.feature(lsp.TEXT_DOCUMENT_FOLDING_RANGE)
-def _folding(ls: AntLanguageServer, params: lsp.FoldingRangeParams) -> list[lsp.FoldingRange]:
+def _folding_ranges(ls: AntLanguageServer, params: lsp.FoldingRangeParams) -> list[lsp.FoldingRange]:
     document = ls.document(params.text_document.uri)
-    return [protocol.fold(each) for each in folds(document)] if document is not None else []
+    return [protocol.to_folding_range(each) for each in find_folds(document)] if document is not None else []
 
 
 _TOKEN_LEGEND = lsp.SemanticTokensLegend(list(tokens.TOKEN_TYPES), list(tokens.TOKEN_MODIFIERS))
 
 
 @language_server.feature(lsp.TEXT_DOCUMENT_SEMANTIC_TOKENS_FULL, _TOKEN_LEGEND)
-def _tokens(ls: AntLanguageServer, params: lsp.SemanticTokensParams) -> lsp.SemanticTokens:
+def _semantic_tokens(ls: AntLanguageServer, params: lsp.SemanticTokensParams) -> lsp.SemanticTokens:
     document = ls.document(params.text_document.uri)
-    return lsp.SemanticTokens(tokens.tokens(document) if document is not None and document.is_program else [])
+    return lsp.SemanticTokens(tokens.encode_tokens(document) if document is not None and document.is_program else [])
 
 
 @language_server.feature(lsp.TEXT_DOCUMENT_SEMANTIC_TOKENS_RANGE, _TOKEN_LEGEND)
-def _range_tokens(ls: AntLanguageServer, params: lsp.SemanticTokensRangeParams) -> lsp.SemanticTokens:
+def _semantic_range_tokens(ls: AntLanguageServer, params: lsp.SemanticTokensRangeParams) -> lsp.SemanticTokens:
     document = ls.document(params.text_document.uri)
     if document is None or not document.is_program:
         return lsp.SemanticTokens([])
-    return lsp.SemanticTokens(tokens.tokens(document, params.range.start.line, params.range.end.line))
+    return lsp.SemanticTokens(tokens.encode_tokens(document, params.range.start.line, params.range.end.line))
 
 
 @language_server.feature(lsp.TEXT_DOCUMENT_INLAY_HINT)
-def _hints(ls: AntLanguageServer, params: lsp.InlayHintParams) -> list[lsp.InlayHint]:
+def _inlay_hints(ls: AntLanguageServer, params: lsp.InlayHintParams) -> list[lsp.InlayHint]:
     document = ls.document(params.text_document.uri)
     if document is None or not document.is_program:
         return []
-    all_hints = [protocol.hint(document, each) for each in hints(ls.files, document)]
+    all_hints = [protocol.to_inlay_hint(document, each) for each in find_hints(ls.files, document)]
     return [each for each in all_hints if params.range.start.line <= each.position.line <= params.range.end.line]
 
 
 @language_server.feature(lsp.TEXT_DOCUMENT_CODE_ACTION, lsp.CodeActionOptions([lsp.CodeActionKind.QuickFix]))
-def _actions(ls: AntLanguageServer, params: lsp.CodeActionParams) -> list[lsp.CodeAction]:
+def _code_actions(ls: AntLanguageServer, params: lsp.CodeActionParams) -> list[lsp.CodeAction]:
     document = ls.document(params.text_document.uri)
     if document is None:
         return []
     start, end = params.range.start, params.range.end
     text = document.text
-    fixes = actions(ls.files, document, text.offset(start.line, start.character), text.offset(end.line, end.character))
-    return [protocol.action(ls.files, document, each, params.text_document.uri) for each in fixes]
+    fixes = find_quick_fixes(
+        ls.files, document, text.find_offset(start.line, start.character), text.find_offset(end.line, end.character)
+    )
+    return [protocol.to_code_action(ls.files, document, each, params.text_document.uri) for each in fixes]
 
 
 @language_server.feature(lsp.TEXT_DOCUMENT_FORMATTING)
-def _format(ls: AntLanguageServer, params: lsp.DocumentFormattingParams) -> list[lsp.TextEdit] | None:
+def _format_document(ls: AntLanguageServer, params: lsp.DocumentFormattingParams) -> list[lsp.TextEdit] | None:
     document = ls.document(params.text_document.uri)
     edits = formatting_edits(document) if document is not None and document.is_program else None
-    return protocol.text_edits(document, edits) if document is not None and edits is not None else None
+    return protocol.to_text_edits(document, edits) if document is not None and edits is not None else None
 
 
 class _MessageOutput(io.RawIOBase):
@@ -361,7 +371,7 @@ class _MessageOutput(io.RawIOBase):
         return len(data)
 
 
-def start() -> bool:
+def run_server() -> bool:
     """Serve an editor over standard input and output until it ends the session. Return False if it left without a shutdown
     request. Raises OSError where messages could not be written."""
     logging.basicConfig(level=logging.WARNING, format="%(levelname)s %(name)s: %(message)s")  # to standard error
@@ -371,4 +381,4 @@ def start() -> bool:
         language_server.start_io(reader, output)  # type: ignore[arg-type]
     if output.problem is not None:
         raise output.problem
-    return not language_server.left_early
+    return not language_server.exited_without_shutdown

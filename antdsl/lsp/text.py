@@ -30,7 +30,7 @@ class DocumentText:
     """Text with LF line ends. `encoding` is the unit of the editor's columns: utf-16 (the protocol's default), utf-8 or
     utf-32."""
 
-    __slots__ = ("encoding", "starts", "text")
+    __slots__ = ("encoding", "line_starts", "text")
 
     def __init__(self, text: str, encoding: str = "utf-16") -> None:
         self.text = text
@@ -40,46 +40,46 @@ class DocumentText:
         while position >= 0:
             starts.append(position + 1)
             position = text.find("\n", position + 1)
-        self.starts = starts
+        self.line_starts = starts
 
     def line(self, number: int) -> str:
         """Return a line by its number, counted from 0, without its end; empty beyond the last line."""
-        if not 0 <= number < len(self.starts):
+        if not 0 <= number < len(self.line_starts):
             return ""
-        end = self.starts[number + 1] - 1 if number + 1 < len(self.starts) else len(self.text)
-        return self.text[self.starts[number] : end]
+        end = self.line_starts[number + 1] - 1 if number + 1 < len(self.line_starts) else len(self.text)
+        return self.text[self.line_starts[number] : end]
 
-    def offset(self, line: int, column: int) -> int:
+    def find_offset(self, line: int, column: int) -> int:
         """Return the offset of a position. A column beyond the end of its line means the line's end; a line beyond the last means
         the text's end."""
-        if line >= len(self.starts):
+        if line >= len(self.line_starts):
             return len(self.text)
-        text, start = self.line(line), self.starts[line]
+        text, start = self.line(line), self.line_starts[line]
         if text.isascii() or self.encoding == "utf-32":
             return start + min(max(column, 0), len(text))
         taken = 0
         for count, character in enumerate(text):
             if taken >= column:
                 return start + count
-            taken += self._units(character)
+            taken += self._count_character_columns(character)
         return start + len(text)
 
-    def place(self, offset: int) -> LineColumn:
+    def find_line_column(self, offset: int) -> LineColumn:
         """Return line and column of an offset, both counted from 0. Offsets outside the text are clamped."""
         offset = max(0, min(offset, len(self.text)))
-        line = bisect_right(self.starts, offset) - 1
-        prefix = self.text[self.starts[line] : offset]
-        return line, len(prefix) if prefix.isascii() else self.units(prefix)
+        line = bisect_right(self.line_starts, offset) - 1
+        prefix = self.text[self.line_starts[line] : offset]
+        return line, len(prefix) if prefix.isascii() else self.count_columns(prefix)
 
     def range(self, start: int, end: int) -> TextRange:
         """Return the lines and columns from one offset to another."""
-        return self.place(start), self.place(max(start, end))
+        return self.find_line_column(start), self.find_line_column(max(start, end))
 
-    def units(self, text: str) -> int:
+    def count_columns(self, text: str) -> int:
         """Return how many columns a text takes in the editor."""
-        return len(text) if text.isascii() else sum(map(self._units, text))
+        return len(text) if text.isascii() else sum(map(self._count_character_columns, text))
 
-    def _units(self, character: str) -> int:
+    def _count_character_columns(self, character: str) -> int:
         """Return how many columns a character takes in the editor."""
         if self.encoding == "utf-8":
             return len(character.encode("utf-8", "surrogatepass"))
@@ -89,13 +89,13 @@ class DocumentText:
         """Return another text with the same encoding."""
         return DocumentText(normalise_line_ends(text), self.encoding)
 
-    def edited(self, start: LineColumn, end: LineColumn, text: str) -> DocumentText:
+    def replace_range(self, start: LineColumn, end: LineColumn, text: str) -> DocumentText:
         """Return the text with a range replaced."""
-        first, last = self.offset(*start), self.offset(*end)
+        first, last = self.find_offset(*start), self.find_offset(*end)
         return DocumentText(self.text[:first] + normalise_line_ends(text) + self.text[max(first, last) :], self.encoding)
 
 
-def path_of(uri: str) -> Path | None:
+def uri_to_path(uri: str) -> Path | None:
     """Return the file behind a URI, with links resolved; None for a URI that is not a file, such as `untitled:Untitled-1`."""
     parts = urlsplit(uri)
     if parts.scheme != "file":
@@ -108,6 +108,6 @@ def path_of(uri: str) -> Path | None:
     return None if "\0" in name else Path(os.path.realpath(name))
 
 
-def uri_of(path: Path) -> str:
+def path_to_uri(path: Path) -> str:
     """Return the URI of a file."""
     return path.as_uri()

@@ -13,20 +13,20 @@ from time import monotonic
 from typing import TYPE_CHECKING
 
 from antdsl import limits, syntax
-from antdsl.bounded import real_path
 from antdsl.diagnostics import Diagnostic, Report
-from antdsl.diagnostics.ignoring import apply_ignores
+from antdsl.diagnostics.ignore_comments import apply_ignores
 from antdsl.files import find_files
 from antdsl.loading import ParsedFileCache
-from antdsl.lsp.names import NameOccurrence, ProgramNames, names_of, occurrences
-from antdsl.lsp.scenes import SceneIndex, scene_index
+from antdsl.lsp.names import NameOccurrence, ProgramNames, collect_names, find_occurrences
+from antdsl.lsp.scenes import SceneIndex, build_scene_index
 from antdsl.lsp.text import DocumentText, TextRange, normalise_line_ends
 from antdsl.pipeline import check_scene_text, compile_files
 from antdsl.program.memo import CheckMemo
 from antdsl.program.names.bindings import NameBindings
+from antdsl.safe_read import resolve_path
 from antdsl.source import Source, Span
 from antdsl.syntax import nodes
-from antdsl.syntax.parts import IncrementalParser
+from antdsl.syntax.incremental_parser import IncrementalParser
 
 if TYPE_CHECKING:
     from antdsl.program.model import Program
@@ -34,22 +34,22 @@ if TYPE_CHECKING:
 
 PROGRAM_SUFFIX = ".ant"
 NO_BINDINGS = NameBindings()
-_MAX_MEANINGS = 8  # symbols that one word can stand for
+_MAX_OCCURRENCES_AT_OFFSET = 8  # symbols that one word can stand for
 _SCENE_KEY_PATTERN = re.compile(r"^(?:antdsl|crowd|extends)[ \t]*:", re.MULTILINE)  # keys that scenes have, and few other files
 
 
 @dataclass(frozen=True)
-class Index:
+class NameIndex:
     """The names of a document in text order, with the start offset of each."""
 
     occurrences: list[NameOccurrence]
-    starts: list[int]
+    start_offsets: list[int]
 
     @cached_property
-    def meanings(self) -> dict[int, tuple[str, bool]]:
+    def meaning_by_offset(self) -> dict[int, tuple[str, bool]]:
         """Return, for the word at each offset, the kind of its symbol and whether the symbol is declared there."""
-        pairs = zip(reversed(self.starts), reversed(self.occurrences), strict=True)
-        return {start: (str(each.key[0]), each.declares) for start, each in pairs}
+        pairs = zip(reversed(self.start_offsets), reversed(self.occurrences), strict=True)
+        return {start: (str(each.key[0]), each.is_declaration) for start, each in pairs}
 
 
 @dataclass(eq=False)
@@ -57,18 +57,18 @@ class OpenDocument:
     """A file in its current state, in the editor or on disk.
 
     `resolve`: returns the bindings of the file and all files that it uses.
-    `stamp`: identifies the state of the file on disk; None for an open buffer.
-    `earlier`: the names of the scene before an edit, for the time in which its text is not YAML.
+    `file_stamp`: identifies the state of the file on disk; None for an open buffer.
+    `last_valid_scene`: the names of the scene before an edit, for the time in which its text is not YAML.
     """
 
     path: Path
     text: DocumentText
     resolve: Callable[[Path], NameBindings]
-    stamp: tuple[int, int] | None = None
+    file_stamp: tuple[int, int] | None = None
     version: int | None = None
-    earlier: SceneIndex | None = None  # of the text before, for while this one is no YAML
-    parts: IncrementalParser = field(default_factory=IncrementalParser)  # go from one version of an open buffer to the next
-    _index: tuple[NameBindings, Index] | None = None
+    last_valid_scene: SceneIndex | None = None  # of the text before, for while this one is no YAML
+    parser: IncrementalParser = field(default_factory=IncrementalParser)  # go from one version of an open buffer to the next
+    _cached_index: tuple[NameBindings, NameIndex] | None = None
 
     @property
     def is_program(self) -> bool:
@@ -78,28 +78,28 @@ class OpenDocument:
     @cached_property
     def parsed(self) -> tuple[nodes.File, Report]:
         """Return the parsed program and its syntax errors."""
-        return self.parts.parse(Source(str(self.path), self.text.text))
+        return self.parser.parse(Source(str(self.path), self.text.text))
 
     @cached_property
     def names(self) -> ProgramNames:
         """Return the names that the program declares."""
-        return names_of(self.path, self.parsed[0])
+        return collect_names(self.path, self.parsed[0])
 
     @cached_property
     def used_files(self) -> list[Path]:
         """Return the files that the program uses by `use "PATH"`."""
         written = (item.path for item in self.parsed[0].items if isinstance(item, nodes.Use))
-        return [real_path(self.path.parent.joinpath(path.text)) for path in written if path is not None]
+        return [resolve_path(self.path.parent.joinpath(path.text)) for path in written if path is not None]
 
     @property
-    def index(self) -> Index:
+    def index(self) -> NameIndex:
         """Return the index of the document's names. It is built again if a new check gave other bindings."""
         bindings = self.resolve(self.path) if self.is_program else NO_BINDINGS
-        if self._index is None or self._index[0] is not bindings:
-            name_occurrences = occurrences(self.names, bindings) if self.is_program else self.scene.occurrences
+        if self._cached_index is None or self._cached_index[0] is not bindings:
+            name_occurrences = find_occurrences(self.names, bindings) if self.is_program else self.scene.occurrences
             name_occurrences = sorted(name_occurrences, key=lambda each: self.start(each.span))
-            self._index = bindings, Index(name_occurrences, [self.start(each.span) for each in name_occurrences])
-        return self._index[1]
+            self._cached_index = bindings, NameIndex(name_occurrences, [self.start(each.span) for each in name_occurrences])
+        return self._cached_index[1]
 
     @property
     def occurrences(self) -> list[NameOccurrence]:
@@ -109,20 +109,24 @@ class OpenDocument:
     @cached_property
     def scene(self) -> SceneIndex:
         """Return the names of the scene. While its text is invalid YAML, its files and items are those of the last valid text."""
-        index = scene_index(self.path, self.text.text)
-        if index.document is None and self.earlier is not None:
-            index.files, index.items, index.fps = self.earlier.files, self.earlier.items, self.earlier.fps
+        index = build_scene_index(self.path, self.text.text)
+        if index.document is None and self.last_valid_scene is not None:
+            index.files, index.items, index.fps = (
+                self.last_valid_scene.files,
+                self.last_valid_scene.items,
+                self.last_valid_scene.fps,
+            )
         return index
 
     def start(self, span: Span) -> int:
         """Return the start offset of a span in this document's text."""
-        return self._full_span(span).start
+        return self._find_file_span(span).start
 
     def end(self, span: Span) -> int:
         """Return the end offset of a span in this document's text."""
-        return self._full_span(span).end
+        return self._find_file_span(span).end
 
-    def _full_span(self, span: Span) -> Span:
+    def _find_file_span(self, span: Span) -> Span:
         """Return a span of a parsed part as a span of the complete file."""
         return self.parsed[0].file_span(span) if self.is_program else span
 
@@ -134,14 +138,14 @@ class OpenDocument:
         """Return the names at an offset. A name that starts at or covers the offset precedes one that ends there."""
         index = self.index
         name_occurrences: list[NameOccurrence] = []
-        for number in range(bisect_right(index.starts, offset) - 1, -1, -1):
+        for number in range(bisect_right(index.start_offsets, offset) - 1, -1, -1):
             each = index.occurrences[number]
-            if self.end(each.span) < offset or len(name_occurrences) > _MAX_MEANINGS:
+            if self.end(each.span) < offset or len(name_occurrences) > _MAX_OCCURRENCES_AT_OFFSET:
                 break
             name_occurrences.insert(0, each)
         return sorted(name_occurrences, key=lambda each: self.end(each.span) == offset)
 
-    def word_at(self, offset: int) -> tuple[int, int]:
+    def find_word_at(self, offset: int) -> tuple[int, int]:
         """Return the start and end offsets of the word at an offset."""
         text, start, end = self.text.text, offset, offset
         while start > 0 and (text[start - 1].isalnum() or text[start - 1] == "_"):
@@ -162,63 +166,65 @@ class DocumentCheck:
 
 @dataclass(eq=False)
 class Workspace:
-    """All files of the session. `roots` are the editor's folders; `open` has its open documents, by real path."""
+    """All files of the session. `roots` are the editor's folders; `open_documents` has its open documents, by real path."""
 
     roots: list[Path] = field(default_factory=list)
     encoding: str = "utf-16"
-    open: dict[Path, OpenDocument] = field(default_factory=dict)
-    _disk: dict[Path, OpenDocument] = field(default_factory=dict)
-    _checked: dict[Path, tuple[object, DocumentCheck]] = field(default_factory=dict)
-    _good: dict[Path, Program] = field(default_factory=dict)
-    _memos: dict[Path, CheckMemo] = field(default_factory=dict)
-    _searched: tuple[float, list[Path]] = (0.0, [])  # until when these files count as all
+    open_documents: dict[Path, OpenDocument] = field(default_factory=dict)
+    _disk_documents: dict[Path, OpenDocument] = field(default_factory=dict)
+    _check_by_path: dict[Path, tuple[object, DocumentCheck]] = field(default_factory=dict)
+    _last_good_programs: dict[Path, Program] = field(default_factory=dict)
+    _check_memos: dict[Path, CheckMemo] = field(default_factory=dict)
+    _file_search: tuple[float, list[Path]] = (0.0, [])  # until when these files count as all
 
     # --- documents ---
 
-    def put(self, path: Path, text: str, version: int | None = None) -> OpenDocument:
+    def put_document(self, path: Path, text: str, version: int | None = None) -> OpenDocument:
         """Add an open buffer, or replace its text."""
-        document = self.open[path] = OpenDocument(
-            path, DocumentText(normalise_line_ends(text), self.encoding), self.bindings, None, version
+        document = self.open_documents[path] = OpenDocument(
+            path, DocumentText(normalise_line_ends(text), self.encoding), self.find_bindings, None, version
         )
         return document
 
-    def change(self, path: Path, text: DocumentText, version: int | None) -> OpenDocument:
+    def change_document(self, path: Path, text: DocumentText, version: int | None) -> OpenDocument:
         """Replace the text of an open buffer after an edit."""
-        previous_document = self.open.get(path)
+        previous_document = self.open_documents.get(path)
         earlier = previous_document.scene if previous_document is not None and not previous_document.is_program else None
-        parts = previous_document.parts if previous_document is not None else IncrementalParser()
-        document = self.open[path] = OpenDocument(path, text, self.bindings, None, version, earlier, parts)
+        parts = previous_document.parser if previous_document is not None else IncrementalParser()
+        document = self.open_documents[path] = OpenDocument(path, text, self.find_bindings, None, version, earlier, parts)
         return document
 
-    def close(self, path: Path) -> None:
+    def close_document(self, path: Path) -> None:
         """Remove an open buffer. The file on disk counts again."""
-        self.open.pop(path, None)
-        self._checked.pop(path, None)
-        self._good.pop(path, None)
-        self._memos.pop(path, None)
+        self.open_documents.pop(path, None)
+        self._check_by_path.pop(path, None)
+        self._last_good_programs.pop(path, None)
+        self._check_memos.pop(path, None)
 
     def document(self, path: Path) -> OpenDocument | None:
         """Return a file as in the editor, or else as on disk; None when it cannot be read."""
-        open_document = self.open.get(path)
+        open_document = self.open_documents.get(path)
         if open_document is not None:
             return open_document
         try:
             status = os.stat(path)
         except (OSError, ValueError):
-            self._disk.pop(path, None)
+            self._disk_documents.pop(path, None)
             return None
         stamp = (status.st_mtime_ns, status.st_size)
-        known = self._disk.get(path)
-        if known is None or known.stamp != stamp:
+        known = self._disk_documents.get(path)
+        if known is None or known.file_stamp != stamp:
             source, _ = syntax.read(path)
             if source is None:
                 return None
-            known = self._disk[path] = OpenDocument(path, DocumentText(source.text, self.encoding), self.bindings, stamp)
+            known = self._disk_documents[path] = OpenDocument(
+                path, DocumentText(source.text, self.encoding), self.find_bindings, stamp
+            )
         return known
 
-    def span_of(self, span: Span) -> tuple[OpenDocument, TextRange] | None:
+    def locate_span(self, span: Span) -> tuple[OpenDocument, TextRange] | None:
         """Return the document that contains a span, and the span's location in it."""
-        for document in (*self.open.values(), *self._disk.values()):
+        for document in (*self.open_documents.values(), *self._disk_documents.values()):
             if document.is_program and "parsed" in document.__dict__:
                 file = document.parsed[0]
                 if span.source is file.source or span.source in file.parts:
@@ -228,46 +234,46 @@ class Workspace:
 
     # --- checking ---
 
-    def check(self, path: Path) -> DocumentCheck | None:
+    def check_document(self, path: Path) -> DocumentCheck | None:
         """Return the checked document; it is checked again where a file that it depends on has changed. None if there is no
         document."""
         document = self.document(path)
         if document is None:
             return None
-        known = self._checked.get(path)
-        if known is not None and known[0] == self._dependency_state(path):
+        known = self._check_by_path.get(path)
+        if known is not None and known[0] == self._find_dependency_state(path):
             return known[1]
         checked = self._check_program(document) if document.is_program else self._check_scene(document)
         if checked.program is not None and checked.report.ok:
-            self._good[path] = checked.program
-        self._checked[path] = (self._dependency_state(path), checked)
+            self._last_good_programs[path] = checked.program
+        self._check_by_path[path] = (self._find_dependency_state(path), checked)
         return checked
 
-    def _dependency_state(self, path: Path) -> object:
+    def _find_dependency_state(self, path: Path) -> object:
         """Return all inputs of a check: the related documents in their current state."""
-        return [(each, self.document(each)) for each in self.linked_files(path)]
+        return [(each, self.document(each)) for each in self.find_linked_files(path)]
 
-    def bindings(self, path: Path) -> NameBindings:
+    def find_bindings(self, path: Path) -> NameBindings:
         """Return the resolved names of a program, as far as its text is valid."""
-        checked = self.check(path)
+        checked = self.check_document(path)
         return NO_BINDINGS if checked is None or checked.program is None else checked.program.bindings
 
-    def last_good_program(self, path: Path) -> Program | None:
+    def find_last_good_program(self, path: Path) -> Program | None:
         """Return the last program of this document that checked without errors, for queries during an edit."""
-        checked = self.check(path)
-        return self._good.get(path) or (checked.program if checked is not None else None)
+        checked = self.check_document(path)
+        return self._last_good_programs.get(path) or (checked.program if checked is not None else None)
 
-    def parsed(self, path: Path) -> ParsedFileCache:
+    def find_parsed_files(self, path: Path) -> ParsedFileCache:
         """Return the cached parse results for the chain. Documents open in the editor have priority."""
         programs: ParsedFileCache = {}
-        for each in {*self.open, *self.linked_files(path), *self._libraries()}:
+        for each in {*self.open_documents, *self.find_linked_files(path), *self._list_libraries()}:
             document = self.document(each)
             if document is not None and document.is_program:
                 file, report = document.parsed
                 programs[str(each)] = (file, report)
         return programs
 
-    def _libraries(self) -> list[Path]:
+    def _list_libraries(self) -> list[Path]:
         from antdsl.resources import behaviours_folder
 
         return [Path(os.path.realpath(path)) for path in behaviours_folder().glob("*.ant")]
@@ -275,36 +281,38 @@ class Workspace:
     def _check_program(self, document: OpenDocument) -> DocumentCheck:
         """Check a program with all files that it uses."""
         # a text that had to be read as a whole has nothing in common with the one before, which may come back
-        has_parts = document.path in self.open and document.parsed[0].parts
-        memo = self._memos.setdefault(document.path, CheckMemo()) if has_parts else None
-        program, report = compile_files([document.path], parsed=self.parsed(document.path), memo=memo)
+        has_parts = document.path in self.open_documents and document.parsed[0].parts
+        memo = self._check_memos.setdefault(document.path, CheckMemo()) if has_parts else None
+        program, report = compile_files([document.path], parsed=self.find_parsed_files(document.path), memo=memo)
         return DocumentCheck(program, None, report)
 
     def _check_scene(self, document: OpenDocument) -> DocumentCheck:
         """Check a scene with its programs."""
-        texts = {each.path: each.text.text.encode("utf-8", "surrogatepass") for each in (document, *self.open.values())}
+        texts = {each.path: each.text.text.encode("utf-8", "surrogatepass") for each in (document, *self.open_documents.values())}
         texts = {path: data for path, data in texts.items() if path.suffix != PROGRAM_SUFFIX}
-        scene, program, report = check_scene_text(document.path, texts, parsed=self.parsed(document.path))
+        scene, program, report = check_scene_text(document.path, texts, parsed=self.find_parsed_files(document.path))
         return DocumentCheck(program, scene, report)
 
-    def complaints(self, path: Path) -> list[Diagnostic]:
+    def find_diagnostics(self, path: Path) -> list[Diagnostic]:
         """Return the findings in this document; a finding about the complete document has no span. A YAML file that is not a
         scene has no findings, because editors send every YAML file."""
         document = self.document(path)
         if document is not None and not document.is_program and not _SCENE_KEY_PATTERN.search(document.text.text):
             return []
-        checked = self.check(path)
+        checked = self.check_document(path)
         if checked is None:
             return []
         document, own = self.document(path), str(path)
-        said = [d for d in checked.report.sorted() if d.span is None or os.path.realpath(d.span.source.path) == own]
+        said = [d for d in checked.report.sort_by_place() if d.span is None or os.path.realpath(d.span.source.path) == own]
         if document is None:
             return said
-        return apply_ignores(Report(said), [Source(own, document.text.text)], sound=checked.report.ok, meshes=False).sorted()
+        return apply_ignores(
+            Report(said), [Source(own, document.text.text)], has_no_errors=checked.report.ok, meshes_checked=False
+        ).sort_by_place()
 
     # --- which files belong together ---
 
-    def linked_files(self, path: Path) -> list[Path]:
+    def find_linked_files(self, path: Path) -> list[Path]:
         """Return a file, the files that it names, and the files that these files name."""
         paths: dict[Path, None] = {}
         stack = [path]
@@ -318,10 +326,10 @@ class Workspace:
                 stack += document.used_files if document.is_program else document.scene.files
         return list(paths)
 
-    def related_files(self, path: Path) -> list[Path]:
+    def find_related_files(self, path: Path) -> list[Path]:
         """Return all files in which a name of this file may occur: linked by `use`, or by scenes that use them together."""
-        links = {each: set(self.linked_files(each)) for each in self.files()}
-        links.setdefault(path, set(self.linked_files(path)))
+        links = {each: set(self.find_linked_files(each)) for each in self.files()}
+        links.setdefault(path, set(self.find_linked_files(path)))
         members = set(links[path]) | {path}
         grown = True
         while grown:
@@ -332,20 +340,20 @@ class Workspace:
                     grown = True
         return sorted(members)
 
-    def extending_scenes(self, path: Path) -> list[Path]:
+    def find_extending_scenes(self, path: Path) -> list[Path]:
         """Return a scene, the scenes that it extends, and all scenes that extend one of these."""
         behind = {
-            each: {p for p in self.linked_files(each) if p.suffix != PROGRAM_SUFFIX}
+            each: {p for p in self.find_linked_files(each) if p.suffix != PROGRAM_SUFFIX}
             for each in self.files()
             if each.suffix != PROGRAM_SUFFIX
         }
-        mine = behind.get(path, {p for p in self.linked_files(path) if p.suffix != PROGRAM_SUFFIX})
+        mine = behind.get(path, {p for p in self.find_linked_files(path) if p.suffix != PROGRAM_SUFFIX})
         others = {each for each, linked in behind.items() if linked & mine} | mine
         return [path, *sorted(others - {path})]
 
-    def scenes_of(self, path: Path) -> list[Path]:
+    def find_scenes_using(self, path: Path) -> list[Path]:
         """Return the open scenes that use a program or extend a scene."""
-        return [each for each in self.open if each != path and path in self.linked_files(each)]
+        return [each for each in self.open_documents if each != path and path in self.find_linked_files(each)]
 
     def files(self) -> list[Path]:
         """Return the programs and scenes below the editor's folders, and the open ones.
@@ -353,12 +361,12 @@ class Workspace:
         Large folders are not searched at every request. A result is valid for twenty times the duration of its search, or until
         the editor reports a change."""
         now = monotonic()
-        if now >= self._searched[0]:
+        if now >= self._file_search[0]:
             paths, _ = find_files(root for root in self.roots if root.is_dir())
             real = [Path(os.path.realpath(each)) for each in paths]
-            self._searched = (monotonic() + 20 * (monotonic() - now), real)
-        return list(dict.fromkeys([*self.open, *self._searched[1]]))
+            self._file_search = (monotonic() + 20 * (monotonic() - now), real)
+        return list(dict.fromkeys([*self.open_documents, *self._file_search[1]]))
 
-    def search_again(self) -> None:
+    def invalidate_file_list(self) -> None:
         """Mark the file lists as outdated, because files may have been added or removed."""
-        self._searched = (0.0, [])
+        self._file_search = (0.0, [])

@@ -1,9 +1,9 @@
 """`python -m antdsl.machine_code.build_objects [--host]`: compile all kernels and texts of the package in advance.
 
-It writes one file into the installation for each target of `shipped`, or with `--host` only for this machine's target. The build
-and the installation of the package run it. It needs only NumPy and llvmlite. Objects with existing keys are not compiled again:
-delete the folder to start from scratch. The same sources and LLVM give the same bytes: no file depends on the time, a path or the
-compilation order."""
+It writes one file into the installation for each target of `shipped_objects`, or with `--host` only for this machine's target.
+The build and the installation of the package run it. It needs only NumPy and llvmlite. Objects with existing keys are not
+compiled again: delete the folder to start from scratch. The same sources and LLVM give the same bytes: no file depends on the
+time, a path or the compilation order."""
 
 from __future__ import annotations
 
@@ -17,26 +17,28 @@ from concurrent.futures import ProcessPoolExecutor
 from functools import cache
 from pathlib import Path
 
-from antdsl.child_processes import isolate
-from antdsl.machine_code import library, machine, shipped
-from antdsl.whole import write_atomically
+from antdsl.atomic_write import write_atomically
+from antdsl.child_processes import isolate_search_paths
+from antdsl.machine_code import library, llvm_compiler, shipped_objects
 
 _MAX_PROCESSES = 8  # each process takes 200 MB, and 2 s to import the kernels
 _QualifiedName = tuple[str, str]  # a module, and a name in it
 _CompileTask = tuple[_QualifiedName, tuple[str, ...]]  # an entry, and the names of its targets
 
 
-def build(folder: Path, entries: Sequence[library.LibraryEntry], targets: Iterable[str], processes: int = 1) -> int:
+def build_object_files(folder: Path, entries: Sequence[library.LibraryEntry], targets: Iterable[str], processes: int = 1) -> int:
     """Write the object files of targets into a folder, which is created if needed. Return the number of newly compiled objects.
 
-    Objects that the folder already has are not compiled again. `entries` are the kernels and texts to compile. With several
-    `processes`, they must be those of the package."""
+    Objects that the folder already has are not compiled again. `entry_functions` are the kernels and texts to compile. With
+    several `processes`, they must be those of the package."""
     keys: dict[str, dict[_QualifiedName, str]] = {}
     objects_by_target: dict[str, dict[str, bytes]] = {}
     for name in targets:
-        target = shipped.TARGET_BY_NAME[name]
-        stored = shipped.ObjectFile(shipped.file_of(folder, name))
-        keys[name] = {_entry_key(each): shipped.key(named, target) for each in entries if (named := each.text_key(target))}
+        target = shipped_objects.TARGET_BY_NAME[name]
+        stored = shipped_objects.ObjectFile(shipped_objects.objects_path(folder, name))
+        keys[name] = {
+            _entry_key(each): shipped_objects.shipped_key(named, target) for each in entries if (named := each.text_key(target))
+        }
         objects_by_target[name] = {key: code for key in keys[name].values() if (code := stored.get(key)) is not None}
     tasks: list[_CompileTask] = []
     for each in entries:
@@ -49,8 +51,8 @@ def build(folder: Path, entries: Sequence[library.LibraryEntry], targets: Iterab
             objects_by_target[name][keys[name][place]] = code
     folder.mkdir(parents=True, exist_ok=True)
     for name, codes_by_key in objects_by_target.items():
-        write_atomically(shipped.file_of(folder, name), shipped.pack_objects(codes_by_key))
-    shipped.forget()
+        write_atomically(shipped_objects.objects_path(folder, name), shipped_objects.pack_objects(codes_by_key))
+    shipped_objects.close_files()
     return sum(len(names) for _, names in tasks)
 
 
@@ -64,7 +66,7 @@ def _compile_tasks(tasks: list[_CompileTask], entries: Sequence[library.LibraryE
     if processes < 2 or len(tasks) < 2:
         known = {_entry_key(each): each for each in entries}
         for place, names in tasks:
-            yield _object_codes(known[place], names)
+            yield _compile_for_targets(known[place], names)
         return
     with ProcessPoolExecutor(min(processes, len(tasks)), multiprocessing.get_context("spawn")) as pool:
         yield from pool.map(_compile_task, tasks)
@@ -73,39 +75,47 @@ def _compile_tasks(tasks: list[_CompileTask], entries: Sequence[library.LibraryE
 def _compile_task(task: _CompileTask) -> list[bytes]:
     """Compile one entry for its targets, in a process of the pool."""
     place, names = task
-    return _object_codes(_library()[place], names)
+    return _compile_for_targets(_load_library()[place], names)
 
 
 @cache
-def _library() -> dict[_QualifiedName, library.LibraryEntry]:
+def _load_library() -> dict[_QualifiedName, library.LibraryEntry]:
     """Return the package's kernels and texts by module and name, for a process of the pool."""
-    return {_entry_key(each): each for each in library.load()}
+    return {_entry_key(each): each for each in library.load_entries()}
 
 
-def _object_codes(entry: library.LibraryEntry, names: tuple[str, ...]) -> list[bytes]:
+def _compile_for_targets(entry: library.LibraryEntry, names: tuple[str, ...]) -> list[bytes]:
     """Return the object code of an entry for each of the named targets."""
-    return [machine.object_code(entry.text(shipped.TARGET_BY_NAME[name]), shipped.TARGET_BY_NAME[name]) for name in names]
+    return [
+        llvm_compiler.compile_object(entry.text(shipped_objects.TARGET_BY_NAME[name]), shipped_objects.TARGET_BY_NAME[name])
+        for name in names
+    ]
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m antdsl.machine_code.build_objects", description=__doc__)
     parser.add_argument("--host", action="store_true", help="only for this machine")
     host = parser.parse_args().host
-    isolate()  # before processes are started
-    why = machine.unavailable()
-    targets = list(shipped.TARGET_BY_NAME)
+    isolate_search_paths()  # before processes are started
+    why = llvm_compiler.unavailability_reason()
+    targets = list(shipped_objects.TARGET_BY_NAME)
     if host and not why:
-        own = shipped.target_name(machine.host())
-        why = "" if own else f"this machine ({machine.host().triple}, {machine.host().cpu}) is not one of {', '.join(targets)}"
+        own = shipped_objects.target_name(llvm_compiler.host_target())
+        why = (
+            ""
+            if own
+            else f"this machine ({llvm_compiler.host_target().triple}, {llvm_compiler.host_target().cpu}) "
+            f"is not one of {', '.join(targets)}"
+        )
         targets = [own] if own else []
     if why:
         print(f"kernels are not compiled in advance, but when they are first used: {why}", file=sys.stderr)
         return 1
     start = time.monotonic()
-    entries = library.load()
+    entries = library.load_entries()
     core_count = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    count = build(shipped.OBJECTS_FOLDER, entries, targets, min(core_count, _MAX_PROCESSES))
-    size = sum(shipped.file_of(shipped.OBJECTS_FOLDER, name).stat().st_size for name in targets)
+    count = build_object_files(shipped_objects.OBJECTS_FOLDER, entries, targets, min(core_count, _MAX_PROCESSES))
+    size = sum(shipped_objects.objects_path(shipped_objects.OBJECTS_FOLDER, name).stat().st_size for name in targets)
     words = f"{len(entries)} kernels and texts for {', '.join(targets)}: {size / 1e6:.1f} MB"
     print(f"{words}, {count} compiled in {time.monotonic() - start:.0f} s")
     return 0

@@ -13,62 +13,62 @@ from typing import Any
 
 import numpy as np
 
-from antdsl.machine_code import kinds
-from antdsl.machine_code.kernels.ir import Instruction, IrFunction, verify
-from antdsl.machine_code.kernels.rendering import function_text
-from antdsl.machine_code.kernels.values import Number, text_type
+from antdsl.machine_code import number_kinds
+from antdsl.machine_code.kernels.ir import Instruction, IrFunction, verify_functions
+from antdsl.machine_code.kernels.rendering import render_function
+from antdsl.machine_code.kernels.values import Number, llvm_type
 from antdsl.machine_code.kernels.vectors import Vectors
-from antdsl.machine_code.kinds import BOOL, F32, F64, I8, I32, I64, LANE_COUNT, PTR, literal
-from antdsl.machine_code.module import LlvmModule
+from antdsl.machine_code.llvm_module import LlvmModule
+from antdsl.machine_code.number_kinds import BOOL, F32, F64, I8, I32, I64, LANE_COUNT, PTR, format_literal
 
 _INTEGER_COMPARISONS = {"lt": "slt", "le": "sle", "gt": "sgt", "ge": "sge", "eq": "eq", "ne": "ne"}  # LLVM's names for integers
 _ROUNDING_MAGIC = 6755399441055744.0  # 1.5 * 2**52: a sum with it has the rounded integer in its last bits
 
 
-def _operator(word: str, *, swapped: bool = False) -> Callable[[Lanes, Any], Lanes]:
+def _make_operator(word: str, *, swapped: bool = False) -> Callable[[Lanes, Any], Lanes]:
     if swapped:
-        return lambda self, other: self.e.binary(word, other, self)
-    return lambda self, other: self.e.binary(word, self, other)
+        return lambda self, other: self.builder.apply_binary(word, other, self)
+    return lambda self, other: self.builder.apply_binary(word, self, other)
 
 
 class Lanes(Number):
     """A number in a plan's function: one value for each of eight agents, or a single value that operators broadcast if needed."""
 
-    __slots__ = ("e",)
-    e: LaneBuilder
+    __slots__ = ("builder",)
+    builder: LaneBuilder
     ndim = 1
 
     def __init__(self, e: LaneBuilder, kind: str, name: str, lanes: int, known: Any) -> None:
-        self.e, self.kind, self.name, self.known, self.lanes, self.first = e, kind, name, known, lanes, None
-        self.type = text_type(kind, lanes)
+        self.builder, self.kind, self.name, self.known, self.lanes, self.first = e, kind, name, known, lanes, None
+        self.type = llvm_type(kind, lanes)
 
     def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **options: Any) -> Any:
         if method != "__call__" or any(value is not None for value in options.values()):
             return NotImplemented
-        return self.e.apply_function(ufunc, *inputs)
+        return self.builder.apply_function(ufunc, *inputs)
 
     def __array_function__(self, function: Any, types: Any, inputs: tuple[Any, ...], options: Mapping[str, Any]) -> Any:
-        return NotImplemented if options else self.e.apply_function(function, *inputs)
+        return NotImplemented if options else self.builder.apply_function(function, *inputs)
 
     def astype(self, dtype: Any) -> Lanes:
-        return self.e.convert(self, kinds.KIND_BY_DTYPE[np.dtype(dtype)])
+        return self.builder.convert(self, number_kinds.KIND_BY_DTYPE[np.dtype(dtype)])
 
     def __neg__(self) -> Lanes:
-        return self.e.op("fneg", self.kind, self)
+        return self.builder.op("fneg", self.kind, self)
 
     def __invert__(self) -> Lanes:
-        return self.e.binary("xor", self, True if self.kind == BOOL else -1)
+        return self.builder.apply_binary("xor", self, True if self.kind == BOOL else -1)
 
-    __add__, __radd__ = _operator("add"), _operator("add", swapped=True)
-    __sub__, __rsub__ = _operator("sub"), _operator("sub", swapped=True)
-    __mul__, __rmul__ = _operator("mul"), _operator("mul", swapped=True)
-    __truediv__, __rtruediv__ = _operator("div"), _operator("div", swapped=True)
-    __and__ = __rand__ = _operator("and")
-    __or__ = __ror__ = _operator("or")
-    __xor__ = __rxor__ = _operator("xor")
-    __rshift__, __lshift__ = _operator("lshr"), _operator("shl")
-    __lt__, __le__, __gt__, __ge__ = _operator("lt"), _operator("le"), _operator("gt"), _operator("ge")
-    __eq__, __ne__ = _operator("eq"), _operator("ne")  # type: ignore[assignment]  # as arrays do
+    __add__, __radd__ = _make_operator("add"), _make_operator("add", swapped=True)
+    __sub__, __rsub__ = _make_operator("sub"), _make_operator("sub", swapped=True)
+    __mul__, __rmul__ = _make_operator("mul"), _make_operator("mul", swapped=True)
+    __truediv__, __rtruediv__ = _make_operator("div"), _make_operator("div", swapped=True)
+    __and__ = __rand__ = _make_operator("and")
+    __or__ = __ror__ = _make_operator("or")
+    __xor__ = __rxor__ = _make_operator("xor")
+    __rshift__, __lshift__ = _make_operator("lshr"), _make_operator("shl")
+    __lt__, __le__, __gt__, __ge__ = _make_operator("lt"), _make_operator("le"), _make_operator("gt"), _make_operator("ge")
+    __eq__, __ne__ = _make_operator("eq"), _make_operator("ne")  # type: ignore[assignment]  # as arrays do
     __hash__ = None  # type: ignore[assignment]
 
 
@@ -79,32 +79,32 @@ class LaneBuilder(Vectors[Lanes]):
         super().__init__("plan", "plan")
         self.module = module
         self.known: list[dict[Any, Any]] = [{}]
-        self._begun: list[Instruction] = []  # instructions at the start of the function
+        self._entry_instructions: list[Instruction] = []  # instructions at the start of the function
 
     def named_number(self, kind: str, name: str, lanes: int = 1, known: Any = None) -> Lanes:
         return Lanes(self, kind, name, lanes, known)
 
-    def at_entry(self, op: str, kind: str, *operands: Number, x: Any = "") -> Lanes:
+    def add_at_entry(self, op: str, kind: str, *operands: Number, x: Any = "") -> Lanes:
         """Add an instruction at the start of the function, with a single number as its result."""
         output = self.named_number(kind, self.name("e"))
-        self._begun.append(Instruction(op, output, operands, x, 0))
+        self._entry_instructions.append(Instruction(op, output, operands, x, 0))
         return output
 
     def end(self, name: str, arguments: Sequence[Number], *results: Number, attribute: str = "", outer: str = "") -> None:
         """Add the function to the module, under a name. `outer` is the text of the function that calls it from outside."""
         self.do("return", *results)
-        self.blocks[0].body[:0] = self._begun
+        self.blocks[0].body[:0] = self._entry_instructions
         result, full_name = results[0].type if results else "void", f"@{name}.inside" if outer else f"@{name}"
         definition = IrFunction(full_name, self.file, list(arguments), attribute, result, self.slots, self.blocks)
-        verify([definition], self.module.made)
-        self.module.functions[name] = outer + function_text(definition, self.module.declared)
-        self.module.made[full_name] = replace(definition, slots=[], blocks=[])
-        self.blocks, self._begun, self.known = [], [], []  # these objects refer to this builder
+        verify_functions([definition], self.module.written_functions)
+        self.module.functions[name] = outer + render_function(definition, self.module.declarations)
+        self.module.written_functions[full_name] = replace(definition, slots=[], blocks=[])
+        self.blocks, self._entry_instructions, self.known = [], [], []  # these objects refer to this builder
 
     @contextmanager
-    def inside(self, condition: Lanes) -> Iterator[None]:
+    def write_if(self, condition: Lanes) -> Iterator[None]:
         """Write code that runs only where a single condition holds."""
-        then, end = self.label("then"), self.label("done")
+        then, end = self.make_label("then"), self.make_label("done")
         self.branch(condition, then, end)
         self.begin(then)
         self.known.append({})
@@ -114,11 +114,11 @@ class LaneBuilder(Vectors[Lanes]):
         self.begin(end)
 
     @contextmanager
-    def loop(self, count: Lanes | int, step: int = 1) -> Iterator[Lanes]:
+    def write_loop(self, count: Lanes | int, step: int = 1) -> Iterator[Lanes]:
         """Write a loop from 0 to before `count`, a single i64, in steps of `step`. Yield the loop number."""
-        head, body, end = self.label("head"), self.label("body"), self.label("done")
-        place = self.slot(I64)
-        self.put(place, self.constant(0, I64, 1))
+        head, body, end = self.make_label("head"), self.make_label("body"), self.make_label("done")
+        place = self.allocate_slot(I64)
+        self.store_number(place, self.make_constant(0, I64, 1))
         self.jump(head)
         self.begin(head)
         number = self.load(place, I64)
@@ -127,7 +127,7 @@ class LaneBuilder(Vectors[Lanes]):
         self.known.append({})
         yield number
         self.known.pop()
-        self.put(place, number + step)
+        self.store_number(place, number + step)
         self.jump(head)
         self.begin(end)
 
@@ -139,7 +139,7 @@ class LaneBuilder(Vectors[Lanes]):
         value = self.known[-1][key] = make()
         return value
 
-    def call(self, name: str, kind: str, *arguments: Number, lanes: int = LANE_COUNT) -> Lanes:
+    def call_function(self, name: str, kind: str, *arguments: Number, lanes: int = LANE_COUNT) -> Lanes:
         """Call a function of the module that returns a number."""
         return self.op("call", kind, *arguments, x=f"@{name}", lanes=lanes)
 
@@ -149,11 +149,11 @@ class LaneBuilder(Vectors[Lanes]):
 
     # --- values --------------------------------------------------------------------------------------------------------
 
-    def constant(self, value: Any, kind: str, lanes: int = LANE_COUNT) -> Lanes:
-        text = literal(value, kind)
+    def make_constant(self, value: Any, kind: str, lanes: int = LANE_COUNT) -> Lanes:
+        text = format_literal(value, kind)
         return self.named_number(kind, text if lanes == 1 else f"splat ({kind} {text})", lanes, value)
 
-    def iota(self) -> Lanes:
+    def lane_numbers(self) -> Lanes:
         """Return the lane numbers, 0 in the first lane."""
         return self.named_number(I64, f"<{', '.join(f'i64 {k}' for k in range(LANE_COUNT))}>", LANE_COUNT)
 
@@ -163,16 +163,16 @@ class LaneBuilder(Vectors[Lanes]):
             return value
         kind = like.kind
         if isinstance(value, np.generic):
-            kind = kinds.KIND_BY_DTYPE[value.dtype]
-        elif isinstance(value, float) and kind not in kinds.FLOAT_KINDS:
+            kind = number_kinds.KIND_BY_DTYPE[value.dtype]
+        elif isinstance(value, float) and kind not in number_kinds.FLOAT_KINDS:
             kind = F64
-        return self.constant(value, kind, like.lanes)
+        return self.make_constant(value, kind, like.lanes)
 
     def match_kinds(self, a: Any, b: Any) -> tuple[Lanes, Lanes]:
         """Convert two values to NumPy's common kind. If one has eight lanes, both get eight."""
         left, right = (a, self._as_operand(b, a)) if isinstance(a, Lanes) else (self._as_operand(a, b), b)
         if left.lanes != right.lanes:
-            left, right = self.widened(left), self.widened(right)
+            left, right = self.broadcast(left), self.broadcast(right)
         if left.kind == right.kind:
             return left, right
         kinds = {left.kind, right.kind}
@@ -184,29 +184,29 @@ class LaneBuilder(Vectors[Lanes]):
             kind = I64 if I64 in kinds else I32
         return self.convert(left, kind), self.convert(right, kind)
 
-    def binary(self, word: str, a: Any, b: Any) -> Lanes:
+    def apply_binary(self, word: str, a: Any, b: Any) -> Lanes:
         """Return the result of an operation or comparison, by its name in `OPERATION_BY_NAME` without the letter for the kind."""
         left, right = self.match_kinds(a, b)
-        row = f"f{word}" if left.kind in kinds.FLOAT_KINDS else _INTEGER_COMPARISONS.get(word, word)
+        row = f"f{word}" if left.kind in number_kinds.FLOAT_KINDS else _INTEGER_COMPARISONS.get(word, word)
         return self.op(row, BOOL if word in _INTEGER_COMPARISONS else left.kind, left, right)
 
     def clamp(self, value: Lanes, low: Lanes, high: Lanes) -> Lanes:
         """Return a value limited to bounds, which must not be NaN."""
-        above = self.where(value > low, value, low)
-        return self.where(above < high, above, high)
+        above = self.select_lanes(value > low, value, low)
+        return self.select_lanes(above < high, above, high)
 
     def is_nan(self, a: Lanes) -> Lanes:
         """Return whether a value is NaN."""
         return self.op("fno", BOOL, a, a)
 
-    def where(self, condition: Lanes, then: Any, other: Any) -> Lanes:
+    def select_lanes(self, condition: Lanes, then: Any, other: Any) -> Lanes:
         if not isinstance(then, Lanes) and not isinstance(other, Lanes):
             # as NumPy does for two numbers of Python
             kind = F64 if isinstance(then, float) or isinstance(other, float) else I64
-            then = self.constant(then, kind, condition.lanes)
+            then = self.make_constant(then, kind, condition.lanes)
         a, b = self.match_kinds(then, other)
         if condition.wide or a.wide:
-            condition, a, b = self.widened(condition), self.widened(a), self.widened(b)
+            condition, a, b = self.broadcast(condition), self.broadcast(a), self.broadcast(b)
         return self.op("select", a.kind, condition, a, b)
 
     def convert(self, value: Lanes, kind: str) -> Lanes:
@@ -215,11 +215,11 @@ class LaneBuilder(Vectors[Lanes]):
             return value
         if kind == BOOL:
             return value != 0
-        if value.kind in kinds.FLOAT_KINDS:
-            row = "fptosi" if kind not in kinds.FLOAT_KINDS else "fpext" if kind == F64 else "fptrunc"
-        elif kind in kinds.FLOAT_KINDS:
+        if value.kind in number_kinds.FLOAT_KINDS:
+            row = "fptosi" if kind not in number_kinds.FLOAT_KINDS else "fpext" if kind == F64 else "fptrunc"
+        elif kind in number_kinds.FLOAT_KINDS:
             row = "uitofp" if value.kind == BOOL else "sitofp"
-        elif kinds.BITS_BY_KIND[kind] < kinds.BITS_BY_KIND[value.kind]:
+        elif number_kinds.BITS_BY_KIND[kind] < number_kinds.BITS_BY_KIND[value.kind]:
             row = "trunc"
         else:
             row = "zext" if value.kind == BOOL else "sext"
@@ -228,29 +228,31 @@ class LaneBuilder(Vectors[Lanes]):
     def to_int32(self, value: Lanes) -> Lanes:
         """Convert an integer in float64, below 2**31, to i32 by the bits of its sum with 1.5 * 2**52. Other values give an
         unspecified number, but never an undefined one."""
-        return self.convert(self.bits(value + _ROUNDING_MAGIC, I64), I32)
+        return self.convert(self.reinterpret_bits(value + _ROUNDING_MAGIC, I64), I32)
 
-    def rounded_bits(self, value: Lanes) -> Lanes:
+    def to_int64(self, value: Lanes) -> Lanes:
         """Return an integer in float64, below 2**51, as i64."""
-        return self.bits(np.rint(value) + _ROUNDING_MAGIC, I64) - self.bits(self.constant(_ROUNDING_MAGIC, F64), I64)
+        return self.reinterpret_bits(np.rint(value) + _ROUNDING_MAGIC, I64) - self.reinterpret_bits(
+            self.make_constant(_ROUNDING_MAGIC, F64), I64
+        )
 
-    def bits(self, value: Lanes, kind: str) -> Lanes:
+    def reinterpret_bits(self, value: Lanes, kind: str) -> Lanes:
         """Return the same bits as another kind of equal width."""
         return self.op("bitcast", kind, value)
 
     def any_lane(self, mask: Lanes) -> Lanes:
         """Return whether a condition holds in at least one lane."""
-        return self.mask_bits(mask) != 0
+        return self.mask_to_i8(mask) != 0
 
-    def mask_bits(self, mask: Lanes) -> Lanes:
+    def mask_to_i8(self, mask: Lanes) -> Lanes:
         """Return a condition as the bits of one i8; the first lane is the lowest bit."""
         return self.op("lanes", I8, mask, lanes=1)
 
-    def mask_word(self, mask: Lanes) -> Lanes:
-        """Return a condition as bits, as `mask_bits`, in one i64."""
-        return self.op("zext", I64, self.mask_bits(mask))
+    def mask_to_i64(self, mask: Lanes) -> Lanes:
+        """Return a condition as bits, as `mask_to_i8`, in one i64."""
+        return self.op("zext", I64, self.mask_to_i8(mask))
 
-    def from_bits(self, bits: Lanes) -> Lanes:
+    def mask_from_i8(self, bits: Lanes) -> Lanes:
         """Return the condition that the bits of one i8 represent."""
         return self.op("mask", BOOL, bits, lanes=LANE_COUNT)
 
@@ -267,33 +269,33 @@ class LaneBuilder(Vectors[Lanes]):
     def address(self, base: Number, index: Lanes | int, kind: str) -> Lanes:
         """Return the address of the element at a single index."""
         if isinstance(index, int):
-            index = self.constant(index, I64, 1)
+            index = self.make_constant(index, I64, 1)
         return self.op("element", PTR, base, index, x=kind)
 
-    def field(self, base: Number, offset: int) -> Lanes:
+    def offset_address(self, base: Number, offset: int) -> Lanes:
         """Return the address that is `offset` bytes after `base`."""
         return self.address(base, offset, I8)
 
-    def read(self, base: Number, index: Lanes | int, kind: str) -> Lanes:
+    def load_lanes(self, base: Number, index: Lanes | int, kind: str) -> Lanes:
         """Load eight elements from a single index on; for BOOL, bytes become conditions."""
         stored = I8 if kind == BOOL else kind
         value = self.op("load", stored, self.address(base, index, stored), x=", align 1", lanes=LANE_COUNT)
         return self.convert(value, kind)
 
-    def write(self, base: Number, index: Lanes | int, value: Lanes) -> None:
+    def store_lanes(self, base: Number, index: Lanes | int, value: Lanes) -> None:
         """Store eight elements from a single index on; conditions become bytes."""
-        stored = self.as_stored(value)
+        stored = self.to_stored_form(value)
         place = self.address(base, index, stored.kind)
-        self.do("store", self.widened(stored), place, x=", align 1")
+        self.do("store", self.broadcast(stored), place, x=", align 1")
 
-    def write_where(self, mask: Lanes, base: Number, index: Lanes, value: Lanes) -> None:
+    def store_masked(self, mask: Lanes, base: Number, index: Lanes, value: Lanes) -> None:
         """Store the elements of the eight for which a condition holds. No other code may write to the eight meanwhile."""
-        stored = self.as_stored(value)
+        stored = self.to_stored_form(value)
         place = self.address(base, index, stored.kind)
         old_value = self.op("load", stored.kind, place, x=", align 1", lanes=LANE_COUNT)
-        self.do("store", self.where(mask, stored, old_value), place, x=", align 1")
+        self.do("store", self.select_lanes(mask, stored, old_value), place, x=", align 1")
 
-    def as_stored(self, value: Lanes) -> Lanes:
+    def to_stored_form(self, value: Lanes) -> Lanes:
         """Return a condition as a byte, any other value unchanged."""
         return self.convert(value, I8) if value.kind == BOOL else value
 
@@ -301,7 +303,7 @@ class LaneBuilder(Vectors[Lanes]):
         """Prefetch the memory at an address. Any address is allowed."""
         self.do("prefetch", place)
 
-    def read_one(self, base: Number, index: Lanes | int, kind: str) -> Lanes:
+    def load_scalar(self, base: Number, index: Lanes | int, kind: str) -> Lanes:
         stored = I8 if kind == BOOL else kind
         return self.convert(self.load(self.address(base, index, stored), stored), kind)
 
@@ -309,11 +311,11 @@ class LaneBuilder(Vectors[Lanes]):
         """Load elements at indices within an array. Eight single loads are faster than the gather instruction of many
         processors."""
         stored = I8 if kind == BOOL else kind
-        each = (self.read_one(base, self.convert(self.one(index, lane), I64), stored) for lane in range(LANE_COUNT))
+        each = (self.load_scalar(base, self.convert(self.extract_lane(index, lane), I64), stored) for lane in range(LANE_COUNT))
         return self.convert(self.combine_lanes(each), kind)
 
 
-def elementwise(module: LlvmModule, name: str, kinds: tuple[str, ...], formula: Callable[..., Any]) -> str:
+def add_elementwise_function(module: LlvmModule, name: str, kinds: tuple[str, ...], formula: Callable[..., Any]) -> str:
     """Add a function of lanes that computes a NumPy formula, unless it exists; return its name."""
     if name not in module.functions:
         e = LaneBuilder(module)
@@ -325,73 +327,74 @@ def elementwise(module: LlvmModule, name: str, kinds: tuple[str, ...], formula: 
 def _minimum(e: LaneBuilder, a: Any, b: Any) -> Lanes:
     """Return the lesser number; NaN if one of them is NaN."""
     left, right = e.match_kinds(a, b)
-    output = e.where(left > right, right, left)
-    return output if right.known is not None else e.where(e.is_nan(right), right, output)
+    output = e.select_lanes(left > right, right, left)
+    return output if right.known is not None else e.select_lanes(e.is_nan(right), right, output)
 
 
 def _maximum(e: LaneBuilder, a: Any, b: Any) -> Lanes:
     left, right = e.match_kinds(a, b)
-    output = e.where(left < right, right, left)
-    return output if right.known is not None else e.where(e.is_nan(right), right, output)
+    output = e.select_lanes(left < right, right, left)
+    return output if right.known is not None else e.select_lanes(e.is_nan(right), right, output)
 
 
 def _fmin(e: LaneBuilder, a: Any, b: Any) -> Lanes:
     """Return the lesser number; if one of them is NaN, the other one."""
     left, right = e.match_kinds(a, b)
-    return e.where(e.is_nan(right), left, e.where(left < right, left, right))
+    return e.select_lanes(e.is_nan(right), left, e.select_lanes(left < right, left, right))
 
 
 def _fmax(e: LaneBuilder, a: Any, b: Any) -> Lanes:
     left, right = e.match_kinds(a, b)
-    return e.where(e.is_nan(right), left, e.where(left > right, left, right))
+    return e.select_lanes(e.is_nan(right), left, e.select_lanes(left > right, left, right))
 
 
 def _frexp(e: LaneBuilder, a: Lanes) -> tuple[Lanes, Lanes]:
     """Split a normal float64 into its fraction in [0.5, 1) and its exponent of 2 as i32."""
-    bits = e.bits(a, I64)
+    bits = e.reinterpret_bits(a, I64)
     power = e.convert((bits >> 52) & 0x7FF, I32) - 1022
-    return e.bits((bits & ~(0x7FF << 52)) | (1022 << 52), F64), power
+    return e.reinterpret_bits((bits & ~(0x7FF << 52)) | (1022 << 52), F64), power
 
 
 def _ldexp(e: LaneBuilder, a: Lanes, power: Lanes) -> Lanes:
     """Return a times 2**power, with a power between -1022 and 1023."""
-    return a * e.bits((e.convert(power, I64) + 1023) << 52, F64)
+    return a * e.reinterpret_bits((e.convert(power, I64) + 1023) << 52, F64)
 
 
 def _fmod(e: LaneBuilder, a: Any, b: Any) -> Lanes:
     """Return the exact remainder, with the sign of a. Most values are already less than b; others are computed lane by lane."""
     left, right = e.match_kinds(a, b)
-    result = e.slot(left.kind, LANE_COUNT)
-    e.put(result, left)
-    with e.inside(e.any_lane(~(_unary("fabs")(e, left) < _unary("fabs")(e, right)))):
+    result = e.allocate_slot(left.kind, LANE_COUNT)
+    e.store_number(result, left)
+    with e.write_if(e.any_lane(~(_make_unary("fabs")(e, left) < _make_unary("fabs")(e, right)))):
         for lane in range(LANE_COUNT):
-            rest = e.op("frem", left.kind, e.one(left, lane), e.one(right, lane))
-            e.put(e.address(result, lane, left.kind), rest)
+            rest = e.op("frem", left.kind, e.extract_lane(left, lane), e.extract_lane(right, lane))
+            e.store_number(e.address(result, lane, left.kind), rest)
     return e.load(result, left.kind, LANE_COUNT)
 
 
-def _unary(row: str) -> Callable[[LaneBuilder, Lanes], Lanes]:
+def _make_unary(row: str) -> Callable[[LaneBuilder, Lanes], Lanes]:
     return lambda e, a: e.op(row, a.kind, a)
 
 
-def _binary(word: str) -> Callable[[LaneBuilder, Any, Any], Lanes]:
-    return lambda e, a, b: e.binary(word, a, b)
+def _make_binary(word: str) -> Callable[[LaneBuilder, Any, Any], Lanes]:
+    return lambda e, a, b: e.apply_binary(word, a, b)
 
 
 # The code of NumPy functions on lanes. Results have the same bits as in NumPy, including NaN and signs of zero.
 _EMITTER_BY_UFUNC: Mapping[Any, Callable[..., Any]] = {
-    np.add: _binary("add"), np.subtract: _binary("sub"), np.multiply: _binary("mul"), np.true_divide: _binary("div"),
-    np.less: _binary("lt"), np.less_equal: _binary("le"), np.greater: _binary("gt"), np.greater_equal: _binary("ge"),
-    np.equal: _binary("eq"), np.not_equal: _binary("ne"),
-    np.logical_and: _binary("and"), np.logical_or: _binary("or"), np.logical_not: lambda e, a: ~a,
-    np.bitwise_and: _binary("and"), np.bitwise_or: _binary("or"), np.bitwise_xor: _binary("xor"),
-    np.right_shift: _binary("lshr"), np.left_shift: _binary("shl"),
-    np.negative: _unary("fneg"), np.absolute: _unary("fabs"), np.floor: _unary("floor"), np.rint: _unary("rint"),
-    np.sqrt: _unary("sqrt"), np.frexp: _frexp, np.ldexp: _ldexp, np.fmod: _fmod,
+    np.add: _make_binary("add"), np.subtract: _make_binary("sub"), np.multiply: _make_binary("mul"),
+    np.true_divide: _make_binary("div"), np.less: _make_binary("lt"), np.less_equal: _make_binary("le"),
+    np.greater: _make_binary("gt"), np.greater_equal: _make_binary("ge"),
+    np.equal: _make_binary("eq"), np.not_equal: _make_binary("ne"),
+    np.logical_and: _make_binary("and"), np.logical_or: _make_binary("or"), np.logical_not: lambda e, a: ~a,
+    np.bitwise_and: _make_binary("and"), np.bitwise_or: _make_binary("or"), np.bitwise_xor: _make_binary("xor"),
+    np.right_shift: _make_binary("lshr"), np.left_shift: _make_binary("shl"),
+    np.negative: _make_unary("fneg"), np.absolute: _make_unary("fabs"), np.floor: _make_unary("floor"),
+    np.rint: _make_unary("rint"), np.sqrt: _make_unary("sqrt"), np.frexp: _frexp, np.ldexp: _ldexp, np.fmod: _fmod,
     np.minimum: _minimum, np.maximum: _maximum, np.fmin: _fmin, np.fmax: _fmax,
     np.clip: lambda e, a, low, high: _minimum(e, _maximum(e, a, low), high),
     np.isfinite: lambda e, a: e.op("fabs", a.kind, a) < np.inf,
-    np.where: lambda e, condition, then, other: e.where(condition, then, other),
+    np.where: lambda e, condition, then, other: e.select_lanes(condition, then, other),
     np.ndim: lambda e, a: 1,
     np.all: lambda e, a: False,  # lane values are unknown at compile time
 }  # fmt: skip

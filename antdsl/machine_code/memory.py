@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.machine_code.kinds import LANE_COUNT
+from antdsl.machine_code.number_kinds import LANE_COUNT
 
 _char_from_buffer: Callable[[Any], Any] = ctypes.c_char.from_buffer
 _address_of_char = ctypes.addressof
 
 
-def padded_copy(array: NDArray[Any]) -> NDArray[Any]:
+def copy_padded(array: NDArray[Any]) -> NDArray[Any]:
     """Return a copy that is followed by eight spare rows of zeros in memory."""
     padded = np.zeros((len(array) + LANE_COUNT, *array.shape[1:]), array.dtype)
     padded[: len(array)] = array
@@ -23,14 +23,14 @@ def padded_copy(array: NDArray[Any]) -> NDArray[Any]:
     return view
 
 
-def padded_rows(array: NDArray[Any], rows: NDArray[np.intp]) -> NDArray[Any]:
+def gather_padded(array: NDArray[Any], rows: NDArray[np.intp]) -> NDArray[Any]:
     """Return the selected numbers of an array [n], followed by eight spare zeros in memory."""
-    output = padded_empty(len(rows), array.dtype)
+    output = allocate_padded(len(rows), array.dtype)
     array.take(rows, out=output, mode="clip")
     return output
 
 
-def padded_empty(count: int, dtype: np.dtype[Any]) -> NDArray[Any]:
+def allocate_padded(count: int, dtype: np.dtype[Any]) -> NDArray[Any]:
     """Return an uninitialised array [count], followed by eight spare zeros in memory."""
     padded = np.empty(count + LANE_COUNT, dtype)
     padded[count:] = 0
@@ -43,10 +43,10 @@ def has_padding(array: NDArray[Any]) -> bool:
     padded = array.base
     if not isinstance(padded, np.ndarray) or padded.ndim != 1 or padded.dtype != array.dtype or not array.flags.c_contiguous:
         return False
-    return len(padded) >= len(array) + LANE_COUNT and address(padded) == address(array)
+    return len(padded) >= len(array) + LANE_COUNT and array_address(padded) == array_address(array)
 
 
-def address(array: NDArray[Any]) -> int:
+def array_address(array: NDArray[Any]) -> int:
     """Return the start address of an array. Raises ValueError if the array is not contiguous."""
     try:
         return _address_of_char(_char_from_buffer(array))  # a third of the time of `array.ctypes.data`

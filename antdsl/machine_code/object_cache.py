@@ -20,15 +20,15 @@ from pathlib import Path
 from threading import Lock
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-from antdsl.bounded import NotRegular, open_regular, read_bounded, read_handle
-from antdsl.diagnostics.model import printable
+from antdsl.atomic_write import PART_SUFFIX, write_atomically
+from antdsl.diagnostics.model import replace_unprintable
 from antdsl.limits import MIB
 from antdsl.machine_code import signing
+from antdsl.safe_read import NotRegularFile, open_regular_file, read_handle, read_size_limited
 from antdsl.user_folders import cache_folder
-from antdsl.whole import PART_SUFFIX, write_atomically
 
 if TYPE_CHECKING:
-    from antdsl.machine_code.machine import Target
+    from antdsl.machine_code.llvm_compiler import Target
 
 CACHE_VARIABLE: Final = "ANTDSL_NATIVE_CACHE"
 MAX_CACHE_BYTES: Final = 256 * MIB
@@ -39,7 +39,7 @@ _TEMPORARY_FILE_PATTERN = re.compile(
     rf"\.[0-9a-f]{{40}}\.[0-9a-f]{{12}}{re.escape(PART_SUFFIX)}"
 )  # by a run that ended while it wrote
 _ABANDONED_AFTER_SECONDS: Final = 3600.0  # temporary files older than this are removed
-IR_VERSION: Final = "3"  # change it if the meaning of texts, or their compilation outside `machine.py`, changes
+IR_VERSION: Final = "3"  # change it if the meaning of texts, or their compilation outside `llvm_compiler.py`, changes
 ABI_VERSION: Final = "1"  # change it if the location of arguments or of called functions changes
 
 
@@ -48,17 +48,17 @@ class StoreKind(NamedTuple):
 
     - `folder`: its folder within antdsl's cache folder
     - `variable`: the environment variable that overrides the folder
-    - `ending`: the suffix of its files
+    - `suffix`: the suffix of its files
     - other fields: words for messages"""
 
     folder: str
     variable: str
-    ending: str
+    suffix: str
     name: str
     verb: str  # verb for the name: is, are
-    used: str  # how signed content is used
-    unit: str  # noun for the subject of one result
-    again: str  # what each run does without a cache
+    usage: str  # how signed content is used
+    result_noun: str  # noun for the subject of one result
+    recompute_phrase: str  # what each run does without a cache
     fallback: str  # what happens if a file is not used
 
 
@@ -75,11 +75,11 @@ CODE_STORE: Final = StoreKind(
 )
 
 
-def key(text: str, target: Target, *, versions: tuple[str, ...]) -> str:
+def object_key(text: str, target: Target, *, versions: tuple[str, ...]) -> str:
     """Return the key of the object file for a text and a target: 64 hexadecimal digits.
 
-    `versions` is the result of `versions()`. The key need not contain the data layout, which follows from the triple and LLVM's
-    version."""
+    `versions` is the result of `environment_versions()`. The key need not contain the data layout, which follows from
+    the triple and LLVM's version."""
     hashed = blake2b(digest_size=32)
     for part in (text, target.triple, target.cpu, target.features, *versions):
         data = part.encode("utf-8", "surrogatepass")
@@ -94,17 +94,17 @@ def code_versions() -> tuple[str, ...]:
     llvmlite."""
     import llvmlite.binding as llvm
 
-    from antdsl.machine_code import machine
+    from antdsl.machine_code import llvm_compiler
 
     try:
-        passes = blake2b(read_bounded(machine.__file__, MIB), digest_size=16).hexdigest()
+        passes = blake2b(read_size_limited(llvm_compiler.__file__, MIB), digest_size=16).hexdigest()
     except OSError:  # an installation without sources
         passes = ""
     return IR_VERSION, ABI_VERSION, passes, ".".join(map(str, llvm.llvm_version_info))
 
 
 @cache
-def versions() -> tuple[str, ...]:
+def environment_versions() -> tuple[str, ...]:
     """Return the versions of `code_versions`, and others that may change a text or its compilation: antdsl, llvmlite, Python and
     NumPy."""
     import llvmlite
@@ -127,12 +127,17 @@ class ObjectCache:
     - `messages`: sentences for the user on why a result is not stored or was not used, each once"""
 
     def __init__(
-        self, folder: Path | None = None, *, kind: StoreKind = CODE_STORE, cap: int = MAX_CACHE_BYTES, largest: int | None = None
+        self,
+        folder: Path | None = None,
+        *,
+        kind: StoreKind = CODE_STORE,
+        max_bytes: int = MAX_CACHE_BYTES,
+        max_result_bytes: int | None = None,
     ) -> None:
         self.messages: list[str] = []
         self._kind = kind
-        self._largest = _MAX_OBJECT_BYTES if largest is None else largest
-        self._cap = cap
+        self._max_result_bytes = _MAX_OBJECT_BYTES if max_result_bytes is None else max_result_bytes
+        self._max_bytes = max_bytes
         self._memory: OrderedDict[str, bytes] = OrderedDict()
         self._lock = Lock()
         self._signer: signing.Signer | None = None
@@ -143,7 +148,7 @@ class ObjectCache:
             try:
                 self._folder = cache_folder() / "antdsl" / kind.folder
             except OSError as problem:
-                self._report(f"{kind.name} {kind.verb} not stored: {_describe_problem(problem)}; {kind.again}")
+                self._report(f"{kind.name} {kind.verb} not stored: {_describe_problem(problem)}; {kind.recompute_phrase}")
         if self._folder is not None and not self._folder.is_absolute():
             self._report_not_stored(
                 self._folder, "the path does not begin at the root", f"write an absolute path in {kind.variable}"
@@ -157,13 +162,13 @@ class ObjectCache:
             if key in self._memory:
                 self._memory.move_to_end(key)
                 return self._memory[key]
-        signer = self._signer_of(create=False)
+        signer = self._get_signer(create=False)
         return None if self._folder is None or signer is None else self._read(self._folder, signer, key)
 
     def put(self, key: str, code: bytes) -> None:
         """Store an object file; without a folder, in memory. Raises ValueError for a string that is not a key."""
         _require_key(key)
-        signer = self._signer_of(create=True)
+        signer = self._get_signer(create=True)
         if self._folder is None or signer is None or not self._write(self._folder, signer, key, code):
             with self._lock:
                 self._memory[key] = code
@@ -171,58 +176,60 @@ class ObjectCache:
                 while sum(map(len, self._memory.values())) > _MAX_MEMORY_BYTES:
                     self._memory.popitem(last=False)
 
-    def prepare(self) -> None:
+    def prepare_folder(self) -> None:
         """Create the user's signing key and the folder now, so that `messages` reports errors early."""
-        if self._signer_of(create=True) is not None and self._folder is not None:
+        if self._get_signer(create=True) is not None and self._folder is not None:
             self._make_folder(self._folder)
 
-    def _signer_of(self, *, create: bool) -> signing.Signer | None:
+    def _get_signer(self, *, create: bool) -> signing.Signer | None:
         """Return the user's signer, read once; None if there is none. After an error, which is reported, the folder is no longer
         used."""
         folder = self._folder
         if self._signer is None and folder is not None:
             try:
-                self._signer = signing.signer(create=create)
+                self._signer = signing.get_signer(create=create)
             except OSError as problem:
-                what = f"{self._kind.used}, and there is none ({_describe_problem(problem)})"
-                self._report_not_stored(folder, what, self._kind.again)
+                what = f"{self._kind.usage}, and there is none ({_describe_problem(problem)})"
+                self._report_not_stored(folder, what, self._kind.recompute_phrase)
                 self._folder = None
         return self._signer
 
     def _read(self, folder: Path, signer: signing.Signer, key: str) -> bytes | None:
         """Return the code in a file. Return None if there is no file, or if it cannot be trusted, which is reported."""
-        path = folder / (signer.name(key) + self._kind.ending)
+        path = folder / (signer.name(key) + self._kind.suffix)
         try:
-            handle = open_regular(path, follow=False)
+            handle = open_regular_file(path, follow=False)
             with suppress(OSError):  # a read-only disk
                 os.utime(handle if os.utime in os.supports_fd else path)
-            data = read_handle(handle, signing.SIGNATURE_BYTES + self._largest)
+            data = read_handle(handle, signing.SIGNATURE_BYTES + self._max_result_bytes)
         except FileNotFoundError:
             return None
         except OSError as problem:
             if os.path.lexists(path):  # an unreadable folder is reported by `put`
-                self._refuse(path, _describe_problem(problem))
+                self._reject_file(path, _describe_problem(problem))
             return None
         signature, code = data[: signing.SIGNATURE_BYTES], data[signing.SIGNATURE_BYTES :]
         if not signer.is_signed(key, code, signature):
-            self._refuse(path, "a file is damaged, or was not written by this user on this machine")
+            self._reject_file(path, "a file is damaged, or was not written by this user on this machine")
             return None
         return code
 
     def _write(self, folder: Path, signer: signing.Signer, key: str, code: bytes) -> bool:
         """Store code in the folder and return whether that succeeded; a failure is reported."""
         data = signer.sign(key, code) + code
-        if len(code) > self._largest or len(data) > self._cap:
-            self._report_not_stored(folder, f"{len(code):,} bytes of {self._kind.unit} are too many", self._kind.again)
+        if len(code) > self._max_result_bytes or len(data) > self._max_bytes:
+            self._report_not_stored(
+                folder, f"{len(code):,} bytes of {self._kind.result_noun} are too many", self._kind.recompute_phrase
+            )
             return False
-        name = signer.name(key) + self._kind.ending
+        name = signer.name(key) + self._kind.suffix
         if not self._make_folder(folder):
             return False
         try:
             write_atomically(folder / name, data, sync=False)
-            _remove_oldest(folder, self._cap, name)
+            _remove_oldest(folder, self._max_bytes, name)
         except (OSError, ValueError) as problem:
-            self._report_not_stored(folder, _describe_problem(problem), self._advice(problem))
+            self._report_not_stored(folder, _describe_problem(problem), self._folder_advice(problem))
             return False
         return True
 
@@ -231,15 +238,15 @@ class ObjectCache:
         try:
             os.makedirs(folder, 0o700, exist_ok=True)
         except (OSError, ValueError) as problem:
-            self._report_not_stored(folder, _describe_problem(problem), self._advice(problem))
+            self._report_not_stored(folder, _describe_problem(problem), self._folder_advice(problem))
             return False
         return True
 
-    def _advice(self, problem: OSError | ValueError) -> str:
+    def _folder_advice(self, problem: OSError | ValueError) -> str:
         full = isinstance(problem, OSError) and problem.errno == errno.ENOSPC
         return f"{'make room there, or ' if full else ''}name another folder in {self._kind.variable}"
 
-    def _refuse(self, path: Path, why: str) -> None:
+    def _reject_file(self, path: Path, why: str) -> None:
         """Report a file that is not used, and remove it. For a link, the link is removed, not its target."""
         with suppress(OSError, ValueError):
             os.unlink(path)
@@ -255,12 +262,13 @@ class ObjectCache:
                 self.messages.append(sentence)
 
 
-def _remove_oldest(folder: Path, cap: int, keep: str) -> None:
-    """Remove the least recently used files until at most `cap` bytes are left. Remove also the temporary files of killed runs.
+def _remove_oldest(folder: Path, max_bytes: int, retained_name: str) -> None:
+    """Remove the least recently used files until at most `max_bytes` bytes are left. Remove also the temporary files of killed
+    runs.
 
     Files with other names stay. Files that another run removes meanwhile, or that belong to another user of a shared folder, are
     skipped."""
-    stored_name = re.compile(f"[0-9a-f]{{64}}{re.escape(Path(keep).suffix)}")
+    stored_name = re.compile(f"[0-9a-f]{{64}}{re.escape(Path(retained_name).suffix)}")
     stored_files: list[tuple[int, str, int]] = []
     with os.scandir(folder) as entries:
         for entry in entries:
@@ -273,11 +281,11 @@ def _remove_oldest(folder: Path, cap: int, keep: str) -> None:
                     stored_files.append((file_stat.st_mtime_ns, entry.name, file_stat.st_size))
                 elif time.time() - file_stat.st_mtime > _ABANDONED_AFTER_SECONDS:
                     os.unlink(entry.path)
-    above = sum(size for _, _, size in stored_files) - cap
+    above = sum(size for _, _, size in stored_files) - max_bytes
     for _, name, size in sorted(stored_files):
         if above <= 0:
             break
-        if name != keep:
+        if name != retained_name:
             with suppress(OSError):
                 os.unlink(folder / name)
             above -= size
@@ -289,7 +297,7 @@ def _require_key(key: str) -> None:
 
 
 def _describe_problem(problem: OSError | ValueError) -> str:
-    if isinstance(problem, NotRegular):
+    if isinstance(problem, NotRegularFile):
         return f"it is {problem.kind}"
     if isinstance(problem, OSError):
         return problem.strerror or "the system denies access"
@@ -297,4 +305,4 @@ def _describe_problem(problem: OSError | ValueError) -> str:
 
 
 def _quote(path: Path) -> str:
-    return "`" + printable(str(path)) + "`"
+    return "`" + replace_unprintable(str(path)) + "`"

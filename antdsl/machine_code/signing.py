@@ -16,9 +16,9 @@ from hashlib import blake2b
 from hmac import compare_digest
 from pathlib import Path
 
-from antdsl.bounded import read_bounded
-from antdsl.user_folders import NotPrivate, cache_folder, make_private_folder, read_private
-from antdsl.whole import create_complete
+from antdsl.atomic_write import create_file_atomically
+from antdsl.safe_read import read_size_limited
+from antdsl.user_folders import NotPrivateError, cache_folder, make_private_folder, read_private
 
 SIGNATURE_BYTES = 32
 _KEY_BYTES = 32
@@ -49,17 +49,17 @@ class Signer:
         return compare_digest(self.sign(key, data), signature)
 
 
-def key_file() -> Path:
+def key_path() -> Path:
     """Return the path of the key file. Raises OSError if there is no home folder."""
     return cache_folder() / "antdsl" / "key"
 
 
-def signer(*, create: bool) -> Signer | None:
+def get_signer(*, create: bool) -> Signer | None:
     """Return the signer of this user; None if there is no usable key and `create` is false.
 
     With `create`, a missing key is created. A key that has another length, or that others may know, is replaced. Raises OSError
     with the reason if no key is possible."""
-    path = key_file()
+    path = key_path()
     for attempt in range(_MAX_KEY_ATTEMPTS):
         try:
             return Signer(_read_key(path))
@@ -67,15 +67,15 @@ def signer(*, create: bool) -> Signer | None:
             if not create:
                 return None
             make_private_folder(path.parent)
-            if isinstance(problem, NotPrivate) and _has_two_names(path) and attempt < _MAX_KEY_ATTEMPTS // 2:
+            if isinstance(problem, NotPrivateError) and _has_hard_links(path) and attempt < _MAX_KEY_ATTEMPTS // 2:
                 time.sleep(_RETRY_PAUSE_SECONDS)  # another process is just creating it
                 continue
             if not isinstance(problem, FileNotFoundError):
                 with suppress(FileNotFoundError):
                     os.unlink(path)
         with suppress(FileExistsError):
-            create_complete(path, secrets.token_bytes(_KEY_BYTES), mode=0o600)
-    raise NotPrivate(0, f"no private key can be stored in `{path}`")
+            create_file_atomically(path, secrets.token_bytes(_KEY_BYTES), mode=0o600)
+    raise NotPrivateError(0, f"no private key can be stored in `{path}`")
 
 
 def _read_key(path: Path) -> bytes:
@@ -86,7 +86,7 @@ def _read_key(path: Path) -> bytes:
     return secret
 
 
-def _has_two_names(path: Path) -> bool:
+def _has_hard_links(path: Path) -> bool:
     """Return whether a file has two names, as while another process creates it."""
     with suppress(OSError):
         return os.lstat(path).st_nlink == 2
@@ -112,6 +112,6 @@ def machine_id() -> str:
         return ""
     for path in _MACHINE_ID_FILES:
         with suppress(OSError):
-            if identifier := read_bounded(path, 4096).decode("ascii", "replace").strip():
+            if identifier := read_size_limited(path, 4096).decode("ascii", "replace").strip():
                 return identifier
     return ""

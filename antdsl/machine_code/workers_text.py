@@ -15,9 +15,9 @@ from __future__ import annotations
 
 from functools import cache
 
-from antdsl.machine_code import machine
+from antdsl.machine_code import llvm_compiler
 from antdsl.machine_code.kernels.direct.argument_text import MAX_JOB_PARTS, MAX_TABLE_WORDS, PART_RESULTS_WORD, RESULT_WORDS
-from antdsl.machine_code.library import library_text, read_language
+from antdsl.machine_code.library import library_text, read_llvm_file
 
 CACHE_LINE_WORDS = 8  # words of a cache line: values that several threads write to have separate lines
 # Indices of a pool's words: `left` and `done` of a job; `waits`: whether the caller sleeps.
@@ -36,7 +36,7 @@ PART_ALIGNMENT = 16  # parts of a kernel begin at multiples of it: at whole regi
 
 
 @cache
-def code() -> machine.LoadedCode:
+def load_code() -> llvm_compiler.LoadedCode:
     """Return the code of the workers' functions.
 
     - `run(pool, code, table, words, parts)` does a job together with the workers. It runs a kernel's code for the numbers from 0
@@ -51,12 +51,12 @@ def code() -> machine.LoadedCode:
 
 
 @library_text
-def text(target: machine.Target) -> str:
+def text(target: llvm_compiler.Target) -> str:
     """Return the text to compile, in LLVM's language."""
     pause = (
         "  call void @llvm.x86.sse2.pause()\n" if target.x86 else "  call void @llvm.aarch64.hint(i32 1)\n" if target.arm else ""
     )
-    output = read_language("workers.ll").replace("$PAUSE$", pause)
+    output = read_llvm_file("workers.ll").replace("$PAUSE$", pause)
     if pause:
         output += "declare void @llvm.x86.sse2.pause()\n" if target.x86 else "declare void @llvm.aarch64.hint(i32)\n"
     for name, place in _WORD_OFFSETS.items():

@@ -17,13 +17,13 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.machine_code import machine
-from antdsl.machine_code.entries import inner_text
+from antdsl.machine_code import llvm_compiler
+from antdsl.machine_code.entry_functions import write_inner_function
 from antdsl.machine_code.kernels.direct import ArgumentSpec, make_builtin
 from antdsl.machine_code.kernels.direct.argument_text import INTEGER_KIND, RESULT_WORDS
 from antdsl.machine_code.library import library_text
-from antdsl.machine_code.memory import address
-from antdsl.machine_code.module import LlvmModule
+from antdsl.machine_code.llvm_module import LlvmModule
+from antdsl.machine_code.memory import array_address
 
 MIN_BYTES_FOR_KERNEL = 1_024  # bytes; for fewer, the call costs as much as it saves
 _BLOCK_BYTES = 16  # bytes of a factor
@@ -45,25 +45,25 @@ def crc32(data: bytes | memoryview, previous_crc: int = 0) -> int:
     data = memoryview(data).cast("B")
     if len(data) < MIN_BYTES_FOR_KERNEL:
         return zlib.crc32(data, previous_crc)
-    fold = _fold()
+    fold = _build_crc_function()
     return zlib.crc32(data, previous_crc) if fold is None else fold(np.frombuffer(data, _BYTE_DTYPE), previous_crc)
 
 
 @cache
-def _fold() -> Callable[[NDArray[np.uint8], int], int] | None:
+def _build_crc_function() -> Callable[[NDArray[np.uint8], int], int] | None:
     """Return a function that continues a CRC-32 over an array [n] of at least one stride.
 
     None if the processor has no carry-less products, or if nothing can be compiled."""
-    if not machine.is_available():
+    if not llvm_compiler.is_available():
         return None
-    target = machine.host()
+    target = llvm_compiler.host_target()
     if not has_carryless_products(target):
         return None
-    code = text.code()
+    code = build_llvm_text.code()
     function = code.function("fold")  # the function is valid as long as `code` exists
 
     def fold(data: NDArray[np.uint8], previous_crc: int) -> int:
-        table = _CallTable(*[0] * _DATA_WORD, address(data), len(data), previous_crc)
+        table = _CallTable(*[0] * _DATA_WORD, array_address(data), len(data), previous_crc)
         function(ctypes.addressof(table), 0, 0)
         return table[0]
 
@@ -72,17 +72,17 @@ def _fold() -> Callable[[NDArray[np.uint8], int], int] | None:
     return make_builtin("fold", code, parameters, _PREVIOUS_CRC_WORD + 1, [INTEGER_KIND], fold) or fold
 
 
-def has_carryless_products(target: machine.Target) -> bool:
+def has_carryless_products(target: llvm_compiler.Target) -> bool:
     """Return whether a processor has carry-less products."""
     return target.x86 and _CARRYLESS_FEATURE in target.features.split(",")
 
 
-def blocks_per_register(target: machine.Target) -> int:
+def count_blocks_per_register(target: llvm_compiler.Target) -> int:
     """Return the number of blocks in a register that are multiplied at once."""
     return 4 if set(_WIDE_FEATURES) <= set(target.features.split(",")) else 1
 
 
-def _power_remainder(bits: int) -> int:
+def _compute_power_remainder(bits: int) -> int:
     """Return the remainder of x**bits by the polynomial, in the form for multiplication: bits in the order of the bytes, shifted
     by one."""
     remainder = 1
@@ -92,7 +92,7 @@ def _power_remainder(bits: int) -> int:
     return int(f"{remainder:032b}"[::-1], 2) << 1
 
 
-def _table() -> str:
+def _build_table_text() -> str:
     """Return the table of the CRC-32 remainder of each byte, in LLVM's language."""
     entries = []
     for byte in range(256):
@@ -103,14 +103,14 @@ def _table() -> str:
 
 
 @library_text
-def text(target: machine.Target) -> str:
+def build_llvm_text(target: llvm_compiler.Target) -> str:
     """Return the text to compile, in LLVM's language: a function of a table with an address, a number of bytes and a CRC-32.
 
     The number of bytes is at least one stride. The CRC-32 is that of the preceding bytes. The function stores the combined CRC-32
     in the first word of the table. The text is empty if the processor has no carry-less products."""
     if not has_carryless_products(target):
         return ""
-    module, many = LlvmModule(target), blocks_per_register(target)
+    module, many = LlvmModule(target), count_blocks_per_register(target)
     kinds = {count: (f"<{2 * count} x i64>", "" if count == 1 else f".{128 * count}") for count in {1, many}}
     for kind, ending in kinds.values():
         module.declare(f"llvm.x86.pclmulqdq{ending}", kind, [kind, kind, "i8"])
@@ -130,7 +130,11 @@ def text(target: machine.Target) -> str:
     def moved(remainder: str, bits: int, onto: str, count: int) -> str:
         """Return the state in `count` blocks, advanced by `bits`, combined with the data `onto`."""
         kind, ending = kinds[count]
-        by = f"{kind} <" + ", ".join([f"i64 {_power_remainder(bits + 32)}, i64 {_power_remainder(bits - 32)}"] * count) + ">"
+        by = (
+            f"{kind} <"
+            + ", ".join([f"i64 {_compute_power_remainder(bits + 32)}, i64 {_compute_power_remainder(bits - 32)}"] * count)
+            + ">"
+        )
         call = f"call {kind} @llvm.x86.pclmulqdq{ending}({kind} {remainder}, {by}, i8"
         low, high = (put(f"{call} {which})") for which in (0x00, 0x11))
         return put(f"xor {kind} {put(f'xor {kind} {low}, {high}')}, {onto}")
@@ -198,4 +202,4 @@ def text(target: machine.Target) -> str:
     state = put(f"xor i32 {state}, -1")
     lines.append(f"  store i64 {put(f'zext i32 {state} to i64')}, ptr %t, align 8")
     body = "  br label %inside\ninside:\n" + "\n".join(lines)
-    return module.text() + "\n" + _table() + "\n" + inner_text(module, "fold", body) + "\n"
+    return module.text() + "\n" + _build_table_text() + "\n" + write_inner_function(module, "fold", body) + "\n"

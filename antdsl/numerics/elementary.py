@@ -35,7 +35,7 @@ from antdsl.numerics.elementary_loops import (
 FloatValue = Any  # a float32 array, or one np.float32
 
 
-def _series(x: FloatValue, coefficients: tuple[float, ...]) -> FloatValue:
+def _evaluate_series(x: FloatValue, coefficients: tuple[float, ...]) -> FloatValue:
     """Return the value of a polynomial (Horner's method); coefficients begin with the constant term."""
     value = x * 0.0 + coefficients[-1]
     for c in coefficients[-2::-1]:  # in place for arrays
@@ -44,9 +44,9 @@ def _series(x: FloatValue, coefficients: tuple[float, ...]) -> FloatValue:
     return value
 
 
-def _quarter_turns(x: FloatValue) -> tuple[FloatValue, FloatValue]:
+def _split_quarter_turns(x: FloatValue) -> tuple[FloatValue, FloatValue]:
     """Split an angle (rad) into a remainder within an eighth of a turn, and the number of quarter turns, 0 .. 3."""
-    wide_x = _widen(x)
+    wide_x = _to_float64(x)
     usual = np.abs(wide_x) < LARGE_ANGLE
     wide: FloatValue = wide_x if np.all(usual) else np.where(usual, wide_x, np.fmod(wide_x, 2.0 * PI))
     turns = np.rint(wide * TWO_OVER_PI)
@@ -54,54 +54,54 @@ def _quarter_turns(x: FloatValue) -> tuple[FloatValue, FloatValue]:
     return rest, turns - np.floor(turns * 0.25) * 4.0
 
 
-def _sine_cosine(x: FloatValue) -> tuple[FloatValue, FloatValue, FloatValue]:
+def _compute_sine_and_cosine(x: FloatValue) -> tuple[FloatValue, FloatValue, FloatValue]:
     """Return the sine and cosine of the reduced angle, and its number of quarter turns."""
-    rest, quarter = _quarter_turns(x)
+    rest, quarter = _split_quarter_turns(x)
     square = rest * rest
-    return rest * _series(square, SIN_COEFFICIENTS), _series(square, COS_COEFFICIENTS), quarter
+    return rest * _evaluate_series(square, SIN_COEFFICIENTS), _evaluate_series(square, COS_COEFFICIENTS), quarter
 
 
 def sin(x: FloatValue) -> FloatValue:
     """Return the sine of an angle (rad); NaN if the angle is not finite. Angles above 1e6 are reduced by 2 pi as float64
     represents it."""
     if np.ndim(x) == 0:
-        return _single_value(wide_sin, np.float64(x).tobytes())
-    values = _by_kernel("sines", x)
-    return _narrow(wide_sin(x)) if values is None else values
+        return _get_cached_value(sin_float64, np.float64(x).tobytes())
+    values = _run_kernel("sines", x)
+    return _to_float32(sin_float64(x)) if values is None else values
 
 
 def cos(x: FloatValue) -> FloatValue:
     """Return the cosine of an angle (rad), with the properties of `sin`."""
     if np.ndim(x) == 0:
-        return _single_value(wide_cos, np.float64(x).tobytes())
-    values = _by_kernel("cosines", x)
-    return _narrow(wide_cos(x)) if values is None else values
+        return _get_cached_value(cos_float64, np.float64(x).tobytes())
+    values = _run_kernel("cosines", x)
+    return _to_float32(cos_float64(x)) if values is None else values
 
 
-def wide_sin(x: FloatValue) -> FloatValue:
+def sin_float64(x: FloatValue) -> FloatValue:
     """Return the sine of an angle (rad) as float64, to about 1e-13."""
-    sine, cosine, quarter = _sine_cosine(x)
+    sine, cosine, quarter = _compute_sine_and_cosine(x)
     value: FloatValue = np.where((quarter == 1.0) | (quarter == 3.0), cosine, sine)
     return np.where(quarter >= 2.0, -value, value)
 
 
-def wide_cos(x: FloatValue) -> FloatValue:
+def cos_float64(x: FloatValue) -> FloatValue:
     """Return the cosine of an angle (rad) as float64, to about 1e-13."""
-    sine, cosine, quarter = _sine_cosine(x)
+    sine, cosine, quarter = _compute_sine_and_cosine(x)
     value: FloatValue = np.where((quarter == 1.0) | (quarter == 3.0), sine, cosine)
     return np.where((quarter == 1.0) | (quarter == 2.0), -value, value)
 
 
-def _exp_wide(wide: FloatValue) -> FloatValue:
+def _exp_float64(wide: FloatValue) -> FloatValue:
     """Return e to the power of a float64."""
     wide = np.minimum(np.maximum(wide, -200.0), 200.0)  # both propagate NaN; beyond these limits float32 is 0 or infinite
     power = np.rint(wide * LOG2_E)
     rest = (wide - power * LN2_HIGH) - power * LN2_LOW
     exponent = np.where(power == power, power, 0.0).astype(np.int32)
-    return np.ldexp(_series(rest, EXP_COEFFICIENTS), exponent)
+    return np.ldexp(_evaluate_series(rest, EXP_COEFFICIENTS), exponent)
 
 
-def _log_wide(wide: FloatValue) -> FloatValue:
+def _log_float64(wide: FloatValue) -> FloatValue:
     """Return the natural logarithm of a float64; -inf at 0, NaN below."""
     usual = (wide > 0.0) & (wide < np.inf)
     mantissa, power = np.frexp(np.where(usual, wide, 1.0))
@@ -109,7 +109,7 @@ def _log_wide(wide: FloatValue) -> FloatValue:
     mantissa = np.where(low, mantissa + mantissa, mantissa)
     power = power - low * 1.0
     s = (mantissa - 1.0) / (mantissa + 1.0)
-    value = (s * _series(s * s, LOG_COEFFICIENTS) + power * LN2_LOW) + power * LN2_HIGH
+    value = (s * _evaluate_series(s * s, LOG_COEFFICIENTS) + power * LN2_LOW) + power * LN2_HIGH
     odd = np.where(wide == 0.0, -np.inf, np.where(wide == np.inf, np.inf, np.nan))
     return np.where(usual, value, odd)
 
@@ -117,69 +117,69 @@ def _log_wide(wide: FloatValue) -> FloatValue:
 def exp(x: FloatValue) -> FloatValue:
     """Return e to the power x."""
     if np.ndim(x) == 0:
-        return _single_value(_exp_wide, np.float64(x).tobytes())
-    values = _by_kernel("exponentials", x)
-    return _narrow(_exp_wide(_widen(x))) if values is None else values
+        return _get_cached_value(_exp_float64, np.float64(x).tobytes())
+    values = _run_kernel("exponentials", x)
+    return _to_float32(_exp_float64(_to_float64(x))) if values is None else values
 
 
 def log(x: FloatValue) -> FloatValue:
     """Return the natural logarithm; -inf at 0, NaN below."""
-    values = _by_kernel("logarithms", x)
-    return _narrow(_log_wide(_widen(x))) if values is None else values
+    values = _run_kernel("logarithms", x)
+    return _to_float32(_log_float64(_to_float64(x))) if values is None else values
 
 
 def power(a: FloatValue, b: FloatValue) -> FloatValue:
     """Return a to the power b. For a negative a, b must be an integer, otherwise the result is NaN. a**0 is 1, and 1**b is 1, for
     any a and b."""
-    wide_a, wide_b = _widen(a), _widen(b)
-    value = _exp_wide(wide_b * _log_wide(np.abs(wide_a)))
+    wide_a, wide_b = _to_float64(a), _to_float64(b)
+    value = _exp_float64(wide_b * _log_float64(np.abs(wide_a)))
     is_integer = np.floor(wide_b) == wide_b
     odd = is_integer & (np.floor(wide_b * 0.5) * 2.0 != wide_b)
     value = np.where(wide_a < 0.0, np.where(is_integer, np.where(odd, -value, value), np.nan), value)
-    return _narrow(np.where((wide_b == 0.0) | (wide_a == 1.0), 1.0, value))
+    return _to_float32(np.where((wide_b == 0.0) | (wide_a == 1.0), 1.0, value))
 
 
 def atan2(y: FloatValue, x: FloatValue) -> FloatValue:
     """Return the angle of (x, y) from the x axis in rad, -pi .. pi; 0 for (0, 0)."""
-    values = _by_kernel("angles", y, x)
-    return _narrow(wide_atan2(y, x)) if values is None else values
+    values = _run_kernel("angles", y, x)
+    return _to_float32(atan2_float64(y, x)) if values is None else values
 
 
-def wide_atan2(y: FloatValue, x: FloatValue) -> FloatValue:
+def atan2_float64(y: FloatValue, x: FloatValue) -> FloatValue:
     """Return the angle of `atan2` as float64, to about 1e-13."""
-    wide_y, wide_x = _widen(y), _widen(x)
+    wide_y, wide_x = _to_float64(y), _to_float64(x)
     high, low = np.maximum(np.abs(wide_y), np.abs(wide_x)), np.minimum(np.abs(wide_y), np.abs(wide_x))
     ratio = low / np.where(high == 0.0, 1.0, high)
     ratio = np.where((low == np.inf) & (high == np.inf), 1.0, ratio)
     steep = ratio > TAN_EIGHTH_TURN
     t = np.where(steep, (ratio - 1.0) / (ratio + 1.0), ratio)
-    angle = t * _series(t * t, ATAN_COEFFICIENTS) + np.where(steep, PI / 4, 0.0)
+    angle = t * _evaluate_series(t * t, ATAN_COEFFICIENTS) + np.where(steep, PI / 4, 0.0)
     angle = np.where(np.abs(wide_y) > np.abs(wide_x), PI / 2 - angle, angle)
     angle = np.where(wide_x < 0.0, PI - angle, angle)
     return np.where(wide_y < 0.0, -angle, angle)
 
 
-def _widen(x: FloatValue) -> FloatValue:
+def _to_float64(x: FloatValue) -> FloatValue:
     return np.float64(x) if np.ndim(x) == 0 else x.astype(np.float64)
 
 
-def _narrow(x: FloatValue) -> FloatValue:
+def _to_float32(x: FloatValue) -> FloatValue:
     return np.float32(x) if np.ndim(x) == 0 else x.astype(np.float32)
 
 
 @lru_cache(1024)
-def _single_value(wide: Callable[[FloatValue], FloatValue], number: bytes) -> FloatValue:
+def _get_cached_value(function: Callable[[FloatValue], FloatValue], number: bytes) -> FloatValue:
     """Return the cached value of a function of one float64. The key is the bytes of the number, which distinguish -0 from 0.
 
     The cache is useful because most numbers are the same in every step."""
-    return _narrow(wide(np.frombuffer(number)[0]))
+    return _to_float32(function(np.frombuffer(number)[0]))
 
 
-def _by_kernel(loop: str, *values: FloatValue) -> FloatValue | None:
+def _run_kernel(kernel_name: str, *values: FloatValue) -> FloatValue | None:
     """Return the result of the function for arrays, computed by a kernel. None if no kernel accepts these values, or if a value
     is special."""
     one = values[0]
     if not all(isinstance(v, np.ndarray) and v.dtype == np.float32 and v.ndim == 1 and v.size == one.size for v in values):
         return None
     output = np.empty(one.size, np.float32)
-    return output if getattr(elementary_loops, loop)(*parallel.contiguous(*values), output) else None
+    return output if getattr(elementary_loops, kernel_name)(*parallel.make_contiguous(*values), output) else None

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from antdsl.machine_code.kernels import BOOL, F32, F64, Array1, as_bits, as_float, independent, inlined, kernel
+from antdsl.machine_code.kernels import BOOL, F32, F64, Array1, bits_to_float, float_to_bits, inlined, kernel, simd_range
 
 PI = 3.141592653589793
 TWO_OVER_PI = 0.6366197723675814
@@ -32,7 +32,7 @@ _FRACTION_BITS, _EXPONENT_MASK, _EXPONENT_BIAS = 52, 0x7FF, 1023
 
 
 @inlined
-def _series(x: F64, coefficients: Any) -> F64:
+def _evaluate_series(x: F64, coefficients: Any) -> F64:
     """Return the value of a polynomial (Horner's method); coefficients begin with the constant term."""
     value = x * 0.0 + coefficients[-1]
     for c in coefficients[-2::-1]:
@@ -42,14 +42,14 @@ def _series(x: F64, coefficients: Any) -> F64:
 
 
 @inlined
-def cos_sin(x: F32) -> tuple[F32, F32]:
+def compute_cos_and_sin(x: F32) -> tuple[F32, F32]:
     """Return the cosine and sine, float32, of an angle below 1e6 rad."""
     wide = np.float64(x)
     turns = np.rint(wide * TWO_OVER_PI)
     rest = (wide - turns * HALF_PI_HIGH) - turns * HALF_PI_LOW
     quarter = turns - np.floor(turns * 0.25) * 4.0
     square = rest * rest
-    sine, cosine = rest * _series(square, SIN_COEFFICIENTS), _series(square, COS_COEFFICIENTS)
+    sine, cosine = rest * _evaluate_series(square, SIN_COEFFICIENTS), _evaluate_series(square, COS_COEFFICIENTS)
     odd = quarter == 1.0 or quarter == 3.0
     c, s = (sine, cosine) if odd else (cosine, sine)
     return _F(-c if quarter == 1.0 or quarter == 2.0 else c), _F(-s if quarter >= 2.0 else s)
@@ -63,7 +63,7 @@ def atan2(y: F32, x: F32) -> F32:
     ratio = low / (1.0 if high == 0.0 else high)
     steep = ratio > TAN_EIGHTH_TURN
     t = (ratio - 1.0) / (ratio + 1.0) if steep else ratio
-    angle = t * _series(t * t, ATAN_COEFFICIENTS) + (PI / 4 if steep else 0.0)
+    angle = t * _evaluate_series(t * t, ATAN_COEFFICIENTS) + (PI / 4 if steep else 0.0)
     if abs(wide_y) > abs(wide_x):
         angle = PI / 2 - angle
     if wide_x < 0.0:
@@ -72,7 +72,7 @@ def atan2(y: F32, x: F32) -> F32:
 
 
 @inlined
-def _all_between(x: Array1[F32], least: F64, most: F64) -> BOOL:
+def _are_all_between(x: Array1[F32], least: F64, most: F64) -> BOOL:
     """Return whether all numbers lie between `least` and `most`."""
     usual = True
     for k in range(x.size):
@@ -83,29 +83,29 @@ def _all_between(x: Array1[F32], least: F64, most: F64) -> BOOL:
 @kernel
 def sines(x: Array1[F32], output: Array1[F32]) -> BOOL:
     """Write `elementary.sin` of all numbers; return False if an angle is not below 1e6 rad."""
-    if not _all_between(x, -LARGE_ANGLE, LARGE_ANGLE):
+    if not _are_all_between(x, -LARGE_ANGLE, LARGE_ANGLE):
         return False
-    for k in independent(0, x.size):
-        output[k] = cos_sin(x[k])[1]
+    for k in simd_range(0, x.size):
+        output[k] = compute_cos_and_sin(x[k])[1]
     return True
 
 
 @kernel
 def cosines(x: Array1[F32], output: Array1[F32]) -> BOOL:
     """Write `elementary.cos` of all numbers; return False if an angle is not below 1e6 rad."""
-    if not _all_between(x, -LARGE_ANGLE, LARGE_ANGLE):
+    if not _are_all_between(x, -LARGE_ANGLE, LARGE_ANGLE):
         return False
-    for k in independent(0, x.size):
-        output[k] = cos_sin(x[k])[0]
+    for k in simd_range(0, x.size):
+        output[k] = compute_cos_and_sin(x[k])[0]
     return True
 
 
 @kernel
 def angles(y: Array1[F32], x: Array1[F32], output: Array1[F32]) -> BOOL:
     """Write `elementary.atan2` of all numbers; return False if a number is not finite."""
-    if not (_all_between(y, -np.inf, np.inf) and _all_between(x, -np.inf, np.inf)):
+    if not (_are_all_between(y, -np.inf, np.inf) and _are_all_between(x, -np.inf, np.inf)):
         return False
-    for k in independent(0, x.size):
+    for k in simd_range(0, x.size):
         output[k] = atan2(y[k], x[k])
     return True
 
@@ -116,25 +116,27 @@ def exponentials(x: Array1[F32], output: Array1[F32]) -> BOOL:
     for k in range(x.size):
         if x[k] != x[k]:
             return False
-    for k in independent(0, x.size):
+    for k in simd_range(0, x.size):
         held = min(max(np.float64(x[k]), -200.0), 200.0)
         power = np.rint(held * LOG2_E)
         rest = (held - power * LN2_HIGH) - power * LN2_LOW
-        output[k] = _F(_series(rest, EXP_COEFFICIENTS) * as_float((np.int64(power) + _EXPONENT_BIAS) << _FRACTION_BITS))
+        output[k] = _F(
+            _evaluate_series(rest, EXP_COEFFICIENTS) * bits_to_float((np.int64(power) + _EXPONENT_BIAS) << _FRACTION_BITS)
+        )
     return True
 
 
 @kernel
 def logarithms(x: Array1[F32], output: Array1[F32]) -> BOOL:
     """Write `elementary.log` of all numbers; return False if a number is not above 0, or not finite."""
-    if not _all_between(x, 0.0, np.inf):
+    if not _are_all_between(x, 0.0, np.inf):
         return False
-    for k in independent(0, x.size):
-        bits = as_bits(np.float64(x[k]))  # of a positive float32; as float64 it is never denormal
+    for k in simd_range(0, x.size):
+        bits = float_to_bits(np.float64(x[k]))  # of a positive float32; as float64 it is never denormal
         power = np.float64(((bits >> _FRACTION_BITS) & _EXPONENT_MASK) - (_EXPONENT_BIAS - 1))
-        mantissa = as_float((bits & ((1 << _FRACTION_BITS) - 1)) | ((_EXPONENT_BIAS - 1) << _FRACTION_BITS))
+        mantissa = bits_to_float((bits & ((1 << _FRACTION_BITS) - 1)) | ((_EXPONENT_BIAS - 1) << _FRACTION_BITS))
         if mantissa < SQRT_HALF:
             mantissa, power = mantissa + mantissa, power - 1.0
         s = (mantissa - 1.0) / (mantissa + 1.0)
-        output[k] = _F((s * _series(s * s, LOG_COEFFICIENTS) + power * LN2_LOW) + power * LN2_HIGH)
+        output[k] = _F((s * _evaluate_series(s * s, LOG_COEFFICIENTS) + power * LN2_LOW) + power * LN2_HIGH)
     return True

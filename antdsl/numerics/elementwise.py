@@ -15,31 +15,31 @@ NumPyValue = Any  # an array, or one NumPy scalar
 FLOAT32_ZERO = np.float32(0)
 
 
-def least(a: NumPyValue, b: NumPyValue) -> NumPyValue:
+def take_minimum(a: NumPyValue, b: NumPyValue) -> NumPyValue:
     """Return the lesser number; if one of them is NaN, the other one. -0 becomes 0, since `fmin` may return either zero."""
     return np.fmin(a, b) + FLOAT32_ZERO
 
 
-def greatest(a: NumPyValue, b: NumPyValue) -> NumPyValue:
-    """Return the greater number; NaN and -0 as in `least`."""
+def take_maximum(a: NumPyValue, b: NumPyValue) -> NumPyValue:
+    """Return the greater number; NaN and -0 as in `take_minimum`."""
     return np.fmax(a, b) + FLOAT32_ZERO
 
 
-def where(condition: NumPyValue, then: NumPyValue, other: NumPyValue) -> NumPyValue:
+def select_by_condition(condition: NumPyValue, then: NumPyValue, other: NumPyValue) -> NumPyValue:
     """Return `then` where the condition is true, else `other`."""
     if np.ndim(condition) == 0 and np.ndim(then) == 0 and np.ndim(other) == 0:
         return then if condition else other
     return np.where(condition, then, other)
 
 
-def number(a: NumPyValue) -> NumPyValue:
+def to_float32(a: NumPyValue) -> NumPyValue:
     """Return a bool, a state or a row as float32."""
     return np.float32(a) if np.ndim(a) == 0 else a.astype(np.float32)
 
 
-def finite(a: NumPyValue) -> NumPyValue:
+def replace_non_finite(a: NumPyValue) -> NumPyValue:
     """Return the numbers, with 0 in place of NaN and infinity."""
-    return where(np.isfinite(a), a, FLOAT32_ZERO)
+    return select_by_condition(np.isfinite(a), a, FLOAT32_ZERO)
 
 
 # Functions with `out=`: the array of a value that is no longer needed can be reused.
@@ -65,15 +65,15 @@ UFUNC_BY_NAME: Mapping[str, np.ufunc] = {
 
 FUNCTION_BY_NAME: Mapping[str, Callable[..., NumPyValue]] = {
     **UFUNC_BY_NAME,
-    "min": least,
-    "max": greatest,
+    "min": take_minimum,
+    "max": take_maximum,
     "sin": elementary.sin,
     "cos": elementary.cos,
     "exp": elementary.exp,
     "log": elementary.log,
     "pow": elementary.power,
     "atan2": elementary.atan2,
-    "where": where,
-    "number": number,
-    "finite": finite,
+    "where": select_by_condition,
+    "number": to_float32,
+    "finite": replace_non_finite,
 }

@@ -32,16 +32,16 @@ def sum_by_index(index: NDArray[np.integer[Any]], terms: NDArray[np.float32], qu
     wide = quantise(terms, quantum)
     largest = max(float(wide.max()), -float(wide.min()))
     if not largest * index.size <= np.ldexp(1.0, quantum + _FLOAT64_BITS):  # NaN too
-        return _sums_in_two_words(index, wide, quantum, length)
+        return _sum_in_two_words(index, wide, quantum, length)
     return np.bincount(index, weights=wide, minlength=length).astype(np.float32)
 
 
-def _sums_in_two_words(
-    index: NDArray[np.integer[Any]], wide: NDArray[np.float64], quantum: int, length: int
+def _sum_in_two_words(
+    index: NDArray[np.integer[Any]], terms: NDArray[np.float64], quantum: int, length: int
 ) -> NDArray[np.float32]:
     """Return the sums of `sum_by_index` for larger totals. A term is split into a multiple of 2**(quantum + 22) and a rest; both
     are summed exactly. Their total is rounded once."""
     magic = np.ldexp(1.5, quantum + LOW_WORD_BITS + 52)
-    high = (wide + magic) - magic
-    low = np.bincount(index, weights=wide - high, minlength=length)
+    high = (terms + magic) - magic
+    low = np.bincount(index, weights=terms - high, minlength=length)
     return (np.bincount(index, weights=high, minlength=length) + low).astype(np.float32)

@@ -16,7 +16,7 @@ _ONE_AT_RUN_TIME, _HALF_AT_RUN_TIME, _HALF_ULP, _LEAST_NORMAL = 1.0, 0.5, 2.0**-
 _ENVIRONMENT_BYTES = 256  # more bytes than any C library needs
 
 
-def is_standard() -> bool:
+def has_standard_floats() -> bool:
     """Return whether this thread rounds to nearest and keeps denormal numbers, as far as float64 operations show it."""
     return (
         _LEAST_NORMAL * _HALF_AT_RUN_TIME != 0.0
@@ -25,24 +25,24 @@ def is_standard() -> bool:
     )
 
 
-def set_standard() -> None:
+def set_standard_floats() -> None:
     """Set the standard float environment for this thread permanently, for antdsl's own threads. Without support in the C library,
     nothing changes."""
-    if not is_standard() and (library := _library()) is not None:
-        library.fesetenv(_default_environment())
+    if not has_standard_floats() and (library := _load_c_library()) is not None:
+        library.fesetenv(_get_default_environment())
 
 
 @contextmanager
 def standard_floats() -> Iterator[None]:
     """Use the standard float environment within the context, and restore the old one afterwards. If the environment is already
     standard, this costs about a microsecond."""
-    library = None if is_standard() else _library()
+    library = None if has_standard_floats() else _load_c_library()
     if library is None:
         yield
         return
     saved_environment = ctypes.create_string_buffer(_ENVIRONMENT_BYTES)
     library.fegetenv(saved_environment)
-    library.fesetenv(_default_environment())
+    library.fesetenv(_get_default_environment())
     try:
         yield
     finally:
@@ -50,7 +50,7 @@ def standard_floats() -> Iterator[None]:
 
 
 @cache
-def _library() -> Any:
+def _load_c_library() -> Any:
     """Return the C library with its environment functions (C99, 7.6); None if it has none."""
     try:
         library = ctypes.CDLL(None)
@@ -61,7 +61,7 @@ def _library() -> Any:
 
 
 @cache
-def _default_environment() -> ctypes.c_void_p:
+def _get_default_environment() -> ctypes.c_void_p:
     """Return FE_DFL_ENV, the default environment: the address of an object of that name, or a number on systems without such an
     object."""
     try:

@@ -21,7 +21,7 @@ PARTS_PER_THREAD = 4  # parts per thread; a thread that starts late or has slow 
 
 
 @cache
-def cores() -> int:
+def count_available_cores() -> int:
     """Return how many threads may run at once. The cores available to this process and its control group (such as a container)
     limit the number; fractions are rounded up."""
     available = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
@@ -29,52 +29,52 @@ def cores() -> int:
         own = PROCESS_CGROUP_FILE.read_text(encoding="utf-8", errors="surrogateescape")
     except OSError:
         return available
-    return max(1, min([available, *map(math.ceil, core_limits(own, CGROUPS_FOLDER))]))
+    return max(1, min([available, *map(math.ceil, iterate_core_limits(own, CGROUPS_FOLDER))]))
 
 
-def core_limits(own: str, groups: Path) -> Iterator[float]:
+def iterate_core_limits(process_groups: str, groups_folder: Path) -> Iterator[float]:
     """Yield the core limits of a process's control group and of the groups that contain it; groups without a limit are left out.
 
-    - `own`: Linux's list of the process's groups, one line `number:controllers:path` each
-    - `groups`: the folder of all groups
+    - `process_groups`: Linux's list of the process's groups, one line `number:controllers:path` each
+    - `groups_folder`: the folder of all groups
 
     See the Linux kernel documentation: Control Group v2, `cpu.max`; CFS Bandwidth Control, for version 1."""
-    for folder, is_first in group_folders(own, groups, "cpu"):
+    for folder, is_first in iterate_group_folders(process_groups, groups_folder, "cpu"):
         with suppress(OSError, ValueError):
-            quota, period = _quota_v1(folder) if is_first else _quota_v2(folder)
+            quota, period = _read_quota_v1(folder) if is_first else _read_quota_v2(folder)
             if quota > 0 and period > 0:
                 yield quota / period
 
 
-def _quota_v1(folder: Path) -> tuple[int, int]:
+def _read_quota_v1(folder: Path) -> tuple[int, int]:
     """Return quota and period (µs) of a control group of version 1; a quota of -1 means no limit."""
     quota, period = (int((folder / f"cpu.cfs_{name}_us").read_text()) for name in ("quota", "period"))
     return quota, period  # a quota of -1 is none
 
 
-def _quota_v2(folder: Path) -> tuple[int, int]:
+def _read_quota_v2(folder: Path) -> tuple[int, int]:
     """Return quota and period (µs) of a control group of version 2."""
     quota, period = (folder / "cpu.max").read_text().split()  # a quota of `max` is none
     return int(quota), int(period)
 
 
-def group_folders(own: str, groups: Path, controller: str) -> Iterator[tuple[Path, bool]]:
+def iterate_group_folders(process_groups: str, groups_folder: Path, controller: str) -> Iterator[tuple[Path, bool]]:
     """Yield the folders of the groups in which a controller limits a process, each with whether it belongs to version 1 of
     control groups.
 
-    - `own`: Linux's list of the process's groups, one line `number:controllers:path` each
-    - `groups`: the folder of all groups"""
-    for line in own.splitlines():
+    - `process_groups`: Linux's list of the process's groups, one line `number:controllers:path` each
+    - `groups_folder`: the folder of all groups"""
+    for line in process_groups.splitlines():
         controllers, _, path = line.partition(":")[2].partition(":")
         if controllers and controller not in controllers.split(","):
             continue
-        root = groups / controller if controllers else groups
+        root = groups_folder / controller if controllers else groups_folder
         parts = [part for part in PurePosixPath(path).parts if part not in ("/", "..")]
         for depth in range(len(parts) + 1):
             yield root.joinpath(*parts[:depth]), bool(controllers)
 
 
-def address_space() -> float:
+def get_address_space_limit() -> float:
     """Return the address space limit in bytes of this process, and of each process that it starts; infinite without a limit."""
     try:
         import resource
@@ -84,7 +84,7 @@ def address_space() -> float:
     return inf if most == resource.RLIM_INFINITY else most
 
 
-def available_memory() -> int | None:
+def measure_available_memory() -> int | None:
     """Return the bytes that this process can still allocate without swapping, within its control groups. None if the system does
     not report it (other than Linux)."""
     limits: list[int] = []
@@ -92,28 +92,31 @@ def available_memory() -> int | None:
         lines = _MEMINFO_FILE.read_text(encoding="ascii", errors="replace").splitlines()
         limits.append(next(int(line.split()[1]) * 1024 for line in lines if line.startswith("MemAvailable:")))
     with suppress(OSError):
-        limits += memory_left(PROCESS_CGROUP_FILE.read_text(encoding="utf-8", errors="surrogateescape"), CGROUPS_FOLDER)
+        limits += iterate_free_group_memory(
+            PROCESS_CGROUP_FILE.read_text(encoding="utf-8", errors="surrogateescape"), CGROUPS_FOLDER
+        )
     return min(limits, default=None)
 
 
-def memory_left(own: str, groups: Path) -> Iterator[int]:
-    """Yield the bytes left in each control group with a limit. `own` and `groups` are those of `group_folders`.
+def iterate_free_group_memory(process_groups: str, groups_folder: Path) -> Iterator[int]:
+    """Yield the bytes left in each control group with a limit. `process_groups` and `groups_folder` are those of
+    `iterate_group_folders`.
 
     Cached files count as free, since the system drops them when necessary."""
-    for folder, is_first in group_folders(own, groups, "memory"):
+    for folder, is_first in iterate_group_folders(process_groups, groups_folder, "memory"):
         names = ("memory.limit_in_bytes", "memory.usage_in_bytes") if is_first else ("memory.max", "memory.current")
         with suppress(OSError, ValueError):  # a limit of `max` is none
             most, used = (int((folder / name).read_text()) for name in names)
-            yield max(0, most - used + _reclaimable_bytes(folder))
+            yield max(0, most - used + _read_reclaimable_bytes(folder))
 
 
-def _reclaimable_bytes(folder: Path) -> int:
+def _read_reclaimable_bytes(folder: Path) -> int:
     """Return the bytes of cached files of a control group."""
     words = dict(line.split() for line in (folder / "memory.stat").read_text().splitlines())
     return sum(int(words.get(name, 0)) for name in ("active_file", "inactive_file"))
 
 
-def peak_memory() -> int:
+def measure_peak_memory() -> int:
     """Return the peak memory of this process in bytes; 0 where the system does not report it."""
     try:
         import resource
@@ -123,18 +126,18 @@ def peak_memory() -> int:
     return int(peak if sys.platform == "darwin" else peak * 1024)
 
 
-def memory() -> tuple[int, int]:
+def measure_memory() -> tuple[int, int]:
     """Return the current and the peak memory of this process in bytes.
 
     If the system reports only the peak, both values are the peak. The peak may be that of the parent process."""
     try:
-        amounts = _kilobytes(_PROCESS_FOLDER / "status")
+        amounts = _read_kilobyte_lines(_PROCESS_FOLDER / "status")
         return 1024 * amounts["VmRSS"], 1024 * amounts["VmHWM"]
     except (OSError, KeyError):
-        return peak_memory(), peak_memory()
+        return measure_peak_memory(), measure_peak_memory()
 
 
-def _kilobytes(path: Path) -> dict[str, int]:
+def _read_kilobyte_lines(path: Path) -> dict[str, int]:
     """Return the amounts, by name, in a file with lines such as `VmRSS:  123 kB`."""
     amounts = {}
     for line in path.read_text(encoding="ascii", errors="replace").splitlines():
@@ -146,7 +149,7 @@ def _kilobytes(path: Path) -> dict[str, int]:
 
 
 @cache
-def processor_name() -> str:
+def read_processor_name() -> str:
     """Return the processor's name as the system reports it."""
     import platform  # imported late, because the import is slow
 

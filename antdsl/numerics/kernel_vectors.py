@@ -24,17 +24,17 @@ class AgentPose(NamedTuple):
     direction: Vec3
 
 
-_MIN_LENGTH, _STEEP_COSINE = 1e-12, 0.9  # as `vectors.unit` and `vectors.across`
+_MIN_LENGTH, _STEEP_COSINE = 1e-12, 0.9  # as `vectors.normalise_vector` and `vectors.across`
 
 
 @inlined
-def at(table: Array1[F64], k: I64) -> Vec3:
+def load_vector(table: Array1[F64], k: I64) -> Vec3:
     """Return three numbers of a table, from index `k` on."""
     return table[k], table[k + 1], table[k + 2]
 
 
 @inlined
-def of(vectors: Any, i: I64) -> Vec3:
+def get_column(vectors: Any, i: I64) -> Vec3:
     """Return vector `i` of vectors (3, n)."""
     return vectors[0, i], vectors[1, i], vectors[2, i]
 
@@ -48,7 +48,7 @@ def finite_vector(x: Any, y: Any, z: Any) -> Vec3:
 
 
 @inlined
-def put_vector(vectors: Any, i: I64, v: Vec3) -> None:
+def store_column(vectors: Any, i: I64, v: Vec3) -> None:
     """Write vector `i` of vectors (3, n)."""
     vectors[0, i], vectors[1, i], vectors[2, i] = v
 
@@ -79,16 +79,16 @@ def cross(a: AnyVec3, b: AnyVec3) -> AnyVec3:
 
 
 @inlined
-def flat(a: AnyVec3, up: AnyVec3) -> AnyVec3:
-    """Return the component of `a` perpendicular to `up`, as `vectors.flat`."""
+def project_to_plane(a: AnyVec3, up: AnyVec3) -> AnyVec3:
+    """Return the component of `a` perpendicular to `up`, as `vectors.project_to_plane`."""
     return minus(a, times(up, dot(a, up)))
 
 
 @inlined
-def any_perpendicular(up: Vec3) -> Vec3:
-    """Return a unit vector perpendicular to `up`, in float64, as `vectors.any_perpendicular`."""
+def find_perpendicular(up: Vec3) -> Vec3:
+    """Return a unit vector perpendicular to `up`, in float64, as `vectors.find_perpendicular`."""
     steep = abs(up[0]) > _STEEP_COSINE
-    side = flat(((0.0 if steep else 1.0), (1.0 if steep else 0.0), 0.0), up)
+    side = project_to_plane(((0.0 if steep else 1.0), (1.0 if steep else 0.0), 0.0), up)
     return times(side, 1 / np.sqrt(dot(side, side)))
 
 
@@ -98,7 +98,7 @@ def unit_or_perpendicular(v: Vec3, up: Vec3) -> Vec3:
     size = np.sqrt(dot(v, v))
     if size > _MIN_LENGTH and np.isfinite(size):
         return times(v, 1 / size)
-    return any_perpendicular(up)
+    return find_perpendicular(up)
 
 
 @inlined
@@ -124,7 +124,7 @@ def clamp_weights(b1: F64, b2: F64) -> TriangleWeights:
 
 
 @inlined
-def turned(v: Vec3, source: Vec3, target: Vec3, direction: Vec3) -> Vec3:
+def rotate_between_normals(v: Vec3, source: Vec3, target: Vec3, direction: Vec3) -> Vec3:
     """Return a vector rotated by the smallest rotation from unit normal `source` to `target`. For opposite normals, the rotation
     goes over `direction`."""
     cosine = dot(source, target)
@@ -167,25 +167,25 @@ def nearest_weights(edge1: Vec3, edge2: Vec3, v: Vec3) -> tuple[F64, F64, F64]:
 
 
 @inlined
-def divide(a: Vec3, s: F64) -> Vec3:
+def divide_vector(a: Vec3, s: F64) -> Vec3:
     """Return a vector divided by a number."""
     return a[0] / s, a[1] / s, a[2] / s
 
 
 @inlined
-def unit(v: Vec3) -> Vec3:
+def normalise_vector(v: Vec3) -> Vec3:
     """Return a vector scaled to length 1; zero stays zero."""
-    return divide(v, max(np.sqrt(dot(v, v)), 1e-300))
+    return divide_vector(v, max(np.sqrt(dot(v, v)), 1e-300))
 
 
 @inlined
-def row64(vectors: Array2[F32], i: I64) -> Vec3:
+def get_row64(vectors: Array2[F32], i: I64) -> Vec3:
     """Return vector `i` of vectors (n, 3), in float64."""
     return np.float64(vectors[i, 0]), np.float64(vectors[i, 1]), np.float64(vectors[i, 2])
 
 
 @inlined
-def column64(vectors: Strided2[F64], i: I64) -> Vec3:
+def get_column64(vectors: Strided2[F64], i: I64) -> Vec3:
     """Return vector `i` of vectors (3, n), in float64."""
     return np.float64(vectors[0, i]), np.float64(vectors[1, i]), np.float64(vectors[2, i])
 

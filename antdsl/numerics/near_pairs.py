@@ -15,18 +15,18 @@ _NEIGHBOUR_OFFSETS: list[CellOffset] = [(x, y, z) for x in (-1, 0, 1) for y in (
 _FORWARD_OFFSETS = _NEIGHBOUR_OFFSETS[len(_NEIGHBOUR_OFFSETS) // 2 :]  # each pair of cells once
 
 
-def pairs_within(points: Floats, reach: float) -> tuple[Index, Index]:
+def find_pairs_within(points: Floats, reach: float) -> tuple[Index, Index]:
     """Return the pairs of points [n,3] at most `reach` apart: their indices, the lower one first."""
-    one, other = _pairs(points, points, reach, _FORWARD_OFFSETS)
+    one, other = _find_pairs(points, points, reach, _FORWARD_OFFSETS)
     return np.minimum(one, other), np.maximum(one, other)
 
 
-def pairs_between(points: Floats, others: Floats, reach: float) -> tuple[Index, Index]:
+def find_pairs_between(points: Floats, others: Floats, reach: float) -> tuple[Index, Index]:
     """Return the pairs of points [n,3] and others [k,3] at most `reach` apart: the indices of both."""
-    return _pairs(points, others, reach, _NEIGHBOUR_OFFSETS)
+    return _find_pairs(points, others, reach, _NEIGHBOUR_OFFSETS)
 
 
-def _pairs(points: Floats, others: Floats, reach: float, cells: list[CellOffset]) -> tuple[Index, Index]:
+def _find_pairs(points: Floats, others: Floats, reach: float, cells: list[CellOffset]) -> tuple[Index, Index]:
     """Return pairs of points and others at most `reach` apart, from the cells at the offsets `cells`."""
     empty = np.empty(0, np.int64)
     if not (len(points) and len(others)):

@@ -2,7 +2,7 @@
 
 Gradients at lattice points and a quintic fade, which makes slope and curvature continuous: K. Perlin, Improving noise, SIGGRAPH
 2002. The 32 gradients in four dimensions (one of them time) are those of his reference code. Random bits of a lattice point:
-`pcg4d`, M. Jarzynski and M. Olano, Hash functions for GPU rendering, JCGT 9(3), 2020."""
+`hash_pcg4d`, M. Jarzynski and M. Olano, Hash functions for GPU rendering, JCGT 9(3), 2020."""
 
 from __future__ import annotations
 
@@ -24,38 +24,38 @@ _NOISE_SCALE = 0.65
 MAX_LATTICE_COORDINATE = 2.0**51  # beyond this lattice coordinate, float64 does not resolve positions within a cell
 
 
-def noise(points: Floats, seed: NDArray[np.int64]) -> Floats:
+def compute_noise(points: Floats, seed: NDArray[np.int64]) -> Floats:
     """Return noise values in -1 .. 1 at points (4, n), in lattice cells; NaN where a point is not finite or too far away."""
     sound = (np.abs(points) < MAX_LATTICE_COORDINATE).all(axis=0)
     points = np.where(sound, points, 0.0)
     cell = np.floor(points)
     inside = points - cell
-    lattice = cell.astype(np.int64) + _shift(seed)
+    lattice = cell.astype(np.int64) + _compute_lattice_offset(seed)
     corner = (lattice + _LATTICE_CORNERS).astype(np.uint32)  # (16, 4, n)
     # the upper bits of the last word, which is mixed most; the lower bits of the first differ too little between cells
-    gradient = _LATTICE_GRADIENTS[pcg4d(corner.transpose(1, 0, 2))[3] >> _SHIFT_27]  # (16, n, 4)
+    gradient = _LATTICE_GRADIENTS[hash_pcg4d(corner.transpose(1, 0, 2))[3] >> _SHIFT_27]  # (16, n, 4)
     offset = inside - _LATTICE_CORNERS
     value: Floats = (gradient[..., 0] * offset[:, 0] + gradient[..., 1] * offset[:, 1]) + (
         gradient[..., 2] * offset[:, 2] + gradient[..., 3] * offset[:, 3]
     )
-    for share in fade(inside)[::-1]:  # time first, because it changes first among the corners
+    for share in compute_fade(inside)[::-1]:  # time first, because it changes first among the corners
         value = value[0::2] + share * (value[1::2] - value[0::2])
     return np.where(sound, value[0] * _NOISE_SCALE, np.nan)
 
 
-def fade(t: Floats) -> Floats:
+def compute_fade(t: Floats) -> Floats:
     """Return a smooth transition from 0 to 1, with slope and curvature 0 at both ends (Perlin 2002)."""
     return (t * t * t) * (t * (t * 6.0 - 15.0) + 10.0)
 
 
-def _shift(seed: NDArray[np.int64]) -> NDArray[np.int64]:
+def _compute_lattice_offset(seed: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return the offset (4, n) of a seed's pattern on the lattice, which has 2**32 points along each axis."""
     zero = np.zeros(seed.shape, np.uint32)
     words = np.stack((seed.astype(np.uint32), (seed >> 32).astype(np.uint32), zero, zero))
-    return pcg4d(pcg4d(words)).astype(np.int64)
+    return hash_pcg4d(hash_pcg4d(words)).astype(np.int64)
 
 
-def pcg4d(words: UInt32Array) -> UInt32Array:
+def hash_pcg4d(words: UInt32Array) -> UInt32Array:
     """Return four random words for each column of four words (4, …)."""
     mixed_words = _mix_words(words * _LCG_MULTIPLIER + _LCG_INCREMENT)
     return _mix_words(mixed_words ^ (mixed_words >> _SHIFT_16))

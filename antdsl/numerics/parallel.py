@@ -11,40 +11,42 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.machine_code.kernels import I64, inlined
-from antdsl.numerics.host import cores
+from antdsl.numerics.host import count_available_cores
 
 T = TypeVar("T")
 MIN_AGENTS_PER_THREAD = 1_024  # number of agents from which another thread is worthwhile
 MIN_LIGHT_ITEMS_PER_THREAD = 4_096  # the same, for work of a few operations per item
 
 
-def contiguous(*arrays: NDArray[Any]) -> tuple[NDArray[Any], ...]:
+def make_contiguous(*arrays: NDArray[Any]) -> tuple[NDArray[Any], ...]:
     """Return the arrays in contiguous form, which most kernels need. Arrays that are not contiguous are copied."""
     return tuple(np.ascontiguousarray(a) for a in arrays)
 
 
-def in_parts(work: Callable[[int, int], T], count: int, threads: int, least: int = MIN_AGENTS_PER_THREAD) -> list[T]:
-    """Call `work(begin, end)` over `count` agents, in parallel parts of at least `least` agents. Return the results in order.
+def run_in_parts(work: Callable[[int, int], T], count: int, threads: int, min_part_size: int = MIN_AGENTS_PER_THREAD) -> list[T]:
+    """Call `work(begin, end)` over `count` agents, in parallel parts of at least `min_part_size` agents. Return the results in
+    order.
 
     There are only as many parts as are worthwhile. A kernel (a `partial` of one, without its last two arguments) runs as machine
     code, in more parts than threads, to balance their load. If another caller uses the threads, all work is done in one part."""
-    if threads < 2 or count < 2 * least or min(threads, cores()) < 2:
+    if threads < 2 or count < 2 * min_part_size or min(threads, count_available_cores()) < 2:
         return [work(0, count)]
     from antdsl.numerics import workers
 
-    return workers.in_parts(work, count, min(threads, cores()), count // max(1, least))
+    return workers.run_in_parts(work, count, min(threads, count_available_cores()), count // max(1, min_part_size))
 
 
-def parts(count: int, threads: int, least: int = MIN_AGENTS_PER_THREAD) -> int:
-    """Return the maximum number of parts in which `in_parts` runs a kernel with the same arguments. `least` must be at least 16.
+def count_parts(count: int, threads: int, min_part_size: int = MIN_AGENTS_PER_THREAD) -> int:
+    """Return the maximum number of parts in which `run_in_parts` runs a kernel with the same arguments. `min_part_size` must be
+    at least 16.
 
-    With that many buffers, each part can have its own (`buffer_index`)."""
-    threads = min(threads, cores())
-    if threads < 2 or count < 2 * least:
+    With that many buffers, each part can have its own (`compute_buffer_index`)."""
+    threads = min(threads, count_available_cores())
+    if threads < 2 or count < 2 * min_part_size:
         return 1
     from antdsl.numerics import workers
 
-    return workers.parts(count, min(threads, count // max(1, least)))
+    return workers.count_parts(count, min(threads, count // max(1, min_part_size)))
 
 
 def join_parts(parts: Sequence[tuple[int, ...]], *arrays: NDArray[Any]) -> list[NDArray[Any]]:
@@ -59,34 +61,34 @@ def join_parts(parts: Sequence[tuple[int, ...]], *arrays: NDArray[Any]) -> list[
     return [np.concatenate([each[..., chunk] for chunk in own], axis=-1) for each in arrays]
 
 
-def side_by_side(work: Callable[[int], object], threads: int) -> None:
+def run_in_threads(work: Callable[[int], object], threads: int) -> None:
     """Call `work(0)` in this thread, and `work(1)` to `work(threads - 1)` in parallel if threads are free.
 
     Each call takes work until none is left. All calls have ended on return, even after an interruption."""
-    threads = min(threads, cores())
+    threads = min(threads, count_available_cores())
     if threads < 2:
         work(0)
         return
     from antdsl.numerics import workers
 
-    workers.side_by_side(work, threads)
+    workers.run_in_threads(work, threads)
 
 
-def call_rows(function: Callable[[int, int, int], None], parts: NDArray[np.int64], threads: int) -> None:
+def call_with_rows(function: Callable[[int, int, int], None], parts: NDArray[np.int64], threads: int) -> None:
     """Call a function of machine code in parallel with each row of `parts` [k,3]: address, begin, end."""
-    threads = min(threads, cores())
+    threads = min(threads, count_available_cores())
     if threads < 2 or len(parts) < 2:
         for part in parts.tolist():
             function(*part)
         return
     from antdsl.numerics import workers
 
-    workers.call_rows(function, parts, threads)
+    workers.call_with_rows(function, parts, threads)
 
 
 @inlined
-def buffer_index(begin: I64, count: I64, rooms: I64) -> I64:
+def compute_buffer_index(begin: I64, count: I64, buffer_count: I64) -> I64:
     """Return the number of the buffer for a part that starts at `begin` and has `count` numbers (at least 1).
 
-    `rooms` is the number of buffers, as returned by `parts`. No two parts share a buffer."""
-    return (begin * rooms + count - 1) // count
+    `buffer_count` is the number of buffers, as returned by `count_parts`. No two parts share a buffer."""
+    return (begin * buffer_count + count - 1) // count

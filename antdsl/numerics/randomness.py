@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.machine_code.kernels import F32, I64, U64, Array1, independent, inlined, kernel
+from antdsl.machine_code.kernels import F32, I64, U64, Array1, inlined, kernel, simd_range
 
 PHILOX_MULTIPLIER0, PHILOX_MULTIPLIER1 = np.uint64(0xD2511F53), np.uint64(0xCD9E8D57)
 PHILOX_KEY_STEP0, PHILOX_KEY_STEP1 = np.uint64(0x9E3779B9), np.uint64(0xBB67AE85)
@@ -30,7 +30,7 @@ CounterWords = tuple[tuple[int, int, int], tuple[int, int]]
 WordColumns = tuple[NDArray[np.uint64], NDArray[np.uint64], NDArray[np.uint64], NDArray[np.uint64]]
 
 
-def philox(counter: WordColumns, key: tuple[Any, Any]) -> WordColumns:
+def run_philox(counter: WordColumns, key: tuple[Any, Any]) -> WordColumns:
     """Return four random 32-bit words (in uint64 arrays) for four 32-bit counter words and a key of two words (np.uint64)."""
     c0, c1, c2, c3 = counter
     k0, k1 = key
@@ -49,77 +49,81 @@ def philox(counter: WordColumns, key: tuple[Any, Any]) -> WordColumns:
 
 
 @lru_cache(maxsize=4096)
-def site_words(species: str, site: str) -> tuple[int, int]:
+def compute_site_words(species: str, site: str) -> tuple[int, int]:
     """Return two 32-bit words that identify a site in the text of a species."""
     digest = blake2b(f"{species}\0{site}".encode(), digest_size=8).digest()
     return int.from_bytes(digest[:4], "little"), int.from_bytes(digest[4:], "little")
 
 
-def words(seed: int, frame: int, species: str, site: str, block: int, ids: NDArray[np.int64]) -> WordColumns:
+def draw_four_words(seed: int, frame: int, species: str, site: str, block: int, ids: NDArray[np.int64]) -> WordColumns:
     """Return four random words for each id. `frame` may be negative (preroll)."""
-    (c0, low, c3), key = counters(seed, frame, species, site, block)
+    (c0, low, c3), key = build_counters(seed, frame, species, site, block)
     wide = ids.astype(np.uint64)
     first, last = (np.full(wide.shape, c, np.uint64) for c in (c0, c3))
-    return words_of_ids(wide, first, np.uint64(low), last, (np.uint64(key[0]), np.uint64(key[1])))
+    return draw_words_of_ids(wide, first, np.uint64(low), last, (np.uint64(key[0]), np.uint64(key[1])))
 
 
-def words_of_ids(wide: Any, first: Any, low: Any, last: Any, key: tuple[Any, Any]) -> WordColumns:
-    """Return four random words for each id (`wide`, uint64). `first`, `low` and `last` are the first, third and last counter
+def draw_words_of_ids(wide_ids: Any, first: Any, low: Any, last: Any, key: tuple[Any, Any]) -> WordColumns:
+    """Return four random words for each id (`wide_ids`, uint64). `first`, `low` and `last` are the first, third and last counter
     word."""
-    return philox((first, wide & LOW_32_BITS, (((wide >> HALF_WORD_BITS) * ID_SPREAD_MULTIPLIER) & LOW_32_BITS) ^ low, last), key)
+    return run_philox(
+        (first, wide_ids & LOW_32_BITS, (((wide_ids >> HALF_WORD_BITS) * ID_SPREAD_MULTIPLIER) & LOW_32_BITS) ^ low, last), key
+    )
 
 
-def counters(seed: int, frame: int, species: str, site: str, block: int) -> CounterWords:
+def build_counters(seed: int, frame: int, species: str, site: str, block: int) -> CounterWords:
     """Return the counter words that all ids share, and the key. The high half of an id is still to be combined with the third
     word."""
-    low, high = site_words(species, site)
-    return (frame_word(frame), low, (high + block) & 0xFFFFFFFF), (seed & 0xFFFFFFFF, (seed >> 32) & 0xFFFFFFFF)
+    low, high = compute_site_words(species, site)
+    return (compute_frame_word(frame), low, (high + block) & 0xFFFFFFFF), (seed & 0xFFFFFFFF, (seed >> 32) & 0xFFFFFFFF)
 
 
-def frame_word(frame: int) -> int:
+def compute_frame_word(frame: int) -> int:
     """Return the first counter word, which all draws of a frame share."""
     return frame & 0xFFFFFFFF
 
 
-def unit_floats(word: NDArray[np.uint64]) -> NDArray[np.float32]:
+def to_unit_floats(word: NDArray[np.uint64]) -> NDArray[np.float32]:
     """Return float32 numbers in [0, 1) from the top 24 bits of 32-bit words."""
     return (word >> np.uint64(8)).astype(np.float32) * UNIT_FLOAT_STEP
 
 
-def uniform(seed: int, frame: int, species: str, site: str, index: int, ids: NDArray[np.int64]) -> NDArray[np.float32]:
+def draw_uniform(seed: int, frame: int, species: str, site: str, index: int, ids: NDArray[np.int64]) -> NDArray[np.float32]:
     """Return draw number `index` of a site for each id: float32 in [0, 1). Four draws of a site share one run of the
     generator."""
-    return _draw(uniforms, np.float32, counters(seed, frame, species, site, index >> 2), index, ids)
+    return _draw(fill_uniforms, np.float32, build_counters(seed, frame, species, site, index >> 2), index, ids)
 
 
-def word(seed: int, frame: int, species: str, site: str, index: int, ids: NDArray[np.int64]) -> NDArray[np.uint64]:
-    """Return the random word from which `uniform` makes the draw with the same arguments."""
-    return _draw(draw_words, np.uint64, counters(seed, frame, species, site, index >> 2), index, ids)
+def draw_word(seed: int, frame: int, species: str, site: str, index: int, ids: NDArray[np.int64]) -> NDArray[np.uint64]:
+    """Return the random word from which `draw_uniform` makes the draw with the same arguments."""
+    return _draw(fill_words, np.uint64, build_counters(seed, frame, species, site, index >> 2), index, ids)
 
 
-def _draw(loop: RandomKernel, kind: type[np.generic], shared: CounterWords, index: int, ids: NDArray[np.int64]) -> NDArray[Any]:
-    """Return draw `index` for each id, as numbers of a `kind`, computed by the kernel `loop`."""
-    draws: NDArray[Any] = np.empty(ids.size, kind)
-    loop(np.ascontiguousarray(ids.reshape(-1), np.int64), (*shared[0], *shared[1]), index & 3, draws)
+def _draw(
+    fill_kernel: RandomKernel, dtype: type[np.generic], shared: CounterWords, index: int, ids: NDArray[np.int64]
+) -> NDArray[Any]:
+    """Return draw `index` for each id, as numbers of a `dtype`, computed by the kernel `fill_kernel`."""
+    draws: NDArray[Any] = np.empty(ids.size, dtype)
+    fill_kernel(np.ascontiguousarray(ids.reshape(-1), np.int64), (*shared[0], *shared[1]), index & 3, draws)
     return draws.reshape(ids.shape)
 
 
 @kernel
-def uniforms(ids: Array1[I64], shared: SharedCounters, which: I64, output: Array1[F32]) -> None:
-    """Write a draw for each id. `which` is its index among the four draws of its counter."""
-    for n in independent(0, ids.size):
-        output[n] = np.float32(_word(ids[n], shared, which) >> 8) * UNIT_FLOAT_STEP
+def fill_uniforms(ids: Array1[I64], shared: SharedCounters, draw_index: I64, output: Array1[F32]) -> None:
+    """Write a draw for each id. `draw_index` is its index among the four draws of its counter."""
+    for n in simd_range(0, ids.size):
+        output[n] = np.float32(_compute_word(ids[n], shared, draw_index) >> 8) * UNIT_FLOAT_STEP
 
 
 @kernel
-def draw_words(ids: Array1[I64], shared: SharedCounters, which: I64, output: Array1[U64]) -> None:
-    """Write the complete random word of a draw for each id, with the arguments of `uniforms`."""
-    for n in independent(0, ids.size):
-        output[n] = _word(ids[n], shared, which)
+def fill_words(ids: Array1[I64], shared: SharedCounters, draw_index: I64, output: Array1[U64]) -> None:
+    """Write the complete random word of a draw for each id, with the arguments of `fill_uniforms`."""
+    for n in simd_range(0, ids.size):
+        output[n] = _compute_word(ids[n], shared, draw_index)
 
 
 @inlined
-def _word(number: I64, shared: SharedCounters, which: I64) -> U64:
+def _compute_word(number: I64, shared: SharedCounters, draw_index: I64) -> U64:
     wide = np.uint64(number)
     c0, low, c3, first, second = shared
     a, b, c, d = c0, wide & LOW_32_BITS, (((wide >> HALF_WORD_BITS) * ID_SPREAD_MULTIPLIER) & LOW_32_BITS) ^ low, c3
@@ -127,4 +131,4 @@ def _word(number: I64, shared: SharedCounters, which: I64) -> U64:
         p0, p1 = a * PHILOX_MULTIPLIER0, c * PHILOX_MULTIPLIER1
         a, b, c, d = (p1 >> HALF_WORD_BITS) ^ b ^ first, p1 & LOW_32_BITS, (p0 >> HALF_WORD_BITS) ^ d ^ second, p0 & LOW_32_BITS
         first, second = (first + PHILOX_KEY_STEP0) & LOW_32_BITS, (second + PHILOX_KEY_STEP1) & LOW_32_BITS
-    return a if which == 0 else b if which == 1 else c if which == 2 else d
+    return a if draw_index == 0 else b if draw_index == 1 else c if draw_index == 2 else d

@@ -14,16 +14,16 @@ Record = TypeVar("Record")
 
 def take_rows(record: Record, chosen: NDArray[np.bool_] | NDArray[np.intp]) -> Record:
     """Return the chosen rows of all arrays in a record. Values other than arrays are unchanged."""
-    rows: Record = _apply(lambda array: array[chosen], record)
+    rows: Record = _map_arrays(lambda array: array[chosen], record)
     return rows
 
 
 def join_rows(one: Any, other: Any) -> Any:
     """Return the rows of two records, concatenated; None where one of them is None."""
-    return _apply(lambda *arrays: np.concatenate(arrays), one, other)
+    return _map_arrays(lambda *arrays: np.concatenate(arrays), one, other)
 
 
-def _apply(function: Callable[..., NDArray[Any]], first: Any, *others: Any) -> Any:
+def _map_arrays(function: Callable[..., NDArray[Any]], first: Any, *others: Any) -> Any:
     """Return a record with the results of a function. Its arguments are the arrays in the same position of several records."""
     if any(each is None for each in (first, *others)):
         return None
@@ -31,16 +31,16 @@ def _apply(function: Callable[..., NDArray[Any]], first: Any, *others: Any) -> A
         return function(first, *others)
     if isinstance(first, Mapping):
         names = [name for name in first if all(name in other for other in others)]
-        return {name: _apply(function, *(each[name] for each in (first, *others))) for name in names}
+        return {name: _map_arrays(function, *(each[name] for each in (first, *others))) for name in names}
     if isinstance(first, tuple):
-        return tuple(_apply(function, *parts) for parts in zip(first, *others, strict=False))
+        return tuple(_map_arrays(function, *parts) for parts in zip(first, *others, strict=False))
     if not is_dataclass(first) or isinstance(first, type):
         return first
     parts = {field.name: [getattr(each, field.name) for each in (first, *others)] for field in fields(first)}
-    return replace(first, **{name: _apply(function, *part) for name, part in parts.items()})
+    return replace(first, **{name: _map_arrays(function, *part) for name, part in parts.items()})
 
 
-def part_of(arrays: Mapping[str, NDArray[Any]], prefix: str) -> dict[str, NDArray[Any]]:
+def select_by_prefix(arrays: Mapping[str, NDArray[Any]], prefix: str) -> dict[str, NDArray[Any]]:
     """Return the arrays with names that begin with a prefix. The keys of the result are the names without the prefix."""
     return {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}
 

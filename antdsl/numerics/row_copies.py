@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.machine_code import machine
-from antdsl.machine_code.entries import inner_text
+from antdsl.machine_code import llvm_compiler
+from antdsl.machine_code.entry_functions import write_inner_function
 from antdsl.machine_code.library import library_text
-from antdsl.machine_code.memory import address
-from antdsl.machine_code.module import LlvmModule
+from antdsl.machine_code.llvm_module import LlvmModule
+from antdsl.machine_code.memory import array_address
 from antdsl.numerics import parallel
 from antdsl.numerics.host import PARTS_PER_THREAD
 
@@ -31,17 +31,17 @@ class RowCopier:
         self._threads = 0
         self._table = self._parts = np.zeros(0, np.int64)
 
-    def copy(self, to: Sequence[NDArray[Any]], of: Sequence[NDArray[Any]], threads: int) -> None:
-        """Copy the contiguous arrays `of` [n, ..] to the arrays `to`, which are different arrays with the same lengths and
-        types."""
-        arrays = [*to, *of]
+    def copy(self, targets: Sequence[NDArray[Any]], sources: Sequence[NDArray[Any]], threads: int) -> None:
+        """Copy the contiguous arrays `sources` [n, ..] to the arrays `targets`, which are different arrays with the same lengths
+        and types."""
+        arrays = [*targets, *sources]
         if not arrays:
             return
         if len(arrays) != len(self._arrays) or threads != self._threads or any(map(is_not, arrays, self._arrays)):
             self._arrays, self._threads = arrays, threads
-            self._table = _table([pair for pair in zip(to, of, strict=True) if pair[0] is not pair[1]], None)
-            self._parts = _parts(self._table, len(arrays[0]), threads)
-        parallel.call_rows(_function(), self._parts, threads)
+            self._table = _build_copy_table([pair for pair in zip(targets, sources, strict=True) if pair[0] is not pair[1]], None)
+            self._parts = _build_part_rows(self._table, len(arrays[0]), threads)
+        parallel.call_with_rows(_load_function(), self._parts, threads)
 
 
 def copy_rows(pairs: ArrayPairs, rows: NDArray[np.intp], threads: int) -> None:
@@ -49,37 +49,37 @@ def copy_rows(pairs: ArrayPairs, rows: NDArray[np.intp], threads: int) -> None:
     if not pairs:
         return
     rows = np.ascontiguousarray(rows)  # keeps the array alive while its address is in use
-    table = _table(pairs, rows)
-    parallel.call_rows(_function(), _parts(table, len(rows), threads), threads)
+    table = _build_copy_table(pairs, rows)
+    parallel.call_with_rows(_load_function(), _build_part_rows(table, len(rows), threads), threads)
 
 
-def _table(pairs: ArrayPairs, rows: NDArray[np.intp] | None) -> NDArray[np.int64]:
+def _build_copy_table(pairs: ArrayPairs, rows: NDArray[np.intp] | None) -> NDArray[np.int64]:
     """Return the table of a copy, for machine code.
 
     It has the address of the row numbers (0: all rows in order) and the number of arrays. For each array follow its address, the
     address of its target and its bytes per row."""
-    words = [0 if rows is None else address(rows), len(pairs)]
+    words = [0 if rows is None else array_address(rows), len(pairs)]
     for to, of in pairs:
-        words += [address(of), address(to), of.strides[0]]
+        words += [array_address(of), array_address(to), of.strides[0]]
     return np.array(words, np.int64)
 
 
-def _parts(table: NDArray[np.int64], count: int, threads: int) -> NDArray[np.int64]:
-    """Return the parts of `count` rows as rows for `parallel.call_rows`."""
+def _build_part_rows(table: NDArray[np.int64], count: int, threads: int) -> NDArray[np.int64]:
+    """Return the parts of `count` rows as rows for `parallel.call_with_rows`."""
     most = max(1, min(PARTS_PER_THREAD * threads, count // parallel.MIN_AGENTS_PER_THREAD))
     ends = [count * k // most for k in range(most + 1)]
-    return np.array([(address(table), *ends[k : k + 2]) for k in range(most)], np.int64)
+    return np.array([(array_address(table), *ends[k : k + 2]) for k in range(most)], np.int64)
 
 
 @cache
-def _function() -> Callable[[int, int, int], None]:
+def _load_function() -> Callable[[int, int, int], None]:
     """Return the compiled function that copies rows."""
-    function: Callable[[int, int, int], None] = text.code().function("rows")
+    function: Callable[[int, int, int], None] = build_llvm_text.code().function("rows")
     return function
 
 
 @library_text
-def text(target: machine.Target) -> str:
+def build_llvm_text(target: llvm_compiler.Target) -> str:
     """Return the text to compile, in LLVM's language: a function of the table that copies rows from the first to before the
     last."""
     module = LlvmModule(target)
@@ -87,7 +87,9 @@ def text(target: machine.Target) -> str:
     picking = "".join(_PICK_TEMPLATE.replace("$SIZE$", str(size)).replace("$BITS$", str(8 * size)) for size in _KERNEL_ROW_BYTES)
     body = _BODY_TEMPLATE.replace("$CASES$", cases).replace("$PICKING$", picking)
     body = body.replace("$HEAD$", str(_HEADER_WORDS)).replace("$WORDS$", str(_WORDS_PER_ARRAY))
-    return f"{module.text()}\ndeclare void @llvm.memcpy.p0.p0.i64(ptr, ptr, i64, i1)\n{inner_text(module, 'rows', body)}\n"
+    return (
+        f"{module.text()}\ndeclare void @llvm.memcpy.p0.p0.i64(ptr, ptr, i64, i1)\n{write_inner_function(module, 'rows', body)}\n"
+    )
 
 
 _BODY_TEMPLATE = """  %rows = load ptr, ptr %t

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.machine_code.kernels import I64, U64, Array1, Array2, independent, inlined, kernel
+from antdsl.machine_code.kernels import I64, U64, Array1, Array2, inlined, kernel, simd_range
 from antdsl.numerics import parallel
 
 _DIGIT_BITS = 16  # NumPy uses a radix sort for numbers of this width
 
 
-def stable_order(keys: NDArray[np.integer[Any]]) -> NDArray[np.intp]:
+def sort_stably(keys: NDArray[np.integer[Any]]) -> NDArray[np.intp]:
     """Return the result of `argsort(keys, kind="stable")` for integers [n] (D. E. Knuth, The Art of Computer Programming 3,
     5.2.5)."""
     if not keys.size:
@@ -30,18 +30,18 @@ def stable_order(keys: NDArray[np.integer[Any]]) -> NDArray[np.intp]:
     return order
 
 
-def ranks(order: NDArray[np.intp]) -> NDArray[np.int32]:
+def invert_order(order: NDArray[np.intp]) -> NDArray[np.int32]:
     """Return the rank of each row, from the rows in their order."""
     result = np.empty(len(order), np.int32)
     result[order] = np.arange(len(order), dtype=np.int32)
     return result
 
 
-def morton_codes(cells: NDArray[np.uint64], threads: int = 1) -> NDArray[np.uint64]:
+def compute_morton_codes(cells: NDArray[np.uint64], threads: int = 1) -> NDArray[np.uint64]:
     """Return the numbers of cells [n,3] along the curve of G. Morton (1966), which interleaves their bits. 21 bits of each axis
     count."""
     code = np.zeros(len(cells), np.uint64)
-    parallel.in_parts(
+    parallel.run_in_parts(
         partial(write_morton_codes, np.ascontiguousarray(cells), code), len(cells), threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD
     )
     return code
@@ -60,13 +60,13 @@ def _spread_bits(bits: U64) -> U64:
 @kernel
 def write_morton_codes(cells: Array2[U64], code: Array1[U64], begin: I64, end: I64) -> None:
     """Write the number `code` [n] of each cell [n,3] from `begin` to before `end`."""
-    for n in independent(begin, end):
+    for n in simd_range(begin, end):
         x, y, z = _spread_bits(cells[n, 0]), _spread_bits(cells[n, 1]), _spread_bits(cells[n, 2])
         code[n] = x | (y << np.uint64(1)) | (z << np.uint64(2))
 
 
 @inlined
-def lower_bound(keys: Array1[I64], key: I64, first: I64, last: I64) -> I64:
+def find_lower_bound(keys: Array1[I64], key: I64, first: I64, last: I64) -> I64:
     """Return how many keys are less than `key`. The binary search is limited to the indices from `first` to `last`."""
     a, b = first, last
     while a < b:

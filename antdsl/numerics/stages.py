@@ -9,15 +9,15 @@ from contextvars import ContextVar
 _stage_listener: ContextVar[Callable[[str], None] | None] = ContextVar("listener", default=None)
 
 
-def begin(words: str) -> None:
+def begin_stage(description: str) -> None:
     """Report the start of a stage, such as `ground` or `placing 500 agents`."""
     listener = _stage_listener.get()
     if listener is not None:
-        listener(words)
+        listener(description)
 
 
 @contextmanager
-def report_to(listener: Callable[[str], None]) -> Iterator[None]:
+def report_stages_to(listener: Callable[[str], None]) -> Iterator[None]:
     """Call `listener` with the words of each stage that this thread begins within the context."""
     token = _stage_listener.set(listener)
     try:

@@ -19,10 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 import antdsl
-from antdsl.bounded import read_bounded
 from antdsl.limits import MIB
 from antdsl.machine_code import object_cache
 from antdsl.numerics import stages
+from antdsl.safe_read import read_size_limited
 
 Tables = dict[str, NDArray[Any]]
 
@@ -57,11 +57,11 @@ def get_or_compute(
     - `name`: identifies the computation
     - `size`: the number of faces of the mesh, or of another `unit`; 0 for a result that no other run needs"""
     global _computed_tables
-    key = _key(name, inputs) if size >= MIN_STORED_SIZE else None
+    key = _compute_key(name, inputs) if size >= MIN_STORED_SIZE else None
     tables = None if key is None else _unpack(_open_store_once().get(key))
     if tables is None:
         if size >= MIN_STORED_SIZE:
-            stages.begin(f"{name} of {size:,} {unit}")
+            stages.begin_stage(f"{name} of {size:,} {unit}")
         tables = compute()
         _computed_tables += 1
         if key is not None and sum(array.nbytes for array in tables.values()) <= _MAX_TABLE_BYTES - MIB:
@@ -69,28 +69,28 @@ def get_or_compute(
     return tables
 
 
-def computed_count() -> int:
+def count_computed_tables() -> int:
     """Return how many tables this process has computed because they were not stored."""
     return _computed_tables
 
 
-def forget() -> None:
+def forget_store() -> None:
     """Look up the folder again at the next use, as in a new process."""
     _open_store_once.cache_clear()
 
 
-def store() -> object_cache.ObjectCache:
+def open_store() -> object_cache.ObjectCache:
     """Return the store of this user."""
-    return object_cache.ObjectCache(kind=TABLE_STORE, cap=_MAX_STORE_BYTES, largest=_MAX_TABLE_BYTES)
+    return object_cache.ObjectCache(kind=TABLE_STORE, max_bytes=_MAX_STORE_BYTES, max_result_bytes=_MAX_TABLE_BYTES)
 
 
-_open_store_once = cache(store)
+_open_store_once = cache(open_store)
 
 
-def _key(name: str, inputs: Sequence[NDArray[Any] | float | str]) -> str:
+def _compute_key(name: str, inputs: Sequence[NDArray[Any] | float | str]) -> str:
     """Return the key of a table: a hash of its name, its inputs and the sources."""
     hashed = blake2b(digest_size=32)
-    for part in (name, antdsl.__version__, np.__version__, _sources(), *inputs):
+    for part in (name, antdsl.__version__, np.__version__, _hash_sources(), *inputs):
         if isinstance(part, np.ndarray):
             hashed.update(f"{part.dtype.str}{part.shape};".encode())
             hashed.update(np.ascontiguousarray(part).data)
@@ -101,19 +101,19 @@ def _key(name: str, inputs: Sequence[NDArray[Any] | float | str]) -> str:
 
 
 @cache
-def _sources() -> str:
+def _hash_sources() -> str:
     """Return a hash of the modules that compute tables; empty where the installation has no sources."""
     hashed = blake2b(digest_size=16)
     try:
-        for path in _modules():
-            data = read_bounded(path, 4 * MIB)
+        for path in _list_modules():
+            data = read_size_limited(path, 4 * MIB)
             hashed.update(f"{path.name} {len(data)};".encode() + data)
     except OSError:
         return ""
     return hashed.hexdigest()
 
 
-def _modules() -> Iterator[Path]:
+def _list_modules() -> Iterator[Path]:
     """Yield the source files of the packages that compute tables."""
     package = Path(antdsl.__file__).parent
     for folder in _HASHED_PACKAGES:

@@ -9,7 +9,7 @@ Floats = NDArray[np.float64]
 Rows = NDArray[np.intp]
 
 
-def contiguous_columns(v: Floats) -> Floats:
+def make_columns_contiguous(v: Floats) -> Floats:
     """Return a copy (n, 3) in which each component is contiguous."""
     return np.array(np.asarray(v, np.float64).T, order="C").T
 
@@ -21,7 +21,7 @@ def take_rows(v: Floats, rows: Rows) -> Floats:
     return v.T.take(rows, axis=1).T
 
 
-def rows_in_box(place: Floats, low: Floats, high: Floats) -> Rows:
+def find_rows_in_box(place: Floats, low: Floats, high: Floats) -> Rows:
     """Return the rows of positions that lie in a box."""
     inside = np.ones(len(place), np.bool_)
     for axis in range(3):
@@ -49,13 +49,13 @@ def unit(v: Floats) -> Floats:
     return unit_vectors
 
 
-def unit_or(v: Floats, otherwise: Floats) -> Floats:
-    """Return vectors (…, 3) scaled to unit length. For a zero vector, return the direction of `otherwise`, which is broadcast."""
+def normalise_or_fallback(v: Floats, fallback: Floats) -> Floats:
+    """Return vectors (…, 3) scaled to unit length. For a zero vector, return the direction of `fallback`, which is broadcast."""
     size = np.sqrt(dot(v, v))[..., None]
-    return np.where(size > 1e-9, v / np.maximum(size, 1e-9), unit(np.broadcast_to(np.asarray(otherwise, np.float64), v.shape)))
+    return np.where(size > 1e-9, v / np.maximum(size, 1e-9), unit(np.broadcast_to(np.asarray(fallback, np.float64), v.shape)))
 
 
-def unit_tangent(v: Floats, normal: Floats) -> Floats:
+def compute_unit_tangents(v: Floats, normal: Floats) -> Floats:
     """Return the components of vectors perpendicular to normals, scaled to unit length."""
     flat = v - (v * normal).sum(axis=1)[:, None] * normal
     level: Floats = flat / np.maximum(length(flat), 1e-12)[:, None]

@@ -25,7 +25,7 @@ def cross(a: VectorComponents, b: VectorComponents) -> VectorArrays:
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-def stacked_cross(a: VectorComponents, b: VectorComponents) -> Array:
+def compute_stacked_cross(a: VectorComponents, b: VectorComponents) -> Array:
     """Return the cross product as one array (3, n)."""
     return np.stack(cross(a, b))
 
@@ -34,7 +34,7 @@ def add(a: VectorComponents, b: VectorComponents) -> VectorArrays:
     return a[0] + b[0], a[1] + b[1], a[2] + b[2]
 
 
-def sub(a: VectorComponents, b: VectorComponents) -> VectorArrays:
+def subtract(a: VectorComponents, b: VectorComponents) -> VectorArrays:
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
@@ -47,7 +47,7 @@ def length(a: VectorComponents) -> Array:
     return np.sqrt(dot(a, a))
 
 
-def choose(condition: Array, a: VectorArrays, b: VectorArrays) -> VectorArrays:
+def select_vectors(condition: Array, a: VectorArrays, b: VectorArrays) -> VectorArrays:
     """Return the vectors `a` where the condition is true, else `b`."""
     return np.where(condition, a[0], b[0]), np.where(condition, a[1], b[1]), np.where(condition, a[2], b[2])
 
@@ -57,60 +57,60 @@ def copy(a: VectorArrays) -> VectorArrays:
     return np.array(a[0]), np.array(a[1]), np.array(a[2])
 
 
-def take(a: VectorComponents, rows: NDArray[np.integer[Any]] | NDArray[np.bool_] | slice) -> VectorArrays:
+def take_rows(a: VectorComponents, rows: NDArray[np.integer[Any]] | NDArray[np.bool_] | slice) -> VectorArrays:
     """Return selected vectors: copies, or views for a slice."""
     return a[0][rows], a[1][rows], a[2][rows]
 
 
-def flat(a: VectorComponents, up: VectorComponents) -> VectorArrays:
+def project_to_plane(a: VectorComponents, up: VectorComponents) -> VectorArrays:
     """Return the component of `a` perpendicular to the unit vector `up`."""
-    return sub(a, scale(up, dot(a, up)))
+    return subtract(a, scale(up, dot(a, up)))
 
 
-def unit(a: VectorArrays, otherwise: VectorArrays, least: float = 1e-12) -> VectorArrays:
-    """Return the unit vector, or `otherwise` where the vector is shorter than `least`."""
+def normalise_or_fallback(a: VectorArrays, fallback: VectorArrays, min_length: float = 1e-12) -> VectorArrays:
+    """Return the unit vector, or `fallback` where the vector is shorter than `min_length`."""
     size = length(a)
-    good = (size > least) & np.isfinite(size)
-    return choose(good, scale(a, 1 / np.where(good, size, 1)), otherwise)
+    good = (size > min_length) & np.isfinite(size)
+    return select_vectors(good, scale(a, 1 / np.where(good, size, 1)), fallback)
 
 
-def turned(v: Array, source: Array, target: Array, direction: Array) -> Array:
+def rotate_between_normals(v: Array, source: Array, target: Array, direction: Array) -> Array:
     """Return vectors rotated by the smallest rotation from unit normals `source` to `target`. For opposite normals, the rotation
     goes over `direction`."""
     cosine = dot(source, target)
     opposite = cosine < -1 + 1e-9
-    axis = stacked_cross(source, target)
+    axis = compute_stacked_cross(source, target)
     part = dot(axis, v) / np.where(opposite, 1.0, 1 + cosine)
-    around = cosine * v + stacked_cross(axis, v) + part * axis
-    hinge = stacked_cross(source, direction)
+    around = cosine * v + compute_stacked_cross(axis, v) + part * axis
+    hinge = compute_stacked_cross(source, direction)
     return np.where(opposite, 2 * dot(hinge, v) * hinge - v, around)
 
 
-def any_perpendicular(up: VectorArrays) -> VectorArrays:
+def find_perpendicular(up: VectorArrays) -> VectorArrays:
     """Return a unit vector perpendicular to a unit vector."""
     steep = np.abs(up[0]) > 0.9
     zero, one = np.zeros_like(up[0]), np.ones_like(up[0])
-    axis = choose(steep, (zero, one, zero), (one, zero, zero))
-    side = flat(axis, up)
+    axis = select_vectors(steep, (zero, one, zero), (one, zero, zero))
+    side = project_to_plane(axis, up)
     return scale(side, 1 / length(side))
 
 
-def columns(a: NDArray[Any], dtype: type[np.floating[Any]]) -> VectorArrays:
+def split_columns(a: NDArray[Any], dtype: type[np.floating[Any]]) -> VectorArrays:
     """Return the columns of an array (n, 3) as three arrays."""
     return np.ascontiguousarray(a[:, 0], dtype), np.ascontiguousarray(a[:, 1], dtype), np.ascontiguousarray(a[:, 2], dtype)
 
 
-def vector_registers(registers: Mapping[str, Array], name: str) -> VectorArrays:
+def get_vector_registers(registers: Mapping[str, Array], name: str) -> VectorArrays:
     """Return the three registers of a vector, without a copy."""
-    return _register_getter(name)(registers)
+    return _build_register_getter(name)(registers)
 
 
 @cache
-def _register_getter(name: str) -> Callable[[Mapping[str, Array]], VectorArrays]:
+def _build_register_getter(name: str) -> Callable[[Mapping[str, Array]], VectorArrays]:
     return itemgetter(f"{name}.x", f"{name}.y", f"{name}.z")
 
 
-def rows(a: VectorArrays) -> NDArray[np.float64]:
+def stack_rows(a: VectorArrays) -> NDArray[np.float64]:
     """Return three arrays as float64 (n, 3), with contiguous components."""
     columns = np.empty((3, len(a[0])))
     for column, component in zip(columns, a, strict=True):

@@ -19,12 +19,12 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.machine_code import machine
+from antdsl.machine_code import llvm_compiler
 from antdsl.machine_code import workers_text as words
 from antdsl.machine_code.kernels import direct
 from antdsl.machine_code.kernels.direct.argument_text import MAX_JOB_PARTS
-from antdsl.machine_code.memory import address
-from antdsl.numerics.float_environment import set_standard
+from antdsl.machine_code.memory import array_address
+from antdsl.numerics.float_environment import set_standard_floats
 from antdsl.numerics.host import PARTS_PER_THREAD
 
 T = TypeVar("T")
@@ -38,28 +38,36 @@ _ENTRY_SIGNATURE = (None, ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)
 
 
 class WorkerPool:
-    """Threads that work in addition to the caller's thread. The attribute `asks` is the current caller: others do not wait for
-    it, but work alone."""
+    """Threads that work in addition to the caller's thread. The attribute `current_caller` is the current caller: others do not
+    wait for it, but work alone."""
 
     def __init__(self, count: int) -> None:
-        code = words.code()
+        code = words.load_code()
         buffer = np.zeros(words.FIRST_SLEEP_WORD + words.CACHE_LINE_WORDS * (count + 1) + _CACHE_LINE_BYTES // 8, np.int64)
-        self.asks: dict[None, object] = {}
-        self.address = -(-address(buffer) // _CACHE_LINE_BYTES) * _CACHE_LINE_BYTES
-        self._words: NDArray[np.int64] = buffer[(self.address - address(buffer)) // 8 :]
-        self._start = ctypes.PYFUNCTYPE(*_ENTRY_SIGNATURE)(code.place("start"))  # this call holds the interpreter's lock
-        self._all, self._finish, self._end, loop = (code.function(name) for name in ("all", "finish", "end", "worker"))
+        self.current_caller: dict[None, object] = {}
+        self.address = -(-array_address(buffer) // _CACHE_LINE_BYTES) * _CACHE_LINE_BYTES
+        self._shared_words: NDArray[np.int64] = buffer[(self.address - array_address(buffer)) // 8 :]
+        self._start_function = ctypes.PYFUNCTYPE(*_ENTRY_SIGNATURE)(
+            code.function_address("start")
+        )  # this call holds the interpreter's lock
+        self._run_all_function, self._finish_function, self._end_function, loop = (
+            code.function(name) for name in ("all", "finish", "end", "worker")
+        )
         self._work: Callable[[int], object] = int
-        self._failed: list[BaseException] = []
-        self._called = ctypes.CFUNCTYPE(*_ENTRY_SIGNATURE)(self._one)
-        self._numbers = np.array([(0, k + 1, 0) for k in range(MAX_JOB_PARTS)], np.int64)
+        self._exceptions: list[BaseException] = []
+        self._part_callback = ctypes.CFUNCTYPE(*_ENTRY_SIGNATURE)(self._run_call)
+        self._part_numbers = np.array([(0, k + 1, 0) for k in range(MAX_JOB_PARTS)], np.int64)
         locks = [_make_locked_lock() for _ in range(count + 1)]
-        self._words[[words.WORKER_COUNT_WORD, words.SPIN_TURNS_WORD, words.CALLER_LOCK_WORD]] = count, _spin_turns(), locks[count]
-        self._words[[words.ACQUIRE_FUNCTION_WORD, words.RELEASE_FUNCTION_WORD]] = [
-            _symbol_address(name) for name in _LOCK_FUNCTIONS[1:]
+        self._shared_words[[words.WORKER_COUNT_WORD, words.SPIN_TURNS_WORD, words.CALLER_LOCK_WORD]] = (
+            count,
+            _measure_spin_turns(),
+            locks[count],
+        )
+        self._shared_words[[words.ACQUIRE_FUNCTION_WORD, words.RELEASE_FUNCTION_WORD]] = [
+            _get_symbol_address(name) for name in _LOCK_FUNCTIONS[1:]
         ]
         for k in range(count):
-            self._words[words.FIRST_SLEEP_WORD + words.CACHE_LINE_WORDS * k + 1] = locks[k]
+            self._shared_words[words.FIRST_SLEEP_WORD + words.CACHE_LINE_WORDS * k + 1] = locks[k]
         ctypes.pythonapi.Py_IncRef(ctypes.py_object(self))  # its threads may work until the process ends
         self._threads = [Thread(target=self._run_worker, args=(loop, k), name=f"kernels {k}", daemon=True) for k in range(count)]
         for each in self._threads:
@@ -67,74 +75,74 @@ class WorkerPool:
 
     def _run_worker(self, loop: Callable[[int, int, int], None], number: int) -> None:
         """Wait for work in machine code until the pool ends."""
-        set_standard()
+        set_standard_floats()
         loop(self.address, number, 0)
 
     def do(self, work: Callable[[int], object], helpers: int) -> None:
         """Call `work(0)` in this thread and `work(1)` to `work(helpers)` in workers that are free before `work(0)` ends.
 
         All calls have ended on return, even after an interruption. An exception of a call is raised again."""
-        self._work, self._failed = work, []
-        self._job(self._called, self._numbers, min(helpers, MAX_JOB_PARTS))
+        self._work, self._exceptions = work, []
+        self._post_job(self._part_callback, self._part_numbers, min(helpers, MAX_JOB_PARTS))
         try:
-            self._start(self.address, 0, 0)
+            self._start_function(self.address, 0, 0)
             work(0)
         finally:
             try:
-                self._finish(self.address, 0, 0)
+                self._finish_function(self.address, 0, 0)
             except BaseException:
-                self._finish(self.address, 0, 0)
+                self._finish_function(self.address, 0, 0)
                 raise
             finally:
                 self._work = int
-        failed, self._failed = self._failed, []
+        failed, self._exceptions = self._exceptions, []
         if failed:
             raise failed[0]
 
-    def kernel(self, work: Callable[[int, int], T], count: int, parts: int) -> list[T] | None:
+    def run_kernel(self, work: Callable[[int, int], T], count: int, parts: int) -> list[T] | None:
         """Return the results of a kernel for each part, if `work` is a `partial` of a kernel that can run in parts; else None."""
         if not isinstance(work, partial) or work.keywords:
             return None
-        parted = getattr(work.func, "parted", None)
-        run = None if parted is None else parted()
+        get_call = getattr(work.func, "get_parallel_call", None)
+        run = None if get_call is None else get_call()
         if run is None:
             return None
         results: list[T] = run(*work.args, 0, count, parts, self.address)
         return results
 
-    def call(self, function: Callable[[int, int, int], None], listed: NDArray[np.int64]) -> None:
+    def call_with_rows(self, function: Callable[[int, int, int], None], rows: NDArray[np.int64]) -> None:
         """Call a function of machine code with each row of an array [k,3]."""
-        for first in range(0, len(listed), MAX_JOB_PARTS):
-            batch = np.ascontiguousarray(listed[first : first + MAX_JOB_PARTS])
-            self._job(function, batch, len(batch))
-            self._all(self.address, 0, 0)
+        for first in range(0, len(rows), MAX_JOB_PARTS):
+            batch = np.ascontiguousarray(rows[first : first + MAX_JOB_PARTS])
+            self._post_job(function, batch, len(batch))
+            self._run_all_function(self.address, 0, 0)
 
     def end(self) -> None:
         """End the threads, each after its current part. The calling thread of a job does the remaining parts."""
-        self._end(self.address, 0, 0)
+        self._end_function(self.address, 0, 0)
         for each in self._threads:
             each.join()
 
-    def _job(self, function: Any, table: NDArray[np.int64], parts: int) -> None:
+    def _post_job(self, function: Any, table: NDArray[np.int64], parts: int) -> None:
         """Store a job for the workers: a function of machine code, and a table with one row per part."""
         code = ctypes.cast(function, ctypes.c_void_p).value or 0
-        self._words[words.JOB_CODE_WORD : words.PART_COUNT_WORD + 1] = code, address(table), 0, parts
-        self._words[words.DONE_COUNT_WORD] = parts  # until the job is started, there is nothing to wait for
+        self._shared_words[words.JOB_CODE_WORD : words.PART_COUNT_WORD + 1] = code, array_address(table), 0, parts
+        self._shared_words[words.DONE_COUNT_WORD] = parts  # until the job is started, there is nothing to wait for
 
-    def _one(self, _: int, number: int, __: int) -> None:
+    def _run_call(self, _: int, number: int, __: int) -> None:
         """Call the current work with a number, and record its exception."""
         try:
             self._work(number)
         except BaseException as problem:
-            self._failed.append(problem)
+            self._exceptions.append(problem)
 
 
 class ExecutorPool:
     """The interface of `WorkerPool`, with an executor instead of machine code."""
 
     def __init__(self, count: int) -> None:
-        self.asks: dict[None, object] = {}
-        self._executor = ThreadPoolExecutor(count, "kernels", set_standard)
+        self.current_caller: dict[None, object] = {}
+        self._executor = ThreadPoolExecutor(count, "kernels", set_standard_floats)
 
     def do(self, work: Callable[[int], object], helpers: int) -> None:
         """Call `work` in this thread and in the executor, as `WorkerPool.do`."""
@@ -156,35 +164,37 @@ class ExecutorPool:
         self._executor.shutdown()
 
 
-def parts(count: int, threads: int) -> int:
+def count_parts(count: int, threads: int) -> int:
     """Return the number of parts of a kernel over `count` numbers on `threads` threads. Each part has at least one full
     register."""
     return max(1, min(PARTS_PER_THREAD * threads, MAX_JOB_PARTS, count // words.PART_ALIGNMENT))
 
 
-def in_parts(work: Callable[[int, int], T], count: int, threads: int, paying: int) -> list[T]:
-    """Run `parallel.in_parts` with at most `paying` threads, the number that is worthwhile."""
-    pool = _pool_for(threads)
+def run_in_parts(work: Callable[[int, int], T], count: int, threads: int, max_threads: int) -> list[T]:
+    """Run `parallel.run_in_parts` with at most `max_threads` threads, the number that is worthwhile."""
+    pool = _get_pool(threads)
 
     def together() -> list[T]:
-        least = min(paying, threads, MAX_JOB_PARTS)
-        results = pool.kernel(work, count, parts(count, least)) if isinstance(pool, WorkerPool) else None
+        least = min(max_threads, threads, MAX_JOB_PARTS)
+        results = pool.run_kernel(work, count, count_parts(count, least)) if isinstance(pool, WorkerPool) else None
         return _pull_parts(pool, work, count, least) if results is None else results
 
     return _run_exclusively(pool, together, lambda: [work(0, count)])
 
 
-def _run_exclusively(pool: WorkerPool | ExecutorPool, together: Callable[[], T], alone: Callable[[], T]) -> T:
-    """Return the result of `together` if no other caller uses the pool, else that of `alone`."""
+def _run_exclusively(pool: WorkerPool | ExecutorPool, run_together: Callable[[], T], run_alone: Callable[[], T]) -> T:
+    """Return the result of `run_together` if no other caller uses the pool, else that of `run_alone`."""
     own = object()
     try:
-        if pool.asks.setdefault(None, own) is own:  # a single call registers the caller, so an interrupt comes before or after it
-            return together()
+        if (
+            pool.current_caller.setdefault(None, own) is own
+        ):  # a single call registers the caller, so an interrupt comes before or after it
+            return run_together()
     finally:
         # No function calls here: an interrupt after one would leave the pool occupied for ever.
-        if pool.asks == {None: own}:
-            del pool.asks[None]
-    return alone()
+        if pool.current_caller == {None: own}:
+            del pool.current_caller[None]
+    return run_alone()
 
 
 def _pull_parts(pool: WorkerPool | ExecutorPool, work: Callable[[int, int], T], count: int, parts: int) -> list[T]:
@@ -208,34 +218,38 @@ def _pull_parts(pool: WorkerPool | ExecutorPool, work: Callable[[int, int], T], 
     return [results[k] for k in range(parts)]
 
 
-def side_by_side(work: Callable[[int], object], threads: int) -> None:
-    """Call `work` in several threads, as `parallel.side_by_side`."""
-    pool = _pool_for(threads)
+def run_in_threads(work: Callable[[int], object], threads: int) -> None:
+    """Call `work` in several threads, as `parallel.run_in_threads`."""
+    pool = _get_pool(threads)
     _run_exclusively(pool, lambda: pool.do(work, threads - 1), lambda: work(0))
 
 
-def call_rows(function: Callable[[int, int, int], None], parts: NDArray[np.int64], threads: int) -> None:
-    """Call a function of machine code with each row, as `parallel.call_rows`."""
-    pool = _pool_for(threads)
+def call_with_rows(function: Callable[[int, int, int], None], parts: NDArray[np.int64], threads: int) -> None:
+    """Call a function of machine code with each row, as `parallel.call_with_rows`."""
+    pool = _get_pool(threads)
 
     def alone() -> None:
         for part in parts.tolist():
             function(*part)
 
-    _run_exclusively(pool, partial(pool.call, function, parts) if isinstance(pool, WorkerPool) else alone, alone)
+    _run_exclusively(pool, partial(pool.call_with_rows, function, parts) if isinstance(pool, WorkerPool) else alone, alone)
 
 
 @cache
-def possible() -> bool:
+def has_native_workers() -> bool:
     """Return whether threads can wait in machine code on this system."""
-    return machine.is_available() and direct.possible() and all(hasattr(ctypes.pythonapi, name) for name in _LOCK_FUNCTIONS)
+    return (
+        llvm_compiler.is_available()
+        and direct.is_supported()
+        and all(hasattr(ctypes.pythonapi, name) for name in _LOCK_FUNCTIONS)
+    )
 
 
 _pool_by_threads: dict[int, WorkerPool | ExecutorPool] = {}
 _pool_lock = Lock()
 
 
-def _pool_for(threads: int) -> WorkerPool | ExecutorPool:
+def _get_pool(threads: int) -> WorkerPool | ExecutorPool:
     """Return the cached pool for a number of threads, including the caller's. It is a WorkerPool if possible, else an
     ExecutorPool."""
     pool = _pool_by_threads.get(threads)
@@ -243,11 +257,11 @@ def _pool_for(threads: int) -> WorkerPool | ExecutorPool:
         with _pool_lock:
             pool = _pool_by_threads.get(threads)
             if pool is None:
-                pool = _pool_by_threads[threads] = WorkerPool(threads - 1) if possible() else ExecutorPool(threads - 1)
+                pool = _pool_by_threads[threads] = WorkerPool(threads - 1) if has_native_workers() else ExecutorPool(threads - 1)
     return pool
 
 
-def _forget() -> None:
+def _forget_pools() -> None:
     """Forget the pools in a forked process, which has none of their threads."""
     global _pool_lock
     _pool_by_threads.clear()
@@ -255,25 +269,25 @@ def _forget() -> None:
 
 
 if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_forget)
+    os.register_at_fork(after_in_child=_forget_pools)
 
 
 @atexit.register
-def _end() -> None:
+def _stop_pools() -> None:
     """End the threads of all pools at the end of the program."""
     for each in _pool_by_threads.values():
         each.end()
 
 
-def _symbol_address(name: str) -> int:
+def _get_symbol_address(name: str) -> int:
     """Return the address of a function of CPython's C interface."""
     return ctypes.cast(getattr(ctypes.pythonapi, name), ctypes.c_void_p).value or 0
 
 
 def _make_locked_lock() -> int:
     """Return a lock of CPython that is already taken."""
-    allocate = ctypes.CFUNCTYPE(ctypes.c_void_p)(_symbol_address(_LOCK_FUNCTIONS[0]))
-    acquire = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_int)(_symbol_address(_LOCK_FUNCTIONS[1]))
+    allocate = ctypes.CFUNCTYPE(ctypes.c_void_p)(_get_symbol_address(_LOCK_FUNCTIONS[0]))
+    acquire = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_int)(_get_symbol_address(_LOCK_FUNCTIONS[1]))
     lock: int | None = allocate()
     if not lock:
         raise MemoryError
@@ -282,12 +296,12 @@ def _make_locked_lock() -> int:
 
 
 @cache
-def _spin_turns() -> int:
+def _measure_spin_turns() -> int:
     """Return how many turns a thread without work spins before it sleeps."""
-    wait, buffer = words.code().function("turns"), np.zeros(1, np.int64)
+    wait, buffer = words.load_code().function("turns"), np.zeros(1, np.int64)
     spent = []
     for _ in range(3):
         began = perf_counter()
-        wait(address(buffer), _TIMED_SPIN_TURNS, 0)
+        wait(array_address(buffer), _TIMED_SPIN_TURNS, 0)
         spent.append(perf_counter() - began)
     return max(1, int(_TIMED_SPIN_TURNS * _SPIN_SECONDS / min(spent)))

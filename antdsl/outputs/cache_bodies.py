@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 from antdsl.bodies.agents.definition import Definition
 from antdsl.bodies.agents.machine_clips import PlayedClip
-from antdsl.bodies.library import library_body
+from antdsl.bodies.library import load_library_body
 from antdsl.bodies.posed_body import PosedBody
-from antdsl.outputs.cache.body_arrays import definition_of
+from antdsl.outputs.cache.body_arrays import load_definition
 from antdsl.outputs.cache.manifest import ClipEntry, Manifest, SpeciesEntry, WornBodyEntry
-from antdsl.outputs.cache.pose_arrays import layers_of
+from antdsl.outputs.cache.pose_arrays import list_mask_layers
 from antdsl.scene.body_choice import body_key, body_numbers
-from antdsl.scene.library_bodies import BODY_WORDS, body_for_species
+from antdsl.scene.library_bodies import BODY_WORDS, find_body_for_species
 
 
 class CacheBodies:
@@ -44,7 +44,7 @@ class CacheBodies:
         if key not in self._worn:
             species = self._manifest.species[number]
             clips = tuple(PlayedClip(*(getattr(clip, name) for name in ClipEntry.model_fields)) for clip in species.clips)
-            self._worn[key] = PosedBody(self.definition(number, which), clips, layers_of(species, mask))
+            self._worn[key] = PosedBody(self.definition(number, which), clips, list_mask_layers(species, mask))
         return self._worn[key]
 
     def definition(self, number: int, which: int = 0) -> Definition:
@@ -53,9 +53,9 @@ class CacheBodies:
             species = self._manifest.species[number]
             entry = _entries(species)[which]
             self._definitions[number, which] = (
-                library_body(entry.body if entry.body in BODY_WORDS else body_for_species(species.name))
+                load_library_body(entry.body if entry.body in BODY_WORDS else find_body_for_species(species.name))
                 if entry.definition is None
-                else definition_of(self._manifest, self._static, entry.definition)
+                else load_definition(self._manifest, self._static, entry.definition)
             )
         return self._definitions[number, which]
 

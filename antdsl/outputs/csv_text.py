@@ -11,7 +11,7 @@ _FORMULA_START_CHARACTERS = frozenset("=+-@\t\r\n＝＋－＠")  # a cell that b
 _NUMBER_PATTERN = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|[+-]?(?:inf|nan)")
 
 
-def safe_cell(value: object) -> object:
+def escape_cell(value: object) -> object:
     """Return a value as written in a cell. Text that begins like a formula, or with an apostrophe, gets an apostrophe in front.
 
     Removing one leading apostrophe restores the text. Numbers are unchanged, including numbers written as text."""
@@ -20,9 +20,9 @@ def safe_cell(value: object) -> object:
     return f"'{value}" if value.startswith("'") or value.lstrip(" ")[:1] in _FORMULA_START_CHARACTERS else value
 
 
-def csv_text(rows: Iterable[Sequence[object]]) -> str:
+def format_csv(rows: Iterable[Sequence[object]]) -> str:
     """Return rows as lines that end in a line feed. Cells with commas, quotes or line ends are quoted."""
     lines: list[str] = []
     writer = csv.writer(SimpleNamespace(write=lines.append))  # ends a line in CR LF, and so puts cells with either in quotes
-    writer.writerows([safe_cell(value) for value in row] for row in rows)
+    writer.writerows([escape_cell(value) for value in row] for row in rows)
     return "".join(f"{line[:-2]}\n" for line in lines)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.bodies.body import rotation_matrices
+from antdsl.bodies.body import build_rotation_matrices
 
 Floats = NDArray[np.float64]
 _GIMBAL_LOCK_COSINE = 1e-6  # cosine of the middle angle below which only the sum or difference of the others is known
@@ -19,7 +19,7 @@ class EulerAngles:
 
     def __init__(self) -> None:
         self._ids: NDArray[np.int64] = np.empty(0, np.int64)
-        self._last: Floats = np.empty((0, 3))
+        self._last_angles: Floats = np.empty((0, 3))
 
     def of(self, ids: NDArray[np.int64], orient: NDArray[np.floating]) -> Floats:
         """Return the angles (n, 3) in degrees of quaternions (n, 4: x, y, z, w). A quaternion of zero length means no rotation.
@@ -28,30 +28,30 @@ class EulerAngles:
         previous = np.zeros((len(ids), 3))
         if len(self._ids):
             at = np.minimum(np.searchsorted(self._ids, ids), len(self._ids) - 1)
-            previous = np.where((self._ids[at] == ids)[:, None], self._last[at], previous)
-        angles = nearest_angles(rotation_matrices(np.asarray(orient, np.float64)), previous)
-        self._ids, self._last = ids.copy(), angles
+            previous = np.where((self._ids[at] == ids)[:, None], self._last_angles[at], previous)
+        angles = find_nearest_angles(build_rotation_matrices(np.asarray(orient, np.float64)), previous)
+        self._ids, self._last_angles = ids.copy(), angles
         return np.degrees(angles)
 
 
-def nearest_angles(turn: Floats, previous: Floats) -> Floats:
+def find_nearest_angles(rotations: Floats, previous: Floats) -> Floats:
     """Return the angles (n, 3) about x, then y, then z, in radians, of rotation matrices (n, 3, 3) for column vectors.
 
     Of all equivalent angles, those nearest to `previous` are returned.
 
     The outer angle is computed first, and the others from the remaining rotation. So the angles reproduce the matrix even if the
     middle angle is near 90 degrees (M. Day, Extracting Euler Angles from a Rotation Matrix, Insomniac Games, 2014)."""
-    flat = np.hypot(turn[:, 0, 0], turn[:, 1, 0])
-    outer = np.where(flat > _GIMBAL_LOCK_COSINE, np.arctan2(turn[:, 1, 0], turn[:, 0, 0]), previous[:, 2])
+    flat = np.hypot(rotations[:, 0, 0], rotations[:, 1, 0])
+    outer = np.where(flat > _GIMBAL_LOCK_COSINE, np.arctan2(rotations[:, 1, 0], rotations[:, 0, 0]), previous[:, 2])
     c, s = np.cos(outer), np.sin(outer)
-    middle = np.arctan2(-turn[:, 2, 0], c * turn[:, 0, 0] + s * turn[:, 1, 0])
-    inner = np.arctan2(s * turn[:, 0, 2] - c * turn[:, 1, 2], c * turn[:, 1, 1] - s * turn[:, 0, 1])
-    one = _unwind(np.stack([inner, middle, outer], axis=1), previous)
-    other = _unwind(np.stack([inner + np.pi, np.pi - middle, outer + np.pi], axis=1), previous)
+    middle = np.arctan2(-rotations[:, 2, 0], c * rotations[:, 0, 0] + s * rotations[:, 1, 0])
+    inner = np.arctan2(s * rotations[:, 0, 2] - c * rotations[:, 1, 2], c * rotations[:, 1, 1] - s * rotations[:, 0, 1])
+    one = _unwrap_angles(np.stack([inner, middle, outer], axis=1), previous)
+    other = _unwrap_angles(np.stack([inner + np.pi, np.pi - middle, outer + np.pi], axis=1), previous)
     nearer = ((other - previous) ** 2).sum(axis=1) < ((one - previous) ** 2).sum(axis=1)
     return np.where(nearer[:, None], other, one)
 
 
-def _unwind(angles: Floats, previous: Floats) -> Floats:
+def _unwrap_angles(angles: Floats, previous: Floats) -> Floats:
     """Return each angle shifted by the full turns that bring it nearest to the previous one."""
     return angles - 2 * np.pi * np.round((angles - previous) / (2 * np.pi))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from antdsl.outputs.cache.manifest import FeelersEntry
 from antdsl.program.model import AttributeRef, BindingRef, Constant, Expr, OperationExpr, ParamRef, Program, SetExpr, Species
-from antdsl.program.traverse import parts
+from antdsl.program.traverse import iterate_parts
 
 _OPERATOR_FUNCTIONS: dict[str, Callable[..., float]] = {
     "add": lambda a, b: a + b,
@@ -24,12 +24,14 @@ _OPERATOR_FUNCTIONS: dict[str, Callable[..., float]] = {
 }
 
 
-def feelers_of(program: Program, species: str, params: Mapping[str, Any], unit_mm: float, dt: float) -> tuple[FeelersEntry, ...]:
+def list_feelers(
+    program: Program, species: str, params: Mapping[str, Any], unit_mm: float, dt: float
+) -> tuple[FeelersEntry, ...]:
     """Return all feelers of a species' layers and states. Feelers with numbers that change from step to step are left out."""
     entries = []
     for part in _find_feelers(program.species[species]):
-        count, spread, reach = (_evaluate(a, 0.0, params, unit_mm, dt) for a in part.args)
-        longer = _evaluate(part.args[2], 1.0, params, unit_mm, dt)
+        count, spread, reach = (_evaluate_number(a, 0.0, params, unit_mm, dt) for a in part.args)
+        longer = _evaluate_number(part.args[2], 1.0, params, unit_mm, dt)
         if count is not None and spread is not None and reach is not None and longer is not None:
             entries.append(FeelersEntry(count=int(count), spread=spread, reach=reach / unit_mm, per_length=longer - reach))
     return tuple(dict.fromkeys(entries))
@@ -38,28 +40,28 @@ def feelers_of(program: Program, species: str, params: Mapping[str, Any], unit_m
 @lru_cache(maxsize=16)  # read for each frame while an agent is followed
 def _find_feelers(species: Species) -> tuple[SetExpr, ...]:
     """Return the feeler expressions of a species."""
-    return tuple(part for part in parts(species) if isinstance(part, SetExpr) and part.source == "feelers")
+    return tuple(part for part in iterate_parts(species) if isinstance(part, SetExpr) and part.source == "feelers")
 
 
-def _evaluate(part: Expr | None, size: float, params: Mapping[str, Any], unit_mm: float, dt: float) -> float | None:
+def _evaluate_number(expression: Expr | None, size: float, params: Mapping[str, Any], unit_mm: float, dt: float) -> float | None:
     """Return the value of an expression in base units for an agent of `size` mm. Return None if it depends on anything else."""
-    if isinstance(part, Constant):
-        return float(part.number * unit_mm**part.u * dt**part.step)
-    if isinstance(part, ParamRef):
-        return float(params[part.name])
-    if isinstance(part, AttributeRef) and part.of is None and part.name == "size":
+    if isinstance(expression, Constant):
+        return float(expression.number * unit_mm**expression.unit_power * dt**expression.step)
+    if isinstance(expression, ParamRef):
+        return float(params[expression.name])
+    if isinstance(expression, AttributeRef) and expression.of is None and expression.name == "size":
         return size
-    if isinstance(part, BindingRef) and part.binding.role in ("argument", "let"):
-        return _evaluate(part.binding.value, size, params, unit_mm, dt)
-    if isinstance(part, OperationExpr) and part.name in _OPERATOR_FUNCTIONS:
-        values = [_evaluate(a, size, params, unit_mm, dt) for a in part.args]
+    if isinstance(expression, BindingRef) and expression.binding.role in ("argument", "let"):
+        return _evaluate_number(expression.binding.value, size, params, unit_mm, dt)
+    if isinstance(expression, OperationExpr) and expression.name in _OPERATOR_FUNCTIONS:
+        values = [_evaluate_number(a, size, params, unit_mm, dt) for a in expression.args]
         numbers = [v for v in values if v is not None]
-        if len(numbers) == len(values) and not (part.name == "div" and numbers[1] == 0):
-            return float(_OPERATOR_FUNCTIONS[part.name](*numbers))
+        if len(numbers) == len(values) and not (expression.name == "div" and numbers[1] == 0):
+            return float(_OPERATOR_FUNCTIONS[expression.name](*numbers))
     return None
 
 
-def feeler_rays(entry: FeelersEntry, position: NDArray[np.float64], ahead: NDArray[np.float64], up: NDArray[np.float64],
+def compute_feeler_rays(entry: FeelersEntry, position: NDArray[np.float64], ahead: NDArray[np.float64], up: NDArray[np.float64],
          scale: NDArray[np.float64]) -> NDArray[np.float64]:  # fmt: skip
     """Return the start and end points (n · count, 2, 3) of agents' feelers.
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.outputs.cache.places import scene_places
+from antdsl.outputs.cache.scene_positions import to_scene_positions
 from antdsl.runtime.world import World
 
 _ARROWS_PER_EXTENT = 44  # arrows in a row along the longest side of the ground
@@ -20,7 +20,7 @@ _MIN_ARROW_STRENGTH = 0.02  # weaker flows are not drawn
 _ARROW_LIFT = 0.06
 
 
-def arrows(world: World, scale: float) -> dict[str, NDArray[Any]]:
+def make_flow_arrows(world: World, scale: float) -> dict[str, NDArray[Any]]:
     """Return the arrows of all flows on meshes, in scene units relative to the world's origin. `scale`: scene units per mm."""
     meshes = world.ground.meshes
     if meshes is None:
@@ -29,7 +29,7 @@ def arrows(world: World, scale: float) -> dict[str, NDArray[Any]]:
     step = max(float(meshes.extent) / _ARROWS_PER_EXTENT, 1e-9)
     output: dict[str, NDArray[Any]] = {}
     for name, flow in world.flows.items():
-        face, (b1, b2) = flow.lattice.faces(), flow.lattice.weights()
+        face, (b1, b2) = flow.lattice.faces(), flow.lattice.compute_slot_weights()
         strong = np.flatnonzero(flow.c * flow.c + flow.s * flow.s > _MIN_ARROW_STRENGTH * _MIN_ARROW_STRENGTH)
         face, b1, b2 = face[strong], b1[strong], b2[strong]
         place = table.corner.take(face, axis=1) + b1 * table.edge1.take(face, axis=1) + b2 * table.edge2.take(face, axis=1)
@@ -41,12 +41,12 @@ def arrows(world: World, scale: float) -> dict[str, NDArray[Any]]:
         first[1:] = (cells[order][1:] != cells[order][:-1]).any(axis=1)
         chosen = order[first]
         lifted = place[:, chosen] + _ARROW_LIFT * step * table.normal.take(face[chosen], axis=1)
-        output[f"flow.{name}.P"] = scene_places(lifted.T, scale)
+        output[f"flow.{name}.P"] = to_scene_positions(lifted.T, scale)
         output[f"flow.{name}.V"] = (direction[:, chosen].T * (_ARROW_LENGTH_SHARE * step * scale)).astype(np.float32)
     return output
 
 
-def read_arrows(static: Mapping[str, NDArray[Any]]) -> dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]]:
+def read_flow_arrows(static: Mapping[str, NDArray[Any]]) -> dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]]:
     """Return the start points (n, 3) and vectors (n, 3) of the arrows, by the flow's name."""
     names = [key.removeprefix("flow.").removesuffix(".P") for key in static if key.startswith("flow.") and key.endswith(".P")]
     return {n: (np.asarray(static[f"flow.{n}.P"], np.float64), np.asarray(static[f"flow.{n}.V"], np.float64)) for n in names}

@@ -13,21 +13,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.bodies.agents.definition import BodyError
-from antdsl.bodies.body import turned
+from antdsl.bodies.body import rotate_vectors
 from antdsl.bodies.posed_body import PosedBody
-from antdsl.bodies.shapes import item_shape
+from antdsl.bodies.shapes import choose_item_shape
 from antdsl.numerics.records import take_rows
+from antdsl.outputs.agent_paths import AgentPaths, PathWindow, match_agents
 from antdsl.outputs.cache.cache_reader import Arrays, Cache, CacheError
 from antdsl.outputs.cache.dug_solids import DugSolids
-from antdsl.outputs.cache.frame_agents import agent_ids, species_rows
+from antdsl.outputs.cache.frame_agents import find_species_rows, get_agent_ids
 from antdsl.outputs.cache.manifest import CameraEntry, MeshEntry, SpeciesEntry
-from antdsl.outputs.cache.pose_arrays import driven_values, feet_of, machines_of, worn_masks
+from antdsl.outputs.cache.pose_arrays import read_all_machine_clips, read_driven_pose, read_feet, read_layer_masks
 from antdsl.outputs.cache_bodies import CacheBodies
-from antdsl.outputs.cutting import CutPlane
-from antdsl.outputs.feelers import feeler_rays
-from antdsl.outputs.flow_arrows import read_arrows
-from antdsl.outputs.paths import AgentPaths, PathWindow, follow_agents
-from antdsl.outputs.pictures.camera import three
+from antdsl.outputs.cut_plane import CutPlane
+from antdsl.outputs.feelers import compute_feeler_rays
+from antdsl.outputs.flow_arrows import read_flow_arrows
+from antdsl.outputs.pictures.camera import to_tuple
 from antdsl.outputs.pictures.model import (
     Camera,
     Crowd,
@@ -40,7 +40,7 @@ from antdsl.outputs.pictures.model import (
     SurfaceKind,
     Trail,
 )
-from antdsl.outputs.pictures.trails import robust_full_strength
+from antdsl.outputs.pictures.trail_colours import estimate_full_strength
 
 _SURFACE_KIND_BY_NAME: tuple[tuple[str, SurfaceKind], ...] = (
     ("boulder", "boulder"),
@@ -88,63 +88,64 @@ class Gallery:
         blurred: bool = False,
         full: Mapping[str, float] | None = None,
     ) -> None:
-        self.cache, self.manifest, self._cut = cache, cache.manifest, cut
+        self.cache, self.manifest, self._cut_plane = cache, cache.manifest, cut
         self.origin = np.array(cache.manifest.origin)
         if cut is not None:
-            cut = self._cut = replace(cut, at=cut.at - float(self.origin[cut.axis]))
+            cut = self._cut_plane = replace(cut, at=cut.at - float(self.origin[cut.axis]))
         missing = [name for name in REQUIRED_ATTRIBUTES if name not in self.manifest.attributes]
         if missing:
             raise PictureUnavailable(f"the cache has no attribute `{missing[0]}`, which pictures need")
         strange = [name for name in full or () if name not in {field.name for field in self.manifest.fields}]
         if strange:
             raise PictureUnavailable(f"the cache has no field `{strange[0]}`")
-        self._blurred, self._given = blurred, dict(full or {})
+        self._has_motion_blur, self._requested_strengths = blurred, dict(full or {})
         above, below = self.manifest.fps.split("/")
         self.dt = int(below) / int(above)
-        self._walks = None if window is None else AgentPaths(cache, self.dt, window)
-        self.static = cache.static()
-        self._stones = tuple(self._solid(m) for m in self.manifest.meshes if not m.row.is_dug and m.look != "none")
-        self._dug = DugSolids(cache, self.static, cut)
+        self._agent_paths = None if window is None else AgentPaths(cache, self.dt, window)
+        self.static = cache.read_static()
+        self._undug_solids = tuple(self._make_solid(m) for m in self.manifest.meshes if not m.row.is_dug and m.look != "none")
+        self._dug_solids = DugSolids(cache, self.static, cut)
         self.flows = tuple(
             FlowArrows(name, place, displacement, _FLOW_COLOURS[number % len(_FLOW_COLOURS)])
-            for number, (name, (place, displacement)) in enumerate(read_arrows(self.static).items())
+            for number, (name, (place, displacement)) in enumerate(read_flow_arrows(self.static).items())
         )
         self.bodies = CacheBodies(self.manifest, self.static)
-        self._first: Arrays | None = None
-        self._full: dict[str, float] | None = None
-        self._places: dict[str, NDArray[np.float64]] = {}
+        self._first_frame: Arrays | None = None
+        self._computed_strengths: dict[str, float] | None = None
+        self._field_positions: dict[str, NDArray[np.float64]] = {}
 
-    def picture(self, frame: int, *, agents: frozenset[int] = frozenset()) -> Picture:
-        """Return the picture of one frame. With `agents`, the overlays `ids`, `velocity` and `paths` are limited to these ids."""
+    def make_picture(self, frame: int, *, agents: frozenset[int] = frozenset()) -> Picture:
+        """Return the picture of one frame. With `agents`, the overlays `ids`, `velocity` and `agent_paths` are limited to these
+        ids."""
         arrays = self.cache.frame(frame)
-        if self._first is None:
+        if self._first_frame is None:
             frames = self.cache.frames()
-            self._first = self.cache.frame(frames[0]) if frames else arrays
-        crowds, legend = self._crowds(frame, arrays, agents)
+            self._first_frame = self.cache.frame(frames[0]) if frames else arrays
+        crowds, legend = self._make_crowds(frame, arrays, agents)
         whole = Picture(
-            solids=(*self._solids(arrays), *self._dug_at(frame)),
+            solids=(*self._make_solids(arrays), *self._make_dug_solids(frame)),
             crowds=crowds,
-            items=self._items(arrays),
-            trails=self._trails(arrays),
+            items=self._make_items(arrays),
+            trails=self._make_trails(arrays),
             flows=self.flows,
             up=_UP_VECTORS[self.manifest.up],
             legend=legend,
             frame=frame,
-            grain=self._grain(self._first),
+            grain=self._measure_grain(self._first_frame),
         )
-        return whole if self._cut is None else self._cut.cut_picture(whole)
+        return whole if self._cut_plane is None else self._cut_plane.cut_picture(whole)
 
     @property
-    def camera_moves(self) -> bool:
+    def has_moving_camera(self) -> bool:
         """Return whether the scene's own camera changes between frames."""
         return isinstance(self.manifest.camera, CameraEntry) and self.manifest.camera.moves
 
     @property
-    def camera_fits(self) -> bool:
+    def has_fitted_camera(self) -> bool:
         """Return whether the scene requests a camera that shows the complete crowd in all drawn frames."""
         return self.manifest.camera == "fit"
 
-    def outline(self, frames: Sequence[int]) -> NDArray[np.float64]:
+    def find_outline_points(self, frames: Sequence[int]) -> NDArray[np.float64]:
         """Return points (n, 3) that enclose the agents of the frames: a camera that shows the points shows all agents.
 
         The points are the outermost agents in many directions, with a margin of the body's reach. Only some of the frames are
@@ -157,7 +158,7 @@ class Gallery:
         for k in sorted({round(k) for k in np.linspace(0, len(frames) - 1, min(len(frames), _MAX_FITTED_FRAMES))}):
             arrays = self.cache.frame(frames[k])
             place = np.asarray(arrays["P"], np.float64)
-            scale = np.asarray(arrays["pscale"], np.float64) * self._body_reaches(arrays)
+            scale = np.asarray(arrays["pscale"], np.float64) * self._compute_body_reaches(arrays)
             is_finite = np.isfinite(place).all(axis=1) & np.isfinite(scale)
             place, scale = place[is_finite], scale[is_finite]
             if len(place):
@@ -165,7 +166,7 @@ class Gallery:
                 points.append(place[outermost] + directions.T * scale[outermost, None])
         return np.concatenate(points)
 
-    def _body_reaches(self, arrays: Arrays) -> NDArray[np.float64] | float:
+    def _compute_body_reaches(self, arrays: Arrays) -> NDArray[np.float64] | float:
         """Return the reach of each agent's body from its position, in body lengths. It is at least 1.
 
         Only species with an agent definition have a larger reach."""
@@ -177,7 +178,7 @@ class Gallery:
             return float(reach.max(initial=1.0))
         return reach[np.clip(np.asarray(arrays["species"], np.int64), 0, len(reach) - 1)]
 
-    def camera(self, frame: int) -> Camera | None:
+    def make_camera(self, frame: int) -> Camera | None:
         """Return the scene's own camera at a frame, or None if it has none."""
         own = self.manifest.camera
         if not isinstance(own, CameraEntry):
@@ -185,53 +186,53 @@ class Gallery:
         if not own.moves:
             return Camera(own.at, own.look_at, focal=own.focal or 35.0, up=own.up)
         k = min(max(frame - self.manifest.first, 0), len(self.static["camera.at"]) - 1)
-        at, look_at, up = (three(self.static[f"camera.{name}"][k]) for name in ("at", "look_at", "up"))
+        at, look_at, up = (to_tuple(self.static[f"camera.{name}"][k]) for name in ("at", "look_at", "up"))
         return Camera(at, look_at, focal=float(self.static["camera.focal"][k]) or 35.0, up=up)
 
-    def _dug_at(self, frame: int) -> tuple[Solid, ...]:
+    def _make_dug_solids(self, frame: int) -> tuple[Solid, ...]:
         """Return the solids as dug at a frame."""
         looks = {mesh.name: mesh.look for mesh in self.manifest.meshes if mesh.look is not None}
         return tuple(
             solid if solid.name not in looks else replace(solid, kind=_SURFACE_KIND_BY_MATERIAL[str(looks[solid.name])])
-            for solid in self._dug.at(frame)
+            for solid in self._dug_solids.at(frame)
             if looks.get(solid.name) != "none"
         )
 
-    def _solids(self, arrays: Arrays) -> tuple[Solid, ...]:
+    def _make_solids(self, arrays: Arrays) -> tuple[Solid, ...]:
         """Return the meshes that are not dug. Moving meshes are at their positions of the frame."""
         moved = {mesh.name: f"mesh.{mesh.name}.vertices" for mesh in self.manifest.meshes if mesh.moves}
         return tuple(
             replace(solid, vertices=np.asarray(arrays[moved[solid.name]], np.float64))
             if moved.get(solid.name) in arrays
             else solid
-            for solid in self._stones
+            for solid in self._undug_solids
         )
 
-    def _solid(self, mesh: MeshEntry) -> Solid:
+    def _make_solid(self, mesh: MeshEntry) -> Solid:
         name = mesh.name
         look = next((k for word, k in _SURFACE_KIND_BY_NAME if word in name.lower()), mesh.row.look)
         vertices = np.asarray(self.static[f"mesh.{name}.vertices"], np.float64)
         faces = np.asarray(self.static[f"mesh.{name}.faces"], np.int32)
         return Solid(name, vertices, faces, look if mesh.look is None else _SURFACE_KIND_BY_MATERIAL[mesh.look])
 
-    def _crowds(self, frame: int, arrays: Arrays, agents: frozenset[int]) -> tuple[tuple[Crowd, ...], tuple[LegendRow, ...]]:
+    def _make_crowds(self, frame: int, arrays: Arrays, agents: frozenset[int]) -> tuple[tuple[Crowd, ...], tuple[LegendRow, ...]]:
         crowds: list[Crowd] = []
         legend: list[LegendRow] = []
-        next_arrays = self.cache.frame(frame + 1) if self._blurred and frame + 1 in self.cache.frames() else None
+        next_arrays = self.cache.frame(frame + 1) if self._has_motion_blur and frame + 1 in self.cache.frames() else None
         for number, species in enumerate(self.manifest.species):
-            rows = species_rows(arrays, number)
+            rows = find_species_rows(arrays, number)
             later = () if next_arrays is None else self._species_crowds(number, frame + 1, next_arrays)
             for which, crowd in enumerate(self._species_crowds(number, frame, arrays)):
                 if later:
-                    crowd = replace(crowd, next_crowd=follow_agents(crowd, later[which]))
+                    crowd = replace(crowd, next_crowd=match_agents(crowd, later[which]))
                 dressed = self._split_by_layers(crowd, number, which, arrays)
                 crowds += [
-                    self._with_lines(part, species, number, frame) for each in dressed for part in _split_chosen(each, agents)
+                    self._add_lines(part, species, number, frame) for each in dressed for part in _split_selected(each, agents)
                 ]
             if species.machines and "state" in arrays:
                 counts = np.bincount(np.asarray(arrays["state"])[rows], minlength=len(species.machines[0].states))
                 legend += [
-                    LegendRow(state.label or state.name, _to_bytes(state.colour), int(n), species.name)
+                    LegendRow(state.label or state.name, _convert_colour_to_bytes(state.colour), int(n), species.name)
                     for state, n in zip(species.machines[0].states, counts, strict=False)
                 ]
         return tuple(crowds), tuple(legend)
@@ -239,13 +240,13 @@ class Gallery:
     def _species_crowds(self, number: int, frame: int, arrays: Arrays) -> tuple[Crowd, ...]:
         """Return the agents of a species, one crowd for each of its bodies, posed by the clips, feet and appearance of the frame.
         Agents without a clip play the idle clip."""
-        species, rows = self.manifest.species[number], species_rows(arrays, number)
-        ids, keys = agent_ids(arrays)[rows], self.bodies.keys(number)
-        count, plays = len(rows), machines_of(species, arrays, len(rows)) or ()
-        driven, numbers = driven_values(species, arrays, ids, self.manifest.seed), self.bodies.numbers(number, ids)
+        species, rows = self.manifest.species[number], find_species_rows(arrays, number)
+        ids, keys = get_agent_ids(arrays)[rows], self.bodies.keys(number)
+        count, plays = len(rows), read_all_machine_clips(species, arrays, len(rows)) or ()
+        driven, numbers = read_driven_pose(species, arrays, ids, self.manifest.seed), self.bodies.numbers(number, ids)
         crowds = []
         for which, key in enumerate(keys):
-            body = self.body(number, 0, which)
+            body = self.load_body(number, 0, which)
             own = np.arange(count) if len(keys) == 1 else np.flatnonzero(numbers == which)
             subset = rows[own]
             crowds.append(
@@ -257,9 +258,12 @@ class Gallery:
                     colour=np.asarray(arrays["Cd"], np.float64)[subset] if "Cd" in arrays else np.full((len(subset), 3), 0.35),
                     ids=ids[own],
                     velocity=np.asarray(arrays["v"], np.float64)[subset] if "v" in arrays else None,
-                    worn=body,
-                    plays=(*body.idle_clips(ids[own], frame * self.dt), *(take_rows(plays, own) if len(keys) > 1 else plays)),
-                    feet=feet_of(key, arrays, len(own), 0 if body.legs is None else body.legs.count),
+                    body=body,
+                    plays=(
+                        *body.build_idle_clips(ids[own], frame * self.dt),
+                        *(take_rows(plays, own) if len(keys) > 1 else plays),
+                    ),
+                    feet=read_feet(key, arrays, len(own), 0 if body.leg_solver is None else body.leg_solver.count),
                     driven=take_rows(driven, own) if len(keys) > 1 else driven,
                     body_key=key,
                 )
@@ -268,79 +272,83 @@ class Gallery:
 
     def _split_by_layers(self, crowd: Crowd, number: int, which: int, arrays: Arrays) -> list[Crowd]:
         """Return one crowd for each set of layers that some agents wear. `which`: the body of the crowd."""
-        rows = species_rows(arrays, number)
-        masks = worn_masks(self.manifest.species[number], arrays, len(rows))
+        rows = find_species_rows(arrays, number)
+        masks = read_layer_masks(self.manifest.species[number], arrays, len(rows))
         if len(crowd.position) != len(rows):
-            masks = masks[self.bodies.numbers(number, agent_ids(arrays)[rows]) == which]
+            masks = masks[self.bodies.numbers(number, get_agent_ids(arrays)[rows]) == which]
         sets = [int(mask) for mask in np.unique(masks)] or [0]
         if len(sets) == 1:
-            return [replace(crowd, worn=self.body(number, sets[0], which))]
+            return [replace(crowd, body=self.load_body(number, sets[0], which))]
         parts = ((mask, np.flatnonzero(masks == np.uint64(mask))) for mask in sets)
-        return [replace(crowd.rows(rows), worn=self.body(number, mask, which)) for mask, rows in parts]
+        return [replace(crowd.select_rows(rows), body=self.load_body(number, mask, which)) for mask, rows in parts]
 
-    def body(self, number: int, mask: int = 0, which: int = 0) -> PosedBody:
+    def load_body(self, number: int, mask: int = 0, which: int = 0) -> PosedBody:
         """Return a body of a species with the layers of a mask. It is stored in the cache, or comes from the library.
 
         `which`: its index among the bodies of the species."""
         with _body_problems(self.manifest.species[number]):
             return self.bodies.body(number, mask, which)
 
-    def _with_lines(self, crowd: Crowd, species: SpeciesEntry, number: int, frame: int) -> Crowd:
+    def _add_lines(self, crowd: Crowd, species: SpeciesEntry, number: int, frame: int) -> Crowd:
         """Return the crowd with the paths and feelers of its agents, if these are displayed."""
-        if crowd.ids is not None and self._walks is not None:
-            crowd = replace(crowd, paths=self._walks.at(frame, number, np.asarray(crowd.ids, np.int64)))
+        if crowd.ids is not None and self._agent_paths is not None:
+            crowd = replace(crowd, paths=self._agent_paths.at(frame, number, np.asarray(crowd.ids, np.int64)))
         if not species.feelers or crowd.ids is None or not len(crowd.position):
             return crowd
-        ahead, up = (turned(crowd.orient, np.tile(axis, (len(crowd.position), 1))) for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0)))
-        lines = [feeler_rays(entry, crowd.position, ahead, up, crowd.scale) for entry in species.feelers]
+        ahead, up = (
+            rotate_vectors(crowd.orient, np.tile(axis, (len(crowd.position), 1))) for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
+        )
+        lines = [compute_feeler_rays(entry, crowd.position, ahead, up, crowd.scale) for entry in species.feelers]
         return replace(crowd, feelers=np.concatenate(lines))
 
-    def _items(self, arrays: Arrays) -> tuple[Item, ...]:
+    def _make_items(self, arrays: Arrays) -> tuple[Item, ...]:
         items = []
         for group in self.manifest.items:
             moved = arrays.get(f"items.{group.name}.P") if group.moves else None
-            positions = group.position if moved is None else [three(place) for place in moved]
+            positions = group.position if moved is None else [to_tuple(place) for place in moved]
             for number, (name, position, radius) in enumerate(zip(group.names, positions, group.radius, strict=True)):
                 look = group.looks[number] if number < len(group.looks) else None
-                shape = cast(ItemShapeName, item_shape(group.name, name))
+                shape = cast(ItemShapeName, choose_item_shape(group.name, name))
                 if look == "none" or (shape == "none" and look is not None):
                     shape = "none" if look == "none" else "sphere"  # a place that is meant is seen where the scene says of what
-                left = self._share_left(group.name, group.attributes, number, arrays)
+                left = self._compute_remaining_share(group.name, group.attributes, number, arrays)
                 items.append(Item(name, position, radius, left, shape, None if look == "none" else look))
         return tuple(items)
 
-    def _share_left(self, group: str, attributes: tuple[str, ...], number: int, arrays: Arrays) -> float:
+    def _compute_remaining_share(self, group: str, attributes: tuple[str, ...], number: int, arrays: Arrays) -> float:
         """Return the share (0..1) of its initial amount that an item still has. It is 1 for an item that started with nothing."""
         for attribute in attributes:
             key = f"items.{group}.{attribute}"
-            if self._first is not None and key in self._first and key in arrays:
-                first = float(self._first[key][number])
+            if self._first_frame is not None and key in self._first_frame and key in arrays:
+                first = float(self._first_frame[key][number])
                 if first > 0:
                     return float(np.clip(arrays[key][number] / first, 0.0, 1.0))
         return 1.0
 
-    def _trails(self, arrays: Arrays) -> tuple[Trail, ...]:
+    def _make_trails(self, arrays: Arrays) -> tuple[Trail, ...]:
         trails = []
         for number, field in enumerate(self.manifest.fields):
             cells, values = arrays.get(f"field.{field.name}.cells"), arrays.get(f"field.{field.name}.values")
             if cells is not None and values is not None and len(cells):
-                positions = self._places.setdefault(field.name, np.asarray(self.static[f"field.{field.name}.P"], np.float64))
+                positions = self._field_positions.setdefault(
+                    field.name, np.asarray(self.static[f"field.{field.name}.P"], np.float64)
+                )
                 added = arrays.get(f"field.{field.name}.added")
                 if added is not None:
                     positions = np.concatenate([positions, np.asarray(added, np.float64)])
                 strength = np.zeros(len(positions))
                 strength[cells] = values
-                full = self._given.get(field.name) or self._full_strengths().get(field.name) or None
+                full = self._requested_strengths.get(field.name) or self._find_full_strengths().get(field.name) or None
                 trails.append(
                     Trail(field.name, positions, strength, field.cell, _FIELD_COLOURS[number % len(_FIELD_COLOURS)], full)
                 )
         return tuple(trails)
 
-    def _full_strengths(self) -> dict[str, float]:
+    def _find_full_strengths(self) -> dict[str, float]:
         """Return the strength that is drawn strongest, by field. All frames of the cache use the same
         strength, so scent can be compared."""
-        if self._full is None:
-            frames, self._full = self.cache.frames(), {}
+        if self._computed_strengths is None:
+            frames, self._computed_strengths = self.cache.frames(), {}
             chosen = (
                 {frames[round(k * (len(frames) - 1) / (_MAX_STRENGTH_FRAMES - 1))] for k in range(_MAX_STRENGTH_FRAMES)}
                 if frames
@@ -353,10 +361,12 @@ class Gallery:
                     continue
                 for field in self.manifest.fields:
                     values = np.asarray(arrays.get(f"field.{field.name}.values", ()), np.float64)
-                    self._full[field.name] = max(self._full.get(field.name, 0.0), robust_full_strength(values))
-        return self._full
+                    self._computed_strengths[field.name] = max(
+                        self._computed_strengths.get(field.name, 0.0), estimate_full_strength(values)
+                    )
+        return self._computed_strengths
 
-    def _grain(self, first: Arrays) -> float | None:
+    def _measure_grain(self, first: Arrays) -> float | None:
         """Return the reference length of the ground's grain: the median body length of the first frame. So births do not change
         it."""
         lengths = np.asarray(first["pscale"], np.float64)
@@ -364,22 +374,23 @@ class Gallery:
         return float(np.median(lengths)) if len(lengths) else None
 
 
-def place_digits(gallery: Gallery) -> str:
+def choose_coordinate_format(gallery: Gallery) -> str:
     """Return the `%` format for a coordinate relative to the scene's zero point: all digits of float32.
 
     With an origin it has the digits of float64 (a millionth of a millimetre at 1000 km)."""
     return "%.15g" if gallery.origin.any() else "%.9g"
 
 
-def _split_chosen(crowd: Crowd, agents: frozenset[int]) -> list[Crowd]:
-    """Return the crowd, or two crowds if `agents` are chosen: the chosen and the others. The others lose ids and velocities."""
-    if not agents or crowd.ids is None:
+def _split_selected(crowd: Crowd, selected_ids: frozenset[int]) -> list[Crowd]:
+    """Return the crowd, or two crowds if `selected_ids` are chosen: the chosen and the others. The others lose ids and
+    velocities."""
+    if not selected_ids or crowd.ids is None:
         return [crowd]
-    chosen = np.isin(crowd.ids, sorted(agents))
-    selected, others = crowd.rows(chosen), crowd.rows(~chosen)
+    chosen = np.isin(crowd.ids, sorted(selected_ids))
+    selected, others = crowd.select_rows(chosen), crowd.select_rows(~chosen)
     return [selected, replace(others, ids=None, velocity=None)]
 
 
-def _to_bytes(colour: tuple[float, float, float]) -> tuple[int, int, int]:
+def _convert_colour_to_bytes(colour: tuple[float, float, float]) -> tuple[int, int, int]:
     r, g, b = (round(255 * min(max(part, 0.0), 1.0)) for part in colour)
     return r, g, b

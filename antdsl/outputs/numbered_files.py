@@ -14,7 +14,7 @@ class ExportUnavailable(Exception):
         self.help = help
 
 
-def numbered_path(path: Path, frame: int) -> Path:
+def make_numbered_path(path: Path, frame: int) -> Path:
     """Return the path of a frame's file. The frame number replaces `####`, padded to as many digits.
 
     Without `####`, the number is inserted before the suffix, with four digits."""

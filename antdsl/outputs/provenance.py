@@ -14,31 +14,31 @@ from pathlib import Path
 
 import numpy as np
 
-from antdsl.diagnostics.model import printable
-from antdsl.machine_code import machine
+from antdsl.diagnostics.model import replace_unprintable
+from antdsl.machine_code import llvm_compiler
 from antdsl.outputs.cache.manifest import ManifestError, Provenance, read_manifest
 from antdsl.scene.paths import GRANTED_PATH_PATTERN
 from antdsl.scene.values import FrameRange
-from antdsl.source_hash import sources
+from antdsl.source_hash import hash_sources
 
 _MAX_COMMAND_CHARACTERS = 2000  # characters of a command
 
 
-def provenance(scene: str, frames: FrameRange, seed: int, inputs: Mapping[str, str]) -> Provenance:
+def collect_provenance(scene: str, frames: FrameRange, seed: int, inputs: Mapping[str, str]) -> Provenance:
     """Return the provenance of a cache that this process makes. `scene`: the name of the scene file; `inputs`: the inputs of the
     run."""
-    return Provenance(sources=sources(), command=command(scene, frames, seed, inputs), **_versions())
+    return Provenance(sources=hash_sources(), command=make_command(scene, frames, seed, inputs), **_find_package_versions())
 
 
-def command(scene: str, frames: FrameRange, seed: int, inputs: Mapping[str, str]) -> str:
+def make_command(scene: str, frames: FrameRange, seed: int, inputs: Mapping[str, str]) -> str:
     """Return the command that makes the same frames.
 
     It contains no folder, and no option that does not change results, such as `--out` and `--threads`. So the same run gives the
     same bytes anywhere, and a cache reveals nothing about the machine."""
-    return shlex.join(_command_words(scene, frames, seed, inputs))[:_MAX_COMMAND_CHARACTERS]
+    return shlex.join(_make_command_words(scene, frames, seed, inputs))[:_MAX_COMMAND_CHARACTERS]
 
 
-def resume_command(folder: Path) -> str:
+def make_resume_command(folder: Path) -> str:
     """Return the command that completes a cache or makes its damaged frames again.
 
     Words in capitals stand for values that the manifest lacks: the folders of granted roots, and the scene of an unreadable
@@ -48,32 +48,32 @@ def resume_command(folder: Path) -> str:
     except ManifestError:
         return f"antdsl run SCENE --out {shlex.quote(str(folder))} --resume"
     scene = os.path.normpath(folder / manifest.scene_path) if manifest.scene_path is not None else manifest.scene
-    words = _command_words(scene, FrameRange(manifest.first, manifest.last), manifest.seed, manifest.inputs)
+    words = _make_command_words(scene, FrameRange(manifest.first, manifest.last), manifest.seed, manifest.inputs)
     roots = sorted({match[1] for name in manifest.inputs if (match := GRANTED_PATH_PATTERN.fullmatch(name))})
     words += [word for name in roots for word in ("--root", f"{name}=FOLDER")]
-    return printable(shlex.join([*words, "--out", str(folder), "--resume"])[:_MAX_COMMAND_CHARACTERS])
+    return replace_unprintable(shlex.join([*words, "--out", str(folder), "--resume"])[:_MAX_COMMAND_CHARACTERS])
 
 
-def _command_words(scene: str, frames: FrameRange, seed: int, inputs: Mapping[str, str]) -> list[str]:
+def _make_command_words(scene: str, frames: FrameRange, seed: int, inputs: Mapping[str, str]) -> list[str]:
     changes = [f"{name.removeprefix('--set ')}={text}" for name, text in inputs.items() if name.startswith("--set ")]
     sets = [word for change in changes for word in ("--set", change)]
     return ["antdsl", "run", scene, "--frames", f"{frames.first}..{frames.last}", "--seed", str(seed), *sets]
 
 
 @cache
-def _versions() -> Mapping[str, str]:
+def _find_package_versions() -> Mapping[str, str]:
     return {
         "python": platform.python_version(),
         "numpy": np.__version__,
-        "llvm": _llvm(),
-        "open3d": _installed_version("open3d", "open3d-cpu"),
+        "llvm": _find_llvm_versions(),
+        "open3d": _find_installed_version("open3d", "open3d-cpu"),
         "platform": f"{platform.system()} {platform.machine()}",
     }
 
 
-def _llvm() -> str:
+def _find_llvm_versions() -> str:
     """Return the versions of LLVM and llvmlite. Empty if machine code is not available."""
-    if machine.unavailable():
+    if llvm_compiler.unavailability_reason():
         return ""
     import llvmlite
     import llvmlite.binding as llvm
@@ -81,7 +81,7 @@ def _llvm() -> str:
     return f"{'.'.join(map(str, llvm.llvm_version_info))} (llvmlite {llvmlite.__version__})"
 
 
-def _installed_version(*names: str) -> str:
+def _find_installed_version(*names: str) -> str:
     """Return the version of the first of these packages that is installed. Empty if none is."""
     for name in names:
         try:

@@ -15,60 +15,70 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.outputs.cache.body_arrays import StoredBodies
-from antdsl.outputs.cache.cache_reader import Cache, CacheError, checkpoint_path
+from antdsl.outputs.cache.cache_reader import Cache, CacheError, make_checkpoint_path
 from antdsl.outputs.cache.cache_writer import (
     CacheWriter,
     DifferentInputs,
     IntactPart,
-    intact_part,
+    find_intact_part,
     prepare_folder,
     read_checkpoint,
 )
-from antdsl.outputs.cache.frames import FrameMaker, make_manifest, static_arrays
-from antdsl.outputs.cache.hashes import Line
-from antdsl.outputs.cache.manifest import CameraEntry, Look, relative_path
-from antdsl.outputs.cache.places import scene_origin
+from antdsl.outputs.cache.frame_maker import FrameMaker, make_manifest, make_static_arrays
+from antdsl.outputs.cache.hashes import HashLine
+from antdsl.outputs.cache.manifest import CameraEntry, Look, find_relative_path
+from antdsl.outputs.cache.scene_positions import find_scene_origin
 from antdsl.outputs.cache.solid_pieces import PieceMaker
-from antdsl.outputs.feelers import feelers_of
-from antdsl.outputs.provenance import provenance
-from antdsl.outputs.starting import start_from_cache, start_hash
+from antdsl.outputs.cache_start import hash_start_frame, start_from_cache
+from antdsl.outputs.feelers import list_feelers
+from antdsl.outputs.provenance import collect_provenance
 from antdsl.pipeline import Shot
-from antdsl.runtime import CheckpointError, Options, World, bind, feet_hash, restore, state_hash, step, take_emissions
+from antdsl.runtime import (
+    CheckpointError,
+    Options,
+    World,
+    bind,
+    collect_emissions,
+    feet_hash,
+    restore_checkpoint,
+    state_hash,
+    step,
+)
 from antdsl.runtime.profiling import StepMeter
 from antdsl.scene.crowd_model import named_weights
-from antdsl.scene.model import Camera, SceneModel
+from antdsl.scene.scene_model import Camera, SceneModel
 from antdsl.scene.setting import CameraData
-from antdsl.scene.thing_models import PlacedThing, millimetres
+from antdsl.scene.thing_models import PlacedThing, convert_point
 from antdsl.scene.values import FrameRange
 
 
 @dataclass(slots=True, eq=False)
 class Recording:
-    """The progress of a run. If `stop` is set, the run ends after the current frame, with a checkpoint."""
+    """The progress of a run. If `stop_requested` is set, the run ends after the current frame, with a checkpoint."""
 
     shot: Shot
     folder: Path
     world: World
     inputs: Mapping[str, str]
     resumed_from: int | None = None
-    kept_lines: dict[int, Line] = field(default_factory=dict)  # the lines of the frames up to there
-    damaged: list[int] = field(default_factory=list)  # checkpoints of an earlier run that are of no use
+    retained_lines: dict[int, HashLine] = field(default_factory=dict)  # the lines of the frames up to there
+    damaged_checkpoints: list[int] = field(default_factory=list)  # checkpoints of an earlier run that are of no use
     notes: list[str] = field(default_factory=list)  # messages on damaged parts of an earlier run that are made again
-    static: dict[str, NDArray[Any]] = field(default_factory=dict)  # the arrays of `static.npz`
+    static_arrays: dict[str, NDArray[Any]] = field(default_factory=dict)  # the arrays of `static.npz`
     frame: int | None = None  # the last that was passed to the writer
-    stop: bool = False
-    hash: str = ""  # of the last frame that is known to be written
+    stop_requested: bool = False
+    last_state_hash: str = ""  # of the last frame that is known to be written
     surface_error: float | None = 0.0  # the greatest of all frames, in body lengths; None if earlier ones are unknown
     steps: int = 0  # after the first
     seconds: dict[str, float] = field(default_factory=dict)
-    frame_seconds: dict[str, float] = field(default_factory=dict)  # frames: parts of `hand_over`
-    behind: dict[str, float] = field(default_factory=dict)  # frames and checkpoints written meanwhile
-    started: float = field(default_factory=time.perf_counter)
+    frame_seconds: dict[str, float] = field(default_factory=dict)  # frames: parts of `submit`
+    writer_seconds: dict[str, float] = field(default_factory=dict)  # frames and checkpoints written meanwhile
+    start_time: float = field(default_factory=time.perf_counter)
     scene_path: str | None = None  # path from the cache to its scene, if it differs from that between the files in use
-    meter: StepMeter | None = None  # measures the steps after the first
+    step_meter: StepMeter | None = None  # measures the steps after the first
 
     @property
-    def complete(self) -> bool:
+    def is_complete(self) -> bool:
         """Return whether the last frame of the shot was passed to the writer."""
         return self.frame == self.shot.frames.last
 
@@ -78,10 +88,10 @@ class Recording:
 
     def add_measures(self, measures: Mapping[str, Any]) -> None:
         """Record the measurements of a written frame."""
-        for of, name in ((self.frame_seconds, "made"), (self.behind, "seconds")):
+        for of, name in ((self.frame_seconds, "made"), (self.writer_seconds, "seconds")):
             for what, seconds in measures.get(name, {}).items():
                 of[what] = of.get(what, 0.0) + seconds
-        self.hash = measures.get("hash", self.hash)
+        self.last_state_hash = measures.get("hash", self.last_state_hash)
         self.surface_error = measures.get("surface_error", self.surface_error)
 
 
@@ -89,39 +99,39 @@ class NothingToResume(Exception):
     """No checkpoint of an earlier run can be used. The message says why."""
 
 
-def begin(shot: Shot, folder: Path, options: Options, *, resume: bool, force: bool) -> Recording:
+def begin_recording(shot: Shot, folder: Path, options: Options, *, resume: bool, force: bool) -> Recording:
     """Bind the shot and compute feet. With `resume`, restore the world from the last good checkpoint.
 
     A checkpoint is good if all frames up to it have complete files, and if the world restored from it has the stored hash."""
-    inputs, options = {**shot.inputs, **start_hash(shot)}, replace(options, feet=True)
+    inputs, options = {**shot.inputs, **hash_start_frame(shot)}, replace(options, feet=True)
     intact: IntactPart | None = None
     if resume:
         try:
-            intact = intact_part(folder, inputs, shot.frames.first, shot.frames.last)
+            intact = find_intact_part(folder, inputs, shot.frames.first, shot.frames.last)
         except DifferentInputs as why:
-            raise _with_choices(shot, inputs, why) from None
+            raise _add_option_changes(shot, inputs, why) from None
         if intact is None and any((folder / "frames").glob("frame.*.npz")):
             raise NothingToResume(f"`{folder}` has frames but no readable manifest")
     prepare_folder(folder, force=force)
     began = time.perf_counter()
     world = bind(shot.plan, shot.setting, options)
-    recording = Recording(shot, folder, world, inputs, static=static_arrays(world, shot.setting))
+    recording = Recording(shot, folder, world, inputs, static_arrays=make_static_arrays(world, shot.setting))
     recording.add_time("bind", began)
     if intact is not None:
-        if intact.cache.manifest.origin != scene_origin(world):
+        if intact.cache.manifest.origin != find_scene_origin(world):
             raise NothingToResume(f"`{folder}` was written by an antdsl version that measures positions from a different origin")
-        _resume(recording, intact, options)
+        _resume_recording(recording, intact, options)
     if recording.resumed_from is None:
         start_from_cache(shot, recording.world)
     return recording
 
 
-def _with_choices(shot: Shot, inputs: Mapping[str, str], problem: DifferentInputs) -> DifferentInputs:
+def _add_option_changes(shot: Shot, inputs: Mapping[str, str], problem: DifferentInputs) -> DifferentInputs:
     """Return the exception with added messages for the seed, the first frame and `--set`, if these differ."""
     then, scene, names = problem.manifest, shot.scene, list(problem.names)
     choices = []
     frames = FrameRange(then.first, max(then.first, shot.frames.last))
-    if "scene" in names and scene.changed(seed=then.seed, frames=frames).digest() == then.inputs.get("scene"):
+    if "scene" in names and scene.replace_values(seed=then.seed, frames=frames).compute_digest() == then.inputs.get("scene"):
         names.remove("scene")
         choices += [f"with seed {then.seed}, not {scene.model.seed}"] if then.seed != scene.model.seed else []
         choices += [f"from frame {then.first}, not {shot.frames.first}"] if then.first != shot.frames.first else []
@@ -134,55 +144,55 @@ def _with_choices(shot: Shot, inputs: Mapping[str, str], problem: DifferentInput
     return DifferentInputs(then, names, choices)
 
 
-def _resume(recording: Recording, intact: IntactPart, options: Options) -> None:
+def _resume_recording(recording: Recording, intact: IntactPart, options: Options) -> None:
     """Restore the world from the last good checkpoint. Record which damaged frames are made again."""
-    shot, lines, notes = recording.shot, intact.cache.lines(), [] if intact.broken is None else [intact.broken]
-    for frame in intact.points:
-        why = _restore(recording, intact.cache, frame, lines[frame])
+    shot, lines, notes = recording.shot, intact.cache.lines(), [] if intact.damage is None else [intact.damage]
+    for frame in intact.checkpoints:
+        why = _restore_checkpoint(recording, intact.cache, frame, lines[frame])
         if why is None:
             recording.resumed_from = recording.frame = frame
-            recording.hash = lines[frame].hash
-            recording.kept_lines = {number: line for number, line in lines.items() if number <= frame}
+            recording.last_state_hash = lines[frame].hash
+            recording.retained_lines = {number: line for number, line in lines.items() if number <= frame}
             break
         notes.append(why)
         recording.surface_error = 0.0
         recording.world = bind(shot.plan, shot.setting, options)  # the previous world contains data of a bad checkpoint
     if recording.resumed_from is not None:
-        notes += _damaged_checkpoints(recording, intact.cache, lines, recording.resumed_from)
+        notes += _find_damaged_checkpoints(recording, intact.cache, lines, recording.resumed_from)
     first = shot.frames.first if recording.resumed_from is None else recording.resumed_from + 1
     again = min(shot.frames.last, first if intact.last_frame is None else intact.last_frame)
     if not notes and recording.resumed_from is None and intact.last_frame is not None and intact.last_frame >= first:
         notes.append(f"`{intact.cache.folder}` has no checkpoint from which all frames are whole")
-    if len(notes) > len(recording.damaged) and again >= first:
+    if len(notes) > len(recording.damaged_checkpoints) and again >= first:
         notes.append(f"frame {first} is made again" if again == first else f"frames {first} to {again} are made again")
-    why = intact.cache.static_damage()
+    why = intact.cache.find_static_damage()
     if why is not None:
         notes.append(f"{why}; it is written again")
     beyond = [frame for frame in intact.cache.frames() if frame > shot.frames.last]
     if beyond:
         which = f"frame {beyond[0]} is" if len(beyond) == 1 else f"{len(beyond)} frames, {beyond[0]} to {beyond[-1]}, are"
         notes.append(f"{which} beyond frame {shot.frames.last}, the last, and {'is' if len(beyond) == 1 else 'are'} removed")
-    recording.notes = notes + [f"{why}; it is left unchanged" for why in intact.cache.strays()]
+    recording.notes = notes + [f"{why}; it is left unchanged" for why in intact.cache.describe_stray_files()]
 
 
-def _damaged_checkpoints(recording: Recording, cache: Cache, lines: Mapping[int, Line], limit: int) -> Iterator[str]:
+def _find_damaged_checkpoints(recording: Recording, cache: Cache, lines: Mapping[int, HashLine], limit: int) -> Iterator[str]:
     """Yield the reasons why checkpoints before the frame `limit` are unusable, and mark these checkpoints for removal."""
     for frame in cache.checkpoints():
-        why = cache.checkpoint_damage(frame, lines.get(frame)) if frame < limit else None
+        why = cache.find_checkpoint_damage(frame, lines.get(frame)) if frame < limit else None
         if why is not None:
-            recording.damaged.append(frame)
+            recording.damaged_checkpoints.append(frame)
             yield f"{why}, and is removed"
 
 
-def _restore(recording: Recording, cache: Cache, frame: int, line: Line) -> str | None:
+def _restore_checkpoint(recording: Recording, cache: Cache, frame: int, line: HashLine) -> str | None:
     """Restore the world and the measurements from a checkpoint. Return None, or why that failed, complete without context."""
-    world, path = recording.world, checkpoint_path(cache.folder, frame)
-    why = cache.checkpoint_damage(frame, line)
+    world, path = recording.world, make_checkpoint_path(cache.folder, frame)
+    why = cache.find_checkpoint_damage(frame, line)
     if why is not None:
         return why
     try:
         arrays, recording.surface_error = read_checkpoint(cache, frame)
-        restore(world, arrays)
+        restore_checkpoint(world, arrays)
     except CacheError as problem:
         return str(problem)
     except CheckpointError as problem:
@@ -192,7 +202,7 @@ def _restore(recording: Recording, cache: Cache, frame: int, line: Line) -> str 
     return None if line.feet in ("", feet_hash(world.feet)) else f"`{path}` does not hold the feet of frame {frame}"
 
 
-def record(recording: Recording, watch: Callable[[str, int], None] = lambda what, frame: None) -> Iterator[Recording]:
+def record_frames(recording: Recording, on_frame: Callable[[str, int], None] = lambda what, frame: None) -> Iterator[Recording]:
     """Simulate and write the frames. Yield the recording after each frame.
 
     `watch(what, frame)` is called for each frame, including the preroll.
@@ -208,7 +218,7 @@ def record(recording: Recording, watch: Callable[[str, int], None] = lambda what
         shot.setting,
         version=shot.inputs["antdsl"],
         scene=name,
-        scene_path=recording.scene_path or relative_path(Path(shot.scene.source.path), recording.folder),
+        scene_path=recording.scene_path or find_relative_path(Path(shot.scene.source.path), recording.folder),
         inputs=recording.inputs,
         units=model.units,
         up=model.up,
@@ -218,42 +228,42 @@ def record(recording: Recording, watch: Callable[[str, int], None] = lambda what
         checkpoint=model.output.checkpoint,
         attributes=maker.attributes,
         definitions=stored_bodies.entries,
-        worn=stored_bodies.worn,
+        definition_by_species=stored_bodies.index_by_species,
         feelers={
-            name: feelers_of(shot.program, name, world.params, shot.setting.unit_mm, world.dt) for name in world.populations
+            name: list_feelers(shot.program, name, world.params, shot.setting.unit_mm, world.dt) for name in world.populations
         },
-        camera=_camera(shot, world.origin),
-        looks=looks_of(model),
+        camera=_make_camera_entry(shot, world.origin),
+        looks=collect_looks(model),
     )
-    made_with = partial(provenance, name, shot.frames, shot.setting.seed, recording.inputs)
+    made_with = partial(collect_provenance, name, shot.frames, shot.setting.seed, recording.inputs)
     with CacheWriter(recording.folder, manifest, made_with, recording.add_measures) as writer:
-        static = {**recording.static, **stored_bodies.arrays}
-        writer.begin(world, static, maker, recording.kept_lines, recording.damaged, recording.surface_error)
+        static = {**recording.static_arrays, **stored_bodies.arrays}
+        writer.begin(world, static, maker, recording.retained_lines, recording.damaged_checkpoints, recording.surface_error)
         if recording.resumed_from is None:
             for _ in range(model.preroll):
-                if recording.stop:
+                if recording.stop_requested:
                     return
-                _advance(recording, "preroll")
-                watch("preroll", world.frame)
+                _run_timed_step(recording, "preroll")
+                on_frame("preroll", world.frame)
             world.motion.reset()
-            take_emissions(world)  # events of the preroll are no events of the first frame
+            collect_emissions(world)  # events of the preroll are no events of the first frame
             world.timings.clear()
-            world.worked.clear()
-            _write(recording, writer)
+            world.cpu_seconds.clear()
+            _write_frame(recording, writer)
             yield recording
-        while recording.frame is not None and recording.frame < shot.frames.last and not recording.stop:
-            _advance(recording, "step")
-            _write(recording, writer)
+        while recording.frame is not None and recording.frame < shot.frames.last and not recording.stop_requested:
+            _run_timed_step(recording, "step")
+            _write_frame(recording, writer)
             yield recording
         if recording.frame is not None and not _is_checkpoint(recording, recording.frame):
-            writer.put_checkpoint(world)
+            writer.submit_checkpoint(world)
 
 
-def _advance(recording: Recording, what: str) -> None:
+def _run_timed_step(recording: Recording, what: str) -> None:
     """Run one step and add its time under the name `what`. The first step counts as `first_step`: it also loads kernels and
     tables."""
     began = time.perf_counter()
-    meter = recording.meter if what == "step" and "first_step" in recording.seconds else None
+    meter = recording.step_meter if what == "step" and "first_step" in recording.seconds else None
     if meter is not None:
         meter.begin(recording.world)
     step(recording.world)
@@ -265,7 +275,7 @@ def _advance(recording: Recording, what: str) -> None:
     else:
         recording.add_time("first_step", began)
         recording.world.timings.clear()
-        recording.world.worked.clear()
+        recording.world.cpu_seconds.clear()
 
 
 def _is_checkpoint(recording: Recording, frame: int) -> bool:
@@ -274,40 +284,40 @@ def _is_checkpoint(recording: Recording, frame: int) -> bool:
     return (frame - recording.shot.frames.first) % recording.shot.scene.model.output.checkpoint == 0
 
 
-def _write(recording: Recording, writer: CacheWriter) -> None:
+def _write_frame(recording: Recording, writer: CacheWriter) -> None:
     """Pass the current frame to the writer, with a checkpoint if one is due, and add the time."""
     world = recording.world
     began = time.perf_counter()
-    writer.put_frame(world)
+    writer.submit_frame(world)
     if _is_checkpoint(recording, world.frame):
-        writer.put_checkpoint(world)
+        writer.submit_checkpoint(world)
     recording.frame = world.frame
     recording.add_time("hand_over", began)
 
 
-def _camera(shot: Shot, origin: NDArray[np.float64]) -> CameraEntry | Literal["fit"] | None:
+def _make_camera_entry(shot: Shot, origin: NDArray[np.float64]) -> CameraEntry | Literal["fit"] | None:
     """Return the manifest's entry for the scene's camera, `fit`, or None without a camera."""
     camera = shot.scene.model.camera
     if shot.setting.camera is not None:
-        return _file_camera(shot.setting.camera, origin, 1.0 / shot.setting.unit_mm)
+        return _make_file_camera_entry(shot.setting.camera, origin, 1.0 / shot.setting.unit_mm)
     if not isinstance(camera, Camera):
         return "fit" if camera == "fit" else None
     unit_mm = shot.scene.model.unit_mm
     points: list[Any] = [
-        tuple(float(part) / unit_mm for part in np.subtract(millimetres(point, unit_mm), origin))
+        tuple(float(part) / unit_mm for part in np.subtract(convert_point(point, unit_mm), origin))
         for point in (camera.at, camera.look_at)
     ]
     return CameraEntry(at=points[0], look_at=points[1], focal=camera.focal.number if camera.focal is not None else None)
 
 
-def _file_camera(camera: CameraData, origin: NDArray[np.float64], scale: float) -> CameraEntry:
+def _make_file_camera_entry(camera: CameraData, origin: NDArray[np.float64], scale: float) -> CameraEntry:
     """Return the manifest's entry for a camera from a file, with the values of the first frame."""
     rows = ((camera.at[0] - origin) * scale, (camera.look_at[0] - origin) * scale, camera.up[0])
     at, look_at, up = (tuple(float(v) for v in row) for row in rows)
     return CameraEntry(at=at, look_at=look_at, focal=float(camera.focal[0]), up=up, moves=len(camera.at) > 1)  # type: ignore[arg-type]
 
 
-def looks_of(model: SceneModel) -> Mapping[str, Look | Mapping[str, Look]]:
+def collect_looks(model: SceneModel) -> Mapping[str, Look | Mapping[str, Look]]:
     """Return the looks that the scene sets, by name of a mesh or of items.
 
     Items from a USD file have one look. Items with separate entries have a mapping of looks by item name."""

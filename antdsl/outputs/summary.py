@@ -5,13 +5,13 @@ from __future__ import annotations
 import json
 from typing import Any
 
-from antdsl.numerics.host import peak_memory
+from antdsl.numerics.host import measure_peak_memory
 from antdsl.outputs.recording import Recording
 
 
-def summary(recording: Recording) -> dict[str, Any]:
-    """Return counts, speeds and measurements of a run. `seconds`, `fps` and `peak_memory` differ between equal runs, all others
-    do not."""
+def summarise_run(recording: Recording) -> dict[str, Any]:
+    """Return counts, speeds and measurements of a run. `seconds`, `fps` and `measure_peak_memory` differ between equal runs, all
+    others do not."""
     world = recording.world
     stepping = recording.seconds.get("step", 0.0) + recording.seconds.get("hand_over", 0.0)
     steps = recording.steps
@@ -21,25 +21,30 @@ def summary(recording: Recording) -> dict[str, Any]:
         "fps": round(steps / stepping, 3) if stepping > 0 else 0.0,
         "seconds": {
             name: round(value, 6)
-            for name, value in {**recording.seconds, **recording.frame_seconds, **recording.behind, **world.timings}.items()
+            for name, value in {
+                **recording.seconds,
+                **recording.frame_seconds,
+                **recording.writer_seconds,
+                **world.timings,
+            }.items()
         },
-        "states": states(recording),
+        "states": count_states(recording),
         "transitions": dict(world.transitions),
         "items": {
             name: {attribute: float(amount.sum()) for attribute, amount in items.amounts.items()}
             for name, items in world.items.items()
         },
-        "carried": carried_totals(recording),
+        "carried": sum_carried_amounts(recording),
         "faults": world.faults.count,
         "max_surface_error": recording.surface_error,
         "motion": world.motion.summary(),
         **({} if world.detail is None else {"lod": world.detail.summary(world)}),
-        "state_hash": recording.hash,
-        "peak_memory": peak_memory(),
+        "state_hash": recording.last_state_hash,
+        "peak_memory": measure_peak_memory(),
     }
 
 
-def states(recording: Recording) -> dict[str, int]:
+def count_states(recording: Recording) -> dict[str, int]:
     """Return the number of agents in each state, by `species.state`, or by `species.machine.state` for named machines."""
     import numpy as np
 
@@ -52,7 +57,7 @@ def states(recording: Recording) -> dict[str, int]:
     return agent_counts
 
 
-def carried_totals(recording: Recording) -> dict[str, float]:
+def sum_carried_amounts(recording: Recording) -> dict[str, float]:
     """Return, by `species.attribute`, the sums over agents of attributes that items also have: the amounts in transit between
     items."""
     import numpy as np
@@ -66,6 +71,6 @@ def carried_totals(recording: Recording) -> dict[str, float]:
     }
 
 
-def summary_file(recording: Recording) -> bytes:
+def encode_summary(recording: Recording) -> bytes:
     """Return the summary as the bytes of its file."""
-    return (json.dumps(summary(recording), indent=1) + "\n").encode()
+    return (json.dumps(summarise_run(recording), indent=1) + "\n").encode()

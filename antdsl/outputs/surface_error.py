@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.numerics import parallel
-from antdsl.outputs.cache.frame_loops import greatest_distance
+from antdsl.outputs.cache.frame_loops import find_greatest_error
 from antdsl.runtime import Population, World
 
 
-def surface_error(world: World) -> float:
+def measure_surface_error(world: World) -> float:
     """Return the greatest deviation of an agent's distance to its ground from its clearance, in body lengths.
 
     The ground is the triangle or the solid that the agent stands on. Positions are rounded to float32, as written."""
@@ -20,15 +20,17 @@ def surface_error(world: World) -> float:
     for population in world.populations.values():
         if len(population):
             ground = world.ground.position(population.footing)
-            worst = max(worst, _greatest_error(world, population, ground))
+            worst = max(worst, _find_greatest_error(world, population, ground))
     return worst
 
 
-def _greatest_error(world: World, population: Population, ground: NDArray[np.float64]) -> float:
+def _find_greatest_error(world: World, population: Population, ground: NDArray[np.float64]) -> float:
     clearance, size = population.now.get("clearance", np.zeros(len(population), np.float32)), population.now["size"]
     if not world.solids:
-        work = partial(greatest_distance, population.position, ground, clearance, size)
-        return float(np.max(parallel.in_parts(work, len(population), world.options.threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD)))
+        work = partial(find_greatest_error, population.position, ground, clearance, size)
+        return float(
+            np.max(parallel.run_in_parts(work, len(population), world.options.threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD))
+        )
     x, y, z = (population.position.astype(np.float32) - ground).T
     distance = np.sqrt((x * x + y * y) + z * z)
     for number, volume in enumerate(world.solids.values(), len(world.setting.surfaces)):

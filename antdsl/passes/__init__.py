@@ -5,21 +5,21 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from antdsl.passes.drop_unused import drop_unused
-from antdsl.passes.fold import fold
-from antdsl.passes.hoist import hoist
-from antdsl.passes.keep import keep_senses
-from antdsl.passes.merge import merge
-from antdsl.passes.narrow import narrow
+from antdsl.passes.fold import fold_regions
+from antdsl.passes.hoist import hoist_factors
+from antdsl.passes.memoise_senses import memoise_senses
+from antdsl.passes.merge_regions import merge_regions
+from antdsl.passes.split_conditions import split_conditions
 from antdsl.plan.ir import Plan
 from antdsl.plan.verify import verify
 
 PASSES: tuple[Callable[[Plan], Plan], ...] = (
-    fold,  # first: a constant condition removes complete regions
-    drop_unused,  # before `merge`: an empty region between two others prevents merging
-    merge,  # needs shared conditions
-    hoist,  # needs the merged regions; rebuilds all nodes once
-    narrow,  # after `merge`, which could not join the two halves
-    keep_senses,  # last, when regions and nodes are final
+    fold_regions,  # first: a constant condition removes complete regions
+    drop_unused,  # before `merge_regions`: an empty region between two others prevents merging
+    merge_regions,  # needs shared conditions
+    hoist_factors,  # needs the merged regions; rebuilds all nodes once
+    split_conditions,  # after `merge_regions`, which could not join the two halves
+    memoise_senses,  # last, when regions and nodes are final
 )
 
 

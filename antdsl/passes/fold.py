@@ -2,27 +2,27 @@
 
 from __future__ import annotations
 
-from antdsl.passes.rewriting import with_blocks
+from antdsl.passes.rewriting import replace_blocks
 from antdsl.plan.ir import Block, If, Plan, PlanStatement, SpeciesPlan
-from antdsl.plan.simplify import constant_value
+from antdsl.plan.simplify import get_constant_value
 
 
-def fold(plan: Plan) -> Plan:
+def fold_regions(plan: Plan) -> Plan:
     """Return an equivalent plan. Regions with a false condition are removed. Regions with a true condition are replaced by their
     statements.
 
     No constants are computed here: the PlanBuilder has done so for all nodes."""
-    return with_blocks(plan, lambda species, block: _block(species, block))
+    return replace_blocks(plan, lambda species, block: _fold_block(species, block))
 
 
-def _block(species: SpeciesPlan, block: Block) -> Block:
+def _fold_block(species: SpeciesPlan, block: Block) -> Block:
     result: list[PlanStatement] = []
     for statement in block.statements:
         if not isinstance(statement, If):
             result.append(statement)
             continue
-        known = constant_value(statement.condition)
-        inner = _block(species, statement.then)
+        known = get_constant_value(statement.condition)
+        inner = _fold_block(species, statement.then)
         if known is True:
             result += inner.statements
         elif known is None and inner.statements:

@@ -17,24 +17,25 @@ from antdsl.plan.ir import Plan, PlanNode, UpdateRate
 _PAIR_OPERATIONS = frozenset(("pair.x", "pair.y", "pair.z", "other"))
 
 
-def hoist(plan: Plan, watched: dict[PlanNode, PlanNode] | None = None) -> Plan:
-    """Return the plan with the operands of products and quotients of pairs in a cheaper order. `watched`: as in `rebuild`."""
-    return rebuild(plan, _make, watched)
+def hoist_factors(plan: Plan, tracked_nodes: dict[PlanNode, PlanNode] | None = None) -> Plan:
+    """Return the plan with the operands of products and quotients of pairs in a cheaper order. `tracked_nodes`: as in
+    `rebuild`."""
+    return rebuild(plan, _reorder_product, tracked_nodes)
 
 
-def _make(b: PlanBuilder, op: str, args: tuple[PlanNode, ...], attrs: tuple[Any, ...]) -> PlanNode | None:
+def _reorder_product(b: PlanBuilder, op: str, args: tuple[PlanNode, ...], attrs: tuple[Any, ...]) -> PlanNode | None:
     if op == "reduce.sum" and args[2].op == "neg":  # exact: rounding to a multiple is symmetric about zero
         return b("neg", b("reduce.sum", *args[:2], args[2].args[0], attrs=attrs))
     if op == "div" and _is_pair_rate(args[0]) and not _is_pair_rate(args[1]):
-        return _product(b, (args[0], b("div", b.number(1), args[1])))
+        return _build_product(b, (args[0], b("div", b.number(1), args[1])))
     if op == "mul" and (_is_pair_rate(args[0]) or _is_pair_rate(args[1])):
-        return _product(b, args)
+        return _build_product(b, args)
     return None
 
 
-def _product(b: PlanBuilder, args: tuple[PlanNode, ...]) -> PlanNode:
+def _build_product(b: PlanBuilder, args: tuple[PlanNode, ...]) -> PlanNode:
     """Return the product of the factors of all operands."""
-    factors, negative = _factors(args)
+    factors, negative = _collect_factors(args)
     agent = [n for n in factors if not _is_pair_rate(n)]
     pair = [n for n in factors if _is_pair_rate(n)]
     first = next((n for n in pair if n.op in _PAIR_OPERATIONS), pair[0])
@@ -44,7 +45,7 @@ def _product(b: PlanBuilder, args: tuple[PlanNode, ...]) -> PlanNode:
     return b("neg", result) if negative else result
 
 
-def _factors(args: tuple[PlanNode, ...]) -> tuple[list[PlanNode], bool]:
+def _collect_factors(args: tuple[PlanNode, ...]) -> tuple[list[PlanNode], bool]:
     """Return the factors of the operands, from left to right, and whether the number of negations among them is odd."""
     factors: list[PlanNode] = []
     negative = False

@@ -6,7 +6,7 @@ from typing import Any
 
 from antdsl.plan import simplify
 from antdsl.plan.ir import KIND_BY_LETTER, OPERATION_BY_NAME, TUPLE_KINDS_BY_OPERATION, PlanNode, UpdateRate, ValueKind
-from antdsl.plan.simplify import f32
+from antdsl.plan.simplify import round_to_f32
 from antdsl.source import Span
 
 _REGISTER_OPERATIONS = frozenset(("snap", "load", "other", "agent.get", "item.get"))
@@ -16,22 +16,22 @@ class PlanError(AssertionError):
     """Error for a plan that breaks the rules of plans. The cause is an error in antdsl, never in the author's program."""
 
 
-def operand_problem(op: str, args: tuple[PlanNode, ...], attrs: tuple[Any, ...]) -> str | None:
+def find_operand_problem(op: str, args: tuple[PlanNode, ...], attrs: tuple[Any, ...]) -> str | None:
     """Return an error message about the operands and attributes of an operation, or None if they are valid."""
     shape = (op, len(attrs), *[arg.kind for arg in args])
     if shape in _CHECKED_SHAPES:
         return None
-    wrong = _operand_problem(op, args, attrs)
+    wrong = _find_operand_problem(op, args, attrs)
     if wrong is None:
         _CHECKED_SHAPES.add(shape)
     return wrong
 
 
-# Operand kinds and attribute counts that `_operand_problem` has already accepted, by operation.
+# Operand kinds and attribute counts that `_find_operand_problem` has already accepted, by operation.
 _CHECKED_SHAPES: set[tuple[Any, ...]] = set()
 
 
-def _operand_problem(op: str, args: tuple[PlanNode, ...], attrs: tuple[Any, ...]) -> str | None:
+def _find_operand_problem(op: str, args: tuple[PlanNode, ...], attrs: tuple[Any, ...]) -> str | None:
     row = OPERATION_BY_NAME.get(op)
     if row is None:
         return f"no operation {op}"
@@ -52,7 +52,7 @@ def _operand_problem(op: str, args: tuple[PlanNode, ...], attrs: tuple[Any, ...]
     return None
 
 
-def result_kind(op: str, args: tuple[PlanNode, ...], attrs: tuple[Any, ...], kind: ValueKind | None) -> ValueKind:
+def infer_result_kind(op: str, args: tuple[PlanNode, ...], attrs: tuple[Any, ...], kind: ValueKind | None) -> ValueKind:
     """Return the kind of a result. For operations that read a register, it is `kind`."""
     if op in _REGISTER_OPERATIONS:
         return kind or ValueKind.F32
@@ -64,7 +64,7 @@ def result_kind(op: str, args: tuple[PlanNode, ...], attrs: tuple[Any, ...], kin
     return OPERATION_BY_NAME[op].kind
 
 
-def result_rate(op: str, args: tuple[PlanNode, ...]) -> UpdateRate:
+def infer_result_rate(op: str, args: tuple[PlanNode, ...]) -> UpdateRate:
     """Return the rate of a result: the highest rate of the operation and its operands. A reduction has the agent's rate."""
     if op.startswith("reduce."):
         return UpdateRate.AGENT
@@ -81,35 +81,35 @@ class PlanBuilder:
     def __init__(self) -> None:
         self.nodes: list[PlanNode] = []
         self.span: Span | None = None
-        self._known: dict[tuple[Any, ...], PlanNode] = {}
+        self._interned_nodes: dict[tuple[Any, ...], PlanNode] = {}
         self.true = self("const.bool", attrs=(True,))
         self.false = self("const.bool", attrs=(False,))
 
     def __call__(self, op: str, *args: PlanNode, attrs: tuple[Any, ...] = (), kind: ValueKind | None = None) -> PlanNode:
         """Return the node of an operation, simplified if the operands allow it."""
-        wrong = operand_problem(op, args, attrs)
+        wrong = find_operand_problem(op, args, attrs)
         if wrong:
             raise PlanError(wrong)
         simple = simplify.simplify(self, op, args, attrs)
-        return simple if simple is not None else self.intern(op, args, attrs, result_kind(op, args, attrs, kind))
+        return simple if simple is not None else self.intern(op, args, attrs, infer_result_kind(op, args, attrs, kind))
 
     def intern(
         self, op: str, args: tuple[PlanNode, ...], attrs: tuple[Any, ...], kind: ValueKind, span: Span | None = None
     ) -> PlanNode:
         """Return the node with these values. A new node is added only if there is no equal one."""
         key = (op, tuple([a.number for a in args]), repr(attrs) if attrs else "", kind)
-        node = self._known.get(key)
+        node = self._interned_nodes.get(key)
         if node is None:
-            node = PlanNode(op, args, attrs, kind, result_rate(op, args), span or self.span, len(self.nodes))
+            node = PlanNode(op, args, attrs, kind, infer_result_rate(op, args), span or self.span, len(self.nodes))
             self.nodes.append(node)
-            self._known[key] = node
+            self._interned_nodes[key] = node
         return node
 
     def number(self, x: float) -> PlanNode:
         """Return an F32 constant."""
-        return self("const", attrs=(f32(float(x)),))
+        return self("const", attrs=(round_to_f32(float(x)),))
 
-    def truth(self, x: bool) -> PlanNode:
+    def boolean(self, x: bool) -> PlanNode:
         """Return a BOOL constant."""
         return self.true if x else self.false
 
@@ -117,17 +117,17 @@ class PlanBuilder:
         """Return an I32 constant: a state's index or an item's row."""
         return self("const.i32", attrs=(int(x),))
 
-    def agent(self, x: int) -> PlanNode:
+    def agent_id(self, x: int) -> PlanNode:
         """Return an I64 constant: an agent's id."""
         return self("const.i64", attrs=(int(x),))
 
-    def zero(self, kind: ValueKind, value: float | int | bool = 0) -> PlanNode:
+    def constant_of_kind(self, kind: ValueKind, value: float | int | bool = 0) -> PlanNode:
         """Return a constant of a kind, 0 by default."""
         if kind is ValueKind.F32:
             return self.number(float(value))
         if kind is ValueKind.BOOL:
-            return self.truth(bool(value))
-        return self.row(int(value)) if kind is ValueKind.I32 else self.agent(int(value))
+            return self.boolean(bool(value))
+        return self.row(int(value)) if kind is ValueKind.I32 else self.agent_id(int(value))
 
     def all(self, *conditions: PlanNode) -> PlanNode:
         """Return the conjunction of conditions, in their order."""

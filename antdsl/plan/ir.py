@@ -1,5 +1,4 @@
-"""The plan, the intermediate form of a program: scalar nodes with operations of a closed table, statements, and registers per
-agent.
+"""The plan, the intermediate form of a program: scalar nodes with operations of a closed table, statements and registers.
 
 A `PlanNode` is pure and interned by its builder: the same operation of the same operands is one object. A vector is three nodes.
 A statement acts on the agents of its region: all agents of the species for which each enclosing `If` holds. Base units: mm, s, g,
@@ -16,7 +15,7 @@ from typing import Any
 
 from antdsl.program.tables import senses
 from antdsl.program.tables.rows import SenseRow
-from antdsl.program.tables.things import BLOCKING
+from antdsl.program.tables.things import BLOCKING_KINDS
 from antdsl.source import Span
 
 
@@ -79,7 +78,7 @@ _AGENT, _PAIR = UpdateRate.AGENT, UpdateRate.PAIR
 KIND_BY_LETTER = {"f": F, "b": BOOL, "i": INDEX, "l": ID, "t": T, "s": SET}
 
 
-def _sense(row: SenseRow) -> Operation:
+def _build_sense_operation(row: SenseRow) -> Operation:
     attrs = (row.of, *row.attrs) if row.of else row.attrs
     return Operation(row.operands, attrs, KIND_BY_LETTER[row.kinds] if len(row.kinds) == 1 else T, _AGENT, row.results_text)
 
@@ -142,7 +141,7 @@ OPERATION_BY_NAME: dict[str, Operation] = {
     "item.get": Operation("i", ("items", "attribute"), F, _AGENT, "x y z radius or a declared attribute of an item; 0 for none"),
     "item.alive": Operation("i", ("items",), BOOL, _AGENT, "there is such an item"),
     # senses of the place; the agent's own position at the start of the step
-    **{row.op: _sense(row) for row in senses.SENSE_BY_OPERATION.values()},
+    **{row.op: _build_sense_operation(row) for row in senses.SENSE_BY_OPERATION.values()},
     # sets
     "set.agents": Operation(
         "ff", ("species", "all_round"), SET, _AGENT, "others within a radius, and within a cosine of the heading"
@@ -200,13 +199,12 @@ class If:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Store:
-    """Assignment to a register. A value that is not finite is not stored, and the agent gets a fault (decision 24). If
-    `infinite`, +inf is stored."""
+    """Assignment to a register. Other values than finite ones, and +inf if it `allows_infinity`, are a fault (decision 24)."""
 
     register: str
     value: PlanNode
     span: Span | None
-    infinite: bool = False
+    allows_infinity: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -214,14 +212,15 @@ class Claim:
     """Claim of `amount` (None: all that is left) from an item's attribute. If `item` is None, it is from the agent's cell of the
     field `of`.
 
-    Claims are resolved after decide, in the order of (draw, id), while the remaining amount suffices. The BOOL register `won` is
-    set for agents with a successful claim. The amount is added to the agent's register `own`, if one is named."""
+    Claims are resolved after decide, in the order of (draw, id), while the remaining amount suffices. The BOOL register
+    `won_register` is set for agents with a successful claim. The amount is added to the agent's register `own`, if one is
+    named."""
 
     of: str
     attribute: str
     item: PlanNode | None
     amount: PlanNode | None
-    won: str
+    won_register: str
     own: str | None
     site: str
     span: Span | None
@@ -264,20 +263,20 @@ PlanStatement = If | Store | Claim | Give | Request
 @dataclass(frozen=True, slots=True, eq=False)
 class Register:
     """A value per agent. `role`: attribute, memory (keep, latch, held, state of machines), pair (a slot of a pair value) or temp.
-    A temp lasts one step and starts at `zero`. The others are stored from step to step and hashed. `holds`: the type in the
-    language, if there is one. A reload retains the value only if the edited program declares the name with the same type."""
+    A temp lasts one step and starts at `initial_value`. The others are stored from step to step and hashed. `language_type`: the
+    type in the language, if there is one. A reload retains the value only if the edited program declares the name with the same
+    type."""
 
     name: str
     kind: ValueKind
     role: str
-    zero: float | int | bool = 0
+    initial_value: float | int | bool = 0
     of: str | None = None  # species of the ids in an I64 register: references to the dead become -1 in it
-    holds: tuple[Any, ...] = ()  # kind, exponents of its dimension, and its species or thing
+    language_type: tuple[Any, ...] = ()  # kind, exponents of its dimension, and its species or thing
 
 
 def birth_register(attribute: str) -> str:
-    """Return the name of the temp with the scene's value of an attribute at birth. The value is infinite if the scene has
-    none."""
+    """Return the name of the temp with the scene's value of an attribute at birth, infinite if the scene has none."""
     return f"~born.{attribute}"
 
 
@@ -302,20 +301,20 @@ class LayerPlan:
 class ClipPlan:
     """A clip of the body by its name, on the joints of a transform group (`on`; "": all).
 
-    `add`: the differences from the rest pose are added to all other clips. `left`, `right`, `up`, `down`: the clips that replace
-    it as an agent turns, climbs or descends."""
+    `is_additive`: the differences from the rest pose are added to all other clips. `left_clip`, `right_clip`, `up_clip`,
+    `down_clip`: the clips that replace it as an agent turns, climbs or descends."""
 
     name: str
     on: str = ""
-    add: bool = False
-    left: str = ""
-    right: str = ""
-    up: str = ""
-    down: str = ""
+    is_additive: bool = False
+    left_clip: str = ""
+    right_clip: str = ""
+    up_clip: str = ""
+    down_clip: str = ""
 
     @property
-    def leans(self) -> bool:
-        return any((self.left, self.right, self.up, self.down))
+    def has_lean_clips(self) -> bool:
+        return any((self.left_clip, self.right_clip, self.up_clip, self.down_clip))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -325,10 +324,9 @@ class SpeciesPlan:
 
     Vectors are registers NAME.x NAME.y NAME.z. Every species has the registers: position velocity heading up (vectors), push
     (vector, temp), size mass radius clearance max_speed max_force max_turn response group. An infinite max_turn is no limit.
-    `response` 0 or `kinematic`: the push changes the velocity at once.
-
-    All species have `moved` if the program reads how far contacts pushed an agent. A species with a minimum speed also has
-    min_speed. One with `face` lines has the temp ~face, which is zero for agents that face their direction of motion."""
+    `response` 0 or `kinematic`: the push changes the velocity at once. All species have `moved` if the program reads how far
+    contacts pushed an agent. A species with a minimum speed has min_speed. One with `face` lines has the temp ~face: zero for
+    agents that face their direction of motion."""
 
     name: str
     registers: dict[str, Register]
@@ -337,17 +335,17 @@ class SpeciesPlan:
     decide: Block
     act: Block
     blend: Block
-    handles: tuple[str, ...]  # events
+    event_names: tuple[str, ...]  # events
     layers: tuple[LayerPlan, ...]
-    lazy: tuple[PlanNode, ...] = ()  # senses of which the result is stored for the rest of the step
-    rests: Mapping[str, PlanNode] = field(default_factory=dict)  # initial and rest value of each pair value; rate RUN
+    memoised_senses: tuple[PlanNode, ...] = ()  # senses of which the result is stored for the rest of the step
+    pair_rest_values: Mapping[str, PlanNode] = field(default_factory=dict)  # initial and rest value of each pair value; rate RUN
     clips: tuple[ClipPlan, ...] = ()  # clips that its states play; clip registers hold their index
-    wears: tuple[str, ...] = ()  # layers of the body that states show: registers `wear#LAYER`
+    worn_layers: tuple[str, ...] = ()  # layers of the body that states show: registers `wear#LAYER`
     channels: tuple[str, ...] = ()  # channels that states set: the value `channel#NAME`, and whether one does, `.said`
-    looks: tuple[str, ...] = ()  # transform groups that states turn towards a point: `look#GROUP.x`, `.y`, `.z`
+    look_groups: tuple[str, ...] = ()  # transform groups that states turn towards a point: `look#GROUP.x`, `.y`, `.z`
     clears_body: bool = False  # whether the body, not only the feet, stays outside the ground and obstacles
     has_whole_body: bool = False  # whether head, abdomen and load take room in contacts
-    settings: frozenset[str] = frozenset()  # which of height, upright and max_slope are registers that move its agents
+    settings: tuple[str, ...] = ()  # which of height, upright and max_slope are registers that move its agents
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -389,14 +387,14 @@ class Plan:
     fields: dict[str, FieldPlan]
     items: dict[str, ItemsPlan]
     params: dict[str, ParamPlan]
-    things: Mapping[str, tuple[str, ...]]  # names of the other things of the world, by their kind
+    thing_names_by_kind: Mapping[str, tuple[str, ...]]  # names of the other things of the world, by their kind
     nodes: tuple[PlanNode, ...] = field(default=())
 
-    def of_kind(self, *kinds: str) -> tuple[str, ...]:
+    def list_things_of_kind(self, *kinds: str) -> tuple[str, ...]:
         """Return the names of the things of some kinds."""
-        return tuple(name for kind in kinds for name in self.things.get(kind, ()))
+        return tuple(name for kind in kinds for name in self.thing_names_by_kind.get(kind, ()))
 
     @property
     def obstacles(self) -> tuple[str, ...]:
         """Return the names of the things that agents cannot walk through."""
-        return self.of_kind(*BLOCKING)
+        return self.list_things_of_kind(*BLOCKING_KINDS)

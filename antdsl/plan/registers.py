@@ -2,7 +2,7 @@
 
 A pair value has slots. Each slot has the id of another agent and the value that is stored about it.
 A `load` is evaluated at its first use. A load may have uses before and after a store to its register, in regions that do not
-share values. Such a load is evaluated before the statement that contains both uses. `early_loads` returns these loads by
+share values. Such a load is evaluated before the statement that contains both uses. `find_early_loads` returns these loads by
 place."""
 
 from __future__ import annotations
@@ -11,39 +11,39 @@ from collections.abc import Iterable
 
 from antdsl.plan import ir
 from antdsl.plan.ir import SpeciesPlan, ValueKind
-from antdsl.plan.traverse import operands, placed, required_nodes
+from antdsl.plan.traverse import collect_required_nodes, iterate_with_positions, list_operands
 
 _BYTES_BY_KIND = {ValueKind.F32: 4, ValueKind.BOOL: 1, ValueKind.I32: 4, ValueKind.I64: 8}
 _ID_BYTES = 8  # bytes of the other agent's id in a slot
 
 
-def written(statement: ir.PlanStatement) -> str | None:
+def find_written_register(statement: ir.PlanStatement) -> str | None:
     """Return the register that a statement itself changes, or None."""
     if isinstance(statement, ir.Store):
         return statement.register
     return statement.own if isinstance(statement, ir.Give) else None
 
 
-def early_loads(block: ir.Block) -> dict[tuple[int, ...], list[ir.PlanNode]]:
+def find_early_loads(block: ir.Block) -> dict[tuple[int, ...], list[ir.PlanNode]]:
     """Return the loads to evaluate early, by place. The loads of a place are evaluated just before the statement at the place, in
     its region."""
     read_paths: dict[ir.PlanNode, list[tuple[int, ...]]] = {}
     stores: dict[str, list[tuple[int, ...]]] = {}
-    for path, statement in placed(block):
-        for node in required_nodes(operands(statement)):
+    for path, statement in iterate_with_positions(block):
+        for node in collect_required_nodes(list_operands(statement)):
             if node.op == "load":
                 read_paths.setdefault(node, []).append(path)
-        register = written(statement)
+        register = find_written_register(statement)
         if register is not None:
             stores.setdefault(register, []).append(path)
     loads: dict[tuple[int, ...], list[ir.PlanNode]] = {}
     for node, paths in read_paths.items():
         if any(paths[0] <= store < paths[-1] for store in stores.get(node.attrs[0], ())):
-            loads.setdefault(_common_place(paths), []).append(node)
+            loads.setdefault(_find_common_place(paths), []).append(node)
     return loads
 
 
-def _common_place(paths: list[tuple[int, ...]]) -> tuple[int, ...]:
+def _find_common_place(paths: list[tuple[int, ...]]) -> tuple[int, ...]:
     """Return the place at which several paths meet. In the smallest block around all of them, it is the statement that contains
     the first path."""
     first, depth = paths[0], min(len(p) for p in paths) - 1
@@ -52,18 +52,21 @@ def _common_place(paths: list[tuple[int, ...]]) -> tuple[int, ...]:
     return first[: depth + 1]
 
 
-def statement_numbers(species: ir.SpeciesPlan) -> dict[ir.PlanStatement, int]:
+def number_statements(species: ir.SpeciesPlan) -> dict[ir.PlanStatement, int]:
     """Return a number for every statement of a species: its position in the order of blocks and statements, from 0."""
     blocks = (species.born, species.decide, species.act, species.blend)
-    return {statement: k for k, statement in enumerate(statement for block in blocks for _, statement in placed(block))}
+    return {
+        statement: k
+        for k, statement in enumerate(statement for block in blocks for _, statement in iterate_with_positions(block))
+    }
 
 
-def cacheable_senses(species: ir.SpeciesPlan) -> tuple[ir.PlanNode, ...]:
+def find_cacheable_senses(species: ir.SpeciesPlan) -> tuple[ir.PlanNode, ...]:
     """Return the shared senses that keep one value for the complete step: no statement writes a register that they read."""
-    return tuple(node for node in species.lazy if all(part.op != "load" for part in required_nodes((node,))))
+    return tuple(node for node in species.memoised_senses if all(part.op != "load" for part in collect_required_nodes((node,))))
 
 
-def bytes_by_purpose(species: SpeciesPlan) -> dict[str, int]:
+def count_bytes_by_purpose(species: SpeciesPlan) -> dict[str, int]:
     """Return bytes per agent by use.
 
     - `attribute`: built-in attributes and those of the author.
@@ -76,17 +79,17 @@ def bytes_by_purpose(species: SpeciesPlan) -> dict[str, int]:
     return sizes
 
 
-def slot_names(name: str, count: int) -> list[tuple[str, str]]:
+def name_slot_registers(name: str, count: int) -> list[tuple[str, str]]:
     """Return the two registers of each slot of a pair value: the other agent's id (I64, -1 for a free slot) and the value
     (F32)."""
     return [(f"{name}|{k}.id", f"{name}|{k}") for k in range(count)]
 
 
-def pair_values(registers: Iterable[str]) -> dict[str, list[tuple[str, str]]]:
-    """Return the pair values among the registers of a species, by name. Each has its slots as in `slot_names`."""
+def find_pair_values(registers: Iterable[str]) -> dict[str, list[tuple[str, str]]]:
+    """Return the pair values among the registers of a species, by name. Each has its slots as in `name_slot_registers`."""
     counts: dict[str, int] = {}
     for register in registers:
         name, slot, number = register.partition("|")
         if slot and number.isdecimal():
             counts[name] = counts.get(name, 0) + 1
-    return {name: slot_names(name, count) for name, count in counts.items()}
+    return {name: name_slot_registers(name, count) for name, count in counts.items()}

@@ -21,7 +21,7 @@ from antdsl.plan.ir import (
     UpdateRate,
     ValueKind,
 )
-from antdsl.plan.traverse import blocks, operands, required_nodes, statements
+from antdsl.plan.traverse import collect_required_nodes, iterate_statements, list_blocks, list_operands
 from antdsl.program.tables.effects import EFFECT_BY_OPERATION, fill_template
 
 _INFIX_SYMBOLS = {
@@ -34,13 +34,13 @@ _MAX_EXPRESSION_CHARACTERS = 100  # longer expressions are split: their parts ge
 
 def show(plan: Plan) -> str:
     """Return readable text, equal for equal plans. A value that is used several times gets a name, `a1 = …`, at its first use."""
-    parts = [_head(plan)]
+    parts = [_format_head(plan)]
     for species in plan.species.values():
-        parts.append("\n".join(_species(species)))
+        parts.append("\n".join(_format_species(species)))
     return "\n\n".join(part for part in parts if part) + "\n"
 
 
-def _head(plan: Plan) -> str:
+def _format_head(plan: Plan) -> str:
     """Return text about the declarations of a plan: params, items, fields and things."""
     lines = []
     for param in plan.params.values():
@@ -53,14 +53,14 @@ def _head(plan: Plan) -> str:
             if node is not None:
                 lines.append(f"  {word} {names.text(node)}")
     for items in plan.items.values():
-        values = ", ".join(f"{name} = {_number(value)}" for name, value in items.attributes.items())
+        values = ", ".join(f"{name} = {_format_number(value)}" for name, value in items.attributes.items())
         lines.append(f"items {items.name} {{ {values} }}" if values else f"items {items.name}")
-    for kind, thing_names in plan.things.items():
+    for kind, thing_names in plan.thing_names_by_kind.items():
         lines += [f"{kind} {name}" for name in thing_names]
     return "\n".join(lines)
 
 
-def _species(species: SpeciesPlan) -> list[str]:
+def _format_species(species: SpeciesPlan) -> list[str]:
     """Return the lines of one species."""
     lines = [f"species {species.name}"]
     for role in ("attribute", "pair", "memory", "temp"):
@@ -70,13 +70,13 @@ def _species(species: SpeciesPlan) -> list[str]:
             lines.append(f"  {role}: {' '.join(_join_axes(names))}")
     for machine in species.machines:
         lines.append(f"  machine {machine.name}: {' '.join(f'{i}={s}' for i, s in enumerate(machine.states))}")
-    if species.handles:
-        lines.append(f"  handles: {' '.join(species.handles)}")
+    if species.event_names:
+        lines.append(f"  handles: {' '.join(species.event_names)}")
     for number, layer in enumerate(species.layers, 1):
         lines.append(f"  layer {number}: {' '.join(layer.text.split())}")
-    for phase, block in blocks(species):
-        nodes = required_nodes(n for _, s in statements(block) for n in operands(s))
-        lines.append(f"  {phase} ({_cost(nodes)})")
+    for phase, block in list_blocks(species):
+        nodes = collect_required_nodes(n for _, s in iterate_statements(block) for n in list_operands(s))
+        lines.append(f"  {phase} ({_format_cost(nodes)})")
         lines += _PhaseFormatter(block, species).lines(block, "    ")
     return lines
 
@@ -92,7 +92,7 @@ def _join_axes(names: list[str]) -> list[str]:
     return joined
 
 
-def _cost(nodes: list[PlanNode]) -> str:
+def _format_cost(nodes: list[PlanNode]) -> str:
     """Return text with the number of operations per step, per agent and per pair, and the number of senses."""
     work = [n for n in nodes if n.op not in _LEAF_OPERATIONS]
     plain = [n.rate for n in work if n.op not in SENSE_OPERATIONS and n.op != "get"]
@@ -103,7 +103,7 @@ def _cost(nodes: list[PlanNode]) -> str:
     return ", ".join(parts) if parts else "nothing"
 
 
-def _number(x: float) -> str:
+def _format_number(x: float) -> str:
     if math.isinf(x):
         return "inf" if x > 0 else "-inf"
     return f"{x:.7g}"
@@ -119,9 +119,9 @@ class _ExpressionFormatter:
         """Return the name of a node, or its expression if it has no name."""
         if node in self.names:
             return self.names[node]
-        return self.expression_text(node)
+        return self.format_expression(node)
 
-    def expression_text(self, node: PlanNode) -> str:
+    def format_expression(self, node: PlanNode) -> str:
         """Return the expression of a node, even if the node has a name."""
         inner = [self.text(a) for a in node.args]
         op, attrs = node.op, node.attrs
@@ -130,7 +130,7 @@ class _ExpressionFormatter:
             return f"{left} {_INFIX_SYMBOLS[op]} {right}"
         match op:
             case "const":
-                return _number(attrs[0])
+                return _format_number(attrs[0])
             case "const.bool":
                 return "true" if attrs[0] else "false"
             case "const.i32" | "const.i64":
@@ -170,21 +170,21 @@ class _PhaseFormatter(_ExpressionFormatter):
         super().__init__()
         self.species = species
         users: Counter[PlanNode] = Counter()
-        everything = [operands(s) for _, s in statements(block)]
+        everything = [list_operands(s) for _, s in iterate_statements(block)]
         roots = [n for group in everything for n in group]
-        for node in required_nodes(roots):
+        for node in collect_required_nodes(roots):
             users.update(node.args)
         users.update(roots)
-        self.shared = {n for n, count in users.items() if count > 1 and n.op not in _LEAF_OPERATIONS and n.op != "get"}
-        self.shared |= {n for n in users if n.op in SENSE_OPERATIONS}
-        self.shared |= self._nodes_to_name(required_nodes(roots))
+        self.shared_nodes = {n for n, count in users.items() if count > 1 and n.op not in _LEAF_OPERATIONS and n.op != "get"}
+        self.shared_nodes |= {n for n in users if n.op in SENSE_OPERATIONS}
+        self.shared_nodes |= self._find_nodes_to_name(collect_required_nodes(roots))
 
-    def _nodes_to_name(self, nodes: list[PlanNode]) -> set[PlanNode]:
+    def _find_nodes_to_name(self, nodes: list[PlanNode]) -> set[PlanNode]:
         """Return the nodes that need names, so that no expression is longer than a line."""
         named: set[PlanNode] = set()
         size: dict[PlanNode, int] = {}
         for node in nodes:
-            inner = sum(4 if a in named or a in self.shared else size[a] for a in node.args)
+            inner = sum(4 if a in named or a in self.shared_nodes else size[a] for a in node.args)
             size[node] = len(node.op) + sum(len(str(a)) for a in node.attrs) + inner + 3
             if size[node] > _MAX_EXPRESSION_CHARACTERS:
                 named.add(node)
@@ -194,45 +194,52 @@ class _PhaseFormatter(_ExpressionFormatter):
         """Return the lines of a block, with names defined before their first use."""
         result: list[str] = []
         for statement in block.statements:
-            result += [indent + line for line in self._definition_lines(statement)]
-            place = f"    # {_source_place(statement)}" if _source_place(statement) else ""
-            result.append(indent + self._statement(statement) + place)
+            result += [indent + line for line in self._format_definitions(statement)]
+            place = f"    # {_find_source_line(statement)}" if _find_source_line(statement) else ""
+            result.append(indent + self._format_statement(statement) + place)
             if isinstance(statement, If):
                 result += self.lines(statement.then, indent + "  ")
         return result
 
-    def _definition_lines(self, statement: PlanStatement) -> list[str]:
+    def _format_definitions(self, statement: PlanStatement) -> list[str]:
         lines = []
-        for node in required_nodes(operands(statement)):
-            if node in self.shared and node not in self.names and node.rate is not UpdateRate.PAIR:
-                text = self.expression_text(node)
-                keep = " (kept)" if node in self.species.lazy else ""
+        for node in collect_required_nodes(list_operands(statement)):
+            if node in self.shared_nodes and node not in self.names and node.rate is not UpdateRate.PAIR:
+                text = self.format_expression(node)
+                keep = " (kept)" if node in self.species.memoised_senses else ""
                 self.names[node] = f"{'s' if node.op in SENSE_OPERATIONS else 'a'}{len(self.names) + 1}"
                 lines.append(f"{self.names[node]} = {text}{keep}")
         return lines
 
-    def _statement(self, s: PlanStatement) -> str:
-        match s:
+    def _format_statement(self, statement: PlanStatement) -> str:
+        match statement:
             case If():
-                return f"where {self.text(s.condition)}:"
+                return f"where {self.text(statement.condition)}:"
             case Store():
-                return f"{s.register} := {self.text(s.value)}"
+                return f"{statement.register} := {self.text(statement.value)}"
             case Claim():
-                amount = "all" if s.amount is None else self.text(s.amount)
-                if s.item is None:
-                    return f"claim {amount} of {s.of} here{f' for {s.own}' if s.own else ''} -> {s.won}"
-                return f"claim {amount} of {s.of}.{s.attribute} from {self.text(s.item)} -> {s.won}"
+                amount = "all" if statement.amount is None else self.text(statement.amount)
+                if statement.item is None:
+                    receiver = f" for {statement.own}" if statement.own else ""
+                    return f"claim {amount} of {statement.of} here{receiver} -> {statement.won_register}"
+                item = self.text(statement.item)
+                return f"claim {amount} of {statement.of}.{statement.attribute} from {item} -> {statement.won_register}"
             case Give():
-                amount = "all" if s.amount is None else self.text(s.amount)
-                return f"give {amount} of {s.own} to {s.items}.{s.attribute} of {self.text(s.item)}"
+                amount = "all" if statement.amount is None else self.text(statement.amount)
+                return (
+                    f"give {amount} of {statement.own} to {statement.items}.{statement.attribute} of {self.text(statement.item)}"
+                )
             case Request():
-                row = EFFECT_BY_OPERATION[s.op]
-                values = {name: None if arg is None else self.text(arg) for name, arg in zip(row.operands, s.args, strict=True)}
-                return fill_template(row.plan_text, {**values, "of": s.of, "own": s.own})
+                row = EFFECT_BY_OPERATION[statement.op]
+                values = {
+                    name: None if arg is None else self.text(arg)
+                    for name, arg in zip(row.operand_names, statement.args, strict=True)
+                }
+                return fill_template(row.plan_template, {**values, "of": statement.of, "own": statement.own})
 
 
-def _source_place(statement: PlanStatement) -> str:
+def _find_source_line(statement: PlanStatement) -> str:
     """Return the source line that a statement comes from."""
     if statement.span is None:
         return ""
-    return f"line {statement.span.source.line_column(statement.span.start)[0]}"
+    return f"line {statement.span.source.find_line_column(statement.span.start)[0]}"

@@ -21,7 +21,7 @@ ConstantValue = float | int | bool | None
 _CONSTANT_OPERATIONS = frozenset(("const", "const.bool", "const.i32", "const.i64"))
 
 
-def constant_value(node: PlanNode) -> Any:
+def get_constant_value(node: PlanNode) -> Any:
     """Return the value of a constant node (float, int or bool); None for any other node."""
     return node.attrs[0] if node.op in _CONSTANT_OPERATIONS else None
 
@@ -30,7 +30,7 @@ def simplify(b: PlanBuilder, op: str, args: tuple[PlanNode, ...], attrs: tuple[A
     """Return a simpler node with the same value as the operation, or None if none is known."""
     if not args:
         return None
-    values = [constant_value(a) for a in args]
+    values = [get_constant_value(a) for a in args]
     if all(v is not None for v in values):
         known = _fold_constants(b, op, values)
         if known is not None:
@@ -41,26 +41,26 @@ def simplify(b: PlanBuilder, op: str, args: tuple[PlanNode, ...], attrs: tuple[A
 
 def _fold_constants(b: PlanBuilder, op: str, values: list[Any]) -> PlanNode | None:
     if op in ARITHMETIC_FUNCTIONS:
-        return b.number(f32(ARITHMETIC_FUNCTIONS[op](*values)))
+        return b.number(round_to_f32(ARITHMETIC_FUNCTIONS[op](*values)))
     if op in COMPARISON_FUNCTIONS:
-        return b.truth(COMPARISON_FUNCTIONS[op](*values))
+        return b.boolean(COMPARISON_FUNCTIONS[op](*values))
     if op in ("min", "max"):
-        chosen = (least if op == "min" else greatest)(*values)
+        chosen = (find_minimum if op == "min" else find_maximum)(*values)
         return None if chosen is None else b.number(chosen)
     if op == "number":
         return b.number(float(values[0]))
     return None
 
 
-def _add(b: PlanBuilder, args: tuple[PlanNode, ...], v: list[ConstantValue]) -> PlanNode | None:
+def _simplify_add(b: PlanBuilder, args: tuple[PlanNode, ...], v: list[ConstantValue]) -> PlanNode | None:
     return args[0] if v[1] == 0 else args[1] if v[0] == 0 else None
 
 
-def _sub(b: PlanBuilder, args: tuple[PlanNode, ...], v: list[ConstantValue]) -> PlanNode | None:
+def _simplify_sub(b: PlanBuilder, args: tuple[PlanNode, ...], v: list[ConstantValue]) -> PlanNode | None:
     return args[0] if v[1] == 0 else b("neg", args[1]) if v[0] == 0 else None
 
 
-def _mul(b: PlanBuilder, args: tuple[PlanNode, ...], v: list[ConstantValue]) -> PlanNode | None:
+def _simplify_mul(b: PlanBuilder, args: tuple[PlanNode, ...], v: list[ConstantValue]) -> PlanNode | None:
     if v[1] == 1:
         return args[0]
     if v[0] == 1:
@@ -70,19 +70,19 @@ def _mul(b: PlanBuilder, args: tuple[PlanNode, ...], v: list[ConstantValue]) -> 
     return b("neg", args[1]) if v[0] == -1 else None
 
 
-def _div(b: PlanBuilder, args: tuple[PlanNode, ...], v: list[ConstantValue]) -> PlanNode | None:
+def _simplify_div(b: PlanBuilder, args: tuple[PlanNode, ...], v: list[ConstantValue]) -> PlanNode | None:
     return args[0] if v[1] == 1 else None
 
 
-def _neg(b: PlanBuilder, args: tuple[PlanNode, ...], v: list[ConstantValue]) -> PlanNode | None:
+def _simplify_neg(b: PlanBuilder, args: tuple[PlanNode, ...], v: list[ConstantValue]) -> PlanNode | None:
     return args[0].args[0] if args[0].op == "neg" else None
 
 
-def _same_operands(b: PlanBuilder, args: tuple[PlanNode, ...], v: list[ConstantValue]) -> PlanNode | None:
+def _simplify_same_operands(b: PlanBuilder, args: tuple[PlanNode, ...], v: list[ConstantValue]) -> PlanNode | None:
     return args[0] if args[0] is args[1] else None
 
 
-def _and(b: PlanBuilder, args: tuple[PlanNode, ...], v: list[ConstantValue]) -> PlanNode | None:
+def _simplify_and(b: PlanBuilder, args: tuple[PlanNode, ...], v: list[ConstantValue]) -> PlanNode | None:
     if v[0] is False or v[1] is False:
         return b.false
     if v[0] is True or args[0] is args[1]:
@@ -90,7 +90,7 @@ def _and(b: PlanBuilder, args: tuple[PlanNode, ...], v: list[ConstantValue]) -> 
     return args[0] if v[1] is True else None
 
 
-def _or(b: PlanBuilder, args: tuple[PlanNode, ...], v: list[ConstantValue]) -> PlanNode | None:
+def _simplify_or(b: PlanBuilder, args: tuple[PlanNode, ...], v: list[ConstantValue]) -> PlanNode | None:
     if v[0] is True or v[1] is True:
         return b.true
     if v[0] is False or args[0] is args[1]:
@@ -98,9 +98,9 @@ def _or(b: PlanBuilder, args: tuple[PlanNode, ...], v: list[ConstantValue]) -> P
     return args[0] if v[1] is False else None
 
 
-def _not(b: PlanBuilder, args: tuple[PlanNode, ...], v: list[ConstantValue]) -> PlanNode | None:
+def _simplify_not(b: PlanBuilder, args: tuple[PlanNode, ...], v: list[ConstantValue]) -> PlanNode | None:
     if v[0] is not None:
-        return b.truth(not v[0])
+        return b.boolean(not v[0])
     inner = args[0]
     if inner.op == "not":
         return inner.args[0]
@@ -109,7 +109,7 @@ def _not(b: PlanBuilder, args: tuple[PlanNode, ...], v: list[ConstantValue]) -> 
     return None
 
 
-def _where(b: PlanBuilder, args: tuple[PlanNode, ...], v: list[ConstantValue]) -> PlanNode | None:
+def _simplify_where(b: PlanBuilder, args: tuple[PlanNode, ...], v: list[ConstantValue]) -> PlanNode | None:
     condition, then, other = args
     if v[0] is not None:
         return then if v[0] else other
@@ -124,26 +124,27 @@ def _where(b: PlanBuilder, args: tuple[PlanNode, ...], v: list[ConstantValue]) -
     return None
 
 
-def _eq(b: PlanBuilder, args: tuple[PlanNode, ...], v: list[ConstantValue]) -> PlanNode | None:
+def _simplify_eq(b: PlanBuilder, args: tuple[PlanNode, ...], v: list[ConstantValue]) -> PlanNode | None:
     return b.true if args[0] is args[1] and args[0].kind is not ValueKind.F32 else None
 
 
-def _ne(b: PlanBuilder, args: tuple[PlanNode, ...], v: list[ConstantValue]) -> PlanNode | None:
+def _simplify_ne(b: PlanBuilder, args: tuple[PlanNode, ...], v: list[ConstantValue]) -> PlanNode | None:
     return b.false if args[0] is args[1] and args[0].kind is not ValueKind.F32 else None
 
 
-def _alive(b: PlanBuilder, args: tuple[PlanNode, ...], v: list[ConstantValue]) -> PlanNode | None:
+def _simplify_alive(b: PlanBuilder, args: tuple[PlanNode, ...], v: list[ConstantValue]) -> PlanNode | None:
     return b.false if v[0] == -1 else None
 
 
 _SIMPLIFIER_BY_OPERATION = {
-    "add": _add, "sub": _sub, "mul": _mul, "div": _div, "neg": _neg, "min": _same_operands, "max": _same_operands, "and": _and,
-    "or": _or,
-    "not": _not, "where": _where, "eq": _eq, "ne": _ne, "item.alive": _alive, "agent.alive": _alive,
+    "add": _simplify_add, "sub": _simplify_sub, "mul": _simplify_mul, "div": _simplify_div, "neg": _simplify_neg,
+    "min": _simplify_same_operands, "max": _simplify_same_operands, "and": _simplify_and, "or": _simplify_or,
+    "not": _simplify_not, "where": _simplify_where, "eq": _simplify_eq, "ne": _simplify_ne,
+    "item.alive": _simplify_alive, "agent.alive": _simplify_alive,
 }  # fmt: skip
 
 
-def f32(x: float) -> float:
+def round_to_f32(x: float) -> float:
     """Return the nearest float32, ties to even; infinite beyond the range."""
     try:
         return float(_FLOAT32_STRUCT.unpack(_FLOAT32_STRUCT.pack(x))[0])
@@ -159,11 +160,11 @@ def _divide(a: float, b: float) -> float:
     return math.copysign(math.inf, a) * math.copysign(1.0, b)
 
 
-def _sqrt(a: float) -> float:
+def _compute_sqrt(a: float) -> float:
     return math.sqrt(a) if a >= 0 else math.nan
 
 
-def _floor(a: float) -> float:
+def _round_down(a: float) -> float:
     return float(math.floor(a)) if math.isfinite(a) and a != 0 else a
 
 
@@ -174,8 +175,8 @@ ARITHMETIC_FUNCTIONS: dict[str, Callable[..., float]] = {
     "div": _divide,
     "neg": lambda a: -a,
     "abs": abs,
-    "floor": _floor,
-    "sqrt": _sqrt,
+    "floor": _round_down,
+    "sqrt": _compute_sqrt,
     "finite": lambda a: a if math.isfinite(a) else 0.0,
 }
 
@@ -189,7 +190,7 @@ COMPARISON_FUNCTIONS: dict[str, Callable[..., bool]] = {
 }
 
 
-def least(a: float, b: float) -> float | None:
+def find_minimum(a: float, b: float) -> float | None:
     """Return the minimum as the backends compute it; None if the sign of a zero would depend on the order of the operands."""
     if a == b == 0:
         return None
@@ -198,7 +199,7 @@ def least(a: float, b: float) -> float | None:
     return min(a, b)
 
 
-def greatest(a: float, b: float) -> float | None:
+def find_maximum(a: float, b: float) -> float | None:
     """Return the maximum as the backends compute it; None if the sign of a zero would depend on the order of the operands."""
     if a == b == 0:
         return None

@@ -22,7 +22,7 @@ from antdsl.plan.ir import (
 PHASES = ("born", "decide", "act", "blend")
 
 
-def operands(statement: PlanStatement) -> tuple[PlanNode, ...]:
+def list_operands(statement: PlanStatement) -> tuple[PlanNode, ...]:
     """Return the nodes that a statement itself uses."""
     match statement:
         case If():
@@ -37,28 +37,28 @@ def operands(statement: PlanStatement) -> tuple[PlanNode, ...]:
             return tuple(node for node in statement.args if node is not None)
 
 
-def statements(block: Block) -> Iterator[tuple[Block, PlanStatement]]:
+def iterate_statements(block: Block) -> Iterator[tuple[Block, PlanStatement]]:
     """Yield all statements in order, each with the block that contains it; an If comes before its contents."""
     for statement in block.statements:
         yield block, statement
         if isinstance(statement, If):
-            yield from statements(statement.then)
+            yield from iterate_statements(statement.then)
 
 
-def placed(block: Block, path: tuple[int, ...] = ()) -> Iterator[tuple[tuple[int, ...], PlanStatement]]:
+def iterate_with_positions(block: Block, path: tuple[int, ...] = ()) -> Iterator[tuple[tuple[int, ...], PlanStatement]]:
     """Yield all statements in order, each with its place: its index in every block around it, outermost first."""
     for k, statement in enumerate(block.statements):
         yield (*path, k), statement
         if isinstance(statement, If):
-            yield from placed(statement.then, (*path, k))
+            yield from iterate_with_positions(statement.then, (*path, k))
 
 
-def blocks(species: SpeciesPlan) -> tuple[tuple[str, Block], ...]:
+def list_blocks(species: SpeciesPlan) -> tuple[tuple[str, Block], ...]:
     """Return the blocks of a species with their phase, in the order of PHASES."""
     return tuple((phase, getattr(species, phase)) for phase in PHASES)
 
 
-def required_nodes(roots: Iterable[PlanNode]) -> list[PlanNode]:
+def collect_required_nodes(roots: Iterable[PlanNode]) -> list[PlanNode]:
     """Return the nodes and all their operands, operands first."""
     nodes_by_number: dict[int, PlanNode] = {}
     stack = list(roots)
@@ -70,25 +70,25 @@ def required_nodes(roots: Iterable[PlanNode]) -> list[PlanNode]:
     return [nodes_by_number[number] for number in sorted(nodes_by_number)]
 
 
-def field_nodes(field: FieldPlan) -> tuple[PlanNode, ...]:
+def list_field_nodes(field: FieldPlan) -> tuple[PlanNode, ...]:
     """Return the nodes of a field's settings."""
     return tuple(n for n in (field.cell, field.keep, field.diffuse, field.limit) if n is not None)
 
 
-def roots(plan: Plan) -> list[PlanNode]:
+def list_root_nodes(plan: Plan) -> list[PlanNode]:
     """Return every node that the plan uses outside of the operands of other nodes."""
     nodes: list[PlanNode] = []
     for species in plan.species.values():
-        for _, block in blocks(species):
-            for _, statement in statements(block):
-                nodes += operands(statement)
-        nodes += species.lazy
+        for _, block in list_blocks(species):
+            for _, statement in iterate_statements(block):
+                nodes += list_operands(statement)
+        nodes += species.memoised_senses
     for field in plan.fields.values():
-        nodes += field_nodes(field)
+        nodes += list_field_nodes(field)
     return nodes + [p.default for p in plan.params.values()]
 
 
-def registers_read(nodes: Iterable[PlanNode]) -> set[str]:
+def find_registers_read(nodes: Iterable[PlanNode]) -> set[str]:
     """Return the names of the agent's own registers that the nodes read."""
     return {node.attrs[0] for node in nodes if node.op in ("snap", "load")}
 
@@ -98,8 +98,8 @@ def find_shared_senses(*phases: Block) -> tuple[PlanNode, ...]:
     sense as an operand."""
     users: dict[PlanNode, set[object]] = {}
     for phase in phases:
-        for block, statement in statements(phase):
-            for sense in nearest_senses(operands(statement)):
+        for block, statement in iterate_statements(phase):
+            for sense in find_nearest_senses(list_operands(statement)):
                 users.setdefault(sense, set()).add(block)
     shared_senses: list[PlanNode] = []
     waiting = set(users)
@@ -109,13 +109,13 @@ def find_shared_senses(*phases: Block) -> tuple[PlanNode, ...]:
         alone = len(users[sense]) == 1
         if not alone:
             shared_senses.append(sense)
-        for inner in nearest_senses(sense.args):
+        for inner in find_nearest_senses(sense.args):
             users.setdefault(inner, set()).update(users[sense] if alone else (sense,))
             waiting.add(inner)
     return tuple(reversed(shared_senses))
 
 
-def nearest_senses(roots: Iterable[PlanNode]) -> set[PlanNode]:
+def find_nearest_senses(roots: Iterable[PlanNode]) -> set[PlanNode]:
     """Return the senses that the nodes use directly or through operations, but not through another sense."""
     senses: set[PlanNode] = set()
     visited: set[PlanNode] = set()

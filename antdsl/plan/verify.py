@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Container, Iterator
 
-from antdsl.plan.builder import PlanError, operand_problem, result_kind, result_rate
+from antdsl.plan.builder import PlanError, find_operand_problem, infer_result_kind, infer_result_rate
 from antdsl.plan.ir import (
     Block,
     Claim,
@@ -20,10 +20,17 @@ from antdsl.plan.ir import (
     UpdateRate,
     ValueKind,
 )
-from antdsl.plan.traverse import blocks, field_nodes, operands, required_nodes, roots, statements
+from antdsl.plan.traverse import (
+    collect_required_nodes,
+    iterate_statements,
+    list_blocks,
+    list_field_nodes,
+    list_operands,
+    list_root_nodes,
+)
 from antdsl.program.tables.effects import EFFECT_BY_OPERATION
 from antdsl.program.tables.senses import SENSE_BY_OPERATION
-from antdsl.program.tables.things import KIND_BY_WORD, replacements
+from antdsl.program.tables.things import KIND_BY_WORD, list_replacements
 
 _READ_OPERATIONS = ("snap", "load")
 _REDUCES_ITEMS = {"reduce.agent": False, "reduce.nth_agent": False, "reduce.item": True, "reduce.nth_item": True}  # over items
@@ -36,7 +43,7 @@ def verify(plan: Plan) -> None:
     for species in plan.species.values():
         wrong += [f"{species.name}: {text}" for text in _check_species(plan, species)]
     for field in plan.fields.values():
-        wrong += [f"field {field.name}: {n!r} changes within a run" for n in field_nodes(field) if n.rate > UpdateRate.RUN]
+        wrong += [f"field {field.name}: {n!r} changes within a run" for n in list_field_nodes(field) if n.rate > UpdateRate.RUN]
     for param in plan.params.values():
         if param.default.rate > UpdateRate.RUN:
             wrong.append(f"param {param.name}: its default changes within a run")
@@ -50,11 +57,11 @@ def verify(plan: Plan) -> None:
 def _check_nodes(plan: Plan) -> Iterator[str]:
     """Check that each node matches the table of operations, follows its operands, and is in the plan's list of nodes."""
     known = set(plan.nodes)
-    for node in roots(plan):
+    for node in list_root_nodes(plan):
         if node not in known:
             yield f"{node!r} is not in the plan's list"
     for place, node in enumerate(plan.nodes):
-        text = operand_problem(node.op, node.args, node.attrs)
+        text = find_operand_problem(node.op, node.args, node.attrs)
         if text:
             yield f"{node!r}: {text}"
             continue
@@ -62,9 +69,9 @@ def _check_nodes(plan: Plan) -> Iterator[str]:
             yield f"{node!r} has the number {node.number} at place {place}"
         if any(a.number >= node.number or a not in known for a in node.args):
             yield f"{node!r} stands before one of its operands"
-        if node.kind is not result_kind(node.op, node.args, node.attrs, node.kind):
+        if node.kind is not infer_result_kind(node.op, node.args, node.attrs, node.kind):
             yield f"{node!r} is said to be a {node.kind.value}"
-        if node.rate != result_rate(node.op, node.args):
+        if node.rate != infer_result_rate(node.op, node.args):
             yield f"{node!r} is said to change per {node.rate.name}"
         if node.op.startswith("set.") and any(a.rate > UpdateRate.AGENT for a in node.args):
             yield f"{node!r}: a set's size depends on an element"
@@ -72,11 +79,11 @@ def _check_nodes(plan: Plan) -> Iterator[str]:
 
 def _check_names(plan: Plan) -> Iterator[str]:
     """Check that the names in nodes exist. Names of species may be missing, because a species may be in another file."""
-    things = names_by_kind(plan)
+    things = collect_names_by_kind(plan)
     known: dict[str, Container[str]] = {
         **{row.op: things[row.of] for row in SENSE_BY_OPERATION.values() if row.of and row.of != "species"},
-        "item.get": plan.items, "item.alive": plan.items, "set.items": plan.items, "surface.touching": plan.of_kind("surface"),
-        "param": plan.params,
+        "item.get": plan.items, "item.alive": plan.items, "set.items": plan.items,
+        "surface.touching": plan.list_things_of_kind("surface"), "param": plan.params,
     }  # fmt: skip
     for node in plan.nodes:
         if node.op in known and node.attrs[0] not in known[node.op]:
@@ -89,24 +96,24 @@ def _check_names(plan: Plan) -> Iterator[str]:
             yield from _check_elements(plan, node)
 
 
-def names_by_kind(plan: Plan) -> dict[str, Container[str]]:
+def collect_names_by_kind(plan: Plan) -> dict[str, Container[str]]:
     """Return the names of the things of a plan, by the kinds that rows of senses and effects use."""
     return {
-        **{kind: plan.of_kind(kind) for kind in KIND_BY_WORD}, "items": plan.items, "species": plan.species,
-        "field": plan.fields, "target": plan.of_kind(*replacements("obstacle")),
+        **{kind: plan.list_things_of_kind(kind) for kind in KIND_BY_WORD}, "items": plan.items, "species": plan.species,
+        "field": plan.fields, "target": plan.list_things_of_kind(*list_replacements("obstacle")),
     }  # fmt: skip
 
 
-def _check_elements(plan: Plan, reduce: PlanNode) -> Iterator[str]:
+def _check_elements(plan: Plan, reduction: PlanNode) -> Iterator[str]:
     """Check that a reduction reads only values that its elements have."""
-    source = reduce.args[0]
+    source = reduction.args[0]
     of_items = source.op == "set.items"
-    labels = _REDUCES_ITEMS.get(reduce.op)
+    labels = _REDUCES_ITEMS.get(reduction.op)
     if labels is not None and labels != of_items:
-        yield f"{reduce!r} over {source.op}"
-    for node in _pair_nodes(reduce.args[1:]):
+        yield f"{reduction!r} over {source.op}"
+    for node in _iterate_pair_nodes(reduction.args[1:]):
         if node.op == ("other.id" if of_items else "other.row"):
-            yield f"{reduce!r} reads {node.op} over {source.op}"
+            yield f"{reduction!r} reads {node.op} over {source.op}"
         if node.op != "other":
             continue
         if of_items:
@@ -117,7 +124,7 @@ def _check_elements(plan: Plan, reduce: PlanNode) -> Iterator[str]:
             yield from _check_register(plan.species[source.attrs[0]], node, node.attrs[0])
 
 
-def _pair_nodes(nodes: tuple[PlanNode, ...]) -> Iterator[PlanNode]:
+def _iterate_pair_nodes(nodes: tuple[PlanNode, ...]) -> Iterator[PlanNode]:
     """Yield the nodes at pair rate that belong to this reduction and not to a reduction inside it."""
     stack, visited = list(nodes), set()
     while stack:
@@ -153,10 +160,10 @@ def _check_species(plan: Plan, species: SpeciesPlan) -> Iterator[str]:
         for axis in "xyz":
             if f"{vector}.{axis}" not in species.registers:
                 yield f"no register {vector}.{axis}"
-    for phase, block in blocks(species):
-        for _, statement in statements(block):
+    for phase, block in list_blocks(species):
+        for _, statement in iterate_statements(block):
             yield from (f"{phase}: {text}" for text in _check_statement(plan, species, statement))
-        for node in required_nodes(n for _, s in statements(block) for n in operands(s)):
+        for node in collect_required_nodes(n for _, s in iterate_statements(block) for n in list_operands(s)):
             if node.op in _READ_OPERATIONS:
                 yield from (f"{phase}: {text}" for text in _check_register(species, node, node.attrs[0]))
             if phase == "born" and node.op == "snap":
@@ -166,7 +173,7 @@ def _check_species(plan: Plan, species: SpeciesPlan) -> Iterator[str]:
 
 
 def _check_statement(plan: Plan, species: SpeciesPlan, statement: PlanStatement) -> Iterator[str]:
-    for node in operands(statement):
+    for node in list_operands(statement):
         if node.rate is UpdateRate.PAIR:
             yield f"{type(statement).__name__} of {node!r}, which is of an element"
     match statement:
@@ -201,15 +208,15 @@ def _check_request(plan: Plan, species: SpeciesPlan, statement: Request) -> Iter
     if row is None:
         yield f"no effect {statement.op}"
         return
-    word, known_names = row.op.capitalize(), names_by_kind(plan).get(row.target)
+    word, known_names = row.op.capitalize(), collect_names_by_kind(plan).get(row.target)
     if known_names is not None and statement.of not in known_names:
         yield f"{word} of {statement.of}, which is not there"
     if statement.own is not None and statement.own not in species.registers:
         yield f"{word} for {statement.own}, which is not there"
-    if len(statement.args) != len(row.operands):
-        yield f"{word} takes {row.operands}, not {statement.args!r}"
-    for name, node in zip(row.operands, statement.args, strict=False):
-        if node is None and name not in row.optional:
+    if len(statement.args) != len(row.operand_names):
+        yield f"{word} takes {row.operand_names}, not {statement.args!r}"
+    for name, node in zip(row.operand_names, statement.args, strict=False):
+        if node is None and name not in row.optional_operands:
             yield f"{word} without {name}"
         elif node is not None and node.kind is not (ValueKind.I64 if name in row.agents else ValueKind.F32):
             yield f"{word} with {node!r} for {name}"
@@ -218,12 +225,12 @@ def _check_request(plan: Plan, species: SpeciesPlan, statement: Request) -> Iter
 
 
 class _LoadState:
-    """The state of the check of loads. `version`: the version of the last load, by register. `stale`: the registers with a store
-    after their last load."""
+    """The state of the check of loads. `version`: the version of the last load, by register. `stale_registers`: the registers
+    with a store after their last load."""
 
     def __init__(self) -> None:
         self.version: dict[str, int] = {}
-        self.stale: set[str] = set()
+        self.stale_registers: set[str] = set()
 
 
 def _check_load_order(block: Block) -> Iterator[str]:
@@ -234,30 +241,30 @@ def _check_load_order(block: Block) -> Iterator[str]:
 
 def _check_block_order(block: Block, state: _LoadState) -> Iterator[str]:
     for statement in block.statements:
-        for node in required_nodes(operands(statement)):
+        for node in collect_required_nodes(list_operands(statement)):
             if node.op != "load":
                 continue
             name, version = node.attrs
             last = state.version.get(name)
             if last is not None and version < last:
                 yield f"{node!r} is older than a load before it, of version {last}"
-            elif last == version and name in state.stale:
+            elif last == version and name in state.stale_registers:
                 yield f"{node!r} is loaded before and after a store"
             state.version[name] = max(version, last or 0)
-            state.stale.discard(name)
-        for name in written_registers(statement):
-            state.stale.add(name)
+            state.stale_registers.discard(name)
+        for name in find_written_registers(statement):
+            state.stale_registers.add(name)
         if isinstance(statement, If):
             yield from _check_block_order(statement.then, state)
 
 
-def written_registers(statement: PlanStatement) -> tuple[str, ...]:
+def find_written_registers(statement: PlanStatement) -> tuple[str, ...]:
     """Return the registers that the statement itself may change."""
     match statement:
         case Store():
             return (statement.register,)
         case Claim():
-            return (statement.won,) if statement.own is None else (statement.won, statement.own)
+            return (statement.won_register,) if statement.own is None else (statement.won_register, statement.own)
         case Give():
             return (statement.own,)
         case _:

@@ -8,25 +8,25 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.program.tables.columns import AGENTS, Column
+from antdsl.program.tables.columns import AGENT_COLUMNS, Column
 from antdsl.runtime import Population
 from antdsl.runtime.body_positions import body_positions
 from antdsl.runtime.world import AXES
 
 Arrays = dict[str, NDArray[Any]]
-_PACKET = sorted((column for column in AGENTS if column.packet), key=lambda column: column.name != "ids")
-POSITIONS = [column for column in _PACKET if column.name in ("ids", "position")]
-_LIGHT = [column for column in _PACKET if column.light]
-OTHERS = [column for column in _PACKET if not column.light]
+_PACKET_COLUMNS = sorted((column for column in AGENT_COLUMNS if column.packet), key=lambda column: column.name != "ids")
+POSITION_COLUMNS = [column for column in _PACKET_COLUMNS if column.name in ("ids", "position")]
+_LIGHT_FRAME_COLUMNS = [column for column in _PACKET_COLUMNS if column.in_preview]
+CURRENT_COLUMNS = [column for column in _PACKET_COLUMNS if not column.in_preview]
 
 
-def light_frame(population: Population, previous: Arrays | None = None) -> Arrays:
+def make_light_frame(population: Population, previous: Arrays | None = None) -> Arrays:
     """Return the arrays that are stored for each frame, with the states of each machine.
 
     `previous`: the arrays of the previous frame. An array that equals its predecessor is the same object."""
-    rows = population.in_id_order()
+    rows = population.rows_by_id()
     states = {f"state/{m.name}": population.now[f"{m.name}.state"][rows].astype(np.uint8) for m in population.plan.machines}
-    return reuse_arrays(packet_arrays(population, _LIGHT) | states, previous or {})
+    return reuse_arrays(make_packet_arrays(population, _LIGHT_FRAME_COLUMNS) | states, previous or {})
 
 
 def reuse_arrays(arrays: Arrays, previous: Arrays) -> Arrays:
@@ -37,16 +37,16 @@ def reuse_arrays(arrays: Arrays, previous: Arrays) -> Arrays:
     }
 
 
-def packet_arrays(population: Population, columns: Iterable[Column]) -> Arrays:
+def make_packet_arrays(population: Population, columns: Iterable[Column]) -> Arrays:
     """Return the arrays of some columns. Directions are bytes: unit vectors times 127."""
-    rows = population.in_id_order()
-    return {column.packet.split()[0]: _array(population, column, rows) for column in columns}
+    rows = population.rows_by_id()
+    return {column.packet.split()[0]: _make_column_array(population, column, rows) for column in columns}
 
 
-def _array(population: Population, column: Column, rows: NDArray[np.intp]) -> NDArray[Any]:
+def _make_column_array(population: Population, column: Column, rows: NDArray[np.intp]) -> NDArray[Any]:
     kind = column.packet.split()[1]
     if column.kind == "derived":
-        return VALUES[column.name](population)[rows]
+        return VALUE_FUNCTIONS[column.name](population)[rows]
     if column.kind == "fixed":
         values = body_positions(population) if column.name == "position" else population.columns[column.name]
         return values[rows].astype(kind)
@@ -54,10 +54,10 @@ def _array(population: Population, column: Column, rows: NDArray[np.intp]) -> ND
     return np.rint(values * np.float32(127)).astype(kind) if kind == "i1" else values.astype(kind)
 
 
-def _speeds(population: Population) -> NDArray[np.float32]:
+def _compute_speeds(population: Population) -> NDArray[np.float32]:
     x, y, z = (population.now[f"velocity.{axis}"] for axis in AXES)
     speed: NDArray[np.float32] = np.sqrt(x * x + y * y + z * z)
     return speed
 
 
-VALUES: Mapping[str, Callable[[Population], NDArray[Any]]] = {"speed": _speeds}
+VALUE_FUNCTIONS: Mapping[str, Callable[[Population], NDArray[Any]]] = {"speed": _compute_speeds}

@@ -4,10 +4,10 @@ The session's world is copied once, when this simulation begins, and never chang
 
 from __future__ import annotations
 
-from antdsl.preview.agent_columns import POSITIONS, Arrays, packet_arrays, reuse_arrays
+from antdsl.preview.agent_columns import POSITION_COLUMNS, Arrays, make_packet_arrays, reuse_arrays
 from antdsl.preview.session import Session
 from antdsl.preview.timeline import ParamChange, SimulationStretch
-from antdsl.runtime import FaultStop, LimitStop, World, checkpoint, step
+from antdsl.runtime import FaultStop, LimitStop, World, step, take_checkpoint
 
 LOOK_AHEAD_SECONDS = 2.0
 _MAX_POSITION_BYTES = 1 << 26  # of places, at most
@@ -24,14 +24,14 @@ class Ahead:
     def __init__(self) -> None:
         self.frames: dict[int, dict[str, Arrays]] = {}
         self.version = 0  # changes whenever they do
-        self._of: tuple[SimulationStretch, tuple[ParamChange, ...]] | None = None
+        self._run_key: tuple[SimulationStretch, tuple[ParamChange, ...]] | None = None
         self._world: World | None = None
         self._stopped = False
 
     def clear(self) -> None:
         """Drop all frames. The next request starts again from the session's frame."""
         if self._world is not None:
-            self.frames, self._of, self._world, self._stopped = {}, None, None, False
+            self.frames, self._run_key, self._world, self._stopped = {}, None, None, False
             self.version += 1
 
     def lacks(self, session: Session) -> bool:
@@ -39,22 +39,24 @@ class Ahead:
 
         This also drops frames of another run than the session's, and frames before the current one."""
         stretch = session.timeline.at(session.frame)
-        of = (stretch, tuple(stretch.changes))
-        if of != self._of or session.frame not in self.frames:
+        of = (stretch, tuple(stretch.param_changes))
+        if of != self._run_key or session.frame not in self.frames:
             self.clear()
-            self._of = of
+            self._run_key = of
             return True
         for frame in [each for each in self.frames if each < session.frame]:
             del self.frames[frame]
-        return not self._stopped and max(self.frames) < self._last_frame(session)
+        return not self._stopped and max(self.frames) < self._find_last_frame(session)
 
     def go_on(self, session: Session) -> None:
         """Simulate one more frame if one is missing. The first call stores the session's current frame."""
         stretch, world = session.timeline.at(session.frame), self._world
         if world is None:
-            world = self._world = stretch.world(checkpoint(session.world), session.options, session.compiler.built)
+            world = self._world = stretch.restore_world(
+                take_checkpoint(session.world), session.options, session.compiler.binding_cache
+            )
         else:
-            stretch.before_step(world)
+            stretch.apply_param_changes(world)
             try:
                 step(world)
             except LimitStop:  # in the middle of a step
@@ -64,14 +66,15 @@ class Ahead:
                 pass  # the session would go on after the fault as well
         previous = self.frames.get(world.frame - 1, {})
         self.frames[world.frame] = {
-            name: reuse_arrays(packet_arrays(p, POSITIONS), previous.get(name, {})) for name, p in world.populations.items()
+            name: reuse_arrays(make_packet_arrays(p, POSITION_COLUMNS), previous.get(name, {}))
+            for name, p in world.populations.items()
         }
         self.version += 1
 
-    def _last_frame(self, session: Session) -> int:
+    def _find_last_frame(self, session: Session) -> int:
         """Return the last frame to simulate."""
         count = max(
             1, min(round(LOOK_AHEAD_SECONDS / session.world.dt), _MAX_POSITION_BYTES // (12 * max(1, len(session.world))))
         )
-        next_stretch = session.timeline.next_stretch(session.timeline.at(session.frame))
+        next_stretch = session.timeline.find_next_stretch(session.timeline.at(session.frame))
         return session.frame + count if next_stretch is None else min(session.frame + count, next_stretch.first)

@@ -15,7 +15,7 @@ PACKET_MAGIC = b"ant1"
 _ALLOWED_DTYPES = frozenset(("f4", "i4", "u4", "u1", "i1", "u2", "i2"))
 
 
-def pack(slot: str, arrays: Mapping[str, NDArray[Any]], **header: Any) -> bytes:
+def pack_arrays(slot: str, arrays: Mapping[str, NDArray[Any]], **header: Any) -> bytes:
     """Return a packet of a slot. The header holds the name, type, count and offset of each array.
 
     Raises TypeError for an array with elements of other sizes than 1, 2 or 4 bytes."""
@@ -49,7 +49,7 @@ def pack(slot: str, arrays: Mapping[str, NDArray[Any]], **header: Any) -> bytes:
     return b"".join([*parts, bytes(end - at)])  # copied once: a frame has half a megabyte
 
 
-def unpack(packet: bytes) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+def unpack_arrays(packet: bytes) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     """Return the header and the flat arrays of a packet. Raises ValueError for other bytes."""
     if packet[:4] != PACKET_MAGIC or len(packet) < 8:
         raise ValueError("not a packet")

@@ -14,16 +14,16 @@ from antdsl.syntax import nodes
 DisabledLayers = Mapping[tuple[str, str], Path]
 
 
-def texts_without_layers(off: DisabledLayers) -> tuple[dict[Path, str], list[tuple[str, str]]]:
+def remove_disabled_layers(disabled_layers: DisabledLayers) -> tuple[dict[Path, str], list[tuple[str, str]]]:
     """Return the files' texts without the disabled layers, and the disabled layers that no longer exist, by species and text. An
     unreadable file is left out; compiling it reports the error."""
     texts: dict[Path, str] = {}
     missing_layers: list[tuple[str, str]] = []
-    for path in dict.fromkeys(off.values()):
+    for path in dict.fromkeys(disabled_layers.values()):
         source, _ = syntax.read(path)
         if source is None:
             continue
-        layer_keys = {key for key, place in off.items() if place == path}
+        layer_keys = {key for key, place in disabled_layers.items() if place == path}
         file, _ = syntax.parse(source)
         spans = []
         for species in (item for item in file.items if isinstance(item, nodes.Species)):

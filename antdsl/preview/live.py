@@ -17,10 +17,10 @@ from antdsl.pipeline import RunChoices
 from antdsl.preview.ahead import Ahead
 from antdsl.preview.compiling import Compiler
 from antdsl.preview.doing import HANDLER_BY_REQUEST, SESSIONLESS_REQUESTS
+from antdsl.preview.file_watch import FileWatch
 from antdsl.preview.observing.observer import Observer, PauseReason
-from antdsl.preview.requests import Ask, Breaks, Explain, Look, Profile, Refusal, Seek, Set
+from antdsl.preview.requests import AnyRequest, Explain, RequestRefused, Seek, SetBreakpoints, SetDisplay, SetValue, SwitchProfile
 from antdsl.preview.session import Session
-from antdsl.preview.watch import FileWatch
 from antdsl.runtime import Options
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ _MAX_QUEUED_REQUESTS = 256  # asks that may wait
 _FILE_POLL_SECONDS = 0.02  # seconds between two looks at the files
 _MAX_SLEEP_SECONDS = 0.5  # seconds that the thread sleeps at most when there is nothing to do
 _MAX_CATCH_UP_SECONDS = 0.1  # seconds of steps that are caught up with; more are left out
-_EMPTY_LOOK = Look(op="look", columns=(), fields=(), flows=(), planned=None)  # what a page looks at before it says so
+_EMPTY_LOOK = SetDisplay(op="look", columns=(), fields=(), flows=(), planned=None)  # what a page looks at before it says so
 _PAUSE_AFTER_BUG_SECONDS = 0.25  # seconds of rest, lest the terminal run over
 _MAX_REQUEST_SECONDS = 0.05  # seconds of doing what pages ask after which time goes on
 _MAX_SEEK_SECONDS = 0.05  # seconds of going back after which others are heard
@@ -57,7 +57,7 @@ class Live:
     """The thread that owns the session, from `start` until `stop` returns. Any thread may call `ask`, `join` and `leave`."""
 
     def __init__(self, session: Session, *, watch: bool = True) -> None:
-        self._begin(session.compiler, session, Report(), watch)
+        self._initialise(session.compiler, session, Report(), watch)
 
     @classmethod
     def open(
@@ -67,34 +67,34 @@ class Live:
         `Session.open`."""
         live, compiler = cls.__new__(cls), Compiler(scene)
         session, report = Session.open(scene, choices, options, compiler=compiler, **how)
-        live._begin(compiler, session, report, watch)
-        live._how = choices, options, how
+        live._initialise(compiler, session, report, watch)
+        live._session_options = choices, options, how
         return live
 
-    def _begin(self, compiler: Compiler, session: Session | None, report: Report, watch: bool) -> None:
+    def _initialise(self, compiler: Compiler, session: Session | None, report: Report, watch: bool) -> None:
         from antdsl.preview.observing.observers import OBSERVER_MAKERS
-        from antdsl.preview.viewing.screen import PageScreen
+        from antdsl.preview.viewing.page_screen import PageScreen
 
         self.compiler, self._session, self.report = compiler, session, report
-        self._how: tuple[RunChoices | None, Options | None, dict[str, int]] = (None, None, {})
+        self._session_options: tuple[RunChoices | None, Options | None, dict[str, int]] = (None, None, {})
         self.speed = 1.0  # of the clock; 0: as fast as it goes
-        self.light: int | None = None  # a frame that is shown as it is remembered; the session is elsewhere
-        self._target: int | None = None  # a frame on the way to which the session simulates again
-        self._steps = 0  # pending steps, apart from playing
-        self.stop_at: PauseReason | None = None  # why it paused, if automatic
-        self.clients: dict[Client, Look] = {}
+        self.displayed_frame: int | None = None  # a frame that is shown as it is remembered; the session is elsewhere
+        self._target_frame: int | None = None  # a frame on the way to which the session simulates again
+        self._pending_steps = 0  # pending steps, apart from playing
+        self.pause_reason: PauseReason | None = None  # why it paused, if automatic
+        self.clients: dict[Client, SetDisplay] = {}
         self.screen, self.ahead = PageScreen(self), Ahead()
         self.explainer: Explainer | None = None
         self.observers: list[Observer] = []
         for make in OBSERVER_MAKERS:
             self.observers.append(make(self))
-        self._watch = FileWatch(compiler.files, opened=compiler.open_file) if watch else None
-        self._queue: deque[tuple[Ask | str, Client]] = deque()
-        self._later: list[tuple[Ask, Client]] = []  # from before the session
-        self._changed, self._over = Condition(), False
-        self._due = self._poll = 0.0
+        self._watch = FileWatch(compiler.files, open_file=compiler.open_file) if watch else None
+        self._queue: deque[tuple[AnyRequest | str, Client]] = deque()
+        self._postponed_requests: list[tuple[AnyRequest, Client]] = []  # from before the session
+        self._wake_condition, self._is_stopped = Condition(), False
+        self._next_step_time = self._next_poll_time = 0.0
         self._thread = Thread(target=self._run, name="antdsl-preview", daemon=True)
-        self._attach_to_session()
+        self._attach_observers()
 
     # --- for all threads ---------------------------------------------------------------------------------------------
 
@@ -104,30 +104,30 @@ class Live:
 
     def stop(self) -> None:
         """Stop the thread, and return when it has ended."""
-        with self._changed:
-            self._over = True
-            self._changed.notify()
+        with self._wake_condition:
+            self._is_stopped = True
+            self._wake_condition.notify()
         if self._thread.is_alive():
             self._thread.join()
 
-    def ask(self, ask: Ask, client: Client) -> None:
+    def ask(self, request: AnyRequest, client: Client) -> None:
         """Queue a request to run between two steps. Raises QueueFull if too many wait."""
-        self._enqueue(ask, client)
+        self._enqueue_item(request, client)
 
     def join(self, client: Client) -> None:
         """Send a page the complete state, and all updates from then on."""
-        self._enqueue("join", client)
+        self._enqueue_item("join", client)
 
     def leave(self, client: Client) -> None:
         """Send no more updates to a page."""
-        self._enqueue("leave", client)
+        self._enqueue_item("leave", client)
 
-    def _enqueue(self, what: Ask | str, client: Client) -> None:
-        with self._changed:
-            if len(self._queue) >= _MAX_QUEUED_REQUESTS and not isinstance(what, str):
+    def _enqueue_item(self, item: AnyRequest | str, client: Client) -> None:
+        with self._wake_condition:
+            if len(self._queue) >= _MAX_QUEUED_REQUESTS and not isinstance(item, str):
                 raise QueueFull
-            self._queue.append((what, client))
-            self._changed.notify()
+            self._queue.append((item, client))
+            self._wake_condition.notify()
 
     # --- for handlers, on the live thread ----------------------------------------------------------------------------
 
@@ -140,64 +140,64 @@ class Live:
     @property
     def is_seeking(self) -> bool:
         """Return whether the session is still on its way to a frame."""
-        return self._target is not None or self._steps > 0
+        return self._target_frame is not None or self._pending_steps > 0
 
     @property
     def is_open(self) -> bool:
         """Return whether there is a session."""
         return self._session is not None
 
-    def observer(self, kind: type[O]) -> O:
+    def find_observer(self, kind: type[O]) -> O:
         """Return the observer of a kind."""
         return next(each for each in self.observers if isinstance(each, kind))
 
-    def tell_all(self, message: dict[str, Any]) -> None:
+    def send_to_all(self, message: dict[str, Any]) -> None:
         """Send a message to all pages."""
         for client in self.clients:
             client.tell(message)
 
     def show_exact_frame(self) -> None:
         """Bring the session to the frame that the page displays. Does nothing if the session is there already."""
-        frame = self.light if self._target is None else self._target
-        self.light = self._target = None
+        frame = self.displayed_frame if self._target_frame is None else self._target_frame
+        self.displayed_frame = self._target_frame = None
         if frame is not None:
             self.session.seek(frame)
             self.screen.on_seek_end()
 
     def show_stored_frame(self, frame: int) -> None:
         """Display the stored agents of a frame, or of the nearest stored frame, without simulation."""
-        remembered = self.session.timeline.light
-        self._target = None
+        remembered = self.session.timeline.light_frames
+        self._target_frame = None
         nearest = min(remembered, key=lambda each: abs(each - frame), default=None)
-        self.light = nearest if frame != self.session.frame else None
+        self.displayed_frame = nearest if frame != self.session.frame else None
 
     def go_to(self, frame: int) -> None:
         """Bring the session to a frame. Requests are handled between the steps that this takes.
 
         Meanwhile the stored agents of the frame are displayed."""
         self.show_stored_frame(frame)
-        self._target = frame
+        self._target_frame = frame
         session = self.session
         if not session.is_ahead(frame):
-            session.seek(session.checkpoint_frame(frame))
+            session.seek(session.find_checkpoint_frame(frame))
 
-    def set_pace(self, times: float) -> None:
+    def set_pace(self, speed: float) -> None:
         """Set the speed of play."""
-        self.speed, self._due = times, monotonic()
+        self.speed, self._next_step_time = speed, monotonic()
 
     def play(self) -> None:
         """Play from the current frame on."""
-        self.session.playing, self.stop_at, self._due = True, None, monotonic()
+        self.session.playing, self.pause_reason, self._next_step_time = True, None, monotonic()
 
-    def pause(self, why: PauseReason | None = None) -> None:
-        """Pause, and drop pending steps. `why`: the reason of an automatic pause; the frame is then marked."""
-        if why is not None:
-            self.session.timeline.stop(self.session.frame, why.line)
-        self.session.playing, self.stop_at, self._steps = False, why, 0
+    def pause(self, reason: PauseReason | None = None) -> None:
+        """Pause, and drop pending steps. `reason`: the reason of an automatic pause; the frame is then marked."""
+        if reason is not None:
+            self.session.timeline.mark_stop(self.session.frame, reason.line)
+        self.session.playing, self.pause_reason, self._pending_steps = False, reason, 0
 
     def start_steps(self, count: int) -> None:
         """Start `count` steps as fast as possible. Requests are handled between them."""
-        self.stop_at, self._steps = None, count
+        self.pause_reason, self._pending_steps = None, count
 
     def step(self) -> bool:
         """Make one step and run the observers. Return whether the session may continue."""
@@ -208,13 +208,13 @@ class Live:
         self.screen.on_step()
         for observer in self.observers:
             why = observer.after_step(session)
-            if why is not None and self.stop_at is None:
+            if why is not None and self.pause_reason is None:
                 self.pause(why)
-        return session.fault is None and self.stop_at is None
+        return session.fault_text is None and self.pause_reason is None
 
-    def reload(self, of: str) -> None:
+    def reload(self, operation: str) -> None:
         """Load the current files, and send the outcome to all clients."""
-        from antdsl.preview.viewing.messages import outcome
+        from antdsl.preview.viewing.messages import make_outcome_message
 
         if self._session is None:
             self._try_to_open()
@@ -222,8 +222,8 @@ class Live:
         self.show_exact_frame()
         result = self._session.reload()
         self.on_files_read(result.report)
-        self.tell_all(outcome(self, of, result))
-        self.screen.edited(files=True)
+        self.send_to_all(make_outcome_message(self, operation, result))
+        self.screen.on_edit(files_changed=True)
 
     def on_files_read(self, report: Report) -> None:
         """Record that the files were read, with these findings. A file that was still being saved will be read again."""
@@ -234,27 +234,27 @@ class Live:
     # --- the thread --------------------------------------------------------------------------------------------------
 
     def _run(self) -> None:
-        while not self._over:
+        while not self._is_stopped:
             try:
                 self._run_once()
             except Exception:  # whatever goes wrong in a step, the page is still there and can restart
                 traceback.print_exc(file=sys.stderr)
                 if self._session is not None:
-                    self._target = None
+                    self._target_frame = None
                     self.pause(PauseReason(_BUG_MESSAGE))
-                self.tell_all({"op": "refused", "of": "play", "message": _BUG_MESSAGE, "help": "press restart, and report it"})
-                with self._changed:
-                    self._changed.wait(_PAUSE_AFTER_BUG_SECONDS)
+                self.send_to_all({"op": "refused", "of": "play", "message": _BUG_MESSAGE, "help": "press restart, and report it"})
+                with self._wake_condition:
+                    self._wake_condition.wait(_PAUSE_AFTER_BUG_SECONDS)
 
     def _run_once(self) -> None:
         until = monotonic() + _MAX_REQUEST_SECONDS
-        while self._queue and not self._over:
-            self._process(*self._queue.popleft())
+        while self._queue and not self._is_stopped:
+            self._process_item(*self._queue.popleft())
             if monotonic() > until:
                 break  # many requests of one client do not block display to the others
         now = monotonic()
-        if self._watch is not None and now >= self._poll:
-            self._poll = now + _FILE_POLL_SECONDS
+        if self._watch is not None and now >= self._next_poll_time:
+            self._next_poll_time = now + _FILE_POLL_SECONDS
             changed = self._watch.poll()
             if not changed and self._watch.is_being_written() and self._session is not None:
                 self._session.precompile()  # a file that has just changed may still be being written: the wait is made use of
@@ -262,27 +262,29 @@ class Live:
             if changed:
                 self.reload("saved")
         if self._session is not None:
-            self._advance(self._session)
+            self._advance_once(self._session)
             self._look_ahead(self._session)
-        self.screen.refresh(monotonic())
-        self._sleep()
+        self.screen.send_due_updates(monotonic())
+        self._wait_for_work()
 
-    def _advance(self, session: Session) -> None:
+    def _advance_once(self, session: Session) -> None:
         """Run one unit of work: a step of a seek, a requested step, or the next step of play."""
-        if self._target is not None:
+        if self._target_frame is not None:
             end = monotonic() + _MAX_SEEK_SECONDS
-            while session.frame != self._target and monotonic() < end:
+            while session.frame != self._target_frame and monotonic() < end:
                 session.seek(session.frame + 1)
-            if session.frame == self._target:
-                self.light = self._target = None
+            if session.frame == self._target_frame:
+                self.displayed_frame = self._target_frame = None
                 self.screen.on_seek_end()
-        elif self._steps:
-            self._steps = self._steps - 1 if self.step() else 0
-        elif session.playing and monotonic() >= self._due and self.step():
+        elif self._pending_steps:
+            self._pending_steps = self._pending_steps - 1 if self.step() else 0
+        elif session.playing and monotonic() >= self._next_step_time and self.step():
             now, last = monotonic(), session.shot.frames.last
             if session.frame == last:
                 self.pause(PauseReason(f"frame {last} is the scene's last: play goes on behind it"))
-            self._due = now if self.speed == 0 else max(self._due + session.world.dt / self.speed, now - _MAX_CATCH_UP_SECONDS)
+            self._next_step_time = (
+                now if self.speed == 0 else max(self._next_step_time + session.world.dt / self.speed, now - _MAX_CATCH_UP_SECONDS)
+            )
 
     def _look_ahead(self, session: Session) -> None:
         """Simulate future frames while a page displays them and no other request waits. During play, simulate one per played
@@ -293,7 +295,7 @@ class Live:
         elif self._may_look_ahead(session):
             until = monotonic() + _MAX_LOOK_AHEAD_SECONDS
             if session.playing:
-                until = min(until, self._due)
+                until = min(until, self._next_step_time)
             while not self._queue and self.ahead.lacks(session):
                 self.ahead.go_on(session)
                 if monotonic() >= until:
@@ -302,73 +304,77 @@ class Live:
             self.screen.on_look_ahead()
 
     def _may_look_ahead(self, session: Session) -> bool:
-        return self.screen.needs_look_ahead(session) and not self.is_seeking and self.light is None
+        return self.screen.needs_look_ahead(session) and not self.is_seeking and self.displayed_frame is None
 
-    def _sleep(self) -> None:
+    def _wait_for_work(self) -> None:
         until = monotonic() + _MAX_SLEEP_SECONDS
         if self._watch is not None:
-            until = min(until, self._poll)
+            until = min(until, self._next_poll_time)
         if self._session is not None and (self._session.playing or self.is_seeking):
-            until = 0.0 if self.is_seeking else min(until, self._due)
+            until = 0.0 if self.is_seeking else min(until, self._next_step_time)
         if self._session is not None and self._may_look_ahead(self._session) and self.ahead.lacks(self._session):
             until = 0.0
-        until = min(until, self.screen.due)
-        with self._changed:
-            if not self._queue and not self._over and (wait := until - monotonic()) > 0:
-                self._changed.wait(wait)
+        until = min(until, self.screen.next_refresh_time)
+        with self._wake_condition:
+            if not self._queue and not self._is_stopped and (wait := until - monotonic()) > 0:
+                self._wake_condition.wait(wait)
 
-    def _process(self, what: Ask | str, client: Client) -> None:
-        if what == "join":
+    def _process_item(self, item: AnyRequest | str, client: Client) -> None:
+        if item == "join":
             self.clients[client] = _EMPTY_LOOK
-            self.screen.greet(client)
-        elif what == "leave":
+            self.screen.send_complete_state(client)
+        elif item == "leave":
             self.clients.pop(client, None)
-            self.screen.on_look()
-        elif not isinstance(what, str) and client in self.clients and not self._is_superseded(what, client):
-            self._handle(what, client)
+            self.screen.on_display_change()
+        elif not isinstance(item, str) and client in self.clients and not self._is_superseded(item, client):
+            self._handle_request(item, client)
 
-    def _is_superseded(self, ask: Ask, client: Client) -> bool:
+    def _is_superseded(self, request: AnyRequest, client: Client) -> bool:
         """Return whether a later request replaces this one, as while a slider moves or agents are selected quickly."""
         following, sender = self._queue[0] if self._queue else (None, None)
-        if isinstance(ask, Set):
-            return isinstance(following, Set) and following.name == ask.name and sender is client
-        if isinstance(ask, Explain | Look):
-            return type(following) is type(ask) and sender is client
-        return isinstance(ask, Seek) and isinstance(following, Seek)
+        if isinstance(request, SetValue):
+            return isinstance(following, SetValue) and following.name == request.name and sender is client
+        if isinstance(request, Explain | SetDisplay):
+            return type(following) is type(request) and sender is client
+        return isinstance(request, Seek) and isinstance(following, Seek)
 
-    def _handle(self, ask: Ask, client: Client) -> None:
-        if self._session is None and isinstance(ask, Breaks | Profile):
-            held = [each for each in self._later if each[1] in self.clients and (type(each[0]), each[1]) != (type(ask), client)]
-            self._later = [*held, (ask, client)]
+    def _handle_request(self, request: AnyRequest, client: Client) -> None:
+        if self._session is None and isinstance(request, SetBreakpoints | SwitchProfile):
+            held = [
+                each
+                for each in self._postponed_requests
+                if each[1] in self.clients and (type(each[0]), each[1]) != (type(request), client)
+            ]
+            self._postponed_requests = [*held, (request, client)]
             return
         try:
-            if self._session is None and type(ask) not in SESSIONLESS_REQUESTS:
+            if self._session is None and type(request) not in SESSIONLESS_REQUESTS:
                 words = "there is nothing to play yet: the scene has errors"
-                raise Refusal(words, "correct them and save; it starts automatically")
-            HANDLER_BY_REQUEST[type(ask)](self, ask, client)
-        except Refusal as why:
-            client.tell({"op": "refused", "of": ask.op, "message": why.message, "help": why.help})
+                raise RequestRefused(words, "correct them and save; it starts automatically")
+            HANDLER_BY_REQUEST[type(request)](self, request, client)
+        except RequestRefused as why:
+            client.tell({"op": "refused", "of": request.op, "message": why.message, "help": why.help})
         except Exception:
             traceback.print_exc(file=sys.stderr)
-            client.tell({"op": "refused", "of": ask.op, "message": _BUG_MESSAGE, "help": "the earlier simulation continues"})
+            client.tell({"op": "refused", "of": request.op, "message": _BUG_MESSAGE, "help": "the earlier simulation continues"})
         self.screen.on_action()
 
     def _try_to_open(self) -> None:
-        choices, options, how = self._how
+        choices, options, how = self._session_options
         self._session, report = Session.open(self.compiler.scene, choices, options, compiler=self.compiler, **how)
         self.on_files_read(report)
-        self._attach_to_session()
-        self.screen.edited(files=True)
+        self._attach_observers()
+        self.screen.on_edit(files_changed=True)
         if self._session is not None:
-            waiting, self._later = self._later, []
+            waiting, self._postponed_requests = self._postponed_requests, []
             for ask, client in waiting:
                 if client in self.clients:
-                    self._handle(ask, client)
+                    self._handle_request(ask, client)
 
-    def _attach_to_session(self) -> None:
+    def _attach_observers(self) -> None:
         """Register for each new world of the session, and pass the current world to the observers."""
         if self._session is not None:
-            self._session.on_world = self._on_new_world
+            self._session.on_new_world = self._on_new_world
             self._on_new_world(self._session)
 
     def _on_new_world(self, session: Session) -> None:

@@ -14,7 +14,7 @@ Agent = Annotated[int, Field(ge=0, le=2**53)]
 MAX_PLANNED_AGENTS = 300  # agents with planned paths displayed all at once, at most
 
 
-class Refusal(Exception):
+class RequestRefused(Exception):
     """A request that cannot be carried out: the reason, and an alternative."""
 
     def __init__(self, message: str, help: str = "") -> None:
@@ -22,37 +22,37 @@ class Refusal(Exception):
         self.message, self.help = message, help
 
 
-class _Model(BaseModel):
+class _RequestModel(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
 
-class Play(_Model):
+class Play(_RequestModel):
     """Play from the current frame on."""
 
     op: Literal["play"]
 
 
-class Pause(_Model):
+class Pause(_RequestModel):
     """Pause, and drop pending steps."""
 
     op: Literal["pause"]
 
 
-class Step(_Model):
+class Step(_RequestModel):
     """Simulate `count` frames as fast as possible."""
 
     op: Literal["step"]
     count: int = Field(1, ge=1, le=1000)
 
 
-class Speed(_Model):
+class SetSpeed(_RequestModel):
     """Set the speed of play: 1 is the scene's own speed, 0 is as fast as possible."""
 
     op: Literal["speed"]
     times: float = Field(ge=0, le=64)
 
 
-class Seek(_Model):
+class Seek(_RequestModel):
     """Go to a frame. `exact` is false while a slider is dragged: then the stored agents of the frame are displayed without
     simulation."""
 
@@ -61,7 +61,7 @@ class Seek(_Model):
     exact: bool
 
 
-class Set(_Model):
+class SetValue(_RequestModel):
     """Set a param, or a setting of a field, to a number with its unit."""
 
     op: Literal["set"]
@@ -69,7 +69,7 @@ class Set(_Model):
     value: Words
 
 
-class Layer(_Model):
+class SwitchLayer(_RequestModel):
     """Switch a layer of a species on or off. The layer is identified by its text."""
 
     op: Literal["layer"]
@@ -78,7 +78,7 @@ class Layer(_Model):
     on: bool
 
 
-class Field_(_Model):
+class SwitchField(_RequestModel):
     """Switch a field on or off."""
 
     op: Literal["field"]
@@ -86,33 +86,33 @@ class Field_(_Model):
     on: bool
 
 
-class Reload(_Model):
+class Reload(_RequestModel):
     """Load the current files."""
 
     op: Literal["reload"]
 
 
-class Restart(_Model):
+class Restart(_RequestModel):
     """Simulate again from the first frame."""
 
     op: Literal["restart"]
 
 
-class Column(_Model):
+class ColumnRef(_RequestModel):
     """An attribute of a species, by name."""
 
     species: Name
     name: Name
 
 
-class AgentRef(_Model):
+class AgentRef(_RequestModel):
     """One agent: its species and its id."""
 
     species: Name
     agent: Agent
 
 
-class Look(_Model):
+class SetDisplay(_RequestModel):
     """Set all that a page displays in addition to the agents. A new request replaces the previous one.
 
     `columns`, `fields`, `flows`: the displayed ones, by name.
@@ -122,7 +122,7 @@ class Look(_Model):
     """
 
     op: Literal["look"]
-    columns: tuple[Column, ...] = Field((), max_length=64)
+    columns: tuple[ColumnRef, ...] = Field((), max_length=64)
     fields: tuple[Name, ...] = Field((), max_length=64)
     flows: tuple[Name, ...] = Field((), max_length=64)
     solids: bool = True
@@ -130,7 +130,7 @@ class Look(_Model):
     planned: tuple[AgentRef, ...] | None = Field(None, max_length=64)
 
 
-class Explain(_Model):
+class Explain(_RequestModel):
     """Request why an agent acted as it did in the step to a frame."""
 
     op: Literal["explain"]
@@ -139,7 +139,7 @@ class Explain(_Model):
     frame: Frame
 
 
-class StateBreak(_Model):
+class StateBreak(_RequestModel):
     """A breakpoint on entering a state."""
 
     kind: Literal["state"]
@@ -148,46 +148,59 @@ class StateBreak(_Model):
     state: Name
 
 
-class ConditionBreak(_Model):
+class ConditionBreak(_RequestModel):
     """A breakpoint on a condition. `text`: the condition in the language of specs."""
 
     kind: Literal["condition"]
     text: Words
 
 
-class SpecBreak(_Model):
+class SpecBreak(_RequestModel):
     """A breakpoint on a failing spec."""
 
     kind: Literal["spec"]
     spec: Name
 
 
-class FaultBreak(_Model):
+class FaultBreak(_RequestModel):
     """A breakpoint on a fault of any agent."""
 
     kind: Literal["fault"]
 
 
-Break = Annotated[StateBreak | ConditionBreak | SpecBreak | FaultBreak, Field(discriminator="kind")]
+AnyBreak = Annotated[StateBreak | ConditionBreak | SpecBreak | FaultBreak, Field(discriminator="kind")]
 
 
-class Breaks(_Model):
+class SetBreakpoints(_RequestModel):
     """Replace all breakpoints. `tried`: one more breakpoint, which is added only if it matches the program."""
 
     op: Literal["breaks"]
-    breaks: tuple[Break, ...] = Field((), max_length=64)
-    tried: Break | None = None
+    breaks: tuple[AnyBreak, ...] = Field((), max_length=64)
+    tried: AnyBreak | None = None
 
 
-class Profile(_Model):
+class SwitchProfile(_RequestModel):
     """Start or stop the messages with the costs of steps."""
 
     op: Literal["profile"]
     on: bool
 
 
-Ask = Annotated[
-    Play | Pause | Step | Speed | Seek | Set | Layer | Field_ | Reload | Restart | Look | Explain | Breaks | Profile,
+AnyRequest = Annotated[
+    Play
+    | Pause
+    | Step
+    | SetSpeed
+    | Seek
+    | SetValue
+    | SwitchLayer
+    | SwitchField
+    | Reload
+    | Restart
+    | SetDisplay
+    | Explain
+    | SetBreakpoints
+    | SwitchProfile,
     Field(discriminator="op"),
 ]
-ASK: TypeAdapter[Ask] = TypeAdapter(Ask)
+REQUEST_ADAPTER: TypeAdapter[AnyRequest] = TypeAdapter(AnyRequest)

@@ -13,19 +13,19 @@ from antdsl import limits
 from antdsl.diagnostics import Report
 from antdsl.pipeline import RunChoices, Shot
 from antdsl.plan.ir import Plan
-from antdsl.plan.traverse import field_nodes, operands, required_nodes, statements
+from antdsl.plan.traverse import collect_required_nodes, iterate_statements, list_field_nodes, list_operands
 from antdsl.preview.agent_columns import Arrays
 from antdsl.preview.compiling import Compiler
-from antdsl.preview.layer_order import DisabledLayers, texts_without_layers
-from antdsl.preview.speculative import changed_files_text
-from antdsl.preview.timeline import SimulationStretch, Timeline, nearest_checkpoint
-from antdsl.reload import migration_line
+from antdsl.preview.layer_order import DisabledLayers, remove_disabled_layers
+from antdsl.preview.precompiled_shot import describe_changed_files
+from antdsl.preview.timeline import SimulationStretch, Timeline, find_nearest_checkpoint
+from antdsl.reload import describe_migration
 from antdsl.runtime import BindError, FaultStop, LimitStop, Options, World, bind, state_hash, step
-from antdsl.runtime.binding.start_findings import start_warnings
+from antdsl.runtime.binding.start_findings import find_start_warnings
 from antdsl.runtime.profiling import StepMeter
-from antdsl.scene.field_settings import settable_names
-from antdsl.scene.matching import check_param
+from antdsl.scene.field_settings import list_settable_names
 from antdsl.scene.quantities import Quantity, QuantityError, parse_quantity
+from antdsl.scene.scene_checks import check_param
 
 _RESTARTED_TEXT = "simulated again from the first frame"
 _MAX_LAYER_CHARACTERS = 60  # letters of a layer in messages
@@ -60,11 +60,11 @@ class Session:
     def __init__(self, compiler: Compiler, options: Options, timeline: Timeline) -> None:
         self.compiler, self.options, self.timeline = compiler, options, timeline
         self.playing = False
-        self.fault: str | None = None  # of the last step
-        self._before_off: dict[str, dict[str, str]] = {}  # what was set of fields that are off
+        self.fault_text: str | None = None  # of the last step
+        self._settings_of_disabled_fields: dict[str, dict[str, str]] = {}  # what was set of fields that are off
         self.meter: StepMeter | None = None  # measures each step while there is one; see `measure`
-        self.on_world: Callable[[Session], None] | None = None  # called when `world` is another one than before
-        self._stretch: SimulationStretch
+        self.on_new_world: Callable[[Session], None] | None = None  # called when `world` is another one than before
+        self._current_stretch: SimulationStretch
 
     @classmethod
     def open(
@@ -92,12 +92,12 @@ class Session:
     @property
     def shot(self) -> Shot:
         """Return the shot that simulates the current frame."""
-        return self._stretch.shot
+        return self._current_stretch.shot
 
     @property
     def disabled_layers(self) -> DisabledLayers:
         """Return the layers that are off, by species and text, with the file of each."""
-        return self._stretch.off
+        return self._current_stretch.disabled_layers
 
     @property
     def frame(self) -> int:
@@ -124,63 +124,63 @@ class Session:
         """Return whether the session differs from a fresh run.
 
         It does after a change during the run that was not undone at the same frame."""
-        return any(not stretch.fresh or stretch.changes for stretch in self.timeline.stretches)
+        return any(not stretch.is_fresh or stretch.param_changes for stretch in self.timeline.stretches)
 
     @property
     def choices(self) -> RunChoices:
         """Return the values that were set by hand, as of this frame."""
-        changed = {c.name: c.text for c in self._stretch.changes if c.frame <= self.frame}
-        return replace(self._stretch.choices, params={**self._stretch.choices.params, **changed})
+        changed = {c.name: c.text for c in self._current_stretch.param_changes if c.frame <= self.frame}
+        return replace(self._current_stretch.choices, params={**self._current_stretch.choices.params, **changed})
 
     def step(self) -> None:
         """Advance by one frame: through the recorded history first, then by simulation. A fault only stops `playing`."""
-        self._step()
-        later = self.timeline.next_stretch(self._stretch)
+        self._simulate_step()
+        later = self.timeline.find_next_stretch(self._current_stretch)
         if later is not None and later.first == self.frame:
-            self._restore(later, later.first)
-        self.timeline.store_frame(self._stretch, self.world)
+            self._restore_checkpoint(later, later.first)
+        self.timeline.store_frame(self._current_stretch, self.world)
 
     def seek(self, frame: int) -> None:
         """Go to a frame that was simulated. Raises ValueError for any other frame, also for one that was dropped."""
         self._check_stored(frame)
         if not self.is_ahead(frame):
-            self._restore(self.timeline.at(frame), self.checkpoint_frame(frame))
+            self._restore_checkpoint(self.timeline.at(frame), self.find_checkpoint_frame(frame))
         while self.frame < frame:
-            self._step()
+            self._simulate_step()
 
     def is_ahead(self, frame: int) -> bool:
         """Return whether simulating from the current frame reaches a frame at least as fast as from any checkpoint."""
         stretch = self.timeline.at(frame)
-        return stretch is self._stretch and nearest_checkpoint(stretch, frame) <= self.frame <= frame
+        return stretch is self._current_stretch and find_nearest_checkpoint(stretch, frame) <= self.frame <= frame
 
-    def checkpoint_frame(self, frame: int) -> int:
+    def find_checkpoint_frame(self, frame: int) -> int:
         """Return the frame of the checkpoint from which a frame is simulated. Raises ValueError as `seek` does."""
         self._check_stored(frame)
-        return nearest_checkpoint(self.timeline.at(frame), frame)
+        return find_nearest_checkpoint(self.timeline.at(frame), frame)
 
     def _check_stored(self, frame: int) -> None:
         if not self.first <= frame <= self.last_frame:
             raise ValueError(f"frame {frame} is not among those stored, {self.first} to {self.last_frame}")
 
-    def light_at(self, frame: int) -> Mapping[str, Arrays] | None:
+    def read_light_frame(self, frame: int) -> Mapping[str, Arrays] | None:
         """Return the agents at a frame by species, without simulation; None if the frame was dropped."""
-        return self.timeline.light.get(frame)
+        return self.timeline.light_frames.get(frame)
 
-    def _step(self) -> None:
-        self.fault = None
-        self._stretch.before_step(self.world)
+    def _simulate_step(self) -> None:
+        self.fault_text = None
+        self._current_stretch.apply_param_changes(self.world)
         if self.meter is not None:
             self.meter.begin(self.world)
         frame = self.world.frame
         try:
             step(self.world)
         except LimitStop as stop:  # the world is in the middle of a step
-            self._restore(self._stretch, nearest_checkpoint(self._stretch, frame))
+            self._restore_checkpoint(self._current_stretch, find_nearest_checkpoint(self._current_stretch, frame))
             while self.frame < frame:
-                self._step()
-            self.fault, self.playing = stop.fault.brief, False
+                self._simulate_step()
+            self.fault_text, self.playing = stop.fault.brief_text, False
         except FaultStop as stop:
-            self.fault, self.playing = stop.fault.brief, False
+            self.fault_text, self.playing = stop.fault.brief_text, False
         if self.meter is not None:
             self.meter.end(self.world)
 
@@ -190,36 +190,36 @@ class Session:
             self.meter.stop()
         self.meter = StepMeter() if on else None
 
-    def _restore(self, stretch: SimulationStretch, frame: int) -> None:
+    def _restore_checkpoint(self, stretch: SimulationStretch, frame: int) -> None:
         """Restore a stretch at a checkpoint, in a new world without digging yet."""
-        world = stretch.world(stretch.checkpoints[frame], self.options, self.compiler.built)
+        world = stretch.restore_world(stretch.checkpoints[frame], self.options, self.compiler.binding_cache)
         world.watchers = self.world.watchers
-        self._enter(world, stretch)
+        self._enter_world(world, stretch)
 
-    def _enter(self, world: World, stretch: SimulationStretch) -> None:
-        self._stretch, self.world = stretch, world
-        if self.on_world is not None:
-            self.on_world(self)
+    def _enter_world(self, world: World, stretch: SimulationStretch) -> None:
+        self._current_stretch, self.world = stretch, world
+        if self.on_new_world is not None:
+            self.on_new_world(self)
 
     # --- edits ---------------------------------------------------------------------------------------------------------
 
     def reload(self) -> Outcome:
         """Continue from the current frame with the current files. If they have errors, the last valid program continues."""
-        outcome = self._recompile(self.choices, self._stretch.off)
-        if outcome.ok or not (self.choices.params or self._stretch.off):
+        outcome = self._recompile(self.choices, self._current_stretch.disabled_layers)
+        if outcome.ok or not (self.choices.params or self._current_stretch.disabled_layers):
             return outcome
-        choices, dropped = self._drop_unknown(self.choices, self._stretch.off)
+        choices, dropped = self._drop_unknown_choices(self.choices, self._current_stretch.disabled_layers)
         if not dropped:
             return outcome
-        outcome = self._recompile(choices, self._stretch.off)
+        outcome = self._recompile(choices, self._current_stretch.disabled_layers)
         return replace(outcome, line=" · ".join([outcome.line, *dropped])) if outcome.ok else outcome
 
     def precompile(self) -> None:
         """Compile the current files while they may still change, so that a reload finds the result. There is no other effect."""
-        instead = self.compiler.instead
-        self.compiler.instead, _ = texts_without_layers(self._stretch.off)
+        instead = self.compiler.replacement_texts
+        self.compiler.replacement_texts, _ = remove_disabled_layers(self._current_stretch.disabled_layers)
         self.compiler.precompile(self.choices)
-        self.compiler.instead = instead
+        self.compiler.replacement_texts = instead
 
     def set(self, name: str, value: str) -> Outcome:
         """Set a param, or a setting of a field, to a number with its unit. `text` of the result is the line of the scene that
@@ -230,110 +230,120 @@ class Session:
             return Outcome(report)
         if name not in self.shot.plan.params or name in find_binding_params(self.shot.plan):
             choices = self.choices
-            return self._recompile(replace(choices, params={**choices.params, name: value}), self._stretch.off, text, did)
-        self.timeline.cut(self.frame, text)
-        self._stretch.change_param(self.world, name, value, quantity.to_base_units(self.shot.scene.model.unit_mm, self.world.dt))
+            return self._recompile(
+                replace(choices, params={**choices.params, name: value}), self._current_stretch.disabled_layers, text, did
+            )
+        self.timeline.drop_after(self.frame, text)
+        self._current_stretch.change_param(
+            self.world, name, value, quantity.to_base_units(self.shot.scene.model.unit_mm, self.world.dt)
+        )
         return Outcome(report, "from the next frame on", text, did)
 
     def switch_field(self, name: str, on: bool) -> Outcome:
         """Switch a field on or off. Off means that deposits stay below a millionth and vanish after one step."""
-        off = silencing_settings(name)
+        off = make_silencing_settings(name)
         if name not in self.shot.plan.fields:
-            return _error_outcome(f"no program has a field `{name}`")
+            return _make_error_outcome(f"no program has a field `{name}`")
         chosen = self.choices.params
         if not on and not chosen.items() >= off.items():
-            self._before_off[name] = {key: chosen[key] for key in off if key in chosen}
+            self._settings_of_disabled_fields[name] = {key: chosen[key] for key in off if key in chosen}
         params = {key: value for key, value in chosen.items() if off.get(key) != value}
-        params |= self._before_off.pop(name, {}) if on else {}
+        params |= self._settings_of_disabled_fields.pop(name, {}) if on else {}
         text = "" if on else f"set: {{{', '.join(f'{key}: {value}' for key, value in off.items())}}}"
         did = f"field `{name}` holds scent again" if on else f"field `{name}` holds no scent"
-        return self._recompile(replace(self.choices, params=params if on else {**params, **off}), self._stretch.off, text, did)
+        return self._recompile(
+            replace(self.choices, params=params if on else {**params, **off}), self._current_stretch.disabled_layers, text, did
+        )
 
     def layer(self, species: str, layer: str, on: bool) -> Outcome:
         """Switch a layer of a species off or on again. The layer is identified by its text.
 
         `text` of the result is the layer's lines, commented out."""
-        key, off = (species, layer), dict(self._stretch.off)
+        key, off = (species, layer), dict(self._current_stretch.disabled_layers)
         if on:
             if off.pop(key, None) is None:
-                return _error_outcome(f"no layer of `{species}` that is off is `{layer}`")
-            return self._recompile(self.choices, off, did=f"layer `{_short_text(layer)}` is on again")
+                return _make_error_outcome(f"no layer of `{species}` that is off is `{layer}`")
+            return self._recompile(self.choices, off, did=f"layer `{_shorten_text(layer)}` is on again")
         plan = self.shot.plan.species.get(species)
         layer_plan = next((each for each in plan.layers if each.span.text == layer), None) if plan is not None else None
         if layer_plan is None:
-            return _error_outcome(f"no layer of `{species}` is `{layer}`")
+            return _make_error_outcome(f"no layer of `{species}` is `{layer}`")
         off[key] = Path(os.path.realpath(layer_plan.span.source.path))
         text = "\n".join(f"# {line.strip()}" for line in layer.splitlines())
-        return self._recompile(self.choices, off, text, f"layer `{_short_text(layer)}` is off")
+        return self._recompile(self.choices, off, text, f"layer `{_shorten_text(layer)}` is off")
 
     def restart(self) -> Outcome:
         """Simulate the current files from the first frame, with the settings made by hand.
 
         Its state hashes equal those of `antdsl run` with these settings in the files."""
-        return self._start_over(self.choices, self._stretch.off)
+        return self._start_over(self.choices, self._current_stretch.disabled_layers)
 
-    def _start_over(self, choices: RunChoices, off: DisabledLayers) -> Outcome:
-        shot, report, _ = self._compile(choices, off)
+    def _start_over(self, choices: RunChoices, disabled_layers: DisabledLayers) -> Outcome:
+        shot, report, _ = self._compile(choices, disabled_layers)
         if shot is None or not report.ok:
             return Outcome(report)
         try:
-            world = bind(shot.plan, shot.setting, self.options, built=self.compiler.built)
+            world = bind(shot.plan, shot.setting, self.options, built=self.compiler.binding_cache)
         except BindError as why:
             return Outcome(why.report)
-        report.extend(start_warnings(shot.scene, world))
-        self.timeline = self.timeline.restarted(_RESTARTED_TEXT)
-        stretch = SimulationStretch(shot, world.frame, "from the first frame", world.origin, choices, off)
+        report.extend(find_start_warnings(shot.scene, world))
+        self.timeline = self.timeline.make_restarted(_RESTARTED_TEXT)
+        stretch = SimulationStretch(shot, world.frame, "from the first frame", world.origin, choices, disabled_layers)
         self.timeline.start(stretch, world)
-        self.fault = None
-        self._enter(world, stretch)
+        self.fault_text = None
+        self._enter_world(world, stretch)
         return Outcome(report, f"{len(self.world):,} agents from frame {self.frame}", did=_RESTARTED_TEXT)
 
-    def _compile(self, choices: RunChoices, off: DisabledLayers) -> tuple[Shot | None, Report, list[tuple[str, str]]]:
+    def _compile(self, choices: RunChoices, disabled_layers: DisabledLayers) -> tuple[Shot | None, Report, list[tuple[str, str]]]:
         """Return the shot of the files with these choices, its report, and the layers that no longer exist."""
-        previous_texts = self.compiler.instead
-        self.compiler.instead, missing_layers = texts_without_layers(off)
+        previous_texts = self.compiler.replacement_texts
+        self.compiler.replacement_texts, missing_layers = remove_disabled_layers(disabled_layers)
         shot, report = self.compiler.open(choices)
         if shot is None or not report.ok:
-            self.compiler.instead = previous_texts
+            self.compiler.replacement_texts = previous_texts
         return shot, report, missing_layers
 
-    def _recompile(self, choices: RunChoices, off: DisabledLayers, text: str = "", did: str | None = None) -> Outcome:
+    def _recompile(self, choices: RunChoices, disabled_layers: DisabledLayers, text: str = "", did: str | None = None) -> Outcome:
         """Continue with the current files and other choices. `did`: describes the edit; None for changed files."""
-        shot, report, missing_layers = self._compile(choices, off)
+        shot, report, missing_layers = self._compile(choices, disabled_layers)
         if shot is None or not report.ok:
             return Outcome(report)
-        saved, did = did is None, changed_files_text(self.shot, shot) if did is None else did
+        saved, did = did is None, describe_changed_files(self.shot, shot) if did is None else did
         if saved and shot.inputs == self.shot.inputs:
             if did:  # a comment, or what no result depends on, such as the camera and the last frame
-                self._stretch.shot = shot
+                self._current_stretch.shot = shot
             return Outcome(
-                report, self._forget_undone_edit() or ("the run stays as it is" if did else "nothing has changed"), did=did
+                report, self._drop_undone_edit() or ("the run stays as it is" if did else "nothing has changed"), did=did
             )
-        world, migration, findings = self.compiler.take_over(self.world, shot)
+        world, migration, findings = self.compiler.migrate_world(self.world, shot)
         report.extend(findings)
         if world is None:
             return Outcome(report)
-        report.extend(start_warnings(shot.scene, world))
-        line = " · ".join([migration_line(migration), *(f"layer `{layer}` is gone" for _, layer in missing_layers)])
-        off = {key: path for key, path in off.items() if key not in missing_layers}
-        stretch = SimulationStretch(shot, world.frame, did, world.origin, choices, off)
-        stretch.replace(self._stretch, self.world, world)
+        report.extend(find_start_warnings(shot.scene, world))
+        line = " · ".join([describe_migration(migration), *(f"layer `{layer}` is gone" for _, layer in missing_layers)])
+        disabled_layers = {key: path for key, path in disabled_layers.items() if key not in missing_layers}
+        stretch = SimulationStretch(shot, world.frame, did, world.origin, choices, disabled_layers)
+        stretch.replace(self._current_stretch, self.world, world)
         self.timeline.start(stretch, world)
-        self._enter(world, stretch)
+        self._enter_world(world, stretch)
         return Outcome(report, line, text, did)
 
-    def _forget_undone_edit(self) -> str:
+    def _drop_undone_edit(self) -> str:
         """If the files are again as they were at this frame, drop the later frames of the undone edit. Return its description."""
-        later = [each for each in self.timeline.stretches if each.first > self.frame and each.off == self._stretch.off]
-        if all(_file_texts(each.shot) == _file_texts(self.shot) for each in later):
+        later = [
+            each
+            for each in self.timeline.stretches
+            if each.first > self.frame and each.disabled_layers == self._current_stretch.disabled_layers
+        ]
+        if all(_read_file_texts(each.shot) == _read_file_texts(self.shot) for each in later):
             return ""
         line = "the files are again as they were at this frame: later frames are simulated again"
-        self.timeline.cut(self.frame, line)
+        self.timeline.drop_after(self.frame, line)
         return line
 
-    def _drop_unknown(self, choices: RunChoices, off: DisabledLayers) -> tuple[RunChoices, list[str]]:
+    def _drop_unknown_choices(self, choices: RunChoices, disabled_layers: DisabledLayers) -> tuple[RunChoices, list[str]]:
         """Return the choices without the values that the current files cannot use, and a text for each dropped value."""
-        shot, report, _ = self._compile(replace(choices, params={}), off)
+        shot, report, _ = self._compile(replace(choices, params={}), disabled_layers)
         if shot is None or not report.ok:
             return choices, []
         fits = {name: value for name, value in choices.params.items() if _parse_quantity(shot, name, value)[0] is not None}
@@ -341,18 +351,18 @@ class Session:
         return replace(choices, params=fits), dropped
 
 
-def _short_text(text: str) -> str:
+def _shorten_text(text: str) -> str:
     """Return a layer's text, shortened to one line."""
     words = " ".join(text.split())
     return words if len(words) <= _MAX_LAYER_CHARACTERS else f"{words[: _MAX_LAYER_CHARACTERS - 1]}…"
 
 
-def silencing_settings(field: str) -> dict[str, str]:
+def make_silencing_settings(field: str) -> dict[str, str]:
     """Return the settings that keep a field's values near 0."""
     return {f"{field}.limit": "0.000001", f"{field}.keeps": "0 %/step"}
 
 
-def _file_texts(shot: Shot) -> dict[str, str]:
+def _read_file_texts(shot: Shot) -> dict[str, str]:
     """Return the texts of the files from which a shot was compiled, without values set by hand."""
     return {name: known for name, known in shot.inputs.items() if not name.startswith("--set ")}
 
@@ -366,14 +376,14 @@ def _parse_quantity(shot: Shot, name: str, value: str) -> tuple[Quantity | None,
         usual = f"write a number and a unit: `{name}: 50 mm`"
         report.error("wrong-value", f"`{name}: {value}`: `{value}` {why}", None, why.help or usual)
         return None, report
-    if name not in shot.program.params and name not in settable_names(shot.program):
+    if name not in shot.program.params and name not in list_settable_names(shot.program):
         report.error("unknown-thing", f"no program has a param `{name}`", None)
         return None, report
     check_param(shot.scene, shot.program, report, name, quantity)
     return (quantity if report.ok else None), report
 
 
-def _error_outcome(message: str) -> Outcome:
+def _make_error_outcome(message: str) -> Outcome:
     report = Report()
     report.error("unknown-thing", message, None)
     return Outcome(report)
@@ -381,8 +391,8 @@ def _error_outcome(message: str) -> Outcome:
 
 def find_binding_params(plan: Plan) -> frozenset[str]:
     """Return the params on which fields, other params or newborn agents depend. All other params may change between two steps."""
-    nodes = [node for field_plan in plan.fields.values() for node in field_nodes(field_plan)]
+    nodes = [node for field_plan in plan.fields.values() for node in list_field_nodes(field_plan)]
     nodes += [param.default for param in plan.params.values()]
     for species in plan.species.values():
-        nodes += [node for _, statement in statements(species.born) for node in operands(statement)]
-    return frozenset(str(node.attrs[0]) for node in required_nodes(nodes) if node.op == "param")
+        nodes += [node for _, statement in iterate_statements(species.born) for node in list_operands(statement)]
+    return frozenset(str(node.attrs[0]) for node in collect_required_nodes(nodes) if node.op == "param")

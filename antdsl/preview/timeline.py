@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.pipeline import RunChoices, Shot
-from antdsl.preview.agent_columns import Arrays, light_frame
-from antdsl.runtime import BindingCache, Options, World, checkpoint, restore, set_param, state_hash
+from antdsl.preview.agent_columns import Arrays, make_light_frame
+from antdsl.runtime import BindingCache, Options, World, restore_checkpoint, set_param, state_hash, take_checkpoint
 from antdsl.runtime.binding.bind_world import bind_empty
 
 _LIGHT_BUDGET_SHARE = 0.25  # of the budget, that light frames keep
@@ -31,61 +31,62 @@ class LightFrames(dict[int, Mapping[str, Arrays]]):
     def __init__(self) -> None:
         super().__init__()
         self.nbytes = 0
-        self._used: Counter[int] = Counter()
+        self._use_count_by_array: Counter[int] = Counter()
 
-    def put(self, frame: int, lights: Mapping[str, Arrays]) -> None:
+    def put_frame(self, frame: int, arrays_by_species: Mapping[str, Arrays]) -> None:
         """Store the arrays of a frame by species, and count their bytes."""
-        self.drop(frame)
-        self[frame] = lights
-        for array in chain.from_iterable(light.values() for light in lights.values()):
-            self.nbytes += array.nbytes if not self._used[id(array)] else 0
-            self._used[id(array)] += 1
+        self.drop_frame(frame)
+        self[frame] = arrays_by_species
+        for array in chain.from_iterable(light.values() for light in arrays_by_species.values()):
+            self.nbytes += array.nbytes if not self._use_count_by_array[id(array)] else 0
+            self._use_count_by_array[id(array)] += 1
 
-    def drop(self, frame: int) -> None:
+    def drop_frame(self, frame: int) -> None:
         """Remove a frame. Arrays that other frames share still count."""
         for array in chain.from_iterable(light.values() for light in self.pop(frame, {}).values()):
-            self._used[id(array)] -= 1
-            if not self._used[id(array)]:
-                del self._used[id(array)]
+            self._use_count_by_array[id(array)] -= 1
+            if not self._use_count_by_array[id(array)]:
+                del self._use_count_by_array[id(array)]
                 self.nbytes -= array.nbytes
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SpeciesPoses:
     """The poses of agents of one species at a frame, as sent to pages. `arrays`: by name; valid only for the body and the clips
-    of `worn`."""
+    of `outfit`."""
 
-    worn: object
+    outfit: object
     arrays: Arrays
 
 
-class Poses(dict[int, Mapping[str, SpeciesPoses]]):
+class StoredPoses(dict[int, Mapping[str, SpeciesPoses]]):
     """Poses of bodies by frame and species. `nbytes`: total bytes."""
 
     def __init__(self) -> None:
         super().__init__()
         self.nbytes = 0
 
-    def put(self, frame: int, poses: Mapping[str, SpeciesPoses]) -> None:
+    def put_frame(self, frame: int, poses: Mapping[str, SpeciesPoses]) -> None:
         """Store the poses of a frame by species, and count their bytes."""
-        self.drop(frame)
+        self.drop_frame(frame)
         self[frame] = poses
-        self.nbytes += sum(_byte_count(each.arrays) for each in poses.values())
+        self.nbytes += sum(_count_bytes(each.arrays) for each in poses.values())
 
-    def drop(self, frame: int) -> None:
+    def drop_frame(self, frame: int) -> None:
         """Remove the poses of a frame."""
-        self.nbytes -= sum(_byte_count(each.arrays) for each in self.pop(frame, {}).values())
+        self.nbytes -= sum(_count_bytes(each.arrays) for each in self.pop(frame, {}).values())
 
 
 @dataclass(frozen=True, slots=True)
 class ParamChange:
-    """A new value of a param from a frame on. `text`: as written. `value`: in base units. `was`: the previous value."""
+    """A new value of a param from a frame on. `text`: as written. `value`: in base units. `previous_value`: the previous
+    value."""
 
     frame: int
     name: str
     text: str
     value: float
-    was: float
+    previous_value: float
 
 
 @dataclass(slots=True, eq=False)
@@ -93,9 +94,10 @@ class SimulationStretch:
     """The frames from `first` on that one shot simulated.
 
     `line`: the reason for the stretch.
-    `choices` and `off`: the settings made by hand when it began; `off` has layers by species and text, with the file of each.
-    `changes`: params that were set during the stretch.
-    `fresh`: whether everything up to its first frame is as in a run without edits.
+    `choices` and `disabled_layers`: the settings made by hand when it began; `disabled_layers` has layers by species and text,
+    with the file of each.
+    `param_changes`: params that were set during the stretch.
+    `is_fresh`: whether everything up to its first frame is as in a run without edits.
     """
 
     shot: Shot
@@ -103,43 +105,43 @@ class SimulationStretch:
     line: str
     origin: NDArray[np.float64]
     choices: RunChoices
-    off: Mapping[tuple[str, str], Path] = field(default_factory=dict)
+    disabled_layers: Mapping[tuple[str, str], Path] = field(default_factory=dict)
     checkpoints: dict[int, Arrays] = field(default_factory=dict)
-    changes: list[ParamChange] = field(default_factory=list)
-    fresh: bool = True
-    _unedited: tuple[object, str] | None = None  # what an unedited run to its first frame is made of, and the hash there
+    param_changes: list[ParamChange] = field(default_factory=list)
+    is_fresh: bool = True
+    _state_before_edit: tuple[object, str] | None = None  # what an unedited run to its first frame is made of, and the hash there
 
-    def replace(self, previous: SimulationStretch, old: World, world: World) -> None:
-        """Replace the stretch `previous` at the frame of the world `old` by this stretch. `world` was made from `old`. This
-        stretch still counts as a fresh run if an edit was undone at its own frame and no state was lost."""
-        if previous.first == old.frame and previous._unedited is not None:
-            self._unedited = previous._unedited
-        elif previous.fresh and not previous.changes:
-            self._unedited = previous._source_texts(), state_hash(old)
-        same = self._unedited is not None and self._unedited[0] == self._source_texts()
-        self.fresh = same and self._unedited == (self._source_texts(), state_hash(world))
+    def replace(self, previous: SimulationStretch, old_world: World, world: World) -> None:
+        """Replace the stretch `previous` at the frame of the world `old_world` by this stretch. `world` was made from
+        `old_world`. This stretch still counts as a fresh run if an edit was undone at its own frame and no state was lost."""
+        if previous.first == old_world.frame and previous._state_before_edit is not None:
+            self._state_before_edit = previous._state_before_edit
+        elif previous.is_fresh and not previous.param_changes:
+            self._state_before_edit = previous._list_source_texts(), state_hash(old_world)
+        same = self._state_before_edit is not None and self._state_before_edit[0] == self._list_source_texts()
+        self.is_fresh = same and self._state_before_edit == (self._list_source_texts(), state_hash(world))
 
-    def _source_texts(self) -> object:
-        return dict(self.shot.inputs), frozenset(self.off)
+    def _list_source_texts(self) -> object:
+        return dict(self.shot.inputs), frozenset(self.disabled_layers)
 
     def change_param(self, world: World, name: str, text: str, value: float) -> None:
         """Set a param from the world's frame on. If a value is set and reset at the same frame, no change is stored."""
-        current_changes = [each for each in self.changes if (each.frame, each.name) == (world.frame, name)]
-        was = current_changes[0].was if current_changes else float(world.params[name])
-        self.changes = [each for each in self.changes if each not in current_changes]
+        current_changes = [each for each in self.param_changes if (each.frame, each.name) == (world.frame, name)]
+        was = current_changes[0].previous_value if current_changes else float(world.params[name])
+        self.param_changes = [each for each in self.param_changes if each not in current_changes]
         if np.float32(value) != np.float32(was):
-            self.changes.append(ParamChange(world.frame, name, text, value, was))
+            self.param_changes.append(ParamChange(world.frame, name, text, value, was))
         set_param(world, name, value)
 
-    def world(self, arrays: Arrays, options: Options, built: BindingCache) -> World:
+    def restore_world(self, arrays: Arrays, options: Options, built: BindingCache) -> World:
         """Return a separate world with the state of a checkpoint."""
         world = bind_empty(self.shot.plan, self.shot.setting, options, built=built, origin=self.origin)
-        restore(world, arrays)
+        restore_checkpoint(world, arrays)
         return world
 
-    def before_step(self, world: World) -> None:
+    def apply_param_changes(self, world: World) -> None:
         """Set the params of a world that change at its frame."""
-        for change in self.changes:
+        for change in self.param_changes:
             if change.frame == world.frame:
                 set_param(world, change.name, change.value)
 
@@ -156,24 +158,24 @@ class TimelineBranch:
 class Timeline:
     """Stretches in order of time, with a checkpoint every `every` frames.
 
-    If the data exceeds `budget` bytes, parts are dropped in this order: poses of the oldest frames, until poses take an eighth;
-    the oldest light frames, until they take a quarter; checkpoints between others, where they are closest; complete stretches,
-    oldest first.
+    If the data exceeds `max_bytes` bytes, parts are dropped in this order: poses of the oldest frames, until poses take an
+    eighth; the oldest light frames, until they take a quarter; checkpoints between others, where they are closest; complete
+    stretches, oldest first.
 
     `curves`: the last 50,000 frames, in order.
     `branches`: the last 8.
-    `stops`: the last 256 frames at which play was stopped, with the reason.
+    `stop_reasons`: the last 256 frames at which play was stopped, with the reason.
     """
 
     def __init__(self, every: int, budget: int) -> None:
-        self.every, self.budget = every, budget
+        self.every, self.max_bytes = every, budget
         self.stretches: list[SimulationStretch] = []
         self.branches: list[TimelineBranch] = []
         self.curves: dict[int, dict[str, float]] = {}
-        self.stops: dict[int, str] = {}
-        self.light = LightFrames()
-        self.poses = Poses()  # of light frames that some page was shown when they were simulated
-        self._bytes = 0  # of checkpoints
+        self.stop_reasons: dict[int, str] = {}
+        self.light_frames = LightFrames()
+        self.poses = StoredPoses()  # of light frames that some page was shown when they were simulated
+        self._checkpoint_bytes = 0  # of checkpoints
 
     @property
     def last_frame(self) -> int:
@@ -183,58 +185,58 @@ class Timeline:
     @property
     def nbytes(self) -> int:
         """Return the bytes of all stored data except curves."""
-        return self._bytes + self.light.nbytes + self.poses.nbytes
+        return self._checkpoint_bytes + self.light_frames.nbytes + self.poses.nbytes
 
     def at(self, frame: int) -> SimulationStretch:
         """Return the stretch that a frame belongs to. A frame at which two stretches meet belongs to the later one."""
         return next(stretch for stretch in reversed(self.stretches) if stretch.first <= frame)
 
-    def next_stretch(self, stretch: SimulationStretch) -> SimulationStretch | None:
+    def find_next_stretch(self, stretch: SimulationStretch) -> SimulationStretch | None:
         """Return the stretch after another one, or None."""
         number = self.stretches.index(stretch) + 1
         return self.stretches[number] if number < len(self.stretches) else None
 
     def start(self, stretch: SimulationStretch, world: World) -> None:
         """Continue with another stretch from its first frame. The old history from that frame on becomes a branch."""
-        self.cut(stretch.first, stretch.line)
+        self.drop_after(stretch.first, stretch.line)
         self.curves.pop(stretch.first, None)  # to be measured again
         for each in [each for each in self.stretches if each.first == stretch.first]:
             self._drop_stretch(each)
         self.stretches.append(stretch)
         self.store_frame(stretch, world)
 
-    def cut(self, frame: int, line: str) -> None:
+    def drop_after(self, frame: int, line: str) -> None:
         """Drop everything after a frame except its curves."""
         old = {each: values for each, values in self.curves.items() if each > frame}
         if old:
             self._add_branch(TimelineBranch(frame, line, old))
-        self.stops = {each: why for each, why in self.stops.items() if each <= frame}
+        self.stop_reasons = {each: why for each, why in self.stop_reasons.items() if each <= frame}
         for each_stretch in [each for each in self.stretches if each.first > frame]:
             self._drop_stretch(each_stretch)
         for stretch in self.stretches:
-            stretch.changes = [change for change in stretch.changes if change.frame <= frame]
+            stretch.param_changes = [change for change in stretch.param_changes if change.frame <= frame]
             for each in [each for each in stretch.checkpoints if each > frame]:
-                self._bytes -= _byte_count(stretch.checkpoints.pop(each))
+                self._checkpoint_bytes -= _count_bytes(stretch.checkpoints.pop(each))
         for each in old:
             del self.curves[each]
             self._drop_frame(each)
         if old:
             self.curves.setdefault(frame, {})  # it may be older than all that there are
 
-    def restarted(self, line: str) -> Timeline:
+    def make_restarted(self, line: str) -> Timeline:
         """Return an empty timeline. The old history becomes its branch if it has more than one frame."""
-        timeline = Timeline(self.every, self.budget)
+        timeline = Timeline(self.every, self.max_bytes)
         timeline.branches = self.branches
         if len(self.curves) > 1:
             timeline._add_branch(TimelineBranch(next(iter(self.curves)), line, self.curves))
         return timeline
 
-    def stop(self, frame: int, why: str) -> None:
+    def mark_stop(self, frame: int, reason: str) -> None:
         """Mark a frame as one at which play was stopped."""
-        self.stops.pop(frame, None)
-        self.stops[frame] = why
-        while len(self.stops) > _MAX_STOPS:
-            del self.stops[next(iter(self.stops))]
+        self.stop_reasons.pop(frame, None)
+        self.stop_reasons[frame] = reason
+        while len(self.stop_reasons) > _MAX_STOPS:
+            del self.stop_reasons[next(iter(self.stop_reasons))]
 
     def _add_branch(self, branch: TimelineBranch) -> None:
         self.branches = [*self.branches[1 - _MAX_BRANCHES :], branch]
@@ -248,51 +250,53 @@ class Timeline:
             if len(self.curves) > _MAX_CURVE_FRAMES:
                 del self.curves[next(iter(self.curves))]
         if (frame == stretch.first and frame not in stretch.checkpoints) or (fresh and frame % self.every == 0):
-            self._bytes -= _byte_count(stretch.checkpoints.get(frame, {}))
-            stretch.checkpoints[frame] = checkpoint(world)
-            self._bytes += _byte_count(stretch.checkpoints[frame])
+            self._checkpoint_bytes -= _count_bytes(stretch.checkpoints.get(frame, {}))
+            stretch.checkpoints[frame] = take_checkpoint(world)
+            self._checkpoint_bytes += _count_bytes(stretch.checkpoints[frame])
         if fresh:
-            previous = self.light.get(frame - 1, {})
-            self.poses.drop(frame)
-            self.light.put(frame, {name: light_frame(p, previous.get(name)) for name, p in world.populations.items()})
+            previous = self.light_frames.get(frame - 1, {})
+            self.poses.drop_frame(frame)
+            self.light_frames.put_frame(
+                frame, {name: make_light_frame(p, previous.get(name)) for name, p in world.populations.items()}
+            )
         self._enforce_budget(stretch)
 
     def _drop_frame(self, frame: int) -> None:
         """Drop the light frame and the poses of a frame."""
-        self.light.drop(frame)
-        self.poses.drop(frame)
+        self.light_frames.drop_frame(frame)
+        self.poses.drop_frame(frame)
 
     def _drop_stretch(self, stretch: SimulationStretch) -> None:
         self.stretches.remove(stretch)
-        self._bytes -= sum(_byte_count(arrays) for arrays in stretch.checkpoints.values())
+        self._checkpoint_bytes -= sum(_count_bytes(arrays) for arrays in stretch.checkpoints.values())
 
     def _enforce_budget(self, current: SimulationStretch) -> None:
-        while self.nbytes > self.budget and self._drop_least_useful(current):
+        while self.nbytes > self.max_bytes and self._drop_least_useful(current):
             pass
 
     def _drop_least_useful(self, current: SimulationStretch) -> bool:
         """Drop the data that is least useful. Return False if only one light frame and the first checkpoints of stretches are
         left."""
-        if self.poses.nbytes > _POSES_BUDGET_SHARE * self.budget:
-            self.poses.drop(next(iter(self.poses)))
+        if self.poses.nbytes > _POSES_BUDGET_SHARE * self.max_bytes:
+            self.poses.drop_frame(next(iter(self.poses)))
             return True
-        if self.light.nbytes <= _LIGHT_BUDGET_SHARE * self.budget:
-            between = [entry for each in self.stretches for entry in _droppable_checkpoints(each)]
+        if self.light_frames.nbytes <= _LIGHT_BUDGET_SHARE * self.max_bytes:
+            between = [entry for each in self.stretches for entry in _list_droppable_checkpoints(each)]
             if between:
                 _, _, frame, stretch = min(between, key=lambda each: each[:3])
-                self._bytes -= _byte_count(stretch.checkpoints.pop(frame))
+                self._checkpoint_bytes -= _count_bytes(stretch.checkpoints.pop(frame))
                 return True
             if self.stretches[0] is not current:
                 self._drop_stretch(self.stretches[0])
-                for frame in [each for each in self.light if each < self.stretches[0].first]:
+                for frame in [each for each in self.light_frames if each < self.stretches[0].first]:
                     self._drop_frame(frame)
                 return True
-        if len(self.light) > 1:
-            self._drop_frame(next(iter(self.light)))
-        return len(self.light) > 1
+        if len(self.light_frames) > 1:
+            self._drop_frame(next(iter(self.light_frames)))
+        return len(self.light_frames) > 1
 
 
-def _droppable_checkpoints(stretch: SimulationStretch) -> Iterator[tuple[bool, int, int, SimulationStretch]]:
+def _list_droppable_checkpoints(stretch: SimulationStretch) -> Iterator[tuple[bool, int, int, SimulationStretch]]:
     """Yield the checkpoints of a stretch except the first. Each has: whether it is the last one, the longest simulation without
     it (in frames), its frame, and the stretch."""
     frames = sorted(stretch.checkpoints)
@@ -313,10 +317,10 @@ def count_agents(world: World) -> dict[str, float]:
     return values
 
 
-def _byte_count(arrays: Arrays) -> int:
+def _count_bytes(arrays: Arrays) -> int:
     return sum(array.nbytes for array in arrays.values())
 
 
-def nearest_checkpoint(stretch: SimulationStretch, frame: int) -> int:
+def find_nearest_checkpoint(stretch: SimulationStretch, frame: int) -> int:
     """Return the last frame of the stretch with a checkpoint, at or before `frame`."""
     return max(each for each in stretch.checkpoints if each <= frame)

@@ -9,21 +9,21 @@ from functools import partial
 
 from antdsl.diagnostics import Label, Report
 from antdsl.program import model
-from antdsl.program.checks import CHECKS, OF_EACH, OF_SOUND, OF_STATES, Check, CheckContext
-from antdsl.program.consequences import add_all_places, drop_consequences
+from antdsl.program.cascading_errors import add_all_locations, drop_cascading_errors
+from antdsl.program.checks import CHECKS, ERROR_FREE_CHECKS, PER_SPECIES_CHECKS, PER_STATE_CHECKS, Check, CheckContext
 from antdsl.program.declarations.behaviours import check_behaviour
-from antdsl.program.declarations.species import complete, draft
+from antdsl.program.declarations.species import complete_species, draft_species
 from antdsl.program.declarations.specs import check_spec
 from antdsl.program.declarations.world import check_field, check_world_species, declare_fields, declare_world
-from antdsl.program.memo import CheckMemo, cached_part, update_outside
+from antdsl.program.memo import CheckMemo, get_or_compute_part, update_outside_number
 from antdsl.program.names.bindings import NameBindings
-from antdsl.program.names.collect import FileLoader, LibraryFinder, declare
+from antdsl.program.names.collect import FileLoader, LibraryFinder, declare_names
 from antdsl.program.names.scope import Declarations, FileNames, SpeciesNames
 from antdsl.program.types.descriptions import quote_source
 from antdsl.program.types.rules import TYPING_RULES
 from antdsl.source import Span
 from antdsl.syntax import nodes
-from antdsl.syntax.parts import move_diagnostic
+from antdsl.syntax.incremental_parser import move_diagnostic
 
 
 def check(
@@ -45,61 +45,63 @@ def check(
     report = Report()
     declared = Declarations(TYPING_RULES, report, strict, memo=memo)
     loader = FileLoader(report, library, modules)
-    declared.home, declared.shipped = loader.library_of, loader.library_behaviour
+    declared.find_library, declared.find_library_behaviour = loader.find_library, loader.find_library_behaviour
     names = [loader.file(file) for file in files]
     for each in names:
-        declare(declared, each)
+        declare_names(declared, each)
     for each in names:
         declare_world(declared, each)
     fields = [(each, field) for each in names for field in declare_fields(declared, each)]
-    outside = update_outside(declared, _outside_key(declared, loader))
+    outside = update_outside_number(declared, _make_outside_key(declared, loader))
     program = _assemble_program(declared, names, fields)
-    declared.outside = outside
-    _check_behaviours(declared, [*names, *_unique_modules(names)])
+    declared.outside_number = outside
+    _check_behaviours(declared, [*names, *_find_used_modules(names)])
     checked = CheckContext(program, declared, names)
     for look in CHECKS:
         _run_check(checked, look, report)
     recovered = [span for each in loader.known.values() for span in each.node.recovered]
     sound = report.ok and not any(each.node.broken for each in loader.known.values())
-    for look in OF_SOUND if sound else ():
+    for look in ERROR_FREE_CHECKS if sound else ():
         _run_check(checked, look, report)
     if memo is not None:
-        memo.mark_used(() if sound else (*OF_SOUND, "named"))
+        memo.mark_used(() if sound else (*ERROR_FREE_CHECKS, "named"))
         memo.drop_unused()
-        if any(each.wanting for each in loader.known.values()):
+        if any(each.missing_uses for each in loader.known.values()):
             memo.known.clear()  # cached parts lack the findings that a missing `use` has suppressed
-    repeated_spans = {first: tuple(dict.fromkeys(others)) for first, *others in declared.unknown.values() if others}
-    program = replace(program, bindings=NameBindings(tuple(declared.bound)))
-    return program, drop_consequences(*_map_to_files(loader, add_all_places(report, repeated_spans), recovered))
+    repeated_spans = {first: tuple(dict.fromkeys(others)) for first, *others in declared.unknown_names.values() if others}
+    program = replace(program, bindings=NameBindings(tuple(declared.name_uses)))
+    return program, drop_cascading_errors(*_map_to_files(loader, add_all_locations(report, repeated_spans), recovered))
 
 
-def _run_check(checked: CheckContext, look: Check, report: Report) -> None:
+def _run_check(checked: CheckContext, check_function: Check, report: Report) -> None:
     """Run one check of the complete program. With a memo, checks in OF_EACH and OF_STATES run again only for changed species or
     states."""
     program = checked.program
-    if checked.declared.memo is None or look not in OF_EACH:
-        look(checked, report)
+    if checked.declared.memo is None or check_function not in PER_SPECIES_CHECKS:
+        check_function(checked, report)
         return
     params = tuple(program.params.values())
 
     def check_species(species: model.Species) -> None:
-        look(replace(checked, program=replace(program, species={species.name: species})), report)
+        check_function(replace(checked, program=replace(program, species={species.name: species})), report)
 
     def check_state(species: model.Species, machine: model.Machine, state: model.State) -> None:
-        check_species(_keep_one_state(species, machine, state))
+        check_species(_restrict_to_state(species, machine, state))
 
     for species in program.species.values():
-        if look not in OF_STATES:
-            cached_part(checked.declared, (look, species, params), partial(check_species, species))
+        if check_function not in PER_STATE_CHECKS:
+            get_or_compute_part(checked.declared, (check_function, species, params), partial(check_species, species))
             continue
         without = replace(species, machines=())
-        cached_part(checked.declared, (look, species.layers, params), partial(check_species, without))
+        get_or_compute_part(checked.declared, (check_function, species.layers, params), partial(check_species, without))
         for machine in species.machines:
             for state in machine.states:
-                cached_part(checked.declared, (look, state, params), partial(check_state, species, machine, state))
+                get_or_compute_part(
+                    checked.declared, (check_function, state, params), partial(check_state, species, machine, state)
+                )
 
 
-def _keep_one_state(species: model.Species, machine: model.Machine, state: model.State) -> model.Species:
+def _restrict_to_state(species: model.Species, machine: model.Machine, state: model.State) -> model.Species:
     return replace(species, machines=(replace(machine, states=(state,)),), layers=replace(species.layers, layers=()))
 
 
@@ -116,7 +118,7 @@ def _map_to_files(loader: FileLoader, report: Report, recovered: Sequence[Span])
     return Report([move_diagnostic(each, map_span) for each in report.diagnostics]), [map_span(span) for span in recovered]
 
 
-def _outside_key(declared: Declarations, loader: FileLoader) -> Hashable:
+def _make_outside_key(declared: Declarations, loader: FileLoader) -> Hashable:
     """Return a key of all declarations that a part of the program can see of the other parts, except the types of attributes."""
     things = [(t.name, t.kind, tuple((a.name, a.type) for a in t.attributes)) for t in declared.things.values()]
     machines = [
@@ -127,13 +129,13 @@ def _outside_key(declared: Declarations, loader: FileLoader) -> Hashable:
         item for each in loader.known.values() for item in each.node.items if isinstance(item, (nodes.Behaviour, nodes.Use))
     ]
     fields = list(declared.fields.values())
-    parts: tuple[Iterable[Hashable], ...] = (things, machines, called, fields, declared.events, declared.unclear)
+    parts: tuple[Iterable[Hashable], ...] = (things, machines, called, fields, declared.events, declared.unclear_things)
     return declared.strict, *(tuple(part) for part in parts)
 
 
-def _known_types(species: SpeciesNames) -> Hashable:
+def _make_type_key(species: SpeciesNames) -> Hashable:
     """Return the name of a species with the types of its attributes and params, as far as they are known."""
-    return (species.name, *species.attributes.items(), *species.each.items(), *species.params.items())
+    return (species.name, *species.attributes.items(), *species.pair_value_species.items(), *species.params.items())
 
 
 def _assemble_program(
@@ -144,18 +146,18 @@ def _assemble_program(
     for file in names:
         for item in file.node.items:
             if isinstance(item, nodes.Species) and declared.species[item.name.text].node is item:
-                drafts.append(draft(declared, file, item))
-                update_outside(declared, (declared.outside, _known_types(drafts[-1].names)))
+                drafts.append(draft_species(declared, file, item))
+                update_outside_number(declared, (declared.outside_number, _make_type_key(drafts[-1].names)))
     check_world_species(declared)
-    update_outside(declared, (declared.outside, *map(_known_types, declared.species.values())))
-    species = {work.names.name: complete(work) for work in drafts}
+    update_outside_number(declared, (declared.outside_number, *map(_make_type_key, declared.species.values())))
+    species = {work.names.name: complete_species(work) for work in drafts}
     params = {param.name: param for each in species.values() for param in each.params}
     written = [(file, item) for file in names for item in file.node.items if isinstance(item, nodes.Spec)]
     known = (*params.values(), *(b for each in species.values() for b in (*each.lets, *each.latches)))
     for file in names:
         _check_spec_names(declared, file)
     specs = tuple(
-        cached_part(declared, ("spec", item, known), partial(check_spec, declared, file, item, params, made_fields))
+        get_or_compute_part(declared, ("spec", item, known), partial(check_spec, declared, file, item, params, made_fields))
         for file, item in written
     )
     return model.Program(
@@ -175,7 +177,7 @@ def _check_spec_names(declared: Declarations, file: FileNames) -> None:
         first.setdefault(spec.name.text, spec.name.span)
 
 
-def _unique_modules(names: Sequence[FileNames]) -> list[FileNames]:
+def _find_used_modules(names: Sequence[FileNames]) -> list[FileNames]:
     """Return every file that is used by path, each once."""
     modules: dict[int, FileNames] = {}
     stack = list(names)

@@ -12,8 +12,8 @@ from antdsl.program.tables.effects import EFFECT_BY_OPERATION
 from antdsl.program.tables.rows import UseCost
 from antdsl.program.tables.set_senses import SET_SENSE_BY_OPERATION
 from antdsl.program.tables.vocabulary import COST_BY_OPERATION
-from antdsl.program.traverse import parts
-from antdsl.program.types.folding import constant_behind
+from antdsl.program.traverse import iterate_parts
+from antdsl.program.types.folding import find_constant
 
 ASSUMED_SET_MEMBERS = 8  # elements of a set that the estimate assumes
 _TAKE_COST = UseCost(40, "takes {thing}")
@@ -21,11 +21,11 @@ _TAKE_COST = UseCost(40, "takes {thing}")
 
 @dataclass(frozen=True, slots=True)
 class CostEntry:
-    """One use of a sense, field or draw. `kind`: senses, fields or draws. `words`: the text of the table's row, with the count
-    per step. `weight`: the weight of all these uses."""
+    """One use of a sense, field or draw. `kind`: senses, fields or draws. `description`: the text of the table's row, with the
+    count per step. `weight`: the weight of all these uses."""
 
     kind: str  # senses, fields or draws
-    words: str
+    description: str
     weight: float
 
 
@@ -36,20 +36,20 @@ class StateCost:
 
     name: str
     uses: tuple[CostEntry, ...]
-    sums: int  # operations on numbers; those inside sets count ASSUMED_SET_MEMBERS times
+    operation_count: int  # operations on numbers; those inside sets count ASSUMED_SET_MEMBERS times
 
     @property
     def weight(self) -> float:
         """Return the total weight of the state: its uses and its operations on numbers."""
-        return self.sums + sum(use.weight for use in self.uses)
+        return self.operation_count + sum(use.weight for use in self.uses)
 
 
-def costs(program: model.Program, species: model.Species) -> list[StateCost]:
+def estimate_costs(program: model.Program, species: model.Species) -> list[StateCost]:
     """Return the costs of every state of a species in text order, and last the costs that all states share."""
     state_parts = [
         StateCost(
             state.name if len(species.machines) == 1 else f"{machine.name}.{state.name}",
-            *_count_uses(program, _state_parts(species, machine, state)),
+            *_count_uses(program, _collect_step_parts(species, machine, state)),
         )
         for machine in species.machines
         for state in machine.states
@@ -64,44 +64,51 @@ def costs(program: model.Program, species: model.Species) -> list[StateCost]:
     return [*state_parts, StateCost("every state", *_count_uses(program, always))]
 
 
-def _state_parts(species: model.Species, machine: model.Machine, state: model.State) -> object:
+def _collect_step_parts(species: model.Species, machine: model.Machine, state: model.State) -> object:
     """Return the parts that are computed in each step of an agent in the state. Entry and exit actions happen once and are left
     out."""
-    still = species.rest.push if species.rest is not None and state.index in species.rest.silent.get(machine.name, ()) else None
-    changes = [(change.condition, change.delay, change.held, change.take) for change in state.transitions]
+    still = (
+        species.rest.push
+        if species.rest is not None and state.index in species.rest.resting_states.get(machine.name, ())
+        else None
+    )
+    changes = [(change.condition, change.delay, change.hold_time, change.take) for change in state.transitions]
     return state.body, still, changes
 
 
 def _count_uses(program: model.Program, root: object) -> tuple[tuple[CostEntry, ...], int]:
     weights: dict[tuple[str, str], float] = {}
     sums = 0
-    inside = _inside_sets(root)
-    for part in parts(root):
-        sums += _operations(part) * (ASSUMED_SET_MEMBERS if id(part) in inside else 1)
-        for use in _cost_entries(part):
+    inside = _find_ids_inside_sets(root)
+    for part in iterate_parts(root):
+        sums += _count_operations(part) * (ASSUMED_SET_MEMBERS if id(part) in inside else 1)
+        for use in _make_cost_entries(part):
             # equal senses are computed once, each draw separately
-            previous = weights.get((use.kind, use.words), 0.0)
-            weights[use.kind, use.words] = previous + use.weight if use.kind == "draws" else use.weight
+            previous = weights.get((use.kind, use.description), 0.0)
+            weights[use.kind, use.description] = previous + use.weight if use.kind == "draws" else use.weight
     return tuple(CostEntry(kind, words, weight) for (kind, words), weight in weights.items()), sums
 
 
-def _inside_sets(root: object) -> set[int]:
+def _find_ids_inside_sets(root: object) -> set[int]:
     """Return the ids of the parts that are computed for each member of a set."""
     return {
-        id(inner) for part in parts(root) if isinstance(part, (model.ReduceExpr, model.SetExpr)) for inner in _member_parts(part)
+        id(inner)
+        for part in iterate_parts(root)
+        if isinstance(part, (model.ReduceExpr, model.SetExpr))
+        for inner in _iterate_member_parts(part)
     }
 
 
-def _member_parts(part: model.ReduceExpr | model.SetExpr) -> Iterator[object]:
+def _iterate_member_parts(part: model.ReduceExpr | model.SetExpr) -> Iterator[object]:
     body = part.body if isinstance(part, model.ReduceExpr) else part.where
-    return parts(body) if body is not None else iter(())
+    return iterate_parts(body) if body is not None else iter(())
 
 
 _PAIR_VALUE_OPERATIONS = 100  # operations to find the slot of a pair value
 
 
-def _operations(part: object) -> int:
-    if isinstance(part, model.Assign) and (part.of is not None or part.over is not None):
+def _count_operations(part: object) -> int:
+    if isinstance(part, model.Assign) and (part.of is not None or part.other_agents is not None):
         return _PAIR_VALUE_OPERATIONS
     if isinstance(part, (model.Steer, model.FaceLine, model.Assign)):
         return 3
@@ -110,7 +117,7 @@ def _operations(part: object) -> int:
     return 3 if part.type.kind.value == "vector" else 1
 
 
-def _cost_entries(part: object) -> Iterable[CostEntry]:
+def _make_cost_entries(part: object) -> Iterable[CostEntry]:
     """Return the uses of one node of the program."""
     match part:
         case model.SetExpr():
@@ -119,7 +126,7 @@ def _cost_entries(part: object) -> Iterable[CostEntry]:
         case model.OperationExpr():
             cost = COST_BY_OPERATION.get(part.name)
             thing = next((arg.name for arg in part.args if isinstance(arg, model.ThingRef) and arg.name != "self"), "")
-            return [] if cost is None or (cost.named and not thing) else [_make_entry(cost, thing, part.args, part.name)]
+            return [] if cost is None or (cost.needs_thing and not thing) else [_make_entry(cost, thing, part.args, part.name)]
         case model.Take():
             return [_make_entry(_TAKE_COST, part.attribute or part.source.span.text)]
         case model.EffectRequest():
@@ -131,17 +138,17 @@ def _cost_entries(part: object) -> Iterable[CostEntry]:
 def _make_entry(cost: UseCost, thing: str, args: tuple[model.Expr | None, ...] = (), op: str = "") -> CostEntry:
     """Return the entry of a use, with count, thing and distance as its row describes."""
     count = 1
-    if cost.times is not None:
-        times = args[cost.times] if len(args) > cost.times else None
-        known = constant_behind(times) if times is not None else None
-        count = int(known.number) if known is not None else cost.often
-    words = cost.words.format(thing=thing, count=count, word=op.removesuffix("_agent"))
-    if cost.within is not None and len(args) > cost.within and args[cost.within] is not None:
-        words += f" within {_argument_text(args[cost.within])}"
+    if cost.multiplier_index is not None:
+        times = args[cost.multiplier_index] if len(args) > cost.multiplier_index else None
+        known = find_constant(times) if times is not None else None
+        count = int(known.number) if known is not None else cost.default_multiplier
+    words = cost.text_template.format(thing=thing, count=count, word=op.removesuffix("_agent"))
+    if cost.distance_index is not None and len(args) > cost.distance_index and args[cost.distance_index] is not None:
+        words += f" within {_format_argument(args[cost.distance_index])}"
     return CostEntry(cost.heading, words, cost.weight * count)
 
 
-def _argument_text(expr: model.Expr | None) -> str:
+def _format_argument(expr: model.Expr | None) -> str:
     """Return the source text of an argument. For a parameter of a behaviour, it is the text in the call of the behaviour."""
     while isinstance(expr, model.BindingRef) and expr.binding.role == "argument" and expr.binding.value is not None:
         expr = expr.binding.value

@@ -11,27 +11,27 @@ from antdsl.syntax import nodes
 class AggregateExpr(Expr):
     """A number or bool about a complete population.
 
-    - `how`: total, mean, min, max, share, count, any or every.
-    - `over`: a type of kind SPECIES, ITEMS, FIELD or SOLID. The total of a solid is its volume.
+    - `reducer`: total, mean, min, max, share, count, any or every.
+    - `population`: a type of kind SPECIES, ITEMS, FIELD or SOLID. The total of a solid is its volume.
     - `elements`: the names bound to the current agent or item.
     - `where`, `body`: expressions about one agent or item."""
 
-    how: str
-    over: ValueType
+    reducer: str
+    population: ValueType
     elements: tuple[Binding, ...]
     where: Expr | None
     body: Expr | None
 
 
 @expression_class
-class AtStart(Expr):
+class StartValue(Expr):
     """The value of a number in the first frame of the spec or, for a number of an agent, in the agent's first frame."""
 
     value: Expr
 
 
 @expression_class
-class OtherRun(Expr):
+class ReferenceRunValue(Expr):
     """The value of a number in the spec's reference run, at the same frame. The number is about the complete run, not about one
     agent."""
 
@@ -72,22 +72,22 @@ class Expectation:
     """One expectation.
 
     - `kind`: always, never, eventually, finally, sooner, within, for or until.
-    - `block`: the number of its `each` block from 1; 0 outside of such blocks.
+    - `block_number`: the number of its `each` block from 1; 0 outside of such blocks.
     - `species`: the species of which each agent is judged separately; None for the complete run.
     - `at_end`: it uses a measure that is known only at the end of the run.
-    - `held`: the condition counts after it has held for this time.
-    - `since`: the time starts whenever this condition becomes true."""
+    - `hold_time`: the condition counts after it has held for this time.
+    - `start_condition`: the time starts whenever this condition becomes true."""
 
     kind: str
-    block: int  # 0 is the spec itself, then the `each` blocks in their order
+    block_number: int  # 0 is the spec itself, then the `each` blocks in their order
     species: str | None
     condition: Expr
     time: Expr | None
     readings: tuple[ExpectationReading, ...]
     at_end: bool  # it uses a motion measure, which is known only after the run
     span: Span
-    held: Expr | None = None
-    since: Expr | None = None
+    hold_time: Expr | None = None
+    start_condition: Expr | None = None
 
 
 @expression_class
@@ -110,8 +110,8 @@ class ComparisonRun:
 
 @expression_class
 class Spec:
-    """A checked spec. `share`: the share of the seeds that must pass, from 0 to 1. `against`: the reference run, if there is
-    one."""
+    """A checked spec. `pass_share`: the share of the seeds that must pass, from 0 to 1. `reference_run`: the reference run, if
+    there is one."""
 
     name: str
     scene: nodes.Text | None
@@ -120,8 +120,8 @@ class Spec:
     changes: tuple[SpecChange, ...]
     expectations: tuple[Expectation, ...]
     span: Span
-    share: float = 1.0
-    against: ComparisonRun | None = None
+    pass_share: float = 1.0
+    reference_run: ComparisonRun | None = None
 
 
 GEOMETRY_MEASURES = {"overlap": "number", "penetration": "length", "off_surface": "length"}

@@ -46,7 +46,7 @@ class ValueType(NamedTuple):
     """The type of a value. `of`: the species, items or machine that it refers to, if any."""
 
     kind: TypeKind
-    dim: Dimension = Dimension()
+    dimension: Dimension = Dimension()
     of: str | None = None
 
 

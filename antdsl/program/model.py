@@ -58,7 +58,7 @@ class FaceLine:
 class Assign:
     """An assignment. `op` is `=`, `+=` or `-=`.
     - `per_second`: the added value is a rate, to be multiplied by dt. This is so in a state's body.
-    - `of`, `over`, `element`: for a pair value, the other agent, or the set of others and the name bound to each."""
+    - `of`, `other_agents`, `element`: for a pair value, the other agent, or the set of others and the name bound to each."""
 
     attribute: str
     op: str
@@ -66,7 +66,7 @@ class Assign:
     per_second: bool
     span: Span
     of: Expr | None = None  # `likes[other]`: the other agent
-    over: SetExpr | None = None  # `likes[n in SET]`: the set
+    other_agents: SetExpr | None = None  # `likes[n in SET]`: the set
     element: Binding | None = None
 
 
@@ -76,7 +76,7 @@ class EffectRequest:
     - `args`: the row's `numbers` in order; None if absent.
     - `own`: the agent's attribute to which the result is added.
     - `per_second`: the first of `args` is a rate, to be multiplied by dt.
-    - `key`: the site of its random numbers."""
+    - `draw_key`: the site of its random numbers."""
 
     op: str
     of: str
@@ -84,7 +84,7 @@ class EffectRequest:
     span: Span
     own: str | None = None
     per_second: bool = False
-    key: str = ""
+    draw_key: str = ""
 
 
 @expression_class
@@ -103,7 +103,7 @@ class Play:
     """Plays a clip as long as the state lasts.
     - `on`: the transform group that it moves; "" for all joints.
     - `speed`, `weight`: factor on the clip's own speed, and its share of the pose; None: 1.
-    - `again`: if this holds as an agent enters the state, the clip restarts.
+    - `restart_condition`: if this holds as an agent enters the state, the clip restarts.
     - `add`: it is added to other clips that play.
     - `blend_clips`: the clips for turning left and right, and for going up and down; "" if absent."""
 
@@ -112,18 +112,18 @@ class Play:
     speed: Expr | None
     weight: Expr | None
     span: Span
-    again: Expr | None = None
+    restart_condition: Expr | None = None
     add: bool = False
     blend_clips: tuple[str, str, str, str] = ("", "", "", "")  # turning left, turning right, going up, going down
 
 
 @expression_class
 class Wear:
-    """Shows the geometry layer `layer` of the body, in addition to the other geometry, on agents in the state. `when`: only on
-    agents for which it holds (None: all)."""
+    """Shows the geometry layer `layer` of the body, in addition to the other geometry, on agents in the state. `condition`: only
+    on agents for which it holds (None: all)."""
 
     layer: str
-    when: Expr | None
+    condition: Expr | None
     span: Span
 
 
@@ -139,13 +139,13 @@ class Channel:
 @expression_class
 class Look:
     """Turns a transform group towards a point.
-    - `within`: the largest angle from straight ahead (None: 60 deg).
-    - `over`: the time constant of the turn (None: 0.2 s)."""
+    - `max_angle`: the largest angle from straight ahead (None: 60 deg).
+    - `time_constant`: the time constant of the turn (None: 0.2 s)."""
 
     group: str
     at: Expr
-    within: Expr | None
-    over: Expr | None
+    max_angle: Expr | None
+    time_constant: Expr | None
     span: Span
 
 
@@ -172,20 +172,20 @@ class Transition:
     """A transition. It happens if all conditions that are present hold.
     - `condition`: None is always true.
     - `delay`: the least time in the state.
-    - `held`: the time for which `condition` must have held."""
+    - `hold_time`: the time for which `condition` must have held."""
 
     key: str  # forager.main.search->approach#1
-    interrupt: bool
+    is_interrupt: bool
     condition: Expr | None
     delay: Expr | None
-    held: Expr | None
+    hold_time: Expr | None
     take: Take | None
     target: int | None  # state index; None with `choices` or for previous
-    previous: bool
+    targets_previous: bool
     choices: tuple[tuple[int, Expr], ...]
     actions: tuple[Statement, ...]
     span: Span
-    over: Expr | None = None  # duration of the cross-fade from the clip of the previous state
+    fade_time: Expr | None = None  # duration of the cross-fade from the clip of the previous state
 
 
 @expression_class
@@ -218,7 +218,7 @@ class Machine:
 class AttributeDecl:
     """A declared attribute. `default` is evaluated once, at birth; it may use params and draws.
     - `is_builtin`: a built-in attribute, such as size or max_speed.
-    - `each`: for a pair value, the species of the other agents. `strongest`: its number of slots."""
+    - `each`: for a pair value, the species of the other agents. `slot_count`: its number of slots."""
 
     name: str
     type: ValueType
@@ -227,9 +227,9 @@ class AttributeDecl:
     help: str
     span: Span
     relax_to: Expr | None = None
-    relax_over: Expr | None = None
+    relax_time: Expr | None = None
     each: str | None = None  # species of the other agents of a pair value
-    strongest: int = 0
+    slot_count: int = 0
 
 
 @expression_class
@@ -284,10 +284,10 @@ class LayerStack:
 class RestingPush:
     """The push of agents that stand still because no state steers them.
 
-    `silent`: for each machine that steers in at least one state, by name, the indices of its states that do not steer. An agent
-    requests `push` if it is in such a state in all of these machines."""
+    `resting_states`: for each machine that steers in at least one state, by name, the indices of its states that do not steer. An
+    agent requests `push` if it is in such a state in all of these machines."""
 
-    silent: dict[str, tuple[int, ...]]
+    resting_states: dict[str, tuple[int, ...]]
     push: Expr
     span: Span
 
@@ -373,6 +373,6 @@ class Program:
     sources: tuple[nodes.File, ...] = field(default=())
     bindings: NameBindings = field(default=NameBindings())
 
-    def of_kind(self, kind: str) -> list[str]:
+    def list_things_of_kind(self, kind: str) -> list[str]:
         """Return the names of the things of one kind."""
         return [name for name, thing in self.world.items() if thing.kind == kind]

@@ -13,7 +13,7 @@ from antdsl.syntax import nodes
 _CHILD_FIELDS: dict[type, tuple[str, ...]] = {}  # by type, the fields to descend into, last first
 
 
-def parts(root: object) -> Iterator[object]:
+def iterate_parts(root: object) -> Iterator[object]:
     """Yield every value of the checked program below `root`, including the bindings that names refer to."""
     visited: set[int] = set()
     stack: list[object] = [root]
@@ -28,7 +28,7 @@ def parts(root: object) -> Iterator[object]:
             continue
         names = _CHILD_FIELDS.get(kind)
         if names is None:
-            names = _CHILD_FIELDS[kind] = _child_fields(kind)
+            names = _CHILD_FIELDS[kind] = _list_child_fields(kind)
         if names and id(part) not in visited:
             visited.add(id(part))
             yield part
@@ -38,22 +38,22 @@ def parts(root: object) -> Iterator[object]:
 _LEAF_TYPES = frozenset((Span, str, int, float, bool, type(None), ValueType, ChangeRate, Dimension))
 
 
-def _child_fields(kind: type) -> tuple[str, ...]:
+def _list_child_fields(kind: type) -> tuple[str, ...]:
     """Return the names of the fields to descend into; empty for types outside programs."""
     if not is_dataclass(kind) or issubclass(kind, (Span, nodes.File)):
         return ()
     return tuple(field.name for field in reversed(fields(kind)))
 
 
-def bindings_in(expr: model.Expr) -> set[model.Binding]:
+def find_bindings(expr: model.Expr) -> set[model.Binding]:
     """Return every binding that an expression uses, at any depth."""
-    return {part.binding for part in parts(expr) if isinstance(part, model.BindingRef)}
+    return {part.binding for part in iterate_parts(expr) if isinstance(part, model.BindingRef)}
 
 
 _WRITTEN_FIELDS: dict[type, tuple[str, ...]] = {}
 
 
-def written_nodes(root: object) -> Iterator[tuple[object, int]]:
+def iterate_nodes(root: object) -> Iterator[tuple[object, int]]:
     """Yield every node of a syntax tree with its depth below `root`, in text order."""
     stack: list[tuple[object, int]] = [(root, 0)]
     while stack:
@@ -72,14 +72,14 @@ def written_nodes(root: object) -> Iterator[tuple[object, int]]:
         stack += [(getattr(part, name), depth + 1) for name in reversed(names)]
 
 
-def names_in(root: object) -> Iterator[nodes.Name]:
+def iterate_names(root: object) -> Iterator[nodes.Name]:
     """Yield every bare name below `root` that is used as a value."""
-    for part, _ in written_nodes(root):
+    for part, _ in iterate_nodes(root):
         if isinstance(part, nodes.NameRef):
             yield part.name
 
 
-def inside(expr: model.Expr) -> Iterator[object]:
+def iterate_expressions(expr: model.Expr) -> Iterator[object]:
     """Yield an expression, then all expressions and bindings inside it, each once."""
     stack: list[object] = [expr]
     visited_ids: set[int] = set()
@@ -89,25 +89,25 @@ def inside(expr: model.Expr) -> Iterator[object]:
             continue
         visited_ids.add(id(each))
         yield each
-        stack += reversed(_parts(each))
+        stack += reversed(_list_direct_parts(each))
 
 
-def _parts(each: object) -> list[object]:
+def _list_direct_parts(part: object) -> list[object]:
     """Return the direct parts of an expression or a binding."""
-    if isinstance(each, tuple):
-        return list(each)
-    if isinstance(each, model.BindingRef):
-        return [each.binding]
-    if isinstance(each, model.Binding):
-        return [each.value, each.then]
-    if isinstance(each, model.AttributeRef):
-        return [each.of]
-    if isinstance(each, model.OperationExpr):
-        return [each.args]
-    if isinstance(each, model.SetExpr):
-        return [each.args, each.where]
-    if isinstance(each, model.ReduceExpr):
-        return [each.over, each.body]
-    if isinstance(each, model.InlinedBehaviour):
-        return [each.arguments, each.body, each.result]
+    if isinstance(part, tuple):
+        return list(part)
+    if isinstance(part, model.BindingRef):
+        return [part.binding]
+    if isinstance(part, model.Binding):
+        return [part.value, part.then]
+    if isinstance(part, model.AttributeRef):
+        return [part.of]
+    if isinstance(part, model.OperationExpr):
+        return [part.args]
+    if isinstance(part, model.SetExpr):
+        return [part.args, part.where]
+    if isinstance(part, model.ReduceExpr):
+        return [part.elements, part.body]
+    if isinstance(part, model.InlinedBehaviour):
+        return [part.arguments, part.body, part.result]
     return []

@@ -28,7 +28,7 @@ class Constant(Expr):
     """A number in base units (mm, s, g, rad; bool as 0 or 1), times `unit ** u` (mm per scene unit) and `dt ** step`."""
 
     number: float
-    u: float = 0
+    unit_power: float = 0
     step: float = 0
 
 
@@ -144,12 +144,13 @@ class SetExpr(Expr):
 class ReduceExpr(Expr):
     """A reduction over a set.
 
-    - `how`: sum, mean, min, max, count, any, every, best (the element with the greatest `body`) or nearest (the nearest element;
+    - `reducer`: sum, mean, min, max, count, any, every, best (the element with the greatest `body`) or nearest (the nearest
+      element;
       `body` is None).
     - `element`: the name bound in `body`. It may differ from `over.element`, the name bound in the condition of the set."""
 
-    how: str
-    over: SetExpr
+    reducer: str
+    elements: SetExpr
     element: Binding
     body: Expr | None
 
@@ -159,7 +160,7 @@ class InlinedBehaviour(Expr):
     """A behaviour call, expanded for its argument types. The evaluation order is `arguments`, `body` (lets and keeps),
     `result`."""
 
-    behaviour: str
+    behaviour_name: str
     key: str
     arguments: tuple[Binding, ...]
     body: tuple[Binding, ...]

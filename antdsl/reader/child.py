@@ -26,7 +26,7 @@ def main() -> None:
     os.close(nothing)
     from antdsl.reader import sandbox
 
-    active = sandbox.confine(configuration["readable"])
+    active = sandbox.confine_process(configuration["readable"])
     from antdsl import limits
     from antdsl.reader import protocol
 
@@ -40,13 +40,13 @@ def main() -> None:
         except protocol.ProtocolError:
             return
         sandbox.limit_request(int(request.document["seconds"]), int(request.document["memory"]))
-        document, arrays, is_last = _answer(request)
+        document, arrays, is_last = _answer_request(request)
         protocol.write_message(answers, document | {"cpu": time.process_time()}, arrays)
         if is_last:
             return
 
 
-def _answer(request: Any) -> tuple[dict[str, Any], dict[str, Any], bool]:
+def _answer_request(request: Any) -> tuple[dict[str, Any], dict[str, Any], bool]:
     """Return the answer to a request, its arrays, and whether it is the last answer of the process."""
     from antdsl.reader import READER_FUNCTIONS
     from antdsl.reader.protocol import ReadRefusal

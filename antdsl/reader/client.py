@@ -1,7 +1,6 @@
-"""The one reader of this process. It is started on demand, used for all requests, and replaced if it dies, hangs or uses too
-much.
+"""The one reader of this process: started on demand, used for all requests, and replaced if it dies, hangs or uses too much.
 
-`ask` is safe in any thread. A process that was forked from this one starts its own reader."""
+`send_request` is safe in any thread. A process that was forked from this one starts its own reader."""
 
 from __future__ import annotations
 
@@ -21,10 +20,10 @@ from pathlib import Path
 from typing import Any, Final
 
 from antdsl import cpu_budget, limits
-from antdsl.numerics.host import address_space
+from antdsl.numerics.host import get_address_space_limit
 from antdsl.reader import PRELOADED_MODULES, READER_FUNCTIONS, confinement
 from antdsl.reader.private_folder import PrivateFolder
-from antdsl.reader.protocol import Arrays, EndOfMessages, ProtocolError, ReaderMessage, ReadRefusal, read_message, write_message
+from antdsl.reader.protocol import Arrays, PipeClosedError, ProtocolError, ReaderMessage, ReadRefusal, read_message, write_message
 
 _CHILD_PROGRAM = Path(__file__).with_name("child.py")
 _MAX_STORED_FAILURES = 256  # failures that are not repeated
@@ -48,44 +47,44 @@ class _ReaderProcess:
     """A running child process, and the layers that confine it."""
 
     def __init__(self, folder: Path, modules: Sequence[str]) -> None:
-        readable = [*confinement.readable_folders(), str(folder)]
-        configuration = json.dumps({"paths": confinement.module_folders(), "readable": readable, "modules": modules})
+        readable = [*confinement.list_readable_folders(), str(folder)]
+        configuration = json.dumps({"paths": confinement.list_module_folders(), "readable": readable, "modules": modules})
         self.process = subprocess.Popen(
             [sys.executable, "-P", "-S", str(_CHILD_PROGRAM), configuration],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
             cwd=folder,
-            env=confinement.environment(),
+            env=confinement.build_child_environment(),
             start_new_session=True,
         )
         assert self.process.stdin is not None and self.process.stdout is not None
         self.requests, self.answers = self.process.stdin, self.process.stdout
-        self.active: dict[str, int] | None = None
-        self._seconds = 0.0
+        self.active_layers: dict[str, int] | None = None
+        self._counted_cpu_seconds = 0.0
 
     def read_greeting(self) -> dict[str, int]:
         """Read the start message of the child, and return the layers that confine it."""
-        if self.active is None:
+        if self.active_layers is None:
             said = read_message(self.answers, 0).document.get("active")
             names = ("rlimits", "landlock", "seccomp")
             if not isinstance(said, dict) or not all(type(said.get(name)) is int for name in names):
                 raise ProtocolError("the reader did not report its sandbox limits")
-            self.active = {name: said[name] for name in names}
-        return self.active
+            self.active_layers = {name: said[name] for name in names}
+        return self.active_layers
 
-    def new_seconds(self, reported: object = None) -> float:
+    def count_new_cpu_seconds(self, reported: object = None) -> float:
         """Return the CPU seconds used since the last call; if the system does not provide them, the `reported` seconds."""
-        total = self._seconds
+        total = self._counted_cpu_seconds
         try:
             total = time.clock_gettime(~self.process.pid << 3 | 2)  # Linux: the number of the clock of a process
         except (AttributeError, OSError):
             if isinstance(reported, float) and math.isfinite(reported):
                 total = reported
-        return self._add(total)
+        return self._count_cpu_seconds(total)
 
     def end(self) -> tuple[int, float]:
-        """Kill the child; return its exit status and the value of `new_seconds`."""
+        """Kill the child; return its exit status and the value of `count_new_cpu_seconds`."""
         self.kill()
         for pipe in (self.requests, self.answers):
             with suppress(OSError):
@@ -93,19 +92,18 @@ class _ReaderProcess:
         if self.process.returncode is None and hasattr(os, "wait4"):
             _, status, used = os.wait4(self.process.pid, 0)
             self.process.returncode = os.waitstatus_to_exitcode(status)
-            return self.process.returncode, self._add(used.ru_utime + used.ru_stime)
+            return self.process.returncode, self._count_cpu_seconds(used.ru_utime + used.ru_stime)
         return self.process.wait(), 0.0
 
     def kill(self) -> None:
-        """Kill the child. Unlike Popen's method, this does not reap a child that has already died: reaping it later returns the
-        CPU time it used."""
+        """Kill the child. Unlike Popen's method, this does not reap a dead child: reaping it later returns its CPU time."""
         if self.process.returncode is None:
             with suppress(OSError):
                 os.kill(self.process.pid, getattr(signal, "SIGKILL", signal.SIGTERM))
 
-    def _add(self, total: float) -> float:
-        previous_seconds, self._seconds = self._seconds, max(self._seconds, total)
-        return self._seconds - previous_seconds
+    def _count_cpu_seconds(self, total: float) -> float:
+        previous_seconds, self._counted_cpu_seconds = self._counted_cpu_seconds, max(self._counted_cpu_seconds, total)
+        return self._counted_cpu_seconds - previous_seconds
 
     def close_pipes(self) -> None:
         """Close this process's ends of the pipes, in a forked process: the child belongs to its parent."""
@@ -118,57 +116,56 @@ class _ReaderProcess:
 
 
 class FileReader:
-    """A reader with its private folder; see the function `ask`."""
+    """A reader with its private folder; see the function `send_request`."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._running: _ReaderProcess | None = None
+        self._reader_process: _ReaderProcess | None = None
         self._folder: PrivateFolder | None = None
         self._failures: OrderedDict[str, tuple[str, str | None]] = OrderedDict()  # messages and help
-        self._heavy: dict[str, tuple[str, str | None]] = {}  # the same, by `files`
-        self._seconds, self._allowed = 0.0, float(limits.READER_CPU_SECONDS_PER_SCENE)  # of CPU, for this scene
-        self._known: set[str] = set()  # `files` of this scene
+        self._heavy_failures: dict[str, tuple[str, str | None]] = {}  # the same, by `files`
+        self._used_cpu_seconds, self._allowed_cpu_seconds = 0.0, float(limits.READER_CPU_SECONDS_PER_SCENE)  # for this scene
+        self._scene_file_digests: set[str] = set()  # `files` of this scene
 
     def begin_scene(self) -> None:
         """Start a new scene, as the function `begin_scene`."""
         with self._lock:
-            self._heavy.clear()
-            self._known.clear()
-            self._seconds, self._allowed = 0.0, float(limits.READER_CPU_SECONDS_PER_SCENE)
+            self._heavy_failures.clear()
+            self._scene_file_digests.clear()
+            self._used_cpu_seconds, self._allowed_cpu_seconds = 0.0, float(limits.READER_CPU_SECONDS_PER_SCENE)
 
     def folder(self) -> Path:
         """Return a new folder for files that the child may open. Raises OSError."""
         with self._lock:
-            return self._private_folder().new_folder()
+            return self._open_private_folder().create_folder()
 
-    def active_layers(self) -> dict[str, int]:
-        """Return the layers that confine the child: `rlimits`, `landlock` (its ABI), `seccomp`; 0 for a layer that this system
-        does not have."""
+    def find_active_layers(self) -> dict[str, int]:
+        """Return the layers that confine the child: `rlimits`, `landlock` (its ABI), `seccomp`; 0 for one that is missing."""
         with self._lock:
             try:
-                running = self._start()
-                with _deadline(running, limits.READER_BASE_WALL_SECONDS):
+                running = self._start_process()
+                with _kill_after_deadline(running, limits.READER_BASE_WALL_SECONDS):
                     return running.read_greeting()
             except (OSError, ProtocolError) as problem:
-                self._end()
-                if address_space() < limits.READER_BASE_MEMORY_BYTES:
+                self._end_process()
+                if get_address_space_limit() < limits.READER_BASE_MEMORY_BYTES:
                     raise MemoryError("the process that reads foreign files has no memory to start") from None
                 raise ReaderFailure("the process that reads foreign files cannot be started") from problem
 
     def ask(
         self, kind: str, document: Mapping[str, Any], arrays: Arrays, *, size: int, seconds: int, digest: str, files: str
     ) -> ReaderMessage:
-        """Return the answer to a request, as the function `ask`."""
+        """Return the answer to a request, as the function `send_request`."""
         with self._lock:
-            if files and files not in self._known:
-                self._known.add(files)
-                self._allowed += size / limits.READER_BYTES_PER_CPU_SECOND
-            self._refuse_repeat(digest, files)
+            if files and files not in self._scene_file_digests:
+                self._scene_file_digests.add(files)
+                self._allowed_cpu_seconds += size / limits.READER_BYTES_PER_CPU_SECOND
+            self._reject_repeated_request(digest, files)
             try:
-                return self._ask(kind, document, arrays, size, seconds)
+                return self._exchange_messages(kind, document, arrays, size, seconds)
             except ReaderFailure as why:
                 if files and why.is_heavy:
-                    self._heavy[files] = (str(why), why.help)
+                    self._heavy_failures[files] = (str(why), why.help)
                 if digest and why.is_lasting:
                     self._failures[digest] = (str(why), why.help)
                     if len(self._failures) > _MAX_STORED_FAILURES:
@@ -177,84 +174,88 @@ class FileReader:
             except ReadRefusal:
                 raise
             except BaseException:  # interrupted between a request and its answer, or no memory or time is left
-                self._end(is_counted=False)
+                self._end_process(is_counted=False)
                 raise
 
-    def _refuse_repeat(self, digest: str, files: str) -> None:
+    def _reject_repeated_request(self, digest: str, files: str) -> None:
         """Raise ReaderFailure for a request that failed before, and for any request after the scene has used its CPU time."""
-        for failures, key in ((self._failures, digest), (self._heavy, files)):
+        for failures, key in ((self._failures, digest), (self._heavy_failures, files)):
             if key and key in failures:
                 raise ReaderFailure(*failures[key])
-        if self._seconds > self._allowed:
-            words = f"cannot be read: the files of this scene took more than {self._allowed:,.0f} s of processor time to be read"
+        allowed = self._allowed_cpu_seconds
+        if self._used_cpu_seconds > allowed:
+            words = f"cannot be read: the files of this scene took more than {allowed:,.0f} s of processor time to be read"
             raise ReaderFailure(words, "use lighter files, or fewer of them", is_lasting=False)
 
-    def _ask(self, kind: str, document: Mapping[str, Any], arrays: Arrays, size: int, seconds: int) -> ReaderMessage:
+    def _exchange_messages(
+        self, kind: str, document: Mapping[str, Any], arrays: Arrays, size: int, seconds: int
+    ) -> ReaderMessage:
         assert kind in READER_FUNCTIONS
         allowed = seconds + limits.READER_BASE_CPU_SECONDS + size // limits.READER_BYTES_PER_CPU_SECOND
-        left = cpu_budget.remaining_seconds()
+        left = cpu_budget.remaining_cpu_seconds()
         memory = min(limits.READER_BASE_MEMORY_BYTES + limits.READER_MEMORY_PER_FILE_BYTE * size, limits.MAX_READER_MEMORY_BYTES)
         said = {**document, "kind": kind, "seconds": allowed if left > allowed else math.ceil(left), "memory": memory}
-        previous, late, previous_seconds = self._running, threading.Event(), self._seconds
+        previous, late, previous_seconds = self._reader_process, threading.Event(), self._used_cpu_seconds
         try:
-            running = self._start()
+            running = self._start_process()
         except OSError as problem:
             words = "cannot be read: the process that reads it cannot be started"
             raise ReaderFailure(words, "run `antdsl doctor`", is_lasting=False) from problem
         try:
-            with _deadline(running, limits.READER_BASE_WALL_SECONDS + 4 * allowed, late):
+            with _kill_after_deadline(running, limits.READER_BASE_WALL_SECONDS + 4 * allowed, late):
                 running.read_greeting()
                 write_message(running.requests, said, arrays)
                 answer = read_message(running.answers, limits.MAX_READER_ARRAY_BYTES)
-        except (EndOfMessages, BrokenPipeError):
-            status = self._end()
+        except (PipeClosedError, BrokenPipeError):
+            status = self._end_process()
             if status == _KILLED_STATUS and running is previous and not late.is_set():
-                return self._ask(kind, document, arrays, size, seconds)  # perhaps it was killed before the request reached it
+                # perhaps it was killed before the request reached it
+                return self._exchange_messages(kind, document, arrays, size, seconds)
             if status == _OVERDUE_STATUS and left <= allowed:
-                cpu_budget.charge(math.inf)  # the budget ended it, not the limit of a request
-            failure = _death_failure(running, status, late.is_set(), memory)
-            failure.is_heavy |= self._seconds - previous_seconds > limits.READER_BASE_CPU_SECONDS / 2
+                cpu_budget.charge_cpu_seconds(math.inf)  # the budget ended it, not the limit of a request
+            failure = _explain_death(running, status, late.is_set(), memory)
+            failure.is_heavy |= self._used_cpu_seconds - previous_seconds > limits.READER_BASE_CPU_SECONDS / 2
             raise failure from None
         except ProtocolError:
-            self._end()
+            self._end_process()
             raise ReaderFailure(_INVALID_ANSWER_MESSAGE, _DAMAGED_FILE_HELP) from None
-        self._count_seconds(running.new_seconds(answer.document.get("cpu")))
+        self._count_cpu_seconds(running.count_new_cpu_seconds(answer.document.get("cpu")))
         return self._check_answer(answer, memory)
 
-    def _count_seconds(self, seconds: float) -> None:
+    def _count_cpu_seconds(self, seconds: float) -> None:
         """Add CPU time of the child to that of this scene, and to the budget of the check."""
-        self._seconds += seconds
-        cpu_budget.charge(seconds)
+        self._used_cpu_seconds += seconds
+        cpu_budget.charge_cpu_seconds(seconds)
 
     def _check_answer(self, answer: ReaderMessage, memory: int) -> ReaderMessage:
         said = answer.document
         if isinstance(said.get("answer"), dict):
             return ReaderMessage(said["answer"], answer.arrays)
         if "refusal" in said:
-            refusal = ReadRefusal.of_document(said["refusal"], REFUSAL_CODES)
+            refusal = ReadRefusal.from_document(said["refusal"], REFUSAL_CODES)
             if refusal is not None:
                 raise refusal
         if said.get("failure") == "memory":
-            self._end()
-            raise _memory_failure(memory)
+            self._end_process()
+            raise _make_memory_failure(memory)
         if said.get("failure") == "exception":
             raise ReaderFailure("cannot be read: it is damaged", _DAMAGED_FILE_HELP)
-        self._end()
+        self._end_process()
         raise ReaderFailure(_INVALID_ANSWER_MESSAGE, _DAMAGED_FILE_HELP)
 
-    def prepare(self, format: str) -> None:
-        """Start the reader in advance, as the function `prepare`."""
+    def start_early(self, format: str) -> None:
+        """Start the reader in advance, as the function `start_reader_early`."""
         with self._lock, suppress(OSError):  # a request says why it cannot be started
-            self._start(PRELOADED_MODULES[format])
+            self._start_process(PRELOADED_MODULES[format])
 
-    def _start(self, modules: Sequence[str] = ()) -> _ReaderProcess:
-        if self._running is not None and self._running.process.poll() is not None:
-            self._end()  # it died between two requests
-        if self._running is None:
-            self._running = _ReaderProcess(self._private_folder().path, modules)
-        return self._running
+    def _start_process(self, modules: Sequence[str] = ()) -> _ReaderProcess:
+        if self._reader_process is not None and self._reader_process.process.poll() is not None:
+            self._end_process()  # it died between two requests
+        if self._reader_process is None:
+            self._reader_process = _ReaderProcess(self._open_private_folder().path, modules)
+        return self._reader_process
 
-    def _private_folder(self) -> PrivateFolder:
+    def _open_private_folder(self) -> PrivateFolder:
         if self._folder is None:
             self._folder = PrivateFolder()
             if "multiprocessing.util" in sys.modules:  # a process of a pool leaves without the functions of `atexit`
@@ -263,26 +264,26 @@ class FileReader:
                 Finalize(None, self.end, exitpriority=1)
         return self._folder
 
-    def _end(self, *, is_counted: bool = True) -> int:
+    def _end_process(self, *, is_counted: bool = True) -> int:
         """End the child and count its CPU time; return its exit status."""
-        running, self._running = self._running, None
+        running, self._reader_process = self._reader_process, None
         status, seconds = (0, 0.0) if running is None else running.end()
         if is_counted:
-            self._count_seconds(seconds)
+            self._count_cpu_seconds(seconds)
         return status
 
     def end(self) -> None:
         """End the child and remove the private folder."""
         with self._lock:
-            self._end()
+            self._end_process()
             if self._folder is not None:
                 self._folder.remove()
             self._folder = None
 
-    def forget(self) -> None:
+    def forget_child(self) -> None:
         """Forget the child after a fork: it belongs to the parent process."""
-        if self._running is not None:
-            self._running.close_pipes()
+        if self._reader_process is not None:
+            self._reader_process.close_pipes()
 
 
 _DAMAGED_FILE_HELP = "export it again"
@@ -293,13 +294,15 @@ _INVALID_ANSWER_MESSAGE = "cannot be read: the process that reads it gave an ans
 
 
 @contextmanager
-def _deadline(running: _ReaderProcess, seconds: float, late: threading.Event | None = None) -> Iterator[None]:
-    """Within the context, kill a child that has not finished after `seconds` of wall-clock time, and set `late`."""
+def _kill_after_deadline(
+    reader_process: _ReaderProcess, seconds: float, late_event: threading.Event | None = None
+) -> Iterator[None]:
+    """Within the context, kill a child that has not finished after `seconds` of wall-clock time, and set `late_event`."""
 
     def stop() -> None:
-        if late is not None:
-            late.set()
-        running.kill()
+        if late_event is not None:
+            late_event.set()
+        reader_process.kill()
 
     timer = threading.Timer(seconds, stop)
     timer.daemon = True
@@ -310,25 +313,25 @@ def _deadline(running: _ReaderProcess, seconds: float, late: threading.Event | N
         timer.cancel()
 
 
-def _death_failure(running: _ReaderProcess, status: int, is_late: bool, memory: int) -> ReaderFailure:
+def _explain_death(reader_process: _ReaderProcess, status: int, is_late: bool, memory: int) -> ReaderFailure:
     """Return why a child ended without an answer to a request that may use `memory` bytes. Raises MemoryError if this process
     cannot grant that much."""
     if is_late or status == _OVERDUE_STATUS:
         words = "cannot be read: it takes too long to be read"
         return ReaderFailure(words, _LIGHTER_FILE_HELP, is_lasting=not is_late, is_heavy=True)
-    if status == _KILLED_STATUS or address_space() < memory:
-        return _memory_failure(memory)
-    if running.active is None:
+    if status == _KILLED_STATUS or get_address_space_limit() < memory:
+        return _make_memory_failure(memory)
+    if reader_process.active_layers is None:
         words = "cannot be read: the process that reads it ends when it starts"
         return ReaderFailure(words, "run `antdsl doctor`", is_lasting=False)
     words = "it brings down the library that reads it, as files do that are damaged, too large or nested without end"
     return ReaderFailure(f"cannot be read: {words}", _DAMAGED_FILE_HELP)
 
 
-def _memory_failure(needed: int) -> ReaderFailure:
+def _make_memory_failure(needed: int) -> ReaderFailure:
     """Return the failure of a request that ran out of memory. Raises MemoryError if the limit of this process is the cause, not
     the limit of the request."""
-    if address_space() < needed:
+    if get_address_space_limit() < needed:
         raise MemoryError("the process that reads foreign files has no memory")
     return ReaderFailure("cannot be read: it takes too much memory", _LIGHTER_FILE_HELP, is_heavy=True)
 
@@ -337,28 +340,24 @@ _file_reader = FileReader()
 atexit.register(lambda: _file_reader.end())
 
 
-def ask(
-    kind: str,
-    document: Mapping[str, Any],
-    arrays: Arrays | None = None,
-    *,
-    size: int = 0,
-    seconds: int = 0,
-    digest: str = "",
-    files: str = "",
-) -> ReaderMessage:
+def send_request(
+    kind: str, document: Mapping[str, Any], arrays: Arrays | None = None, *, file_bytes: int = 0, extra_cpu_seconds: int = 0,
+    request_digest: str = "", files_digest: str = "",
+) -> ReaderMessage:  # fmt: skip
     """Return the answer to a request of READERS.
 
-    - `size`: the bytes of its files, for which it gets more time and memory
-    - `seconds`: additional CPU time
-    - `digest`: a hash of all input of the request; a request that failed is not repeated
-    - `files`: a hash of the files alone; after a request used too much time or memory, other requests about them fail until the
-      next scene
+    - `file_bytes`: the bytes of its files, for which it gets more time and memory
+    - `extra_cpu_seconds`: additional CPU time
+    - `request_digest`: a hash of all input of the request; a request that failed is not repeated
+    - `files_digest`: a hash of the files alone; after a request used too much time or memory, other requests about them fail
+      until the next scene
 
     Raises ReadRefusal if the child reports why it does not read something, and ReaderFailure if it gives no answer. Raises
     MemoryError if this process cannot grant enough, and CpuBudgetSpent if the budget of a check is spent. No answer is trusted.
     """
-    return _file_reader.ask(kind, document, arrays or {}, size=size, seconds=seconds, digest=digest, files=files)
+    return _file_reader.ask(
+        kind, document, arrays or {}, size=file_bytes, seconds=extra_cpu_seconds, digest=request_digest, files=files_digest
+    )
 
 
 def begin_scene() -> None:
@@ -366,19 +365,19 @@ def begin_scene() -> None:
     _file_reader.begin_scene()
 
 
-def prepare(format: str) -> None:
+def start_reader_early(format: str) -> None:
     """Start the reader for a key of PREPARED and return at once. It loads libraries while this process continues."""
-    _file_reader.prepare(format)
+    _file_reader.start_early(format)
 
 
-def new_folder() -> Path:
+def create_reader_folder() -> Path:
     """Return an empty folder that the reader may open. The caller should remove it; the end of this process removes it too."""
     return _file_reader.folder()
 
 
 def active_layers() -> dict[str, int]:
     """Return the layers that confine the reader on this system. Raises ReaderFailure if the reader cannot be started."""
-    return _file_reader.active_layers()
+    return _file_reader.find_active_layers()
 
 
 _inherited_readers: list[FileReader] = []  # never freed: a thread that is not in this process may hold their locks
@@ -389,12 +388,12 @@ def end_reader() -> None:
     _file_reader.end()
 
 
-def _after_fork() -> None:
+def _forget_inherited_readers() -> None:
     global _file_reader
-    _file_reader.forget()
+    _file_reader.forget_child()
     _inherited_readers.append(_file_reader)
     _file_reader = FileReader()
 
 
 if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_after_fork)
+    os.register_at_fork(after_in_child=_forget_inherited_readers)

@@ -8,7 +8,7 @@ import sys
 import sysconfig
 from pathlib import Path
 
-from antdsl.child_processes import INSTALLATION_FOLDER, isolate
+from antdsl.child_processes import INSTALLATION_FOLDER, isolate_search_paths
 
 TRUST_VARIABLE = "ANTDSL_TRUST_USD"  # an environment variable, so that the processes of pools and farms have it too
 # Folders of the system that libraries are loaded from.
@@ -38,14 +38,14 @@ def trust_usd() -> None:
     os.environ[TRUST_VARIABLE] = "1"
 
 
-def environment() -> dict[str, str]:
+def build_child_environment() -> dict[str, str]:
     """Return the environment of the child: the variables that it needs, and none that names code or files of a project."""
-    isolate()
+    isolate_search_paths()
     variables = {name: value for name, value in os.environ.items() if name in _PASSED_VARIABLES or name.startswith("NPY_")}
     return variables | _SET_VARIABLES
 
 
-def module_folders() -> list[str]:
+def list_module_folders() -> list[str]:
     """Return folders of modules for the child.
 
     They are those of this process without relative ones and the working directory, then the folder of antdsl itself."""
@@ -61,17 +61,17 @@ def module_folders() -> list[str]:
     return folders if INSTALLATION_FOLDER in folders else [*folders, INSTALLATION_FOLDER]
 
 
-def readable_folders() -> list[str]:
+def list_readable_folders() -> list[str]:
     """Return folders and files that the child may read: Python, installed packages and the system's libraries."""
-    readable_paths = {sys.prefix, sys.base_prefix, sys.exec_prefix, str(_package()), *_SYSTEM_FOLDERS}
+    readable_paths = {sys.prefix, sys.base_prefix, sys.exec_prefix, str(_find_package_folder()), *_SYSTEM_FOLDERS}
     if sys.prefix == "/usr" or sys.base_prefix == "/usr":
         readable_paths -= {"/usr"}
-    readable_paths |= {path for path in module_folders() if _is_package_folder(path)}
+    readable_paths |= {path for path in list_module_folders() if _is_package_folder(path)}
     readable_paths |= {path for name in ("stdlib", "platstdlib") if (path := sysconfig.get_path(name))}
     return sorted(path for path in readable_paths if os.path.exists(path))
 
 
-def _package() -> Path:
+def _find_package_folder() -> Path:
     """Return the folder of antdsl's own code."""
     return Path(__file__).resolve().parents[1]
 
@@ -79,13 +79,13 @@ def _package() -> Path:
 def _is_package_folder(path: str) -> bool:
     """Return whether a folder of modules is Python's own, or has installed packages."""
     real_path = os.path.realpath(path)
-    roots = [sys.prefix, sys.base_prefix, *_site_packages()]
+    roots = [sys.prefix, sys.base_prefix, *_list_site_packages()]
     if any(real_path == root or real_path.startswith(root + os.sep) for root in map(os.path.realpath, roots) if root != os.sep):
         return True
     return os.path.isfile(path) or any(os.path.isdir(os.path.join(path, name)) for name in ("numpy", "pxr"))
 
 
-def _site_packages() -> list[str]:
+def _list_site_packages() -> list[str]:
     """Return the folders of installed packages, those of the user last."""
     user = site.getusersitepackages() if hasattr(site, "getusersitepackages") else ""
     return [*site.getsitepackages(), *([user] if user else [])]

@@ -48,20 +48,31 @@ class ImageFile:
     samples: NDArray[Any] | None
 
 
-def read_image_file(data: bytes, format: str, modes: Collection[str], pixels: int, convert: str = "") -> ImageFile:
+def read_image_file(data: bytes, format: str, modes: Collection[str], max_pixels: int, convert: str = "") -> ImageFile:
     """Return the image in a file's bytes. Raises ImageError with the reason if there is none.
 
     - `format`: Pillow's name of the file format, such as `PNG`
     - `modes`: the accepted modes, keys of MODES
-    - `pixels`: the maximum number of pixels
+    - `max_pixels`: the maximum number of pixels
     - `convert`: a key of MODES to which an image of any mode is converted; it is one of `modes`"""
-    said: dict[str, Any] = {"format": format, "modes": [mode for mode in modes if mode in SAMPLE_TYPE_BY_MODE], "pixels": pixels}
+    said: dict[str, Any] = {
+        "format": format,
+        "modes": [mode for mode in modes if mode in SAMPLE_TYPE_BY_MODE],
+        "pixels": max_pixels,
+    }
     if convert:
         said["convert"] = convert
     digest = blake2b(repr(sorted(said.items())).encode() + data, digest_size=16).hexdigest()
     try:
-        answer = client.ask("image", said, {"data": np.frombuffer(data, np.uint8)}, size=len(data), digest=digest, files=digest)
-        return _check_answer(answer, said["modes"], pixels)
+        answer = client.send_request(
+            "image",
+            said,
+            {"data": np.frombuffer(data, np.uint8)},
+            file_bytes=len(data),
+            request_digest=digest,
+            files_digest=digest,
+        )
+        return _check_image_answer(answer, said["modes"], max_pixels)
     except ReadRefusal as why:
         raise ImageError(f"cannot be read as {format} ({why})", "export the image again") from None
     except client.ReaderFailure as why:
@@ -72,14 +83,14 @@ def read_image_file(data: bytes, format: str, modes: Collection[str], pixels: in
         ) from None
 
 
-def _check_answer(answer: ReaderMessage, modes: Any, pixels: int) -> ImageFile:
+def _check_image_answer(answer: ReaderMessage, modes: Any, max_pixels: int) -> ImageFile:
     said = answer.document
     mode, texts = said.get("mode"), said.get("texts")
-    rows, columns, pages = (int(answer.number(name)) for name in ("rows", "columns", "pages"))
+    rows, columns, pages = (int(answer.require_number(name)) for name in ("rows", "columns", "pages"))
     if not isinstance(mode, str) or not isinstance(texts, dict) or not all(isinstance(text, str) for text in texts.values()):
         raise ProtocolError("`mode` or `texts` is missing")
     samples = None
-    if pages == 1 and mode in modes and rows * columns <= pixels:
+    if pages == 1 and mode in modes and rows * columns <= max_pixels:
         dtype, channels = SAMPLE_TYPE_BY_MODE[mode]
-        samples = answer.array("samples", dtype, rows, columns, *([channels] if channels else []))
+        samples = answer.require_array("samples", dtype, rows, columns, *([channels] if channels else []))
     return ImageFile(mode[:40], rows, columns, pages, texts, samples)

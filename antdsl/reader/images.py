@@ -27,7 +27,7 @@ def read_image(request: ReaderMessage) -> tuple[dict[str, Any], Mapping[str, NDA
     from PIL import Image
 
     said = request.document
-    data = io.BytesIO(request.array("data", "|u1", None).tobytes())
+    data = io.BytesIO(request.require_array("data", "|u1", None).tobytes())
     arrays: dict[str, NDArray[Any]] = {}
     try:
         with Image.open(data, formats=(said["format"],)) as image:
@@ -39,7 +39,7 @@ def read_image(request: ReaderMessage) -> tuple[dict[str, Any], Mapping[str, NDA
                 arrays["samples"] = np.asarray(image.convert(target) if target else image)
                 mode = target or mode
             document = {"mode": mode, "columns": columns, "rows": rows, "pages": pages}
-            return document | {"texts": _texts(image.info)}, arrays  # texts may come after the samples
+            return document | {"texts": _read_texts(image.info)}, arrays  # texts may come after the samples
     except (MemoryError, ReadRefusal):
         raise
     except Exception as problem:  # a library's reader meets a stranger's file
@@ -55,6 +55,6 @@ def _require_all_parts(image: Any) -> None:
             raise ReadRefusal("bad-image", "parts of the image are missing")
 
 
-def _texts(info: Mapping[Any, Any]) -> dict[str, str]:
+def _read_texts(info: Mapping[Any, Any]) -> dict[str, str]:
     entries = [(name, text) for name, text in info.items() if isinstance(name, str) and isinstance(text, str)]
     return {name[:_MAX_TEXT_CHARACTERS]: text[:_MAX_TEXT_CHARACTERS] for name, text in entries[:_MAX_TEXT_ENTRIES]}

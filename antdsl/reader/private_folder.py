@@ -19,32 +19,34 @@ class PrivateFolder:
     """A new folder below the system's folder for temporary files, which only the user can open. Raises OSError."""
 
     def __init__(self) -> None:
-        remove_stale()
-        self._whole = Path(os.path.abspath(tempfile.mkdtemp(prefix=_FOLDER_PREFIX)))  # the child has another working directory
-        self._process = os.getpid()
-        self._lock = _try_lock(self._whole / _LOCK_FILE_NAME, os.O_CREAT)
-        self.path = self._whole / _FILES_FOLDER_NAME
+        remove_stale_folders()
+        self._root_folder = Path(
+            os.path.abspath(tempfile.mkdtemp(prefix=_FOLDER_PREFIX))
+        )  # the child has another working directory
+        self._owner_process_id = os.getpid()
+        self._lock = _try_lock(self._root_folder / _LOCK_FILE_NAME, os.O_CREAT)
+        self.path = self._root_folder / _FILES_FOLDER_NAME
         self.path.mkdir(mode=0o700)
-        self._count = 0
+        self._folder_count = 0
 
-    def new_folder(self) -> Path:
+    def create_folder(self) -> Path:
         """Return an empty folder in the private folder."""
-        self._count += 1
-        folder = self.path / str(self._count)
+        self._folder_count += 1
+        folder = self.path / str(self._folder_count)
         folder.mkdir(mode=0o700)
         return folder
 
     def remove(self) -> None:
         """Remove the folder with all its contents. In a process that was forked from its owner, do nothing."""
-        if self._process == os.getpid():
-            shutil.rmtree(self._whole, ignore_errors=True)
+        if self._owner_process_id == os.getpid():
+            shutil.rmtree(self._root_folder, ignore_errors=True)
             if self._lock is not None:
                 with suppress(OSError):
                     os.close(self._lock)
                 self._lock = None
 
 
-def remove_stale() -> None:
+def remove_stale_folders() -> None:
     """Remove the folders of this user's processes that have ended."""
     with suppress(OSError):
         for entry in os.scandir(tempfile.gettempdir()):

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
-from antdsl.diagnostics.model import printable
+from antdsl.diagnostics.model import replace_unprintable
 
 _MAX_TEXT_CHARACTERS = 2000
 MESSAGE_MAGIC = b"ant1"
@@ -34,7 +34,7 @@ class ProtocolError(Exception):
     """Error for bytes that are not a valid message."""
 
 
-class EndOfMessages(ProtocolError):
+class PipeClosedError(ProtocolError):
     """Error if the other side closed the pipe before a message was complete."""
 
 
@@ -45,7 +45,7 @@ class ReaderMessage:
     document: dict[str, Any]
     arrays: dict[str, NDArray[Any]] = field(default_factory=dict)
 
-    def array(self, name: str, dtype: str, *shape: int | None) -> NDArray[Any]:
+    def require_array(self, name: str, dtype: str, *shape: int | None) -> NDArray[Any]:
         """Return an array of exactly this type and shape; None in `shape` means any length. Raises ProtocolError if it is missing
         or different."""
         found = self.arrays.get(name)
@@ -55,31 +55,31 @@ class ReaderMessage:
             raise ProtocolError(f"`{name}` does not have the requested shape")
         return found
 
-    def indices(self, name: str, dtype: str, count: int, *shape: int | None, lowest: int = 0) -> NDArray[Any]:
+    def require_indices(self, name: str, dtype: str, count: int, *shape: int | None, lowest: int = 0) -> NDArray[Any]:
         """Return an array as `array`. Raises ProtocolError unless every number is at least `lowest` and below `count`."""
-        array = self.array(name, dtype, *shape)
+        array = self.require_array(name, dtype, *shape)
         if array.size and (array.min() < lowest or array.max() >= count):
             raise ProtocolError(f"`{name}` has an index that is out of range")
         return array
 
-    def number(self, name: str) -> float:
+    def require_number(self, name: str) -> float:
         """Return a finite number of the document. Raises ProtocolError for any other value."""
         found = self.document.get(name)
         if isinstance(found, bool) or not isinstance(found, int | float) or not -_MAX_NUMBER < found < _MAX_NUMBER:
             raise ProtocolError(f"`{name}` is not a finite number")
         return float(found)
 
-    def texts(self, name: str, most: int = 1_000_000) -> list[str]:
-        """Return a list of texts of the document, at most `most`. Raises ProtocolError for any other value."""
+    def require_texts(self, name: str, max_count: int = 1_000_000) -> list[str]:
+        """Return a list of texts of the document, at most `max_count`. Raises ProtocolError for any other value."""
         found = self.document.get(name)
-        if not isinstance(found, list) or len(found) > most or not all(isinstance(each, str) for each in found):
+        if not isinstance(found, list) or len(found) > max_count or not all(isinstance(each, str) for each in found):
             raise ProtocolError(f"`{name}` is not a list of texts")
         return found
 
-    def packed_texts(self, name: str, count: int | None = None) -> tuple[str, ...]:
+    def unpack_texts(self, name: str, count: int | None = None) -> tuple[str, ...]:
         """Return the texts that `pack_texts` packed into two arrays."""
-        lengths = self.array(f"{name}:lengths", "<i8", count)
-        blob = self.array(f"{name}:bytes", "|u1", None)
+        lengths = self.require_array(f"{name}:lengths", "<i8", count)
+        blob = self.require_array(f"{name}:bytes", "|u1", None)
         if len(lengths) and (lengths.min() < 0 or lengths.max() > len(blob)):
             raise ProtocolError(f"`{name}` has a length that is out of range")
         if int(lengths.sum()) != len(blob) or len(lengths) > limits.MAX_AGENTS:
@@ -119,19 +119,24 @@ def write_message(file: IO[bytes], document: Mapping[str, Any], arrays: Arrays) 
     file.flush()
 
 
-def read_message(file: IO[bytes], most: int) -> ReaderMessage:
-    """Return the next message. Its arrays have at most `most` bytes in total. Raises ProtocolError for anything else."""
+def read_message(file: IO[bytes], max_array_bytes: int) -> ReaderMessage:
+    """Return the next message. Its arrays have at most `max_array_bytes` bytes in total. Raises ProtocolError for anything
+    else."""
     magic, length = _PREFIX_STRUCT.unpack(_read_bytes(file, _PREFIX_STRUCT.size).tobytes())
     if magic != MESSAGE_MAGIC or length > limits.MAX_READER_HEADER_BYTES:
         raise ProtocolError("a message begins with the wrong bytes")
     try:
-        header = json.loads(_read_bytes(file, length).tobytes(), parse_constant=_refuse_constant)
+        header = json.loads(_read_bytes(file, length).tobytes(), parse_constant=_reject_json_constant)
     except (ValueError, RecursionError):
         raise ProtocolError("the header of a message is not JSON") from None
     if not isinstance(header, dict) or not isinstance(header.get("document"), dict) or not isinstance(header.get("arrays"), list):
         raise ProtocolError("the header of a message has the wrong keys")
-    plan = [_parse_entry(entry) for entry in header["arrays"]]
-    if len(plan) > _MAX_ARRAYS or sum(size for *_, size in plan) > most or len({name for name, *_ in plan}) != len(plan):
+    plan = [_parse_array_entry(entry) for entry in header["arrays"]]
+    if (
+        len(plan) > _MAX_ARRAYS
+        or sum(size for *_, size in plan) > max_array_bytes
+        or len({name for name, *_ in plan}) != len(plan)
+    ):
         raise ProtocolError("a message has more or larger arrays than are accepted")
     arrays = {}
     for name, dtype, shape, size in plan:
@@ -140,7 +145,7 @@ def read_message(file: IO[bytes], most: int) -> ReaderMessage:
     return ReaderMessage(header["document"], arrays)
 
 
-def _parse_entry(entry: object) -> tuple[str, str, tuple[int, ...], int]:
+def _parse_array_entry(entry: object) -> tuple[str, str, tuple[int, ...], int]:
     """Return name, type, shape and size in bytes of an array that a header announces."""
     if not isinstance(entry, list) or len(entry) != 3:
         raise ProtocolError("an array is announced in another form")
@@ -161,12 +166,12 @@ def _read_bytes(file: IO[bytes], size: int) -> NDArray[np.uint8]:
             buffer = np.concatenate([buffer, np.empty(min(size - filled, len(buffer)), np.uint8)])
         count = file.readinto(buffer[filled:].data)  # type: ignore[attr-defined]
         if not count:
-            raise EndOfMessages("a message ends early")
+            raise PipeClosedError("a message ends early")
         filled += count
     return buffer
 
 
-def _refuse_constant(word: str) -> NoReturn:
+def _reject_json_constant(word: str) -> NoReturn:
     raise ValueError(word)
 
 
@@ -176,19 +181,20 @@ class ReadRefusal(Exception):
     - `code`: the code of a diagnostic; the text of the error is its message
     - `help`: what to do instead
     - `key`: the key of the scene concerned
-    - `about`: the subject of the message: "" for the complete file, or a word that the requester and the reading function define
+    - `subject`: the subject of the message: "" for the complete file, or a word that the requester and the reading function
+      define
     """
 
     def __init__(self, code: str, message: str, help: str | None = None, key: str = "", subject: str = "") -> None:
         super().__init__(message)
-        self.code, self.help, self.key, self.about = code, help, key, subject
+        self.code, self.help, self.key, self.subject = code, help, key, subject
 
     def as_document(self) -> dict[str, Any]:
         """Return the refusal as a document that can be sent through the pipe."""
-        return {"code": self.code, "message": str(self), "help": self.help, "key": self.key, "about": self.about}
+        return {"code": self.code, "message": str(self), "help": self.help, "key": self.key, "about": self.subject}
 
     @classmethod
-    def of_document(cls, document: Any, codes: Any) -> ReadRefusal | None:
+    def from_document(cls, document: Any, codes: Any) -> ReadRefusal | None:
         """Return the refusal that a process sent. None if the document is not a refusal, or if its code is not in `codes`."""
         if not isinstance(document, dict):
             return None
@@ -199,13 +205,13 @@ class ReadRefusal(Exception):
         if texts["code"] not in codes:
             return None
         return cls(
-            str(texts["code"]), display_text(str(texts["message"])), None if help is None else display_text(help),
+            str(texts["code"]), clean_for_display(str(texts["message"])), None if help is None else clean_for_display(help),
             str(texts["key"])[:80],
             str(texts["about"])[:80],
         )  # fmt: skip
 
 
-def display_text(text: str) -> str:
+def clean_for_display(text: str) -> str:
     """Return a text of the process in a form for messages: printable and not too long."""
-    line = printable(text[: _MAX_TEXT_CHARACTERS + 1])
+    line = replace_unprintable(text[: _MAX_TEXT_CHARACTERS + 1])
     return line if len(line) <= _MAX_TEXT_CHARACTERS else line[: _MAX_TEXT_CHARACTERS - 1] + "…"

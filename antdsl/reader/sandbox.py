@@ -1,4 +1,4 @@
-"""Confines the process that calls `confine`, permanently: system limits, and on Linux Landlock and seccomp if available.
+"""Confines the process that calls `confine_process`, permanently: system limits, and on Linux Landlock and seccomp if available.
 
 It imports only the standard library, so that all other code is loaded after the confinement.
 
@@ -63,7 +63,7 @@ def allow_memory(extra_bytes: int) -> None:
         resource.setrlimit(resource.RLIMIT_AS, (most if hard == resource.RLIM_INFINITY else min(most, hard), hard))
 
 
-def _lower_limit(name: str, most: int, *, hard: bool = False) -> None:
+def _lower_limit(name: str, limit: int, *, hard: bool = False) -> None:
     import resource
 
     which = getattr(resource, name, None)
@@ -71,7 +71,7 @@ def _lower_limit(name: str, most: int, *, hard: bool = False) -> None:
         return
     own, upper = resource.getrlimit(which)
     present = own if hard else upper  # once they are lowered for good, no request goes beyond what the person allows
-    value = most if present == resource.RLIM_INFINITY else min(most, present)
+    value = limit if present == resource.RLIM_INFINITY else min(limit, present)
     try:
         resource.setrlimit(which, (value, value if hard else upper))
     except (ValueError, OSError):  # macOS refuses a limit of the address space
@@ -161,13 +161,13 @@ _LOAD_OPCODE, _JUMP_EQUAL_OPCODE, _JUMP_ABOVE_OPCODE, _JUMP_BITS_OPCODE, _RETURN
 BpfInstruction = tuple[int, int, int, int]
 
 
-def refuse_calls() -> bool:
+def install_call_filter() -> bool:
     """Install the seccomp filter for this process. Return False if the system does not support it."""
     libc = _load_libc()
     if libc is None or sys.platform != "linux" or os.uname().machine not in _ARCHITECTURE_BY_MACHINE or sys.maxsize < 1 << 32:
         return False
     which, architecture = _ARCHITECTURE_BY_MACHINE[os.uname().machine]
-    program = _filter_program(which, architecture, os.getpid())
+    program = _build_filter(which, architecture, os.getpid())
     code = b"".join(struct.pack("<HBBI", *each) for each in program)
     buffer = ctypes.create_string_buffer(code, len(code))
     head = struct.pack("@HxxxxxxP", len(program), ctypes.addressof(buffer))
@@ -176,7 +176,7 @@ def refuse_calls() -> bool:
     return not libc.prctl(22, 2, head, 0, 0)
 
 
-def _filter_program(which: int, architecture: int, process: int) -> list[BpfInstruction]:
+def _build_filter(architecture_index: int, architecture: int, process: int) -> list[BpfInstruction]:
     """Return the filter as instructions (code, jump if true, jump if false, operand) of the classic packet filter."""
     refused = _FAIL_ACTION | errno.EPERM
     lines: list[BpfInstruction] = [
@@ -185,52 +185,55 @@ def _filter_program(which: int, architecture: int, process: int) -> list[BpfInst
         (_RETURN_OPCODE, 0, 0, _KILL_ACTION),
         (_LOAD_OPCODE, 0, 0, 0),
     ]
-    if which == 0:  # the x32 calls of x86-64 have numbers of their own
+    if architecture_index == 0:  # the x32 calls of x86-64 have numbers of their own
         lines += [(_JUMP_ABOVE_OPCODE, 0, 1, 0x40000000), (_RETURN_OPCODE, 0, 0, refused)]
     for call in _REFUSED_CALL_NUMBERS.values():
-        lines += _match_call(call[which], [(_RETURN_OPCODE, 0, 0, refused)])
+        lines += _make_call_rule(call[architecture_index], [(_RETURN_OPCODE, 0, 0, refused)])
     for call in (
         _OPENAT2_CALLS,
         _CLONE3_CALLS,
     ):  # their arguments are behind a pointer; the C library falls back to the older calls
-        lines += _match_call(call[which], [(_RETURN_OPCODE, 0, 0, _FAIL_ACTION | errno.ENOSYS)])
+        lines += _make_call_rule(call[architecture_index], [(_RETURN_OPCODE, 0, 0, _FAIL_ACTION | errno.ENOSYS)])
     allow, refuse = (_RETURN_OPCODE, 0, 0, _ALLOW_ACTION), (_RETURN_OPCODE, 0, 0, refused)
-    lines += _match_call(
-        _OPEN_CALLS[which], [(_LOAD_OPCODE, 0, 0, _argument_offset(1)), (_JUMP_BITS_OPCODE, 0, 1, _WRITE_FLAGS), refuse, allow]
+    lines += _make_call_rule(
+        _OPEN_CALLS[architecture_index],
+        [(_LOAD_OPCODE, 0, 0, _find_argument_offset(1)), (_JUMP_BITS_OPCODE, 0, 1, _WRITE_FLAGS), refuse, allow],
     )
-    lines += _match_call(
-        _OPENAT_CALLS[which], [(_LOAD_OPCODE, 0, 0, _argument_offset(2)), (_JUMP_BITS_OPCODE, 0, 1, _WRITE_FLAGS), refuse, allow]
+    lines += _make_call_rule(
+        _OPENAT_CALLS[architecture_index],
+        [(_LOAD_OPCODE, 0, 0, _find_argument_offset(2)), (_JUMP_BITS_OPCODE, 0, 1, _WRITE_FLAGS), refuse, allow],
     )
-    lines += _match_call(
-        _CLONE_CALLS[which],
-        [(_LOAD_OPCODE, 0, 0, _argument_offset(0)), (_JUMP_BITS_OPCODE, 1, 0, _CLONE_THREAD_FLAG), refuse, allow],
+    lines += _make_call_rule(
+        _CLONE_CALLS[architecture_index],
+        [(_LOAD_OPCODE, 0, 0, _find_argument_offset(0)), (_JUMP_BITS_OPCODE, 1, 0, _CLONE_THREAD_FLAG), refuse, allow],
     )
-    lines += _match_call(
-        _TGKILL_CALLS[which], [(_LOAD_OPCODE, 0, 0, _argument_offset(0)), (_JUMP_EQUAL_OPCODE, 1, 0, process), refuse, allow]
+    lines += _make_call_rule(
+        _TGKILL_CALLS[architecture_index],
+        [(_LOAD_OPCODE, 0, 0, _find_argument_offset(0)), (_JUMP_EQUAL_OPCODE, 1, 0, process), refuse, allow],
     )
-    lines += _match_call(
-        _PRLIMIT_CALLS[which],
+    lines += _make_call_rule(
+        _PRLIMIT_CALLS[architecture_index],
         [
-            (_LOAD_OPCODE, 0, 0, _argument_offset(0)),
+            (_LOAD_OPCODE, 0, 0, _find_argument_offset(0)),
             (_JUMP_EQUAL_OPCODE, 2, 0, 0),
             (_JUMP_EQUAL_OPCODE, 1, 0, process),
             refuse,
             allow,
         ],
     )
-    lines += _match_call(
-        _IOCTL_CALLS[which],
-        [(_LOAD_OPCODE, 0, 0, _argument_offset(1)), (_JUMP_EQUAL_OPCODE, 0, 1, _TIOCSTI_REQUEST), refuse, allow],
+    lines += _make_call_rule(
+        _IOCTL_CALLS[architecture_index],
+        [(_LOAD_OPCODE, 0, 0, _find_argument_offset(1)), (_JUMP_EQUAL_OPCODE, 0, 1, _TIOCSTI_REQUEST), refuse, allow],
     )
     return [*lines, allow]
 
 
-def _match_call(number: int | None, then: list[BpfInstruction]) -> list[BpfInstruction]:
+def _make_call_rule(number: int | None, actions: list[BpfInstruction]) -> list[BpfInstruction]:
     """Return the instructions for one system call. The number of the call stays loaded for the next test."""
-    return [] if number is None else [(_JUMP_EQUAL_OPCODE, 0, len(then), number), *then]
+    return [] if number is None else [(_JUMP_EQUAL_OPCODE, 0, len(actions), number), *actions]
 
 
-def _argument_offset(number: int) -> int:
+def _find_argument_offset(number: int) -> int:
     """Return the offset of the lower half of an argument in the filter's input."""
     return 16 + 8 * number
 
@@ -246,7 +249,7 @@ def _load_libc() -> ctypes.CDLL | None:
 # ---- all of it
 
 
-def confine(readable: Sequence[str]) -> dict[str, int]:
+def confine_process(readable: Sequence[str]) -> dict[str, int]:
     """Confine the process to reading below these folders. Return the active layers: `rlimits`, `landlock` (its ABI),
     `seccomp`."""
-    return {"rlimits": int(limit_resources()), "landlock": restrict_files(readable), "seccomp": int(refuse_calls())}
+    return {"rlimits": int(limit_resources()), "landlock": restrict_files(readable), "seccomp": int(install_call_filter())}

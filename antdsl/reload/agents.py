@@ -12,21 +12,21 @@ from numpy.typing import NDArray
 
 from antdsl.numerics.vector_rows import length
 from antdsl.plan import ir
-from antdsl.plan.registers import pair_values
-from antdsl.plan.traverse import required_nodes
-from antdsl.program.tables.columns import FIXED, MIGRATED_REGISTERS
-from antdsl.reload.footing import MIN_DISTANCE, align_with_ground, find_footings
-from antdsl.runtime.binding.bind_world import run_value
-from antdsl.runtime.binding.placing import give_at_birth
-from antdsl.runtime.binding.reuse import digest
+from antdsl.plan.registers import find_pair_values
+from antdsl.plan.traverse import collect_required_nodes
+from antdsl.program.tables.columns import FIXED_COLUMN_BY_NAME, MIGRATED_REGISTERS
+from antdsl.reload.footing import MIN_REPORTED_DISTANCE, align_with_ground, find_footings
+from antdsl.runtime.binding.agent_placement import write_place_values
+from antdsl.runtime.binding.bind_world import compute_run_value
+from antdsl.runtime.binding.binding_cache import compute_digest
 from antdsl.runtime.lifecycle import initialise_newborn
 from antdsl.runtime.requests import EffectRequests
 from antdsl.runtime.world import Population, World, add_rows, stored_registers
 from antdsl.scene.setting import WorldSetting
 
-_PLACE = frozenset(("snap", "load"))
-Rows = NDArray[np.intp]
-_MIGRATED = [name for name, column in FIXED.items() if column.migrated]
+_REGISTER_READS = frozenset(("snap", "load"))
+RowIndices = NDArray[np.intp]
+_MIGRATED_COLUMNS = [name for name, column in FIXED_COLUMN_BY_NAME.items() if column.is_migrated]
 
 
 @dataclass(slots=True)
@@ -35,39 +35,43 @@ class MigratedSpecies:
 
     species: str
     agents: int = 0
-    moved: int = 0
-    restarts: dict[tuple[str, str], int] = field(default_factory=dict)  # (removed state, start state) -> agents
+    moved_count: int = 0
+    restart_counts: dict[tuple[str, str], int] = field(default_factory=dict)  # (removed state, start state) -> agents
     states: list[str] = field(default_factory=list)  # new ones
-    lost: list[str] = field(default_factory=list)  # removed states that no agents were in
-    new: list[str] = field(default_factory=list)
-    other: list[str] = field(default_factory=list)  # of another type now
-    rewritten: list[str] = field(default_factory=list)  # set at birth alone, and set otherwise now
+    removed_states: list[str] = field(default_factory=list)  # removed states that no agents were in
+    new_attributes: list[str] = field(default_factory=list)
+    retyped_attributes: list[str] = field(default_factory=list)  # of another type now
+    reset_attributes: list[str] = field(default_factory=list)  # set at birth alone, and set otherwise now
     removed_attributes: list[str] = field(default_factory=list)
-    forgotten: int = 0  # memories that are no more, or mean something else
+    forgotten_memories: int = 0  # memories that are no more, or mean something else
 
 
-def migrate_agents(old: World, world: World, name: str, rows: Rows) -> tuple[MigratedSpecies, dict[str, NDArray[Any]]]:
-    """Move agents, given by their rows in `old`, to a world that has no agents of the species yet.
+def migrate_agents(
+    old_world: World, world: World, name: str, rows: RowIndices
+) -> tuple[MigratedSpecies, dict[str, NDArray[Any]]]:
+    """Move agents, given by their rows in `old_world`, to a world that has no agents of the species yet.
 
     Return the result, and the registers with retained values. `fill_registers` fills the others once all species are migrated."""
-    old_population, new_population = old.populations[name], world.populations[name]
+    old_population, new_population = old_world.populations[name], world.populations[name]
     migrated = MigratedSpecies(name, len(rows))
-    footing, place, moved = find_footings(old, world, old_population)
-    add_rows(new_population, old_population.ids[rows].copy(), old.frame, place[rows], footing.take(rows))
-    new_population.columns |= {name: old_population.columns[name][rows] for name in _MIGRATED}
+    footing, place, moved = find_footings(old_world, world, old_population)
+    add_rows(new_population, old_population.ids[rows].copy(), old_world.frame, place[rows], footing.take_rows(rows))
+    new_population.columns |= {name: old_population.columns[name][rows] for name in _MIGRATED_COLUMNS}
     new_population.next_id = old_population.next_id
     new_population.events |= {name: flags[rows] for name, flags in old_population.events.items() if name in new_population.events}
     values = {
         register: old_population.now[register][rows]
-        for register in _matching_registers(old, world, old_population.plan, new_population.plan, migrated)
+        for register in _find_matching_registers(old_world, world, old_population.plan, new_population.plan, migrated)
     }
     _migrate_states(old_population.plan, new_population.plan, values, migrated)
     _migrate_clips(old_population.plan, new_population.plan, values)
-    _migrate_items(old, world, new_population.plan, values)
+    _migrate_items(old_world, world, new_population.plan, values)
     _migrate_pairs(old_population, world, new_population.plan, rows, values)
     write_registers(new_population, values)
     align_with_ground(world, new_population, moved[rows])
-    migrated.moved = int(np.count_nonzero(length(new_population.position - old_population.position[rows]) > MIN_DISTANCE))
+    migrated.moved_count = int(
+        np.count_nonzero(length(new_population.position - old_population.position[rows]) > MIN_REPORTED_DISTANCE)
+    )
     return migrated, values | {register: new_population.now[register].copy() for register in MIGRATED_REGISTERS}
 
 
@@ -82,8 +86,8 @@ def fill_registers(world: World, name: str, values: dict[str, NDArray[Any]]) -> 
         return
     for crowd in world.setting.crowds:
         if crowd.species == name and crowd.place.values:
-            first = (population.born == world.setting.first_frame) & (population.now["group"] == crowd.group)
-            give_at_birth(population, np.flatnonzero(first), crowd.place)
+            first = (population.born == world.setting.first_frame) & (population.now["group"] == crowd.line_index)
+            write_place_values(population, np.flatnonzero(first), crowd.place)
     initialise_newborn(world, {name: np.arange(len(population))})
     population.effects = EffectRequests()
     write_registers(population, values)
@@ -100,8 +104,8 @@ def write_registers(population: Population, values: Mapping[str, NDArray[Any]]) 
 # --- which registers ---------------------------------------------------------------------------------------------------
 
 
-def _matching_registers(
-    old: World, world: World, old_plan: ir.SpeciesPlan, new_plan: ir.SpeciesPlan, migrated: MigratedSpecies
+def _find_matching_registers(
+    old_world: World, world: World, old_plan: ir.SpeciesPlan, new_plan: ir.SpeciesPlan, migrated: MigratedSpecies
 ) -> list[str]:
     """Return the registers with values that are retained, by name; write findings about the other registers to `migrated`."""
     matching = [
@@ -109,58 +113,59 @@ def _matching_registers(
         for name, register in new_plan.registers.items()
         if register.role != "temp"
         and name in old_plan.registers
-        and _register_meaning(old_plan.registers[name]) == _register_meaning(register)
+        and _find_register_meaning(old_plan.registers[name]) == _find_register_meaning(register)
     ]
     lasting = {
-        name for name in matching if not name.endswith(".on") or _is_complete(name.removesuffix(".on"), new_plan, matching)
+        name for name in matching if not name.endswith(".on") or _is_memory_complete(name.removesuffix(".on"), new_plan, matching)
     }
-    rewritten = _changed_defaults(old, world, old_plan, new_plan) & lasting
+    rewritten = _find_changed_defaults(old_world, world, old_plan, new_plan) & lasting
     for name, register in new_plan.registers.items():
         if register.role == "attribute" and name not in lasting:
             known = name in old_plan.registers and old_plan.registers[name].role == "attribute"
-            _add_register_name(migrated.other if known else migrated.new, name)
-    for name, slots in pair_values(new_plan.registers).items():
+            _add_register_name(migrated.retyped_attributes if known else migrated.new_attributes, name)
+    for name, slots in find_pair_values(new_plan.registers).items():
         known = slots[0][1] in old_plan.registers
         if not known or slots[0][1] not in lasting:
-            _add_register_name(migrated.other if known else migrated.new, name)
-    removed_names = pair_values(old_plan.registers).keys() - pair_values(new_plan.registers).keys()
+            _add_register_name(migrated.retyped_attributes if known else migrated.new_attributes, name)
+    removed_names = find_pair_values(old_plan.registers).keys() - find_pair_values(new_plan.registers).keys()
     migrated.removed_attributes += sorted(removed_names)
     for name, register in old_plan.registers.items():
         if register.role == "attribute" and name not in new_plan.registers:
             _add_register_name(migrated.removed_attributes, name)
-        migrated.forgotten += register.role == "memory" and name not in lasting and not name.endswith(".on")
+        migrated.forgotten_memories += register.role == "memory" and name not in lasting and not name.endswith(".on")
     for name in sorted(rewritten):
-        _add_register_name(migrated.rewritten, name)
+        _add_register_name(migrated.reset_attributes, name)
     return [name for name in matching if name in lasting and name not in rewritten]
 
 
-def _register_meaning(register: ir.Register) -> tuple[object, ...]:
+def _find_register_meaning(register: ir.Register) -> tuple[object, ...]:
     """Return the properties of a register that must be equal for its values to be retained."""
-    return register.kind, register.role, register.of, register.holds
+    return register.kind, register.role, register.of, register.language_type
 
 
-def _is_complete(memory: str, new_plan: ir.SpeciesPlan, matching: list[str]) -> bool:
+def _is_memory_complete(memory: str, new_plan: ir.SpeciesPlan, matching: list[str]) -> bool:
     """Return whether the values of a `keep` are retained together with its mark. If not, the `keep` has to start again."""
     values = [name for name in (memory, *(f"{memory}.{axis}" for axis in "xyz")) if name in new_plan.registers]
     return all(name in matching for name in values)
 
 
-def _changed_defaults(old: World, world: World, old_plan: ir.SpeciesPlan, new_plan: ir.SpeciesPlan) -> set[str]:
+def _find_changed_defaults(old_world: World, world: World, old_plan: ir.SpeciesPlan, new_plan: ir.SpeciesPlan) -> set[str]:
     """Return the attributes with a changed birth value that both plans set only at birth. Agents get the new value."""
-    one, other = birth_values(old_plan, params_at_birth(old)), birth_values(new_plan, params_at_birth(world))
+    one, other = hash_birth_values(old_plan, find_birth_params(old_world)), hash_birth_values(new_plan, find_birth_params(world))
     stored = stored_registers(old_plan) | stored_registers(new_plan) | set(MIGRATED_REGISTERS)
     attributes = {name for name, register in new_plan.registers.items() if register.role == "attribute"}
     placed = {
         name
         for name in attributes
-        if _place_digests(old.setting, old_plan.name, name) != _place_digests(world.setting, new_plan.name, name)
+        if _compute_place_digests(old_world.setting, old_plan.name, name)
+        != _compute_place_digests(world.setting, new_plan.name, name)
     }
     return {name for name in attributes - stored if one.get(name) != other.get(name) or name in placed}
 
 
-def _place_digests(setting: WorldSetting, species: str, attribute: str) -> list[str]:
+def _compute_place_digests(setting: WorldSetting, species: str, attribute: str) -> list[str]:
     """Return a digest of the attribute's values at the start places of each crowd line of the scene."""
-    return [digest(crowd.place.values.get(attribute)) for crowd in setting.crowds if crowd.species == species]
+    return [compute_digest(crowd.place.values.get(attribute)) for crowd in setting.crowds if crowd.species == species]
 
 
 def _add_register_name(names: list[str], register: str) -> None:
@@ -182,16 +187,18 @@ def _migrate_states(
         known = machines.get(machine.name)
         if known is None or f"{machine.name}.state" not in values:
             continue
-        number = _state_numbers(known, machine)
+        number = _map_state_numbers(known, machine)
         now = values[f"{machine.name}.state"]
         state = number[now]
         lost = state < 0
         occupied = {known.states[index] for index in np.unique(now[lost])}
         migrated.states += [f"{machine.name}.{state}" for state in machine.states if state not in known.states]
-        migrated.lost += [f"{machine.name}.{state}" for state in known.states if state not in (*machine.states, *occupied)]
+        migrated.removed_states += [
+            f"{machine.name}.{state}" for state in known.states if state not in (*machine.states, *occupied)
+        ]
         for index in np.unique(now[lost]):
             key = (f"{machine.name}.{known.states[index]}", f"{machine.name}.{machine.states[machine.start]}")
-            migrated.restarts[key] = int(np.count_nonzero(now == index))
+            migrated.restart_counts[key] = int(np.count_nonzero(now == index))
         values[f"{machine.name}.state"] = state = np.where(lost, machine.start, state).astype(now.dtype)
         for part in ("previous", "next"):
             other = number[values[f"{machine.name}.{part}"]]
@@ -210,18 +217,18 @@ def _migrate_clips(old_plan: ir.SpeciesPlan, new_plan: ir.SpeciesPlan, values: d
 
 
 def _migrate_pairs(
-    old_population: Population, world: World, new_plan: ir.SpeciesPlan, rows: Rows, values: dict[str, NDArray[Any]]
+    old_population: Population, world: World, new_plan: ir.SpeciesPlan, rows: RowIndices, values: dict[str, NDArray[Any]]
 ) -> None:
     """Remove values per pair if the new plan stores fewer for each agent.
 
     The strongest values of each agent remain: those farthest from the value with which they begin, and to which they return,
     in the new plan. At equal strength, the lesser id remains."""
-    old = pair_values(old_population.plan.registers)
-    for name, slots in pair_values(new_plan.registers).items():
+    old = find_pair_values(old_population.plan.registers)
+    for name, slots in find_pair_values(new_plan.registers).items():
         if len(slots) >= len(old.get(name, ())) or slots[0][0] not in values:
             continue
         who, value = (np.stack([old_population.now[each[part]][rows] for each in old[name]], axis=1) for part in (0, 1))
-        rest = np.float32(run_value(world, new_plan.rests[name]))
+        rest = np.float32(compute_run_value(world, new_plan.pair_rest_values[name]))
         strength = np.where(who < 0, np.float32(-1), np.abs(value - rest))
         order = np.lexsort((who, -strength), axis=1)[:, : len(slots)]
         for k, names in enumerate(slots):
@@ -229,56 +236,57 @@ def _migrate_pairs(
                 values[register] = np.take_along_axis(array, order, axis=1)[:, k].copy()
 
 
-def _state_numbers(old_machine: ir.MachinePlan, new_machine: ir.MachinePlan) -> NDArray[np.int64]:
+def _map_state_numbers(old_machine: ir.MachinePlan, new_machine: ir.MachinePlan) -> NDArray[np.int64]:
     """Return the new number of each state of the old machine, int64 [states]; -1 for a removed state."""
     numbers = {state: k for k, state in enumerate(new_machine.states)}
     return np.array([numbers.get(state, -1) for state in old_machine.states], np.int64)
 
 
-def _migrate_items(old: World, world: World, new_plan: ir.SpeciesPlan, values: dict[str, NDArray[Any]]) -> None:
+def _migrate_items(old_world: World, world: World, new_plan: ir.SpeciesPlan, values: dict[str, NDArray[Any]]) -> None:
     """Convert the numbers of items in registers to those of the new world, by name. Removed items become none."""
     for name, register in new_plan.registers.items():
-        if name in values and register.holds and register.holds[0] == "item":
-            of = str(register.holds[-1])
+        if name in values and register.language_type and register.language_type[0] == "item":
+            of = str(register.language_type[-1])
             rows = {item: k for k, item in enumerate(world.items[of].names)}
-            number = np.array([*(rows.get(item, -1) for item in old.items[of].names), -1], np.int64)
+            number = np.array([*(rows.get(item, -1) for item in old_world.items[of].names), -1], np.int64)
             values[name] = number[values[name]].astype(values[name].dtype)
 
 
-def birth_values(plan: ir.SpeciesPlan, params: Mapping[str, float]) -> dict[str, int]:
+def hash_birth_values(plan: ir.SpeciesPlan, params: Mapping[str, float]) -> dict[str, int]:
     """Return a hash of each register's value at birth, by register name.
 
     The hash includes the operations, the other registers that they read, and the params that they use."""
     hashes: dict[str, int] = {}
-    _block(plan.born, (), hashes, params)
+    _hash_block(plan.born, (), hashes, params)
     return hashes
 
 
-def params_at_birth(world: World) -> dict[str, float]:
+def find_birth_params(world: World) -> dict[str, float]:
     """Return the params as the scene and the program set them, without later changes."""
     scene_params = world.setting.params
     return {
-        name: scene_params[name] if name in scene_params else run_value(world, p.default) for name, p in world.plan.params.items()
+        name: scene_params[name] if name in scene_params else compute_run_value(world, p.default)
+        for name, p in world.plan.params.items()
     }
 
 
-def _block(block: ir.Block, where: tuple[int, ...], hashes: dict[str, int], params: Mapping[str, float]) -> None:
-    """Add a hash of each register that a block sets. `where`: hashes of the conditions around the block."""
+def _hash_block(block: ir.Block, condition_hashes: tuple[int, ...], hashes: dict[str, int], params: Mapping[str, float]) -> None:
+    """Add a hash of each register that a block sets. `condition_hashes`: hashes of the conditions around the block."""
     for statement in block.statements:
         if isinstance(statement, ir.If):
-            _block(statement.then, (*where, _value(statement.condition, hashes, params)), hashes, params)
+            _hash_block(statement.then, (*condition_hashes, _hash_value(statement.condition, hashes, params)), hashes, params)
         elif isinstance(statement, ir.Store):
-            value = _value(statement.value, hashes, params)
-            previous_hash = hashes.get(statement.register, 0) if where else 0
-            hashes[statement.register] = hash((where, previous_hash, value))
+            value = _hash_value(statement.value, hashes, params)
+            previous_hash = hashes.get(statement.register, 0) if condition_hashes else 0
+            hashes[statement.register] = hash((condition_hashes, previous_hash, value))
 
 
-def _value(node: ir.PlanNode, hashes: Mapping[str, int], params: Mapping[str, float]) -> int:
+def _hash_value(node: ir.PlanNode, hashes: Mapping[str, int], params: Mapping[str, float]) -> int:
     """Return a hash of a value's operations and inputs."""
     node_hashes: dict[ir.PlanNode, int] = {}
-    for each in required_nodes([node]):
+    for each in collect_required_nodes([node]):
         attrs: tuple[object, ...] = each.attrs
-        if each.op in _PLACE:
+        if each.op in _REGISTER_READS:
             attrs = (each.attrs[0], hashes.get(each.attrs[0], 0))
         elif each.op == "param":
             attrs = (each.attrs[0], params.get(each.attrs[0]))

@@ -7,15 +7,15 @@
     and hashes the complete state."""
 
 from antdsl.runtime.binding.bind_world import BindError, bind, set_flow, set_param
-from antdsl.runtime.binding.reuse import BindingCache
-from antdsl.runtime.checkpoints import CheckpointError, checkpoint, restore, state_hash
+from antdsl.runtime.binding.binding_cache import BindingCache
+from antdsl.runtime.checkpoints import CheckpointError, restore_checkpoint, state_hash, take_checkpoint
 from antdsl.runtime.digging import take_dug_balls
 from antdsl.runtime.faults import Fault, FaultStop, LimitStop
-from antdsl.runtime.feet.state import feet_hash
-from antdsl.runtime.lifecycle import event_names, take_emissions
+from antdsl.runtime.feet.feet_state import feet_hash
+from antdsl.runtime.lifecycle import collect_emissions, event_names
 from antdsl.runtime.phases import step
 from antdsl.runtime.world import Items, Options, Population, World
-from antdsl.scene.setting import CrowdData, FieldStart, ItemData, MeshData, PlaceData, WorldSetting
+from antdsl.scene.setting import CrowdData, FieldStartData, ItemData, MeshData, PlacementData, WorldSetting
 
 __all__ = [
     "BindError",
@@ -24,25 +24,25 @@ __all__ = [
     "CrowdData",
     "Fault",
     "FaultStop",
-    "FieldStart",
+    "FieldStartData",
     "ItemData",
     "Items",
     "LimitStop",
     "MeshData",
     "Options",
-    "PlaceData",
+    "PlacementData",
     "Population",
     "World",
     "WorldSetting",
     "bind",
-    "checkpoint",
+    "collect_emissions",
     "event_names",
     "feet_hash",
-    "restore",
+    "restore_checkpoint",
     "set_flow",
     "set_param",
     "state_hash",
     "step",
+    "take_checkpoint",
     "take_dug_balls",
-    "take_emissions",
 ]

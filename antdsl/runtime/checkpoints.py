@@ -12,19 +12,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.ground.protocol import Footing
-from antdsl.numerics.records import part_of
+from antdsl.numerics.records import select_by_prefix
 from antdsl.numerics.row_hash import describe_columns
-from antdsl.program.tables.columns import FIXED
-from antdsl.runtime.feet import walking
-from antdsl.runtime.feet.state import feet_from_arrays
+from antdsl.program.tables.columns import FIXED_COLUMN_BY_NAME
+from antdsl.runtime.feet import feet_step
+from antdsl.runtime.feet.feet_state import feet_from_arrays
 from antdsl.runtime.feet.wearers import sorted_ids_of
 from antdsl.runtime.motion_measures import MotionMeasures
 from antdsl.runtime.moving.moving_geometry import pose_world
-from antdsl.runtime.world import Population, World, fixed_columns
+from antdsl.runtime.world import Population, World, make_fixed_columns
 
-STATE_HASH = 2  # version of the hash method; hashes of other versions are not comparable
-_HASHED = tuple(name for name, column in FIXED.items() if column.hashed)
-_STORED = ("ids", *(name for name, column in FIXED.items() if name != "ids" and column.checkpointed))
+STATE_HASH_VERSION = 2  # version of the hash method; hashes of other versions are not comparable
+_HASHED_COLUMNS = tuple(name for name, column in FIXED_COLUMN_BY_NAME.items() if column.is_hashed)
+_STORED_COLUMNS = ("ids", *(name for name, column in FIXED_COLUMN_BY_NAME.items() if name != "ids" and column.is_checkpointed))
 Arrays = dict[str, NDArray[Any]]
 
 
@@ -32,36 +32,40 @@ class CheckpointError(ValueError):
     """Error for arrays that do not match the plan. The message names the first such array."""
 
 
-def checkpoint(world: World) -> Arrays:
+def take_checkpoint(world: World) -> Arrays:
     """Return copies of the arrays, by name, that form the state between two steps."""
     arrays: Arrays = {"frame": np.array(world.frame, np.int64), "faults": np.array(world.faults.count, np.int64)}
     arrays |= {f"param.{name}": np.array(value) for name, value in world.params.items()}
     for name, population in world.populations.items():
-        arrays |= {f"species.{name}.{key}": array for key, array in _arrays(population).items()}
+        arrays |= {f"species.{name}.{key}": array for key, array in _population_arrays(population).items()}
         arrays[f"species.{name}.next_id"] = np.array(population.next_id, np.int64)
     for name, items in world.items.items():
         arrays |= {f"items.{name}.{attribute}": amounts for attribute, amounts in items.amounts.items()}
     for name, field in world.fields.items():
-        arrays |= {f"field.{name}.{key}": array for key, array in field.added.items()}
+        arrays |= {f"field.{name}.{key}": array for key, array in field.added_cells.items()}
         arrays[f"field.{name}"] = field.values
     arrays |= {f"flow.{name}.{key}": array for name, flow in world.flows.items() for key, array in flow.state().items()}
-    arrays |= {f"feet.{name}.{key}": array for name, feet in world.feet.items() for key, array in feet.by_id().arrays().items()}
+    arrays |= {
+        f"feet.{name}.{key}": array
+        for name, feet in world.feet.items()
+        for key, array in feet.sorted_by_id().stored_arrays().items()
+    }
     names = sorted(world.transitions)
     arrays["transitions.names"] = np.frombuffer("\n".join(names).encode(), np.uint8)
     arrays["transitions.counts"] = np.array([world.transitions[name] for name in names], np.int64)
     if world.detail is not None:
         arrays["lod.counts"] = world.detail.counts
-    arrays |= {f"motion.{name}": array for name, array in world.motion.arrays().items()}
+    arrays |= {f"motion.{name}": array for name, array in world.motion.checkpoint_arrays().items()}
     arrays |= {f"solid.{name}.{key}": array for name, volume in world.solids.items() for key, array in volume.state().items()}
     return {name: array.copy() for name, array in arrays.items()}
 
 
-def restore(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
+def restore_checkpoint(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
     """Restore a state in a world that is bound to the same plan and setting.
 
     Raises CheckpointError; the world is unusable after the error."""
     try:
-        _restore(world, arrays)
+        _restore_world(world, arrays)
         for population in world.populations.values():
             world.ground.position(population.footing)  # rejects invalid faces, which compiled code would not check
     except CheckpointError:
@@ -70,38 +74,42 @@ def restore(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
         raise CheckpointError(f"it does not hold together ({type(why).__name__})") from why
 
 
-def _restore(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
+def _restore_world(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
     """Restore a state; arrays that do not match raise various errors."""
-    world.frame = int(_take(arrays, "frame"))
-    world.faults.count = int(_take(arrays, "faults"))
+    world.frame = int(_read_checked_array(arrays, "frame"))
+    world.faults.count = int(_read_checked_array(arrays, "faults"))
     for name in world.params:
-        world.params[name] = np.float32(_take(arrays, f"param.{name}"))
+        world.params[name] = np.float32(_read_checked_array(arrays, f"param.{name}"))
     for name, population in world.populations.items():
         _restore_population(population, arrays, f"species.{name}.")
     for name, items in world.items.items():
         for attribute, amounts in items.amounts.items():
-            amounts[:] = _take(arrays, f"items.{name}.{attribute}", amounts.shape)
-        items.show()
+            amounts[:] = _read_checked_array(arrays, f"items.{name}.{attribute}", amounts.shape)
+        items.publish_amounts()
     for name, field in world.fields.items():
-        if field.added:
-            field.grow_again(_take(arrays, f"field.{name}.keys"), _take(arrays, f"field.{name}.places"))
-        field.values[:] = _take(arrays, f"field.{name}", field.values.shape)
+        if field.added_cells:
+            field.restore_added_cells(
+                _read_checked_array(arrays, f"field.{name}.keys"), _read_checked_array(arrays, f"field.{name}.places")
+            )
+        field.values[:] = _read_checked_array(arrays, f"field.{name}", field.values.shape)
     for name, volume in world.solids.items():
-        solid_state = {key: _take(arrays, f"solid.{name}.{key}") for key in volume.state()}
+        solid_state = {key: _read_checked_array(arrays, f"solid.{name}.{key}") for key in volume.state()}
         try:
-            volume.restore(solid_state)
+            volume.restore_changes(solid_state)
         except ValueError as why:
             raise CheckpointError(f"`solid.{name}`: {why}") from None
     for name, flow in world.flows.items():
         state = flow.state()
         if state:
-            flow.restore({key: _take(arrays, f"flow.{name}.{key}", like.shape).copy() for key, like in state.items()})
-    text = _take(arrays, "transitions.names").astype(np.uint8).tobytes().decode()
-    counts = _take(arrays, "transitions.counts")
+            flow.restore(
+                {key: _read_checked_array(arrays, f"flow.{name}.{key}", like.shape).copy() for key, like in state.items()}
+            )
+    text = _read_checked_array(arrays, "transitions.names").astype(np.uint8).tobytes().decode()
+    counts = _read_checked_array(arrays, "transitions.counts")
     world.transitions = dict(zip(text.split("\n") if text else [], (int(c) for c in counts), strict=True))
-    world.motion = MotionMeasures.of(part_of(arrays, "motion."))
+    world.motion = MotionMeasures.of(select_by_prefix(arrays, "motion."))
     if world.detail is not None:
-        world.detail.counts = _take(arrays, "lod.counts", world.detail.counts.shape).copy()
+        world.detail.counts = _read_checked_array(arrays, "lod.counts", world.detail.counts.shape).copy()
     world.grids.clear()
     world.trees.clear()
     world.clearances.clear()
@@ -114,9 +122,9 @@ def _restore_feet(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
     """Restore the feet of a checkpoint. If the checkpoint was written without feet, all agents start with their feet at rest."""
     restored_feet = {}
     for name, feet in world.feet.items():
-        foot_arrays = part_of(arrays, f"feet.{name}.")
+        foot_arrays = select_by_prefix(arrays, f"feet.{name}.")
         if not foot_arrays:
-            walking.begin_feet(world)
+            feet_step.place_initial_feet(world)
             return
         try:
             restored_feet[name] = feet_from_arrays(foot_arrays, feet.legs, sorted_ids_of(world, name))
@@ -125,9 +133,9 @@ def _restore_feet(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
     world.feet = restored_feet
 
 
-def _arrays(population: Population) -> Arrays:
+def _population_arrays(population: Population) -> Arrays:
     """Return the arrays of a species that form its state, by name."""
-    arrays: Arrays = {name: population.columns[name] for name in _STORED}
+    arrays: Arrays = {name: population.columns[name] for name in _STORED_COLUMNS}
     arrays |= {f"footing.{name}": array for name, array in population.footing.columns.items()}
     arrays |= {f"event.{name}": flags for name, flags in population.events.items()}
     stored_names = (name for name, register in population.plan.registers.items() if register.role != "temp")
@@ -136,29 +144,31 @@ def _arrays(population: Population) -> Arrays:
 
 def _restore_population(population: Population, arrays: Mapping[str, NDArray[Any]], prefix: str) -> None:
     """Restore the agents of a species from arrays of which the names begin with `prefix`."""
-    count = len(_take(arrays, f"{prefix}ids"))
-    now = _arrays(population)
+    count = len(_read_checked_array(arrays, f"{prefix}ids"))
+    now = _population_arrays(population)
     taken = {}
     for key, like in now.items():
-        array = _take(arrays, prefix + key, (count, *like.shape[1:]))
+        array = _read_checked_array(arrays, prefix + key, (count, *like.shape[1:]))
         if array.dtype != like.dtype:
             raise CheckpointError(f"`{prefix}{key}` holds {array.dtype}, not {like.dtype}")
         taken[key] = array.copy()
-    population.columns = fixed_columns(count, **{name: taken[name] for name in _STORED})
+    population.columns = make_fixed_columns(count, **{name: taken[name] for name in _STORED_COLUMNS})
     population.footing = Footing({name: taken[f"footing.{name}"] for name in population.footing.columns})
     population.events = {name: taken[f"event.{name}"] for name in population.events}
-    population.raised = {name: np.zeros(count, np.bool_) for name in population.events}
+    population.raised_events = {name: np.zeros(count, np.bool_) for name in population.events}
     for name, register in population.plan.registers.items():
         shared = population.start[name] is population.now[name]
         old = population.now[name]
-        population.now[name] = np.full(count, register.zero, old.dtype) if register.role == "temp" else taken[f"register.{name}"]
+        population.now[name] = (
+            np.full(count, register.initial_value, old.dtype) if register.role == "temp" else taken[f"register.{name}"]
+        )
         population.start[name] = population.now[name] if shared else population.now[name].copy()
     population.cells.clear()
-    population.next_id = int(_take(arrays, f"{prefix}next_id"))
+    population.next_id = int(_read_checked_array(arrays, f"{prefix}next_id"))
     population.version += 1
 
 
-def _take(arrays: Mapping[str, NDArray[Any]], name: str, shape: tuple[int, ...] | None = None) -> NDArray[Any]:
+def _read_checked_array(arrays: Mapping[str, NDArray[Any]], name: str, shape: tuple[int, ...] | None = None) -> NDArray[Any]:
     """Return a named array. Raises CheckpointError if it is missing or has another shape."""
     if name not in arrays:
         raise CheckpointError(f"`{name}` is missing")
@@ -171,7 +181,7 @@ def _take(arrays: Mapping[str, NDArray[Any]], name: str, shape: tuple[int, ...] 
 def state_hash(world: World) -> str:
     """Return a hash of the state: the first 128 bits of a SHA-256 hash, in hexadecimal.
 
-    It includes the `row_hash` of each species, and items, fields, solids and flows."""
+    It includes the `hash_rows` of each species, and items, fields, solids and flows."""
     digest, threads = sha256(), world.options.threads
     digest.update(np.int64(world.frame).tobytes())
     for name in sorted(world.populations):
@@ -184,9 +194,9 @@ def state_hash(world: World) -> str:
             digest.update(f"\0{name}\0{attribute}\0".encode() + amounts.tobytes())
     for name in sorted(world.fields):
         values = world.fields[name].values
-        digest.update(f"\0{name}\0{len(values)}".encode() + world.fields[name].hashed.of(None, [values], threads))
+        digest.update(f"\0{name}\0{len(values)}".encode() + world.fields[name].row_hasher.of(None, [values], threads))
     for name in sorted(world.solids):
-        digest.update(f"\0{name}\0".encode() + world.solids[name].digest())
+        digest.update(f"\0{name}\0".encode() + world.solids[name].compute_digest())
     for name in sorted(world.flows):
         for key, array in sorted(world.flows[name].state().items()):
             digest.update(f"\0{name}\0{key}\0".encode() + array.tobytes())
@@ -195,9 +205,9 @@ def state_hash(world: World) -> str:
 
 def _hash_rows(population: Population, threads: int) -> bytes:
     """Return the hash of all arrays that belong to the state of agents."""
-    columns = [(name, population.columns[name]) for name in _HASHED]
+    columns = [(name, population.columns[name]) for name in _HASHED_COLUMNS]
     columns += [(f"footing.{name}", array) for name, array in population.footing.columns.items()]
     columns += [(name, population.now[name]) for name in population.state_registers()]
     columns += [(f"event.{name}", flags) for name, flags in sorted(population.events.items())]
     names, arrays = zip(*columns, strict=True)
-    return describe_columns(names, arrays) + population.hashed.of(population.ids, arrays, threads)
+    return describe_columns(names, arrays) + population.row_hasher.of(population.ids, arrays, threads)

@@ -14,18 +14,18 @@ from numpy.typing import NDArray
 from antdsl.fields.pheromone import DEPOSIT_UNIT
 from antdsl.machine_code.kernels import BOOL, F32, F64, I64, Array1, inlined, kernel
 from antdsl.numerics import randomness
-from antdsl.runtime.requests import ClaimEntry, GiveEntry
+from antdsl.runtime.requests import ClaimEntry, GiftEntry
 from antdsl.runtime.world import Population, World
 
 ClaimEntries = list[tuple[Population, ClaimEntry]]
 
 
-def settle(world: World) -> None:
+def settle_claims(world: World) -> None:
     """Serve the claims on each amount in the order of (draw, id), as long as the remainder suffices."""
     item_claims: dict[tuple[str, str], ClaimEntries] = {}
     of_fields: dict[str, ClaimEntries] = {}
     for population in world.populations.values():
-        population.all_taken.clear()
+        population.claimed_totals.clear()
         for entry in population.effects.claims:
             if not len(entry.rows):
                 continue
@@ -83,24 +83,24 @@ def _settle_amount(
 
     `item`: the index in `rest` of each claim, -1 for none. `amount`: the claimed amount; inf claims all that is left, in
         multiples of `unit`."""
-    draw = _join_arrays([_draws(world, p, e) for p, e in entries])
+    draw = _join_arrays([_draw_claim_order(world, p, e) for p, e in entries])
     ids = _join_arrays([p.ids[e.rows] for p, e in entries])
     row = _join_arrays([e.rows for _, e in entries])
     if len(entries) == 1 and _settle_by_kernel(rest, (ids, draw, item), row, amount, *entries[0]):
         return
     valid = (item >= 0) & (item < len(rest)) & (amount >= 0)
     if len(entries) == 1:
-        _serve(rest, np.flatnonzero(valid), (ids, draw, item), row, amount, unit, entries, None)
+        _serve_claims(rest, np.flatnonzero(valid), (ids, draw, item), row, amount, unit, entries, None)
         return
     names = list(world.populations)
     species, place, source = (
         np.repeat(numbers, [len(e.rows) for _, e in entries])
         for numbers in ([names.index(p.name) for p, _ in entries], [e.order for _, e in entries], np.arange(len(entries)))
     )
-    turn = _claim_turns(species, ids, place)
+    turn = _number_agent_claims(species, ids, place)
     for number in range(int(turn.max()) + 1):  # an agent's second claim sees its register after the first
         now = np.flatnonzero(valid & (turn == number))
-        _serve(rest, now, (place, species, ids, draw, item), row, amount, unit, entries, source)
+        _serve_claims(rest, now, (place, species, ids, draw, item), row, amount, unit, entries, source)
 
 
 def _settle_by_kernel(
@@ -119,15 +119,15 @@ def _settle_by_kernel(
         return False
     item, claimed, (change, got) = keys[-1].astype(np.int64, copy=False), np.empty(len(row), np.int64), np.empty((2, len(row)))
     now, order = population.now, np.lexsort(keys)
-    is_settled: bool = _settle_in_turn(
-        rest, order, item, row, amount, now[statement.own], now[statement.won], claimed, change, got
+    is_settled: bool = _settle_in_order(
+        rest, order, item, row, amount, now[statement.own], now[statement.won_register], claimed, change, got
     )
     return is_settled
 
 
-def _serve(
+def _serve_claims(
     rest: NDArray[np.float64],
-    now: NDArray[np.intp],
+    claim_indices: NDArray[np.intp],
     keys: tuple[NDArray[Any], ...],
     row: NDArray[np.intp],
     amount: NDArray[np.float32],
@@ -135,45 +135,51 @@ def _serve(
     entries: ClaimEntries,
     source: NDArray[np.intp] | None,
 ) -> None:
-    """Serve the claims `now`, which are of different agents, in the order of `keys`; the last key, the item, is the primary
-    one.
+    """Serve the claims `claim_indices`, which are of different agents, in the order of `keys`; the last key, the item, is the
+    primary one.
 
     `source`: the entry of each claim; None if there is only one entry."""
-    now = now[np.lexsort([key[now] for key in keys])]
-    item, row, amount = keys[-1][now], row[now], amount[now]
-    asks = _ServedClaims(np.empty(len(now)), np.isinf(amount), np.zeros(len(now), np.float32), np.zeros(len(now), np.bool_), unit)
-    every = np.arange(len(now))
-    owners = [every] if source is None else [np.flatnonzero(source[now] == k) for k in range(len(entries))]
+    claim_indices = claim_indices[np.lexsort([key[claim_indices] for key in keys])]
+    item, row, amount = keys[-1][claim_indices], row[claim_indices], amount[claim_indices]
+    asks = _ServedClaims(
+        np.empty(len(claim_indices)),
+        np.isinf(amount),
+        np.zeros(len(claim_indices), np.float32),
+        np.zeros(len(claim_indices), np.bool_),
+        unit,
+    )
+    every = np.arange(len(claim_indices))
+    owners = [every] if source is None else [np.flatnonzero(source[claim_indices] == k) for k in range(len(entries))]
     for (population, entry), mine in zip(entries, owners, strict=True):
-        asks.fill(population, entry, mine, row[mine], amount[mine])
-    got = _served_amounts(rest, item, asks)
+        asks.store_claims(population, entry, mine, row[mine], amount[mine])
+    got = _grant_amounts(rest, item, asks)
     for (population, entry), mine in zip(entries, owners, strict=True):
         mine = mine[got[mine] >= 0]
-        population.now[entry.statement.won][row[mine]] = True
+        population.now[entry.statement.won_register][row[mine]] = True
         if entry.statement.own is not None:
             _add_winnings(population, entry, row[mine], amount[mine], got[mine])
 
 
 def _add_winnings(
-    population: Population, entry: ClaimEntry, rows: NDArray[np.intp], amount: NDArray[np.float32], got: NDArray[np.float64]
+    population: Population, entry: ClaimEntry, rows: NDArray[np.intp], amount: NDArray[np.float32], granted: NDArray[np.float64]
 ) -> None:
-    """Add the amounts won to the agents' own registers. `got`: the exact amount that each agent adds."""
+    """Add the amounts won to the agents' own registers. `granted`: the exact amount that each agent adds."""
     assert entry.statement.own is not None
     own = population.now[entry.statement.own]
     if entry.statement.amount is not None:
         own[rows] += amount
         return
-    own[rows] = own[rows].astype(np.float64) + got
-    taken = population.all_taken.setdefault(entry.statement.site, np.zeros(len(population)))
-    taken[rows] = got
+    own[rows] = own[rows].astype(np.float64) + granted
+    taken = population.claimed_totals.setdefault(entry.statement.site, np.zeros(len(population)))
+    taken[rows] = granted
 
 
 class _ServedClaims:
     """Claims in the order in which they are served.
 
-    `change` float64: the exact amount by which a served claim raises the agent's own register, or the amount if there is no
-    register. `everything`: marks claims for all that is left.
-    `had`: the current value of the register. `has_register`: whether there is one."""
+    `changes` float64: the exact amount by which a served claim raises the agent's own register, or the amount if there is no
+    register. `claims_all`: marks claims for all that is left.
+    `register_values`: the current value of the register. `has_register`: whether there is one."""
 
     def __init__(
         self,
@@ -183,39 +189,50 @@ class _ServedClaims:
         has_register: NDArray[np.bool_],
         unit: float,
     ) -> None:
-        self.change, self.everything, self.had, self.kept, self.unit = change, everything, had, has_register, unit
+        self.changes, self.claims_all, self.register_values, self.has_register, self.unit = (
+            change,
+            everything,
+            had,
+            has_register,
+            unit,
+        )
 
-    def fill(
-        self, population: Population, entry: ClaimEntry, at: NDArray[np.intp], rows: NDArray[np.intp], amount: NDArray[np.float32]
+    def store_claims(
+        self,
+        population: Population,
+        entry: ClaimEntry,
+        positions: NDArray[np.intp],
+        rows: NDArray[np.intp],
+        amount: NDArray[np.float32],
     ) -> None:
         """Store the claims of one statement at their positions in the order."""
         if entry.statement.own is None:
-            self.change[at] = amount
+            self.changes[positions] = amount
             return
         had = population.now[entry.statement.own][rows]
         with np.errstate(invalid="ignore"):
-            self.change[at] = (had + amount).astype(np.float64) - had.astype(np.float64)
-        self.had[at], self.kept[at] = had, True
+            self.changes[positions] = (had + amount).astype(np.float64) - had.astype(np.float64)
+        self.register_values[positions], self.has_register[positions] = had, True
 
-    def all_amounts(self, at: NDArray[np.intp], left: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the amounts for claims for all, from the amounts `left`: in whole units, and at most what the register can
+    def amounts_for_all(self, positions: NDArray[np.intp], remaining: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the amounts for claims for all, from the amounts `remaining`: in whole units, and at most what the register can
         represent."""
-        had = self.had[at].astype(np.float64)
+        had = self.register_values[positions].astype(np.float64)
         with np.errstate(all="ignore"):
-            rounded_amount = np.floor(left / self.unit) * self.unit if self.unit else left
+            rounded_amount = np.floor(remaining / self.unit) * self.unit if self.unit else remaining
             then = (had + rounded_amount).astype(np.float32)
             then = np.where(then.astype(np.float64) - had > rounded_amount, np.nextafter(then, np.float32(-np.inf)), then)
-            part = np.where(self.kept[at], then.astype(np.float64) - had, rounded_amount)
-            return np.where(np.isfinite(part) & (part <= left), part, 0.0)
+            part = np.where(self.has_register[positions], then.astype(np.float64) - had, rounded_amount)
+            return np.where(np.isfinite(part) & (part <= remaining), part, 0.0)
 
 
-def _draws(world: World, population: Population, entry: ClaimEntry) -> NDArray[np.uint64]:
+def _draw_claim_order(world: World, population: Population, entry: ClaimEntry) -> NDArray[np.uint64]:
     """Return a random word for each claim, which decides the order of serving."""
     ids = population.ids[entry.rows]
-    return randomness.word(world.setting.seed, world.frame, population.name, entry.statement.site, 0, ids)
+    return randomness.draw_word(world.setting.seed, world.frame, population.name, entry.statement.site, 0, ids)
 
 
-def _claim_turns(species: NDArray[np.int64], ids: NDArray[np.int64], place: NDArray[np.int64]) -> NDArray[np.int64]:
+def _number_agent_claims(species: NDArray[np.int64], ids: NDArray[np.int64], place: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return the number of each claim among those of the same agent, in the order of the source text."""
     order = np.lexsort((place, ids, species))
     fresh = np.ones(len(order), np.bool_)
@@ -226,45 +243,45 @@ def _claim_turns(species: NDArray[np.int64], ids: NDArray[np.int64], place: NDAr
     return turn
 
 
-def _served_amounts(rest: NDArray[np.float64], item_numbers: NDArray[np.integer], asks: _ServedClaims) -> NDArray[np.float64]:
+def _grant_amounts(rest: NDArray[np.float64], item_numbers: NDArray[np.integer], claims: _ServedClaims) -> NDArray[np.float64]:
     """Return the amount that each claim gets, -1 if it is not served, and subtract these amounts from `rest`.
 
     `item_numbers`: the sorted items of the claims."""
     item: NDArray[np.int64] = item_numbers.astype(np.int64, copy=False)
     got = np.full(len(item), -1.0)
-    if not asks.everything.any():
-        _serve_in_turn(rest, item, asks.change, got)
+    if not claims.claims_all.any():
+        _serve_in_order(rest, item, claims.changes, got)
         return got
     starts = np.flatnonzero(np.concatenate(([True], item[1:] != item[:-1])))
     ends = np.append(starts[1:], len(item))
-    every = np.logical_or.reduceat(asks.everything, starts)
+    every = np.logical_or.reduceat(claims.claims_all, starts)
     simple_rows = np.flatnonzero(np.repeat(~every, ends - starts))
     part = np.full(len(simple_rows), -1.0)
-    _serve_in_turn(rest, item[simple_rows], asks.change[simple_rows], part)
+    _serve_in_order(rest, item[simple_rows], claims.changes[simple_rows], part)
     got[simple_rows] = part
     alone = starts[every & (ends - starts == 1)]
-    part = asks.all_amounts(alone, rest[item[alone]])
+    part = claims.amounts_for_all(alone, rest[item[alone]])
     winners, part = alone[part > 0], part[part > 0]
     got[winners] = part
     rest[item[winners]] -= part
     several = every & (ends - starts > 1)
     for begin, end in zip(starts[several].tolist(), ends[several].tolist(), strict=True):
-        _serve_mixed(rest, item[begin:end], begin, asks, got[begin:end])
+        _serve_mixed(rest, item[begin:end], begin, claims, got[begin:end])
     return got
 
 
 def _serve_mixed(
-    rest: NDArray[np.float64], item: NDArray[np.int64], begin: int, asks: _ServedClaims, got: NDArray[np.float64]
+    rest: NDArray[np.float64], item: NDArray[np.int64], begin: int, claims: _ServedClaims, got: NDArray[np.float64]
 ) -> None:
     """Serve the claims on one item, from index `begin` on, in order, until the remainder does not suffice.
 
     Some of these claims are for the complete remainder."""
-    first, change = 0, asks.change[begin : begin + len(item)]
-    for stop in (*np.flatnonzero(asks.everything[begin : begin + len(item)]).tolist(), len(item)):
-        _serve_in_turn(rest, item[first:stop], change[first:stop], got[first:stop])
+    first, change = 0, claims.changes[begin : begin + len(item)]
+    for stop in (*np.flatnonzero(claims.claims_all[begin : begin + len(item)]).tolist(), len(item)):
+        _serve_in_order(rest, item[first:stop], change[first:stop], got[first:stop])
         if stop == len(item) or (got[first:stop] < 0).any():
             return
-        part = float(asks.all_amounts(np.array([begin + stop]), rest[item[:1]])[0])
+        part = float(claims.amounts_for_all(np.array([begin + stop]), rest[item[:1]])[0])
         if not part > 0:
             return
         got[stop] = part
@@ -275,7 +292,7 @@ def _serve_mixed(
 def settle_gifts(world: World) -> None:
     """Add the agents' gifts to the items, the smallest first. Thus the rounding of sums does not depend on the order of
     agents."""
-    gifts: dict[tuple[str, str], list[GiveEntry]] = {}
+    gifts: dict[tuple[str, str], list[GiftEntry]] = {}
     for population in world.populations.values():
         for entry in population.effects.gives:
             gifts.setdefault((entry.statement.items, entry.statement.attribute), []).append(entry)
@@ -287,15 +304,15 @@ def settle_gifts(world: World) -> None:
 
 
 @kernel
-def _serve_in_turn(rest: Array1[F64], item: Array1[I64], change: Array1[F64], got: Array1[F64]) -> None:
+def _serve_in_order(rest: Array1[F64], item: Array1[I64], change: Array1[F64], got: Array1[F64]) -> None:
     """Write to `got` the amount that each claim gets: its `change`, if the remainder suffices for it and all claims before it.
 
     `item`, ascending: the index of each claim in `rest`. Subtracts the total from `rest`."""
-    _serve_each(rest, item, change, got, item.size)
+    _serve_one_by_one(rest, item, change, got, item.size)
 
 
 @kernel
-def _settle_in_turn(
+def _settle_in_order(
     rest: Array1[F64],
     order: Array1[I64],
     item: Array1[I64],
@@ -323,7 +340,7 @@ def _settle_in_turn(
             order[count], claimed[count], got[count] = n, item[n], -1.0
             change[count] = np.float64(had + amount[n]) - np.float64(had)
             count += 1
-    _serve_each(rest, claimed, change, got, count)
+    _serve_one_by_one(rest, claimed, change, got, count)
     for k in range(count):
         n = order[k]
         if got[k] >= 0.0:
@@ -333,7 +350,7 @@ def _settle_in_turn(
 
 
 @inlined
-def _serve_each(rest: Array1[F64], item: Array1[I64], change: Array1[F64], got: Array1[F64], count: I64) -> None:
+def _serve_one_by_one(rest: Array1[F64], item: Array1[I64], change: Array1[F64], got: Array1[F64], count: I64) -> None:
     """Serve sorted claims item by item; the claims of an item in order, until its remainder does not suffice."""
     k = 0
     while k < count:

@@ -15,16 +15,16 @@ from antdsl.scene.setting import ClipData
 _UNKNOWN_CLIP = ClipData()
 
 
-def clip_table(world: World, population: Population, what: str) -> NDArray[np.float32]:
+def clip_table(world: World, population: Population, property_name: str) -> NDArray[np.float32]:
     """Return a property of each clip of the species' plan; a last entry is for an unknown clip. A species with several bodies has
     these entries for each body in turn.
 
-    `what`: the property `seconds`, `stride`, `loop` or `mark NAME`."""
+    `property_name`: the property `seconds`, `stride`, `loop` or `mark NAME`."""
     every = []
     for key in body_keys(population.name, len(world.setting.body_weights.get(population.name, ()))):
         known = world.setting.clips.get(key, {})
         every += [*(known.get(each.name, _UNKNOWN_CLIP) for each in population.plan.clips), _UNKNOWN_CLIP]
-    return np.array([_clip_number(each, what) for each in every], np.float32)
+    return np.array([_read_clip_property(each, property_name) for each in every], np.float32)
 
 
 def table_starts(world: World, population: Population) -> NDArray[np.int32]:
@@ -32,11 +32,13 @@ def table_starts(world: World, population: Population) -> NDArray[np.int32]:
     return numbers_by_row(population, world.setting).astype(np.int32) * np.int32(len(population.plan.clips) + 1)
 
 
-def clip_value(world: World, population: Population, what: str, clip: Any, rows: Any = slice(None)) -> NDArray[np.float32]:
+def clip_value(
+    world: World, population: Population, property_name: str, clip: Any, rows: Any = slice(None)
+) -> NDArray[np.float32]:
     """Return a property of clips, given by their numbers in the species' plan. No clip has the value of an unknown clip.
 
     `rows`: those of the agents with these clips."""
-    values = clip_table(world, population, what)
+    values = clip_table(world, population, property_name)
     number, last = np.asarray(clip), len(population.plan.clips)
     place = np.where((number >= 0) & (number < last), number, last)
     if len(values) > last + 1:
@@ -45,7 +47,7 @@ def clip_value(world: World, population: Population, what: str, clip: Any, rows:
     return chosen_values
 
 
-def _clip_number(clip: ClipData, what: str) -> float:
-    if what.startswith("mark "):
-        return clip.marks.get(what.removeprefix("mark "), -1.0)
-    return float(getattr(clip, what))
+def _read_clip_property(clip: ClipData, property_name: str) -> float:
+    if property_name.startswith("mark "):
+        return clip.marks.get(property_name.removeprefix("mark "), -1.0)
+    return float(getattr(clip, property_name))

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from antdsl.runtime.moving.capsules import CapsuleCrowd, find_near_pairs
 from antdsl.runtime.world import Population, World
-from antdsl.senses.touching import Touching
+from antdsl.senses.touching import TouchingAgents
 
 Ids = NDArray[np.int64]
 Rows = NDArray[np.intp]
@@ -23,13 +23,13 @@ _CONTACT_BEGIN_GAP = 0.02  # share of the sum of two radii: a contact begins bel
 _CONTACT_END_GAP = 0.25  # share of the sum of two radii: a contact ends above this gap
 
 
-def new_contacts(world: World, population: Population, of: str, rows: Rows, touched: Ids) -> tuple[Ids, Ids]:
+def find_new_contacts(world: World, population: Population, other_species: str, rows: Rows, touched: Ids) -> tuple[Ids, Ids]:
     """Return the new contact of each of the given agents, and the ids of all agents that it touches from now on.
 
-    The new contact is the id of the deepest agent of species `of` that it starts to touch, -1 for none.
+    The new contact is the id of the deepest agent of species `other_species` that it starts to touch, -1 for none.
     `touched` (n, k): the ids touched so far, -1 for none. If all k are in use, new contacts are ignored."""
     contact_ids = np.full(len(rows), -1, np.int64)
-    known = _touching(world).get((population.name, of))
+    known = _cached_touching(world).get((population.name, other_species))
     if known is None:
         return contact_ids, np.full_like(touched, -1)
     first, count = known.starts.take(rows), known.starts.take(rows + 1) - known.starts.take(rows)
@@ -42,23 +42,23 @@ def new_contacts(world: World, population: Population, of: str, rows: Rows, touc
     lasting[who.take(pair), slot] = True
     touched = np.where(lasting, touched, -1)
     free = touched == -1
-    new = np.flatnonzero(known.near.take(pairs) & ~same.any(axis=1) & free.any(axis=1).take(who))
+    new = np.flatnonzero(known.can_start_contact.take(pairs) & ~same.any(axis=1) & free.any(axis=1).take(who))
     noticing, deepest = np.unique(who.take(new), return_index=True)
     contact_ids[noticing] = ids.take(new.take(deepest))
     touched[noticing, free[noticing].argmax(axis=1)] = contact_ids[noticing]
     return contact_ids, touched
 
 
-def _touching(world: World) -> Mapping[tuple[str, str], Touching]:
+def _cached_touching(world: World) -> Mapping[tuple[str, str], TouchingAgents]:
     """Return which agents touched at the start of the step, by both species. The result is cached for the step."""
     if world.touching is None:
         world.touching = _find_touching(CapsuleCrowd(world, start=True))
     return world.touching
 
 
-def _find_touching(crowd: CapsuleCrowd) -> dict[tuple[str, str], Touching]:
+def _find_touching(crowd: CapsuleCrowd) -> dict[tuple[str, str], TouchingAgents]:
     """Return the contacts of all agents, by both species. `touching` pairs are near enough to continue a contact."""
-    contacts: dict[tuple[str, str], Touching] = {}
+    contacts: dict[tuple[str, str], TouchingAgents] = {}
     if len(crowd) < 2:
         return contacts
     pairs = find_near_pairs(crowd)
@@ -77,5 +77,5 @@ def _find_touching(crowd: CapsuleCrowd) -> dict[tuple[str, str], Touching]:
             row, ids = one.take(subset) - crowd.first[a], other_species.ids.take(other.take(subset) - crowd.first[b])
             order = np.lexsort((ids, gap.take(subset), row))
             starts = np.searchsorted(row.take(order), np.arange(len(species) + 1))
-            contacts[species.name, other_species.name] = Touching(starts, ids.take(order), near.take(subset).take(order))
+            contacts[species.name, other_species.name] = TouchingAgents(starts, ids.take(order), near.take(subset).take(order))
     return contacts

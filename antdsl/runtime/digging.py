@@ -22,36 +22,38 @@ _SURFACE_DISTANCE_VOXELS = 0.5  # ball points at most this far from the surface 
 _MAX_POINTS_PER_EDGE = 16  # points along an edge of the cube that is projected onto a ball
 
 
-def dig(world: World) -> None:
+def dig_solids(world: World) -> None:
     """Remove the requested balls from solids, and add to each agent the amount that it dug. Agents that lose their ground fall
     in the phase `move`."""
     requests: dict[str, list[tuple[Population, RequestEntry]]] = {}
     for population in world.populations.values():
-        for entry in population.effects.drain("carve"):
+        for entry in population.effects.take_requests("carve"):
             if len(entry.rows):
                 requests.setdefault(entry.request.of, []).append((population, entry))
     for name, entries in sorted(requests.items()):
-        _carve(world, name, entries)
+        _carve_solid(world, name, entries)
 
 
-def _carve(world: World, solid: str, entries: list[tuple[Population, RequestEntry]]) -> None:
+def _carve_solid(world: World, solid: str, entries: list[tuple[Population, RequestEntry]]) -> None:
     """Remove balls from one solid. Digging agents are ordered by (species, id, position in the source), independent of rows."""
     names = list(world.populations)
     species = np.concatenate([np.full(len(e.rows), names.index(p.name)) for p, e in entries])
     ids = np.concatenate([p.ids[e.rows] for p, e in entries])
     place = np.concatenate([np.full(len(e.rows), e.order) for _, e in entries])
-    middle = np.concatenate([np.column_stack([e.arg(1 + k) for k in range(3)]) for _, e in entries]).astype(np.float64)
-    radius = np.concatenate([e.arg(0) for _, e in entries]).astype(np.float64)
+    middle = np.concatenate([np.column_stack([e.required_operand(1 + k) for k in range(3)]) for _, e in entries]).astype(
+        np.float64
+    )
+    radius = np.concatenate([e.required_operand(0) for _, e in entries]).astype(np.float64)
     order = np.lexsort((place, ids, species))
     owner = np.empty(len(order), np.int64)
     owner[order] = np.arange(len(order))
-    removed = world.solids[solid].carve(middle, radius, owner)
+    removed = world.solids[solid].carve_balls(middle, radius, owner)
     dug = order[removed[order] > 0]
     fields = [field for name, field in world.fields.items() if solid in world.plan.fields[name].surfaces]
     if fields:
         grow_wall_cells(fields, world.solids[solid], middle[dug], radius[dug])
-    if world.carved is not None:
-        world.carved.setdefault(solid, []).append(np.column_stack([middle, radius]))
+    if world.dug_balls is not None:
+        world.dug_balls.setdefault(solid, []).append(np.column_stack([middle, radius]))
     first = 0
     for population, entry in entries:
         _add_dug_amount(population, entry, removed[first : first + len(entry.rows)])
@@ -68,11 +70,11 @@ def _add_dug_amount(population: Population, entry: RequestEntry, removed: NDArra
 def take_dug_balls(world: World) -> dict[str, NDArray[np.float64]]:
     """Return the balls dug since the last call, by solid: float64[k, 4], centre and radius (mm). Solids without any have no
     entry."""
-    balls_by_solid, world.carved = world.carved or {}, None if world.carved is None else {}
+    balls_by_solid, world.dug_balls = world.dug_balls or {}, None if world.dug_balls is None else {}
     return {name: np.concatenate(balls) for name, balls in balls_by_solid.items() if sum(map(len, balls))}
 
 
-def grow_wall_cells(fields: Iterable[PheromoneField], volume: Volume, middle: Floats, radius: Floats) -> None:
+def grow_wall_cells(fields: Iterable[PheromoneField], volume: Volume, centres: Floats, radius: Floats) -> None:
     """Add cells to the fields on a solid, at the walls of balls with centres [k,3] and radii [k] in mm.
 
     The result depends on the order of the balls."""
@@ -83,21 +85,21 @@ def grow_wall_cells(fields: Iterable[PheromoneField], volume: Volume, middle: Fl
     for sharing in by_cells.values():
         cells = sharing[0].cells
         assert isinstance(cells, GrowingCells)
-        points, normals = walls(volume, middle, radius, cells.cell)
-        new = cells.grow(points, normals)
+        points, normals = sample_wall_points(volume, centres, radius, cells.cell)
+        new = cells.grow_surface(points, normals)
         if len(new):
             for field in sharing:
-                field.grow(new)
+                field.extend_arrays(new)
 
 
-def walls(volume: Volume, middle: Floats, radius: Floats, spacing: float) -> tuple[Floats, Floats]:
+def sample_wall_points(volume: Volume, centres: Floats, radius: Floats, spacing: float) -> tuple[Floats, Floats]:
     """Return points [n,3] on the surface that balls left, about half of `spacing` (mm) apart, and unit normals towards the
     air."""
     found = [(np.empty((0, 3)), np.empty((0, 3)))]
     lines = np.minimum(np.ceil(4 * radius / spacing).astype(np.int64), _MAX_POINTS_PER_EDGE)
     for number in np.unique(lines):
-        rows, directions = np.flatnonzero(lines == number), _ways(max(int(number), 1))
-        points = (middle[rows, None, :] + radius[rows, None, None] * directions).reshape(-1, 3)
+        rows, directions = np.flatnonzero(lines == number), _sphere_directions(max(int(number), 1))
+        points = (centres[rows, None, :] + radius[rows, None, None] * directions).reshape(-1, 3)
         near = np.flatnonzero(np.abs(volume.sample(points)) < _SURFACE_DISTANCE_VOXELS * volume.voxel)
         found.append((points[near], -np.broadcast_to(directions, (len(rows), *directions.shape)).reshape(-1, 3)[near]))
     points, normals = (np.concatenate(parts) for parts in zip(*found, strict=True))
@@ -105,7 +107,7 @@ def walls(volume: Volume, middle: Floats, radius: Floats, spacing: float) -> tup
 
 
 @cache
-def _ways(lines: int) -> Floats:
+def _sphere_directions(lines: int) -> Floats:
     """Return unit vectors [6 lines², 3], spread over a sphere: the centres of a grid of squares on each side of a cube."""
     at = (np.arange(lines) + 0.5) / lines * 2 - 1
     u, v = (w.ravel() for w in np.meshgrid(at, at, indexing="ij"))

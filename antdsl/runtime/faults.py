@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from antdsl.runtime.backends.reference import fault_operands
+from antdsl.runtime.backends.reference import find_fault_operands
 from antdsl.runtime.requests import FaultEntry
 from antdsl.source import Span
 
@@ -25,31 +25,32 @@ _MAX_REPORTED_FAULTS = 20  # faults reported in full; the others are only counte
 class Fault:
     """One rejected value of an agent, or of a complete species (`agent` -1).
 
-    `operands`: text (or operation) and value of each operand. `why`: the reason, written after the name of the rejected value."""
+    `operands`: text (or operation) and value of each operand. `reason`: the reason, written after the name of the rejected
+    value."""
 
     frame: int
     species: str
     agent: int
-    what: str
+    value_name: str
     span: Span | None
     operands: tuple[tuple[str, str], ...]
-    why: str = "is not finite"
+    reason: str = "is not finite"
 
     def __str__(self) -> str:
         return self._describe("" if self.span is None else f"{self.span}: ")
 
     @property
-    def brief(self) -> str:
+    def brief_text(self) -> str:
         """Return the text of the fault with the file's name instead of its path, which is private to this machine."""
         if self.span is None:
             return self._describe("")
-        line, column = self.span.source.line_column(self.span.start)
+        line, column = self.span.source.find_line_column(self.span.start)
         return self._describe(f"{PurePath(self.span.source.path).name}:{line}:{column}: ")
 
     def _describe(self, place: str) -> str:
         values = ", ".join(f"{text} = {value}" for text, value in self.operands)
         subject = self.species if self.agent < 0 else f"{self.species} {self.agent}"
-        return f"{place}{subject} at frame {self.frame}: `{self.what}` {self.why}" + (f" ({values})" if values else "")
+        return f"{place}{subject} at frame {self.frame}: `{self.value_name}` {self.reason}" + (f" ({values})" if values else "")
 
 
 @dataclass(slots=True)
@@ -57,9 +58,9 @@ class FaultLog:
     """All faults of a run: their number, and details of the first ones."""
 
     count: int = 0
-    refused_births: int = 0  # beyond limits.AGENTS
-    reported: list[Fault] = field(default_factory=list)
-    latest: Fault | None = None  # the first of the last step
+    rejected_births: int = 0  # beyond limits.AGENTS
+    reported_faults: list[Fault] = field(default_factory=list)
+    fault_of_step: Fault | None = None  # the first of the last step
 
 
 class FaultStop(RuntimeError):
@@ -74,7 +75,7 @@ class LimitStop(FaultStop):
     """Error for a step that would exceed the limits. It is raised within the step; the world is unusable afterwards."""
 
 
-def gather(world: World) -> None:
+def collect_faults(world: World) -> None:
     """Count the faults since the last call, report the first ones, and quarantine their agents if requested."""
     log = world.faults
     for population in world.populations.values():
@@ -83,28 +84,28 @@ def gather(world: World) -> None:
         groups: dict[tuple[int, str, str], list[FaultEntry]] = {}
         for entry in population.effects.faults:
             place = -1 if entry.span is None else entry.span.start
-            groups.setdefault((place, entry.block, _register_word(entry.register)), []).append(entry)
+            groups.setdefault((place, entry.block, _register_display_name(entry.register)), []).append(entry)
         population.effects.faults = []
         for (_, _, word), entries in sorted(groups.items(), key=lambda pair: pair[0]):
             rows = np.unique(np.concatenate([entry.rows for entry in entries]))  # a vector has three parts and one fault
             rows = rows[np.argsort(population.ids[rows])]
             log.count += len(rows)
-            for row in rows[: max(_MAX_REPORTED_FAULTS - len(log.reported), 0 if log.latest else 1)]:
+            for row in rows[: max(_MAX_REPORTED_FAULTS - len(log.reported_faults), 0 if log.fault_of_step else 1)]:
                 entry = min((e for e in entries if row in e.rows), key=lambda e: e.register)
                 fault = _make_fault(world, population, int(row), entry, word)
-                log.latest = log.latest or fault
-                if len(log.reported) < _MAX_REPORTED_FAULTS:
-                    log.reported.append(fault)
+                log.fault_of_step = log.fault_of_step or fault
+                if len(log.reported_faults) < _MAX_REPORTED_FAULTS:
+                    log.reported_faults.append(fault)
             if world.options.on_fault == "quarantine":
                 population.quarantined[rows] = True
 
 
-def _register_word(register: str) -> str:
+def _register_display_name(register: str) -> str:
     """Return the author's name for a register: a vector's name without axis, or the purpose of a temporary register."""
     name = register.removesuffix(".x").removesuffix(".y").removesuffix(".z")
     return {"~steer": "steer", "~gaze": "face", "~face": "face", "~left": "push", "~held": "the vector"}.get(name, name)
 
 
 def _make_fault(world: World, population: Population, row: int, entry: FaultEntry, word: str) -> Fault:
-    operands = fault_operands(world, population, row, entry.block, entry.register, entry.span)
+    operands = find_fault_operands(world, population, row, entry.block, entry.register, entry.span)
     return Fault(world.display_frame, population.name, int(population.ids[row]), word, entry.span, operands)

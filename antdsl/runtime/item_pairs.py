@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from antdsl.machine_code.kernels import F32, I64, Array1, kernel
 from antdsl.numerics.kernel_vectors import VectorColumns
-from antdsl.numerics.parallel import contiguous
+from antdsl.numerics.parallel import make_contiguous
 from antdsl.numerics.vectors import VectorArrays
 from antdsl.runtime.world import AXES, Items
 
@@ -26,12 +26,12 @@ _MIN_ITEMS_TO_FILTER = 128  # with more items, those too far away along an axis 
 _RADIUS_SLACK_FACTOR, _MIN_DISTANCE_MM = 1 + 1e-5, 1e-15
 
 
-def items_within(items: Items, own: tuple[Floats, ...], radius: Any) -> ItemPairColumns:
+def find_items_within(items: Items, own: tuple[Floats, ...], radius: Any) -> ItemPairColumns:
     """Return pairs of positions (three float32[n]) and items within a radius (mm, one number or float[n])."""
     reach = np.full(len(own[0]), radius, np.float32) if np.ndim(radius) == 0 else np.asarray(radius, np.float32)
     if len(items) > _MIN_ITEMS_TO_FILTER:
-        return measure_near(items, own, reach)
-    return each(items, own, reach)
+        return measure_filtered(items, own, reach)
+    return measure_all(items, own, reach)
 
 
 def _visible_positions(items: Items) -> VectorArrays:
@@ -40,9 +40,13 @@ def _visible_positions(items: Items) -> VectorArrays:
     return x, y, z
 
 
-def each(items: Items, own: tuple[Floats, ...], reach: Floats) -> ItemPairColumns:
+def measure_all(items: Items, own: tuple[Floats, ...], reach: Floats) -> ItemPairColumns:
     """Return the pairs within `reach` (mm), after measuring all items from all rows."""
-    item_points, agent_points, (reach,) = contiguous(*_visible_positions(items)), contiguous(*own), contiguous(reach)
+    item_points, agent_points, (reach,) = (
+        make_contiguous(*_visible_positions(items)),
+        make_contiguous(*own),
+        make_contiguous(reach),
+    )
     pairs = tuple(np.empty(max(2 * reach.size, 64), kind) for kind in (np.int64, np.int64, *(np.float32,) * 4))
     row, used = _fill_pairs(item_points, agent_points, reach, pairs, 0, 0)
     while row < reach.size:
@@ -51,7 +55,7 @@ def each(items: Items, own: tuple[Floats, ...], reach: Floats) -> ItemPairColumn
     return tuple(a[:used] for a in pairs)
 
 
-def measure_near(items: Items, own: tuple[Floats, ...], reach: Floats) -> ItemPairColumns:
+def measure_filtered(items: Items, own: tuple[Floats, ...], reach: Floats) -> ItemPairColumns:
     """Return the pairs within `reach` (mm), after measuring only items in reach along the two axes with the widest spread of
     items."""
     n, item_points = len(own[0]), _visible_positions(items)

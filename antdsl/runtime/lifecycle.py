@@ -14,53 +14,55 @@ from antdsl import limits
 from antdsl.fields.cells import Cells
 from antdsl.ground.protocol import Footing
 from antdsl.plan import ir
-from antdsl.plan.traverse import operands, placed, required_nodes
-from antdsl.program.tables.columns import EMIT, FIXED, MIGRATED_REGISTERS
+from antdsl.plan.traverse import collect_required_nodes, iterate_with_positions, list_operands
+from antdsl.program.tables.columns import EMIT_COLUMNS, FIXED_COLUMN_BY_NAME, MIGRATED_REGISTERS
 from antdsl.runtime.claims import settle_gifts
-from antdsl.runtime.digging import dig
-from antdsl.runtime.moving.moving_geometry import agent_rest_positions
+from antdsl.runtime.digging import dig_solids
+from antdsl.runtime.moving.moving_geometry import compute_agent_rest_positions
 from antdsl.runtime.requests import RequestEntry
-from antdsl.runtime.world import AXES, Population, World, add_rows, select_rows, shares_start, stored_registers
+from antdsl.runtime.world import AXES, Population, World, add_rows, select_rows, shares_start_array, stored_registers
 
 _PAIRS_PER_BLOCK = 1 << 22  # pairs of emitter and receiver that are measured at once
-_INHERITED = {name: column.inherited for name, column in FIXED.items() if column.inherited}  # fixed columns of newborns
+_INHERITED_COLUMNS = {
+    name: column.inherited_array for name, column in FIXED_COLUMN_BY_NAME.items() if column.inherited_array
+}  # fixed columns of newborns
 
 
-def find_cells(world: World, population: Population) -> None:
+def find_own_cells(world: World, population: Population) -> None:
     """Find each agent's own cell in every field."""
     if world.fields and len(population):
-        sides = world.ground.sides(population.footing, world.options.threads)
-        place = agent_rest_positions(world, population)
+        sides = world.ground.find_sides(population.footing, world.options.threads)
+        place = compute_agent_rest_positions(world, population)
         cells_by_id: dict[int, Cells] = {}  # fields may share their cells
         for name, field in world.fields.items():
             if id(field.cells) not in cells_by_id:
                 known, buffer = population.voxels.get(name), population.cells.get(name)
-                cells_by_id[id(field.cells)], population.voxels[name] = field.cells.lookup_again(
+                cells_by_id[id(field.cells)], population.voxels[name] = field.cells.update_cells(
                     place, sides, known, buffer, world.options.threads
                 )
             population.cells[name] = cells_by_id[id(field.cells)]
 
 
-def deposit(world: World) -> None:
+def apply_deposits(world: World) -> None:
     """Add the deposits of agents to their own cells; they take effect when the fields step."""
     for population in world.populations.values():
-        for entry in population.effects.drain("deposit"):
+        for entry in population.effects.take_requests("deposit"):
             name = entry.request.of
-            world.fields[name].deposit(population.cells[name][entry.rows], entry.arg(0))
+            world.fields[name].deposit(population.cells[name][entry.rows], entry.required_operand(0))
 
 
 def settle_newborn(world: World) -> None:
     """Apply the requests that agents make at birth, before the next step. Thus no request remains between two steps."""
-    if not any([population.effects.open for population in world.populations.values()]):
+    if not any([population.effects.has_pending for population in world.populations.values()]):
         return
     raise_events(world)
     settle_gifts(world)
-    dig(world)
+    dig_solids(world)
     laying = [p for p in world.populations.values() if "deposit" in p.effects.requests]
     for population in laying:
-        find_cells(world, population)
+        find_own_cells(world, population)
     fields = {entry.request.of for p in laying for entry in p.effects.requests["deposit"]}
-    deposit(world)
+    apply_deposits(world)
     for name in fields:
         world.fields[name].step(1.0, 0.0, world.dt)
     for population in world.populations.values():
@@ -70,38 +72,38 @@ def settle_newborn(world: World) -> None:
 def raise_events(world: World) -> None:
     """Flag the agents that an event reaches. They sense the event in the next step."""
     for population in world.populations.values():
-        for entry in population.effects.drain("emit"):
+        for entry in population.effects.take_requests("emit"):
             event = entry.request.of
-            note_emission(world, population, entry.rows, event)
+            record_emission(world, population, entry.rows, event)
             if entry.args[1] is not None:
                 _notify_receiver(world, population, entry)
                 continue
             if entry.args[0] is None:
-                if event in population.raised:
-                    population.raised[event][entry.rows] = True
+                if event in population.raised_events:
+                    population.raised_events[event][entry.rows] = True
                 continue
             for other in world.populations.values():
-                if event in other.raised and len(other):
-                    _flag_in_reach(population, entry, other, other.raised[event])
+                if event in other.raised_events and len(other):
+                    _flag_in_reach(population, entry, other, other.raised_events[event])
 
 
 def _notify_receiver(world: World, population: Population, entry: RequestEntry) -> None:
     """Flag the receiver that each emitter names, if the receiver exists and is in reach."""
     other = world.populations.get(entry.request.target_species or "")
-    if other is None or not len(other) or entry.request.of not in other.raised:
+    if other is None or not len(other) or entry.request.of not in other.raised_events:
         return
-    rows, receivers = entry.rows, other.rows_of(entry.arg(1))
+    rows, receivers = entry.rows, other.find_rows(entry.required_operand(1))
     is_reached = receivers >= 0
     if entry.args[0] is not None:
         at = np.where(is_reached, receivers, 0)
         dx, dy, dz = (other.start[f"position.{a}"][at] - population.start[f"position.{a}"][rows] for a in AXES)
-        is_reached &= np.sqrt((dx * dx + dy * dy) + dz * dz) <= entry.arg(0)
-    other.raised[entry.request.of][receivers[is_reached]] = True
+        is_reached &= np.sqrt((dx * dx + dy * dy) + dz * dz) <= entry.required_operand(0)
+    other.raised_events[entry.request.of][receivers[is_reached]] = True
 
 
 def _flag_in_reach(population: Population, entry: RequestEntry, other: Population, flags: NDArray[np.bool_]) -> None:
     """Flag the agents within the distance of any emitter, by positions at the start of the step. Emitters are included."""
-    within = entry.arg(0)
+    within = entry.required_operand(0)
     own = [population.start[f"position.{axis}"][entry.rows] for axis in AXES]
     theirs = [other.start[f"position.{axis}"] for axis in AXES]
     step = max(1, _PAIRS_PER_BLOCK // len(other))
@@ -115,7 +117,7 @@ def apply_deaths_and_births(world: World) -> None:
     source)."""
     coming, bereft = _collect_births(world), False
     for population in world.populations.values():
-        if dying := population.effects.drain("die"):
+        if dying := population.effects.take_requests("die"):
             dead = np.zeros(len(population), np.bool_)
             for entry in dying:
                 dead[entry.rows] = True
@@ -128,7 +130,7 @@ def apply_deaths_and_births(world: World) -> None:
         coming = _collect_births(world)
         generation += 1
     for population in world.populations.values() if bereft else ():
-        forget_the_dead(world, population)
+        clear_dead_references(world, population)
 
 
 Arrays = dict[str, NDArray[Any]]
@@ -141,15 +143,15 @@ def _collect_births(world: World) -> dict[str, BirthRows]:
     Values of parents are read before dead parents are removed."""
     births: dict[str, BirthRows] = {}
     for population in world.populations.values():
-        entries = population.effects.drain("spawn")
+        entries = population.effects.take_requests("spawn")
         for species in sorted({e.request.of for e in entries}):
             rows = np.concatenate([e.rows for e in entries if e.request.of == species])
             order = np.concatenate([np.full(len(e.rows), e.order) for e in entries if e.request.of == species])
             rows = rows[np.lexsort((order, population.ids[rows]))]
             registers = {name: population.now[name][rows] for name in MIGRATED_REGISTERS}
-            columns = {name: population.columns[of][rows] for name, of in _INHERITED.items()}
+            columns = {name: population.columns[of][rows] for name, of in _INHERITED_COLUMNS.items()}
             births.setdefault(species, []).append(
-                (population, rows, population.position[rows], population.footing.take(rows), registers, columns)
+                (population, rows, population.position[rows], population.footing.take_rows(rows), registers, columns)
             )
     return births
 
@@ -161,12 +163,12 @@ def _add_newborn(world: World, population: Population, births: BirthRows) -> NDA
         capacity = limits.MAX_AGENTS - len(world)
         count = min(len(rows), max(0, capacity))
         if count < len(rows):
-            world.faults.refused_births += len(rows) - count
+            world.faults.rejected_births += len(rows) - count
         if not count:
             continue
         ids = np.arange(population.next_id, population.next_id + count)
         population.next_id += count
-        new = add_rows(population, ids, world.frame + 1, position[:count], footing.take(slice(count)))
+        new = add_rows(population, ids, world.frame + 1, position[:count], footing.take_rows(slice(count)))
         for arrays, inherited in ((population.now, registers), (population.columns, columns)):
             for name, value in inherited.items():
                 arrays[name][new] = value[:count]
@@ -191,14 +193,14 @@ def initialise_newborn(world: World, newborn: Mapping[str, NDArray[np.intp]]) ->
             else:
                 population.start[register][rows] = array[rows]
         if _has_birth_fields(population):
-            find_cells(world, population)
+            find_own_cells(world, population)
     for name, rows in newborn.items():
         world.backend.run(world, world.populations[name], "born", rows)
     for name, rows in newborn.items():
         population = world.populations[name]
         stored = stored_registers(population.plan)
         for register, array in population.now.items():
-            if shares_start(population.plan, register, stored):
+            if shares_start_array(population.plan, register, stored):
                 population.start[register] = array
             else:
                 population.start[register][rows] = array[rows]
@@ -206,11 +208,13 @@ def initialise_newborn(world: World, newborn: Mapping[str, NDArray[np.intp]]) ->
 
 def _has_birth_fields(population: Population) -> bool:
     """Return whether the species reads a field at birth."""
-    nodes = required_nodes(tuple(node for _, statement in placed(population.plan.born) for node in operands(statement)))
+    nodes = collect_required_nodes(
+        tuple(node for _, statement in iterate_with_positions(population.plan.born) for node in list_operands(statement))
+    )
     return any(node.op.startswith("field.") for node in nodes)
 
 
-def forget_the_dead(world: World, population: Population, *, between_steps: bool = False) -> None:
+def clear_dead_references(world: World, population: Population, *, between_steps: bool = False) -> None:
     """Set references to dead agents to none, in registers that the plan marks as ids.
 
     With `between_steps`, also change the values at the start of the next step."""
@@ -218,7 +222,7 @@ def forget_the_dead(world: World, population: Population, *, between_steps: bool
         if register.kind is ir.ValueKind.I64 and register.of in world.populations and register.role != "temp":
             for holder in (population.now, population.start) if between_steps else (population.now,):
                 held = holder[register.name]
-                is_dead = (held >= 0) & (world.populations[register.of].rows_of(held) < 0)
+                is_dead = (held >= 0) & (world.populations[register.of].find_rows(held) < 0)
                 if is_dead.any():
                     held[is_dead] = -1
 
@@ -227,29 +231,31 @@ def event_names(world: World) -> tuple[str, ...]:
     """Return the sorted names of events that a species may handle or emit. The `event` column of emissions is an index into
     these."""
     plans = [population.plan for population in world.populations.values()]
-    names = {name for plan in plans for name in plan.handles}
+    names = {name for plan in plans for name in plan.event_names}
     for plan in plans:
         for block in (plan.decide, plan.act, plan.blend, plan.born):
-            names.update(each.of for _, each in placed(block) if isinstance(each, ir.Request) and each.op == "emit")
+            names.update(
+                each.of for _, each in iterate_with_positions(block) if isinstance(each, ir.Request) and each.op == "emit"
+            )
     return tuple(sorted(names))
 
 
-def note_emission(world: World, population: Population, rows: NDArray[np.intp], event: str) -> None:
+def record_emission(world: World, population: Population, rows: NDArray[np.intp], event: str) -> None:
     """Record which agents emitted an event, and their positions."""
-    if world.emitted is None:
+    if world.emissions is None:
         return
     events, species = event_names(world), sorted(world.populations)
     numbers = {"species": species.index(population.name), "event": events.index(event)}
     agents: Arrays = {"id": population.ids, "P": population.position, "N": population.normal}
     emission = {name: array[rows] for name, array in agents.items()}
-    world.emitted.append(emission | {name: np.full(len(rows), number, np.int16) for name, number in numbers.items()})
+    world.emissions.append(emission | {name: np.full(len(rows), number, np.int16) for name, number in numbers.items()})
 
 
-def take_emissions(world: World) -> Arrays:
-    """Return the events emitted since the last call, as the columns of `EMIT`, sorted by species, id and event. Positions are
-    in mm."""
-    entries, world.emitted = world.emitted or [], None if world.emitted is None else []
-    empty = {column.field: np.empty((0, *column.dimensions()), column.type) for column in EMIT}
+def collect_emissions(world: World) -> Arrays:
+    """Return the events emitted since the last call, as the columns of `EMIT_COLUMNS`, sorted by species, id and event. Positions
+    are in mm."""
+    entries, world.emissions = world.emissions or [], None if world.emissions is None else []
+    empty = {column.field: np.empty((0, *column.compute_dimensions()), column.type) for column in EMIT_COLUMNS}
     arrays = {name: np.concatenate([none, *(each[name] for each in entries)]) for name, none in empty.items()}
     order = np.lexsort((arrays["event"], arrays["id"], arrays["species"]))
     return {name: array[order] for name, array in arrays.items()}

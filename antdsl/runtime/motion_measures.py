@@ -13,17 +13,17 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.machine_code.kernels import F32, F64, I64, Array1, Array2, Strided2, independent, inlined, kernel, scratch
+from antdsl.machine_code.kernels import F32, F64, I64, Array1, Array2, Strided2, allocate_scratch, inlined, kernel, simd_range
 from antdsl.numerics import parallel
 from antdsl.numerics import vectors as vec
 from antdsl.numerics.kernel_vectors import VectorColumns
-from antdsl.numerics.parallel import buffer_index
+from antdsl.numerics.parallel import compute_buffer_index
 from antdsl.runtime.binding.spacing import has_extent
 from antdsl.runtime.moving.bodies_inside import find_sampled_bodies_inside
-from antdsl.runtime.moving.capsules import overlap_depths
-from antdsl.runtime.moving.heads import find_heads_inside
+from antdsl.runtime.moving.capsules import measure_overlap_depths
+from antdsl.runtime.moving.head_clearance import find_heads_inside
 from antdsl.runtime.world import AXES
-from antdsl.senses.overlaps import worst_overlaps
+from antdsl.senses.overlaps import measure_worst_overlaps
 
 if TYPE_CHECKING:
     from antdsl.runtime.world import Population, World
@@ -56,10 +56,10 @@ class PathWindow:
     start: Floats
     path: Floats
     age: Counts
-    straight: Floats = field(init=False)  # buffer for the result of a step
+    straightness: Floats = field(init=False)  # buffer for the result of a step
 
     def __post_init__(self) -> None:
-        self.straight = np.empty(len(self.ids))
+        self.straightness = np.empty(len(self.ids))
 
 
 @dataclass(slots=True, eq=False)
@@ -84,8 +84,8 @@ class MotionMeasures:
     placed: int = 0
     overlapping: int = 0
     deep_max: float = 0.0
-    half_max: float = 0.0  # the half chord of a tilt that `tilt_max` was computed for
-    counted: Counts = field(default_factory=lambda: np.zeros((2, 1, _HISTOGRAM_BINS + 1), np.int64))  # see `_sum_parts`
+    max_half_chord: float = 0.0  # the half chord of a tilt that `tilt_max` was computed for
+    part_counts: Counts = field(default_factory=lambda: np.zeros((2, 1, _HISTOGRAM_BINS + 1), np.int64))  # see `_add_part_counts`
     windows: dict[str, PathWindow] = field(default_factory=dict)
 
     def reset(self) -> None:
@@ -102,12 +102,12 @@ class MotionMeasures:
         wide = has_extent(radius)
         x, y, z = (np.concatenate([now[f"position.{axis}"] for now in crowds])[wide] for axis in "xyz")
         self.placed = len(radius)
-        self.overlapping = int(np.count_nonzero(worst_overlaps(x, y, z, radius[wide]) > _TOUCH_OVERLAP_SHARE))
+        self.overlapping = int(np.count_nonzero(measure_worst_overlaps(x, y, z, radius[wide]) > _TOUCH_OVERLAP_SHARE))
 
-    def arrays(self) -> dict[str, NDArray[Any]]:
+    def checkpoint_arrays(self) -> dict[str, NDArray[Any]]:
         """Return all counts, by name, for a checkpoint."""
-        self._sum_parts()
-        named_arrays = {name: np.array(getattr(self, name)) for name in _COUNTS}
+        self._add_part_counts()
+        named_arrays = {name: np.array(getattr(self, name)) for name in _CHECKPOINT_FIELDS}
         for species, window in self.windows.items():
             named_arrays |= {f"window.{species}.{name}": np.array(getattr(window, name)) for name in _WINDOW_COLUMNS}
         return named_arrays
@@ -116,7 +116,7 @@ class MotionMeasures:
     def of(cls, arrays: dict[str, NDArray[Any]]) -> MotionMeasures:
         """Return the measures from the arrays of a checkpoint. Missing measures restart."""
         motion = cls()
-        for name in _COUNTS:
+        for name in _CHECKPOINT_FIELDS:
             if name in arrays:
                 value = arrays[name]
                 setattr(motion, name, value.copy() if value.ndim else value.item())
@@ -124,7 +124,7 @@ class MotionMeasures:
             motion.windows[species] = PathWindow(*(arrays[f"window.{species}.{name}"].copy() for name in _WINDOW_COLUMNS))
         return motion
 
-    def observe(self, world: World) -> None:
+    def record_step(self, world: World) -> None:
         """Count one step. Call this after the phase `move`, before the ground moves on."""
         second = max(1, round(1.0 / world.dt))
         every = second if world.setting.contacts == "off" else 1 + len(world) // _MAX_AGENTS_MEASURED_EACH_STEP
@@ -137,44 +137,44 @@ class MotionMeasures:
         self.steps += 1
 
     def _add_step(self, world: World, population: Population) -> None:
-        window, steps = self._window(population), max(1, round(_WINDOW_SECONDS / world.dt))
-        straight = self._run_step(population, window, np.float32(world.dt), steps, world.options.threads)
+        window, steps = self._update_window(population), max(1, round(_WINDOW_SECONDS / world.dt))
+        straight = self._count_motion(population, window, np.float32(world.dt), steps, world.options.threads)
         self.wishing += len(population)
         if len(straight):
             self.ways += len(straight)
             self.circling += int(np.count_nonzero(straight < _MAX_CIRCLING_SHARE))
             self.straightness += fsum(straight)  # the same in any order of rows
 
-    def _run_step(self, population: Population, window: PathWindow, dt: np.float32, steps: int, threads: int) -> Floats:
+    def _count_motion(self, population: Population, window: PathWindow, dt: np.float32, steps: int, threads: int) -> Floats:
         """Add a step to the counts and paths; return the straightness (0 to 1) of the paths that have ended."""
         now, start = _CURRENT_REGISTERS(population.now), _STEP_START_REGISTERS(population.start)
         poses = (now[0:3], now[3:6], now[6:9], start[0:3], start[3:6], start[6:9])
         agents = AgentColumns(*poses, now[9:12], now[12:15], *now[15:])
-        paths = PathColumns(population.position, window.start, window.path, window.age, window.straight)
+        paths = PathColumns(population.position, window.start, window.path, window.age, window.straightness)
         n = len(population)
-        several = parallel.parts(n, threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD)
-        if self.counted.shape[1] < several:
-            self._sum_parts()
-            self.counted = np.zeros((2, several, _HISTOGRAM_BINS + 1), np.int64)
-        (turns, tilts), (least, first) = self.counted, _bin_table()
+        several = parallel.count_parts(n, threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD)
+        if self.part_counts.shape[1] < several:
+            self._add_part_counts()
+            self.part_counts = np.zeros((2, several, _HISTOGRAM_BINS + 1), np.int64)
+        (turns, tilts), (least, first) = self.part_counts, _make_bin_table()
         bins = HistogramBins(turns, tilts, several, n, least, first)
         work = partial(_count_step, agents, paths, bins, MotionLimits(dt, *_MOTION_THRESHOLDS, steps))
-        counts = parallel.in_parts(work, n, threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD)
+        counts = parallel.run_in_parts(work, n, threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD)
         for _, _, standing, half, share in counts:
-            if half > self.half_max:
-                self.half_max = half
-                self.tilt_max = max(self.tilt_max, float(_degrees(np.array([half], np.float32))[0]))
+            if half > self.max_half_chord:
+                self.max_half_chord = half
+                self.tilt_max = max(self.tilt_max, float(_chord_degrees(np.array([half], np.float32))[0]))
             self.step_max = max(self.step_max, share)
             self.standing += standing
-        return parallel.join_parts(counts, window.straight)[0]
+        return parallel.join_parts(counts, window.straightness)[0]
 
-    def _sum_parts(self) -> None:
+    def _add_part_counts(self) -> None:
         """Add the turns and tilts that the parts of a kernel have counted in separate rows to the totals."""
-        for total, rows in zip((self.turns, self.tilts), self.counted, strict=True):
+        for total, rows in zip((self.turns, self.tilts), self.part_counts, strict=True):
             total += rows.sum(axis=0)
-        self.counted.fill(0)
+        self.part_counts.fill(0)
 
-    def _window(self, population: Population) -> PathWindow:
+    def _update_window(self, population: Population) -> PathWindow:
         """Return the window of a species, with its rows reordered to those of the agents."""
         known, ids = self.windows.get(population.name), population.ids
         if known is not None and (known.ids is ids or np.array_equal(known.ids, ids)):
@@ -191,7 +191,7 @@ class MotionMeasures:
                 return fresh
         fresh.start[:], fresh.path[:], fresh.age[:] = population.position, 0.0, 0
         if known is not None and len(known.ids):
-            rows = population.rows_of(known.ids)
+            rows = population.find_rows(known.ids)
             is_alive = rows >= 0
             at = rows[is_alive]
             fresh.start[at], fresh.path[at], fresh.age[at] = known.start[is_alive], known.path[is_alive], known.age[is_alive]
@@ -201,17 +201,17 @@ class MotionMeasures:
     def _measure_bodies(self, world: World, with_depths: bool, crowds: list[Population]) -> None:
         """Measure penetration depths of trunks (if `with_depths`), and overlaps, heads and bodies of `crowds`, in parallel.
         An overlap is that with the worst neighbour: 0 without, 1 at one position. Heads and bodies inside the ground count."""
-        looks: list[Callable[[], NDArray[Any]]] = [partial(overlap_depths, world)] if with_depths else []
+        looks: list[Callable[[], NDArray[Any]]] = [partial(measure_overlap_depths, world)] if with_depths else []
         for population in crowds:
-            places = *vec.vector_registers(population.now, "position"), population.now["radius"]
-            looks.append(partial(worst_overlaps, *places))
+            places = *vec.get_vector_registers(population.now, "position"), population.now["radius"]
+            looks.append(partial(measure_worst_overlaps, *places))
             looks += [partial(find, world, population) for find in (find_heads_inside, find_sampled_bodies_inside)]
 
         def run_looks(begin: int, end: int) -> list[NDArray[Any]]:
             with np.errstate(all="ignore"):  # the error state is per thread
                 return [look() for look in looks[begin:end]]
 
-        results = chain.from_iterable(parallel.in_parts(run_looks, len(looks), world.options.threads, 1))
+        results = chain.from_iterable(parallel.run_in_parts(run_looks, len(looks), world.options.threads, 1))
         if with_depths:
             self.deep_max = max(self.deep_max, float((next(results) > _VISIBLE_OVERLAP_SHARE).mean()))
         for _ in crowds:
@@ -223,10 +223,10 @@ class MotionMeasures:
     def summary(self) -> dict[str, float]:
         """Return turn_p99, tilt_p99, tilt_max (degrees per step), step_max (share of the longest allowed step), straightness,
         circling, standing, heads_inside, body_inside, overlap_start, deep_max (shares), overlap_p99 (0 to 1)."""
-        self._sum_parts()
+        self._add_part_counts()
         return {
-            "turn_p99": _percentile(self.turns) * 180.0,
-            "tilt_p99": _percentile(self.tilts) * 180.0,
+            "turn_p99": _percentile_99(self.turns) * 180.0,
+            "tilt_p99": _percentile_99(self.tilts) * 180.0,
             "tilt_max": self.tilt_max,
             "step_max": self.step_max,
             "circling": self.circling / max(1, self.ways),
@@ -234,27 +234,27 @@ class MotionMeasures:
             "heads_inside": self.heads_inside / max(1, self.heads),
             "body_inside": self.bodies_inside / max(1, self.bodies),
             "overlap_start": self.overlapping / max(1, self.placed),
-            "overlap_p99": _percentile(self.overlaps),
+            "overlap_p99": _percentile_99(self.overlaps),
             "deep_max": self.deep_max,
             "straightness": self.straightness / max(1, self.ways),
         }
 
 
-_COUNTS = tuple(each.name for each in fields(MotionMeasures))[:-3]  # those in checkpoints
+_CHECKPOINT_FIELDS = tuple(each.name for each in fields(MotionMeasures))[:-3]  # those in checkpoints
 _WINDOW_COLUMNS = tuple(each.name for each in fields(PathWindow) if each.init)
 
 
-def _degrees(half: NDArray[np.float32]) -> NDArray[np.float32]:
+def _chord_degrees(half: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return the angle (degrees) over half a chord of the unit circle."""
     return np.asarray(np.degrees(2 * np.arcsin(half)))
 
 
-def _bin_of(angle: NDArray[np.float32]) -> Counts:
+def _find_bins(angle: NDArray[np.float32]) -> Counts:
     return (angle * np.float32(_HISTOGRAM_BINS / 180)).astype(np.int64)
 
 
 @cache
-def _bin_table() -> tuple[NDArray[np.float32], Counts]:
+def _make_bin_table() -> tuple[NDArray[np.float32], Counts]:
     """Return the least half chord of each bin of turns, and the bin of the least half chord of each of 4096 cells.
     They are float32[bins + 2], the last beyond all half chords, and int64[cells + 1].
     Bins are found by bisection, because a longer chord is a greater angle."""
@@ -262,40 +262,40 @@ def _bin_table() -> tuple[NDArray[np.float32], Counts]:
     low, high = (np.full(_HISTOGRAM_BINS, np.float32(end).view(np.int32), np.int64) for end in (0.0, 1.0))
     while (low < high).any():  # positive floats are ordered as their bits are
         middle = (low + high) >> 1
-        is_reached = _bin_of(_degrees(middle.astype(np.int32).view(np.float32))) >= bin_numbers
+        is_reached = _find_bins(_chord_degrees(middle.astype(np.int32).view(np.float32))) >= bin_numbers
         low, high = np.where(is_reached, low, np.minimum(middle + 1, high)), np.where(is_reached, middle, high)
     least = np.concatenate([[0.0], low.astype(np.int32).view(np.float32), [np.inf]]).astype(np.float32)
-    return least, _bin_of(_degrees(np.arange(_BIN_LOOKUP_CELLS + 1, dtype=np.float32) / np.float32(_BIN_LOOKUP_CELLS)))
+    return least, _find_bins(_chord_degrees(np.arange(_BIN_LOOKUP_CELLS + 1, dtype=np.float32) / np.float32(_BIN_LOOKUP_CELLS)))
 
 
-def _percentile(counts: NDArray[Any]) -> float:
+def _percentile_99(counts: NDArray[Any]) -> float:
     """Return the 99th percentile of a histogram over 0 to 1."""
     total = int(counts.sum())
     return float(np.searchsorted(np.cumsum(counts), 0.99 * total)) / _HISTOGRAM_BINS if total else 0.0
 
 
 @inlined
-def _length(x: Any, y: Any, z: Any) -> Any:
+def _vector_length(x: Any, y: Any, z: Any) -> Any:
     return np.sqrt((x * x + y * y) + z * z)
 
 
 @inlined
-def _half_chord(a: VectorColumns, b: VectorColumns, i: I64) -> F32:
-    return _length(a[0][i] - b[0][i], a[1][i] - b[1][i], a[2][i] - b[2][i])
+def _compute_half_chord(a: VectorColumns, b: VectorColumns, i: I64) -> F32:
+    return _vector_length(a[0][i] - b[0][i], a[1][i] - b[1][i], a[2][i] - b[2][i])
 
 
 @inlined
-def _count_bin(half: F32, least: Array1[F32], first: Array1[I64], bins: Array2[I64], part: I64) -> None:
-    """Count in the last bin with a least half chord of at most `half`. `first`: the bin at which the search starts, by cell."""
-    k = first[np.int64(half * np.float32(4096.0))]
-    k += 1 if half >= least[k + 1] else 0  # rarely more, so the branch is well predicted
-    while half >= least[k + 1]:
+def _count_bin(half: F32, bin_starts: Array1[F32], search_starts: Array1[I64], bins: Array2[I64], part: I64) -> None:
+    """Count in the last bin with a least half chord of at most `half`. `search_starts`: where the search starts, by cell."""
+    k = search_starts[np.int64(half * np.float32(4096.0))]
+    k += 1 if half >= bin_starts[k + 1] else 0  # rarely more, so the branch is well predicted
+    while half >= bin_starts[k + 1]:
         k += 1
     bins[part, k] += 1
 
 
 class AgentColumns(NamedTuple):
-    """Poses of agents now and before the step, their velocity and push, `fastest`: speed limit (mm/s), and `size` (mm)."""
+    """Poses of agents now and before the step, their velocity and push, `max_speed`: speed limit (mm/s), and `size` (mm)."""
 
     position: VectorColumns
     heading: VectorColumns
@@ -305,79 +305,79 @@ class AgentColumns(NamedTuple):
     up_before: VectorColumns
     velocity: VectorColumns
     push: VectorColumns
-    fastest: Array1[F32]
+    max_speed: Array1[F32]
     size: Array1[F32]
 
 
 class PathColumns(NamedTuple):
-    """Paths of agents: position `place` and start `began` (n, 3) mm, length (mm), age (steps), straightness of ended paths."""
+    """Paths of agents: position `position` and start `start` (n, 3) mm, length (mm), age (steps), straightness of ended paths."""
 
-    place: Strided2[F64]
-    began: Strided2[F64]
+    position: Strided2[F64]
+    start: Strided2[F64]
     length: Array1[F64]
     age: Array1[I64]
-    straight: Array1[F64]
+    straightness: Array1[F64]
 
 
 class HistogramBins(NamedTuple):
-    """Histograms of turns and tilts: one row for each of `several` parts of `count` agents.
-    `least`: the least half chord of each bin. `first`: the bin at which a search starts."""
+    """Histograms, a row for each of `part_count` parts. `bin_starts`: least half chords. `first`: where a search starts."""
 
     turns: Array2[I64]
     tilts: Array2[I64]
-    several: I64
+    part_count: I64
     count: I64
-    least: Array1[F32]
+    bin_starts: Array1[F32]
     first: Array1[I64]
 
 
 class MotionLimits(NamedTuple):
-    """`dt`: seconds of a step. `wish`: least push that counts as a wish. `still`: share of speed below which an agent stands.
-    A path ends after `steps` steps, and counts if it is at least `far` body lengths long."""
+    """`dt`: seconds of a step. `min_push`: least push that counts as a wish. `standing_share`: share of speed below which an
+    agent stands. A path ends after `steps` steps, and counts if it is at least `min_path_length` body lengths long."""
 
     dt: F32
-    wish: F32
-    still: F32
-    far: F32
+    min_push: F32
+    standing_share: F32
+    min_path_length: F32
     steps: I64
 
 
 class StepCounts(NamedTuple):
-    """Counts of a part from agent `begin` on. `ended`: ended paths, with their straightness stored from `begin` on.
-    `standing`: standing agents. `tilted`: greatest half chord of a tilt. `longest`: greatest share of the longest step."""
+    """Counts of a part from agent `begin` on. `ended_paths`: ended paths, with their straightness stored from `begin` on.
+    `standing`: standing agents. `max_tilt_half_chord`: greatest half chord of a tilt. `max_step_share`: of the longest step."""
 
     begin: I64
-    ended: I64
+    ended_paths: I64
     standing: I64
-    tilted: F64
-    longest: F64
+    max_tilt_half_chord: F64
+    max_step_share: F64
 
 
 @kernel
 def _count_step(
-    agents: AgentColumns, paths: PathColumns, bins: HistogramBins, meant: MotionLimits, begin: I64, end: I64
+    agents: AgentColumns, paths: PathColumns, bins: HistogramBins, thresholds: MotionLimits, begin: I64, end: I64
 ) -> StepCounts:
     """Add one step of the agents from `begin` to before `end` to the measures."""
     position, heading, up, position_before, heading_before, up_before, velocity, push, fastest, size = agents
     place, began, path, age, straight = paths
     turns, tilts, several, count, least, first = bins
-    dt, wish, still, far, steps = meant
-    ended, standing, part = 0, 0, buffer_index(begin, count, several)
+    dt, wish, still, far, steps = thresholds
+    ended, standing, part = 0, 0, compute_buffer_index(begin, count, several)
     tilted, longest = np.float32(0.0), np.float32(0.0)
-    turn, tilt, share = scratch(_AGENTS_PER_PART, F32), scratch(_AGENTS_PER_PART, F32), scratch(_AGENTS_PER_PART, F32)
-    speed, push_lengths = scratch(_AGENTS_PER_PART, F32), scratch(_AGENTS_PER_PART, F32)
+    turn, tilt = allocate_scratch(_AGENTS_PER_PART, F32), allocate_scratch(_AGENTS_PER_PART, F32)
+    share = allocate_scratch(_AGENTS_PER_PART, F32)
+    speed, push_lengths = allocate_scratch(_AGENTS_PER_PART, F32), allocate_scratch(_AGENTS_PER_PART, F32)
     for low in range(begin, end, _AGENTS_PER_PART):
         high = min(low + _AGENTS_PER_PART, end)
-        for i in independent(low, high):
-            turn[i - low] = _half_chord(heading, heading_before, i) * np.float32(0.5)
-        for i in independent(low, high):
-            tilt[i - low] = _half_chord(up, up_before, i) * np.float32(0.5)
-        for i in independent(low, high):
-            share[i - low] = _half_chord(position, position_before, i) / (fastest[i] * dt)
-        for i in independent(low, high):
-            speed[i - low] = _length(velocity[0][i], velocity[1][i], velocity[2][i])
-        for i in independent(low, high):
-            push_lengths[i - low] = _length(push[0][i], push[1][i], push[2][i])
+        for i in simd_range(low, high):
+            turn[i - low] = _compute_half_chord(heading, heading_before, i) * np.float32(0.5)
+        for i in simd_range(low, high):
+            tilt[i - low] = _compute_half_chord(up, up_before, i) * np.float32(0.5)
+        for i in simd_range(low, high):
+            share[i - low] = _compute_half_chord(position, position_before, i) / (fastest[i] * dt)
+        for i in simd_range(low, high):
+            speed[i - low] = _vector_length(velocity[0][i], velocity[1][i], velocity[2][i])
+        for i in simd_range(low, high):
+            push_lengths[i - low] = _vector_length(push[0][i], push[1][i], push[2][i])
         for i in range(low, high):
             at = i - low
             _count_bin(min(turn[at], np.float32(1.0)), least, first, turns, part)
@@ -391,7 +391,7 @@ def _count_step(
             age[i] += 1
             if age[i] >= steps:
                 if path[i] > np.float64(far * size[i]):
-                    net = _length(place[i, 0] - began[i, 0], place[i, 1] - began[i, 1], place[i, 2] - began[i, 2])
+                    net = _vector_length(place[i, 0] - began[i, 0], place[i, 1] - began[i, 1], place[i, 2] - began[i, 2])
                     straight[begin + ended] = min(net / path[i], 1.0)
                     ended += 1
                 for k in range(3):

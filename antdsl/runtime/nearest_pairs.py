@@ -26,7 +26,9 @@ _MAX_EQUAL_DISTANCES = 64  # with more equal float32 distances, all pairs are me
 _PAIRS_PER_CHUNK = 1 << 20  # pairs
 
 
-def nearest_of_all(world: World, other: Population, own: tuple[Floats, ...], ids: NDArray[np.int64] | None) -> PairColumns | None:
+def find_nearest_agents(
+    world: World, other: Population, own: tuple[Floats, ...], ids: NDArray[np.int64] | None
+) -> PairColumns | None:
     """Return the nearest other of each requesting agent.
 
     `own`: x, y and z of the requesting agents, float32[n] mm. `ids`: their ids if they are of the other's species, so that
@@ -41,7 +43,7 @@ def nearest_of_all(world: World, other: Population, own: tuple[Floats, ...], ids
     asking = np.arange(len(mine))
     while len(asking):
         if count > _MAX_EQUAL_DISTANCES:
-            parts += _nearest_by_measuring(other, own, ids, asking)
+            parts += _measure_all_agents(other, own, ids, asking)
             break
         left = []
         at_once = max(1, _PAIRS_PER_CHUNK // count)
@@ -50,7 +52,7 @@ def nearest_of_all(world: World, other: Population, own: tuple[Floats, ...], ids
             away, place = sites.tree.query(mine[batch], np.arange(1, count + 1))
             row, last = sites.first.take(place), away[:, -1].copy()
             if ids is not None:
-                row = np.where(other.ids.take(row) == ids.take(batch)[:, None], sites.second.take(place), row)
+                row = np.where(other.ids.take(row) == ids.take(batch)[:, None], sites.second_rows.take(place), row)
                 away[row < 0] = np.inf
             reach = np.maximum(away.min(axis=1) * _DISTANCE_SLACK_FACTOR, _MIN_DISTANCE_MM)
             is_complete = (last > reach) | (count == every)
@@ -67,15 +69,15 @@ def nearest_of_all(world: World, other: Population, own: tuple[Floats, ...], ids
     return i, j, dx, dy, dz, distance
 
 
-def _nearest_by_measuring(
-    other: Population, own: tuple[Floats, ...], ids: NDArray[np.int64] | None, asking: NDArray[np.intp]
+def _measure_all_agents(
+    other: Population, own: tuple[Floats, ...], ids: NDArray[np.int64] | None, requesting_rows: NDArray[np.intp]
 ) -> list[PairColumns]:
-    """Return the nearest of all others for the agents `asking`, by measuring all pairs."""
-    order = other.in_id_order()
+    """Return the nearest of all others for the agents `requesting_rows`, by measuring all pairs."""
+    order = other.rows_by_id()
     known, place = other.ids.take(order), [other.start[f"position.{axis}"].take(order) for axis in AXES]
     parts, at_once = [], max(1, _PAIRS_PER_CHUNK // len(order))
-    for first in range(0, len(asking), at_once):
-        batch = asking[first : first + at_once]
+    for first in range(0, len(requesting_rows), at_once):
+        batch = requesting_rows[first : first + at_once]
         dx, dy, dz = (theirs - mine.take(batch)[:, None] for theirs, mine in zip(place, own, strict=True))
         distance = np.sqrt((dx * dx + dy * dy) + dz * dz)
         if ids is not None:
@@ -102,12 +104,12 @@ class _AgentSites:
     """The distinct positions of agents of a species.
 
     `tree`: a k-d tree of the positions.
-    `first`, `second`: the rows of the two least ids at each position; the second is -1 if there is one agent. The second is
+    `first`, `second_rows`: the rows of the two least ids at each position; the second is -1 if there is one agent. The second is
         needed if the first is the requesting agent."""
 
     tree: Any
     first: NDArray[np.intp]
-    second: NDArray[np.intp]
+    second_rows: NDArray[np.intp]
 
 
 def _cached_sites(world: World, other: Population) -> _AgentSites | None:

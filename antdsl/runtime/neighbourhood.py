@@ -14,87 +14,93 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.limits import MAX_QUERY_NEIGHBOURS
-from antdsl.machine_code.kinds import LANE_COUNT
+from antdsl.machine_code.number_kinds import LANE_COUNT
 from antdsl.numerics import parallel
 from antdsl.numerics import vectors as vec
 from antdsl.numerics.vectors import VectorArrays
 from antdsl.runtime.world import AXES, Population, World
-from antdsl.senses.clear_velocity import Wishes, fill_clear_velocities, widest_gaps
-from antdsl.senses.nearest_others import Crowd, Requesters, fill_offsets, store_sensed
+from antdsl.senses.clear_velocity import VelocityWishes, fill_clear_velocities, find_widest_gaps
+from antdsl.senses.nearest_others import CrowdTables, Requesters, fill_nearest_offsets, store_up_and_motion
 from antdsl.senses.neighbours import CellGrid
 
-_COARSER = 4  # quarters of an octave by which reused cells may be wider
+_MAX_COARSER_QUARTERS = 4  # quarters of an octave by which reused cells may be wider
 _EVERY_SPECIES = ""  # the name of the grid of all agents
 Floats = NDArray[np.float64]
 Rows = NDArray[np.intp]
 
 
-def clear_velocity(
+def compute_clear_velocity(
     world: World, population: Population, rows: Rows, wish: VectorArrays, within: Floats, horizon: Floats, most: Floats
 ) -> tuple[NDArray[np.float32], ...]:
     """Return velocities (mm/s, x y z) along the ground for the given agents, nearest to the velocity `wish`.
 
     They avoid hits for `horizon` s with the `most` nearest others of any species, within `within` mm on the same side of the
     ground. All agents are used as they were at the start of the step."""
-    crowd, requesters = request_nearest(world, population, rows, within, most)
+    crowd, requesters = build_nearest_search(world, population, rows, within, most)
     a, b, c = wish
     wished = np.ascontiguousarray(a, np.float64), np.ascontiguousarray(b, np.float64), np.ascontiguousarray(c, np.float64)
-    wishes, velocities = Wishes(wished, horizon, population.start["max_speed"]), np.empty((3, len(rows)), np.float32)
+    wishes, velocities = VelocityWishes(wished, horizon, population.start["max_speed"]), np.empty((3, len(rows)), np.float32)
     work = partial(fill_clear_velocities, crowd, requesters, wishes, world.dt, velocities)
-    parallel.in_parts(work, len(rows), world.options.threads)
+    parallel.run_in_parts(work, len(rows), world.options.threads)
     return tuple(velocities)
 
 
-def widest_gap(world: World, population: Population, rows: Rows, within: Floats, most: Floats) -> tuple[NDArray[np.float32], ...]:
+def find_widest_gap(
+    world: World, population: Population, rows: Rows, within: Floats, most: Floats
+) -> tuple[NDArray[np.float32], ...]:
     """Return unit directions (x y z) along the ground for the given agents, into the widest gap between neighbours.
 
     Neighbours are the `most` nearest others of any species, within `within` mm on the same side of the ground. Without
     neighbours the result is 0."""
-    crowd, requesters = request_nearest(world, population, rows, within, most)
+    crowd, requesters = build_nearest_search(world, population, rows, within, most)
     shape = len(rows), int(min(np.max(most, initial=0.0, where=most > 0), MAX_QUERY_NEIGHBOURS))
     x, y, is_present, axes = np.zeros(shape), np.zeros(shape), np.zeros(shape, np.bool_), np.empty((6, len(rows)))
-    parallel.in_parts(partial(fill_offsets, crowd, requesters, x, y, is_present, axes), len(rows), world.options.threads)
-    ahead, left = widest_gaps(x, y, is_present)
+    parallel.run_in_parts(
+        partial(fill_nearest_offsets, crowd, requesters, x, y, is_present, axes), len(rows), world.options.threads
+    )
+    ahead, left = find_widest_gaps(x, y, is_present)
     return tuple((axes[k] * ahead + axes[k + 3] * left).astype(np.float32) for k in range(3))
 
 
-def request_nearest(world: World, population: Population, rows: Rows, within: Floats, most: Floats) -> tuple[Crowd, Requesters]:
+def build_nearest_search(
+    world: World, population: Population, rows: Rows, within: Floats, most: Floats
+) -> tuple[CrowdTables, Requesters]:
     """Return all agents as a crowd, and the given agents as requesters, for a search of neighbours."""
     widest = float(np.max(within, initial=0.0, where=np.isfinite(within)))
     grid = _find_grid(world, _EVERY_SPECIES, widest if widest > 0 else 1.0, partial(_CrowdGrid, world))
     assert isinstance(grid, _CrowdGrid)
-    positions = grid.order.at.take(grid.begins[population.name] + rows)
-    return grid.crowd, Requesters(positions, rows, within, most, vec.vector_registers(population.start, "heading"))
+    positions = grid.order.at.take(grid.first_rows[population.name] + rows)
+    return grid.crowd, Requesters(positions, rows, within, most, vec.get_vector_registers(population.start, "heading"))
 
 
 class _CrowdGrid(CellGrid):
-    """All agents of a world in cells. `begins`: the first row of each species. `crowd`: the agents as kernels read them."""
+    """All agents of a world in cells. `first_rows`: the first row of each species. `crowd`: the agents as kernels read them."""
 
     def __init__(self, world: World, cell: float) -> None:
         populations, threads = world.populations, world.options.threads
-        self.begins = _first_rows(populations, list(populations))
+        self.first_rows = _first_rows(populations, list(populations))
         named = _first_rows(populations, sorted(populations))
 
         def join(arrays: Sequence[NDArray[Any]]) -> NDArray[Any]:
             return np.concatenate(arrays) if len(arrays) > 1 else np.ascontiguousarray(arrays[0])
 
         def join_vectors(name: str) -> VectorArrays:
-            x, y, z = zip(*[vec.vector_registers(each.start, name) for each in populations.values()], strict=True)
+            x, y, z = zip(*[vec.get_vector_registers(each.start, name) for each in populations.values()], strict=True)
             return join(x), join(y), join(z)
 
         x, y, z = join_vectors("position")
         super().__init__(x, y, z, np.arange(x.size), cell, threads)
-        numbers = join([each.id_ranks() + self.begins[name] for name, each in populations.items()])
+        numbers = join([each.id_ranks() + self.first_rows[name] for name, each in populations.items()])
         radius = join([each.start["radius"] for each in populations.values()])
         up, motion = np.empty((2, 4 * (x.size + LANE_COUNT)), np.float32)
         sensed = join_vectors("up"), join_vectors("velocity"), radius, numbers
-        parallel.in_parts(
-            partial(store_sensed, self.order.at, *sensed, up, motion), x.size, threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD
+        parallel.run_in_parts(
+            partial(store_up_and_motion, self.order.at, *sensed, up, motion), x.size, threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD
         )
         by_name = np.empty(0, np.int32)
         if len(populations) > 1:
             by_name = join([np.arange(len(each), dtype=np.int32) + named[name] for name, each in populations.items()])
-        self.crowd = Crowd(self.table(), up, motion, by_name)
+        self.crowd = CrowdTables(self.table(), up, motion, by_name)
 
 
 def _first_rows(populations: Mapping[str, Population], names: Sequence[str]) -> dict[str, int]:
@@ -103,7 +109,7 @@ def _first_rows(populations: Mapping[str, Population], names: Sequence[str]) -> 
     return {name: end - len(populations[name]) for name, end in zip(names, ends, strict=True)}
 
 
-def grid_for(world: World, other: Population, widest: float) -> CellGrid:
+def find_species_grid(world: World, other: Population, widest: float) -> CellGrid:
     """Return the agents of a population in cells that suit the radius `widest` (mm)."""
 
     def sort(cell: float) -> CellGrid:
@@ -118,7 +124,7 @@ def _find_grid(world: World, name: str, widest: float, sort: Callable[[float], C
 
     A search with wider existing cells costs less than sorting again."""
     size = float(np.ceil(4 * np.log2(widest)))
-    known = [(k, grid) for (of, k), grid in list(world.grids.items()) if of == name and size <= k <= size + _COARSER]
+    known = [(k, grid) for (of, k), grid in list(world.grids.items()) if of == name and size <= k <= size + _MAX_COARSER_QUARTERS]
     if known:
         return min(known, key=lambda each: each[0])[1]
     grid = world.grids[name, size] = sort(widest)

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 from antdsl import limits
 from antdsl.numerics import exact_sums
 from antdsl.plan import ir
-from antdsl.plan.traverse import blocks, operands, required_nodes, statements
+from antdsl.plan.traverse import collect_required_nodes, iterate_statements, list_blocks, list_operands
 from antdsl.runtime.faults import Fault, LimitStop
-from antdsl.runtime.item_pairs import items_within
-from antdsl.runtime.nearest_pairs import nearest_of_all
-from antdsl.runtime.neighbourhood import grid_for
+from antdsl.runtime.item_pairs import find_items_within
+from antdsl.runtime.nearest_pairs import find_nearest_agents
+from antdsl.runtime.neighbourhood import find_species_grid
 from antdsl.runtime.world import AXES, Items, Population, World
 from antdsl.senses.neighbours import TooManyNeighbours, View
 from antdsl.source import Span
@@ -66,16 +66,18 @@ def find_pairs(
     own = tuple(np.ascontiguousarray(population.start[f"position.{axis}"][rows]) for axis in AXES)
     if node.op == "set.items":
         items = world.items[node.attrs[0]]
-        return PairRows(items, len(own[0]), *items_within(items, own, args[0]))
+        return PairRows(items, len(own[0]), *find_items_within(items, own, args[0]))
     other = world.populations[node.attrs[0]]
     ids = population.ids[rows] if other is population else None
     if node.op == "set.every":
-        nearest = nearest_of_all(world, other, own, ids) if is_nearest_only(world.plan.species[population.name], node) else None
-        return _all_pairs(other, own, ids) if nearest is None else PairRows(other, len(own[0]), *nearest)
+        nearest = (
+            find_nearest_agents(world, other, own, ids) if is_nearest_only(world.plan.species[population.name], node) else None
+        )
+        return _make_all_pairs(other, own, ids) if nearest is None else PairRows(other, len(own[0]), *nearest)
     radius, cosine = args
-    view = None if node.attrs[1] else _view(population, rows, cosine, len(own[0]))
+    view = None if node.attrs[1] else _read_view_cones(population, rows, cosine, len(own[0]))
     try:
-        return _pairs_within(world, other, own, ids, radius, view, threads)
+        return _find_pairs_within(world, other, own, ids, radius, view, threads)
     except TooManyNeighbours:
         pass
     species = world.plan.species[population.name]
@@ -83,19 +85,19 @@ def find_pairs(
     try:
         if count is None:
             raise TooManyNeighbours
-        return _pairs_within(world, other, own, ids, _shorten_radii(other, own, ids, radius, count), view, threads)
+        return _find_pairs_within(world, other, own, ids, _shorten_radii(other, own, ids, radius, count), view, threads)
     except TooManyNeighbours:
-        span = _find_request(species, node)
+        span = _find_set_use(species, node)
         what = "neighbours" if span is None else " ".join(span.text.split())
         why = (
             f"has more than {limits.MAX_CANDIDATES_IN_RADIUS:,} others in its radius; the {limits.MAX_QUERY_NEIGHBOURS} "
             f"nearest count"
         )
-        fault = Fault(world.frame, population.name, -1, what, span, (), f"{why}: {_radius_advice(other, radius)}")
+        fault = Fault(world.frame, population.name, -1, what, span, (), f"{why}: {_advise_on_radius(other, radius)}")
         raise LimitStop(fault) from None
 
 
-def _radius_advice(other: Population, radius: Any) -> str:
+def _advise_on_radius(other: Population, radius: Any) -> str:
     """Return advice for a radius with too many agents: if more agents are in it than fit without overlap, they overlap."""
     widest, body = float(np.max(radius)), float(np.median(other.start["radius"]))
     if 0 < widest < body * np.sqrt(limits.MAX_CANDIDATES_IN_RADIUS):
@@ -113,7 +115,9 @@ def is_nearest_only(species: ir.SpeciesPlan, node: ir.PlanNode) -> bool:
 def count_nearest(species: ir.SpeciesPlan, node: ir.PlanNode) -> int | None:
     """Return the number of nearest agents that determine all results of a set; None if results need more than the nearest
     agents."""
-    every = required_nodes(n for _, block in blocks(species) for _, statement in statements(block) for n in operands(statement))
+    every = collect_required_nodes(
+        n for _, block in list_blocks(species) for _, statement in iterate_statements(block) for n in list_operands(statement)
+    )
     reductions = [each for each in every if each.op.startswith("reduce.") and each.args[0] is node]
     if not reductions or any(each.op != "reduce.agent" or each.args[2].op != "pair.distance" for each in reductions):
         return None
@@ -135,13 +139,13 @@ def _shorten_radii(other: Population, own: tuple[Floats, ...], ids: NDArray[np.i
     return shorter
 
 
-def _find_request(species: ir.SpeciesPlan, node: ir.PlanNode) -> Span | None:
+def _find_set_use(species: ir.SpeciesPlan, node: ir.PlanNode) -> Span | None:
     """Return the smallest part of the species' own source that uses a set. The set itself may be defined in a library."""
     if _is_own_text(node.span):
         return node.span
-    for _, block in blocks(species):
-        for _, statement in statements(block):
-            below = required_nodes(operands(statement))
+    for _, block in list_blocks(species):
+        for _, statement in iterate_statements(block):
+            below = collect_required_nodes(list_operands(statement))
             if node not in below or not _is_own_text(statement.span):
                 continue
             using = {node.number}
@@ -155,13 +159,13 @@ def _is_own_text(span: Span | None) -> bool:
     return span is not None and not span.source.path.startswith("<")
 
 
-def _view(population: Population, rows: Any, cosine: Any, count: int) -> View:
+def _read_view_cones(population: Population, rows: Any, cosine: Any, count: int) -> View:
     """Return the heading of each requesting row, and the cosine of half its field of view."""
     hx, hy, hz = (population.start[f"heading.{axis}"][rows] for axis in AXES)
     return hx, hy, hz, np.full(count, cosine) if np.ndim(cosine) == 0 else cosine
 
 
-def _pairs_within(
+def _find_pairs_within(
     world: World,
     other: Population,
     own: tuple[Floats, ...],
@@ -173,14 +177,14 @@ def _pairs_within(
     """Return the pairs within a radius (mm) and in view, found with a cell grid."""
     widest = float(np.max(radius, initial=0.0)) if np.size(radius) else 0.0
     widest = widest if np.isfinite(widest) and widest > 0 else 1.0
-    grid = grid_for(world, other, widest)
+    grid = find_species_grid(world, other, widest)
     p = grid.find_pairs(
         None, radius, qx=own[0], qy=own[1], qz=own[2], qid=ids, view=view, threads=threads, limit=limits.MAX_CANDIDATES_IN_RADIUS
     )
     return PairRows(other, len(own[0]), p.i, p.j, p.dx, p.dy, p.dz, p.distance)
 
 
-def _all_pairs(other: Population, own: tuple[Floats, ...], ids: NDArray[np.int64] | None) -> PairRows:
+def _make_all_pairs(other: Population, own: tuple[Floats, ...], ids: NDArray[np.int64] | None) -> PairRows:
     """Return the pairs of each requesting row with all agents of a species except itself."""
     n, m = len(own[0]), len(other)
     i, j = np.repeat(np.arange(n), m), np.tile(np.arange(m), n)
@@ -202,28 +206,28 @@ def _select_rows(pairs: PairRows, condition: Any) -> tuple[Index, NDArray[np.int
     return (pairs.i, None) if len(keep) == len(pairs.i) else (pairs.i.take(keep), keep)
 
 
-def _body_values(pairs: PairRows, body: Any, keep: NDArray[np.intp] | None) -> Floats:
+def _select_body_values(pairs: PairRows, body: Any, keep: NDArray[np.intp] | None) -> Floats:
     """Return the values of a reduction's body for the selected pairs."""
     values: Floats = np.full(len(pairs.i), body) if np.ndim(body) == 0 else body
     return values if keep is None else values.take(keep)
 
 
-def _sum(pairs: PairRows, node: ir.PlanNode, condition: Any, body: Any) -> Any:
+def _reduce_sum(pairs: PairRows, node: ir.PlanNode, condition: Any, body: Any) -> Any:
     i, keep = _select_rows(pairs, condition)
-    return exact_sums.sum_by_index(i, _body_values(pairs, body, keep), int(node.attrs[0]), pairs.count)
+    return exact_sums.sum_by_index(i, _select_body_values(pairs, body, keep), int(node.attrs[0]), pairs.count)
 
 
-def _count(pairs: PairRows, node: ir.PlanNode, condition: Any) -> Any:
+def _reduce_count(pairs: PairRows, node: ir.PlanNode, condition: Any) -> Any:
     return np.bincount(_select_rows(pairs, condition)[0], minlength=pairs.count).astype(np.float32)
 
 
-def _any(pairs: PairRows, node: ir.PlanNode, condition: Any) -> Any:
+def _reduce_any(pairs: PairRows, node: ir.PlanNode, condition: Any) -> Any:
     has_any = np.zeros(pairs.count, np.bool_)
     has_any[_select_rows(pairs, condition)[0]] = True
     return has_any
 
 
-def _starts(i: Index) -> NDArray[np.intp]:
+def _find_row_starts(i: Index) -> NDArray[np.intp]:
     return np.flatnonzero(np.concatenate(([True], i[1:] != i[:-1])))
 
 
@@ -231,57 +235,57 @@ def _row_minimum(i: Index, body: Floats, count: int) -> Floats:
     """Return the least `body` of each row, ignoring NaN; inf for rows without pairs."""
     result = np.full(count, np.inf, np.float32)
     if len(i):
-        starts = _starts(i)
+        starts = _find_row_starts(i)
         result[i[starts]] = np.minimum.reduceat(np.where(body == body, body, np.float32(np.inf)) + np.float32(0), starts)
     return result
 
 
-def _min(pairs: PairRows, node: ir.PlanNode, condition: Any, body: Any) -> Any:
+def _reduce_min(pairs: PairRows, node: ir.PlanNode, condition: Any, body: Any) -> Any:
     i, keep = _select_rows(pairs, condition)
-    return _row_minimum(i, _body_values(pairs, body, keep), pairs.count)
+    return _row_minimum(i, _select_body_values(pairs, body, keep), pairs.count)
 
 
-def _max(pairs: PairRows, node: ir.PlanNode, condition: Any, body: Any) -> Any:
+def _reduce_max(pairs: PairRows, node: ir.PlanNode, condition: Any, body: Any) -> Any:
     i, keep = _select_rows(pairs, condition)
-    return -_row_minimum(i, -_body_values(pairs, body, keep), pairs.count) + np.float32(0)
+    return -_row_minimum(i, -_select_body_values(pairs, body, keep), pairs.count) + np.float32(0)
 
 
-def _first(pairs: PairRows, condition: Any, body: Any, label: NDArray[Any], none: Any) -> Any:
+def _best_label(pairs: PairRows, condition: Any, body: Any, label: NDArray[Any], none: Any) -> Any:
     """Return the label of the pair with the least `body` for each row. Of equal ones, the lesser label is chosen."""
     result = np.full(pairs.count, none)
     i, keep = _select_rows(pairs, condition)
     if not len(i):
         return result
-    body = _body_values(pairs, body, keep)
+    body = _select_body_values(pairs, body, keep)
     label = label if keep is None else label.take(keep)
     best = np.flatnonzero(body == _row_minimum(i, body, pairs.count).take(i))
     if len(best):
         i, label = i.take(best), label.take(best)
-        starts = _starts(i)
+        starts = _find_row_starts(i)
         result[i[starts]] = np.minimum.reduceat(label, starts)
     return result
 
 
-def _agent(pairs: PairRows, node: ir.PlanNode, condition: Any, body: Any) -> Any:
+def _best_agent(pairs: PairRows, node: ir.PlanNode, condition: Any, body: Any) -> Any:
     assert isinstance(pairs.of, Population)
-    return _first(pairs, condition, body, pairs.of.ids.take(pairs.j), NO_AGENT)
+    return _best_label(pairs, condition, body, pairs.of.ids.take(pairs.j), NO_AGENT)
 
 
-def _item(pairs: PairRows, node: ir.PlanNode, condition: Any, body: Any) -> Any:
-    return _first(pairs, condition, body, pairs.j.astype(np.int32), NO_ITEM)
+def _best_item(pairs: PairRows, node: ir.PlanNode, condition: Any, body: Any) -> Any:
+    return _best_label(pairs, condition, body, pairs.j.astype(np.int32), NO_ITEM)
 
 
-def _nth(pairs: PairRows, condition: Any, body: Any, number: Any, label: NDArray[Any], none: Any) -> Any:
+def _nth_label(pairs: PairRows, condition: Any, body: Any, number: Any, label: NDArray[Any], none: Any) -> Any:
     """Return the label of the pair with the n-th least `body` for each row. Equal ones are ordered by label."""
     result = np.full(pairs.count, none)
     i, keep = _select_rows(pairs, condition)
-    body, number = _body_values(pairs, body, keep), np.floor(_body_values(pairs, number, keep))
+    body, number = _select_body_values(pairs, body, keep), np.floor(_select_body_values(pairs, number, keep))
     label = label if keep is None else label.take(keep)
     order = np.lexsort((label, body, i))
     order = order[body[order] == body[order]]
     if not len(order):
         return result
-    i, starts = i.take(order), _starts(i.take(order))
+    i, starts = i.take(order), _find_row_starts(i.take(order))
     place = np.arange(len(i)) - np.repeat(starts, np.diff(np.append(starts, len(i))))
     those = np.flatnonzero(place == number.take(order) - 1)
     result[i.take(those)] = label.take(order.take(those))
@@ -290,27 +294,27 @@ def _nth(pairs: PairRows, condition: Any, body: Any, number: Any, label: NDArray
 
 def _nth_agent(pairs: PairRows, node: ir.PlanNode, condition: Any, body: Any, number: Any) -> Any:
     assert isinstance(pairs.of, Population)
-    return _nth(pairs, condition, body, number, pairs.of.ids.take(pairs.j), NO_AGENT)
+    return _nth_label(pairs, condition, body, number, pairs.of.ids.take(pairs.j), NO_AGENT)
 
 
 def _nth_item(pairs: PairRows, node: ir.PlanNode, condition: Any, body: Any, number: Any) -> Any:
-    return _nth(pairs, condition, body, number, pairs.j.astype(np.int32), NO_ITEM)
+    return _nth_label(pairs, condition, body, number, pairs.j.astype(np.int32), NO_ITEM)
 
 
 REDUCTION_FUNCTIONS: Mapping[str, Callable[..., Any]] = {
-    "reduce.sum": _sum,
-    "reduce.count": _count,
-    "reduce.any": _any,
-    "reduce.min": _min,
-    "reduce.max": _max,
-    "reduce.agent": _agent,
-    "reduce.item": _item,
+    "reduce.sum": _reduce_sum,
+    "reduce.count": _reduce_count,
+    "reduce.any": _reduce_any,
+    "reduce.min": _reduce_min,
+    "reduce.max": _reduce_max,
+    "reduce.agent": _best_agent,
+    "reduce.item": _best_item,
     "reduce.nth_agent": _nth_agent,
     "reduce.nth_item": _nth_item,
 }
 
 
-def pair_leaf(pairs: PairRows, node: ir.PlanNode) -> NDArray[Any]:
+def read_pair_value(pairs: PairRows, node: ir.PlanNode) -> NDArray[Any]:
     """Return a value of the other agent or item, or of the pair."""
     match node.op:
         case "pair.x":

@@ -13,54 +13,54 @@ from time import perf_counter, process_time
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.numerics.float_environment import is_standard, standard_floats
-from antdsl.numerics.sorting import morton_codes, stable_order
+from antdsl.numerics.float_environment import has_standard_floats, standard_floats
+from antdsl.numerics.sorting import compute_morton_codes, sort_stably
 from antdsl.plan.ir import ValueKind
-from antdsl.program.tables.effects import effects_of_phase
+from antdsl.program.tables.effects import list_effects_of_phase
 from antdsl.runtime import claims, digging, faults, lifecycle
 from antdsl.runtime.faults import FaultStop
-from antdsl.runtime.feet import walking
-from antdsl.runtime.moving import advance, contacts, moving_geometry, tilting, walks
+from antdsl.runtime.feet import feet_step
+from antdsl.runtime.moving import contacts, crowd_substep, moving_geometry, scripted_walks, tilting
 from antdsl.runtime.world import PUSHED_REGISTER, Population, World, publish_state
 
 _SORT_INTERVAL_FRAMES, _MIN_AGENTS_TO_SORT = 16, 2048  # frames, agents
 
 
-def sense(world: World) -> None:
+def prepare_senses(world: World) -> None:
     """Prepare the senses of a step: clear cached values, show the items' amounts, solve flows that are due, find each agent's
     cells.
 
     Senses are computed when they are first needed. From this phase on, `time` and `frame` are those of the new frame."""
-    world.stepping = True
+    world.is_stepping = True
     world.grids.clear()
     world.trees.clear()
     world.clearances.clear()
     world.touching = None
-    world.faults.latest = None
+    world.faults.fault_of_step = None
     for items in world.items.values():
-        items.show()
+        items.publish_amounts()
     for flow in world.flows.values():
         flow.begin(world)
     for population in world.populations.values():
-        lifecycle.find_cells(world, population)
-        tilting.lay_headings(population, world.options.threads)
+        lifecycle.find_own_cells(world, population)
+        tilting.level_headings(population, world.options.threads)
         population.clear_temps(world.options.threads)
     if world.detail is not None:
-        world.detail.observe(world)
+        world.detail.count_step(world)
     world.backend.begin(world)
 
 
-def decide(world: World) -> None:
+def run_decisions(world: World) -> None:
     """Run handlers, latches and transitions, which decide what each agent intends to do."""
     _run_block(world, "decide")
 
 
-def claim(world: World) -> None:
+def settle_claims(world: World) -> None:
     """Settle the claims: decide which agents get what they requested."""
-    claims.settle(world)
+    claims.settle_claims(world)
 
 
-def act(world: World) -> None:
+def run_actions(world: World) -> None:
     """Run the actions of transitions, then the body of the new state. Transitions are counted before dead agents are removed."""
     _run_block(world, "act")
     for population in world.populations.values():
@@ -69,21 +69,21 @@ def act(world: World) -> None:
         watch(world)
 
 
-def blend(world: World) -> None:
+def combine_layers(world: World) -> None:
     """Run the layers, and combine their wishes into one push for each agent."""
     _run_block(world, "blend")
-    faults.gather(world)
+    faults.collect_faults(world)
 
 
 def _run_block(world: World, block: str) -> None:
     """Run a block of every species."""
     for population in world.populations.values():
-        rows = walks.deciding_rows(world, population)
+        rows = scripted_walks.find_deciding_rows(world, population)
         if len(population) if rows is None else len(rows):
             world.backend.run(world, population, block, rows)
 
 
-def effects(world: World) -> None:
+def apply_effects(world: World) -> None:
     """Apply gifts, events for the next step and deposits, before fields spread or agents move.
 
     Their order does not matter, because no effect reads values that another effect writes."""
@@ -94,18 +94,18 @@ def effects(world: World) -> None:
 def _settle_requests(phase: str, world: World) -> None:
     """Settle all requests that a phase is responsible for. A function that settles several kinds is called once."""
     if any([population.effects.requests for population in world.populations.values()]):
-        for settle in dict.fromkeys(SETTLER_BY_EFFECT[op] for op in effects_of_phase(phase)):
+        for settle in dict.fromkeys(SETTLER_BY_EFFECT[op] for op in list_effects_of_phase(phase)):
             settle(world)
 
 
-def fields(world: World) -> None:
+def advance_fields(world: World) -> None:
     """Advance the fields by one step: they diffuse, evaporate and receive deposits."""
     for name, field in world.fields.items():
         keep, diffusion = world.field_rates[name]
         field.step(float(keep), diffusion, world.dt, world.options.threads)
 
 
-def move(world: World) -> None:
+def move_all(world: World) -> None:
     """Move all agents along their surfaces, substep by substep. Overlapping bodies are then separated."""
     with np.errstate(all="ignore"):
         for population in world.populations.values():
@@ -114,7 +114,7 @@ def move(world: World) -> None:
                 population.now[PUSHED_REGISTER].fill(0)
         for substep in range(world.setting.substeps):
             stances = contacts.record_stances(world)
-            steps = [advance.move_agents(world, population, substep) for population in world.populations.values()]
+            steps = [crowd_substep.move_agents(world, population, substep) for population in world.populations.values()]
             if stances is not None:
                 clear_steps = [step for step in steps if step is not None]
                 for step in clear_steps:
@@ -124,27 +124,27 @@ def move(world: World) -> None:
                     step.correct()
 
 
-def measure(world: World) -> None:
+def record_measures(world: World) -> None:
     """Add the step to the measures of motion."""
     with np.errstate(all="ignore"):
-        world.motion.observe(world)
+        world.motion.record_step(world)
 
 
 def apply_births(world: World) -> None:
     """Remove dead agents from the populations and add newborn ones."""
     _settle_requests("births", world)
     lifecycle.settle_newborn(world)
-    faults.gather(world)  # of births, while their rows and the frame are still these
+    faults.collect_faults(world)  # of births, while their rows and the frame are still these
 
 
-def commit(world: World) -> None:
+def commit_step(world: World) -> None:
     """Make the values written in this step the state that agents sense in the next step."""
-    world.frame, world.stepping = world.display_frame, False
+    world.frame, world.is_stepping = world.display_frame, False
     by_place = (world.frame - world.setting.first_frame - 1) % _SORT_INTERVAL_FRAMES == 0  # after the first step, too
     for population in world.populations.values():
         for name in population.events:
-            population.events[name], population.raised[name] = population.raised[name], population.events[name]
-            population.raised[name].fill(False)
+            population.events[name], population.raised_events[name] = population.raised_events[name], population.events[name]
+            population.raised_events[name].fill(False)
         sorts = by_place and len(population) >= _MIN_AGENTS_TO_SORT
         threads = world.options.threads
         publish_state(population, threads, _order_by_position(population, threads) if sorts else None)
@@ -157,7 +157,7 @@ def _order_by_position(population: Population, threads: int) -> NDArray[np.intp]
     No result depends on this order."""
     low, high = population.position.min(axis=0), population.position.max(axis=0)
     width = max(float((high - low).max()), 1e-9) / 1023
-    return stable_order(morton_codes(((population.position - low) / width).astype(np.uint64), threads))
+    return sort_stably(compute_morton_codes(((population.position - low) / width).astype(np.uint64), threads))
 
 
 def _count_transitions(world: World, population: Population) -> None:
@@ -178,29 +178,29 @@ def _count_transitions(world: World, population: Population) -> None:
 
 # The function that settles an effect, by op; the effect's phase calls it.
 SETTLER_BY_EFFECT: dict[str, Callable[[World], None]] = {
-    "deposit": lifecycle.deposit,
-    "carve": digging.dig,
+    "deposit": lifecycle.apply_deposits,
+    "carve": digging.dig_solids,
     "emit": lifecycle.raise_events,
     "spawn": lifecycle.apply_deaths_and_births,
     "die": lifecycle.apply_deaths_and_births,
 }
 
 PHASES: tuple[tuple[str, Callable[[World], None]], ...] = (
-    ("sense", sense),  # first: senses of the last step are invalid
-    ("decide", decide),
-    ("claim", claim),  # before acting: only winners change state
-    ("act", act),
-    ("blend", blend),  # after acting: the new state steers at once
-    ("effects", effects),  # after all reads of this step
-    ("fields", fields),  # spread and evaporate, then add deposits: a deposit at t is complete at t+1
+    ("sense", prepare_senses),  # first: senses of the last step are invalid
+    ("decide", run_decisions),
+    ("claim", settle_claims),  # before acting: only winners change state
+    ("act", run_actions),
+    ("blend", combine_layers),  # after acting: the new state steers at once
+    ("effects", apply_effects),  # after all reads of this step
+    ("fields", advance_fields),  # spread and evaporate, then add deposits: a deposit at t is complete at t+1
     ("solids", partial(_settle_requests, "solids")),  # before moving: a digging agent moves into the hole that it dug
-    ("move", move),
-    ("motion", measure),  # before the ground moves: being carried is not a step
-    ("strides", walking.measure),  # before the ground moves: feet step over it, then move with it
+    ("move", move_all),
+    ("motion", record_measures),  # before the ground moves: being carried is not a step
+    ("strides", feet_step.record_ground_covered),  # before the ground moves: feet step over it, then move with it
     ("carry", moving_geometry.move_world),  # after walking: agents move with the ground that they reached
     ("births", apply_births),  # after moving: a child starts at its parent's new position
-    ("feet", walking.walk),  # last: all agents of the frame exist, and the ground is in its new position
-    ("commit", commit),
+    ("feet", feet_step.step_feet),  # last: all agents of the frame exist, and the ground is in its new position
+    ("commit", commit_step),
 )
 
 
@@ -213,16 +213,16 @@ def step(world: World) -> None:
 
     Raises FaultStop after a complete step with a fault, if `on_fault` is `stop`. Raises LimitStop in the middle of a step that
     would exceed the limits."""
-    if is_standard():
-        _step(world)
+    if has_standard_floats():
+        _run_phases(world)
         return
     with standard_floats():
-        _step(world)
+        _run_phases(world)
 
 
-def _step(world: World) -> None:
+def _run_phases(world: World) -> None:
     started, worked = perf_counter(), process_time()
-    timings, spent = world.timings, world.worked
+    timings, spent = world.timings, world.cpu_seconds
     for name, phase in PHASES:
         phase(world)
         ended = perf_counter()
@@ -233,5 +233,5 @@ def _step(world: World) -> None:
         timings[name] = timings.get(name, 0.0) + passed
         spent[name] = spent.get(name, 0.0) + processor_time - worked
         started, worked = ended, processor_time
-    if world.faults.latest is not None and world.options.on_fault == "stop":
-        raise FaultStop(world.faults.latest)
+    if world.faults.fault_of_step is not None and world.options.on_fault == "stop":
+        raise FaultStop(world.faults.fault_of_step)

@@ -12,7 +12,7 @@ from time import monotonic
 
 from antdsl.plan.ir import LayerPlan, Plan
 from antdsl.runtime.backends import NumpyBackend
-from antdsl.runtime.backends.compile import BlockInstruction
+from antdsl.runtime.backends.block_compiler import BlockInstruction
 from antdsl.runtime.backends.metering import MeteredBlock
 from antdsl.runtime.world import World
 from antdsl.source import Span
@@ -44,20 +44,21 @@ class LineTime:
 
 @dataclass(frozen=True, slots=True)
 class StepProfile:
-    """Milliseconds per frame, over `frames` frames: wall time, and CPU time of the phases in `worked`.
+    """Milliseconds per frame, over `frames` frames: wall time, and CPU time of the phases in `cpu_ms`.
 
     `lines`: the most expensive line first. Their sum is less than that of the phases, because work for all agents together
         belongs to no line. Examples are neighbour grids, claims and movement.
-    `by`: the number of frames of each backend that reports lines. It includes frames that NumPy ran before machine code was
+    `frames_by_backend`: the number of frames of each backend that reports lines. It includes frames that NumPy ran before machine
+    code was
         ready; the other values do not. The reference backend reports no lines."""
 
     frames: int = 0
-    total: float = 0.0
+    total_ms: float = 0.0
     phases: dict[str, float] = field(default_factory=dict)
-    worked: dict[str, float] = field(default_factory=dict)
+    cpu_ms: dict[str, float] = field(default_factory=dict)
     layers: tuple[LayerTime, ...] = ()
     lines: tuple[LineTime, ...] = ()
-    by: dict[str, int] = field(default_factory=dict)
+    frames_by_backend: dict[str, int] = field(default_factory=dict)
 
 
 @dataclass(slots=True)
@@ -67,13 +68,13 @@ class _Measurement:
     steps: int
     at: float
     phases: dict[str, float]
-    worked: dict[str, float]
+    cpu_seconds: dict[str, float]
     calls: dict[BlockKey, list[float]]
 
     def add(self, other: _Measurement) -> None:
         self.steps += other.steps
         self.at = other.at
-        for mine, theirs in ((self.phases, other.phases), (self.worked, other.worked)):
+        for mine, theirs in ((self.phases, other.phases), (self.cpu_seconds, other.cpu_seconds)):
             for name, seconds in theirs.items():
                 mine[name] = mine.get(name, 0.0) + seconds
         for key, times in other.calls.items():
@@ -89,13 +90,13 @@ class StepMeter:
 
     def __init__(self, seconds: float | None = 1.0, *, clock: Callable[[], float] = monotonic) -> None:
         self._seconds, self._clock = seconds, clock
-        self._measured: deque[_Measurement] = deque()
+        self._measurements: deque[_Measurement] = deque()
         self._plan: Plan | None = None
         self._instructions: dict[BlockKey, list[BlockInstruction]] = {}
         self._world: World | None = None
-        self._by = ""  # name of the backend that ran the last step
-        self._ran: dict[str, int] = {}
-        self._before: tuple[dict[str, float], dict[str, float]] = ({}, {})
+        self._backend_name = ""  # name of the backend that ran the last step
+        self._frames_by_backend: dict[str, int] = {}
+        self._times_before: tuple[dict[str, float], dict[str, float]] = ({}, {})
 
     def begin(self, world: World) -> None:
         """Start to measure the next step."""
@@ -103,13 +104,13 @@ class StepMeter:
             self.stop()
             self._world = world
             if isinstance(world.backend, NumpyBackend):
-                world.backend.measure(True)
+                world.backend.set_timing(True)
         if world.plan is not self._plan:
             self._plan = world.plan
-            self._measured.clear()
-            self._ran.clear()
+            self._measurements.clear()
+            self._frames_by_backend.clear()
             self._instructions = {key: metered.instructions for key, metered in _metered_calls(world).items()}
-        self._before = dict(world.timings), dict(world.worked)
+        self._times_before = dict(world.timings), dict(world.cpu_seconds)
         for metered in _metered_calls(world).values():
             metered.reset()
 
@@ -119,41 +120,41 @@ class StepMeter:
             return
         phases, worked = (
             {name: seconds - previous_times.get(name, 0.0) for name, seconds in current_times.items()}
-            for previous_times, current_times in zip(self._before, (world.timings, world.worked), strict=True)
+            for previous_times, current_times in zip(self._times_before, (world.timings, world.cpu_seconds), strict=True)
         )
         calls = {key: metered.seconds for key, metered in _metered_calls(world).items()}
         now = _Measurement(1, self._clock(), phases, worked, calls)
         if isinstance(world.backend, NumpyBackend):
-            by = world.backend.by
-            if by != self._by:
-                self._measured.clear()
-            self._by, self._ran[by] = by, self._ran.get(by, 0) + 1
-        if self._seconds is None and self._measured:
-            self._measured[0].add(now)
+            by = world.backend.backend_name
+            if by != self._backend_name:
+                self._measurements.clear()
+            self._backend_name, self._frames_by_backend[by] = by, self._frames_by_backend.get(by, 0) + 1
+        if self._seconds is None and self._measurements:
+            self._measurements[0].add(now)
             return
-        self._measured.append(now)
-        while self._seconds is not None and self._measured[0].at < now.at - self._seconds:
-            self._measured.popleft()
+        self._measurements.append(now)
+        while self._seconds is not None and self._measurements[0].at < now.at - self._seconds:
+            self._measurements.popleft()
 
     def stop(self) -> None:
         """Stop measuring; results stay available."""
         if self._world is not None and isinstance(self._world.backend, NumpyBackend):
-            self._world.backend.measure(False)
+            self._world.backend.set_timing(False)
         self._world = None
 
     def profile(self) -> StepProfile:
         """Return the averages so far; an empty profile before the first step."""
-        if not self._measured or self._plan is None:
+        if not self._measurements or self._plan is None:
             return StepProfile()
         total = _Measurement(0, 0.0, {}, {}, {})
-        for each in self._measured:
+        for each in self._measurements:
             total.add(each)
         to_ms = 1000 / total.steps
         phases = {name: seconds * to_ms for name, seconds in total.phases.items()}
-        worked = {name: seconds * to_ms for name, seconds in total.worked.items()}
+        worked = {name: seconds * to_ms for name, seconds in total.cpu_seconds.items()}
         lines = sorted(_line_times(self._block_times(total), to_ms), key=lambda each: (-each.ms, each.file, each.line))
         layers = self._layer_times(self._plan, total, to_ms)
-        return StepProfile(total.steps, sum(phases.values()), phases, worked, layers, tuple(lines), dict(self._ran))
+        return StepProfile(total.steps, sum(phases.values()), phases, worked, layers, tuple(lines), dict(self._frames_by_backend))
 
     def _block_times(self, total: _Measurement) -> Iterator[tuple[BlockInstruction, float]]:
         """Yield each instruction with its time (s)."""
@@ -170,16 +171,16 @@ class StepMeter:
                 if instruction.layer >= 0:
                     spent[instruction.layer] += seconds
             layer_times += [
-                _layer_time(name, layer, seconds * to_ms) for layer, seconds in zip(species.layers, spent, strict=True)
+                _make_layer_time(name, layer, seconds * to_ms) for layer, seconds in zip(species.layers, spent, strict=True)
             ]
         return tuple(layer_times)
 
 
 def _metered_calls(world: World) -> dict[BlockKey, MeteredBlock]:
-    return world.backend.metered if isinstance(world.backend, NumpyBackend) else {}
+    return world.backend.metered_blocks if isinstance(world.backend, NumpyBackend) else {}
 
 
-def _layer_time(species: str, layer: LayerPlan, ms: float) -> LayerTime:
+def _make_layer_time(species: str, layer: LayerPlan, ms: float) -> LayerTime:
     return LayerTime(species, layer.span, ms)
 
 
@@ -193,7 +194,7 @@ def _line_times(spent: Iterator[tuple[BlockInstruction, float]], to_ms: float) -
         span = instruction.span
         if span is None or not seconds:
             continue
-        place = (span.source.path, span.source.line_column(span.start)[0])
+        place = (span.source.path, span.source.find_line_column(span.start)[0])
         seconds_by_line[place] = seconds_by_line.get(place, 0.0) + seconds
         if place not in texts:
             texts[place] = _COMMENT_PATTERN.sub(r"\1", span.source.line_text(place[1])).strip()

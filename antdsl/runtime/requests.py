@@ -29,7 +29,7 @@ class ClaimEntry:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class GiveEntry:
+class GiftEntry:
     """Gifts of agents to items. `amount` float64: the amounts already subtracted from the agents' own registers."""
 
     statement: ir.Give
@@ -46,7 +46,7 @@ class RequestEntry:
     rows: Rows
     args: tuple[NDArray[np.float32] | NDArray[np.int64] | None, ...]  # ids of agents are int64
 
-    def arg(self, index: int) -> NDArray[Any]:
+    def required_operand(self, index: int) -> NDArray[Any]:
         """Return operand number `index`, which must not be absent."""
         value = self.args[index]
         assert value is not None
@@ -69,12 +69,12 @@ class EffectRequests:
     """All requests of the agents of one species in one step."""
 
     claims: list[ClaimEntry] = field(default_factory=list)
-    gives: list[GiveEntry] = field(default_factory=list)
+    gives: list[GiftEntry] = field(default_factory=list)
     faults: list[FaultEntry] = field(default_factory=list)
     requests: dict[str, list[RequestEntry]] = field(default_factory=dict)  # by the op of the effect
 
     @property
-    def open(self) -> bool:
+    def has_pending(self) -> bool:
         """Return whether any request, claim or gift is not settled yet."""
         return bool(self.requests or self.claims or self.gives)
 
@@ -82,11 +82,11 @@ class EffectRequests:
         """Add a request."""
         self.requests.setdefault(entry.request.op, []).append(entry)
 
-    def drain(self, op: str) -> list[RequestEntry]:
+    def take_requests(self, op: str) -> list[RequestEntry]:
         """Remove all requests of one operation, such as `deposit`, and return them."""
         return self.requests.pop(op, [])
 
-    def extend(self, other: EffectRequests) -> None:
+    def append_all(self, other: EffectRequests) -> None:
         """Append all claims, gifts, faults and requests of another object."""
         self.claims += other.claims
         self.gives += other.gives

@@ -13,37 +13,37 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.ground.protocol import Footing, Ground
-from antdsl.machine_code.memory import padded_empty, padded_rows
+from antdsl.machine_code.memory import allocate_padded, gather_padded
 from antdsl.numerics.row_copies import RowCopier, copy_rows
 from antdsl.numerics.row_hash import RowHasher
-from antdsl.numerics.sorting import ranks, stable_order
+from antdsl.numerics.sorting import invert_order, sort_stably
 from antdsl.plan import ir
-from antdsl.program.tables.columns import FIXED, REGISTERS
+from antdsl.program.tables.columns import FIXED_COLUMN_BY_NAME, REGISTER_COLUMN_BY_NAME
 from antdsl.runtime.requests import EffectRequests
 from antdsl.scene.setting import WorldSetting
 
 if TYPE_CHECKING:
     from antdsl.casting.curves import SampledCurve
     from antdsl.casting.obstacle import Obstacle
-    from antdsl.fields.cells import KnownCells
+    from antdsl.fields.cells import CellLookupState
     from antdsl.fields.flow import PaintedMap, SurfaceFlow
     from antdsl.fields.pheromone import PheromoneField
     from antdsl.ground.solid import Volume
     from antdsl.runtime.faults import FaultLog
-    from antdsl.runtime.feet.seeking import FootGround
-    from antdsl.runtime.feet.state import Feet
-    from antdsl.runtime.feet.walking import LegsOfBody
-    from antdsl.runtime.lod import DetailLevels
+    from antdsl.runtime.feet.feet_state import Feet
+    from antdsl.runtime.feet.feet_step import LegsOfBody
+    from antdsl.runtime.feet.foothold_search import FootGround
+    from antdsl.runtime.level_of_detail import DetailLevels
     from antdsl.runtime.motion_measures import MotionMeasures
     from antdsl.senses.neighbours import CellGrid
-from antdsl.senses.touching import Touching
+from antdsl.senses.touching import TouchingAgents
 
 DTYPE_BY_KIND: Mapping[ir.ValueKind, type[np.generic]] = {
     ir.ValueKind.F32: np.float32, ir.ValueKind.BOOL: np.bool_, ir.ValueKind.I32: np.int32, ir.ValueKind.I64: np.int64,
 }  # fmt: skip
 AXES = ("x", "y", "z")
 PUSHED_REGISTER = "moved"  # mm, by contacts in one step; a register of species with a program that reads it
-MOVED_REGISTERS = tuple(name for column in REGISTERS.values() if column.shape for name in column.registers)
+MOVED_REGISTERS = tuple(name for column in REGISTER_COLUMN_BY_NAME.values() if column.shape for name in column.registers)
 Scalar = TypeVar("Scalar", bound=np.generic)
 
 
@@ -65,8 +65,7 @@ class Options:
 
 @dataclass(slots=True, eq=False)
 class Items:
-    """Items of one name. `amounts` float64: the conserved amounts.
-    `visible_values` float32: the amounts at the start of the step, which agents sense."""
+    """Items of one name. `amounts` float64: conserved. `visible_values` float32: amounts at the start of the step, for senses."""
 
     name: str
     names: tuple[str, ...]
@@ -77,14 +76,14 @@ class Items:
     def __len__(self) -> int:
         return len(self.names)
 
-    def show(self) -> None:
+    def publish_amounts(self) -> None:
         """Copy the current amounts to the values that agents sense."""
         for name, amount in self.amounts.items():
             np.copyto(self.visible_values[name], amount, casting="same_kind")
 
 
 class FixedColumn(Generic[Scalar]):
-    """A typed attribute of a population that accesses one array of its `columns`. Its name is a name in `FIXED`."""
+    """A typed attribute of a population that accesses one array of its `columns`, named as in `FIXED_COLUMN_BY_NAME`."""
 
     def __set_name__(self, owner: type, name: str) -> None:
         self._name = name
@@ -98,7 +97,7 @@ class FixedColumn(Generic[Scalar]):
 
 @dataclass(slots=True, eq=False)
 class Population:
-    """All living agents of one species, one row each. Programs cannot observe rows. `columns`: the arrays of `FIXED`."""
+    """All living agents of one species, one row each. Programs cannot observe rows. `columns`: `FIXED_COLUMN_BY_NAME`."""
 
     ids = FixedColumn[np.int64]()
     born = FixedColumn[np.int64]()
@@ -112,47 +111,48 @@ class Population:
     now: dict[str, NDArray[Any]]
     footing: Footing
     events: dict[str, NDArray[np.bool_]]
-    raised: dict[str, NDArray[np.bool_]]  # events that agents sense in the next step
+    raised_events: dict[str, NDArray[np.bool_]]  # events that agents sense in the next step
     cells: dict[str, NDArray[np.int32]] = field(default_factory=dict)  # field -> own cell
     # field -> the lookup data of its cells, independent of rows
-    voxels: dict[str, KnownCells | None] = field(default_factory=dict)
+    voxels: dict[str, CellLookupState | None] = field(default_factory=dict)
     effects: EffectRequests = field(default_factory=EffectRequests)
-    all_taken: dict[str, NDArray[np.float64]] = field(default_factory=dict)  # by site: amounts from claims for all in this step
+    claimed_totals: dict[str, NDArray[np.float64]] = field(default_factory=dict)  # by site: claimed by all in this step
     version: int = 0  # changes with the rows
     reordered: tuple[NDArray[np.int64], NDArray[np.intp]] | None = None  # ids before the last `select_rows`, and its rows
     next_id: int = 0
-    laid: tuple[NDArray[Any], ...] | None = None  # poses of leaning bodies, which `lay_headings` replaced
-    rooms: dict[str, tuple[NDArray[Any], ...]] = field(default_factory=dict)  # by name, for `get_buffers`
-    copies: RowCopier = field(default_factory=RowCopier)  # copies registers when written values become visible
-    hashed: RowHasher = field(default_factory=RowHasher)  # hashes the state
-    _zeros: RowCopier = field(default_factory=RowCopier)  # copies zeros to registers that exist only within a step
-    _rows: tuple[int, NDArray[np.int64], NDArray[np.intp]] | None = None
-    _ranks: tuple[int, NDArray[np.int32]] | None = None
+    replaced_poses: tuple[NDArray[Any], ...] | None = None  # poses of leaning bodies, which `level_headings` replaced
+    buffers: dict[str, tuple[NDArray[Any], ...]] = field(default_factory=dict)  # by name, for `get_buffers`
+    row_copier: RowCopier = field(default_factory=RowCopier)  # copies registers when written values become visible
+    row_hasher: RowHasher = field(default_factory=RowHasher)  # hashes the state
+    _zero_copier: RowCopier = field(default_factory=RowCopier)  # copies zeros to registers that exist only within a step
+    _cached_rows: tuple[int, NDArray[np.int64], NDArray[np.intp]] | None = None
+    _cached_ranks: tuple[int, NDArray[np.int32]] | None = None
     bodies: tuple[int, NDArray[np.uint8]] | None = None  # version, and the index of each row's body: see `body_rows`
-    _stated: tuple[ir.SpeciesPlan, tuple[str, ...]] | None = None
-    _temps: tuple[ir.SpeciesPlan, int, dict[str, NDArray[Any]]] | None = None  # of a plan and so many agents, with their zeros
+    _cached_state_names: tuple[ir.SpeciesPlan, tuple[str, ...]] | None = None
+    _cached_temps: tuple[ir.SpeciesPlan, int, dict[str, NDArray[Any]]] | None = None  # of a plan and so many agents, with zeros
 
     def state_registers(self) -> tuple[str, ...]:
         """Return the names of registers that belong to the state, in order."""
-        if self._stated is None or self._stated[0] is not self.plan:
-            self._stated = self.plan, tuple(name for name in sorted(self.now) if self.plan.registers[name].role != "temp")
-        return self._stated[1]
+        if self._cached_state_names is None or self._cached_state_names[0] is not self.plan:
+            names = tuple(name for name in sorted(self.now) if self.plan.registers[name].role != "temp")
+            self._cached_state_names = (self.plan, names)
+        return self._cached_state_names[1]
 
     def clear_temps(self, threads: int = 1) -> None:
         """Set registers that exist only within a step to zero."""
         n = len(self)
-        if self._temps is None or self._temps[0] is not self.plan or self._temps[1] != n:
+        if self._cached_temps is None or self._cached_temps[0] is not self.plan or self._cached_temps[1] != n:
             temps = {name: each for name, each in self.plan.registers.items() if each.role == "temp"}
-            zeros = {(each.kind, each.zero): np.full(n, each.zero, DTYPE_BY_KIND[each.kind]) for each in temps.values()}
-            self._temps = (self.plan, n, {name: zeros[each.kind, each.zero] for name, each in temps.items()})
-        zeros_of = self._temps[2]
-        self._zeros.copy(list(map(self.now.__getitem__, zeros_of)), list(zeros_of.values()), threads)
+            zeros = {(r.kind, r.initial_value): np.full(n, r.initial_value, DTYPE_BY_KIND[r.kind]) for r in temps.values()}
+            self._cached_temps = (self.plan, n, {name: zeros[each.kind, each.initial_value] for name, each in temps.items()})
+        zeros_of = self._cached_temps[2]
+        self._zero_copier.copy(list(map(self.now.__getitem__, zeros_of)), list(zeros_of.values()), threads)
 
     def get_buffers(self, name: str, count: int, shape: tuple[int, ...], dtype: type[np.generic]) -> tuple[NDArray[Any], ...]:
         """Return `count` arrays for results of a step. They are reused in the next step, which overwrites them."""
-        arrays = self.rooms.get(name)
+        arrays = self.buffers.get(name)
         if arrays is None or arrays[0].shape != shape:
-            arrays = self.rooms[name] = tuple(np.empty(shape, dtype) for _ in range(count))
+            arrays = self.buffers[name] = tuple(np.empty(shape, dtype) for _ in range(count))
         return arrays
 
     @property
@@ -164,12 +164,12 @@ class Population:
 
     def sorted_ids(self) -> tuple[NDArray[np.int64], NDArray[np.intp]]:
         """Return ids in ascending order, and their rows. Callers must not write to the arrays."""
-        if self._rows is None or self._rows[0] != self.version:
-            order = stable_order(self.ids)
-            self._rows = (self.version, self.ids[order], order)
-        return self._rows[1], self._rows[2]
+        if self._cached_rows is None or self._cached_rows[0] != self.version:
+            order = sort_stably(self.ids)
+            self._cached_rows = (self.version, self.ids[order], order)
+        return self._cached_rows[1], self._cached_rows[2]
 
-    def rows_of(self, ids: NDArray[np.int64]) -> NDArray[np.intp]:
+    def find_rows(self, ids: NDArray[np.int64]) -> NDArray[np.intp]:
         """Return the row of each id; -1 for the id of no agent and for dead agents."""
         known, order = self.sorted_ids()
         if not len(known):
@@ -177,24 +177,24 @@ class Population:
         at = np.minimum(np.searchsorted(known, ids), len(known) - 1)
         return np.where(known[at] == ids, order[at], -1)
 
-    def in_id_order(self) -> NDArray[np.intp]:
+    def rows_by_id(self) -> NDArray[np.intp]:
         """Return the rows sorted by id."""
         return self.sorted_ids()[1]
 
     def id_ranks(self) -> NDArray[np.int32]:
         """Return the rank of each row in the order of ids."""
-        if self._ranks is None or self._ranks[0] != self.version:
-            self._ranks = self.version, ranks(self.in_id_order())
-        return self._ranks[1]
+        if self._cached_ranks is None or self._cached_ranks[0] != self.version:
+            self._cached_ranks = self.version, invert_order(self.rows_by_id())
+        return self._cached_ranks[1]
 
-    def nth_id(self, share: NDArray[np.uint64]) -> NDArray[np.int64]:
+    def pick_ids(self, share: NDArray[np.uint64]) -> NDArray[np.int64]:
         """Return the id of a living agent for each 32-bit random word, evenly distributed; -1 if no agent lives."""
         known, _ = self.sorted_ids()
         if not len(known):
             return np.full(np.shape(share), -1, np.int64)
         return known[((share * np.uint64(len(known))) >> np.uint64(32)).astype(np.intp)]
 
-    def vector(self, name: str, *, now: bool = True) -> NDArray[np.float64]:
+    def read_vector(self, name: str, *, now: bool = True) -> NDArray[np.float64]:
         """Return the three registers of a vector as float64 (n, 3)."""
         source = self.now if now else self.start
         return np.stack([source[f"{name}.{axis}"] for axis in AXES], axis=1).astype(np.float64)
@@ -203,19 +203,19 @@ class Population:
 @dataclass(frozen=True, slots=True)
 class OvercrowdedLine:
     """A crowd line (number `group`) of the scene with a place that has no space for all its agents.
-    `fit` of `count` agents are clear of all others. `radius` (mm): least and greatest. `sides`: all would fit with `by: area`.
-    `cover`, `area` (mm²): the area that all agents would cover, and the available area (None: not known).
-    `larger` (mm): for a place with a radius, the radius with space for all; None if there is none."""
+    `fit` of `count` agents are clear of all others. `radius` (mm): least and greatest. `fits_by_area`: all would fit with `by:
+    area`. `covered_area`, `available_area` (mm²): the area that all agents would cover, and the available area (None: not known).
+    `sufficient_radius` (mm): for a place with a radius, the radius with space for all; None if there is none."""
 
     group: int
     species: str
     count: int
     fit: int
     radius: tuple[float, float]
-    cover: float
-    area: float | None
-    larger: float | None
-    sides: bool
+    covered_area: float
+    available_area: float | None
+    sufficient_radius: float | None
+    fits_by_area: bool
 
 
 class StepBackend(Protocol):
@@ -260,22 +260,22 @@ class World:
     faults: FaultLog
     motion: MotionMeasures
     timings: dict[str, float] = field(default_factory=dict)  # wall time (s) by phase, over all steps
-    worked: dict[str, float] = field(default_factory=dict)  # CPU time (s) of all threads by phase, over all steps
+    cpu_seconds: dict[str, float] = field(default_factory=dict)  # CPU time (s) of all threads by phase, over all steps
     grids: dict[tuple[str, float], CellGrid] = field(default_factory=dict)  # of this step
     trees: dict[str, Any] = field(default_factory=dict)  # of this step, by species: k-d trees of all
     clearances: dict[tuple[str, str, int], NDArray[Any]] = field(default_factory=dict)  # of this step
-    touching: dict[tuple[str, str], Touching] | None = None  # of this step, by both species; None: not computed yet
+    touching: dict[tuple[str, str], TouchingAgents] | None = None  # of this step, by both species; None: not computed yet
     transitions: dict[str, int] = field(default_factory=dict)
-    carved: dict[str, list[NDArray[np.float64]]] | None = None  # balls (k, 4) since the last retrieval; None: not recorded
-    emitted: list[dict[str, NDArray[Any]]] | None = None  # columns of `EMIT` since the last retrieval; None: not recorded
+    dug_balls: dict[str, list[NDArray[np.float64]]] | None = None  # balls (k, 4) since the last retrieval; None: not recorded
+    emissions: list[dict[str, NDArray[Any]]] | None = None  # columns of `EMIT` since the last retrieval; None: not recorded
     spec_values: dict[str, np.float32] = field(default_factory=dict)  # aggregate values that a spec requests, by name
     detail: DetailLevels | None = None
-    crowded: list[OvercrowdedLine] = field(default_factory=list)  # crowd lines without space for all agents
+    overcrowded_lines: list[OvercrowdedLine] = field(default_factory=list)  # crowd lines without space for all agents
     watchers: list[Callable[[World], None]] = field(default_factory=list)  # called in each step after the phase `act`
     feet: dict[str, Feet] = field(default_factory=dict)  # by body key; only those with computed feet
-    walkers: dict[str, LegsOfBody] = field(default_factory=dict)  # legs and gaits, by body key
-    floor: FootGround | None = None  # the ground for feet
-    stepping: bool = False  # between the first and the last phase of a step
+    legs_by_species: dict[str, LegsOfBody] = field(default_factory=dict)  # legs and gaits, by body key
+    foot_ground: FootGround | None = None  # the ground for feet
+    is_stepping: bool = False  # between the first and the last phase of a step
 
     @property
     def dt(self) -> float:
@@ -284,7 +284,7 @@ class World:
     @property
     def display_frame(self) -> int:
         """Return the frame that current computations belong to: that of the step in progress, else the current frame."""
-        return self.frame + self.stepping
+        return self.frame + self.is_stepping
 
     def __len__(self) -> int:
         return sum([len(p.ids) for p in self.populations.values()])
@@ -301,13 +301,13 @@ def stored_registers(plan: ir.SpeciesPlan) -> frozenset[str]:
             elif isinstance(statement, ir.Store):
                 names.add(statement.register)
             elif isinstance(statement, ir.Claim):
-                names.update(name for name in (statement.won, statement.own) if name)
+                names.update(name for name in (statement.won_register, statement.own) if name)
             elif isinstance(statement, ir.Give | ir.Request) and statement.own is not None:
                 names.add(statement.own)
     return frozenset(names)
 
 
-def shares_start(plan: ir.SpeciesPlan, register: str, stored: frozenset[str]) -> bool:
+def shares_start_array(plan: ir.SpeciesPlan, register: str, stored: frozenset[str]) -> bool:
     """Return whether a register needs only one array for the start of a step and for now.
     This holds if it never changes, or exists only within a step."""
     return register not in stored or plan.registers[register].role == "temp"
@@ -317,23 +317,25 @@ def empty_population(plan: ir.SpeciesPlan, ground: Ground) -> Population:
     """Return a population without agents; `add_rows` adds agents."""
     now = {name: np.empty(0, DTYPE_BY_KIND[r.kind]) for name, r in plan.registers.items()}
     stored = stored_registers(plan)
-    start = {name: array if shares_start(plan, name, stored) else np.empty(0, array.dtype) for name, array in now.items()}
-    events, raised = ({name: np.empty(0, np.bool_) for name in plan.handles} for _ in range(2))
-    return Population(plan, fixed_columns(0), start, now, ground.nowhere(0), events, raised)
+    start = {name: array if shares_start_array(plan, name, stored) else np.empty(0, array.dtype) for name, array in now.items()}
+    events, raised = ({name: np.empty(0, np.bool_) for name in plan.event_names} for _ in range(2))
+    return Population(plan, make_fixed_columns(0), start, now, ground.create_unplaced(0), events, raised)
 
 
-def fixed_columns(count: int, **known: Any) -> dict[str, NDArray[Any]]:
-    """Return the arrays of `FIXED` for `count` new rows: those in `known`, and zeros for all others."""
+def make_fixed_columns(count: int, **known: Any) -> dict[str, NDArray[Any]]:
+    """Return the arrays of `FIXED_COLUMN_BY_NAME` for `count` new rows: those in `known`, and zeros for all others."""
     return {
-        name: np.asarray(known[name]) if name in known else np.full((count, *column.dimensions()), column.zero, column.type)
-        for name, column in FIXED.items()
+        name: np.asarray(known[name])
+        if name in known
+        else np.full((count, *column.compute_dimensions()), column.initial_value, column.type)
+        for name, column in FIXED_COLUMN_BY_NAME.items()
     }
 
 
 def select_rows(population: Population, rows: NDArray[np.intp]) -> None:
     """Remove all rows except the given ones, which get this order."""
-    _pick_columns(population, rows)
-    _remake_registers(population, lambda array, _: padded_rows(array, rows))
+    _reorder_columns(population, rows)
+    _replace_registers(population, lambda array, _: gather_padded(array, rows))
 
 
 def publish_state(population: Population, threads: int, rows: NDArray[np.intp] | None = None) -> None:
@@ -341,31 +343,31 @@ def publish_state(population: Population, threads: int, rows: NDArray[np.intp] |
     Registers stay in their arrays, unless one array serves as both `start` and `now`."""
     start, now = population.start, population.now
     if rows is not None:
-        _pick_columns(population, rows)
+        _reorder_columns(population, rows)
         n = len(rows)
-        picked = [(padded_empty(n, own.dtype) if start[name] is own else start[name], own) for name, own in now.items()]
+        picked = [(allocate_padded(n, own.dtype) if start[name] is own else start[name], own) for name, own in now.items()]
         copy_rows(picked, rows, threads)
         for name, (to, array) in zip(now, picked, strict=True):
             if start[name] is array:
                 start[name] = now[name] = to
         population.version += 1
     every = list(map(start.__getitem__, now)), list(now.values())
-    population.copies.copy(*(every if rows is None else every[::-1]), threads)
+    population.row_copier.copy(*(every if rows is None else every[::-1]), threads)
 
 
-def _pick_columns(population: Population, rows: NDArray[np.intp]) -> None:
+def _reorder_columns(population: Population, rows: NDArray[np.intp]) -> None:
     """Reorder all arrays except registers by `rows`."""
     population.reordered = (population.ids, rows)
     for name, array in population.columns.items():
-        population.columns[name] = _pick_vectors(array, rows) if name == "position" else array.take(rows, axis=0)
-    population.footing = population.footing.take(rows)
+        population.columns[name] = _select_vectors(array, rows) if name == "position" else array.take(rows, axis=0)
+    population.footing = population.footing.take_rows(rows)
     population.cells.clear()
-    for table in (population.events, population.raised):
+    for table in (population.events, population.raised_events):
         for name, array in table.items():
             table[name] = array.take(rows)
 
 
-def _pick_vectors(vectors: NDArray[Any], rows: NDArray[np.intp]) -> NDArray[Any]:
+def _select_vectors(vectors: NDArray[Any], rows: NDArray[np.intp]) -> NDArray[Any]:
     """Return the given rows of vectors (n, 3), with each component contiguous."""
     picked = np.empty((3, len(rows)), vectors.dtype)
     for component, own in zip(picked, vectors.T, strict=True):
@@ -376,20 +378,20 @@ def _pick_vectors(vectors: NDArray[Any], rows: NDArray[np.intp]) -> NDArray[Any]
 def add_rows(population: Population, ids: NDArray[np.int64], frame: int, place: NDArray[np.float64], footing: Footing) -> slice:
     """Append agents with all registers zero; return their rows."""
     old, count = len(population), len(ids)
-    added = fixed_columns(count, ids=ids, born=np.full(count, frame, np.int64), position=place)
+    added = make_fixed_columns(count, ids=ids, born=np.full(count, frame, np.int64), position=place)
     for name, array in population.columns.items():
         population.columns[name] = np.concatenate([array, added[name]])
     population.footing = Footing.concatenate(population.footing, footing)
-    for table in (population.events, population.raised):
+    for table in (population.events, population.raised_events):
         for name, array in table.items():
             table[name] = np.concatenate([array, np.zeros(count, np.bool_)])
     population.cells.clear()
     zeros = population.plan.registers
-    _remake_registers(population, lambda array, name: np.concatenate([array, np.full(count, zeros[name].zero, array.dtype)]))
+    _replace_registers(population, lambda a, name: np.concatenate([a, np.full(count, zeros[name].initial_value, a.dtype)]))
     return slice(old, old + count)
 
 
-def _remake_registers(population: Population, change: Callable[[NDArray[Any], str], NDArray[Any]]) -> None:
+def _replace_registers(population: Population, change: Callable[[NDArray[Any], str], NDArray[Any]]) -> None:
     """Replace every register array by the result of `change`. Registers that share one array for start and now still share it."""
     for name, array in population.now.items():
         shared = population.start[name] is array

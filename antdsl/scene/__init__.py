@@ -2,8 +2,8 @@
 
 `document` reads YAML and stores the location of every value.
 `inheritance` merges the scenes that a scene extends.
-`model` gives the scene types.
-`matching` checks it against a program.
+`scene_model` gives the scene types.
+`scene_checks` checks it against a program.
 `staging` reads its files (with `geometry`) and returns the `Setting`.
 `paths` opens all files that a scene or a program names.
 

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.numerics.randomness import uniform
+from antdsl.numerics.randomness import draw_uniform
 
 _SEPARATOR = "#"
 
@@ -40,7 +40,7 @@ def body_numbers(weights: Sequence[float], seed: int, species: str, ids: NDArray
     """Return the index of each agent's body, uint8[n]. `weights`: of all bodies of the species, above 0; empty for one body."""
     if len(weights) < 2:
         return np.zeros(len(ids), np.uint8)
-    drawn = uniform(seed, 0, species, "body", 0, np.asarray(ids, np.int64)).astype(np.float64)
+    drawn = draw_uniform(seed, 0, species, "body", 0, np.asarray(ids, np.int64)).astype(np.float64)
     limits = np.cumsum(np.asarray(weights, np.float64))
     numbers = np.searchsorted(limits[:-1] / limits[-1], drawn, side="right")
     return numbers.astype(np.uint8)

@@ -13,30 +13,32 @@ from antdsl.scene.library_bodies import BODY_WORDS
 from antdsl.scene.quantities import Quantity
 from antdsl.scene.values import (
     FilePath,
-    Part,
     PointOrName,
     PositiveLength,
     PositiveSpeed,
     SceneName,
+    ScenePart,
     SceneWord,
-    integer,
-    number,
-    one_of,
-    positive,
-    word_or,
-    word_or_file,
+    parse_integer_between,
+    parse_number_between,
+    parse_one_of,
+    parse_positive_quantity,
+    parse_word_or_file,
+    parse_word_or_quantity,
 )
 
 NO_LAYER = "none"  # stands for no layer of a part
 # Of the library of bodies.
-BodyText = Annotated[str, BeforeValidator(word_or_file(*BODY_WORDS))]
-BodyWeight = Annotated[float, BeforeValidator(number(limits.MIN_BODY_WEIGHT, limits.MAX_BODY_WEIGHT))]
-SpacingValue = Annotated[Quantity | str, BeforeValidator(word_or("even", positive(LENGTH_DIMENSION)))]
-DirectionComponent = Annotated[float, BeforeValidator(number(-1e6, 1e6))]
-PlacementMethod = Annotated[str, BeforeValidator(one_of("above", "area"))]
+BodyText = Annotated[str, BeforeValidator(parse_word_or_file(*BODY_WORDS))]
+BodyWeight = Annotated[float, BeforeValidator(parse_number_between(limits.MIN_BODY_WEIGHT, limits.MAX_BODY_WEIGHT))]
+SpacingValue = Annotated[
+    Quantity | str, BeforeValidator(parse_word_or_quantity("even", parse_positive_quantity(LENGTH_DIMENSION)))
+]
+DirectionComponent = Annotated[float, BeforeValidator(parse_number_between(-1e6, 1e6))]
+PlacementMethod = Annotated[str, BeforeValidator(parse_one_of("above", "area"))]
 
 
-class UsdPlaces(Part):
+class UsdPositions(ScenePart):
     """Positions from a USD file: the points or empties below a prim, or all empties of a kind.
 
     The default kind is the name of the species."""
@@ -46,11 +48,11 @@ class UsdPlaces(Part):
     kind: SceneWord | None = None
 
 
-def _file_or_usd(value: Any) -> str:
+def _find_points_tag(value: Any) -> str:
     return "usd-places" if isinstance(value, dict) else "points-file"
 
 
-class Placement(Part):
+class Placement(ScenePart):
     """The starting positions of a crowd.
 
     By default, agents are scattered over the surfaces.
@@ -68,16 +70,18 @@ class Placement(Part):
     around: PointOrName | None = None
     radius: PositiveLength | None = None
     points: (
-        Annotated[Annotated[FilePath, Tag("points-file")] | Annotated[UsdPlaces, Tag("usd-places")], Discriminator(_file_or_usd)]
+        Annotated[
+            Annotated[FilePath, Tag("points-file")] | Annotated[UsdPositions, Tag("usd-places")], Discriminator(_find_points_tag)
+        ]
         | None
     ) = None
     density: SceneName | None = None
     by: PlacementMethod = "above"
     apart: SpacingValue | None = None
-    seed: Annotated[int, BeforeValidator(integer(0, 2**64 - 1))] | None = None
+    seed: Annotated[int, BeforeValidator(parse_integer_between(0, 2**64 - 1))] | None = None
 
 
-class Walk(Part):
+class Walk(ScenePart):
     """A walk that replaces the decisions of agents: a direction in the scene's axes, a speed, and a length.
 
     Agents stand still at the end of the walk."""
@@ -87,17 +91,17 @@ class Walk(Part):
     length: PositiveLength
 
 
-class AnyOf(Part):
+class LayerChoice(ScenePart):
     """A choice of one layer, or `none`, drawn for each agent. A layer that is listed twice is twice as likely."""
 
     any: Annotated[tuple[SceneName, ...], Field(min_length=1, max_length=limits.MAX_WORN_LAYERS)]
 
 
-def _layer_or_any(value: Any) -> str:
+def _find_layer_tag(value: Any) -> str:
     return "any" if isinstance(value, dict) else "layer"
 
 
-WornLayer = Annotated[Annotated[SceneName, Tag("layer")] | Annotated[AnyOf, Tag("any")], Discriminator(_layer_or_any)]
+WornLayer = Annotated[Annotated[SceneName, Tag("layer")] | Annotated[LayerChoice, Tag("any")], Discriminator(_find_layer_tag)]
 
 
 def _text_or_weights(value: Any) -> str:
@@ -111,7 +115,7 @@ BodyValue = Annotated[
 ]
 
 
-class CrowdLine(Part):
+class CrowdLine(ScenePart):
     """Agents of one species.
 
     `body`: the body in pictures, a word or the file of an agent definition; by default it depends on the species' name. Several
@@ -120,7 +124,7 @@ class CrowdLine(Part):
 
     species: SceneName
     source: FilePath = Field(alias="from")
-    count: Annotated[int, BeforeValidator(integer(0, limits.MAX_AGENTS))]
+    count: Annotated[int, BeforeValidator(parse_integer_between(0, limits.MAX_AGENTS))]
     place: Placement = Placement()
     walk: Walk | None = None
     body: BodyValue | None = None
@@ -135,7 +139,7 @@ class CrowdLine(Part):
 
     def layers(self) -> tuple[tuple[str, ...], ...]:
         """Return, for each part of `wear`, the layers from which one is drawn per agent. "" means no layer."""
-        chosen = (each.any if isinstance(each, AnyOf) else (each,) for each in self.wear)
+        chosen = (each.any if isinstance(each, LayerChoice) else (each,) for each in self.wear)
         return tuple(tuple("" if name == NO_LAYER else name for name in names) for names in chosen)
 
 

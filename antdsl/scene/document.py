@@ -14,17 +14,17 @@ from antdsl import limits
 from antdsl.diagnostics import Diagnostic, Label, Report
 from antdsl.scene.indentation import explain_indentation, explain_missing_colon
 from antdsl.source import Source, Span
-from antdsl.syntax.mistakes.number_slips import comma_diagnostic, find_comma_number
+from antdsl.syntax.mistakes.number_slips import find_comma_number, make_comma_diagnostic
 
 PathKey = str | int
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ScalarNode:
-    """A scalar as text. `quoted`: whether the source has quotes around it."""
+    """A scalar as text. `is_quoted`: whether the source has quotes around it."""
 
     text: str
-    quoted: bool
+    is_quoted: bool
     span: Span
 
 
@@ -48,12 +48,12 @@ class MappingNode:
 DocumentNode = ScalarNode | SequenceNode | MappingNode
 
 
-def plain_tree(node: DocumentNode) -> Any:
+def to_plain_tree(node: DocumentNode) -> Any:
     """Return the tree as dicts, lists and str, for the schema."""
     if isinstance(node, MappingNode):
-        return {key: plain_tree(value) for key, value in node.entries.items()}
+        return {key: to_plain_tree(value) for key, value in node.entries.items()}
     if isinstance(node, SequenceNode):
-        return [plain_tree(item) for item in node.items]
+        return [to_plain_tree(item) for item in node.items]
     return node.text
 
 
@@ -76,7 +76,7 @@ def find_span(node: DocumentNode, path: Sequence[PathKey], *, key: bool = False)
     return span, walked
 
 
-class _DocumentRejected(Exception):
+class _DocumentError(Exception):
     """Reading cannot continue. The error is already in the report."""
 
 
@@ -88,10 +88,10 @@ _FORBIDDEN_CHARACTERS = re.compile(
 )
 
 
-def decode(data: bytes, name: str, what: str = "a scene") -> tuple[Source, Report]:
+def decode_source(data: bytes, name: str, file_kind: str = "a scene") -> tuple[Source, Report]:
     """Return the bytes of a text file as a Source, and a report. A byte order mark is dropped; anything but UTF-8 is an error.
 
-    `what`: the kind of file, for messages."""
+    `file_kind`: the kind of file, for messages."""
     report = Report()
     if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
         source = Source(name, "")
@@ -109,7 +109,7 @@ def decode(data: bytes, name: str, what: str = "a scene") -> tuple[Source, Repor
     source = Source(name, text)
     bad = _FORBIDDEN_CHARACTERS.search(text)
     if bad:
-        message = f"the character U+{ord(bad[0]):04X} is not allowed in {what}: it is invisible"
+        message = f"the character U+{ord(bad[0]):04X} is not allowed in {file_kind}: it is invisible"
         help = "start a new line there" if bad[0] in "\x85\u2028\u2029\x0b\x0c" else "delete it"
         report.error("control-character", message, Span(source, bad.start(), bad.end()), help)
     return source, report
@@ -119,8 +119,8 @@ def read_document(source: Source) -> tuple[MappingNode | None, Report]:
     """Return the tree of a scene's text and a report. The tree is None if the text has no usable one."""
     reader = _DocumentReader(source)
     try:
-        root = reader.read()
-    except _DocumentRejected:
+        root = reader.read_root()
+    except _DocumentError:
         return None, reader.report
     return (root if reader.report.ok else None), reader.report
 
@@ -130,7 +130,7 @@ class _OpenNode:
     """A mapping or sequence under construction."""
 
     start: int
-    mapping: bool
+    is_mapping: bool
     items: list[DocumentNode] = field(default_factory=list)
 
 
@@ -144,22 +144,22 @@ class _DocumentReader:
         for match in re.finditer("\r\n|\r|\n", source.text):
             self.lines.append(match.end())
 
-    def offset(self, mark: Any) -> int:
+    def find_offset(self, mark: Any) -> int:
         """Return the character offset of a position that YAML reports."""
         start: int = self.lines[min(mark.line, len(self.lines) - 1)]
         return min(start + int(mark.column), len(self.source.text))
 
     def span(self, event: Any) -> Span:
         """Return the location of a YAML event."""
-        start, end = self.offset(event.start_mark), self.offset(event.end_mark)
+        start, end = self.find_offset(event.start_mark), self.find_offset(event.end_mark)
         return Span(self.source, start, max(end, start))
 
-    def refuse(self, code: str, message: str, span: Span, help: str | None = None, *labels: Label) -> _DocumentRejected:
+    def reject(self, code: str, message: str, span: Span, help: str | None = None, *labels: Label) -> _DocumentError:
         """Report an error, and return the exception to raise."""
         self.report.error(code, message, span, help, labels=labels)
-        return _DocumentRejected()
+        return _DocumentError()
 
-    def read(self) -> MappingNode:
+    def read_root(self) -> MappingNode:
         """Return the tree. Raises _DocumentRejected after reporting an error."""
         import yaml
 
@@ -167,17 +167,17 @@ class _DocumentReader:
         try:
             root = self.build_tree(yaml, yaml.parse(self.source.text, Loader=loader))
         except yaml.YAMLError as problem:
-            raise self.syntax_refusal(problem) from None
+            raise self.reject_syntax(problem) from None
         start_span = Span(self.source, 0, min(len(self.source.text), 1))
         if root is None or (isinstance(root, ScalarNode) and not root.text):
-            raise self.refuse("empty-scene", "the scene is empty", start_span, "begin with `antdsl: 1`")
+            raise self.reject("empty-scene", "the scene is empty", start_span, "begin with `antdsl: 1`")
         if not isinstance(root, MappingNode):
-            raise self.refuse("wrong-value", "a scene is a list of `key: value` lines", root.span, "begin with `antdsl: 1`")
+            raise self.reject("wrong-value", "a scene is a list of `key: value` lines", root.span, "begin with `antdsl: 1`")
         return root
 
-    def depth_refusal(self, span: Span) -> _DocumentRejected:
+    def reject_depth(self, span: Span) -> _DocumentError:
         """Report too deep nesting, and return the exception to raise."""
-        return self.refuse("too-large", f"values are nested more than {limits.MAX_YAML_DEPTH} levels deep", span)
+        return self.reject("too-large", f"values are nested more than {limits.MAX_YAML_DEPTH} levels deep", span)
 
     def report_odd_blank(self, match: re.Match[str]) -> None:
         """Report the first character that looks like a blank but is none."""
@@ -193,24 +193,24 @@ class _DocumentReader:
         place = Span(self.source, match.start(), match.end())
         self.report.error("odd-blank", f"{message} in place of a blank" if is_blank else f"{message} does not show", place, help)
 
-    def syntax_refusal(self, problem: Any) -> _DocumentRejected:
+    def reject_syntax(self, problem: Any) -> _DocumentError:
         """Report a syntax error of YAML, and return the exception to raise."""
         mark = getattr(problem, "problem_mark", None) or getattr(problem, "context_mark", None)
-        start = self.offset(mark) if mark is not None else 0
+        start = self.find_offset(mark) if mark is not None else 0
         words = (getattr(problem, "problem", None) or "this is not YAML").replace("'\\t'", "a tab")
         text, help = self.source.text, None
         labels: list[Label] = []
         if "nesting depth" in words:  # newer readers of YAML look further ahead than the events they have given
-            return self.depth_refusal(Span(self.source, start, min(start + 1, len(self.source.text))))
+            return self.reject_depth(Span(self.source, start, min(start + 1, len(self.source.text))))
         if not text.isascii():
             odd = _ODD_BLANK_PATTERN.search(_QUOTED_TEXT_PATTERN.sub(lambda quoted: "." * len(quoted[0]), text))
             if odd is not None:
                 self.report_odd_blank(odd)
-                return _DocumentRejected()
+                return _DocumentError()
         better = self.explain_problem(problem, start)
         if better is not None:
             self.report.add(better)
-            return _DocumentRejected()
+            return _DocumentError()
         if text[start : start + 1] == "\t" or "a tab" in words:
             words, help = "a tab cannot indent a line", "indent with blanks"
         elif "%" in text[start : start + 1]:
@@ -218,12 +218,12 @@ class _DocumentReader:
         elif "mapping values are not allowed" in words:
             words, help = "a second `:` in one line", "put the text in quotes, or start a new line"
         elif str(getattr(problem, "context", "")).startswith("while parsing a flow"):
-            opened = self.offset(problem.context_mark)
+            opened = self.find_offset(problem.context_mark)
             closing = "}" if text[opened : opened + 1] == "{" else "]"
             words, help = f"expected `,` or `{closing}`", f"write the missing `{closing}`, or a comma between two values"
             labels = [Label(Span(self.source, opened, opened + 1), "this is still open")]
         place = Span(self.source, start, min(start + 1, len(text)))
-        return self.refuse("scene-syntax", f"cannot read the scene here: {words}", place, help, *labels)
+        return self.reject("scene-syntax", f"cannot read the scene here: {words}", place, help, *labels)
 
     def explain_problem(self, problem: Any, start: int) -> Diagnostic | None:
         """Return a more precise message for a YAML error in a line, or None. `start`: the offset of the error."""
@@ -231,7 +231,7 @@ class _DocumentReader:
             return None
         start_mark = getattr(problem, "context_mark", None)
         if "could not find expected ':'" in (getattr(problem, "problem", None) or "") and start_mark is not None:
-            diagnostic = explain_missing_colon(self.source, self.offset(start_mark))
+            diagnostic = explain_missing_colon(self.source, self.find_offset(start_mark))
             if diagnostic is not None:
                 return diagnostic
         return explain_indentation(self.source, start) or explain_missing_colon(self.source, start)
@@ -248,39 +248,39 @@ class _DocumentReader:
             if isinstance(event, yaml.DocumentStartEvent):
                 documents += 1
                 if event.version or event.tags:
-                    raise self.refuse(
+                    raise self.reject(
                         "yaml-tag", "directives such as `%YAML` and `%TAG` are not supported", self.span(event), "delete the line"
                     )
                 if documents > 1:
-                    raise self.refuse(
+                    raise self.reject(
                         "scene-syntax", "a second document in one scene", self.span(event), "delete `---` and what follows"
                     )
                 continue
             if isinstance(event, yaml.AliasEvent) or getattr(event, "anchor", None):
-                raise self.refuse(
+                raise self.reject(
                     "yaml-alias",
                     "anchors and aliases are not supported",
                     self.span(event),
                     "write the value out where it is needed",
                 )
             if getattr(event, "tag", None) not in (None, "!"):
-                raise self.refuse("yaml-tag", "tags such as `!name` are not supported", self.span(event), "write the value alone")
+                raise self.reject("yaml-tag", "tags such as `!name` are not supported", self.span(event), "write the value alone")
             if isinstance(event, yaml.NodeEvent):
                 count += 1
                 if count > limits.MAX_YAML_NODES:
-                    raise self.refuse("too-large", f"the scene has more than {limits.MAX_YAML_NODES:,} values", self.span(event))
+                    raise self.reject("too-large", f"the scene has more than {limits.MAX_YAML_NODES:,} values", self.span(event))
             if isinstance(event, yaml.ScalarEvent):
                 node = ScalarNode(event.value, bool(event.style), self.span(event))
                 odd = None if event.style or event.value.isascii() else _ODD_BLANK_PATTERN.search(event.value)
                 if odd is not None:
                     self.report_odd_blank(_ODD_BLANK_PATTERN.search(self.source.text, node.span.start) or odd)
-                    raise _DocumentRejected
+                    raise _DocumentError
             elif isinstance(event, yaml.CollectionStartEvent):
-                stack.append(_OpenNode(self.offset(event.start_mark), isinstance(event, yaml.MappingStartEvent)))
+                stack.append(_OpenNode(self.find_offset(event.start_mark), isinstance(event, yaml.MappingStartEvent)))
                 if len(stack) > limits.MAX_YAML_DEPTH:
-                    raise self.depth_refusal(self.span(event))
+                    raise self.reject_depth(self.span(event))
             elif isinstance(event, yaml.CollectionEndEvent):
-                node = self.finish_node(stack.pop(), self.offset(event.end_mark))
+                node = self.finish_node(stack.pop(), self.find_offset(event.end_mark))
             if node is not None:
                 if stack:
                     stack[-1].items.append(node)
@@ -288,25 +288,25 @@ class _DocumentReader:
                     root = node
         return root
 
-    def finish_node(self, opened: _OpenNode, end: int) -> DocumentNode:
+    def finish_node(self, open_node: _OpenNode, end: int) -> DocumentNode:
         """Return the node of a finished mapping or sequence. `end`: the offset of its end."""
         text = self.source.text
-        while end > opened.start + 1 and text[end - 1 : end].isspace():
+        while end > open_node.start + 1 and text[end - 1 : end].isspace():
             end -= 1
-        span = Span(self.source, opened.start, end)
-        if not opened.mapping:
-            return SequenceNode(tuple(opened.items), span)
+        span = Span(self.source, open_node.start, end)
+        if not open_node.is_mapping:
+            return SequenceNode(tuple(open_node.items), span)
         entries: dict[str, DocumentNode] = {}
         keys: dict[str, Span] = {}
         folded: dict[str, str] = {}
-        for key, value in zip(opened.items[::2], opened.items[1::2], strict=True):
+        for key, value in zip(open_node.items[::2], open_node.items[1::2], strict=True):
             if not isinstance(key, ScalarNode) or not key.text:
                 self.report.error("wrong-value", "a key must be one word", key.span, "write `key: value`")
                 continue
-            if isinstance(value, ScalarNode) and not value.text and not value.quoted:  # `{radius: 0,4 m}`
+            if isinstance(value, ScalarNode) and not value.text and not value.is_quoted:  # `{radius: 0,4 m}`
                 number = find_comma_number(self.source, key.span.start - 1)
                 if number is not None:
-                    self.report.add(comma_diagnostic(number))
+                    self.report.add(make_comma_diagnostic(number))
                     continue
             if key.text == "<<":
                 self.report.error("yaml-alias", "merges are not supported", key.span, "repeat the values where they are needed")

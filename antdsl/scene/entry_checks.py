@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from antdsl import limits
 from antdsl.diagnostics import Report
-from antdsl.diagnostics.suggestion import nearest_name
+from antdsl.diagnostics.suggestion import find_nearest_name
 from antdsl.program.model import Dimension, Program, TypeKind, WorldThing
-from antdsl.program.tables.units import default_unit, dimension_words, with_unit
+from antdsl.program.tables.units import choose_default_unit, describe_dimension, format_with_unit
 from antdsl.scene.document import PathKey
 from antdsl.scene.paths import PathRefused
 from antdsl.scene.quantities import Quantity
@@ -36,29 +36,29 @@ class Entry(NamedTuple):
         """Report an error if a file that the entry names does not exist."""
         check_file(self.scene, self.report, text, "world", self.name, *path)
 
-    def report_unknown(self, what: str, known: Iterable[str], *path: PathKey) -> None:
-        """Report a value of the entry that is not one of the `known` names."""
-        report_unknown(self.report, self.scene, ("world", self.name, *path), what, known, key=False)
+    def report_unknown(self, what: str, known_names: Iterable[str], *path: PathKey) -> None:
+        """Report a value of the entry that is not one of the `known_names` names."""
+        report_unknown(self.report, self.scene, ("world", self.name, *path), what, known_names, key=False)
 
 
 def report_unknown(
-    report: Report, scene: Scene, path: tuple[PathKey, ...], what: str, known: Iterable[str], *, key: bool = True
+    report: Report, scene: Scene, path: tuple[PathKey, ...], kind: str, known_names: Iterable[str], *, key: bool = True
 ) -> None:
-    """Report a name that is not one of the `known` names.
+    """Report a name that is not one of the `known_names` names.
 
     `path`: the location of the name. With `key`, the name is the last key of the path, else the value."""
-    names = sorted(known)
+    names = sorted(known_names)
     name = str(path[-1]) if key else scene.span(*path).text.strip("\"'")
-    near = nearest_name(name, names)
+    near = find_nearest_name(name, names)
     help = f"did you mean `{near}`?" if near else ("known: " + ", ".join(f"`{n}`" for n in names[:12]) if names else None)
-    report.error("unknown-thing", f"{what} `{name}`", scene.span(*path, key=key), help)
+    report.error("unknown-thing", f"{kind} `{name}`", scene.span(*path, key=key), help)
 
 
 def check_file(scene: Scene, report: Report, text: str, *path: PathKey) -> None:
     """Report an error if a file, or a file of a sequence, does not exist."""
     try:
-        files = scene.roots.sequence(text).values() if scene.roots.is_sequence(text) else (text,)
-        size = max(scene.roots.file_size(file) for file in files)
+        files = scene.roots.find_sequence(text).values() if scene.roots.is_sequence(text) else (text,)
+        size = max(scene.roots.measure_file_size(file) for file in files)
     except PathRefused as refused:
         report.error(refused.code, str(refused), scene.span(*path), refused.help)
         return
@@ -66,26 +66,26 @@ def check_file(scene: Scene, report: Report, text: str, *path: PathKey) -> None:
         report.error("too-large", f"`{text}` has {size:,} bytes, more than {limits.MAX_MESH_BYTES:,}", scene.span(*path))
 
 
-def check_attributes(entry: Entry, quantities: Mapping[str, Quantity], known: list[str], *path: PathKey) -> None:
+def check_attributes(entry: Entry, quantities: Mapping[str, Quantity], known_names: list[str], *path: PathKey) -> None:
     """Report values of items' attributes that do not match the program's declarations."""
     declared = {a.name: a for a in entry.thing.attributes}
     for key, quantity in quantities.items():
         place = ("world", entry.name, *path, key)
         if key not in declared:
-            report_unknown(entry.report, entry.scene, place, f"`{entry.name}` has no attribute", known)
+            report_unknown(entry.report, entry.scene, place, f"`{entry.name}` has no attribute", known_names)
         elif declared[key].type.kind is TypeKind.NUMBER:
-            check_dimension(entry.scene, entry.report, quantity, declared[key].type.dim, key, *place)
+            check_dimension(entry.scene, entry.report, quantity, declared[key].type.dimension, key, *place)
 
 
 def check_dimension(scene: Scene, report: Report, value: Quantity, dim: Dimension, name: str, *path: PathKey) -> bool:
     """Return whether a value has a dimension; report an error otherwise."""
     if value.dim == dim:
         return True
-    words, unit = f"`{name}` is {dimension_words(dim)}", default_unit(dim)
+    words, unit = f"`{name}` is {describe_dimension(dim)}", choose_default_unit(dim)
     if value.is_bare:
-        help = f"write `{with_unit(value.number, dim)}`"
+        help = f"write `{format_with_unit(value.number, dim)}`"
         report.error("missing-unit", f"{words}, and `{value.text}` has no unit", scene.span(*path), help)
     else:
         help = f"write a value in `{unit}`" if unit else "write the number alone"
-        report.error("wrong-unit", f"{words}, not {dimension_words(value.dim)}", scene.span(*path), help)
+        report.error("wrong-unit", f"{words}, not {describe_dimension(value.dim)}", scene.span(*path), help)
     return False

@@ -10,9 +10,9 @@ from pathlib import Path
 
 from antdsl import limits
 from antdsl.diagnostics import Fix, Label, Report
-from antdsl.program.consequences import merge_repeats
+from antdsl.program.cascading_errors import merge_repeated_findings
 from antdsl.program.model import Program, ThingRef
-from antdsl.program.traverse import parts
+from antdsl.program.traverse import iterate_parts
 from antdsl.scene.library_bodies import BODY_WORDS
 from antdsl.scene.load import Scene
 from antdsl.scene.paths import PathRefused, Roots
@@ -21,7 +21,7 @@ from antdsl.source import Span
 _SUGGESTION_PATTERN = re.compile(r"did you mean `([^`]+)`\?")
 
 
-def bodies(scene: Scene, program: Program, report: Report) -> None:
+def check_bodies(scene: Scene, program: Program, report: Report) -> None:
     """Report each crowd line with a body that cannot be used."""
     first: dict[str, int] = {}
     for number, line in enumerate(scene.model.crowd):
@@ -52,7 +52,7 @@ def body_span(scene: Scene, number: int, text: str) -> Span:
 def _check_body_file(scene: Scene, text: str, place: Span, report: Report) -> None:
     """Report a body's file that does not exist or is too large."""
     try:
-        size = scene.roots.file_size(text)
+        size = scene.roots.measure_file_size(text)
     except PathRefused as refused:
         report.error(refused.code, str(refused), place, refused.help)
         return
@@ -65,7 +65,7 @@ def check_absent_species(scene: Scene, program: Program, report: Report) -> None
     absent = [name for name, thing in program.world.items() if thing.kind == "species" and name not in program.species]
     if not absent:
         return
-    every = list(parts(tuple(program.species.values())))
+    every = list(iterate_parts(tuple(program.species.values())))
     requested_names = {each.name for each in every if isinstance(each, ThingRef)} | {
         of for each in every if isinstance(of := getattr(each, "of", None), str)
     }
@@ -83,16 +83,16 @@ def check_spec_scenes(program: Program | None, grants: Mapping[str, Path] | None
     The files are not read."""
     report = Report()
     specs = program.specs if program else ()
-    named = (text for spec in specs for text in (spec.scene, spec.against.scene if spec.against else None))
+    named = (text for spec in specs for text in (spec.scene, spec.reference_run.scene if spec.reference_run else None))
     for text in named:
         if text is None or not text.text.endswith((".yaml", ".yml")):
             continue
         roots = Roots(Path(text.span.source.path).resolve().parent, grants or {})
         try:
-            roots.file_size(text.text)
+            roots.measure_file_size(text.text)
         except PathRefused as refused:
             near = _SUGGESTION_PATTERN.fullmatch(refused.help or "")
             fix = Fix(text.span, f'"{near[1]}"') if near and "/" not in text.text else None
             advice = refused.help or "name a scene that lies beside this program or below its folder"
             report.error(refused.code, str(refused), text.span, advice, fix=fix)
-    return merge_repeats(report)
+    return merge_repeated_findings(report)

@@ -11,9 +11,9 @@ from typing import Any
 
 from antdsl.diagnostics import Report
 from antdsl.program.model import ChangeRate, Constant, Dimension, EffectRequest, Expr, Field, Program, TypeKind, ValueType
-from antdsl.program.tables.effects import feeding_effects
-from antdsl.program.traverse import parts
-from antdsl.program.types.folding import constant_behind
+from antdsl.program.tables.effects import list_feeding_effects
+from antdsl.program.traverse import iterate_parts
+from antdsl.program.types.folding import find_constant
 from antdsl.scene.load import Scene
 from antdsl.scene.quantities import Quantity
 
@@ -27,18 +27,18 @@ _SETTING_DIMENSIONS = {
 }
 
 
-def setting_dimension(program: Program, name: str) -> Dimension | None:
+def find_setting_dimension(program: Program, name: str) -> Dimension | None:
     """Return the dimension of a field's setting; None if there is no setting of this name."""
     field, _, word = name.partition(".")
     return _SETTING_DIMENSIONS.get(word) if field in program.fields and name not in program.params else None
 
 
-def settable_names(program: Program) -> list[str]:
+def list_settable_names(program: Program) -> list[str]:
     """Return the names of all field settings that can be set to another value."""
     return [f"{field}.{word}" for field in program.fields for word in _SETTING_DIMENSIONS]
 
 
-def refusal_help(name: str, value: Quantity) -> str:
+def suggest_setting_value(name: str, value: Quantity) -> str:
     """Return a help text for an invalid value of a setting: which value to write instead. Empty if the value is valid."""
     word = name.partition(".")[2]
     if word == "keeps" and (value.step != -1 or not 0 <= value.number <= 1):
@@ -49,40 +49,47 @@ def refusal_help(name: str, value: Quantity) -> str:
     return ""
 
 
-def with_field_settings(program: Program, scene: Scene, values: Mapping[str, Quantity]) -> Program:
+def replace_field_settings(program: Program, scene: Scene, values: Mapping[str, Quantity]) -> Program:
     """Return the program with these settings of its fields. Unknown names are ignored."""
     fields = dict(program.fields)
     for name, value in values.items():
-        dim = setting_dimension(program, name)
+        dim = find_setting_dimension(program, name)
         if dim is None:
             continue
         field, _, word = name.partition(".")
         place = scene.span("set", name) if name in scene.model.set else fields[field].span
-        const = Constant(ValueType(TypeKind.NUMBER, dim), ChangeRate.CONST, place, value.number, u=value.u, step=value.step)
-        fields[field] = with_field_setting(fields[field], word, const)
+        const = Constant(
+            ValueType(TypeKind.NUMBER, dim),
+            ChangeRate.CONST,
+            place,
+            value.number,
+            unit_power=value.length_exponent,
+            step=value.step,
+        )
+        fields[field] = replace_field_setting(fields[field], word, const)
     return replace(program, fields=fields)
 
 
-def with_field_setting(field: Field, word: str, value: Expr) -> Field:
+def replace_field_setting(field: Field, setting_name: str, value: Expr) -> Field:
     """Return a field with another value for one setting. If the setting says how the field fades, other such settings are
     removed."""
-    values: dict[str, Any] = dict.fromkeys(FADE_SETTINGS) if word in FADE_SETTINGS else {}
-    return replace(field, **{**values, word: value})
+    values: dict[str, Any] = dict.fromkeys(FADE_SETTINGS) if setting_name in FADE_SETTINGS else {}
+    return replace(field, **{**values, setting_name: value})
 
 
-def largest_stable_diffusion(cell: float, dt: float) -> float:
+def compute_max_diffusion(cell: float, dt: float) -> float:
     """Return the largest stable diffusion (mm²/s) for cells of `cell` mm and steps of `dt` s.
 
     Above it, values oscillate or become negative."""
     return cell * cell / (4.0 * dt)
 
 
-def check_spreading(scene: Scene, program: Program, report: Report) -> None:
+def check_field_dynamics(scene: Scene, program: Program, report: Report) -> None:
     """Report fields that spread too fast for their cells, and warn about fields that nothing fills."""
     dt = float(1 / scene.model.fps)
-    for field in with_field_settings(program, scene, scene.model.set).fields.values():
-        cell, diffuse = _constant_in_base_units(scene, field.cell), _constant_in_base_units(scene, field.diffuse)
-        most = largest_stable_diffusion(cell, dt) if cell else 0.0
+    for field in replace_field_settings(program, scene, scene.model.set).fields.values():
+        cell, diffuse = _convert_constant(scene, field.cell), _convert_constant(scene, field.diffuse)
+        most = compute_max_diffusion(cell, dt) if cell else 0.0
         if cell and diffuse and diffuse > most * (1 + 1e-6):
             report.error(
                 "unstable-field",
@@ -90,8 +97,12 @@ def check_spreading(scene: Scene, program: Program, report: Report) -> None:
                 field.diffuse.span if field.diffuse is not None else field.span,
                 f"write `diffuse` {most:g} mm^2/s or less, or a larger `cell`",
             )  # fmt: skip
-    laying = feeding_effects("field")
-    laid = {part.of for part in parts(tuple(program.species.values())) if isinstance(part, EffectRequest) and part.op in laying}
+    laying = list_feeding_effects("field")
+    laid = {
+        part.of
+        for part in iterate_parts(tuple(program.species.values()))
+        if isinstance(part, EffectRequest) and part.op in laying
+    }
     for name, field in program.fields.items():
         if name not in laid and name not in scene.model.fields:
             report.warning(
@@ -100,9 +111,9 @@ def check_spreading(scene: Scene, program: Program, report: Report) -> None:
             )  # fmt: skip
 
 
-def _constant_in_base_units(scene: Scene, value: Expr | None) -> float | None:
+def _convert_constant(scene: Scene, value: Expr | None) -> float | None:
     """Return a constant setting in base units; None if there is none, or if it depends on params."""
-    constant = constant_behind(value) if value is not None else None
+    constant = find_constant(value) if value is not None else None
     if constant is None:
         return None
-    return float(constant.number * scene.model.unit_mm**constant.u * float(1 / scene.model.fps) ** constant.step)
+    return float(constant.number * scene.model.unit_mm**constant.unit_power * float(1 / scene.model.fps) ** constant.step)

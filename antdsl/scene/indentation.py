@@ -39,7 +39,7 @@ class _IndentLevel:
     line."""
 
     indent: int
-    dash: bool
+    is_list: bool
     line: _Line | None
     text: str = ""
 
@@ -56,41 +56,46 @@ def explain_indentation(source: Source, stop: int) -> Diagnostic | None:
     """Return the error about the first line with a wrong indent, or None. Lines after the offset `stop` are ignored.
 
     If shifting the previous line solves the problem, the error is about that line."""
-    odd = _first_odd(source.text, stop)
+    odd = _find_odd_line(source.text, stop)
     if odd is None:
         return None
     line, level, shift = odd.line, odd.level, odd.level.indent - odd.line.indent
     start, end, text = _shift_line(source.text, line, shift)
     previous_line = level.line
-    if previous_line is not None and _first_odd(source.text[:start] + text + source.text[end:]) and previous_line.indent >= shift:
-        other = _shift_line(source.text, previous_line, -shift, alone=True)
-        if _first_odd(source.text[: other[0]] + other[2] + source.text[other[1] :]) is None:
+    if (
+        previous_line is not None
+        and _find_odd_line(source.text[:start] + text + source.text[end:])
+        and previous_line.indent >= shift
+    ):
+        other = _shift_line(source.text, previous_line, -shift, only_line=True)
+        if _find_odd_line(source.text[: other[0]] + other[2] + source.text[other[1] :]) is None:
             line, level, shift, (start, end, text) = (
                 previous_line,
                 _IndentLevel(previous_line.indent - shift, previous_line.is_item, None),
                 -shift,
                 other,
             )
-    where = "at the left edge" if not level.indent else f"with {_blank_text(level.indent)}"
+    where = "at the left edge" if not level.indent else f"with {_format_blank_count(level.indent)}"
     beside = level.text if len(level.text) <= _DISPLAY_WIDTH else level.text[: _DISPLAY_WIDTH - 1] + "…"
-    message = f"this line begins with {_blank_text(line.indent)}, and those it stands among with {_blank_text(level.indent)}"
+    own, others = _format_blank_count(line.indent), _format_blank_count(level.indent)
+    message = f"this line begins with {own}, and those it stands among with {others}"
     help = f"begin it {where}" + (f", below `{beside}`" if beside else "")
     span = Span(source, line.start, line.start + len(line.text))
     return Diagnostic(_DIAGNOSTIC_CODE, message, span, help=help, fix=Fix(Span(source, start, end), text))
 
 
-def _first_odd(text: str, stop: int | None = None) -> _OddLine | None:
+def _find_odd_line(text: str, stop: int | None = None) -> _OddLine | None:
     """Return the first line with an indent that fits no level, or None. Lines after the offset `stop` are ignored."""
     levels: list[_IndentLevel] = []
     opened = False  # the line before has a key without a value
-    for line in _lines(text, len(text) if stop is None else stop):
+    for line in _iterate_lines(text, len(text) if stop is None else stop):
         if "\t" in text[line.start - line.indent : line.start]:
             return None
         expected_level = _find_level(levels, line, opened)
         if expected_level is not None:
             return _OddLine(line, expected_level)
         while levels and (
-            levels[-1].indent > line.indent or (levels[-1].indent == line.indent and levels[-1].dash > line.is_item)
+            levels[-1].indent > line.indent or (levels[-1].indent == line.indent and levels[-1].is_list > line.is_item)
         ):
             levels.pop()
         opened = _enter_line(levels, line)
@@ -102,7 +107,7 @@ def _enter_line(levels: list[_IndentLevel], line: _Line) -> bool:
     indent, text = line.indent, line.text
     while True:
         dash = text == "-" or text.startswith("- ")
-        if levels and levels[-1].indent == indent and levels[-1].dash == dash:
+        if levels and levels[-1].indent == indent and levels[-1].is_list == dash:
             levels[-1].line, levels[-1].text = line, text
         else:
             levels.append(_IndentLevel(indent, dash, line, text))
@@ -117,25 +122,25 @@ def _enter_line(levels: list[_IndentLevel], line: _Line) -> bool:
     return key is not None and not text[key.end() :].strip()
 
 
-def _find_level(levels: list[_IndentLevel], line: _Line, opened: bool) -> _IndentLevel | None:
+def _find_level(levels: list[_IndentLevel], line: _Line, can_nest: bool) -> _IndentLevel | None:
     """Return the level to which a line with a wrong indent should belong. None if its indent is right."""
     if not levels:
         return _IndentLevel(0, line.is_item, None) if line.indent else None
     last = levels[-1]
-    if opened and (line.indent > last.indent or (line.is_item and line.indent == last.indent)):
+    if can_nest and (line.indent > last.indent or (line.is_item and line.indent == last.indent)):
         return None
-    fitting = [level for level in levels if level.dash == line.is_item] or levels
-    if any(level.indent == line.indent for level in fitting if level.dash == line.is_item):
+    fitting = [level for level in levels if level.is_list == line.is_item] or levels
+    if any(level.indent == line.indent for level in fitting if level.is_list == line.is_item):
         return None
     return min(reversed(fitting), key=lambda level: abs(level.indent - line.indent))
 
 
-def _shift_line(text: str, line: _Line, shift: int, *, alone: bool = False) -> tuple[int, int, str]:
+def _shift_line(text: str, line: _Line, shift: int, *, only_line: bool = False) -> tuple[int, int, str]:
     """Return how to shift a line by `shift` blanks: start and end of the text to replace, and the replacement.
 
-    Lines that belong to it are shifted too, unless `alone`."""
+    Lines that belong to it are shifted too, unless `only_line`."""
     start = line.start - line.indent
-    hangs = not alone and (shift < 0 or line.is_item or line.text.endswith(":"))
+    hangs = not only_line and (shift < 0 or line.is_item or line.text.endswith(":"))
     end = _find_block_end(text, line) if hangs else _find_line_end(text, line.start)
     lines = text[start:end].split("\n")
     moved = [" " * shift + each if shift > 0 and each.strip() else each[max(0, -shift) :] for each in lines]
@@ -156,7 +161,7 @@ def _find_block_end(text: str, line: _Line) -> int:
     return last
 
 
-def _blank_text(count: int) -> str:
+def _format_blank_count(count: int) -> str:
     return "no blank" if not count else f"{count} space{'s' if count > 1 else ''}"
 
 
@@ -165,7 +170,7 @@ def _find_line_end(text: str, start: int) -> int:
     return len(text) if end < 0 else end
 
 
-def _lines(text: str, stop: int) -> Iterator[_Line]:
+def _iterate_lines(text: str, stop: int) -> Iterator[_Line]:
     """Yield the non-empty lines up to the offset `stop`, without lines that continue a bracket, a quoted text or a block of
     text."""
     position, depth, quote, block = 0, 0, "", -1
@@ -208,7 +213,7 @@ def explain_missing_colon(source: Source, start: int) -> Diagnostic | None:
     """Return the error about a line with a key but no colon before the value, such as `fps 24` or `fps:24`; None without one.
 
     YAML reads such a line as continuing into the next. `start`: only lines at or above this offset count."""
-    line, _ = source.line_column(start)
+    line, _ = source.find_line_column(start)
     for number in (line, line - 1):
         text = source.line_text(number)
         bare = text.lstrip()
@@ -230,5 +235,5 @@ def _find_line_start(source: Source, line: int) -> int:
     low, high = 0, len(source.text)
     while low < high:
         middle = (low + high) // 2
-        low, high = (middle + 1, high) if source.line_column(middle)[0] < line else (low, middle)
+        low, high = (middle + 1, high) if source.find_line_column(middle)[0] < line else (low, middle)
     return low

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from antdsl import limits
 from antdsl.diagnostics import Report
-from antdsl.scene.document import DocumentNode, MappingNode, ScalarNode, decode, read_document
+from antdsl.scene.document import DocumentNode, MappingNode, ScalarNode, decode_source, read_document
 from antdsl.scene.paths import PathRefused, Roots
 from antdsl.source import Span
 
@@ -18,19 +18,19 @@ _UNINHERITED_KEYS = frozenset((EXTENDS_KEY, "antdsl"))  # said by each file for 
 
 
 def merge_parents(
-    document: MappingNode, name: str, roots: Roots, report: Report, texts: Mapping[Path, bytes] | None = None
+    document: MappingNode, name: str, roots: Roots, report: Report, unsaved_texts: Mapping[Path, bytes] | None = None
 ) -> MappingNode | None:
     """Return a scene's tree merged with all scenes that it extends, nearest first. Return None if the report has errors.
 
     A scene is searched next to the scene that names it, so that paths in both mean the same.
-    `texts`: contents that override files on disk, for scenes that are open in an editor."""
+    `unsaved_texts`: contents that override files on disk, for scenes that are open in an editor."""
     scene_names = [name.replace("\\", "/").rsplit("/", 1)[-1]]
     behind = document
     while (node := behind.entries.get(EXTENDS_KEY)) is not None:
-        other = _read_parent(node, name, scene_names, roots, report, texts or {})
+        other = _read_parent(node, name, scene_names, roots, report, unsaved_texts or {})
         if other is None:
             return None
-        document, behind = _merge(document, other, _UNINHERITED_KEYS), other
+        document, behind = _merge_mappings(document, other, _UNINHERITED_KEYS), other
     return MappingNode(
         {key: value for key, value in document.entries.items() if key != EXTENDS_KEY},
         {key: span for key, span in document.keys.items() if key != EXTENDS_KEY},
@@ -39,7 +39,7 @@ def merge_parents(
 
 
 def _read_parent(
-    node: DocumentNode, name: str, scene_names: list[str], roots: Roots, report: Report, texts: Mapping[Path, bytes]
+    node: DocumentNode, name: str, scene_names: list[str], roots: Roots, report: Report, unsaved_texts: Mapping[Path, bytes]
 ) -> MappingNode | None:
     text = node.text.strip() if isinstance(node, ScalarNode) else ""
     if not text:
@@ -61,13 +61,13 @@ def _read_parent(
         return None
     scene_names.append(text)
     try:
-        held = texts.get(roots.path(text))
-        data = roots.read(text, limits.MAX_SCENE_BYTES) if held is None else held
+        held = unsaved_texts.get(roots.path(text))
+        data = roots.read_file(text, limits.MAX_SCENE_BYTES) if held is None else held
     except PathRefused as refused:
         report.error(refused.code, str(refused), node.span, refused.help)
         return None
     head, sign, _ = name.replace("\\", "/").rpartition("/")
-    source, findings = decode(data, f"{head}{sign}{text}")
+    source, findings = decode_source(data, f"{head}{sign}{text}")
     report.extend(findings)
     if not findings.ok:
         return None
@@ -76,15 +76,15 @@ def _read_parent(
     return other
 
 
-def _merge(own: MappingNode, other: MappingNode, excluded_keys: frozenset[str] = frozenset()) -> MappingNode:
-    """Return two mappings merged key by key. Other values in `own` replace those in `other`.
+def _merge_mappings(child: MappingNode, parent: MappingNode, excluded_keys: frozenset[str] = frozenset()) -> MappingNode:
+    """Return two mappings merged key by key. Other values in `child` replace those in `parent`.
 
     Keys in `excluded_keys` are not merged."""
-    entries: dict[str, DocumentNode] = {key: value for key, value in other.entries.items() if key not in excluded_keys}
-    keys: dict[str, Span] = {key: span for key, span in other.keys.items() if key not in excluded_keys}
-    for key, value in own.entries.items():
+    entries: dict[str, DocumentNode] = {key: value for key, value in parent.entries.items() if key not in excluded_keys}
+    keys: dict[str, Span] = {key: span for key, span in parent.keys.items() if key not in excluded_keys}
+    for key, value in child.entries.items():
         other_value = entries.get(key)
         both = isinstance(value, MappingNode) and isinstance(other_value, MappingNode)
-        entries[key] = _merge(value, other_value) if both else value  # type: ignore[arg-type]
-        keys[key] = own.keys[key]
-    return MappingNode(entries, keys, own.span)
+        entries[key] = _merge_mappings(value, other_value) if both else value  # type: ignore[arg-type]
+        keys[key] = child.keys[key]
+    return MappingNode(entries, keys, child.span)

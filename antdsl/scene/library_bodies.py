@@ -11,30 +11,30 @@ from antdsl import resources
 
 
 @dataclass(frozen=True, slots=True)
-class Capsule:
+class TrunkCapsule:
     """The capsule of a trunk, without legs and feelers, in body lengths.
 
     `length`, `width`: the size along and across the heading.
     `height`: the height of its centre above the feet.
-    `ahead`: the distance of its centre ahead of the feet."""
+    `forward_offset`: the distance of its centre ahead of the feet."""
 
     length: float
     width: float
     height: float
-    ahead: float = 0.0
+    forward_offset: float = 0.0
 
 
 _BODY_ROWS = json.loads(resources.body_file("bodies.json").read_text("utf-8"))
-CAPSULE_BY_BODY = {name: Capsule(**row["capsule"]) for name, row in _BODY_ROWS.items()}
+CAPSULE_BY_BODY = {name: TrunkCapsule(**row["capsule"]) for name, row in _BODY_ROWS.items()}
 # Capsules of bodies with head and abdomen, where these are larger than the trunk that most bodies share
-WHOLE_CAPSULE_BY_BODY = {name: Capsule(**row.get("whole", row["capsule"])) for name, row in _BODY_ROWS.items()}
+WHOLE_CAPSULE_BY_BODY = {name: TrunkCapsule(**row.get("whole", row["capsule"])) for name, row in _BODY_ROWS.items()}
 LOAD_FRONT_BY_BODY: dict[str, float] = {  # body lengths from the feet to the front of a load that a body holds
     name: row["load"] for name, row in _BODY_ROWS.items() if "load" in row
 }
 BODY_WORDS = tuple(CAPSULE_BY_BODY)  # what a scene's `body:` takes beside files
-_BODY_BY_SPECIES_WORD = [(word, name) for name, row in _BODY_ROWS.items() for word in row["species"]]
+_BODY_BY_SPECIES = [(word, name) for name, row in _BODY_ROWS.items() for word in row["species"]]
 
 
-def body_for_species(species: str) -> str:
+def find_body_for_species(species: str) -> str:
     """Return the name of the body that fits a species, by the name of the species. The default is an ant."""
-    return next((name for word, name in _BODY_BY_SPECIES_WORD if word in species.lower()), "ant")
+    return next((name for word, name in _BODY_BY_SPECIES if word in species.lower()), "ant")

@@ -11,15 +11,15 @@ from typing import TYPE_CHECKING, Any
 
 from antdsl import limits
 from antdsl.diagnostics import Diagnostic, Fix, Report
-from antdsl.diagnostics.suggestion import nearest_name
-from antdsl.scene.document import MappingNode, PathKey, ScalarNode, decode, find_span, plain_tree, read_document
+from antdsl.diagnostics.suggestion import find_nearest_name
+from antdsl.scene.document import MappingNode, PathKey, ScalarNode, decode_source, find_span, read_document, to_plain_tree
 from antdsl.scene.inheritance import merge_parents
-from antdsl.scene.paths import PathRefused, Roots, read_named
+from antdsl.scene.paths import PathRefused, Roots, read_user_file
 from antdsl.source import Source, Span
-from antdsl.syntax.mistakes.number_slips import COMMA_NUMBER_PATTERN, comma_diagnostic
+from antdsl.syntax.mistakes.number_slips import COMMA_NUMBER_PATTERN, make_comma_diagnostic
 
 if TYPE_CHECKING:
-    from antdsl.scene.model import SceneModel
+    from antdsl.scene.scene_model import SceneModel
 
 # What people look for in a scene and find elsewhere.
 _MISPLACED_KEY_HELP = {
@@ -54,12 +54,12 @@ class Scene:
         key."""
         return find_span(self.document, path, key=key)[0]
 
-    def changed(self, **values: object) -> Scene:
+    def replace_values(self, **values: object) -> Scene:
         """Return the same scene with other values for some keys. None leaves a key unchanged."""
         changes = {name: value for name, value in values.items() if value is not None}
         return replace(self, model=self.model.model_copy(update=changes)) if changes else self
 
-    def digest(self) -> str:
+    def compute_digest(self) -> str:
         """Return a digest of everything in the scene that affects results.
 
         It leaves out the output, and a camera that no level of detail uses. It also leaves out the last frame, so that a cache
@@ -71,12 +71,12 @@ class Scene:
         return hashlib.blake2b(repr(relevant).encode(), digest_size=16).hexdigest()
 
 
-def load(path: Path, grants: Mapping[str, Path] | None = None) -> tuple[Scene | None, Report]:
+def load_scene(path: Path, grants: Mapping[str, Path] | None = None) -> tuple[Scene | None, Report]:
     """Read a scene's file and return the typed scene and a report. The scene is None if there are errors.
 
     Files that the scene names are not accessed. They may only be in the scene's own folder and in `grants`."""
     try:
-        data = read_named(path, limits.MAX_SCENE_BYTES)
+        data = read_user_file(path, limits.MAX_SCENE_BYTES)
     except PathRefused as refused:
         report = Report()
         report.error(refused.code, str(refused), None, refused.help)
@@ -84,28 +84,30 @@ def load(path: Path, grants: Mapping[str, Path] | None = None) -> tuple[Scene | 
     return load_text(data, str(path), Roots(path.resolve().parent, dict(grants or {})))
 
 
-def load_text(data: bytes, name: str, roots: Roots, texts: Mapping[Path, bytes] | None = None) -> tuple[Scene | None, Report]:
-    """Return the typed scene from the bytes of a file, and a report, as `load` does.
+def load_text(
+    data: bytes, name: str, roots: Roots, unsaved_texts: Mapping[Path, bytes] | None = None
+) -> tuple[Scene | None, Report]:
+    """Return the typed scene from the bytes of a file, and a report, as `load_scene` does.
 
-    `texts`: contents that override the files of scenes that it extends."""
-    source, report = decode(data, name)
+    `unsaved_texts`: contents that override the files of scenes that it extends."""
+    source, report = decode_source(data, name)
     if not report.ok:
         return None, report
     document, report = read_document(source)
     if document is None:
         return None, report
-    document = merge_parents(document, name, roots, report, texts)
+    document = merge_parents(document, name, roots, report, unsaved_texts)
     if document is None:
         return None, report
     from pydantic import ValidationError
 
-    from antdsl.scene.model import SceneModel
+    from antdsl.scene.scene_model import SceneModel
 
     try:
-        model = SceneModel.model_validate(plain_tree(document))
+        model = SceneModel.model_validate(to_plain_tree(document))
     except ValidationError as problem:
-        outside = _find_outdented(document)
-        for error in drop_consequences(problem.errors(include_url=False, include_input=False)):
+        outside = _find_outdented_lines(document)
+        for error in drop_consequent_errors(problem.errors(include_url=False, include_input=False)):
             path = tuple(error["loc"])
             if path[:1] and path[0] in outside and len(path) == 1:
                 report.add(outside[path[0]])
@@ -118,19 +120,19 @@ def load_text(data: bytes, name: str, roots: Roots, texts: Mapping[Path, bytes] 
 _KEYS_WITH_LINES = frozenset(("world", "set", "fields", "layers", "camera", "lod", "output"))
 
 
-def _find_outdented(document: MappingNode) -> dict[PathKey, Diagnostic]:
+def _find_outdented_lines(document: MappingNode) -> dict[PathKey, Diagnostic]:
     """Return the error about lines at the left edge that belong below the previous key, which has no value.
 
     The error about the first of these lines is listed under every key that gets no other error."""
-    from antdsl.scene.model import SceneModel
+    from antdsl.scene.scene_model import SceneModel
 
     known = {field.alias or name for name, field in SceneModel.model_fields.items()}
     diagnostics: dict[PathKey, Diagnostic] = {}
     names = list(document.entries)
     for number, name in enumerate(names):
         node = document.entries[name]
-        inner = list(takewhile(lambda each: each not in known and not nearest_name(each, known), names[number + 1 :]))
-        if name not in _KEYS_WITH_LINES or not inner or not isinstance(node, ScalarNode) or node.text or node.quoted:
+        inner = list(takewhile(lambda each: each not in known and not find_nearest_name(each, known), names[number + 1 :]))
+        if name not in _KEYS_WITH_LINES or not inner or not isinstance(node, ScalarNode) or node.text or node.is_quoted:
             continue
         first, last = document.keys[inner[0]], document.entries[inner[-1]].span
         source = first.source
@@ -144,7 +146,7 @@ def _find_outdented(document: MappingNode) -> dict[PathKey, Diagnostic]:
     return diagnostics
 
 
-def drop_consequences(errors: list[Any]) -> list[Any]:
+def drop_consequent_errors(errors: list[Any]) -> list[Any]:
     """Return the errors, without errors that only follow from a misspelled key.
 
     A misspelled key is unknown, and the intended key is missing. Where any key is allowed, the misspelled key's value has the
@@ -157,7 +159,7 @@ def drop_consequences(errors: list[Any]) -> list[Any]:
         for length in range(len(path), 0, -1):
             above, key = path[: length - 1], path[length - 1]
             missing_names = [each[-1] for each in missing if each[:-1] == above and each != path and isinstance(each[-1], str)]
-            near = nearest_name(key, missing_names) if isinstance(key, str) and key not in missing_names else None
+            near = find_nearest_name(key, missing_names) if isinstance(key, str) and key not in missing_names else None
             if near:
                 meant.add((*above, near))
                 error = {**error, "type": "extra_forbidden", "loc": path[:length], "meant": near}
@@ -186,7 +188,7 @@ def _report_error(report: Report, document: MappingNode, error: Any) -> None:
     span, _ = find_span(document, path[:-1] if bad_key else path, key=bad_key)
     number = COMMA_NUMBER_PATTERN.search(span.text) if kind == "too_long" else None
     if number is not None:  # `[0,4, 1, 2]`
-        report.add(comma_diagnostic(Span(span.source, span.start + number.start(), span.start + number.end())))
+        report.add(make_comma_diagnostic(Span(span.source, span.start + number.start(), span.start + number.end())))
         return
     if kind == "worded":
         context = error["ctx"]
@@ -194,7 +196,7 @@ def _report_error(report: Report, document: MappingNode, error: Any) -> None:
     else:
         report.error(
             "wrong-value",
-            _error_words(kind, error),
+            _describe_error(kind, error),
             span,
             _LIST_HELP.get(str(path[-1])) if path and kind in ("tuple_type", "too_short") else None,
         )
@@ -226,45 +228,45 @@ _LIST_HELP = {
 }  # what to write for lists, by their key
 
 
-def _error_words(kind: str, error: Any) -> str:
+def _describe_error(kind: str, error: Any) -> str:
     return _SHAPE_MESSAGES.get(kind) or str(error["msg"]).rstrip(".").replace("Input should be", "this should be").lower()
 
 
-def _report_unknown_key(report: Report, document: MappingNode, path: tuple[PathKey, ...], meant: str | None) -> None:
+def _report_unknown_key(report: Report, document: MappingNode, path: tuple[PathKey, ...], suggestion: str | None) -> None:
     key = str(path[-1])
     span, _ = find_span(document, path, key=True)
-    allowed = sorted(_allowed_keys(path))
-    near = meant or nearest_name(key, allowed)
+    allowed = sorted(_list_allowed_keys(path))
+    near = suggestion or find_nearest_name(key, allowed)
     if len(path) == 1 and key in _MISPLACED_KEY_HELP:
         report.error("unknown-key", f"`{key}` is not a scene setting", span, _MISPLACED_KEY_HELP[key])
         return
     help = f"did you mean `{near}`?" if near else "known here: " + ", ".join(f"`{word}`" for word in allowed)
-    report.error("unknown-key", f"`{key[:60]}` is not a key of {_path_text(path)}", span, help)
+    report.error("unknown-key", f"`{key[:60]}` is not a key of {_format_path(path)}", span, help)
 
 
-def _path_text(path: tuple[PathKey, ...]) -> str:
+def _format_path(path: tuple[PathKey, ...]) -> str:
     above = [part for part in path[:-1] if isinstance(part, str) and not part.endswith(_UNION_TAG_SUFFIXES)]
     return f"`{above[-1]}`" if above else "a scene"
 
 
-def _allowed_keys(path: tuple[PathKey, ...]) -> list[str]:
+def _list_allowed_keys(path: tuple[PathKey, ...]) -> list[str]:
     """Return the keys that the model at a path knows."""
-    from antdsl.scene import model
-    from antdsl.scene.crowd_model import AnyOf
+    from antdsl.scene import scene_model
+    from antdsl.scene.crowd_model import LayerChoice
 
     # the last word of the path (tags of the schema are among them) that tells which model complained
-    models: dict[str, type[model.Part]] = {
-        **{model.thing_tag(head): each for head, each in model.THING_MODELS.items()},
-        "usd-camera": model.UsdCamera,
-        "keys": model.PlaceKey,
-        "wear": AnyOf,
-        "fields": model.FieldStart,
-        **model.PARTS,
+    models: dict[str, type[scene_model.ScenePart]] = {
+        **{scene_model.make_thing_tag(head): each for head, each in scene_model.THING_MODELS.items()},
+        "usd-camera": scene_model.UsdCamera,
+        "keys": scene_model.PositionKey,
+        "wear": LayerChoice,
+        "fields": scene_model.FieldStart,
+        **scene_model.MODEL_BY_PATH,
     }
     for part in reversed(path[:-1]):
         if part in models:
             model_class = models[str(part)]
             break
     else:
-        model_class = model.SceneModel
+        model_class = scene_model.SceneModel
     return [field.alias or name for name, field in model_class.model_fields.items()]

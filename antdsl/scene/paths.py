@@ -13,7 +13,7 @@ from contextvars import ContextVar
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from antdsl.bounded import NotRegular, TooLarge, open_regular, read_handle
+from antdsl.safe_read import FileTooLarge, NotRegularFile, open_regular_file, read_handle
 
 _WINDOWS_DEVICE_NAMES = frozenset(
     ["con", "prn", "aux", "nul", "conin$", "conout$", *(f"{name}{i}" for name in ("com", "lpt") for i in "0123456789¹²³")]
@@ -45,7 +45,7 @@ class PathRefused(Exception):
 
 
 @contextmanager
-def record_sought() -> Iterator[RequestedPaths]:
+def record_requested_paths() -> Iterator[RequestedPaths]:
     """Collect all files requested through this module while the context is active, in order, whether they exist or not.
 
     The result maps each path to the root below which no link is followed. The root is None for a file that the user named."""
@@ -88,19 +88,19 @@ class Roots:
         root, parts = self.locate(text)
         return root.joinpath(*parts)
 
-    def read(self, text: str, cap: int) -> bytes:
-        """Return the bytes of a regular file of at most `cap` bytes. Raises PathRefused with the reason."""
-        return _read_all(self.open(text), text, cap)
+    def read_file(self, text: str, max_bytes: int) -> bytes:
+        """Return the bytes of a regular file of at most `max_bytes` bytes. Raises PathRefused with the reason."""
+        return _read_all(self.open_file(text), text, max_bytes)
 
-    def open(self, text: str) -> int:
+    def open_file(self, text: str) -> int:
         """Return a handle to a regular file, which the caller must close. Raises PathRefused with the reason."""
         root, parts = self.locate(text)
         record_request(root.joinpath(*parts), root)
         return _open_below(root, parts, text)
 
-    def file_size(self, text: str) -> int:
+    def measure_file_size(self, text: str) -> int:
         """Return the size of a regular file in bytes, without reading it. Raises PathRefused with the reason."""
-        handle = self.open(text)
+        handle = self.open_file(text)
         try:
             return os.fstat(handle).st_size
         finally:
@@ -111,12 +111,12 @@ class Roots:
         if "#" not in text:
             return False
         try:
-            self.file_size(text)
+            self.measure_file_size(text)
         except PathRefused as refused:
             return refused.code == "no-such-file"
         return False
 
-    def sequence(self, text: str) -> dict[int, str]:
+    def find_sequence(self, text: str) -> dict[int, str]:
         """Return, by frame, the files of a path such as `walls.####.ply`. `#` stands for the frame number, padded with zeros.
 
         Raises PathRefused if there is no such file, or if the path is rejected."""
@@ -126,7 +126,7 @@ class Roots:
         root, parts = self.locate(f"{named[1]}{0:0{len(named[2])}d}{named[3]}")
         start = parts[-1][: len(parts[-1]) - len(named[2]) - len(named[3])]
         files_by_frame = {}
-        for name in _names_below(root, parts[:-1], text):
+        for name in _list_names_below(root, parts[:-1], text):
             digits = name[len(start) : len(name) - len(named[3])]
             fits = name.startswith(start) and name.endswith(named[3]) and re.fullmatch("-?[0-9]{1,9}", digits, re.ASCII)
             if fits and digits == f"{int(digits):0{len(named[2]) + (digits[0] == '-')}d}":
@@ -136,27 +136,27 @@ class Roots:
         return dict(sorted(files_by_frame.items()))
 
 
-def read_named(path: Path, cap: int) -> bytes:
-    """Return the bytes of a file that the user named on the command line, of at most `cap` bytes. Links are followed.
+def read_user_file(path: Path, max_bytes: int) -> bytes:
+    """Return the bytes of a file that the user named on the command line, of at most `max_bytes` bytes. Links are followed.
 
     Anything but a regular file is an error."""
     display_path = str(path)
     record_request(path, None)
     try:
-        handle = open_regular(path)
+        handle = open_regular_file(path)
     except FileNotFoundError:
         raise PathRefused("no-such-file", f"there is no file `{display_path}`") from None
     except OSError as problem:
         raise _make_read_refusal(problem, display_path) from None
-    return _read_all(handle, display_path, cap)
+    return _read_all(handle, display_path, max_bytes)
 
 
-def reopen(path: Path, root: Path | None) -> int:
+def reopen_file(path: Path, root: Path | None) -> int:
     """Open a regular file that was requested before, to check whether it has changed. Return a handle, which the caller closes.
 
     Below its root, no link is followed. Raises OSError if the file cannot be opened."""
     if root is None:
-        return open_regular(path)
+        return open_regular_file(path)
     try:
         return _open_below(root, path.relative_to(root).parts, path.name)
     except PathRefused as refused:
@@ -164,38 +164,39 @@ def reopen(path: Path, root: Path | None) -> int:
 
 
 def record_request(path: Path, root: Path | None) -> None:
-    """Record a request for a file in an active `record_sought`. Callers with a cached result for the file also call this."""
+    """Record a request for a file in an active `record_requested_paths`. Callers with a cached result for the file also call
+    this."""
     sought_files = _requested_paths.get()
     if sought_files is not None:
         sought_files[path] = root
 
 
-def _read_all(handle: int, display_path: str, cap: int) -> bytes:
+def _read_all(handle: int, display_path: str, max_bytes: int) -> bytes:
     """Return all bytes of an open regular file, and close the handle.
 
-    More than `cap` bytes are an error, even if the file grows while it is read."""
+    More than `max_bytes` bytes are an error, even if the file grows while it is read."""
     try:
-        return read_handle(handle, cap)
+        return read_handle(handle, max_bytes)
     except OSError as problem:
         raise _make_read_refusal(problem, display_path) from None
 
 
-def _make_refusal(text: str, why: str, help: str | None) -> PathRefused:
+def _make_refusal(text: str, reason: str, help: str | None) -> PathRefused:
     display_text = text if len(text) <= 80 else text[:77] + "…"
-    return PathRefused("bad-path", f"the path `{display_text}` {why}", help)
+    return PathRefused("bad-path", f"the path `{display_text}` {reason}", help)
 
 
-def _split_path(text: str, rest: str) -> tuple[str, ...]:
+def _split_path(text: str, relative_text: str) -> tuple[str, ...]:
     inside = "write a path below the scene's folder, such as `meshes/ground.ply`"
     granted = "put the file below the scene's folder, or grant its folder: `--root assets=FOLDER` and `assets:…`"
-    if not rest or len(rest) > _MAX_PATH_CHARACTERS:
-        raise _make_refusal(text, "is empty" if not rest else "is too long", inside)
-    if "\\" in rest:
+    if not relative_text or len(relative_text) > _MAX_PATH_CHARACTERS:
+        raise _make_refusal(text, "is empty" if not relative_text else "is too long", inside)
+    if "\\" in relative_text:
         raise _make_refusal(text, "has a backslash", "write `/` between folders")
-    if rest.startswith("/") or re.match("[A-Za-z]:", rest):
+    if relative_text.startswith("/") or re.match("[A-Za-z]:", relative_text):
         raise _make_refusal(text, "is absolute", granted)
-    _check_signs(text, rest)
-    parts = tuple(p for p in rest.split("/") if p != ".")
+    _check_characters(text, relative_text)
+    parts = tuple(p for p in relative_text.split("/") if p != ".")
     for part in parts:
         if part == "..":
             raise _make_refusal(text, "leaves its folder", granted)
@@ -211,18 +212,18 @@ def _split_path(text: str, rest: str) -> tuple[str, ...]:
     return parts
 
 
-def _check_signs(text: str, rest: str) -> None:
+def _check_characters(text: str, relative_text: str) -> None:
     """Raise PathRefused if a path has characters that are invalid in file names on some system, or that a shell would expand."""
-    if rest.startswith("~"):
+    if relative_text.startswith("~"):
         raise _make_refusal(
             text, "begins with `~`, which is not expanded here", "write a path below the scene's folder, or `./~…`"
         )
-    if match := _FRAME_COUNTER_PATTERN.search(rest):
+    if match := _FRAME_COUNTER_PATTERN.search(relative_text):
         raise _make_refusal(text, f"has `{match[0]}`, which is not expanded here", "write `####` for the number of a frame")
-    if match := _VARIABLE_PATTERN.search(rest):
+    if match := _VARIABLE_PATTERN.search(relative_text):
         help = "write the path below the scene's folder, or rename a file that is called so"
         raise _make_refusal(text, f"has `{match[0]}`, and variables are not expanded here", help)
-    for sign in rest:
+    for sign in relative_text:
         display_sign = "a backtick" if sign == "`" else f"`{sign}`"
         if sign in _WINDOWS_FORBIDDEN_CHARACTERS:
             raise _make_refusal(
@@ -237,9 +238,9 @@ def _check_signs(text: str, rest: str) -> None:
 
 def _make_read_refusal(problem: OSError, display_path: str) -> PathRefused:
     """Return the error for an existing file that cannot be read."""
-    if isinstance(problem, NotRegular):
+    if isinstance(problem, NotRegularFile):
         return PathRefused("not-a-file", f"`{display_path}` is {problem.kind}", "name a file")
-    if isinstance(problem, TooLarge):
+    if isinstance(problem, FileTooLarge):
         return PathRefused(
             "too-large", f"`{display_path}` has {problem.size:,} bytes, and more than {problem.cap:,} are not read"
         )
@@ -255,20 +256,20 @@ def _open_below(root: Path, parts: tuple[str, ...], display_path: str) -> int:
         if not full_path.resolve().is_relative_to(root.resolve()):
             raise _make_refusal(display_path, "leaves its folder by a link", None)
         try:
-            return open_regular(full_path)
+            return open_regular_file(full_path)
         except OSError as problem:
-            raise _find_refusal(problem, os.fspath(full_path.parent), display_path) from None
-    folder = _folder_below(root, parts[:-1], display_path)
+            raise _make_open_refusal(problem, os.fspath(full_path.parent), display_path) from None
+    folder = _open_folder_below(root, parts[:-1], display_path)
     try:
         _check_exact_name(folder, parts[-1], display_path)
-        return open_regular(parts[-1], follow=False, folder=folder)
+        return open_regular_file(parts[-1], follow=False, folder=folder)
     except OSError as problem:
-        raise _find_refusal(problem, folder, display_path) from None
+        raise _make_open_refusal(problem, folder, display_path) from None
     finally:
         os.close(folder)
 
 
-def _folder_below(root: Path, parts: tuple[str, ...], display_path: str) -> int:
+def _open_folder_below(root: Path, parts: tuple[str, ...], display_path: str) -> int:
     """Return a handle to a folder below a root, opened component by component."""
     try:
         opened = [os.open(root, os.O_RDONLY | os.O_DIRECTORY)]
@@ -280,50 +281,50 @@ def _folder_below(root: Path, parts: tuple[str, ...], display_path: str) -> int:
             opened.append(os.open(part, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW, dir_fd=opened[-1]))
         return opened.pop()
     except OSError as problem:
-        raise _find_refusal(problem, opened[-1], display_path) from None
+        raise _make_open_refusal(problem, opened[-1], display_path) from None
     finally:
         for handle in opened:
             os.close(handle)
 
 
-def _names_below(root: Path, parts: tuple[str, ...], display_path: str) -> list[str]:
+def _list_names_below(root: Path, parts: tuple[str, ...], display_path: str) -> list[str]:
     """Return the names in a folder below a root."""
     if os.open not in os.supports_dir_fd or not hasattr(os, "O_NOFOLLOW"):
         full_path = root.joinpath(*parts)
         if not full_path.resolve().is_relative_to(root.resolve()) or not full_path.is_dir():
             raise _make_refusal(display_path, "leaves its folder by a link, or is not a folder", None)
         return os.listdir(full_path)
-    folder = _folder_below(root, parts, display_path)
+    folder = _open_folder_below(root, parts, display_path)
     try:
         return os.listdir(folder)
     finally:
         os.close(folder)
 
 
-def _check_exact_name(folder: int, part: str, display_path: str) -> None:
+def _check_exact_name(folder: int, component: str, display_path: str) -> None:
     """Raise PathRefused for a name that differs from the file's own name by case. Only a case-insensitive file system would find
     it."""
-    if _is_exact(folder, part):
+    if _is_exact_name(folder, component):
         return
     names = os.listdir(folder)
-    if part not in names:
-        alike = sorted(name for name in names if name.lower() == part.lower())
+    if component not in names:
+        alike = sorted(name for name in names if name.lower() == component.lower())
         if alike:
             raise PathRefused(
                 "no-such-file", f"there is no file `{display_path}`; `{alike[0]}` differs by case only", f"write `{alike[0]}`"
             )
 
 
-def _is_exact(folder: int, part: str) -> bool:
+def _is_exact_name(folder: int, component: str) -> bool:
     """Return whether a file is known to have exactly this name. The folder is not listed, since it may contain thousands of
     files.
 
     False also covers uncertain cases: the file does not exist, or the name exists in another case too."""
-    other = "".join(c.swapcase() if c.isascii() else c for c in part)
-    if other == part:
+    other = "".join(c.swapcase() if c.isascii() else c for c in component)
+    if other == component:
         return False
     try:
-        os.stat(part, dir_fd=folder, follow_symlinks=False)
+        os.stat(component, dir_fd=folder, follow_symlinks=False)
     except OSError:
         return False
     try:
@@ -335,13 +336,13 @@ def _is_exact(folder: int, part: str) -> bool:
     return False
 
 
-def _find_refusal(problem: OSError, folder: int | str, display_path: str) -> PathRefused:
+def _make_open_refusal(problem: OSError, folder: int | str, display_path: str) -> PathRefused:
     import errno
 
     if problem.errno == errno.ENOENT:
-        from antdsl.diagnostics.suggestion import nearest_name
+        from antdsl.diagnostics.suggestion import find_nearest_name
 
-        near = nearest_name(display_path.rsplit("/", 1)[-1], sorted(os.listdir(folder))[:2000])
+        near = find_nearest_name(display_path.rsplit("/", 1)[-1], sorted(os.listdir(folder))[:2000])
         return PathRefused("no-such-file", f"there is no file `{display_path}`", f"did you mean `{near}`?" if near else None)
     if problem.errno in (errno.ELOOP, errno.ENOTDIR):
         return PathRefused(

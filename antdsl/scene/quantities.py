@@ -10,9 +10,9 @@ from math import isfinite
 
 from antdsl import limits
 from antdsl.program.model import Dimension
-from antdsl.program.tables.units import measure
+from antdsl.program.tables.units import find_unit_measure
 from antdsl.source import Source, Span
-from antdsl.syntax.mistakes.number_slips import COMMA_NUMBER_PATTERN, comma_diagnostic
+from antdsl.syntax.mistakes.number_slips import COMMA_NUMBER_PATTERN, make_comma_diagnostic
 
 _NUMBER_PATTERN = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]{1,4})?", re.ASCII)
 _INTEGERS = re.compile(r"(-?[0-9]{1,9})(?:\s*\.\.\s*(-?[0-9]{1,9}))?", re.ASCII)
@@ -37,7 +37,7 @@ class Quantity:
     dim: Dimension
     unit: str
     text: str
-    u: float = 0
+    length_exponent: float = 0
     step: float = 0
 
     @property
@@ -47,19 +47,19 @@ class Quantity:
 
     def to_base_units(self, unit_mm: float, dt: float) -> float:
         """Return the value in base units."""
-        return float(self.number * unit_mm**self.u * dt**self.step)
+        return float(self.number * unit_mm**self.length_exponent * dt**self.step)
 
-    def length(self, unit_mm: float) -> float:
+    def to_millimetres(self, unit_mm: float) -> float:
         """Return the length in millimetres. A number without a unit is in scene units.
 
         The dimension is not checked: the value must be a length."""
-        return float(self.number * unit_mm if self.is_bare else self.number * unit_mm**self.u)
+        return float(self.number * unit_mm if self.is_bare else self.number * unit_mm**self.length_exponent)
 
 
 def parse_number(text: str) -> float:
     """Return a decimal number. Raises QuantityError with the reason if the text is not one."""
     text = text.strip()
-    _refuse_comma(text)
+    _reject_comma(text)
     if not _NUMBER_PATTERN.fullmatch(text):
         raise QuantityError("is not a number")
     if sum(c.isdigit() for c in text) > limits.MAX_NUMBER_DIGITS:
@@ -74,7 +74,7 @@ def split_quantity(text: str) -> tuple[str, str]:
     """Return the number and the unit of a text such as `30 mm/s`. The unit is not checked. Raises QuantityError with the
     reason."""
     text = text.strip()
-    _refuse_comma(text)
+    _reject_comma(text)
     match = _NUMBER_PATTERN.match(text)
     if not match:
         raise QuantityError("is not a number with a unit")
@@ -104,20 +104,20 @@ def parse_quantity(text: str) -> Quantity:
     number = parse_number(digits)
     if not unit:
         return Quantity(number, Dimension(), "", text)
-    known = measure(unit)
+    known = find_unit_measure(unit)
     if known is None:
         raise QuantityError(f"has an unknown unit `{unit}`")
     value = number * known.factor
     if not isfinite(value):
         raise QuantityError("is not representable")
-    return Quantity(value, known.dim, unit, text, known.u, known.step)
+    return Quantity(value, known.dim, unit, text, known.unit_power, known.step)
 
 
-def _refuse_comma(text: str) -> None:
+def _reject_comma(text: str) -> None:
     """Raise QuantityError for `0,4mm`, the notation of many countries, with the same message as for a program."""
     match = COMMA_NUMBER_PATTERN.match(text.lstrip("+-"))
     if match is not None:
         start = len(text) - len(text.lstrip("+-"))
-        diagnostic = comma_diagnostic(Span(Source("", text), start, start + match.end()))
+        diagnostic = make_comma_diagnostic(Span(Source("", text), start, start + match.end()))
         better = None if diagnostic.fix is None else text[:start] + diagnostic.fix.text + text[start + match.end() :]
         raise QuantityError("has a comma in its number", f"write `{better}`" if better else diagnostic.help or "")

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.scene.geometry.import_notes import MeshImport
-from antdsl.scene.staging.moves import GeometryMoves
+from antdsl.scene.staging.motion import GeometryMoves
 from antdsl.source import Span
 
 _MAX_ORIGIN_OFFSET_MM = 1e5  # mm: a world with its middle no farther out retains the zero point
@@ -45,7 +45,7 @@ class PaintedValues:
 
     surface: str
     values: NDArray[np.float64]
-    of_faces: bool = False
+    is_per_face: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,17 +55,17 @@ class FlowTarget:
     `positions` (n, 3): in mm; `radii` (n,): in mm.
     `line`: whether the target is the polyline through the positions.
     `of`: the name of the curve or items.
-    `which`: the index of a single item; None for all."""
+    `item_index`: the index of a single item; None for all."""
 
     positions: NDArray[np.float64]
     radii: NDArray[np.float64]
     line: bool = False
     of: str = ""
-    which: int | None = None
+    item_index: int | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SpreadFlow:
+class SpreadFlowData:
     """A flow around a target. It decreases with the distance.
 
     `direction`: along the target (a line), towards it, or away from it.
@@ -86,18 +86,18 @@ class SpreadFlow:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class BorderFlow:
-    """A flow inward from the open borders of the surfaces `on`, up to a distance of `within` mm."""
+class BorderFlowData:
+    """A flow inward from the open borders of the surfaces `on`, up to a distance of `max_distance` mm."""
 
     on: tuple[str, ...]
-    within: float
+    max_distance: float
     falloff: str = "linear"
     strength: float = 1.0
     cell: float | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SolvedFlow:
+class SolvedFlowData:
     """A flow along the cheapest path to a target. The cost of a millimetre is the sum of these terms:
 
     - 1
@@ -119,7 +119,7 @@ class SolvedFlow:
     on: tuple[str, ...] = ()
 
 
-FlowData = PaintedValues | SpreadFlow | BorderFlow | SolvedFlow
+FlowData = PaintedValues | SpreadFlowData | BorderFlowData | SolvedFlowData
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -133,32 +133,32 @@ class ItemData:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PlaceData:
+class PlacementData:
     """The starting positions of a crowd. The first of these that is set applies:
 
     `points` (n, 3): one per agent, in order, repeated after the last.
-    `radius`: a disc of `radius` mm around `around`, dropped along the scene's up onto the surfaces.
-    `inside`: where lines from this point in all directions first hit a surface, on the side of the point.
+    `radius`: a disc of `radius` mm around `disc_centre`, dropped along the scene's up onto the surfaces.
+    `ray_origin`: where lines from this point in all directions first hit a surface, on the side of the point.
     Otherwise: evenly over the surfaces, or with the density of the map `density`.
 
     `on`: the surfaces; empty for all.
-    `by_area`: agents stand on the front of faces of any direction. `radius` is then that of a ball, and `points` move to the
+    `is_by_area`: agents stand on the front of faces of any direction. `radius` is then that of a ball, and `points` move to the
     nearest surface point.
     `spacing`: the least distance (mm) of centres; inf: as large as the space allows for all that start with equal settings.
     `seed`: for the positions; None for the setting's seed.
-    `ahead` (n, 3): the unit vector of the heading at each point; nan for a random heading.
+    `headings` (n, 3): the unit vector of the heading at each point; nan for a random heading.
     `values` (n,): by name, attributes of the agent at each point, in base units; nan for the species' value."""
 
     on: tuple[str, ...] = ()
-    around: PointMm | None = None
-    inside: PointMm | None = None
+    disc_centre: PointMm | None = None
+    ray_origin: PointMm | None = None
     radius: float | None = None
     points: NDArray[np.float64] | None = None
     density: str | None = None
-    by_area: bool = False
+    is_by_area: bool = False
     spacing: float = 0.0
     seed: int | None = None
-    ahead: NDArray[np.float64] | None = None
+    headings: NDArray[np.float64] | None = None
     values: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
 
 
@@ -179,18 +179,18 @@ class WalkData:
 class CrowdData:
     """`count` agents of one species.
 
-    `group`: the index of this line of the scene, from 0.
+    `line_index`: the index of this line of the scene, from 0.
     `walk`: agents with a walk do not sense or decide.
     `body`: the name of the body; empty for the body that fits the species' name.
-    `wears`: for each displayed part of the body, the layers from which one is drawn; "" means none."""
+    `worn_layers`: for each displayed part of the body, the layers from which one is drawn; "" means none."""
 
     species: str
     count: int
-    place: PlaceData = PlaceData()
-    group: int = 0
+    place: PlacementData = PlacementData()
+    line_index: int = 0
     walk: WalkData | None = None
     body: str = ""
-    wears: tuple[tuple[str, ...], ...] = ()
+    worn_layers: tuple[tuple[str, ...], ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -209,17 +209,17 @@ class ClipData:
 
 
 @dataclass(frozen=True, slots=True)
-class RoomData:
+class BodyCapsuleData:
     """The space that a body takes, as a capsule, in body lengths.
 
     `length`, `width`: the size along and across the heading.
     `height`: the height of its centre above the feet.
-    `ahead`: the distance of its centre ahead of the feet."""
+    `forward_offset`: the distance of its centre ahead of the feet."""
 
     length: float
     width: float
     height: float
-    ahead: float
+    forward_offset: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -250,7 +250,7 @@ class LegsData:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FieldStart:
+class FieldStartData:
     """A field's value at the first frame, everywhere, or only within `radius` mm of `around`."""
 
     value: float
@@ -275,13 +275,13 @@ class CameraData:
 class DetailData:
     """Level of detail by distance (mm) from a camera.
 
-    `near`: up to here, feelers hit triangles.
-    `far`: up to here, feelers hit boxes. Beyond it, they hit nothing.
+    `near_distance`: up to here, feelers hit triangles.
+    `far_distance`: up to here, feelers hit boxes. Beyond it, they hit nothing.
     `camera` float64 (frames, 3): its position at each frame from `first` on. The first and last positions hold outside."""
 
     camera: NDArray[np.float64]
-    near: float
-    far: float = float("inf")
+    near_distance: float
+    far_distance: float = float("inf")
     first: int = 0
 
 
@@ -289,28 +289,28 @@ class DetailData:
 class WorldSetting:
     """Everything that binding a plan needs. Meshes, items and curves are at their positions of the first simulated frame.
 
-    `unit_mm`: the length of `u` in mm.
+    `parse_unit_mm`: the length of `u` in mm.
     `up`: a unit vector.
     `params`: by qualified name (`forager.smell`); absent params have their default.
     `first_frame`: the number of the first simulated frame.
-    `moves`: the motion of meshes, items and curves.
+    `motion`: the motion of meshes, items and curves.
     `camera`: a camera from a file.
-    `by_rays`: agents find meshes by two rays per step and do not walk over triangles.
+    `uses_rays`: agents find meshes by two rays per step and do not walk over triangles.
     `orient`: bodies stand perpendicular to the ground's smooth `normal`, to the last two directions of motion (`turns`), or to
     the directions to two `probes`.
     `deviations`: the largest distance (mm) of the triangles of height surfaces from bilinear patches.
     `contacts`: how bodies are separated.
     `body_weights`: of species with several bodies, the weight of each.
     `clips`: the clips of bodies, by name. Here and below, bodies have the keys of `scene.body_choice`.
-    `rooms`: the sizes of bodies from files, and of all bodies of species with several.
+    `body_capsules`: the sizes of bodies from files, and of all bodies of species with several.
     `legs`: the legs of bodies with gaits.
-    `unseen`: things that are not drawn, on which no foot stands.
+    `undrawn_things`: things that are not drawn, on which no foot stands.
     `imports`: by mesh, the import report of its file.
     `spans`: where the scene defines each thing of the world."""
 
     fps: Fraction = Fraction(24)
     substeps: int = 1
-    by_rays: bool = False
+    uses_rays: bool = False
     orient: str = "normal"
     contacts: ContactMode = "off"
     up: PointMm = (0.0, 1.0, 0.0)
@@ -325,17 +325,17 @@ class WorldSetting:
     maps: Mapping[str, PaintedValues] = field(default_factory=dict)
     crowds: tuple[CrowdData, ...] = ()
     params: Mapping[str, float] = field(default_factory=dict)
-    field_start: Mapping[str, FieldStart] = field(default_factory=dict)
+    field_start: Mapping[str, FieldStartData] = field(default_factory=dict)
     solids: Mapping[str, SolidData] = field(default_factory=dict)
-    moves: GeometryMoves = field(default_factory=GeometryMoves)
+    motion: GeometryMoves = field(default_factory=GeometryMoves)
     camera: CameraData | None = None
-    detail: DetailData | None = None
+    level_of_detail: DetailData | None = None
     deviations: Mapping[str, float] = field(default_factory=dict)
     body_weights: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     clips: Mapping[str, Mapping[str, ClipData]] = field(default_factory=dict)
-    rooms: Mapping[str, RoomData] = field(default_factory=dict)
+    body_capsules: Mapping[str, BodyCapsuleData] = field(default_factory=dict)
     legs: Mapping[str, LegsData] = field(default_factory=dict)
-    unseen: frozenset[str] = frozenset()
+    undrawn_things: frozenset[str] = frozenset()
     imports: Mapping[str, MeshImport] = field(default_factory=dict)
     spans: Mapping[str, Span] = field(default_factory=dict)
 
@@ -353,7 +353,7 @@ class WorldSetting:
         return attributes
 
 
-def world_origin(setting: WorldSetting) -> NDArray[np.float64]:
+def compute_world_origin(setting: WorldSetting) -> NDArray[np.float64]:
     """Return the point (3,) in mm that positions are relative to.
 
     It is the middle of the world in whole metres, or 0 if the world is near the zero point."""

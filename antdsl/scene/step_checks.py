@@ -7,7 +7,7 @@ from math import ceil
 from antdsl import limits
 from antdsl.diagnostics import Label, Report
 from antdsl.program.model import AttributeDecl, Constant, Expr, OperationExpr, ParamRef, Program
-from antdsl.scene.library_bodies import BODY_WORDS, CAPSULE_BY_BODY, body_for_species
+from antdsl.scene.library_bodies import BODY_WORDS, CAPSULE_BY_BODY, find_body_for_species
 from antdsl.scene.load import Scene
 
 
@@ -24,7 +24,7 @@ def check_step_lengths(scene: Scene, program: Program, report: Report) -> None:
             continue
         seen.add(line.species)
         attributes = {each.name: each for each in program.species[line.species].attributes}
-        body = line.body or body_for_species(line.species)
+        body = line.body or find_body_for_species(line.species)
         speed, size = (_typical_value(attributes.get(name), scene, program) for name in ("max_speed", "size"))
         if body not in BODY_WORDS or not speed or not size or min(speed, size) <= 0:
             continue
@@ -65,4 +65,4 @@ def _constant_value(part: Expr | None, scene: Scene, program: Program) -> float 
         part = program.params[part.name].default
     if not isinstance(part, Constant):
         return None
-    return float(part.number * scene.model.unit_mm**part.u * float(1 / scene.model.fps) ** part.step)
+    return float(part.number * scene.model.unit_mm**part.unit_power * float(1 / scene.model.fps) ** part.step)

@@ -11,37 +11,37 @@ from antdsl.scene.values import (
     AnyQuantity,
     FilePath,
     Length,
-    Part,
     PlaceKeys,
     PointValue,
     PositiveLength,
     PositiveTime,
     SceneName,
+    ScenePart,
     SceneWord,
-    integer,
-    number,
-    one_of,
+    parse_integer_between,
+    parse_number_between,
+    parse_one_of,
 )
 
 UNIT_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 
-Unit = Annotated[str, BeforeValidator(one_of(*UNIT_MM))]
-Axis = Annotated[str, BeforeValidator(one_of("y", "z"))]
-Purpose = Annotated[str, BeforeValidator(one_of("render", "proxy"))]
+Unit = Annotated[str, BeforeValidator(parse_one_of(*UNIT_MM))]
+Axis = Annotated[str, BeforeValidator(parse_one_of("y", "z"))]
+Purpose = Annotated[str, BeforeValidator(parse_one_of("render", "proxy"))]
 
 LOOKS = ("metal", "soil", "leaf", "light", "none")
-Look = Annotated[str, BeforeValidator(one_of(*LOOKS))]  # of things in pictures
+Look = Annotated[str, BeforeValidator(parse_one_of(*LOOKS))]  # of things in pictures
 
 
-class ThingModel(Part):
-    """One form of a thing of the world. Its first field is the `head`, the key that identifies the form.
+class ThingModel(ScenePart):
+    """One form of a thing of the world. Its first field is the `find_head`, the key that identifies the form.
 
     `names_file`: whether the value of the head is the path of the thing's own file."""
 
     names_file: ClassVar[bool] = False
 
     @classmethod
-    def head(cls) -> str:
+    def find_head(cls) -> str:
         """Return the key that identifies the form."""
         return next(iter(cls.__annotations__))
 
@@ -62,7 +62,7 @@ class MeshThing(ThingModel):
     up: Axis | None = None
     at: PointValue | None = None
     rotate: tuple[Angle, Angle, Angle] | None = None
-    scale: Annotated[float, BeforeValidator(number(-1e6, 1e6))] = 1.0
+    scale: Annotated[float, BeforeValidator(parse_number_between(-1e6, 1e6))] = 1.0
     voxel: PositiveLength | None = None
     weld: PositiveLength | None = None
     look: Look | None = None
@@ -94,14 +94,14 @@ class HeightThing(ThingModel):
     scale: Length
     offset: Length | None = None
     array: SceneName | None = None
-    layer: Annotated[int, BeforeValidator(integer(0, 100_000))] | None = None
+    layer: Annotated[int, BeforeValidator(parse_integer_between(0, 100_000))] | None = None
     at: PointValue | None = None
     rotate: tuple[Angle, Angle, Angle] | None = None
     keys: PlaceKeys = {}
     look: Look | None = None
 
 
-class UsdEach(Part):
+class UsdItemDefaults(ScenePart):
     """Defaults for items from points of a USD file: a radius, and values of attributes. They apply where the file has no
     value."""
 
@@ -128,12 +128,12 @@ class UsdThing(ThingModel):
     purpose: Purpose = "render"
     at: PointValue | None = None
     rotate: tuple[Angle, Angle, Angle] | None = None
-    scale: Annotated[float, BeforeValidator(number(-1e6, 1e6))] = 1.0
+    scale: Annotated[float, BeforeValidator(parse_number_between(-1e6, 1e6))] = 1.0
     voxel: PositiveLength | None = None
     weld: PositiveLength | None = None
     keys: PlaceKeys = {}
     look: Look | None = None
-    each: UsdEach = UsdEach()
+    each: UsdItemDefaults = UsdItemDefaults()
 
     @property
     def path(self) -> str:
@@ -157,8 +157,8 @@ class CurveThing(ThingModel):
     at: PointValue | None = None
 
 
-Strength = Annotated[float, BeforeValidator(number(-1, 1))]
-Falloff = Annotated[str, BeforeValidator(one_of("none", "linear", "smooth"))]
+Strength = Annotated[float, BeforeValidator(parse_number_between(-1, 1))]
+Falloff = Annotated[str, BeforeValidator(parse_one_of("none", "linear", "smooth"))]
 
 
 class FlowThing(ThingModel):
@@ -186,14 +186,14 @@ class TangentFlow(SpreadFlow):
         along it."""
 
     tangent: FilePath
-    gather: Annotated[float, BeforeValidator(number(0, 10))] = 0.0
+    gather: Annotated[float, BeforeValidator(parse_number_between(0, 10))] = 0.0
 
 
-def _target_tag(value: Any) -> str:
+def _find_target_tag(value: Any) -> str:
     return "point" if isinstance(value, list) else "named"
 
 
-Target = Annotated[Annotated[PointValue, Tag("point")] | Annotated[FilePath, Tag("named")], Discriminator(_target_tag)]
+Target = Annotated[Annotated[PointValue, Tag("point")] | Annotated[FilePath, Tag("named")], Discriminator(_find_target_tag)]
 
 
 class TowardFlow(SpreadFlow):
@@ -226,10 +226,10 @@ class SolvedFlow(FlowThing):
     `crowding`: times the share of the ground covered by agents, measured again at the interval `every`."""
 
     solved: Target
-    slope: Annotated[float, BeforeValidator(number(0, 1e6))] = 0.0
+    slope: Annotated[float, BeforeValidator(parse_number_between(0, 1e6))] = 0.0
     room: PositiveLength | None = None
-    maps: dict[SceneName, Annotated[float, BeforeValidator(number(-1e6, 1e6))]] = {}
-    crowding: Annotated[float, BeforeValidator(number(0, 1e6))] = 0.0
+    maps: dict[SceneName, Annotated[float, BeforeValidator(parse_number_between(-1e6, 1e6))]] = {}
+    crowding: Annotated[float, BeforeValidator(parse_number_between(0, 1e6))] = 0.0
     every: PositiveTime | None = None
     cell: PositiveLength | None = None
 
@@ -244,10 +244,10 @@ class PaintedThing(ThingModel):
     painted: FilePath
     attribute: SceneName | tuple[SceneName, ...] | None = None
     on: SceneName | None = None
-    strength: Annotated[float, BeforeValidator(number(-1e6, 1e6))] = 1.0
+    strength: Annotated[float, BeforeValidator(parse_number_between(-1e6, 1e6))] = 1.0
 
 
-class ItemThing(Part):
+class ItemThing(ScenePart):
     """One item: its position, its size, and the values of its attributes (any further key).
 
     `on`: a surface onto which the item is dropped along the scene's up."""
@@ -262,13 +262,13 @@ class ItemThing(Part):
     look: Look | None = None
 
 
-def angles(thing: PlacedThing) -> tuple[float, float, float]:
+def convert_rotation(thing: PlacedThing) -> tuple[float, float, float]:
     """Return the rotation of a thing about x, then y, then z, in radians."""
     x, y, z = (angle.number for angle in thing.rotate) if thing.rotate else (0.0, 0.0, 0.0)
     return x, y, z
 
 
-def millimetres(point: PointValue | None, unit_mm: float) -> tuple[float, float, float]:
+def convert_point(point: PointValue | None, unit_mm: float) -> tuple[float, float, float]:
     """Return a point of the scene in millimetres; the origin for None."""
-    x, y, z = (part.length(unit_mm) for part in point) if point else (0.0, 0.0, 0.0)
+    x, y, z = (part.to_millimetres(unit_mm) for part in point) if point else (0.0, 0.0, 0.0)
     return x, y, z

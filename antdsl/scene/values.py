@@ -15,7 +15,7 @@ from pydantic_core import PydanticCustomError
 
 from antdsl import limits
 from antdsl.program.model import Dimension
-from antdsl.program.tables.units import dimension_words, with_unit
+from antdsl.program.tables.units import describe_dimension, format_with_unit
 from antdsl.scene.quantities import Quantity, QuantityError, parse_integer_range, parse_number, parse_quantity
 
 _NAME_PATTERN = re.compile(r"[A-Za-z][A-Za-z0-9_]*", re.ASCII)
@@ -41,7 +41,7 @@ def make_error(message: str, help: str = "", **context: Any) -> PydanticCustomEr
     return PydanticCustomError("worded", "{words}", {"words": message, "help": help, **context})
 
 
-def _describe(value: Any) -> str:
+def _describe_value(value: Any) -> str:
     if isinstance(value, str):
         return f"`{value if len(value) <= 60 else value[:57] + '…'}`"
     return "a list" if isinstance(value, list) else "a mapping"
@@ -49,19 +49,19 @@ def _describe(value: Any) -> str:
 
 def _require_text(value: Any, expected: str) -> str:
     if not isinstance(value, str):
-        raise make_error(f"expected {expected} here, not {_describe(value)}")
+        raise make_error(f"expected {expected} here, not {_describe_value(value)}")
     if not value.strip():
         raise make_error(f"expected {expected} here, but nothing is given")
     return value.strip()
 
 
-def integer(low: int, high: int) -> Callable[[Any], int]:
+def parse_integer_between(low: int, high: int) -> Callable[[Any], int]:
     """Return a parser for an integer in decimal digits, from `low` to `high`."""
 
     def read(value: Any) -> int:
         text = _require_text(value, "a whole number")
         if not re.fullmatch(r"[+-]?[0-9]{1,20}", text, re.ASCII):
-            raise make_error(f"{_describe(text)} is not a whole number", f"write digits only, {low} to {high}")
+            raise make_error(f"{_describe_value(text)} is not a whole number", f"write digits only, {low} to {high}")
         if not low <= int(text) <= high:
             raise make_error(f"`{int(text)}` is not between {low} and {high}")
         return int(text)
@@ -75,18 +75,20 @@ def _parse_quantity_value(value: Any) -> Quantity:
         quantity = parse_quantity(text)
     except QuantityError as why:
         usual = "write a number and a unit of mm cm m u s min step rad deg turn mg g kg N uN %"
-        raise make_error(f"{_describe(text)} {why}", why.help or usual) from None
+        raise make_error(f"{_describe_value(text)} {why}", why.help or usual) from None
     return _limit_quantity(quantity, limits.MAX_SCENE_NUMBER)
 
 
 def _limit_quantity(quantity: Quantity, largest: float, unit: str = "") -> Quantity:
     """Return the quantity unchanged. Raises an error if it is larger than `largest`."""
     if abs(quantity.number) > largest:
-        raise make_error(f"{_describe(quantity.text)} is too large", f"write a number from {-largest:g} to {largest:g}{unit}")
+        raise make_error(
+            f"{_describe_value(quantity.text)} is too large", f"write a number from {-largest:g} to {largest:g}{unit}"
+        )
     return quantity
 
 
-def quantity_of(dim: Dimension) -> Callable[[Any], Quantity]:
+def parse_quantity_of(dim: Dimension) -> Callable[[Any], Quantity]:
     """Return a parser for quantities of one dimension. A bare number is in the scene's own unit (degrees for an angle)."""
 
     def read(value: Any) -> Quantity:
@@ -94,15 +96,15 @@ def quantity_of(dim: Dimension) -> Callable[[Any], Quantity]:
         if quantity.is_bare and dim == ANGLE_DIMENSION:
             quantity = parse_quantity(f"{quantity.text} deg")
         if quantity.dim != dim and not quantity.is_bare:
-            raise make_error(f"`{quantity.text}` is not {dimension_words(dim)}", f"write `{with_unit(50, dim)}`")
+            raise make_error(f"`{quantity.text}` is not {describe_dimension(dim)}", f"write `{format_with_unit(50, dim)}`")
         return _limit_quantity(quantity, LARGEST_BY_DIMENSION[dim], f" {BASE_UNIT_BY_DIMENSION[dim]}")
 
     return read
 
 
-def positive(dim: Dimension) -> Callable[[Any], Quantity]:
+def parse_positive_quantity(dim: Dimension) -> Callable[[Any], Quantity]:
     """Return a parser for quantities of one dimension that are above zero."""
-    inner = quantity_of(dim)
+    inner = parse_quantity_of(dim)
 
     def read(value: Any) -> Quantity:
         quantity = inner(value)
@@ -117,7 +119,7 @@ def positive(dim: Dimension) -> Callable[[Any], Quantity]:
     return read
 
 
-def number(low: float, high: float) -> Callable[[Any], float]:
+def parse_number_between(low: float, high: float) -> Callable[[Any], float]:
     """Return a parser for a plain decimal number from `low` to `high`."""
 
     def read(value: Any) -> float:
@@ -125,7 +127,7 @@ def number(low: float, high: float) -> Callable[[Any], float]:
         try:
             parsed_number = parse_number(text)
         except QuantityError as why:
-            raise make_error(f"{_describe(text)} {why}", why.help) from None
+            raise make_error(f"{_describe_value(text)} {why}", why.help) from None
         if not low <= parsed_number <= high:
             raise make_error(f"`{text}` is not between {low:g} and {high:g}")
         return parsed_number
@@ -136,21 +138,23 @@ def number(low: float, high: float) -> Callable[[Any], float]:
 def _check_name(value: Any) -> str:
     text = _require_text(value, "a name")
     if not _NAME_PATTERN.fullmatch(text) or len(text) > limits.MAX_NAME_CHARACTERS:
-        raise make_error(f"{_describe(text)} is not a name", "names have letters, digits and `_`, and begin with a letter")
+        raise make_error(f"{_describe_value(text)} is not a name", "names have letters, digits and `_`, and begin with a letter")
     return text
 
 
-def one_of(*words: str) -> Callable[[Any], str]:
+def parse_one_of(*words: str) -> Callable[[Any], str]:
     """Return a parser for one of `words`."""
 
     def read(value: Any) -> str:
-        from antdsl.diagnostics.suggestion import nearest_name
+        from antdsl.diagnostics.suggestion import find_nearest_name
 
         text = _require_text(value, "a word")
         if text not in words:
-            near = nearest_name(text, words)
+            near = find_nearest_name(text, words)
             listed = ", ".join(f"`{w}`" for w in words)
-            raise make_error(f"{_describe(text)} is none of {listed}", f"did you mean `{near}`?" if near else "write one of them")
+            raise make_error(
+                f"{_describe_value(text)} is none of {listed}", f"did you mean `{near}`?" if near else "write one of them"
+            )
         return text
 
     return read
@@ -159,11 +163,11 @@ def one_of(*words: str) -> Callable[[Any], str]:
 def _parse_fps(value: Any) -> Fraction:
     text = _require_text(value, "a number of frames a second")
     if not re.fullmatch(r"[0-9]{1,7}(\.[0-9]{1,6}|/[0-9]{1,7})?", text, re.ASCII) or text.endswith("/0"):
-        raise make_error(f"{_describe(text)} is not a number of frames a second", "write `24`, `23.976` or `24000/1001`")
+        raise make_error(f"{_describe_value(text)} is not a number of frames a second", "write `24`, `23.976` or `24000/1001`")
     try:
         rate = Fraction(text)
     except ZeroDivisionError:
-        raise make_error(f"{_describe(text)} divides by zero", "write `24000/1001`") from None
+        raise make_error(f"{_describe_value(text)} divides by zero", "write `24000/1001`") from None
     # what people write as 23.976 or 29.97 is a rate of the form N·1000/1001
     for nominal in (24, 30, 48, 60, 120):
         exact = Fraction(nominal * 1000, 1001)
@@ -207,17 +211,17 @@ def _parse_frame_range(value: Any) -> FrameRange:
         return parse_frames(text)
     except QuantityError as why:
         usual = "write the first and the last with two dots between: `1001..1240`"
-        raise make_error(f"{_describe(text)} {why}", why.help or usual) from None
+        raise make_error(f"{_describe_value(text)} {why}", why.help or usual) from None
 
 
 def _check_path(value: Any) -> str:
     text = _require_text(value, "the path of a file")
     if text != value:
-        raise make_error(f"the path {_describe(value)} begins or ends with a blank", f"write `{text}`")
+        raise make_error(f"the path {_describe_value(value)} begins or ends with a blank", f"write `{text}`")
     return text
 
 
-def word_or_file(*words: str) -> Callable[[Any], str]:
+def parse_word_or_file(*words: str) -> Callable[[Any], str]:
     """Return a parser for one of `words`, or for the path of a file, which has a dot or a slash."""
 
     def read(value: Any) -> str:
@@ -225,11 +229,11 @@ def word_or_file(*words: str) -> Callable[[Any], str]:
         if "." in text or "/" in text:
             return _check_path(value)
         if text not in words:
-            from antdsl.diagnostics.suggestion import nearest_name
+            from antdsl.diagnostics.suggestion import find_nearest_name
 
-            near, listed = nearest_name(text, words), ", ".join(f"`{each}`" for each in words)
+            near, listed = find_nearest_name(text, words), ", ".join(f"`{each}`" for each in words)
             help = f"did you mean `{near}`?" if near else f"write one of them, or a file such as `{text[:40]}.glb`"
-            raise make_error(f"{_describe(text)} is none of {listed}, and no file", help)
+            raise make_error(f"{_describe_value(text)} is none of {listed}, and no file", help)
         return text
 
     return read
@@ -238,7 +242,7 @@ def word_or_file(*words: str) -> Callable[[Any], str]:
 def _check_word(value: Any) -> str:
     text = _require_text(value, "a word")
     if len(text) > _MAX_WORD_CHARACTERS:
-        raise make_error(f"{_describe(text)} is too long")
+        raise make_error(f"{_describe_value(text)} is too long")
     return text
 
 
@@ -246,18 +250,18 @@ SceneWord = Annotated[str, BeforeValidator(_check_word)]
 SceneName = Annotated[str, BeforeValidator(_check_name)]
 FilePath = Annotated[str, BeforeValidator(_check_path)]
 AnyQuantity = Annotated[Quantity, BeforeValidator(_parse_quantity_value)]
-Length = Annotated[Quantity, BeforeValidator(quantity_of(LENGTH_DIMENSION))]
+Length = Annotated[Quantity, BeforeValidator(parse_quantity_of(LENGTH_DIMENSION))]
 
 
-def word_or(word: str, other: Callable[[Any], Quantity]) -> Callable[[Any], Quantity | str]:
+def parse_word_or_quantity(word: str, parse_other: Callable[[Any], Quantity]) -> Callable[[Any], Quantity | str]:
     """Return a parser for `word`, or for a quantity."""
-    return lambda value: word if str(value) == word else other(value)
+    return lambda value: word if str(value) == word else parse_other(value)
 
 
-PositiveLength = Annotated[Quantity, BeforeValidator(positive(LENGTH_DIMENSION))]
-PositiveSpeed = Annotated[Quantity, BeforeValidator(positive(SPEED_DIMENSION))]
-PositiveTime = Annotated[Quantity, BeforeValidator(positive(TIME_DIMENSION))]
-Angle = Annotated[Quantity, BeforeValidator(quantity_of(ANGLE_DIMENSION))]
+PositiveLength = Annotated[Quantity, BeforeValidator(parse_positive_quantity(LENGTH_DIMENSION))]
+PositiveSpeed = Annotated[Quantity, BeforeValidator(parse_positive_quantity(SPEED_DIMENSION))]
+PositiveTime = Annotated[Quantity, BeforeValidator(parse_positive_quantity(TIME_DIMENSION))]
+Angle = Annotated[Quantity, BeforeValidator(parse_quantity_of(ANGLE_DIMENSION))]
 FramesPerSecond = Annotated[Fraction, BeforeValidator(_parse_fps)]
 FrameRangeValue = Annotated[FrameRange, BeforeValidator(_parse_frame_range)]
 
@@ -265,7 +269,7 @@ FrameRangeValue = Annotated[FrameRange, BeforeValidator(_parse_frame_range)]
 PointValue = tuple[Length, Length, Length]
 
 
-class Part(BaseModel):
+class ScenePart(BaseModel):
     """A mapping of a scene. Unknown keys are errors."""
 
     model_config = ConfigDict(
@@ -273,7 +277,7 @@ class Part(BaseModel):
     )
 
 
-class PlaceKey(Part):
+class PositionKey(ScenePart):
     """The position of a thing at one frame. It changes linearly between keys, and is constant before the first and after the
     last."""
 
@@ -281,11 +285,13 @@ class PlaceKey(Part):
     rotate: tuple[Angle, Angle, Angle] | None = None
 
 
-PlaceKeys = dict[Annotated[int, BeforeValidator(integer(-limits.MAX_FRAMES, limits.MAX_FRAMES * 1000))], PlaceKey]
+PlaceKeys = dict[
+    Annotated[int, BeforeValidator(parse_integer_between(-limits.MAX_FRAMES, limits.MAX_FRAMES * 1000))], PositionKey
+]
 
 
-def _place_tag(value: Any) -> str:
+def _find_place_tag(value: Any) -> str:
     return "point" if isinstance(value, list) else "named"
 
 
-PointOrName = Annotated[Annotated[PointValue, Tag("point")] | Annotated[SceneName, Tag("named")], Discriminator(_place_tag)]
+PointOrName = Annotated[Annotated[PointValue, Tag("point")] | Annotated[SceneName, Tag("named")], Discriminator(_find_place_tag)]

@@ -13,32 +13,32 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.machine_code.kernels import independent, inlined, kernel, load_consecutive, nearest_integer
+from antdsl.machine_code.kernels import inlined, kernel, load_consecutive, round_to_int, simd_range
 from antdsl.machine_code.kernels.types import BOOL, F32, F64, I32, I64, Array1, Array2
-from antdsl.machine_code.kinds import LANE_COUNT
+from antdsl.machine_code.number_kinds import LANE_COUNT
 from antdsl.numerics import parallel
-from antdsl.numerics.host import cores
-from antdsl.numerics.sorting import lower_bound, stable_order
+from antdsl.numerics.host import count_available_cores
+from antdsl.numerics.sorting import find_lower_bound, sort_stably
 
 Floats = NDArray[np.float32]
 Positions = tuple[Floats, Floats, Floats]
 Columns = tuple[Array1[F32], Array1[F32], Array1[F32]]
 AnyColumns = tuple[Array1[Any], Array1[Any], Array1[Any]]
-Four = tuple[Array1[F32], Array1[F32], Array1[F32], Array1[F32]]
-Three = tuple[F64, F64, F64]
+FourColumns = tuple[Array1[F32], Array1[F32], Array1[F32], Array1[F32]]
+FloatTriple = tuple[F64, F64, F64]
 Sizes = tuple[I64, I64, I64]
 
 _MAX_CELLS_ALONG = 1 << 19  # three packed coordinates stay below 2**62
 _AGENTS_PER_COLUMN = 6
 _LAYERS_PER_COLUMN = 2
-_CHUNKED = 8_192  # number of agents from which several threads are worthwhile
-SHARES = 16  # parts of a chunk; a thread processes at least one chunk
-SPARE = 3  # additional entries in a table of cells
+_MIN_CHUNKED_AGENTS = 8_192  # number of agents from which several threads are worthwhile
+SHARES_PER_CHUNK = 16  # parts of a chunk; a thread processes at least one chunk
+SPARE_TABLE_ENTRIES = 3  # additional entries in a table of cells
 NO_ORDER = np.empty(0, np.int64)
 
 
 @dataclass(frozen=True, slots=True)
-class Shape:
+class GridShape:
     """The cells of a box. Lists are in the order of the fast, middle and slow axis: the longest, the second and the shortest.
 
     `axes`: the three axes. `low`: the low corner (mm). `extent`: the size of the box (mm).
@@ -51,7 +51,7 @@ class Shape:
     size: list[int]
 
     @classmethod
-    def of(cls, low: list[float], high: list[float], cell: float) -> Shape:
+    def of(cls, low: list[float], high: list[float], cell: float) -> GridShape:
         """Return the cells of the box between two corners (mm), for queries with radius `cell` (mm)."""
         x, y, z = high[0] - low[0], high[1] - low[1], high[2] - low[2]
         axes: tuple[int, ...] = (0, 1, 2)
@@ -72,7 +72,7 @@ class Shape:
         return self.size[0] * self.size[1] * self.size[2]
 
     @property
-    def inverse(self) -> tuple[float, float, float]:
+    def cells_per_mm(self) -> tuple[float, float, float]:
         """Return the number of cells per millimetre along the three axes."""
         a, b, c = self.width
         return 1 / a, 1 / b, 1 / c
@@ -81,11 +81,11 @@ class Shape:
         """Return whether the number of cells is small enough for a table of all cells, given the number of agents."""
         return self.cell_count <= max(1 << 16, 16 * agents)
 
-    def as_sheet(self) -> Shape:
+    def to_sheet(self) -> GridShape:
         """Return the shape with a single layer of cells along the shortest axis."""
-        return Shape(self.axes, self.low, self.extent, [*self.width[:2], 2 * self.extent[2]], [*self.size[:2], 1])
+        return GridShape(self.axes, self.low, self.extent, [*self.width[:2], 2 * self.extent[2]], [*self.size[:2], 1])
 
-    def is_sheet(self, positions: Positions) -> bool:
+    def can_be_sheet(self, positions: Positions) -> bool:
         """Return whether a crowd at these positions (float32[n] mm) needs no separate cells along the shortest axis.
 
         This holds if few agents, or few layers of cells, lie above each other, as on ground. In a widely scattered crowd,
@@ -93,7 +93,9 @@ class Shape:
         if not self.extent[2] > 0:
             return False  # one layer of cells already
         occupied = np.zeros((2, max(1 << 16, 64 * len(positions[0]))), np.bool_)
-        return bool(_is_sheet(reorder_axes(self.axes, positions), tuple(self.low), self.inverse, tuple(self.size), occupied))
+        return bool(
+            _can_be_sheet(reorder_axes(self.axes, positions), tuple(self.low), self.cells_per_mm, tuple(self.size), occupied)
+        )
 
 
 def reorder_axes(axes: tuple[int, ...], positions: tuple[Any, ...]) -> tuple[Any, ...]:
@@ -102,7 +104,7 @@ def reorder_axes(axes: tuple[int, ...], positions: tuple[Any, ...]) -> tuple[Any
     return positions[a], positions[b], positions[c]
 
 
-def box_around(positions: Positions) -> tuple[list[float], list[float]]:
+def find_bounding_box(positions: Positions) -> tuple[list[float], list[float]]:
     """Return the corners of the bounding box of all finite positions (float32[n] mm); zeros if there are none."""
     ends = np.empty((2, 3))
     _fill_box(*positions, np.empty((6, LANE_COUNT), np.float32), ends)
@@ -115,7 +117,7 @@ class CellOrder:
     cell.
 
     `columns`: x, y and z float32 in that order, with eight spare values at the end.
-    `fours`: x, y, z and row of each agent, contiguous.
+    `packed_positions`: x, y, z and row of each agent, contiguous.
     `rows` int32: the row of each agent in the order.
     `at` int32[n + 8]: the position of each row in the order.
     `starts` int32: the first agent of each cell, then the number of agents; empty if there are too many cells for a table.
@@ -127,53 +129,61 @@ class CellOrder:
 
     def __init__(self, count: int, threads: int) -> None:
         self.count, self.threads = count, threads
-        self._chunks = max(1, min(threads, cores())) if count >= _CHUNKED else 1
-        self._places, self.at = np.zeros((count + LANE_COUNT, 4), np.float32), np.zeros(count + LANE_COUNT, np.int32)
+        self._chunks = max(1, min(threads, count_available_cores())) if count >= _MIN_CHUNKED_AGENTS else 1
+        self._packed_rows, self.at = np.zeros((count + LANE_COUNT, 4), np.float32), np.zeros(count + LANE_COUNT, np.int32)
         self.columns = tuple(np.zeros((3, count + LANE_COUNT), np.float32))
-        self._floats, self._whole = np.zeros(9), np.zeros(7, np.int64)
+        self._shape_floats, self._shape_integers = np.zeros(9), np.zeros(7, np.int64)
         self._keys, self._table = np.empty(count, np.int64), np.empty((self._chunks, 0), np.int32)
         self._counts, self.keys, self.starts = self._table, NO_ORDER, np.empty(0, np.int32)
-        self.shape: Shape | None = None
-        self._cells: tuple[Any, ...] = ()
-        self.fours = self._places.reshape(-1)
-        self._put = (self.fours, self.fours.view(np.int32), self.at)
-        self.tables: dict[str, NDArray[Any] | None] = {"places": self._places, "at": self.at, "keys": self.keys, "starts": None}
-        self.tables |= dict(zip("xyz", self.columns, strict=True)) | {"floats": self._floats, "whole": self._whole}
+        self.shape: GridShape | None = None
+        self._cell_numbering: tuple[Any, ...] = ()
+        self.packed_positions = self._packed_rows.reshape(-1)
+        self._store_targets = (self.packed_positions, self.packed_positions.view(np.int32), self.at)
+        self.tables: dict[str, NDArray[Any] | None] = {
+            "places": self._packed_rows,
+            "at": self.at,
+            "keys": self.keys,
+            "starts": None,
+        }
+        self.tables |= dict(zip("xyz", self.columns, strict=True)) | {"floats": self._shape_floats, "whole": self._shape_integers}
 
     @property
     def rows(self) -> NDArray[np.int32]:
         """Return the row of each agent, in the order of cells."""
-        return self._places.view(np.int32)[: self.count, 3]
+        return self._packed_rows.view(np.int32)[: self.count, 3]
 
-    def sort(self, shape: Shape, positions: Positions, order: NDArray[np.int64] = NO_ORDER) -> None:
+    def sort(self, shape: GridShape, positions: Positions, order: NDArray[np.int64] = NO_ORDER) -> None:
         """Sort agents at positions (float32[n] mm) into cells. Within a cell, they are in row order, or in the given `order`
         of all agents."""
         if shape is not self.shape:
             self._set_shape(shape)
         counts, keys = self._counts, self._keys
         run_in_chunks(
-            partial(_count_cells, reorder_axes(shape.axes, positions), *self._cells, order, keys, counts),
+            partial(_count_cells, reorder_axes(shape.axes, positions), *self._cell_numbering, order, keys, counts),
             self._chunks,
             self.threads,
         )
         if counts.size:
             accumulate_counts(counts, shape.cell_count)
         else:
-            by_cell = stable_order(keys)
+            by_cell = sort_stably(keys)
             order = order.take(by_cell) if order.size else by_cell
             self.keys = keys.take(by_cell)
             self.tables = {**self.tables, "keys": self.keys}
-        run_in_chunks(partial(_store_agents, positions, order, keys, counts, *self._put), self._chunks, self.threads)
-        parallel.in_parts(
-            partial(_store_columns, self.fours, *self.columns), self.count, self.threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD
+        run_in_chunks(partial(_store_agents, positions, order, keys, counts, *self._store_targets), self._chunks, self.threads)
+        parallel.run_in_parts(
+            partial(_store_columns, self.packed_positions, *self.columns),
+            self.count,
+            self.threads,
+            parallel.MIN_LIGHT_ITEMS_PER_THREAD,
         )
 
-    def _set_shape(self, shape: Shape) -> None:
+    def _set_shape(self, shape: GridShape) -> None:
         """Store the cell counts of a shape, and allocate a table of the cells."""
-        self.shape, self._cells = shape, (tuple(shape.low), shape.inverse, tuple(shape.size), 0)
-        self._floats[:] = *shape.low, *shape.width, *shape.inverse
-        self._whole[:] = *shape.axes, *shape.size, self.count
-        listed, needed = shape.has_cell_table(self.count), shape.cell_count + SPARE
+        self.shape, self._cell_numbering = shape, (tuple(shape.low), shape.cells_per_mm, tuple(shape.size), 0)
+        self._shape_floats[:] = *shape.low, *shape.width, *shape.cells_per_mm
+        self._shape_integers[:] = *shape.axes, *shape.size, self.count
+        listed, needed = shape.has_cell_table(self.count), shape.cell_count + SPARE_TABLE_ENTRIES
         if listed and self._table.shape[1] < needed:
             self._table = np.empty((self._chunks, needed + (needed >> 3)), np.int32)
         self._counts = self._table if listed else self._table[:, :0]
@@ -185,16 +195,16 @@ def run_in_chunks(work: partial[Any], chunks: int, threads: int) -> None:
     """Call a kernel for a number of chunks, in threads. A thread takes at least one chunk.
 
     The last two arguments of the kernel are its range, in sixteenths of a chunk."""
-    parallel.in_parts(work, SHARES * chunks, threads, SHARES)
+    parallel.run_in_parts(work, SHARES_PER_CHUNK * chunks, threads, SHARES_PER_CHUNK)
 
 
 @kernel
-def _fill_box(x: Array1[F32], y: Array1[F32], z: Array1[F32], lanes: Array2[F32], ends: Array2[F64]) -> None:
-    """Write the least and the greatest x, y and z of all finite positions to `ends` (2, 3); 0 if there are none.
+def _fill_box(x: Array1[F32], y: Array1[F32], z: Array1[F32], lanes: Array2[F32], corners: Array2[F64]) -> None:
+    """Write the least and the greatest x, y and z of all finite positions to `corners` (2, 3); 0 if there are none.
 
     `lanes` (6, 8): a buffer for the extremes of each lane."""
     even = x.size & -8
-    for lane in independent(0, 8):
+    for lane in simd_range(0, 8):
         low_x, low_y, low_z = np.float32(np.inf), np.float32(np.inf), np.float32(np.inf)
         high_x, high_y, high_z = np.float32(-np.inf), np.float32(-np.inf), np.float32(-np.inf)
         for first in range(0, even, 8):
@@ -212,23 +222,23 @@ def _fill_box(x: Array1[F32], y: Array1[F32], z: Array1[F32], lanes: Array2[F32]
             place = x[k] if axis == 0 else (y[k] if axis == 1 else z[k])
             good = np.isfinite(x[k]) & np.isfinite(y[k]) & np.isfinite(z[k])
             low, high = _minimum(low, place, good), _maximum(high, place, good)
-        ends[0, axis], ends[1, axis] = (np.float64(low), np.float64(high)) if low <= high else (0.0, 0.0)
+        corners[0, axis], corners[1, axis] = (np.float64(low), np.float64(high)) if low <= high else (0.0, 0.0)
 
 
 @inlined
-def _minimum(low: F32, place: F32, good: BOOL) -> F32:
-    """Return the lesser of two numbers if `good`, else `low`."""
-    return place if good & (place < low) else low
+def _minimum(low: F32, place: F32, is_valid: BOOL) -> F32:
+    """Return the lesser of two numbers if `is_valid`, else `low`."""
+    return place if is_valid & (place < low) else low
 
 
 @inlined
-def _maximum(high: F32, place: F32, good: BOOL) -> F32:
-    """Return the greater of two numbers if `good`, else `high`."""
-    return place if good & (place > high) else high
+def _maximum(high: F32, place: F32, is_valid: BOOL) -> F32:
+    """Return the greater of two numbers if `is_valid`, else `high`."""
+    return place if is_valid & (place > high) else high
 
 
 @kernel
-def _is_sheet(along: Columns, low: Three, inverse: Three, size: Sizes, occupied: Array2[BOOL]) -> BOOL:
+def _can_be_sheet(along: Columns, low: FloatTriple, inverse: FloatTriple, size: Sizes, occupied: Array2[BOOL]) -> BOOL:
     """Return whether the columns of cells contain few agents or few layers.
 
     `occupied` (2, k): buffers that mark the columns and the cells with agents."""
@@ -238,10 +248,10 @@ def _is_sheet(along: Columns, low: Three, inverse: Three, size: Sizes, occupied:
         if not (np.isfinite(a) and np.isfinite(b) and np.isfinite(c)):
             continue
         agents += 1
-        column = nearest_integer(_cell_index(b, low[1], inverse[1], size[1])) * ((size[0] >> 2) + 1) + (
-            nearest_integer(_cell_index(a, low[0], inverse[0], size[0])) >> 2
+        column = round_to_int(_compute_cell_index(b, low[1], inverse[1], size[1])) * ((size[0] >> 2) + 1) + (
+            round_to_int(_compute_cell_index(a, low[0], inverse[0], size[0])) >> 2
         )
-        cell = column * size[2] + nearest_integer(_cell_index(c, low[2], inverse[2], size[2]))
+        cell = column * size[2] + round_to_int(_compute_cell_index(c, low[2], inverse[2], size[2]))
         column, cell = column % occupied.shape[1], cell % occupied.shape[1]
         columns += not occupied[0, column]
         cells += not occupied[1, cell]
@@ -250,23 +260,25 @@ def _is_sheet(along: Columns, low: Three, inverse: Three, size: Sizes, occupied:
 
 
 @inlined
-def _cell_index(place: Any, low: F64, inverse: F64, size: I64) -> F64:
+def _compute_cell_index(place: Any, low: F64, inverse: F64, size: I64) -> F64:
     """Return the index of the cell at a coordinate along an axis, as float64."""
     return np.floor(min(max((np.float64(place) - low) * inverse, 0.0), np.float64(size - 1)))
 
 
 @inlined
-def cell_number(along: AnyColumns, row: I64, low: Three, inverse: Three, size: Sizes) -> I64:
+def compute_cell_number(along: AnyColumns, row: I64, low: FloatTriple, inverse: FloatTriple, size: Sizes) -> I64:
     """Return the index of an agent's cell. Agents without a finite position get the index after the last cell."""
     fast, middle, slow = along[0][row], along[1][row], along[2][row]
-    line = _cell_index(slow, low[2], inverse[2], size[2]) * np.float64(size[1]) + _cell_index(middle, low[1], inverse[1], size[1])
-    key = nearest_integer(line) * size[0] + nearest_integer(_cell_index(fast, low[0], inverse[0], size[0]))
+    line = _compute_cell_index(slow, low[2], inverse[2], size[2]) * np.float64(size[1]) + _compute_cell_index(
+        middle, low[1], inverse[1], size[1]
+    )
+    key = round_to_int(line) * size[0] + round_to_int(_compute_cell_index(fast, low[0], inverse[0], size[0]))
     good = np.isfinite(fast) & np.isfinite(middle) & np.isfinite(slow)
     return key if good else size[0] * size[1] * size[2]
 
 
 @inlined
-def _chunk_range(chunk: I64, chunks: I64, count: I64) -> tuple[I64, I64]:
+def _compute_chunk_range(chunk: I64, chunks: I64, count: I64) -> tuple[I64, I64]:
     """Return where a chunk of `count` agents begins and ends."""
     length = -(-count // (8 * chunks)) * 8
     return min(chunk * length, count), min((chunk + 1) * length, count)
@@ -274,24 +286,24 @@ def _chunk_range(chunk: I64, chunks: I64, count: I64) -> tuple[I64, I64]:
 
 @inlined
 def count_cells(
-    along: AnyColumns, low: Three, inverse: Three, size: Sizes, shift: I64, order: Array1[I64], keys: Array1[I64],
+    along: AnyColumns, low: FloatTriple, inverse: FloatTriple, size: Sizes, shift: I64, order: Array1[I64], keys: Array1[I64],
     counts: Array2[I32], begin: I64, end: I64,
 ) -> I64:  # fmt: skip
-    """Store the cell of each agent, `cell_number` plus `shift`, and count the agents of each cell at index cell + 2.
+    """Store the cell of each agent, `compute_cell_number` plus `shift`, and count the agents of each cell at index cell + 2.
 
     `order`: rows of the agents, empty for all rows.
     Returns how many ordered pairs of agents in the same chunk share a cell. Each agent also counts as a pair with itself."""
     mates = 0
-    for chunk in range(begin // SHARES, end // SHARES):
-        first, last = _chunk_range(chunk, counts.shape[0], keys.size)
+    for chunk in range(begin // SHARES_PER_CHUNK, end // SHARES_PER_CHUNK):
+        first, last = _compute_chunk_range(chunk, counts.shape[0], keys.size)
         if order.size > 0:
-            for k in independent(first, last):
-                keys[k] = cell_number(along, order[k], low, inverse, size) + shift
+            for k in simd_range(first, last):
+                keys[k] = compute_cell_number(along, order[k], low, inverse, size) + shift
         else:
-            for k in independent(first, last):
-                keys[k] = cell_number(along, k, low, inverse, size) + shift
+            for k in simd_range(first, last):
+                keys[k] = compute_cell_number(along, k, low, inverse, size) + shift
         if counts.shape[1] > 0:
-            for k in range(size[0] * size[1] * size[2] + SPARE):
+            for k in range(size[0] * size[1] * size[2] + SPARE_TABLE_ENTRIES):
                 counts[chunk, k] = 0
             for k in range(first, last):
                 count = counts[chunk, keys[k] + 2]
@@ -302,7 +314,7 @@ def count_cells(
 
 @kernel
 def _count_cells(
-    along: Columns, low: Three, inverse: Three, size: Sizes, shift: I64, order: Array1[I64], keys: Array1[I64],
+    along: Columns, low: FloatTriple, inverse: FloatTriple, size: Sizes, shift: I64, order: Array1[I64], keys: Array1[I64],
     counts: Array2[I32], begin: I64, end: I64,
 ) -> None:  # fmt: skip
     """Store and count cells as `count_cells` does, without a result."""
@@ -329,7 +341,7 @@ def accumulate_counts(counts: Array2[I32], cells: I64) -> None:
 
 
 @inlined
-def position_of(counts: Array2[I32], chunk: I64, k: I64, key: I64) -> I64:
+def take_next_position(counts: Array2[I32], chunk: I64, k: I64, key: I64) -> I64:
     """Return the position of the next agent of a cell. Without a cell table, agents are already in order."""
     position = k
     if counts.shape[1] > 0:
@@ -341,41 +353,41 @@ def position_of(counts: Array2[I32], chunk: I64, k: I64, key: I64) -> I64:
 @kernel
 def _store_agents(
     positions: Columns, order: Array1[I64], keys: Array1[I64], counts: Array2[I32], ordered: Array1[F32], rows: Array1[I32],
-    at: Array1[I32], begin: I64, end: I64,
+    position_by_row: Array1[I32], begin: I64, end: I64,
 ) -> None:  # fmt: skip
     """Write x, y, z and row of each agent at its position. `ordered` and `rows` are views of one array, with four entries per
     agent."""
-    for chunk in range(begin // SHARES, end // SHARES):
-        first, last = _chunk_range(chunk, counts.shape[0], keys.size)
+    for chunk in range(begin // SHARES_PER_CHUNK, end // SHARES_PER_CHUNK):
+        first, last = _compute_chunk_range(chunk, counts.shape[0], keys.size)
         for k in range(first, last):
             row = order[k] if order.size > 0 else k
-            position = position_of(counts, chunk, k, keys[k])
+            position = take_next_position(counts, chunk, k, keys[k])
             ordered[4 * position], ordered[4 * position + 1] = positions[0][row], positions[1][row]
             ordered[4 * position + 2], rows[4 * position + 3] = positions[2][row], row
-            at[row] = position
+            position_by_row[row] = position
 
 
 @kernel
 def _store_columns(ordered: Array1[F32], x: Array1[F32], y: Array1[F32], z: Array1[F32], begin: I64, end: I64) -> None:
     """Write the positions of agents, in the order of the cells, to one array per axis."""
-    for n in independent(begin, end):
+    for n in simd_range(begin, end):
         x[n], y[n], z[n], _ = load_consecutive(ordered, 4 * n, 4)
 
 
 @kernel
-def store_registers(at: Array1[I32], registers: Four, ordered: Array1[F32], begin: I64, end: I64) -> None:
+def store_registers(position_by_row: Array1[I32], registers: FourColumns, ordered: Array1[F32], begin: I64, end: I64) -> None:
     """Write four registers of each agent at its position, four contiguous entries per agent."""
     for row in range(begin, end):
-        first = 4 * at[row]
+        first = 4 * position_by_row[row]
         ordered[first], ordered[first + 1] = registers[0][row], registers[1][row]
         ordered[first + 2], ordered[first + 3] = registers[2][row], registers[3][row]
 
 
 @inlined
-def agents_before(starts: Array1[I32], keys: Array1[I64], key: I64) -> I64:
+def count_agents_before(starts: Array1[I32], keys: Array1[I64], key: I64) -> I64:
     """Return how many sorted agents are in cells before `key`. Without a cell table, bisect the agents' cells."""
     if starts.size > 0:
         count = starts[key]
     else:
-        count = lower_bound(keys, key, 0, keys.size)
+        count = find_lower_bound(keys, key, 0, keys.size)
     return count

@@ -20,25 +20,37 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.machine_code.kernels import BOOL, F32, F64, I64, Array1, Array2, called, independent, inlined, kernel, scratch
+from antdsl.machine_code.kernels import (
+    BOOL,
+    F32,
+    F64,
+    I64,
+    Array1,
+    Array2,
+    allocate_scratch,
+    inlined,
+    kernel,
+    kernel_helper,
+    simd_range,
+)
 from antdsl.numerics import elementary
 from antdsl.numerics.kernel_vectors import dot, finite_vector
 from antdsl.senses import nearest_others as others
-from antdsl.senses.nearest_others import SIZE, Crowd, Other, Requesters, SearchMemory
+from antdsl.senses.nearest_others import SEARCH_CAPACITY, CrowdTables, RelativeAgent, Requesters, SearchMemory
 
-_TURN = 2 * np.pi
-_ALIKE = 1e-4  # rad: gaps that differ by less are equally wide
+_FULL_TURN = 2 * np.pi
+_EQUAL_GAP_TOLERANCE = 1e-4  # rad: gaps that differ by less are equally wide
 Floats = NDArray[np.float64]
 Column = Array1[F64]
-Lines = tuple[Column, Column, Column, Column, Array1[I64]]  # px, py, dx, dy of borders, and 1 for a valid border
+BorderColumns = tuple[Column, Column, Column, Column, Array1[I64]]  # px, py, dx, dy of borders, and 1 for a valid border
 
-_PARALLEL = 1e-9  # sine of the angle between two borders below which they count as parallel
-_LEAST = 1e-30
-_LONGEST = 1e6  # s, upper limit of a horizon
-_FASTEST = 1e9  # mm/s, upper limit of speeds
+_MAX_PARALLEL_SINE = 1e-9  # sine of the angle between two borders below which they count as parallel
+_MIN_LENGTH = 1e-30
+_MAX_HORIZON_SECONDS = 1e6  # s, upper limit of a horizon
+_MAX_SPEED = 1e9  # mm/s, upper limit of speeds
 
 
-class Wishes(NamedTuple):
+class VelocityWishes(NamedTuple):
     """The wishes of the requesting agents.
 
     `velocity`: the requested velocity in space (mm/s).
@@ -52,35 +64,55 @@ class Wishes(NamedTuple):
 
 @kernel
 def fill_clear_velocities(
-    crowd: Crowd, requesters: Requesters, wishes: Wishes, dt: F64, velocities: Array2[F32], begin: I64, end: I64
+    crowd: CrowdTables, requesters: Requesters, wishes: VelocityWishes, dt: F64, velocities: Array2[F32], begin: I64, end: I64
 ) -> None:
     """Write velocities in space (3, n; mm/s) for requesters from the `begin`-th to before the `end`-th.
 
     Each is along the ground, no faster than `max_speed`, and the nearest to the wish that avoids all hits within the horizon.
     This requires that the others do their half. Agents that overlap separate within `dt` s."""
-    memory = SearchMemory(scratch(SIZE, I64), scratch(SIZE, I64), scratch(SIZE, I64), scratch(SIZE, I64), scratch(SIZE, I64))
-    borders = (scratch(SIZE, F64), scratch(SIZE, F64), scratch(SIZE, F64), scratch(SIZE, F64), scratch(SIZE, I64))
-    between = (scratch(SIZE, F64), scratch(SIZE, F64), scratch(SIZE, F64), scratch(SIZE, F64), scratch(SIZE, I64))
-    others.clear_memory(memory)
+    memory = SearchMemory(
+        allocate_scratch(SEARCH_CAPACITY, I64),
+        allocate_scratch(SEARCH_CAPACITY, I64),
+        allocate_scratch(SEARCH_CAPACITY, I64),
+        allocate_scratch(SEARCH_CAPACITY, I64),
+        allocate_scratch(SEARCH_CAPACITY, I64),
+    )
+    borders = (
+        allocate_scratch(SEARCH_CAPACITY, F64),
+        allocate_scratch(SEARCH_CAPACITY, F64),
+        allocate_scratch(SEARCH_CAPACITY, F64),
+        allocate_scratch(SEARCH_CAPACITY, F64),
+        allocate_scratch(SEARCH_CAPACITY, I64),
+    )
+    between = (
+        allocate_scratch(SEARCH_CAPACITY, F64),
+        allocate_scratch(SEARCH_CAPACITY, F64),
+        allocate_scratch(SEARCH_CAPACITY, F64),
+        allocate_scratch(SEARCH_CAPACITY, F64),
+        allocate_scratch(SEARCH_CAPACITY, I64),
+    )
+    others.reset_candidates(memory)
     for k in range(begin, end):
-        plane, at = others.plane_of(crowd, requesters, k), requesters.positions[k]
+        plane, at = others.compute_tangent_plane(crowd, requesters, k), requesters.positions[k]
         count = others.find_nearest(crowd, requesters, k, plane.up, memory)
-        own, (a, b, c) = others.sensed_vector(crowd.motion, at), wishes.velocity
+        own, (a, b, c) = others.load_vector(crowd.motion, at), wishes.velocity
         wish, speed = finite_vector(a[k], b[k], c[k]), np.float64(wishes.max_speed[requesters.rows[k]])
         own_x, own_y = dot(own, plane.ahead), dot(own, plane.left)
-        horizon = min(wishes.horizon[k], _LONGEST) if wishes.horizon[k] > 0.0 else _LONGEST
-        for n in independent(0, max(count, (count + 5) & -8)):  # a remainder of one or two is faster without SIMD
+        horizon = min(wishes.horizon[k], _MAX_HORIZON_SECONDS) if wishes.horizon[k] > 0.0 else _MAX_HORIZON_SECONDS
+        for n in simd_range(0, max(count, (count + 5) & -8)):  # a remainder of one or two is faster without SIMD
             q, key = memory.nearest[n] if n < count else at, memory.nearest_keys[n] if n < count else 0
-            other, side = others.relative_to(crowd, plane, at, q), others.side_by_name(crowd, at, key)
-            set_border(other, side, n, own_x, own_y, horizon, dt, borders)
-        fastest = min(speed if speed > 0.0 else 0.0, _FASTEST)
-        x, y = nearest_velocity(borders, between, count, fastest, dot(wish, plane.ahead), dot(wish, plane.left))
+            other, side = others.compute_relative_agent(crowd, plane, at, q), others.compare_names(crowd, at, key)
+            set_velocity_border(other, side, n, own_x, own_y, horizon, dt, borders)
+        fastest = min(speed if speed > 0.0 else 0.0, _MAX_SPEED)
+        x, y = find_nearest_velocity(borders, between, count, fastest, dot(wish, plane.ahead), dot(wish, plane.left))
         for axis in range(3):
             velocities[axis, k] = np.float32(plane.ahead[axis] * x + plane.left[axis] * y)
 
 
 @inlined
-def set_border(other: Other, side: F64, c: I64, own_x: F64, own_y: F64, horizon: F64, dt: F64, borders: Lines) -> None:
+def set_velocity_border(
+    other: RelativeAgent, side: F64, index: I64, own_x: F64, own_y: F64, horizon: F64, dt: F64, borders: BorderColumns
+) -> None:
     """Set the half-plane that neighbour c of an agent allows. A half-plane that is not finite gets no direction and allows
     everything.
 
@@ -97,56 +129,58 @@ def set_border(other: Other, side: F64, c: I64, own_x: F64, own_y: F64, horizon:
     leg = math.sqrt(max(square - square_radius, 0.0))
     hand = 1.0 if x * wy - y * wx > 0.0 else -1.0
     # Divisions take most of the time: one per component, for the round end or for the leg.
-    over = size if is_round else (square if square > _LEAST else 1.0)
+    over = size if is_round else (square if square > _MIN_LENGTH else 1.0)
     ahead = (wy if is_round else hand * (x * leg - hand * (y * r))) / over
     aside = (-wx if is_round else hand * (hand * (x * r) + y * leg)) / over
-    if is_round and not size > _LEAST:
+    if is_round and not size > _MIN_LENGTH:
         ahead, aside = 0.0, side
     change, reach = r / seconds - size, other.vx * ahead + other.vy * aside
     border_x = own_x + 0.5 * (change * -aside if is_round else reach * ahead - other.vx)
     border_y = own_y + 0.5 * (change * ahead if is_round else reach * aside - other.vy)
     good = math.isfinite(border_x) and math.isfinite(border_y) and math.isfinite(ahead) and math.isfinite(aside)
-    px[c], py[c] = border_x if good else 0.0, border_y if good else 0.0
-    dx[c], dy[c], sound[c] = ahead if good else 0.0, aside if good else 0.0, good
+    px[index], py[index] = border_x if good else 0.0, border_y if good else 0.0
+    dx[index], dy[index], sound[index] = ahead if good else 0.0, aside if good else 0.0, good
 
 
-@called
-def nearest_velocity(borders: Lines, between: Lines, most: I64, limit: F64, wx: F64, wy: F64) -> tuple[F64, F64]:
-    """Return the velocity nearest to the wish that the first `most` borders allow. If there is none, return the one with the
-    least violation."""
+@kernel_helper
+def find_nearest_velocity(
+    borders: BorderColumns, line_buffers: BorderColumns, border_count: I64, max_speed: F64, wx: F64, wy: F64
+) -> tuple[F64, F64]:
+    """Return the velocity nearest to the wish that the first `border_count` borders allow. If there is none, return the one with
+    the least violation."""
     size = math.sqrt(wx * wx + wy * wy)
     part = 1.0
-    if size > limit:
-        part = limit / (size if size > 0.0 else 1.0)
-    vx, vy, failed = _nearest_allowed(borders, most, limit, wx, wy, wx * part, wy * part, False)
-    if failed < most:
-        vx, vy = _least_violation(borders, between, most, limit, vx, vy, failed)
+    if size > max_speed:
+        part = max_speed / (size if size > 0.0 else 1.0)
+    vx, vy, failed = _find_nearest_allowed(borders, border_count, max_speed, wx, wy, wx * part, wy * part, False)
+    if failed < border_count:
+        vx, vy = _find_least_violation(borders, line_buffers, border_count, max_speed, vx, vy, failed)
     return vx, vy
 
 
 @inlined
-def _excess(borders: Lines, k: I64, x: F64, y: F64) -> F64:
+def _compute_violation(borders: BorderColumns, k: I64, x: F64, y: F64) -> F64:
     """Return how far (mm/s) a velocity violates border k; above 0 it is not allowed."""
     px, py, dx, dy, _ = borders
     away: float = dx[k] * (py[k] - y) - dy[k] * (px[k] - x)
     return away
 
 
-@called
-def _nearest_allowed(
-    borders: Lines, most: I64, fastest: F64, wx: F64, wy: F64, x: F64, y: F64, along: BOOL
+@kernel_helper
+def _find_nearest_allowed(
+    borders: BorderColumns, border_count: I64, max_speed: F64, wx: F64, wy: F64, x: F64, y: F64, seek_farthest: BOOL
 ) -> tuple[F64, F64, I64]:
     """Return the allowed point nearest to the wish, starting from (x, y) in the circle.
 
-    With `along`, return the allowed point that is farthest in the wish's direction. Also return the index of the border that
-    left no allowed point."""
+    With `seek_farthest`, return the allowed point that is farthest in the wish's direction. Also return the index of the border
+    that left no allowed point."""
     px, py, dx, dy, _ = borders
     bx, by = x, y
-    for k in range(most):
-        if not _excess(borders, k, bx, by) > 0.0:
+    for k in range(border_count):
+        if not _compute_violation(borders, k, bx, by) > 0.0:
             continue
         middle = px[k] * dx[k] + py[k] * dy[k]
-        discriminant = middle * middle + fastest * fastest - (px[k] * px[k] + py[k] * py[k])
+        discriminant = middle * middle + max_speed * max_speed - (px[k] * px[k] + py[k] * py[k])
         if not discriminant >= 0.0:
             return bx, by, k
         half = math.sqrt(discriminant)
@@ -154,7 +188,7 @@ def _nearest_allowed(
         for q in range(k):
             cross = dx[k] * dy[q] - dy[k] * dx[q]
             away = dx[q] * (py[k] - py[q]) - dy[q] * (px[k] - px[q])
-            if abs(cross) <= _PARALLEL:
+            if abs(cross) <= _MAX_PARALLEL_SINE:
                 if away < 0.0:
                     return bx, by, k
                 continue
@@ -165,44 +199,48 @@ def _nearest_allowed(
         if not low <= high:
             return bx, by, k
         t = high
-        if along:
+        if seek_farthest:
             if not wx * dx[k] + wy * dy[k] > 0.0:
                 t = low
         else:
             t = min(max(dx[k] * (wx - px[k]) + dy[k] * (wy - py[k]), low), high)
         bx, by = px[k] + t * dx[k], py[k] + t * dy[k]
-    return bx, by, most
+    return bx, by, border_count
 
 
-@called
-def _least_violation(borders: Lines, between: Lines, most: I64, fastest: F64, x: F64, y: F64, failed: I64) -> tuple[F64, F64]:
+@kernel_helper
+def _find_least_violation(
+    borders: BorderColumns, line_buffers: BorderColumns, border_count: I64, max_speed: F64, x: F64, y: F64, failed: I64
+) -> tuple[F64, F64]:
     """Return the point that violates the borders least. It starts from the point that the borders before `failed` allow."""
     px, py, dx, dy, is_sound = borders
-    qx, qy, ex, ey, _ = between
+    qx, qy, ex, ey, _ = line_buffers
     bx, by, deepest = x, y, 0.0
-    for k in range(failed, most):
-        if is_sound[k] == 0 or not _excess(borders, k, bx, by) > deepest:
+    for k in range(failed, border_count):
+        if is_sound[k] == 0 or not _compute_violation(borders, k, bx, by) > deepest:
             continue
-        for q in independent(0, (k + 7) & -8):
+        for q in simd_range(0, (k + 7) & -8):
             cross = dx[k] * dy[q] - dy[k] * dx[q]
-            level = abs(cross) <= _PARALLEL
+            level = abs(cross) <= _MAX_PARALLEL_SINE
             part = (dx[q] * (py[k] - py[q]) - dy[q] * (px[k] - px[q])) / (1.0 if level else cross)
             qx[q] = 0.5 * (px[k] + px[q]) if level else px[k] + part * dx[k]
             qy[q] = 0.5 * (py[k] + py[q]) if level else py[k] + part * dy[k]
             wx, wy = dx[q] - dx[k], dy[q] - dy[k]
             size = math.sqrt(wx * wx + wy * wy)
             opposed = not (level and dx[k] * dx[q] + dy[k] * dy[q] > 0.0)
-            usable = is_sound[q] != 0 and size > _LEAST and opposed
-            over = size if size > _LEAST else 1.0
+            usable = is_sound[q] != 0 and size > _MIN_LENGTH and opposed
+            over = size if size > _MIN_LENGTH else 1.0
             ex[q], ey[q] = wx / over if usable else 0.0, wy / over if usable else 0.0
-        nx, ny, missed = _nearest_allowed(between, k, fastest, -dy[k], dx[k], -dy[k] * fastest, dx[k] * fastest, True)
+        nx, ny, missed = _find_nearest_allowed(
+            line_buffers, k, max_speed, -dy[k], dx[k], -dy[k] * max_speed, dx[k] * max_speed, True
+        )
         if missed == k:
             bx, by = nx, ny
-        deepest = _excess(borders, k, bx, by)
+        deepest = _compute_violation(borders, k, bx, by)
     return bx, by
 
 
-def widest_gaps(x: Floats, y: Floats, is_present: NDArray[np.bool_]) -> tuple[Floats, Floats]:
+def find_widest_gaps(x: Floats, y: Floats, is_present: NDArray[np.bool_]) -> tuple[Floats, Floats]:
     """Return unit directions (ahead, left; float64[n] each) into the middle of the widest gap between the bearings of
     neighbours.
 
@@ -219,13 +257,13 @@ def widest_gaps(x: Floats, y: Floats, is_present: NDArray[np.bool_]) -> tuple[Fl
     count = known.sum(axis=1)
     following = np.concatenate([bearing[:, 1:], np.full((n, 1), np.inf)], axis=1)
     last = known & ~np.isfinite(following)
-    following = np.where(last, bearing[:, :1] + _TURN, following)
+    following = np.where(last, bearing[:, :1] + _FULL_TURN, following)
     gap = np.where(known, following, 0.0) - np.where(known, bearing, 0.0)
     middle = np.where(known, bearing, 0.0) + gap / 2
-    middle = np.where(middle > np.pi, middle - _TURN, middle)
-    wide = known & (gap >= gap.max(axis=1, keepdims=True) - _ALIKE)
+    middle = np.where(middle > np.pi, middle - _FULL_TURN, middle)
+    wide = known & (gap >= gap.max(axis=1, keepdims=True) - _EQUAL_GAP_TOLERANCE)
     off = np.where(wide, np.abs(middle), np.inf)
-    best = wide & (off <= off.min(axis=1, keepdims=True) + _ALIKE)
+    best = wide & (off <= off.min(axis=1, keepdims=True) + _EQUAL_GAP_TOLERANCE)
     chosen = np.where(best, middle, -np.inf).max(axis=1)  # angles to the left are positive
     angle = np.where(count > 0, chosen, 0.0).astype(np.float32)
     weight = np.where(count > 0, 1.0, 0.0)

@@ -19,35 +19,52 @@ from antdsl.machine_code.kernels import (
     I64,
     Array1,
     Array2,
-    as_bits,
-    as_float,
-    called,
-    independent,
+    allocate_scratch,
+    bits_to_float,
+    float_to_bits,
     inlined,
     kernel,
+    kernel_helper,
     load_consecutive,
-    scratch,
+    simd_range,
 )
-from antdsl.numerics.kernel_vectors import Vec3, VectorColumns, cross, dot, finite_vector, flat, minus, unit_or_perpendicular
-from antdsl.senses.cell_order import agents_before
-from antdsl.senses.neighbours import BEYOND, LARGEST, SLACK, Grid, lower_cell, upper_cell
+from antdsl.numerics.kernel_vectors import (
+    Vec3,
+    VectorColumns,
+    cross,
+    dot,
+    finite_vector,
+    minus,
+    project_to_plane,
+    unit_or_perpendicular,
+)
+from antdsl.senses.cell_order import count_agents_before
+from antdsl.senses.neighbours import (
+    MAX_INT64,
+    RADIUS_SLACK,
+    SQUARED_RADIUS_SLACK,
+    CellGridTables,
+    find_lower_cell,
+    find_upper_cell,
+)
 
-SIZE = 576  # entries in each array of a search
-_SPARE = 48  # candidates in addition to twice the requested others, before the list is reduced
-_ORDER_BITS = (1 << 29) - 1  # mask of the last bits of a float64, which are 0 for a float32 value
+SEARCH_CAPACITY = 576  # entries in each array of a search
+_SPARE_CANDIDATES = 48  # candidates in addition to twice the requested others, before the list is reduced
+_ZERO_BITS_MASK = (1 << 29) - 1  # mask of the last bits of a float64, which are 0 for a float32 value
 
 
-class Crowd(NamedTuple):
+class CrowdTables(NamedTuple):
     """All agents of a grid, in the order of cells. Values that are not finite are 0.
 
     `up`: four entries per agent: up x, y, z, and the agent's number in the order of species and ids.
     `motion`: four entries per agent: velocity x, y, z, and radius.
-    `by_name`: for each of these numbers, the number in the order of species names and ids. Empty if there is only one species."""
+    `name_ranks`: for each of these numbers, the number in the order of species names and ids. Empty if there is only one
+    species."""
 
-    grid: Grid
+    grid: CellGridTables
     up: Array1[F32]
     motion: Array1[F32]
-    by_name: Array1[I32]
+    name_ranks: Array1[I32]
 
 
 class Requesters(NamedTuple):
@@ -55,18 +72,18 @@ class Requesters(NamedTuple):
 
     `positions`: their positions in the order of cells.
     `rows`: their rows in the population of their species.
-    `within`: the radius (mm) of each search.
-    `most`: the largest number of others.
+    `radius`: the radius (mm) of each search.
+    `max_others`: the largest number of others.
     `heading`: headings of all rows of the species."""
 
     positions: Array1[I32]
     rows: Array1[I64]
-    within: Array1[F64]
-    most: Array1[F64]
+    radius: Array1[F64]
+    max_others: Array1[F64]
     heading: VectorColumns
 
 
-class Plane(NamedTuple):
+class TangentPlane(NamedTuple):
     """The tangent plane of an agent's ground: unit vectors `up`, `ahead` (along its heading) and `left`."""
 
     up: Vec3
@@ -75,7 +92,7 @@ class Plane(NamedTuple):
 
 
 class SearchMemory(NamedTuple):
-    """Scratch memory of a search, `SIZE` numbers each.
+    """Scratch memory of a search, `SEARCH_CAPACITY` numbers each.
 
     `candidates`: agents, as positions in the order of cells.
     `keys`, `ranks`: their sort keys, and their ranks by distance.
@@ -88,7 +105,7 @@ class SearchMemory(NamedTuple):
     nearest_keys: Array1[I64]
 
 
-class Other(NamedTuple):
+class RelativeAgent(NamedTuple):
     """Another agent in the tangent plane of a requester; x is ahead and y is to the left.
 
     `x`, `y`: relative position (mm).
@@ -103,56 +120,60 @@ class Other(NamedTuple):
 
 
 @inlined
-def plane_of(crowd: Crowd, requesters: Requesters, k: I64) -> Plane:
+def compute_tangent_plane(crowd: CrowdTables, requesters: Requesters, k: I64) -> TangentPlane:
     """Return the tangent plane of requester k at the start of the step."""
     x, y, z = requesters.heading
-    row, up = requesters.rows[k], sensed_vector(crowd.up, requesters.positions[k])
-    ahead = unit_or_perpendicular(flat(finite_vector(x[row], y[row], z[row]), up), up)
-    return Plane(up, ahead, cross(up, ahead))
+    row, up = requesters.rows[k], load_vector(crowd.up, requesters.positions[k])
+    ahead = unit_or_perpendicular(project_to_plane(finite_vector(x[row], y[row], z[row]), up), up)
+    return TangentPlane(up, ahead, cross(up, ahead))
 
 
 @inlined
-def sensed_vector(fours: Array1[F32], at: I64) -> Vec3:
-    """Return the vector of the agent at position `at` from an array of `Crowd` with four entries per agent."""
-    x, y, z, _ = load_consecutive(fours, 4 * at, 4)
+def load_vector(packed_vectors: Array1[F32], position: I64) -> Vec3:
+    """Return the vector of the agent at position `position` from an array of `CrowdTables` with four entries per agent."""
+    x, y, z, _ = load_consecutive(packed_vectors, 4 * position, 4)
     return np.float64(x), np.float64(y), np.float64(z)
 
 
 @inlined
-def clear_memory(memory: SearchMemory) -> None:
+def reset_candidates(memory: SearchMemory) -> None:
     """Fill the list of candidates with a valid position of an agent."""
-    for p in range(SIZE):
+    for p in range(SEARCH_CAPACITY):
         memory.candidates[p], memory.nearest[p], memory.nearest_keys[p] = 0, 0, 0
 
 
-@called
-def find_nearest(crowd: Crowd, requesters: Requesters, k: I64, up: Vec3, memory: SearchMemory) -> I64:
+@kernel_helper
+def find_nearest(crowd: CrowdTables, requesters: Requesters, k: I64, up: Vec3, memory: SearchMemory) -> I64:
     """Write the nearest others of requester k to `memory.nearest`, ordered by distance, species and id; return their number.
 
     Only others on the side of the ground that `up` points to count."""
     grid, at = crowd.grid, requesters.positions[k]
-    low, inverse, size = grid.low, grid.inverse, grid.size
+    low, inverse, size = grid.low, grid.cells_per_mm, grid.size
     x, y, z = grid.positions[0][at], grid.positions[1][at], grid.positions[2][at]
-    within, requested = requesters.within[k], requesters.most[k]
+    within, requested = requesters.radius[k], requesters.max_others[k]
     if not (within > 0.0 and requested >= 1.0 and math.isfinite(x) and math.isfinite(y) and math.isfinite(z)):
         return 0
     reach, most = (
         np.float32(within),
         np.int64(requested if requested < float(MAX_QUERY_NEIGHBOURS) else float(MAX_QUERY_NEIGHBOURS)),
     )
-    a, b, c = np.float64(grid.along[0][at]), np.float64(grid.along[1][at]), np.float64(grid.along[2][at])
-    r = np.float64(reach) * SLACK + (1e-14 * max(max(abs(a), abs(b)), abs(c)) + 1e-18)
-    a0, a1 = lower_cell(a - r, low[0], inverse[0], size[0]), upper_cell(a + r, low[0], inverse[0], size[0])
-    b0, b1 = lower_cell(b - r, low[1], inverse[1], size[1]), upper_cell(b + r, low[1], inverse[1], size[1])
+    a, b, c = (
+        np.float64(grid.axis_positions[0][at]),
+        np.float64(grid.axis_positions[1][at]),
+        np.float64(grid.axis_positions[2][at]),
+    )
+    r = np.float64(reach) * RADIUS_SLACK + (1e-14 * max(max(abs(a), abs(b)), abs(c)) + 1e-18)
+    a0, a1 = find_lower_cell(a - r, low[0], inverse[0], size[0]), find_upper_cell(a + r, low[0], inverse[0], size[0])
+    b0, b1 = find_lower_cell(b - r, low[1], inverse[1], size[1]), find_upper_cell(b + r, low[1], inverse[1], size[1])
     c0, c1 = 0, 0
     if not (size[2] == 1 and abs(c - low[2]) <= grid.width[2]):
-        c0, c1 = lower_cell(c - r, low[2], inverse[2], size[2]), upper_cell(c + r, low[2], inverse[2], size[2])
-    count, capacity, beyond = 0, 2 * most + _SPARE, reach * reach * BEYOND + np.float32(1e-30)
+        c0, c1 = find_lower_cell(c - r, low[2], inverse[2], size[2]), find_upper_cell(c + r, low[2], inverse[2], size[2])
+    count, capacity, beyond = 0, 2 * most + _SPARE_CANDIDATES, reach * reach * SQUARED_RADIUS_SLACK + np.float32(1e-30)
     for cz in range(c0, c1 + 1):
         for cy in range(b0, b1 + 1):
             line = (cz * size[1] + cy) * size[0]
-            first = agents_before(grid.starts, grid.keys, line + a0)
-            last = agents_before(grid.starts, grid.keys, line + max(a0, a1 + 1))
+            first = count_agents_before(grid.starts, grid.keys, line + a0)
+            last = count_agents_before(grid.starts, grid.keys, line + max(a0, a1 + 1))
             while first < last:
                 end = min(last, first + capacity - count)
                 for p in range(first, end):  # always written, to avoid an unpredictable branch
@@ -165,69 +186,73 @@ def find_nearest(crowd: Crowd, requesters: Requesters, k: I64, up: Vec3, memory:
                     for p in range(count):
                         memory.candidates[p] = memory.nearest[p]
                     if count == most:
-                        farthest = np.float32(as_float(memory.nearest_keys[most - 1] & ~_ORDER_BITS))
-                        beyond = farthest * farthest * BEYOND + np.float32(1e-30)
+                        farthest = np.float32(bits_to_float(memory.nearest_keys[most - 1] & ~_ZERO_BITS_MASK))
+                        beyond = farthest * farthest * SQUARED_RADIUS_SLACK + np.float32(1e-30)
     return _select_nearest(crowd, at, reach, up, count, most, memory)
 
 
-@called
-def _select_nearest(crowd: Crowd, at: I64, reach: F32, up: Vec3, count: I64, most: I64, memory: SearchMemory) -> I64:
-    """Write the nearest of the first `count` candidates of the agent at position `at` to `memory.nearest`; return how many."""
-    x, y, z, _ = load_consecutive(crowd.grid.fours, 4 * at, 4)
+@kernel_helper
+def _select_nearest(
+    crowd: CrowdTables, position: I64, reach: F32, up: Vec3, count: I64, max_others: I64, memory: SearchMemory
+) -> I64:
+    """Write the nearest of the first `count` candidates of the agent at position `position` to `memory.nearest`; return how
+    many."""
+    x, y, z, _ = load_consecutive(crowd.grid.packed_positions, 4 * position, 4)
     padded, good_count = max(count, (count + 5) & -8), 0
-    for p in independent(0, padded):
+    for p in simd_range(0, padded):
         q: I64 = memory.candidates[p]
-        u, v, w, _ = load_consecutive(crowd.grid.fours, 4 * q, 4)
+        u, v, w, _ = load_consecutive(crowd.grid.packed_positions, 4 * q, 4)
         ux, uy, uz, number = load_consecutive(crowd.up, 4 * q, 4)
         dx, dy, dz = u - x, v - y, w - z
         length = np.sqrt((dx * dx + dy * dy) + dz * dz)
         side = dot(up, (np.float64(ux), np.float64(uy), np.float64(uz)))
-        good = (p < count) & (length <= reach) & (q != at) & (side > 0.0)
-        memory.keys[p] = as_bits(np.float64(length)) | np.int64(number) if good else LARGEST
-    for p in independent(0, padded):
+        good = (p < count) & (length <= reach) & (q != position) & (side > 0.0)
+        memory.keys[p] = float_to_bits(np.float64(length)) | np.int64(number) if good else MAX_INT64
+    for p in simd_range(0, padded):
         key, rank = memory.keys[p], 0
         for q in range(count):
             rank += memory.keys[q] < key
         memory.ranks[p] = rank
     for p in range(count):
         memory.nearest[memory.ranks[p]], memory.nearest_keys[memory.ranks[p]] = memory.candidates[p], memory.keys[p]
-        good_count += memory.keys[p] < LARGEST
-    return min(good_count, most)
+        good_count += memory.keys[p] < MAX_INT64
+    return min(good_count, max_others)
 
 
 @inlined
-def relative_to(crowd: Crowd, plane: Plane, at: I64, q: I64) -> Other:
-    """Return the agent at position q in the order of cells, relative to the agent at position `at`."""
-    x, y, z, _ = load_consecutive(crowd.grid.fours, 4 * at, 4)
-    u, v, w, _ = load_consecutive(crowd.grid.fours, 4 * q, 4)
+def compute_relative_agent(crowd: CrowdTables, plane: TangentPlane, own_position: I64, other_position: I64) -> RelativeAgent:
+    """Return the agent at position q in the order of cells, relative to the agent at position `own_position`."""
+    x, y, z, _ = load_consecutive(crowd.grid.packed_positions, 4 * own_position, 4)
+    u, v, w, _ = load_consecutive(crowd.grid.packed_positions, 4 * other_position, 4)
     displacement = np.float64(u - x), np.float64(v - y), np.float64(w - z)
-    relative = minus(sensed_vector(crowd.motion, at), sensed_vector(crowd.motion, q))
-    return Other(
+    relative = minus(load_vector(crowd.motion, own_position), load_vector(crowd.motion, other_position))
+    return RelativeAgent(
         dot(displacement, plane.ahead),
         dot(displacement, plane.left),
         dot(relative, plane.ahead),
         dot(relative, plane.left),
-        np.float64(crowd.motion[4 * at + 3]) + np.float64(crowd.motion[4 * q + 3]),
+        np.float64(crowd.motion[4 * own_position + 3]) + np.float64(crowd.motion[4 * other_position + 3]),
     )
 
 
 @inlined
-def side_by_name(crowd: Crowd, at: I64, key: I64) -> F64:
-    """Return -1 if the agent at position `at` comes before the agent with `key` in the order of species names and ids, else 1."""
-    own, other = np.int64(crowd.up[4 * at + 3]), key & _ORDER_BITS
-    if crowd.by_name.size > 0:
-        own, other = crowd.by_name[own], crowd.by_name[other]
+def compare_names(crowd: CrowdTables, position: I64, key: I64) -> F64:
+    """Return -1 if the agent at position `position` comes before the agent with `key` in the order of species names and ids, else
+    1."""
+    own, other = np.int64(crowd.up[4 * position + 3]), key & _ZERO_BITS_MASK
+    if crowd.name_ranks.size > 0:
+        own, other = crowd.name_ranks[own], crowd.name_ranks[other]
     return -1.0 if own < other else 1.0
 
 
 @kernel
-def store_sensed(
-    at: Array1[I32], up: VectorColumns, velocity: VectorColumns, radius: Array1[F32], numbers: Array1[I32],
+def store_up_and_motion(
+    position_by_row: Array1[I32], up: VectorColumns, velocity: VectorColumns, radius: Array1[F32], numbers: Array1[I32],
     ordered: Array1[F32], motion: Array1[F32], begin: I64, end: I64,
 ) -> None:  # fmt: skip
-    """Write `up` and `motion` of a `Crowd`, for rows from `begin` to before `end`."""
+    """Write `up` and `motion` of a `CrowdTables`, for rows from `begin` to before `end`."""
     for row in range(begin, end):
-        first, wide = 4 * at[row], np.isfinite(radius[row]) & (radius[row] > np.float32(0.0))
+        first, wide = 4 * position_by_row[row], np.isfinite(radius[row]) & (radius[row] > np.float32(0.0))
         u = finite_vector(up[0][row], up[1][row], up[2][row])
         v = finite_vector(velocity[0][row], velocity[1][row], velocity[2][row])
         for axis in range(3):
@@ -236,20 +261,26 @@ def store_sensed(
 
 
 @kernel
-def fill_offsets(
-    crowd: Crowd, requesters: Requesters, x: Array2[F64], y: Array2[F64], is_present: Array2[BOOL], axes: Array2[F64],
+def fill_nearest_offsets(
+    crowd: CrowdTables, requesters: Requesters, x: Array2[F64], y: Array2[F64], is_present: Array2[BOOL], axes: Array2[F64],
     begin: I64, end: I64,
 ) -> None:  # fmt: skip
     """Write the nearest others of requesters from the `begin`-th to before the `end`-th.
 
     `x`, `y`: rows of relative positions (mm), ahead and to the left. `is_present`: which entries are used.
     `axes` (6, n): the directions ahead and left."""
-    memory = SearchMemory(scratch(SIZE, I64), scratch(SIZE, I64), scratch(SIZE, I64), scratch(SIZE, I64), scratch(SIZE, I64))
-    clear_memory(memory)
+    memory = SearchMemory(
+        allocate_scratch(SEARCH_CAPACITY, I64),
+        allocate_scratch(SEARCH_CAPACITY, I64),
+        allocate_scratch(SEARCH_CAPACITY, I64),
+        allocate_scratch(SEARCH_CAPACITY, I64),
+        allocate_scratch(SEARCH_CAPACITY, I64),
+    )
+    reset_candidates(memory)
     for k in range(begin, end):
-        plane, at = plane_of(crowd, requesters, k), requesters.positions[k]
+        plane, at = compute_tangent_plane(crowd, requesters, k), requesters.positions[k]
         axes[0, k], axes[1, k], axes[2, k] = plane.ahead
         axes[3, k], axes[4, k], axes[5, k] = plane.left
         for c in range(find_nearest(crowd, requesters, k, plane.up, memory)):
-            other = relative_to(crowd, plane, at, memory.nearest[c])
+            other = compute_relative_agent(crowd, plane, at, memory.nearest[c])
             x[k, c], y[k, c], is_present[k, c] = other.x, other.y, True

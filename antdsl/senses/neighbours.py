@@ -12,58 +12,69 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.limits import MAX_QUERY_NEIGHBOURS
-from antdsl.machine_code.kernels import F32, F64, I32, I64, Array1, as_bits, as_float, called, inlined, kernel
+from antdsl.machine_code.kernels import F32, F64, I32, I64, Array1, bits_to_float, float_to_bits, inlined, kernel, kernel_helper
 from antdsl.numerics import parallel
-from antdsl.numerics.sorting import stable_order
-from antdsl.senses.cell_order import NO_ORDER, CellOrder, Columns, Shape, Sizes, Three, agents_before, box_around, reorder_axes
+from antdsl.numerics.sorting import sort_stably
+from antdsl.senses.cell_order import (
+    NO_ORDER,
+    CellOrder,
+    Columns,
+    FloatTriple,
+    GridShape,
+    Sizes,
+    count_agents_before,
+    find_bounding_box,
+    reorder_axes,
+)
 
 Floats = NDArray[np.float32]
 Rows = NDArray[np.intp]  # an index of another type is converted at every use
 
 View = tuple[Floats, Floats, Floats, Floats]
 
-SLACK = 1.0 + 1e-6  # float32 distances err by a few 2**-24; candidates must be a superset
-_INWARD = 1.0 - 1e-6
-BEYOND = np.float32(1.0 + 1e-5)  # a squared distance above this multiple of the squared radius has a root above the radius
-LARGEST = np.int64((1 << 63) - 1)
-_ZEROS = 29  # number of last bits of a float64 that are 0 for a float32 value
+RADIUS_SLACK = 1.0 + 1e-6  # float32 distances err by a few 2**-24; candidates must be a superset
+_DISTANCE_SLACK = 1.0 - 1e-6
+# A squared distance above this multiple of the squared radius has a root above the radius
+SQUARED_RADIUS_SLACK = np.float32(1.0 + 1e-5)
+MAX_INT64 = np.int64((1 << 63) - 1)
+_FLOAT32_ZERO_BITS = 29  # number of last bits of a float64 that are 0 for a float32 value
 
 # Positions x, y, z and along the fast, middle and slow axis; ids; radius; heading; cosine of half the field of view
 Query = tuple[Columns, Columns, Array1[I64], Array1[F32], Columns, Array1[F32]]
 PairColumns = tuple[Array1[I64], Array1[I64], Array1[F32], Array1[F32], Array1[F32], Array1[F32]]
 
 
-class Grid(NamedTuple):
+class CellGridTables(NamedTuple):
     """A `CellGrid` as kernels read it. Agents are in the order of cells.
 
-    `positions`: x, y, z. `along`: the same along the fast, middle and slow axis. `fours`: four entries per agent.
-    `rows`, `ids`, `keys`: row, id and cell of each agent. `starts`: the first agent of each cell.
-    `low`, `inverse`, `width`, `size`: low corner (mm), cells per mm, cell width (mm) and number of cells along each axis."""
+    `positions`: x, y, z. `axis_positions`: the same along the fast, middle and slow axis. `packed_positions`: four entries per
+    agent. `rows`, `ids`, `keys`: row, id and cell of each agent. `starts`: the first agent of each cell.
+    `low`, `cells_per_mm`, `width`, `size`: low corner (mm), cells per mm, cell width (mm) and number of cells along each axis."""
 
     positions: Columns
-    along: Columns
-    fours: Array1[F32]
+    axis_positions: Columns
+    packed_positions: Array1[F32]
     rows: Array1[I32]
     ids: Array1[I64]
     keys: Array1[I64]
     starts: Array1[I32]
-    low: Three
-    inverse: Three
-    width: Three
+    low: FloatTriple
+    cells_per_mm: FloatTriple
+    width: FloatTriple
     size: Sizes
 
 
-class Progress(NamedTuple):
+class SearchProgress(NamedTuple):
     """Progress of a search when it stops.
 
-    `query`: the next query. `pairs`: the number of pairs so far.
-    `spans`, `near`: the lengths that these buffers need to continue. `near` is -1 if a query has more others within its radius
-        than allowed."""
+    `query`: the next query. `pair_count`: the number of pairs so far.
+    `needed_spans`, `needed_candidates`: the lengths that these buffers need to continue. `needed_candidates` is -1 if a query has
+    more others within its radius than allowed."""
 
     query: I64
-    pairs: I64
-    spans: I64
-    near: I64
+    pair_count: I64
+    needed_spans: I64
+    needed_candidates: I64
 
 
 class TooManyNeighbours(Exception):
@@ -71,7 +82,7 @@ class TooManyNeighbours(Exception):
 
 
 @dataclass(frozen=True, slots=True)
-class Pairs:
+class NeighbourPairs:
     """Pairs within the radius, sorted by `i`, then by the neighbour's cell, then by its id. All arrays have one length.
 
     `i`: index of the query, from 0. `j`: row of the neighbour in the grid.
@@ -97,11 +108,11 @@ class CellGrid:
 
     def __init__(self, x: Floats, y: Floats, z: Floats, ids: NDArray[np.int64], cell: float, threads: int = 1) -> None:
         self.x, self.y, self.z, self.ids = x, y, z, ids
-        x, y, z = parallel.contiguous(x, y, z)
-        shape = Shape.of(*box_around((x, y, z)), cell)
-        self.shape = shape.as_sheet() if shape.is_sheet((x, y, z)) else shape
+        x, y, z = parallel.make_contiguous(x, y, z)
+        shape = GridShape.of(*find_bounding_box((x, y, z)), cell)
+        self.shape = shape.to_sheet() if shape.can_be_sheet((x, y, z)) else shape
         self.order = CellOrder(x.size, threads)
-        self.order.sort(self.shape, (x, y, z), NO_ORDER if (ids[1:] >= ids[:-1]).all() else stable_order(ids))
+        self.order.sort(self.shape, (x, y, z), NO_ORDER if (ids[1:] >= ids[:-1]).all() else sort_stably(ids))
 
     def find_pairs(
         self,
@@ -115,15 +126,15 @@ class CellGrid:
         view: View | None = None,
         threads: int = 1,
         limit: int | None = None,
-    ) -> Pairs:
+    ) -> NeighbourPairs:
         """Return the neighbours of the agents `rows` (None: all) within `radius` (mm; one number, or one for each row).
 
         Without `qx qy qz`, queries are for the grid's own agents, and no agent is its own neighbour.
         With `qx qy qz`, queries are for agents at these positions: `rows` selects from them, and `qid` gives their ids if they
         are in the grid.
         `view`, one value per query, limits neighbours to its field of view.
-        An agent gets at most `limits.NEIGHBOURS` neighbours, the nearest by (distance, id). Raises TooManyNeighbours early if
-        an agent has more than `limit` others within its radius."""
+        An agent gets at most `limits.MAX_QUERY_NEIGHBOURS` neighbours, the nearest by (distance, id). Raises TooManyNeighbours
+        early if an agent has more than `limit` others within its radius."""
         if qx is None or qy is None or qz is None:
             qx, qy, qz, qid = self.x, self.y, self.z, self.ids
         if rows is not None:
@@ -135,13 +146,13 @@ class CellGrid:
             reach = np.broadcast_to(reach, qx.shape)
         return self._search((qx, qy, qz), reach, qid, view, threads, 1 << 62 if limit is None else limit)
 
-    def table(self) -> Grid:
+    def table(self) -> CellGridTables:
         """Return the cells and the agents in them as kernels read them."""
         order, shape, rows = self.order, self.shape, np.ascontiguousarray(self.order.rows)
         columns: Any = order.columns
-        cells: Any = tuple(shape.low), shape.inverse, tuple(shape.width), tuple(shape.size)
-        agents = order.fours, rows, self.ids.take(rows), order.keys, order.starts
-        return Grid(columns, reorder_axes(shape.axes, columns), *agents, *cells)
+        cells: Any = tuple(shape.low), shape.cells_per_mm, tuple(shape.width), tuple(shape.size)
+        agents = order.packed_positions, rows, self.ids.take(rows), order.keys, order.starts
+        return CellGridTables(columns, reorder_axes(shape.axes, columns), *agents, *cells)
 
     def _search(
         self,
@@ -151,7 +162,7 @@ class CellGrid:
         view: View | None,
         threads: int,
         limit: int,
-    ) -> Pairs:
+    ) -> NeighbourPairs:
         """Return the pairs of all queries, searched in parallel chunks. Arguments as for `find_pairs`."""
         none, grid, axes = np.empty(0, np.float32), self.table(), self.shape.axes
         who = np.empty(0, np.int64) if qid is None else qid
@@ -163,15 +174,21 @@ class CellGrid:
                 pair_columns[0][:] += begin
             return pair_columns
 
-        pair_columns = parallel.in_parts(part, query[0].size, threads)
+        pair_columns = parallel.run_in_parts(part, query[0].size, threads)
         good = [columns for columns in pair_columns if columns is not None]
         if len(good) < len(pair_columns):
             raise TooManyNeighbours
-        return Pairs(*good[0]) if len(good) == 1 else Pairs(*(np.concatenate(column) for column in zip(*good, strict=True)))
+        return (
+            NeighbourPairs(*good[0])
+            if len(good) == 1
+            else NeighbourPairs(*(np.concatenate(column) for column in zip(*good, strict=True)))
+        )
 
 
-def _find_pairs(grid: Grid, axes: tuple[int, ...], query: list[NDArray[Any]], limit: int) -> tuple[NDArray[Any], ...] | None:
-    """Return the pairs of all queries [m] as columns of `Pairs`; None if a query has more than `limit` others within its
+def _find_pairs(
+    grid: CellGridTables, axes: tuple[int, ...], query: list[NDArray[Any]], limit: int
+) -> tuple[NDArray[Any], ...] | None:
+    """Return the pairs of all queries [m] as columns of `NeighbourPairs`; None if a query has more than `limit` others within its
     radius.
 
     `query`: x, y, z, ids (empty if they are not the grid's own), radius; then heading x, y, z and cosine of half the view,
@@ -195,25 +212,25 @@ def _find_pairs(grid: Grid, axes: tuple[int, ...], query: list[NDArray[Any]], li
 
 
 @inlined
-def lower_cell(q: F64, low: F64, inverse: F64, size: I64) -> I64:
+def find_lower_cell(q: F64, low: F64, inverse: F64, size: I64) -> I64:
     """Return the cell of the lower end of a span, at least 0 and at most `size`."""
     return math.floor(min(max((q - low) * inverse, 0.0), float(size)))
 
 
 @inlined
-def upper_cell(q: F64, low: F64, inverse: F64, size: I64) -> I64:
+def find_upper_cell(q: F64, low: F64, inverse: F64, size: I64) -> I64:
     """Return the cell of the upper end of a span, at least -1 and below `size`."""
     return math.floor(min(max((q - low) * inverse, -1.0), size - 1.0))
 
 
 @inlined
-def _axis_distance(q: F64, cell: I64, low: F64, width: F64) -> F64:
+def _compute_axis_distance(q: F64, cell: I64, low: F64, width: F64) -> F64:
     """Return the least distance (mm) along an axis from coordinate q to a cell, rounded down."""
     edge = low + cell * width
-    return max(max(edge - q, q - (edge + width)), 0.0) * _INWARD
+    return max(max(edge - q, q - (edge + width)), 0.0) * _DISTANCE_SLACK
 
 
-@called
+@kernel_helper
 def _find_spans(
     a: F64,
     b: F64,
@@ -221,9 +238,9 @@ def _find_spans(
     radius: F64,
     keys: Array1[I64],
     starts: Array1[I32],
-    low: Three,
-    inverse: Three,
-    width: Three,
+    low: FloatTriple,
+    inverse: FloatTriple,
+    width: FloatTriple,
     size: Sizes,
     spans: Array1[I64],
 ) -> tuple[I64, I64]:
@@ -232,69 +249,76 @@ def _find_spans(
     `a`, `b`, `c`: the position along the fast, middle and slow axis of the grid.
     Returns the number of spans and of agents in them; or -1 and the required length of `spans`."""
     tiny = 1e-14 * max(max(abs(a), abs(b)), abs(c)) + 1e-18
-    r = radius * SLACK + tiny
-    b0, b1 = lower_cell(b - r, low[1], inverse[1], size[1]), upper_cell(b + r, low[1], inverse[1], size[1])
+    r = radius * RADIUS_SLACK + tiny
+    b0, b1 = find_lower_cell(b - r, low[1], inverse[1], size[1]), find_upper_cell(b + r, low[1], inverse[1], size[1])
     sheet = size[2] == 1 and abs(c - low[2]) <= width[2]
-    c0, c1 = (0, 0) if sheet else (lower_cell(c - r, low[2], inverse[2], size[2]), upper_cell(c + r, low[2], inverse[2], size[2]))
+    c0, c1 = (
+        (0, 0)
+        if sheet
+        else (find_lower_cell(c - r, low[2], inverse[2], size[2]), find_upper_cell(c + r, low[2], inverse[2], size[2]))
+    )
     number, total = 0, 0
     if b0 > b1 or c0 > c1:
         return 0, 0
     if 2 * (b1 - b0 + 1) * (c1 - c0 + 1) > spans.size:
         return -1, 2 * (b1 - b0 + 1) * (c1 - c0 + 1)
     for cz in range(c0, c1 + 1):
-        off_z = 0.0 if sheet else _axis_distance(c, cz, low[2], width[2])
+        off_z = 0.0 if sheet else _compute_axis_distance(c, cz, low[2], width[2])
         for cy in range(b0, b1 + 1):
-            off_y = _axis_distance(b, cy, low[1], width[1])
+            off_y = _compute_axis_distance(b, cy, low[1], width[1])
             left = r * r - off_y * off_y - off_z * off_z
             if not left >= 0:
                 continue
-            half = math.sqrt(left) * SLACK + tiny
-            a0, a1 = lower_cell(a - half, low[0], inverse[0], size[0]), upper_cell(a + half, low[0], inverse[0], size[0])
+            half = math.sqrt(left) * RADIUS_SLACK + tiny
+            a0, a1 = (
+                find_lower_cell(a - half, low[0], inverse[0], size[0]),
+                find_upper_cell(a + half, low[0], inverse[0], size[0]),
+            )
             if a0 > a1:
                 continue
             line = (cz * size[1] + cy) * size[0]
-            first, last = agents_before(starts, keys, line + a0), agents_before(starts, keys, line + a1 + 1)
+            first, last = count_agents_before(starts, keys, line + a0), count_agents_before(starts, keys, line + a1 + 1)
             if last > first:
                 spans[2 * number], spans[2 * number + 1] = first, last
                 number, total = number + 1, total + last - first
     return number, total
 
 
-@called
-def _nearest_bound(
-    sx: Array1[F32], sy: Array1[F32], sz: Array1[F32], names: Array1[I64], near: Array1[I64], candidate_count: I64,
+@kernel_helper
+def _find_nearest_bound(
+    sx: Array1[F32], sy: Array1[F32], sz: Array1[F32], ids: Array1[I64], candidates: Array1[I64], candidate_count: I64,
     x: F32, y: F32, z: F32,
-    reach: F32, name: I64,
+    reach: F32, own_id: I64,
 ) -> tuple[F32, I64]:  # fmt: skip
-    """Return distance and id of the last of the `NEIGHBOURS` agents nearest to a position.
+    """Return distance and id of the last of the `MAX_QUERY_NEIGHBOURS` agents nearest to a position.
 
-    Only the first `candidate_count` agents of `near` count, without the agent with id `name`. The search bisects the bits of
-    the distance, then the ids at that distance."""
-    low, high = 0, as_bits(np.float64(reach)) >> _ZEROS
+    Only the first `candidate_count` agents of `candidates` count, without the agent with id `own_id`. The search bisects the bits
+    of the distance, then the ids at that distance."""
+    low, high = 0, float_to_bits(np.float64(reach)) >> _FLOAT32_ZERO_BITS
     nearer_count, closer = 0, 0
     while low < high:
         middle = (low + high) >> 1
-        bound, nearer_count = as_float(middle << _ZEROS), 0
+        bound, nearer_count = bits_to_float(middle << _FLOAT32_ZERO_BITS), 0
         for p in range(candidate_count):
-            at = near[p]
+            at = candidates[p]
             ux, uy, uz = sx[at] - x, sy[at] - y, sz[at] - z
-            nearer_count += (np.float64(np.sqrt((ux * ux + uy * uy) + uz * uz)) <= bound) & (names[at] != name)
+            nearer_count += (np.float64(np.sqrt((ux * ux + uy * uy) + uz * uz)) <= bound) & (ids[at] != own_id)
         if nearer_count >= MAX_QUERY_NEIGHBOURS:
             high = middle
         else:
             low, closer = middle + 1, nearer_count
-    farthest = np.float32(as_float(low << _ZEROS))
-    first, last = LARGEST, np.int64(-1)
+    farthest = np.float32(bits_to_float(low << _FLOAT32_ZERO_BITS))
+    first, last = MAX_INT64, np.int64(-1)
     for p in range(candidate_count):
-        first, last = min(first, names[near[p]]), max(last, names[near[p]])
+        first, last = min(first, ids[candidates[p]]), max(last, ids[candidates[p]])
     while first < last:
         middle = (first + last) >> 1
         nearer_count = closer
         for p in range(candidate_count):
-            at = near[p]
+            at = candidates[p]
             ux, uy, uz = sx[at] - x, sy[at] - y, sz[at] - z
             same = np.sqrt((ux * ux + uy * uy) + uz * uz) == farthest
-            nearer_count += same & (names[at] <= middle) & (names[at] != name)
+            nearer_count += same & (ids[at] <= middle) & (ids[at] != own_id)
         if nearer_count >= MAX_QUERY_NEIGHBOURS:
             last = middle
         else:
@@ -304,53 +328,61 @@ def _nearest_bound(
 
 @kernel
 def _fill_pairs(
-    grid: Grid, query: Query, limit: I64, spans: Array1[I64], near: Array1[I64], pairs: PairColumns, k: I64, used: I64
-) -> Progress:
-    """Write pairs from query k on, after `used` earlier pairs, until all queries are done or an array is full.
+    grid: CellGridTables,
+    query: Query,
+    limit: I64,
+    spans: Array1[I64],
+    candidates: Array1[I64],
+    pairs: PairColumns,
+    first_query: I64,
+    pair_count: I64,
+) -> SearchProgress:
+    """Write pairs from query k on, after `pair_count` earlier pairs, until all queries are done or an array is full.
 
-    If a query has more than `NEIGHBOURS` others, the nearest by distance and id are used."""
+    If a query has more than `MAX_QUERY_NEIGHBOURS` others, the nearest by distance and id are used."""
     (sx, sy, sz), _, _, rows, names, keys, starts, low, inverse, width, size = grid
     (qx, qy, qz), (fast, middle, slow), who, radius, (hx, hy, hz), cosine = query
     i, j, dx, dy, dz, distance = pairs
     own, limited = who.size > 0, cosine.size > 0
-    while k < qx.size:
-        reach, x, y, z = radius[k], qx[k], qy[k], qz[k]
+    while first_query < qx.size:
+        reach, x, y, z = radius[first_query], qx[first_query], qy[first_query], qz[first_query]
         if not (reach >= 0 and math.isfinite(x) and math.isfinite(y) and math.isfinite(z)):
-            k += 1
+            first_query += 1
             continue
-        name = who[k] if own else np.int64(-1)
+        name = who[first_query] if own else np.int64(-1)
         if limited:
-            gx, gy, gz, least = hx[k], hy[k], hz[k], cosine[k]
+            gx, gy, gz, least = hx[first_query], hy[first_query], hz[first_query], cosine[first_query]
         number, total = _find_spans(
-            float(fast[k]), float(middle[k]), float(slow[k]), float(reach), keys, starts, low, inverse, width, size, spans
-        )
+            float(fast[first_query]), float(middle[first_query]), float(slow[first_query]), float(reach),
+            keys, starts, low, inverse, width, size, spans,
+        )  # fmt: skip
         if number < 0:
-            return Progress(k, used, total, near.size)
-        if total > near.size:
-            return Progress(k, used, spans.size, total)
-        beyond = reach * reach * BEYOND + np.float32(1e-30)
+            return SearchProgress(first_query, pair_count, total, candidates.size)
+        if total > candidates.size:
+            return SearchProgress(first_query, pair_count, spans.size, total)
+        beyond = reach * reach * SQUARED_RADIUS_SLACK + np.float32(1e-30)
         candidate_count = 0
         for s in range(number):
             # Always written, and overwritten if too far: this avoids an unpredictable branch.
             for at in range(spans[2 * s], spans[2 * s + 1]):
                 ux, uy, uz = sx[at] - x, sy[at] - y, sz[at] - z
-                near[candidate_count] = at
+                candidates[candidate_count] = at
                 candidate_count += (ux * ux + uy * uy) + uz * uz <= beyond
-        farthest, last = np.float32(np.inf), LARGEST
+        farthest, last = np.float32(np.inf), MAX_INT64
         if candidate_count > MAX_QUERY_NEIGHBOURS:
             count = 0
             for p in range(candidate_count):
-                at = near[p]
+                at = candidates[p]
                 ux, uy, uz = sx[at] - x, sy[at] - y, sz[at] - z
                 count += (np.sqrt((ux * ux + uy * uy) + uz * uz) <= reach) & (not own or names[at] != name)
             if count > limit:
-                return Progress(k, used, spans.size, -1)
+                return SearchProgress(first_query, pair_count, spans.size, -1)
             if count > MAX_QUERY_NEIGHBOURS:
-                farthest, last = _nearest_bound(sx, sy, sz, names, near, candidate_count, x, y, z, reach, name)
-        if used + candidate_count > i.size:
-            return Progress(k, used, spans.size, near.size)
+                farthest, last = _find_nearest_bound(sx, sy, sz, names, candidates, candidate_count, x, y, z, reach, name)
+        if pair_count + candidate_count > i.size:
+            return SearchProgress(first_query, pair_count, spans.size, candidates.size)
         for p in range(candidate_count):
-            at = near[p]
+            at = candidates[p]
             ux, uy, uz = sx[at] - x, sy[at] - y, sz[at] - z
             length = np.sqrt((ux * ux + uy * uy) + uz * uz)
             good = length <= reach
@@ -359,8 +391,8 @@ def _fill_pairs(
             good &= (length < farthest) | ((length == farthest) & (names[at] <= last))
             if limited:
                 good &= (ux * gx + uy * gy) + uz * gz >= least * length
-            i[used], j[used] = k, rows[at]
-            dx[used], dy[used], dz[used], distance[used] = ux, uy, uz, length
-            used += good
-        k += 1
-    return Progress(k, used, spans.size, near.size)
+            i[pair_count], j[pair_count] = first_query, rows[at]
+            dx[pair_count], dy[pair_count], dz[pair_count], distance[pair_count] = ux, uy, uz, length
+            pair_count += good
+        first_query += 1
+    return SearchProgress(first_query, pair_count, spans.size, candidates.size)

@@ -6,28 +6,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.machine_code.kernels import BOOL, F32, I32, I64, Array1, kernel, load_consecutive
-from antdsl.numerics.parallel import contiguous
+from antdsl.numerics.parallel import make_contiguous
 from antdsl.senses.cell_order import Columns
-from antdsl.senses.touching import Agents, neighbour_searches, span_end, span_start
+from antdsl.senses.touching import Agents, find_span_end, find_span_start, iterate_neighbour_searches
 
 Floats = NDArray[np.float32]
 
-_WIDER, _LEAST = 1 + 1e-6, 1e-9  # factor for rounded distances; mm, reach of bodies without a radius
-_MEASURED = 640  # mean number of pairs per agent from which a nearest-neighbour tree is faster
-_NEAREST = 8  # neighbours of the first query; each further query doubles the number until the result is certain
+_REACH_SLACK, _MIN_REACH_MM = 1 + 1e-6, 1e-9  # factor for rounded distances; mm, reach of bodies without a radius
+_MAX_PAIRS_PER_AGENT = 640  # mean number of pairs per agent from which a nearest-neighbour tree is faster
+_FIRST_QUERY_NEIGHBOURS = 8  # neighbours of the first query; each further query doubles the number until the result is certain
 
 
-def worst_overlaps(x: Floats, y: Floats, z: Floats, radius: Floats) -> Floats:
+def measure_worst_overlaps(x: Floats, y: Floats, z: Floats, radius: Floats) -> Floats:
     """Return how far each agent overlaps its worst neighbour, float32[n]: 0 without overlap, 1 at one position. Lengths are in
     mm.
 
     The value is the greatest of 1 - distance / (sum of both radii), exact for any crowd. In dense crowds, a list of all pairs
     would grow with the square of the number of agents. Therefore nearest neighbours are queried until no agent farther away
     can overlap more."""
-    x, y, z, radius = contiguous(x, y, z, radius)
+    x, y, z, radius = make_contiguous(x, y, z, radius)
     overlap, wide = np.zeros(len(x), np.float32), [each.astype(np.float64) for each in (x, y, z, radius)]
-    budget = _MEASURED * len(x)
-    for search in neighbour_searches((wide[0], wide[1], wide[2]), np.maximum(wide[3], 0) * _WIDER + _LEAST):
+    budget = _MAX_PAIRS_PER_AGENT * len(x)
+    for search in iterate_neighbour_searches((wide[0], wide[1], wide[2]), np.maximum(wide[3], 0) * _REACH_SLACK + _MIN_REACH_MM):
         budget = fill_worst_overlaps(*search, (x, y, z), radius, budget, overlap)
         if budget < 0:
             break
@@ -35,19 +35,19 @@ def worst_overlaps(x: Floats, y: Floats, z: Floats, radius: Floats) -> Floats:
         return overlap
     rows = np.flatnonzero(np.isfinite(x) & np.isfinite(y) & np.isfinite(z) & np.isfinite(radius))
     place = np.stack([x[rows], y[rows], z[rows]], axis=1)
-    overlap[rows] = _overlaps_by_nearest(place, radius[rows])
+    overlap[rows] = _measure_by_nearest(place, radius[rows])
     return overlap
 
 
-def _overlap_share(distance: Floats, one: Floats, other: Floats) -> Floats:
+def _compute_overlap_share(distance: Floats, one: Floats, other: Floats) -> Floats:
     """Return 1 - distance / (sum of both radii), limited to 0 .. 1."""
     radius_sum = np.maximum(one + other, np.float32(1e-9))
     part: Floats = np.clip(1 - distance / radius_sum, 0, 1)
     return part
 
 
-def _overlaps_by_nearest(place: Floats, radius: Floats) -> Floats:
-    """Return overlaps as `worst_overlaps` does, for positions [n,3] of a dense crowd."""
+def _measure_by_nearest(place: Floats, radius: Floats) -> Floats:
+    """Return overlaps as `measure_worst_overlaps` does, for positions [n,3] of a dense crowd."""
     from scipy.spatial import cKDTree
 
     # A tree cannot separate agents at one position. The widest represents them all, and all overlap completely.
@@ -62,7 +62,7 @@ def _overlaps_by_nearest(place: Floats, radius: Floats) -> Floats:
     for size in np.unique(classes)[::-1]:  # a large agent has many small neighbours, of which only near ones matter
         others = single[classes == size]
         tree, widest = cKDTree(place[others].astype(np.float64)), float(radius[others].max())
-        pending_rows, count = np.flatnonzero(alone), _NEAREST
+        pending_rows, count = np.flatnonzero(alone), _FIRST_QUERY_NEIGHBOURS
         while len(pending_rows):
             count = min(count, len(others))
             rows = single[pending_rows]
@@ -70,7 +70,7 @@ def _overlaps_by_nearest(place: Floats, radius: Floats) -> Floats:
             away, near = away.reshape(len(rows), count), others[near.reshape(len(rows), count)]
             d = [place[near, axis] - place[rows, axis][:, None] for axis in range(3)]
             distance = np.sqrt((d[0] * d[0] + d[1] * d[1]) + d[2] * d[2])
-            part = _overlap_share(distance, radius[rows][:, None], radius[near])
+            part = _compute_overlap_share(distance, radius[rows][:, None], radius[near])
             part[near == rows[:, None]] = 0
             overlap[pending_rows] = np.maximum(overlap[pending_rows], part.max(axis=1))
             beyond = 1 - away[:, -1] / np.maximum(radius[rows].astype(np.float64) + widest, 1e-9)
@@ -82,18 +82,21 @@ def _overlaps_by_nearest(place: Floats, radius: Floats) -> Floats:
 
 @kernel
 def fill_worst_overlaps(
-    asking: Agents, agents: Agents, starts: Array1[I32], cells: I64, shifts: Array1[I64], own: BOOL, position: Columns,
-    radius: Array1[F32], budget: I64, overlap: Array1[F32],
+    searching_agents: Agents, agents: Agents, starts: Array1[I32], cells: I64, shifts: Array1[I64], is_self_search: BOOL,
+    position: Columns, radius: Array1[F32], budget: I64, overlap: Array1[F32],
 ) -> I64:  # fmt: skip
     """Raise `overlap` of each agent to its greatest overlap in the pairs of a search.
 
     Returns how many pairs of `budget` are left. If negative, only a part of the pairs was measured."""
-    (asks, asking_rows, asking_keys), (ordered, rows, _) = asking, agents
+    (asks, asking_rows, asking_keys), (ordered, rows, _) = searching_agents, agents
     for at in range(asking_rows.size):
         (x, y, z, wide), a = load_consecutive(asks, 4 * at, 4), asking_rows[at]
         for span in range(shifts.size):
             key = asking_keys[at] + shifts[span]
-            first, last = span_start(agents, starts, cells, own, at, span, key), span_end(agents, starts, cells, key)
+            first, last = (
+                find_span_start(agents, starts, cells, is_self_search, at, span, key),
+                find_span_end(agents, starts, cells, key),
+            )
             budget -= max(last - first, 0)
             if budget < 0:
                 return budget

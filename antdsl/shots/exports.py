@@ -6,36 +6,37 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from antdsl.executors import Task, TaskRefused, Worker, refuse_task
+from antdsl.executors import Task, TaskRefused, WorkerContext, convert_to_refusal
 from antdsl.outputs.cache.cache_reader import CacheError, open_cache
 from antdsl.outputs.cache.manifest import ManifestError
-from antdsl.outputs.exports import AgentSubset, export_for
+from antdsl.outputs.exports import AgentSubset, find_export
 from antdsl.outputs.gallery import Gallery, PictureUnavailable
 from antdsl.outputs.numbered_files import ExportUnavailable
-from antdsl.shots.placing import Destination
+from antdsl.shots.task_destination import Destination
 
-CHUNK = 8  # frames of a task
+FRAMES_PER_TASK = 8  # frames of a task
 
 
-def export_tasks(
-    cache: Path, name: str, form: str, ids: frozenset[int] | None, frames: Sequence[int], to: Destination
+def make_export_tasks(
+    cache: Path, file_pattern: str, form: str, ids: frozenset[int] | None, frames: Sequence[int], destination: Destination
 ) -> Iterator[Task]:
-    """Yield tasks that write all frames. `name`: the pattern of the file names. `cache`: an absolute path without links."""
-    document = {"cache": str(cache), "name": name, "form": form, "ids": None if ids is None else sorted(ids)}
-    return to.frame_tasks(export_frames, document, frames, CHUNK)
+    """Yield tasks that write all frames. `file_pattern`: the pattern of the file names. `cache`: an absolute path without
+    links."""
+    document = {"cache": str(cache), "name": file_pattern, "form": form, "ids": None if ids is None else sorted(ids)}
+    return destination.make_frame_tasks(export_frames, document, frames, FRAMES_PER_TASK)
 
 
-def export_frames(document: Mapping[str, Any], worker: Worker) -> dict[str, Any]:
+def export_frames(document: Mapping[str, Any], worker: WorkerContext) -> dict[str, Any]:
     """Write the files of some frames."""
     to, name = Destination.of(document), document["name"]
-    export = export_for(Path(name))
-    if export is None or document["form"] not in export.each:
+    export = find_export(Path(name))
+    if export is None or document["form"] not in export.per_frame_forms:
         raise TaskRefused(f"`{name}` has no file for each frame")
-    with refuse_task(ManifestError, CacheError, PictureUnavailable, ExportUnavailable):
-        cache = open_cache(worker.local_path(document["cache"]))
+    with convert_to_refusal(ManifestError, CacheError, PictureUnavailable, ExportUnavailable):
+        cache = open_cache(worker.find_local_path(document["cache"]))
         if document["ids"] is not None:
             cache = AgentSubset(cache.folder, cache.manifest, frozenset(document["ids"]))
-        place = to.place(worker, document["key"])
+        place = to.choose_task_folder(worker, document["key"])
         notes = export.forms[document["form"]](Gallery(cache), document["frames"], place / name)
     worker.notes += notes or ()
     return to.describe_files(worker, place, document["key"])

@@ -9,38 +9,38 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
-from antdsl.executors import Task, Worker, refuse_task
+from antdsl.executors import Task, WorkerContext, convert_to_refusal
 from antdsl.outputs.cache.cache_reader import CacheError, open_cache
 from antdsl.outputs.cache.manifest import ManifestError
 from antdsl.outputs.drawing import AgentMissing, DrawRequest, FrameDrawer, StillStore
 from antdsl.outputs.gallery import PictureUnavailable
-from antdsl.shots.placing import Destination
+from antdsl.shots.task_destination import Destination
 
-CHUNK = 4  # frames of a task
+FRAMES_PER_TASK = 4  # frames of a task
 
 
-def still_tasks(
-    cache: Path, picture_request: DrawRequest, frames: Sequence[int], together: Sequence[int], to: Destination
+def make_still_tasks(
+    cache: Path, picture_request: DrawRequest, frames: Sequence[int], camera_frames: Sequence[int], destination: Destination
 ) -> Iterator[Task]:
-    """Yield tasks that draw all frames. `cache`: an absolute path without links. `together`: the frames for which the camera is
-    chosen."""
-    pictures = {"cache": str(cache), "wanted": asdict(picture_request), "all": list(together)}
-    return to.frame_tasks(draw_stills, {"pictures": pictures}, frames, CHUNK)
+    """Yield tasks that draw all frames. `cache`: an absolute path without links. `camera_frames`: the frames for which the camera
+    is chosen."""
+    pictures = {"cache": str(cache), "wanted": asdict(picture_request), "all": list(camera_frames)}
+    return destination.make_frame_tasks(draw_stills, {"pictures": pictures}, frames, FRAMES_PER_TASK)
 
 
-def draw_stills(document: Mapping[str, Any], worker: Worker) -> dict[str, Any]:
+def draw_stills(document: Mapping[str, Any], worker: WorkerContext) -> dict[str, Any]:
     """Draw some frames. The drawing state is cached in the process for the next task with the same picture settings."""
     to, pictures = Destination.of(document), document["pictures"]
-    with refuse_task(ManifestError, CacheError, PictureUnavailable, AgentMissing, ValueError):
+    with convert_to_refusal(ManifestError, CacheError, PictureUnavailable, AgentMissing, ValueError):
         if worker.cached_values.get("pictures") != pictures:
             picture_request = TypeAdapter(DrawRequest).validate_python(pictures["wanted"])
-            gallery = picture_request.gallery(open_cache(worker.local_path(pictures["cache"])))
+            gallery = picture_request.gallery(open_cache(worker.find_local_path(pictures["cache"])))
             drawer = FrameDrawer(gallery, picture_request, pictures["all"], worker.threads)
             worker.cached_values |= {"pictures": pictures, "drawer": drawer}
         drawer = worker.cached_values["drawer"]
-        place = to.place(worker, document["key"])
+        place = to.choose_task_folder(worker, document["key"])
         output = StillStore.of(place, drawer.gallery.cache, drawer.wanted, pictures["all"])
         for frame in document["frames"]:
-            output.put(frame, drawer.draw(frame))
+            output.write_still(frame, drawer.draw(frame))
             worker.report_frame(frame)
     return {**to.describe_files(worker, place, document["key"]), "frames": document["frames"]}

@@ -4,7 +4,7 @@
 specs, and `judge` evaluates every frame: `queries` reads values of agents and items, `aggregates` sums and means of all agents.
 `text_report` and `reports` write the results. `golden` compares runs with recorded ones."""
 
-from antdsl.specs.cases import Case, Failure, Run, collect_cases
-from antdsl.specs.running import Work, run_cases
+from antdsl.specs.cases import SpecCase, SpecFailure, SpecRun, collect_cases
+from antdsl.specs.running import RunContext, run_cases
 
-__all__ = ["Case", "Failure", "Run", "Work", "collect_cases", "run_cases"]
+__all__ = ["RunContext", "SpecCase", "SpecFailure", "SpecRun", "collect_cases", "run_cases"]

@@ -16,67 +16,67 @@ from numpy.typing import NDArray
 from antdsl.numerics.elementwise import FUNCTION_BY_NAME
 from antdsl.plan import ir
 from antdsl.plan.lowering.spec_blocks import AggregatePlan
-from antdsl.plan.traverse import required_nodes
-from antdsl.runtime.sensing import uniform_leaf
+from antdsl.plan.traverse import collect_required_nodes
+from antdsl.runtime.sensing import compute_uniform_leaf
 from antdsl.runtime.world import Population, World
 
 _EXACT_OPERATIONS = frozenset(("add", "sub", "neg", "abs", "min", "max", "mul", "lt", "le", "gt", "ge", "eq", "ne", "where"))
 
 
-def exact_total(values: NDArray[Any]) -> np.float64:
+def sum_exactly(values: NDArray[Any]) -> np.float64:
     """Return the sum, rounded once; not finite if a term is not."""
     wide = np.asarray(values, np.float64)
     return np.float64(fsum(wide.tolist())) if np.isfinite(wide).all() else np.float64(wide.sum())
 
 
-def evaluate_aggregate(world: World, judged: dict[str, Population], plan: AggregatePlan) -> Any:
+def evaluate_aggregate(world: World, populations: dict[str, Population], plan: AggregatePlan) -> Any:
     """Return the number: float64 for totals and counts, float32 for all else. Without agents, it is as for an empty set."""
-    if plan.kind == "field" and plan.body is None:
+    if plan.kind == "field" and plan.body_register is None:
         values = world.fields[plan.of].values
-        if plan.how == "count":
+        if plan.reducer == "count":
             return np.float64(len(values))
-        return _aggregate_values(plan.how, values, len(values))
+        return _aggregate_values(plan.reducer, values, len(values))
     if plan.of in world.solids:
-        return np.float64(world.solids[plan.of].volume())
-    population = judged[plan.of]
-    chosen = None if plan.where is None else population.now[plan.where]
+        return np.float64(world.solids[plan.of].measure_volume())
+    population = populations[plan.of]
+    chosen = None if plan.where_register is None else population.now[plan.where_register]
     count = len(population) if chosen is None else int(np.count_nonzero(chosen))
-    if plan.body is None:
-        return np.float64(count) if plan.how in ("count", "total") else np.float32(count > 0)
-    values = population.now[plan.body] if plan.amount is None else world.items[plan.of].amounts[plan.amount]
+    if plan.body_register is None:
+        return np.float64(count) if plan.reducer in ("count", "total") else np.float32(count > 0)
+    values = population.now[plan.body_register] if plan.amount is None else world.items[plan.of].amounts[plan.amount]
     if chosen is not None:
         values = values[chosen]
     if values.dtype == np.bool_:
-        return _aggregate_truths(plan.how, int(np.count_nonzero(values)), count)
-    return _aggregate_values(plan.how, values, count)
+        return _aggregate_truths(plan.reducer, int(np.count_nonzero(values)), count)
+    return _aggregate_values(plan.reducer, values, count)
 
 
-def _aggregate_truths(how: str, true: int, count: int) -> Any:
-    if how == "count":
-        return np.float64(true)
-    if how == "share":
-        return np.float32(true / count if count else 0.0)
-    return np.float32(true == count if how == "every" else true > 0)
+def _aggregate_truths(operation: str, true_count: int, count: int) -> Any:
+    if operation == "count":
+        return np.float64(true_count)
+    if operation == "share":
+        return np.float32(true_count / count if count else 0.0)
+    return np.float32(true_count == count if operation == "every" else true_count > 0)
 
 
-def _aggregate_values(how: str, values: NDArray[Any], count: int) -> Any:
-    if how == "total":
-        return exact_total(values)
-    if how == "mean":
-        return np.float32(exact_total(values) / count if count else 0.0)
-    if how == "min":
+def _aggregate_values(operation: str, values: NDArray[Any], count: int) -> Any:
+    if operation == "total":
+        return sum_exactly(values)
+    if operation == "mean":
+        return np.float32(sum_exactly(values) / count if count else 0.0)
+    if operation == "min":
         return np.float32(values.min()) if count else np.float32(np.inf)
     return np.float32(values.max()) if count else np.float32(-np.inf)
 
 
-def evaluate_uniform(world: World, node: ir.PlanNode, spec_values: dict[str, Any]) -> Any:
+def evaluate_uniform_node(world: World, node: ir.PlanNode, spec_values: dict[str, Any]) -> Any:
     """Return the value of a node that is equal for all agents, from the elementwise table of the backends."""
     values: dict[ir.PlanNode, Any] = {}
     with np.errstate(all="ignore"):
-        for each in required_nodes((node,)):
+        for each in collect_required_nodes((node,)):
             f = FUNCTION_BY_NAME.get(each.op)
             if f is None:
-                values[each] = spec_values[each.attrs[0]] if each.op == "told" else uniform_leaf(world, each)
+                values[each] = spec_values[each.attrs[0]] if each.op == "told" else compute_uniform_leaf(world, each)
                 continue
             args = [values[a] for a in each.args]
             if each.op not in _EXACT_OPERATIONS or not all(map(_is_exact, each.args, args)):

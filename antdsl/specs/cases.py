@@ -11,7 +11,7 @@ from antdsl.files import find_files
 from antdsl.loading import ParsedFileCache, SharedParsedFiles
 from antdsl.pipeline import RunChoices, Shot, check_path, open_scene
 from antdsl.plan.lowering.spec_blocks import SpecPlan, lower_spec
-from antdsl.program.consequences import merge_repeats
+from antdsl.program.cascading_errors import merge_repeated_findings
 from antdsl.program.expectations import Spec, SpecChange
 from antdsl.program.model import Program
 from antdsl.scene.paths import PathRefused, Roots
@@ -23,10 +23,11 @@ MAX_NAMED_AGENTS = 8  # ids that a failure names
 
 
 @dataclass(frozen=True, slots=True)
-class Failure:
+class SpecFailure:
     """An expectation of a spec that was not met. `values`: text as in the source and its value. `agent`: species and id of the
-    first failing agent of an `each`; `others`: how many more in that frame; `agents`: the ids of the first of them. `began`: the
-    frame in which the agent's expired waiting time began. `whereabouts`: its states and its position, by name."""
+    first failing agent of an `each`; `other_count`: how many more in that frame; `agents`: the ids of the first of them.
+    `wait_start_frame`: the frame in which the agent's expired waiting time began. `whereabouts`: its states and its position, by
+    name."""
 
     message: str
     span: Span | None
@@ -34,23 +35,23 @@ class Failure:
     time: float | None = None  # seconds since the spec's first frame
     values: tuple[tuple[str, str], ...] = ()
     agent: tuple[str, int] | None = None
-    others: int = 0
+    other_count: int = 0
     agents: tuple[int, ...] = ()
-    began: int | None = None
+    wait_start_frame: int | None = None
     whereabouts: tuple[tuple[str, str], ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
 class SavedFrames:
-    """The cache with the frames `begins` .. `frame` before a failure, and the commands that show them and that continue from
+    """The cache with the frames `first_frame` .. `frame` before a failure, and the commands that show them and that continue from
     there. `note`: what did not work; then there may be no folder."""
 
     folder: Path | None
     note: str = ""
-    begins: int = 0
+    first_frame: int = 0
     frame: int = 0
-    look: str = ""
-    again: str = ""
+    view_command: str = ""
+    resume_command: str = ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,7 +63,7 @@ class ComparisonShot:
 
 
 @dataclass(slots=True, eq=False)
-class Case:
+class SpecCase:
     """One spec with one seed. `outcome`: passed; failed; allowed, if it failed but enough other seeds passed; or waiting, if it
     was not run to its end."""
 
@@ -71,10 +72,10 @@ class Case:
     scene: Path
     seed: int
     outcome: str = "waiting"
-    failures: list[Failure] = field(default_factory=list)
+    failures: list[SpecFailure] = field(default_factory=list)
     frames: int = 0
     seconds: float = 0.0
-    against: ComparisonShot | None = None
+    comparison_shot: ComparisonShot | None = None
     saved_frames: SavedFrames | None = None
 
     @property
@@ -84,17 +85,17 @@ class Case:
 
 
 @dataclass(slots=True, eq=False)
-class Run:
+class SpecRun:
     """Cases that are judged in the same simulation."""
 
     shot: Shot
     seed: int
-    cases: list[Case]
+    cases: list[SpecCase]
 
 
 def collect_cases(
     paths: Iterable[Path], *, grants: Mapping[str, Path] | None = None, seeds: int | None = None, named: str = ""
-) -> tuple[list[Run], Report]:
+) -> tuple[list[SpecRun], Report]:
     """Return what to run for programs, scenes and folders, and a report on files, scenes and specs.
 
     Folders are searched for programs; a scene counts when it is named. `seeds`: 1 to this number instead of each spec's own.
@@ -110,7 +111,7 @@ def collect_cases(
             continue
         for spec in program.specs:
             if named.lower() in spec.name.lower():
-                finder.add(file, spec)
+                finder.add_spec(file, spec)
     return finder.make_runs(seeds), report
 
 
@@ -119,16 +120,16 @@ class CaseFinder:
 
     def __init__(self, grants: dict[str, Path], parsed: ParsedFileCache, report: Report) -> None:
         self.grants, self.parsed, self.report = grants, parsed, report
-        self.nowhere = Report()  # scenes that are not there
+        self.missing_scene_report = Report()  # scenes that are not there
         self.shots: dict[tuple[Path, tuple[str, ...]], Shot | None] = {}
-        self.found: dict[tuple[Path, Span], tuple[Path, Spec]] = {}
+        self.scene_and_spec_by_key: dict[tuple[Path, Span], tuple[Path, Spec]] = {}
 
-    def add(self, file: Path, spec: Spec) -> None:
+    def add_spec(self, file: Path, spec: Spec) -> None:
         """Add a spec with its scene, only once for any number of paths. A scene adds the specs that run on it."""
         own = Path(spec.span.source.path)
         scene = self._find_scene(own, spec, file)
         if scene is not None and (file.suffix == ".ant" or scene.resolve() == file.resolve()):
-            self.found.setdefault((scene.resolve(), spec.span), (scene, spec))
+            self.scene_and_spec_by_key.setdefault((scene.resolve(), spec.span), (scene, spec))
 
     def _find_scene(self, own: Path, spec: Spec, file: Path) -> Path | None:
         """Return the scene of a spec; without `on`, the scene of the path, or `scene.yaml` next to the program."""
@@ -139,47 +140,49 @@ class CaseFinder:
             if (folder / DEFAULT_SCENE).is_file():
                 return own.parent / DEFAULT_SCENE
             message = f"the spec `{spec.name}` does not say on which scene it runs, and there is no `{DEFAULT_SCENE}` here"
-            self.report.error("no-scene", message, _first_line(spec), f'write `spec "{spec.name}" on "{DEFAULT_SCENE}" {{ … }}`')
+            self.report.error(
+                "no-scene", message, _find_first_line(spec), f'write `spec "{spec.name}" on "{DEFAULT_SCENE}" {{ … }}`'
+            )
             return None
-        return self._named_scene(own, spec.scene)
+        return self._find_named_scene(own, spec.scene)
 
-    def _named_scene(self, own: Path, name: Text) -> Path | None:
+    def _find_named_scene(self, own: Path, name: Text) -> Path | None:
         """Return the named scene next to a program, or in a granted root."""
         roots = Roots(own.resolve().parent, self.grants)
         try:
-            roots.file_size(name.text)
+            roots.measure_file_size(name.text)
         except PathRefused as refused:
-            self.nowhere.error(refused.code, str(refused), name.span, refused.help)
+            self.missing_scene_report.error(refused.code, str(refused), name.span, refused.help)
             return None
         path = roots.path(name.text)
         return own.parent / name.text if (own.parent / name.text).resolve() == path.resolve() else path
 
-    def make_runs(self, seeds: int | None) -> list[Run]:
+    def make_runs(self, seeds: int | None) -> list[SpecRun]:
         """Return the runs of all added specs. `seeds`: run each spec with seeds 1 to this number, not with its listed seeds."""
-        made: dict[tuple[int, int], Run] = {}
-        for scene, spec in self.found.values():
+        made: dict[tuple[int, int], SpecRun] = {}
+        for scene, spec in self.scene_and_spec_by_key.values():
             shot = self._open_shot(scene, spec.changes)
             plan = None if shot is None else self._find_plan(shot, spec, scene)
-            other = None if spec.against is None or plan is None else self._find_opponent(scene, spec)
-            if shot is None or plan is None or (spec.against is not None and other is None):
+            other = None if spec.reference_run is None or plan is None else self._find_comparison_shot(scene, spec)
+            if shot is None or plan is None or (spec.reference_run is not None and other is None):
                 continue
             for seed in range(1, seeds + 1) if seeds else spec.seeds or (shot.scene.model.seed,):
-                run = made.setdefault((id(shot), seed), Run(shot, seed, []))
-                run.cases.append(Case(plan.spec, plan, scene, seed, against=other))
-        self.report.extend(merge_repeats(self.nowhere))
+                run = made.setdefault((id(shot), seed), SpecRun(shot, seed, []))
+                run.cases.append(SpecCase(plan.spec, plan, scene, seed, comparison_shot=other))
+        self.report.extend(merge_repeated_findings(self.missing_scene_report))
         return list(made.values())
 
-    def _find_opponent(self, scene: Path, spec: Spec) -> ComparisonShot | None:
+    def _find_comparison_shot(self, scene: Path, spec: Spec) -> ComparisonShot | None:
         """Return the other run of a comparing spec. The spec's own changes also apply there, unless `against` changes the same
         names."""
-        assert spec.against is not None
-        if spec.against.scene is not None:
-            scene_path = self._named_scene(Path(spec.span.source.path), spec.against.scene)
+        assert spec.reference_run is not None
+        if spec.reference_run.scene is not None:
+            scene_path = self._find_named_scene(Path(spec.span.source.path), spec.reference_run.scene)
             if scene_path is None:
                 return None
             scene = scene_path
-        mine = {change.name for change in spec.against.changes}
-        shot = self._open_shot(scene, (*(c for c in spec.changes if c.name not in mine), *spec.against.changes))
+        mine = {change.name for change in spec.reference_run.changes}
+        shot = self._open_shot(scene, (*(c for c in spec.changes if c.name not in mine), *spec.reference_run.changes))
         plan = None if shot is None else self._find_plan(shot, spec, scene)
         return None if shot is None or plan is None else ComparisonShot(shot, plan)
 
@@ -194,24 +197,24 @@ class CaseFinder:
 
     def _find_plan(self, shot: Shot, spec: Spec, scene: Path) -> SpecPlan | None:
         """Return the spec as the scene's own program has it, which may have more species than the file alone."""
-        mine = _same_spec(shot.program, spec)
+        mine = _find_same_spec(shot.program, spec)
         if mine is None:
             message = f"`{scene.name}` has no crowd from `{Path(spec.span.source.path).name}`"
             advice = "name a scene that uses this program, or add a line to its `crowd`"
-            self.report.error("other-scene", message, _first_line(spec), advice)
+            self.report.error("other-scene", message, _find_first_line(spec), advice)
             return None
         plan, report = lower_spec(mine, shot.program, shot.plan)
         self.report.extend(report)
         return plan
 
 
-def _same_spec(program: Program, spec: Spec) -> Spec | None:
+def _find_same_spec(program: Program, spec: Spec) -> Spec | None:
     """Return the spec at the same position of the same source in another program, or None."""
     place = (spec.span.source, spec.span.start)
     return next((each for each in program.specs if (each.span.source, each.span.start) == place), None)
 
 
-def _first_line(spec: Spec) -> Span:
+def _find_first_line(spec: Spec) -> Span:
     """Return the span of a spec's first line."""
     source, start = spec.span.source, spec.span.start
     end = source.text.find("\n", start)
@@ -223,25 +226,25 @@ class SpecVerdict:
     """A spec that requires a share of its seeds: how many of how many passed. `holds` is None while some are waiting."""
 
     spec: Spec
-    passed: int
-    cases: int
+    passed_count: int
+    case_count: int
     holds: bool | None
 
 
-def settle_verdicts(cases: Sequence[Case]) -> list[SpecVerdict]:
+def settle_verdicts(cases: Sequence[SpecCase]) -> list[SpecVerdict]:
     """Return the verdicts after all runs. Failures in a spec of which enough seeds passed become `allowed`."""
-    groups: dict[tuple[str, int, str], list[Case]] = {}
+    groups: dict[tuple[str, int, str], list[SpecCase]] = {}
     for case in cases:
-        if case.spec.share < 1:
+        if case.spec.pass_share < 1:
             groups.setdefault((case.spec.span.source.path, case.spec.span.start, str(case.scene)), []).append(case)
     return [_settle_group(group) for group in groups.values()]
 
 
-def _settle_group(group: list[Case]) -> SpecVerdict:
+def _settle_group(group: list[SpecCase]) -> SpecVerdict:
     passed = sum(case.outcome == "passed" for case in group)
     if any(case.outcome == "waiting" for case in group):
         return SpecVerdict(group[0].spec, passed, len(group), None)
-    holds = passed >= group[0].spec.share * len(group) * (1 - 1e-9)
+    holds = passed >= group[0].spec.pass_share * len(group) * (1 - 1e-9)
     for case in group:
         if holds and case.outcome == "failed":
             case.outcome = "allowed"

@@ -26,13 +26,14 @@ class CoverageEntry:
 
 @dataclass(frozen=True, slots=True)
 class _MachineCoverage:
-    """A machine's states and changes in the order of their numbers in the plan. `taking`: changes that depend on a claim."""
+    """A machine's states and changes in the order of their numbers in the plan. `claim_changes`: changes that depend on a
+    claim."""
 
     species: str
     name: str
     states: tuple[CoverageEntry, ...]
     changes: tuple[CoverageEntry, ...]
-    taking: tuple[int, ...]
+    claim_changes: tuple[int, ...]
 
 
 @dataclass(slots=True)
@@ -43,21 +44,21 @@ class SpecCoverage:
     changes: dict[CoverageKey, CoverageEntry] = field(default_factory=dict)
 
     @property
-    def share(self) -> float:
+    def covered_share(self) -> float:
         """Return the share of all states and changes that occurred, from 0 to 1; 1 if there are none."""
         all = [*self.states.values(), *self.changes.values()]
         return sum(each.count > 0 for each in all) / len(all) if all else 1.0
 
-    def watch(self, world: World, program: Program) -> None:
+    def watch_world(self, world: World, program: Program) -> None:
         """Count states in this world, including its current frame."""
-        machines = [self._machine(s.name, m) for s in program.species.values() for m in s.machines]
+        machines = [self._make_machine_coverage(s.name, m) for s in program.species.values() for m in s.machines]
         for machine in machines:
             states = world.populations[machine.species].now.get(f"{machine.name}.state")
             if states is not None:
                 _count_states(machine, states)
-        world.watchers.append(partial(_count_all, machines=machines))
+        world.watchers.append(partial(_count_all_changes, machines=machines))
 
-    def _machine(self, species: str, machine: Machine) -> _MachineCoverage:
+    def _make_machine_coverage(self, species: str, machine: Machine) -> _MachineCoverage:
         """Return the entries of a machine; new entries are added with count 0."""
         pairs = [change for state in machine.states for change in state.transitions]
         return _MachineCoverage(
@@ -78,7 +79,7 @@ def _count_states(machine: _MachineCoverage, states: np.ndarray) -> None:
         state.count += int(number)
 
 
-def _count_all(world: World, machines: list[_MachineCoverage]) -> None:
+def _count_all_changes(world: World, machines: list[_MachineCoverage]) -> None:
     for machine in machines:
         _count_changes(world, machine)
 
@@ -95,8 +96,8 @@ def _count_changes(world: World, machine: _MachineCoverage) -> None:
     pending, won = (population.now.get(f"~{machine.name}.{word}") for word in ("pending", "won"))
     if pending is None:
         return
-    if machine.taking and won is not None:
-        pending = np.where(np.isin(pending, machine.taking) & ~won, 0, pending)
+    if machine.claim_changes and won is not None:
+        pending = np.where(np.isin(pending, machine.claim_changes) & ~won, 0, pending)
     change_counts = np.bincount(pending, minlength=len(machine.changes) + 1)
     for change, number in zip(machine.changes, change_counts[1:], strict=True):
         change.count += int(number)

@@ -11,23 +11,23 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from antdsl.atomic_write import find_first_link
 from antdsl.loading import display_path
 from antdsl.outputs.cache.cache_writer import ForeignFolder, PathBlocked, prepare_folder
-from antdsl.outputs.cache.frames import static_arrays
-from antdsl.outputs.recording import Recording, record
-from antdsl.outputs.starting import StartError, source_of, start_hash
+from antdsl.outputs.cache.frame_maker import make_static_arrays
+from antdsl.outputs.cache_start import StartError, find_start_cache, hash_start_frame
+from antdsl.outputs.recording import Recording, record_frames
 from antdsl.pipeline import RunChoices, Shot, open_scene
 from antdsl.program.model import Constant, Expr
-from antdsl.program.tables.units import default_unit, measure
-from antdsl.program.types.folding import constant_behind
-from antdsl.runtime import BindingCache, CheckpointError, Options, World, bind, checkpoint, restore, state_hash
+from antdsl.program.tables.units import choose_default_unit, find_unit_measure
+from antdsl.program.types.folding import find_constant
+from antdsl.runtime import BindingCache, CheckpointError, Options, World, bind, restore_checkpoint, state_hash, take_checkpoint
 from antdsl.runtime.checkpoints import Arrays
-from antdsl.scene.matching import const_in_base_units
 from antdsl.scene.quantities import QuantityError, parse_quantity
+from antdsl.scene.scene_checks import convert_constant
 from antdsl.scene.setting import WorldSetting
 from antdsl.scene.values import FrameRange
-from antdsl.specs.cases import Case, Run, SavedFrames
-from antdsl.whole import first_link
+from antdsl.specs.cases import SavedFrames, SpecCase, SpecRun
 
 COPY_INTERVAL_FRAMES = 12  # frames between two copies of the state
 MAX_STORED_CASES = 5  # cases stored of one `antdsl test`
@@ -53,17 +53,17 @@ class StateCopies:
     is stored, because the run can only continue from there."""
 
     def __init__(self, setting: WorldSetting) -> None:
-        self.whole = bool(setting.moves) or (setting.camera is not None and len(setting.camera.at) > 1)
+        self.keeps_first_copy = bool(setting.motion) or (setting.camera is not None and len(setting.camera.at) > 1)
         self.last: Arrays | None = None
 
     def store_copy(self, world: World) -> None:
         """Store a copy if it is due. Call it for each frame after it was judged."""
-        if self.last is None or (not self.whole and world.frame >= int(self.last["frame"]) + COPY_INTERVAL_FRAMES):
-            self.last = checkpoint(world)
+        if self.last is None or (not self.keeps_first_copy and world.frame >= int(self.last["frame"]) + COPY_INTERVAL_FRAMES):
+            self.last = take_checkpoint(world)
 
-    def failure_point(self, world: World) -> FailurePoint:
+    def make_failure_point(self, world: World) -> FailurePoint:
         """Return the data that is needed to simulate this frame again."""
-        return FailurePoint(world.frame, state_hash(world), checkpoint(world) if self.last is None else self.last)
+        return FailurePoint(world.frame, state_hash(world), take_checkpoint(world) if self.last is None else self.last)
 
 
 @dataclass(slots=True)
@@ -75,24 +75,24 @@ class FailureSaver:
     options: Options
     count: int = 0
 
-    def save(self, run: Run, case: Case, failure_point: FailurePoint, built: BindingCache) -> SavedFrames:
+    def save_failure(self, run: SpecRun, case: SpecCase, failure_point: FailurePoint, binding_cache: BindingCache) -> SavedFrames:
         """Simulate up to the failure again, into a cache. Problems are reported in the `SavedFrames`."""
         self.count += 1
         if self.count > MAX_STORED_CASES:
             return SavedFrames(None, f"not saved: only the first {MAX_STORED_CASES} are")
         above = self.folder if self.folder is not None else case.scene.parent / "out" / "failed"
-        folder = above / f"{folder_name(case.name)}-{case.seed}"
+        folder = above / f"{make_folder_name(case.name)}-{case.seed}"
         named = (case.scene.parent, "out", "failed") if self.folder is None else (above,)
-        link = first_link(*named, folder.name)
+        link = find_first_link(*named, folder.name)
         if link is not None:
             return SavedFrames(None, f"not saved: `{display_path(link)}` is a link; name a folder with `--keep`")
-        params = {change.name: _flag_value(run.shot, change.value) for change in case.spec.changes}
+        params = {change.name: _format_flag_value(run.shot, change.value) for change in case.spec.changes}
         frames = FrameRange(failure_point.first_frame, max(run.shot.frames.last, failure_point.frame + 1))
         shot, report = open_scene(case.scene, RunChoices(self.grants, frames, run.seed, params))
         if shot is None:
             return SavedFrames(None, f"not saved: {report.errors[0].message}")
         try:
-            last_hash = self._record(shot, folder, failure_point, built)
+            last_hash = self._record_frames(shot, folder, failure_point, binding_cache)
         except (OSError, ForeignFolder, PathBlocked, StartError, CheckpointError) as why:
             return SavedFrames(None, f"not saved: {str(why).lower()}")
         words = [f"--root {shlex.quote(f'{name}={path}')}" for name, path in self.grants.items()]
@@ -110,39 +110,41 @@ class FailureSaver:
             folder, note, failure_point.first_frame, failure_point.frame, look, f"{again} --out {folder_text} --resume"
         )
 
-    def _record(self, shot: Shot, folder: Path, failure_point: FailurePoint, built: BindingCache) -> str:
+    def _record_frames(self, shot: Shot, folder: Path, failure_point: FailurePoint, binding_cache: BindingCache) -> str:
         """Write the frames from the copy to the failure; return the hash of the last."""
         model = shot.scene.model
         output = model.output.model_copy(update={"checkpoint": 1})
         short = FrameRange(failure_point.first_frame, failure_point.frame)
-        scene = shot.scene.changed(output=output, frames=short, preroll=0)
-        begins = source_of(shot)
+        scene = shot.scene.replace_values(output=output, frames=short, preroll=0)
+        begins = find_start_cache(shot)
         if begins is not None and begins.resolve() == folder.resolve():
             raise ForeignFolder(f"`{folder}` is what the scene begins with")
         prepare_folder(folder, force=False)
-        world = bind(shot.plan, shot.setting, self.options, built=built)
-        restore(world, failure_point.arrays)
-        inputs = {**shot.inputs, **start_hash(shot)}
-        recording = Recording(replace(shot, scene=scene), folder, world, inputs, static=static_arrays(world, shot.setting))
-        for _ in record(recording):
+        world = bind(shot.plan, shot.setting, self.options, built=binding_cache)
+        restore_checkpoint(world, failure_point.arrays)
+        inputs = {**shot.inputs, **hash_start_frame(shot)}
+        recording = Recording(
+            replace(shot, scene=scene), folder, world, inputs, static_arrays=make_static_arrays(world, shot.setting)
+        )
+        for _ in record_frames(recording):
             pass
-        return recording.hash
+        return recording.last_state_hash
 
 
-def folder_name(name: str) -> str:
+def make_folder_name(name: str) -> str:
     """Return a name as a folder name: letters, digits and hyphens."""
     return "-".join(re.findall("[a-z0-9]+", name.lower()))[:60].strip("-") or "spec"
 
 
-def _flag_value(shot: Shot, value: Expr) -> str:
+def _format_flag_value(shot: Shot, value: Expr) -> str:
     """Return a changed value in the form that `--set` accepts: as in the source, or a computed number with its unit."""
     text = "".join(value.span.text.split())
     try:
         parse_quantity(text)
     except QuantityError:
-        known = constant_behind(value)
+        known = find_constant(value)
         assert isinstance(known, Constant)
-        unit = default_unit(known.type.dim)
-        one = measure(unit)
-        return f"{const_in_base_units(known, shot.scene) / (1.0 if one is None else one.factor)!r}{unit}"
+        unit = choose_default_unit(known.type.dimension)
+        one = find_unit_measure(unit)
+        return f"{convert_constant(known, shot.scene) / (1.0 if one is None else one.factor)!r}{unit}"
     return text

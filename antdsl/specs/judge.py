@@ -12,96 +12,99 @@ from numpy.typing import NDArray
 from antdsl.plan import ir
 from antdsl.plan.lowering.spec_blocks import JudgementPlan, ReadingPlan, SpecPlan
 from antdsl.runtime.world import World
-from antdsl.specs.cases import MAX_NAMED_AGENTS, Failure
+from antdsl.specs.cases import MAX_NAMED_AGENTS, SpecFailure
 from antdsl.specs.comparison import ComparedRun
-from antdsl.specs.lines import FrameObservation, Ids, JudgementLine, duration_in_steps, observe_whole
+from antdsl.specs.lines import AgentIds, FrameObservation, JudgementLine, count_duration_steps, observe_aggregate
 from antdsl.specs.queries import SpecEvaluator, extend_table
-from antdsl.specs.value_text import agent_whereabouts, format_value
+from antdsl.specs.value_text import describe_whereabouts, format_value
 from antdsl.syntax.words import NUMBER_REGEX
 
 _NUMBER_PATTERN = re.compile(NUMBER_REGEX)
 
 
 class SpecJudge:
-    """Call `look` for each frame from the first on, until `over`. `failures` are in order of detection. A spec that compares runs
-    also has the reference run."""
+    """Call `judge_frame` for each frame from the first on, until `is_over`. `failures` are in order of detection. A spec that
+    compares runs also has the reference run."""
 
     def __init__(self, plan: SpecPlan, world: World, last: int, compared_run: ComparedRun | None = None) -> None:
-        self.plan, self.first, self.rival = plan, world.frame, compared_run
-        self.asker = SpecEvaluator(plan, world)
-        self.last = last_frame(plan, world, last)
+        self.plan, self.first, self.reference_run = plan, world.frame, compared_run
+        self.evaluator = SpecEvaluator(plan, world)
+        self.last = find_last_frame(plan, world, last)
         self.lines = [
-            JudgementLine(j, duration_in_steps(world, j.time), duration_in_steps(world, j.held)) for j in plan.judgements
+            JudgementLine(j, count_duration_steps(world, j.time), count_duration_steps(world, j.hold_time))
+            for j in plan.judgements
         ]
-        self.failures: list[Failure] = []
-        self.over = False
+        self.failures: list[SpecFailure] = []
+        self.is_over = False
 
-    def look(self, world: World) -> None:
+    def judge_frame(self, world: World) -> None:
         """Judge the world as it is at this frame."""
-        if self.over:
+        if self.is_over:
             return
-        spec_world = self.asker.ask(world, {} if self.rival is None else self.rival.values(world.frame - self.first))
+        spec_world = self.evaluator.ask(
+            world, {} if self.reference_run is None else self.reference_run.values(world.frame - self.first)
+        )
         final = world.frame >= self.last
         for line in (line for line in self.lines if line.plan.kind == "until" and line.plan.species is None):
-            final = bool(len(line.look(self._observe(world, spec_world, line, final)))) or final
+            final = bool(len(line.find_failed(self._observe_line(world, spec_world, line, final)))) or final
         for line in self.lines:
-            if line.open and line.plan.kind != "until" and (final or not line.plan.at_end):
-                observation = self._observe(world, spec_world, line, final)
-                failed = self._check_race(line, observation) if line.plan.kind == "sooner" else line.look(observation)
+            if line.is_open and line.plan.kind != "until" and (final or not line.plan.at_end):
+                observation = self._observe_line(world, spec_world, line, final)
+                failed = self._judge_sooner(line, observation) if line.plan.kind == "sooner" else line.find_failed(observation)
                 if len(failed):
                     self._record_failure(world, spec_world, line, failed)
         for line in self.lines:
             if line.plan.kind == "until" and line.plan.species is not None:
-                released_ids = line.look(self._observe(world, spec_world, line, final))
-                line.fine = extend_table(line.fine, spec_world.populations[line.plan.species].ids, False)
-                line.fine[released_ids] = True
-        self.over = final or not any(line.open for line in self.lines if line.plan.kind != "until")
+                released_ids = line.find_failed(self._observe_line(world, spec_world, line, final))
+                line.is_fulfilled = extend_table(line.is_fulfilled, spec_world.populations[line.plan.species].ids, False)
+                line.is_fulfilled[released_ids] = True
+        self.is_over = final or not any(line.is_open for line in self.lines if line.plan.kind != "until")
 
-    def _observe(self, world: World, spec_world: World, line: JudgementLine, final: bool) -> FrameObservation:
+    def _observe_line(self, world: World, spec_world: World, line: JudgementLine, final: bool) -> FrameObservation:
         """Evaluate the condition of a line in this frame."""
         plan = line.plan
         if plan.species is None:
-            since = None if plan.since is None else self._holds(world, plan.since)
-            return observe_whole(world.frame, final, self.first, self._holds(world, plan.condition), since)
+            since = None if plan.start_condition is None else self._evaluate_condition(world, plan.start_condition)
+            return observe_aggregate(world.frame, final, self.first, self._evaluate_condition(world, plan.condition), since)
         judged = spec_world.populations[plan.species]
         assert isinstance(plan.condition, str)
-        since_flags = None if plan.since is None else judged.now[str(plan.since)].astype(np.bool_)
+        since_flags = None if plan.start_condition is None else judged.now[str(plan.start_condition)].astype(np.bool_)
         holds = judged.now[plan.condition].astype(np.bool_)
         first_frames = np.maximum(judged.born, self.first)
         return FrameObservation(
             world.frame, final, judged.ids, first_frames, holds, since_flags, self._find_released(line, judged.ids)
         )
 
-    def _holds(self, world: World, node: ir.PlanNode | str) -> bool:
+    def _evaluate_condition(self, world: World, node: ir.PlanNode | str) -> bool:
         """Return whether a condition on aggregates holds; NaN makes it false."""
         assert isinstance(node, ir.PlanNode)
-        return bool(self.asker.value(world, node))
+        return bool(self.evaluator.value(world, node))
 
-    def _find_released(self, line: JudgementLine, ids: Ids) -> NDArray[np.bool_]:
+    def _find_released(self, line: JudgementLine, ids: AgentIds) -> NDArray[np.bool_]:
         """Return the agents for which an `until` of the same block has held before this frame."""
         free = np.zeros(len(ids), np.bool_)
         for other in self.lines:
-            if other.plan.kind == "until" and other.plan.block == line.plan.block:
-                free |= extend_table(other.fine, ids, False)[ids]
+            if other.plan.kind == "until" and other.plan.block_number == line.plan.block_number:
+                free |= extend_table(other.is_fulfilled, ids, False)[ids]
         return free
 
-    def _check_race(self, line: JudgementLine, observation: FrameObservation) -> Ids:
+    def _judge_sooner(self, line: JudgementLine, observation: FrameObservation) -> AgentIds:
         """Judge `sooner`: the condition must hold in an earlier frame here than in the other run. Frames are counted from the
         first of each run."""
-        assert self.rival is not None
-        holds = bool(len(line.look(observation)))
-        when = self.rival.steps_until_held(line.plan)
+        assert self.reference_run is not None
+        holds = bool(len(line.find_failed(observation)))
+        when = self.reference_run.find_steps_until_held(line.plan)
         lost = when is not None and observation.frame - self.first >= when
         if lost:
-            line.why = f"in the other run it was so after {self._seconds_text(when or 0)}"
-            line.why += ", no later than here" if holds else ", but not here yet"
-        elif not holds and observation.final:
-            lost, line.why = True, "the run is over, and it did not hold in the other run either"
-        line.open = not holds
+            line.failure_reason = f"in the other run it was so after {self._format_seconds(when or 0)}"
+            line.failure_reason += ", no later than here" if holds else ", but not here yet"
+        elif not holds and observation.is_final:
+            lost, line.failure_reason = True, "the run is over, and it did not hold in the other run either"
+        line.is_open = not holds
         return observation.ids if lost else observation.ids[:0]
 
-    def _seconds_text(self, steps: int) -> str:
-        return f"{steps * self.rival.dt:.6g} s" if self.rival is not None else ""
+    def _format_seconds(self, steps: int) -> str:
+        return f"{steps * self.reference_run.dt:.6g} s" if self.reference_run is not None else ""
 
     # --- reporting ---------------------------------------------------------------------------------------------------
 
@@ -112,39 +115,40 @@ class SpecJudge:
         reading_values: list[tuple[ReadingPlan, Any]] = []
         for reading in plan.readings:
             if reading.node is not None:
-                reading_values.append((reading, self.asker.value(world, reading.node)))
+                reading_values.append((reading, self.evaluator.value(world, reading.node)))
             elif row is not None and row >= 0 and reading.register is not None:
                 reading_values.append((reading, spec_world.populations[plan.species].now[reading.register][row]))  # type: ignore[index]
         return _format_readings(world, reading_values, plan.span.text)
 
-    def _record_failure(self, world: World, spec_world: World, line: JudgementLine, agents: Ids) -> None:
+    def _record_failure(self, world: World, spec_world: World, line: JudgementLine, agents: AgentIds) -> None:
         """Close a line and store its failure, with aggregate values or those of the failed agent with the least id."""
-        line.open = False
+        line.is_open = False
         plan, fps = line.plan, float(world.setting.fps)
         least = int(agents.min())
         row = None
         if plan.species is not None:
-            row = int(spec_world.populations[plan.species].rows_of(np.array([least]))[0])
+            row = int(spec_world.populations[plan.species].find_rows(np.array([least]))[0])
             if row >= 0:
-                self.asker.run(spec_world, "blend", plan.species, np.array([row]))
+                self.evaluator.run(spec_world, "blend", plan.species, np.array([row]))
         values = self._format_values(world, spec_world, plan, row)
         text = " ".join(plan.span.text.split())
-        message = f"{text}{f' ({line.why})' if line.why else ''}"
-        failure = Failure(message, plan.span, world.frame, (world.frame - self.first) / fps, values)
+        message = f"{text}{f' ({line.failure_reason})' if line.failure_reason else ''}"
+        failure = SpecFailure(message, plan.span, world.frame, (world.frame - self.first) / fps, values)
         if plan.species is not None:
             named = tuple(int(each) for each in np.sort(agents)[:MAX_NAMED_AGENTS])
             there_still = row is not None and row >= 0
             failure = replace(
-                failure, agent=(plan.species, least), others=len(agents) - 1, agents=named, began=line.start_frame(least),
-                whereabouts=agent_whereabouts(world, plan.species, row or 0) if there_still else (),
+                failure, agent=(plan.species, least), other_count=len(agents) - 1, agents=named,
+                wait_start_frame=line.find_start_frame(least),
+                whereabouts=describe_whereabouts(world, plan.species, row or 0) if there_still else (),
             )  # fmt: skip
         self.failures.append(failure)
 
 
-def last_frame(plan: SpecPlan, world: World, last: int) -> int:
+def find_last_frame(plan: SpecPlan, world: World, last_scene_frame: int) -> int:
     """Return the last frame of a spec that begins now: the scene's last frame, or the end of the spec's `for`."""
-    steps = duration_in_steps(world, plan.duration)
-    return last if steps is None else world.frame + steps
+    steps = count_duration_steps(world, plan.duration)
+    return last_scene_frame if steps is None else world.frame + steps
 
 
 def _format_readings(world: World, reading_values: list[tuple[ReadingPlan, Any]], line: str) -> tuple[tuple[str, str], ...]:

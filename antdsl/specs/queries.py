@@ -15,17 +15,17 @@ from numpy.typing import NDArray
 from antdsl.casting.rays import RayScene
 from antdsl.ground.protocol import Footing
 from antdsl.plan import ir
-from antdsl.plan.lowering.spec_blocks import AggregatePlan, OtherRunPlan, SpecPlan, StartPlan
-from antdsl.plan.traverse import operands, required_nodes, statements
+from antdsl.plan.lowering.spec_blocks import AggregatePlan, ReferenceValuePlan, SpecPlan, StartValuePlan
+from antdsl.plan.traverse import collect_required_nodes, iterate_statements, list_operands
 from antdsl.program.expectations import MOTION_MEASURES
 from antdsl.runtime.backends import BACKENDS
-from antdsl.runtime.lifecycle import find_cells
+from antdsl.runtime.lifecycle import find_own_cells
 from antdsl.runtime.requests import EffectRequests
-from antdsl.runtime.world import AXES, DTYPE_BY_KIND, Items, Population, World, fixed_columns
-from antdsl.senses.overlaps import worst_overlaps
-from antdsl.specs.aggregates import evaluate_aggregate, evaluate_uniform
+from antdsl.runtime.world import AXES, DTYPE_BY_KIND, Items, Population, World, make_fixed_columns
+from antdsl.senses.overlaps import measure_worst_overlaps
+from antdsl.specs.aggregates import evaluate_aggregate, evaluate_uniform_node
 
-Floats = NDArray[np.float32]
+FloatArray = NDArray[np.float32]
 _UNKNOWN_VALUE = 1e300  # what no float32 can be: of agents that were not there yet
 
 
@@ -37,22 +37,26 @@ class SpecEvaluator:
         self.plan = plan
         self.backend: Any = BACKENDS[world.options.backend](plan.plan)
         self.values: dict[str, Any] = {}
-        known: list[AggregatePlan | StartPlan | OtherRunPlan] = [*plan.wholes, *plan.starts, *plan.others]
-        self.names = [each.name for each in known] + [f"motion.{name}" for name in MOTION_MEASURES]
-        self.starts: dict[str, NDArray[np.float64]] = {}  # by id
-        self.smelling = {name for name, species in plan.plan.species.items() if _has_field_requests(species)}
+        known: list[AggregatePlan | StartValuePlan | ReferenceValuePlan] = [
+            *plan.aggregates,
+            *plan.start_values,
+            *plan.reference_values,
+        ]
+        self.value_names = [each.name for each in known] + [f"motion.{name}" for name in MOTION_MEASURES]
+        self.start_values: dict[str, NDArray[np.float64]] = {}  # by id
+        self.field_reading_species = {name for name, species in plan.plan.species.items() if _has_field_requests(species)}
 
     def value(self, world: World, node: ir.PlanNode) -> Any:
         """Return the value of a node that is equal for all agents."""
-        return evaluate_uniform(world, node, self.values)
+        return evaluate_uniform_node(world, node, self.values)
 
-    def ask(self, world: World, others: Mapping[str, Any]) -> World:
-        """Return a copy of the world with the results of the expressions in its registers. `others`: values of the reference
-        run."""
-        self._measure(world)
-        self.values |= others
+    def ask(self, world: World, compared_values: Mapping[str, Any]) -> World:
+        """Return a copy of the world with the results of the expressions in its registers. `compared_values`: values of the
+        reference run."""
+        self._store_motion_measures(world)
+        self.values |= compared_values
         for items in world.items.values():
-            items.show()
+            items.publish_amounts()
         spec_world = copy(world)
         spec_world.plan, spec_world.backend, spec_world.grids, spec_world.clearances, spec_world.touching = (
             self.plan.plan,
@@ -61,18 +65,18 @@ class SpecEvaluator:
             {},
             None,
         )
-        spec_world.populations = {name: self._make_respondents(spec_world, name) for name in self.plan.plan.species}
-        spec_world.spec_values = dict.fromkeys(self.names, np.float32(0))  # no value is computed yet
+        spec_world.populations = {name: self._make_queried_population(spec_world, name) for name in self.plan.plan.species}
+        spec_world.spec_values = dict.fromkeys(self.value_names, np.float32(0))  # no value is computed yet
         self.backend.begin(spec_world)
         self.run(spec_world, "decide")
-        for each in self.plan.wholes:
+        for each in self.plan.aggregates:
             self.values[each.name] = evaluate_aggregate(world, spec_world.populations, each)
-        for start in self.plan.starts:
+        for start in self.plan.start_values:
             if start.value is not None:
                 if start.name not in self.values:
-                    self.values[start.name] = evaluate_uniform(world, start.value, self.values)
+                    self.values[start.name] = evaluate_uniform_node(world, start.value, self.values)
             elif start.species is not None and start.source_register is not None:
-                self._record_first(spec_world.populations[start.species], start.name, start.source_register)
+                self._record_first_values(spec_world.populations[start.species], start.name, start.source_register)
         spec_world.spec_values |= {name: np.float32(number) for name, number in self.values.items()}
         self.backend.begin(spec_world)
         self.run(spec_world, "act")
@@ -84,56 +88,56 @@ class SpecEvaluator:
             if len(population) and getattr(population.plan, block).statements and species in (None, name):
                 self.backend.run(spec_world, population, block, rows)
 
-    def _measure(self, world: World) -> None:
+    def _store_motion_measures(self, world: World) -> None:
         """Store the motion measures of this frame; NaN for a measure without data."""
         for name, number in world.motion.summary().items():
             unknown = world.motion.ways == 0 and name in ("circling", "straightness")
             value = radians(number) if MOTION_MEASURES[name] == "angle" else number
             self.values[f"motion.{name}"] = np.float32(np.nan if unknown else value)
 
-    def _make_respondents(self, spec_world: World, name: str) -> Population:
+    def _make_queried_population(self, spec_world: World, name: str) -> Population:
         """Return all agents of a species, all items of a name or all cells of a field, to be queried one by one."""
         if name in spec_world.items:
-            return self._item_population(spec_world.items[name])
+            return self._make_item_population(spec_world.items[name])
         if name in spec_world.fields:
-            return self._cell_population(spec_world, name)
-        return self._agent_population(spec_world, spec_world.populations[name])
+            return self._make_cell_population(spec_world, name)
+        return self._make_agent_population(spec_world, spec_world.populations[name])
 
-    def _cell_population(self, spec_world: World, name: str) -> Population:
+    def _make_cell_population(self, spec_world: World, name: str) -> Population:
         """Return the cells of a field as agents at the origin."""
         plan, values = self.plan.plan.species[name], np.asarray(spec_world.fields[name].values)
         start, count = {"value": values.astype(np.float32)}, len(values)
         nowhere = np.broadcast_to(np.zeros(3), (count, 3))
-        now = _answer_arrays(plan.registers, start, count)
+        now = _make_result_arrays(plan.registers, start, count)
         return _make_population(plan, start, now, nowhere)
 
-    def _agent_population(self, spec_world: World, population: Population) -> Population:
+    def _make_agent_population(self, spec_world: World, population: Population) -> Population:
         """Return a population with the same agents and with registers for results."""
         respondents = copy(population)
         respondents.columns = population.columns.copy()
         respondents.plan, respondents.effects, respondents.cells = self.plan.plan.species[population.name], EffectRequests(), {}
         count = len(population)
         registers = respondents.plan.registers
-        respondents.now = _answer_arrays(registers, population.start, count)
-        for name in self.plan.bodily.get(population.name, ()):
+        respondents.now = _make_result_arrays(registers, population.start, count)
+        for name in self.plan.body_measures.get(population.name, ()):
             respondents.now[f"geometry.{name}"] = measure_geometry(spec_world, population, name)
         respondents.start = {**population.start, **respondents.now}
-        if population.name in self.smelling:
-            find_cells(spec_world, respondents)
+        if population.name in self.field_reading_species:
+            find_own_cells(spec_world, respondents)
         return respondents
 
-    def _item_population(self, items: Items) -> Population:
+    def _make_item_population(self, items: Items) -> Population:
         """Return items as if they were agents of a separate species."""
         plan, count = self.plan.plan.species[items.name], len(items)
         start = {f"position.{axis}": items.visible_values[axis] for axis in AXES}
         start |= {name: items.visible_values[name] for name in ("radius", *items.amounts)}
-        now = _answer_arrays(plan.registers, start, count)
+        now = _make_result_arrays(plan.registers, start, count)
         return _make_population(plan, start, now, items.position)
 
-    def _record_first(self, judged: Population, name: str, register: str) -> None:
+    def _record_first_values(self, judged: Population, name: str, register: str) -> None:
         """Copy the value of a number in each agent's first frame to the register that the conditions read."""
         ids, now = judged.ids, judged.now[register]
-        values = self.starts[name] = extend_table(self.starts.get(name, np.zeros(0)), ids, _UNKNOWN_VALUE)
+        values = self.start_values[name] = extend_table(self.start_values.get(name, np.zeros(0)), ids, _UNKNOWN_VALUE)
         values[ids] = np.where(values[ids] == _UNKNOWN_VALUE, now, values[ids])
         judged.start[name] = values[ids].astype(np.float32)
 
@@ -145,14 +149,16 @@ def extend_table(table: NDArray[Any], ids: NDArray[np.int64], unknown: Any) -> N
 
 
 def _make_population(
-    plan: ir.SpeciesPlan, start: dict[str, NDArray[Any]], now: dict[str, NDArray[Any]], place: NDArray[np.float64]
+    plan: ir.SpeciesPlan, start: dict[str, NDArray[Any]], now: dict[str, NDArray[Any]], positions: NDArray[np.float64]
 ) -> Population:
     """Return a population of things that are not agents, at positions [n,3], without ground."""
-    n = len(place)
-    return Population(plan, fixed_columns(n, ids=np.arange(n), position=place), start, now, Footing.nowhere(n), {}, {})
+    n = len(positions)
+    return Population(
+        plan, make_fixed_columns(n, ids=np.arange(n), position=positions), start, now, Footing.create_unplaced(n), {}, {}
+    )
 
 
-def _answer_arrays(registers: Mapping[str, ir.Register], known: Mapping[str, Any], count: int) -> dict[str, NDArray[Any]]:
+def _make_result_arrays(registers: Mapping[str, ir.Register], known: Mapping[str, Any], count: int) -> dict[str, NDArray[Any]]:
     """Return arrays for the results of the blocks; a number that is not computed stays NaN."""
     own = [register for register in registers.values() if register.name not in known]
     return {r.name: np.full(count, np.nan if r.kind is ir.ValueKind.F32 else 0, DTYPE_BY_KIND[r.kind]) for r in own}
@@ -161,17 +167,20 @@ def _answer_arrays(registers: Mapping[str, ir.Register], known: Mapping[str, Any
 def _has_field_requests(species: ir.SpeciesPlan) -> bool:
     """Return whether a block reads the agent's own cell of a field."""
     operand_nodes = (
-        node for block in (species.decide, species.act, species.blend) for _, s in statements(block) for node in operands(s)
+        node
+        for block in (species.decide, species.act, species.blend)
+        for _, s in iterate_statements(block)
+        for node in list_operands(s)
     )
-    return any(node.op.startswith("field.") for node in required_nodes(operand_nodes))
+    return any(node.op.startswith("field.") for node in collect_required_nodes(operand_nodes))
 
 
-def measure_geometry(world: World, population: Population, name: str) -> Floats:
+def measure_geometry(world: World, population: Population, name: str) -> FloatArray:
     """Return a measure of GEOMETRY for each agent, float32[n]; lengths in mm."""
     return _MEASURE_FUNCTIONS[name](world, population)
 
 
-def _overlap(world: World, population: Population) -> Floats:
+def _measure_overlap(world: World, population: Population) -> FloatArray:
     """Return the worst overlap of each agent with any other of all species: 0 apart, 1 at the same position."""
     populations = list(world.populations.values())
     known = [each for each in populations if "radius" in each.start and "position.x" in each.start and each.footing is not None]
@@ -180,35 +189,35 @@ def _overlap(world: World, population: Population) -> Floats:
     )
     own = next(k for k, each in enumerate(known) if each.name == population.name)
     first = sum(len(each) for each in known[:own])
-    worst = worst_overlaps(x, y, z, radius)
+    worst = measure_worst_overlaps(x, y, z, radius)
     return worst[first : first + len(population)]
 
 
-def _penetration(world: World, population: Population) -> Floats:
+def _measure_penetration(world: World, population: Population) -> FloatArray:
     """Return how deep each agent's middle is inside an obstacle that is a closed mesh, or inside a solid; 0 outside of all."""
     depth = np.zeros(len(population))
     for name in world.plan.obstacles:
         scene = world.obstacles.get(name)
         if isinstance(scene, RayScene):
-            depth = np.maximum(depth, scene.depth_inside(population.position))
+            depth = np.maximum(depth, scene.measure_depth_inside(population.position))
     for volume in world.solids.values():
         depth = np.maximum(depth, -volume.sample(population.position))
     return depth.astype(np.float32)
 
 
-def _off_surface(world: World, population: Population) -> Floats:
+def _measure_surface_distance(world: World, population: Population) -> FloatArray:
     """Return the distance of each agent from where it should be: its clearance above its point on a triangle or a solid."""
     away: NDArray[np.float64] = np.linalg.norm(population.position - world.ground.position(population.footing), axis=1)
     for number, volume in enumerate(world.solids.values(), len(world.setting.surfaces)):
         rows = np.flatnonzero(population.footing.mesh == number)
         away[rows] = np.maximum(away[rows], np.abs(volume.sample(population.position[rows])))
     clearance = population.start.get("clearance", np.zeros(len(population)))
-    off: Floats = np.abs(away - clearance).astype(np.float32)
+    off: FloatArray = np.abs(away - clearance).astype(np.float32)
     return off
 
 
-_MEASURE_FUNCTIONS: Mapping[str, Callable[[World, Population], Floats]] = {
-    "overlap": _overlap,
-    "penetration": _penetration,
-    "off_surface": _off_surface,
+_MEASURE_FUNCTIONS: Mapping[str, Callable[[World, Population], FloatArray]] = {
+    "overlap": _measure_overlap,
+    "penetration": _measure_penetration,
+    "off_surface": _measure_surface_distance,
 }

@@ -9,17 +9,17 @@ from typing import Any
 from xml.etree import ElementTree
 
 from antdsl.diagnostics import Diagnostic, Report
-from antdsl.diagnostics.full import full
-from antdsl.diagnostics.places import escape_text, line_range
+from antdsl.diagnostics.full_format import format_full
+from antdsl.diagnostics.text_positions import escape_text, find_line_range
 from antdsl.loading import display_path
 from antdsl.source import Span
-from antdsl.specs.cases import Case, Failure, SavedFrames
+from antdsl.specs.cases import SavedFrames, SpecCase, SpecFailure
 from antdsl.specs.coverage import CoverageEntry, SpecCoverage
-from antdsl.specs.golden.recorded import GoldenResult
+from antdsl.specs.golden.golden_runs import GoldenResult
 from antdsl.specs.text_report import describe_failure, describe_golden
 
 
-def as_json(cases: Sequence[Case], coverage: SpecCoverage, report: Report, goldens: Sequence[GoldenResult] = ()) -> str:
+def as_json(cases: Sequence[SpecCase], coverage: SpecCoverage, report: Report, goldens: Sequence[GoldenResult] = ()) -> str:
     """Return one JSON document with all cases and golden runs, the coverage, and the reasons why others did not run."""
     document = {
         "passed": sum(case.outcome == "passed" for case in cases),
@@ -28,19 +28,19 @@ def as_json(cases: Sequence[Case], coverage: SpecCoverage, report: Report, golde
         "golden": [_golden_entry(result) for result in goldens],
         "problems": [
             {"code": d.code, "message": d.message, "place": _location_entry(d.span), "help": d.help}
-            for d in report.sorted()
+            for d in report.sort_by_place()
             if d.severity == "error"
         ],
-        "covered": coverage.share,
+        "covered": coverage.covered_share,
         "coverage": {
-            "states": [_as_entry(each) for each in coverage.states.values()],
-            "changes": [_as_entry(each) for each in coverage.changes.values()],
+            "states": [_coverage_entry(each) for each in coverage.states.values()],
+            "changes": [_coverage_entry(each) for each in coverage.changes.values()],
         },
     }
     return json.dumps(document, indent=1, ensure_ascii=False) + "\n"
 
 
-def _case_entry(case: Case) -> dict[str, Any]:
+def _case_entry(case: SpecCase) -> dict[str, Any]:
     return {
         "name": case.name,
         "place": _location_entry(case.spec.span),
@@ -58,8 +58,8 @@ def _case_entry(case: Case) -> dict[str, Any]:
 def _saved_entry(saved: SavedFrames) -> dict[str, Any]:
     folder = None if saved.folder is None else display_path(saved.folder)
     return {
-        "folder": folder, "note": saved.note, "begins": saved.begins, "frame": saved.frame, "look": saved.look,
-        "again": saved.again,
+        "folder": folder, "note": saved.note, "begins": saved.first_frame, "frame": saved.frame, "look": saved.view_command,
+        "again": saved.resume_command,
     }  # fmt: skip
 
 
@@ -72,45 +72,47 @@ def _golden_entry(result: GoldenResult) -> dict[str, Any]:
         "frames": result.frames,
         "frame": result.frame,
         "seen": result.detail_frame,
-        "words": result.words,
+        "words": result.message,
         "made": result.origin,
-        "differences": [{"who": d.who, "what": d.what, "whom": d.member, "now": d.now, "was": d.was} for d in result.found],
+        "differences": [
+            {"who": d.owner, "what": d.attribute, "whom": d.member, "now": d.now, "was": d.old_value} for d in result.differences
+        ],
     }
 
 
-def _failure_entry(failure: Failure) -> dict[str, Any]:
+def _failure_entry(failure: SpecFailure) -> dict[str, Any]:
     return {
         "message": failure.message,
         "place": _location_entry(failure.span),
         "frame": failure.frame,
         "time": failure.time,
         "agent": None if failure.agent is None else {"species": failure.agent[0], "id": failure.agent[1]},
-        "others": failure.others,
+        "others": failure.other_count,
         "agents": list(failure.agents),
-        "since": failure.began,
+        "since": failure.wait_start_frame,
         "whereabouts": dict(failure.whereabouts),
         "values": [{"text": text, "value": value} for text, value in failure.values],
     }
 
 
-def _as_entry(each: CoverageEntry) -> dict[str, Any]:
+def _coverage_entry(each: CoverageEntry) -> dict[str, Any]:
     return {"name": each.name, "place": _location_entry(each.span), "count": each.count}
 
 
 def _location_entry(span: Span | None) -> dict[str, Any] | None:
     if span is None:
         return None
-    place = line_range(span)
+    place = find_line_range(span)
     return {"file": place.path, "line": place.line, "column": place.column}
 
 
 # --- JUnit -----------------------------------------------------------------------------------------------------------
 
 
-def as_junit(cases: Sequence[Case], report: Report, goldens: Sequence[GoldenResult] = ()) -> str:
+def as_junit(cases: Sequence[SpecCase], report: Report, goldens: Sequence[GoldenResult] = ()) -> str:
     """Return a suite for each program, as build servers read it. A case that was not finished, or may fail since enough seeds
     passed, counts as skipped. Golden runs, and errors in files that prevented specs from running, have separate suites."""
-    errors = [d for d in report.sorted() if d.severity == "error"]
+    errors = [d for d in report.sort_by_place() if d.severity == "error"]
     differ = [result for result in goldens if result.outcome == "differs"]
     root = ElementTree.Element(
         "testsuites", {"name": "antdsl test"} | _junit_counts(cases, len(errors), len(goldens), len(differ))
@@ -138,10 +140,10 @@ def as_junit(cases: Sequence[Case], report: Report, goldens: Sequence[GoldenResu
     return '<?xml version="1.0" encoding="utf-8"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"
 
 
-def _junit_counts(cases: Sequence[Case], errors: int = 0, goldens: int = 0, differ: int = 0) -> dict[str, str]:
+def _junit_counts(cases: Sequence[SpecCase], errors: int = 0, goldens: int = 0, golden_failures: int = 0) -> dict[str, str]:
     numbers = {
         "tests": len(cases) + errors + goldens,
-        "failures": sum(case.outcome == "failed" for case in cases) + differ,
+        "failures": sum(case.outcome == "failed" for case in cases) + golden_failures,
         "errors": errors,
         "skipped": sum(case.outcome in ("waiting", "allowed") for case in cases),
     }
@@ -149,13 +151,15 @@ def _junit_counts(cases: Sequence[Case], errors: int = 0, goldens: int = 0, diff
 
 
 def _junit_error(suite: ElementTree.Element, problem: Diagnostic) -> None:
-    where = "antdsl" if problem.span is None else line_range(problem.span).path
+    where = "antdsl" if problem.span is None else find_line_range(problem.span).path
     case = ElementTree.SubElement(suite, "testcase", classname=escape_text(where), name=problem.code)
-    ElementTree.SubElement(case, "error", message=escape_text(problem.message), type=problem.code).text = full([problem], 0)
+    ElementTree.SubElement(case, "error", message=escape_text(problem.message), type=problem.code).text = format_full(
+        [problem], 0
+    )
 
 
-def _junit_case(suite: ElementTree.Element, case: Case) -> None:
-    place = line_range(case.spec.span)
+def _junit_case(suite: ElementTree.Element, case: SpecCase) -> None:
+    place = find_line_range(case.spec.span)
     name = f"{case.name} [{Path(case.scene).name}, seed {case.seed}]"
     testcase = ElementTree.SubElement(
         suite, "testcase", classname=escape_text(Path(place.path).stem), name=escape_text(name), file=escape_text(place.path),
@@ -169,6 +173,7 @@ def _junit_case(suite: ElementTree.Element, case: Case) -> None:
     elif case.failures:
         text = "\n".join(line for failure in case.failures for line in describe_failure(failure))
         if case.saved_frames is not None and case.saved_frames.folder is not None:
-            text += f"\nsee it: {escape_text(case.saved_frames.look)}\ngo on from it: {escape_text(case.saved_frames.again)}"
+            text += f"\nsee it: {escape_text(case.saved_frames.view_command)}"
+            text += f"\ngo on from it: {escape_text(case.saved_frames.resume_command)}"
         message = escape_text(case.failures[0].message)
         ElementTree.SubElement(testcase, "failure", message=message, type="spec").text = text

@@ -9,66 +9,66 @@ from time import perf_counter
 
 from antdsl.pipeline import Shot
 from antdsl.runtime import BindError, BindingCache, FaultStop, Options, World, bind, step
-from antdsl.specs.cases import Case, Failure, Run
+from antdsl.specs.cases import SpecCase, SpecFailure, SpecRun
 from antdsl.specs.comparison import ComparedRun
 from antdsl.specs.coverage import SpecCoverage
 from antdsl.specs.failure_cache import FailurePoint, FailureSaver, StateCopies
-from antdsl.specs.golden.comparing import GoldenComparison
-from antdsl.specs.judge import SpecJudge, last_frame
+from antdsl.specs.golden.golden_comparison import GoldenComparison
+from antdsl.specs.judge import SpecJudge, find_last_frame
 
-FrameCallback = Callable[[Run, int, int], None]
+FrameCallback = Callable[[SpecRun, int, int], None]
 
 
 @dataclass(slots=True)
-class Work:
+class RunContext:
     """The work beyond the outcomes, and the callbacks: `report_case` for each case, `frame` for the progress of a run.
     `messages`: deviations of a run from the request, each once, as sentences for the user; they change no verdict."""
 
     options: Options
     coverage: SpecCoverage = field(default_factory=SpecCoverage)
     failure_saver: FailureSaver | None = None
-    goldens: GoldenComparison | None = None
-    report_case: Callable[[Case], None] = lambda case: None
+    golden_comparison: GoldenComparison | None = None
+    report_case: Callable[[SpecCase], None] = lambda case: None
     frame: FrameCallback = lambda run, frame, last: None
     # runs of one scene differ by seeds and params and stand on the same ground
-    built: BindingCache = field(default_factory=BindingCache)
+    binding_cache: BindingCache = field(default_factory=BindingCache)
     messages: dict[str, None] = field(default_factory=dict)
     worlds: list[World] = field(default_factory=list)  # of the run under way
 
 
-def run_cases(runs: Iterable[Run], work: Work) -> None:
+def run_cases(runs: Iterable[SpecRun], context: RunContext) -> None:
     """Run everything and set the outcome of each case. A problem of one run, even a fault, only fails its own cases."""
     for run in runs:
         started = perf_counter()
         moments: dict[int, FailurePoint] = {}
         try:
-            _judge_run(run, work, moments)
+            _judge_run(run, context, moments)
         except BindError as why:
             for problem in why.report.errors:
-                _fail_cases(run, Failure(problem.message, problem.span))
+                _fail_cases(run, SpecFailure(problem.message, problem.span))
         except (OSError, MemoryError) as why:
-            _fail_cases(run, Failure(f"the run was aborted: {why or type(why).__name__}".lower(), None))
+            _fail_cases(run, SpecFailure(f"the run was aborted: {why or type(why).__name__}".lower(), None))
         finally:
-            for world in work.worlds:
-                work.messages |= dict.fromkeys(world.backend.messages())
-            work.worlds.clear()
+            for world in context.worlds:
+                context.messages |= dict.fromkeys(world.backend.messages())
+            context.worlds.clear()
         for case in run.cases:  # what a run took is shared by its cases
             case.outcome = "failed" if case.failures else "passed"
             case.seconds = (perf_counter() - started) / len(run.cases)
-            if work.failure_saver is not None and id(case) in moments:
-                case.saved_frames = work.failure_saver.save(run, case, moments[id(case)], work.built)
-            work.report_case(case)
-        work.built.drop_unused()
+            if context.failure_saver is not None and id(case) in moments:
+                case.saved_frames = context.failure_saver.save_failure(run, case, moments[id(case)], context.binding_cache)
+            context.report_case(case)
+        context.binding_cache.drop_unused()
 
 
-def _fail_cases(run: Run, failure: Failure) -> None:
+def _fail_cases(run: SpecRun, failure: SpecFailure) -> None:
     """Add a failure to all cases of a run."""
     for case in run.cases:
         case.failures.append(failure)
 
 
-def _judge_run(run: Run, work: Work, moments: dict[int, FailurePoint]) -> None:
-    """Simulate and judge. `moments` receives the first failure of each case, by its id."""
+def _judge_run(run: SpecRun, work: RunContext, failure_points: dict[int, FailurePoint]) -> None:
+    """Simulate and judge. `failure_points` receives the first failure of each case, by its id."""
     rivals = _run_compared(run, work)
     try:
         world = _make_world(run.shot, run.seed, work)
@@ -79,19 +79,19 @@ def _judge_run(run: Run, work: Work, moments: dict[int, FailurePoint]) -> None:
         (case, SpecJudge(case.plan, world, run.shot.frames.last, rivals.get(id(case)))) for case in run.cases if not case.failures
     ]
     last = max((judge.last for _, judge in judges), default=first)
-    watch = None if work.goldens is None else work.goldens.watch(run, last - first + 1)
+    watch = None if work.golden_comparison is None else work.golden_comparison.make_watch(run, last - first + 1)
     while True:
         for case, judge in judges:
-            if not judge.over:
+            if not judge.is_over:
                 case.frames = world.frame - first + 1
-                judge.look(world)
+                judge.judge_frame(world)
                 case.failures[:] = judge.failures
-                if judge.failures and trail is not None and id(case) not in moments:
-                    moments[id(case)] = trail.failure_point(world)
+                if judge.failures and trail is not None and id(case) not in failure_points:
+                    failure_points[id(case)] = trail.make_failure_point(world)
         if watch is not None:
-            watch.look(world)
+            watch.observe_frame(world)
         work.frame(run, world.frame - first, last - first)
-        if all(judge.over for _, judge in judges) and (watch is None or watch.over):
+        if all(judge.is_over for _, judge in judges) and (watch is None or watch.is_over):
             return None if watch is None else watch.end(world)
         if trail is not None:
             trail.store_copy(world)
@@ -101,41 +101,43 @@ def _judge_run(run: Run, work: Work, moments: dict[int, FailurePoint]) -> None:
         except FaultStop as why:
             if trail is not None and trail.last is not None:
                 failure_point = FailurePoint(frame_number, None, trail.last)
-                moments |= {id(case): failure_point for case in run.cases if id(case) not in moments}
+                failure_points |= {id(case): failure_point for case in run.cases if id(case) not in failure_points}
             return _fail_with_fault(run, why)
 
 
-def _make_world(shot: Shot, seed: int, work: Work) -> World:
+def _make_world(shot: Shot, seed: int, work: RunContext) -> World:
     """Return the world at the first frame."""
-    world = bind(shot.plan, replace(shot.setting, seed=seed), work.options, built=work.built)
+    world = bind(shot.plan, replace(shot.setting, seed=seed), work.options, built=work.binding_cache)
     work.worlds.append(world)
-    if world.faults.reported:
-        raise FaultStop(world.faults.reported[0])  # at birth
-    work.coverage.watch(world, shot.program)
+    if world.faults.reported_faults:
+        raise FaultStop(world.faults.reported_faults[0])  # at birth
+    work.coverage.watch_world(world, shot.program)
     for _ in range(shot.scene.model.preroll):
         step(world)
     world.motion.reset()
     return world
 
 
-def _fail_with_fault(run: Run, why: FaultStop) -> None:
+def _fail_with_fault(run: SpecRun, why: FaultStop) -> None:
     _fail_cases(run, _describe_fault(why, ""))
 
 
-def _describe_fault(why: FaultStop, where: str) -> Failure:
+def _describe_fault(why: FaultStop, where: str) -> SpecFailure:
     """Return a fault as a failure. `where`: text in front of its message."""
     fault = why.fault
     culprit = (fault.species, fault.agent)
-    words = f"{where}`{fault.what}` {fault.why}"
-    return Failure(words, fault.span, fault.frame, None, fault.operands, culprit, 0, (fault.agent,))
+    words = f"{where}`{fault.value_name}` {fault.reason}"
+    return SpecFailure(words, fault.span, fault.frame, None, fault.operands, culprit, 0, (fault.agent,))
 
 
-def _run_compared(run: Run, work: Work) -> dict[int, ComparedRun]:
+def _run_compared(run: SpecRun, work: RunContext) -> dict[int, ComparedRun]:
     """Return the reference runs of cases by the case's id. Cases with the same shot share one run. A fault in a run fails its
     cases."""
     compared_runs: dict[int, ComparedRun] = {}
-    for shot in {id(case.against.shot): case.against.shot for case in run.cases if case.against is not None}.values():
-        mine = [case for case in run.cases if case.against is not None and case.against.shot is shot]
+    for shot in {
+        id(case.comparison_shot.shot): case.comparison_shot.shot for case in run.cases if case.comparison_shot is not None
+    }.values():
+        mine = [case for case in run.cases if case.comparison_shot is not None and case.comparison_shot.shot is shot]
         try:
             compared_runs |= _simulate_compared(run, work, shot, mine)
         except FaultStop as why:
@@ -144,15 +146,15 @@ def _run_compared(run: Run, work: Work) -> dict[int, ComparedRun]:
     return compared_runs
 
 
-def _simulate_compared(run: Run, work: Work, shot: Shot, cases: list[Case]) -> dict[int, ComparedRun]:
+def _simulate_compared(run: SpecRun, work: RunContext, shot: Shot, cases: list[SpecCase]) -> dict[int, ComparedRun]:
     """Simulate one run that cases compare with, to the last frame that one of them needs."""
     world = _make_world(shot, run.seed, work)
     first = world.frame
-    rivals = {id(case): ComparedRun(case.against.plan, world) for case in cases if case.against is not None}
-    last = max(last_frame(case.plan, world, first + run.shot.frames.last - run.shot.frames.first) for case in cases)
+    rivals = {id(case): ComparedRun(case.comparison_shot.plan, world) for case in cases if case.comparison_shot is not None}
+    last = max(find_last_frame(case.plan, world, first + run.shot.frames.last - run.shot.frames.first) for case in cases)
     while True:
         for compared_run in rivals.values():
-            compared_run.look(world)
+            compared_run.record_frame(world)
         work.frame(run, world.frame - first, last - first)
         if world.frame >= last:
             return rivals

@@ -4,68 +4,72 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from antdsl.diagnostics.places import escape_text
+from antdsl.diagnostics.text_positions import escape_text
 from antdsl.loading import display_path
-from antdsl.specs.cases import Case, Failure, SavedFrames, SpecVerdict
+from antdsl.specs.cases import SavedFrames, SpecCase, SpecFailure, SpecVerdict
 from antdsl.specs.coverage import CoverageEntry, SpecCoverage
-from antdsl.specs.golden.recorded import GoldenResult
+from antdsl.specs.golden.golden_runs import GoldenResult
 
 _MAX_LISTED_UNCOVERED = 20  # unreached states and transitions listed in words
 _MAX_LISTED_DIFFERENCES = 6
 
 
-def one_line(case: Case) -> str:
+def format_case_line(case: SpecCase) -> str:
     """Return a case in one line: `passed  "no crumb is lost", seed 3: 240 frames, 1.2 s`."""
     return f'{case.outcome:<7} "{escape_text(case.name)}", seed {case.seed}: {case.frames} frames, {case.seconds:.1f} s'
 
 
-def describe_failed_case(case: Case) -> str:
+def describe_failed_case(case: SpecCase) -> str:
     """Return the case's line, then each failure with its location, frame, agent and values; then how to view it."""
-    lines = [one_line(case), *(f"  {line}" for failure in case.failures for line in describe_failure(failure))]
+    lines = [format_case_line(case), *(f"  {line}" for failure in case.failures for line in describe_failure(failure))]
     return "\n".join(lines + ([] if case.saved_frames is None else [f"  {line}" for line in _describe_saved(case.saved_frames)]))
 
 
-def describe_failure(failure: Failure) -> list[str]:
+def describe_failure(failure: SpecFailure) -> list[str]:
     """Return a failure in lines: what was expected where, when it failed, for which agents, and the values."""
     where = f"{failure.span}: " if failure.span is not None else ""
     lines = [f"{escape_text(where)}{escape_text(failure.message)}"]
     if failure.frame is not None:
         when = f"  first at frame {failure.frame}"
         when += f", {failure.time:.6g} s from the start" if failure.time is not None else ""
-        lines.append(when + (f", by {_name_agents(failure)}" if failure.agent else ""))
-    if failure.began is not None:
-        lines.append(f"  waiting since frame {failure.began}")
-    if failure.others and (failure.values or failure.whereabouts):
-        lines.append(f"  of {_agent_name(failure)}:")
+        lines.append(when + (f", by {_list_agent_names(failure)}" if failure.agent else ""))
+    if failure.wait_start_frame is not None:
+        lines.append(f"  waiting since frame {failure.wait_start_frame}")
+    if failure.other_count and (failure.values or failure.whereabouts):
+        lines.append(f"  of {_format_agent_name(failure)}:")
     value_names = {text for text, _ in failure.values}
     other_values = [pair for pair in failure.whereabouts if pair[0] not in value_names]
     return lines + [f"    {escape_text(text)} is {escape_text(value)}" for text, value in (*failure.values, *other_values)]
 
 
-def _agent_name(failure: Failure) -> str:
+def _format_agent_name(failure: SpecFailure) -> str:
     return "" if failure.agent is None else f"{failure.agent[0]} {failure.agent[1]}"
 
 
-def _name_agents(failure: Failure) -> str:
+def _list_agent_names(failure: SpecFailure) -> str:
     assert failure.agent is not None
     named = failure.agents or (failure.agent[1],)
-    remainder = failure.others + 1 - len(named)
+    remainder = failure.other_count + 1 - len(named)
     return f"{failure.agent[0]} {', '.join(map(str, named))}" + (f" and {remainder} more" if remainder > 0 else "")
 
 
 def _describe_saved(saved: SavedFrames) -> list[str]:
     if saved.folder is None:
         return [escape_text(saved.note)]
-    lines = [f"saved: frames {saved.begins} to {saved.frame} in {escape_text(display_path(saved.folder))}"]
+    lines = [f"saved: frames {saved.first_frame} to {saved.frame} in {escape_text(display_path(saved.folder))}"]
     lines += [escape_text(saved.note)] if saved.note else []
-    return [*lines, f"  see it:         {escape_text(saved.look)}", f"  go on from it:  {escape_text(saved.again)}"]
+    return [
+        *lines,
+        f"  see it:         {escape_text(saved.view_command)}",
+        f"  go on from it:  {escape_text(saved.resume_command)}",
+    ]
 
 
 def describe_verdict(verdict: SpecVerdict) -> str:
     """Return the verdict over seeds: `"ants come home": 4 of 5 seeds passed, enough for 80 %`."""
     ends = {True: "enough for", False: "too few for", None: "not all were run, of"}[verdict.holds]
-    share = f"{verdict.spec.share * 100:.6g} %"
-    return f'"{escape_text(verdict.spec.name)}": {verdict.passed} of {verdict.cases} seeds passed, {ends} {share}'
+    share = f"{verdict.spec.pass_share * 100:.6g} %"
+    return f'"{escape_text(verdict.spec.name)}": {verdict.passed_count} of {verdict.case_count} seeds passed, {ends} {share}'
 
 
 def describe_golden(result: GoldenResult) -> str:
@@ -73,19 +77,19 @@ def describe_golden(result: GoldenResult) -> str:
     words = {"same": "same", "differs": "differs", "written": "written"}.get(result.outcome, "waiting")
     line = f"{words:<7} {escape_text(result.name)}, seed {result.seed}: "
     if result.outcome != "differs":
-        return line + (result.words or f"{result.frames} frames")
+        return line + (result.message or f"{result.frames} frames")
     lines = [f"{line}first at frame {result.frame}"]
-    lines += [f"  {result.words}"] if result.words else []
+    lines += [f"  {result.message}"] if result.message else []
     if result.detail_frame is not None and result.detail_frame != result.frame:
         lines.append(f"  seen at frame {result.detail_frame}, the next that is stored in detail:")
-    lines += [f"  {escape_text(str(each))}" for each in result.found[:_MAX_LISTED_DIFFERENCES]]
-    remainder = len(result.found) - _MAX_LISTED_DIFFERENCES
+    lines += [f"  {escape_text(str(each))}" for each in result.differences[:_MAX_LISTED_DIFFERENCES]]
+    remainder = len(result.differences) - _MAX_LISTED_DIFFERENCES
     lines += [f"  and {remainder} more attributes"] if remainder > 0 else []
     lines += [f"  it was made with {escape_text(result.origin)}, which is not what runs here"] if result.origin else []
     return "\n".join([*lines, "  if that is how it should be now, keep it: the same command with --update"])
 
 
-def describe_counts(cases: Sequence[Case], mistakes: int, goldens: Sequence[GoldenResult] = ()) -> str:
+def describe_counts(cases: Sequence[SpecCase], error_count: int, goldens: Sequence[GoldenResult] = ()) -> str:
     """Return the counts: `5 passed, 1 failed, 2 mistakes in files`."""
     numbers = {word: sum(case.outcome == word for case in cases) for word in ("passed", "failed", "allowed", "waiting")}
     phrases = [f"{numbers['passed']} passed"]
@@ -94,7 +98,7 @@ def describe_counts(cases: Sequence[Case], mistakes: int, goldens: Sequence[Gold
     phrases += [f"{numbers['waiting']} not finished"] if numbers["waiting"] else []
     differ = sum(result.outcome == "differs" for result in goldens)
     phrases += [f"{differ} golden run{'s' if differ > 1 else ''} differ{'' if differ > 1 else 's'}"] if differ else []
-    phrases += [f"{mistakes} error{'s' if mistakes > 1 else ''} in files"] if mistakes else []
+    phrases += [f"{error_count} error{'s' if error_count > 1 else ''} in files"] if error_count else []
     return ", ".join(phrases)
 
 

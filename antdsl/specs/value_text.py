@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from antdsl.program.model import TypeKind, ValueType
-from antdsl.program.tables.units import measure
+from antdsl.program.tables.units import find_unit_measure
 from antdsl.runtime.world import World
 
 _COORDINATE_DECIMALS = 6  # after the point of a coordinate
@@ -21,7 +21,7 @@ def format_value(world: World, value: Any, type: ValueType, unit: str, is_exact:
         case TypeKind.BOOL:
             return "yes" if value else "no"
         case TypeKind.STATE:
-            return _state_name(world, int(value), type.of or "")
+            return _find_state_name(world, int(value), type.of or "")
         case TypeKind.ITEM:
             names = world.items[type.of].names if type.of in world.items else ()
             return names[int(value)] if 0 <= int(value) < len(names) else "none"
@@ -30,7 +30,7 @@ def format_value(world: World, value: Any, type: ValueType, unit: str, is_exact:
     return _format_number(world, value, unit, is_exact)
 
 
-def agent_whereabouts(world: World, species: str, row: int) -> tuple[tuple[str, str], ...]:
+def describe_whereabouts(world: World, species: str, row: int) -> tuple[tuple[str, str], ...]:
     """Return the agent's states, the time since it entered them, and its position in the scene's units."""
     population = world.populations[species]
     entries = []
@@ -38,10 +38,10 @@ def agent_whereabouts(world: World, species: str, row: int) -> tuple[tuple[str, 
         state = machine.states[int(population.now[f"{machine.name}.state"][row])]
         since = float(population.now[f"{machine.name}.time_in_state"][row])
         entries.append(("state" if machine.name == "main" else machine.name, f"{state}, for {since:.4g} s"))
-    return (*entries, ("position", place_text(population.position[row], world.origin, world.setting.unit_mm)))
+    return (*entries, ("position", format_position(population.position[row], world.origin, world.setting.unit_mm)))
 
 
-def place_text(position: Iterable[float], origin: Iterable[float], unit_mm: float) -> str:
+def format_position(position: Iterable[float], origin: Iterable[float], unit_mm: float) -> str:
     """Format a position, in mm and relative to an origin, as coordinates in a unit. There are four significant digits of the
     relative value, and at least one after the point."""
     return ", ".join(_format_coordinate(float(x) / unit_mm, float(o) / unit_mm) for x, o in zip(position, origin, strict=True))
@@ -53,7 +53,7 @@ def _format_coordinate(relative: float, origin: float) -> str:
     return "0" if text == "-0" else text
 
 
-def _state_name(world: World, index: int, machine: str) -> str:
+def _find_state_name(world: World, index: int, machine: str) -> str:
     species, _, name = machine.partition(".")
     plan = world.plan.species.get(species)
     states = next((m.states for m in plan.machines if m.name == name), ()) if plan is not None else ()
@@ -65,8 +65,8 @@ def _format_number(world: World, value: Any, unit: str, is_exact: bool) -> str:
         return "no number"
     if np.isinf(value):
         return "endless" if value > 0 else "minus endless"
-    known = measure(unit) if unit else None
-    one = 1.0 if known is None else known.factor * world.setting.unit_mm**known.u * world.dt**known.step
+    known = find_unit_measure(unit) if unit else None
+    one = 1.0 if known is None else known.factor * world.setting.unit_mm**known.unit_power * world.dt**known.step
     number = type(value)(float(value) / one)
     text = np.format_float_positional(number, trim="-") if is_exact else f"{number:.6g}"
     return f"{text} {unit}".strip()

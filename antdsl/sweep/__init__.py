@@ -2,9 +2,20 @@
 Finished runs are stored."""
 
 from antdsl.sweep.finished_runs import RunStore
-from antdsl.sweep.jobs import Job, Variation, jobs, make_variations
-from antdsl.sweep.measuring import Outcome, run_all
+from antdsl.sweep.jobs import SweepJob, Variation, build_jobs, make_variations
+from antdsl.sweep.measuring import JobOutcome, run_jobs
 from antdsl.sweep.stopping import JobChooser
-from antdsl.sweep.table import Row, rows
+from antdsl.sweep.table import Row, build_rows
 
-__all__ = ["Job", "JobChooser", "Outcome", "Row", "RunStore", "Variation", "jobs", "make_variations", "rows", "run_all"]
+__all__ = [
+    "JobChooser",
+    "JobOutcome",
+    "Row",
+    "RunStore",
+    "SweepJob",
+    "Variation",
+    "build_jobs",
+    "build_rows",
+    "make_variations",
+    "run_jobs",
+]

@@ -27,21 +27,21 @@ Point = Mapping[str, str]
 class Design:
     """A design.
 
-    `shares(factors, count, seed)`: returns an array (points, factors) of numbers from 0 to 1.
-    `is_one`: a description, for help texts.
-    `counted`: the meaning of `count`, for help texts; empty if the design takes no count.
+    `sample_shares(factors, count, seed)`: returns an array (points, factors) of numbers from 0 to 1.
+    `description`: a description, for help texts.
+    `count_meaning`: the meaning of `count`, for help texts; empty if the design takes no count.
     `analysis`: computes the importance of each factor from the results; None if the design does not allow it.
     """
 
-    word: str
-    is_one: str
-    counted: str = ""  # what `--points` counts; empty where it is not taken
-    shares: Callable[[int, int, int], Shares] | None = None
+    name: str
+    description: str
+    count_meaning: str = ""  # what `--points` counts; empty where it is not taken
+    sample_shares: Callable[[int, int, int], Shares] | None = None
     points_per_unit: int | None = (
         None  # each of what is counted makes so many points, and one more for each factor; None: it makes one
     )
-    power_of_two: bool = False
-    ranges_only: bool = False
+    needs_power_of_two: bool = False
+    needs_ranges: bool = False
     analysis: sensitivity.Analysis | None = None
 
 
@@ -61,7 +61,7 @@ class ChosenPoints:
         return list(points_by_value.values())
 
 
-def _latin(factors: int, count: int, seed: int) -> Shares:
+def _sample_latin_hypercube(factors: int, count: int, seed: int) -> Shares:
     """Return a Latin hypercube: shares of `count` points. M. D. McKay, R. J. Beckman, W. J. Conover: A comparison of three
     methods for selecting values of input variables in the analysis of output from a computer code, Technometrics 21 (1979)."""
     from scipy.stats import qmc
@@ -69,7 +69,7 @@ def _latin(factors: int, count: int, seed: int) -> Shares:
     return np.asarray(qmc.LatinHypercube(factors, seed=np.random.default_rng(seed)).random(count))
 
 
-def _sobol(factors: int, count: int, seed: int) -> Shares:
+def _sample_sobol(factors: int, count: int, seed: int) -> Shares:
     """Return `count` points of a scrambled Sobol sequence, as shares. I. M. Sobol': On the distribution of points in a cube, USSR
     Comp. Math. Math. Phys. 7 (1967), scrambled after A. B. Owen: Scrambling Sobol' and Niederreiter-Xing points, J. Complexity 14
     (1998)."""
@@ -78,61 +78,69 @@ def _sobol(factors: int, count: int, seed: int) -> Shares:
     return np.asarray(qmc.Sobol(factors, scramble=True, seed=np.random.default_rng(seed)).random(count))
 
 
-GRID = Design("grid", "every combination of the values")
+GRID_DESIGN = Design("grid", "every combination of the values")
 DESIGNS = (
-    GRID,
-    Design("latin", "a Latin hypercube: each factor's range in as many parts as points, a point in each", "points", _latin),
-    Design("sobol", "points of a Sobol sequence, which fill the space evenly", "points", _sobol, power_of_two=True),
+    GRID_DESIGN,
+    Design(
+        "latin",
+        "a Latin hypercube: each factor's range in as many parts as points, a point in each",
+        "points",
+        _sample_latin_hypercube,
+    ),
+    Design("sobol", "points of a Sobol sequence, which fill the space evenly", "points", _sample_sobol, needs_power_of_two=True),
     Design(
         "saltelli",
         "Saltelli's sample, for Sobol indices: which share of the variance each factor makes",
         "points of the sequence behind it",
-        sensitivity.saltelli_sample,
+        sensitivity.sample_saltelli,
         points_per_unit=2,
-        power_of_two=True,
+        needs_power_of_two=True,
         analysis=sensitivity.SOBOL_INDICES,
     ),
     Design(
         "morris",
         "Morris' trajectories, for elementary effects: which factors matter at all",
         "trajectories",
-        sensitivity.morris_sample,
+        sensitivity.sample_morris,
         points_per_unit=1,
-        ranges_only=True,
+        needs_ranges=True,
         analysis=sensitivity.ELEMENTARY_EFFECTS,
     ),
 )
-_BY_WORD = {design.word: design for design in DESIGNS}
+_DESIGN_BY_NAME = {design.name: design for design in DESIGNS}
 
 
-def choose_design(word: str, factors: Sequence[Factor], points: int | None, seed: int) -> tuple[ChosenPoints | None, Report]:
+def choose_design(name: str, factors: Sequence[Factor], point_count: int | None, seed: int) -> tuple[ChosenPoints | None, Report]:
     """Return the points of the named design, or None. Conflicting arguments are in the report, with corrections."""
-    report, design = Report(), _BY_WORD[word]
-    _check_fit(design, factors, points, report)
+    report, design = Report(), _DESIGN_BY_NAME[name]
+    _check_design_fit(design, factors, point_count, report)
     if not report.ok:
         return None, report
-    if design.shares is None or points is None:
+    if design.sample_shares is None or point_count is None:
         levels = [factor.levels for factor in factors]
         combined = tuple(dict(zip((f.name for f in factors), values, strict=True)) for values in itertools.product(*levels))
         return ChosenPoints(design, tuple(factors), combined), report
-    shares = design.shares(len(factors), points, seed)
+    shares = design.sample_shares(len(factors), point_count, seed)
     named = tuple({factor.name: factor.at(float(share)) for factor, share in zip(factors, row, strict=True)} for row in shares)
     return ChosenPoints(design, tuple(factors), named, shares), report
 
 
-def _check_fit(design: Design, factors: Sequence[Factor], points: int | None, report: Report) -> None:
+def _check_design_fit(design: Design, factors: Sequence[Factor], point_count: int | None, report: Report) -> None:
     ranges = [factor for factor in factors if not factor.levels]
-    said = f"`--design {design.word}`"
-    if design.shares is None:
+    said = f"`--design {design.name}`"
+    if design.sample_shares is None:
         most = math.prod(len(factor.levels) for factor in factors)
         for factor in ranges:
-            low, high = factor.ends()
+            low, high = factor.find_end_values()
             middle = factor.at(0.5)
             advice = f"write `--vary {factor.name}={low},{middle},{high}`, or choose points within: `--design latin --points 20`"
             report.error("wrong-value", f"a grid needs separate values, but `{factor.name}` is a range", None, advice)
-        if points is not None:
+        if point_count is not None:
             report.error(
-                "wrong-value", "a grid has as many points as its values have combinations", None, f"leave out `--points {points}`"
+                "wrong-value",
+                "a grid has as many points as its values have combinations",
+                None,
+                f"leave out `--points {point_count}`",
             )
         if most > limits.MAX_SWEEP_POINTS:
             words = f"these values make {most:,} combinations, and more than {limits.MAX_SWEEP_POINTS:,} are not run"
@@ -142,26 +150,29 @@ def _check_fit(design: Design, factors: Sequence[Factor], points: int | None, re
         advice = "write what to vary: `--vary forager.smell=30mm..90mm`"
         report.error("missing-argument", f"{said} has nothing to choose values of", None, advice)
         return
-    if points is None:
-        usual = 64 if design.power_of_two else 20
+    if point_count is None:
+        usual = 64 if design.needs_power_of_two else 20
         report.error(
-            "missing-argument", f"{said} needs the number of {design.counted}", None, f"write `{said[1:-1]} --points {usual}`"
+            "missing-argument",
+            f"{said} needs the number of {design.count_meaning}",
+            None,
+            f"write `{said[1:-1]} --points {usual}`",
         )
         return
     for factor in factors:
-        if factor.levels and design.ranges_only:
+        if factor.levels and design.needs_ranges:
             first, last = factor.levels[0], factor.levels[-1]
             advice = f"write its ends: `--vary {factor.name}={first}..{last}`"
             report.error("wrong-value", f"{said} steps along ranges, but `{factor.name}` has separate values", None, advice)
-    if design.power_of_two and points & (points - 1):
-        near = 1 << points.bit_length()
+    if design.needs_power_of_two and point_count & (point_count - 1):
+        near = 1 << point_count.bit_length()
         advice = f"write `--points {near}` or `--points {near >> 1}`"
         report.error(
-            "wrong-count", f"a Sobol sequence fills space evenly only at powers of 2, but {points} is not one", None, advice
+            "wrong-count", f"a Sobol sequence fills space evenly only at powers of 2, but {point_count} is not one", None, advice
         )
-    most = points * (1 if design.points_per_unit is None else len(factors) + design.points_per_unit)
+    most = point_count * (1 if design.points_per_unit is None else len(factors) + design.points_per_unit)
     if most > limits.MAX_SWEEP_POINTS:
-        words = f"{said} with `--points {points}` has {most:,} points, and more than {limits.MAX_SWEEP_POINTS:,} are not run"
+        words = f"{said} with `--points {point_count}` has {most:,} points, and more than {limits.MAX_SWEEP_POINTS:,} are not run"
         report.error("too-large", words, None, "write a smaller `--points`")
     if design.analysis is not None and not sensitivity.is_available():
-        report.error("missing-extra", f"{said} needs SALib", None, sensitivity.HOW)
+        report.error("missing-extra", f"{said} needs SALib", None, sensitivity.INSTALL_HINT)

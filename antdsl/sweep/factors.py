@@ -11,7 +11,7 @@ import numpy as np
 from antdsl.diagnostics import Report
 from antdsl.scene.quantities import QuantityError, parse_number, split_quantity
 
-_DIGITS = 6  # that a value drawn from a range is written with
+_SIGNIFICANT_DIGITS = 6  # that a value drawn from a range is written with
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,16 +36,16 @@ class Factor:
             return self.levels[min(floor(share * len(self.levels)), len(self.levels) - 1)]
         return self._format_value(self.low + share * (self.high - self.low))
 
-    def ends(self) -> tuple[str, ...]:
+    def find_end_values(self) -> tuple[str, ...]:
         """Return the values to check: each level, or the two ends of the range. If these are allowed, all values are."""
         return self.levels or (self._format_value(self.low), self._format_value(self.high))
 
-    def number(self, text: str) -> float:
+    def parse_number(self, text: str) -> float:
         """Return a value of a range as a number in `unit`."""
         return float(text[: len(text) - len(self.unit)])
 
     def _format_value(self, value: float) -> str:
-        return np.format_float_positional(float(f"{value:.{_DIGITS}g}"), trim="-") + self.unit
+        return np.format_float_positional(float(f"{value:.{_SIGNIFICANT_DIGITS}g}"), trim="-") + self.unit
 
 
 def parse_factors(varied: Mapping[str, str]) -> tuple[list[Factor], Report]:
@@ -92,8 +92,11 @@ def _parse_range(name: str, text: str, report: Report) -> Factor | None:
     return Factor(name, (), low, high, unit)
 
 
-def end_points(of: Iterable[Factor]) -> list[dict[str, str]]:
+def build_end_points(factors: Iterable[Factor]) -> list[dict[str, str]]:
     """Return the fewest points that cover every end of every factor."""
-    chosen = list(of)
-    most = max((len(factor.ends()) for factor in chosen), default=0)
-    return [{factor.name: factor.ends()[min(k, len(factor.ends()) - 1)] for factor in chosen} for k in range(most)]
+    chosen = list(factors)
+    most = max((len(factor.find_end_values()) for factor in chosen), default=0)
+    return [
+        {factor.name: factor.find_end_values()[min(k, len(factor.find_end_values()) - 1)] for factor in chosen}
+        for k in range(most)
+    ]

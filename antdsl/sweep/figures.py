@@ -15,18 +15,18 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
+from antdsl.atomic_write import atomic_file
 from antdsl.user_folders import cache_folder, make_private_folder
-from antdsl.whole import atomic_file
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-NAME = "matplotlib"
+PACKAGE_NAME = "matplotlib"
 
 
 def is_available() -> bool:
     """Return whether matplotlib is installed, without importing anything."""
-    return find_spec(NAME) is not None
+    return find_spec(PACKAGE_NAME) is not None
 
 
 @contextmanager
@@ -54,12 +54,12 @@ def _import_matplotlib() -> Any:
 
     with ExitStack() as opened:
         try:
-            folder = cache_folder() / "antdsl" / NAME
+            folder = cache_folder() / "antdsl" / PACKAGE_NAME
             make_private_folder(folder.parent)
             make_private_folder(folder)
         except OSError:  # no home folder
             folder = Path(opened.enter_context(TemporaryDirectory(prefix="antdsl-fonts-")))
-        spec = find_spec(NAME)
+        spec = find_spec(PACKAGE_NAME)
         assert spec is not None and spec.origin is not None
         defaults = str(Path(spec.origin).parent / "mpl-data" / "matplotlibrc")
         own = {"MATPLOTLIBRC": defaults, "MPLCONFIGDIR": str(folder), "MPLBACKEND": "agg"}
@@ -68,8 +68,8 @@ def _import_matplotlib() -> Any:
         with suppress(FileNotFoundError):  # the working directory was deleted: nothing is found in it
             opened.enter_context(chdir(folder))
         for module in ("font_manager", "style", "figure", "backends.backend_agg"):
-            importlib.import_module(f"{NAME}.{module}")
-        return importlib.import_module(NAME)
+            importlib.import_module(f"{PACKAGE_NAME}.{module}")
+        return importlib.import_module(PACKAGE_NAME)
 
 
 @contextmanager

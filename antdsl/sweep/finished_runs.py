@@ -9,14 +9,14 @@ from pathlib import Path
 from typing import Any
 
 from antdsl import __version__, limits
-from antdsl.bounded import read_bounded
-from antdsl.sweep.jobs import Job
-from antdsl.whole import is_link, make_folder, write_atomically
+from antdsl.atomic_write import create_folder_durably, is_link, write_atomically
+from antdsl.safe_read import read_size_limited
+from antdsl.sweep.jobs import SweepJob
 
-_BYTES = limits.MAX_TASK_ANSWER_BYTES + 64 * limits.KIB  # of the stored data of one run
+_MAX_RUN_FILE_BYTES = limits.MAX_TASK_ANSWER_BYTES + 64 * limits.KIB  # of the stored data of one run
 
 
-class NoSweepFolder(Exception):
+class NotASweepFolder(Exception):
     """Error for a folder that contains files that do not belong to a sweep."""
 
 
@@ -25,46 +25,46 @@ class RunStore:
 
     def __init__(self, folder: Path) -> None:
         if folder.is_dir() and any(folder.iterdir()) and not (folder / "runs").is_dir():
-            raise NoSweepFolder(f"`{folder}` has other files")
+            raise NotASweepFolder(f"`{folder}` has other files")
         if is_link(folder / "runs"):
-            raise NoSweepFolder(f"`{folder / 'runs'}` is a link")
+            raise NotASweepFolder(f"`{folder / 'runs'}` is a link")
         self.folder = folder
         self.runs = folder / "runs"
-        make_folder(self.runs)
+        create_folder_durably(self.runs)
 
-    def path(self, job: Job) -> Path:
+    def path(self, job: SweepJob) -> Path:
         """Return the path of a run's file."""
         return self.runs / f"{job.key}.json"
 
-    def read_measures(self, job: Job) -> dict[str, Any] | None:
+    def read_measures(self, job: SweepJob) -> dict[str, Any] | None:
         """Return the measures of an earlier finished run. Return None if there is none or its file is damaged. Files of older
         versions, which have no hash, are accepted."""
         try:
-            document = json.loads(read_bounded(self.path(job), _BYTES))
+            document = json.loads(read_size_limited(self.path(job), _MAX_RUN_FILE_BYTES))
         except (OSError, ValueError, RecursionError):
             return None
         fits = isinstance(document, dict) and document.get("key") == job.key and isinstance(document.get("measures"), dict)
-        if not fits or document.pop("hash", None) not in (None, _document_hash(document)):
+        if not fits or document.pop("hash", None) not in (None, _hash_document(document)):
             return None
         measures: dict[str, Any] = document["measures"]
         return measures
 
-    def count_other_runs(self, jobs: Iterable[Job]) -> int:
+    def count_other_runs(self, jobs: Iterable[SweepJob]) -> int:
         """Return the number of finished runs that belong to none of these jobs."""
         return len({path.stem for path in self.runs.glob("*.json")} - {job.key for job in jobs})
 
-    def write_measures(self, job: Job, measures: Mapping[str, Any]) -> None:
+    def write_measures(self, job: SweepJob, measures: Mapping[str, Any]) -> None:
         """Write a run's measures atomically."""
         document = describe_job(job) | {"key": job.key, "antdsl": __version__, "measures": measures}
-        document["hash"] = _document_hash(document)
+        document["hash"] = _hash_document(document)
         write_atomically(self.path(job), (json.dumps(document, indent=1) + "\n").encode(), sync=False)
 
 
-def _document_hash(document: Mapping[str, Any]) -> str:
+def _hash_document(document: Mapping[str, Any]) -> str:
     content = {name: value for name, value in document.items() if name != "hash"}
     return sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:32]
 
 
-def describe_job(job: Job) -> dict[str, Any]:
+def describe_job(job: SweepJob) -> dict[str, Any]:
     """Return a description of a run as plain values."""
     return {"label": job.label, "scene": Path(job.scene).name, "set": dict(job.params), "seed": job.seed}

@@ -11,16 +11,16 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
-from antdsl.bounded import real_path
 from antdsl.diagnostics import Report
 from antdsl.loading import SharedParsedFiles
-from antdsl.outputs.cache.manifest import MANIFEST
-from antdsl.outputs.starting import StartError, source_of, start_hash
+from antdsl.outputs.cache.manifest import MANIFEST_FILE_NAME
+from antdsl.outputs.cache_start import StartError, find_start_cache, hash_start_frame
 from antdsl.pipeline import RunChoices, Shot, open_scene
+from antdsl.safe_read import resolve_path
 from antdsl.scene import Scene
 from antdsl.scene.paths import record_request
 from antdsl.scene.values import FrameRange
-from antdsl.source_hash import sources
+from antdsl.source_hash import hash_sources
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +33,7 @@ class Variation:
 
 
 @dataclass(frozen=True, slots=True)
-class Job:
+class SweepJob:
     """One run. Its values are plain, so that it can be sent to another process as JSON.
 
     `until`: amounts (`food.load`, `food.apple.load`); the run ends when all of them are 0.
@@ -59,17 +59,17 @@ class Job:
         return asdict(self)
 
     @classmethod
-    def of(cls, document: Mapping[str, Any]) -> Job:
+    def of(cls, document: Mapping[str, Any]) -> SweepJob:
         """Return the job that `document` describes; the inverse of `Job.document`."""
-        return _JOBS.validate_python(document)
+        return _JOB_ADAPTER.validate_python(document)
 
-    def choices(self) -> RunChoices:
+    def make_choices(self) -> RunChoices:
         """Return the choices with which this run opens its scene."""
         grants = {name: Path(folder) for name, folder in self.grants}
         return RunChoices(grants, FrameRange(*self.frames), self.seed, dict(self.params))
 
 
-_JOBS = TypeAdapter(Job)
+_JOB_ADAPTER = TypeAdapter(SweepJob)
 
 
 def make_variations(scenes: Iterable[Path], points: Iterable[Mapping[str, str]]) -> list[Variation]:
@@ -86,27 +86,27 @@ def make_variations(scenes: Iterable[Path], points: Iterable[Mapping[str, str]])
     return combinations
 
 
-def jobs(
-    chosen: Iterable[Variation],
+def build_jobs(
+    variations: Iterable[Variation],
     seeds: Iterable[int],
     *,
     frames: FrameRange | None,
     until: tuple[str, ...],
     grants: Mapping[str, Path],
-) -> tuple[list[Job], Report]:
+) -> tuple[list[SweepJob], Report]:
     """Return all runs, ordered by seed, so that a stopped sweep has results of every variation. Each problem with a scene or a
     value is in the report once."""
     report = Report()
     shots: list[tuple[Variation, FrameRange, Scene, Mapping[str, str]]] = []
     parsed = SharedParsedFiles()
-    for variation in chosen:
+    for variation in variations:
         choices = RunChoices(grants, frames, None, variation.params)
         shot, findings = open_scene(variation.scene, choices, parsed=parsed, thorough=False)
         report.extend(findings)
         if shot is not None and findings.ok:
             _check_amounts(shot, until, report)
             try:
-                shots.append((variation, shot.frames, shot.scene, {**shot.inputs, **start_hashes(shot)}))
+                shots.append((variation, shot.frames, shot.scene, {**shot.inputs, **find_start_hashes(shot)}))
             except StartError as why:
                 report.extend(why.report)
     granted = tuple((name, str(folder)) for name, folder in grants.items())
@@ -114,38 +114,40 @@ def jobs(
     for seed in seeds:
         for variation, between, scene, inputs in shots:
             params = tuple(variation.params.items())
-            key = _key(scene, inputs, between, seed, until)
+            key = _compute_key(scene, inputs, between, seed, until)
             frame_range = (between.first, between.last)
-            job_list.append(Job(str(real_path(variation.scene)), variation.label, params, seed, frame_range, until, granted, key))
+            job_list.append(
+                SweepJob(str(resolve_path(variation.scene)), variation.label, params, seed, frame_range, until, granted, key)
+            )
     return job_list, report
 
 
-def start_hashes(shot: Shot) -> Mapping[str, str]:
+def find_start_hashes(shot: Shot) -> Mapping[str, str]:
     """Return a hash of the start state that a scene takes from another cache. Also record that the files of that cache are read
-    (`scene.paths.record_sought`)."""
-    folder = source_of(shot)
+    (`scene.paths.record_requested_paths`)."""
+    folder = find_start_cache(shot)
     if folder is not None:
-        record_request(folder / MANIFEST, shot.scene.roots.folder)
-    return start_hash(shot)
+        record_request(folder / MANIFEST_FILE_NAME, shot.scene.roots.folder)
+    return hash_start_frame(shot)
 
 
-def job_key(shot: Shot, seed: int, until: tuple[str, ...], start: Mapping[str, str]) -> str:
-    """Return a hash of everything that the measures of a run depend on. `start`: the result of `start_hashes`."""
-    return _key(shot.scene, {**shot.inputs, **start}, shot.frames, seed, until)
+def compute_job_key(shot: Shot, seed: int, until: tuple[str, ...], start: Mapping[str, str]) -> str:
+    """Return a hash of everything that the measures of a run depend on. `start`: the result of `find_start_hashes`."""
+    return _compute_key(shot.scene, {**shot.inputs, **start}, shot.frames, seed, until)
 
 
-def _key(scene: Scene, inputs: Mapping[str, str], frames: FrameRange, seed: int, until: tuple[str, ...]) -> str:
+def _compute_key(scene: Scene, inputs: Mapping[str, str], frames: FrameRange, seed: int, until: tuple[str, ...]) -> str:
     """Return a hash of all inputs of a run: 24 hexadecimal digits. `inputs`: hashes by name."""
-    hashes = {**inputs, "scene": scene.changed(seed=seed).digest()}
-    key_fields = {"sources": sources(), "inputs": hashes, "seed": seed, "frames": list(frames), "until": list(until)}
+    hashes = {**inputs, "scene": scene.replace_values(seed=seed).compute_digest()}
+    key_fields = {"sources": hash_sources(), "inputs": hashes, "seed": seed, "frames": list(frames), "until": list(until)}
     return hashlib.blake2b(json.dumps(key_fields, sort_keys=True).encode(), digest_size=12).hexdigest()
 
 
 def _check_amounts(shot: Shot, until: tuple[str, ...], report: Report) -> None:
     """Report amounts that the scene does not have."""
-    known = list(amount_names(shot))
+    known = list(list_amount_names(shot))
     for requested_name in until:
-        if not any(is_match(requested_name, name) for name in known):
+        if not any(is_amount_match(requested_name, name) for name in known):
             display_names = ", ".join(f"`{name}`" for name in known[:6]) or "none: it has no items"
             report.error(
                 "unknown-thing",
@@ -155,7 +157,7 @@ def _check_amounts(shot: Shot, until: tuple[str, ...], report: Report) -> None:
             )
 
 
-def amount_names(shot: Shot) -> Iterator[str]:
+def list_amount_names(shot: Shot) -> Iterator[str]:
     """Yield every amount of every item, as `food.apple.load`."""
     for name, items in shot.plan.items.items():
         for item in shot.setting.items.get(name, ()):
@@ -163,7 +165,7 @@ def amount_names(shot: Shot) -> Iterator[str]:
                 yield f"{name}.{item.name}.{attribute}"
 
 
-def is_match(requested_name: str, name: str) -> bool:
+def is_amount_match(requested_name: str, name: str) -> bool:
     """Return whether a requested name (`food.load` or `food.apple.load`) means the amount `food.apple.load`."""
     items, _, rest = name.partition(".")
     return requested_name in (name, f"{items}.{rest.partition('.')[2]}")

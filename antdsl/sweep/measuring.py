@@ -11,72 +11,72 @@ from pathlib import Path
 from typing import Any
 
 from antdsl import __version__
-from antdsl.executors import Engine, Task, TaskRefused, Worker, refuse_task, run_tasks
-from antdsl.numerics.host import processor_name
+from antdsl.executors import Engine, Task, TaskRefused, WorkerContext, convert_to_refusal, run_tasks
+from antdsl.numerics.host import read_processor_name
+from antdsl.outputs.cache_start import StartError, start_from_cache
 from antdsl.outputs.recording import Recording
-from antdsl.outputs.starting import StartError, start_from_cache
-from antdsl.outputs.summary import summary
-from antdsl.outputs.surface_error import surface_error
+from antdsl.outputs.summary import summarise_run
+from antdsl.outputs.surface_error import measure_surface_error
 from antdsl.pipeline import open_scene
 from antdsl.runtime import BindError, BindingCache, FaultStop, Options, World, bind, state_hash, step
-from antdsl.source_hash import sources
-from antdsl.sweep.jobs import Job, is_match, job_key, start_hashes
+from antdsl.source_hash import hash_sources
+from antdsl.sweep.jobs import SweepJob, compute_job_key, find_start_hashes, is_amount_match
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class JobOutcome:
     """The outcome of a job: measures, or an error message."""
 
-    job: Job
+    job: SweepJob
     measures: dict[str, Any] | None
     problem: str = ""
 
 
-def run_all(
-    jobs: Iterable[Job],
+def run_jobs(
+    jobs: Iterable[SweepJob],
     engine: Engine,
-    report_frame: Callable[[Job, int], None] = lambda job, frame: None,
-    noted: Callable[[str], None] = lambda sentence: None,
-) -> Iterator[Outcome]:
+    report_frame: Callable[[SweepJob, int], None] = lambda job, frame: None,
+    report_note: Callable[[str], None] = lambda sentence: None,
+) -> Iterator[JobOutcome]:
     """Run jobs and yield each outcome when it arrives. `jobs` is read one at a time, when there is capacity for another.
 
     `report_frame`: is called from time to time with the progress of a run.
-    `noted`: is called with messages about deviations from the request, one sentence for each run and cause.
+    `report_note`: is called with messages about deviations from the request, one sentence for each run and cause.
     """
-    tasks = (Task(job.key, measure, job.document()) for job in jobs)
-    for outcome in run_tasks(tasks, engine, lambda task, frame: report_frame(Job.of(task.document), frame), noted):
+    tasks = (Task(job.key, measure_job, job.document()) for job in jobs)
+    for outcome in run_tasks(tasks, engine, lambda task, frame: report_frame(SweepJob.of(task.document), frame), report_note):
         for sentence in outcome.notes:
-            noted(sentence)
-        yield Outcome(Job.of(outcome.task.document), outcome.answer, outcome.problem)
+            report_note(sentence)
+        yield JobOutcome(SweepJob.of(outcome.task.document), outcome.answer, outcome.problem)
 
 
-def measure(document: Mapping[str, Any], worker: Worker) -> dict[str, Any]:
+def measure_job(document: Mapping[str, Any], worker: WorkerContext) -> dict[str, Any]:
     """Simulate the run of a job and return its measures by name. A measure is a number, or None if its event did not happen. Data
     that a run computes from meshes stays in the process for the next run.
 
     Equal jobs with the same antdsl give equal measures, except `seconds`, `fps` and `processor`.
     """
     built: BindingCache = worker.cached_values.setdefault("built", BindingCache())
-    job = Job.of(document)
-    grants = tuple((name, str(worker.local_path(folder))) for name, folder in job.grants)
-    job = replace(job, scene=str(worker.local_path(job.scene)), grants=grants)
+    job = SweepJob.of(document)
+    grants = tuple((name, str(worker.find_local_path(folder))) for name, folder in job.grants)
+    job = replace(job, scene=str(worker.find_local_path(job.scene)), grants=grants)
     try:
-        with refuse_task(BindError, StartError, FaultStop):
-            return _measure(job, worker, built)
+        with convert_to_refusal(BindError, StartError, FaultStop):
+            return _simulate_job(job, worker, built)
     finally:
         built.drop_unused()
 
 
-def _measure(job: Job, worker: Worker, built: BindingCache) -> dict[str, Any]:
-    shot, report = open_scene(Path(job.scene), job.choices())
+def _simulate_job(job: SweepJob, worker: WorkerContext, binding_cache: BindingCache) -> dict[str, Any]:
+    shot, report = open_scene(Path(job.scene), job.make_choices())
     if shot is None or not report.ok:
         raise TaskRefused("; ".join(problem.message for problem in report.errors))
-    if job_key(shot, job.seed, job.until, start_hashes(shot)) != job.key:
+    if compute_job_key(shot, job.seed, job.until, find_start_hashes(shot)) != job.key:
         raise TaskRefused(
             "files that the scene reads have changed since the sweep began; the same command begins with them as they are"
         )
     began = time.perf_counter()
-    world = bind(shot.plan, shot.setting, Options(threads=worker.threads), built=built)
+    world = bind(shot.plan, shot.setting, Options(threads=worker.threads), built=binding_cache)
     recording = Recording(shot, Path(), world, shot.inputs)
     start_from_cache(shot, world)
     for _ in range(shot.scene.model.preroll):
@@ -84,21 +84,21 @@ def _measure(job: Job, worker: Worker, built: BindingCache) -> dict[str, Any]:
     world.motion.reset()
     empty: dict[str, int | None] = {}
     _record_empty(world, empty)
-    worst = surface_error(world)
-    while world.frame < shot.frames.last and not _is_over(world, job.until):
+    worst = measure_surface_error(world)
+    while world.frame < shot.frames.last and not _is_run_over(world, job.until):
         step(world)
         _record_empty(world, empty)
-        worst = max(worst, surface_error(world))
+        worst = max(worst, measure_surface_error(world))
         recording.steps += 1
         worker.report_frame(world.frame)
     worker.notes += world.backend.messages()
     recording.frame, recording.surface_error = world.frame, worst
-    recording.hash = state_hash(world)
+    recording.last_state_hash = state_hash(world)
     recording.add_time("step", began)
-    measures = dict(_flatten("", summary(recording)))
+    measures = dict(_flatten_measures("", summarise_run(recording)))
     measures |= {f"empty.{name}": frame for name, frame in empty.items()}
     measures |= {f"left.{name}": amount for name, amount in _read_amounts(world)}
-    measures |= {"processor": processor_name(), "antdsl": f"{__version__} {sources()[:8]}"}
+    measures |= {"processor": read_processor_name(), "antdsl": f"{__version__} {hash_sources()[:8]}"}
     return measures | {"seconds": round(time.perf_counter() - began, 3)}
 
 
@@ -109,28 +109,28 @@ def _read_amounts(world: World) -> Iterator[tuple[str, float]]:
                 yield f"{name}.{item}.{attribute}", float(value)
 
 
-def _record_empty(world: World, empty: dict[str, int | None]) -> None:
+def _record_empty(world: World, empty_frames: dict[str, int | None]) -> None:
     """Store the frame at which an amount becomes 0 for the first time."""
     for name, amount in _read_amounts(world):
         if amount > 0:
-            empty.setdefault(name, None)
-        elif name in empty and empty[name] is None:
-            empty[name] = world.frame
+            empty_frames.setdefault(name, None)
+        elif name in empty_frames and empty_frames[name] is None:
+            empty_frames[name] = world.frame
 
 
-def _is_over(world: World, until: tuple[str, ...]) -> bool:
+def _is_run_over(world: World, until: tuple[str, ...]) -> bool:
     return bool(until) and not any(
-        amount > 0 for name, amount in _read_amounts(world) for requested_name in until if is_match(requested_name, name)
+        amount > 0 for name, amount in _read_amounts(world) for requested_name in until if is_amount_match(requested_name, name)
     )
 
 
 _PROCESS_MEASURES = frozenset(("seconds", "peak_memory"))  # of the process, and of many runs in a row
 
 
-def _flatten(head: str, value: Any) -> Iterator[tuple[str, Any]]:
+def _flatten_measures(name_prefix: str, value: Any) -> Iterator[tuple[str, Any]]:
     if not isinstance(value, dict):
-        yield head, value
+        yield name_prefix, value
         return
     for name, inner in value.items():
-        if head or name not in _PROCESS_MEASURES:
-            yield from _flatten(f"{head}.{name}" if head else name, inner)
+        if name_prefix or name not in _PROCESS_MEASURES:
+            yield from _flatten_measures(f"{name_prefix}.{name}" if name_prefix else name, inner)

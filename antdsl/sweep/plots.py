@@ -11,17 +11,17 @@ from antdsl.sweep.factors import Factor
 from antdsl.sweep.figures import open_figure
 from antdsl.sweep.sensitivity import Analysis, Effect
 from antdsl.sweep.study import Study
-from antdsl.sweep.table import Result, quantile
+from antdsl.sweep.table import RunResult, compute_quantile
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _COLOURS = ("#3b6ea5", "#b5651d", "#4f8a4f", "#8a4f7d", "#7a7a3a", "#555555")  # of scenes
-_PARTS = 6  # of a range, for each of which a median is drawn
-HOW = "plots need matplotlib: pip install 'antdsl[plots]'"
+_TREND_PARTS = 6  # of a range, for each of which a median is drawn
+INSTALL_HINT = "plots need matplotlib: pip install 'antdsl[plots]'"
 
 
-def draw_measures(results: Sequence[Result], measures: Sequence[str], path: Path) -> None:
+def draw_measures(results: Sequence[RunResult], measures: Sequence[str], path: Path) -> None:
     """Write one PNG with a panel per measure. Runs in which the measured event did not happen are above the dashed line."""
     labels = list(dict.fromkeys(job.label for job, _ in results))
     height = max(2.0, 0.45 * len(labels) + 1.0)
@@ -31,7 +31,7 @@ def draw_measures(results: Sequence[Result], measures: Sequence[str], path: Path
             _draw_panel(panel, results, labels, measure)
 
 
-def _draw_panel(panel: Axes, results: Sequence[Result], labels: Sequence[str], measure: str) -> None:
+def _draw_panel(panel: Axes, results: Sequence[RunResult], labels: Sequence[str], measure: str) -> None:
     known = [float(v) for _, measures in results if (v := measures.get(measure)) is not None]
     edge = max(known, default=1.0)
     margin = 0.08 * (edge - min(known, default=0.0)) or 1.0
@@ -40,7 +40,7 @@ def _draw_panel(panel: Axes, results: Sequence[Result], labels: Sequence[str], m
         values = [measures.get(measure) for job, measures in results if job.label == label]
         dots = sorted(never if v is None else float(v) for v in values)
         panel.plot(dots, [number] * len(dots), "o", color="#3b6ea5", alpha=0.55, markersize=5, markeredgewidth=0)
-        lower, middle, upper = (quantile(dots, share) for share in (0.25, 0.5, 0.75))
+        lower, middle, upper = (compute_quantile(dots, share) for share in (0.25, 0.5, 0.75))
         panel.plot([lower, upper], [number, number], "-", color="#222222", linewidth=2)
         panel.plot([middle], [number], "|", color="#222222", markersize=16, markeredgewidth=2)
     if any(measures.get(measure) is None for _, measures in results):
@@ -48,37 +48,44 @@ def _draw_panel(panel: Axes, results: Sequence[Result], labels: Sequence[str], m
         panel.text(never, len(labels) - 0.4, "never", ha="center", va="top", fontsize=8, color="#666666")
     panel.set_yticks(range(len(labels)), labels)
     panel.set_ylim(len(labels) - 0.4, -0.6)
-    panel.set_title(_title(measure), loc="left", fontsize=10)
+    panel.set_title(_format_title(measure), loc="left", fontsize=10)
     panel.grid(axis="x", color="#e4e4e4")
     panel.spines[["top", "right", "left"]].set_visible(False)
 
 
-def draw_factors(study: Study, results: Sequence[Result], measures: Sequence[str], effects: Sequence[Effect], path: Path) -> None:
+def draw_factors(
+    study: Study, results: Sequence[RunResult], measures: Sequence[str], effects: Sequence[Effect], path: Path
+) -> None:
     """Write one PNG with a row per measure and a column per range. If the design provides the importance of factors, add a column
     for it.
 
     A dot is the median of a point over its seeds, with its quartiles. The line and the band are the median and the quartiles of
     all points in a part of the range.
     """
-    columns = len(study.ranges) + bool(effects)
+    columns = len(study.range_factors) + bool(effects)
     names = [str(scene) for scene in study.scenes]
     scenes = {variation.label: str(variation.scene) for variation in study.variations}
     with open_figure(1.0 + 3.6 * columns, 0.6 + 2.6 * len(measures), path) as drawn:
         panels = drawn.subplots(len(measures), columns, squeeze=False)
         for row, measure in zip(panels, measures, strict=True):
-            for panel, factor in zip(row, study.ranges, strict=False):
+            for panel, factor in zip(row, study.range_factors, strict=False):
                 _draw_over_range(panel, factor, results, names, scenes, measure)
-            if effects and study.chosen.design.analysis is not None:
-                _draw_bars(row[-1], study.chosen.design.analysis, [e for e in effects if e.measure == measure], names)
-            row[0].set_ylabel(_title(measure), fontsize=9)
+            if effects and study.chosen_points.design.analysis is not None:
+                _draw_bars(row[-1], study.chosen_points.design.analysis, [e for e in effects if e.measure == measure], names)
+            row[0].set_ylabel(_format_title(measure), fontsize=9)
         if len(names) > 1:
-            marks = [panels[0, 0].plot([], [], "o", color=_colour(k), markersize=5)[0] for k in range(len(names))]
+            marks = [panels[0, 0].plot([], [], "o", color=_choose_colour(k), markersize=5)[0] for k in range(len(names))]
             stems = [scene.stem for scene in study.scenes]
             drawn.legend(marks, stems, loc="outside lower center", ncols=4, fontsize=9, frameon=False)
 
 
 def _draw_over_range(
-    panel: Any, factor: Factor, results: Sequence[Result], scenes: Sequence[str], of_labels: Mapping[str, str], measure: str
+    panel: Any,
+    factor: Factor,
+    results: Sequence[RunResult],
+    scenes: Sequence[str],
+    scene_by_label: Mapping[str, str],
+    measure: str,
 ) -> None:
     known = [float(v) for _, measures in results if (v := measures.get(measure)) is not None]
     edge, least = max(known, default=1.0), min(known, default=0.0)
@@ -86,17 +93,17 @@ def _draw_over_range(
     for number, scene in enumerate(scenes):
         points: dict[str, tuple[float, list[float]]] = {}
         for job, measures in results:
-            if of_labels[job.label] == scene and measure in measures:
-                value = factor.number(dict(job.params)[factor.name])
+            if scene_by_label[job.label] == scene and measure in measures:
+                value = factor.parse_number(dict(job.params)[factor.name])
                 at = measures[measure]
                 points.setdefault(job.label, (value, []))[1].append(edge + margin if at is None else float(at))
         medians = []
         for value, of in points.values():
-            lower, middle, upper = (quantile(sorted(of), share) for share in (0.25, 0.5, 0.75))
-            panel.plot([value, value], [lower, upper], "-", color=_colour(number), alpha=0.35, linewidth=1)
-            panel.plot([value], [middle], "o", color=_colour(number), alpha=0.6, markersize=4, markeredgewidth=0)
+            lower, middle, upper = (compute_quantile(sorted(of), share) for share in (0.25, 0.5, 0.75))
+            panel.plot([value, value], [lower, upper], "-", color=_choose_colour(number), alpha=0.35, linewidth=1)
+            panel.plot([value], [middle], "o", color=_choose_colour(number), alpha=0.6, markersize=4, markeredgewidth=0)
             medians.append((value, middle))
-        _draw_trend(panel, factor, medians, _colour(number))
+        _draw_trend(panel, factor, medians, _choose_colour(number))
     if any(measures.get(measure, 0) is None for _, measures in results):
         panel.axhline(edge + margin / 2, linestyle="--", color="#999999", linewidth=1)
         panel.text(factor.low, edge + margin, "never", ha="left", va="center", fontsize=8, color="#666666")
@@ -112,10 +119,12 @@ def _draw_trend(panel: Any, factor: Factor, medians: Sequence[tuple[float, float
     parts: dict[int, list[float]] = {}
     for value, median in medians:
         share = (value - factor.low) / (factor.high - factor.low)
-        parts.setdefault(min(int(share * _PARTS), _PARTS - 1), []).append(median)
+        parts.setdefault(min(int(share * _TREND_PARTS), _TREND_PARTS - 1), []).append(median)
     part_numbers = sorted(parts)
-    middles = [factor.low + (part + 0.5) / _PARTS * (factor.high - factor.low) for part in part_numbers]
-    lower, middle, upper = ([quantile(sorted(parts[part]), share) for part in part_numbers] for share in (0.25, 0.5, 0.75))
+    middles = [factor.low + (part + 0.5) / _TREND_PARTS * (factor.high - factor.low) for part in part_numbers]
+    lower, middle, upper = (
+        [compute_quantile(sorted(parts[part]), share) for part in part_numbers] for share in (0.25, 0.5, 0.75)
+    )
     panel.fill_between(middles, lower, upper, color=colour, alpha=0.15, linewidth=0)
     panel.plot(middles, middle, "-", color=colour, linewidth=1.5)
 
@@ -127,8 +136,8 @@ def _draw_bars(panel: Any, analysis: Analysis, effects: Sequence[Effect], scenes
     for number, scene in enumerate(scenes):
         of = [effect for effect in effects if effect.scene == scene]
         at = [factors.index(effect.factor) + (number - (len(scenes) - 1) / 2) * high for effect in of]
-        widths, errors = ([effect.columns[name] for effect in of] for name in (analysis.first, analysis.half))
-        panel.barh(at, widths, height=high * 0.9, xerr=errors, color=_colour(number), alpha=0.7, error_kw={"linewidth": 1})
+        widths, errors = ([effect.columns[name] for effect in of] for name in (analysis.first, analysis.half_width_column))
+        panel.barh(at, widths, height=high * 0.9, xerr=errors, color=_choose_colour(number), alpha=0.7, error_kw={"linewidth": 1})
     panel.set_yticks(range(len(factors)), factors)
     panel.invert_yaxis()
     panel.set_xlabel(analysis.first.replace("_", " "), fontsize=9)
@@ -136,9 +145,9 @@ def _draw_bars(panel: Any, analysis: Analysis, effects: Sequence[Effect], scenes
     panel.spines[["top", "right"]].set_visible(False)
 
 
-def _colour(number: int) -> str:
+def _choose_colour(number: int) -> str:
     return _COLOURS[number % len(_COLOURS)]
 
 
-def _title(measure: str) -> str:
+def _format_title(measure: str) -> str:
     return measure.replace("empty.", "frame at which it is 0: ")

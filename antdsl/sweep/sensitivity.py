@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.outputs.csv_text import csv_text
+from antdsl.outputs.csv_text import format_csv
 
-HOW = "install it: pip install 'antdsl[sensitivity]'"
-_LEVELS = 4  # of Morris' grid
-_RESAMPLES = 1000  # of the bootstrap behind the intervals
-_SEED = 1  # of the bootstrap
+INSTALL_HINT = "install it: pip install 'antdsl[sensitivity]'"
+_MORRIS_LEVELS = 4  # of Morris' grid
+_RESAMPLE_COUNT = 1000  # of the bootstrap behind the intervals
+_RESAMPLE_SEED = 1  # of the bootstrap
 
 Numbers = NDArray[np.float64]
 EffectColumns = Mapping[str, Numbers]
@@ -29,15 +29,15 @@ EffectColumns = Mapping[str, Numbers]
 class Analysis:
     """An analysis of the importance of factors.
 
-    `work(shares, values)`: returns columns by name, with one number per factor.
+    `compute_columns(shares, values)`: returns columns by name, with one number per factor.
     `first`: the column with the importance of a factor.
-    `half`: the column with half the width of its 95 % interval.
+    `half_width_column`: the column with half the width of its 95 % interval.
     """
 
     title: str
     first: str
-    half: str
-    work: Callable[[Numbers, Numbers], EffectColumns]
+    half_width_column: str
+    compute_columns: Callable[[Numbers, Numbers], EffectColumns]
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,27 +55,27 @@ def is_available() -> bool:
     return find_spec("SALib") is not None
 
 
-def saltelli_sample(factors: int, count: int, seed: int) -> Numbers:
+def sample_saltelli(factors: int, count: int, seed: int) -> Numbers:
     """Return `count` × (factors + 2) points for Sobol indices of first and total order, from a scrambled Sobol sequence. A.
     Saltelli and others: Variance based sensitivity analysis of model output, Comp. Phys. Comm. 181 (2010)."""
     from SALib.sample import sobol
 
-    return np.asarray(sobol.sample(_salib_problem(factors), count, calc_second_order=False, seed=seed))
+    return np.asarray(sobol.sample(_make_salib_problem(factors), count, calc_second_order=False, seed=seed))
 
 
-def morris_sample(factors: int, count: int, seed: int) -> Numbers:
+def sample_morris(factors: int, count: int, seed: int) -> Numbers:
     """Return `count` trajectories of factors + 1 points. Each point differs from the previous one by one step along one factor.
     M. D. Morris: Factorial sampling plans for preliminary computational experiments, Technometrics 33 (1991)."""
     from SALib.sample import morris
 
-    return np.asarray(morris.sample(_salib_problem(factors), count, num_levels=_LEVELS, seed=seed))
+    return np.asarray(morris.sample(_make_salib_problem(factors), count, num_levels=_MORRIS_LEVELS, seed=seed))
 
 
-def _sobol_indices(shares: Numbers, values: Numbers) -> EffectColumns:
+def _compute_sobol_indices(shares: Numbers, values: Numbers) -> EffectColumns:
     from SALib.analyze import sobol
 
     indices = sobol.analyze(
-        _salib_problem(shares.shape[1]), values, calc_second_order=False, num_resamples=_RESAMPLES, seed=_SEED
+        _make_salib_problem(shares.shape[1]), values, calc_second_order=False, num_resamples=_RESAMPLE_COUNT, seed=_RESAMPLE_SEED
     )
     return {
         "total": indices["ST"],
@@ -85,24 +85,31 @@ def _sobol_indices(shares: Numbers, values: Numbers) -> EffectColumns:
     }
 
 
-def _elementary_effects(shares: Numbers, values: Numbers) -> EffectColumns:
+def _compute_elementary_effects(shares: Numbers, values: Numbers) -> EffectColumns:
     """Return the elementary effects of each factor. F. Campolongo, J. Cariboni, A. Saltelli: An effective screening design for
     sensitivity analysis of large models, Environmental Modelling & Software 22 (2007)."""
     from SALib.analyze import morris
 
-    problem = _salib_problem(shares.shape[1])
-    results = morris.analyze(problem, shares, values, num_levels=_LEVELS, num_resamples=_RESAMPLES, seed=_SEED)
+    problem = _make_salib_problem(shares.shape[1])
+    results = morris.analyze(
+        problem, shares, values, num_levels=_MORRIS_LEVELS, num_resamples=_RESAMPLE_COUNT, seed=_RESAMPLE_SEED
+    )
     named = {"mu_star": "mu_star", "mu_star_95": "mu_star_conf", "mu": "mu", "sigma": "sigma"}
     return {column: np.asarray(results[theirs], np.float64) for column, theirs in named.items()}
 
 
-SOBOL_INDICES = Analysis("Sobol indices: the share of the variance that a factor makes", "total", "total_95", _sobol_indices)
+SOBOL_INDICES = Analysis(
+    "Sobol indices: the share of the variance that a factor makes", "total", "total_95", _compute_sobol_indices
+)
 ELEMENTARY_EFFECTS = Analysis(
-    "Elementary effects: the change of a measure over a factor's whole range", "mu_star", "mu_star_95", _elementary_effects
+    "Elementary effects: the change of a measure over a factor's whole range",
+    "mu_star",
+    "mu_star_95",
+    _compute_elementary_effects,
 )
 
 
-def _salib_problem(factors: int) -> dict[str, Any]:
+def _make_salib_problem(factors: int) -> dict[str, Any]:
     """Return the description of the factors that SALib needs: shares from 0 to 1."""
     return {"num_vars": factors, "names": [str(k) for k in range(factors)], "bounds": [[0.0, 1.0]] * factors}
 
@@ -135,7 +142,7 @@ def find_effects(
             elif np.ptp(values) == 0:
                 notes.append(f"{measure}{where} is {values[0]:g} at all points")
             else:
-                columns = analysis.work(shares, values)
+                columns = analysis.compute_columns(shares, values)
                 effect_list += [
                     Effect(scene, measure, name, {column: float(numbers[k]) for column, numbers in columns.items()})
                     for k, name in enumerate(names)
@@ -143,7 +150,7 @@ def find_effects(
     return effect_list, notes
 
 
-def text(analysis: Analysis, effect_list: Sequence[Effect]) -> str:
+def format_effects(analysis: Analysis, effect_list: Sequence[Effect]) -> str:
     """Return a block of lines per scene and measure, with the most important factor first."""
     lines: list[str] = [analysis.title]
     width = max(len(effect.factor) for effect in effect_list)
@@ -165,4 +172,4 @@ def as_csv(effect_list: Sequence[Effect]) -> str:
     lines = (
         [each.scene, each.measure, each.factor, *(f"{value:.9g}" for value in each.columns.values())] for each in effect_list
     )
-    return csv_text([head, *lines])
+    return format_csv([head, *lines])

@@ -16,27 +16,27 @@ from dataclasses import dataclass, field
 from fractions import Fraction
 from typing import Any
 
-from antdsl.sweep.jobs import Job
-from antdsl.sweep.table import quantile
+from antdsl.sweep.jobs import SweepJob
+from antdsl.sweep.table import compute_quantile
 
-LEVEL = Fraction(95, 100)
-_GROWTH = Fraction(3, 2)  # of the number of runs, from one look to the next
+CONFIDENCE_LEVEL = Fraction(95, 100)
+_CHECK_GROWTH = Fraction(3, 2)  # of the number of runs, from one look to the next
 
 
-def interval_rank(count: int, doubt: Fraction = 1 - LEVEL) -> int:
+def compute_interval_rank(count: int, error_probability: Fraction = 1 - CONFIDENCE_LEVEL) -> int:
     """Return the largest rank l of an interval from the l-th to the l-th last draw. The interval may miss the median with a
-    probability of at most `doubt`. Return 0 if `count` draws are too few."""
+    probability of at most `error_probability`. Return 0 if `count` draws are too few."""
     least, below = 0, 0
-    while 2 * (below + math.comb(count, least)) <= doubt * 2**count:
+    while 2 * (below + math.comb(count, least)) <= error_probability * 2**count:
         below += math.comb(count, least)
         least += 1
     return min(least, (count + 1) // 2)
 
 
-def find_interval(values: Sequence[float], doubt: Fraction = 1 - LEVEL) -> tuple[float, float] | None:
+def find_interval(values: Sequence[float], error_probability: Fraction = 1 - CONFIDENCE_LEVEL) -> tuple[float, float] | None:
     """Return the two results between which the median lies, or None for too few. An infinite result means that the event never
     happened."""
-    place = interval_rank(len(values), doubt)
+    place = compute_interval_rank(len(values), error_probability)
     if not place:
         return None
     sorted_values = sorted(values)
@@ -44,7 +44,7 @@ def find_interval(values: Sequence[float], doubt: Fraction = 1 - LEVEL) -> tuple
 
 
 @dataclass(frozen=True, slots=True)
-class Looks:
+class CheckSchedule:
     """The numbers of runs after which the interval is checked, and the error probability of each check.
 
     If the interval is checked repeatedly until it is narrow, it misses the median more often than with one check. So all checks
@@ -52,27 +52,28 @@ class Looks:
     """
 
     run_counts: tuple[int, ...]
-    doubt: Fraction
+    error_probability: Fraction
 
 
-def plan_looks(most: int) -> Looks | None:
-    """Return checks at growing numbers of runs, each half as many again, up to `most`. Return None if `most` runs are too few."""
-    for count in range(1, most + 1):
-        doubt = (1 - LEVEL) / count
-        least = next((n for n in range(1, most + 1) if interval_rank(n, doubt)), None)
+def plan_checks(max_runs: int) -> CheckSchedule | None:
+    """Return checks at growing numbers of runs, each half as many again, up to `max_runs`. Return None if `max_runs` runs are too
+    few."""
+    for count in range(1, max_runs + 1):
+        doubt = (1 - CONFIDENCE_LEVEL) / count
+        least = next((n for n in range(1, max_runs + 1) if compute_interval_rank(n, doubt)), None)
         if least is None:
             return None
         run_counts = [least]
-        while run_counts[-1] < most:
-            run_counts.append(min(math.ceil(run_counts[-1] * _GROWTH), most))
+        while run_counts[-1] < max_runs:
+            run_counts.append(min(math.ceil(run_counts[-1] * _CHECK_GROWTH), max_runs))
         if len(run_counts) <= count:
-            return Looks(tuple(run_counts), (1 - LEVEL) / len(run_counts))
+            return CheckSchedule(tuple(run_counts), (1 - CONFIDENCE_LEVEL) / len(run_counts))
     return None
 
 
-def least_runs() -> int:
+def find_min_runs() -> int:
     """Return the fewest runs from which a sweep can estimate a median."""
-    return next(n for n in range(1, 100) if plan_looks(n) is not None)
+    return next(n for n in range(1, 100) if plan_checks(n) is not None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,20 +81,20 @@ class WidthGoal:
     """The requested width of a median's interval.
 
     `measure`: the beginning of a measure's name.
-    `most`: the largest width.
-    `share`: whether `most` is a share of the median's size.
+    `max_width`: the largest width.
+    `is_relative`: whether `max_width` is a share of the median's size.
     """
 
     measure: str
-    most: float
-    share: bool = False
+    max_width: float
+    is_relative: bool = False
 
-    def is_reached(self, between: tuple[float, float], median: float) -> bool:
+    def is_reached(self, interval: tuple[float, float], median: float) -> bool:
         """Return whether an interval is as narrow as requested. `median`: the median inside it."""
-        low, high = between
+        low, high = interval
         if low == high:
             return True  # all the same, or never
-        return high - low <= (self.most * abs(median) if self.share else self.most)
+        return high - low <= (self.max_width * abs(median) if self.is_relative else self.max_width)
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,75 +113,76 @@ class KnownMedian:
 
 @dataclass(slots=True)
 class JobChooser:
-    """All jobs that may run, ordered by seed. `needed_jobs` yields those that are needed. Without `widths`, all are needed."""
+    """All jobs that may run, ordered by seed. `needed_jobs` yields those that are needed. Without `width_goals`, all are
+    needed."""
 
-    jobs: Sequence[Job]
-    widths: Sequence[WidthGoal] = ()
-    _looks: Looks | None = field(init=False, default=None)
-    _by_label: dict[str, list[Job]] = field(init=False, default_factory=dict)
+    jobs: Sequence[SweepJob]
+    width_goals: Sequence[WidthGoal] = ()
+    _schedule: CheckSchedule | None = field(init=False, default=None)
+    _jobs_by_label: dict[str, list[SweepJob]] = field(init=False, default_factory=dict)
     _measures: dict[str, Mapping[str, Any] | None] = field(init=False, default_factory=dict)
     _final_counts: dict[str, int] = field(init=False, default_factory=dict)  # by label, after how many runs
 
     def __post_init__(self) -> None:
         for job in self.jobs:
-            self._by_label.setdefault(job.label, []).append(job)
-        if self.widths and self._by_label:
-            self._looks = plan_looks(max(map(len, self._by_label.values())))
+            self._jobs_by_label.setdefault(job.label, []).append(job)
+        if self.width_goals and self._jobs_by_label:
+            self._schedule = plan_checks(max(map(len, self._jobs_by_label.values())))
 
-    def needed_jobs(self) -> Iterator[Job]:
+    def needed_jobs(self) -> Iterator[SweepJob]:
         """Yield the next needed job, as long as there is one. Request the next job only when a process is free."""
         for job in self.jobs:
             if job.key not in self._measures and job.label not in self._final_counts:
                 yield job
 
-    def record_result(self, job: Job, measures: Mapping[str, Any] | None) -> None:
+    def record_result(self, job: SweepJob, measures: Mapping[str, Any] | None) -> None:
         """Record that a run has ended. `measures`: None if the run failed."""
         self._measures[job.key] = measures
-        if self._looks is None or job.label in self._final_counts:
+        if self._schedule is None or job.label in self._final_counts:
             return
-        of = self._by_label[job.label]
-        for count in self._looks.run_counts:
+        of = self._jobs_by_label[job.label]
+        for count in self._schedule.run_counts:
             if any(each.key not in self._measures for each in of[:count]):
                 return
-            if all(known.met for known in self._known_after(job.label, count)):
+            if all(known.met for known in self._find_medians_after(job.label, count)):
                 self._final_counts[job.label] = count
                 return
 
     @property
-    def counted_jobs(self) -> list[Job]:
+    def counted_jobs(self) -> list[SweepJob]:
         """Return the jobs of the table: all that have measures. A complete variation counts only the jobs that completed it."""
-        within = {job.key for label, of in self._by_label.items() for job in of[: self._final_counts.get(label, len(of))]}
+        within = {job.key for label, of in self._jobs_by_label.items() for job in of[: self._final_counts.get(label, len(of))]}
         return [job for job in self.jobs if job.key in within and self._measures.get(job.key) is not None]
 
-    def known_medians(self) -> list[KnownMedian]:
+    def list_known_medians(self) -> list[KnownMedian]:
         """Return the final intervals of all measures with a requested width."""
-        if self._looks is None:
+        if self._schedule is None:
             return []
         return [
             known
-            for label, of in self._by_label.items()
-            for known in self._known_after(label, self._final_counts.get(label, len(of)))
+            for label, of in self._jobs_by_label.items()
+            for known in self._find_medians_after(label, self._final_counts.get(label, len(of)))
         ]
 
-    def missing_measures(self) -> list[str]:
+    def list_missing_measures(self) -> list[str]:
         """Return the measures of the width goals that no run has reported. Empty as long as no run has ended."""
-        names = self._names() if self.widths else ()
-        return [w.measure for w in self.widths if names and not any(name.startswith(w.measure) for name in names)]
+        names = self._list_measure_names() if self.width_goals else ()
+        return [w.measure for w in self.width_goals if names and not any(name.startswith(w.measure) for name in names)]
 
-    def measure_prefixes(self) -> list[str]:
+    def list_measure_prefixes(self) -> list[str]:
         """Return the first word of each name of a reported measure."""
-        return list(dict.fromkeys(name.split(".")[0] for name in self._names()))
+        return list(dict.fromkeys(name.split(".")[0] for name in self._list_measure_names()))
 
-    def _names(self) -> dict[str, None]:
+    def _list_measure_names(self) -> dict[str, None]:
         """Return the names of all reported measures, as the keys of a mapping."""
         return {name: None for measures in self._measures.values() if measures is not None for name in measures}
 
-    def _known_after(self, label: str, count: int) -> list[KnownMedian]:
-        """Return the intervals of a variation's medians after its first `count` runs."""
-        assert self._looks is not None
-        ended = [each for job in self._by_label[label][:count] if (each := self._measures.get(job.key)) is not None]
+    def _find_medians_after(self, label: str, run_count: int) -> list[KnownMedian]:
+        """Return the intervals of a variation's medians after its first `run_count` runs."""
+        assert self._schedule is not None
+        ended = [each for job in self._jobs_by_label[label][:run_count] if (each := self._measures.get(job.key)) is not None]
         entries: list[KnownMedian] = []
-        for width in self.widths:
+        for width in self.width_goals:
             names = dict.fromkeys(name for measures in ended for name in measures if name.startswith(width.measure))
             if not names:
                 entries.append(KnownMedian(label, width.measure, len(ended), math.nan, math.nan, math.nan, False))
@@ -189,7 +191,7 @@ class JobChooser:
                 if not all(value is None or isinstance(value, int | float) for value in numbers):
                     continue
                 values = sorted(math.inf if value is None else float(value) for value in numbers)
-                median, between = quantile(values, 0.5), find_interval(values, self._looks.doubt)
+                median, between = compute_quantile(values, 0.5), find_interval(values, self._schedule.error_probability)
                 low, high = between or (-math.inf, math.inf)
                 is_reached = between is not None and width.is_reached(between, median)
                 entries.append(KnownMedian(label, name, len(values), median, low, high, is_reached))

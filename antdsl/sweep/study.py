@@ -12,48 +12,48 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from antdsl import limits
-from antdsl.bounded import read_bounded
+from antdsl.atomic_write import write_atomically
+from antdsl.safe_read import read_size_limited
 from antdsl.sweep.designs import DESIGNS, ChosenPoints
 from antdsl.sweep.factors import Factor
 from antdsl.sweep.jobs import Variation
 from antdsl.sweep.sensitivity import Effect, find_effects
 from antdsl.sweep.table import Row
-from antdsl.whole import write_atomically
 
-NAME = "asked.json"
+REQUEST_FILE_NAME = "asked.json"
 
 
 @dataclass(frozen=True, slots=True)
 class Study:
     """The points and scenes of a sweep. `variations`: every scene with every point, each once."""
 
-    chosen: ChosenPoints
+    chosen_points: ChosenPoints
     scenes: tuple[Path, ...]
     variations: tuple[Variation, ...]
 
     @property
-    def ranges(self) -> tuple[Factor, ...]:
+    def range_factors(self) -> tuple[Factor, ...]:
         """Return the factors that have a range of values instead of single values."""
-        return tuple(factor for factor in self.chosen.factors if not factor.levels)
+        return tuple(factor for factor in self.chosen_points.factors if not factor.levels)
 
     @property
-    def units(self) -> dict[str, str]:
+    def unit_by_factor(self) -> dict[str, str]:
         """Return the units of the ranges, by the names of their factors."""
-        return {factor.name: factor.unit for factor in self.ranges}
+        return {factor.name: factor.unit for factor in self.range_factors}
 
-    def effects(self, table: Sequence[Row], measures: Sequence[str]) -> tuple[list[Effect], list[str]]:
+    def find_effects(self, table: Sequence[Row], measures: Sequence[str]) -> tuple[list[Effect], list[str]]:
         """Return the effect of each factor on these measures, and notes on measures without a known effect. Empty if the design
         has no analysis of effects."""
-        design, shares = self.chosen.design, self.chosen.shares
+        design, shares = self.chosen_points.design, self.chosen_points.shares
         if design.analysis is None or shares is None:
             return [], []
         labels = {(v.scene, *v.params.values()): v.label for v in self.variations}
-        scenes = {str(scene): [labels[(scene, *point.values())] for point in self.chosen.points] for scene in self.scenes}
+        scenes = {str(scene): [labels[(scene, *point.values())] for point in self.chosen_points.points] for scene in self.scenes}
         medians = {(row.label, row.measure): row.median for row in table}
-        return find_effects(design.analysis, [f.name for f in self.chosen.factors], shares, scenes, medians, measures)
+        return find_effects(design.analysis, [f.name for f in self.chosen_points.factors], shares, scenes, medians, measures)
 
 
-class NoSweep(Exception):
+class NoStoredSweep(Exception):
     """Error for a folder without a sweep that can continue. The message is the reason."""
 
 
@@ -76,7 +76,7 @@ class SweepRequest(BaseModel):
     @field_validator("design")
     @classmethod
     def _check_design(cls, word: str) -> str:
-        if all(word != design.word for design in DESIGNS):
+        if all(word != design.name for design in DESIGNS):
             raise ValueError(f"there is no design `{word}`")
         return word
 
@@ -90,28 +90,30 @@ class SweepRequest(BaseModel):
     def write(self, folder: Path) -> None:
         """Write the request into a folder, with paths relative to the folder, so that everything can be moved together."""
         portable_request = self.model_copy(
-            update={"scenes": [_relative_path(path, folder) for path in self.scenes], "root": self._relative_roots(folder)}
+            update={"scenes": [_make_relative_path(path, folder) for path in self.scenes], "root": self._relative_roots(folder)}
         )
-        write_atomically(folder / NAME, (portable_request.model_dump_json(indent=1) + "\n").encode())
+        write_atomically(folder / REQUEST_FILE_NAME, (portable_request.model_dump_json(indent=1) + "\n").encode())
 
     def _relative_roots(self, folder: Path) -> list[str]:
-        return [f"{name}={_relative_path(path.strip(), folder)}" for name, _, path in (word.partition("=") for word in self.root)]
+        return [
+            f"{name}={_make_relative_path(path.strip(), folder)}" for name, _, path in (word.partition("=") for word in self.root)
+        ]
 
 
 def read_request(folder: Path) -> SweepRequest:
     """Return the request stored in a folder, with paths relative to the working directory. Raises NoSweep if there is none."""
     try:
-        request = SweepRequest.model_validate_json(read_bounded(folder / NAME, limits.MIB))
+        request = SweepRequest.model_validate_json(read_size_limited(folder / REQUEST_FILE_NAME, limits.MIB))
     except OSError:
-        raise NoSweep(f"`{folder}` has no sweep to continue") from None
+        raise NoStoredSweep(f"`{folder}` has no sweep to continue") from None
     except ValidationError:
-        raise NoSweep(f"`{folder / NAME}` is damaged") from None
+        raise NoStoredSweep(f"`{folder / REQUEST_FILE_NAME}` is damaged") from None
     roots = [f"{name}={_resolve_path(path, folder)}" for name, _, path in (word.partition("=") for word in request.root)]
     changed: dict[str, Any] = {"scenes": [_resolve_path(path, folder) for path in request.scenes], "root": roots}
     return request.model_copy(update=changed)
 
 
-def _relative_path(path: str, folder: Path) -> str:
+def _make_relative_path(path: str, folder: Path) -> str:
     try:
         return Path(os.path.relpath(path, folder)).as_posix()
     except ValueError:  # on another drive

@@ -9,16 +9,16 @@ from dataclasses import asdict, dataclass, fields
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
-from antdsl.outputs.csv_text import csv_text
+from antdsl.outputs.csv_text import format_csv
 from antdsl.sweep.finished_runs import describe_job
-from antdsl.sweep.jobs import Job
+from antdsl.sweep.jobs import SweepJob
 
 if TYPE_CHECKING:
     from antdsl.sweep.sensitivity import Effect
     from antdsl.sweep.stopping import KnownMedian
 
-Result = tuple[Job, Mapping[str, Any]]
-NOT_COMPARED = ("seconds", "fps")  # say something about the machine
+RunResult = tuple[SweepJob, Mapping[str, Any]]
+MACHINE_DEPENDENT_MEASURES = ("seconds", "fps")  # say something about the machine
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +37,7 @@ class Row:
     most: float
 
 
-def quantile(values: Sequence[float], share: float) -> float:
+def compute_quantile(values: Sequence[float], share: float) -> float:
     """Return the quantile of sorted values, interpolated linearly. If one of the two neighbouring values is infinite, so is the
     quantile."""
     place = share * (len(values) - 1)
@@ -47,14 +47,14 @@ def quantile(values: Sequence[float], share: float) -> float:
     return math.inf if math.isinf(values[high]) else values[low] + (place - low) * (values[high] - values[low])
 
 
-def rows(results: Iterable[Result]) -> list[Row]:
+def build_rows(results: Iterable[RunResult]) -> list[Row]:
     """Return rows of all measures that are numbers, in the order in which the runs report them."""
     values_by_key: dict[tuple[str, str], list[float]] = {}
     counts: dict[str, int] = {}
     for job, measures in results:
         counts[job.label] = counts.get(job.label, 0) + 1
         for name, value in measures.items():
-            if name not in NOT_COMPARED and (value is None or isinstance(value, int | float)):
+            if name not in MACHINE_DEPENDENT_MEASURES and (value is None or isinstance(value, int | float)):
                 values_by_key.setdefault((job.label, name), []).append(math.inf if value is None else float(value))
     return [_make_row(label, name, values, counts[label]) for (label, name), values in values_by_key.items()]
 
@@ -62,7 +62,7 @@ def rows(results: Iterable[Result]) -> list[Row]:
 def _make_row(label: str, name: str, values: list[float], runs: int) -> Row:
     # a count that a run does not report, such as that of a transition that never occurred, is 0
     values = sorted(values + [0.0] * (runs - len(values)))
-    median, lower, upper = (quantile(values, share) for share in (0.5, 0.25, 0.75))
+    median, lower, upper = (compute_quantile(values, share) for share in (0.5, 0.25, 0.75))
     return Row(label, name, runs, sum(map(math.isfinite, values)), median, lower, upper, values[0], values[-1])
 
 
@@ -76,14 +76,14 @@ def choose_measures(table: Sequence[Row], prefixes: Sequence[str]) -> list[str]:
     return [name for name in names if any(name.startswith(start) for start in prefixes)]
 
 
-def text(table: Sequence[Row], measures: Sequence[str]) -> str:
+def format_table(table: Sequence[Row], measures: Sequence[str]) -> str:
     """Return a text with variations as lines and measures as columns: median (lower quartile – upper quartile)."""
     rows_by_key = {(row.label, row.measure): row for row in table}
     labels = list(dict.fromkeys(row.label for row in table))
     lines = [["", "runs", *(name.removeprefix("empty.") + (" 0 at" if name.startswith("empty.") else "") for name in measures)]]
     for label in labels:
         runs = next(row.runs for row in table if row.label == label)
-        lines.append([label, str(runs), *(_cell_text(rows_by_key.get((label, name))) for name in measures)])
+        lines.append([label, str(runs), *(_format_cell(rows_by_key.get((label, name))) for name in measures)])
     widths = [max(len(line[column]) for line in lines) for column in range(len(lines[0]))]
     return (
         "\n".join("  ".join(f"{cell:<{width}}" for cell, width in zip(line, widths, strict=True)).rstrip() for line in lines)
@@ -91,7 +91,7 @@ def text(table: Sequence[Row], measures: Sequence[str]) -> str:
     )
 
 
-def _cell_text(row: Row | None) -> str:
+def _format_cell(row: Row | None) -> str:
     if row is None:
         return "–"
     words = f"{_format_number(row.median)} ({_format_number(row.lower_quartile)} – {_format_number(row.upper_quartile)})"
@@ -107,18 +107,18 @@ def as_csv(table: Sequence[Row]) -> str:
     lines: list[list[object]] = [[column.name for column in fields(Row)]]
     for row in table:
         lines.append(["" if v is None else f"{v:.9g}" if isinstance(v, float) else v for v in _finite_entry(row).values()])
-    return csv_text(lines)
+    return format_csv(lines)
 
 
-def runs_parquet(results: Sequence[Result], units: Mapping[str, str] | None = None) -> bytes | None:
+def format_runs_parquet(results: Sequence[RunResult], units: Mapping[str, str] | None = None) -> bytes | None:
     """Return the table of runs as an Apache Parquet file, with numbers as numbers. Return None if pyarrow is not installed.
-    Arguments: as in `runs_csv`."""
+    Arguments: as in `format_runs_csv`."""
     if find_spec("pyarrow") is None:
         return None
     import pyarrow
     import pyarrow.parquet
 
-    names = dict.fromkeys(name for _, measures in results for name in measures if name not in NOT_COMPARED)
+    names = dict.fromkeys(name for _, measures in results for name in measures if name not in MACHINE_DEPENDENT_MEASURES)
     columns: dict[str, list[Any]] = {"label": [job.label for job, _ in results], "seed": [job.seed for job, _ in results]}
     for name, head in _name_columns(results, units or {}).items():
         texts = [_format_params(job, units or {}).get(name) for job, _ in results]
@@ -133,35 +133,35 @@ def runs_parquet(results: Sequence[Result], units: Mapping[str, str] | None = No
     return bytes(sink.getvalue().to_pybytes())
 
 
-def runs_csv(results: Sequence[Result], units: Mapping[str, str] | None = None) -> str:
+def format_runs_csv(results: Sequence[RunResult], units: Mapping[str, str] | None = None) -> str:
     """Return one CSV line per run, with its values and all its measures. `units`: by name, the units of values that are written
     as plain numbers."""
-    names = list(dict.fromkeys(name for _, measures in results for name in measures if name not in NOT_COMPARED))
+    names = list(dict.fromkeys(name for _, measures in results for name in measures if name not in MACHINE_DEPENDENT_MEASURES))
     headings = _name_columns(results, units or {})
     lines: list[list[object]] = [["label", "seed", *headings.values(), *names]]
     for job, measures in results:
         param_texts = _format_params(job, units or {})
         values = [param_texts.get(name, "") for name in headings]
         lines.append([job.label, job.seed, *values, *("" if (v := measures.get(name)) is None else v for name in names)])
-    return csv_text(lines)
+    return format_csv(lines)
 
 
-def _name_columns(results: Sequence[Result], units: Mapping[str, str]) -> dict[str, str]:
+def _name_columns(results: Sequence[RunResult], units: Mapping[str, str]) -> dict[str, str]:
     """Return the column name of each value, by the value's name."""
     params = dict.fromkeys(name for job, _ in results for name, _ in job.params)
     return {name: f"{name} ({units[name]})" if units.get(name) else name for name in params}
 
 
-def _format_params(job: Job, units: Mapping[str, str]) -> dict[str, str]:
+def _format_params(job: SweepJob, units: Mapping[str, str]) -> dict[str, str]:
     """Return the values of a run. Values with an entry in `units` are written without their unit."""
     return {name: value.removesuffix(units.get(name, "")) for name, value in job.params}
 
 
-def known_text(known: Sequence[KnownMedian]) -> str:
+def format_known_medians(medians: Sequence[KnownMedian]) -> str:
     """Return one line per median: the results between which it lies, and whether they are as narrow as requested."""
     lines = ["Medians, with 95 % between"]
-    label_width, width = (max(map(len, words)) for words in zip(*((k.label, k.measure) for k in known), strict=True))
-    for each in known:
+    label_width, width = (max(map(len, words)) for words in zip(*((k.label, k.measure) for k in medians), strict=True))
+    for each in medians:
         between = (
             f"{_format_number(each.low)} and {_format_number(each.high)}"
             if each.runs and each.low > -math.inf
@@ -173,7 +173,7 @@ def known_text(known: Sequence[KnownMedian]) -> str:
 
 
 def as_json(
-    results: Sequence[Result], table: Sequence[Row], known: Sequence[KnownMedian] = (), effects: Sequence[Effect] = ()
+    results: Sequence[RunResult], table: Sequence[Row], known: Sequence[KnownMedian] = (), effects: Sequence[Effect] = ()
 ) -> str:
     """Return all runs, the table, and known medians and effects as one JSON document."""
     document: dict[str, Any] = {
@@ -187,6 +187,6 @@ def as_json(
     return json.dumps(document, indent=1) + "\n"
 
 
-def _finite_entry(of: Row | KnownMedian) -> dict[str, Any]:
+def _finite_entry(record: Row | KnownMedian) -> dict[str, Any]:
     """Return the fields by name. Numbers that are infinite or unknown become None."""
-    return {name: None if isinstance(v, float) and not math.isfinite(v) else v for name, v in asdict(of).items()}
+    return {name: None if isinstance(v, float) and not math.isfinite(v) else v for name, v in asdict(record).items()}

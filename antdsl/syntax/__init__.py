@@ -1,9 +1,9 @@
 """Text → tree: `read` opens a file safely, `parse` makes a `File` of its text. `format` writes a text in the one layout, `write`
 replaces the file.
 
-`scan` makes tokens, `brackets` pairs them, `blocks` cuts the text into lines and blocks. Then lark's tables (`tables`, made by
-`grammar`) parse each line separately and `builder` makes the `nodes`, so that an error affects only its line. Names of errors are
-in `mistakes`; the layout is in `formatting`. `parts` parses only what changed for an editor."""
+`scan` makes tokens, `brackets` pairs them, `blocks` cuts the text into lines and blocks. Then lark's tables (`parse_tables`, made
+by `grammar`) parse each line separately and `builder` makes the `nodes`, so that an error affects only its line. Names of errors
+are in `mistakes`; the layout is in `formatting`. `incremental_parser` parses only what changed for an editor."""
 
 from pathlib import Path
 

@@ -7,18 +7,18 @@ from dataclasses import dataclass, field
 
 from antdsl.diagnostics.model import Fix
 from antdsl.source import Source, Span
-from antdsl.syntax.brackets import token_text
+from antdsl.syntax.brackets import get_token_text
 from antdsl.syntax.scan import ScannedToken, TokenScan
 
 
 @dataclass(slots=True)
 class BraceGroup:
-    """A pair of braces and the lines between them. `chooses` is true after the word `choose`."""
+    """A pair of braces and the lines between them. `is_choice` is true after the word `choose`."""
 
     open: ScannedToken
-    close: ScannedToken
+    closing_brace: ScannedToken
     lines: list[SourceLine]
-    chooses: bool
+    is_choice: bool
 
 
 @dataclass(slots=True)
@@ -44,37 +44,37 @@ class MappedText:
         self.source = source
         self.parts = parts  # text, offset in the source, length in the source
         self.text = "".join(part[0] for part in parts)
-        self.begins: list[int] = []
+        self.part_starts: list[int] = []
         begin = 0
         for text, _, _ in parts:
-            self.begins.append(begin)
+            self.part_starts.append(begin)
             begin += len(text)
 
-    def source_offset(self, position: int) -> int:
+    def find_source_offset(self, position: int) -> int:
         """Return the source offset of a position in the text. The end of the text maps to the end of its last part."""
-        part = max(0, bisect_right(self.begins, position) - 1)
+        part = max(0, bisect_right(self.part_starts, position) - 1)
         _, offset, length = self.parts[part]
-        return offset + min(position - self.begins[part], length)
+        return offset + min(position - self.part_starts[part], length)
 
     def span(self, start: int, end: int) -> Span:
         """Return the source span of a range of positions."""
-        first = self.source_offset(start)
+        first = self.find_source_offset(start)
         if end <= start:
             return Span(self.source, first, first)
-        part = max(0, bisect_right(self.begins, end - 1) - 1)
+        part = max(0, bisect_right(self.part_starts, end - 1) - 1)
         _, offset, length = self.parts[part]
-        return Span(self.source, first, max(first, offset + min(end - self.begins[part], length)))
+        return Span(self.source, first, max(first, offset + min(end - self.part_starts[part], length)))
 
     def position(self, offset: int) -> int:
         """Return the first position in the text that maps to a source offset or to a later one."""
-        for (text, start, length), begin in zip(self.parts, self.begins, strict=True):
+        for (text, start, length), begin in zip(self.parts, self.part_starts, strict=True):
             if offset < start:
                 return begin
             if offset < start + length:
                 return min(begin + offset - start, begin + len(text))
         return len(self.text)
 
-    def splice(self, start: int, end: int, text: str) -> MappedText:
+    def replace_range(self, start: int, end: int, text: str) -> MappedText:
         """Return a copy with `text` in place of the positions from `start` to `end`."""
         span = self.span(start, end)
         previous_parts, next_parts = self._cut_pieces(0, start), self._cut_pieces(end, len(self.text))
@@ -82,7 +82,7 @@ class MappedText:
 
     def _cut_pieces(self, start: int, end: int) -> list[tuple[str, int, int]]:
         cut = []
-        for (text, offset, length), begin in zip(self.parts, self.begins, strict=True):
+        for (text, offset, length), begin in zip(self.parts, self.part_starts, strict=True):
             low, high = max(start, begin) - begin, min(end, begin + len(text)) - begin
             if low < high:
                 cut.append((text[low:high], offset + min(low, length), max(0, min(high, length) - low)))
@@ -96,23 +96,23 @@ def map_text(scan: TokenScan, line: SourceLine) -> MappedText:
     begin: int | None = None
     end = 0
     for token in line.tokens:
-        if token.virtual:
+        if token.inserted_text:
             if begin is not None:
-                parts.append(("".join(scan.clean[begin:end]), begin, end - begin))
-            parts.append((token.virtual, token.start, 0))
+                parts.append(("".join(scan.clean_characters[begin:end]), begin, end - begin))
+            parts.append((token.inserted_text, token.start, 0))
             begin = None
             continue
         begin = token.start if begin is None else begin
         end = token.end
         if token.kind == "open" and token.start in opens:
-            parts.append(("".join(scan.clean[begin:end]), begin, end - begin))
+            parts.append(("".join(scan.clean_characters[begin:end]), begin, end - begin))
             begin = None
     if begin is not None:
-        parts.append(("".join(scan.clean[begin:end]), begin, end - begin))
+        parts.append(("".join(scan.clean_characters[begin:end]), begin, end - begin))
     return MappedText(scan.source, parts)
 
 
-def _move_brace_up(scan: TokenScan, above: int, brace: ScannedToken) -> Fix | None:
+def _make_brace_fix(scan: TokenScan, above: int, brace: ScannedToken) -> Fix | None:
     """Return the fix that moves the brace to the end of the line above, or None if a comment is between them."""
     between = scan.source.text[above : brace.start]
     return None if between.strip() else Fix(Span(scan.source, above, brace.end), " {")
@@ -126,20 +126,20 @@ def cut_lines(scan: TokenScan, tokens: list[ScannedToken]) -> list[SourceLine]:
     ] = []  # enclosing groups: their lines, their opening brace, whether `choose` precedes it
     lines = top
     for token in tokens:
-        sign = token_text(scan, token) if token.kind in ("open", "close") else ""
+        sign = get_token_text(scan, token) if token.kind in ("open", "close") else ""
         line = lines[-1]
         if sign == "{":
             if not line.tokens and len(lines) > 1 and not lines[-2].groups:
                 lines.pop()
                 line = lines[-1]
-                if not token.virtual:
+                if not token.inserted_text:
                     above = line.tokens[-1].end
                     scan.report.error(
                         "brace-on-own-line", "`{` on a separate line", Span(scan.source, token.start, token.end),
-                        "put it at the end of the line above", fix=_move_brace_up(scan, above, token),
+                        "put it at the end of the line above", fix=_make_brace_fix(scan, above, token),
                     )  # fmt: skip
                     scan.blank_out(above, token.start)
-            chooses = bool(line.tokens) and token_text(scan, line.tokens[-1]) == "choose"
+            chooses = bool(line.tokens) and get_token_text(scan, line.tokens[-1]) == "choose"
             line.tokens.append(token)
             stack.append((lines, token, chooses))
             lines = [SourceLine()]
@@ -152,9 +152,9 @@ def cut_lines(scan: TokenScan, tokens: list[ScannedToken]) -> list[SourceLine]:
             if line.tokens:
                 lines.append(SourceLine())
         else:
-            if token.kind == "word" and line.groups and line.tokens[-1] is line.groups[-1].close:
-                word = token_text(scan, token)
-                scan.error(
+            if token.kind == "word" and line.groups and line.tokens[-1] is line.groups[-1].closing_brace:
+                word = get_token_text(scan, token)
+                scan.report_error(
                     "missing-line-end",
                     f"`{word}` on the same line after `}}`",
                     token.start,

@@ -10,7 +10,7 @@ from antdsl.syntax.mistakes.continued_lines import join_lines
 from antdsl.syntax.scan import ScannedToken, TokenScan
 from antdsl.syntax.words import BLOCK_WORDS, LINE_WORDS_BY_RULE
 
-_CLOSING_SIGN = {"(": ")", "[": "]", "{": "}"}
+_CLOSING_BY_OPENING = {"(": ")", "[": "]", "{": "}"}
 _MAX_LOOK_AHEAD_TOKENS = 200  # tokens; a line is seldom longer
 _MAX_BRACE_REPAIRS = 100  # after this many errors, missing braces are not searched for, as each search scans the text
 _LINE_WORDS = frozenset(word for words in LINE_WORDS_BY_RULE.values() for word in words)
@@ -24,15 +24,15 @@ def pair_brackets(scan: TokenScan) -> list[ScannedToken] | None:
         depth += (token.kind == "open") - (token.kind == "close" and depth > 0)
         if depth > limits.MAX_BRACKET_DEPTH:
             message = f"brackets nested more than {limits.MAX_BRACKET_DEPTH} deep"
-            scan.error("nesting-too-deep", message, token.start, token.end, "give inner parts a name with `let`")
+            scan.report_error("nesting-too-deep", message, token.start, token.end, "give inner parts a name with `let`")
             return None
     scan.tokens = join_lines(scan)
     return _BracePairer(scan, _ParenthesisPairer(scan).run()).run()
 
 
-def token_text(scan: TokenScan, token: ScannedToken) -> str:
+def get_token_text(scan: TokenScan, token: ScannedToken) -> str:
     """Return the text of a token; for an inserted bracket, the bracket."""
-    return token.virtual or "".join(scan.clean[token.start : token.end])
+    return token.inserted_text or "".join(scan.clean_characters[token.start : token.end])
 
 
 class _ParenthesisPairer:
@@ -43,16 +43,16 @@ class _ParenthesisPairer:
         self.out: list[ScannedToken] = []
         self.origin: list[int] = []  # for each token of `out`, its index in the scan
         self.open: list[int] = []  # indices in `out` of open brackets
-        self.indents = _line_indents(scan.tokens)
+        self.indents = _compute_line_indents(scan.tokens)
 
     def run(self) -> list[ScannedToken]:
         """Return all tokens with paired parentheses, without line ends inside them."""
         tokens, index = self.scan.tokens, 0
         while index <= len(tokens):
             token = tokens[index] if index < len(tokens) else None
-            text = token_text(self.scan, token) if token is not None else "}"
-            if self.open and (token is None or text in ("{", "}", ";") or self.begins_line(index, text)):
-                index = self.close_forgotten(index)
+            text = get_token_text(self.scan, token) if token is not None else "}"
+            if self.open and (token is None or text in ("{", "}", ";") or self.is_line_start(index, text)):
+                index = self.close_unclosed(index)
                 continue
             if token is None:
                 break
@@ -63,26 +63,26 @@ class _ParenthesisPairer:
                 self.scan.replace(token.start, " ")
         return [token for token in self.out if token.kind != "soft"]
 
-    def begins_line(self, index: int, text: str) -> bool:
+    def is_line_start(self, index: int, text: str) -> bool:
         """Return whether a line starts here that cannot be part of a value: `let x`, `when x`, `state x`."""
         tokens = self.scan.tokens
         if tokens[index].indent < 0 or text not in _LINE_WORDS or index + 1 == len(tokens):
             return False
-        return tokens[index + 1].kind == "word" and token_text(self.scan, tokens[index + 1]) not in _JOINING_WORDS
+        return tokens[index + 1].kind == "word" and get_token_text(self.scan, tokens[index + 1]) not in _JOINING_WORDS
 
     def step(self, index: int, token: ScannedToken, text: str) -> None:
         tokens = self.scan.tokens
-        if text in ("(", "[") and not self.open and self.opens_block(index):
-            first = token_text(self.scan, tokens[self.line_start(index)])
+        if text in ("(", "[") and not self.open and self.is_block_opening(index):
+            first = get_token_text(self.scan, tokens[self.find_line_start(index)])
             message = f"`{first}` has `{text}` instead of `{{`"
-            self.scan.error("missing-brace", message, token.start, token.end, "write `{`", "{")
+            self.scan.report_error("missing-brace", message, token.start, token.end, "write `{`", "{")
             self.scan.replace(token.start, "{")
         elif text in ("(", "["):
             self.open.append(len(self.out))
         elif text in (")", "]"):
             if not self.open:
                 opening = "(" if text == ")" else "["
-                self.scan.error(
+                self.scan.report_error(
                     "unopened-bracket", f"`{text}` without a `{opening}`", token.start, token.end, "delete it, or open it", ""
                 )
                 self.scan.blank_out(token.start, token.end)
@@ -94,51 +94,51 @@ class _ParenthesisPairer:
         self.out.append(token)
         self.origin.append(index)
 
-    def line_start(self, index: int) -> int:
+    def find_line_start(self, index: int) -> int:
         """Return the index of the first token of a token's line."""
         while index and self.scan.tokens[index].indent < 0:
             index -= 1
         return index
 
-    def opens_block(self, index: int) -> bool:
+    def is_block_opening(self, index: int) -> bool:
         """Return whether a parenthesis ends the first line of a block that has no brace, and the next line is indented more."""
         tokens = self.scan.tokens
         if index + 2 >= len(tokens) or tokens[index + 1].kind != "end":
             return False
-        start = self.line_start(index)
-        if any(self.scan.clean[token.start] == "{" for token in tokens[start:index]):
+        start = self.find_line_start(index)
+        if any(self.scan.clean_characters[token.start] == "{" for token in tokens[start:index]):
             return False
         first, below = tokens[start], tokens[index + 2]
-        word = token_text(self.scan, first)
+        word = get_token_text(self.scan, first)
         if word not in BLOCK_WORDS or below.indent <= first.indent:
             return False
         next_token = next((token for token in tokens[index + 3 :] if token.kind != "end"), None)
-        if word == "behaviour" and next_token is not None and token_text(self.scan, next_token) == ":":
+        if word == "behaviour" and next_token is not None and get_token_text(self.scan, next_token) == ":":
             return False  # the word is the name of an argument
-        return token_text(self.scan, below) in _LINE_WORDS
+        return get_token_text(self.scan, below) in _LINE_WORDS
 
     def close_bracket(self, index: int, token: ScannedToken, text: str) -> bool:
         """Pair a closing bracket with an open one of its kind. Brackets opened after that one are never closed."""
-        expected_signs = [_CLOSING_SIGN[token_text(self.scan, self.out[place])] for place in self.open]
+        expected_signs = [_CLOSING_BY_OPENING[get_token_text(self.scan, self.out[place])] for place in self.open]
         if text not in expected_signs:
             if self.is_closed_later(index, expected_signs[-1]):
-                self.scan.error(
+                self.scan.report_error(
                     "unopened-bracket", f"`{text}` is never opened", token.start, token.end, "delete it, or open it", ""
                 )
                 self.scan.blank_out(token.start, token.end)
                 return False
             message = f"`{text}` where `{expected_signs[-1]}` was expected"
-            self.scan.error(
+            self.scan.report_error(
                 "unopened-bracket", message, token.start, token.end, f"write `{expected_signs[-1]}`", expected_signs[-1]
             )
             self.scan.replace(token.start, expected_signs[-1])
         else:
             while expected_signs.pop() != text:
                 inner = self.out[self.open.pop()]
-                sign = token_text(self.scan, inner)
+                sign = get_token_text(self.scan, inner)
                 at = self.out[-1].end
                 _report_unclosed(self.scan, inner, sign, at)
-                self.out.append(ScannedToken("close", at, at, -1, _CLOSING_SIGN[sign]))
+                self.out.append(ScannedToken("close", at, at, -1, _CLOSING_BY_OPENING[sign]))
                 self.origin.append(index)
         self.open.pop()
         return True
@@ -147,15 +147,15 @@ class _ParenthesisPairer:
         """Return whether the closing bracket of the open one follows in the same line."""
         depth = 0
         for token in self.scan.tokens[index + 1 : index + 1 + _MAX_LOOK_AHEAD_TOKENS]:
-            text = token_text(self.scan, token) if token.kind in ("open", "close") else ""
+            text = get_token_text(self.scan, token) if token.kind in ("open", "close") else ""
             if token.kind == "end" or text in ("{", "}"):
                 return False
             if depth == 0 and text == expected_sign:
                 return True
-            depth += (_CLOSING_SIGN.get(text) == expected_sign) - (text == expected_sign)
+            depth += (_CLOSING_BY_OPENING.get(text) == expected_sign) - (text == expected_sign)
         return False
 
-    def close_forgotten(self, index: int) -> int:
+    def close_unclosed(self, index: int) -> int:
         """Close a bracket that stays open at the end of its line, or of the following lines that are indented more. Returns where
         to continue."""
         first, last = self.open[0], self.out[self.open[-1]]
@@ -163,22 +163,22 @@ class _ParenthesisPairer:
         cut = len(self.out)
         for place in range(first + 1, len(self.out) - 1):
             following = self.out[place + 1]
-            if token_text(self.scan, following) == "->":  # never inside parentheses
+            if get_token_text(self.scan, following) == "->":  # never inside parentheses
                 cut = place + 1
                 break
             if self.out[place].kind == "soft" and following.kind != "soft":
-                word = token_text(self.scan, following) if following.kind == "word" else ""
+                word = get_token_text(self.scan, following) if following.kind == "word" else ""
                 if following.indent <= indent or word in _LINE_WORDS:
                     cut = place
                     break
         while self.out[cut - 1].kind == "soft":
             cut -= 1
-        text = token_text(self.scan, last)
+        text = get_token_text(self.scan, last)
         at = self.out[cut - 1].end
         _report_unclosed(self.scan, last, text, at)
         go_on = self.origin[cut] if cut < len(self.out) else index
         closing = [
-            ScannedToken("close", at, at, -1, _CLOSING_SIGN[token_text(self.scan, self.out[place])])
+            ScannedToken("close", at, at, -1, _CLOSING_BY_OPENING[get_token_text(self.scan, self.out[place])])
             for place in reversed(self.open)
         ]
         del self.out[cut:], self.origin[cut:]
@@ -195,7 +195,7 @@ class _OpenBrace:
     token: ScannedToken
     indent: int
     line: int
-    inner: int | None = None  # of its first line; -1 if text follows the brace on its line
+    inner_indent: int | None = None  # of its first line; -1 if text follows the brace on its line
 
 
 class _BracePairer:
@@ -204,49 +204,51 @@ class _BracePairer:
     def __init__(self, scan: TokenScan, tokens: list[ScannedToken]) -> None:
         self.scan = scan
         self.tokens = tokens
-        self.indents = _line_indents(tokens)
+        self.indents = _compute_line_indents(tokens)
         self.out: list[ScannedToken] = []
-        self.stack: list[_OpenBrace] = []
+        self.open_braces: list[_OpenBrace] = []
         self.line = 0
-        self.set_in = any(token.indent > 0 and token.kind != "end" for token in tokens)  # whether the text indents its blocks
-        self.surplus = 0  # closing braces minus opening ones
+        self.uses_indents = any(
+            token.indent > 0 and token.kind != "end" for token in tokens
+        )  # whether the text indents its blocks
+        self.surplus_closings = 0  # closing braces minus opening ones
 
     def run(self) -> list[ScannedToken]:
         """Return all tokens with paired braces."""
-        signs = [token_text(self.scan, token) for token in self.tokens if token.kind in ("open", "close")]
+        signs = [get_token_text(self.scan, token) for token in self.tokens if token.kind in ("open", "close")]
         depth = lowest = 0
         for sign in signs:
             depth += (sign == "{") - (sign == "}")
             lowest = min(lowest, depth)
         if depth == 0 and lowest == 0:
             return self.tokens
-        self.surplus = -depth
+        self.surplus_closings = -depth
         for index, token in enumerate(self.tokens):
             self.step(token, self.indents[index])
-        if self.stack:
+        if self.open_braces:
             end = self.tokens[-1].end
-            _report_unclosed(self.scan, self.stack[-1].token, "{", end)
-            self.out.extend(ScannedToken("close", end, end, -1, "}") for _ in self.stack)
+            _report_unclosed(self.scan, self.open_braces[-1].token, "{", end)
+            self.out.extend(ScannedToken("close", end, end, -1, "}") for _ in self.open_braces)
         return self.out
 
     def step(self, token: ScannedToken, indent: int) -> None:
-        sign = token_text(self.scan, token) if token.kind in ("open", "close") else ""
+        sign = get_token_text(self.scan, token) if token.kind in ("open", "close") else ""
         self.line += token.kind == "end" and self.scan.source.text[token.start] == "\n"
         if token.kind != "end" and sign != "}":
-            self.dedent(token)
-            if self.stack and self.stack[-1].inner is None:
-                self.stack[-1].inner = token.indent
+            self.close_dedented_blocks(token)
+            if self.open_braces and self.open_braces[-1].inner_indent is None:
+                self.open_braces[-1].inner_indent = token.indent
         if sign == "{":
-            self.stack.append(_OpenBrace(token, indent, self.line))
+            self.open_braces.append(_OpenBrace(token, indent, self.line))
         elif sign == "}" and not self.close_brace(token, indent):
             return
         self.out.append(token)
 
-    def dedent(self, token: ScannedToken) -> None:
+    def close_dedented_blocks(self, token: ScannedToken) -> None:
         """End the block at a line that is not indented more than the line with the opening brace, if the block was indented."""
-        while self.stack and token.indent >= 0:
-            top = self.stack[-1]
-            own_line = self.set_in if top.inner is None else top.inner == -1 or top.inner > top.indent
+        while self.open_braces and token.indent >= 0:
+            top = self.open_braces[-1]
+            own_line = self.uses_indents if top.inner_indent is None else top.inner_indent == -1 or top.inner_indent > top.indent
             if not own_line or token.indent > top.indent:
                 return
             self.close_before_line()
@@ -254,25 +256,29 @@ class _BracePairer:
     def close_brace(self, token: ScannedToken, indent: int) -> bool:
         """Return whether a `}` pairs with an open brace; if not, report it and leave it out."""
         if token.indent >= 0:
-            if any(entry.indent == token.indent for entry in self.stack) and not (self.stack[-1].indent < token.indent):
-                while self.stack[-1].indent != token.indent:
+            if any(entry.indent == token.indent for entry in self.open_braces) and not (
+                self.open_braces[-1].indent < token.indent
+            ):
+                while self.open_braces[-1].indent != token.indent:
                     self.close_before_line()
-                self.stack.pop()
+                self.open_braces.pop()
                 return True
-            if (not self.stack or self.stack[-1].indent < token.indent) and self.surplus > 0:
-                self.surplus -= 1
+            if (not self.open_braces or self.open_braces[-1].indent < token.indent) and self.surplus_closings > 0:
+                self.surplus_closings -= 1
                 return self.repair_opening(token)
-        elif self.surplus > 0 and not (self.stack and (self.stack[-1].line == self.line or self.stack[-1].inner == -1)):
-            self.surplus -= 1
+        elif self.surplus_closings > 0 and not (
+            self.open_braces and (self.open_braces[-1].line == self.line or self.open_braces[-1].inner_indent == -1)
+        ):
+            self.surplus_closings -= 1
             return self.drop_brace(token)
-        if not self.stack:
+        if not self.open_braces:
             return self.drop_brace(token)
-        self.stack.pop()
+        self.open_braces.pop()
         return True
 
     def drop_brace(self, token: ScannedToken) -> bool:
         """Report a `}` without a `{`, and remove it. Return False: the token is not used."""
-        self.scan.error(
+        self.scan.report_error(
             "unopened-brace", "`}` without a `{`", token.start, token.end, "delete it, or write the `{` that it closes", ""
         )
         self.scan.blank_out(token.start, token.end)
@@ -286,22 +292,22 @@ class _BracePairer:
             candidate = self.out[place]
             if candidate.kind == "end" or candidate.indent < 0 or candidate.indent > token.indent:
                 continue
-            if candidate.indent < token.indent or token_text(self.scan, candidate) not in BLOCK_WORDS:
+            if candidate.indent < token.indent or get_token_text(self.scan, candidate) not in BLOCK_WORDS:
                 break
             stop = next((at for at in range(place, len(self.out)) if self.out[at].kind == "end"), len(self.out))
-            if any(t.kind == "open" and token_text(self.scan, t) == "{" for t in self.out[place:stop]):
+            if any(t.kind == "open" and get_token_text(self.scan, t) == "{" for t in self.out[place:stop]):
                 break
             last = self.out[stop - 1]
-            word = token_text(self.scan, candidate)
+            word = get_token_text(self.scan, candidate)
             help = "write `{` at the end of this line"
-            self.scan.error("missing-brace", f"`{word}` without a `{{`", candidate.start, last.end, help, " {", last.end)
+            self.scan.report_error("missing-brace", f"`{word}` without a `{{`", candidate.start, last.end, help, " {", last.end)
             self.out.insert(stop, ScannedToken("open", last.end, last.end, -1, "{"))
             return True
         return self.drop_brace(token)
 
     def close_before_line(self) -> None:
         """Report the innermost open brace, and insert its `}` at the end of the last line read."""
-        entry = self.stack.pop()
+        entry = self.open_braces.pop()
         place = len(self.out)
         while place and self.out[place - 1].kind == "end":
             place -= 1
@@ -310,14 +316,14 @@ class _BracePairer:
         self.out.insert(place, ScannedToken("close", at, at, -1, "}"))
 
 
-def _report_unclosed(scan: TokenScan, token: ScannedToken, sign: str, at: int) -> None:
-    """Report a bracket that stays open and is assumed to end at `at`."""
-    code, closing = ("unclosed-brace" if sign == "{" else "unclosed-bracket"), _CLOSING_SIGN[sign]
+def _report_unclosed(scan: TokenScan, token: ScannedToken, sign: str, end: int) -> None:
+    """Report a bracket that stays open and is assumed to end at `end`."""
+    code, closing = ("unclosed-brace" if sign == "{" else "unclosed-bracket"), _CLOSING_BY_OPENING[sign]
     fix = closing if sign != "{" else f" {closing}"
-    scan.error(code, f"`{sign}` is never closed", token.start, token.end, f"write the missing `{closing}`", fix, at)
+    scan.report_error(code, f"`{sign}` is never closed", token.start, token.end, f"write the missing `{closing}`", fix, end)
 
 
-def _line_indents(tokens: list[ScannedToken]) -> list[int]:
+def _compute_line_indents(tokens: list[ScannedToken]) -> list[int]:
     """Return for each token the indent of its line."""
     indents, indent = [], 0
     for token in tokens:

@@ -60,29 +60,29 @@ class ActionBlock:
 
 
 class Builder:
-    """Stores the location of the line being parsed (`place`) and the bodies inside it (`bodies`, by the offset of the `{`)."""
+    """Stores the location of the parsed line (`span_maker`) and the bodies inside it (`body_by_offset`, by the offset of `{`)."""
 
     def __init__(self) -> None:
-        self.place: SpanMaker
-        self.bodies: dict[int, tuple[Any, ...]] = {}
+        self.span_maker: SpanMaker
+        self.body_by_offset: dict[int, tuple[Any, ...]] = {}
 
     # --- places and leaves ---
 
     def at(self, part: Any) -> Span:
         """Return the span of a token, or of a node that is already built."""
-        span: Span = self.place.span(part.start_pos, part.end_pos) if hasattr(part, "start_pos") else part.span
+        span: Span = self.span_maker.span(part.start_pos, part.end_pos) if hasattr(part, "start_pos") else part.span
         return span
 
-    def over(self, parts: Sequence[Any]) -> Span:
+    def join_spans(self, parts: Sequence[Any]) -> Span:
         """Return the span from the first to the last part that exists."""
         present_parts = [part for part in parts if part is not None]
         return self.at(present_parts[0]).to(self.at(present_parts[-1]))
 
     @overload
-    def word(self, token: None) -> None: ...
+    def make_name(self, token: None) -> None: ...
     @overload
-    def word(self, token: Token) -> n.Name: ...
-    def word(self, token: Token | None) -> n.Name | None:
+    def make_name(self, token: Token) -> n.Name: ...
+    def make_name(self, token: Token | None) -> n.Name | None:
         return None if token is None else n.Name(str(token.value), self.at(token))
 
     @overload
@@ -93,8 +93,8 @@ class Builder:
         return None if token is None else n.Text(token.value[1:-1], self.at(token))
 
     def body(self, parts: list[Any]) -> BracedBody:
-        lines = tuple(parts[1:-1]) or self.bodies.get(self.at(parts[0]).start, ())
-        return BracedBody(lines, self.over(parts))
+        lines = tuple(parts[1:-1]) or self.body_by_offset.get(self.at(parts[0]).start, ())
+        return BracedBody(lines, self.join_spans(parts))
 
     def names(self, parts: list[Any]) -> tuple[n.Name, ...]:
         return tuple(n.Name(str(token.value), self.at(token)) for token in parts)
@@ -102,113 +102,113 @@ class Builder:
     # --- the top of a file ---
 
     def header(self, parts: list[Any]) -> FileHeader:
-        return FileHeader(self.number([parts[1]]), self.over(parts))
+        return FileHeader(self.number([parts[1]]), self.join_spans(parts))
 
     def use_library(self, parts: list[Any]) -> n.Use:
-        return n.Use(self.word(parts[1]), None, None, self.over(parts))
+        return n.Use(self.make_name(parts[1]), None, None, self.join_spans(parts))
 
     def use_file(self, parts: list[Any]) -> n.Use:
-        return n.Use(None, self.text(parts[1]), self.word(parts[3]), self.over(parts))
+        return n.Use(None, self.text(parts[1]), self.make_name(parts[3]), self.join_spans(parts))
 
     def world(self, parts: list[Any]) -> n.World:
-        return n.World(parts[1].lines, self.over(parts))
+        return n.World(parts[1].lines, self.join_spans(parts))
 
     def world_item(self, parts: list[Any]) -> n.WorldItem:
         kind, name, body, help = parts
         attributes = body.lines if body else ()
-        return n.WorldItem(self.word(kind), self.word(name), attributes, self.text(help), self.over(parts))
+        return n.WorldItem(self.make_name(kind), self.make_name(name), attributes, self.text(help), self.join_spans(parts))
 
     def field(self, parts: list[Any]) -> n.FieldDecl:
         _, name, _, surfaces, help, body = parts
-        return n.FieldDecl(self.word(name), surfaces, body.lines, self.over([parts[0], body]), self.text(help))
+        return n.FieldDecl(self.make_name(name), surfaces, body.lines, self.join_spans([parts[0], body]), self.text(help))
 
     def setting(self, parts: list[Any]) -> n.Setting:
-        return n.Setting(self.word(parts[0]), parts[1], self.over(parts))
+        return n.Setting(self.make_name(parts[0]), parts[1], self.join_spans(parts))
 
     def species(self, parts: list[Any]) -> n.Species:
         _, name, help, body = parts
-        return n.Species(self.word(name), body.lines, self.text(help), self.over(parts))
+        return n.Species(self.make_name(name), body.lines, self.text(help), self.join_spans(parts))
 
     def behaviour(self, parts: list[Any]) -> n.Behaviour:
         _, name, _, arguments, _, _, returns, body = parts
-        span = self.over(parts)
+        span = self.join_spans(parts)
         helps = [line for line in body.lines if isinstance(line, n.Text)]
         results = [line.value for line in body.lines if isinstance(line, ResultLine)]
         lines = tuple(line for line in body.lines if isinstance(line, (n.Keep, n.Let)))
         result = results[0] if len(results) == 1 else n.BadExpr(Span(span.source, max(span.start, span.end - 1), span.end))
-        return n.Behaviour(self.word(name), arguments or (), returns, helps[0] if helps else None, lines, result, span)
+        return n.Behaviour(self.make_name(name), arguments or (), returns, helps[0] if helps else None, lines, result, span)
 
     def behaviour_arguments(self, parts: list[Any]) -> tuple[n.BehaviourArgument, ...]:
         return tuple(parts)
 
     def behaviour_argument(self, parts: list[Any]) -> n.BehaviourArgument:
-        return n.BehaviourArgument(self.word(parts[0]), parts[1], parts[3], self.over(parts))
+        return n.BehaviourArgument(self.make_name(parts[0]), parts[1], parts[3], self.join_spans(parts))
 
     def spec(self, parts: list[Any]) -> n.Spec:
         _, name, _, scene, body = parts
-        return n.Spec(self.text(name), self.text(scene), body.lines, self.over(parts))
+        return n.Spec(self.text(name), self.text(scene), body.lines, self.join_spans(parts))
 
     # --- a declared value ---
 
     def declaration(self, parts: list[Any]) -> n.Declaration:
         name, type, _, value, range, relax, each, help = parts
-        return n.Declaration(self.word(name), type, value, range, relax, each, self.text(help), self.over(parts))
+        return n.Declaration(self.make_name(name), type, value, range, relax, each, self.text(help), self.join_spans(parts))
 
     def relax(self, parts: list[Any]) -> n.Relax:
-        return n.Relax(parts[1], parts[2], self.over(parts))
+        return n.Relax(parts[1], parts[2], self.join_spans(parts))
 
     def for_each(self, parts: list[Any]) -> n.ForEach:
-        return n.ForEach(self.word(parts[2]), parts[3], self.over(parts))
+        return n.ForEach(self.make_name(parts[2]), parts[3], self.join_spans(parts))
 
     def type(self, parts: list[Any]) -> n.TypeName:
-        return n.TypeName(self.word(parts[0]), self.word(parts[1]), self.over(parts))
+        return n.TypeName(self.make_name(parts[0]), self.make_name(parts[1]), self.join_spans(parts))
 
     def range(self, parts: list[Any]) -> n.RangeExpr:
-        return n.RangeExpr(parts[0], parts[1], self.over(parts))
+        return n.RangeExpr(parts[0], parts[1], self.join_spans(parts))
 
     # --- members of a species ---
 
     def param(self, parts: list[Any]) -> n.ParamDecl:
-        return n.ParamDecl(parts[1], self.over(parts))
+        return n.ParamDecl(parts[1], self.join_spans(parts))
 
     def given(self, parts: list[Any]) -> n.AnimalProperty:
-        return n.AnimalProperty(self.word(parts[0]), parts[1], self.text(parts[2]), self.over(parts))
+        return n.AnimalProperty(self.make_name(parts[0]), parts[1], self.text(parts[2]), self.join_spans(parts))
 
     def let(self, parts: list[Any]) -> n.Let:
-        return n.Let(self.word(parts[1]), parts[3], self.text(parts[4]), self.over(parts))
+        return n.Let(self.make_name(parts[1]), parts[3], self.text(parts[4]), self.join_spans(parts))
 
     def latch(self, parts: list[Any]) -> n.Latch:
         _, name, _, on, _, until, help = parts
-        return n.Latch(self.word(name), on, until, self.over(parts), self.text(help))
+        return n.Latch(self.make_name(name), on, until, self.join_spans(parts), self.text(help))
 
     def fuzzy(self, parts: list[Any]) -> n.Fuzzy:
         _, name, help, body = parts
-        return n.Fuzzy(self.word(name), body.lines, self.over(parts), self.text(help))
+        return n.Fuzzy(self.make_name(name), body.lines, self.join_spans(parts), self.text(help))
 
     def rule(self, parts: list[Any]) -> n.Rule:
-        return n.Rule(parts[0], parts[2], self.over(parts))
+        return n.Rule(parts[0], parts[2], self.join_spans(parts))
 
     def start(self, parts: list[Any]) -> n.Start:
-        return n.Start(self.word(parts[1]), self.over(parts))
+        return n.Start(self.make_name(parts[1]), self.join_spans(parts))
 
     def on(self, parts: list[Any]) -> n.On:
         _, event, _, variable, species, _, body = parts
-        return n.On(self.word(event), self.word(variable), self.word(species), body.lines, self.over(parts))
+        return n.On(self.make_name(event), self.make_name(variable), self.make_name(species), body.lines, self.join_spans(parts))
 
     def layers(self, parts: list[Any]) -> n.Layers:
-        return n.Layers(self.word(parts[1]), parts[2].lines, self.over(parts))
+        return n.Layers(self.make_name(parts[1]), parts[2].lines, self.join_spans(parts))
 
     def layer(self, parts: list[Any]) -> n.Layer:
         face, push, _, condition = parts
-        return n.Layer(push, condition, self.over(parts), face is not None)
+        return n.Layer(push, condition, self.join_spans(parts), face is not None)
 
     def machine(self, parts: list[Any]) -> n.Machine:
         _, name, help, body = parts
-        return n.Machine(self.word(name), body.lines, self.over(parts), self.text(help))
+        return n.Machine(self.make_name(name), body.lines, self.join_spans(parts), self.text(help))
 
     def from_any(self, parts: list[Any]) -> n.Change:
         change: n.Change = parts[3]
-        return replace(change, any_except=parts[2] or (), span=self.over(parts))
+        return replace(change, any_except=parts[2] or (), span=self.join_spans(parts))
 
     def state(self, parts: list[Any]) -> n.State:
         _, name, label, colour, at_least, body = parts
@@ -216,28 +216,28 @@ class Builder:
         lines = tuple(line for line in body.lines if not isinstance(line, ActionBlock))
         enter = tuple(action for block in blocks if block.word == "enter" for action in block.actions)
         exit = tuple(action for block in blocks if block.word == "exit" for action in block.actions)
-        least = at_least.value if at_least else None
-        return n.State(self.word(name), self.text(label), self.word(colour), least, lines, enter, exit, self.over(parts))
+        least, span = at_least.value if at_least else None, self.join_spans(parts)
+        return n.State(self.make_name(name), self.text(label), self.make_name(colour), least, lines, enter, exit, span)
 
     def at_least(self, parts: list[Any]) -> ResultLine:
-        return ResultLine(parts[2], self.over(parts))
+        return ResultLine(parts[2], self.join_spans(parts))
 
     # --- lines of a state ---
 
     def steer(self, parts: list[Any]) -> n.Steer:
-        return n.Steer(parts[1], self.over(parts))
+        return n.Steer(parts[1], self.join_spans(parts))
 
     def face(self, parts: list[Any]) -> n.Face:
-        return n.Face(parts[1], self.over(parts))
+        return n.Face(parts[1], self.join_spans(parts))
 
     def enter(self, parts: list[Any]) -> ActionBlock:
-        return ActionBlock(str(parts[0].value), parts[1].lines, self.over(parts))
+        return ActionBlock(str(parts[0].value), parts[1].lines, self.join_spans(parts))
 
     exit = enter
 
     def change(self, parts: list[Any]) -> n.Change:
         interrupt, _, (condition, delay, held), take, _, target, over, body = parts
-        actions, span = body.lines if body else (), self.over(parts)
+        actions, span = body.lines if body else (), self.join_spans(parts)
         return n.Change(interrupt is not None, condition, delay, held, take, target, over, actions, None, span)
 
     def condition(self, parts: list[Any]) -> tuple[n.Expr | None, n.Expr | None, n.Expr | None]:
@@ -249,39 +249,40 @@ class Builder:
     def take(self, parts: list[Any]) -> n.Take:
         _, amount, attribute, _, source = parts
         every = getattr(amount, "type", None) == "ALL"
-        return n.Take(None if every else amount, self.word(attribute), source, self.over(parts))
+        return n.Take(None if every else amount, self.make_name(attribute), source, self.join_spans(parts))
 
     def target_state(self, parts: list[Any]) -> n.Target:
-        return n.Target(self.word(parts[0]), False, (), self.over(parts))
+        return n.Target(self.make_name(parts[0]), False, (), self.join_spans(parts))
 
     def target_previous(self, parts: list[Any]) -> n.Target:
-        return n.Target(None, True, (), self.over(parts))
+        return n.Target(None, True, (), self.join_spans(parts))
 
     def target_choose(self, parts: list[Any]) -> n.Target:
-        return n.Target(None, False, parts[1].lines, self.over(parts))
+        return n.Target(None, False, parts[1].lines, self.join_spans(parts))
 
     def weight(self, parts: list[Any]) -> n.Weight:
-        return n.Weight(self.word(parts[0]), parts[1], self.over(parts))
+        return n.Weight(self.make_name(parts[0]), parts[1], self.join_spans(parts))
 
     def assign(self, parts: list[Any]) -> n.Assign:
-        return n.Assign(parts[0], str(parts[1].value), parts[2], self.over(parts))
+        return n.Assign(parts[0], str(parts[1].value), parts[2], self.join_spans(parts))
 
     def ask(self, parts: list[Any]) -> n.Ask:
-        name = self.word(parts[1]) if len(parts) > 1 else None
-        return n.Ask(str(parts[0].value), name, None, _drop_absent(parts[3:-1]), None, self.over(parts))
+        name = self.make_name(parts[1]) if len(parts) > 1 else None
+        return n.Ask(str(parts[0].value), name, None, _drop_absent(parts[3:-1]), None, self.join_spans(parts))
 
     def ask_open(self, parts: list[Any]) -> n.Ask:
-        return n.Ask(str(parts[0].value), self.word(parts[1]), None, _drop_absent(parts[3:-2]), parts[-1], self.over(parts))
+        name, arguments = self.make_name(parts[1]), _drop_absent(parts[3:-2])
+        return n.Ask(str(parts[0].value), name, None, arguments, parts[-1], self.join_spans(parts))
 
     def ask_amount(self, parts: list[Any]) -> n.Ask:
-        return n.Ask(str(parts[0].value), self.word(parts[1]), parts[-1], (), None, self.over(parts))
+        return n.Ask(str(parts[0].value), self.make_name(parts[1]), parts[-1], (), None, self.join_spans(parts))
 
     def ask_when(self, parts: list[Any]) -> n.Ask:
-        return n.Ask(str(parts[0].value), self.word(parts[1]), None, (), None, self.over(parts), parts[-1])
+        return n.Ask(str(parts[0].value), self.make_name(parts[1]), None, (), None, self.join_spans(parts), parts[-1])
 
     def give(self, parts: list[Any]) -> n.Give:
         every = getattr(parts[1], "type", None) == "ALL"
-        return n.Give(None if every else parts[1], self.word(parts[2]), parts[3], self.over(parts))
+        return n.Give(None if every else parts[1], self.make_name(parts[2]), parts[3], self.join_spans(parts))
 
     # --- lines of a behaviour and of a spec ---
 
@@ -291,26 +292,26 @@ class Builder:
 
     def keep(self, parts: list[Any]) -> n.Keep:
         _, name, type, _, first, then = parts
-        return n.Keep(self.word(name), type, first, then, self.over(parts))
+        return n.Keep(self.make_name(name), type, first, then, self.join_spans(parts))
 
     def result(self, parts: list[Any]) -> ResultLine:
-        return ResultLine(parts[0], self.over(parts))
+        return ResultLine(parts[0], self.join_spans(parts))
 
     def spec_for(self, parts: list[Any]) -> n.SpecLine:
         return self._make_claim("for", parts[1], parts[2], parts)
 
     def spec_seeds(self, parts: list[Any]) -> n.SpecLine:
-        return n.SpecLine(str(parts[0].value), None, None, parts[1], (), self.over(parts))
+        return n.SpecLine(str(parts[0].value), None, None, parts[1], (), self.join_spans(parts))
 
     spec_pass = spec_seeds
 
     def spec_set(self, parts: list[Any]) -> n.SpecLine:
-        return n.SpecLine("set", parts[1], None, parts[3], (), self.over(parts))
+        return n.SpecLine("set", parts[1], None, parts[3], (), self.join_spans(parts))
 
     def spec_against(self, parts: list[Any]) -> n.SpecLine:
         body = parts[-1] if isinstance(parts[-1], BracedBody) else None
         scene = None if parts[1] is body else self.text(parts[1])
-        return n.SpecLine("against", scene, None, None, body.lines if body else (), self.over(parts))
+        return n.SpecLine("against", scene, None, None, body.lines if body else (), self.join_spans(parts))
 
     def spec_claim(self, parts: list[Any]) -> n.SpecLine:
         return self._make_claim(str(parts[0].value), None, parts[1], parts)
@@ -321,17 +322,18 @@ class Builder:
     def spec_when(self, parts: list[Any]) -> n.SpecLine:
         return self._make_claim(str(parts[2].value), parts[3] if len(parts) > 4 else None, parts[-1], parts, parts[1])
 
-    def _make_claim(self, kind: str, time: Any, condition: Any, parts: list[Any], since: Any = None) -> n.SpecLine:
+    def _make_claim(self, kind: str, time: Any, condition: Any, parts: list[Any], start_condition: Any = None) -> n.SpecLine:
         expectation, _, held = condition or (None, None, None)
-        return n.SpecLine(kind, None, time, expectation, (), self.over([*parts[:-1], expectation, held]), held, since)
+        span = self.join_spans([*parts[:-1], expectation, held])
+        return n.SpecLine(kind, None, time, expectation, (), span, held, start_condition)
 
     def spec_each(self, parts: list[Any]) -> n.SpecLine:
-        return n.SpecLine("each", self.name([parts[1]]), None, None, parts[2].lines, self.over(parts))
+        return n.SpecLine("each", self.name([parts[1]]), None, None, parts[2].lines, self.join_spans(parts))
 
     # --- expressions ---
 
     def if_else(self, parts: list[Any]) -> n.IfElse:
-        return n.IfElse(parts[1], parts[2], parts[3], self.over(parts))
+        return n.IfElse(parts[1], parts[2], parts[3], self.join_spans(parts))
 
     def binary(self, parts: list[Any]) -> n.Binary:
         left, op, right = parts
@@ -339,16 +341,16 @@ class Builder:
 
     def unary(self, parts: list[Any]) -> n.Unary:
         op, operand = parts
-        return n.Unary(str(op.value), operand, self.at(op), self.over(parts))
+        return n.Unary(str(op.value), operand, self.at(op), self.join_spans(parts))
 
     def is_none(self, parts: list[Any]) -> n.IsNone:
-        return n.IsNone(parts[0], parts[2] is not None, self.over(parts))
+        return n.IsNone(parts[0], parts[2] is not None, self.join_spans(parts))
 
     def clip_test(self, parts: list[Any]) -> n.ClipTest:
-        return n.ClipTest(self.word(parts[2]), parts[1] is not None, self.over(parts))
+        return n.ClipTest(self.make_name(parts[2]), parts[1] is not None, self.join_spans(parts))
 
     def pair_of(self, parts: list[Any]) -> n.PairOf:
-        return n.PairOf(parts[0], parts[1], self.over(parts))
+        return n.PairOf(parts[0], parts[1], self.join_spans(parts))
 
     def number(self, parts: list[Any]) -> n.Number:
         return n.Number(float(parts[0].value), self.at(parts[0]))
@@ -358,39 +360,39 @@ class Builder:
         written = QUANTITY_PATTERN.match(token.value)
         assert written is not None
         digits, unit = written[1], written[2] or ""
-        unit_span = self.place.span(token.end_pos - len(unit), token.end_pos)
+        unit_span = self.span_maker.span(token.end_pos - len(unit), token.end_pos)
         return n.Quantity(float(digits), unit, unit_span, self.at(token))
 
     def name(self, parts: list[Any]) -> n.NameRef:
-        return n.NameRef(self.word(parts[0]), self.at(parts[0]))
+        return n.NameRef(self.make_name(parts[0]), self.at(parts[0]))
 
     def none(self, parts: list[Any]) -> n.NoneOf:
-        return n.NoneOf(self.word(parts[1]), self.over(parts))
+        return n.NoneOf(self.make_name(parts[1]), self.join_spans(parts))
 
     def parentheses(self, parts: list[Any]) -> n.Expr:
         inner: n.Expr = parts[1]
-        return replace(inner, span=self.over(parts))
+        return replace(inner, span=self.join_spans(parts))
 
     def call(self, parts: list[Any]) -> n.Call:
-        return n.Call(parts[0], _drop_absent(parts[2:-1]), self.over(parts))
+        return n.Call(parts[0], _drop_absent(parts[2:-1]), self.join_spans(parts))
 
     def member_of(self, parts: list[Any]) -> n.Member:
-        return n.Member(parts[0], self.word(parts[1]), self.over(parts))
+        return n.Member(parts[0], self.make_name(parts[1]), self.join_spans(parts))
 
     def index(self, parts: list[Any]) -> n.Index:
-        return n.Index(parts[0], parts[1], self.over(parts))
+        return n.Index(parts[0], parts[1], self.join_spans(parts))
 
     def index_all(self, parts: list[Any]) -> n.IndexAll:
-        return n.IndexAll(parts[0], self.word(parts[1]), parts[2], self.over(parts))
+        return n.IndexAll(parts[0], self.make_name(parts[1]), parts[2], self.join_spans(parts))
 
     def unreadable(self, parts: list[Any]) -> n.BadExpr:
         return n.BadExpr(self.at(parts[0]))
 
     def argument(self, parts: list[Any]) -> n.Argument:
-        return n.Argument(self.word(parts[0]), parts[1], self.over(parts))
+        return n.Argument(self.make_name(parts[0]), parts[1], self.join_spans(parts))
 
     def comprehension(self, parts: list[Any]) -> n.Comprehension:
-        return n.Comprehension(self.word(parts[0]), parts[1], parts[2], self.over(parts))
+        return n.Comprehension(self.make_name(parts[0]), parts[1], parts[2], self.join_spans(parts))
 
 
 def _drop_absent(parts: Sequence[Any]) -> tuple[Any, ...]:

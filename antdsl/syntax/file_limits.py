@@ -10,7 +10,7 @@ from typing import Any
 from antdsl import limits
 from antdsl.source import Source, Span
 from antdsl.syntax.blocks import SourceLine
-from antdsl.syntax.brackets import token_text
+from antdsl.syntax.brackets import get_token_text
 from antdsl.syntax.scan import ScannedToken, TokenScan
 
 FileSizes = tuple[int, int, int]
@@ -19,15 +19,15 @@ NO_SIZES: FileSizes = (0, 0, 0)
 
 def count_sizes(scanned: TokenScan, lines: list[SourceLine]) -> FileSizes:
     """Return the number of words, statements and species of a text."""
-    return len(scanned.tokens), sum(1 for _ in _all_lines(lines)), len(_species_words(scanned, lines))
+    return len(scanned.tokens), sum(1 for _ in _iterate_lines(lines)), len(_find_species_words(scanned, lines))
 
 
-def add_sizes(one: FileSizes, other: FileSizes) -> FileSizes:
+def add_sizes(first: FileSizes, second: FileSizes) -> FileSizes:
     """Return the sums of the sizes of two parts of a file."""
-    return one[0] + other[0], one[1] + other[1], one[2] + other[2]
+    return first[0] + second[0], first[1] + second[1], first[2] + second[2]
 
 
-def is_within(sizes: FileSizes) -> bool:
+def is_within_limits(sizes: FileSizes) -> bool:
     """Return whether the sizes are within the limits of one file."""
     words, statements, species = sizes
     return words <= limits.MAX_FILE_TOKENS and statements <= limits.MAX_FILE_STATEMENTS and species <= limits.MAX_FILE_SPECIES
@@ -36,32 +36,32 @@ def is_within(sizes: FileSizes) -> bool:
 def report_too_many(scanned: TokenScan, lines: list[SourceLine]) -> bool:
     """Report a text with more words, statements or species than allowed, and return whether it has. They are counted before
     parsing and checking, which cost more."""
-    species = _species_words(scanned, lines)
-    statements = [line.tokens[0] for line in _all_lines(lines)]
+    species = _find_species_words(scanned, lines)
+    statements = [line.tokens[0] for line in _iterate_lines(lines)]
     counts = ((species, limits.MAX_FILE_SPECIES, "species"), (statements, limits.MAX_FILE_STATEMENTS, "statements"))
     for entries, most, what in (*counts, (scanned.tokens, limits.MAX_FILE_TOKENS, "words, numbers and signs")):
         if len(entries) > most:
             words = f"{len(entries):,} {what} in one file, at most {most:,} are allowed"
             help = "move some of them to another file, and write `use NAME`"
-            scanned.error("too-many", words, entries[most].start, entries[most].end, help)
+            scanned.report_error("too-many", words, entries[most].start, entries[most].end, help)
             return True
     return False
 
 
-def _species_words(scanned: TokenScan, lines: list[SourceLine]) -> list[ScannedToken]:
+def _find_species_words(scanned: TokenScan, lines: list[SourceLine]) -> list[ScannedToken]:
     """Return the first word of each species."""
-    return [line.tokens[0] for line in lines if token_text(scanned, line.tokens[0]) == "species"]
+    return [line.tokens[0] for line in lines if get_token_text(scanned, line.tokens[0]) == "species"]
 
 
-def _all_lines(lines: list[SourceLine]) -> Iterator[SourceLine]:
+def _iterate_lines(lines: list[SourceLine]) -> Iterator[SourceLine]:
     """Yield lines and all lines within their braces, in the order of the text."""
     for line in lines:
         yield line
         for group in line.groups:
-            yield from _all_lines(group.lines)
+            yield from _iterate_lines(group.lines)
 
 
-def find_too_deep(node: Any) -> Iterator[Span]:
+def find_too_deep_nodes(node: Any) -> Iterator[Span]:
     """Yield the spans of the nodes that are deeper than allowed."""
     stack: list[tuple[Any, int]] = [(node, 0)]
     while stack:

@@ -8,7 +8,7 @@ import re
 from typing import TYPE_CHECKING, Any
 
 from antdsl import resources
-from antdsl.syntax.tables import GRAMMAR_FILE, START_RULES, TABLES_FILE, grammar_hash
+from antdsl.syntax.parse_tables import GRAMMAR_FILE, START_RULES, TABLES_FILE, compute_grammar_hash
 from antdsl.syntax.verbs import SHAPE_PATTERNS, VERB_BY_WORD
 
 if TYPE_CHECKING:
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 _VERB_RULES_PATTERN = re.compile(r"(?<=\n)ask: .*?(?=// --- end of the verbs)", re.S)
 
 
-def grammar_text() -> str:
+def make_grammar_text() -> str:
     """Return the grammar with a form and a terminal for each verb of the table."""
     rows = [row for row in VERB_BY_WORD.values() if row.shape != "own"]
     forms = "\n    | ".join(f"{row.word.upper()} {SHAPE_PATTERNS[row.shape]}".rstrip() for row in rows)
@@ -30,10 +30,10 @@ def build_parser(starts: tuple[str, ...] = START_RULES, transformer: object | No
     """Build a parser directly from the grammar; every conflict is an error. Takes half a second and needs `interegular`."""
     from lark import Lark
 
-    return Lark(grammar_text(), parser="lalr", lexer="contextual", strict=True, start=list(starts), transformer=transformer)
+    return Lark(make_grammar_text(), parser="lalr", lexer="contextual", strict=True, start=list(starts), transformer=transformer)
 
 
-def tables_text() -> str:
+def make_tables_text() -> str:
     """Return the tables as JSON text, the same for every build."""
     from lark.grammar import Rule
     from lark.lexer import TerminalDef
@@ -42,7 +42,7 @@ def tables_text() -> str:
     data["options"]["strict"] = False  # collisions were checked above, and users do not have `interegular`
     data["options"].pop("cache_grammar", None)  # lark 1.2 does not know this option, which has its default value
     data["parser"]["parser"] = number_tokens(data["parser"]["parser"])
-    tables = {"grammar": grammar_hash(), "data": data, "memo": memo}
+    tables = {"grammar": compute_grammar_hash(), "data": data, "memo": memo}
     return json.dumps(tables, separators=(",", ":"), ensure_ascii=True) + "\n"
 
 
@@ -74,8 +74,8 @@ def number_tokens(table: dict[str, Any]) -> dict[str, Any]:
 
 
 def write_tables() -> None:
-    resources.grammar_file(GRAMMAR_FILE).write_text(grammar_text(), encoding="utf-8")
-    resources.grammar_file(TABLES_FILE).write_text(tables_text(), encoding="utf-8")
+    resources.grammar_file(GRAMMAR_FILE).write_text(make_grammar_text(), encoding="utf-8")
+    resources.grammar_file(TABLES_FILE).write_text(make_tables_text(), encoding="utf-8")
 
 
 if __name__ == "__main__":

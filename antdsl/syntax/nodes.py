@@ -11,21 +11,21 @@ from typing import TypeVar, dataclass_transform
 from antdsl.source import Source, Span
 from antdsl.syntax.editions import EDITIONS, NEWEST_EDITION
 
-_N = TypeVar("_N")
+NodeT = TypeVar("NodeT")
 
 
 @dataclass_transform(frozen_default=True, eq_default=False)
-def node(cls: type[_N]) -> type[_N]:
+def node_class(cls: type[NodeT]) -> type[NodeT]:
     return dataclass(frozen=True, slots=True, eq=False, repr=False)(cls)
 
 
-@node
+@node_class
 class Name:
     text: str
     span: Span
 
 
-@node
+@node_class
 class Text:
     """A string in quotes; `text` is without them."""
 
@@ -33,7 +33,7 @@ class Text:
     span: Span
 
 
-@node
+@node_class
 class Comment:
     """A comment from `#` to the end of its line, with the `#`."""
 
@@ -44,13 +44,13 @@ class Comment:
 # --- expressions -----------------------------------------------------------------------------------------------------
 
 
-@node
+@node_class
 class Number:
     value: float
     span: Span
 
 
-@node
+@node_class
 class Quantity:
     """A number with a unit: `30 mm/s` is value 30 and unit `mm/s`; `unit_span` covers the unit alone."""
 
@@ -60,7 +60,7 @@ class Quantity:
     span: Span
 
 
-@node
+@node_class
 class NameRef:
     """A bare name used as a value, also `state`, `self`, `up`, `previous`."""
 
@@ -68,7 +68,7 @@ class NameRef:
     span: Span
 
 
-@node
+@node_class
 class Member:
     """`food.load`, `mine.wander`."""
 
@@ -77,7 +77,7 @@ class Member:
     span: Span
 
 
-@node
+@node_class
 class Index:
     """`likes[other]`."""
 
@@ -86,7 +86,7 @@ class Index:
     span: Span
 
 
-@node
+@node_class
 class IndexAll:
     """`likes[n in SET]`, where a line adds to one value for each member of a set."""
 
@@ -96,7 +96,7 @@ class IndexAll:
     span: Span
 
 
-@node
+@node_class
 class Argument:
     """One argument. `name` is set in the form `reach: 3`; the value may be a `RangeExpr`."""
 
@@ -105,7 +105,7 @@ class Argument:
     span: Span
 
 
-@node
+@node_class
 class Comprehension:
     """`n in SET: EXPR`, only as the single argument of a call such as `sum(…)`."""
 
@@ -115,7 +115,7 @@ class Comprehension:
     span: Span
 
 
-@node
+@node_class
 class Call:
     """`function(arguments)`; `function` is a NameRef or a Member."""
 
@@ -124,7 +124,7 @@ class Call:
     span: Span
 
 
-@node
+@node_class
 class Unary:
     """`-x`, `not x`, `no x` (x is none, or a set is empty), `chance x`: `op` is that word or sign."""
 
@@ -134,7 +134,7 @@ class Unary:
     span: Span
 
 
-@node
+@node_class
 class Binary:
     """`+ - * / ^ < <= > >= == != and or`; `op` is the word or sign."""
 
@@ -145,7 +145,7 @@ class Binary:
     span: Span
 
 
-@node
+@node_class
 class IsNone:
     """`x is none`, `x is not none`."""
 
@@ -154,7 +154,7 @@ class IsNone:
     span: Span
 
 
-@node
+@node_class
 class ClipTest:
     """A test of the clip of the agent's state: `clip done` (`name` is `done`), or `clip at MARK` with `at` true."""
 
@@ -163,7 +163,7 @@ class ClipTest:
     span: Span
 
 
-@node
+@node_class
 class IfElse:
     condition: Expr
     then: Expr
@@ -171,7 +171,7 @@ class IfElse:
     span: Span
 
 
-@node
+@node_class
 class RangeExpr:
     """`0 mm .. 200 mm`; only as an argument, after `in`, or in `seeds`."""
 
@@ -180,7 +180,7 @@ class RangeExpr:
     span: Span
 
 
-@node
+@node_class
 class PairOf:
     """`friend to foe`, reserved."""
 
@@ -189,7 +189,7 @@ class PairOf:
     span: Span
 
 
-@node
+@node_class
 class NoneOf:
     """`none` or `none of food`."""
 
@@ -197,7 +197,7 @@ class NoneOf:
     span: Span
 
 
-@node
+@node_class
 class BadExpr:
     """Replaces an expression that could not be read; the error is already reported."""
 
@@ -226,7 +226,7 @@ Expr = (
 # --- types as written ------------------------------------------------------------------------------------------------
 
 
-@node
+@node_class
 class TypeName:
     """`length`, `push`, `item of food` (`of`); `field to …` is reserved."""
 
@@ -238,13 +238,13 @@ class TypeName:
 # --- statements ------------------------------------------------------------------------------------------------------
 
 
-@node
+@node_class
 class Steer:
     push: Expr
     span: Span
 
 
-@node
+@node_class
 class Face:
     """`face e`: turn the body towards `e`."""
 
@@ -252,7 +252,7 @@ class Face:
     span: Span
 
 
-@node
+@node_class
 class Assign:
     """`x = e`, `x += e`, `x -= e`. `target` is NameRef, Member, Index or IndexAll."""
 
@@ -262,7 +262,7 @@ class Assign:
     span: Span
 
 
-@node
+@node_class
 class Ask:
     """A line that begins with a verb of `antdsl.syntax.verbs`: `die`, `spawn worker`, `carve hill(radius: 2 mm)` (`arguments`).
     Others are `deposit trail 2 /s` and `channel jaw = load` (`amount`), `emit hit to other` (`to`), `wear load when load > 0`
@@ -277,7 +277,7 @@ class Ask:
     when: Expr | None = None
 
 
-@node
+@node_class
 class Give:
     """`give 1 load to nest`, `give all load to nest` (`amount` None means all)."""
 
@@ -290,7 +290,7 @@ class Give:
 Action = Assign | Ask | Give
 
 
-@node
+@node_class
 class Take:
     """A line that takes from an item or a field. An `amount` of None means all. Without an `attribute`, the item is removed."""
 
@@ -300,14 +300,14 @@ class Take:
     span: Span
 
 
-@node
+@node_class
 class Weight:
     target: Name
     weight: Expr
     span: Span
 
 
-@node
+@node_class
 class Target:
     """Where a transition goes: a state's name, `previous`, or `choose { … }` (`choices`)."""
 
@@ -317,7 +317,7 @@ class Target:
     span: Span
 
 
-@node
+@node_class
 class Change:
     """A transition. `delay` holds for `when after 0.5 s`; `condition` is None then. `held` goes with a condition. `over` is the
     time in which one clip gives way to the other. `any_except` is a tuple for `from any except a, b when …` and None for a
@@ -335,7 +335,7 @@ class Change:
     span: Span
 
 
-@node
+@node_class
 class Let:
     name: Name
     value: Expr
@@ -343,7 +343,7 @@ class Let:
     span: Span
 
 
-@node
+@node_class
 class State:
     name: Name
     label: Text | None
@@ -358,21 +358,21 @@ class State:
 # --- members of a species --------------------------------------------------------------------------------------------
 
 
-@node
+@node_class
 class Relax:
     to: Expr
     over: Expr
     span: Span
 
 
-@node
+@node_class
 class ForEach:
     species: Name
     strongest: Expr | None
     span: Span
 
 
-@node
+@node_class
 class Declaration:
     """`NAME: TYPE = V in LOW .. HIGH relax to V over T for each S, strongest N "help"`, also as an item's attribute."""
 
@@ -386,13 +386,13 @@ class Declaration:
     span: Span
 
 
-@node
+@node_class
 class ParamDecl:
     declaration: Declaration
     span: Span
 
 
-@node
+@node_class
 class AnimalProperty:
     """`size 4 mm`: a given property of the animal, set without `=`."""
 
@@ -402,7 +402,7 @@ class AnimalProperty:
     span: Span
 
 
-@node
+@node_class
 class Latch:
     name: Name
     on: Expr
@@ -411,14 +411,14 @@ class Latch:
     help: Text | None = None
 
 
-@node
+@node_class
 class Rule:
     condition: Expr
     value: Expr
     span: Span
 
 
-@node
+@node_class
 class Fuzzy:
     name: Name
     rules: tuple[Rule, ...]
@@ -426,13 +426,13 @@ class Fuzzy:
     help: Text | None = None
 
 
-@node
+@node_class
 class Start:
     state: Name
     span: Span
 
 
-@node
+@node_class
 class On:
     """`on EVENT { … }`, `on collision(other) { … }`, `on collision(other: SPECIES) { … }`."""
 
@@ -443,7 +443,7 @@ class On:
     span: Span
 
 
-@node
+@node_class
 class Layer:
     push: Expr
     condition: Expr | None
@@ -451,14 +451,14 @@ class Layer:
     faces: bool = False  # `face e`
 
 
-@node
+@node_class
 class Layers:
     mode: Name | None  # `sum`, `first`; None is the budget
     layers: tuple[Layer, ...]
     span: Span
 
 
-@node
+@node_class
 class Machine:
     name: Name
     members: tuple[State | Start | Change | Let | Latch, ...]
@@ -472,7 +472,7 @@ SpeciesMember = ParamDecl | Declaration | AnimalProperty | Let | Latch | Fuzzy |
 # --- the top of a file -----------------------------------------------------------------------------------------------
 
 
-@node
+@node_class
 class Use:
     """`use steering` (`library`), `use "./mine.ant" as mine` (`path`, `alias`)."""
 
@@ -482,7 +482,7 @@ class Use:
     span: Span
 
 
-@node
+@node_class
 class WorldItem:
     """`surface ground "help"`, `items food { load = 0 }`: `kind` is the first word."""
 
@@ -493,13 +493,13 @@ class WorldItem:
     span: Span
 
 
-@node
+@node_class
 class World:
     items: tuple[WorldItem, ...]
     span: Span
 
 
-@node
+@node_class
 class Setting:
     """A line of a field: `cell 4 mm`."""
 
@@ -508,7 +508,7 @@ class Setting:
     span: Span
 
 
-@node
+@node_class
 class FieldDecl:
     name: Name
     surfaces: tuple[Name, ...]
@@ -517,7 +517,7 @@ class FieldDecl:
     help: Text | None = None
 
 
-@node
+@node_class
 class Species:
     name: Name
     members: tuple[SpeciesMember, ...]
@@ -525,7 +525,7 @@ class Species:
     span: Span
 
 
-@node
+@node_class
 class BehaviourArgument:
     name: Name
     type: TypeName
@@ -533,7 +533,7 @@ class BehaviourArgument:
     span: Span
 
 
-@node
+@node_class
 class Keep:
     """`keep x: T = FIRST then NEXT`."""
 
@@ -544,7 +544,7 @@ class Keep:
     span: Span
 
 
-@node
+@node_class
 class Behaviour:
     name: Name
     arguments: tuple[BehaviourArgument, ...]
@@ -555,7 +555,7 @@ class Behaviour:
     span: Span
 
 
-@node
+@node_class
 class SpecLine:
     """A line of a spec. `kind`: for seeds pass set against always never eventually finally sooner within until each.
 
@@ -573,7 +573,7 @@ class SpecLine:
     since: Expr | None = None
 
 
-@node
+@node_class
 class Spec:
     name: Text
     scene: Text | None
@@ -584,7 +584,7 @@ class Spec:
 TopItem = Use | World | FieldDecl | Species | Behaviour | Spec
 
 
-@node
+@node_class
 class File:
     """One parsed file. `items`: what could be read, in text order, even if other parts were broken. `recovered`: locations of
     lines that were not understood as in the source, which the report of parsing lists. `broken`: that report has an error."""
@@ -605,6 +605,7 @@ class File:
         return int(self.edition.value) if self.edition is not None and known else NEWEST_EDITION
 
     def file_span(self, span: Span) -> Span:
-        """Return the location in `source` of a location in one of `parts`, which are separate sources with known offsets."""
+        """Return the location in `source` of a location in one of `incremental_parser`, which are separate sources with known
+        offsets."""
         base = self.parts.get(span.source)
         return span if base is None else Span(self.source, base + span.start, base + span.end)

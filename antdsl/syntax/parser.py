@@ -13,26 +13,26 @@ from typing import TYPE_CHECKING, Any
 
 from antdsl import limits
 from antdsl.diagnostics.model import Fix, Report
-from antdsl.diagnostics.suggestion import nearest_name
+from antdsl.diagnostics.suggestion import find_nearest_name
 from antdsl.source import Source, Span
 from antdsl.syntax import nodes as n
 from antdsl.syntax.blocks import BraceGroup, MappedText, SourceLine, cut_lines, map_text
-from antdsl.syntax.brackets import pair_brackets, token_text
+from antdsl.syntax.brackets import get_token_text, pair_brackets
 from antdsl.syntax.builder import Builder, FileHeader, ResultLine
 from antdsl.syntax.editions import EDITIONS, FIRST_LINE, FIRST_LINE_ADVICE, UNKNOWN_EDITION_ADVICE
-from antdsl.syntax.file_limits import NO_SIZES, FileSizes, count_sizes, find_too_deep, is_within, report_too_many
+from antdsl.syntax.file_limits import NO_SIZES, FileSizes, count_sizes, find_too_deep_nodes, is_within_limits, report_too_many
 from antdsl.syntax.mistakes.unexpected_tokens import (
     UnexpectedToken,
-    begins_line,
-    better_first_word,
-    forgets_brackets,
     has_doubled_sign,
+    has_missing_brackets,
+    is_line_start,
     make_diagnostic,
-    misplaced_diagnostic,
-    plain_diagnostic,
+    make_misplaced_diagnostic,
+    make_plain_diagnostic,
+    suggest_first_word,
 )
+from antdsl.syntax.parse_tables import load_parser
 from antdsl.syntax.scan import UNREADABLE_CHARACTER, TokenScan, scan
-from antdsl.syntax.tables import load_parser
 from antdsl.syntax.words import BODY_RULE_BY_LINE, LINE_CONTEXT_BY_WORD, LINE_WORDS_BY_RULE
 
 if TYPE_CHECKING:
@@ -42,45 +42,16 @@ _MAX_REPAIRED_LINES = 100  # after this many errors in a file, lines with errors
 _builder_lock = Lock()  # the builder stores the location of the current line
 
 # Errors after which the meaning of a line is uncertain. After other errors it was corrected or removed.
-_UNCERTAIN_CODES = frozenset(
-    (
-        "missing-brace",
-        "missing-line-end",
-        "misplaced-line",
-        "unclosed-bracket",
-        "unclosed-text",
-        "unexpected-text",
-        "unfinished-line",
-        "unknown-line",
-        "unopened-bracket",
-    )
-)
+_UNCERTAIN_CODES = frozenset((
+    "missing-brace", "missing-line-end", "misplaced-line", "unclosed-bracket", "unclosed-text", "unexpected-text",
+    "unfinished-line", "unknown-line", "unopened-bracket",
+))  # fmt: skip
 
 # Words and signs that separate the slots of a line. An unreadable slot is left out.
-_SLOT_SEPARATORS = frozenset(
-    (
-        "when",
-        "held",
-        "take",
-        "from",
-        "in",
-        "to",
-        "until",
-        "then",
-        "relax",
-        "over",
-        "for",
-        "steer",
-        "face",
-        "->",
-        "=",
-        "+=",
-        "-=",
-        ":",
-        "{",
-        "}",
-    )
-)
+_SLOT_SEPARATORS = frozenset((
+    "when", "held", "take", "from", "in", "to", "until", "then", "relax", "over", "for", "steer", "face", "->", "=", "+=",
+    "-=", ":", "{", "}",
+))  # fmt: skip
 
 
 @lru_cache(maxsize=1)
@@ -92,7 +63,7 @@ def _load_tools() -> tuple[Lark, Builder]:
 def parse(source: Source) -> tuple[n.File, Report]:
     """Parse a text. The file has everything that was understood; the report lists the rest with locations. Never raises."""
     report = Report()
-    other = _other_language(source.text)
+    other = _detect_other_language(source.text)
     if other is not None:
         advice = f"a `.ant` file begins with `{FIRST_LINE}`"
         report.error("not-an-ant-file", f"text looks like {other}", Span(source, 0, 1), advice)
@@ -129,11 +100,11 @@ class ParsedPart:
     sizes: FileSizes = NO_SIZES
 
 
-def parse_part(source: Source, rule: str, *, begins: bool = False) -> ParsedPart:
+def parse_part(source: Source, rule: str, *, is_file_start: bool = False) -> ParsedPart:
     """Parse some complete lines of a file by the rule of their context: `top`, or `member` inside a species.
 
-    Its braces must be paired. A part that exceeds the limits of a file is not read. `begins`: it is the beginning of the file.
-    Never raises."""
+    Its braces must be paired. A part that exceeds the limits of a file is not read. `is_file_start`: it is the beginning of the
+    file. Never raises."""
     report = Report()
     scanned = scan(source, report)
     tokens = pair_brackets(scanned)
@@ -142,16 +113,16 @@ def parse_part(source: Source, rule: str, *, begins: bool = False) -> ParsedPart
     lines = cut_lines(scanned, tokens)
     scanned.faults.sort()
     sizes = count_sizes(scanned, lines)
-    if not is_within(sizes):
+    if not is_within_limits(sizes):
         return ParsedPart(source, (), report, tuple(scanned.comments), (), sizes=sizes)
     with _builder_lock:
         reading = _FileParser(scanned)
-        edition, help, lines = reading.parse_beginning(lines) if begins else (None, None, lines)
+        edition, help, lines = reading.parse_beginning(lines) if is_file_start else (None, None, lines)
         nodes = reading.lines(lines, rule)
-        return ParsedPart(source, nodes, report, tuple(scanned.comments), reading.recovered_spans(), edition, help, sizes)
+        return ParsedPart(source, nodes, report, tuple(scanned.comments), reading.list_recovered_spans(), edition, help, sizes)
 
 
-def _other_language(text: str) -> str | None:
+def _detect_other_language(text: str) -> str | None:
     """Return the language of a JSON or YAML file with the wrong extension, detected from its first line; else None."""
     first = text.lstrip("\ufeff \t\r\n")[:200]
     if re.match(r"""[\[{]\s*["{\[\]}]""", first):
@@ -167,7 +138,7 @@ class _FileParser:
         self.source = scanned.source
         self.report = scanned.report
         self.parser, self.builder = _load_tools()
-        self.builder.bodies = {}
+        self.builder.body_by_offset = {}
 
     # --- the file ---
 
@@ -178,7 +149,7 @@ class _FileParser:
             help_text = "write a `species`, or a `behaviour` that other files can use"
             self.report.error("empty-file", "file declares nothing", Span(self.source, 0, 0), help_text)
         comments, broken = tuple(self.scan.comments), not self.report.ok
-        return n.File(self.source, edition, help, items, comments, self.recovered_spans(), broken)
+        return n.File(self.source, edition, help, items, comments, self.list_recovered_spans(), broken)
 
     def parse_beginning(self, lines: list[SourceLine]) -> tuple[n.Number | None, n.Text | None, list[SourceLine]]:
         """Return the edition and the help of a file, and the lines that follow."""
@@ -186,10 +157,10 @@ class _FileParser:
         help: n.Text | None = None
         if lines and [token.kind for token in lines[0].tokens] == ["text"]:
             first = lines.pop(0)
-            help = n.Text(token_text(self.scan, first.tokens[0])[1:-1], Span(self.source, first.start, first.end))
+            help = n.Text(get_token_text(self.scan, first.tokens[0])[1:-1], Span(self.source, first.start, first.end))
         return edition, help, lines
 
-    def recovered_spans(self) -> tuple[Span, ...]:
+    def list_recovered_spans(self) -> tuple[Span, ...]:
         return tuple(d.span for d in self.report.diagnostics if d.code in _UNCERTAIN_CODES and d.span is not None)
 
     def parse_header(self, lines: list[SourceLine]) -> tuple[n.Number | None, list[SourceLine]]:
@@ -198,7 +169,7 @@ class _FileParser:
             span = Span(self.source, lines[0].start, lines[0].end)
             self.report.error("unexpected-text", f"file begins with `{span.text}`", span, FIRST_LINE_ADVICE)
             return None, lines[1:]
-        if not lines or token_text(self.scan, lines[0].tokens[0]) != "ant":
+        if not lines or get_token_text(self.scan, lines[0].tokens[0]) != "ant":
             start = lines[0].start if lines else 0
             if not self.scan.has_fault(0, start):
                 span = Span(self.source, start, lines[0].tokens[0].end if lines else 0)
@@ -221,39 +192,39 @@ class _FileParser:
 
     def line(self, line: SourceLine, rule: str) -> list[Any]:
         """Return the nodes of a line: one; none if the line is invalid; two if a line end is missing."""
-        first = token_text(self.scan, line.tokens[0])
-        if line.groups and first not in LINE_WORDS_BY_RULE[rule] and not self.at_error_limit():
-            first = nearest_name(first, LINE_WORDS_BY_RULE[rule]) or first
+        first = get_token_text(self.scan, line.tokens[0])
+        if line.groups and first not in LINE_WORDS_BY_RULE[rule] and not self.has_reached_error_limit():
+            first = find_nearest_name(first, LINE_WORDS_BY_RULE[rule]) or first
         for group in line.groups:
-            self.mute_block(group)
-            body = "weight" if group.chooses else BODY_RULE_BY_LINE.get((rule, first)) or BODY_RULE_BY_LINE.get((rule, "*"))
-            self.builder.bodies[group.open.start] = self.lines(group.lines, body) if body else ()
+            self.mark_block_faults(group)
+            body = "weight" if group.is_choice else BODY_RULE_BY_LINE.get((rule, first)) or BODY_RULE_BY_LINE.get((rule, "*"))
+            self.builder.body_by_offset[group.open.start] = self.lines(group.lines, body) if body else ()
         text = map_text(self.scan, line)
         from lark.exceptions import UnexpectedInput
 
         try:
             return self.check_node(self.try_parse(text, rule), line)
         except UnexpectedInput as error:
-            at_error_limit = self.at_error_limit()
+            at_error_limit = self.has_reached_error_limit()
             unexpected = self.make_unexpected(error, line, text, rule, at_error_limit)
             if not self.has_diagnostic(line, text):
-                self.report.add(plain_diagnostic(unexpected) if at_error_limit else make_diagnostic(unexpected))
+                self.report.add(make_plain_diagnostic(unexpected) if at_error_limit else make_diagnostic(unexpected))
                 insort(self.scan.faults, unexpected.span.start)
-            return [] if at_error_limit else self.recover(line, text, rule, unexpected)
+            return [] if at_error_limit else self.recover_line(line, text, rule, unexpected)
 
-    def mute_block(self, group: BraceGroup) -> None:
+    def mark_block_faults(self, group: BraceGroup) -> None:
         """Suppress errors in a block without `}`. Its end is unknown, so its last line may be outside the block."""
-        if group.close.virtual and group.lines:
-            one_line = "\n" not in self.source.text[group.open.start : group.close.end]
+        if group.closing_brace.inserted_text and group.lines:
+            one_line = "\n" not in self.source.text[group.open.start : group.closing_brace.end]
             for line in group.lines if one_line else group.lines[-1:]:
                 insort(self.scan.faults, line.start)
 
-    def at_error_limit(self) -> bool:
+    def has_reached_error_limit(self) -> bool:
         """Return whether the number of errors has reached the limit, beyond which more errors do not help."""
         return len(self.report.diagnostics) > _MAX_REPAIRED_LINES
 
     def try_parse(self, text: MappedText, rule: str) -> Any:
-        self.builder.place = text
+        self.builder.span_maker = text
         return self.parser.parse(text.text, start=rule)
 
     def has_diagnostic(self, line: SourceLine, text: MappedText) -> bool:
@@ -268,7 +239,7 @@ class _FileParser:
     def check_node(self, node: Any, line: SourceLine) -> list[Any]:
         """Check rules that the grammar does not express: depth, results of behaviours, words that are not properties."""
         if len(line.tokens) > limits.MAX_EXPRESSION_DEPTH:
-            for span in find_too_deep(node):
+            for span in find_too_deep_nodes(node):
                 message = f"expression more than {limits.MAX_EXPRESSION_DEPTH} operations deep"
                 self.report.error("expression-too-deep", message, span, "give parts of it a name with `let`")
                 return []
@@ -277,14 +248,14 @@ class _FileParser:
         if (
             isinstance(node, n.AnimalProperty) and node.name.text in LINE_CONTEXT_BY_WORD
         ):  # `steer heading` reads like `size 4 mm`
-            self.report.add(misplaced_diagnostic(node.name.text, node.name.span))
+            self.report.add(make_misplaced_diagnostic(node.name.text, node.name.span))
             return []
         return [node]
 
     def check_results(self, node: n.Behaviour, line: SourceLine) -> None:
-        lines = self.builder.bodies.get(line.groups[-1].open.start, ()) if line.groups else ()
+        lines = self.builder.body_by_offset.get(line.groups[-1].open.start, ()) if line.groups else ()
         results = [each for each in lines if isinstance(each, ResultLine)]
-        if any(self.scan.has_fault(group.open.start, group.close.end) for group in line.groups):
+        if any(self.scan.has_fault(group.open.start, group.closing_brace.end) for group in line.groups):
             return  # an unparsed line may be the result
         if not results:
             help = "end it with a line that is only a value, such as `direction(target)`"
@@ -295,13 +266,15 @@ class _FileParser:
 
     # --- lines that cannot be read ---
 
-    def make_unexpected(self, error: Any, line: SourceLine, text: MappedText, rule: str, at_error_limit: bool) -> UnexpectedToken:
+    def make_unexpected(
+        self, error: Any, line: SourceLine, text: MappedText, rule: str, is_at_error_limit: bool
+    ) -> UnexpectedToken:
         token = getattr(error, "token", None)
         ended = token is not None and token.type == "$END"
         position = len(text.text) if ended else error.pos_in_stream
         if token is not None and not ended:
             position = token.start_pos
-        offset = text.source_offset(position)
+        offset = text.find_source_offset(position)
         # the parser may have read `->` as a minus and failed at the `>`
         previous_tokens = [each for each in line.tokens if ended or each.end <= offset]
         next_tokens = line.tokens[len(previous_tokens) :]
@@ -309,30 +282,30 @@ class _FileParser:
         span = Span(self.source, bad_token.start, bad_token.end) if bad_token else Span(self.source, line.end, line.end)
         first = line.tokens[0]
         interactive = getattr(error, "interactive_parser", None)
-        expected_terminals = interactive.accepts() if interactive is not None and not at_error_limit else ()
+        expected_terminals = interactive.accepts() if interactive is not None and not is_at_error_limit else ()
         return UnexpectedToken(
             rule,
-            token_text(self.scan, first),
-            token_text(self.scan, last) if last else "",
+            get_token_text(self.scan, first),
+            get_token_text(self.scan, last) if last else "",
             last.kind if last else "",
-            token_text(self.scan, bad_token) if bad_token else "",
+            get_token_text(self.scan, bad_token) if bad_token else "",
             bad_token.kind if bad_token else "",
             span,
             Span(self.source, first.start, first.end),
             frozenset(expected_terminals),
-            token_text(self.scan, next_tokens[1]) if len(next_tokens) > 1 else "",
-            token_text(self.scan, previous_tokens[-2]) if len(previous_tokens) > 1 else "",
+            get_token_text(self.scan, next_tokens[1]) if len(next_tokens) > 1 else "",
+            get_token_text(self.scan, previous_tokens[-2]) if len(previous_tokens) > 1 else "",
         )
 
-    def recover(self, line: SourceLine, text: MappedText, rule: str, unexpected: UnexpectedToken) -> list[Any]:
+    def recover_line(self, line: SourceLine, text: MappedText, rule: str, unexpected: UnexpectedToken) -> list[Any]:
         """Return what can still be understood of a line with a reported error."""
         position = text.position(unexpected.span.start)
-        if unexpected.token_text and begins_line(unexpected):
-            halves = [text.splice(position, len(text.text), ""), text.splice(0, position, "")]
-            return [node for half in halves for node in self.first_that_parses(iter([half]), rule)]
-        return self.first_that_parses(self.repair_candidates(line, text, rule, unexpected, position), rule)
+        if unexpected.token_text and is_line_start(unexpected):
+            halves = [text.replace_range(position, len(text.text), ""), text.replace_range(0, position, "")]
+            return [node for half in halves for node in self.parse_first_valid(iter([half]), rule)]
+        return self.parse_first_valid(self.iterate_repairs(line, text, rule, unexpected, position), rule)
 
-    def first_that_parses(self, candidates: Iterator[MappedText], rule: str) -> list[Any]:
+    def parse_first_valid(self, candidates: Iterator[MappedText], rule: str) -> list[Any]:
         from lark.exceptions import UnexpectedInput
 
         for candidate in candidates:
@@ -342,30 +315,30 @@ class _FileParser:
                 continue
         return []
 
-    def repair_candidates(
+    def iterate_repairs(
         self, line: SourceLine, text: MappedText, rule: str, unexpected: UnexpectedToken, position: int
     ) -> Iterator[MappedText]:
-        better = better_first_word(unexpected)
+        better = suggest_first_word(unexpected)
         if better is not None:
-            yield text.splice(0, len(unexpected.first), better)
+            yield text.replace_range(0, len(unexpected.first), better)
         if unexpected.token_text == "=" and "SAME" in unexpected.expected_terminals:
-            yield text.splice(position, position + 1, ":")
-            yield text.splice(position, position + 1, "==")
+            yield text.replace_range(position, position + 1, ":")
+            yield text.replace_range(position, position + 1, "==")
         if has_doubled_sign(unexpected):
-            yield text.splice(position, position + 2, "=")
-        if forgets_brackets(unexpected):
-            yield text.splice(position, position + len(unexpected.token_text), f"({unexpected.token_text})")
+            yield text.replace_range(position, position + 2, "=")
+        if has_missing_brackets(unexpected):
+            yield text.replace_range(position, position + len(unexpected.token_text), f"({unexpected.token_text})")
         lefts, rights, clause = self.find_gap(line, text, position)
         for left in lefts:
             for right in rights:
                 if left <= right and "{" not in text.text[left:right]:
-                    yield text.splice(left, right, f" {UNREADABLE_CHARACTER} ")
+                    yield text.replace_range(left, right, f" {UNREADABLE_CHARACTER} ")
         for right in rights:
             if "{" not in text.text[clause:right]:
-                yield text.splice(clause, right, " ")
+                yield text.replace_range(clause, right, " ")
         if unexpected.token_text and unexpected.token_text not in "{}":
-            yield text.splice(position, position + len(unexpected.token_text), "")
-        yield from self.bare_blocks(line, text, rule)
+            yield text.replace_range(position, position + len(unexpected.token_text), "")
+        yield from self.iterate_bare_blocks(line, text, rule)
 
     def find_gap(self, line: SourceLine, text: MappedText, position: int) -> tuple[list[int], list[int], int]:
         """Return where the unreadable part may begin and end: next to the separators around it, and at the line's ends. The third
@@ -373,7 +346,7 @@ class _FileParser:
         marks: list[tuple[int, int]] = []
         depth = 0
         for token in line.tokens:
-            sign = token_text(self.scan, token)
+            sign = get_token_text(self.scan, token)
             depth -= sign in (")", "]")
             if depth <= 0 and (sign in _SLOT_SEPARATORS or token.kind == "text"):
                 start = text.position(token.start)
@@ -381,20 +354,23 @@ class _FileParser:
             depth += sign in ("(", "[")
         previous_marks = [mark for mark in marks if mark[1] <= position][-1:]
         lefts = [end for _, end in previous_marks]
-        word_ends = [text.position(token.end) for token in line.tokens[:2] if token.end <= text.source_offset(position)]
+        word_ends = [text.position(token.end) for token in line.tokens[:2] if token.end <= text.find_source_offset(position)]
         rights = [start for start, _ in marks if start >= position][:1]
         clause = previous_marks[0][0] if previous_marks else position
         return [*lefts, *reversed(word_ends), 0], [*rights, len(text.text)], clause
 
-    def bare_blocks(self, line: SourceLine, text: MappedText, rule: str) -> Iterator[MappedText]:
+    def iterate_bare_blocks(self, line: SourceLine, text: MappedText, rule: str) -> Iterator[MappedText]:
         """Yield a block with an unreadable first line, with only its word, its name and its braces."""
         words = [token for token in line.tokens if token.kind in ("word", "text")][:2]
-        first = token_text(self.scan, line.tokens[0])
+        first = get_token_text(self.scan, line.tokens[0])
         if not line.groups or BODY_RULE_BY_LINE.get((rule, first)) is None or len(words) < 2:
             return
         group = line.groups[-1]
-        name = (token_text(self.scan, words[1]), words[1].start, words[1].end - words[1].start)
+        name = (get_token_text(self.scan, words[1]), words[1].start, words[1].end - words[1].start)
         head = [(f"{first} ", line.start, len(first)), name]
-        braces = [("{", group.open.start, len("{")), ("}", group.close.start, group.close.end - group.close.start)]
+        braces = [
+            ("{", group.open.start, len("{")),
+            ("}", group.closing_brace.start, group.closing_brace.end - group.closing_brace.start),
+        ]
         extra = {"field": " on x ", "behaviour": "() -> push "}.get(first, " ")
         yield MappedText(self.source, [*head, (extra, words[1].end, 0), *braces])

@@ -15,18 +15,18 @@ from antdsl.source import Source, Span
 from antdsl.syntax.mistakes.number_slips import (
     COMMA_NUMBER_PATTERN,
     LEADING_ZERO_PATTERN,
-    comma_diagnostic,
-    number_problem,
-    unit_help,
+    find_number_problem,
+    find_unit_help,
+    make_comma_diagnostic,
 )
 from antdsl.syntax.mistakes.stray_text import (
     DOUBLE_QUOTES,
     SINGLE_QUOTES,
     WRONG_SIGN_HELP,
-    ascii_for,
-    blank_lines,
+    blank_text,
     check_stray_text,
-    replacement_word,
+    find_ascii_lookalike,
+    make_replacement_word,
 )
 from antdsl.syntax.nodes import Comment
 from antdsl.syntax.words import NUMBER_REGEX, UNIT_REGEX, UNIT_SLIP_HELP, UNITS_REGEX
@@ -36,28 +36,28 @@ UNREADABLE_CHARACTER = "\ufffd"
 
 @dataclass(frozen=True, slots=True)
 class ScannedToken:
-    """`kind`: word number text sign open close end. `indent`: that of its line if it is the first there, else -1. `virtual`: the
-    text of a bracket that the author forgot; it has no length in the source."""
+    """`kind`: word number text sign open close end. `indent`: that of its line if it is the first there, else -1.
+    `inserted_text`: the text of a bracket that the author forgot; it has no length in the source."""
 
     kind: str
     start: int
     end: int
     indent: int = -1
-    virtual: str = ""
+    inserted_text: str = ""
 
 
 @dataclass(slots=True)
 class TokenScan:
-    """The result of scanning. `clean` is a list of single characters until `text()` is called."""
+    """The result of scanning. `clean_characters` is a list of single characters until `text()` is called."""
 
     source: Source
     report: Report
-    clean: list[str]
+    clean_characters: list[str]
     tokens: list[ScannedToken] = field(default_factory=list)
     comments: list[Comment] = field(default_factory=list)
     faults: list[int] = field(default_factory=list)  # offsets of errors, which suppress parse errors there
 
-    def error(
+    def report_error(
         self,
         code: str,
         message: str,
@@ -65,19 +65,19 @@ class TokenScan:
         end: int,
         help: str | None = None,
         fix: str | None = None,
-        at: int | None = None,
+        insert_offset: int | None = None,
     ) -> None:
-        """Report an error. `fix`: the text to write in place of the span, or at the offset `at`."""
+        """Report an error. `fix`: the text to write in place of the span, or at the offset `insert_offset`."""
         span = Span(self.source, start, end)
-        place = span if at is None else Span(self.source, at, at)
+        place = span if insert_offset is None else Span(self.source, insert_offset, insert_offset)
         self.report.error(code, message, span, help, fix=None if fix is None else Fix(place, fix))
         self.faults.append(start)
 
     def blank_out(self, start: int, end: int) -> None:
-        self.clean[start:end] = " " * (end - start)
+        self.clean_characters[start:end] = " " * (end - start)
 
     def replace(self, start: int, text: str) -> None:
-        self.clean[start : start + len(text)] = text
+        self.clean_characters[start : start + len(text)] = text
 
     def has_fault(self, start: int, end: int) -> bool:
         """Return whether an error was reported between two offsets; `faults` must be sorted."""
@@ -127,12 +127,12 @@ class _Scanner:
     """One pass over the text. Each kind of token has a method; `odd` ones are corrected or blanked."""
 
     def __init__(self, text_scan: TokenScan) -> None:
-        self.found = text_scan
-        self.characters = "".join(text_scan.clean)
+        self.token_scan = text_scan
+        self.characters = "".join(text_scan.clean_characters)
         self.indent = 0  # indent of the current line; -1 after its first token
-        self.reported: set[str] = set()  # names and mistakes that are already reported
+        self.reported_texts: set[str] = set()  # names and mistakes that are already reported
         self.last_end = -1  # offset where the last token ended
-        self.inside = 0  # open ( and [ that may contain comma-separated values
+        self.open_bracket_count = 0  # open ( and [ that may contain comma-separated values
 
     def run(self) -> None:
         position = 0
@@ -142,7 +142,7 @@ class _Scanner:
             position = getattr(self, match.lastgroup)(match.start(), match.end(), match.group())
 
     def add_token(self, kind: str, start: int, end: int) -> int:
-        self.found.tokens.append(ScannedToken(kind, start, end, self.indent))
+        self.token_scan.tokens.append(ScannedToken(kind, start, end, self.indent))
         self.indent = 0 if kind == "end" and self.characters[start] == "\n" else -1
         self.last_end = end
         return end
@@ -150,12 +150,14 @@ class _Scanner:
     def blank(self, start: int, end: int, piece: str) -> int:  # also for corrected blanks
         if self.indent >= 0:
             self.indent += sum(4 if character == "\t" else 1 for character in piece if character != "\r")
-        self.found.blank_out(start, end)
+        self.token_scan.blank_out(start, end)
         return end
 
     def comment(self, start: int, end: int, piece: str) -> int:
-        self.found.comments.append(Comment(piece.rstrip("\r"), Span(self.found.source, start, end - piece.endswith("\r"))))
-        self.found.blank_out(start, end)
+        self.token_scan.comments.append(
+            Comment(piece.rstrip("\r"), Span(self.token_scan.source, start, end - piece.endswith("\r")))
+        )
+        self.token_scan.blank_out(start, end)
         return end
 
     def end(self, start: int, end: int, piece: str) -> int:
@@ -167,18 +169,18 @@ class _Scanner:
             if digits is not None:
                 stop = digits.end()
                 message = f"number `{digits.group()}` begins with a dot"
-                self.found.error("bad-number", message, start, stop, f"write `0{digits.group()}`")
-                self.found.replace(start, "1" + " " * (stop - start - 1))
-                return self.add_token("number", start, self.quantity_end(stop))
+                self.token_scan.report_error("bad-number", message, start, stop, f"write `0{digits.group()}`")
+                self.token_scan.replace(start, "1" + " " * (stop - start - 1))
+                return self.add_token("number", start, self.find_quantity_end(stop))
         return self.add_token("sign", start, end)
 
     def open(self, start: int, end: int, piece: str) -> int:
-        declares = [self.characters[each.start : each.end] for each in self.found.tokens[-2:-1]] == ["behaviour"]
-        self.inside = 0 if piece == "{" or declares else self.inside + 1
+        declares = [self.characters[each.start : each.end] for each in self.token_scan.tokens[-2:-1]] == ["behaviour"]
+        self.open_bracket_count = 0 if piece == "{" or declares else self.open_bracket_count + 1
         return self.add_token("open", start, end)
 
     def close(self, start: int, end: int, piece: str) -> int:
-        self.inside = max(0, self.inside - 1) if piece != "}" else 0
+        self.open_bracket_count = max(0, self.open_bracket_count - 1) if piece != "}" else 0
         return self.add_token("close", start, end)
 
     # --- words and numbers ---
@@ -188,34 +190,34 @@ class _Scanner:
             return self.repair_foreign_word(start)
         if piece in _NON_NUMBER_WORDS and not _COLON_PATTERN.match(self.characters, end):
             help = "leave the limit out, or write a large number"
-            self.found.error("bad-number", f"`{piece}` is not a number here", start, end, help)
+            self.token_scan.report_error("bad-number", f"`{piece}` is not a number here", start, end, help)
             return self.mark_unreadable(start, end)
         if len(piece) > limits.MAX_NAME_CHARACTERS:
             message = f"name of {len(piece)} characters, at most {limits.MAX_NAME_CHARACTERS} are allowed"
-            self.found.error("name-too-long", message, start, end, "choose a shorter name")
-            self.reported.add(piece)
+            self.token_scan.report_error("name-too-long", message, start, end, "choose a shorter name")
+            self.reported_texts.add(piece)
         hyphened = _HYPHENATED_NAME_PATTERN.match(self.characters, start)
-        if hyphened and self.found.tokens and last_token_text(self.found) in _NAMING_WORDS:
+        if hyphened and self.token_scan.tokens and get_last_token_text(self.token_scan) in _NAMING_WORDS:
             return self.repair_hyphens(start, hyphened.end(), hyphened.group())
         if not re.fullmatch(r"[a-z][a-z_0-9]*", piece):
             better = re.sub(r"[^a-z0-9_]", "_", re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", piece).lower()).strip("_") or "name"
-            if piece not in self.reported:
-                self.reported.add(piece)
+            if piece not in self.reported_texts:
+                self.reported_texts.add(piece)
                 wrong = "begins with `_`" if piece[0] == "_" else "is not written in lower case"
                 message = f"name `{piece[:80]}` {wrong}"
                 help = f"write `{better[:80]}`; names are small letters, digits and `_`, and begin with a letter"
-                self.found.error("bad-name", message, start, end, help, better)
-            self.found.replace(start, re.sub("^_+", lambda under: "x" * len(under.group()), piece.lower()))
+                self.token_scan.report_error("bad-name", message, start, end, help, better)
+            self.token_scan.replace(start, re.sub("^_+", lambda under: "x" * len(under.group()), piece.lower()))
         return self.add_token("word", start, end)
 
     def repair_hyphens(self, start: int, end: int, piece: str) -> int:
         """Correct hyphens, such as `turn-home`, in a name that is declared or names a state."""
         better = piece.replace("-", "_").lower()
-        if piece not in self.reported:
-            self.reported.add(piece)
+        if piece not in self.reported_texts:
+            self.reported_texts.add(piece)
             help = f"write `{better[:80]}`; names are small letters, digits and `_`, and begin with a letter"
-            self.found.error("bad-name", f"name `{piece[:80]}` has a `-` in it", start, end, help, better)
-        self.found.replace(start, better)
+            self.token_scan.report_error("bad-name", f"name `{piece[:80]}` has a `-` in it", start, end, help, better)
+        self.token_scan.replace(start, better)
         return self.add_token("word", start, end)
 
     def repair_foreign_word(self, start: int) -> int:
@@ -223,42 +225,42 @@ class _Scanner:
         match = _ANY_WORD_PATTERN.match(self.characters, start)
         piece = match.group() if match else self.characters[start]
         end = start + len(piece)
-        plain = "".join(ascii_for(character) or "x" for character in piece)
+        plain = "".join(find_ascii_lookalike(character) or "x" for character in piece)
         if re.fullmatch(r"[µμ]N", piece):
-            self.found.error("look-alike", f"unit `{piece}` has a Greek letter", start, end, "write `uN`", "uN")
-            self.found.replace(start, "uN")
+            self.token_scan.report_error("look-alike", f"unit `{piece}` has a Greek letter", start, end, "write `uN`", "uN")
+            self.token_scan.replace(start, "uN")
             return self.add_token("word", start, end)
-        if piece not in self.reported:
-            self.reported.add(piece)
+        if piece not in self.reported_texts:
+            self.reported_texts.add(piece)
             odd = next(character for character in piece if character > "\x7f")
             name = unicodedata.name(odd, f"U+{ord(odd):04X}").lower()
-            if all(ascii_for(character) for character in piece):
+            if all(find_ascii_lookalike(character) for character in piece):
                 message = f"`{piece[:80]}` looks like `{plain[:80]}`, but has a {name} in it"
-                self.found.error("look-alike", message, start, end, f"type `{plain[:80]}`", plain)
+                self.token_scan.report_error("look-alike", message, start, end, f"type `{plain[:80]}`", plain)
             else:
                 message = f"name `{piece[:80]}` has a {name} in it"
-                self.found.error("bad-name", message, start, end, "names are small letters a to z, digits and `_`")
+                self.token_scan.report_error("bad-name", message, start, end, "names are small letters a to z, digits and `_`")
         plain = plain.lower()
-        self.found.replace(start, plain)
+        self.token_scan.replace(start, plain)
         if plain[0].isdigit():
             digits = len(plain) - len(plain.lstrip("0123456789"))
             return self.number(start, start + digits, plain[:digits])
-        self.found.replace(start, "x" * (len(plain) - len(plain.lstrip("_"))))
+        self.token_scan.replace(start, "x" * (len(plain) - len(plain.lstrip("_"))))
         return self.add_token("word", start, end)
 
-    def quantity_end(self, end: int) -> int:
+    def find_quantity_end(self, end: int) -> int:
         tail = _UNIT_BEHIND_PATTERN.match(self.characters, end)
         return tail.end() if tail else end
 
     def number(self, start: int, end: int, piece: str) -> int:
         commas = COMMA_NUMBER_PATTERN.match(self.characters, start)
-        if commas is not None and (not self.inside or LEADING_ZERO_PATTERN.search(commas.group())):
+        if commas is not None and (not self.open_bracket_count or LEADING_ZERO_PATTERN.search(commas.group())):
             return self.repair_commas(start, commas.end())
-        problem = number_problem(piece, self.characters, end)
+        problem = find_number_problem(piece, self.characters, end)
         if problem is not None:
             message, stop, help = problem
-            self.found.error("bad-number", message, start, stop, help)
-            self.found.replace(start, "1" + " " * (stop - start - 1))
+            self.token_scan.report_error("bad-number", message, start, stop, help)
+            self.token_scan.replace(start, "1" + " " * (stop - start - 1))
             end = stop
         tail = _UNIT_BEHIND_PATTERN.match(self.characters, end)
         if tail is not None:
@@ -266,29 +268,28 @@ class _Scanner:
             slip = _UNIT_SLIP_PATTERN.match(self.characters, end)
             if slip is not None:
                 message = f"`{slip.group(1)}` is not a unit"
-                self.found.error("unknown-unit", message, slip.start(1), slip.end(), UNIT_SLIP_HELP[slip.group(1)])
+                self.token_scan.report_error("unknown-unit", message, slip.start(1), slip.end(), UNIT_SLIP_HELP[slip.group(1)])
                 return self.mark_unreadable(start, slip.end())
         elif (glued := _WORD_PATTERN.match(self.characters, end)) is not None:
             unit = glued.group()
-            self.found.error("unknown-unit", f"`{unit[:80]}` is not a unit", end, glued.end(), unit_help(unit))
+            self.token_scan.report_error("unknown-unit", f"`{unit[:80]}` is not a unit", end, glued.end(), find_unit_help(unit))
             return self.mark_unreadable(start, glued.end())
         return self.add_token("number", start, end)
 
     def repair_commas(self, start: int, end: int) -> int:
-        """Report a number with a comma where no comma can separate two numbers. If a decimal comma is meant, read it with a
-        dot."""
-        diagnostic = comma_diagnostic(Span(self.found.source, start, end))
-        self.found.report.add(diagnostic)
-        self.found.faults.append(start)
+        """Report a number with a comma where no comma can separate two numbers; read a decimal comma as a dot."""
+        diagnostic = make_comma_diagnostic(Span(self.token_scan.source, start, end))
+        self.token_scan.report.add(diagnostic)
+        self.token_scan.faults.append(start)
         if diagnostic.fix is None or len(diagnostic.fix.text) < end - start:
-            return self.mark_unreadable(start, self.quantity_end(end))
-        self.found.replace(start, diagnostic.fix.text)
-        return self.add_token("number", start, self.quantity_end(end))
+            return self.mark_unreadable(start, self.find_quantity_end(end))
+        self.token_scan.replace(start, diagnostic.fix.text)
+        return self.add_token("number", start, self.find_quantity_end(end))
 
     def mark_unreadable(self, start: int, end: int) -> int:
         """Add a token for a number with an unknown unit; unit checks skip it."""
-        self.found.blank_out(start, end)
-        self.found.replace(start, UNREADABLE_CHARACTER)
+        self.token_scan.blank_out(start, end)
+        self.token_scan.replace(start, UNREADABLE_CHARACTER)
         return self.add_token("number", start, end)
 
     # --- what does not belong ---
@@ -301,54 +302,54 @@ class _Scanner:
             else:
                 stop = self.characters.find("\n", end)
                 stop = len(self.characters) if stop < 0 else stop
-            self.found.error("unknown-sign", f"`{piece}` does not begin a comment", start, end, help)
-            blank_lines(self.found, start, stop)
+            self.token_scan.report_error("unknown-sign", f"`{piece}` does not begin a comment", start, end, help)
+            blank_text(self.token_scan, start, stop)
             return stop
-        fix = replacement_word(help, self.characters[start - 1 : start] if start else "", self.characters[end : end + 1])
-        self.found.error("unknown-sign", f"`{piece}` is not a sign of the language", start, end, help, fix)
+        fix = make_replacement_word(help, self.characters[start - 1 : start] if start else "", self.characters[end : end + 1])
+        self.token_scan.report_error("unknown-sign", f"`{piece}` is not a sign of the language", start, end, help, fix)
         if repair is None:
-            self.found.blank_out(start, end)
+            self.token_scan.blank_out(start, end)
             return end
-        self.found.replace(start, repair)
+        self.token_scan.replace(start, repair)
         return self.add_token("sign", start, end)
 
     def odd(self, start: int, end: int, piece: str) -> int:
         if piece in DOUBLE_QUOTES or piece in SINGLE_QUOTES:
             return self.repair_quotes(start, piece)
         if piece.isspace() or unicodedata.category(piece) in ("Zs", "Cf"):
-            if "blank" not in self.reported and (start > 0 or piece != "\ufeff"):
-                self.reported.add("blank")
+            if "blank" not in self.reported_texts and (start > 0 or piece != "\ufeff"):
+                self.reported_texts.add("blank")
                 name = unicodedata.name(piece, f"U+{ord(piece):04X}").lower()
-                self.found.error("odd-blank", f"{name} in place of a blank", start, end, "type a blank", " ")
+                self.token_scan.report_error("odd-blank", f"{name} in place of a blank", start, end, "type a blank", " ")
             return self.blank(start, end, piece)
         if piece.isalnum() and piece not in "\u00b2\u00b3":
             return self.repair_foreign_word(start)
-        tokens = self.found.tokens
+        tokens = self.token_scan.tokens
         if piece in "\u00b0\u00ba" and tokens and tokens[-1].kind == "number" and tokens[-1].end == self.last_end:
             number = tokens.pop()
-            self.found.error("unknown-sign", f"`{piece}` is not a unit", start, end, "write `deg`")
+            self.token_scan.report_error("unknown-sign", f"`{piece}` is not a unit", start, end, "write `deg`")
             rest = _PER_UNIT_PATTERN.match(self.characters, end)
             end = rest.end() if rest is not None else end
-            self.found.blank_out(start, end)
+            self.token_scan.blank_out(start, end)
             return max(end, self.mark_unreadable(number.start, number.end))
         help, repair = WRONG_SIGN_HELP.get(piece, ("delete it", None))
-        fix = replacement_word(help, self.characters[start - 1 : start] if start else "", self.characters[end : end + 1])
-        self.found.error("unknown-sign", f"`{piece}` is not a sign of the language", start, end, help, fix)
+        fix = make_replacement_word(help, self.characters[start - 1 : start] if start else "", self.characters[end : end + 1])
+        self.token_scan.report_error("unknown-sign", f"`{piece}` is not a sign of the language", start, end, help, fix)
         if repair is not None and len(repair) > 1:
             return self.repair_wide_sign(start, end, repair)
-        self.found.replace(start, repair or " ")
+        self.token_scan.replace(start, repair or " ")
         return self.add_token("sign", start, end) if repair else end
 
     def repair_wide_sign(self, start: int, end: int, repair: str) -> int:
         """Replace a sign such as `≤` by two characters, using an adjacent blank for the second."""
         if self.characters[end : end + 1] == " ":
             end += 1
-        elif start > 0 and self.found.clean[start - 1] == " ":
+        elif start > 0 and self.token_scan.clean_characters[start - 1] == " ":
             start -= 1
         else:
-            self.found.blank_out(start, end)
+            self.token_scan.blank_out(start, end)
             return end
-        self.found.replace(start, repair)
+        self.token_scan.replace(start, repair)
         return self.add_token("sign", start, end)
 
     def repair_quotes(self, start: int, piece: str) -> int:
@@ -358,10 +359,10 @@ class _Scanner:
         stop = next((at for at in range(start + 1, line_end) if self.characters[at] in quotes), -1)
         if stop < 0:
             message = f"`{piece}` is not a sign of the language"
-            self.found.error("unknown-sign", message, start, start + 1, 'put text in `"` quotes')
-            self.found.blank_out(start, start + 1)
+            self.token_scan.report_error("unknown-sign", message, start, start + 1, 'put text in `"` quotes')
+            self.token_scan.blank_out(start, start + 1)
             return start + 1
-        self.found.error(
+        self.token_scan.report_error(
             "wrong-quotes",
             f"text in `{piece}` quotes",
             start,
@@ -369,7 +370,7 @@ class _Scanner:
             f'write `"{self.characters[start + 1 : stop][:60]}"`',
             '"' + self.characters[start + 1 : stop].replace('"', "'") + '"',
         )
-        self.found.replace(start, '"' + self.characters[start + 1 : stop].replace('"', " ") + '"')
+        self.token_scan.replace(start, '"' + self.characters[start + 1 : stop].replace('"', " ") + '"')
         return self.add_token("text", start, stop + 1)
 
     def text(self, start: int, end: int, piece: str) -> int:
@@ -378,20 +379,22 @@ class _Scanner:
         smart = next((at for at in range(start + 1, end) if self.characters[at] in DOUBLE_QUOTES), -1)
         if smart > 0:
             message = f"text ends in a `{self.characters[smart]}` quote"
-            self.found.error("wrong-quotes", message, smart, smart + 1, 'write `"`', '"')
-            self.found.replace(smart, '"')
+            self.token_scan.report_error("wrong-quotes", message, smart, smart + 1, 'write `"`', '"')
+            self.token_scan.replace(smart, '"')
             return self.add_token("text", start, smart + 1)
         stop = start + len(_SWALLOWED_TAIL_PATTERN.sub("", piece))
         message = "text without a closing quote"
-        self.found.error("unclosed-text", message, start, start + 1, 'end the text with `"` on the same line', '"', stop)
+        self.token_scan.report_error(
+            "unclosed-text", message, start, start + 1, 'end the text with `"` on the same line', '"', stop
+        )
         if stop - start < 2:
-            self.found.blank_out(start, start + 1)
+            self.token_scan.blank_out(start, start + 1)
             return start + 1
-        self.found.replace(stop - 1, '"')
+        self.token_scan.replace(stop - 1, '"')
         return self.add_token("text", start, stop)
 
 
-def last_token_text(text_scan: TokenScan) -> str:
+def get_last_token_text(text_scan: TokenScan) -> str:
     """Return the text of the last token."""
     last = text_scan.tokens[-1]
     return text_scan.source.text[last.start : last.end]

@@ -8,11 +8,11 @@ import stat
 from pathlib import Path
 
 from antdsl import limits
-from antdsl.bounded import NotRegular, TooLarge, open_regular, read_handle
+from antdsl.atomic_write import atomic_file
 from antdsl.diagnostics.model import Report
+from antdsl.safe_read import FileTooLarge, NotRegularFile, open_regular_file, read_handle
 from antdsl.source import Source, Span
 from antdsl.syntax.editions import FIRST_LINE
-from antdsl.whole import atomic_file
 
 # First bytes of other file formats.
 _OTHER_FILE_SIGNATURES = (
@@ -59,7 +59,7 @@ def read_bytes(name: str, data: bytes) -> tuple[Source | None, Report]:
         return None, report
     for magic, kind in _OTHER_FILE_SIGNATURES:
         if data.startswith(magic):
-            report.error("not-an-ant-file", f"`{name}` looks like {kind}", None, _advise(kind))
+            report.error("not-an-ant-file", f"`{name}` looks like {kind}", None, _suggest_regular_file(kind))
             return None, report
     text = _decode(name, data, report)
     if text is None:
@@ -67,7 +67,7 @@ def read_bytes(name: str, data: bytes) -> tuple[Source | None, Report]:
     return Source(name, text.removeprefix("\ufeff").replace("\r\n", "\n").replace("\r", "\n")), report
 
 
-def _advise(kind: str) -> str:
+def _suggest_regular_file(kind: str) -> str:
     return "save it as UTF-8" if kind.startswith("UTF-16") else f"name a text file that begins with `{FIRST_LINE}`"
 
 
@@ -76,10 +76,10 @@ def _read_file(name: str, handle: int | None, report: Report) -> bytes | None:
         report.error("cannot-read", "file name contains a null character", None, "name a `.ant` file")
         return None
     try:
-        return read_handle(open_regular(name) if handle is None else handle, limits.MAX_PROGRAM_BYTES)
-    except TooLarge:
+        return read_handle(open_regular_file(name) if handle is None else handle, limits.MAX_PROGRAM_BYTES)
+    except FileTooLarge:
         _report_too_large(name, report)
-    except NotRegular as why:
+    except NotRegularFile as why:
         report.error("cannot-read", f"`{name}` is {why.kind}", None, "name a `.ant` file")
     except OSError as error:
         reason = (error.strerror or "unknown reason").lower()

@@ -24,13 +24,13 @@ SHAPE_PATTERNS: dict[str, str] = {
 
 @dataclass(frozen=True, slots=True)
 class Verb:
-    """A verb. `shape`: a word of `SHAPES`. `form`: an example line, displayed in help. `next`: a description of what follows the
-    verb."""
+    """A verb. `shape`: a word of `SHAPE_PATTERNS`. `example_line`: an example line, displayed in help. `following_text`:
+    a description of what follows the verb."""
 
     word: str
     shape: str
-    form: str
-    next: str = ""
+    example_line: str
+    following_text: str = ""
 
 
 # In the order of messages and editors.

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from antdsl.bodies.shapes import MeshArrays, sheet, wave_noise
+from antdsl.bodies.shapes import MeshArrays, build_flat_grid, compute_wave_noise
 
 HERE = Path(__file__).parent
 
@@ -26,14 +26,14 @@ def block() -> MeshArrays:
     inner = np.clip(vertices, [-67.0, -17.0, -47.0], [67.0, 17.0, 47.0])
     out = vertices - inner
     vertices = inner + out / np.maximum(np.linalg.norm(out, axis=1, keepdims=True), 1e-9) * 8.0
-    vertices += 1.1 * wave_noise(vertices, 71, 30.0, 3)[:, None] * out / 8.0
+    vertices += 1.1 * compute_wave_noise(vertices, 71, 30.0, 3)[:, None] * out / 8.0
     return vertices + np.array([0.0, -25.0, 0.0]), np.asarray(made.faces, np.int32)
 
 
 def floor() -> MeshArrays:
-    vertices, faces = sheet(np.linspace(-180.0, 180.0, 37), np.linspace(-140.0, 140.0, 29))
+    vertices, faces = build_flat_grid(np.linspace(-180.0, 180.0, 37), np.linspace(-140.0, 140.0, 29))
     x, z = vertices[:, 0], vertices[:, 2]
-    return np.stack([x, -47.0 + 1.5 * wave_noise(np.stack([x, z], axis=1), 72, 80.0, 2), z], axis=1), faces
+    return np.stack([x, -47.0 + 1.5 * compute_wave_noise(np.stack([x, z], axis=1), 72, 80.0, 2), z], axis=1), faces
 
 
 def write(name: str, mesh: MeshArrays) -> None:

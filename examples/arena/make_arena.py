@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from antdsl.bodies.shapes import wave_noise
+from antdsl.bodies.shapes import compute_wave_noise
 
 HERE = Path(__file__).parent
 SIDE, SAMPLES = 160.0, 161  # m
@@ -21,7 +21,7 @@ def heights() -> np.ndarray:
     axis = np.linspace(-SIDE / 2, SIDE / 2, SAMPLES)
     x, z = np.meshgrid(axis, axis)
     places = np.stack([x.ravel(), z.ravel()], axis=1)
-    height = 1.3 * wave_noise(places, 41, 70.0, 2) + 0.12 * wave_noise(places, 42, 15.0, 2)
+    height = 1.3 * compute_wave_noise(places, 41, 70.0, 2) + 0.12 * compute_wave_noise(places, 42, 15.0, 2)
     return np.clip(height.reshape(SAMPLES, SAMPLES) + HIGH / 2, 0.0, HIGH)
 
 

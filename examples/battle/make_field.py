@@ -9,7 +9,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from antdsl.bodies.shapes import MeshArrays, join_meshes, sheet, stone, wave_noise
+from antdsl.bodies.shapes import MeshArrays, build_flat_grid, build_stone, compute_wave_noise, join_meshes
 
 HERE = Path(__file__).parent
 Array = NDArray[np.float64]
@@ -30,11 +30,11 @@ def relief(x: Array, z: Array) -> Array:
     ridge = (30.0 - 17.0 * np.exp(-(((z - 10.0) / 55.0) ** 2))) * np.exp(-(((x - crest) / 46.0) ** 2))
     rises = sum(12.0 * np.exp(-(((x - cx) ** 2 + z**2) / 60.0**2)) for cx in (-160.0, 160.0))
     flat = np.stack([x, z], axis=1)
-    return ridge + rises + 6.0 * wave_noise(flat, 5, 150.0, 3, fade=0.45) + 0.5 * wave_noise(flat, 6, 24.0, 2)
+    return ridge + rises + 6.0 * compute_wave_noise(flat, 5, 150.0, 3, fade=0.45) + 0.5 * compute_wave_noise(flat, 6, 24.0, 2)
 
 
 def field() -> MeshArrays:
-    vertices, faces = sheet(np.linspace(-240.0, 240.0, 121), np.linspace(-170.0, 170.0, 86))
+    vertices, faces = build_flat_grid(np.linspace(-240.0, 240.0, 121), np.linspace(-170.0, 170.0, 86))
     x, z = vertices[:, 0], vertices[:, 2]
     return np.stack([x, relief(x, z), z], axis=1), faces
 
@@ -43,7 +43,7 @@ def stones() -> MeshArrays:
     """The obstacles, each sunk by a quarter of its height."""
     parts = []
     for x, z, radii, seed in STONES:
-        vertices, faces = stone(seed, radii, detail=2)
+        vertices, faces = build_stone(seed, radii, detail=2)
         height = float(relief(np.array([x]), np.array([z]))[0])
         parts.append((vertices + np.array([x, height + 0.5 * radii[1], z]), faces))
     return join_meshes(parts)

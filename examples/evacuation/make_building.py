@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from antdsl.bodies.shapes import sheet
+from antdsl.bodies.shapes import build_flat_grid
 
 HERE = Path(__file__).parent
 THICK, HIGH = 0.2, 1.1  # m; so low that one sees over them
@@ -53,7 +53,7 @@ def walls() -> trimesh.Trimesh:
 
 
 def floor() -> trimesh.Trimesh:
-    vertices, faces = sheet(np.linspace(-15.0, 21.0, 73), np.linspace(-11.0, 15.0, 53))
+    vertices, faces = build_flat_grid(np.linspace(-15.0, 21.0, 73), np.linspace(-11.0, 15.0, 53))
     return trimesh.Trimesh(vertices, faces, process=False)
 
 

@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from antdsl.bodies.shapes import MeshArrays, sheet
+from antdsl.bodies.shapes import MeshArrays, build_flat_grid
 
 
 def waves_sheet(lines: int = 81) -> MeshArrays:
     line = np.linspace(-500.0, 500.0, lines)
-    vertices, faces = sheet(line, line)
+    vertices, faces = build_flat_grid(line, line)
     x, z = vertices[:, 0], vertices[:, 2]
     vertices[:, 1] = 9.0 * np.sin(x / 78.0 + 0.6 * np.sin(z / 120.0)) + 7.0 * np.sin(z / 96.0 + x / 210.0)
     return vertices, faces

@@ -14,7 +14,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from antdsl.bodies.shapes import MeshArrays, join_meshes, sheet, stone, wave_noise
+from antdsl.bodies.shapes import MeshArrays, build_flat_grid, build_stone, compute_wave_noise, join_meshes
 
 HERE = Path(__file__).parent
 Array = NDArray[np.float64]
@@ -33,7 +33,7 @@ def relief(x: Array, z: Array) -> Array:
     """Height: a ridge from the far left to the near right, a hollow about the nest, and waves."""
     ridge = 34.0 * np.exp(-(((x - z) / 1.41 / 60.0) ** 2)) * np.exp(-((np.hypot(x, z) / 190.0) ** 4))
     hollow = 14.0 * np.exp(-((np.hypot(x - NEST[0], z - NEST[1]) / 70.0) ** 2))
-    return ridge - hollow + 3.0 * wave_noise(np.stack([x, z], axis=1), 5, 120.0, 3, fade=0.45)
+    return ridge - hollow + 3.0 * compute_wave_noise(np.stack([x, z], axis=1), 5, 120.0, 3, fade=0.45)
 
 
 def damp(x: Array, z: Array) -> Array:
@@ -42,7 +42,7 @@ def damp(x: Array, z: Array) -> Array:
 
 def terrain(lines: int = 97) -> tuple[MeshArrays, Array]:
     line = np.linspace(-240.0, 240.0, lines)
-    vertices, faces = sheet(line, line)
+    vertices, faces = build_flat_grid(line, line)
     x, z = vertices[:, 0], vertices[:, 2]
     return (np.stack([x, relief(x, z), z], axis=1), faces), damp(x, z)
 
@@ -51,7 +51,7 @@ def stones() -> MeshArrays:
     """The obstacles, each sunk by a quarter of its height."""
     parts = []
     for x, z, radii, seed in STONES:
-        vertices, faces = stone(seed, radii, detail=3)
+        vertices, faces = build_stone(seed, radii, detail=3)
         height = float(relief(np.array([x]), np.array([z]))[0])
         parts.append((vertices + np.array([x, height + 0.45 * radii[1], z]), faces))
     return join_meshes(parts)

@@ -15,7 +15,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from antdsl.bodies.shapes import MeshArrays, join_meshes, sheet, stone, wave_noise
+from antdsl.bodies.shapes import MeshArrays, build_flat_grid, build_stone, compute_wave_noise, join_meshes
 
 HERE = Path(__file__).parent
 Array = NDArray[np.float64]
@@ -58,13 +58,13 @@ def relief(x: Array, z: Array) -> Array:
     gully = x + 165.0 + 28.0 * np.sin(z / 62.0) - 0.25 * z  # runs along z, west of the nest
     y -= 26.0 * np.exp(-((gully / 24.0) ** 2)) * smooth(z, -120.0, -20.0)
     flat = np.stack([x, z], axis=1)
-    return y + 7.0 * wave_noise(flat, 3, 210.0, 3, fade=0.45) + 0.55 * wave_noise(flat, 4, 26.0, 2)
+    return y + 7.0 * compute_wave_noise(flat, 3, 210.0, 3, fade=0.45) + 0.55 * compute_wave_noise(flat, 4, 26.0, 2)
 
 
 def terrain(lines: int = 146) -> MeshArrays:
-    """The ground, with the shelf: near its line the sheet rises, leans out over itself, and comes back behind the lip."""
+    """The ground, with the shelf: near its line the grid rises, leans out over itself, and comes back behind the lip."""
     line = np.linspace(-400.0, 400.0, lines)
-    vertices, faces = sheet(line, line)
+    vertices, faces = build_flat_grid(line, line)
     x, z = vertices[:, 0], vertices[:, 2]
     along = smooth(x, 95.0, 170.0) * (1.0 - smooth(x, 300.0, 372.0))
     behind = (-215.0 + 14.0 * np.sin(x / 31.0)) - z  # how far a point lies behind the foot of the shelf
@@ -76,14 +76,16 @@ def terrain(lines: int = 146) -> MeshArrays:
 
 
 def boulder() -> MeshArrays:
-    vertices, faces = stone(31, (68.0, 52.0, 60.0), detail=4, roughness=0.13)
-    vertices += 0.9 * wave_noise(vertices, 32, 22.0, 2)[:, None] * vertices / np.linalg.norm(vertices, axis=1, keepdims=True)
+    vertices, faces = build_stone(31, (68.0, 52.0, 60.0), detail=4, roughness=0.13)
+    vertices += (
+        0.9 * compute_wave_noise(vertices, 32, 22.0, 2)[:, None] * vertices / np.linalg.norm(vertices, axis=1, keepdims=True)
+    )
     return on_ground(vertices, *BOULDER, sunk=2.0), faces
 
 
 def stones() -> MeshArrays:
     """The obstacles, each sunk by a quarter of its height."""
-    parts = [(stone(seed, radii, detail=2), (x, z), radii[1]) for x, z, radii, seed in STONES]
+    parts = [(build_stone(seed, radii, detail=2), (x, z), radii[1]) for x, z, radii, seed in STONES]
     return join_meshes([(on_ground(vertices, x, z, sunk=-0.45 * high), faces) for (vertices, faces), (x, z), high in parts])
 
 

@@ -14,7 +14,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from antdsl.bodies.shapes import MeshArrays, join_meshes, sheet, stone
+from antdsl.bodies.shapes import MeshArrays, build_flat_grid, build_stone, join_meshes
 
 HERE = Path(__file__).parent
 Array = NDArray[np.float64]
@@ -52,7 +52,7 @@ def lines(start: float, end: float) -> Array:
 
 
 def ground() -> MeshArrays:
-    vertices, faces = sheet(lines(*ACROSS), lines(*ALONG))
+    vertices, faces = build_flat_grid(lines(*ACROSS), lines(*ALONG))
     vertices[:, 1] = relief(vertices[:, 0], vertices[:, 2])
     return vertices, faces
 
@@ -61,7 +61,7 @@ def stones() -> MeshArrays:
     """The obstacles, each sunk by a quarter of its height."""
     parts = []
     for x, z, radii, seed in STONES:
-        vertices, faces = stone(seed, radii, detail=2)
+        vertices, faces = build_stone(seed, radii, detail=2)
         height = float(relief(np.array([x]), np.array([z]))[0])
         parts.append((vertices + np.array([x, height + 0.45 * radii[1], z]), faces))
     return join_meshes(parts)

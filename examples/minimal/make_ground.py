@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from antdsl.bodies.shapes import MeshArrays, sheet
+from antdsl.bodies.shapes import MeshArrays, build_flat_grid
 
 
 def ground(lines: int = 33) -> MeshArrays:
     line = np.linspace(-100.0, 100.0, lines)
-    vertices, faces = sheet(line, line)
+    vertices, faces = build_flat_grid(line, line)
     x, z = vertices[:, 0], vertices[:, 2]
     vertices[:, 1] = 4.5 * np.sin(x / 24.0) * np.cos(z / 29.0) + 2.0 * np.sin((x + 2.0 * z) / 41.0)
     return vertices, faces

@@ -8,7 +8,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from antdsl.bodies.shapes import MeshArrays, join_meshes, sheet, stone, wave_noise
+from antdsl.bodies.shapes import MeshArrays, build_flat_grid, build_stone, compute_wave_noise, join_meshes
 
 HERE = Path(__file__).parent
 STONES = (  # x, z, half axes, seed
@@ -20,7 +20,7 @@ STONES = (  # x, z, half axes, seed
 
 
 def height(x: NDArray[np.float64], z: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.asarray(5.0 * wave_noise(np.stack([x, z], axis=1), 9, 240.0, 2))
+    return np.asarray(5.0 * compute_wave_noise(np.stack([x, z], axis=1), 9, 240.0, 2))
 
 
 def on_floor(x: float, z: float) -> float:
@@ -29,14 +29,14 @@ def on_floor(x: float, z: float) -> float:
 
 def floor(lines: int = 61) -> MeshArrays:
     line = np.linspace(-600.0, 600.0, lines)
-    vertices, faces = sheet(line, line)
+    vertices, faces = build_flat_grid(line, line)
     vertices[:, 1] = height(vertices[:, 0], vertices[:, 2])
     return vertices, faces
 
 
 def stones() -> MeshArrays:
     """Half sunk, so that nobody gets beneath."""
-    parts = [(stone(seed, axes, detail=2), (x, z)) for x, z, axes, seed in STONES]
+    parts = [(build_stone(seed, axes, detail=2), (x, z)) for x, z, axes, seed in STONES]
     return join_meshes([(points + np.array([x, on_floor(x, z), z]), faces) for (points, faces), (x, z) in parts])
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from antdsl.bodies.shapes import sheet
+from antdsl.bodies.shapes import build_flat_grid
 
 HERE = Path(__file__).parent
 WIDE, DEEP, HIGH = 2400.0, 2000.0, 900.0
@@ -17,13 +17,13 @@ CHAIRS = [(a + x, b + z) for a, b in ((-800.0, 100.0), (700.0, 500.0)) for x in 
 
 
 def floor() -> trimesh.Trimesh:
-    vertices, faces = sheet(np.linspace(-WIDE / 2, WIDE / 2, 25), np.linspace(-DEEP / 2, DEEP / 2, 21))
+    vertices, faces = build_flat_grid(np.linspace(-WIDE / 2, WIDE / 2, 25), np.linspace(-DEEP / 2, DEEP / 2, 21))
     return trimesh.Trimesh(vertices, faces, process=False)
 
 
 def wall() -> trimesh.Trimesh:
     """Along the far rim of the floor; it faces the room."""
-    vertices, faces = sheet(np.linspace(-WIDE / 2, WIDE / 2, 25), np.linspace(0.0, HIGH, 10))
+    vertices, faces = build_flat_grid(np.linspace(-WIDE / 2, WIDE / 2, 25), np.linspace(0.0, HIGH, 10))
     upright = np.stack([vertices[:, 0], HIGH - vertices[:, 2], np.full(len(vertices), -DEEP / 2)], axis=1)
     return trimesh.Trimesh(upright, faces, process=False)
 

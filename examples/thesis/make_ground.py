@@ -17,7 +17,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from antdsl.bodies.shapes import MeshArrays, join_meshes, sheet, stone, wave_noise
+from antdsl.bodies.shapes import MeshArrays, build_flat_grid, build_stone, compute_wave_noise, join_meshes
 
 HERE = Path(__file__).parent
 Array = NDArray[np.float64]
@@ -49,18 +49,20 @@ WAY_OUT = [[-150.0, 0.0, 0.0], [-125.0, 0.0, 1.0], [-95.0, 0.0, 0.0], [-60.0, 0.
 def relief(x: Array, z: Array) -> Array:
     bank = 24.0 / (1.0 + np.exp((146.0 + 6.0 * np.sin(x / 31.0) - np.abs(z)) / 6.0))
     flat = np.stack([x, z], axis=1)
-    return bank + 2.4 * wave_noise(flat, 83, 110.0, 3) + 0.3 * wave_noise(flat, 84, 15.0, 2)
+    return bank + 2.4 * compute_wave_noise(flat, 83, 110.0, 3) + 0.3 * compute_wave_noise(flat, 84, 15.0, 2)
 
 
 def terrain() -> MeshArrays:
-    vertices, faces = sheet(np.linspace(-240.0, 240.0, 121), np.linspace(-160.0, 160.0, 81))
+    vertices, faces = build_flat_grid(np.linspace(-240.0, 240.0, 121), np.linspace(-160.0, 160.0, 81))
     vertices[:, 1] = relief(vertices[:, 0], vertices[:, 2])
     return vertices, faces
 
 
 def hill() -> MeshArrays:
-    vertices, faces = stone(85, (33.0, 36.0, 72.0), detail=5, roughness=0.1)
-    vertices += 0.8 * wave_noise(vertices, 86, 16.0, 2)[:, None] * vertices / np.linalg.norm(vertices, axis=1, keepdims=True)
+    vertices, faces = build_stone(85, (33.0, 36.0, 72.0), detail=5, roughness=0.1)
+    vertices += (
+        0.8 * compute_wave_noise(vertices, 86, 16.0, 2)[:, None] * vertices / np.linalg.norm(vertices, axis=1, keepdims=True)
+    )
     return vertices + np.array([0.0, -2.0, 0.0]), faces
 
 
@@ -87,7 +89,9 @@ def bottle() -> MeshArrays:
 
 def stones() -> MeshArrays:
     """The obstacles, each sunk by a quarter of its height."""
-    return join_meshes([on_ground(stone(seed, radii, detail=2), x, z, sunk=-0.45 * radii[1]) for x, z, radii, seed in STONES])
+    return join_meshes(
+        [on_ground(build_stone(seed, radii, detail=2), x, z, sunk=-0.45 * radii[1]) for x, z, radii, seed in STONES]
+    )
 
 
 def write(name: str, mesh: MeshArrays) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from antdsl.bodies.shapes import MeshArrays, join_meshes, sheet, stone, wave_noise
+from antdsl.bodies.shapes import MeshArrays, build_flat_grid, build_stone, compute_wave_noise, join_meshes
 
 HERE = Path(__file__).parent
 Floats = NDArray[np.float64]
@@ -93,7 +93,7 @@ def stones() -> MeshArrays:
     """Four stones on top of each other, each sunk into the one below."""
     parts = []
     for x, y, z, *radii, seed in STACK:
-        vertices, faces = stone(int(seed), (radii[0], radii[1], radii[2]), detail=2)
+        vertices, faces = build_stone(int(seed), (radii[0], radii[1], radii[2]), detail=2)
         parts.append((vertices + np.array([x, y, z], float), faces))
     return join_meshes(parts)
 
@@ -115,15 +115,15 @@ def moebius(along: int = 72, across: int = 6) -> MeshArrays:
 def rag() -> MeshArrays:
     """An open sheet with waves, with a border all round it and another round a hole."""
     line = np.linspace(-28.0, 28.0, 25)
-    vertices, faces = sheet(line, line)
-    vertices[:, 1] = 20.0 + 4.0 * wave_noise(vertices[:, [0, 2]], 5, 40.0, 2)
+    vertices, faces = build_flat_grid(line, line)
+    vertices[:, 1] = 20.0 + 4.0 * compute_wave_noise(vertices[:, [0, 2]], 5, 40.0, 2)
     middle = vertices[faces].mean(axis=1)
     return vertices, faces[np.hypot(middle[:, 0] - 4.0, middle[:, 2] + 3.0) > 8.0]
 
 
 def broken() -> MeshArrays:
     """A ball with all that goes wrong in meshes: doubled faces, faces the other way round, faces without area, loose corners."""
-    vertices, faces = stone(65, (22.0, 20.0, 22.0), detail=2)
+    vertices, faces = build_stone(65, (22.0, 20.0, 22.0), detail=2)
     vertices = vertices + np.array([0.0, 19.0, 0.0])
     odd = faces.copy()
     odd[::3] = odd[::3][:, ::-1]
@@ -158,14 +158,14 @@ def eight(along: int = 64, around: int = 12, radius: float = 7.0) -> MeshArrays:
 
 def boulder() -> MeshArrays:
     """To be sunk into the ground by half."""
-    vertices, faces = stone(66, (24.0, 20.0, 21.0), detail=3)
+    vertices, faces = build_stone(66, (24.0, 20.0, 21.0), detail=3)
     return vertices + np.array([0.0, SUNK, 0.0]), faces
 
 
 def ground(lines: int = 61) -> MeshArrays:
     """Flat about the shapes, with a hill at the far end."""
     line = np.linspace(-180.0, 180.0, lines)
-    vertices, faces = sheet(line, line)
+    vertices, faces = build_flat_grid(line, line)
     x, z = vertices[:, 0], vertices[:, 2]
     vertices[:, 1] = 40.0 * np.exp(-((x / 60.0) ** 2 + ((z + 130.0) / 40.0) ** 2))
     return vertices, faces

@@ -13,7 +13,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from antdsl.bodies.shapes import MeshArrays, sheet, stone, wave_noise
+from antdsl.bodies.shapes import MeshArrays, build_flat_grid, build_stone, compute_wave_noise
 
 HERE = Path(__file__).parent
 Array = NDArray[np.float64]
@@ -21,17 +21,19 @@ Array = NDArray[np.float64]
 
 def terrain() -> MeshArrays:
     """A valley floor with soft waves between two banks."""
-    vertices, faces = sheet(np.linspace(-160.0, 160.0, 97), np.linspace(-100.0, 100.0, 61))
+    vertices, faces = build_flat_grid(np.linspace(-160.0, 160.0, 97), np.linspace(-100.0, 100.0, 61))
     x, z = vertices[:, 0], vertices[:, 2]
     bank = 26.0 / (1.0 + np.exp((86.0 + 5.0 * np.sin(x / 29.0) - np.abs(z)) / 5.0))
     flat = np.stack([x, z], axis=1)
-    y = bank + 2.2 * wave_noise(flat, 61, 90.0, 3) + 0.35 * wave_noise(flat, 62, 14.0, 2)
+    y = bank + 2.2 * compute_wave_noise(flat, 61, 90.0, 3) + 0.35 * compute_wave_noise(flat, 62, 14.0, 2)
     return np.stack([x, y, z], axis=1), faces
 
 
 def hill() -> MeshArrays:
-    vertices, faces = stone(63, (33.0, 36.0, 80.0), detail=5, roughness=0.1)
-    vertices += 0.8 * wave_noise(vertices, 64, 16.0, 2)[:, None] * vertices / np.linalg.norm(vertices, axis=1, keepdims=True)
+    vertices, faces = build_stone(63, (33.0, 36.0, 80.0), detail=5, roughness=0.1)
+    vertices += (
+        0.8 * compute_wave_noise(vertices, 64, 16.0, 2)[:, None] * vertices / np.linalg.norm(vertices, axis=1, keepdims=True)
+    )
     return vertices + np.array([0.0, -2.0, 0.0]), faces
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from antdsl.bodies.shapes import MeshArrays, join_meshes, sheet, stone, wave_noise
+from antdsl.bodies.shapes import MeshArrays, build_flat_grid, build_stone, compute_wave_noise, join_meshes
 
 HERE = Path(__file__).parent
 STONES = (  # x, z, half axes, seed
@@ -19,8 +19,8 @@ STONES = (  # x, z, half axes, seed
 
 def floor(lines: int = 41) -> MeshArrays:
     line = np.linspace(-200.0, 200.0, lines)
-    vertices, faces = sheet(line, line)
-    vertices[:, 1] = 3.0 * wave_noise(vertices[:, [0, 2]], 7, 120.0, 2)
+    vertices, faces = build_flat_grid(line, line)
+    vertices[:, 1] = 3.0 * compute_wave_noise(vertices[:, [0, 2]], 7, 120.0, 2)
     return vertices, faces
 
 
@@ -31,5 +31,5 @@ def write(name: str, mesh: MeshArrays) -> None:
 
 if __name__ == "__main__":
     write("floor.ply", floor())
-    parts = [(stone(seed, axes, detail=2), (x, z)) for x, z, axes, seed in STONES]
+    parts = [(build_stone(seed, axes, detail=2), (x, z)) for x, z, axes, seed in STONES]
     write("stones.ply", join_meshes([(points + np.array([x, 0.0, z]), faces) for (points, faces), (x, z) in parts]))

@@ -17,8 +17,8 @@ from compilers import need_llvmlite
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 from counts import RECORDED, SETTLED, count_step, counts_of, grown
 
-from antdsl.bench.cases import case_of
-from antdsl.machine_code.kernels import sources
+from antdsl.bench.cases import find_case
+from antdsl.machine_code.kernels import source_key
 from antdsl.runtime import Options, World, bind, phases, state_hash, step
 from antdsl.senses.overlaps import fill_worst_overlaps
 
@@ -29,7 +29,7 @@ BENCHMARKS = ROOT / "tests" / "benchmarks"
 @pytest.fixture
 def worlds() -> Iterator[tuple[World, World]]:
     """Two worlds alike, under way."""
-    shot = case_of("node").make(60)
+    shot = find_case("node").make_shot(60)
     pair = bind(shot.plan, shot.setting, Options(backend="numpy")), bind(shot.plan, shot.setting, Options(backend="numpy"))
     for world in pair:
         for _ in range(SETTLED):
@@ -68,13 +68,16 @@ def test_counting_changes_no_step_and_leaves_nothing_behind(worlds: tuple[World,
 def test_a_kernel_that_is_made_in_a_step_that_is_counted_is_the_usual_one(
     worlds: tuple[World, World], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    plain, kernels = (sources.key(fill_worst_overlaps.part, []), fill_worst_overlaps.text()), []
+    plain, kernels = (source_key.source_key(fill_worst_overlaps.part, []), fill_worst_overlaps.text()), []
     monkeypatch.setattr(
         phases,
         "PHASES",
         (
             *phases.PHASES,
-            ("made", lambda world: kernels.append((sources.key(fill_worst_overlaps.part, []), fill_worst_overlaps.text()))),
+            (
+                "made",
+                lambda world: kernels.append((source_key.source_key(fill_worst_overlaps.part, []), fill_worst_overlaps.text())),
+            ),
         ),
     )
     count_step(worlds[0])
@@ -103,13 +106,13 @@ def test_a_line_more_in_a_program_is_counted(backend: str, monkeypatch: pytest.M
         need_llvmlite()
 
     def counts() -> dict[str, int]:
-        shot = case_of("node").make(60)
+        shot = find_case("node").make_shot(60)
         return counts_of(shot.plan, shot.setting, backend)
 
     plain_counts = counts()
     assert plain_counts == counts()
     push = "steer wander(swing: 50 deg)"
-    monkeypatch.setattr(programs, "NODE", programs.NODE.replace(push, push + " + wander(swing: 90 deg) * 0.1"))
+    monkeypatch.setattr(programs, "NODE_PROGRAM", programs.NODE_PROGRAM.replace(push, push + " + wander(swing: 90 deg) * 0.1"))
     changed_counts = counts()
     assert grown({"node": changed_counts}, {"node": plain_counts}) and not grown({"node": plain_counts}, {"node": changed_counts})
     names = ("instructions", "instruction_bytes") if backend == "numpy" else ("instructions ant.act.0",)
@@ -117,25 +120,27 @@ def test_a_line_more_in_a_program_is_counted(backend: str, monkeypatch: pytest.M
 
 
 def test_one_more_operation_is_one_more_instruction_of_machine_code(monkeypatch: pytest.MonkeyPatch) -> None:
-    from antdsl.machine_code import machine
+    from antdsl.machine_code import llvm_compiler
     from antdsl.machine_code.lanes import LaneBuilder
-    from antdsl.runtime.backends.native import listing
+    from antdsl.runtime.backends.native import program_listing
 
     def counts() -> dict[str, int]:
-        return listing.instruction_counts(listing.plan_program(case_of("node").make(60).plan, machine.PORTABLE_TARGET))
+        return program_listing.instruction_counts(
+            program_listing.build_program(find_case("node").make_shot(60).plan, llvm_compiler.PORTABLE_TARGET)
+        )
 
-    plain_counts, plain = counts(), LaneBuilder.widened
+    plain_counts, plain = counts(), LaneBuilder.broadcast
     insertions: list[bool] = []
 
     def widen_and_add(self: LaneBuilder, *arguments: Any, **named: Any) -> Any:
         value = plain(self, *arguments, **named)
         if not insertions:
             insertions.append(True)
-            one = self.constant(1, "i64", 1)
+            one = self.make_constant(1, "i64", 1)
             self.op("add", "i64", one, one)
         return value
 
-    monkeypatch.setattr(LaneBuilder, "widened", widen_and_add)
+    monkeypatch.setattr(LaneBuilder, "broadcast", widen_and_add)
     changed_counts = counts()
     assert sum(changed_counts.values()) == sum(plain_counts.values()) + 1 and not grown(
         {"node": changed_counts}, {"node": plain_counts}
@@ -146,7 +151,7 @@ def test_one_more_operation_is_one_more_instruction_of_machine_code(monkeypatch:
 
 def test_a_backend_tells_its_own_counts(worlds: tuple[World, World], monkeypatch: pytest.MonkeyPatch) -> None:
     world, _ = worlds
-    monkeypatch.setattr(type(world.backend), "counts", lambda self: {"ir_instructions": 41}, raising=False)
+    monkeypatch.setattr(type(world.backend), "instruction_counts", lambda self: {"ir_instructions": 41}, raising=False)
     assert count_step(world)["ir_instructions"] == 41
 
 

@@ -17,28 +17,28 @@ from compilers import need_llvmlite, need_numba
 from pydantic import TypeAdapter
 
 from antdsl import resources
-from antdsl.bench import CASES, Job
-from antdsl.bench.cases import CaseError, case_of, open_shot
-from antdsl.bench.costs import MEASUREMENTS, MeasuringError, measure_in_process
-from antdsl.bench.measuring import measure
-from antdsl.bench.programs import BOIDS, NODE
+from antdsl.bench import CASES, BenchJob
+from antdsl.bench.cases import CaseError, find_case, open_shot
+from antdsl.bench.costs import MEASUREMENT_ADAPTER, MeasuringError, measure_in_process
+from antdsl.bench.measuring import measure_job
+from antdsl.bench.programs import BOIDS_PROGRAM, NODE_PROGRAM
 from antdsl.bench.tables import (
-    COLUMNS,
-    Result,
+    STEP_COLUMNS,
+    CaseResult,
     as_json,
+    build_phase_table,
+    build_step_rows,
     compare_backends,
     describe_machine,
     describe_result,
+    format_ratios,
     list_messages,
-    phases,
-    ratio_text,
-    step_rows,
 )
-from antdsl.cli.printing.bench_tables import show
-from antdsl.machine_code import machine as native_machine
+from antdsl.cli.printing.bench_tables import print_case_result
+from antdsl.machine_code import llvm_compiler as native_machine
 from antdsl.machine_code.object_cache import CACHE_VARIABLE
 from antdsl.runtime.backends import NumpyBackend
-from antdsl.runtime.backends.native import ready
+from antdsl.runtime.backends.native import compile_queue
 from antdsl.runtime.world import Population, World
 from antdsl.source import Source
 from antdsl.syntax import format as formatted
@@ -46,7 +46,7 @@ from antdsl.syntax import format as formatted
 BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
 
 
-@pytest.mark.parametrize("text", [BOIDS, NODE])
+@pytest.mark.parametrize("text", [BOIDS_PROGRAM, NODE_PROGRAM])
 def test_programs_of_cases_are_as_the_formatter_writes_them(text: str) -> None:
     assert formatted(Source("case.ant", text))[0] == text
 
@@ -55,29 +55,29 @@ def test_programs_of_cases_are_as_the_formatter_writes_them(text: str) -> None:
 def test_every_case_can_be_opened(name: str) -> None:
     case = CASES[name]
     agents = min(case.agents, default=None)
-    shot = case.make(agents)
+    shot = case.make_shot(agents)
     assert agents is None or sum(crowd.count for crowd in shot.setting.crowds) == agents
-    assert set(case.quick) <= set(case.agents)
+    assert set(case.quick_agent_counts) <= set(case.agents)
 
 
 def test_the_valley_of_meshes_is_the_valley_without_its_volume() -> None:
-    with_volume, without = CASES["valley"].make(500).setting, CASES["valley_of_meshes"].make(500).setting
+    with_volume, without = CASES["valley"].make_shot(500).setting, CASES["valley_of_meshes"].make_shot(500).setting
     assert set(with_volume.solids) == {"hill"} and not without.solids
     assert set(without.surfaces) == set(with_volume.surfaces) | {"hill"}
     assert np.array_equal(without.surfaces["hill"].vertices, with_volume.solids["hill"].mesh.vertices)
     with pytest.raises(CaseError, match="500 ants or 15,000, not 7"):
-        CASES["valley"].make(7)
+        CASES["valley"].make_shot(7)
 
 
 @pytest.mark.parametrize(("name", "least", "most"), [("boids", 7.5, 10.5), ("cluster", 60, 105)])
 def test_boids_see_about_as_many_as_is_said(name: str, least: float, most: float) -> None:
-    measurement = measure(Job(name, 1000, ("numpy",), turns=1, steps=1))
+    measurement = measure_job(BenchJob(name, 1000, ("numpy",), turns=1, steps=1))
     assert measurement.neighbours is not None and least < measurement.neighbours < most
 
 
 def test_a_scene_is_scaled_or_the_reason_is_given(tmp_path: Path) -> None:
     scene = resources.example_file("minimal/scene.yaml")
-    assert sum(crowd.count for crowd in case_of(str(scene)).make(33).setting.crowds) == 33
+    assert sum(crowd.count for crowd in find_case(str(scene)).make_shot(33).setting.crowds) == 33
     with pytest.raises(CaseError, match="stand still"):
         open_shot(resources.example_file("tunnel/scene.yaml"), 10)
     (tmp_path / "scene.yaml").write_text("antdsl: 1\n")
@@ -87,7 +87,7 @@ def test_a_scene_is_scaled_or_the_reason_is_given(tmp_path: Path) -> None:
 
 
 def test_costs_of_phases_add_up_to_those_of_steps() -> None:
-    measurement = measure(Job("node", 100, ("numpy", "reference"), turns=3, steps=2))
+    measurement = measure_job(BenchJob("node", 100, ("numpy", "reference"), turns=3, steps=2))
     assert measurement.agents == 100 and measurement.steps == 2
     for name in ("numpy", "reference"):
         cost = measurement.costs[name]
@@ -95,20 +95,20 @@ def test_costs_of_phases_add_up_to_those_of_steps() -> None:
         # Whatever a busy machine does between two phases counts for the step alone.
         assert 0.2 < sum(cost.phases_cpu.values()) / (sum(cost.cpu) / 3) < 1.2
         assert 0 < sum(cost.phases_wall.values()) / (sum(cost.wall) / 3) < 1.2
-    assert len(measurement.ratios("reference", "numpy")) == 3
+    assert len(measurement.compute_ratios("reference", "numpy")) == 3
     assert measurement.set_up.total > measurement.set_up.first > 0
     assert 100 * 100 < measurement.state < 100 * 1000, "an ant is some hundred bytes"
-    assert MEASUREMENTS.validate_python(asdict(measurement)) == measurement
+    assert MEASUREMENT_ADAPTER.validate_python(asdict(measurement)) == measurement
 
 
 @pytest.mark.slow
 def test_a_full_run_costs_more_than_its_step() -> None:
-    measurement = measure_in_process(Job("node", 500, ("numpy",), turns=4, steps=8, full_run=True))
+    measurement = measure_in_process(BenchJob("node", 500, ("numpy",), turns=4, steps=8, full_run=True))
     run = measurement.full_run
     assert run is not None and run.cpu > run.step > run.feet >= 0 and run.frames >= 8
     assert measurement.memory > measurement.state
     with pytest.raises(MeasuringError, match="stand still"):
-        measure_in_process(Job("tunnel", 7, ("numpy",)))
+        measure_in_process(BenchJob("tunnel", 7, ("numpy",)))
 
 
 def test_machine_code_is_ready_before_steps_are_measured_and_its_making_and_loading_are_reported(
@@ -119,7 +119,7 @@ def test_machine_code_is_ready_before_steps_are_measured_and_its_making_and_load
     need_llvmlite()
     compiled_texts: list[str] = []
     by_numpy: list[str] = []
-    plain, make = NumpyBackend.run, native_machine.object_code
+    plain, make = NumpyBackend.run, native_machine.compile_object
 
     def run(self: NumpyBackend, world: World, population: Population, block: str, *rows: Any) -> None:
         by_numpy.append(block)
@@ -130,19 +130,19 @@ def test_machine_code_is_ready_before_steps_are_measured_and_its_making_and_load
         return make(text, target)
 
     monkeypatch.setattr(NumpyBackend, "run", run)
-    monkeypatch.setattr(native_machine, "object_code", object_code)
+    monkeypatch.setattr(native_machine, "compile_object", object_code)
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     previous_folder = os.environ.get(CACHE_VARIABLE)
-    measurement = measure(Job("node", 60, ("native",), turns=2, steps=1, full_run=True))
+    measurement = measure_job(BenchJob("node", 60, ("native",), turns=2, steps=1, full_run=True))
     assert len(compiled_texts) == len(set(compiled_texts)) > 0, "none again for what is loaded, nor for the run with a cache"
     assert [block for block in by_numpy if block in ("act", "blend")] == ["act", "blend"], "the first step, and no other"
     assert measurement.set_up.code and measurement.set_up.kept and measurement.set_up.second
     assert os.environ.get(CACHE_VARIABLE) == previous_folder and list(tmp_path.iterdir()) == []
-    (row,) = step_rows(Result((measurement,)))
-    assert "" not in row[-3:] and row[COLUMNS.index("code, CPU s")] != ""
-    other = measure(Job("node", 60, ("numpy",), turns=1, steps=1))
+    (row,) = build_step_rows(CaseResult((measurement,)))
+    assert "" not in row[-3:] and row[STEP_COLUMNS.index("code, CPU s")] != ""
+    other = measure_job(BenchJob("node", 60, ("numpy",), turns=1, steps=1))
     assert (other.set_up.code, other.set_up.kept) == (None, None)
-    (row,) = step_rows(Result((other,)))
+    (row,) = build_step_rows(CaseResult((other,)))
     assert row[-3:-1] == ["", ""]
 
 
@@ -152,10 +152,10 @@ def test_code_that_no_folder_keeps_has_no_time_to_be_loaded_in(monkeypatch: pyte
     def no_key(*, create: bool) -> None:
         raise PermissionError(13, "Permission denied")
 
-    monkeypatch.setattr("antdsl.machine_code.signing.signer", no_key)
-    measurement = measure(Job("node", 60, ("native",), turns=1, steps=1))
+    monkeypatch.setattr("antdsl.machine_code.signing.get_signer", no_key)
+    measurement = measure_job(BenchJob("node", 60, ("native",), turns=1, steps=1))
     assert measurement.set_up.code and measurement.set_up.kept is None
-    (line,) = list_messages(Result((measurement,)))
+    (line,) = list_messages(CaseResult((measurement,)))
     assert line.startswith("native: compiled code is not stored in") and "there is none (Permission denied)" in line
 
 
@@ -163,34 +163,34 @@ def test_missing_machine_code_is_reported_with_the_times(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     coming: Future[None] = Future()
-    coming.set_exception(ready.CodeUnavailable("llvmlite is not there: install it"))
-    monkeypatch.setattr("antdsl.runtime.backends.native.backend.start_building", lambda *_: coming)
-    measurement = measure(Job("node", 1, ("native", "numpy"), turns=1, steps=1))
-    (line,) = list_messages(Result((measurement,)))
+    coming.set_exception(compile_queue.CodeUnavailable("llvmlite is not there: install it"))
+    monkeypatch.setattr("antdsl.runtime.backends.native.native_backend.start_building", lambda *_: coming)
+    measurement = measure_job(BenchJob("node", 1, ("native", "numpy"), turns=1, steps=1))
+    (line,) = list_messages(CaseResult((measurement,)))
     assert line.startswith("native: NumPy runs instead of machine code") and line.endswith("llvmlite is not there: install it")
-    assert MEASUREMENTS.validate_json(json.dumps(asdict(measurement))) == measurement
-    show(Result((measurement,), measurement))
+    assert MEASUREMENT_ADAPTER.validate_json(json.dumps(asdict(measurement))) == measurement
+    print_case_result(CaseResult((measurement,), measurement))
     printed = capsys.readouterr().out.splitlines()
     assert printed[0].startswith("node, 1 agent; ") and printed[1] == line
     assert {"grew by, MiB", "first step, CPU s"} <= {words.split("  ")[0] for words in printed}
 
 
 def test_words_of_what_was_measured() -> None:
-    one = measure(Job("node", 60, ("numpy",), turns=20, steps=1))
+    one = measure_job(BenchJob("node", 60, ("numpy",), turns=20, steps=1))
     cost = one.costs["numpy"]
     slower = replace(cost, cpu=[2 * each for each in cost.cpu])
     together = replace(one, job=replace(one.job, backends=("numpy", "other")), costs={"numpy": cost, "other": slower})
-    result = Result((one,), together)
+    result = CaseResult((one,), together)
     assert compare_backends(result) == ["other: 2.000 (2.000 to 2.000) of the CPU time of numpy, in turn in one process"]
-    (row,) = step_rows(result)
-    cells = dict(zip(COLUMNS, row, strict=True))
+    (row,) = build_step_rows(result)
+    cells = dict(zip(STEP_COLUMNS, row, strict=True))
     assert row[0] == "numpy" and cells["bare step, CPU ms"] == f"{cost.cpu_ms:.2f}"
     assert cells["run, CPU ms"] == ""
     assert describe_result(result).startswith("node, 60 agents; 500 points")
-    columns, rows = phases(result)
+    columns, rows = build_phase_table(result)
     assert columns == ["phase", "numpy: CPU ms", "wall ms"] and {"blend", "move"} <= {each[0] for each in rows}
-    assert ratio_text([1.0, 2.0]) == "1.50 (2 turns)"
-    assert [TypeAdapter(Result).validate_python(each) for each in as_json([result])["results"]] == [result]
+    assert format_ratios([1.0, 2.0]) == "1.50 (2 turns)"
+    assert [TypeAdapter(CaseResult).validate_python(each) for each in as_json([result])["results"]] == [result]
     assert {"date", "machine", "numpy", "antdsl"} <= set(describe_machine())
 
 
@@ -217,16 +217,16 @@ def test_the_hand_written_frame_takes_turns_with_backends(monkeypatch: pytest.Mo
     need_numba()
     monkeypatch.syspath_prepend(str(BENCHMARKS))
     beside_bound = importlib.import_module("beside_bound")
-    measurement = beside_bound.measure_beside_bound(Job("node", 50, ("numpy",), turns=2, steps=1))
+    measurement = beside_bound.measure_beside_bound(BenchJob("node", 50, ("numpy",), turns=2, steps=1))
     assert list(measurement.costs) == ["numpy", beside_bound.BOUND]
-    assert len(measurement.ratios("numpy", beside_bound.BOUND)) == 2
+    assert len(measurement.compute_ratios("numpy", beside_bound.BOUND)) == 2
 
 
 def test_a_process_that_cannot_measure_says_why(tmp_path: Path) -> None:
     script = tmp_path / "broken.py"
     script.write_text("raise SystemExit('no such machine')\n", encoding="utf-8")
     with pytest.raises(MeasuringError, match="no such machine"):
-        measure_in_process(Job("node", 50, ("numpy",)), [sys.executable, str(script)])
+        measure_in_process(BenchJob("node", 50, ("numpy",)), [sys.executable, str(script)])
 
 
 def test_the_page_is_what_its_measurements_say(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,8 +13,8 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 from pairs import Cost, main, measure_scene
 
-from antdsl.bench.ratios import Ratio, bootstrap_interval, measure_in_turn
-from antdsl.bench.scaling import gather_crowds, scale_setting
+from antdsl.bench.ratios import Ratio, compute_bootstrap_interval, measure_in_turn
+from antdsl.bench.scaling import compress_crowds, scale_setting
 from antdsl.pipeline import open_scene
 from antdsl.runtime import bind
 
@@ -23,11 +23,11 @@ EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 
 def test_the_interval_holds_the_mean_and_grows_with_the_spread() -> None:
     draw = np.random.default_rng(4)
-    narrow, wide = (bootstrap_interval((1.1 + spread * draw.normal(size=20)).tolist()) for spread in (0.01, 0.1))
+    narrow, wide = (compute_bootstrap_interval((1.1 + spread * draw.normal(size=20)).tolist()) for spread in (0.01, 0.1))
     for estimate in (narrow, wide):
         assert estimate.low < estimate.mean < estimate.high
     assert narrow.high - narrow.low < 0.02 < wide.high - wide.low
-    assert bootstrap_interval([1.0] * 20) == bootstrap_interval([1.0] * 5)
+    assert compute_bootstrap_interval([1.0] * 20) == compute_bootstrap_interval([1.0] * 5)
 
 
 def noisy(slower: float, seed: int) -> Ratio:
@@ -46,7 +46,7 @@ def noisy(slower: float, seed: int) -> Ratio:
 
     quotients = [this / other for other, this in measure_in_turn(measure, 2, 20)]
     assert order.count(0) == order.count(1) == 21 and order[2:6] == [1, 0, 0, 1]
-    return bootstrap_interval(quotients)
+    return compute_bootstrap_interval(quotients)
 
 
 @pytest.mark.parametrize("machines", [8, pytest.param(100, marks=pytest.mark.slow)])
@@ -68,20 +68,20 @@ def test_a_step_made_longer_by_a_third_is_caught() -> None:
         return time.process_time() - started
 
     costs = measure_in_turn(cost, 3, 40)
-    assert bootstrap_interval([slow / plain for plain, slow, _ in costs]).is_above(1.05)
-    assert not bootstrap_interval([same / plain for plain, _, same in costs]).is_above(1.2)
+    assert compute_bootstrap_interval([slow / plain for plain, slow, _ in costs]).is_above(1.05)
+    assert not compute_bootstrap_interval([same / plain for plain, _, same in costs]).is_above(1.2)
 
 
 def test_three_take_turns_and_each_is_first_as_often() -> None:
     order: list[int] = []
-    turns = measure_in_turn(lambda runner: order.append(runner) or runner, 3, 6, warm=0)
+    turns = measure_in_turn(lambda runner: order.append(runner) or runner, 3, 6, warm_up_runs=0)
     assert turns == [(0, 1, 2)] * 6
     assert [order[0], order[3], order[6]] == [1, 2, 0] and all(sorted(order[k : k + 3]) == [0, 1, 2] for k in range(0, 18, 3))
 
 
 def test_nothing_has_no_interval() -> None:
     with pytest.raises(ValueError, match="no ratios"):
-        bootstrap_interval([])
+        compute_bootstrap_interval([])
 
 
 def test_the_script_leaves_with_words_where_a_tree_is_slower(
@@ -104,7 +104,7 @@ def test_a_scaled_crowd_stands_as_densely(agents: int) -> None:
     assert shot is not None
     world = bind(shot.plan, scale_setting(shot.setting, agents))
     place, by = world.populations["forager"].position, np.sqrt(agents / 500)
-    assert len(place) == agents and world.crowded == []
+    assert len(place) == agents and world.overcrowded_lines == []
     reach = np.percentile(np.hypot(place[:, 0], place[:, 2]), 95)
     assert reach == pytest.approx(70 * by * np.sqrt(0.95), rel=0.06)
     assert world.items["food"].position[0] == pytest.approx(np.array([120, 0, 90]) * by, abs=20 * by)
@@ -134,6 +134,6 @@ def test_costs_are_of_processor_time() -> None:
 def test_a_crowd_that_is_gathered_keeps_its_ground() -> None:
     shot, _ = open_scene(EXAMPLES / "flocking" / "scene.yaml")
     assert shot is not None
-    narrow = gather_crowds(scale_setting(shot.setting, 100), 0.5)
+    narrow = compress_crowds(scale_setting(shot.setting, 100), 0.5)
     assert narrow.crowds[0].place.radius == pytest.approx(150 * np.sqrt(100 / 400) * np.sqrt(0.5))
     assert np.ptp(narrow.surfaces["ground"].vertices[:, 0]) == pytest.approx(500)

@@ -11,9 +11,9 @@ import warnings
 from collections.abc import Callable
 from pathlib import Path
 
-from antdsl.bench.costs import JOBS, MEASUREMENTS, Job, Measurement, measure_in_process
-from antdsl.bench.measuring import measure
-from antdsl.bench.tables import ratio_text
+from antdsl.bench.costs import JOB_ADAPTER, MEASUREMENT_ADAPTER, BenchJob, Measurement, measure_in_process
+from antdsl.bench.measuring import measure_job
+from antdsl.bench.tables import format_ratios
 
 BOUND = "bound"  # the name of the hand-written frame, next to those of backends
 
@@ -26,7 +26,7 @@ def make_bound(agents: int) -> dict[str, Callable[[], None]]:
     return {BOUND: Bound(agents).frame}
 
 
-def measure_beside_bound(job: Job) -> Measurement:
+def measure_beside_bound(job: BenchJob) -> Measurement:
     """Return what a separate process measures of a job, with the hand-written frame in turn. Raises MeasuringError."""
     return measure_in_process(job, [sys.executable, str(Path(__file__).resolve()), "--job"])
 
@@ -41,12 +41,13 @@ def main() -> None:
     options = parser.parse_args()
     if options.job is not None:
         warnings.simplefilter("ignore")  # what libraries say to programmers
-        print(MEASUREMENTS.dump_json(measure(JOBS.validate_json(options.job), make_bound)).decode())
+        print(MEASUREMENT_ADAPTER.dump_json(measure_job(JOB_ADAPTER.validate_json(options.job), make_bound)).decode())
         return
     backends = tuple(options.backend or ("native", "numpy"))
-    measurement = measure_beside_bound(Job(options.case, options.agents, backends, options.turns))
+    measurement = measure_beside_bound(BenchJob(options.case, options.agents, backends, options.turns))
     for name in backends:
-        print(f"{name}: {measurement.costs[name].cpu_ms:.2f} ms, {ratio_text(measurement.ratios(name, BOUND))} of the bound")
+        ratios = format_ratios(measurement.compute_ratios(name, BOUND))
+        print(f"{name}: {measurement.costs[name].cpu_ms:.2f} ms, {ratios} of the bound")
 
 
 if __name__ == "__main__":

@@ -32,11 +32,11 @@ from typing import Any
 import numpy as np
 
 import antdsl
-from antdsl.bench.cases import case_of
-from antdsl.machine_code import machine
+from antdsl.bench.cases import find_case
+from antdsl.machine_code import llvm_compiler
 from antdsl.runtime import Options, World, bind, step
 from antdsl.runtime.backends import BACKENDS, NumpyBackend
-from antdsl.runtime.backends.compile import BlockInstruction, SlotFunction, SlotValues
+from antdsl.runtime.backends.block_compiler import BlockInstruction, SlotFunction, SlotValues
 from antdsl.scene.setting import WorldSetting
 
 RECORDED = Path(__file__).with_suffix(".json")
@@ -61,11 +61,11 @@ StepCounts = dict[str, int]
 def counted(cases: Sequence[str] = ()) -> Counts:
     """Counts by case, of all without any, in this process."""
     left_out = {"reference"}  # its speed does not matter
-    if not machine.is_available():
+    if not llvm_compiler.is_available():
         left_out.add("native")  # which would run what NumPy runs
     counts_by_case = {}
     for name, agents in ((name, agents) for name, agents in COUNTED if not cases or name in cases):
-        shot = case_of(name).make(agents)
+        shot = find_case(name).make_shot(agents)
         for backend in BACKENDS:
             if backend not in left_out:
                 counts_by_case[f"{name} {agents or ''} {backend}".replace("  ", " ")] = counts_of(
@@ -98,7 +98,7 @@ def main() -> None:
     options = parser.parse_args()
     if options.record and options.cases:
         parser.error("--record takes all cases")
-    if options.record and (why := machine.unavailable()):
+    if options.record and (why := llvm_compiler.unavailability_reason()):
         raise SystemExit(f"--record takes all backends: {why}")
     counts_by_case = counted(options.cases)
     if options.print or options.record:
@@ -131,7 +131,7 @@ def count_step(world: World) -> StepCounts:
     counts: StepCounts = {}
     with _count_numpy(counts), _count_instructions(world, counts), _count_functions(counts):
         step(world)
-    own = getattr(world.backend, "counts", None)
+    own = getattr(world.backend, "instruction_counts", None)
     if own is not None:
         counts |= {name: int(number) for name, number in own().items()}
     return dict(sorted(counts.items()))
@@ -147,8 +147,8 @@ def _count_instructions(world: World, counts: StepCounts) -> Iterator[None]:
         yield
         return
     counts |= {"instructions": 0, "instruction_bytes": 0, "elements": 0}
-    NumpyBackend.measure(backend, True)  # also if the backend would continue with its own code
-    scopes = {id(each.scope): each.scope for block in backend.metered.values() for each in block.instructions}
+    NumpyBackend.set_timing(backend, True)  # also if the backend would continue with its own code
+    scopes = {id(each.scope): each.scope for block in backend.metered_blocks.values() for each in block.instructions}
     plain = [(scope, scope.calls) for scope in scopes.values()]
     for scope, calls in plain:
         scope.calls = [_counting_call(call, code, counts) for call, code in zip(calls, scope.code, strict=True)]
@@ -157,12 +157,12 @@ def _count_instructions(world: World, counts: StepCounts) -> Iterator[None]:
     finally:
         for scope, calls in plain:
             scope.calls = calls
-        NumpyBackend.measure(backend, False)
+        NumpyBackend.set_timing(backend, False)
 
 
 def _counting_call(call: SlotFunction, instruction: BlockInstruction, counts: StepCounts) -> SlotFunction:
     slots = (*instruction.inputs, *([instruction.out] if instruction.out >= 0 else []))
-    size = instruction.scope.size
+    size = instruction.scope.row_count
 
     def run(v: SlotValues) -> None:
         call(v)

@@ -1,4 +1,5 @@
-"""People who walk by `clear_velocity` across a circle and head on in a corridor: until when all are there, and how near two come.
+"""People who walk by `compute_clear_velocity` across a circle and head on in a corridor: until when all are there, and how near
+two come.
 
 `python tests/benchmarks/crossing.py circle 1000 400` has 1,000 on a circle go to its other side, for 400 s at most;
 `corridor 200 120 --wide 5` has 200 in two flows in a corridor 5 m wide. Radius 0.2 m, 1.4 m/s, 24 steps a second."""
@@ -15,7 +16,7 @@ from scipy.spatial import cKDTree
 
 from antdsl import passes, plan
 from antdsl.program import check
-from antdsl.runtime import CrowdData, MeshData, Options, PlaceData, World, WorldSetting, bind, step
+from antdsl.runtime import CrowdData, MeshData, Options, PlacementData, World, WorldSetting, bind, step
 from antdsl.source import Source
 from antdsl.syntax import parse
 
@@ -59,8 +60,8 @@ class Crossed:
 def world_of(text: str, positions: Floats, surface: tuple[Floats, NDArray[np.int32]] | None = None) -> World:
     file, report = parse(Source("crossing.ant", text))
     program, check_report = check([file], lambda name: None)
-    assert report.ok and check_report.ok, [each.message for each in (*report.sorted(), *check_report.sorted())]
-    crowd = CrowdData("person", len(positions), PlaceData(points=positions))
+    assert report.ok and check_report.ok, [each.message for each in (*report.sort_by_place(), *check_report.sort_by_place())]
+    crowd = CrowdData("person", len(positions), PlacementData(points=positions))
     surfaces = {} if surface is None else {"floor": MeshData(*surface)}
     setting = WorldSetting(crowds=(crowd,), surfaces=surfaces, fps=FPS)  # type: ignore[arg-type]
     return bind(passes.optimise(plan.lower(program)[0]), setting, Options(threads=1))
@@ -106,7 +107,7 @@ def crossed(world: World, goal: Floats | None, seconds: float) -> Crossed:
     while frame < FPS * seconds:
         step(world)
         frame += 1
-        order = people.in_id_order()
+        order = people.rows_by_id()
         place, ids = people.position[order] + world.origin, people.ids[order]
         trail = [*trail[-LATE:], (ids, place)]
         if len(place) > 1:

@@ -18,10 +18,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import stick_bodies
 
-from antdsl.bodies.agents.leg_chains import legs_data
+from antdsl.bodies.agents.leg_chains import build_legs_data
 from antdsl.bodies.files.reading import read_definition
 from antdsl.runtime import Options, bind, step
-from antdsl.runtime.feet.state import NOTHING
+from antdsl.runtime.feet.feet_state import NO_GROUND
 
 GROUNDS = (
     ("flat", 6, 24.0), ("hill", 6, 24.0), ("overhang", 6, 24.0), ("can", 6, 24.0), ("tunnel", 6, 24.0),
@@ -34,7 +34,7 @@ def row(ground: str, legs: int, speed: float) -> str:
     with tempfile.TemporaryDirectory() as folder:
         shot = stick_bodies.opened(stick_bodies.write_scene(Path(folder), legs, ground, speed=speed, count=BODIES))
     world = bind(shot.plan, shot.setting, Options(backend="numpy", feet=True))
-    leg = float(world.walkers["walker"].legs.length.min()) * stick_bodies.SIZE
+    leg = float(world.legs_by_species["walker"].legs.length.min()) * stick_bodies.SIZE
     slid = off = cycles = 0.0
     standing = hung = far = lifted = 0
     for _ in range(FRAMES):
@@ -43,9 +43,9 @@ def row(ground: str, legs: int, speed: float) -> str:
         feet = world.feet["walker"]
         both, moved = previous_feet.is_standing & feet.is_standing, feet.shown - previous_feet.shown
         slid = max(slid, float(np.sqrt((moved * moved).sum(axis=0))[both].max(initial=0)))
-        away = world.ground.nearest(np.ascontiguousarray(feet.shown[:, feet.is_standing].T))[1]
+        away = world.ground.find_nearest(np.ascontiguousarray(feet.shown[:, feet.is_standing].T))[1]
         off, far = max(off, float(away.max())), far + int((away > 1e-3 * leg).sum())
-        standing, hung = standing + int(feet.is_standing.sum()), hung + int(((feet.on == NOTHING) & (feet.swing >= 1)).sum())
+        standing, hung = standing + int(feet.is_standing.sum()), hung + int(((feet.on == NO_GROUND) & (feet.swing >= 1)).sum())
         lifted += int((previous_feet.is_standing & ~feet.is_standing).sum())
         turned = ((feet.phase - previous_feet.phase) % 1.0)[~previous_feet.is_standing.all(axis=1)]
         cycles = max(cycles, float(turned.max(initial=0)))
@@ -61,15 +61,15 @@ def cost(count: int) -> str:
         body, _ = read_definition(stick_bodies.write_body(Path(folder), 6))
     assert body is not None
     setting = foraging_shots.setting(count=count, radius=70 * (count / 500) ** 0.5)
-    setting = replace(setting, legs={"forager": legs_data(body)}, contacts="off")
+    setting = replace(setting, legs={"forager": build_legs_data(body)}, contacts="off")
     world = bind(foraging_shots.shot().plan, setting, Options(backend="numpy", feet=True))
     for _ in range(12):
         step(world)
-    world.worked.clear()
+    world.cpu_seconds.clear()
     for _ in range(12):
         step(world)
-    feet = world.worked["feet"] + world.worked["strides"]
-    rest = sum(world.worked.values()) - feet
+    feet = world.cpu_seconds["feet"] + world.cpu_seconds["strides"]
+    rest = sum(world.cpu_seconds.values()) - feet
     return (
         f"{count:,} ants: feet {feet / 12 * 1e3:.0f} ms, the rest of the step {rest / 12 * 1e3:.0f} ms, ratio {feet / rest:.1f}"
     )

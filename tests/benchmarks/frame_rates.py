@@ -25,7 +25,7 @@ _LONGEST = 120.0  # s of the shot
 def seconds_until_empty(fps: int, substeps: int, seed: int, left: float = 0.0) -> float:
     """Seconds of the shot until the first item of food holds no more than `left`; infinite when it takes two minutes."""
     shot, report = open_scene(SCENE, RunChoices(seed=seed))
-    assert shot is not None, report.sorted()
+    assert shot is not None, report.sort_by_place()
     world = bind(shot.plan, dataclasses.replace(shot.setting, fps=Fraction(fps), substeps=substeps), Options())
     load = world.items["food"].amounts["load"]
     start = world.frame

@@ -17,7 +17,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from statistics import median
 
-from antdsl.bench.ratios import bootstrap_interval, measure_in_turn
+from antdsl.bench.ratios import compute_bootstrap_interval, measure_in_turn
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -51,7 +51,10 @@ def main() -> None:
     other = options.other.resolve()
     variants = [(tree, threads) for tree in dict.fromkeys((other, ROOT)) for threads in options.threads]
     turns = measure_in_turn(
-        lambda k: frame_cost(variants[k][0], options.scene, options.frames, variants[k][1]), len(variants), options.pairs, warm=0
+        lambda k: frame_cost(variants[k][0], options.scene, options.frames, variants[k][1]),
+        len(variants),
+        options.pairs,
+        warm_up_runs=0,
     )
     for k, (tree, threads) in enumerate(variants):
         cpu, wall, total = (median(turn[k][part] for turn in turns) for part in range(3))
@@ -59,7 +62,7 @@ def main() -> None:
             f"{tree.name}, {threads} thread(s): {1000 * cpu:.1f} ms CPU and {1000 * wall:.1f} ms wall a frame; {total:.2f} s CPU"
         )
         if k:
-            ratios = (bootstrap_interval([turn[k][part] / turn[0][part] for turn in turns]) for part in range(2))
+            ratios = (compute_bootstrap_interval([turn[k][part] / turn[0][part] for turn in turns]) for part in range(2))
             line += "; CPU and wall over the first: " + ", ".join(map(str, ratios))
         print(line)
 

@@ -17,16 +17,16 @@ from typing import Any
 import numpy as np
 from gpu_replay import CALLS
 
-from antdsl.bench.cases import case_of
+from antdsl.bench.cases import find_case
 from antdsl.bench.measuring import wait_for_code
-from antdsl.machine_code import machine
-from antdsl.machine_code.kernels import calling
+from antdsl.machine_code import llvm_compiler
+from antdsl.machine_code.kernels import kernel_calls
 from antdsl.machine_code.kernels.direct.argument_text import REAL_KIND
 from antdsl.machine_code.kernels.kernel import Kernel
 from antdsl.runtime import Options, bind, step
 
 WARM, STEPS = 8, 30
-TARGET = machine.Target("nvptx64-nvidia-cuda", "sm_90", "")
+TARGET = llvm_compiler.Target("nvptx64-nvidia-cuda", "sm_90", "")
 RUN = """
 declare i32 @llvm.nvvm.read.ptx.sreg.tid.x()
 declare i32 @llvm.nvvm.read.ptx.sreg.ntid.x()
@@ -82,7 +82,7 @@ class Recorder:
         new_contents = [bytes_of(each) for each in pieces]
         split = ranged and result is None and self._alike_in_parts(kernel, arguments, pieces, old_contents, new_contents)
         try:
-            text = machine.assembly(kernel.text(TARGET) + RUN.format(name=kernel.__name__), TARGET)
+            text = llvm_compiler.compile_assembly(kernel.text(TARGET) + RUN.format(name=kernel.__name__), TARGET)
         except RuntimeError as problem:
             print(f"{name}: no PTX ({str(problem).splitlines()[0]})")
             return result
@@ -115,17 +115,17 @@ def laid_out(
     kernel: Kernel, name: str, arguments: Sequence[Any], pieces: list[range]
 ) -> tuple[np.ndarray, list[tuple[int, int, int]]]:
     """The table of words that a call reads, but for addresses, and of these: the word, the piece of memory, and how far in it."""
-    parameters = [each for each in calling._argument_specs(kernel._types(), ()) if each.count is None]
-    words, slots = np.zeros(calling.RESULT_WORDS + sum(calling._word_count(each) for each in parameters), np.uint64), []
+    parameters = [each for each in kernel_calls._argument_specs(kernel._types(), ()) if each.count is None]
+    words, slots = np.zeros(kernel_calls.RESULT_WORDS + sum(kernel_calls._word_count(each) for each in parameters), np.uint64), []
     for each, value in zip(parameters, leaves(arguments), strict=True):
         if each.dtype is None:
-            words[each.place] = word_of(float(value) if each.kind == REAL_KIND else int(value))
+            words[each.word_index] = word_of(float(value) if each.kind == REAL_KIND else int(value))
             continue
-        address, *rest = calling._describe_array(name, each, value)
-        words[each.place + 1 : each.place + 1 + len(rest)] = rest
+        address, *rest = kernel_calls._describe_array(name, each, value)
+        words[each.word_index + 1 : each.word_index + 1 + len(rest)] = rest
         number = next((k for k, piece in enumerate(pieces) if address in piece), None)
         if number is not None:
-            slots.append((each.place, number, address - pieces[number].start))
+            slots.append((each.word_index, number, address - pieces[number].start))
     return words, slots
 
 
@@ -159,7 +159,7 @@ def put_bytes(piece: range, value: bytes) -> None:
 
 def record(folder: Path, case: str, agents: int, part: int) -> None:
     """Leave in a folder what the kernels of some steps were given and gave."""
-    shot = case_of(case).make(agents)
+    shot = find_case(case).make_shot(agents)
     shot = replace(shot, setting=replace(shot.setting, contacts="soft"))
     world = bind(shot.plan, shot.setting, Options(backend="native", threads=1))
     for _ in range(WARM):

@@ -21,7 +21,7 @@ from plan_text import plan_of
 
 from antdsl.passes import optimise
 from antdsl.plan import ir
-from antdsl.runtime import CrowdData, MeshData, Options, PlaceData, WorldSetting, bind, step
+from antdsl.runtime import CrowdData, MeshData, Options, PlacementData, WorldSetting, bind, step
 
 Floats = np.ndarray
 WANDERING = """use steering
@@ -93,19 +93,19 @@ class Tilts:
 
 def walking(plan: ir.Plan, shape: Shape, how: str, agents: int, steps: int, warm: int = 24) -> Tilts:
     """A crowd that wanders over a shape."""
-    crowd = CrowdData("a", agents, PlaceData(on=("s",)))
+    crowd = CrowdData("a", agents, PlacementData(on=("s",)))
     setting = WorldSetting(surfaces={"s": MeshData(*shape.mesh)}, crowds=(crowd,), orient=how, seed=5)
     world = bind(plan, setting, Options(backend="native", wait_for_code=True))
     population, off, turned, seconds = world.populations["a"], [], [], []
     for number in range(warm + steps):
-        ids, previous_up = population.ids.copy(), population.vector("up")
+        ids, previous_up = population.ids.copy(), population.read_vector("up")
         start_time = time.process_time()
         step(world)
         took = time.process_time() - start_time
         if number < warm:
             continue
         seconds.append(took)
-        up = population.vector("up")
+        up = population.read_vector("up")
         normal = shape.normal(population.position + world.origin)
         normal /= np.linalg.norm(normal, axis=1)[:, None]
         off.append(_degrees(up, normal * np.sign((normal * population.normal).sum(axis=1))[:, None]))

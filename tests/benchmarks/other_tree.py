@@ -79,9 +79,11 @@ def rays_timed() -> list[float]:
     senses: Any = sensing.SENSE_FUNCTIONS
     senses["ray"] = timed(senses["ray"])
     with suppress(ImportError):  # an older tree has NumPy only
-        from antdsl.runtime.backends.native import tables
+        from antdsl.runtime.backends.native import address_tables
 
-        tables.cached_clearance = timed(tables.cached_clearance)  # possible hits are computed before, not in the sense itself
+        address_tables.cached_clearance = timed(
+            address_tables.get_clearance
+        )  # possible hits are computed before, not in the sense itself
     return spent
 
 
@@ -95,18 +97,18 @@ def serve(case: str, agents: int | None, backend: str, steps: int) -> None:
     rays = rays_timed()
     world = bind(*shot_of(case, agents), Options(threads=1, **options))
     taken = 0
-    while taken < WARM or sum(world.worked.values()) < WARM_FOR:
+    while taken < WARM or sum(world.cpu_seconds.values()) < WARM_FOR:
         step(world)
         taken += 1
     print("ready", flush=True)
     for _ in sys.stdin:
-        world.worked.clear()
+        world.cpu_seconds.clear()
         rays[0] = 0.0
         for _ in range(steps):
             step(world)
-        times = {phase: seconds / steps for phase, seconds in world.worked.items()}
+        times = {phase: seconds / steps for phase, seconds in world.cpu_seconds.items()}
         times["blocks"] = sum(times[phase] for phase in BLOCKS) - rays[0] / steps
-        times["step"] = sum(world.worked.values()) / steps
+        times["step"] = sum(world.cpu_seconds.values()) / steps
         print(json.dumps(times), flush=True)
 
 

@@ -19,18 +19,18 @@ from counts import counts_of
 from page_tables import markdown_table
 from pydantic import TypeAdapter
 
-from antdsl.bench import CASES, Job, measure_in_process
+from antdsl.bench import CASES, BenchJob, measure_in_process
 from antdsl.bench.tables import (
-    SET_UP,
-    Result,
+    SET_UP_COLUMNS,
+    CaseResult,
     as_json,
-    backend_of,
+    build_phase_table,
     compare_backends,
-    full_run_of,
+    find_measured_backend,
+    format_full_run,
+    format_ratios,
+    format_set_up,
     list_messages,
-    phases,
-    ratio_text,
-    set_up_of,
 )
 from antdsl.runtime.backends import BACKENDS
 
@@ -52,10 +52,10 @@ def measure(name: str, agents: int | None) -> dict[str, Any]:
     slow = [SLOWEST] if (name, agents) in BESIDE_SLOWEST else []
     turns, steps = (3, 1) if big else (20, 0)
     measure_alone = measure_beside_bound if name in BOUND_CASES else measure_in_process
-    alone = [measure_alone(Job(name, agents, (each,), turns, steps, 1, full_run=not big)) for each in fast]
-    alone += [measure_alone(Job(name, agents, (each,), 3, 1, 1)) for each in slow]
-    together = measure_in_process(Job(name, agents, tuple(fast), turns, steps)) if len(fast) > 1 else None
-    result = Result(tuple(alone), together)
+    alone = [measure_alone(BenchJob(name, agents, (each,), turns, steps, 1, full_run=not big)) for each in fast]
+    alone += [measure_alone(BenchJob(name, agents, (each,), 3, 1, 1)) for each in slow]
+    together = measure_in_process(BenchJob(name, agents, tuple(fast), turns, steps)) if len(fast) > 1 else None
+    result = CaseResult(tuple(alone), together)
     if lines := list_messages(result):
         raise SystemExit("\n".join(lines))
     is_small = agents is None or agents <= MOST_COUNTED
@@ -64,30 +64,30 @@ def measure(name: str, agents: int | None) -> dict[str, Any]:
 
 def count_operations(name: str, agents: int | None) -> int:
     """The operations of compiled blocks in a step, one for each row."""
-    shot = CASES[name].make(agents)
+    shot = CASES[name].make_shot(agents)
     return counts_of(shot.plan, shot.setting)["elements"]
 
 
-def results(measurements: Measurements) -> list[Result]:
+def results(measurements: Measurements) -> list[CaseResult]:
     """In the order of the cases and their sizes."""
     order = list(CASES)
     all_results = [result_of(each) for each in measurements.values()]
     return sorted(all_results, key=lambda each: (order.index(each.alone[0].job.case), each.alone[0].agents))
 
 
-def result_of(measurement: dict[str, Any]) -> Result:
+def result_of(measurement: dict[str, Any]) -> CaseResult:
     """The result that `measure` has written."""
     (result,) = measurement["results"]
-    return TypeAdapter(Result).validate_python(result)
+    return TypeAdapter(CaseResult).validate_python(result)
 
 
-def steps_table(all_results: Iterable[Result]) -> str:
+def steps_table(all_results: Iterable[CaseResult]) -> str:
     """The whole step."""
     columns = ("case", "agents", "backend", "CPU ms", "wall ms", "frames a second", "µs per agent", "of the bound")
     rows = []
     for result in all_results:
         for each in result.alone:
-            name = backend_of(each)
+            name = find_measured_backend(each)
             cost = each.costs[name]
             rows.append([
                 each.job.case,
@@ -97,46 +97,46 @@ def steps_table(all_results: Iterable[Result]) -> str:
                 f"{cost.wall_ms:.1f}",
                 f"{1000 / cost.wall_ms:.3g}",
                 f"{1000 * cost.cpu_ms / each.agents:.2f}",
-                ratio_text(each.ratios(name, BOUND)) if BOUND in each.costs else "",
+                format_ratios(each.compute_ratios(name, BOUND)) if BOUND in each.costs else "",
             ])  # fmt: skip
     return markdown_table(columns, rows)
 
 
-def runs_table(all_results: Iterable[Result]) -> str:
+def runs_table(all_results: Iterable[CaseResult]) -> str:
     """Full runs, and the bare step beside them."""
     columns = ("case", "agents", "backend", "CPU ms", "wall ms", "frames a second", "its step", "its feet", "bare step, CPU ms")
     rows = []
     for result in all_results:
         for each in result.alone:
             if each.full_run is not None:
-                name = backend_of(each)
-                rows.append([each.job.case, f"{each.agents:,}", name, *full_run_of(each), f"{each.costs[name].cpu_ms:.2f}"])
+                name = find_measured_backend(each)
+                rows.append([each.job.case, f"{each.agents:,}", name, *format_full_run(each), f"{each.costs[name].cpu_ms:.2f}"])
     return markdown_table(columns, rows)
 
 
-def set_up_table(all_results: Iterable[Result]) -> str:
+def set_up_table(all_results: Iterable[CaseResult]) -> str:
     """Set-up and memory."""
-    columns = ("case", "agents", "backend", *SET_UP, "bytes per agent", "grew by, MiB")
+    columns = ("case", "agents", "backend", *SET_UP_COLUMNS, "bytes per agent", "grew by, MiB")
     rows = []
     for result in all_results:
         for each in result.alone:
             rows.append([
                 each.job.case,
                 f"{each.agents:,}",
-                backend_of(each),
-                *set_up_of(each),
+                find_measured_backend(each),
+                *format_set_up(each),
                 f"{each.state / each.agents:,.0f}",
                 f"{each.memory / 2**20:,.0f}",
             ])  # fmt: skip
     return markdown_table(columns, rows)
 
 
-def phase_tables(all_results: Iterable[Result]) -> str:
+def phase_tables(all_results: Iterable[CaseResult]) -> str:
     """Phases, a table a case and size; phases under a hundredth of the step are left out."""
     parts = []
     for result in all_results:
         if result.alone[0].job.case in PHASED:
-            columns, rows = phases(result)
+            columns, rows = build_phase_table(result)
             total = sum(float(row[1]) for row in rows)
             display_rows = [row for row in rows if float(row[1]) >= 0.01 * total]
             parts.append(
@@ -145,25 +145,25 @@ def phase_tables(all_results: Iterable[Result]) -> str:
     return "\n".join(parts)
 
 
-def comparison_table(all_results: Iterable[Result]) -> str:
+def comparison_table(all_results: Iterable[CaseResult]) -> str:
     """Beside what others have reported."""
     rows = []
     for result in all_results:
         for each in result.alone:
             if each.job.case in COMPARED_CASES:
-                cost = each.costs[backend_of(each)]
+                cost = each.costs[find_measured_backend(each)]
                 rows.append([
                     CASES[each.job.case].description,
                     f"{each.agents:,}",
-                    backend_of(each),
+                    find_measured_backend(each),
                     f"{1000 / (1000 * mean(cost.wall)):.3g}",
-                    full_run_of(each)[2],
+                    format_full_run(each)[2],
                     CASES[each.job.case].published_figures,
                 ])  # fmt: skip
     return markdown_table(("case", "agents", "backend", "frames a second", "of a full run", "reported"), rows)
 
 
-def operations_table(all_results: Iterable[Result], operations: Mapping[tuple[str, int], int]) -> str:
+def operations_table(all_results: Iterable[CaseResult], operations: Mapping[tuple[str, int], int]) -> str:
     """Operations per agent. `operations`: of a step, by case and number of agents."""
     rows = []
     for result in all_results:
@@ -173,7 +173,7 @@ def operations_table(all_results: Iterable[Result], operations: Mapping[tuple[st
     return markdown_table(("case", "agents", "nodes of the plan", "operations per agent and step"), rows)
 
 
-def beside_table(all_results: Iterable[Result]) -> str:
+def beside_table(all_results: Iterable[CaseResult]) -> str:
     """Ratios of backends that took turns in one process."""
     lines = [
         f"- {one.alone[0].job.case}, {one.alone[0].agents:,} agents: {line}"

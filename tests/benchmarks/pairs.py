@@ -93,8 +93,8 @@ def main() -> None:
     for scene in options.scenes:
         measure = partial(in_tree, scene=scene, steps=options.steps, agents=options.agents)
         turns = ratios.measure_in_turn(lambda tree, measure=measure: measure(trees[tree]), 2, options.pairs)
-        steps = ratios.bootstrap_interval([this.step / other.step for other, this in turns])
-        setups = ratios.bootstrap_interval([this.setup / other.setup for other, this in turns])
+        steps = ratios.compute_bootstrap_interval([this.step / other.step for other, this in turns])
+        setups = ratios.compute_bootstrap_interval([this.setup / other.setup for other, this in turns])
         milliseconds = 1000 * mean(this.step for _, this in turns)
         print(f"{scene}: a step {milliseconds:.2f} ms, {steps} of the other tree's; set-up {setups}", flush=True)
         slower += [scene] if options.most is not None and steps.is_above(options.most) else []

@@ -27,7 +27,7 @@ from typing import NamedTuple
 
 from page_tables import markdown_table
 
-from antdsl.bench.tables import describe_machine, ratio_text
+from antdsl.bench.tables import describe_machine, format_ratios
 
 PEERS_FOLDER = Path(__file__).parent / "peers"
 ROOT = Path(__file__).resolve().parents[2]
@@ -174,7 +174,7 @@ def compared(case: str, backend: str, agents: int, peers: Sequence[tuple[Peer, l
                 runners[(number + k) % len(runners)].turn()
     ours, *others = (runner.took for runner in runners)
     return [
-        [case, f"{agents:,}", peer.name, *_speed(agents, theirs), *_speed(agents, ours), ratio_text(_ratios(theirs, ours))]
+        [case, f"{agents:,}", peer.name, *_speed(agents, theirs), *_speed(agents, ours), format_ratios(_ratios(theirs, ours))]
         for (peer, _), theirs in zip(peers, others, strict=True)
     ]
 

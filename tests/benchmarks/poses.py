@@ -18,11 +18,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from antdsl.bench.ratios import LEAST_PAIRS, bootstrap_interval, measure_in_turn
-from antdsl.bodies.agents.blending import ClipTree, Playing, posed
+from antdsl.bench.ratios import MIN_PAIRS, compute_bootstrap_interval, measure_in_turn
+from antdsl.bodies.agents.blending import ClipPlayback, ClipTree, blend_poses
 from antdsl.bodies.agents.definition import Binding, Capture, Clip, Definition, Rig, Shape
-from antdsl.bodies.agents.deformers import DEFORMER_BY_NAME, bound
-from antdsl.bodies.agents.poses import ClipTable, clip_table
+from antdsl.bodies.agents.deformers import DEFORMER_BY_NAME, deform_binding
+from antdsl.bodies.agents.poses import ClipTable, build_clip_table
 
 Floats = NDArray[np.float32]
 JOINTS = 20
@@ -44,18 +44,18 @@ def insect(scales: bool) -> Definition:
     return Definition("insect", Rig(names, parents, np.tile(np.eye(4), (JOINTS, 1, 1))), clips=clips)
 
 
-def crowd(agents: int) -> Playing:
+def crowd(agents: int) -> ClipPlayback:
     """Agents that walk and run at once, each at its own time and with its own weights."""
     random = np.random.default_rng(2)
     clips = np.tile(np.array([[0, 1]], np.int32), (agents, 1))
-    return Playing.alike(
-        ClipTree.flat(2), clips, random.uniform(0, 10, (agents, 2)), random.uniform(0.1, 1, (agents, 2)).astype(np.float32)
+    return ClipPlayback.with_shared_tree(
+        ClipTree.build_flat(2), clips, random.uniform(0, 10, (agents, 2)), random.uniform(0.1, 1, (agents, 2)).astype(np.float32)
     )
 
 
-def by_arrays(table: ClipTable, playing: Playing, world: Floats) -> None:
+def by_arrays(table: ClipTable, playing: ClipPlayback, world: Floats) -> None:
     """World transforms [3, 4, J, n] in straight-line NumPy."""
-    samples, levels, width = table.samples, table.levels, 10 if table.scaled else 7
+    samples, levels, width = table.samples, table.depth_levels, 10 if table.has_scale else 7
     one, two = np.float32(1), np.float32(2)
     for a in range(0, len(playing.tree), PART):
         b = min(a + PART, len(playing.tree))
@@ -63,7 +63,7 @@ def by_arrays(table: ClipTable, playing: Playing, world: Floats) -> None:
         poses = []
         for slot in (0, 1):
             clip = playing.clips[a:b, slot] + 1
-            turn = table.counts[clip] - 1
+            turn = table.sample_counts[clip] - 1
             at = playing.times[a:b, slot] * table.rates[clip] % turn
             row = at.astype(np.int64)
             share = (at - row).astype(np.float32)[:, None]
@@ -96,7 +96,7 @@ def by_arrays(table: ClipTable, playing: Playing, world: Floats) -> None:
         local[1, 0], local[1, 1], local[1, 2] = xy + wz, one - (xx + zz), yz - wx
         local[2, 0], local[2, 1], local[2, 2] = xz - wy, yz + wx, one - (xx + yy)
         local[:, 3] = first[:3]
-        if table.scaled:
+        if table.has_scale:
             local[:, :3] *= first[7:]
         placed = np.empty_like(local)
         for begin, end, parents in levels:
@@ -178,19 +178,19 @@ def _by_loops(samples, first, counts, rates, clips, times, weights, parents, sca
                 world[i, j, r, 3] = u0 * t0 + u1 * t1 + u2 * t2 + u3
 
 
-def by_loops(table: ClipTable, playing: Playing, world: Floats) -> None:
+def by_loops(table: ClipTable, playing: ClipPlayback, world: Floats) -> None:
     """World transforms [n, J, 3, 4], joints in the order of the rig, which is that of the table here."""
     parents = np.asarray(table.rig.parents, np.int64)
     _by_loops(
         table.samples,
         table.first,
-        table.counts,
+        table.sample_counts,
         table.rates,
         playing.clips,
         playing.times,
         playing.weights,
         parents,
-        table.scaled,
+        table.has_scale,
         world,
     )
 
@@ -207,14 +207,15 @@ def milliseconds(work: Callable[[], object], count: int) -> tuple[float, float]:
 
 def measure(agents: int, scales: bool, turns: int) -> None:
     """One table: what a frame takes, and how it is to the bounds, after comparing what they give."""
-    table, playing = clip_table(insect(scales)), crowd(agents)
+    table, playing = build_clip_table(insect(scales)), crowd(agents)
     arrays, loops = np.empty((3, 4, JOINTS, agents), np.float32), np.empty((agents, JOINTS, 3, 4), np.float32)
     runners: list[Callable[[], object]] = [
-        lambda: posed(table, {}, playing), lambda: by_arrays(table, playing, arrays), lambda: by_loops(table, playing, loops)
+        lambda: blend_poses(table, {}, playing), lambda: by_arrays(table, playing, arrays),
+        lambda: by_loops(table, playing, loops)
     ]  # fmt: skip
     for runner in runners:
         runner()
-    world = posed(table, {}, playing).world
+    world = blend_poses(table, {}, playing).world
     assert np.allclose(arrays.transpose(3, 2, 0, 1), world, atol=1e-4) and np.allclose(loops, world, atol=1e-4)
 
     def cost(runner: int) -> float:
@@ -224,7 +225,7 @@ def measure(agents: int, scales: bool, turns: int) -> None:
 
     print(f"{agents} agents of {JOINTS} joints, two clips each, {'with' if scales else 'without'} scales: ms of a frame")
     rows: Sequence[tuple[str, Callable[[], object]]] = (
-        ("poses, 1 thread", runners[0]), ("poses, 2 threads", lambda: posed(table, {}, playing, threads=2)),
+        ("poses, 1 thread", runners[0]), ("poses, 2 threads", lambda: blend_poses(table, {}, playing, threads=2)),
         ("by arrays", runners[1]), ("by loops", runners[2]),
     )  # fmt: skip
     for name, work in rows:
@@ -232,7 +233,7 @@ def measure(agents: int, scales: bool, turns: int) -> None:
         print(f"  {name:18} {clock:7.1f} by the clock {processor:7.1f} of processors")
     costs = measure_in_turn(cost, len(runners), turns)
     for number, name in ((1, "by arrays"), (2, "by loops")):
-        print(f"  ratio to {name}: {bootstrap_interval([each[0] / each[number] for each in costs])}")
+        print(f"  ratio to {name}: {compute_bootstrap_interval([each[0] / each[number] for each in costs])}")
 
 
 def shapes(agents: int) -> None:
@@ -247,17 +248,19 @@ def shapes(agents: int) -> None:
     faces = np.zeros((0, 3), np.int32)
     skin = Shape("skin", points, faces, normals, attributes=between, capture=capture, dual_quaternion_blend="dq")
     definition = replace(definition, shapes={"skin": skin})
-    poses = posed(clip_table(definition), {}, crowd(agents))
+    poses = blend_poses(build_clip_table(definition), {}, crowd(agents))
     print(f"200 points and normals, two joints each, for {agents} agents: ms")
     for name in ("", *(each for each in DEFORMER_BY_NAME if each != "blendshape")):
-        clock, processor = milliseconds(lambda name=name: bound(definition, Binding("j1", "skin", deformer=name), poses), 3)  # type: ignore[misc]
+        clock, processor = milliseconds(
+            lambda name=name: deform_binding(definition, Binding("j1", "skin", deformer=name), poses), 3
+        )  # type: ignore[misc]
         print(f"  {name or 'static':22} {clock:8.1f} by the clock {processor:8.1f} of processors")
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--agents", type=int, default=15_000)
-    parser.add_argument("--turns", type=int, default=LEAST_PAIRS)
+    parser.add_argument("--turns", type=int, default=MIN_PAIRS)
     parser.add_argument("--shapes", action="store_true")
     options = parser.parse_args()
     for scales in (False, True):

@@ -17,9 +17,9 @@ from time import perf_counter, process_time
 from previewed import ROOT, joined, read, until
 
 from antdsl.preview.live import Live
-from antdsl.preview.serving.addresses import listen
+from antdsl.preview.serving.addresses import open_listening_sockets
 from antdsl.preview.serving.guard import RequestGuard
-from antdsl.preview.serving.pages import load_pages
+from antdsl.preview.serving.page_files import load_pages
 from antdsl.preview.serving.server import PreviewServer
 from antdsl.runtime import Options
 
@@ -98,10 +98,10 @@ async def turn(live: Live, seconds: float) -> Turn:
 
 async def measured(scene: Path, threads: int, turns: int, seconds: float) -> tuple[list[Turn], list[Turn], list[int]]:
     live = Live.open(scene, options=Options(threads=threads))
-    listening = listen(None, 0)
-    guard = RequestGuard(listening.names)
+    listening = open_listening_sockets(None, 0)
+    guard = RequestGuard(listening.host_names)
     alone, watched, frame_counts = [], [], []
-    async with PreviewServer(live, guard, load_pages(), listening).running():
+    async with PreviewServer(live, guard, load_pages(), listening).run():
         live.session.playing, live.speed = True, 0.0
         live.start()
         reader = Reader(f"{listening.addresses[0]}#{guard.token}")

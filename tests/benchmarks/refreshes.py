@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from antdsl.pipeline import open_scene
 from antdsl.runtime import Options, bind, step
-from antdsl.senses.neighbours import CellGrid, Pairs
+from antdsl.senses.neighbours import CellGrid, NeighbourPairs
 
 ROACHES = Path(__file__).resolve().parents[2] / "examples" / "roaches"
 SIGHT = {"scene": 120.0, "many": 90.0}  # mm, `roach.sight` of the two scenes
@@ -83,7 +83,7 @@ class Refreshes:
         return pairs[:, distance.take(order) <= self.sight]
 
 
-def searched(place: Floats, sight: float) -> Pairs:
+def searched(place: Floats, sight: float) -> NeighbourPairs:
     """The same by a new grid of cells, each pair from both sides."""
     return CellGrid(*place, np.arange(place.shape[1]), sight).find_pairs(None, sight)
 
@@ -95,7 +95,7 @@ def walked(scene: str, frames: int) -> list[Floats]:
     world = bind(shot.plan, shot.setting, Options(threads=1))
     roaches, positions = world.populations["roach"], []
     for _ in range(frames):
-        positions.append(np.ascontiguousarray(roaches.position[roaches.in_id_order()].T, np.float32))
+        positions.append(np.ascontiguousarray(roaches.position[roaches.rows_by_id()].T, np.float32))
         step(world)
     return positions
 

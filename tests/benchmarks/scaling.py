@@ -30,11 +30,11 @@ WARM, SECONDS, FEWEST, MOST = 11, 3.0, 5, 80  # steps before, and those that are
 
 def of_one(agents: int) -> dict[str, float]:
     """Median CPU ms of a step of a crowd, by phase and `step`."""
-    from antdsl.bench.cases import case_of
+    from antdsl.bench.cases import find_case
     from antdsl.bench.measuring import wait_for_code
     from antdsl.runtime import Options, bind, step
 
-    shot = case_of("foraging").make(agents)
+    shot = find_case("foraging").make_shot(agents)
     world = bind(shot.plan, shot.setting, Options(backend="native", threads=1))
     for _ in range(WARM - 2):
         step(world)
@@ -43,11 +43,11 @@ def of_one(agents: int) -> dict[str, float]:
     step(world)
     began, steps = time.process_time(), []
     while len(steps) < FEWEST or (time.process_time() - began < SECONDS and len(steps) < MOST):
-        world.worked.clear()
+        world.cpu_seconds.clear()
         start_time = time.process_time()
         step(world)
         total = (time.process_time() - start_time) * 1e3
-        spent = {name: world.worked.get(name, 0.0) * 1e3 for name in PHASES}
+        spent = {name: world.cpu_seconds.get(name, 0.0) * 1e3 for name in PHASES}
         steps.append({**spent, REST: total - sum(spent.values()), "step": total})
     return {name: median(each[name] for each in steps) for name in steps[0]}
 

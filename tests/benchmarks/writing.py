@@ -27,12 +27,12 @@ from statistics import fmean
 
 import numpy as np
 
-from antdsl.bench.cases import CASES, case_of
+from antdsl.bench.cases import CASES, find_case
 from antdsl.bench.measuring import wait_for_code
-from antdsl.bench.ratios import bootstrap_interval, measure_in_turn
-from antdsl.outputs.cache.cache_reader import frame_path
-from antdsl.outputs.cache.hashes import HASHES
-from antdsl.outputs.recording import Recording, begin, record
+from antdsl.bench.ratios import compute_bootstrap_interval, measure_in_turn
+from antdsl.outputs.cache.cache_reader import make_frame_path
+from antdsl.outputs.cache.hashes import HASHES_FILE_NAME
+from antdsl.outputs.recording import Recording, begin_recording, record_frames
 from antdsl.runtime import Options, World, bind, step
 from antdsl.scene.values import parse_frames
 
@@ -50,14 +50,14 @@ def steps_of(world: World) -> Iterator[int]:
 
 def frames_of(recording: Recording) -> Iterator[int]:
     """The frames of a run that writes them."""
-    for each in record(recording):
+    for each in record_frames(recording):
         yield each.world.frame
 
 
 def wait_for(folder: Path, frame: int) -> None:
     """Return once the file of a frame and its line are written."""
     begins = f'{{"frame": {frame},'.encode()
-    while not frame_path(folder, frame).exists() or begins not in (folder / HASHES).read_bytes()[-1000:]:
+    while not make_frame_path(folder, frame).exists() or begins not in (folder / HASHES_FILE_NAME).read_bytes()[-1000:]:
         time.sleep(0.002)
 
 
@@ -69,13 +69,13 @@ def touch(size: int) -> None:
 def measured(case: str, agents: int, steps: int, rounds: int, place: Path | None, *, as_it_is: bool) -> list[tuple[float, float]]:
     """CPU seconds of a frame, without a cache and with one, turn by turn. `place`: where the cache is made; `as_it_is`: whether
     memory is taken as it is."""
-    shot = case_of(case).bare(case_of(case).make(agents))
+    shot = find_case(case).make_bare_shot(find_case(case).make_shot(agents))
     last = WARM + (rounds + 1) * steps + 1
-    shot = replace(shot, scene=shot.scene.changed(frames=parse_frames(f"1..{last}")))
+    shot = replace(shot, scene=shot.scene.replace_values(frames=parse_frames(f"1..{last}")))
     options = Options(backend="native", threads=1)
     with tempfile.TemporaryDirectory(dir=place) as temporary:
         folder = Path(temporary, "cache")
-        recording = begin(shot, folder, options, resume=False, force=False)
+        recording = begin_recording(shot, folder, options, resume=False, force=False)
         recording.world = bind(shot.plan, shot.setting, options)
         worlds = bind(shot.plan, shot.setting, options), recording.world
         steppers = steps_of(worlds[0]), frames_of(recording)
@@ -84,7 +84,7 @@ def measured(case: str, agents: int, steps: int, rounds: int, place: Path | None
                 next(stepper)
             wait_for_code(world)
         wait_for(folder, worlds[1].frame)
-        size = 0 if as_it_is else TIMES * steps * frame_path(folder, worlds[1].frame).stat().st_size
+        size = 0 if as_it_is else TIMES * steps * make_frame_path(folder, worlds[1].frame).stat().st_size
 
         def turn(number: int) -> float:
             touch(size)
@@ -96,7 +96,7 @@ def measured(case: str, agents: int, steps: int, rounds: int, place: Path | None
             return (time.process_time() - began) / steps
 
         turns = measure_in_turn(turn, 2, rounds)
-        recording.stop = True
+        recording.stop_requested = True
         for _ in steppers[1]:
             pass
     return [(without, written) for without, written in turns]
@@ -114,7 +114,7 @@ def main() -> None:
     for agents in options.agents:
         turns = measured(options.case, agents, options.steps, options.rounds, options.folder, as_it_is=options.memory_as_it_is)
         plain, written = (1000 * fmean(turn[k] for turn in turns) for k in (0, 1))
-        ratio = bootstrap_interval([with_cache / without for without, with_cache in turns])
+        ratio = compute_bootstrap_interval([with_cache / without for without, with_cache in turns])
         print(
             f"{options.case}, {agents:,} agents: a step {plain:.2f} ms, with its frame written {written:.2f}, "
             f"{written - plain:.2f} more; ratio {ratio}",

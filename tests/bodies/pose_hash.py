@@ -7,10 +7,10 @@ import hashlib
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.bodies.agents.blending import ADDITIVE_MODE, INTERPOLATE_MODE, ClipTree, Playing, posed
+from antdsl.bodies.agents.blending import ADDITIVE_MODE, INTERPOLATE_MODE, ClipPlayback, ClipTree, blend_poses
 from antdsl.bodies.agents.definition import Binding, BlendTargets, Capture, Channel, Clip, Definition, Rig, Shape, TransformGroup
-from antdsl.bodies.agents.deformers import bound
-from antdsl.bodies.agents.poses import clip_table
+from antdsl.bodies.agents.deformers import deform_binding
+from antdsl.bodies.agents.poses import build_clip_table
 
 JOINTS, POINTS, AGENTS = 11, 70, 300
 
@@ -40,16 +40,16 @@ def main() -> None:
     definition = Definition("made", rig, shapes, clips=clips, groups={"some": TransformGroup("some", (("j2", 0.5), ("j3", 1.0)))})
     tree = ClipTree((1, 1, 2), ("", "some", ""), (ADDITIVE_MODE, INTERPOLATE_MODE, INTERPOLATE_MODE), (-1, 0, 0))
     times = random.integers(-500, 500, (AGENTS, 3)) / 256
-    playing = Playing.alike(
+    playing = ClipPlayback.with_shared_tree(
         tree, random.integers(-1, 2, (AGENTS, 3)).astype(np.int32), times, np.abs(numbers(AGENTS, 3)).astype(np.float32)
     )
-    poses = posed(clip_table(definition), definition.groups, playing, local=True)
+    poses = blend_poses(build_clip_table(definition), definition.groups, playing, with_local=True)
     digest = hashlib.sha256()
     for array in (poses.world, poses.local, poses.channels):
         assert array is not None and np.isfinite(array).all()
         digest.update(array.tobytes())
     for binding in (Binding("j4", "skin"), Binding("", "skin", deformer="blendshape+dualquatblendskinning")):
-        deformed = bound(definition, binding, poses)
+        deformed = deform_binding(definition, binding, poses)
         assert deformed.normals is not None and np.isfinite(deformed.points).all()
         digest.update(deformed.points.tobytes() + deformed.normals.tobytes())
     print(digest.hexdigest())

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from antdsl.bodies.agents.boxes import agent_boxes, layer_boxes
+from antdsl.bodies.agents.boxes import compute_agent_boxes, compute_layer_boxes
 from antdsl.bodies.agents.definition import Binding, BlendTargets, Capture, Definition, Layer, Rig, Shape
 
 RIG = Rig(("root", "arm", "hand"), np.array([-1, 0, 1], np.int32), np.tile(np.eye(4), (3, 1, 1)))
@@ -47,7 +47,7 @@ def boxed(points: np.ndarray) -> tuple[list[float], list[float]]:
 def test_a_static_shapes_box_is_scaled_and_then_turned_by_its_joint() -> None:
     worlds = poses(50)
     for name, scale in (("plain", (1, 1, 1)), ("wide", (2, 1, 3))):
-        least, most = layer_boxes(BODY, worlds, [name])
+        least, most = compute_layer_boxes(BODY, worlds, [name])
         corners = (BLOCK - BLOCK.mean(axis=0)) * scale + BLOCK.mean(axis=0)
         for agent in range(50):
             expected_box = boxed(corners @ worlds[agent, 2, :3, :3].T + worlds[agent, 2, :3, 3])
@@ -56,7 +56,7 @@ def test_a_static_shapes_box_is_scaled_and_then_turned_by_its_joint() -> None:
 
 def test_a_deforming_shapes_box_is_that_of_the_joints_it_follows() -> None:
     worlds = poses(20)
-    least, most = layer_boxes(BODY, worlds, ["skin"])
+    least, most = compute_layer_boxes(BODY, worlds, ["skin"])
     for agent in range(20):
         low, high = np.array(boxed(worlds[agent, 1:, :3, 3]))
         margin = (high - low) / 2 * (0, 1, 0)
@@ -65,7 +65,7 @@ def test_a_deforming_shapes_box_is_that_of_the_joints_it_follows() -> None:
 
 def test_a_blend_shapes_box_holds_all_that_it_may_be_blended_with() -> None:
     worlds = np.tile(np.eye(4), (1, 3, 1, 1))
-    assert [part[0].tolist() for part in layer_boxes(BODY, worlds, ["face"])] == [[1, 0, 0], [8, 6, 7]]
+    assert [part[0].tolist() for part in compute_layer_boxes(BODY, worlds, ["face"])] == [[1, 0, 0], [8, 6, 7]]
 
 
 def test_a_deforming_shape_of_a_single_joint_moves_with_it_as_a_static_one() -> None:
@@ -74,7 +74,7 @@ def test_a_deforming_shape_of_a_single_joint_moves_with_it_as_a_static_one() -> 
     layers = {"one": Layer("one", deforming=(Binding("", "block", (1.0, 2.0, 1.0), "linearskinning"),))}
     body = Definition("body", RIG, {"block": Shape("block", BLOCK, FACES, capture=follows)}, layers)
     worlds = poses(9)
-    least, most = layer_boxes(body, worlds, ["one"])
+    least, most = compute_layer_boxes(body, worlds, ["one"])
     corners = (BLOCK - BLOCK.mean(axis=0)) * (1, 2, 1) + BLOCK.mean(axis=0)
     for agent in range(9):
         matrix = worlds[agent, 2] @ inverse[2]
@@ -85,8 +85,8 @@ def test_a_deforming_shape_of_a_single_joint_moves_with_it_as_a_static_one() -> 
 def test_collision_layers_go_first_and_several_layers_are_put_together() -> None:
     worlds = poses(30)
     wears, collides = np.arange(30) % 2, np.arange(30) % 3 % 2
-    least, most = agent_boxes(BODY, worlds, [("plain", "skin"), ("none",)], [(), ("wide",)], wears, collides)
-    both, wide = layer_boxes(BODY, worlds, ["plain", "skin"]), layer_boxes(BODY, worlds, ["wide"])
+    least, most = compute_agent_boxes(BODY, worlds, [("plain", "skin"), ("none",)], [(), ("wide",)], wears, collides)
+    both, wide = compute_layer_boxes(BODY, worlds, ["plain", "skin"]), compute_layer_boxes(BODY, worlds, ["wide"])
     for agent in range(30):
         if collides[agent]:
             assert (least[agent] == wide[0][agent]).all() and (most[agent] == wide[1][agent]).all()
@@ -98,16 +98,16 @@ def test_collision_layers_go_first_and_several_layers_are_put_together() -> None
 
 def test_agents_do_not_depend_on_each_other_and_float32_stays_so() -> None:
     worlds = poses(40).astype(np.float32)
-    least, most = layer_boxes(BODY, worlds, ["plain", "skin"])
+    least, most = compute_layer_boxes(BODY, worlds, ["plain", "skin"])
     assert least.dtype == most.dtype == np.float32
     order = np.random.default_rng(1).permutation(40)
-    again = layer_boxes(BODY, worlds[order], ["plain", "skin"])
+    again = compute_layer_boxes(BODY, worlds[order], ["plain", "skin"])
     assert (again[0] == least[order]).all() and (again[1] == most[order]).all()
-    exact = layer_boxes(BODY, worlds.astype(np.float64), ["plain", "skin"])
+    exact = compute_layer_boxes(BODY, worlds.astype(np.float64), ["plain", "skin"])
     assert np.abs(exact[0] - least).max() < 1e-5
 
 
 def test_no_agents_and_unknown_layers() -> None:
-    assert layer_boxes(BODY, poses(0), ["plain"])[0].shape == (0, 3)
+    assert compute_layer_boxes(BODY, poses(0), ["plain"])[0].shape == (0, 3)
     with pytest.raises(KeyError):
-        layer_boxes(BODY, poses(1), ["hat"])
+        compute_layer_boxes(BODY, poses(1), ["hat"])

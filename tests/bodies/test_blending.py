@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from rigs import definition, matrix, still, turn
 
-from antdsl.bodies.agents.blending import ADDITIVE_MODE, INTERPOLATE_MODE, ClipTree, Playing, posed
-from antdsl.bodies.agents.clip_lists import playing_of
+from antdsl.bodies.agents.blending import ADDITIVE_MODE, INTERPOLATE_MODE, ClipPlayback, ClipTree, blend_poses
+from antdsl.bodies.agents.clip_lists import build_playback
 from antdsl.bodies.agents.definition import Channel, Clip, TransformGroup
-from antdsl.bodies.agents.poses import Poses, clip_table
+from antdsl.bodies.agents.poses import Poses, build_clip_table
 
 REST = matrix((0, 5, 0), turn("z", 0), (1, 1, 1))
 BODY = definition(
@@ -33,11 +33,11 @@ GROUPS = {
 
 def one(tree: ClipTree, clips: Sequence[int], weights: Sequence[float], layers: Sequence[float] | None = None) -> Poses:
     """The pose of one agent."""
-    playing = Playing.alike(
+    playing = ClipPlayback.with_shared_tree(
         tree, np.array([clips], np.int32), np.zeros((1, len(clips))), np.array([weights], np.float32),
         None if layers is None else np.array([layers], np.float32),
     )  # fmt: skip
-    return posed(clip_table(BODY), GROUPS, playing, local=True)
+    return blend_poses(build_clip_table(BODY), GROUPS, playing, with_local=True)
 
 
 def place(poses: Poses, joint: int) -> list[float]:
@@ -51,41 +51,41 @@ def linear_part(poses: Poses, joint: int) -> np.ndarray:
 
 
 def test_weights_are_normalised() -> None:
-    poses = one(ClipTree.flat(2), [LOW, HIGH], [1, 3])
+    poses = one(ClipTree.build_flat(2), [LOW, HIGH], [1, 3])
     assert place(poses, 0) == [6, 0, 0]
     assert place(poses, 1) == [6, 0, 0]
     assert poses.channels[0].tolist() == [0.75, 0.8125]  # a clip without a channel counts with its default
-    again = one(ClipTree.flat(2), [LOW, HIGH], [10, 30])
+    again = one(ClipTree.build_flat(2), [LOW, HIGH], [10, 30])
     assert np.allclose(poses.world, again.world, atol=1e-6)
 
 
 def test_half_of_a_quarter_turn_is_an_eighth_and_scales_are_linear() -> None:
-    linear = linear_part(one(ClipTree.flat(2), [LOW, HIGH], [1, 1]), 1)
+    linear = linear_part(one(ClipTree.build_flat(2), [LOW, HIGH], [1, 1]), 1)
     assert np.allclose(linear, matrix(rotation=turn("z", 45), scale=(1.5, 1.5, 1.5))[:3, :3], atol=1e-6)
 
 
 def test_a_clip_counts_by_its_weight_times_that_of_its_group_at_each_joint() -> None:
-    poses = one(ClipTree.flat(2, "", "half"), [LOW, HIGH], [1, 1])
+    poses = one(ClipTree.build_flat(2, "", "half"), [LOW, HIGH], [1, 1])
     assert place(poses, 0) == [0, 0, 0]  # not in the group
     assert place(poses, 1) == [round(8 * 0.5 / 1.5, 5), 0, 0]
     assert poses.channels[0].tolist() == [0.5, 0.25]  # the jaw is in the group, the brow is not
 
 
 def test_what_no_input_says_anything_about_is_at_rest() -> None:
-    poses = one(ClipTree.flat(2), [LOW, HIGH], [0, 0])
+    poses = one(ClipTree.build_flat(2), [LOW, HIGH], [0, 0])
     assert place(poses, 1) == [0, 5, 0] and poses.channels[0].tolist() == [0, 0.25]
-    assert place(one(ClipTree.flat(1, "arm"), [HIGH], [1]), 0) == [0, 0, 0]
-    assert place(one(ClipTree.flat(2), [LOW, -1], [1, 3]), 1) == [0, 0, 0]  # no clip has no weight
-    assert place(one(ClipTree.flat(1), [-1], [1]), 1) == [0, 5, 0]
+    assert place(one(ClipTree.build_flat(1, "arm"), [HIGH], [1]), 0) == [0, 0, 0]
+    assert place(one(ClipTree.build_flat(2), [LOW, -1], [1, 3]), 1) == [0, 0, 0]  # no clip has no weight
+    assert place(one(ClipTree.build_flat(1), [-1], [1]), 1) == [0, 5, 0]
     assert place(one(ClipTree((), ()), [], []), 1) == [0, 5, 0]
 
 
 def test_weights_below_zero_or_no_number_count_as_none_and_huge_ones_as_large() -> None:
     for odd in (-1.0, np.nan, -np.inf, 1e-44):
-        poses = one(ClipTree.flat(2), [LOW, HIGH], [1, odd])
+        poses = one(ClipTree.build_flat(2), [LOW, HIGH], [1, odd])
         assert place(poses, 1) == [0, 0, 0]
-    assert place(one(ClipTree.flat(2), [LOW, HIGH], [3e38, np.inf]), 1) == [4, 0, 0]
-    assert place(one(ClipTree.flat(1), [HIGH], [1e-44]), 1) in ([8, 0, 0], [0, 5, 0])
+    assert place(one(ClipTree.build_flat(2), [LOW, HIGH], [3e38, np.inf]), 1) == [4, 0, 0]
+    assert place(one(ClipTree.build_flat(1), [HIGH], [1e-44]), 1) in ([8, 0, 0], [0, 5, 0])
 
 
 def test_a_layer_is_an_input_where_its_groups_are_and_the_topmost_weight_is_unused() -> None:
@@ -100,11 +100,11 @@ def test_a_layer_is_an_input_where_its_groups_are_and_the_topmost_weight_is_unus
 
 
 def test_a_layer_with_one_input_is_as_that_input() -> None:
-    straight = one(ClipTree.flat(2, "", "half"), [LOW, HIGH], [1, 0.5])
+    straight = one(ClipTree.build_flat(2, "", "half"), [LOW, HIGH], [1, 0.5])
     wrapped = one(ClipTree((0, 1), ("", "half"), (0, 0), (-1, 0)), [LOW, HIGH], [1, 7], [1, 0.5])
     assert np.allclose(straight.world, wrapped.world, atol=1e-6) and np.allclose(straight.channels, wrapped.channels)
     twice = one(ClipTree((2,), ("",), (0, 1, 0), (-1, 0, 1)), [HIGH], [0.3], [0, 0.1, 0.2])
-    assert np.allclose(twice.world, one(ClipTree.flat(1), [HIGH], [1]).world, atol=1e-6)
+    assert np.allclose(twice.world, one(ClipTree.build_flat(1), [HIGH], [1]).world, atol=1e-6)
 
 
 def test_a_layer_of_several_inputs_is_there_as_much_as_their_groups_are_on_average() -> None:
@@ -155,13 +155,13 @@ def test_the_first_input_of_an_additive_layer_may_be_a_layer() -> None:
 def test_an_added_rotation_is_measured_from_the_rest_pose() -> None:
     clips = still("base", {"a": {"r": turn("y", 20)}}), still("look", {"a": {"r": turn("z", 75)}})
     body = definition({"a": ""}, *clips, rest={"a": matrix(rotation=turn("x", 30))})
-    playing = Playing.alike(
+    playing = ClipPlayback.with_shared_tree(
         ClipTree((0, 0), ("", ""), (ADDITIVE_MODE,), (-1,)),
         np.array([[0, 1]], np.int32),
         np.zeros((1, 2)),
         np.ones((1, 2), np.float32),
     )
-    poses = posed(clip_table(body), {}, playing)
+    poses = blend_poses(build_clip_table(body), {}, playing)
     added = matrix(rotation=turn("z", 75))[:3, :3] @ matrix(rotation=turn("x", -30))[:3, :3]
     expected = added @ matrix(rotation=turn("y", 20))[:3, :3]
     assert np.allclose(poses.world[0, 0, :, :3], expected, atol=1e-6)
@@ -173,17 +173,21 @@ def test_a_share_of_an_added_rotation_goes_the_shorter_way() -> None:
     round_it = Clip("round", 1.0, ("a",), np.zeros((3, 1, 3), np.float32), rotation, np.ones((3, 1, 3), np.float32), loop=False)
     body = definition({"a": ""}, still("base", {"a": {}}), round_it)
     tree = ClipTree((0, 0), ("", ""), (ADDITIVE_MODE,), (-1,))
-    playing = Playing.alike(tree, np.array([[0, 1]], np.int32), np.array([[0.0, 2.0]]), np.array([[1, 0.5]], np.float32))
-    poses = posed(clip_table(body), {}, playing)
+    playing = ClipPlayback.with_shared_tree(
+        tree, np.array([[0, 1]], np.int32), np.array([[0.0, 2.0]]), np.array([[1, 0.5]], np.float32)
+    )
+    poses = blend_poses(build_clip_table(body), {}, playing)
     assert np.allclose(poses.world[0, 0, :, :3], matrix(rotation=turn("z", -10))[:3, :3], atol=1e-6)
 
 
 def test_three_rotations_are_blended_on_one_side_whatever_their_signs() -> None:
     body = definition({"a": ""}, *(still(name, {"a": {"r": r}}) for name, r in (
         ("a", turn("x", 170)), ("b", [-k for k in turn("x", 200)]), ("c", turn("x", 185)))))  # fmt: skip
-    playing = Playing.alike(ClipTree.flat(3), np.array([[0, 1, 2]], np.int32), np.zeros((1, 3)), np.ones((1, 3), np.float32))
+    playing = ClipPlayback.with_shared_tree(
+        ClipTree.build_flat(3), np.array([[0, 1, 2]], np.int32), np.zeros((1, 3)), np.ones((1, 3), np.float32)
+    )
     assert np.allclose(
-        posed(clip_table(body), {}, playing).world[0, 0, :, :3], matrix(rotation=turn("x", 185))[:3, :3], atol=1e-6
+        blend_poses(build_clip_table(body), {}, playing).world[0, 0, :, :3], matrix(rotation=turn("x", 185))[:3, :3], atol=1e-6
     )
 
 
@@ -199,72 +203,76 @@ def test_nothing_jumps_while_clips_go_round_and_fade_into_each_other() -> None:
         rotation *= random.choice([-1, 1], (count, 2, 1))
         flat = np.zeros((count, 2, 3), np.float32)
         clips.append(Clip(name, 8.0, ("root", "tip"), flat, rotation.astype(np.float32), flat + 1))
-    table = clip_table(definition({"root": "", "tip": "root"}, *clips))
+    table = build_clip_table(definition({"root": "", "tip": "root"}, *clips))
 
     def largest(steps: int) -> float:
         share = np.linspace(0, 1, steps + 1).astype(np.float32)
         times = np.linspace(0.6, 2.6, steps + 1)
-        playing = Playing.alike(
-            ClipTree.flat(2), np.tile(np.array([[0, 1]], np.int32), (steps + 1, 1)), np.stack([times, times * 1.3], axis=1),
+        playing = ClipPlayback.with_shared_tree(
+            ClipTree.build_flat(2), np.tile(np.array([[0, 1]], np.int32), (steps + 1, 1)), np.stack([times, times * 1.3], axis=1),
             np.stack([1 - share, share], axis=1),
         )  # fmt: skip
-        return float(np.abs(np.diff(posed(table, {}, playing).world, axis=0)).max())
+        return float(np.abs(np.diff(blend_poses(table, {}, playing).world, axis=0)).max())
 
     assert 0 < largest(4000) < 0.55 * largest(2000) < 0.55 * 0.03
 
 
 def test_agents_of_different_trees_are_each_as_alone() -> None:
-    trees = (ClipTree.flat(2), ClipTree((0, 0), ("", "arm"), (ADDITIVE_MODE,), (-1,)), ClipTree((1,), ("",), (0, 0), (-1, 0)))
+    trees = (
+        ClipTree.build_flat(2),
+        ClipTree((0, 0), ("", "arm"), (ADDITIVE_MODE,), (-1,)),
+        ClipTree((1,), ("",), (0, 0), (-1, 0)),
+    )
     rows = [
         (0, [LOW, HIGH], [1, 3], [1, 9]),
         (1, [HIGH, NOD], [1, 0.5], [1, 9]),
         (2, [HIGH, 77], [1, 5], [1, 0.5]),
         (0, [NOD, HIGH], [1, 1], [1, 1]),
     ]
-    playing = Playing(
+    playing = ClipPlayback(
         trees, np.array([row[0] for row in rows], np.int32), np.array([row[1] for row in rows], np.int32), np.zeros((4, 2)),
         np.array([row[2] for row in rows], np.float32), np.array([row[3] for row in rows], np.float32),
     )  # fmt: skip
-    poses = posed(clip_table(BODY), GROUPS, playing)
+    poses = blend_poses(build_clip_table(BODY), GROUPS, playing)
     for k, (tree, clips, weights, layers) in enumerate(rows):
         count = len(trees[tree].layers)
         alone = one(trees[tree], clips[:count], weights[:count], layers[: len(trees[tree].modes)])
         assert alone.world[0].tobytes() == poses.world[k].tobytes()
     with pytest.raises(ValueError, match=r"`weights` of 4 agents has the shape \(4, 1\); it must be \[4, 2 or more\]"):
-        posed(clip_table(BODY), GROUPS, replace(playing, weights=playing.weights[:, :1]))
+        blend_poses(build_clip_table(BODY), GROUPS, replace(playing, weights=playing.weights[:, :1]))
     with pytest.raises(IndexError, match="trees are numbered from 0 to 2"):
-        posed(clip_table(BODY), GROUPS, replace(playing, tree=np.array([0, 1, 2, 3], np.int32)))
+        blend_poses(build_clip_table(BODY), GROUPS, replace(playing, tree=np.array([0, 1, 2, 3], np.int32)))
 
 
 def test_lists_of_each_agent_become_arrays_and_trees_that_are_shared() -> None:
     """The second and the fourth agent have two layers; the third plays nothing."""
-    table = clip_table(BODY)
+    table = build_clip_table(BODY)
     counts, layer_counts = np.array([2, 2, 0, 2]), np.array([1, 2, 1, 2])
-    playing = playing_of(
+    playing = build_playback(
         table, counts, np.array(["low", "high", "low", "high", "high", "nod"]), np.zeros(6), np.array([1, 3, 1, 2, 1, 1]),
         np.array(["", "", "", "arm", "", "arm"]), np.array([0, 0, 0, 1, 0, 1]),
         layer_counts, np.array([0, 0, 0, 0, 0, 0]), np.array([1, 1, 3, 1, 1, 1]), np.array([-1, -1, 0, -1, -1, 0]),
     )  # fmt: skip
     assert len(playing.trees) == 3 and playing.tree[1] == playing.tree[3]
-    poses = posed(table, GROUPS, playing, local=True)
+    poses = blend_poses(table, GROUPS, playing, with_local=True)
     assert poses.local is not None and poses.local[:, 1, 0, 3].tolist() == [6, 6, 0, 4]
     assert poses.local[:, 0, 0, 3].tolist() == [6, 0, 0, 8]
-    plain = playing_of(table, np.array([2, 1]), np.array(["low", "high", "nod"]), np.zeros(3), np.array([1, 3, 1]))
+    plain = build_playback(table, np.array([2, 1]), np.array(["low", "high", "nod"]), np.zeros(3), np.array([1, 3, 1]))
     assert sorted(len(tree.layers) for tree in plain.trees) == [1, 2]
-    assert posed(table, GROUPS, plain).world[0].tobytes() == poses.world[0].tobytes()
+    assert blend_poses(table, GROUPS, plain).world[0].tobytes() == poses.world[0].tobytes()
 
 
 def test_lists_that_do_not_fit_are_refused_by_the_agent() -> None:
-    table, two = clip_table(BODY), np.array([1, 1])
+    table, two = build_clip_table(BODY), np.array([1, 1])
     names, zeros = np.array(["low", "high"]), np.zeros(2)
     with pytest.raises(KeyError, match="fly"):
-        playing_of(table, two, np.array(["low", "fly"]), zeros, zeros)
+        build_playback(table, two, np.array(["low", "fly"]), zeros, zeros)
     with pytest.raises(ValueError, match="3 clip times where agents have 2"):
-        playing_of(table, two, names, np.zeros(3), zeros)
+        build_playback(table, two, names, np.zeros(3), zeros)
     with pytest.raises(ValueError, match="agent 1: 0 layers have the parent -1"):
-        playing_of(table, two, names, zeros, zeros, None, None, two, np.zeros(2, int), zeros, np.array([-1, 0]))
+        build_playback(table, two, names, zeros, zeros, None, None, two, np.zeros(2, int), zeros, np.array([-1, 0]))
     with pytest.raises(ValueError, match="give all three or none"):
-        playing_of(table, two, names, zeros, zeros, None, None, two, np.zeros(2, int))
+        build_playback(table, two, names, zeros, zeros, None, None, two, np.zeros(2, int))
 
 
 @pytest.mark.parametrize("tree, why", [
@@ -283,4 +291,4 @@ def test_what_is_no_tree_is_refused(tree: dict[str, tuple[int, ...]], why: str) 
 
 def test_a_group_that_there_is_not_is_refused() -> None:
     with pytest.raises(KeyError, match="wings"):
-        one(ClipTree.flat(1, "wings"), [LOW], [1])
+        one(ClipTree.build_flat(1, "wings"), [LOW], [1])

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 import trimesh
 
-from antdsl.bodies.body import orientation, turned
-from antdsl.bodies.library import library_body
-from antdsl.bodies.shapes import ITEM_SHAPES, item_shape, placed
-from antdsl.program.tables.colours import COLOUR_BY_NAME, default_rgb, rgb
-from antdsl.scene.library_bodies import BODY_WORDS, CAPSULE_BY_BODY, body_for_species
+from antdsl.bodies.body import build_orientations, rotate_vectors
+from antdsl.bodies.library import load_library_body
+from antdsl.bodies.shapes import ITEM_SHAPES, build_item_mesh, choose_item_shape
+from antdsl.program.tables.colours import COLOUR_BY_NAME, choose_default_rgb, find_rgb
+from antdsl.scene.library_bodies import BODY_WORDS, CAPSULE_BY_BODY, find_body_for_species
 
 TRUNK = ("root", "thorax", "head", "petiole", "gaster", "gaster_tip")
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -31,7 +31,7 @@ def script(name):
 
 @pytest.mark.parametrize("name", sorted(BODY_WORDS))
 def test_bodies_face_outwards_and_stand_on_the_ground(name):
-    body = library_body(name)
+    body = load_library_body(name)
     for shape in body.shapes.values():
         assert volume(shape.points, shape.faces) > 1e-4
         assert shape.name == "crumb" or abs(shape.points[:, 1].min()) < 0.07
@@ -39,40 +39,45 @@ def test_bodies_face_outwards_and_stand_on_the_ground(name):
 
 @pytest.mark.parametrize("shape", sorted(ITEM_SHAPES))
 def test_placed_shapes_face_outwards_with_colours(shape):
-    vertices, faces, colour = placed(shape)
+    vertices, faces, colour = build_item_mesh(shape)
     assert volume(vertices, faces) > (0.2 if shape == "mound" else 0.5)  # a nest lies flat, lower than an ant
     assert colour.shape == vertices.shape and colour.min() >= 0 and colour.max() <= 1
     assert 0.9 < np.hypot(vertices[:, 0], vertices[:, 2]).max() < 1.3
 
 
 def test_names_choose_bodies_and_shapes():
-    assert [body_for_species(name) for name in ("forager", "person", "boids", "hunter")] == ["ant", "person", "arrow", "hunter"]
+    assert [find_body_for_species(name) for name in ("forager", "person", "boids", "hunter")] == [
+        "ant",
+        "person",
+        "arrow",
+        "hunter",
+    ]
     names = (("food", "apple"), ("food", "donut"), ("nest", "home"), ("food", "a"), ("food", "sugar_lump"), ("exits", "east"))
-    assert [item_shape(*each) for each in names] == ["apple", "ring", "mound", "crumb", "cube", "sphere"]
+    assert [choose_item_shape(*each) for each in names] == ["apple", "ring", "mound", "crumb", "cube", "sphere"]
 
 
 def test_orientation_turns_x_to_the_heading_and_y_to_up():
     draw = np.random.Generator(np.random.Philox(5))
     up, heading = draw.normal(size=(300, 3)), draw.normal(size=(300, 3))
     up /= np.linalg.norm(up, axis=1, keepdims=True)
-    orient = orientation(heading, up)
-    ahead = turned(orient, np.tile([1.0, 0.0, 0.0], (300, 1)))
+    orient = build_orientations(heading, up)
+    ahead = rotate_vectors(orient, np.tile([1.0, 0.0, 0.0], (300, 1)))
     flat = heading - up * (heading * up).sum(axis=1, keepdims=True)
     flat /= np.linalg.norm(flat, axis=1, keepdims=True)
-    assert np.abs(turned(orient, np.tile([0.0, 1.0, 0.0], (300, 1))) - up).max() < 1e-12
+    assert np.abs(rotate_vectors(orient, np.tile([0.0, 1.0, 0.0], (300, 1))) - up).max() < 1e-12
     assert np.abs(ahead - flat).max() < 1e-12
-    assert np.allclose(orientation(np.array([[1.0, 0, 0]]), np.array([[0, 1.0, 0]])), [[0, 0, 0, 1]])
+    assert np.allclose(build_orientations(np.array([[1.0, 0, 0]]), np.array([[0, 1.0, 0]])), [[0, 0, 0, 1]])
 
 
 def test_orientation_of_nothing_is_still_a_turn():
-    orient = orientation(np.array([[0.0, 0, 0], [0, 2.0, 0]]), np.array([[0.0, 0, 0], [0, 1.0, 0]]))
+    orient = build_orientations(np.array([[0.0, 0, 0], [0, 2.0, 0]]), np.array([[0.0, 0, 0], [0, 1.0, 0]]))
     assert np.allclose(np.linalg.norm(orient, axis=1), 1)
 
 
 def test_colours_have_names():
-    assert rgb("amber") and rgb("teal") and rgb("amberish") is None
+    assert find_rgb("amber") and find_rgb("teal") and find_rgb("amberish") is None
     assert all(0 <= value <= 255 for colour in COLOUR_BY_NAME.values() for value in colour)
-    assert len({default_rgb(k) for k in range(10)}) == 10
+    assert len({choose_default_rgb(k) for k in range(10)}) == 10
 
 
 @pytest.mark.parametrize(
@@ -105,7 +110,7 @@ def test_the_foraging_ground_has_relief_and_a_shelf_that_overhangs():
 @pytest.mark.parametrize("name", ["ant", "arrow", "ball"])
 def test_the_room_that_a_body_takes_is_that_of_its_mesh(name: str) -> None:
     """The capsule is as long and wide as what is drawn of the trunk."""
-    capsule, drawn = CAPSULE_BY_BODY[name], library_body(name).shapes[name]
+    capsule, drawn = CAPSULE_BY_BODY[name], load_library_body(name).shapes[name]
     points = drawn.points
     if name == "ant":  # without legs, feelers and the rings that coxae share with the thorax
         assert drawn.capture is not None
@@ -115,4 +120,4 @@ def test_the_room_that_a_body_takes_is_that_of_its_mesh(name: str) -> None:
     low, high = points.min(axis=0), points.max(axis=0)
     size = high - low
     assert capsule.width == pytest.approx(size[2], rel=0.1) and capsule.length == pytest.approx(size[0], rel=0.1)
-    assert (low[0] + high[0]) / 2 == pytest.approx(capsule.ahead, abs=0.06) and low[1] < capsule.height < high[1]
+    assert (low[0] + high[0]) / 2 == pytest.approx(capsule.forward_offset, abs=0.06) and low[1] < capsule.height < high[1]

@@ -14,8 +14,8 @@ from antdsl.bodies.agents.definition import Definition
 from antdsl.bodies.agents.other_axes import convert_axes
 from antdsl.bodies.files.reading import read_definition
 from antdsl.bodies.files.writing import write_gltf
-from antdsl.bodies.library import library_body
-from antdsl.bodies.posed_body import own_layer
+from antdsl.bodies.library import load_library_body
+from antdsl.bodies.posed_body import find_base_layer
 from antdsl.bodies.proposing.proposal import propose
 
 HILL = Path(__file__).parents[2] / "examples" / "walker" / "hill.ply"
@@ -23,8 +23,8 @@ HILL = Path(__file__).parents[2] / "examples" / "walker" / "hill.ply"
 
 def write_bare(word: str, folder: Path) -> Path:
     """A body of the library as a glTF file without the extras of antdsl, as other programs write it."""
-    body = library_body(word)
-    tree = json.loads(write_gltf(body, own_layer(body), text=True)[0])
+    body = load_library_body(word)
+    tree = json.loads(write_gltf(body, find_base_layer(body), text=True)[0])
     del tree["extras"]
     for animation in tree.get("animations", ()):
         del animation["extras"]
@@ -35,13 +35,13 @@ def write_bare(word: str, folder: Path) -> Path:
 
 def read_bare(word: str, folder: Path) -> Definition:
     definition, report = read_definition(write_bare(word, folder), rate=120.0)
-    assert definition is not None and not report.sorted() and not definition.legs
+    assert definition is not None and not report.sort_by_place() and not definition.legs
     return definition
 
 
 @pytest.mark.parametrize("word", ["person", "hunter", "ant", "spider"])
 def test_legs_and_walks_are_those_that_the_body_has(word: str, tmp_path: Path) -> None:
-    body, lines = library_body(word), propose(read_bare(word, tmp_path), "x.gltf").lines
+    body, lines = load_library_body(word), propose(read_bare(word, tmp_path), "x.gltf").lines
     assert (lines["front"], lines["up"], lines["units"], lines["idle"]) == ("+z", "+y", "m", "idle")
     assert [(leg["upper"], leg["lower"]) for leg in lines["legs"]] == [(leg.upper, leg.lower) for leg in body.legs]
     strides = {clip["clip"]: clip.get("stride", 0.0) for clip in lines["clips"]}
@@ -96,7 +96,7 @@ def test_a_proposal_is_written_read_and_walks(tmp_path: Path) -> None:
     shutil.copy(HILL, tmp_path / "hill.ply")
     assert run("body", "hunter.gltf", "--propose", "--to", "fox.json", cwd=tmp_path).returncode == 0
     definition, report = read_definition(tmp_path / "fox.json")
-    assert definition is not None and not report.sorted(), str(report)
+    assert definition is not None and not report.sort_by_place(), str(report)
     assert len(definition.legs) == 4 and definition.capsule is not None and definition.idle == "idle"
     (tmp_path / "fox.ant").write_text(
         "ant 1\nuse steering\nworld { surface hill }\nspecies fox {\n  size 0.9 m\n  max_speed 0.6 m/s\n  start go\n"

@@ -11,9 +11,9 @@ import pytest
 
 from antdsl.bodies.agents.body_extents import standing_box
 from antdsl.bodies.agents.definition import Definition
-from antdsl.bodies.crowd_bodies import body_room
-from antdsl.bodies.library import library_body
-from antdsl.bodies.posed_body import own_layer
+from antdsl.bodies.crowd_bodies import compute_collision_size
+from antdsl.bodies.library import load_library_body
+from antdsl.bodies.posed_body import find_base_layer
 from antdsl.diagnostics import Report
 from antdsl.pipeline import Shot, open_scene
 from antdsl.runtime import Options, World, bind, step
@@ -50,30 +50,32 @@ def spread_arms(body: Definition, degrees: float) -> Definition:
 
 
 def test_the_collision_size_comes_from_the_idle_clip_and_not_from_a_rest_pose_with_spread_arms() -> None:
-    body = library_body("person")
+    body = load_library_body("person")
     spread = spread_arms(body, 80)
-    assert body_room(spread).width > 1.8 * body_room(body).width
-    assert body_room(spread, stands=True).width == pytest.approx(body_room(body, stands=True).width, rel=1e-3)
+    assert compute_collision_size(spread).width > 1.8 * compute_collision_size(body).width
+    assert compute_collision_size(spread, stands=True).width == pytest.approx(
+        compute_collision_size(body, stands=True).width, rel=1e-3
+    )
 
 
 def test_without_an_idle_clip_the_rest_pose_counts() -> None:
-    body = replace(library_body("person"), idle="")
-    low, high = standing_box(body, own_layer(body))
+    body = replace(load_library_body("person"), idle="")
+    low, high = standing_box(body, find_base_layer(body))
     assert high[1] - low[1] == pytest.approx(1.77 / 0.5, rel=0.02)
-    assert body_room(body, stands=True) == body_room(body)
+    assert compute_collision_size(body, stands=True) == compute_collision_size(body)
 
 
 def test_a_body_is_as_tall_as_its_species_says(tmp_path: Path) -> None:
     world = bound_world(tmp_path, "height normal(1.72 m, 70 mm)")
     now = world.populations["walker"].now
-    low, high = standing_box(library_body("person"), own_layer(library_body("person")))
+    low, high = standing_box(load_library_body("person"), find_base_layer(load_library_body("person")))
     assert now["size"] * (high[1] - low[1]) == pytest.approx(now["height"], rel=1e-6)
     assert 1500 < now["height"].min() < now["height"].max() < 1950 and np.ptp(now["height"]) > 50
     assert now["radius"] == pytest.approx(now["size"] * 0.42, rel=1e-6)
     assert np.degrees(now["max_slope"]) == pytest.approx([40] * 40, rel=1e-6) and (now["upright"] == 1).all()
     for _ in range(3):
         step(world)
-    assert (world.populations["walker"].vector("up")[:, 1] == 1).all()
+    assert (world.populations["walker"].read_vector("up")[:, 1] == 1).all()
 
 
 def test_a_body_from_a_file_gives_its_own_proportions(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ from body_parts import READERS, clip_reader, read_part
 
 from antdsl import limits
 from antdsl.bodies.agents.definition import Channel, Clip, Rig
-from antdsl.bodies.agents.transforms import matrix_of, rotation_of_angles
+from antdsl.bodies.agents.transforms import angles_to_quaternion, compose_matrix
 from antdsl.bodies.files.clip_document import write_clip
 from antdsl.diagnostics import Report
 
@@ -31,11 +31,11 @@ def test_channels_are_samples_and_one_number_stays_as_it_is() -> None:
         '{"arm:tx": [0, 1, 2,], "arm:ry": [0, 45, 90], "arm:rx": 90, "arm:sz": 4, "jaw": [0, 0.5, 1]}', extra_text
     )
     assert clip is not None and not report.diagnostics
-    assert (clip.samples, clip.duration, clip.stride, clip.loop, clip.marks) == (3, 0.2, 3.0, False, {"left": 0.1})
+    assert (clip.sample_count, clip.duration, clip.stride, clip.loop, clip.marks) == (3, 0.2, 3.0, False, {"left": 0.1})
     assert (clip.joints, clip.channels) == (("arm",), ("jaw",))
     assert clip.translation[:, 0].tolist() == [[0, 0, 0], [1, 0, 0], [2, 0, 0]] and clip.scale[2, 0].tolist() == [1, 1, 4]
     assert clip.values[:, 0].tolist() == [0, 0.5, 1] and clip.shear is None
-    expected = rotation_of_angles(np.radians([[90.0, 0, 0], [90, 45, 0], [90, 90, 0]]), "zyx")
+    expected = angles_to_quaternion(np.radians([[90.0, 0, 0], [90, 45, 0], [90, 90, 0]]), "zyx")
     assert np.abs(clip.rotation[:, 0] - expected).max() < 1e-7
 
 
@@ -43,13 +43,13 @@ def test_parts_that_are_left_out_are_those_of_the_rest_pose() -> None:
     clip, _ = clip_of('{"arm:tx": [0, 1], "arm:shear2": 0.5}', rig=RIG)
     assert clip is not None and clip.shear is not None
     assert clip.translation[:, 0].tolist() == [[0, 8, 9], [1, 8, 9]] and clip.shear[0, 0].tolist() == [0, 0.5, 0]
-    matrices = matrix_of(np.array([7.0, 8, 9]), clip.rotation[0, 0].astype(float), clip.scale[0, 0].astype(float))
+    matrices = compose_matrix(np.array([7.0, 8, 9]), clip.rotation[0, 0].astype(float), clip.scale[0, 0].astype(float))
     assert np.abs(matrices - ARM).max() < 1e-6
 
 
 def test_a_clip_that_is_written_is_read_as_it_was() -> None:
     rng = np.random.default_rng(5)
-    turns = rotation_of_angles(np.cumsum(rng.uniform(-0.6, 0.6, (30, 2, 3)), axis=0), "xyz")
+    turns = angles_to_quaternion(np.cumsum(rng.uniform(-0.6, 0.6, (30, 2, 3)), axis=0), "xyz")
     clip = Clip(
         "walk", 24.0, ("root", "arm"), rng.normal(size=(30, 2, 3)).astype(np.float32), turns.astype(np.float32),
         rng.uniform(0.5, 2, (30, 2, 3)).astype(np.float32), rng.normal(size=(30, 2, 3)).astype(np.float32),

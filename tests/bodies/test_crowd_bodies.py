@@ -9,12 +9,12 @@ from pathlib import Path
 import pytest
 from commands import run
 
-from antdsl.bodies.agents.definition import Binding, Layer, language_names
-from antdsl.bodies.crowd_bodies import body_room, clip_data
+from antdsl.bodies.agents.definition import Binding, Layer, map_language_names
+from antdsl.bodies.crowd_bodies import build_clip_data, compute_collision_size
 from antdsl.bodies.files import reading
 from antdsl.bodies.files.reading import read_definition
 from antdsl.bodies.files.writing import write_gltf
-from antdsl.bodies.library import library_body
+from antdsl.bodies.library import load_library_body
 from antdsl.diagnostics import Report
 from antdsl.outputs.cache.cache_reader import open_cache
 from antdsl.outputs.gallery import Gallery
@@ -55,7 +55,7 @@ def written(folder: Path, program: str = PROGRAM, crowd: str = CROWD) -> Path:
 def opened(scene: Path) -> Shot:
     shot, report = open_scene(scene)
     assert shot is not None, str(report)
-    assert not [each for each in report.sorted() if each.code != "odd-size"], str(report)
+    assert not [each for each in report.sort_by_place() if each.code != "odd-size"], str(report)
     return shot
 
 
@@ -92,26 +92,26 @@ def test_a_gltf_file_in_the_folder_is_a_body(folder: Path) -> None:
     assert (dancer.name, sorted(dancer.clips), dancer.front) == ("dancer", sorted(body.clips), (0.0, 0.0, 1.0))
     result = run("run", "scene.yaml", "--frames", "1..2", "--out", "cache", cwd=folder)
     assert result.returncode == 0, result.stderr
-    drawn = Gallery(open_cache(folder / "cache")).picture(2).crowds[0]
-    assert drawn.worn is not None and drawn.worn.name == "dancer" and len(drawn.position) == 3
+    drawn = Gallery(open_cache(folder / "cache")).make_picture(2).crowds[0]
+    assert drawn.body is not None and drawn.body.name == "dancer" and len(drawn.position) == 3
 
 
 def test_a_body_takes_the_room_of_its_box(folder: Path) -> None:
     body, _ = read_definition(folder / "walker.json")
     assert body is not None
-    extent = body_room(body)
+    extent = compute_collision_size(body)
     # some 0.5 m wide at the shoulders, and less deep; the middle below half its height
     assert extent.width == pytest.approx(0.5 / 1.75, abs=0.03) and extent.length == extent.width
-    assert 0.4 < extent.height < 0.55 and abs(extent.ahead) < 0.05
+    assert 0.4 < extent.height < 0.55 and abs(extent.forward_offset) < 0.05
     hat = replace(body.shapes["head"], points=body.shapes["head"].points * 20)
     hatted = replace(
         body, shapes={**body.shapes, "hat": hat}, layers={**body.layers, "hat": Layer("hat", (Binding("head", "hat"),))}
     )
-    assert body_room(hatted) == extent, "what is worn takes no room"
+    assert compute_collision_size(hatted) == extent, "what is worn takes no room"
     boxed = replace(hatted, layers={**hatted.layers, "collision": Layer("collision", (Binding("head", "hat"),))})
-    assert body_room(boxed).width > 3 * extent.width, "a layer `collision` goes first"
-    assert opened(written(folder)).setting.rooms == {"walker": extent}
-    assert clip_data(body.clips["idle"], body).stride == 0
+    assert compute_collision_size(boxed).width > 3 * extent.width, "a layer `collision` goes first"
+    assert opened(written(folder)).setting.body_capsules == {"walker": extent}
+    assert build_clip_data(body.clips["idle"], body).stride == 0
 
 
 def test_another_file_is_another_input(folder: Path) -> None:
@@ -131,8 +131,8 @@ def test_a_library_name_is_a_body_with_clips_that_are_played(folder: Path) -> No
     assert error.message == "`ant` has no clip `wave`, no transform group `arms`" and "`antennate`, `carry`" in str(error.help)
     program = PROGRAM.replace("play wave(on: arms)", "play look(on: feelers)")
     shot = opened(written(folder, program, crowd=2 * CROWD.replace("walker.json", "ant")))
-    assert not shot.bodies and not shot.setting.rooms and "ant" not in shot.inputs
-    assert shot.setting.clips["walker"]["walk"].stride == library_body("ant").clips["walk"].stride
+    assert not shot.bodies and not shot.setting.body_capsules and "ant" not in shot.inputs
+    assert shot.setting.clips["walker"]["walk"].stride == load_library_body("ant").clips["walk"].stride
 
 
 def test_without_a_body_it_is_the_one_that_suits_the_name(folder: Path) -> None:
@@ -165,13 +165,13 @@ def test_lists_of_what_is_worn_say_what_to_write(folder: Path, wear: str, help: 
 
 
 def test_a_body_is_read_once_and_again_when_a_file_of_it_changes(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from antdsl.scene.paths import record_sought
+    from antdsl.scene.paths import record_requested_paths
 
     times = []
     monkeypatch.setattr(reading, "read_definition", lambda *arguments: times.append(arguments) or read_definition(*arguments))
     scene = written(folder)
     first = opened(scene)
-    with record_sought() as files:
+    with record_requested_paths() as files:
         assert opened(scene).bodies["walker"] is first.bodies["walker"] and len(times) == 1
     assert {folder / "walker.json", folder / "parts.glb"} <= set(files)  # a preview still looks at them
     (folder / "parts.glb").write_bytes((EXAMPLE / "parts.glb").read_bytes())
@@ -198,11 +198,11 @@ def test_names_in_files_are_converted_to_names_of_the_language(folder: Path) -> 
 
 def test_names_that_sound_alike_stay_apart() -> None:
     expected_names = {"Walk": "walk_2", "walk": "walk", "WALK": "walk_3", "01 run": "n01_run", "|": "n"}
-    assert language_names(expected_names) == expected_names
+    assert map_language_names(expected_names) == expected_names
 
 
 def summarise_report(report: Report) -> list[tuple[str, str, str | None]]:
-    return [(each.code, each.span.text if each.span else "", each.help) for each in report.sorted()]
+    return [(each.code, each.span.text if each.span else "", each.help) for each in report.sort_by_place()]
 
 
 @pytest.mark.parametrize(
@@ -259,7 +259,7 @@ def test_a_preview_takes_the_changed_body_over(folder: Path) -> None:
     (folder / "walker.json").write_text(text.replace('"stride":1.2', '"stride":2.4'), encoding="utf-8")
     again, _ = compiling.open()
     assert again is not None
-    new_world, _, report = compiling.take_over(world, again)
+    new_world, _, report = compiling.migrate_world(world, again)
     assert new_world is not None and report.ok
     assert new_world.setting.clips["walker"]["walk"].stride == pytest.approx(2.4 / 1.75)
     assert (new_world.populations["walker"].now["main.clip_turns"] == world.populations["walker"].now["main.clip_turns"]).all()
@@ -272,7 +272,7 @@ def test_an_editor_reports_what_the_body_does_not_have(folder: Path) -> None:
     assert "did you mean `walk`?" in (report.errors[0].help or "") and report.errors[0].span is not None
     assert str(scene) == report.errors[0].span.source.path
     scene = written(folder)
-    assert not check_scene_text(scene, {scene: scene.read_bytes()})[2].sorted()
+    assert not check_scene_text(scene, {scene: scene.read_bytes()})[2].sort_by_place()
 
 
 @pytest.mark.parametrize(

@@ -89,7 +89,7 @@ def test_parts_are_inside_or_in_files_of_their_own(folder: Path) -> None:
         assert (each.name, each.rig.names, each.front, each.up) == ("soldier", ("root", "hand"), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
         assert each.unit == 10.0 and each.length == 1.0  # 10 mm along x
         assert list(each.layers) == ["armed"] and each.groups["arm"].members == (("hand", 0.5),)
-        assert each.clips["wave"].samples == 3 and each.metadata == {"a": TypedValue("int", 2)}
+        assert each.clips["wave"].sample_count == 3 and each.metadata == {"a": TypedValue("int", 2)}
         assert each.shapes["sword"].materials == ("steel",) and each.materials == {"steel": (0.5, 0.5, 0.6)}
 
 
@@ -108,7 +108,7 @@ def test_all_of_a_gltf_file_and_what_is_said_beside(folder: Path) -> None:
 def test_clips_of_another_file_lose_what_the_rig_does_not_have(folder: Path) -> None:
     rig = {"rig_version": 1, "transforms": {"elbow": []}}
     body, diagnostics = read(folder, rig=rig, length=1, clips=[{"file": "arm.glb", "clip": "hop", "rate": 10}])
-    assert body is not None and body.clips["hop"].joints == ("elbow",) and body.clips["hop"].samples == 11
+    assert body is not None and body.clips["hop"].joints == ("elbow",) and body.clips["hop"].sample_count == 11
     assert [each.code for each in diagnostics] == ["body-left-out"] and "`root`" in diagnostics[0].message
 
 
@@ -182,7 +182,7 @@ def test_blend_shapes_by_their_documented_attributes(folder: Path) -> None:
     body = fine(folder, rig=RIG, shapes=shapes, layers=[layer])
     assert body.shapes["head"].blend == BlendTargets(("smile",), ("fist",), ("P",), "number", "id")
     assert body.shapes["head"].dual_quaternion_blend == "soft"
-    assert body.shapes["smile"].between == InBetweens(("half",), (0.5,))
+    assert body.shapes["smile"].in_betweens == InBetweens(("half",), (0.5,))
     shapes[1]["blendshape_inbetweenweights"] = [1]
     assert error_of(folder, rig=RIG, shapes=shapes) == ("out-of-range", "[1]", "write `0.5`")
     shapes[1]["blendshape_inbetweenweights"] = [0.5]

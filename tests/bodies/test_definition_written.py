@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 
 from antdsl.bodies.agents.definition import DEFAULT_FRONT, DEFAULT_UP, Definition
-from antdsl.bodies.agents.deformers import bound
+from antdsl.bodies.agents.deformers import deform_binding
 from antdsl.bodies.agents.machine_clips import MachineClips
 from antdsl.bodies.agents.other_axes import convert_axes
-from antdsl.bodies.agents.poses import clip_table
+from antdsl.bodies.agents.poses import build_clip_table
 from antdsl.bodies.files.documents import TypedValue
 from antdsl.bodies.files.reading import read_definition
-from antdsl.bodies.files.writing import definition_files, write_gltf
-from antdsl.bodies.library import library_body
-from antdsl.bodies.posed_body import PosedBody, own_layer
+from antdsl.bodies.files.writing import build_definition_files, write_gltf
+from antdsl.bodies.library import load_library_body
+from antdsl.bodies.posed_body import PosedBody, find_base_layer
 from tests.commands import run
 from tests.gltf_bodies import arm, binary
 from tests.gltf_scene import Scene
@@ -62,7 +62,7 @@ def body(tmp_path: Path) -> Definition:
     (tmp_path / "block.obj").write_text("v 0 0 0\nv 2 0 0\nv 0 1 0\nv 0 0 3\nf 1 2 3\nf 1 3 4\n")
     (tmp_path / "around.json").write_text(json.dumps(AROUND))
     definition, report = read_definition(tmp_path / "around.json")
-    assert definition is not None, str(report.sorted())
+    assert definition is not None, str(report.sort_by_place())
     return definition
 
 
@@ -71,7 +71,7 @@ def read_back(path: Path, files: dict[str, bytes], name: str, rate: float = 0.0)
         (path / each).parent.mkdir(parents=True, exist_ok=True)
         (path / each).write_bytes(data)
     definition, report = read_definition(path / name, rate=rate)
-    assert definition is not None and not report.diagnostics, [each.message for each in report.sorted()]
+    assert definition is not None and not report.diagnostics, [each.message for each in report.sort_by_place()]
     return definition
 
 
@@ -99,12 +99,12 @@ def same(a: object, b: object, within: float = 1e-6) -> None:
 
 
 def test_our_own_files_are_read_back_as_they_were(body: Definition, tmp_path: Path) -> None:
-    files = definition_files(body, "copy")
+    files = build_definition_files(body, "copy")
     assert {"copy.json", "copy/rig.json", "copy/shapes.glb", "copy/clips/bend.json", "copy/layers/collision.json"} <= set(files)
     definition = read_back(tmp_path / "there", files, "copy.json")
     same(body, definition)
     assert definition.metadata["size"] == TypedValue("float", 2) and definition.clips["sheared"].shear is not None
-    again = definition_files(definition, "copy")
+    again = build_definition_files(definition, "copy")
     assert {name for name in files if again[name] != files[name]} <= {"copy/clips/bend.json"}, "angles, to the last digits"
 
 
@@ -114,9 +114,9 @@ def posed(body: Definition, clip: str, turns: list[float]) -> dict[str, np.ndarr
     one, n = np.ones(len(turns), np.float32), len(turns)
     previous_clip = np.full(n, -1, np.int16)
     machine = MachineClips(np.zeros(n, np.int16), np.array(turns, np.float32), one, previous_clip, one * 0, one * 0, one * 0)
-    poses = worn.poses((machine,), n)
-    turn = body.base_matrix()[:3, :3] * body.length * body.unit / 1000
-    return {each.transform: bound(body, each, poses).points @ turn.T for each in worn.bindings}
+    poses = worn.compute_poses((machine,), n)
+    turn = body.compute_base_matrix()[:3, :3] * body.length * body.unit / 1000
+    return {each.transform: deform_binding(body, each, poses).points @ turn.T for each in worn.bindings}
 
 
 def test_walker_is_written_both_ways_and_poses_are_the_same(tmp_path: Path) -> None:
@@ -124,8 +124,8 @@ def test_walker_is_written_both_ways_and_poses_are_the_same(tmp_path: Path) -> N
         shutil.copy(EXAMPLE / name, tmp_path / name)
     body, _ = read_definition(tmp_path / "walker.json")
     assert body is not None
-    same(body, read_back(tmp_path / "own", definition_files(body, "w"), "w.json"), 2e-6)
-    data, notes = write_gltf(body, own_layer(body), text=False)
+    same(body, read_back(tmp_path / "own", build_definition_files(body, "w"), "w.json"), 2e-6)
+    data, notes = write_gltf(body, find_base_layer(body), text=False)
     assert notes == ["transform groups are left out: glTF has none"]
     scene = Scene(data)
     scene.check()
@@ -144,8 +144,8 @@ def test_walker_is_written_both_ways_and_poses_are_the_same(tmp_path: Path) -> N
 
 
 def test_length_legs_gaits_idle_and_capsule_are_in_the_extras(tmp_path: Path) -> None:
-    body = replace(library_body("hunter"), capsule=(0.5, 0.2, 0.3, 0.05))
-    data, notes = write_gltf(body, own_layer(body), text=True)
+    body = replace(load_library_body("hunter"), capsule=(0.5, 0.2, 0.3, 0.05))
+    data, notes = write_gltf(body, find_base_layer(body), text=True)
     assert not any("legs" in note for note in notes)
     definition = read_back(tmp_path, {"w.gltf": data}, "w.gltf", rate=30.0)
     scale = body.unit / 1000
@@ -172,15 +172,15 @@ def test_what_gltf_lacks_is_reported_and_the_rest_is_the_same(body: Definition, 
     scene.check()
     names = [node.get("name") for node in scene.tree["nodes"]]
     assert scene.tree["meshes"][scene.tree["nodes"][names.index("elbow")]["mesh"]]["name"] == "block"
-    table = clip_table(body)
+    table = build_clip_table(body)
     number = [each["name"] for each in scene.tree["animations"]].index("bend")
     world, _ = scene.at(0.75, number)
-    from antdsl.bodies.agents.poses import sample_poses, transforms
+    from antdsl.bodies.agents.poses import compute_transforms, sample_poses
 
-    at = transforms(table, sample_poses(table, np.array([table.number("bend")]), np.array([0.75])))[1][:, 3, :, 0]
+    at = compute_transforms(table, sample_poses(table, np.array([table.find_clip("bend")]), np.array([0.75])))[1][:, 3, :, 0]
     # +y is ahead, -x is up: what is ahead is +z there, what is up is +y, and centimetres are metres
     ahead, up = at[1], -at[0]
-    order = [names.index(body.rig.names[k]) for k in table.order]
+    order = [names.index(body.rig.names[k]) for k in table.joint_order]
     for joint, node in enumerate(order):
         assert world[node][2, 3] == pytest.approx(ahead[joint] / 100, abs=1e-6)
         assert world[node][1, 3] == pytest.approx(up[joint] / 100, abs=1e-6)
@@ -188,8 +188,8 @@ def test_what_gltf_lacks_is_reported_and_the_rest_is_the_same(body: Definition, 
 
 @pytest.mark.parametrize("word", ["ant", "ant_queen"])
 def test_bodies_of_the_library_are_written(word: str, tmp_path: Path) -> None:
-    body = convert_axes(library_body(word), DEFAULT_FRONT, DEFAULT_UP, 1.0)  # units that files can name
-    own = read_back(tmp_path, definition_files(body, word), f"{word}.json")
+    body = convert_axes(load_library_body(word), DEFAULT_FRONT, DEFAULT_UP, 1.0)  # units that files can name
+    own = read_back(tmp_path, build_definition_files(body, word), f"{word}.json")
     for name in ("layers", "groups", "legs", "gaits", "idle", "front", "up", "length", "unit"):
         same(getattr(body, name), getattr(own, name))
     assert {name: own.materials[name] for name in body.materials} == body.materials

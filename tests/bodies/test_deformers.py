@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from rigs import definition, matrix, still, turn, wild
 
 from antdsl.bodies.agents import deformers
-from antdsl.bodies.agents.blending import ClipTree, Playing, posed
+from antdsl.bodies.agents.blending import ClipPlayback, ClipTree, blend_poses
 from antdsl.bodies.agents.definition import Binding, BlendTargets, Capture, Channel, Definition, InBetweens, Shape
-from antdsl.bodies.agents.deformers import DEFORMER_BY_NAME, bound, deformer_steps, register
-from antdsl.bodies.agents.poses import Poses, clip_table
-from antdsl.bodies.agents.skinning import Deformed
+from antdsl.bodies.agents.deformers import DEFORMER_BY_NAME, deform_binding, find_deformers, register_deformer
+from antdsl.bodies.agents.poses import Poses, build_clip_table
+from antdsl.bodies.agents.skinning import DeformedShape
 
 FACES = np.zeros((0, 3), np.int32)
 
@@ -35,13 +35,13 @@ def skinned(scales: bool, sheared: bool = False) -> tuple[Definition, Poses]:
     body = Shape("body", points, FACES, normals, attributes={"twist": random.uniform(size=120).astype(np.float32)},
                  capture=capture, dual_quaternion_blend="twist")  # fmt: skip
     built = replace(built, shapes={"body": body})
-    playing = Playing.alike(
-        ClipTree.flat(2),
+    playing = ClipPlayback.with_shared_tree(
+        ClipTree.build_flat(2),
         np.tile(np.array([[0, 1]], np.int32), (7, 1)),
         random.uniform(0, 1, (7, 2)),
         random.uniform(size=(7, 2)).astype(np.float32),
     )
-    return built, posed(clip_table(built), {}, playing)
+    return built, blend_poses(build_clip_table(built), {}, playing)
 
 
 def theirs(built: Definition, poses: Poses, method: str) -> tuple[NDArray[Any], NDArray[Any]]:
@@ -68,7 +68,7 @@ def theirs(built: Definition, poses: Poses, method: str) -> tuple[NDArray[Any], 
 @pytest.mark.parametrize("scales", [False, True], ids=["rigid", "scaled"])
 def test_linear_skinning_is_that_of_an_independent_implementation(scales: bool) -> None:
     built, poses = skinned(scales, sheared=scales)
-    result = bound(built, Binding("", "body", deformer="linearskinning"), poses)
+    result = deform_binding(built, Binding("", "body", deformer="linearskinning"), poses)
     points, normals = theirs(built, poses, "classicLinear")
     assert np.abs(result.points - points).max() < 1e-5 * max(1, np.abs(points).max())
     assert result.normals is not None and np.abs(result.normals - normals).max() < 1e-5
@@ -76,7 +76,7 @@ def test_linear_skinning_is_that_of_an_independent_implementation(scales: bool) 
 
 def test_dual_quaternion_skinning_is_that_of_an_independent_implementation() -> None:
     built, poses = skinned(scales=False)
-    result = bound(built, Binding("", "body", deformer="dualquatskinning"), poses)
+    result = deform_binding(built, Binding("", "body", deformer="dualquatskinning"), poses)
     points, normals = theirs(built, poses, "dualQuaternion")
     assert np.abs(result.points - points).max() < 1e-5 * max(1, np.abs(points).max())
     assert result.normals is not None and np.abs(result.normals - normals).max() < 1e-5
@@ -84,7 +84,7 @@ def test_dual_quaternion_skinning_is_that_of_an_independent_implementation() -> 
 
 def test_dual_quaternions_take_scale_and_shear_as_an_independent_implementation_does() -> None:
     built, poses = skinned(scales=True, sheared=True)
-    result = bound(built, Binding("", "body", deformer="dualquatskinning"), poses)
+    result = deform_binding(built, Binding("", "body", deformer="dualquatskinning"), poses)
     points, _ = theirs(built, poses, "dualQuaternion")
     assert np.abs(result.points - points).max() < 1e-5 * np.abs(points).max()
 
@@ -101,28 +101,33 @@ def twisted() -> tuple[Definition, Poses]:
     shape = Shape("bone", points, FACES, points - [[1, 0, 0]], attributes={"dq": np.array([0, 0.5, 1], np.float32)},
                   capture=capture, dual_quaternion_blend="dq")  # fmt: skip
     built = replace(built, shapes={"bone": shape})
-    playing = Playing.alike(ClipTree.flat(1), np.zeros((1, 1), np.int32), np.zeros((1, 1)), np.ones((1, 1), np.float32))
-    return built, posed(clip_table(built), {}, playing)
+    playing = ClipPlayback.with_shared_tree(
+        ClipTree.build_flat(1), np.zeros((1, 1), np.int32), np.zeros((1, 1)), np.ones((1, 1), np.float32)
+    )
+    return built, blend_poses(build_clip_table(built), {}, playing)
 
 
 def test_a_twist_collapses_linearly_and_keeps_its_volume_by_dual_quaternions() -> None:
     built, poses = twisted()
     radius = {}
     for name in ("linearskinning", "dualquatskinning", "dualquatblendskinning"):
-        result = bound(built, Binding("", "bone", deformer=name), poses)
+        result = deform_binding(built, Binding("", "bone", deformer=name), poses)
         radius[name] = np.linalg.norm(result.points[0, :, 1:], axis=1)
     assert np.allclose(radius["linearskinning"], np.cos(np.radians(85)), atol=1e-6)
     assert np.allclose(radius["dualquatskinning"], 1, atol=1e-6)
     straight, turned = (
-        bound(built, Binding("", "bone", deformer=name), poses).points[0] for name in ("linearskinning", "dualquatskinning")
+        deform_binding(built, Binding("", "bone", deformer=name), poses).points[0]
+        for name in ("linearskinning", "dualquatskinning")
     )
-    mixed = bound(built, Binding("", "bone", deformer="dualquatblendskinning"), poses).points[0]
+    mixed = deform_binding(built, Binding("", "bone", deformer="dualquatblendskinning"), poses).points[0]
     assert np.allclose(mixed, [straight[0], (straight[1] + turned[1]) / 2, turned[2]], atol=1e-6)  # by the attribute: 0, 0.5, 1
 
 
 def test_a_point_of_one_joint_goes_the_same_way_by_both_methods_whatever_the_joint_holds() -> None:
     built, poses = skinned(scales=True, sheared=True)
-    straight, turned = (bound(built, Binding("", "body", deformer=f"{name}skinning"), poses) for name in ("linear", "dualquat"))
+    straight, turned = (
+        deform_binding(built, Binding("", "body", deformer=f"{name}skinning"), poses) for name in ("linear", "dualquat")
+    )
     assert np.allclose(straight.points[:, ::5], turned.points[:, ::5], atol=1e-5 * np.abs(straight.points).max())
     assert straight.normals is not None and turned.normals is not None
     assert np.allclose(straight.normals[:, ::5], turned.normals[:, ::5], atol=1e-4)
@@ -140,15 +145,17 @@ def moved(name: str, *points: tuple[float, float, float], ids: tuple[int, ...] =
 
 
 SMILE = moved("smile", (0, 1, 0), (1, 2, 0), (2, 3, 0))
-OPEN = moved("open", (2, 0, 4), (0, 0, -4), ids=(30, 10), between=InBetweens(("ajar",), (0.25,)))
+OPEN = moved("open", (2, 0, 4), (0, 0, -4), ids=(30, 10), in_betweens=InBetweens(("ajar",), (0.25,)))
 AJAR = moved("ajar", (2, 0, 4), (0, 0, -2), ids=(30, 10))
 
 
-def face(shape: Shape, smile: list[float], jaw: list[float], *others: Shape) -> Deformed:
+def face(shape: Shape, smile: list[float], jaw: list[float], *others: Shape) -> DeformedShape:
     built = definition({"head": ""}, channels=(Channel("smile"), Channel("jaw")))
     built = replace(built, shapes={each.name: each for each in (shape, SMILE, OPEN, AJAR, *others)})
     world = np.tile(np.eye(4, dtype=np.float32)[:3], (len(smile), 1, 1, 1))
-    return bound(built, Binding("", "face", deformer="blendshape"), Poses(world, None, np.array([smile, jaw], np.float32).T))
+    return deform_binding(
+        built, Binding("", "face", deformer="blendshape"), Poses(world, None, np.array([smile, jaw], np.float32).T)
+    )
 
 
 def test_blend_shapes_add_their_differences_by_weights_that_are_not_normalised() -> None:
@@ -193,13 +200,15 @@ def test_in_betweens_are_those_of_an_independent_implementation() -> None:
     query = skel.BlendShapeQuery(binding)
     library = {
         "face": Shape("face", base, FACES, blend=BlendTargets(("one",), ("jaw",))),
-        "one": Shape("one", primary, FACES, between=InBetweens(("high", "low"), (0.8, 0.3))),
+        "one": Shape("one", primary, FACES, in_betweens=InBetweens(("high", "low"), (0.8, 0.3))),
         "low": Shape("low", low, FACES), "high": Shape("high", high, FACES),
     }  # fmt: skip
     built = replace(definition({"head": ""}, channels=(Channel("jaw"),)), shapes=library)
     weights = [0.0, 0.1, 0.3, 0.55, 0.8, 0.93, 1.0]
     world = np.tile(np.eye(4, dtype=np.float32)[:3], (len(weights), 1, 1, 1))
-    result = bound(built, Binding("", "face", deformer="blendshape"), Poses(world, None, np.array(weights, np.float32)[:, None]))
+    result = deform_binding(
+        built, Binding("", "face", deformer="blendshape"), Poses(world, None, np.array(weights, np.float32)[:, None])
+    )
     for weight, mine in zip(weights, result.points, strict=True):
         points = vt.Vec3fArray.FromNumpy(base.copy())
         shares = query.ComputeSubShapeWeights(vt.FloatArray([weight]))
@@ -231,7 +240,7 @@ def test_an_in_between_without_normals_is_passed_by_them_alone() -> None:
 
 def test_what_a_blend_shape_cannot_be_is_refused() -> None:
     for weight in (0.0, 1.0):
-        odd = replace(SMILE, name="odd", between=InBetweens(("ajar",), (weight,)))
+        odd = replace(SMILE, name="odd", in_betweens=InBetweens(("ajar",), (weight,)))
         with pytest.raises(ValueError, match=f"has weight {weight:g}"):
             face(replace(FACE, blend=BlendTargets(("odd",), ("smile",))), [0], [0], odd)
     for blend, why in ((BlendTargets(("gone",), ("smile",)), "gone"), (BlendTargets(("smile",), ("tail",)), "tail")):
@@ -256,10 +265,12 @@ def test_blend_shapes_come_before_skinning() -> None:
         definition({"head": ""}, still("turn", {"head": {"r": turn("x", 90)}}, {"open": 1.0}), channels=(Channel("open"),)),
         shapes=shapes,
     )
-    playing = Playing.alike(ClipTree.flat(1), np.zeros((1, 1), np.int32), np.zeros((1, 1)), np.ones((1, 1), np.float32))
-    poses = posed(clip_table(built), {}, playing)
+    playing = ClipPlayback.with_shared_tree(
+        ClipTree.build_flat(1), np.zeros((1, 1), np.int32), np.zeros((1, 1)), np.ones((1, 1), np.float32)
+    )
+    poses = blend_poses(build_clip_table(built), {}, playing)
     for name in ("linearskinning", "dualquatskinning", "dualquatblendskinning"):
-        result = bound(built, Binding("", "skin", deformer=f"blendshape+{name}"), poses)
+        result = deform_binding(built, Binding("", "skin", deformer=f"blendshape+{name}"), poses)
         assert np.allclose(result.points, [[[3, 0, 1]]], atol=1e-6) and result.normals is not None
         assert np.allclose(result.normals, [[[0, 0, 1]]], atol=1e-6)
 
@@ -269,8 +280,10 @@ def test_a_static_shape_goes_as_its_joint_goes() -> None:
     built = definition({"hand": ""}, still("hold", {"hand": {"t": (0, 0, 5), "r": turn("z", 90), "s": (2, 1, 1)}}))
     stick = Shape("stick", np.array([[1, 0, 0], [1, 1, 0]], np.float32), FACES, np.array([[1, 0, 0], [0.6, 0.8, 0]], np.float32))
     built = replace(built, shapes={"stick": stick})
-    playing = Playing.alike(ClipTree.flat(1), np.array([[0], [-1]], np.int32), np.zeros((2, 1)), np.ones((2, 1), np.float32))
-    result = bound(built, Binding("hand", "stick"), posed(clip_table(built), {}, playing))
+    playing = ClipPlayback.with_shared_tree(
+        ClipTree.build_flat(1), np.array([[0], [-1]], np.int32), np.zeros((2, 1)), np.ones((2, 1), np.float32)
+    )
+    result = deform_binding(built, Binding("hand", "stick"), blend_poses(build_clip_table(built), {}, playing))
     assert np.allclose(result.points, [[[0, 2, 5], [-1, 2, 5]], [[1, 0, 0], [1, 1, 0]]], atol=1e-6)
     across = np.array([-0.8, 0.3, 0]) / np.hypot(0.8, 0.3)  # normals shrink where the shape is stretched
     assert result.normals is not None and np.allclose(
@@ -281,22 +294,25 @@ def test_a_static_shape_goes_as_its_joint_goes() -> None:
 def test_a_deformer_of_ones_own_is_used_by_its_name_alone_and_after_others(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(deformers, "DEFORMER_BY_NAME", dict(DEFORMER_BY_NAME))
 
-    def swell(deformed: Deformed, shape: Shape, definition: Definition, poses: Poses) -> Deformed:
-        return Deformed(deformed.points * (1 + poses.channels[:, :1, None]), deformed.normals, deformed.attributes)
+    def swell(deformed: DeformedShape, shape: Shape, definition: Definition, poses: Poses) -> DeformedShape:
+        return DeformedShape(deformed.points * (1 + poses.channels[:, :1, None]), deformed.normals, deformed.attributes)
 
-    register("swell", swell)
+    register_deformer("swell", swell)
     built = replace(
         definition({"head": ""}, channels=(Channel("smile"), Channel("jaw"))),
         shapes={"face": FACE, "smile": SMILE, "open": OPEN, "ajar": AJAR},
     )
     poses = Poses(np.tile(np.eye(4, dtype=np.float32)[:3], (2, 1, 1, 1)), None, np.array([[1, 0], [0, 0]], np.float32))
-    assert bound(built, Binding("", "face", deformer="swell"), poses).points[0].tolist() == (2 * FACE.points).tolist()
-    assert bound(built, Binding("", "face", deformer="blendshape+swell"), poses).points[0].tolist() == (2 * SMILE.points).tolist()
+    assert deform_binding(built, Binding("", "face", deformer="swell"), poses).points[0].tolist() == (2 * FACE.points).tolist()
+    assert (
+        deform_binding(built, Binding("", "face", deformer="blendshape+swell"), poses).points[0].tolist()
+        == (2 * SMILE.points).tolist()
+    )
     for name in ("", "swell", "a+b"):
         with pytest.raises(ValueError, match="cannot be the name of a deformer"):
-            register(name, swell)
+            register_deformer(name, swell)
     with pytest.raises(KeyError, match="no deformer `melt`; there are linearskinning"):
-        deformer_steps("blendshape+melt")
+        find_deformers("blendshape+melt")
 
 
 def test_the_page_has_all_deformers() -> None:
@@ -315,18 +331,18 @@ def test_shapes_without_what_a_deformer_needs_are_refused() -> None:
         (replace(body, capture=astray), "linearskinning", KeyError, "follows joint `tail`"),
     ):  # fmt: skip
         with pytest.raises(error, match=why):
-            bound(replace(built, shapes={"body": odd}), Binding("", "body", deformer=name), poses)
+            deform_binding(replace(built, shapes={"body": odd}), Binding("", "body", deformer=name), poses)
 
 
 @pytest.mark.parametrize("name", ["", "linearskinning", "dualquatskinning", "dualquatblendskinning"])
 def test_an_agent_is_deformed_alike_whatever_other_agents_there_are(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     built, poses = skinned(scales=True)
     binding = Binding("" if name else "j3", "body", deformer=name)
-    total = bound(built, binding, poses)
+    total = deform_binding(built, binding, poses)
     order = np.array([4, 2, 6, 0, 1, 3, 5])
     monkeypatch.setattr(deformers, "_POINTS_PER_CHUNK", 1)
     for rows in (order, order[:1]):
-        subset = bound(built, binding, Poses(np.ascontiguousarray(poses.world[rows]), None, poses.channels[rows]))
+        subset = deform_binding(built, binding, Poses(np.ascontiguousarray(poses.world[rows]), None, poses.channels[rows]))
         assert subset.points.tobytes() == total.points[rows].tobytes()
         assert (
             subset.normals is not None and total.normals is not None and subset.normals.tobytes() == total.normals[rows].tobytes()
@@ -341,5 +357,7 @@ def test_a_blend_shape_at_a_joint_is_carried_by_it_and_skinned_points_are_not_ca
     world = np.tile(np.eye(4, dtype=np.float32)[:3], (1, 1, 1, 1))
     world[0, 0, :, 3] = (0, 10, 0)
     poses = Poses(world, None, np.array([[1, 0]], np.float32))
-    current, target = (bound(built, Binding(joint, "face", deformer="blendshape"), poses).points[0] for joint in ("", "head"))
+    current, target = (
+        deform_binding(built, Binding(joint, "face", deformer="blendshape"), poses).points[0] for joint in ("", "head")
+    )
     assert (target - current).tolist() == [[0, 10, 0]] * len(current)

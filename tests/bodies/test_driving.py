@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from rigs import definition, matrix
 
-from antdsl.bodies.agents.blending import posed
+from antdsl.bodies.agents.blending import blend_poses
 from antdsl.bodies.agents.definition import TransformGroup
-from antdsl.bodies.agents.driving import with_looks
-from antdsl.bodies.agents.machine_clips import playing_of_machines
-from antdsl.bodies.agents.poses import clip_table
+from antdsl.bodies.agents.driving import turn_towards_looks
+from antdsl.bodies.agents.machine_clips import build_machine_playback
+from antdsl.bodies.agents.poses import build_clip_table
 
 JOINTS = {"root": "", "neck": "root", "head": "neck", "jaw": "head", "tail": "root"}
 REST = {"neck": matrix((1, 0, 0)), "head": matrix((1, 0, 0)), "jaw": matrix((1, 0, 0)), "tail": matrix((-1, 0, 0))}
@@ -20,9 +20,9 @@ DIRECTION = np.array([[np.cos(np.radians(40)), 0, np.sin(np.radians(40))]], np.f
 def turned(*members: tuple[str, float], look: np.ndarray = DIRECTION) -> dict[str, tuple[float, float, float]]:
     """Of each joint how far it looks aside in degrees, and its place along x and z."""
     body = definition(JOINTS, rest=REST)
-    table = clip_table(body)
-    poses = posed(table, {}, playing_of_machines(table, (), [], 1))
-    matrices = with_looks(table, poses, {"part": look}, {"part": TransformGroup("part", members)}, np.eye(3)).world[0]
+    table = build_clip_table(body)
+    poses = blend_poses(table, {}, build_machine_playback(table, (), [], 1))
+    matrices = turn_towards_looks(table, poses, {"part": look}, {"part": TransformGroup("part", members)}, np.eye(3)).world[0]
     return {
         name: (float(np.degrees(np.arctan2(m[2, 0], m[0, 0]))), float(m[0, 3]), float(m[2, 3]))
         for name, m in zip(JOINTS, matrices, strict=True)

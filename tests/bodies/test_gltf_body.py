@@ -17,7 +17,7 @@ import pytest
 from PIL import Image
 
 from antdsl import limits
-from antdsl.bodies.agents.boxes import rest_box
+from antdsl.bodies.agents.boxes import compute_rest_box
 from antdsl.bodies.agents.definition import Binding, BodyError, Definition
 from antdsl.bodies.files.gltf_body import read_gltf
 from antdsl.bodies.files.reading import read_definition
@@ -57,7 +57,7 @@ def test_a_mesh_is_a_shape_with_all_that_deformers_need(arm: Definition) -> None
     assert capture.weights.tolist() == [[1, 0], [0.75, 0.25], [0.5, 0.5], [1, 0], [1, 0]]  # made to add up to 1
     assert capture.joints[3].tolist() == [1, 0] and capture.inverse[1, :3, 3].tolist() == [0, -2, 0]
     assert arm.layers["body"].deforming == (Binding("", "arm", deformer="blendshape+linearskinning"),)
-    assert [part.tolist() for part in rest_box(arm)] == [[0, 1, 0], [1, 5, 1]]  # the skin, where the joints put it
+    assert [part.tolist() for part in compute_rest_box(arm)] == [[0, 1, 0], [1, 5, 1]]  # the skin, where the joints put it
 
 
 def test_values_may_lie_between_others_and_stand_for_shares() -> None:
@@ -110,7 +110,7 @@ def test_a_texture_becomes_the_colours_of_points() -> None:
     assert body.shapes["arm"].attributes["Cd"] == pytest.approx(np.tile([1.0, 0.0, 0.0], (len(body.shapes["arm"].points), 1)))
     body = replace(body, length=1.0)
     worn = PosedBody(body, ())
-    red = worn.own[worn.material == "shell"]
+    red = worn.material_colours[worn.material_names == "shell"]
     assert len(red) and red == pytest.approx(np.tile([body.materials["shell"][0], 0.0, 0.0], (len(red), 1)), abs=1e-6)
     again, _ = read_gltf(write_gltf(body, body.layers["body"], text=False)[0], "arm", nothing_beside, 20.0)
     assert again.shapes["arm"].attributes["Cd"] == pytest.approx(body.shapes["arm"].attributes["Cd"])
@@ -140,7 +140,7 @@ def test_a_morph_target_is_a_shape_to_blend_with(arm: Definition) -> None:
 
 def test_keys_are_sampled_by_their_kind(arm: Definition) -> None:
     bend, hop, smile = (arm.clips[name] for name in ("bend", "hop", "smile"))
-    assert (bend.samples, bend.rate, bend.duration, bend.joints) == (21, 20.0, 1.0, ("elbow",))
+    assert (bend.sample_count, bend.rate, bend.duration, bend.joints) == (21, 20.0, 1.0, ("elbow",))
     angle = 2 * np.arctan2(bend.rotation[:, 0, 2], bend.rotation[:, 0, 3])
     assert np.abs(angle - np.linspace(0, np.pi / 2, 21)).max() < 1e-6  # evenly, not along the chord
     assert (bend.translation[:, 0] == (0, 2, 0)).all()  # what is not animated is the node's own
@@ -161,8 +161,8 @@ def test_extras_of_an_animation_hold_what_gltf_has_no_place_for(arm: Definition)
     rate = 20 * (1 + 1e-9)  # float32 keys do not tell it from 20
     bend = with_extras({"rate": rate, "loop": False, "stride": 1.5, "marks": {"top": 0.25}, "feet": False}).clips["bend"]
     assert (bend.rate, bend.loop, bend.stride, bend.marks, bend.feet) == (rate, False, 1.5, {"top": 0.25}, False)
-    assert bend.samples == 21 and bend.duration == 20 / rate
-    assert with_extras({"rate": 10}).clips["bend"].samples == 11
+    assert bend.sample_count == 21 and bend.duration == 20 / rate
+    assert with_extras({"rate": 10}).clips["bend"].sample_count == 11
     plain = arm.clips["bend"]
     assert (plain.rate, plain.loop, plain.stride, plain.marks, plain.feet) == (20.0, True, 0.0, {}, True)
 
@@ -247,7 +247,7 @@ def test_a_mesh_with_morph_targets_at_a_node_is_blended_and_follows_that_node() 
     assert definition.layers["body"].deforming == (Binding("", "arm", deformer="blendshape+linearskinning"),)
     capture = definition.shapes["arm"].capture
     assert capture is not None and capture.names == ("stand",) and (capture.weights == 1).all()
-    assert [part.tolist() for part in rest_box(definition)] == [[0, 7, 0], [1, 11, 1]]
+    assert [part.tolist() for part in compute_rest_box(definition)] == [[0, 7, 0], [1, 11, 1]]
     assert definition.rig.channels[0].default == 0.5
 
 

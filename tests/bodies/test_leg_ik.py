@@ -10,13 +10,13 @@ import pytest
 import stick_bodies
 from rigs import still
 
-from antdsl.bodies.agents.blending import posed
+from antdsl.bodies.agents.blending import blend_poses
 from antdsl.bodies.agents.definition import Definition
-from antdsl.bodies.agents.leg_chains import legs_data
+from antdsl.bodies.agents.leg_chains import build_legs_data
 from antdsl.bodies.agents.leg_ik import BodySpaceFeet, LegSolver, PlacedFeet
-from antdsl.bodies.agents.machine_clips import MachineClips, playing_of_machines
-from antdsl.bodies.agents.poses import Poses, clip_table
-from antdsl.bodies.body import rotation_matrices
+from antdsl.bodies.agents.machine_clips import MachineClips, build_machine_playback
+from antdsl.bodies.agents.poses import Poses, build_clip_table
+from antdsl.bodies.body import build_rotation_matrices
 from antdsl.bodies.files.reading import read_definition
 from antdsl.numerics.records import take_rows
 
@@ -31,13 +31,13 @@ def body(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactor
 
 
 def rest(body: Definition, count: int = N) -> Poses:
-    table = clip_table(body)
-    return posed(table, body.groups, playing_of_machines(table, (), (), count))
+    table = build_clip_table(body)
+    return blend_poses(table, body.groups, build_machine_playback(table, (), (), count))
 
 
 def feet_near(body: Definition, spread: float, seed: int = 1, **other: np.ndarray) -> BodySpaceFeet:
     """Feet about where they rest, some higher and some lower, on level trunks that are a little lower than they rest."""
-    legs = legs_data(body)
+    legs = build_legs_data(body)
     rng = np.random.default_rng(seed)
     place = np.tile(legs.foot, (N, 1, 1)) + rng.uniform(-1, 1, (N, len(legs.foot), 3)) * spread * legs.length[:, None]
     place[..., 1] -= legs.foot[:, 1]
@@ -48,7 +48,7 @@ def feet_near(body: Definition, spread: float, seed: int = 1, **other: np.ndarra
 
 def joints(body: Definition, poses: Poses) -> np.ndarray:
     """Where joints are, [n, J, 3], in body lengths."""
-    return np.ascontiguousarray(poses.world[..., 3]) @ body.base_matrix()[:3, :3].T.astype(np.float32)
+    return np.ascontiguousarray(poses.world[..., 3]) @ body.compute_base_matrix()[:3, :3].T.astype(np.float32)
 
 
 def test_feet_that_stand_are_where_they_are_to_be(body: Definition) -> None:
@@ -56,10 +56,10 @@ def test_feet_that_stand_are_where_they_are_to_be(body: Definition) -> None:
     lean = np.concatenate([rng.uniform(-0.12, 0.12, (N, 3)), np.ones((N, 1))], 1).astype(np.float32)
     tilt = lean / np.linalg.norm(lean, axis=1, keepdims=True)
     for feet in (feet_near(body, 0.12), feet_near(body, 0.1, tilt=tilt, rise=np.full(N, -0.1, np.float32))):
-        legs, own = LegSolver(body), legs_data(body)
+        legs, own = LegSolver(body), build_legs_data(body)
         bent_joints = joints(body, legs.bend_legs(rest(body), feet, np.ones(N, np.float32)))
         for k, leg in enumerate(body.legs):
-            goal = feet.place[:, k] + np.array([0, own.foot[k, 1], 0])
+            goal = feet.positions[:, k] + np.array([0, own.foot[k, 1], 0])
             foot = bent_joints[:, body.rig.joint(leg.foot)]
             assert np.abs(np.linalg.norm(foot - goal, axis=1)).max() < 1e-3 * own.length[k]
 
@@ -87,7 +87,7 @@ def test_a_goal_out_of_reach_is_gone_towards_and_a_straight_leg_bends_to_the_fro
     definition, _ = read_definition(stick_bodies.write_body(tmp_path, 2))
     assert definition is not None
     far = feet_near(definition, 0.0, rise=np.zeros(N, np.float32))
-    far = replace(far, place=far.place + np.array([2, -1, 0], np.float32), down=np.zeros_like(far.down))
+    far = replace(far, positions=far.positions + np.array([2, -1, 0], np.float32), down=np.zeros_like(far.down))
     poses = LegSolver(definition).bend_legs(rest(definition), far, np.ones(N, np.float32))
     now = joints(definition, poses)
     hip, knee, foot = (now[0, definition.rig.joint(f"{part}_left_0")] for part in ("thigh", "shank", "foot"))
@@ -120,7 +120,7 @@ def test_a_clip_that_leaves_feet_free_has_its_own_legs_as_much_as_it_weighs(body
         ((), 1.0), ((machine(0, -1, 0),), 1.0), ((machine(1, -1, 0),), 0.0), ((machine(1, 0, 0.25),), 0.25),
         ((machine(0, -1, 0), machine(1, -1, 0, 0.5)), 0.5), ((machine(1, -1, 0), machine(0, -1, 0)), 1.0),
     ):  # fmt: skip
-        assert np.allclose(legs.stance_weights(played, machines, N), expected)
+        assert np.allclose(legs.compute_stance_weights(played, machines, N), expected)
     feet = feet_near(body, 0.2)
     free = legs.bend_legs(rest(body), feet.scale_trunk(np.zeros(N, np.float32)), np.zeros(N, np.float32))
     assert np.allclose(free.world, rest(body).world, atol=1e-5)
@@ -130,11 +130,11 @@ def test_feet_beside_bodies_are_as_placed_ones_seen_from_them() -> None:
     rng = np.random.default_rng(3)
     position, orient, scale = rng.normal(size=(5, 3)), rng.normal(size=(5, 4)), rng.uniform(1, 3, 5)
     local = rng.normal(size=(5, 6, 3))
-    placed = position[:, None] + (local * scale[:, None, None]) @ np.swapaxes(rotation_matrices(orient), 1, 2)
+    placed = position[:, None] + (local * scale[:, None, None]) @ np.swapaxes(build_rotation_matrices(orient), 1, 2)
     ones = np.ones(5, np.float32)
     placed_feet = PlacedFeet(
         placed.astype(np.float32), np.ones((5, 6), np.uint8), ones, ones, np.tile(np.float32([0, 0, 0, 1]), (5, 1))
     )
     beside = placed_feet.relative_to(position, orient, scale)
-    assert np.allclose(beside.place, local, atol=1e-5) and np.allclose(beside.rise, 1 / scale)
+    assert np.allclose(beside.positions, local, atol=1e-5) and np.allclose(beside.rise, 1 / scale)
     assert np.array_equal(take_rows(placed_feet, np.array([2])).P, placed_feet.P[2:3])

@@ -11,8 +11,8 @@ from antdsl import resources
 from antdsl.bodies.agents.definition import Definition, Shape
 from antdsl.bodies.agents.deformers import DEFORMER_BY_NAME
 from antdsl.bodies.agents.machine_clips import MachineClips
-from antdsl.bodies.files.definition_checks import Parts, check_definition
-from antdsl.bodies.library import library_body
+from antdsl.bodies.files.definition_checks import ReadDefinition, check_definition
+from antdsl.bodies.library import load_library_body
 from antdsl.bodies.posed_body import PosedBody
 from antdsl.diagnostics import Report
 from antdsl.scene.library_bodies import BODY_WORDS
@@ -22,7 +22,7 @@ ANT_CLIPS = ("antennate", "carry", "die", "dig", "drop", "groom", "idle", "look"
 
 
 def shapes(word: str) -> list[Shape]:
-    return list(library_body(word).shapes.values())
+    return list(load_library_body(word).shapes.values())
 
 
 def open_edges(shape: Shape) -> int:
@@ -38,9 +38,9 @@ def open_edges(shape: Shape) -> int:
 
 @pytest.mark.parametrize("word", sorted(BODY_WORDS))
 def test_shapes_are_closed_textured_and_follow_joints(word: str) -> None:
-    body = library_body(word)
+    body = load_library_body(word)
     report = Report()
-    assert check_definition(Parts(body), report) is not None and not report.sorted(), str(report)
+    assert check_definition(ReadDefinition(body), report) is not None and not report.sort_by_place(), str(report)
     for shape in shapes(word):
         assert open_edges(shape) == 0, shape.name
         corners = shape.points[shape.faces].astype(np.float64)
@@ -56,14 +56,14 @@ def test_shapes_are_closed_textured_and_follow_joints(word: str) -> None:
 
 @pytest.mark.parametrize("word", ANTS)
 def test_ants_have_few_triangles_in_crowds_and_many_from_near(word: str) -> None:
-    body = library_body(word)
+    body = load_library_body(word)
     counts = {layer.name: sum(len(body.shapes[b.shape].faces) for b in layer.deforming) for layer in body.layers.values()}
     assert counts["body"] < 500 and 15_000 < counts["close"] < 25_000 and counts["load"] < 200
     assert {b.deformer for layer in body.layers.values() for b in layer.deforming} <= set(DEFORMER_BY_NAME)
 
 
 def test_castes_have_the_same_joints_and_clips_and_other_proportions() -> None:
-    worker, queen, soldier = (library_body(word) for word in ANTS)
+    worker, queen, soldier = (load_library_body(word) for word in ANTS)
     assert worker.rig.names == soldier.rig.names == queen.rig.names
     assert list(worker.clips) == list(soldier.clips) == list(queen.clips)
     wide = {b.name: b.shapes[b.name.replace(b.name, "ant")].points for b in (worker, queen, soldier)}
@@ -78,10 +78,10 @@ def test_castes_have_the_same_joints_and_clips_and_other_proportions() -> None:
 
 @pytest.mark.parametrize("word", sorted(BODY_WORDS))
 def test_clips_are_whole(word: str) -> None:
-    body = library_body(word)
+    body = load_library_body(word)
     assert not body.clips or body.idle in body.clips
     for clip in body.clips.values():
-        moved = np.concatenate([clip.rotation.reshape(clip.samples, -1), clip.translation.reshape(clip.samples, -1)], 1)
+        moved = np.concatenate([clip.rotation.reshape(clip.sample_count, -1), clip.translation.reshape(clip.sample_count, -1)], 1)
         assert np.isfinite(moved).all() and np.allclose(np.linalg.norm(clip.rotation, axis=-1), 1, atol=1e-5)
         assert not clip.loop or (moved[0] == moved[-1]).all(), clip.name
         # Nothing jumps from one sample to the next.
@@ -91,7 +91,7 @@ def test_clips_are_whole(word: str) -> None:
 
 
 def test_every_joint_of_the_ant_is_moved_by_a_clip_and_moves_points() -> None:
-    ant = library_body("ant")
+    ant = load_library_body("ant")
     moved = {name for clip in ant.clips.values() for name in clip.joints}
     feet = {leg.foot for leg in ant.legs}
     assert set(ant.rig.names) - moved == {"root", "load", *(f"coxa_{leg.name}" for leg in ant.legs)} | feet
@@ -113,20 +113,20 @@ def test_every_body_has_its_files_and_nothing_else_is_there() -> None:
 
 def feet_in(body: Definition, name: str) -> tuple[np.ndarray, np.ndarray]:
     """Where the feet are over a clip [samples, legs, 3], and how far the body has gone."""
-    from antdsl.bodies.agents.blending import ClipTree, Playing, posed
-    from antdsl.bodies.agents.poses import clip_table
+    from antdsl.bodies.agents.blending import ClipPlayback, ClipTree, blend_poses
+    from antdsl.bodies.agents.poses import build_clip_table
 
-    table = clip_table(replace(body, shapes={}, layers={}))
+    table = build_clip_table(replace(body, shapes={}, layers={}))
     clip = body.clips[name]
-    times = np.linspace(0, clip.duration, clip.samples)[:, None]
-    clips, ones = np.full((clip.samples, 1), table.number(name), np.int32), np.ones((clip.samples, 1), np.float32)
-    world = posed(table, body.groups, Playing.alike(ClipTree.flat(1), clips, times, ones)).world
-    return world[:, [body.rig.joint(leg.foot) for leg in body.legs]][..., 3], clip.stride * np.linspace(0, 1, clip.samples)
+    times = np.linspace(0, clip.duration, clip.sample_count)[:, None]
+    clips, ones = np.full((clip.sample_count, 1), table.find_clip(name), np.int32), np.ones((clip.sample_count, 1), np.float32)
+    world = blend_poses(table, body.groups, ClipPlayback.with_shared_tree(ClipTree.build_flat(1), clips, times, ones)).world
+    return world[:, [body.rig.joint(leg.foot) for leg in body.legs]][..., 3], clip.stride * np.linspace(0, 1, clip.sample_count)
 
 
 @pytest.mark.parametrize("word", [word for word in sorted(BODY_WORDS) if word not in ("arrow", "ball")])
 def test_feet_on_the_ground_stay_where_they_are(word: str) -> None:
-    body = library_body(word)
+    body = load_library_body(word)
     for name, clip in body.clips.items():
         if clip.stride:
             feet, distances = feet_in(body, name)
@@ -147,7 +147,7 @@ def test_feet_on_the_ground_stay_where_they_are(word: str) -> None:
 )
 def test_bodies_stay_above_the_ground_in_their_clips(word: str, names: tuple[str, ...], least: float) -> None:
     for name in names:
-        assert lowest(library_body(word), name) > least, name
+        assert lowest(load_library_body(word), name) > least, name
 
 
 def lowest(body: Definition, clip: str) -> float:
@@ -155,13 +155,13 @@ def lowest(body: Definition, clip: str) -> float:
     plays = np.linspace(0, 0.999, 25, dtype=np.float32)
     ones, none = np.ones(25, np.float32), np.zeros(25, np.float32)
     machine = MachineClips(np.zeros(25, np.int16), plays, ones, np.full(25, -1, np.int16), none, none, none)
-    points, _ = PosedBody(body, [(clip, "")]).posed((machine,), 25)
+    points, _ = PosedBody(body, [(clip, "")]).pose_vertices((machine,), 25)
     return float(points[:, :, 1].min())
 
 
-@pytest.mark.parametrize("word", [word for word in sorted(BODY_WORDS) if library_body(word).legs])
+@pytest.mark.parametrize("word", [word for word in sorted(BODY_WORDS) if load_library_body(word).legs])
 def test_gaits_can_be_walked(word: str) -> None:
-    body = library_body(word)
+    body = load_library_body(word)
     rest = {name: body.rig.rest[body.rig.joint(name), :3, 3] for name in body.rig.names}
     for leg in body.legs:
         chain, at = [], leg.foot

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from rigs import definition, matrix, still, turn
 
-from antdsl.bodies.agents.blending import OVER_MODE, posed
+from antdsl.bodies.agents.blending import OVER_MODE, blend_poses
 from antdsl.bodies.agents.definition import TransformGroup
-from antdsl.bodies.agents.machine_clips import MachineClips, PlayedClip, playing_of_machines
-from antdsl.bodies.agents.poses import clip_table
+from antdsl.bodies.agents.machine_clips import MachineClips, PlayedClip, build_machine_playback
+from antdsl.bodies.agents.poses import build_clip_table
 from antdsl.numerics.records import take_rows
 
 # A trunk, an arm and a leg beside each other; clips put them at heights: rest 0, low 1, high 3.
@@ -34,8 +34,8 @@ def machine(
 
 def heights(*machines: MachineClips) -> list[float]:
     """Of trunk, arm and leg."""
-    table = clip_table(BODY)
-    matrices = posed(table, BODY.groups, playing_of_machines(table, CLIPS, machines, 1)).world
+    table = build_clip_table(BODY)
+    matrices = blend_poses(table, BODY.groups, build_machine_playback(table, CLIPS, machines, 1)).world
     return [float(y) for y in matrices[0, :, 1, 3]]
 
 
@@ -67,9 +67,9 @@ def test_machines_lie_over_each_other(machines: list[MachineClips], expected: li
 def test_rotations_go_over_by_the_shorter_way() -> None:
     clips = [still(name, {"trunk": {"r": [-x for x in turn("z", a)]}}) for name, a in (("a", 0), ("b", 90))]
     body = definition({"trunk": ""}, *clips)
-    table = clip_table(body)
-    matrices = posed(
-        table, {}, playing_of_machines(table, (("a", ""), ("b", "")), [machine(0), machine(1, weight=0.5)], 1)
+    table = build_clip_table(body)
+    matrices = blend_poses(
+        table, {}, build_machine_playback(table, (("a", ""), ("b", "")), [machine(0), machine(1, weight=0.5)], 1)
     ).world[0, 0]
     assert matrices[:, :3] == pytest.approx(matrix(rotation=turn("z", 45))[:3, :3], abs=1e-6)
 
@@ -78,17 +78,19 @@ def test_turns_are_times_and_who_else_is_there_changes_nothing() -> None:
     walk = replace(LOW, name="walk", rate=2.0, translation=np.array([[[0, 0, 0]] * 3, [[0, 1, 0]] * 3], np.float32),
                    rotation=np.tile(LOW.rotation, (2, 1, 1)), scale=np.tile(LOW.scale, (2, 1, 1)))  # fmt: skip
     body = replace(definition(JOINTS, walk, replace(walk, name="once", loop=False)), groups=BODY.groups)
-    table = clip_table(body)
+    table = build_clip_table(body)
     clips = (("walk", ""), ("once", ""), ("walk", "arms"))
     clip, turns = np.array([0, 0, 1, 1, 2], np.int16), np.array([0.25, 7.25, 0.5, 1.0, 0.75], np.float32)
     ones, zeros, none = np.ones(5, np.float32), np.zeros(5, np.float32), np.full(5, -1, np.int16)
     all_rows = MachineClips(clip, turns, ones, none, zeros, ones, zeros)
-    playing = playing_of_machines(table, clips, [all_rows], 5)
+    playing = build_machine_playback(table, clips, [all_rows], 5)
     assert all(tree.modes[0] == OVER_MODE for tree in playing.trees) and len(playing.trees) == 2
-    together = posed(table, body.groups, playing).world
+    together = blend_poses(table, body.groups, playing).world
     assert together[:, 1, 1, 3] == pytest.approx([0.25, 0.25, 0.5, 1.0, 0.75]) and together[4, 0, 1, 3] == 0
     for k in range(5):
-        alone = posed(table, body.groups, playing_of_machines(table, clips, [take_rows(all_rows, np.array([k]))], 1)).world
+        alone = blend_poses(
+            table, body.groups, build_machine_playback(table, clips, [take_rows(all_rows, np.array([k]))], 1)
+        ).world
         assert np.array_equal(alone[0], together[k])
 
 
@@ -103,19 +105,21 @@ def test_turns_are_times_and_who_else_is_there_changes_nothing() -> None:
     ],
 )
 def test_what_is_added_lies_over_all_others(clips: tuple[PlayedClip, ...], expected: list[float]) -> None:
-    table = clip_table(BODY)
-    matrices = posed(table, BODY.groups, playing_of_machines(table, clips, [machine(0), machine(1)], 1)).world
+    table = build_clip_table(BODY)
+    matrices = blend_poses(table, BODY.groups, build_machine_playback(table, clips, [machine(0), machine(1)], 1)).world
     assert [float(y) for y in matrices[0, :, 1, 3]] == pytest.approx(expected, abs=1e-5)
 
 
 def test_what_is_added_fades_and_gives_way_to_what_is_not() -> None:
-    table, clips = clip_table(BODY), (PlayedClip("low"), PlayedClip("high", add=True))
+    table, clips = build_clip_table(BODY), (PlayedClip("low"), PlayedClip("high", add=True))
     for fade in (0.0, 0.25, 1.0):
         machines = [machine(0), machine(-1, previous_clip=1, fade=fade)]
-        matrices = posed(table, BODY.groups, playing_of_machines(table, clips, machines, 1)).world
+        matrices = blend_poses(table, BODY.groups, build_machine_playback(table, clips, machines, 1)).world
         assert float(matrices[0, 0, 1, 3]) == pytest.approx(1 + 3 * fade, abs=1e-5)
     # over: half of what is added, and half of a walk that lies over the rest
-    matrices = posed(table, BODY.groups, playing_of_machines(table, clips, [machine(0, previous_clip=1, fade=0.5)], 1)).world
+    matrices = blend_poses(
+        table, BODY.groups, build_machine_playback(table, clips, [machine(0, previous_clip=1, fade=0.5)], 1)
+    ).world
     assert float(matrices[0, 0, 1, 3]) == pytest.approx(0.5 + 1.5, abs=1e-5)
 
 
@@ -136,9 +140,11 @@ def test_what_is_added_fades_and_gives_way_to_what_is_not() -> None:
 def test_clips_give_way_as_an_agent_turns_and_climbs(lean: tuple[float, float], height: float) -> None:
     zero = still("zero", {j: {"t": (0, 0, 0)} for j in JOINTS})
     body = replace(definition(JOINTS, LOW, HIGH, zero), groups=BODY.groups)
-    table, clips = clip_table(body), (PlayedClip("low", left="high", right="zero", up="high"),)
+    table, clips = build_clip_table(body), (PlayedClip("low", left="high", right="zero", up="high"),)
     leans = np.array([lean], np.float32)
-    matrices = posed(table, body.groups, playing_of_machines(table, clips, [machine(0)], 1, leans)).world
+    matrices = blend_poses(table, body.groups, build_machine_playback(table, clips, [machine(0)], 1, leans)).world
     assert float(matrices[0, 0, 1, 3]) == pytest.approx(height, abs=1e-5)
-    pair = playing_of_machines(table, clips, [take_rows(machine(0), np.array([0, 0]))], 2, np.array([lean, (0, 0)], np.float32))
-    assert [float(y) for y in posed(table, body.groups, pair).world[:, 0, 1, 3]] == pytest.approx([height, 1], abs=1e-5)
+    pair = build_machine_playback(
+        table, clips, [take_rows(machine(0), np.array([0, 0]))], 2, np.array([lean, (0, 0)], np.float32)
+    )
+    assert [float(y) for y in blend_poses(table, body.groups, pair).world[:, 0, 1, 3]] == pytest.approx([height, 1], abs=1e-5)

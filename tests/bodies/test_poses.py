@@ -7,18 +7,25 @@ import pytest
 from rigs import definition, matrix, still, turn, wild
 
 from antdsl.bodies.agents import affine, blending
-from antdsl.bodies.agents.blending import ClipTree, Playing, posed
+from antdsl.bodies.agents.blending import ClipPlayback, ClipTree, blend_poses
 from antdsl.bodies.agents.definition import Channel, Clip, Definition, Rig
-from antdsl.bodies.agents.poses import Poses, clip_table, local_transforms, sample_poses, square_matrices, world_transforms
+from antdsl.bodies.agents.poses import (
+    Poses,
+    build_clip_table,
+    sample_poses,
+    to_local_transforms,
+    to_square_matrices,
+    to_world_transforms,
+)
 
 
 def alone(definition: Definition, clips: list[int], times: list[float]) -> Poses:
     """Each agent with its own clip."""
-    table = clip_table(definition)
-    playing = Playing.alike(
-        ClipTree.flat(1), np.array(clips, np.int32)[:, None], np.array(times)[:, None], np.ones((len(clips), 1), np.float32)
+    table = build_clip_table(definition)
+    playing = ClipPlayback.with_shared_tree(
+        ClipTree.build_flat(1), np.array(clips, np.int32)[:, None], np.array(times)[:, None], np.ones((len(clips), 1), np.float32)
     )
-    return posed(table, definition.groups, playing, local=True)
+    return blend_poses(table, definition.groups, playing, with_local=True)
 
 
 def swing(loop: bool = True) -> Definition:
@@ -67,7 +74,7 @@ def test_rotations_go_the_shorter_way_and_near_to_slerp(far: float, most: float)
     rotation = np.array([[turn("y", 5)], [[-k for k in turn("y", 5 + far)]]], np.float32)
     clip = Clip("c", 1.0, ("a",), np.zeros((2, 1, 3), np.float32), rotation, np.ones((2, 1, 3), np.float32))
     times = np.linspace(0, 0.999, 500)
-    pose = sample_poses(clip_table(definition({"a": ""}, clip)), np.zeros(500, np.int32), times)
+    pose = sample_poses(build_clip_table(definition({"a": ""}, clip)), np.zeros(500, np.int32), times)
     angles = np.degrees(2 * np.arctan2(pose.rotation[1, 0].astype(np.float64), pose.rotation[3, 0].astype(np.float64)))
     worst = np.abs(angles - (5 + far * times)).max()
     assert most / 2 < worst < most
@@ -115,14 +122,14 @@ def test_the_nearest_rotation_is_that_of_the_polar_decomposition() -> None:
     matrices = np.stack(
         [*random.normal(size=(200, 3, 3)), np.diag([1000.0, 1, 1]), np.diag([1e-6, 2e-6, 1e-6]), np.eye(3) * 1e9, *flat]
     )
-    rotations = np.moveaxis(affine.rotation_part(np.moveaxis(matrices, 0, -1)), -1, 0)
+    rotations = np.moveaxis(affine.extract_rotations(np.moveaxis(matrices, 0, -1)), -1, 0)
     for m, r in zip(matrices, rotations, strict=True):
         u, _, v = np.linalg.svd(m)
         assert np.allclose(r, u @ v * np.sign(np.linalg.det(m)), atol=1e-5)
     turned = np.stack(
         [matrix(rotation=q)[:3, :3] for q in random.normal(size=(100, 4))] + [np.diag([1.0, -1, -1]), np.diag([-1.0, -1, 1])]
     )
-    q = affine.quaternions(np.moveaxis(turned, 0, -1))
+    q = affine.matrices_to_quaternions(np.moveaxis(turned, 0, -1))
     assert np.allclose([matrix(rotation=each)[:3, :3] for each in q.T], turned)
 
 
@@ -145,35 +152,37 @@ def test_world_transforms_are_those_of_an_independent_implementation() -> None:
 def test_transforms_may_be_changed_by_hand_and_the_others_follow() -> None:
     """The shoulder is turned further; and what local transforms world ones stand for is found again."""
     body = wild(12, 8, sheared=True)
-    table, poses = clip_table(body), alone(body, [0, 1, -1], [0.1, 0.2, 0.0])
+    table, poses = build_clip_table(body), alone(body, [0, 1, -1], [0.1, 0.2, 0.0])
     assert poses.local is not None
-    assert world_transforms(table, poses.local).tobytes() == poses.world.tobytes()
-    assert np.allclose(local_transforms(table, poses.world), poses.local, atol=1e-3)
+    assert to_world_transforms(table, poses.local).tobytes() == poses.world.tobytes()
+    assert np.allclose(to_local_transforms(table, poses.world), poses.local, atol=1e-3)
     arm = swing()
     local = np.array(alone(arm, [0], [0.5]).local)
     local[0, 0] = matrix((0, 0, 1), turn("z", 180))[:3]
-    assert np.allclose(world_transforms(clip_table(arm), local)[0, 1, :, 3], [-2, 0, 1], atol=1e-6)
-    full = square_matrices(poses.world)
+    assert np.allclose(to_world_transforms(build_clip_table(arm), local)[0, 1, :, 3], [-2, 0, 1], atol=1e-6)
+    full = to_square_matrices(poses.world)
     assert full.shape == (3, 12, 4, 4) and full.flags.c_contiguous
     assert np.array_equal(full[..., :3, :], poses.world) and full[1, 1, 3].tolist() == [0, 0, 0, 1]
 
 
 def test_order_of_agents_chunks_and_threads_change_no_bit(monkeypatch: pytest.MonkeyPatch) -> None:
     body, random, n = wild(9, 6, sheared=True), np.random.default_rng(7), 700
-    table = clip_table(body)
-    trees = (ClipTree.flat(2), ClipTree((0, 1, 1), ("", "", ""), (1, 0), (-1, 0)))
-    playing = Playing(
+    table = build_clip_table(body)
+    trees = (ClipTree.build_flat(2), ClipTree((0, 1, 1), ("", "", ""), (1, 0), (-1, 0)))
+    playing = ClipPlayback(
         trees, random.integers(0, 2, n).astype(np.int32), random.integers(-1, 2, (n, 3)).astype(np.int32),
         random.uniform(-1, 3, (n, 3)), random.uniform(-0.2, 1, (n, 3)).astype(np.float32), np.ones((n, 2), np.float32),
     )  # fmt: skip
-    plain = posed(table, {}, playing, local=True)
+    plain = blend_poses(table, {}, playing, with_local=True)
     order = random.permutation(n)
-    shuffled = Playing(trees, *(getattr(playing, name)[order] for name in ("tree", "clips", "times", "weights", "layer_weights")))
+    shuffled = ClipPlayback(
+        trees, *(getattr(playing, name)[order] for name in ("tree", "clips", "times", "weights", "layer_weights"))
+    )
     monkeypatch.setattr(blending, "_JOINTS_PER_CHUNK", 9 * 64)
     monkeypatch.setattr("antdsl.numerics.parallel.MIN_AGENTS_PER_THREAD", 100)
     for other, at in (
-        (posed(table, {}, playing, local=True, threads=3), slice(None)),
-        (posed(table, {}, shuffled, local=True), order),
+        (blend_poses(table, {}, playing, with_local=True, threads=3), slice(None)),
+        (blend_poses(table, {}, shuffled, with_local=True), order),
     ):
         assert plain.local is not None and other.local is not None
         assert plain.world[at].tobytes() == other.world.tobytes()

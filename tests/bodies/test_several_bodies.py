@@ -11,15 +11,15 @@ import pytest
 from commands import run
 from compilers import need_llvmlite
 
-from antdsl.bodies.library import library_body
+from antdsl.bodies.library import load_library_body
 from antdsl.outputs.cache.cache_reader import open_cache
 from antdsl.outputs.exports.poses_export import export_poses
 from antdsl.outputs.gallery import Gallery
 from antdsl.pipeline import Shot, check_path, open_scene
-from antdsl.preview.agent_columns import light_frame
-from antdsl.preview.viewing.acting import action_arrays
-from antdsl.preview.viewing.bodies import outfits
-from antdsl.runtime import Options, World, bind, checkpoint, feet_hash, restore, state_hash, step
+from antdsl.preview.agent_columns import make_light_frame
+from antdsl.preview.viewing.action_arrays import make_action_arrays
+from antdsl.preview.viewing.body_packets import outfits
+from antdsl.runtime import Options, World, bind, feet_hash, restore_checkpoint, state_hash, step, take_checkpoint
 from antdsl.runtime.clip_values import clip_value
 from antdsl.runtime.moving.capsules import CapsuleCrowd
 from antdsl.scene.body_choice import body_numbers
@@ -115,7 +115,7 @@ def test_each_body_has_its_own_size_clips_and_feet(tmp_path: Path) -> None:
     assert crowd.radius == pytest.approx(size * np.array([CAPSULE_BY_BODY[word].width / 2 for word in WORDS])[numbers])
     walk = [clip.clip if hasattr(clip, "clip") else clip.name for clip in walkers.plan.clips].index("walk")
     strides = clip_value(world, walkers, "stride", np.full(len(walkers), walk))
-    own = [library_body(word) for word in WORDS]
+    own = [load_library_body(word) for word in WORDS]
     assert strides == pytest.approx(np.array([body.clips["walk"].stride / body.length for body in own])[numbers])
     for k, body in enumerate(own):
         feet = world.feet[f"walker#{k}"]
@@ -125,9 +125,9 @@ def test_each_body_has_its_own_size_clips_and_feet(tmp_path: Path) -> None:
 def test_a_checkpoint_continues_with_the_same_feet(tmp_path: Path) -> None:
     shot = opened(tmp_path)
     world = stepped(shot, 4)
-    arrays = checkpoint(world)
+    arrays = take_checkpoint(world)
     other = bind(shot.plan, shot.setting, world.options)
-    restore(other, arrays)
+    restore_checkpoint(other, arrays)
     for _ in range(3):
         step(world)
         step(other)
@@ -139,25 +139,25 @@ def test_pictures_exports_and_pages_have_the_body_of_each_agent(tmp_path: Path) 
     assert run("run", str(scene), "--out", str(tmp_path / "cache"), "--quiet", cwd=tmp_path).returncode == 0
     cache = open_cache(tmp_path / "cache")
     gallery = Gallery(cache)
-    picture = gallery.picture(6)
-    name_by_id = {int(one): crowd.worn.name for crowd in picture.crowds for one in crowd.ids.tolist()}  # type: ignore[union-attr]
+    picture = gallery.make_picture(6)
+    name_by_id = {int(one): crowd.body.name for crowd in picture.crowds for one in crowd.ids.tolist()}  # type: ignore[union-attr]
     numbers = body_numbers(WEIGHTS, 4, "walker", np.array(sorted(name_by_id), np.int64))
-    assert [name_by_id[one] for one in sorted(name_by_id)] == [library_body(WORDS[k]).name for k in numbers]
+    assert [name_by_id[one] for one in sorted(name_by_id)] == [load_library_body(WORDS[k]).name for k in numbers]
     assert {crowd.body_key: crowd.feet.P.shape[1] for crowd in picture.crowds if crowd.feet} == {  # type: ignore[union-attr]
-        f"walker#{k}": len(library_body(word).legs) for k, word in enumerate(WORDS)
+        f"walker#{k}": len(load_library_body(word).legs) for k, word in enumerate(WORDS)
     }
     export_poses(gallery, [5, 6], tmp_path / "poses.npz")
     with np.load(tmp_path / "poses.npz") as poses:
         counts = [len(poses[f"walker#{k}.id"]) for k in range(3)]
-    assert sum(counts) == sum(len(gallery.picture(frame).crowds[k].position) for frame in (5, 6) for k in range(3))
+    assert sum(counts) == sum(len(gallery.make_picture(frame).crowds[k].position) for frame in (5, 6) for k in range(3))
     world = stepped(opened(tmp_path), 3)
     population = world.populations["walker"]
-    light = light_frame(population)
-    arrays = action_arrays(world, opened(tmp_path), population, light)
+    light = make_light_frame(population)
+    arrays = make_action_arrays(world, opened(tmp_path), population, light)
     assert arrays["walker/body"].tolist() == body_numbers(WEIGHTS, 4, "walker", light["id"].astype(np.int64)).tolist()
     assert len(outfits(world, opened(tmp_path), population)) == 3
     for k, word in enumerate(WORDS):
-        assert arrays[f"walker#{k}/feet"].shape == (int((arrays["walker/body"] == k).sum()), len(library_body(word).legs), 3)
+        assert arrays[f"walker#{k}/feet"].shape == (int((arrays["walker/body"] == k).sum()), len(load_library_body(word).legs), 3)
 
 
 @pytest.mark.parametrize(
@@ -173,7 +173,7 @@ def test_pictures_exports_and_pages_have_the_body_of_each_agent(tmp_path: Path) 
 )  # fmt: skip
 def test_a_mistake_is_reported_at_its_body(tmp_path: Path, body: str, code: str, at: str, words: str) -> None:
     report = check_path(written(tmp_path, body))[1]
-    errors = [each for each in report.sorted() if each.code == code]
+    errors = [each for each in report.sort_by_place() if each.code == code]
     assert errors, str(report)
     assert errors[0].span.text.strip() == at and words in errors[0].message + (errors[0].help or "")
 

@@ -9,10 +9,10 @@ import pytest
 from numpy.typing import NDArray
 from rigs import matrix, wild
 
-from antdsl.bodies.agents.blending import posed
+from antdsl.bodies.agents.blending import blend_poses
 from antdsl.bodies.agents.definition import Binding, Capture, Definition, Layer, Shape
-from antdsl.bodies.agents.machine_clips import MachineClips, playing_of_machines
-from antdsl.bodies.agents.poses import clip_table
+from antdsl.bodies.agents.machine_clips import MachineClips, build_machine_playback
+from antdsl.bodies.agents.poses import build_clip_table
 from antdsl.bodies.posed_body import PosedBody
 from antdsl.bodies.skinned_mesh import SkinnedMesh
 
@@ -53,11 +53,11 @@ def machine(count: int) -> MachineClips:
 
 def followed(mesh: SkinnedMesh, body: Definition, world: NDArray[np.float32]) -> NDArray[np.float64]:
     """The matrix [n, v, 4, 4] that each vertex goes by, in body lengths."""
-    square = np.tile(np.eye(4), (len(world), len(mesh.joint), 1, 1))
-    square[:, :, :3] = world[:, mesh.joint]
-    inverse = np.tile(np.eye(4), (len(mesh.joint), 1, 1))
-    inverse[:, :3] = mesh.inverse
-    matrices = body.base_matrix()[None, None] @ square @ inverse[None]
+    square = np.tile(np.eye(4), (len(world), len(mesh.bone_joints), 1, 1))
+    square[:, :, :3] = world[:, mesh.bone_joints]
+    inverse = np.tile(np.eye(4), (len(mesh.bone_joints), 1, 1))
+    inverse[:, :3] = mesh.inverse_matrices
+    matrices = body.compute_base_matrix()[None, None] @ square @ inverse[None]
     return np.asarray((matrices[:, mesh.bones] * mesh.weights[None, :, :, None, None]).sum(axis=2))
 
 
@@ -71,8 +71,10 @@ def pose_definition(
 ) -> tuple[PosedBody, NDArray[np.float64], NDArray[np.float32], NDArray[np.float32]]:
     """The body of a definition; the matrices of its vertices; its vertices and normals as deformers have them."""
     body, machines = PosedBody(definition, PLAYS), [machine(count)]
-    world = posed(clip_table(definition), {}, playing_of_machines(clip_table(definition), PLAYS, machines, count)).world
-    return body, followed(body.mesh, definition, world), *body.posed(machines, count)
+    world = blend_poses(
+        build_clip_table(definition), {}, build_machine_playback(build_clip_table(definition), PLAYS, machines, count)
+    ).world
+    return body, followed(body.mesh, definition, world), *body.pose_vertices(machines, count)
 
 
 @pytest.mark.parametrize("joints_a_point", [1, 2, 4])
@@ -80,8 +82,8 @@ def test_it_is_the_body_as_deformers_pose_it(joints_a_point: int) -> None:
     body, by, points, _ = pose_definition(dressed(joints_a_point), 12)
     moved_points = moved(body.mesh, by)
     assert moved_points.shape == points.shape and np.abs(moved_points - points).max() < 1e-4 * np.abs(points).max()
-    stones = body.tint == 0
-    assert stones.any() and not stones.all() and len(body.mesh.joint) == 11  # nine of the capture, two in the rest pose
+    stones = body.tint_weights == 0
+    assert stones.any() and not stones.all() and len(body.mesh.bone_joints) == 11  # nine of the capture, two in the rest pose
 
 
 def test_normals_turn_with_a_static_shape_whatever_its_joint_scales() -> None:
@@ -89,7 +91,7 @@ def test_normals_turn_with_a_static_shape_whatever_its_joint_scales() -> None:
     across = (np.linalg.inv(by[..., :3, :3]).swapaxes(-1, -2) @ body.mesh.normals[None, :, :, None])[..., 0]
     across /= np.linalg.norm(across, axis=-1, keepdims=True)
     unit_normals = normals / np.linalg.norm(normals, axis=-1, keepdims=True)
-    assert np.abs(across - unit_normals)[:, body.tint == 0].max() < 1e-3
+    assert np.abs(across - unit_normals)[:, body.tint_weights == 0].max() < 1e-3
 
 
 def test_of_many_joints_the_four_of_most_weight_stay_and_add_up_to_one() -> None:
@@ -103,5 +105,5 @@ def test_a_shape_at_a_joint_that_is_flat_at_rest_is_drawn_all_the_same() -> None
     rest = definition.rig.rest.copy()
     rest[-1, :3, :3] = 0
     body, by, points, _ = pose_definition(replace(definition, rig=replace(definition.rig, rest=rest)), 5)
-    assert np.isfinite(body.mesh.points).all() and np.isfinite(body.mesh.inverse).all()
+    assert np.isfinite(body.mesh.points).all() and np.isfinite(body.mesh.inverse_matrices).all()
     assert np.abs(moved(body.mesh, by) - points).max() < 1e-3

@@ -12,7 +12,7 @@ pytest.importorskip("pxr")
 import usd_bodies
 
 from antdsl.bodies.agents.definition import Binding, Channel, Definition
-from antdsl.bodies.agents.transforms import matrix_of, world_matrices
+from antdsl.bodies.agents.transforms import compose_matrix, compute_world_matrices
 from antdsl.bodies.files.reading import read_definition
 
 
@@ -44,7 +44,10 @@ def test_joints_shapes_layers_and_colours(body: Definition) -> None:
 def test_blend_shapes_have_their_in_betweens(body: Definition) -> None:
     skin, smile = body.shapes["Skin"], body.shapes["Skin.smile"]
     assert skin.blend is not None and (skin.blend.shapes, skin.blend.channels) == (("Skin.smile",), ("smile",))
-    assert smile.between is not None and (smile.between.shapes, smile.between.weights) == (("Skin.smile.half",), (0.5,))
+    assert smile.in_betweens is not None and (smile.in_betweens.shapes, smile.in_betweens.weights) == (
+        ("Skin.smile.half",),
+        (0.5,),
+    )
     moved = {int(number): row for number, row in zip(skin.attributes["vertex"], smile.points - skin.points, strict=True)}
     assert np.abs(moved[2] - (0, 0.5, 0)).max() < 1e-6 and np.abs(moved[3]).max() == 0
     half = body.shapes["Skin.smile.half"].points - skin.points
@@ -52,7 +55,7 @@ def test_blend_shapes_have_their_in_betweens(body: Definition) -> None:
 
 
 def test_an_animation_that_no_skeleton_names_is_a_clip_too(body: Definition) -> None:
-    assert [(clip.name, clip.samples, clip.joints) for clip in body.clips.values()] == [
+    assert [(clip.name, clip.sample_count, clip.joints) for clip in body.clips.values()] == [
         ("Walk", 12, ("head", "spine")), ("Nod", 1, ("head",)),
     ]  # fmt: skip
     assert body.clips["Walk"].rate == 24.0 and body.clips["Walk"].values[5, 0] == pytest.approx(0.5)
@@ -94,7 +97,7 @@ def test_points_are_where_usd_skins_them(body: Definition, file: Path) -> None:
     query, (target,) = cache.GetSkelQuery(binding.GetSkeleton()), binding.GetSkinningTargets()
     clip, skin = body.clips["Walk"], body.shapes["Skin"]
     assert skin.capture is not None
-    for sample in range(clip.samples):
+    for sample in range(clip.sample_count):
         code = 1 + sample
         points = UsdGeom.Mesh(target.GetPrim()).GetPointsAttr().Get()
         target.ComputeSkinnedPoints(query.ComputeSkinningTransforms(code), points, code)
@@ -103,8 +106,8 @@ def test_points_are_where_usd_skins_them(body: Definition, file: Path) -> None:
         local = body.rig.rest.copy()
         parts = (clip.translation, clip.rotation, clip.scale)
         for number, joint in enumerate(clip.joints):
-            local[body.rig.joint(joint)] = matrix_of(*(part[sample, number].astype(np.float64) for part in parts))
-        world = world_matrices(body.rig.parents, local)
+            local[body.rig.joint(joint)] = compose_matrix(*(part[sample, number].astype(np.float64) for part in parts))
+        world = compute_world_matrices(body.rig.parents, local)
         joint_matrices = np.array([world[body.rig.joint(name)] for name in skin.capture.names]) @ skin.capture.inverse
         homogeneous_points = np.c_[skin.points, np.ones(len(skin.points))]
         skinned_points = np.einsum(
@@ -122,7 +125,7 @@ def test_a_prim_is_read_alone_and_a_missing_one_is_reported(file: Path) -> None:
 
 def test_other_rates_and_damaged_files(file: Path, tmp_path: Path) -> None:
     definition, _ = read_definition(file, rate=96.0)
-    assert definition is not None and definition.clips["Walk"].samples == 45
+    assert definition is not None and definition.clips["Walk"].sample_count == 45
     text = file.read_text(encoding="utf-8")
     for number, (old, new) in enumerate(
         [

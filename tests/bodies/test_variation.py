@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from antdsl.bodies.agents.definition import Definition, with_language_names
+from antdsl.bodies.agents.definition import Definition, use_language_names
 from antdsl.bodies.agents.driving import DrivenPose
-from antdsl.bodies.agents.packed import digest, pack_definition
+from antdsl.bodies.agents.packed import hash_definition, pack_definition
 from antdsl.bodies.agents.varied_bodies import VariationDraws
 from antdsl.bodies.files.reading import read_definition
 from antdsl.bodies.posed_body import PosedBody
 from antdsl.diagnostics import Report
-from antdsl.outputs.cache.body_arrays import unpack_checked
+from antdsl.outputs.cache.body_arrays import unpack_checked_definition
 
 BLOCK = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
 VARIATION = {"scale": {"Head": [0.5, 2.0], "half": [1, 3]}, "materials": {"fur": [[1, 0, 0], [0, 1, 0], [0, 0, 1]]}}
@@ -47,14 +47,14 @@ def read(folder: Path, **fields: object) -> tuple[Definition | None, Report]:
 
 def posed(body: PosedBody, draws: VariationDraws | None) -> np.ndarray:
     """Points [n, 4 shapes, 4, 3]."""
-    points = body.posed([], COUNT, driven=DrivenPose(draws=draws))[0]
+    points = body.pose_vertices([], COUNT, driven=DrivenPose(variation_draws=draws))[0]
     return points.reshape(COUNT, 4, 4, 3)
 
 
 def test_parts_are_as_large_as_their_agent_has_them(tmp_path: Path) -> None:
     body, report = read(tmp_path)
-    assert body is not None and not report.sorted()
-    drawn, ids = PosedBody(with_language_names(body), ()), np.arange(COUNT)
+    assert body is not None and not report.sort_by_place()
+    drawn, ids = PosedBody(use_language_names(body), ()), np.arange(COUNT)
     points, rest = posed(drawn, VariationDraws(ids, 3, "bug")), posed(drawn, None)
     # a block with a corner at its joint: its edge ahead says how large it is
     size = np.linalg.norm(points[:, :, 1] - points[:, :, 0], axis=2)
@@ -73,21 +73,23 @@ def test_parts_are_as_large_as_their_agent_has_them(tmp_path: Path) -> None:
 def test_materials_lie_on_the_way_through_their_colours(tmp_path: Path) -> None:
     body, _ = read(tmp_path)
     assert body is not None
-    drawn = PosedBody(with_language_names(body), ())
-    driven = DrivenPose(draws=VariationDraws(np.arange(COUNT), 3, "bug"))
-    colours = drawn.colours(driven).reshape(COUNT, 4, 4, 3)
+    drawn = PosedBody(use_language_names(body), ())
+    driven = DrivenPose(variation_draws=VariationDraws(np.arange(COUNT), 3, "bug"))
+    colours = drawn.compute_colours(driven).reshape(COUNT, 4, 4, 3)
     fur, skin = colours[:, 2, 0], colours[:, [0, 1, 3]]
     assert np.allclose(skin, [0.5, 0.4, 0.3]) and fur.sum(axis=1) == pytest.approx(1, abs=1e-5)
     assert not (fur[:, 0] * fur[:, 2]).any() and fur.max(axis=0).min() > 0.9, "from red through green to blue"
-    assert drawn.colours(DrivenPose()).shape == (1, 16, 3)
+    assert drawn.compute_colours(DrivenPose()).shape == (1, 16, 3)
 
 
 def test_a_cache_keeps_it_and_a_body_without_is_as_it_was(tmp_path: Path) -> None:
     body, _ = read(tmp_path)
     assert body is not None
-    again = unpack_checked(pack_definition(with_language_names(body)))
+    again = unpack_checked_definition(pack_definition(use_language_names(body)))
     assert dict(again.variation.scales) == {"head": (0.5, 2.0), "half": (1.0, 3.0)}
-    assert again.variation.materials["fur"][1] == (0, 1, 0) and digest(again) == digest(with_language_names(body))
+    assert again.variation.materials["fur"][1] == (0, 1, 0) and hash_definition(again) == hash_definition(
+        use_language_names(body)
+    )
     plain, _ = read(tmp_path, variation={})
     assert plain is not None and b"variation" not in pack_definition(plain)["text"].tobytes()
 

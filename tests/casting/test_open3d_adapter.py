@@ -13,8 +13,8 @@ def seen(event, arguments):
     if event in ("socket.bind", "socket.connect", "subprocess.Popen", "os.exec", "os.posix_spawn"):
         print("event", event, arguments)
 sys.addaudithook(seen)
-from antdsl.casting.open3d_module import open3d
-loaded = open3d()
+from antdsl.casting.open3d_module import load_open3d
+loaded = load_open3d()
 assert loaded.t.geometry.RaycastingScene(nthreads=1)
 print("web", sorted({"dash", "flask", "requests", "urllib3"} & set(sys.modules)))
 """

@@ -44,7 +44,7 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
 
 def test_open3d_places_agents_on_ground_and_clear_of_obstacles(calls: Counter[str]) -> None:
     shot, report = open_scene(FORAGING)
-    assert shot is not None, report.sorted()
+    assert shot is not None, report.sort_by_place()
     world = bind(shot.plan, shot.setting, Options(feet=False))
     placed = calls["cast_rays"]
     assert placed >= 2, "the ground below 500 agents, and the faces of obstacles above them"
@@ -57,10 +57,10 @@ def test_long_rays_go_to_open3d_and_short_ones_to_the_grid(calls: Counter[str]) 
     scene = RayScene(*terrain(400.0, 40))
     origin = np.array([[0.0, 500.0, 0.0], [5.0, 500.0, 5.0]])
     down = np.array([[0.0, -1.0, 0.0], [0.0, -1.0, 0.0]])
-    assert scene.cast(origin, down).hit.all() and calls["cast_rays"] == 1
-    hits, part, _, _ = scene.cast_within(origin, down * 5_000.0, 1)
+    assert scene.find_first_hits(origin, down).is_hit.all() and calls["cast_rays"] == 1
+    hits, part, _, _ = scene.find_hits_within(origin, down * 5_000.0, 1)
     assert len(hits) == 2 and calls["cast_rays"] == 2
     low = np.array([[0.0, 10.0, 0.0], [5.0, 10.0, 5.0]])
     total = calls.total()
-    scene.cast_within(low, down * 15.0, 1)
+    scene.find_hits_within(low, down * 15.0, 1)
     assert calls.total() == total and part.size == 2

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from antdsl.casting import rasterise
-from antdsl.casting.rasterise import triangle_cells
+from antdsl.casting.rasterise import iterate_triangle_cells
 from antdsl.diagnostics import Report
 from antdsl.pipeline import open_scene
 from antdsl.runtime import bind
@@ -49,7 +49,7 @@ def needles(count: int) -> list[Floats]:
 def named(triangles: Floats, **how: float) -> list[set[Cell]]:
     """The cells of each triangle."""
     cells_by_triangle: list[set[Cell]] = [set() for _ in triangles]
-    for cells, which in triangle_cells(triangles, **how):
+    for cells, which in iterate_triangle_cells(triangles, **how):
         for cell, triangle in zip(cells.tolist(), which.tolist(), strict=True):
             cells_by_triangle[triangle].add(tuple(cell))
     return cells_by_triangle
@@ -57,7 +57,7 @@ def named(triangles: Floats, **how: float) -> list[set[Cell]]:
 
 def test_of_thin_triangles_the_cells_are_those_that_no_axis_separates():
     triangles = np.stack(needles(24))
-    assert rasterise._are_thin(triangles).sum() >= 16
+    assert rasterise._find_thin_triangles(triangles).sum() >= 16
     exact, around, wider = named(triangles), named(triangles, exact=False), named(triangles, margin=0.25)
     for triangle, touched, loose, reached in zip(triangles, exact, around, wider, strict=True):
         low, high = np.floor(triangle.min(axis=0)).astype(int) - 1, np.floor(triangle.max(axis=0)).astype(int) + 2
@@ -80,7 +80,7 @@ def test_wide_triangles_are_quartered_as_ever(monkeypatch: pytest.MonkeyPatch):
 def test_a_needle_is_cut_into_no_more_parts_than_it_touches_cells(direction: tuple[float, ...], monkeypatch: pytest.MonkeyPatch):
     parts = counted(monkeypatch)
     long, side = 50_000.0 * np.array(direction, float), np.array([0, 0.5, 0.0])
-    cells = sum(len(cells) for cells, _ in triangle_cells(np.array([[[0.3, 0.2, 0.1], long, long + side]])))
+    cells = sum(len(cells) for cells, _ in iterate_triangle_cells(np.array([[[0.3, 0.2, 0.1], long, long + side]])))
     assert cells > 50_000
     assert max(parts) <= rasterise._TRIANGLES_PER_CHUNK
     assert sum(parts) <= 2 * cells
@@ -114,11 +114,11 @@ def test_two_needles_are_bound(tmp_path, monkeypatch: pytest.MonkeyPatch):
 def counted(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """How many parts of triangles are held against cells, call by call."""
     parts: list[int] = []
-    real = rasterise._box_cells
+    real = rasterise._find_cells_by_box
 
     def counting(tri, *rest):
         parts.append(len(tri))
         return real(tri, *rest)
 
-    monkeypatch.setattr(rasterise, "_box_cells", counting)
+    monkeypatch.setattr(rasterise, "_find_cells_by_box", counting)
     return parts

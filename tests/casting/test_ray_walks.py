@@ -8,12 +8,12 @@ import numpy as np
 import open_shapes
 import pytest
 
-from antdsl.casting.faces import Faces, nearest_on_triangle
+from antdsl.casting.faces import Faces, find_nearest_on_triangle
 from antdsl.casting.grid_rays import GridTables
-from antdsl.casting.ray_walks import BALL, LINK, ROW, Rings, walked_hit
+from antdsl.casting.ray_walks import BALL_OFFSET, LINK_OFFSET, RING_ROW_WORDS, Rings, find_hit_by_walk
 from antdsl.casting.rays import RayScene
 from antdsl.casting.tolerances import NEAREST_UNKNOWN, NO_FACE
-from antdsl.machine_code.kernels import F64, I64, Array1, Strided2, independent, kernel
+from antdsl.machine_code.kernels import F64, I64, Array1, Strided2, kernel, simd_range
 from antdsl.numerics.vector_rows import dot
 from tests.meshes import Mesh, ball, box, grid, terrain
 
@@ -84,13 +84,13 @@ def walk_all(
     face: Array1[I64],
 ) -> None:
     """Walk along all rays."""
-    for i in independent(0, starts.size):
+    for i in simd_range(0, starts.size):
         a, w = (origin[i, 0], origin[i, 1], origin[i, 2]), (direction[i, 0], direction[i, 1], direction[i, 2])
-        t[i], face[i] = walked_hit(grid, rings, starts[i], a, w)
+        t[i], face[i] = find_hit_by_walk(grid, rings, starts[i], a, w)
 
 
 def walked(scene: RayScene, starts: np.ndarray, origin: np.ndarray, direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    tables, rings = scene.tables(), scene.rings()
+    tables, rings = scene.get_tables(), scene.get_ring_tables()
     assert tables is not None and rings is not None
     t, face = np.empty(len(starts)), np.empty(len(starts), np.int64)
     walk_all(tables, rings, starts, origin, direction, t, face)
@@ -100,9 +100,11 @@ def walked(scene: RayScene, starts: np.ndarray, origin: np.ndarray, direction: n
 def first_of_all(faces: Faces, origin: np.ndarray, direction: np.ndarray) -> tuple[float, int]:
     """What a ray hits first, by a loop over all faces."""
     every = np.arange(len(faces.corners))
-    t, _, inside, _ = faces.cross_planes(every, np.tile(origin, (len(every), 1)), np.tile(direction, (len(every), 1)))
+    t, _, inside, _ = faces.intersect_planes(every, np.tile(origin, (len(every), 1)), np.tile(direction, (len(every), 1)))
     with np.errstate(divide="ignore"):
-        hair = faces.hair / np.sqrt((direction[0] * direction[0] + direction[1] * direction[1]) + direction[2] * direction[2])
+        hair = faces.tolerance / np.sqrt(
+            (direction[0] * direction[0] + direction[1] * direction[1]) + direction[2] * direction[2]
+        )
     parts = np.where(inside & (t > hair) & (t <= 1.0), t, np.inf)
     first = int(np.argmin(parts))
     return float(parts[first]), first if parts[first] < np.inf else NO_FACE
@@ -135,7 +137,7 @@ def test_walks_hit_what_a_loop_over_all_faces_hits(name: str) -> None:
     make, share = SHAPES[name]
     scene = RayScene(*make())
     faces = scene._faces
-    starts, origin, direction = rays(faces.corners, scene.tables()[0][3])  # type: ignore[index]
+    starts, origin, direction = rays(faces.corners, scene.get_tables()[0][3])  # type: ignore[index]
     t, face = walked(scene, starts, origin, direction)
     for k in np.flatnonzero(face != NEAREST_UNKNOWN):
         assert (t[k], face[k]) == first_of_all(faces, origin[k], direction[k])
@@ -149,14 +151,17 @@ def test_walks_hit_what_a_loop_over_all_faces_hits(name: str) -> None:
 def test_balls_hold_no_face_but_the_ring() -> None:
     """Links lead to the face with the same side, and no face that has no corner in common is in a ball. Rims have no rings."""
     scene = RayScene(*rough(0.3, 10))
-    corners, rings = scene._faces.corners, scene.rings()
+    corners, rings = scene._faces.corners, scene.get_ring_tables()
     assert rings is not None
-    links, balls = rings[1].reshape(-1, ROW)[:, LINK : LINK + 3], rings[2].reshape(-1, ROW)[:, BALL:]
+    links, balls = (
+        rings[1].reshape(-1, RING_ROW_WORDS)[:, LINK_OFFSET : LINK_OFFSET + 3],
+        rings[2].reshape(-1, RING_ROW_WORDS)[:, BALL_OFFSET:],
+    )
     points = (np.round(corners * 1e6).astype(np.int64) @ np.array([1, 10**9, 10**5])).reshape(-1, 3)
     for f in range(len(links)):
         near = np.isin(points, points[f]).any(axis=1)
         middle = corners[f].mean(axis=0)
-        gap = nearest_on_triangle(np.tile(middle, ((~near).sum(), 1)), corners[~near]) - middle
+        gap = find_nearest_on_triangle(np.tile(middle, ((~near).sum(), 1)), corners[~near]) - middle
         assert balls[f, 3] <= dot(gap, gap).min() and np.allclose(balls[f, :3], middle, atol=1e-5)
         for corner, g in enumerate(links[f]):
             shared = np.isin(points, np.delete(points[f], corner)).sum(axis=1) == 2

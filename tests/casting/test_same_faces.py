@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from antdsl.casting.faces import Faces, _greatest_index, nearest_on, nearest_on_triangle
+from antdsl.casting.faces import Faces, _greatest_index, find_nearest_on_face, find_nearest_on_triangle
 from antdsl.casting.rays import RayScene
 from tests.meshes import ball, box, terrain
 
@@ -26,7 +26,7 @@ class Shaken:
         if rays.shape[1] == 6:
             long = np.abs(rays[:, 3:]).max(axis=1, keepdims=True) * 1e-7
             rays[:, 3:] += (long * self._rng.uniform(-1, 1, (len(rays), 3))).astype(np.float32)
-        return RayScene._tensor(rays)
+        return RayScene._to_tensor(rays)
 
     def cast_rays(self, rays: Any, nthreads: int = 0) -> Any:
         return self._scene.cast_rays(self._moved(rays, 1e-7 * R), nthreads=nthreads)
@@ -39,8 +39,8 @@ class Shaken:
 
 
 def shaken(scene: RayScene, seed: int) -> RayScene:
-    scene._tree = Shaken(scene._scene, seed)
-    scene._exact = Shaken(scene._build_scene(scene._faces.corners.reshape(-1, 3).astype(np.float32)), seed)
+    scene._open3d_scene = Shaken(scene._widened_scene, seed)
+    scene._exact_scene = Shaken(scene._build_scene(scene._faces.corners.reshape(-1, 3).astype(np.float32)), seed)
     return scene
 
 
@@ -58,12 +58,12 @@ def rays_at_edges() -> tuple[np.ndarray, np.ndarray]:
     displacement = np.repeat(displacements, len(at), axis=0)
     # Less those that pass a face at its edge almost along it: no rounding tells on which side.
     scene = RayScene.of(meshes())
-    first = scene.cast(origin, displacement)
-    hit = np.flatnonzero(first.hit)
+    first = scene.find_first_hits(origin, displacement)
+    hit = np.flatnonzero(first.is_hit)
     face = scene._first_face[first.mesh[hit]] + first.face[hit]
     weights = np.stack([1 - first.u - first.v, first.u, first.v], axis=1)[hit]
-    which, other = scene._faces.faces_at_corner(face, weights)
-    slope = np.abs((scene._faces.normals(other) * displacement[hit[which]]).sum(axis=1)) / np.sqrt(
+    which, other = scene._faces.find_faces_at_corner(face, weights)
+    slope = np.abs((scene._faces.get_normals(other) * displacement[hit[which]]).sum(axis=1)) / np.sqrt(
         (displacement[hit[which]] ** 2).sum(axis=1)
     )
     along = np.zeros(len(origin), bool)
@@ -75,24 +75,24 @@ def rays_at_edges() -> tuple[np.ndarray, np.ndarray]:
 def make_scene(brief: bool) -> RayScene:
     """A scene of the meshes, with tables of all faces and a grid or, `brief`, without."""
     scene = RayScene.__new__(RayScene)
-    scene._brief = brief
-    scene._fill(meshes())
+    scene._is_short_lived = brief
+    scene._set_meshes(meshes())
     return scene
 
 
 def answers(scene: RayScene) -> dict[str, np.ndarray]:
     origin, displacement = rays_at_edges()
-    rows, part, mesh, face = scene.cast_within(origin, displacement)
-    for one, other in zip((rows, part, mesh, face), scene.cast_within(origin, displacement, most_hit=True), strict=True):
+    rows, part, mesh, face = scene.find_hits_within(origin, displacement)
+    for one, other in zip((rows, part, mesh, face), scene.find_hits_within(origin, displacement, most_hit=True), strict=True):
         assert np.array_equal(one, other)
-    first = scene.cast(origin, displacement)
+    first = scene.find_first_hits(origin, displacement)
     x, y, z = (np.ascontiguousarray(v, np.float32) for v in origin.T)
     size = np.sqrt((displacement**2).sum(axis=1))
     dx, dy, dz = (np.ascontiguousarray(v, np.float32) for v in (displacement / size[:, None]).T)
     contacts = scene.cast_feelers((x, y, z), (dx, dy, dz), size.astype(np.float32))
     away = origin[:: len(origin) // 3000] + np.array([0.0, 3.0, 0.0])
-    _, near, place, distance = scene.closest(away)
-    touched = scene.nearest_within(*(np.ascontiguousarray(v, np.float32) for v in away.T), 20.0)
+    _, near, place, distance = scene.find_closest(away)
+    touched = scene.find_nearest_within(*(np.ascontiguousarray(v, np.float32) for v in away.T), 20.0)
     return {
         "rows": rows, "part": part, "mesh": mesh, "face": face, "t": first.t, "first": first.face, "u": first.u,
         "felt": contacts.t, "normal": contacts.nx, "near": near, "place": place, "distance": distance, "touched": touched.t,
@@ -116,10 +116,10 @@ def test_a_ray_meets_what_float64_says_it_meets():
     origin, displacement = (v[::41] for v in rays_at_edges())
     faces = scene._faces
     every = np.arange(len(faces.corners))
-    hits = scene.cast(origin, displacement)
+    hits = scene.find_first_hits(origin, displacement)
     firsts = np.cumsum([0, *(len(f) for _, f in meshes())])
     for k in range(len(origin)):
-        t, _, inside, _ = faces.cross_planes(
+        t, _, inside, _ = faces.intersect_planes(
             every, np.repeat(origin[k : k + 1], len(every), 0), np.repeat(displacement[k : k + 1], len(every), 0)
         )
         t = np.where(inside & (t > 1e-4), t, np.inf)
@@ -131,10 +131,10 @@ def test_a_ray_meets_what_float64_says_it_meets():
 def test_open3d_is_shown_triangles_that_miss_none_of_a_face():
     corners = np.concatenate([v[f] for v, f in meshes()])
     faces = Faces(corners)
-    wide = faces.widened_corners().reshape(-1, 3, 3).astype(np.float64)
+    wide = faces.compute_widened_corners().reshape(-1, 3, 3).astype(np.float64)
     outer = Faces(wide)
     for k in range(3):
-        _, weights, _, _ = outer.cross_planes(
+        _, weights, _, _ = outer.intersect_planes(
             np.arange(len(wide)), corners[:, k] + 0.0, np.cross(*(wide[:, j] - wide[:, 0] for j in (1, 2)))
         )
         high = 2 * np.sqrt((np.cross(wide[:, 1] - wide[:, 0], wide[:, 2] - wide[:, 0]) ** 2).sum(axis=1))
@@ -146,9 +146,9 @@ def test_two_sheets_in_one_place_are_distinguished_by_their_number():
     scene = RayScene.of([sheet, sheet, sheet])
     origin = np.random.default_rng(3).uniform(-100, 100, (500, 3)) + np.array([0, 200, 0])
     down = np.broadcast_to([0.0, -400.0, 0.0], origin.shape)
-    alone, among = RayScene.of([sheet]).cast(origin, down), scene.cast(origin, down)
+    alone, among = RayScene.of([sheet]).find_first_hits(origin, down), scene.find_first_hits(origin, down)
     assert np.array_equal(alone.t, among.t) and np.array_equal(alone.face, among.face)
-    assert (among.mesh == 0).all() and (scene.closest(origin)[0] == 0).all()
+    assert (among.mesh == 0).all() and (scene.find_closest(origin)[0] == 0).all()
 
 
 def test_a_brief_scene_says_the_same():
@@ -161,9 +161,9 @@ def test_the_nearest_place_of_a_face_is_the_same_for_one_and_for_many():
     rng = np.random.default_rng(8)
     corners, points = rng.normal(size=(3000, 3, 3)), rng.normal(size=(3000, 3))
     corners[::7, 2] = corners[::7, 0]
-    place = nearest_on_triangle(points, corners)
+    place = find_nearest_on_triangle(points, corners)
     for k in range(0, 3000, 3):
-        assert nearest_on(corners, k, tuple(points[k])) == tuple(place[k])
+        assert find_nearest_on_face(corners, k, tuple(points[k])) == tuple(place[k])
 
 
 @pytest.mark.parametrize(

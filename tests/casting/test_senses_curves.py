@@ -26,7 +26,7 @@ def test_samples_are_even_and_keep_the_ends():
 def test_nearest_point_and_tangent_against_all_segments(reach):
     curve = SampledCurve(spiral(), 4.0)
     points = np.random.default_rng(1).uniform(-reach, reach, (400, 3))
-    closest = curve.closest(*points.T)
+    closest = curve.find_closest(*points.T)
     start, step = curve.samples[:-1], np.diff(curve.samples, axis=0)
     part = np.clip(np.einsum("psk,sk->ps", points[:, None] - start, step) / (step**2).sum(axis=1), 0, 1)
     point = start + part[:, :, None] * step
@@ -46,7 +46,7 @@ def test_nearest_point_and_tangent_against_all_segments(reach):
 def test_the_tangent_turns_steadily():
     curve = SampledCurve(np.array([[0, 0, 0], [10, 0, 0], [10, 0, 10]], np.float64), 1.0)
     s = np.linspace(8.0, 12.0, 400)
-    closest = curve.closest(np.minimum(s, 10), np.zeros(400), np.maximum(s - 10, 0))
+    closest = curve.find_closest(np.minimum(s, 10), np.zeros(400), np.maximum(s - 10, 0))
     angle = np.degrees(np.arctan2(closest.tz, closest.tx))
     assert angle[0] == 0 and angle[-1] == 90 and np.diff(angle).min() >= 0 and np.diff(angle).max() < 1.5
 
@@ -54,7 +54,10 @@ def test_the_tangent_turns_steadily():
 def test_it_points_as_drawn_and_reverse_turns_it_round():
     line = np.array([[0, 0, 0], [10, 0, 0]], np.float64)
     one = np.array([5.2], np.float32), np.array([1.0], np.float32), np.array([0.0], np.float32)
-    assert SampledCurve(line, 1.0).closest(*one).tx[0] == 1 and SampledCurve(line, 1.0, reverse=True).closest(*one).tx[0] == -1
+    assert (
+        SampledCurve(line, 1.0).find_closest(*one).tx[0] == 1
+        and SampledCurve(line, 1.0, reverse=True).find_closest(*one).tx[0] == -1
+    )
 
 
 def test_a_tie_falls_to_the_first_along_the_curve_whatever_the_batch():
@@ -62,15 +65,15 @@ def test_a_tie_falls_to_the_first_along_the_curve_whatever_the_batch():
     curve = SampledCurve(hairpin, 0.5)
     x = np.linspace(0.1, 8.9, 50)
     zero = np.zeros(50)
-    closest = curve.closest(x, zero, zero)
+    closest = curve.find_closest(x, zero, zero)
     assert (closest.tx == 1).all() and (closest.pz == -1).all() and (closest.distance == 1).all()
-    alone = curve.closest(x[7:8], zero[:1], zero[:1])
+    alone = curve.find_closest(x[7:8], zero[:1], zero[:1])
     assert alone.px[0] == closest.px[7]
 
 
 def test_one_point_no_number_and_no_curve():
     dot = SampledCurve(np.array([[1.0, 2, 3]]), 1.0)
-    closest = dot.closest(np.array([1.0, np.nan]), np.array([2.0, 0]), np.array([7.0, 0]))
+    closest = dot.find_closest(np.array([1.0, np.nan]), np.array([2.0, 0]), np.array([7.0, 0]))
     assert closest.distance.tolist() == [4.0, np.inf] and closest.tx.tolist() == [0, 0]
     for bad in (np.empty((0, 3)), np.array([[0, np.nan, 0]])):
         with pytest.raises(ValueError, match="at least one point"):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from antdsl.casting.distance_grid import DistanceGrid
-from antdsl.casting.faces import nearest_on_triangle
+from antdsl.casting.faces import find_nearest_on_triangle
 from antdsl.casting.rays import RayScene
 from tests.meshes import ball, box, grid, outward, terrain
 
@@ -28,9 +28,9 @@ def test_distances_faces_and_normals_on_a_box():
     scene = RayScene(*box((-10, 0, -10), (10, 4, 10)))
     origin = np.array([[0, 10, 0], [0, 10, 0], [30, 2, 3], [0, 2, 0]], np.float64)
     direction = np.array([[0, -2, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0]], np.float64)
-    hits = scene.cast(origin, direction)
+    hits = scene.find_first_hits(origin, direction)
     assert hits.t[0] == pytest.approx(3.0) and np.isinf(hits.t[1]) and hits.t[2] == pytest.approx(20.0)
-    assert hits.face[1] == -1 and hits.mesh[1] == -1 and hits.hit.tolist() == [True, False, True, True]
+    assert hits.face[1] == -1 and hits.mesh[1] == -1 and hits.is_hit.tolist() == [True, False, True, True]
     assert np.allclose(hits.normal, [[0, 1, 0], [0, 0, 0], [1, 0, 0], [0, 1, 0]])  # from inside it looks inside
     vertices, faces = box((-10, 0, -10), (10, 4, 10))
     corner = vertices[faces[hits.face[2]]]
@@ -41,46 +41,46 @@ def test_distances_faces_and_normals_on_a_box():
 def test_mesh_and_face_of_several_meshes():
     meshes = [box((0, 0, 0), (1, 1, 1)), (np.empty((0, 3)), np.empty((0, 3), np.int32)), ball(1.0, (5, 0, 0))]
     scene = RayScene.of(meshes)
-    hits = scene.cast(np.array([[0.4, 5, 0.3], [5.1, 5, 0.1]]), np.array([[0, -1, 0], [0, -1, 0]], np.float64))
+    hits = scene.find_first_hits(np.array([[0.4, 5, 0.3], [5.1, 5, 0.1]]), np.array([[0, -1, 0], [0, -1, 0]], np.float64))
     assert hits.mesh.tolist() == [0, 2]
     v, f = meshes[2]
     assert v[f[hits.face[1]]][:, 1].min() > 0.5
-    mesh, face, _place, distance = scene.closest(np.array([[5.0, 3.0, 0.0]]))
+    mesh, face, _place, distance = scene.find_closest(np.array([[5.0, 3.0, 0.0]]))
     assert mesh[0] == 2 and distance[0] == pytest.approx(2.0, abs=0.02) and 0 <= face[0] < len(f)
 
 
 def test_a_scene_far_from_the_origin_is_as_sharp():
     vertices, faces = terrain(400, 40)
     origin, direction = random_rays(2000, 180.0)
-    near_hits = RayScene(vertices, faces).cast(origin, direction)
+    near_hits = RayScene(vertices, faces).find_first_hits(origin, direction)
     far = np.array([3e6, -1e6, 2e6])
-    far_hits = RayScene(vertices + far, faces).cast(origin + far, direction)
-    assert np.array_equal(near_hits.face, far_hits.face) and near_hits.hit.sum() > 500
-    assert np.allclose(near_hits.t[near_hits.hit], far_hits.t[near_hits.hit], atol=1e-3)
+    far_hits = RayScene(vertices + far, faces).find_first_hits(origin + far, direction)
+    assert np.array_equal(near_hits.face, far_hits.face) and near_hits.is_hit.sum() > 500
+    assert np.allclose(near_hits.t[near_hits.is_hit], far_hits.t[near_hits.is_hit], atol=1e-3)
 
 
 def test_same_bits_alone_or_in_a_batch_and_for_any_thread_count():
     scene = RayScene(*terrain(400, 50))
     origin, direction = random_rays(3000, 190.0)
-    one = scene.cast(origin, direction, threads=1)
-    two = scene.cast(origin, direction, threads=2)
+    one = scene.find_first_hits(origin, direction, threads=1)
+    two = scene.find_first_hits(origin, direction, threads=2)
     order = np.random.default_rng(1).permutation(3000)
-    mixed = scene.cast(origin[order], direction[order], threads=2)
+    mixed = scene.find_first_hits(origin[order], direction[order], threads=2)
     for name in ("t", "face", "u", "v", "normal"):
         assert np.array_equal(getattr(one, name), getattr(two, name)), name
         assert np.array_equal(getattr(one, name)[order], getattr(mixed, name)), name
     for k in range(0, 3000, 37):
-        alone = scene.cast(origin[k : k + 1], direction[k : k + 1])
+        alone = scene.find_first_hits(origin[k : k + 1], direction[k : k + 1])
         assert alone.t[0] == one.t[k] and alone.face[0] == one.face[k] and alone.u[0] == one.u[k]
 
 
 def test_nothing_to_hit():
     scene = RayScene(np.empty((0, 3)), np.empty((0, 3), np.int32))
-    hits = scene.cast(np.zeros((2, 3)), np.ones((2, 3)))
-    assert np.isinf(hits.t).all() and not scene.occluded(np.zeros((2, 3)), np.ones((2, 3))).any()
+    hits = scene.find_first_hits(np.zeros((2, 3)), np.ones((2, 3)))
+    assert np.isinf(hits.t).all() and not scene.find_occluded(np.zeros((2, 3)), np.ones((2, 3))).any()
     zero = np.zeros(2, np.float32)
     assert not scene.cast_feelers((zero, zero, zero), (zero, zero, zero + 1), 5.0).hit.any()
-    assert np.isinf(scene.closest(np.zeros((2, 3)))[3]).all()
+    assert np.isinf(scene.find_closest(np.zeros((2, 3)))[3]).all()
 
 
 def test_feelers_find_what_rays_without_culling_find():
@@ -94,7 +94,7 @@ def test_feelers_find_what_rays_without_culling_find():
     reach = rng.uniform(1, 25, n).astype(np.float32)
     contacts = scene.cast_feelers((x, y, z), (dx, dy, dz), reach)
     rays = np.stack([dx, dy, dz], axis=1).astype(np.float64) * reach[:, None]
-    all_of_them = scene.cast(np.stack([x, y, z], axis=1).astype(np.float64), rays)
+    all_of_them = scene.find_first_hits(np.stack([x, y, z], axis=1).astype(np.float64), rays)
     expected = all_of_them.t <= 1.0
     assert 300 < expected.sum() < n / 2
     assert np.array_equal(contacts.hit, expected)
@@ -106,10 +106,10 @@ def test_feelers_find_what_rays_without_culling_find():
 
 @pytest.mark.parametrize("mesh", [ball(20.0, (5, 1, 2)), grid(300, 1), box((-80, -1, -80), (80, 60, -79))])
 def test_the_distance_grid_never_promises_too_much_and_promises_something(mesh):
-    grid_of = DistanceGrid(mesh[0][mesh[1]], cells=20_000)
+    grid_of = DistanceGrid(mesh[0][mesh[1]], target_cells=20_000)
     points = np.random.default_rng(2).uniform(-250, 250, (4000, 3))
-    true = RayScene(*mesh).closest(points)[3]
-    least = grid_of.lower_bounds(*points.T)
+    true = RayScene(*mesh).find_closest(points)[3]
+    least = grid_of.compute_lower_bounds(*points.T)
     assert (least <= true).all()
     assert np.mean(least > 0.5 * true) > 0.8
 
@@ -118,8 +118,8 @@ def test_places_that_are_none_and_places_without_measure_are_answered():
     mesh = ball(20.0, (5, 1, 2))
     odd = np.array([[np.nan, 0, 0], [np.nan] * 3, [np.inf, -np.inf, 0], [1e30, 1e38, -1e30], [0, 0, 0]])
     with np.errstate(all="ignore"):
-        least = DistanceGrid(mesh[0][mesh[1]], cells=20_000).lower_bounds(*odd.T)
-        _, face, _, distance = RayScene(*mesh).closest(odd)
+        least = DistanceGrid(mesh[0][mesh[1]], target_cells=20_000).compute_lower_bounds(*odd.T)
+        _, face, _, distance = RayScene(*mesh).find_closest(odd)
     assert (least[2:4] > 1e29).all() and least[4] < 20
     assert ((face >= 0) & (face < len(mesh[1]))).all() and np.isnan(distance[:2]).all() and distance[4] < 20
 
@@ -128,14 +128,14 @@ def test_nearest_point_of_a_triangle_against_many_samples():
     rng = np.random.default_rng(6)
     corners = rng.normal(size=(60, 3, 3))
     points = rng.normal(size=(60, 3)) * 2
-    place = nearest_on_triangle(points, corners)
+    place = find_nearest_on_triangle(points, corners)
     weights = rng.dirichlet([0.5, 0.5, 0.5], 4000)
     samples = np.einsum("kc,nca->nka", weights, corners)
     best = np.sqrt(((samples - points[:, None]) ** 2).sum(axis=2)).min(axis=1)
     mine = np.sqrt(((place - points) ** 2).sum(axis=1))
     assert (mine <= best + 1e-12).all() and (best - mine).max() < 0.3
     line = np.array([[[0, 0, 0], [1, 0, 0], [2, 0, 0]]], np.float64)
-    assert np.allclose(nearest_on_triangle(np.array([[1.5, 1, 0]]), line), [[1.5, 0, 0]])
+    assert np.allclose(find_nearest_on_triangle(np.array([[1.5, 1, 0]]), line), [[1.5, 0, 0]])
 
 
 def test_a_missing_library_is_named_with_what_to_install():
@@ -161,7 +161,7 @@ def test_few_feelers_touch_what_many_do(monkeypatch: pytest.MonkeyPatch):
     reach = np.random.default_rng(1).choice([1e-6, 1e-4, 0.1, 3.0, 30.0], 5000)
     for few in (0, 5000):
         monkeypatch.setattr(rays, "_MAX_RAYS_CAST_ONCE", few)
-        touched.append(scene.cast_within(origin, direction * reach[:, None]))
+        touched.append(scene.find_hits_within(origin, direction * reach[:, None]))
     assert 400 < len(touched[0][0]) < 4500
     for many, few in zip(*touched, strict=True):
         assert np.array_equal(many, few)

@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from antdsl.casting import triangle_grid
-from antdsl.casting.faces import Faces, nearest_on_triangle
+from antdsl.casting.faces import Faces, find_nearest_on_triangle
 from antdsl.casting.rays import RayScene
 from antdsl.casting.tolerances import FACE_BEYOND_GRID, MAX_RAY_CUBES, NO_FACE
 from antdsl.casting.triangle_grid import TriangleGrid
@@ -86,7 +86,7 @@ def sample_points(scene: RayScene, grid: TriangleGrid, count: int) -> np.ndarray
 
 def by_open3d(scene: RayScene, origin: np.ndarray, displacement: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     t, face = np.full(len(origin), np.inf), np.full(len(origin), NO_FACE)
-    rows, part, named, _ = scene._first_hits(origin, displacement, 1.0, 2)
+    rows, part, named, _ = scene._find_open3d_hits(origin, displacement, 1.0, 2)
     t[rows], face[rows] = part, named
     return t, face
 
@@ -94,8 +94,8 @@ def by_open3d(scene: RayScene, origin: np.ndarray, displacement: np.ndarray) -> 
 def of_all(faces: Faces, origin: np.ndarray, displacement: np.ndarray) -> np.ndarray:
     """For one ray, after what part it meets each face (inf = it does not)."""
     every = np.arange(len(faces.corners))
-    t, _, inside, _ = faces.cross_planes(every, np.tile(origin, (len(every), 1)), np.tile(displacement, (len(every), 1)))
-    hair = faces.hair / np.sqrt(
+    t, _, inside, _ = faces.intersect_planes(every, np.tile(origin, (len(every), 1)), np.tile(displacement, (len(every), 1)))
+    hair = faces.tolerance / np.sqrt(
         (displacement[0] * displacement[0] + displacement[1] * displacement[1]) + displacement[2] * displacement[2]
     )
     return np.where(inside & (t > hair) & (t <= 1.0), t, np.inf)
@@ -118,14 +118,14 @@ def same_rays(scene: RayScene, grid: TriangleGrid, origin: np.ndarray, displacem
 
 
 def same_places(scene: RayScene, grid: TriangleGrid, points: np.ndarray) -> int:
-    place, square, face = grid.nearest(points)
+    place, square, face = grid.find_nearest(points)
     near = np.flatnonzero(face != FACE_BEYOND_GRID)
     assert len(near) > len(points) // 2
-    closest, distance, other = scene._closest(points[near], 2, np.full(len(near), np.inf))
+    closest, distance, other = scene._find_closest_by_open3d(points[near], 2, np.full(len(near), np.inf))
     differing = np.flatnonzero((other != face[near]) | (distance != np.sqrt(square[near])) | (closest != place[near]).any(axis=1))
     corners = scene._faces.corners
     for k in near[differing[:200]]:
-        gap = nearest_on_triangle(np.tile(points[k], (len(corners), 1)), corners) - points[k]
+        gap = find_nearest_on_triangle(np.tile(points[k], (len(corners), 1)), corners) - points[k]
         assert int(np.argmin(dot(gap, gap))) == face[k] and dot(gap, gap).min() == square[k]
     return len(differing)
 
@@ -162,7 +162,7 @@ def test_a_short_ray_meets_what_it_meets_of_all_faces(name: str):
     origin[5], displacement[6], origin[7], displacement[8] = np.nan, np.nan, np.inf, 0.0
     points = sample_points(scene, grid, 100)
     points[3], points[4] = np.nan, 1e30
-    (t, face), (place, square, nearest) = grid.first(origin, displacement), grid.nearest(points)
+    (t, face), (place, square, nearest) = grid.first(origin, displacement), grid.find_nearest(points)
     assert (
         (face[[5, 6, 7, 8]] == NO_FACE).all() and np.isinf(t[[5, 6, 7, 8]]).all() and (nearest[[3, 4]] == FACE_BEYOND_GRID).all()
     )
@@ -175,21 +175,21 @@ def test_a_short_ray_meets_what_it_meets_of_all_faces(name: str):
         assert first == FACE_BEYOND_GRID or parts.min() == t[k] or np.isnan(parts).all()
         assert first < 0 or not (parts[:first] <= t[k]).any()
     for k in np.setdiff1d(np.arange(100), [3, 4]):
-        nearest_points = nearest_on_triangle(np.tile(points[k], (len(corners), 1)), corners)
+        nearest_points = find_nearest_on_triangle(np.tile(points[k], (len(corners), 1)), corners)
         squares = dot(nearest_points - points[k], nearest_points - points[k])
         if nearest[k] == FACE_BEYOND_GRID:
             assert squares.min() > width * width
         else:
             assert nearest[k] == np.argmin(squares) and square[k] == squares.min()
             assert np.array_equal(place[k], nearest_points[nearest[k]])
-    assert len(grid.first(origin[:0], displacement[:0])[0]) == 0 and len(grid.nearest(points[:0])[0]) == 0
+    assert len(grid.first(origin[:0], displacement[:0])[0]) == 0 and len(grid.find_nearest(points[:0])[0]) == 0
 
 
 @pytest.mark.parametrize("threads", [1, 2])
 @pytest.mark.parametrize("name", MESHES)
 def test_normals_of_first_faces_are_those_named(name: str, threads: int):
     scene, _ = make_grid(name)
-    grid = scene._triangle_grid()
+    grid = scene._get_triangle_grid()
     assert grid is not None
     origin, displacement = rays(scene, grid, 2000)
     origin, named = origin + scene.origin, np.random.default_rng(4).permutation(len(scene._faces.corners))
@@ -197,30 +197,30 @@ def test_normals_of_first_faces_are_those_named(name: str, threads: int):
     short = np.flatnonzero(grid.first(origin - scene.origin, displacement)[1] != FACE_BEYOND_GRID)
     assert 0 < len(short) < len(origin)
     for subset in (slice(None), short, slice(0, 0)):  # of some rays, and of none, the grid cannot tell
-        which, part, normal = scene.trace_normals(origin[subset], displacement[subset], normals, named, threads)
-        rows, at, face = scene._first_hits_within(origin[subset] - scene.origin, displacement[subset], 1)
+        which, part, normal = scene.find_hit_normals(origin[subset], displacement[subset], normals, named, threads)
+        rows, at, face = scene._find_hits_within(origin[subset] - scene.origin, displacement[subset], 1)
         assert np.array_equal(which, rows) and np.array_equal(part, at) and (len(rows) > 100 or isinstance(subset, slice))
         assert np.array_equal(normal, normals[:, named[face]])
-    assert grid.trace_normals(origin[short], displacement[short], normals, named, threads)[1] == 0
+    assert grid.find_hit_normals(origin[short], displacement[short], normals, named, threads)[1] == 0
 
 
 def test_feelers_and_gaps_are_the_same_with_and_without_a_grid():
     scene, grid = make_grid("a few of them")
     far = RayScene.of(MESHES["a few of them"]())
-    far._sought = True
+    far._has_built_grid = True
     origin, displacement = rays(scene, grid, 3000)
     length = np.sqrt(dot(displacement, displacement))
     place, direction = (np.ascontiguousarray(v.T, np.float32) for v in (origin, displacement / length[:, None]))
     reach = length.astype(np.float32)
-    clear = scene.clearance(*place)
+    clear = scene.measure_clearance(*place)
     asking = np.arange(3000) % 2 == 0
     answers = []
     for which in (scene, far):
         contacts = which.cast_feelers(place, direction, reach)
-        gap, out = which.signed_distances(*place, reach)
-        near = which.nearest_within(*place, reach)
+        gap, out = which.measure_signed_distances(*place, reach)
+        near = which.find_nearest_within(*place, reach)
         results = np.zeros(3000, np.bool_), np.full(3000, np.inf, np.float32), *np.zeros((3, 3000), np.float32)
-        left = which.feel_batch(
+        left = which.cast_feeler_batch(
             (*place, clear), [(~asking & asking, (*direction, reach), results), (asking, (*direction, reach), results)]
         )
         assert [number for number, rows in left if rows.size] == [1]
@@ -243,11 +243,11 @@ def test_feelers_and_gaps_are_the_same_with_and_without_a_grid():
 
 def test_a_grid_is_made_only_where_it_is_small_and_of_use(monkeypatch: pytest.MonkeyPatch):
     vertices, faces = terrain(100, 20)
-    assert RayScene(vertices, faces, brief=True)._triangle_grid() is None
+    assert RayScene(vertices, faces, is_short_lived=True)._get_triangle_grid() is None
     assert TriangleGrid.of(Faces(np.empty((0, 3, 3))), np.zeros(3)) is None
     dense = RayScene.of([terrain(10_000, 1), ball(1.0, (0, 200, 0), 60)])
-    assert dense._triangle_grid() is None  # thousands of faces in one cube
+    assert dense._get_triangle_grid() is None  # thousands of faces in one cube
     listed = []
-    monkeypatch.setattr(triangle_grid, "triangle_cells", lambda *a, **k: listed.append(a) or iter(()))
+    monkeypatch.setattr(triangle_grid, "iterate_triangle_cells", lambda *a, **k: listed.append(a) or iter(()))
     monkeypatch.setattr(triangle_grid, "_MAX_LISTED_FACES", 4000)
-    assert RayScene(vertices, faces)._triangle_grid() is None and not listed
+    assert RayScene(vertices, faces)._get_triangle_grid() is None and not listed

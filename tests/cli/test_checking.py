@@ -23,7 +23,7 @@ SHARES = sys.platform == "linux"
 
 
 def place(span: Span | None) -> tuple[object, ...] | None:
-    return span and (span.source.path, span.source.text, span.source.part, span.start, span.end)
+    return span and (span.source.path, span.source.text, span.source.part_number, span.start, span.end)
 
 
 def labels(diagnostic: Diagnostic) -> list[tuple[object, ...]]:
@@ -32,7 +32,7 @@ def labels(diagnostic: Diagnostic) -> list[tuple[object, ...]]:
 
 def check_files(files: list[Path], monkeypatch: pytest.MonkeyPatch, cores: int) -> tuple[list[tuple[object, ...]], list[str]]:
     monkeypatch.setattr(checking, "_can_fork", lambda: True)  # whatever other tests have imported
-    checked = checking.check_all(files, RunChoices(), cores=cores)
+    checked = checking.check_files(files, RunChoices(), cores=cores)
     assert set(checked.reports) == set(files)
     findings = [
         (file, d.code, d.message, d.severity, d.help, place(d.span), labels(d), d.fix and (place(d.fix.span), d.fix.text))
@@ -45,7 +45,7 @@ def check_files(files: list[Path], monkeypatch: pytest.MonkeyPatch, cores: int) 
 @pytest.mark.skipif(not SHARES, reason="processes are forked on Linux only")
 def test_processes_find_what_one_finds(monkeypatch: pytest.MonkeyPatch) -> None:
     files, _ = find_files(FOLDERS)
-    assert len(files) > checking.LEAST_FILES_TO_SHARE
+    assert len(files) > checking.MIN_FILES_FOR_PROCESSES
     one = check_files(files, monkeypatch, 1)
     assert len(one[0]) > 300
     assert check_files(files, monkeypatch, 3) == one
@@ -60,7 +60,7 @@ def test_what_a_dead_process_leaves_is_checked_all_the_same(monkeypatch: pytest.
         os.read(claims, 1)  # it has taken a group with it
         os._exit(9)
 
-    monkeypatch.setattr(checking, "_run_child", dies)
+    monkeypatch.setattr(checking, "_check_in_child", dies)
     assert check_files(files, monkeypatch, 2) == one
 
 
@@ -118,7 +118,7 @@ def test_a_file_that_takes_too_long_is_reported_and_the_others_are_checked(tmp_p
         return None, Report()
 
     with patch.object(checking, "check_path", spin):
-        results = checking.check_all([slow, fine], RunChoices(), cpu_seconds=0.05)
+        results = checking.check_files([slow, fine], RunChoices(), cpu_seconds=0.05)
     (error,) = results.reports[slow].errors
     assert error.code == "too-large" and "more than 0.05 s of processor time" in error.message
     assert error.span is not None and error.span.source.path == str(slow)

@@ -12,7 +12,7 @@ import commands
 import pytest
 from children import child_environment
 
-from antdsl.cli import _run as run_in_process
+from antdsl.cli import _run_without_warnings as run_in_process
 
 ROOT = Path(__file__).resolve().parents[2]
 GOOD = """ant 1
@@ -159,7 +159,10 @@ def test_words_that_a_terminal_cannot_show_are_replaced(folder: Path) -> None:
 
 @pytest.mark.parametrize(("words", "most"), [(["--help"], 230), (["check", "walker.ant"], 570), (["check", "scene.yaml"], 610)])
 def test_a_command_imports_only_what_it_needs(folder: Path, words: list[str], most: int) -> None:
-    code = "import sys; from antdsl.cli import _run; r = _run(); print(r, sorted(sys.modules), file=sys.stderr)"
+    code = (
+        "import sys; from antdsl.cli import _run_without_warnings as run;"
+        " r = run(); print(r, sorted(sys.modules), file=sys.stderr)"
+    )
     result = subprocess.run(
         [sys.executable, "-c", code, *words], cwd=folder, env=child_environment(), capture_output=True, text=True, timeout=300
     )
@@ -261,9 +264,11 @@ def test_the_set_up_tells_wrong_words_and_what_failed(tmp_path: Path) -> None:
 
 
 def test_the_command_that_goes_on_names_all_that_results_depend_on() -> None:
-    from antdsl.cli.commands.run import _resume_command
+    from antdsl.cli.commands.run import _build_resume_command
 
-    command = _resume_command(Path("a b/scene.yaml"), Path("o"), "1..9", 0, ["x.y=1mm", "x.z=2"], ["lib=d"], Path("t.json"), True)
+    command = _build_resume_command(
+        Path("a b/scene.yaml"), Path("o"), "1..9", 0, ["x.y=1mm", "x.z=2"], ["lib=d"], Path("t.json"), True
+    )
     words = "--frames 1..9 --seed 0 --set x.y=1mm --set x.z=2 --root lib=d --out o --summary t.json --any-memory --resume"
     assert command == f"antdsl run 'a b/scene.yaml' {words}"
-    assert _resume_command(Path("s.yaml"), None, None, None, [], [], None, False) == "antdsl run s.yaml --resume"
+    assert _build_resume_command(Path("s.yaml"), None, None, None, [], [], None, False) == "antdsl run s.yaml --resume"

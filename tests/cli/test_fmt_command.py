@@ -120,16 +120,18 @@ def test_a_file_that_cannot_be_written_stays_whole(folder: Path, monkeypatch: py
 def test_who_may_not_write_a_file_does_not_replace_it(
     folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from antdsl.cli import _run
+    from antdsl.cli import _run_without_warnings
 
     monkeypatch.setattr(os, "access", lambda path, mode: mode != os.W_OK)  # root may write any file
     monkeypatch.setattr(sys, "argv", ["antdsl", "fmt", str(folder / "ugly.ant")])
-    assert _run() == 3
+    assert _run_without_warnings() == 3
     assert "cannot write" in capsys.readouterr().err and (folder / "ugly.ant").read_bytes() == UGLY
 
 
 def test_formatting_loads_nothing_heavy(folder: Path) -> None:
-    code = "import sys; sys.argv = ['antdsl', 'fmt', '.']\nfrom antdsl.cli import _run\n_run()\n"
+    code = (
+        "import sys; sys.argv = ['antdsl', 'fmt', '.']\nfrom antdsl.cli import _run_without_warnings\n_run_without_warnings()\n"
+    )
     code += "print(sorted({'numpy', 'scipy', 'open3d', 'llvmlite'} & set(sys.modules)))"
     result = subprocess.run([sys.executable, "-c", code], cwd=folder, env=child_environment(), capture_output=True, text=True)
     assert result.stdout.splitlines()[-1] == "[]", result.stdout + result.stderr

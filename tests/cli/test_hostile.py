@@ -55,8 +55,8 @@ def rows(tables: Mapping[str, Sequence[Row]]) -> list[Any]:
 def test_the_verdict_on_a_file(row: Row, tmp_path: Path) -> None:
     scene, began = project(tmp_path, row), process_time()
     _, report = check_path(scene)
-    matches = [d for d in report.sorted() if d.code == row.verdict]
-    messages = [f"{d.severity} {d.code}: {d.message}" for d in report.sorted()]
+    matches = [d for d in report.sort_by_place() if d.code == row.verdict]
+    messages = [f"{d.severity} {d.code}: {d.message}" for d in report.sort_by_place()]
     if not row.verdict:
         assert report.ok and (row.warned or not messages), messages
     else:

@@ -13,7 +13,7 @@ from children import child_environment
 from typer.testing import CliRunner
 
 from antdsl.cli import app
-from antdsl.outputs.cache.hashes import HASHES, read_lines
+from antdsl.outputs.cache.hashes import HASHES_FILE_NAME, read_lines
 from antdsl.preview import FileWatch
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -92,7 +92,7 @@ def test_r6_language_clock_and_hash_seed_change_no_bit(folder: Path) -> None:
     for number, env in enumerate(({}, abroad)):
         result = antdsl(folder, "run", "scene.yaml", "--out", f"out{number}", "--threads", str(number + 1), **env)
         assert result.returncode == 0, result.stderr
-        hashes.append(read_lines(folder / f"out{number}" / HASHES))
+        hashes.append(read_lines(folder / f"out{number}" / HASHES_FILE_NAME))
     assert len(hashes[0]) == 6 and hashes[0] == hashes[1]
 
 

@@ -29,11 +29,11 @@ def shot_of(folder: Path, *change: str) -> Shot:
 def test_the_largest_thing_is_named_at_its_place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, thing: str) -> None:
     shot = shot_of(tmp_path / "project", *SCENES[thing])
     needed = sum(work.bytes for work in estimate_work(shot))
-    monkeypatch.setattr(available, "available_memory", lambda: int(needed / 0.8) + 1)
+    monkeypatch.setattr(available, "measure_available_memory", lambda: int(needed / 0.8) + 1)
     require_memory([shot])
-    monkeypatch.setattr(available, "available_memory", lambda: None)
+    monkeypatch.setattr(available, "measure_available_memory", lambda: None)
     require_memory([shot])
-    monkeypatch.setattr(available, "available_memory", lambda: int(needed / 0.8) - 1)
+    monkeypatch.setattr(available, "measure_available_memory", lambda: int(needed / 0.8) - 1)
     with pytest.raises(CommandError) as stop:
         require_memory([shot])
     assert stop.value.code == ExitCode.INPUT_OUTPUT and "--any-memory" in stop.value.hint
@@ -44,19 +44,19 @@ def test_the_largest_thing_is_named_at_its_place(tmp_path: Path, monkeypatch: py
 def test_scenes_at_once_count_together(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     shot = shot_of(tmp_path / "project", "", "")
     needed = sum(work.bytes for work in estimate_work(shot))
-    monkeypatch.setattr(available, "available_memory", lambda: int(needed / 0.8) + 1)
+    monkeypatch.setattr(available, "measure_available_memory", lambda: int(needed / 0.8) + 1)
     require_memory([shot, shot, shot], 1)
     with pytest.raises(CommandError):
         require_memory([shot, shot, shot], 2)
     require_memory([shot], 2)
     with pytest.raises(CommandError, match="at least") as stop:
-        require_memory([shot], 2, runs=5)
+        require_memory([shot], 2, runs_per_shot=5)
     assert "--jobs" in stop.value.hint
 
 
 def test_any_memory_starts_all_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     shot_of(tmp_path / "project", "count: 200", "count: 2")
-    monkeypatch.setattr(available, "available_memory", lambda: 1)
+    monkeypatch.setattr(available, "measure_available_memory", lambda: 1)
     words = ("run", "project/scene.yaml", "--frames", "1..1", "--backend", "numpy")
     result = commands.run(*words, cwd=tmp_path)
     assert result.returncode == 3 and "scene.yaml:" in result.stderr and not (tmp_path / "project" / "out").exists()

@@ -19,10 +19,10 @@ from children import child_environment
 
 from antdsl import __version__
 from antdsl.cli import COMMANDS
-from antdsl.cli.commands.new import TEMPLATE_FILES, file_text
+from antdsl.cli.commands.new import TEMPLATE_FILES, read_template_file
 
 ROOT = Path(__file__).resolve().parents[2]
-FILE = {name: file_text(name) for name in TEMPLATE_FILES}
+FILE = {name: read_template_file(name) for name in TEMPLATE_FILES}
 WORKFLOW: dict[Any, Any] = yaml.safe_load(FILE[".github/workflows/antdsl.yml"])
 HOOKS: list[dict[str, Any]] = yaml.safe_load(FILE[".pre-commit-config.yaml"])["repos"][0]["hooks"]
 STEPS: list[dict[str, Any]] = WORKFLOW["jobs"]["crowd"]["steps"]

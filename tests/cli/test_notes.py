@@ -11,8 +11,8 @@ import pytest
 from executed import InThisProcess
 
 from antdsl.preview.observing.observers import NoteObserver
-from antdsl.runtime.backends.native import backend as native_backend
-from antdsl.runtime.backends.native import ready
+from antdsl.runtime.backends.native import compile_queue
+from antdsl.runtime.backends.native import native_backend as native_backend
 
 WHY = "llvmlite is not there: install it"
 NOTE = f"NumPy runs instead of machine code, slower and with the same result: {WHY}\n"
@@ -24,12 +24,14 @@ def walkers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
     def beside(*what: Any) -> Future[Any]:
         coming: Future[Any] = Future()
-        coming.set_exception(ready.CodeUnavailable(WHY))
+        coming.set_exception(compile_queue.CodeUnavailable(WHY))
         return coming
 
     monkeypatch.setattr(native_backend, "start_building", beside)
-    monkeypatch.setattr(native_backend, "find_ready", lambda plan, facts: None)
-    monkeypatch.setattr(native_backend, "find", lambda plan, blocks, facts: None)  # an earlier test may have stored the code
+    monkeypatch.setattr(native_backend, "find_ready_code", lambda plan, facts: None)
+    monkeypatch.setattr(
+        native_backend, "find_stored_blocks", lambda plan, blocks, facts: None
+    )  # an earlier test may have stored the code
     monkeypatch.setattr(native_backend, "_MIN_AGENTS_FOR_CODE", 0)
     assert commands.run("new", "walkers", cwd=tmp_path).returncode == 0
     return tmp_path
@@ -49,7 +51,7 @@ def test_specs_tell_once_for_all_runs(walkers: Path) -> None:
 
 
 def test_sweeps_tell_once_for_all_runs(walkers: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("antdsl.executors.Processes", InThisProcess)
+    monkeypatch.setattr("antdsl.executors.ProcessEngine", InThisProcess)
     words = ("sweep", "walkers/scene.yaml", "--frames", "1..4", "--seeds", "2", "--no-plots")
     for extra_words in ((), ("--quiet", "--again")):
         result = commands.run(*words, *extra_words, cwd=walkers)

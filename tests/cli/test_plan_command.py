@@ -10,10 +10,10 @@ import commands
 import pytest
 from compilers import need_llvmlite
 
-from antdsl.machine_code import machine
+from antdsl.machine_code import llvm_compiler
 from antdsl.pipeline import open_scene
 from antdsl.plan import show
-from antdsl.runtime.backends.native import listing
+from antdsl.runtime.backends.native import program_listing
 from antdsl.runtime.backends.native.programs import WorldFacts
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
@@ -42,11 +42,16 @@ def test_machine_code_is_that_of_the_scene_that_runs_it_and_lines_have_their_fil
     assert plan("far/forager.ant", "--native", cwd=tmp_path).startswith("as on ground that stands still, without `lod`")
     scene.write_text(scene.read_text(encoding="utf-8") + "lod: {near: 60 mm, far: 80 mm}\n", encoding="utf-8")
     shot, _ = open_scene(scene)
-    assert shot is not None and shot.setting.detail is not None
+    assert shot is not None and shot.setting.level_of_detail is not None
     far_listing = plan("far/scene.yaml", "--native", cwd=tmp_path)
     assert (
         far_listing
-        == listing.show(listing.plan_program(shot.plan, machine.host(), WorldFacts(moving=False, detail=True))) + "\n"
+        == program_listing.format_listing(
+            program_listing.build_program(
+                shot.plan, llvm_compiler.host_target(), WorldFacts(has_moving_ground=False, has_detail_levels=True)
+            )
+        )
+        + "\n"
         != still
     )
     assert re.search(r"then NumPy: ray\(stones\), <steering>:\d+, 3 times\n", still)
@@ -62,6 +67,6 @@ def test_the_code_itself_is_printed_with_and_without_the_other_word() -> None:
 
 def test_the_reason_for_missing_machine_code_is_given(monkeypatch: pytest.MonkeyPatch) -> None:
     why = "llvmlite 0.30 is too old: install another"
-    monkeypatch.setattr(machine, "unavailable", lambda: why)
+    monkeypatch.setattr(llvm_compiler, "unavailability_reason", lambda: why)
     result = commands.run("plan", "minimal/scene.yaml", "--native", cwd=EXAMPLES)
     assert result.returncode == 1 and result.stderr.startswith("error: ") and why in result.stderr

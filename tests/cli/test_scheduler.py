@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from antdsl.cli import app
 from antdsl.cli.exits import CommandError
-from antdsl.executors import Processes
+from antdsl.executors import ProcessEngine
 
 
 @pytest.fixture(autouse=True)
@@ -72,6 +72,6 @@ def test_processes_are_what_runs_without_one(monkeypatch: pytest.MonkeyPatch) ->
         executor_calls.append(executors)
         return []
 
-    monkeypatch.setattr("antdsl.sweep.run_all", run_all)
+    monkeypatch.setattr("antdsl.sweep.run_jobs", run_all)
     assert CliRunner().invoke(app, ["sweep", "walkers/scene.yaml", "--seeds", "2", "--no-plots"]).exit_code == 0
-    assert isinstance(executor_calls[0], Processes)
+    assert isinstance(executor_calls[0], ProcessEngine)

@@ -23,7 +23,7 @@ class Terminal(io.StringIO):
 
 def stage_twice(clock: list[float] | None = None) -> None:
     for words in ("ground", "feet"):
-        stages.begin(words)
+        stages.begin_stage(words)
         if clock is not None:
             clock[0] += 4.0
 
@@ -58,14 +58,14 @@ def test_quiet_shows_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_only_large_tables_that_are_computed_are_stages(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(stored_tables.TABLE_STORE.variable, "")
-    stored_tables.forget()
+    stored_tables.forget_store()
     stage_names: list[str] = []
-    with stages.report_to(stage_names.append):
+    with stages.report_stages_to(stage_names.append):
         for size in (20, 124_000):
             stored_tables.get_or_compute("cuts", size, (np.arange(3),), lambda: {"found": np.arange(3)})
-        other = Thread(target=stages.begin, args=("of another thread",))
+        other = Thread(target=stages.begin_stage, args=("of another thread",))
         other.start()
         other.join()
-    stages.begin("afterwards")
-    stored_tables.forget()
+    stages.begin_stage("afterwards")
+    stored_tables.forget_store()
     assert stage_names == ["cuts of 124,000 faces"]

@@ -24,7 +24,7 @@ import pytest
 from children import child_environment
 
 from antdsl.cli import COMMANDS
-from antdsl.cli.printing.messages import TerminalWriter, note_output, print_note
+from antdsl.cli.printing.messages import TerminalWriter, print_note, treat_output_as_notes
 
 STREAMS, STATES = ("stdout", "stderr"), ("closed", "full", "broken", "slow")
 PORT = "PORT"
@@ -249,10 +249,10 @@ class Failing(io.RawIOBase):
 def test_a_lost_result_is_recorded_and_a_lost_note_is_not(error: int) -> None:
     terminal = TerminalWriter(Failing(None, error))
     assert terminal.write(b"result\n") == 7
-    assert terminal.loss is not None and terminal.loss.errno == error
+    assert terminal.loss_reason is not None and terminal.loss_reason.errno == error
     terminal = TerminalWriter(Failing(error))
     terminal.is_note = True
-    assert terminal.write(b"note\n") == 5 and terminal.loss is None
+    assert terminal.write(b"note\n") == 5 and terminal.loss_reason is None
 
 
 @pytest.mark.parametrize("error", [errno.EPIPE, errno.EBADF, errno.EIO])
@@ -261,7 +261,7 @@ def test_nothing_more_is_written_to_a_stream_that_nothing_reads(error: int) -> N
     terminal = TerminalWriter(raw)
     terminal.write(b"result\n")
     terminal.write(b"more\n")
-    assert raw.written == b"res" and terminal.loss is None
+    assert raw.written == b"res" and terminal.loss_reason is None
 
 
 def test_a_stream_that_does_not_block_gets_everything() -> None:
@@ -280,7 +280,7 @@ def test_notes_do_not_wait_for_a_slow_reader(monkeypatch: pytest.MonkeyPatch) ->
         monkeypatch.setattr(sys, "stdout", stream)
         for number in range(200):
             print_note(f"frame {number} of 200, é and \udcff")
-        with note_output():
+        with treat_output_as_notes():
             stream.write("the end\n")
         assert len(terminal.backlog) > 5000
         received = bytearray(os.read(reader, 4096))

@@ -17,7 +17,7 @@ from children import child_environment
 from code_pages import PAGES, ROOT, Page
 
 from antdsl.diagnostics.codes import CODE_DESCRIPTIONS
-from antdsl.resources import code_page
+from antdsl.resources import find_code_page
 from antdsl.source import Source
 from antdsl.syntax.formatting.layout import format
 
@@ -77,7 +77,7 @@ def test_the_index_has_all_codes_by_their_sections() -> None:
 def test_the_pages_go_with_the_package() -> None:
     packed = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["hatch"]["build"]["targets"]["wheel"]
     assert packed["force-include"]["docs/codes"] == "antdsl/_data/docs/codes"
-    assert code_page("unknown-state") == PAGES / "unknown-state.md" and code_page("no-such-code") is None
+    assert find_code_page("unknown-state") == PAGES / "unknown-state.md" and find_code_page("no-such-code") is None
 
 
 def test_explain_shows_the_page() -> None:
@@ -105,8 +105,8 @@ def test_a_code_without_its_page_is_explained_in_a_line(
 ) -> None:
     from antdsl.cli.printing import pages
 
-    monkeypatch.setattr(pages, "code_page", lambda code: None)
-    pages.show_page("trap")
+    monkeypatch.setattr(pages, "find_code_page", lambda code: None)
+    pages.print_code_page("trap")
     assert CODE_DESCRIPTIONS["trap"] in capsys.readouterr().out
 
 
@@ -116,7 +116,7 @@ def test_explain_is_laid_out_on_a_terminal(monkeypatch: pytest.MonkeyPatch, caps
 
     monkeypatch.setattr("sys.stdout.isatty", lambda: True)
     monkeypatch.setenv("COLUMNS", "100")
-    pages.show_page("unknown-state")
+    pages.print_code_page("unknown-state")
     output = capsys.readouterr().out
     assert "did you mean `stroll`?" in output and "when after 1 s -> strol }" in output
     assert "```" not in output and "## " not in output
@@ -166,13 +166,13 @@ def test_a_word_that_is_not_known_has_one_that_is_like_it(word: str, meant: str)
 
 
 def test_all_words_of_the_card_are_explained() -> None:
-    from antdsl.lsp.language import explain_word, words
+    from antdsl.lsp.word_help import explain_word, list_known_words
 
     rows = (ROOT / "docs" / "card.md").read_text(encoding="utf-8")
     card = set(re.findall(r"(?<![A-Za-z_.])[a-z_]{2,}(?![A-Za-z_0-9])|%", " ".join(re.findall(r"`([^`]+)`", rows))))
     placeholders = {"attribute", "behaviours", "colour", "comment", "help", "label", "mine", "name", "rate", "scene"}
     assert sorted(word for word in card - placeholders if explain_word(word) is None) == []
-    assert all(explain_word(word) is not None for word in words())
+    assert all(explain_word(word) is not None for word in list_known_words())
 
 
 def test_the_last_line_names_the_codes_that_were_shown(tmp_path: Path) -> None:
@@ -216,7 +216,7 @@ def test_units_that_are_made_of_others_are_explained(unit: str) -> None:
 
 
 def test_every_unit_of_the_documents_is_explained() -> None:
-    from antdsl.lsp.language import explain_word
+    from antdsl.lsp.word_help import explain_word
 
     text = "\n".join(path.read_text(encoding="utf-8") for path in [ROOT / "grammar" / "README.md", *(ROOT / "docs").glob("*.md")])
     units = set(re.findall(r"(?<![\w./])[0-9][0-9.]* ?((?:%|[a-zA-Z]+)?(?:\^[0-9])?/(?:s|step)(?:\^[0-9])?)(?![\w/])", text))
@@ -249,28 +249,28 @@ def test_a_slip_in_a_unit_is_reported() -> None:
 
 
 def test_every_meaning_of_every_word_has_its_sample() -> None:
-    from antdsl.lsp import samples, words
+    from antdsl.lsp import sample_lines, word_descriptions
     from antdsl.program.tables.vocabulary import BUILTINS_BY_NAME, REDUCER_HELP, TYPE_BY_WORD
 
-    assert set(samples.CALL_SAMPLES) == set(BUILTINS_BY_NAME) and set(samples.SET_QUERY_SAMPLES) == set(REDUCER_HELP)
-    rows = [samples.CALL_SAMPLES, samples.SET_QUERY_SAMPLES, *(_samples_of(table) for table in _word_tables())]
+    assert set(sample_lines.CALL_SAMPLES) == set(BUILTINS_BY_NAME) and set(sample_lines.SET_QUERY_SAMPLES) == set(REDUCER_HELP)
+    rows = [sample_lines.CALL_SAMPLES, sample_lines.SET_QUERY_SAMPLES, *(_samples_of(table) for table in _word_tables())]
     for word, form in (each for forms in rows for each in forms.items()):
         assert word in form or word == "other", (word, form)
-    assert {word for word, dim in TYPE_BY_WORD.items() if isinstance(dim, str)} | {"number"} == set(words.TYPE_HELP)
+    assert {word for word, dim in TYPE_BY_WORD.items() if isinstance(dim, str)} | {"number"} == set(word_descriptions.TYPE_HELP)
 
 
 def _word_tables() -> list[Any]:
-    from antdsl.lsp import words
+    from antdsl.lsp import word_descriptions
     from antdsl.program.tables.things import KIND_BY_WORD
 
     return [
-        words.INNER_WORDS,
-        words.WHOLES,
+        word_descriptions.INNER_WORD_HELP,
+        word_descriptions.AGGREGATE_HELP,
         KIND_BY_WORD,
-        words.SETTING_HELP,
-        words.SCENE_KEYS,
-        words.WORDS_OF_STATES,
-        words.VALUES,
+        word_descriptions.SETTING_HELP,
+        word_descriptions.SCENE_KEY_HELP,
+        word_descriptions.STATE_WORD_HELP,
+        word_descriptions.VALUE_HELP,
     ]
 
 
@@ -295,7 +295,7 @@ species forager {
 def test_samples_of_calls_and_sets_are_right() -> None:
     from test_program import checked
 
-    from antdsl.lsp.samples import CALL_SAMPLES, SET_QUERY_SAMPLES
+    from antdsl.lsp.sample_lines import CALL_SAMPLES, SET_QUERY_SAMPLES
 
     for form in (*CALL_SAMPLES.values(), *SET_QUERY_SAMPLES.values()):
         errors = checked(f"{AROUND}  let one = {form}\n}}\n")[1].errors
@@ -303,17 +303,17 @@ def test_samples_of_calls_and_sets_are_right() -> None:
 
 
 def test_samples_of_lines_and_scenes_can_be_read() -> None:
-    from antdsl.lsp.words import SCENE_KEYS
+    from antdsl.lsp.word_descriptions import SCENE_KEY_HELP
     from antdsl.scene.load import load_text
     from antdsl.scene.paths import Roots
     from antdsl.syntax import parse
 
     templates = ("{}", "species a {{ {} }}", "species a {{ state s {{ {} }} }}", 'spec "s" on "s.yaml" {{ {} }}')
     templates += ('spec "s" on "s.yaml" {{ each a {{ {} }} }}', "species a {{ let x = {} }}", "species a {{ on e {{ {} }} }}")
-    for form in (form for table in _word_tables() if table is not SCENE_KEYS for form in _samples_of(table).values()):
+    for form in (form for table in _word_tables() if table is not SCENE_KEY_HELP for form in _samples_of(table).values()):
         texts = [f"ant 1\n{place.format(form)}\n" for place in templates]
         assert any(parse(Source("a.ant", text))[1].ok for text in texts), form
-    for form in _samples_of(SCENE_KEYS).values():
+    for form in _samples_of(SCENE_KEY_HELP).values():
         text = form if form.startswith("antdsl:") else f"antdsl: 1\n{form}"
         report = load_text(f"{text}\n".encode(), "other.yaml", Roots(Path("."), {}))[1]
         assert not {error.code for error in report.errors} - {"no-such-file", "unknown-name", "wrong-path"}, (form, report.errors)

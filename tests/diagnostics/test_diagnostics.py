@@ -13,7 +13,7 @@ from antdsl import limits
 from antdsl.diagnostics import Diagnostic, Fix, Label, Report, codes
 from antdsl.diagnostics.codes import CODE_DESCRIPTIONS
 from antdsl.diagnostics.render import FORMATTERS, render
-from antdsl.diagnostics.suggestion import nearest_name
+from antdsl.diagnostics.suggestion import find_nearest_name
 from antdsl.source import Source, Span
 
 TEXT = "ant 1\nspecies worker {\n  when hungry -> forage\n  é = 日本 + x\n}\n"
@@ -163,7 +163,7 @@ def test_order_is_by_place_and_the_same_is_said_once() -> None:
         report.error("bad-name", part, span(part))
     report.error("cannot-read", "one", None)
     report.error("cannot-read", "two", None)
-    assert [d.message for d in report.sorted()] == ["worker", "forage", "one", "two"]
+    assert [d.message for d in report.sort_by_place()] == ["worker", "forage", "one", "two"]
     assert not report.ok and len(report.errors) == 4
 
 
@@ -189,7 +189,7 @@ def test_codes_are_kebab_case_unique_and_in_order() -> None:
     ],
 )
 def test_nearest_name(word: str, names: list[str], expected: str | None) -> None:
-    assert nearest_name(word, names) == expected == nearest_name(word, reversed(names))
+    assert find_nearest_name(word, names) == expected == find_nearest_name(word, reversed(names))
 
 
 @pytest.mark.parametrize("text", ["`{}` has an unknown unit", "`{}` and ``", "{} without quotes"])

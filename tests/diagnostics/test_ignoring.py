@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from antdsl.checking import check_all
+from antdsl.checking import check_files
 from antdsl.diagnostics import Report
 from antdsl.diagnostics.codes import CODE_DESCRIPTIONS, MESH_CODES, RUN_CODES, STRICT_CODES
-from antdsl.diagnostics.ignoring import apply_ignores, find_ignores, without_ignored
+from antdsl.diagnostics.ignore_comments import apply_ignores, find_ignore_comments, remove_ignored
 from antdsl.files import find_files
 from antdsl.pipeline import RunChoices, check_path
 from antdsl.source import Source
@@ -74,7 +74,7 @@ def test_only_warnings_are_ignored(tmp_path: Path) -> None:
     path = tmp_path / "walker.ant"
     path.write_text("ant 1\nspecies a { state s { steer headin } }  # antdsl: ignore[unknown-name] no\n")
     _, report = check_path(path)
-    assert [d.code for d in without_ignored(report).errors] == ["unknown-name"]
+    assert [d.code for d in remove_ignored(report).errors] == ["unknown-name"]
 
 
 def test_what_only_strict_tells_is_not_missed_without_it(tmp_path: Path) -> None:
@@ -88,8 +88,8 @@ def test_what_only_strict_tells_is_not_missed_without_it(tmp_path: Path) -> None
 
 
 def test_text_in_quotes_is_no_comment() -> None:
-    assert list(find_ignores(Source("a.ant", 'x "# antdsl: ignore[flicker] why"\n'))) == []
-    (one,) = find_ignores(Source("a.ant", 'x "a # b" # antdsl: ignore[flicker, trap] why\n'))
+    assert list(find_ignore_comments(Source("a.ant", 'x "# antdsl: ignore[flicker] why"\n'))) == []
+    (one,) = find_ignore_comments(Source("a.ant", 'x "a # b" # antdsl: ignore[flicker, trap] why\n'))
     assert (one.line, [code for code, _ in one.codes], one.reason) == (1, ["flicker", "trap"], "why")
 
 
@@ -127,7 +127,7 @@ def test_codes_that_were_not_looked_for_are_not_judged(tmp_path: Path) -> None:
     """Only a run finds `no-room`, and an editor reads no meshes."""
     source = Source("scene.yaml", "antdsl: 1  # antdsl: ignore[no-room, far-away, flicker] all three are meant\n")
     for meshes, idle in ((True, ["far-away", "flicker"]), (False, ["flicker"])):
-        findings = apply_ignores(Report(), [source], meshes=meshes).diagnostics
+        findings = apply_ignores(Report(), [source], meshes_checked=meshes).diagnostics
         assert [(d.code, d.message.split("`")[1]) for d in findings] == [("ignored-nothing", code) for code in idle]
     assert CODE_DESCRIPTIONS.keys() >= STRICT_CODES | MESH_CODES | RUN_CODES
 
@@ -141,7 +141,7 @@ def test_a_scene_that_writes_an_attribute_reads_it(tmp_path: Path) -> None:
     (tmp_path / "written.yaml").write_text(scene + "output: {attributes: [P, energy]}\n")
     assert check_path(tmp_path / "written.yaml")[1].diagnostics == []
     files, report = find_files([tmp_path])
-    checked = check_all(files, RunChoices())
+    checked = check_files(files, RunChoices())
     for file in files:
         report.extend(checked.reports[file])
     assert len(files) == 3 and report.diagnostics == []

@@ -10,10 +10,10 @@ import commands
 import pytest
 from body_parts import READERS, read_part
 
-from antdsl.bodies.files.clip_document import PARTS
+from antdsl.bodies.files.clip_document import TRANSFORM_PARTS
 from antdsl.bodies.files.definition_checks import DOCUMENTED_DEFORMERS
-from antdsl.bodies.files.document_model import BodyForm, keys_of
-from antdsl.bodies.files.named_files import _CLOSED
+from antdsl.bodies.files.document_model import BodyForm, list_keys
+from antdsl.bodies.files.named_files import _HELP_BY_CLOSED_FORMAT
 from antdsl.bodies.files.reading import read_definition
 
 TEXT = (Path(__file__).resolve().parents[2] / "docs" / "bodies.md").read_text(encoding="utf-8")
@@ -52,9 +52,9 @@ def test_the_command_tells_what_the_page_shows(folder: Path) -> None:
 
 def test_the_page_has_all_keys_parts_and_deformers_and_the_files_that_are_not_read() -> None:
     words = set(re.findall(r"`([^`\n]+)`", TEXT)) | {word for cell in re.findall(r"`([^`\n]+)`", TEXT) for word in cell.split()}
-    assert [key for key in keys_of(BodyForm) if key not in words] == []
-    assert [part for part in PARTS if part not in words] == []
+    assert [key for key in list_keys(BodyForm) if key not in words] == []
+    assert [part for part in TRANSFORM_PARTS if part not in words] == []
     assert [name for name in DOCUMENTED_DEFORMERS if "+" not in name and name not in words] == []
-    assert {"bclip", "bgeo", "fbx", "abc"} <= set(_CLOSED) and all(
+    assert {"bclip", "bgeo", "fbx", "abc"} <= set(_HELP_BY_CLOSED_FORMAT) and all(
         f"`.{each}`" in TEXT for each in ("bclip", "bgeo", "fbx", "abc")
     )

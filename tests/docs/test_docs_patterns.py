@@ -7,7 +7,7 @@ from pathlib import Path
 
 from commands import run
 
-from antdsl.cli.commands.new import ground
+from antdsl.cli.commands.new import build_ground_ply
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -26,7 +26,7 @@ def test_the_last_hare_is_caught(tmp_path: Path) -> None:
     scene = block("patterns.md", heading, "yaml scene")
     assert "count: 20," in scene
     (tmp_path / "scene.yaml").write_text(scene.replace("count: 20,", "count: 3,"))
-    (tmp_path / "ground.ply").write_bytes(ground(9, 80.0))
+    (tmp_path / "ground.ply").write_bytes(build_ground_ply(9, 80.0))
     result = run("test", "hunt.ant", "--no-keep", "--backend", "numpy", cwd=tmp_path)
     assert result.returncode == 0 and "changes made: 3 of 3" in result.stdout, result.stdout + result.stderr
 
@@ -34,7 +34,7 @@ def test_the_last_hare_is_caught(tmp_path: Path) -> None:
 def test_specs_can_ask_for_what_is_reachable(tmp_path: Path) -> None:
     text = block("specs.md", "Ask whether agents can reach", "ant").replace("for 10 s", "for 0.1 s")
     (tmp_path / "walker.ant").write_text("ant 1\nuse steering\n" + text)
-    (tmp_path / "ground.ply").write_bytes(ground(9, 80.0))
+    (tmp_path / "ground.ply").write_bytes(build_ground_ply(9, 80.0))
     (tmp_path / "scene.yaml").write_text(
         "antdsl: 1\nworld: {ground: {mesh: ground.ply}, homeward: {solved: [0, 0, 0], cell: 10 mm}}\n"
         "crowd: [{species: walker, from: walker.ant, count: 5}]\n"

@@ -52,12 +52,12 @@ def test_another_body_changes_what_is_seen_alone(plain: Cache, tmp_path: Path) -
     from antdsl.outputs.gallery import Gallery
 
     other = ran(tmp_path, "body")
-    assert other.hashes() == plain.hashes()
+    assert other.read_state_hashes() == plain.read_state_hashes()
     for frame in (1, 36):
         mine, theirs = plain.frame(frame), other.frame(frame)
         for name in ("P", "v", "orient", "state", "Cd", "id"):
             assert np.array_equal(mine[name], theirs[name])
-    a, b = (Gallery(cache).picture(36).crowds[0].worn for cache in (plain, other))
+    a, b = (Gallery(cache).make_picture(36).crowds[0].body for cache in (plain, other))
     assert a is not None and b is not None and len(a.faces) != len(b.faces)
 
 

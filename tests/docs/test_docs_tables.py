@@ -66,12 +66,12 @@ def test_the_library_is_in_the_reference_as_it_is() -> None:
 
 
 def test_the_scene_page_has_all_the_keys() -> None:
-    from antdsl.scene import model, thing_models
+    from antdsl.scene import scene_model, thing_models
 
     text = (ROOT / "docs" / "scene.md").read_text(encoding="utf-8")
-    defined = {**vars(model), **vars(thing_models)}.values()
-    kinds = [kind for kind in defined if isinstance(kind, type) and issubclass(kind, model.Part)]
-    parts = [kind for kind in kinds if kind is not model.Part]
+    defined = {**vars(scene_model), **vars(thing_models)}.values()
+    kinds = [kind for kind in defined if isinstance(kind, type) and issubclass(kind, scene_model.ScenePart)]
+    parts = [kind for kind in kinds if kind is not scene_model.ScenePart]
     keys = {field.alias or name for part in parts for name, field in part.model_fields.items()}
     assert len(parts) > 8
     assert sorted(key for key in keys if f"`{key}`" not in text and f"`{key}:" not in text) == []

@@ -21,8 +21,8 @@ from cluster_stage import ROOT, Stage, antdsl, staged
 from commands import run
 
 from antdsl import __version__
-from antdsl.executors import Task, Worker, run_tasks
-from antdsl.outputs.provenance import sources
+from antdsl.executors import Task, WorkerContext, run_tasks
+from antdsl.outputs.provenance import hash_sources
 
 RUNS = 40
 
@@ -86,7 +86,7 @@ def lost_and_done_again(project: Path, stage: Stage, count: int, frames: int) ->
 def test_a_cluster_of_this_machine_listens_on_the_loopback_interface_only() -> None:
     """Its scheduler, workers and nannies, and the HTTP servers that Dask starts in them."""
     psutil = pytest.importorskip("psutil")
-    from antdsl.executors.cluster import local_cluster
+    from antdsl.executors.cluster import start_local_cluster
 
     def listening() -> set[tuple[str, int]]:
         processes = [psutil.Process(), *psutil.Process().children(recursive=True)]
@@ -94,24 +94,24 @@ def test_a_cluster_of_this_machine_listens_on_the_loopback_interface_only() -> N
         return {tuple(each.laddr) for each in connections if each.status == psutil.CONN_LISTEN}
 
     old_addresses = listening()
-    with local_cluster(1, 1):
+    with start_local_cluster(1, 1):
         new_addresses = listening() - old_addresses
     assert len(new_addresses) >= 4 and {address for address, _ in new_addresses} == {"127.0.0.1"}
 
 
-def lethal(document: Mapping[str, object], worker: Worker) -> dict[str, object]:
+def lethal(document: Mapping[str, object], worker: WorkerContext) -> dict[str, object]:
     """Takes its worker with it."""
     os._exit(1)
 
 
 @pytest.mark.slow
 def test_a_task_that_kills_each_worker_is_reported_as_failed(monkeypatch: pytest.MonkeyPatch) -> None:
-    from antdsl.executors.cluster import connect, local_cluster
+    from antdsl.executors.cluster import connect_cluster, start_local_cluster
 
     monkeypatch.setenv(
         "PYTHONPATH", os.pathsep.join((str(ROOT), str(Path(__file__).parent), str(ROOT / "tests"), str(ROOT / "tests/cli")))
     )
-    with local_cluster(2, 1) as (address, security), connect(address, security, []) as cluster:
+    with start_local_cluster(2, 1) as (address, security), connect_cluster(address, security, []) as cluster:
         (answered,) = run_tasks([Task("x", lethal, {})], cluster)
     assert answered.answer is None and "was lost" in answered.problem
 
@@ -153,7 +153,9 @@ def test_workers_with_other_sources_or_without_space_are_reported_and_get_no_tas
     stage.wait_for(3)
     code, _, err = ended(antdsl(*words, "--out", "b", cwd=project))
     assert code == 0 and "it is given nothing" in err and "it gets no tasks: its disk: file too large" in err, err
-    assert len(rows(project / "b")) == 4 and {row["antdsl"] for row in rows(project / "b")} == {f"{__version__} {sources()[:8]}"}
+    assert len(rows(project / "b")) == 4 and {row["antdsl"] for row in rows(project / "b")} == {
+        f"{__version__} {hash_sources()[:8]}"
+    }
 
 
 @pytest.mark.slow

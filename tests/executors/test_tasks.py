@@ -9,10 +9,10 @@ from typing import Any
 import pytest
 from executed import InThisProcess
 
-from antdsl.executors import Task, TaskRefused, Worker, run_tasks
+from antdsl.executors import Task, TaskRefused, WorkerContext, run_tasks
 
 
-def doubled(document: Mapping[str, Any], worker: Worker) -> dict[str, Any]:
+def doubled(document: Mapping[str, Any], worker: WorkerContext) -> dict[str, Any]:
     if document["n"] < 0:
         raise TaskRefused(f"{document['n']} is below 0")
     worker.notes.append(f"had {document['n']}")
@@ -68,12 +68,12 @@ class Fragile(InThisProcess):
                 future.set_result(super().submit(task).result())
         return None
 
-    def break_reason(self) -> str:
+    def describe_break(self) -> str:
         return "it was ended"
 
 
 def test_only_a_task_that_breaks_the_executor_by_itself_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("antdsl.executors.tasks.LOOK", 0.01)
+    monkeypatch.setattr("antdsl.executors.tasks.POLL_SECONDS", 0.01)
     fragile = Fragile(3, "7", "4")
     ended = {a.task.key: (a.answer, a.problem) for a in run_tasks(tasks(*range(10)), fragile)}
     assert {key for key, (_, problem) in ended.items() if problem} == {"7", "4"} and ended["7"] == (None, "it was ended")
@@ -103,7 +103,7 @@ def test_lost_tasks_run_again_and_have_one_outcome() -> None:
     assert sorted(each["n"] for each in ended if each is not None) == [2, 4, 6] and len(engine.tasks) == 9
 
 
-def large(document: Mapping[str, Any], worker: Worker) -> dict[str, Any]:
+def large(document: Mapping[str, Any], worker: WorkerContext) -> dict[str, Any]:
     return {"text": "x" * document["n"]}
 
 

@@ -13,10 +13,10 @@ import pytest
 from explained import cached, differences, explanations, facts, shot_of
 from sampling import sampled
 
-from antdsl.cli import _run as run_in_process
+from antdsl.cli import _run_without_warnings as run_in_process
 from antdsl.explain import CacheHistory, ExplainError, Explanation, Replay, as_json, explain, explain_agents, open_shot, tell
 from antdsl.outputs.cache.cache_reader import Cache, open_cache
-from antdsl.outputs.cache.manifest import ManifestError, relative_path
+from antdsl.outputs.cache.manifest import ManifestError, find_relative_path
 
 ROOT = Path(__file__).resolve().parents[2]
 BUG = """ant 1
@@ -159,7 +159,7 @@ def test_other_ways_to_blend_and_two_machines_agree_with_the_run(
 @pytest.mark.slow
 def test_watching_changes_nothing(cache: Cache, bug_explanations: list[Explanation]) -> None:
     """All bugs traced in every step: the hashes are those that the run without any watcher has written."""
-    hashes = cache.hashes()
+    hashes = cache.read_state_hashes()
     assert len(bug_explanations) == 12 * (LAST - 1)
     assert all(each.hash == hashes[each.frame] for each in bug_explanations)
     contents = {path: path.read_bytes() for path in cache.folder.rglob("*") if path.is_file()}
@@ -267,7 +267,7 @@ def test_a_life_is_explained_from_birth_to_death(cache: Cache) -> None:
 def test_a_seed_and_values_given_to_the_run_are_known_from_the_cache(copy: Cache) -> None:
     scene = copy.folder.parent.parent / "scene.yaml"
     new_cache = cached(scene, 45, copy.folder.parent / "other", seed=11, params={"bug.brave": "400 %/s"})
-    assert new_cache.hashes()[40] != copy.hashes()[40]
+    assert new_cache.read_state_hashes()[40] != copy.read_state_hashes()[40]
     resting = next(
         looked
         for k in range(12)
@@ -338,7 +338,7 @@ def test_a_damaged_checkpoint_is_passed_over_and_none_is_said(copy: Cache) -> No
 
 def test_a_run_that_comes_out_otherwise_is_refused(copy: Cache) -> None:
     path = copy.folder / "hashes.jsonl"
-    path.write_text(path.read_text().replace(copy.hashes()[30], "0" * 32))
+    path.write_text(path.read_text().replace(copy.read_state_hashes()[30], "0" * 32))
     assert str(refused(copy, 1, 30, "bug")).startswith("frame 30 is computed differently")
 
 
@@ -394,14 +394,14 @@ def test_the_scene_is_found_where_it_was_from_the_cache(cache: Cache, tmp_path: 
 
 def test_no_folder_of_the_machine_is_written_into_a_cache(tmp_path: Path) -> None:
     (tmp_path / "scene.yaml").write_text("antdsl: 1\n")
-    assert relative_path(tmp_path / "scene.yaml", tmp_path / "out" / "scene") == "../../scene.yaml"
-    assert relative_path(tmp_path / "scene.yaml", tmp_path) == "scene.yaml"
+    assert find_relative_path(tmp_path / "scene.yaml", tmp_path / "out" / "scene") == "../../scene.yaml"
+    assert find_relative_path(tmp_path / "scene.yaml", tmp_path) == "scene.yaml"
     top = Path(tmp_path.anchor)
-    assert relative_path(tmp_path / "scene.yaml", top / "cache") is None
-    assert relative_path(top / "scene.yaml", tmp_path) is None
-    assert relative_path(tmp_path / ("x" * 250) / ("y" * 250) / "scene.yaml", tmp_path / "out") is None
+    assert find_relative_path(tmp_path / "scene.yaml", top / "cache") is None
+    assert find_relative_path(top / "scene.yaml", tmp_path) is None
+    assert find_relative_path(tmp_path / ("x" * 250) / ("y" * 250) / "scene.yaml", tmp_path / "out") is None
     (tmp_path / "link").symlink_to(tmp_path / "far" / "away", target_is_directory=True)
-    assert relative_path(tmp_path / "link" / "scene.yaml", tmp_path / "out") == "../link/scene.yaml"
+    assert find_relative_path(tmp_path / "link" / "scene.yaml", tmp_path / "out") == "../link/scene.yaml"
 
 
 @pytest.mark.parametrize(

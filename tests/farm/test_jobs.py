@@ -13,7 +13,7 @@ import pytest
 import yaml
 from children import child_environment
 
-from antdsl.farm import frame_chunks
+from antdsl.farm import split_frames
 from antdsl.outputs.cache.cache_reader import open_cache
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -54,9 +54,9 @@ def step(document: dict[str, Any], name: str) -> dict[str, Any]:
 
 
 def test_chunks_begin_with_a_picture_and_leave_none_out() -> None:
-    assert frame_chunks(1, 10, 1, 4) == ("1..4", "5..8", "9..10")
-    assert frame_chunks(1, 10, 3, 2) == ("1..6", "7..10")
-    assert frame_chunks(5, 5, 1, 10) == ("5..5",)
+    assert split_frames(1, 10, 1, 4) == ("1..4", "5..8", "9..10")
+    assert split_frames(1, 10, 3, 2) == ("1..6", "7..10")
+    assert split_frames(5, 5, 1, 10) == ("5..5",)
 
 
 def test_a_template_has_the_steps_of_a_shot_in_their_order(folder: Path) -> None:

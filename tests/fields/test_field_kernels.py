@@ -7,9 +7,9 @@ import itertools
 import numpy as np
 import pytest
 
-from antdsl.fields import growing, reached
+from antdsl.fields import growing, threshold_cells
 from antdsl.fields.cell_lookup import CellIndex, locate_cells
-from antdsl.fields.pheromone import find_strongest, flow_into_cells, step_cells
+from antdsl.fields.pheromone import compute_cell_inflow, find_strongest, step_cells
 
 SIZE = 6, 5, 7  # voxels of a box
 VOXEL = 2.5  # mm
@@ -23,7 +23,7 @@ def test_flow_between_cells_is_that_of_a_matrix() -> None:
     start = np.searchsorted(rows, np.arange(n + 1))
     held, out, change = rng.uniform(0, 5, n), links.sum(axis=0), np.full(n, 9.0)
     for part in ((0, 40), (40, n)):
-        flow_into_cells(held, links[rows, columns], columns.astype(np.int32), start, out, change, *part)
+        compute_cell_inflow(held, links[rows, columns], columns.astype(np.int32), start, out, change, *part)
     np.testing.assert_allclose(change, links @ held - out * held, rtol=1e-12, atol=1e-13)
     assert abs(change.sum()) < 1e-12
 
@@ -88,7 +88,7 @@ def test_nearest_cells_are_those_of_a_sorted_list(k: int) -> None:
     box = Box(4)
     cells, none = np.arange(0, len(box.keys), 3), len(box.keys)
     table = np.full((len(box.keys), k), -7, np.int32)
-    growing.nearest(box.direct, (box.voxels, box.keys), box.size, box.position, cells, k, none, table)
+    growing.fill_nearest_cells(box.direct, (box.voxels, box.keys), box.size, box.position, cells, k, none, table)
     for cell in cells:
         listed = sorted(at for _, at in box.candidates(box.at[cell], box.sides[cell], box.position[cell])[:k])
         assert table[cell].tolist() == listed + [none] * (k - len(listed))
@@ -101,7 +101,7 @@ def test_points_get_the_nearest_cell_around_them() -> None:
     voxel = rng.integers(-2, box.size + 2, (count, 3))
     points, side = (voxel + rng.uniform(0, 1, (count, 3))) * VOXEL, rng.integers(0, 6, count)
     best = np.full(count, -7)
-    growing.nearby(box.direct, box.size, box.position, points, voxel, side, best)
+    growing.fill_nearby_cells(box.direct, box.size, box.position, points, voxel, side, best)
     for n in range(count):
         listed = box.candidates(voxel[n], side[n], points[n])
         assert best[n] in [at for gap, at in listed if gap == listed[0][0]] if listed else best[n] == -1
@@ -150,12 +150,12 @@ def test_cells_that_cross_the_threshold_change_the_counts_around_them() -> None:
         held[:5] = 0.3, np.nextafter(0.3, 0), np.float32(0.3), np.nextafter(np.float32(0.3), np.float32(0)), 0.0
         listed = []
         for part in ((0, 600), (600, n)):
-            first, many = reached.find_changed(held, least, holds, changed, *part)
+            first, many = threshold_cells.write_changed_cells(held, least, holds, changed, *part)
             assert first == part[0]
             listed += changed[first : first + many].tolist()
         strong = held.astype(np.float32) >= least
         assert listed == np.flatnonzero(strong != holds).tolist()
-        reached.update_counts(np.array(listed), start, cell, holds, count)
+        threshold_cells.update_counts(np.array(listed), start, cell, holds, count)
         assert np.array_equal(holds, strong)
         around = list(itertools.chain.from_iterable(blocks[each] for each in np.flatnonzero(strong)))
         assert np.array_equal(count, np.bincount(around, minlength=n))

@@ -7,9 +7,9 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from antdsl.fields.cells import FieldTooFine, SurfaceCells, are_compatible, facing_sides
+from antdsl.fields.cells import FieldTooFine, SurfaceCells, are_sides_compatible, find_facing_sides
 from antdsl.fields.pheromone import DEPOSIT_UNIT, MAX_DEPOSIT, PheromoneField
-from antdsl.scene.field_settings import largest_stable_diffusion
+from antdsl.scene.field_settings import compute_max_diffusion
 from tests.meshes import Mesh, ball, box, grid, terrain
 
 
@@ -29,7 +29,7 @@ def flat_field(**options) -> PheromoneField:
 
 
 def cell_at(field: PheromoneField, x: float, z: float) -> np.ndarray:
-    return field.cells.lookup(np.array([[x, 0.0, z]]), np.array([[0, 1.0, 0]]))
+    return field.cells.find_cells(np.array([[x, 0.0, z]]), np.array([[0, 1.0, 0]]))
 
 
 @pytest.mark.parametrize("cell", [1.7, 5.0, 23.0])
@@ -37,9 +37,9 @@ def cell_at(field: PheromoneField, x: float, z: float) -> np.ndarray:
 def test_every_point_of_a_surface_has_a_cell_around_it_that_faces_its_way(mesh, cell):
     cells = SurfaceCells([mesh], cell)
     points, normals = on_surface(mesh, 5000)
-    cell_numbers = cells.lookup(points, normals)
+    cell_numbers = cells.find_cells(points, normals)
     assert (cell_numbers >= 0).all()
-    assert np.array_equal(cells.side[cell_numbers], facing_sides(normals))
+    assert np.array_equal(cells.sides[cell_numbers], find_facing_sides(normals))
     assert np.abs(cells.position[cell_numbers] - points).max() < 1.6 * cell
     assert len(np.unique(cell_numbers)) <= len(cells) <= 3.2 * np.abs(points.max() - points.min() + cell) ** 2 * 6 / cell**2
 
@@ -53,20 +53,20 @@ def test_a_cell_lies_where_its_surface_is():
     hilly = SurfaceCells([terrain(200, 60)], 4.0)
     from antdsl.casting.rays import RayScene
 
-    assert RayScene(*terrain(200, 60)).closest(hilly.position)[3].max() < 1.0
+    assert RayScene(*terrain(200, 60)).find_closest(hilly.position)[3].max() < 1.0
 
 
 def test_a_thin_plate_has_two_sides_that_do_not_smell_through():
     mesh = box((-20, 0, -20), (20, 0.4, 20))
     field = PheromoneField(SurfaceCells([mesh], 4.0))
     place = np.array([[1.0, 0.4, 1.0], [1.0, 0.0, 1.0]])
-    top, bottom = field.cells.lookup(place, np.array([[0, 1.0, 0], [0, -1.0, 0]]))
+    top, bottom = field.cells.find_cells(place, np.array([[0, 1.0, 0], [0, -1.0, 0]]))
     assert top != bottom
     field.deposit(np.array([top]), np.array([5.0], np.float32))
     field.step(1.0, 10.0, 1 / 24)
     for _ in range(3):
         field.step(1.0, 10.0, 1 / 24)
-    assert field.strongest(np.array([top]))[0] > 1 and field.strongest(np.array([bottom]))[0] == 0
+    assert field.sample_strongest(np.array([top]))[0] > 1 and field.sample_strongest(np.array([bottom]))[0] == 0
 
 
 def test_several_surfaces_share_a_field_and_the_order_of_faces_is_not_observable():
@@ -74,11 +74,11 @@ def test_several_surfaces_share_a_field_and_the_order_of_faces_is_not_observable
     cells = SurfaceCells([ground, stone], 5.0)
     mixed = (ground[0], ground[1][np.random.default_rng(1).permutation(len(ground[1]))])
     again = SurfaceCells([stone, mixed], 5.0)
-    assert len(cells) == len(again) and np.array_equal(cells.side, again.side)
+    assert len(cells) == len(again) and np.array_equal(cells.sides, again.sides)
     assert np.allclose(cells.position, again.position)
     assert np.array_equal(cells.links.cell, again.links.cell)
     for mesh in (ground, stone):
-        assert (cells.lookup(*on_surface(mesh, 500)) >= 0).all()
+        assert (cells.find_cells(*on_surface(mesh, 500)) >= 0).all()
 
 
 def test_the_table_and_the_search_find_the_same(monkeypatch):
@@ -91,8 +91,8 @@ def test_the_table_and_the_search_find_the_same(monkeypatch):
     monkeypatch.setattr(module, "_MAX_DENSE_VOXELS", 0)
     two = SurfaceCells([mesh], 4.0)
     assert two._start_table is None and one._start_table is not None
-    assert np.array_equal(one.lookup(points, normals), two.lookup(points, normals))
-    assert np.array_equal(one.block, two.block)
+    assert np.array_equal(one.find_cells(points, normals), two.find_cells(points, normals))
+    assert np.array_equal(one.nearest_block, two.nearest_block)
 
 
 def test_who_is_followed_is_looked_up_again_only_in_another_voxel(monkeypatch):
@@ -101,46 +101,46 @@ def test_who_is_followed_is_looked_up_again_only_in_another_voxel(monkeypatch):
     monkeypatch.setattr(module, "_MAX_DENSE_VOXELS", 0)
     mesh, rng = ball(30, (3, 4, 5)), np.random.default_rng(2)
     cells, (points, normals) = SurfaceCells([mesh], 4.0), on_surface(mesh, 2000)
-    side, known = facing_sides(normals), None
+    side, known = find_facing_sides(normals), None
     for step in range(8):
         points = points + rng.normal(0, 0.4, points.shape)
         points[step], points[10 * step] = np.nan, 1e9
         side = np.where(rng.random(2000) < 0.02, rng.integers(0, 6, 2000), side).astype(np.int8)
-        cell_numbers, known = cells.lookup_again(points, side, known)
-        assert np.array_equal(cell_numbers, cells.lookup_sides(points, side))
-    subset = np.flatnonzero(known.cell >= 0)[:7]
-    original_cells, known.cell[subset] = known.cell[subset], (known.cell[subset] + 1) % len(cells)
-    again = cells.lookup_again(points, side, known)[0]
+        cell_numbers, known = cells.update_cells(points, side, known)
+        assert np.array_equal(cell_numbers, cells.find_cells_by_side(points, side))
+    subset = np.flatnonzero(known.cells >= 0)[:7]
+    original_cells, known.cells[subset] = known.cells[subset], (known.cells[subset] + 1) % len(cells)
+    again = cells.update_cells(points, side, known)[0]
     assert np.array_equal(again[subset], (original_cells + 1) % len(cells))  # what is known of a voxel is not looked up again
-    known.cell[subset] = original_cells
+    known.cells[subset] = original_cells
     rows = rng.permutation(2000)[:1500]
-    assert np.array_equal(cells.lookup_again(points[rows], side[rows], known)[0], cell_numbers[rows])
+    assert np.array_equal(cells.update_cells(points[rows], side[rows], known)[0], cell_numbers[rows])
 
 
 def test_the_nearest_are_those_of_a_plain_search():
     """On two balls that stand in each other, where more cells than sixteen are around many."""
     cells = SurfaceCells([ball(12, (0, 0, 0)), ball(12, (3, 1, 0)), ball(12, (1, 4, 2))], 3.0)
-    voxel = np.stack(np.unravel_index(cells._voxels, tuple(cells._size)), axis=1)
+    voxel = np.stack(np.unravel_index(cells._voxel_numbers, tuple(cells._size)), axis=1)
     crowded, most = 0, len(cells)
     for a in range(most):
-        near = np.flatnonzero((np.abs(voxel - voxel[a]).max(axis=1) <= 1) & ((cells.side ^ 1) != cells.side[a]))
+        near = np.flatnonzero((np.abs(voxel - voxel[a]).max(axis=1) <= 1) & ((cells.sides ^ 1) != cells.sides[a]))
         gap = ((cells.position[near] - cells.position[a]) ** 2).sum(axis=1)
         expected = np.sort(near[np.lexsort((near, gap))][:16])
         crowded += len(near) > 16
-        assert np.array_equal(cells.block[a], np.pad(expected, (0, 16 - len(expected)), constant_values=most))
+        assert np.array_equal(cells.nearest_block[a], np.pad(expected, (0, 16 - len(expected)), constant_values=most))
     assert crowded > 100 and crowded < most
 
 
 def test_a_miss_falls_back_to_a_cell_near_by_that_does_not_face_the_other_way():
     cells = SurfaceCells([grid(80, 4)], 4.0)
     up = np.array([[0, 1.0, 0]])
-    near = cells.lookup(np.array([[0.0, 3.0, 0.0]]), up)[0]
-    assert near == cells.lookup(np.array([[0.0, 0.0, 0.0]]), up)[0]
-    assert cells.lookup(np.array([[0.0, 0.0, 0.0]]), -up)[0] == -1
-    assert cells.lookup(np.array([[0.0, 0.0, 0.0]]), np.array([[1.0, 0, 0]]))[0] == near
+    near = cells.find_cells(np.array([[0.0, 3.0, 0.0]]), up)[0]
+    assert near == cells.find_cells(np.array([[0.0, 0.0, 0.0]]), up)[0]
+    assert cells.find_cells(np.array([[0.0, 0.0, 0.0]]), -up)[0] == -1
+    assert cells.find_cells(np.array([[0.0, 0.0, 0.0]]), np.array([[1.0, 0, 0]]))[0] == near
     odd = np.array([[0, 30.0, 0], [np.nan, 0, 0], [1e30, 0, 0], [np.inf, 0, 0]])
-    assert (cells.lookup(odd, np.repeat(up, 4, axis=0)) == -1).all()
-    assert (SurfaceCells([], 4.0).lookup(odd, np.repeat(up, 4, axis=0)) == -1).all()
+    assert (cells.find_cells(odd, np.repeat(up, 4, axis=0)) == -1).all()
+    assert (SurfaceCells([], 4.0).find_cells(odd, np.repeat(up, 4, axis=0)) == -1).all()
 
 
 def test_a_request_for_a_billion_cells_is_refused_before_it_costs_anything():
@@ -156,12 +156,12 @@ def test_a_request_for_a_billion_cells_is_refused_before_it_costs_anything():
     ribbon = (np.array([[0, 0, 0], [0, 0, 0.5], [1e5, 0, 0]]), np.array([[0, 1, 2]], np.int32))
     with pytest.raises(FieldTooFine) as error_info:
         SurfaceCells([ribbon], 0.1)
-    assert error_info.value.in_a_row and error_info.value.needed > error_info.value.cap
+    assert error_info.value.is_axis_limit and error_info.value.needed > error_info.value.cap
     slivers = np.array([[[0, 0, 9 * k], [0, 0, 9 * k + 1e-3], [1e5, 0, 9 * k]] for k in range(600)], float).reshape(-1, 3)
     tracemalloc.start()
     with pytest.raises(FieldTooFine) as error_info:
         SurfaceCells([(slivers, np.arange(1800, dtype=np.int32).reshape(-1, 3))], 1.0)
-    assert not error_info.value.in_a_row and error_info.value.needed == 60_000_000
+    assert not error_info.value.is_axis_limit and error_info.value.needed == 60_000_000
     assert tracemalloc.get_traced_memory()[1] < 1e6
     tracemalloc.stop()
     for cell in (0.0, -1.0, np.nan, np.inf):
@@ -178,7 +178,7 @@ def test_links_are_mutual_touching_and_hang_the_surface_together(mesh):
     links = cells.links
     own = np.repeat(np.arange(len(cells)), np.diff(links.start))
     assert {*zip(own.tolist(), links.cell.tolist(), strict=True)} == {*zip(links.cell.tolist(), own.tolist(), strict=True)}
-    assert (own != links.cell).all() and are_compatible(cells.side[own], cells.side[links.cell]).all()
+    assert (own != links.cell).all() and are_sides_compatible(cells.sides[own], cells.sides[links.cell]).all()
     gap = np.linalg.norm(cells.position[own] - cells.position[links.cell], axis=1)
     assert gap.max() < 2.5 * 4.0
     graph = csr_array((np.ones(own.size), links.cell, links.start), shape=(len(cells), len(cells)))
@@ -243,7 +243,7 @@ def test_diffusion_keeps_the_sum_stays_positive_and_spreads_as_the_heat_equation
     cells = SurfaceCells([grid(200, 4)], 2.0)
     field = PheromoneField(cells)
     dt, rate = 1 / 24, 6.0
-    field.deposit(cells.lookup(np.zeros((1, 3)), np.array([[0, 1.0, 0]])), np.array([1000.0], np.float32))
+    field.deposit(cells.find_cells(np.zeros((1, 3)), np.array([[0, 1.0, 0]])), np.array([1000.0], np.float32))
     field.step(1.0, 0.0, dt)
     for _ in range(240):
         field.step(1.0, rate, dt)
@@ -259,14 +259,14 @@ def test_a_stencil_of_eight_spreads_alike_in_all_directions():
     dt, rate, ratio = 1 / 24, 20.0, {}
     for stencil in (4, 8):
         field = PheromoneField(cells, stencil=stencil)
-        field.values[cells.lookup(np.zeros((1, 3)), np.array([[0, 1.0, 0]]))] = 1000.0
+        field.values[cells.find_cells(np.zeros((1, 3)), np.array([[0, 1.0, 0]]))] = 1000.0
         for _ in range(12):
             field.step(1.0, rate, dt)
         assert field.values.sum() == pytest.approx(1000.0, rel=1e-12) and field.values.min() >= 0
         variance = (field.values * cells.position[:, 0] ** 2).sum() / 1000.0
         assert variance == pytest.approx(2 * rate * 12 * dt, rel=0.02)  # as the heat equation says
         along, across = (
-            float(field.values[cells.lookup(np.array([[x, 0.0, z]]), np.array([[0, 1.0, 0]]))[0]])
+            float(field.values[cells.find_cells(np.array([[x, 0.0, z]]), np.array([[0, 1.0, 0]]))[0]])
             for x, z in ((10.0, 0.0), (6.0, 8.0))
         )
         ratio[stencil] = across / along
@@ -276,7 +276,7 @@ def test_a_stencil_of_eight_spreads_alike_in_all_directions():
 def test_a_step_with_a_stencil_of_eight_by_hand():
     """The nine-point Laplacian: 4 / 6 D dt / h² of a cell of 60 goes to each neighbour, a quarter of that to a corner."""
     cells = SurfaceCells([grid(40, 4)], 2.0)
-    at = {(x, z): int(cells.lookup(np.array([[x, 0.0, z]]), np.array([[0, 1.0, 0]]))[0]) for x in (0, 2, 4) for z in (0, 2)}
+    at = {(x, z): int(cells.find_cells(np.array([[x, 0.0, z]]), np.array([[0, 1.0, 0]]))[0]) for x in (0, 2, 4) for z in (0, 2)}
     field = PheromoneField(cells, stencil=8)
     field.values[at[0, 0]] = 60.0
     field.step(1.0, 2.0, 0.2)
@@ -287,7 +287,7 @@ def test_a_step_with_a_stencil_of_eight_by_hand():
 @pytest.mark.parametrize("combine", ["add", "max"])
 def test_deposits_first_spread_and_fade_in_the_step_in_which_they_are_laid(combine):
     cells = SurfaceCells([grid(40, 4)], 2.0)
-    own = cells.lookup(np.zeros((1, 3)), np.array([[0, 1.0, 0]]))
+    own = cells.find_cells(np.zeros((1, 3)), np.array([[0, 1.0, 0]]))
     left = {}
     for first in (False, True):
         field = PheromoneField(cells, combine, limit=50.0, deposits_first=first)
@@ -302,7 +302,7 @@ def test_deposits_first_spread_and_fade_in_the_step_in_which_they_are_laid(combi
 @pytest.mark.parametrize("mesh", [terrain(150, 20), ball(20), box((-20, -20, -20), (20, 20, 20))])
 def test_the_limit_of_stability_depends_on_the_cell_alone(mesh, stencil):
     field = PheromoneField(SurfaceCells([mesh], 4.0), stencil=stencil)
-    most = largest_stable_diffusion(4.0, 1 / 24)
+    most = compute_max_diffusion(4.0, 1 / 24)
     assert most == pytest.approx(96.0)
     with pytest.raises(ValueError, match="the largest that is stable is 96 mm²/s"):
         field.step(1.0, 96.1, 1 / 24)
@@ -321,11 +321,13 @@ def test_strongest_of_the_nearest_sixteen_against_plain_search():
     field = PheromoneField(cells)
     rng = np.random.default_rng(5)
     field.values[:] = rng.choice([0.0, 1.0, 2.0, 3.0], len(cells))
-    own = cells.lookup(*on_surface(mesh, 300))
-    value, x, y, z = field.strongest(own)
-    lattice = np.column_stack(np.unravel_index(cells._voxels, cells._size))
+    own = cells.find_cells(*on_surface(mesh, 300))
+    value, x, y, z = field.sample_strongest(own)
+    lattice = np.column_stack(np.unravel_index(cells._voxel_numbers, cells._size))
     for k, cell in enumerate(own):
-        near = np.flatnonzero((np.abs(lattice - lattice[cell]).max(axis=1) <= 1) & are_compatible(cells.side, cells.side[cell]))
+        near = np.flatnonzero(
+            (np.abs(lattice - lattice[cell]).max(axis=1) <= 1) & are_sides_compatible(cells.sides, cells.sides[cell])
+        )
         gap = ((cells.position[near] - cells.position[cell]) ** 2).sum(axis=1)
         near = np.sort(near[np.lexsort((near, gap))[:16]])
         best = near[np.argmax(field.values[near])]
@@ -336,12 +338,12 @@ def test_strongest_of_the_nearest_sixteen_against_plain_search():
 def test_nothing_to_smell():
     field = flat_field()
     own = np.array([5, -1])
-    value, x, y, z = field.strongest(own)
+    value, x, y, z = field.sample_strongest(own)
     assert not value.any() and np.allclose([x[0], y[0], z[0]], field.cells.position[5]) and x[1] == y[1] == z[1] == 0
-    assert not field.sample(own).any() and not np.any(field.gradient(own))
+    assert not field.sample(own).any() and not np.any(field.sample_gradient(own))
     nothing = PheromoneField(SurfaceCells([], 4.0))
     nothing.step(0.9, 1.0, 1 / 24)
-    assert nothing.strongest(np.array([-1]))[0] == 0 and nothing.gradient(np.array([-1]))[0] == 0
+    assert nothing.sample_strongest(np.array([-1]))[0] == 0 and nothing.sample_gradient(np.array([-1]))[0] == 0
     assert nothing.sample(np.array([-1, -1])).tolist() == [0, 0]
 
 
@@ -353,7 +355,7 @@ def test_the_gradient_of_a_slope_of_scent_lies_in_the_surface(tilt):
     along = np.array([0.6, 0, 0.8]) @ turn
     field.values[:] = 5.0 + 0.01 * (field.cells.position @ along)
     inner = np.flatnonzero(np.linalg.norm(field.cells.position, axis=1) < 30)
-    slope = np.stack(field.gradient(inner), axis=1)
+    slope = np.stack(field.sample_gradient(inner), axis=1)
     assert np.allclose(slope, 0.01 * along, atol=4e-4)
     assert np.abs(slope @ (np.array([0, 1.0, 0]) @ turn)).max() < 1e-4
 
@@ -363,11 +365,11 @@ def test_answers_do_not_depend_on_the_batch():
     field = PheromoneField(SurfaceCells([mesh], 4.0))
     field.values[:] = np.random.default_rng(6).random(len(field.cells))
     points, normals = on_surface(mesh, 400)
-    own = field.cells.lookup(points, normals)
-    together = (*field.strongest(own), *field.gradient(own), field.sample(own))
+    own = field.cells.find_cells(points, normals)
+    together = (*field.sample_strongest(own), *field.sample_gradient(own), field.sample(own))
     for k in range(0, 400, 29):
-        one = field.cells.lookup(points[k : k + 1], normals[k : k + 1])
-        alone = (*field.strongest(one), *field.gradient(one), field.sample(one))
+        one = field.cells.find_cells(points[k : k + 1], normals[k : k + 1])
+        alone = (*field.sample_strongest(one), *field.sample_gradient(one), field.sample(one))
         assert [a[k] for a in together] == [a[0] for a in alone]
 
 
@@ -375,15 +377,15 @@ def test_strongest_is_the_first_of_the_greatest_around() -> None:
     mesh = terrain(150, 30)
     field = PheromoneField(SurfaceCells([mesh], 4.0))
     rng = np.random.default_rng(8)
-    own = np.concatenate([field.cells.lookup(*on_surface(mesh, 2500)), np.full(10, -1, np.int32)])
+    own = np.concatenate([field.cells.find_cells(*on_surface(mesh, 2500)), np.full(10, -1, np.int32)])
     for share in (0.0, 0.01, 0.6):
         field.values[:] = np.where(rng.random(len(field.cells)) < share, rng.integers(0, 5, len(field.cells)), 0)
         held, place = np.append(field.values, 0.0), np.append(field.cells.position, np.zeros((1, 3)), axis=0)
         for k in (1, 9, 16):
-            around = np.append(field.cells.nearest(k), [[len(field.cells)] * k], axis=0)[own]
+            around = np.append(field.cells.get_nearest_cells(k), [[len(field.cells)] * k], axis=0)[own]
             best = around[np.arange(len(own)), held[around].argmax(axis=1)]
             best = np.where(held[around].max(axis=1) > 0, best, np.where(own < 0, len(field.cells), own))
-            value, *positions = field.strongest(own, k)
+            value, *positions = field.sample_strongest(own, k)
             assert value.dtype == np.float32 and np.array_equal(value, held[best].astype(np.float32))
             assert np.array_equal(np.stack(positions, axis=1), place[best].astype(np.float32))
-        assert len(field.strongest(own[:0])[0]) == 0
+        assert len(field.sample_strongest(own[:0])[0]) == 0

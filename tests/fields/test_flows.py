@@ -12,23 +12,23 @@ from test_program import checked, complaints
 from antdsl import passes, plan
 from antdsl.fields.face_points import FaceLattice, count_cuts, weld_points
 from antdsl.plan.ir import Plan
-from antdsl.runtime import BindError, Options, bind, checkpoint, restore, set_flow, state_hash, step
+from antdsl.runtime import BindError, Options, bind, restore_checkpoint, set_flow, state_hash, step, take_checkpoint
 from antdsl.runtime.world import World
 from antdsl.scene.setting import (
-    BorderFlow,
+    BorderFlowData,
     CrowdData,
     FlowData,
     FlowTarget,
     ItemData,
     MeshData,
     PaintedValues,
-    PlaceData,
+    PlacementData,
     SolidData,
-    SolvedFlow,
-    SpreadFlow,
+    SolvedFlowData,
+    SpreadFlowData,
     WorldSetting,
 )
-from antdsl.scene.staging.moves import GeometryMoves, MeshMoves
+from antdsl.scene.staging.motion import GeometryMoves, MeshMoves
 
 PROGRAM = """ant 1
 use steering
@@ -67,9 +67,9 @@ def world(
     defaults: dict = dict(
         surfaces={"ground": MeshData(*floor)},
         items={"nest": (ItemData("home", (150.0, 0, 0), 10.0),)},
-        flows={"drift": flow or SpreadFlow("toward", GOAL)},
+        flows={"drift": flow or SpreadFlowData("toward", GOAL)},
         maps={"damp": PaintedValues("ground", (floor[0][:, 0] + 200) / 400)},
-        crowds=(CrowdData("ant", 30, PlaceData(around=(-150.0, 0, 0), radius=30.0)),),
+        crowds=(CrowdData("ant", 30, PlacementData(disc_centre=(-150.0, 0, 0), radius=30.0)),),
     )
     return bind(compiled(steer, radius), WorldSetting(**{**defaults, **changes}), options or Options())
 
@@ -78,7 +78,7 @@ def read(built: World, *points: tuple[float, float]) -> np.ndarray:
     """The flow at places of the floor."""
     positions = np.array([(x, 0.0, z) for x, z in points])
     up = np.tile([0.0, 1.0, 0.0], (len(positions), 1))
-    footing, result = built.ground.place(positions, built.up)
+    footing, result = built.ground.place_points(positions, built.up)
     assert result.all()
     return np.stack(built.flows["drift"].at(built.ground.meshes, footing, positions, up), axis=1).astype(float)
 
@@ -94,7 +94,7 @@ def run(built: World, steps: int) -> np.ndarray:
     for _ in range(steps):
         step(built)
         ants = built.populations["ant"]
-        positions.append(ants.position[ants.in_id_order()] + built.origin)
+        positions.append(ants.position[ants.rows_by_id()] + built.origin)
     return np.array(positions)
 
 
@@ -105,7 +105,7 @@ def test_what_is_linear_is_read_exactly_wherever_a_face_is_cut() -> None:
     rng = np.random.default_rng(1)
     cuts = np.array([1, 2, 8, 64, 1])
     lattice = FaceLattice.of(cuts)
-    b1, b2 = lattice.weights()
+    b1, b2 = lattice.compute_slot_weights()
     face = lattice.faces()
     value = 3 * b1 - 7 * b2 + face
     requested = rng.integers(0, 5, 2000)
@@ -116,7 +116,7 @@ def test_what_is_linear_is_read_exactly_wherever_a_face_is_cut() -> None:
     assert np.abs(weights.sum(axis=0) - 1).max() < 1e-12 and weights.min() > -1e-9
     assert (face[slots] == requested).all()
     assert np.abs((value[slots] * weights).sum(axis=0) - (3 * u - 7 * v + requested)).max() < 1e-12
-    small, owner = lattice.triangles()
+    small, owner = lattice.compute_triangles()
     assert np.bincount(owner).tolist() == (cuts * cuts).tolist()
     corners = np.stack([b1, b2], axis=1)[small]
     (ax, ay), (bx, by) = ((corners[:, k] - corners[:, 0]).T for k in (1, 2))
@@ -135,7 +135,7 @@ def test_edges_are_cut_as_small_as_requested_and_points_at_one_place_are_one() -
 
 @pytest.mark.parametrize("cells", [1, 40])
 def test_a_curve_leads_along_itself_and_fades_beside_it(cells: int) -> None:
-    built = world(SpreadFlow("tangent", LINE, 40.0), cells)
+    built = world(SpreadFlowData("tangent", LINE, 40.0), cells)
     along = np.array([150.0, 0, 80.0]) / 170
     for offset, strength in ((0, 1.0), (10, 1 - 3 / 16 + 2 / 64), (20, 0.5), (30, 3 / 16 - 2 / 64), (41, 0.0)):
         side = np.array([-along[2], 0, along[0]]) * offset
@@ -147,7 +147,7 @@ def test_a_curve_leads_along_itself_and_fades_beside_it(cells: int) -> None:
 
 def test_a_drawn_way_may_gather_them_onto_it() -> None:
     straight = FlowTarget(np.array([[-200.0, 0, 0], [200.0, 0, 0]]), np.zeros(2), line=True)
-    built = world(SpreadFlow("tangent", straight, 60.0, "none", gather=1.0), 1)
+    built = world(SpreadFlowData("tangent", straight, 60.0, "none", gather=1.0), 1)
     result = read(built, (0, 0), (0, 30), (0, -59))
     half = np.sqrt(0.5)
     assert np.abs(result - [[1, 0, 0], [2 / np.sqrt(5), 0, -1 / np.sqrt(5)], [half, 0, half]]).max() < 0.05
@@ -157,19 +157,19 @@ def test_a_drawn_way_may_gather_them_onto_it() -> None:
 
 def test_toward_and_away_of_points_and_curves_and_their_falloff() -> None:
     two = FlowTarget(np.array([[-100.0, 0, 0], [100.0, 0, 0]]), np.zeros(2))
-    built = world(SpreadFlow("toward", two, 50.0, "linear"), 1)
+    built = world(SpreadFlowData("toward", two, 50.0, "linear"), 1)
     result = read(built, (-125, 0), (75, 0), (100, 25), (0, 0))
     assert np.abs(result - [[0.5, 0, 0], [0.5, 0, 0], [0, 0, -0.5], [0, 0, 0]]).max() < 0.03
-    built = world(SpreadFlow("away", two, 50.0, "none", -0.5), 1)  # turned round, half as strong
+    built = world(SpreadFlowData("away", two, 50.0, "none", -0.5), 1)  # turned round, half as strong
     assert np.abs(read(built, (-125, 0))[0] - [0.5, 0, 0]).max() < 1e-6
-    built = world(SpreadFlow("away", LINE), 20)
+    built = world(SpreadFlowData("away", LINE), 20)
     assert np.abs(np.linalg.norm(read(built, (20, 90), (0, -150)), axis=1) - 1).max() < 0.01
     assert read(built, (0, 90))[0, 2] > 0.95
 
 
 def test_agents_follow_and_a_param_turns_them_round_or_lets_them_be() -> None:
     built = world(
-        SpreadFlow("tangent", LINE, 60.0), crowds=(CrowdData("ant", 1, PlaceData(points=np.array([[-140.0, 0, -34]]))),)
+        SpreadFlowData("tangent", LINE, 60.0), crowds=(CrowdData("ant", 1, PlacementData(points=np.array([[-140.0, 0, -34]]))),)
     )
     positions = run(built, 240)[:, 0]
     assert np.linalg.norm(positions[-1] - [150, 0, -40]) < 70 and positions[:, 2].max() > 20  # it went along the bend
@@ -184,8 +184,8 @@ def test_without_a_surface_a_flow_about_a_place_is_known_all_the_same() -> None:
     text = "ant 1\nuse steering\nworld { flow drift }\nspecies ant { state s { steer along(drift) } }\n"
     lowered, report = plan.lower(checked(text)[0])
     assert complaints(report) == []
-    crowd = CrowdData("ant", 5, PlaceData(around=(-20.0, 0, 0), radius=5.0))
-    built = bind(lowered, WorldSetting(flows={"drift": SpreadFlow("toward", GOAL)}, crowds=(crowd,)))
+    crowd = CrowdData("ant", 5, PlacementData(disc_centre=(-20.0, 0, 0), radius=5.0))
+    built = bind(lowered, WorldSetting(flows={"drift": SpreadFlowData("toward", GOAL)}, crowds=(crowd,)))
     previous = away(built, 150, 0)
     run(built, 24)
     assert (away(built, 150, 0) < previous - 15).all()
@@ -198,9 +198,9 @@ def test_a_flow_leads_over_what_may_be_dug_as_well() -> None:
     lowered, report = plan.lower(checked(text)[0])
     assert complaints(report) == []
     hill = SolidData(MeshData(*meshes.box((-60, -10, -60), (60, 25, 60))), 3.0)
-    crowd = CrowdData("ant", 5, PlaceData(points=np.array([[-40.0, 50, 5.0 * k] for k in range(5)])))
+    crowd = CrowdData("ant", 5, PlacementData(points=np.array([[-40.0, 50, 5.0 * k] for k in range(5)])))
     floor = {"ground": MeshData(*meshes.grid(400.0, 4))}
-    flow = SpreadFlow("toward", FlowTarget(np.array([[150.0, 10, 0]]), np.zeros(1)))
+    flow = SpreadFlowData("toward", FlowTarget(np.array([[150.0, 10, 0]]), np.zeros(1)))
     built = bind(lowered, WorldSetting(surfaces=floor, solids={"hill": hill}, flows={"drift": flow}, crowds=(crowd,)))
     positions = run(built, 260)
     assert (np.abs(positions[40, :, 1] - 25) < 1).all() and (
@@ -216,9 +216,9 @@ def test_a_solved_flow_goes_round_what_is_solid_and_through_it_once_it_is_dug() 
     lowered, report = plan.lower(checked(text)[0])
     assert complaints(report) == []
     hill = SolidData(MeshData(*meshes.box((-40, -10, -150), (40, 25, 80))), 4.0)
-    crowd = CrowdData("ant", 3, PlaceData(points=np.array([[-150.0, 50, 5.0 * k] for k in range(3)])))
+    crowd = CrowdData("ant", 3, PlacementData(points=np.array([[-150.0, 50, 5.0 * k] for k in range(3)])))
     floor = {"ground": MeshData(*meshes.grid(400.0, 40))}
-    flow = SolvedFlow(GOAL, every=0.25)
+    flow = SolvedFlowData(GOAL, every=0.25)
 
     def start_world() -> World:
         return bind(lowered, WorldSetting(surfaces=floor, solids={"hill": hill}, flows={"drift": flow}, crowds=(crowd,)))
@@ -232,13 +232,13 @@ def test_a_solved_flow_goes_round_what_is_solid_and_through_it_once_it_is_dug() 
     assert built.flows["drift"].c is solved, "nothing was dug, so nothing is solved anew"
     assert ahead(built) < 0.6 and np.abs(read(built, (0, 0))).max() == 0, "round it; under it leads no way"
     x = np.linspace(-44, 44, 40)
-    built.solids["hill"].carve(np.stack([x, 0 * x, 0 * x], axis=1), np.full(40, 30.0), np.arange(40))
+    built.solids["hill"].carve_balls(np.stack([x, 0 * x, 0 * x], axis=1), np.full(40, 30.0), np.arange(40))
     assert ahead(built) < 0.6, "not before it is time to look"
-    cached = checkpoint(built)
+    cached = take_checkpoint(built)
     positions = run(built, 6)
     assert ahead(built) > 0.95 and read(built, (0, 0))[0, 0] > 0.9
     again = start_world()
-    restore(again, cached)
+    restore_checkpoint(again, cached)
     assert np.array_equal(run(again, 6), positions) and np.array_equal(again.flows["drift"].c, built.flows["drift"].c)
     assert (away(again, 150, 0) > 100).all()
     run(again, 260)
@@ -249,10 +249,10 @@ def test_a_solved_flow_goes_round_what_is_solid_and_through_it_once_it_is_dug() 
 
 
 def test_a_flow_at_the_border_keeps_them_in() -> None:
-    crowd = (CrowdData("ant", 60, PlaceData(around=(0, 0, 0), radius=150.0)),)
+    crowd = (CrowdData("ant", 60, PlacementData(disc_centre=(0, 0, 0), radius=150.0)),)
 
     def nearest(steer: str) -> float:
-        positions = run(world(BorderFlow(("ground",), 40.0), 10, steer, crowds=crowd, seed=4), 480)
+        positions = run(world(BorderFlowData(("ground",), 40.0), 10, steer, crowds=crowd, seed=4), 480)
         return float(200 - np.abs(positions[240:, :, [0, 2]]).max())
 
     assert nearest("wander()") < 0.01  # without it they go to the very border
@@ -261,7 +261,7 @@ def test_a_flow_at_the_border_keeps_them_in() -> None:
 
 def test_at_the_border_it_points_inward_and_is_nothing_further_in() -> None:
     for cells in (1, 30):
-        built = world(BorderFlow(("ground",), 40.0), cells)
+        built = world(BorderFlowData(("ground",), 40.0), cells)
         result = read(built, (-199.99, 0), (-180, 30), (199.99, 0), (0, 150), (0, 199.99))
         expected = [[1, 0, 0], [0.5, 0, 0], [-1, 0, 0], [0, 0, 0], [0, 0, -1]]
         assert np.abs(result - expected).max() < 0.08, result
@@ -294,9 +294,9 @@ def test_faces_may_be_painted_and_other_surfaces_have_nothing() -> None:
     values[:, 2] = np.linspace(0.1, 0.8, 8)
     surfaces = {"plate": MeshData(*plate), "ground": MeshData(*floor)}
     built = world(
-        PaintedValues("ground", values, of_faces=True), surfaces=surfaces, maps={"damp": PaintedValues("plate", np.ones(8))}
+        PaintedValues("ground", values, is_per_face=True), surfaces=surfaces, maps={"damp": PaintedValues("plate", np.ones(8))}
     )
-    on_floor, _ = built.ground.place(np.array([[-150.0, 0, -120], [-210, 9, 0]]), built.up)
+    on_floor, _ = built.ground.place_points(np.array([[-150.0, 0, -120], [-210, 9, 0]]), built.up)
     result = built.flows["drift"].at(built.ground.meshes, on_floor, np.zeros((2, 3)), np.zeros((2, 3)))[2]
     assert result[0] in np.float32(values[:, 2]) and result[1] == 0
     assert built.maps["damp"].at(built.ground.meshes, on_floor).tolist() == [0, 1]
@@ -304,7 +304,7 @@ def test_faces_may_be_painted_and_other_surfaces_have_nothing() -> None:
 
 def test_a_map_is_a_density_for_placing() -> None:
     """Of agents that take no room: others keep each other from where it is densest."""
-    crowd = (CrowdData("ant", 4000, PlaceData(on=("ground",), density="damp")),)
+    crowd = (CrowdData("ant", 4000, PlacementData(on=("ground",), density="damp")),)
     for cells in (1, 16):  # painted from nothing at the left to 1 at the right
         built = world(cells=cells, radius="0 mm", crowds=crowd)
         x = np.sort(built.populations["ant"].position[:, 0])
@@ -324,7 +324,7 @@ STONE = {"rock": MeshData(*meshes.ball(40.0))}
 
 @pytest.mark.parametrize("cells", [1, 25])
 def test_the_shortest_way_is_straight_where_nothing_is_in_it(cells: int) -> None:
-    built = world(SolvedFlow(GOAL, cell=6.0), cells)
+    built = world(SolvedFlowData(GOAL, cell=6.0), cells)
     points = [(x, z) for x in range(-180, 100, 31) for z in range(-180, 181, 45)]
     result = read(built, *points)
     path = np.array([[150 - x, 0, -z] for x, z in points], float)
@@ -334,14 +334,14 @@ def test_the_shortest_way_is_straight_where_nothing_is_in_it(cells: int) -> None
 
 def test_agents_get_round_a_wall_to_the_nest_where_a_flow_straight_to_it_ends() -> None:
     wall = {"rock": MeshData(*meshes.box((-3, -10, -60), (3, 20, 60)))}  # thinner than the floor's triangles
-    built = world(SolvedFlow(GOAL, clearance=8.0), 20, obstacles=wall)
-    start_state = checkpoint(built)
+    built = world(SolvedFlowData(GOAL, clearance=8.0), 20, obstacles=wall)
+    start_state = take_checkpoint(built)
     positions = run(built, 400)
     assert (away(built, 150, 0) < 20).all()
     crossing = np.abs(positions[:, :, 0]).argmin(axis=0)
     assert (np.abs(positions[crossing, np.arange(30), 2]) > 60).all()
-    restore(built, start_state)
-    set_flow(built, "drift", SpreadFlow("toward", GOAL))
+    restore_checkpoint(built, start_state)
+    set_flow(built, "drift", SpreadFlowData("toward", GOAL))
     run(built, 400)
     assert (away(built, 150, 0) > 100).mean() > 0.8
 
@@ -352,25 +352,25 @@ def test_what_costs_more_is_gone_round() -> None:
     damp = np.where((np.abs(ridge[0][:, 0]) < 40) & (ridge[0][:, 2] < 60), 1.0, 0.0)
 
     maps = {"damp": PaintedValues("ground", damp)}
-    crowd = (CrowdData("ant", 1, PlaceData(points=np.array([[-150.0, 0, 0]]))),)
+    crowd = (CrowdData("ant", 1, PlacementData(points=np.array([[-150.0, 0, 0]]))),)
     built = world(surfaces=surfaces, maps=maps, crowds=crowd)
-    start_state = checkpoint(built)
+    start_state = take_checkpoint(built)
 
-    def crossing(flow: SolvedFlow) -> float:
-        restore(built, start_state)
+    def crossing(flow: SolvedFlowData) -> float:
+        restore_checkpoint(built, start_state)
         set_flow(built, "drift", flow)
         positions = run(built, 420)[:, 0]
         assert np.linalg.norm(positions[-1, [0, 2]] - [150, 0]) < 20
         return float(positions[np.abs(positions[:, 0]).argmin(), 2])
 
-    assert crossing(SolvedFlow(GOAL)) < 60
-    assert crossing(SolvedFlow(GOAL, slope=6.0)) > 80
-    assert crossing(SolvedFlow(GOAL, maps={"damp": 5.0})) > 55
-    assert crossing(SolvedFlow(GOAL, slope=6.0, maps={"damp": -4.0})) < 60
+    assert crossing(SolvedFlowData(GOAL)) < 60
+    assert crossing(SolvedFlowData(GOAL, slope=6.0)) > 80
+    assert crossing(SolvedFlowData(GOAL, maps={"damp": 5.0})) > 55
+    assert crossing(SolvedFlowData(GOAL, slope=6.0, maps={"damp": -4.0})) < 60
 
 
 def test_a_goal_may_be_a_curve_and_what_cannot_be_reached_has_no_flow() -> None:
-    built = world(SolvedFlow(LINE), 20, obstacles={"rock": MeshData(*meshes.box((100, -5, 100), (160, 5, 160)))})
+    built = world(SolvedFlowData(LINE), 20, obstacles={"rock": MeshData(*meshes.box((100, -5, 100), (160, 5, 160)))})
     result = read(built, (0, 150), (-150, -150), (130, 130))
     assert result[0, 2] < -0.9 and result[1, 2] > 0.7
     assert np.abs(result[2]).max() == 0  # in the rock
@@ -380,7 +380,7 @@ def test_from_one_surface_onto_another_that_lies_on_it() -> None:
     mound = meshes.ball(60.0, (150.0, -30.0, 0.0))
     surfaces = {"ground": MeshData(*meshes.grid(400.0, 40)), "mound": MeshData(*mound)}
     top = FlowTarget(np.array([[150.0, 30.0, 0.0]]), np.array([5.0]))
-    built = world(SolvedFlow(top), surfaces=surfaces, maps={"damp": PaintedValues("mound", np.ones(len(mound[0])))})
+    built = world(SolvedFlowData(top), surfaces=surfaces, maps={"damp": PaintedValues("mound", np.ones(len(mound[0])))})
     run(built, 420)
     ants = built.populations["ant"]
     assert (ants.footing.mesh == 1).mean() > 0.9 and (ants.position[:, 1] > 20).mean() > 0.8
@@ -388,12 +388,12 @@ def test_from_one_surface_onto_another_that_lies_on_it() -> None:
 
 # --- a crowd that counts ---------------------------------------------------------------------------------------------
 
-CROWDED = SolvedFlow(GOAL, crowding=4.0, every=0.25, cell=12.0)
+CROWDED = SolvedFlowData(GOAL, crowding=4.0, every=0.25, cell=12.0)
 
 
 def test_a_crowd_in_the_way_is_gone_round() -> None:
     blocked = np.array([[x, 0.0, z] for x in range(-60, 61, 4) for z in range(-60, 61, 4)])
-    crowd = (CrowdData("ant", len(blocked), PlaceData(points=blocked)),)
+    crowd = (CrowdData("ant", len(blocked), PlacementData(points=blocked)),)
     built = world(CROWDED, steer="halt()", crowds=crowd)
     previous = read(built, (-100, 30))[0]
     run(built, 1)
@@ -420,7 +420,7 @@ def test_a_checkpoint_between_two_looks_at_the_crowd_goes_on_the_same() -> None:
     built = world(CROWDED, 6)
     run(built, 9)  # the crowd was last looked at three frames ago
     other = world(CROWDED, 6, options=Options(shuffle_rows=5))
-    restore(other, checkpoint(built))
+    restore_checkpoint(other, take_checkpoint(built))
     assert state_hash(other) == state_hash(built)
     for _ in range(8):
         step(built)
@@ -433,9 +433,9 @@ def test_a_checkpoint_between_two_looks_at_the_crowd_goes_on_the_same() -> None:
 
 def test_a_flow_leads_to_where_a_thing_has_gone() -> None:
     path = np.linspace([150.0, 0, 0], [-150.0, 0, 150.0], 120)[:, None]
-    goal = replace(GOAL, of="nest", which=0)
-    for flow in (SpreadFlow("toward", goal), SolvedFlow(goal, every=0.5)):
-        built = world(flow, moves=GeometryMoves(items={"nest": path}))
+    goal = replace(GOAL, of="nest", item_index=0)
+    for flow in (SpreadFlowData("toward", goal), SolvedFlowData(goal, every=0.5)):
+        built = world(flow, motion=GeometryMoves(items={"nest": path}))
         assert read(built, (0, 150))[0, 0] > 0.4
         run(built, 119)
         assert read(built, (0, 150))[0, 0] < -0.9
@@ -446,9 +446,9 @@ def test_an_obstacle_that_moves_is_gone_round_where_it_is_then() -> None:
     stone = meshes.ball(45.0)
     displacement = np.zeros((30, len(stone[0]), 3))
     displacement[10:, :, 2] = 150  # in one go, at frame 10
-    moves = GeometryMoves(meshes={"rock": MeshMoves.free(stone[0] + displacement)})
+    moves = GeometryMoves(meshes={"rock": MeshMoves.from_positions(stone[0] + displacement)})
     built = world(
-        SolvedFlow(GOAL, clearance=10.0, every=0.5), 30, obstacles={"rock": MeshData(*stone)}, moves=moves, steer="halt()"
+        SolvedFlowData(GOAL, clearance=10.0, every=0.5), 30, obstacles={"rock": MeshData(*stone)}, motion=moves, steer="halt()"
     )
     assert abs(read(built, (-60, 4))[0, 2]) > 0.5
     run(built, 10)
@@ -456,9 +456,9 @@ def test_an_obstacle_that_moves_is_gone_round_where_it_is_then() -> None:
     run(built, 3)
     assert abs(read(built, (-60, 4))[0, 2]) < 0.2
     other = world(
-        SolvedFlow(GOAL, clearance=10.0, every=0.5), 30, obstacles={"rock": MeshData(*stone)}, moves=moves, steer="halt()"
+        SolvedFlowData(GOAL, clearance=10.0, every=0.5), 30, obstacles={"rock": MeshData(*stone)}, motion=moves, steer="halt()"
     )
-    restore(other, checkpoint(built))
+    restore_checkpoint(other, take_checkpoint(built))
     assert state_hash(other) == state_hash(built)
     assert np.array_equal(read(other, (-60, 4)), read(built, (-60, 4)))
     for each in (built, other):
@@ -478,7 +478,7 @@ def test_vectors_turn_with_the_ground_they_are_painted_on() -> None:
     )
     built = world(
         PaintedValues("ground", np.tile([0.5, 0, 0], (len(floor[0]), 1))),
-        moves=GeometryMoves(meshes={"ground": MeshMoves.free(turned)}),
+        motion=GeometryMoves(meshes={"ground": MeshMoves.from_positions(turned)}),
         steer="halt()",
     )
     run(built, 30)
@@ -492,18 +492,20 @@ def test_another_flow_may_be_put_in_its_place_while_it_runs() -> None:
     built = world()
     run(built, 20)
     previous_distances = away(built, 150, 0)
-    set_flow(built, "drift", SpreadFlow("away", GOAL))
+    set_flow(built, "drift", SpreadFlowData("away", GOAL))
     run(built, 40)
     assert (away(built, 150, 0) > previous_distances).all()
     with pytest.raises(KeyError):
-        set_flow(built, "drifft", SpreadFlow("away", GOAL))
+        set_flow(built, "drifft", SpreadFlowData("away", GOAL))
     with pytest.raises(BindError) as caught:
-        set_flow(built, "drift", SpreadFlow("away", GOAL, 100.0, cell=1e-3))
+        set_flow(built, "drift", SpreadFlowData("away", GOAL, 100.0, cell=1e-3))
     assert [d.code for d in caught.value.report.errors] == ["flow-too-fine"]
 
 
 def test_values_of_flows_and_maps_stand_in_any_expression() -> None:
-    built = world(SpreadFlow("toward", GOAL, strength=0.5), steer="if damp > 0.5 then drift * 2 else mix(drift, heading, damp)")
+    built = world(
+        SpreadFlowData("toward", GOAL, strength=0.5), steer="if damp > 0.5 then drift * 2 else mix(drift, heading, damp)"
+    )
     run(built, 3)
     ants = built.populations["ant"].now
     x = built.populations["ant"].position[:, 0]

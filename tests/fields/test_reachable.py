@@ -10,20 +10,20 @@ from meshes import ball, box, grid
 from test_program import checked, complaints
 
 from antdsl import passes, plan
-from antdsl.runtime import Options, World, bind, checkpoint, restore, state_hash, step
-from antdsl.runtime.backends.native.backend import NativeBackend
-from antdsl.runtime.binding.start_findings import count_reaching
+from antdsl.runtime import Options, World, bind, restore_checkpoint, state_hash, step, take_checkpoint
+from antdsl.runtime.backends.native.native_backend import NativeBackend
+from antdsl.runtime.binding.start_findings import count_agents_with_path
 from antdsl.scene.setting import (
-    BorderFlow,
+    BorderFlowData,
     CrowdData,
     FlowData,
     FlowTarget,
     ItemData,
     MeshData,
-    PlaceData,
+    PlacementData,
     SolidData,
-    SolvedFlow,
-    SpreadFlow,
+    SolvedFlowData,
+    SpreadFlowData,
     WorldSetting,
 )
 
@@ -70,12 +70,12 @@ def world(
     flow: FlowData | None = None, *, opening: float = 0.0, options: Options | None = None, count: int = 9, **changes: object
 ) -> World:
     """Ants inside of the walls and outside, as many each."""
-    crowds = [CrowdData("ant", count, PlaceData(around=at, radius=15.0)) for at in (INSIDE, OUTSIDE)]
+    crowds = [CrowdData("ant", count, PlacementData(disc_centre=at, radius=15.0)) for at in (INSIDE, OUTSIDE)]
     defaults: dict = dict(
         surfaces={"ground": MeshData(*grid(400.0, 40))},
         obstacles={"rock": walls(opening)},
         items={"nest": (ItemData("home", (0.0, 0, 0), 10.0),)},
-        flows={"drift": flow or SolvedFlow(GOAL)},
+        flows={"drift": flow or SolvedFlowData(GOAL)},
         crowds=tuple(crowds) if count else (),
     )
     return bind(compiled(), WorldSetting(**{**defaults, **changes}), options or Options())
@@ -85,7 +85,7 @@ def leads(new_world: World) -> np.ndarray:
     """What agents read in a step, in the order of ids: nine inside, then nine outside."""
     step(new_world)
     ants = new_world.populations["ant"]
-    return ants.now["leads"][ants.in_id_order()]
+    return ants.now["leads"][ants.rows_by_id()]
 
 
 BACKENDS = [
@@ -101,7 +101,7 @@ def test_a_closed_wall_cuts_off_those_outside_on_every_backend(options: Options)
     if options.backend == "native":
         need_llvmlite()
     new_world = world(options=options)
-    assert count_reaching(new_world, "ant", "drift") == 9
+    assert count_agents_with_path(new_world, "ant", "drift") == 9
     assert leads(new_world).tolist() == [1] * 9 + [0] * 9
     assert isinstance(new_world.backend, NativeBackend) == (options.backend == "native")
 
@@ -111,7 +111,7 @@ def test_without_agents_nothing_is_computed(options: Options) -> None:
     if options.backend == "native":
         need_llvmlite()
     new_world = world(options=options, count=0)
-    assert count_reaching(new_world, "ant", "drift") == 0 and len(leads(new_world)) == 0
+    assert count_agents_with_path(new_world, "ant", "drift") == 0 and len(leads(new_world)) == 0
 
 
 def test_backends_agree_to_the_bit() -> None:
@@ -138,7 +138,7 @@ def test_those_who_are_cut_off_do_not_come_through_the_wall() -> None:
 @pytest.mark.parametrize(("opening", "clearance", "reached"), [(40.0, 0.0, 18), (40.0, 60.0, 18), (0.0, 60.0, 9)])
 def test_an_opening_leads_in_however_narrow_the_clearance_makes_it(opening: float, clearance: float, reached: int) -> None:
     """`clearance` makes a path dear, and closes none."""
-    assert count_reaching(world(SolvedFlow(GOAL, clearance=clearance), opening=opening), "ant", "drift") == reached
+    assert count_agents_with_path(world(SolvedFlowData(GOAL, clearance=clearance), opening=opening), "ant", "drift") == reached
 
 
 def test_islands_and_targets_off_the_ground() -> None:
@@ -147,28 +147,28 @@ def test_islands_and_targets_off_the_ground() -> None:
     surfaces = {"ground": MeshData(*grid(400.0, 40)), "isle": isle}
     far_target = FlowTarget(np.array([[600.0, 0, 0]]), np.array([10.0]))
     island_setting = dict(surfaces=surfaces, obstacles={"rock": MeshData(*ball(5.0, (180, 0, 180)))})
-    assert count_reaching(world(SolvedFlow(far_target), **island_setting), "ant", "drift") == 0, "on another island"
-    assert count_reaching(world(SolvedFlow(GOAL), **island_setting), "ant", "drift") == 18
-    assert count_reaching(world(SolvedFlow(GOAL, on=("isle",)), **island_setting), "ant", "drift") == 0, (
+    assert count_agents_with_path(world(SolvedFlowData(far_target), **island_setting), "ant", "drift") == 0, "on another island"
+    assert count_agents_with_path(world(SolvedFlowData(GOAL), **island_setting), "ant", "drift") == 18
+    assert count_agents_with_path(world(SolvedFlowData(GOAL, on=("isle",)), **island_setting), "ant", "drift") == 0, (
         "they stand on no face of the flow"
     )
     off = FlowTarget(np.array([[-400.0, 0, 0]]), np.array([1.0]))
-    assert count_reaching(world(SolvedFlow(off)), "ant", "drift") == 9, "the ground nearest to it is its goal"
+    assert count_agents_with_path(world(SolvedFlowData(off)), "ant", "drift") == 9, "the ground nearest to it is its goal"
 
 
 @pytest.mark.parametrize(
     ("flow", "reached"),
     [
-        (SpreadFlow("toward", GOAL, radius=60.0), 9),
-        (SpreadFlow("away", GOAL, radius=60.0), 9),
-        (SpreadFlow("toward", GOAL), 18),
-        (BorderFlow(("ground",), 90.0), 9),
+        (SpreadFlowData("toward", GOAL, radius=60.0), 9),
+        (SpreadFlowData("away", GOAL, radius=60.0), 9),
+        (SpreadFlowData("toward", GOAL), 18),
+        (BorderFlowData(("ground",), 90.0), 9),
     ],
     ids=["toward", "away", "everywhere", "border"],
 )
 def test_of_other_flows_it_is_whether_they_are_anything_there(flow: FlowData, reached: int) -> None:
     new_world = world(flow)
-    assert count_reaching(new_world, "ant", "drift") == reached
+    assert count_agents_with_path(new_world, "ant", "drift") == reached
     assert leads(new_world).sum() == reached
 
 
@@ -176,12 +176,12 @@ def test_digging_opens_a_path_and_a_checkpoint_goes_on_with_it() -> None:
     """The ground below a hill is cut off until it is dug free; the flow looks again when it is due."""
     text = PROGRAM.replace("obstacle rock", "solid hill").replace("surface isle; ", "")
     hill = SolidData(MeshData(*box((-250, -10, -40), (250, 25, 40))), 5.0)
-    crowd = CrowdData("ant", 4, PlaceData(points=np.array([[10.0 * k, 0, -150.0] for k in range(4)])))
+    crowd = CrowdData("ant", 4, PlacementData(points=np.array([[10.0 * k, 0, -150.0] for k in range(4)])))
     goal = FlowTarget(np.array([[0.0, 0.0, 150.0]]), np.array([10.0]))
     lowered = compiled(text)
 
     def start_world() -> World:
-        flows = {"drift": SolvedFlow(goal, every=0.25)}
+        flows = {"drift": SolvedFlowData(goal, every=0.25)}
         setting = WorldSetting(
             surfaces={"ground": MeshData(*grid(400.0, 40))}, solids={"hill": hill}, flows=flows, crowds=(crowd,)
         )
@@ -190,13 +190,13 @@ def test_digging_opens_a_path_and_a_checkpoint_goes_on_with_it() -> None:
     new_world = start_world()
     assert leads(new_world).tolist() == [0] * 4
     z = np.linspace(-45, 45, 40)
-    new_world.solids["hill"].carve(np.stack([0 * z, 0 * z, z], axis=1), np.full(40, 30.0), np.arange(40))
+    new_world.solids["hill"].carve_balls(np.stack([0 * z, 0 * z, z], axis=1), np.full(40, 30.0), np.arange(40))
     assert leads(new_world).tolist() == [0] * 4, "not before it is time to look"
     for _ in range(8):
         flags = leads(new_world)
     assert flags.tolist() == [1] * 4
     again = start_world()
-    restore(again, checkpoint(new_world))
+    restore_checkpoint(again, take_checkpoint(new_world))
     assert state_hash(again) == state_hash(new_world)
     assert leads(again).tolist() == leads(new_world).tolist() == [1] * 4
 

@@ -10,12 +10,12 @@ from plan_text import plan_of
 
 from antdsl.fields.cells import SurfaceCells
 from antdsl.fields.pheromone import PheromoneField
-from antdsl.fields.reached import CellsAboveThreshold
-from antdsl.machine_code import machine
+from antdsl.fields.threshold_cells import CellsAboveThreshold
+from antdsl.machine_code import llvm_compiler
 from antdsl.numerics import parallel
 from antdsl.passes import optimise
-from antdsl.runtime import CrowdData, MeshData, Options, PlaceData, WorldSetting, bind, state_hash, step
-from antdsl.runtime.backends.native.backend import NativeBackend
+from antdsl.runtime import CrowdData, MeshData, Options, PlacementData, WorldSetting, bind, state_hash, step
+from antdsl.runtime.backends.native.native_backend import NativeBackend
 
 NATIVE = Options(backend="native", chunk=16, threads=2, wait_for_code=True)
 WORLD = "ant 1\nuse steering\nworld { surface ground }\nfield scent on ground { cell 4 mm; half_life 2 s }\n"
@@ -23,7 +23,7 @@ WORLD = "ant 1\nuse steering\nworld { surface ground }\nfield scent on ground { 
 
 @pytest.mark.parametrize("k", [1, 9, 16, 27])
 def test_it_is_reached_where_as_much_is_smelled(k: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(parallel, "cores", lambda: 4)
+    monkeypatch.setattr(parallel, "count_available_cores", lambda: 4)
     monkeypatch.setattr(parallel, "MIN_LIGHT_ITEMS_PER_THREAD", 100)  # so that it goes in parts
     field = PheromoneField(SurfaceCells([meshes.terrain(150, 30)], 4.0))
     rng, every, least = np.random.default_rng(k), np.arange(len(field.cells)), np.float32(0.1)
@@ -32,7 +32,7 @@ def test_it_is_reached_where_as_much_is_smelled(k: int, monkeypatch: pytest.Monk
         held = rng.choice([0.1 - 1e-12, float(least), 3.0, np.inf], len(every))  # the first is 0.1 in float32
         field.values[:] = np.where(rng.random(len(every)) < share, held, rng.choice([0.0, 0.0999, np.nan], len(every)))
         is_reached = reached.now(3)
-        assert np.array_equal(is_reached[:-1] > 0, field.strongest(every, k)[0] >= least) and is_reached[-1] == 0
+        assert np.array_equal(is_reached[:-1] > 0, field.sample_strongest(every, k)[0] >= least) and is_reached[-1] == 0
         assert np.array_equal(reached.now(), is_reached)
 
 
@@ -46,7 +46,7 @@ def test_it_tells_of_one_field_and_strength() -> None:
     field, other = (PheromoneField(SurfaceCells([meshes.grid(40, 4)], 4.0)) for _ in range(2))
     reached = CellsAboveThreshold(field, np.float32(1), 9)
     assert reached.of(field, np.float32(1)) and not reached.of(field, np.float32(2)) and not reached.of(other, np.float32(1))
-    field.grow(np.empty(0, np.int64))
+    field.extend_arrays(np.empty(0, np.int64))
     assert not reached.of(field, np.float32(1))
 
 
@@ -82,10 +82,10 @@ def program(asks: str) -> str:
 )
 def test_agents_do_the_same_where_it_is_only_compared(asks: str, bounded: int) -> None:
     plan = optimise(plan_of(program(asks), WORLD))
-    crowd = CrowdData("a", 24, PlaceData(around=(0.0, 0.0, 0.0), radius=12.0))
+    crowd = CrowdData("a", 24, PlacementData(disc_centre=(0.0, 0.0, 0.0), radius=12.0))
     setting = WorldSetting(crowds=(crowd,), surfaces={"ground": MeshData(*meshes.grid(60.0, 3))}, seed=4)
     hashes = []
-    for options in (*OPTION_SETS[::2], NATIVE) if machine.is_available() else OPTION_SETS[::2]:
+    for options in (*OPTION_SETS[::2], NATIVE) if llvm_compiler.is_available() else OPTION_SETS[::2]:
         world = bind(plan, setting, options)
         hashes.append([])
         states = []
@@ -94,7 +94,7 @@ def test_agents_do_the_same_where_it_is_only_compared(asks: str, bounded: int) -
             hashes[-1].append(state_hash(world))
             states.append(world.populations["a"].now["main.state"].mean())
         if isinstance(world.backend, NativeBackend) and options is NATIVE:
-            assert world.backend.ready is not None
-            assert len(world.backend.ready.written["a", "decide"].bounds) == bounded
+            assert world.backend.ready_code is not None
+            assert len(world.backend.ready_code.block_codes["a", "decide"].scent_bounds) == bounded
     assert all(each == hashes[0] for each in hashes)
     assert 0 < np.mean(states) < 1

@@ -17,7 +17,7 @@ from antdsl.diagnostics import Diagnostic, Report
 from antdsl.limits import MIB
 from antdsl.pipeline import check_path, open_scene
 from antdsl.runtime import BindError, Options, bind, state_hash, step
-from antdsl.scene.geometry.meshes import MeshError, read_mesh
+from antdsl.scene.geometry.mesh_files import MeshError, read_mesh
 from antdsl.source import Source
 
 BOUND_AGENTS = 2000  # in a scene that is also bound and stepped
@@ -125,7 +125,7 @@ def feed_mesh(ending: str) -> Callable[[Path], Feed]:
                 return f"refused {why}"
             if not len(mesh.faces) or mesh.faces.max() >= len(mesh.vertices) or mesh.faces.min() < 0:
                 raise Violation("mesh", "a face names a vertex that is not there")
-            return f"read {len(mesh.vertices)} {len(mesh.faces)} {mesh.dropped} {mesh.vertices.sum()}"
+            return f"read {len(mesh.vertices)} {len(mesh.faces)} {mesh.dropped_faces} {mesh.vertices.sum()}"
 
         return feed
 

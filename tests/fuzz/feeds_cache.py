@@ -20,10 +20,10 @@ from antdsl.cli.exits import CommandError
 from antdsl.outputs.cache.cache_reader import CacheError, open_cache
 from antdsl.outputs.cache.cache_writer import DifferentHashes, DifferentInputs, ForeignFolder, PathBlocked
 from antdsl.outputs.cache.manifest import ManifestError
-from antdsl.outputs.exports import export_for
+from antdsl.outputs.exports import find_export
 from antdsl.outputs.gallery import Gallery, PictureUnavailable
 from antdsl.outputs.numbered_files import ExportUnavailable
-from antdsl.outputs.recording import NothingToResume, begin, record
+from antdsl.outputs.recording import NothingToResume, begin_recording, record_frames
 from antdsl.pipeline import Shot, open_scene
 from antdsl.runtime import Options
 from antdsl.scene.geometry.usd import UsdError
@@ -79,7 +79,7 @@ def cache_files() -> dict[str, bytes]:
         folder = Path(name)
         shot = _write_project(folder)
         out = folder / "out/scene"
-        for _ in record(begin(shot, out, OPTIONS, resume=False, force=False)):
+        for _ in record_frames(begin_recording(shot, out, OPTIONS, resume=False, force=False)):
             pass
         return {path.relative_to(out).as_posix(): path.read_bytes() for path in sorted(out.rglob("*")) if path.is_file()}
 
@@ -143,7 +143,7 @@ def _exported(out: Path, to: Path, chosen: tuple[str, str]) -> list[str]:
     name, form = chosen
     shutil.rmtree(to, ignore_errors=True)
     to.mkdir()
-    export = export_for(to / name)
+    export = find_export(to / name)
     assert export is not None
     try:
         cache = open_cache(out)
@@ -157,8 +157,8 @@ def _exported(out: Path, to: Path, chosen: tuple[str, str]) -> list[str]:
 
 def _resumed(shot: Shot, out: Path) -> list[str]:
     try:
-        recording = begin(shot, out, OPTIONS, resume=True, force=False)
-        for _ in record(recording):
+        recording = begin_recording(shot, out, OPTIONS, resume=True, force=False)
+        for _ in record_frames(recording):
             pass
     except (DifferentInputs, DifferentHashes, ForeignFolder, PathBlocked, NothingToResume) as why:
         return [f"refused {why}"]

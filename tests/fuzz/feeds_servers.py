@@ -23,7 +23,7 @@ from antdsl.preview import live as live_module
 from antdsl.preview.live import Live
 from antdsl.preview.serving.addresses import ListeningSockets
 from antdsl.preview.serving.guard import RequestGuard
-from antdsl.preview.serving.pages import load_pages
+from antdsl.preview.serving.page_files import load_pages
 from antdsl.preview.serving.server import PreviewServer, RefusedRequest, read_request
 from antdsl.runtime import Options
 
@@ -80,10 +80,10 @@ def feed_websocket(folder: Path) -> Feed:
     sock.listen()
     noted, errors = Noted(), _Errors()
     guard = RequestGuard(frozenset({NAME}), TOKEN)
-    server = PreviewServer(noted, guard, load_pages(), ListeningSockets((sock,), guard.names, ()))
+    server = PreviewServer(noted, guard, load_pages(), ListeningSockets((sock,), guard.host_names, ()))
     loop = asyncio.new_event_loop()
     loop.set_exception_handler(lambda _, context: errors.add(context["exception"]) if "exception" in context else None)
-    running = server.running()
+    running = server.run()
     loop.run_until_complete(running.__aenter__())
     logging.getLogger("antdsl.preview.serving").addHandler(errors)
 
@@ -185,16 +185,16 @@ def feed_page(folder: Path) -> Feed:
         page, errors = _Page(), io.StringIO()
         with redirect_stderr(errors):
             live = Live.open(folder / "scene.yaml", None, Options(backend="numpy"), watch=False)
-            live._process("join", page)
+            live._process_item("join", page)
             for line in data.split(b"\n")[:MESSAGES]:
                 request = read_request(line.decode("utf-8", "replace"))
                 if isinstance(request, RefusedRequest):
-                    page.tell(request.message_out())
+                    page.tell(request.make_message())
                     continue
-                live._process(request, page)
+                live._process_item(request, page)
                 for _ in range(3):
-                    live._advance(live.session)
-                live.screen.refresh(clock())
+                    live._advance_once(live.session)
+                live.screen.send_due_updates(clock())
         if errors.getvalue():
             raise Violation("bug", _last_line(errors.getvalue()) + "\n" + errors.getvalue())
         messages = [each for each in page.messages if each.get("op") in ("refused", "outcome", "explained", "breaks")]
@@ -256,8 +256,8 @@ def feed_lsp(folder: Path) -> Feed:
             return self.stream.read(min(count, 1 << 40))
 
     def feed(data: bytes) -> str:
-        server.files, server.uris, server.waiting = Workspace(), {}, set()
-        server.left_early = server.asked_to_end = False
+        server.files, server.uris, server.pending_paths = Workspace(), {}, set()
+        server.exited_without_shutdown = server.is_shutdown_requested = False
         protocol._shutdown, protocol._workspace = False, None
         protocol._request_futures.clear()
         protocol._result_types.clear()

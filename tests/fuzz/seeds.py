@@ -64,9 +64,9 @@ def scenes() -> list[bytes]:
 
 
 def scene_words() -> tuple[Mutator, ...]:
-    from antdsl.scene.kinds import KINDS
+    from antdsl.scene.scene_kinds import SCENE_KINDS
 
-    fields = [name for kind in KINDS.values() for each in kind.models for name in getattr(each, "model_fields", ())]
+    fields = [name for kind in SCENE_KINDS.values() for each in kind.models for name in getattr(each, "model_fields", ())]
     values = (
         "ground.ply",
         "ground.obj",
@@ -301,7 +301,7 @@ def _legged() -> list[bytes]:
 
 
 def body_words() -> tuple[Mutator, ...]:
-    from antdsl.bodies.files.document_model import BodyForm, keys_of
+    from antdsl.bodies.files.document_model import BodyForm, list_keys
 
     extra_words = (
         "null",
@@ -325,7 +325,7 @@ def body_words() -> tuple[Mutator, ...]:
         "duty",
         "deforming",
     )
-    return _words(keys_of(BodyForm), extra_words)
+    return _words(list_keys(BodyForm), extra_words)
 
 
 def image_files() -> list[bytes]:

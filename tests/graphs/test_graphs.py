@@ -15,12 +15,12 @@ import pytest
 from children import child_environment
 
 from antdsl import graphs, pipeline
-from antdsl.cli import _run as run_in_process
-from antdsl.graphs.drawing import Drawing, Words, draw
-from antdsl.graphs.layout import NAME_SIZE, WORD_SIZE, lay_out
-from antdsl.graphs.letters import width
+from antdsl.cli import _run_without_warnings as run_in_process
+from antdsl.graphs.drawing import Drawing, TextLine, draw_charts
+from antdsl.graphs.layout import NAME_FONT_SIZE, WORD_FONT_SIZE, lay_out
 from antdsl.graphs.model import Chart, PlacedBox, PlacedChart
-from antdsl.graphs.png import MOST, png
+from antdsl.graphs.png import MAX_PIXELS, render_png
+from antdsl.graphs.text_width import measure_text_width
 
 ROOT = Path(__file__).resolve().parents[2]
 FORAGER = ROOT / "examples" / "foraging" / "forager.ant"
@@ -159,7 +159,7 @@ def assert_can_be_read(chart: PlacedChart) -> None:
         assert place.left + place.width <= chart.width and place.top + place.height <= chart.height
     for box, place in chart.boxes:
         if box.kind == "state":
-            assert max(width(box.name, NAME_SIZE), width(box.label, WORD_SIZE)) < place.width
+            assert max(measure_text_width(box.name, NAME_FONT_SIZE), measure_text_width(box.label, WORD_FONT_SIZE)) < place.width
     where = {box.key: place for box, place in chart.boxes}
     for arrow in chart.arrows:
         assert bool(arrow.words) == bool(arrow.arrow.lines)
@@ -167,7 +167,7 @@ def assert_can_be_read(chart: PlacedChart) -> None:
             place = where[key]
             assert touch(place, PlacedBox(point, 2, 2)), (arrow.arrow, point, place)
         if arrow.words is not None:
-            assert max(width(line, WORD_SIZE) for line in arrow.lines) < arrow.words.width
+            assert max(measure_text_width(line, WORD_FONT_SIZE) for line in arrow.lines) < arrow.words.width
             near = PlacedBox(arrow.words.centre, arrow.words.width + 8, arrow.words.height + 8)
             assert any(
                 touch(near, PlacedBox(((a[0] + b[0]) / 2, (a[1] + b[1]) / 2), abs(a[0] - b[0]) + 1, abs(a[1] - b[1]) + 1))
@@ -207,8 +207,8 @@ def test_odd_machines_are_read_and_stand_side_by_side(odd: tuple[Chart, ...]) ->
     placed, _ = lay_out(odd)
     for chart in placed:
         assert_can_be_read(chart)
-    drawing = draw(placed)
-    frames = [shape for shape in drawing.shapes if getattr(shape, "radius", 0) == 10]
+    drawing = draw_charts(placed)
+    frames = [shape for shape in drawing.shapes if getattr(shape, "corner_radius", 0) == 10]
     assert len(frames) == 2 and frames[0].left + frames[0].width < frames[1].left and frames[0].top == frames[1].top
 
 
@@ -246,7 +246,7 @@ def test_png_shows_the_states_colours(odd: tuple[Chart, ...]) -> None:
 
     image = Image.open(io.BytesIO(written(odd, "png"))).convert("RGB")
     placed, _ = lay_out(odd)
-    drawing = draw(placed)
+    drawing = draw_charts(placed)
     assert image.width == round(drawing.width * 2) and abs(image.height - drawing.height * 2) <= 1
     colours = {colour for _, colour in image.getcolors(1 << 24) or []}
     for chart in odd:
@@ -382,8 +382,8 @@ def assert_extra_is_named(charts: tuple[Chart, ...], format: str) -> None:
 def test_large_pictures_have_fewer_pixels() -> None:
     from PIL import Image
 
-    image = Image.open(io.BytesIO(png(Drawing(40_000.0, 3_000.0, ()))))
-    assert image.width * image.height <= MOST * 1.01 and image.width // image.height == 13
+    image = Image.open(io.BytesIO(render_png(Drawing(40_000.0, 3_000.0, ()))))
+    assert image.width * image.height <= MAX_PIXELS * 1.01 and image.width // image.height == 13
 
 
 def test_pictures_of_plain_text_do_not_depend_on_the_fonts_of_the_machine(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -392,16 +392,16 @@ def test_pictures_of_plain_text_do_not_depend_on_the_fonts_of_the_machine(monkey
     calls: list[dict[str, object]] = []
     monkeypatch.setattr(resvg_py, "svg_to_bytes", lambda **options: calls.append(options) or b"")
     for text in ("plain", "été"):
-        png(Drawing(10.0, 10.0, (Words(text, (5.0, 5.0), 11, (0.0, 0.0, 0.0), 9.0),)))
+        render_png(Drawing(10.0, 10.0, (TextLine(text, (5.0, 5.0), 11, (0.0, 0.0, 0.0), 9.0),)))
     assert [call["skip_system_fonts"] for call in calls] == [True, False]
     assert all('font-family="Aileron"' in str(call["svg_string"]) for call in calls)
 
 
 def test_pillows_own_letters_have_what_they_are_taken_for() -> None:
     """A sign that a font does not have is drawn like one that no font has."""
-    from antdsl.graphs.letters import _OWN, built_in_font
+    from antdsl.graphs.text_width import _NON_ASCII_GLYPHS, load_built_in_font
 
-    letters = built_in_font(20)
+    letters = load_built_in_font(20)
     nothing = bytes(letters.getmask("\uffff"))
-    for sign in [*_OWN, *(chr(code) for code in range(33, 127))]:
+    for sign in [*_NON_ASCII_GLYPHS, *(chr(code) for code in range(33, 127))]:
         assert bytes(letters.getmask(sign)) != nothing, sign

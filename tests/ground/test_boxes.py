@@ -8,7 +8,7 @@ from meshes import ball, terrain
 from numpy.typing import NDArray
 from open_shapes import joined, soup
 
-from antdsl.ground.mesh.boxes import FaceBoxes, FaceList, first_hit, gather_faces
+from antdsl.ground.mesh.boxes import FaceBoxes, FaceList, find_first_hit, gather_faces
 from antdsl.ground.mesh.surface import MeshGround
 
 Floats = NDArray[np.float64]
@@ -34,13 +34,13 @@ def random_steps(ground: MeshGround, rng: np.random.Generator) -> tuple[Floats, 
 
 def first_met(ground: MeshGround, origin: Floats, step: Floats, face: int, piece: int) -> tuple[int, float, float, float]:
     """The first face on a way that goes on by a millionth of a mm: the kernel's functions, as Python runs them."""
-    table, boxes = ground.triangles[3], ground._boxes.tree()
+    table, boxes = ground.triangles[3], ground._box_tree.to_box_tree()
     face_list = FaceList(np.empty(len(table.live), np.int64), 0)
     one, displacement = tuple(origin.tolist()), tuple(step.tolist())
     with np.errstate(all="ignore"):
         count = gather_faces(table.piece, boxes, one, tuple((origin + step).tolist()), 0.01, face, piece, face_list)
-        hit = first_hit(ground._walk().packed, boxes, face_list, count, one, displacement, 1e-6)
-    return hit.face, hit.part, *hit.weights
+        hit = find_first_hit(ground._get_walk_tables().packed_table, boxes, face_list, count, one, displacement, 1e-6)
+    return hit.face, hit.path_fraction, *hit.weights
 
 
 @pytest.mark.parametrize("far", [0.0, 900.0])
@@ -91,7 +91,9 @@ def test_refitted_boxes_are_those_that_are_built_afresh() -> None:
     moved, corners = moved_vertices[faces], faces
     low = rng.uniform(-15, 30, (3, 50))
     for high in (low + 0.1, low + 8.0):
-        pairs = [np.sort(ray * len(corners) + face) for ray, face in (b.overlapping_pairs(low, high) for b in (boxes, fresh))]
+        pairs = [
+            np.sort(ray * len(corners) + face) for ray, face in (b.find_overlapping_pairs(low, high) for b in (boxes, fresh))
+        ]
         beside = (moved.min(axis=1)[:, None] <= high.T).all(axis=2) & (moved.max(axis=1)[:, None] >= low.T).all(axis=2)
         moved_vertices, ray = np.nonzero(beside & ground.triangles[3].live[:, None])
         assert np.array_equal(pairs[0], pairs[1]) and np.array_equal(pairs[0], np.sort(ray * len(corners) + moved_vertices))

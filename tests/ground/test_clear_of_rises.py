@@ -7,9 +7,9 @@ import pytest
 import trimesh
 from numpy.typing import NDArray
 
-from antdsl.casting.faces import nearest_on_triangle
+from antdsl.casting.faces import find_nearest_on_triangle
 from antdsl.casting.rays import RayScene
-from antdsl.ground.mesh.creases import SlopeMap, inner_creases, rise_clearance
+from antdsl.ground.mesh.creases import SlopeMap, compute_slope_clearance, find_inner_creases
 from antdsl.ground.mesh.topology import MeshTopology, build_topology
 
 Floats = NDArray[np.float64]
@@ -34,22 +34,22 @@ def field_of_stones(count: int, offset: float = 0.0) -> tuple[Floats, MeshTopolo
 @pytest.mark.parametrize("offset", [0.0, 50_000.0])
 def test_no_other_piece_is_nearer(offset: float) -> None:
     corners, table = field_of_stones(12, offset)
-    clear = rise_clearance(corners, table, inner_creases(table, corners))
-    assert table.pieces == 14 and (clear > 0).any()
+    clear = compute_slope_clearance(corners, table, find_inner_creases(table, corners))
+    assert table.piece_count == 14 and (clear > 0).any()
     for face in np.random.default_rng(4).choice(len(corners), 60, replace=False):
         others = corners[table.piece != table.piece[face]]
         middle = np.broadcast_to(corners[face].mean(axis=0), (len(others), 3))
-        away = np.sqrt(((nearest_on_triangle(middle, others) - middle) ** 2).sum(axis=1)).min()
+        away = np.sqrt(((find_nearest_on_triangle(middle, others) - middle) ** 2).sum(axis=1)).min()
         radius = np.sqrt(((corners[face] - middle[0]) ** 2).sum(axis=1)).max()
         least = max(away - radius, 0.0)
         assert clear[face] <= least
-        if not table.cuts.cut[face] and away < 0.1 * 400:
+        if not table.cuts.is_cut[face] and away < 0.1 * 400:
             assert clear[face] >= least - 0.3, "spheres and a plane have no creases: it is near what can be known"
 
 
 def test_many_pieces_need_no_more_lookups_than_few(monkeypatch: pytest.MonkeyPatch) -> None:
     point_count, built = 0, 0
-    closest, fill = RayScene.closest, RayScene._fill
+    closest, fill = RayScene.find_closest, RayScene._set_meshes
 
     def count_places(scene: RayScene, points: Floats, *rest: object) -> object:
         nonlocal point_count
@@ -61,12 +61,12 @@ def test_many_pieces_need_no_more_lookups_than_few(monkeypatch: pytest.MonkeyPat
         built += sum(len(faces) for _, faces in meshes)
         fill(scene, meshes)
 
-    monkeypatch.setattr(RayScene, "closest", count_places)
-    monkeypatch.setattr(RayScene, "_fill", count_faces)
+    monkeypatch.setattr(RayScene, "find_closest", count_places)
+    monkeypatch.setattr(RayScene, "_set_meshes", count_faces)
     for count in (6, 60):
         corners, table = field_of_stones(count)
         point_count = built = 0
-        rise_clearance(corners, table, inner_creases(table, corners))
+        compute_slope_clearance(corners, table, find_inner_creases(table, corners))
         assert built == len(corners)
         assert len(corners) / 2 < point_count < 4 * len(corners), (count, point_count)
 
@@ -81,20 +81,20 @@ def test_every_point_with_a_rise_is_named_with_few_others() -> None:
     reach = rng.choice([0.5, 3.0, 7.3, 20.0, 100.0, 2e3], 300)
     local, where, reach[:4] = (face - first[mesh]).astype(np.int32), mesh.copy(), [0.0, -1.0, np.nan, 5.0]
     where[3:5], local[5], where[6] = -1, -1, 2
-    map_, width = SlopeMap(corners, table, [], inner_creases(table, corners)), max(np.ptp(corners, axis=(0, 1))) / 192
-    rows = map_.rows_near_rises(where, local, first, place, reach, [], 2)
+    map_, width = SlopeMap(corners, table, [], find_inner_creases(table, corners)), max(np.ptp(corners, axis=(0, 1))) / 192
+    rows = map_.find_rows_near_slopes(where, local, first, place, reach, [], 2)
     assert (np.diff(rows) > 0).all() and not np.isin(range(7), rows).any()
-    half = inner_creases(table, corners)
+    half = find_inner_creases(table, corners)
     one, two = (corners[half // 3, (half % 3 + k) % 3] for k in (1, 2))
     sharp = np.stack([one, two, two], axis=1)
     clear, size = (
-        rise_clearance(corners, table, inner_creases(table, corners)),
+        compute_slope_clearance(corners, table, find_inner_creases(table, corners)),
         np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1),
     )
     for k in range(7, 300):
-        others = np.concatenate([sharp, corners[(table.piece != table.piece[face[k]]) | table.cuts.cut]])
+        others = np.concatenate([sharp, corners[(table.piece != table.piece[face[k]]) | table.cuts.is_cut]])
         at = np.broadcast_to(place[k], (len(others), 3))
-        away = np.sqrt(((nearest_on_triangle(at, others) - at) ** 2).sum(axis=1)).min()
+        away = np.sqrt(((find_nearest_on_triangle(at, others) - at) ** 2).sum(axis=1)).min()
         near = clear[face[k]] <= reach[k]
         if away <= reach[k]:
             assert k in rows
@@ -102,12 +102,12 @@ def test_every_point_with_a_rise_is_named_with_few_others() -> None:
             assert k not in rows
         if near and size[face[k]] <= reach[k]:
             assert k in rows
-        alone = map_.rows_near_rises(where[k : k + 1], local[k : k + 1], first, place[k : k + 1], reach[k : k + 1], [])
+        alone = map_.find_rows_near_slopes(where[k : k + 1], local[k : k + 1], first, place[k : k + 1], reach[k : k + 1], [])
         assert len(alone) == (k in rows)
     assert 50 < len(rows) < 250
-    moving = SlopeMap(corners, table, [np.arange(len(corners)) < 400], inner_creases(table, corners))
+    moving = SlopeMap(corners, table, [np.arange(len(corners)) < 400], find_inner_creases(table, corners))
     box = (np.array([-50.0, -50, -9]), np.array([50.0, 50, 40]))
     inside = ((place >= box[0] - reach[:, None]) & (place <= box[1] + reach[:, None])).all(axis=1) & (np.arange(300) >= 7)
-    rows = moving.rows_near_rises(where, local, first, place, reach, [box])
+    rows = moving.find_rows_near_slopes(where, local, first, place, reach, [box])
     assert np.isin(np.flatnonzero(inside), rows).all() and len(rows) < 293
-    assert not len(map_.rows_near_rises(where[:0], local[:0], first, place[:0], reach[:0], []))
+    assert not len(map_.find_rows_near_slopes(where[:0], local[:0], first, place[:0], reach[:0], []))

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from antdsl.casting.faces import nearest_on_triangle
+from antdsl.casting.faces import find_nearest_on_triangle
 from antdsl.ground.combined import CombinedGround
 from antdsl.ground.mesh.surface import MeshGround
 from antdsl.ground.moving import MovingGround
@@ -21,7 +21,7 @@ UP = np.array([0.0, 1.0, 0.0])
 def start(ground: MeshGround, positions: list | np.ndarray, headings: list | np.ndarray, up: np.ndarray = UP) -> GroundMove:
     """Agents at the nearest points of a ground, as after a step of no length."""
     positions, headings = np.array(positions, np.float64), np.array(headings, np.float64)
-    footing, _ = ground.nearest(positions)
+    footing, _ = ground.find_nearest(positions)
     ups = np.broadcast_to(up, positions.shape)
     return ground.move(footing, np.zeros_like(positions), headings, ups, 4.0)
 
@@ -34,7 +34,7 @@ def check(ground: MeshGround, meshes: list, at: GroundMove) -> None:
     assert not at.lost.any()
     assert np.isfinite(at.position).all() and np.array_equal(at.position, ground.position(at.footing))
     corners = np.stack([meshes[m][0][meshes[m][1][f]] for m, f in zip(at.footing.mesh, at.footing.face, strict=True)])
-    assert np.abs(nearest_on_triangle(at.position, corners) - at.position).max() < 1e-9
+    assert np.abs(find_nearest_on_triangle(at.position, corners) - at.position).max() < 1e-9
     assert np.allclose(np.linalg.norm(at.up, axis=1), 1) and np.allclose(np.linalg.norm(at.heading, axis=1), 1)
     assert np.abs((at.up * at.heading).sum(axis=1)).max() < 1e-9
     assert np.allclose(np.linalg.norm(at.direction, axis=1), 1) and np.abs((at.up * at.direction).sum(axis=1)).max() < 1e-9
@@ -45,16 +45,16 @@ def test_place_is_the_first_surface_from_above_or_the_nearest_point():
     meshes = {"ground": grid(100, 5), "shelf": box((10, 20, -10), (30, 22, 10))}
     ground = MeshGround(meshes)
     points = np.array([[0, -500, 0], [20, 1, 0], [70, 30, 0]], np.float64)
-    footing, is_placed = ground.place(points, UP)
+    footing, is_placed = ground.place_points(points, UP)
     assert is_placed.tolist() == [True, True, False]
     assert np.allclose(ground.position(footing), [[0, 0, 0], [20, 22, 0], [50, 0, 0]], atol=1e-5)
     assert footing.mesh.tolist() == [0, 1, 0]
-    footing, is_placed = ground.place(points, UP, on=["ground"])
+    footing, is_placed = ground.place_points(points, UP, surface_names=["ground"])
     assert np.allclose(ground.position(footing)[1], [20, 0, 0], atol=1e-5)
     with pytest.raises(KeyError, match="no surface `moon`"):
-        ground.place(points, UP, on=["moon"])
+        ground.place_points(points, UP, surface_names=["moon"])
     tilted = MeshGround({"z up": (grid(100, 4)[0][:, [0, 2, 1]], grid(100, 4)[1])})
-    footing, is_placed = tilted.place(np.array([[3.0, 4.0, 50.0]]), np.array([0, 0, 1.0]))
+    footing, is_placed = tilted.place_points(np.array([[3.0, 4.0, 50.0]]), np.array([0, 0, 1.0]))
     assert is_placed[0] and np.allclose(tilted.position(footing), [[3, 4, 0]], atol=1e-5)
 
 
@@ -192,8 +192,8 @@ def test_a_crowd_on_all_sorts_of_ground_is_never_lost():
     ground = MeshGround({str(k): m for k, m in enumerate(meshes)})
     rng = np.random.default_rng(8)
     n = 400
-    footing, _ = ground.place(rng.uniform(-150, 150, (n, 3)), UP)
-    at = ground.move(footing, np.zeros((n, 3)), rng.normal(size=(n, 3)), ground.upright_normals(footing, UP), 4.0)
+    footing, _ = ground.place_points(rng.uniform(-150, 150, (n, 3)), UP)
+    at = ground.move(footing, np.zeros((n, 3)), rng.normal(size=(n, 3)), ground.compute_upright_normals(footing, UP), 4.0)
     for k in range(100):
         heading = at.heading + np.cross(at.up, at.heading) * rng.normal(0, 0.3, (n, 1))
         previous_move = at
@@ -210,15 +210,15 @@ def test_same_bits_in_any_batch_order_and_thread_count():
     ground = MeshGround({"ground": terrain(200, 30), "boulder": ball(25, (0, 0, 0), 12)})
     n = 1500
     rng = np.random.default_rng(9)
-    footing, _ = ground.place(rng.uniform(-60, 60, (n, 3)), UP)
-    at = ground.move(footing, np.zeros((n, 3)), rng.normal(size=(n, 3)), ground.upright_normals(footing, UP), 4.0)
+    footing, _ = ground.place_points(rng.uniform(-60, 60, (n, 3)), UP)
+    at = ground.move(footing, np.zeros((n, 3)), rng.normal(size=(n, 3)), ground.compute_upright_normals(footing, UP), 4.0)
     order = rng.permutation(n)
     one = step(ground, at, 3.0)
-    two = ground.move(at.footing.take(order), at.heading[order] * 3.0, at.heading[order], at.up[order], 4.0, threads=2)
+    two = ground.move(at.footing.take_rows(order), at.heading[order] * 3.0, at.heading[order], at.up[order], 4.0, threads=2)
     for name in ("position", "up", "heading", "direction", "travelled", "blocked"):
         assert np.array_equal(getattr(one, name)[order], getattr(two, name)), name
     for k in range(0, n, 101):
-        alone = ground.move(at.footing.take(np.array([k])), at.heading[[k]] * 3.0, at.heading[[k]], at.up[[k]], 4.0)
+        alone = ground.move(at.footing.take_rows(np.array([k])), at.heading[[k]] * 3.0, at.heading[[k]], at.up[[k]], 4.0)
         assert np.array_equal(alone.position[0], one.position[k]) and np.array_equal(alone.heading[0], one.heading[k])
 
 
@@ -229,10 +229,10 @@ def test_odd_wishes_leave_an_agent_where_it_is():
     next_move = ground.move(at.footing, wish, at.heading, at.up, 4.0)
     assert np.array_equal(next_move.position, at.position) and np.allclose(next_move.heading, at.heading)
     assert not next_move.travelled.any() and not next_move.blocked.any()
-    nowhere = ground.move(Footing.nowhere(2), np.ones((2, 3)), np.ones((2, 3)), np.ones((2, 3)), 4.0)
+    nowhere = ground.move(Footing.create_unplaced(2), np.ones((2, 3)), np.ones((2, 3)), np.ones((2, 3)), 4.0)
     assert nowhere.lost.all() and (nowhere.footing.face == -1).all() and np.isfinite(nowhere.position).all()
     empty = MeshGround({})
-    footing, is_placed = empty.place(np.zeros((3, 3)), UP)
+    footing, is_placed = empty.place_points(np.zeros((3, 3)), UP)
     assert not is_placed.any() and empty.move(footing, np.ones((3, 3)), np.ones((3, 3)), np.ones((3, 3)), 4.0).lost.all()
 
 
@@ -240,16 +240,16 @@ def test_the_smooth_normal_is_steady_on_a_ball_and_flat_on_a_cube():
     mesh = ball(20, rings=24)
     ground = MeshGround({"ball": mesh})
     points = np.random.default_rng(3).normal(size=(3000, 3)) * 30
-    footing, _ = ground.nearest(points)
+    footing, _ = ground.find_nearest(points)
     place = ground.position(footing)
     out = place / np.linalg.norm(place, axis=1, keepdims=True)
-    smooth = ground.upright_normals(footing, out)
+    smooth = ground.compute_upright_normals(footing, out)
     assert np.degrees(np.arccos((smooth * out).sum(axis=1).clip(-1, 1))).max() < 1.5
     assert np.degrees(np.arccos((ground.normal(footing) * out).sum(axis=1).clip(-1, 1))).max() > 3
-    assert np.array_equal(ground.upright_normals(footing, -out), -smooth)
+    assert np.array_equal(ground.compute_upright_normals(footing, -out), -smooth)
     cube = MeshGround({"cube": box((-1, -1, -1), (1, 1, 1))})
-    footing, _ = cube.nearest(np.array([[0.99, 1.5, 0.99]]))
-    assert np.allclose(cube.upright_normals(footing, UP), [[0, 1, 0]])
+    footing, _ = cube.find_nearest(np.array([[0.99, 1.5, 0.99]]))
+    assert np.allclose(cube.compute_upright_normals(footing, UP), [[0, 1, 0]])
 
 
 @pytest.mark.parametrize("middle", [-11.0, -5.0, 3.0, 13.0])
@@ -260,8 +260,10 @@ def test_no_agent_slips_under_the_ground_or_into_a_boulder_however_deep_it_is_su
     n = 300
     turn, rim = rng.uniform(0, 2 * np.pi, n), np.sqrt(225 - middle**2)
     out = rim + rng.uniform(2, 8, n)
-    footing, _ = ground.place(np.stack([out * np.cos(turn), 0 * out, out * np.sin(turn)], axis=1), UP, on=["ground"])
-    at = ground.move(footing, np.zeros((n, 3)), -ground.position(footing), ground.upright_normals(footing, UP), 4.0)
+    footing, _ = ground.place_points(
+        np.stack([out * np.cos(turn), 0 * out, out * np.sin(turn)], axis=1), UP, surface_names=["ground"]
+    )
+    at = ground.move(footing, np.zeros((n, 3)), -ground.position(footing), ground.compute_upright_normals(footing, UP), 4.0)
     boulder_before, climbs = np.zeros(n, bool), 0
     for _ in range(120):
         home = -at.position * np.array([1, 0, 1]) * (np.linalg.norm(at.position, axis=1, keepdims=True) > rim + 8)
@@ -282,10 +284,10 @@ def test_no_agent_slips_under_the_ground_or_into_a_boulder_however_deep_it_is_su
 def test_steps_on_a_plane_are_taken_back() -> None:
     plane, start = PlaneGround(UP), np.zeros((3, 3))
     ahead, up = np.tile([1.0, 0.0, 0.0], (3, 1)), np.tile(UP, (3, 1))
-    moved = plane.move(plane.nowhere(3), 5 * ahead, ahead, up, 1.0)
+    moved = plane.move(plane.create_unplaced(3), 5 * ahead, ahead, up, 1.0)
     subset = np.array([0, 2])
-    back = moved.take(subset)
-    moved.put(subset, plane.move(back.footing, -3 * ahead[subset], back.heading, back.up, 1.0))
+    back = moved.take_rows(subset)
+    moved.put_rows(subset, plane.move(back.footing, -3 * ahead[subset], back.heading, back.up, 1.0))
     assert (moved.position - start)[:, 0].tolist() == [2, 5, 2] and (moved.up == UP).all()
     assert moved.travelled.tolist() == [3, 5, 3]
 
@@ -300,19 +302,19 @@ def test_every_ground_has_the_same_doors() -> None:
     both: Ground = CombinedGround(MeshGround({"sheet": sheet}), {"cube": cube}, UP)
     positions = np.array([[0.0, 9.0, 0.0], [40.0, 3.0, 9.0]])
     for ground in (plane, still, moving, both):
-        dropped, is_placed = ground.place(positions, UP)
-        near, distance = ground.nearest(positions)
-        footing = Footing.concatenate(ground.nowhere(0), dropped, near)
+        dropped, is_placed = ground.place_points(positions, UP)
+        near, distance = ground.find_nearest(positions)
+        footing = Footing.concatenate(ground.create_unplaced(0), dropped, near)
         assert is_placed.all() and distance.shape == (2,) and len(footing) == 4
-        assert footing.columns.keys() == ground.nowhere(3).columns.keys() and len(ground.nowhere(3)) == 3
+        assert footing.columns.keys() == ground.create_unplaced(3).columns.keys() and len(ground.create_unplaced(3)) == 3
         assert {name: column.dtype for name, column in footing.columns.items()} == {
-            name: column.dtype for name, column in ground.nowhere(1).columns.items()
+            name: column.dtype for name, column in ground.create_unplaced(1).columns.items()
         }
         at = ground.position(footing)
-        assert at.shape == (4, 3) and ground.normal(footing).shape == (4, 3) and (ground.sides(footing) == 2).all()
-        assert np.allclose(ground.upright_normals(footing, UP), UP)
+        assert at.shape == (4, 3) and ground.normal(footing).shape == (4, 3) and (ground.find_sides(footing) == 2).all()
+        assert np.allclose(ground.compute_upright_normals(footing, UP), UP)
         moved = ground.move(footing, np.full((4, 3), (1.0, 0.0, 0.0)), np.full((4, 3), (1.0, 0.0, 0.0)), np.tile(UP, (4, 1)), 4.0)
         assert np.allclose(moved.position - at, (1.0, 0.0, 0.0)) and not moved.lost.any()
-        footing.put(np.array([0, 1]), moved.footing.take(np.array([2, 3])))
+        footing.put_rows(np.array([0, 1]), moved.footing.take_rows(np.array([2, 3])))
         assert np.allclose(ground.position(footing)[:2], moved.position[2:])
-    assert both.place(positions, UP)[0].mesh.tolist() == [1, 0]
+    assert both.place_points(positions, UP)[0].mesh.tolist() == [1, 0]

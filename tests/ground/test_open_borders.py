@@ -7,10 +7,10 @@ import pytest
 from open_shapes import WORSE
 from walked import Reference
 
-from antdsl.bench.cases import case_of
+from antdsl.bench.cases import find_case
 from antdsl.ground.mesh import open_borders as module
 from antdsl.ground.mesh import walk_events
-from antdsl.ground.mesh.face_table import EDGE_LINK, EDGES_OFFSET, OPEN_BORDER_LINK, ROW_FLOATS, mark_open
+from antdsl.ground.mesh.face_table import EDGE_LINK, EDGES_OFFSET, OPEN_BORDER_LINK, ROW_FLOATS, mark_border_links
 from antdsl.ground.mesh.open_borders import find_open_borders
 from antdsl.ground.mesh.surface import MeshGround
 from antdsl.ground.mesh.topology import NO_LINK
@@ -54,7 +54,7 @@ GROUNDS = {
 
 
 def find_borders(ground: MeshGround, widest: float = BODY) -> np.ndarray:
-    return find_open_borders(ground._table, ground._boxes, ground._scale, widest)
+    return find_open_borders(ground._topology, ground._box_tree, ground._scale, widest)
 
 
 @pytest.mark.parametrize("name", GROUNDS)
@@ -89,7 +89,7 @@ def test_no_way_leads_on_from_an_open_border(name: str) -> None:
 )
 def test_borders_are_open_where_nothing_is_near(name: str, share: float) -> None:
     ground = MeshGround(GROUNDS[name])
-    assert len(find_borders(ground)) == share * np.count_nonzero(ground._table.link[0] == NO_LINK)
+    assert len(find_borders(ground)) == share * np.count_nonzero(ground._topology.link[0] == NO_LINK)
 
 
 def test_wider_bodies_find_more() -> None:
@@ -110,7 +110,7 @@ def test_no_more_pairs_are_looked_at_than_pay(monkeypatch: pytest.MonkeyPatch) -
 def marked(walk: walk_events.WalkTables) -> int:
     return int(
         np.count_nonzero(
-            walk.packed.reshape(-1, ROW_FLOATS)[:, EDGES_OFFSET + EDGE_LINK : EDGES_OFFSET + 12 : 4] == OPEN_BORDER_LINK
+            walk.packed_table.reshape(-1, ROW_FLOATS)[:, EDGES_OFFSET + EDGE_LINK : EDGES_OFFSET + 12 : 4] == OPEN_BORDER_LINK
         )
     )
 
@@ -118,19 +118,19 @@ def marked(walk: walk_events.WalkTables) -> int:
 def test_marks_are_for_the_widest_of_a_crowd_and_go_where_a_mesh_moves() -> None:
     ground = MeshGround(GROUNDS["a sheet far below"])
     for widest, count in ((4.0, 8), (1.0, 8), (30.0, 0), (4.0, 0)):
-        walk = ground.crowd_walk(1.0, widest)
+        walk = ground.build_crowd_walk(1.0, widest)
         assert walk is not None and marked(walk.walk) == count
     moving = MovingGround(GROUNDS["a sheet far below"], ("other",))
-    walk = moving.crowd_walk(1.0, 4.0)
+    walk = moving.build_crowd_walk(1.0, 4.0)
     assert walk is not None and marked(walk.walk) == 8
     moving.pose_meshes({"other": GROUNDS["a sheet far below"]["other"][0] + np.array([0, 8.5, 0])})
     assert not marked(walk.walk)
-    moving.crowd_walk(1.0, 8.0)
+    moving.build_crowd_walk(1.0, 8.0)
     assert not marked(walk.walk)
 
 
 def bound(size: int) -> World:
-    shot = case_of("trails").make(size)
+    shot = find_case("trails").make_shot(size)
     return bind(shot.plan, shot.setting, Options(backend="numpy"))
 
 
@@ -141,13 +141,13 @@ def test_a_crowd_along_open_borders_gets_the_same_bits(monkeypatch: pytest.Monke
     for marks in (True, False):
         world = bound(300)
         step(world)
-        walk = world.ground.meshes._walk()
+        walk = world.ground.meshes._get_walk_tables()
         if not marks:
-            mark_open(walk.packed, walk._open, NO_LINK)
+            mark_border_links(walk.packed_table, walk._open_half_edges, NO_LINK)
         waiting.clear()
         for _ in range(60):
             step(world)
-        mark_open(walk.packed, walk._open, OPEN_BORDER_LINK)  # which is cached for another world
+        mark_border_links(walk.packed_table, walk._open_half_edges, OPEN_BORDER_LINK)  # which is cached for another world
         assert (sum(waiting) > 500) != marks  # many come to the border
         populations.append(world.populations["ant"])
     one, other = populations
@@ -159,7 +159,7 @@ def test_a_crowd_along_open_borders_gets_the_same_bits(monkeypatch: pytest.Monke
 
 def looked_at(on, waiting: list[int]):
     def counted(self: walk_events.CrowdWalk, batch: walk_events.WaitingAgents, *rest):
-        waiting.append(batch.wholes.shape[1])
+        waiting.append(batch.integer_rows.shape[1])
         return on(self, batch, *rest)
 
     return counted

@@ -117,7 +117,7 @@ class Watch:
 
 
 def standing(ground: MeshGround, at: GroundMove) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    return ground.on_faces(at.footing)[0], ((ground.normal(at.footing) * at.up).sum(axis=1) < 0).astype(np.int64)
+    return ground.get_face_numbers(at.footing)[0], ((ground.normal(at.footing) * at.up).sum(axis=1) < 0).astype(np.int64)
 
 
 def facing(ground: MeshGround, at: GroundMove) -> Floats:
@@ -185,7 +185,7 @@ def test_the_account_of_sides_knows_sheets_strips_balls_and_walls() -> None:
 
 def test_a_ribbon_that_crosses_itself_is_walked_all_over_on_either_side() -> None:
     ground = MeshGround({"ribbon": ribbon()})
-    assert ground.triangles[3].cuts.cut.any()
+    assert ground.triangles[3].cuts.is_cut.any()
     watch, still = watched(ribbon(), 60, 60)
     assert not watch.changed and not still.any()
 
@@ -197,7 +197,7 @@ def over(at: float, rise: float) -> MeshGround:
 
 
 def on(ground: MeshGround, x: float) -> GroundMove:
-    footing = ground.nearest(np.array([[x, 0.0, 1.3]]))[0]
+    footing = ground.find_nearest(np.array([[x, 0.0, 1.3]]))[0]
     up = np.array([[0.0, 1, 0]])
     return ground.move(footing, np.zeros((1, 3)), np.array([[1.0, 0, 0]]), up, BODY)
 
@@ -248,8 +248,8 @@ def test_who_hangs_over_a_border_moves_with_it_and_climbs_back_when_nothing_is_l
 
 
 def test_footings_over_a_border_stay_where_there_are_solids_too() -> None:
-    footing = Footing.on_faces(np.zeros(3, np.int32), np.arange(3, dtype=np.int32), *np.random.default_rng(1).random((3, 3)))
-    face_footing = footing.with_places().take_on_meshes(np.arange(3))
+    footing = Footing.from_faces(np.zeros(3, np.int32), np.arange(3, dtype=np.int32), *np.random.default_rng(1).random((3, 3)))
+    face_footing = footing.add_position_columns().take_on_meshes(np.arange(3))
     assert list(face_footing.columns) == ["mesh", "face", "b1", "b2", "over"]
     assert all(np.array_equal(column, footing.columns[name]) for name, column in face_footing.columns.items())
 
@@ -289,4 +289,4 @@ def test_corners_that_are_nearly_at_one_place_are_one_wherever_that_is() -> None
     loose = loose + rng.uniform(-1, 1, loose.shape) * 1e-8 * 20.0
     ground = MeshGround({"sheet": (loose, np.arange(len(loose)).reshape(-1, 3))})
     table = ground.triangles[3]
-    assert table.pieces == 1 and len(np.unique(table.weld)) == len(vertices)
+    assert table.piece_count == 1 and len(np.unique(table.weld)) == len(vertices)

@@ -32,7 +32,7 @@ def test_steps_are_flattened_and_lengths_measured(up: list[float]) -> None:
     points, steps, headings = rng.normal(0, 50, (COUNT, 3)), rng.normal(size=(COUNT, 3)) * scale, rng.normal(size=(COUNT, 3))
     steps[::7] = 0.0
     ups = np.broadcast_to(normal, (COUNT, 3))
-    moved = PlaneGround(normal).move(Footing.on_plane(points), steps, headings, ups, 1.0)
+    moved = PlaneGround(normal).move(Footing.from_plane(points), steps, headings, ups, 1.0)
     with localcontext() as context:
         context.prec = 40
         for k in range(COUNT):
@@ -50,5 +50,5 @@ def test_steps_are_flattened_and_lengths_measured(up: list[float]) -> None:
 
 def test_an_empty_crowd_walks_on_the_plane() -> None:
     none = np.empty((0, 3))
-    moved = PlaneGround(np.array(UPS[2])).move(Footing.on_plane(none), none, none, none, 1.0)
+    moved = PlaneGround(np.array(UPS[2])).move(Footing.from_plane(none), none, none, none, 1.0)
     assert moved.position.shape == (0, 3) and moved.travelled.shape == (0,)

@@ -50,27 +50,27 @@ def volume_of(vertices: np.ndarray, faces: np.ndarray) -> float:
 )
 def test_a_whole_surface_is_closed_and_seen_from_outside(mesh: meshes.Mesh, voxel: float) -> None:
     solid = make_solid(mesh, voxel)
-    vertices, faces = joined((v, f) for _, v, f in solid.surface())
+    vertices, faces = joined((v, f) for _, v, f in solid.iterate_brick_meshes())
     assert unpaired(faces) == 0
-    assert abs(volume_of(vertices, faces) / solid.volume() - 1) < 0.01
+    assert abs(volume_of(vertices, faces) / solid.measure_volume() - 1) < 0.01
     assert np.abs(solid.sample(vertices)).max() < 2e-3 * voxel
 
 
 def test_only_what_changed_is_made_again_and_fits_the_rest() -> None:
     solid, rng = make_solid(meshes.box((-20, -20, -20), (20, 20, 20))), np.random.default_rng(2)
-    pieces: Pieces = {key: (v, f) for key, v, f in solid.surface()}
+    pieces: Pieces = {key: (v, f) for key, v, f in solid.iterate_brick_meshes()}
     piece_count = len(pieces)
-    assert not list(solid.surface())
+    assert not list(solid.iterate_brick_meshes())
     for turn in range(4):
         middle = rng.uniform(-12, 12, (1, 3))
-        solid.carve(middle + rng.uniform(-6, 6, (15, 3)), rng.uniform(1, 4, 15), np.arange(15))
-        changed = {key: (v, f) for key, v, f in solid.surface()}
+        solid.carve_balls(middle + rng.uniform(-6, 6, (15, 3)), rng.uniform(1, 4, 15), np.arange(15))
+        changed = {key: (v, f) for key, v, f in solid.iterate_brick_meshes()}
         assert 0 < len(changed) < piece_count
         pieces |= changed
         vertices, faces = joined(pieces.values())
         assert unpaired(faces) == 0, turn
-        assert abs(volume_of(vertices, faces) / solid.volume() - 1) < 0.02
-    again: Pieces = {key: (v, f) for key, v, f in solid.surface(changed_only=False)}
+        assert abs(volume_of(vertices, faces) / solid.measure_volume() - 1) < 0.02
+    again: Pieces = {key: (v, f) for key, v, f in solid.iterate_brick_meshes(changed_only=False)}
     for key, (v, f) in pieces.items():
         counterpart = again.get(key, (np.empty((0, 3)), np.empty((0, 3), np.int32)))
         assert np.array_equal(v, counterpart[0]) and np.array_equal(f, counterpart[1])
@@ -79,15 +79,15 @@ def test_only_what_changed_is_made_again_and_fits_the_rest() -> None:
 
 def test_a_brick_that_was_dug_away_is_given_without_faces() -> None:
     solid = make_solid(meshes.ball(10.0))
-    old_keys = {key for key, _, f in solid.surface() if len(f)}
-    solid.carve(np.zeros((1, 3)), np.array([30.0]), np.array([0]))
-    new_counts = {key: len(f) for key, _, f in solid.surface()}
+    old_keys = {key for key, _, f in solid.iterate_brick_meshes() if len(f)}
+    solid.carve_balls(np.zeros((1, 3)), np.array([30.0]), np.array([0]))
+    new_counts = {key: len(f) for key, _, f in solid.iterate_brick_meshes()}
     assert old_keys and all(new_counts[key] == 0 for key in old_keys)
 
 
 def test_a_restored_solid_has_the_same_surface() -> None:
     a, b = (make_solid(meshes.ball(12.0)) for _ in range(2))
-    a.carve(np.array([[0.0, 12, 0], [3.0, 9, 0]]), np.array([4.0, 3.0]), np.arange(2))
-    b.restore(a.state())
-    for (key, v, f), (other, w, g) in zip(a.surface(), b.surface(), strict=True):
+    a.carve_balls(np.array([[0.0, 12, 0], [3.0, 9, 0]]), np.array([4.0, 3.0]), np.arange(2))
+    b.restore_changes(a.state())
+    for (key, v, f), (other, w, g) in zip(a.iterate_brick_meshes(), b.iterate_brick_meshes(), strict=True):
         assert key == other and np.array_equal(v, w) and np.array_equal(f, g)

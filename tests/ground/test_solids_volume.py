@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from antdsl.ground.solid import UnusableMesh, Volume, trilinear
-from antdsl.ground.solid.bricks import MASK64, fill_steps, hash_nodes
+from antdsl.ground.solid.bricks import MASK64, compute_fill_steps, hash_nodes
 from antdsl.ground.solid_feelers import SolidFeelers
 
 Dig = tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -53,7 +53,7 @@ def digging(n: int = 60, seed: int = 3) -> Dig:
 def test_a_ball_is_as_far_away_as_it_should_be(voxel: float) -> None:
     mesh = meshes.ball(24.0, rings=60)
     solid, directions = make_solid(mesh, voxel), random_directions(2000)
-    inner, outer = solid.band
+    inner, outer = solid.distance_band
     for away, rough in ((0.0, 0.0), (0.2 * outer, 0.0), (0.5 * outer, 0.1 * voxel)):
         error = solid.sample(directions * (24 + away)) - np.float32(away)
         # Facets lie inside the ball, and the field is straight between nodes.
@@ -62,7 +62,7 @@ def test_a_ball_is_as_far_away_as_it_should_be(voxel: float) -> None:
     assert (solid.sample(directions * 3) == np.float32(inner)).all() and (
         solid.sample(directions * 500) == np.float32(outer)
     ).all()
-    assert abs(solid.volume() / (4 / 3 * np.pi * 24**3) - 1) < 0.01
+    assert abs(solid.measure_volume() / (4 / 3 * np.pi * 24**3) - 1) < 0.01
 
 
 def test_a_box_has_flat_sides_where_they_should_be() -> None:
@@ -74,9 +74,9 @@ def test_a_box_has_flat_sides_where_they_should_be() -> None:
             points[:, axis] = side + away
             assert np.abs(solid.sample(points) - away).max() < 1e-5
         # Nodes above the sides know no corner, so the slope is that of the side.
-        slope = solid.gradient(points)
+        slope = solid.sample_gradients(points)
         assert np.abs(slope - np.eye(3)[axis]).max() < 1e-5
-    assert abs(solid.volume() / (20 * 12 * 16) - 1) < 0.02
+    assert abs(solid.measure_volume() / (20 * 12 * 16) - 1) < 0.02
 
 
 def test_distances_are_those_to_the_mesh() -> None:
@@ -87,8 +87,8 @@ def test_distances_are_those_to_the_mesh() -> None:
     solid = make_solid((vertices, faces))
     points = nodes(solid)
     distances = solid.sample(points)
-    near = np.flatnonzero((distances > solid.band[0]) & (distances < solid.band[1]))
-    truth = RayScene(vertices, faces).closest(points[near])[3]
+    near = np.flatnonzero((distances > solid.distance_band[0]) & (distances < solid.distance_band[1]))
+    truth = RayScene(vertices, faces).find_closest(points[near])[3]
     assert near.size > 5000
     assert np.abs(np.abs(distances[near]) - truth)[truth < 1.7].max() < 1e-5
     assert np.abs(np.abs(distances[near]) - truth).max() < 0.2
@@ -97,7 +97,7 @@ def test_distances_are_those_to_the_mesh() -> None:
 def test_the_gradient_is_that_of_the_samples() -> None:
     solid, points = ball(), random_directions(400) * np.random.default_rng(4).uniform(11, 14, (400, 1))
     step = 1e-3
-    slope = solid.gradient(points)
+    slope = solid.sample_gradients(points)
     same_cell = np.ones(400, bool)
     differences = np.empty((400, 3))
     for axis in range(3):
@@ -112,8 +112,8 @@ def test_the_gradient_is_that_of_the_samples() -> None:
 @pytest.mark.parametrize("voxel", [1.0, 0.7])
 def test_the_field_between_nodes_is_a_weighted_mean_of_eight(voxel: float) -> None:
     rng, solid = np.random.default_rng(1), ball(voxel=voxel)
-    solid.carve(rng.normal(size=(30, 3)) * 6, rng.uniform(1, 4, 30), np.arange(30))
-    dense, count = solid.bricks.dense().astype(np.float64), np.array(solid.bricks.nodes)
+    solid.carve_balls(rng.normal(size=(30, 3)) * 6, rng.uniform(1, 4, 30), np.arange(30))
+    dense, count = solid.bricks.to_dense().astype(np.float64), np.array(solid.bricks.nodes)
     points = rng.uniform(solid.low - 3, solid.high + 3, (20_000, 3))
     points[1000:3000] = solid.low + np.round((points[1000:3000] - solid.low) / voxel) * voxel  # at nodes
     at = np.clip((points - solid.bricks.origin) / voxel, 0, count - 1)
@@ -125,16 +125,16 @@ def test_the_field_between_nodes_is_a_weighted_mean_of_eight(voxel: float) -> No
         distance += share.prod(axis=1) * value
         for axis in range(3):
             gradient[axis] += (2 * corner[axis] - 1) * np.delete(share, axis, axis=1).prod(axis=1) * value / voxel
-    values, *slope = trilinear.distance_and_gradient(solid.bricks, *points.T)
+    values, *slope = trilinear.sample_with_gradients(solid.bricks, *points.T)
     assert np.abs(values - distance).max() < 1e-12 and np.array_equal(values.astype(np.float32), solid.sample(points))
     inner = ~(np.abs(at - np.round(at)) < 1e-9).any(axis=1)  # at nodes the slope is that of either side
     assert np.abs(np.stack(slope) - gradient)[:, inner].max() < 1e-10 and inner.sum() > 10_000
-    assert np.abs(trilinear.distance(solid.bricks, *points.T) - distance).max() < 1e-12
+    assert np.abs(trilinear.sample_distances(solid.bricks, *points.T) - distance).max() < 1e-12
     far = np.array([[np.nan] * 3, [-np.inf] * 3, [1e300, 0, 0]])
     rim = solid.bricks.origin + np.array([[0, 0, 0], [0, 0, 0], [count[0] - 1, *(-solid.bricks.origin[1:] / voxel)]]) * voxel
-    assert np.array_equal(trilinear.distance(solid.bricks, *far.T), trilinear.distance(solid.bricks, *rim.T))
+    assert np.array_equal(trilinear.sample_distances(solid.bricks, *far.T), trilinear.sample_distances(solid.bricks, *rim.T))
     none = np.empty((3, 0))
-    assert [len(each) for each in trilinear.distance_and_gradient(solid.bricks, *none)] == [0] * 4
+    assert [len(each) for each in trilinear.sample_with_gradients(solid.bricks, *none)] == [0] * 4
 
 
 def test_a_cavity_a_shell_turned_inside_out_and_overlapping_balls_have_the_right_inside() -> None:
@@ -152,7 +152,7 @@ def test_a_cavity_a_shell_turned_inside_out_and_overlapping_balls_have_the_right
 def test_faces_wound_in_disorder_make_the_same_solid() -> None:
     vertices, faces = meshes.ball(12.0)
     mixed = np.where((np.arange(len(faces)) % 3 == 0)[:, None], faces[:, ::-1], faces)
-    assert make_solid((vertices, mixed)).volume() == make_solid((vertices, faces)).volume()
+    assert make_solid((vertices, mixed)).measure_volume() == make_solid((vertices, faces)).measure_volume()
 
 
 @pytest.mark.parametrize("voxel", [0.0, -1.0, float("nan"), 1e-6])
@@ -184,11 +184,11 @@ def test_an_open_mesh_is_no_solid() -> None:
 
 def test_what_is_removed_is_what_is_missing_and_what_analysis_says() -> None:
     solid = ball(20.0)
-    previous_volume = solid.volume()
-    removed = solid.carve(np.zeros((1, 3)), np.array([6.0]), np.array([0]))
-    assert removed[0] == previous_volume - solid.volume() == solid.removed
+    previous_volume = solid.measure_volume()
+    removed = solid.carve_balls(np.zeros((1, 3)), np.array([6.0]), np.array([0]))
+    assert removed[0] == previous_volume - solid.measure_volume() == solid.removed_volume
     assert abs(removed[0] / (4 / 3 * np.pi * 216) - 1) < 0.01
-    assert solid.carve(np.zeros((1, 3)), np.array([5.5]), np.array([0]))[0] == 0
+    assert solid.carve_balls(np.zeros((1, 3)), np.array([5.5]), np.array([0]))[0] == 0
     directions = random_directions(500)
     points = directions * np.random.default_rng(1).uniform(5, 7, (500, 1))
     assert np.abs(solid.sample(points) - (6 - np.linalg.norm(points, axis=1))).max() < 0.1
@@ -197,21 +197,21 @@ def test_what_is_removed_is_what_is_missing_and_what_analysis_says() -> None:
 @pytest.mark.parametrize("voxel", [1.0, 0.3, 0.7])
 def test_sums_are_exact_to_the_last_bit(voxel: float) -> None:
     solid = ball(voxel=voxel)
-    previous_volume = solid.volume()
+    previous_volume = solid.measure_volume()
     total = 0.0
     for seed in range(4):
-        removed = solid.carve(*digging(seed=seed))
+        removed = solid.carve_balls(*digging(seed=seed))
         total += removed.sum()
-        assert (removed >= 0).all() and previous_volume - solid.volume() == total == solid.removed
+        assert (removed >= 0).all() and previous_volume - solid.measure_volume() == total == solid.removed_volume
 
 
 def test_the_order_of_digging_does_not_matter() -> None:
     centres, radii, owners = digging()
     a, b = ball(), ball()
-    first = a.carve(centres, radii, owners)
+    first = a.carve_balls(centres, radii, owners)
     order = np.random.default_rng(5).permutation(len(radii))
-    second = b.carve(centres[order], radii[order], owners[order])
-    assert a.digest() == b.digest() and (a.bricks.steps == b.bricks.steps)
+    second = b.carve_balls(centres[order], radii[order], owners[order])
+    assert a.compute_digest() == b.compute_digest() and (a.bricks.steps == b.bricks.steps)
     per_owner = [np.bincount(o, r, len(radii)) for o, r in ((owners, first), (owners[order], second))]
     assert (per_owner[0] == per_owner[1]).all()
 
@@ -219,20 +219,20 @@ def test_the_order_of_digging_does_not_matter() -> None:
 def test_digging_in_parts_ends_in_the_same_solid() -> None:
     centres, radii, owners = digging()
     a, b = ball(), ball()
-    a.carve(centres, radii, owners)
+    a.carve_balls(centres, radii, owners)
     for subset in np.array_split(np.random.default_rng(6).permutation(len(radii)), 7):
-        b.carve(centres[subset], radii[subset], owners[subset])
-    assert a.digest() == b.digest() and a.volume() == b.volume()
+        b.carve_balls(centres[subset], radii[subset], owners[subset])
+    assert a.compute_digest() == b.compute_digest() and a.measure_volume() == b.measure_volume()
     assert (a.sample(centres) == b.sample(centres)).all()
 
 
 def test_what_two_dig_at_once_goes_to_the_deeper_and_at_a_tie_to_the_least_owner() -> None:
     solid = ball(20.0)
     at = np.zeros((3, 3))
-    removed = solid.carve(at, np.array([4.0, 4.0, 3.0]), np.array([8, 2, 1]))
+    removed = solid.carve_balls(at, np.array([4.0, 4.0, 3.0]), np.array([8, 2, 1]))
     assert removed[0] == 0 and removed[2] == 0 and removed[1] > 200
-    separate_volumes = solid.carve(np.array([[12.0, 0, 0], [13.0, 0, 0]]), np.array([3.0, 3.0]), np.array([1, 2]))
-    alone = ball(20.0).carve(np.array([[12.0, 0, 0]]), np.array([3.0]), np.array([1]))
+    separate_volumes = solid.carve_balls(np.array([[12.0, 0, 0], [13.0, 0, 0]]), np.array([3.0, 3.0]), np.array([1, 2]))
+    alone = ball(20.0).carve_balls(np.array([[12.0, 0, 0]]), np.array([3.0]), np.array([1]))
     assert 0 < separate_volumes[0] < alone[0]
 
 
@@ -242,17 +242,17 @@ def test_digging_is_that_of_every_ball_at_every_node(voxel: float) -> None:
     for seed in range(3):
         centres, radii, owners = digging(60, seed)
         centres[5], radii[5] = [37.0 - seed, 3.0, 2.0], 28.0  # a great one, of another kind
-        old_distances, mark, points = solid.bricks.dense().ravel(), solid.bricks.mark, nodes(solid)
-        removed = solid.carve(centres, radii, owners)
+        old_distances, mark, points = solid.bricks.to_dense().ravel(), solid.bricks.node_hash_sum, nodes(solid)
+        removed = solid.carve_balls(centres, radii, owners)
         order = np.lexsort((radii, centres[:, 2], centres[:, 1], centres[:, 0], owners))
         values = np.empty((len(order), len(points)), np.float32)
         for row, k in enumerate(order):
             x, y, z = (points - centres[k]).T
             brush = (radii[k] - np.sqrt((x * x + y * y) + z * z)).astype(np.float32)
-            values[row] = np.minimum(brush, np.float32(solid.bricks.most))
+            values[row] = np.minimum(brush, np.float32(solid.bricks.max_distance))
         new_distances, first = np.maximum(old_distances, values.max(axis=0)), values.argmax(axis=0)
-        assert np.array_equal(solid.bricks.dense().ravel(), new_distances)
-        lost = fill_steps(old_distances, voxel) - fill_steps(new_distances, voxel)
+        assert np.array_equal(solid.bricks.to_dense().ravel(), new_distances)
+        lost = compute_fill_steps(old_distances, voxel) - compute_fill_steps(new_distances, voxel)
         expected = np.zeros(len(order))
         expected[order] = (
             np.bincount(first, np.where(new_distances > old_distances, lost, 0), len(order)) * solid.bricks.step_volume
@@ -262,27 +262,27 @@ def test_digging_is_that_of_every_ball_at_every_node(voxel: float) -> None:
         brick = ((i >> 4) * solid.bricks.shape[1] + (j >> 4)) * solid.bricks.shape[2] + (k >> 4)
         number = (brick << 12) + ((i & 15) << 8) + ((j & 15) << 4) + (k & 15)
         change = (hash_nodes(number, new_distances) - hash_nodes(number, old_distances)).sum(dtype=np.uint64)
-        assert solid.bricks.mark == (mark + int(change)) & MASK64
+        assert solid.bricks.node_hash_sum == (mark + int(change)) & MASK64
 
 
 def test_balls_without_sense_and_far_away_dig_nothing_and_great_ones_everything() -> None:
     solid = ball()
-    previous_digest = solid.digest()
+    previous_digest = solid.compute_digest()
     centres = np.array([[np.nan, 0, 0], [0.0, 0, 0], [0.0, 0, 0], [900.0, 0, 0], [np.inf, 0, 0]])
-    removed = solid.carve(centres, np.array([2.0, np.nan, -1.0, 5.0, 2.0]), np.arange(5))
-    assert not removed.any() and solid.digest() == previous_digest
-    removed = solid.carve(np.zeros((2, 3)), np.array([1e9, 40.0]), np.array([5, 6]))
+    removed = solid.carve_balls(centres, np.array([2.0, np.nan, -1.0, 5.0, 2.0]), np.arange(5))
+    assert not removed.any() and solid.compute_digest() == previous_digest
+    removed = solid.carve_balls(np.zeros((2, 3)), np.array([1e9, 40.0]), np.array([5, 6]))
     assert removed[1] == 0 or removed[0] == 0
-    assert solid.volume() == 0 and removed.sum() == solid.removed
+    assert solid.measure_volume() == 0 and removed.sum() == solid.removed_volume
 
 
 def test_a_great_ball_digs_as_a_small_one() -> None:
     solid = ball(60.0, 2.0)
     points = nodes(solid)
     old_distances = solid.sample(points)
-    solid.carve(np.array([[60.0, 0, 0]]), np.array([70.0]), np.array([0]))
+    solid.carve_balls(np.array([[60.0, 0, 0]]), np.array([70.0]), np.array([0]))
     brush = 70 - np.linalg.norm(points - [60.0, 0, 0], axis=1)
-    want = np.clip(np.maximum(old_distances, brush), *solid.band)
+    want = np.clip(np.maximum(old_distances, brush), *solid.distance_band)
     assert (old_distances != want).mean() > 0.1
     assert np.abs(solid.sample(points) - want).max() < 1e-5
 
@@ -293,20 +293,20 @@ def test_a_great_ball_digs_as_a_small_one() -> None:
 def test_a_state_is_restored_even_where_more_was_dug() -> None:
     a, b = ball(), ball()
     first, second = digging(), digging(seed=9)
-    a.carve(*first)
-    state, digest = a.state(), a.digest()
-    a.carve(*second)
-    b.restore(a.state())
-    assert b.digest() == a.digest() != digest and a.volume() == b.volume()
+    a.carve_balls(*first)
+    state, digest = a.state(), a.compute_digest()
+    a.carve_balls(*second)
+    b.restore_changes(a.state())
+    assert b.compute_digest() == a.compute_digest() != digest and a.measure_volume() == b.measure_volume()
     for solid in (a, b):
-        solid.restore(state)
-        assert solid.digest() == digest and solid.carve(*first).sum() == 0
-    assert (a.carve(*second) == b.carve(*second)).all() and a.digest() == b.digest()
+        solid.restore_changes(state)
+        assert solid.compute_digest() == digest and solid.carve_balls(*first).sum() == 0
+    assert (a.carve_balls(*second) == b.carve_balls(*second)).all() and a.compute_digest() == b.compute_digest()
 
 
 def test_a_state_of_something_else_is_refused() -> None:
     solid = ball()
-    solid.carve(*digging())
+    solid.carve_balls(*digging())
     state = solid.state()
     for wrong in (
         ball(voxel=0.9).state(),
@@ -315,7 +315,7 @@ def test_a_state_of_something_else_is_refused() -> None:
         state | {"values": np.full_like(state["values"], np.nan)},
     ):
         with pytest.raises(ValueError, match="solid"):
-            solid.restore(wrong)
+            solid.restore_changes(wrong)
 
 
 def test_memory_is_that_of_the_surface() -> None:

@@ -10,7 +10,7 @@ import pytest
 
 from antdsl.ground.protocol import GroundMove
 from antdsl.ground.solid import Volume, move
-from antdsl.ground.solid.trilinear import BrickTables, grid_of
+from antdsl.ground.solid.trilinear import BrickTables, to_brick_tables
 from antdsl.ground.solid.walking import _project_to_surface
 from antdsl.machine_code.kernels import F64, Array1, Array2, kernel
 
@@ -32,14 +32,14 @@ def tunnel() -> Volume:
     """A cube with a hole of radius 4 from side to side along x, dug ball by ball."""
     solid = cube()
     x = np.linspace(-23, 23, 80)
-    solid.carve(np.stack([x, 0 * x, 0 * x], axis=1), np.full(80, 4.0), np.arange(80))
+    solid.carve_balls(np.stack([x, 0 * x, 0 * x], axis=1), np.full(80, 4.0), np.arange(80))
     return solid
 
 
 def cheese() -> Volume:
     """A cube of thin walls, sharp ridges and narrow grooves."""
     solid, rng = cube(), np.random.default_rng(2)
-    solid.carve(rng.uniform(-20, 20, (600, 3)), rng.uniform(1, 4, 600), np.arange(600))
+    solid.carve_balls(rng.uniform(-20, 20, (600, 3)), rng.uniform(1, 4, 600), np.arange(600))
     return solid
 
 
@@ -49,7 +49,7 @@ def unit(v: np.ndarray) -> np.ndarray:
 
 def standing(solid: Volume, points: np.ndarray, up: np.ndarray, seed: int = 3) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Places on the surface, normals and headings of those who found a place."""
-    projection = solid.project(points, up, reach=50.0)
+    projection = solid.project_to_surface(points, up, reach=50.0)
     assert projection.is_in_reach.mean() > 0.9
     place, normal = projection.points[projection.is_in_reach], projection.normals[projection.is_in_reach]
     return place, normal, unit(np.cross(normal, np.random.default_rng(seed).normal(size=place.shape)))
@@ -131,7 +131,7 @@ def test_no_agent_passes_a_wall_of_less_than_a_voxel() -> None:
     """Two caves beside each other with little between."""
     solid = cube()
     middle = -0.37  # where nodes are: between nodes such a wall is not seen at all
-    solid.carve(np.array([[middle - 6.1, 0, 0], [middle + 6.1, 0, 0]]), np.array([5.8, 5.8]), np.array([0, 1]))
+    solid.carve_balls(np.array([[middle - 6.1, 0, 0], [middle + 6.1, 0, 0]]), np.array([5.8, 5.8]), np.array([0, 1]))
     wall = np.stack(np.meshgrid([middle], np.linspace(-0.5, 0.5, 9), np.linspace(-0.5, 0.5, 9)), axis=-1).reshape(-1, 3)
     assert (solid.sample(wall) < 0).all() and (solid.sample(wall) > -0.5).all()
     directions = unit(np.random.default_rng(4).normal(size=(60, 3)))
@@ -234,8 +234,8 @@ def test_ends_of_steps_are_brought_to_the_surface_at_sharp_edges_too() -> None:
     assert np.abs(solid.sample(place)).max() < 1e-3
     length, close, count = rng.uniform(0.05, 1, len(place)), 1.5e-4, len(place)
     points, slopes, distances = np.empty((count, 3)), np.empty((count, 3)), np.empty(count)
-    project_all(grid_of(solid.bricks), place, normal, head, length, close, points, slopes, distances)
-    own_distance, own_slope = solid.sample_and_gradient(points)
+    project_all(to_brick_tables(solid.bricks), place, normal, head, length, close, points, slopes, distances)
+    own_distance, own_slope = solid.sample_with_gradients(points)
     assert np.abs(distances - own_distance).max() < 1e-5 and np.abs(slopes - own_slope).max() < 1e-3
     end = place + head * length[:, None]
     beyond = solid.sample(end) > 0
@@ -248,12 +248,12 @@ def test_who_loses_the_ground_goes_to_what_is_left() -> None:
     solid = make_solid(meshes.ball(20.0, rings=24))
     directions = unit(np.random.default_rng(1).normal(size=(40, 3)))
     place, up, head = standing(solid, directions * 20, directions)
-    solid.carve(place[:20], np.full(20, 6.0), np.arange(20))
+    solid.carve_balls(place[:20], np.full(20, 6.0), np.arange(20))
     assert (solid.sample(place[:20]) > 3).all()
     for step in (0.0, 1.0):
         moved = move(solid, place, head * step, head, up, BODY)
         assert not moved.lost.any() and np.abs(solid.sample(moved.position)).max() <= 1e-4 * BODY
-    solid.carve(np.zeros((1, 3)), np.array([100.0]), np.array([0]))
+    solid.carve_balls(np.zeros((1, 3)), np.array([100.0]), np.array([0]))
     moved = move(solid, place, head, head, up, BODY)
     assert moved.lost.all() and (moved.position == place).all()
 
@@ -265,5 +265,5 @@ def test_one_agent_moves_as_it_does_among_many() -> None:
     everyone = move(solid, place, head, head, up, BODY)
     for subset in (slice(7, 8), slice(20, 33), slice(None, None, -1)):
         few = move(solid, place[subset], head[subset], head[subset], up[subset], BODY)
-        for all_, column in zip(everyone.columns(), few.columns(), strict=True):
+        for all_, column in zip(everyone.list_columns(), few.list_columns(), strict=True):
             assert np.array_equal(all_[subset], column)

@@ -23,7 +23,7 @@ UP = np.array([[0.0, 1.0, 0.0]])
 
 
 def stand(ground: MeshGround, at: tuple[float, float, float]):
-    footing, is_placed = ground.place(np.array([at]), UP[0])
+    footing, is_placed = ground.place_points(np.array([at]), UP[0])
     assert is_placed.all()
     return footing
 
@@ -52,7 +52,7 @@ def test_the_nearer_of_two_hits_wins() -> None:
 
 def test_down_is_away_from_the_agents_own_up_on_a_ceiling_too() -> None:
     ground = MeshGround({"slab": box((-20, 10, -20), (20, 12, 20))}, by_rays=True)
-    footing, _ = ground.nearest(np.array([[0.0, 9.0, 0.0]]))
+    footing, _ = ground.find_nearest(np.array([[0.0, 9.0, 0.0]]))
     moved = ground.move(footing, np.array([[1.0, 0, 0]]), np.array([[1.0, 0, 0]]), -UP, BODY)
     assert np.allclose(moved.position, [[1, 10, 0]], atol=1e-5) and np.allclose(moved.up, -UP)
 
@@ -61,7 +61,7 @@ def test_who_meets_nothing_stays_and_says_so() -> None:
     ground = MeshGround({"floor": grid(20.0, 4)}, by_rays=True)
     moved = ground.move(stand(ground, (9.5, 5.0, 0.0)), np.array([[1.0, 0, 0]]), np.array([[1.0, 0, 0]]), UP, BODY)
     assert moved.blocked[0] and moved.travelled[0] == 0 and np.allclose(moved.position, [[9.5, 0, 0]])
-    nowhere = ground.move(moved.footing.nowhere(1), np.array([[1.0, 0, 0]]), np.array([[1.0, 0, 0]]), UP, BODY)
+    nowhere = ground.move(moved.footing.create_unplaced(1), np.array([[1.0, 0, 0]]), np.array([[1.0, 0, 0]]), UP, BODY)
     assert nowhere.lost[0] and not nowhere.blocked[0]
     still = ground.move(moved.footing, np.array([[np.nan, 0, 0]]), np.array([[1.0, 0, 0]]), UP, BODY)
     assert np.allclose(still.position, [[9.5, 0, 0]]) and not still.blocked[0]
@@ -88,13 +88,13 @@ def test_results_are_the_same_bits_for_any_threads() -> None:
 def test_agents_near_other_pieces_are_the_same_bits_for_any_threads(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each part of the agents that wait for a search of other pieces has separate room."""
     monkeypatch.setattr(walk_events, "_WAITING_PER_THREAD", 1)
-    monkeypatch.setattr(parallel, "cores", lambda: 8)
+    monkeypatch.setattr(parallel, "count_available_cores", lambda: 8)
     hill, waiting = terrain(60.0, 20), []
     pieces = {"hill": hill, **{f"ball {k}": ball(4.0, (6.0 * k - 20.0, 0.0, 3.0 * k - 10.0), 12) for k in range(8)}}
     on = walk_events.CrowdWalk.continue_waiting
 
     def counted(self: walk_events.CrowdWalk, pending: walk_events.WaitingAgents, *arguments: Any) -> Any:
-        waiting.append(pending.reals.shape[1])
+        waiting.append(pending.float_rows.shape[1])
         return on(self, pending, *arguments)
 
     monkeypatch.setattr(walk_events.CrowdWalk, "continue_waiting", counted)
@@ -121,7 +121,7 @@ def test_a_scene_asks_for_it(tmp_path: Path) -> None:
     ends = {}
     for how in ("triangles", "rays"):
         shot, report = open_scene(scene(tmp_path, f"stick: {how}\n"), RunChoices())
-        assert shot is not None, report.sorted()
+        assert shot is not None, report.sort_by_place()
         world = bind(shot.plan, shot.setting, Options())
         for _ in range(12):
             step(world)
@@ -133,4 +133,4 @@ def test_a_scene_asks_for_it(tmp_path: Path) -> None:
 
 def test_another_word_is_an_error(tmp_path: Path) -> None:
     shot, report = open_scene(scene(tmp_path, "stick: glue\n"), RunChoices())
-    assert shot is None and any("rays" in f"{d.message} {d.help}" for d in report.sorted())
+    assert shot is None and any("rays" in f"{d.message} {d.help}" for d in report.sort_by_place())

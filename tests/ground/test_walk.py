@@ -66,7 +66,7 @@ GROUNDS = {
 
 def crowd(ground: MeshGround, rng: np.random.Generator, n: int = N) -> GroundMove:
     """Agents all over a ground, some below it, as after a step of no length."""
-    footing, _ = ground.nearest(rng.uniform(ground.low - 1, ground.high + 1, (n, 3)))
+    footing, _ = ground.find_nearest(rng.uniform(ground.low - 1, ground.high + 1, (n, 3)))
     up = ground.normal(footing) * rng.choice([-1.0, 1.0], (n, 1), p=[0.2, 0.8])
     return ground.move(footing, np.zeros((n, 3)), rng.normal(size=(n, 3)), up, 4.0)
 
@@ -79,7 +79,7 @@ def differing(
     rows, rng, reference = np.arange(len(wish)), np.random.default_rng(1), Reference(ground)
     for hair in (0.0, 1e-6, 1e-6):
         turned = wish + np.cross(previous_move.up, wish) * hair * rng.normal(size=(len(wish), 1))
-        next_move = ground.move(previous_move.footing, turned, heading, previous_move.up, body, straight=straight)
+        next_move = ground.move(previous_move.footing, turned, heading, previous_move.up, body, stop_at_borders=straight)
         rows = rows[
             [not _same(reference, ground, previous_move, next_move, turned, heading, body, straight, int(k)) for k in rows]
         ]
@@ -100,7 +100,7 @@ def _same(
     k: int,
 ) -> bool:
     near = 1e-7 * ground.extent
-    face, over = int(ground.on_faces(previous_move.footing)[0][k]), float(previous_move.footing.over[k])
+    face, over = int(ground.get_face_numbers(previous_move.footing)[0][k]), float(previous_move.footing.over[k])
     place = previous_move.position[k] - over * reference.normal[face]
     step = reference.step(face, place, over, wish[k], heading[k], previous_move.up[k], float(body[k]), straight)
     same = next_move.blocked[k] == step.blocked and abs(next_move.travelled[k] - step.travelled) <= near
@@ -156,7 +156,7 @@ def test_a_corner_of_many_faces_is_left() -> None:
     vertices = np.array([[0, 0, 0]] + [[np.cos(a), 1e3, np.sin(a)] for a in np.linspace(0, 2 * np.pi, 8)[:-1]])
     faces = np.array([[0, 1 + (k + 1) % 7, 1 + k] for k in range(7)], np.int32)
     ground, rng = MeshGround({"cone": (vertices, faces)}), np.random.default_rng(1)
-    footing = Footing.on_faces(np.zeros(FEW, np.int32), rng.integers(0, 7, FEW).astype(np.int32), *np.full((3, FEW), 1e-7))
+    footing = Footing.from_faces(np.zeros(FEW, np.int32), rng.integers(0, 7, FEW).astype(np.int32), *np.full((3, FEW), 1e-7))
     at = ground.move(footing, np.zeros((FEW, 3)), rng.normal(size=(FEW, 3)), ground.normal(footing), 4.0)
     wish = at.heading * 0.7
     assert differing(ground, at, wish, at.heading, np.full(FEW, 4.0)) <= 2
@@ -169,7 +169,7 @@ def test_odd_wishes_count_as_none_and_lost_agents_stay_lost() -> None:
     wish, heading, up = (rng.choice(values, (N, 3)) for _ in range(3))
     up[::2], heading[::3] = at.up[::2], at.heading[::3]
     lost = rng.random(N) < 0.1
-    footing = Footing.on_faces(
+    footing = Footing.from_faces(
         np.where(lost & (rng.random(N) < 0.8), -1, at.footing.mesh).astype(np.int32),
         np.where(lost & (rng.random(N) < 0.8), -1, at.footing.face).astype(np.int32),
         np.where(lost & (rng.random(N) < 0.9), np.nan, np.where(rng.random(N) < 0.2, -0.0, at.footing.b1)),
@@ -183,7 +183,7 @@ def test_odd_wishes_count_as_none_and_lost_agents_stay_lost() -> None:
     for one, other in ((next_move.up, up), (next_move.heading, heading), (next_move.direction, heading)):
         assert np.array_equal(one[lost], other[lost], equal_nan=True)
     sound = ~lost & np.isfinite(up).all(axis=1)
-    for column in next_move.columns():
+    for column in next_move.list_columns():
         assert np.isfinite(column[sound]).all()
     odd = ~np.isfinite(wish).all(axis=1) & sound
     still = ground.move(footing, np.zeros((N, 3)), heading, up, 4.0)
@@ -199,8 +199,11 @@ def test_how_far_agents_look_out_is_their_longest_way_and_widest_body() -> None:
         with np.errstate(all="ignore"):
             square = wish[0] * wish[0] + wish[1] * wish[1] + wish[2] * wish[2]
         most = np.sqrt(square[square < np.inf].max(initial=0.0))
-        assert ground._search_reach(wish, body) == most + EYE_HEIGHT_PER_BODY * np.nanmax(body) + 3 * ground._scale.noise
-    assert np.isnan(ground._search_reach(np.ones((3, 2)), np.full(2, np.nan)))
+        assert (
+            ground._compute_search_reach(wish, body)
+            == most + EYE_HEIGHT_PER_BODY * np.nanmax(body) + 3 * ground._scale.distance_noise
+        )
+    assert np.isnan(ground._compute_search_reach(np.ones((3, 2)), np.full(2, np.nan)))
 
 
 @pytest.mark.parametrize("name", ["boulders", "loose sheets", "tiles and a fan of slivers"])
@@ -209,21 +212,21 @@ def test_clearances_are_below_the_distance_to_other_pieces(name: str) -> None:
     rng = np.random.default_rng(7)
     corners = ground._vertices[ground._faces]
     for reach in (0.5, 3.0):
-        parts = ground._clearances.parts_within(reach)
+        parts = ground._clearances.get_face_parts(reach)
         assert parts.reach >= reach
         face = rng.integers(0, len(corners), 2000)
         b1 = rng.random(2000)
         b2 = rng.random(2000) * (1 - b1)
         n = parts.count[face]
         part = parts.first[face] + np.minimum((b1 * n).astype(int), n - 1) * n + np.minimum((b2 * n).astype(int), n - 1)
-        clear = np.where(n > 0, parts.least[np.where(n > 0, part, 0)], parts.reach)
+        clear = np.where(n > 0, parts.clearances[np.where(n > 0, part, 0)], parts.reach)
         a, b, c = (corners[face, k] for k in range(3))
         place = a + b1[:, None] * (b - a) + b2[:, None] * (c - a)
-        for piece in range(ground._table.pieces):
-            other = corners[(ground._table.piece != piece) & (ground._table.piece >= 0)]
+        for piece in range(ground._topology.piece_count):
+            other = corners[(ground._topology.piece != piece) & (ground._topology.piece >= 0)]
             scene = RayScene(other.reshape(-1, 3), np.arange(3 * len(other), dtype=np.int32).reshape(-1, 3))
-            own = ground._table.piece[face] == piece
-            distance = scene.closest(place[own])[3]
+            own = ground._topology.piece[face] == piece
+            distance = scene.find_closest(place[own])[3]
             assert (clear[own] <= distance + 1e-9).all()
         assert (clear > 0).any()
 
@@ -234,9 +237,9 @@ def test_finer_distances_of_an_obstacle_are_still_below_the_true_ones() -> None:
     positions = (
         one[np.random.default_rng(11).integers(0, len(one), 3000)] * 1.01 + np.random.default_rng(12).normal(size=(3000, 3)) * 2
     )
-    coarse = np.concatenate([scene.clearance(*chunk.T) for chunk in np.split(positions, 6)])
-    fine = scene.clearance(*positions.T)
-    distance = scene.closest(positions)[3]
+    coarse = np.concatenate([scene.measure_clearance(*chunk.T) for chunk in np.split(positions, 6)])
+    fine = scene.measure_clearance(*positions.T)
+    distance = scene.find_closest(positions)[3]
     assert (fine <= distance).all() and (fine >= coarse).all() and (fine > coarse).mean() > 0.2
 
 
@@ -256,7 +259,7 @@ def test_places_and_sides_of_footings_are_those_of_their_corners(name: str) -> N
     footing.mesh[5], footing.face[5:7] = -1, -1
     vertices, faces, _, table = ground.triangles
     known = (footing.mesh >= 0) & (footing.face >= 0)
-    face = np.where(known, ground._first[np.maximum(footing.mesh, 0)] + footing.face, 0)
+    face = np.where(known, ground._first_face[np.maximum(footing.mesh, 0)] + footing.face, 0)
     a, b, c = (vertices[faces[face, k]] for k in range(3))
     with np.errstate(invalid="ignore"):
         place = (a + footing.b1[:, None] * (b - a)) + footing.b2[:, None] * (c - a)
@@ -265,8 +268,8 @@ def test_places_and_sides_of_footings_are_those_of_their_corners(name: str) -> N
     assert (positions.view(np.int64) == expected.view(np.int64))[~unknown].all() and np.isnan(positions[unknown]).all()
     most = np.abs(table.normal[:, face]).argmax(axis=0)
     sides = 2 * most + (table.normal[most, face] < 0)
-    assert np.array_equal(ground.sides(footing, 2), np.where(known, sides, 0))
-    assert not len(ground.position(footing.take(slice(0, 0)))) and not len(ground.sides(footing.take(slice(0, 0))))
+    assert np.array_equal(ground.find_sides(footing, 2), np.where(known, sides, 0))
+    assert not len(ground.position(footing.take_rows(slice(0, 0)))) and not len(ground.find_sides(footing.take_rows(slice(0, 0))))
     for column, wrong in ((footing.face, len(faces)), (footing.mesh, len(ground.names) + 1)):
         cached, column[9] = column[9], wrong
         with pytest.raises(IndexError):

@@ -16,7 +16,7 @@ import pytest
 
 from antdsl.diagnostics.model import Report
 from antdsl.highlighting.patterns import SCOPE_AND_TOKEN_BY_CLASS, TOKEN_PATTERNS
-from antdsl.highlighting.textmate import GRAMMAR_FILES, SCOPE_NAME, grammar_text, scope
+from antdsl.highlighting.textmate import GRAMMAR_FILES, SCOPE_NAME, build_grammar_text, find_scope
 from antdsl.source import Source
 from antdsl.syntax.blocks import SourceLine, cut_lines, map_text
 from antdsl.syntax.brackets import pair_brackets
@@ -49,7 +49,9 @@ def real(path: Path) -> Cut:
     assert tokens is not None
     kinds = {"text": "string", "number": "number", "sign": "operator", "open": "operator", "close": "operator", "word": "name"}
     spans = [(t.start, t.end, kinds[t.kind]) for t in scanned.tokens if t.kind in kinds]
-    spans += [(t.start, t.end, "operator") for t in scanned.tokens if t.kind == "end" and scanned.clean[t.start] == ";"]
+    spans += [
+        (t.start, t.end, "operator") for t in scanned.tokens if t.kind == "end" and scanned.clean_characters[t.start] == ";"
+    ]
     spans += [(comment.span.start, comment.span.end, "comment") for comment in scanned.comments]
     keywords = set(keyword_places(scanned, cut_lines(scanned, tokens), "top"))
     return sorted((start, end, "keyword" if start in keywords else kind) for start, end, kind in spans)
@@ -61,19 +63,19 @@ def keyword_places(scanned: TokenScan, lines: list[SourceLine], rule: str) -> It
     for line in lines:
         text = map_text(scanned, line)
         first = text.text.split()[0]
-        builder.place, builder.bodies = text, {}
+        builder.span_maker, builder.body_by_offset = text, {}
         for group in line.groups:
             inner = (
-                "weight" if group.chooses else BODY_RULE_BY_LINE.get((rule, first)) or BODY_RULE_BY_LINE.get((rule, "*")) or ""
+                "weight" if group.is_choice else BODY_RULE_BY_LINE.get((rule, first)) or BODY_RULE_BY_LINE.get((rule, "*")) or ""
             )
             yield from keyword_places(scanned, group.lines, inner)
         interactive = parser.parse_interactive(text.text, start="header" if first == "ant" else rule)
-        builder.place = text
+        builder.span_maker = text
         if len(line.tokens) == 1 and line.tokens[0].kind == "text" and rule == "top":
             continue  # the help of the file
         for token in interactive.iter_parse():
             if token.type not in ("NAME", "LABEL") and token.value[0].isalpha():
-                yield text.source_offset(token.start_pos)
+                yield text.find_source_offset(token.start_pos)
 
 
 def compare(path: Path, coloured: Cut) -> None:
@@ -85,7 +87,9 @@ def compare(path: Path, coloured: Cut) -> None:
         different = {kinds[at] for at in range(start, end) if kind == "string" or kind == "comment" or not text[at].isspace()} - {
             kind
         }
-        assert not different, f"{Source(path.name, text).line_column(start)}: `{text[start:end]}` is a {kind}, not {different}"
+        assert not different, (
+            f"{Source(path.name, text).find_line_column(start)}: `{text[start:end]}` is a {kind}, not {different}"
+        )
     real_places = {at for start, end, _ in real(path) for at in range(start, end)}
     assert not [at for at, kind in enumerate(kinds) if kind is not None and at not in real_places and not text[at].isspace()]
 
@@ -100,9 +104,9 @@ def test_the_real_lexer_tells_keywords_from_names() -> None:
 
 @pytest.mark.parametrize("path", TEXTS, ids=lambda p: str(p.relative_to(ROOT)))
 def test_pygments_sees_what_the_lexer_sees(path: Path) -> None:
-    from antdsl.highlighting.lexer import AntLexer, token_type
+    from antdsl.highlighting.lexer import AntLexer, find_token_type
 
-    names = {token_type(name): name for name in reversed(SCOPE_AND_TOKEN_BY_CLASS)}
+    names = {find_token_type(name): name for name in reversed(SCOPE_AND_TOKEN_BY_CLASS)}
     lexer = AntLexer(stripnl=False, ensurenl=False)
     tokens = list(lexer.get_tokens_unprocessed(path.read_text(encoding="utf-8")))
     assert "".join(value for _, _, value in tokens) == path.read_text(encoding="utf-8")
@@ -112,8 +116,8 @@ def test_pygments_sees_what_the_lexer_sees(path: Path) -> None:
 @pytest.mark.parametrize("path", TEXTS, ids=lambda p: str(p.relative_to(ROOT)))
 def test_textmate_sees_what_the_lexer_sees(path: Path) -> None:
     onigurumacffi = pytest.importorskip("onigurumacffi", reason="the package `onigurumacffi` (extra `test`) is not installed")
-    compiled = [(onigurumacffi.compile(rule["match"]), rule) for rule in json.loads(grammar_text())["patterns"]]
-    names = {scope(name): name for name in reversed(SCOPE_AND_TOKEN_BY_CLASS)}
+    compiled = [(onigurumacffi.compile(rule["match"]), rule) for rule in json.loads(build_grammar_text())["patterns"]]
+    names = {find_scope(name): name for name in reversed(SCOPE_AND_TOKEN_BY_CLASS)}
     spans: Cut = []
     begin = 0
     for line in path.read_text(encoding="utf-8").split("\n"):
@@ -188,7 +192,7 @@ def test_vs_code_sees_what_the_lexer_sees(tmp_path: Path) -> None:
     command = [program, "colours.js", str(grammar), SCOPE_NAME, *map(str, TEXTS)]
     result = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=120)
     assert result.returncode == 0, result.stderr
-    names = {scope(name): name for name in reversed(SCOPE_AND_TOKEN_BY_CLASS)}
+    names = {find_scope(name): name for name in reversed(SCOPE_AND_TOKEN_BY_CLASS)}
     tokens = json.loads(result.stdout)
     for path in TEXTS:
         assert max(path.read_text(encoding="utf-8")) < "\U00010000"  # so that places are the same in UTF-16
@@ -201,7 +205,7 @@ def test_vs_code_sees_what_the_lexer_sees(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", GRAMMAR_FILES)
 def test_the_grammar_is_fresh(name: str) -> None:
     text = (ROOT / "grammar" / name).read_text(encoding="utf-8")
-    assert text == grammar_text(), "run `python -m antdsl.highlighting.textmate`"
+    assert text == build_grammar_text(), "run `python -m antdsl.highlighting.textmate`"
 
 
 def test_every_word_of_the_grammar_has_a_colour() -> None:
@@ -236,7 +240,7 @@ def test_every_pattern_is_of_use() -> None:
             at = match[1].end() if match else at + 1
     assert won - {None} == set(range(len(TOKEN_PATTERNS)))
     for pattern in TOKEN_PATTERNS:
-        assert len(pattern.classes) == max(1, re.compile(pattern.regex).groups)
+        assert len(pattern.group_classes) == max(1, re.compile(pattern.regex).groups)
 
 
 def test_pygments_finds_the_lexer() -> None:

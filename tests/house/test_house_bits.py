@@ -39,7 +39,7 @@ ALLOWED = {
     "runtime/motion_measures.py": {"arcsin": "a measure beside the state, counted in bins"},
     "runtime/neighbourhood.py": {"log2": "the width of cells: which pairs are found does not depend on it"},
     "runtime/pairs.py": {"scipy": "a tree that says how far to look: which pairs are the nearest does not depend on it"},
-    "runtime/backends/native/search/grids.py": {"log2": "the same"},
+    "runtime/backends/native/search/search_grids.py": {"log2": "the same"},
     "fields/pheromone.py": {"scipy": "a sparse matrix, compiled for all processors alike"},
     "fields/path_cost.py": {"scipy": "Dijkstra's search, compiled alike for all x86-64; only a beginning"},
     "fields/flow.py": {"scipy": "a tree of places, compiled for all x86-64 processors alike"},
@@ -54,7 +54,7 @@ ALLOWED = {
     "ground/solid/voxelising.py": {"log10": "digits of a size of voxels that is proposed in a message"},
     "scene/staging/stage_things.py": {"interp": "of curves and moves: products and sums of single numbers"},
     "scene/staging/mesh_imports.py": {"scipy": "a tree of vertices to weld, compiled for all x86-64 processors alike"},
-    "scene/geometry/closed.py": {"log2": "how many digits a mesh's places keep while it is told whether it is closed"},
+    "scene/geometry/closed_meshes.py": {"log2": "how many digits a mesh's places keep while it is told whether it is closed"},
 }
 
 

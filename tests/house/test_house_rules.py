@@ -21,7 +21,7 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 
 # From the ground floor up: a room imports the rooms before it, and itself. Files straight in the package stand among them.
 ROOMS = (
-    "__init__", "source", "diagnostics", "limits", "resources", "bounded", "source_hash", "whole", "child_processes",
+    "__init__", "source", "diagnostics", "limits", "resources", "safe_read", "source_hash", "atomic_write", "child_processes",
     "user_folders",
     "cpu_budget", "bootstrap", "syntax", "program",
     "highlighting", "graphs", "machine_code", "numerics", "reader", "scene", "loading", "plan", "passes", "casting", "ground",
@@ -29,7 +29,7 @@ ROOMS = (
     "specs", "explain", "executors", "sweep", "shots", "farm", "bench", "preview", "lsp", "cli", "__main__",
 )  # fmt: skip
 # Ground floor rooms that import nothing above themselves, whatever their order here.
-GROUND = frozenset(["source", "diagnostics", "limits", "resources", "bounded", "source_hash", "whole", "child_processes",
+GROUND = frozenset(["source", "diagnostics", "limits", "resources", "safe_read", "source_hash", "atomic_write", "child_processes",
                     "user_folders",
                     "cpu_budget"])  # fmt: skip
 # A list of the tree's node types, one after the other, is read as one thing.
@@ -127,11 +127,11 @@ OWN_FILES = {
     "cli/__init__.py": "the null device",
     "cli/commands/new.py": "files of a project that come with antdsl",
     "cli/printing/pages.py": "pages that come with antdsl",
-    "diagnostics/exchange.py": "pages that come with antdsl",
+    "diagnostics/exchange_formats.py": "pages that come with antdsl",
     "lsp/features/tokens.py": "the grammar",
     "machine_code/library.py": "text in LLVM's language that comes with antdsl",
     "outputs/cache/lock.py": "its own lock, and what the system tells about a process",
-    "preview/serving/pages.py": "the page that comes with antdsl",
+    "preview/serving/page_files.py": "the page that comes with antdsl",
     "numerics/host.py": "what the system tells about processors and memory",
     "cli/printing/messages.py": "the null device",
     "scene/paths.py": "folders, part by part",
@@ -142,8 +142,8 @@ OWN_FILES = {
     "reader/private_folder.py": "its own locks",
     "scene/geometry/usd/closure.py": "its own copies, to write them",
     "syntax/grammar.py": "the grammar",
-    "syntax/tables.py": "the grammar and its tables",
-    "whole.py": "its own files, to write them",
+    "syntax/parse_tables.py": "the grammar and its tables",
+    "atomic_write.py": "its own files, to write them",
 }
 READING = frozenset(["open", "read_text", "read_bytes", "fromfile", "memmap", "loadtxt", "genfromtxt"])
 
@@ -151,7 +151,7 @@ READING = frozenset(["open", "read_text", "read_bytes", "fromfile", "memmap", "l
 def test_files_that_a_person_can_name_are_opened_by_one_module() -> None:
     """Elsewhere a pipe would be waited for, and an endless device read until no memory is left."""
     for path in FILES:
-        if path.relative_to(PACKAGE).as_posix() in ("bounded.py", *OWN_FILES):
+        if path.relative_to(PACKAGE).as_posix() in ("safe_read.py", *OWN_FILES):
             continue
         for node in nodes(path):
             if not isinstance(node, ast.Call) or ast.unparse(node.func).rpartition(".")[2] not in READING:
@@ -161,7 +161,7 @@ def test_files_that_a_person_can_name_are_opened_by_one_module() -> None:
             written = any(getattr(each, "value", None) in ("ab", "wb", "xb") for each in node.args)
             if other or written or called in ("read_bytes", "syntax.read_bytes", "text_files.read_bytes"):
                 continue
-            raise AssertionError(f"{path}:{node.lineno} opens a file by `{called}`, not by antdsl/bounded.py")
+            raise AssertionError(f"{path}:{node.lineno} opens a file by `{called}`, not by antdsl/safe_read.py")
 
 
 # Who else writes files, and which.
@@ -177,7 +177,7 @@ OWN_WRITING = {
     "reader/child.py": "its answers",
     "reader/private_folder.py": "the lock of its folder",
     "scene/geometry/usd/closure.py": "its own copies, to write them",
-    "sweep/figures.py": "a file that antdsl/whole.py has opened",
+    "sweep/figures.py": "a file that antdsl/atomic_write.py has opened",
     "syntax/grammar.py": "the grammar that ships",
 }
 WRITING_MODES = frozenset(["a", "ab", "w", "wb", "x", "xb", "r+b", "r+"])
@@ -188,17 +188,17 @@ def test_files_are_put_in_their_place_by_one_module() -> None:
     to the disk."""
     moving = ("os.replace", "os.rename", "os.fsync", "tempfile.mkstemp", "tempfile.mkdtemp", "tempfile.NamedTemporaryFile")
     for path in FILES:
-        if path.relative_to(PACKAGE).as_posix() in ("whole.py", "reader/private_folder.py"):  # the latter makes a folder
+        if path.relative_to(PACKAGE).as_posix() in ("atomic_write.py", "reader/private_folder.py"):  # the latter makes a folder
             continue
         for node in nodes(path):
             if isinstance(node, ast.Call) and (ast.unparse(node.func) in moving or ast.unparse(node.func).endswith(".rename")):
-                raise AssertionError(f"{path}:{node.lineno} moves a file into its place, not by antdsl/whole.py")
+                raise AssertionError(f"{path}:{node.lineno} moves a file into its place, not by antdsl/atomic_write.py")
             if isinstance(node, ast.Call) and path.relative_to(PACKAGE).as_posix() not in OWN_WRITING:
                 called = ast.unparse(node.func)
                 modes = [getattr(each, "value", None) for each in (*node.args[1:2], *(k.value for k in node.keywords))]
                 opened = called in ("open", "io.open", "os.fdopen") and any(mode in WRITING_MODES for mode in modes)
                 if opened or called.rpartition(".")[2] in ("write_text", "write_bytes", "savefig", "FileIO"):
-                    raise AssertionError(f"{path}:{node.lineno} writes a file by `{called}`, not by antdsl/whole.py")
+                    raise AssertionError(f"{path}:{node.lineno} writes a file by `{called}`, not by antdsl/atomic_write.py")
 
 
 def test_files_are_short_named_for_what_they_do_and_say_what_they_are() -> None:

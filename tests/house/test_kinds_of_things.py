@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 
 from antdsl.program.tables.things import KIND_BY_WORD
-from antdsl.scene.kinds import KINDS
+from antdsl.scene.scene_kinds import SCENE_KINDS
 
 PACKAGE = Path(__file__).resolve().parents[2] / "antdsl"
-OWN = {"syntax/words.py", "program/tables/things.py", "scene/kinds.py"}  # its word, its row, its class
+OWN = {"syntax/words.py", "program/tables/things.py", "scene/scene_kinds.py"}  # its word, its row, its class
 # Other files that may name a kind: the rows of senses and effects, the keys of scenes, and code that is about this kind alone.
 MOST = {"surface": 6, "obstacle": 7, "solid": 3, "curve": 5, "flow": 6, "map": 3}
 
@@ -42,4 +42,4 @@ def test_few_files_name_a_kind(word: str) -> None:
 
 
 def test_every_kind_that_a_scene_gives_has_a_class() -> None:
-    assert set(KINDS) == {row.word for row in KIND_BY_WORD.values() if row.scene}
+    assert set(SCENE_KINDS) == {row.word for row in KIND_BY_WORD.values() if row.scene}

@@ -48,7 +48,7 @@ def test_more_threads_than_cores_are_not_started_and_that_is_reported(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], cores: int, requested: int, taken: int, message: str
 ) -> None:
     """Embree's scheduler writes to the terminal if more workers are requested than there are cores."""
-    monkeypatch.setattr("antdsl.cli.commands.run.cores", lambda: cores)
+    monkeypatch.setattr("antdsl.cli.commands.run.count_available_cores", lambda: cores)
     assert choose_threads(requested) == taken
     said = capsys.readouterr().err
     assert message in said and bool(said) == bool(message)

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 PACKAGE = Path(__file__).resolve().parents[2] / "antdsl"
-DECORATORS = frozenset(["kernel", "called", "inlined"])
+DECORATORS = frozenset(["kernel", "kernel_helper", "inlined"])
 UNTYPED = "no-untyped-def"
 MOST_PARAMETERS, MOST_RESULTS = 12, 3
 
@@ -71,8 +71,8 @@ MANY = ", ".join(f"x{k}: F64" for k in range(13))
     ("source", "fault"),
     [
         (f"@kernel\ndef f({MANY}) -> F64:\n    return x0", "2: `f` has 13 parameters"),
-        ("@called\ndef f(x: F64) -> Any:\n    return x, x, x, x", "2: `f` returns 4 values"),
-        ("@called\ndef f(x: F64) -> tuple[F64, F64, F64, F64]:\n    return g(x)", "2: `f` returns 4 values"),
+        ("@kernel_helper\ndef f(x: F64) -> Any:\n    return x, x, x, x", "2: `f` returns 4 values"),
+        ("@kernel_helper\ndef f(x: F64) -> tuple[F64, F64, F64, F64]:\n    return g(x)", "2: `f` returns 4 values"),
         ("Four = tuple[F64, F64, F64, F64]\n@inlined\ndef f(x: F64) -> Four:\n    return g(x)", "3: `f` returns 4 values"),
         ("@kernels.inlined\ndef f(x) -> F64:\n    return x", "2: `f` has no types"),
         ("@inlined\ndef f(x: F64):\n    return x", "2: `f` has no types"),

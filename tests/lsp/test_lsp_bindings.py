@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from antdsl import syntax
-from antdsl.lsp.features.navigation import definition, references
+from antdsl.lsp.features.navigation import find_definition, find_references
 from antdsl.lsp.workspace import Workspace
 from antdsl.pipeline import compile_files
 from antdsl.source import Source
@@ -36,7 +36,7 @@ spec "some carry" on "scene.yaml" { always: share(state == carry) <= 1; finally:
 
 def keys(text: str, word: str, nth: int = 0) -> list[tuple[str, ...]]:
     """What the `nth` place of `word` in a program stands for: the name that begins there."""
-    document = Workspace().put(Path("/nowhere/ant.ant"), text)
+    document = Workspace().put_document(Path("/nowhere/ant.ant"), text)
     place = -1
     for _ in range(nth + 1):
         place = text.index(word, place + 1)
@@ -71,8 +71,8 @@ def test_what_is_taken_is_the_animals_and_the_items() -> None:
 def test_of_a_name_that_is_declared_twice_the_first_counts() -> None:
     text = "ant 1\nspecies a {\n  pace = 1\n  pace = 2\n  state s { when pace > 1 -> s }\n}\n"
     workspace = Workspace()
-    document = workspace.put(Path("/nowhere/a.ant"), text)
-    (target,) = definition(workspace, document, text.index("pace > 1"))
+    document = workspace.put_document(Path("/nowhere/a.ant"), text)
+    (target,) = find_definition(workspace, document, text.index("pace > 1"))
     assert document.start(target.span) == text.index("pace = 1")
 
 
@@ -91,8 +91,8 @@ def test_a_behaviour_that_does_not_exist_is_not_looked_for_in_the_library() -> N
 def test_what_can_be_resolved_is_resolved_in_a_text_with_mistakes(right: str, wrong: str) -> None:
     text = PROGRAM.replace(right, wrong, 1)
     workspace = Workspace()
-    document = workspace.put(Path("/nowhere/ant.ant"), text)
-    checked = workspace.check(document.path)
+    document = workspace.put_document(Path("/nowhere/ant.ant"), text)
+    checked = workspace.check_document(document.path)
     assert checked is not None and not checked.report.ok
     assert keys(text, "load > 2") == [("attribute", "food", "load")]
     assert keys(text, "friend]") == [("own", "ant", "friend")]
@@ -108,8 +108,8 @@ def test_names_in_a_state_that_is_there_twice_lead_to_the_species() -> None:
 
 def test_a_use_that_the_library_makes_is_no_use_in_the_program() -> None:
     workspace = Workspace()
-    document = workspace.put(Path("/nowhere/ant.ant"), PROGRAM)
-    uses = references(workspace, document, PROGRAM.index("one: item"))
+    document = workspace.put_document(Path("/nowhere/ant.ant"), PROGRAM)
+    uses = find_references(workspace, document, PROGRAM.index("one: item"))
     assert sorted(document.start(each.span) for each in uses) == [
         PROGRAM.index("one: item"), PROGRAM.index("one) <"), PROGRAM.index("one else")
     ]  # fmt: skip
@@ -119,7 +119,7 @@ def test_a_program_has_its_bindings_beside_what_it_means() -> None:
     source = Source("/nowhere/ant.ant", PROGRAM)
     program, report = compile_files([Path("/nowhere/ant.ant")], parsed={source.path: syntax.parse(source)})
     assert program is not None and report.ok
-    assert {use.span.text for use in program.bindings.uses if use.declared == ("own", "ant", "friend")} == {"friend"}
+    assert {use.span.text for use in program.bindings.uses if use.declaration == ("own", "ant", "friend")} == {"friend"}
 
 
 def test_what_is_taken_from_is_looked_into_for_steps() -> None:

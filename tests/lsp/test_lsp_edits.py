@@ -11,15 +11,15 @@ from sampling import sampled
 
 from antdsl import syntax
 from antdsl.diagnostics import Diagnostic, Report
-from antdsl.diagnostics.ignoring import apply_ignores
+from antdsl.diagnostics.ignore_comments import apply_ignores
 from antdsl.lsp.text import DocumentText
 from antdsl.lsp.workspace import Workspace
 from antdsl.pipeline import compile_files
 from antdsl.program.names.bindings import NameBindings
-from antdsl.program.traverse import written_nodes
+from antdsl.program.traverse import iterate_nodes
 from antdsl.source import Source, Span
 from antdsl.syntax import nodes
-from antdsl.syntax.parts import IncrementalParser, cut_blocks
+from antdsl.syntax.incremental_parser import IncrementalParser, cut_blocks
 
 ROOT = Path(__file__).resolve().parents[2]
 LIBRARY = {
@@ -52,7 +52,7 @@ def bound(file: nodes.File, bindings: NameBindings) -> set[tuple[object, ...]]:
         file_span = file.file_span(span)
         return file_span.source.path, file_span.start, file_span.end
 
-    written_there = {place(node.span) for node, _ in written_nodes(file.items) if isinstance(node, nodes.Name)}
+    written_there = {place(node.span) for node, _ in iterate_nodes(file.items) if isinstance(node, nodes.Name)}
     return {
         (place(span), place(key) if isinstance(key, Span) else key)
         for span, key in bindings.uses
@@ -72,8 +72,8 @@ def check_afresh(path: Path, text: str) -> tuple[list[tuple[object, ...]], set[t
 
 def in_parts(workspace: Workspace, path: Path) -> tuple[list[tuple[object, ...]], set[tuple[object, ...]]]:
     """The same of a text that is open in an editor."""
-    complaints, document = workspace.complaints(path), workspace.open[path]
-    return said(complaints), bound(document.parsed[0], workspace.bindings(path))
+    complaints, document = workspace.find_diagnostics(path), workspace.open_documents[path]
+    return said(complaints), bound(document.parsed[0], workspace.find_bindings(path))
 
 
 def edited(text: str, rng: random.Random) -> str:
@@ -97,12 +97,12 @@ def run(path: Path, seed: int, edits: int) -> None:
     rng = random.Random(seed)
     original = path.read_text(encoding="utf-8")
     workspace, text = Workspace(), original
-    workspace.put(path, text)
+    workspace.put_document(path, text)
     assert in_parts(workspace, path) == check_afresh(path, text)
     for number in range(edits):
         text = original if number % 5 == 4 else edited(text, rng)
         text = text.replace("\r", "\n")
-        workspace.change(path, DocumentText(text), number)
+        workspace.change_document(path, DocumentText(text), number)
         assert in_parts(workspace, path) == check_afresh(path, text), f"seed {seed}, edit {number}:\n{text}"
 
 
@@ -147,7 +147,7 @@ def test_nodes_in_parts_have_their_places_in_the_whole() -> None:
 
         def names(file: nodes.File) -> list[tuple[str, int, int]]:
             spans = [
-                (node.text, file.file_span(node.span)) for node, _ in written_nodes(file.items) if isinstance(node, nodes.Name)
+                (node.text, file.file_span(node.span)) for node, _ in iterate_nodes(file.items) if isinstance(node, nodes.Name)
             ]
             return [(text, span.start, span.end) for text, span in spans]
 

@@ -255,8 +255,8 @@ def _token_texts(data: list[int]) -> list[tuple[str, str]]:
     for number in range(0, len(data), 5):
         down, along, length, kind, _ = data[number : number + 5]
         line, column = line + down, along if down else column + along
-        start = text.offset(line, column)
-        pairs.append((text.text[start : text.offset(line, column + length)], TOKEN_TYPES[kind]))
+        start = text.find_offset(line, column)
+        pairs.append((text.text[start : text.find_offset(line, column + length)], TOKEN_TYPES[kind]))
     return pairs
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from lsp_client import COMMAND, ROOT, applied, ask, cut_out, initialize_params, lsp, place_of, pytest_lsp
 
-from antdsl.lsp.text import path_of
+from antdsl.lsp.text import uri_to_path
 from antdsl.pipeline import check_path
 
 FORAGING = ROOT / "examples" / "foraging"
@@ -58,7 +58,7 @@ pytestmark = pytest.mark.asyncio(loop_scope="module")
 
 
 def text_of(uri: str) -> str:
-    path = path_of(uri)
+    path = uri_to_path(uri)
     assert path is not None
     return path.read_text(encoding="utf-8")
 
@@ -67,7 +67,7 @@ def lines(locations: list[lsp.Location]) -> list[tuple[str, str]]:
     """The file and the text of the line of each location."""
     line_texts = []
     for each in locations:
-        path = path_of(each.uri)
+        path = uri_to_path(each.uri)
         assert path is not None
         line_texts.append((path.name, text_of(each.uri).splitlines()[each.range.start.line].strip()))
     return line_texts
@@ -149,7 +149,7 @@ async def rename(client, file: str, word: str, new: str) -> dict[str, str]:
     uri = (client.folder / file).as_uri()
     params = lsp.RenameParams(new_name=new, **ask(uri, place_of(text_of(uri), word)))
     workspace_edit = await client.text_document_rename_async(params)
-    return {path_of(each).name: applied(text_of(each), list(edits)) for each, edits in workspace_edit.changes.items()}
+    return {uri_to_path(each).name: applied(text_of(each), list(edits)) for each, edits in workspace_edit.changes.items()}
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,7 @@ def test_the_extra_is_named_when_it_is_missing(monkeypatch: pytest.MonkeyPatch) 
     import antdsl.lsp
 
     monkeypatch.setattr(antdsl.lsp, "find_spec", lambda name: None)
-    report = antdsl.lsp.ready()
+    report = antdsl.lsp.check_server_available()
     assert [(d.code, "[lsp]" in d.message) for d in report.diagnostics] == [("missing-extra", True)]
 
 
@@ -31,12 +31,12 @@ def test_starting_imports_nothing_heavy() -> None:
 
 
 def test_units_are_worth_what_they_are_shown_in(tmp_path: Path) -> None:
-    from antdsl.lsp.features.describe import describe
+    from antdsl.lsp.features.symbol_help import describe_symbol
 
     workspace = Workspace()
-    document = workspace.put(tmp_path / "a.ant", "ant 1\n")
+    document = workspace.put_document(tmp_path / "a.ant", "ant 1\n")
     for unit, worth in (("turn", "1 turn = 360 deg"), ("rad", "1 rad = 57.2958 deg"), ("min", "1 min = 60 s"), ("cm", "= 10 mm")):
-        assert worth in (describe(workspace, document, ("unit", unit)) or ""), unit
+        assert worth in (describe_symbol(workspace, document, ("unit", unit)) or ""), unit
 
 
 PROGRAM = """ant 1
@@ -87,10 +87,10 @@ def test_a_rename_reaches_scenes_that_extend_each_other(tmp_path: Path, opened: 
         path, text = each.document.path, texts.get(each.document.path, each.document.text.text)
         texts[path] = text[: each.document.start(each.span)] + "other" + text[each.document.end(each.span) :]
     for path, text in texts.items():
-        workspace.put(path, text)  # open in the editor, and not saved
+        workspace.put_document(path, text)  # open in the editor, and not saved
         assert not re.search(rf"\b{name}\b(?!\.)", text), text
     for file in ("bug.ant", "base.yaml", "child.yaml"):
-        assert [d.message for d in workspace.complaints(tmp_path / file) if d.severity == "error"] == []
+        assert [d.message for d in workspace.find_diagnostics(tmp_path / file) if d.severity == "error"] == []
 
 
 def test_an_exit_without_a_shutdown_sets_the_exit_code() -> None:
@@ -109,11 +109,11 @@ def test_an_exit_without_a_shutdown_sets_the_exit_code() -> None:
 
 
 def test_paths_and_uris_lead_to_each_other(tmp_path: Path) -> None:
-    from antdsl.lsp.text import path_of, uri_of
+    from antdsl.lsp.text import path_to_uri, uri_to_path
 
     path = (tmp_path / "a b%20c#ü🐜.ant").resolve()
-    assert path_of(uri_of(path)) == path
-    assert path_of("untitled:Untitled-1") is None
+    assert uri_to_path(path_to_uri(path)) == path
+    assert uri_to_path("untitled:Untitled-1") is None
 
 
 def test_large_folders_are_not_searched_at_every_question(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -140,7 +140,7 @@ def test_large_folders_are_not_searched_at_every_question(tmp_path: Path, monkey
     clock[0] += 50
     assert len(files.files()) == 2
     first.unlink()
-    files.search_again()
+    files.invalidate_file_list()
     assert files.files() == [second.resolve()]
 
 
@@ -149,7 +149,7 @@ def test_every_line_of_a_spec_is_looked_into(tmp_path: Path) -> None:
 never: state == s held 1 s * pace
 when any(n in neighbours(size): n.pace > 0) eventually: true"""
     text = f'{PROGRAM}spec "a" on "base.yaml" {{\nagainst "child.yaml"\neach bug {{\n{lines}\n}}\n}}\n'
-    document = Workspace().put(tmp_path / "bug.ant", text)
+    document = Workspace().put_document(tmp_path / "bug.ant", text)
     keys = [each.key for each in document.occurrences if document.start(each.span) > len(PROGRAM)]
     assert keys.count(("state", "bug", "main", "s")) == 2 and keys.count(("own", "bug", "pace")) == 3
     assert [key[1] for key in keys if key[0] == "file"] == [str(tmp_path / "base.yaml"), str(tmp_path / "child.yaml")]

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from antdsl.machine_code.kernels import calling
+from antdsl.machine_code.kernels import kernel_calls
 from antdsl.machine_code.kernels.direct.argument_text import RESULT_WORDS
 from antdsl.machine_code.kernels.kernel import Kernel
 
@@ -86,28 +86,30 @@ class EmulatedCode:
         """The function that calls a kernel, by the same table of words as a call on this machine."""
         line = re.search(rf'@about\.{kernel.__name__} = constant .* c"(.*)\\00"', self._text)
         assert line is not None
-        description, types = calling.KernelDescription.read(line[1]), kernel.types()
-        specs = list(calling._argument_specs(types, description.stored))
-        words = RESULT_WORDS + sum(map(calling._word_count, specs))
+        description, types = kernel_calls.KernelDescription.from_text(line[1]), kernel.types()
+        specs = list(kernel_calls._argument_specs(types, description.written_arrays))
+        words = RESULT_WORDS + sum(map(kernel_calls._word_count, specs))
         number = self._names.index(kernel.__name__)
 
         def function(table: int, _begin: int, _end: int) -> None:
             self._call(number, np.ctypeslib.as_array(ctypes.cast(table, ctypes.POINTER(ctypes.c_int64)), (words,)), specs)
 
-        return calling._plain(kernel.__name__, function, types, specs, words, list(description.gives), description.several)
+        return kernel_calls._make_python_caller(
+            kernel.__name__, function, types, specs, words, list(description.gives), description.has_several_results
+        )
 
     def _call(self, number: int, table: np.ndarray, specs: Sequence[Any]) -> None:
         """Run a kernel in the emulator. Change the words of results and the memory that the pointers of the table name."""
         sent, arrays, ranges = table.copy(), bytearray(GAP), list[tuple[int, int, int]]()
-        pointers = np.array([each.place for each in specs if each.dtype is not None], np.int64)
+        pointers = np.array([each.word_index for each in specs if each.dtype is not None], np.int64)
         for each in specs:
             if each.dtype is None:
                 continue
-            first, last = _byte_range(table[each.place :], each)
-            begin = int(table[each.place]) + first
+            first, last = _byte_range(table[each.word_index :], each)
+            begin = int(table[each.word_index]) + first
             arrays += b"\0" * ((begin - len(arrays)) % 64)  # aligned as it is here
             ranges.append((len(arrays), begin, last - first))
-            sent[each.place] = len(arrays) - first
+            sent[each.word_index] = len(arrays) - first
             arrays += ctypes.string_at(begin, last - first) + GAP
         stdin, stdout = self._process.stdin, self._process.stdout
         assert stdin is not None and stdout is not None
@@ -131,6 +133,8 @@ def _byte_range(words: np.ndarray, spec: Any) -> tuple[int, int]:
     shape, size = words[1 : 1 + spec.axes], spec.dtype.itemsize
     if not shape.all():
         return 0, 0
-    steps = words[1 + spec.axes : 1 + 2 * spec.axes] if spec.strided else [int(shape[k + 1 :].prod()) for k in range(spec.axes)]
+    steps = (
+        words[1 + spec.axes : 1 + 2 * spec.axes] if spec.is_strided else [int(shape[k + 1 :].prod()) for k in range(spec.axes)]
+    )
     reach = [int(n - 1) * int(step) * size for n, step in zip(shape, steps, strict=True)]
     return sum(min(0, each) for each in reach), sum(max(0, each) for each in reach) + size

@@ -13,9 +13,9 @@ import numpy as np
 
 from antdsl.machine_code.kernels.checks import KernelFault, check_message
 from antdsl.machine_code.kernels.ir import LANE_ORDERS_CONSTANT, LANES_BY_MASK, Instruction, IrFunction, split_type
-from antdsl.machine_code.kernels.operations import DTYPE_BY_TYPE, OPERATION_BY_NAME, wrap
+from antdsl.machine_code.kernels.operations import DTYPE_BY_TYPE, OPERATION_BY_NAME, wrap_to_dtype
 from antdsl.machine_code.kernels.values import Number
-from antdsl.machine_code.kinds import LANE_COUNT
+from antdsl.machine_code.number_kinds import LANE_COUNT
 
 _STACK_TYPE_PATTERN = re.compile(r"(?:\[(\d+) x )?(?:<(\d+) x )?(\w+)>?(?:\], align \d+)?")
 _INTEGER_PATTERN = re.compile(r"-?\d+")
@@ -112,7 +112,7 @@ class FunctionPreparer:
 
     def code(self) -> PreparedFunction:
         slots = [
-            (self.place(each.result), _make_allocator(each.extra)) for each in self.function.slots if each.result is not None
+            (self.place(each.result), _make_allocator(each.immediate)) for each in self.function.slots if each.result is not None
         ]
         blocks = [[self.step(each) for each in block.body[:-1]] for block in self.function.blocks]
         ends = [self.end(block.body[-1]) for block in self.function.blocks]
@@ -133,7 +133,7 @@ class FunctionPreparer:
         operands = [self.place(operand) for operand in each.operands]
         if each.op == "return":
             return lambda registers: (registers[operands[0]] if operands else None,)
-        targets = [self.labels[label] for label in each.extra]
+        targets = [self.labels[label] for label in each.immediate]
         if each.op == "jump":
             return lambda registers: targets[0]
         return lambda registers: targets[0] if registers[operands[0]] else targets[1]
@@ -190,19 +190,21 @@ class FunctionPreparer:
 
     def _insertelement(self, each: Instruction, to: int, of: int, value: int) -> _PreparedStep:
         def step(registers: list[Any]) -> None:
-            registers[to] = (*registers[of][: each.extra], registers[value], *registers[of][each.extra + 1 :])
+            registers[to] = (*registers[of][: each.immediate], registers[value], *registers[of][each.immediate + 1 :])
 
         return step
 
     def _extractelement(self, each: Instruction, to: int, of: int) -> _PreparedStep:
         def step(registers: list[Any]) -> None:
-            registers[to] = registers[of][each.extra]
+            registers[to] = registers[of][each.immediate]
 
         return step
 
     def _shufflevector(self, each: Instruction, to: int, a: int, b: int) -> _PreparedStep:
         assert each.result is not None
-        order = [int(number) for number in _INTEGER_PATTERN.findall(each.extra.replace("i32", ""))[1:]] or [0] * each.result.lanes
+        order = [int(number) for number in _INTEGER_PATTERN.findall(each.immediate.replace("i32", ""))[1:]] or [
+            0
+        ] * each.result.lanes
 
         def step(registers: list[Any]) -> None:
             both = registers[a] + registers[b]
@@ -218,7 +220,7 @@ class FunctionPreparer:
 
     def _lanes(self, each: Instruction, to: int, mask: int) -> _PreparedStep:
         def step(registers: list[Any]) -> None:
-            registers[to] = wrap(sum(1 << k for k, held in enumerate(registers[mask]) if held), np.int8)
+            registers[to] = wrap_to_dtype(sum(1 << k for k, held in enumerate(registers[mask]) if held), np.int8)
 
         return step
 
@@ -240,7 +242,7 @@ class FunctionPreparer:
     # --- memory --------------------------------------------------------------------------------------------------------
 
     def _element(self, each: Instruction, to: int, address: int, index: int) -> _PreparedStep:
-        lanes, base = split_type(each.extra)
+        lanes, base = split_type(each.immediate)
         size = lanes * (8 if base == "ptr" else np.dtype(DTYPE_BY_TYPE[base]).itemsize)
 
         def step(registers: list[Any]) -> None:
@@ -311,7 +313,7 @@ class FunctionPreparer:
     # --- functions -----------------------------------------------------------------------------------------------------
 
     def _call(self, each: Instruction, to: int, *arguments: int) -> _PreparedStep:
-        code = self.codes[each.extra]
+        code = self.codes[each.immediate]
 
         def step(registers: list[Any]) -> None:
             registers[to] = run_code(code, [registers[place] for place in arguments])
@@ -322,7 +324,7 @@ class FunctionPreparer:
 
     def _extractvalue(self, each: Instruction, to: int, of: int) -> _PreparedStep:
         def step(registers: list[Any]) -> None:
-            registers[to] = registers[of][each.extra]
+            registers[to] = registers[of][each.immediate]
 
         return step
 
@@ -336,7 +338,7 @@ class FunctionPreparer:
 
     def _index(self, each: Instruction, to: int, index: int, length: int) -> _PreparedStep:
         def step(registers: list[Any]) -> None:
-            if not 0 <= registers[index] <= registers[length] - each.extra:
+            if not 0 <= registers[index] <= registers[length] - each.immediate:
                 raise KernelFault(check_message(self.function.file, each.line, each.op))
 
         return step

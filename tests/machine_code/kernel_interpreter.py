@@ -15,12 +15,12 @@ import numpy as np
 from interpreter_steps import ArrayMemory, FunctionPreparer, Pointer, PreparedFunction, ProcessMemory, run_code
 from numpy.lib.array_utils import byte_bounds
 
-from antdsl.machine_code.kernels.calling import flat
 from antdsl.machine_code.kernels.ir import IrFunction
 from antdsl.machine_code.kernels.kernel import Kernel
-from antdsl.machine_code.kernels.operations import DTYPE_BY_TYPE, wrap
+from antdsl.machine_code.kernels.kernel_calls import flatten_arguments
+from antdsl.machine_code.kernels.operations import DTYPE_BY_TYPE, wrap_to_dtype
 from antdsl.machine_code.kernels.types import UNSIGNED, ArrayType, ScalarType
-from antdsl.machine_code.kernels.values import KernelItem, leaves
+from antdsl.machine_code.kernels.values import KernelItem, flatten_item
 
 
 def interpret(kernel: Kernel, *arguments: Any) -> Any:
@@ -34,7 +34,7 @@ class KernelInterpreter:
 
     def __init__(self, kernel: Kernel) -> None:
         self._types = kernel.types()
-        self._name, self._result, functions = kernel.instructions()
+        self._name, self._result, functions = kernel.build_instructions()
         self._label = kernel.__name__
         self._codes: dict[str, PreparedFunction] = {}
         for each in functions:  # those that are called come first
@@ -43,11 +43,11 @@ class KernelInterpreter:
     def __call__(self, *arguments: Any) -> Any:
         passed: list[Any] = []
         kinds = list(_kinds(self._types))
-        for type, value in zip(kinds, flat(self._label, self._types, arguments), strict=True):
+        for type, value in zip(kinds, flatten_arguments(self._label, self._types, arguments), strict=True):
             passed += _array(value, type) if isinstance(type, ArrayType) else [_number(value, type)]
         with np.errstate(all="ignore"):
             output = run_code(self._codes[self._name], passed)
-        numbers = list(leaves(self._result))
+        numbers = list(flatten_item(self._result))
         values = [
             _argument_value(each, value) for each, value in zip(numbers, output if len(numbers) > 1 else (output,), strict=False)
         ]
@@ -81,7 +81,7 @@ def _kinds(types: Sequence[Any]) -> Any:
 def _number(value: Any, type: ScalarType) -> Any:
     if type.kind in ("double", "float"):
         return DTYPE_BY_TYPE[type.kind](np.float64(value))
-    return np.bool_(value) if type.kind == "i1" else wrap(int(value))
+    return np.bool_(value) if type.kind == "i1" else wrap_to_dtype(int(value))
 
 
 def _array(array: Any, type: ArrayType) -> list[Any]:
@@ -90,7 +90,7 @@ def _array(array: Any, type: ArrayType) -> list[Any]:
     start = array.__array_interface__["data"][0]
     buffer = (ctypes.c_uint8 * (high - low if array.size else 0)).from_address(low)
     memory = ArrayMemory(np.ctypeslib.as_array(buffer))
-    steps = [np.int64(each // array.itemsize) for each in array.strides] if type.strided else []
+    steps = [np.int64(each // array.itemsize) for each in array.strides] if type.is_strided else []
     return [Pointer(memory, start - low if array.size else 0), *map(np.int64, array.shape), *steps]
 
 

@@ -1,6 +1,6 @@
 """Draws the source of random kernels: every kind of statement and expression that kernels have, with types that fit.
 
-No turn of an `independent` loop reads what another one writes. Indices are within their axis and no divisor is 0, unless a kernel
+No turn of an `simd_range` loop reads what another one writes. Indices are within their axis and no divisor is 0, unless a kernel
 is `daring`."""
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from typing import NamedTuple
 import numpy as np
 
 from antdsl.machine_code.kernels import (
-    BOOL, F32, F64, I16, I32, I64, U8, U64, Array1, Array2, Array3, Strided2, as_bits, as_float, called, fetch_ahead,
-    independent, inlined, kernel, load_consecutive, nearest_integer, put_three, scratch, three,
+    BOOL, F32, F64, I16, I32, I64, U8, U64, Array1, Array2, Array3, Strided2, float_to_bits, bits_to_float, kernel_helper,
+    prefetch, simd_range, inlined, kernel, load_consecutive, round_to_int, store3, allocate_scratch, load3,
 )
 """
 CLASSES = [f"class {name}(NamedTuple):\n    one: {a}\n    other: {b}" for name, (a, b) in RECORDS.items()]
@@ -156,7 +156,7 @@ class Source:
     def _f64(self, depth: int) -> str:
         text = self._float("F64", depth)
         options = (
-            "np.float64({f})", "np.float64({i})", "float({u})", "as_float({i})", "({d} * {i})", "({d} + {b})", "float({b})",
+            "np.float64({f})", "np.float64({i})", "float({u})", "bits_to_float({i})", "({d} * {i})", "({d} + {b})", "float({b})",
             "({i} / {j})",
         )  # fmt: skip
         return text or self.filled(self.draw.choice(options), depth)
@@ -189,8 +189,8 @@ class Source:
 
     def _i64(self, depth: int) -> str:
         options = (
-            "int({d})", "np.int64({f})", "np.int64({u})", "np.int32({i})", "np.uint32({i})", "nearest_integer({d})", "int({b})",
-            "({i} + {b})", "abs({i})", "(-{i})", "math.floor({d})", "as_bits(float({i}))", "np.int64({d})",
+            "int({d})", "np.int64({f})", "np.int64({u})", "np.int32({i})", "np.uint32({i})", "round_to_int({d})", "int({b})",
+            "({i} + {b})", "abs({i})", "(-{i})", "math.floor({d})", "float_to_bits(float({i}))", "np.int64({d})",
         )  # fmt: skip
         return self._integer("I64", depth) or self.filled(self.draw.choice(options), depth)
 
@@ -351,7 +351,7 @@ class Source:
                 self.put(f"out_{place}[{self.output(place)}] = {name}")
         if self.own["F64"] and self.chance(0.4):
             names = [self.draw.choice(self.own["F64"]) for _ in range(3)]
-            self.put(f"put_three(out_rows, {self.output('rows')}, ({', '.join(names)}))")
+            self.put(f"store3(out_rows, {self.output('rows')}, ({', '.join(names)}))")
 
     def rows(self) -> None:
         """Several elements at once."""
@@ -359,17 +359,17 @@ class Source:
         if pick < 0.4:
             names = [self.new("part") for _ in range(3)]
             of, kind = self.draw.choice((("rows", "F64"), ("rows32", "F32")))
-            self.put(f"{', '.join(names)} = three({of}, {self.index(1)})")
+            self.put(f"{', '.join(names)} = load3({of}, {self.index(1)})")
             self.scope[kind] += names
         elif pick < 0.7:
-            self.put(f"put_three(out_rows, {self.output('rows')}, ({', '.join(self.of('F64', 1) for _ in range(3))}))")
+            self.put(f"store3(out_rows, {self.output('rows')}, ({', '.join(self.of('F64', 1) for _ in range(3))}))")
         elif pick < 0.9:
             of, kind = self.draw.choice((("table", "F64"), ("table32", "F32")))
             names = [self.new("part") for _ in range(4)]
             self.put(f"{', '.join(names)} = load_consecutive({of}, {self.small(1, 15)} * 4, 4)")
             self.scope[kind] += names
         else:
-            self.put(f"fetch_ahead(in_F64, {self.of('I64', 1)})")
+            self.put(f"prefetch(in_F64, {self.of('I64', 1)})")
 
     def variables(self, count: int) -> None:
         for kind in self.draw.sample(KINDS, count):
@@ -412,7 +412,7 @@ def helper(
         source.put(f"    if {source.of('BOOL', 1)}:")
         source.put(f"        {returned()}")
     source.put(returned())
-    head = f"@{draw.choice(('inlined', 'called'))}\ndef {name}({', '.join(['table', *parameters])}):\n"
+    head = f"@{draw.choice(('inlined', 'kernel_helper'))}\ndef {name}({', '.join(['table', *parameters])}):\n"
     return head + "\n".join(source.lines), (name, takes, gives)
 
 
@@ -425,7 +425,7 @@ def kernel_of(draw: Random, name: str, daring: bool) -> list[str]:
         helpers.append(text)
         source.helpers.append(known)
     lanes = draw.random() < 0.6
-    source.put(f'"""{"independent" if lanes else "one by one"}"""')
+    source.put(f'"""{"simd_range" if lanes else "one by one"}"""')
     for kind, parameter in zip(KINDS, "xywvq", strict=True):
         source.scope[kind].append(parameter)
     source.variables(3)
@@ -433,7 +433,7 @@ def kernel_of(draw: Random, name: str, daring: bool) -> list[str]:
         if source.chance(0.2):
             source.put(f"out_F64[:] = {source.of('F64', 1)}")
         if source.chance(0.3):
-            source.put("room = scratch(4, F64)")
+            source.put("room = allocate_scratch(4, F64)")
             source.put("for slot in range(4):")
             source.put(f"    room[slot] = {source.of('F64', 1)}")
             source.scope["F64"] += [f"room[{k}]" for k in range(4)] + [f"room[{source.small(1, 3)}]"]
@@ -444,7 +444,7 @@ def kernel_of(draw: Random, name: str, daring: bool) -> list[str]:
     if again:
         source.put("for again in range(2):")
         source.depth += 1
-    source.put(f"for i in {'independent' if lanes else 'range'}(begin, end):")
+    source.put(f"for i in {'simd_range' if lanes else 'range'}(begin, end):")
     source.depth += 1
     source.variables(3)
     if lanes:

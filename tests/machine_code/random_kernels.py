@@ -25,12 +25,12 @@ from unittest.mock import patch
 
 import numpy as np
 
-from antdsl.machine_code import machine, shipped
+from antdsl.machine_code import llvm_compiler, shipped_objects
 from antdsl.machine_code.kernels import KernelFault, NotInSubset
 from antdsl.machine_code.kernels.ir import InvalidCode
-from antdsl.machine_code.kernels.kernel import Kernel, text_of
-from antdsl.machine_code.kernels.units import KernelUnit
-from antdsl.machine_code.kinds import LANE_COUNT
+from antdsl.machine_code.kernels.kernel import Kernel, render_kernels
+from antdsl.machine_code.kernels.kernel_unit import KernelUnit
+from antdsl.machine_code.number_kinds import LANE_COUNT
 
 sys.path.insert(0, str(Path(__file__).parent))
 from emulated_kernels import EmulatedCode, missing_program
@@ -131,32 +131,32 @@ def load(source: str, folder: Path) -> list[Kernel]:
     return [value for value in vars(module).values() if isinstance(value, Kernel)]
 
 
-def can_run(target: machine.Target) -> bool:
+def can_run(target: llvm_compiler.Target) -> bool:
     """Whether code for a target can run on this machine, or in the emulator."""
-    host = machine.host()
+    host = llvm_compiler.host_target()
     if target.arm:
         return host.arm or not missing_program()
-    return target.x86 and host.x86 and shipped._present_features(target) <= shipped._present_features(host)
+    return target.x86 and host.x86 and shipped_objects._present_features(target) <= shipped_objects._present_features(host)
 
 
 @contextmanager
 def callers(
-    kernels: Sequence[Kernel], target: machine.Target, lanes: int, daring: bool
+    kernels: Sequence[Kernel], target: llvm_compiler.Target, lanes: int, daring: bool
 ) -> Iterator[Callable[[Kernel], Callable[..., Any]]]:
     """Compile kernels; the function that returns what calls one of them."""
     module = importlib.import_module("antdsl.machine_code.kernels.kernel")
     with patch.object(module, "KernelUnit", partial(KernelUnit, lanes=lanes)):
-        text = text_of(kernels, target, checked=daring)
-    code = machine.object_code(text, target)
-    if target.arm == machine.host().arm:
-        loaded = machine.load(code)
-        yield lambda kernel: kernel.caller(loaded, checked=daring)
+        text = render_kernels(kernels, target, checked=daring)
+    code = llvm_compiler.compile_object(text, target)
+    if target.arm == llvm_compiler.host_target().arm:
+        loaded = llvm_compiler.load_object(code)
+        yield lambda kernel: kernel.make_caller(loaded, checked=daring)
     else:
         with tempfile.TemporaryDirectory() as folder, EmulatedCode(kernels, text, code, Path(folder)) as emulated:
             yield emulated.caller
 
 
-def differences(kernels: Sequence[Kernel], seed: int, daring: bool, target: machine.Target, lanes: int) -> Iterator[str]:
+def differences(kernels: Sequence[Kernel], seed: int, daring: bool, target: llvm_compiler.Target, lanes: int) -> Iterator[str]:
     """Compare kernels; yield what differs."""
     try:
         with callers(kernels, target, lanes, daring) as caller:
@@ -176,7 +176,7 @@ def _differences_of_one(kernel: Kernel, compiled: Any, seed: int, number: int, d
         passed = inputs(1000 * seed + number + length, length)
         (fault, expected), (raised, output) = outcome(interpreted, passed), outcome(compiled, passed)
         if daring and (fault or raised):
-            if bool(fault) != bool(raised) or ("independent" not in kernel.__doc__ and fault != raised):
+            if bool(fault) != bool(raised) or ("simd_range" not in kernel.__doc__ and fault != raised):
                 yield f"{kernel.__name__}, length {length}: {fault or 'no error'} interpreted, {raised or 'none'} compiled"
         elif fault:
             yield f"{kernel.__name__}, length {length}: {fault}"
@@ -191,15 +191,15 @@ def compare(count: int, seed: int, target: str = "", show: bool = True, lanes: i
     Kernels for a target that nothing can run here are only compiled. The emulator runs no daring ones: the checked build reports
     to this process."""
     output: list[str] = []
-    compiled_for = shipped.TARGET_BY_NAME[target] if target else machine.host()
+    compiled_for = shipped_objects.TARGET_BY_NAME[target] if target else llvm_compiler.host_target()
     runs = can_run(compiled_for)
     with tempfile.TemporaryDirectory() as name:
         for batch in range(0, count, BATCH):
-            daring = batch // BATCH % DARING_EVERY == DARING_EVERY - 1 and compiled_for.arm == machine.host().arm
+            daring = batch // BATCH % DARING_EVERY == DARING_EVERY - 1 and compiled_for.arm == llvm_compiler.host_target().arm
             source = module_of(Random(f"{seed} {batch}"), min(BATCH, count - batch), daring)
             kernels = load(source, Path(name))
             if not runs:
-                machine.object_code(text_of(kernels, compiled_for), compiled_for)
+                llvm_compiler.compile_object(render_kernels(kernels, compiled_for), compiled_for)
                 continue
             for each in differences(kernels, seed + batch, daring, compiled_for, lanes):
                 output.append(f"seed {seed}, batch {batch}: {each}\n{_source(source, each.split(',')[0])}")
@@ -222,11 +222,14 @@ def main() -> int:
     parser.add_argument("--count", type=int, default=400)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument(
-        "--target", choices=list(shipped.TARGET_BY_NAME), default="", help="compile for a target; run where that is possible"
+        "--target",
+        choices=list(shipped_objects.TARGET_BY_NAME),
+        default="",
+        help="compile for a target; run where that is possible",
     )
     parser.add_argument("--lanes", type=int, choices=(1, LANE_COUNT), default=LANE_COUNT)
     options = parser.parse_args()
-    if options.target and not can_run(shipped.TARGET_BY_NAME[options.target]):
+    if options.target and not can_run(shipped_objects.TARGET_BY_NAME[options.target]):
         print(f"nothing here runs code for {options.target}: kernels are only compiled")
     output = compare(options.count, options.seed, options.target, lanes=options.lanes)
     print(f"{options.count} kernels, {len(output)} differences, {time.process_time():.0f} s of CPU")

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from antdsl.machine_code import machine
-from antdsl.machine_code.kernels import BOOL, F32, F64, I64, U64, Array1, Array2, Strided2, calling, direct, kernel
+from antdsl.machine_code import llvm_compiler
+from antdsl.machine_code.kernels import BOOL, F32, F64, I64, U64, Array1, Array2, Strided2, direct, kernel, kernel_calls
 
-pytestmark = pytest.mark.skipif(not machine.is_available(), reason="no llvmlite")
+pytestmark = pytest.mark.skipif(not llvm_compiler.is_available(), reason="no llvmlite")
 
 
 @kernel
@@ -39,7 +39,7 @@ def last(x: Array1[I64]) -> I64:
 def otherwise(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """Names of kernels that Python has called, from now on."""
     calls: list[str] = []
-    plain = calling._plain
+    plain = kernel_calls._make_python_caller
 
     def counted(name: str, *rest: Any) -> Any:
         run = plain(name, *rest)
@@ -50,9 +50,9 @@ def otherwise(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
         return noted
 
-    monkeypatch.setattr(calling, "_plain", counted)
+    monkeypatch.setattr(kernel_calls, "_make_python_caller", counted)
     for each in (read, written, last):
-        monkeypatch.setattr(each, "_run", None)
+        monkeypatch.setattr(each, "_loaded_call", None)
         monkeypatch.setattr(each, "__call__", each._first_call)
     return calls
 
@@ -72,7 +72,7 @@ _OTHERWISE: list[tuple[Any, ...]] = [
 ]
 
 
-@pytest.mark.skipif(not direct.possible(), reason="objects lie otherwise here")
+@pytest.mark.skipif(not direct.is_supported(), reason="objects lie otherwise here")
 @pytest.mark.parametrize(("cases", "calls"), [(_GOOD, 0), (_OTHERWISE, len(_OTHERWISE))])
 def test_numbers_and_tuples_are_read(otherwise: list[str], cases: list[tuple[Any, ...]], calls: int) -> None:
     for real, single, integer, unsigned, truth, pair in cases:
@@ -83,7 +83,7 @@ def test_numbers_and_tuples_are_read(otherwise: list[str], cases: list[tuple[Any
     assert otherwise == ["read"] * calls
 
 
-@pytest.mark.skipif(not direct.possible(), reason="objects lie otherwise here")
+@pytest.mark.skipif(not direct.is_supported(), reason="objects lie otherwise here")
 def test_arrays_are_read_as_they_lie(otherwise: list[str]) -> None:
     rng = np.random.default_rng(1)
     x, base = rng.random(4), rng.random((8, 9)).astype(np.float32)
@@ -114,9 +114,9 @@ def test_wrong_arguments_are_reported() -> None:
 
 
 def test_without_it_python_calls_with_the_same_results(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(direct, "possible", lambda: False)
+    monkeypatch.setattr(direct, "is_supported", lambda: False)
     for each in (read, last):
-        monkeypatch.setattr(each, "_run", None)
+        monkeypatch.setattr(each, "_loaded_call", None)
         monkeypatch.setattr(each, "__call__", each._first_call)
     assert read(*_GOOD[0]) == (1.5, 2.5, 3, 4, True, 7.5, 8.5, 9)
     assert last(np.arange(5)) == 4

@@ -14,7 +14,7 @@ import pytest
 from children import child_environment
 from kernel_interpreter import interpret
 
-from antdsl.machine_code import machine
+from antdsl.machine_code import llvm_compiler
 from antdsl.machine_code.kernels import (
     BOOL,
     F32,
@@ -24,18 +24,18 @@ from antdsl.machine_code.kernels import (
     Array1,
     KernelFault,
     NotInSubset,
-    called,
-    independent,
+    allocate_scratch,
     kernel,
-    scratch,
+    kernel_helper,
+    simd_range,
 )
-from antdsl.machine_code.kernels.ir import InvalidCode, verify
-from antdsl.machine_code.kernels.kernel import Kernel, text_of
-from antdsl.machine_code.kernels.side_by_side import write_function
-from antdsl.machine_code.kernels.units import KernelUnit
+from antdsl.machine_code.kernels.ir import InvalidCode, verify_functions
+from antdsl.machine_code.kernels.kernel import Kernel, render_kernels
+from antdsl.machine_code.kernels.kernel_unit import KernelUnit
+from antdsl.machine_code.kernels.simd_loops import write_function
 from antdsl.machine_code.kernels.values import Number
 
-pytestmark = pytest.mark.skipif(not machine.is_available(), reason="no machine code can be process here")
+pytestmark = pytest.mark.skipif(not llvm_compiler.is_available(), reason="no machine code can be process here")
 LEAST, MOST = -(2**63), 2**63 - 1
 
 
@@ -88,7 +88,7 @@ def shifted_too_far(x: I64) -> I64:
 
 @kernel
 def outside_of_room(x: F64) -> F64:
-    storage = scratch(4, F64)
+    storage = allocate_scratch(4, F64)
     storage[4] = x
     return storage[0]
 
@@ -98,7 +98,7 @@ def signed_and_unsigned(x: I64, y: U64) -> U64:
     return y if x > 0 else x
 
 
-@called
+@kernel_helper
 def halved(x: F64) -> F64:
     return x * 0.5
 
@@ -113,7 +113,7 @@ def array_of_another_type(x: Array1[F32]) -> F64:
     return first_element(x)
 
 
-@called
+@kernel_helper
 def first_element(x: Array1[F64]) -> F64:
     return x[0]
 
@@ -230,7 +230,7 @@ def without_value(a: Array1[F64]) -> F64:
 
 @kernel
 def room_without_value(a: Array1[F64]) -> F64:
-    storage = scratch(4, F64)
+    storage = allocate_scratch(4, F64)
     storage[0] = a[0]
     return storage[1]
 
@@ -266,7 +266,7 @@ def test_the_verifier_finds_instructions_that_do_not_fit() -> None:
     unit = KernelUnit()
     name, _ = write_function(unit, quotient.part, [Number("i64", "%x"), Number("i64", "%y")])
     (function,) = unit.functions
-    verify(unit.functions)
+    verify_functions(unit.functions)
     assert name == function.name
     body = function.blocks[0].body
     for k, each in enumerate(body):
@@ -277,29 +277,35 @@ def test_the_verifier_finds_instructions_that_do_not_fit() -> None:
             body[k] = one
             if one != each:
                 with pytest.raises(InvalidCode):
-                    verify(unit.functions)
+                    verify_functions(unit.functions)
         body[k] = each
     first = next(k for k, each in enumerate(body) if each.result is not None)
     missing, late = body[:first] + body[first + 1 :], [*body[:first], *body[first + 1 : -1], body[first], body[-1]]
-    for changed in (body[:-1], [body[-1], *body], missing, late, [*body[:-1], body[-1]._replace(op="jump", extra=("nowhere",))]):
+    for changed in (
+        body[:-1],
+        [body[-1], *body],
+        missing,
+        late,
+        [*body[:-1], body[-1]._replace(op="jump", immediate=("nowhere",))],
+    ):
         function.blocks[0] = function.blocks[0]._replace(body=changed)
         with pytest.raises(InvalidCode):
-            verify(unit.functions)
+            verify_functions(unit.functions)
 
 
 BAD = """
 from functools import partial
 import numpy as np
-from antdsl.machine_code.kernels import F64, I64, Array1, KernelFault, called, independent, kernel
+from antdsl.machine_code.kernels import F64, I64, Array1, KernelFault, kernel_helper, simd_range, kernel
 from antdsl.numerics import parallel
 
-@called
+@kernel_helper
 def element(a, k):
     return a[k]
 
 @kernel
 def one(a: Array1[F64], rows: Array1[I64], to: Array1[F64], begin: I64, end: I64) -> I64:
-    for i in independent(begin, end):
+    for i in simd_range(begin, end):
         to[i] = element(a, rows[i])
     return end - begin
 
@@ -319,7 +325,7 @@ for wrong in (40, -1, 10**12, 5):
     print(outcome(lambda: one(a, rows, np.zeros(40), 0, 40)))
 many = np.zeros(100_000, np.int64)
 many[77_777] = 40
-print(outcome(lambda: parallel.in_parts(partial(one, a, many, np.zeros(len(many))), len(many), 2)))
+print(outcome(lambda: parallel.run_in_parts(partial(one, a, many, np.zeros(len(many))), len(many), 2)))
 rows[23] = 99
 print(outcome(lambda: one(a, rows, np.zeros(9), 0, 9)), outcome(lambda: one(a, rows, np.zeros(9), 0, 16)))
 print(outcome(lambda: divide(7, 0)), outcome(lambda: divide(7, 2)))
@@ -342,19 +348,21 @@ def test_a_checked_build_raises_errors_with_file_and_line(tmp_path: Path) -> Non
 
 
 def test_checked_code_has_a_key_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
-    from antdsl.machine_code.kernels import sources
+    from antdsl.machine_code.kernels import source_key
 
-    previous = usual.text_key(machine.PORTABLE_TARGET)
-    monkeypatch.setattr(sources, "CHECKS_ENABLED", not sources.CHECKS_ENABLED)
-    assert usual.text_key(machine.PORTABLE_TARGET) != previous
-    assert text_of([usual], machine.PORTABLE_TARGET, checked=True) != text_of([usual], machine.PORTABLE_TARGET, checked=False)
+    previous = usual.text_key(llvm_compiler.PORTABLE_TARGET)
+    monkeypatch.setattr(source_key, "CHECKS_ENABLED", not source_key.CHECKS_ENABLED)
+    assert usual.text_key(llvm_compiler.PORTABLE_TARGET) != previous
+    assert render_kernels([usual], llvm_compiler.PORTABLE_TARGET, checked=True) != render_kernels(
+        [usual], llvm_compiler.PORTABLE_TARGET, checked=False
+    )
 
 
 def test_checked_objects_have_line_tables_with_relative_file_names() -> None:
     import llvmlite.binding as llvm
 
-    text = text_of([usual], machine.PORTABLE_TARGET, checked=True)
-    code = machine.object_code(text, machine.PORTABLE_TARGET)
+    text = render_kernels([usual], llvm_compiler.PORTABLE_TARGET, checked=True)
+    code = llvm_compiler.compile_object(text, llvm_compiler.PORTABLE_TARGET)
     sections = {each.name(): each.data() for each in llvm.ObjectFileRef.from_data(code).sections()}
     assert sections[b".debug_line"]
     assert f'!DIFile(filename: "tests/machine_code/{Path(__file__).name}", directory: "")' in text
@@ -371,7 +379,7 @@ def test_arrays_that_are_not_aligned_are_rejected() -> None:
 
 @kernel
 def left_early(small: Array1[I64], x: Array1[I64], to: Array1[I64]) -> None:
-    for i in independent(0, x.size):
+    for i in simd_range(0, x.size):
         total = 0
         for each in small:
             if each > x[i]:

@@ -18,11 +18,11 @@ from compilers import need_llvmlite
 
 from antdsl import user_folders
 from antdsl.machine_code import object_cache, signing
-from antdsl.machine_code.machine import Target, host, load, object_code
-from antdsl.machine_code.object_cache import CACHE_VARIABLE, ObjectCache, key, versions
+from antdsl.machine_code.llvm_compiler import Target, compile_object, host_target, load_object
+from antdsl.machine_code.object_cache import CACHE_VARIABLE, ObjectCache, environment_versions, object_key
 
 TARGET = Target("x86_64-unknown-linux-gnu", "znver1", "+avx2,-fma")
-KEY, OTHER = (key(text, TARGET, versions=("1",)) for text in ("one", "other"))
+KEY, OTHER = (object_key(text, TARGET, versions=("1",)) for text in ("one", "other"))
 CODE = bytes(range(256)) * 8
 rights = pytest.mark.skipif(not hasattr(os, "geteuid"), reason="this system says in other ways who may write")
 
@@ -37,7 +37,7 @@ def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     for name in ("HOME", "USERPROFILE", "LOCALAPPDATA", "XDG_CACHE_HOME", "XDG_STATE_HOME"):
         monkeypatch.setenv(name, str(tmp_path / "project"))
     monkeypatch.setattr(user_folders, "home_folder", lambda: tmp_path / "home")
-    monkeypatch.setattr(user_folders, "_local_app_data", lambda: tmp_path / "home")
+    monkeypatch.setattr(user_folders, "_find_local_app_data", lambda: tmp_path / "home")
     return tmp_path / "home"
 
 
@@ -58,7 +58,7 @@ def place(folder: Path) -> Path:
 
 def file_of(folder: Path, key: str) -> Path:
     """Where a key's object file is stored."""
-    signer = signing.signer(create=True)
+    signer = signing.get_signer(create=True)
     assert signer is not None
     return folder / f"{signer.name(key)}.object"
 
@@ -92,7 +92,7 @@ def test_what_is_put_is_there_for_other_runs(folder: Path, home: Path) -> None:
     assert len(list((folder / "deep").iterdir())) == 2
     if hasattr(os, "geteuid"):
         assert (folder / "deep").stat().st_mode & 0o777 == 0o700
-        assert signing.key_file().stat().st_mode & 0o777 == 0o600
+        assert signing.key_path().stat().st_mode & 0o777 == 0o600
 
 
 def test_a_stored_object_file_runs(folder: Path) -> None:
@@ -107,12 +107,12 @@ def test_a_stored_object_file_runs(folder: Path) -> None:
   store double %y, ptr %at
   ret void
 }"""
-    name = key(text, host(), versions=versions())
-    ObjectCache(folder).put(name, object_code(text, host()))
+    name = object_key(text, host_target(), versions=environment_versions())
+    ObjectCache(folder).put(name, compile_object(text, host_target()))
     stored_code = ObjectCache(folder).get(name)
     assert stored_code is not None
     numbers = (ctypes.c_double * 2)(1.5, 2.5)
-    code = load(stored_code)  # its functions exist as long as it does
+    code = load_object(stored_code)  # its functions exist as long as it does
     code.function("twice")((ctypes.c_void_p * 1)(ctypes.addressof(numbers)), 1, 2)
     assert list(numbers) == [1.5, 5.0]
 
@@ -121,7 +121,7 @@ def test_a_key_is_of_all_that_code_depends_on() -> None:
     need_llvmlite()
 
     def of(text: str, triple: str, cpu: str, features: str, *versions: str) -> str:
-        return key(text, Target(triple, cpu, features), versions=versions)
+        return object_key(text, Target(triple, cpu, features), versions=versions)
 
     parts = ("text", "x86_64-unknown-linux-gnu", "znver1", "+avx2", "0.1.0", "22.1.0")
     others = [(*parts[:place], parts[place] + "0", *parts[place + 1 :]) for place in range(len(parts))]
@@ -129,7 +129,7 @@ def test_a_key_is_of_all_that_code_depends_on() -> None:
     keys = [of(*each) for each in (parts, *others, *moved, parts[:-1])]
     assert len(set(keys)) == len(keys) == 13
     assert of(*parts) == keys[0] and len(keys[0]) == 64
-    assert all(versions()) and versions() == versions()
+    assert all(environment_versions()) and environment_versions() == environment_versions()
     for wrong in ("", "../" + "0" * 61, "A" * 64, KEY + "\n"):
         with pytest.raises(ValueError):
             ObjectCache().get(wrong)
@@ -178,7 +178,7 @@ def test_code_of_another_user_or_machine_is_not_loaded(place: Path, monkeypatch:
     """With a folder in common both store theirs: neither finds what the other has written, under whatever name."""
     data = place.read_bytes()
     if changed == "key":
-        signing.key_file().write_bytes(bytes(32))
+        signing.key_path().write_bytes(bytes(32))
     elif changed == "machine":
         monkeypatch.setattr(signing, "machine_id", lambda: "another")
     elif hasattr(os, "geteuid"):
@@ -195,7 +195,7 @@ def test_code_of_another_user_or_machine_is_not_loaded(place: Path, monkeypatch:
 
 def test_many_bad_files_are_one_message(folder: Path) -> None:
     cache = ObjectCache(folder)
-    names = [key(str(n), TARGET, versions=()) for n in range(5)]
+    names = [object_key(str(n), TARGET, versions=()) for n in range(5)]
     for name in names:
         cache.put(name, CODE)
         file_of(folder, name).write_bytes(CODE)
@@ -262,13 +262,13 @@ def test_a_poisoned_folder_is_harmless_wherever_it_lies(place: Path, tmp_path: P
 
 def test_a_full_disk_ends_no_run(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     cache = ObjectCache(folder)
-    cache.prepare()
+    cache.prepare_folder()
 
     def full(part: str, path: Path) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
 
     with monkeypatch.context() as patch:
-        patch.setattr("antdsl.whole._replace", full)
+        patch.setattr("antdsl.atomic_write._replace_file", full)
         in_memory(cache, "make room")
     assert list(folder.iterdir()) == [], "nothing is left of what was begun"
     cache.put(KEY, CODE)
@@ -284,7 +284,7 @@ def test_whatever_the_system_refuses_ends_no_run(
         raise PermissionError(errno.EROFS, os.strerror(errno.EROFS))
 
     if prepared:
-        ObjectCache(folder).prepare()
+        ObjectCache(folder).prepare_folder()
     cache = ObjectCache(folder)
     with monkeypatch.context() as patch:
         patch.setattr(os, call, refuse)
@@ -338,7 +338,7 @@ def test_the_home_of_the_password_database_counts_and_no_variable(tmp_path: Path
     ObjectCache().put(KEY, CODE)
     assert ObjectCache().get(KEY) == CODE
     assert file_of(user_folders.cache_folder() / "antdsl" / "native", KEY).is_file()
-    assert signing.key_file() == user_folders.cache_folder() / "antdsl" / "key" and signing.key_file().is_relative_to(home)
+    assert signing.key_path() == user_folders.cache_folder() / "antdsl" / "key" and signing.key_path().is_relative_to(home)
     assert not list((tmp_path / "project").iterdir()), "HOME and XDG_CACHE_HOME lead here"
 
 
@@ -346,7 +346,7 @@ def test_without_a_home_code_stays_in_memory(tmp_path: Path, monkeypatch: pytest
     def homeless() -> Path:
         raise FileNotFoundError(0, "the password database has no home folder for this user")
 
-    for name in ("home_folder", "_local_app_data"):
+    for name in ("home_folder", "_find_local_app_data"):
         monkeypatch.setattr(user_folders, name, homeless)
     in_memory(ObjectCache(), "no home folder for this user")
     monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "named"))
@@ -367,7 +367,7 @@ def test_memory_has_a_cap_too(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(CACHE_VARIABLE, "")
     monkeypatch.setattr(object_cache, "_MAX_MEMORY_BYTES", 3 * len(CODE))
     cache = ObjectCache()
-    names = [key(str(n), TARGET, versions=()) for n in range(4)]
+    names = [object_key(str(n), TARGET, versions=()) for n in range(4)]
     for name in names[:3]:
         cache.put(name, CODE)
     assert cache.get(names[0]) == CODE
@@ -376,10 +376,10 @@ def test_memory_has_a_cap_too(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_what_was_used_longest_ago_goes_first(folder: Path) -> None:
-    names = [key(str(n), TARGET, versions=()) for n in range(6)]
+    names = [object_key(str(n), TARGET, versions=()) for n in range(6)]
     files = [file_of(folder, name) for name in names]
     size = signing.SIGNATURE_BYTES + len(CODE)
-    cache = ObjectCache(folder, cap=4 * size)
+    cache = ObjectCache(folder, max_bytes=4 * size)
     for age, name in enumerate(names[:4]):
         cache.put(name, CODE)
         os.utime(files[age], (1_000 + age, 1_000 + age))
@@ -396,14 +396,14 @@ def test_what_was_used_longest_ago_goes_first(folder: Path) -> None:
     assert [file.exists() for file in files] == [True, False, False, True, True, True]
     assert mine.exists() and being_written.exists() and not left.exists()
     assert cache.messages == []
-    ObjectCache(folder, cap=2 * size).put(names[3], CODE)
+    ObjectCache(folder, max_bytes=2 * size).put(names[3], CODE)
     assert files[3].exists() and sum(file.exists() for file in files) == 2
     for file in files:
         if file.exists():
             os.utime(file, (time.time() + 3600,) * 2)  # the clock went back
-    ObjectCache(folder, cap=size).put(names[0], CODE)
+    ObjectCache(folder, max_bytes=size).put(names[0], CODE)
     assert [file.exists() for file in files] == [True, False, False, False, False, False]
-    small = ObjectCache(folder, cap=size - 1)
+    small = ObjectCache(folder, max_bytes=size - 1)
     small.put(KEY, CODE)
     assert "too many" in small.messages[0] and not file_of(folder, KEY).exists()
 
@@ -412,12 +412,12 @@ _WRITER = """
 import sys
 from pathlib import Path
 from antdsl import user_folders
-from antdsl.machine_code.machine import Target
-from antdsl.machine_code.object_cache import ObjectCache, key
+from antdsl.machine_code.llvm_compiler import Target
+from antdsl.machine_code.object_cache import ObjectCache, object_key
 
-user_folders.home_folder = user_folders._local_app_data = lambda: Path(sys.argv[2])
-names = [key(str(n), Target("", "", ""), versions=()) for n in range(12)]
-cache = ObjectCache(Path(sys.argv[1]), cap=7 * 40_000)
+user_folders.home_folder = user_folders._find_local_app_data = lambda: Path(sys.argv[2])
+names = [object_key(str(n), Target("", "", ""), versions=()) for n in range(12)]
+cache = ObjectCache(Path(sys.argv[1]), max_bytes=7 * 40_000)
 found = 0
 for turn in range(150):
     for n in (turn % 12, (turn - 1) % 12, (turn - 2) % 12):  # two of three were used a moment ago
@@ -453,7 +453,7 @@ def test_threads_of_a_run_share_a_cache(folder: Path) -> None:
     cache = ObjectCache(folder)
 
     def work(n: int) -> bool:
-        name = key(str(n % 4), TARGET, versions=())
+        name = object_key(str(n % 4), TARGET, versions=())
         cache.put(name, bytes([n % 4]) * 10_000)
         return cache.get(name) == bytes([n % 4]) * 10_000
 

@@ -8,25 +8,25 @@ import pytest
 from compilers import need_llvmlite
 
 from antdsl.fields.pheromone import step_cells
-from antdsl.machine_code import machine
+from antdsl.machine_code import llvm_compiler
 from antdsl.machine_code.kernels.kernel import Kernel
 from antdsl.numerics.elementary_loops import cosines
-from antdsl.runtime.moving.strides import prepare_steps
-from antdsl.runtime.moving.velocities import arrive_rows
+from antdsl.runtime.moving.substep_kernels import prepare_steps
+from antdsl.runtime.moving.velocities import update_arrived_rows
 
-TARGET = machine.Target("nvptx64-nvidia-cuda", "sm_90", "")
+TARGET = llvm_compiler.Target("nvptx64-nvidia-cuda", "sm_90", "")
 
 
 def ptx_of(kernel: Kernel) -> str:
     """A kernel's text in PTX."""
     need_llvmlite()
     try:
-        return machine.assembly(kernel.text(TARGET), TARGET)
+        return llvm_compiler.compile_assembly(kernel.text(TARGET), TARGET)
     except RuntimeError as problem:
         pytest.skip(f"llvmlite is made without PTX: {problem}")
 
 
-@pytest.mark.parametrize("kernel", [cosines, prepare_steps, arrive_rows], ids=lambda kernel: kernel.__name__)
+@pytest.mark.parametrize("kernel", [cosines, prepare_steps, update_arrived_rows], ids=lambda kernel: kernel.__name__)
 def test_a_kernel_becomes_ptx_without_fused_operations(kernel: Kernel) -> None:
     operations = set(re.findall(r"\b((?:fma|mad|add|sub|mul|div|sqrt)\.[a-z.]*f(?:32|64))\b", ptx_of(kernel)))
     assert operations, "it calculates"

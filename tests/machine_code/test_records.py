@@ -10,11 +10,23 @@ import numpy as np
 import pytest
 from kernel_interpreter import interpret
 
-from antdsl.machine_code import machine
-from antdsl.machine_code.kernels import F32, F64, I64, Array1, Array2, NotInSubset, called, independent, inlined, kernel, sources
+from antdsl.machine_code import llvm_compiler
+from antdsl.machine_code.kernels import (
+    F32,
+    F64,
+    I64,
+    Array1,
+    Array2,
+    NotInSubset,
+    inlined,
+    kernel,
+    kernel_helper,
+    simd_range,
+    source_key,
+)
 from antdsl.machine_code.kernels.kernel import Kernel
 
-pytestmark = pytest.mark.skipif(not machine.is_available(), reason="no machine code can be made here")
+pytestmark = pytest.mark.skipif(not llvm_compiler.is_available(), reason="no machine code can be made here")
 
 
 class Point(NamedTuple):
@@ -63,7 +75,7 @@ def choose(x: F64) -> Point:
     return point
 
 
-@called
+@kernel_helper
 def stepped(point: Point, by: F64) -> Point:
     point = point._replace(x=point.x + by)
     if point.x > 5:
@@ -79,7 +91,7 @@ def total(point: Point) -> F64:
 
 @kernel
 def in_lanes(grid: Grid, output: Array1[F64], begin: I64, end: I64) -> None:
-    for i in independent(begin, end):
+    for i in simd_range(begin, end):
         point = stepped(Point(grid.values[i], i * 0.5), grid.corner.x)
         if point.y > 3:
             point = point._replace(x=-1)
@@ -123,13 +135,13 @@ def test_records_in_lanes_and_through_functions() -> None:
 
 
 def test_a_record_is_read_by_machine_code_as_a_tuple_is(monkeypatch: pytest.MonkeyPatch) -> None:
-    from antdsl.machine_code.kernels import calling
+    from antdsl.machine_code.kernels import kernel_calls
 
     def fail(*_: Any) -> Any:
         raise AssertionError("the call is left to Python")
 
-    monkeypatch.setattr(calling, "_plain", lambda *_: fail)
-    monkeypatch.setattr(read_fields, "_run", None)
+    monkeypatch.setattr(kernel_calls, "_make_python_caller", lambda *_: fail)
+    monkeypatch.setattr(read_fields, "_loaded_call", None)
     monkeypatch.setattr(read_fields, "__call__", read_fields._first_call)
     assert read_fields(Grid(ROW, 3, Point(10.0, 4.0)), 2) == 10.5
     with pytest.raises(AssertionError, match="left to Python"):
@@ -262,12 +274,12 @@ def test_the_key_of_stored_code_depends_on_the_fields(monkeypatch: pytest.Monkey
         y: F64
         x: F64
 
-    previous = sources.key(build.part, build.types())
-    assert previous is not None and previous != sources.key(read_fields.part, read_fields.types())
+    previous = source_key.source_key(build.part, build.types())
+    assert previous is not None and previous != source_key.source_key(read_fields.part, read_fields.types())
     monkeypatch.setitem(globals(), "Point", Wide)
-    assert sources.key(build.part, build.types()) != previous
+    assert source_key.source_key(build.part, build.types()) != previous
     swapped = Wide._make(build.types())
-    assert sources.key(build.part, [swapped]) != sources.key(build.part, [tuple(swapped)])
+    assert source_key.source_key(build.part, [swapped]) != source_key.source_key(build.part, [tuple(swapped)])
 
 
 def test_a_field_without_a_type_of_kernels_is_an_error() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from kernel_interpreter import KernelInterpreter
 
-from antdsl.machine_code import machine
+from antdsl.machine_code import llvm_compiler
 from antdsl.machine_code.kernels import (
     BOOL,
     F32,
@@ -16,18 +16,18 @@ from antdsl.machine_code.kernels import (
     Array1,
     Array2,
     NotInSubset,
-    called,
-    independent,
     inlined,
     kernel,
+    kernel_helper,
+    load3,
     load_consecutive,
-    nearest_integer,
-    put_three,
-    three,
+    round_to_int,
+    simd_range,
+    store3,
 )
-from antdsl.machine_code.kernels.kernel import text_of
+from antdsl.machine_code.kernels.kernel import render_kernels
 
-pytestmark = pytest.mark.skipif(not machine.is_available(), reason="no machine code can be made here")
+pytestmark = pytest.mark.skipif(not llvm_compiler.is_available(), reason="no machine code can be made here")
 COUNTS = (0, 1, 7, 8, 9, 64, 203)
 
 
@@ -45,7 +45,7 @@ def _halved(x, most):
     return turns, x
 
 
-@called
+@kernel_helper
 def _kind(x):
     if x < 0:
         return -1, x
@@ -58,7 +58,7 @@ def _kind(x):
 
 @kernel
 def questions(x: Array1[F64], to: Array1[F64], kinds: Array1[I32], flags: Array1[BOOL], begin: I64, end: I64) -> None:
-    for i in independent(begin, end):
+    for i in simd_range(begin, end):
         flags[i] = False
         if not np.isfinite(x[i]):
             continue
@@ -86,12 +86,12 @@ def questions(x: Array1[F64], to: Array1[F64], kinds: Array1[I32], flags: Array1
 def tables(
     rows: Array1[I64], table: Array1[F64], shift: Array2[F32], to: Array2[F64], integers: Array1[I64], begin: I64, end: I64
 ) -> None:
-    for i in independent(begin, end):
+    for i in simd_range(begin, end):
         at = rows[i]
         if at >= 0:
             a, b, c, d = load_consecutive(table, 4 * at, 4)
             to[0, i], to[1, i] = a + b * np.float64(shift[0, i]), c - d / np.float64(shift[1, i])
-            integers[4 * i + nearest_integer(a)] = nearest_integer(b)
+            integers[4 * i + round_to_int(a)] = round_to_int(b)
 
 
 @kernel
@@ -99,17 +99,17 @@ def rows(
     which: Array1[I64], table: Array1[F32], vectors: Array2[F32], wide: Array2[F64], to: Array2[F64], begin: I64, end: I64
 ) -> None:
     """Rows that follow each other, of those that ask, and parts of a table's rows that lie anywhere."""
-    for i in independent(begin, end):
-        x, y, z = three(vectors, i)
-        put_three(to, i, (np.float64(x), np.float64(y) * 2.0, np.float64(z)))
+    for i in simd_range(begin, end):
+        x, y, z = load3(vectors, i)
+        store3(to, i, (np.float64(x), np.float64(y) * 2.0, np.float64(z)))
         if which[i] < 0:
             continue
         values = load_consecutive(table, 20 * which[i] + 4, 12)
-        a, b, c = three(wide, i)
-        put_three(to, i, (np.float64(values[0]) + a, np.float64(values[7]) * b, c - np.float64(values[10])))
+        a, b, c = load3(wide, i)
+        store3(to, i, (np.float64(values[0]) + a, np.float64(values[7]) * b, c - np.float64(values[10])))
         if values[11] > 0:
-            p, q, r = three(vectors, which[i])
-            put_three(wide, i, (np.float64(r), np.float64(p), np.float64(q)))
+            p, q, r = load3(vectors, which[i])
+            store3(wide, i, (np.float64(r), np.float64(p), np.float64(q)))
 
 
 def numbers(count: int) -> np.ndarray:
@@ -171,7 +171,7 @@ def test_a_part_of_the_turns_is_left_to_others(begin: int) -> None:
 @kernel
 def several(x: Array1[F64], to: Array1[F64]) -> None:
     total = 0.0
-    for i in independent(0, x.size):
+    for i in simd_range(0, x.size):
         total += x[i]
     to[0] = total
 
@@ -182,19 +182,19 @@ def test_what_turns_would_change_together_is_refused() -> None:
 
 
 TARGETS = [
-    machine.PORTABLE_TARGET,
-    machine.Target(
-        machine.PORTABLE_TARGET.triple,
+    llvm_compiler.PORTABLE_TARGET,
+    llvm_compiler.Target(
+        llvm_compiler.PORTABLE_TARGET.triple,
         "znver4",
-        machine.format_features({"avx2": True, "fma": True, "avx512f": True, "avx512vbmi2": True}),
+        llvm_compiler.format_features({"avx2": True, "fma": True, "avx512f": True, "avx512vbmi2": True}),
     ),
-    machine.Target("aarch64-unknown-linux-gnu", "generic", ""),
+    llvm_compiler.Target("aarch64-unknown-linux-gnu", "generic", ""),
 ]
 
 
 @pytest.mark.parametrize("target", TARGETS)
-def test_no_operation_is_fused(target: machine.Target) -> None:
-    text = "".join(machine.assembly(each.text(target), target) for each in (questions, tables, rows))
+def test_no_operation_is_fused(target: llvm_compiler.Target) -> None:
+    text = "".join(llvm_compiler.compile_assembly(each.text(target), target) for each in (questions, tables, rows))
     assert "mul" in text
     assert not any(word in text for word in ("fmadd", "fmsub", "fnmadd", "fmla", "fmls"))
 
@@ -202,7 +202,7 @@ def test_no_operation_is_fused(target: machine.Target) -> None:
 @kernel
 def reads_one_place(table: Array1[F64], at: I64, count: I64, to: Array1[F64]) -> None:
     """Read an element that does not depend on the turn where it exists: by a statement, in an expression, and behind `and`."""
-    for i in independent(0, to.size):
+    for i in simd_range(0, to.size):
         to[i] = 1.0
         if to[i] > 0.0 and at < count and table[at] > 0.0:
             to[i] += table[at]
@@ -219,10 +219,14 @@ def test_one_place_is_read_for_all_turns_only_where_a_turn_asks(size: int, at: i
     for rows in (table, table[:0]):
         inside = 0 <= at < len(rows)
         count = len(rows) if at >= 0 else at
-        code = machine.load(machine.object_code(text_of([reads_one_place], machine.host(), checked=True), machine.host()))
+        code = llvm_compiler.load_object(
+            llvm_compiler.compile_object(
+                render_kernels([reads_one_place], llvm_compiler.host_target(), checked=True), llvm_compiler.host_target()
+            )
+        )
         outputs = [np.zeros(size) for _ in range(3)]
         for run, to in zip(
-            (reads_one_place, reads_one_place.caller(code, checked=True), KernelInterpreter(reads_one_place)),
+            (reads_one_place, reads_one_place.make_caller(code, checked=True), KernelInterpreter(reads_one_place)),
             outputs,
             strict=True,
         ):

@@ -14,7 +14,7 @@ from children import child_environment
 from antdsl import user_folders
 from antdsl.machine_code import object_cache, signing
 from antdsl.machine_code.object_cache import CACHE_VARIABLE, ObjectCache
-from antdsl.user_folders import NotPrivate
+from antdsl.user_folders import NotPrivateError
 
 KEY = "0123456789abcdef" * 4
 rights = pytest.mark.skipif(not hasattr(os, "geteuid"), reason="this system says in other ways who may read")
@@ -23,7 +23,7 @@ rights = pytest.mark.skipif(not hasattr(os, "geteuid"), reason="this system says
 @pytest.fixture(autouse=True)
 def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setattr(user_folders, "home_folder", lambda: tmp_path / "home")
-    monkeypatch.setattr(user_folders, "_local_app_data", lambda: tmp_path / "home")
+    monkeypatch.setattr(user_folders, "_find_local_app_data", lambda: tmp_path / "home")
     monkeypatch.delenv(CACHE_VARIABLE, raising=False)
     (tmp_path / "home").mkdir(mode=0o700)
     return tmp_path / "home"
@@ -31,20 +31,20 @@ def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def signature(*, create: bool = True) -> bytes | None:
     """What the user's signer makes of some code; None where there is no key."""
-    signer = signing.signer(create=create)
+    signer = signing.get_signer(create=create)
     return None if signer is None else signer.sign(KEY, b"code")
 
 
 def test_a_key_is_created_when_something_is_signed_and_lasts() -> None:
-    assert signature(create=False) is None and not signing.key_file().parent.exists()
+    assert signature(create=False) is None and not signing.key_path().parent.exists()
     first = signature()
     assert first is not None and len(first) == signing.SIGNATURE_BYTES
     assert signature() == signature(create=False) == first
-    assert [each.name for each in signing.key_file().parent.iterdir()] == ["key"], "no part is left behind"
+    assert [each.name for each in signing.key_path().parent.iterdir()] == ["key"], "no part is left behind"
 
 
 def test_a_signature_is_of_key_and_content() -> None:
-    signer = signing.signer(create=True)
+    signer = signing.get_signer(create=True)
     assert signer is not None
     own_signature = signer.sign(KEY, b"code")
     assert signer.is_signed(KEY, b"code", own_signature)
@@ -68,7 +68,7 @@ def test_a_signature_is_of_key_and_content() -> None:
 @rights
 def test_a_key_that_others_may_know_or_have_made_is_replaced(home: Path, tmp_path: Path, kind: str) -> None:
     old_signature = signature()
-    path, elsewhere = signing.key_file(), tmp_path / "elsewhere"
+    path, elsewhere = signing.key_path(), tmp_path / "elsewhere"
     secret = path.read_bytes()
     if kind in ("short", "long", "empty"):
         path.write_bytes({"short": secret[:-1], "long": secret + b"\n", "empty": b""}[kind])
@@ -94,12 +94,12 @@ def test_a_key_that_others_may_know_or_have_made_is_replaced(home: Path, tmp_pat
 @rights
 def test_a_key_of_another_user_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
     signature()
-    secret, own = signing.key_file().read_bytes(), os.geteuid()
+    secret, own = signing.key_path().read_bytes(), os.geteuid()
     monkeypatch.setattr(os, "geteuid", lambda: own + 1)
     assert signature(create=False) is None
-    with pytest.raises(NotPrivate, match="another user"):
+    with pytest.raises(NotPrivateError, match="another user"):
         signature()
-    assert signing.key_file().read_bytes() == secret
+    assert signing.key_path().read_bytes() == secret
 
 
 @pytest.mark.parametrize(
@@ -111,7 +111,7 @@ def test_where_there_can_be_no_key_code_stays_in_memory(
     home: Path, tmp_path: Path, kind: str, why: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Also where the user names a folder for it: without a key nothing in there can be trusted."""
-    above = signing.key_file().parent
+    above = signing.key_path().parent
     above.parent.mkdir(parents=True, exist_ok=True)
     if kind == "folder in place of the key":
         (above / "key").mkdir(parents=True)
@@ -147,9 +147,9 @@ from pathlib import Path
 from antdsl import user_folders
 from antdsl.machine_code import signing
 
-user_folders.home_folder = user_folders._local_app_data = lambda: Path(sys.argv[1])
+user_folders.home_folder = user_folders._find_local_app_data = lambda: Path(sys.argv[1])
 sys.stdin.read(1)
-print(signing.signer(create=True).sign("", b"").hex())
+print(signing.get_signer(create=True).sign("", b"").hex())
 """
 
 
@@ -159,7 +159,7 @@ def test_processes_that_begin_at_once_have_one_key(home: Path, previous_key: str
     by lasts as well."""
     if previous_key == "empty":
         signature()
-        signing.key_file().write_bytes(b"")
+        signing.key_path().write_bytes(b"")
     command = [sys.executable, "-c", _STARTER, str(home)]
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     all_of_them = [subprocess.Popen(command, text=True, env=child_environment(), **pipes) for _ in range(6)]  # type: ignore[call-overload]
@@ -171,10 +171,10 @@ def test_processes_that_begin_at_once_have_one_key(home: Path, previous_key: str
         out, problems = each.communicate(timeout=120)
         assert each.returncode == 0, problems
         key_texts.append(out.strip())
-    key = signing.signer(create=False)
+    key = signing.get_signer(create=False)
     assert key is not None and key.sign("", b"").hex() in key_texts
     assert previous_key == "empty" or len(set(key_texts)) == 1
-    assert [each.name for each in signing.key_file().parent.iterdir()] == ["key"]
+    assert [each.name for each in signing.key_path().parent.iterdir()] == ["key"]
 
 
 def test_threads_that_begin_at_once_have_one_key() -> None:

@@ -15,7 +15,7 @@ import pytest
 from children import child_environment
 from compilers import need_llvmlite
 
-from antdsl.machine_code import machine, shipped
+from antdsl.machine_code import llvm_compiler, shipped_objects
 
 ROOT = Path(__file__).resolve().parents[2]
 # What the package's build reads.
@@ -26,14 +26,14 @@ _RECORD = """
 import re, sys
 from pathlib import Path
 import antdsl
-from antdsl.machine_code import machine
+from antdsl.machine_code import llvm_compiler
 assert Path(antdsl.__file__).is_relative_to(sys.prefix), antdsl.__file__
-compile_ = machine.object_code
+compile_ = llvm_compiler.compile_object
 names = []
 def recorded(text, target):
     names.extend(re.findall(r"^define void @([\\w.]+)\\(", text, re.M))
     return compile_(text, target)
-machine.object_code = recorded
+llvm_compiler.compile_object = recorded
 record = sys.argv.pop(1)
 from antdsl import cli
 try:
@@ -68,14 +68,14 @@ def test_a_wheel_has_the_objects_of_all_targets(wheel: Path, tmp_path: Path) -> 
     with zipfile.ZipFile(wheel) as archive:
         names = [name for name in archive.namelist() if name.startswith("antdsl/machine_code/objects/")]
         archive.extractall(tmp_path, names)
-    assert sorted(names) == sorted(f"antdsl/machine_code/objects/{name}.objects" for name in shipped.TARGET_BY_NAME)
-    counts = [len(shipped.ObjectFile(tmp_path / name)) for name in names]
+    assert sorted(names) == sorted(f"antdsl/machine_code/objects/{name}.objects" for name in shipped_objects.TARGET_BY_NAME)
+    counts = [len(shipped_objects.ObjectFile(tmp_path / name)) for name in names]
     assert min(counts) > 100 and sum((tmp_path / name).stat().st_size for name in names) < 4_000_000
 
 
 @pytest.mark.parametrize("scene", ["minimal", "foraging"])
 def test_an_installed_wheel_compiles_no_kernel(wheel: Path, tmp_path: Path, scene: str) -> None:
-    if shipped.target_name(machine.host()) is None:
+    if shipped_objects.target_name(llvm_compiler.host_target()) is None:
         pytest.skip("no objects are shipped for this machine")
     venv.create(tmp_path / "environment", with_pip=False)
     python = tmp_path / "environment" / "bin" / "python"

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from compilers import need_llvmlite
 
-from antdsl.machine_code import machine
+from antdsl.machine_code import llvm_compiler
 from antdsl.numerics import check_sums
 from antdsl.numerics.check_sums import crc32
 
@@ -20,17 +20,17 @@ LENGTHS = [*range(64, 200), *range(256, 300), 255, 256, 257, 400, 511, 512, 513,
 def products(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
     """The bytes of a stride."""
     need_llvmlite()
-    host = machine.host()
-    if not check_sums.has_carryless_products(host) or check_sums.blocks_per_register(host) < request.param:
+    host = llvm_compiler.host_target()
+    if not check_sums.has_carryless_products(host) or check_sums.count_blocks_per_register(host) < request.param:
         pytest.skip("this processor has no such products without carry")
     features = host.features + (",-vpclmulqdq" if request.param == 1 else "")
     if request.param == 1:
         features = features.replace("+vpclmulqdq,", "")
-    monkeypatch.setattr(machine, "host", lambda: machine.Target(host.triple, host.cpu, features))
+    monkeypatch.setattr(llvm_compiler, "host_target", lambda: llvm_compiler.Target(host.triple, host.cpu, features))
     monkeypatch.setattr(check_sums, "MIN_BYTES_FOR_KERNEL", 64 * request.param)
-    check_sums._fold.cache_clear()
+    check_sums._build_crc_function.cache_clear()
     yield 64 * request.param
-    check_sums._fold.cache_clear()
+    check_sums._build_crc_function.cache_clear()
 
 
 def test_it_is_that_of_zlib(products: int, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -70,11 +70,11 @@ def test_every_bit_counts(products: int) -> None:
 @pytest.mark.parametrize("features", ["+avx2,-pclmul", "+avx2,+vpclmulqdq", ""])
 def test_a_processor_without_such_products(features: str, products: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """The instruction would end the process."""
-    target = machine.host()
-    monkeypatch.setattr(machine, "host", lambda: machine.Target(target.triple, "x86-64", features))
-    check_sums._fold.cache_clear()
-    assert check_sums._fold() is None and crc32(b"abc" * 99) == zlib.crc32(b"abc" * 99)
+    target = llvm_compiler.host_target()
+    monkeypatch.setattr(llvm_compiler, "host_target", lambda: llvm_compiler.Target(target.triple, "x86-64", features))
+    check_sums._build_crc_function.cache_clear()
+    assert check_sums._build_crc_function() is None and crc32(b"abc" * 99) == zlib.crc32(b"abc" * 99)
 
 
 def test_an_arm_has_none() -> None:
-    assert not check_sums.has_carryless_products(machine.Target("aarch64-unknown-linux-gnu", "generic", "+pclmul"))
+    assert not check_sums.has_carryless_products(llvm_compiler.Target("aarch64-unknown-linux-gnu", "generic", "+pclmul"))

@@ -17,7 +17,7 @@ from antdsl.numerics.check_sums import crc32
 @pytest.fixture
 def by_two(monkeypatch: pytest.MonkeyPatch) -> None:
     """As on a machine of two cores."""
-    monkeypatch.setattr(parallel, "cores", lambda: 2)
+    monkeypatch.setattr(parallel, "count_available_cores", lambda: 2)
 
 
 def squares(begin: int, end: int) -> list[int]:
@@ -31,7 +31,7 @@ def joined(parts: list[list[int]]) -> list[int]:
 @pytest.mark.parametrize("threads", [0, 1, 2, 3, 7])
 def test_parts_come_in_order_whatever_the_number_of_threads(threads: int) -> None:
     for count in (0, 1, 5, 40):
-        assert joined(parallel.in_parts(squares, count, threads, 4)) == squares(0, count)
+        assert joined(parallel.run_in_parts(squares, count, threads, 4)) == squares(0, count)
 
 
 def test_nested_parts_do_not_wait_for_free_threads() -> None:
@@ -39,7 +39,7 @@ def test_nested_parts_do_not_wait_for_free_threads() -> None:
     results: dict[int, list[list[int]]] = {}
 
     def crowd(number: int) -> None:
-        results[number] = parallel.in_parts(lambda a, b: joined(parallel.in_parts(squares, b - a, 2, 1)), 64, 2, 1)
+        results[number] = parallel.run_in_parts(lambda a, b: joined(parallel.run_in_parts(squares, b - a, 2, 1)), 64, 2, 1)
 
     crowds = [threading.Thread(target=crowd, args=(number,), daemon=True) for number in range(8)]
     for each in crowds:
@@ -52,11 +52,11 @@ def test_nested_parts_do_not_wait_for_free_threads() -> None:
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork here")
 def test_a_forked_process_has_threads_of_its_own() -> None:
-    parallel.in_parts(squares, 40, 2, 4)
+    parallel.run_in_parts(squares, 40, 2, 4)
     child = os.fork()
     if not child:
         signal.alarm(60)
-        os._exit(0 if joined(parallel.in_parts(squares, 40, 2, 4)) == squares(0, 40) else 1)
+        os._exit(0 if joined(parallel.run_in_parts(squares, 40, 2, 4)) == squares(0, 40) else 1)
     assert os.waitpid(child, 0)[1] == 0
 
 
@@ -72,7 +72,7 @@ def test_an_interrupt_is_raised_after_all_running_parts_have_ended(by_two: None)
         ended.append(end)
 
     with pytest.raises(KeyboardInterrupt):
-        parallel.in_parts(work, 40, 2, 4)
+        parallel.run_in_parts(work, 40, 2, 4)
     assert ended == [40]
 
 

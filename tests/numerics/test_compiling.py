@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 
-from antdsl.machine_code import codes, machine
-from antdsl.machine_code.kernels import sources
+from antdsl.machine_code import code_cache, llvm_compiler
+from antdsl.machine_code.kernels import source_key
 from antdsl.machine_code.kernels.kernel import Kernel
 
 OTHER = """from antdsl.machine_code.kernels import inlined
@@ -35,9 +35,9 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
         (tmp_path / f"{name}.py").write_text(text)
     (tmp_path / "kept").mkdir(mode=0o700)
     monkeypatch.setenv("ANTDSL_NATIVE_CACHE", str(tmp_path / "kept"))
-    codes.forget()
+    code_cache.release_unused_code()
     yield tmp_path
-    codes.forget()
+    code_cache.release_unused_code()
 
 
 def load(folder: Path, monkeypatch: pytest.MonkeyPatch, number: float = 1.0) -> Any:
@@ -51,14 +51,14 @@ def load(folder: Path, monkeypatch: pytest.MonkeyPatch, number: float = 1.0) -> 
         module = importlib.util.module_from_spec(spec)
         monkeypatch.setitem(sys.modules, name, module)
         spec.loader.exec_module(module)
-    codes.forget()
+    code_cache.release_unused_code()
     return module.value
 
 
 def test_stored_kernels_are_used_until_a_number_elsewhere_changes(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     compilations = []
-    compile_ = machine.object_code
-    monkeypatch.setattr(machine, "object_code", lambda *text: compilations.append(text) or compile_(*text))
+    compile_ = llvm_compiler.compile_object
+    monkeypatch.setattr(llvm_compiler, "compile_object", lambda *text: compilations.append(text) or compile_(*text))
     for number, hit in ((1.0, False), (1.0, True), (5.0, False), (5.0, True)):
         kernel = load(folder, monkeypatch, number)
         assert kernel.has_code() == hit
@@ -98,7 +98,7 @@ def test_a_kernel_is_known_by_the_sources_of_all_that_it_reaches(
 
 def test_what_writes_kernels_is_part_of_what_they_are_known_by(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     load(folder, monkeypatch)(2)
-    monkeypatch.setattr(sources, "_writers", lambda: "another version")
+    monkeypatch.setattr(source_key, "_hash_compiler_sources", lambda: "another version")
     assert not load(folder, monkeypatch).has_code()
 
 
@@ -106,5 +106,5 @@ def test_a_kernel_with_a_name_of_no_known_kind_is_known_by_its_text(folder: Path
     text = KERNEL.replace("return twice(x)", "numbers = twice(x)\n    return numbers") + "numbers = {}\n"
     (folder / "kernel_value.py").write_text(text)
     kernel = load(folder, monkeypatch)
-    assert sources.key(kernel.part, []) is None
+    assert source_key.source_key(kernel.part, []) is None
     assert not kernel.has_code() and kernel(2) == 6 and load(folder, monkeypatch).has_code()

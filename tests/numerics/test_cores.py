@@ -47,7 +47,7 @@ def groups(tmp_path: Path) -> Path:
     ],
 )
 def test_limits_of_control_groups_are_read(groups: Path, own: str, limits: list[float]) -> None:
-    assert list(module.core_limits(own, groups)) == limits
+    assert list(module.iterate_core_limits(own, groups)) == limits
 
 
 @pytest.mark.parametrize(("own", "most"), [("0::/farm/job\n", 2), ("1:cpu:/job\n", 1), ("0::/\n", 64)])
@@ -59,10 +59,10 @@ def test_no_more_threads_run_than_a_control_group_has_time_for(
     monkeypatch.setattr(module, "PROCESS_CGROUP_FILE", group_file)
     monkeypatch.setattr(module, "CGROUPS_FOLDER", groups)
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(64)), raising=False)
-    assert module.cores.__wrapped__() == most
+    assert module.count_available_cores.__wrapped__() == most
 
 
 def test_without_control_groups_all_cores_count(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "PROCESS_CGROUP_FILE", tmp_path / "none")
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 3, 5}, raising=False)
-    assert module.cores.__wrapped__() == 3
+    assert module.count_available_cores.__wrapped__() == 3

@@ -14,16 +14,16 @@ from meaning import crowd
 from plan_text import plan_of
 from test_workers import squared
 
-from antdsl.machine_code import machine
-from antdsl.machine_code.entries import inner_text
-from antdsl.machine_code.module import LlvmModule
+from antdsl.machine_code import llvm_compiler
+from antdsl.machine_code.entry_functions import write_inner_function
+from antdsl.machine_code.llvm_module import LlvmModule
 from antdsl.numerics import parallel
-from antdsl.numerics.float_environment import is_standard, set_standard, standard_floats
+from antdsl.numerics.float_environment import has_standard_floats, set_standard_floats, standard_floats
 from antdsl.passes import optimise
 from antdsl.plan import ir
 from antdsl.runtime import Options, WorldSetting, bind, state_hash, step
 
-pytestmark = pytest.mark.skipif(not machine.is_available(), reason="a host's flags are set by machine code")
+pytestmark = pytest.mark.skipif(not llvm_compiler.is_available(), reason="a host's flags are set by machine code")
 
 FLUSHED, UPWARD = 0x8040, 0x4000  # bits of MXCSR
 HOSTS = {"flushes": FLUSHED, "rounds upward": UPWARD}
@@ -45,17 +45,17 @@ define void @host(ptr %t, i64 %bits, i64 %none) {
 
 def hosted(bits: int, work: Callable[[], Any]) -> Any:
     """What a thread of a host gives that has such bits set; they are still set when the work is done."""
-    if not machine.host().x86:
+    if not llvm_compiler.host_target().x86:
         pytest.skip("the bits are those of x86")
     outcomes: list[Any] = []
-    code = machine.load(machine.object_code(X86, machine.host()))
+    code = llvm_compiler.load_object(llvm_compiler.compile_object(X86, llvm_compiler.host_target()))
 
     def run() -> None:
         code.function("host")(None, bits, 0)
         try:
-            assert not is_standard()
+            assert not has_standard_floats()
             result = work()
-            assert not is_standard()
+            assert not has_standard_floats()
             outcomes.append(result)
         except BaseException as problem:
             outcomes.append(problem)
@@ -75,13 +75,13 @@ def test_within_standard_a_thread_works_as_the_standard_says(bits: int) -> None:
     def work() -> tuple[bytes, bytes]:
         host_bytes = (small * small.dtype.type(1)).tobytes() + (1 / third).tobytes()
         with standard_floats():
-            assert is_standard()
+            assert has_standard_floats()
             within = (small * small.dtype.type(1)).tobytes() + (1 / third).tobytes()
         return host_bytes, within
 
     host_bytes, within = hosted(bits, work)
     assert within == small.tobytes() + (1 / third).tobytes() != host_bytes
-    assert hosted(bits, lambda: threading_is_standard(set_standard)) is True
+    assert hosted(bits, lambda: threading_is_standard(set_standard_floats)) is True
 
 
 def threading_is_standard(begin: Callable[[], None]) -> bool:
@@ -89,9 +89,9 @@ def threading_is_standard(begin: Callable[[], None]) -> bool:
     answers = []
 
     def run() -> None:
-        assert not is_standard()
+        assert not has_standard_floats()
         begin()
-        answers.append(is_standard())
+        answers.append(has_standard_floats())
 
     thread = threading.Thread(target=run)
     thread.start()
@@ -102,14 +102,14 @@ def threading_is_standard(begin: Callable[[], None]) -> bool:
 @pytest.mark.parametrize("bits", HOSTS.values(), ids=HOSTS)
 def test_machine_code_works_as_the_standard_says(bits: int) -> None:
     """Called outside of any step: a product of denormal numbers, and a quotient."""
-    module = LlvmModule(machine.host())
+    module = LlvmModule(llvm_compiler.host_target())
     body = """  %first = load ptr, ptr %t
   %values = load <8 x float>, ptr %first, align 4
   %same = fmul <8 x float> %values, splat (float 1.0)
   %parts = fdiv <8 x float> %same, splat (float 3.0)
   store <8 x float> %parts, ptr %first, align 4"""
-    module.functions["thirds"] = inner_text(module, "thirds", body)
-    code = machine.load(machine.object_code(module.text(), machine.host()))
+    module.functions["thirds"] = write_inner_function(module, "thirds", body)
+    code = llvm_compiler.load_object(llvm_compiler.compile_object(module.text(), llvm_compiler.host_target()))
     inputs = np.array([1e-44, -1e-40, 1.0, -2.0, 1e-38, -3.0, 7e-45, -10.0], np.float32)
 
     def work() -> bytes:
@@ -123,12 +123,12 @@ def test_machine_code_works_as_the_standard_says(bits: int) -> None:
 
 @pytest.mark.parametrize("bits", HOSTS.values(), ids=HOSTS)
 def test_parts_on_threads_work_as_the_standard_says(bits: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(parallel, "cores", lambda: 4)
+    monkeypatch.setattr(parallel, "count_available_cores", lambda: 4)
     values = np.linspace(2.0**-540, 2.0**-500, 4_000)
 
     def work() -> bytes:
         x, out, times = values.copy(), np.zeros(4_000), np.zeros(4_000, np.int64)
-        parallel.in_parts(partial(squared, x, out, times), 4_000, 3, 100)
+        parallel.run_in_parts(partial(squared, x, out, times), 4_000, 3, 100)
         return out.tobytes()
 
     assert hosted(bits, work) == work() == (values * values).tobytes()

@@ -20,13 +20,13 @@ from antdsl.machine_code.kernels import (
     Array1,
     Array2,
     Strided2,
-    as_bits,
-    as_float,
-    called,
-    independent,
+    allocate_scratch,
+    bits_to_float,
+    float_to_bits,
     inlined,
     kernel,
-    scratch,
+    kernel_helper,
+    simd_range,
 )
 from antdsl.machine_code.kernels.ir import NotInSubset
 
@@ -49,7 +49,7 @@ def series(x, factors):  # type: ignore[no-untyped-def]
     return value
 
 
-@called
+@kernel_helper
 def first_above(x, least):  # type: ignore[no-untyped-def]
     """Leaves early, from within two loops."""
     for k in range(x.size):
@@ -109,18 +109,18 @@ def floats(x: Array1[F32], y: Strided2[F64], good: Array1[BOOL], out: Array1[F32
 @kernel
 def nested(both: Nested, at: Array1[I32]) -> F64:
     (one, other), count = both
-    buffer = scratch(8, F64)
+    buffer = allocate_scratch(8, F64)
     for i in range(count):
         buffer[i] = one[at[i]] + other[i]
     total = 0.0
     for i in range(count):
         total += min(max(buffer[i], -1.0), 1.0)
-    return as_float(as_bits(total))
+    return bits_to_float(float_to_bits(total))
 
 
 @kernel
 def beside(x: Array1[F64], out: Array1[F64]) -> None:
-    for i in independent(0, x.size):
+    for i in simd_range(0, x.size):
         v = x[i]
         turns = 0
         while v > 1.0:
@@ -261,9 +261,9 @@ def test_code_outside_the_subset_is_reported_with_its_line(function: Any) -> Non
 def test_code_that_is_forgotten_stays_where_it_is_called() -> None:
     import gc
 
-    from antdsl.machine_code import codes
+    from antdsl.machine_code import code_cache
 
     assert beside(np.ones(9), np.zeros(9)) is None
-    codes.forget()
+    code_cache.release_unused_code()
     gc.collect()
     same(beside, np.arange(9.0), np.zeros(9))

@@ -32,7 +32,7 @@ def groups(tmp_path: Path) -> Path:
     [("0::/job\n", [45 * MIB]), ("0::/\n", []), ("3:memory:/old\n", [0]), ("2:cpu:/job\n", []), ("nothing\n", []), ("", [])],
 )
 def test_what_control_groups_leave(groups: Path, own: str, bytes: list[int]) -> None:
-    assert list(module.memory_left(own, groups)) == bytes
+    assert list(module.iterate_free_group_memory(own, groups)) == bytes
 
 
 def test_the_least_counts(groups: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -42,8 +42,8 @@ def test_the_least_counts(groups: Path, monkeypatch: pytest.MonkeyPatch) -> None
     monkeypatch.setattr(module, "PROCESS_CGROUP_FILE", own)
     monkeypatch.setattr(module, "CGROUPS_FOLDER", groups)
     monkeypatch.setattr(module, "_MEMINFO_FILE", system)
-    assert module.available_memory() == 20 * MIB
+    assert module.measure_available_memory() == 20 * MIB
     system.write_text("MemTotal: 900 kB\n")
-    assert module.available_memory() == 45 * MIB
+    assert module.measure_available_memory() == 45 * MIB
     own.unlink()
-    assert module.available_memory() is None
+    assert module.measure_available_memory() is None

@@ -9,8 +9,8 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from antdsl.numerics import near_pairs
-from antdsl.numerics.near_pairs import pairs_between, pairs_within
-from antdsl.scene.geometry.live_faces import component_numbers
+from antdsl.numerics.near_pairs import find_pairs_between, find_pairs_within
+from antdsl.scene.geometry.live_faces import number_components
 
 
 def random_points(count: int, size: float, seed: int = 0) -> np.ndarray:
@@ -32,20 +32,20 @@ def test_pairs_are_those_of_a_tree(count: int, reach: float, monkeypatch: pytest
     )
     for at_once in (1 << 20, 50):
         monkeypatch.setattr(near_pairs, "_CELLS_PER_CHUNK", at_once)
-        one, two = pairs_within(own, reach)
+        one, two = find_pairs_within(own, reach)
         assert sorted(zip(one.tolist(), two.tolist(), strict=True)) == sorted(expected)
-        one, two = pairs_between(own, others, reach)
+        one, two = find_pairs_between(own, others, reach)
         assert sorted(zip(one.tolist(), two.tolist(), strict=True)) == sorted(between)
 
 
 def test_pairs_as_far_apart_as_the_reach_count() -> None:
     lattice = np.stack(np.meshgrid(*[np.arange(5.0)] * 3), axis=-1).reshape(-1, 3)
-    assert len(pairs_within(lattice, 1.0)[0]) == 3 * 4 * 25
+    assert len(find_pairs_within(lattice, 1.0)[0]) == 3 * 4 * 25
 
 
 def test_cells_too_many_to_number_find_the_same_pairs() -> None:
     far = np.concatenate([random_points(50, 1.0), random_points(50, 1.0) + 1e13])
-    one, two = pairs_within(far, 1e-3)
+    one, two = find_pairs_within(far, 1e-3)
     assert sorted(zip(one.tolist(), two.tolist(), strict=True)) == sorted(cKDTree(far).query_pairs(1e-3))
 
 
@@ -55,9 +55,9 @@ def test_components_are_numbered_by_their_first_member(count: int, pairs: int) -
     expected = (
         connected_components(coo_array((np.ones(pairs), joined.T), shape=(count, count)), directed=False)[1] if count else []
     )
-    assert component_numbers(joined, count).tolist() == list(expected)
+    assert number_components(joined, count).tolist() == list(expected)
 
 
 def test_a_long_chain_hangs_together() -> None:
     order = np.random.default_rng(3).permutation(20_000)
-    assert component_numbers(np.stack([order[:-1], order[1:]], axis=1), len(order)).max() == 0
+    assert number_components(np.stack([order[:-1], order[1:]], axis=1), len(order)).max() == 0

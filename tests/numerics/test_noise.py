@@ -1,4 +1,5 @@
-"""`noise`: between -1 and 1, smooth, a function of place and time alone, on both backends and for any order of rows the same."""
+"""`compute_noise`: between -1 and 1, smooth, a function of place and time alone, on both backends and for any order of rows the
+same."""
 
 from __future__ import annotations
 
@@ -7,8 +8,8 @@ import plans
 import pytest
 from plan_text import plan_of
 
-from antdsl.numerics.noise import MAX_LATTICE_COORDINATE, fade, noise, pcg4d
-from antdsl.program.checks.analysis.ranges import range_of
+from antdsl.numerics.noise import MAX_LATTICE_COORDINATE, compute_fade, compute_noise, hash_pcg4d
+from antdsl.program.checks.analysis.ranges import compute_range
 from antdsl.runtime import Options, bind, state_hash, step
 from antdsl.runtime.faults import FaultStop
 
@@ -16,7 +17,7 @@ RNG = np.random.default_rng(3)
 
 
 def at(points: np.ndarray, seed: int = 0) -> np.ndarray:
-    return noise(points, np.full(points.shape[1], seed, np.int64))
+    return compute_noise(points, np.full(points.shape[1], seed, np.int64))
 
 
 def test_values_lie_within_one_and_about_zero() -> None:
@@ -42,8 +43,8 @@ def test_slope_and_curvature_have_no_step(axis: int) -> None:
 
 def test_the_fade_is_level_at_both_ends() -> None:
     t = np.array([0.0, 0.5, 1.0])
-    assert fade(t).tolist() == [0.0, 0.5, 1.0]
-    assert abs(fade(np.array([1e-4]))[0]) < 1e-11
+    assert compute_fade(t).tolist() == [0.0, 0.5, 1.0]
+    assert abs(compute_fade(np.array([1e-4]))[0]) < 1e-11
 
 
 def test_seeds_give_patterns_that_have_nothing_in_common() -> None:
@@ -76,7 +77,7 @@ def test_bits_are_those_of_the_paper() -> None:
         return v
 
     words = RNG.integers(0, 2**32, (4, 50)).astype(np.uint32)
-    assert pcg4d(words).T.tolist() == [plain([int(x) for x in column]) for column in words.T]
+    assert hash_pcg4d(words).T.tolist() == [plain([int(x) for x in column]) for column in words.T]
 
 
 def test_what_is_no_place_gives_no_number() -> None:
@@ -129,5 +130,5 @@ def test_the_checks_know_where_it_lies() -> None:
 
     species = program_of("species ant {\n  mood = noise(20 mm)\n  start go\n  state go { mood = noise(20 mm) * 2 }\n}\n").species
     stored = species["ant"].machines[0].states[0].body[0]
-    bounds = range_of(stored.value, {}, {})  # type: ignore[union-attr]
+    bounds = compute_range(stored.value, {}, {})  # type: ignore[union-attr]
     assert (bounds.low, bounds.high) == (-2, 2)

@@ -20,17 +20,17 @@ KNOWN = [
 
 @pytest.mark.parametrize("counter, key, answer", KNOWN)
 def test_known_answers(counter, key, answer):
-    words = randomness.philox(tuple(np.full(3, c, np.uint64) for c in counter), key)
+    words = randomness.run_philox(tuple(np.full(3, c, np.uint64) for c in counter), key)
     assert [[int(w) for w in word] for word in words] == [[a] * 3 for a in answer]
 
 
 def test_a_draw_is_a_function_of_its_place():
     ids = np.arange(1000, dtype=np.int64)
-    draws = randomness.uniform(7, 12, "ant", "main.search#1", 0, ids)
+    draws = randomness.draw_uniform(7, 12, "ant", "main.search#1", 0, ids)
     assert draws.dtype == np.float32 and draws.min() >= 0 and draws.max() < 1
     rows = np.random.default_rng(0).permutation(1000)
-    assert np.array_equal(randomness.uniform(7, 12, "ant", "main.search#1", 0, ids[rows]), draws[rows])
-    assert np.array_equal(randomness.uniform(7, 12, "ant", "main.search#1", 0, ids[:10]), draws[:10])
+    assert np.array_equal(randomness.draw_uniform(7, 12, "ant", "main.search#1", 0, ids[rows]), draws[rows])
+    assert np.array_equal(randomness.draw_uniform(7, 12, "ant", "main.search#1", 0, ids[:10]), draws[:10])
 
 
 @pytest.mark.parametrize(
@@ -47,18 +47,18 @@ def test_a_draw_is_a_function_of_its_place():
 )
 def test_every_part_of_the_place_counts(other):
     ids = np.arange(4000, dtype=np.int64)
-    a = randomness.uniform(7, 12, "ant", "s", 0, ids)
-    b = randomness.uniform(*other, ids)
+    a = randomness.draw_uniform(7, 12, "ant", "s", 0, ids)
+    b = randomness.draw_uniform(*other, ids)
     assert abs(float(np.corrcoef(a, b)[0, 1])) < 0.06
     assert (a == b).mean() < 0.01
 
 
 def test_draws_are_even():
     ids = np.arange(200_000, dtype=np.int64)
-    counts = np.bincount((randomness.uniform(1, 0, "a", "s", 2, ids) * 100).astype(int), minlength=100)
+    counts = np.bincount((randomness.draw_uniform(1, 0, "a", "s", 2, ids) * 100).astype(int), minlength=100)
     assert ((counts - 2000.0) ** 2 / 2000.0).sum() < 150  # chi square of 99 degrees; 150 is beyond one in a thousand
 
 
 def test_ids_above_32_bits_draw_apart():
     ids = np.array([5, 5 + 2**32, 5 + 2**33], np.int64)
-    assert len(set(randomness.uniform(1, 0, "a", "s", 0, ids).tolist())) == 3
+    assert len(set(randomness.draw_uniform(1, 0, "a", "s", 0, ids).tolist())) == 3

@@ -17,7 +17,7 @@ COUNT = 9_001
 @pytest.fixture(params=[1, 3])
 def threads(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> int:
     """By so many threads."""
-    monkeypatch.setattr(parallel, "cores", lambda: 4)
+    monkeypatch.setattr(parallel, "count_available_cores", lambda: 4)
     return int(request.param)
 
 
@@ -60,7 +60,9 @@ def test_rows_are_copied_time_after_time_and_to_other_arrays(threads: int) -> No
 def test_where_arrays_lie_is_looked_up_once(threads: int, monkeypatch: pytest.MonkeyPatch) -> None:
     looked = []
     monkeypatch.setattr(
-        row_copies, "_table", lambda *arguments, table=row_copies._table: looked.append(arguments) or table(*arguments)
+        row_copies,
+        "_build_copy_table",
+        lambda *arguments, table=row_copies._build_copy_table: looked.append(arguments) or table(*arguments),
     )
     copies, of = RowCopier(), arrays(COUNT)
     to = [np.zeros_like(each) for each in of]

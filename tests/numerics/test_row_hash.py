@@ -26,7 +26,7 @@ def table(count: int) -> tuple[NDArray[np.int64], Columns]:
 def hashed_rows(ids: np.ndarray, columns: dict[str, np.ndarray]) -> bytes:
     """What a digest takes in of columns with agents on the last axis: names, types and the hash of the rows."""
     parts = [part for column in columns.values() for part in column.reshape(-1, len(ids))] if len(ids) else []
-    return row_hash.describe_columns(tuple(columns), columns.values()) + row_hash.row_hash(ids, parts)
+    return row_hash.describe_columns(tuple(columns), columns.values()) + row_hash.hash_rows(ids, parts)
 
 
 def by_definition(ids: NDArray[np.int64] | None, columns: list[NDArray[np.generic]]) -> bytes:
@@ -55,7 +55,7 @@ def by_definition(ids: NDArray[np.int64] | None, columns: list[NDArray[np.generi
         for lane in range(2):
             total = 0
             for place, (a, b) in enumerate(halves[row]):
-                one, two = row_hash.keys(place)[2 * lane : 2 * lane + 2].tolist()
+                one, two = row_hash.compute_word_keys(place)[2 * lane : 2 * lane + 2].tolist()
                 total += ((a + one) & 0xFFFFFFFF) * ((b + two) & 0xFFFFFFFF)
             h = total & mask
             h = (h ^ h >> 33) * 0xFF51AFD7ED558CCD & mask
@@ -68,9 +68,9 @@ def by_definition(ids: NDArray[np.int64] | None, columns: list[NDArray[np.generi
 def test_the_hash_is_that_of_its_definition(count: int) -> None:
     ids, columns = table(count)
     parts = [part for column in columns.values() for part in column.reshape(-1, count)] if count else []
-    assert row_hash.row_hash(ids, parts) == by_definition(ids, parts)
+    assert row_hash.hash_rows(ids, parts) == by_definition(ids, parts)
     subset = [columns["f8"], columns["f4"]]
-    assert row_hash.row_hash(None, subset) == by_definition(None, subset)
+    assert row_hash.hash_rows(None, subset) == by_definition(None, subset)
 
 
 def test_the_order_of_rows_and_how_arrays_lie_change_nothing() -> None:
@@ -117,7 +117,7 @@ def test_every_change_is_seen() -> None:
 def test_tables_that_differ_little_have_numbers_that_differ_much() -> None:
     """Of 4,000 tables that count up no two agree, in neither half; each bit is set in about half of them."""
     hashes = [
-        row_hash.row_hash(np.zeros(1, np.int64), [np.array([k % 100]), np.array([k // 100], np.int32)]) for k in range(4_000)
+        row_hash.hash_rows(np.zeros(1, np.int64), [np.array([k % 100]), np.array([k // 100], np.int32)]) for k in range(4_000)
     ]
     halves = np.frombuffer(b"".join(hashes), np.uint64).reshape(-1, 2)
     assert all(len(np.unique(half)) == 4_000 for half in halves.T)
@@ -128,23 +128,24 @@ def test_tables_that_differ_little_have_numbers_that_differ_much() -> None:
 def test_numbers_are_these() -> None:
     """Another version compares with what one version stored, on any processor."""
     ids, columns = np.array([3, 1], np.int64), {"x": np.array([1.5, -0.0]), "n": np.array([7, 9], np.int32)}
-    assert row_hash.row_hash(ids, list(columns.values())).hex() == "6c6528ad5946376db350e10234b09e90"
-    assert row_hash.row_hash(None, [np.array([0.0, 1.0])]).hex() == "0609ad30bccd182a2c957d93e52e48cf"
+    assert row_hash.hash_rows(ids, list(columns.values())).hex() == "6c6528ad5946376db350e10234b09e90"
+    assert row_hash.hash_rows(None, [np.array([0.0, 1.0])]).hex() == "0609ad30bccd182a2c957d93e52e48cf"
 
 
 @pytest.mark.parametrize("count", [7, 1_024, 1_031, 3_000, 10_003])
 def test_blocks_and_chunks_of_rows_add_up(count: int) -> None:
     ids, columns = table(count)
     parts = [part for column in columns.values() for part in column.reshape(-1, count)]
-    expected = by_definition(ids, parts) if count < 2_000 else row_hash.row_hash(ids, parts)
-    halves = [row_hash.HashTable([ids[rows], *(part[rows] for part in parts)], row_hash.keys, ids=True).sums(len(ids[rows]))
+    expected = by_definition(ids, parts) if count < 2_000 else row_hash.hash_rows(ids, parts)
+    halves = [row_hash.HashTable([ids[rows], *(part[rows] for part in parts)], row_hash.compute_word_keys, ids=True)
+              .compute_sums(len(ids[rows]))
               for rows in (slice(0, count // 3), slice(count // 3, count))]  # fmt: skip
     added = b"".join(((one + other) % 2**64).to_bytes(8, "little") for one, other in zip(*halves, strict=True))
-    assert row_hash.row_hash(ids, parts) == expected == added
+    assert row_hash.hash_rows(ids, parts) == expected == added
     table_hash, numbered = row_hash.RowHasher(), row_hash.RowHasher()
     for threads in (1, 2, 3, 1, 2):
         assert table_hash.of(ids, parts, threads) == expected
-        assert numbered.of(None, parts[:3], threads) == row_hash.row_hash(None, parts[:3])
+        assert numbered.of(None, parts[:3], threads) == row_hash.hash_rows(None, parts[:3])
 
 
 def test_tables_that_lie_elsewhere_time_after_time_have_the_hash_of_their_rows() -> None:
@@ -162,12 +163,12 @@ def test_tables_that_lie_elsewhere_time_after_time_have_the_hash_of_their_rows()
             elif turn == 3:
                 columns |= {"i4": columns["i8"], "f4": columns["place"][:, 1], "more": columns["zero"]}
             parts = [part for array in columns.values() for part in array.T.reshape(-1, count)] if count else []
-            assert known.of(ids, list(columns.values())) == row_hash.row_hash(ids, parts)
-            assert numbered.of(None, [columns["f8"]]) == row_hash.row_hash(None, [columns["f8"]])
+            assert known.of(ids, list(columns.values())) == row_hash.hash_rows(ids, parts)
+            assert numbered.of(None, [columns["f8"]]) == row_hash.hash_rows(None, [columns["f8"]])
 
 
 def test_a_column_of_one_row_lies_in_one_piece_and_one_of_more_with_its_step_may_not() -> None:
     matrix, known = np.arange(15.0).reshape(5, 3), row_hash.RowHasher()
     for count in (1, 5, 1, 3):
         columns = [matrix[:count, 0]]
-        assert known.of(np.arange(count), columns) == row_hash.row_hash(np.arange(count), columns)
+        assert known.of(np.arange(count), columns) == row_hash.hash_rows(np.arange(count), columns)

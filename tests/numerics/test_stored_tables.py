@@ -15,27 +15,27 @@ from antdsl.casting.faces import Faces
 from antdsl.casting.rays import RayScene
 from antdsl.casting.triangle_grid import TriangleGrid
 from antdsl.fields.cells import SurfaceCells
-from antdsl.ground.mesh.creases import SlopeMap, inner_creases
+from antdsl.ground.mesh.creases import SlopeMap, find_inner_creases
 from antdsl.ground.mesh.surface_clearance import PieceClearances
 from antdsl.ground.mesh.topology import MeshTopology, build_topology
 from antdsl.ground.moving import MovingGround
 from antdsl.machine_code import signing
 from antdsl.numerics import stored_tables
 from antdsl.numerics.stored_tables import MIN_STORED_SIZE, TABLE_STORE, get_or_compute
-from antdsl.scene.geometry.closed import count_border_edges
+from antdsl.scene.geometry.closed_meshes import count_border_edges
 from antdsl.scene.setting import MeshData
 
 Mesh = tuple[NDArray[np.float64], NDArray[np.int32]]
-pytestmark = pytest.mark.skipif(signing.signer(create=True) is None, reason="this user can have no private key")
+pytestmark = pytest.mark.skipif(signing.get_signer(create=True) is None, reason="this user can have no private key")
 
 
 @pytest.fixture(autouse=True)
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """An empty store."""
     monkeypatch.setenv(TABLE_STORE.variable, str(tmp_path / "tables"))
-    stored_tables.forget()
+    stored_tables.forget_store()
     yield tmp_path / "tables"
-    stored_tables.forget()
+    stored_tables.forget_store()
 
 
 def hills(rows: int, high: float = 6.0) -> Mesh:
@@ -62,11 +62,23 @@ def arrays(mesh: Mesh) -> list[NDArray[np.generic]]:
     cells = SurfaceCells([mesh], 3.0)
     plain = [getattr(table, each.name) for each in fields(table) if each.name != "cuts"]
     rise_map, parts = (
-        SlopeMap(corners, table, [], inner_creases(table, corners)),
-        PieceClearances(corners, table.piece, table.cuts.cut, mesh[0].min(axis=0), 0.0).parts_within(9.0),
+        SlopeMap(corners, table, [], find_inner_creases(table, corners)),
+        PieceClearances(corners, table.piece, table.cuts.is_cut, mesh[0].min(axis=0), 0.0).get_face_parts(9.0),
     )
-    other = [table.cuts.first, table.cuts.other, rise_map._clear, rise_map._creases._within(4), DistanceGrid(corners)._least]
-    other += [parts.first, parts.count, parts.least, cells.nearest(7), np.array(count_border_edges(MeshData(*mesh)))]
+    other = [
+        table.cuts.first,
+        table.cuts.cutting_faces,
+        rise_map._face_clearances,
+        rise_map._crease_map._get_cells_within(4),
+        DistanceGrid(corners)._cell_bounds,
+    ]
+    other += [
+        parts.first,
+        parts.count,
+        parts.clearances,
+        cells.get_nearest_cells(7),
+        np.array(count_border_edges(MeshData(*mesh))),
+    ]
     return [np.asarray(each) for each in [*plain, *other, *grid.tables, cells._keys, cells.position, cells.normal]]
 
 
@@ -79,16 +91,16 @@ def same(one: list[NDArray[np.generic]], other: list[NDArray[np.generic]]) -> bo
 def test_stored_tables_have_the_bits_of_computed_ones(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     mesh = hills(75)
     assert len(mesh[1]) >= MIN_STORED_SIZE
-    begin = stored_tables.computed_count()
+    begin = stored_tables.count_computed_tables()
     monkeypatch.setenv(TABLE_STORE.variable, "")
-    stored_tables.forget()
+    stored_tables.forget_store()
     computed = arrays(mesh)
-    assert stored_tables.computed_count() == begin + 9 and not folder.exists()
+    assert stored_tables.count_computed_tables() == begin + 9 and not folder.exists()
     monkeypatch.setenv(TABLE_STORE.variable, str(folder))
-    stored_tables.forget()
-    assert same(arrays(mesh), computed) and stored_tables.computed_count() == begin + 18
-    stored_tables.forget()
-    assert same(arrays(mesh), computed) and stored_tables.computed_count() == begin + 18
+    stored_tables.forget_store()
+    assert same(arrays(mesh), computed) and stored_tables.count_computed_tables() == begin + 18
+    stored_tables.forget_store()
+    assert same(arrays(mesh), computed) and stored_tables.count_computed_tables() == begin + 18
     assert len(list(folder.iterdir())) == 9
 
 
@@ -102,15 +114,15 @@ def test_stored_arrays_belong_to_the_caller(folder: Path) -> None:
 
 
 def test_small_meshes_are_not_stored(folder: Path) -> None:
-    begin = stored_tables.computed_count()
+    begin = stored_tables.count_computed_tables()
     for _ in range(2):
         topology(hills(20))
-    assert stored_tables.computed_count() == begin + 2 and not folder.exists()
+    assert stored_tables.count_computed_tables() == begin + 2 and not folder.exists()
 
 
 @pytest.mark.parametrize("harm", ["a bit", "short", "empty", "long", "of another key", "a link"])
 def test_what_is_damaged_is_computed_again(folder: Path, harm: str, tmp_path: Path) -> None:
-    mesh, begin = hills(75), stored_tables.computed_count()
+    mesh, begin = hills(75), stored_tables.count_computed_tables()
     table = topology(mesh)
     (file,) = folder.iterdir()
     original = data = file.read_bytes()
@@ -128,9 +140,9 @@ def test_what_is_damaged_is_computed_again(folder: Path, harm: str, tmp_path: Pa
         file.symlink_to(tmp_path / "elsewhere")
     else:
         file.write_bytes(data)
-    stored_tables.forget()
+    stored_tables.forget_store()
     again = topology(mesh)
-    assert stored_tables.computed_count() == begin + 2
+    assert stored_tables.count_computed_tables() == begin + 2
     assert again.link.tobytes() == table.link.tobytes() and again.smooth.tobytes() == table.smooth.tobytes()
     assert file.read_bytes() == original and not file.is_symlink()
 
@@ -151,15 +163,15 @@ def test_what_is_damaged_is_computed_again(folder: Path, harm: str, tmp_path: Pa
 def test_signed_nonsense_is_not_used(folder: Path, data: bytes) -> None:
     inputs = (np.arange(4.0), 2.0)
     computed_arrays = {"link": np.arange(7)}
-    stored_tables._open_store_once().put(stored_tables._key("some", inputs), data)
-    begin = stored_tables.computed_count()
+    stored_tables._open_store_once().put(stored_tables._compute_key("some", inputs), data)
+    begin = stored_tables.count_computed_tables()
     assert get_or_compute("some", MIN_STORED_SIZE, inputs, lambda: computed_arrays)["link"] is computed_arrays["link"]
     assert get_or_compute("some", MIN_STORED_SIZE, inputs, dict)["link"].tolist() == list(range(7))
-    assert stored_tables.computed_count() == begin + 1
+    assert stored_tables.count_computed_tables() == begin + 1
 
 
 def test_all_that_tables_depend_on_is_in_their_key(monkeypatch: pytest.MonkeyPatch) -> None:
-    key = stored_tables._key
+    key = stored_tables._compute_key
     one = np.arange(6.0)
     keys = {
         key("some", (one, 1.0)),
@@ -171,15 +183,15 @@ def test_all_that_tables_depend_on_is_in_their_key(monkeypatch: pytest.MonkeyPat
         key("some", (-one, 1.0)),
     }
     assert len(keys) == 7 and key("some", (one.copy(), 1.0)) in keys
-    monkeypatch.setattr(stored_tables, "_sources", lambda: "others")
+    monkeypatch.setattr(stored_tables, "_hash_sources", lambda: "others")
     assert key("some", (one, 1.0)) not in keys
 
 
 def test_the_sources_of_all_rooms_that_compute_are_in_the_key() -> None:
-    named = {path.relative_to(Path(stored_tables.__file__).parents[1]).as_posix() for path in stored_tables._modules()}
-    for module in ("ground/mesh/self_cuts.py", "casting/rasterise.py", "scene/geometry/live_faces.py", "fields/numbered.py"):
+    named = {path.relative_to(Path(stored_tables.__file__).parents[1]).as_posix() for path in stored_tables._list_modules()}
+    for module in ("ground/mesh/self_cuts.py", "casting/rasterise.py", "scene/geometry/live_faces.py", "fields/block_index.py"):
         assert module in named
-    assert "numerics/stored_tables.py" in named and "machine_code/machine.py" in named
+    assert "numerics/stored_tables.py" in named and "machine_code/llvm_compiler.py" in named
 
 
 def test_of_what_moves_nothing_is_stored(folder: Path) -> None:
@@ -188,11 +200,11 @@ def test_of_what_moves_nothing_is_stored(folder: Path) -> None:
     begin = len(list(folder.iterdir()))
     for frame in range(3):
         ground.pose_meshes({"deck": vertices + np.array([0.0, frame + 1.0, 0.0])})
-        scene, _ = ground._ray_scene(None)
-        assert scene.cast_within(np.array([[0.0, 40.0 + frame, 0.0]]), np.array([[0.0, -60.0, 0.0]]))[0].size == 1
+        scene, _ = ground._get_ray_scene(None)
+        assert scene.find_hits_within(np.array([[0.0, 40.0 + frame, 0.0]]), np.array([[0.0, -60.0, 0.0]]))[0].size == 1
     assert len(list(folder.iterdir())) == begin
-    brief = RayScene(vertices, faces, brief=True)
-    brief.clearance(*np.zeros((3, 4), np.float32))
+    brief = RayScene(vertices, faces, is_short_lived=True)
+    brief.measure_clearance(*np.zeros((3, 4), np.float32))
     assert len(list(folder.iterdir())) == begin
-    RayScene(vertices, faces).clearance(*np.zeros((3, 4), np.float32))
+    RayScene(vertices, faces).measure_clearance(*np.zeros((3, 4), np.float32))
     assert len(list(folder.iterdir())) == begin + 1

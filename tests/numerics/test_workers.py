@@ -18,19 +18,19 @@ import pytest
 from children import child_environment
 
 from antdsl.machine_code import workers_text
-from antdsl.machine_code.kernels import F64, I64, Array1, independent, kernel
+from antdsl.machine_code.kernels import F64, I64, Array1, kernel, simd_range
 from antdsl.machine_code.kernels.direct.argument_text import MAX_JOB_PARTS
 from antdsl.numerics import parallel, workers
-from antdsl.numerics.parallel import buffer_index
+from antdsl.numerics.parallel import compute_buffer_index
 
-pytestmark = pytest.mark.skipif(not workers.possible(), reason="no threads that wait in machine code")
+pytestmark = pytest.mark.skipif(not workers.has_native_workers(), reason="no threads that wait in machine code")
 THREADS = (1, 2, 3, 7)
 
 
 @kernel
 def squared(x: Array1[F64], out: Array1[F64], times: Array1[I64], begin: I64, end: I64) -> tuple[I64, F64, I64]:
     total = 0.0
-    for n in independent(begin, end):
+    for n in simd_range(begin, end):
         out[n] = x[n] * x[n]
         times[n] += 1
     for n in range(begin, end):
@@ -40,7 +40,7 @@ def squared(x: Array1[F64], out: Array1[F64], times: Array1[I64], begin: I64, en
 
 @kernel
 def in_rooms(rooms: Array1[I64], count: I64, begin: I64, end: I64) -> I64:
-    slot = buffer_index(begin, count, rooms.size)
+    slot = compute_buffer_index(begin, count, rooms.size)
     rooms[slot] += end - begin
     return slot
 
@@ -53,7 +53,7 @@ def nothing(begin: I64, end: I64) -> None:
 @pytest.fixture(autouse=True)
 def many(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """As on a machine of eight cores."""
-    monkeypatch.setattr(parallel, "cores", lambda: 8)
+    monkeypatch.setattr(parallel, "count_available_cores", lambda: 8)
     previous_pools = dict(workers._pool_by_threads)
     yield
     for key in [key for key in workers._pool_by_threads if key not in previous_pools]:
@@ -68,7 +68,7 @@ def arrays(count: int) -> tuple[Any, ...]:
 def test_kernel_parts_run_once_and_are_returned_in_order(threads: int) -> None:
     for count in (0, 1, 2, 15, 16, 17, 100, 1_000, 4_097):
         x, out, times = arrays(count)
-        results = parallel.in_parts(partial(squared, x, out, times), count, threads, 1)
+        results = parallel.run_in_parts(partial(squared, x, out, times), count, threads, 1)
         assert np.array_equal(out, x * x) and (times == 1).all()
         assert sum(total for _, total, _ in results) == x.sum()
         assert [begin for _, _, begin in results] == [0, *np.cumsum([many for many, _, _ in results])[:-1]]
@@ -81,7 +81,7 @@ def test_thousands_of_small_jobs(threads: int) -> None:
     x, out, times = arrays(64)
     work = partial(squared, x, out, times)
     for each in range(5_000):
-        parallel.in_parts(work if each % 7 else nothing_at_all, 64, threads, 4)
+        parallel.run_in_parts(work if each % 7 else nothing_at_all, 64, threads, 4)
     assert (times == 5_000 - len(range(0, 5_000, 7))).all()
 
 
@@ -90,12 +90,12 @@ def nothing_at_all(begin: int, end: int) -> None:
 
 
 def test_a_kernel_that_gives_nothing_or_reads_what_only_python_reads() -> None:
-    assert parallel.in_parts(nothing, 40, 2, 4) == parallel.in_parts(partial(nothing), 40, 2, 4) == [None] * 2
+    assert parallel.run_in_parts(nothing, 40, 2, 4) == parallel.run_in_parts(partial(nothing), 40, 2, 4) == [None] * 2
     x, out, times = arrays(100)
-    assert parallel.in_parts(partial(squared, x, out, memoryless(times)), 100, 2, 4) == [(100, x.sum(), 0)]
+    assert parallel.run_in_parts(partial(squared, x, out, memoryless(times)), 100, 2, 4) == [(100, x.sum(), 0)]
     with pytest.raises(ValueError, match="float64"):
-        parallel.in_parts(partial(squared, x.astype(np.float32), out, times), 100, 2, 4)
-    assert len(parallel.in_parts(partial(squared, x, out, times), 100, 2, 4)) == 6
+        parallel.run_in_parts(partial(squared, x.astype(np.float32), out, times), 100, 2, 4)
+    assert len(parallel.run_in_parts(partial(squared, x, out, times), 100, 2, 4)) == 6
 
 
 def memoryless(array: Any) -> Any:
@@ -115,14 +115,14 @@ def test_many_of_python_ask_at_once_and_within_parts() -> None:
             x, out, times = arrays(50 + number)
             threads = 1 + (each + number) % 4
             if each % 3:
-                parallel.in_parts(partial(squared, x, out, times), len(x), threads, 5)
+                parallel.run_in_parts(partial(squared, x, out, times), len(x), threads, 5)
             else:
-                parallel.in_parts(lambda a, b: within(x, out, times, a, b), len(x), threads, 5)  # noqa: B023
+                parallel.run_in_parts(lambda a, b: within(x, out, times, a, b), len(x), threads, 5)  # noqa: B023
             if not (np.array_equal(out, x * x) and (times == 1).all()):
                 wrong.append(f"{number}, {each}")
 
     def within(x: Any, out: Any, times: Any, a: int, b: int) -> None:
-        parallel.in_parts(partial(squared, x[a:b], out[a:b], times[a:b]), b - a, 3, 2)
+        parallel.run_in_parts(partial(squared, x[a:b], out[a:b], times[a:b]), b - a, 3, 2)
 
     crowds = [threading.Thread(target=crowd, args=(number,), daemon=True) for number in range(6)]
     for one in crowds:
@@ -147,15 +147,15 @@ def test_the_first_failing_part_raises_after_all_running_parts_have_ended(thread
 
     for _ in range(200):
         with pytest.raises(ValueError, match=r"^5$"):
-            parallel.in_parts(work, 5 * threads, threads, 5)
+            parallel.run_in_parts(work, 5 * threads, threads, 5)
         assert not at_work
-    assert parallel.in_parts(lambda a, b: b - a, 10, 2, 1) == [5, 5]
+    assert parallel.run_in_parts(lambda a, b: b - a, 10, 2, 1) == [5, 5]
 
 
 @pytest.mark.parametrize("is_running", (False, True))
 def test_who_is_interrupted_as_a_job_starts_waits_for_what_has_begun(is_running: bool) -> None:
     pool, start_event = workers.WorkerPool(2), threading.Event()
-    start = pool._start
+    start = pool._start_function
     at_work, ended = [], []
 
     def interrupted(*words: int) -> None:
@@ -170,11 +170,13 @@ def test_who_is_interrupted_as_a_job_starts_waits_for_what_has_begun(is_running:
         time.sleep(0.05)
         ended.append(number)
 
-    pool._start = interrupted  # type: ignore[assignment]
+    pool._start_function = interrupted  # type: ignore[assignment]
     with pytest.raises(KeyboardInterrupt):
         pool.do(work, 2)
-    assert bool(ended) == is_running and len(at_work) == len(ended) and not pool._words[workers_text.PARTS_LEFT_WORD] % 2**32
-    pool._start = start
+    assert (
+        bool(ended) == is_running and len(at_work) == len(ended) and not pool._shared_words[workers_text.PARTS_LEFT_WORD] % 2**32
+    )
+    pool._start_function = start
     pool.do(work, 2)
     assert ended.count(0) == 1
     pool.end()
@@ -183,12 +185,14 @@ def test_who_is_interrupted_as_a_job_starts_waits_for_what_has_begun(is_running:
 def test_functions_of_machine_code_are_called_with_each_row() -> None:
     buffer = np.zeros(8, np.int64)  # `turns` reads one word, and only waits
     for count in (1, 3, MAX_JOB_PARTS, 3 * MAX_JOB_PARTS + 5):
-        parallel.call_rows(workers_text.code().function("turns"), np.array([(buffer.ctypes.data, 3, 0)] * count, np.int64), 3)
+        parallel.call_with_rows(
+            workers_text.load_code().function("turns"), np.array([(buffer.ctypes.data, 3, 0)] * count, np.int64), 3
+        )
     pool = workers._pool_by_threads[3]
     assert isinstance(pool, workers.WorkerPool)
     assert (
-        pool._words[workers_text.DONE_COUNT_WORD] == pool._words[workers_text.PART_COUNT_WORD] == 5
-        and not pool._words[workers_text.PARTS_LEFT_WORD] % 2**32
+        pool._shared_words[workers_text.DONE_COUNT_WORD] == pool._shared_words[workers_text.PART_COUNT_WORD] == 5
+        and not pool._shared_words[workers_text.PARTS_LEFT_WORD] % 2**32
     )
 
 
@@ -196,12 +200,12 @@ def test_functions_of_machine_code_are_called_with_each_row() -> None:
 def test_a_forked_process_makes_threads_of_its_own() -> None:
     x, out, times = arrays(400)
     work = partial(squared, x, out, times)
-    parallel.in_parts(work, 400, 3, 10)
+    parallel.run_in_parts(work, 400, 3, 10)
     child = os.fork()
     if not child:
         signal.alarm(60)
         for _ in range(100):
-            parallel.in_parts(work, 400, 3, 10)
+            parallel.run_in_parts(work, 400, 3, 10)
         os._exit(0 if (times == 101).all() and len(threading.enumerate()) >= 3 else 1)
     assert os.waitpid(child, 0)[1] == 0
 
@@ -212,20 +216,20 @@ from functools import partial
 import numpy as np
 from antdsl.numerics import parallel
 from test_workers import squared, arrays
-parallel.cores = lambda: 8
+parallel.count_available_cores = lambda: 8
 x, out, times = arrays(4000)
 def go():
     while True:
-        parallel.in_parts(partial(squared, x, out, times), 4000, 3, 10)
-        parallel.in_parts(lambda a, b: time.sleep(0), 10, 3, 1)
-parallel.in_parts(partial(squared, x, out, times), 4000, 3, 10)
+        parallel.run_in_parts(partial(squared, x, out, times), 4000, 3, 10)
+        parallel.run_in_parts(lambda a, b: time.sleep(0), 10, 3, 1)
+parallel.run_in_parts(partial(squared, x, out, times), 4000, 3, 10)
 if sys.argv[1] == "busy":
     threading.Thread(target=go, daemon=True).start()
     time.sleep(0.2)
 elif sys.argv[1] == "asleep":
     time.sleep(0.2)
 elif sys.argv[1] == "raises":
-    parallel.in_parts(lambda a, b: 1 // 0, 10, 3, 1)
+    parallel.run_in_parts(lambda a, b: 1 // 0, 10, 3, 1)
 print("over")
 """
 
@@ -244,14 +248,14 @@ def test_a_program_ends_whatever_its_threads_are_at(how: str, status: int) -> No
 
 
 def test_without_machine_code_an_executor_does_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(workers, "possible", lambda: False)
+    monkeypatch.setattr(workers, "has_native_workers", lambda: False)
     monkeypatch.setattr(workers, "_pool_by_threads", {})
     x, out, times = arrays(1_000)
     for threads in THREADS:
-        results = parallel.in_parts(partial(squared, x, out, times), 1_000, threads, 10)
+        results = parallel.run_in_parts(partial(squared, x, out, times), 1_000, threads, 10)
         assert sum(total for _, total, _ in results) == x.sum()
         with pytest.raises(ZeroDivisionError):
-            parallel.in_parts(lambda a, b: 1 // a, 1_000, threads, 10)
+            parallel.run_in_parts(lambda a, b: 1 // a, 1_000, threads, 10)
     assert (times == len(THREADS)).all() and isinstance(workers._pool_by_threads[2], workers.ExecutorPool)
 
 
@@ -291,7 +295,7 @@ def test_an_interrupt_leaves_the_pool_to_others_wherever_it_comes(pool: Any) -> 
 def test_each_part_has_a_room_of_its_own(threads: int) -> None:
     for count in (1, 15, 16, 17, 100, 129, 500, 5_001, 100_003):
         for least in (16, 64, 1_000):
-            rooms = np.zeros(parallel.parts(count, threads, least), np.int64)
-            slots = parallel.in_parts(partial(in_rooms, rooms, count), count, threads, least)
+            rooms = np.zeros(parallel.count_parts(count, threads, least), np.int64)
+            slots = parallel.run_in_parts(partial(in_rooms, rooms, count), count, threads, least)
             assert len(set(slots)) == len(slots) <= len(rooms) and rooms.sum() == count
             assert len(slots) == len(rooms)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from antdsl.bodies.body import rotation_matrices, turned
+from antdsl.bodies.body import build_rotation_matrices, rotate_vectors
 from antdsl.numerics.records import take_rows
 from antdsl.outputs.cache.cache_reader import open_cache
 from antdsl.outputs.gallery import Gallery
@@ -69,21 +69,21 @@ def test_poses_bring_the_points_of_a_shape_where_they_are_drawn(cache: Path, tmp
         metadata = json.loads(bytes(archive["about"]))["bug"]
         assert metadata == {"joints": ["root", "elbow"], "parents": [-1, 0], "channels": ["arm.smile"]}
         rows = slice(*archive["bug.rows"][11:13])
-        (crowd,) = gallery.picture(20).crowds
-        assert crowd.worn is not None and crowd.ids is not None
+        (crowd,) = gallery.make_picture(20).crowds
+        assert crowd.body is not None and crowd.ids is not None
         among = np.isin(crowd.ids, archive["bug.id"][rows])
         assert archive["bug.id"][rows].tolist() == crowd.ids[among].tolist() and 8 < among.sum() < len(among)
         local, world = archive["bug.local"][rows], archive["bug.world"][rows]
         assert np.allclose(world[:, 1], world[:, 0] @ local[:, 1], atol=1e-6) and np.allclose(world[:, 0], local[:, 0])
-        body = crowd.worn.definition
+        body = crowd.body.definition
         shape, smile = body.shapes["arm"], body.shapes["arm.smile"]
         assert shape.capture is not None
         points = shape.points + archive["bug.channels"][rows, 0, None, None] * (smile.points - shape.points)
         points = np.concatenate([points, np.ones_like(points[..., :1])], axis=2)
         matrices = (world @ shape.capture.inverse)[:, shape.capture.joints]
         placed = np.einsum("nij,pk,npkjl,npl->npi", archive["bug.place"][rows], shape.capture.weights, matrices, points)[..., :3]
-        drawn = crowd.worn.posed(take_rows(crowd.plays, among), int(among.sum()))[0].astype(float)
-        expected = turned(crowd.orient[among], drawn) * crowd.scale[among, None, None] + crowd.position[among, None]
+        drawn = crowd.body.pose_vertices(take_rows(crowd.plays, among), int(among.sum()))[0].astype(float)
+        expected = rotate_vectors(crowd.orient[among], drawn) * crowd.scale[among, None, None] + crowd.position[among, None]
         assert np.abs(placed - expected).max() < 1e-5
 
 
@@ -119,7 +119,7 @@ def test_points_for_houdini(up: str, tmp_path: Path, request: pytest.FixtureRequ
         return vectors if up == "y" else np.stack([vectors[:, 0], vectors[:, 2], -vectors[:, 1]], axis=1)
 
     assert np.allclose(attributes["P"], upright(arrays["P"])) and np.allclose(attributes["v"], upright(arrays["v"]))
-    turn, own = rotation_matrices(attributes["orient"]), rotation_matrices(arrays["orient"].astype(float))
+    turn, own = build_rotation_matrices(attributes["orient"]), build_rotation_matrices(arrays["orient"].astype(float))
     assert np.allclose(turn[:, :, 2], upright(own[:, :, 0]), atol=1e-6), "+z is the heading"
     assert np.allclose(turn[:, :, 1], upright(own[:, :, 1]), atol=1e-6), "+y is up"
     from scipy.spatial.transform import Rotation
@@ -127,7 +127,7 @@ def test_points_for_houdini(up: str, tmp_path: Path, request: pytest.FixtureRequ
     both = np.isin(arrays["id"], next_arrays["id"])
     step = Rotation.from_rotvec(attributes["w"][both] / 24).as_matrix() @ turn[both]
     later = geo(tmp_path / "bugs.0021.geo")
-    assert np.allclose(step, rotation_matrices(later["orient"])[np.isin(later["id"], arrays["id"])], atol=1e-5)
+    assert np.allclose(step, build_rotation_matrices(later["orient"])[np.isin(later["id"], arrays["id"])], atol=1e-5)
     states = [state.name for state in stored_cache.manifest.species[0].machines[0].states]
     assert attributes["state"] == [states[k] for k in arrays["state"]] and attributes["agentname"][0] == f"bug_{arrays['id'][0]}"
     assert np.array_equal(attributes["id"], arrays["id"]) and np.allclose(attributes["pscale"], arrays["pscale"])
@@ -141,14 +141,14 @@ def test_points_for_houdini(up: str, tmp_path: Path, request: pytest.FixtureRequ
 
 def test_a_machine_over_another_takes_what_it_weighs() -> None:
     from antdsl.bodies.agents.machine_clips import MachineClips
-    from antdsl.outputs.exports.geo_export import _slots
+    from antdsl.outputs.exports.geo_export import _make_clip_slots
 
     def machine(weight: float) -> MachineClips:
         one, none = np.ones(1, np.float32), np.zeros(1, np.float32)
         return MachineClips(np.zeros(1, np.int16), none, weight * one, np.full(1, -1, np.int16), none, one, none)
 
     for weight in (0.25, 0.5, 1.0):
-        (_, walk, _, wave) = (each[2][0] for each in _slots([machine(1.0), machine(weight)], 1))
+        (_, walk, _, wave) = (each[2][0] for each in _make_clip_slots([machine(1.0), machine(weight)], 1))
         assert walk == 1.0 and wave / (walk + wave) == pytest.approx(weight, abs=1e-5)
 
 
@@ -160,11 +160,11 @@ def test_meshes_have_the_same_points_in_each_frame(cache: Path, tmp_path: Path) 
     gallery = Gallery(open_cache(cache))
     first, last = (trimesh.load(tmp_path / f"bugs.{frame:04d}.ply", process=False) for frame in (3, 26))
     assert np.array_equal(first.faces, last.faces) and first.vertices.shape == last.vertices.shape
-    (crowd,) = gallery.picture(26).crowds
-    assert crowd.worn is not None and crowd.ids is not None
-    is_common = np.isin(crowd.ids, np.asarray(gallery.picture(3).crowds[0].ids)) & (crowd.ids <= 12)
-    drawn = crowd.worn.posed(crowd.plays, len(is_common))[0].astype(float)
-    expected = turned(crowd.orient, drawn) * crowd.scale[:, None, None] + crowd.position[:, None]
+    (crowd,) = gallery.make_picture(26).crowds
+    assert crowd.body is not None and crowd.ids is not None
+    is_common = np.isin(crowd.ids, np.asarray(gallery.make_picture(3).crowds[0].ids)) & (crowd.ids <= 12)
+    drawn = crowd.body.pose_vertices(crowd.plays, len(is_common))[0].astype(float)
+    expected = rotate_vectors(crowd.orient, drawn) * crowd.scale[:, None, None] + crowd.position[:, None]
     assert np.allclose(last.vertices.reshape(is_common.sum(), -1, 3), expected[is_common], atol=1e-6)
     text = (tmp_path / "bugs.0026.obj").read_text()
     names = [line[2:] for line in text.splitlines() if line.startswith("o ")]
@@ -179,10 +179,10 @@ def test_meshes_over_time_in_usd(cache: Path, tmp_path: Path) -> None:
 
     exported(cache, tmp_path / "bugs.usdc", "--as", "meshes", "--ids", "0..3")
     stage = Usd.Stage.Open(str(tmp_path / "bugs.usdc"))
-    (crowd,) = Gallery(open_cache(cache)).picture(15).crowds
-    assert crowd.worn is not None and crowd.ids is not None
-    drawn = crowd.worn.posed(crowd.plays, len(crowd.position))[0].astype(float)
-    expected = turned(crowd.orient, drawn) * crowd.scale[:, None, None] + crowd.position[:, None]
+    (crowd,) = Gallery(open_cache(cache)).make_picture(15).crowds
+    assert crowd.body is not None and crowd.ids is not None
+    drawn = crowd.body.pose_vertices(crowd.plays, len(crowd.position))[0].astype(float)
+    expected = rotate_vectors(crowd.orient, drawn) * crowd.scale[:, None, None] + crowd.position[:, None]
     for row in np.flatnonzero(crowd.ids < 4):
         mesh = UsdGeom.Mesh(stage.GetPrimAtPath(f"/World/bug/agent_{crowd.ids[row]}"))
         assert np.allclose(mesh.GetPointsAttr().Get(15), expected[row], atol=1e-6)

@@ -18,17 +18,17 @@ import stick_bodies
 from children import child_environment
 from numpy.typing import NDArray
 
+from antdsl.atomic_write import BytesParts
 from antdsl.outputs.cache import frame_writer, lock
 from antdsl.outputs.cache.cache_reader import open_cache
+from antdsl.outputs.cache.frame_maker import FrameMaker
 from antdsl.outputs.cache.frame_writer import BackgroundWorker, Measures
-from antdsl.outputs.cache.frames import FrameMaker
-from antdsl.outputs.cache.hashes import HASHES, read_lines
+from antdsl.outputs.cache.hashes import HASHES_FILE_NAME, read_lines
 from antdsl.outputs.cache.lock import FolderLock, FolderLocked
-from antdsl.outputs.recording import Recording, begin, record
-from antdsl.outputs.summary import summary
+from antdsl.outputs.recording import Recording, begin_recording, record_frames
+from antdsl.outputs.summary import summarise_run
 from antdsl.pipeline import RunChoices, open_scene
 from antdsl.runtime import Options, World
-from antdsl.whole import BytesParts
 
 
 @pytest.fixture(autouse=True)
@@ -49,9 +49,9 @@ def test_work_is_done_in_order_in_another_thread_and_reported_in_the_callers() -
             executions.append((number, threading.get_ident()))
             return {"number": number}
 
-        worker.hand_over(work)
-    worker.finish()
-    worker.check()
+        worker.submit(work)
+    worker.wait_until_finished()
+    worker.raise_job_error()
     assert [number for number, _ in executions] == [number for number, _ in reports] == list(range(60))
     assert {thread for _, thread in reports} == {threading.get_ident()}
     assert len({thread for _, thread in executions} | {threading.get_ident()}) == 2
@@ -69,10 +69,10 @@ def test_where_the_disk_stalls_the_caller_waits_and_nothing_is_lost() -> None:
     def hand_over_all() -> None:
         worker = BackgroundWorker(lambda result: None)
         for number in range(10):
-            worker.hand_over(lambda number=number: work(number))  # type: ignore[misc]
+            worker.submit(lambda number=number: work(number))  # type: ignore[misc]
             handed.release()
-        worker.finish()
-        worker.check()
+        worker.wait_until_finished()
+        worker.raise_job_error()
 
     caller = threading.Thread(target=hand_over_all)
     caller.start()
@@ -103,13 +103,13 @@ def test_an_error_is_raised_by_what_comes_next_and_nothing_more_is_done(problem:
     worker = BackgroundWorker(results.append)
     with pytest.raises(type(problem)) as raised:
         for number in range(100):
-            worker.hand_over(lambda number=number: work(number))  # type: ignore[misc]
+            worker.submit(lambda number=number: work(number))  # type: ignore[misc]
     assert raised.value is problem and raised.traceback[-1].name == "work"  # where in the code it was
     with pytest.raises(type(problem)):
-        worker.hand_over(lambda: work(0))
-    worker.finish()
+        worker.submit(lambda: work(0))
+    worker.wait_until_finished()
     with pytest.raises(type(problem)):
-        worker.check()
+        worker.raise_job_error()
     assert executions == [0, 1] == [result["number"] for result in results]
 
 
@@ -136,7 +136,7 @@ def test_what_a_killed_run_still_does_is_waited_for(tmp_path: Path, monkeypatch:
     run = subprocess.Popen([sys.executable, "-c", KILLED, str(tmp_path)], env=child_environment())
     os.waitid(os.P_PID, run.pid, os.WEXITED | os.WNOWAIT)  # it has ended, and is still known to the system
     with monkeypatch.context() as patch, pytest.raises(FolderLocked, match=str(run.pid)):
-        patch.setattr(lock, "_PATIENCE", 0.0)
+        patch.setattr(lock, "_MAX_WAIT_SECONDS", 0.0)
         with FolderLock(tmp_path):
             pass
     with FolderLock(tmp_path):
@@ -176,8 +176,8 @@ def run(folder: Path, out: str, **options: Any) -> Recording:
     (folder / "scene.yaml").write_text(SCENE)
     shot, report = open_scene(folder / "scene.yaml", RunChoices())
     assert shot is not None and report.ok, report.errors
-    recording = begin(shot, folder / out, Options(**options), resume=False, force=False)
-    crowd = [len(recording.world) for _ in record(recording)]
+    recording = begin_recording(shot, folder / out, Options(**options), resume=False, force=False)
+    crowd = [len(recording.world) for _ in record_frames(recording)]
     assert max(crowd) > 2 * crowd[0]
     return recording
 
@@ -185,7 +185,7 @@ def run(folder: Path, out: str, **options: Any) -> Recording:
 def contents(folder: Path) -> dict[str, bytes]:
     """The files of a cache, without those that differ by the order of rows."""
     files = [path for path in folder.rglob("*") if path.is_file() and path.parent.name != "checkpoints"]
-    return {str(path.relative_to(folder)): path.read_bytes() for path in files if path.name not in (HASHES, "lock")}
+    return {str(path.relative_to(folder)): path.read_bytes() for path in files if path.name not in (HASHES_FILE_NAME, "lock")}
 
 
 def test_a_growing_crowd_is_written_the_same_to_the_byte_where_the_disk_stalls_and_rows_are_shuffled(
@@ -203,7 +203,7 @@ def test_a_growing_crowd_is_written_the_same_to_the_byte_where_the_disk_stalls_a
     monkeypatch.setattr(frame_writer, "write_atomically", stalling)
     two = run(tmp_path, "stalled", shuffle_rows=3, chunk=7)
     assert under_way == ["frame.0003.npz", "checkpoint.0008.npz"]
-    mine, other = summary(one), summary(two)
+    mine, other = summarise_run(one), summarise_run(two)
     for name in ("agents", "frames", "states", "state_hash", "max_surface_error", "transitions"):
         assert mine[name] == other[name], name
     assert mine["max_surface_error"] > 0 and {"measure", "hash", "frame", "write", "sync", "checkpoint"} <= set(mine["seconds"])
@@ -215,7 +215,7 @@ def test_a_growing_crowd_is_written_the_same_to_the_byte_where_the_disk_stalls_a
         == open_cache(tmp_path / "stalled").checkpoints()
         == [1, 8, 15, 22, 29, 36, 40]
     )
-    lines = [read_lines(tmp_path / run_name / HASHES) for run_name in ("plain", "stalled")]
+    lines = [read_lines(tmp_path / run_name / HASHES_FILE_NAME) for run_name in ("plain", "stalled")]
     of_frames = [{frame: (line.hash, line.file) for frame, line in frame_lines.items()} for frame_lines in lines]
     assert len(of_frames[0]) == 40 and of_frames[0] == of_frames[1]
     assert sum(bool(line.checkpoint) for line in lines[0].values()) == 7
@@ -251,8 +251,8 @@ def test_nothing_that_is_handed_over_is_memory_of_the_world(monkeypatch: pytest.
 
     monkeypatch.setattr(FrameMaker, "frame", watched)
     shot = stick_bodies.opened(stick_bodies.write_scene(tmp_path, 6, "hill", count=16))
-    recording = begin(shot, tmp_path / "out", Options(), resume=False, force=False)
-    frames = record(recording)
+    recording = begin_recording(shot, tmp_path / "out", Options(), resume=False, force=False)
+    frames = record_frames(recording)
     for _ in range(2):
         next(frames)
     frames.close()
@@ -266,7 +266,7 @@ def held(world: World) -> Iterator[NDArray[Any]]:
         tables += [population.now, population.start, population.events, population.footing.columns]
         tables.append({"ids": population.ids, "born": population.born, "position": population.position})
     tables += [items.amounts for items in world.items.values()]
-    tables += [feet.arrays() for feet in world.feet.values()]
+    tables += [feet.stored_arrays() for feet in world.feet.values()]
     tables.append({name: field.values for name, field in world.fields.items()})
     tables += [flow.state() for flow in world.flows.values()]
     for table in tables:

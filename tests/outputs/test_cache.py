@@ -25,20 +25,20 @@ from children import child_environment
 from sampling import sampled
 from typer.testing import CliRunner
 
-from antdsl.cli import _run as run_in_process
+from antdsl.atomic_write import write_atomically
+from antdsl.cli import _run_without_warnings as run_in_process
 from antdsl.cli import app
-from antdsl.cli.commands.new import ground
+from antdsl.cli.commands.new import build_ground_ply
 from antdsl.cli.exits import CommandError
-from antdsl.outputs.cache.cache_reader import SURFACE_ERROR, CacheError, checkpoint_path, frame_path, open_cache
+from antdsl.outputs.cache.cache_reader import SURFACE_ERROR_KEY, CacheError, make_checkpoint_path, make_frame_path, open_cache
 from antdsl.outputs.cache.cache_writer import ForeignFolder, prepare_folder
-from antdsl.outputs.cache.hashes import HASHES, read_lines
+from antdsl.outputs.cache.hashes import HASHES_FILE_NAME, read_lines
 from antdsl.outputs.cache.lock import FolderLock, FolderLocked
-from antdsl.outputs.cache.npz import ArrayFileError, parse_npy, read_npz, to_bytes
-from antdsl.outputs.recording import begin, record
+from antdsl.outputs.cache.npz import ArrayFileError, encode_npz, parse_npy, read_npz
+from antdsl.outputs.recording import begin_recording, record_frames
 from antdsl.pipeline import open_scene
-from antdsl.runtime import CheckpointError, Options, bind, checkpoint, restore
-from antdsl.runtime.checkpoints import STATE_HASH, Arrays
-from antdsl.whole import write_atomically
+from antdsl.runtime import CheckpointError, Options, bind, restore_checkpoint, take_checkpoint
+from antdsl.runtime.checkpoints import STATE_HASH_VERSION, Arrays
 
 ROOT = Path(__file__).resolve().parents[2]
 ARRAYS = {
@@ -53,13 +53,13 @@ ARRAYS = {
 
 def test_arrays_come_back_as_they_were_and_numpy_reads_them(tmp_path: Path) -> None:
     path = tmp_path / "a.npz"
-    write_atomically(path, to_bytes(ARRAYS), sync=True)
+    write_atomically(path, encode_npz(ARRAYS), sync=True)
     back = read_npz(path)
-    plain = np.load(io.BytesIO(to_bytes(ARRAYS)))
+    plain = np.load(io.BytesIO(encode_npz(ARRAYS)))
     for name, array in ARRAYS.items():
         for read_array in (back[name], plain[name]):
             assert read_array.dtype == array.dtype and np.array_equal(read_array, array)
-    assert to_bytes(ARRAYS) == to_bytes(ARRAYS)
+    assert encode_npz(ARRAYS) == encode_npz(ARRAYS)
     assert [p.name for p in tmp_path.iterdir()] == ["a.npz"]
 
 
@@ -89,7 +89,7 @@ GOOD = npy("{'descr': '<f4', 'fortran_order': False, 'shape': (2,), }\n", b"\0" 
     [
         pytest.param(b"", id="empty"),
         pytest.param(b"PK" + b"\0" * 100, id="not a zip"),
-        pytest.param(to_bytes(ARRAYS)[:-40], id="cut off"),
+        pytest.param(encode_npz(ARRAYS)[:-40], id="cut off"),
         pytest.param(zipped([("a.npy", GOOD), ("a.npy", GOOD)]), id="one name twice"),
         pytest.param(zipped([("../a.npy", GOOD)]), id="a name that leaves the folder"),
         pytest.param(zipped([("a.txt", GOOD)]), id="no array"),
@@ -125,7 +125,7 @@ def test_strange_headers_are_refused(header: str) -> None:
 
 
 def test_every_flipped_byte_of_the_values_is_seen(tmp_path: Path) -> None:
-    original = to_bytes({"P": np.arange(64, dtype=np.float32)})
+    original = encode_npz({"P": np.arange(64, dtype=np.float32)})
     path = tmp_path / "a.npz"
     start = original.index(np.float32(1).tobytes())
     for place in range(start, start + 200, 7):
@@ -159,7 +159,7 @@ def test_hash_lines_that_were_cut_off_are_left_out(tmp_path: Path) -> None:
 
 
 def test_feelers_of_a_program_are_found_and_turned_into_rays(tmp_path: Path) -> None:
-    from antdsl.outputs.feelers import feeler_rays, feelers_of
+    from antdsl.outputs.feelers import compute_feeler_rays, list_feelers
     from antdsl.pipeline import compile_files
 
     path = tmp_path / "a.ant"
@@ -167,10 +167,10 @@ def test_feelers_of_a_program_are_found_and_turned_into_rays(tmp_path: Path) -> 
     path.write_text(text.replace("layers {", "layers { avoid(stones, feelers: 3, spread: 90 deg, reach: 2 mm + 1.5 * size);"))
     program, report = compile_files([path])
     assert program is not None and report.ok, report.errors
-    (entry,) = feelers_of(program, "walker", {}, 10.0, 0.04)
+    (entry,) = list_feelers(program, "walker", {}, 10.0, 0.04)
     assert entry.count == 3 and entry.spread == pytest.approx(np.pi / 2)
     assert entry.reach == pytest.approx(0.2) and entry.per_length == pytest.approx(1.5)
-    segments = feeler_rays(entry, np.zeros((1, 3)), np.array([[1.0, 0, 0]]), np.array([[0, 1.0, 0]]), np.array([0.4]))
+    segments = compute_feeler_rays(entry, np.zeros((1, 3)), np.array([[1.0, 0, 0]]), np.array([[0, 1.0, 0]]), np.array([0.4]))
     ends = segments[np.argsort(segments[:, 1, 2]), 1]
     assert np.abs(ends - 0.8 * np.array([[0, 0, -1], [1, 0, 0], [0, 0, 1]])).max() < 1e-12
 
@@ -205,7 +205,7 @@ def project(folder: Path, hills: bool = False) -> Path:
     """Walkers, by themselves on the endless plane, which starts faster than a mesh."""
     folder.mkdir(exist_ok=True)
     (folder / "walker.ant").write_text(PROGRAM.replace("WORLD", "world { surface ground }" if hills else ""))
-    (folder / "ground.ply").write_bytes(ground(17))
+    (folder / "ground.ply").write_bytes(build_ground_ply(17))
     scene = folder / "scene.yaml"
     scene.write_text(SCENE + ("world: {ground: {mesh: ground.ply}}\n" if hills else ""))
     return scene
@@ -250,7 +250,7 @@ def test_the_summary_has_its_keys_and_the_last_hash(tmp_path: Path) -> None:
     required_keys = "agents frames fps seconds states transitions items faults max_surface_error motion state_hash peak_memory"
     assert set(required_keys.split()) <= set(summary_values)
     assert summary_values["agents"] == 40 == sum(summary_values["states"].values()) and summary_values["frames"] == 60
-    static = open_cache(scene.parent / "out" / "scene").static()
+    static = open_cache(scene.parent / "out" / "scene").read_static()
     assert static["mesh.ground.faces"].max() + 1 == len(static["mesh.ground.vertices"]) == 17 * 17
     assert (
         summary_values["state_hash"] == hashes[60]
@@ -270,14 +270,14 @@ def test_the_summary_of_a_run_that_goes_on_is_of_all_frames(tmp_path: Path) -> N
 
     unbroken = worst()
     assert unbroken is not None and unbroken > 0 and worst("--resume") == unbroken == worst("--resume")
-    checkpoint_path(folder, 12).unlink()
+    make_checkpoint_path(folder, 12).unlink()
     assert worst("--resume") == unbroken
     as_before(folder)
-    line = read_lines(folder / HASHES)[12]
-    arrays = dict(read_npz(checkpoint_path(folder, 12)))
-    arrays.pop(SURFACE_ERROR)  # as before it was stored
-    checkpoint_path(folder, 12).write_bytes(to_bytes(arrays))
-    with open(folder / HASHES, "ab") as hashes:
+    line = read_lines(folder / HASHES_FILE_NAME)[12]
+    arrays = dict(read_npz(make_checkpoint_path(folder, 12)))
+    arrays.pop(SURFACE_ERROR_KEY)  # as before it was stored
+    make_checkpoint_path(folder, 12).write_bytes(encode_npz(arrays))
+    with open(folder / HASHES_FILE_NAME, "ab") as hashes:
         hashes.write(replace(line, checkpoint="").text(12))
     assert worst("--resume") is None is worst("--resume")
 
@@ -308,27 +308,27 @@ def swapped(one: Path, other: Path) -> None:
 
 def lines_changed(folder: Path, frame: int, **change: str) -> None:
     """The line of a frame with other values, in good JSON."""
-    entries = [json.loads(line) for line in (folder / HASHES).read_text().splitlines()]
+    entries = [json.loads(line) for line in (folder / HASHES_FILE_NAME).read_text().splitlines()]
     for entry in entries:
         entry |= change if entry["frame"] == frame else {}
-    (folder / HASHES).write_text("".join(json.dumps(entry) + "\n" for entry in entries))
+    (folder / HASHES_FILE_NAME).write_text("".join(json.dumps(entry) + "\n" for entry in entries))
 
 
 def renumbered(folder: Path, number: int) -> None:
     """A whole frame of another number, written as that of `number`."""
-    arrays = {**read_npz(frame_path(folder, 30)), "frame": np.array(number, np.int64)}
-    frame_path(folder, number).write_bytes(to_bytes(arrays))
+    arrays = {**read_npz(make_frame_path(folder, 30)), "frame": np.array(number, np.int64)}
+    make_frame_path(folder, number).write_bytes(encode_npz(arrays))
 
 
 def of_another_run(path: Path) -> None:
     """Another whole checkpoint of the same frame: the state is the same, what was counted on the way is not."""
     arrays = dict(read_npz(path))
-    path.write_bytes(to_bytes(arrays | {"world.faults": arrays["world.faults"] + 5}))
+    path.write_bytes(encode_npz(arrays | {"world.faults": arrays["world.faults"] + 5}))
 
 
 def in_line_of(folder: Path, frame: int) -> int:
     """A byte amid the line of a frame."""
-    text = (folder / HASHES).read_bytes()
+    text = (folder / HASHES_FILE_NAME).read_bytes()
     begin = text.index(b'{"frame": %d,' % frame)
     return (begin + text.index(b"\n", begin)) // 2
 
@@ -336,36 +336,48 @@ def in_line_of(folder: Path, frame: int) -> int:
 # What may happen to a cache of 60 frames with checkpoints at 1, 9, 17, …; the frame that a run goes on after; the message.
 DAMAGE: dict[str, tuple[Callable[[Path], object], int | None, str]] = {
     "nothing": (lambda f: None, 60, ""),
-    "a frame cut off": (lambda f: os.truncate(frame_path(f, 12), 100), 9, "frame.0012.npz` is not what was written there"),
-    "an empty frame": (lambda f: os.truncate(frame_path(f, 30), 0), 25, "frame.0030.npz` is not what was written there"),
-    "a bit of a frame": (lambda f: flipped(frame_path(f, 47), 0.5), 41, "frame.0047.npz` is not what was written there"),
-    "a bit of a name in a frame": (lambda f: flipped(frame_path(f, 47), 0.999), 41, "frame.0047.npz` is not what was written"),
-    "the first frame": (lambda f: flipped(frame_path(f, 1), 0.7), None, "frames 1 to 60 are made again"),
-    "two frames swapped": (lambda f: swapped(frame_path(f, 20), frame_path(f, 22)), 17, "frames 18 to 60 are made again"),
+    "a frame cut off": (lambda f: os.truncate(make_frame_path(f, 12), 100), 9, "frame.0012.npz` is not what was written there"),
+    "an empty frame": (lambda f: os.truncate(make_frame_path(f, 30), 0), 25, "frame.0030.npz` is not what was written there"),
+    "a bit of a frame": (lambda f: flipped(make_frame_path(f, 47), 0.5), 41, "frame.0047.npz` is not what was written there"),
+    "a bit of a name in a frame": (
+        lambda f: flipped(make_frame_path(f, 47), 0.999), 41, "frame.0047.npz` is not what was written",
+    ),
+    "the first frame": (lambda f: flipped(make_frame_path(f, 1), 0.7), None, "frames 1 to 60 are made again"),
+    "two frames swapped": (
+        lambda f: swapped(make_frame_path(f, 20), make_frame_path(f, 22)), 17, "frames 18 to 60 are made again",
+    ),
     "a whole frame with another's number": (lambda f: renumbered(f, 34), 33, "frame.0034.npz` is not what was written there"),
-    "a missing frame": (lambda f: frame_path(f, 26).unlink(), 25, "frame.0026.npz` is not there"),
-    "missing frames": (lambda f: [frame_path(f, n).unlink() for n in range(20, 50)], 17, "frame.0020.npz` is not there"),
-    "a pipe for a frame": (lambda f: (frame_path(f, 40).unlink(), os.mkfifo(frame_path(f, 40))), 33, "not a regular file"),
+    "a missing frame": (lambda f: make_frame_path(f, 26).unlink(), 25, "frame.0026.npz` is not there"),
+    "missing frames": (lambda f: [make_frame_path(f, n).unlink() for n in range(20, 50)], 17, "frame.0020.npz` is not there"),
+    "a pipe for a frame": (
+        lambda f: (make_frame_path(f, 40).unlink(), os.mkfifo(make_frame_path(f, 40))), 33, "not a regular file",
+    ),
     "a link for a frame": (
-        lambda f: (frame_path(f, 40).rename(f / "x"), frame_path(f, 40).symlink_to(f / "x")), 33, "it is a link",
+        lambda f: (make_frame_path(f, 40).rename(f / "x"), make_frame_path(f, 40).symlink_to(f / "x")), 33, "it is a link",
     ),
-    "a bit of a checkpoint": (lambda f: flipped(checkpoint_path(f, 60), 0.5), 57, "checkpoint.0060.npz"),
-    "a checkpoint cut off": (lambda f: os.truncate(checkpoint_path(f, 60), 5000), 57, "frames 58 to 60 are made again"),
-    "an early checkpoint": (lambda f: flipped(checkpoint_path(f, 9), 0.5), 60, "and is removed"),
+    "a bit of a checkpoint": (lambda f: flipped(make_checkpoint_path(f, 60), 0.5), 57, "checkpoint.0060.npz"),
+    "a checkpoint cut off": (lambda f: os.truncate(make_checkpoint_path(f, 60), 5000), 57, "frames 58 to 60 are made again"),
+    "an early checkpoint": (lambda f: flipped(make_checkpoint_path(f, 9), 0.5), 60, "and is removed"),
     "two checkpoints swapped": (
-        lambda f: swapped(checkpoint_path(f, 60), checkpoint_path(f, 49)), 57, "0060.npz` is not what was written",
+        lambda f: swapped(make_checkpoint_path(f, 60), make_checkpoint_path(f, 49)), 57, "0060.npz` is not what was written",
     ),
-    "a checkpoint of another run": (lambda f: of_another_run(checkpoint_path(f, 60)), 57, "checkpoint.0060.npz` is not what was"),
-    "an early one of another run": (lambda f: of_another_run(checkpoint_path(f, 9)), 60, "checkpoint.0009.npz` is not what was"),
-    "other meshes": (lambda f: swapped(f / "static.npz", checkpoint_path(f, 9)), 60, "static.npz` is not what was written there"),
+    "a checkpoint of another run": (
+        lambda f: of_another_run(make_checkpoint_path(f, 60)), 57, "checkpoint.0060.npz` is not what was",
+    ),
+    "an early one of another run": (
+        lambda f: of_another_run(make_checkpoint_path(f, 9)), 60, "checkpoint.0009.npz` is not what was",
+    ),
+    "other meshes": (
+        lambda f: swapped(f / "static.npz", make_checkpoint_path(f, 9)), 60, "static.npz` is not what was written there",
+    ),
     "no meshes": (lambda f: (f / "static.npz").unlink(), 60, "static.npz` is not there; it is written again"),
     "no checkpoints": (lambda f: [p.unlink() for p in (f / "checkpoints").iterdir()], None, "no checkpoint from which"),
     "a hash of another state": (lambda f: lines_changed(f, 33, hash="0" * 32), 25, "frame.0033.npz` is not what was written"),
     "a hash of another file": (lambda f: lines_changed(f, 12, file="0" * 32), 9, "frame.0012.npz` is not what was written"),
     "a hash of other feet": (lambda f: lines_changed(f, 33, feet="0" * 32), 25, "frame.0033.npz` is not what was written"),
     "no hash of a checkpoint": (lambda f: lines_changed(f, 60, checkpoint=""), 57, "checkpoint.0060.npz` has no hash in"),
-    "a cut line": (lambda f: os.truncate(f / HASHES, in_line_of(f, 31)), 25, "has no hash in `hashes.jsonl`"),
-    "no hashes": (lambda f: (f / HASHES).unlink(), None, "frame.0001.npz` has no hash in `hashes.jsonl`"),
+    "a cut line": (lambda f: os.truncate(f / HASHES_FILE_NAME, in_line_of(f, 31)), 25, "has no hash in `hashes.jsonl`"),
+    "no hashes": (lambda f: (f / HASHES_FILE_NAME).unlink(), None, "frame.0001.npz` has no hash in `hashes.jsonl`"),
 }  # fmt: skip
 
 
@@ -375,10 +387,10 @@ def test_meshes_that_the_manifest_names_are_there(tmp_path: Path, name: str) -> 
     scene = project(tmp_path / "p", hills=True)
     assert ran(scene, "--frames", "1..1")[0] == 0
     cache = open_cache(scene.parent / "out" / "scene")
-    others = {key: array for key, array in cache.static().items() if key != name}
-    (cache.folder / "static.npz").write_bytes(to_bytes(others))
+    others = {key: array for key, array in cache.read_static().items() if key != name}
+    (cache.folder / "static.npz").write_bytes(encode_npz(others))
     with pytest.raises(CacheError, match=f"static.npz` has no `{name}`"):
-        cache.static()
+        cache.read_static()
 
 
 def verified(folder: Path) -> tuple[int, str]:
@@ -397,14 +409,14 @@ def test_damage_in_a_cache_is_reported_and_repaired(unbroken: tuple[Path, dict[i
     damage(folder)
     code, words = verified(folder)
     assert (code == 0) == (kind in ("nothing", "no checkpoints")), words
-    recording = begin(shot, folder, Options(), resume=True, force=False)
+    recording = begin_recording(shot, folder, Options(), resume=True, force=False)
     assert recording.resumed_from == resume_frame
     assert note in " ".join(recording.notes) and bool(recording.notes) == (kind != "nothing"), recording.notes
-    for _ in record(recording):
+    for _ in record_frames(recording):
         pass
     for frame in range(1, 61):
-        assert frame_path(folder, frame).read_bytes() == frame_path(intact_folder, frame).read_bytes()
-    assert read_lines(folder / HASHES) == read_lines(intact_folder / HASHES)
+        assert make_frame_path(folder, frame).read_bytes() == make_frame_path(intact_folder, frame).read_bytes()
+    assert read_lines(folder / HASHES_FILE_NAME) == read_lines(intact_folder / HASHES_FILE_NAME)
     assert verified(folder)[0] == 0
 
 
@@ -417,10 +429,12 @@ def as_before(folder: Path) -> None:
     manifest = json.loads((folder / "manifest.json").read_text())
     (folder / "manifest.json").write_text(json.dumps(manifest | {"static": of("static ", folder / "static.npz")}))
     lines = []
-    for frame, line in read_lines(folder / HASHES).items():
-        point = of(f"checkpoint {frame} {line.hash} ", checkpoint_path(folder, frame)) if line.checkpoint else ""
-        lines.append(replace(line, file=of(f"{frame} {line.hash} ", frame_path(folder, frame)), checkpoint=point).text(frame))
-    (folder / HASHES).write_bytes(b"".join(lines))
+    for frame, line in read_lines(folder / HASHES_FILE_NAME).items():
+        point = of(f"checkpoint {frame} {line.hash} ", make_checkpoint_path(folder, frame)) if line.checkpoint else ""
+        lines.append(
+            replace(line, file=of(f"{frame} {line.hash} ", make_frame_path(folder, frame)), checkpoint=point).text(frame)
+        )
+    (folder / HASHES_FILE_NAME).write_bytes(b"".join(lines))
 
 
 @pytest.mark.parametrize("kind", ["nothing", "a bit of a frame", "a bit of a checkpoint", "other meshes", "a frame cut off"])
@@ -432,19 +446,19 @@ def test_a_cache_with_hashes_of_all_bytes_is_held_against_them_and_gone_on_with(
     folder, intact_folder = tmp_path / "p" / "out" / "scene", unbroken[0].parent / "out" / "scene"
     as_before(folder)
     assert verified(folder) == (0, verified(intact_folder)[1])
-    old = read_lines(folder / HASHES)
+    old = read_lines(folder / HASHES_FILE_NAME)
     assert all(len(line.file) == 32 for line in old.values())
     damage(folder)
     assert (verified(folder)[0] == 0) == (kind == "nothing")
     shot, _ = open_scene(tmp_path / "p" / "scene.yaml")
     assert shot is not None
-    recording = begin(shot, folder, Options(), resume=True, force=False)
+    recording = begin_recording(shot, folder, Options(), resume=True, force=False)
     assert recording.resumed_from == resume_frame and note in " ".join(recording.notes)
-    for _ in record(recording):
+    for _ in record_frames(recording):
         pass
     assert resume_frame is not None and verified(folder)[0] == 0
-    new = read_lines(intact_folder / HASHES)
-    assert {frame: line.file for frame, line in read_lines(folder / HASHES).items()} == {
+    new = read_lines(intact_folder / HASHES_FILE_NAME)
+    assert {frame: line.file for frame, line in read_lines(folder / HASHES_FILE_NAME).items()} == {
         frame: (old if frame <= resume_frame else new)[frame].file for frame in range(1, 61)
     }
 
@@ -458,18 +472,18 @@ def test_a_cache_from_before_checkpoints_had_hashes_is_read_and_said_to_be_not_c
     manifest = json.loads((folder / "manifest.json").read_text())
     assert manifest.pop("static")
     (folder / "manifest.json").write_text(json.dumps(manifest))
-    lines = {frame: replace(line, checkpoint="") for frame, line in read_lines(folder / HASHES).items()}
-    (folder / HASHES).write_bytes(b"".join(line.text(frame) for frame, line in lines.items()))
+    lines = {frame: replace(line, checkpoint="") for frame, line in read_lines(folder / HASHES_FILE_NAME).items()}
+    (folder / HASHES_FILE_NAME).write_bytes(b"".join(line.text(frame) for frame, line in lines.items()))
     code, words = verified(folder)
     assert code == 0 and "60 frames, 0 checkpoints" in words
     assert "not checked  `static.npz`, checkpoints 1 9 17 25 33 41 49 57 60" in words
-    swapped(checkpoint_path(folder, 60), checkpoint_path(folder, 49))
+    swapped(make_checkpoint_path(folder, 60), make_checkpoint_path(folder, 49))
     assert verified(folder)[0] == 1
     shot, _ = open_scene(tmp_path / "p" / "scene.yaml")
     assert shot is not None
-    recording = begin(shot, folder, Options(), resume=True, force=False)
+    recording = begin_recording(shot, folder, Options(), resume=True, force=False)
     assert recording.resumed_from == 57 and "does not hold frame 60" in recording.notes[0]
-    for _ in record(recording):
+    for _ in record_frames(recording):
         pass
     code, words = verified(folder)
     assert code == 0 and "60 frames, 1 checkpoint\n" in words and "not checked  checkpoints 1 9 17 25 33 41 57" in words
@@ -479,7 +493,7 @@ def test_only_the_written_form_of_a_name_is_a_frame(unbroken: tuple[Path, dict[i
     shutil.copytree(unbroken[0].parent, tmp_path / "p")
     folder = tmp_path / "p" / "out" / "scene"
     for name in ("frames/frame.12.npz", "frames/frame.00012.npz", "frames/checkpoint.0012.npz", "checkpoints/checkpoint.9.npz"):
-        shutil.copy(frame_path(folder, 12), folder / name)
+        shutil.copy(make_frame_path(folder, 12), folder / name)
     cache = open_cache(folder)
     assert (
         cache.frames() == list(range(1, 61)) and cache.checkpoints() == open_cache(unbroken[0].parent / "out/scene").checkpoints()
@@ -488,10 +502,10 @@ def test_only_the_written_form_of_a_name_is_a_frame(unbroken: tuple[Path, dict[i
     assert (
         isinstance(stopped, CommandError) and stopped.code == 1 and "move away" in stopped.hint and "--resume" not in stopped.hint
     )
-    shutil.copy(frame_path(folder, 12), frame_path(folder, 70))
+    shutil.copy(make_frame_path(folder, 12), make_frame_path(folder, 70))
     shot, _ = open_scene(tmp_path / "p" / "scene.yaml")
     assert shot is not None
-    notes = "\n".join(begin(shot, folder, Options(), resume=True, force=False).notes)
+    notes = "\n".join(begin_recording(shot, folder, Options(), resume=True, force=False).notes)
     for name in ("frame.12.npz", "frame.00012.npz", "frames/checkpoint.0012.npz", "checkpoint.9.npz"):
         assert f"{name}` is not a " in stopped.message and f"{name}` is not a " in notes
     assert "frame 70 is beyond frame 60, the last, and is removed" in notes and "made again" not in notes
@@ -501,14 +515,14 @@ def test_a_damaged_frame_is_reported_and_rewritten(tmp_path: Path) -> None:
     scene = project(tmp_path / "p")
     assert ran(scene, "--frames", "1..20")[0] == 0
     folder = scene.parent / "out" / "scene"
-    intact_bytes = frame_path(folder, 12).read_bytes()
-    frame_path(folder, 12).write_bytes(intact_bytes[: len(intact_bytes) // 2])
+    intact_bytes = make_frame_path(folder, 12).read_bytes()
+    make_frame_path(folder, 12).write_bytes(intact_bytes[: len(intact_bytes) // 2])
     with pytest.raises(CacheError):
         open_cache(folder).frame(12)
     code, words = ran(scene, "--frames", "1..20", "--resume")
     assert code == 0 and "goes on after frame 9" in words, words
     assert "frame.0012.npz` is not what was written there" in words and "frames 10 to 20 are made again" in words
-    assert frame_path(folder, 12).read_bytes() == intact_bytes
+    assert make_frame_path(folder, 12).read_bytes() == intact_bytes
 
 
 def test_a_link_where_a_file_is_being_written_is_not_followed(tmp_path: Path) -> None:
@@ -516,7 +530,7 @@ def test_a_link_where_a_file_is_being_written_is_not_followed(tmp_path: Path) ->
     mine = tmp_path / "mine.txt"
     mine.write_text("mine")
     (tmp_path / ".a.npz.part").symlink_to(mine)
-    write_atomically(tmp_path / "a.npz", to_bytes(ARRAYS), sync=False)
+    write_atomically(tmp_path / "a.npz", encode_npz(ARRAYS), sync=False)
     assert mine.read_text() == "mine" and not (tmp_path / "a.npz").is_symlink() and (tmp_path / ".a.npz.part").is_symlink()
     assert read_npz(tmp_path / "a.npz").keys() == ARRAYS.keys()
 
@@ -543,10 +557,10 @@ def test_a_forged_checkpoint_is_refused_and_reads_no_other_memory(
     shot, _ = open_scene(scene)
     assert shot is not None
     world = bind(shot.plan, shot.setting, Options())
-    arrays = checkpoint(world)
-    restore(world, arrays)
+    arrays = take_checkpoint(world)
+    restore_checkpoint(world, arrays)
     with pytest.raises(CheckpointError):
-        restore(world, {**arrays, **STRANGE[kind](arrays)})  # type: ignore[dict-item]
+        restore_checkpoint(world, {**arrays, **STRANGE[kind](arrays)})  # type: ignore[dict-item]
 
 
 @pytest.mark.parametrize("last_frame", sampled([0, 7, 22, 43], [7, 22]))
@@ -558,7 +572,7 @@ def test_a_run_killed_at_any_instant_ends_with_the_same_hashes(
     folder = scene.parent / "out" / "scene"
     run = start(scene)
     began = time.monotonic()
-    awaited_path = folder if last_frame == 0 else frame_path(folder, last_frame)
+    awaited_path = folder if last_frame == 0 else make_frame_path(folder, last_frame)
     while not awaited_path.exists() and run.poll() is None and time.monotonic() - began < 30:
         time.sleep(0.0005)
     run.send_signal(signal.SIGKILL)
@@ -572,7 +586,7 @@ def test_a_run_killed_at_any_instant_ends_with_the_same_hashes(
     assert read_hashes(folder / "hashes.jsonl") == unbroken[1]
     mine, intact_cache = open_cache(folder), open_cache(unbroken[0].parent / "out" / "scene")
     for frame in range(1, 61):
-        assert frame_path(mine.folder, frame).read_bytes() == frame_path(intact_cache.folder, frame).read_bytes()
+        assert make_frame_path(mine.folder, frame).read_bytes() == make_frame_path(intact_cache.folder, frame).read_bytes()
     assert not list((folder / "frames").glob(".*"))
 
 
@@ -581,7 +595,7 @@ def test_a_termination_leaves_a_checkpoint_and_its_own_exit_code(unbroken: tuple
     scene = project(tmp_path / "p")
     folder = scene.parent / "out" / "scene"
     run = start(scene, "--frames", "1..4000", "--resume")
-    while not frame_path(folder, 12).exists() and run.poll() is None:
+    while not make_frame_path(folder, 12).exists() and run.poll() is None:
         time.sleep(0.001)
     for _ in range(3):
         os.killpg(run.pid, signal.SIGTERM)
@@ -598,7 +612,7 @@ def test_a_termination_before_the_first_frame_has_the_same_exit_code(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     scene = project(tmp_path / "p")
-    for place in ("antdsl.pipeline.open_scene", "antdsl.outputs.recording.begin"):
+    for place in ("antdsl.pipeline.open_scene", "antdsl.outputs.recording.begin_recording"):
         with monkeypatch.context() as patch:
             patch.setattr(place, lambda *words, **keywords: signal.raise_signal(signal.SIGTERM))
             patch.setattr("sys.argv", ["antdsl", "run", str(scene)])
@@ -612,7 +626,7 @@ def test_ctrl_c_leaves_a_cache_that_goes_on(unbroken: tuple[Path, dict[int, str]
     scene = project(tmp_path / "p")
     folder = scene.parent / "out" / "scene"
     run = start(scene, "--frames", "1..4000")
-    while not frame_path(folder, 12).exists() and run.poll() is None:
+    while not make_frame_path(folder, 12).exists() and run.poll() is None:
         time.sleep(0.001)
     os.killpg(run.pid, signal.SIGINT)
     code, words = finished(run)
@@ -640,7 +654,7 @@ def test_states_hashed_with_another_method_are_reported_and_not_compared(
     shutil.copytree(unbroken[0].parent, tmp_path / "p")
     scene, manifest = tmp_path / "p" / "scene.yaml", tmp_path / "p" / "out" / "scene" / "manifest.json"
     said = json.loads(manifest.read_text())
-    assert said.pop("state_hash") == STATE_HASH
+    assert said.pop("state_hash") == STATE_HASH_VERSION
     manifest.write_text(json.dumps(said))
     stopped = CliRunner().invoke(app, ["run", str(scene), "--resume"]).exception
     assert isinstance(stopped, CommandError) and "hashes states in another way" in stopped.message
@@ -698,7 +712,7 @@ def test_only_a_full_disk_is_to_be_made_room_on(
         raise OSError(getattr(errno, number), os.strerror(getattr(errno, number)))
 
     scene = project(tmp_path / "p")
-    monkeypatch.setattr("antdsl.whole._replace", broken)
+    monkeypatch.setattr("antdsl.atomic_write._replace_file", broken)
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / ".antdsl-cache").write_text("")
     stopped = CliRunner().invoke(app, ["run", str(scene), "--out", str(tmp_path / "out"), "--frames", "1..2"]).exception

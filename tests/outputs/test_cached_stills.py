@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from antdsl.cli import _run as run_in_process
+from antdsl.cli import _run_without_warnings as run_in_process
 from antdsl.diagnostics import Report
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -106,20 +106,20 @@ def test_a_film_is_made_of_the_pictures_that_are_there(cache: Path, tmp_path: Pa
 def test_a_termination_leaves_whole_pictures_and_its_own_exit_code(
     cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    from antdsl.atomic_write import atomic_file
     from antdsl.outputs import drawing
-    from antdsl.whole import atomic_file
 
-    put, count = drawing.StillStore.put, []
+    put, count = drawing.StillStore.write_still, []
 
     def ended(self: drawing.StillStore, frame: int, image: object) -> Path:
         count.append(frame)
         if len(count) == 3:
-            with atomic_file(drawing.still_path(self.folder, frame)) as file:
+            with atomic_file(drawing.make_still_path(self.folder, frame)) as file:
                 file.write(b"half")
                 signal.raise_signal(signal.SIGTERM)
         return put(self, frame, image)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(drawing.StillStore, "put", ended)
+    monkeypatch.setattr(drawing.StillStore, "write_still", ended)
     monkeypatch.setattr("sys.argv", ["antdsl", "render", str(cache), "--out", str(tmp_path), "--frames", "1..6", *SMALL])
     assert run_in_process() == 75 and "--resume" in capsys.readouterr().err
     assert sorted(path.name for path in tmp_path.iterdir()) == name(1, 2)

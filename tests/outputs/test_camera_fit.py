@@ -30,10 +30,10 @@ def flock(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize("frames", [[1], [240], [1, 60, 120, 180, 240], list(range(1, 241))])
 def test_the_flock_is_in_its_own_picture(flock: Path, frames: list[int]) -> None:
     gallery = Gallery(open_cache(flock))
-    assert gallery.camera_fits and gallery.camera(1) is None and not gallery.camera_moves
+    assert gallery.has_fitted_camera and gallery.make_camera(1) is None and not gallery.has_moving_camera
     width, height = 960, 540
     options = DrawRequest(width, height, "scene", (), legend=False)
-    camera = FrameDrawer(gallery, options, frames, threads=1)._camera(gallery.picture(frames[0]))
+    camera = FrameDrawer(gallery, options, frames, threads=1)._choose_camera(gallery.make_picture(frames[0]))
     camera_view = make_view(camera, width, height, (0.0, 1.0, 0.0))
     widest = 0.0
     for frame in frames:

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from antdsl.outputs.csv_text import csv_text, safe_cell
+from antdsl.outputs.csv_text import escape_cell, format_csv
 
 FORMULAS = (
     "=1+1",
@@ -33,16 +33,16 @@ NUMBERS = ("-5", "+5", "-1.5e-09", "-.5", "-0", "-inf", "nan", "+1E5")
 
 @pytest.mark.parametrize("text", FORMULAS)
 def test_formulas_are_text(text: str) -> None:
-    assert safe_cell(text) == "'" + text
+    assert escape_cell(text) == "'" + text
 
 
 @pytest.mark.parametrize("value", [*OTHERS, *NUMBERS, -5, -1.5, None, True])
 def test_other_cells_stay(value: object) -> None:
-    assert safe_cell(value) == value
+    assert escape_cell(value) == value
 
 
 @given(st.lists(st.lists(st.text(st.characters(codec="utf-8", exclude_characters="\0")), min_size=2, max_size=3), max_size=4))
 def test_texts_are_restored(rows: list[list[str]]) -> None:
-    read = list(csv.reader(io.StringIO(csv_text(rows), newline="")))
+    read = list(csv.reader(io.StringIO(format_csv(rows), newline="")))
     assert [[cell.removeprefix("'") for cell in row] for row in read] == rows
     assert not any(cell.lstrip(" ").startswith(("=", "@", "\t")) for row in read for cell in row)

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 from commands import run
 
-from antdsl.sweep.finished_runs import NoSweepFolder, RunStore
-from antdsl.whole import first_link
+from antdsl.atomic_write import find_first_link
+from antdsl.sweep.finished_runs import NotASweepFolder, RunStore
 
 MINIMAL = Path(__file__).resolve().parents[2] / "examples" / "minimal"
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="links need a right there")
@@ -30,7 +30,7 @@ def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     def begin(*_: object, **__: object) -> None:
         raise AssertionError("a run began")
 
-    for place in ("antdsl.outputs.recording.bind", "antdsl.sweep.run_all"):
+    for place in ("antdsl.outputs.recording.bind", "antdsl.sweep.run_jobs"):
         monkeypatch.setattr(place, begin)
     return folder
 
@@ -115,16 +115,16 @@ def test_what_is_no_folder_is_no_place_for_results(project: Path, kind: str) -> 
 def test_runs_of_a_sweep_follow_no_link(project: Path) -> None:
     (project / "out" / "sweep").mkdir(parents=True)
     (project / "out" / "sweep" / "runs").symlink_to(project.parent / "victim")
-    with pytest.raises(NoSweepFolder, match="is a link"):
+    with pytest.raises(NotASweepFolder, match="is a link"):
         RunStore(project / "out" / "sweep")
 
 
 def test_only_links_below_the_base_count(project: Path, tmp_path: Path) -> None:
     (tmp_path / "way").symlink_to(project)
     (project / "out").mkdir()
-    assert first_link(tmp_path / "way", "out", "scene") is None
+    assert find_first_link(tmp_path / "way", "out", "scene") is None
     (project / "out" / "scene").symlink_to("missing")
-    assert first_link(tmp_path / "way", "out", "scene", "pictures") == tmp_path / "way" / "out" / "scene"
+    assert find_first_link(tmp_path / "way", "out", "scene", "pictures") == tmp_path / "way" / "out" / "scene"
 
 
 def test_fmt_writes_through_no_link_that_it_finds(project: Path) -> None:

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
 
+from antdsl.atomic_write import atomic_path, create_sibling_file, write_atomically
 from antdsl.cli import app
 from antdsl.cli.destinations import require_writable_file, require_writable_folder
 from antdsl.cli.exits import CommandError, ExitCode
-from antdsl.outputs.pictures.image_files import still
-from antdsl.whole import atomic_path, new_sibling, write_atomically
+from antdsl.outputs.pictures.image_files import write_still
 
 MINIMAL = Path(__file__).resolve().parents[2] / "examples" / "minimal"
 
@@ -35,7 +35,7 @@ def shot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     def fail(*_: object) -> None:
         raise AssertionError("a run began")
 
-    for place in ("antdsl.outputs.recording.bind", "antdsl.specs.running.bind", "antdsl.sweep.run_all"):
+    for place in ("antdsl.outputs.recording.bind", "antdsl.specs.running.bind", "antdsl.sweep.run_jobs"):
         monkeypatch.setattr(place, fail)
     return tmp_path
 
@@ -192,18 +192,18 @@ def test_what_is_there_is_neither_waited_for_nor_taken_away(tmp_path: Path) -> N
     require_writable_file(tmp_path / "antdsl", "--summary")
     require_writable_folder(tmp_path, "--out")
     write_atomically(tmp_path / "x.json", b"new", sync=False)
-    still(np.zeros((4, 4, 3), np.uint8), tmp_path / "x.json")
+    write_still(np.zeros((4, 4, 3), np.uint8), tmp_path / "x.json")
     assert mine.read_text() == "mine" and pipe.is_fifo()
     assert sorted(path.name for path in tmp_path.iterdir()) == [".antdsl.part", ".x.json.part", "x.json"]
 
 
 def test_a_name_that_is_taken_is_passed_over(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     names = iter([b"\1", b"\1", b"\1", b"\2"])
-    monkeypatch.setattr("antdsl.whole.os.urandom", lambda size: next(names))
-    taken = new_sibling(tmp_path / "x")
+    monkeypatch.setattr("antdsl.atomic_write.os.urandom", lambda size: next(names))
+    taken = create_sibling_file(tmp_path / "x")
     taken.unlink()
     taken.symlink_to(tmp_path / "elsewhere")
-    assert new_sibling(tmp_path / "x").name == taken.name.replace("-01.part", "-02.part")
+    assert create_sibling_file(tmp_path / "x").name == taken.name.replace("-01.part", "-02.part")
     assert not (tmp_path / "elsewhere").exists() and taken.is_symlink()
 
 

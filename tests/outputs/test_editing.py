@@ -10,8 +10,8 @@ import pytest
 from typer.testing import CliRunner
 
 from antdsl.cli import app
-from antdsl.outputs.cache.cache_reader import frame_path, open_cache
-from antdsl.outputs.editing import FrameOrientations, smooth_frame
+from antdsl.outputs.cache.cache_reader import make_frame_path, open_cache
+from antdsl.outputs.orientation_smoothing import FrameOrientations, smooth_frame
 
 RUN = CliRunner()
 PROGRAM = """ant 1
@@ -119,7 +119,7 @@ def test_a_cache_is_made_of_which_only_the_orientations_differ(ran: Path) -> Non
                 last[name][agent] = orient
     assert len({len(old.frame(number)["id"]) for number in (1, 15, 30)}) == 3  # some were born, some have died
     assert turned["new"] < 0.95 * turned["old"]
-    assert new.manifest.inputs["edit 1"] == "smooth orient:9" and new.hashes() == old.hashes()
+    assert new.manifest.inputs["edit 1"] == "smooth orient:9" and new.read_state_hashes() == old.read_state_hashes()
     checked = RUN.invoke(app, ["info", str(ran / "walk_edited"), "--verify"])
     assert checked.exit_code == 0 and "30 frames" in checked.output, checked.output
     went_on = RUN.invoke(app, ["run", str(ran / "scene.yaml"), "--out", str(ran / "walk_edited"), "--resume", "-q"])
@@ -142,19 +142,19 @@ def test_impossible_edits_are_reported_and_nothing_is_lost(
     ran: Path, arguments: tuple[str, ...], code: int, words: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(ran)
-    initial_bytes = frame_path(ran / "walk", 7).read_bytes()
+    initial_bytes = make_frame_path(ran / "walk", 7).read_bytes()
     result = RUN.invoke(app, ["edit", "walk", *arguments])
     said = result.output + str(getattr(result.exception, "message", ""))
     assert (getattr(result.exception, "code", None) or result.exit_code) == code and words in said, said
-    assert frame_path(ran / "walk", 7).read_bytes() == initial_bytes
+    assert make_frame_path(ran / "walk", 7).read_bytes() == initial_bytes
 
 
 def test_damaged_frames_and_missing_orientations_are_reported(ran: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     shutil.copytree(ran / "walk", "broken")
-    data = bytearray(frame_path(Path("broken"), 12).read_bytes())
+    data = bytearray(make_frame_path(Path("broken"), 12).read_bytes())
     data[len(data) // 2] ^= 1
-    frame_path(Path("broken"), 12).write_bytes(bytes(data))
+    make_frame_path(Path("broken"), 12).write_bytes(bytes(data))
     result = RUN.invoke(app, ["edit", "broken", "--smooth", "orient:3"])
     assert result.exit_code != 0 and "frame.0012" in str(getattr(result.exception, "message", result.output))
     assert not (tmp_path / "broken_edited" / "manifest.json").exists()  # what is not finished is no cache

@@ -20,10 +20,10 @@ from sampling import sampled
 from antdsl.cli.commands.render import CameraView
 from antdsl.outputs.cache.cache_reader import Cache, open_cache
 from antdsl.outputs.drawing import AgentMissing, DrawRequest, FrameDrawer
-from antdsl.outputs.exports import EXPORT_FORMATS, export_for
+from antdsl.outputs.exports import EXPORT_FORMATS, find_export
 from antdsl.outputs.gallery import Gallery
 from antdsl.outputs.numbered_files import ExportUnavailable
-from antdsl.outputs.recording import begin, record
+from antdsl.outputs.recording import begin_recording, record_frames
 from antdsl.pipeline import open_scene
 from antdsl.runtime import Options
 from antdsl.runtime.backends import BACKENDS
@@ -38,7 +38,7 @@ def cached(scene: Path, backend: str = "numpy", folder: str = "cache") -> Cache:
     assert shot is not None and report.ok, [each.message for each in report.errors]
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        for _ in record(begin(shot, scene.parent / folder, Options(backend), resume=False, force=False)):  # type: ignore[arg-type]
+        for _ in record_frames(begin_recording(shot, scene.parent / folder, Options(backend), resume=False, force=False)):  # type: ignore[arg-type]
             pass
     return open_cache(scene.parent / folder)
 
@@ -118,7 +118,7 @@ SAMPLE = [each for each in FORMS if not each.endswith((".usd", ".usdc", ".gltf",
 def test_every_export_opens_again(cache: Cache, tmp_path: Path, kind: str) -> None:
     form, _, ending = kind.partition(" ")
     path = tmp_path / f"crowd{ending}"
-    export = export_for(path)
+    export = find_export(path)
     assert export is not None
     if ending.startswith(".usd"):
         pytest.importorskip("pxr")

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from antdsl.bodies.body import turned
+from antdsl.bodies.body import rotate_vectors
 from antdsl.outputs.cache.cache_reader import Cache, open_cache
 from antdsl.outputs.gallery import Gallery
 from tests.commands import run
@@ -103,7 +103,7 @@ def test_births_deaths_and_changes_are_those_of_the_frames(cache: Cache) -> None
 
 def test_a_landing_foot_is_recorded_with_its_leg_and_place(cache: Cache) -> None:
     table = [row for row in rows(cache) if row["kind"] == "footfall" and row["species"] == "bug"]
-    legs = [leg.name for leg in Gallery(cache).body(0).definition.legs]
+    legs = [leg.name for leg in Gallery(cache).load_body(0).definition.legs]
     assert len(legs) == 6 and {row["what"] for row in table} == set(legs)
     landing_count = 0
     for frame in (5, 6, 7, 8, 16):
@@ -132,13 +132,15 @@ def test_ants_on_their_feet_and_with_their_loads_are_the_same_in_gltf(cache: Cac
     names, worn = [node["name"] for node in scene.tree["nodes"]], set()
     for frame in (10, 14):
         _, points = scene.at((frame - 10) / 24)
-        for crowd in Gallery(cache).picture(frame).crowds:
-            assert crowd.worn is not None and crowd.ids is not None and crowd.feet is not None
+        for crowd in Gallery(cache).make_picture(frame).crowds:
+            assert crowd.body is not None and crowd.ids is not None and crowd.feet is not None
             if crowd.species != "bug":
                 continue
             chosen = np.flatnonzero(crowd.ids < 10)
-            drawn = crowd.posed(crowd.worn, chosen)[0].astype(float)
-            expected = turned(crowd.orient[chosen], drawn) * crowd.scale[chosen, None, None] + crowd.position[chosen, None]
+            drawn = crowd.pose_vertices(crowd.body, chosen)[0].astype(float)
+            expected = (
+                rotate_vectors(crowd.orient[chosen], drawn) * crowd.scale[chosen, None, None] + crowd.position[chosen, None]
+            )
             for row, one in enumerate(crowd.ids[chosen].tolist()):
                 own = [points[k] for k, name in enumerate(names) if name.startswith(f"bug_{one}_") and k in points]
                 visible_points = np.concatenate(
@@ -146,7 +148,7 @@ def test_ants_on_their_feet_and_with_their_loads_are_the_same_in_gltf(cache: Cac
                 )  # who is hidden is tiny
                 off = np.abs(visible_points[:, None] - expected[row][None] / 100).max(axis=2).min(axis=1)
                 assert off.max() < 1e-6, "metres; an ant is 6e-3 long"
-            worn |= {crowd.worn.layers} if len(chosen) else set()
+            worn |= {crowd.body.layers} if len(chosen) else set()
     assert worn == {(), ("load",)}
 
 

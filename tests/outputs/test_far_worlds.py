@@ -14,7 +14,7 @@ import pytest
 from PIL import Image
 
 from antdsl.outputs.cache.cache_reader import open_cache
-from antdsl.outputs.cutting import CutPlane
+from antdsl.outputs.cut_plane import CutPlane
 from antdsl.outputs.exports import EXPORT_FORMATS
 from antdsl.outputs.gallery import Gallery
 from tests.commands import run
@@ -40,7 +40,7 @@ def check_caches(pair: Pair) -> None:
     for name in ("items", "camera", "fields", "units"):
         assert getattr(near.manifest, name) == getattr(far.manifest, name)
     assert near.frames() == far.frames() and len(near.frames()) > 2
-    for a, b in [(near.static(), far.static()), *((near.frame(k), far.frame(k)) for k in near.frames())]:
+    for a, b in [(near.read_static(), far.read_static()), *((near.frame(k), far.frame(k)) for k in near.frames())]:
         assert list(a) == list(b)
         for name, array in a.items():
             assert array.tobytes() == b[name].tobytes(), name
@@ -50,7 +50,7 @@ def test_arrays_of_a_cache_are_those_near_the_zero_point(pair: Pair) -> None:
     check_caches(pair)
     names = open_cache(pair[0]).frame(4)
     assert {"feet.bug.P", "mesh.wall.vertices", "events.emit.P", "events.contact.P", "solid.heap.balls"} <= set(names)
-    assert len(open_cache(pair[0]).static()["flow.drift.P"]) and len(open_cache(pair[0]).static()["field.trail.P"])
+    assert len(open_cache(pair[0]).read_static()["flow.drift.P"]) and len(open_cache(pair[0]).read_static()["field.trail.P"])
 
 
 @pytest.mark.slow
@@ -226,9 +226,9 @@ def test_pictures_are_those_of_the_near_world(pair: Pair) -> None:
 
 
 def test_a_cut_is_at_a_place_of_the_scene(pair: Pair) -> None:
-    near = Gallery(open_cache(pair[0]), CutPlane.of("x > 1")).picture(4)
-    far = Gallery(open_cache(pair[1]), CutPlane.of("x > 530001")).picture(4)
-    full_picture = Gallery(open_cache(pair[0])).picture(4)
+    near = Gallery(open_cache(pair[0]), CutPlane.of("x > 1")).make_picture(4)
+    far = Gallery(open_cache(pair[1]), CutPlane.of("x > 530001")).make_picture(4)
+    full_picture = Gallery(open_cache(pair[0])).make_picture(4)
     assert 0 < len(near.crowds[0].position) < len(full_picture.crowds[0].position)
     assert np.array_equal(near.crowds[0].position, far.crowds[0].position)
     for a, b in zip(near.solids, far.solids, strict=True):

@@ -17,9 +17,9 @@ from fault_shim import FAULTS, STYLES, Disk, Fault, Faults
 from fault_shots import LAST, assert_same, project, ran
 from sampling import sampled
 
-from antdsl.outputs.cache.cache_reader import frame_path, open_cache
-from antdsl.outputs.cache.lock import LOCK, FolderLock, FolderLocked
-from antdsl.outputs.recording import begin, record
+from antdsl.outputs.cache.cache_reader import make_frame_path, open_cache
+from antdsl.outputs.cache.lock import LOCK_FILE_NAME, FolderLock, FolderLocked
+from antdsl.outputs.recording import begin_recording, record_frames
 from antdsl.pipeline import open_scene
 from antdsl.runtime import Options
 
@@ -111,13 +111,13 @@ def test_a_run_that_another_one_overtook_writes_nothing(unbroken: Path, tmp_path
     shutil.copytree(unbroken, folder)
     shot, _ = open_scene(folder / "scene.yaml")
     assert shot is not None
-    recording = begin(shot, folder / "out" / "scene", Options(backend="numpy"), resume=True, force=False)
+    recording = begin_recording(shot, folder / "out" / "scene", Options(backend="numpy"), resume=True, force=False)
     assert recording.resumed_from == LAST
     other = open_cache(folder / "out" / "scene")
     assert ran(folder, "--seed", "2").returncode == 0
     initial_contents = {path: path.read_bytes() for path in other.folder.rglob("*.npz")}
     with pytest.raises(FolderLocked, match="another run has written"):
-        list(record(recording))
+        list(record_frames(recording))
     assert {path: path.read_bytes() for path in other.folder.rglob("*.npz")} == initial_contents
     process = ran(folder, "--resume")
     assert process.returncode == 1 and "with seed 2, not 1" in process.stderr and "without `--resume`" in process.stderr
@@ -140,15 +140,15 @@ def test_a_lock_that_is_held_is_not_waited_for_unless_its_process_is_known_to_be
 ) -> None:
     """Of an empty file, a process that runs, one of another host or container, and nonsense."""
     with FolderLock(tmp_path):
-        (tmp_path / LOCK).write_bytes(words)
+        (tmp_path / LOCK_FILE_NAME).write_bytes(words)
         with (
-            patch("antdsl.outputs.cache.lock._PATIENCE", 0.05),
+            patch("antdsl.outputs.cache.lock._MAX_WAIT_SECONDS", 0.05),
             pytest.raises(FolderLocked, match=re.escape(expected)) as error_info,
         ):
             FolderLock(tmp_path).__enter__()
         assert error_info.value.args[0].isprintable()
     with FolderLock(tmp_path):  # what a file says that no process holds counts for nothing
-        assert (tmp_path / LOCK).read_text().split()[0] == str(os.getpid())
+        assert (tmp_path / LOCK_FILE_NAME).read_text().split()[0] == str(os.getpid())
 
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows does not remove a file that is open")
@@ -159,16 +159,16 @@ def test_a_lock_with_another_name_is_replaced(tmp_path: Path) -> None:
     outside = tmp_path / "outside"
     outside.write_text("precious")
     (tmp_path / "cache").mkdir()
-    os.link(outside, tmp_path / "cache" / LOCK)
+    os.link(outside, tmp_path / "cache" / LOCK_FILE_NAME)
     with FolderLock(tmp_path / "cache") as lock:
         assert outside.read_text() == "precious" and os.stat(lock.path).st_nlink == 1
-        with patch("antdsl.outputs.cache.lock._PATIENCE", 0.05), pytest.raises(FolderLocked):
+        with patch("antdsl.outputs.cache.lock._MAX_WAIT_SECONDS", 0.05), pytest.raises(FolderLocked):
             FolderLock(tmp_path / "cache").__enter__()
     os.unlink(lock.path)
     os.link(outside, lock.path)
     with outside.open("r+") as held:
         fcntl.flock(held, fcntl.LOCK_EX)
-        with patch("antdsl.outputs.cache.lock._PATIENCE", 0.05), pytest.raises(FolderLocked):
+        with patch("antdsl.outputs.cache.lock._MAX_WAIT_SECONDS", 0.05), pytest.raises(FolderLocked):
             FolderLock(tmp_path / "cache").__enter__()
     assert outside.read_text() == "precious"
 
@@ -179,7 +179,7 @@ def test_a_lock_with_another_name_is_replaced(tmp_path: Path) -> None:
 def test_a_lock_that_is_no_file_is_named(tmp_path: Path, make: Callable[[Path], None]) -> None:
     folder = project(tmp_path / "p")
     (folder / "out" / "scene").mkdir()
-    make(folder / "out" / "scene" / LOCK)
+    make(folder / "out" / "scene" / LOCK_FILE_NAME)
     for words in ((), ("--force",)):
         process = ran(folder, *words)
         assert process.returncode == 3 and "scene/lock` is a" in process.stderr and "move it away" in process.stderr, (
@@ -205,7 +205,7 @@ def test_a_clock_that_is_set_back_or_ahead_changes_nothing(unbroken: Path, tmp_p
     shutil.copytree(unbroken, folder)
     for number, path in enumerate(sorted(folder.rglob("*"))):
         os.utime(path, (1.7e9 + (-1) ** number * seconds,) * 2)
-    flip(frame_path(folder / "out" / "scene", 4))
+    flip(make_frame_path(folder / "out" / "scene", 4))
     process = ran(folder, "--resume")
     assert process.returncode == 0 and "frames 4 to 5 are made again" in process.stderr, process.stderr
     assert_same(folder, unbroken)

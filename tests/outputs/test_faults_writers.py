@@ -19,7 +19,7 @@ from fault_shots import BESIDE, OUTPUT_FOLDER, WRITERS, Inline, copied, files, p
 from kills import kill
 from sampling import sampled
 
-from antdsl.cli import _run
+from antdsl.cli import _run_without_warnings
 from antdsl.outputs.pictures import write_film
 from antdsl.sweep.finished_runs import RunStore
 
@@ -78,7 +78,7 @@ def expected(unbroken: Path, folder: Path, name: str) -> tuple[dict[str, bytes],
 
 @pytest.fixture(autouse=True)
 def inline(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("antdsl.executors.Processes", Inline)
+    monkeypatch.setattr("antdsl.executors.ProcessEngine", Inline)
 
 
 def needed(name: str) -> None:
@@ -167,7 +167,7 @@ def test_usd_on_a_full_disk_is_no_bug_and_leaves_the_old_file(unbroken: Path, tm
         os.chdir(folder)
         stream = open(os.devnull, "w")  # noqa: SIM115
         with patch("sys.argv", ["antdsl", *WRITERS[name]]), patch("sys.stdout", stream), patch("sys.stderr", stream):
-            return _run()
+            return _run_without_warnings()
 
     for limit in (1, size // 2, size - 10):
         assert limited(limit, export) == 3

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 import stick_bodies
 
-from antdsl.bodies.body import rotation_matrices
+from antdsl.bodies.body import build_rotation_matrices
 from antdsl.outputs.cache.cache_reader import Cache, open_cache
 from antdsl.outputs.gallery import Gallery
-from antdsl.outputs.recording import Recording, begin, record
+from antdsl.outputs.recording import Recording, begin_recording, record_frames
 from antdsl.pipeline import RunChoices, open_scene, simulate
 from antdsl.runtime import Options, state_hash
 from antdsl.scene.values import FrameRange
@@ -26,8 +26,8 @@ FEET = Options(backend="numpy", feet=True)
 def ran(scene: Path, out: Path, last: int, options: Options = FEET, *, resume: bool = False) -> Recording:
     shot, report = open_scene(scene, RunChoices(frames=FrameRange(1, last)))
     assert shot is not None, report
-    recording = begin(shot, out, options, resume=resume, force=False)
-    for _ in record(recording):
+    recording = begin_recording(shot, out, options, resume=resume, force=False)
+    for _ in record_frames(recording):
         pass
     return recording
 
@@ -95,15 +95,15 @@ def test_a_checkpoint_with_other_feet_is_not_gone_on_from(scene: Path, tmp_path:
 
 def test_drawn_feet_are_where_frames_have_them_and_each_frame_stands_alone(cache: Cache) -> None:
     gallery = Gallery(cache)
-    pictures = {frame: gallery.picture(frame).crowds[0] for frame in (10, 11, 16)}
-    assert Gallery(cache).picture(16).crowds[0].feet is not None
+    pictures = {frame: gallery.make_picture(frame).crowds[0] for frame in (10, 11, 16)}
+    assert Gallery(cache).make_picture(16).crowds[0].feet is not None
     for frame, crowd in pictures.items():
-        assert crowd.worn is not None and crowd.feet is not None
+        assert crowd.body is not None and crowd.feet is not None
         every = np.arange(len(crowd.position))
-        points, normals = crowd.worn.posed(crowd.plays, len(every), crowd.feet_beside(every))
-        alone = Gallery(cache).picture(frame).crowds[0]
-        assert np.array_equal(points, alone.worn.posed(alone.plays, len(every), alone.feet_beside(every))[0])  # type: ignore[union-attr]
-        turned = np.einsum("nij,nvj->nvi", rotation_matrices(crowd.orient), points * crowd.scale[:, None, None])
+        points, normals = crowd.body.pose_vertices(crowd.plays, len(every), crowd.select_feet(every))
+        alone = Gallery(cache).make_picture(frame).crowds[0]
+        assert np.array_equal(points, alone.body.pose_vertices(alone.plays, len(every), alone.select_feet(every))[0])  # type: ignore[union-attr]
+        turned = np.einsum("nij,nvj->nvi", build_rotation_matrices(crowd.orient), points * crowd.scale[:, None, None])
         world = turned + crowd.position[:, None]
         # Each foot that stands has a vertex of its shape within the shape's size of it, and no vertex of the body far below.
         for k in range(6):
@@ -111,12 +111,12 @@ def test_drawn_feet_are_where_frames_have_them_and_each_frame_stands_alone(cache
             assert away[crowd.feet.down[:, k] != 0].max() < 0.02 * stick_bodies.SIZE
         assert np.allclose(np.linalg.norm(normals, axis=2), 1, atol=1e-3)
         level = replace(crowd, feet=None)
-        assert level.feet_beside(every) is None
+        assert level.select_feet(every) is None
 
 
 def test_some_agents_have_their_own_feet(cache: Cache) -> None:
     gallery = Gallery(cache)
-    full_crowd = gallery.picture(16).crowds[0]
-    named, others = gallery.picture(16, agents=frozenset([2, 5])).crowds
+    full_crowd = gallery.make_picture(16).crowds[0]
+    named, others = gallery.make_picture(16, agents=frozenset([2, 5])).crowds
     assert full_crowd.feet is not None and named.feet is not None and others.feet is not None
     assert np.array_equal(named.feet.P, full_crowd.feet.P[[2, 5]]) and len(others.feet.P) == 6

@@ -13,13 +13,13 @@ from plans import bare, block, crowd
 
 from antdsl.bodies.agents.machine_clips import EARLIER_FIELDS
 from antdsl.outputs.cache.agent_arrays import write_colours, write_column, write_numbers, write_orientations
-from antdsl.outputs.cache.frames import _nonzero_cells
-from antdsl.outputs.cache.pose_arrays import _REGISTERS, clips_playing, mark_layer, placed_feet
-from antdsl.outputs.surface_error import _greatest_error, surface_error
-from antdsl.program.tables.columns import ATTRIBUTES
+from antdsl.outputs.cache.frame_maker import _find_nonzero_cells
+from antdsl.outputs.cache.pose_arrays import _REGISTER_BY_FIELD, make_clip_arrays, make_feet_arrays, mark_layer
+from antdsl.outputs.surface_error import _find_greatest_error, measure_surface_error
+from antdsl.program.tables.columns import COLUMN_BY_ATTRIBUTE
 from antdsl.runtime import Options, Population, World, bind
-from antdsl.runtime.feet.state import Feet
-from antdsl.runtime.feet.trunk import slope_quaternions
+from antdsl.runtime.feet.feet_state import Feet
+from antdsl.runtime.feet.trunk import compute_slope_quaternions
 
 EXTREMES = np.array([0.0, -0.0, 1.0, -1.0, 1e-13, -1e-13, 1e-30, 1e30, np.inf, -np.inf, np.nan, 0.6, -0.8], np.float32)
 
@@ -58,7 +58,7 @@ def test_places_and_velocities_of_a_frame(world: World, attribute: str) -> None:
     mixed(population)
     population.position[:5] = -0.0
     rows = np.argsort(population.ids)
-    result = written(lambda out: write_column(population, ATTRIBUTES[attribute], 0.1, out), (600, 3))
+    result = written(lambda out: write_column(population, COLUMN_BY_ATTRIBUTE[attribute], 0.1, out), (600, 3))
     if attribute == "P":
         expected = ((population.position[rows] + 0.0) * 0.1).astype(np.float32)
     else:
@@ -111,7 +111,8 @@ def test_numbers_of_agents(world: World) -> None:
 def test_what_agents_play(three: bool) -> None:
     rng, ids = np.random.default_rng(11), np.random.default_rng(12).permutation(300)
     now = {
-        f"m.{register}": rng.integers(-1, 9, 300).astype("i4" if kind == "i2" else kind) for register, kind in _REGISTERS.values()
+        f"m.{register}": rng.integers(-1, 9, 300).astype("i4" if kind == "i2" else kind)
+        for register, kind in _REGISTER_BY_FIELD.values()
     }
     now["m.clip_earlier_fade"] = (now["m.clip_fade"] > 0).astype(np.float32) * np.float32(three)
     plan = SimpleNamespace(machines=[SimpleNamespace(name="m")], registers={"m.clip": None})
@@ -121,11 +122,11 @@ def test_what_agents_play(three: bool) -> None:
             return 300
 
     rows = np.argsort(ids)
-    population = Subset(name="ant", plan=plan, now=now, id_ranks=lambda: ids.astype(np.int32), in_id_order=lambda: rows)
-    clip_arrays = clips_playing(population)  # type: ignore[arg-type]
-    assert list(clip_arrays) == [f"clips.ant.m.{field}" for field in _REGISTERS if three or field not in EARLIER_FIELDS]
+    population = Subset(name="ant", plan=plan, now=now, id_ranks=lambda: ids.astype(np.int32), rows_by_id=lambda: rows)
+    clip_arrays = make_clip_arrays(population)  # type: ignore[arg-type]
+    assert list(clip_arrays) == [f"clips.ant.m.{field}" for field in _REGISTER_BY_FIELD if three or field not in EARLIER_FIELDS]
     for name, array in clip_arrays.items():
-        register, kind = _REGISTERS[name.rsplit(".", 1)[1]]
+        register, kind = _REGISTER_BY_FIELD[name.rsplit(".", 1)[1]]
         assert array.dtype == kind and np.array_equal(array, now[f"m.{register}"][rows]) and len(np.unique(array)) > 1
 
 
@@ -140,16 +141,16 @@ def test_the_distance_from_the_ground(world: World, odd: float) -> None:
         away = population.position.astype(np.float32) - world.ground.position(population.footing)
         distance = np.sqrt((away[:, 0] * away[:, 0] + away[:, 1] * away[:, 1]) + away[:, 2] * away[:, 2])
         shares = np.abs(distance - population.now["clearance"]) / np.maximum(population.now["size"].astype(np.float64), 1e-9)
-        worst = _greatest_error(world, population, world.ground.position(population.footing))
+        worst = _find_greatest_error(world, population, world.ground.position(population.footing))
         assert worst == shares.max() or (np.isnan(worst) and np.isnan(odd))
-        assert np.isnan(odd) or surface_error(world) == worst > 0
+        assert np.isnan(odd) or measure_surface_error(world) == worst > 0
         population.now["size"][:3] = 50.0
 
 
 @pytest.mark.parametrize("count", [0, 1, 7, 4000])
 def test_cells_of_a_field(count: int) -> None:
     values = np.random.default_rng(count).choice([0.0, -0.0, 1e-300, -2.5, 1e300, np.inf, np.nan, 0.1], count)
-    cells, strength = _nonzero_cells(values)
+    cells, strength = _find_nonzero_cells(values)
     assert cells.dtype == np.int32 and np.array_equal(cells, np.flatnonzero(values != 0))
     with np.errstate(over="ignore"):
         assert np.array_equal(strength, values[values != 0].astype(np.float32), equal_nan=True)
@@ -183,21 +184,21 @@ def test_colours_of_states() -> None:
 @pytest.mark.parametrize(("count", "threads"), [(0, 1), (3, 1), (700, 1), (5_000, 2)])
 def test_feet_of_a_frame(count: int, threads: int) -> None:
     rng, scale = np.random.default_rng(count), 0.1
-    feet = Feet.none(6).match_ids(rng.permutation(count))[0]
+    feet = Feet.empty(6).match_ids(rng.permutation(count))[0]
     for array in (feet.shown, feet.slope, feet.rise, feet.phase):
         array[:] = rng.choice(EXTREMES, array.shape)
         array[..., count // 2 :] = rng.normal(size=array[..., count // 2 :].shape) * 1000
     feet.swing[:] = rng.choice(np.array([-1.0, 0.0, 0.5], np.float32), feet.swing.shape)
     world = SimpleNamespace(feet={"ant": feet}, options=SimpleNamespace(threads=threads))
-    arrays = placed_feet(world, "ant", scale)  # type: ignore[arg-type]
-    feet = feet.by_id()
+    arrays = make_feet_arrays(world, "ant", scale)  # type: ignore[arg-type]
+    feet = feet.sorted_by_id()
     with np.errstate(all="ignore"):
         expected = {
             "P": ((feet.shown.transpose(1, 2, 0) + 0.0) * scale).astype(np.float32),
             "down": feet.is_standing.astype(np.uint8),
             "phase": feet.phase,
             "rise": feet.rise * np.float32(scale),
-            "tilt": slope_quaternions(feet.slope),
+            "tilt": compute_slope_quaternions(feet.slope),
         }
     assert list(arrays) == [f"feet.ant.{name}" for name in expected]
     for name, array in expected.items():

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from antdsl.bodies.body import turned
+from antdsl.bodies.body import rotate_vectors
 from antdsl.bodies.files.reading import read_definition
 from antdsl.cli import app
 from antdsl.outputs.cache.cache_reader import open_cache
@@ -88,10 +88,10 @@ def test_points_are_where_pictures_draw_them(cache: Path, tmp_path: Path, ending
     up_is_z, hidden_count, changed = gallery.manifest.up == "z", 0, set()
     for frame in range(3, 27, 4 if ending == ".glb" else 11):
         _, points = scene.at((frame - 3) / 24)
-        (crowd,) = gallery.picture(frame).crowds
-        assert crowd.worn is not None and crowd.ids is not None
-        body = crowd.worn.posed(crowd.plays, len(crowd.position))[0].astype(float)
-        expected = turned(crowd.orient, body) * crowd.scale[:, None, None] + crowd.position[:, None]
+        (crowd,) = gallery.make_picture(frame).crowds
+        assert crowd.body is not None and crowd.ids is not None
+        body = crowd.body.pose_vertices(crowd.plays, len(crowd.position))[0].astype(float)
+        expected = rotate_vectors(crowd.orient, body) * crowd.scale[:, None, None] + crowd.position[:, None]
         if up_is_z:
             expected = np.stack([expected[..., 0], expected[..., 2], -expected[..., 1]], axis=-1)
         for row, one in enumerate(crowd.ids.tolist()):

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from antdsl.bodies.body import rotation_matrices
+from antdsl.bodies.body import build_rotation_matrices
 from antdsl.cli import app
 from antdsl.outputs.cache.cache_reader import open_cache
-from antdsl.outputs.euler_angles import EulerAngles, nearest_angles
+from antdsl.outputs.euler_angles import EulerAngles, find_nearest_angles
 
 RUN = CliRunner()
 BUG = """ant 1
@@ -72,8 +72,8 @@ def quaternions(turn: np.ndarray) -> np.ndarray:
 
 def test_random_turns_come_back() -> None:
     quats = np.random.default_rng(4).normal(size=(5000, 4))
-    angles = np.degrees(nearest_angles(rotation_matrices(quats), np.zeros((5000, 3))))
-    assert np.abs(composed(angles) - rotation_matrices(quats)).max() < 1e-12
+    angles = np.degrees(find_nearest_angles(build_rotation_matrices(quats), np.zeros((5000, 3))))
+    assert np.abs(composed(angles) - build_rotation_matrices(quats)).max() < 1e-12
     assert np.abs(angles).max() < 180.1 and angles[:, 1].min() < -90 and angles[:, 1].max() > 90
 
 
@@ -83,7 +83,7 @@ def test_where_two_axes_lie_on_each_other_the_three_still_make_the_turn(away: fl
     inner = np.linspace(-170, 170, 35)
     turn = composed(np.stack([inner, np.full(35, side - away), np.full(35, 20.0)], axis=1))
     previous_angles = np.radians(np.tile([3.0, side, 25.0], (35, 1)))
-    assert np.abs(composed(np.degrees(nearest_angles(turn, previous_angles))) - turn).max() < 2e-6
+    assert np.abs(composed(np.degrees(find_nearest_angles(turn, previous_angles))) - turn).max() < 2e-6
 
 
 def test_curves_go_on_over_whole_turns_and_past_the_quarter() -> None:
@@ -139,7 +139,7 @@ def test_a_table_is_read_back(cache: Path, tmp_path: Path) -> None:
         assert np.array_equal(table[:, 0], arrays["id"]) and np.array_equal(table[:, 2:5].astype(np.float32), arrays["P"])
         assert np.array_equal(table[:, 8:].astype(np.float32), np.repeat(arrays["pscale"][:, None], 3, axis=1))
         assert [("bug", "mite")[k] for k in arrays["species"]] == [row["species"] for row in frame_rows]
-        assert np.abs(composed(table[:, 5:8]) - rotation_matrices(arrays["orient"].astype(np.float64))).max() < 1e-6
+        assert np.abs(composed(table[:, 5:8]) - build_rotation_matrices(arrays["orient"].astype(np.float64))).max() < 1e-6
         for row, angles in zip(frame_rows, table[:, 5:8], strict=True):
             name = row["species"], row["id"]
             if name in last:
@@ -166,7 +166,7 @@ def test_an_xform_an_agent_is_read_back(cache: Path, tmp_path: Path) -> None:
     for frame in range(3, 31):
         arrays, time = stored_cache.frame(frame), Usd.TimeCode(frame)
         rows = np.flatnonzero(arrays["species"] == 0)
-        turn = rotation_matrices(arrays["orient"].astype(np.float64))
+        turn = build_rotation_matrices(arrays["orient"].astype(np.float64))
         for row in rows:
             prim = prims[f"agent_{arrays['id'][row]}"]
             assert UsdGeom.Imageable(prim).ComputeVisibility(time) == "inherited"

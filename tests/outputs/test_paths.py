@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from antdsl.bodies.shapes import sheet, sphere
+from antdsl.bodies.shapes import build_flat_grid, build_sphere
 from antdsl.cli import app
-from antdsl.outputs.cache.cache_reader import frame_path, open_cache
-from antdsl.outputs.cutting import CutPlane
+from antdsl.outputs.agent_paths import PathWindow
+from antdsl.outputs.cache.cache_reader import make_frame_path, open_cache
+from antdsl.outputs.cut_plane import CutPlane
 from antdsl.outputs.gallery import Gallery
-from antdsl.outputs.paths import PathWindow
 from antdsl.outputs.pictures import Camera, Crowd, Picture, Solid, render_frame
 from antdsl.outputs.pictures.camera import make_view
 from antdsl.outputs.pictures.model import AgentPathLines
@@ -51,7 +51,7 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Bugs that are born, walk over ripples and die."""
     folder = tmp_path_factory.mktemp("paths")
     line = np.linspace(-60.0, 60.0, 81)
-    vertices, faces = sheet(line, line)
+    vertices, faces = build_flat_grid(line, line)
     vertices[:, 1] = ripple(vertices[:, 0], vertices[:, 2])
     lines = [f"v {x:.4f} {y:.4f} {z:.4f}" for x, y, z in vertices] + [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in faces]
     (folder / "ground.obj").write_text("\n".join(lines))
@@ -67,7 +67,7 @@ def test_paths_are_the_places_of_the_frames_around(cache: Path) -> None:
     gallery = Gallery(stored_cache, window=PathWindow(0.25, 0.5))
     born, dead = 0, 0
     for frame in (1, 2, 15, 29, 30):
-        crowd = gallery.picture(frame).crowds[0]
+        crowd = gallery.make_picture(frame).crowds[0]
         assert crowd.paths is not None and crowd.ids is not None
         paths = crowd.paths.positions
         assert paths.shape == (len(crowd.ids), 6 + 1 + 12, 3) and crowd.paths.now == 6
@@ -92,20 +92,20 @@ def test_paths_are_the_places_of_the_frames_around(cache: Path) -> None:
 
 def test_named_agents_alone_have_paths_and_a_cut_keeps_rows_together(cache: Path) -> None:
     window = PathWindow(0.1, 0.1)
-    named, others = Gallery(open_cache(cache), window=window).picture(20, agents=frozenset([3])).crowds
+    named, others = Gallery(open_cache(cache), window=window).make_picture(20, agents=frozenset([3])).crowds
     assert named.paths is not None and len(named.paths.positions) == 1 and others.paths is None
-    part = Gallery(open_cache(cache), CutPlane.of("x > 0"), window).picture(20).crowds[0]
+    part = Gallery(open_cache(cache), CutPlane.of("x > 0"), window).make_picture(20).crowds[0]
     assert part.paths is not None and 0 < len(part.position) == len(part.paths.positions)
     assert np.abs(part.paths.positions[:, part.paths.now] - part.position).max() < 0.5
-    assert Gallery(open_cache(cache)).picture(20).crowds[0].paths is None
+    assert Gallery(open_cache(cache)).make_picture(20).crowds[0].paths is None
 
 
 def test_a_frame_that_is_missing_or_damaged_leaves_a_gap(cache: Path, tmp_path: Path) -> None:
     copied = tmp_path / "cache"
     shutil.copytree(cache, copied)
-    frame_path(copied, 12).unlink()
-    frame_path(copied, 9).write_bytes(b"no frame")
-    paths = Gallery(open_cache(copied), window=PathWindow(0.25, 0.25)).picture(10).crowds[0].paths
+    make_frame_path(copied, 12).unlink()
+    make_frame_path(copied, 9).write_bytes(b"no frame")
+    paths = Gallery(open_cache(copied), window=PathWindow(0.25, 0.25)).make_picture(10).crowds[0].paths
     assert paths is not None
     is_present = np.isfinite(paths.positions).all(axis=2).any(axis=0)
     assert not is_present[5] and not is_present[8] and is_present[[4, 6, 7]].all()
@@ -127,7 +127,7 @@ def picture(*solids: Solid) -> Picture:
         ids=np.zeros(1, np.int64),
         paths=AgentPathLines(corner, 2),
     )
-    return Picture((Solid("floor", *sheet(line, line)), *solids), (ant,))
+    return Picture((Solid("floor", *build_flat_grid(line, line)), *solids), (ant,))
 
 
 def changes(drawn: Picture, *points: tuple[float, float, float]) -> list[float]:
@@ -146,7 +146,7 @@ def test_ways_gone_are_dark_and_ways_to_go_are_bright_round_the_corner() -> None
 
 
 def test_what_is_behind_a_wall_is_not_drawn() -> None:
-    vertices, faces = sphere(2)
+    vertices, faces = build_sphere(2)
     wall = Solid("wall", vertices * [4, 2, 4] + [6, 20, 4], faces, "stone")
     hidden, visible = changes(picture(wall), (6, 0.3, 4), (-6, 0.3, 0))
     assert hidden == 0 and visible < -60

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from antdsl.outputs.pictures.camera import CameraView
-from antdsl.outputs.pictures.looks import PictureScales
-from antdsl.outputs.pictures.setting import scatter_pebbles
+from antdsl.outputs.pictures.static_setting import scatter_pebbles
+from antdsl.outputs.pictures.surface_materials import PictureScales
 
 UP = np.array([0.0, 1.0, 0.0])
 VERTICES, FACES = meshes.terrain(400.0, 100)
@@ -37,19 +37,19 @@ def pebbles(view: CameraView, grain: float, ground: meshes.Mesh = (VERTICES, FAC
 def test_two_cameras_see_the_same_pebbles_between_them() -> None:
     first, second = (pebbles(camera(x, 0.0), 4.0) for x in (-6.0, 6.0))
     middle = [
-        {key for key, group in found.items() if np.hypot(key[0], key[2]) < 8 and np.ptp(group, axis=0).max() > 0.3}
-        for found in (first, second)
+        {key for key, group in results.items() if np.hypot(key[0], key[2]) < 8 and np.ptp(group, axis=0).max() > 0.3}
+        for results in (first, second)
     ]  # smaller ones are drawn near each camera
     assert middle[0] == middle[1] and len(middle[0]) > 20 and first.keys() != second.keys()
 
 
 def test_crowds_of_other_sizes_share_the_pebbles_of_one_size() -> None:
-    places, widths = {}, {}
+    positions, widths = {}, {}
     for grain in (4.0, 8.0):
-        found = pebbles(camera(0.0, 0.0, -12.0), grain)
-        places[grain] = np.array([(group.max(axis=0) + group.min(axis=0)) / 2 for group in found.values()])
-        widths[grain] = np.array([np.ptp(group, axis=0).max() for group in found.values()])
-    away = np.array([np.linalg.norm(places[8.0] - place, axis=1).min() for place in places[4.0]])
+        results = pebbles(camera(0.0, 0.0, -12.0), grain)
+        positions[grain] = np.array([(group.max(axis=0) + group.min(axis=0)) / 2 for group in results.values()])
+        widths[grain] = np.array([np.ptp(group, axis=0).max() for group in results.values()])
+    away = np.array([np.linalg.norm(positions[8.0] - place, axis=1).min() for place in positions[4.0]])
     is_shared = away < 0.2 * widths[4.0]  # pebbles of the largest class are rounder
     assert is_shared[widths[4.0] > 0.26].all() and is_shared.sum() > 100
     assert (~is_shared).sum() > 100 and widths[8.0].max() > 1.5 * widths[4.0].max()
@@ -57,9 +57,9 @@ def test_crowds_of_other_sizes_share_the_pebbles_of_one_size() -> None:
 
 @pytest.mark.parametrize("grain", [2.0, 4.0, 5.6])
 def test_no_pebble_is_higher_than_a_fiftieth_of_a_body(grain: float) -> None:
-    found = pebbles(camera(0.0, 0.0, -8.0), grain, meshes.grid(400.0, 100))
-    heights = np.array([group[:, 1].max() for group in found.values()])
-    assert len(found) > 100 and heights.min() > 0 and heights.max() <= 0.02 * grain
+    results = pebbles(camera(0.0, 0.0, -8.0), grain, meshes.grid(400.0, 100))
+    heights = np.array([group[:, 1].max() for group in results.values()])
+    assert len(results) > 100 and heights.min() > 0 and heights.max() <= 0.02 * grain
 
 
 def test_far_cameras_see_none() -> None:

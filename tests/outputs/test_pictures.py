@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from antdsl.bodies.body import orientation
-from antdsl.bodies.shapes import sheet, sphere
+from antdsl.bodies.body import build_orientations
+from antdsl.bodies.shapes import build_flat_grid, build_sphere
 from antdsl.outputs.pictures import (
     Camera,
     Crowd,
@@ -17,25 +17,25 @@ from antdsl.outputs.pictures import (
     Renderer,
     Solid,
     Trail,
-    camera_at_eye_level,
-    camera_over,
-    contact_sheet,
-    looks,
+    add_legend,
+    compute_legend_width,
+    make_contact_sheet,
+    make_eye_level_camera,
+    make_overview_camera,
     render,
     render_frame,
-    still,
-    strip_width,
-    with_strip,
+    surface_materials,
     write_film,
+    write_still,
 )
-from antdsl.outputs.pictures.actors import item_mesh
 from antdsl.outputs.pictures.camera import make_view
-from antdsl.outputs.pictures.cameras import camera_on_top
-from antdsl.outputs.pictures.light import sun_over
-from antdsl.outputs.pictures.looks import PictureScales
-from antdsl.outputs.pictures.setting import is_floor, make_setting
-from antdsl.outputs.pictures.stage import stage
-from antdsl.outputs.pictures.trails import TrailVoxels, ground_cover, robust_full_strength
+from antdsl.outputs.pictures.cameras import make_top_camera
+from antdsl.outputs.pictures.light import make_sun
+from antdsl.outputs.pictures.moving_bodies import make_item_mesh
+from antdsl.outputs.pictures.static_setting import is_floor, make_setting
+from antdsl.outputs.pictures.static_stage import make_stage
+from antdsl.outputs.pictures.surface_materials import PictureScales
+from antdsl.outputs.pictures.trail_colours import TrailVoxels, compute_ground_cover, estimate_full_strength
 
 ABOVE = Camera((0.0, 60.0, 0.01), (0.0, 0.0, 0.0), focal=30.0)
 W, H = 160, 90
@@ -43,12 +43,12 @@ W, H = 160, 90
 
 def floor(reach=40.0, lines=9):
     line = np.linspace(-reach, reach, lines)
-    return Solid("floor", *sheet(line, line))
+    return Solid("floor", *build_flat_grid(line, line))
 
 
 def crowd(points, colour, **fields):
     n = len(points)
-    orient = orientation(np.tile([1.0, 0, 0], (n, 1)), np.tile([0.0, 1, 0], (n, 1)))
+    orient = build_orientations(np.tile([1.0, 0, 0], (n, 1)), np.tile([0.0, 1, 0], (n, 1)))
     fields = {"scale": np.full(n, 4.0), "ids": np.arange(n), **fields}
     return Crowd("forager", np.asarray(points, float), orient, colour=np.tile(colour, (n, 1)), **fields)
 
@@ -66,16 +66,16 @@ def test_rays_and_projection_agree():
         Camera((10.0, 20.0, 30.0), (1.0, 2.0, -3.0), wide=9.0),
     ):
         ready = make_view(camera, W, H, (0.0, 1.0, 0.0))
-        start, directions = ready.rays(np.array([40 * W + 3, 40 * W + 90]), 0.25, 0.5)
+        start, directions = ready.make_rays(np.array([40 * W + 3, 40 * W + 90]), 0.25, 0.5)
         positions, ahead = ready.project(start + 7.0 * directions.astype(float))
         assert np.allclose(positions, [[3.25, 40.5], [90.25, 40.5]], atol=1e-3) and (ahead > 0).all()
-        assert np.allclose(ready.distance(start + 7.0 * directions.astype(float)), 7.0, atol=1e-5)
+        assert np.allclose(ready.compute_distances(start + 7.0 * directions.astype(float)), 7.0, atol=1e-5)
     ready = make_view(Camera((10.0, 20.0, 30.0), (1.0, 2.0, -3.0), fov=50.0), W, H, (0.0, 1.0, 0.0))
-    assert ready.half[0] == pytest.approx(np.tan(np.radians(25)))
+    assert ready.half_extent[0] == pytest.approx(np.tan(np.radians(25)))
 
 
 def test_a_body_between_sun_and_ground_throws_a_shadow():
-    vertices, faces = sphere(2)
+    vertices, faces = build_sphere(2)
     ball = Solid("ball", vertices * 6 + [0, 14, 0], faces, "stone")
     bare, under = render_frame(Picture((floor(),)), ABOVE, W, H), render_frame(Picture((floor(), ball)), ABOVE, W, H)
     darker = (bare.astype(int) - under).sum(axis=2) > 90
@@ -124,25 +124,29 @@ def test_even_scent_on_uneven_cells_shows_no_pattern():
     points = (draw.uniform(-24, 24, (4000, 2)) @ slope).astype(np.float32)
     cloth = TrailVoxels(points.min(axis=0).astype(float), points.max(axis=0).astype(float), 3.0)
     cloth.spread_trail(trail)
-    assert np.allclose(cloth.share(points), 1.0, atol=1e-3)
+    assert np.allclose(cloth.interpolate_cover(points), 1.0, atol=1e-3)
 
 
 def test_a_thin_veil_of_scent_everywhere_does_not_hide_a_trail():
     path = np.geomspace(0.5, 300, 150)
-    alone, veiled = robust_full_strength(path), robust_full_strength(np.concatenate([np.full(30_000, 3e-3), path]))
+    alone, veiled = estimate_full_strength(path), estimate_full_strength(np.concatenate([np.full(30_000, 3e-3), path]))
     assert veiled == pytest.approx(alone, rel=0.1) and alone > 30
-    assert robust_full_strength(np.zeros(4)) == 0
-    faint, strong = ground_cover(Trail("trail", np.zeros((2, 3)), np.array([3e-3, 300.0]), 6.0, full=alone))
+    assert estimate_full_strength(np.zeros(4)) == 0
+    faint, strong = compute_ground_cover(Trail("trail", np.zeros((2, 3)), np.array([3e-3, 300.0]), 6.0, full_strength=alone))
     assert faint < 0.04 and strong == 1
 
 
 def test_what_closes_on_itself_is_a_figure_that_stands_on_the_table():
-    vertices, faces = sphere(2)
+    vertices, faces = build_sphere(2)
     up = np.array([0.0, 1.0, 0.0])
     assert is_floor(floor().vertices, floor().faces, up) and not is_floor(vertices, faces, up)
     figure, ground = make_setting((Solid("ground", vertices * 20, faces),), up), make_setting((floor(),), up)
-    assert figure.base == pytest.approx(-20, abs=0.1) and ground.base < -2
-    assert looks.FIGURE_KIND in figure.kind and looks.EDGE_KIND not in figure.kind and looks.EDGE_KIND in ground.kind
+    assert figure.table_height == pytest.approx(-20, abs=0.1) and ground.table_height < -2
+    assert (
+        surface_materials.FIGURE_KIND in figure.kind
+        and surface_materials.EDGE_KIND not in figure.kind
+        and surface_materials.EDGE_KIND in ground.kind
+    )
 
 
 def test_the_soil_of_a_nest_follows_the_ground():
@@ -151,7 +155,7 @@ def test_the_soil_of_a_nest_follows_the_ground():
     steep = plain.vertices + up * 0.5 * plain.vertices[:, :1]
     ground = make_setting((Solid("ground", steep, plain.faces),), up)
     nest = Item("home", (0.0, 0.0, 0.0), 10.0, 1.0, "mound")
-    flat, laid = item_mesh(nest, (0.0, 1.0, 0.0)).vertices, item_mesh(nest, (0.0, 1.0, 0.0), ground).vertices
+    flat, laid = make_item_mesh(nest, (0.0, 1.0, 0.0)).vertices, make_item_mesh(nest, (0.0, 1.0, 0.0), ground).vertices
     assert np.allclose(laid - flat, up * 0.5 * flat[:, :1], atol=1e-3) and np.ptp(flat[:, 0]) > 20
 
 
@@ -167,8 +171,8 @@ def test_food_shrinks_with_what_is_left():
 
 def test_threads_and_stored_rays_change_no_byte(monkeypatch):
     stage_calls = []
-    real = render.stage
-    monkeypatch.setattr(render, "stage", lambda *args: stage_calls.append(1) or real(*args))
+    real = render.make_stage
+    monkeypatch.setattr(render, "make_stage", lambda *args: stage_calls.append(1) or real(*args))
     scene = (floor(),)
     walk = [Picture(scene, (crowd([[x, 0, 0]], (0.9, 0.6, 0.1)),), frame=1) for x in (0.0, 5.0)]
     one, two = Renderer(W, H, threads=1), Renderer(W, H, threads=2)
@@ -196,7 +200,7 @@ def test_lines_and_ids_are_drawn_where_agents_are_and_others_are_refused():
 
 
 def test_what_is_behind_a_wall_gets_no_line():
-    vertices, faces = sphere(2)
+    vertices, faces = build_sphere(2)
     wall = Solid("wall", vertices * [30, 2, 30] + [0, 20, 0], faces, "stone")
     hidden = crowd([[0, 0, 0]], (0.9, 0.6, 0.1), velocity=np.array([[60.0, 0, 0]]))
     picture = Picture((floor(), wall), (hidden,))
@@ -210,41 +214,43 @@ def test_the_strip_tells_states_by_species_and_scales_with_numbers():
         (floor(),), legend=(LegendRow("search", (242, 163, 31), 412, "ant"), LegendRow("run", (40, 90, 230), 7, "roach"))
     )
     image = np.zeros((300, 400, 3), np.uint8)
-    assert strip_width(Picture(), 500, ("trail",)) == 0
-    wide = strip_width(picture, 500, ("trail",))
-    sheet = with_strip(image, picture, wide, ("trail",))
+    assert compute_legend_width(Picture(), 500, ("trail",)) == 0
+    wide = compute_legend_width(picture, 500, ("trail",))
+    sheet = add_legend(image, picture, wide, ("trail",))
     strip_pixels = sheet[:, 400:].astype(int)
     assert sheet.shape == (300, 400 + wide, 3) and not sheet[:, :400].any()
     dots = [np.abs(strip_pixels - colour).sum(axis=2) < 12 for colour in ([242, 163, 31], [40, 90, 230])]
     assert all(dot.sum() > 20 for dot in dots) and np.nonzero(dots[0])[0].max() < np.nonzero(dots[1])[0].min()
-    trail = Trail("smell", np.zeros((2, 3)), np.array([1.0, 5.0]), 2.0, colour=(0.1, 0.2, 0.9), full=5.0)
+    trail = Trail("smell", np.zeros((2, 3)), np.array([1.0, 5.0]), 2.0, colour=(0.1, 0.2, 0.9), full_strength=5.0)
     scaled = Picture((floor(),), trails=(trail,), legend=picture.legend)
-    assert np.array_equal(with_strip(image, scaled, wide, ()), sheet)
-    bar = with_strip(image, scaled, wide, ("trail",))[:, 400:].astype(int)
+    assert np.array_equal(add_legend(image, scaled, wide, ()), sheet)
+    bar = add_legend(image, scaled, wide, ("trail",))[:, 400:].astype(int)
     assert ((bar[..., 2] - bar[..., 0]) > 60).any(axis=1).sum() > 3 + dots[1].any(axis=1).sum()
 
 
 def test_names_in_the_strip_keep_clear_of_their_numbers():
     rows = tuple(LegendRow("a very long name of a state " * 3, (242, 163, 31), 10**k, "ant") for k in range(7))
-    image = with_strip(np.zeros((200, 100, 3), np.uint8), Picture(legend=rows), 160, ())
+    image = add_legend(np.zeros((200, 100, 3), np.uint8), Picture(legend=rows), 160, ())
     assert image.shape == (200, 260, 3) and image[:, 258:].max() < 60
 
 
 def test_shadows_have_soft_edges_without_noise():
-    vertices, faces = sphere(3)
+    vertices, faces = build_sphere(3)
     ball = Solid("ball", vertices * 5 + [0, 14, 0], faces, "stone")
     up, scales = np.array([0.0, 1.0, 0.0]), PictureScales(80.0, 4.0)
     bare, under = (
-        stage(make_setting(solids, up), make_view(ABOVE, 480, 270, (0.0, 1.0, 0.0)), sun_over(up), scales, 1)
+        make_stage(make_setting(solids, up), make_view(ABOVE, 480, 270, (0.0, 1.0, 0.0)), make_sun(up), scales, 1)
         for solids in ((floor(),), (floor(), ball))
     )
-    ground = (under.middle.kind == looks.GROUND_KIND) & (bare.middle.sun > 0.2)
-    share = np.where(ground, under.middle.sun / np.maximum(bare.middle.sun, 1e-6), 1.0).reshape(270, 480)
+    ground = (under.centre_samples.kind == surface_materials.GROUND_KIND) & (bare.centre_samples.sun_cosine > 0.2)
+    share = np.where(ground, under.centre_samples.sun_cosine / np.maximum(bare.centre_samples.sun_cosine, 1e-6), 1.0).reshape(
+        270, 480
+    )
     between = (share > 0.1) & (share < 0.9)
     assert between.sum() > 60 and len(np.unique(share[between].round(3))) > 20
     across = np.diff(share, axis=1)
     turns = (across[:, 1:] * across[:, :-1] < 0) & (np.minimum(np.abs(across[:, 1:]), np.abs(across[:, :-1])) > 0.06)
-    plain = ~(under.grid.edge | ~ground).reshape(270, 480)
+    plain = ~(under.grid.is_edge | ~ground).reshape(270, 480)
     turns &= plain[:, :-2] & plain[:, 1:-1] & plain[:, 2:]
     assert turns.sum() < 4  # nowhere lighter and darker from pixel to pixel
 
@@ -287,7 +293,7 @@ def test_magnified_agents_have_the_requested_length():
 def test_a_view_from_straight_above_has_one_scale():
     ants = crowd([[-12.0, 0, -9.0], [12.0, 9.0, 9.0]], (0.9, 0.1, 0.1))
     picture = Picture((floor(),), (ants,), grain=4.0)
-    camera = camera_on_top(picture, aspect=W / H)
+    camera = make_top_camera(picture, aspect=W / H)
     camera_view = make_view(camera, W, H, picture.up)
     positions, ahead = camera_view.project(np.array([[0.0, 0, 0], [10, 0, 0], [10, 9, 0], [0, 0, 10]]))
     assert (
@@ -305,7 +311,7 @@ def test_a_view_from_straight_above_has_one_scale():
 
 @pytest.mark.parametrize(("look", "expected"), [("metal", "grey"), ("leaf", "green"), ("soil", "brown"), ("light", "bright")])
 def test_things_look_as_what_the_scene_says_they_are_made_of(look, expected):
-    vertices, faces = sphere(3)
+    vertices, faces = build_sphere(3)
     kind = {"soil": "hill"}.get(look, look)
     pictures = (
         Picture((floor(), Solid("thing", vertices * 8 + [0, 4, 0], faces, kind)), grain=4.0),
@@ -332,24 +338,24 @@ def test_ground_has_grain_from_afar_and_from_near():
 
 
 def test_cameras_of_their_own_see_the_scene_and_an_ant_that_is_not_hidden():
-    vertices, faces = sphere(2)
+    vertices, faces = build_sphere(2)
     rock = Solid("rock", vertices * 5 + [-12, 3, 0], faces, "stone")
     picture = Picture((floor(), rock), (crowd([[x, 0, z] for x in (0, 6, 12) for z in (0, 6)], (0.9, 0.6, 0.1)),))
-    over = make_view(camera_over(picture), W, H, picture.up)
+    over = make_view(make_overview_camera(picture), W, H, picture.up)
     positions, ahead = over.project(picture.solids[0].vertices)
     assert (ahead > 0).all() and (positions >= 0).all() and (positions <= [W, H]).all()
-    camera = camera_at_eye_level(picture, 3)
+    camera = make_eye_level_camera(picture, 3)
     image = render_frame(picture, camera, W, H).astype(int)
     assert ((image[..., 0] > 1.5 * image[..., 2]) & (image[..., 0] > 120)).sum() > 100
     assert np.linalg.norm(np.array(camera.at) - picture.crowds[0].position[3]) < 5 * 4.0
-    assert camera_at_eye_level(picture, 99) is None
+    assert make_eye_level_camera(picture, 99) is None
     (full_crowd,) = picture.crowds
-    parts = replace(picture, crowds=tuple(full_crowd.rows(np.isin(full_crowd.ids, ids)) for ids in ((0, 1), (2, 3, 4, 5))))
-    split_camera = camera_at_eye_level(parts, 3)
+    parts = replace(picture, crowds=tuple(full_crowd.select_rows(np.isin(full_crowd.ids, ids)) for ids in ((0, 1), (2, 3, 4, 5))))
+    split_camera = make_eye_level_camera(parts, 3)
     assert split_camera is not None and split_camera.at == camera.at, "whatever others of the species wear"
     first = replace(crowd([[30, 0, 30]], (0.9, 0.6, 0.1), ids=np.array([7])), species="first")
     both = replace(picture, crowds=(first, *picture.crowds))
-    assert camera_at_eye_level(both, 3) is not None and camera_at_eye_level(both, 3, species="first") is None
+    assert make_eye_level_camera(both, 3) is not None and make_eye_level_camera(both, 3, species="first") is None
 
 
 @pytest.mark.parametrize("up", [(0.0, 1.0, 0.0), (0.0, 0.0, 1.0)])
@@ -375,18 +381,18 @@ def test_nothing_at_all_and_broken_agents_draw_without_a_fuss():
 
 def test_a_contact_sheet_holds_every_picture():
     tiles = [np.full((90, 160, 3), shade, np.uint8) for shade in (60, 120, 180, 240, 90)]
-    sheet_image = contact_sheet(tiles, [f"frame {k}" for k in range(5)], columns=3, width=600)
+    sheet_image = make_contact_sheet(tiles, [f"frame {k}" for k in range(5)], columns=3, width=600)
     assert sheet_image.shape[1] == 600
     assert all((np.abs(sheet_image.astype(int) - int(tile[0, 0, 0])).max(axis=2) == 0).sum() > 15_000 for tile in tiles)
     with pytest.raises(ValueError, match="label"):
-        contact_sheet(tiles, ["one"])
+        make_contact_sheet(tiles, ["one"])
 
 
 def test_stills_and_films_reach_the_disk(tmp_path):
     from PIL import Image
 
     frames = [np.full((91, 160, 3), shade, np.uint8) for shade in (20, 200)]
-    still(frames[0], tmp_path / "one.png")
+    write_still(frames[0], tmp_path / "one.png")
     assert np.array_equal(np.asarray(Image.open(tmp_path / "one.png")), frames[0])
     pytest.importorskip("imageio_ffmpeg")
     import imageio_ffmpeg
@@ -405,7 +411,7 @@ def test_a_film_without_its_extra_names_it(monkeypatch, tmp_path):
 
 
 def test_an_ant_in_the_shade_of_a_rock_is_darker():
-    vertices, faces = sphere(2)
+    vertices, faces = build_sphere(2)
     roof = Solid("roof", vertices * [14, 1, 14] + [-24.0, 20, 0], faces, "stone")
     ant = crowd([[0, 0, 0]], (0.9, 0.6, 0.1))
     low = Camera((8.0, 9.0, 14.0), (0.0, 0.0, 0.0))
@@ -420,7 +426,7 @@ def test_an_ant_in_the_shade_of_a_rock_is_darker():
 
 def test_no_face_stands_out_over_its_neighbours():
     """Triangles are widened for rays by hairs, which go by what is looked at and not by the wide table below it."""
-    vertices, faces = sphere(4)
+    vertices, faces = build_sphere(4)
     ball = Solid("ball", vertices * 50, faces, "stone")
     still = make_setting((ball,), np.array([0.0, 1, 0]))
     corners = ball.vertices[faces]
@@ -428,5 +434,5 @@ def test_no_face_stands_out_over_its_neighbours():
     normal /= np.linalg.norm(normal, axis=1)[:, None]
     corners, normal = corners[normal[:, 1] > -0.5], normal[normal[:, 1] > -0.5]  # the others have the table before them
     near_a_side = (corners * np.array([0.495, 0.495, 0.01])[:, None]).sum(axis=1)
-    assert not still.rays.occluded(near_a_side + 0.001 * normal, normal, 5.0).any()
-    assert still.rays.cast(near_a_side + 0.5 * normal, -normal).t == pytest.approx(0.5, abs=1e-4)
+    assert not still.rays.find_occluded(near_a_side + 0.001 * normal, normal, 5.0).any()
+    assert still.rays.find_first_hits(near_a_side + 0.5 * normal, -normal).t == pytest.approx(0.5, abs=1e-4)

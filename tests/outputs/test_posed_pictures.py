@@ -12,20 +12,20 @@ import pytest
 from scipy.spatial import cKDTree
 
 from antdsl.bodies.agents.definition import Binding, Layer
-from antdsl.bodies.agents.deformers import bound
+from antdsl.bodies.agents.deformers import deform_binding
 from antdsl.bodies.agents.driving import DrivenPose
 from antdsl.bodies.agents.machine_clips import MachineClips
 from antdsl.bodies.agents.varied_bodies import VariationDraws
-from antdsl.bodies.body import rotation_matrices
-from antdsl.bodies.library import library_body
+from antdsl.bodies.body import build_rotation_matrices
+from antdsl.bodies.library import load_library_body
 from antdsl.bodies.posed_body import PosedBody
+from antdsl.outputs.agent_paths import match_agents
 from antdsl.outputs.cache.cache_reader import Cache, open_cache
 from antdsl.outputs.gallery import Gallery, PictureUnavailable
-from antdsl.outputs.paths import follow_agents
-from antdsl.outputs.pictures.actors import make_actors
 from antdsl.outputs.pictures.camera import make_view
 from antdsl.outputs.pictures.model import Camera, Crowd
-from antdsl.outputs.recording import begin, record
+from antdsl.outputs.pictures.moving_bodies import make_actors
+from antdsl.outputs.recording import begin_recording, record_frames
 from antdsl.pipeline import RunChoices, open_scene
 from antdsl.runtime import Options
 from antdsl.scene.values import FrameRange
@@ -42,7 +42,7 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> Cache:
         shutil.copy(path, folder / path.name)
     shot, report = open_scene(folder / "scene.yaml", RunChoices(frames=FrameRange(1, FRAMES)))
     assert shot is not None, str(report)
-    for _ in record(begin(shot, folder / "out", Options(), resume=False, force=False)):
+    for _ in record_frames(begin_recording(shot, folder / "out", Options(), resume=False, force=False)):
         pass
     for name in ("scene.yaml", "walker.json", "parts.glb"):
         (folder / name).unlink()
@@ -50,12 +50,12 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> Cache:
 
 
 def crowd_at(cache: Cache, frame: int) -> Crowd:
-    return Gallery(cache).picture(frame).crowds[0]
+    return Gallery(cache).make_picture(frame).crowds[0]
 
 
 def vertices(crowd: Crowd) -> np.ndarray:
-    assert crowd.worn is not None
-    return crowd.worn.posed(crowd.plays, len(crowd.position))[0]
+    assert crowd.body is not None
+    return crowd.body.pose_vertices(crowd.plays, len(crowd.position))[0]
 
 
 def test_frames_say_what_each_machine_plays(cache: Cache) -> None:
@@ -80,18 +80,18 @@ def test_what_is_in_a_cache_says_the_body_and_the_clips(cache: Cache) -> None:
 def test_a_picture_is_made_of_its_own_frame_alone(cache: Cache) -> None:
     gallery = Gallery(cache)
     for frame in range(1, FRAMES):
-        gallery.picture(frame)
-    assert np.array_equal(vertices(gallery.picture(FRAMES).crowds[0]), vertices(crowd_at(cache, FRAMES)))
+        gallery.make_picture(frame)
+    assert np.array_equal(vertices(gallery.make_picture(FRAMES).crowds[0]), vertices(crowd_at(cache, FRAMES)))
 
 
 def test_bodies_are_where_agents_are_and_look_where_they_head(cache: Cache) -> None:
     crowd = crowd_at(cache, FRAMES)
     above = make_view(Camera((0.0, 30.0, 30.0), (0.0, 0.0, 0.0)), 2560, 1440, (0.0, 1.0, 0.0))
-    picture = replace(Gallery(cache).picture(FRAMES), items=())
+    picture = replace(Gallery(cache).make_picture(FRAMES), items=())
     drawn_actors = make_actors(picture, above)
-    count = len(crowd.worn.tint) if crowd.worn else 0
+    count = len(crowd.body.tint_weights) if crowd.body else 0
     assert len(drawn_actors.mesh.vertices) == count * len(crowd.position) and len(drawn_actors.rays) == 1
-    turn = rotation_matrices(crowd.orient)
+    turn = build_rotation_matrices(crowd.orient)
     own = np.einsum("nji,nvj->nvi", turn, drawn_actors.mesh.vertices.reshape(-1, count, 3) - crowd.position[:, None])
     own /= crowd.scale[:, None, None]  # x ahead, y up, in body lengths, which are heights here
     assert own[:, :, 1].max(axis=1).min() > 0.9 and own[:, :, 1].max() < 1.15  # a hand that waves is higher
@@ -105,67 +105,67 @@ def test_bodies_are_where_agents_are_and_look_where_they_head(cache: Cache) -> N
 
 
 def test_the_frame_after_is_that_of_the_same_agents(cache: Cache) -> None:
-    now, then = Gallery(cache, blurred=True).picture(FRAMES - 1).crowds[0], Gallery(cache).picture(FRAMES).crowds[0]
+    now, then = Gallery(cache, blurred=True).make_picture(FRAMES - 1).crowds[0], Gallery(cache).make_picture(FRAMES).crowds[0]
     assert now.next_crowd is not None and np.array_equal(now.ids, then.ids)
     assert np.array_equal(now.next_crowd.position, then.position) and np.array_equal(now.next_crowd.orient, then.orient)
-    assert np.array_equal(vertices(replace(now.next_crowd, worn=then.worn)), vertices(then)) and not np.array_equal(
+    assert np.array_equal(vertices(replace(now.next_crowd, body=then.body)), vertices(then)) and not np.array_equal(
         vertices(now), vertices(then)
     )
-    assert Gallery(cache, blurred=True).picture(FRAMES).crowds[0].next_crowd is None  # the last has none
-    few = Gallery(cache, blurred=True).picture(FRAMES - 1, agents=frozenset([3])).crowds[0]
+    assert Gallery(cache, blurred=True).make_picture(FRAMES).crowds[0].next_crowd is None  # the last has none
+    few = Gallery(cache, blurred=True).make_picture(FRAMES - 1, agents=frozenset([3])).crowds[0]
     assert few.next_crowd is not None and np.array_equal(few.next_crowd.position, then.position[np.asarray(then.ids) == 3])
 
 
 def test_clips_move_bodies_and_only_their_group(cache: Cache) -> None:
     crowd = crowd_at(cache, FRAMES)
-    assert crowd.worn is not None
+    assert crowd.body is not None
     legs, arms = crowd.plays
     waving = (arms.clip == 3) & (arms.turns > 0.3) & (arms.turns < 0.7)
     assert waving.any()
-    with_arms, without = (crowd.worn.posed(plays, len(legs.clip))[0] for plays in ((legs, arms), (legs,)))
+    with_arms, without = (crowd.body.pose_vertices(plays, len(legs.clip))[0] for plays in ((legs, arms), (legs,)))
     moved = np.abs(with_arms - without).max(axis=2) > 1e-3
     assert moved[waving].any(axis=1).all() and not moved[(arms.clip == -1) & (arms.fade == 0)].any()
-    assert not moved[:, crowd.worn.own[:, 0] == np.float32(0.06)].any()  # trousers
+    assert not moved[:, crowd.body.material_colours[:, 0] == np.float32(0.06)].any()  # trousers
     assert with_arms[waving][..., 1].max() > 1.0  # a hand above the head
 
 
 def test_materials_have_their_colour_and_the_state_the_rest(cache: Cache) -> None:
     crowd = crowd_at(cache, FRAMES)
-    assert crowd.worn is not None
-    own = {tuple(round(float(x), 2) for x in colour) for colour in crowd.worn.own[crowd.worn.tint == 0]}
+    assert crowd.body is not None
+    own = {tuple(round(float(x), 2) for x in colour) for colour in crowd.body.material_colours[crowd.body.tint_weights == 0]}
     assert own == {(0.52, 0.30, 0.20), (0.06, 0.08, 0.13), (0.05, 0.03, 0.02)}
-    assert 0.1 < crowd.worn.tint.mean() < 0.6
+    assert 0.1 < crowd.body.tint_weights.mean() < 0.6
 
 
 def test_small_bodies_have_fewer_triangles_and_the_same_pose(cache: Cache) -> None:
     crowd = crowd_at(cache, FRAMES)
-    assert crowd.worn is not None
-    fine, rough = (body.posed(crowd.plays, len(crowd.position))[0] for body in (crowd.worn, crowd.worn.coarse))
-    assert len(crowd.worn.coarse.faces) < len(crowd.worn.faces) / 3
+    assert crowd.body is not None
+    fine, rough = (body.pose_vertices(crowd.plays, len(crowd.position))[0] for body in (crowd.body, crowd.body.coarse))
+    assert len(crowd.body.coarse.faces) < len(crowd.body.faces) / 3
     for k in range(3):
         for end in (np.min, np.max):
             assert np.abs(end(fine[:, :, k], axis=1) - end(rough[:, :, k], axis=1)).max() < 0.05
     far = make_view(Camera((0.0, 90.0, 90.0), (0.0, 0.0, 0.0)), 320, 180, (0.0, 1.0, 0.0))
-    drawn_actors = make_actors(replace(Gallery(cache).picture(FRAMES), items=()), far)
-    assert len(drawn_actors.mesh.faces) == len(crowd.worn.coarse.faces) * len(crowd.position)
+    drawn_actors = make_actors(replace(Gallery(cache).make_picture(FRAMES), items=()), far)
+    assert len(drawn_actors.mesh.faces) == len(crowd.body.coarse.faces) * len(crowd.position)
 
 
 def test_a_planted_foot_stays_as_the_body_goes_over_it() -> None:
     """The clips of the example: what is on the ground goes back as far as the body goes ahead."""
-    from antdsl.bodies.agents.blending import ClipTree, Playing, posed
-    from antdsl.bodies.agents.poses import clip_table
+    from antdsl.bodies.agents.blending import ClipPlayback, ClipTree, blend_poses
+    from antdsl.bodies.agents.poses import build_clip_table
     from antdsl.bodies.files.reading import read_definition
 
     body, _ = read_definition(EXAMPLE / "walker.json")
     assert body is not None
-    table, turns = clip_table(body), np.arange(49) / 48
+    table, turns = build_clip_table(body), np.arange(49) / 48
     for name in ("walk", "run"):
         clip = body.clips[name]
-        playing = Playing.alike(
-            ClipTree.flat(1), np.full((49, 1), table.number(name), np.int32), (turns * clip.duration)[:, None],
+        playing = ClipPlayback.with_shared_tree(
+            ClipTree.build_flat(1), np.full((49, 1), table.find_clip(name), np.int32), (turns * clip.duration)[:, None],
             np.ones((49, 1), np.float32),
         )  # fmt: skip
-        world = posed(table, body.groups, playing).world
+        world = blend_poses(table, body.groups, playing).world
         for foot in ("foot_l", "foot_r"):
             matrices = world[:, body.rig.joint(foot)].astype(np.float64)
             for spot in ((0.14, -0.06, 0.0, 1.0), (-0.07, -0.06, 0.0, 1.0)):  # toe and heel
@@ -196,7 +196,7 @@ def test_a_cache_without_stored_bodies_is_drawn_with_the_default_body(cache: Cac
         del manifest["species"][0][key]
     path.write_text(json.dumps(manifest), encoding="utf-8")
     crowd = crowd_at(open_cache(tmp_path / "out"), 1)
-    assert crowd.worn is not None and crowd.worn.name == "ant"
+    assert crowd.body is not None and crowd.body.name == "ant"
 
 
 def test_bodies_that_differ_by_id_are_followed_into_the_frame_after() -> None:
@@ -210,28 +210,28 @@ def test_bodies_that_differ_by_id_are_followed_into_the_frame_after() -> None:
             np.ones(3),
             np.ones((3, 3)),
             agent_ids,
-            driven=DrivenPose(draws=VariationDraws(agent_ids, 5, "ant")),
+            driven=DrivenPose(variation_draws=VariationDraws(agent_ids, 5, "ant")),
         )
         for at, agent_ids in ((np.zeros((3, 3)), ids), (np.arange(9.0).reshape(3, 3), ids[::-1]))
     )
-    next_crowd = follow_agents(now, later)
-    draws = next_crowd.driven.draws
+    next_crowd = match_agents(now, later)
+    draws = next_crowd.driven.variation_draws
     assert draws is not None and (draws.seed, draws.species) == (5, "ant") and np.array_equal(draws.ids, ids)
     assert np.array_equal(next_crowd.position, later.position[::-1])
 
 
 @pytest.mark.parametrize("deformer", ["linearskinning", "dualquatskinning"])
 def test_pictures_draw_by_the_deformer_that_a_layer_names(deformer: str) -> None:
-    rabbit, count = library_body("rabbit"), 9
+    rabbit, count = load_library_body("rabbit"), 9
     binding = Binding("", "rabbit", deformer=deformer)
     body = PosedBody(replace(rabbit, layers={"body": Layer("body", deforming=(binding,))}), [("look", "")])
     share, ones, none = np.linspace(0, 0.9, count, dtype=np.float32), np.ones(count, np.float32), np.zeros(count, np.float32)
     plays = (MachineClips(np.zeros(count, np.int16), share, ones, np.full(count, -1, np.int16), none, none, none),)
     turned = np.tile([0.0, 0.0, 0.0, 1.0], (count, 1))
-    crowd = Crowd("rabbit", np.zeros((count, 3)), turned, np.ones(count), np.ones((count, 3)), worn=body, plays=plays)
-    drawn = crowd.posed(body, np.arange(count))[0]
+    crowd = Crowd("rabbit", np.zeros((count, 3)), turned, np.ones(count), np.ones((count, 3)), body=body, plays=plays)
+    drawn = crowd.pose_vertices(body, np.arange(count))[0]
     named, other = (
-        bound(rabbit, replace(binding, deformer=name), crowd.poses()).points
+        deform_binding(rabbit, replace(binding, deformer=name), crowd.compute_poses()).points
         for name in (deformer, "dualquatskinning" if deformer == "linearskinning" else "linearskinning")
     )
     assert np.abs(named - other).max() > 1e-3

@@ -14,7 +14,7 @@ from commands import run
 
 from antdsl import source_hash
 from antdsl.outputs import provenance
-from antdsl.outputs.cache.manifest import MANIFEST, ManifestError, read_manifest
+from antdsl.outputs.cache.manifest import MANIFEST_FILE_NAME, ManifestError, read_manifest
 from antdsl.scene.values import FrameRange
 
 MINIMAL = Path(__file__).resolve().parents[2] / "examples" / "minimal"
@@ -36,17 +36,18 @@ def test_a_manifest_says_what_made_it_and_names_no_folder(tmp_path: Path) -> Non
     assert creation_info is not None
     assert (creation_info.python, creation_info.numpy) == (platform.python_version(), np.__version__)
     assert (
-        creation_info.platform == f"{platform.system()} {platform.machine()}" and creation_info.sources == source_hash.sources()
+        creation_info.platform == f"{platform.system()} {platform.machine()}"
+        and creation_info.sources == source_hash.hash_sources()
     )
     assert creation_info.command == "antdsl run scene.yaml --frames 1..2 --seed 7"
-    text = (cache / MANIFEST).read_text()
+    text = (cache / MANIFEST_FILE_NAME).read_text()
     assert "private" not in text and str(tmp_path) not in text
     output = run("info", str(cache), cwd=tmp_path).stdout
     assert "made with\n" in output
     for value in creation_info.model_dump().values():
         assert value in output
     other = create_cache(tmp_path / "elsewhere", "--seed", "7", "--backend", "reference", "--out", "away", out="away")
-    other_manifest = json.loads((other / MANIFEST).read_text())
+    other_manifest = json.loads((other / MANIFEST_FILE_NAME).read_text())
     manifest = json.loads(text)
     assert {**other_manifest, "scene_path": ""} == {**manifest, "scene_path": ""}
     frame = Path("frames", "frame.0001.npz")
@@ -55,9 +56,9 @@ def test_a_manifest_says_what_made_it_and_names_no_folder(tmp_path: Path) -> Non
 
 def test_the_command_can_be_given_again_whatever_names_it_has() -> None:
     inputs = {"scene.yaml": "00", "--set pace": "4 mm/s; rm", "edit 1": "smooth orient:9"}
-    words = shlex.split(provenance.command("my $(scene).yaml", FrameRange(-3, 9), 5, inputs))
+    words = shlex.split(provenance.make_command("my $(scene).yaml", FrameRange(-3, 9), 5, inputs))
     assert words == ["antdsl", "run", "my $(scene).yaml", "--frames", "-3..9", "--seed", "5", "--set", "pace=4 mm/s; rm"]
-    assert len(provenance.command("x" * 5000, FrameRange(1, 2), 0, {})) == 2000
+    assert len(provenance.make_command("x" * 5000, FrameRange(1, 2), 0, {})) == 2000
 
 
 def test_sources_are_all_that_a_result_depends_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -71,7 +72,7 @@ def test_sources_are_all_that_a_result_depends_on(tmp_path: Path, monkeypatch: p
 
     def note() -> bool:
         """Whether the hash is another one than all before."""
-        hashes.append(source_hash.sources.__wrapped__())
+        hashes.append(source_hash.hash_sources.__wrapped__())
         return hashes[-1] not in hashes[:-1]
 
     assert note()
@@ -109,9 +110,9 @@ def test_what_a_stranger_wrote_there_is_bounded_and_shown_without_escapes(
     readable: bool,
 ) -> None:
     cache = create_cache(tmp_path / "shot")
-    document = json.loads((cache / MANIFEST).read_text())
+    document = json.loads((cache / MANIFEST_FILE_NAME).read_text())
     document["made_with"] = change(document["made_with"])
-    (cache / MANIFEST).write_text(json.dumps(document))
+    (cache / MANIFEST_FILE_NAME).write_text(json.dumps(document))
     process = run("info", str(cache), cwd=tmp_path)
     assert (process.returncode == 0) == readable
     assert "\x1b" not in process.stdout + process.stderr and "\u202e" not in process.stdout + process.stderr
@@ -123,7 +124,7 @@ def test_what_a_stranger_wrote_there_is_bounded_and_shown_without_escapes(
 def test_the_command_that_continues_a_cache_is_that_of_its_manifest(tmp_path: Path) -> None:
     cache = create_cache(tmp_path / "it's", "--seed", "7", out="out/scene")
     (cache / "frames" / "frame.0002.npz").unlink()
-    words = shlex.split(provenance.resume_command(cache))
+    words = shlex.split(provenance.make_resume_command(cache))
     assert words[1:] == [
         "run", str(cache.parents[1] / "scene.yaml"), "--frames", "1..2", "--seed", "7", "--out", str(cache), "--resume",
     ]  # fmt: skip
@@ -139,13 +140,13 @@ def test_the_command_that_continues_a_cache_is_that_of_its_manifest(tmp_path: Pa
 
 def test_a_strangers_manifest_puts_no_command_into_the_advice(tmp_path: Path) -> None:
     cache = create_cache(tmp_path / "p")
-    path = cache / MANIFEST
+    path = cache / MANIFEST_FILE_NAME
     document = json.loads(path.read_text())
     document["scene_path"] = None
     document["scene"] = "a; rm -rf $(x)"
     document["inputs"] |= {"--set w.pace": "1; ls", "assets:a.ply": "0", "scene": "0"}
     path.write_text(json.dumps(document))
-    words = shlex.split(provenance.resume_command(cache))
+    words = shlex.split(provenance.make_resume_command(cache))
     assert words[2] == "a; rm -rf $(x)" and "w.pace=1; ls" in words and "assets=FOLDER" in words
     path.unlink()
-    assert provenance.resume_command(cache) == shlex.join(["antdsl", "run", "SCENE", "--out", str(cache), "--resume"])
+    assert provenance.make_resume_command(cache) == shlex.join(["antdsl", "run", "SCENE", "--out", str(cache), "--resume"])

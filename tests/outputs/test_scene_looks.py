@@ -9,7 +9,7 @@ from meshes import box, grid
 
 from antdsl.outputs.cache.cache_reader import open_cache
 from antdsl.outputs.gallery import Gallery
-from antdsl.outputs.recording import begin, record
+from antdsl.outputs.recording import begin_recording, record_frames
 from antdsl.pipeline import open_scene
 from antdsl.runtime import Options
 
@@ -45,11 +45,11 @@ def project(folder: Path, scene: str = SCENE) -> Path:
 def test_pictures_draw_what_the_scene_says_and_the_cache_keeps_it(tmp_path: Path) -> None:
     shot, report = open_scene(project(tmp_path))
     assert shot is not None, str(report)
-    for _ in record(begin(shot, tmp_path / "out", Options(), resume=False, force=False)):
+    for _ in record_frames(begin_recording(shot, tmp_path / "out", Options(), resume=False, force=False)):
         pass
     cache = open_cache(tmp_path / "out")
     assert {mesh.name: mesh.look for mesh in cache.manifest.meshes} == {"ground": "leaf", "can": "metal"}
-    picture = Gallery(cache).picture(2)
+    picture = Gallery(cache).make_picture(2)
     assert {solid.name: solid.kind for solid in picture.solids} == {"ground": "leaf", "can": "metal"}
     assert {item.name: (item.shape, item.look) for item in picture.items} == {
         "crumb": ("crumb", "light"), "hidden": ("none", None), "apple": ("apple", None),
@@ -59,15 +59,15 @@ def test_pictures_draw_what_the_scene_says_and_the_cache_keeps_it(tmp_path: Path
 def test_a_mesh_that_is_not_to_be_seen_is_walked_on_all_the_same(tmp_path: Path) -> None:
     shot, report = open_scene(project(tmp_path, SCENE.replace("look: leaf", "look: none")))
     assert shot is not None, str(report)
-    for _ in record(begin(shot, tmp_path / "out", Options(), resume=False, force=False)):
+    for _ in record_frames(begin_recording(shot, tmp_path / "out", Options(), resume=False, force=False)):
         pass
-    picture = Gallery(open_cache(tmp_path / "out")).picture(2)
+    picture = Gallery(open_cache(tmp_path / "out")).make_picture(2)
     assert [solid.name for solid in picture.solids] == ["can"] and len(picture.crowds[0].position) == 3
 
 
 def test_an_unknown_look_is_reported_with_the_known_ones(tmp_path: Path) -> None:
     shot, report = open_scene(project(tmp_path, SCENE.replace("look: metal", "look: mettal")))
-    diagnostic = report.sorted()[0]
+    diagnostic = report.sort_by_place()[0]
     assert (
         shot is None
         and "`metal`, `soil`, `leaf`, `light`, `none`" in diagnostic.message

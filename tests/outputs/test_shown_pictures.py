@@ -13,9 +13,9 @@ from antdsl.outputs.cache.cache_reader import Cache, open_cache
 from antdsl.outputs.cache.cache_writer import read_checkpoint
 from antdsl.outputs.gallery import Gallery
 from antdsl.outputs.pictures.model import Crowd
-from antdsl.outputs.recording import begin, record
+from antdsl.outputs.recording import begin_recording, record_frames
 from antdsl.pipeline import RunChoices, open_scene
-from antdsl.runtime import Options, bind, restore, state_hash, step
+from antdsl.runtime import Options, bind, restore_checkpoint, state_hash, step
 from antdsl.scene.values import FrameRange
 
 PROGRAM = """ant 1
@@ -80,8 +80,8 @@ def folder_with(folder: Path, wear: str, program: str = PROGRAM) -> Path:
 
 def recorded(folder: Path, wear: str, options: Options | None = None) -> Cache:
     shot, report = open_scene(folder_with(folder, wear), RunChoices(frames=FrameRange(1, 10)))
-    assert shot is not None and not report.sorted(), str(report)
-    for _ in record(begin(shot, folder / "out", options or Options(), resume=False, force=False)):
+    assert shot is not None and not report.sort_by_place(), str(report)
+    for _ in record_frames(begin_recording(shot, folder / "out", options or Options(), resume=False, force=False)):
         pass
     return open_cache(folder / "out")
 
@@ -106,15 +106,15 @@ def test_the_scene_mixes_parts_by_id_and_seed(cache: Cache, tmp_path: Path) -> N
 
 
 def test_who_wears_the_same_is_a_crowd_and_is_drawn_with_it(cache: Cache) -> None:
-    crowds = Gallery(cache).picture(1).crowds
-    assert len(crowds) == 3 and all(crowd.worn is not None for crowd in crowds)
+    crowds = Gallery(cache).make_picture(1).crowds
+    assert len(crowds) == 3 and all(crowd.body is not None for crowd in crowds)
     mask = cache.frame(1)["wears.bug"]
     assert ids(crowds) == [np.flatnonzero(mask == worn).tolist() for worn in (0, 2, 4)]
     bare, hat, _ = crowds
-    assert bare.worn is not None and hat.worn is not None
-    assert len(hat.worn.faces) == len(bare.worn.faces) + 4 and hat.worn.layers == ("hat",)
-    points = hat.worn.posed(hat.plays, len(hat.position), driven=hat.driven)[0]
-    without = bare.worn.posed(hat.plays, len(hat.position), driven=hat.driven)[0]
+    assert bare.body is not None and hat.body is not None
+    assert len(hat.body.faces) == len(bare.body.faces) + 4 and hat.body.layers == ("hat",)
+    points = hat.body.pose_vertices(hat.plays, len(hat.position), driven=hat.driven)[0]
+    without = bare.body.pose_vertices(hat.plays, len(hat.position), driven=hat.driven)[0]
     assert np.array_equal(points[:, : without.shape[1]], without), "the same body, and a hat on it"
 
 
@@ -122,10 +122,10 @@ def test_a_state_shows_a_layer_and_a_channel_as_long_as_it_lasts(cache: Cache) -
     early_frame, late_frame = cache.frame(3), cache.frame(9)
     assert not (early_frame["wears.bug"] & 1).any() and (late_frame["wears.bug"] & 1).all()
     assert np.isnan(early_frame["channels.bug.mouth_open"]).all() and (late_frame["channels.bug.mouth_open"] == 0.5).all()
-    crowd = Gallery(cache).picture(9).crowds[0]
-    assert crowd.worn is not None and crowd.worn.layers == ("crumb",)
-    still = DrivenPose(looks=crowd.driven.looks)
-    opened, shut = (crowd.worn.posed(crowd.plays, len(crowd.position), driven=each)[0] for each in (crowd.driven, still))
+    crowd = Gallery(cache).make_picture(9).crowds[0]
+    assert crowd.body is not None and crowd.body.layers == ("crumb",)
+    still = DrivenPose(look_directions=crowd.driven.look_directions)
+    opened, shut = (crowd.body.pose_vertices(crowd.plays, len(crowd.position), driven=each)[0] for each in (crowd.driven, still))
     moved = np.abs(opened - shut).max(axis=(0, 2)) > 1e-4
     assert moved.sum() == 1 and np.linalg.norm(opened - shut, axis=2).max() == pytest.approx(0.1, abs=1e-5)  # half of 2 mm of 10
 
@@ -134,11 +134,11 @@ def test_a_head_turns_with_all_that_is_on_it_and_nothing_else(cache: Cache) -> N
     arrays = cache.frame(10)
     look = arrays["looks.bug.head"]
     assert look.shape == (90, 3) and np.linalg.norm(look, axis=1) == pytest.approx(1, abs=1e-5)
-    crowd = Gallery(cache).picture(10).crowds[1]  # with a hat
-    assert crowd.worn is not None and crowd.ids is not None
+    crowd = Gallery(cache).make_picture(10).crowds[1]  # with a hat
+    assert crowd.body is not None and crowd.ids is not None
     own = look[crowd.ids]
     turned, ahead = (
-        crowd.worn.posed(crowd.plays, len(crowd.position), driven=each)[0]
+        crowd.body.pose_vertices(crowd.plays, len(crowd.position), driven=each)[0]
         for each in (crowd.driven, DrivenPose(crowd.driven.channels))
     )
     pivot = np.array([0.5, 0.2, 0.0], np.float32)
@@ -154,7 +154,7 @@ def test_a_run_goes_on_from_a_checkpoint_with_what_is_shown(cache: Cache) -> Non
     shot, _ = open_scene(folder / "scene.yaml", RunChoices(frames=FrameRange(1, 10)))
     assert shot is not None
     world = bind(shot.plan, shot.setting, Options())
-    restore(world, read_checkpoint(cache, 1)[0])
+    restore_checkpoint(world, read_checkpoint(cache, 1)[0])
     for _ in range(9):
         step(world)
     assert state_hash(world) == cache.lines()[10].hash

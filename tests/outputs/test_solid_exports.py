@@ -46,7 +46,7 @@ def test_a_mesh_a_frame_and_the_volume_hold_the_same_solid(cache: Path, tmp_path
     meshes = {frame: trimesh.load(tmp_path / f"hill.{frame:03d}.ply") for frame in (1, 15, 30)}
     volumes = [meshes[frame].volume for frame in (1, 15, 30)]
     assert volumes[0] > volumes[1] > volumes[2] > 5.0, "cm^3"
-    (solid,) = DugSolids(open_cache(cache), open_cache(cache).static()).at(30)
+    (solid,) = DugSolids(open_cache(cache), open_cache(cache).read_static()).at(30)
     assert np.allclose(trimesh.load(tmp_path / "hill.030.ply", process=False).vertices, solid.vertices, atol=1e-6)
     assert np.allclose(trimesh.load(tmp_path / "hill.0030.obj").volume, volumes[2], rtol=1e-6)
     with np.load(tmp_path / "hill.npz") as archive:

@@ -10,12 +10,13 @@ from pathlib import Path
 import pytest
 from children import child_environment
 
-from antdsl import whole
+from antdsl import atomic_write
 
 
 def killed(folder: Path) -> Path:
     """A file that a process began to write before it was killed."""
-    code = "import os, sys, pathlib; from antdsl.whole import new_sibling; new_sibling(pathlib.Path(sys.argv[1])); os._exit(9)"
+    create = "from antdsl.atomic_write import create_sibling_file; create_sibling_file(pathlib.Path(sys.argv[1]))"
+    code = f"import os, sys, pathlib; {create}; os._exit(9)"
     subprocess.run([sys.executable, "-c", code, str(folder / "points.csv")], env=child_environment(), check=False)
     (left,) = folder.glob(".points.csv.*.part")
     return left
@@ -38,7 +39,7 @@ def test_only_files_of_ended_processes_of_this_machine_are_removed(tmp_path: Pat
     (tmp_path / f".link.{machine}-{process}-{chance}.part").symlink_to(tmp_path / others[0])
     (tmp_path / f".folder.{machine}-{process}-{chance}.part").mkdir()
     os.utime(left, (2**33, 2**33))  # the clock was set back since
-    with whole.atomic_path(tmp_path / "points.csv") as part:
+    with atomic_write.atomic_path(tmp_path / "points.csv") as part:
         part.write_text("x")
     assert not left.exists() and (tmp_path / "points.csv").read_text() == "x"
     assert all((tmp_path / other).exists() for other in others)
@@ -46,7 +47,7 @@ def test_only_files_of_ended_processes_of_this_machine_are_removed(tmp_path: Pat
 
 
 def test_a_file_that_this_process_writes_stays(tmp_path: Path) -> None:
-    mine = whole.new_sibling(tmp_path / "one.csv")
-    whole._cleaned_folders.clear()
-    whole.new_sibling(tmp_path / "two.csv")
+    mine = atomic_write.create_sibling_file(tmp_path / "one.csv")
+    atomic_write._cleaned_folders.clear()
+    atomic_write.create_sibling_file(tmp_path / "two.csv")
     assert mine.exists()

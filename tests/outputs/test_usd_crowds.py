@@ -13,15 +13,15 @@ pxr = pytest.importorskip("pxr")
 
 from antdsl.bodies.agents.definition import Binding, BlendTargets, Capture, Channel, Definition, InBetweens, Layer, Rig, Shape  # noqa: E402  # noqa: E402  # noqa: E402
 from antdsl.bodies.agents.poses import Poses  # noqa: E402
-from antdsl.bodies.body import rotation_matrices  # noqa: E402
+from antdsl.bodies.body import build_rotation_matrices  # noqa: E402
 from antdsl.bodies.posed_body import PosedBody  # noqa: E402
 from antdsl.outputs.cache.cache_reader import Cache, open_cache  # noqa: E402
 from antdsl.outputs.exports import AgentSubset  # noqa: E402
 from antdsl.outputs.gallery import Gallery  # noqa: E402
 from antdsl.outputs.pictures.model import Picture  # noqa: E402
-from antdsl.outputs.recording import begin, record  # noqa: E402
-from antdsl.outputs.usd.moments import rotate_by, rotation_vector  # noqa: E402
+from antdsl.outputs.recording import begin_recording, record_frames  # noqa: E402
 from antdsl.outputs.usd.stage import UsdOptions, export_instances, export_xforms  # noqa: E402
+from antdsl.outputs.usd.time_samples import compute_rotation_vectors, rotate_orientations  # noqa: E402
 from antdsl.pipeline import RunChoices, open_scene  # noqa: E402
 from antdsl.runtime import Options  # noqa: E402
 from antdsl.scene.values import FrameRange  # noqa: E402
@@ -58,7 +58,7 @@ species carrier {
 def recorded(folder: Path, frames: int) -> Cache:
     shot, report = open_scene(folder / "scene.yaml", RunChoices(frames=FrameRange(1, frames)))
     assert shot is not None, str(report)
-    for _ in record(begin(shot, folder / "out", Options(), resume=False, force=False)):
+    for _ in record_frames(begin_recording(shot, folder / "out", Options(), resume=False, force=False)):
         pass
     return open_cache(folder / "out")
 
@@ -144,13 +144,13 @@ def test_an_agent_with_a_skeleton_is_an_instance_posed_as_in_pictures(people: Ca
     sources = {str(prim.GetRelationship("skel:animationSource").GetTargets()[0]) for prim in agents}
     assert len(sources) == PEOPLE
     for frame in (1, 5, FRAMES):
-        crowd = Gallery(people).picture(frame).crowds[0]
-        assert crowd.worn is not None and crowd.ids is not None
-        poses = crowd.worn.poses(crowd.plays, PEOPLE, feet=crowd.feet_beside(np.arange(PEOPLE)))
+        crowd = Gallery(people).make_picture(frame).crowds[0]
+        assert crowd.body is not None and crowd.ids is not None
+        poses = crowd.body.compute_poses(crowd.plays, PEOPLE, feet=crowd.select_feet(np.arange(PEOPLE)))
 
-        points = crowd.worn.shape_points(poses)[0]
+        points = crowd.body.compute_shape_points(poses)[0]
         for k in range(0, PEOPLE, 3):
-            mine = points[k] * crowd.scale[k] @ rotation_matrices(crowd.orient[k : k + 1])[0].T + crowd.position[k]
+            mine = points[k] * crowd.scale[k] @ build_rotation_matrices(crowd.orient[k : k + 1])[0].T + crowd.position[k]
             theirs = skinned(stage, f"/World/walker/agent_{crowd.ids[k]}", frame)
             assert np.abs(mine - theirs).max() < 1e-5 * crowd.scale[k]
 
@@ -193,7 +193,7 @@ def test_velocities_lead_to_the_next_frame(people: Cache, tmp_path: Path) -> Non
         fps = stage.GetTimeCodesPerSecond()
         moved = (next_arrays["P"].astype(np.float64) - arrays["P"]) * fps
         assert np.allclose(instancer.GetVelocitiesAttr().Get(frame), moved, atol=1e-5)
-        turn = np.degrees(rotation_vector(unit(arrays["orient"]), unit(next_arrays["orient"]))) * fps
+        turn = np.degrees(compute_rotation_vectors(unit(arrays["orient"]), unit(next_arrays["orient"]))) * fps
         assert np.allclose(instancer.GetAngularVelocitiesAttr().Get(frame), turn, atol=1e-3) and np.abs(turn).max() > 1
         full = np.array([[*q.GetImaginary(), q.GetReal()] for q in instancer.GetOrientationsfAttr().Get(frame)])
         assert np.abs(np.abs((full * unit(arrays["orient"])).sum(axis=1)) - 1).max() < 1e-6
@@ -202,11 +202,13 @@ def test_velocities_lead_to_the_next_frame(people: Cache, tmp_path: Path) -> Non
         for share in (0.5, 1.0):
             transforms = instancer.ComputeInstanceTransformsAtTime(frame + share, frame, UsdGeom.PointInstancer.ExcludeProtoXform)
             place = arrays["P"] + (next_arrays["P"].astype(np.float64) - arrays["P"]) * share
-            orient = rotate_by(unit(arrays["orient"]), np.radians(turn) / fps * share)
+            orient = rotate_orientations(unit(arrays["orient"]), np.radians(turn) / fps * share)
             for k, matrix in enumerate(transforms):
                 assert np.allclose(matrix.ExtractTranslation(), place[k], atol=1e-4)
                 axes = np.array([matrix.TransformDir(Gf.Vec3d(*axis)).GetNormalized() for axis in np.eye(3).tolist()])
-                assert np.abs(axes.T - rotation_matrices(orient[k : k + 1])[0]).max() < 2e-3, "orientations of half precision"
+                assert np.abs(axes.T - build_rotation_matrices(orient[k : k + 1])[0]).max() < 2e-3, (
+                    "orientations of half precision"
+                )
 
 
 def unit(orient: np.ndarray) -> np.ndarray:
@@ -218,9 +220,12 @@ def test_turns_between_orientations_are_those_that_lead_there() -> None:
     rng = np.random.default_rng(3)
     a, b = (unit(rng.normal(size=(50, 4))) for _ in range(2))
     b[:5] = -a[:5]  # the same orientation
-    orientations = rotate_by(a, rotation_vector(a, b))
+    orientations = rotate_orientations(a, compute_rotation_vectors(a, b))
     assert np.abs(np.abs((orientations * b).sum(axis=1)) - 1).max() < 1e-12
-    assert np.abs(rotation_vector(a, b)[:5]).max() < 1e-7 and np.linalg.norm(rotation_vector(a, b), axis=1).max() <= np.pi + 1e-9
+    assert (
+        np.abs(compute_rotation_vectors(a, b)[:5]).max() < 1e-7
+        and np.linalg.norm(compute_rotation_vectors(a, b), axis=1).max() <= np.pi + 1e-9
+    )
 
 
 def test_prototypes_are_the_nearest_poses_in_the_colour_of_the_state(people: Cache, tmp_path: Path) -> None:
@@ -234,10 +239,10 @@ def test_prototypes_are_the_nearest_poses_in_the_colour_of_the_state(people: Cac
     states = people.manifest.species[0].machines[0].states
     used = set()
     for frame in (2, FRAMES):
-        crowd = Gallery(people).picture(frame).crowds[0]
-        assert crowd.worn is not None
+        crowd = Gallery(people).make_picture(frame).crowds[0]
+        assert crowd.body is not None
         numbers, state = instancer.GetProtoIndicesAttr().Get(frame), people.frame(frame)["state"]
-        points = crowd.worn.coarse.shape_points(crowd.worn.coarse.poses(crowd.plays, PEOPLE))[0]
+        points = crowd.body.coarse.compute_shape_points(crowd.body.coarse.compute_poses(crowd.plays, PEOPLE))[0]
         for k in range(PEOPLE):
             mesh = UsdGeom.Mesh(stage.GetPrimAtPath(paths[numbers[k]]))
             used.add(paths[numbers[k]])
@@ -377,7 +382,7 @@ def test_blended_and_skinned_shapes_are_those_of_usd(tmp_path: Path) -> None:
     shapes = {
         "face": face,
         "smiles": Shape(
-            "smiles", points + rng.normal(size=(12, 3)).astype(np.float32), faces, between=InBetweens(("half",), (0.4,))
+            "smiles", points + rng.normal(size=(12, 3)).astype(np.float32), faces, in_betweens=InBetweens(("half",), (0.4,))
         ),
         "half": Shape("half", points + rng.normal(size=(12, 3)).astype(np.float32), faces),
         "coat": replace(face, name="coat", blend=None, capture=captured(moved)),
@@ -397,7 +402,7 @@ def test_blended_and_skinned_shapes_are_those_of_usd(tmp_path: Path) -> None:
     turns = np.array([[0.1, 0.2, 0.3, 0.9], [0.5, -0.1, 0.2, 0.8], [0, 0.3, -0.4, 0.8]])
     turns /= np.linalg.norm(turns, axis=1, keepdims=True)
     local = np.tile(np.eye(4), (3, 1, 1))
-    local[:, :3, :3], local[:, :3, 3] = rotation_matrices(turns), rng.normal(size=(3, 3))
+    local[:, :3, :3], local[:, :3, 3] = build_rotation_matrices(turns), rng.normal(size=(3, 3))
     placed = np.stack([local[0], local[0] @ local[1], local[0] @ local[1] @ local[2]])
     moves = UsdSkel.Animation.Define(stage, "/moves")
     moves.CreateJointsAttr(list(usd_definition.joints))
@@ -407,7 +412,7 @@ def test_blended_and_skinned_shapes_are_those_of_usd(tmp_path: Path) -> None:
     for weight in (0.0, 0.2, 0.4, 0.7, 1.0, 1.3):
         moves.CreateBlendShapeWeightsAttr([weight])
         poses = Poses(placed[None, :, :3].astype(np.float32), None, np.array([[weight]], np.float32))
-        from antdsl.bodies.agents.deformers import bound
+        from antdsl.bodies.agents.deformers import deform_binding
 
         root, cache = UsdSkel.Root(stage.GetPrimAtPath("/it")), UsdSkel.Cache()
         cache.Populate(root, Usd.PrimDefaultPredicate)
@@ -415,7 +420,7 @@ def test_blended_and_skinned_shapes_are_those_of_usd(tmp_path: Path) -> None:
             query = cache.GetSkelQuery(binding.GetSkeleton())
             for target in binding.GetSkinningTargets():
                 name = target.GetPrim().GetName()
-                mine = bound(body.shaded, next(b for b in body.bindings if b.shape == name), poses).points[0]
+                mine = deform_binding(body.drawn_definition, next(b for b in body.bindings if b.shape == name), poses).points[0]
                 theirs = target.GetPrim().GetAttribute("points").Get()
                 if name == "face":
                     theirs = blended(target, theirs, weight)
@@ -438,13 +443,13 @@ def test_feet_and_trunks_of_skeletons_are_where_pictures_have_them(breeders: Cac
     """UsdSkel has scales in half precision: a gaster that breathes is off by a few ten-thousandths of a body length."""
 
     stage = exported(breeders, tmp_path / "out.usdc")
-    crowd = Gallery(breeders).picture(6).crowds[0]
-    assert crowd.worn is not None and crowd.feet is not None and crowd.ids is not None
-    points = crowd.worn.shape_points(crowd.poses())[0]
-    flat = crowd.worn.shape_points(crowd.worn.poses(crowd.plays, len(points)))[0]
+    crowd = Gallery(breeders).make_picture(6).crowds[0]
+    assert crowd.body is not None and crowd.feet is not None and crowd.ids is not None
+    points = crowd.body.compute_shape_points(crowd.compute_poses())[0]
+    flat = crowd.body.compute_shape_points(crowd.body.compute_poses(crowd.plays, len(points)))[0]
     assert np.abs(points - flat).max() > 0.02, "feet matter"
     for k in range(0, len(points), 3):
-        mine = points[k] * crowd.scale[k] @ rotation_matrices(crowd.orient[k : k + 1])[0].T + crowd.position[k]
+        mine = points[k] * crowd.scale[k] @ build_rotation_matrices(crowd.orient[k : k + 1])[0].T + crowd.position[k]
         assert np.abs(mine - skinned(stage, f"/World/breeder/agent_{crowd.ids[k]}", 6)).max() < 4e-4 * crowd.scale[k]
 
 
@@ -452,7 +457,7 @@ def test_agents_without_a_place_are_invisible(people: Cache, tmp_path: Path) -> 
     from pxr import Usd, UsdGeom
 
     from antdsl.outputs.usd.instancers import InstancerWriter
-    from antdsl.outputs.usd.moments import TimeSamples
+    from antdsl.outputs.usd.time_samples import TimeSamples
     from antdsl.outputs.usd.values import StageOutput
 
     gallery, stage = Gallery(people), Usd.Stage.CreateInMemory()
@@ -470,7 +475,7 @@ def test_agents_without_a_place_are_invisible(people: Cache, tmp_path: Path) -> 
 def test_missing_features_of_usdskel_are_reported() -> None:
     from pxr import Usd
 
-    from antdsl.bodies.agents.deformers import DEFORMER_BY_NAME, register
+    from antdsl.bodies.agents.deformers import DEFORMER_BY_NAME, register_deformer
     from antdsl.outputs.usd.definitions import write_definition
     from antdsl.outputs.usd.materials import MaterialBinder
 
@@ -480,7 +485,7 @@ def test_missing_features_of_usdskel_are_reported() -> None:
     share = {"share": np.ones(3, np.float32)}
     skin = Shape("skin", points, faces, attributes=dict(share), capture=capture, dual_quaternion_blend="share")
     layer = Layer("body", (), (Binding("", "skin", deformer="dualquatblendskinning"), Binding("root", "fur", deformer="ruffled")))
-    register("ruffled", lambda vertices, shape, definition, poses: vertices)
+    register_deformer("ruffled", lambda vertices, shape, definition, poses: vertices)
     try:
         shapes = {"skin": skin, "fur": Shape("fur", points, faces)}
         body = PosedBody(Definition("it", Rig(("root",), np.array([-1], np.int32), rest), shapes, {"body": layer}), ())
@@ -514,14 +519,14 @@ def test_some_agents_wear_what_they_wear_among_all(carriers: Cache) -> None:
     subset_cache = AgentSubset(carriers.folder, carriers.manifest, frozenset([1, 3]))
     worn = set()
     for frame in carriers.frames():
-        all_layers = layers_by_id(Gallery(carriers).picture(frame))
-        assert layers_by_id(Gallery(subset_cache).picture(frame)) == {name: all_layers[name] for name in (1, 3)}
+        all_layers = layers_by_id(Gallery(carriers).make_picture(frame))
+        assert layers_by_id(Gallery(subset_cache).make_picture(frame)) == {name: all_layers[name] for name in (1, 3)}
         worn |= {all_layers[1], all_layers[3]}
     assert len(worn) == 2
 
 
 def layers_by_id(picture: Picture) -> dict[int, tuple[str, ...]]:
-    return {int(name): crowd.worn.layers for crowd in picture.crowds for name in crowd.ids}
+    return {int(name): crowd.body.layers for crowd in picture.crowds for name in crowd.ids}
 
 
 def test_things_of_one_name_and_a_field_that_is_gone_keep_apart() -> None:
@@ -538,7 +543,7 @@ def test_things_of_one_name_and_a_field_that_is_gone_keep_apart() -> None:
     class Nothing:
         manifest = type("Manifest", (), {"up": "y", "units": "mm"})
 
-        def camera(self, frame: int) -> None:
+        def make_camera(self, frame: int) -> None:
             return None
 
     writer = WorldWriter(out, Nothing(), [1, 2, 3])  # type: ignore[arg-type]

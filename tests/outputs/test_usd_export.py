@@ -12,10 +12,10 @@ pxr = pytest.importorskip("pxr")
 import meshes  # noqa: E402
 import usd_sets  # noqa: E402
 
-from antdsl.bodies.body import rotation_matrices  # noqa: E402
-from antdsl.cli import _run as run_command  # noqa: E402
+from antdsl.bodies.body import build_rotation_matrices  # noqa: E402
+from antdsl.cli import _run_without_warnings as run_command  # noqa: E402
 from antdsl.outputs.cache.cache_reader import open_cache  # noqa: E402
-from antdsl.outputs.recording import begin, record  # noqa: E402
+from antdsl.outputs.recording import begin_recording, record_frames  # noqa: E402
 from antdsl.pipeline import RunChoices, Shot, open_scene  # noqa: E402
 from antdsl.runtime import Options  # noqa: E402
 from antdsl.scene import Roots  # noqa: E402
@@ -36,7 +36,7 @@ def shot_and_cache(tmp_path_factory: pytest.TempPathFactory) -> tuple[Shot, Path
     path.write_text(text.replace("up: y", "up: z").replace("units: mm", "units: cm"))
     shot, report = open_scene(path, RunChoices({"assets": folder / "assets"}))
     assert shot is not None, report.errors
-    for _ in record(begin(shot, folder / "cache", Options(), resume=False, force=False)):
+    for _ in record_frames(begin_recording(shot, folder / "cache", Options(), resume=False, force=False)):
         pass
     return shot, folder / "cache"
 
@@ -66,7 +66,7 @@ def test_a_cache_is_read_back_from_usd(
         assert np.array_equal(np.array(ants.GetScalesAttr().Get(frame))[:, 1], arrays["pscale"])
         # where an instance turns the body's head (+x) and back (+y)
         transforms = ants.ComputeInstanceTransformsAtTime(frame, frame, UsdGeom.PointInstancer.ExcludeProtoXform)
-        for matrix, orient in zip(transforms, rotation_matrices(arrays["orient"].astype(np.float64)), strict=True):
+        for matrix, orient in zip(transforms, build_rotation_matrices(arrays["orient"].astype(np.float64)), strict=True):
             turn = np.array([matrix.TransformDir(Gf.Vec3d(*axis)).GetNormalized() for axis in np.eye(3).tolist()])
             assert np.abs(turn - orient.T).max() < 5e-3, "quaternions of half precision"
     poses = ants.GetPrototypesRel().GetTargets()
@@ -108,16 +108,17 @@ def test_meshes_and_camera_come_back_through_a_scene(
         original_mesh = {**shot.setting.surfaces, **shot.setting.obstacles}[name]
         loaded_mesh = read_usd_mesh(open_stage(Roots(tmp_path, {}), "out.usdc", f"/World/{name}", **stage_arguments))
         assert (
-            np.array_equal(loaded_mesh.raw.faces, original_mesh.faces)
-            and np.abs(loaded_mesh.raw.vertices - original_mesh.vertices).max() < 1e-4
+            np.array_equal(loaded_mesh.raw_mesh.faces, original_mesh.faces)
+            and np.abs(loaded_mesh.raw_mesh.vertices - original_mesh.vertices).max() < 1e-4
         )
-        assert (loaded_mesh.moves is not None) == (name == "roller")
-    assert loaded_mesh.moves is not None
-    moves = shot.setting.moves.meshes["roller"]
+        assert (loaded_mesh.motion is not None) == (name == "roller")
+    assert loaded_mesh.motion is not None
+    moves = shot.setting.motion.meshes["roller"]
     for k in range(6):
         assert (
             np.abs(
-                loaded_mesh.moves.vertices_at(loaded_mesh.raw.vertices, k) - moves.vertices_at(original_mesh.vertices, k)
+                loaded_mesh.motion.compute_vertices(loaded_mesh.raw_mesh.vertices, k)
+                - moves.compute_vertices(original_mesh.vertices, k)
             ).max()
             < 1e-4
         )
@@ -130,7 +131,7 @@ def test_meshes_and_camera_come_back_through_a_scene(
     stage = Usd.Stage.Open(str(tmp_path / "out.usdc"))
     assert all(prim.IsA(UsdGeom.Imageable) for prim in stage.Traverse() if str(prim.GetPath()).startswith("/World/items"))
     food = read_usd_mesh(open_stage(Roots(tmp_path, {}), "out.usdc", "/World/items/food_0", **stage_arguments))
-    middle = (food.raw.vertices.min(axis=0) + food.raw.vertices.max(axis=0)) / 2
+    middle = (food.raw_mesh.vertices.min(axis=0) + food.raw_mesh.vertices.max(axis=0)) / 2
     assert np.linalg.norm(middle - shot.setting.items["food"][0].position) < 10
 
 
@@ -142,7 +143,7 @@ def test_what_stays_for_a_while_does_not_drift(tmp_path: Path) -> None:
 
     stage = Usd.Stage.CreateInMemory()
     attribute = stage.DefinePrim("/a").CreateAttribute("x", Sdf.ValueTypeNames.Float)
-    samples = StageOutput(stage).samples(attribute, lambda v: float(v[0]))
+    samples = StageOutput(stage).add_samples(attribute, lambda v: float(v[0]))
     for frame, value in enumerate((1, 1, 1, 1, 9, 9, 3), 1):
         samples.set(frame, [value])
     assert attribute.GetTimeSamples() == [1, 4, 5, 6, 7]
@@ -171,7 +172,7 @@ species breeder {
     )
     shot, report = open_scene(tmp_path / "scene.yaml")
     assert shot is not None, report.errors
-    for _ in record(begin(shot, tmp_path / "cache", Options(), resume=False, force=False)):
+    for _ in record_frames(begin_recording(shot, tmp_path / "cache", Options(), resume=False, force=False)):
         pass
     assert (
         command(monkeypatch, "export", str(tmp_path / "cache"), "--to", str(tmp_path / "out.usda"), "-q", "--skeletons", "0") == 0

@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from antdsl.atomic_write import write_atomically
 from antdsl.outputs.cache import npz, zip_parts
-from antdsl.outputs.cache.zip_parts import NotStored, Stored, form_of, read_headers, stored_file
-from antdsl.whole import write_atomically
+from antdsl.outputs.cache.zip_parts import NotStored, StoredFile, make_member_form, make_stored_file, read_headers
 
 MEMBERS = [
     ("frame.npy", b"head", np.int64(7).tobytes()), ("P.npy", b"a head of its own", bytes(range(256)) * 40),
@@ -21,8 +21,8 @@ MEMBERS = [
 ]  # fmt: skip
 
 
-def build_zip(count: int = len(MEMBERS)) -> Stored:
-    return stored_file((form_of(name, head, len(rest)), memoryview(rest)) for name, head, rest in MEMBERS[:count])
+def build_zip(count: int = len(MEMBERS)) -> StoredFile:
+    return make_stored_file((make_member_form(name, head, len(rest)), memoryview(rest)) for name, head, rest in MEMBERS[:count])
 
 
 def parts() -> list[bytes | memoryview]:
@@ -46,8 +46,8 @@ def test_a_file_is_that_of_zipfile(count: int) -> None:
 
 @pytest.mark.parametrize("limit", [0, 30, 5000, 20000])
 def test_what_is_longer_than_four_bytes_tell_is_read(limit: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(zip_parts, "LIMIT", limit)
-    monkeypatch.setattr(zip_parts, "MOST", 3 if limit else 1 << 16)
+    monkeypatch.setattr(zip_parts, "MAX_SHORT_SIZE", limit)
+    monkeypatch.setattr(zip_parts, "MAX_SHORT_COUNT", 3 if limit else 1 << 16)
     with zipfile.ZipFile(io.BytesIO(b"".join(parts()))) as file:
         assert file.testzip() is None and file.namelist() == [name for name, _, _ in MEMBERS]
         assert all(file.read(name) == head + rest for name, head, rest in MEMBERS)
@@ -57,7 +57,7 @@ def test_what_is_longer_than_four_bytes_tell_is_read(limit: int, monkeypatch: py
 @pytest.mark.parametrize("most", [1, 3, 64, 1 << 20])
 def test_headers_are_read_from_blocks_of_any_length(limit: int | None, most: int, monkeypatch: pytest.MonkeyPatch) -> None:
     if limit is not None:
-        monkeypatch.setattr(zip_parts, "LIMIT", limit)
+        monkeypatch.setattr(zip_parts, "MAX_SHORT_SIZE", limit)
     for count in range(len(MEMBERS) + 1):
         file = build_zip(count)
         data = b"".join(file.parts)
@@ -66,7 +66,7 @@ def test_headers_are_read_from_blocks_of_any_length(limit: int | None, most: int
 
 
 def test_who_knows_the_headers_sees_every_bit_that_differs_and_every_cut() -> None:
-    file = stored_file((form_of(name, head, len(rest[:40])), memoryview(rest[:40])) for name, head, rest in MEMBERS)
+    file = make_stored_file((make_member_form(name, head, len(rest[:40])), memoryview(rest[:40])) for name, head, rest in MEMBERS)
     data, headers = b"".join(file.parts), b"".join(file.headers)
 
     def has_change(other: bytes) -> bool:
@@ -85,7 +85,7 @@ def test_who_knows_the_headers_sees_every_bit_that_differs_and_every_cut() -> No
 
 def test_the_rest_of_a_member_is_not_copied() -> None:
     array = np.arange(10)
-    npz_data = npz.npz_file({"a": array})
+    npz_data = npz.make_npz_file({"a": array})
     assert any(isinstance(part, memoryview) and np.shares_memory(np.frombuffer(part, np.uint8), array) for part in npz_data.parts)
 
 
@@ -93,7 +93,7 @@ def test_the_rest_of_a_member_is_not_copied() -> None:
 @pytest.mark.parametrize("most", [1, 3, 1000])
 def test_parts_are_written_whole(part_size: int | None, most: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """`part_size`: bytes that the system takes at once; None where it takes no parts."""
-    monkeypatch.setattr("antdsl.whole._PARTS_PER_WRITE", most)
+    monkeypatch.setattr("antdsl.atomic_write._PARTS_PER_WRITE", most)
     if part_size is None:
         monkeypatch.delattr(os, "writev", raising=False)
     else:

@@ -10,37 +10,37 @@ from plan_text import plan_of
 
 from antdsl.passes import PASSES, optimise
 from antdsl.passes.drop_unused import drop_unused
-from antdsl.passes.fold import fold
-from antdsl.passes.hoist import hoist
-from antdsl.passes.keep import keep_senses
-from antdsl.passes.merge import merge
-from antdsl.passes.narrow import narrow
+from antdsl.passes.fold import fold_regions
+from antdsl.passes.hoist import hoist_factors
+from antdsl.passes.memoise_senses import memoise_senses
+from antdsl.passes.merge_regions import merge_regions
+from antdsl.passes.split_conditions import split_conditions
 from antdsl.pipeline import compile_files
 from antdsl.plan import lower, show, verify
 from antdsl.plan.ir import SENSE_OPERATIONS, If, Store, UpdateRate
-from antdsl.plan.traverse import operands, required_nodes, roots, statements
+from antdsl.plan.traverse import collect_required_nodes, iterate_statements, list_operands, list_root_nodes
 
 ROOT = Path(__file__).parents[2]
 CASES = sorted((ROOT / "tests" / "cases" / "plan").glob("*.ant"))
 
 
 def count(plan, op: str) -> int:
-    return sum(node.op == op for node in required_nodes(roots(plan)))
+    return sum(node.op == op for node in collect_required_nodes(list_root_nodes(plan)))
 
 
 def all_of(plan, kind: type, phase: str | None = None) -> list:
     phases = [phase] if phase else ["born", "decide", "act", "blend"]
-    return [s for p in phases for _, s in statements(getattr(plan.species["a"], p)) if isinstance(s, kind)]
+    return [s for p in phases for _, s in iterate_statements(getattr(plan.species["a"], p)) if isinstance(s, kind)]
 
 
 def test_fold_removes_empty_regions_and_opens_those_of_all_agents():
     plan = plan_of("species a { start s\nstate s { steer heading\nwhen 1 > 2 -> t }\nstate t { when true -> s } }")
-    folded = fold(plan)
+    folded = fold_regions(plan)
     verify(folded)
     assert not [s for s in all_of(folded, Store, "decide") if s.register == "~main.pending" and "#1" in str(s.value)]
     assert len(all_of(folded, If)) <= len(all_of(plan, If))
     assert len(folded.nodes) <= len(plan.nodes)
-    assert {n for n in roots(folded)} <= set(folded.nodes)
+    assert {n for n in list_root_nodes(folded)} <= set(folded.nodes)
 
 
 def test_drop_unused_leaves_the_state_of_the_world_and_takes_the_rest():
@@ -48,7 +48,7 @@ def test_drop_unused_leaves_the_state_of_the_world_and_takes_the_rest():
         "species a { n = 0\nstart s\nstate s { n += 1 /s\nsteer heading * 0.5\nwhen n > 1 -> t }\n"
         "state t { when n > 2 -> s }\nlayers { up * 1; state when 1 > 2 } }"
     )
-    new_plan = drop_unused(fold(plan))
+    new_plan = drop_unused(fold_regions(plan))
     verify(new_plan)
     registers = new_plan.species["a"].registers
     assert {"n", "main.time_in_state", "push.x"} <= set(registers)
@@ -63,7 +63,7 @@ def test_merge_joins_neighbours_with_one_condition_unless_the_first_changes_it()
         "state t {{ when n > 2 -> s }} }}"
     )
     plan = plan_of(text.format("2"))
-    merged = merge(plan)
+    merged = merge_regions(plan)
     verify(merged)
     events = [s for s in all_of(plan, If, "decide") if s.condition.op == "event"]
     joined = [s for s in all_of(merged, If, "decide") if s.condition.op == "event"]
@@ -76,16 +76,16 @@ def test_hoist_takes_what_all_pairs_share_out_of_them():
         "species a { start s\n"
         "state s { steer sum(n in neighbours(2 * size): direction(n, to: self) * (distance(n) / size) * mass / 1 g * 0.5) } }"
     )
-    new_plan = hoist(plan)
+    new_plan = hoist_factors(plan)
     verify(new_plan)
 
     def pairs(p) -> int:
-        return sum(n.rate is UpdateRate.PAIR and n.op in ("mul", "div") for n in required_nodes(roots(p)))
+        return sum(n.rate is UpdateRate.PAIR and n.op in ("mul", "div") for n in collect_required_nodes(list_root_nodes(p)))
 
     assert pairs(new_plan) < pairs(plan)
     assert not [
         n
-        for n in required_nodes(roots(new_plan))
+        for n in collect_required_nodes(list_root_nodes(new_plan))
         if n.op == "div" and n.rate is UpdateRate.PAIR and n.args[1].rate < UpdateRate.PAIR
     ]
 
@@ -95,16 +95,18 @@ def test_hoist_shares_among_components_what_is_the_same_for_all():
         "species a { start s\nstate s { steer sum(n in neighbours(2 * size): "
         "direction(n, to: self) * (1 - distance(n) / size)) } }"
     )
-    new_plan = hoist(plan)
+    new_plan = hoist_factors(plan)
     verify(new_plan)
 
     def products(p) -> int:
-        return sum(n.rate is UpdateRate.PAIR and n.op in ("mul", "neg", "div") for n in required_nodes(roots(p)))
+        return sum(
+            n.rate is UpdateRate.PAIR and n.op in ("mul", "neg", "div") for n in collect_required_nodes(list_root_nodes(p))
+        )
 
     # 1 / distance, its product with the weight, distance * (1 / size), and one product for each of x, y and z
     assert products(new_plan) == 6
     assert products(plan) == 11
-    sums = [n for n in required_nodes(roots(new_plan)) if n.op == "reduce.sum"]
+    sums = [n for n in collect_required_nodes(list_root_nodes(new_plan)) if n.op == "reduce.sum"]
     assert [n.args[2].args[0].op for n in sums] == ["pair.x", "pair.y", "pair.z"]
 
 
@@ -113,24 +115,24 @@ def test_narrow_asks_the_cheap_half_first():
         "species a { n = 0\nstart s\nstate s { n += 1 /s\nsteer heading }\n"
         "layers { up * 0.5 when nearest(food, within: 9 mm) is not none and n > 3; state } }"
     )
-    new_plan = narrow(plan)
+    new_plan = split_conditions(plan)
     verify(new_plan)
     outer = next(s for s in new_plan.species["a"].blend.statements if isinstance(s, If))
     inner = outer.then.statements[0]
     assert isinstance(inner, If)
-    assert not [n for n in required_nodes(operands(outer)) if n.op in SENSE_OPERATIONS]
-    assert [n for n in required_nodes(operands(inner)) if n.op == "reduce.item"]
+    assert not [n for n in collect_required_nodes(list_operands(outer)) if n.op in SENSE_OPERATIONS]
+    assert [n for n in collect_required_nodes(list_operands(inner)) if n.op == "reduce.item"]
 
 
 def test_keep_notes_senses_that_several_regions_ask_for():
-    plan = keep_senses(plan_of(
+    plan = memoise_senses(plan_of(
         
             "species a { let f = nearest(food)\nlet g = nearest(nest)\nstart s\n"
             "state s { steer direction(f)\nwhen touching(f) -> t }\nstate t { steer direction(g)\n"
             "when false -> s } }"
         
     ))  # fmt: skip
-    assert [n.args[0].attrs for n in plan.species["a"].lazy] == [("food",)]
+    assert [n.args[0].attrs for n in plan.species["a"].memoised_senses] == [("food",)]
 
 
 def test_passes_are_idempotent_together():

@@ -10,8 +10,8 @@ from plan_text import codes, lowered, plan_of
 
 from antdsl.plan.lowering import expressions
 from antdsl.plan.lowering.rules import OPERATION_RULES
-from antdsl.plan.lowering.sets import quantum_exponent
-from antdsl.plan.traverse import operands, required_nodes, statements
+from antdsl.plan.lowering.sets import choose_quantum_exponent
+from antdsl.plan.traverse import collect_required_nodes, iterate_statements, list_operands
 from antdsl.program import model
 from antdsl.program.model import Dimension
 from antdsl.program.tables import vocabulary
@@ -147,7 +147,7 @@ def ops_of(text: str) -> dict[str, list[tuple]]:
     operations: dict[str, list[tuple]] = {}
     for species in plan.species.values():
         for phase in (species.born, species.decide, species.act, species.blend):
-            for node in required_nodes(n for _, s in statements(phase) for n in operands(s)):
+            for node in collect_required_nodes(n for _, s in iterate_statements(phase) for n in list_operands(s)):
                 operations.setdefault(node.op, []).append(node.attrs)
     return operations
 
@@ -165,7 +165,7 @@ def test_sets_become_what_the_runtime_has():
 
 def test_terms_of_sums_are_rounded_by_their_dimension():
     assert [
-        quantum_exponent(d)
+        choose_quantum_exponent(d)
         for d in (Dimension(), Dimension(length=1), Dimension(length=1, time=-1), Dimension(length=2), Dimension(length=-1))
     ] == [-24, -20, -20, -10, -30]
 
@@ -183,7 +183,7 @@ def test_what_cannot_run_is_refused_at_its_place():
     world = "ant 1\nworld {\n  surface ground\n  obstacle stones\n}\nfield trail on stones { cell 4 mm; half_life 4 s }\n"
     _, report = lowered("species a {\n  start s\n  state s { steer heading * trail }\n}", world)
     assert set(codes(report)) == {"not-yet"}
-    lines = [d.span.source.line_column(d.span.start)[0] for d in report.diagnostics if d.span]
+    lines = [d.span.source.find_line_column(d.span.start)[0] for d in report.diagnostics if d.span]
     assert lines == [6]
     assert all(d.help for d in report.diagnostics)
 
@@ -210,7 +210,7 @@ def test_an_order_that_does_not_fit_is_refused(order, word):
 @pytest.mark.parametrize("sign", ["+", "*", "/", "-"])
 def test_what_stands_deep_in_an_expression_is_lowered_once(sign: str, monkeypatch: pytest.MonkeyPatch) -> None:
     nodes = []
-    plain = expressions._param
+    plain = expressions._lower_param
     monkeypatch.setitem(expressions._LOWERER_BY_EXPRESSION, model.ParamRef, lambda w, e: nodes.append(e) or plain(w, e))
     plan_of(f"species a {{\nparam deep = 2\nx = 0\nstart s\nstate s {{ x = {f' {sign} '.join(['deep'] * 24)} }}\n}}\n")
     assert len(nodes) == 24

@@ -230,7 +230,7 @@ def test_events_reach_handlers_before_the_changes(agent):
     )
     assert a.step().state == "q"
     assert a.done == [("emit", "alarm", 5, None)]
-    assert a.species.handles == ("alarm",)
+    assert a.species.event_names == ("alarm",)
     assert a.step().state == "p"
 
 

@@ -16,11 +16,11 @@ from antdsl.plan.builder import PlanError
 from antdsl.plan.lowering.actions import OPERAND_LOWERERS
 from antdsl.plan.lowering.rules import OPERATION_RULES
 from antdsl.plan.show import show
-from antdsl.plan.traverse import statements
-from antdsl.plan.verify import names_by_kind
-from antdsl.program.declarations.asks import argument_type
+from antdsl.plan.traverse import iterate_statements
+from antdsl.plan.verify import collect_names_by_kind
+from antdsl.program.declarations.effect_requests import find_argument_type
 from antdsl.program.model import TypeKind
-from antdsl.program.names.scope import type_from_words
+from antdsl.program.names.scope import parse_type_words
 from antdsl.program.tables import effects
 from antdsl.program.tables.effects import EFFECT_BY_OPERATION, Effect
 from antdsl.program.tables.rows import ArgumentRow, BuiltinRow
@@ -31,7 +31,7 @@ from antdsl.program.tables.vocabulary import BUILTINS_BY_NAME, COST_BY_OPERATION
 from antdsl.program.types import sets
 from antdsl.runtime import Options, bind, phases, sensing, step
 from antdsl.runtime.world import World
-from antdsl.scene.kinds import KINDS
+from antdsl.scene.scene_kinds import SCENE_KINDS
 from antdsl.syntax.verbs import VERB_BY_WORD
 from antdsl.syntax.words import WORLD_KIND_WORDS
 
@@ -46,8 +46,8 @@ def test_every_sense_has_an_operation_and_a_function() -> None:
         assert op == row.op and op in ir.SENSE_OPERATIONS and operation.rate is ir.UpdateRate.AGENT
         assert operation.args == row.operands and operation.attrs == ((row.of,) if row.of else ()) + row.attrs
         assert operation.kind is (ir.ValueKind.TUPLE if op in ir.TUPLE_KINDS_BY_OPERATION else ir.KIND_BY_LETTER[row.kinds])
-        assert not row.nothing or row.results[0].kind == "b"
-        assert not row.of or row.of in names_by_kind(plan_of("species ant {}\n"))
+        assert not row.empty_trace or row.results[0].kind == "b"
+        assert not row.of or row.of in collect_names_by_kind(plan_of("species ant {}\n"))
 
 
 def test_every_word_of_a_sense_has_a_rule_and_a_name_in_the_vocabulary() -> None:
@@ -56,7 +56,7 @@ def test_every_word_of_a_sense_has_a_rule_and_a_name_in_the_vocabulary() -> None
     for word in words:
         assert word.op in OPERATION_RULES
         assert word.help and (word.sample or word.called or word.form == "value")
-        assert type_from_words(word.result) is not None or word.result.startswith("vector ") or word.result == "hit"
+        assert parse_type_words(word.result) is not None or word.result.startswith("vector ") or word.result == "hit"
         if word.form == "call":
             assert word in BUILTINS_BY_NAME[word.name]
         elif word.form == "name":
@@ -66,15 +66,15 @@ def test_every_word_of_a_sense_has_a_rule_and_a_name_in_the_vocabulary() -> None
         )
     for row in SENSE_BY_OPERATION.values():
         for word in row.words:
-            assert word.result == "hit" or row.place(word.part)[1] in (1, 3)
+            assert word.result == "hit" or row.find_result_index(word.part)[1] in (1, 3)
     assert {word.args[0].type for word in find_words("value")} == {"field", "flow", "map"}
 
 
 def test_every_set_has_a_rule_and_operations() -> None:
     assert set(sets.SET_CHECKERS) == set(SET_SENSE_BY_OPERATION) <= set(BUILTINS_BY_NAME)
     for row in SET_SENSE_BY_OPERATION.values():
-        assert set(row.sets) <= set(ir.OPERATION_BY_NAME) and (row.cost is None) == (not row.sets)
-    set_operations = {op for row in SET_SENSE_BY_OPERATION.values() for op in row.sets}
+        assert set(row.plan_operations) <= set(ir.OPERATION_BY_NAME) and (row.cost is None) == (not row.plan_operations)
+    set_operations = {op for row in SET_SENSE_BY_OPERATION.values() for op in row.plan_operations}
     assert {op for op in ir.OPERATION_BY_NAME if op.startswith("set.")} <= set_operations
 
 
@@ -97,7 +97,7 @@ def test_every_effect_is_lowered_and_settled() -> None:
         s.op
         for each in plan.species.values()
         for b in (each.decide, each.act)
-        for _, s in statements(b)
+        for _, s in iterate_statements(b)
         if isinstance(s, ir.Request)
     }
     assert request_ops == set(EFFECT_BY_OPERATION), (
@@ -115,12 +115,16 @@ def test_every_effect_is_lowered_and_settled() -> None:
     }  # settled between all who ask; what is shown
     names = {name for name, _ in phases.PHASES}
     for op, row in EFFECT_BY_OPERATION.items():
-        assert op == row.op and row.phase in names and row.optional <= set(row.operands)
-        arguments = {**dict.fromkeys(row.operands, "1"), "of": "it", "own": "soil", "receiver": "ant"}
-        assert "{" not in effects.fill_template(row.plan_text, arguments) + effects.fill_template(row.trace, arguments)
-        assert not row.above_0 or row.refused
-        assert bool(row.computed) == (op in OPERAND_LOWERERS) and len(row.args) - len(row.numbers) <= 1
-        assert row.computed or all(argument_type(arg).kind in (TypeKind.NUMBER, TypeKind.AGENT) for arg in row.numbers)
+        assert op == row.op and row.phase in names and row.optional_operands <= set(row.operand_names)
+        arguments = {**dict.fromkeys(row.operand_names, "1"), "of": "it", "own": "soil", "receiver": "ant"}
+        assert "{" not in effects.fill_template(row.plan_template, arguments) + effects.fill_template(
+            row.trace_template, arguments
+        )
+        assert not row.needs_positive_operand or row.fault_name
+        assert bool(row.computed_operands) == (op in OPERAND_LOWERERS) and len(row.args) - len(row.computed_arguments) <= 1
+        assert row.computed_operands or all(
+            find_argument_type(arg).kind in (TypeKind.NUMBER, TypeKind.AGENT) for arg in row.computed_arguments
+        )
         assert [VERB_BY_WORD[op].shape == "amount"][: len(row.args)] == [arg.type.startswith("added ") for arg in row.args[:1]]
         assert (VERB_BY_WORD[op].shape == "alone") == (not row.target)
 
@@ -128,8 +132,8 @@ def test_every_effect_is_lowered_and_settled() -> None:
 def marked(world: World) -> None:
     """Add up what the ants ask to be marked, in their register `marks`."""
     for population in world.populations.values():
-        for entry in population.effects.drain("mark"):
-            population.now["marks"][entry.rows] += entry.arg(0)
+        for entry in population.effects.take_requests("mark"):
+            population.now["marks"][entry.rows] += entry.required_operand(0)
 
 
 def test_an_effect_is_a_row_and_a_function(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -143,8 +147,8 @@ def test_an_effect_is_a_row_and_a_function(monkeypatch: pytest.MonkeyPatch) -> N
         "",
         "mark {amount}",
         "mark {amount}",
-        refused="mark",
-        above_0=True,
+        fault_name="mark",
+        needs_positive_operand=True,
     )
     monkeypatch.setitem(EFFECT_BY_OPERATION, "mark", row)
     monkeypatch.setitem(phases.SETTLER_BY_EFFECT, "mark", marked)
@@ -181,12 +185,12 @@ def test_a_request_that_is_not_as_its_row_says_is_refused(request_: ir.Request, 
 def test_every_kind_of_thing_has_its_word_its_kind_and_its_list() -> None:
     assert tuple(KIND_BY_WORD) == WORLD_KIND_WORDS
     plan = plan_of("species ant {}\n")
-    assert set(plan.things) == set(KINDS) - {"items"} == set(KIND_BY_WORD) - {"items", "species"}
+    assert set(plan.thing_names_by_kind) == set(SCENE_KINDS) - {"items"} == set(KIND_BY_WORD) - {"items", "species"}
     for row in KIND_BY_WORD.values():
         assert TypeKind(row.word) and row.help and row.word in row.sample
-        assert set(row.replaces) <= set(KIND_BY_WORD)
-        assert bool(row.scene_form) == bool(row.scene) == bool(row.snippet) == (row.word in KINDS)
-        assert {row.nearest, row.touching} <= {"", *ir.OPERATION_BY_NAME}
+        assert set(row.replaced_kinds) <= set(KIND_BY_WORD)
+        assert bool(row.scene_form) == bool(row.scene) == bool(row.snippet) == (row.word in SCENE_KINDS)
+        assert {row.nearest_op, row.touching_op} <= {"", *ir.OPERATION_BY_NAME}
         assert row.snippet.partition(":")[0].strip("{}$1:") == row.scene.partition(":")[0].strip("{") or row.word == "items"
 
 

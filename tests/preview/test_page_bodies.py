@@ -15,7 +15,7 @@ from page_messages import WALK, scene, status, texts
 from page_stage import Stage, stage
 from PIL import Image
 
-from antdsl.bodies.agents.blending import Playing, posed
+from antdsl.bodies.agents.blending import ClipPlayback, blend_poses
 from antdsl.bodies.agents.definition import (
     Binding,
     BlendTargets,
@@ -31,20 +31,20 @@ from antdsl.bodies.agents.definition import (
     TransformGroup,
     Variation,
 )
-from antdsl.bodies.agents.driving import DrivenPose, with_looks
+from antdsl.bodies.agents.driving import DrivenPose, turn_towards_looks
 from antdsl.bodies.agents.leg_ik import LegSolver, PlacedFeet
-from antdsl.bodies.agents.machine_clips import EARLIER_FIELDS, MachineClips, PlayedClip, playing_of_machines
-from antdsl.bodies.agents.poses import ClipTable, clip_table
-from antdsl.bodies.agents.transforms import world_matrices
-from antdsl.bodies.agents.varied_bodies import VariationDraws, colour_position, size_of
-from antdsl.bodies.body import orientation
+from antdsl.bodies.agents.machine_clips import EARLIER_FIELDS, MachineClips, PlayedClip, build_machine_playback
+from antdsl.bodies.agents.poses import ClipTable, build_clip_table
+from antdsl.bodies.agents.transforms import compute_world_matrices
+from antdsl.bodies.agents.varied_bodies import VariationDraws, draw_colour_position, draw_group_scale
+from antdsl.bodies.body import build_orientations
 from antdsl.bodies.posed_body import PosedBody
-from antdsl.bodies.skinned_mesh import blend_targets
-from antdsl.preview.binary_packets import pack
-from antdsl.preview.viewing.acting import blend_weights, pack_clips, stance_arrays
-from antdsl.preview.viewing.bodies import BodyOutfit, rig_packet, traits
-from antdsl.runtime.feet.state import Feet
-from antdsl.runtime.feet.trunk import slope_quaternions
+from antdsl.bodies.skinned_mesh import compute_blend_targets
+from antdsl.preview.binary_packets import pack_arrays
+from antdsl.preview.viewing.action_arrays import compute_blend_weights, make_stance_arrays, pack_clips
+from antdsl.preview.viewing.body_packets import BodyOutfit, find_traits, make_rig_packet
+from antdsl.runtime.feet.feet_state import Feet
+from antdsl.runtime.feet.trunk import compute_slope_quaternions
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
@@ -135,30 +135,30 @@ def frame(plays: tuple[MachineClips, ...], number: int = 20, extra_arrays: Mappi
     }  # fmt: skip
     arrays |= {f"ant/plays/{name}": pack_clips(each, loops) for name, each in zip(("main", "arms"), plays, strict=True)}
     arrays |= {f"ant/{name}": array for name, array in {"lean": leans(count), **(extra_arrays or {})}.items()}
-    return pack("frame", arrays, frame=number, light=False, felt=[])
+    return pack_arrays("frame", arrays, frame=number, light=False, felt=[])
 
 
 def rig(body: Definition) -> bytes:
-    return rig_packet("ant", BodyOutfit(body, PLAYS, leans=True), ("main", "arms"))
+    return make_rig_packet("ant", BodyOutfit(body, PLAYS, blends_lean=True), ("main", "arms"))
 
 
 def expected_bones(body: Definition, plays: tuple[MachineClips, ...], level: PosedBody) -> NDArray[np.float64]:
     """The matrices [n, B, 3, 4] of the bones of a mesh, by what antdsl itself makes of what is played."""
-    table = clip_table(body)
-    return in_bones(body, level, posed(table, body.groups, playing(table, plays)).world)
+    table = build_clip_table(body)
+    return in_bones(body, level, blend_poses(table, body.groups, playing(table, plays)).world)
 
 
-def playing(table: ClipTable, plays: tuple[MachineClips, ...]) -> Playing:
+def playing(table: ClipTable, plays: tuple[MachineClips, ...]) -> ClipPlayback:
     count = len(plays[0].clip)
-    return playing_of_machines(table, PLAYS, plays, count, leans(count)[:, :2].astype(np.float32) / 127)
+    return build_machine_playback(table, PLAYS, plays, count, leans(count)[:, :2].astype(np.float32) / 127)
 
 
 def in_bones(body: Definition, level: PosedBody, world: NDArray[np.float32]) -> NDArray[np.float64]:
-    square = np.tile(np.eye(4), (len(world), len(level.mesh.joint), 1, 1))
-    square[:, :, :3] = world[:, level.mesh.joint]
-    inverse = np.tile(np.eye(4), (len(level.mesh.joint), 1, 1))
-    inverse[:, :3] = level.mesh.inverse
-    return np.asarray((body.base_matrix()[None, None] @ square @ inverse[None])[:, :, :3])
+    square = np.tile(np.eye(4), (len(world), len(level.mesh.bone_joints), 1, 1))
+    square[:, :, :3] = world[:, level.mesh.bone_joints]
+    inverse = np.tile(np.eye(4), (len(level.mesh.bone_joints), 1, 1))
+    inverse[:, :3] = level.mesh.inverse_matrices
+    return np.asarray((body.compute_base_matrix()[None, None] @ square @ inverse[None])[:, :, :3])
 
 
 def legged() -> Definition:
@@ -176,7 +176,7 @@ def standing(count: int) -> tuple[Feet, dict[str, NDArray[Any]]]:
         np.rint(127 * random.normal(mean, 0.3, (count, 3))).clip(-127, 127).astype(np.int8) for mean in ((1, 0, 0), (0, 1, 0))
     )
     light = {"id": np.arange(10, 10 + count), "position": position, "heading": heading, "up": up, "size": np.full(count, 4, "f4")}
-    feet = Feet.none(2)
+    feet = Feet.empty(2)
     feet.shown = position.T[:, :, None] + random.normal(0, 2.5, (3, count, 2))
     feet.swing = np.where(random.random((count, 2)) < 0.6, np.float32(-1), np.float32(0.5))
     feet.rise, feet.slope = random.normal(0, 0.3, count).astype(np.float32), random.normal(0, 0.3, (2, count)).astype(np.float32)
@@ -211,7 +211,7 @@ def test_bones_are_where_antdsl_puts_them(page: Stage, near: bool) -> None:
     page.page.wait_for_timeout(300)
     level = PosedBody(body, PLAYS)
     expected = expected_bones(body, plays, level)
-    assert len(level.coarse.mesh.joint) == len(level.mesh.joint) == 8
+    assert len(level.coarse.mesh.bone_joints) == len(level.mesh.bone_joints) == 8
     for row in (0,) if near else range(60):
         assert np.abs(bones(page, 10 + row) - expected[row]).max() < 1e-3, row
 
@@ -219,19 +219,27 @@ def test_bones_are_where_antdsl_puts_them(page: Stage, near: bool) -> None:
 def test_legs_are_bent_as_antdsl_bends_them(page: Stage) -> None:
     body, plays, count = legged(), machines(40), 40
     feet, light = standing(count)
-    legs, level, table = LegSolver(body), PosedBody(body, PLAYS), clip_table(body)
-    stands = legs.stance_weights(PLAYS, plays, count)
+    legs, level, table = LegSolver(body), PosedBody(body, PLAYS), build_clip_table(body)
+    stands = legs.compute_stance_weights(PLAYS, plays, count)
     assert 0 < stands.min() < 0.9 and stands.max() == 1
     placed = PlacedFeet(
-        feet.shown.transpose(1, 2, 0), feet.is_standing.astype(np.uint8), feet.phase, feet.rise, slope_quaternions(feet.slope)
+        feet.shown.transpose(1, 2, 0),
+        feet.is_standing.astype(np.uint8),
+        feet.phase,
+        feet.rise,
+        compute_slope_quaternions(feet.slope),
     )
-    turned = orientation(light["heading"].astype(np.float64), light["up"].astype(np.float64))
+    turned = build_orientations(light["heading"].astype(np.float64), light["up"].astype(np.float64))
     beside = placed.relative_to(light["position"], turned, light["size"]).scale_trunk(stands)
-    poses = posed(table, body.groups, playing(table, plays))
+    poses = blend_poses(table, body.groups, playing(table, plays))
     expected = in_bones(body, level, legs.bend_legs(poses, beside, stands).world)
     assert np.abs(expected - expected_bones(body, plays, level)).max() > 0.3, "legs and trunks are moved"
     page.tell(
-        scene(camera=CAMERA), texts(), status(), rig(body), frame(plays, extra_arrays=stance_arrays(legs, feet, light, stands))
+        scene(camera=CAMERA),
+        texts(),
+        status(),
+        rig(body),
+        frame(plays, extra_arrays=make_stance_arrays(legs, feet, light, stands)),
     )
     page.page.wait_for_timeout(300)
     for row in range(count):
@@ -242,13 +250,13 @@ def test_parts_look_where_antdsl_has_them_look(page: Stage) -> None:
     body, plays, count = crane(), machines(30), 30
     looks = np.random.default_rng(4).normal((0.5, 0, 0), 1, (count, 3))
     looks = np.rint(127 * looks / np.linalg.norm(looks, axis=1, keepdims=True)).astype(np.int8)
-    level, table = PosedBody(body, PLAYS), clip_table(body)
-    poses = posed(table, body.groups, playing(table, plays))
+    level, table = PosedBody(body, PLAYS), build_clip_table(body)
+    poses = blend_poses(table, body.groups, playing(table, plays))
     directions = looks.astype(np.float32) / np.linalg.norm(looks, axis=1, keepdims=True).astype(np.float32)
-    turned = with_looks(table, poses, {"arms": directions}, body.groups, body.base_matrix()[:3, :3])
+    turned = turn_towards_looks(table, poses, {"arms": directions}, body.groups, body.compute_base_matrix()[:3, :3])
     expected = in_bones(body, level, turned.world)
     assert np.abs(expected - expected_bones(body, plays, level)).max() > 0.3
-    message = rig_packet("ant", BodyOutfit(body, PLAYS, (), ("arms",), True), ("main", "arms"))
+    message = make_rig_packet("ant", BodyOutfit(body, PLAYS, (), ("arms",), True), ("main", "arms"))
     page.tell(scene(camera=CAMERA), texts(), status(), message, frame(plays, extra_arrays={"look/arms": looks}))
     page.page.wait_for_timeout(300)
     for row in range(count):
@@ -260,9 +268,9 @@ def test_agents_show_the_layers_that_they_wear(page: Stage) -> None:
     box = replace(body.shapes["box"], name="hat", points=body.shapes["box"].points * np.float32(6))
     hats = Layer("hat", (Binding("j0", "hat"),)), Layer("cap", (Binding("j7", "hat"),))
     body = replace(body, shapes={**body.shapes, "hat": box}, layers={**body.layers, "hat": hats[0], "cap": hats[1]})
-    masks = PosedBody(body, PLAYS, ("hat", "cap")).masks
+    masks = PosedBody(body, PLAYS, ("hat", "cap")).layer_masks
     assert [int((masks == mask).sum()) for mask in (0, 1, 2)] == [64, 8, 8]
-    message = rig_packet("ant", BodyOutfit(body, PLAYS, ("hat", "cap"), leans=True), ("main", "arms"))
+    message = make_rig_packet("ant", BodyOutfit(body, PLAYS, ("hat", "cap"), blends_lean=True), ("main", "arms"))
     page.tell(scene(camera=CAMERA), texts(), status(), message)
 
     def coloured(wears: int) -> int:
@@ -277,12 +285,16 @@ def test_agents_show_the_layers_that_they_wear(page: Stage) -> None:
 
 def trait_arrays(worn: BodyOutfit, plays: tuple[MachineClips, ...], driven: DrivenPose) -> dict[str, NDArray[np.float32]]:
     """What a frame tells of what bodies differ by."""
-    assert driven.draws is not None
-    body_traits, differ = traits(worn), worn.definition.variation
-    parts = [*blend_weights(worn, body_traits, plays, len(driven.draws.ids), driven.channels, leans(12)[:, :2] / 127).T]
-    parts += [size_of(differ, name, driven.draws) for name in body_traits.scales]
-    parts += [colour_position(differ, name, driven.draws) for name in body_traits.materials]
-    padded_array = np.zeros((-(-len(parts) // 3) * 3, len(driven.draws.ids)), np.float32)
+    assert driven.variation_draws is not None
+    body_traits, differ = find_traits(worn), worn.definition.variation
+    parts = [
+        *compute_blend_weights(
+            worn, body_traits, plays, len(driven.variation_draws.ids), driven.channels, leans(12)[:, :2] / 127
+        ).T
+    ]
+    parts += [draw_group_scale(differ, name, driven.variation_draws) for name in body_traits.scales]
+    parts += [draw_colour_position(differ, name, driven.variation_draws) for name in body_traits.materials]
+    padded_array = np.zeros((-(-len(parts) // 3) * 3, len(driven.variation_draws.ids)), np.float32)
     for k, part in enumerate(parts):
         padded_array[k] = part
     return {f"trait/{k}": padded_array[3 * k : 3 * k + 3].T for k in range(len(padded_array) // 3)}
@@ -291,12 +303,14 @@ def trait_arrays(worn: BodyOutfit, plays: tuple[MachineClips, ...], driven: Driv
 def test_parts_are_as_large_as_antdsl_has_them_by_id(page: Stage) -> None:
     body, plays = crane(), machines(12)
     body = replace(body, variation=Variation({"arms": (0.6, 1.8)}))
-    driven = DrivenPose(draws=VariationDraws(np.arange(10, 22), 3, "ant"), lean=leans(12)[:, :2].astype(np.float32) / 127)
+    driven = DrivenPose(
+        variation_draws=VariationDraws(np.arange(10, 22), 3, "ant"), lean=leans(12)[:, :2].astype(np.float32) / 127
+    )
     level = PosedBody(body, PLAYS)
-    expected = in_bones(body, level, level.poses(plays, 12, driven=driven).world)
+    expected = in_bones(body, level, level.compute_poses(plays, 12, driven=driven).world)
     assert np.abs(expected - expected_bones(body, plays, level)).max() > 0.3
-    worn = BodyOutfit(body, PLAYS, leans=True)
-    page.tell(scene(camera=CAMERA), texts(), status(), rig_packet("ant", worn, ("main", "arms")))
+    worn = BodyOutfit(body, PLAYS, blends_lean=True)
+    page.tell(scene(camera=CAMERA), texts(), status(), make_rig_packet("ant", worn, ("main", "arms")))
     page.tell(frame(plays, extra_arrays=trait_arrays(worn, plays, driven)))
     page.page.wait_for_timeout(300)
     for row in range(12):
@@ -306,7 +320,7 @@ def test_parts_are_as_large_as_antdsl_has_them_by_id(page: Stage) -> None:
 def blended() -> Definition:
     """The crane as one shape that follows its joints, with two blend shapes, one by way of another; clips turn one of them on."""
     body, random = crane(), np.random.default_rng(2)
-    rest = world_matrices(body.rig.parents, body.rig.rest)
+    rest = compute_world_matrices(body.rig.parents, body.rig.rest)
     points = np.concatenate([CUBE * 0.3 + at[:3, 3].astype(np.float32) for at in rest]).astype(np.float32)
     faces = np.concatenate([SIDES + 8 * k for k in range(8)]).astype(np.int32)
     joints = np.repeat(np.arange(8), 8)[:, None].astype(np.int32)
@@ -332,15 +346,17 @@ def blended() -> Definition:
 def test_blend_shapes_go_by_clips_and_by_what_is_said_of_channels() -> None:
     body, plays = blended(), machines(12)
     said = np.where(np.arange(12) % 3 == 0, np.nan, np.linspace(-0.5, 1.5, 12)).astype(np.float32)
-    driven = DrivenPose({"puff": said}, draws=VariationDraws(np.arange(10, 22)), lean=leans(12)[:, :2].astype(np.float32) / 127)
-    worn, level = BodyOutfit(body, PLAYS, leans=True), PosedBody(body, PLAYS)
-    body_traits = traits(worn)
-    weights = blend_weights(worn, body_traits, plays, 12, driven.channels, driven.lean)
+    driven = DrivenPose(
+        {"puff": said}, variation_draws=VariationDraws(np.arange(10, 22)), lean=leans(12)[:, :2].astype(np.float32) / 127
+    )
+    worn, level = BodyOutfit(body, PLAYS, blends_lean=True), PosedBody(body, PLAYS)
+    body_traits = find_traits(worn)
+    weights = compute_blend_weights(worn, body_traits, plays, 12, driven.channels, driven.lean)
     assert len(body_traits.targets) == 3 and len(np.unique(weights[:, 1:])) > 6
-    targets = blend_targets(level.shaded, level.bindings, level.taken)
+    targets = compute_blend_targets(level.drawn_definition, level.bindings, level.point_indices)
     moved = sum(weights[:, k, None, None] * targets[each][None] for k, each in enumerate(body_traits.targets))
-    points, _ = level.posed(plays, 12, driven=driven)
-    bones_of = in_bones(body, level, level.poses(plays, 12, driven=driven).world)[:, level.mesh.bones[:, 0]]
+    points, _ = level.pose_vertices(plays, 12, driven=driven)
+    bones_of = in_bones(body, level, level.compute_poses(plays, 12, driven=driven).world)[:, level.mesh.bones[:, 0]]
     at = np.concatenate([level.mesh.points + moved[:, :, :3], np.ones((*moved.shape[:2], 1))], axis=2)
     assert np.abs(np.einsum("nvij,nvj->nvi", bones_of, at) - points).max() < 1e-4
 
@@ -350,10 +366,11 @@ def test_blend_shapes_are_drawn_as_a_body_of_that_shape(page: Stage) -> None:
     body, plays = blended(), machines(12)
 
     def picture(body: Definition, weight: float) -> NDArray[np.int64]:
-        worn = BodyOutfit(body, PLAYS, leans=True)
-        page.tell(scene(camera=CAMERA), texts(), status(), rig_packet("ant", worn, ("main", "arms")))
+        worn = BodyOutfit(body, PLAYS, blends_lean=True)
+        page.tell(scene(camera=CAMERA), texts(), status(), make_rig_packet("ant", worn, ("main", "arms")))
         driven = DrivenPose(
-            {"puff": np.full(12, weight, np.float32), "tear": np.zeros(12, np.float32)}, draws=VariationDraws(np.arange(10, 22))
+            {"puff": np.full(12, weight, np.float32), "tear": np.zeros(12, np.float32)},
+            variation_draws=VariationDraws(np.arange(10, 22)),
         )
         page.tell(frame(plays, extra_arrays=trait_arrays(worn, plays, driven)))
         return take_screenshot(page)
@@ -379,15 +396,15 @@ def test_materials_have_the_colours_that_antdsl_draws_by_id(page: Stage) -> None
     plays, draws = machines(12), VariationDraws(np.arange(10, 22), 4, "ant")
 
     def picture(body: Definition) -> NDArray[np.int64]:
-        worn = BodyOutfit(body, PLAYS, leans=True)
-        page.tell(scene(camera=CAMERA), texts(), status(), rig_packet("ant", worn, ("main", "arms")))
-        page.tell(frame(plays, extra_arrays=trait_arrays(worn, plays, DrivenPose(draws=draws))))
+        worn = BodyOutfit(body, PLAYS, blends_lean=True)
+        page.tell(scene(camera=CAMERA), texts(), status(), make_rig_packet("ant", worn, ("main", "arms")))
+        page.tell(frame(plays, extra_arrays=trait_arrays(worn, plays, DrivenPose(variation_draws=draws))))
         return take_screenshot(page)
 
     page.tell(scene(camera=CAMERA), texts(), status())
     several = picture(varied)
     level = PosedBody(varied, PLAYS)
-    colours = level.colours(DrivenPose(draws=draws))[:, 0]
+    colours = level.compute_colours(DrivenPose(variation_draws=draws))[:, 0]
     alike, masks = np.zeros(several.shape[:2], bool), 0
     for row in range(12):
         uniform_picture = picture(replace(varied, materials={"slate": tuple(map(float, colours[row]))}, variation=Variation()))

@@ -14,7 +14,7 @@ from page_messages import TEXT, frame, problems, scene, status, texts
 from page_stage import Stage, stage
 from PIL import Image
 
-from antdsl.preview.binary_packets import pack, unpack
+from antdsl.preview.binary_packets import pack_arrays, unpack_arrays
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
@@ -43,22 +43,22 @@ def page(browser: Browser) -> Iterator[Stage]:
 
 
 def with_items(number: int, nest: float, food: float) -> bytes:
-    _, arrays = unpack(frame([0, 1], number))
+    _, arrays = unpack_arrays(frame([0, 1], number))
     for name, amount in (("nest", nest), ("food", food)):
         arrays |= {f"item/{name}/position": np.full(3, 20, np.float32), f"item/{name}/size": np.full(1, 8, np.float32)}
         arrays[f"item/{name}/amount/load"] = np.full(1, amount, np.float32)
-    return pack("frame", arrays, frame=number, light=False)
+    return pack_arrays("frame", arrays, frame=number, light=False)
 
 
 def item(names: str, name: str) -> bytes:
     shape = {"position": SQUARE, "face": FACES, "colour": np.ones((4, 3), np.float32)}
-    return pack(f"item:{names}:{name}", shape, items=names, index=0, shape="ring")
+    return pack_arrays(f"item:{names}:{name}", shape, items=names, index=0, shape="ring")
 
 
 def crowd(count: int, number: int, spread: float = 60.0) -> bytes:
-    _, arrays = unpack(frame([0] * count, number))
+    _, arrays = unpack_arrays(frame([0] * count, number))
     arrays["ant/position"] = np.random.Generator(np.random.Philox(number)).uniform(0, spread, (count, 3)).astype(np.float32)
-    return pack("frame", arrays, frame=number, light=False)
+    return pack_arrays("frame", arrays, frame=number, light=False)
 
 
 def explained(number: int) -> dict[str, Any]:
@@ -96,10 +96,10 @@ def test_a_field_has_one_scale_with_numbers(page: Stage) -> None:
     page.tell(scene(fields=[{"name": "trail", "unit": "", "colour": [1, 0.5, 0], "on": True, "full": 100}]), texts(), status())
     numbers = page.find("scale-trail").locator("p span")
     assert numbers.all_inner_texts() == ["0.001", "0.1", "1", "100"]
-    mesh = pack("fieldmesh:trail", {"position": SQUARE, "face": FACES})
+    mesh = pack_arrays("fieldmesh:trail", {"position": SQUARE, "face": FACES})
 
     def take_picture(value: int) -> bytes:
-        page.tell(pack("field:trail", {"value": np.full(4, value, np.uint8)}, frame=20))
+        page.tell(pack_arrays("field:trail", {"value": np.full(4, value, np.uint8)}, frame=20))
         page.page.wait_for_timeout(100)
         return page.page.locator("#view > canvas").screenshot()
 
@@ -191,7 +191,7 @@ def planned(number: int, ids: list[int], count: int = 20) -> bytes:
     """Paths from the middle of the ground to its right end, frame by frame."""
     path = np.full((len(ids), count, 3), (30, 0, 50), np.float32)
     path[:, :, 0] += np.linspace(0, 40, count)[None, :]
-    return pack("paths", {"ant/id": np.array(ids, np.int32), "ant/path": path}, frame=number, count=count)
+    return pack_arrays("paths", {"ant/id": np.array(ids, np.int32), "ant/path": path}, frame=number, count=count)
 
 
 def test_planned_paths_are_requested_drawn_and_shortened_over_time(page: Stage) -> None:

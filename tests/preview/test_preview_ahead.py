@@ -13,8 +13,8 @@ from preview_page import few
 from antdsl.preview import Live, Session
 from antdsl.preview import ahead as ahead_module
 from antdsl.preview.ahead import Ahead
-from antdsl.preview.binary_packets import unpack
-from antdsl.preview.requests import MAX_PLANNED_AGENTS, Look
+from antdsl.preview.binary_packets import unpack_arrays
+from antdsl.preview.requests import MAX_PLANNED_AGENTS, SetDisplay
 from antdsl.runtime import World
 from antdsl.runtime.faults import Fault, LimitStop
 
@@ -47,7 +47,7 @@ def filled(ahead: Ahead, session: Session) -> Ahead:
 
 def positions_by_id(session: Session) -> np.ndarray:
     population = session.world.populations["forager"]
-    return population.position[population.in_id_order()].astype(np.float32)
+    return population.position[population.rows_by_id()].astype(np.float32)
 
 
 def test_paths_are_where_the_agents_will_be_and_the_session_is_as_it_was(session: Session) -> None:
@@ -108,18 +108,18 @@ def test_stored_paths_are_bounded(session: Session, monkeypatch: pytest.MonkeyPa
 
 
 def paths(page: Page) -> tuple[dict, dict]:
-    return unpack(page.packets["paths"])
+    return unpack_arrays(page.make_packets["paths"])
 
 
 def test_a_page_is_shown_the_paths_it_asks_for(live: Live, scene: Path) -> None:
     expected = hashes(scene, 12)
     page = Page(live)
     page.frame_arrays(1)
-    assert "paths" not in page.packets
+    assert "paths" not in page.make_packets
     page.ask(
         "look", columns=(), fields=(), flows=(), planned=({"species": "forager", "agent": 3}, {"species": "forager", "agent": 77})
     )
-    page.until(lambda: "paths" in page.packets and paths(page)[0]["count"] == 49)
+    page.until(lambda: "paths" in page.make_packets and paths(page)[0]["count"] == 49)
     header, arrays = paths(page)
     assert header["frame"] == 1 and arrays["forager/id"].tolist() == [3], "whom there is not has no path"
     path = arrays["forager/path"].reshape(1, 49, 3)
@@ -137,7 +137,7 @@ def test_a_page_is_shown_the_paths_it_asks_for(live: Live, scene: Path) -> None:
 def test_who_plays_comes_upon_what_was_planned(live: Live) -> None:
     page = Page(live)
     page.ask("look", columns=(), fields=(), flows=(), planned=({"species": "forager", "agent": 0},))
-    page.until(lambda: "paths" in page.packets and paths(page)[0]["count"] == 49)
+    page.until(lambda: "paths" in page.make_packets and paths(page)[0]["count"] == 49)
     planned = paths(page)[1]["forager/path"].reshape(49, 3)
     page.ask("speed", times=0.0)
     page.ask("play")
@@ -149,11 +149,11 @@ def test_who_plays_comes_upon_what_was_planned(live: Live) -> None:
 
 
 def test_of_too_many_at_once_nothing_is_simulated(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
-    from antdsl.preview.viewing import paths as viewing
-    from antdsl.preview.viewing import screen
+    from antdsl.preview.viewing import page_screen
+    from antdsl.preview.viewing import path_packets as viewing
 
     monkeypatch.setattr(viewing, "MAX_PLANNED_AGENTS", 39)
-    monkeypatch.setattr(screen, "MAX_PLANNED_AGENTS", 39)
+    monkeypatch.setattr(page_screen, "MAX_PLANNED_AGENTS", 39)
     page = Page(live)
     page.ask("look", columns=(), fields=(), flows=(), planned=())
     page.ask("step", count=2)
@@ -164,7 +164,7 @@ def test_of_too_many_at_once_nothing_is_simulated(live: Live, monkeypatch: pytes
 def test_the_page_has_the_same_bounds() -> None:
     protocol = (Path(ahead_module.__file__).parent / "web" / "src" / "protocol.ts").read_text()
     assert f"MOST_PLANNED = {{ chosen: 60, all: {MAX_PLANNED_AGENTS} }}" in protocol
-    assert Look.model_fields["planned"].metadata[0].max_length >= 60
+    assert SetDisplay.model_fields["planned"].metadata[0].max_length >= 60
 
 
 def test_asks_are_heard_between_two_frames(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -180,7 +180,7 @@ def test_asks_are_heard_between_two_frames(live: Live, monkeypatch: pytest.Monke
 
     monkeypatch.setattr(ahead_module, "step", slowly)
     page.ask("look", columns=(), fields=(), flows=(), planned=({"species": "forager", "agent": 3},))
-    page.until(lambda: "paths" in page.packets and paths(page)[0]["count"] == 49)
+    page.until(lambda: "paths" in page.make_packets and paths(page)[0]["count"] == 49)
     assert max(waiting) == 1, "never is a second one waiting: the first was heard before the next frame"
     assert page.last("status")["speed"] == 5.0
 

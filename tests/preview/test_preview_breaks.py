@@ -12,16 +12,16 @@ from preview_page import few
 
 from antdsl.preview import Live, Session
 from antdsl.preview.breaking import Breakpoints
-from antdsl.preview.breaking.conditions import condition_plan
+from antdsl.preview.breaking.conditions import compile_condition
 from antdsl.preview.breaking.model import BreakpointError
 from antdsl.preview.observing import spec_judgement
 from antdsl.preview.observing.explainer import Explainer
 from antdsl.preview.observing.observer import PauseReason
 from antdsl.preview.observing.spec_judgement import SpecObserver
-from antdsl.preview.requests import Break, ConditionBreak, FaultBreak, SpecBreak, StateBreak
+from antdsl.preview.requests import AnyBreak, ConditionBreak, FaultBreak, SpecBreak, StateBreak
 from antdsl.runtime import Options
 from antdsl.specs.cases import collect_cases
-from antdsl.specs.running import Work, run_cases
+from antdsl.specs.running import RunContext, run_cases
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 WALKERS = """ant 1
@@ -75,7 +75,7 @@ def edit(scene: Path, old: str, new: str) -> None:
 class Driver:
     """Plays a session as the preview does, with all that looks on."""
 
-    def __init__(self, scene: Path, *breaks: Break, **how: Any) -> None:
+    def __init__(self, scene: Path, *breaks: AnyBreak, **how: Any) -> None:
         session, report = Session.open(scene, **how)
         assert session is not None, [each.message for each in report.errors]
         self.session = session
@@ -89,7 +89,7 @@ class Driver:
     def misfits(self) -> list[tuple[str, str]]:
         return [(each["message"], each["help"]) for each in self.told if each["op"] == "refused"]
 
-    def set(self, *breaks: Break) -> None:
+    def set(self, *breaks: AnyBreak) -> None:
         self.breaks.set(self.session, breaks)
 
     def step(self) -> PauseReason | None:
@@ -110,7 +110,7 @@ class Driver:
         return stops
 
     def spec(self, name: str) -> dict[str, Any]:
-        return next(each for each in self.specs.message()["specs"] if each["name"] == name)
+        return next(each for each in self.specs.make_message()["specs"] if each["name"] == name)
 
 
 def state(name: str) -> StateBreak:
@@ -128,7 +128,7 @@ def spec(name: str) -> SpecBreak:
 def test_it_stops_where_agents_enter_a_state(scene: Path) -> None:
     driver = Driver(scene, state("rest"))
     stops = driver.play(40)
-    light = driver.session.timeline.light
+    light = driver.session.timeline.light_frames
     for frame in range(2, 42):  # in these frames and no others, as the frames themselves have it
         previous_states, now = (light[each]["walker"]["state/main"] for each in (frame - 1, frame))
         assert (frame in stops) == bool(((now == 1) & (previous_states == 0)).any()), frame
@@ -180,7 +180,7 @@ def test_a_condition_that_is_none_is_refused_in_words(scene: Path, text: str, me
     session, _ = Session.open(scene)
     assert session is not None
     with pytest.raises(BreakpointError) as error_info:
-        condition_plan(session.shot, text)
+        compile_condition(session.shot, text)
     assert message in error_info.value.message
     assert error_info.value.help.startswith(help)
 
@@ -196,13 +196,13 @@ def test_a_condition_that_is_none_is_refused_in_words(scene: Path, text: str, me
         (spec("brisker"), "`brisker` is not judged here: it sets `walker.brisk`", "`antdsl test`"),
     ],
 )
-def test_a_breakpoint_that_does_not_fit_is_reported(scene: Path, ask: Break, message: str, help: str) -> None:
+def test_a_breakpoint_that_does_not_fit_is_reported(scene: Path, ask: AnyBreak, message: str, help: str) -> None:
     driver = Driver(scene, ask)
     [(words, help_text)] = driver.misfits
     assert words.partition(": ")[2].startswith(message)
     assert help_text.startswith(help)
     assert driver.play(10) == {}
-    [entry] = driver.breaks.message()["breaks"]
+    [entry] = driver.breaks.make_message()["breaks"]
     assert entry["made"] == ask.model_dump()
     assert entry["why"].startswith(message)
 
@@ -297,7 +297,7 @@ def test_looking_on_changes_nothing(name: str, tmp_path: Path) -> None:
     machine = plain.shot.plan.species[species].machines[0]
     breaks = [StateBreak(kind="state", species=species, machine=machine.name, state=each) for each in machine.states]
     conditions = [condition(f"count({species}) > 10"), condition(f"each {species}: speed > 5 mm/s and overlap > 1 %")]
-    specs = [spec(each.name) for each in plain.shot.program.specs if each.against is None and not each.changes]
+    specs = [spec(each.name) for each in plain.shot.program.specs if each.reference_run is None and not each.changes]
     driver = Driver(scene, *breaks, *conditions, *specs, FaultBreak(kind="fault"), every=6)
     assert driver.misfits == []
     explainer = Explainer(driver.session)
@@ -305,7 +305,7 @@ def test_looking_on_changes_nothing(name: str, tmp_path: Path) -> None:
     for _ in range(14):
         plain.step()
         driver.step()
-        explainer.message(species, 3, driver.session.frame)
+        explainer.make_message(species, 3, driver.session.frame)
         assert driver.session.hash == plain.hash
     driver.session.seek(5)
     driver.play(12)
@@ -316,20 +316,20 @@ def test_looking_on_changes_nothing(name: str, tmp_path: Path) -> None:
 
 def test_a_breakpoint_that_is_wrong_is_not_added(scene: Path) -> None:
     driver = Driver(scene, state("rest"), condition("count(state == rest) > 1"))
-    initial_message = driver.breaks.message()
+    initial_message = driver.breaks.make_message()
     wrong = ConditionBreak(kind="condition", text="count(state == rset) > 1")
     with pytest.raises(BreakpointError, match="rset"):
-        driver.breaks.set(driver.session, [each.ask for each in driver.breaks.breaks], wrong)
-    assert driver.breaks.message() == initial_message
+        driver.breaks.set(driver.session, [each.ask for each in driver.breaks.breakpoints], wrong)
+    assert driver.breaks.make_message() == initial_message
     good = ConditionBreak(kind="condition", text="count(state == rest) > 2")
-    driver.breaks.set(driver.session, [each.ask for each in driver.breaks.breaks], good)
-    assert [each.ask for each in driver.breaks.breaks][-1] == good
+    driver.breaks.set(driver.session, [each.ask for each in driver.breaks.breakpoints], good)
+    assert [each.ask for each in driver.breaks.breakpoints][-1] == good
     edit(scene, "rest", "sleep")
     driver.session.reload()
     driver.step()
     misfits = len(driver.misfits)
     assert misfits == 3
-    driver.breaks.set(driver.session, [each.ask for each in driver.breaks.breaks], state("sleep"))
+    driver.breaks.set(driver.session, [each.ask for each in driver.breaks.breakpoints], state("sleep"))
     assert len(driver.misfits) == misfits, "what waits is not told of again"
 
 
@@ -405,11 +405,11 @@ def test_specs_stand_as_the_tests_find_them(scene: Path) -> None:
     edit(scene, "within 0.5 s", "within 0.1 s")
     runs, report = collect_cases([scene])
     assert [each.code for each in report.errors] == ["no-such-file"]  # the other scene of one of them
-    run_cases(runs, Work(Options()))
+    run_cases(runs, RunContext(Options()))
     failure_frames = {case.name: case.failures[0].frame if case.failures else None for run in runs for case in run.cases}
     driver = Driver(scene)
     driver.play(59)  # the whole scene
-    stand = {each["name"]: each["frame"] for each in driver.specs.message()["specs"] if each["holds"] is not None}
+    stand = {each["name"]: each["frame"] for each in driver.specs.make_message()["specs"] if each["holds"] is not None}
     assert stand == {name: failure_frames[name] for name in ("nobody rests", "they are three", "soon")}
     assert stand["soon"] is not None and stand["they are three"] is None
 
@@ -437,7 +437,7 @@ def test_behind_a_fault_it_is_explained_as_it_went_on(scene: Path, on_fault: Any
     driver = Driver(scene, every=50, options=Options(on_fault=on_fault))
     driver.play(30)
     assert driver.session.world.faults.count > 0
-    message = Explainer(driver.session).message("walker", 1, driver.session.frame)
+    message = Explainer(driver.session).make_message("walker", 1, driver.session.frame)
     if on_fault == "stop":
         assert (message["message"], message["explanation"]["hash"]) == ("", driver.session.hash)
     else:

@@ -23,7 +23,7 @@ pytest.importorskip("websockets")
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import InvalidStatus
 
-from antdsl.preview.binary_packets import unpack
+from antdsl.preview.binary_packets import unpack_arrays
 
 ROOT = Path(__file__).resolve().parents[2]
 SECONDS = 60
@@ -86,7 +86,7 @@ async def hear(client: ClientConnection, fits: Callable[[dict[str, Any]], bool])
     while True:
         got = await asyncio.wait_for(client.recv(), 10)
         if isinstance(got, bytes):
-            header, arrays = unpack(got)
+            header, arrays = unpack_arrays(got)
             message = {"op": "", **header, "rows": max((len(each) for each in arrays.values()), default=0)}
         else:
             message = json.loads(got)

@@ -11,7 +11,7 @@ import pytest
 from live_client import EXAMPLES, Page
 
 from antdsl.preview import Live, Session
-from antdsl.preview.binary_packets import unpack
+from antdsl.preview.binary_packets import unpack_arrays
 
 
 @pytest.fixture
@@ -157,19 +157,19 @@ def test_what_is_set_by_hand_ahead_is_no_edit_of_files(folder: Path) -> None:
 
 def test_a_mesh_that_is_gone_is_taken_away(folder: Path, open_lives: list[Live]) -> None:
     page = started(open_lives, folder / "scene.yaml")
-    page.until(lambda: "mesh:stones" in page.packets)
-    stones = unpack(page.packets["mesh:stones"])[1]
+    page.until(lambda: "mesh:stones" in page.make_packets)
+    stones = unpack_arrays(page.make_packets["mesh:stones"])[1]
     edit(folder / "walker.ant", "; obstacle stones", "")
     edit(folder / "base.yaml", "\n  stones: {mesh: stones.ply}", "")
-    page.until(lambda: not len(unpack(page.packets["mesh:stones"])[1]["face"]))
+    page.until(lambda: not len(unpack_arrays(page.make_packets["mesh:stones"])[1]["face"]))
     later = Page(open_lives[0])
-    later.until(lambda: "mesh:ground" in later.packets and "frame" in later.packets)
-    assert "mesh:stones" not in later.packets or not len(unpack(later.packets["mesh:stones"])[1]["face"])
+    later.until(lambda: "mesh:ground" in later.make_packets and "frame" in later.make_packets)
+    assert "mesh:stones" not in later.make_packets or not len(unpack_arrays(later.make_packets["mesh:stones"])[1]["face"])
     page.ask("seek", frame=1, exact=True)
     edit(folder / "walker.ant", "surface ground", "surface ground; obstacle stones")
     edit(folder / "base.yaml", "{mesh: ground.ply}", "{mesh: ground.ply}\n  stones: {mesh: stones.ply}")
-    page.until(lambda: len(unpack(page.packets["mesh:stones"])[1]["face"]))
-    again = unpack(page.packets["mesh:stones"])[1]
+    page.until(lambda: len(unpack_arrays(page.make_packets["mesh:stones"])[1]["face"]))
+    again = unpack_arrays(page.make_packets["mesh:stones"])[1]
     assert (again["position"] == stones["position"]).all()
 
 

@@ -37,13 +37,13 @@ def test_a_joining_page_receives_everything(live: Live) -> None:
     page.frame_arrays(1)
     ops = [message["op"] for message in page.told[:6]]
     assert ops == ["hello", "scene", "texts", "problems", "status", "curves"]
-    page.until(lambda: {"rig:forager", "mesh:ground", "mesh:stones", "item:food:apple"} <= page.packets.keys())
+    page.until(lambda: {"rig:forager", "mesh:ground", "mesh:stones", "item:food:apple"} <= page.make_packets.keys())
     texts = {text["file"]: text["kind"] for text in page.told[2]["texts"]}
     assert texts == {"scene.yaml": "yaml", "forager.ant": "ant", "<steering>": "library"}
     assert page.told[1]["charts"][0]["species"] == "forager" and len(page.told[1]["charts"][0]["boxes"]) > 4
     later = Page(live)
-    later.until(lambda: later.packets.keys() >= page.packets.keys())
-    assert later.packets == page.packets
+    later.until(lambda: later.make_packets.keys() >= page.make_packets.keys())
+    assert later.make_packets == page.make_packets
 
 
 def test_the_hash_is_that_of_a_run_despite_pages_and_scrubbing(live: Live, scene: Path) -> None:
@@ -275,7 +275,7 @@ def _fresh(live: Live, frame: int) -> str:
     """The hash of a frame in a run of the files with what was set by hand."""
     session = live.session  # it stands still
     compiler = Compiler(live.compiler.scene)
-    compiler.instead = dict(session.compiler.instead)
+    compiler.replacement_texts = dict(session.compiler.replacement_texts)
     shot, report = compiler.open(session.choices)
     assert shot is not None, [d.message for d in report.errors]
     return next(state_hash(world) for world in simulate(shot) if world.frame == frame)

@@ -13,8 +13,8 @@ from typing import Any
 
 import pytest
 
-from antdsl.preview.serving import addresses, ready
-from antdsl.preview.serving.addresses import ListenError, is_loopback, listen
+from antdsl.preview.serving import addresses, check_preview_support
+from antdsl.preview.serving.addresses import ListenError, is_loopback, open_listening_sockets
 from antdsl.preview.serving.connections import TokenBucket
 from antdsl.preview.serving.mailbox import ClientMailbox
 
@@ -32,7 +32,7 @@ async def drained(mailbox: ClientMailbox) -> list[Any]:
     items: list[Any] = []
     try:
         while True:
-            got = await asyncio.wait_for(mailbox.next(), 0.02)
+            got = await asyncio.wait_for(mailbox.receive(), 0.02)
             items.append(got if isinstance(got, bytes) else json.loads(got)["op"])
     except TimeoutError:
         return items
@@ -69,7 +69,7 @@ def test_hello_names_the_current_page() -> None:
     async def test(mailbox: ClientMailbox, full: list[str]) -> None:
         message = {"op": "hello", "build": ""}
         mailbox.tell(message)
-        assert json.loads(await mailbox.next()) == {"op": "hello", "build": "now"}
+        assert json.loads(await mailbox.receive()) == {"op": "hello", "build": "now"}
         assert message["build"] == ""
 
     with_mailbox(test)
@@ -91,7 +91,7 @@ def test_more_than_the_budget_is_not_stored(what: str) -> None:
         await asyncio.sleep(0)
         assert full == ["full"] and await drained(mailbox) == []
 
-    with_mailbox(test, words=1000, packets=2000)
+    with_mailbox(test, max_message_size=1000, max_packet_size=2000)
 
 
 def test_what_a_page_cannot_read_is_never_sent() -> None:
@@ -119,7 +119,7 @@ def test_nothing_is_lost_or_turned_round_between_two_threads() -> None:
         frames: list[int] = []
         slots: list[int] = []
         while True:
-            got = await mailbox.next()
+            got = await mailbox.receive()
             if isinstance(got, bytes):
                 slots.append(int.from_bytes(got, "little"))
             elif (message := json.loads(got))["op"] == "end":
@@ -157,26 +157,26 @@ def test_a_mailbox_accepts_messages_after_the_end_of_its_loop() -> None:
 def test_a_bucket_gives_what_it_holds_and_then_by_the_second() -> None:
     now = [0.0]
     bucket = TokenBucket(10, 5, lambda: now[0])
-    assert [bucket.take() for _ in range(7)] == [True] * 5 + [False] * 2
+    assert [bucket.take_token() for _ in range(7)] == [True] * 5 + [False] * 2
     now[0] = 0.25
-    assert [bucket.take() for _ in range(3)] == [True, True, False]
+    assert [bucket.take_token() for _ in range(3)] == [True, True, False]
     now[0] = 1000.0
-    assert [bucket.take() for _ in range(6)] == [True] * 5 + [False]
+    assert [bucket.take_token() for _ in range(6)] == [True] * 5 + [False]
 
 
 # --- addresses ---------------------------------------------------------------------------------------------------------
 
 
 def test_a_port_that_is_taken_leads_to_the_next() -> None:
-    one = listen()
-    two = listen()
+    one = open_listening_sockets()
+    two = open_listening_sockets()
     try:
         ports = [each.sockets[0].getsockname()[1] for each in (one, two)]
         assert addresses.DEFAULT_PORT <= ports[0] < ports[1]
         assert two.addresses == (f"http://127.0.0.1:{ports[1]}/",)
-        assert two.names == {f"{name}:{ports[1]}" for name in ("localhost", "127.0.0.1", "[::1]")}
+        assert two.host_names == {f"{name}:{ports[1]}" for name in ("localhost", "127.0.0.1", "[::1]")}
         with pytest.raises(ListenError, match=f"port {ports[0]} is taken"):
-            listen(port=ports[0])
+            open_listening_sockets(port=ports[0])
     finally:
         one.close()
         two.close()
@@ -198,14 +198,14 @@ def test_a_port_taken_at_the_other_loopback_is_refused() -> None:
         other.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
         other.bind(("::1", 0))
         with pytest.raises(ListenError, match="is taken"):
-            listen(port=other.getsockname()[1])
+            open_listening_sockets(port=other.getsockname()[1])
 
 
 def test_without_one_of_the_loopbacks_the_other_does(monkeypatch: pytest.MonkeyPatch) -> None:
     if not has_six():
         pytest.skip("this machine has no IPv6")
     monkeypatch.setattr(addresses, "_LOOPBACK_ADDRESSES", ("192.0.2.7", "::1"))  # an address for documents: no machine has it
-    listener = listen(port=0)
+    listener = open_listening_sockets(port=0)
     listener.close()
     assert len(listener.sockets) == 1 and listener.addresses[0].startswith("http://[::1]:")
 
@@ -215,23 +215,23 @@ def test_which_hosts_are_this_machine_only() -> None:
     assert not is_loopback("0.0.0.0") and not is_loopback("::") and not is_loopback("192.0.2.7")
     for unknown in ("no such host", "a..b", "x" * 300, ""):
         with pytest.raises(ListenError):
-            is_loopback(unknown) or listen(unknown)
+            is_loopback(unknown) or open_listening_sockets(unknown)
     with pytest.raises(ListenError, match=r"has no address `192\.0\.2\.7`"):
-        listen("192.0.2.7")
+        open_listening_sockets("192.0.2.7")
 
 
 def test_at_every_address_the_names_are_the_machines_own() -> None:
-    listener = listen("0.0.0.0", 0)
+    listener = open_listening_sockets("0.0.0.0", 0)
     listener.close()
-    port = next(iter(listener.names)).rsplit(":", 1)[1]
-    assert {f"localhost:{port}", f"127.0.0.1:{port}", f"{socket.gethostname().lower()}:{port}"} <= listener.names
-    assert not any(name.startswith(("0.0.0.0:", "*", "[::]")) for name in listener.names)
-    assert all(address.split("/")[2] in listener.names for address in listener.addresses)
+    port = next(iter(listener.host_names)).rsplit(":", 1)[1]
+    assert {f"localhost:{port}", f"127.0.0.1:{port}", f"{socket.gethostname().lower()}:{port}"} <= listener.host_names
+    assert not any(name.startswith(("0.0.0.0:", "*", "[::]")) for name in listener.host_names)
+    assert all(address.split("/")[2] in listener.host_names for address in listener.addresses)
 
 
 def test_the_extra_is_named_where_it_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
     from antdsl.preview import serving
 
     monkeypatch.setattr(serving, "find_spec", lambda name: None)
-    report = ready()
+    report = check_preview_support()
     assert [each.code for each in report.diagnostics] == ["missing-extra"] and "[preview]" in str(report.diagnostics[0].help)

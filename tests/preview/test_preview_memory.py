@@ -13,11 +13,11 @@ from live_client import Page, agent_positions
 from preview_page import few
 
 from antdsl.preview import Live, Session, timeline
-from antdsl.preview.binary_packets import unpack
+from antdsl.preview.binary_packets import unpack_arrays
 from antdsl.preview.observing.spec_judgement import SpecObserver
-from antdsl.preview.viewing.acting import store_poses, stored_poses
+from antdsl.preview.viewing.action_arrays import read_stored_poses, store_poses
 from antdsl.preview.viewing.curves import SentCurves
-from antdsl.preview.viewing.scene import BoundingBox
+from antdsl.preview.viewing.scene_message import BoundingBox
 
 
 @pytest.fixture
@@ -41,8 +41,8 @@ def test_full_memory_keeps_the_latest_light_frames_and_checkpoints_of_all_times(
         session.step()
         hashes[session.frame] = session.hash
     history = session.timeline
-    assert history.nbytes <= history.budget
-    assert list(history.light)[-20:] == list(range(102, 122))
+    assert history.nbytes <= history.max_bytes
+    assert list(history.light_frames)[-20:] == list(range(102, 122))
     points = sorted(history.stretches[0].checkpoints)
     gaps = [b - a for a, b in pairwise(points)]
     assert points[0] == 1 and points[-1] >= 118 and len(points) > 5
@@ -60,13 +60,13 @@ def test_poses_are_stored_for_the_latest_frames_only(scene: Path) -> None:
         store_poses(session)
     session.step()
     history = session.timeline
-    assert history.nbytes <= history.budget and 0 < history.poses.nbytes <= history.budget / 4
+    assert history.nbytes <= history.max_bytes and 0 < history.poses.nbytes <= history.max_bytes / 4
     assert history.poses.nbytes == sum(
         a.nbytes for each in history.poses.values() for one in each.values() for a in one.arrays.values()
     )
-    assert 5 < len(history.poses) < len(history.light)
+    assert 5 < len(history.poses) < len(history.light_frames)
     assert list(history.poses) == list(range(122 - len(history.poses), 122))
-    assert {"forager/plays/main", "forager/wears"} <= stored_poses(session, 121)["forager"].keys()
+    assert {"forager/plays/main", "forager/wears"} <= read_stored_poses(session, 121)["forager"].keys()
 
 
 def test_curves_and_branches_do_not_grow_for_ever(scene: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -77,7 +77,7 @@ def test_curves_and_branches_do_not_grow_for_ever(scene: Path, monkeypatch: pyte
             session.step()
         session.seek(session.frame - 1)
         assert session.set("forager.smell", f"{50 + number} mm").ok
-        message = sent_curves.new_values(session.timeline)
+        message = sent_curves.take_new_values(session.timeline)
         assert message is not None and message["branches"][-1]["line"] == f"set: {{forager.smell: {50 + number} mm}}"
     assert [each.line[-7:-4] for each in session.timeline.branches] == [f" {50 + k}" for k in range(4, 12)]
     assert len(session.timeline.curves) <= 30 and session.last_frame == session.frame
@@ -98,7 +98,7 @@ def test_a_long_history_is_sent_in_few_points(scene: Path) -> None:
     one = session.timeline.curves[1]
     session.timeline.curves = {frame: one for frame in range(1, 20_001)}
     session.timeline.branches = [timeline.TimelineBranch(1, "before", dict(session.timeline.curves)) for _ in range(8)]
-    assert len(json.dumps(SentCurves().full_history(session.timeline))) < 2_000_000
+    assert len(json.dumps(SentCurves().take_full_history(session.timeline))) < 2_000_000
 
 
 def test_what_was_judged_at_an_edit_is_still_known_when_one_plays_through_it_again(scene: Path) -> None:
@@ -240,7 +240,7 @@ def test_each_page_learns_which_agent_each_feeler_belongs_to(scene: Path) -> Non
     pages[0].ask("step", count=2)
     arrays = pages[0].frame_arrays(3)
     live.stop()
-    header, _ = unpack(pages[0].packets["frame"])
+    header, _ = unpack_arrays(pages[0].make_packets["frame"])
     assert [each[:2] for each in header["felt"]] == [["forager", 3], ["forager", 7]]
     lines, at = arrays["feelers"].reshape(-1, 2, 3), 0
     for _, agent, count in header["felt"]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from antdsl.preview.binary_packets import pack, unpack
+from antdsl.preview.binary_packets import pack_arrays, unpack_arrays
 
 
 def test_what_is_packed_comes_out_again() -> None:
@@ -19,8 +19,8 @@ def test_what_is_packed_comes_out_again() -> None:
         "signed": np.array([-127, 127], np.int8),
         "one": np.array(3, np.uint32),
     }
-    packet = pack("frame", arrays, frame=4, light=False)
-    header, unpacked_arrays = unpack(packet)
+    packet = pack_arrays("frame", arrays, frame=4, light=False)
+    header, unpacked_arrays = unpack_arrays(packet)
     assert (header["slot"], header["frame"], header["light"]) == ("frame", 4, False)
     assert list(unpacked_arrays) == list(arrays)
     for name, array in arrays.items():
@@ -31,7 +31,7 @@ def test_what_is_packed_comes_out_again() -> None:
 
 def test_a_long_header_moves_the_arrays_back() -> None:
     arrays = {f"species {k}/state/machine {k}": np.full(k, k, np.uint8) for k in range(200)}
-    header, unpacked_arrays = unpack(pack("frame", arrays))
+    header, unpacked_arrays = unpack_arrays(pack_arrays("frame", arrays))
     assert {name: array.tolist() for name, array in unpacked_arrays.items()} == {
         name: array.tolist() for name, array in arrays.items()
     }
@@ -40,6 +40,6 @@ def test_a_long_header_moves_the_arrays_back() -> None:
 
 def test_other_types_are_refused() -> None:
     with pytest.raises(TypeError, match="`far` is float64"):
-        pack("frame", {"far": np.zeros(3)})
+        pack_arrays("frame", {"far": np.zeros(3)})
     with pytest.raises(ValueError):
-        unpack(b"ant2\x00\x00\x00\x00")
+        unpack_arrays(b"ant2\x00\x00\x00\x00")

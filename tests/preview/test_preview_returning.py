@@ -16,9 +16,9 @@ pytest.importorskip("websockets")
 from preview_served import SECONDS, Noted
 from websockets.exceptions import ConnectionClosed
 
-from antdsl.preview.serving.addresses import listen
+from antdsl.preview.serving.addresses import open_listening_sockets
 from antdsl.preview.serving.guard import RequestGuard, ReturningPages
-from antdsl.preview.serving.pages import load_pages
+from antdsl.preview.serving.page_files import load_pages
 from antdsl.preview.serving.server import PreviewServer
 
 SCENE = Path("scene.yaml")
@@ -78,11 +78,11 @@ def test_a_server_lets_in_who_proves_a_key_and_tells_the_token(tmp_path: Path) -
     from websockets.asyncio.client import connect
 
     async def test() -> None:
-        listening = listen(port=0)
+        listening = open_listening_sockets(port=0)
         previous_returning = ReturningPages.of(SCENE, listening.port, tmp_path / "kept")
         now = ReturningPages.of(SCENE, listening.port, tmp_path / "kept")
         assert previous_returning is not None and now is not None
-        guard = RequestGuard(listening.names, returning=now)
+        guard = RequestGuard(listening.host_names, returning_pages=now)
         live = Noted()
         host = f"127.0.0.1:{listening.port}"
 
@@ -100,7 +100,7 @@ def test_a_server_lets_in_who_proves_a_key_and_tells_the_token(tmp_path: Path) -
                 messages.append({"op": "closed", "reason": why.rcvd.reason if why.rcvd else ""})
             return messages
 
-        async with asyncio.timeout(SECONDS), PreviewServer(live, guard, load_pages(), listening).running():
+        async with asyncio.timeout(SECONDS), PreviewServer(live, guard, load_pages(), listening).run():
             challenge, hello = await come("{nonce}")
             assert challenge["op"] == "return" and hello["op"] == "hello"
             assert (hello["token"], hello["key"]) == (guard.token, now.key)

@@ -11,10 +11,10 @@ import pytest
 from live_client import Page
 from preview_page import copied
 
-from antdsl.bodies.library import library_body
+from antdsl.bodies.library import load_library_body
 from antdsl.preview import Live, Session
-from antdsl.preview.binary_packets import unpack
-from antdsl.preview.viewing.acting import NO_CLIP_CODE
+from antdsl.preview.binary_packets import unpack_arrays
+from antdsl.preview.viewing.action_arrays import NO_CLIP_CODE
 
 
 @pytest.fixture
@@ -46,7 +46,7 @@ def test_a_frame_tells_what_agents_play(live: Live, scene: Path) -> None:
     for _ in range(60):
         session.step()
     walkers = session.world.populations["walker"]
-    rows = walkers.in_id_order()
+    rows = walkers.rows_by_id()
     clips = [clip.name for clip in walkers.plan.clips]
     playing = set()
     for machine in ("legs", "arms"):
@@ -68,19 +68,19 @@ def test_a_frame_tells_what_agents_play(live: Live, scene: Path) -> None:
 
 def test_a_body_is_sent_once_and_again_when_it_is_another_one(live: Live, scene: Path) -> None:
     page = Page(live)
-    page.until(lambda: "rig:walker" in page.packets)
-    header, arrays = unpack(page.packets["rig:walker"])
+    page.until(lambda: "rig:walker" in page.make_packets)
+    header, arrays = unpack_arrays(page.make_packets["rig:walker"])
     assert header["machines"] == ["legs", "arms"] and header["joints"] == 13
-    first = page.packets["rig:walker"]
+    first = page.make_packets["rig:walker"]
     page.ask("step", count=3)
     page.frame_arrays(4)
-    assert page.packets["rig:walker"] is first
+    assert page.make_packets["rig:walker"] is first
     body = scene.with_name("walker.json")
     definition = json.loads(body.read_text())
     definition["materials"]["skin"] = [0.1, 0.5, 0.1]
     body.write_text(json.dumps(definition))
-    page.until(lambda: page.packets["rig:walker"] != first)
-    _, other = unpack(page.packets["rig:walker"])
+    page.until(lambda: page.make_packets["rig:walker"] != first)
+    _, other = unpack_arrays(page.make_packets["rig:walker"])
     assert not np.array_equal(arrays["fine/colour"], other["fine/colour"])
     assert np.array_equal(arrays["fine/position"], other["fine/position"])
     page.ask("step", count=1)
@@ -89,8 +89,8 @@ def test_a_body_is_sent_once_and_again_when_it_is_another_one(live: Live, scene:
 
 def test_errors_in_a_body_are_located_and_the_old_body_stays(live: Live, scene: Path) -> None:
     page = Page(live)
-    page.until(lambda: "rig:walker" in page.packets)
-    first = page.packets["rig:walker"]
+    page.until(lambda: "rig:walker" in page.make_packets)
+    first = page.make_packets["rig:walker"]
     body = scene.with_name("walker.json")
     good = body.read_text()
     number = len(page.told)
@@ -100,7 +100,7 @@ def test_errors_in_a_body_are_located_and_the_old_body_stays(live: Live, scene: 
     assert {each["severity"] for each in said} == {"error"} and all(each["line"] > 0 for each in said)
     page.ask("step", count=2)
     page.status(frame=3)
-    assert page.packets["rig:walker"] is first
+    assert page.make_packets["rig:walker"] is first
     body.write_text(good)
     page.until(lambda: page.last("problems")["problems"] == [])
     page.ask("step", count=1)
@@ -109,8 +109,8 @@ def test_errors_in_a_body_are_located_and_the_old_body_stays(live: Live, scene: 
 
 def test_a_species_that_loses_its_file_gets_a_body_of_the_library(live: Live, scene: Path) -> None:
     page = Page(live)
-    page.until(lambda: "rig:walker" in page.packets)
+    page.until(lambda: "rig:walker" in page.make_packets)
     program = scene.with_name("walker.ant")
     program.write_text(program.read_text().replace("play wave(on: arms)", "play look(on: feelers)"))
     scene.write_text(scene.read_text().replace(" body: walker.json,", ""))
-    page.until(lambda: unpack(page.packets["rig:walker"])[0]["joints"] == len(library_body("ant").rig.names))
+    page.until(lambda: unpack_arrays(page.make_packets["rig:walker"])[0]["joints"] == len(load_library_body("ant").rig.names))

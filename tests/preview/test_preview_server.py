@@ -19,7 +19,7 @@ from websockets.frames import Opcode
 
 from antdsl import limits
 from antdsl.preview.serving import server as serving
-from antdsl.resources import page_file
+from antdsl.resources import preview_page_file
 
 FILES = {"/": "index.html", "/index.html": "index.html", "/app.js": "app.js", "/app.css": "app.css"}
 
@@ -51,7 +51,7 @@ def test_the_page_is_served_with_a_policy_and_is_not_cached() -> None:
             if name == "index.html":
                 assert f'<meta name="build" content="{server.pages.build}" />'.encode() in body
             else:
-                assert body == page_file(name).read_bytes()
+                assert body == preview_page_file(name).read_bytes()
             policy = headers["Content-Security-Policy"].split("; ")
             assert {"default-src 'none'", "script-src 'self'", "connect-src 'self'", "frame-ancestors 'none'"} <= set(policy)
             assert "unsafe" not in headers["Content-Security-Policy"] and "*" not in headers["Content-Security-Policy"]
@@ -179,7 +179,7 @@ def test_a_wrong_token_is_reported_and_nothing_else() -> None:
 
 def test_a_code_opens_once_and_is_changed_for_the_token() -> None:
     async def test(server: Served) -> None:
-        code = server.guard.invite()
+        code = server.guard.make_invitation_code()
         assert code != server.guard.token and code not in repr(server.guard)
         good = [f"127.0.0.1:{server.port}"]
         assert await server.open_socket(good, ["http://evil.example"], ["antdsl.1", f"token.{code}"]) == 403
@@ -455,7 +455,7 @@ def test_only_this_machine_is_heard() -> None:
     async def test(server: Served) -> None:
         for each in server.listening.sockets:
             assert ip_address(each.getsockname()[0]).is_loopback
-        assert server.guard.names == {f"{name}:{server.port}" for name in ("localhost", "127.0.0.1", "[::1]")}
+        assert server.guard.host_names == {f"{name}:{server.port}" for name in ("localhost", "127.0.0.1", "[::1]")}
 
     with_server(test)
 

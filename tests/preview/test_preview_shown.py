@@ -13,8 +13,8 @@ from live_client import EXAMPLES, Page, agent_positions, hashes
 from preview_page import few
 
 from antdsl.preview import Live, Session
-from antdsl.preview.binary_packets import unpack
-from antdsl.preview.viewing.agents import feeler_arrays
+from antdsl.preview.binary_packets import unpack_arrays
+from antdsl.preview.viewing.agent_packets import make_feeler_arrays
 
 
 @pytest.fixture
@@ -42,14 +42,14 @@ def test_a_frame_shows_what_the_session_holds(live: Live, scene: Path) -> None:
         session.step()
     ants = session.world.populations["forager"]
     assert list(arrays["forager/id"]) == sorted(ants.ids)
-    rows = ants.in_id_order()
+    rows = ants.rows_by_id()
     assert np.array_equal(agent_positions(arrays, "forager"), ants.position[rows].astype(np.float32))
-    assert np.allclose(arrays["forager/heading"].reshape(-1, 3) / 127, ants.vector("heading")[rows], atol=0.004)
+    assert np.allclose(arrays["forager/heading"].reshape(-1, 3) / 127, ants.read_vector("heading")[rows], atol=0.004)
     assert np.array_equal(arrays["forager/state/main"], ants.now["main.state"][rows])
-    assert np.allclose(arrays["forager/speed"], np.linalg.norm(ants.vector("velocity"), axis=1)[rows], rtol=1e-5)
+    assert np.allclose(arrays["forager/speed"], np.linalg.norm(ants.read_vector("velocity"), axis=1)[rows], rtol=1e-5)
     assert np.array_equal(arrays["forager/column/max_speed"], ants.now["max_speed"][rows])
     assert np.allclose(arrays["item/food/amount/load"], session.world.items["food"].amounts["load"])
-    assert {"fieldmesh:trail", "field:trail"} <= page.packets.keys()
+    assert {"fieldmesh:trail", "field:trail"} <= page.make_packets.keys()
 
 
 def test_a_light_frame_shows_turned_bodies_and_simulates_nothing(live: Live) -> None:
@@ -107,9 +107,9 @@ Shape = tuple[np.ndarray, np.ndarray, np.ndarray]
 def pieces(page: Page) -> dict[str, Shape]:
     """The pieces of solids that a page has, with places, normals and faces."""
     shapes = {}
-    for slot, packet in dict(page.packets).items():
+    for slot, packet in dict(page.make_packets).items():
         if slot.startswith("solid:"):
-            _, arrays = unpack(packet)
+            _, arrays = unpack_arrays(packet)
             shapes[slot] = tuple(arrays[name].reshape(-1, 3) for name in ("position", "normal", "face"))
     return shapes  # type: ignore[return-value]
 
@@ -129,9 +129,9 @@ def test_a_field_is_shown_on_its_ground(live: Live) -> None:
     page.ask("look", columns=(), fields=("trail",), flows=(), solids=True, follow=None)
     page.ask("step", count=60)
     page.status(frame=61)
-    page.until(lambda: unpack(page.packets["field:trail"])[0]["frame"] == 61)
-    _, mesh = unpack(page.packets["fieldmesh:trail"])
-    header, field_arrays = unpack(page.packets["field:trail"])
+    page.until(lambda: unpack_arrays(page.make_packets["field:trail"])[0]["frame"] == 61)
+    _, mesh = unpack_arrays(page.make_packets["fieldmesh:trail"])
+    header, field_arrays = unpack_arrays(page.make_packets["field:trail"])
     world = live.session.world  # it stands still
     cells, values = world.fields["trail"].cells.position, world.fields["trail"].values
     positions = mesh["position"].reshape(-1, 3)
@@ -143,13 +143,13 @@ def test_a_field_is_shown_on_its_ground(live: Live) -> None:
     near_strong = level[[np.linalg.norm(positions - place, axis=1).argmin() for place in strong[:20]]]
     near_weak = level[[np.linalg.norm(positions - place, axis=1).argmin() for place in weak[:: len(weak) // 50]]]
     assert near_strong.mean() > values[values > 0].mean() / 2 and np.median(near_weak) == 0
-    packet = page.packets["field:trail"]
+    packet = page.make_packets["field:trail"]
     page.ask("step", count=80)  # until there is much more scent
     page.status(frame=141)
     page.ask("seek", frame=61, exact=True)
-    page.until(lambda: unpack(page.packets["field:trail"])[0]["frame"] == 61)
+    page.until(lambda: unpack_arrays(page.make_packets["field:trail"])[0]["frame"] == 61)
     page.status(frame=61, light=False)
-    assert page.packets["field:trail"] == packet, "the same frame is the same picture"
+    assert page.make_packets["field:trail"] == packet, "the same frame is the same picture"
 
 
 def test_curves_grow_and_a_branch_is_stored_beside_them(live: Live, scene: Path) -> None:
@@ -195,31 +195,33 @@ def test_what_moves_is_shown_where_it_is(live: Live, scene: Path) -> None:
         "stones:  {mesh: stones.ply, keys: {1: {at: [0, 0, 0]}, 11: {at: [50, 0, 0]}}}",
     ))  # fmt: skip
     page = Page(live)
-    page.until(lambda: "mesh:stones" in page.packets and unpack(page.packets["mesh:stones"])[0]["moves"])
-    initial_positions = unpack(page.packets["mesh:stones"])[1]["position"].reshape(-1, 3)
-    ground = page.packets["mesh:ground"]
+    page.until(lambda: "mesh:stones" in page.make_packets and unpack_arrays(page.make_packets["mesh:stones"])[0]["moves"])
+    initial_positions = unpack_arrays(page.make_packets["mesh:stones"])[1]["position"].reshape(-1, 3)
+    ground = page.make_packets["mesh:ground"]
     page.ask("step", count=4)
     page.frame_arrays(5)
     page.until(
         lambda: np.allclose(
-            unpack(page.packets["mesh:stones"])[1]["position"].reshape(-1, 3) - initial_positions, (20, 0, 0), atol=0.01
+            unpack_arrays(page.make_packets["mesh:stones"])[1]["position"].reshape(-1, 3) - initial_positions,
+            (20, 0, 0),
+            atol=0.01,
         )
     )
-    assert page.packets["mesh:ground"] is ground, "what stands still is not sent again"
+    assert page.make_packets["mesh:ground"] is ground, "what stands still is not sent again"
 
 
 def test_a_mesh_that_an_edit_takes_away_is_gone(live: Live, scene: Path) -> None:
     page = Page(live)
-    page.until(lambda: "mesh:boulder" in page.packets)
+    page.until(lambda: "mesh:boulder" in page.make_packets)
     program = scene.parent / "forager.ant"
     lines = [line for line in program.read_text().splitlines() if "surface  boulder" not in line]
     scene.write_text(scene.read_text().replace("  boulder: {mesh: boulder.ply}\n", ""))
     program.write_text("\n".join(lines).replace("trail on ground, boulder", "trail on ground") + "\n")
-    page.until(lambda: not unpack(page.packets["mesh:boulder"])[1]["face"].size)
-    assert unpack(page.packets["mesh:ground"])[1]["face"].size
+    page.until(lambda: not unpack_arrays(page.make_packets["mesh:boulder"])[1]["face"].size)
+    assert unpack_arrays(page.make_packets["mesh:ground"])[1]["face"].size
     later = Page(live)
-    later.until(lambda: "mesh:stones" in later.packets)
-    assert "mesh:boulder" not in later.packets or not unpack(later.packets["mesh:boulder"])[1]["face"].size
+    later.until(lambda: "mesh:stones" in later.make_packets)
+    assert "mesh:boulder" not in later.make_packets or not unpack_arrays(later.make_packets["mesh:boulder"])[1]["face"].size
 
 
 def test_feelers_of_who_is_followed_end_where_they_hit(live: Live) -> None:
@@ -235,9 +237,9 @@ def test_feelers_of_who_is_followed_end_where_they_hit(live: Live) -> None:
     # one that faces a wall a body ahead: the same agent, put before the stones, is requested directly
     population = live.session.world.populations["forager"]  # it stands still
     stones = live.session.world.setting.obstacles["stones"].vertices - live.session.world.origin
-    at = int(population.rows_of(np.array([3]))[0])
-    population.position[at] = stones[0] - 2.0 * population.vector("heading")[at]
-    feelers = feeler_arrays(live.session.world, live.session.shot.program, "forager", 3)
+    at = int(population.find_rows(np.array([3]))[0])
+    population.position[at] = stones[0] - 2.0 * population.read_vector("heading")[at]
+    feelers = make_feeler_arrays(live.session.world, live.session.shot.program, "forager", 3)
     assert feelers["feelers/hit"].any()
     lengths = np.linalg.norm(np.diff(feelers["feelers"].reshape(-1, 2, 3), axis=1)[:, 0], axis=1)
     assert (lengths[feelers["feelers/hit"] == 1] < 1.5 * arrays["forager/size"][row]).all()
@@ -250,13 +252,13 @@ def test_a_field_goes_with_ground_that_moves(live: Live, scene: Path) -> None:
     ))  # fmt: skip
     page = Page(live)
     page.ask("look", columns=[], fields=["trail"], flows=[], follow=None)
-    page.until(lambda: "mesh:boulder" in page.packets and unpack(page.packets["mesh:boulder"])[0]["moves"])
+    page.until(lambda: "mesh:boulder" in page.make_packets and unpack_arrays(page.make_packets["mesh:boulder"])[0]["moves"])
     page.ask("step", count=10)
     page.frame_arrays(11)
-    page.until(lambda: unpack(page.packets["field:trail"])[0]["frame"] == 11)
-    field = unpack(page.packets["fieldmesh:trail"])[1]["position"].reshape(-1, 3)
+    page.until(lambda: unpack_arrays(page.make_packets["field:trail"])[0]["frame"] == 11)
+    field = unpack_arrays(page.make_packets["fieldmesh:trail"])[1]["position"].reshape(-1, 3)
     for name in ("ground", "boulder"):
-        mesh = unpack(page.packets[f"mesh:{name}"])[1]["position"].reshape(-1, 3)
+        mesh = unpack_arrays(page.make_packets[f"mesh:{name}"])[1]["position"].reshape(-1, 3)
         assert all(np.linalg.norm(field - vertex, axis=1).min() < 0.01 for vertex in mesh[::97]), name
 
 
@@ -283,7 +285,7 @@ def test_everything_in_a_scene_is_sent_and_shown(example: str) -> None:
             assert np.isfinite(arrays[f"{each['species']}/column/{each['name']}"]).all() or each["name"] == "max_turn"
         expected_slots = {f"field:{name}" for name in fields} | {f"flow:{name}" for name in scene["flows"]}
         expected_slots |= {f"curve:{name}" for name in scene["curves"]} | {f"rig:{each['name']}" for each in scene["species"]}
-        page.until(lambda: expected_slots <= page.packets.keys())
+        page.until(lambda: expected_slots <= page.make_packets.keys())
         for param in scene["params"]:
             assert param["low"] is None or param["low"] <= param["number"] <= param["high"], param
     finally:

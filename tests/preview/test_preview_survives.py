@@ -23,10 +23,10 @@ from websockets.asyncio.client import ClientConnection
 from websockets.exceptions import ConnectionClosed
 
 from antdsl.preview import Live
-from antdsl.preview.binary_packets import unpack
-from antdsl.preview.serving.addresses import listen
+from antdsl.preview.binary_packets import unpack_arrays
+from antdsl.preview.serving.addresses import open_listening_sockets
 from antdsl.preview.serving.guard import RequestGuard
-from antdsl.preview.serving.pages import load_pages
+from antdsl.preview.serving.page_files import load_pages
 from antdsl.preview.serving.server import PreviewServer
 
 SECONDS = 120  # that a test may take at most, on a machine that is busy
@@ -117,10 +117,10 @@ def test_a_scene_continues_when_its_folder_returns(live: Live, folder: Path) -> 
 def with_live(live: Live, test: Callable[[Served], Awaitable[None]]) -> None:
     @asynccontextmanager
     async def served():  # type: ignore[no-untyped-def]
-        listening = listen(port=0)
-        guard = RequestGuard(listening.names)
+        listening = open_listening_sockets(port=0)
+        guard = RequestGuard(listening.host_names)
         server = Served(live, guard, load_pages(), listening)  # type: ignore[arg-type]
-        async with asyncio.timeout(SECONDS), PreviewServer(live, guard, server.pages, listening).running():
+        async with asyncio.timeout(SECONDS), PreviewServer(live, guard, server.pages, listening).run():
             yield server
 
     async def run() -> None:
@@ -136,7 +136,7 @@ async def frames(client: ClientConnection, count: int) -> list[int]:
     while len(numbers) < count:
         got = await client.recv()
         if isinstance(got, bytes):
-            header, _ = unpack(got)
+            header, _ = unpack_arrays(got)
             if header["slot"] == "frame":
                 numbers.append(header["frame"])
     return numbers

@@ -223,11 +223,11 @@ def test_a_run_that_is_simulated_again_is_stored_as_a_branch(shot: Path) -> None
     session = opened(shot)
     go(session, 9)
     curves = dict(session.timeline.curves)
-    session.timeline.stop(4, "somebody rests")
+    session.timeline.mark_stop(4, "somebody rests")
     session.restart()
     [branch] = session.timeline.branches
     assert (branch.first, branch.line, branch.curves) == (1, "simulated again from the first frame", curves)
-    assert not session.timeline.stops
+    assert not session.timeline.stop_reasons
 
 
 def test_a_clean_run_is_what_a_fresh_run_gives(shot: Path) -> None:
@@ -284,11 +284,14 @@ def test_memory_stays_in_its_budget_and_the_oldest_goes_first(shot: Path) -> Non
     hashes = go(session, 60)
     timeline = session.timeline
     array_sizes = {
-        id(array): array.nbytes for lights in timeline.light.values() for light in lights.values() for array in light.values()
+        id(array): array.nbytes
+        for lights in timeline.light_frames.values()
+        for light in lights.values()
+        for array in light.values()
     }
-    assert timeline.light.nbytes == sum(array_sizes.values())
+    assert timeline.light_frames.nbytes == sum(array_sizes.values())
     assert timeline.nbytes <= 150_000 + max(sum(a.nbytes for a in c.values()) for c in timeline.stretches[0].checkpoints.values())
-    assert session.light_at(1) is None
+    assert session.read_light_frame(1) is None
     assert len(timeline.curves) == 61
     session.seek(30)
     assert session.hash == hashes[30]
@@ -297,11 +300,11 @@ def test_memory_stays_in_its_budget_and_the_oldest_goes_first(shot: Path) -> Non
 def test_light_frames_show_agents_without_simulating(shot: Path) -> None:
     session = opened(shot)
     go(session, 5)
-    light_frame = session.light_at(3)
+    light_frame = session.read_light_frame(3)
     assert light_frame is not None
     session.seek(3)
     assert (light_frame["forager"]["position"] == session.world.populations["forager"].position.astype("f4")).all()
-    assert session.light_at(99) is None
+    assert session.read_light_frame(99) is None
 
 
 def test_files_that_a_scene_is_made_of_are_known(shot: Path) -> None:

@@ -9,8 +9,8 @@ from threading import Event
 
 import pytest
 
-from antdsl.bounded import open_regular
 from antdsl.preview import FileWatch
+from antdsl.safe_read import open_regular_file
 
 
 def sparse(path: Path) -> None:
@@ -177,13 +177,13 @@ def test_how_much_is_read_without_a_sign_of_change_is_bounded(tmp_path: Path) ->
 
     def opened(path: Path) -> int:
         read.append(path)
-        return open_regular(path)
+        return open_regular_file(path)
 
     files = [tmp_path / f"walls.{number:04d}.ply" for number in range(200)]
     for each in files:
         each.write_bytes(bytes(100_000))
     clock = Clock()
-    watch = FileWatch(lambda: files, opened=opened, clock=clock)
+    watch = FileWatch(lambda: files, open_file=opened, clock=clock)
     read.clear()
     for _ in range(100):
         clock.now += 0.05
@@ -197,7 +197,7 @@ def test_waiting_for_changes_ends_at_the_stop_event(file: Path) -> None:
     stop = Event()
     watch = FileWatch(lambda: [file])
     file.write_text("other")
-    for changed in watch.wait_for_changes(stop, every=0.005):
+    for changed in watch.wait_for_changes(stop, interval=0.005):
         assert changed == (file,)
         stop.set()
     assert stop.is_set()

@@ -21,11 +21,11 @@ STAB = 48  # frames
 def run(frames: int, **params: str) -> tuple[np.ndarray, np.ndarray, list[float]]:
     """States (frames, ants), the position of each at the stab, and the alarm there is, frame by frame, ants in order of id."""
     shot, report = open_scene(SCENE, RunChoices(params={f"ant.{name}": text for name, text in params.items()}))
-    assert shot is not None, report.sorted()
+    assert shot is not None, report.sort_by_place()
     states, scent, place = [], [], np.zeros(0)
     for k, world in enumerate(islice(simulate(shot), frames)):
         ants = world.populations["ant"]
-        rows = ants.in_id_order()
+        rows = ants.rows_by_id()
         states.append(ants.now["main.state"][rows].copy())
         scent.append(float(world.fields["alarm"].values.sum()))
         place = ants.position[rows, 0].copy() if k == STAB else place

@@ -40,19 +40,19 @@ class Fight:
 def fight() -> Fight:
     """Two sides of 40, with their middles 90 mm apart."""
     shot, report = open_scene(SCENE)
-    assert shot is not None, report.sorted()
+    assert shot is not None, report.sort_by_place()
     crowds = [
-        replace(crowd, count=EACH, place=replace(crowd.place, around=(x, 0.0, 0.0), radius=25.0))
+        replace(crowd, count=EACH, place=replace(crowd.place, disc_centre=(x, 0.0, 0.0), radius=25.0))
         for x, crowd in zip((-45.0, 45.0), shot.setting.crowds, strict=True)
     ]
     world = bind(shot.plan, replace(shot.setting, crowds=tuple(crowds)))
     ants = world.populations["soldier"]
     fight_record = Fight(
-        ants.now["group"][ants.in_id_order()].copy(), next(m.states for m in ants.plan.machines if m.name == "deeds")
+        ants.now["group"][ants.rows_by_id()].copy(), next(m.states for m in ants.plan.machines if m.name == "deeds")
     )
     for frame in range(FRAMES):
         step(world)
-        rows = ants.in_id_order()
+        rows = ants.rows_by_id()
         ids = ants.ids[rows]
         fight_record.strength[frame, ids] = ants.now["strength"][rows]
         fight_record.enemy[frame, ids] = ants.now["enemy"][rows]

@@ -12,8 +12,8 @@ from children import child_environment
 
 from antdsl import passes, plan
 from antdsl.pipeline import compile_files
-from antdsl.plan.registers import bytes_by_purpose
-from antdsl.program.cost import ASSUMED_SET_MEMBERS, StateCost, costs
+from antdsl.plan.registers import count_bytes_by_purpose
+from antdsl.program.cost import ASSUMED_SET_MEMBERS, StateCost, estimate_costs
 
 ROOT = Path(__file__).resolve().parents[2]
 HEAD = "ant 1\nuse steering\nworld { surface ground; obstacle stones; items food { load = 0 } }\n"
@@ -25,7 +25,7 @@ def find_costs(tmp_path: Path, text: str) -> dict[str, StateCost]:
     path.write_text(HEAD + text)
     program, report = compile_files([path])
     assert program is not None and report.ok, [d.message for d in report.diagnostics]
-    return {part.name: part for part in costs(program, program.species["walker"])}
+    return {part.name: part for part in estimate_costs(program, program.species["walker"])}
 
 
 @pytest.mark.parametrize(
@@ -41,13 +41,13 @@ def find_costs(tmp_path: Path, text: str) -> dict[str, StateCost]:
 )
 def test_what_a_state_asks_for(tmp_path: Path, push: str, words: list[str]) -> None:
     part = find_costs(tmp_path, f"species walker {{ state stroll {{ steer {push} }} }}\n")["stroll"]
-    assert [use.words for use in part.uses] == words
-    assert part.weight == part.sums + sum(use.weight for use in part.uses)
+    assert [use.description for use in part.uses] == words
+    assert part.weight == part.operation_count + sum(use.weight for use in part.uses)
 
 
 def test_fields_are_smelled_and_laid(tmp_path: Path) -> None:
     text = "species walker { state s { steer climb(trail, nearest: 9); deposit trail 1 /s; when trail > 3 -> s } }\n"
-    words = {use.words for use in find_costs(tmp_path, FIELD + text)["s"].uses}
+    words = {use.description for use in find_costs(tmp_path, FIELD + text)["s"].uses}
     assert words == {"9 cells of trail", "lays trail", "trail"}
 
 
@@ -63,7 +63,7 @@ def test_more_rays_and_sums_inside_sets_weigh_more(tmp_path: Path) -> None:
 def test_what_is_done_in_every_state_stands_last(tmp_path: Path) -> None:
     parts = find_costs(tmp_path, "species walker { state s { steer heading }; layers { avoid(stones); state } }\n")
     assert list(parts) == ["s", "every state"]
-    assert [use.words for use in parts["every state"].uses] == ["3 rays on stones"]
+    assert [use.description for use in parts["every state"].uses] == ["3 rays on stones"]
 
 
 def test_memory_counts_what_the_plan_keeps(tmp_path: Path) -> None:
@@ -72,7 +72,7 @@ def test_memory_counts_what_the_plan_keeps(tmp_path: Path) -> None:
         path.write_text(f"ant 1\nspecies walker {{ {members}; state s {{ steer heading; when after 1 s -> s }} }}\n")
         program, _ = compile_files([path])
         assert program is not None
-        return bytes_by_purpose(passes.optimise(plan.lower(program)[0]).species["walker"])
+        return count_bytes_by_purpose(passes.optimise(plan.lower(program)[0]).species["walker"])
 
     none = bytes_of("size 4 mm")
     one = bytes_of("hunger = 0")
@@ -81,8 +81,9 @@ def test_memory_counts_what_the_plan_keeps(tmp_path: Path) -> None:
 
 def test_the_command_prints_it_and_loads_no_geometry(tmp_path: Path) -> None:
     check = (
-        "import sys; from antdsl.cli import _run; sys.argv = ['antdsl', 'check', 'examples/foraging/forager.ant', '--cost'];"
-        "code = _run(); print(code, [m for m in ('open3d', 'scipy', 'llvmlite') if m in sys.modules])"
+        "import sys; from antdsl.cli import _run_without_warnings as run;"
+        "sys.argv = ['antdsl', 'check', 'examples/foraging/forager.ant', '--cost'];"
+        "code = run(); print(code, [m for m in ('open3d', 'scipy', 'llvmlite') if m in sys.modules])"
     )
     env = child_environment()
     process = subprocess.run([sys.executable, "-c", check], cwd=ROOT, env=env, capture_output=True, text=True, timeout=60)

@@ -10,10 +10,10 @@ import pytest
 
 from antdsl.pipeline import RunChoices, Shot, open_scene
 from antdsl.runtime import Options, World, bind, state_hash, step
-from antdsl.runtime.checkpoints import checkpoint, restore
-from antdsl.runtime.moving.heads import find_heads_inside
+from antdsl.runtime.checkpoints import restore_checkpoint, take_checkpoint
+from antdsl.runtime.moving.head_clearance import find_heads_inside
 from antdsl.runtime.world import Population
-from antdsl.senses.overlaps import worst_overlaps
+from antdsl.senses.overlaps import measure_worst_overlaps
 
 PROGRAM = """ant 1
 use steering
@@ -93,11 +93,11 @@ def test_no_body_tilts_or_turns_faster_than_it_may(tmp_path: Path, ground, turn:
     assert summary["step_max"] <= 1.001 and not world.faults.count
     if turn:
         population = world.populations["walker"]
-        previous_heading = population.vector("heading")
+        previous_heading = population.read_vector("heading")
         step(world)
-        turned = np.degrees(np.arccos(np.clip((previous_heading * population.vector("heading")).sum(axis=1), -1, 1)))
+        turned = np.degrees(np.arccos(np.clip((previous_heading * population.read_vector("heading")).sum(axis=1), -1, 1)))
         assert turned.max() <= most / 24 * 1.01
-    up, heading = (world.populations["walker"].vector(name) for name in ("up", "heading"))
+    up, heading = (world.populations["walker"].read_vector(name) for name in ("up", "heading"))
     assert np.abs((up * heading).sum(axis=1)).max() < 1e-4 and np.abs((up**2).sum(axis=1) - 1).max() < 1e-4
 
 
@@ -116,8 +116,8 @@ def test_the_whole_turn_of_a_body_is_no_faster_than_it_may(tmp_path: Path, groun
 
 
 def axes(population: Population) -> list[np.ndarray]:
-    rows = population.in_id_order()
-    up, heading = (population.vector(name)[rows].astype(np.float64) for name in ("up", "heading"))
+    rows = population.rows_by_id()
+    up, heading = (population.read_vector(name)[rows].astype(np.float64) for name in ("up", "heading"))
     return [up, heading, np.cross(up, heading)]
 
 
@@ -136,10 +136,10 @@ def test_who_begins_before_a_wall_is_tilted_already(tmp_path: Path) -> None:
     many = replace(opened_shot.setting, crowds=tuple(replace(crowd, count=400) for crowd in opened_shot.setting.crowds))
     world = bind(opened_shot.plan, many)
     population = world.populations["walker"]
-    leaning = (population.vector("up") != population.normal).any(axis=1)
+    leaning = (population.read_vector("up") != population.normal).any(axis=1)
     assert 5 < np.count_nonzero(leaning) < 200
     assert not find_heads_inside(world, population).any()
-    heading, up = population.vector("heading")[leaning], population.vector("up")[leaning]
+    heading, up = population.read_vector("heading")[leaning], population.read_vector("up")[leaning]
     assert np.abs((heading * up).sum(axis=1)).max() < 1e-6
 
 
@@ -158,7 +158,7 @@ def test_the_measures_tell_a_body_that_snaps_a_step_too_long_and_a_head_in_a_wal
     population.start["position.x"][1] = 5.0
     world.motion.reset()
     world.motion.begin(world)
-    world.motion.observe(world)
+    world.motion.record_step(world)
     summary = world.motion.summary()
     assert summary["tilt_max"] == pytest.approx(90, abs=0.01)
     assert summary["step_max"] == pytest.approx(5.3 / (30 / 24), rel=1e-4)
@@ -171,10 +171,10 @@ def test_feet_are_exact_while_the_body_leans(tmp_path: Path) -> None:
     for _ in range(80):
         step(world)
         population = world.populations["walker"]
-        normal, up = population.normal.astype(np.float64), population.vector("up")
+        normal, up = population.normal.astype(np.float64), population.read_vector("up")
         leaning += int((np.abs(up - normal).max(axis=1) > 0.1).sum())
         assert np.abs(np.abs((normal * world.ground.normal(population.footing)).sum(axis=1)) - 1).max() < 1e-6
-        assert np.abs((population.vector("velocity") * normal).sum(axis=1)).max() < 1e-3
+        assert np.abs((population.read_vector("velocity") * normal).sum(axis=1)).max() < 1e-3
     assert leaning > 20
 
 
@@ -187,7 +187,7 @@ def test_edges_give_the_same_bits_however_they_are_run(tmp_path: Path) -> None:
         == state_hash(run(opened_shot, 50, shuffle_rows=3, chunk=7))
     )
     half, other = run(opened_shot, 25), bind(opened_shot.plan, opened_shot.setting)
-    restore(other, checkpoint(half))
+    restore_checkpoint(other, take_checkpoint(half))
     for _ in range(25):
         step(other)
     assert state_hash(other) == expected_hash
@@ -201,20 +201,20 @@ def test_overlap_is_exact_however_dense_a_crowd_is(spread: float) -> None:
     away = np.sqrt(((place[:, None] - place[None]) ** 2).sum(axis=2))
     expected = np.clip(1 - away / (radius[:, None] + radius[None]), 0, 1)
     np.fill_diagonal(expected, 0)
-    assert worst_overlaps(*place.T.copy(), radius) == pytest.approx(expected.max(axis=1), abs=1e-6)
+    assert measure_worst_overlaps(*place.T.copy(), radius) == pytest.approx(expected.max(axis=1), abs=1e-6)
 
 
 @pytest.mark.parametrize("count", [0, 1, 2])
 def test_few_agents_overlap_or_none(count: int) -> None:
     place, radius = np.full((3, count), 4, np.float32), np.zeros(count, np.float32)
-    assert worst_overlaps(*place, radius).tolist() == [float(count > 1)] * count
+    assert measure_worst_overlaps(*place, radius).tolist() == [float(count > 1)] * count
     place[0, 1:] += np.float32(0.5)
-    assert worst_overlaps(*place, radius + 1).tolist() == [0.75 if count > 1 else 0] * count
-    assert worst_overlaps(*place, radius).tolist() == [0] * count
+    assert measure_worst_overlaps(*place, radius + 1).tolist() == [0.75 if count > 1 else 0] * count
+    assert measure_worst_overlaps(*place, radius).tolist() == [0] * count
 
 
 def test_overlaps_of_thousands_in_one_place_are_exact() -> None:
     place, radius = np.zeros((3, 20_000), np.float32), np.full(20_000, 2, np.float32)
-    assert (worst_overlaps(*place, radius) == 1).all()
+    assert (measure_worst_overlaps(*place, radius) == 1).all()
     place[:] = np.random.default_rng(1).random(place.shape) * 2
-    assert worst_overlaps(*place, radius).min() > 0.9
+    assert measure_worst_overlaps(*place, radius).min() > 0.9

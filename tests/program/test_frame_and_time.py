@@ -12,8 +12,8 @@ from test_specs import GROUND
 
 from antdsl.explain import CacheHistory, Replay, explain_agents, open_shot, tell
 from antdsl.pipeline import open_scene
-from antdsl.runtime import FaultStop, Options, bind, checkpoint, restore, state_hash, step
-from antdsl.specs import Work, collect_cases, run_cases
+from antdsl.runtime import FaultStop, Options, bind, restore_checkpoint, state_hash, step, take_checkpoint
+from antdsl.specs import RunContext, collect_cases, run_cases
 
 PROGRAM = """ant 1
 world { surface ground }
@@ -86,10 +86,10 @@ def test_a_fault_is_reported_at_the_frame_that_failed() -> None:
 @pytest.mark.parametrize("backend", ["numpy", "reference"])
 def test_a_spec_sees_the_same_frame_and_time_as_the_animals(scene: Path, backend: str) -> None:
     shot, report = open_scene(scene)
-    assert shot is not None, report.sorted()
+    assert shot is not None, report.sort_by_place()
     runs, report = collect_cases([scene.parent / "walker.ant"])
     assert report.ok and runs
-    run_cases(runs, Work(Options(backend=backend)))
+    run_cases(runs, RunContext(Options(backend=backend)))
     assert [failure.message for run in runs for case in run.cases for failure in case.failures] == []
 
 
@@ -110,7 +110,7 @@ def test_a_run_goes_on_from_a_checkpoint_with_the_same_frames(scene: Path) -> No
     unbroken_world, again = bind(shot.plan, shot.setting), bind(shot.plan, shot.setting)
     for _ in range(5):
         step(unbroken_world)
-    restore(again, checkpoint(unbroken_world))
+    restore_checkpoint(again, take_checkpoint(unbroken_world))
     for _ in range(6):
         step(unbroken_world)
         step(again)

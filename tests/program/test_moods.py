@@ -20,7 +20,7 @@ FORAGE, HIDE, LURK = range(3)
 def states() -> np.ndarray:
     """(frames, agents): the state of each roach in 8 s, of which 4 are lit."""
     shot, report = open_scene(SCENE, RunChoices(params={"roach.cycle": "8 s"}))
-    assert shot is not None, report.sorted()
+    assert shot is not None, report.sort_by_place()
     snapshots = [world.populations["roach"].now["main.state"].copy() for world in islice(simulate(shot), 193)]
     return np.array(snapshots)
 

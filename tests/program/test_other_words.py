@@ -6,7 +6,7 @@ import pytest
 from test_program import checked, complaints
 
 from antdsl.diagnostics import Diagnostic
-from antdsl.program.tables.other_words import CALL_REPLACEMENTS, NAME_REPLACEMENTS
+from antdsl.program.tables.foreign_words import CALL_REPLACEMENTS, NAME_REPLACEMENTS
 from antdsl.program.tables.vocabulary import (
     BUILTIN_ATTRIBUTE_BY_NAME,
     BUILTINS_BY_NAME,
@@ -39,7 +39,7 @@ GIVEN_TO = {
 
 def check_line(line: str) -> tuple[str, list[Diagnostic]]:
     text = TEXT.format(line=line)
-    return text, [each for each in checked(text)[1].sorted() if each.severity == "error"]
+    return text, [each for each in checked(text)[1].sort_by_place() if each.severity == "error"]
 
 
 def mended(text: str, error: Diagnostic) -> str:

@@ -148,7 +148,7 @@ behaviour remembered() -> number { keep n = 1 then max(n, speed / max_speed); n 
 def find_frame_warnings(line: str) -> list[Diagnostic]:
     program, report = checked(WORLD + BEHAVIOURS + AGENT.format(line=line))
     assert report.ok and program is not None, complaints(report)
-    return [diagnostic for diagnostic in report.sorted() if diagnostic.code == "per-frame"]
+    return [diagnostic for diagnostic in report.sort_by_place() if diagnostic.code == "per-frame"]
 
 
 @pytest.mark.parametrize(("line", "instead"), PER_FRAME_CASES)
@@ -198,7 +198,7 @@ def test_a_memory_of_a_behaviour_is_reported_too() -> None:
     text = WORLD + "behaviour ticks() -> number {\n  keep n = 0 then n + 1\n  n\n}\n"
     text += "species a { state s { steer heading * ticks() * 0.01; steer heading * ticks() } }\n"
     _, report = checked(text)
-    (diagnostic,) = [each for each in report.sorted() if each.code == "per-frame"]
+    (diagnostic,) = [each for each in report.sort_by_place() if each.code == "per-frame"]
     assert diagnostic.span is not None and diagnostic.span.text == "n + 1" and diagnostic.help is not None
     assert "`then n + 24 /s * dt`" in diagnostic.help and diagnostic.fix is not None and diagnostic.fix.text == "n + 24 /s * dt"
 
@@ -213,7 +213,7 @@ def test_the_library_and_the_samples_have_none() -> None:
     ]
     for path in paths:
         _, report = check_path(path, parsed=parsed)
-        assert "per-frame" not in [diagnostic.code for diagnostic in report.sorted()], path
+        assert "per-frame" not in [diagnostic.code for diagnostic in report.sort_by_place()], path
 
 
 # --- the unit `step` --------------------------------------------------------------------------------------------------
@@ -244,7 +244,7 @@ PER_SECOND = {
 
 def test_strict_tells_every_use_of_step_and_what_to_write() -> None:
     text = STEPS.format(**PER_STEP)
-    diagnostics = [each for each in checked(text, strict=True)[1].sorted() if each.code == "per-step"]
+    diagnostics = [each for each in checked(text, strict=True)[1].sort_by_place() if each.code == "per-step"]
     step_texts = [value.removeprefix("keeps ") for value in PER_STEP.values()]
     assert sorted(each.span.text for each in diagnostics if each.span) == sorted(step_texts)
     for each in sorted(diagnostics, key=lambda one: -(one.fix.span.start if one.fix else 0)):
@@ -261,12 +261,12 @@ def test_strict_looks_into_the_files_that_are_used_too(tmp_path: Path) -> None:
     main = tmp_path / "a.ant"
     main.write_text('ant 1\nuse "./mine.ant" as mine\nspecies a { state s { steer mine.slow() } }\n')
     _, report = check_path(main, strict=True)
-    assert [(each.code, each.span.text) for each in report.sorted() if each.span] == [("per-step", "2 step")]
+    assert [(each.code, each.span.text) for each in report.sort_by_place() if each.span] == [("per-step", "2 step")]
 
 
 def test_what_is_written_instead_keeps_the_layout() -> None:
     text = "ant 1\nspecies a {\n  x = 0\n  state s {\n    x = x + 1\n    when x > 2 -> s\n  }\n}\n"
-    (diagnostic,) = [each for each in checked(text)[1].sorted() if each.code == "per-frame"]
+    (diagnostic,) = [each for each in checked(text)[1].sort_by_place() if each.code == "per-frame"]
     assert diagnostic.fix is not None
     mended = text[: diagnostic.fix.span.start] + diagnostic.fix.text + text[diagnostic.fix.span.end :]
     assert format(Source("a.ant", mended))[0] == mended

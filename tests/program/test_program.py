@@ -12,7 +12,7 @@ from test_program_cases import check_text, find_library
 
 from antdsl.diagnostics import Report
 from antdsl.program import check, model
-from antdsl.program.traverse import parts
+from antdsl.program.traverse import iterate_parts
 from antdsl.source import Source
 from antdsl.syntax import nodes, parse
 
@@ -34,7 +34,7 @@ def checked(*texts: str, modules: dict[str, nodes.File] | None = None, strict: b
 
 
 def complaints(report: Report) -> list[str]:
-    return [f"{d.span}: {d.code}: {d.message}" for d in report.sorted()]
+    return [f"{d.span}: {d.code}: {d.message}" for d in report.sort_by_place()]
 
 
 # --- the programs ----------------------------------------------------------------------------------------------------
@@ -95,7 +95,7 @@ def test_a_mistake_is_reported_in_the_artists_words(
     text = (TESTS_FOLDER / "programs" / f"{program}.ant").read_text(encoding="utf-8")
     assert text.count(old) >= 1
     place = text.index(old)
-    diagnostics = check_text(text[:place] + new + text[place + len(old) :], f"{program}.ant").sorted()
+    diagnostics = check_text(text[:place] + new + text[place + len(old) :], f"{program}.ant").sort_by_place()
     if code is None:  # the same program in other words
         assert not [d for d in diagnostics if d.severity == "error"]
         return
@@ -110,8 +110,8 @@ def test_a_mistake_is_reported_in_the_artists_words(
 def test_nine_mistakes_are_seven_errors_and_then_two_warnings() -> None:
     """What seems idle is reported once the rest is right: until then it may be what was meant where something is wrong."""
     text = (TESTS_FOLDER / "cases" / "nine_mistakes.ant").read_text(encoding="utf-8")
-    diagnostics = check_text(text).sorted()
-    assert [(d.code, d.span.source.line_column(d.span.start)) for d in diagnostics if d.span is not None] == [
+    diagnostics = check_text(text).sort_by_place()
+    assert [(d.code, d.span.source.find_line_column(d.span.start)) for d in diagnostics if d.span is not None] == [
         ("missing-unit", (8, 13)),
         ("wrong-unit", (9, 13)),
         ("unknown-behaviour", (13, 11)),
@@ -125,8 +125,8 @@ def test_nine_mistakes_are_seven_errors_and_then_two_warnings() -> None:
         ("trail 2 }", "trail 2 /s }"), ("deposit trail 2\n", "deposit trail 2 /s\n"), ("; load = 1", ""),
     ):  # fmt: skip
         text = text.replace(wrong, right)
-    diagnostics += check_text(text).sorted()
-    positions = [(d.code, d.span.source.line_column(d.span.start)) for d in diagnostics[7:] if d.span is not None]
+    diagnostics += check_text(text).sort_by_place()
+    positions = [(d.code, d.span.source.find_line_column(d.span.start)) for d in diagnostics[7:] if d.span is not None]
     assert {("unused-param", (7, 9)), ("unreachable-state", (22, 9))} <= set(positions)
     assert all(d.severity == "warning" for d in diagnostics[7:])
     helps = " ".join(d.help or "" for d in diagnostics)
@@ -178,12 +178,12 @@ print(calls, *heavy)
 
 CHECK_SCRIPT = """
 from antdsl.program import check
-from antdsl.resources import library_file
+from antdsl.resources import find_library_file
 from antdsl.source import Source
 from antdsl.syntax import parse
 def told(text):
     def library(name):
-        return parse(Source(name, library_file(name).read_text(encoding="utf-8")))[0]
+        return parse(Source(name, find_library_file(name).read_text(encoding="utf-8")))[0]
     file, report = parse(Source("x.ant", text))
     report.extend(check(file, library)[1])
     return report
@@ -226,7 +226,7 @@ def test_units_are_worked_out() -> None:
     )
     assert {d.code for d in report.diagnostics} == {"constant-attribute"}
     values = {a.name: a.default for a in program.species["a"].attributes if not a.is_builtin}
-    got = {name: (v.number, v.u, tuple(v.type.dim)) for name, v in values.items() if isinstance(v, model.Constant)}
+    got = {name: (v.number, v.unit_power, tuple(v.type.dimension)) for name, v in values.items() if isinstance(v, model.Constant)}
     assert got["speedy"] == (pytest.approx(0.5), 0, (1, -1, 0, 0))
     assert got["far"] == (3, 1, (1, 0, 0, 0))
     assert got["turn"] == (pytest.approx(6.283185307179586), 0, (0, -1, 0, 1))
@@ -250,8 +250,8 @@ def test_changes_are_in_the_order_in_which_they_are_looked_at() -> None:
 def keys_of(text: str) -> set[str]:
     program, report = checked(text)
     assert complaints(report) == []
-    keys = {b.key for b in parts(program) if isinstance(b, model.Binding) and b.role == "keep"}
-    return keys | {o.site for o in parts(program) if isinstance(o, model.OperationExpr) and o.site}
+    keys = {b.key for b in iterate_parts(program) if isinstance(b, model.Binding) and b.role == "keep"}
+    return keys | {o.site for o in iterate_parts(program) if isinstance(o, model.OperationExpr) and o.site}
 
 
 def test_moving_lines_changes_no_key() -> None:
@@ -272,7 +272,7 @@ def test_a_behaviour_takes_the_types_of_its_call() -> None:
     assert complaints(report) == []
     kinds = [
         part.args[0].type.kind
-        for part in parts(program)
+        for part in iterate_parts(program)
         if isinstance(part, model.OperationExpr) and part.name == "direction" and part.args[0] is not None
     ]
     assert set(kinds) == {model.TypeKind.ITEM, model.TypeKind.CURVE, model.TypeKind.AGENT, model.TypeKind.VECTOR}
@@ -281,7 +281,7 @@ def test_a_behaviour_takes_the_types_of_its_call() -> None:
 def test_no_place_is_left_open_in_a_checked_program() -> None:
     for path in PROGRAMS:
         program, _ = checked(path.read_text(encoding="utf-8"))
-        for part in parts(program):
+        for part in iterate_parts(program):
             if isinstance(part, model.Expr):
                 assert part.type.kind not in (model.TypeKind.PLACE, model.TypeKind.BAD), (path.stem, part)
 
@@ -303,7 +303,7 @@ def test_a_module_is_called_by_its_name() -> None:
     module, _ = parse(Source("mine.ant", "ant 1\nbehaviour go() -> push { heading }\nbehaviour bad() -> push { 3 }\n"))
     text = 'ant 1\nuse "./mine.ant" as mine\nspecies a { state s { steer mine.go() + mine.gone() } }\n'
     _, report = checked(text, modules={"./mine.ant": module})
-    assert [(d.code, d.span.source.path) for d in report.sorted() if d.span] == [
+    assert [(d.code, d.span.source.path) for d in report.sort_by_place() if d.span] == [
         ("unknown-behaviour", "0.ant"),
         ("wrong-kind", "mine.ant"),
     ]
@@ -322,7 +322,7 @@ def test_strict_tells_what_depends_on_the_frames_per_second() -> None:
         "species a { state s { deposit t 2 /step; when t > 1 -> s } }\n"
     )
     assert complaints(checked(text)[1]) == []
-    assert [d.code for d in checked(text, strict=True)[1].sorted()] == ["per-step", "per-step"]
+    assert [d.code for d in checked(text, strict=True)[1].sort_by_place()] == ["per-step", "per-step"]
 
 
 # --- hostile texts ---------------------------------------------------------------------------------------------------

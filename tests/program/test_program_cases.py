@@ -72,9 +72,9 @@ def test_reports_match_the_comments_of_a_case(part: Part) -> None:
             up = (int(back) if back else 1) if "above" in line else 0
             expected[(number - up, severity, code)] = words
     messages = {}
-    for each in check_text(text).sorted():
+    for each in check_text(text).sort_by_place():
         assert each.span is not None, each
-        place = (each.span.source.line_column(each.span.start)[0] - above, each.severity, each.code)
+        place = (each.span.source.find_line_column(each.span.start)[0] - above, each.severity, each.code)
         if place in expected or each.severity == "error" or above == 0:
             messages[place] = f"{each.message} | {each.help}"
         assert each.help, each

@@ -93,7 +93,7 @@ def test_one_slip_is_one_complaint(right: str, wrong: str, code: str, place: str
     assert [d.code for d in diagnostics] == [code], [f"{d.span}: {d.message}" for d in diagnostics]
     assert diagnostics[0].span is not None and diagnostics[0].span.text == place
     line = GOOD[: GOOD.index(right)].count("\n") + 1
-    assert diagnostics[0].span.source.line_column(diagnostics[0].span.start)[0] - line == wrong.count(
+    assert diagnostics[0].span.source.find_line_column(diagnostics[0].span.start)[0] - line == wrong.count(
         "\n", 0, wrong.find("please") + 1
     )
     assert help in (diagnostics[0].help or "")

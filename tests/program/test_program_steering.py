@@ -13,8 +13,8 @@ from test_program import checked, complaints
 from test_program_cases import find_library
 
 from antdsl import passes, plan
-from antdsl.runtime import CrowdData, FieldStart, ItemData, MeshData, PlaceData, World, WorldSetting, bind, step
-from antdsl.scene.setting import FlowTarget, SpreadFlow
+from antdsl.runtime import CrowdData, FieldStartData, ItemData, MeshData, PlacementData, World, WorldSetting, bind, step
+from antdsl.scene.setting import FlowTarget, SpreadFlowData
 from antdsl.syntax import nodes
 
 HEAD = """ant 1
@@ -32,7 +32,7 @@ ROAD = np.stack([np.linspace(-150, 150, 61), np.zeros(61), 20 * np.sin(np.linspa
 
 def crowd(species: str, *points: tuple[float, float]) -> CrowdData:
     positions = np.array([(x, 0.0, z) for x, z in points])
-    return CrowdData(species, len(points), PlaceData(points=positions))
+    return CrowdData(species, len(points), PlacementData(points=positions))
 
 
 def scene(
@@ -55,10 +55,10 @@ def scene(
             surfaces={"ground": MeshData(*ground)},
             obstacles={"rock": MeshData(*rock)},
             curves={"road": ROAD},
-            flows={"drift": SpreadFlow("tangent", FlowTarget(ROAD, np.zeros(len(ROAD)), line=True), 60.0)},
+            flows={"drift": SpreadFlowData("tangent", FlowTarget(ROAD, np.zeros(len(ROAD)), line=True), 60.0)},
             items={"food": (ItemData("crumb", (food[0], 0.0, food[1]), 2.0),)},
             crowds=crowds,
-            field_start={"trail": FieldStart(1.0, (0.0, 0.0, 60.0), 30.0)},
+            field_start={"trail": FieldStartData(1.0, (0.0, 0.0, 60.0), 30.0)},
         ),
     )
 
@@ -307,7 +307,7 @@ def test_yield_keeps_its_distance_from_an_animal_that_has_arrived() -> None:
 
 def test_tolerate_leaves_what_exceeds_a_push() -> None:
     def spread(gap: float) -> float:
-        positions, _ = run(scene("tolerate(separate(20 mm), least: 0.3) + halt()", crowd("ant", (0, 0), (0, gap))), 48)
+        positions, _ = run(scene("tolerate(separate(20 mm), limit: 0.3) + halt()", crowd("ant", (0, 0), (0, gap))), 48)
         return float(np.linalg.norm(positions[-1, 0] - positions[-1, 1]))
 
     assert spread(16.0) == pytest.approx(16.0, abs=1e-3)

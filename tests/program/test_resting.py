@@ -11,7 +11,7 @@ from meaning import FAST, OPTION_SETS, RunHistory, crowd, play
 from test_program import checked
 from test_specs import GROUND
 
-from antdsl.cli.commands.new import TEMPLATE_FILES, file_text, ground
+from antdsl.cli.commands.new import TEMPLATE_FILES, build_ground_ply, read_template_file
 from antdsl.explain import CacheHistory, Replay, explain, explain_agents, open_shot, tell
 from antdsl.pipeline import open_scene
 from antdsl.plan.lowering.source_map import RESTING_TEXT
@@ -77,7 +77,7 @@ machine fear {{ start brave
     assert speeds(history)[20] < 0.3  # neither steers
     assert z[33] > 29.9  # and `stand` does not brake who flees
     program, _ = checked("ant 1\n" + text)
-    assert program.species["a"].rest.silent == {"legs": (1,), "fear": (0,)}
+    assert program.species["a"].rest.resting_states == {"legs": (1,), "fear": (0,)}
 
 
 def test_a_machine_of_which_every_state_steers_keeps_all_moving() -> None:
@@ -128,10 +128,10 @@ def test_the_ants_of_a_new_project_rest_where_they_are(tmp_path: Path) -> None:
     for name in TEMPLATE_FILES:
         path = tmp_path / name
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(file_text(name))
-    (tmp_path / "ground.ply").write_bytes(ground())
+        path.write_text(read_template_file(name))
+    (tmp_path / "ground.ply").write_bytes(build_ground_ply())
     shot, report = open_scene(tmp_path / "scene.yaml")
-    assert shot is not None, report.sorted()
+    assert shot is not None, report.sort_by_place()
     world = bind(shot.plan, shot.setting)
     for _ in range(72):
         step(world)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from antdsl.pipeline import open_scene
-from antdsl.runtime import CrowdData, MeshData, Options, PlaceData, World, WorldSetting, bind, step
+from antdsl.runtime import CrowdData, MeshData, Options, PlacementData, World, WorldSetting, bind, step
 
 SCENE = Path(__file__).resolve().parents[2] / "examples" / "roaches" / "scene.yaml"
 COUNT, FRAMES = 160, 150
@@ -19,14 +19,14 @@ COUNT, FRAMES = 160, 150
 @pytest.fixture(scope="module")
 def frames() -> tuple[World, list[dict[str, np.ndarray]]]:
     shot, report = open_scene(SCENE)
-    assert shot is not None, report.sorted()
+    assert shot is not None, report.sort_by_place()
     setting = replace(shot.setting, crowds=(replace(shot.setting.crowds[0], count=COUNT),))
     world = bind(shot.plan, setting, Options(threads=1))
     roaches, snapshots = world.populations["roach"], []
     for frame in range(FRAMES):
         if frame:
             step(world)
-        rows = roaches.in_id_order()
+        rows = roaches.rows_by_id()
         snapshots.append(
             {name: array[rows].copy() for name, array in roaches.now.items()} | {"place": roaches.position[rows].copy()}
         )
@@ -71,14 +71,14 @@ def run_roaches(*points: tuple[float, float], frames: int) -> tuple[World, list[
     """Roaches at points (x, z, mm) of an endless floor without controls, who run towards the middle."""
     shot, _ = open_scene(SCENE)
     assert shot is not None
-    crowd = CrowdData("roach", len(points), PlaceData(points=np.array([[x, 0.0, z] for x, z in points])))
+    crowd = CrowdData("roach", len(points), PlacementData(points=np.array([[x, 0.0, z] for x, z in points])))
     legs = {"legs": MeshData(*meshes.ball(10.0, (9000, 5, 9000), 2))}
     world = bind(shot.plan, WorldSetting(seed=3, crowds=(crowd,), obstacles=legs), Options(threads=1))
     roaches, snapshots = world.populations["roach"], []
     for frame in range(frames):
         if frame:
             step(world)
-        rows = roaches.in_id_order()
+        rows = roaches.rows_by_id()
         snapshots.append({name: array[rows].copy() for name, array in roaches.now.items()})
     return world, snapshots
 

@@ -57,11 +57,11 @@ def test_a_preview_is_whole_again_after_such_a_step(tmp_path: Path) -> None:
     initial_hash, frame = session.hash, session.frame
     session.set("walker.sight", "900 mm")
     session.step()
-    assert session.fault is not None and "8,192" in session.fault and session.frame == frame and not session.playing
+    assert session.fault_text is not None and "8,192" in session.fault_text and session.frame == frame and not session.playing
     session.set("walker.sight", "3 mm")
     assert session.hash == initial_hash
     session.step()
-    assert session.fault is None and session.frame == frame + 1
+    assert session.fault_text is None and session.frame == frame + 1
 
 
 def test_neighbours_are_counted_within_the_radius_and_not_in_its_cells() -> None:
@@ -140,7 +140,7 @@ def test_what_is_refused_is_marked_itself(
     with pytest.raises(LimitStop) as stop:
         step(asking(tmp_path, query, place))
     fault = stop.value.fault
-    assert fault.span is not None and fault.span.text == fault.what == marked and advice in fault.why
+    assert fault.span is not None and fault.span.text == fault.value_name == marked and advice in fault.reason
 
 
 @pytest.mark.parametrize(

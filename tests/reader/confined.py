@@ -20,7 +20,7 @@ from antdsl.reader import confinement, sandbox
 def main() -> None:
     folder, outside, port, parent = sys.argv[1], sys.argv[2], int(sys.argv[3]), os.getppid()
     null_descriptor = os.open(os.devnull, os.O_WRONLY)
-    active = sandbox.confine([*confinement.readable_folders(), folder])
+    active = sandbox.confine_process([*confinement.list_readable_folders(), folder])
     attempts: dict[str, Callable[[], object]] = {
         "read inside": lambda: Path(os.path.join(folder, "inside")).read_bytes(),
         "read outside": lambda: Path(outside).read_bytes(),

@@ -18,7 +18,7 @@ from antdsl import limits
 from antdsl.reader import client, private_folder
 from antdsl.reader.client import FileReader, ReaderFailure
 from antdsl.reader.image_request import ImageError, read_image_file
-from antdsl.reader.private_folder import PrivateFolder, remove_stale
+from antdsl.reader.private_folder import PrivateFolder, remove_stale_folders
 
 HELLO = """import sys, json, struct, time, os
 def send(document, arrays=(), body=b""):
@@ -52,14 +52,14 @@ def samples() -> np.ndarray | None:
 
 def test_it_is_started_once_and_again_after_it_died(reader: FileReader) -> None:
     assert np.array_equal(samples(), GREY)  # type: ignore[arg-type]
-    assert reader._running is not None
-    first = reader._running.process
+    assert reader._reader_process is not None
+    first = reader._reader_process.process
     samples()
-    assert reader._running.process is first
+    assert reader._reader_process.process is first
     first.send_signal(signal.SIGKILL)
     first.wait()
     assert np.array_equal(samples(), GREY)  # type: ignore[arg-type]
-    second, folder = reader._running.process, reader._folder
+    second, folder = reader._reader_process.process, reader._folder
     assert second is not first and folder is not None
     reader.end()
     assert second.poll() is not None and not folder.path.exists()
@@ -110,10 +110,10 @@ def test_a_request_that_failed_is_not_made_again(reader: FileReader, monkeypatch
     program.write_text(f"{HELLO}os.abort()\n")
     monkeypatch.setattr(client, "_CHILD_PROGRAM", program)
     with pytest.raises(ReaderFailure):
-        client.ask("image", {}, digest="a")
-    monkeypatch.setattr(reader, "_start", lambda: pytest.fail("started again"))
+        client.send_request("image", {}, request_digest="a")
+    monkeypatch.setattr(reader, "_start_process", lambda: pytest.fail("started again"))
     with pytest.raises(ReaderFailure, match="brings down"):
-        client.ask("image", {}, digest="a")
+        client.send_request("image", {}, request_digest="a")
 
 
 def test_threads_take_turns(reader: FileReader) -> None:
@@ -129,8 +129,8 @@ def test_threads_take_turns(reader: FileReader) -> None:
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="a system without fork")
 def test_a_forked_process_has_a_reader_of_its_own(reader: FileReader) -> None:
     samples()
-    assert reader._running is not None and reader._folder is not None
-    process, folder = reader._running.process, reader._folder.path
+    assert reader._reader_process is not None and reader._folder is not None
+    process, folder = reader._reader_process.process, reader._folder.path
     forked = os.fork()
     if not forked:
         code = 1
@@ -142,21 +142,21 @@ def test_a_forked_process_has_a_reader_of_its_own(reader: FileReader) -> None:
             os._exit(code)
     assert os.waitstatus_to_exitcode(os.waitpid(forked, 0)[1]) == 0
     assert folder.exists() and process.poll() is None
-    assert np.array_equal(samples(), GREY) and reader._running.process is process  # type: ignore[arg-type]
+    assert np.array_equal(samples(), GREY) and reader._reader_process.process is process  # type: ignore[arg-type]
 
 
 def test_folders_of_killed_processes_are_removed(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     living = PrivateFolder()
     assert living.path.parent.stat().st_mode & 0o777 == 0o700
-    (living.new_folder() / "a.usda").write_text("x")
+    (living.create_folder() / "a.usda").write_text("x")
     dead, other = tmp_path / f"{private_folder._FOLDER_PREFIX}dead", tmp_path / "other"
     target = tmp_path / "target"
     for folder in (dead, other, target):
         (folder / "files").mkdir(parents=True)
         (folder / "lock").write_bytes(b"")
     (tmp_path / f"{private_folder._FOLDER_PREFIX}link").symlink_to(target)
-    remove_stale()
+    remove_stale_folders()
     assert not dead.exists() and other.exists() and target.exists() and (living.path / "1" / "a.usda").exists()
     living.remove()
     assert not living.path.parent.exists()
@@ -165,7 +165,7 @@ def test_folders_of_killed_processes_are_removed(monkeypatch: pytest.MonkeyPatch
 def test_a_check_by_many_processes_leaves_no_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     from cases.hostile.rows import PROJECT
 
-    from antdsl.checking import check_all
+    from antdsl.checking import check_files
     from antdsl.pipeline import RunChoices
 
     (tmp_path / "temporary").mkdir()
@@ -183,7 +183,7 @@ def test_a_check_by_many_processes_leaves_no_folder(monkeypatch: pytest.MonkeyPa
         assert "{mesh: ground.ply}" in text
         (folder / "scene.yaml").write_text(text.replace("{mesh: ground.ply}", height))
         scenes.append(folder / "scene.yaml")
-    result = check_all(scenes, RunChoices(), cores=2)
+    result = check_files(scenes, RunChoices(), cores=2)
     assert len(result.reports) == 12 and not any(report.errors for report in result.reports.values())
     client._file_reader.end()
     assert not list((tmp_path / "temporary").glob(f"{private_folder._FOLDER_PREFIX}*"))

@@ -50,14 +50,14 @@ def program(does: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
 
 
 def test_what_is_charged_ends_a_budget() -> None:
-    cpu_budget.charge(1e9)  # without a budget nothing happens
-    with pytest.raises(CpuBudgetSpent), cpu_budget.cpu_budget(1000):
+    cpu_budget.charge_cpu_seconds(1e9)  # without a budget nothing happens
+    with pytest.raises(CpuBudgetSpent), cpu_budget.limit_cpu_seconds(1000):
         for _ in range(1000):
-            cpu_budget.charge(0.5)
-        assert 0 < cpu_budget.remaining_seconds() < 500.01, "setting the timer adds nothing"
-        cpu_budget.charge(501)
+            cpu_budget.charge_cpu_seconds(0.5)
+        assert 0 < cpu_budget.remaining_cpu_seconds() < 500.01, "setting the timer adds nothing"
+        cpu_budget.charge_cpu_seconds(501)
         raise AssertionError("the budget is spent")
-    assert cpu_budget.remaining_seconds() == float("inf")
+    assert cpu_budget.remaining_cpu_seconds() == float("inf")
 
 
 # The child spins for 0.1 s, whatever it says of it; where it dies, the system tells the time.
@@ -68,16 +68,16 @@ def test_the_time_of_the_reader_is_charged(
     does: str, reader: FileReader, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     program(does, monkeypatch, tmp_path)
-    with pytest.raises(CpuBudgetSpent), cpu_budget.cpu_budget(1000):
-        cpu_budget.charge(cpu_budget.remaining_seconds() - 100)
-        start_seconds = reader._seconds
+    with pytest.raises(CpuBudgetSpent), cpu_budget.limit_cpu_seconds(1000):
+        cpu_budget.charge_cpu_seconds(cpu_budget.remaining_cpu_seconds() - 100)
+        start_seconds = reader._used_cpu_seconds
         with suppress(ReaderFailure):
-            client.ask("image", {})
-        assert reader._seconds - start_seconds >= 0.1
-        used = 100 - cpu_budget.remaining_seconds()
+            client.send_request("image", {})
+        assert reader._used_cpu_seconds - start_seconds >= 0.1
+        used = 100 - cpu_budget.remaining_cpu_seconds()
         assert used >= 0.1
-        cpu_budget.charge(cpu_budget.remaining_seconds() - 0.01)
-        client.ask("image", {})
+        cpu_budget.charge_cpu_seconds(cpu_budget.remaining_cpu_seconds() - 0.01)
+        client.send_request("image", {})
 
 
 def test_a_request_gets_no_more_time_than_the_budget_has(
@@ -89,9 +89,9 @@ def test_a_request_gets_no_more_time_than_the_budget_has(
     monkeypatch.setattr(
         client, "write_message", lambda file, document, arrays: (said.append(document), write(file, document, arrays))
     )
-    client.ask("image", {}, seconds=1000)
-    with cpu_budget.cpu_budget(500):
-        client.ask("image", {}, seconds=1000)
+    client.send_request("image", {}, extra_cpu_seconds=1000)
+    with cpu_budget.limit_cpu_seconds(500):
+        client.send_request("image", {}, extra_cpu_seconds=1000)
     seconds = [each["seconds"] for each in said]  # a thread of another test may ask too
     # The system counts a timer in ticks, one too many at first, and the request rounds up.
     assert 1000 + limits.READER_BASE_CPU_SECONDS in seconds and min(seconds) <= 501, seconds
@@ -101,9 +101,9 @@ def test_a_child_that_the_budget_ended_is_no_failure_of_the_file(
     reader: FileReader, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     program("os.kill(os.getpid(), 24)", monkeypatch, tmp_path)  # SIGXCPU
-    with pytest.raises(CpuBudgetSpent), cpu_budget.cpu_budget(4):
-        client.ask("image", {}, digest="a", files="b")
-    assert not reader._failures and not reader._heavy
+    with pytest.raises(CpuBudgetSpent), cpu_budget.limit_cpu_seconds(4):
+        client.send_request("image", {}, request_digest="a", files_digest="b")
+    assert not reader._failures and not reader._heavy_failures
 
 
 # A library that runs out of memory may crash: what took time before it crashed is too heavy as well.
@@ -116,28 +116,28 @@ def test_files_that_took_too_much_are_not_tried_again(
     program(does, monkeypatch, tmp_path)
     monkeypatch.setattr(limits, "READER_BASE_CPU_SECONDS", 1)
     with pytest.raises(ReaderFailure) as first:
-        client.ask("image", {}, digest="a", files="x")
+        client.send_request("image", {}, request_digest="a", files_digest="x")
     with monkeypatch.context() as patch:
-        patch.setattr(reader, "_start", lambda *_: pytest.fail("started again"))
+        patch.setattr(reader, "_start_process", lambda *_: pytest.fail("started again"))
         with pytest.raises(ReaderFailure) as second:
-            client.ask("image", {}, digest="b", files="x")
+            client.send_request("image", {}, request_digest="b", files_digest="x")
         assert str(second.value) == str(first.value) and second.value.help == first.value.help
     for digest, files in (("b", "y"), ("c", "")):  # other files are
         with pytest.raises(ReaderFailure):
-            client.ask("image", {}, digest=digest, files=files)
+            client.send_request("image", {}, request_digest=digest, files_digest=files)
     client.begin_scene()
     program("send({'answer': {}})", monkeypatch, tmp_path)
-    client.ask("image", {}, digest="d", files="x")  # another scene may ask for less of them
+    client.send_request("image", {}, request_digest="d", files_digest="x")  # another scene may ask for less of them
     with pytest.raises(ReaderFailure):
-        client.ask("image", {}, digest="a", files="x")
+        client.send_request("image", {}, request_digest="a", files_digest="x")
 
 
 def test_a_crash_is_about_one_request_alone(reader: FileReader, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     program("os.abort()", monkeypatch, tmp_path)
     with pytest.raises(ReaderFailure):
-        client.ask("image", {}, digest="a", files="x")
+        client.send_request("image", {}, request_digest="a", files_digest="x")
     program("send({'answer': {}})", monkeypatch, tmp_path)
-    client.ask("image", {}, digest="b", files="x")
+    client.send_request("image", {}, request_digest="b", files_digest="x")
 
 
 def test_a_scene_has_so_much_time_and_the_next_one_again(
@@ -146,19 +146,19 @@ def test_a_scene_has_so_much_time_and_the_next_one_again(
     program("send({'answer': {}})", monkeypatch, tmp_path)
     monkeypatch.setattr(limits, "READER_CPU_SECONDS_PER_SCENE", 0.05)
     client.begin_scene()
-    client.ask("image", {}, digest="a", files="x")
+    client.send_request("image", {}, request_digest="a", files_digest="x")
     with pytest.raises(ReaderFailure, match="the files of this scene took more than"):
-        client.ask("image", {}, digest="b", files="y")
+        client.send_request("image", {}, request_digest="b", files_digest="y")
     client.begin_scene()
-    client.ask("image", {}, digest="b", files="y", size=limits.READER_BYTES_PER_CPU_SECOND * 1000)
-    client.ask("image", {}, digest="c", files="y")  # large files have more of it
+    client.send_request("image", {}, request_digest="b", files_digest="y", file_bytes=limits.READER_BYTES_PER_CPU_SECOND * 1000)
+    client.send_request("image", {}, request_digest="c", files_digest="y")  # large files have more of it
 
 
 def test_a_dead_child_still_says_how_much_time_it_took(
     reader: FileReader, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     program("os.abort()", monkeypatch, tmp_path)
-    running = reader._start()
+    running = reader._start_process()
     running.requests.write(b"x")
     running.requests.flush()
     while os.waitid(os.P_PID, running.process.pid, os.WEXITED | os.WNOWAIT) is None:
@@ -187,14 +187,14 @@ def test_prims_of_a_heavy_file_are_refused_at_once(reader: FileReader, tmp_path:
         )
         return usd.read_usd_mesh(stage)
 
-    assert len(read("/ground").raw.faces) == 2
+    assert len(read("/ground").raw_mesh.faces) == 2
     with pytest.raises(usd.UsdError, match="takes too long to be read"):
         read("/r0")
-    used = reader._seconds
+    used = reader._used_cpu_seconds
     for number in range(1, 10):
         with pytest.raises(usd.UsdError, match=f"`/r{number}` of `heavy.usda` cannot be read: it takes too long to be read"):
             read(f"/r{number}")
-    assert reader._seconds == used, "no more time is taken"
+    assert reader._used_cpu_seconds == used, "no more time is taken"
 
 
 def test_a_file_that_cannot_be_collected_is_collected_once(
@@ -208,7 +208,7 @@ def test_a_file_that_cannot_be_collected_is_collected_once(
         with pytest.raises(usd.UsdError) as error:
             usd.open_stage(Roots(tmp_path, {}), "a.usda", "/m", up="y", frames=[1], fps=Fraction(24), closures=closures)
         messages.add((error.value.code, str(error.value), error.value.help, error.value.key))
-        monkeypatch.setattr(client, "ask", lambda *_, **__: pytest.fail("asked again"))
+        monkeypatch.setattr(client, "send_request", lambda *_, **__: pytest.fail("asked again"))
     assert len(messages) == 1
 
 
@@ -217,13 +217,13 @@ def test_a_small_limit_of_the_person_is_out_of_memory_and_no_fault_of_the_file(
     does: str, reader: FileReader, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     program(does, monkeypatch, tmp_path)
-    monkeypatch.setattr(client, "address_space", lambda: 1 << 30)
+    monkeypatch.setattr(client, "get_address_space_limit", lambda: 1 << 30)
     with pytest.raises(MemoryError):
-        client.ask("image", {}, digest="a", files="x")
-    assert not reader._failures and not reader._heavy
-    monkeypatch.setattr(client, "address_space", lambda: float("inf"))
+        client.send_request("image", {}, request_digest="a", files_digest="x")
+    assert not reader._failures and not reader._heavy_failures
+    monkeypatch.setattr(client, "get_address_space_limit", lambda: float("inf"))
     with pytest.raises(ReaderFailure):
-        client.ask("image", {}, digest="a", files="x")
+        client.send_request("image", {}, request_digest="a", files_digest="x")
 
 
 def test_a_reader_that_cannot_start_for_want_of_memory(
@@ -233,7 +233,7 @@ def test_a_reader_that_cannot_start_for_want_of_memory(
     monkeypatch.setattr(client, "_CHILD_PROGRAM", tmp_path / "child.py")
     with pytest.raises(ReaderFailure):
         client.active_layers()
-    monkeypatch.setattr(client, "address_space", lambda: 1 << 28)
+    monkeypatch.setattr(client, "get_address_space_limit", lambda: 1 << 28)
     with pytest.raises(MemoryError):
         client.active_layers()
 

@@ -38,11 +38,11 @@ def framed(header: Any, body: bytes = b"") -> bytes:
 
 def test_a_message_is_read_as_it_was_written() -> None:
     message = read_message(io.BytesIO(written({"x": [1, "é"]}, ARRAYS)), 1000)
-    assert message.document == {"x": [1, "é"]} and message.array("c", "u2", 1)[0] == 7
+    assert message.document == {"x": [1, "é"]} and message.require_array("c", "u2", 1)[0] == 7
     assert all(np.array_equal(message.arrays[name], array) for name, array in ARRAYS.items())
     texts = ("", "é\0", "b" * 100)
     packed = read_message(io.BytesIO(written({}, pack_texts("t", texts))), 1000)
-    assert packed.packed_texts("t", 3) == texts
+    assert packed.unpack_texts("t", 3) == texts
     for array in (np.array([1j]), np.array(["x"]), np.array([object()])):
         with pytest.raises(ValueError, match="are not sent"):
             written({}, {"a": array})
@@ -96,10 +96,12 @@ def test_any_bytes_are_a_message_or_refused() -> None:
 @pytest.mark.parametrize(
     "use",
     [
-        lambda m: m.array("missing", "f8", None), lambda m: m.array("a", "f4", None, 3), lambda m: m.array("a", "f8", 4),
-        lambda m: m.array("a", "f8", 4, 4), lambda m: m.indices("i", "i8", 3, None), lambda m: m.indices("i", "i8", 9, None),
-        lambda m: m.number("x"), lambda m: m.number("huge"), lambda m: m.texts("x"), lambda m: m.texts("many", 1),
-        lambda m: m.packed_texts("t"), lambda m: m.packed_texts("u"), lambda m: m.packed_texts("none"),
+        lambda m: m.require_array("missing", "f8", None), lambda m: m.require_array("a", "f4", None, 3),
+        lambda m: m.require_array("a", "f8", 4), lambda m: m.require_array("a", "f8", 4, 4),
+        lambda m: m.require_indices("i", "i8", 3, None), lambda m: m.require_indices("i", "i8", 9, None),
+        lambda m: m.require_number("x"), lambda m: m.require_number("huge"), lambda m: m.require_texts("x"),
+        lambda m: m.require_texts("many", 1),
+        lambda m: m.unpack_texts("t"), lambda m: m.unpack_texts("u"), lambda m: m.unpack_texts("none"),
     ],
 )  # fmt: skip
 def test_values_are_checked_when_they_are_used(use: Any) -> None:
@@ -112,8 +114,8 @@ def test_values_are_checked_when_they_are_used(use: Any) -> None:
 
 def test_a_refusal_has_a_known_code_and_printable_texts() -> None:
     sent = ReadRefusal("bad-usd", "a\x1b[31m" + "b" * 5000, None, "prim").as_document()
-    parsed_refusal = ReadRefusal.of_document(sent, {"bad-usd"})
+    parsed_refusal = ReadRefusal.from_document(sent, {"bad-usd"})
     assert parsed_refusal is not None and str(parsed_refusal).isprintable() and len(str(parsed_refusal)) <= 2000
-    assert ReadRefusal.of_document(sent, {"bad-mesh"}) is None
+    assert ReadRefusal.from_document(sent, {"bad-mesh"}) is None
     for document in (None, [], {}, {**sent, "message": 3}, {**sent, "help": []}, {**sent, "key": None}):
-        assert ReadRefusal.of_document(document, {"bad-usd"}) is None
+        assert ReadRefusal.from_document(document, {"bad-usd"}) is None

@@ -58,7 +58,7 @@ def test_only_the_private_folder_and_the_installation_are_readable(outcomes: dic
 
 def test_the_reader_itself_is_confined() -> None:
     active = client.active_layers()
-    running = client._file_reader._running
+    running = client._file_reader._reader_process
     assert running is not None
     status = Path(f"/proc/{running.process.pid}/status").read_text()
     limits = Path(f"/proc/{running.process.pid}/limits").read_text()
@@ -74,5 +74,5 @@ def test_the_reader_itself_is_confined() -> None:
 def test_modules_come_from_the_installation(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", ["", ".", "relative", str(tmp_path), *sys.path])
-    assert not {"", ".", "relative", str(tmp_path)} & set(confinement.module_folders())
-    assert str(tmp_path) not in confinement.readable_folders()
+    assert not {"", ".", "relative", str(tmp_path)} & set(confinement.list_module_folders())
+    assert str(tmp_path) not in confinement.list_readable_folders()

@@ -24,7 +24,7 @@ from antdsl.scene import Roots
 from antdsl.scene.geometry import usd
 from antdsl.scene.geometry.mesh_text import MeshError
 from antdsl.scene.geometry.usd.closure import PackageError, make_package, read_layers
-from antdsl.scene.geometry.usd.errors import plain_text
+from antdsl.scene.geometry.usd.errors import clean_usd_text
 
 NAMED = HEAD.replace("(\n", '(\n    defaultPrim = "ground"\n', 1)
 
@@ -125,10 +125,10 @@ def test_layers_of_a_package_are_found_as_usd_finds_them(folder: Path) -> None:
         "other/c.usda": texture.replace("(\n", '(\n    defaultPrim = "ground"\n', 1), "wood.png": b"no image",
     }  # fmt: skip
     (folder / "set.usdz").write_bytes(zipped(members))
-    assert len(read(folder, "set.usdz").raw.faces) == 2
+    assert len(read(folder, "set.usdz").raw_mesh.faces) == 2
     for path in ("set.usdz", "./set.usdz", "set.usdz[other/c.usda]"):
         (folder / "a.usda").write_text(refers(path))
-        assert len(read(folder, "a.usda").raw.faces) == 2, path
+        assert len(read(folder, "a.usda").raw_mesh.faces) == 2, path
     for path in ("set.usdz[gone.usda]", "a.usda[b.usda]", "set.usdz[../a.usda]"):
         (folder / "b.usda").write_text(refers(path))
         (folder / "a.usda").write_text(refers("b.usda"))
@@ -219,7 +219,7 @@ def test_messages_of_usd_are_the_same_in_each_run(folder: Path, monkeypatch: pyt
 
 
 def test_words_of_usd_have_no_address() -> None:
-    words = plain_text(
+    words = clean_usd_text(
         "@/tmp/x/sub/a.usda@,@anon:0x5565f6d2:a-session.usda@</m>\n on @anon:0x7f:b.usda@ <0x55a0> @anon:0x1@", "/tmp/x"
     )
     assert words == "@sub/a.usda@</m> on @b.usda@ @@"
@@ -232,7 +232,7 @@ def test_a_relative_folder_for_temporary_files(folder: Path, monkeypatch: pytest
         (folder / place).mkdir(exist_ok=True)
         monkeypatch.setattr(tempfile, "tempdir", place)
         monkeypatch.setattr(client, "_file_reader", client.FileReader())
-        assert len(read(folder, "a.usda").raw.faces) == 2
+        assert len(read(folder, "a.usda").raw_mesh.faces) == 2
         client.end_reader()
         assert not list((folder / place).glob("antdsl-reader-*"))
 
@@ -277,7 +277,7 @@ def test_an_answer_that_makes_no_sense_is_an_error(
 ) -> None:
     (tmp_path / "a.usda").write_text(GOOD)
     stage = usd.open_stage(Roots(tmp_path, {}), "a.usda", "/ground", up="y", frames=range(1, 2), fps=Fraction(24))
-    monkeypatch.setattr(client, "ask", lambda *_, **__: message)
+    monkeypatch.setattr(client, "send_request", lambda *_, **__: message)
     with pytest.raises((usd.UsdError, MeshError)):
         read_it(stage)
 
@@ -289,4 +289,4 @@ def test_usd_needs_a_grant_where_nothing_confines_the_reader(tmp_path: Path, mon
         read(tmp_path, "a.usda")
     assert error.value.help is not None and "--trust-usd" in error.value.help
     monkeypatch.setenv("ANTDSL_TRUST_USD", "1")
-    assert len(read(tmp_path, "a.usda").raw.faces) == 2
+    assert len(read(tmp_path, "a.usda").raw_mesh.faces) == 2

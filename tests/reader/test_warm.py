@@ -22,11 +22,11 @@ def test_a_preview_goes_on_when_the_reader_dies(tmp_path: Path) -> None:
         (tmp_path / name).write_bytes(data if isinstance(data, bytes) else data())
     session, report = Session.open(tmp_path / "scene.yaml")
     assert session is not None, report.errors
-    running = client._file_reader._running
+    running = client._file_reader._reader_process
     assert running is not None
     session.step()
     (tmp_path / "set.usd").write_text(GOOD.replace(MESH, MESH + MESH.replace("ground", "other")))
-    assert session.reload().ok and client._file_reader._running is running, "one reader stays"
+    assert session.reload().ok and client._file_reader._reader_process is running, "one reader stays"
     frame = session.frame
     (tmp_path / "set.usd").write_bytes(ABORTS)
     outcome = session.reload()
@@ -36,5 +36,5 @@ def test_a_preview_goes_on_when_the_reader_dies(tmp_path: Path) -> None:
     assert session.frame == frame + 1
     (tmp_path / "set.usd").write_text(GOOD)
     assert session.reload().ok
-    os.kill(client._file_reader._running.process.pid, signal.SIGKILL)  # type: ignore[union-attr]
+    os.kill(client._file_reader._reader_process.process.pid, signal.SIGKILL)  # type: ignore[union-attr]
     assert session.reload().ok

@@ -76,7 +76,7 @@ def test_a_species_that_no_other_meets_changes_nothing_of_the_others(tmp_path: P
     line = "  - {species: stroller, from: stroller.ant, count: 60, place: {on: ground, around: [300, 0, -300], radius: 60 mm}}\n"
     (tmp_path / "scene.yaml").write_text(text.replace("crowd:\n", "crowd:\n" + line))
     opened, report = open_scene(tmp_path / "scene.yaml")
-    assert opened is not None, [d.message for d in report.sorted()]
+    assert opened is not None, [d.message for d in report.sort_by_place()]
     alone, beside = world(), bind(opened.plan, opened.setting)
     assert len(beside.populations["stroller"]) == 60
     for _ in range(FRAMES):

@@ -18,7 +18,7 @@ def herds(world: World) -> dict[str, Herd]:
     """Copies of all that agents are, rows by id."""
     herds_by_name = {}
     for name, population in world.populations.items():
-        rows = population.in_id_order()
+        rows = population.rows_by_id()
         machine = population.plan.machines[0]
         states = population.now[f"{machine.name}.state"][rows]
         registers = {
@@ -45,7 +45,7 @@ def check_migration(old: Project, new: Project, old_herds: dict[str, Herd], worl
     for name, species in new.species.items():
         now, plan = new_herds[name], world.populations[name].plan
         assert plan.machines[0].states == tuple(species.states)
-        assert {a for a in plan.registers if plan.registers[a].holds and plan.registers[a].role == "attribute"} >= set(
+        assert {a for a in plan.registers if plan.registers[a].language_type and plan.registers[a].role == "attribute"} >= set(
             species.attributes
         )
         if name not in old.species:

@@ -14,8 +14,8 @@ from meshes import grid
 from sampling import sampled
 
 from antdsl.pipeline import Shot, open_scene
-from antdsl.plan.registers import slot_names
-from antdsl.reload import Migration, migration_line, take_over
+from antdsl.plan.registers import name_slot_registers
+from antdsl.reload import Migration, describe_migration, migrate_world
 from antdsl.runtime import BindError, BindingCache, World, bind, state_hash, step
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -97,7 +97,7 @@ def taken(world: World, main: Path, **texts: str) -> tuple[World, Migration]:
         path.write_text(path.read_text().replace(old, new))
     old_hash = state_hash(world)
     shot = opened(main)
-    now, what = take_over(world, shot.plan, shot.setting)
+    now, what = migrate_world(world, shot.plan, shot.setting)
     assert state_hash(world) == old_hash
     return now, what
 
@@ -116,9 +116,9 @@ def test_with_nothing_edited_a_world_goes_on_to_the_same_bits(name: str, tmp_pat
     for _ in range(20 if name == "digging" else 5):
         step(world)
     if name == "digging":
-        assert world.solids["hill"].removed > 0
-    other, what = take_over(world, shot.plan, shot.setting, built)
-    assert migration_line(what) == f"kept {len(world):,} agents"
+        assert world.solids["hill"].removed_volume > 0
+    other, what = migrate_world(world, shot.plan, shot.setting, built)
+    assert describe_migration(what) == f"kept {len(world):,} agents"
     for _ in range(4):
         assert state_hash(other) == state_hash(world)
         step(world)
@@ -134,17 +134,17 @@ def test_what_was_dug_stays_dug_while_the_mesh_is_the_same(tmp_path: Path) -> No
     program = scene.with_name("dig.ant")
     program.write_text(program.read_text().replace("state dig", "state burrow").replace("-> dig", "-> burrow"))
     shot = opened(scene)
-    other, what = take_over(world, shot.plan, shot.setting)
-    assert other.solids["hill"].digest() == world.solids["hill"].digest()
+    other, what = migrate_world(world, shot.plan, shot.setting)
+    assert other.solids["hill"].compute_digest() == world.solids["hill"].compute_digest()
     assert np.array_equal(other.fields["trail"].values, world.fields["trail"].values)
-    assert re.search(r"\d of removed state `digger.dig` starts? again in `digger.go`", migration_line(what))
+    assert re.search(r"\d of removed state `digger.dig` starts? again in `digger.go`", describe_migration(what))
     for _ in range(3):
         step(other)
     scene.write_text(scene.read_text().replace("voxel: 1 mm", "voxel: 1.25 mm"))
     shot = opened(scene)
-    other, what = take_over(world, shot.plan, shot.setting)
-    assert other.solids["hill"].removed == 0
-    assert "`solid hill` is whole" in migration_line(what)
+    other, what = migrate_world(world, shot.plan, shot.setting)
+    assert other.solids["hill"].removed_volume == 0
+    assert "`solid hill` is whole" in describe_migration(what)
     for _ in range(3):
         step(other)
 
@@ -155,7 +155,7 @@ def test_what_only_birth_sets_follows_the_text_and_its_params(scene: Path) -> No
     now, what = taken(world, scene, life="quick = 30 mm/s => quick = 45 mm/s")
     assert (now.populations["ant"].now["max_speed"] == 45).all()
     assert np.array_equal(now.populations["ant"].now["size"], size)  # drawn at birth, and not again
-    assert migration_line(what) == "kept 20 agents · `max_speed` is as written now"
+    assert describe_migration(what) == "kept 20 agents · `max_speed` is as written now"
     now, _ = taken(world, scene, life="uniform(3 mm, 5 mm) => uniform(7 mm, 9 mm)")
     assert now.populations["ant"].now["size"].min() >= 7
 
@@ -166,7 +166,7 @@ def test_a_value_of_another_dimension_starts_again(scene: Path) -> None:
     scene.with_name("life.ant").write_text(PROGRAM.replace("load   = 1", "load   = 3 g").replace("load += 1 /s", "load += 1 g/s"))
     now, what = taken(world, scene)
     assert (now.populations["ant"].now["load"] == 3).all()
-    assert migration_line(what) == "kept 20 agents · `load` has another type and starts again"
+    assert describe_migration(what) == "kept 20 agents · `load` has another type and starts again"
 
 
 COUNTING = """
@@ -186,10 +186,10 @@ def test_a_memory_goes_on_by_its_identity_and_starts_again_as_another_type(scene
     now, what = taken(world, scene, life="    way    = =>     # in another line\n    way    =")
     step(now)
     assert (now.populations["ant"].now["load"] == 8).all()
-    assert migration_line(what) == "kept 20 agents"
+    assert describe_migration(what) == "kept 20 agents"
     scene.with_name("life.ant").write_text(program.replace("5 then times + 1\n  times", "5 s then times + 1 s\n  times / 1 s"))
     now, what = taken(world, scene)
-    assert migration_line(what) == "kept 20 agents · 2 memories forgotten"
+    assert describe_migration(what) == "kept 20 agents · 2 memories forgotten"
     step(now)
     assert (now.populations["ant"].now["load"] == 5).all()
 
@@ -202,7 +202,7 @@ def test_items_that_agents_hold_are_known_by_name(scene: Path) -> None:
     now, what = taken(world, scene, scene="    apple: => \n    donut: {at: [0, 0, 90], load: 7}\n    apple:")
     assert now.items["food"].names == ("donut", "apple", "bread")
     assert [now.items["food"].names[k] for k in now.populations["ant"].now["target"]] == held
-    assert "`donut.load` has its amount from the scene" in migration_line(what)
+    assert "`donut.load` has its amount from the scene" in describe_migration(what)
     now, _ = taken(world, scene, scene="    apple: {at: [60, 0, 5], load: 50}\n => ")
     assert set(now.populations["ant"].now["target"]) == {-1, 1}
 
@@ -213,7 +213,7 @@ def test_agents_follow_a_ground_with_moving_vertices(scene: Path) -> None:
     save_ground(scene.parent, lift=40.0)
     now, what = taken(world, scene)
     assert np.allclose(now.populations["ant"].position, old_positions + np.array([0, 40, 0]), atol=1e-9)
-    assert migration_line(what) == "kept 20 agents · 20 agents moved with the ground · `field trail` starts again"
+    assert describe_migration(what) == "kept 20 agents · 20 agents moved with the ground · `field trail` starts again"
     step(now)
 
 
@@ -221,18 +221,18 @@ def test_meshes_that_are_the_same_are_worked_out_once_and_others_forgotten(scene
     built, shot = BindingCache(), opened(scene)
     world = bind(shot.plan, shot.setting, built=built)
     built.drop_unused()
-    now, _ = take_over(world, shot.plan, shot.setting, built)
+    now, _ = migrate_world(world, shot.plan, shot.setting, built)
     assert now.ground is world.ground
     assert now.fields["trail"].cells is world.fields["trail"].cells
     save_ground(scene.parent, lift=40.0)
     shot = opened(scene)
-    other, _ = take_over(now, shot.plan, shot.setting, built)
+    other, _ = migrate_world(now, shot.plan, shot.setting, built)
     assert other.ground is not now.ground
     built.drop_unused()
     shot_before = world.setting
-    assert take_over(other, shot.plan, shot.setting, built)[0].ground is other.ground
+    assert migrate_world(other, shot.plan, shot.setting, built)[0].ground is other.ground
     built.drop_unused()
-    assert take_over(other, shot.plan, shot_before, built)[0].ground is not world.ground
+    assert migrate_world(other, shot.plan, shot_before, built)[0].ground is not world.ground
 
 
 def test_agents_come_to_the_nearest_place_of_a_ground_of_other_faces(scene: Path) -> None:
@@ -242,7 +242,7 @@ def test_agents_come_to_the_nearest_place_of_a_ground_of_other_faces(scene: Path
     now, what = taken(world, scene)
     nearest = np.clip(old_positions, [-50, 0, -50], [50, 0, 50])
     assert np.abs(now.populations["ant"].position - nearest).max() < 0.05
-    assert what.species[0].moved == np.count_nonzero((np.abs(old_positions) > 50.05).any(axis=1))
+    assert what.species[0].moved_count == np.count_nonzero((np.abs(old_positions) > 50.05).any(axis=1))
     step(now)
 
 
@@ -252,12 +252,12 @@ def test_newcomers_get_new_ids_and_who_came_last_goes(scene: Path) -> None:
     ants = larger.populations["ant"]
     assert sorted(ants.ids) == list(range(26))
     assert (ants.born[ants.ids >= 20] == world.frame).all()
-    assert migration_line(what) == "kept 20 agents · 6 `ant` added"
+    assert describe_migration(what) == "kept 20 agents · 6 `ant` added"
     for _ in range(3):
         step(larger)
     fewer, what = taken(larger, scene, scene="count: 26 => count: 9")
     assert sorted(fewer.populations["ant"].ids) == list(range(9))
-    assert migration_line(what) == "kept 9 agents · 17 `ant` removed"
+    assert describe_migration(what) == "kept 9 agents · 17 `ant` removed"
     again, _ = taken(fewer, scene, scene="count: 9 => count: 11")
     assert sorted(again.populations["ant"].ids) == [*range(9), 26, 27]
 
@@ -268,7 +268,7 @@ def test_what_cannot_be_bound_leaves_the_old_world_alone(scene: Path) -> None:
     shot = opened(scene)
     old_hash = state_hash(world)
     with pytest.raises(BindError, match="spreads faster than its cells"):
-        take_over(world, shot.plan, replace(shot.setting, fps=Fraction(1)))
+        migrate_world(world, shot.plan, replace(shot.setting, fps=Fraction(1)))
     assert state_hash(world) == old_hash
     step(world)
 
@@ -282,7 +282,7 @@ def likings(world: World, count: int) -> dict[int, list[tuple[int, float]]]:
     """What each ant stores about which other, the strongest first."""
     ants, pairs_by_agent = world.populations["ant"], {}
     for row, agent in enumerate(ants.ids.tolist()):
-        pairs = [(int(ants.now[who][row]), float(ants.now[value][row])) for who, value in slot_names("likes", count)]
+        pairs = [(int(ants.now[who][row]), float(ants.now[value][row])) for who, value in name_slot_registers("likes", count)]
         pairs_by_agent[agent] = sorted((pair for pair in pairs if pair[0] >= 0), key=lambda pair: (-abs(pair[1]), pair[0]))
     return pairs_by_agent
 
@@ -293,7 +293,7 @@ def test_values_per_pair_go_on_by_name_and_type_the_strongest_where_fewer_fit(sc
     old_pairs = likings(world, 5)
     assert sum(len(pairs) == 5 for pairs in old_pairs.values()) == 20
     fewer, what = taken(world, scene, life="strongest 5 => strongest 2")
-    assert migration_line(what) == "kept 20 agents"
+    assert describe_migration(what) == "kept 20 agents"
     assert likings(fewer, 2) == {agent: pairs[:2] for agent, pairs in old_pairs.items()}
     larger, _ = taken(world, scene, life="strongest 2 => strongest 7")
     assert likings(larger, 7) == old_pairs
@@ -305,11 +305,11 @@ def test_values_per_pair_go_on_by_name_and_type_the_strongest_where_fewer_fit(sc
     lengths = LIKING.replace("0 relax to 0", "0 mm relax to 0 mm").replace("strongest 5", "strongest 7").replace("/ 1 m *", "*")
     scene.with_name("life.ant").write_text(lengths)
     fresh, what = taken(world, scene)
-    assert migration_line(what) == "kept 20 agents · `likes` has another type and starts again"
+    assert describe_migration(what) == "kept 20 agents · `likes` has another type and starts again"
     assert not any(likings(fresh, 7).values())
     scene.with_name("life.ant").write_text(PROGRAM)
     _, what = taken(world, scene)
-    assert migration_line(what) == "kept 20 agents · `likes` is gone"
+    assert describe_migration(what) == "kept 20 agents · `likes` is gone"
 
 
 @pytest.mark.parametrize("rest", ["2", "calm"])

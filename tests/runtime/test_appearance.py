@@ -9,7 +9,7 @@ from plan_text import plan_of
 
 from antdsl.passes import optimise
 from antdsl.plan import show
-from antdsl.runtime import Options, bind, checkpoint, restore, state_hash, step
+from antdsl.runtime import Options, bind, restore_checkpoint, state_hash, step, take_checkpoint
 from antdsl.scene.setting import WorldSetting
 
 EVERY_WAY = (*OPTION_SETS, Options(backend="native", wait_for_code=True, chunk=16, shuffle_rows=5))
@@ -86,12 +86,12 @@ def test_who_looks_at_nothing_looks_ahead() -> None:
 def test_it_is_in_checkpoints_and_plans() -> None:
     text = f"{HEAD}start one\nstate one {{ wear hat when chance 30 %/s; channel jaw = uniform(0, 1); steer wander() }} }}"
     plan = optimise(plan_of(text, f"use steering\n{WORLD}"))
-    assert "wear#hat" in show(plan) and plan.species["a"].wears == ("hat",) and plan.species["a"].channels == ("jaw",)
+    assert "wear#hat" in show(plan) and plan.species["a"].worn_layers == ("hat",) and plan.species["a"].channels == ("jaw",)
     setting = WorldSetting(crowds=(crowd(20, radius=40.0),), seed=2)
     original, again = (bind(plan, setting, Options(backend=name)) for name in ("numpy", "reference"))
     for _ in range(10):
         step(original)
-    restore(again, checkpoint(original))
+    restore_checkpoint(again, take_checkpoint(original))
     for world in (original, again):
         step(world)
     assert state_hash(original) == state_hash(again)

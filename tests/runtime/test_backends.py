@@ -10,7 +10,7 @@ import pytest
 
 from antdsl.cli.commands.run import BackendName
 from antdsl.plan import ir
-from antdsl.plan.traverse import operands, placed, required_nodes
+from antdsl.plan.traverse import collect_required_nodes, iterate_with_positions, list_operands
 from antdsl.program.tables.effects import EFFECT_BY_OPERATION
 from antdsl.runtime import Options, bind, state_hash, step
 from antdsl.runtime.backends import BACKENDS
@@ -75,8 +75,8 @@ def operations(plan: ir.Plan) -> set[str]:
     names = set()
     for species in plan.species.values():
         for block in (species.born, species.decide, species.act, species.blend):
-            for _, statement in placed(block):
-                names |= {node.op for node in required_nodes(operands(statement))}
+            for _, statement in iterate_with_positions(block):
+                names |= {node.op for node in collect_required_nodes(list_operands(statement))}
                 names.add(statement.op if isinstance(statement, ir.Request) else type(statement).__name__)
     return names
 
@@ -151,7 +151,7 @@ def test_a_crowd_on_one_spot_has_a_capped_number_of_neighbours():
     near = t("set.agents", 5.0, -1.0, attrs=("ant", True))
     act = plans.block(
         plans.store("mood", t("reduce.count", near, t.b.true)),
-        plans.store("first", t("reduce.max", near, t.b.true, t("number", t("eq", t("other.id"), t.b.agent(299))))),
+        plans.store("first", t("reduce.max", near, t.b.true, t("number", t("eq", t("other.id"), t.b.agent_id(299))))),
     )
     world = bind(plans.bare(act, "mood", "first"), plans.crowd(300, radius=0.0), Options(chunk=50, backend="numpy"))
     step(world)

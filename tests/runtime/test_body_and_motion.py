@@ -10,10 +10,10 @@ import pytest
 from meaning import OPTION_SETS, RunHistory, crowd, item, play
 from plan_text import WORLD, plan_of
 
-from antdsl.bench.cases import case_of
+from antdsl.bench.cases import find_case
 from antdsl.passes import optimise
 from antdsl.runtime import MeshData, Options, WorldSetting, bind, step
-from antdsl.runtime.moving.heads import find_heads_inside
+from antdsl.runtime.moving.head_clearance import find_heads_inside
 
 ALL = (*OPTION_SETS, Options(backend="native", wait_for_code=True))
 SET_OUT = "on spawn { velocity = vector(20 mm/s, 0 mm/s, 0 mm/s); heading = vector(1, 0, 0) }\n"
@@ -178,21 +178,21 @@ def test_bodies_back_up_walls_without_a_jerk_and_with_their_heads_out() -> None:
     setting = WorldSetting(fps=Fraction(24), crowds=(crowd(30, radius=25),), surfaces={"ground": box_room(30, 60)}, seed=4)
     world = bind(plan, setting, Options(backend="native"))
     population, inside, most = world.populations["a"], 0, 0.0
-    previous_directions = np.concatenate([population.vector("up"), population.vector("heading")])
+    previous_directions = np.concatenate([population.read_vector("up"), population.read_vector("heading")])
     for _ in range(96):
         step(world)
         inside += int(find_heads_inside(world, population).sum())
-        directions = np.concatenate([population.vector("up"), population.vector("heading")])
+        directions = np.concatenate([population.read_vector("up"), population.read_vector("heading")])
         most = max(most, float(np.degrees(np.arccos(np.clip((previous_directions * directions).sum(axis=1), -1, 1))).max()))
         previous_directions = directions
     assert inside / (96 * 30) < 0.005 and most < 7.6  # degrees a step, of 7.5
     assert (population.position[:, 1] - world.ground.meshes.low[1] > 3).mean() > 0.3  # many went up
-    velocity, heading = population.vector("velocity"), population.vector("heading")
+    velocity, heading = population.read_vector("velocity"), population.read_vector("heading")
     assert np.median((velocity * heading).sum(axis=1) / np.linalg.norm(velocity, axis=1)) < -0.9
 
 
 def test_straightness_of_paths_is_the_same_for_any_order_of_rows() -> None:
-    shot, values = case_of("boids").make(200), set()
+    shot, values = find_case("boids").make_shot(200), set()
     for order in (None, 3, 5):
         world = bind(shot.plan, shot.setting, Options(backend="numpy", shuffle_rows=order))
         for _ in range(50):

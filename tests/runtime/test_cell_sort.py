@@ -9,22 +9,22 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from antdsl.bench.cases import case_of
-from antdsl.machine_code import machine
+from antdsl.bench.cases import find_case
+from antdsl.machine_code import llvm_compiler
 from antdsl.numerics import parallel
 from antdsl.runtime import Options, bind
-from antdsl.runtime.backends.native.search import grids
+from antdsl.runtime.backends.native.search import search_grids
 from antdsl.runtime.world import AXES
 from antdsl.senses import cell_order
 
-pytestmark = pytest.mark.skipif(not machine.is_available(), reason="no machine code here")
+pytestmark = pytest.mark.skipif(not llvm_compiler.is_available(), reason="no machine code here")
 COUNT = 9_003
 
 
 def test_parts_are_sorted_as_the_whole(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(parallel, "cores", lambda: 8)
-    monkeypatch.setattr(cell_order, "cores", lambda: 8)
-    shot = case_of("boids").make(COUNT)
+    monkeypatch.setattr(parallel, "count_available_cores", lambda: 8)
+    monkeypatch.setattr(cell_order, "count_available_cores", lambda: 8)
+    shot = find_case("boids").make_shot(COUNT)
     world = bind(shot.plan, shot.setting, Options())
     (crowd,) = world.populations.values()
     place = [np.random.default_rng(k).choice([0.0, 1.0, 2.5, 40.0], COUNT) for k in range(3)]  # many in one cell, most in none
@@ -32,7 +32,7 @@ def test_parts_are_sorted_as_the_whole(monkeypatch: pytest.MonkeyPatch) -> None:
         crowd.start[f"position.{axis}"][:] = each
     table_sets: list[dict[str, NDArray[Any]]] = []
     for threads in (1, 2, 3, 7):
-        cell_grids = grids.SearchGrids()
+        cell_grids = search_grids.SearchGrids()
         for cell in (2.0, 9.0, 1.0, 2.0):  # fewer cells and more
             cell_grids.begin_step()
             tables = cell_grids.of(SimpleNamespace(options=SimpleNamespace(threads=threads)), crowd, cell)  # type: ignore[arg-type]

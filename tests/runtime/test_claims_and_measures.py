@@ -5,22 +5,22 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from antdsl.bench.cases import case_of
-from antdsl.machine_code.memory import has_padding, padded_copy, padded_rows
+from antdsl.bench.cases import find_case
+from antdsl.machine_code.memory import copy_padded, gather_padded, has_padding
 from antdsl.numerics import parallel, randomness
 from antdsl.plan import ir
 from antdsl.runtime import Options, bind, claims, motion_measures, state_hash, step
 from antdsl.runtime.requests import ClaimEntry
 from antdsl.runtime.world import select_rows
-from antdsl.senses.overlaps import worst_overlaps
+from antdsl.senses.overlaps import measure_worst_overlaps
 
 
 def test_every_half_chord_near_a_bin_is_counted_where_numpy_counts_it():
-    least, first = motion_measures._bin_table()
+    least, first = motion_measures._make_bin_table()
     near = least[1:-1].view(np.int32).astype(np.int64)[:, None] + np.arange(-32, 33)
     half = np.clip(near, 0, np.float32(1).view(np.int32)).astype(np.int32).ravel().view(np.float32)
     half = np.concatenate([half, np.random.default_rng(1).random(100_000, np.float32), np.float32([0, 1])])
-    expected = motion_measures._bin_of(motion_measures._degrees(half))
+    expected = motion_measures._find_bins(motion_measures._chord_degrees(half))
     assert np.array_equal(np.searchsorted(least[1:-1], half, side="right"), expected)
     assert (first[(half * np.float32(4096)).astype(np.int64)] <= expected).all()
 
@@ -29,10 +29,10 @@ def serve(rest, item, asks):
     """What each claim gets, one after the other, and what is left; changes are whole quarters, so that sums are exact."""
     got, closed = np.full(len(item), -1.0), set()
     for k, which in enumerate(item.tolist()):
-        part = asks.change[k]
-        if asks.everything[k]:
-            part = float(asks.all_amounts(np.array([k]), rest[[which]])[0])
-        if which in closed or not part <= rest[which] or (asks.everything[k] and not part > 0):
+        part = asks.changes[k]
+        if asks.claims_all[k]:
+            part = float(asks.amounts_for_all(np.array([k]), rest[[which]])[0])
+        if which in closed or not part <= rest[which] or (asks.claims_all[k] and not part > 0):
             closed.add(which)
             continue
         got[k] = part
@@ -50,7 +50,7 @@ def test_claims_are_served_one_after_the_other(count, share):
     had, cached = np.round(rng.random(count) * 8).astype(np.float32), rng.random(count) < 0.5
     asks, left = claims._ServedClaims(change, every, had, cached, 0.25), rest.copy()
     expected = serve(left, item, asks)
-    got = claims._served_amounts(rest, item, asks)
+    got = claims._grant_amounts(rest, item, asks)
     assert np.array_equal(got, expected) and np.array_equal(rest, left)
     assert count < 300 or ((got >= 0).any() and (got < 0).any() and (share == 0 or (got[every] > 0).any()))
 
@@ -80,7 +80,7 @@ def test_claims_of_one_statement_are_settled_by_draw_and_id(count, all_of_it):
     world = SimpleNamespace(setting=SimpleNamespace(seed=3), frame=5)
     rng = np.random.default_rng(count)
     population, entry = claim(rng, count)
-    population.all_taken, population.now["load"] = {}, np.round(population.now["load"] * 4) / np.float32(4)
+    population.claimed_totals, population.now["load"] = {}, np.round(population.now["load"] * 4) / np.float32(4)
     entry.amount[entry.amount == np.float32(0.1)] = np.float32(0.5)
     if all_of_it:
         entry.amount[len(entry.amount) // 2] = np.inf
@@ -88,7 +88,7 @@ def test_claims_of_one_statement_are_settled_by_draw_and_id(count, all_of_it):
     rest, load = np.round(rng.random(40) * 32) / 4, population.now["load"].copy()
     rest[0], rest[39] = 60.0, 60.0  # enough for claims on the first and the last item
     ids = population.ids[entry.rows]
-    draw = randomness.word(3, 5, "a", "site", 0, ids)
+    draw = randomness.draw_word(3, 5, "a", "site", 0, ids)
     order = [n for n in np.lexsort((ids, draw, entry.item)) if 0 <= entry.item[n] < 40 and entry.amount[n] >= 0]
     at = np.array(order, int)
     asks = claims._ServedClaims(
@@ -108,7 +108,7 @@ def test_claims_of_one_statement_are_settled_by_draw_and_id(count, all_of_it):
 
 def flock(count):
     """Boids before their first step."""
-    shot = case_of("boids").make(count)
+    shot = find_case("boids").make_shot(count)
     return bind(shot.plan, shot.setting, Options(backend="numpy"))
 
 
@@ -134,8 +134,8 @@ def observe(result, population, window, dt, steps):
         return np.sqrt((v[0] * v[0] + v[1] * v[1]) + v[2] * v[2])
 
     for name, of in (("turns", "heading"), ("tilts", "up")):
-        angle = motion_measures._degrees(np.minimum(length(now, of, start) * np.float32(0.5), np.float32(1)))
-        result[name] += np.bincount(motion_measures._bin_of(angle), minlength=1801)
+        angle = motion_measures._chord_degrees(np.minimum(length(now, of, start) * np.float32(0.5), np.float32(1)))
+        result[name] += np.bincount(motion_measures._find_bins(angle), minlength=1801)
     result["tilt_max"] = max(result["tilt_max"], float(angle.max()))
     longest = now["max_speed"] * dt
     share = length(now, "position", start)[longest > 0] / longest[longest > 0]
@@ -173,7 +173,7 @@ def test_measures_of_motion_are_those_of_plain_numpy(threads, monkeypatch):
             world.motion._add_step(world, population)
         if frame % 10 == 5:
             select_rows(population, rng.permutation(len(population)))
-    measured = world.motion.arrays()
+    measured = world.motion.checkpoint_arrays()
     for name, own in result.items():
         assert np.allclose(measured[name], own, rtol=1e-9), name
     assert result["ways"] > 100 and result["standing"] > 0 and result["circling"] > 0
@@ -186,14 +186,14 @@ def test_ways_go_with_their_agents_when_rows_change():
         wander(population, rng)
         motion._add_step(world, population)
     for cached in (60, 60, 41, 41):
-        previous = dict(zip(population.ids.tolist(), motion._window(population).path.tolist(), strict=True))
+        previous = dict(zip(population.ids.tolist(), motion._update_window(population).path.tolist(), strict=True))
         select_rows(population, rng.permutation(len(population))[:cached])
-        window = motion._window(population)
+        window = motion._update_window(population)
         assert window.ids is population.ids and window.path.tolist() == [previous[i] for i in population.ids.tolist()]
     previous = dict(zip(population.ids.tolist(), window.path.tolist(), strict=True))
     for cached in (41, 30):  # two changes since it was last looked at
         select_rows(population, rng.permutation(len(population))[:cached])
-    assert motion._window(population).path.tolist() == [previous[i] for i in population.ids.tolist()]
+    assert motion._update_window(population).path.tolist() == [previous[i] for i in population.ids.tolist()]
 
 
 @pytest.mark.parametrize("count, box", [(1500, 60), (1500, 8), (3, 1), (1500, 2e5), (900, 1e15)])
@@ -210,20 +210,20 @@ def test_overlaps_are_those_of_all_pairs(count, box):
         part = np.float32(1) - distance / np.maximum(radius[:, None] + radius, np.float32(1e-9))
     np.fill_diagonal(part, 0)
     expected = np.maximum(np.where(np.isfinite(part), part, 0).max(axis=1), 0)
-    assert np.array_equal(worst_overlaps(x, y, z, radius), expected) and (box == 60) <= (0 < expected.max() < 1)
+    assert np.array_equal(measure_worst_overlaps(x, y, z, radius), expected) and (box == 60) <= (0 < expected.max() < 1)
 
 
 def test_rows_are_put_in_order_in_arrays_with_room():
     array = np.arange(100, dtype=np.float32)
     rows = np.random.default_rng(0).permutation(100)[:70]
-    result = padded_rows(array, rows)
-    assert np.array_equal(result, array[rows]) and has_padding(result) and has_padding(padded_copy(array))
+    result = gather_padded(array, rows)
+    assert np.array_equal(result, array[rows]) and has_padding(result) and has_padding(copy_padded(array))
     assert not result.base[70:].any()
     assert not any(map(has_padding, (array, array[:95], array[4:50], np.zeros((3, 50), np.float32)[0])))
 
 
 def test_parts_on_threads_give_the_same_bits_as_one(monkeypatch):
-    shot, total, parts, split = case_of("foraging").make(1_500), parallel.in_parts, parallel.parts, []
+    shot, total, parts, split = find_case("foraging").make_shot(1_500), parallel.run_in_parts, parallel.count_parts, []
 
     def parted(work, count, threads, least=0):
         split.append(min(threads, count // 50) > 1)
@@ -233,11 +233,11 @@ def test_parts_on_threads_give_the_same_bits_as_one(monkeypatch):
         world = bind(shot.plan, shot.setting, Options(backend="native", threads=threads, wait_for_code=True))
         for _ in range(3):
             step(world)
-        return state_hash(world), world.motion.arrays()
+        return state_hash(world), world.motion.checkpoint_arrays()
 
     alone, counted = stepped(1)
-    monkeypatch.setattr(parallel, "in_parts", parted)
-    monkeypatch.setattr(parallel, "parts", lambda count, threads, least=0: parts(count, threads, 50))
+    monkeypatch.setattr(parallel, "run_in_parts", parted)
+    monkeypatch.setattr(parallel, "count_parts", lambda count, threads, least=0: parts(count, threads, 50))
     result, other = stepped(3)
     assert result == alone and sum(split) > 15
     assert counted.keys() == other.keys() and all(np.array_equal(counted[name], other[name]) for name in counted)

@@ -11,13 +11,13 @@ from meaning import crowd
 from numpy.typing import NDArray
 from plan_text import plan_of
 
-from antdsl.casting.faces import nearest_on_triangle
+from antdsl.casting.faces import find_nearest_on_triangle
 from antdsl.ground.mesh.boxes import FaceList
 from antdsl.ground.mesh.surface import MeshGround
 from antdsl.ground.mesh.walkers import FaceWalker, SurfaceTables
 from antdsl.machine_code.kernels import kernel
 from antdsl.machine_code.kernels.types import F64, I64, Array1
-from antdsl.outputs.cache.agent_arrays import AgentArrays
+from antdsl.outputs.cache.agent_arrays import AgentArrayBuilder
 from antdsl.passes import optimise
 from antdsl.runtime import MeshData, Options, World, WorldSetting, bind, state_hash, step
 from antdsl.runtime.moving import clearance
@@ -82,10 +82,10 @@ def test_a_path_turns_as_far_as_it_reaches_over_an_edge(turn: float) -> None:
     angle = np.radians(turn)
     mesh = extruded([(-30.0, 0.0), (0.0, 0.0), (30 * np.cos(angle), -30 * np.sin(angle))])
     ground = MeshGround({"ground": (mesh.vertices, mesh.faces)})
-    walk, table = ground.crowd_walk(1.0, 4.0), ground.triangles[3]
+    walk, table = ground.build_crowd_walk(1.0, 4.0), ground.triangles[3]
     assert walk is not None
-    surface, points = walk.tables()[0], np.empty(PATH_FLOATS)
-    tree = walk.boxes.tree()
+    surface, points = walk.build_tables()[0], np.empty(PATH_FLOATS)
+    tree = walk.boxes.to_box_tree()
     nearby = FacesNearby(tree, FaceList(np.empty(9, np.int64), 0), 0, table.piece, table.cuts.first)
     start = table.corner[:, 0] + 0.25 * table.edge1[:, 0] + 0.25 * table.edge2[:, 0]
     for window in (20.0, 40.0):
@@ -122,10 +122,10 @@ def test_depths_are_those_to_all_faces(turns: int) -> None:
         step(world)
     population, meshes = world.populations["a"], world.ground.meshes
     assert meshes is not None
-    walk, n = meshes.crowd_walk(1.0, 4.0), len(population)
+    walk, n = meshes.build_crowd_walk(1.0, 4.0), len(population)
     rng, shape = np.random.default_rng(6), body_shape(world, population)
     now = {name: array.copy() for name, array in population.now.items()}
-    up = population.vector("up") + rng.normal(0, 0.3, (n, 3))
+    up = population.read_vector("up") + rng.normal(0, 0.3, (n, 3))
     up /= np.linalg.norm(up, axis=1)[:, None]
     heading = np.cross(up, rng.normal(size=(n, 3)))
     heading /= np.linalg.norm(heading, axis=1)[:, None]
@@ -142,7 +142,7 @@ def test_depths_are_those_to_all_faces(turns: int) -> None:
         depths,
         outs,
     )
-    clearance.shift_bodies(walk.tables()[0].table, face_search(walk, n, 1), *inputs, turns, 0, n)
+    clearance.shift_bodies(walk.build_tables()[0].table, face_search(walk, n, 1), *inputs, turns, 0, n)
     vertices, faces, _, _ = meshes.triangles
     corners, size = vertices[faces], now["size"].astype(np.float64)[:, None]
     up, heading, lift = (np.stack(v, axis=1).astype(np.float64) for v in columns)
@@ -152,7 +152,9 @@ def test_depths_are_those_to_all_faces(turns: int) -> None:
         center = middle + heading * size * shape.half * part
         for i in range(n):
             at = np.broadcast_to(center[i], (len(corners), 3))
-            nearest[i] = min(nearest[i], np.sqrt(((nearest_on_triangle(at, corners) - at) ** 2).sum(axis=1)).min() / size[i, 0])
+            nearest[i] = min(
+                nearest[i], np.sqrt(((find_nearest_on_triangle(at, corners) - at) ** 2).sum(axis=1)).min() / size[i, 0]
+            )
     expected = np.maximum(shape.radius - nearest, 0.0)
     assert (expected > 0.02).any() or turns
     assert (depths >= expected - 1e-6).all()
@@ -169,11 +171,16 @@ def test_bodies_stay_outside_stairs_near_their_ground_and_as_fast() -> None:
         world = walking(stairs(), 60, clears)
         population, distance, leaning, turns = world.populations["a"], 0.0, 0, 0.0
         for _ in range(frames):
-            previous, pose = population.position.copy(), (population.vector("up"), population.vector("heading"))
+            previous, pose = population.position.copy(), (population.read_vector("up"), population.read_vector("heading"))
             step(world)
             distance += float(np.linalg.norm(population.position - previous, axis=1).mean())
-            leaning += int(np.count_nonzero((population.vector("up") * population.normal).sum(axis=1) < 0.5))  # by 60 degrees
-            axes = [np.stack([u, h, np.cross(u, h)]) for u, h in (pose, (population.vector("up"), population.vector("heading")))]
+            leaning += int(
+                np.count_nonzero((population.read_vector("up") * population.normal).sum(axis=1) < 0.5)
+            )  # by 60 degrees
+            axes = [
+                np.stack([u, h, np.cross(u, h)])
+                for u, h in (pose, (population.read_vector("up"), population.read_vector("heading")))
+            ]
             trace = (axes[0] * axes[1]).sum(axis=(0, 2))
             turns = max(turns, float(np.degrees(np.arccos(((trace - 1) / 2).clip(-1, 1))).max()))
         speeds.append(distance)
@@ -204,10 +211,10 @@ def test_frames_have_the_shifted_positions() -> None:
     for _ in range(20):
         step(world)
     population = world.populations["a"]
-    shift = population.vector("~lift")
+    shift = population.read_vector("~lift")
     assert (np.abs(shift).max(axis=1) > 0.1).any()
-    drawn = AgentArrays(1.0, {}, {"a": ()}).arrays(world, ("P",))["P"]
-    order = population.in_id_order()
+    drawn = AgentArrayBuilder(1.0, {}, {"a": ()}).build_arrays(world, ("P",))["P"]
+    order = population.rows_by_id()
     assert np.allclose(drawn, (population.position + shift)[order], atol=1e-4)
 
 
@@ -221,7 +228,7 @@ def test_flat_ground_and_no_agents_change_nothing() -> None:
         population = world.populations["a"]
         hashes.append((population.position.tobytes(), *(population.now[f"heading.{axis}"].tobytes() for axis in "xyz")))
     assert hashes[0] == hashes[1]
-    assert not np.any(population.vector("~lift"))
+    assert not np.any(population.read_vector("~lift"))
     empty = walking(flat, 0)
     step(empty)
     assert len(empty.populations["a"]) == 0

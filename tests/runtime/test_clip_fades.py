@@ -9,10 +9,10 @@ import pytest
 from meaning import RunHistory, crowd, play
 from test_clips import EVERY_WAY, HEAD
 
-from antdsl.bodies.agents.blending import posed
+from antdsl.bodies.agents.blending import blend_poses
 from antdsl.bodies.agents.definition import Clip, Definition, Rig
-from antdsl.bodies.agents.machine_clips import MachineClips, playing_of_machines
-from antdsl.bodies.agents.poses import clip_table
+from antdsl.bodies.agents.machine_clips import MachineClips, build_machine_playback
+from antdsl.bodies.agents.poses import build_clip_table
 from antdsl.scene.setting import ClipData
 
 HEIGHTS = {"low": 0.0, "mid": 40.0, "high": 100.0, "top": 250.0}
@@ -37,7 +37,7 @@ def play_states(states: str, steps: int) -> RunHistory:
 
 def heights(history: RunHistory) -> list[float]:
     """Where the hand is in each frame."""
-    table = clip_table(body())
+    table = build_clip_table(body())
     clips = tuple((clip.name, clip.on) for clip in history.world.plan.species["a"].clips)
     hand_heights = []
     registers = (
@@ -46,7 +46,9 @@ def heights(history: RunHistory) -> list[float]:
     )  # fmt: skip
     for frame in history.frames:
         clips_of_machine = MachineClips(*(frame["a"][f"main.{name}"] for name in registers))
-        hand_heights.append(float(posed(table, {}, playing_of_machines(table, clips, [clips_of_machine], 1)).world[0, 0, 1, 3]))
+        hand_heights.append(
+            float(blend_poses(table, {}, build_machine_playback(table, clips, [clips_of_machine], 1)).world[0, 0, 1, 3])
+        )
     return hand_heights
 
 

@@ -8,8 +8,8 @@ from meaning import OPTION_SETS, RunHistory, crowd, play
 from plan_text import plan_of
 
 from antdsl.passes import optimise
-from antdsl.reload import take_over
-from antdsl.runtime import Options, bind, checkpoint, restore, state_hash, step
+from antdsl.reload import migrate_world
+from antdsl.runtime import Options, bind, restore_checkpoint, state_hash, step, take_checkpoint
 from antdsl.scene.setting import ClipData, WorldSetting
 
 EVERY_WAY = (*OPTION_SETS, Options(backend="native", wait_for_code=True, chunk=16, shuffle_rows=5))
@@ -126,7 +126,7 @@ def test_a_checkpoint_goes_on_where_clips_are() -> None:
     original, again = (bind(optimise(plan_of(text)), setting, Options(backend=name)) for name in ("numpy", "reference"))
     for _ in range(20):
         step(original)
-    restore(again, checkpoint(original))
+    restore_checkpoint(again, take_checkpoint(original))
     hashes = []
     for world in (original, again):
         hashes.append([])
@@ -153,7 +153,7 @@ def test_an_edit_that_renumbers_clips_lets_them_go_on() -> None:
     for _ in range(20):
         step(world)
     turns = world.populations["a"].now["main.clip_turns"].copy()
-    edited, _ = take_over(world, optimise(plan_of(begin + first + wave + rest)), setting)
+    edited, _ = migrate_world(world, optimise(plan_of(begin + first + wave + rest)), setting)
     ants = edited.populations["a"]
     assert [ants.plan.clips[k].name for k in ants.now["main.clip"]] == ["wave", "wave"]
     step(edited)
@@ -201,7 +201,12 @@ def test_how_much_an_agent_turns_and_climbs() -> None:
     assert turned[0] == 0 and turned[-1] == pytest.approx(rate[-2] / 90, abs=0.05) and turned[-1] > 0.2
     assert history.every("lean#slope") == pytest.approx([0] * 21, abs=1e-6), "the ground is level"
     (clip,) = history.world.plan.species["a"].clips
-    assert (clip.left, clip.right, clip.up, clip.down) == ("lean_left", "lean_right", "climb", "descend") and clip.leans
+    assert (clip.left_clip, clip.right_clip, clip.up_clip, clip.down_clip) == (
+        "lean_left",
+        "lean_right",
+        "climb",
+        "descend",
+    ) and clip.has_lean_clips
     straight = play_states(f"state one {{ {line}; steer {GOES} }}", 6)
     assert straight.every("lean#turn") == pytest.approx([0] * 7, abs=1e-6)
 
@@ -212,7 +217,7 @@ def test_who_waits_for_a_clip_where_none_plays_is_warned() -> None:
     def diagnose(first: str, second: str, anywhere: str = "") -> list[tuple[str, str | None]]:
         states = f"  state s {{ steer heading; {first} }}\n  state t {{ steer heading; {second} }}\n"
         text = f"ant 1\nspecies a {{\n  start s\n  {anywhere}\n{states}}}\n"
-        return [(each.code, each.help) for each in checked(text)[1].sorted()]
+        return [(each.code, each.help) for each in checked(text)[1].sort_by_place()]
 
     waits = "when clip done and age > 1 s -> s"
     assert diagnose("play wave; when after 1 s -> t", waits) == [

@@ -8,7 +8,7 @@ from meaning import OPTION_SETS, crowd, play
 from plan_text import plan_of, program_of
 
 from antdsl.passes import optimise
-from antdsl.runtime import Options, World, bind, checkpoint, restore, state_hash, step
+from antdsl.runtime import Options, World, bind, restore_checkpoint, state_hash, step, take_checkpoint
 from antdsl.scene.setting import WorldSetting
 
 EVERY_WAY = (*OPTION_SETS, Options(backend="native", wait_for_code=True, chunk=16, shuffle_rows=5))
@@ -108,9 +108,9 @@ def test_a_checkpoint_goes_on_with_the_contacts_that_it_has() -> None:
     original = crowded(Options(backend="numpy"))
     for _ in range(8):
         step(original)
-    saved = checkpoint(original)
+    saved = take_checkpoint(original)
     again = crowded(Options(backend="native", wait_for_code=True, shuffle_rows=2))
-    restore(again, saved)
+    restore_checkpoint(again, saved)
     hashes = []
     for world in (original, again):
         hashes.append([])

@@ -8,8 +8,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from antdsl.runtime.moving import capsule_distances, capsules, contacts, corrections, cutting, separation
-from antdsl.runtime.moving.capsules import CapsuleCrowd, NearbyPairs, find_near_pairs, overlap_depths
+from antdsl.runtime.moving import capsule_distances, capsules, contacts, correction_walks, separation, step_clamping
+from antdsl.runtime.moving.capsules import CapsuleCrowd, NearbyPairs, find_near_pairs, measure_overlap_depths
 from tests.runtime.test_contacts import CrowdData, cluster, world
 
 ROWS = 60
@@ -90,7 +90,7 @@ def test_gaps_of_capsules_are_those_of_their_closest_points(seed: int) -> None:
     assert np.array_equal(near.gap[~again], previous[0][~again]) and np.array_equal(
         near.direction[:, ~again], previous[1][:, ~again]
     )
-    gap, path, depth = near.measure_before(moved)
+    gap, path, depth = near.measure_before_step(moved)
     expected = [gap_of(near, near.middle - moved, p, q) for p, q in zip(near.i, near.j, strict=True)]
     assert np.allclose(gap, [each for each, _ in expected], atol=1e-9)
     assert np.allclose(path.T, [each for _, each in expected], atol=1e-7)
@@ -112,14 +112,14 @@ def test_capsules_lie_where_the_shape_of_a_body_puts_them() -> None:
     built = crowds(8.0)
     crowd, k = CapsuleCrowd(built), 0
     for population in built.populations.values():
-        shape = capsules.capsule_of(built, population.name)
+        shape = capsules.find_capsule(built, population.name)
         for row in range(len(population)):
             size = max(float(population.now["size"][row]), 0.0)
             stands = [population.now[f"{name}.{axis}"][row] for name in ("up", "heading") for axis in "xyz"]
             up, heading = np.float64(stands).reshape(2, 3)
-            middle = population.position[row] + up * (size * shape.height) + heading * (size * shape.ahead)
+            middle = population.position[row] + up * (size * shape.height) + heading * (size * shape.forward_offset)
             assert np.allclose(crowd.middle[:, k], middle, atol=1e-12)
-            assert np.isclose(crowd.radius[k], size * shape.width / 2) and np.isclose(crowd.ahead[k], size * shape.ahead)
+            assert np.isclose(crowd.radius[k], size * shape.width / 2) and np.isclose(crowd.ahead[k], size * shape.forward_offset)
             assert np.isclose(crowd.half[k], max(size * (shape.length - shape.width) / 2, 0.0))
             assert np.isclose(crowd.reach[k], crowd.half[k] + 1.6 * crowd.radius[k])
             k += 1
@@ -152,7 +152,7 @@ def test_all_pairs_that_may_meet_are_found(dead: float | None) -> None:
     crowd = CapsuleCrowd(built)
     near = find_near_pairs(crowd, dead)
     total = SimpleNamespace(half=crowd.half, radius=crowd.radius)
-    total.ahead, total.up = (np.stack(crowd.vector(name)).astype(float) for name in ("heading", "up"))
+    total.ahead, total.up = (np.stack(crowd.read_vector(name)).astype(float) for name in ("heading", "up"))
     wide = crowd.radius[:, None] + crowd.radius[None]
     gaps = {(p, q): gap_of(total, crowd.middle, p, q) for p, q in combinations(range(len(crowd)), 2)}
     far = np.linalg.norm(crowd.middle[:, :, None] - crowd.middle[:, None], axis=0) > crowd.reach[:, None] + crowd.reach[None]
@@ -160,7 +160,7 @@ def test_all_pairs_that_may_meet_are_found(dead: float | None) -> None:
     summary = {pair: each for pair, each in gaps.items() if each[0] < 1.5 * wide[pair] and not far[pair]}
     depth = {k for pair, each in summary.items() if dead is None or each[0] < -dead * wide[pair] for k in pair}
     expected = {(p, q): each for (p, q), each in summary.items() if p in depth or q in depth}
-    keys = crowd.key
+    keys = crowd.agent_keys
     result = {tuple(sorted(pair)): k for k, pair in enumerate(pairs_of(near))}
     assert result.keys() == expected.keys() and len(result) == len(near.i)
     assert all(keys[p] < keys[q] for p, q in pairs_of(near))
@@ -169,7 +169,7 @@ def test_all_pairs_that_may_meet_are_found(dead: float | None) -> None:
         assert np.isclose(near.gap[k], expected[pair][0], atol=1e-9)
         if pair != (4, 5):
             assert np.allclose(near.direction[:, k], sign * expected[pair][1], atol=1e-7)
-    assert np.isclose(near.widest, max(crowd.radius[list(pair)].max() for pair in summary))
+    assert np.isclose(near.max_radius, max(crowd.radius[list(pair)].max() for pair in summary))
     assert np.array_equal(near.rows, np.unique(list(expected)))
     for name in ("middle", "half", "radius"):
         assert np.array_equal(getattr(near, name), getattr(crowd, name)[..., near.rows])
@@ -178,7 +178,7 @@ def test_all_pairs_that_may_meet_are_found(dead: float | None) -> None:
         path, up = near.direction[:, result[4, 5]], near.up[:, near.i[result[4, 5]]]
         assert np.isclose(np.linalg.norm(path), 1, atol=0.1) and abs(path @ up) < 0.1
         worst = [max([0.0, *(-gap for pair, (gap, _) in summary.items() if k in pair)]) for k in range(len(crowd))]
-        assert np.allclose(overlap_depths(built), worst / np.maximum(2 * crowd.radius, 1e-9), atol=1e-9)
+        assert np.allclose(measure_overlap_depths(built), worst / np.maximum(2 * crowd.radius, 1e-9), atol=1e-9)
 
 
 # --- how far who goes -------------------------------------------------------------------------------------------------
@@ -221,7 +221,7 @@ def part_bodies(near: NearbyPairs, agents, which, held, walked, depth, looks, sw
     """As `contacts._apart` gives, from one pair after another."""
     size = np.linalg.norm(walked, axis=0)
     most = np.maximum(agents.reach, size)
-    extent = np.minimum(most * 0.3 + depth, most) * agents.yields
+    extent = np.minimum(most * 0.3 + depth, most) * agents.push_share
     dense_share = np.where(size <= 0.01 * most, 1.0, np.clip(depth / (near.radius * 0.4) - 0.5, 0, 1))
     light, moved, which = np.where(held, 0.0, 1 / agents.mass), cut.copy(), which.copy()
     dead = (near.radius[near.i] + near.radius[near.j]) * 5e-4
@@ -277,13 +277,13 @@ def test_bodies_part_as_one_pair_after_another_says(looks: int, sweeps: int, sha
     near, again = near_of(built), near_of(built)
     which = np.random.default_rng(seed).random(len(near.i)) < (0.8 if looks > 1 else 1.1)
     which[near.gap == np.inf] = True
-    effort, work = contacts.SolverEffort(looks, sweeps, 1), separation.arrays(ROWS, len(near.i))
+    effort, work = contacts.SolverEffort(looks, sweeps, 1), separation.make_buffers(ROWS, len(near.i))
     for each in (near, again):
         each.measure(stand["cut"], np.ones(ROWS, np.bool_))
     inputs = (stand["held"], stand["walked"], stand["deep"])
     expected = part_bodies(again, agents, which, *inputs, looks, sweeps, share, stand["cut"])
     cached = which.copy()
-    result = contacts._separate(near, agents, which, *inputs, effort, share, stand["cut"], work)
+    result = contacts._solve_separation(near, agents, which, *inputs, effort, share, stand["cut"], work)
     assert np.allclose(result, expected, atol=1e-7) and np.array_equal(which, cached)
     assert (np.abs(result - stand["cut"]).max(axis=0) > 1e-4).sum() > 20
 
@@ -316,8 +316,8 @@ def test_steps_into_others_are_bent_and_cut(seed: int) -> None:
     rng = np.random.default_rng(seed)
     near, (agents, stand) = near_of(bodies(seed, 9.0)), agents_of(seed)
     walked, approach = 3 * stand["walked"], rng.normal(0, 0.2, (3, ROWS))
-    gap, path, _ = near.measure_before(walked)
-    short, stopped, changed = cutting.cut_steps(near, approach, agents.mass, walked, gap, path)
+    gap, path, _ = near.measure_before_step(walked)
+    short, stopped, changed = step_clamping.clamp_steps(near, approach, agents.mass, walked, gap, path)
     step = cut_steps(near, approach, agents.mass, walked, gap, path)
     off = np.abs(walked + short - step).max(axis=0) > 1e-9
     assert off.sum() <= 2  # a step that is bent along something exactly is over it by rounding
@@ -334,25 +334,25 @@ def test_rounds_look_again_at_those_who_did_not_get_there() -> None:
     near, rng = near_of(bodies(3)), np.random.default_rng(3)
     requested = rng.normal(0, 0.1, (3, ROWS)) * (rng.random(ROWS) < 0.7)
     requested[:2, 5], requested[1:, 6], requested[::2, 7] = 0.0, 0.0, 0.0
-    subset, expected = corrections.led(requested)
+    subset, expected = correction_walks.select_displaced(requested)
     assert np.array_equal(subset, np.flatnonzero(requested.any(axis=0))) and np.array_equal(expected, requested[:, subset])
     got = expected * rng.choice([1.0, 0.99, 0.6, 0.4, 0.0], len(subset))
     previous, held = near.middle.copy(), rng.random(ROWS) < 0.1
     was = held.copy()
-    touched = corrections.find_missed(near, subset, expected, got, held)
+    touched = correction_walks.find_unresolved_rows(near, subset, expected, got, held)
     again = np.linalg.norm(expected - got, axis=0) > 0.05 * near.radius[subset]
     assert np.array_equal(np.flatnonzero(touched), subset[again]) and 5 < again.sum() < len(subset) - 5
     little = again & ((got * expected).sum(axis=0) < 0.5 * (expected**2).sum(axis=0))
     assert np.array_equal(held, was | np.isin(np.arange(ROWS), subset[little])) and little.sum() > 3
     previous[:, subset] += got
     assert np.array_equal(near.middle, previous)
-    which = corrections.find_visible_pairs(near, touched)
+    which = correction_walks.find_overlapping_pairs(near, touched)
     assert np.array_equal(which, touched[near.i] | touched[near.j])
     for k in (1, -1):  # the least overlap that counts
         near.gap[:] = (near.radius[near.i] + near.radius[near.j]) * -0.05 * (1 + k * 1e-9)
-        assert (corrections.find_visible_pairs(near, touched) is None) == (k < 0)
+        assert (correction_walks.find_overlapping_pairs(near, touched) is None) == (k < 0)
     near.gap[which] = 0.0
-    assert corrections.find_visible_pairs(near, touched) is None
+    assert correction_walks.find_overlapping_pairs(near, touched) is None
 
 
 def registers(rng: np.random.Generator, n: int) -> tuple[np.ndarray, ...]:
@@ -366,15 +366,15 @@ def test_a_crowd_stands_and_came_as_its_registers_say() -> None:
     speed[rows[:3]], weight[rows[:3]] = [-1, 7, 9], [0, 3, -2]
     start, walked, normal = np.full((3, 3, 9), -7.0)
     reach, mass = np.full((2, 9), -7.0)
-    species = corrections.FootPositions(began, place, feet, speed, weight)
-    corrections.fill_stances(rows, 4, species, 0.25, start, walked, normal, reach, mass)
+    species = correction_walks.FootPositions(began, place, feet, speed, weight)
+    correction_walks.write_stances(rows, 4, species, 0.25, start, walked, normal, reach, mass)
     to = slice(4, 8)
     assert np.array_equal(start[:, to], began[rows].T) and np.array_equal(walked[:, to], (place - began)[rows].T)
     assert np.array_equal(normal[:, to], feet[rows].T) and np.array_equal(reach[to], np.maximum(speed[rows], 0) * 0.25)
     assert np.array_equal(mass[to], np.maximum(weight[rows].astype(float), 1e-30))
     assert all((each[..., 8:] == -7).all() and (each[..., :4] == -7).all() for each in (start, walked, normal, reach, mass))
     velocity, path = registers(rng, n), np.full((3, 9), -7.0)
-    corrections.fill_approach(rows, 4, velocity, np.float32(0.3), path)
+    correction_walks.write_approach(rows, 4, velocity, np.float32(0.3), path)
     assert np.array_equal(path[:, to], (np.stack(velocity)[:, rows] * np.float32(0.3)).astype(float))
     assert (path[:, 8:] == -7).all() and (path[:, :4] == -7).all()
 
@@ -384,19 +384,19 @@ def test_corrections_go_no_farther_than_agents_may_walk_and_take_velocity_that_l
     rows = np.sort(rng.permutation(n)[:25])
     began, place, to = rng.normal(size=(n, 3)), rng.normal(size=(n, 3)), rng.normal(size=(25, 3))
     speed, (far, most) = rng.choice(np.float32([0, 40]), n), np.empty((2, 25))
-    assert corrections._find_too_far(rows, to, began, place, speed, 0.1, far, most)
+    assert correction_walks._has_row_out_of_range(rows, to, began, place, speed, 0.1, far, most)
     assert np.allclose(far, np.linalg.norm(to - began[rows], axis=1))
     assert np.allclose(most, np.maximum(speed[rows] * 0.1, np.linalg.norm((place - began)[rows], axis=1)))
     for part, over in ((1.0049, False), (1.0051, True)):
         end = began[rows] + (to - began[rows]) * (most / far * part)[:, None]
-        assert corrections._find_too_far(rows, end, began, place, speed, 0.1, far.copy(), most.copy()) == over
+        assert correction_walks._has_row_out_of_range(rows, end, began, place, speed, 0.1, far.copy(), most.copy()) == over
     end[7] = np.nan
-    assert corrections._find_too_far(rows, end, began, place, speed, 0.1, far, most)
+    assert correction_walks._has_row_out_of_range(rows, end, began, place, speed, 0.1, far, most)
     velocity, at, up = registers(rng, n), registers(rng, n), unit(rng.normal(size=(3, 25))).T
     to[3] = place[rows[3]]  # goes nowhere
     old, was, feet = place.copy(), np.stack(velocity).astype(float), rng.normal(size=(n, 3)).astype(np.float32)
     got = np.empty((3, 25))
-    corrections._store_arrivals(rows, to, np.ascontiguousarray(up), np.float32(0.1), at, velocity, place, feet, got)
+    correction_walks._store_arrivals(rows, to, np.ascontiguousarray(up), np.float32(0.1), at, velocity, place, feet, got)
     assert np.array_equal(got.T, to - old[rows]) and np.array_equal(place[rows], to)
     assert np.array_equal(np.stack(at)[:, rows].T, to.astype(np.float32)) and np.array_equal(feet[rows], up.astype(np.float32))
     lost = 0
@@ -417,7 +417,7 @@ def test_a_walk_is_prepared_with_the_step_the_ground_and_how_agents_stand() -> N
     moved, feet, facing = rng.normal(size=(3, 3)), rng.normal(size=(n, 3)).astype(np.float32), registers(rng, n)
     long, (path, normal) = rng.random(n).astype(np.float32), np.empty((2, 3, 3), np.float32)
     (up, heading), size = np.empty((2, 3, 3)), np.empty(3)
-    corrections._prepare_walk(rows, moved, feet, facing, long, path, normal, up, heading, size)
+    correction_walks._prepare_walk(rows, moved, feet, facing, long, path, normal, up, heading, size)
     assert np.array_equal(path, moved.astype(np.float32)) and np.array_equal(normal, feet[rows].T)
     assert np.array_equal(up, feet[rows].T.astype(float)) and np.array_equal(heading, np.stack(facing)[:, rows].astype(float))
     assert np.array_equal(size, long[rows].astype(float))
@@ -448,6 +448,6 @@ def test_rows_are_gathered() -> None:
     to = capsule_distances.CapsuleArrays(*np.empty((3, 3, 3)), *np.empty((2, 3)))
     single = [tuple(np.ascontiguousarray(each, np.float32)) for each in (built.ahead, built.up)]
     crowd = capsule_distances.CrowdCapsules(built.middle, *single, built.half, built.radius)
-    capsule_distances.gather_bodies(rows, crowd, to)
+    capsule_distances.gather_capsules(rows, crowd, to)
     for result, expected in zip(to, (built.middle, *map(np.stack, single), built.half, built.radius), strict=True):
         assert np.array_equal(result, expected[..., rows])

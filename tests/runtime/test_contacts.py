@@ -10,10 +10,10 @@ import pytest
 from test_program import checked, complaints
 
 from antdsl import passes, plan
-from antdsl.runtime import Options, World, bind, checkpoint, restore, state_hash, step
+from antdsl.runtime import Options, World, bind, restore_checkpoint, state_hash, step, take_checkpoint
 from antdsl.runtime.moving import capsules, contacts
-from antdsl.runtime.moving.capsules import CapsuleCrowd, find_near_pairs, overlap_depths
-from antdsl.scene.setting import CrowdData, MeshData, PlaceData, WorldSetting
+from antdsl.runtime.moving.capsules import CapsuleCrowd, find_near_pairs, measure_overlap_depths
+from antdsl.scene.setting import CrowdData, MeshData, PlacementData, WorldSetting
 
 RESTING = """ant 1
 species ant {
@@ -42,11 +42,11 @@ def plan_of(text: str) -> plan.ir.Plan:
     return passes.optimise(plan.lower(program)[0])
 
 
-def points(*coordinates: tuple[float, float]) -> PlaceData:
-    return PlaceData(points=np.array([[x, 0.0, z] for x, z in coordinates]))
+def points(*coordinates: tuple[float, float]) -> PlacementData:
+    return PlacementData(points=np.array([[x, 0.0, z] for x, z in coordinates]))
 
 
-def cluster(count: int, radius: float = 0.0) -> PlaceData:
+def cluster(count: int, radius: float = 0.0) -> PlacementData:
     random = np.random.default_rng(count)
     far, angle = radius * np.sqrt(random.random(count)), random.random(count) * 2 * np.pi
     return points(*zip(far * np.cos(angle), far * np.sin(angle), strict=True))
@@ -59,7 +59,7 @@ def world(*crowds: CrowdData, text: str = RESTING, options: Options | None = Non
 
 def positions_by_id(bound_world: World, species: str = "ant") -> np.ndarray:
     population = bound_world.populations[species]
-    return population.position[population.in_id_order()]
+    return population.position[population.rows_by_id()]
 
 
 # --- heaps -----------------------------------------------------------------------------------------------------------
@@ -67,12 +67,12 @@ def positions_by_id(bound_world: World, species: str = "ant") -> np.ndarray:
 
 def frames_until_free(bound_world: World, most: int) -> int:
     for frame in range(most):
-        if overlap_depths(bound_world).max() < 1e-3:
+        if measure_overlap_depths(bound_world).max() < 1e-3:
             return frame
         previous_positions = positions_by_id(bound_world)
         step(bound_world)
         assert np.linalg.norm(positions_by_id(bound_world) - previous_positions, axis=1).max() <= 30 / 24 * 1.005
-    raise AssertionError(f"still {overlap_depths(bound_world).max():.3g} of a width deep")
+    raise AssertionError(f"still {measure_overlap_depths(bound_world).max():.3g} of a width deep")
 
 
 def test_a_cluster_in_one_place_separates_and_lies_still() -> None:
@@ -84,7 +84,7 @@ def test_a_cluster_in_one_place_separates_and_lies_still() -> None:
     for _ in range(3):
         step(bound_world)
     assert np.array_equal(positions_by_id(bound_world), previous_positions)
-    assert not bound_world.populations["ant"].vector("velocity").any()
+    assert not bound_world.populations["ant"].read_vector("velocity").any()
 
 
 @pytest.mark.slow
@@ -120,21 +120,21 @@ def test_one_without_a_mass_changes_nothing_for_who_does_not_touch_it(mass: floa
     position_sets = []
     for far in (False, True):
         near = cluster(60, 6.0).points
-        bound_world = world(CrowdData("ant", 61, PlaceData(points=np.concatenate([near, [[90.0, 0.0, 0.0]]]))), text=WALKING)
+        bound_world = world(CrowdData("ant", 61, PlacementData(points=np.concatenate([near, [[90.0, 0.0, 0.0]]]))), text=WALKING)
         bound_world.populations["ant"].now["mass"][60] = mass if far else 1.0
         with np.errstate(all="ignore"):
             step(bound_world)
         position_sets.append(positions_by_id(bound_world)[:60])
-    assert np.array_equal(*position_sets) and overlap_depths(bound_world).max() > 0
+    assert np.array_equal(*position_sets) and measure_overlap_depths(bound_world).max() > 0
 
 
 def test_soft_bodies_part_more_slowly_and_none_at_all_without_contacts() -> None:
     depth_ratios = {}
     for mode in ("off", "soft", "hard"):
         bound_world = world(CrowdData("ant", 2, points((0.0, 0.0), (0.3, 0.1))), contacts=mode)
-        start_depth = overlap_depths(bound_world).max()
+        start_depth = measure_overlap_depths(bound_world).max()
         step(bound_world)
-        depth_ratios[mode] = overlap_depths(bound_world).max() / start_depth
+        depth_ratios[mode] = measure_overlap_depths(bound_world).max() / start_depth
     assert depth_ratios["off"] == 1.0 and 0.5 < depth_ratios["soft"] < 0.95 and depth_ratios["hard"] < 1e-3
 
 
@@ -143,7 +143,7 @@ def test_a_checkpoint_goes_on_to_the_same_bits() -> None:
     for _ in range(4):
         step(bound_world)
     other = world(CrowdData("ant", 40, cluster(40, 2.0)), text=WALKING)
-    restore(other, checkpoint(bound_world))
+    restore_checkpoint(other, take_checkpoint(bound_world))
     for _ in range(4):
         step(bound_world)
         step(other)
@@ -162,7 +162,7 @@ def test_the_lighter_one_makes_room_across_species() -> None:
         np.linalg.norm(positions_by_id(bound_world) - start_positions[0]),
         np.linalg.norm(positions_by_id(bound_world, "ball") - start_positions[1]),
     )
-    assert overlap_depths(bound_world).max() < 1e-3 and distances[0] > 0.3 and distances[1] < 0.01 * distances[0]
+    assert measure_overlap_depths(bound_world).max() < 1e-3 and distances[0] > 0.3 and distances[1] < 0.01 * distances[0]
 
 
 def test_who_meets_one_that_stands_goes_round_it_and_not_through() -> None:
@@ -177,7 +177,7 @@ def test_who_meets_one_that_stands_goes_round_it_and_not_through() -> None:
     nearest = 12.0
     for _ in range(30):
         step(bound_world)
-        assert overlap_depths(bound_world).max() < 0.02
+        assert measure_overlap_depths(bound_world).max() < 0.02
         nearest = min(nearest, float(np.linalg.norm(positions_by_id(bound_world)[0])))
     # The room of both, at the heights of their trunks: the ball's swells above the ant.
     assert 3.0 < nearest < 6.0 and np.abs(positions_by_id(bound_world, "ball")).max() < 0.01
@@ -187,12 +187,12 @@ def test_two_sides_of_a_thin_sheet_do_not_meet() -> None:
     plate = MeshData(*meshes.box((-40, 0, -40), (40, 0.1, 40)))
     surfaces = {"plate": plate}
     text = RESTING.replace("species ant", 'world { surface plate "thin" }\nspecies ant', 1)
-    bound_world = world(CrowdData("ant", 300, PlaceData(on=("plate",), by_area=True)), text=text, surfaces=surfaces)
+    bound_world = world(CrowdData("ant", 300, PlacementData(on=("plate",), is_by_area=True)), text=text, surfaces=surfaces)
     sides = np.sign(bound_world.populations["ant"].normal[:, 1])
     assert (sides > 0).any() and (sides < 0).any()
     for _ in range(30):
         step(bound_world)
-    assert overlap_depths(bound_world).max() < 1e-3
+    assert measure_overlap_depths(bound_world).max() < 1e-3
     crowd = CapsuleCrowd(bound_world)
     middles = crowd.middle.T
     near = np.linalg.norm(middles[:, None] - middles[None], axis=2) < 1.5
@@ -207,7 +207,9 @@ def test_who_is_frozen_by_a_fault_is_not_pushed() -> None:
     start_positions = positions_by_id(bound_world)
     for _ in range(3):
         step(bound_world)
-    assert np.array_equal(positions_by_id(bound_world)[0], start_positions[0]) and overlap_depths(bound_world).max() < 1e-3
+    assert (
+        np.array_equal(positions_by_id(bound_world)[0], start_positions[0]) and measure_overlap_depths(bound_world).max() < 1e-3
+    )
 
 
 # --- who is near ------------------------------------------------------------------------------------------------------
@@ -233,13 +235,13 @@ def test_a_crowd_goes_through_a_doorway_and_does_not_shiver_in_front_of_it(count
     start = cluster(count, radius).points
     assert start is not None
     bound_world = world(
-        CrowdData("ant", count, PlaceData(points=start - (radius + 4.0, 0.0, 0.0))), text=DOORWAY, obstacles={"walls": walls}
+        CrowdData("ant", count, PlacementData(points=start - (radius + 4.0, 0.0, 0.0))), text=DOORWAY, obstacles={"walls": walls}
     )
     turned, back, steps = np.zeros(count), 0, 0
     for frame in range(frames):
-        previous_headings = bound_world.populations["ant"].vector("heading").copy()
+        previous_headings = bound_world.populations["ant"].read_vector("heading").copy()
         step(bound_world)
-        headings, waiting = bound_world.populations["ant"].vector("heading"), positions_by_id(bound_world)[:, 0] < 0
+        headings, waiting = bound_world.populations["ant"].read_vector("heading"), positions_by_id(bound_world)[:, 0] < 0
         turn = np.degrees(np.arcsin(np.clip(np.cross(previous_headings, headings)[:, 1], -1, 1)))
         if frame > 12:
             back += int(((np.abs(turn) > 2) & (np.abs(turned) > 2) & (turn * turned < 0) & waiting).sum())
@@ -251,7 +253,7 @@ def test_a_crowd_goes_through_a_doorway_and_does_not_shiver_in_front_of_it(count
 
 def test_who_faces_as_before_has_its_trunk_where_that_puts_it(monkeypatch: pytest.MonkeyPatch) -> None:
     bound_world = world(CrowdData("ant", 80, cluster(80, 9.0)), text=WALKING)
-    separate, face = contacts._separate, contacts._restore_headings
+    separate, face = contacts._solve_separation, contacts._restore_headings
     as_before: list[int] = []
     faced: list[float] = []
 
@@ -265,7 +267,7 @@ def test_who_faces_as_before_has_its_trunk_where_that_puts_it(monkeypatch: pytes
         return separate(near, *rest)  # type: ignore[arg-type]
 
     monkeypatch.setattr(contacts, "_restore_headings", counted)
-    monkeypatch.setattr(contacts, "_separate", looked_at)
+    monkeypatch.setattr(contacts, "_solve_separation", looked_at)
     for _ in range(20):
         step(bound_world)
     assert sum(as_before) > 20 and max(faced) < 1e-6

@@ -13,9 +13,9 @@ from typer.testing import CliRunner
 
 from antdsl.cli import app
 from antdsl.runtime import Options, bind, checkpoints, state_hash, step
-from antdsl.runtime.lod import DetailLevels, MeshPieces, is_in_boxes
+from antdsl.runtime.level_of_detail import DetailLevels, MeshPieces, is_in_boxes
 from antdsl.scene.setting import DetailData, MeshData
-from antdsl.scene.staging.moves import GeometryMoves, MeshMoves
+from antdsl.scene.staging.motion import GeometryMoves, MeshMoves
 
 WORLD = "ant 1\nworld { obstacle stones }\n"
 FEELS = """species a { x = 0 mm
@@ -31,7 +31,7 @@ POINTS = [(0, 0), (0, 7), (0, 9.9), (11, 8), (0, 12)]
 
 def feeler_distances(near: float, far: float = float("inf")) -> list[float]:
     data = DetailData(np.array([[0.0, 100.0, 0.0]]), near, far)
-    return play(FEELS, crowd(at=POINTS), world=WORLD, obstacles=BALL, detail=data)["x"]
+    return play(FEELS, crowd(at=POINTS), world=WORLD, obstacles=BALL, level_of_detail=data)["x"]
 
 
 @pytest.mark.slow
@@ -50,7 +50,7 @@ def test_pieces_hang_together_by_the_places_of_their_corners() -> None:
     corners = np.concatenate([v[f].reshape(-1, 3) for v, f in parts])  # no two faces share a corner's number
     lone = np.array([[99.0, 0, 0]])
     mesh = MeshData(np.concatenate([corners, lone]), np.arange(len(corners), dtype=np.int32).reshape(-1, 3))
-    low, high = MeshPieces(mesh).boxes(mesh.vertices)
+    low, high = MeshPieces(mesh).bounding_boxes(mesh.vertices)
     boxes = sorted(zip(low.round(3).tolist(), high.round(3).tolist(), strict=True))
     assert boxes[1] == ([10, 1, 2], [13, 4, 6]) and len(boxes) == 2  # boxes that touch in a corner are one piece
     assert boxes[0][1][1] == 5.0
@@ -60,10 +60,10 @@ def test_pieces_hang_together_by_the_places_of_their_corners() -> None:
 def test_boxes_go_with_their_obstacle() -> None:
     poses = np.repeat(np.eye(3, 4)[None], 4, axis=0)
     poses[:, 2, 3] = (0, 3, 6, 9)
-    moves = GeometryMoves(meshes={"stones": MeshMoves.rigid(poses, len(BALL["stones"].vertices))})
+    moves = GeometryMoves(meshes={"stones": MeshMoves.from_transforms(poses, len(BALL["stones"].vertices))})
     at = crowd(at=[(0, -9), (0, 9), (0, 18)])
     data = DetailData(np.array([[0.0, 100.0, 0.0]]), 50.0)
-    history = play(FEELS, at, steps=4, world=WORLD, obstacles=BALL, detail=data, moves=moves)
+    history = play(FEELS, at, steps=4, world=WORLD, obstacles=BALL, level_of_detail=data, motion=moves)
     assert history["x"] == pytest.approx([99, 10, 10], abs=0.05)  # at frame 3 the box is 9 mm further
     assert history.at("x", 1) == pytest.approx([10, 10, 99], abs=0.05)
 
@@ -98,23 +98,27 @@ def test_same_bits_for_all_options_and_no_agent_walks_through() -> None:
         deepest.append(float(away.min()))
 
     history = play(
-        AVOID, crowd(150, radius=50), steps=12, world=WORLD, obstacles=STONES, detail=data, option_sets=FAST, each=watch
+        AVOID, crowd(150, radius=50), steps=12, world=WORLD, obstacles=STONES, level_of_detail=data, option_sets=FAST, each=watch
     )
     assert min(deepest) > 8.0
     counts = history.world.detail.counts
     assert counts[0] == 12 and counts[1:].sum() == 12 * 150 and counts[1:].min() > 0
-    play(AVOID, crowd(14, radius=50), steps=6, world=WORLD, obstacles=STONES, detail=data, option_sets=OPTION_SETS)
+    play(AVOID, crowd(14, radius=50), steps=6, world=WORLD, obstacles=STONES, level_of_detail=data, option_sets=OPTION_SETS)
 
 
 def test_near_enough_is_as_if_there_were_no_levels_and_a_checkpoint_goes_on() -> None:
     at = crowd(60, radius=50)
     plain = play(AVOID, at, steps=10, world=WORLD, obstacles=STONES, option_sets=FAST[:1]).world
-    near = play(AVOID, at, steps=10, world=WORLD, obstacles=STONES, option_sets=FAST[:1], detail=DetailData(ORIGIN, 1e6)).world
+    near = play(
+        AVOID, at, steps=10, world=WORLD, obstacles=STONES, option_sets=FAST[:1], level_of_detail=DetailData(ORIGIN, 1e6)
+    ).world
     assert state_hash(plain) == state_hash(near)
-    far = play(AVOID, at, steps=10, world=WORLD, obstacles=STONES, option_sets=FAST[:1], detail=DetailData(ORIGIN, 20.0)).world
+    far = play(
+        AVOID, at, steps=10, world=WORLD, obstacles=STONES, option_sets=FAST[:1], level_of_detail=DetailData(ORIGIN, 20.0)
+    ).world
     assert state_hash(far) != state_hash(plain)
     again = bind(far.plan, far.setting, Options())
-    checkpoints.restore(again, checkpoints.checkpoint(far))
+    checkpoints.restore_checkpoint(again, checkpoints.take_checkpoint(far))
     step(again)
     step(far)
     assert state_hash(again) == state_hash(far) and np.array_equal(again.detail.counts, far.detail.counts)
@@ -182,7 +186,7 @@ def test_the_camera_is_part_of_the_result_only_where_it_counts(folder: Path) -> 
     def inputs(text: str) -> str:
         (folder / "scene.yaml").write_text(text)
         shot, report = open_scene(folder / "scene.yaml")
-        assert shot is not None, report.sorted()
+        assert shot is not None, report.sort_by_place()
         return shot.inputs["scene"]
 
     plain = SCENE.replace("lod: {near: 60 mm, far: 80 mm}\n", "")

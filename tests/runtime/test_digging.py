@@ -10,19 +10,19 @@ import numpy as np
 import pytest
 from test_cli import antdsl
 
-from antdsl.bodies.shapes import sphere
+from antdsl.bodies.shapes import build_sphere
 from antdsl.fields.cells import SurfaceCells
 from antdsl.fields.growing import GrowingCells
 from antdsl.ground.combined import CombinedGround
-from antdsl.ground.mesh.topology import facing_sides
+from antdsl.ground.mesh.topology import find_facing_sides
 from antdsl.ground.protocol import Footing
 from antdsl.ground.solid import Volume
 from antdsl.ground.solid_feelers import SolidFeelers
 from antdsl.outputs.cache.cache_reader import open_cache
 from antdsl.outputs.cache.dug_solids import DugSolids
-from antdsl.outputs.cutting import CutPlane
+from antdsl.outputs.cut_plane import CutPlane
 from antdsl.pipeline import Shot
-from antdsl.runtime import CheckpointError, Options, World, bind, checkpoint, restore, state_hash, step
+from antdsl.runtime import CheckpointError, Options, World, bind, restore_checkpoint, state_hash, step, take_checkpoint
 
 STEPS = 80
 
@@ -49,11 +49,11 @@ def watched(shot: Shot) -> tuple[World, list[str], dict[str, list[np.ndarray]]]:
     positions_by_name: dict[str, list[np.ndarray]] = {"digger": [], "walker": [], "on": [], "off": []}
     hill, falls = world.solids["hill"], 0
     for _ in range(STEPS):
-        previous_positions = {name: p.position[p.in_id_order()] for name, p in world.populations.items()}
+        previous_positions = {name: p.position[p.rows_by_id()] for name, p in world.populations.items()}
         step(world)
         hashes.append(state_hash(world))
         for name, population in world.populations.items():
-            rows = population.in_id_order()
+            rows = population.rows_by_id()
             place, mesh = population.position[rows], population.footing.mesh[rows]
             positions_by_name[name].append(place)
             away = hill.sample(place).astype(np.float64)
@@ -68,7 +68,7 @@ def watched(shot: Shot) -> tuple[World, list[str], dict[str, list[np.ndarray]]]:
             falling = (mesh == 1) & (np.abs(away) > 4e-4)
             assert (distances[falling] > 0.99 * most[falling]).all(), "off the solid's surface, and not on the way down to it"
             falls += int(falling.sum())
-            heading, up = population.vector("heading")[rows], population.vector("up")[rows]
+            heading, up = population.read_vector("heading")[rows], population.read_vector("up")[rows]
             assert np.abs((heading * up).sum(axis=1)).max() < 1e-4
             assert np.abs((heading * heading).sum(axis=1) - 1).max() < 1e-4
     assert falls, "nobody's ground was dug away"
@@ -99,9 +99,9 @@ def test_what_is_removed_is_what_was_counted(watched, shot):
     hill = world.solids["hill"]
     held = world.populations["digger"].now["soil"].astype(np.float64).sum()
     dropped_soil = world.items["heap"].amounts["soil"].sum()
-    start_volume = bound(shot).solids["hill"].volume()
-    assert hill.removed > 500 and dropped_soil > 100
-    assert held + dropped_soil == hill.removed == start_volume - hill.volume()
+    start_volume = bound(shot).solids["hill"].measure_volume()
+    assert hill.removed_volume > 500 and dropped_soil > 100
+    assert held + dropped_soil == hill.removed_volume == start_volume - hill.measure_volume()
 
 
 def test_open_ground_in_a_tunnel_is_walked_on(watched, shot):
@@ -109,12 +109,12 @@ def test_open_ground_in_a_tunnel_is_walked_on(watched, shot):
     fresh = bound(shot)
     hill, ground = fresh.solids["hill"], fresh.ground
     middle = np.array([[0.0, 0.0, 0.0]])
-    standing, _ = ground.place(middle, fresh.up, ["ground"])
+    standing, _ = ground.place_points(middle, fresh.up, ["ground"])
     assert standing.mesh[0] == 1, "closed by the hill: the place is on top of it"
-    floor = ground.meshes.position(ground.meshes.place(middle, fresh.up, None)[0])
-    hill.carve(floor + np.array([0.0, 2.0, 0.0]), np.array([5.0]), np.zeros(1, np.int64))
+    floor = ground.meshes.position(ground.meshes.place_points(middle, fresh.up, None)[0])
+    hill.carve_balls(floor + np.array([0.0, 2.0, 0.0]), np.array([5.0]), np.zeros(1, np.int64))
     direction = np.array([[1.0, 0.0, 0.0]])
-    onto = ground.nearest(floor)[0]
+    onto = ground.find_nearest(floor)[0]
     moved = ground.move(onto, direction, direction, np.array([[0.0, 1.0, 0.0]]), 4.0)
     assert moved.footing.mesh[0] == 0 and not moved.blocked[0]
     assert moved.position[0, 0] == pytest.approx(floor[0, 0] + 1.0, abs=0.05)
@@ -124,16 +124,18 @@ def test_fields_lie_on_the_walls_that_were_dug(watched):
     world = watched[0]
     field = world.fields["trail"]
     cells = field.cells
-    assert cells.used - cells.at_start > 50
-    new = slice(cells.at_start, cells.used)
+    assert cells.used_count - cells.initial_count > 50
+    new = slice(cells.initial_count, cells.used_count)
     assert (field.values[new] > 0).sum() > 10, "scent was laid in them"
     away = np.abs(world.solids["hill"].sample(cells.position[new]))
     assert np.quantile(away, 0.5) < 1.0
-    assert (cells.lookup(cells.position[new], cells.normal[new]) >= 0).all()
-    table, none = cells.block[new], len(cells)
-    assert ((table == np.arange(cells.at_start, cells.used)[:, None]).any(axis=1)).all() and (table < none).sum(axis=1).min() > 2
-    again = cells._nearest(np.arange(cells.used), 16)
-    assert np.array_equal(again, cells.block[: cells.used]), "rows kept up to date are those made anew"
+    assert (cells.find_cells(cells.position[new], cells.normal[new]) >= 0).all()
+    table, none = cells.nearest_block[new], len(cells)
+    assert ((table == np.arange(cells.initial_count, cells.used_count)[:, None]).any(axis=1)).all() and (table < none).sum(
+        axis=1
+    ).min() > 2
+    again = cells._compute_nearest_cells(np.arange(cells.used_count), 16)
+    assert np.array_equal(again, cells.nearest_block[: cells.used_count]), "rows kept up to date are those made anew"
 
 
 @pytest.mark.parametrize(
@@ -156,15 +158,15 @@ def test_a_checkpoint_goes_on_to_the_same_hashes(shot, watched):
     world = bound(shot)
     for _ in range(45):
         step(world)
-    saved = checkpoint(world)
+    saved = take_checkpoint(world)
     other = bound(shot, shuffle_rows=2)
-    restore(other, saved)
+    restore_checkpoint(other, saved)
     for frame in range(45, 60):
         assert state_hash(other) == watched[1][frame]
         step(other)
     saved["solid.hill.values"] = saved["solid.hill.values"][:-1]
     with pytest.raises(CheckpointError, match="hill"):
-        restore(bound(shot), saved)
+        restore_checkpoint(bound(shot), saved)
 
 
 def run(*words: str | Path, code: int = 0) -> str:
@@ -175,7 +177,7 @@ def run(*words: str | Path, code: int = 0) -> str:
 
 def surface(folder: Path, frame: int, solids: DugSolids | None = None) -> tuple[np.ndarray, np.ndarray]:
     cache = open_cache(folder)
-    (dug_solid,) = (solids or DugSolids(cache, cache.static())).at(frame)
+    (dug_solid,) = (solids or DugSolids(cache, cache.read_static())).at(frame)
     return dug_solid.vertices, dug_solid.faces
 
 
@@ -187,7 +189,7 @@ def triangles(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 def written_out(folder: Path, frame: int) -> np.ndarray:
     """The triangles of a frame that has all that was dug, by the arrays alone."""
     cache = open_cache(folder)
-    static, arrays = cache.static(), cache.frame(frame)
+    static, arrays = cache.read_static(), cache.frame(frame)
     is_unchanged = ~np.isin(static["mesh.hill.bricks"], arrays["mesh.hill.changed"])
     old = static["mesh.hill.vertices"][static["mesh.hill.faces"][is_unchanged]]
     corners = np.concatenate([old, arrays["mesh.hill.vertices"][arrays["mesh.hill.faces"]]]).reshape(-1, 9)
@@ -200,14 +202,14 @@ def test_a_cache_shows_what_was_dug_and_can_be_continued(scene, shot, tmp_path):
     run("run", scene, "--out", complete)
     run("run", scene, "--out", parts, "--frames", "1..21")
     run("run", scene, "--out", parts, "--frames", "1..40", "--resume")
-    assert open_cache(complete).hashes() == open_cache(parts).hashes()
+    assert open_cache(complete).read_state_hashes() == open_cache(parts).read_state_hashes()
     world = bound(shot)
     cache = open_cache(complete)
-    in_order = DugSolids(cache, cache.static())
+    in_order = DugSolids(cache, cache.read_static())
     counts = set()
     for frame in range(1, 41):
         if frame in (1, 20, 33, 40):
-            pieces = [(v, f) for _, v, f in world.solids["hill"].surface(changed_only=False)]
+            pieces = [(v, f) for _, v, f in world.solids["hill"].iterate_brick_meshes(changed_only=False)]
             shift = np.cumsum([0, *(len(v) for v, _ in pieces)])
             faces = np.concatenate([f + s for (_, f), s in zip(pieces, shift, strict=False)])
             true = triangles(np.concatenate([v for v, _ in pieces]), faces)
@@ -259,27 +261,29 @@ def test_cells_are_found_alike_however_many_are_looked_up(dense, monkeypatch):
 
     monkeypatch.setattr(cell_tables, "_MAX_DENSE_VOXELS", dense)
     cells, draw = GrowingCells([digging_shots.hill()], 3.0), np.random.default_rng(3)
-    cells.nearest(5)
+    cells.get_nearest_cells(5)
     for _ in range(6):
         normal = draw.normal(size=(80, 3))
-        cells.grow(draw.uniform(-16, 16, (80, 3)), normal / np.linalg.norm(normal, axis=1)[:, None])
+        cells.grow_surface(draw.uniform(-16, 16, (80, 3)), normal / np.linalg.norm(normal, axis=1)[:, None])
     draw = np.random.default_rng(4)
     positions, normals = draw.uniform(-24, 24, (900, 3)), draw.normal(size=(900, 3))
-    cell_rows = cells.lookup(positions, normals)
-    assert 0.05 < (cell_rows < 0).mean() < 0.9 and cells.used - cells.at_start > 200
-    one_by_one = [cells.lookup(positions[n : n + 1], normals[n : n + 1])[0] for n in range(0, 900, 30)]
+    cell_rows = cells.find_cells(positions, normals)
+    assert 0.05 < (cell_rows < 0).mean() < 0.9 and cells.used_count - cells.initial_count > 200
+    one_by_one = [cells.find_cells(positions[n : n + 1], normals[n : n + 1])[0] for n in range(0, 900, 30)]
     assert np.array_equal(one_by_one, cell_rows[::30])
     voxel = np.floor(positions / cells.cell + 0.5).astype(np.int64) - cells._low
     assert np.array_equal(
-        SurfaceCells._nearby(cells, positions, voxel, facing_sides(normals).astype(np.int64)),
-        cells._nearby(positions, voxel, facing_sides(normals).astype(np.int64)),
+        SurfaceCells._find_nearby_cells(cells, positions, voxel, find_facing_sides(normals).astype(np.int64)),
+        cells._find_nearby_cells(positions, voxel, find_facing_sides(normals).astype(np.int64)),
     )
     for count in (5, 16):
-        assert np.array_equal(cells._nearest(np.arange(cells.used), count), cells.nearest(count)[: cells.used])
+        assert np.array_equal(
+            cells._compute_nearest_cells(np.arange(cells.used_count), count), cells.get_nearest_cells(count)[: cells.used_count]
+        )
 
 
 def test_feelers_meet_a_ball_where_it_is_and_run_along_it_free():
-    vertices, faces = sphere(4)
+    vertices, faces = build_sphere(4)
     ball = Volume.from_mesh(vertices * 20.0, faces, 1.0)
     assert isinstance(ball, Volume)
     feel = SolidFeelers(ball)
@@ -295,30 +299,30 @@ def test_feelers_meet_a_ball_where_it_is_and_run_along_it_free():
     normal = np.stack([hits.nx, hits.ny, hits.nz], axis=1)
     assert ((normal * hit_points).sum(axis=1) > 0.97 * np.linalg.norm(hit_points, axis=1)).all()
     assert not feel.cast_feelers(start.T, direction.T, 11.0).hit.any(), "nothing so near"
-    on = ball.project(direction * 20.0, direction).points
+    on = ball.project_to_surface(direction * 20.0, direction).points
     side = np.cross(direction, [0.1, 0.9, 0.2])
     side /= np.linalg.norm(side, axis=1)[:, None]
     assert not feel.cast_feelers(on.T, side.T, 6.0).hit.any(), "along its surface"
     assert feel.cast_feelers(on.T, -direction.T, 6.0).hit.all(), "into it"
     for away, error in ((2.0, 0.1), (30.0, 2.0)):
-        near = feel.nearest_within(*(direction * (20 + away)).T, np.inf)
+        near = feel.find_nearest_within(*(direction * (20 + away)).T, np.inf)
         assert near.t == pytest.approx(away, abs=error)
         assert (np.stack([near.nx, near.ny, near.nz], axis=1) * direction).sum(axis=1).min() > 0.99
-    assert not feel.nearest_within(*(direction * 50.0).T, ball.band[1]).hit.any(), (
+    assert not feel.find_nearest_within(*(direction * 50.0).T, ball.distance_band[1]).hit.any(), (
         "nothing is touched by who reaches just to the band's end"
     )
-    clear = feel.clearance(*(direction * 50.0).T)
+    clear = feel.measure_clearance(*(direction * 50.0).T)
     assert (clear <= 30.0 + 1e-3).all() and (clear > 0).all()
 
 
 def test_who_hangs_from_a_ceiling_that_is_dug_away_falls_to_the_floor(shot):
     world = bound(shot)
     hill, ground = world.solids["hill"], world.ground
-    hill.carve(np.array([[0.0, 7.0, 0.0]]), np.array([4.0]), np.zeros(1, np.int64))
-    ceiling = hill.project(np.array([[0.0, 10.5, 0.0]]), np.array([[0.0, -1.0, 0.0]]))
+    hill.carve_balls(np.array([[0.0, 7.0, 0.0]]), np.array([4.0]), np.zeros(1, np.int64))
+    ceiling = hill.project_to_surface(np.array([[0.0, 10.5, 0.0]]), np.array([[0.0, -1.0, 0.0]]))
     assert ceiling.is_in_reach[0] and ceiling.normals[0, 1] < -0.8
-    standing = Footing.on_solids(1, ceiling.points)
-    hill.carve(np.array([[0.0, 15.0, 0.0]]), np.array([9.0]), np.zeros(1, np.int64))  # now the sky is over it
+    standing = Footing.from_solids(1, ceiling.points)
+    hill.carve_balls(np.array([[0.0, 15.0, 0.0]]), np.array([9.0]), np.zeros(1, np.int64))  # now the sky is over it
     still = np.zeros((1, 3))
     moved = ground.move(standing, still, np.array([[1.0, 0.0, 0.0]]), ceiling.normals, 4.0)
     assert moved.footing.mesh[0] == 1 and moved.position[0, 1] == pytest.approx(3.0, abs=0.3), moved.position
@@ -326,10 +330,10 @@ def test_who_hangs_from_a_ceiling_that_is_dug_away_falls_to_the_floor(shot):
 
 
 def test_one_solid_is_hard_for_who_walks_on_another(shot):
-    ball, faces = sphere(3)
+    ball, faces = build_sphere(3)
     solids = {name: Volume.from_mesh(ball * 10 + [at, 0, 0], faces, 1.0) for name, at in (("one", 0.0), ("two", 12.0))}
     ground = CombinedGround(None, solids, np.array([0.0, 1.0, 0.0]))
-    place, is_placed = ground.place(np.array([[0.0, 20.0, 0.0]]), np.array([0.0, 1.0, 0.0]))
+    place, is_placed = ground.place_points(np.array([[0.0, 20.0, 0.0]]), np.array([0.0, 1.0, 0.0]))
     assert is_placed[0] and place.mesh[0] == 0
     up, direction = np.array([[0.0, 1.0, 0.0]]), np.array([[1.0, 0.0, 0.0]])
     visited = set()
@@ -344,11 +348,11 @@ def test_one_solid_is_hard_for_who_walks_on_another(shot):
 def test_a_cut_shows_the_inside(scene, shot):
     world = bound(shot)
     hill = world.solids["hill"]
-    hill.carve(np.array([[0.0, 6.0, 0.0]]), np.array([4.0]), np.zeros(1, np.int64))
+    hill.carve_balls(np.array([[0.0, 6.0, 0.0]]), np.array([4.0]), np.zeros(1, np.int64))
     cut = CutPlane.of("z > 0.5")
     assert cut is not None and CutPlane.of("z = 3") is None and CutPlane.of("z > 0; x") is None
     opened = cut.cut_volume(hill, np.zeros(3), 1.0)
-    vertices = np.concatenate([v for _, v, f in opened.surface(changed_only=False)])
+    vertices = np.concatenate([v for _, v, f in opened.iterate_brick_meshes(changed_only=False)])
     assert vertices[:, 2].max() == pytest.approx(0.5, abs=0.01)
     level = vertices[np.abs(vertices[:, 2] - 0.5) < 1e-3]
     inside = np.linalg.norm(level[:, :2] - [0.0, 6.0], axis=1)

@@ -46,7 +46,7 @@ def test_a_body_tilts_before_an_edge_and_over_it_in_several_steps() -> None:
     tilts = {}
     for body in (0.5, 5.0):
         place, up, head = np.array([[14.0, 20.0, 0.3]]), np.array([[0.0, 1.0, 0.0]]), np.array([[1.0, 0.0, 0.0]])
-        place = cube.project(place, up).points
+        place = cube.project_to_surface(place, up).points
         turns = []
         for _ in range(14):
             moved = move(cube, place, head, head, up, body)
@@ -66,11 +66,11 @@ def pit(tmp_path_factory: pytest.TempPathFactory) -> World:
     world = bind(shot.plan, shot.setting, Options())
     hill, walkers = world.solids["hill"], world.populations["walker"]
     y = np.linspace(8, 22, 60)
-    hill.carve(np.stack([0 * y, y, 0 * y], axis=1), np.full(60, 4.0), np.arange(60))
+    hill.carve_balls(np.stack([0 * y, y, 0 * y], axis=1), np.full(60, 4.0), np.arange(60))
     below = np.tile([0.0, 5.0, 0.0], (12, 1)) + np.random.default_rng(2).normal(size=(12, 3)) * [1.0, 0.0, 1.0]
-    walkers.footing, _ = world.ground.nearest(below)
+    walkers.footing, _ = world.ground.find_nearest(below)
     walkers.position = world.ground.position(walkers.footing)
-    up = world.ground.upright_normals(walkers.footing, world.up)
+    up = world.ground.compute_upright_normals(walkers.footing, world.up)
     heading = np.cross(up, np.random.default_rng(3).normal(size=(12, 3)))
     for name, value in (
         ("position", walkers.position),

@@ -13,7 +13,7 @@ from empty_crowds import FRAMES, KINDS, LIVES, NEVER, OF_NONE, WHO, Size
 from sampling import sampled
 
 from antdsl.plan import ir
-from antdsl.plan.traverse import blocks, statements
+from antdsl.plan.traverse import iterate_statements, list_blocks
 from antdsl.program.tables.effects import EFFECT_BY_OPERATION
 from antdsl.program.tables.set_senses import SET_RESULT_OPERATIONS
 from antdsl.program.tables.vocabulary import REDUCER_HELP
@@ -61,7 +61,9 @@ def test_the_program_has_every_sense_set_reduction_and_effect() -> None:
     assert set(empty_crowds.REDUCTIONS) == set(OF_NONE) == set(REDUCER_HELP)
     assert {each.partition("(")[0] for each in empty_crowds.sets()} == SET_RESULT_OPERATIONS
     plan = empty_crowds.plan()
-    all_statements = [each for species in plan.species.values() for _, block in blocks(species) for _, each in statements(block)]
+    all_statements = [
+        each for species in plan.species.values() for _, block in list_blocks(species) for _, each in iterate_statements(block)
+    ]
     assert {each.op for each in all_statements if isinstance(each, ir.Request)} == set(EFFECT_BY_OPERATION)
     assert {node.op for node in plan.nodes} >= {op for op in ir.OPERATION_BY_NAME if op.startswith(("set.", "reduce."))} - {
         "reduce.nth_item"

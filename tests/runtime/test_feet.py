@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 
 from antdsl.numerics import vectors as vec
 from antdsl.pipeline import Shot
-from antdsl.reload import take_over
-from antdsl.runtime import Options, World, bind, checkpoint, feet_hash, restore, state_hash, step
-from antdsl.runtime.feet.gaits import MOST_CYCLES, SINK, rest_positions
-from antdsl.runtime.feet.seeking import FootGround
-from antdsl.runtime.feet.state import NOTHING, Feet
+from antdsl.reload import migrate_world
+from antdsl.runtime import Options, World, bind, feet_hash, restore_checkpoint, state_hash, step, take_checkpoint
+from antdsl.runtime.feet.feet_state import NO_GROUND, Feet
+from antdsl.runtime.feet.foothold_search import FootGround
+from antdsl.runtime.feet.gaits import MAX_CYCLES_PER_FRAME, MAX_SINK_SHARE, compute_rest_positions
 
 NUMPY = Options(backend="numpy", feet=True)
 
@@ -40,17 +40,17 @@ def feet_of(world: World) -> Feet:
 def off_ground(world: World, feet: Feet) -> NDArray[np.float64]:
     """How far (mm) feet that stand are from the nearest surface or solid of all."""
     positions = np.ascontiguousarray(feet.shown[:, feet.is_standing].T)
-    return world.ground.nearest(positions)[1]
+    return world.ground.find_nearest(positions)[1]
 
 
 def far_from_hips(world: World, feet: Feet) -> float:
     """The farthest that a foot joint is from its hip, in lengths of its leg; the trunk as low as it may be."""
-    population, legs = world.populations["walker"], world.walkers["walker"].legs
+    population, legs = world.populations["walker"], world.legs_by_species["walker"].legs
     body = BodyFrames.of(population)
     x, y, z = body.to_bodies(feet.shown)
     a, b, c = lean(legs.hip, feet.slope)
     high = (y + legs.foot[:, 1] - b) - (feet.rise / body.size)[:, None]
-    high = np.maximum(np.abs(high) - SINK * legs.length * (high < 0), 0)
+    high = np.maximum(np.abs(high) - MAX_SINK_SHARE * legs.length * (high < 0), 0)
     return float((np.sqrt((x - a) ** 2 + high**2 + (z - c) ** 2) / legs.length).max())
 
 
@@ -64,7 +64,7 @@ def test_planted_feet_stay_where_they_are_on_the_ground(tmp_path: Path, ground: 
     """The must-show of the feature: planted feet move less than a thousandth of a leg, and are as near to the surface."""
     shot = stick_bodies.opened(stick_bodies.write_scene(tmp_path, legs, ground, speed=speed, count=16))
     world = bind_shot(shot)
-    leg = float(world.walkers["walker"].legs.length.min()) * stick_bodies.SIZE
+    leg = float(world.legs_by_species["walker"].legs.length.min()) * stick_bodies.SIZE
     slid, off, standing_count, hung, lifted, cycles = 0.0, 0.0, 0, 0, 0, 0.0
     for _ in range(48):
         previous_feet = deepcopy(feet_of(world))
@@ -75,7 +75,7 @@ def test_planted_feet_stay_where_they_are_on_the_ground(tmp_path: Path, ground: 
             slid, float(np.sqrt(vec.dot(feet.shown - previous_feet.shown, feet.shown - previous_feet.shown))[both].max(initial=0))
         )
         off = max(off, float(off_ground(world, feet).max()))
-        hung += int(((feet.on == NOTHING) & (feet.swing >= 1)).sum())
+        hung += int(((feet.on == NO_GROUND) & (feet.swing >= 1)).sum())
         standing_count, lifted = (
             standing_count + int(feet.is_standing.sum()),
             lifted + int((previous_feet.is_standing & ~feet.is_standing).sum()),
@@ -87,7 +87,7 @@ def test_planted_feet_stay_where_they_are_on_the_ground(tmp_path: Path, ground: 
         cycles = max(cycles, float(turned.max(initial=0)))
     assert slid < 1e-3 * leg and off < 1e-3 * leg
     assert hung < 0.02 * standing_count and lifted > 60
-    assert cycles <= MOST_CYCLES + 1e-3
+    assert cycles <= MAX_CYCLES_PER_FRAME + 1e-3
 
 
 def test_standing_bodies_put_their_feet_back_and_then_keep_still(tmp_path: Path) -> None:
@@ -103,7 +103,7 @@ def test_standing_bodies_put_their_feet_back_and_then_keep_still(tmp_path: Path)
         lifted.append(was_down & ~feet_of(world).is_standing)
     feet, population = feet_of(world), world.populations["walker"]
     x, _, z = BodyFrames.of(population).to_bodies(feet.place)
-    rest = rest_positions(world.walkers["walker"].legs)
+    rest = compute_rest_positions(world.legs_by_species["walker"].legs)
     off = np.hypot(x - rest[0], z - rest[1])
     assert np.median(off) < 0.07 and not any(each.any() for each in lifted[-24:]) and feet.is_standing.mean() > 0.98
     last = max(k for k, each in enumerate(lifted) if each.any())
@@ -142,10 +142,10 @@ def test_feet_are_the_same_by_machine_code(hill: Shot) -> None:
 def test_feet_are_the_same_where_no_ray_walks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ground: str) -> None:
     shot = stick_bodies.opened(stick_bodies.write_scene(tmp_path, 6, ground, count=24))
     walking = bind_shot(shot)
-    assert walking.floor is not None and (walking.floor.starts(walking.populations["walker"]) >= 0).all()
+    assert walking.foot_ground is not None and (walking.foot_ground.find_start_faces(walking.populations["walker"]) >= 0).all()
     for _ in range(12):
         step(walking)
-    monkeypatch.setattr(FootGround, "starts", lambda _, population: np.full(len(population), -1))
+    monkeypatch.setattr(FootGround, "find_start_faces", lambda _, population: np.full(len(population), -1))
     casting = bind_shot(shot)
     for _ in range(12):
         step(casting)
@@ -162,8 +162,8 @@ def test_one_bodys_feet_go_as_they_do_among_others(tmp_path: Path) -> None:
     for _ in range(20):
         step(many)
         step(few)
-    for name, array in feet_of(few).arrays().items():
-        all_values = feet_of(many).arrays()[name]
+    for name, array in feet_of(few).stored_arrays().items():
+        all_values = feet_of(many).stored_arrays()[name]
         axis = array.shape.index(3) if name not in ("place", "shown", "start", "position", "heading", "up") else 1
         assert np.array_equal(array, np.take(all_values, range(3), axis=axis)), name
 
@@ -172,18 +172,18 @@ def test_a_checkpoint_goes_on_with_the_same_bits(hill: Shot) -> None:
     world = bind_shot(hill)
     for _ in range(9):
         step(world)
-    saved = checkpoint(world)
+    saved = take_checkpoint(world)
     again = bind_shot(hill)
-    restore(again, saved)
+    restore_checkpoint(again, saved)
     assert feet_hash(again.feet) == feet_hash(world.feet)
     for _ in range(9):
         step(world)
         step(again)
     assert feet_hash(again.feet) == feet_hash(world.feet)
     other = bind_shot(hill, Options(backend="numpy"))
-    restore(other, saved)  # of a run with feet, where no feet are requested
+    restore_checkpoint(other, saved)  # of a run with feet, where no feet are requested
     none = {name: array for name, array in saved.items() if not name.startswith("feet.")}
-    restore(again, none)  # and the other way round: all feet are planted again
+    restore_checkpoint(again, none)  # and the other way round: all feet are planted again
     assert feet_of(again).is_standing.mean() > 0.9 and state_hash(again) == state_hash(other)
 
 
@@ -191,11 +191,11 @@ def test_a_reload_keeps_feet_and_new_legs_start_again(hill: Shot) -> None:
     world = bind_shot(hill)
     for _ in range(9):
         step(world)
-    other, _ = take_over(world, hill.plan, hill.setting)
+    other, _ = migrate_world(world, hill.plan, hill.setting)
     assert feet_hash(other.feet) == feet_hash(world.feet)
     legs = hill.setting.legs["walker"]
     longer = replace(hill.setting, legs={"walker": replace(legs, length=legs.length * 1.1)})
-    restarted, _ = take_over(world, hill.plan, longer)
+    restarted, _ = migrate_world(world, hill.plan, longer)
     assert feet_of(restarted).is_standing.mean() > 0.9 and feet_hash(restarted.feet) != feet_hash(world.feet)
 
 
@@ -230,7 +230,7 @@ def test_the_newborn_stand_and_the_dead_have_no_feet(tmp_path: Path) -> None:
         known = set(feet_of(world).ids.tolist())
         step(world)
         feet, population = feet_of(world), world.populations["walker"]
-        assert np.array_equal(feet.ids, population.ids) and np.array_equal(feet.by_id().ids, np.sort(population.ids))
+        assert np.array_equal(feet.ids, population.ids) and np.array_equal(feet.sorted_by_id().ids, np.sort(population.ids))
         new = ~np.isin(feet.ids, list(known))
         changed += int(new.sum()) + len(known - set(feet.ids.tolist()))
         assert off_ground(world, feet).max() < 1e-3
@@ -259,7 +259,7 @@ def test_feet_go_along_with_ground_that_moves_and_stand_still_on_it(tmp_path: Pa
     assert np.array_equal(feet.face, first.face) and np.array_equal(feet.weight, first.weight)
     assert off_ground(world, feet).max() < 1e-9
     x, y, _ = BodyFrames.of(world.populations["walker"]).to_bodies(feet.place)
-    assert np.abs(x - rest_positions(world.walkers["walker"].legs)[0]).max() < 0.1 and np.abs(y).max() < 1e-3
+    assert np.abs(x - compute_rest_positions(world.legs_by_species["walker"].legs)[0]).max() < 0.1 and np.abs(y).max() < 1e-3
 
 
 def test_a_foot_without_its_ground_lifts_and_seeks_again(tmp_path: Path) -> None:
@@ -275,7 +275,7 @@ def test_a_foot_without_its_ground_lifts_and_seeks_again(tmp_path: Path) -> None
     assert feet.is_standing.all()
     dug = feet.place[:, 0, 1].copy()
     others = deepcopy(feet)
-    world.solids["ground"].carve(dug[None], np.array([0.9]), np.array([0]))
+    world.solids["ground"].carve_balls(dug[None], np.array([0.9]), np.array([0]))
     lifted = False
     for _ in range(30):
         step(world)
@@ -305,12 +305,12 @@ def test_feet_stand_on_obstacles_and_on_the_side_of_a_sheet_that_they_walk_on(tm
     for _ in range(40):
         step(world)
     feet, population = feet_of(world), world.populations["walker"]
-    side = np.hypot(population.position[population.in_id_order()][:, 0], population.position[population.in_id_order()][:, 2])
+    side = np.hypot(population.position[population.rows_by_id()][:, 0], population.position[population.rows_by_id()][:, 2])
     bodies = BodyFrames.of(population)
     up, place = bodies.axes[:, 1].T, bodies.place.T
     inside = (up[0] * place[0] + up[2] * place[2] < 0) & (side > 20)
-    hips = bodies.to_world(world.walkers["walker"].legs.hip)
-    hit = world.obstacles["ground"].cast_within(
+    hips = bodies.to_world(world.legs_by_species["walker"].legs.hip)
+    hit = world.obstacles["ground"].find_hits_within(
         hips[:, feet.is_standing].T.copy(), ((feet.shown - hips)[:, feet.is_standing] * 0.999).T.copy()
     )[0]
     assert len(hit) < 0.01 * feet.is_standing.sum() and side.max() > 15 and inside.size
@@ -339,7 +339,7 @@ def test_feet_are_on_the_floor_that_is_seen_where_the_body_walks_a_coarser_one(
     for _ in range(12):
         step(world)
         feet = feet_of(world)
-        floor_distances = world.obstacles["floor"].closest(np.ascontiguousarray(feet.shown[:, feet.is_standing].T))[3]  # type: ignore[attr-defined]
+        floor_distances = world.obstacles["floor"].find_closest(np.ascontiguousarray(feet.shown[:, feet.is_standing].T))[3]  # type: ignore[attr-defined]
         assert floor_distances.max() < 1e-6 and feet.is_standing.sum() > 12
     assert (world.populations["walker"].footing.mesh == 0).all()
     assert high - 0.31 < feet.shown[1][feet.is_standing].min() < high < feet.shown[1][feet.is_standing].max() < high + 0.31

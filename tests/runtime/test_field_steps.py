@@ -33,8 +33,8 @@ class Plainly:
             self.land()
         if diffusion:
             flow = self.field._laplacian
-            data, columns, starts = flow._links
-            change = csr_array((data, columns, starts), 2 * self.values.shape) @ self.values - flow._out * self.values
+            data, columns, starts = flow._inflow_matrix
+            change = csr_array((data, columns, starts), 2 * self.values.shape) @ self.values - flow._outflow_shares * self.values
             self.values = self.values + diffusion * dt / self.field.cells.cell**2 * change
         self.values = self.values * float(np.float32(keep))
         if not self.field.deposits_first:
@@ -90,7 +90,7 @@ def test_cells_of_agents_are_those_of_their_voxel_and_side(monkeypatch, kind, de
         points = np.asarray(points + rng.normal(0, 0.4, points.shape), order="FC"[number % 2])
         points[3], points[4] = np.nan, 1e9
         side = np.where(rng.random(1500) < 0.1, rng.integers(0, 6, 1500), 4).astype(np.int8)
-        buffer, known = cells.lookup_again(points, side, known, buffer)
+        buffer, known = cells.update_cells(points, side, known, buffer)
         with np.errstate(invalid="ignore"):
             voxel = np.floor(points / cells.cell + 0.5) - cells._low
         for n in range(1500):
@@ -99,5 +99,5 @@ def test_cells_of_agents_are_those_of_their_voxel_and_side(monkeypatch, kind, de
                 x, y, z = voxel[n].astype(int)
                 own = numbers.get(int(((x * cells._size[1] + y) * cells._size[2] + z) * 6 + side[n]), -1)
             assert own < 0 or buffer[n] == own  # who has none gets one near by
-        assert np.array_equal(buffer, cells.lookup_again(points, side, None)[0])
+        assert np.array_equal(buffer, cells.update_cells(points, side, None)[0])
     assert 0.5 < (buffer >= 0).mean() < 1

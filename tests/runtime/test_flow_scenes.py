@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 import trimesh
 
-from antdsl.cli.commands.new import ground
+from antdsl.cli.commands.new import build_ground_ply
 from antdsl.diagnostics import Report
 from antdsl.outputs.cache.cache_reader import open_cache
 from antdsl.outputs.gallery import Gallery
 from antdsl.outputs.pictures import Camera, render_frame
-from antdsl.outputs.recording import begin, record
+from antdsl.outputs.recording import begin_recording, record_frames
 from antdsl.pipeline import RunChoices, Shot, open_scene, simulate
 from antdsl.runtime import Options, state_hash
-from antdsl.scene.setting import BorderFlow, PaintedValues, SolvedFlow, SpreadFlow
+from antdsl.scene.setting import BorderFlowData, PaintedValues, SolvedFlowData, SpreadFlowData
 
 PROGRAM = """ant 1
 use steering
@@ -68,7 +68,7 @@ def ply(vertices: np.ndarray, faces: np.ndarray, columns: dict[str, np.ndarray],
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     (tmp_path / "ant.ant").write_text(PROGRAM)
-    (tmp_path / "ground.ply").write_bytes(ground(9))
+    (tmp_path / "ground.ply").write_bytes(build_ground_ply(9))
     (tmp_path / "way.json").write_text("[[0, 0, 0], [50, 0, 0]]")
     np.savez(tmp_path / "damp.npz", damp=np.linspace(0, 1, POINTS), comb=np.ones((POINTS, 3)), short=np.ones(7))
     return tmp_path
@@ -90,7 +90,7 @@ def drift(folder: Path, text: str) -> object:
 def test_every_form_of_a_flow(folder: Path) -> None:
     flow = drift(folder, "{tangent: way, radius: 4 cm, falloff: linear, strength: -0.5, cell: 3 mm, on: ground, gather: 2}")
     assert (
-        isinstance(flow, SpreadFlow)
+        isinstance(flow, SpreadFlowData)
         and flow.direction == "tangent"
         and flow.target.line
         and flow.target.positions.shape == (2, 3)
@@ -98,16 +98,18 @@ def test_every_form_of_a_flow(folder: Path) -> None:
     assert (flow.radius, flow.falloff, flow.strength, flow.cell, flow.on) == (40, "linear", -0.5, 3, ("ground",))
     assert flow.gather == 2
     flow = drift(folder, "{tangent: way.json}")
-    assert isinstance(flow, SpreadFlow) and flow.radius is None and flow.target.line
+    assert isinstance(flow, SpreadFlowData) and flow.radius is None and flow.target.line
     flow = drift(folder, "{toward: home, radius: 30}")
-    assert isinstance(flow, SpreadFlow) and flow.direction == "toward" and flow.target.positions[0, [0, 2]].tolist() == [10, 10]
+    assert (
+        isinstance(flow, SpreadFlowData) and flow.direction == "toward" and flow.target.positions[0, [0, 2]].tolist() == [10, 10]
+    )
     assert flow.target.radii.tolist() == [5]
     flow = drift(folder, "{away: [1 cm, 0, -5]}")
-    assert isinstance(flow, SpreadFlow) and flow.target.positions.tolist() == [[10, 0, -5]] and not flow.target.line
+    assert isinstance(flow, SpreadFlowData) and flow.target.positions.tolist() == [[10, 0, -5]] and not flow.target.line
     flow = drift(folder, "{border: ground, within: 20 mm}")
-    assert isinstance(flow, BorderFlow) and flow.on == ("ground",) and flow.within == 20 and flow.falloff == "linear"
+    assert isinstance(flow, BorderFlowData) and flow.on == ("ground",) and flow.max_distance == 20 and flow.falloff == "linear"
     flow = drift(folder, "{solved: nest, slope: 2, room: 5 mm, maps: {damp: 4}, crowding: 1.5, every: 2 step, cell: 30 mm}")
-    assert isinstance(flow, SolvedFlow) and flow.maps == {"damp": 4} and flow.every == pytest.approx(2 / 24)
+    assert isinstance(flow, SolvedFlowData) and flow.maps == {"damp": 4} and flow.every == pytest.approx(2 / 24)
     assert (flow.slope, flow.clearance, flow.crowding) == (2, 5, 1.5)
     flow = drift(folder, "{painted: damp.npz, attribute: comb, strength: 0.25}")
     assert isinstance(flow, PaintedValues) and flow.surface == "ground" and np.allclose(flow.values, 0.25)
@@ -192,7 +194,7 @@ def test_what_does_not_fit_is_reported_at_its_place(folder: Path, old: str, new:
     error = report.errors[0]
     assert words in f"{error.message} | {error.help}", error
     assert error.span is not None
-    line, _ = error.span.source.line_column(error.span.start)
+    line, _ = error.span.source.find_line_column(error.span.start)
     assert new.splitlines()[-1] in error.span.source.line_text(line), error.span.source.line_text(line)
 
 
@@ -242,19 +244,19 @@ def test_a_run_that_is_continued_between_two_looks_at_the_crowd_goes_on_the_same
     shot, report = opened(folder, text)
     assert shot is not None, report.errors
     complete_hashes = {world.frame: state_hash(world) for world in simulate(shot)}
-    recording = begin(shot, folder / "out", Options(), resume=False, force=False)
-    for state in record(recording):
-        state.stop = state.frame == 7  # the crowd was looked at two frames ago
-    going_on = begin(shot, folder / "out", Options(), resume=True, force=False)
+    recording = begin_recording(shot, folder / "out", Options(), resume=False, force=False)
+    for state in record_frames(recording):
+        state.stop_requested = state.frame == 7  # the crowd was looked at two frames ago
+    going_on = begin_recording(shot, folder / "out", Options(), resume=True, force=False)
     assert going_on.resumed_from == 7
-    assert [state.frame for state in record(going_on)] == [8, 9, 10, 11]
-    assert open_cache(folder / "out").hashes() == complete_hashes
+    assert [state.frame for state in record_frames(going_on)] == [8, 9, 10, 11]
+    assert open_cache(folder / "out").read_state_hashes() == complete_hashes
 
 
 def test_arrows_of_a_flow_are_stored_in_the_cache_and_drawn(folder: Path) -> None:
     shot, report = opened(folder, SCENE.replace(DRIFT, "{toward: [0, 0, 0]}"))
     assert shot is not None, report.errors
-    for _ in record(begin(shot, folder / "out", Options(), resume=False, force=False)):
+    for _ in record_frames(begin_recording(shot, folder / "out", Options(), resume=False, force=False)):
         pass
     gallery = Gallery(open_cache(folder / "out"))
     (flow,) = gallery.flows
@@ -262,6 +264,6 @@ def test_arrows_of_a_flow_are_stored_in_the_cache_and_drawn(folder: Path) -> Non
     place, direction = flow.position[far][:, [0, 2]], flow.displacement[far][:, [0, 2]]
     cosine = -(place * direction).sum(axis=1) / np.linalg.norm(place, axis=1) / np.linalg.norm(direction, axis=1)
     assert flow.name == "drift" and far.sum() > 40 and cosine.min() > 0.9
-    picture, above = gallery.picture(1), Camera((0, 300, 1), (0, 0, 0))
+    picture, above = gallery.make_picture(1), Camera((0, 300, 1), (0, 0, 0))
     plain, drawn = (render_frame(picture, above, 160, 90, show=show).astype(int) for show in ((), ("flow",)))
     assert (np.abs(plain - drawn).max(axis=2) > 20).sum() > 100

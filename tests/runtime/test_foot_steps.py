@@ -9,8 +9,8 @@ import pytest
 from foot_frames import BodyFrames, Points, lean
 
 from antdsl.runtime.feet import stepping, trunk
-from antdsl.runtime.feet.gaits import FOOT_Y, LENGTH, OFF, REACH, REST_X, REST_Z, SINK, Gaits
-from antdsl.runtime.feet.state import NOTHING, STANDS
+from antdsl.runtime.feet.feet_state import NO_GROUND, STANDING_SWING
+from antdsl.runtime.feet.gaits import FOOT_Y, LEG_LENGTH, LEG_REACH, MAX_SINK_SHARE, REST_OFFSET, REST_X, REST_Z, Gaits
 from antdsl.scene.setting import GaitData, LegsData
 
 COUNT, LEGS, DT = 700, 6, np.float32(1 / 24)
@@ -39,7 +39,7 @@ class Crowd:
         axes = np.linalg.qr(rng.normal(size=(n, 3, 3)))[0]
         axes[:, 2] = np.cross(axes[:, 0], axes[:, 1])
         self.frames = BodyFrames(rng.normal(0, 40, (n, 3)), axes, rng.uniform(2, 9, n).astype(F32).astype(float))
-        rows = self.frames.place.T, axes.transpose(1, 2, 0).reshape(9, n), self.frames.size[None]
+        rows = self.frames.place.T, axes.transpose(1, 2, 0).reshape(9, n), self.frames.size[None], np.ones((1, n))
         self.bodies = np.ascontiguousarray(np.concatenate(rows))
         pace = np.where(rng.random(n) < 0.4, rng.uniform(0, 0.012, n), rng.uniform(0, 0.3, n))
         turn = rng.uniform(0, 2 * np.pi, n) + rng.normal(0, 0.2, (LEGS, n))
@@ -51,8 +51,8 @@ class Crowd:
         self.start = self.world(ground + rng.normal(0, 0.2, ground.shape))
         self.shown = np.zeros_like(self.place)
         stands = (rng.random((LEGS, n)) < 0.75) | (rng.random(n) < 0.3)
-        self.swing = np.where(stands, STANDS, rng.uniform(0, 1, (LEGS, n))).astype(F32)
-        self.on = rng.choice([NOTHING, -1, 0, 3], (LEGS, n), p=[0.2, 0.3, 0.3, 0.2]).astype(np.int16)
+        self.swing = np.where(stands, STANDING_SWING, rng.uniform(0, 1, (LEGS, n))).astype(F32)
+        self.on = rng.choice([NO_GROUND, -1, 0, 3], (LEGS, n), p=[0.2, 0.3, 0.3, 0.2]).astype(np.int16)
         self.found = np.where(rng.random((LEGS, n)) < 0.7, 0, rng.uniform(0, 0.1, (LEGS, n))).astype(F32)
         self.phase = rng.uniform(0, 1, n).astype(F32)
         self.rise = (rng.normal(0, 0.02, n) * self.frames.size).astype(F32)
@@ -88,7 +88,7 @@ class Crowd:
 
     def rest_distance(self, local: Points, hips: Points) -> Points:
         """The distance [L, n] to the rest position: along the ground, or from where the line of the leg crosses height 0."""
-        drop = np.maximum(hips[1] - local[1], 0.1 * self.leg(LENGTH))
+        drop = np.maximum(hips[1] - local[1], 0.1 * self.leg(LEG_LENGTH))
         crossing = hips[[0, 2]] + (local - hips)[[0, 2]] * (hips[1] / drop)
         straight, along = (np.linalg.norm(each - self.rest(), axis=0) for each in (crossing, local[[0, 2]]))
         return np.minimum(straight, along)
@@ -96,8 +96,8 @@ class Crowd:
     def too_far(self, local: Points, hips: Points, most: float) -> Points:
         """Which feet [L, n] are farther from their hips than a share of the leg, with the trunk lowered."""
         joint = local - hips + np.stack([np.zeros((LEGS, 1)), self.leg(FOOT_Y), np.zeros((LEGS, 1))])
-        sunk = np.where(joint[1] < 0, np.minimum(joint[1] + SINK * self.leg(LENGTH), 0), joint[1])
-        return np.linalg.norm([joint[0], sunk, joint[2]], axis=0) > most * self.leg(LENGTH)
+        sunk = np.where(joint[1] < 0, np.minimum(joint[1] + MAX_SINK_SHARE * self.leg(LEG_LENGTH), 0), joint[1])
+        return np.linalg.norm([joint[0], sunk, joint[2]], axis=0) > most * self.leg(LEG_LENGTH)
 
     def gait(self, speed: Points, distance: Points) -> tuple[Points, ...]:
         """Number, stride, duty factor and lift [n] of the gaits at speeds [n]."""
@@ -122,9 +122,9 @@ def test_the_ground_that_feet_cover_is_that_of_matrices() -> None:
     last_frames.place[5] = np.nan
     heading, up = last_frames.axes[:, 0] * 3, last_frames.axes[:, 1] + 0.4 * last_frames.axes[:, 0]
     last = np.ascontiguousarray(last_frames.place.T), *(np.ascontiguousarray(each.T, F32) for each in (heading, up))
-    stepping.measure_cover(crowd.bodies, last, crowd.gaits.legs, new, covered, 0, 300)
+    stepping.measure_ground_covered(crowd.bodies, last, crowd.gaits.legs, new, covered, 0, 300)
     assert (covered[:, :, 300:] == 9).all()
-    stepping.measure_cover(crowd.bodies, last, crowd.gaits.legs, new, covered, 300, COUNT)
+    stepping.measure_ground_covered(crowd.bodies, last, crowd.gaits.legs, new, covered, 300, COUNT)
     rest = np.stack([crowd.rest()[0, :, 0], np.zeros(LEGS), crowd.rest()[1, :, 0]], axis=1)
     moved = rest.T[:, :, None] - crowd.local(last_frames.to_world(rest).swapaxes(1, 2))
     still = new | (np.arange(COUNT) == 5)
@@ -135,7 +135,7 @@ def test_feet_lift_and_land_by_their_gaits() -> None:
     crowd = Crowd(3)
     n, gaits = COUNT, crowd.gaits
     previous = {name: getattr(crowd, name).copy() for name in ("start", "phase", "swing", "found")}
-    times = DT, DT / F32(gaits.cycle), DT / F32(gaits.swing), gaits.least_reach
+    times = DT, DT / F32(gaits.rest_cycle_seconds), DT / F32(gaits.max_swing_seconds), gaits.least_reach
     requests = np.full(n * LEGS, -1, np.int64)
     listed = []
     for part in ((0, 37), (37, n)):
@@ -152,8 +152,8 @@ def test_feet_lift_and_land_by_their_gaits() -> None:
     still, ahead = distance / stride < 0.02, distance / stride
     local, hips = crowd.local(crowd.place), crowd.hips(crowd.slope, crowd.rise / crowd.frames.size)
     off, down, rest_offset = crowd.rest_distance(local, hips), crowd.swing < 0, crowd.found.astype(float)
-    restless = (~down | (off > crowd.leg(OFF) + rest_offset)).any(axis=0)
-    stands = (down & (off <= crowd.leg(OFF))).all(axis=0)
+    restless = (~down | (off > crowd.leg(REST_OFFSET) + rest_offset)).any(axis=0)
+    stands = (down & (off <= crowd.leg(REST_OFFSET))).all(axis=0)
     ahead = np.minimum(np.where(still & restless, np.maximum(ahead, float(times[1])), ahead), 1 / 3)
     leg_phase = (previous["phase"].astype(float) + gaits.phases[number].T) % 1
     gap = (-((leg_phase - duty) % -1)).min(axis=0)
@@ -164,22 +164,22 @@ def test_feet_lift_and_land_by_their_gaits() -> None:
     crosses = (to_turn > 0) & (advance >= to_turn) | (to_turn == 0) & (advance >= 1)
     behind = (local[[0, 2]] - crowd.rest()) * covered
     in_time = (leg_phase >= duty) & (leg_phase < duty + 0.6 * (1 - duty))
-    late = in_time & (behind.sum(axis=0) < 0) & (off > 0.3 * crowd.leg(REACH))
-    due = (crosses | late) & (~still | (off > 0.5 * crowd.leg(OFF) + rest_offset))
-    lost = (off > 1.25 * crowd.leg(REACH)) | crowd.undermined | crowd.too_far(local, hips, 0.99)
+    late = in_time & (behind.sum(axis=0) < 0) & (off > 0.3 * crowd.leg(LEG_REACH))
+    due = (crosses | late) & (~still | (off > 0.5 * crowd.leg(REST_OFFSET) + rest_offset))
+    lost = (off > 1.25 * crowd.leg(LEG_REACH)) | crowd.undermined | crowd.too_far(local, hips, 0.99)
     lifts = down & (due | lost)
     flies = lifts | ~down
     first_share = np.where(lifts & crosses, (advance - to_turn) / (1 - duty), rate)
     reached = np.where(lifts, 0, previous["swing"].astype(float)) + first_share
-    progress = np.where(flies, np.minimum(reached, 1), float(STANDS))
+    progress = np.where(flies, np.minimum(reached, 1), float(STANDING_SWING))
     frames = np.where(flies, (1 - progress) / rate, 0)
     lands = flies & (reached >= 1)
     half = covered * np.minimum(stance, 1e4) / 2
-    half *= np.minimum(1, crowd.leg(REACH) / np.maximum(np.linalg.norm(half, axis=0), 1e-9))
+    half *= np.minimum(1, crowd.leg(LEG_REACH) / np.maximum(np.linalg.norm(half, axis=0), 1e-9))
     past = np.where(lands, (reached - 1) / rate, 0)
     goal = crowd.rest() + covered * (frames - past) + half
     miss = np.linalg.norm(local[[0, 2]] - goal, axis=0)
-    again = (miss > np.where(still, crowd.leg(OFF), 0.45 * crowd.leg(LENGTH))) | (crowd.on == NOTHING)
+    again = (miss > np.where(still, crowd.leg(REST_OFFSET), 0.45 * crowd.leg(LEG_LENGTH))) | (crowd.on == NO_GROUND)
     again |= crowd.too_far(local, hips, 0.97)
     does = np.select([lands & again, lands, lifts], [stepping.SEEKS_AGAIN, stepping.LANDS, stepping.LIFTS], stepping.STAYS)
 
@@ -208,15 +208,15 @@ def plane_of(points: Points, held: Any) -> tuple[float, float, float]:
     stiff = np.sqrt(held.sum() * 0.02)
     rows = np.concatenate([np.stack([x - x.mean(), z - z.mean()], axis=1), stiff * np.eye(2)])
     slope = np.linalg.lstsq(rows, np.concatenate([y - y.mean(), [0, 0]]), rcond=None)[0]
-    slope *= min(1.0, float(trunk.STEEPEST) / max(float(np.linalg.norm(slope)), 1e-6))
+    slope *= min(1.0, float(trunk.MAX_TRUNK_SLOPE) / max(float(np.linalg.norm(slope)), 1e-6))
     return float(y.mean() - slope @ [x.mean(), z.mean()]), *slope.tolist()
 
 
 def test_feet_swing_and_trunks_follow_the_ground_below_them() -> None:
     rng, crowd = np.random.default_rng(5), Crowd(4)
     n, gaits, size = COUNT, crowd.gaits, crowd.frames.size
-    crowd.on[:, ::9] = NOTHING
-    crowd.on[2:, 1::9] = NOTHING
+    crowd.on[:, ::9] = NO_GROUND
+    crowd.on[2:, 1::9] = NO_GROUND
     share, what = crowd.targets[3], crowd.targets[6]
     share[:] = crowd.swing
     what[:] = np.where(crowd.swing < 0, stepping.STAYS, rng.choice([0, 1, 2, 3], (LEGS, n)))
@@ -232,17 +232,17 @@ def test_feet_swing_and_trunks_follow_the_ground_below_them() -> None:
 
     local = crowd.local(crowd.place)
     lands = what >= stepping.LANDS
-    stands = np.where(lands, crowd.on != NOTHING, share < 0)
-    assert np.array_equal(crowd.swing, np.where(lands & (crowd.on != NOTHING), STANDS, share))
+    stands = np.where(lands, crowd.on != NO_GROUND, share < 0)
+    assert np.array_equal(crowd.swing, np.where(lands & (crowd.on != NO_GROUND), STANDING_SWING, share))
     slope, raised = previous["slope"].astype(float), previous["rise"] / size
     rest_offset = np.where(lands, crowd.rest_distance(local, crowd.hips(slope, raised)), previous["found"])
     close(crowd.found, np.where(crowd.pace[2], rest_offset, 0), 1e-4)
-    planes = np.array([plane_of(local[:, :, i], crowd.on[:, i] != NOTHING) for i in range(n)]).T
+    planes = np.array([plane_of(local[:, :, i], crowd.on[:, i] != NO_GROUND) for i in range(n)]).T
     height = np.clip(planes[0], -highest, highest)
     tilt = slope + (planes[1:] - slope) * float(slower)
     wished = raised + (height - raised) * np.where(height > raised, float(faster), float(slower))
     hips = crowd.hips(tilt, np.zeros(n))
-    square = (0.97 * crowd.leg(LENGTH)) ** 2 - ((local - hips)[[0, 2]] ** 2).sum(axis=0)
+    square = (0.97 * crowd.leg(LEG_LENGTH)) ** 2 - ((local - hips)[[0, 2]] ** 2).sum(axis=0)
     over = local[1] + crowd.leg(FOOT_Y) + np.sqrt(np.maximum(square, 0)) - hips[1]
     limit = np.where(stands & (square > 0), over, np.inf).min(axis=0)
     high = np.maximum(np.minimum(wished, limit), np.minimum(wished, -float(highest)))
@@ -263,9 +263,9 @@ def test_feet_swing_and_trunks_follow_the_ground_below_them() -> None:
     arc_points[1] += arc
     shoulder = hips - np.stack([np.zeros((LEGS, 1)), crowd.leg(FOOT_Y), np.zeros((LEGS, 1))])
     reach = np.linalg.norm(arc_points - shoulder, axis=0)
-    foot = shoulder + (arc_points - shoulder) * np.minimum(1, 0.97 * crowd.leg(LENGTH) / reach)
+    foot = shoulder + (arc_points - shoulder) * np.minimum(1, 0.97 * crowd.leg(LEG_LENGTH) / reach)
     flying = crowd.swing >= 0
-    assert (flying & (reach > 0.97 * crowd.leg(LENGTH))).sum() > 50
+    assert (flying & (reach > 0.97 * crowd.leg(LEG_LENGTH))).sum() > 50
     close(crowd.local(crowd.shown), np.where(flying, foot, local), 1e-4)
     assert np.array_equal(crowd.shown[:, ~flying], crowd.place[:, ~flying])
     assert np.array_equal(crowd.place, previous["place"]) and np.array_equal(crowd.start, previous["start"])

@@ -12,11 +12,11 @@ from test_foot_steps import COUNT, F32, LEGS, Crowd, close
 
 from antdsl.casting.rays import RayScene
 from antdsl.casting.tolerances import MAX_RAY_CUBES, MAX_SEARCH_RINGS
-from antdsl.runtime.feet import footholds, stepping
-from antdsl.runtime.feet.footholds import BEYOND, FACE_BITS, NEAR
-from antdsl.runtime.feet.gaits import SINK
-from antdsl.runtime.feet.seeking import GroundHits
-from antdsl.runtime.feet.state import NOTHING
+from antdsl.runtime.feet import foothold_kernels, stepping
+from antdsl.runtime.feet.feet_state import NO_GROUND
+from antdsl.runtime.feet.foothold_kernels import FACE_BITS, NEAR_HIT_LEG_SHARE, RAY_LENGTH_FACTOR
+from antdsl.runtime.feet.foothold_search import GroundHits
+from antdsl.runtime.feet.gaits import MAX_SINK_SHARE
 from tests.meshes import terrain
 
 RAYS = 400
@@ -52,7 +52,7 @@ def is_in_box(low: Points, high: Points, box: tuple[Points, Points]) -> Any:
 @pytest.mark.parametrize("walks", [True, False])
 def test_rays_of_feet_hit_the_first_of_all_faces(walks: bool) -> None:
     scene, corners, edge = hill()
-    rng, tables = np.random.default_rng(3), scene.tables()
+    rng, tables = np.random.default_rng(3), scene.get_tables()
     assert tables is not None
     below = rng.integers(0, len(corners), RAYS)
     origin = np.ascontiguousarray(corners[below].mean(axis=1).T)
@@ -64,13 +64,13 @@ def test_rays_of_feet_hit_the_first_of_all_faces(walks: bool) -> None:
     starts[::7] = 1 << FACE_BITS | below[::7]  # of another mesh
     # Rays beyond the box are left out, where no walk answers them.
     box = corners.min(axis=(0, 1)), corners.max(axis=(0, 1)) - [0.0 if walks else edge, 0, 0]
-    hits, far = GroundHits.none(RAYS), np.full(RAYS, -1)
-    hits.part[::5], hits.place[:, ::5] = 0.02, 7.0  # hit before, on nearer ground
-    rings = scene.rings() if walks else NO_RINGS
+    hits, far = GroundHits.empty(RAYS), np.full(RAYS, -1)
+    hits.ray_part[::5], hits.position[:, ::5] = 0.02, 7.0  # hit before, on nearer ground
+    rings = scene.get_ring_tables() if walks else NO_RINGS
     assert rings is not None
     first_starts, left = starts.copy(), []
     for part in ((0, 150), (150, RAYS)):
-        first, many = footholds.cast(tables, rings, box, 2, origin, displacement, starts, hits.columns, far, *part)
+        first, many = foothold_kernels.cast_on_mesh(tables, rings, box, 2, origin, displacement, starts, hits.columns, far, *part)
         assert first == part[0]
         left += far[first : first + many].tolist()
 
@@ -84,10 +84,10 @@ def test_rays_of_feet_hit_the_first_of_all_faces(walks: bool) -> None:
     better = inside & short & (part < np.where(np.arange(RAYS) % 5 == 0, 0.02, np.inf))
     assert better.sum() > 100 and (~inside & np.isfinite(part)).any() != walks
     previous_part = np.where(np.arange(RAYS) % 5 == 0, 0.02, np.inf)
-    close(hits.part, np.where(better, part, previous_part), 1e-9)
-    close(hits.place.T[better], (origin + displacement * part).T[better], 1e-9)
-    assert (hits.place.T[~better] == np.where(previous_part[~better] < 1, 7, 0)[:, None]).all()
-    assert (hits.on == np.where(better, 2, NOTHING)).all() and not hits.face.any() and not hits.weight.any()
+    close(hits.ray_part, np.where(better, part, previous_part), 1e-9)
+    close(hits.position.T[better], (origin + displacement * part).T[better], 1e-9)
+    assert (hits.position.T[~better] == np.where(previous_part[~better] < 1, 7, 0)[:, None]).all()
+    assert (hits.on == np.where(better, 2, NO_GROUND)).all() and not hits.face.any() and not hits.weight.any()
     changed = starts != first_starts
     assert (starts[changed] == (2 << FACE_BITS | face)[changed]).all() and changed.any() == walks
     assert not (changed & (first_starts >> FACE_BITS != 2)).any()
@@ -95,17 +95,17 @@ def test_rays_of_feet_hit_the_first_of_all_faces(walks: bool) -> None:
 
 def test_the_nearest_ground_is_that_of_all_faces() -> None:
     scene, corners, edge = hill()
-    rng, tables = np.random.default_rng(4), scene.tables()
+    rng, tables = np.random.default_rng(4), scene.get_tables()
     assert tables is not None
     points = np.ascontiguousarray(corners[rng.integers(0, len(corners), RAYS)].mean(axis=1).T) + rng.normal(0, edge, (3, RAYS))
     reach = rng.uniform(0, 1.5, RAYS) * edge
     reach[::9] = 5 * tables[0][3]  # farther than the grid answers
     reach[1::9] = MAX_SEARCH_RINGS * tables[0][3]
     greatest_reach, box = reach.copy(), (corners.min(axis=(0, 1)), corners.max(axis=(0, 1)) - [2 * edge, 0, 0])
-    hits, far = GroundHits.none(RAYS), np.full(RAYS, -1)
+    hits, far = GroundHits.empty(RAYS), np.full(RAYS, -1)
     left = []
     for part in ((0, 150), (150, RAYS)):
-        first, many = footholds.find_nearest(tables, box, 3, points, reach, hits.columns, far, *part)
+        first, many = foothold_kernels.find_nearest_on_mesh(tables, box, 3, points, reach, hits.columns, far, *part)
         assert first == part[0]
         left += far[first : first + many].tolist()
     inside = is_in_box(points - greatest_reach, points + greatest_reach, box)
@@ -117,9 +117,9 @@ def test_the_nearest_ground_is_that_of_all_faces() -> None:
     hit = short & (distance < greatest_reach)
     assert hit.sum() > 100 and (short & ~hit).sum() > 50 and (~inside & (distance < greatest_reach)).any()
     close(reach, np.where(hit, distance, greatest_reach), 1e-9)
-    close(hits.part, np.where(hit, distance, np.inf), 1e-9)
-    close(hits.place, np.where(hit, place.T, 0), 1e-8)
-    assert (hits.on == np.where(hit, 3, NOTHING)).all()
+    close(hits.ray_part, np.where(hit, distance, np.inf), 1e-9)
+    close(hits.position, np.where(hit, place.T, 0), 1e-8)
+    assert (hits.on == np.where(hit, 3, NO_GROUND)).all()
 
 
 def test_feet_look_for_ground_from_where_their_hips_will_be() -> None:
@@ -131,15 +131,15 @@ def test_feet_look_for_ground_from_where_their_hips_will_be() -> None:
     buffer = np.zeros((14, 300))
     seekers = buffer[:3], buffer[3:6], buffer[6:9], buffer[12], buffer[13]
     steps, starts, quick = buffer[9:12], np.zeros(300, np.int64), np.zeros(300, np.bool_)
-    measures, trunks = (crowd.gaits.legs, crowd.gaits.exact), (crowd.phase, crowd.rise, crowd.slope)
+    measures, trunks = (crowd.gaits.legs, crowd.gaits.exact_legs), (crowd.phase, crowd.rise, crowd.slope)
     aim = requests, crowd.bodies, crowd.covered, measures, trunks, (*targets, what), standing, seekers, (steps, starts), quick
     for part in ((0, 100), (100, 300)):
-        footholds.aim(*aim, *part)
+        foothold_kernels.aim_first_rays(*aim, *part)
     hips = crowd.hips(crowd.slope, crowd.rise / crowd.frames.size)
     hips[[0, 2]] += crowd.covered * targets[2].astype(float)
     goals = np.stack([targets[0], np.zeros((LEGS, COUNT)), targets[1]])
     hip, goal = (crowd.world(each)[:, leg, agent] for each in (hips, goals))
-    close(seekers[0], hip, 1e-5), close(seekers[1], goal, 1e-5), close(steps, (goal - hip) * BEYOND, 1e-4)
+    close(seekers[0], hip, 1e-5), close(seekers[1], goal, 1e-5), close(steps, (goal - hip) * RAY_LENGTH_FACTOR, 1e-4)
     assert np.array_equal(seekers[2], crowd.frames.axes[agent, 1].T) and np.array_equal(starts, standing[agent])
     size = crowd.frames.size[agent]
     close(seekers[3], crowd.legs.length[leg] * size * 0.97, 1e-12), close(seekers[4], crowd.legs.foot[leg, 1] * size, 1e-12)
@@ -164,25 +164,25 @@ class Seekers:
 
     def hits(self, rows: Any, spread: float, share: float = 0.8) -> GroundHits:
         """Hits near the target positions of a share of the rows."""
-        hits = GroundHits.none(len(rows))
+        hits = GroundHits.empty(len(rows))
         present = self.rng.random(len(rows)) < share
-        hits.part[present] = self.rng.uniform(0, 1, present.sum())
-        hits.place[:] = self.goal[:, rows] + self.rng.normal(0, spread, (3, len(rows))) * self.longest[rows]
+        hits.ray_part[present] = self.rng.uniform(0, 1, present.sum())
+        hits.position[:] = self.goal[:, rows] + self.rng.normal(0, spread, (3, len(rows))) * self.longest[rows]
         hits.on[:], hits.face[:] = self.rng.integers(-1, 5, len(rows)), self.rng.integers(0, 99, len(rows))
-        hits.on[~present] = NOTHING
+        hits.on[~present] = NO_GROUND
         hits.weight[:] = self.rng.uniform(0, 1, (2, len(rows)))
         return hits
 
     def reaches(self, hits: GroundHits, rows: Any) -> Any:
         """Which hits the legs of rows reach: the hip's ball, flattened below by as much as trunks come down."""
-        joint = hits.place + self.up[:, rows] * self.sole[rows] - self.hip[:, rows]
+        joint = hits.position + self.up[:, rows] * self.sole[rows] - self.hip[:, rows]
         high = (joint * self.up[:, rows]).sum(axis=0)
         level = np.linalg.norm(joint - self.up[:, rows] * high, axis=0)
-        sunk = np.where(high < 0, np.minimum(high + SINK * self.longest[rows], 0), high)
-        return np.isfinite(hits.part) & (np.hypot(level, sunk) <= self.longest[rows])
+        sunk = np.where(high < 0, np.minimum(high + MAX_SINK_SHARE * self.longest[rows], 0), high)
+        return np.isfinite(hits.ray_part) & (np.hypot(level, sunk) <= self.longest[rows])
 
     def misses(self, hits: GroundHits, rows: Any) -> Points:
-        return np.asarray(np.linalg.norm(hits.place - self.goal[:, rows], axis=0))
+        return np.asarray(np.linalg.norm(hits.position - self.goal[:, rows], axis=0))
 
 
 def copy_of(hits: GroundHits) -> GroundHits:
@@ -193,9 +193,9 @@ def assert_hits(hits: GroundHits, choices: list[Any], sources: list[GroundHits |
     """Each column of `hits` comes from the chosen source; without one it is that of no hit."""
     assert sum(each.astype(int) for each in choices).max() <= 1
     for k, column in enumerate(hits.columns):
-        expected = GroundHits.none(len(hits.part)).columns[k]
+        expected = GroundHits.empty(len(hits.ray_part)).columns[k]
         for chosen, source in zip(choices, sources, strict=True):
-            expected = np.where(chosen, (source or GroundHits.none(len(hits.part))).columns[k], expected)
+            expected = np.where(chosen, (source or GroundHits.empty(len(hits.ray_part))).columns[k], expected)
         assert np.array_equal(column, expected), k
 
 
@@ -205,18 +205,18 @@ def test_hits_in_reach_are_used_and_others_searched_for() -> None:
     hits, quick = seekers.hits(every, 0.25), seekers.rng.random(500) < 0.3
     fits, rows, listed = np.zeros(500, np.bool_), np.full(500, -1), []
     for part in ((0, 180), (180, 500)):
-        first, many = footholds.judge(seekers.columns, hits.columns, quick, fits, rows, *part)
+        first, many = foothold_kernels.mark_reachable_hits(seekers.columns, hits.columns, quick, fits, rows, *part)
         assert first == part[0]
         listed += rows[first : first + many].tolist()
-    reached, near = seekers.reaches(hits, every), seekers.misses(hits, every) <= NEAR * seekers.longest
+    reached, near = seekers.reaches(hits, every), seekers.misses(hits, every) <= NEAR_HIT_LEG_SHARE * seekers.longest
     assert np.array_equal(fits, reached & ~quick)
     assert listed == np.flatnonzero(~quick & ~(reached & near)).tolist()
-    assert (reached & ~near).sum() > 30 and (~reached & near & np.isfinite(hits.part)).sum() > 10
+    assert (reached & ~near).sum() > 30 and (~reached & near & np.isfinite(hits.ray_part)).sum() > 10
 
     rows = np.array(listed)
     above, level, down, origins = np.zeros((4, 3, len(rows)))
-    footholds.look_around(seekers.columns, rows, above, level, down, origins, 0, 40)
-    footholds.look_around(seekers.columns, rows, above, level, down, origins, 40, len(rows))
+    foothold_kernels.aim_detour_rays(seekers.columns, rows, above, level, down, origins, 0, 40)
+    foothold_kernels.aim_detour_rays(seekers.columns, rows, above, level, down, origins, 40, len(rows))
     hip, goal, up = (each[:, rows] for each in seekers.columns[:3])
     height = np.maximum(((hip - goal) * up).sum(axis=0), 0.2 * seekers.longest[rows])
     close(above, goal + up * height, 1e-12), close(origins + level, above, 1e-12)
@@ -232,10 +232,10 @@ def test_the_hit_nearest_to_the_target_is_chosen() -> None:
     original, lost, reach, listed = copy_of(hits), np.full(400, -1), np.full(400, np.nan), []
     inputs = seekers.columns, rows, hits.columns, fits, level.columns, down.columns, lost, reach
     for part in ((0, 150), (150, 400)):
-        first, many = footholds.choose(*inputs, *part)
+        first, many = foothold_kernels.choose_nearest_hits(*inputs, *part)
         assert first == part[0]
         listed += list(zip(lost[first : first + many].tolist(), reach[first : first + many].tolist(), strict=True))
-    blocked = np.isfinite(level.part)
+    blocked = np.isfinite(level.ray_part)
     miss = np.stack([
         np.where(fits[rows], seekers.misses(original, every)[rows], np.inf),
         np.where(blocked & seekers.reaches(level, rows), seekers.misses(level, rows), np.inf),
@@ -248,7 +248,7 @@ def test_the_hit_nearest_to_the_target_is_chosen() -> None:
     assert_hits(GroundHits(*(each[..., rows] for each in hits.columns)), chosen, [first_hit, level, down])
     for old, new in zip(original.columns, hits.columns, strict=True):
         assert np.array_equal(old[..., 1::2], new[..., 1::2])
-    far = np.flatnonzero(least > 2 * NEAR * seekers.longest[rows])
+    far = np.flatnonzero(least > 2 * NEAR_HIT_LEG_SHARE * seekers.longest[rows])
     assert [n for n, _ in listed] == far.tolist()
     close([each for _, each in listed], np.minimum(seekers.longest[rows], least)[far], 1e-12)
 
@@ -259,16 +259,16 @@ def test_near_ground_is_accepted_where_the_hip_sees_it() -> None:
     hits, near, sight = seekers.hits(every, 0.3), seekers.hits(rows, 0.3), seekers.hits(rows, 0.3)
     gap = seekers.rng.normal(0, 1, (3, 300))
     gap *= seekers.longest[rows] * seekers.rng.choice([5e-4, 9.9e-4, 1.1e-3, 0.1], 300) / np.linalg.norm(gap, axis=0)
-    sight.place[:] = near.place + gap
+    sight.position[:] = near.position + gap
     original = copy_of(hits)
-    footholds.accept(seekers.columns, rows, near.columns, sight.columns, hits.columns, 0, 100)
-    footholds.accept(seekers.columns, rows, near.columns, sight.columns, hits.columns, 100, 300)
-    visible = ~np.isfinite(sight.part) | (np.linalg.norm(gap, axis=0) < 1e-3 * seekers.longest[rows])
+    foothold_kernels.accept_visible_positions(seekers.columns, rows, near.columns, sight.columns, hits.columns, 0, 100)
+    foothold_kernels.accept_visible_positions(seekers.columns, rows, near.columns, sight.columns, hits.columns, 100, 300)
+    visible = ~np.isfinite(sight.ray_part) | (np.linalg.norm(gap, axis=0) < 1e-3 * seekers.longest[rows])
     used = visible & seekers.reaches(near, rows)
     assert 60 < used.sum() < 200 and (~visible).sum() > 60
     previous = GroundHits(*(each[..., rows] for each in original.columns))
     assert_hits(GroundHits(*(each[..., rows] for each in hits.columns)), [used, ~used], [near, previous])
-    assert np.array_equal(hits.place[:, ::2], original.place[:, ::2])
+    assert np.array_equal(hits.position[:, ::2], original.position[:, ::2])
 
 
 def test_feet_stand_on_what_was_found_or_hang_over_their_target() -> None:
@@ -280,11 +280,11 @@ def test_feet_stand_on_what_was_found_or_hang_over_their_target() -> None:
     place, weight = np.full((3, LEGS, 50), -1.0), np.full((2, LEGS, 50), -1.0)
     on, face = np.full((LEGS, 50), 77, np.int16), np.full((LEGS, 50), 77, np.int32)
     inputs = agent << stepping.LEG_BITS | leg, seekers.columns, hits.columns, place, on, face, weight
-    footholds.settle(*inputs, 0, 90)
+    foothold_kernels.store_footholds(*inputs, 0, 90)
     assert (on == 77).sum() == 50 * LEGS - 90
-    footholds.settle(*inputs, 90, 200)
-    hangs = hits.on == NOTHING
-    assert np.array_equal(place[:, leg, agent], np.where(hangs, seekers.goal, hits.place)) and 20 < hangs.sum() < 80
+    foothold_kernels.store_footholds(*inputs, 90, 200)
+    hangs = hits.on == NO_GROUND
+    assert np.array_equal(place[:, leg, agent], np.where(hangs, seekers.goal, hits.position)) and 20 < hangs.sum() < 80
     assert np.array_equal(on[leg, agent], hits.on) and np.array_equal(face[leg, agent], hits.face)
     assert np.array_equal(weight[:, leg, agent], hits.weight)
     assert (on == 77).sum() == (face == 77).sum() == (weight[0] == -1).sum() == 50 * LEGS - 200

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from antdsl.pipeline import RunChoices, Shot, open_scene
-from antdsl.program.types.folding import constant_behind
+from antdsl.program.types.folding import find_constant
 from antdsl.runtime import bind, step
 
 STUDY = Path(__file__).resolve().parents[2] / "examples" / "foraging_study"
@@ -46,7 +46,7 @@ def test_a_run_differs_from_the_default_in_what_the_thesis_names_only(shots: dic
         trail = shot.program.fields["trail"]
         if name == "no_decay":
             assert trail.half_life is None and trail.evaporate is not None
-            assert constant_behind(trail.evaporate).number == 0  # type: ignore[union-attr]
+            assert find_constant(trail.evaporate).number == 0  # type: ignore[union-attr]
         else:
             assert trail.half_life is not None
 

@@ -13,15 +13,15 @@ from test_program import checked, complaints
 
 from antdsl import passes, plan
 from antdsl.fields.pheromone import DEPOSIT_UNIT
-from antdsl.machine_code import machine
-from antdsl.plan.registers import statement_numbers
-from antdsl.runtime import FieldStart, MeshData, Options, World, WorldSetting, bind, state_hash, step
+from antdsl.machine_code import llvm_compiler
+from antdsl.plan.registers import number_statements
+from antdsl.runtime import FieldStartData, MeshData, Options, World, WorldSetting, bind, state_hash, step
 from antdsl.runtime.backends.reference import AgentRun, apply_claims
 from antdsl.runtime.requests import EffectRequests
 
 SHEEP = Path(__file__).parents[1] / "programs" / "sheep.ant"
 NATIVE = Options(backend="native", chunk=8, threads=2, shuffle_rows=5, wait_for_code=True)
-EVERY = (*OPTION_SETS, NATIVE) if machine.is_available() else OPTION_SETS
+EVERY = (*OPTION_SETS, NATIVE) if llvm_compiler.is_available() else OPTION_SETS
 WORLD = "ant 1\nworld { surface ground; items food { load = 10 } }\nfield grass on ground { cell 10 mm }\n"
 
 
@@ -35,7 +35,7 @@ def pasture(sheep: int, tufts: int = 0, growth: float = 0.0, seed: int = 1) -> t
         seed=seed,
         surfaces={"meadow": MeshData(*meshes.grid(290.0, 6))},
         crowds=(crowd(sheep, "sheep", radius=60), crowd(tufts, "tuft", radius=120)),
-        field_start={"grass": FieldStart(3.0, None, None)},
+        field_start={"grass": FieldStartData(3.0, None, None)},
         params={"tuft.growth": growth},
     )
     return passes.optimise(lowered), setting
@@ -104,8 +104,8 @@ def play(lines: str, at: list[tuple[float, float]], steps: int, start: float, de
     text = f"species a {{ {declared}\nstart p\nstate p {{ {lines} }}\nstate q {{ when false -> p }} }}"
     optimised_plan = passes.optimise(plan_of(text, WORLD))
     ground = {"ground": MeshData(*meshes.grid(60.0, 4))}
-    setting = WorldSetting(seed=7, surfaces=ground, crowds=(crowd(at=at),), field_start={"grass": FieldStart(start, None, None)},
-                      items={"food": ()})  # fmt: skip
+    setting = WorldSetting(seed=7, surfaces=ground, crowds=(crowd(at=at),),
+                      field_start={"grass": FieldStartData(start, None, None)}, items={"food": ()})  # fmt: skip
     hashes, world = set(), None
     for options in OPTION_SETS:
         world = bind(optimised_plan, setting, options)
@@ -137,7 +137,7 @@ def test_who_takes_what_is_left_and_who_a_part_are_served_in_one_order() -> None
     """Whatever the draw: those before the one who takes all get 1 each, it gets the rest, those after it nothing."""
     lines = "when id == 2 take all load from grass -> q; when id != 2 take 1 load from grass -> q"
     world = play(lines, [(0, 0)] * 5, 1, 8.0)
-    got = world.populations["a"].now["load"][world.populations["a"].in_id_order()]
+    got = world.populations["a"].now["load"][world.populations["a"].rows_by_id()]
     assert got.sum() == 8.0 and got[2] == 8.0 - np.count_nonzero(np.delete(got, 2)) >= 4
     assert world.fields["grass"].values.min() == 0.0
 
@@ -194,14 +194,14 @@ def test_an_agent_that_is_run_again_gets_all_that_it_was_given() -> None:
     text = "species a { load = 0.1; seen = 0\nstart p\nstate p { when true take all load from grass -> q { seen = load } }\n"
     optimised_plan = passes.optimise(plan_of(text + "state q { when false -> p } }", WORLD))
     setting = WorldSetting(seed=7, surfaces={"ground": MeshData(*meshes.grid(60.0, 4))}, crowds=(crowd(at=[(0, 0)] * 2),),
-                      field_start={"grass": FieldStart(1.3, None, None)}, items={"food": ()})  # fmt: skip
+                      field_start={"grass": FieldStartData(1.3, None, None)}, items={"food": ()})  # fmt: skip
     world, again = bind(optimised_plan, setting), []
 
     def watch(world: World) -> None:
         ants = world.populations["a"]
         for row in range(len(ants)):
             now = {name: array[row : row + 1].copy() for name, array in ants.start.items()}
-            agent = AgentRun(world, ants, row, now, 0, EffectRequests(), statement_numbers(ants.plan))
+            agent = AgentRun(world, ants, row, now, 0, EffectRequests(), number_statements(ants.plan))
             agent.run("decide")
             apply_claims(agent, ants)
             agent.run("act")

@@ -12,7 +12,7 @@ from sampling import sampled
 from antdsl.loading import find_library
 from antdsl.runtime import MeshData
 from antdsl.runtime.faults import FaultStop
-from antdsl.scene.setting import FlowTarget, SpreadFlow
+from antdsl.scene.setting import FlowTarget, SpreadFlowData
 from antdsl.syntax import nodes
 
 UNITS = {
@@ -65,7 +65,7 @@ species a {{
         "obstacles": {"stones": MeshData(*meshes.box((20, -5, 20), (30, 10, 30)))},
         "curves": {"way_in": np.array([[-50.0, 0, 0], [50, 0, 10]])},
         "items": {"food": (item("f", 30, 0),)},
-        "flows": {"drift": SpreadFlow("toward", FlowTarget(np.array([[60.0, 0.0, 0.0]]), np.array([8.0])), radius=90.0)},
+        "flows": {"drift": SpreadFlowData("toward", FlowTarget(np.array([[60.0, 0.0, 0.0]]), np.array([8.0])), radius=90.0)},
     }
     return play(
         text, crowd(3, radius=15), steps=steps, world=WORLD, contacts="hard", option_sets=OPTION_SETS[:3], **setting_arguments

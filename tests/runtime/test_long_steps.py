@@ -11,11 +11,11 @@ from test_contact_kernels import bodies, closest
 from test_contacts import points, positions_by_id, world
 
 from antdsl.runtime import Options, World, state_hash, step
-from antdsl.runtime.moving.capsules import CapsuleCrowd, capsule_of, overlap_depths
+from antdsl.runtime.moving.capsules import CapsuleCrowd, find_capsule, measure_overlap_depths
 from antdsl.runtime.moving.impacts import NEVER, PathArrays, PathPairs
 from antdsl.runtime.moving.long_steps import StartPositions, _fill_paths, _list_pairs
 from antdsl.runtime.moving.stopping import find_next_impacts
-from antdsl.scene.setting import CrowdData, MeshData, PlaceData
+from antdsl.scene.setting import CrowdData, MeshData, PlacementData
 
 FAST = """ant 1
 species ant {
@@ -43,7 +43,7 @@ def crowd_positions(built: World) -> np.ndarray:
 def radii(built: World) -> np.ndarray:
     return np.concatenate(
         [
-            population.now["size"][population.in_id_order()] * capsule_of(built, name).width / 2
+            population.now["size"][population.rows_by_id()] * find_capsule(built, name).width / 2
             for name, population in built.populations.items()
         ]
     ).astype(np.float64)
@@ -51,20 +51,20 @@ def radii(built: World) -> np.ndarray:
 
 def passed_pairs(start: np.ndarray, end: np.ndarray, radius: np.ndarray, share: float = 0.7) -> list[tuple[int, int]]:
     """The pairs of balls that come nearer than a share of both radii on straight paths, and were not so near before."""
-    found = []
+    results = []
     for i, j in combinations(range(len(radius)), 2):
         away, moves = start[i] - start[j], (end[i] - end[j]) - (start[i] - start[j])
         time = np.clip(-(away @ moves) / max(moves @ moves, 1e-12), 0, 1)
         near = share * (radius[i] + radius[j])
         if np.linalg.norm(away + moves * time) < near <= np.linalg.norm(away):
-            found.append((i, j))
-    return found
+            results.append((i, j))
+    return results
 
 
 def aim(built: World, species: str, directions: np.ndarray) -> None:
     """Turn the agents of a species, by id, to directions (n, 3), with their full speed."""
     population = built.populations[species]
-    rows = population.in_id_order()
+    rows = population.rows_by_id()
     for registers in (population.now, population.start):
         for axis, name in enumerate("xyz"):
             registers[f"heading.{name}"][rows] = directions[:, axis]
@@ -104,7 +104,7 @@ def meeting(turn: float, speeds: float = 1.0, text: str = FAST, **setting: objec
 def test_two_that_meet_at_any_angle_do_not_pass_through_each_other(turn: float) -> None:
     assert count_passes(meeting(turn, contacts="soft"), 6) == 1
     built = meeting(turn)
-    assert count_passes(built, 6) == 0 and overlap_depths(built).max() < 1e-3
+    assert count_passes(built, 6) == 0 and measure_overlap_depths(built).max() < 1e-3
 
 
 def test_agents_stop_where_they_touch() -> None:
@@ -156,11 +156,11 @@ def test_a_heavy_one_pushes_a_light_one_and_does_not_pass_it() -> None:
 
 @pytest.mark.parametrize("spread", [70.0, 150.0, 300.0])
 def test_no_pair_of_a_crowd_passes_and_all_options_give_the_same_bits(spread: float) -> None:
-    rng, places = np.random.default_rng(int(spread)), np.empty((0, 2))
-    while len(places) < 36:
+    rng, positions = np.random.default_rng(int(spread)), np.empty((0, 2))
+    while len(positions) < 36:
         place = rng.uniform(-spread, spread, 2)
-        if not len(places) or np.linalg.norm(places - place, axis=1).min() > 14.1:
-            places = np.concatenate([places, [place]])
+        if not len(positions) or np.linalg.norm(positions - place, axis=1).min() > 14.1:
+            positions = np.concatenate([positions, [place]])
     angles, hashes = rng.uniform(0, 7, (2, 18)), set()
     for mode, options in (
         ("soft", Options(backend="numpy")),
@@ -170,8 +170,8 @@ def test_no_pair_of_a_crowd_passes_and_all_options_give_the_same_bits(spread: fl
         ("hard", Options(backend="native", wait_for_code=True, threads=3, chunk=64)),
     ):
         crowds = (
-            CrowdData("ant", 18, points(*places[:18]), body="ball"),
-            CrowdData("ball", 18, points(*places[18:]), 1, body="ball"),
+            CrowdData("ant", 18, points(*positions[:18]), body="ball"),
+            CrowdData("ball", 18, points(*positions[18:]), 1, body="ball"),
         )
         built = world(*crowds, text=FAST, contacts=mode, options=options)
         aim(built, "ant", level(*angles[0]))
@@ -187,7 +187,7 @@ def test_two_on_a_hill_do_not_pass_through_each_other(offset: float) -> None:
     passes = {}
     for mode in ("soft", "hard"):
         angles = np.array([np.pi / 2 - 0.4, np.pi / 2 + 0.35 + offset])
-        place = PlaceData(points=300 * np.stack([np.cos(angles), np.sin(angles), 0.3 * offset * np.ones(2)], axis=1))
+        place = PlacementData(points=300 * np.stack([np.cos(angles), np.sin(angles), 0.3 * offset * np.ones(2)], axis=1))
         text = FAST.replace("ant 1\n", "ant 1\nworld { surface hill }\n")
         surfaces = {"hill": MeshData(*meshes.ball(300.0, rings=40))}
         built = world(CrowdData("ant", 2, place, body="ball"), text=text, contacts=mode, surfaces=surfaces)
@@ -255,16 +255,16 @@ def test_all_pairs_that_pass_are_listed_for_any_sizes_and_densities() -> None:
     find_next_impacts(thin, paths._replace(radius=radius * 0.8), np.ones(n, np.bool_), np.ones(n, np.bool_), np.empty(n))
     far, wide = np.linalg.norm(moves[:, i] - moves[:, j], axis=0), radius[i] + radius[j]
     passes = (thin.time <= 1) & (far > wide * 2.0) & ((active[i] | active[j]) > 0)
-    found = {(min(p, q), max(p, q)) for p, q in zip(listed.i.tolist(), listed.j.tolist(), strict=True)}
-    assert {(int(p), int(q)) for p, q in zip(i[passes], j[passes], strict=True)} <= found and passes.sum() > 60
+    results = {(min(p, q), max(p, q)) for p, q in zip(listed.i.tolist(), listed.j.tolist(), strict=True)}
+    assert {(int(p), int(q)) for p, q in zip(i[passes], j[passes], strict=True)} <= results and passes.sum() > 60
     touching = {(int(p), int(q)) for p, q in zip(i[every.time <= 1], j[every.time <= 1], strict=True)}
-    assert len(found) == len(listed.i) and len(found - touching) <= 2  # the radii of `every` are 0.2 % less
+    assert len(results) == len(listed.i) and len(results - touching) <= 2  # the radii of `every` are 0.2 % less
     assert (rank[listed.i] < rank[listed.j]).all()
     assert (np.diff(rank[listed.i] * n + rank[listed.j]) > 0).all()
 
 
 def test_paths_run_from_the_start_to_the_end_with_the_bodies_of_the_end() -> None:
-    place = PlaceData(points=300 * np.array([[0.1, 0.9, 0.3], [-0.3, 0.8, 0.1]]))
+    place = PlacementData(points=300 * np.array([[0.1, 0.9, 0.3], [-0.3, 0.8, 0.1]]))
     text = FAST.replace("ant 1\n", "ant 1\nworld { surface hill }\n")
     built = world(CrowdData("ant", 2, place), text=text, surfaces={"hill": MeshData(*meshes.ball(300.0, rings=40))})
     population = built.populations["ant"]

@@ -10,8 +10,8 @@ from meaning import OPTION_SETS, crowd, play
 from plan_text import plan_of
 
 from antdsl.passes import optimise
-from antdsl.plan.registers import slot_names
-from antdsl.runtime import FaultStop, Options, World, WorldSetting, bind, checkpoint, restore, state_hash, step
+from antdsl.plan.registers import name_slot_registers
+from antdsl.runtime import FaultStop, Options, World, WorldSetting, bind, restore_checkpoint, state_hash, step, take_checkpoint
 
 NATIVE = Options(backend="native", wait_for_code=True, chunk=16, shuffle_rows=5)
 EVERY_WAY = (*OPTION_SETS, NATIVE)
@@ -22,7 +22,7 @@ def read_pairs(world: World, name: str = "likes", species: str = "a", count: int
     """What each agent stores about which other, by id."""
     population = world.populations[species]
     pairs_by_agent: dict[int, dict[int, float]] = {int(agent): {} for agent in population.ids}
-    for who, value in slot_names(name, count):
+    for who, value in name_slot_registers(name, count):
         for agent, other, held in zip(population.ids, population.now[who], population.now[value], strict=True):
             if other >= 0:
                 assert int(other) not in pairs_by_agent[int(agent)], "two slots about one"
@@ -159,11 +159,11 @@ def test_a_checkpoint_goes_on_to_the_same_values() -> None:
     world, hashes = bind(plan, setting, Options(backend="numpy")), []
     for number in range(14):
         if number == 7:
-            saved = checkpoint(world)
+            saved = take_checkpoint(world)
         step(world)
         hashes.append(state_hash(world))
     again = bind(plan, setting, Options(backend="numpy", shuffle_rows=2))
-    restore(again, saved)
+    restore_checkpoint(again, saved)
     for number in range(7, 14):
         step(again)
         assert state_hash(again) == hashes[number]

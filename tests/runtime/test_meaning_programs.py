@@ -46,7 +46,7 @@ def test_hunters_chase_rabbits_and_rabbits_run() -> None:
         hunters, rabbits = world.populations["hunter"], world.populations["rabbit"]
         prey = hunters.now["prey"]
         assert (prey >= 0).all()
-        gaps.append(np.linalg.norm(hunters.position - rabbits.position[rabbits.rows_of(prey)], axis=1))
+        gaps.append(np.linalg.norm(hunters.position - rabbits.position[rabbits.find_rows(prey)], axis=1))
 
     history = played(hunting, setting, 240, "hunter", FAST[:1], each)
     assert set(history["main.state"]) == {0} and gaps[-1].mean() < gaps[0].mean() - 3

@@ -10,7 +10,7 @@ import pytest
 from meaning import FAST, crowd, item, play
 
 from antdsl import limits
-from antdsl.runtime import FaultStop, FieldStart, MeshData, Options
+from antdsl.runtime import FaultStop, FieldStartData, MeshData, Options
 
 IDLE = "start idle\nstate idle { when false -> busy }\nstate busy { when false -> idle }\n"
 STILL = "on spawn { velocity = vector(0 mm/s, 0 mm/s, 0 mm/s); heading = vector(1, 0, 0) }\n"
@@ -177,7 +177,7 @@ start p
 state p { when frame == 3 -> q { spawn a } }
 state q { when age > 100 s -> p } }"""
     history = play(text, crowd(2, at=[(0, 0), (90, 0)]), steps=4, world=FIELDS, surfaces=GROUND,
-                field_start={"half": FieldStart(2.0, (0.0, 0.0, 0.0), 50.0)})  # fmt: skip
+                field_start={"half": FieldStartData(2.0, (0.0, 0.0, 0.0), 50.0)})  # fmt: skip
     assert history["seen"] == pytest.approx([2, 0, 2 * 2**-0.3, 0])
 
 
@@ -315,7 +315,7 @@ def test_a_spawn_in_each_step_stops_at_the_cap(monkeypatch):
     text = "species a { start p\nstate p { when true -> q { spawn a } }\nstate q { when true -> p { spawn a } } }"
     history = play(text, crowd(1), steps=7)
     assert [len(frame["a"]["id"]) for frame in history.frames] == [1, 2, 4, 8, 16, 20, 20, 20]
-    assert history.world.faults.refused_births == 12 + 20 + 20 and history["id"] == list(range(20))
+    assert history.world.faults.rejected_births == 12 + 20 + 20 and history["id"] == list(range(20))
 
 
 @pytest.mark.parametrize("count", [0, 1, 2])
@@ -352,7 +352,7 @@ def test_a_fault_is_reported_in_the_words_of_the_text_and_nothing_is_stored(line
         with pytest.raises(FaultStop) as stop:
             play(text, crowd(3), steps=2, option_sets=[options])
         fault = stop.value.fault
-        assert (fault.what, fault.agent, fault.frame) == (what, 0, 1) and fault.span.text in line
+        assert (fault.value_name, fault.agent, fault.frame) == (what, 0, 1) and fault.span.text in line
         assert any(operand in text.strip("()") for text, _ in fault.operands), fault
     option_sets = [Options(on_fault="quarantine"), Options(on_fault="quarantine", backend="reference", shuffle_rows=1)]
     history = play(text, crowd(3), steps=3, option_sets=option_sets)
@@ -368,7 +368,7 @@ state q { when age > 100 s -> p } }"""
     for options in (Options(), Options(backend="reference", shuffle_rows=1)):
         with pytest.raises(FaultStop) as stop:
             play(text, crowd(3), steps=6, option_sets=[options])
-        assert (stop.value.fault.agent, stop.value.fault.frame, stop.value.fault.what) == (3, 3, "x")
+        assert (stop.value.fault.agent, stop.value.fault.frame, stop.value.fault.value_name) == (3, 3, "x")
         assert ("(id - 3)", "0") in stop.value.fault.operands
 
 

@@ -13,7 +13,7 @@ from motion_track import MEASURES, MotionRow, MotionTrack, Trunks, angle, overla
 from sampling import sampled
 
 from antdsl.outputs.cache.cache_reader import open_cache
-from antdsl.scene.library_bodies import Capsule
+from antdsl.scene.library_bodies import TrunkCapsule
 
 SAMPLE = ("minimal/scene", "torture/cube")
 ROWS = {row.name: row for row in read_bounds()}
@@ -103,7 +103,7 @@ def test_motion_is_within_its_bounds(name: str) -> None:
 
 def test_bodies_under_their_feet_are_inside_and_wide_ones_overlap(tmp_path: Path) -> None:
     measure_row(replace(ROWS["torture/cube"], frames=4), saved=tmp_path)
-    capsules = (Capsule(0.09, 0.02, 0.1), Capsule(8.1, 1.8, 0.1), Capsule(0.9, 0.2, -0.5))
+    capsules = (TrunkCapsule(0.09, 0.02, 0.1), TrunkCapsule(8.1, 1.8, 0.1), TrunkCapsule(0.9, 0.2, -0.5))
     small, wide, sunk = (MotionTrack(open_cache(tmp_path), {"crawler": each}).measure() for each in capsules)
     assert (small.overlap, wide.overlap > 90) == (0, True)
     assert small.inside < 1 and sunk.inside > 95

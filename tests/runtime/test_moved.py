@@ -9,8 +9,8 @@ from plan_text import plan_of, program_of
 
 from antdsl.passes import optimise
 from antdsl.plan import lower
-from antdsl.reload import take_over
-from antdsl.runtime import Options, World, bind, checkpoint, restore, state_hash, step
+from antdsl.reload import migrate_world
+from antdsl.runtime import Options, World, bind, restore_checkpoint, state_hash, step, take_checkpoint
 from antdsl.scene.setting import WorldSetting
 
 EVERY_WAY = (*OPTION_SETS, Options(backend="native", wait_for_code=True, chunk=16, shuffle_rows=5))
@@ -110,10 +110,10 @@ def test_a_checkpoint_and_a_reload_know_it() -> None:
         step(original)
     moved = original.populations["prey"].now["moved"]
     assert np.count_nonzero(moved) > 10
-    saved = checkpoint(original)
+    saved = take_checkpoint(original)
     assert saved["species.prey.register.moved"].tobytes() == moved.tobytes()
     again = pressed(Options(backend="native", wait_for_code=True, shuffle_rows=2))
-    restore(again, saved)
+    restore_checkpoint(again, saved)
     hashes = []
     for world in (original, again):
         hashes.append([])
@@ -122,7 +122,7 @@ def test_a_checkpoint_and_a_reload_know_it() -> None:
             hashes[-1].append(state_hash(world))
     assert hashes[0] == hashes[1]
     edited = optimise(plan_of(RESTING.replace("far + moved", "far + 2 * moved")))
-    reloaded, _ = take_over(original, edited, original.setting)
+    reloaded, _ = migrate_world(original, edited, original.setting)
     assert np.array_equal(np.sort(reloaded.populations["prey"].now["moved"]), np.sort(original.populations["prey"].now["moved"]))
 
 

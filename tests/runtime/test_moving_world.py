@@ -15,12 +15,12 @@ from antdsl.ground.mesh.surface import MeshGround
 from antdsl.ground.moving import MovingGround
 from antdsl.outputs.cache.cache_reader import open_cache
 from antdsl.outputs.gallery import Gallery
-from antdsl.outputs.recording import begin, record
+from antdsl.outputs.recording import begin_recording, record_frames
 from antdsl.pipeline import RunChoices, Shot, open_scene, simulate
-from antdsl.runtime import Options, World, checkpoint, restore, state_hash, step
+from antdsl.runtime import Options, World, restore_checkpoint, state_hash, step, take_checkpoint
 from antdsl.scene import PathRefused, Roots
-from antdsl.scene.geometry.matrices import apply_transforms, still
-from antdsl.scene.staging.moves import MeshMoves
+from antdsl.scene.geometry.matrices import apply_transforms, make_identity_transforms
+from antdsl.scene.staging.motion import MeshMoves
 
 STAND = """ant 1
 use steering
@@ -84,7 +84,7 @@ def shot(folder: Path, wish: str = "steer stand()", scene: str = SCENE, **additi
 
 def positions_by_id(world: World) -> np.ndarray:
     population = world.populations["stander"]
-    return population.position[population.in_id_order()].copy()
+    return population.position[population.rows_by_id()].copy()
 
 
 TURN = "keys: {1: {at: [0, 0, 0], rotate: [0, 0, 0]}, 13: {at: [24, 12, 0], rotate: [0, 0, 90]}}"
@@ -95,10 +95,10 @@ TURN = "keys: {1: {at: [0, 0, 0], rotate: [0, 0, 0]}, 13: {at: [24, 12, 0], rota
 
 def test_keys_go_evenly_and_hold_at_their_ends(folder: Path) -> None:
     scene = SCENE.replace("1..13", "1..20").replace("frames:", "preroll: 2\nframes:")
-    moves = shot(folder, scene=scene, ground=TURN).setting.moves
+    moves = shot(folder, scene=scene, ground=TURN).setting.motion
     assert moves.first == -1 and moves.meshes["ground"].frames == 22
     rest = np.array([[10.0, 0, 0]] * 121)
-    at = [moves.meshes["ground"].vertices_at(rest, frame - moves.first)[0] for frame in (-1, 1, 7, 13, 20)]
+    at = [moves.meshes["ground"].compute_vertices(rest, frame - moves.first)[0] for frame in (-1, 1, 7, 13, 20)]
     half = np.sqrt(0.5) * 10
     assert np.allclose(at, [(10, 0, 0), (10, 0, 0), (12 + half, 6 + half, 0), (24, 22, 0), (24, 22, 0)])
 
@@ -107,28 +107,30 @@ def test_a_key_of_one_kind_leaves_the_other_as_it_is(folder: Path) -> None:
     setting = shot(folder, wall="keys: {1: {rotate: [0, 0, 0]}, 13: {rotate: [0, 90, 0]}}").setting
     rest = setting.obstacles["wall"].vertices
     assert np.allclose(rest.mean(axis=0), [500, 0, 0])
-    turned = setting.moves.meshes["wall"].vertices_at(rest, 12)
+    turned = setting.motion.meshes["wall"].compute_vertices(rest, 12)
     assert np.allclose(turned.mean(axis=0), [500, 0, 0]) and not np.allclose(turned, rest)
 
 
 def test_moves_of_a_file_are_placed_by_its_entry() -> None:
     points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
     vertex_frames = np.stack([points, points * 2])
-    poses = still(2)
+    poses = make_identity_transforms(2)
     poses[:, :, :3] *= 10
     poses[1, :, 3] = (0, 0, 5)
-    moves = MeshMoves.free(vertex_frames).placed(poses)
+    moves = MeshMoves.from_positions(vertex_frames).transform_motion(poses)
     rest = apply_transforms(poses[0], points)
-    assert np.array_equal(moves.vertices_at(rest, 0), rest)
-    assert np.allclose(moves.vertices_at(rest, 1), apply_transforms(poses[1], points * 2))
-    assert np.array_equal(moves.select_vertices(np.array([1])).vertices_at(rest[[1]], 1), moves.vertices_at(rest, 1)[[1]])
+    assert np.array_equal(moves.compute_vertices(rest, 0), rest)
+    assert np.allclose(moves.compute_vertices(rest, 1), apply_transforms(poses[1], points * 2))
+    assert np.array_equal(
+        moves.select_vertices(np.array([1])).compute_vertices(rest[[1]], 1), moves.compute_vertices(rest, 1)[[1]]
+    )
 
 
 def test_files_per_frame_are_found_by_number(tmp_path: Path) -> None:
     for name in ("a.0001.ply", "a.0002.ply", "a.10000.ply", "a.3.ply", "a.0x01.ply", "a.-0005.ply", "b.0001.ply"):
         (tmp_path / name).write_text("x")
     roots = Roots(tmp_path / "scene", {"set": tmp_path})
-    assert roots.sequence("set:a.####.ply") == {
+    assert roots.find_sequence("set:a.####.ply") == {
         -5: "set:a.-0005.ply",
         1: "set:a.0001.ply",
         2: "set:a.0002.ply",
@@ -136,7 +138,7 @@ def test_files_per_frame_are_found_by_number(tmp_path: Path) -> None:
     }
     for bad in ("set:a.##.##.ply", "set:##/a.ply", "set:c.####.ply", "../a.####.ply"):
         with pytest.raises(PathRefused):
-            roots.sequence(bad)
+            roots.find_sequence(bad)
 
 
 def sequence(folder: Path, name: str, frames: range, place: Callable[[int], meshes.Mesh]) -> None:
@@ -147,8 +149,8 @@ def sequence(folder: Path, name: str, frames: range, place: Callable[[int], mesh
 def test_files_per_frame_move_a_mesh_and_are_inputs(folder: Path) -> None:
     sequence(folder, "wall", range(3, 14), lambda f: meshes.box((-10, -10 + f, -10), (10, 10 + f, 10)))
     opened_shot = shot(folder, scene=SCENE.replace("wall.obj", "wall.###.obj"))
-    rest, moves = opened_shot.setting.obstacles["wall"].vertices, opened_shot.setting.moves
-    heights = [moves.meshes["wall"].vertices_at(rest, k)[:, 1].mean() for k in (0, 1, 2, 3, 12)]
+    rest, moves = opened_shot.setting.obstacles["wall"].vertices, opened_shot.setting.motion
+    heights = [moves.meshes["wall"].compute_vertices(rest, k)[:, 1].mean() for k in (0, 1, 2, 3, 12)]
     assert np.allclose(heights, [3, 3, 3, 4, 13])
     assert {"wall.003.obj", "wall.013.obj"} <= set(opened_shot.inputs)
     (folder / "wall.013.obj").write_text((folder / "wall.013.obj").read_text() + "\n")
@@ -197,7 +199,7 @@ def test_more_frames_than_memory_are_refused_before_they_are_read(folder: Path, 
 
 def test_agents_ride_on_ground_that_moves(folder: Path) -> None:
     opened_shot = shot(folder, ground=TURN)
-    first, moves = None, opened_shot.setting.moves
+    first, moves = None, opened_shot.setting.motion
     for world in simulate(opened_shot):
         population = world.populations["stander"]
         now = positions_by_id(world)
@@ -205,9 +207,9 @@ def test_agents_ride_on_ground_that_moves(folder: Path) -> None:
         # the ground is flat at first, so one turn and shift tell where its points are
         track = moves.meshes["ground"].tracks[0, world.frame - 1]
         assert np.abs(now - apply_transforms(track, first)).max() < 1e-5
-        up = population.vector("up")
+        up = population.read_vector("up")
         assert np.allclose(up, track[:, :3] @ (0, 1, 0), atol=1e-6)
-        heading = population.vector("heading")
+        heading = population.read_vector("heading")
         assert np.abs((heading * up).sum(axis=1)).max() < 1e-6
         assert np.abs(np.linalg.norm(heading, axis=1) - 1).max() < 1e-6
     assert np.abs(now - first).max() > 20
@@ -238,10 +240,10 @@ def test_ground_that_bends_carries_and_a_face_without_area_harms_no_agent(folder
     for world in simulate(opened_shot):
         population = world.populations["stander"]
         for name in ("position", "velocity", "heading", "up"):
-            assert np.isfinite(population.vector(name)).all(), (world.frame, name)
+            assert np.isfinite(population.read_vector(name)).all(), (world.frame, name)
         assert np.abs(world.ground.position(population.footing) - population.position).max() < 1e-9
         assert (population.footing.face >= 0).all()
-        vertices = opened_shot.setting.moves.meshes["ground"].vertices_at(
+        vertices = opened_shot.setting.motion.meshes["ground"].compute_vertices(
             opened_shot.setting.surfaces["ground"].vertices, world.frame - 1
         )
         assert positions_by_id(world)[:, 2].max() <= vertices[:, 2].max() + 1e-9
@@ -253,7 +255,7 @@ def test_a_platform_picks_up_who_walks_onto_it(folder: Path) -> None:
     ground = MovingGround({"plain": plain, "lorry": lorry}, ["lorry"])
     ground.pose_meshes({"lorry": lorry[0] + (50, 0, 0)})
     up = np.array([[0.0, 1, 0]])
-    foot, hit = ground.place(np.array([[15.0, 50, 1]]), up)
+    foot, hit = ground.place_points(np.array([[15.0, 50, 1]]), up)
     assert hit.all() and foot.mesh[0] == 0, "there it was at rest"
     walked = ground.move(foot, np.array([[20.0, 0, 0]]), np.array([[1.0, 0, 0]]), up, 4.0)
     assert walked.footing.mesh[0] == 1 and walked.position[0, 1] > 5, "up its side at 20 mm"
@@ -261,7 +263,7 @@ def test_a_platform_picks_up_who_walks_onto_it(folder: Path) -> None:
     previous_position = ground.position(foot)
     ground.pose_meshes({"lorry": lorry[0] + (70, 0, 3)})
     assert np.allclose(ground.position(foot) - previous_position, [[20, 0, 3]])
-    assert np.allclose(ground.rest_position(foot), previous_position - (50, 0, 0))
+    assert np.allclose(ground.compute_rest_positions(foot), previous_position - (50, 0, 0))
 
 
 def test_posed_ground_is_rebuilt_ground() -> None:
@@ -288,7 +290,7 @@ def test_posed_ground_is_rebuilt_ground() -> None:
         "smooth",
         "link",
     ):
-        assert np.allclose(getattr(posed._table, name), getattr(rebuilt._table, name), atol=1e-12), name
+        assert np.allclose(getattr(posed._topology, name), getattr(rebuilt._topology, name), atol=1e-12), name
     for count in (300, 4000):  # by NumPy, and compiled where that can be had
         arguments = _crowd(rebuilt, np.random.default_rng(8), count)
         one, two = posed.move(*arguments), rebuilt.move(*arguments)
@@ -298,8 +300,8 @@ def test_posed_ground_is_rebuilt_ground() -> None:
 
 def _crowd(ground: MeshGround, draw: np.random.Generator, count: int) -> tuple:
     points = np.column_stack([draw.uniform(-70, 70, count), np.zeros(count), draw.uniform(-70, 70, count)])
-    foot, _ = ground.place(points, np.array([0.0, 1, 0]))
-    up = ground.upright_normals(foot, np.array([0.0, 1, 0]))
+    foot, _ = ground.place_points(points, np.array([0.0, 1, 0]))
+    up = ground.compute_upright_normals(foot, np.array([0.0, 1, 0]))
     heading = np.cross(up, draw.normal(size=(count, 3)))
     heading /= np.linalg.norm(heading, axis=1, keepdims=True)
     return foot, heading * draw.uniform(0, 3, (count, 1)), heading, up, 4.0
@@ -307,12 +309,12 @@ def _crowd(ground: MeshGround, draw: np.random.Generator, count: int) -> tuple:
 
 def test_an_obstacle_pushes_who_is_in_its_way(folder: Path) -> None:
     opened_shot = shot(folder, wall="keys: {1: {at: [-70, 0, 0]}, 13: {at: [10, 0, 0]}}")
-    rest, moves = opened_shot.setting.obstacles["wall"].vertices, opened_shot.setting.moves.meshes["wall"]
+    rest, moves = opened_shot.setting.obstacles["wall"].vertices, opened_shot.setting.motion.meshes["wall"]
     start = None
     for world in simulate(opened_shot):
         positions = positions_by_id(world)
         start = positions if start is None else start
-        box = moves.vertices_at(rest, world.frame - 1)
+        box = moves.compute_vertices(rest, world.frame - 1)
         inside = ((positions > box.min(axis=0) + 1e-3) & (positions < box.max(axis=0) - 1e-3)).all(axis=1)
         assert not inside.any(), world.frame
         assert np.abs(positions[:, 1]).max() < 1e-9
@@ -340,12 +342,12 @@ def test_items_and_curves_are_read_where_they_are(folder: Path) -> None:
 
 def test_an_item_rides_on_its_surface_and_keys_lead_it_over_one(folder: Path) -> None:
     ridden = shot(folder, ground=TURN).setting
-    track = ridden.moves.meshes["ground"].tracks[0]
-    assert np.allclose(ridden.moves.items["food"][:, 0], [apply_transforms(pose, np.array([[30.0, 0, 0]]))[0] for pose in track])
+    track = ridden.motion.meshes["ground"].tracks[0]
+    assert np.allclose(ridden.motion.items["food"][:, 0], [apply_transforms(pose, np.array([[30.0, 0, 0]]))[0] for pose in track])
     raised = shot(
         folder, ground="keys: {1: {at: [0, 0, 0]}, 13: {at: [0, 12, 0]}}", food="keys: {1: {at: [30, 0, 0]}, 13: {at: [0, 0, 0]}}"
     )
-    assert np.allclose(raised.setting.moves.items["food"][:, 0], [(30 - 2.5 * k, k, 0) for k in range(13)])
+    assert np.allclose(raised.setting.motion.items["food"][:, 0], [(30 - 2.5 * k, k, 0) for k in range(13)])
 
 
 TRAIL = """ant 1
@@ -378,7 +380,7 @@ def test_scent_stays_on_the_ground_that_moves(folder: Path) -> None:
         runs.append(list(simulate(opened_shot))[-1])
     fields = [world.fields["trail"].values for world in runs]
     assert fields[0].sum() > 1 and np.allclose(fields[0], fields[1], atol=0.02)
-    smelled = [w.populations["layer"].now["smelled"][w.populations["layer"].in_id_order()] for w in runs]
+    smelled = [w.populations["layer"].now["smelled"][w.populations["layer"].rows_by_id()] for w in runs]
     assert np.allclose(*smelled, atol=0.02) and smelled[0].max() > 0.1
 
 
@@ -402,10 +404,10 @@ def test_a_checkpoint_goes_on_where_things_were(folder: Path) -> None:
     opened_shot = shot(folder, "steer wander()", scene=SCENE.replace("frames:", "preroll: 3\nframes:"), **ALL)
     run = simulate(opened_shot)
     worlds = [next(run) for _ in range(5)]
-    saved = checkpoint(worlds[-1])
+    saved = take_checkpoint(worlds[-1])
     later_hashes = [state_hash(world) for world in run]
     fresh = next(simulate(opened_shot))
-    restore(fresh, saved)
+    restore_checkpoint(fresh, saved)
     again = []
     for _ in range(8):
         step(fresh)
@@ -418,15 +420,15 @@ def test_frames_hold_what_moved_and_a_run_resumes(folder: Path) -> None:
     opened_shot = shot(folder, "steer wander()", scene=SCENE.replace(", on: ground", ""), food=apple, **ALL)
     hashes = [state_hash(world) for world in simulate(opened_shot)]
     complete = folder / "whole"
-    *_, state = record(begin(opened_shot, complete, Options(), resume=False, force=False))
+    *_, state = record_frames(begin_recording(opened_shot, complete, Options(), resume=False, force=False))
     assert state.surface_error < 1e-4
     cache = open_cache(complete)
-    assert [cache.hashes()[frame] for frame in range(1, 14)] == hashes
+    assert [cache.read_state_hashes()[frame] for frame in range(1, 14)] == hashes
     rest = opened_shot.setting.obstacles["wall"].vertices
     for frame in (1, 5, 13):
         arrays = cache.frame(frame)
         assert np.allclose(
-            arrays["mesh.wall.vertices"], opened_shot.setting.moves.meshes["wall"].vertices_at(rest, frame - 1), atol=1e-3
+            arrays["mesh.wall.vertices"], opened_shot.setting.motion.meshes["wall"].compute_vertices(rest, frame - 1), atol=1e-3
         )
         assert np.allclose(arrays["items.food.P"][0, [0, 2]], [30 - 5 * (frame - 1), 2 * (frame - 1)])
     # places of the same agent differ by what it walked and what the ground went
@@ -434,16 +436,16 @@ def test_frames_hold_what_moved_and_a_run_resumes(folder: Path) -> None:
     pushed = np.linalg.norm((two["P"] - one["P"]) * 24 - two["v"] - two["v_ground"], axis=1)
     assert np.median(pushed) < 3 and np.linalg.norm(two["v_ground"], axis=1).min() > 20
     gallery = Gallery(cache)
-    solids = {solid.name: solid.vertices for solid in gallery.picture(9).solids}
+    solids = {solid.name: solid.vertices for solid in gallery.make_picture(9).solids}
     assert np.allclose(solids["wall"].mean(axis=0), [-70 + 80 * 8 / 12, 0, 0], atol=1e-3)
-    half = begin(opened_shot, folder / "half", Options(), resume=False, force=False)
-    for state in record(half):
+    half = begin_recording(opened_shot, folder / "half", Options(), resume=False, force=False)
+    for state in record_frames(half):
         if state.frame == 6:
-            state.stop = True
-    resumed = begin(opened_shot, folder / "half", Options(threads=2), resume=True, force=False)
+            state.stop_requested = True
+    resumed = begin_recording(opened_shot, folder / "half", Options(threads=2), resume=True, force=False)
     assert resumed.resumed_from == 6
-    *_, state = record(resumed)
-    assert state.hash == hashes[-1]
+    *_, state = record_frames(resumed)
+    assert state.last_state_hash == hashes[-1]
 
 
 def test_a_camera_of_a_usd_file_moves_in_pictures(tmp_path: Path) -> None:
@@ -453,12 +455,12 @@ def test_a_camera_of_a_usd_file_moves_in_pictures(tmp_path: Path) -> None:
     path = usd_sets.write_usd(tmp_path / "assets", tmp_path / "usd")
     opened_shot, report = open_scene(path, RunChoices({"assets": tmp_path / "assets"}))
     assert opened_shot is not None, report.errors
-    run = begin(opened_shot, tmp_path / "cache", Options(), resume=False, force=False)
-    for state in record(run):
-        state.stop = state.frame == 2
+    run = begin_recording(opened_shot, tmp_path / "cache", Options(), resume=False, force=False)
+    for state in record_frames(run):
+        state.stop_requested = state.frame == 2
     gallery = Gallery(open_cache(tmp_path / "cache"))
-    assert gallery.camera_moves
-    cameras = [gallery.camera(frame) for frame in (1, 40, 90)]
+    assert gallery.has_moving_camera
+    cameras = [gallery.make_camera(frame) for frame in (1, 40, 90)]
     assert all(camera is not None and camera.focal == 35 for camera in cameras)
     assert np.allclose([camera.at[0] for camera in cameras if camera], [-50, 50, 50])
     assert opened_shot.setting.fps == Fraction(24)
@@ -492,12 +494,12 @@ def test_a_plate_moves_beside_a_hill_that_is_dug(folder: Path) -> None:
     start = None
     for world in simulate(opened_shot):
         diggers = world.populations["digger"]
-        place = diggers.position[diggers.in_id_order()]
+        place = diggers.position[diggers.rows_by_id()]
         start = place.copy() if start is None else start
         assert np.abs(world.ground.position(diggers.footing) - diggers.position).max() < 1e-9
     distances = place[:, 2] - start[:, 2]
     assert distances[:20].min() > 30 and abs(distances[20:]).max() < 10, (
         "those on the plate went along, those on the hill did not"
     )
-    *_, state = record(begin(opened_shot, folder / "dug", Options(), resume=False, force=False))
-    assert state.surface_error < 1e-4 and state.hash == state_hash(world)
+    *_, state = record_frames(begin_recording(opened_shot, folder / "dug", Options(), resume=False, force=False))
+    assert state.surface_error < 1e-4 and state.last_state_hash == state_hash(world)

@@ -12,20 +12,20 @@ import pytest
 from meaning import crowd, item, play
 
 from antdsl import limits
-from antdsl.machine_code import machine
-from antdsl.machine_code.kinds import BOOL, F32, I32, LANE_COUNT
-from antdsl.machine_code.lanes import elementwise
-from antdsl.machine_code.module import LlvmModule
+from antdsl.machine_code import llvm_compiler
+from antdsl.machine_code.lanes import add_elementwise_function
+from antdsl.machine_code.llvm_module import LlvmModule
+from antdsl.machine_code.number_kinds import BOOL, F32, I32, LANE_COUNT
 from antdsl.numerics.elementwise import FUNCTION_BY_NAME
 from antdsl.pipeline import open_scene
 from antdsl.plan import ir
 from antdsl.runtime import FaultStop, Options, World, bind, state_hash, step
-from antdsl.runtime.backends.native import backend as native_backend
-from antdsl.runtime.backends.native import listing, ready, runner, stored
-from antdsl.runtime.backends.native.block import FunctionWriter
-from antdsl.runtime.backends.native.layout import AddressLayout
+from antdsl.runtime.backends.native import block_runner, compile_queue, program_listing, stored_blocks
+from antdsl.runtime.backends.native import native_backend as native_backend
+from antdsl.runtime.backends.native.address_layout import AddressLayout
+from antdsl.runtime.backends.native.block_writer import FunctionWriter
 
-pytestmark = pytest.mark.skipif(not machine.is_available(), reason="llvmlite is not installed")
+pytestmark = pytest.mark.skipif(not llvm_compiler.is_available(), reason="llvmlite is not installed")
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 SCENES = sorted(path.relative_to(EXAMPLES).as_posix() for path in EXAMPLES.rglob("*.yaml"))
@@ -40,14 +40,16 @@ SPECIAL = (0.0, -0.0, np.inf, -np.inf, np.nan, 1e30, -1e30, 1e-40, 1.0, -1.0, 0.
 def loop(op: str) -> tuple[str, tuple[str, ...], str]:
     """A module that applies an operation to arrays: its text, the kinds of its operands and of its result."""
     kinds = (I32,) if op == "number" else tuple(KINDS[letter] for letter in ir.OPERATION_BY_NAME[op].args)
-    module = LlvmModule(machine.host())
+    module = LlvmModule(llvm_compiler.host_target())
     w = FunctionWriter(module, AddressLayout({(k,): k for k in range(len(kinds) + 1)}))
-    name = elementwise(module, "of_lanes", kinds, FUNCTION_BY_NAME[op])
+    name = add_elementwise_function(module, "of_lanes", kinds, FUNCTION_BY_NAME[op])
     kind = F32 if module.functions[name].startswith("define internal <8 x float>") else BOOL
-    with w.e.loop(w.end, LANE_COUNT) as at:
-        value = w.e.call(name, kind, *(w.e.read(w.base(k), at, each) for k, each in enumerate(kinds)))
-        w.e.write(w.base(len(kinds)), at, value)
-    w.add("of_arrays")
+    with w.builder.write_loop(w.end, LANE_COUNT) as at:
+        value = w.builder.call_function(
+            name, kind, *(w.builder.load_lanes(w.array_address(k), at, each) for k, each in enumerate(kinds))
+        )
+        w.builder.store_lanes(w.array_address(len(kinds)), at, value)
+    w.add_to_module("of_arrays")
     return module.text(), kinds, kind
 
 
@@ -66,7 +68,7 @@ def random_values(kind: str, seed: int, count: int) -> Any:
 @pytest.mark.parametrize("op", sorted(FUNCTION_BY_NAME))
 def test_an_operation_gives_the_bits_of_numpy(op: str) -> None:
     text, kinds, kind = loop(op)
-    code = machine.load(machine.object_code(text, machine.host()))
+    code = llvm_compiler.load_object(llvm_compiler.compile_object(text, llvm_compiler.host_target()))
     count = 1 << 13
     operands = [random_values(each, 3 + k, count) for k, each in enumerate(kinds)]
     results = np.zeros(count, DTYPES[kind])
@@ -171,7 +173,7 @@ def test_a_crowd_in_one_sheet_that_comes_to_lie_level_is_searched_as_before() ->
 
 def test_too_many_in_a_radius_are_reported_as_by_numpy(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(limits, "MAX_CANDIDATES_IN_RADIUS", 300)
-    monkeypatch.setattr(stored, "subject", lambda *plan: None)  # what is stored is for the limit of the sources
+    monkeypatch.setattr(stored_blocks, "make_subject", lambda *plan: None)  # what is stored is for the limit of the sources
     messages = []
     for options in (NUMPY, NATIVE):
         with pytest.raises(FaultStop) as stop:
@@ -197,7 +199,7 @@ def test_refused_values_are_reported_as_by_the_reference() -> None:
     for options in (Options(backend="reference"), NUMPY, NATIVE):
         history = play(FAULTY, crowd(12, radius=40), steps=3, option_sets=(replace(options, on_fault="quarantine"),))
         log = history.world.faults
-        fault_reports.append((log.count, [str(fault) for fault in log.reported], history["late"], history["mood"]))
+        fault_reports.append((log.count, [str(fault) for fault in log.reported_faults], history["late"], history["mood"]))
     assert fault_reports[0] == fault_reports[1] == fault_reports[2] and fault_reports[0][0] > 2
 
 
@@ -219,7 +221,7 @@ def test_code_that_becomes_ready_in_mid_run_changes_nothing(monkeypatch: pytest.
         step(world)
         expected.append(state_hash(world))
     world = rich(Options(backend="native"))
-    coming: Any = ready.start_building(world.plan, world.backend.blocks, ready.WorldFacts(False, False))  # type: ignore[attr-defined]
+    coming: Any = compile_queue.start_building(world.plan, world.backend.blocks, compile_queue.WorldFacts(False, False))  # type: ignore[attr-defined]
     ready_code = coming.result()
 
     class Later:
@@ -232,29 +234,31 @@ def test_code_that_becomes_ready_in_mid_run_changes_nothing(monkeypatch: pytest.
         def result(self) -> Any:
             return ready_code
 
-    monkeypatch.setattr("antdsl.runtime.backends.native.backend.find_ready", lambda plan, facts: None)
-    world.backend._coming = Later()  # type: ignore[attr-defined]
+    monkeypatch.setattr("antdsl.runtime.backends.native.native_backend.find_ready_code", lambda plan, facts: None)
+    world.backend._pending_code = Later()  # type: ignore[attr-defined]
     frame_hashes, native = [], []
     for _ in range(8):
         step(world)
         frame_hashes.append(state_hash(world))
-        native.append(world.backend.ready is not None)  # type: ignore[attr-defined]
+        native.append(world.backend.ready_code is not None)  # type: ignore[attr-defined]
     assert frame_hashes == expected and native == [False] * 4 + [True] * 4
 
 
 @pytest.mark.parametrize("options", [NUMPY, NATIVE])
 def test_without_llvmlite_binding_names_the_package(options: Options, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(machine, "unavailable", lambda: "llvmlite is not installed: pip install it")
-    with pytest.raises(machine.MachineCodeUnavailable, match="llvmlite is not installed: pip install it"):
+    monkeypatch.setattr(llvm_compiler, "unavailability_reason", lambda: "llvmlite is not installed: pip install it")
+    with pytest.raises(llvm_compiler.MachineCodeUnavailable, match="llvmlite is not installed: pip install it"):
         rich(options)
 
 
 WIDE = dict.fromkeys(("avx2", "fma", "fma4", "avx512f", "avx512vl", "avx512dq", "avx512bw", "avx512vbmi2"), True)
 TARGETS = {
-    "host": machine.host,
-    "with fma": lambda: replace(machine.PORTABLE_TARGET, features="+avx2,+fma"),
-    "of 512 bits": lambda: machine.Target(machine.PORTABLE_TARGET.triple, "icelake-server", machine.format_features(WIDE)),
-    "arm": lambda: machine.Target("aarch64-unknown-linux-gnu", "cortex-a72", "+neon"),
+    "host": llvm_compiler.host_target,
+    "with fma": lambda: replace(llvm_compiler.PORTABLE_TARGET, features="+avx2,+fma"),
+    "of 512 bits": lambda: llvm_compiler.Target(
+        llvm_compiler.PORTABLE_TARGET.triple, "icelake-server", llvm_compiler.format_features(WIDE)
+    ),
+    "arm": lambda: llvm_compiler.Target("aarch64-unknown-linux-gnu", "cortex-a72", "+neon"),
 }
 FUSED = ("fmadd", "fmsub", "fnmadd", "fnmsub", "fmla", "fmls")
 
@@ -263,7 +267,7 @@ FUSED = ("fmadd", "fmsub", "fnmadd", "fnmsub", "fmla", "fmls")
 def test_no_operations_are_fused(target: str) -> None:
     """A fused multiply-add rounds once instead of twice; not even a processor that has one is given it."""
     chosen = TARGETS[target]()
-    code = machine.assembly(listing.plan_program(plans.rich(), chosen).text, chosen)
+    code = llvm_compiler.compile_assembly(program_listing.build_program(plans.rich(), chosen).text, chosen)
     assert len(code.splitlines()) > 2000
     assert not [line for line in code.splitlines() if any(word in line for word in FUSED)]
     assert ("zmm" in code) == (target == "of 512 bits" or "+avx512f" in chosen.features)
@@ -280,10 +284,10 @@ define void @a(ptr %p) {
 }"""
 
     def fused(features: str) -> bool:
-        return "vfm" in machine.assembly(text, machine.Target("x86_64-unknown-linux-gnu", "bdver2", features))
+        return "vfm" in llvm_compiler.compile_assembly(text, llvm_compiler.Target("x86_64-unknown-linux-gnu", "bdver2", features))
 
     assert fused("+avx,-fma,-fma4,+xop")
-    assert not fused(machine.format_features({"avx": True, "fma": True, "fma4": True, "xop": True}))
+    assert not fused(llvm_compiler.format_features({"avx": True, "fma": True, "fma4": True, "xop": True}))
 
 
 def reference_operations(program: str, monkeypatch: pytest.MonkeyPatch) -> list[str]:
@@ -338,8 +342,8 @@ def test_arrays_of_cells_that_are_no_longer_needed_are_released() -> None:
     text = "species a { n = 0\n reach = 5 mm\n state s { reach = reach * 1.06\n n = count(neighbours(reach)) } }"
     history = play(text, crowd(200, radius=40), steps=60, option_sets=(NATIVE, NUMPY))
     grids = history.world.backend._grids  # type: ignore[attr-defined]
-    assert 0 < len(grids._stored) <= 1 + 16 and all(size < np.inf for _, size in grids._stored)
-    assert min(each.used for each in grids._stored.values()) >= grids._step - 16
+    assert 0 < len(grids._stored_grids) <= 1 + 16 and all(size < np.inf for _, size in grids._stored_grids)
+    assert min(each.last_used_step for each in grids._stored_grids.values()) >= grids._step - 16
 
 
 def test_rows_are_shared_out_among_threads_in_whole_eights() -> None:
@@ -351,18 +355,18 @@ def test_rows_are_shared_out_among_threads_in_whole_eights() -> None:
         (300, 100, 2, 5),
         (100_000, 16_384, 2, 25),
     ):
-        size = runner._part_size(count, chunk, threads)
+        size = block_runner._part_size(count, chunk, threads)
         assert size % LANE_COUNT == 0 and -(-count // size) == parts, (count, chunk, threads)
 
 
 def test_what_is_machine_code_is_listed() -> None:
     shot, _ = open_scene(EXAMPLES / "foraging" / "scene.yaml")
     assert shot is not None
-    plan_listing = listing.plan_program(shot.plan, machine.host())
-    text = listing.show(plan_listing)
+    plan_listing = program_listing.build_program(shot.plan, llvm_compiler.host_target())
+    text = program_listing.format_listing(plan_listing)
     assert "then NumPy: ray(stones)" in text and "3 times" in text and "searches forager for 2 sets" in text
-    counts = listing.instruction_counts(plan_listing)
-    assert counts == listing.instruction_counts(listing.plan_program(shot.plan, machine.host()))
+    counts = program_listing.instruction_counts(plan_listing)
+    assert counts == program_listing.instruction_counts(program_listing.build_program(shot.plan, llvm_compiler.host_target()))
     assert f"stage 0: {counts['forager.decide.0']:,} instructions" in text and counts["forager.decide.0"] > 500
 
 
@@ -370,5 +374,7 @@ def test_another_number_needs_no_other_code() -> None:
     texts = []
     for speed in ("10", "25"):
         text = f"species a {{ max_speed {speed} mm/s\n pace = 1\n state only {{ pace = pace * 1.5 + {speed} }} }}"
-        texts.append(listing.plan_program(play(text, option_sets=(NATIVE,)).world.plan, machine.host()).text)
+        texts.append(
+            program_listing.build_program(play(text, option_sets=(NATIVE,)).world.plan, llvm_compiler.host_target()).text
+        )
     assert texts[0] == texts[1]

@@ -14,17 +14,17 @@ import pytest
 from children import child_environment
 from sampling import sampled
 
-from antdsl.machine_code import machine
-from antdsl.runtime.backends.native import listing
+from antdsl.machine_code import llvm_compiler
+from antdsl.runtime.backends.native import program_listing
 
-pytestmark = pytest.mark.skipif(not machine.is_available(), reason="llvmlite is not installed")
+pytestmark = pytest.mark.skipif(not llvm_compiler.is_available(), reason="llvmlite is not installed")
 
 # What object files may look for: functions of C with results that IEEE 754 fixes to the last bit, and those that move bytes.
 FROM_C = {"fmod", "fmodf", "floor", "floorf", "rint", "rintf", "memcpy", "memset"}
 TARGETS = {
-    "host": machine.host,
+    "host": llvm_compiler.host_target,
     "oldest x86": lambda: native_states.PLAIN,
-    "arm": lambda: machine.Target("aarch64-unknown-linux-gnu", "generic", ""),
+    "arm": lambda: llvm_compiler.Target("aarch64-unknown-linux-gnu", "generic", ""),
 }
 WITHOUT = {
     "NPY_DISABLE_CPU_FEATURES": "",
@@ -80,14 +80,14 @@ def undefined(code: bytes) -> set[str]:
 def test_machine_code_calls_nothing_with_varying_bits(name: str) -> None:
     """Without some instruction LLVM makes a call of it; none of them may be one that libraries round in different ways."""
     target = TARGETS[name]()
-    symbol_names = undefined(machine.object_code(listing.plan_program(plans.rich(), target).text, target))
+    symbol_names = undefined(llvm_compiler.compile_object(program_listing.build_program(plans.rich(), target).text, target))
     assert "fmod" in symbol_names and symbol_names <= FROM_C
 
 
 def test_intrinsics_of_a_processor_are_not_used_where_it_has_none() -> None:
     plan = plans.rich()
-    assert "@llvm.x86.avx2" not in listing.plan_program(plan, native_states.PLAIN).text
-    assert "@llvm.x86" not in listing.plan_program(plan, TARGETS["arm"]()).text
+    assert "@llvm.x86.avx2" not in program_listing.build_program(plan, native_states.PLAIN).text
+    assert "@llvm.x86" not in program_listing.build_program(plan, TARGETS["arm"]()).text
 
 
 @pytest.fixture(scope="module")
@@ -102,7 +102,9 @@ def lacking(*names: str) -> dict[str, str]:
     return {name: WITHOUT[name] or " ".join(__cpu_dispatch__) for name in names}
 
 
-@pytest.mark.skipif(not machine.is_available() or not machine.host().x86, reason="the instructions are those of x86")
+@pytest.mark.skipif(
+    not llvm_compiler.is_available() or not llvm_compiler.host_target().x86, reason="the instructions are those of x86"
+)
 @pytest.mark.parametrize(
     ("plain", "names"),
     [

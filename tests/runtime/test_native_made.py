@@ -19,13 +19,13 @@ from meaning import crowd, play
 
 import antdsl
 from antdsl import user_folders
-from antdsl.machine_code import codes, machine, object_cache
+from antdsl.machine_code import code_cache, llvm_compiler, object_cache
 from antdsl.runtime import Options, World, bind, state_hash, step
-from antdsl.runtime.backends.native import backend as native_backend
-from antdsl.runtime.backends.native import ready, stored
+from antdsl.runtime.backends.native import compile_queue, stored_blocks
+from antdsl.runtime.backends.native import native_backend as native_backend
 from antdsl.runtime.faults import FaultStop
 
-pytestmark = pytest.mark.skipif(not machine.is_available(), reason="llvmlite is not installed")
+pytestmark = pytest.mark.skipif(not llvm_compiler.is_available(), reason="llvmlite is not installed")
 
 NUMPY = Options(backend="numpy")
 NATIVE = Options(backend="native", wait_for_code=True)
@@ -35,24 +35,24 @@ NATIVE = Options(backend="native", wait_for_code=True)
 def afresh(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[[], list[str]]:
     """Begins as a new process would, with a folder for code; gives what is compiled from then on."""
     compiled: list[str] = []
-    make = machine.object_code
+    make = llvm_compiler.compile_object
     monkeypatch.setattr(user_folders, "home_folder", lambda: tmp_path)
 
-    def noted(text: str, target: machine.Target) -> bytes:
+    def noted(text: str, target: llvm_compiler.Target) -> bytes:
         compiled.append(text)
         return make(text, target)
 
     def begin() -> list[str]:
-        while ready._pending_requests:  # by worlds of other tests, which did not wait
-            ready._worker().submit(int).result()
+        while compile_queue._pending_requests:  # by worlds of other tests, which did not wait
+            compile_queue._compile_thread().submit(int).result()
         compiled.clear()
         cache = object_cache.ObjectCache(tmp_path / "code")
         objects = functools.cache(lambda: cache)
         objects()
-        monkeypatch.setattr(codes, "_objects", objects)
-        monkeypatch.setattr(codes, "_code_by_key", OrderedDict())
-        monkeypatch.setattr(ready, "_code_by_plan", WeakKeyDictionary())
-        monkeypatch.setattr(machine, "object_code", noted)
+        monkeypatch.setattr(code_cache, "_get_object_cache", objects)
+        monkeypatch.setattr(code_cache, "_code_by_key", OrderedDict())
+        monkeypatch.setattr(compile_queue, "_code_by_plan", WeakKeyDictionary())
+        monkeypatch.setattr(llvm_compiler, "compile_object", noted)
         return compiled
 
     return begin
@@ -120,31 +120,35 @@ def test_a_stored_plan_is_run_without_its_text_and_tells_the_same_faults(
     afresh()
     message, expected = fault(), state_hash(edited())
     compiled = afresh()
-    monkeypatch.setattr(ready, "program", lambda *what: pytest.fail("the text was written"))
+    monkeypatch.setattr(compile_queue, "write_program", lambda *what: pytest.fail("the text was written"))
     assert state_hash(edited()) == expected and fault() == message and compiled == []
     assert message.startswith("test.ant:18:")
 
 
 def test_whatever_a_text_depends_on_changes_the_key_of_its_plan(monkeypatch: pytest.MonkeyPatch) -> None:
-    world, other, host = edited(), edited("-"), machine.host()
+    world, other, host = edited(), edited("-"), llvm_compiler.host_target()
 
-    def key(of: World = world, facts: ready.WorldFacts = ready.WorldFacts(False, False), target: machine.Target = host) -> str:
-        subject = stored.subject(of.plan, of.backend.blocks, facts, target)  # type: ignore[attr-defined]
+    def key(
+        of: World = world,
+        facts: compile_queue.WorldFacts = compile_queue.WorldFacts(False, False),
+        target: llvm_compiler.Target = host,
+    ) -> str:
+        subject = stored_blocks.make_subject(of.plan, of.backend.blocks, facts, target)  # type: ignore[attr-defined]
         assert subject is not None
         return subject.key
 
     keys = [
         key(),
         key(other),
-        key(facts=ready.WorldFacts(True, False)),
-        key(facts=ready.WorldFacts(False, True)),
-        key(target=machine.PORTABLE_TARGET),
+        key(facts=compile_queue.WorldFacts(True, False)),
+        key(facts=compile_queue.WorldFacts(False, True)),
+        key(target=llvm_compiler.PORTABLE_TARGET),
     ]
-    keys.append(key(facts=ready.WorldFacts(False, False, timed=True)))
+    keys.append(key(facts=compile_queue.WorldFacts(False, False, is_timed=True)))
     assert key() == key(edited())
-    monkeypatch.setattr(stored, "sources", lambda: "other modules")
+    monkeypatch.setattr(stored_blocks, "hash_sources", lambda: "other modules")
     keys.append(key())
-    monkeypatch.setattr(object_cache, "versions", lambda: ("another LLVM",))
+    monkeypatch.setattr(object_cache, "environment_versions", lambda: ("another LLVM",))
     keys.append(key())
     assert len(set(keys)) == len(keys)
 
@@ -152,7 +156,12 @@ def test_whatever_a_text_depends_on_changes_the_key_of_its_plan(monkeypatch: pyt
 def test_of_modules_without_sources_nothing_is_stored(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(antdsl, "__file__", str(tmp_path / "__init__.pyc"))
     world = edited()
-    assert stored.subject(world.plan, world.backend.blocks, ready.WorldFacts(False, False), machine.host()) is None  # type: ignore[attr-defined]
+    assert (
+        stored_blocks.make_subject(
+            world.plan, world.backend.blocks, compile_queue.WorldFacts(False, False), llvm_compiler.host_target()
+        )
+        is None
+    )  # type: ignore[attr-defined]
 
 
 def programs_saved(count: int) -> list[World]:
@@ -166,18 +175,22 @@ def programs_saved(count: int) -> list[World]:
 def test_the_latest_request_is_compiled_first_and_one_without_a_waiter_is_not_compiled(afresh: Callable[[], list[str]]) -> None:
     compiled, go = afresh(), Event()
     worlds = programs_saved(7)
-    ready._worker().submit(go.wait)
-    coming = [ready.start_building(each.plan, each.backend.blocks, ready.WorldFacts(False, False)) for each in worlds]  # type: ignore[attr-defined]
+    compile_queue._compile_thread().submit(go.wait)
+    coming = [
+        compile_queue.start_building(each.plan, each.backend.blocks, compile_queue.WorldFacts(False, False)) for each in worlds
+    ]  # type: ignore[attr-defined]
     del coming[1::2]
     go.set()
     for each in coming:
         each.result()
     blocks = [text for text in compiled if "@a.act.0" in text]
-    still = ready.WorldFacts(False, False)
-    texts = [ready.program(each.plan, each.backend.blocks, still, machine.host()) for each in worlds[::2]]  # type: ignore[attr-defined]
+    still = compile_queue.WorldFacts(False, False)
+    texts = [
+        compile_queue.write_program(each.plan, each.backend.blocks, still, llvm_compiler.host_target()) for each in worlds[::2]
+    ]  # type: ignore[attr-defined]
     assert blocks == [each.units["a.act.0"] for each in reversed(texts)] and len(blocks) == 4
-    ready._worker().submit(int).result()
-    assert not ready._pending_requests
+    compile_queue._compile_thread().submit(int).result()
+    assert not compile_queue._pending_requests
 
 
 def test_however_many_programs_step_in_turn_each_gets_its_code_and_asks_once(
@@ -187,14 +200,14 @@ def test_however_many_programs_step_in_turn_each_gets_its_code_and_asks_once(
     requests: list[Any] = []
 
     def beside(*what: Any) -> Any:
-        requests.append(ready.start_building(*what))
+        requests.append(compile_queue.start_building(*what))
         return requests[-1]
 
     monkeypatch.setattr(native_backend, "start_building", beside)
     monkeypatch.setattr(native_backend, "_MIN_STEP_SECONDS", 0.0)
     worlds = [bind(each.plan, each.setting, Options(backend="native")) for each in programs_saved(7)]
     go = Event()
-    ready._worker().submit(go.wait)
+    compile_queue._compile_thread().submit(go.wait)
     for _ in range(3):
         for world in worlds:
             step(world)
@@ -203,7 +216,7 @@ def test_however_many_programs_step_in_turn_each_gets_its_code_and_asks_once(
         each.result()
     for world in worlds:
         step(world)
-    assert len(requests) == 7 and all(world.backend.ready is not None for world in worlds)  # type: ignore[attr-defined]
+    assert len(requests) == 7 and all(world.backend.ready_code is not None for world in worlds)  # type: ignore[attr-defined]
 
 
 def test_a_world_that_is_gone_has_no_code_made(afresh: Callable[[], list[str]], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -211,15 +224,15 @@ def test_a_world_that_is_gone_has_no_code_made(afresh: Callable[[], list[str]], 
     monkeypatch.setattr(native_backend, "_MIN_STEP_SECONDS", 0.0)
     (saved,) = programs_saved(1)
     world = bind(saved.plan, saved.setting, Options(backend="native"))
-    ready._worker().submit(go.wait)
+    compile_queue._compile_thread().submit(go.wait)
     for _ in range(2):
         step(world)
-    assert len(ready._pending_requests) == 1
+    assert len(compile_queue._pending_requests) == 1
     del world
     gc.collect()
     go.set()
-    while ready._pending_requests:
-        ready._worker().submit(int).result()
+    while compile_queue._pending_requests:
+        compile_queue._compile_thread().submit(int).result()
     assert compiled == []
 
 
@@ -228,17 +241,17 @@ def test_a_plan_that_is_gone_leaves_no_code_behind(afresh: Callable[[], list[str
     world = edited()
     same = bind(world.plan, world.setting, Options())
     step(same)
-    assert same.backend.ready is world.backend.ready is not None  # type: ignore[attr-defined]
-    assert len(ready._code_by_plan) == 1
+    assert same.backend.ready_code is world.backend.ready_code is not None  # type: ignore[attr-defined]
+    assert len(compile_queue._code_by_plan) == 1
     del world, same
     gc.collect()
-    assert len(ready._code_by_plan) == 0
+    assert len(compile_queue._code_by_plan) == 0
 
 
 def test_who_asks_with_other_arrays_each_time_is_answered_of_those_and_leaves_nothing_behind() -> None:
     """As specs do: registers that are the run's own, read again after they have changed, and new arrays for answers."""
     world = edited()
-    rooms: Any = world.backend._rooms  # type: ignore[attr-defined]
+    rooms: Any = world.backend._padded_arrays  # type: ignore[attr-defined]
     population, values = world.populations["a"], np.zeros(len(world), np.float32)
     for k in range(100):
         population_copy = copy(population)
@@ -249,4 +262,4 @@ def test_who_asks_with_other_arrays_each_time_is_answered_of_those_and_leaves_no
         array, _ = rooms.move_register(population_copy, "pace", start=True)
         rooms.move_register(population_copy, "pace", start=False)
         assert population_copy.start["pace"] is array and (array == k).all()
-        assert len(rooms._moved) < 80
+        assert len(rooms._padded_by_id) < 80

@@ -9,7 +9,7 @@ from plan_text import plan_of
 
 from antdsl.passes import optimise
 from antdsl.runtime import Options, World, bind, nearest_pairs, pairs, step
-from antdsl.runtime.nearest_pairs import nearest_of_all
+from antdsl.runtime.nearest_pairs import find_nearest_agents
 from antdsl.runtime.world import AXES, Population
 from antdsl.scene.setting import WorldSetting
 
@@ -31,14 +31,14 @@ def standing(positions: np.ndarray, seed: int = 3) -> tuple[World, Population]:
 
 def by_pairs(other: Population, own: tuple[np.ndarray, ...], ids: np.ndarray | None) -> list[int]:
     with np.errstate(all="ignore"):
-        every = pairs._all_pairs(other, own, ids)
-        return pairs._agent(every, None, True, every.distance).tolist()
+        every = pairs._make_all_pairs(other, own, ids)
+        return pairs._best_agent(every, None, True, every.distance).tolist()
 
 
 def by_tree(world: World, other: Population, own: tuple[np.ndarray, ...], ids: np.ndarray | None) -> list[int] | None:
     world.trees.clear()
     with np.errstate(all="ignore"):
-        pair_rows = nearest_of_all(world, other, own, ids)
+        pair_rows = find_nearest_agents(world, other, own, ids)
     if pair_rows is None:
         return None
     result = np.full(len(own[0]), -1)
@@ -122,8 +122,8 @@ def test_no_full_pairs_are_built_where_only_the_nearest_is_needed(monkeypatch: p
     measured = []
     monkeypatch.setattr(
         pairs,
-        "_all_pairs",
-        lambda *arguments, every=pairs._all_pairs: (measured.append(len(arguments[1][0])), every(*arguments))[1],
+        "_make_all_pairs",
+        lambda *arguments, every=pairs._make_all_pairs: (measured.append(len(arguments[1][0])), every(*arguments))[1],
     )
     again = WorldSetting(crowds=(crowd(300, "a", radius=200.0), crowd(20, "b", radius=200.0, group=1)))
     for backend in ("numpy", "native"):

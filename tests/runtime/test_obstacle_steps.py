@@ -53,7 +53,7 @@ def expected_steps(scene: RayScene, place, step, up, radius, clear) -> np.ndarra
     """Steps (3, n) that keep half a radius from faces and slide along those that they lead into."""
     size, margin, place = np.linalg.norm(step, axis=0), np.maximum(radius, 0) / 2, np.asarray(place)
     asks = (size > 1e-9) & (clear <= size + margin)
-    gap, out = scene.signed_distances(*place, np.float32(size + margin))
+    gap, out = scene.measure_signed_distances(*place, np.float32(size + margin))
     wall = unit(out - up * (out * up).sum(axis=0))
     least = np.minimum(margin - gap, size / 2) - (step * wall).sum(axis=0)
     new_steps = step + wall * np.where(asks & (least > 0), least, 0.0)
@@ -79,13 +79,13 @@ def test_steps_past_an_obstacle_keep_their_margin_and_slide(
     name: str, by_grid: bool, threads: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     scene = RayScene.of(MESHES[name]())
-    grid = scene._triangle_grid()
+    grid = scene._get_triangle_grid()
     assert grid is not None
     rng = np.random.default_rng(3)
     n, width = 3000, grid.tables[0][3]
     near = scene._faces.corners[rng.integers(0, len(scene._faces.corners), n)].mean(axis=1)
     near += rng.normal(size=(n, 3)) * width * rng.uniform(0, 1.5, (n, 1))
-    near = near[~np.isnan(grid.signed_distances(tuple(np.float32(near.T)))[0][0])]  # the grid can tell of all
+    near = near[~np.isnan(grid.measure_signed_distances(tuple(np.float32(near.T)))[0][0])]  # the grid can tell of all
     n = len(near)
     x, y, z = np.ascontiguousarray(near.T, np.float32)
     steps = np.ascontiguousarray((rng.normal(size=(n, 3)) * width * 0.2).T, np.float32)
@@ -94,19 +94,19 @@ def test_steps_past_an_obstacle_keep_their_margin_and_slide(
     up[:, ::2] = [[0], [1], [0]]
     up = np.ascontiguousarray(up / np.sqrt((up * up).sum(axis=0)), np.float32)
     radius = rng.uniform(-0.1, 1.5, n).astype(np.float32) * np.float32(width / 3)
-    clear = (rng.choice([0, 0.9, 3.0], n) * scene.clearance(x, y, z)).astype(np.float32)
+    clear = (rng.choice([0, 0.9, 3.0], n) * scene.measure_clearance(x, y, z)).astype(np.float32)
     calls: list[object] = []
     touching = obstacles.select_touching
     monkeypatch.setattr(obstacles, "select_touching", lambda *arguments: calls.append(arguments) or touching(*arguments))
     monkeypatch.setattr(parallel, "MIN_LIGHT_ITEMS_PER_THREAD", n // 4)
     if not by_grid:
-        monkeypatch.setattr(scene, "tables", lambda: None)
-    new_steps = np.stack(obstacles._slide_along(scene, (x, y, z), tuple(steps), tuple(up), radius, clear, threads))  # type: ignore[arg-type]
+        monkeypatch.setattr(scene, "get_tables", lambda: None)
+    new_steps = np.stack(obstacles._slide_along_obstacle(scene, (x, y, z), tuple(steps), tuple(up), radius, clear, threads))  # type: ignore[arg-type]
     expected = expected_steps(scene, np.stack([x, y, z]), steps.astype(float), up.astype(float), radius.astype(float), clear)
     assert bool(calls) != by_grid
     off = np.abs(new_steps - expected).max(axis=0)
     assert (off > width * 1e-4).mean() < 0.005  # what is decided the other way by rounding
-    gap = scene.signed_distances(x, y, z, np.inf)[0]
+    gap = scene.measure_signed_distances(x, y, z, np.inf)[0]
     changed = (new_steps != steps).any(axis=0)
     assert (changed & (gap > 0)).sum() > 50 and (changed & (gap < -width / 2)).sum() > 5 and (~changed).sum() > 500
 

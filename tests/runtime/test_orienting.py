@@ -10,10 +10,10 @@ import pytest
 from meaning import FAST, OPTION_SETS, RunHistory, crowd, play
 
 from antdsl.pipeline import open_scene
-from antdsl.runtime import CrowdData, MeshData, Options, PlaceData, bind, state_hash, step
+from antdsl.runtime import CrowdData, MeshData, Options, PlacementData, bind, state_hash, step
 
 BALL = MeshData(*meshes.ball(40.0, rings=32))
-TOP = CrowdData("a", 1, PlaceData(points=np.array([(0.0, 40.0, 0.0)])), 0)
+TOP = CrowdData("a", 1, PlacementData(points=np.array([(0.0, 40.0, 0.0)])), 0)
 AHEAD = "on spawn { velocity = vector(20 mm/s, 0 mm/s, 0 mm/s); heading = vector(1, 0, 0) }"
 
 
@@ -83,7 +83,7 @@ def test_edges_and_creases_give_the_same_bits_and_no_agent_is_stuck(how: str) ->
     block = MeshData(*meshes.box((-20.0, 0.0, -20.0), (20.0, 30.0, 20.0)))
     floor = MeshData(*meshes.grid(200.0, 4))
     text = "use steering\nspecies a { max_turn 360 deg/s; state s { steer wander() } }"
-    around = CrowdData("a", 6, PlaceData(around=(0.0, 0.0, 0.0), radius=35.0, on=("ground", "stone")), 0)
+    around = CrowdData("a", 6, PlacementData(disc_centre=(0.0, 0.0, 0.0), radius=35.0, on=("ground", "stone")), 0)
     world = "ant 1\nworld { surface ground; surface stone }\n"
     option_sets = (*FAST, OPTION_SETS[2], Options(backend="native"))
     history = play(
@@ -104,7 +104,7 @@ def test_a_scene_asks_for_it(tmp_path: Path) -> None:
         (tmp_path / "s.yaml").write_text(f"antdsl: 1\norient: {how}\nworld: {{s: {{mesh: s.obj}}}}\n{crowd}\n")
         shot, report = open_scene(tmp_path / "s.yaml")
         if shot is None:
-            assert how == "compass" and any("probes" in f"{d.message} {d.help}" for d in report.sorted())
+            assert how == "compass" and any("probes" in f"{d.message} {d.help}" for d in report.sort_by_place())
             continue
         world = bind(shot.plan, shot.setting, Options(backend="numpy"))
         for _ in range(3):

@@ -16,16 +16,16 @@ from test_scene_files import PROGRAM as ANT
 from test_scene_files import folder  # noqa: F401
 
 from antdsl import passes, plan
-from antdsl.cli.commands.new import ground
+from antdsl.cli.commands.new import build_ground_ply
 from antdsl.ground.protocol import Footing
 from antdsl.pipeline import RunChoices, Shot, open_scene
-from antdsl.reload import take_over
+from antdsl.reload import migrate_world
 from antdsl.runtime import Options, bind, step
 from antdsl.runtime.binding import spacing
 from antdsl.runtime.binding.spacing import Occupancy, PositionDrawer, StartPositionDraws, spread_agents
-from antdsl.runtime.binding.start_findings import crowding_warnings
+from antdsl.runtime.binding.start_findings import find_crowding_warnings
 from antdsl.runtime.world import World
-from antdsl.scene.setting import CrowdData, MeshData, PaintedValues, PlaceData, SolidData, WorldSetting
+from antdsl.scene.setting import CrowdData, MeshData, PaintedValues, PlacementData, SolidData, WorldSetting
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 PROGRAM = """ant 1
@@ -75,33 +75,33 @@ def overlapping(place: np.ndarray, radius: np.ndarray) -> np.ndarray:
 
 def by_id(bound_world: World, species: str = "ant") -> np.ndarray:
     population = bound_world.populations[species]
-    return population.position[population.in_id_order()]
+    return population.position[population.rows_by_id()]
 
 
 # --- no agent in another --------------------------------------------------------------------------------------------------
 
-DISC = PlaceData(on=("hill",), around=(0.0, 0.0, 0.0), radius=90.0)
+DISC = PlacementData(on=("hill",), disc_centre=(0.0, 0.0, 0.0), radius=90.0)
 PLACEMENTS = {
     "disc": (CrowdData("ant", 500, DISC),),
-    "surface": (CrowdData("ant", 900, PlaceData(on=("hill",))),),
+    "surface": (CrowdData("ant", 900, PlacementData(on=("hill",))),),
     "everywhere": (CrowdData("ant", 900),),
-    "density": (CrowdData("ant", 900, PlaceData(on=("hill",), density="damp")),),
-    "density by area": (CrowdData("ant", 900, PlaceData(on=("hill",), density="damp", by_area=True)),),
-    "inside": (CrowdData("ant", 500, PlaceData(inside=(0.0, 60.0, 0.0))),),
-    "solid": (CrowdData("ant", 90, PlaceData(on=("block",))),),
-    "solid by area": (CrowdData("ant", 400, PlaceData(on=("block",), by_area=True)),),
-    "both sides": (CrowdData("ant", 400, PlaceData(on=("plate",), by_area=True)),),
-    "ball": (CrowdData("ant", 70, PlaceData(on=("plate",), around=(40.0, 42.0, 0.0), radius=30.0, by_area=True)),),
+    "density": (CrowdData("ant", 900, PlacementData(on=("hill",), density="damp")),),
+    "density by area": (CrowdData("ant", 900, PlacementData(on=("hill",), density="damp", is_by_area=True)),),
+    "inside": (CrowdData("ant", 500, PlacementData(ray_origin=(0.0, 60.0, 0.0))),),
+    "solid": (CrowdData("ant", 90, PlacementData(on=("block",))),),
+    "solid by area": (CrowdData("ant", 400, PlacementData(on=("block",), is_by_area=True)),),
+    "both sides": (CrowdData("ant", 400, PlacementData(on=("plate",), is_by_area=True)),),
+    "ball": (CrowdData("ant", 70, PlacementData(on=("plate",), disc_centre=(40.0, 42.0, 0.0), radius=30.0, is_by_area=True)),),
     "sizes": (CrowdData("giant", 22, DISC),),
     "lines and species": (
         CrowdData("ant", 120, DISC, 0),
         CrowdData("giant", 5, DISC, 1),
-        CrowdData("ant", 80, PlaceData(on=("hill",), around=(40.0, 0.0, 0.0), radius=80.0), 2),
-        CrowdData("giant", 3, PlaceData(on=("hill",), around=(0.0, 0.0, 50.0), radius=60.0), 3),
+        CrowdData("ant", 80, PlacementData(on=("hill",), disc_centre=(40.0, 0.0, 0.0), radius=80.0), 2),
+        CrowdData("giant", 3, PlacementData(on=("hill",), disc_centre=(0.0, 0.0, 50.0), radius=60.0), 3),
     ),
     "given points": (
         CrowdData("ant", 200, DISC, 0),
-        CrowdData("giant", 3, PlaceData(points=np.array([[50.0, 0, 0], [0, 0, 60.0], [-50.0, 0, 0]])), 1),
+        CrowdData("giant", 3, PlacementData(points=np.array([[50.0, 0, 0], [0, 0, 60.0], [-50.0, 0, 0]])), 1),
     ),
 }
 
@@ -109,7 +109,7 @@ PLACEMENTS = {
 @pytest.mark.parametrize("placement", PLACEMENTS)
 def test_no_agent_begins_inside_another(placement: str) -> None:
     bound_world = world(*PLACEMENTS[placement], text=BLOCK if "solid" in placement else PROGRAM)
-    assert len(bound_world) == sum(crowd.count for crowd in PLACEMENTS[placement]) and bound_world.crowded == []
+    assert len(bound_world) == sum(crowd.count for crowd in PLACEMENTS[placement]) and bound_world.overcrowded_lines == []
     place, radius = discs(bound_world)
     assert not overlapping(place, radius).any()
     for population in bound_world.populations.values():
@@ -128,7 +128,7 @@ def test_no_example_begins_with_agents_in_each_other(shot: str) -> None:
     opened, _ = open_scene(EXAMPLES / f"{shot}.yaml")
     assert opened is not None
     bound_world = bind(opened.plan, opened.setting)
-    assert bound_world.crowded == []
+    assert bound_world.overcrowded_lines == []
     place, radius = discs(bound_world)
     assert not overlapping(place, radius).any()
 
@@ -139,7 +139,7 @@ def test_no_example_begins_with_agents_in_each_other(shot: str) -> None:
 @pytest.mark.parametrize("count", [1, 64, 65, 170])
 def test_more_agents_move_none_of_those_before(count: int) -> None:
     """Also where there is no room for all: 170 cover more of the disc than can be."""
-    few, many = (world(CrowdData("ant", n, PlaceData(around=(100.0, 0, 0), radius=30.0))) for n in (count, 180))
+    few, many = (world(CrowdData("ant", n, PlacementData(disc_centre=(100.0, 0, 0), radius=30.0))) for n in (count, 180))
     assert np.array_equal(by_id(few), by_id(many)[:count])
 
 
@@ -161,25 +161,25 @@ def test_places_are_the_same_whatever_threads_chunks_and_rows(options: Options) 
 
 def test_given_points_are_used_even_inside_each_other() -> None:
     points = np.array([[50.0, 0, 0], [51.0, 0, 0], [52.0, 0, 3.0]])
-    ants = CrowdData("ant", 300, PlaceData(on=("hill",), around=(50.0, 0, 0), radius=60.0))
-    bound_world = world(ants, CrowdData("giant", 3, PlaceData(points=points), 1))
-    assert np.abs(by_id(bound_world, "giant")[:, [0, 2]] - points[:, [0, 2]]).max() < 1e-4 and bound_world.crowded == []
+    ants = CrowdData("ant", 300, PlacementData(on=("hill",), disc_centre=(50.0, 0, 0), radius=60.0))
+    bound_world = world(ants, CrowdData("giant", 3, PlacementData(points=points), 1))
+    assert np.abs(by_id(bound_world, "giant")[:, [0, 2]] - points[:, [0, 2]]).max() < 1e-4 and bound_world.overcrowded_lines == []
     place, radius = discs(bound_world)
     assert np.flatnonzero(overlapping(place, radius)).tolist() == [300, 301, 302]
 
 
 def test_a_radius_of_nothing_keeps_no_agent_away() -> None:
     text = PROGRAM.replace("size uniform(3 mm, 5 mm);", "radius 0 mm;")
-    bound_world = world(CrowdData("ant", 3000, PlaceData(around=(100.0, 0, 0), radius=2.0)), text=text)
-    assert bound_world.crowded == [] and len(bound_world) == 3000
+    bound_world = world(CrowdData("ant", 3000, PlacementData(disc_centre=(100.0, 0, 0), radius=2.0)), text=text)
+    assert bound_world.overcrowded_lines == [] and len(bound_world) == 3000
 
 
 def test_who_joins_keeps_clear_of_those_who_walk() -> None:
     old = world(CrowdData("ant", 150, DISC))
     for _ in range(5):
         step(old)
-    new, taken = take_over(old, old.plan, WorldSetting(**{**_fields(old.setting), "crowds": (CrowdData("ant", 250, DISC),)}))
-    assert taken.joined == {"ant": 100}
+    new, taken = migrate_world(old, old.plan, WorldSetting(**{**_fields(old.setting), "crowds": (CrowdData("ant", 250, DISC),)}))
+    assert taken.added_counts == {"ant": 100}
     place, radius = discs(new)
     ids = new.populations["ant"].ids
     assert not overlapping(place, radius)[ids >= 150].any()
@@ -196,8 +196,8 @@ def test_a_place_without_room_says_how_many_fit(folder: Path) -> None:  # noqa: 
     shot, report = _opened(folder, "{on: ground, around: apple, radius: 20 mm}", 200)
     assert shot is not None and report.ok
     bound_world = bind(shot.plan, shot.setting)
-    (diagnostic,) = crowding_warnings(shot.scene, bound_world).diagnostics
-    (line,) = bound_world.crowded
+    (diagnostic,) = find_crowding_warnings(shot.scene, bound_world).diagnostics
+    (line,) = bound_world.overcrowded_lines
     place, radius = discs(bound_world)
     assert (line.count, line.radius) == (200, (2.0, 2.0)) and 45 < line.fit < 60
     assert diagnostic.code == "no-room" and diagnostic.severity == "warning"
@@ -210,7 +210,7 @@ def test_a_place_without_room_says_how_many_fit(folder: Path) -> None:  # noqa: 
     free = _largest_first(place, radius)
     assert free >= line.fit
     larger, _ = _opened(folder, "{on: ground, around: apple, radius: 44 mm}", 200)
-    assert larger is not None and bind(larger.plan, larger.setting).crowded == []
+    assert larger is not None and bind(larger.plan, larger.setting).overcrowded_lines == []
 
 
 def _largest_first(place: np.ndarray, radius: np.ndarray) -> int:
@@ -246,12 +246,12 @@ def test_tries_are_few_however_full_it_is(share: float, all_fit: bool) -> None:
         u, v = np.concatenate([random[ids, k] for k in tries]).T
         away, angle = np.sqrt(u) * wide, 2 * np.pi * v
         place = np.stack([away * np.cos(angle), 0 * away, away * np.sin(angle)], axis=1)
-        return StartPositionDraws(Footing.nowhere(len(u)), place, np.zeros_like(place), np.ones(len(u), np.bool_))
+        return StartPositionDraws(Footing.create_unplaced(len(u)), place, np.zeros_like(place), np.ones(len(u), np.bool_))
 
     drawn, fits = spread_agents(Occupancy(), draw, np.arange(n), np.full(n, 2.0), 0)
     assert fits.all() == all_fit
     assert draw_count[0] <= 40 * n
-    assert not overlapping(drawn.place[fits], np.full(fits.sum(), 2.0)).any()
+    assert not overlapping(drawn.position[fits], np.full(fits.sum(), 2.0)).any()
     if share == 0.5:
         assert fits.mean() > 0.9
 
@@ -270,7 +270,7 @@ def test_pairs_are_few_where_thousands_want_one_place(monkeypatch: pytest.Monkey
 
     def draw(ids: np.ndarray, tries: range) -> StartPositionDraws:
         place = np.zeros((len(ids) * len(tries), 3))
-        return StartPositionDraws(Footing.nowhere(len(place)), place, place.copy(), np.ones(len(place), np.bool_))
+        return StartPositionDraws(Footing.create_unplaced(len(place)), place, place.copy(), np.ones(len(place), np.bool_))
 
     _, fits = spread_agents(Occupancy(), draw, np.arange(n), np.full(n, 2.0), 0)
     assert fits.tolist() == [True] + [False] * (n - 1)
@@ -283,31 +283,37 @@ BARE = "ant 1\nuse steering\nworld { surface floor }\nspecies ant { size 4 mm; s
 @pytest.mark.parametrize(
     ("mesh", "place", "count", "area", "larger", "sides"),
     [
-        (meshes.box((-20, -20, -20), (20, 20, 20)), PlaceData(on=("floor",)), 120, 1600, False, True),  # its lid alone
-        (meshes.box((-20, -20, -20), (20, 20, 20)), PlaceData(on=("floor",)), 900, 1600, False, False),
-        (meshes.grid(40.0, 4), PlaceData(on=("floor",)), 120, 1600, False, False),
-        (meshes.grid(40.0, 4), PlaceData(around=(0, 0, 0), radius=10.0), 40, 314, True, False),
-        (meshes.grid(40.0, 4), PlaceData(around=(0, 0, 0), radius=10.0), 400, 314, False, False),  # the floor ends
-        (meshes.grid(40.0, 4), PlaceData(around=(0, 0, 0), radius=10.0, by_area=True), 40, 314, True, False),
-        (meshes.grid(40.0, 4), PlaceData(around=(20, 0, 0), radius=10.0), 30, 157, True, False),  # half beside it
+        (meshes.box((-20, -20, -20), (20, 20, 20)), PlacementData(on=("floor",)), 120, 1600, False, True),  # its lid alone
+        (meshes.box((-20, -20, -20), (20, 20, 20)), PlacementData(on=("floor",)), 900, 1600, False, False),
+        (meshes.grid(40.0, 4), PlacementData(on=("floor",)), 120, 1600, False, False),
+        (meshes.grid(40.0, 4), PlacementData(disc_centre=(0, 0, 0), radius=10.0), 40, 314, True, False),
+        (meshes.grid(40.0, 4), PlacementData(disc_centre=(0, 0, 0), radius=10.0), 400, 314, False, False),  # the floor ends
+        (meshes.grid(40.0, 4), PlacementData(disc_centre=(0, 0, 0), radius=10.0, is_by_area=True), 40, 314, True, False),
+        (meshes.grid(40.0, 4), PlacementData(disc_centre=(20, 0, 0), radius=10.0), 30, 157, True, False),  # half beside it
     ],
 )
 def test_what_is_said_of_no_room_is_true(
-    mesh: tuple, place: PlaceData, count: int, area: float, larger: bool, sides: bool
+    mesh: tuple, place: PlacementData, count: int, area: float, larger: bool, sides: bool
 ) -> None:
     setting_arguments = dict(text=BARE, surfaces={"floor": MeshData(*mesh)}, solids={}, obstacles={}, maps={})
-    (line,) = world(CrowdData("ant", count, place), **setting_arguments).crowded  # type: ignore[arg-type]
-    assert line.area == pytest.approx(area, rel=0.05) and (line.larger is not None, line.sides) == (larger, sides)
-    if line.larger is not None:
-        assert world(CrowdData("ant", count, replace(place, radius=line.larger)), **setting_arguments).crowded == []  # type: ignore[arg-type]
+    (line,) = world(CrowdData("ant", count, place), **setting_arguments).overcrowded_lines  # type: ignore[arg-type]
+    assert line.available_area == pytest.approx(area, rel=0.05) and (line.sufficient_radius is not None, line.fits_by_area) == (
+        larger,
+        sides,
+    )
+    if line.sufficient_radius is not None:
+        assert (
+            world(CrowdData("ant", count, replace(place, radius=line.sufficient_radius)), **setting_arguments).overcrowded_lines
+            == []
+        )  # type: ignore[arg-type]
     if sides:
-        assert world(CrowdData("ant", count, replace(place, by_area=True)), **setting_arguments).crowded == []  # type: ignore[arg-type]
+        assert world(CrowdData("ant", count, replace(place, is_by_area=True)), **setting_arguments).overcrowded_lines == []  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("by", ["above", "area"])
 def test_nothing_is_said_of_room_beside_all_surfaces(folder: Path, by: str) -> None:  # noqa: F811
     shot, _ = _opened(folder, f"{{on: ground, around: [900, 0, 0], radius: 5 mm, by: {by}}}", 200)
-    assert shot is not None and crowding_warnings(shot.scene, bind(shot.plan, shot.setting)).diagnostics == []
+    assert shot is not None and find_crowding_warnings(shot.scene, bind(shot.plan, shot.setting)).diagnostics == []
 
 
 def _square(wide: float, seed: int) -> PositionDrawer:
@@ -316,7 +322,7 @@ def _square(wide: float, seed: int) -> PositionDrawer:
     def draw(ids: np.ndarray, tries: range) -> StartPositionDraws:
         place = np.concatenate([np.random.default_rng((seed, k)).random((ids.max() + 1, 3))[ids] for k in tries]) * wide
         place[:, 1] = 0.0
-        return StartPositionDraws(Footing.nowhere(len(place)), place, np.zeros_like(place), np.ones(len(place), np.bool_))
+        return StartPositionDraws(Footing.create_unplaced(len(place)), place, np.zeros_like(place), np.ones(len(place), np.bool_))
 
     return draw
 
@@ -350,7 +356,7 @@ def test_how_free_a_large_disc_is_among_small_ones_is_exact(count: int) -> None:
     occupancy.drop_removed()
     away = np.sqrt(((large[:, None] - small[None]) ** 2).sum(axis=2))
     expected = np.minimum((away / ((size[:, None] + wide[None]) * 1.001)).min(axis=1), 1)
-    assert occupancy.freedom(large, size, np.full(200, count)) == pytest.approx(expected, rel=1e-12)
+    assert occupancy.measure_freedom(large, size, np.full(200, count)) == pytest.approx(expected, rel=1e-12)
 
 
 # --- by area -------------------------------------------------------------------------------------------------------------
@@ -358,16 +364,16 @@ def test_how_free_a_large_disc_is_among_small_ones_is_exact(count: int) -> None:
 
 def sphere(**place: object) -> World:
     text = "ant 1\nuse steering\nworld { surface ball }\nspecies ant { size 2 mm; state go { steer wander() } }\n"
-    crowd = CrowdData("ant", 2000, PlaceData(on=("ball",), **place))  # type: ignore[arg-type]
+    crowd = CrowdData("ant", 2000, PlacementData(on=("ball",), **place))  # type: ignore[arg-type]
     ball_mesh = MeshData(*meshes.ball(100.0, at=(20, 30, 40), rings=24))
     return world(crowd, text=text, surfaces={"ball": ball_mesh}, solids={}, obstacles={}, maps={})
 
 
 def test_by_area_covers_every_side_alike_and_stands_outside() -> None:
-    bound_world = sphere(by_area=True)
+    bound_world = sphere(is_by_area=True)
     ants = bound_world.populations["ant"]
     away = (ants.position - [20, 30, 40]) / 100
-    assert (away * ants.vector("up")).sum(axis=1).min() > 0.98
+    assert (away * ants.read_vector("up")).sum(axis=1).min() > 0.98
     for axis in range(3):  # by Archimedes each coordinate of a point of a sphere is even
         assert np.abs(np.sort(away[:, axis]) - np.linspace(-1, 1, 2000)).max() < 0.08
     above = sphere().populations["ant"].position - [20, 30, 40]
@@ -375,27 +381,27 @@ def test_by_area_covers_every_side_alike_and_stands_outside() -> None:
 
 
 def test_by_area_keeps_to_a_ball_about_a_place() -> None:
-    bound_world = sphere(by_area=True, around=(20.0, -70.0, 40.0), radius=80.0)  # the lowest point
+    bound_world = sphere(is_by_area=True, disc_centre=(20.0, -70.0, 40.0), radius=80.0)  # the lowest point
     away = np.linalg.norm(bound_world.populations["ant"].position - [20, -70, 40], axis=1)
-    assert away.max() <= 80 and bound_world.crowded == []
+    assert away.max() <= 80 and bound_world.overcrowded_lines == []
     # the part of a sphere within a distance of one of its points grows with the square of that
     assert np.abs(np.sort((away / 80) ** 2) - np.linspace(0, 1, 2000)).max() < 0.05
-    assert bound_world.populations["ant"].vector("up")[:, 1].max() < 0
+    assert bound_world.populations["ant"].read_vector("up")[:, 1].max() < 0
 
 
 def test_by_area_finds_a_small_ball_on_large_faces() -> None:
     big = MeshData(*meshes.grid(100_000.0, 1))
-    crowd = CrowdData("ant", 300, PlaceData(around=(900.0, 0.0, -400.0), radius=60.0, by_area=True))
+    crowd = CrowdData("ant", 300, PlacementData(disc_centre=(900.0, 0.0, -400.0), radius=60.0, is_by_area=True))
     text = "ant 1\nuse steering\nworld { surface floor }\nspecies ant { state go { steer wander() } }\n"
     bound_world = world(crowd, text=text, surfaces={"floor": big}, solids={}, obstacles={}, maps={})
-    assert bound_world.crowded == []
+    assert bound_world.overcrowded_lines == []
     assert np.linalg.norm(bound_world.populations["ant"].position - [900, 0, -400], axis=1).max() <= 60
 
 
 def test_a_solid_by_area_is_covered_on_all_sides() -> None:
     bound_world = world(*PLACEMENTS["solid by area"], text=BLOCK)
     ants = bound_world.populations["ant"]
-    up = ants.vector("up")
+    up = ants.read_vector("up")
     for axis in range(3):
         assert (up[:, axis] > 0.9).sum() > 30 and (up[:, axis] < -0.9).sum() > 30
     assert np.abs(bound_world.solids["block"].sample(ants.position)).max() < 0.1
@@ -404,7 +410,7 @@ def test_a_solid_by_area_is_covered_on_all_sides() -> None:
 def test_a_density_goes_by_the_map_on_the_underside_too() -> None:
     ball = meshes.ball(100.0, rings=24)
     text = "ant 1\nuse steering\nworld { surface ball; map damp }\nspecies ant { size 2 mm; state go { steer wander() } }\n"
-    crowd = CrowdData("ant", 1000, PlaceData(density="damp", by_area=True))
+    crowd = CrowdData("ant", 1000, PlacementData(density="damp", is_by_area=True))
     damp = {"damp": PaintedValues("ball", np.where(ball[0][:, 1] < 0, 1.0, 0.0))}
     bound_world = world(crowd, text=text, surfaces={"ball": MeshData(*ball)}, solids={}, obstacles={}, maps=damp)
     assert bound_world.populations["ant"].position[:, 1].max() <= 8
@@ -425,11 +431,11 @@ def test_what_cannot_be_by_area_is_reported(folder: Path, place: str, words: str
 def test_points_by_area_go_to_the_nearest_place(folder: Path) -> None:  # noqa: F811
     """Below a ball they stand on its underside, not on its top."""
     (folder / "ant.ant").write_text(ANT)
-    (folder / "ground.ply").write_bytes(ground(9))
+    (folder / "ground.ply").write_bytes(build_ground_ply(9))
     (folder / "points.json").write_text(json.dumps([[0, 5, 0], [20, 5, 20]]))
     shot, report = _opened(folder, "{on: ground, points: points.json, by: area}", 2)
     assert shot is not None, report
     bound_world = bind(shot.plan, shot.setting)
     assert np.abs(np.sort(bound_world.populations["ant"].position[:, 0]) - [0, 20]).max() < 5
-    ball = sphere(by_area=True, points=np.array([[20.0, -80.0, 40.0]]))
+    ball = sphere(is_by_area=True, points=np.array([[20.0, -80.0, 40.0]]))
     assert ball.populations["ant"].position[:, 1].max() < -65

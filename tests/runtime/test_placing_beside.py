@@ -12,11 +12,11 @@ import pytest
 from test_placing_apart import world
 from test_scene_files import SCENE, folder, opened  # noqa: F401
 
-from antdsl.outputs.surface_error import surface_error
+from antdsl.outputs.surface_error import measure_surface_error
 from antdsl.preview.session import Session
 from antdsl.runtime import bind
-from antdsl.scene.setting import CrowdData, MeshData, PlaceData, SolidData, WorldSetting
-from antdsl.scene.staging.item_placement import is_off_surface
+from antdsl.scene.setting import CrowdData, MeshData, PlacementData, SolidData, WorldSetting
+from antdsl.scene.staging.item_placement import is_away_from_surfaces
 
 MINIMAL = Path(__file__).resolve().parents[2] / "examples" / "minimal"
 
@@ -47,7 +47,7 @@ def test_a_disc_beside_all_surfaces(folder: Path, place: str, beside: bool) -> N
     warnings = [(d.severity, d.span.text if d.span else "") for d in report.diagnostics if d.code == "off-surface"]
     assert warnings == ([("warning", place)] if beside else [])
     bound_world = bind(shot.plan, shot.setting)
-    assert len(bound_world) == 5 and surface_error(bound_world) < 0.01
+    assert len(bound_world) == 5 and measure_surface_error(bound_world) < 0.01
 
 
 @pytest.mark.parametrize(
@@ -55,8 +55,8 @@ def test_a_disc_beside_all_surfaces(folder: Path, place: str, beside: bool) -> N
 )
 def test_a_ball_inside_or_outside_of_what_is_closed(middle: float, radius: float, is_beside: bool) -> None:
     block = MeshData(*meshes.box((-20, -20, -20), (20, 20, 20)))
-    place = PlaceData(on=("block",), around=(middle, 0.0, 1.0), radius=float(radius), by_area=True)
-    assert is_off_surface(place, WorldSetting(solids={"block": SolidData(block, 2.0)}), "y") == is_beside
+    place = PlacementData(on=("block",), disc_centre=(middle, 0.0, 1.0), radius=float(radius), is_by_area=True)
+    assert is_away_from_surfaces(place, WorldSetting(solids={"block": SolidData(block, 2.0)}), "y") == is_beside
     text = "ant 1\nuse steering\nworld { solid block }\nspecies ant { size 2 mm; state go { steer wander() } }\n"
     solids = {"block": SolidData(block, 2.0)}
     bound_world = world(CrowdData("ant", 9, place), text=text, surfaces={}, solids=solids, obstacles={}, maps={})
@@ -69,9 +69,9 @@ def test_a_hole_in_the_ground_is_beside_it() -> None:
     vertices, faces = meshes.grid(100.0, 10)
     middle = vertices[faces].mean(axis=1)
     rim = MeshData(vertices, faces[np.abs(middle).max(axis=1) > 20])
-    disc = PlaceData(around=(0.0, 0.0, 0.0), radius=15.0)
-    assert is_off_surface(disc, WorldSetting(surfaces={"rim": rim}), "y")
-    assert not is_off_surface(replace(disc, radius=25.0), WorldSetting(surfaces={"rim": rim}), "y")
+    disc = PlacementData(disc_centre=(0.0, 0.0, 0.0), radius=15.0)
+    assert is_away_from_surfaces(disc, WorldSetting(surfaces={"rim": rim}), "y")
+    assert not is_away_from_surfaces(replace(disc, radius=25.0), WorldSetting(surfaces={"rim": rim}), "y")
 
 
 def test_a_restart_tells_of_a_ball_that_meets_nothing(tmp_path: Path) -> None:

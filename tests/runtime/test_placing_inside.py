@@ -31,7 +31,7 @@ def bind_crowd(folder: Path, place: str, count: int = 300) -> World:
         f"crowd:\n  - {{species: ant, from: ant.ant, count: {count}, place: {place}}}\n"
     )
     shot, report = open_scene(scene, RunChoices())
-    assert shot is not None, report.sorted()
+    assert shot is not None, report.sort_by_place()
     return bind(shot.plan, shot.setting, Options())
 
 

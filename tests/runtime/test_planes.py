@@ -9,8 +9,8 @@ import pytest
 from neighbour_columns import Neighbours, fill_neighbours
 
 from antdsl.numerics import parallel
-from antdsl.senses.clear_velocity import Wishes, fill_clear_velocities
-from antdsl.senses.nearest_others import Crowd, Requesters, store_sensed
+from antdsl.senses.clear_velocity import VelocityWishes, fill_clear_velocities
+from antdsl.senses.nearest_others import CrowdTables, Requesters, store_up_and_motion
 from antdsl.senses.neighbours import CellGrid
 
 N = 3000
@@ -41,15 +41,17 @@ def test_planes_and_moves_are_those_of_the_ground(threads: int, monkeypatch: pyt
     wish, n = vectors(rng, 20.0)[:, : N - 50].astype(float), N - 50
     grid = CellGrid(*rng.normal(0, 9, (3, N)).astype(np.float32), np.arange(N), 1.0)
     fours, motion = np.empty((2, 4 * N + 32), np.float32)
-    work = partial(store_sensed, grid.order.at, tuple(up), tuple(velocity), radius, np.arange(N, dtype=np.int32), fours, motion)
-    parallel.in_parts(work, N, threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD)
-    crowd = Crowd(grid.table(), fours, motion, np.empty(0, np.int32))
+    work = partial(
+        store_up_and_motion, grid.order.at, tuple(up), tuple(velocity), radius, np.arange(N, dtype=np.int32), fours, motion
+    )
+    parallel.run_in_parts(work, N, threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD)
+    crowd = CrowdTables(grid.table(), fours, motion, np.empty(0, np.int32))
     alone, one = np.zeros(n), np.ones(n)
     requesters = Requesters(grid.order.at.take(rows), rows, alone, one, tuple(heading))
     planes, velocities = np.empty((9, n)), np.empty((3, n), np.float32)
     fill_neighbours(crowd, requesters, Neighbours(*np.zeros((5, n, 1)), *np.zeros((2, n, 1), np.bool_)), planes)
-    wishes = Wishes(tuple(wish), one, max_speed)
-    parallel.in_parts(partial(fill_clear_velocities, crowd, requesters, wishes, 0.04, velocities), n, threads, 100)
+    wishes = VelocityWishes(tuple(wish), one, max_speed)
+    parallel.run_in_parts(partial(fill_clear_velocities, crowd, requesters, wishes, 0.04, velocities), n, threads, 100)
 
     def known(vectors: np.ndarray) -> np.ndarray:
         v = vectors.T[rows].astype(float)

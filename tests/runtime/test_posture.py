@@ -39,7 +39,7 @@ def slope(degrees: float) -> MeshData:
 
 def tilts(world: World) -> np.ndarray:
     """Angles (degrees) of bodies from the vertical."""
-    return np.degrees(np.arccos(np.clip(world.populations["a"].vector("up")[:, 1].astype(float), -1, 1)))
+    return np.degrees(np.arccos(np.clip(world.populations["a"].read_vector("up")[:, 1].astype(float), -1, 1)))
 
 
 def run(text: str, ground: MeshData, steps: int = 24, count: int = 5, **options: object) -> RunHistory:
@@ -62,9 +62,9 @@ def test_upright_is_a_share_of_the_angle_to_the_vertical(share: str, expected: f
     history = run(person(f"upright {share}"), slope(20), steps=6)
     assert tilts(history.world) == pytest.approx([expected] * 5, abs=0.01)
     for name in ("up", "heading"):
-        assert np.linalg.norm(history.world.populations["a"].vector(name), axis=1) == pytest.approx([1] * 5, abs=1e-5)
+        assert np.linalg.norm(history.world.populations["a"].read_vector(name), axis=1) == pytest.approx([1] * 5, abs=1e-5)
     population = history.world.populations["a"]
-    assert (population.vector("up") * population.vector("heading")).sum(axis=1) == pytest.approx([0] * 5, abs=1e-5)
+    assert (population.read_vector("up") * population.read_vector("heading")).sum(axis=1) == pytest.approx([0] * 5, abs=1e-5)
 
 
 def test_a_state_changes_how_bodies_stand_within_their_turn_limit() -> None:

@@ -17,21 +17,23 @@ from children import child_environment
 from meaning import crowd, play
 from sampling import sampled
 
-from antdsl.cli.printing.profile_table import MAX_LISTED_LINES, show
-from antdsl.machine_code import machine
+from antdsl.cli.printing.profile_table import MAX_LISTED_LINES, print_profile
+from antdsl.machine_code import llvm_compiler
 from antdsl.pipeline import RunChoices, Shot, open_scene
 from antdsl.preview import Session
 from antdsl.runtime import Options, World, bind, phases, state_hash, step
 from antdsl.runtime.backends import metering, numpy_backend, numpy_calls
-from antdsl.runtime.backends.native import backend as native_backend
-from antdsl.runtime.backends.native import programs, ready, runner
+from antdsl.runtime.backends.native import block_runner, compile_queue, programs
+from antdsl.runtime.backends.native import native_backend as native_backend
 from antdsl.runtime.motion_measures import MotionMeasures
 from antdsl.runtime.profiling import StepMeter, StepProfile
 
 ROOT = Path(__file__).parents[2]
 NUMPY, NATIVE = Options(backend="numpy"), Options(backend="native", wait_for_code=True)
 FORAGING = ROOT / "examples" / "foraging" / "scene.yaml"
-in_code = pytest.mark.skipif(not (machine.is_available() and machine.host().x86), reason="no machine code whose lines are timed")
+in_code = pytest.mark.skipif(
+    not (llvm_compiler.is_available() and llvm_compiler.host_target().x86), reason="no machine code whose lines are timed"
+)
 BLOCKS = ("decide", "act", "blend", "births")
 PROGRAM = """ant 1
 use steering
@@ -136,7 +138,7 @@ def test_time_of_a_behaviour_counts_for_its_own_line_and_for_the_layer_that_call
         ("ant", "mine.keep_off(stones, reach: 8 mm)", 250.0),
         ("ant", "state", 0.0),
     ]
-    assert round(profile.total, 6) == 300.0
+    assert round(profile.total_ms, 6) == 300.0
     assert {name: round(ms, 6) for name, ms in profile.phases.items() if ms} == {"decide": 50.0, "blend": 250.0}
 
 
@@ -162,7 +164,7 @@ def test_the_lines_add_up_to_nearly_all_of_the_blocks(options: Options) -> None:
     lines, blocks = sum(each.ms for each in profile.lines), sum(profile.phases[name] for name in BLOCKS)
     assert 0.6 * blocks < lines <= blocks
     assert sum(each.ms for each in profile.layers) <= profile.phases["blend"]
-    assert profile.total == pytest.approx(sum(profile.phases.values()))
+    assert profile.total_ms == pytest.approx(sum(profile.phases.values()))
     assert [each.ms for each in profile.lines] == sorted((each.ms for each in profile.lines), reverse=True)
 
 
@@ -187,13 +189,13 @@ def test_a_world_that_is_not_measured_any_more_has_its_own_calls_again() -> None
     shot = opened(FORAGING, 10)
     world = bind(shot.plan, shot.setting)
     compilers = world.backend._blocks.values()
-    own_calls = [list(compiler.root.calls) for compiler in compilers]
+    own_calls = [list(compiler.root_scope.calls) for compiler in compilers]
     meter = StepMeter()
     measured(world, 1, meter)
-    assert [list(compiler.root.calls) for compiler in compilers] != own_calls
+    assert [list(compiler.root_scope.calls) for compiler in compilers] != own_calls
     meter.stop()
-    assert [list(compiler.root.calls) for compiler in compilers] == own_calls
-    assert world.backend.metered == {}
+    assert [list(compiler.root_scope.calls) for compiler in compilers] == own_calls
+    assert world.backend.metered_blocks == {}
     assert meter.profile().frames == 1, "what was measured stays"
 
 
@@ -212,7 +214,7 @@ def test_a_profile_is_of_the_last_second(shot: Shot, clock: Clock) -> None:
 
 def test_the_reference_backend_tells_of_phases(shot: Shot) -> None:
     profile = measured(bind(shot.plan, shot.setting, Options(backend="reference")), 1)
-    assert profile.total > 0 and profile.phases["act"] > 0 and not profile.lines
+    assert profile.total_ms > 0 and profile.phases["act"] > 0 and not profile.lines
     assert [each.ms for each in profile.layers] == [0.0, 0.0]
 
 
@@ -274,8 +276,8 @@ def test_a_profile_tells_processor_time_and_keeps_its_figures_at_eighty_columns(
 ) -> None:
     monkeypatch.setenv("COLUMNS", "80")
     profile = measured(bind(shot.plan, shot.setting), 3)
-    assert set(profile.worked) == set(profile.phases) and sum(profile.worked.values()) > 0
-    show(profile, lines=True)
+    assert set(profile.cpu_ms) == set(profile.phases) and sum(profile.cpu_ms.values()) > 0
+    print_profile(profile, show_lines=True)
     output_lines = capsys.readouterr().out.splitlines()
     figures = re.compile(r" *\d+\.\d\d( +\d+\.\d\d)? +\d+  ")
     for line in output_lines[1:]:
@@ -285,7 +287,7 @@ def test_a_profile_tells_processor_time_and_keeps_its_figures_at_eighty_columns(
 
 def test_measuring_motion_is_no_part_of_births(shot: Shot, clock: Clock, monkeypatch: pytest.MonkeyPatch) -> None:
     world = bind(shot.plan, shot.setting)
-    monkeypatch.setattr(MotionMeasures, "observe", clock.slow(MotionMeasures.observe, 0.5))
+    monkeypatch.setattr(MotionMeasures, "record_step", clock.slow(MotionMeasures.record_step, 0.5))
     profile = measured(world, 2)
     assert {name: round(ms) for name, ms in profile.phases.items() if ms} == {"motion": 500}
 
@@ -332,7 +334,7 @@ def test_lines_of_machine_code_have_the_time_that_they_take() -> None:
         line_times = lines_of(world, meter)
         least = {name: min(ms, least.get(name, ms)) for name, ms in line_times.items()}
         profile = meter.profile()
-        assert profile.by == {"machine code": 1}
+        assert profile.frames_by_backend == {"machine code": 1}
         assert 0 < sum(line_times.values()) <= sum(profile.phases[name] for name in BLOCKS) + 1e-9
     few, many, alone = "few = few + 1", f"many = {WEIGHTS}", "alone = sum(n in neighbours(4 mm): n.few)"
     assert {few, many, alone, "pace = pace * 0.9 + id * 0.01", "when id < 0 -> never"} <= set(least)
@@ -372,16 +374,16 @@ def between(lines: list[str], mark: str, word: str) -> list[int]:
 
 @in_code
 @pytest.mark.parametrize(
-    "target", [machine.PORTABLE_TARGET, replace(machine.PORTABLE_TARGET, cpu="x86-64", features="-avx2,-fma")]
+    "target", [llvm_compiler.PORTABLE_TARGET, replace(llvm_compiler.PORTABLE_TARGET, cpu="x86-64", features="-avx2,-fma")]
 )
-def test_what_a_line_works_out_is_worked_out_between_its_marks(target: machine.Target) -> None:
+def test_what_a_line_works_out_is_worked_out_between_its_marks(target: llvm_compiler.Target) -> None:
     """Though all of it is read in another line, and LLVM would work it out there, or beside what another line works out."""
     world = play(ROOTS, crowd(3, radius=3), option_sets=(NUMPY,)).world
-    timed_program = programs.program(world.plan, world.backend.blocks, programs.WorldFacts(False, False, True), target)  # type: ignore[union-attr]
+    timed_program = programs.write_program(world.plan, world.backend.blocks, programs.WorldFacts(False, False, True), target)  # type: ignore[union-attr]
     text = timed_program.units["a.act.0"]
     body = text[text.index("@a.act.0.inside(ptr %t, i64 %begin, i64 %end) noinline") :].splitlines()
     assert between(body, "@llvm.readcyclecounter()", "@llvm.sqrt") == [3, 6, 11]
-    code = machine.assembly(text, target).splitlines()
+    code = llvm_compiler.compile_assembly(text, target).splitlines()
     registers = 1 if target.avx2 else 2  # of eight floats
     assert between(code, "\trdtsc", "sqrtps") == [registers * each for each in (3, 6, 11)]
 
@@ -392,11 +394,11 @@ def test_machine_code_is_the_same_to_the_bit_while_it_is_measured_and_has_marks_
 ) -> None:
     """What is called between its stages is reported on its own line, and functions share what they take among theirs."""
     clock = Clock()
-    monkeypatch.setattr(runner, "perf_counter", clock)
-    answer, nothing = runner.BATCHED_SENSES["ray"]
-    monkeypatch.setitem(runner.BATCHED_SENSES, "ray", (clock.slow(answer, 0.25), nothing))  # type: ignore[arg-type]
-    function = ready.ReadyCode.function
-    monkeypatch.setattr(ready.ReadyCode, "function", lambda self, name: clock.slow(function(self, name), 0.01))
+    monkeypatch.setattr(block_runner, "perf_counter", clock)
+    answer, nothing = block_runner.BATCHED_SENSES["ray"]
+    monkeypatch.setitem(block_runner.BATCHED_SENSES, "ray", (clock.slow(answer, 0.25), nothing))  # type: ignore[arg-type]
+    function = compile_queue.ReadyCode.function
+    monkeypatch.setattr(compile_queue.ReadyCode, "function", lambda self, name: clock.slow(function(self, name), 0.01))
     plain, watched = (bind(shot.plan, shot.setting, options) for options in (Options(backend="numpy"), NATIVE))
     meter = StepMeter(None)
     codes = []
@@ -408,14 +410,14 @@ def test_machine_code_is_the_same_to_the_bit_while_it_is_measured_and_has_marks_
             meter.stop()
         step(watched)
         meter.end(watched)
-        codes.append(watched.backend.ready)  # type: ignore[union-attr]
+        codes.append(watched.backend.ready_code)  # type: ignore[union-attr]
         assert state_hash(watched) == state_hash(plain)
     usual, timed = codes[0], codes[5]
     assert codes == [usual] * 5 + [timed] * 5 + [usual] * 5
-    assert timed.facts.timed and not usual.facts.timed
+    assert timed.facts.is_timed and not usual.facts.is_timed
     profile = meter.profile()
-    assert profile.frames == 5 and profile.by == {"machine code": 5}
-    stages = sum(len(code.names) for code in timed.written.values())
+    assert profile.frames == 5 and profile.frames_by_backend == {"machine code": 5}
+    stages = sum(len(code.names) for code in timed.block_codes.values())
     spent = sum(each.ms for each in profile.lines)
     assert (
         profile.lines[0].text == "let seen = feelers(on, count: 1, reach: reach)"
@@ -429,38 +431,38 @@ def test_machine_code_is_the_same_to_the_bit_while_it_is_measured_and_has_marks_
 @in_code
 def test_until_code_with_marks_has_come_numpy_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:
     world = play(WEIGHED, crowd(20, radius=30), option_sets=(NATIVE,)).world
-    usual = world.backend.ready  # type: ignore[union-attr]
+    usual = world.backend.ready_code  # type: ignore[union-attr]
     world.options = Options(backend="native")
     coming: list[tuple[Future[Any], Future[Any]]] = []
 
     def later(*what: Any) -> Future[Any]:
-        coming.append((Future(), ready.start_building(*what)))
+        coming.append((Future(), compile_queue.start_building(*what)))
         return coming[-1][0]
 
     monkeypatch.setattr(native_backend, "start_building", later)
     monkeypatch.setattr(native_backend, "_MIN_STEP_SECONDS", 0.0)
-    monkeypatch.setattr(native_backend, "find_ready", lambda plan, facts: None)
+    monkeypatch.setattr(native_backend, "find_ready_code", lambda plan, facts: None)
     meter, times_by_frame = StepMeter(None), []
     for frame in range(5):
         if frame == 3:
             coming[0][0].set_result(coming[0][1].result())
         times_by_frame.append(lines_of(world, meter))
     assert len(coming) == 1 and all(f"many = {WEIGHTS}" in lines for lines in times_by_frame)
-    assert meter.profile().by == {"NumPy": 3, "machine code": 2} and meter.profile().frames == 2
+    assert meter.profile().frames_by_backend == {"NumPy": 3, "machine code": 2} and meter.profile().frames == 2
     meter.stop()
     step(world)
-    assert world.backend.ready is usual is not coming[0][0].result()  # type: ignore[union-attr]
+    assert world.backend.ready_code is usual is not coming[0][0].result()  # type: ignore[union-attr]
 
 
 @in_code
 def test_where_no_counter_can_be_read_numpy_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:
     world = play(WEIGHED, crowd(20, radius=30), option_sets=(NATIVE,)).world
-    monkeypatch.setattr(machine.Target, "x86", False)
+    monkeypatch.setattr(llvm_compiler.Target, "x86", False)
     meter = StepMeter(None)
-    assert lines_of(world, meter)[f"many = {WEIGHTS}"] > 0 and meter.profile().by == {"NumPy": 1}
+    assert lines_of(world, meter)[f"many = {WEIGHTS}"] > 0 and meter.profile().frames_by_backend == {"NumPy": 1}
     meter.stop()
     step(world)
-    assert world.backend.by == "machine code"  # type: ignore[union-attr]
+    assert world.backend.backend_name == "machine code"  # type: ignore[union-attr]
 
 
 @pytest.mark.parametrize(
@@ -473,5 +475,5 @@ def test_where_no_counter_can_be_read_numpy_is_measured(monkeypatch: pytest.Monk
     ],
 )
 def test_a_profile_says_what_ran_the_lines(by: dict[str, int], expected: str, capsys: pytest.CaptureFixture[str]) -> None:
-    show(StepProfile(frames=4, phases={"act": 1.0}, total=1.0, by=by), lines=True)
+    print_profile(StepProfile(frames=4, phases={"act": 1.0}, total_ms=1.0, frames_by_backend=by), show_lines=True)
     assert capsys.readouterr().out.splitlines()[0] == f"1.00 ms a frame, 0.00 ms of processors, over 4 frames{expected}"

@@ -8,7 +8,7 @@ import random_extremes
 from random_extremes import Extremes
 from sampling import sampled
 
-from antdsl.machine_code import machine
+from antdsl.machine_code import llvm_compiler
 from antdsl.plan import ir
 from antdsl.runtime import BindingCache, Options, WorldSetting, bind, state_hash, step
 
@@ -36,7 +36,7 @@ def states(plan: ir.Plan, setting: WorldSetting, seed: int, options: Options, fr
     return hashes
 
 
-@pytest.mark.skipif(not machine.is_available(), reason="llvmlite is not installed")
+@pytest.mark.skipif(not llvm_compiler.is_available(), reason="llvmlite is not installed")
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
 @pytest.mark.parametrize("seed", sampled(range(PROGRAMS), (6, 7)))
 def test_backends_agree_on_whatever_comes(seed: int) -> None:

@@ -9,7 +9,7 @@ import plans
 import pytest
 
 from antdsl.plan import ir
-from antdsl.runtime import FaultStop, Options, bind, checkpoint, restore, set_param, state_hash, step
+from antdsl.runtime import FaultStop, Options, bind, restore_checkpoint, set_param, state_hash, step, take_checkpoint
 from antdsl.scene.setting import ItemData
 from antdsl.source import Source, Span
 
@@ -110,7 +110,7 @@ def test_claims_on_nothing_win_nothing():
 
 def test_an_event_is_seen_once_a_step_later_by_those_in_reach():
     t = plans.Text()
-    first = t("and", t("eq", t("step", attrs=("frame",)), 1.0), t("eq", t("id"), t.b.agent(0)))
+    first = t("and", t("eq", t("step", attrs=("frame",)), 1.0), t("eq", t("id"), t.b.agent_id(0)))
     act = plans.block(
         plans.when(
             first, ir.Request("emit", "alarm", (t.b.number(20), None), None), ir.Request("emit", "self", (None, None), None)
@@ -121,11 +121,11 @@ def test_an_event_is_seen_once_a_step_later_by_those_in_reach():
     plan = plans.bare(act, "heard", "felt")
     from dataclasses import replace
 
-    plan = replace(plan, species={"ant": replace(plan.species["ant"], handles=("alarm", "self"))})
+    plan = replace(plan, species={"ant": replace(plan.species["ant"], event_names=("alarm", "self"))})
     for backend in BACKENDS:
         world = bind(plan, plans.crowd(50), Options(backend=backend, shuffle_rows=4))
         ants = world.populations["ant"]
-        away = np.linalg.norm(ants.position - ants.position[ants.rows_of(np.array([0]))], axis=1)
+        away = np.linalg.norm(ants.position - ants.position[ants.find_rows(np.array([0]))], axis=1)
         for k in range(4):
             step(world)
             assert (ants.now["heard"] == ((away <= 20) & (k > 0))).all()
@@ -145,7 +145,7 @@ def breeders() -> ir.Plan:
             t("and", even, t("eq", frame, 2.0)), *(ir.Request("spawn", "ant", (), None, site=site) for site in ("one", "two"))
         ),
         plans.when(t("and", t("eq", t.snap("third"), 0.0), t("eq", frame, 3.0)), ir.Request("die", "", (), None)),
-        plans.when(t("eq", frame, 1.0), plans.store("friend", t.b.agent(3))),
+        plans.when(t("eq", frame, 1.0), plans.store("friend", t.b.agent_id(3))),
         plans.store("sees", t("number", t("agent.alive", t.snap("friend", L), attrs=("ant",)))),
     )
     number = t("number", t("id"))
@@ -167,12 +167,12 @@ def test_births_and_deaths(options):
     step(world)
     step(world)
     assert sorted(ants.ids.tolist()) == list(range(15))  # 0 2 4 6 bear 7 .. 14, in this order
-    rows = ants.rows_of(np.array([0, 7, 8, 2, 9, 10]))
+    rows = ants.find_rows(np.array([0, 7, 8, 2, 9, 10]))
     assert np.array_equal(ants.position[rows[:1]], ants.position[rows[1:2]]) and np.array_equal(
         ants.position[rows[3]], ants.position[rows[5]]
     )
     assert ants.born[rows].tolist() == [0, 2, 2, 0, 2, 2] and ants.now["parity"][rows[1]] == 1
-    assert (ants.now["friend"][ants.rows_of(np.arange(7))] == 3).all()
+    assert (ants.now["friend"][ants.find_rows(np.arange(7))] == 3).all()
     step(world)
     assert sorted(ants.ids.tolist()) == [1, 2, 4, 5, 7, 8, 10, 11, 13, 14]
     assert (ants.now["friend"] == -1).all()
@@ -193,13 +193,13 @@ def test_a_checkpoint_of_a_changed_crowd():
     for _ in range(3):
         step(world)
     other = bind(breeders(), plans.crowd(7))
-    restore(other, checkpoint(world))
+    restore_checkpoint(other, take_checkpoint(world))
     for _ in range(3):
         step(world)
         step(other)
     assert state_hash(world) == state_hash(other)
     with pytest.raises(ValueError, match=r"`species\.ant\.ids` is missing"):
-        restore(other, {name: a for name, a in checkpoint(world).items() if not name.startswith("species")})
+        restore_checkpoint(other, {name: a for name, a in take_checkpoint(world).items() if not name.startswith("species")})
 
 
 SOURCE = Source("ant.ant", "fear = calm / (luck - 0.5)\n")
@@ -224,7 +224,7 @@ def test_a_fault_names_place_and_operands(backend):
         step(world)
     assert world.frame == 1  # the step was finished
     fault = stop.value.fault
-    assert str(fault.span) == "ant.ant:1:1" and fault.what == "fear" and fault.operands[0] == ("calm / (luck - 0.5)", "inf")
+    assert str(fault.span) == "ant.ant:1:1" and fault.value_name == "fear" and fault.operands[0] == ("calm / (luck - 0.5)", "inf")
     assert ("luck - 0.5", "0") in fault.operands and "is not finite" in str(fault)
     fear = world.populations["ant"].now["fear"]
     assert fault.agent == min(world.populations["ant"].ids[fear == 7])

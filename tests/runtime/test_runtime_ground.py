@@ -8,8 +8,8 @@ import plans
 import pytest
 
 from antdsl.plan import ir
-from antdsl.runtime import BindError, Options, bind, checkpoint, restore, state_hash, step
-from antdsl.scene.setting import CrowdData, FieldStart, FlowTarget, MeshData, PaintedValues, PlaceData, SpreadFlow
+from antdsl.runtime import BindError, Options, bind, restore_checkpoint, state_hash, step, take_checkpoint
+from antdsl.scene.setting import CrowdData, FieldStartData, FlowTarget, MeshData, PaintedValues, PlacementData, SpreadFlowData
 
 
 def mesh(vertices_and_faces: meshes.Mesh, shift: float = 0.0) -> MeshData:
@@ -69,7 +69,7 @@ def surfaces_plan(diffuse: float = 20.0, cell: float = 5.0) -> ir.Plan:
         "smell",
         blend=plans.block(*push),
         fields=fields,
-        things={"surface": names, "obstacle": ("stones",), "curve": ("way",), "flow": ("drift",), "map": ("damp",)},
+        thing_names_by_kind={"surface": names, "obstacle": ("stones",), "curve": ("way",), "flow": ("drift",), "map": ("damp",)},
     )
 
 
@@ -82,13 +82,13 @@ def surfaces_setting(count: int = 60, shift: float = 0.0, **setting_arguments):
     line = FlowTarget(np.array([[-90.0, 0, 0], [90, 0, 40]]) + move, np.zeros(2), line=True)
     default_setting = dict(
         seed=5,
-        flows={"drift": SpreadFlow("tangent", line, 60.0)},
+        flows={"drift": SpreadFlowData("tangent", line, 60.0)},
         maps={"damp": PaintedValues("ground", np.abs(ground.vertices[:, 1]) / 8)},
         surfaces={"ground": ground, "boulder": mesh(box((-40.0, 2.0, 30.0), 14.0), shift)},
         obstacles={"stones": mesh(box((25.0, 0.0, 0.0), 12.0), shift)},
         curves={"way": np.array([[-90.0, 0, -60], [0, 0, -40], [90, 0, -60]]) + move},
-        crowds=(CrowdData("ant", count, PlaceData(on=("ground",), around=(20.0 + shift, 0.0, shift), radius=60.0)),),
-        field_start={"trail": FieldStart(0.5, (shift, 0.0, -60.0 + shift), 30.0)},
+        crowds=(CrowdData("ant", count, PlacementData(on=("ground",), disc_centre=(20.0 + shift, 0.0, shift), radius=60.0)),),
+        field_start={"trail": FieldStartData(0.5, (shift, 0.0, -60.0 + shift), 30.0)},
     )
     return WorldSetting(**{**default_setting, **setting_arguments})
 
@@ -113,7 +113,7 @@ def test_two_hundred_steps_on_hills():
         walked_on |= {int(m) for m in world.populations["ant"].footing.mesh}
     population = world.populations["ant"]
     now = population.now
-    heading, up = population.vector("heading"), population.vector("up")
+    heading, up = population.read_vector("heading"), population.read_vector("up")
     assert np.abs((heading * up).sum(1)).max() < 1e-4 and np.abs((heading**2).sum(1) - 1).max() < 1e-5
     assert now["hits"].max() > 0 and now["close"].max() > 0 and now["hits"].min() >= 0
     assert world.fields["trail"].values.sum() > 50 and now["smell"].max() > 0
@@ -140,9 +140,9 @@ def test_a_checkpoint_goes_on_to_the_same_hashes():
     world = bind(surfaces_plan(), surfaces_setting(30), Options())
     for _ in range(5):
         step(world)
-    saved = checkpoint(world)
+    saved = take_checkpoint(world)
     other = bind(surfaces_plan(), surfaces_setting(30), Options(shuffle_rows=9))
-    restore(other, saved)
+    restore_checkpoint(other, saved)
     assert state_hash(other) == state_hash(world)
     for _ in range(6):
         step(world)

@@ -29,7 +29,7 @@ STILL = {"velocity.x": 1e-6, "heading.x": 1.0, "heading.z": 0.0}
 
 
 def read(world, name: str) -> np.ndarray:
-    return world.populations["ant"].vector(name)
+    return world.populations["ant"].read_vector(name)
 
 
 def test_a_push_accelerates_to_full_speed_and_not_beyond():

@@ -22,13 +22,13 @@ from antdsl.runtime import bind
 from antdsl.runtime.checkpoints import state_hash
 shot, report = open_scene(Path(sys.argv[1]))
 world = bind(shot.plan, shot.setting)
-print(stored_tables.computed(), "scipy" in sys.modules, state_hash(world))
+print(stored_tables.count_computed_tables(), "scipy" in sys.modules, state_hash(world))
 """
 
 
 @pytest.mark.slow
 def test_the_next_run_computes_nothing_again(tmp_path: Path) -> None:
-    if signing.signer(create=True) is None:
+    if signing.get_signer(create=True) is None:
         pytest.skip("this user can have no private key")
 
     def set_up(folder: Path | str) -> list[str]:

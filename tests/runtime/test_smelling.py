@@ -9,18 +9,18 @@ import numpy as np
 from meaning import OPTION_SETS
 from plan_text import plan_of
 
-from antdsl.machine_code import machine
+from antdsl.machine_code import llvm_compiler
 from antdsl.passes import optimise
-from antdsl.runtime import CrowdData, MeshData, Options, PlaceData, World, WorldSetting, bind, state_hash, step
+from antdsl.runtime import CrowdData, MeshData, Options, PlacementData, World, WorldSetting, bind, state_hash, step
 from antdsl.runtime.backends.native.programs import WorldFacts
 from antdsl.runtime.moving import moving_geometry
 from antdsl.scene.setting import GeometryMoves, SolidData
-from antdsl.scene.staging.moves import MeshMoves
+from antdsl.scene.staging.motion import MeshMoves
 
 CELL = 2.0
 NATIVE = Options(backend="native", chunk=8, threads=2, wait_for_code=True)
 BOTH = OPTION_SETS[::2]
-EVERY = (*OPTION_SETS, NATIVE) if machine.is_available() else OPTION_SETS
+EVERY = (*OPTION_SETS, NATIVE) if llvm_compiler.is_available() else OPTION_SETS
 Place = tuple[float, float, float]
 
 
@@ -60,7 +60,7 @@ def smelled(
         values[:] = np.arange(len(values)) + 1.0
         step(world)
         ants = world.populations["a"]
-        smells.append(ants.now["got"][ants.in_id_order()].tolist())
+        smells.append(ants.now["got"][ants.rows_by_id()].tolist())
         hashes.add(state_hash(world))
     assert all(each == smells[0] for each in smells) and len(hashes) == 1
     return smells[0], world
@@ -69,10 +69,10 @@ def smelled(
 def stand(world: World, points: np.ndarray, heading: np.ndarray, up: np.ndarray) -> None:
     """Put the agents, in order of ids, at the nearest points of the ground, on the side that `up` shows."""
     ants = world.populations["a"]
-    rows = np.argsort(ants.in_id_order())
+    rows = np.argsort(ants.rows_by_id())
     ground = world.ground
     points, heading = points[rows], heading[rows]
-    footing, _ = ground.nearest(points)
+    footing, _ = ground.find_nearest(points)
     moved = ground.move(footing, np.zeros_like(points), heading, np.broadcast_to(up, points.shape), 4.0)
     ants.footing, ants.position, ants.normal = moved.footing, moved.position, moved.up.astype(np.float32, order="C")
     for name, vectors in (("position", moved.position), ("up", moved.up), ("heading", moved.heading)):
@@ -92,7 +92,7 @@ def cell(world: World, place: Place, normal: Place) -> float:
 
 
 def setting(ground: meshes.Mesh, count: int, **setting_arguments: object) -> WorldSetting:
-    crowds = (CrowdData("a", count, PlaceData(around=(0.0, 0.0, 0.0), radius=1.0)),)
+    crowds = (CrowdData("a", count, PlacementData(disc_centre=(0.0, 0.0, 0.0), radius=1.0)),)
     return WorldSetting(crowds=crowds, surfaces={"ground": MeshData(*ground)}, seed=4, **setting_arguments)  # type: ignore[arg-type]
 
 
@@ -150,7 +150,7 @@ def test_a_way_ends_at_a_border() -> None:
 
 def test_on_a_solid_and_where_there_is_no_number() -> None:
     box = meshes.box((-20, 0, -20), (20, 16, 20))
-    crowds = (CrowdData("a", 2, PlaceData(around=(0.0, 0.0, 0.0), radius=1.0)),)
+    crowds = (CrowdData("a", 2, PlacementData(disc_centre=(0.0, 0.0, 0.0), radius=1.0)),)
     solid_setting = WorldSetting(crowds=crowds, solids={"hill": SolidData(MeshData(*box), 1.0)}, seed=4)
     stands, faces = [(0.0, 16, 0.0), (-8.0, 16, 4.0)], [(1, 0, 0), (0, 0, 1)]
     got, world = smelled(solid_setting, stands, faces, (0, 1, 0), "8 mm")
@@ -164,9 +164,9 @@ def test_on_ground_that_has_moved_the_cells_go_along() -> None:
     ground = meshes.grid(60.0, 7)
     poses = np.repeat(np.eye(3, 4)[None], 6, axis=0)
     poses[1:, :, :3] = np.array([[0, 0, 1], [0, 1, 0], [-1, 0, 0]])  # x goes to -z
-    moves = GeometryMoves(meshes={"ground": MeshMoves.rigid(poses, len(ground[0]))})
-    got, world = smelled(setting(ground, 1, moves=moves), [(0.2, 0, 0.2)], [(0, 0, -1)], (0, 1, 0), "10 mm", start_steps=2)
+    moves = GeometryMoves(meshes={"ground": MeshMoves.from_transforms(poses, len(ground[0]))})
+    got, world = smelled(setting(ground, 1, motion=moves), [(0.2, 0, 0.2)], [(0, 0, -1)], (0, 1, 0), "10 mm", start_steps=2)
     assert got == [cell(world, (10, 0, 0), (0, 1, 0))]
-    assert moving_geometry.moving_ground(world) is not None and WorldFacts.of(world.setting) == WorldFacts(
-        moving=True, detail=False
+    assert moving_geometry.get_moving_ground(world) is not None and WorldFacts.of(world.setting) == WorldFacts(
+        has_moving_ground=True, has_detail_levels=False
     )

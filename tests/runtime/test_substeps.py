@@ -9,7 +9,7 @@ import pytest
 
 from antdsl.ground.mesh.surface import MeshGround
 from antdsl.ground.plane import PlaneGround
-from antdsl.runtime.moving import advance, rises, tilting
+from antdsl.runtime.moving import crowd_substep, tilting, walls_ahead
 from antdsl.runtime.moving.velocities import LEANING_STATE, STANDING_STATE
 from antdsl.runtime.world import Population
 from tests.meshes import box, terrain
@@ -22,7 +22,7 @@ DT = np.float32(1 / 24)
 class People(SimpleNamespace):
     """What bodies read of a population."""
 
-    get_buffers, vector = Population.get_buffers, Population.vector
+    get_buffers, vector = Population.get_buffers, Population.read_vector
 
     def __len__(self) -> int:
         return len(self.position)
@@ -43,7 +43,7 @@ def people(ground: MeshGround, seed: int, facing: bool) -> People:
     points = rng.uniform(ground.low, ground.high, (N, 3))
     is_among_pieces = rng.random(N) < 0.7
     points[is_among_pieces] = rng.uniform((-8, -1, -9), (8, 1, 9), (N, 3))[is_among_pieces]  # where pieces cut each other
-    footing, _ = ground.nearest(points)
+    footing, _ = ground.find_nearest(points)
     normal = ground.normal(footing).astype(np.float32)
     up, heading = normal.copy(), unit(rng)
     heading -= normal * (heading * normal).sum(axis=1, keepdims=True)
@@ -66,7 +66,8 @@ def people(ground: MeshGround, seed: int, facing: bool) -> People:
     start = {name: array.copy() for name, array in now.items()}
     place, alone = ground.position(footing), rng.random(N) < 0.05
     stands = {"normal": normal, "footing": footing, "position": place}
-    return People(now=now, start=start, laid=None, rooms={}, quarantined=alone, **stands)
+    plan = SimpleNamespace(settings=(), clears_body=False)
+    return People(now=now, start=start, laid=None, buffers={}, quarantined=alone, plan=plan, **stands)
 
 
 @pytest.fixture(scope="module")
@@ -95,20 +96,22 @@ def test_substeps_are_those_of_one_agent_after_another(
     world_ground = {"meshes": ground, "rays": by_rays(), "plane": PlaneGround(np.array([0.36, 0.48, 0.8]))}[of]
     crowd = people(ground, 3, facing)
     if of != "meshes":
-        crowd.footing = world_ground.nearest(crowd.position)[0]
+        crowd.footing = world_ground.find_nearest(crowd.position)[0]
         crowd.position = world_ground.position(crowd.footing)
     else:
         crowd.footing.mesh[16:19] = -1  # nowhere
     if keeps:
         crowd.now["min_speed"] = odd(np.random.default_rng(4), 0, -1, np.nan, np.inf)
     setting = SimpleNamespace(substeps=2, orient="normal", crowds=())
-    options, plan = SimpleNamespace(threads=2), SimpleNamespace(obstacles=(), of_kind=lambda kind: ())
-    world = SimpleNamespace(ground=world_ground, options=options, dt=float(DT), setting=setting, plan=plan, solids={})
+    options, plan = SimpleNamespace(threads=2), SimpleNamespace(obstacles=(), list_things_of_kind=lambda kind: ())
+    world = SimpleNamespace(
+        ground=world_ground, options=options, dt=float(DT), setting=setting, plan=plan, solids={}, up=(0, 1, 0)
+    )
     walls = 0
     with np.errstate(all="ignore"):
         for _ in range(2):
             agents = substep(world_ground, crowd, float(DT), float(np.float32(DT / 2)), number == 0)
-            advance.move_agents(world, crowd, number)  # type: ignore[arg-type]
+            crowd_substep.move_agents(world, crowd, number)  # type: ignore[arg-type]
             walls += sum(agent.wall is not None for agent in agents)
             for name, own in (("velocity", 2e-3), ("heading", 2e-3), ("up", 2e-3)):
                 expected = np.array([getattr(agent, name) for agent in agents])
@@ -131,7 +134,7 @@ def test_bodies_that_lean_are_laid_along_the_ground_and_stand_up_again(ground: M
     crowd = people(ground, 5, False)
     old_registers, start = standing(crowd)
     up, heading = (np.stack([old_registers[f"{name}.{axis}"] for axis in "xyz"], axis=1) for name in ("up", "heading"))
-    tilting.lay_headings(crowd, 2)
+    tilting.level_headings(crowd, 2)
     leans = (up != crowd.normal).any(axis=1)
     for registers in (crowd.now, crowd.start):
         assert np.array_equal(np.stack([registers[f"up.{axis}"] for axis in "xyz"], axis=1), crowd.normal)
@@ -151,7 +154,7 @@ def test_bodies_that_lean_are_laid_along_the_ground_and_stand_up_again(ground: M
             assert np.array_equal(crowd.start[name], start[name], equal_nan=True), name
         assert np.array_equal(crowd.now[f"heading.{axis}"][is_changed], other[is_changed] + np.float32(0.5))
         crowd.now |= {name: array.copy() for name, array in old_registers.items()}
-        tilting.lay_headings(crowd)
+        tilting.level_headings(crowd)
 
 
 def test_bodies_that_begin_before_a_wall_are_tilted_for_it(ground: MeshGround) -> None:
@@ -166,9 +169,9 @@ def test_bodies_that_begin_before_a_wall_are_tilted_for_it(ground: MeshGround) -
     chosen = np.random.default_rng(8).random(N) < 0.7
     chosen[min(i for i, agent in enumerate(agents) if agent.wall is not None)] = True
     rows = np.flatnonzero(chosen)
-    world = SimpleNamespace(ground=ground, options=SimpleNamespace(threads=1))
+    world = SimpleNamespace(ground=ground, options=SimpleNamespace(threads=1), up=(0, 1, 0))
     with np.errstate(all="ignore"):
-        tilting.settle_bodies(world, crowd, rows)  # type: ignore[arg-type]
+        tilting.tilt_new_bodies(world, crowd, rows)  # type: ignore[arg-type]
     tilts = 0
     for i, agent in enumerate(agents):
         up, heading = agent.normal, agent.heading
@@ -194,15 +197,18 @@ def test_walls_are_those_that_bodies_tilt_for(ground: MeshGround, facing: bool) 
     step = tuple(np.ascontiguousarray([agent.step[k] for agent in agents], np.float32) for k in range(3))
     looking = tuple(np.ascontiguousarray([agent.looking[k] for agent in agents], np.float32) for k in range(3))
     state = np.array([LEANING_STATE if agent.leans else STANDING_STATE for agent in agents], np.int32)
-    reach, world = np.empty(N), SimpleNamespace(ground=ground, options=SimpleNamespace(threads=1))
-    rises.fill_reach(crowd.now["size"], reach)
+    reach, world = np.empty(N), SimpleNamespace(ground=ground, options=SimpleNamespace(threads=1), up=(0, 1, 0))
+    walls_ahead.write_wall_reach(crowd.now["size"], reach)
     assert np.allclose(reach, [3 * agent.half for agent in agents])
-    nearby_walls = rises.find_walls(world, crowd, looking, step, reach, state)  # type: ignore[arg-type]
+    nearby_walls = walls_ahead.find_walls(world, crowd, looking, step, reach, state)  # type: ignore[arg-type]
     walls = [agent.wall for agent in agents]
-    assert np.array_equal(state >= 0, [wall is not None for wall in walls]) and (state >= 0).sum() == len(nearby_walls.far) > 20
+    assert (
+        np.array_equal(state >= 0, [wall is not None for wall in walls])
+        and (state >= 0).sum() == len(nearby_walls.distances) > 20
+    )
     for k, wall in ((state[i], wall) for i, wall in enumerate(walls) if wall is not None):
-        assert np.allclose(nearby_walls.wall[:, k], wall.normal, atol=1e-5) and np.allclose(
-            nearby_walls.ahead[:, k], wall.ahead, atol=1e-5
+        assert np.allclose(nearby_walls.normals[:, k], wall.normal, atol=1e-5) and np.allclose(
+            nearby_walls.directions[:, k], wall.ahead, atol=1e-5
         )
-        own = [nearby_walls.angle[k], nearby_walls.far[k], nearby_walls.over[k], nearby_walls.half[k]]
+        own = [nearby_walls.angles[k], nearby_walls.distances[k], nearby_walls.tilt_distances[k], nearby_walls.half_lengths[k]]
         assert np.allclose(own, [wall.angle, wall.far, wall.over, wall.half], atol=1e-4)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from antdsl.casting.faces import nearest_on_triangle
-from antdsl.runtime.binding.surface_area import _faces_within
+from antdsl.casting.faces import find_nearest_on_triangle
+from antdsl.runtime.binding.surface_area import _triangulate_ball_faces
 
 
 def turn(one: np.ndarray, two: np.ndarray) -> np.ndarray:
@@ -20,10 +20,10 @@ def test_of_a_needle_only_what_is_near_the_ball_is_cut(width: float):
     """4 km long: what lies in the ball is covered once, and nothing far from it is there."""
     corner, edge1, edge2 = np.zeros((1, 3)), np.array([[4e6, 0, 0]]), np.array([[4e6, 0, width]])
     middle, radius = np.array([2.5e6, 0, width / 4]), 10.0
-    face, weights = _faces_within((middle, radius), corner, edge1, edge2)
+    face, weights = _triangulate_ball_faces((middle, radius), corner, edge1, edge2)
     assert 0 < len(face) < 20_000
     corners = corner[face][:, None] + weights[:, :, :1] * edge1[face][:, None] + weights[:, :, 1:] * edge2[face][:, None]
-    near = nearest_on_triangle(np.broadcast_to(middle, (len(face), 3)), corners)
+    near = find_nearest_on_triangle(np.broadcast_to(middle, (len(face), 3)), corners)
     assert (np.sqrt(((near - middle) ** 2).sum(axis=1)) <= 3 * radius).all()
     rng = np.random.default_rng(2)
     points = middle + rng.uniform(-1, 1, (2_000, 3)) * [radius, 0, radius]

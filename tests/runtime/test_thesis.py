@@ -41,7 +41,7 @@ def test_every_number_of_the_panel_is_a_param_with_range_and_help() -> None:
 def shot_of_finders(frames: int, count: int) -> tuple[np.ndarray, np.ndarray, list[tuple[int, float, float]]]:
     """(frames, agents) states, (frames, agents) heights, and per frame crumbs in all, soil carried, voxels' volume gone."""
     shot, report = open_scene(FOLDER / "tunnel_and_can.yaml")
-    assert shot is not None, report.sorted()
+    assert shot is not None, report.sort_by_place()
     crowds = tuple(replace(crowd, count=count) for crowd in shot.setting.crowds)
     shot = replace(shot, setting=replace(shot.setting, crowds=crowds))
     states, heights, counted = [], [], []
@@ -50,7 +50,7 @@ def shot_of_finders(frames: int, count: int) -> tuple[np.ndarray, np.ndarray, li
         states.append(now["main.state"].copy())
         heights.append(world.populations["ant"].position[:, 1].copy())
         crumbs = sum(items.amounts["load"].sum() for items in world.items.values()) + now["load"].sum()
-        counted.append((round(float(crumbs)), float(now["soil"].sum()), float(world.solids["hill"].removed)))
+        counted.append((round(float(crumbs)), float(now["soil"].sum()), float(world.solids["hill"].removed_volume)))
     return np.array(states), np.array(heights), counted
 
 

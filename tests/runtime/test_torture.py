@@ -70,7 +70,7 @@ def test_into_a_can_and_out_of_it_leads_only_the_hole_in_its_lid() -> None:
     mesh = SHAPES.can()
     ground, rng = MeshGround({"can": mesh}), np.random.default_rng(7)
     begin = crowd(ground, [mesh], N, rng)
-    begin = begin.take(np.flatnonzero(~inside(mesh, above(ground, begin))))  # no agent in the tin
+    begin = begin.take_rows(np.flatnonzero(~inside(mesh, above(ground, begin))))  # no agent in the tin
     was, crossed = in_can(above(ground, begin), SHAPES.TIN), 0
     assert 0.3 < was.mean() < 0.7
     for k, (previous, at) in enumerate(wander(ground, begin, 2 * STEPS, rng)):
@@ -103,12 +103,12 @@ def test_no_agent_on_a_stack_of_stones_comes_into_a_stone() -> None:
     stack = parts(mesh, len(SHAPES.STACK))
     ground, rng = MeshGround({"stones": mesh}), np.random.default_rng(8)
     begin = crowd(ground, [mesh], 2 * N, rng)
-    begin = begin.take(np.flatnonzero(~np.any([inside(s, above(ground, begin)) for s in stack], axis=0)))
+    begin = begin.take_rows(np.flatnonzero(~np.any([inside(s, above(ground, begin)) for s in stack], axis=0)))
     piece = ground.triangles[3].piece
-    first, climbs = piece[ground.on_faces(begin.footing)[0]], 0
+    first, climbs = piece[ground.get_face_numbers(begin.footing)[0]], 0
     assert len(begin.up) > 0.6 * N
     for k, (_, at) in enumerate(wander(ground, begin, STEPS, rng)):
-        now = piece[ground.on_faces(at.footing)[0]]
+        now = piece[ground.get_face_numbers(at.footing)[0]]
         climbs, first = climbs + int((now != first).sum()), now
         if k % 10 == 9:
             assert max(depth(s, above(ground, at)) for s in stack) < OVER
@@ -126,13 +126,13 @@ def test_no_agent_slips_from_the_ground_into_what_is_sunk_in_it_or_leans_on_it()
     ground, rng, measures = MeshGround(meshes), np.random.default_rng(9), WalkMeasures()
     closed = [meshes["boulder"], meshes["cube"], meshes["rod"], *parts(meshes["stones"], len(SHAPES.STACK))]
     start_points = rng.uniform(-45, 45, (3 * N, 3)) + np.array([0.0, 40.0, -20.0])
-    footing, is_placed = ground.place(start_points, np.array([0.0, 1.0, 0.0]))
+    footing, is_placed = ground.place_points(start_points, np.array([0.0, 1.0, 0.0]))
     assert is_placed.all()
     begin = ground.move(
         footing,
         0 * start_points,
         rng.normal(size=start_points.shape),
-        ground.upright_normals(footing, np.array([0.0, 1, 0])),
+        ground.compute_upright_normals(footing, np.array([0.0, 1, 0])),
         BODY,
     )
     mesh_changes = set()
@@ -155,7 +155,7 @@ def test_no_agent_slips_from_the_ground_into_what_is_sunk_in_it_or_leans_on_it()
 def test_a_moebius_strip_is_walked_on_both_its_sides_which_are_one() -> None:
     mesh = SHAPES.moebius()
     ground = MeshGround({"strip": mesh})
-    along = ground.nearest(np.array([[SHAPES.TWISTED[0], 12.0, 0.0]]))[0]
+    along = ground.find_nearest(np.array([[SHAPES.TWISTED[0], 12.0, 0.0]]))[0]
     start = ground.move(along, np.zeros((1, 3)), np.array([[0.0, 0, 1]]), np.array([[0.0, 1, 0]]), BODY)
     at, turns, ups = start, 0.0, []
     for _ in range(320):
@@ -178,12 +178,12 @@ def test_a_moebius_strip_is_walked_on_both_its_sides_which_are_one() -> None:
 
 def test_a_broken_mesh_is_walked_like_the_mesh_that_was_meant() -> None:
     mesh = SHAPES.broken()
-    plain = SHAPES.stone(65, (22.0, 20.0, 22.0), detail=2)
+    plain = SHAPES.build_stone(65, (22.0, 20.0, 22.0), detail=2)
     plain = (plain[0] + np.array([0.0, 19.0, 0.0]), plain[1])
     ground, intact_ground, rng = MeshGround({"broken": mesh}), MeshGround({"whole": plain}), np.random.default_rng(10)
     outside = crowd(intact_ground, [plain], N, rng)
-    outside = outside.take(np.flatnonzero(winding(plain, above(intact_ground, outside)) < 0.5))
-    footing = intact_ground.nearest(outside.position)[0], ground.nearest(outside.position)[0]
+    outside = outside.take_rows(np.flatnonzero(winding(plain, above(intact_ground, outside)) < 0.5))
+    footing = intact_ground.find_nearest(outside.position)[0], ground.find_nearest(outside.position)[0]
     outside, at = (
         g.move(f, 0 * outside.up, outside.heading, outside.up, BODY)
         for g, f in zip((intact_ground, ground), footing, strict=True)
@@ -233,12 +233,12 @@ def notched(outline: list[list[float]]) -> Mesh:
 @pytest.mark.parametrize("name", NOTCHES)
 def test_no_wall_is_gone_through_where_sheets_that_cut_each_other_share_corners_and_edges(name: str) -> None:
     mesh = notched(NOTCHES[name])
-    assert MeshGround({"block": mesh}).triangles[3].cuts.cut.any()
+    assert MeshGround({"block": mesh}).triangles[3].cuts.is_cut.any()
     held(name, mesh, 2 * N, STEPS)
 
 
 def test_a_notch_is_gone_through_where_its_cuts_are_not_known(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(self_cuts, "_pierces", lambda start, end, triangle, grain: np.zeros(len(start), bool))
+    monkeypatch.setattr(self_cuts, "_find_piercing_edges", lambda start, end, triangle, grain: np.zeros(len(start), bool))
     for outline in NOTCHES.values():
         if outline[1][1] < -1:
             assert long_walk("block", notched(outline), N, STEPS).through > 10
@@ -247,10 +247,11 @@ def test_a_notch_is_gone_through_where_its_cuts_are_not_known(monkeypatch: pytes
 def test_who_comes_to_a_cut_goes_on_upon_what_cuts() -> None:
     ground = MeshGround({"block": notched(NOTCHES["through the floor"])})
     start = np.array([[14.0, 0.0, 6.0], [14.0, 0.0, 6.0]])
-    footing, up = ground.nearest(start)[0], np.array([[0.0, 1, 0], [0.0, -1, 0]])  # in the block, and below it
+    footing, up = ground.find_nearest(start)[0], np.array([[0.0, 1, 0], [0.0, -1, 0]])  # in the block, and below it
     at = ground.move(footing, np.tile([-6.0, 0, 0], (2, 1)), np.tile([-1.0, 0, 0], (2, 1)), up, BODY)
     assert np.allclose(at.position, [[10, 2, 6], [10, -2, 6]], atol=1e-5)
-    assert np.allclose(at.direction, [[0, 1, 0], [0, -1, 0]]) and np.allclose(at.heading, at.direction, atol=0.02)  # smoothed
+    assert np.allclose(at.direction, [[0, 1, 0], [0, -1, 0]], atol=0.02)  # along the smoothed ground
+    assert np.allclose(at.heading, at.direction, atol=0.02)
     assert np.allclose(at.travelled, 6.0) and not at.blocked.any()
 
 
@@ -283,13 +284,13 @@ def side_of(ground: MeshGround, at: GroundMove, spin: Floats) -> Floats:
 
 
 def test_a_hose_through_itself_is_gone_through_where_its_cuts_are_not_known(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(self_cuts, "_pierces", lambda start, end, triangle, grain: np.zeros(len(start), bool))
+    monkeypatch.setattr(self_cuts, "_find_piercing_edges", lambda start, end, triangle, grain: np.zeros(len(start), bool))
     assert long_walk("eight", SHAPES.eight(), N, STEPS // 2).through > 10
 
 
 def test_faces_that_cut_each_other_are_known_and_no_others_are() -> None:
     for name, shape in SHAPES.SHAPES.items():
-        assert MeshGround({name: shape()}).triangles[3].cuts.cut.any() == (name == "eight"), name
+        assert MeshGround({name: shape()}).triangles[3].cuts.is_cut.any() == (name == "eight"), name
     mesh = SHAPES.eight()
     table = MeshGround({"eight": mesh}).triangles[3]
     corners, crossings = mesh[0][mesh[1]], 0
@@ -300,7 +301,7 @@ def test_faces_that_cut_each_other_are_known_and_no_others_are() -> None:
         assert all(f in table.cuts.of(np.array([g]))[1] for g in known)
         for k in range(3):
             edge = corners[near][:, [k, (k + 1) % 3]]
-            hit, part, _, _ = scene.cast_within(edge[:, 0], edge[:, 1] - edge[:, 0])
+            hit, part, _, _ = scene.find_hits_within(edge[:, 0], edge[:, 1] - edge[:, 0])
             through = near[hit[(part > 0.01) & (part < 0.99)]]
             through = through[[not np.isin(table.weld[f], table.weld[g]).any() for g in through]]
             assert np.isin(through, known).all(), (f, through)

@@ -87,7 +87,7 @@ def write(folder: Path, scene: str) -> Path:
 
 def test_a_scene_leads_a_line_of_its_crowd_and_explain_says_so(tmp_path: Path) -> None:
     shot, report = open_scene(write(tmp_path, SCENE))
-    assert shot is not None, report.sorted()
+    assert shot is not None, report.sort_by_place()
     walk = shot.setting.crowds[0].walk
     assert walk is not None and walk.direction == (0, 0, 1) and (walk.speed, walk.length) == (30, 20)
     assert shot.setting.crowds[1].walk is None
@@ -111,4 +111,4 @@ def test_a_scene_leads_a_line_of_its_crowd_and_explain_says_so(tmp_path: Path) -
 )
 def test_what_is_no_walk_is_reported_at_its_place(tmp_path: Path, old: str, new: str, words: str) -> None:
     shot, report = open_scene(write(tmp_path, SCENE.replace(old, new)))
-    assert shot is None and words in " ".join(f"{d.message} {d.help}" for d in report.sorted())
+    assert shot is None and words in " ".join(f"{d.message} {d.help}" for d in report.sort_by_place())

@@ -49,7 +49,7 @@ def test_a_level_and_a_rate_into_a_field_that_keeps_the_greatest() -> None:
 @pytest.mark.slow
 def test_ants_find_home_and_food_by_worth_alone() -> None:
     shot, report = open_scene(SCENE)
-    assert shot is not None, report.sorted()
+    assert shot is not None, report.sort_by_place()
     world = next(islice(simulate(shot), 480, None))
     assert world.items["nest"].amounts["load"].sum() >= 5
     total = sum(float(i.amounts["load"].sum()) for i in world.items.values())

@@ -17,7 +17,7 @@ from antdsl.pipeline import Shot, open_scene
 from antdsl.reader.images import read_image
 from antdsl.reader.protocol import ReaderMessage
 from antdsl.runtime import Options, bind, step
-from antdsl.scene.geometry.heights import height_surface, read_heights, surface_deviation
+from antdsl.scene.geometry.heights import compute_deviation, make_height_surface, read_heights
 from antdsl.scene.geometry.mesh_text import MeshError
 
 PROGRAM = "ant 1\nuse steering\nworld { surface arena; map damp }\nspecies a { state w { steer wander() } }\n"
@@ -47,7 +47,7 @@ def opened(folder: Path, name: str, data: bytes, keys: str = "", scene: str = ""
         "crowd: [{species: a, from: a.ant, count: 20, place: {on: arena, density: damp}}]\n"
     )
     shot, report = open_scene(folder / "scene.yaml")
-    return shot, " ".join(f"{d.code} {d.message} {d.help}" for d in report.sorted())
+    return shot, " ".join(f"{d.code} {d.message} {d.help}" for d in report.sort_by_place())
 
 
 def test_an_image_without_all_its_strips_is_an_error(tmp_path: Path) -> None:
@@ -107,7 +107,7 @@ def test_agents_walk_on_it_by_a_painted_map_and_info_tells_of_its_patches(tmp_pa
 
 def test_the_deviation_is_the_largest_that_is_found_by_looking() -> None:
     heights = RNG.normal(0, 3, (4, 6))
-    vertices, faces = height_surface(heights, (5.0, 3.0))
+    vertices, faces = make_height_surface(heights, (5.0, 3.0))
     u, v = (a.ravel() for a in np.meshgrid(np.linspace(0, 5, 101), np.linspace(0, 3, 61)))
     i, j = np.minimum(v.astype(int), 2), np.minimum(u.astype(int), 4)
     a, b = u - j, v - i
@@ -120,7 +120,7 @@ def test_the_deviation_is_the_largest_that_is_found_by_looking() -> None:
         np.stack([u - 2.5, v - 1.5, np.ones(len(u))], axis=1)[..., None],
     )[..., 0]
     flat = (weights * p[..., 1]).sum(axis=1)
-    assert np.abs(flat - patch).max() == pytest.approx(surface_deviation(heights), rel=1e-3)
+    assert np.abs(flat - patch).max() == pytest.approx(compute_deviation(heights), rel=1e-3)
 
 
 @pytest.mark.parametrize(
@@ -164,4 +164,4 @@ def test_only_surfaces_are_made_of_heights(tmp_path: Path) -> None:
     text = "antdsl: 1\nworld: {arena: {height: h.png, extent: [1, 1], scale: 1}}\ncrowd: [{species: a, from: a.ant, count: 1}]\n"
     (tmp_path / "scene.yaml").write_text(text)
     shot, report = open_scene(tmp_path / "scene.yaml")
-    assert shot is None and report.sorted()
+    assert shot is None and report.sort_by_place()

@@ -14,10 +14,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from antdsl.scene.geometry.import_notes import ImportNotes
+from antdsl.scene.geometry.mesh_files import read_mesh, read_mesh_arrays
 from antdsl.scene.geometry.mesh_text import MeshError
-from antdsl.scene.geometry.meshes import mesh_arrays, read_mesh
-from antdsl.scene.geometry.polygons import MAX_POLYGON_CORNERS, TooManyCorners, strip_triangles, triangulate
-from antdsl.scene.staging.mesh_imports import welded
+from antdsl.scene.geometry.polygons import MAX_POLYGON_CORNERS, TooManyCorners, split_strip, triangulate
+from antdsl.scene.staging.mesh_imports import weld_vertices
 
 POINTS = np.array([[-50, 0, -50], [-50, 0, 50], [0, 1.5, 50], [0, 0, -50], [50, 0, 50], [50, 0, -50], [80, 0, 0]], float)
 FACES = [[0, 1, 2, 3], [3, 2, 4, 5], [5, 4, 6]]
@@ -99,16 +99,16 @@ def polygons_ply(draw: st.DrawFn) -> bytes:
 @given(wavefront())
 def test_wavefront_in_any_layout_is_the_same_mesh(data: bytes) -> None:
     notes = ImportNotes()
-    points, faces = mesh_arrays(data, "a.obj", notes=notes)
+    points, faces = read_mesh_arrays(data, "a.obj", notes=notes)
     assert np.allclose(points, POINTS) and faces.tolist() == TRIANGLES
-    assert not notes.skipped and notes.cut == 2 and not notes.concave
+    assert not notes.skipped and notes.cut_polygons == 2 and not notes.concave_polygons
 
 
 @settings(max_examples=60, deadline=None)
 @given(polygons_ply())
 def test_ply_in_any_layout_is_the_same_mesh(data: bytes) -> None:
     notes = ImportNotes()
-    points, faces = mesh_arrays(data, "a.ply", notes=notes)
+    points, faces = read_mesh_arrays(data, "a.ply", notes=notes)
     assert np.allclose(points, POINTS) and faces.tolist() == TRIANGLES
     assert all("edge" in word for word in notes.skipped)
 
@@ -121,7 +121,7 @@ def test_stl_in_any_layout_is_the_same_mesh(data: st.DataObject) -> None:
         lines += [[b"facet", b"normal", b"0", b"1", b"0"], [b"outer", b"loop"]]
         lines += [[b"vertex", *(b"%g" % x for x in POINTS[k])] for k in face] + [[b"endloop"], [b"endfacet"]]
     text = data.draw(texts([[word.upper() for word in line] for line in lines] if data.draw(st.booleans()) else lines, False))
-    points, faces = mesh_arrays(text, "a.stl")
+    points, faces = read_mesh_arrays(text, "a.stl")
     assert np.allclose(points[faces], POINTS[np.array(TRIANGLES)])
 
 
@@ -132,17 +132,17 @@ FACET = struct.pack("<12fH", 0, 1, 0, *POINTS[:3].ravel(), 0)
 @pytest.mark.parametrize("head", [b"made by hand", b"solid ground"])
 def test_binary_stl_may_be_padded(head: bytes, tail: bytes) -> None:
     notes = ImportNotes()
-    assert len(mesh_arrays(head.ljust(80) + struct.pack("<I", 1) + FACET + tail, "a.stl", notes=notes)[1]) == 1
+    assert len(read_mesh_arrays(head.ljust(80) + struct.pack("<I", 1) + FACET + tail, "a.stl", notes=notes)[1]) == 1
     assert not notes.skipped
 
 
 def test_bytes_after_a_binary_stl_are_reported_and_wrong_counts_are_errors() -> None:
     notes = ImportNotes()
-    mesh_arrays(bytes(80) + struct.pack("<I", 1) + FACET + b"made by me", "a.stl", notes=notes)
-    assert notes.skipped_phrases() == ["10 bytes after the last face"]
+    read_mesh_arrays(bytes(80) + struct.pack("<I", 1) + FACET + b"made by me", "a.stl", notes=notes)
+    assert notes.describe_skipped() == ["10 bytes after the last face"]
     for count, words in ((2, "1 fit"), (0, "and has 1")):
         with pytest.raises(MeshError, match=words):
-            mesh_arrays(bytes(80) + struct.pack("<I", count) + FACET, "a.stl")
+            read_mesh_arrays(bytes(80) + struct.pack("<I", count) + FACET, "a.stl")
 
 
 @pytest.mark.parametrize(
@@ -151,28 +151,28 @@ def test_bytes_after_a_binary_stl_are_reported_and_wrong_counts_are_errors() -> 
 )
 def test_mistakes_in_text_have_their_line(line: bytes, words: str) -> None:
     with pytest.raises(MeshError, match=words):
-        mesh_arrays(b"v 0 0 \\\n0\n" + line + b"\nv 1 0 0\nv 0 0 1\nf 1 3 2\n", "a.obj")
+        read_mesh_arrays(b"v 0 0 \\\n0\n" + line + b"\nv 1 0 0\nv 0 0 1\nf 1 3 2\n", "a.obj")
 
 
 def test_utf_16_is_an_error_that_says_what_to_do() -> None:
     for name in ("a.obj", "a.stl"):
         with pytest.raises(MeshError, match="UTF-16") as caught:
-            mesh_arrays("solid facet\n".encode("utf-16"), name)
+            read_mesh_arrays("solid facet\n".encode("utf-16"), name)
         assert "UTF-8" in str(caught.value.help)
 
 
 def test_what_is_not_read_is_noted_with_its_first_line() -> None:
     notes = ImportNotes()
-    mesh_arrays(b"v 0 0 0\nv 1 0 0\nv 0 0 1\ng a#1\nl 1 2\nl 2 3\nfoo 1\ncurv 0 1 1 2\nf 1 2 3\n", "a.obj", notes=notes)
-    assert notes.skipped_phrases() == ["2 × lines (`l`) (line 5)", "unknown keyword `foo` (line 7)", "curves (`curv`) (line 8)"]
+    read_mesh_arrays(b"v 0 0 0\nv 1 0 0\nv 0 0 1\ng a#1\nl 1 2\nl 2 3\nfoo 1\ncurv 0 1 1 2\nf 1 2 3\n", "a.obj", notes=notes)
+    assert notes.describe_skipped() == ["2 × lines (`l`) (line 5)", "unknown keyword `foo` (line 7)", "curves (`curv`) (line 8)"]
 
 
 def test_triangle_strips_turn_and_begin_again() -> None:
-    assert strip_triangles(np.array([0, 1, 2, 3])).tolist() == [[0, 1, 2], [2, 1, 3]]
-    assert strip_triangles(np.array([0, 1, 2, 2, 3, 4, -1, 5, 6, 7])).tolist() == [[0, 1, 2], [3, 2, 4], [5, 6, 7]]
+    assert split_strip(np.array([0, 1, 2, 3])).tolist() == [[0, 1, 2], [2, 1, 3]]
+    assert split_strip(np.array([0, 1, 2, 2, 3, 4, -1, 5, 6, 7])).tolist() == [[0, 1, 2], [3, 2, 4], [5, 6, 7]]
     head = b"ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\nelement tristrips 2\n"
     head += b"property list int int vertex_indices\nend_header\n0 0 0\n0 0 1\n1 0 0\n1 0 1\n"
-    assert mesh_arrays(head + b"4 0 1 2 3\n7 0 1 2 -1 1 3 2\n", "a.ply")[1].tolist() == [
+    assert read_mesh_arrays(head + b"4 0 1 2 3\n7 0 1 2 -1 1 3 2\n", "a.ply")[1].tolist() == [
         [0, 1, 2], [2, 1, 3], [0, 1, 2], [1, 3, 2]
     ]  # fmt: skip
 
@@ -219,7 +219,7 @@ def test_polygons_are_covered_once(name: str, axis: int, slant: float, turned: b
     point_numbers = {tuple(point): k for k, point in reversed(list(enumerate(ring.tolist())))}
     names = [point_numbers[tuple(point)] for point in ring.tolist()]
     triangulation = triangulate(in_space(ring, axis, slant), np.array([len(ring)]), np.array(names))
-    assert not triangulation.crossing and len(triangulation.corners) == len(ring) - 2
+    assert not triangulation.crossing_polygons and len(triangulation.corners) == len(ring) - 2
     covers(ring, triangulation.corners, names)
 
 
@@ -230,9 +230,9 @@ def test_stars_of_any_shape_are_covered_once(radii: list[int], random: object) -
     ring = np.array(radii)[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=1)
     ring = np.roll(ring, radii[0], axis=0)
     triangulation = triangulate(in_space(ring, radii[1] % 3, 0.2), np.array([len(ring)]), np.arange(len(ring)))
-    if not triangulation.crossing:  # stars about their middle never cross
+    if not triangulation.crossing_polygons:  # stars about their middle never cross
         covers(ring, triangulation.corners, list(range(len(ring))))
-    assert not triangulation.crossing
+    assert not triangulation.crossing_polygons
 
 
 def test_convex_polygons_are_fans_and_many_are_cut_at_once() -> None:
@@ -240,15 +240,18 @@ def test_convex_polygons_are_fans_and_many_are_cut_at_once() -> None:
     points = np.stack([np.cos(angles), 0 * angles, -np.sin(angles)], axis=1)
     triangulation = triangulate(points, np.array([6, 3, 0, 2, 4]), np.array([*range(6), 0, 1, 2, 0, 1, 0, 2, 3, 5]))
     assert triangulation.corners[:4].tolist() == [[0, 1, 2], [0, 2, 3], [0, 3, 4], [0, 4, 5]]
-    assert triangulation.polygon.tolist() == [0, 0, 0, 0, 1, 4, 4] and (triangulation.cut, triangulation.concave) == (2, 0)
+    assert triangulation.polygon_indices.tolist() == [0, 0, 0, 0, 1, 4, 4] and (
+        triangulation.cut_count,
+        triangulation.concave_count,
+    ) == (2, 0)
 
 
 def test_polygons_that_cross_themselves_are_named_and_huge_ones_are_errors() -> None:
     points = np.array([(0, 0, 0), (4, 0, 4), (4, 0, 0), (0, 0, 5)], float)
-    assert triangulate(points, np.array([4]), np.arange(4)).crossing == (0,)
+    assert triangulate(points, np.array([4]), np.arange(4)).crossing_polygons == (0,)
     angles = np.arange(5) * 4 * np.pi / 5
     star = np.stack([np.cos(angles), 0 * angles, np.sin(angles)], axis=1)
-    assert triangulate(star, np.array([5]), np.arange(5)).crossing == (0,)
+    assert triangulate(star, np.array([5]), np.arange(5)).crossing_polygons == (0,)
     count = MAX_POLYGON_CORNERS + 2
     around = np.arange(count) * 2 * np.pi / count
     radius = np.where(np.arange(count) % 2, 1.0, 0.5) * np.where(np.arange(count) < count // 2, 1.0, -0.2)
@@ -326,7 +329,7 @@ species walker {
 
 def checked(folder: Path, thing: str, kind: str = "surface") -> tuple[list[str], dict[str, object]]:
     """Codes and imports of a scene with one mesh."""
-    from antdsl.pipeline import RunChoices, check_path, mesh_imports
+    from antdsl.pipeline import RunChoices, check_path, read_mesh_imports
 
     (folder / "walker.ant").write_text(WALKER.replace("surface", kind))
     scene = folder / "scene.yaml"
@@ -335,7 +338,7 @@ def checked(folder: Path, thing: str, kind: str = "surface") -> tuple[list[str],
         "crowd: [{species: walker, from: walker.ant, count: 9, place: {on: ground}}]\n"
     )
     _, report = check_path(scene)
-    return [each.code for each in report.diagnostics], dict(mesh_imports(scene, RunChoices())[0])
+    return [each.code for each in report.diagnostics], dict(read_mesh_imports(scene, RunChoices())[0])
 
 
 def test_gltf_is_in_metres_and_its_buffer_lies_in_the_project(tmp_path: Path) -> None:
@@ -365,8 +368,8 @@ def split_box(noise: float) -> bytes:
 
 def test_vertices_are_welded_to_the_first_of_them() -> None:
     points = np.array([[1, 0, 0], [0, 0, 0], [1, 0, 0.01], [0, 0, 0], [1, 0, 0.02], [5, 0, 0]], float)
-    welded_points, count = welded(points, 0.015)
-    assert welded_points[:, 2].tolist() == [0] * 6 and count == 2 and welded(points, 0.001)[1] == 0
+    welded_points, count = weld_vertices(points, 0.015)
+    assert welded_points[:, 2].tolist() == [0] * 6 and count == 2 and weld_vertices(points, 0.001)[1] == 0
 
 
 @pytest.mark.parametrize(("noise", "weld", "codes", "moved"), [

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import pytest
 from cases.hostile.rows import GROUND
 
-from antdsl.scene.geometry.meshes import read_mesh
+from antdsl.scene.geometry.mesh_files import read_mesh
 
 
 def grid(size: int) -> Iterator[tuple[int, int]]:

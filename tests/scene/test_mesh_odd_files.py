@@ -13,8 +13,8 @@ from scene.test_mesh_imports import WALKER, gltf
 
 from antdsl.pipeline import check_path
 from antdsl.scene.geometry.import_notes import ImportNotes
+from antdsl.scene.geometry.mesh_files import read_mesh, read_mesh_arrays
 from antdsl.scene.geometry.mesh_text import MeshError
-from antdsl.scene.geometry.meshes import mesh_arrays, read_mesh
 from antdsl.scene.geometry.polygons import TooManyCorners, triangulate
 
 CORNERS = b"v 0 0 0\nv 0 0 9\nv 9 0 9\nv 9 0 0\n"
@@ -24,7 +24,7 @@ POINTS = np.array([(0, 0, 0), (4, 0, 0), (4, 0, 4), (0, 0, 4), (0, 0, 4)], float
 def words_of(data: bytes, name: str = "a.obj", group: str | None = None) -> tuple[int, list[str]]:
     """How many triangles a file gives, and the notes."""
     notes = ImportNotes()
-    return len(mesh_arrays(data, name, group, notes=notes)[1]), notes.skipped_phrases()
+    return len(read_mesh_arrays(data, name, group, notes=notes)[1]), notes.describe_skipped()
 
 
 # --- polygons ----------------------------------------------------------------------------------------------------------
@@ -42,25 +42,25 @@ def test_repeated_corners_are_no_crossing(ring: list[int], triangles: list[list[
     triangulation = triangulate(POINTS, np.array([len(ring), 4]), indices)
     assert indices[triangulation.corners].tolist() == [*triangles, [0, 1, 2], [0, 2, 3]]
     assert (
-        not triangulation.crossing
-        and not triangulation.concave
-        and triangulation.polygon.tolist() == [0] * len(triangles) + [1, 1]
+        not triangulation.crossing_polygons
+        and not triangulation.concave_count
+        and triangulation.polygon_indices.tolist() == [0] * len(triangles) + [1, 1]
     )
 
 
 @pytest.mark.parametrize("ring", [[0, 0, 0, 0], [0, 1, 1, 0], [0, 1, 0, 1]])
 def test_polygons_of_fewer_than_three_places_have_no_area(ring: list[int]) -> None:
     triangulation = triangulate(POINTS, np.array([4]), np.array(ring))
-    assert not triangulation.crossing and len(triangulation.corners) == 2  # reported with the faces without area
+    assert not triangulation.crossing_polygons and len(triangulation.corners) == 2  # reported with the faces without area
 
 
 def test_corners_on_a_straight_side_make_nothing_concave() -> None:
     angles = np.arange(12) * np.pi / 6
     ring = np.stack([np.cos(angles), 0 * angles, -np.sin(angles)], axis=1)[::3]
     ring = np.stack([ring, (ring + np.roll(ring, -1, axis=0)) / 2], axis=1).reshape(-1, 3)
-    assert triangulate(ring, np.array([8]), np.arange(8)).concave == 0
+    assert triangulate(ring, np.array([8]), np.arange(8)).concave_count == 0
     ring[1] *= 0.5
-    assert triangulate(ring, np.array([8]), np.arange(8)).concave == 1
+    assert triangulate(ring, np.array([8]), np.arange(8)).concave_count == 1
 
 
 def test_a_disc_of_too_many_corners_is_called_a_polygon() -> None:
@@ -99,12 +99,12 @@ def test_groups_may_begin_with_a_hash_and_report_their_own_lines_only() -> None:
 def test_a_property_twice_is_named() -> None:
     head = b"ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float y\nproperty float z\n"
     with pytest.raises(MeshError, match="names the property `y` of `vertex` twice"):
-        mesh_arrays(head + b"element face 1\nproperty list int int vertex_indices\nend_header\n" + b"0 0 0 0\n" * 4, "a.ply")
+        read_mesh_arrays(head + b"element face 1\nproperty list int int vertex_indices\nend_header\n" + b"0 0 0 0\n" * 4, "a.ply")
 
 
 def test_formats_that_are_not_read_name_those_that_are() -> None:
     with pytest.raises(MeshError, match=r"\.glb") as caught:
-        mesh_arrays(b"", "a.fbx")
+        read_mesh_arrays(b"", "a.fbx")
     assert ".glb" in str(caught.value.help)
 
 
@@ -117,7 +117,7 @@ def glb_words(group: str | None = None, nodes: list[dict[str, object]] | None = 
     for node, properties in zip(tree["nodes"], nodes or [], strict=False):
         node |= properties
     mesh = read_mesh(json.dumps(tree).encode(), "a.gltf", group)
-    return len(mesh.faces), mesh.notes.skipped_phrases()
+    return len(mesh.faces), mesh.notes.describe_skipped()
 
 
 HIDDEN = {"extensions": {"KHR_node_visibility": {"visible": False}}}

@@ -8,7 +8,7 @@ import numpy as np
 
 from antdsl.pipeline import open_scene
 from antdsl.scene.setting import MeshData
-from antdsl.scene.staging.cached import cached_per_mesh
+from antdsl.scene.staging.mesh_cache import cached_per_mesh
 
 FORAGING = Path(__file__).parents[2] / "examples" / "foraging"
 

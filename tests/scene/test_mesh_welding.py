@@ -12,11 +12,11 @@ from scene.test_mesh_imports import WALKER
 
 from antdsl.diagnostics import Diagnostic
 from antdsl.ground.mesh.topology import build_topology
-from antdsl.pipeline import RunChoices, check_path, mesh_imports
+from antdsl.pipeline import RunChoices, check_path, read_mesh_imports
 from antdsl.runtime.binding.bind_world import bind
-from antdsl.scene.geometry.import_notes import import_lines
+from antdsl.scene.geometry.import_notes import format_import_report
 from antdsl.scene.geometry.live_faces import has_live_face
-from antdsl.scene.setting import CrowdData, MeshData, PlaceData, WorldSetting
+from antdsl.scene.setting import CrowdData, MeshData, PlacementData, WorldSetting
 
 
 def quad(width: float, depth: float) -> bytes:
@@ -33,7 +33,7 @@ def findings(folder: Path, world: str, place: str = "on: ground", kind: str = "s
     scene.write_text(
         f"antdsl: 1\nworld: {{{world}}}\ncrowd: [{{species: walker, from: walker.ant, count: 9, place: {{{place}}}}}]\n"
     )
-    return check_path(scene)[1].sorted()
+    return check_path(scene)[1].sort_by_place()
 
 
 @pytest.mark.parametrize("place", ["on: ground", "on: ground, by: above", "on: ground, by: area"])
@@ -70,9 +70,9 @@ def test_a_scene_and_its_ground_agree_on_what_is_ground() -> None:
 @pytest.mark.parametrize("by_area", [False, True])
 def test_a_world_without_live_faces_is_bound(by_area: bool, around: tuple[float, float, float] | None) -> None:
     flat = MeshData(np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0]], float), np.array([[0, 1, 2]], np.int32))
-    place = PlaceData(on=("ground",), by_area=by_area, around=around, radius=5.0 if around else None)
+    place = PlacementData(on=("ground",), is_by_area=by_area, disc_centre=around, radius=5.0 if around else None)
     setting = WorldSetting(surfaces={"ground": flat}, crowds=(CrowdData("ant", 4, place),))
-    world = bind(bare(block(), things={"surface": ("ground",)}), setting)
+    world = bind(bare(block(), thing_names_by_kind={"surface": ("ground",)}), setting)
     assert len(world.populations["ant"]) == 4
 
 
@@ -128,9 +128,9 @@ def test_faces_that_welding_removes_are_counted(tmp_path: Path) -> None:
     (tmp_path / "grid.obj").write_bytes(grid(5) + b"v 4 0 4.1\nv 5 0 4\nf 25 26 27\n")
     world = "ground: {mesh: grid.obj, weld: 0.2 mm}"
     assert "degenerate-faces" not in [each.code for each in findings(tmp_path, world)]
-    ground_import = mesh_imports(tmp_path / "scene.yaml", RunChoices())[0]["ground"]
+    ground_import = read_mesh_imports(tmp_path / "scene.yaml", RunChoices())[0]["ground"]
     assert (ground_import.triangles, ground_import.dropped, ground_import.left, ground_import.welded) == (33, 1, 32, 1)
-    assert "1 degenerate or doubled triangle dropped, 32 triangles left" in " ".join(import_lines(ground_import, "mm"))
+    assert "1 degenerate or doubled triangle dropped, 32 triangles left" in " ".join(format_import_report(ground_import, "mm"))
     codes = [each.code for each in findings(tmp_path, "ground: {mesh: grid.obj, weld: 0.6 mm}")]
     assert "degenerate-faces" in codes
 

@@ -11,7 +11,7 @@ import pytest
 
 from antdsl.diagnostics import Report
 from antdsl.scene import Roots, Scene, load_text
-from antdsl.scene.load import load
+from antdsl.scene.load import load_scene
 from antdsl.scene.thing_models import MeshThing
 
 CASES = Path(__file__).parents[1] / "cases" / "scene"
@@ -39,7 +39,9 @@ def test_cases(chunk: str) -> None:
     text = "\n".join(line for line in lines if not line.startswith("# error: ")) + "\n"
     scene, report = read(text)
     got = [
-        (d.code, "{}:{}".format(*d.span.source.line_column(d.span.start)), d.message, d.help) for d in report.sorted() if d.span
+        (d.code, "{}:{}".format(*d.span.source.find_line_column(d.span.start)), d.message, d.help)
+        for d in report.sort_by_place()
+        if d.span
     ]
     assert [entry[:2] for entry in got] == [(code, place) for code, place, _ in expected], got
     for (_, _, words), (_, _, message, help) in zip(expected, got, strict=True):
@@ -78,10 +80,10 @@ output: {attributes: [P, id], checkpoint: 10}
     assert model.seed == 2**64 - 1 and model.start is not None and model.start.frame == 12
     ground = model.world["ground"]
     assert isinstance(ground, MeshThing) and ground.at is not None and ground.rotate is not None
-    assert [part.length(10) for part in ground.at] == [0, 12, 0]
+    assert [part.to_millimetres(10) for part in ground.at] == [0, 12, 0]
     assert ground.rotate[1].number == pytest.approx(1.5707963) and ground.rotate[2].number == 1.5
     apple = model.world["food"]["apple"]  # type: ignore[index]
-    assert apple.model_extra["load"].number == 400 and apple.radius.length(10) == 5
+    assert apple.model_extra["load"].number == 400 and apple.radius.to_millimetres(10) == 5
 
 
 @pytest.mark.parametrize(
@@ -143,5 +145,5 @@ def test_a_folder_a_pipe_and_a_large_file_are_no_scene(tmp_path: Path) -> None:
         (large, "too-large"),
         (tmp_path / "none.yaml", "no-such-file"),
     ):
-        scene, report = load(path)
+        scene, report = load_scene(path)
         assert scene is None and [d.code for d in report.errors] == [code]

@@ -10,7 +10,7 @@ import pytest
 import trimesh
 from test_scene_files import SCENE, folder, opened  # noqa: F401
 
-from antdsl.scene.geometry.closed import count_inside_out, count_open_edges
+from antdsl.scene.geometry.closed_meshes import count_inward_pieces, count_open_edges
 
 BALL = meshes.ball(10.0)
 SMALL = meshes.ball(4.0)
@@ -57,7 +57,7 @@ def torn(mesh: meshes.Mesh) -> meshes.Mesh:
 )
 def test_pieces_that_look_inward(mesh: meshes.Mesh, inward: int, mixed: int) -> None:
     assert meshes.outward(BALL)
-    assert count_inside_out(mesh[0], mesh[1].astype(np.int32)) == (inward, mixed)
+    assert count_inward_pieces(mesh[0], mesh[1].astype(np.int32)) == (inward, mixed)
 
 
 def test_random_order_of_faces_and_corners_changes_nothing() -> None:
@@ -69,7 +69,7 @@ def test_random_order_of_faces_and_corners_changes_nothing() -> None:
         for piece in pieces[1:]:
             vertices, faces = both((vertices, faces), piece)
         faces = np.array([np.roll(face, rng.integers(3)) for face in faces[rng.permutation(len(faces))]])
-        assert count_inside_out(vertices, faces.astype(np.int32)) == (expected, 0), trial
+        assert count_inward_pieces(vertices, faces.astype(np.int32)) == (expected, 0), trial
 
 
 def test_edges_that_border_on_nothing() -> None:

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from antdsl.cli import _run as run_in_process
+from antdsl.cli import _run_without_warnings as run_in_process
 from antdsl.diagnostics import Report
 from antdsl.pipeline import open_scene
 from antdsl.scene import Scene
-from antdsl.scene.load import load
+from antdsl.scene.load import load_scene
 from antdsl.scene.thing_models import MeshThing
 
 PROGRAM = """ant 1
@@ -36,7 +36,7 @@ output: {checkpoint: 10}
 def read(folder: Path, **scenes: str) -> tuple[Scene | None, Report]:
     for name, text in scenes.items():
         (folder / f"{name}.yaml").write_text(text)
-    return load(folder / "scene.yaml")
+    return load_scene(folder / "scene.yaml")
 
 
 def test_mappings_are_put_together_and_everything_else_is_replaced(tmp_path: Path) -> None:
@@ -55,7 +55,7 @@ def test_mappings_are_put_together_and_everything_else_is_replaced(tmp_path: Pat
     assert (ground.mesh, ground.scale) == ("b.ply", 2.0) and list(food) == ["apple", "donut"]
     assert [(line.count, line.place.radius) for line in model.crowd] == [(7, None)]
     assert model.camera is not None and model.camera.focal is not None
-    assert model.camera.focal.length(1.0) == 50 and model.camera.at[2].number == 3
+    assert model.camera.focal.to_millimetres(1.0) == 50 and model.camera.at[2].number == 3
     assert model.output.checkpoint == 10 and model.extends is None
 
 

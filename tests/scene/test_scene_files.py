@@ -13,13 +13,13 @@ import numpy as np
 import pytest
 from children import child_environment
 
-from antdsl.cli.commands.new import ground
+from antdsl.cli.commands.new import build_ground_ply
 from antdsl.diagnostics import Report
 from antdsl.pipeline import RunChoices, Shot, open_scene
 from antdsl.scene import PathRefused, Roots
-from antdsl.scene.geometry.meshes import MeshError, placed, read_mesh
+from antdsl.scene.geometry.mesh_files import MeshError, place_mesh, read_mesh
 from antdsl.scene.setting import MeshData
-from antdsl.scene.staging.item_placement import surface_height
+from antdsl.scene.staging.item_placement import find_surface_height
 
 ROOT = Path(__file__).resolve().parents[2]
 PROGRAM = """ant 1
@@ -59,7 +59,7 @@ def folder(tmp_path: Path) -> Path:
     inside = tmp_path / "project"
     inside.mkdir()
     (inside / "ant.ant").write_text(PROGRAM)
-    (inside / "ground.ply").write_bytes(ground(9))
+    (inside / "ground.ply").write_bytes(build_ground_ply(9))
     (inside / "way.json").write_text("[[0, 0, 0], [50, 0, 0]]")
     return inside
 
@@ -135,12 +135,12 @@ def test_links_pipes_folders_and_neighbours_are_refused(tmp_path: Path) -> None:
     (inside / "linked").symlink_to(evil)
     os.mkfifo(inside / "pipe.ply")
     roots = Roots(inside, {"assets": evil})
-    assert roots.read("real/x.ply", 10) == b"mesh" and roots.read("assets:x.ply", 10) == b"secret"
+    assert roots.read_file("real/x.ply", 10) == b"mesh" and roots.read_file("assets:x.ply", 10) == b"secret"
     for bad in ("link.ply", "linked/x.ply", "pipe.ply", "real", "real/X.ply", "none.ply", "../proj-evil/x.ply"):
         with pytest.raises(PathRefused):
-            roots.read(bad, 10)
+            roots.read_file(bad, 10)
     with pytest.raises(PathRefused, match="bytes"):
-        roots.read("real/x.ply", 3)
+        roots.read_file("real/x.ply", 3)
 
 
 # --- meshes --------------------------------------------------------------------------------------------------------------
@@ -173,7 +173,7 @@ OBJ = b"v 0 0 0\nv 1 0 0\nv 0 0 1\nf 1 3 2\n"
 def test_every_format_gives_the_same_triangle(name: str, data: bytes) -> None:
     mesh = read_mesh(data, name)
     a, b, c = mesh.vertices[mesh.faces[0]]
-    assert mesh.faces.shape == (1, 3) and mesh.dropped == 0
+    assert mesh.faces.shape == (1, 3) and mesh.dropped_faces == 0
     assert np.cross(b - a, c - a).tolist() == [0, 1, 0]
 
 
@@ -221,27 +221,27 @@ def test_polygons_are_cut_into_triangles() -> None:
 
 def test_faces_without_area_and_twins_are_left_out() -> None:
     mesh = read_mesh(OBJ + b"f 1 1 2\nf 3 2 1\nv 9 9 9\n", "a.obj")
-    assert len(mesh.faces) == 1 and mesh.dropped == 2 and len(mesh.vertices) == 3
+    assert len(mesh.faces) == 1 and mesh.dropped_faces == 2 and len(mesh.vertices) == 3
 
 
 def test_meshes_are_turned_scaled_and_put_in_their_place() -> None:
     mesh = read_mesh(b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "a.obj")  # z up in its file: it faces up
-    flat = placed(mesh, factor=10, own_up="z", up="y", angles=(0, 0, 0), at=(1, 2, 3))
+    flat = place_mesh(mesh, factor=10, own_up="z", up="y", angles=(0, 0, 0), position=(1, 2, 3))
     assert flat.vertices.tolist() == [[1, 2, 3], [11, 2, 3], [1, 2, -7]]
     a, b, c = flat.vertices[flat.faces[0]]
     assert np.cross(b - a, c - a)[1] > 0
-    mirrored = placed(mesh, factor=-1, own_up="y", up="y", angles=(0, 0, 0), at=(0, 0, 0))
+    mirrored = place_mesh(mesh, factor=-1, own_up="y", up="y", angles=(0, 0, 0), position=(0, 0, 0))
     assert mirrored.faces.tolist() == [[2, 1, 0]]
-    turned = placed(mesh, factor=1, own_up="y", up="y", angles=(0, 0, np.pi / 2), at=(0, 0, 0))
+    turned = place_mesh(mesh, factor=1, own_up="y", up="y", angles=(0, 0, np.pi / 2), position=(0, 0, 0))
     assert np.abs(turned.vertices - [[0, 0, 0], [0, 1, 0], [-1, 0, 0]]).max() < 1e-15
     with pytest.raises(MeshError):
-        placed(mesh, factor=1e12, own_up="y", up="y", angles=(0, 0, 0), at=(0, 0, 0))
+        place_mesh(mesh, factor=1e12, own_up="y", up="y", angles=(0, 0, 0), position=(0, 0, 0))
 
 
 def test_the_height_of_a_slope_is_found_and_none_beside_it() -> None:
     slope = MeshData(np.array([[0, 0, 0], [0, 0, 10], [10, 5, 0], [10, 5, 10.0]]), np.array([[0, 1, 2], [1, 3, 2]], np.int32))
-    assert surface_height(slope, (4, -50, 3), "y") == pytest.approx(2)
-    assert surface_height(slope, (11, 0, 3), "y") is None
+    assert find_surface_height(slope, (4, -50, 3), "y") == pytest.approx(2)
+    assert find_surface_height(slope, (11, 0, 3), "y") is None
 
 
 # --- scene against program -----------------------------------------------------------------------------------------------
@@ -257,7 +257,7 @@ def test_a_scene_becomes_a_setting_in_millimetres(folder: Path) -> None:
     apple = setting.items["food"][0]
     assert apple.position[0] == 100 and apple.radius == 5 and apple.attributes == {"load": 40}
     assert abs(setting.surfaces["ground"].vertices).max() == 1000 and setting.field_start["trail"].value == 0.5
-    assert setting.crowds[0].place.around == apple.position and setting.crowds[0].place.radius == 20
+    assert setting.crowds[0].place.disc_centre == apple.position and setting.crowds[0].place.radius == 20
     assert setting.curves["way"][1].tolist() == [500, 0, 0]
     assert {"ant.ant", "ground.ply", "way.json", "<steering>", "scene"} <= set(shot.inputs)
 
@@ -304,7 +304,7 @@ def test_what_does_not_fit_is_reported_at_its_place(folder: Path, old: str, new:
     error = report.errors[0]
     assert words in f"{error.message} | {error.help}", error
     assert error.span is not None and error.span.source.path.endswith("scene.yaml")
-    line, _ = error.span.source.line_column(error.span.start)
+    line, _ = error.span.source.find_line_column(error.span.start)
     changed = new.splitlines()[-1] if new else "world:"
     assert changed in error.span.source.line_text(line), error.span.source.line_text(line)
 

@@ -54,7 +54,7 @@ def test_a_line_that_is_shifted_is_marked_and_put_back(number: int, blanks: int,
         return
     (error,) = syntax_errors
     assert error.code == "scene-syntax" and error.span is not None and error.fix is not None and error.help
-    place = error.span.source.line_column(error.span.start)
+    place = error.span.source.find_line_column(error.span.start)
     near = number + 1 if (number, blanks) in ((4, 3), (8, 7), (11, 3), (6, 3), (6, 5)) else number
     assert place[0] in (number, near), error
     mended = text[: error.fix.span.start] + error.fix.text + text[error.fix.span.end :]

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
-import antdsl.scene.model  # noqa: F401 - defines the parts
-from antdsl.cli.commands.new import ground
+import antdsl.scene.scene_model  # noqa: F401 - defines the parts
+from antdsl.cli.commands.new import build_ground_ply
 from antdsl.pipeline import open_scene
 from antdsl.runtime import BindError, FaultStop, LimitStop, Options, bind, step
-from antdsl.scene.load import load
+from antdsl.scene.load import load_scene
 from antdsl.scene.quantities import Quantity
-from antdsl.scene.values import Part
+from antdsl.scene.values import ScenePart
 
 EXTREMES = (
     "1e300", "-1e300", "1e-300", "-0.0", "5e-324", "2.2250738585072011e-308", "0.12345678901234567890", "1e38", "-3.5e38",
@@ -74,7 +74,7 @@ output: {checkpoint: 50}
 """
 # Read by the validators of MeshThing, CurveThing and ItemThing, from files that take seconds to read.
 ELSEWHERE = {("UsdThing", name) for name in ("at", "rotate", "scale", "voxel", "weld")} | {
-    ("UsdEach", "radius"), ("MeshThing", "voxel"), ("StartFrom", "frame"), ("HeightThing", "layer"),
+    ("UsdEach", "radius"), ("MeshThing", "voxel"), ("StartFrom", "frame"), ("HeightThing", "layer"), ("CrowdLine", "body"),
 }  # fmt: skip
 NUMBER = re.compile(r"(?<![\w.#])-?\d+(?:\.\d+)?(?![\w.]*\.(?:ply|png|npz|json|ant))")
 
@@ -91,8 +91,8 @@ NUMBER_SPANS = number_spans()
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("numbers")
     (folder / "walker.ant").write_text(PROGRAM)
-    (folder / "ground.ply").write_bytes(ground(side=9))
-    (folder / "ball.ply").write_bytes(ground(side=3, width=20))
+    (folder / "ground.ply").write_bytes(build_ground_ply(side=9))
+    (folder / "ball.ply").write_bytes(build_ground_ply(side=3, width=20))
     (folder / "line.json").write_text("[[-40, 0, 0], [0, 1, 5], [40, 0, 0]]")
     Image.fromarray(np.arange(64, dtype=np.uint16).reshape(8, 8) * 500).save(folder / "hills.png")
     np.savez(folder / "brush.npz", brush=np.ones((81, 3), np.float32))
@@ -139,20 +139,23 @@ def test_extreme_numbers_in_every_field(folder: Path, place: tuple[int, int]) ->
 def test_the_scene_has_every_numeric_field(folder: Path) -> None:
     scene = folder / "all.yaml"
     scene.write_text(SCENE)
-    loaded, report = load(scene)
+    loaded, report = load_scene(scene)
     assert loaded is not None and report.ok, report.errors
     used = {
         (type(part).__name__, name) for part in parts(loaded.model) for name in numeric(part) if getattr(part, name) is not None
     }
     known = {
-        (kind.__name__, name) for kind in kinds(Part) for name, field_info in kind.model_fields.items() if is_numeric(field_info)
+        (kind.__name__, name)
+        for kind in kinds(ScenePart)
+        for name, field_info in kind.model_fields.items()
+        if is_numeric(field_info)
     }
     inherited = {name for _, name in used}
     missing = {(kind, name) for kind, name in known - used - ELSEWHERE if name not in inherited}
     assert not missing
 
 
-def kinds(kind: type[Part]) -> Iterator[type[Part]]:
+def kinds(kind: type[ScenePart]) -> Iterator[type[ScenePart]]:
     for each in kind.__subclasses__():
         yield each
         yield from kinds(each)
@@ -162,15 +165,15 @@ def is_numeric(field_info: Any) -> bool:
     return bool(re.search(r"\bint\b|\bfloat\b|Quantity|Fraction", repr(field_info.annotation) + repr(field_info.metadata)))
 
 
-def numeric(part: Part) -> list[str]:
+def numeric(part: ScenePart) -> list[str]:
     return [
         name for name, field_info in type(part).model_fields.items() if is_numeric(field_info) and name in part.model_fields_set
     ]
 
 
-def parts(value: Any) -> Iterator[Part]:
+def parts(value: Any) -> Iterator[ScenePart]:
     """All parts of a model, those in it too."""
-    if isinstance(value, Part):
+    if isinstance(value, ScenePart):
         yield value
         for name in type(value).model_fields:
             yield from parts(getattr(value, name))

@@ -32,7 +32,7 @@ def findings(folder: Path, scene: str, size: str = "4 mm", speed: str = "pace", 
     (folder / "scene.yaml").write_text(text)
     _, report = check_path(folder / "scene.yaml")
     assert report.ok
-    return [f"{d.span.source.line_column(d.span.start)[0]}: {d.help}" for d in report.diagnostics if d.code == "long-step"]
+    return [f"{d.span.source.find_line_column(d.span.start)[0]}: {d.help}" for d in report.diagnostics if d.code == "long-step"]
 
 
 @pytest.mark.parametrize(

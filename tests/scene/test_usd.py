@@ -21,7 +21,7 @@ from antdsl.diagnostics import Report  # noqa: E402
 from antdsl.pipeline import RunChoices, Shot, open_scene, simulate  # noqa: E402
 from antdsl.runtime import Options  # noqa: E402
 from antdsl.scene import Roots  # noqa: E402
-from antdsl.scene.geometry.meshes import MeshError, read_mesh  # noqa: E402
+from antdsl.scene.geometry.mesh_files import MeshError, read_mesh  # noqa: E402
 from antdsl.scene.geometry.usd import (  # noqa: E402
     UsdError,
     UsdStage,
@@ -31,7 +31,7 @@ from antdsl.scene.geometry.usd import (  # noqa: E402
     read_usd_mesh,
     read_usd_points,
 )
-from antdsl.scene.setting import SolvedFlow, SpreadFlow  # noqa: E402
+from antdsl.scene.setting import SolvedFlowData, SpreadFlowData  # noqa: E402
 
 CORNERS = "point3f[] points = [(0,0,0), (1,0,0), (1,1,0), (0,1,0)]\n"
 SQUARE = f"int[] faceVertexCounts = [4]\nint[] faceVertexIndices = [0, 1, 2, 3]\n{CORNERS}"
@@ -65,27 +65,27 @@ def refused(why: Callable[[], object]) -> UsdError:
 
 def test_units_and_axes_are_the_files(tmp_path: Path) -> None:
     cm = read_usd_mesh(opened(tmp_path, mesh()))
-    assert cm.raw.vertices.max() == 10 and cm.moves is None
+    assert cm.raw_mesh.vertices.max() == 10 and cm.motion is None
     metres = read_usd_mesh(opened(tmp_path, mesh(), head='metersPerUnit = 1\nupAxis = "Z"'))
     # x y of a z-up file lie level in a y-up scene, seen from above as before
-    assert metres.raw.vertices.tolist() == [[0, 0, 0], [1000, 0, 0], [1000, 0, -1000], [0, 0, -1000]]
-    a, b, c = metres.raw.vertices[metres.raw.faces[0]]
+    assert metres.raw_mesh.vertices.tolist() == [[0, 0, 0], [1000, 0, 0], [1000, 0, -1000], [0, 0, -1000]]
+    a, b, c = metres.raw_mesh.vertices[metres.raw_mesh.faces[0]]
     assert np.cross(b - a, c - a)[1] > 0
     same = read_usd_mesh(opened(tmp_path, mesh(), head='metersPerUnit = 0.001\nupAxis = "Z"', up="z"))
-    assert same.raw.vertices.tolist() == [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]
+    assert same.raw_mesh.vertices.tolist() == [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]
 
 
 def test_the_other_hand_mirrors_and_holes_are_minded(tmp_path: Path) -> None:
-    plain = read_usd_mesh(opened(tmp_path, mesh())).raw
+    plain = read_usd_mesh(opened(tmp_path, mesh())).raw_mesh
     assert plain.faces.tolist() == [[0, 1, 2], [0, 2, 3]]
-    left = read_usd_mesh(opened(tmp_path, mesh(properties='uniform token orientation = "leftHanded"'))).raw
+    left = read_usd_mesh(opened(tmp_path, mesh(properties='uniform token orientation = "leftHanded"'))).raw_mesh
     assert left.faces.tolist() == [[0, 3, 2], [0, 2, 1]]
     flip = 'double3 xformOp:scale = (-1, 1, 1)\nuniform token[] xformOpOrder = ["xformOp:scale"]'
-    mirrored = read_usd_mesh(opened(tmp_path, mesh(properties=flip))).raw
+    mirrored = read_usd_mesh(opened(tmp_path, mesh(properties=flip))).raw_mesh
     a, b, c = mirrored.vertices[mirrored.faces[0]]
     assert np.cross(b - a, c - a)[2] > 0, "outside stays outside"
     two = SQUARE.replace("[4]", "[3, 3]").replace("[0, 1, 2, 3]", "[0, 1, 2, 0, 2, 3]")
-    holed = read_usd_mesh(opened(tmp_path, f'def Mesh "m" {{\n{two}int[] holeIndices = [0]\n}}')).raw
+    holed = read_usd_mesh(opened(tmp_path, f'def Mesh "m" {{\n{two}int[] holeIndices = [0]\n}}')).raw_mesh
     assert len(holed.faces) == 1 and len(holed.vertices) == 3 and holed.own_vertices.tolist() == [0, 2, 3]
 
 
@@ -96,8 +96,8 @@ def test_only_visible_prims_of_the_requested_purpose_are_read(tmp_path: Path) ->
         + mesh("d", 'uniform token purpose = "proxy"') + mesh("e", metadata="(active = false)") + 'def Sphere "f" {}\n}'
     )  # fmt: skip
     usd_mesh = read_usd_mesh(opened(tmp_path, body, "/s"))
-    assert len(usd_mesh.raw.faces) == 2 and usd_mesh.passed_over == ("Sphere",)
-    assert len(read_usd_mesh(opened(tmp_path, body, "/s", purpose="proxy")).raw.faces) == 4
+    assert len(usd_mesh.raw_mesh.faces) == 2 and usd_mesh.unread_shape_types == ("Sphere",)
+    assert len(read_usd_mesh(opened(tmp_path, body, "/s", purpose="proxy")).raw_mesh.faces) == 4
     proxy = refused(lambda: read_usd_mesh(opened(tmp_path, body, "/s/d")))
     assert proxy.code == "no-such-prim" and proxy.help == "its meshes are of the purpose `proxy`: write `purpose: proxy`"
     assert "only Sphere" in str(refused(lambda: read_usd_mesh(opened(tmp_path, body, "/s/f"))))
@@ -120,13 +120,13 @@ def test_transforms_nest_instances_are_baked_and_moves_are_stored_separately(tmp
 }
 """.replace("MESH", mesh("m"))
     usd_mesh = read_usd_mesh(opened(tmp_path, body + mesh("still"), "/w", frames=range(1, 5), head=MM))
-    assert usd_mesh.raw.vertices.reshape(2, 4, 3)[:, 2].tolist() == [[1, 1, 1], [2, 2, 3]]
-    assert usd_mesh.moves is not None and usd_mesh.moves.frames == 4
-    at = [usd_mesh.moves.vertices_at(usd_mesh.raw.vertices, k)[0, 0] for k in range(-1, 6)]
+    assert usd_mesh.raw_mesh.vertices.reshape(2, 4, 3)[:, 2].tolist() == [[1, 1, 1], [2, 2, 3]]
+    assert usd_mesh.motion is not None and usd_mesh.motion.frames == 4
+    at = [usd_mesh.motion.compute_vertices(usd_mesh.raw_mesh.vertices, k)[0, 0] for k in range(-1, 6)]
     assert at == [0, 0, 1, 2, 2, 2, 2], "held before the first and after the last"
     complete_mesh = read_usd_mesh(opened(tmp_path, body + mesh("still"), "/", frames=range(1, 5), head=MM))
-    assert complete_mesh.moves is not None and len(complete_mesh.raw.vertices) == 12
-    moved = complete_mesh.moves.vertices_at(complete_mesh.raw.vertices, 2) - complete_mesh.raw.vertices
+    assert complete_mesh.motion is not None and len(complete_mesh.raw_mesh.vertices) == 12
+    moved = complete_mesh.motion.compute_vertices(complete_mesh.raw_mesh.vertices, 2) - complete_mesh.raw_mesh.vertices
     assert sorted(moved[:, 0].tolist()) == [0] * 4 + [2] * 8
 
 
@@ -139,15 +139,15 @@ def test_points_that_bend_and_frames_per_second(tmp_path: Path) -> None:
     # 48 codes a second on 24 frames a second: frame 12 is code 24
     head = f"{MM}\ntimeCodesPerSecond = 48"
     usd_mesh = read_usd_mesh(opened(tmp_path, body, frames=range(0, 25), head=head))
-    assert usd_mesh.moves is not None
-    assert [usd_mesh.moves.vertices_at(usd_mesh.raw.vertices, k)[0, 2] for k in (0, 12, 24)] == [0, 2, 4]
+    assert usd_mesh.motion is not None
+    assert [usd_mesh.motion.compute_vertices(usd_mesh.raw_mesh.vertices, k)[0, 2] for k in (0, 12, 24)] == [0, 2, 4]
     other = body.replace("48: [(0,0,4), ", "48: [(0,0,4), (0,0,4), ")
     assert refused(lambda: read_usd_mesh(opened(tmp_path, other, frames=range(0, 25), head=head))).code == "moving-topology"
     faces = mesh().replace(
         "int[] faceVertexIndices = [0, 1, 2, 3]", "int[] faceVertexIndices.timeSamples = { 1: [0, 1, 2, 3], 2: [0, 2, 1, 3] }"
     )
     assert refused(lambda: read_usd_mesh(opened(tmp_path, faces, frames=range(1, 3)))).code == "moving-topology"
-    assert read_usd_mesh(opened(tmp_path, faces)).moves is None, "one frame has one set of faces"
+    assert read_usd_mesh(opened(tmp_path, faces)).motion is None, "one frame has one set of faces"
 
 
 def test_damaged_meshes_are_reported(tmp_path: Path) -> None:
@@ -331,7 +331,7 @@ def test_files_within_other_granted_roots_are_read_and_hashed(tmp_path: Path) ->
     (tmp_path / "scene" / "a.usda").write_text(usda(linked("../lib/a.usda"), head))
     options = {"up": "y", "frames": range(1, 2), "fps": Fraction(24)}
     stage = open_stage(Roots(tmp_path / "scene", {"lib": tmp_path / "lib"}), "a.usda", "/m", **options)
-    assert len(read_usd_mesh(stage).raw.faces) == 2
+    assert len(read_usd_mesh(stage).raw_mesh.faces) == 2
     assert sorted(stage.hashes) == ["a.usda", "lib:a.usda", "lib:parts/b.usda"]
     with pytest.raises(UsdError, match="lies outside the scene's folder"):
         open_stage(Roots(tmp_path / "scene", {}), "a.usda", "/m", **options)
@@ -346,13 +346,13 @@ def test_value_clips_are_refused_and_packages_read(tmp_path: Path) -> None:
     (tmp_path / "top.usda").write_text(usda(linked("./b.usda"), 'defaultPrim = "m"'))
     assert UsdUtils.CreateNewUsdzPackage(str(tmp_path / "top.usda"), str(tmp_path / "set.usdz"))
     stage = open_stage(Roots(tmp_path, {}), "set.usdz", "/m", up="y", frames=range(1, 2), fps=Fraction(24))
-    assert len(read_usd_mesh(stage).raw.faces) == 2 and list(stage.hashes) == ["set.usdz"]
+    assert len(read_usd_mesh(stage).raw_mesh.faces) == 2 and list(stage.hashes) == ["set.usdz"]
 
 
 def test_a_file_that_changed_is_read_again(tmp_path: Path) -> None:
-    assert len(read_usd_mesh(opened(tmp_path, mesh())).raw.faces) == 2
+    assert len(read_usd_mesh(opened(tmp_path, mesh())).raw_mesh.faces) == 2
     one = mesh().replace("[4]", "[3]").replace("[0, 1, 2, 3]", "[0, 1, 2]")
-    assert len(read_usd_mesh(opened(tmp_path, one)).raw.faces) == 1
+    assert len(read_usd_mesh(opened(tmp_path, one)).raw_mesh.faces) == 1
 
 
 # --- in scenes -----------------------------------------------------------------------------------------------------------
@@ -383,7 +383,7 @@ def test_the_set_is_what_was_baked_by_hand(both: tuple[Shot, Shot]) -> None:
         one, two = ({**s.surfaces, **s.obstacles}[name] for s in (usd, baked))
         assert np.array_equal(one.faces, two.faces) and np.abs(one.vertices - two.vertices).max() < 1e-5
     for frame in (0, 1, 20, 39):
-        one, two = (s.moves.meshes["roller"].vertices_at(s.obstacles["roller"].vertices, frame) for s in (usd, baked))
+        one, two = (s.motion.meshes["roller"].compute_vertices(s.obstacles["roller"].vertices, frame) for s in (usd, baked))
         assert np.abs(one - two).max() < 1e-5
     assert np.abs(usd.curves["way"] - baked.curves["way"]).max() < 1e-5
     for one, two in zip(usd.items["food"], baked.items["food"], strict=True):
@@ -409,15 +409,15 @@ def test_both_run_alike_and_no_agent_is_ever_inside_a_stone(both: tuple[Shot, Sh
     pushed = np.inf
     for one, two in zip(simulate(both[0]), simulate(both[1]), strict=True):
         walkers = [world.populations["walker"] for world in (one, two)]
-        position_sets = [p.position[p.in_id_order()] for p in walkers]
+        position_sets = [p.position[p.rows_by_id()] for p in walkers]
         worst = max(worst, float((np.abs(position_sets[0] - position_sets[1]).max(axis=1) / 5.0).max()))
         stones = both[0].setting.obstacles["stones"]
         assert np.abs(winding(position_sets[0], stones.vertices, stones.faces)).max() < 0.5
         rest = both[0].setting.obstacles["roller"]
-        at = both[0].setting.moves.meshes["roller"].vertices_at(rest.vertices, one.frame - 1)
+        at = both[0].setting.motion.meshes["roller"].compute_vertices(rest.vertices, one.frame - 1)
         assert np.abs(winding(position_sets[0], at, rest.faces)).max() < 0.5, one.frame
         pushed = min(pushed, float(np.linalg.norm(position_sets[0] - at.mean(axis=0), axis=1).min()))
-        states = [p.now["main.state"][p.in_id_order()] for p in walkers]
+        states = [p.now["main.state"][p.rows_by_id()] for p in walkers]
         assert np.array_equal(*states)
     assert worst < 1e-5, worst
     assert pushed < 25, "somebody is in the way of the roller, whose radius is 15 mm"
@@ -456,7 +456,7 @@ def test_mistakes_are_reported_at_their_place(tmp_path: Path) -> None:
         usd_sets.FROM_USD.replace("place: {on: ground}", "place: {on: ground, around: food_1, radius: 5 mm}"),
         grants=grants,
     )
-    assert shot is not None and shot.setting.crowds[0].place.around == shot.setting.items["food"][1].position
+    assert shot is not None and shot.setting.crowds[0].place.disc_centre == shot.setting.items["food"][1].position
     _, report = scene(tmp_path, usd_sets.FROM_USD)
     assert {d.code for d in report.errors} == {"root-not-granted"}
 
@@ -498,8 +498,8 @@ def test_flows_lead_to_items_of_a_file(
     if positions:
         assert shot is not None, report.errors
         flow = shot.setting.flows["home"]
-        assert isinstance(flow, SolvedFlow | SpreadFlow)
-        assert (flow.target.of, flow.target.which, flow.target.positions.tolist()) == ("food", which, positions)
+        assert isinstance(flow, SolvedFlowData | SpreadFlowData)
+        assert (flow.target.of, flow.target.item_index, flow.target.positions.tolist()) == ("food", which, positions)
     else:
         [error] = report.errors
         assert error.code == "unknown-thing" and error.span is not None and error.span.text == goal
@@ -569,7 +569,7 @@ def test_paint_comes_out_of_the_file_of_its_surface(tmp_path: Path) -> None:
         for world in simulate(shot):
             walkers = world.populations["walker"]
         turned = np.array([(-1.0, 0, 0)])  # in both the ground has turned by a quarter at the end
-        heading = walkers.vector("velocity")
+        heading = walkers.read_vector("velocity")
         fast = np.linalg.norm(heading, axis=1) > 1
         assert fast.any() and (heading[fast] @ turned[0] > 0.9 * np.linalg.norm(heading[fast], axis=1)).mean() > 0.9
         corner = walkers.now["wet"]

@@ -13,7 +13,7 @@ pxr = pytest.importorskip("pxr")
 from antdsl import limits  # noqa: E402
 from antdsl.diagnostics import Report  # noqa: E402
 from antdsl.pipeline import RunChoices, Shot, check_path, open_scene, simulate  # noqa: E402
-from antdsl.reload import take_over  # noqa: E402
+from antdsl.reload import migrate_world  # noqa: E402
 from antdsl.runtime import Options, bind  # noqa: E402
 from antdsl.runtime.world import Population  # noqa: E402
 
@@ -153,7 +153,7 @@ def test_the_scenes_axes_and_its_own_turn_come_after(tmp_path: Path) -> None:
 def test_what_moves_in_the_file_moves_and_agents_read_the_properties(tmp_path: Path) -> None:
     shot, report = opened(tmp_path)
     assert shot is not None, report.errors
-    track = shot.setting.moves.items["lures"]
+    track = shot.setting.motion.items["lures"]
     assert track[:, 0].tolist() == [[100, 200, 0]] * 10 and track[-1, 1].tolist() == [190, 200, 50]
     crowd = next(iter(simulate(shot, Options(backend="numpy")))).populations["roach"]
     mean_velocity = np.array([crowd.now[f"velocity.{axis}"] for axis in "xyz"]).mean(axis=1)
@@ -348,13 +348,13 @@ def test_what_empties_give_stays_through_an_edit_and_follows_the_file(tmp_path: 
     (tmp_path / "roach.ant").write_text(BOIDS.replace("size  30 mm", "size  36 mm\n  more = nerve"))
     edited, _ = open_scene(tmp_path / "scene.yaml", RunChoices())
     assert edited is not None
-    edited_world, _ = take_over(world, edited.plan, edited.setting)
+    edited_world, _ = migrate_world(world, edited.plan, edited.setting)
     assert of_all(edited_world.populations["roach"], "size", "more").tolist() == [[50, 0.75], [36, 0.25], [36, 0.25], [50, 0.75]]
     text = (tmp_path / "set.usda").read_text()
     (tmp_path / "set.usda").write_text(text.replace("userProperties:size = 5", "userProperties:size = 6"))
     again, _ = open_scene(tmp_path / "scene.yaml", RunChoices())
     assert again is not None
-    last, _ = take_over(edited_world, again.plan, again.setting)
+    last, _ = migrate_world(edited_world, again.plan, again.setting)
     assert of_all(last.populations["roach"], "size").ravel().tolist() == [60, 36, 36, 60]
 
 

@@ -15,9 +15,9 @@ from antdsl import child_processes
 TRAP = "open('TRAPPED', 'a').write(__name__ + '\\n')\nraise ImportError(__name__)\n"
 SHOW = """
 import os, sys
-from antdsl.child_processes import isolate
-isolate()
-isolate()
+from antdsl.child_processes import isolate_search_paths
+isolate_search_paths()
+isolate_search_paths()
 import json
 print(json.dumps([sys.path, dict(os.environ)]))
 """
@@ -51,15 +51,17 @@ def test_an_installation_that_is_no_longer_found_comes_last(monkeypatch: pytest.
     own = child_processes.INSTALLATION_FOLDER
     monkeypatch.setattr(sys, "path", ["", "relative", *(entry for entry in sys.path if entry != own)])
     monkeypatch.setattr(os, "environ", dict(os.environ))
-    child_processes.isolate()
+    child_processes.isolate_search_paths()
     assert sys.path[-1] == own and sys.path.count(own) == 1 and "" not in sys.path and "relative" not in sys.path
 
 
 def test_a_module_of_ours_starts_without_the_working_directory(tmp_path: Path) -> None:
     for name in ("json", "antdsl", "typing", "runpy", "__future__"):
         (tmp_path / f"{name}.py").write_text(TRAP, encoding="utf-8")
-    command = child_processes.module_command("antdsl.bench", "{}")
-    process = subprocess.run(command, cwd=tmp_path, env=child_processes.module_environment(), capture_output=True, text=True)
+    command = child_processes.build_module_command("antdsl.bench", "{}")
+    process = subprocess.run(
+        command, cwd=tmp_path, env=child_processes.build_module_environment(), capture_output=True, text=True
+    )
     assert "ValidationError" in process.stderr  # the job is none
     assert not (tmp_path / "TRAPPED").exists()
 
@@ -69,7 +71,7 @@ def test_children_of_the_command_have_a_safe_path(flags: tuple[str, ...], tmp_pa
     """By the environment, or by flags where Python ignores the environment."""
     code = (
         "import sys, antdsl.cli as cli\n"
-        "cli._run = lambda: print(__import__('subprocess').run([sys.executable, "
+        "cli._run_without_warnings = lambda: print(__import__('subprocess').run([sys.executable, "
         "*__import__('subprocess')._args_from_interpreter_flags(), '-c', 'import sys; print(sys.flags.safe_path, sys.path[0])'],"
         " capture_output=True, text=True).stdout) or 0\n"
         "cli.main()"

@@ -1,4 +1,4 @@
-"""`clear_velocity`: half-planes and optima against brute force, the same bits on all backends, and crowds that cross."""
+"""`compute_clear_velocity`: half-planes and optima against brute force, the same bits on all backends, and crowds that cross."""
 
 from __future__ import annotations
 
@@ -130,7 +130,7 @@ def test_the_nearest_of_all_species_on_their_side_are_those_to_keep_off(most: in
     crowds = ", ".join(line.format(name) for name in ("dog", "cat"))
     (tmp_path / "scene.yaml").write_text(f"antdsl: 1\nunits: mm\nfps: 24\nframes: 1..9\nseed: 1\ncrowd: [{crowds}]\n")
     for name in ("dog", "cat"):
-        (tmp_path / f"{name}.ant").write_text(programs.CROWD.replace("person", name))
+        (tmp_path / f"{name}.ant").write_text(programs.CROWD_PROGRAM.replace("person", name))
     shot, draw = open_shot(tmp_path / "scene.yaml", None), np.random.default_rng(3)
     world = bind(shot.plan, shot.setting, Options(backend="numpy", shuffle_rows=4))
     together = world.populations["dog"].start

@@ -8,11 +8,11 @@ from foraging_shots import EXAMPLE, world
 
 from antdsl import limits
 from antdsl.numerics import parallel
-from antdsl.numerics.sorting import stable_order
+from antdsl.numerics.sorting import sort_stably
 from antdsl.runtime import Options, item_pairs, state_hash, step
 from antdsl.senses import cell_order, neighbours
-from antdsl.senses.cell_order import NO_ORDER, CellOrder, Shape, box_around, store_registers
-from antdsl.senses.neighbours import CellGrid, Pairs, TooManyNeighbours
+from antdsl.senses.cell_order import NO_ORDER, CellOrder, GridShape, find_bounding_box, store_registers
+from antdsl.senses.neighbours import CellGrid, NeighbourPairs, TooManyNeighbours
 
 EXTENTS = ((400, 10, 400), (100, 100, 100), (3000, 0, 0), (0, 900, 0), (9e6, 4e4, 9e6), (60, 1, 60))
 RADII = {
@@ -59,10 +59,10 @@ def all_pairs(grid: CellGrid, query, radius, who=None, view=None) -> list[tuple[
     return [np.concatenate(column) for column in zip(*result, strict=True)]
 
 
-def assert_same(pairs: Pairs, expected: list[np.ndarray]) -> None:
-    for name, own in zip(Pairs.__slots__, expected, strict=True):
+def assert_same(pairs: NeighbourPairs, expected: list[np.ndarray]) -> None:
+    for name, own in zip(NeighbourPairs.__slots__, expected, strict=True):
         assert np.array_equal(getattr(pairs, name), own), name
-    assert [getattr(pairs, name).dtype.itemsize for name in Pairs.__slots__] == [8, 8, 4, 4, 4, 4]
+    assert [getattr(pairs, name).dtype.itemsize for name in NeighbourPairs.__slots__] == [8, 8, 4, 4, 4, 4]
 
 
 @pytest.mark.parametrize("radius", RADII)
@@ -79,7 +79,7 @@ def test_pairs_are_all_in_reach_in_the_order_of_cells_and_ids(extent, radius) ->
     )
 
 
-def cells_of(shape: Shape, positions) -> np.ndarray:
+def cells_of(shape: GridShape, positions) -> np.ndarray:
     """The number of each agent's cell; as many as there are cells where a place is not finite."""
     key = np.zeros(len(positions[0]), np.int64)
     finite = np.isfinite(np.array(positions)).all(axis=0)
@@ -92,25 +92,25 @@ def cells_of(shape: Shape, positions) -> np.ndarray:
 @pytest.mark.parametrize("threads", [1, 2, 3, 4])
 @pytest.mark.parametrize("extent", (*EXTENTS, (0, 0, 0)), ids=str)
 def test_agents_are_put_in_the_order_of_cells(monkeypatch: pytest.MonkeyPatch, extent, threads: int) -> None:
-    monkeypatch.setattr(cell_order, "_CHUNKED", 20)
+    monkeypatch.setattr(cell_order, "_MIN_CHUNKED_AGENTS", 20)
     for name in ("MIN_LIGHT_ITEMS_PER_THREAD", "MIN_AGENTS_PER_THREAD"):
         monkeypatch.setattr(parallel, name, 16)
     for module in (cell_order, parallel):
-        monkeypatch.setattr(module, "cores", lambda: threads)
+        monkeypatch.setattr(module, "count_available_cores", lambda: threads)
     many, ids = crowd(extent)
     crowds = [[each[:count] for each in many] for count in (0, 1, 2, 8, 50, 333, 2000)]
     for positions in (*crowds, [np.full(5, np.nan, np.float32)] * 3):
         columns, count = tuple(np.ascontiguousarray(each) for each in positions), len(positions[0])
         finite = np.isfinite(np.array(columns)).all(axis=0)
-        low, high = box_around(columns)
+        low, high = find_bounding_box(columns)
         assert low == [float(each[finite].min()) if finite.any() else 0 for each in columns]
         assert high == [float(each[finite].max()) if finite.any() else 0 for each in columns]
         order = CellOrder(count, threads)
         for cell in (6.0, 80.0, 0.0, 5e4, 2.0, np.inf):  # arrays serve again
-            shape = Shape.of(low, high, cell)
-            for each in (shape, shape.as_sheet() if shape.extent[2] > 0 else shape):
+            shape = GridShape.of(low, high, cell)
+            for each in (shape, shape.to_sheet() if shape.extent[2] > 0 else shape):
                 key = cells_of(each, columns)
-                for names in (NO_ORDER, stable_order(ids[:count])):
+                for names in (NO_ORDER, sort_stably(ids[:count])):
                     order.sort(each, columns, names)
                     rows = names if names.size else np.arange(count)
                     rows = rows[np.argsort(key[rows], kind="stable")]
@@ -143,12 +143,12 @@ def test_a_crowd_of_few_layers_is_a_sheet(layers: int, agents: int, sheet: bool)
     x, z = rng.uniform(0, 300, (2, agents)).astype(np.float32)
     y = (rng.integers(0, layers, agents) * 20 + rng.uniform(0, 1, agents)).astype(np.float32)
     x[::50] = np.nan
-    shape = Shape.of(*box_around((x, y, z)), 20.0)
-    assert shape.is_sheet((x, y, z)) == sheet
-    assert not Shape.of([0, 0, 0], [300, 0, 300], 20.0).is_sheet((x, y, z))
+    shape = GridShape.of(*find_bounding_box((x, y, z)), 20.0)
+    assert shape.can_be_sheet((x, y, z)) == sheet
+    assert not GridShape.of([0, 0, 0], [300, 0, 300], 20.0).can_be_sheet((x, y, z))
     x[1:3], z[1:3] = (-1e6, 1e6), (-1e6, 1e6)
-    shape = Shape.of(*box_around((x, y, z)), 20.0)
-    assert not shape.has_cell_table(agents) and shape.is_sheet((x, y, z)) == sheet
+    shape = GridShape.of(*find_bounding_box((x, y, z)), 20.0)
+    assert not shape.has_cell_table(agents) and shape.can_be_sheet((x, y, z)) == sheet
 
 
 @pytest.mark.parametrize("count", [1, 3, 16, 2500])
@@ -255,9 +255,9 @@ def test_items_are_found_the_same_in_every_way(monkeypatch: pytest.MonkeyPatch, 
         monkeypatch.setattr(item_pairs, "_MIN_ITEMS_TO_FILTER", 1000)
         with np.errstate(all="ignore"):
             expected = near_items(visited, positions, radius)
-            paths = [item_pairs.each(items, tuple(positions), reach)]
-            paths += [item_pairs.measure_near(items, tuple(positions), reach)] if many else []
-            paths.append(item_pairs.items_within(items, tuple(positions), radius))
+            paths = [item_pairs.measure_all(items, tuple(positions), reach)]
+            paths += [item_pairs.measure_filtered(items, tuple(positions), reach)] if many else []
+            paths.append(item_pairs.find_items_within(items, tuple(positions), radius))
         for columns in paths:
             assert [column.dtype.itemsize for column in columns] == [8, 8, 4, 4, 4, 4]
             assert [(i, j, *(w.tobytes() for w in path)) for i, j, *path in zip(*columns, strict=True)] == expected

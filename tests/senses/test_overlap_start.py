@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from test_placing_apart import world
 
-from antdsl.runtime import Options, bind, checkpoint, restore, step
+from antdsl.runtime import Options, bind, restore_checkpoint, step, take_checkpoint
 from antdsl.runtime.world import World
-from antdsl.scene.setting import CrowdData, PlaceData
+from antdsl.scene.setting import CrowdData, PlacementData
 from antdsl.senses import overlaps
-from antdsl.senses.overlaps import worst_overlaps
+from antdsl.senses.overlaps import measure_worst_overlaps
 
 TEXT = """ant 1
 use steering
@@ -27,7 +27,7 @@ def bind_crowds(*crowds: CrowdData, options: Options | None = None) -> World:
 
 
 def at(species: str, count: int, group: int = 0, spots: np.ndarray = SPOTS) -> CrowdData:
-    return CrowdData(species, count, PlaceData(points=spots), group)
+    return CrowdData(species, count, PlacementData(points=spots), group)
 
 
 def share(bound_world: World) -> float:
@@ -51,7 +51,7 @@ def test_it_is_of_the_crowd_that_was_placed_and_not_of_the_one_after_a_preroll()
     bound_world.motion.reset()
     assert share(bound_world) == 1 and bound_world.motion.steps == 0
     other = bind(bound_world.plan, bound_world.setting)
-    restore(other, checkpoint(bound_world))
+    restore_checkpoint(other, take_checkpoint(bound_world))
     step(other)
     assert share(other) == 1
 
@@ -64,19 +64,19 @@ def test_overlaps_of_very_different_sizes_are_exact(spread: float) -> None:
     away = np.sqrt(((place[:, None] - place[None]) ** 2).sum(axis=2))
     expected = np.clip(1 - away / (radius[:, None] + radius[None]), 0, 1)
     np.fill_diagonal(expected, 0)
-    assert worst_overlaps(*place.T.copy(), radius) == pytest.approx(expected.max(axis=1), abs=1e-6)
+    assert measure_worst_overlaps(*place.T.copy(), radius) == pytest.approx(expected.max(axis=1), abs=1e-6)
 
 
 def test_small_ones_among_large_ones_are_not_measured_pair_by_pair(monkeypatch: pytest.MonkeyPatch) -> None:
-    measured, inside = [0], overlaps._overlap_share
+    measured, inside = [0], overlaps._compute_overlap_share
 
     def counted(distance: np.ndarray, *radii: np.ndarray) -> np.ndarray:
         measured[0] += distance.size
         return inside(distance, *radii)
 
-    monkeypatch.setattr(overlaps, "_overlap_share", counted)
+    monkeypatch.setattr(overlaps, "_compute_overlap_share", counted)
     n = 4000
     place = (np.random.default_rng(6).random((3, 2 * n)) * 200).astype(np.float32)
     radius = np.repeat([0.1, 200.0], n).astype(np.float32)
-    assert worst_overlaps(*place, radius)[:n].min() > 0.8
+    assert measure_worst_overlaps(*place, radius)[:n].min() > 0.8
     assert measured[0] < 100 * n

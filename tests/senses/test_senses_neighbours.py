@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 
 from antdsl import limits
 from antdsl.numerics import parallel
-from antdsl.senses.neighbours import CellGrid, Pairs
+from antdsl.senses.neighbours import CellGrid, NeighbourPairs
 
 
 def crowd(n: int, extent: tuple[float, float, float], seed: int = 1) -> tuple[np.ndarray, ...]:
@@ -25,7 +25,7 @@ def by_brute_force(x, y, z, ids, qx, qy, qz, qid, radius) -> set[tuple[int, int]
     return set(zip(*(a.tolist() for a in np.nonzero(near)), strict=True))
 
 
-def as_ids(pairs: Pairs, ids: np.ndarray, seeker_ids: np.ndarray) -> list[tuple]:
+def as_ids(pairs: NeighbourPairs, ids: np.ndarray, seeker_ids: np.ndarray) -> list[tuple]:
     rows = zip(seeker_ids[pairs.i], ids[pairs.j], pairs.dx, pairs.dy, pairs.dz, pairs.distance, strict=True)
     return [tuple(v.item() for v in row) for row in rows]
 

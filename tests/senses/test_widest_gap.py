@@ -1,17 +1,17 @@
-"""`widest_gap`: the example of the document that it comes from, and all cases by hand."""
+"""`find_widest_gap`: the example of the document that it comes from, and all cases by hand."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from antdsl.senses.clear_velocity import widest_gaps
+from antdsl.senses.clear_velocity import find_widest_gaps
 
 
 def gap_bearing(*bearings: float) -> float | None:
     """Bearing in degrees, above 0 to the left, of the way that is found for neighbours at some bearings."""
     angle = np.radians(np.array(bearings, np.float64))
-    x, y = widest_gaps(np.cos(angle)[None], np.sin(angle)[None], np.ones((1, len(bearings)), np.bool_))
+    x, y = find_widest_gaps(np.cos(angle)[None], np.sin(angle)[None], np.ones((1, len(bearings)), np.bool_))
     return float(np.degrees(np.arctan2(y[0], x[0]))) if x[0] or y[0] else None
 
 
@@ -32,5 +32,5 @@ def test_the_middle_of_the_widest_gap(bearings: tuple[float, ...], expected: flo
 
 
 def test_who_is_not_there_or_on_the_same_spot_does_not_count() -> None:
-    x, y = widest_gaps(np.array([[1.0, 0.0, -1.0]]), np.zeros((1, 3)), np.array([[True, True, False]]))
+    x, y = find_widest_gaps(np.array([[1.0, 0.0, -1.0]]), np.zeros((1, 3)), np.array([[True, True, False]]))
     assert (x[0], abs(y[0])) == (pytest.approx(-1.0), pytest.approx(0.0, abs=1e-6))

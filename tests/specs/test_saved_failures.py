@@ -15,11 +15,11 @@ from preview_page import coarse
 from test_cli import ROOT, antdsl
 from test_specs import GROUND
 
-from antdsl.cli import _run as run_in_process
+from antdsl.cli import _run_without_warnings as run_in_process
 from antdsl.outputs.cache.cache_reader import open_cache
 from antdsl.pipeline import RunChoices, open_scene
 from antdsl.runtime import bind, state_hash, step
-from antdsl.specs.golden.recorded import golden_path, read_golden
+from antdsl.specs.golden.golden_runs import find_golden_path, read_golden
 
 PROGRAM = """ant 1
 use steering
@@ -127,12 +127,12 @@ def test_what_is_saved_is_the_run_that_was_judged_and_goes_on(folder: Path, run)
         hash_by_frame[world.frame] = state_hash(world)
         step(world)
     assert cache.frames() == cache.checkpoints() == list(range(35, 43))
-    assert cache.hashes() == {frame: hash_by_frame[frame] for frame in cache.frames()}
+    assert cache.read_state_hashes() == {frame: hash_by_frame[frame] for frame in cache.frames()}
     _, text = run("test", "a.ant", "-k", "rests")
     command = next(line.split(":  ")[1] for line in text.splitlines() if "go on from it" in line)
     process = antdsl(*shlex.split(command.replace("35..90", "35..60"))[1:], cwd=folder)
     assert process.returncode == 0, process.stdout + process.stderr
-    assert open_cache(out).hashes() == {frame: hash_by_frame[frame] for frame in range(35, 61)}
+    assert open_cache(out).read_state_hashes() == {frame: hash_by_frame[frame] for frame in range(35, 61)}
     picture = next(line.split(":  ")[1] for line in text.splitlines() if "see it" in line)
     drawn = antdsl(*shlex.split(picture)[1:], "--width", "64", "--height", "36", cwd=folder)
     assert drawn.returncode == 0 and (out / "pictures" / "picture.0042.png").is_file(), drawn.stdout + drawn.stderr
@@ -214,13 +214,13 @@ def golden_run(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     folder = written(tmp_path_factory.mktemp("golden"), PROGRAM + TWO)
     process = antdsl("test", "a.ant", "--update", cwd=folder)
     assert process.returncode == 0 and "written golden run of scene.yaml, seed 5: 49 frames" in process.stdout, process.stdout
-    return golden_path(folder / "scene.yaml").read_bytes()
+    return find_golden_path(folder / "scene.yaml").read_bytes()
 
 
 @pytest.fixture
 def golden(folder: Path, run, golden_run: bytes):  # type: ignore[no-untyped-def]
     (folder / "a.ant").write_text(PROGRAM + TWO)
-    golden_path(folder / "scene.yaml").write_bytes(golden_run)
+    find_golden_path(folder / "scene.yaml").write_bytes(golden_run)
     return run
 
 
@@ -231,7 +231,7 @@ def change(folder: Path, old: str, new: str) -> None:
 
 
 def test_a_golden_run_is_text_with_a_line_for_each_frame(folder: Path, golden) -> None:  # type: ignore[no-untyped-def]
-    path = golden_path(folder / "scene.yaml")
+    path = find_golden_path(folder / "scene.yaml")
     text = path.read_text()
     stored_golden = read_golden(path)
     assert stored_golden is not None and path.name == "scene.golden.json" and json.loads(text)["golden"] == 2
@@ -244,7 +244,7 @@ def test_a_golden_run_is_text_with_a_line_for_each_frame(folder: Path, golden) -
 
 
 def test_a_golden_run_of_states_hashed_differently_is_reported_and_rewritten(folder: Path, golden) -> None:  # type: ignore[no-untyped-def]
-    path = golden_path(folder / "scene.yaml")
+    path = find_golden_path(folder / "scene.yaml")
     text = path.read_text()
     path.write_text(text.replace('{"golden": 2', '{"golden": 1', 1))
     code, out = golden("test", "a.ant")
@@ -283,7 +283,7 @@ def test_other_agents_are_not_held_against_those_of_before(folder: Path, golden)
 
 
 def test_a_golden_run_is_not_made_of_a_failure_and_damage_is_reported(folder: Path, golden) -> None:  # type: ignore[no-untyped-def]
-    path = golden_path(folder / "scene.yaml")
+    path = find_golden_path(folder / "scene.yaml")
     old_text = path.read_text()
     change(folder, "count(a) == 20", "count(a) == 21")
     code, text = golden("test", "a.ant", "--update", "--no-keep")

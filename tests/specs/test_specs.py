@@ -11,7 +11,7 @@ import pytest
 from antdsl.diagnostics import Report
 from antdsl.pipeline import RunChoices, check_path, open_scene
 from antdsl.runtime import Options, bind, state_hash, step
-from antdsl.specs import Case, Run, Work, collect_cases, run_cases
+from antdsl.specs import RunContext, SpecCase, SpecRun, collect_cases, run_cases
 from antdsl.specs.coverage import SpecCoverage
 from antdsl.specs.judge import SpecJudge
 
@@ -59,15 +59,15 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def collect_runs(folder: Path, specs: str, program: str = WALKER, **choices: object) -> tuple[list[Run], Report]:
+def collect_runs(folder: Path, specs: str, program: str = WALKER, **choices: object) -> tuple[list[SpecRun], Report]:
     (folder / "walker.ant").write_text(program + specs)
     return collect_cases([folder / "walker.ant"], **choices)  # type: ignore[arg-type]
 
 
-def judged(folder: Path, specs: str, program: str = WALKER, backend: str = "numpy", **options: object) -> list[Case]:
+def judged(folder: Path, specs: str, program: str = WALKER, backend: str = "numpy", **options: object) -> list[SpecCase]:
     runs, report = collect_runs(folder, specs, program)
-    assert report.ok, [(d.code, d.message, str(d.span)) for d in report.sorted()]
-    run_cases(runs, Work(Options(backend=backend, **options)))  # type: ignore[arg-type]
+    assert report.ok, [(d.code, d.message, str(d.span)) for d in report.sort_by_place()]
+    run_cases(runs, RunContext(Options(backend=backend, **options)))  # type: ignore[arg-type]
     return [case for run in runs for case in run.cases]
 
 
@@ -116,7 +116,7 @@ OPTION_SETS = (
 )
 
 
-def failure_text(case: Case) -> str:
+def failure_text(case: SpecCase) -> str:
     return str([(f.message, f.frame, f.time, f.values, f.agent) for f in case.failures])
 
 
@@ -308,10 +308,10 @@ def test_looking_changes_nothing(folder: Path) -> None:
     assert report.ok
     (run,) = runs
     watched, alone = (bind(run.shot.plan, run.shot.setting) for _ in range(2))
-    SpecCoverage().watch(watched, run.shot.program)
+    SpecCoverage().watch_world(watched, run.shot.program)
     judge = SpecJudge(run.cases[0].plan, watched, 31)
-    while not judge.over:
-        judge.look(watched)
+    while not judge.is_over:
+        judge.judge_frame(watched)
         assert state_hash(watched) == state_hash(alone)
         step(watched)
         step(alone)
@@ -322,7 +322,7 @@ def test_a_fault_fails_the_case_at_its_place(folder: Path) -> None:
     program = WALKER.replace("tick += pace", "tick += pace; load = 1 / (tick - 1)")
     runs, _ = collect_runs(folder, spec("always: count(walker) == 5") + spec("seeds 1; always: count(walker) == 5", "y"), program)
     coverage = SpecCoverage()
-    run_cases(runs, Work(Options(), coverage))
+    run_cases(runs, RunContext(Options(), coverage))
     for case in (case for run in runs for case in run.cases):
         (failure,) = case.failures
         assert case.outcome == "failed" and failure.message == "`load` is not finite" and failure.agent == ("walker", 0)
@@ -334,7 +334,7 @@ def test_states_and_changes_that_no_agent_reached_are_known(folder: Path) -> Non
     program = WALKER.replace("  }\n}\n", "    when tick > 99 -> far\n  }\n  state far { when after 1 s -> go }\n}\n")
     runs, _ = collect_runs(folder, spec("for 3 s; always: count(walker) == 5"), program)
     coverage = SpecCoverage()
-    run_cases(runs, Work(Options(), coverage))
+    run_cases(runs, RunContext(Options(), coverage))
     visit_counts = {each.name: each.count for each in (*coverage.states.values(), *coverage.changes.values())}
     assert (
         visit_counts["walker.main.far"] == visit_counts["walker.main.rest->far#1"] == visit_counts["walker.main.far->go#1"] == 0
@@ -352,7 +352,7 @@ def test_changes_are_counted_for_those_who_die_of_them(tmp_path: Path) -> None:
     (tmp_path / "scene.yaml").write_text(FLIES)
     runs, _ = collect_runs(tmp_path, spec("always: count(fly) >= 0"), MORTAL)
     coverage = SpecCoverage()
-    run_cases(runs, Work(Options(), coverage))
+    run_cases(runs, RunContext(Options(), coverage))
     assert [each.count for each in coverage.changes.values()] == [2, 1, 0]
 
 

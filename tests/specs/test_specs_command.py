@@ -15,7 +15,7 @@ import pytest
 from children import child_environment
 from test_cli import ROOT, antdsl
 
-from antdsl.cli import _run as run_in_process
+from antdsl.cli import _run_without_warnings as run_in_process
 
 PROGRAM = """ant 1
 species a {

@@ -62,7 +62,7 @@ def walk(kind: str, steps: int | None, since: str, holds: str) -> int | None:
         observation = FrameObservation(
             frame, frame + 1 == len(since), one, one, np.array([h == "#"]), np.array([s == "#"]), np.zeros(1, np.bool_)
         )
-        if len(judged.look(observation)):
+        if len(judged.find_failed(observation)):
             return frame
     return None
 
@@ -95,7 +95,9 @@ def test_who_leaves_while_something_is_awaited_has_failed(tmp_path: Path) -> Non
     lines = ("when tick > 0.45 eventually: tick > 1.5", "when tick > 0.45 and id < 3 within 0.2 s: tick > 0.6")
     first, second = judged(tmp_path, "".join(spec(f"each fly {{ {line} }}") for line in lines), MORTAL)
     (failure,) = first.failures
-    assert failure.frame == 12 and failure.agents == (0, 1) and failure.began == 6 and "it left before" in failure.message
+    assert (
+        failure.frame == 12 and failure.agents == (0, 1) and failure.wait_start_frame == 6 and "it left before" in failure.message
+    )
     assert not second.failures
 
 
@@ -109,7 +111,7 @@ def test_a_share_of_the_seeds_is_enough(folder: Path) -> None:  # noqa: F811
     for share, holds in ((passed / 8, True), ((passed + 0.5) / 8, False)):
         cases = judged(folder, spec(f"{line}; pass {share * 100} %"), program)
         (verdict,) = settle_verdicts(cases)
-        assert (verdict.passed, verdict.cases, verdict.holds) == (passed, 8, holds)
+        assert (verdict.passed_count, verdict.case_count, verdict.holds) == (passed, 8, holds)
         outcomes = {case.outcome for case in cases}
         assert outcomes == ({"passed", "allowed"} if holds else {"passed", "failed"})
 
@@ -189,7 +191,7 @@ def test_how_deep_a_place_is_in_a_closed_mesh() -> None:
     faces = np.array([face for a, b, c, d in sides for face in ((a, b, c), (a, c, d))], np.int32)
     points = np.array([[7.0, 0.3, 0.1], [0.2, -7.5, 0.4], [0.0, 0.1, 0.2], [8.5, 0.0, 0.0], [0.0, -30.0, 0.0], [0.0, 7.9, 20.0]])
     for shift in (0.0, 5000.0):
-        depths = RayScene(corners + shift, faces).depth_inside(points + shift)
+        depths = RayScene(corners + shift, faces).measure_depth_inside(points + shift)
         assert np.allclose(depths, [1.0, 0.5, 7.8, 0.0, 0.0, 0.0], atol=1e-3), depths
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from antdsl.specs.value_text import place_text
+from antdsl.specs.value_text import format_position
 
 
 @pytest.mark.parametrize(
@@ -20,4 +20,4 @@ from antdsl.specs.value_text import place_text
 def test_coordinates_have_four_digits_of_what_is_relative_to_the_origin(
     position: tuple[float, ...], origin: tuple[float, ...], unit_mm: float, text: str
 ) -> None:
-    assert place_text(position, origin, unit_mm) == text
+    assert format_position(position, origin, unit_mm) == text

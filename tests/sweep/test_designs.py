@@ -11,10 +11,18 @@ import pytest
 
 from antdsl import limits
 from antdsl.sweep.designs import DESIGNS, ChosenPoints, choose_design
-from antdsl.sweep.factors import Factor, end_points, parse_factors
-from antdsl.sweep.jobs import Job
+from antdsl.sweep.factors import Factor, build_end_points, parse_factors
+from antdsl.sweep.jobs import SweepJob
 from antdsl.sweep.sensitivity import find_effects, is_available
-from antdsl.sweep.stopping import LEVEL, JobChooser, WidthGoal, find_interval, interval_rank, least_runs, plan_looks
+from antdsl.sweep.stopping import (
+    CONFIDENCE_LEVEL,
+    JobChooser,
+    WidthGoal,
+    compute_interval_rank,
+    find_interval,
+    find_min_runs,
+    plan_checks,
+)
 
 SMELL, PACE = Factor("ant.smell", (), 30.0, 90.0, "mm"), Factor("ant.pace", (), 0.0, 1.0)
 
@@ -71,7 +79,7 @@ def test_a_grid_has_every_combination_the_last_name_changing_fastest() -> None:
 def test_a_latin_hypercube_has_each_part_of_each_range_once() -> None:
     design = chosen("latin", SMELL, PACE, points=20)
     for factor in (SMELL, PACE):
-        shares = [(factor.number(p[factor.name]) - factor.low) / (factor.high - factor.low) for p in design.points]
+        shares = [(factor.parse_number(p[factor.name]) - factor.low) / (factor.high - factor.low) for p in design.points]
         assert sorted(math.floor(20 * share) for share in shares) == list(range(20))
     levels = chosen("latin", Factor("ant.kind", ("a", "b", "c", "d")), points=20)
     assert sorted(p["ant.kind"] for p in levels.points) == [k for k in "abcd" for _ in range(5)], "levels have equal shares"
@@ -84,7 +92,7 @@ def test_a_sobol_sequence_fills_every_cell_of_a_square() -> None:
     assert len(cells) == 64, "a (0, 6, 2)-net in base 2 has one point in each of 64 cells"
 
 
-@pytest.mark.parametrize("word", [d.word for d in DESIGNS if d.shares is not None])
+@pytest.mark.parametrize("word", [d.name for d in DESIGNS if d.sample_shares is not None])
 def test_one_seed_is_one_design_and_another_is_another(word: str) -> None:
     if word in ("saltelli", "morris"):
         pytest.importorskip("SALib")
@@ -94,19 +102,19 @@ def test_one_seed_is_one_design_and_another_is_another(word: str) -> None:
     design = first.design
     assert len(first.points) == 8 * (1 if design.points_per_unit is None else 2 + design.points_per_unit)
     for point in first.points:
-        assert 30 <= SMELL.number(point["ant.smell"]) <= 90 and point["ant.smell"].endswith("mm")
+        assert 30 <= SMELL.parse_number(point["ant.smell"]) <= 90 and point["ant.smell"].endswith("mm")
         assert len(point["ant.smell"]) <= len("30.12345mm") and "e" not in point["ant.pace"]
     assert len(first.unique_points) == len({tuple(p.values()) for p in first.points})
 
 
 def test_small_and_large_numbers_are_written_without_powers_of_ten() -> None:
     tiny = Factor("x.p", (), 1e-9, 1e-7, "mm")
-    assert tiny.at(0.5) == "0.0000000505mm" and tiny.number(tiny.at(0.5)) == 5.05e-8
+    assert tiny.at(0.5) == "0.0000000505mm" and tiny.parse_number(tiny.at(0.5)) == 5.05e-8
     assert Factor("x.p", (), 0.0, 1e9).at(0.1234567) == "123457000"
 
 
 def test_every_end_is_named_once() -> None:
-    assert end_points([SMELL, Factor("x.q", ("1", "2", "3"))]) == [
+    assert build_end_points([SMELL, Factor("x.q", ("1", "2", "3"))]) == [
         {"ant.smell": "30mm", "x.q": "1"},
         {"ant.smell": "90mm", "x.q": "2"},
         {"ant.smell": "90mm", "x.q": "3"},
@@ -174,10 +182,10 @@ def test_what_a_measure_without_numbers_depends_on_is_not_made_up() -> None:
 
 def test_the_interval_is_the_narrowest_of_its_kind_that_holds_what_it_promises() -> None:
     for count in range(1, 60):
-        place = interval_rank(count)
+        place = compute_interval_rank(count)
         missed = [Fraction(2 * sum(math.comb(count, k) for k in range(least)), 2**count) for least in range(place + 2)]
-        assert (place == 0 or missed[place] <= 1 - LEVEL) and missed[place + 1] > 1 - LEVEL
-    assert [interval_rank(n) for n in (5, 6, 9, 12, 20, 100)] == [0, 1, 2, 3, 6, 40], "as tables of the sign test have it"
+        assert (place == 0 or missed[place] <= 1 - CONFIDENCE_LEVEL) and missed[place + 1] > 1 - CONFIDENCE_LEVEL
+    assert [compute_interval_rank(n) for n in (5, 6, 9, 12, 20, 100)] == [0, 1, 2, 3, 6, 40], "as tables of the sign test have it"
 
 
 def test_the_interval_is_that_of_scipy() -> None:
@@ -192,21 +200,31 @@ def test_the_interval_is_that_of_scipy() -> None:
 
 
 def test_looking_again_and_again_misses_the_median_no_more_often_than_promised() -> None:
-    schedule = plan_looks(60)
-    assert schedule is not None and schedule.run_counts[-1] == 60 and schedule.doubt * len(schedule.run_counts) == 1 - LEVEL
-    assert all(interval_rank(n, schedule.doubt) for n in schedule.run_counts) and least_runs() == 6 and plan_looks(5) is None
+    schedule = plan_checks(60)
+    assert (
+        schedule is not None
+        and schedule.run_counts[-1] == 60
+        and schedule.error_probability * len(schedule.run_counts) == 1 - CONFIDENCE_LEVEL
+    )
+    assert (
+        all(compute_interval_rank(n, schedule.error_probability) for n in schedule.run_counts)
+        and find_min_runs() == 6
+        and plan_checks(5) is None
+    )
     rng, missed, sweeps = np.random.default_rng(7), 0, 2000
     for values in rng.standard_cauchy((sweeps, 60)):
         for count in schedule.run_counts:
-            low, high = find_interval(list(values[:count]), schedule.doubt) or (-math.inf, math.inf)
+            low, high = find_interval(list(values[:count]), schedule.error_probability) or (-math.inf, math.inf)
             if high - low < 1.0 or count == 60:
                 missed += not low <= 0 <= high
                 break
     assert missed / sweeps < 0.05
 
 
-def make_jobs(labels: str, seeds: int) -> list[Job]:
-    return [Job("s.yaml", name, (), seed, (1, 9), (), (), f"{name}{seed}") for seed in range(1, seeds + 1) for name in labels]
+def make_jobs(labels: str, seeds: int) -> list[SweepJob]:
+    return [
+        SweepJob("s.yaml", name, (), seed, (1, 9), (), (), f"{name}{seed}") for seed in range(1, seeds + 1) for name in labels
+    ]
 
 
 def test_runs_stop_once_the_median_is_known_in_whatever_order_they_end() -> None:
@@ -224,7 +242,7 @@ def test_runs_stop_once_the_median_is_known_in_whatever_order_they_end() -> None
             job = running.pop(ran * 5 % len(running))
             chooser.record_result(job, {"y.z": worth[job.label](job.seed)})
         assert ran < 80 and len([job for job in chooser.counted_jobs if job.label == "b"]) == 40
-        ends.append(([job.key for job in chooser.counted_jobs], chooser.known_medians()))
+        ends.append(([job.key for job in chooser.counted_jobs], chooser.list_known_medians()))
     assert ends[0] == ends[1] == ends[2]
     known = {known.label: known for known in ends[0][1]}
     assert known["a"].met and known["a"].runs < 15 and known["a"].high - known["a"].low <= 5
@@ -232,13 +250,13 @@ def test_runs_stop_once_the_median_is_known_in_whatever_order_they_end() -> None
 
 
 def test_widths_may_be_shares_and_what_never_happens_is_known_too() -> None:
-    assert WidthGoal("y", 0.1, share=True).is_reached((95, 104), 100) and not WidthGoal("y", 0.1, share=True).is_reached(
-        (90, 104), 100
-    )
+    assert WidthGoal("y", 0.1, is_relative=True).is_reached((95, 104), 100) and not WidthGoal(
+        "y", 0.1, is_relative=True
+    ).is_reached((90, 104), 100)
     chooser = JobChooser(make_jobs("a", 40), [WidthGoal("y", 1.0)])
     for job in chooser.needed_jobs():
         chooser.record_result(job, None if job.seed == 2 else {"y": None})
-    (known,) = chooser.known_medians()
+    (known,) = chooser.list_known_medians()
     assert known.met and known.median == math.inf and known.runs == len(chooser.counted_jobs) < 20
     assert not any(job.seed == 2 for job in chooser.counted_jobs), "a run that failed counts nowhere"
 
@@ -247,8 +265,8 @@ def test_without_widths_all_runs_are_requested_and_a_measure_that_no_run_reports
     chooser = JobChooser(make_jobs("ab", 2))
     for job in chooser.needed_jobs():
         chooser.record_result(job, {"y": 1})
-    assert chooser.counted_jobs == list(chooser.jobs) and not chooser.missing_measures()
+    assert chooser.counted_jobs == list(chooser.jobs) and not chooser.list_missing_measures()
     chooser = JobChooser(make_jobs("a", 9), [WidthGoal("nothing", 1.0), WidthGoal("y", 1.0)])
-    assert chooser.missing_measures() == []
+    assert chooser.list_missing_measures() == []
     chooser.record_result(chooser.jobs[0], {"y": 1})
-    assert chooser.missing_measures() == ["nothing"]
+    assert chooser.list_missing_measures() == ["nothing"]

@@ -15,16 +15,16 @@ from pathlib import Path
 
 import pytest
 
-from antdsl.cli import _run as run_in_process
-from antdsl.executors import Processes, Worker
+from antdsl.cli import _run_without_warnings as run_in_process
+from antdsl.executors import ProcessEngine, WorkerContext
 from antdsl.pipeline import open_scene
-from antdsl.sweep import Job, RunStore, Variation, jobs, make_variations, rows, run_all
+from antdsl.sweep import RunStore, SweepJob, Variation, build_jobs, build_rows, make_variations, run_jobs
 from antdsl.sweep.designs import choose_design
 from antdsl.sweep.factors import Factor
-from antdsl.sweep.finished_runs import NoSweepFolder
-from antdsl.sweep.jobs import job_key, start_hashes
-from antdsl.sweep.measuring import measure
-from antdsl.sweep.table import NOT_COMPARED, as_csv, choose_measures, quantile, text
+from antdsl.sweep.finished_runs import NotASweepFolder
+from antdsl.sweep.jobs import compute_job_key, find_start_hashes
+from antdsl.sweep.measuring import measure_job
+from antdsl.sweep.table import MACHINE_DEPENDENT_MEASURES, as_csv, choose_measures, compute_quantile, format_table
 
 ROOT = Path(__file__).resolve().parents[2]
 PROGRAM = """ant 1
@@ -57,9 +57,9 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def make_jobs(folder: Path, seeds: range = range(1, 3), until: tuple[str, ...] = (), **vary: tuple[str, ...]) -> list[Job]:
+def make_jobs(folder: Path, seeds: range = range(1, 3), until: tuple[str, ...] = (), **vary: tuple[str, ...]) -> list[SweepJob]:
     points = grid(**vary)
-    job_list, report = jobs(make_variations([folder / "scene.yaml"], points), seeds, frames=None, until=until, grants={})
+    job_list, report = build_jobs(make_variations([folder / "scene.yaml"], points), seeds, frames=None, until=until, grants={})
     assert report.ok, report.errors
     return job_list
 
@@ -72,7 +72,7 @@ def grid(**vary: tuple[str, ...]) -> list[Mapping[str, str]]:
 
 def same(measures: dict[str, object] | None) -> dict[str, object]:
     assert measures is not None
-    return {name: value for name, value in measures.items() if name not in NOT_COMPARED}
+    return {name: value for name, value in measures.items() if name not in MACHINE_DEPENDENT_MEASURES}
 
 
 def test_every_combination_with_every_seed_seed_by_seed() -> None:
@@ -94,23 +94,23 @@ def test_a_key_tells_runs_apart_and_finds_them_again(folder: Path) -> None:
 def test_a_key_is_that_of_the_scene_opened_by_itself(folder: Path) -> None:
     """Where a run is made the scene is opened again, and an error where its key is another."""
     for job in make_jobs(folder, smell=("30mm", "60mm")):
-        shot, _ = open_scene(folder / "scene.yaml", job.choices())
-        assert shot is not None and job_key(shot, job.seed, job.until, start_hashes(shot)) == job.key
+        shot, _ = open_scene(folder / "scene.yaml", job.make_choices())
+        assert shot is not None and compute_job_key(shot, job.seed, job.until, find_start_hashes(shot)) == job.key
 
 
 def test_mistakes_are_reported_before_anything_runs(folder: Path) -> None:
     chosen = make_variations([folder / "scene.yaml"], grid(smell=("60mm", "4s", "4m")))
-    _, report = jobs(chosen, range(1, 3), frames=None, until=("food.lod",), grants={})
+    _, report = build_jobs(chosen, range(1, 3), frames=None, until=("food.lod",), grants={})
     assert sorted(d.code for d in report.errors) == ["out-of-range", "unknown-thing", "wrong-unit"]
 
 
 def test_processes_change_no_result_and_a_run_that_fails_stops_no_other(folder: Path) -> None:
     good = make_jobs(folder, until=("food.apple.load",))
     missing_job = replace(good[0], scene=str(folder / "gone.yaml"), label="gone", key="0")
-    outcomes = {outcome.job.key: outcome for outcome in run_all([missing_job, *good], Processes(2, 1))}
+    outcomes = {outcome.job.key: outcome for outcome in run_jobs([missing_job, *good], ProcessEngine(2, 1))}
     assert outcomes["0"].measures is None and "there is no file" in outcomes["0"].problem
     for job in good:
-        assert same(outcomes[job.key].measures) == same(measure(job.document(), Worker(3)))
+        assert same(outcomes[job.key].measures) == same(measure_job(job.document(), WorkerContext(3)))
     measures = outcomes[good[0].key].measures
     assert measures is not None and measures["frames"] == measures["empty.food.apple.load"] < 30, "ended once it was empty"
     assert measures["empty.food.far.load"] is None and measures["left.food.far.load"] == 3
@@ -119,7 +119,7 @@ def test_processes_change_no_result_and_a_run_that_fails_stops_no_other(folder: 
 
 def test_a_job_goes_to_another_process_as_json(folder: Path) -> None:
     for job in make_jobs(folder, smell=("30mm",), until=("food.load",)):
-        assert Job.of(json.loads(json.dumps(job.document()))) == job
+        assert SweepJob.of(json.loads(json.dumps(job.document()))) == job
 
 
 @pytest.mark.slow
@@ -128,13 +128,13 @@ def test_a_process_that_is_killed_costs_no_other_run(folder: Path) -> None:
     long = replace(make_jobs(folder)[0], frames=(1, 900_000), key="long")
     hit: list[int] = []
 
-    def kill(job: Job, frame: int) -> None:
+    def kill(job: SweepJob, frame: int) -> None:
         for child in multiprocessing.active_children() if job.key == "long" else []:
             assert child.pid is not None
             hit.append(child.pid)
             os.kill(child.pid, signal.SIGKILL)
 
-    outcomes = list(run_all([long, *make_jobs(folder)], Processes(2, 1), kill))
+    outcomes = list(run_jobs([long, *make_jobs(folder)], ProcessEngine(2, 1), kill))
     assert {outcome.job.key for outcome in outcomes if outcome.measures is None} == {"long"} and len(outcomes) == 3
     problem = next(outcome.problem for outcome in outcomes if outcome.measures is None)
     assert "SIGKILL" in problem and len(hit) >= 2 and not multiprocessing.active_children()
@@ -142,15 +142,15 @@ def test_a_process_that_is_killed_costs_no_other_run(folder: Path) -> None:
 
 def test_what_never_happened_counts_as_later_than_everything() -> None:
     inf = math.inf
-    assert quantile([1, 2, 4], 0.5) == 2 and quantile([1, 2, 4, inf], 0.5) == 3
-    assert quantile([1, 2, inf, inf], 0.5) == inf and quantile([inf, inf], 0.25) == inf
-    assert quantile([1, 3, 5, 6, inf], 0.75) == 6
-    job = Job("s.yaml", "a", (), 1, (1, 9), (), (), "k")
+    assert compute_quantile([1, 2, 4], 0.5) == 2 and compute_quantile([1, 2, 4, inf], 0.5) == 3
+    assert compute_quantile([1, 2, inf, inf], 0.5) == inf and compute_quantile([inf, inf], 0.25) == inf
+    assert compute_quantile([1, 3, 5, 6, inf], 0.75) == 6
+    job = SweepJob("s.yaml", "a", (), 1, (1, 9), (), (), "k")
     results = [(job, {"empty.food.apple.load": v, "x.y": 2, "fps": 7, "hash": "q"}) for v in (5, None, None)]
-    table = rows([*results, (job, {"empty.food.apple.load": 7})])
+    table = build_rows([*results, (job, {"empty.food.apple.load": 7})])
     assert [(r.measure, r.runs, r.happened) for r in table] == [("empty.food.apple.load", 4, 2), ("x.y", 4, 4)]
     assert table[0].least == 5 and table[0].median == inf and table[1].least == 0, "what a run does not tell is 0"
-    words = text(table, choose_measures(table, ()))
+    words = format_table(table, choose_measures(table, ()))
     assert "never (6.5 – never), 2 of 4" in words and "food.apple.load 0 at" in words and "x.y" not in words
     lines = list(csv.DictReader(as_csv(table).splitlines()))
     assert lines[0]["median"] == "" and lines[0]["least"] == "5" and lines[1]["median"] == "2"
@@ -164,7 +164,7 @@ def test_only_complete_results_of_this_very_run_are_stored(folder: Path) -> None
     assert run_store.read_measures(job) == {"frames": 3} and RunStore(folder / "out").read_measures(job) == {"frames": 3}
     run_store.path(job).write_text(run_store.path(job).read_text()[:-30])
     assert run_store.read_measures(job) is None
-    with pytest.raises(NoSweepFolder):
+    with pytest.raises(NotASweepFolder):
         RunStore(folder)
 
 
@@ -177,7 +177,7 @@ def test_the_command_goes_on_where_it_was_stopped(
         output = capsys.readouterr()
         return code, output.out, output.err
 
-    monkeypatch.setattr("antdsl.sweep.run_all", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+    monkeypatch.setattr("antdsl.sweep.run_jobs", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
     code, _, err = sweep("--seeds", "2")
     assert code == 130 and "0 of 2 runs are finished" in err and "the same command goes on" in err
     monkeypatch.undo()
@@ -200,7 +200,7 @@ def test_a_table_is_drawn(tmp_path: Path) -> None:
 
     from antdsl.sweep.plots import draw_measures
 
-    job = Job("s.yaml", "a", (), 1, (1, 9), (), (), "k")
+    job = SweepJob("s.yaml", "a", (), 1, (1, 9), (), (), "k")
     draw_measures(
         [(replace(job, label=label), {"x": v}) for label, v in (("a", 1), ("a", 4), ("b", None))], ["x"], tmp_path / "t.png"
     )

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import pytest
 
-from antdsl.cli import _run as run_in_process
-from antdsl.sweep import Job, Outcome
+from antdsl.cli import _run_without_warnings as run_in_process
+from antdsl.sweep import JobOutcome, SweepJob
 
 ROOT = Path(__file__).resolve().parents[2]
 PROGRAM = """ant 1
@@ -38,7 +38,7 @@ PACE, SWING = ("--vary", "walker.pace=10mm/s..90mm/s"), ("--vary", "walker.swing
 Sweep = Callable[..., tuple[int, str, str]]
 
 
-def formula(job: Job) -> dict[str, float | int | None]:
+def formula(job: SweepJob) -> dict[str, float | int | None]:
     """Pace counts three times what swing does; seeds add a little."""
     params = dict(job.params)
     pace, swing = float(params.get("walker.pace", "30mm/s").removesuffix("mm/s")), float(params.get("walker.swing", "0.5"))
@@ -57,13 +57,13 @@ def folder(tmp_path: Path) -> Path:
 @pytest.fixture
 def sweep(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Sweep:
     def ran(*words: str, ends_after: int | None = None, by: int = signal.SIGTERM) -> tuple[int, str, str]:
-        def run_all(jobs: Iterable[Job], *options: object) -> Iterator[Outcome]:
+        def run_all(jobs: Iterable[SweepJob], *options: object) -> Iterator[JobOutcome]:
             for count, job in enumerate(jobs):
                 if count == ends_after:
                     signal.raise_signal(by)
-                yield Outcome(job, formula(job))
+                yield JobOutcome(job, formula(job))
 
-        monkeypatch.setattr("antdsl.sweep.run_all", run_all)
+        monkeypatch.setattr("antdsl.sweep.run_jobs", run_all)
         monkeypatch.chdir(folder)
         monkeypatch.setattr("sys.argv", ["antdsl", "sweep", *words, "--no-plots"])
         code = run_in_process()
@@ -198,7 +198,7 @@ def test_the_table_is_parquet_too_with_numbers_as_numbers(sweep: Sweep, folder: 
 
 def test_runs_of_other_sources_do_not_count(sweep: Sweep, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert sweep("scene.yaml", "--seeds", "3", "--out", "swept")[0] == 0
-    monkeypatch.setattr(importlib.import_module("antdsl.sweep.jobs"), "sources", lambda: "0" * 24)
+    monkeypatch.setattr(importlib.import_module("antdsl.sweep.jobs"), "hash_sources", lambda: "0" * 24)
     code, output, err = sweep("--resume", "--out", "swept")
     assert code == 0 and "finished before" not in output and "3 of 3" in output
     assert "3 runs in swept are of files, values or sources of antdsl that are others now" in err

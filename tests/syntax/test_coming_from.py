@@ -8,7 +8,7 @@ from pathlib import Path
 import commands
 import pytest
 
-from antdsl.cli.commands.new import ground
+from antdsl.cli.commands.new import build_ground_ply
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs" / "coming_from.md").read_text(encoding="utf-8")
@@ -39,7 +39,7 @@ def test_the_five_do_what_the_page_says_whatever_the_frame_rate(tmp_path: Path, 
     assert len(blocks) == 6
     (tmp_path / "five.ant").write_text(HEAD + "\n".join(blocks), encoding="utf-8")
     (tmp_path / "scene.yaml").write_text(SCENE.format(fps=fps), encoding="utf-8")
-    (tmp_path / "ground.ply").write_bytes(ground())
+    (tmp_path / "ground.ply").write_bytes(build_ground_ply())
     process = commands.run("test", "five.ant", cwd=tmp_path)
     assert process.returncode == 0 and "1 passed" in process.stdout, process.stdout + process.stderr
 

@@ -12,7 +12,7 @@ from test_docs import Block, of_kind
 from antdsl.source import Source
 from antdsl.syntax import format, parse
 from antdsl.syntax import nodes as n
-from antdsl.syntax.formatting.layout import LayoutError, first_difference, flatten_tree
+from antdsl.syntax.formatting.layout import LayoutError, find_first_difference, flatten_tree
 from antdsl.syntax.formatting.lines import MAX_LINE_CHARACTERS
 
 
@@ -184,7 +184,7 @@ def test_a_text_that_means_something_else_is_never_returned(monkeypatch: pytest.
         "ant 1\nspecies a { size 4 mm }\n",
         "ant 1\nspecies a { size 4 mm \n# c\n",
     ):
-        monkeypatch.setattr("antdsl.syntax.formatting.layout.text_of_items", lambda items, wrong=wrong: wrong)
+        monkeypatch.setattr("antdsl.syntax.formatting.layout.format_items", lambda items, wrong=wrong: wrong)
         with pytest.raises(LayoutError):
             format(Source("t.ant", "ant 1\nspecies a { size 4 mm } # c\n"))
 
@@ -204,11 +204,14 @@ def test_a_difference_is_named() -> None:
         return parse(Source("t.ant", text))[0]
 
     one = file("ant 1\nspecies a { size 4 mm; x = 1 + 2 * 3 }")
-    assert first_difference(one, file("ant 1 # c\nspecies a { size 4 mm; x = 1 + 2 * 3 }")) == "a comment was lost"
-    assert first_difference(one, file("ant 1\nspecies a { size 4 mm; x = (1 + 2) * 3 }")) is not None
-    assert first_difference(one, file("ant 1\nspecies a { size 4 mm; x = 1 + 2 * 4 }")) == "`3.0` became `4.0`"
-    assert first_difference(one, file("ant 1\nspecies a { size 4 mm; x = 1 + (2 * 3); y = 1 }")) == "`2 things` became `3 things`"
-    assert first_difference(one, file("ant 1\n\nspecies a {size 4mm\nx = 1 + (2 * 3) }")) is None
+    assert find_first_difference(one, file("ant 1 # c\nspecies a { size 4 mm; x = 1 + 2 * 3 }")) == "a comment was lost"
+    assert find_first_difference(one, file("ant 1\nspecies a { size 4 mm; x = (1 + 2) * 3 }")) is not None
+    assert find_first_difference(one, file("ant 1\nspecies a { size 4 mm; x = 1 + 2 * 4 }")) == "`3.0` became `4.0`"
+    assert (
+        find_first_difference(one, file("ant 1\nspecies a { size 4 mm; x = 1 + (2 * 3); y = 1 }"))
+        == "`2 things` became `3 things`"
+    )
+    assert find_first_difference(one, file("ant 1\n\nspecies a {size 4mm\nx = 1 + (2 * 3) }")) is None
 
 
 def test_a_line_that_is_too_long_has_nothing_to_break() -> None:

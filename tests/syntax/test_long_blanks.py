@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import pytest
 
-from antdsl.diagnostics import ignoring
+from antdsl.diagnostics import ignore_comments
 from antdsl.scene import indentation
 
 BLANKS = 200_000
 TEXTS = {
-    "a comment": (ignoring._IGNORE_COMMENT, "# antdsl: ignore[far-away] x", "y", True),
+    "a comment": (ignore_comments._IGNORE_COMMENT, "# antdsl: ignore[far-away] x", "y", True),
     "a key without a colon": (indentation._KEY_PATTERN, "ground", "x", False),
     "a key": (indentation._KEY_PATTERN, "ground", ": x", True),
     "a word behind a key": (indentation._MISSING_COLON_PATTERN, "ground", "x", True),

@@ -57,8 +57,8 @@ def test_one_mistake_is_one_error_at_its_place(row: dict[str, Any]) -> None:
     (error,) = report.errors
     assert error.span is not None and error.help
     expected_start = place_of(row["at"], text) if "at" in row else match.start() + row["new"].index(MARK)
-    line, column = error.span.source.line_column(error.span.start)
-    assert (line, column) == error.span.source.line_column(expected_start), error.message
+    line, column = error.span.source.find_line_column(error.span.start)
+    assert (line, column) == error.span.source.find_line_column(expected_start), error.message
     assert (error.fix is not None) == ("left" in row), error.help
     if error.fix is not None:
         mended = text[: error.fix.span.start] + error.fix.text + text[error.fix.span.end :]

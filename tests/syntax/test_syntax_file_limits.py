@@ -8,8 +8,8 @@ import pytest
 
 from antdsl import limits, syntax
 from antdsl.source import Source
+from antdsl.syntax.incremental_parser import IncrementalParser
 from antdsl.syntax.parser import _FileParser
-from antdsl.syntax.parts import IncrementalParser
 
 SPECIES = "species s{} {{ state a {{ }}\nlayers {{ state }} }}\n"
 END = "\nstate a { }\nlayers { state } }\n"

@@ -21,8 +21,8 @@ from antdsl.syntax import parse
 from antdsl.syntax.brackets import pair_brackets
 from antdsl.syntax.builder import Builder
 from antdsl.syntax.grammar import build_parser, number_tokens
+from antdsl.syntax.parse_tables import START_RULES, TABLES_FILE, compute_grammar_hash, load_parser
 from antdsl.syntax.scan import scan
-from antdsl.syntax.tables import START_RULES, TABLES_FILE, grammar_hash, load_parser
 from antdsl.syntax.words import BODY_RULE_BY_LINE, EXAMPLE_LINES, LINE_CONTEXT_BY_WORD, LINE_WORDS_BY_RULE
 
 
@@ -42,7 +42,7 @@ def built() -> Lark:
 
 def test_tables_are_fresh(built: Lark) -> None:
     stored = json.loads(resources.grammar_file(TABLES_FILE).read_text(encoding="utf-8"))
-    assert stored["grammar"] == grammar_hash(), "run `python -m antdsl.syntax.grammar`"
+    assert stored["grammar"] == compute_grammar_hash(), "run `python -m antdsl.syntax.grammar`"
     shipped = load_parser(Builder())
     assert _patterns(shipped) == _patterns(built)
     shipped_rules = {str(rule) for rule in shipped.rules}
@@ -136,7 +136,7 @@ def test_forms_that_complaints_show_can_be_parsed() -> None:
         rule = next(rule for rule, words in LINE_WORDS_BY_RULE.items() if word in words)
         for each in form.split("` or `"):
             source = Source("form", each.replace("…", ""))
-            builder.place = Straight(source)
+            builder.span_maker = Straight(source)
             parser.parse(source.text, start=rule)
 
 
@@ -162,7 +162,7 @@ def test_cutting_a_text_gives_the_tree_of_the_whole(path: Path, single_pass_pars
     source = Source(path.name, path.read_text(encoding="utf-8"))
     scanned = scan(source, Report())
     assert pair_brackets(scanned) is not None  # this blanks the line ends inside parentheses
-    builder.place = Straight(source)
-    items = parser.parse("".join(scanned.clean), start="file")
+    builder.span_maker = Straight(source)
+    items = parser.parse("".join(scanned.clean_characters), start="file")
     file, report = parse(source)
     assert report.ok and len(items) > 0 and shape(items) == shape(file.items)

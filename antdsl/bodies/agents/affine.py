@@ -21,7 +21,7 @@ Numbers = NDArray[Any]  # float32 or float64, as the input
 _POLAR_ITERATIONS = 8  # six suffice for a matrix with scales of 1 to 1e15
 
 
-def normalise(rotation: Numbers) -> Numbers:
+def normalise_quaternions(rotation: Numbers) -> Numbers:
     """Normalise quaternions [4, …] in place and return them. A quaternion of length 0 becomes the identity."""
     x, y, z, w = rotation
     square = x * x
@@ -36,7 +36,7 @@ def normalise(rotation: Numbers) -> Numbers:
     return rotation
 
 
-def quaternion_product(a: Numbers, b: Numbers) -> Numbers:
+def multiply_quaternions(a: Numbers, b: Numbers) -> Numbers:
     """Return quaternions [4, …] of the rotation by b and then by a."""
     ax, ay, az, aw = a
     bx, by, bz, bw = b
@@ -97,7 +97,7 @@ def multiply_matrices(a: Numbers, b: Numbers, out: Numbers) -> Numbers:
     return out
 
 
-def cofactors(m: Numbers) -> Numbers:
+def compute_cofactors(m: Numbers) -> Numbers:
     """Return the cofactors [3, 3, …] of matrices [3, 3 or 4, …]: the transposed inverse times the determinant."""
     turns = ((1, 2), (2, 0), (0, 1))
     return np.stack([
@@ -105,21 +105,21 @@ def cofactors(m: Numbers) -> Numbers:
     ])  # fmt: skip
 
 
-def determinants(m: Numbers, cofactor: Numbers) -> Numbers:
+def compute_determinants(m: Numbers, cofactor: Numbers) -> Numbers:
     """Return the determinants […] of matrices. `cofactor`: their cofactors."""
     determinant: Numbers = (m[0, 0] * cofactor[0, 0] + m[0, 1] * cofactor[0, 1]) + m[0, 2] * cofactor[0, 2]
     return determinant
 
 
-def inverse_transposed(m: Numbers) -> Numbers:
+def invert_and_transpose(m: Numbers) -> Numbers:
     """Return the transposed inverse [3, 3, …], which transforms normals. Where a matrix has no inverse, return its cofactors."""
-    inverse = cofactors(m)
-    determinant = determinants(m, inverse)
+    inverse = compute_cofactors(m)
+    determinant = compute_determinants(m, inverse)
     inverse /= np.where(determinant == 0, m.dtype.type(1), determinant)
     return inverse
 
 
-def rotation_part(m: Numbers) -> Numbers:
+def extract_rotations(m: Numbers) -> Numbers:
     """Return the rotation [3, 3, …] nearest to each matrix, from its polar decomposition M = R S. Where M mirrors, S contains the
     mirroring, so R never mirrors. Where there is no inverse, R is the identity.
 
@@ -127,20 +127,20 @@ def rotation_part(m: Numbers) -> Numbers:
     Computing the Polar Decomposition, SIAM J. Sci. Stat. Comput. 7, 1986).
     """
     rotation = m[:, :3].astype(np.float64)
-    determinant = determinants(rotation, cofactors(rotation))
+    determinant = compute_determinants(rotation, compute_cofactors(rotation))
     rotation *= np.where(determinant < 0, -1.0, 1.0)
     flat = determinant == 0
     for r in range(3):
         for c in range(3):
             rotation[r, c][flat] = float(r == c)
     for _ in range(_POLAR_ITERATIONS):
-        back = inverse_transposed(rotation)
-        by = np.sqrt(np.sqrt(_sum_of_squares(back) / _sum_of_squares(rotation)))
+        back = invert_and_transpose(rotation)
+        by = np.sqrt(np.sqrt(_sum_squares(back) / _sum_squares(rotation)))
         rotation = 0.5 * (by * rotation + back / by)
     return rotation
 
 
-def _sum_of_squares(m: Numbers) -> Numbers:
+def _sum_squares(m: Numbers) -> Numbers:
     """Return the sum of squares […] of the elements of matrices [3, 3, …]."""
     total: Numbers = m[0, 0] * m[0, 0]
     for k in range(1, 9):
@@ -149,7 +149,7 @@ def _sum_of_squares(m: Numbers) -> Numbers:
     return total
 
 
-def quaternions(m: Numbers) -> Numbers:
+def matrices_to_quaternions(m: Numbers) -> Numbers:
     """Return unit quaternions [4, …] of rotation matrices [3, 3 or 4, …], with w not negative. Uses the formula with the largest
     divisor, out of four (S. W. Shepperd, Quaternion from Rotation Matrix, J. Guidance and Control 1, 1978)."""
     trace = (m[0, 0] + m[1, 1]) + m[2, 2]
@@ -164,7 +164,7 @@ def quaternions(m: Numbers) -> Numbers:
     )  # fmt: skip
     quaternion = np.choose(best, candidates)
     quaternion *= np.where(quaternion[3] < 0, -1, 1)
-    return normalise(quaternion)
+    return normalise_quaternions(quaternion)
 
 
 def decompose_matrices(matrices: NDArray[np.float64]) -> tuple[Numbers, Numbers, Numbers, Numbers]:
@@ -187,17 +187,17 @@ def decompose_matrices(matrices: NDArray[np.float64]) -> tuple[Numbers, Numbers,
         full_size = np.sqrt((m[0, c] * m[0, c] + m[1, c] * m[1, c]) + m[2, c] * m[2, c])
         flat = size <= 1e-12 * full_size
         upper[c, c] = np.where(flat, 1e-6 * full_size, size)
-        axes.append(np.where(flat, _perpendicular(axes, m.shape[-1]), column / np.where(flat, 1.0, size)))
-    mirror = determinants(np.stack(axes, 1), cofactors(np.stack(axes, 1))) < 0
+        axes.append(np.where(flat, _find_perpendicular(axes, m.shape[-1]), column / np.where(flat, 1.0, size)))
+    mirror = compute_determinants(np.stack(axes, 1), compute_cofactors(np.stack(axes, 1))) < 0
     axes[0] = np.where(mirror, -axes[0], axes[0])
     upper[0] = np.where(mirror, -upper[0], upper[0])
     scale = np.stack([upper[k, k] for k in range(3)])
     by = np.where(scale == 0, 1.0, scale)
     shear = np.stack([upper[0, 1] / by[1], upper[0, 2] / by[2], upper[1, 2] / by[2]])
-    return m[:, 3].copy(), quaternions(np.stack(axes, 1)), scale, shear
+    return m[:, 3].copy(), matrices_to_quaternions(np.stack(axes, 1)), scale, shear
 
 
-def _perpendicular(axes: list[Numbers], count: int) -> Numbers:
+def _find_perpendicular(axes: list[Numbers], count: int) -> Numbers:
     """Return a unit vector [3, count] perpendicular to the axes that exist."""
     if len(axes) == 2:
         a, b = axes

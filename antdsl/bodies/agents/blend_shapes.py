@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 from antdsl.bodies.agents.affine import Floats
 from antdsl.bodies.agents.definition import Definition, Shape
 from antdsl.bodies.agents.poses import Poses
-from antdsl.bodies.agents.skinning import Deformed, normalise_in_place
+from antdsl.bodies.agents.skinning import DeformedShape, normalise_in_place
 
 _SHAPE_FIELD_BY_ATTRIBUTE = {"P": "points", "N": "normals"}  # attributes that are separate fields of a shape
 _MIN_KNOT_SPACING = 1e-6  # in-betweens with weights nearer than this count as one
 
 
-def blend_shapes(deformed: Deformed, shape: Shape, definition: Definition, poses: Poses) -> Deformed:
+def blend_shapes(deformed: DeformedShape, shape: Shape, definition: Definition, poses: Poses) -> DeformedShape:
     """Return the shape with the inputs of a blend shape added, weighted by the channels of each agent. Only the attributes that
     the shape blends change (default: P and N). Primitives have no attributes in antdsl, so `Blend.primitive_id` is not matched.
 
@@ -35,28 +35,30 @@ def blend_shapes(deformed: Deformed, shape: Shape, definition: Definition, poses
         raise ValueError(f"shape `{shape.name}` has {len(blend.shapes)} blend shapes and {len(blend.channels)} channels for them")
     n = max(len(poses.channels), len(deformed.points))
     names = [
-        name for name in blend.attributes if _read_attribute(deformed, name) is not None and values_of(shape, name) is not None
+        name
+        for name in blend.attributes
+        if _read_attribute(deformed, name) is not None and get_point_attribute(shape, name) is not None
     ]
-    values = {name: _by_component(_read_attribute(deformed, name), n) for name in names}
+    values = {name: _split_components(_read_attribute(deformed, name), n) for name in names}
     for name, channel in zip(blend.shapes, blend.channels, strict=True):
-        weights = poses.channels[:, definition.rig.channel(channel)]
-        targets, knots = knots_of(definition, name)
+        weights = poses.channels[:, definition.rig.find_channel(channel)]
+        targets, knots = find_blend_knots(definition, name)
         for each in names:
-            if values_of(definition.shapes[name], each) is None:
+            if get_point_attribute(definition.shapes[name], each) is None:
                 continue
-            has = [k for k, target in enumerate(targets) if values_of(target, each) is not None]
-            for k, share in zip(has, shares_of(weights, knots[has]), strict=True):
+            has = [k for k, target in enumerate(targets) if get_point_attribute(target, each) is not None]
+            for k, share in zip(has, compute_knot_shares(weights, knots[has]), strict=True):
                 base_points, target_points = match_points(shape, targets[k], blend.point_id)
                 values[each][:, base_points] += (
-                    attribute_difference(shape, targets[k], each, base_points, target_points)[..., None] * share
+                    compute_attribute_offsets(shape, targets[k], each, base_points, target_points)[..., None] * share
                 )
     rest = {name: array.transpose(2, 1, 0) for name, array in values.items() if name not in _SHAPE_FIELD_BY_ATTRIBUTE}
     points = values["P"].transpose(2, 1, 0) if "P" in values else deformed.points
     normals = normalise_in_place(values["N"]).transpose(2, 1, 0) if "N" in values else deformed.normals
-    return Deformed(points, normals, {**deformed.attributes, **rest})
+    return DeformedShape(points, normals, {**deformed.attributes, **rest})
 
 
-def _read_attribute(deformed: Deformed, name: str) -> Floats | None:
+def _read_attribute(deformed: DeformedShape, name: str) -> Floats | None:
     """Return an attribute [n, P, …] in its current, possibly deformed, state."""
     return (
         {"P": deformed.points, "N": deformed.normals}[name]
@@ -65,17 +67,17 @@ def _read_attribute(deformed: Deformed, name: str) -> Floats | None:
     )
 
 
-def _by_component(values: Floats | None, n: int) -> Floats:
+def _split_components(values: Floats | None, n: int) -> Floats:
     """Return an attribute as a new array [components, P, n]."""
     assert values is not None
     wide = values.reshape(*values.shape[:2], -1).transpose(2, 1, 0)
     return np.ascontiguousarray(np.broadcast_to(wide, (*wide.shape[:2], n)).astype(np.float32))
 
 
-def knots_of(definition: Definition, name: str) -> tuple[list[Shape], NDArray[np.float64]]:
+def find_blend_knots(definition: Definition, name: str) -> tuple[list[Shape], NDArray[np.float64]]:
     """Return an input's primary shape and its in-betweens, with their weights in ascending order."""
     primary = definition.shapes[name]
-    between = primary.between
+    between = primary.in_betweens
     pairs = [(1.0, primary)]
     if between is not None:
         if len(between.shapes) != len(between.weights):
@@ -90,7 +92,7 @@ def knots_of(definition: Definition, name: str) -> tuple[list[Shape], NDArray[np
     return [target for _, target in pairs], np.array([weight for weight, _ in pairs])
 
 
-def shares_of(weights: Floats, knots: NDArray[np.float64]) -> Floats:
+def compute_knot_shares(weights: Floats, knots: NDArray[np.float64]) -> Floats:
     """Return the share of each of K shapes in an input with weights [n], float32[K, n]. A share multiplies the shape's difference
     from the base. Weights are interpolated between the two nearest knots; the base is the knot at 0."""
     all_knots = np.sort(np.append(knots, 0.0))
@@ -117,7 +119,7 @@ def match_points(base: Shape, target: Shape, point_id: str) -> tuple[NDArray[np.
     return base_points, order[place[base_points]] if len(other) else base_points
 
 
-def values_of(shape: Shape, name: str) -> NDArray[np.generic] | None:
+def get_point_attribute(shape: Shape, name: str) -> NDArray[np.generic] | None:
     """Return an attribute [P, …] of the points of a shape."""
     values: NDArray[np.generic] | None = (
         getattr(shape, _SHAPE_FIELD_BY_ATTRIBUTE[name]) if name in _SHAPE_FIELD_BY_ATTRIBUTE else shape.attributes.get(name)
@@ -125,11 +127,11 @@ def values_of(shape: Shape, name: str) -> NDArray[np.generic] | None:
     return values
 
 
-def attribute_difference(
+def compute_attribute_offsets(
     base: Shape, target: Shape, name: str, base_points: NDArray[np.intp], target_points: NDArray[np.intp]
 ) -> Floats:
     """Return another shape's attribute minus that of the base at matched points, float32[components, matched]."""
-    mine, others = values_of(base, name), values_of(target, name)
+    mine, others = get_point_attribute(base, name), get_point_attribute(target, name)
     assert mine is not None and others is not None
     delta = others[target_points].astype(np.float32) - mine[base_points].astype(np.float32)
     return np.ascontiguousarray(delta.reshape(len(base_points), int(np.prod(delta.shape[1:]))).T)  # also if no point is matched

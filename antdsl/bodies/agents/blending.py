@@ -29,9 +29,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.bodies.agents.affine import Floats, normalise, quaternion_product
+from antdsl.bodies.agents.affine import Floats, multiply_quaternions, normalise_quaternions
 from antdsl.bodies.agents.definition import TransformGroup
-from antdsl.bodies.agents.poses import REST_CLIP, ClipTable, Pose, Poses, rest_pose, sample_poses, transforms
+from antdsl.bodies.agents.poses import REST_CLIP, ClipTable, Pose, Poses, build_rest_pose, compute_transforms, sample_poses
 from antdsl.numerics import parallel
 from antdsl.numerics.float_environment import standard_floats
 
@@ -85,14 +85,14 @@ class ClipTree:
         return self.parents.index(NO_PARENT)
 
     @staticmethod
-    def flat(count: int, *groups: str) -> ClipTree:
+    def build_flat(count: int, *groups: str) -> ClipTree:
         """Return a tree of `count` clips in one layer, blended by their weights. `groups`: the transform groups of the first
         clips."""
         return ClipTree((0,) * count, (*groups, *("",) * (count - len(groups))))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Playing:
+class ClipPlayback:
     """What each of n agents plays. S is the largest number of clips in a tree. Entries beyond an agent's tree are not read.
 
     `tree`: int32[n], indices into `trees`.
@@ -112,31 +112,31 @@ class Playing:
     layer_weights: Floats
 
     @staticmethod
-    def alike(tree: ClipTree, clips: NDArray[np.int32], times: NDArray[np.float32] | NDArray[np.float64], weights: Floats,
-              layer_weights: Floats | None = None) -> Playing:  # fmt: skip
-        """Return the `Playing` of agents that all share one tree. Layer weights are 1 by default."""
+    def with_shared_tree(tree: ClipTree, clips: NDArray[np.int32], times: NDArray[np.float32] | NDArray[np.float64],
+              weights: Floats, layer_weights: Floats | None = None) -> ClipPlayback:  # fmt: skip
+        """Return the `ClipPlayback` of agents that all share one tree. Layer weights are 1 by default."""
         n = len(clips)
         layers = np.ones((n, len(tree.modes)), np.float32) if layer_weights is None else layer_weights
-        return Playing((tree,), np.zeros(n, np.int32), clips, times, weights, layers)
+        return ClipPlayback((tree,), np.zeros(n, np.int32), clips, times, weights, layers)
 
 
-def posed(
-    table: ClipTable, groups: Mapping[str, TransformGroup], playing: Playing, *, local: bool = False, threads: int = 1
+def blend_poses(
+    table: ClipTable, groups: Mapping[str, TransformGroup], playing: ClipPlayback, *, with_local: bool = False, threads: int = 1
 ) -> Poses:
-    """Return the transforms and channel values of all agents for the clips that they play. `local`: also return local transforms.
-    `threads` and the order of agents change no bit.
+    """Return the transforms and channel values of all agents for the clips that they play. `with_local`: also return local
+    transforms. `threads` and the order of agents change no bit.
 
     Raises KeyError for a transform group that does not exist, or that names a joint or channel that the rig does not have. Raises
     IndexError for a clip or tree number out of range. Raises ValueError for arrays that do not match each other or the trees.
     """
     _check_shapes(playing)
-    n, joints = len(playing.tree), len(table.order)
+    n, joints = len(playing.tree), len(table.joint_order)
     if n and not 0 <= int(playing.tree.min()) <= int(playing.tree.max()) < len(playing.trees):
         raise IndexError(f"trees are numbered from 0 to {len(playing.trees) - 1}")
     named = {name for tree in playing.trees for name in tree.groups if name}
     members = {name: table.weights(groups[name]) for name in sorted(named)}
     world = np.empty((3, 4, joints, n), np.float32)
-    own = np.empty((3, 4, joints, n), np.float32) if local else None
+    own = np.empty((3, 4, joints, n), np.float32) if with_local else None
     channels = np.empty((len(table.rig.channels), n), np.float32)
     part = max(64, _JOINTS_PER_CHUNK // max(1, joints))
 
@@ -149,7 +149,7 @@ def posed(
                 b = min(a + part, end)
                 agents = slice(a, b) if rows is None else rows[a:b]
                 pose = blend_agents(table, members, tree, playing, agents)
-                local_matrices, placed = transforms(table, pose)
+                local_matrices, placed = compute_transforms(table, pose)
                 _store_matrices(world, table, agents, placed)
                 if own is not None:
                     _store_matrices(own, table, agents, local_matrices)
@@ -157,11 +157,11 @@ def posed(
 
         if count:
             with standard_floats():
-                parallel.in_parts(work, count, threads)
+                parallel.run_in_parts(work, count, threads)
     return Poses(world.transpose(3, 2, 0, 1), None if own is None else own.transpose(3, 2, 0, 1), channels.T)
 
 
-def _check_shapes(playing: Playing) -> None:
+def _check_shapes(playing: ClipPlayback) -> None:
     """Raise ValueError for arrays with shapes that do not match the trees."""
     n = len(playing.tree)
     slots = max((len(tree.layers) for tree in playing.trees), default=0)
@@ -177,9 +177,9 @@ def _store_matrices(into: Floats, table: ClipTable, agents: slice | NDArray[np.i
     for r in range(3):
         for c in range(4):
             if isinstance(agents, slice):
-                into[r, c, table.order, agents] = matrices[r, c]
+                into[r, c, table.joint_order, agents] = matrices[r, c]
             else:
-                into[r, c, table.order[:, None], agents] = matrices[r, c]
+                into[r, c, table.joint_order[:, None], agents] = matrices[r, c]
 
 
 @dataclass(slots=True, eq=False)
@@ -188,31 +188,31 @@ class _BlendInput:
 
     `pose`: of n agents.
     `weight`: [n].
-    `joints` and `channels`: the coverage of each joint and channel: [n], or [J, n] and [C, n].
+    `joint_coverage` and `channel_coverage`: the coverage of each joint and channel: [n], or [J, n] and [C, n].
     """
 
     pose: Pose
     weight: Floats
-    joints: Floats
-    channels: Floats
+    joint_coverage: Floats
+    channel_coverage: Floats
 
 
 def blend_agents(
-    table: ClipTable, members: Mapping[str, tuple[Floats, Floats]], tree: ClipTree, playing: Playing,
+    table: ClipTable, group_weights: Mapping[str, tuple[Floats, Floats]], tree: ClipTree, playing: ClipPlayback,
     agents: slice | NDArray[np.intp],
 ) -> Pose:  # fmt: skip
-    """Return the local poses of `agents`, which all share `tree`. `members`: weights of transform groups by name."""
-    clips = _columns_of(playing.clips, agents)
-    times, weights = _columns_of(playing.times, agents), _clean_weights(_columns_of(playing.weights, agents))
-    layer_weights = _clean_weights(_columns_of(playing.layer_weights, agents))
+    """Return the local poses of `agents`, which all share `tree`. `group_weights`: weights of transform groups by name."""
+    clips = _take_columns(playing.clips, agents)
+    times, weights = _take_columns(playing.times, agents), _clean_weights(_take_columns(playing.weights, agents))
+    layer_weights = _clean_weights(_take_columns(playing.layer_weights, agents))
     n = clips.shape[1]
-    rest = rest_pose(table, n)
+    rest = build_rest_pose(table, n)
 
     def of_clip(slot: int) -> _BlendInput:
         presence = (clips[slot] != REST_CLIP).astype(np.float32)
         joints, channels = presence, presence
         if tree.groups[slot]:
-            joints, channels = (each[:, None] * presence for each in members[tree.groups[slot]])
+            joints, channels = (each[:, None] * presence for each in group_weights[tree.groups[slot]])
         return _BlendInput(sample_poses(table, clips[slot], times[slot]), weights[slot], joints, channels)
 
     def of_layer(layer: int) -> _BlendInput:
@@ -228,7 +228,7 @@ def blend_agents(
     return of_layer(tree.root).pose
 
 
-def _columns_of(values: NDArray, agents: slice | NDArray[np.intp]) -> NDArray:  # type: ignore[type-arg]  # of any numbers
+def _take_columns(values: NDArray, agents: slice | NDArray[np.intp]) -> NDArray:  # type: ignore[type-arg]  # of any numbers
     """Return the rows of some agents, transposed so that each column is contiguous."""
     return np.ascontiguousarray(values[agents].T)
 
@@ -241,9 +241,9 @@ def _clean_weights(weights: Floats) -> Floats:
 def _blend_mean(inputs: list[_BlendInput], rest: Pose) -> _BlendInput:
     """Return the weighted mean of the inputs."""
     if len(inputs) == 1:
-        return _single_mean(inputs[0], rest)
-    joint_shares, joints, no_joint = _shares([(each.weight, each.joints) for each in inputs])
-    channel_shares, channels, no_channel = _shares([(each.weight, each.channels) for each in inputs])
+        return _pass_single_input(inputs[0], rest)
+    joint_shares, joints, no_joint = _compute_shares([(each.weight, each.joint_coverage) for each in inputs])
+    channel_shares, channels, no_channel = _compute_shares([(each.weight, each.channel_coverage) for each in inputs])
     first = inputs[0].pose
     pose = Pose(
         first.translation * joint_shares[0], first.rotation * joint_shares[0],
@@ -263,20 +263,20 @@ def _blend_mean(inputs: list[_BlendInput], rest: Pose) -> _BlendInput:
                 into += part[:3]
         pose.channels += each.pose.channels * channel_share
         _add_rotations(pose.rotation, each.pose.rotation, share, part)
-    normalise(pose.rotation)
+    normalise_quaternions(pose.rotation)
     _reset_to_rest(pose, rest, no_joint, no_channel)
     return _BlendInput(pose, inputs[0].weight, joints, channels)
 
 
-def _single_mean(only: _BlendInput, rest: Pose) -> _BlendInput:
+def _pass_single_input(input_layer: _BlendInput, rest: Pose) -> _BlendInput:
     """Return the mean of one input: the input itself where its weight is not 0."""
-    joints = only.joints * (only.weight > 0)
-    channels = only.channels * (only.weight > 0)
-    _reset_to_rest(only.pose, rest, joints == 0, channels == 0)
-    return _BlendInput(only.pose, only.weight, joints, channels)
+    joints = input_layer.joint_coverage * (input_layer.weight > 0)
+    channels = input_layer.channel_coverage * (input_layer.weight > 0)
+    _reset_to_rest(input_layer.pose, rest, joints == 0, channels == 0)
+    return _BlendInput(input_layer.pose, input_layer.weight, joints, channels)
 
 
-def _shares(weights: list[tuple[Floats, Floats]]) -> tuple[list[Floats], Floats, NDArray[np.bool_]]:
+def _compute_shares(weights: list[tuple[Floats, Floats]]) -> tuple[list[Floats], Floats, NDArray[np.bool_]]:
     """Return shares that add up to 1, the mean coverage, and a mask of where there is no coverage. `weights`: pairs of a weight
     and a coverage."""
     products = [weight * presence for weight, presence in weights]
@@ -291,15 +291,15 @@ def _shares(weights: list[tuple[Floats, Floats]]) -> tuple[list[Floats], Floats,
     return [each * by for each in products], presence, none
 
 
-def _add_rotations(into: Floats, addend: Floats, share: Floats, part: Floats) -> None:
+def _add_rotations(into: Floats, addend: Floats, share: Floats, coverage: Floats) -> None:
     """Add a share of quaternions to a sum, with the sign aligned to the sum."""
-    np.multiply(into, addend, out=part)
-    dots = part[0]
+    np.multiply(into, addend, out=coverage)
+    dots = coverage[0]
     for k in (1, 2, 3):
-        dots += part[k]
+        dots += coverage[k]
     side = np.where(dots < 0, -share, share)
-    np.multiply(addend, side, out=part)
-    into += part
+    np.multiply(addend, side, out=coverage)
+    into += coverage
 
 
 def _reset_to_rest(pose: Pose, rest: Pose, no_joint: NDArray[np.bool_], no_channel: NDArray[np.bool_]) -> None:
@@ -313,20 +313,20 @@ def _reset_to_rest(pose: Pose, rest: Pose, no_joint: NDArray[np.bool_], no_chann
         np.copyto(pose.channels, rest.channels, where=no_channel)
 
 
-def _blend_added(inputs: list[_BlendInput], rest: Pose) -> _BlendInput:
+def _blend_additive(inputs: list[_BlendInput], rest: Pose) -> _BlendInput:
     """Return the first input plus a share of the differences of the others from the rest pose."""
     first = inputs[0]
-    pose, joints, channels = first.pose, first.joints, first.channels
+    pose, joints, channels = first.pose, first.joint_coverage, first.channel_coverage
     _reset_to_rest(pose, rest, joints == 0, channels == 0)
     back = rest.rotation * np.array([-1, -1, -1, 1], np.float32)[:, None, None]
     for each in inputs[1:]:
-        share, channel_share = each.weight * each.joints, each.weight * each.channels
+        share, channel_share = each.weight * each.joint_coverage, each.weight * each.channel_coverage
         pose.translation += (each.pose.translation - rest.translation) * share
         pose.channels += (each.pose.channels - rest.channels) * channel_share
-        turn = quaternion_product(each.pose.rotation, back)
+        turn = multiply_quaternions(each.pose.rotation, back)
         turn *= np.where(turn[3] < 0, -share, share)
         turn[3] += _FLOAT32_ONE - share
-        pose.rotation = normalise(quaternion_product(normalise(turn), pose.rotation))
+        pose.rotation = normalise_quaternions(multiply_quaternions(normalise_quaternions(turn), pose.rotation))
         joints = np.maximum(joints, np.minimum(share, _FLOAT32_ONE))
         channels = np.maximum(channels, np.minimum(channel_share, _FLOAT32_ONE))
     return _BlendInput(pose, first.weight, joints, channels)
@@ -338,8 +338,8 @@ def _blend_over(inputs: list[_BlendInput], rest: Pose) -> _BlendInput:
     pose = Pose(*(None if each is None else each.copy() for each in parts))  # type: ignore[arg-type]
     joints, channels = np.float32(0), np.float32(0)
     for each in inputs:
-        share = np.minimum(each.weight * each.joints, _FLOAT32_ONE)
-        channel_share = np.minimum(each.weight * each.channels, _FLOAT32_ONE)
+        share = np.minimum(each.weight * each.joint_coverage, _FLOAT32_ONE)
+        channel_share = np.minimum(each.weight * each.channel_coverage, _FLOAT32_ONE)
         for into, overlay in (
             (pose.translation, each.pose.translation),
             (pose.scale, each.pose.scale),
@@ -351,9 +351,9 @@ def _blend_over(inputs: list[_BlendInput], rest: Pose) -> _BlendInput:
         part = np.empty_like(pose.rotation)
         pose.rotation *= _FLOAT32_ONE - share
         _add_rotations(pose.rotation, each.pose.rotation, share, part)
-        normalise(pose.rotation)
+        normalise_quaternions(pose.rotation)
         joints, channels = joints + share - joints * share, channels + channel_share - channels * channel_share
     return _BlendInput(pose, inputs[0].weight, joints, channels)  # type: ignore[arg-type]
 
 
-_BLEND_BY_MODE = {INTERPOLATE_MODE: _blend_mean, ADDITIVE_MODE: _blend_added, OVER_MODE: _blend_over}
+_BLEND_BY_MODE = {INTERPOLATE_MODE: _blend_mean, ADDITIVE_MODE: _blend_additive, OVER_MODE: _blend_over}

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.bodies.agents.boxes import posed_box, rest_box
+from antdsl.bodies.agents.boxes import compute_rest_box, posed_box
 from antdsl.bodies.agents.definition import Definition, Layer
-from antdsl.bodies.agents.poses import clip_table, sample_poses, square_matrices, transforms
+from antdsl.bodies.agents.poses import build_clip_table, compute_transforms, sample_poses, to_square_matrices
 
 Corners = tuple[NDArray[np.float64], NDArray[np.float64]]
 
@@ -19,16 +19,16 @@ def standing_box(body: Definition, layer: Layer) -> Corners:
     +x, up +y. Without an idle clip it is the box in the rest pose."""
     own = replace(body, layers={layer.name: layer})
     if body.idle not in body.clips:
-        return turn_box(body, rest_box(own))
-    table = clip_table(body)
-    _, world = transforms(table, sample_poses(table, np.array([table.number(body.idle)]), np.zeros(1)))
-    matrices = np.empty((len(table.order), 4, 4))
-    matrices[table.order] = square_matrices(world.transpose(3, 2, 0, 1))[0]
+        return turn_box(body, compute_rest_box(own))
+    table = build_clip_table(body)
+    _, world = compute_transforms(table, sample_poses(table, np.array([table.find_clip(body.idle)]), np.zeros(1)))
+    matrices = np.empty((len(table.joint_order), 4, 4))
+    matrices[table.joint_order] = to_square_matrices(world.transpose(3, 2, 0, 1))[0]
     return turn_box(body, posed_box(own, matrices))
 
 
 def turn_box(body: Definition, box: Corners) -> Corners:
     """Return a box of a definition's space in agent space."""
     corners = np.array([[box[k >> axis & 1][axis] for axis in range(3)] for k in range(8)])
-    turned = corners @ body.base_matrix()[:3, :3].T
+    turned = corners @ body.compute_base_matrix()[:3, :3].T
     return turned.min(axis=0), turned.max(axis=0)

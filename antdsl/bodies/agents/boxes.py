@@ -15,13 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.bodies.agents.definition import Binding, Definition, Shape
-from antdsl.bodies.agents.transforms import compose_transforms, world_matrices
+from antdsl.bodies.agents.transforms import compose_transforms, compute_world_matrices
 from antdsl.scene.geometry.matrices import apply_transforms
 
 Floats = NDArray[Any]  # float32 or float64
 
 
-def layer_boxes(definition: Definition, worlds: Floats, layers: Sequence[str]) -> tuple[Floats, Floats]:
+def compute_layer_boxes(definition: Definition, worlds: Floats, layers: Sequence[str]) -> tuple[Floats, Floats]:
     """Return the lowest and highest corners [n, 3] of agents with joint world matrices `worlds` [n, J, 4, 4], in the dtype of
     `worlds`. Both corners are NaN for layers without a shape. Raises KeyError for a layer or a shape that the definition does not
     have."""
@@ -31,7 +31,7 @@ def layer_boxes(definition: Definition, worlds: Floats, layers: Sequence[str]) -
     for name in layers:
         layer = definition.layers[name]
         for binding in (*layer.static, *layer.deforming):
-            low, high = _binding_box(definition, binding, worlds)
+            low, high = _compute_binding_box(definition, binding, worlds)
             np.minimum(least, low, out=least)
             np.maximum(most, high, out=most)
     empty = least[:, 0] > most[:, 0]
@@ -39,58 +39,59 @@ def layer_boxes(definition: Definition, worlds: Floats, layers: Sequence[str]) -
     return least, most
 
 
-def agent_boxes(
-    definition: Definition, worlds: Floats, current: Sequence[tuple[str, ...]], collision: Sequence[tuple[str, ...]],
-    wears: NDArray[np.integer], collides: NDArray[np.integer],
+def compute_agent_boxes(
+    definition: Definition, worlds: Floats, worn_layers: Sequence[tuple[str, ...]], collision_layers: Sequence[tuple[str, ...]],
+    worn_indices: NDArray[np.integer], collision_indices: NDArray[np.integer],
 ) -> tuple[Floats, Floats]:  # fmt: skip
-    """Return boxes as `layer_boxes` does, for agents with different layers. Agent i wears `current[wears[i]]` and collides with
-    `collision[collides[i]]`. Collision layers take precedence where an agent has any."""
+    """Return boxes as `compute_layer_boxes` does, for agents with different layers. Agent i wears `current[wears[i]]` and
+    collides with `collision[collides[i]]`. Collision layers take precedence where an agent has any."""
     least = np.full((len(worlds), 3), np.nan, worlds.dtype)
     most = least.copy()
-    for a, b in sorted(set(zip(wears.tolist(), collides.tolist(), strict=True))):
-        rows = np.flatnonzero((wears == a) & (collides == b))
-        least[rows], most[rows] = layer_boxes(definition, worlds[rows], collision[b] or current[a])
+    for a, b in sorted(set(zip(worn_indices.tolist(), collision_indices.tolist(), strict=True))):
+        rows = np.flatnonzero((worn_indices == a) & (collision_indices == b))
+        least[rows], most[rows] = compute_layer_boxes(definition, worlds[rows], collision_layers[b] or worn_layers[a])
     return least, most
 
 
-def _binding_box(definition: Definition, binding: Binding, worlds: Floats) -> tuple[Floats, Floats]:
+def _compute_binding_box(definition: Definition, binding: Binding, worlds: Floats) -> tuple[Floats, Floats]:
     """Return the lowest and highest corners [n, 3] of the box of a binding's shape."""
     shape = definition.shapes[binding.shape]
     scale = np.array(binding.bounds_scale, worlds.dtype)
     if shape.capture is not None and binding.deformer not in ("", "blendshape"):
-        followed = _followed_joints(shape)
+        followed = _find_followed_joints(shape)
         chosen = [definition.rig.joint(shape.capture.names[number]) for number in followed]
         if len(chosen) == 1:  # it moves with its joint as a static shape does
             return _transform_box(
-                _shape_extent(definition, shape), scale, worlds[:, chosen[0]], shape.capture.inverse[followed[0]]
+                _compute_shape_extent(definition, shape), scale, worlds[:, chosen[0]], shape.capture.inverse[followed[0]]
             )
-        low, high = _joint_positions(worlds, chosen)
+        low, high = _compute_joint_box(worlds, chosen)
         middle, half = (low + high) / 2, (high - low) / 2 * scale
         return middle - half, middle + half
-    extent = _shape_extent(definition, shape)
+    extent = _compute_shape_extent(definition, shape)
     if binding.transform:
         return _transform_box(extent, scale, worlds[:, definition.rig.joint(binding.transform)], np.eye(4))
-    middle, half = _scaled_box(extent, scale)
+    middle, half = _scale_box(extent, scale)
     return np.broadcast_to(middle - half, (len(worlds), 3)), np.broadcast_to(middle + half, (len(worlds), 3))
 
 
-def _scaled_box(extent: tuple[Floats, Floats], scale: Floats) -> tuple[Floats, Floats]:
+def _scale_box(extent: tuple[Floats, Floats], scale: Floats) -> tuple[Floats, Floats]:
     """Return the centre of a box and its scaled half widths, in the dtype of the scale."""
     low, high = extent
     return ((low + high) / 2).astype(scale.dtype), ((high - low) / 2).astype(scale.dtype) * scale
 
 
-def _transform_box(extent: tuple[Floats, Floats], scale: Floats, worlds: Floats, own: Floats) -> tuple[Floats, Floats]:
-    """Return the bounding box of a scaled box that is transformed by the matrix `own` [4, 4] and then by each of `worlds` [n, 4,
-    4]."""
+def _transform_box(extent: tuple[Floats, Floats], scale: Floats, worlds: Floats, local_matrix: Floats) -> tuple[Floats, Floats]:
+    """Return the bounding box of a scaled box that is transformed by the matrix `local_matrix` [4, 4] and then by each of
+    `worlds` [n, 4, 4]."""
     matrices = worlds
-    if (own != np.eye(4)).any():
-        own = own.astype(worlds.dtype)
+    if (local_matrix != np.eye(4)).any():
+        local_matrix = local_matrix.astype(worlds.dtype)
         columns = [
-            ((worlds[:, :, 0] * c[0] + worlds[:, :, 1] * c[1]) + worlds[:, :, 2] * c[2]) + worlds[:, :, 3] * c[3] for c in own.T
+            ((worlds[:, :, 0] * c[0] + worlds[:, :, 1] * c[1]) + worlds[:, :, 2] * c[2]) + worlds[:, :, 3] * c[3]
+            for c in local_matrix.T
         ]
         matrices = np.stack(columns, axis=-1)
-    middle, half = _scaled_box(extent, scale)
+    middle, half = _scale_box(extent, scale)
     # the box of a rotated box: rotated centre; half widths times the absolute values of the matrix's entries
     turned = matrices[:, :3, 0] * middle[0] + matrices[:, :3, 1] * middle[1] + matrices[:, :3, 2] * middle[2] + matrices[:, :3, 3]
     size = np.abs(matrices[:, :3, :3])
@@ -98,27 +99,27 @@ def _transform_box(extent: tuple[Floats, Floats], scale: Floats, worlds: Floats,
     return turned - wide, turned + wide
 
 
-def _joint_positions(worlds: Floats, chosen: list[int]) -> tuple[Floats, Floats]:
-    """Return the box of the positions of the joints `chosen`. Computed joint by joint to avoid a copy of all matrices."""
-    low = worlds[:, chosen[0], :3, 3].copy()
+def _compute_joint_box(worlds: Floats, joints: list[int]) -> tuple[Floats, Floats]:
+    """Return the box of the positions of the joints `joints`. Computed joint by joint to avoid a copy of all matrices."""
+    low = worlds[:, joints[0], :3, 3].copy()
     high = low.copy()
-    for joint in chosen[1:]:
+    for joint in joints[1:]:
         np.minimum(low, worlds[:, joint, :3, 3], out=low)
         np.maximum(high, worlds[:, joint, :3, 3], out=high)
     return low, high
 
 
-def _followed_joints(shape: Shape) -> list[int]:
+def _find_followed_joints(shape: Shape) -> list[int]:
     """Return the indices of the captured joints that have a weight at any point of a shape."""
     assert shape.capture is not None
     return [int(number) for number in np.unique(shape.capture.joints[shape.capture.weights > 0])]
 
 
-def _shape_extent(definition: Definition, shape: Shape) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _compute_shape_extent(definition: Definition, shape: Shape) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the box of a shape and of all shapes that it may be blended with."""
     inputs = [definition.shapes[name] for name in (shape.blend.shapes if shape.blend else ())]
     shapes = [shape, *inputs]
-    shapes += [definition.shapes[name] for each in inputs if each.between for name in each.between.shapes]
+    shapes += [definition.shapes[name] for each in inputs if each.in_betweens for name in each.in_betweens.shapes]
     points = [each.points for each in shapes if len(each.points)]
     if not points:
         return np.full(3, np.inf), np.full(3, -np.inf)
@@ -128,10 +129,10 @@ def _shape_extent(definition: Definition, shape: Shape) -> tuple[NDArray[np.floa
     )
 
 
-def rest_box(definition: Definition) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def compute_rest_box(definition: Definition) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the box of the points of all shapes of all layers in the rest pose. It defines a body's length. Without shapes it is
     the box of the joints."""
-    return posed_box(definition, world_matrices(definition.rig.parents, definition.rig.rest))
+    return posed_box(definition, compute_world_matrices(definition.rig.parents, definition.rig.rest))
 
 
 def posed_box(definition: Definition, world: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -142,12 +143,14 @@ def posed_box(definition: Definition, world: NDArray[np.float64]) -> tuple[NDArr
         for binding in (*layer.static, *layer.deforming):
             shape = definition.shapes.get(binding.shape)
             if shape is not None and len(shape.points):
-                point_sets.append(_rest_points(definition, binding, shape, world))
+                point_sets.append(_compute_rest_points(definition, binding, shape, world))
     points = np.concatenate(point_sets[1:] or point_sets)
     return points.min(axis=0), points.max(axis=0)
 
 
-def _rest_points(definition: Definition, binding: Binding, shape: Shape, world: NDArray[np.float64]) -> NDArray[np.float64]:
+def _compute_rest_points(
+    definition: Definition, binding: Binding, shape: Shape, world: NDArray[np.float64]
+) -> NDArray[np.float64]:
     """Return the points [P, 3] of a binding's shape in the rest pose."""
     points = shape.points.astype(np.float64)
     if shape.capture is None or binding.deformer in ("", "blendshape"):

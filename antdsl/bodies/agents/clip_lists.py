@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.bodies.agents.blending import NO_PARENT, ClipTree, Playing
+from antdsl.bodies.agents.blending import NO_PARENT, ClipPlayback, ClipTree
 from antdsl.bodies.agents.poses import REST_CLIP, ClipTable
 
 Numbers = NDArray[Any]
-_NO_CLIP = -2  # stands for a clip or layer that an agent does not have
+_PADDING_INDEX = -2  # stands for a clip or layer that an agent does not have
 
 
-def playing_of(
+def build_playback(
     table: ClipTable,
     counts: Numbers,
     names: Numbers,
@@ -28,8 +28,8 @@ def playing_of(
     modes: Numbers | None = None,
     layer_weights: Numbers | None = None,
     parents: Numbers | None = None,
-) -> Playing:
-    """Return the `Playing` of n agents, from the concatenated lists of all agents.
+) -> ClipPlayback:
+    """Return the `ClipPlayback` of n agents, from the concatenated lists of all agents.
 
     `counts`: [n], the number of clips of each agent.
     `names`, `times`, `weights`: agentclipnames (text), agentcliptimes (s) and agentclipweights.
@@ -57,16 +57,16 @@ def playing_of(
     for what, values, expected_counts in lists + [(what, values, layer_counts) for what, values in of_layers.items()]:
         if values is not None and len(values) != int(expected_counts.sum()):
             raise ValueError(f"there are {len(values)} {what} where agents have {int(expected_counts.sum())}")
-    clip_numbers = _number_names(names, table.number)
-    words, group_numbers = _distinct_names(groups, len(names))
+    clip_numbers = _number_names(names, table.find_clip)
+    words, group_numbers = _find_distinct_names(groups, len(names))
     clips = _pad_lists(clip_numbers, counts, REST_CLIP).astype(np.int32)
-    group = _pad_lists(group_numbers, counts, _NO_CLIP)
-    layer = _pad_lists(np.zeros(len(names), np.int64) if layer_ids is None else layer_ids, counts, _NO_CLIP)
-    mode, parent = _pad_lists(modes, layer_counts, _NO_CLIP), _pad_lists(parents, layer_counts, _NO_CLIP)
+    group = _pad_lists(group_numbers, counts, _PADDING_INDEX)
+    layer = _pad_lists(np.zeros(len(names), np.int64) if layer_ids is None else layer_ids, counts, _PADDING_INDEX)
+    mode, parent = _pad_lists(modes, layer_counts, _PADDING_INDEX), _pad_lists(parents, layer_counts, _PADDING_INDEX)
     structure = np.concatenate([group, layer, mode, parent], axis=1)
     _, first, tree = np.unique(structure, axis=0, return_index=True, return_inverse=True)
-    trees = tuple(_agent_tree(int(agent), words, group, layer, mode, parent, counts, layer_counts) for agent in first)
-    return Playing(
+    trees = tuple(_build_agent_tree(int(agent), words, group, layer, mode, parent, counts, layer_counts) for agent in first)
+    return ClipPlayback(
         trees, tree.reshape(-1).astype(np.int32), clips, _pad_lists(times, counts, 0.0),
         _pad_lists(weights, counts, 0.0).astype(np.float32), _pad_lists(layer_weights, layer_counts, 0.0).astype(np.float32),
     )  # fmt: skip
@@ -78,7 +78,7 @@ def _number_names(names: Numbers, number: Callable[[str], int]) -> NDArray[np.in
     return np.array([number(str(name)) for name in known], np.int64)[which.reshape(-1)]
 
 
-def _distinct_names(names: Numbers | None, count: int) -> tuple[tuple[str, ...], NDArray[np.int64]]:
+def _find_distinct_names(names: Numbers | None, count: int) -> tuple[tuple[str, ...], NDArray[np.int64]]:
     """Return the distinct names, and the index into them for each of `count` entries."""
     if names is None:
         return ("",), np.zeros(count, np.int64)
@@ -96,14 +96,14 @@ def _pad_lists(values: Numbers | None, counts: NDArray[np.int64], missing: float
     return padded_rows
 
 
-def _agent_tree(
-    agent: int, words: tuple[str, ...], group: Numbers, layer: Numbers, mode: Numbers, parent: Numbers, counts: Numbers,
+def _build_agent_tree(
+    agent: int, group_names: tuple[str, ...], group: Numbers, layer: Numbers, mode: Numbers, parent: Numbers, counts: Numbers,
     layer_counts: Numbers,
 ) -> ClipTree:  # fmt: skip
     """Return the clip tree of an agent."""
     clips, layers = slice(int(counts[agent])), slice(int(layer_counts[agent]))
     layer_ids, modes, parents = (row.tolist() for row in (layer[agent, clips], mode[agent, layers], parent[agent, layers]))
     try:
-        return ClipTree(tuple(layer_ids), tuple(words[k] for k in group[agent, clips]), tuple(modes), tuple(parents))
+        return ClipTree(tuple(layer_ids), tuple(group_names[k] for k in group[agent, clips]), tuple(modes), tuple(parents))
     except ValueError as wrong:
         raise ValueError(f"agent {agent}: {wrong}") from None

@@ -55,14 +55,14 @@ class Rig:
         except ValueError:
             raise KeyError(name) from None
 
-    def channel(self, name: str) -> int:
+    def find_channel(self, name: str) -> int:
         """Return the number of a channel. Raises KeyError."""
         for number, each in enumerate(self.channels):
             if each.name == name:
                 return number
         raise KeyError(name)
 
-    def descendants(self, joint: int) -> NDArray[np.intp]:
+    def find_descendants(self, joint: int) -> NDArray[np.intp]:
         """Return the numbers of a joint and of all its descendants, parents before children."""
         inside = np.zeros(len(self.names), bool)
         inside[joint] = True
@@ -71,7 +71,7 @@ class Rig:
         return np.flatnonzero(inside)
 
     @property
-    def defaults(self) -> NDArray[np.float32]:
+    def channel_defaults(self) -> NDArray[np.float32]:
         """Return the default of each channel, float32[C]."""
         return np.array([each.default for each in self.channels], np.float32)
 
@@ -140,7 +140,7 @@ class Shape:
     attributes: dict[str, NDArray[np.float32] | NDArray[np.int64]] = field(default_factory=dict)
     capture: Capture | None = None
     blend: BlendTargets | None = None
-    between: InBetweens | None = None
+    in_betweens: InBetweens | None = None
     dual_quaternion_blend: str = ""
 
 
@@ -202,14 +202,14 @@ class Clip:
     feet: bool = True
 
     @property
-    def samples(self) -> int:
+    def sample_count(self) -> int:
         """Return the number of samples."""
         return max(len(self.translation), len(self.values))
 
     @property
     def duration(self) -> float:
         """Return the seconds from the first sample to the last."""
-        return (self.samples - 1) / self.rate
+        return (self.sample_count - 1) / self.rate
 
 
 @dataclass(frozen=True, slots=True)
@@ -310,7 +310,7 @@ class Definition:
     variation: Variation = NO_VARIATION
     capsule: tuple[float, float, float, float] | None = None
 
-    def base_matrix(self) -> NDArray[np.float64]:
+    def compute_base_matrix(self) -> NDArray[np.float64]:
         """Return the matrix float64[4, 4] from the definition's space to agent space: length 1, front +x, up +y."""
         ahead, up = np.array(self.front, np.float64), np.array(self.up, np.float64)
         matrix = np.eye(4)
@@ -319,22 +319,22 @@ class Definition:
         return matrix
 
 
-def language_name(text: str) -> str:
+def to_language_name(text: str) -> str:
     """Return a name in lower-case letters, digits and `_` that begins with a letter. Each run of other characters becomes one
     `_`."""
     name = _NON_NAME_CHARACTERS.sub("_", text.lower()).strip("_")
     return name if name[:1].isalpha() else f"n{name}"
 
 
-def language_names(names: Iterable[str]) -> dict[str, str]:
+def map_language_names(names: Iterable[str]) -> dict[str, str]:
     """Return the display name of each name. Names that are valid in the language do not change. If the display names of other
     names collide, the later ones get `_2`, `_3` and so on."""
     names = list(names)
-    translations = {name: name for name in names if language_name(name) == name}
+    translations = {name: name for name in names if to_language_name(name) == name}
     taken = set(translations)
     for name in names:
         if name not in translations:
-            first = candidate = language_name(name)
+            first = candidate = to_language_name(name)
             count = 2
             while candidate in taken:
                 candidate, count = f"{first}_{count}", count + 1
@@ -343,11 +343,11 @@ def language_names(names: Iterable[str]) -> dict[str, str]:
     return {name: translations[name] for name in names}
 
 
-def with_language_names(body: Definition) -> Definition:
+def use_language_names(body: Definition) -> Definition:
     """Return the definition with the display names of its clips (also the idle clip), marks, layers and transform groups. Channel
     names do not change, because clips and shapes refer to them."""
-    clips, groups, layers = (language_names(each) for each in (body.clips, body.groups, body.layers))
-    marked = {name: language_names(clip.marks) for name, clip in body.clips.items()}
+    clips, groups, layers = (map_language_names(each) for each in (body.clips, body.groups, body.layers))
+    marked = {name: map_language_names(clip.marks) for name, clip in body.clips.items()}
     if all(name == own for each in (clips, groups, layers, *marked.values()) for name, own in each.items()):
         return body
     return replace(

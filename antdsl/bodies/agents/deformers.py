@@ -1,8 +1,8 @@
 """Deformers by name: functions that make a shape of the library follow the transforms and channel values of n agents.
 
 `DEFORMER_BY_NAME` has the documented ones: `linearskinning`, `dualquatskinning`, `dualquatblendskinning` and `blendshape`. Names
-joined by `+` are applied in sequence (`blendshape+linearskinning`); any deformers may be joined. `register` adds new ones. A
-binding without a deformer is a static shape that moves rigidly with its joint.
+joined by `+` are applied in sequence (`blendshape+linearskinning`); any deformers may be joined. `register_deformer` adds new
+ones. A binding without a deformer is a static shape that moves rigidly with its joint.
 """
 
 from __future__ import annotations
@@ -11,15 +11,15 @@ from typing import Protocol
 
 import numpy as np
 
-from antdsl.bodies.agents.affine import inverse_transposed
+from antdsl.bodies.agents.affine import invert_and_transpose
 from antdsl.bodies.agents.blend_shapes import blend_shapes
 from antdsl.bodies.agents.definition import Binding, Definition, Shape
 from antdsl.bodies.agents.poses import Poses
 from antdsl.bodies.agents.skinning import (
-    Deformed,
-    dual_quaternion_blend,
-    dual_quaternion_skinning,
-    linear_skinning,
+    DeformedShape,
+    apply_dual_quaternion_skinning,
+    apply_linear_skinning,
+    blend_skinning_methods,
     normalise_in_place,
     transform_points,
 )
@@ -36,22 +36,22 @@ class Deformer(Protocol):
     subsets of agents, so the result for one agent must not depend on the others.
     """
 
-    def __call__(self, deformed: Deformed, shape: Shape, definition: Definition, poses: Poses) -> Deformed: ...
+    def __call__(self, deformed: DeformedShape, shape: Shape, definition: Definition, poses: Poses) -> DeformedShape: ...
 
 
 DEFORMER_BY_NAME: dict[str, Deformer] = {
-    "linearskinning": linear_skinning,
-    "dualquatskinning": dual_quaternion_skinning,
-    "dualquatblendskinning": dual_quaternion_blend,
+    "linearskinning": apply_linear_skinning,
+    "dualquatskinning": apply_dual_quaternion_skinning,
+    "dualquatblendskinning": blend_skinning_methods,
     "blendshape": blend_shapes,
 }
 
 
 # deformers that move a shape by the joints that its points follow
-SKINNING_DEFORMERS = (linear_skinning, dual_quaternion_skinning, dual_quaternion_blend)
+SKINNING_DEFORMERS = (apply_linear_skinning, apply_dual_quaternion_skinning, blend_skinning_methods)
 
 
-def register(name: str, deformer: Deformer) -> None:
+def register_deformer(name: str, deformer: Deformer) -> None:
     """Add a deformer under a name for use by bindings. Raises ValueError for a name that is taken, empty, or contains `+`."""
     if not name or "+" in name or name in DEFORMER_BY_NAME:
         raise ValueError(
@@ -60,7 +60,7 @@ def register(name: str, deformer: Deformer) -> None:
     DEFORMER_BY_NAME[name] = deformer
 
 
-def deformer_steps(name: str) -> tuple[Deformer, ...]:
+def find_deformers(name: str) -> tuple[Deformer, ...]:
     """Return the deformers that a name lists, in the order of application. Raises KeyError with the existing names."""
     missing = [part for part in name.split("+") if part not in DEFORMER_BY_NAME]
     if missing:
@@ -68,7 +68,7 @@ def deformer_steps(name: str) -> tuple[Deformer, ...]:
     return tuple(DEFORMER_BY_NAME[part] for part in name.split("+"))
 
 
-def bound(definition: Definition, binding: Binding, poses: Poses) -> Deformed:
+def deform_binding(definition: Definition, binding: Binding, poses: Poses) -> DeformedShape:
     """Return the shape of a binding for each of n agents, deformed, in agent space. A shape with points that follow no joints
     moves with the binding's joint.
 
@@ -78,10 +78,10 @@ def bound(definition: Definition, binding: Binding, poses: Poses) -> Deformed:
     n = len(poses.world)
     named = shape.blend.attributes if shape.blend else ()
     further = {name: values[None].astype(np.float32) for name, values in shape.attributes.items() if name in named}
-    rest = Deformed(shape.points[None], None if shape.normals is None else shape.normals[None], further)
-    chain = deformer_steps(binding.deformer) if binding.deformer else ()
+    rest = DeformedShape(shape.points[None], None if shape.normals is None else shape.normals[None], further)
+    chain = find_deformers(binding.deformer) if binding.deformer else ()
     if binding.transform and not any(step in SKINNING_DEFORMERS for step in chain):
-        chain = (*chain, _rigid_step(binding))
+        chain = (*chain, _build_rigid_deformer(binding))
     points = np.empty((n, *shape.points.shape), np.float32)
     normals = None if shape.normals is None else np.empty(points.shape, np.float32)
     others = {name: np.empty((n, *values.shape[1:]), np.float32) for name, values in rest.attributes.items()}
@@ -98,19 +98,19 @@ def bound(definition: Definition, binding: Binding, poses: Poses) -> Deformed:
             normals[rows] = deformed.normals
         for name, into in others.items():
             into[rows] = deformed.attributes[name].reshape(-1, *into.shape[1:])
-    return Deformed(points, normals, others)
+    return DeformedShape(points, normals, others)
 
 
-def _rigid_step(binding: Binding) -> Deformer:
+def _build_rigid_deformer(binding: Binding) -> Deformer:
     """Return the deformer that moves a shape by its joint alone."""
 
-    def carried(deformed: Deformed, shape: Shape, definition: Definition, poses: Poses) -> Deformed:
+    def carried(deformed: DeformedShape, shape: Shape, definition: Definition, poses: Poses) -> DeformedShape:
         joint = definition.rig.joint(binding.transform)
         matrices = poses.world[:, joint].transpose(1, 2, 0)[:, :, None]
         points = transform_points(matrices, deformed.points).transpose(2, 1, 0)
         if deformed.normals is None:
-            return Deformed(points, None, deformed.attributes)
-        across = transform_points(inverse_transposed(matrices), deformed.normals)
-        return Deformed(points, normalise_in_place(across).transpose(2, 1, 0), deformed.attributes)
+            return DeformedShape(points, None, deformed.attributes)
+        across = transform_points(invert_and_transpose(matrices), deformed.normals)
+        return DeformedShape(points, normalise_in_place(across).transpose(2, 1, 0), deformed.attributes)
 
     return carried

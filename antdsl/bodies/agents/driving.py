@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.bodies.agents.affine import Floats, normalise
-from antdsl.bodies.agents.definition import Rig, TransformGroup, language_names
+from antdsl.bodies.agents.affine import Floats, normalise_quaternions
+from antdsl.bodies.agents.definition import Rig, TransformGroup, map_language_names
 from antdsl.bodies.agents.poses import ClipTable, Poses
 from antdsl.bodies.agents.varied_bodies import VariationDraws
 
@@ -20,21 +20,21 @@ class DrivenPose:
     """Values that drive the poses of n agents.
 
     `channels`: float32[n] by display name. A value overrides the clips for a channel of the rig; NaN leaves the value of the
-    clips. `looks`: float32[n, 3] by transform group, unit vectors in the agent's space (+x ahead, +y up); (1, 0, 0) is straight
-    ahead. `draws`: the random variation of bodies.
+    clips. `look_directions`: float32[n, 3] by transform group, unit vectors in the agent's space (+x ahead, +y up); (1, 0, 0) is
+    straight ahead. `variation_draws`: the random variation of bodies.
     `lean`: float32[n, 2], how much each agent turns (positive: left) and climbs, from -1 to 1; None if no clip depends on it.
     """
 
     channels: Mapping[str, Floats] = field(default_factory=dict)
-    looks: Mapping[str, Floats] = field(default_factory=dict)
-    draws: VariationDraws | None = None
+    look_directions: Mapping[str, Floats] = field(default_factory=dict)
+    variation_draws: VariationDraws | None = None
     lean: Floats | None = None
 
 
-def with_channels(table: ClipTable, poses: Poses, channels: Mapping[str, Floats]) -> Poses:
+def set_pose_channels(table: ClipTable, poses: Poses, channels: Mapping[str, Floats]) -> Poses:
     """Return poses in which the given channel values are set where finite. Channels that the rig does not have are ignored."""
     names = {
-        language_name: k for k, language_name in enumerate(language_names(each.name for each in table.rig.channels).values())
+        language_name: k for k, language_name in enumerate(map_language_names(each.name for each in table.rig.channels).values())
     }
     known = {names[name]: value for name, value in channels.items() if name in names}
     if not known:
@@ -46,7 +46,7 @@ def with_channels(table: ClipTable, poses: Poses, channels: Mapping[str, Floats]
     return replace(poses, channels=values)
 
 
-def with_looks(
+def turn_towards_looks(
     table: ClipTable, poses: Poses, looks: Mapping[str, Floats], groups: Mapping[str, TransformGroup], base: NDArray[np.float64]
 ) -> Poses:
     """Return poses in which the joints of transform groups are turned towards the given directions.
@@ -64,24 +64,24 @@ def with_looks(
     axes = (base / np.sqrt((x * x + y * y) + z * z)).astype(np.float32)
     for name, look in known_looks.items():
         direction = [(look[:, 0] * axes[0, k] + look[:, 1] * axes[1, k]) + look[:, 2] * axes[2, k] for k in range(3)]
-        turn = _shortest_turn(direction, axes[0])
-        for joint, share in look_shares(table.rig, groups[name]):
-            _turn_joints(world, joint, table.rig.descendants(joint), _partial_turn(turn, share))
+        turn = _compute_shortest_rotation(direction, axes[0])
+        for joint, share in iterate_look_shares(table.rig, groups[name]):
+            _turn_joints(world, joint, table.rig.find_descendants(joint), _scale_rotation(turn, share))
     return Poses(world, None, poses.channels)
 
 
-def look_shares(rig: Rig, group: TransformGroup) -> Iterator[tuple[int, float]]:
+def iterate_look_shares(rig: Rig, group: TransformGroup) -> Iterator[tuple[int, float]]:
     """Yield the joints of a group by number, each with its share of the group's look rotation. The share is the joint's weight,
     limited to the remainder that its ancestors leave."""
     left = np.ones(len(rig.names))
     for joint, weight in sorted((rig.joint(member), weight) for member, weight in group.members):
         share = min(weight, float(left[joint]))
         if share > 0:
-            left[rig.descendants(joint)] -= share
+            left[rig.find_descendants(joint)] -= share
             yield joint, share
 
 
-def _shortest_turn(direction: Sequence[Floats], ahead: Floats) -> Floats:
+def _compute_shortest_rotation(direction: Sequence[Floats], ahead: Floats) -> Floats:
     """Return quaternions float32[n, 4] of the shortest rotations from `ahead` [3] to `direction`: unit vectors, as x, y and z [n]
     each."""
     x, y, z = ahead
@@ -90,28 +90,28 @@ def _shortest_turn(direction: Sequence[Floats], ahead: Floats) -> Floats:
         1 + ((direction[0] * x + direction[1] * y) + direction[2] * z),
     ]).astype(np.float32)  # fmt: skip
     quaternions[:, quaternions[3] < 1e-6] = np.array([[0], [0], [0], [1]], np.float32)  # straight back: no unique rotation
-    return np.ascontiguousarray(normalise(quaternions).T)
+    return np.ascontiguousarray(normalise_quaternions(quaternions).T)
 
 
-def _partial_turn(turn: Floats, weight: float) -> Floats:
+def _scale_rotation(turn: Floats, weight: float) -> Floats:
     """Return a share of turns [n, 4], by nlerp (normalised linear interpolation) from the identity."""
     part = turn * np.float32(weight)
     part[:, 3] += np.float32(1 - weight)
-    return np.ascontiguousarray(normalise(np.ascontiguousarray(part.T)).T)
+    return np.ascontiguousarray(normalise_quaternions(np.ascontiguousarray(part.T)).T)
 
 
-def _turn_joints(world: Floats, joint: int, moved: NDArray[np.intp], turn: Floats) -> None:
-    """Rotate the joints `moved` of world matrices [n, J, 3, 4] about the position of one joint, in place."""
-    x, y, z, w = turn.T
-    matrix = np.empty((len(turn), 3, 3), np.float32)
+def _turn_joints(world: Floats, joint: int, moved_joints: NDArray[np.intp], rotation: Floats) -> None:
+    """Rotate the joints `moved_joints` of world matrices [n, J, 3, 4] about the position of one joint, in place."""
+    x, y, z, w = rotation.T
+    matrix = np.empty((len(rotation), 3, 3), np.float32)
     matrix[:, 0] = np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], axis=1)
     matrix[:, 1] = np.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)], axis=1)
     matrix[:, 2] = np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], axis=1)
     pivot = world[:, joint, :, 3].copy()
-    part: Any = world[:, moved]
+    part: Any = world[:, moved_joints]
     part[..., 3] -= pivot[:, None]
     for row in range(3):
         a, b, c = (matrix[:, row, k, None, None] for k in range(3))
         turned = (a * part[:, :, 0] + b * part[:, :, 1]) + c * part[:, :, 2]
         turned[..., 3] += pivot[:, None, row]
-        world[:, moved, row] = turned
+        world[:, moved_joints, row] = turned

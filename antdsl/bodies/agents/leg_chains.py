@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.bodies.agents.definition import Definition, Leg, Rig
-from antdsl.bodies.agents.poses import REST_CLIP, clip_table, sample_poses, transforms
+from antdsl.bodies.agents.poses import REST_CLIP, build_clip_table, compute_transforms, sample_poses
 from antdsl.scene.setting import GaitData, LegsData
 
 Joints = NDArray[np.intp]
@@ -33,15 +33,15 @@ class LegChain:
     sole: Joints
 
 
-def leg_chain(rig: Rig, leg: Leg) -> LegChain:
+def build_leg_chain(rig: Rig, leg: Leg) -> LegChain:
     """Return the chain of a leg. Raises KeyError for a joint that the rig does not have."""
     upper, lower, foot = rig.joint(leg.upper), rig.joint(leg.lower), rig.joint(leg.foot)
-    below = [_descendant_mask(rig, joint) for joint in (upper, lower, foot)]
+    below = [_build_descendant_mask(rig, joint) for joint in (upper, lower, foot)]
     thigh, shank = (np.flatnonzero(a & ~b) for a, b in pairwise(below))
     return LegChain(upper, lower, foot, thigh, shank, np.flatnonzero(below[2]))
 
 
-def _descendant_mask(rig: Rig, joint: int) -> NDArray[np.bool_]:
+def _build_descendant_mask(rig: Rig, joint: int) -> NDArray[np.bool_]:
     """Return a mask of a joint and all its descendants, bool[J]."""
     is_below = np.zeros(len(rig.names), np.bool_)
     is_below[joint] = True
@@ -50,31 +50,31 @@ def _descendant_mask(rig: Rig, joint: int) -> NDArray[np.bool_]:
     return is_below
 
 
-def standing_joints(body: Definition) -> NDArray[np.float64]:
+def compute_standing_joints(body: Definition) -> NDArray[np.float64]:
     """Return joint positions in the standing pose, float64[J, 3], in body lengths along the axes of agents. The standing pose is
     the first sample of the idle clip, or else the rest pose."""
-    table = clip_table(body)
-    number = table.number(body.idle) if body.idle in body.clips else REST_CLIP
-    world = transforms(table, sample_poses(table, np.array([number]), np.zeros(1)))[1]
-    positions = np.empty((len(table.order), 3))
-    positions[table.order] = world[:, 3, :, 0].T
-    base = body.base_matrix()
+    table = build_clip_table(body)
+    number = table.find_clip(body.idle) if body.idle in body.clips else REST_CLIP
+    world = compute_transforms(table, sample_poses(table, np.array([number]), np.zeros(1)))[1]
+    positions = np.empty((len(table.joint_order), 3))
+    positions[table.joint_order] = world[:, 3, :, 0].T
+    base = body.compute_base_matrix()
     return np.stack(
         [(base[k, 0] * positions[:, 0] + base[k, 1] * positions[:, 1]) + base[k, 2] * positions[:, 2] for k in range(3)], 1
     )
 
 
-def legs_data(body: Definition) -> LegsData:
+def build_legs_data(body: Definition) -> LegsData:
     """Return the legs of a body that has legs, in body lengths."""
-    positions = standing_joints(body)
-    chains = [leg_chain(body.rig, leg) for leg in body.legs]
+    positions = compute_standing_joints(body)
+    chains = [build_leg_chain(body.rig, leg) for leg in body.legs]
     hip, knee, foot = (positions[[getattr(each, name) for each in chains]] for name in ("upper", "lower", "foot"))
-    length = _lengths(knee - hip) + _lengths(foot - knee)
+    length = _compute_lengths(knee - hip) + _compute_lengths(foot - knee)
     per = 1.0 / body.length
     gaits = tuple(GaitData(g.speed * per, g.stride * per, g.duty, g.lift * per, g.phases) for g in body.gaits)
     return LegsData(foot, hip, np.maximum(length, 1e-6), gaits)
 
 
-def _lengths(v: NDArray[np.float64]) -> NDArray[np.float64]:
+def _compute_lengths(v: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the lengths of vectors [..., 3]."""
     return np.asarray(np.sqrt((v[:, 0] * v[:, 0] + v[:, 1] * v[:, 1]) + v[:, 2] * v[:, 2]))

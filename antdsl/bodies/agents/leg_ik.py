@@ -14,9 +14,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.bodies.agents.affine import Floats, Numbers, compose_matrices, normalise
+from antdsl.bodies.agents.affine import Floats, Numbers, compose_matrices, normalise_quaternions
 from antdsl.bodies.agents.definition import Definition
-from antdsl.bodies.agents.leg_chains import Joints, LegChain, leg_chain, standing_joints
+from antdsl.bodies.agents.leg_chains import Joints, LegChain, build_leg_chain, compute_standing_joints
 from antdsl.bodies.agents.machine_clips import MachineClips, PlayedClip
 from antdsl.bodies.agents.poses import Poses
 
@@ -36,22 +36,22 @@ LEG_BENDING_LIMITS = {
 class BodySpaceFeet:
     """The feet of n agents relative to their bodies, in body lengths along ahead, up and aside.
 
-    `place`: float32[n, L, 3], the ground below each foot, or the position of a swinging foot.
+    `positions`: float32[n, L, 3], the ground below each foot, or the position of a swinging foot.
     `down`: bool[n, L], whether the foot is on the ground.
     `rise`: float32[n], height of the trunk relative to its rest.
     `tilt`: float32[n, 4], rotation of the trunk relative to its rest, x y z w.
     """
 
-    place: Floats
+    positions: Floats
     down: NDArray[np.bool_]
     rise: Floats
     tilt: Floats
 
-    def scale_trunk(self, stands: Floats) -> BodySpaceFeet:
-        """Return the feet with the movement of trunks scaled by `stands` [n], from 0 to 1."""
-        tilt = self.tilt * stands[:, None]
-        tilt[:, 3] += 1 - stands
-        return replace(self, rise=self.rise * stands, tilt=tilt)
+    def scale_trunk(self, weights: Floats) -> BodySpaceFeet:
+        """Return the feet with the movement of trunks scaled by `weights` [n], from 0 to 1."""
+        tilt = self.tilt * weights[:, None]
+        tilt[:, 3] += 1 - weights
+        return replace(self, rise=self.rise * weights, tilt=tilt)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,7 +77,7 @@ class PlacedFeet:
         that are not finite count as 0."""
         with np.errstate(all="ignore"):
             away = np.asarray(self.P, np.float64) - np.asarray(position, np.float64)[:, None]
-            across = _rotation_matrices(orient)
+            across = _build_rotation_matrices(orient)
             size = np.where(np.asarray(scale) > 0, scale, 1.0).astype(np.float64)
             x, y, z = (away[..., k] for k in range(3))
             place = [(x * m[0, :, None] + y * m[1, :, None]) + z * m[2, :, None] for m in np.moveaxis(across, 1, 0)]
@@ -92,22 +92,22 @@ class LegSolver:
     """The legs of a definition, prepared for inverse kinematics."""
 
     def __init__(self, body: Definition) -> None:
-        self._chains = [leg_chain(body.rig, leg) for leg in body.legs]
-        standing = standing_joints(body)
-        self.soles = standing[[each.foot for each in self._chains], 1].astype(np.float32).reshape(-1)
-        base = body.base_matrix()[:3, :3] * body.length
-        self._base, self._length = base.astype(np.float32), np.float32(body.length)
-        self._up = base[1].astype(np.float32)
-        self._rest = (standing @ base * body.length).T.astype(np.float32)  # (3, J), axes of the definition
-        self._front = base[0].astype(np.float32)
+        self._chains = [build_leg_chain(body.rig, leg) for leg in body.legs]
+        standing = compute_standing_joints(body)
+        self.sole_heights = standing[[each.foot for each in self._chains], 1].astype(np.float32).reshape(-1)
+        base = body.compute_base_matrix()[:3, :3] * body.length
+        self._base_rotation, self._length = base.astype(np.float32), np.float32(body.length)
+        self._up_axis = base[1].astype(np.float32)
+        self._standing_positions = (standing @ base * body.length).T.astype(np.float32)  # (3, J), axes of the definition
+        self._front_axis = base[0].astype(np.float32)
         legs = np.zeros(len(body.rig.names), np.bool_)
         for each in self._chains:
             legs[each.thigh] = legs[each.shank] = legs[each.sole] = True
-        self._groups = {
+        self._group_moves_legs = {
             name: any(legs[body.rig.joint(joint)] and weight > 0 for joint, weight in group.members if joint in body.rig.names)
             for name, group in body.groups.items()
         }
-        self._free = {name for name, clip in body.clips.items() if not clip.feet}
+        self._clips_without_feet = {name for name, clip in body.clips.items() if not clip.feet}
 
     @property
     def count(self) -> int:
@@ -119,22 +119,24 @@ class LegSolver:
         """Return the joint chain of each leg."""
         return self._chains
 
-    def straight_axes(self) -> Floats:
+    def get_straight_axes(self) -> Floats:
         """Return the bend axes float32[L, 3] of knees that are straight in a pose, in the definition's space."""
-        return np.concatenate([self._straight_axis(each) for each in self._chains], axis=1).T
+        return np.concatenate([self._get_straight_axis(each) for each in self._chains], axis=1).T
 
-    def stance_weights(
+    def compute_stance_weights(
         self, clips: Sequence[tuple[str, str] | PlayedClip], machines: Sequence[MachineClips], count: int
     ) -> Floats:
         """Return how strongly the feet of `count` agents are placed on the ground, float32[n] from 0 to 1. Clips that do not
         place feet reduce it, according to their layers and weights in the pose."""
         stands = np.ones(count, np.float32)
         played = [PlayedClip(*each) for each in clips]
-        free = np.array([each.clip in self._free for each in played] + [False])
-        moves = np.array([not each.add and (not each.on or self._groups.get(each.on, False)) for each in played] + [False])
+        free = np.array([each.clip in self._clips_without_feet for each in played] + [False])
+        moves = np.array(
+            [not each.add and (not each.on or self._group_moves_legs.get(each.on, False)) for each in played] + [False]
+        )
         for machine in machines:
             weight, loose = np.zeros(count, np.float32), np.zeros(count, np.float32)
-            for clip, _, share in machine.clip_slots():
+            for clip, _, share in machine.iterate_clip_slots():
                 row = np.where((clip >= 0) & (clip < len(clips)), clip, len(clips))
                 heeded = np.maximum(np.nan_to_num(share), 0) * moves[row]
                 weight += heeded
@@ -143,46 +145,46 @@ class LegSolver:
             stands = stands * (1 - over) + over * (1 - loose / np.where(weight > 0, weight, np.float32(1)))
         return stands.astype(np.float32)
 
-    def bend_legs(self, poses: Poses, feet: BodySpaceFeet, stands: Floats) -> Poses:
-        """Return poses with the feet at their targets, weighted by `stands` [n], and with trunks moved by `rise` and `tilt`.
-        `local` is None."""
+    def bend_legs(self, poses: Poses, feet: BodySpaceFeet, stance_weights: Floats) -> Poses:
+        """Return poses with the feet at their targets, weighted by `stance_weights` [n], and with trunks moved by `rise` and
+        `tilt`. `local` is None."""
         world = np.array(poses.world.transpose(2, 3, 1, 0), np.float32, order="C")
-        goals = self._goals(feet)
-        self._lower_bodies(world, goals, feet.down, stands)
+        goals = self._compute_foot_goals(feet)
+        self._lower_bodies(world, goals, feet.down, stance_weights)
         for each, goal in zip(self._chains, goals, strict=True):
-            self._bend_leg(world, each, goal, stands)
+            self._bend_leg(world, each, goal, stance_weights)
         self._move_trunk(world, feet)
         return replace(poses, world=world.transpose(3, 2, 0, 1), local=None)
 
-    def _goals(self, feet: BodySpaceFeet) -> list[Floats]:
+    def _compute_foot_goals(self, feet: BodySpaceFeet) -> list[Floats]:
         """Return the goal of each foot joint, float32[3, n], in the definition's space before the trunk moves."""
-        turn = _rotation_matrices(feet.tilt).astype(np.float32)
+        turn = _build_rotation_matrices(feet.tilt).astype(np.float32)
         goals = []
         for k in range(len(self._chains)):
-            x, y, z = feet.place[:, k, 0], feet.place[:, k, 1] + self.soles[k] - feet.rise, feet.place[:, k, 2]
+            x, y, z = feet.positions[:, k, 0], feet.positions[:, k, 1] + self.sole_heights[k] - feet.rise, feet.positions[:, k, 2]
             q = [(turn[0, r] * x + turn[1, r] * y) + turn[2, r] * z for r in range(3)]
-            b = self._base * self._length
+            b = self._base_rotation * self._length
             goals.append(np.stack([(b[0, r] * q[0] + b[1, r] * q[1]) + b[2, r] * q[2] for r in range(3)]))
         return goals
 
-    def _lower_bodies(self, world: Floats, goals: list[Floats], down: NDArray[np.bool_], stands: Floats) -> None:
+    def _lower_bodies(self, world: Floats, goals: list[Floats], down: NDArray[np.bool_], stance_weights: Floats) -> None:
         """Lower bodies until the feet that stand reach the ground: the trunk of a clip may be too high for the stance."""
-        most = np.zeros(len(stands), np.float32)
+        most = np.zeros(len(stance_weights), np.float32)
         for k, (each, goal) in enumerate(zip(self._chains, goals, strict=True)):
             hip, knee, foot = (world[:, 3, joint] for joint in (each.upper, each.lower, each.foot))
             length = (_length(knee - hip) + _length(foot - knee)) * np.float32(MAX_LEG_EXTENSION)
             displacement = goal - hip
-            high = _dot(displacement, self._up[:, None])
+            high = _dot(displacement, self._up_axis[:, None])
             level = np.maximum(length * length - np.maximum(_dot(displacement, displacement) - high * high, 0), 0)
             short = np.clip(-np.sqrt(level) - high, 0, np.float32(_MAX_TRUNK_SINK) * length)
             most = np.maximum(most, np.where(down[:, k], short, 0))
-        world[:, 3] -= self._up[:, None, None] * (most * stands)
+        world[:, 3] -= self._up_axis[:, None, None] * (most * stance_weights)
 
-    def _bend_leg(self, world: Floats, leg: LegChain, goal: Floats, stands: Floats) -> None:
-        """Bend a leg in `world` so that its foot reaches `goal` [3, n], weighted by `stands` [n], in place."""
+    def _bend_leg(self, world: Floats, leg: LegChain, goal: Floats, stance_weights: Floats) -> None:
+        """Bend a leg in `world` so that its foot reaches `goal` [3, n], weighted by `stance_weights` [n], in place."""
         hip, knee, foot = (world[:, 3, joint].copy() for joint in (leg.upper, leg.lower, leg.foot))
         sole = world[:, :, leg.sole].copy()
-        goal = foot + (goal - foot) * stands
+        goal = foot + (goal - foot) * stance_weights
         thigh, shank = hip - knee, foot - knee
         a, b = _length(thigh), _length(shank)
         tiny = np.float32(1e-6) * self._length
@@ -194,36 +196,36 @@ class LegSolver:
         old = np.clip(_dot(thigh, shank) / (a * b), -1, 1)
         new = np.clip((a * a + b * b - far * far) / (2 * a * b), -1, 1)
         old_sine, new_sine = np.sqrt(1 - old * old), np.sqrt(1 - new * new)
-        axis = self._knee_axis(world, leg, thigh, shank, a * b)
-        turn = _axis_rotation(axis, new * old + new_sine * old_sine, new_sine * old - new * old_sine)
+        axis = self._compute_knee_axis(world, leg, thigh, shank, a * b)
+        turn = _build_axis_rotation(axis, new * old + new_sine * old_sine, new_sine * old - new * old_sine)
         _turn_joints(world, np.concatenate([leg.shank, leg.sole]), turn, knee)
         reached = world[:, 3, leg.foot] - hip
-        turn = _rotation_between(_unit(reached), _unit(hip_to_goal))
+        turn = _build_rotation_between(_unit(reached), _unit(hip_to_goal))
         _turn_joints(world, np.concatenate([leg.thigh, leg.shank, leg.sole]), turn, hip)
         moved = world[:, 3, leg.foot] - foot
         world[:, :, leg.sole] = sole
         world[:, 3, leg.sole] += moved[:, None, :]
 
-    def _knee_axis(self, world: Floats, leg: LegChain, thigh: Floats, shank: Floats, size: Floats) -> Floats:
+    def _compute_knee_axis(self, world: Floats, leg: LegChain, thigh: Floats, shank: Floats, size: Floats) -> Floats:
         """Return the unit axis [3, n] about which the knee opens. Where a leg is straight, it is the axis of the standing
         pose."""
         axis = _cross(thigh, shank)
-        rest = self._straight_axis(leg)
+        rest = self._get_straight_axis(leg)
         straight = _length(axis) <= np.float32(_MIN_KNEE_SINE) * size
         axis = np.where(straight, rest - thigh * (_dot(rest, thigh) / _dot(thigh, thigh)), axis)
         return _unit(axis)
 
-    def _straight_axis(self, leg: LegChain) -> Floats:
+    def _get_straight_axis(self, leg: LegChain) -> Floats:
         """Return the bend axis [3, 1] of the standing pose; for a straight leg, the axis of a knee that bends forward."""
-        hip, knee, foot = (self._rest[:, joint, None] for joint in (leg.upper, leg.lower, leg.foot))
+        hip, knee, foot = (self._standing_positions[:, joint, None] for joint in (leg.upper, leg.lower, leg.foot))
         rest = _cross(hip - knee, foot - knee)
         if _length(rest)[0] <= _MIN_KNEE_SINE * _length(hip - knee)[0] * _length(foot - knee)[0]:
-            rest = _cross(self._front[:, None], hip - foot)  # a knee that bends to the front
+            rest = _cross(self._front_axis[:, None], hip - foot)  # a knee that bends to the front
         return rest
 
     def _move_trunk(self, world: Floats, feet: BodySpaceFeet) -> None:
         """Move all joints of `world` by `rise` and `tilt` of the feet, in place."""
-        base, turn = self._base, _rotation_matrices(feet.tilt)
+        base, turn = self._base_rotation, _build_rotation_matrices(feet.tilt)
         half = [
             [(turn[a, 0] * base[0, s] + turn[a, 1] * base[1, s]) + turn[a, 2] * base[2, s] for s in range(3)] for a in range(3)
         ]
@@ -234,9 +236,9 @@ class LegSolver:
         world[:, 3] += base[1][:, None, None] * (feet.rise * self._length)
 
 
-def _rotation_matrices(quaternions: NDArray[np.floating]) -> Numbers:
+def _build_rotation_matrices(quaternions: NDArray[np.floating]) -> Numbers:
     """Return matrices float64[3, 3, n] of quaternions [n, 4]. A zero quaternion becomes the identity."""
-    q = normalise(np.array(np.asarray(quaternions, np.float64).T, order="C"))
+    q = normalise_quaternions(np.array(np.asarray(quaternions, np.float64).T, order="C"))
     return compose_matrices(np.zeros((3, q.shape[1])), q, None, None, np.empty((3, 4, q.shape[1])))[:, :3]
 
 
@@ -250,7 +252,7 @@ def _turn_joints(world: Floats, joints: Joints, turn: Floats, pivots: Floats) ->
         world[r][:, joints] = new
 
 
-def _axis_rotation(axis: Floats, cosine: Floats, sine: Floats) -> Floats:
+def _build_axis_rotation(axis: Floats, cosine: Floats, sine: Floats) -> Floats:
     """Return matrices [3, 3, n] of rotations about unit axes [3, n] (Rodrigues' formula). `cosine` and `sine`: of the angles."""
     x, y, z = axis
     left = 1 - cosine
@@ -261,7 +263,7 @@ def _axis_rotation(axis: Floats, cosine: Floats, sine: Floats) -> Floats:
     ])  # fmt: skip
 
 
-def _rotation_between(a: Floats, b: Floats) -> Floats:
+def _build_rotation_between(a: Floats, b: Floats) -> Floats:
     """Return matrices [3, 3, n] of the shortest rotations from unit vectors `a` to `b`."""
     axis, cosine = _cross(a, b), _dot(a, b)
     x, y, z = axis

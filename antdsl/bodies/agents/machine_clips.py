@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.bodies.agents.affine import Floats
-from antdsl.bodies.agents.blending import ADDITIVE_MODE, INTERPOLATE_MODE, NO_PARENT, OVER_MODE, ClipTree, Playing
+from antdsl.bodies.agents.blending import ADDITIVE_MODE, INTERPOLATE_MODE, NO_PARENT, OVER_MODE, ClipPlayback, ClipTree
 from antdsl.bodies.agents.poses import REST_CLIP, ClipTable
 
 
@@ -41,7 +41,7 @@ class MachineClips:
     earlier_weight: Floats | None = None
     earlier_fade: Floats | None = None
 
-    def clip_slots(self) -> Iterator[tuple[NDArray[np.int16], Floats, Floats]]:
+    def iterate_clip_slots(self) -> Iterator[tuple[NDArray[np.int16], Floats, Floats]]:
         """Yield clips, turns and shares of the pose, float32[n], from the clip that fades out first to the current clip."""
         fade = np.clip(self.fade, 0, 1)
         if self.earlier is None or self.earlier_turns is None or self.earlier_weight is None or self.earlier_fade is None:
@@ -76,22 +76,22 @@ class PlayedClip(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _ClipSlot:
-    """A clip of each agent. `machine`: the number of its machine. `add`: whether the clip is additive. The arrays: its row among
-    the clips, its times, weights and groups."""
+    """A clip of each agent. `machine`: the number of its machine. `is_additive`: whether the clip is additive. The arrays: its
+    row among the clips, its times, weights and groups."""
 
     machine: int
-    add: bool
+    is_additive: bool
     clips: NDArray[np.int32]
     times: NDArray[np.float64]
     weights: Floats
     groups: NDArray[np.int64]
 
 
-def playing_of_machines(
+def build_machine_playback(
     table: ClipTable, clips: Sequence[tuple[str, str] | PlayedClip], machines: Sequence[MachineClips], count: int,
     lean: Floats | None = None,
-) -> Playing:  # fmt: skip
-    """Return the `Playing` of `count` agents.
+) -> ClipPlayback:  # fmt: skip
+    """Return the `ClipPlayback` of `count` agents.
 
     `clips`: the clips that the states of their machines play; a name that the table lacks means no clip.
     `lean`: float32[n, 2], from -1 to 1, how much each agent turns (positive: left) and climbs.
@@ -104,17 +104,17 @@ def playing_of_machines(
     slots = [
         slot
         for k, machine in enumerate(machines)
-        for slot in _slots(table, played, groups, k, machine, lean)
-        if not slot.add or slot.weights.any()
+        for slot in _iterate_slots(table, played, groups, k, machine, lean)
+        if not slot.is_additive or slot.weights.any()
     ]
     chosen, times = np.full((count, len(slots)), REST_CLIP, np.int32), np.zeros((count, len(slots)))
     weights, used = np.zeros((count, len(slots)), np.float32), np.zeros((count, len(slots)), np.int64)
     for place, slot in enumerate(slots):
         chosen[:, place], times[:, place] = slot.clips, slot.times
         weights[:, place], used[:, place] = slot.weights, slot.groups
-    added = sorted({slot.machine for slot in slots if slot.add})
+    added = sorted({slot.machine for slot in slots if slot.is_additive})
     # Layer 0 contains the layers of the machines over each other. Added clips have separate layers behind the topmost one.
-    layer_of = tuple(2 + len(machines) + added.index(slot.machine) if slot.add else 1 + slot.machine for slot in slots)
+    layer_of = tuple(2 + len(machines) + added.index(slot.machine) if slot.is_additive else 1 + slot.machine for slot in slots)
     modes: tuple[int, ...] = (OVER_MODE, *(INTERPOLATE_MODE,) * len(machines))
     parents: tuple[int, ...] = (NO_PARENT, *(0,) * len(machines))
     if added:
@@ -128,25 +128,25 @@ def playing_of_machines(
     used[weights == 0] = 0
     kinds, tree = np.unique(used, axis=0, return_inverse=True)
     trees = tuple(ClipTree(layer_of, tuple(groups[g] for g in kind), modes, parents) for kind in kinds)
-    return Playing(trees, tree.reshape(-1).astype(np.int32), chosen, times, weights, layers)
+    return ClipPlayback(trees, tree.reshape(-1).astype(np.int32), chosen, times, weights, layers)
 
 
-def _slots(
+def _iterate_slots(
     table: ClipTable, played: Sequence[PlayedClip], groups: Sequence[str], number: int, machine: MachineClips, lean: Floats | None
 ) -> Iterator[_ClipSlot]:
     """Yield the clips that a machine plays. Additive clips are separate slots."""
     names = [(each.clip, each.left, each.right, each.up, each.down) for each in played]
-    numbers = np.array([[_clip_number(table, name) for name in row] for row in (*names, ("",) * 5)], np.int32)
-    seconds = np.array([[table.duration(n) if n != REST_CLIP else 0.0 for n in row] for row in numbers])
-    loops = np.array([bool(table.loops[n + 1]) for n in numbers[:, 0]])
+    numbers = np.array([[_find_clip_number(table, name) for name in row] for row in (*names, ("",) * 5)], np.int32)
+    seconds = np.array([[table.get_duration(n) if n != REST_CLIP else 0.0 for n in row] for row in numbers])
+    loops = np.array([bool(table.is_looping[n + 1]) for n in numbers[:, 0]])
     group_of = np.array([groups.index(each.on) for each in played] + [0])
     adds = np.array([each.add for each in played] + [False])
-    parts = list(machine.clip_slots())
+    parts = list(machine.iterate_clip_slots())
     for clip, turns, weight in parts if parts[0][2].any() else parts[1:]:  # three simultaneous clips are rare
         row = np.where((clip >= 0) & (clip < len(played)), clip, len(played))
         exact = turns.astype(np.float64)
         far = np.where(loops[row], exact - np.floor(exact), np.minimum(exact, 1.0))
-        for side, share in enumerate(_lean_shares(numbers[row], lean)):
+        for side, share in enumerate(_iterate_lean_shares(numbers[row], lean)):
             if share is None:
                 continue
             for add in (False, True) if adds.any() else (False,):
@@ -156,7 +156,7 @@ def _slots(
                 )  # fmt: skip
 
 
-def _lean_shares(numbers: NDArray[np.int32], lean: Floats | None) -> Iterator[Floats | None]:
+def _iterate_lean_shares(numbers: NDArray[np.int32], lean: Floats | None) -> Iterator[Floats | None]:
     """Yield the share of each agent's clip and of its variants to the left, to the right, up and down, [n] each. For a variant
     that no agent uses, yield None."""
     ones = np.ones(len(numbers), np.float32)
@@ -171,6 +171,6 @@ def _lean_shares(numbers: NDArray[np.int32], lean: Floats | None) -> Iterator[Fl
         yield np.ascontiguousarray(side_share) if side_share.any() else None
 
 
-def _clip_number(table: ClipTable, name: str) -> int:
+def _find_clip_number(table: ClipTable, name: str) -> int:
     """Return the number of a clip, REST_CLIP if the table does not have it."""
     return table.names.index(name) if name in table.names else REST_CLIP

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.bodies.agents.definition import Clip, Definition, Layer, Shape
-from antdsl.bodies.agents.transforms import compose_transforms, matrix_of, parts_of
+from antdsl.bodies.agents.transforms import compose_matrix, compose_transforms, decompose_matrix
 
 AxisVector = tuple[float, float, float]
 Floats = NDArray[np.float64]
@@ -18,7 +18,7 @@ def convert_axes(body: Definition, front: AxisVector, up: AxisVector, unit: floa
     """Return the definition with other forward and upward axes (both coordinate axes), and `unit` millimetres per unit of length.
     All local spaces are transformed alike. So joints keep their names, and posed points their positions in a scene, up to the
     last digits of float32."""
-    turn = _axis_frame(front, up) @ _axis_frame(body.front, body.up).T
+    turn = _build_axis_frame(front, up) @ _build_axis_frame(body.front, body.up).T
     size = body.unit / unit
     if size == 1.0 and (turn == np.eye(3)).all():
         return replace(body, front=front, up=up)
@@ -45,23 +45,23 @@ def _scaled(capsule: tuple[float, float, float, float] | None, size: float) -> t
     return length * size, width * size, height * size, ahead * size
 
 
-def _axis_frame(front: AxisVector, up: AxisVector) -> Floats:
+def _build_axis_frame(front: AxisVector, up: AxisVector) -> Floats:
     """Return the matrix [3, 3] with the columns front, up and side."""
     ahead, above = np.array(front, np.float64), np.array(up, np.float64)
     return np.stack([ahead, above, np.cross(ahead, above)], axis=1)
 
 
-def _convert_clip(clip: Clip, change: Floats, back: Floats) -> Clip:
-    """Return a clip in other axes. `change` converts vectors, `back` is its inverse."""
+def _convert_clip(clip: Clip, rotation: Floats, inverse_rotation: Floats) -> Clip:
+    """Return a clip in other axes. `rotation` converts vectors, `inverse_rotation` is its inverse."""
     if not clip.joints:
         return clip
     move, turn, scale = (each.astype(np.float64) for each in (clip.translation, clip.rotation, clip.scale))
-    matrices = matrix_of(move, turn, scale, None if clip.shear is None else clip.shear.astype(np.float64))
+    matrices = compose_matrix(move, turn, scale, None if clip.shear is None else clip.shear.astype(np.float64))
     new_matrices = compose_transforms(
-        compose_transforms(np.broadcast_to(change, matrices.shape), matrices), np.broadcast_to(back, matrices.shape)
+        compose_transforms(np.broadcast_to(rotation, matrices.shape), matrices), np.broadcast_to(inverse_rotation, matrices.shape)
     )
-    move, _, scale, shear = parts_of(new_matrices)
-    axis = change[:3, :3] / np.abs(np.linalg.det(change[:3, :3])) ** (1 / 3)
+    move, _, scale, shear = decompose_matrix(new_matrices)
+    axis = rotation[:3, :3] / np.abs(np.linalg.det(rotation[:3, :3])) ** (1 / 3)
     # only the axis of a rotation changes, not its angle, so signs stay continuous over samples
     turn = np.concatenate([clip.rotation[..., :3] @ axis.T, clip.rotation[..., 3:]], axis=-1)
     return replace(
@@ -70,24 +70,24 @@ def _convert_clip(clip: Clip, change: Floats, back: Floats) -> Clip:
     )  # fmt: skip
 
 
-def _convert_shape(shape: Shape, change: Floats, back: Floats) -> Shape:
-    """Return a shape in other axes. `change` converts vectors, `back` is its inverse."""
-    axis = change[:3, :3] / np.abs(np.linalg.det(change[:3, :3])) ** (1 / 3)
+def _convert_shape(shape: Shape, rotation: Floats, inverse_rotation: Floats) -> Shape:
+    """Return a shape in other axes. `rotation` converts vectors, `inverse_rotation` is its inverse."""
+    axis = rotation[:3, :3] / np.abs(np.linalg.det(rotation[:3, :3])) ** (1 / 3)
     capture = shape.capture
     if capture is not None:
-        inverse = compose_transforms(np.broadcast_to(change, capture.inverse.shape), capture.inverse)
-        capture = replace(capture, inverse=compose_transforms(inverse, np.broadcast_to(back, inverse.shape)))
+        inverse = compose_transforms(np.broadcast_to(rotation, capture.inverse.shape), capture.inverse)
+        capture = replace(capture, inverse=compose_transforms(inverse, np.broadcast_to(inverse_rotation, inverse.shape)))
     return replace(
-        shape, points=(shape.points @ change[:3, :3].T).astype(np.float32), capture=capture,
+        shape, points=(shape.points @ rotation[:3, :3].T).astype(np.float32), capture=capture,
         normals=None if shape.normals is None else (shape.normals @ axis.T).astype(np.float32),
     )  # fmt: skip
 
 
-def _convert_layer(layer: Layer, which: Floats) -> Layer:
+def _convert_layer(layer: Layer, axis_map: Floats) -> Layer:
     """Return a layer with the bounds scales permuted to the new axes."""
 
     def turned(scale: tuple[float, float, float]) -> tuple[float, float, float]:
-        x, y, z = (which @ np.array(scale)).tolist()
+        x, y, z = (axis_map @ np.array(scale)).tolist()
         return x, y, z
 
     static, deforming = (

@@ -54,7 +54,7 @@ def pack_definition(body: Definition) -> Arrays:
         return [kind, first, list(array.shape)]
 
     def shape(each: Shape) -> dict[str, Any]:
-        capture, blend, between = each.capture, each.blend, each.between
+        capture, blend, between = each.capture, each.blend, each.in_betweens
         return {
             "name": each.name, "points": put(each.points), "faces": put(each.faces), "normals": put(each.normals),
             "uvs": put(each.uvs), "materials": each.materials, "material": put(each.material),
@@ -99,7 +99,7 @@ def pack_definition(body: Definition) -> Arrays:
 
 
 @lru_cache(maxsize=16)
-def digest(body: Definition) -> str:
+def hash_definition(body: Definition) -> str:
     """Return a hash of everything that `pack_definition` stores of a definition. The definition must not change afterwards."""
     hasher = hashlib.blake2b(digest_size=16)
     for name, array in pack_definition(body).items():
@@ -111,16 +111,16 @@ def digest(body: Definition) -> str:
 def unpack_definition(arrays: Mapping[str, NDArray[Any]]) -> Definition:
     """Return the definition that `pack_definition` stored in these arrays. Raises BodyError for damaged arrays: none of their
     content is trusted. Every range, type, shape and index is checked. Names by which one part refers to another are not checked
-    here, but by `body_arrays.unpack_checked` of caches."""
+    here, but by `body_arrays.unpack_checked_definition` of caches."""
     try:
-        definition = _read(arrays)
+        definition = _read_definition(arrays)
         _check_bounds(definition)
     except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError, RecursionError):
         raise BodyError("is damaged: what it says of a body does not hold together") from None
     return definition
 
 
-def _read(arrays: Mapping[str, NDArray[Any]]) -> Definition:
+def _read_definition(arrays: Mapping[str, NDArray[Any]]) -> Definition:
     """Return the definition in these arrays. Raises errors of many types for damaged arrays."""
     text = arrays["text"]
     if text.dtype != np.uint8 or text.ndim != 1 or text.size > limits.MAX_BODY_JSON_BYTES:
@@ -132,14 +132,14 @@ def _read(arrays: Mapping[str, NDArray[Any]]) -> Definition:
     def get(place: Any, *expected_sides: int | None, kind: str = "f4") -> NDArray[Any]:
         """Return an array of the given kind. `expected_sides`: its number of rows along each axis; None allows any number."""
         own, first, shape = place
-        sides = tuple(_integer(side) for side in shape)
+        sides = tuple(_read_integer(side) for side in shape)
         if (
             own != kind
             or len(sides) != len(expected_sides)
             or any(w is not None and w != s for s, w in zip(sides, expected_sides, strict=True))
         ):
             raise ValueError
-        from_, array = _integer(first), arrays[kind]
+        from_, array = _read_integer(first), arrays[kind]
         if array.dtype != np.dtype(kind) or array.ndim != 1 or from_ + prod(sides) > array.size:
             raise ValueError
         return array[from_ : from_ + prod(sides)].reshape(sides)
@@ -150,66 +150,73 @@ def _read(arrays: Mapping[str, NDArray[Any]]) -> Definition:
         attributes = {}
         for name, place in each["attributes"].items():
             sides: tuple[int | None, ...] = (len(points), *(None for _ in place[2][1:]))
-            attributes[_text(name)] = get(place, *sides, kind="i8" if place[0] == "i8" else "f4")
+            attributes[_read_text(name)] = get(place, *sides, kind="i8" if place[0] == "i8" else "f4")
         return Shape(
-            _text(each["name"]), points, faces,
+            _read_text(each["name"]), points, faces,
             None if each["normals"] is None else get(each["normals"], len(points), 3),
             None if each["uvs"] is None else get(each["uvs"], len(points), 2),
-            _texts(each["materials"]),
+            _read_texts(each["materials"]),
             None if each["material"] is None else get(each["material"], len(faces), kind="i4"),
             attributes, capture(each["capture"], len(points)),
             None if each["blend"] is None else blend(*each["blend"]),
-            None if each["between"] is None else InBetweens(_texts(each["between"][0]), _numbers(each["between"][1])),
-            _text(each["dual_quaternion_blend"]),
+            None if each["between"] is None else InBetweens(_read_texts(each["between"][0]), _read_numbers(each["between"][1])),
+            _read_text(each["dual_quaternion_blend"]),
         )  # fmt: skip
 
     def blend(shapes: Any, channels: Any, attributes: Any, point_id: Any, primitive_id: Any) -> BlendTargets:
-        return BlendTargets(_texts(shapes), _texts(channels), _texts(attributes), _text(point_id), _text(primitive_id))
+        return BlendTargets(
+            _read_texts(shapes), _read_texts(channels), _read_texts(attributes), _read_text(point_id), _read_text(primitive_id)
+        )
 
     def capture(said: Any, points: int) -> Capture | None:
         if said is None:
             return None
-        names = _texts(said[0])
+        names = _read_texts(said[0])
         joints = get(said[1], points, None, kind="i4")
         inverse = get(said[3], len(names), 4, 4, kind="f8")
         return Capture(names, joints, get(said[2], points, joints.shape[1]), inverse)
 
     def clip(each: Any) -> Clip:
-        joints, channels = _texts(each["joints"]), _texts(each["channels"])
+        joints, channels = _read_texts(each["joints"]), _read_texts(each["channels"])
         array_places = each["arrays"]
-        count = _integer(array_places[0][2][0])
+        count = _read_integer(array_places[0][2][0])
         moved = [None if place is None else get(place, count, len(joints), wide)
                  for place, wide in zip(array_places[:4], (3, 4, 3, 3), strict=True)]  # fmt: skip
         if moved[0] is None or moved[1] is None or moved[2] is None:
             raise ValueError
-        rate, stride = _number(each["rate"]), _number(each["stride"])
-        marks = {_text(name): _number(mark_time) for name, mark_time in each["marks"].items()}
+        rate, stride = _read_number(each["rate"]), _read_number(each["stride"])
+        marks = {_read_text(name): _read_number(mark_time) for name, mark_time in each["marks"].items()}
         return Clip(
-            _text(each["name"]), rate, joints, moved[0], moved[1], moved[2], moved[3], channels,
+            _read_text(each["name"]), rate, joints, moved[0], moved[1], moved[2], moved[3], channels,
             get(array_places[4], None, None), bool(each["loop"]), stride, marks, bool(each["feet"]),
         )  # fmt: skip
 
     def layer(each: Any) -> Layer:
-        bindings = [tuple(Binding(_text(b[0]), _text(b[1]), _triple(b[2]), _text(b[3])) for b in part) for part in each[1]]
-        return Layer(_text(each[0]), *bindings)
+        bindings = [
+            tuple(Binding(_read_text(b[0]), _read_text(b[1]), _read_triple(b[2]), _read_text(b[3])) for b in part)
+            for part in each[1]
+        ]
+        return Layer(_read_text(each[0]), *bindings)
 
     names, parents, rest, channels = said["rig"]
     rig = Rig(
-        _texts(names), get(parents, len(names), kind="i4"), get(rest, len(names), 4, 4, kind="f8"),
-        tuple(Channel(_text(name), _number(default), _text(joint)) for name, default, joint in channels),
+        _read_texts(names), get(parents, len(names), kind="i4"), get(rest, len(names), 4, 4, kind="f8"),
+        tuple(Channel(_read_text(name), _read_number(default), _read_text(joint)) for name, default, joint in channels),
     )  # fmt: skip
     groups = [
-        TransformGroup(_text(name), tuple((_text(joint), _number(weight)) for joint, weight in members), _texts(moved))
+        TransformGroup(
+            _read_text(name), tuple((_read_text(joint), _read_number(weight)) for joint, weight in members), _read_texts(moved)
+        )
         for name, members, moved in said["groups"]
     ]
     return Definition(
-        _text(said["name"]), rig,
+        _read_text(said["name"]), rig,
         {each.name: each for each in map(shape, said["shapes"])}, {each.name: each for each in map(layer, said["layers"])},
         {each.name: each for each in map(clip, said["clips"])}, {each.name: each for each in groups}, {},
-        {_text(name): _triple(colour) for name, colour in said["materials"].items()},
-        _triple(said["front"]), _triple(said["up"]), _number(said["length"]), _number(said["unit"]),
-        tuple(Leg(*map(_text, each)) for each in said["legs"]), tuple(_gait(*each) for each in said["gaits"]),
-        _text(said["idle"]), _variation(*said.get("variation", ({}, {}))), _capsule(said.get("capsule")),
+        {_read_text(name): _read_triple(colour) for name, colour in said["materials"].items()},
+        _read_triple(said["front"]), _read_triple(said["up"]), _read_number(said["length"]), _read_number(said["unit"]),
+        tuple(Leg(*map(_read_text, each)) for each in said["legs"]), tuple(_read_gait(*each) for each in said["gaits"]),
+        _read_text(said["idle"]), _read_variation(*said.get("variation", ({}, {}))), _capsule(said.get("capsule")),
     )  # fmt: skip
 
 
@@ -223,16 +230,18 @@ def _capsule(sizes: Any) -> tuple[float, float, float, float] | None:
     return length, width, height, ahead
 
 
-def _variation(scales: Any, materials: Any) -> Variation:
-    ranges = {_text(name): _numbers(ends) for name, ends in scales.items()}
-    colours = {_text(name): tuple(map(_triple, choices)) for name, choices in materials.items()}
+def _read_variation(scales: Any, materials: Any) -> Variation:
+    ranges = {_read_text(name): _read_numbers(ends) for name, ends in scales.items()}
+    colours = {_read_text(name): tuple(map(_read_triple, choices)) for name, choices in materials.items()}
     if any(len(ends) != 2 or not 0 < ends[0] <= ends[1] for ends in ranges.values()) or any(len(c) < 2 for c in colours.values()):
         raise ValueError
     return Variation({name: (ends[0], ends[1]) for name, ends in ranges.items()}, colours)
 
 
-def _gait(name: Any, speed: Any, stride: Any, duty: Any, lift: Any, phases: Any) -> Gait:
-    return Gait(_text(name), _number(speed), _number(stride), _number(duty), _number(lift), _numbers(phases))
+def _read_gait(name: Any, speed: Any, stride: Any, duty: Any, lift: Any, phases: Any) -> Gait:
+    return Gait(
+        _read_text(name), _read_number(speed), _read_number(stride), _read_number(duty), _read_number(lift), _read_numbers(phases)
+    )
 
 
 def _check_bounds(body: Definition) -> None:
@@ -257,9 +266,12 @@ def _check_bounds(body: Definition) -> None:
             fits += [bool(np.isfinite(shape.capture.weights).all() and np.isfinite(shape.capture.inverse).all())]
     for clip in body.clips.values():
         arrays = [each for each in (clip.translation, clip.rotation, clip.scale, clip.shear, clip.values) if each is not None]
-        fits += [clip.rate > 0, 0 < clip.samples <= limits.MAX_CLIP_SAMPLES, all(np.isfinite(each).all() for each in arrays)]
+        fits += [clip.rate > 0, 0 < clip.sample_count <= limits.MAX_CLIP_SAMPLES, all(np.isfinite(each).all() for each in arrays)]
         fits += [clip.values.shape[1] == len(clip.channels) or not clip.channels]
-        fits += [not clip.channels or len(clip.values) == clip.samples, not clip.joints or len(clip.translation) == clip.samples]
+        fits += [
+            not clip.channels or len(clip.values) == clip.sample_count,
+            not clip.joints or len(clip.translation) == clip.sample_count,
+        ]
     if not all(fits):
         raise ValueError
 
@@ -275,40 +287,40 @@ def _is_within(numbers: NDArray[Any], count: int) -> bool:
     return bool(((numbers >= 0) & (numbers < count)).all())
 
 
-def _integer(value: Any) -> int:
+def _read_integer(value: Any) -> int:
     """Return an integer from 0 to below 2**48. Raises ValueError for any other value."""
     if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value < 1 << 48:
         raise ValueError
     return value
 
 
-def _number(value: Any) -> float:
+def _read_number(value: Any) -> float:
     """Return a finite number as float. Raises ValueError for any other value."""
     if not isinstance(value, int | float) or isinstance(value, bool) or not np.isfinite(value):
         raise ValueError
     return float(value)
 
 
-def _numbers(values: Any) -> tuple[float, ...]:
+def _read_numbers(values: Any) -> tuple[float, ...]:
     """Return a list of finite numbers as a tuple. Raises ValueError for any other value."""
-    return tuple(_number(each) for each in values)
+    return tuple(_read_number(each) for each in values)
 
 
-def _triple(values: Any) -> tuple[float, float, float]:
+def _read_triple(values: Any) -> tuple[float, float, float]:
     """Return a list of three numbers as a tuple. Raises ValueError for any other value."""
-    x, y, z = _numbers(values)
+    x, y, z = _read_numbers(values)
     return x, y, z
 
 
-def _text(value: Any) -> str:
+def _read_text(value: Any) -> str:
     """Return a text. Raises ValueError for any other value."""
     if not isinstance(value, str):
         raise ValueError
     return value
 
 
-def _texts(values: Any) -> tuple[str, ...]:
+def _read_texts(values: Any) -> tuple[str, ...]:
     """Return a list of texts as a tuple. Raises ValueError for any other value."""
     if not isinstance(values, list):
         raise ValueError
-    return tuple(_text(each) for each in values)
+    return tuple(_read_text(each) for each in values)

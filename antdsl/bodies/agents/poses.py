@@ -22,9 +22,9 @@ from antdsl.bodies.agents.affine import (
     Floats,
     compose_matrices,
     decompose_matrices,
-    inverse_transposed,
+    invert_and_transpose,
     multiply_matrices,
-    normalise,
+    normalise_quaternions,
 )
 from antdsl.bodies.agents.definition import Clip, Definition, Rig, TransformGroup
 
@@ -72,8 +72,8 @@ def sample_poses(table: ClipTable, clips: NDArray[np.integer], times: NDArray[np
     A looping clip is periodic, also before time 0. Any other clip holds its first and its last sample. Clip -1 is the rest pose.
     A time that is not finite counts as 0. Raises IndexError for a clip number out of range.
     """
-    row, next_row, share = _sample_rows(table, clips, times)
-    if not len(table.order) + len(table.rig.channels):
+    row, next_row, share = _find_sample_rows(table, clips, times)
+    if not len(table.joint_order) + len(table.rig.channels):
         return _split_rows(table, np.empty((0, len(row)), np.float32))
     samples = table.samples.take(row, axis=0)
     step = table.samples.take(next_row, axis=0)
@@ -83,14 +83,14 @@ def sample_poses(table: ClipTable, clips: NDArray[np.integer], times: NDArray[np
     turned = np.empty(samples.shape[::-1], np.float32)
     turned[:] = samples.T
     pose = _split_rows(table, turned)
-    normalise(pose.rotation)
+    normalise_quaternions(pose.rotation)
     return pose
 
 
-def rest_pose(table: ClipTable, count: int) -> Pose:
+def build_rest_pose(table: ClipTable, count: int) -> Pose:
     """Return the rest pose for `count` agents, as read-only arrays."""
     pose = _split_rows(table, np.broadcast_to(table.samples[0][:, None], (table.samples.shape[1], 1)).copy())
-    normalise(pose.rotation)
+    normalise_quaternions(pose.rotation)
     wide = [None if a is None else np.broadcast_to(a, (*a.shape[:-1], count)) for a in (pose.scale, pose.shear)]
     return Pose(
         np.broadcast_to(pose.translation, (*pose.translation.shape[:-1], count)),
@@ -99,22 +99,22 @@ def rest_pose(table: ClipTable, count: int) -> Pose:
     )  # fmt: skip
 
 
-def transforms(table: ClipTable, pose: Pose) -> tuple[Floats, Floats]:
+def compute_transforms(table: ClipTable, pose: Pose) -> tuple[Floats, Floats]:
     """Return local and world matrices of poses, float32[3, 4, J, n] each, joints in the order of the table."""
     shape = (3, 4, *pose.rotation.shape[1:])
     local = compose_matrices(pose.translation, pose.rotation, pose.scale, pose.shear, np.empty(shape, np.float32))
-    return local, _world_matrices(table, local)
+    return local, _compute_world_matrices(table, local)
 
 
-def world_transforms(table: ClipTable, local: Floats) -> Floats:
+def to_world_transforms(table: ClipTable, local: Floats) -> Floats:
     """Return world transforms float32[n, J, 3, 4] of local ones, joints in the order of the rig. Use this for transforms that do
     not come from a clip, such as legs after inverse kinematics or a head that looks at a point."""
     world = np.empty((3, 4, local.shape[1], len(local)), np.float32)
-    world[:, :, table.order] = _world_matrices(table, local.transpose(2, 3, 1, 0)[:, :, table.order])
+    world[:, :, table.joint_order] = _compute_world_matrices(table, local.transpose(2, 3, 1, 0)[:, :, table.joint_order])
     return world.transpose(3, 2, 0, 1)
 
 
-def local_transforms(table: ClipTable, world: Floats) -> Floats:
+def to_local_transforms(table: ClipTable, world: Floats) -> Floats:
     """Return local transforms float32[n, J, 3, 4] of world transforms, joints in the order of the rig. A local transform is the
     inverse of the parent's world transform times the joint's own. Below a parent with scale 0, the local transforms are lost."""
     placed = world.transpose(2, 3, 1, 0)
@@ -122,14 +122,14 @@ def local_transforms(table: ClipTable, world: Floats) -> Floats:
     children = np.flatnonzero(np.asarray(table.rig.parents) >= 0)
     above = placed[:, :, np.asarray(table.rig.parents)[children]]
     back = np.empty(above.shape, np.float32)
-    back[:, :3] = inverse_transposed(above).transpose(1, 0, 2, 3)
+    back[:, :3] = invert_and_transpose(above).transpose(1, 0, 2, 3)
     for r in range(3):
         back[r, 3] = -((back[r, 0] * above[0, 3] + back[r, 1] * above[1, 3]) + back[r, 2] * above[2, 3])
     local[:, :, children] = multiply_matrices(back, placed[:, :, children], np.empty(above.shape, np.float32))
     return local.transpose(3, 2, 0, 1)
 
 
-def square_matrices(matrices: Floats) -> Floats:
+def to_square_matrices(matrices: Floats) -> Floats:
     """Return matrices float32[…, 4, 4] from matrices of three rows, each agent contiguous. Matrices are for column vectors."""
     squares = np.zeros((*matrices.shape[:-2], 4, 4), np.float32)
     squares[..., :3, :] = matrices
@@ -137,11 +137,11 @@ def square_matrices(matrices: Floats) -> Floats:
     return squares
 
 
-def _world_matrices(table: ClipTable, local: Floats) -> Floats:
+def _compute_world_matrices(table: ClipTable, local: Floats) -> Floats:
     """Return world matrices [3, 4, J, n] of local ones, joints in the order of the table. Computed by depth of the rig: the world
     matrix of a joint is that of its parent times its local matrix."""
     world = np.empty(local.shape, np.float32)
-    for begin, end, parents in table.levels:
+    for begin, end, parents in table.depth_levels:
         if not len(parents):
             world[:, :, begin:end] = local[:, :, begin:end]
         else:
@@ -149,18 +149,18 @@ def _world_matrices(table: ClipTable, local: Floats) -> Floats:
     return world
 
 
-def _sample_rows(
+def _find_sample_rows(
     table: ClipTable, clips: NDArray[np.integer], times: NDArray[np.floating]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], Floats]:
     """Return the table rows of the samples before and after each agent's time, and the fraction between the two."""
     clip = np.asarray(clips, np.int64) + 1
-    if ((clip < 0) | (clip >= len(table.counts))).any():
+    if ((clip < 0) | (clip >= len(table.sample_counts))).any():
         raise IndexError(f"clips are numbered from 0 to {len(table.names) - 1}, and -1 for none")
-    last = table.counts[clip] - 1
+    last = table.sample_counts[clip] - 1
     at = np.asarray(times, np.float64) * table.rates[clip]
     at = np.where(np.isfinite(at), at, 0.0)
     turn = np.where(last > 0, last, 1).astype(np.float64)
-    at = np.where(table.loops[clip], at - np.floor(at / turn) * turn, at)
+    at = np.where(table.is_looping[clip], at - np.floor(at / turn) * turn, at)
     at = np.minimum(np.maximum(at, 0.0), last)
     lower_sample = np.minimum(np.floor(at), np.maximum(last - 1, 0))
     row = table.first[clip] + lower_sample.astype(np.int64)
@@ -169,13 +169,13 @@ def _sample_rows(
 
 def _split_rows(table: ClipTable, rows: Floats) -> Pose:
     """Return the rows [W, n] of a table, split into the parts of a pose."""
-    joints, n = len(table.order), rows.shape[1]
+    joints, n = len(table.joint_order), rows.shape[1]
     at, parts = 0, []
-    for width in (3, 4, *([3] if table.scaled else []), *([3] if table.sheared else [])):
+    for width in (3, 4, *([3] if table.has_scale else []), *([3] if table.has_shear else [])):
         parts.append(rows[at : at + width * joints].reshape(width, joints, n))
         at += width * joints
-    scale = parts[2] if table.scaled else None
-    shear = parts[-1] if table.sheared else None
+    scale = parts[2] if table.has_scale else None
+    shear = parts[-1] if table.has_shear else None
     return Pose(parts[0], parts[1], scale, shear, rows[at:])
 
 
@@ -185,11 +185,11 @@ class ClipTable:
 
     `names`: the clips; the index of a clip is its number.
     `samples`: float32[R, W]. Row 0 is the rest pose with the default values of channels. A row contains translations (3 J,
-        component by component), rotations (4 J), scales (3 J, if `scaled`), shears (3 J, if `sheared`) and channels (C). Values
-        that a clip does not set are those of the rest pose.
+        component by component), rotations (4 J), scales (3 J, if `has_scale`), shears (3 J, if `has_shear`) and channels (C).
+        Values that a clip does not set are those of the rest pose.
     `first`: `first[clip + 1]` is the first row of a clip.
-    `order`: int[J], the rig's number of each joint of the table; joints are ordered by depth in the rig's tree.
-    `levels`: the joints of each depth as (begin, end, indices of their parents).
+    `joint_order`: int[J], the rig's number of each joint of the table; joints are ordered by depth in the rig's tree.
+    `depth_levels`: the joints of each depth as (begin, end, indices of their parents).
 
     Within a clip, signs of quaternions are such that interpolation takes the shorter path.
     """
@@ -198,51 +198,51 @@ class ClipTable:
     names: tuple[str, ...]
     samples: Floats
     first: NDArray[np.int64]
-    counts: NDArray[np.int64]
+    sample_counts: NDArray[np.int64]
     rates: NDArray[np.float64]
-    loops: NDArray[np.bool_]
-    order: NDArray[np.intp]
-    levels: tuple[tuple[int, int, NDArray[np.intp]], ...]
-    scaled: bool
-    sheared: bool
+    is_looping: NDArray[np.bool_]
+    joint_order: NDArray[np.intp]
+    depth_levels: tuple[tuple[int, int, NDArray[np.intp]], ...]
+    has_scale: bool
+    has_shear: bool
 
-    def number(self, name: str) -> int:
+    def find_clip(self, name: str) -> int:
         """Return the number of a clip. Raises KeyError."""
         try:
             return self.names.index(name)
         except ValueError:
             raise KeyError(name) from None
 
-    def duration(self, number: int) -> float:
+    def get_duration(self, number: int) -> float:
         """Return the seconds from the first sample of a clip to its last."""
-        return float(self.counts[number + 1] - 1) / float(self.rates[number + 1])
+        return float(self.sample_counts[number + 1] - 1) / float(self.rates[number + 1])
 
     def weights(self, group: TransformGroup) -> tuple[Floats, Floats]:
         """Return the weights of a transform group: float32[J] of joints, in the order of the table, and float32[C] of channels. A
         channel has 1 if the group names it, else 0. Raises KeyError for a name that the rig does not have."""
-        joints, channels = np.zeros(len(self.order), np.float32), np.zeros(len(self.rig.channels), np.float32)
+        joints, channels = np.zeros(len(self.joint_order), np.float32), np.zeros(len(self.rig.channels), np.float32)
         for name, weight in group.members:
             joints[self.rig.joint(name)] = weight
         for name in group.channels:
-            channels[self.rig.channel(name)] = 1
-        return joints[self.order], channels
+            channels[self.rig.find_channel(name)] = 1
+        return joints[self.joint_order], channels
 
 
-def clip_table(definition: Definition) -> ClipTable:
+def build_clip_table(definition: Definition) -> ClipTable:
     """Return the table of a definition's clips. Joints and channels of clips that the rig does not have are left out, because
     clips are shared between rigs. Raises ValueError if arrays of a clip do not match each other, or if the rig's tree has a
     cycle."""
     rig = definition.rig
-    order, levels = _depth_order(rig)
+    order, levels = _order_by_depth(rig)
     clips = tuple(definition.clips.values())
     rest = decompose_matrices(rig.rest)
     rest[3][np.abs(rest[3]) < 1e-7] = 0  # rounding errors do not count as shear
     scaled = bool((np.abs(rest[2] - 1) > 1e-6).any()) or any((clip.scale != 1).any() for clip in clips)
     sheared = bool(rest[3].any()) or any(clip.shear is not None and clip.shear.any() for clip in clips)
     rest_parts = [*rest[:2], *([rest[2]] if scaled else []), *([rest[3]] if sheared else [])]
-    blocks = [_rest_row(rig, rest_parts, order)]
+    blocks = [_build_rest_row(rig, rest_parts, order)]
     for clip in clips:
-        blocks.append(_clip_rows(clip, rig, rest_parts, order, scaled, sheared))
+        blocks.append(_build_clip_rows(clip, rig, rest_parts, order, scaled, sheared))
     counts = np.array([len(block) for block in blocks], np.int64)
     return ClipTable(
         rig, tuple(definition.clips), np.concatenate(blocks), np.concatenate([[0], np.cumsum(counts)[:-1]]), counts,
@@ -251,7 +251,7 @@ def clip_table(definition: Definition) -> ClipTable:
     )  # fmt: skip
 
 
-def _depth_order(rig: Rig) -> tuple[NDArray[np.intp], tuple[tuple[int, int, NDArray[np.intp]], ...]]:
+def _order_by_depth(rig: Rig) -> tuple[NDArray[np.intp], tuple[tuple[int, int, NDArray[np.intp]], ...]]:
     """Return the joints of a rig by depth, and for each depth (begin, end, indices of the parents)."""
     parents = np.asarray(rig.parents, np.intp)
     depth, above = np.zeros(len(parents), np.intp), parents.copy()
@@ -271,16 +271,16 @@ def _depth_order(rig: Rig) -> tuple[NDArray[np.intp], tuple[tuple[int, int, NDAr
     return order, levels
 
 
-def _rest_row(rig: Rig, rest: list[NDArray[np.float64]], order: NDArray[np.intp]) -> Floats:
+def _build_rest_row(rig: Rig, rest: list[NDArray[np.float64]], order: NDArray[np.intp]) -> Floats:
     """Return the row of a table that has the rest pose and the default values of channels."""
-    return np.concatenate([*(part[:, order].reshape(-1) for part in rest), rig.defaults]).astype(np.float32)[None]
+    return np.concatenate([*(part[:, order].reshape(-1) for part in rest), rig.channel_defaults]).astype(np.float32)[None]
 
 
-def _clip_rows(
+def _build_clip_rows(
     clip: Clip, rig: Rig, rest: list[NDArray[np.float64]], order: NDArray[np.intp], scaled: bool, sheared: bool
 ) -> Floats:
     """Return the rows of a clip. Joints that the clip animates have its samples, all others the rest pose."""
-    count = clip.samples
+    count = clip.sample_count
     if count < 1 or not clip.rate > 0:
         raise ValueError(f"clip `{clip.name}` has no samples, or its rate is not above 0")
     clip_parts = [clip.translation, clip.rotation, *([clip.scale] if scaled else []), *([clip.shear] if sheared else [])]
@@ -299,8 +299,8 @@ def _clip_rows(
             raise ValueError(f"clip `{clip.name}` has an array {part.shape} where {expected_shapes[place]} is needed")
         if known:
             rig_parts[place][:, :, rig_joints] = np.moveaxis(part.astype(np.float64)[:, clip_joints], 2, 1)
-    rig_parts[1] = _align_signs(normalise(np.moveaxis(rig_parts[1], 1, 0)), rest[1])
-    values = np.repeat(rig.defaults[None], count, 0)
+    rig_parts[1] = _align_signs(normalise_quaternions(np.moveaxis(rig_parts[1], 1, 0)), rest[1])
+    values = np.repeat(rig.channel_defaults[None], count, 0)
     names = {each.name: number for number, each in enumerate(rig.channels)}
     for place, name in enumerate(clip.channels):
         if name in names:

@@ -23,18 +23,18 @@ from numpy.typing import NDArray
 from antdsl.bodies.agents.affine import (
     Floats,
     Numbers,
-    inverse_transposed,
+    extract_rotations,
+    invert_and_transpose,
+    matrices_to_quaternions,
     multiply_matrices,
-    quaternion_product,
-    quaternions,
-    rotation_part,
+    multiply_quaternions,
 )
 from antdsl.bodies.agents.definition import Definition, Shape
 from antdsl.bodies.agents.poses import Poses
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Deformed:
+class DeformedShape:
     """A shape for n agents; n is 1 if all agents share it.
 
     `points`: float32[n, P, 3].
@@ -47,72 +47,72 @@ class Deformed:
     attributes: dict[str, Floats]
 
 
-def linear_skinning(deformed: Deformed, shape: Shape, definition: Definition, poses: Poses) -> Deformed:
+def apply_linear_skinning(deformed: DeformedShape, shape: Shape, definition: Definition, poses: Poses) -> DeformedShape:
     """Return a shape after linear blend skinning. Raises ValueError for a shape without a capture, KeyError for joints that the
     rig does not have."""
-    joints, weights, matrices = _joint_transforms(shape, definition, poses)
-    x, y, z = _components(deformed.points)
+    joints, weights, matrices = _compute_joint_transforms(shape, definition, poses)
+    x, y, z = _split_components(deformed.points)
     points = np.empty((3, len(joints), matrices.shape[-1]), np.float32)
     for r in range(3):
-        a, b, c, d = (_mean(matrices[r, k], joints, weights) for k in range(4))
+        a, b, c, d = (_compute_weighted_mean(matrices[r, k], joints, weights) for k in range(4))
         points[r] = ((a * x + b * y) + c * z) + d
     normals = None
     if deformed.normals is not None:
-        normals = turned(deformed.normals, _means(inverse_transposed(matrices), joints, weights))
-    return Deformed(points.transpose(2, 1, 0), normals, deformed.attributes)
+        normals = transform_normals(deformed.normals, _compute_matrix_means(invert_and_transpose(matrices), joints, weights))
+    return DeformedShape(points.transpose(2, 1, 0), normals, deformed.attributes)
 
 
-def dual_quaternion_skinning(deformed: Deformed, shape: Shape, definition: Definition, poses: Poses) -> Deformed:
-    """Return a shape after dual quaternion skinning in two phases. Raises the errors of `linear_skinning`."""
-    joints, weights, matrices = _joint_transforms(shape, definition, poses)
-    rotation = rotation_part(matrices)
+def apply_dual_quaternion_skinning(deformed: DeformedShape, shape: Shape, definition: Definition, poses: Poses) -> DeformedShape:
+    """Return a shape after dual quaternion skinning in two phases. Raises the errors of `apply_linear_skinning`."""
+    joints, weights, matrices = _compute_joint_transforms(shape, definition, poses)
+    rotation = extract_rotations(matrices)
     rest = _remove_rotation(rotation, matrices)
-    real = quaternions(rotation)
+    real = matrices_to_quaternions(rotation)
     moved = np.concatenate([matrices[:, 3], np.zeros_like(matrices[:1, 3])])
-    dual = (0.5 * quaternion_product(moved.astype(np.float64), real)).astype(np.float32)
+    dual = (0.5 * multiply_quaternions(moved.astype(np.float64), real)).astype(np.float32)
     turn, shift = _blend_dual_quaternions(real.astype(np.float32), dual, joints, weights)
-    points = transform_points(_means(rest, joints, weights), deformed.points)
-    turn_points(points, turn)
+    points = transform_points(_compute_matrix_means(rest, joints, weights), deformed.points)
+    rotate_points(points, turn)
     points += shift
     normals = None
     if deformed.normals is not None:
-        across = transform_points(_means(inverse_transposed(rest), joints, weights), deformed.normals)
-        turn_points(across, turn)
+        across = transform_points(_compute_matrix_means(invert_and_transpose(rest), joints, weights), deformed.normals)
+        rotate_points(across, turn)
         normals = normalise_in_place(across).transpose(2, 1, 0)
-    return Deformed(points.transpose(2, 1, 0), normals, deformed.attributes)
+    return DeformedShape(points.transpose(2, 1, 0), normals, deformed.attributes)
 
 
-def dual_quaternion_blend(deformed: Deformed, shape: Shape, definition: Definition, poses: Poses) -> Deformed:
-    """Return a blend of linear (0) and dual quaternion skinning (1) by the point attribute that `Shape.dual_quaternion_blend`
-    names (deformDualQuaternionBlendAttrib). Raises the errors of `linear_skinning`, and ValueError if the shape lacks the
+def blend_skinning_methods(deformed: DeformedShape, shape: Shape, definition: Definition, poses: Poses) -> DeformedShape:
+    """Return a blend of linear (0) and dual quaternion skinning (1) by the point attribute that `Shape.blend_skinning_methods`
+    names (deformDualQuaternionBlendAttrib). Raises the errors of `apply_linear_skinning`, and ValueError if the shape lacks the
     attribute."""
     name = shape.dual_quaternion_blend
     if name not in shape.attributes:
         raise ValueError(f"shape `{shape.name}` has no point attribute `{name}` (deformDualQuaternionBlendAttrib) to blend by")
     share = shape.attributes[name].astype(np.float32).reshape(-1)[None, :, None]
     straight, turned_ = (
-        linear_skinning(deformed, shape, definition, poses),
-        dual_quaternion_skinning(deformed, shape, definition, poses),
+        apply_linear_skinning(deformed, shape, definition, poses),
+        apply_dual_quaternion_skinning(deformed, shape, definition, poses),
     )
     points = straight.points + (turned_.points - straight.points) * share
     normals = None
     if straight.normals is not None and turned_.normals is not None:
         mixed = straight.normals + (turned_.normals - straight.normals) * share
         normals = normalise_in_place(mixed.transpose(2, 1, 0)).transpose(2, 1, 0)
-    return Deformed(points, normals, deformed.attributes)
+    return DeformedShape(points, normals, deformed.attributes)
 
 
 def transform_points(matrices: Numbers, points: Floats) -> Floats:
     """Return points [n, P, 3] transformed by matrices [3, 3 or 4, P, n], as [3, P, n]. Matrices of three columns transform
     directions."""
-    x, y, z = _components(points)
+    x, y, z = _split_components(points)
     products = np.stack([(m[0] * x + m[1] * y) + m[2] * z for m in matrices])
     if matrices.shape[1] == 4:
         products += matrices[:, 3]
     return products
 
 
-def turned(normals: Floats, matrices: Numbers) -> Floats:
+def transform_normals(normals: Floats, matrices: Numbers) -> Floats:
     """Return normals [n, P, 3] transformed by matrices [3, 3, P, n], normalised."""
     return normalise_in_place(transform_points(matrices, normals)).transpose(2, 1, 0)
 
@@ -126,7 +126,7 @@ def normalise_in_place(vectors: Floats) -> Floats:
     return vectors
 
 
-def turn_points(points: Floats, rotation: Floats) -> None:
+def rotate_points(points: Floats, rotation: Floats) -> None:
     """Turn points [3, P, n] by unit quaternions [4, P, n], in place."""
     qx, qy, qz, qw = rotation
     x, y, z = points
@@ -139,7 +139,7 @@ def turn_points(points: Floats, rotation: Floats) -> None:
     points[2] = z + two * (qx * uy - qy * ux)
 
 
-def _joint_transforms(shape: Shape, definition: Definition, poses: Poses) -> tuple[NDArray[np.intp], Floats, Floats]:
+def _compute_joint_transforms(shape: Shape, definition: Definition, poses: Poses) -> tuple[NDArray[np.intp], Floats, Floats]:
     """Return the joints [P, K] of the capture, their weights [P, K], and the transform of each captured joint, float32[3, 4,
     joints, n]."""
     capture = shape.capture
@@ -156,13 +156,13 @@ def _joint_transforms(shape: Shape, definition: Definition, poses: Poses) -> tup
     return capture.joints[:, :used].astype(np.intp), capture.weights[:, :used].astype(np.float32), matrices
 
 
-def _components(points: Floats) -> tuple[Floats, Floats, Floats]:
+def _split_components(points: Floats) -> tuple[Floats, Floats, Floats]:
     """Return x, y and z of points, [P, n] each."""
     x, y, z = points.transpose(2, 1, 0)
     return x, y, z
 
 
-def _mean(values: Floats, joints: NDArray[np.intp], weights: Floats) -> Floats:
+def _compute_weighted_mean(values: Floats, joints: NDArray[np.intp], weights: Floats) -> Floats:
     """Return the weighted mean [P, n] of joint values [joints, n] for each point."""
     mean = values.take(joints[:, 0], axis=0)
     mean *= weights[:, 0, None]
@@ -173,9 +173,9 @@ def _mean(values: Floats, joints: NDArray[np.intp], weights: Floats) -> Floats:
     return mean
 
 
-def _means(matrices: Floats, joints: NDArray[np.intp], weights: Floats) -> Floats:
+def _compute_matrix_means(matrices: Floats, joints: NDArray[np.intp], weights: Floats) -> Floats:
     """Return the weighted mean [3, 3 or 4, P, n] of joint matrices [3, 3 or 4, joints, n] for each point."""
-    return np.stack([np.stack([_mean(each, joints, weights) for each in row]) for row in matrices])
+    return np.stack([np.stack([_compute_weighted_mean(each, joints, weights) for each in row]) for row in matrices])
 
 
 def _remove_rotation(rotation: NDArray[np.float64], matrices: Floats) -> Floats:

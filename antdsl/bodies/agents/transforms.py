@@ -11,19 +11,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.bodies.agents import affine
-from antdsl.numerics.elementary import wide_atan2, wide_cos, wide_sin
+from antdsl.numerics.elementary import atan2_float64, cos_float64, sin_float64
 
 Floats = NDArray[np.float64]
 ROTATION_ORDERS = ("xyz", "xzy", "yxz", "yzx", "zxy", "zyx")
 
 
-def rotation_matrix(quaternion: Floats) -> Floats:
+def quaternion_to_matrix(quaternion: Floats) -> Floats:
     """Return matrices float64[..., 3, 3] of unit quaternions float64[..., 4] (x, y, z, w)."""
     nowhere, plain = np.zeros((*quaternion.shape[:-1], 3)), np.ones((*quaternion.shape[:-1], 3))
-    return matrix_of(nowhere, quaternion, plain)[..., :3, :3]
+    return compose_matrix(nowhere, quaternion, plain)[..., :3, :3]
 
 
-def rotation_of(matrix: Floats) -> Floats:
+def matrix_to_quaternion(matrix: Floats) -> Floats:
     """Return unit quaternions float64[..., 4], with w not negative, of rotation matrices float64[..., 3, 3].
 
     The largest of the four components is computed first, so that no divisor is near 0 (Shepperd, Quaternion from Rotation Matrix,
@@ -43,22 +43,22 @@ def rotation_of(matrix: Floats) -> Floats:
     )
     best = np.argmax(four, axis=0)
     quaternions = np.take_along_axis(rows, best[None, None], axis=0)[0].T
-    return unit_quaternion(np.where(quaternions[:, 3:] < 0, -quaternions, quaternions)).reshape(*matrix.shape[:-2], 4)
+    return normalise_quaternion(np.where(quaternions[:, 3:] < 0, -quaternions, quaternions)).reshape(*matrix.shape[:-2], 4)
 
 
-def unit_quaternion(quaternion: Floats) -> Floats:
+def normalise_quaternion(quaternion: Floats) -> Floats:
     """Return quaternions float64[..., 4] normalised to length 1. A zero quaternion becomes the identity."""
     length = np.sqrt((quaternion * quaternion).sum(axis=-1, keepdims=True))
     known = np.isfinite(length) & (length > 1e-30)
     return np.where(known, quaternion / np.where(known, length, 1.0), np.array([0.0, 0.0, 0.0, 1.0]))
 
 
-def rotation_product(a: Floats, b: Floats) -> Floats:
+def multiply_quaternions(a: Floats, b: Floats) -> Floats:
     """Return the rotation by `b` followed by `a`, as quaternions float64[..., 4]."""
-    return np.moveaxis(affine.quaternion_product(np.moveaxis(a, -1, 0), np.moveaxis(b, -1, 0)), 0, -1)
+    return np.moveaxis(affine.multiply_quaternions(np.moveaxis(a, -1, 0), np.moveaxis(b, -1, 0)), 0, -1)
 
 
-def rotation_of_angles(angles: Floats, order: str) -> Floats:
+def angles_to_quaternion(angles: Floats, order: str) -> Floats:
     """Return unit quaternions float64[..., 4] of angles float64[..., 3] (rad) about x, y and z, applied in `order`: "xyz" rotates
     about x first. Signs are continuous along the first array axis."""
     rotation = np.broadcast_to(np.array([0.0, 0.0, 0.0, 1.0]), (*angles.shape[:-1], 4))
@@ -66,20 +66,20 @@ def rotation_of_angles(angles: Floats, order: str) -> Floats:
         axis = "xyz".index(letter)
         turn = np.zeros((*angles.shape[:-1], 4))
         half = np.ascontiguousarray(angles[..., axis] / 2)
-        turn[..., axis], turn[..., 3] = wide_sin(half), wide_cos(half)
-        rotation = rotation_product(turn, rotation)
-    return align_signs(unit_quaternion(rotation))
+        turn[..., axis], turn[..., 3] = sin_float64(half), cos_float64(half)
+        rotation = multiply_quaternions(turn, rotation)
+    return align_signs(normalise_quaternion(rotation))
 
 
-def angles_of_rotation(quaternion: Floats) -> Floats:
+def quaternion_to_angles(quaternion: Floats) -> Floats:
     """Return angles float64[..., 3] (rad) of a rotation about x, then y, then z. If the angle about y is 90 degrees, that about z
     is 0."""
-    m = rotation_matrix(quaternion)
+    m = quaternion_to_matrix(quaternion)
     level = np.sqrt(m[..., 0, 0] ** 2 + m[..., 1, 0] ** 2)
     locked = level < 1e-7
-    x = np.where(locked, wide_atan2(-m[..., 1, 2], m[..., 1, 1]), wide_atan2(m[..., 2, 1], m[..., 2, 2]))
-    z = np.where(locked, 0.0, wide_atan2(m[..., 1, 0], m[..., 0, 0]))
-    return np.stack([x, wide_atan2(-m[..., 2, 0], level), z], axis=-1)
+    x = np.where(locked, atan2_float64(-m[..., 1, 2], m[..., 1, 1]), atan2_float64(m[..., 2, 1], m[..., 2, 2]))
+    z = np.where(locked, 0.0, atan2_float64(m[..., 1, 0], m[..., 0, 0]))
+    return np.stack([x, atan2_float64(-m[..., 2, 0], level), z], axis=-1)
 
 
 def align_signs(quaternion: Floats) -> Floats:
@@ -97,16 +97,16 @@ def slerp(a: Floats, b: Floats, share: Floats) -> Floats:
     is constant (Shoemake, Animating Rotation with Quaternion Curves, 1985)."""
     b = np.where((a * b).sum(axis=-1, keepdims=True) < 0, -b, b)
     chord, along = np.sqrt(((a - b) ** 2).sum(axis=-1)), np.sqrt(((a + b) ** 2).sum(axis=-1))
-    angle = 2 * wide_atan2(chord, along)
-    sine = wide_sin(angle)
+    angle = 2 * atan2_float64(chord, along)
+    sine = sin_float64(angle)
     wide = sine > 1e-9
     divisor = np.where(wide, sine, 1.0)
-    first = np.where(wide, wide_sin((1 - share) * angle) / divisor, 1 - share)
-    second = np.where(wide, wide_sin(share * angle) / divisor, share)
-    return unit_quaternion(first[..., None] * a + second[..., None] * b)
+    first = np.where(wide, sin_float64((1 - share) * angle) / divisor, 1 - share)
+    second = np.where(wide, sin_float64(share * angle) / divisor, share)
+    return normalise_quaternion(first[..., None] * a + second[..., None] * b)
 
 
-def matrix_of(translation: Floats, rotation: Floats, scale: Floats, shear: Floats | None = None) -> Floats:
+def compose_matrix(translation: Floats, rotation: Floats, scale: Floats, shear: Floats | None = None) -> Floats:
     """Return matrices float64[..., 4, 4] of translations [..., 3], unit quaternions [..., 4], scales [..., 3] and shears [...,
     3]."""
     count = translation[..., 0].size
@@ -118,39 +118,39 @@ def matrix_of(translation: Floats, rotation: Floats, scale: Floats, shear: Float
     return matrices.reshape(*translation.shape[:-1], 4, 4)
 
 
-def parts_of(matrix: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return translations, unit quaternions, scales and shears of matrices float64[..., 4, 4]: the arguments of `matrix_of`. For
-    mirroring matrices, the scale along z is negative. For singular matrices, the rotation is arbitrary."""
+def decompose_matrix(matrix: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+    """Return translations, unit quaternions, scales and shears of matrices float64[..., 4, 4]: the arguments of `compose_matrix`.
+    For mirroring matrices, the scale along z is negative. For singular matrices, the rotation is arbitrary."""
     x, y, z = (matrix[..., :3, column] for column in range(3))
-    wide = _lengths(x)
-    first = _normalise_or(x, wide, (1.0, 0.0, 0.0))
+    wide = _compute_lengths(x)
+    first = _normalise_or_fallback(x, wide, (1.0, 0.0, 0.0))
     xy = (first * y).sum(axis=-1)
     y = y - first * xy[..., None]
-    high = _lengths(y)
-    second = _normalise_or(y, high, (0.0, 1.0, 0.0))
+    high = _compute_lengths(y)
+    second = _normalise_or_fallback(y, high, (0.0, 1.0, 0.0))
     second = second - first * (first * second).sum(axis=-1)[..., None]
-    lone = _lengths(second) < 1e-6
+    lone = _compute_lengths(second) < 1e-6
     spare = np.cross(first, np.where(np.abs(first[..., :1]) < 0.7, np.array([1.0, 0, 0]), np.array([0, 0, 1.0])))
     second = np.where(lone[..., None], spare, second)
-    second = second / _lengths(second)[..., None]
+    second = second / _compute_lengths(second)[..., None]
     third = np.cross(first, second)
     depth = (third * z).sum(axis=-1)
     xz, yz = (first * z).sum(axis=-1), (second * z).sum(axis=-1)
     scale = np.stack([wide, high, depth], axis=-1)
     over = np.where(np.abs(scale) > 1e-30, scale, 1.0)
     shear = np.stack([xy / over[..., 1], xz / over[..., 2], yz / over[..., 2]], axis=-1)
-    return matrix[..., :3, 3], rotation_of(np.stack([first, second, third], axis=-1)), scale, shear
+    return matrix[..., :3, 3], matrix_to_quaternion(np.stack([first, second, third], axis=-1)), scale, shear
 
 
-def _lengths(vectors: Floats) -> Floats:
+def _compute_lengths(vectors: Floats) -> Floats:
     """Return the lengths [...] of vectors [..., k]."""
     return np.asarray(np.sqrt((vectors * vectors).sum(axis=-1)))
 
 
-def _normalise_or(vectors: Floats, lengths: Floats, otherwise: tuple[float, float, float]) -> Floats:
-    """Return unit vectors [..., k]; vectors with a length of at most 1e-30 become `otherwise`."""
+def _normalise_or_fallback(vectors: Floats, lengths: Floats, fallback: tuple[float, float, float]) -> Floats:
+    """Return unit vectors [..., k]; vectors with a length of at most 1e-30 become `fallback`."""
     known = lengths > 1e-30
-    return np.where(known[..., None], vectors / np.where(known, lengths, 1.0)[..., None], np.array(otherwise))
+    return np.where(known[..., None], vectors / np.where(known, lengths, 1.0)[..., None], np.array(fallback))
 
 
 def compose_transforms(outer: Floats, inner: Floats) -> Floats:
@@ -163,7 +163,7 @@ def compose_transforms(outer: Floats, inner: Floats) -> Floats:
     return matrix
 
 
-def world_matrices(parents: NDArray[np.int32], local: Floats) -> Floats:
+def compute_world_matrices(parents: NDArray[np.int32], local: Floats) -> Floats:
     """Return world matrices float64[J, 4, 4] of a rig's local ones; parents come before children."""
     world = np.empty_like(local)
     for joint, parent in enumerate(parents):

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from antdsl.bodies.agents.affine import Floats
 from antdsl.bodies.agents.definition import Rig, TransformGroup, Variation
 from antdsl.bodies.agents.poses import ClipTable, Poses
-from antdsl.numerics.randomness import uniform
+from antdsl.numerics.randomness import draw_uniform
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -22,13 +22,13 @@ class VariationDraws:
     seed: int = 0
     species: str = ""
 
-    def of(self, what: str) -> Floats:
-        """Return a random number from 0 to 1 per agent for the property `what`, float32[n]. It is constant for the agent's
-        life."""
-        return uniform(self.seed, 0, self.species, f"variation {what}", 0, self.ids)
+    def of(self, property_name: str) -> Floats:
+        """Return a random number from 0 to 1 per agent for the property `property_name`, float32[n]. It is constant for the
+        agent's life."""
+        return draw_uniform(self.seed, 0, self.species, f"variation {property_name}", 0, self.ids)
 
 
-def with_scales(
+def scale_groups(
     table: ClipTable, poses: Poses, variation: Variation, groups: Mapping[str, TransformGroup], draws: VariationDraws | None
 ) -> Poses:
     """Return poses with each transform group scaled to its agent's size. The uppermost joints of the group are scaled about their
@@ -37,9 +37,9 @@ def with_scales(
         return poses
     world = np.array(poses.world, np.float32)
     for name in variation.scales:
-        size = size_of(variation, name, draws)
-        for joint, weight in scaled_joints(table.rig, groups[name]):
-            below = table.rig.descendants(joint)
+        size = draw_group_scale(variation, name, draws)
+        for joint, weight in iterate_scale_pivots(table.rig, groups[name]):
+            below = table.rig.find_descendants(joint)
             factor = (1 + np.float32(weight) * (size - 1))[:, None, None]
             pivot = world[:, joint, :, 3].copy()
             for each in below:
@@ -48,39 +48,43 @@ def with_scales(
     return Poses(world, None, poses.channels)
 
 
-def size_of(variation: Variation, group: str, draws: VariationDraws) -> Floats:
+def draw_group_scale(variation: Variation, group: str, draws: VariationDraws) -> Floats:
     """Return the scale of a transform group for each agent, float32[n]."""
     low, high = variation.scales[group]
     return np.float32(low) + np.float32(high - low) * draws.of(f"scale {group}")
 
 
-def scaled_joints(rig: Rig, group: TransformGroup) -> Iterator[tuple[int, float]]:
+def iterate_scale_pivots(rig: Rig, group: TransformGroup) -> Iterator[tuple[int, float]]:
     """Yield the uppermost joints of a transform group, the pivots of its scaling, with their weights."""
     members = {rig.joint(member): weight for member, weight in group.members}
     for joint, weight in members.items():
-        if not any(joint in rig.descendants(other) for other in members if other != joint):  # otherwise scaled with the ancestor
+        if not any(
+            joint in rig.find_descendants(other) for other in members if other != joint
+        ):  # otherwise scaled with the ancestor
             yield joint, weight
 
 
-def colour_position(variation: Variation, material: str, draws: VariationDraws) -> Floats:
+def draw_colour_position(variation: Variation, material: str, draws: VariationDraws) -> Floats:
     """Return the position of each agent's material on the path through its colours, counted from 0 at the first colour,
     float32[n]."""
     return draws.of(f"material {material}") * np.float32(len(variation.materials[material]) - 1)
 
 
-def colours_of(variation: Variation, draws: VariationDraws | None, material: NDArray[np.str_], own: Floats) -> Floats:
+def compute_vertex_colours(
+    variation: Variation, draws: VariationDraws | None, material: NDArray[np.str_], base_colours: Floats
+) -> Floats:
     """Return linear colours of v vertices: float32[n, v, 3] if they may differ between agents, else [1, v, 3].
 
     `material`: [v], the material of each vertex.
-    `own`: [v, 3], the colours of the definition.
+    `base_colours`: [v, 3], the colours of the definition.
     """
     varied = [name for name in variation.materials if (material == name).any()]
     if draws is None or not varied:
-        return own[None]
-    colours = np.repeat(own[None], len(draws.ids), axis=0)
+        return base_colours[None]
+    colours = np.repeat(base_colours[None], len(draws.ids), axis=0)
     for name in varied:
         key_colours = np.array(variation.materials[name], np.float32)
-        at = colour_position(variation, name, draws)
+        at = draw_colour_position(variation, name, draws)
         first = np.minimum(at.astype(np.intp), len(key_colours) - 2)
         share = (at - first.astype(np.float32))[:, None]
         colours[:, material == name] = (key_colours[first] + (key_colours[first + 1] - key_colours[first]) * share)[:, None]

@@ -11,15 +11,15 @@ from numpy.typing import NDArray
 
 from antdsl import limits
 from antdsl.bodies.agents.definition import Clip, Rig
-from antdsl.bodies.agents.transforms import align_signs, angles_of_rotation, parts_of, rotation_of_angles
+from antdsl.bodies.agents.transforms import align_signs, angles_to_quaternion, decompose_matrix, quaternion_to_angles
 from antdsl.bodies.files.document_model import ClipForm
-from antdsl.bodies.files.documents import json_text
+from antdsl.bodies.files.documents import format_json
 from antdsl.bodies.files.json_text import Node, find_span, report_unknown
 from antdsl.diagnostics import Report
 
 Floats = NDArray[np.float64]
-PARTS = ("tx", "ty", "tz", "rx", "ry", "rz", "sx", "sy", "sz", "shear1", "shear2", "shear3")
-_STILL = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0)
+TRANSFORM_PARTS = ("tx", "ty", "tz", "rx", "ry", "rz", "sx", "sy", "sz", "shear1", "shear2", "shear3")
+_IDENTITY_PARTS = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0)
 
 
 def build_clip(form: ClipForm, root: Node, report: Report, rig: Rig | None = None) -> Clip | None:
@@ -38,16 +38,16 @@ def build_clip(form: ClipForm, root: Node, report: Report, rig: Rig | None = Non
         return None
     channels, unit = form.channels, 1.0 if form.angles == "radians" else np.pi / 180
     parts = np.empty((samples, len(joints), 12))
-    parts[:] = _rest_parts(joints, rig)
+    parts[:] = _compute_rest_parts(joints, rig)
     rotation = np.empty((samples, len(joints), 4))
     for number, joint in enumerate(joints):
-        for count, part in enumerate(PARTS):
+        for count, part in enumerate(TRANSFORM_PARTS):
             if f"{joint}:{part}" in channels:
                 parts[:, number, count] = channels[f"{joint}:{part}"]
-        if any(f"{joint}:{part}" in channels for part in PARTS[3:6]):
-            rotation[:, number] = rotation_of_angles(parts[:, number, 3:6] * unit, form.rotation_order or "xyz")
+        if any(f"{joint}:{part}" in channels for part in TRANSFORM_PARTS[3:6]):
+            rotation[:, number] = angles_to_quaternion(parts[:, number, 3:6] * unit, form.rotation_order or "xyz")
         else:
-            rotation[:, number] = rotation_of_angles(_rest_parts((joint,), rig)[:, 3:6], "xyz")
+            rotation[:, number] = angles_to_quaternion(_compute_rest_parts((joint,), rig)[:, 3:6], "xyz")
     sheared = bool((parts[..., 9:] != 0).any())
     weights = np.array([np.broadcast_to(channels[channel], samples) for channel in numbers]).reshape(len(numbers), samples).T
     return Clip(
@@ -72,8 +72,8 @@ def _split_channels(form: ClipForm, root: Node, report: Report, rig: Rig | None)
                 numbers.append(channel)
             else:
                 report_unknown(report, place, "channel", channel, rig_channels, warn=True)
-        elif part not in PARTS:
-            report_unknown(report, place, "part of a transform", part, PARTS)
+        elif part not in TRANSFORM_PARTS:
+            report_unknown(report, place, "part of a transform", part, TRANSFORM_PARTS)
         elif names is not None and joint not in names:
             report_unknown(report, place, "joint", joint, names, warn=True)
         else:
@@ -89,28 +89,29 @@ def check_marks(marks: Mapping[str, float], seconds: float, root: Node, report: 
             report.error("out-of-range", words, place, f"write `{seconds:g}`")
 
 
-def _rest_parts(joints: tuple[str, ...], rig: Rig | None) -> Floats:
+def _compute_rest_parts(joints: tuple[str, ...], rig: Rig | None) -> Floats:
     """Return the twelve parts of each joint's rest pose; angles are in radians, in the order x, y, z."""
     if rig is None:
-        return np.tile(np.array(_STILL), (len(joints), 1))
+        return np.tile(np.array(_IDENTITY_PARTS), (len(joints), 1))
     chosen = rig.rest[[rig.names.index(joint) for joint in joints]].reshape(-1, 4, 4)
-    translation, rotation, scale, shear = parts_of(chosen)
-    return np.concatenate([translation, angles_of_rotation(rotation), scale, shear], axis=-1)
+    translation, rotation, scale, shear = decompose_matrix(chosen)
+    return np.concatenate([translation, quaternion_to_angles(rotation), scale, shear], axis=-1)
 
 
 def write_clip(clip: Clip) -> str:
     """Return a clip as text. Rotations are in degrees about x, then y, then z, unwrapped so that they have no jumps of 360
     degrees."""
     channels: dict[str, Any] = {}
-    angles = np.unwrap(angles_of_rotation(clip.rotation.astype(np.float64)), axis=0) * (180 / np.pi)
+    angles = np.unwrap(quaternion_to_angles(clip.rotation.astype(np.float64)), axis=0) * (180 / np.pi)
     columns = [clip.translation, angles, clip.scale, *(() if clip.shear is None else (clip.shear,))]
     for number, joint in enumerate(clip.joints):
         joint_samples = np.concatenate([np.asarray(each[:, number], np.float64) for each in columns], axis=-1)
         channels |= {
-            f"{joint}:{part}": _samples(joint_samples[:, count]) for count, part in enumerate(PARTS[: joint_samples.shape[1]])
+            f"{joint}:{part}": _to_json_samples(joint_samples[:, count])
+            for count, part in enumerate(TRANSFORM_PARTS[: joint_samples.shape[1]])
         }
-    channels |= {channel: _samples(clip.values[:, number]) for number, channel in enumerate(clip.channels)}
-    return json_text(
+    channels |= {channel: _to_json_samples(clip.values[:, number]) for number, channel in enumerate(clip.channels)}
+    return format_json(
         {
             "antdsl_clip": 1, "name": clip.name, "rate": clip.rate, "rotation_order": "xyz", "angles": "degrees",
             "loop": clip.loop, "stride": clip.stride, "marks": dict(clip.marks), "feet": clip.feet,
@@ -119,7 +120,7 @@ def write_clip(clip: Clip) -> str:
     )  # fmt: skip
 
 
-def _samples(column: NDArray[Any]) -> Any:
+def _to_json_samples(column: NDArray[Any]) -> Any:
     """Return the samples of a channel as JSON values, a single number for a constant channel. float32 values are written with as
     few digits as they need."""
     short = [float(f"{value:.9g}") for value in column.tolist()]

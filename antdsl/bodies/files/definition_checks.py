@@ -10,43 +10,43 @@ from itertools import pairwise
 import numpy as np
 
 from antdsl import limits
-from antdsl.bodies.agents.boxes import rest_box
+from antdsl.bodies.agents.boxes import compute_rest_box
 from antdsl.bodies.agents.definition import Binding, Definition, Leg, Shape
 from antdsl.bodies.files.json_text import Node, find_span, find_text, report_unknown
 from antdsl.diagnostics import Label, Report
-from antdsl.diagnostics.suggestion import nearest_name
+from antdsl.diagnostics.suggestion import find_nearest_name
 from antdsl.scene.document import PathKey
 from antdsl.source import Span
 
-DEFORMERS = ("linearskinning", "dualquatskinning", "dualquatblendskinning")
-DOCUMENTED_DEFORMERS = ("blendshape", *DEFORMERS, *(f"blendshape+{name}" for name in DEFORMERS))
+SKINNING_DEFORMER_NAMES = ("linearskinning", "dualquatskinning", "dualquatblendskinning")
+DOCUMENTED_DEFORMERS = ("blendshape", *SKINNING_DEFORMER_NAMES, *(f"blendshape+{name}" for name in SKINNING_DEFORMER_NAMES))
 
 
 @dataclass(slots=True)
-class Parts:
+class ReadDefinition:
     """A definition that was read, and the location that names it.
 
     `nodes`: its parts in a document, by key and name; a list has its key and "". Parts from glTF, USD or a cache have no nodes.
-    `measured`: whether the length must still be measured.
+    `needs_length`: whether the length must still be measured.
     """
 
     definition: Definition
     span: Span | None = None
     nodes: dict[tuple[str, str], Node] = field(default_factory=dict)
-    measured: bool = True
+    needs_length: bool = True
 
-    def place(self, key: str, name: str = "", path: Sequence[PathKey] = ()) -> Span | None:
+    def find_part_span(self, key: str, name: str = "", path: Sequence[PathKey] = ()) -> Span | None:
         """Return the location of a part, or of the value that `path` leads to inside the part."""
         node = self.nodes.get((key, name))
         return None if node is None else find_span(node, path)
 
-    def place_of(self, key: str, name: str, text: str) -> Span | None:
+    def find_text_span(self, key: str, name: str, text: str) -> Span | None:
         """Return the location of a text inside a part."""
         node = self.nodes.get((key, name))
         return None if node is None else find_text(node, text)
 
 
-def check_definition(parts: Parts, report: Report) -> Definition | None:
+def check_definition(parts: ReadDefinition, report: Report) -> Definition | None:
     """Return the definition, with its length measured if the document gives none. Return None if one of the findings is an
     error."""
     definition = parts.definition
@@ -59,10 +59,10 @@ def check_definition(parts: Parts, report: Report) -> Definition | None:
     for name, group in definition.groups.items():
         for joint, _ in group.members:
             if joint not in definition.rig.names:
-                report_unknown(report, parts.place_of("groups", name, joint), "joint", joint, definition.rig.names)
+                report_unknown(report, parts.find_text_span("groups", name, joint), "joint", joint, definition.rig.names)
         for channel in group.channels:
             if channel not in channels:
-                report_unknown(report, parts.place_of("groups", name, channel), "channel", channel, channels, warn=True)
+                report_unknown(report, parts.find_text_span("groups", name, channel), "channel", channel, channels, warn=True)
     for shape in definition.shapes.values():
         _check_shape(definition, shape, parts.span, report)
     for key, what, varied, known in (
@@ -95,24 +95,24 @@ def _check_sizes(definition: Definition, place: Span | None, report: Report) -> 
             report.error("too-large", f"there are more than {limits.MAX_BODY_PARTS:,} {what}", place, None)
 
 
-def _check_binding(parts: Parts, layer: str, binding: Binding, report: Report, sound: bool) -> None:
+def _check_binding(parts: ReadDefinition, layer: str, binding: Binding, report: Report, shapes_are_valid: bool) -> None:
     """Report missing joints, shapes and deformers of a binding, and inputs that a deformer lacks."""
     definition = parts.definition
     if binding.transform and binding.transform not in definition.rig.names:
-        place = parts.place_of("layers", layer, binding.transform)
+        place = parts.find_text_span("layers", layer, binding.transform)
         report_unknown(report, place, "joint", binding.transform, definition.rig.names)
     shape = definition.shapes.get(binding.shape)
-    if shape is None and sound:
-        report_unknown(report, parts.place_of("layers", layer, binding.shape), "shape", binding.shape, definition.shapes)
+    if shape is None and shapes_are_valid:
+        report_unknown(report, parts.find_text_span("layers", layer, binding.shape), "shape", binding.shape, definition.shapes)
     if not binding.deformer:
         return
-    span = parts.place_of("layers", layer, binding.deformer)
+    span = parts.find_text_span("layers", layer, binding.deformer)
     if binding.deformer not in DOCUMENTED_DEFORMERS:
-        near = nearest_name(binding.deformer, DOCUMENTED_DEFORMERS)
+        near = find_nearest_name(binding.deformer, DOCUMENTED_DEFORMERS)
         words = f"no deformer `{binding.deformer[:60]}` comes with antdsl"
         report.warning("unknown-name", words, span, f'write `"{near}"`' if near else "a deformer of your own must be registered")
     elif shape is not None:
-        if binding.deformer.rpartition("+")[2] in DEFORMERS and shape.capture is None:
+        if binding.deformer.rpartition("+")[2] in SKINNING_DEFORMER_NAMES and shape.capture is None:
             words = f"no point of `{shape.name}` follows a joint, and `{binding.deformer}` needs that"
             report.error("bad-body", words, span, "take the shape from a glTF or USD file with a skin, or bind it under `static`")
         if binding.deformer.startswith("blendshape") and shape.blend is None:
@@ -126,26 +126,26 @@ def _check_shape(definition: Definition, shape: Shape, place: Span | None, repor
     if shape.capture is not None:
         missing = [name for name in shape.capture.names if name not in definition.rig.names]
         if missing:
-            near = nearest_name(missing[0], definition.rig.names)
+            near = find_nearest_name(missing[0], definition.rig.names)
             words = f"points of `{shape.name}` follow the joint `{missing[0][:60]}`, which the rig does not have"
             report.error(
                 "unknown-name", words, place, f"did you mean `{near}`?" if near else "give the rig the joints of the skin"
             )
     channels = [each.name for each in definition.rig.channels]
-    blended = shape.blend.shapes if shape.blend else shape.between.shapes if shape.between else ()
+    blended = shape.blend.shapes if shape.blend else shape.in_betweens.shapes if shape.in_betweens else ()
     for name in blended:
         if name not in definition.shapes:
-            near = nearest_name(name, definition.shapes)
+            near = find_nearest_name(name, definition.shapes)
             words = f"`{shape.name}` blends with the shape `{name[:60]}`, which is not there"
             report.error("unknown-name", words, place, f"did you mean `{near}`?" if near else None)
     for name in shape.blend.channels if shape.blend else ():
         if name not in channels:
-            near = nearest_name(name, channels)
+            near = find_nearest_name(name, channels)
             words = f"`{shape.name}` blends by the channel `{name[:60]}`, which the rig does not have"
             report.error("unknown-name", words, place, f"did you mean `{near}`?" if near else "add it to the rig's `channels`")
 
 
-def _check_legs(parts: Parts, report: Report) -> None:
+def _check_legs(parts: ReadDefinition, report: Report) -> None:
     """Report legs with joints that are missing or not below each other, gaits that do not match the legs, and a missing idle
     clip."""
     definition = parts.definition
@@ -156,42 +156,51 @@ def _check_legs(parts: Parts, report: Report) -> None:
             count = len(definition.legs)
             words = f"`{gait.name}` has {len(gait.phases)} phases, but the body has {count} leg{'' if count == 1 else 's'}"
             help = "give a phase for each leg, in the order of `legs`" if count else 'add `"legs": […]`'
-            report.error("wrong-value", words, parts.place("gaits", gait.name, ("phases",)), help)
+            report.error("wrong-value", words, parts.find_part_span("gaits", gait.name, ("phases",)), help)
     for slow, fast in pairwise(definition.gaits):
         if not slow.speed < fast.speed:
             words = f"the gaits `{slow.name}` and `{fast.name}` have the same speed"
-            labels = [Label(place, "here first") for place in (parts.place("gaits", slow.name, ("speed",)),) if place is not None]
-            place = parts.place("gaits", fast.name, ("speed",))
+            labels = [
+                Label(place, "here first")
+                for place in (parts.find_part_span("gaits", slow.name, ("speed",)),)
+                if place is not None
+            ]
+            place = parts.find_part_span("gaits", fast.name, ("speed",))
             report.error("wrong-value", words, place, "give them different speeds, or delete one", labels=tuple(labels))
     if definition.legs and not definition.gaits:
         line = 'add `"gaits": [{"name": "walk", "speed": …, "stride": …, "duty": 0.6, "lift": …, "phases": […]}]`'
-        report.warning("missing-key", "the body has legs but no gait, so only clips move the legs", parts.place("legs"), line)
+        report.warning(
+            "missing-key", "the body has legs but no gait, so only clips move the legs", parts.find_part_span("legs"), line
+        )
     if definition.idle and definition.idle not in definition.clips:
-        report_unknown(report, parts.place("idle"), "clip", definition.idle, definition.clips)
+        report_unknown(report, parts.find_part_span("idle"), "clip", definition.idle, definition.clips)
 
 
-def _check_leg(parts: Parts, leg: Leg, report: Report) -> None:
+def _check_leg(parts: ReadDefinition, leg: Leg, report: Report) -> None:
     """Report joints of a leg that are missing or not below each other."""
     definition, known = parts.definition, True
     names = definition.rig.names
     for key, joint in (("upper", leg.upper), ("lower", leg.lower), ("foot", leg.foot)):
         if joint not in names:
-            report_unknown(report, parts.place("legs", leg.name, (key,)), "joint", joint, names)
+            report_unknown(report, parts.find_part_span("legs", leg.name, (key,)), "joint", joint, names)
             known = False
     if not known:
         return
     for key, above, below in (("lower", leg.upper, leg.lower), ("foot", leg.lower, leg.foot)):
-        if definition.rig.joint(below) not in definition.rig.descendants(definition.rig.joint(above))[1:]:
-            words, place = f"`{below[:60]}` is not below `{above[:60]}` in the rig", parts.place("legs", leg.name, (key,))
+        if definition.rig.joint(below) not in definition.rig.find_descendants(definition.rig.joint(above))[1:]:
+            words, place = (
+                f"`{below[:60]}` is not below `{above[:60]}` in the rig",
+                parts.find_part_span("legs", leg.name, (key,)),
+            )
             report.error("bad-rig", words, place, "name joints from the hip down: upper, lower, foot")
 
 
-def _measure_length(definition: Definition, parts: Parts, report: Report) -> Definition | None:
+def _measure_length(definition: Definition, parts: ReadDefinition, report: Report) -> Definition | None:
     """Return the definition with its measured length. Report a body without extent along `front`; its length is 1."""
-    if not parts.measured:
+    if not parts.needs_length:
         return definition
     with np.errstate(all="ignore"):
-        least, most = rest_box(definition)
+        least, most = compute_rest_box(definition)
         length = float((np.abs(most - least) * np.abs(np.array(definition.front))).sum())
     if not np.isfinite(length) or length <= 1e-9:
         words = "the length of the body along its front cannot be measured"

@@ -9,21 +9,21 @@ from typing import Any
 
 from antdsl.bodies.agents.definition import Clip, Definition, Gait, Leg, Rig, Variation
 from antdsl.bodies.files.clip_document import build_clip, check_marks
-from antdsl.bodies.files.definition_checks import Parts
+from antdsl.bodies.files.definition_checks import ReadDefinition
 from antdsl.bodies.files.document_errors import read_form
 from antdsl.bodies.files.document_model import BaseForm, BodyForm, ClipForm, ClipReference
 from antdsl.bodies.files.documents import build_group, build_layer, build_rig, read_metadata
 from antdsl.bodies.files.json_text import Node, find_node, find_span, report_unknown
-from antdsl.bodies.files.named_files import GLTF, USD, BodyFiles, file_ending
+from antdsl.bodies.files.named_files import GLTF_ENDINGS, USD_ENDINGS, BodyFiles, get_file_ending
 from antdsl.bodies.files.shape_references import read_includes, read_shapes
 from antdsl.diagnostics import Label, Report
 from antdsl.source import Span
 
 # The keys of parts that may be in separate files, and what a part is.
-_SEPARATE = {"rig": "a rig", "metadata": "metadata", "layers": "a layer", "groups": "a transform group"}
+_PART_DESCRIPTIONS = {"rig": "a rig", "metadata": "metadata", "layers": "a layer", "groups": "a transform group"}
 
 
-def read_document(root: Node, files: BodyFiles, name: str) -> Parts | None:
+def read_document(root: Node, files: BodyFiles, name: str) -> ReadDefinition | None:
     """Return the definition in a file without the checks that need the complete definition. Return None if it cannot be read."""
     report = files.report
     if _report_part_file(root, report):
@@ -39,18 +39,18 @@ def read_document(root: Node, files: BodyFiles, name: str) -> Parts | None:
     if rig is None:
         if form.base is None and form.rig is None:
             words = "a definition needs joints: a `rig`, or a file for the whole body under `from`"
-            report.error("missing-key", words, root.mark, 'add `"rig": {"file": "rig.json"}`')
+            report.error("missing-key", words, root.marked_span, 'add `"rig": {"file": "rig.json"}`')
         return None
     base = replace(base or Definition(name, rig), rig=rig)
     base = replace(base, name=form.name or base.name, unit=form.units or base.unit, **_read_axes(form, root, base, report))
     shapes, materials = dict(base.shapes), {**base.materials, **form.materials}
     read_includes(form, root, files, shapes, materials)
     read_shapes(form, root, files, base.unit, shapes, materials)
-    parts = Parts(base, root.mark, measured=not (form.length or (form.base is not None and base.length)))
+    parts = ReadDefinition(base, root.marked_span, needs_length=not (form.length or (form.base is not None and base.length)))
     layers = {each.name: build_layer(each) for each in form.layers}
     groups = {each.name: build_group(each) for each in form.groups}
     for key, named in (("layers", form.layers), ("groups", form.groups), ("legs", form.legs), ("gaits", form.gaits)):
-        _note_places(parts, key, [each.name for each in named], root, tree, report)
+        _record_part_nodes(parts, key, [each.name for each in named], root, tree, report)
     for kind in ("scale", "materials"):
         varied = find_node(tree, ("variation", kind))
         parts.nodes |= {(kind, each): find_node(varied, (each,)) for each in getattr(form.variation, kind)}
@@ -81,7 +81,7 @@ def _insert_files(root: Node, files: BodyFiles) -> Node:
     out."""
 
     def part(node: Node, what: str) -> Node | None:
-        file = node.inner("file")
+        file = node.get_inner("file")
         if file is None or len(node.keys) != 1 or not isinstance(file.value, str):
             return node
         return files.read_part(file.value, what, file.span)
@@ -89,11 +89,11 @@ def _insert_files(root: Node, files: BodyFiles) -> Node:
     if not isinstance(root.value, dict):
         return root
     entries: dict[str, Node | None] = dict(root.value)
-    for key, what in _SEPARATE.items():
+    for key, what in _PART_DESCRIPTIONS.items():
         node = root.value.get(key)
         if node is None:
             continue
-        if isinstance(node.value, list) and not node.numbers and key in ("layers", "groups"):
+        if isinstance(node.value, list) and not node.has_plain_numbers and key in ("layers", "groups"):
             items = [part(each, what) for each in node.value if isinstance(each, Node)]
             entries[key] = replace(node, value=[each for each in items if each is not None])
         else:
@@ -101,7 +101,7 @@ def _insert_files(root: Node, files: BodyFiles) -> Node:
     return replace(root, value={key: node for key, node in entries.items() if node is not None})
 
 
-def _note_places(parts: Parts, key: str, names: list[str], root: Node, tree: Node, report: Report) -> None:
+def _record_part_nodes(parts: ReadDefinition, key: str, names: list[str], root: Node, tree: Node, report: Report) -> None:
     """Store the nodes of named parts, and report names that occur twice."""
     parts.nodes[key, ""] = find_node(root, (key,))
     first: dict[str, int] = {}
@@ -115,7 +115,7 @@ def _note_places(parts: Parts, key: str, names: list[str], root: Node, tree: Nod
 
 
 # Keys that identify a part in a separate file, with the kind of part and how a definition names it.
-_SIGNS = (
+_PART_FILE_KEYS = (
     ("rig_version", "a rig", '"rig": {"file": "…"}'),
     ("antdsl_clip", "a clip", '"clips": [{"file": "…"}]'),
     ("static", "a layer", '"layers": [{"file": "…"}]'),
@@ -129,7 +129,7 @@ def _report_part_file(root: Node, report: Report) -> bool:
     """Return whether a file is only a part of a definition, and report this."""
     if not isinstance(root.value, dict) or "antdsl_body" in root.value:
         return False
-    for key, what, line in _SIGNS:
+    for key, what, line in _PART_FILE_KEYS:
         if key in root.value:
             words = f"this is {what}, not a definition; a definition names it as one of its parts"
             report.error("wrong-kind", words, find_span(root, (key,), key=True), f'write a file `{{"antdsl_body": 1, {line}}}`')
@@ -142,11 +142,11 @@ def _read_base(base: BaseForm, node: Node, files: BodyFiles, name: str) -> Defin
     place = find_span(node, ("file",))
     if files.is_closed_format(base.file, place):
         return None
-    if file_ending(base.file) not in (*GLTF, *USD):
-        kinds = ", ".join(f".{kind}" for kind in (*GLTF, *USD))
+    if get_file_ending(base.file) not in (*GLTF_ENDINGS, *USD_ENDINGS):
+        kinds = ", ".join(f".{kind}" for kind in (*GLTF_ENDINGS, *USD_ENDINGS))
         files.report.error("wrong-kind", f"`{base.file[-80:]}` has no joints", place, f"one of {kinds} is read here")
         return None
-    definition = files.body(base.file, place, base.prim or "", base.rate or 0.0)
+    definition = files.read_body(base.file, place, base.prim or "", base.rate or 0.0)
     return None if definition is None else replace(definition, name=name)
 
 
@@ -154,7 +154,7 @@ def _read_axes(form: BodyForm, root: Node, base: Definition, report: Report) -> 
     """Return the forward and upward axes of a body."""
     front, up = form.front or base.front, form.up or base.up
     if any(a and b for a, b in zip(front, up, strict=True)):
-        node = root.inner("up") or root.inner("front")
+        node = root.get_inner("up") or root.get_inner("front")
         words = "the front and the up axis of the body are parallel"
         report.error("wrong-value", words, node.span if node is not None else None, 'write `"up": "+y"`')
     return {"front": front, "up": up}
@@ -170,7 +170,7 @@ def _read_clips(form: BodyForm, root: Node, files: BodyFiles, rig: Rig, clips: d
     for number, entry in enumerate(form.clips):
         node = find_node(root, ("clips", number))
         if isinstance(entry, ClipReference):
-            new, has_samples = _referenced_clips(entry, node, files, rig, clips), entry.file is not None
+            new, has_samples = _resolve_clip_reference(entry, node, files, rig, clips), entry.file is not None
         else:
             clip = build_clip(entry, node, files.report, rig)
             new, has_samples = [clip] if clip is not None else [], True
@@ -180,18 +180,20 @@ def _read_clips(form: BodyForm, root: Node, files: BodyFiles, rig: Rig, clips: d
                 words = f"there are two clips `{clip.name}`"
                 files.report.error("duplicate-name", words, node.span, "keep one of them", labels=labels)
                 continue
-            clips[clip.name], first[clip.name] = clip, node.mark
+            clips[clip.name], first[clip.name] = clip, node.marked_span
     return clips
 
 
-def _referenced_clips(entry: ClipReference, node: Node, files: BodyFiles, rig: Rig, own: dict[str, Clip]) -> list[Clip]:
+def _resolve_clip_reference(
+    entry: ClipReference, node: Node, files: BodyFiles, rig: Rig, base_clips: dict[str, Clip]
+) -> list[Clip]:
     """Return the clips that an entry refers to, with the settings of the entry."""
     report = files.report
-    clips: Mapping[str, Clip] = own
+    clips: Mapping[str, Clip] = base_clips
     if entry.file is not None:
         clips = _read_clip_file(entry, entry.file, find_span(node, ("file",)), files, rig)
     elif entry.clip is None:
-        report.error("missing-key", "a clip has no `file`", node.mark, 'add `"file": "walk.json"`, or `"clip": "Walk"`')
+        report.error("missing-key", "a clip has no `file`", node.marked_span, 'add `"file": "walk.json"`, or `"clip": "Walk"`')
         return []
     if entry.clip is not None:
         if entry.clip not in clips:
@@ -199,7 +201,7 @@ def _referenced_clips(entry: ClipReference, node: Node, files: BodyFiles, rig: R
             return []
         clips = {entry.clip: clips[entry.clip]}
         if entry.file is None:
-            own.pop(entry.clip)
+            base_clips.pop(entry.clip)
     if entry.name is not None and len(clips) > 1:
         words, help = f"`name` is given, but the file has {len(clips)} clips", f'add `"clip": "{next(iter(clips))}"`'
         report.error("wrong-value", words, find_span(node, ("name",)), help)
@@ -212,12 +214,12 @@ def _referenced_clips(entry: ClipReference, node: Node, files: BodyFiles, rig: R
 
 def _read_clip_file(entry: ClipReference, path: str, place: Span, files: BodyFiles, rig: Rig) -> dict[str, Clip]:
     """Return the clips of a file, without joints that the rig lacks: one clip of a text, or all clips of a glTF or USD file."""
-    if file_ending(path) in (*GLTF, *USD):
-        body = files.body(path, place, entry.prim or "", entry.rate or 0.0, rig)
+    if get_file_ending(path) in (*GLTF_ENDINGS, *USD_ENDINGS):
+        body = files.read_body(path, place, entry.prim or "", entry.rate or 0.0, rig)
         return {name: _fit_to_rig(files, clip, rig, place) for name, clip in (body.clips if body else {}).items()}
-    if file_ending(path) != "json":
+    if get_file_ending(path) != "json":
         if not files.is_closed_format(path, place):
-            kinds = ", ".join(f".{kind}" for kind in ("json", *GLTF, *USD))
+            kinds = ", ".join(f".{kind}" for kind in ("json", *GLTF_ENDINGS, *USD_ENDINGS))
             files.report.error("wrong-kind", f"`{path[-80:]}` is not a file of clips", place, f"one of {kinds} is read")
         return {}
     root = files.read_part(path, "a clip", place)

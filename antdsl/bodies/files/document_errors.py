@@ -10,20 +10,20 @@ from pydantic import Tag, ValidationError
 from pydantic.fields import FieldInfo
 
 from antdsl import limits
-from antdsl.bodies.files.document_model import DocumentedForm, Form, keys_of
+from antdsl.bodies.files.document_model import DocumentedForm, Form, list_keys
 from antdsl.bodies.files.json_text import Node, find_node, find_span
 from antdsl.diagnostics import Diagnostic, Label, Report
 from antdsl.diagnostics.model import Severity
-from antdsl.diagnostics.suggestion import nearest_name
+from antdsl.diagnostics.suggestion import find_nearest_name
 from antdsl.scene.document import PathKey
-from antdsl.scene.load import drop_consequences
+from antdsl.scene.load import drop_consequent_errors
 from antdsl.source import Span
 
 F = TypeVar("F", bound=Form)
 Path = tuple[PathKey, ...]
-_MOST_ERRORS = 200  # findings per check; further ones are reported after these are corrected
-_NULL = object()  # replaces null, which is not allowed in documents
-_TYPES: dict[str, tuple[str, str | None]] = {
+_MAX_ERRORS = 200  # findings per check; further ones are reported after these are corrected
+_NULL_PLACEHOLDER = object()  # replaces null, which is not allowed in documents
+_EXPECTED_BY_ERROR_TYPE: dict[str, tuple[str, str | None]] = {
     "string_type": ("a text", 'write `"…"`'),
     "float_type": ("a number", None),
     "bool_type": ("true or false", "write `true` or `false`"),
@@ -34,42 +34,42 @@ _TYPES: dict[str, tuple[str, str | None]] = {
 }
 
 
-_CONTAINERS = ("list_type", "tuple_type", "dict_type", "model_type")
+_CONTAINER_ERROR_TYPES = ("list_type", "tuple_type", "dict_type", "model_type")
 
 
 def read_form(form: type[F], root: Node, report: Report) -> F | None:
-    """Return the model of a document, or None if the report has an error about it. At most `_MOST_ERRORS` findings of a round
+    """Return the model of a document, or None if the report has an error about it. At most `_MAX_ERRORS` findings of a round
     are reported, errors before warnings."""
-    tree = _plain(root)
+    tree = _to_plain_values(root)
     while True:
         try:
             return form.model_validate(tree)
         except ValidationError as problem:
             errors = problem.errors(include_url=False, include_input=False)
         errors.sort(key=lambda error: _is_ignorable(form, error))  # each round then ends with an error or removes all warnings
-        diagnostics = [_diagnose(form, root, error) for error in drop_consequences(errors[:_MOST_ERRORS])]
+        diagnostics = [_diagnose(form, root, error) for error in drop_consequent_errors(errors[:_MAX_ERRORS])]
         report.extend(diagnostics)
         if any(diagnostic.severity == "error" for diagnostic in diagnostics):
             return None
         for error in errors:
-            _delete(tree, error["loc"])
+            _delete_entry(tree, error["loc"])
 
 
 def _is_ignorable(form: type[Form], error: Any) -> bool:
     """Return whether an error is an unknown key where the documented forms allow others."""
-    return error["type"] == "extra_forbidden" and issubclass(_form_at(form, error["loc"])[0], DocumentedForm)
+    return error["type"] == "extra_forbidden" and issubclass(_find_innermost_form(form, error["loc"])[0], DocumentedForm)
 
 
-def _plain(node: Node) -> Any:
+def _to_plain_values(node: Node) -> Any:
     """Return the plain values of a tree."""
     if isinstance(node.value, dict):
-        return {key: _plain(value) for key, value in node.value.items()}
-    if isinstance(node.value, list) and not node.numbers:
-        return [_plain(item) for item in node.value if isinstance(item, Node)]
-    return _NULL if node.value is None else node.value
+        return {key: _to_plain_values(value) for key, value in node.value.items()}
+    if isinstance(node.value, list) and not node.has_plain_numbers:
+        return [_to_plain_values(item) for item in node.value if isinstance(item, Node)]
+    return _NULL_PLACEHOLDER if node.value is None else node.value
 
 
-def _delete(tree: Any, path: Path) -> None:
+def _delete_entry(tree: Any, path: Path) -> None:
     """Delete an entry of a tree. The path may contain tags of unions."""
     for key in path[:-1]:
         if isinstance(key, int) or key in tree:
@@ -80,11 +80,11 @@ def _delete(tree: Any, path: Path) -> None:
 def _diagnose(form: type[Form], root: Node, error: Any) -> Diagnostic:
     """Return the finding for an error that pydantic raised."""
     kind, path, context = error["type"], tuple(error["loc"]), error.get("ctx", {})
-    owner, field = _form_at(form, path)
-    last, example = path[-1] if path else "", _example(field)
+    owner, field = _find_innermost_form(form, path)
+    last, example = path[-1] if path else "", _find_example(field)
     help: str | None
     if kind == "worded":
-        return _diagnose_worded(root, path, context)
+        return _diagnose_model_error(root, path, context)
     if kind == "extra_forbidden":
         return _diagnose_unknown_key(owner, find_span(root, path, key=True), str(last), error.get("meant"))
     if kind == "missing" and isinstance(last, str):
@@ -93,26 +93,27 @@ def _diagnose(form: type[Form], root: Node, error: Any) -> Diagnostic:
     if kind in ("greater_than_equal", "less_than_equal"):
         most, bound = ("least", context["ge"]) if "ge" in context else ("most", context["le"])
         help = f"write `{bound:g}`" if abs(bound) < limits.MAX_NUMBER else None
-        words = f"{_subject(path, owner)} must be at {most} {bound:g}"
+        words = f"{_describe_subject(path, owner)} must be at {most} {bound:g}"
         return Diagnostic("out-of-range", words, find_span(root, path), help=help)
     node = find_node(root, path)
-    if kind in _TYPES:
-        expectation, help = _TYPES[kind]
+    if kind in _EXPECTED_BY_ERROR_TYPE:
+        expectation, help = _EXPECTED_BY_ERROR_TYPE[kind]
         if node.value is None:
             help = "delete it" if isinstance(last, int) else "leave the key out"
-        elif kind in _CONTAINERS and example:
+        elif kind in _CONTAINER_ERROR_TYPES and example:
             help = f"write `{example}`"
-        actual = "a number" if path and find_node(root, path[:-1]).numbers else node.kind
-        words = f"{_subject(path, owner)} must be {expectation}, not {actual}"
+        actual = "a number" if path and find_node(root, path[:-1]).has_plain_numbers else node.kind
+        words = f"{_describe_subject(path, owner)} must be {expectation}, not {actual}"
         return Diagnostic("wrong-value", words, find_span(root, path), help=help)
     path = path[:-1] if kind == "missing" else path
     node = find_node(root, path)
     count = len(node.value) if isinstance(node.value, list) else 0
-    words = f"{_subject(path, owner)} has {count} value{'' if count == 1 else 's'}: too {'few' if kind == 'missing' else 'many'}"
-    return Diagnostic("wrong-value", words, node.span if node.numbers else node.mark)
+    amount = "few" if kind == "missing" else "many"
+    words = f"{_describe_subject(path, owner)} has {count} value{'' if count == 1 else 's'}: too {amount}"
+    return Diagnostic("wrong-value", words, node.span if node.has_plain_numbers else node.marked_span)
 
 
-def _diagnose_worded(root: Node, path: Path, context: Any) -> Diagnostic:
+def _diagnose_model_error(root: Node, path: Path, context: Any) -> Diagnostic:
     """Return the finding about an error that `document_model` raised. Entries of `context`:
 
     `at`: the remainder of the error's path.
@@ -128,16 +129,16 @@ def _diagnose_worded(root: Node, path: Path, context: Any) -> Diagnostic:
     return Diagnostic(code, context["words"], span, help=context["help"] or None, labels=labels)
 
 
-def _diagnose_unknown_key(owner: type[Form], span: Span, key: str, meant: str | None) -> Diagnostic:
+def _diagnose_unknown_key(owner: type[Form], span: Span, key: str, suggestion: str | None) -> Diagnostic:
     """Return the finding about a key that `owner` does not have."""
-    near = meant or nearest_name(key, keys_of(owner))
-    known = ", ".join(f"`{each}`" for each in keys_of(owner))
+    near = suggestion or find_nearest_name(key, list_keys(owner))
+    known = ", ".join(f"`{each}`" for each in list_keys(owner))
     help = f'write `"{near}"`' if near else f"known here: {known}"
-    severity: Severity = "error" if meant or not issubclass(owner, DocumentedForm) else "warning"
+    severity: Severity = "error" if suggestion or not issubclass(owner, DocumentedForm) else "warning"
     return Diagnostic("unknown-key", f"`{key[:60]}` is not a key of {owner.noun}", span, severity, help)
 
 
-def _subject(path: Path, owner: type[Form]) -> str:
+def _describe_subject(path: Path, owner: type[Form]) -> str:
     """Return the subject of an error, in words."""
     names = [key for key in path if isinstance(key, str) and not key.startswith("clip-")]
     if not names:
@@ -145,30 +146,30 @@ def _subject(path: Path, owner: type[Form]) -> str:
     return f"`{names[-1][:60]}`" if path[-1] == names[-1] else f"a value of `{names[-1][:60]}`"
 
 
-def _example(field: FieldInfo | None) -> str:
+def _find_example(field: FieldInfo | None) -> str:
     """Return an example of a field's value as JSON; an empty text if there is none."""
     if field is None:
         return ""
     return str(field.examples[0]) if field.examples else '"…"' if field.annotation is str else ""
 
 
-def _form_at(form: type[Form], path: Sequence[PathKey]) -> tuple[type[Form], FieldInfo | None]:
+def _find_innermost_form(form: type[Form], path: Sequence[PathKey]) -> tuple[type[Form], FieldInfo | None]:
     """Return the innermost form that contains the value at `path`, and the field of the form at which the path ends."""
     kind: Any = form
     field: FieldInfo | None = None
     for key in path:
-        kind = _without_marks(kind)
+        kind = _strip_annotations(kind)
         field = None
         if isinstance(kind, type) and issubclass(kind, Form):
             form = kind
             field = next((each for name, each in kind.model_fields.items() if key == (each.alias or name)), None)
             kind = None if field is None else field.annotation
         else:
-            kind = _inner_type(kind, key)
+            kind = _find_inner_type(kind, key)
     return form, field
 
 
-def _without_marks(kind: Any) -> Any:
+def _strip_annotations(kind: Any) -> Any:
     """Return a type without annotations and without its alternative None."""
     while True:
         arms = [arm for arm in get_args(kind) if arm is not NoneType]
@@ -178,7 +179,7 @@ def _without_marks(kind: Any) -> Any:
             return kind
 
 
-def _inner_type(kind: Any, key: PathKey) -> Any:
+def _find_inner_type(kind: Any, key: PathKey) -> Any:
     """Return the type of an object's entry, of an array's item, or of the choice that a tag names."""
     arms = get_args(kind)
     if get_origin(kind) in (Union, UnionType):

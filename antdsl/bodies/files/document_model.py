@@ -36,9 +36,9 @@ from antdsl.bodies.files.document_values import (
     Texts,
     Unique,
     Unit,
-    at_most,
-    edition,
-    one_of,
+    limit_entries,
+    require_one_of,
+    require_version,
 )
 from antdsl.scene.values import make_error
 
@@ -67,9 +67,9 @@ class RigForm(DocumentedForm):
     """A rig. `transforms`: the children of each joint, in any order. `antdsl_rest`: the local matrix of a joint, row by row."""
 
     noun = "a rig"
-    rig_version: Annotated[int, edition(1)] = Field(examples=["1"])
-    transforms: Annotated[Joints, at_most("MAX_RIG_JOINTS", "joints", "a rig")] = Field(examples=["{}"])
-    channels: Annotated[dict[Text, ChannelForm], at_most("MAX_RIG_CHANNELS", "channels", "a rig")] = Field(
+    rig_version: Annotated[int, require_version(1)] = Field(examples=["1"])
+    transforms: Annotated[Joints, limit_entries("MAX_RIG_JOINTS", "joints", "a rig")] = Field(examples=["{}"])
+    channels: Annotated[dict[Text, ChannelForm], limit_entries("MAX_RIG_CHANNELS", "channels", "a rig")] = Field(
         {}, examples=['{"NAME": {"default_value": 0, "transform": ""}}']
     )
     antdsl_rest: dict[str, Matrix] = {}
@@ -94,7 +94,7 @@ class DeformingForm(BindingForm):
 
 class LayerForm(DocumentedForm):
     noun = "a layer"
-    version: Annotated[int, edition(2)] = Field(examples=["2"])
+    version: Annotated[int, require_version(2)] = Field(examples=["2"])
     name: Text
     static: Annotated[tuple[StaticForm, ...], Entries] = ()
     deforming: Annotated[tuple[DeformingForm, ...], Entries] = ()
@@ -113,7 +113,7 @@ class ChannelName(DocumentedForm):
 
 class GroupForm(DocumentedForm):
     noun = "a transform group"
-    version: Annotated[int, edition(2)] = Field(examples=["2"])
+    version: Annotated[int, require_version(2)] = Field(examples=["2"])
     name: Text
     members: Annotated[tuple[MemberForm, ...], Unique, Entries] = ()
     channels: Annotated[tuple[ChannelName, ...], Unique, Entries] = ()
@@ -133,11 +133,11 @@ class ClipSettings(Form):
 class ClipForm(ClipSettings):
     """A clip with its samples. Channels are `joint:tx` … `joint:shear3`, or channels of the rig."""
 
-    antdsl_clip: Annotated[int, edition(1)] = Field(examples=["1"])
+    antdsl_clip: Annotated[int, require_version(1)] = Field(examples=["1"])
     name: Text
     rate: SampleRate = Field(examples=["24"])
-    rotation_order: Annotated[str, one_of(*ROTATION_ORDERS)] | None = None
-    angles: Annotated[str, one_of("degrees", "radians")] | None = None
+    rotation_order: Annotated[str, require_one_of(*ROTATION_ORDERS)] | None = None
+    angles: Annotated[str, require_one_of("degrees", "radians")] | None = None
     channels: Channels = Field(examples=[CHANNELS_EXAMPLE])
 
     @model_validator(mode="after")
@@ -167,13 +167,13 @@ class AnimationSettings(ClipSettings):
     rate: SampleRate | None = None
 
 
-def _clip_tag(value: Any) -> str:
+def _choose_clip_form(value: Any) -> str:
     """Return the tag of the model for an entry of `clips`: a clip with samples, or a reference to a file."""
     return "clip-here" if isinstance(value, dict) and "antdsl_clip" in value else "clip-elsewhere"
 
 
 Clip = Annotated[
-    Annotated[ClipForm, Tag("clip-here")] | Annotated[ClipReference, Tag("clip-elsewhere")], Discriminator(_clip_tag)
+    Annotated[ClipForm, Tag("clip-here")] | Annotated[ClipReference, Tag("clip-elsewhere")], Discriminator(_choose_clip_form)
 ]
 
 
@@ -231,8 +231,8 @@ class BodySettings(Form):
 
     model_config = ConfigDict(extra="ignore")
     length: Length | None = None
-    legs: Annotated[tuple[LegForm, ...], Unique, Entries, at_most("MAX_BODY_LEGS", "legs")] = ()
-    gaits: Annotated[tuple[GaitForm, ...], Unique, Entries, at_most("MAX_BODY_GAITS", "gaits")] = ()
+    legs: Annotated[tuple[LegForm, ...], Unique, Entries, limit_entries("MAX_BODY_LEGS", "legs")] = ()
+    gaits: Annotated[tuple[GaitForm, ...], Unique, Entries, limit_entries("MAX_BODY_GAITS", "gaits")] = ()
     idle: Text | None = None
     capsule: CapsuleForm | None = None
 
@@ -262,7 +262,7 @@ class BodyForm(Form):
     """A definition. `rig`, `layers`, `groups` and `metadata` have the same form inline and in separate files."""
 
     noun = "a definition"
-    antdsl_body: Annotated[int, edition(1)] = Field(examples=["1"])
+    antdsl_body: Annotated[int, require_version(1)] = Field(examples=["1"])
     name: Text | None = None
     base: BaseFile | None = Field(None, alias="from", examples=['"body.glb"'])
     front: Axis | None = None
@@ -270,22 +270,22 @@ class BodyForm(Form):
     units: Unit | None = None
     length: Length | None = None
     rig: RigForm | None = Field(None, examples=['{"file": "rig.json"}'])
-    shapes: Annotated[tuple[ShapeReference, ...], Entries, at_most("MAX_BODY_PARTS", "shapes")] = Field(
+    shapes: Annotated[tuple[ShapeReference, ...], Entries, limit_entries("MAX_BODY_PARTS", "shapes")] = Field(
         (), examples=['[{"file": "sword.obj", "name": "sword"}]']
     )
     shapelib_includes: Annotated[tuple[PathPair, ...], Entries] = Field((), examples=['[["$HIP/lib.glb", "/…/lib.glb"]]'])
-    layers: Annotated[tuple[LayerForm, ...], Entries, at_most("MAX_BODY_PARTS", "layers")] = ()
-    clips: Annotated[tuple[Clip, ...], Entries, at_most("MAX_BODY_PARTS", "clips")] = ()
-    groups: Annotated[tuple[GroupForm, ...], Entries, at_most("MAX_BODY_PARTS", "transform groups")] = ()
+    layers: Annotated[tuple[LayerForm, ...], Entries, limit_entries("MAX_BODY_PARTS", "layers")] = ()
+    clips: Annotated[tuple[Clip, ...], Entries, limit_entries("MAX_BODY_PARTS", "clips")] = ()
+    groups: Annotated[tuple[GroupForm, ...], Entries, limit_entries("MAX_BODY_PARTS", "transform groups")] = ()
     metadata: dict[str, Any] = {}
     materials: dict[str, RgbColour] = Field({}, examples=['{"NAME": [0.5, 0.4, 0.3]}'])
-    legs: Annotated[tuple[LegForm, ...], Unique, Entries, at_most("MAX_BODY_LEGS", "legs")] = ()
-    gaits: Annotated[tuple[GaitForm, ...], Unique, Entries, at_most("MAX_BODY_GAITS", "gaits")] = ()
+    legs: Annotated[tuple[LegForm, ...], Unique, Entries, limit_entries("MAX_BODY_LEGS", "legs")] = ()
+    gaits: Annotated[tuple[GaitForm, ...], Unique, Entries, limit_entries("MAX_BODY_GAITS", "gaits")] = ()
     idle: Text | None = None
     variation: VariationForm = VariationForm()
     capsule: CapsuleForm | None = Field(None, examples=['{"length": 1.2, "width": 0.4, "height": 0.5}'])
 
 
-def keys_of(form: type[Form]) -> list[str]:
+def list_keys(form: type[Form]) -> list[str]:
     """Return the keys of a form, in its order."""
     return [field.alias or name for name, field in form.model_fields.items()]

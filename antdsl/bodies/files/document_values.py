@@ -11,30 +11,32 @@ from numpy.typing import NDArray
 from pydantic import AfterValidator, BeforeValidator, FailFast, Field, PlainValidator, Strict, TypeAdapter, ValidationInfo
 
 from antdsl import limits
-from antdsl.scene.model import UNIT_MM
+from antdsl.scene.scene_model import UNIT_MM
 from antdsl.scene.values import make_error
 
-AXES = {f"{sign}{letter}": tuple(float(f"{sign}{each == letter:d}") for each in "xyz") for letter in "xyz" for sign in "+-"}
-_UNIT = re.compile(rf"(?:(\d{{1,6}}(?:\.\d{{1,9}})?) )?({'|'.join(UNIT_MM)})")
-_NAME_CHARACTERS = 1000
+AXIS_BY_WORD = {
+    f"{sign}{letter}": tuple(float(f"{sign}{each == letter:d}") for each in "xyz") for letter in "xyz" for sign in "+-"
+}
+_UNIT_PATTERN = re.compile(rf"(?:(\d{{1,6}}(?:\.\d{{1,9}})?) )?({'|'.join(UNIT_MM)})")
+_MAX_NAME_CHARACTERS = 1000
 _LEAST_SCALE, _MOST_SCALE = 0.1, 10.0  # scale factors relative to the rest pose
 
 
 def _check_text(value: str) -> str:
     """Return a text. Raises for too many characters and for the character 0."""
-    if len(value) > _NAME_CHARACTERS or "\0" in value:
+    if len(value) > _MAX_NAME_CHARACTERS or "\0" in value:
         raise make_error("this text is too long, or contains an invisible character")
     return value
 
 
-def _check_filled(value: str) -> str:
+def _check_nonempty(value: str) -> str:
     """Return a text that is not empty. Raises for other texts."""
     if not value:
         raise make_error("expected a text here, but it is empty")
     return _check_text(value)
 
 
-def one_of(*words: str) -> BeforeValidator:
+def require_one_of(*words: str) -> BeforeValidator:
     """Return a validator that accepts one of the given words."""
 
     def check(value: Any) -> Any:
@@ -45,7 +47,7 @@ def one_of(*words: str) -> BeforeValidator:
     return BeforeValidator(check)
 
 
-def edition(number: int) -> BeforeValidator:
+def require_version(number: int) -> BeforeValidator:
     """Return a validator that accepts only the version `number` of a form."""
 
     def check(value: Any) -> int:
@@ -56,19 +58,19 @@ def edition(number: int) -> BeforeValidator:
     return BeforeValidator(check)
 
 
-def at_most(limit: str, what: str, owner: str = "a body") -> BeforeValidator:
-    """Return a validator of the number of entries. `limit`: the name of the largest number in `antdsl.limits`."""
+def limit_entries(limit_name: str, entry_noun: str, owner: str = "a body") -> BeforeValidator:
+    """Return a validator of the number of entries. `limit_name`: the name of the largest number in `antdsl.limits`."""
 
     def check(entries: Any) -> Any:
-        most = getattr(limits, limit)
+        most = getattr(limits, limit_name)
         if isinstance(entries, list | dict) and len(entries) > most:
-            raise make_error(f"{owner} has at most {most:,} {what}", code="too-large")
+            raise make_error(f"{owner} has at most {most:,} {entry_noun}", code="too-large")
         return entries
 
     return BeforeValidator(check)
 
 
-def _refuse_numbers(entries: Any) -> Any:
+def _reject_number_array(entries: Any) -> Any:
     """Reject an array of numbers at once, because a document may have millions of them in a row."""
     if isinstance(entries, list) and entries and all(type(entry) in (int, float) for entry in entries):
         raise make_error("this must be a list of texts or objects, not of numbers")
@@ -86,15 +88,15 @@ def _check_names(entries: tuple[Any, ...]) -> tuple[Any, ...]:
     return entries
 
 
-def unit_mm(text: object) -> float:
+def parse_unit_mm(text: object) -> float:
     """Return the millimetres of a length unit such as `mm` or `6 mm`. Return 0 if the text is not a unit."""
-    match = _UNIT.fullmatch(text) if isinstance(text, str) else None
+    match = _UNIT_PATTERN.fullmatch(text) if isinstance(text, str) else None
     return float(match[1] or 1) * UNIT_MM[match[2]] if match else 0.0
 
 
 def _read_unit(value: Any) -> float:
     """Return the millimetres of a length unit. Raises for any other text."""
-    unit = unit_mm(value)
+    unit = parse_unit_mm(value)
     if not unit:
         known = ", ".join(f"`{word}`" for word in UNIT_MM)
         raise make_error(f"the unit of length must be one of {known}, or a multiple of one", 'write `"mm"`, or `"6 mm"`')
@@ -103,19 +105,19 @@ def _read_unit(value: Any) -> float:
 
 def _read_axis(value: Any, info: ValidationInfo) -> Any:
     """Return the unit vector of an axis such as `+x`. Raises for any other value."""
-    if not isinstance(value, str) or value not in AXES:
-        letter = value if isinstance(value, str) and f"+{value}" in AXES else "z" if info.field_name == "front" else "y"
+    if not isinstance(value, str) or value not in AXIS_BY_WORD:
+        letter = value if isinstance(value, str) and f"+{value}" in AXIS_BY_WORD else "z" if info.field_name == "front" else "y"
         raise make_error(f"`{info.field_name}` must be one of the axes `+x` `-x` `+y` `-y` `+z` `-z`", f'write `"+{letter}"`')
-    return AXES[value]
+    return AXIS_BY_WORD[value]
 
 
-def axis_word(axis: tuple[float, float, float]) -> str:
+def format_axis(axis: tuple[float, float, float]) -> str:
     """Return the word for an axis, such as `+x`."""
-    return next(word for word, each in AXES.items() if each == axis)
+    return next(word for word, each in AXIS_BY_WORD.items() if each == axis)
 
 
 Flag = Annotated[bool, Strict()]
-Text = Annotated[str, Strict(), AfterValidator(_check_filled)]
+Text = Annotated[str, Strict(), AfterValidator(_check_nonempty)]
 AnyText = Annotated[str, Strict(), AfterValidator(_check_text)]  # may be empty
 Number = Annotated[float, Strict(), Field(ge=-limits.MAX_NUMBER, le=limits.MAX_NUMBER)]
 Amount = Annotated[float, Strict(), Field(ge=0.0, le=limits.MAX_NUMBER)]
@@ -127,7 +129,7 @@ Stride = Annotated[float, Strict(), Field(ge=limits.MIN_STRIDE, le=limits.MAX_NU
 Duty = Annotated[float, Strict(), Field(ge=limits.DUTY_FACTOR_RANGE[0], le=limits.DUTY_FACTOR_RANGE[1])]
 Scale = Annotated[float, Strict(), Field(ge=_LEAST_SCALE, le=_MOST_SCALE)]
 RgbColour = tuple[Share, Share, Share]
-Entries = BeforeValidator(_refuse_numbers)
+Entries = BeforeValidator(_reject_number_array)
 Texts = Annotated[tuple[Text, ...], Entries]
 Unit = Annotated[float, BeforeValidator(_read_unit)]
 Axis = Annotated[tuple[float, float, float], BeforeValidator(_read_axis)]
@@ -155,7 +157,7 @@ Matrix = Annotated[tuple[Row, Row, Row, Row], AfterValidator(_check_matrix), Ent
 Joints = Annotated[dict[Text, Texts], AfterValidator(_check_joints)]
 
 
-def _refuse_deformer(value: str) -> str:
+def _reject_deformer(value: str) -> str:
     """Return the empty deformer of a static shape. Raises for any other deformer."""
     if value:
         words = f"a static shape cannot have a deformer, but this one has `{value[:60]}`"
@@ -171,7 +173,7 @@ def _check_colours(colours: tuple[RgbColour, ...]) -> tuple[RgbColour, ...]:
     return colours
 
 
-def _check_pair(paths: Any) -> Any:
+def _check_path_pair(paths: Any) -> Any:
     """Return the two paths of an included library. Raises for a list of another length."""
     if isinstance(paths, list) and len(paths) != 2:
         words, help = f"a library needs two paths, but this list has {len(paths)}", 'write `["$HIP/lib.glb", "/…/lib.glb"]`'
@@ -180,12 +182,12 @@ def _check_pair(paths: Any) -> Any:
 
 
 CHANNELS_EXAMPLE = '{"JOINT:tx": [0, 1]}'
-_NUMBERS = TypeAdapter(Annotated[list[Number], FailFast()])
+_NUMBERS_ADAPTER = TypeAdapter(Annotated[list[Number], FailFast()])
 
 
 def _read_samples(value: Any) -> NDArray[np.float64]:
     """Return the samples of a channel. A single number is a constant channel."""
-    return np.array(_NUMBERS.validate_python(value if isinstance(value, list | dict) else [value]), np.float64)
+    return np.array(_NUMBERS_ADAPTER.validate_python(value if isinstance(value, list | dict) else [value]), np.float64)
 
 
 Samples = Annotated[Any, PlainValidator(_read_samples)]
@@ -207,7 +209,7 @@ def _check_channels(channels: dict[str, NDArray[np.float64]]) -> dict[str, NDArr
     return channels
 
 
-NoDeformer = Annotated[AnyText, AfterValidator(_refuse_deformer)]
+NoDeformer = Annotated[AnyText, AfterValidator(_reject_deformer)]
 Colours = Annotated[tuple[RgbColour, ...], AfterValidator(_check_colours), Entries]
 Channels = Annotated[dict[str, Samples], AfterValidator(_check_channels)]
-PathPair = Annotated[tuple[AnyText, AnyText], BeforeValidator(_check_pair)]
+PathPair = Annotated[tuple[AnyText, AnyText], BeforeValidator(_check_path_pair)]

@@ -18,10 +18,10 @@ from antdsl.bodies.agents.definition import Binding, Channel, Layer, Rig, Transf
 from antdsl.bodies.files.document_model import GroupForm, LayerForm, RigForm
 from antdsl.bodies.files.json_text import Node, find_span, report_unknown
 from antdsl.diagnostics import Label, Report
-from antdsl.diagnostics.suggestion import nearest_name
+from antdsl.diagnostics.suggestion import find_nearest_name
 from antdsl.source import Span
 
-_ROWS = re.compile(r"\[\n([-+0-9.eE,\s]+)\]")  # strings contain no raw line breaks, so no string can match
+_NUMBER_LIST_PATTERN = re.compile(r"\[\n([-+0-9.eE,\s]+)\]")  # strings contain no raw line breaks, so no string can match
 
 
 # ---- rig
@@ -29,7 +29,7 @@ _ROWS = re.compile(r"\[\n([-+0-9.eE,\s]+)\]")  # strings contain no raw line bre
 
 def build_rig(form: RigForm, root: Node, report: Report) -> Rig | None:
     """Return a rig, or None if its joints do not form a tree."""
-    tree = _joint_order(form, root, report)
+    tree = _order_joints(form, root, report)
     if tree is None:
         return None
     names, parents = tree
@@ -39,7 +39,7 @@ def build_rig(form: RigForm, root: Node, report: Report) -> Rig | None:
         if name in number:
             rest[number[name]] = matrix
             continue
-        near = nearest_name(name, names)
+        near = find_nearest_name(name, names)
         span = find_span(root, ("antdsl_rest", name), key=True)
         report.error("unknown-key", f"`{name[:60]}` is not a joint of the rig", span, f'write `"{near}"`' if near else None)
     for name, channel in form.channels.items():
@@ -49,7 +49,7 @@ def build_rig(form: RigForm, root: Node, report: Report) -> Rig | None:
     return Rig(names, np.array(parents, np.int32), rest, channels)
 
 
-def _joint_order(form: RigForm, root: Node, report: Report) -> tuple[tuple[str, ...], list[int]] | None:
+def _order_joints(form: RigForm, root: Node, report: Report) -> tuple[tuple[str, ...], list[int]] | None:
     """Return the joints, and the number of each joint's parent (-1 for a root). The order is that of the text if parents precede
     their children there, else it goes from the roots down. Return None after errors."""
     joints = form.transforms
@@ -73,7 +73,7 @@ def _joint_order(form: RigForm, root: Node, report: Report) -> tuple[tuple[str, 
             else:
                 words = f"the joint `{child}` has two parents, `{parent[child][0]}` and `{name}`"
                 report.error("bad-rig", words, place, f"delete `{child}` below one of them")
-    if _report_circles(report, parent) or not sound:
+    if _report_cycles(report, parent) or not sound:
         return None
     positions = {name: count for count, name in enumerate(joints)}
     if all(positions[each[0]] < positions[name] for name, each in parent.items()):
@@ -89,12 +89,12 @@ def _joint_order(form: RigForm, root: Node, report: Report) -> tuple[tuple[str, 
 
 def _report_missing_child(report: Report, place: Span, name: str, child: str, free: list[str]) -> None:
     """Report a child that is not among the joints of a rig."""
-    near = nearest_name(child, free)
+    near = find_nearest_name(child, free)
     help = f'write `"{near}"`' if near else f'add `"{child}": []` to the transforms'
     report.error("bad-rig", f"`{name}` has a child `{child}` that is not among the transforms", place, help)
 
 
-def _report_circles(report: Report, parent: Mapping[str, tuple[str, Span]]) -> bool:
+def _report_cycles(report: Report, parent: Mapping[str, tuple[str, Span]]) -> bool:
     """Report each cycle once, at the line that closes it. Return whether there is one."""
     visited: set[str] = set()
     has_circle = False
@@ -127,7 +127,7 @@ def write_rig(rig: Rig) -> str:
     moved = [joint for joint in range(len(rig.names)) if (rig.rest[joint] != np.eye(4)).any()]
     if moved:
         document["antdsl_rest"] = {rig.names[joint]: rig.rest[joint].tolist() for joint in moved}
-    return json_text(_integral(document))
+    return format_json(_use_integers(document))
 
 
 # ---- layers and transform groups
@@ -141,7 +141,7 @@ def build_layer(form: LayerForm) -> Layer:
 
 def write_layer(layer: Layer) -> str:
     """Return a layer as text in the documented form."""
-    return json_text(_integral({"version": 2, **asdict(layer)}))
+    return format_json(_use_integers({"version": 2, **asdict(layer)}))
 
 
 def build_group(form: GroupForm) -> TransformGroup:
@@ -155,15 +155,15 @@ def write_group(group: TransformGroup) -> str:
     """Return a transform group as text in the documented form."""
     members = [{"name": name, "weight": weight} for name, weight in group.members]
     channels = [{"name": name} for name in group.channels]
-    return json_text(_integral({"version": 2, "name": group.name, "members": members, "channels": channels}))
+    return format_json(_use_integers({"version": 2, "name": group.name, "members": members, "channels": channels}))
 
 
-def _integral(value: Any) -> Any:
+def _use_integers(value: Any) -> Any:
     """Return a document in which numbers without a fraction are integers, as in the documented forms."""
     if isinstance(value, dict):
-        return {key: _integral(each) for key, each in value.items()}
+        return {key: _use_integers(each) for key, each in value.items()}
     if isinstance(value, list | tuple):
-        return [_integral(each) for each in value]
+        return [_use_integers(each) for each in value]
     return int(value) if isinstance(value, float) and value.is_integer() and abs(value) < 2**53 else value
 
 
@@ -179,7 +179,7 @@ class TypedValue:
 
 
 # Number of components of each type; 0 for a value that is not a list of numbers.
-_TYPES = {
+_COMPONENTS_BY_TYPE = {
     "int": 0, "float": 0, "string": 0, "dict": 0, "array": 0, "vector2": 2, "vector": 3, "vector3": 3, "vector4": 4,
     "quaternion": 4, "matrix2": 4, "matrix3": 9, "matrix": 16, "matrix4": 16,
 }  # fmt: skip
@@ -188,7 +188,7 @@ _TYPES = {
 def read_metadata(root: Node, report: Report) -> dict[str, Any]:
     """Return the entries of a metadata document. Wrong entries are reported."""
     if not isinstance(root.value, dict):
-        report.error("wrong-value", f"metadata must be an object, not {root.kind}", root.mark)
+        report.error("wrong-value", f"metadata must be an object, not {root.kind}", root.marked_span)
         return {}
     return {key: _read_value(each, report) for key, each in root.value.items()}
 
@@ -198,36 +198,36 @@ def _read_value(node: Node, report: Report) -> Any:
     if isinstance(node.value, bool) or node.value is None:
         help = f"write `{int(node.value)}`" if node.value is not None else "leave the key out"
         words = f"expected a text, a number, a list or an object here, not {node.kind}"
-        report.error("wrong-value", words, node.mark, help)
+        report.error("wrong-value", words, node.marked_span, help)
         return 0
     if isinstance(node.value, list):
         return [_read_value(each, report) if isinstance(each, Node) else each for each in node.value]
     if isinstance(node.value, dict):
         if set(node.value) == {"type", "value"}:
-            return _read_typed(node.value["type"], node.value["value"], report)
+            return _read_typed_value(node.value["type"], node.value["value"], report)
         return read_metadata(node, report)
     return node.value
 
 
-def _read_typed(kind: Node, inner: Node, report: Report) -> TypedValue | None:
+def _read_typed_value(kind: Node, inner: Node, report: Report) -> TypedValue | None:
     """Return a metadata value with an explicit type; None after an error."""
     name, value = kind.value, _read_value(inner, report)
     if not isinstance(name, str) or not name:
-        report.error("wrong-value", f"expected the name of a type here, not {kind.kind}", kind.mark, 'write `"…"`')
+        report.error("wrong-value", f"expected the name of a type here, not {kind.kind}", kind.marked_span, 'write `"…"`')
         return None
-    if name not in _TYPES:
-        report_unknown(report, kind.span, "type of metadata", name, _TYPES, warn=True)
-    elif not _fits(name, value):
-        count = _TYPES[name]
+    if name not in _COMPONENTS_BY_TYPE:
+        report_unknown(report, kind.span, "type of metadata", name, _COMPONENTS_BY_TYPE, warn=True)
+    elif not _matches_type(name, value):
+        count = _COMPONENTS_BY_TYPE[name]
         expectation = f"a list of {count} numbers" if count else f"a value of the type `{name}`"
         help = f"write `{round(value)}`, or the type `float`" if isinstance(value, float) and name == "int" else None
-        report.error("wrong-value", f"expected {expectation} here", inner.mark, help)
+        report.error("wrong-value", f"expected {expectation} here", inner.marked_span, help)
     return TypedValue(name, value)
 
 
-def _fits(name: str, value: Any) -> bool:
+def _matches_type(name: str, value: Any) -> bool:
     """Return whether a value matches a metadata type."""
-    count = _TYPES[name]
+    count = _COMPONENTS_BY_TYPE[name]
     if count:
         numbers = isinstance(value, list) and all(isinstance(each, int | float) for each in value)
         return numbers and len(value) == count
@@ -235,26 +235,26 @@ def _fits(name: str, value: Any) -> bool:
     return isinstance(value, expected_type)
 
 
-def plain_metadata(metadata: Mapping[str, Any]) -> dict[str, Any]:
+def to_plain_metadata(metadata: Mapping[str, Any]) -> dict[str, Any]:
     """Return metadata as JSON values. Typed values become objects with their type."""
-    return {key: _plain(value) for key, value in metadata.items()}
+    return {key: _to_plain_value(value) for key, value in metadata.items()}
 
 
-def _plain(value: Any) -> Any:
+def _to_plain_value(value: Any) -> Any:
     """Return a metadata value as JSON."""
     if isinstance(value, TypedValue):
-        return {"type": value.type, "value": _plain(value.value)}
+        return {"type": value.type, "value": _to_plain_value(value.value)}
     if isinstance(value, Mapping):
-        return plain_metadata(value)
-    return [_plain(each) for each in value] if isinstance(value, list | tuple) else value
+        return to_plain_metadata(value)
+    return [_to_plain_value(each) for each in value] if isinstance(value, list | tuple) else value
 
 
 def write_metadata(metadata: Mapping[str, Any]) -> str:
     """Return metadata as text in the documented form. Typed values have their type."""
-    return json_text(plain_metadata(metadata))
+    return format_json(to_plain_metadata(metadata))
 
 
-def json_text(value: Any) -> str:
+def format_json(value: Any) -> str:
     """Return JSON in antdsl's file style: two spaces per level, lists of numbers on one line, a final line end."""
     text = json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False)
-    return _ROWS.sub(lambda match: f"[{', '.join(match[1].replace(',', ' ').split())}]", text) + "\n"
+    return _NUMBER_LIST_PATTERN.sub(lambda match: f"[{', '.join(match[1].replace(',', ' ').split())}]", text) + "\n"

@@ -15,19 +15,19 @@ from numpy.typing import NDArray
 
 from antdsl import limits
 from antdsl.bodies.agents.definition import Binding, BodyError, Definition, Layer, Rig
-from antdsl.bodies.agents.transforms import matrix_of, unit_quaternion
+from antdsl.bodies.agents.transforms import compose_matrix, normalise_quaternion
 from antdsl.bodies.files.gltf_clips import read_clips
 from antdsl.bodies.files.gltf_settings import with_extras
-from antdsl.bodies.files.gltf_shapes import GltfBody, read_shape, rigid_capture, unused_name
-from antdsl.scene.geometry.gltf_file import GltfDocument, GltfError, node_parents, nodes_below, scene_roots
+from antdsl.bodies.files.gltf_shapes import GltfBody, build_rigid_capture, make_unused_name, read_shape
+from antdsl.scene.geometry.gltf_file import GltfDocument, GltfError, find_node_parents, find_nodes_below, find_scene_roots
 
 Floats = NDArray[np.float64]
-LAYER = "body"
-_EXPORT = "export it again, as glTF 2.0"
+BASE_LAYER = "body"
+_EXPORT_HELP = "export it again, as glTF 2.0"
 
 
 def read_gltf(
-    data: bytes, name: str, beside: Callable[[str, int], bytes], rate: float, pose: Rig | None = None
+    data: bytes, name: str, read_sibling: Callable[[str, int], bytes], rate: float, pose: Rig | None = None
 ) -> tuple[Definition, list[str]]:
     """Return the definition in a file's bytes, and sentences about the parts that are not read. Raises BodyError.
 
@@ -37,27 +37,27 @@ def read_gltf(
     """
     with np.errstate(all="ignore"):  # values that are not finite are reported where they are detected
         try:
-            return _read_definition(data, name, beside, rate, pose)
+            return _read_definition(data, name, read_sibling, rate, pose)
         except GltfError as why:
             raise BodyError(str(why), why.help, why.code or "bad-body") from None
 
 
 def _read_definition(
-    data: bytes, name: str, beside: Callable[[str, int], bytes], rate: float, pose: Rig | None
+    data: bytes, name: str, read_sibling: Callable[[str, int], bytes], rate: float, pose: Rig | None
 ) -> tuple[Definition, list[str]]:
-    body = GltfBody(GltfDocument(data, beside))
-    parents = node_parents(body.file)
+    body = GltfBody(GltfDocument(data, read_sibling))
+    parents = find_node_parents(body.file)
     joint_nodes = _find_joint_nodes(body.file, parents)
-    body.joint = _unique_names(body.file, joint_nodes)
+    body.joint_by_node = _assign_unique_names(body.file, joint_nodes)
     rig = _build_rig(body, joint_nodes, parents)
     layer = _read_layer(body)
     rig = replace(rig, channels=tuple(body.channels.values()))
-    clips = read_clips(body.file, body.joint, body.weights, _with_rest_pose(rig, pose), rate)
+    clips = read_clips(body.file, body.joint_by_node, body.weights, _replace_rest_pose(rig, pose), rate)
     definition = Definition(
-        name, rig, body.shapes, {LAYER: layer} if body.shapes else {}, {clip.name: clip for clip in clips},
+        name, rig, body.shapes, {BASE_LAYER: layer} if body.shapes else {}, {clip.name: clip for clip in clips},
         materials=body.materials, front=(0.0, 0.0, 1.0), up=(0.0, 1.0, 0.0), unit=1000.0,
     )  # fmt: skip
-    return with_extras(definition, body.file.tree.get("extras")), list(body.left_out)
+    return with_extras(definition, body.file.tree.get("extras")), list(body.omissions)
 
 
 # ---- rig
@@ -65,15 +65,15 @@ def _read_definition(
 
 def _find_joint_nodes(file: GltfDocument, parents: list[int]) -> list[int]:
     """Return the nodes that become joints, parents before children, in the order of the scene."""
-    nodes = file.top("nodes")
-    roots = scene_roots(file) or [number for number, parent in enumerate(parents) if parent < 0]
+    nodes = file.get_top_list("nodes")
+    roots = find_scene_roots(file) or [number for number, parent in enumerate(parents) if parent < 0]
     joint_nodes: set[int] = set()
-    for number in nodes_below(file, roots):
+    for number in find_nodes_below(file, roots):
         if "mesh" in nodes[number] and "skin" not in nodes[number]:
             joint_nodes.add(number)
-    for skin in file.top("skins"):
+    for skin in file.get_top_list("skins"):
         joint_nodes.update(file.check_index(joint, "node", len(nodes)) for joint in file.get_list(skin, "joints"))
-    for animation in file.top("animations"):
+    for animation in file.get_top_list("animations"):
         for channel in file.get_objects(animation, "channels"):
             target = file.get_object(channel, "target")
             node = file.get_index(target, "node", len(nodes))
@@ -87,20 +87,20 @@ def _find_joint_nodes(file: GltfDocument, parents: list[int]) -> list[int]:
     if not joint_nodes:
         joint_nodes.update(roots[:1])
     if not joint_nodes:
-        raise BodyError("has no nodes", _EXPORT)
+        raise BodyError("has no nodes", _EXPORT_HELP)
     if len(joint_nodes) > limits.MAX_RIG_JOINTS:
         raise BodyError(f"has {len(joint_nodes):,} joints, more than {limits.MAX_RIG_JOINTS:,}", code="too-large")
     tops = [number for number in joint_nodes if parents[number] < 0]
     order = sorted(tops, key=lambda number: (number not in roots, roots.index(number) if number in roots else number))
-    return [number for number in nodes_below(file, order) if number in joint_nodes]
+    return [number for number in find_nodes_below(file, order) if number in joint_nodes]
 
 
-def _unique_names(file: GltfDocument, joint_nodes: list[int]) -> dict[int, str]:
+def _assign_unique_names(file: GltfDocument, joint_nodes: list[int]) -> dict[int, str]:
     """Return a different name for each joint node, by node number."""
     names: dict[int, str] = {}
     taken: set[str] = set()
     for number in joint_nodes:
-        name = unused_name(file.name(file.top("nodes")[number], f"node{number}"), taken)
+        name = make_unused_name(file.name(file.get_top_list("nodes")[number], f"node{number}"), taken)
         taken.add(name)
         names[number] = name
     return names
@@ -109,15 +109,17 @@ def _unique_names(file: GltfDocument, joint_nodes: list[int]) -> dict[int, str]:
 def _build_rig(body: GltfBody, joint_nodes: list[int], parents: list[int]) -> Rig:
     """Return the rig of the joint nodes, with their rest pose and the channels of morph targets."""
     place = {number: count for count, number in enumerate(joint_nodes)}
-    rest = np.array([local_matrix(body.file, body.file.top("nodes")[number]) for number in joint_nodes]).reshape(-1, 4, 4)
+    rest = np.array([read_local_matrix(body.file, body.file.get_top_list("nodes")[number]) for number in joint_nodes]).reshape(
+        -1, 4, 4
+    )
     return Rig(
-        tuple(body.joint[number] for number in joint_nodes),
+        tuple(body.joint_by_node[number] for number in joint_nodes),
         np.array([place.get(parents[number], -1) for number in joint_nodes], np.int32),
         rest,
     )
 
 
-def _with_rest_pose(rig: Rig, pose: Rig | None) -> Rig:
+def _replace_rest_pose(rig: Rig, pose: Rig | None) -> Rig:
     """Return a rig with another rest pose: that of `pose` for joints with the same names."""
     if pose is None:
         return rig
@@ -128,18 +130,18 @@ def _with_rest_pose(rig: Rig, pose: Rig | None) -> Rig:
     return replace(rig, rest=rest)
 
 
-def local_matrix(file: GltfDocument, node: dict[str, Any]) -> Floats:
+def read_local_matrix(file: GltfDocument, node: dict[str, Any]) -> Floats:
     """Return the matrix float64[4, 4] of a node."""
     if "matrix" in node:
         matrix = file.get_floats(node, "matrix", tuple(np.eye(4).ravel())).reshape(4, 4).T
         return np.concatenate([matrix[:3], [[0.0, 0.0, 0.0, 1.0]]])
-    translation, rotation, scale = local_parts(file, node)
-    return matrix_of(translation, rotation, scale)
+    translation, rotation, scale = read_local_parts(file, node)
+    return compose_matrix(translation, rotation, scale)
 
 
-def local_parts(file: GltfDocument, node: dict[str, Any]) -> tuple[Floats, Floats, Floats]:
+def read_local_parts(file: GltfDocument, node: dict[str, Any]) -> tuple[Floats, Floats, Floats]:
     """Return translation, rotation and scale of a node that has no matrix."""
-    rotation = unit_quaternion(file.get_floats(node, "rotation", (0.0, 0.0, 0.0, 1.0)))
+    rotation = normalise_quaternion(file.get_floats(node, "rotation", (0.0, 0.0, 0.0, 1.0)))
     return file.get_floats(node, "translation", (0.0, 0.0, 0.0)), rotation, file.get_floats(node, "scale", (1.0, 1.0, 1.0))
 
 
@@ -149,11 +151,11 @@ def local_parts(file: GltfDocument, node: dict[str, Any]) -> tuple[Floats, Float
 def _read_layer(body: GltfBody) -> Layer:
     """Read all meshes into shapes, and return the layer that binds them."""
     file = body.file
-    nodes, meshes, skins = file.top("nodes"), file.top("meshes"), file.top("skins")
+    nodes, meshes, skins = file.get_top_list("nodes"), file.get_top_list("meshes"), file.get_top_list("skins")
     known: dict[tuple[int, ...], str] = {}
     static, deforming = [], []
-    roots = scene_roots(file)
-    scene_nodes = nodes_below(file, roots) if roots else list(range(len(nodes)))
+    roots = find_scene_roots(file)
+    scene_nodes = find_nodes_below(file, roots) if roots else list(range(len(nodes)))
     for number in scene_nodes:
         node = nodes[number]
         mesh, skin = file.get_index(node, "mesh", len(meshes)), file.get_index(node, "skin", len(skins))
@@ -162,7 +164,7 @@ def _read_layer(body: GltfBody) -> Layer:
         morphs = any("targets" in each for each in file.get_objects(meshes[mesh], "primitives"))
         key = (mesh, -1 if skin is None else skin, number if morphs else -1)
         if key not in known:
-            name = unused_name(file.name(meshes[mesh], file.name(node, f"mesh{mesh}")), body.shapes)
+            name = make_unused_name(file.name(meshes[mesh], file.name(node, f"mesh{mesh}")), body.shapes)
             if not read_shape(body, name, meshes[mesh], None if skin is None else skins[skin], node):
                 continue
             known[key] = name
@@ -170,9 +172,9 @@ def _read_layer(body: GltfBody) -> Layer:
         if shape.blend is not None:
             body.weights[number] = shape.blend.channels
         if skin is None and not morphs:
-            static.append(Binding(body.joint[number], shape.name))
+            static.append(Binding(body.joint_by_node[number], shape.name))
             continue
         if skin is None:
-            body.shapes[shape.name] = replace(shape, capture=rigid_capture(body.joint[number], len(shape.points)))
+            body.shapes[shape.name] = replace(shape, capture=build_rigid_capture(body.joint_by_node[number], len(shape.points)))
         deforming.append(Binding("", shape.name, deformer="blendshape+linearskinning" if morphs else "linearskinning"))
-    return Layer(LAYER, tuple(static), tuple(deforming))
+    return Layer(BASE_LAYER, tuple(static), tuple(deforming))

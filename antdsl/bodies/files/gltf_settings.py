@@ -6,13 +6,13 @@ from dataclasses import asdict, replace
 from typing import Any
 
 from antdsl.bodies.agents.definition import BodyError, Definition, Gait, Leg
-from antdsl.bodies.files.gltf_clips import EXTRAS
+from antdsl.bodies.files.gltf_clips import EXTRAS_KEY
 
 CAPSULE_KEYS = ("length", "width", "height", "ahead")
 
 
 def body_extras(body: Definition) -> dict[str, Any]:
-    """Return the extras of a glTF file of a body whose units are metres."""
+    """Return the extras of a glTF file for a body in metres."""
     settings: dict[str, Any] = {"length": body.length}
     if body.legs:
         settings["legs"] = [asdict(leg) for leg in body.legs]
@@ -22,14 +22,14 @@ def body_extras(body: Definition) -> dict[str, Any]:
         settings["idle"] = body.idle
     if body.capsule is not None:
         settings["capsule"] = dict(zip(CAPSULE_KEYS, body.capsule, strict=True))
-    return {EXTRAS: settings}
+    return {EXTRAS_KEY: settings}
 
 
 def with_extras(body: Definition, extras: Any) -> Definition:
     """Return a body with the settings in the extras of its file. Raises BodyError for wrong values.
 
     Without a length, the length is 0 and must be measured."""
-    settings = extras.get(EXTRAS) if isinstance(extras, dict) else None
+    settings = extras.get(EXTRAS_KEY) if isinstance(extras, dict) else None
     if settings is None:
         return replace(body, length=0.0)
     from pydantic import ValidationError  # late, as what follows: most files have no such settings
@@ -42,7 +42,7 @@ def with_extras(body: Definition, extras: Any) -> Definition:
         error = problem.errors(include_url=False, include_input=False)[0]
         path = "".join(f" at `{str(key)[:60]}`" for key in error["loc"])
         advice = "the extras must be an object of length, legs, gaits, idle and capsule: delete or correct it"
-        raise BodyError(f"has unknown extras `{EXTRAS}`{path}", advice) from None
+        raise BodyError(f"has unknown extras `{EXTRAS_KEY}`{path}", advice) from None
     gaits = sorted((Gait(**dict(gait)) for gait in form.gaits), key=lambda gait: gait.speed)
     sizes = form.capsule
     capsule = None if sizes is None else (sizes.length, sizes.width, sizes.height, sizes.ahead)

@@ -40,11 +40,11 @@ class Textures:
         file = self.file
         if info.get("texCoord", 0) != 0:
             raise TextureError("it uses other texture coordinates than the first")
-        textures = file.top("textures")
+        textures = file.get_top_list("textures")
         texture = textures[file.check_index(info.get("index"), "texture", len(textures))]
-        image = self._image(file.get_index(texture, "source", len(file.top("images"))))
-        sampler = file.get_index(texture, "sampler", len(file.top("samplers")))
-        wrap = {} if sampler is None else file.top("samplers")[sampler]
+        image = self._image(file.get_index(texture, "source", len(file.get_top_list("images"))))
+        sampler = file.get_index(texture, "sampler", len(file.get_top_list("samplers")))
+        wrap = {} if sampler is None else file.get_top_list("samplers")[sampler]
         uv = _transform(file, info, uvs)
         size = np.array([image.shape[1], image.shape[0]])
         at = np.stack([_wrap(uv[:, k], wrap.get(name, 0)) for k, name in enumerate(("wrapS", "wrapT"))], axis=1) * size - 0.5

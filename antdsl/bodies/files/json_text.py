@@ -12,14 +12,14 @@ from math import isfinite
 
 from antdsl import limits
 from antdsl.diagnostics import Label, Report
-from antdsl.diagnostics.suggestion import nearest_name
-from antdsl.scene.document import PathKey, decode
+from antdsl.diagnostics.suggestion import find_nearest_name
+from antdsl.scene.document import PathKey, decode_source
 from antdsl.source import Source, Span
 
 Plain = dict[str, "Node"] | list["Node"] | list[float] | str | int | float | bool | None
 
 
-_KINDS = {
+_KIND_NAMES = {
     dict: "an object", list: "a list", str: "a text", bool: "true or false", int: "a number", float: "a number",
     type(None): "nothing",
 }  # fmt: skip
@@ -31,7 +31,7 @@ class Node:
 
     `value`: for an object, a mapping; for an array of numbers only, a list of plain numbers; for other arrays, a list of nodes.
     `keys`: the locations of an object's keys.
-    `numbers`: whether the value is an array of numbers only.
+    `has_plain_numbers`: whether the value is an array of numbers only.
     """
 
     source: Source
@@ -39,7 +39,7 @@ class Node:
     start: int
     end: int
     keys: dict[str, tuple[int, int]] = field(default_factory=dict)
-    numbers: bool = False
+    has_plain_numbers: bool = False
 
     @property
     def span(self) -> Span:
@@ -47,20 +47,20 @@ class Node:
         return Span(self.source, self.start, self.end)
 
     @property
-    def mark(self) -> Span:
+    def marked_span(self) -> Span:
         """Return the span that findings mark: the first character of an object or a list, the complete text of other values."""
         return Span(self.source, self.start, self.start + 1) if isinstance(self.value, dict | list) else self.span
 
     @property
     def kind(self) -> str:
         """Return the kind of the value, in words."""
-        return _KINDS[type(self.value)]
+        return _KIND_NAMES[type(self.value)]
 
-    def inner(self, key: PathKey) -> Node | None:
+    def get_inner(self, key: PathKey) -> Node | None:
         """Return the node of an object's entry or of an array's item, or None if there is none."""
         if isinstance(self.value, dict) and isinstance(key, str):
             return self.value.get(key)
-        if isinstance(self.value, list) and isinstance(key, int) and not self.numbers and 0 <= key < len(self.value):
+        if isinstance(self.value, list) and isinstance(key, int) and not self.has_plain_numbers and 0 <= key < len(self.value):
             item = self.value[key]
             return item if isinstance(item, Node) else None
         return None
@@ -70,7 +70,7 @@ def find_node(root: Node, path: Sequence[PathKey]) -> Node:
     """Return the node that a path of keys leads to. Parts of the path that are not in the tree are skipped."""
     node = root
     for key in path:
-        node = node.inner(key) or node
+        node = node.get_inner(key) or node
     return node
 
 
@@ -78,13 +78,13 @@ def find_span(root: Node, path: Sequence[PathKey], *, key: bool = False) -> Span
     """Return the mark of the node at `path`, or of the innermost node on the path that exists. `key`: return the span of the
     path's last key instead."""
     if not path:
-        return root.mark
+        return root.marked_span
     node, last = find_node(root, path[:-1]), path[-1]
     if key and isinstance(last, str) and last in node.keys:
         return Span(node.source, *node.keys[last])
-    if node.numbers and isinstance(last, int):
-        return _number_span(node, last)
-    return (node.inner(last) or node).mark
+    if node.has_plain_numbers and isinstance(last, int):
+        return _find_number_span(node, last)
+    return (node.get_inner(last) or node).marked_span
 
 
 def find_text(root: Node, text: str) -> Span:
@@ -96,10 +96,10 @@ def find_text(root: Node, text: str) -> Span:
             return node.span
         children = node.value.values() if isinstance(node.value, dict) else node.value if isinstance(node.value, list) else ()
         waiting += [each for each in children if isinstance(each, Node)]
-    return root.mark
+    return root.marked_span
 
 
-def _number_span(node: Node, number: int) -> Span:
+def _find_number_span(node: Node, number: int) -> Span:
     """Return the span of one number of an array of numbers."""
     for count, match in enumerate(re.finditer(r"[^\s,\[\]]+", node.span.text)):
         if count == number:
@@ -109,34 +109,34 @@ def _number_span(node: Node, number: int) -> Span:
 
 def report_unknown(report: Report, span: Span | None, what: str, name: str, known: Iterable[str], *, warn: bool = False) -> None:
     """Report an unknown name, with a suggestion of the name that may have been meant."""
-    near = nearest_name(name, known)
+    near = find_nearest_name(name, known)
     add = report.warning if warn else report.error
     add("unknown-name", f"there is no {what} `{name[:60]}`", span, f'write `"{near}"`' if near else None)
 
 
-class _SyntaxRefused(Exception):
+class _SyntaxAborted(Exception):
     """Reading cannot continue. The finding is already in the report."""
 
 
-_SPACE = re.compile(r"(?:[ \t\r\n]+|//[^\n]*|/\*(?:[^*]|\*(?!/))*+\*/)*+")
-_STRING = re.compile(r'"(?:[^"\\\x00-\x1f]|\\.)*+"')
-_NUMBER = re.compile(r"-?(?:0|[1-9][0-9]*+)(\.[0-9]++)?([eE][+-]?[0-9]++)?(?![0-9A-Za-z_.+-])")
-_NUMBERS = re.compile(r"\[[-+0-9eE.,\s]*+\]")
-_WORD = re.compile(r"[A-Za-z0-9_.+'\-]{1,40}")
-_LONE = re.compile("[\ud800-\udfff]")
-_WORDS: dict[str, bool | None] = {"true": True, "false": False, "null": None}
-_FARTHEST = 1.7e308
-_DIGITS = 400  # most characters of a number
-_NO_NUMBERS = frozenset(
+_SPACE_PATTERN = re.compile(r"(?:[ \t\r\n]+|//[^\n]*|/\*(?:[^*]|\*(?!/))*+\*/)*+")
+_STRING_PATTERN = re.compile(r'"(?:[^"\\\x00-\x1f]|\\.)*+"')
+_NUMBER_PATTERN = re.compile(r"-?(?:0|[1-9][0-9]*+)(\.[0-9]++)?([eE][+-]?[0-9]++)?(?![0-9A-Za-z_.+-])")
+_NUMBER_ARRAY_PATTERN = re.compile(r"\[[-+0-9eE.,\s]*+\]")
+_WORD_PATTERN = re.compile(r"[A-Za-z0-9_.+'\-]{1,40}")
+_LONE_SURROGATE_PATTERN = re.compile("[\ud800-\udfff]")
+_VALUE_BY_WORD: dict[str, bool | None] = {"true": True, "false": False, "null": None}
+_MAX_MAGNITUDE = 1.7e308
+_MAX_DIGITS = 400  # most characters of a number
+_NON_FINITE_WORDS = frozenset(
     ("nan", "inf", "infinity", "-nan", "-inf", "-infinity", "+inf", "+infinity", "1.#inf", "1.#qnan", "-1.#ind")
 )
-_INSTEAD = {"True": "true", "False": "false", "None": "null", "undefined": "null", "TRUE": "true", "FALSE": "false"}
+_WORD_CORRECTIONS = {"True": "true", "False": "false", "None": "null", "undefined": "null", "TRUE": "true", "FALSE": "false"}
 
 
 def read_tree(data: bytes, name: str, what: str) -> tuple[Node | None, Report]:
     """Return the tree of a file's bytes, or None with the first error in the report. `what` names the expected part, such as `a
     rig`."""
-    source, report = decode(data, name, what)
+    source, report = decode_source(data, name, what)
     return read_json(source, what) if report.ok else (None, report)
 
 
@@ -145,7 +145,7 @@ def read_json(source: Source, what: str) -> tuple[Node | None, Report]:
     reader = _Reader(source, what)
     try:
         return reader.document(), reader.report
-    except _SyntaxRefused:
+    except _SyntaxAborted:
         return None, reader.report
 
 
@@ -153,70 +153,70 @@ class _Reader:
     """A recursive parser of one text. Methods take the position `at` of a value and return its node."""
 
     def __init__(self, source: Source, what: str) -> None:
-        self.source, self.text, self.what = source, source.text, what
+        self.source, self.text, self.expected_part = source, source.text, what
         self.report = Report()
         self.count = 0
 
-    def refuse(
+    def report_error(
         self, start: int, end: int, message: str, help: str | None, *labels: Label, code: str = "json-syntax"
-    ) -> _SyntaxRefused:
+    ) -> _SyntaxAborted:
         """Report an error at characters `start` to `end`, and return the exception to raise."""
         if len(self.text) > start:
             end = max(end, start + 1)
         self.report.error(code, message, Span(self.source, start, end), help, labels=labels)
-        return _SyntaxRefused()
+        return _SyntaxAborted()
 
-    def skip_space(self, at: int) -> int:
+    def skip_whitespace(self, at: int) -> int:
         """Return the position after white space and comments."""
-        match = _SPACE.match(self.text, at)
+        match = _SPACE_PATTERN.match(self.text, at)
         assert match is not None
         at = match.end()
         if self.text.startswith("/*", at):
-            raise self.refuse(at, at + 2, "this comment is not closed", "write `*/` where it ends")
+            raise self.report_error(at, at + 2, "this comment is not closed", "write `*/` where it ends")
         return at
 
     def document(self) -> Node:
         """Return the only value of the text."""
-        at = self.skip_space(0)
+        at = self.skip_whitespace(0)
         if at == len(self.text):
-            raise self.refuse(0, 0, f"the file is empty: expected {self.what}", "write `{ … }`")
+            raise self.report_error(0, 0, f"the file is empty: expected {self.expected_part}", "write `{ … }`")
         node = self.value(at, 0)
-        at = self.skip_space(node.end)
+        at = self.skip_whitespace(node.end)
         if at < len(self.text):
-            raise self.refuse(at, at + 1, f"there is text after the end of {self.what}", "delete it")
+            raise self.report_error(at, at + 1, f"there is text after the end of {self.expected_part}", "delete it")
         return node
 
     def value(self, at: int, depth: int) -> Node:
         """Return the value at a position, of any kind."""
         self.count += 1
         if self.count > limits.MAX_BODY_JSON_VALUES:
-            raise self.refuse(at, at, f"there are more than {limits.MAX_BODY_JSON_VALUES:,} values", None, code="too-large")
+            raise self.report_error(at, at, f"there are more than {limits.MAX_BODY_JSON_VALUES:,} values", None, code="too-large")
         sign = self.text[at : at + 1]
         if sign == "[":
-            return self.numbers(at) or self.array(at, depth)
+            return self.read_number_array(at) or self.array(at, depth)
         if sign == "{":
-            return self.object(at, depth)
+            return self.read_object(at, depth)
         if sign == '"':
             return self.string(at)
-        match = _NUMBER.match(self.text, at)
+        match = _NUMBER_PATTERN.match(self.text, at)
         if match:
-            return Node(self.source, self.number(match), at, match.end())
-        return self.word(at)
+            return Node(self.source, self.parse_number(match), at, match.end())
+        return self.read_word(at)
 
-    def number(self, match: re.Match[str]) -> int | float:
+    def parse_number(self, match: re.Match[str]) -> int | float:
         """Return the number that a pattern matched. Raises for too many digits, and for values that are too large."""
-        if match.end() - match.start() > _DIGITS:
-            raise self.refuse(match.start(), match.end(), "a number has too many digits", "round it")
+        if match.end() - match.start() > _MAX_DIGITS:
+            raise self.report_error(match.start(), match.end(), "a number has too many digits", "round it")
         value = float(match[0])
         if not isfinite(value):
             words = f"`{match[0][:40]}` is too large for a number"
-            raise self.refuse(match.start(), match.end(), words, "write a smaller one", code="out-of-range")
+            raise self.report_error(match.start(), match.end(), words, "write a smaller one", code="out-of-range")
         return value if match[1] or match[2] else int(match[0])
 
-    def numbers(self, at: int) -> Node | None:
+    def read_number_array(self, at: int) -> Node | None:
         """Parse an array that contains only numbers, the usual form of a clip's values. Return None for any other array, and for
         errors."""
-        match = _NUMBERS.match(self.text, at)
+        match = _NUMBER_ARRAY_PATTERN.match(self.text, at)
         if not match:
             return None
         inside = match[0][1:-1].strip()
@@ -225,103 +225,105 @@ class _Reader:
             values = json.loads(f"[{inside}]")
         except ValueError:  # repeated commas, an invalid number, or a number with thousands of digits
             return None
-        if not all(-_FARTHEST <= each <= _FARTHEST for each in values):
+        if not all(-_MAX_MAGNITUDE <= each <= _MAX_MAGNITUDE for each in values):
             return None
         self.count += len(values) // 16  # a plain number needs less memory than a node
-        return Node(self.source, values, at, match.end(), numbers=True)
+        return Node(self.source, values, at, match.end(), has_plain_numbers=True)
 
-    def next_depth(self, at: int, depth: int) -> int:
+    def enter_brackets(self, at: int, depth: int) -> int:
         """Return the depth inside a bracket. Raises if brackets are nested too deeply."""
         if depth >= limits.MAX_BRACKET_DEPTH:
             words = f"values are nested more than {limits.MAX_BRACKET_DEPTH} levels deep"
-            raise self.refuse(at, at + 1, words, None, code="too-large")
+            raise self.report_error(at, at + 1, words, None, code="too-large")
         return depth + 1
 
     def array(self, at: int, depth: int) -> Node:
-        depth, items, place = self.next_depth(at, depth), [], self.skip_space(at + 1)
+        depth, items, place = self.enter_brackets(at, depth), [], self.skip_whitespace(at + 1)
         while self.text[place : place + 1] != "]":
             items.append(self.value(self.require_text(place, at, "]"), depth))
-            place = self.next_item(items[-1].end, at, "]")
+            place = self.skip_separator(items[-1].end, at, "]")
         return Node(self.source, items, at, place + 1)
 
-    def object(self, at: int, depth: int) -> Node:
-        depth, place = self.next_depth(at, depth), self.skip_space(at + 1)
+    def read_object(self, at: int, depth: int) -> Node:
+        depth, place = self.enter_brackets(at, depth), self.skip_whitespace(at + 1)
         entries: dict[str, Node] = {}
         keys: dict[str, tuple[int, int]] = {}
         while self.text[place : place + 1] != "}":
-            key = self.key(self.require_text(place, at, "}"))
+            key = self.read_key(self.require_text(place, at, "}"))
             name = str(key.value)
             if name in entries:
                 first = Label(Span(self.source, *keys[name]), "here first")
                 words = f"`{name[:60]}` is given twice"
-                raise self.refuse(key.start, key.end, words, "keep one of them", first, code="duplicate-key")
-            place = self.skip_space(key.end)
+                raise self.report_error(key.start, key.end, words, "keep one of them", first, code="duplicate-key")
+            place = self.skip_whitespace(key.end)
             if self.text[place : place + 1] != ":":
-                raise self.refuse(place, place + 1, f"`:` is missing after `{name[:60]}`", 'write `"key": value`')
-            place = self.require_text(self.skip_space(place + 1), at, "}")
+                raise self.report_error(place, place + 1, f"`:` is missing after `{name[:60]}`", 'write `"key": value`')
+            place = self.require_text(self.skip_whitespace(place + 1), at, "}")
             if self.text[place : place + 1] in (",", "}"):
-                raise self.refuse(key.start, key.end, f"`{name[:60]}` has no value", 'write `"key": value`')
+                raise self.report_error(key.start, key.end, f"`{name[:60]}` has no value", 'write `"key": value`')
             entries[name], keys[name] = self.value(place, depth), (key.start, key.end)
-            place = self.next_item(entries[name].end, at, "}")
+            place = self.skip_separator(entries[name].end, at, "}")
         return Node(self.source, entries, at, place + 1, keys)
 
-    def key(self, at: int) -> Node:
+    def read_key(self, at: int) -> Node:
         """Return the key of an object's entry, a text in double quotes."""
         if self.text[at] == '"':
             return self.string(at)
-        match = _WORD.match(self.text, at)
+        match = _WORD_PATTERN.match(self.text, at)
         word = match[0] if match else self.text[at]
         bare = word.strip("'")
         help = f'write `"{bare}"`' if re.fullmatch("[A-Za-z0-9_.-]+", bare) else 'write `"key": value`'
-        raise self.refuse(at, at + len(word), f"a key stands in double quotes, and `{word}` does not", help)
+        raise self.report_error(at, at + len(word), f"a key stands in double quotes, and `{word}` does not", help)
 
     def require_text(self, at: int, opened: int, closing: str) -> int:
         """Return the position of a required value; report an error if the text ends before it."""
         if at >= len(self.text):
             opening = Label(Span(self.source, opened, opened + 1), "this is still open")
-            raise self.refuse(at, at, f"the text ends before `{closing}`", f"write the missing `{closing}`", opening)
+            raise self.report_error(at, at, f"the text ends before `{closing}`", f"write the missing `{closing}`", opening)
         return at
 
-    def next_item(self, end: int, opened: int, closing: str) -> int:
+    def skip_separator(self, end: int, opened: int, closing: str) -> int:
         """Return the position after a value and its comma: that of the next value or the closing bracket."""
-        at = self.require_text(self.skip_space(end), opened, closing)
+        at = self.require_text(self.skip_whitespace(end), opened, closing)
         if self.text[at] == ",":
-            return self.require_text(self.skip_space(at + 1), opened, closing)
+            return self.require_text(self.skip_whitespace(at + 1), opened, closing)
         if self.text[at] != closing:
             opening = Label(Span(self.source, opened, opened + 1), "this is still open")
             help = f"write `,` between two values, or `{closing}` at the end"
-            raise self.refuse(end, end + 1, f"`,` or `{closing}` is missing here", help, opening)
+            raise self.report_error(end, end + 1, f"`,` or `{closing}` is missing here", help, opening)
         return at
 
     def string(self, at: int) -> Node:
-        match = _STRING.match(self.text, at)
+        match = _STRING_PATTERN.match(self.text, at)
         if not match:
             line = re.compile(r"[^\n]*").match(self.text, at)
             end = line.end() if line else at + 1
-            raise self.refuse(
+            raise self.report_error(
                 at, end, "this text has no closing quote on its line, or has a character that must be escaped", 'write `"…"`'
             )
         try:
             text = str(json.loads(match[0]))
         except ValueError:
-            raise self.refuse(at, match.end(), "this text has a `\\` without a meaning", "write `\\\\` for a backslash") from None
-        if _LONE.search(text):
-            raise self.refuse(
+            raise self.report_error(
+                at, match.end(), "this text has a `\\` without a meaning", "write `\\\\` for a backslash"
+            ) from None
+        if _LONE_SURROGATE_PATTERN.search(text):
+            raise self.report_error(
                 at, match.end(), "this text has half of a character (a lone surrogate)", "write the character itself"
             )
         return Node(self.source, text, at, match.end())
 
-    def word(self, at: int) -> Node:
+    def read_word(self, at: int) -> Node:
         """Return `true`, `false` or `null`. Raises with a correction for any other word."""
-        match = _WORD.match(self.text, at)
+        match = _WORD_PATTERN.match(self.text, at)
         word = match[0] if match else self.text[at : at + 1]
-        if word in _WORDS:
-            return Node(self.source, _WORDS[word], at, at + len(word))
+        if word in _VALUE_BY_WORD:
+            return Node(self.source, _VALUE_BY_WORD[word], at, at + len(word))
         message, help = f"`{word}` is not a value", None
-        if word.lower() in _NO_NUMBERS:
+        if word.lower() in _NON_FINITE_WORDS:
             message, help = f"`{word}` is not a valid number here", "write a number, such as `0`"
-        elif word in _INSTEAD:
-            help = f"write `{_INSTEAD[word]}`"
+        elif word in _WORD_CORRECTIONS:
+            help = f"write `{_WORD_CORRECTIONS[word]}`"
         elif word.startswith("'"):
             message, help = "text stands in double quotes", 'write `"…"`'
         elif re.match(r"[-+.]?[0-9.]", word):
@@ -330,4 +332,4 @@ class _Reader:
             help = f'write `"{word}"`' if re.fullmatch("[A-Za-z_]+", word) else None
         elif word == ",":
             message, help = "a value is missing before this comma", "delete the comma"
-        raise self.refuse(at, at + len(word), message, help)
+        raise self.report_error(at, at + len(word), message, help)

@@ -16,15 +16,15 @@ from antdsl.bodies.files.gltf_body import read_gltf
 from antdsl.bodies.files.json_text import Node, read_tree
 from antdsl.diagnostics import Report
 from antdsl.scene.geometry.usd.errors import UsdError
-from antdsl.scene.paths import PathRefused, Roots, read_named
+from antdsl.scene.paths import PathRefused, Roots, read_user_file
 from antdsl.source import Span
 
-GLTF, USD, MESHES = ("glb", "gltf"), ("usd", "usda", "usdc", "usdz"), ("obj", "ply", "stl")
-RATE = 30.0  # samples per second of animations, if the file has no rate
-_ROOTED = re.compile("[A-Za-z][A-Za-z0-9_]{1,31}:")
-_VARIABLE = re.compile(r"\$(?:\{([A-Za-z][A-Za-z0-9_]*)\}|([A-Za-z][A-Za-z0-9_]*))/(.*)", re.DOTALL)
+GLTF_ENDINGS, USD_ENDINGS, MESH_ENDINGS = ("glb", "gltf"), ("usd", "usda", "usdc", "usdz"), ("obj", "ply", "stl")
+DEFAULT_SAMPLE_RATE = 30.0  # samples per second of animations, if the file has no rate
+_ROOT_PREFIX_PATTERN = re.compile("[A-Za-z][A-Za-z0-9_]{1,31}:")
+_VARIABLE_PATTERN = re.compile(r"\$(?:\{([A-Za-z][A-Za-z0-9_]*)\}|([A-Za-z][A-Za-z0-9_]*))/(.*)", re.DOTALL)
 # Formats of other programs that cannot be read, and what to do instead.
-_CLOSED = {
+_HELP_BY_CLOSED_FORMAT = {
     "bclip": "its format is not published: export the clip as glTF or USD, or write it as a clip in JSON",
     "clip": "it is a channel file of Houdini: export the clip as glTF or USD, or write it as a clip in JSON",
     "bgeo": "it is a packed form of Houdini's own: export the shapes as glTF, USD, OBJ or PLY",
@@ -38,7 +38,7 @@ _CLOSED = {
 }
 
 
-def file_ending(path: str) -> str:
+def get_file_ending(path: str) -> str:
     """Return the ending of a file's name in lower case, without its dot."""
     name = path.rsplit("/", 1)[-1]
     return name.rsplit(".", 1)[-1].lower() if "." in name else ""
@@ -49,23 +49,23 @@ class BodyFiles:
     """Access to the files of a definition.
 
     `folder`: the prefix of a path that names no root, such as `bodies/`.
-    `named`: the file from the command line, by the text that stands for it in this definition.
+    `path_by_text`: the file from the command line, by the text that stands for it in this definition.
     `cached_definitions`: definitions read before, by path and settings.
     """
 
     roots: Roots
     report: Report
     folder: str = ""
-    named: dict[str, Path] = field(default_factory=dict)
+    path_by_text: dict[str, Path] = field(default_factory=dict)
     cached_definitions: dict[tuple[str, str, float, bool], Definition | None] = field(default_factory=dict)
 
-    def full(self, path: str) -> str:
+    def to_root_path(self, path: str) -> str:
         """Return a path in the form that `roots` takes."""
-        return path if _ROOTED.match(path) else self.folder + path
+        return path if _ROOT_PREFIX_PATTERN.match(path) else self.folder + path
 
-    def bytes_of(self, path: str, cap: int) -> bytes:
+    def read_file(self, path: str, cap: int) -> bytes:
         """Return all bytes of a file. Raises PathRefused with the reason if it cannot be read."""
-        return read_named(self.named[path], cap) if path in self.named else self.roots.read(path, cap)
+        return read_user_file(self.path_by_text[path], cap) if path in self.path_by_text else self.roots.read_file(path, cap)
 
     def report_refusal(self, why: PathRefused, place: Span | None) -> None:
         """Report that a file cannot be read, with the reason."""
@@ -73,10 +73,10 @@ class BodyFiles:
 
     def is_closed_format(self, path: str, place: Span | None) -> bool:
         """Return whether a file has a format that antdsl cannot read. Report such a file, with an alternative."""
-        kind = file_ending(path)
-        if kind not in _CLOSED:
+        kind = get_file_ending(path)
+        if kind not in _HELP_BY_CLOSED_FORMAT:
             return False
-        self.report.error("wrong-kind", f"`{path[-80:]}` cannot be read here", place, _CLOSED[kind])
+        self.report.error("wrong-kind", f"`{path[-80:]}` cannot be read here", place, _HELP_BY_CLOSED_FORMAT[kind])
         return True
 
     def read_part(self, path: str, what: str, place: Span | None) -> Node | None:
@@ -84,7 +84,7 @@ class BodyFiles:
         if self.is_closed_format(path, place):
             return None
         try:
-            data = self.bytes_of(self.full(path), limits.MAX_BODY_JSON_BYTES)
+            data = self.read_file(self.to_root_path(path), limits.MAX_BODY_JSON_BYTES)
         except PathRefused as why:
             self.report_refusal(why, place)
             return None
@@ -94,13 +94,13 @@ class BodyFiles:
 
     def display_path(self, path: str) -> str:
         """Return the display name of a file for messages."""
-        full = self.full(path)
-        beside = next(iter(self.named.values()), None)
-        if full in self.named or beside is None or _ROOTED.match(full):
-            return str(self.named.get(full, full))
+        full = self.to_root_path(path)
+        beside = next(iter(self.path_by_text.values()), None)
+        if full in self.path_by_text or beside is None or _ROOT_PREFIX_PATTERN.match(full):
+            return str(self.path_by_text.get(full, full))
         return str(beside.parent / full)
 
-    def body(
+    def read_body(
         self, path: str, place: Span | None, prim: str = "", rate: float = 0.0, pose: Rig | None = None
     ) -> Definition | None:
         """Return the definition in a glTF or USD file. Each file is read once.
@@ -109,10 +109,10 @@ class BodyFiles:
         `rate`: samples per second of animations, 0 for the file's own.
         `pose`: the rest pose that applies where glTF animations have no keys.
         """
-        full = self.full(path)
-        pose = pose if file_ending(path) in GLTF else None
+        full = self.to_root_path(path)
+        pose = pose if get_file_ending(path) in GLTF_ENDINGS else None
         plain = self.cached_definitions.get((full, prim, rate, False))
-        posed = pose is not None and (plain is None or _has_other_rest(plain.rig, pose))
+        posed = pose is not None and (plain is None or _has_different_rest_pose(plain.rig, pose))
         key = (full, prim, rate, posed)
         if key not in self.cached_definitions:
             self.cached_definitions[key] = self._read_body(path, place, prim, rate, pose)
@@ -120,15 +120,15 @@ class BodyFiles:
 
     def _read_body(self, path: str, place: Span | None, prim: str, rate: float, pose: Rig | None) -> Definition | None:
         """Return the definition in a glTF or USD file; None after an error. See `body`."""
-        full, kind = self.full(path), file_ending(path)
+        full, kind = self.to_root_path(path), get_file_ending(path)
         name = posixpath.basename(full.rpartition(":")[2]).rpartition(".")[0] or "body"
         try:
-            if kind in USD:
+            if kind in USD_ENDINGS:
                 definition, left_out = self._read_usd(full, prim or "/", name, rate)
                 definition = replace(definition, length=0.0)  # to be measured
             else:
-                data = self.bytes_of(full, limits.MAX_BODY_FILE_BYTES)
-                definition, left_out = read_gltf(data, name, self._sibling_reader(full), rate or RATE, pose)
+                data = self.read_file(full, limits.MAX_BODY_FILE_BYTES)
+                definition, left_out = read_gltf(data, name, self._build_sibling_reader(full), rate or DEFAULT_SAMPLE_RATE, pose)
         except UsdError as why:
             self.report.error(why.code, str(why), place, why.help)
             return None
@@ -142,18 +142,18 @@ class BodyFiles:
             self.report.warning("body-left-out", f"of `{self.display_path(path)}`: {sentence}", place)
         return definition
 
-    def _sibling_reader(self, full: str) -> Callable[[str, int], bytes]:
+    def _build_sibling_reader(self, full: str) -> Callable[[str, int], bytes]:
         """Return a reader of files that are named relative to the folder of the file `full`."""
-        folder = full[: full.rfind("/") + 1] or (f"{full.partition(':')[0]}:" if _ROOTED.match(full) else "")
-        return lambda path, cap: self.bytes_of(folder + path, cap)
+        folder = full[: full.rfind("/") + 1] or (f"{full.partition(':')[0]}:" if _ROOT_PREFIX_PATTERN.match(full) else "")
+        return lambda path, cap: self.read_file(folder + path, cap)
 
     def _read_usd(self, full: str, prim: str, name: str, rate: float) -> tuple[Definition, list[str]]:
         """Return the result of `read_usd`. If the user named a link, read the file that the link points to."""
         from antdsl.bodies.files.usd_definition import read_usd
 
         roots, text = self.roots, full
-        if full in self.named:
-            target = self.named[full].resolve()
+        if full in self.path_by_text:
+            target = self.path_by_text[full].resolve()
             roots, text = Roots(target.parent, self.roots.granted), target.name
         return read_usd(roots, text, prim, name, rate)
 
@@ -161,19 +161,19 @@ class BodyFiles:
         """Return the path of a shape library that is named twice. The condensed path (`$HIP/shapes.glb`, `$JOB/…`, or relative)
         is searched below the definition's folder or a granted root. The absolute path is used only if a granted root contains it.
         Raises PathRefused if neither can be used."""
-        match = _VARIABLE.fullmatch(condensed)
+        match = _VARIABLE_PATTERN.fullmatch(condensed)
         path = condensed
         if match:
             variable, rest = match[1] or match[2], match[3]
             path = rest if variable in ("HIP", "HIPFILE") else f"{variable}:{rest}"
         try:
-            self.roots.file_size(self.full(path))
+            self.roots.measure_file_size(self.to_root_path(path))
             return path
         except PathRefused as first:
             granted = self._name_by_root(absolute)
             if granted is None:
                 raise first from None
-            self.roots.file_size(granted)
+            self.roots.measure_file_size(granted)
             return granted
 
     def _name_by_root(self, absolute: str) -> str | None:
@@ -190,7 +190,7 @@ class BodyFiles:
         return None
 
 
-def _has_other_rest(one: Rig, other: Rig) -> bool:
+def _has_different_rest_pose(one: Rig, other: Rig) -> bool:
     """Return whether any joint that both rigs have has a different rest pose in each."""
     known = {name: number for number, name in enumerate(other.names)}
     return any((one.rest[k] != other.rest[known[name]]).any() for k, name in enumerate(one.names) if name in known)

@@ -10,14 +10,14 @@ from collections import OrderedDict
 from dataclasses import dataclass
 from pathlib import Path
 
-from antdsl.bodies.agents.definition import Definition, with_language_names
-from antdsl.bodies.files.definition_checks import Parts, check_definition
-from antdsl.bodies.files.named_files import GLTF, USD, BodyFiles, file_ending
+from antdsl.bodies.agents.definition import Definition, use_language_names
+from antdsl.bodies.files.definition_checks import ReadDefinition, check_definition
+from antdsl.bodies.files.named_files import GLTF_ENDINGS, USD_ENDINGS, BodyFiles, get_file_ending
 from antdsl.diagnostics import Report
-from antdsl.scene.paths import RequestedPaths, Roots, record_request, record_sought, reopen
+from antdsl.scene.paths import RequestedPaths, Roots, record_request, record_requested_paths, reopen_file
 from antdsl.source import Span
 
-MOST = 8  # number of cached definitions
+MAX_CACHED_DEFINITIONS = 8  # number of cached definitions
 Stamp = tuple[int, ...]
 
 
@@ -35,7 +35,7 @@ def read_definition(
     if isinstance(path, Path):
         text = path.name
         roots = roots or Roots(path.resolve().parent)
-        files = BodyFiles(roots, report, named={text: path})
+        files = BodyFiles(roots, report, path_by_text={text: path})
         display_path = str(path)
     else:
         text = display_path = path
@@ -44,15 +44,15 @@ def read_definition(
         text = text[len(folder) :]
     if files.is_closed_format(display_path, place):
         return None, report
-    kind = file_ending(display_path)
+    kind = get_file_ending(display_path)
     name = text.rpartition(".")[0] or "body"
-    if kind in GLTF or kind in USD:
-        definition = files.body(text, place, prim, rate)
+    if kind in GLTF_ENDINGS or kind in USD_ENDINGS:
+        definition = files.read_body(text, place, prim, rate)
         if definition is None:
             return None, report
-        return check_definition(Parts(definition, span=place, measured=not definition.length), report), report
+        return check_definition(ReadDefinition(definition, span=place, needs_length=not definition.length), report), report
     if kind != "json":
-        kinds = ", ".join(f".{each}" for each in ("json", *GLTF, *USD))
+        kinds = ", ".join(f".{each}" for each in ("json", *GLTF_ENDINGS, *USD_ENDINGS))
         report.error("wrong-kind", f"`{display_path[-80:]}` is no file of a body", place, f"one of {kinds} is read")
         return None, report
     from antdsl.bodies.files.definition_document import read_document  # imported late: most commands read no definition
@@ -70,42 +70,42 @@ class CachedDefinition:
     files: dict[Path, tuple[Path | None, Stamp]]
 
 
-_cached: OrderedDict[tuple[object, ...], CachedDefinition] = OrderedDict()
+_definition_cache: OrderedDict[tuple[object, ...], CachedDefinition] = OrderedDict()
 
 
 def load_definition(text: str, roots: Roots, place: Span) -> tuple[Definition | None, Report]:
     """Return the result of `read_definition` for a path in a scene, with names in the spelling of the language. A definition that
     was read without findings is cached."""
     key = (text, str(roots.folder), *((name, str(folder)) for name, folder in sorted(roots.granted.items())))
-    known = _cached.get(key)
-    if known is not None and all(_stamp(path, root) == stamp for path, (root, stamp) in known.files.items()):
-        _cached.move_to_end(key)
+    known = _definition_cache.get(key)
+    if known is not None and all(_compute_stamp(path, root) == stamp for path, (root, stamp) in known.files.items()):
+        _definition_cache.move_to_end(key)
         for path, (root, _) in known.files.items():
             record_request(path, root)
         return known.definition, Report()
-    with record_sought() as files:
+    with record_requested_paths() as files:
         definition, report = read_definition(text, roots, place)
-    definition = None if definition is None else with_language_names(definition)
-    _cached.pop(key, None)
-    stamps = _file_stamps(files)
-    if definition is not None and not report.sorted() and all(stamp is not None for _, stamp in stamps.values()):
-        _cached[key] = CachedDefinition(
+    definition = None if definition is None else use_language_names(definition)
+    _definition_cache.pop(key, None)
+    stamps = _compute_file_stamps(files)
+    if definition is not None and not report.sort_by_place() and all(stamp is not None for _, stamp in stamps.values()):
+        _definition_cache[key] = CachedDefinition(
             definition, {path: (root, stamp) for path, (root, stamp) in stamps.items() if stamp is not None}
         )
-        while len(_cached) > MOST:
-            _cached.popitem(last=False)
+        while len(_definition_cache) > MAX_CACHED_DEFINITIONS:
+            _definition_cache.popitem(last=False)
     return definition, report
 
 
-def _file_stamps(files: RequestedPaths) -> dict[Path, tuple[Path | None, Stamp | None]]:
+def _compute_file_stamps(files: RequestedPaths) -> dict[Path, tuple[Path | None, Stamp | None]]:
     """Return the root and the current stamp of each file that was read."""
-    return {path: (root, _stamp(path, root)) for path, root in files.items()}
+    return {path: (root, _compute_stamp(path, root)) for path, root in files.items()}
 
 
-def _stamp(path: Path, root: Path | None) -> Stamp | None:
+def _compute_stamp(path: Path, root: Path | None) -> Stamp | None:
     """Return a stamp that changes when a file changes, or None if there is no file."""
     try:
-        handle = reopen(path, root)
+        handle = reopen_file(path, root)
     except OSError:
         return None
     try:

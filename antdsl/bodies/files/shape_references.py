@@ -11,10 +11,10 @@ from antdsl import limits
 from antdsl.bodies.agents.definition import BlendTargets, InBetweens, Shape
 from antdsl.bodies.files.document_model import BodyForm, ShapeReference
 from antdsl.bodies.files.json_text import Node, find_node, find_span, report_unknown
-from antdsl.bodies.files.named_files import GLTF, MESHES, USD, BodyFiles, file_ending
+from antdsl.bodies.files.named_files import GLTF_ENDINGS, MESH_ENDINGS, USD_ENDINGS, BodyFiles, get_file_ending
 from antdsl.diagnostics import Label
+from antdsl.scene.geometry.mesh_files import read_mesh
 from antdsl.scene.geometry.mesh_text import MeshError
-from antdsl.scene.geometry.meshes import read_mesh
 from antdsl.scene.paths import PathRefused
 from antdsl.source import Span
 
@@ -27,7 +27,7 @@ def read_shapes(form: BodyForm, root: Node, files: BodyFiles, unit: float, shape
     first: dict[str, Span] = {}
     for number, reference in enumerate(form.shapes):
         node = find_node(root, ("shapes", number))
-        new_shapes = _referenced_shapes(reference, node, files, shapes, materials)
+        new_shapes = _resolve_shape_reference(reference, node, files, shapes, materials)
         if reference.name is not None and len(new_shapes) != 1:
             if new_shapes:
                 words = f"a name is given, and the file has {len(new_shapes)} shapes"
@@ -42,7 +42,7 @@ def read_shapes(form: BodyForm, root: Node, files: BodyFiles, unit: float, shape
             shape = replace(shape, name=reference.name or shape.name)
             if reference.material is not None:
                 shape = replace(shape, materials=(reference.material,), material=np.zeros(len(shape.faces), np.int32))
-            shape = _with_blend(reference, node, files, shape)
+            shape = _add_blend_attributes(reference, node, files, shape)
             if shape.name in shapes:
                 words, label = f"there are two shapes `{shape.name}`", first.get(shape.name, find_span(root, ("shapes",)))
                 place = find_span(node, ("name" if reference.name else "file",))
@@ -52,20 +52,20 @@ def read_shapes(form: BodyForm, root: Node, files: BodyFiles, unit: float, shape
             first[shape.name] = find_span(node, ("name",))
 
 
-def _referenced_shapes(
+def _resolve_shape_reference(
     reference: ShapeReference, node: Node, files: BodyFiles, shapes: Mapping[str, Shape], materials: Colours
 ) -> list[Shape]:
     """Return the shapes that a reference selects."""
     if reference.file is None:
         if reference.shape is None:
-            files.report.error("missing-key", "a shape has no `file`", node.mark, 'add `"file": "sword.obj"`')
+            files.report.error("missing-key", "a shape has no `file`", node.marked_span, 'add `"file": "sword.obj"`')
             return []
         what, known = "shape", shapes
     else:
-        place, name = find_span(node, ("file",)), reference.name or _file_stem(reference.file)
+        place, name = find_span(node, ("file",)), reference.name or _get_file_stem(reference.file)
         what, known = (
             f"shape in `{reference.file[-60:]}`",
-            shapes_of(files, reference.file, place, materials, name, reference.prim),
+            load_shapes(files, reference.file, place, materials, name, reference.prim),
         )
         if reference.shape is None or not known:
             return list(known.values())
@@ -75,32 +75,32 @@ def _referenced_shapes(
     return [known[reference.shape]]
 
 
-def _file_stem(path: str) -> str:
+def _get_file_stem(path: str) -> str:
     """Return the name of a file without folder, root and ending; `shape` if this is empty."""
     return path.rpartition("/")[2].rpartition(":")[2].rpartition(".")[0] or "shape"
 
 
-def shapes_of(
+def load_shapes(
     files: BodyFiles, path: str, place: Span, materials: Colours, name: str, prim: str | None = None
 ) -> Mapping[str, Shape]:
     """Return the shapes of a file by name. A glTF file gives all its shapes, a USD file those at and below `prim`. A mesh file
     gives one shape, called `name`."""
-    kind = file_ending(path)
+    kind = get_file_ending(path)
     if files.is_closed_format(path, place):
         return {}
-    if kind in GLTF or kind in USD:
-        body = files.body(path, place, prim or "")
+    if kind in GLTF_ENDINGS or kind in USD_ENDINGS:
+        body = files.read_body(path, place, prim or "")
         if body is None:
             return {}
         for material, colour in body.materials.items():
             materials.setdefault(material, colour)
         return dict(body.shapes)
-    if kind not in MESHES:
-        kinds = ", ".join(f".{each}" for each in (*GLTF, *USD, *MESHES))
+    if kind not in MESH_ENDINGS:
+        kinds = ", ".join(f".{each}" for each in (*GLTF_ENDINGS, *USD_ENDINGS, *MESH_ENDINGS))
         files.report.error("wrong-kind", f"`{path[-80:]}` is not a file of shapes", place, f"one of {kinds} is read")
         return {}
     try:
-        mesh = read_mesh(files.bytes_of(files.full(path), limits.MAX_MESH_BYTES), path)
+        mesh = read_mesh(files.read_file(files.to_root_path(path), limits.MAX_MESH_BYTES), path)
     except PathRefused as why:
         files.report_refusal(why, place)
         return {}
@@ -126,7 +126,7 @@ def read_includes(form: BodyForm, root: Node, files: BodyFiles, shapes: dict[str
         except PathRefused as why:
             files.report_refusal(why, place)
             continue
-        for name, shape in shapes_of(files, path, place, materials, _file_stem(path)).items():
+        for name, shape in load_shapes(files, path, place, materials, _get_file_stem(path)).items():
             if name in shapes:
                 files.report.error("duplicate-name", f"there are two shapes `{name}`", place, None)
             else:
@@ -143,7 +143,7 @@ def scale_shape(shape: Shape, factor: float) -> Shape:
     return replace(shape, points=(shape.points * np.float32(factor)).astype(np.float32), capture=capture)
 
 
-def _with_blend(reference: ShapeReference, node: Node, files: BodyFiles, shape: Shape) -> Shape:
+def _add_blend_attributes(reference: ShapeReference, node: Node, files: BodyFiles, shape: Shape) -> Shape:
     """Return a shape with the documented blend attributes. A base shape has names and channels; an input has its in-between
     shapes (names and weights)."""
     keys = {key for key in reference.model_fields_set if key.startswith("blendshape_")}
@@ -156,7 +156,7 @@ def _with_blend(reference: ShapeReference, node: Node, files: BodyFiles, shape: 
     )  # fmt: skip
     if "blendshape_shapenames" not in keys:
         words = "a blend shape does not say which shapes it blends"
-        files.report.error("missing-key", words, node.mark, 'add `"blendshape_shapenames": ["…"]`')
+        files.report.error("missing-key", words, node.marked_span, 'add `"blendshape_shapenames": ["…"]`')
         return shape
     if "blendshape_inbetweenweights" in keys:
         place = find_node(node, ("blendshape_inbetweenweights",)).span
@@ -168,7 +168,7 @@ def _with_blend(reference: ShapeReference, node: Node, files: BodyFiles, shape: 
             if weight in (0, 1):
                 words = f"the in-between shape `{name}` has the weight {weight:g}, which is reserved for complete shapes"
                 files.report.error("out-of-range", words, place, "write `0.5`")
-        return replace(shape, between=InBetweens(names, weights))
+        return replace(shape, in_betweens=InBetweens(names, weights))
     if len(channels) != len(names):
         words = f"there are {len(names)} shapes to blend, but {len(channels)} channels"
         place = find_node(node, ("blendshape_channels" if "blendshape_channels" in keys else "blendshape_shapenames",)).span

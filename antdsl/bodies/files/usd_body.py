@@ -19,13 +19,13 @@ from numpy.typing import NDArray
 from antdsl import limits
 from antdsl.bodies.agents.definition import Binding, BodyError, Clip, Definition, Layer, Rig
 from antdsl.bodies.agents.packed import pack_definition
-from antdsl.bodies.agents.transforms import align_signs, compose_transforms, unit_quaternion
-from antdsl.bodies.files.gltf_clips import EXTRAS, even_times
-from antdsl.bodies.files.gltf_shapes import rigid_capture, unused_name
+from antdsl.bodies.agents.transforms import align_signs, compose_transforms, normalise_quaternion
+from antdsl.bodies.files.gltf_clips import EXTRAS_KEY, compute_even_times
+from antdsl.bodies.files.gltf_shapes import build_rigid_capture, make_unused_name
 from antdsl.bodies.files.usd_shapes import Skin, UsdBody, read_usd_shape
 from antdsl.reader.protocol import ReadRefusal
-from antdsl.scene.geometry.matrices import has_inverse, inverses
-from antdsl.scene.geometry.usd.child.guard import ReaderAnswer, with_refusals
+from antdsl.scene.geometry.matrices import has_inverse, invert_transforms
+from antdsl.scene.geometry.usd.child.guard import ReaderAnswer, wrap_refusals
 from antdsl.scene.geometry.usd.child.stage import OpenStage, open_stage
 from antdsl.scene.geometry.usd.errors import pxr
 
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from antdsl.reader.protocol import ReaderMessage
 
 Floats = NDArray[np.float64]
-LAYER = "body"
+BASE_LAYER = "body"
 
 
 @dataclass(slots=True)
@@ -46,7 +46,7 @@ class _Skeleton:
     names: list[str]
 
 
-@with_refusals
+@wrap_refusals
 def read_body(request: ReaderMessage) -> ReaderAnswer:
     """Return the arrays that `pack_definition` makes of the definition. Also return `left_out`, sentences about the parts of the
     file that are not read, and `settings`, JSON of the custom data of clips by their names."""
@@ -55,20 +55,20 @@ def read_body(request: ReaderMessage) -> ReaderAnswer:
         definition, body = _read_definition(open_stage(request), str(said["prim"]), str(said["name"]), float(said["rate"]))
     except BodyError as why:
         raise ReadRefusal(why.code, str(why), why.help, "prim", "body") from why
-    return {"left_out": list(body.left_out), "settings": json.dumps(body.settings, default=str)}, pack_definition(definition)
+    return {"left_out": list(body.omissions), "settings": json.dumps(body.settings, default=str)}, pack_definition(definition)
 
 
 def _read_definition(stage: OpenStage, prim: str, name: str, rate: float) -> tuple[Definition, UsdBody]:
     """Return the definition at and below a prim, and the state of the import. `rate`: samples per second of animations, 0 for the
     stage's own. Raises BodyError if there is no definition."""
     body = UsdBody(stage)
-    bindings = list(_skeleton_bindings(stage))
+    bindings = list(_iterate_skeleton_bindings(stage))
     skeletons = [_read_skeleton(body, skeleton, query) for skeleton, query, _ in bindings]
     static, deforming = [], []
     skins = {
         str(target.GetPrim().GetPath()): (number, target) for number, (*_, targets) in enumerate(bindings) for target in targets
     }
-    for mesh in stage.visible_prims(stage.prim):
+    for mesh in stage.find_visible_prims(stage.prim):
         if not mesh.IsA(pxr("UsdGeom").Mesh):
             continue
         path = str(mesh.GetPath())
@@ -80,25 +80,28 @@ def _read_definition(stage: OpenStage, prim: str, name: str, rate: float) -> tup
         if shape is None:
             continue
         if skin is None:
-            own = body.names[body.add_joint(mesh.GetName(), -1, _rest_matrix(stage, mesh))]
+            own = body.joint_names[body.add_joint(mesh.GetName(), -1, _read_rest_matrix(stage, mesh))]
             if shape.blend is None:
                 static.append(Binding(own, shape.name))
                 continue
-            body.shapes[shape.name] = replace(shape, capture=rigid_capture(own, len(shape.points)))
+            body.shapes[shape.name] = replace(shape, capture=build_rigid_capture(own, len(shape.points)))
         deforming.append(
             Binding("", shape.name, deformer="linearskinning" if shape.blend is None else "blendshape+linearskinning")
         )
-    if not body.names:
+    if not body.joint_names:
         raise BodyError(f"has no skeleton and no mesh at or below `{prim}`", "name the prim of the body")
     rig = Rig(
-        tuple(body.names), np.array(body.parents, np.int32), np.array(body.rest).reshape(-1, 4, 4), tuple(body.channels.values())
+        tuple(body.joint_names),
+        np.array(body.joint_parents, np.int32),
+        np.array(body.rest_matrices).reshape(-1, 4, 4),
+        tuple(body.channels.values()),
     )
-    layer = Layer(LAYER, tuple(static), tuple(deforming))
+    layer = Layer(BASE_LAYER, tuple(static), tuple(deforming))
     geom = pxr("UsdGeom")
     z_up = str(geom.GetStageUpAxis(stage.stage)).lower() == "z"
     front, up = ((0.0, -1.0, 0.0), (0.0, 0.0, 1.0)) if z_up else ((0.0, 0.0, 1.0), (0.0, 1.0, 0.0))
     clips = {clip.name: clip for clip in _read_clips(body, skeletons, rate)}
-    layers = {LAYER: layer} if body.shapes else {}
+    layers = {BASE_LAYER: layer} if body.shapes else {}
     unit = float(geom.GetStageMetersPerUnit(stage.stage)) * 1000.0
     definition = Definition(name, rig, body.shapes, layers, clips, materials=body.materials, front=front, up=up, unit=unit)
     return definition, body
@@ -107,12 +110,12 @@ def _read_definition(stage: OpenStage, prim: str, name: str, rate: float) -> tup
 # ---- joints
 
 
-def _skeleton_bindings(stage: OpenStage) -> Iterator[tuple[Any, Any, list[Any]]]:
+def _iterate_skeleton_bindings(stage: OpenStage) -> Iterator[tuple[Any, Any, list[Any]]]:
     """Yield each skeleton with its UsdSkel query and the queries of the meshes that follow it, in file order."""
     skel, usd = pxr("UsdSkel"), pxr("Usd")
     cache, visited = skel.Cache(), set()
     predicate = usd.TraverseInstanceProxies()
-    for prim in stage.visible_prims(stage.prim):
+    for prim in stage.find_visible_prims(stage.prim):
         if prim.IsA(skel.Root):
             cache.Populate(skel.Root(prim), predicate)
             for binding in cache.ComputeSkelBindings(skel.Root(prim), predicate):
@@ -120,7 +123,7 @@ def _skeleton_bindings(stage: OpenStage) -> Iterator[tuple[Any, Any, list[Any]]]
                 if skeleton.GetPath() not in visited:
                     visited.add(skeleton.GetPath())
                     yield skeleton.GetPrim(), cache.GetSkelQuery(skeleton), list(binding.GetSkinningTargets())
-    for prim in stage.visible_prims(stage.prim):
+    for prim in stage.find_visible_prims(stage.prim):
         if prim.IsA(skel.Skeleton) and prim.GetPath() not in visited:
             yield prim, cache.GetSkelQuery(skel.Skeleton(prim)), []
 
@@ -136,7 +139,7 @@ def _read_skeleton(body: UsdBody, prim: Any, query: Any) -> _Skeleton:
     if rest is None or len(rest) != len(paths) or len(bind) != len(paths):
         raise BodyError(f"has a skeleton `{prim.GetPath()}` without a rest pose for each joint", "export it again")
     leaves = [path.rsplit("/", 1)[-1] for path in paths]
-    top = body.add_joint(prim.GetName(), -1, _rest_matrix(body.stage, prim))
+    top = body.add_joint(prim.GetName(), -1, _read_rest_matrix(body.stage, prim))
     names = []
     for number, path in enumerate(paths):
         if not -1 <= parents[number] < number:
@@ -145,19 +148,19 @@ def _read_skeleton(body: UsdBody, prim: Any, query: Any) -> _Skeleton:
             )
         name = leaves[number] if leaves.count(leaves[number]) == 1 else path
         above = top if parents[number] < 0 else top + 1 + parents[number]
-        names.append(body.names[body.add_joint(name, above, column_matrix(rest[number]))])
+        names.append(body.joint_names[body.add_joint(name, above, to_column_matrix(rest[number]))])
     return _Skeleton(prim, query, paths, names)
 
 
-def column_matrix(matrix: Any) -> Floats:
+def to_column_matrix(matrix: Any) -> Floats:
     """Return a USD matrix, which is for row vectors, as float64[4, 4] for column vectors."""
     return np.ascontiguousarray(np.array(matrix, np.float64).reshape(4, 4).T)
 
 
-def _rest_matrix(stage: OpenStage, prim: Any) -> Floats:
+def _read_rest_matrix(stage: OpenStage, prim: Any) -> Floats:
     """Return the matrix float64[4, 4] of a prim in the stage, at rest (`stage.first`)."""
     cache = pxr("UsdGeom").XformCache(stage.first)
-    return column_matrix(cache.GetLocalToWorldTransform(prim))
+    return to_column_matrix(cache.GetLocalToWorldTransform(prim))
 
 
 def _read_skin(skeleton: _Skeleton, mesh: Any, target: Any) -> Skin:
@@ -171,13 +174,13 @@ def _read_skin(skeleton: _Skeleton, mesh: Any, target: Any) -> Skin:
         raise BodyError(
             f"has a mesh `{mesh.GetPath()}` that follows `{missing[:80]}`, which its skeleton does not have", "export it again"
         )
-    bind = np.array([column_matrix(m) for m in skeleton.query.GetJointWorldBindTransforms()])[[number[path] for path in paths]]
+    bind = np.array([to_column_matrix(m) for m in skeleton.query.GetJointWorldBindTransforms()])[[number[path] for path in paths]]
     if not all(has_inverse(matrix[:3]) for matrix in bind):
         words = f"has a skeleton `{skeleton.prim.GetPath()}` with a bind transform that cannot be inverted"
         raise BodyError(words, "export it again")
     back = np.tile(np.eye(4), (len(bind), 1, 1))
-    back[:, :3] = [inverses(matrix[:3]) for matrix in bind]
-    bind_inverses = compose_transforms(back, column_matrix(target.GetGeomBindTransform()))
+    back[:, :3] = [invert_transforms(matrix[:3]) for matrix in bind]
+    bind_inverses = compose_transforms(back, to_column_matrix(target.GetGeomBindTransform()))
     return Skin(tuple(skeleton.names[number[path]] for path in paths), bind_inverses, target)
 
 
@@ -192,13 +195,13 @@ def _read_clips(body: UsdBody, skeletons: list[_Skeleton], rate: float) -> list[
     cache = skel.Cache()
     left = limits.MAX_CLIP_BYTES
     waiting = [(each.query.GetAnimQuery(), each) for each in skeletons]
-    for prim in body.stage.visible_prims(body.stage.stage.GetPseudoRoot()):
+    for prim in body.stage.find_visible_prims(body.stage.stage.GetPseudoRoot()):
         if prim.IsA(skel.Animation):
             query = cache.GetAnimQuery(skel.Animation(prim))
             paths = {str(path) for path in query.GetJointOrder()} if query else set()
             fits = next((each for each in skeletons if paths <= set(each.paths)), None)
             if query and fits is None:
-                body.left_out[f"the animation `{prim.GetPath()}` moves joints that no skeleton has"] = None
+                body.omissions[f"the animation `{prim.GetPath()}` moves joints that no skeleton has"] = None
             elif query and fits is not None:
                 waiting.append((query, fits))
     for query, skeleton in waiting:
@@ -206,9 +209,9 @@ def _read_clips(body: UsdBody, skeletons: list[_Skeleton], rate: float) -> list[
         if not path or path in known_paths:
             continue
         known_paths.add(path)
-        clip = _read_clip(body, query, skeleton, unused_name(query.GetPrim().GetName(), clips), rate, left)
+        clip = _read_clip(body, query, skeleton, make_unused_name(query.GetPrim().GetName(), clips), rate, left)
         if clip is not None:
-            custom_data = query.GetPrim().GetCustomDataByKey(EXTRAS)
+            custom_data = query.GetPrim().GetCustomDataByKey(EXTRAS_KEY)
             if custom_data is not None:
                 body.settings[clip.name] = custom_data
             left -= clip.translation.nbytes + clip.rotation.nbytes + clip.scale.nbytes + clip.values.nbytes
@@ -230,7 +233,7 @@ def _read_clip(body: UsdBody, query: Any, skeleton: Any, name: str, rate: float,
         return None
     if seconds * (rate or per_second) > limits.MAX_CLIP_SAMPLES:
         raise BodyError(f"has a clip `{name}` of {seconds:,.0f} seconds, longer than is read", code="too-large")
-    times, rate = even_times(seconds, rate or per_second)
+    times, rate = compute_even_times(seconds, rate or per_second)
     if len(times) * (len(columns) * 13 + len(shares)) * 8 > left:
         raise BodyError(f"has clips of more than {limits.MAX_CLIP_BYTES:,} bytes when they are sampled", code="too-large")
     joints = tuple(skeleton.names[number[paths[count]]] for count in columns)
@@ -254,6 +257,6 @@ def _read_clip(body: UsdBody, query: Any, skeleton: Any, name: str, rate: float,
     if not all(np.isfinite(each).all() for each in (translation, rotation, scale, weights)):
         raise BodyError(f"has an animation `{name}` with a value that is not finite", "export it again")
     return Clip(
-        name, rate, joints, translation.astype(np.float32), align_signs(unit_quaternion(rotation)).astype(np.float32),
+        name, rate, joints, translation.astype(np.float32), align_signs(normalise_quaternion(rotation)).astype(np.float32),
         scale.astype(np.float32), None, tuple(order[count] for count in shares), weights.astype(np.float32),
     )  # fmt: skip

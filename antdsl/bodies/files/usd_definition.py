@@ -9,12 +9,12 @@ from typing import Any
 
 from antdsl.bodies.agents.definition import BodyError, Definition
 from antdsl.bodies.agents.packed import ARRAY_NAMES, unpack_definition
-from antdsl.bodies.files.gltf_clips import read_settings, with_settings
-from antdsl.reader.protocol import ProtocolError, ReaderMessage, ReadRefusal, display_text
+from antdsl.bodies.files.gltf_clips import apply_settings, read_settings
+from antdsl.reader.protocol import ProtocolError, ReaderMessage, ReadRefusal, clean_for_display
 from antdsl.scene.geometry.usd import UsdError, open_stage
 from antdsl.scene.paths import Roots
 
-_SENTENCES = 10_000
+_MAX_SENTENCES = 10_000
 
 
 def read_usd(roots: Roots, text: str, prim: str, name: str, rate: float) -> tuple[Definition, list[str]]:
@@ -23,8 +23,8 @@ def read_usd(roots: Roots, text: str, prim: str, name: str, rate: float) -> tupl
     stage = open_stage(roots, text, prim, up="y", frames=range(1), fps=Fraction(24))
     try:
         answer = stage.ask("usd-body", {"name": name, "rate": rate})
-        left_out = [display_text(sentence) for sentence in answer.texts("left_out", _SENTENCES)]
-        settings = _clip_settings(answer)
+        left_out = [clean_for_display(sentence) for sentence in answer.require_texts("left_out", _MAX_SENTENCES)]
+        settings = _read_clip_settings(answer)
         if set(answer.arrays) != set(ARRAY_NAMES):
             raise ProtocolError("a part of the body is missing")
     except UsdError:
@@ -35,11 +35,13 @@ def read_usd(roots: Roots, text: str, prim: str, name: str, rate: float) -> tupl
         raise stage.make_answer_error(why) from None
     definition = unpack_definition(answer.arrays)
     known = {name: each for name, each in settings.items() if name in definition.clips}
-    clips = {name: with_settings(definition.clips[name], read_settings(each, "customData", name)) for name, each in known.items()}
+    clips = {
+        name: apply_settings(definition.clips[name], read_settings(each, "customData", name)) for name, each in known.items()
+    }
     return replace(definition, clips={**definition.clips, **clips}), left_out
 
 
-def _clip_settings(answer: ReaderMessage) -> dict[str, Any]:
+def _read_clip_settings(answer: ReaderMessage) -> dict[str, Any]:
     """Return the custom data of animations, by the names of their clips."""
     try:
         settings = json.loads(answer.document["settings"])

@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 
 from antdsl import limits
 from antdsl.bodies.agents.definition import BlendTargets, BodyError, Capture, Channel, InBetweens, Shape
-from antdsl.bodies.files.gltf_shapes import clean_capture, unused_name
+from antdsl.bodies.files.gltf_shapes import make_unused_name, normalise_capture
 from antdsl.scene.geometry.polygons import TooManyCorners, triangulate
 from antdsl.scene.geometry.usd.child.stage import OpenStage
 from antdsl.scene.geometry.usd.errors import pxr
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
-_EXPORT = "export it again"
+_EXPORT_HELP = "export it again"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,44 +40,44 @@ class UsdBody:
     """The state of a USD import."""
 
     stage: OpenStage
-    names: list[str] = field(default_factory=list)
-    parents: list[int] = field(default_factory=list)
-    rest: list[Floats] = field(default_factory=list)
+    joint_names: list[str] = field(default_factory=list)
+    joint_parents: list[int] = field(default_factory=list)
+    rest_matrices: list[Floats] = field(default_factory=list)
     channels: dict[str, Channel] = field(default_factory=dict)
     shapes: dict[str, Shape] = field(default_factory=dict)
     materials: dict[str, tuple[float, float, float]] = field(default_factory=dict)
-    left_out: dict[str, None] = field(default_factory=dict)
+    omissions: dict[str, None] = field(default_factory=dict)
     settings: dict[str, Any] = field(default_factory=dict)  # the custom data of animations by the name of the clip
-    points: int = 0
+    point_count: int = 0
 
     def add_joint(self, name: str, parent: int, rest: Floats) -> int:
         """Add a joint under a name that no other joint has, and return its number."""
-        if len(self.names) >= limits.MAX_RIG_JOINTS:
+        if len(self.joint_names) >= limits.MAX_RIG_JOINTS:
             raise BodyError(f"has more than {limits.MAX_RIG_JOINTS:,} joints", code="too-large")
         if not np.isfinite(rest).all():
             raise BodyError(f"has a joint `{name}` with a transform that is not finite", "export it again")
-        self.names.append(unused_name(name, self.names))
-        self.parents.append(parent)
-        self.rest.append(rest)
-        return len(self.names) - 1
+        self.joint_names.append(make_unused_name(name, self.joint_names))
+        self.joint_parents.append(parent)
+        self.rest_matrices.append(rest)
+        return len(self.joint_names) - 1
 
 
 def read_usd_shape(body: UsdBody, prim: Any, skin: Skin | None) -> Shape | None:
     """Return the shape of a mesh prim, and add it to the library with its blend shapes. Return None if the mesh has no faces."""
     mesh, time = pxr("UsdGeom").Mesh(prim), body.stage.first
-    points = _as_rows(mesh.GetPointsAttr().Get(time), 3)
+    points = _to_rows(mesh.GetPointsAttr().Get(time), 3)
     _count_points(body, len(points))
     if not np.isfinite(points).all() or (len(points) and np.abs(points).max() > 1e30):
-        raise BodyError(f"has a mesh `{prim.GetPath()}` with a point that is not finite", _EXPORT)
-    corners, triangles, face = _triangles(mesh, prim, time, points)
+        raise BodyError(f"has a mesh `{prim.GetPath()}` with a point that is not finite", _EXPORT_HELP)
+    corners, triangles, face = _triangulate_faces(mesh, prim, time, points)
     if not len(triangles):
-        body.left_out[f"the mesh `{prim.GetPath()}` has no faces"] = None
+        body.omissions[f"the mesh `{prim.GetPath()}` has no faces"] = None
         return None
-    attributes = {"N": _normals(mesh, prim, time, points, corners), "uv": _uvs(prim, time, len(points), corners)}
+    attributes = {"N": _read_normals(mesh, prim, time, points, corners), "uv": _read_uvs(prim, time, len(points), corners)}
     source, triangles, point_attributes = _split_points(corners, triangles, attributes)
     _count_points(body, max(0, len(source) - len(points)))
-    name = unused_name(prim.GetName(), body.shapes)
-    materials, material = _materials(body, prim, face)
+    name = make_unused_name(prim.GetName(), body.shapes)
+    materials, material = _read_materials(body, prim, face)
     normals, uvs = (
         None if point_attributes[key] is None else np.asarray(point_attributes[key], np.float32) for key in ("N", "uv")
     )
@@ -86,9 +86,9 @@ def read_usd_shape(body: UsdBody, prim: Any, skin: Skin | None) -> Shape | None:
         {"vertex": source},
     )  # fmt: skip
     if skin is not None:
-        shape = replace(shape, capture=_capture(body, prim, skin, len(points), source, time))
+        shape = replace(shape, capture=_read_capture(body, prim, skin, len(points), source, time))
     body.shapes[name] = shape
-    blend = _blend(body, shape, prim, points, source)
+    blend = _read_blend_shapes(body, shape, prim, points, source)
     if blend is not None:
         body.shapes[name] = shape = replace(shape, blend=blend)
     return shape
@@ -96,20 +96,20 @@ def read_usd_shape(body: UsdBody, prim: Any, skin: Skin | None) -> Shape | None:
 
 def _count_points(body: UsdBody, new_points: int) -> None:
     """Add to the number of points. Raises BodyError above the limit."""
-    body.points += new_points
-    if body.points > limits.MAX_BODY_POINTS:
+    body.point_count += new_points
+    if body.point_count > limits.MAX_BODY_POINTS:
         raise BodyError(f"has more than {limits.MAX_BODY_POINTS:,} points, blend shapes among them", code="too-large")
 
 
-def _as_rows(raw_values: Any, width: int) -> Floats:
+def _to_rows(raw_values: Any, width: int) -> Floats:
     """Return values as an array float64[n, width]. Raises BodyError if their number is not a multiple of `width`."""
     values = np.array([] if raw_values is None else raw_values, np.float64)
     if values.size % width:
-        raise BodyError(f"has values that are not {width} numbers each", _EXPORT)
+        raise BodyError(f"has values that are not {width} numbers each", _EXPORT_HELP)
     return values.reshape(-1, width)
 
 
-def _triangles(mesh: Any, prim: Any, time: Any, points: Floats) -> tuple[Integers, Integers, Integers]:
+def _triangulate_faces(mesh: Any, prim: Any, time: Any, points: Floats) -> tuple[Integers, Integers, Integers]:
     """Return the point of each corner of the faces, triangles (n, 3) of corners, and the face of each triangle."""
     counts = np.array(mesh.GetFaceVertexCountsAttr().Get(time) or [], np.int64)
     corners = np.array(mesh.GetFaceVertexIndicesAttr().Get(time) or [], np.int64)
@@ -117,38 +117,38 @@ def _triangles(mesh: Any, prim: Any, time: Any, points: Floats) -> tuple[Integer
         raise BodyError(f"has a mesh `{prim.GetPath()}` of more than {limits.MAX_MESH_FACES:,} faces", code="too-large")
     right = counts.sum() == len(corners) and (not len(counts) or counts.min() >= 0)
     if not right or (len(corners) and (corners.min() < 0 or corners.max() >= len(points))):
-        raise BodyError(f"has a mesh `{prim.GetPath()}` with faces that use missing points", _EXPORT)
+        raise BodyError(f"has a mesh `{prim.GetPath()}` with faces that use missing points", _EXPORT_HELP)
     try:
         cut = triangulate(points, counts, corners)
     except TooManyCorners as why:
         raise BodyError(f"has a mesh `{prim.GetPath()}` that {why}", "cut it into smaller faces", "too-large") from None
-    triangles, face = cut.corners, cut.polygon
+    triangles, face = cut.corners, cut.polygon_indices
     if str(mesh.GetOrientationAttr().Get(time)) == "leftHanded":
         triangles = triangles[:, ::-1]
     return corners, triangles, face
 
 
-def _normals(mesh: Any, prim: Any, time: Any, points: Floats, corners: Integers) -> Floats | None:
+def _read_normals(mesh: Any, prim: Any, time: Any, points: Floats, corners: Integers) -> Floats | None:
     """Return a normal for each corner, or None."""
     primvar = pxr("UsdGeom").PrimvarsAPI(prim).GetPrimvar("normals")
     if primvar and primvar.HasValue():
-        return _corner_values(primvar.ComputeFlattened(time), str(primvar.GetInterpolation()), 3, len(points), corners)
-    return _corner_values(mesh.GetNormalsAttr().Get(time), str(mesh.GetNormalsInterpolation()), 3, len(points), corners)
+        return _expand_to_corners(primvar.ComputeFlattened(time), str(primvar.GetInterpolation()), 3, len(points), corners)
+    return _expand_to_corners(mesh.GetNormalsAttr().Get(time), str(mesh.GetNormalsInterpolation()), 3, len(points), corners)
 
 
-def _uvs(prim: Any, time: Any, points: int, corners: Integers) -> Floats | None:
+def _read_uvs(prim: Any, time: Any, points: int, corners: Integers) -> Floats | None:
     """Return texture coordinates for each corner: the primvar `st`, else the first that exists."""
     primvars = pxr("UsdGeom").PrimvarsAPI(prim).GetPrimvarsWithValues()
     known = [each for each in primvars if str(each.GetTypeName()) in ("texCoord2f[]", "texCoord2d[]", "texCoord2h[]", "float2[]")]
     known.sort(key=lambda each: each.GetPrimvarName() != "st")
     if not known:
         return None
-    return _corner_values(known[0].ComputeFlattened(time), str(known[0].GetInterpolation()), 2, points, corners)
+    return _expand_to_corners(known[0].ComputeFlattened(time), str(known[0].GetInterpolation()), 2, points, corners)
 
 
-def _corner_values(raw_values: Any, interpolation: str, width: int, points: int, corners: Integers) -> Floats | None:
+def _expand_to_corners(raw_values: Any, interpolation: str, width: int, points: int, corners: Integers) -> Floats | None:
     """Return values [corners, width] for each corner; None if they are not finite or do not match the interpolation."""
-    values = _as_rows(raw_values, width)
+    values = _to_rows(raw_values, width)
     if not len(values) or not np.isfinite(values).all():
         return None
     if interpolation in ("vertex", "varying") and len(values) == points:
@@ -170,23 +170,23 @@ def _split_points(
     return corners[first], number.reshape(-1)[triangles], point_attributes
 
 
-def _capture(body: UsdBody, prim: Any, skin: Skin, points: int, source: Integers, time: Any) -> Capture:
+def _read_capture(body: UsdBody, prim: Any, skin: Skin, points: int, source: Integers, time: Any) -> Capture:
     """Return the joints that `points` points of a mesh follow. `source`: the file's point for each point of the shape."""
     influences = skin.query.ComputeVaryingJointInfluences(points, time)
     each = int(skin.query.GetNumInfluencesPerComponent())
     if not influences or each < 1 or each > limits.MAX_JOINTS_PER_POINT or any(len(part) != points * each for part in influences):
-        raise BodyError(f"has a mesh `{prim.GetPath()}` without joints and weights for each of its points", _EXPORT)
+        raise BodyError(f"has a mesh `{prim.GetPath()}` without joints and weights for each of its points", _EXPORT_HELP)
     joints = np.array(influences[0], np.int64).reshape(points, each)
     weights = np.array(influences[1], np.float64).reshape(points, each)
     if not np.isfinite(weights).all():
-        raise BodyError(f"has a mesh `{prim.GetPath()}` with a weight that is not finite", _EXPORT)
-    point_joints, shares, lone = clean_capture(joints, np.maximum(weights, 0.0), len(skin.names))
+        raise BodyError(f"has a mesh `{prim.GetPath()}` with a weight that is not finite", _EXPORT_HELP)
+    point_joints, shares, lone = normalise_capture(joints, np.maximum(weights, 0.0), len(skin.names))
     if lone:
-        body.left_out[f"{lone:,} points of `{prim.GetPath()}` follow no joint, and were given to `{skin.names[0]}`"] = None
+        body.omissions[f"{lone:,} points of `{prim.GetPath()}` follow no joint, and were given to `{skin.names[0]}`"] = None
     return Capture(skin.names, point_joints[source], shares[source], skin.inverse)
 
 
-def _blend(body: UsdBody, shape: Shape, prim: Any, points: Floats, source: Integers) -> BlendTargets | None:
+def _read_blend_shapes(body: UsdBody, shape: Shape, prim: Any, points: Floats, source: Integers) -> BlendTargets | None:
     """Add the blend shapes of a mesh to the library as shapes. The channel of the same name weights each blend shape."""
     skel = pxr("UsdSkel")
     binding = skel.BindingAPI(prim)
@@ -198,18 +198,20 @@ def _blend(body: UsdBody, shape: Shape, prim: Any, points: Floats, source: Integ
     for token, path in zip(tokens, targets, strict=True):
         blend_shape = skel.BlendShape(prim.GetStage().GetPrimAtPath(path))
         if not blend_shape:
-            raise BodyError(f"has a mesh `{prim.GetPath()}` that names a blend shape `{path}` which is not there", _EXPORT)
+            raise BodyError(f"has a mesh `{prim.GetPath()}` that names a blend shape `{path}` which is not there", _EXPORT_HELP)
         indices = blend_shape.GetPointIndicesAttr().Get()
         rows = np.arange(len(points)) if indices is None or not len(indices) else np.array(indices, np.int64)
-        name = _add_blend_target(body, shape, unused_name(f"{shape.name}.{token}", body.shapes), source, points, rows,
+        name = _add_blend_target(body, shape, make_unused_name(f"{shape.name}.{token}", body.shapes), source, points, rows,
                       blend_shape.GetOffsetsAttr().Get(), blend_shape.GetNormalOffsetsAttr().Get())  # fmt: skip
         inner: list[tuple[float, str]] = []
         for each in blend_shape.GetInbetweens():
             weight = each.GetWeight()
             if weight is None or not np.isfinite(weight) or weight in (0.0, 1.0):
-                body.left_out[f"an in-between of `{path}` has no weight, or a weight that is reserved for complete shapes"] = None
+                body.omissions[f"an in-between of `{path}` has no weight, or a weight that is reserved for complete shapes"] = (
+                    None
+                )
                 continue
-            own = unused_name(f"{name}.{each.GetAttr().GetName().rpartition(':')[2]}", body.shapes)
+            own = make_unused_name(f"{name}.{each.GetAttr().GetName().rpartition(':')[2]}", body.shapes)
             inner.append(
                 (
                     float(weight),
@@ -219,25 +221,25 @@ def _blend(body: UsdBody, shape: Shape, prim: Any, points: Floats, source: Integ
         if inner:
             inner.sort()
             between = InBetweens(tuple(each for _, each in inner), tuple(weight for weight, _ in inner))
-            body.shapes[name] = replace(body.shapes[name], between=between)
+            body.shapes[name] = replace(body.shapes[name], in_betweens=between)
         names.append(name)
         body.channels.setdefault(token, Channel(token))
     return BlendTargets(tuple(names), tuple(tokens), ("P", "N") if shape.normals is not None else ("P",))
 
 
 def _add_blend_target(
-    body: UsdBody, shape: Shape, name: str, source: Integers, points: Floats, rows: Integers, offsets: Any, turned: Any
+    body: UsdBody, shape: Shape, name: str, source: Integers, points: Floats, rows: Integers, offsets: Any, normal_offsets: Any
 ) -> str:
     """Add a copy of a shape with some points moved by offsets, and return its name."""
     _count_points(body, len(source))
-    moves = _as_rows(offsets, 3)
+    moves = _to_rows(offsets, 3)
     right = len(moves) == len(rows) and (not len(rows) or (rows.min() >= 0 and rows.max() < len(points)))
     if not right or not np.isfinite(moves).all():
-        raise BodyError(f"has a blend shape `{name}` with offsets that do not fit its mesh", _EXPORT)
+        raise BodyError(f"has a blend shape `{name}` with offsets that do not fit its mesh", _EXPORT_HELP)
     displacements = np.zeros_like(points)
     displacements[rows] = moves
     normals = shape.normals
-    turns = _as_rows(turned, 3)
+    turns = _to_rows(normal_offsets, 3)
     if normals is not None and len(turns) == len(rows) and np.isfinite(turns).all():
         of_points = np.zeros_like(points)
         of_points[rows] = turns
@@ -256,7 +258,7 @@ def _add_blend_target(
 # ---- colours
 
 
-def _materials(body: UsdBody, prim: Any, face: Integers) -> tuple[tuple[str, ...], NDArray[np.int32] | None]:
+def _read_materials(body: UsdBody, prim: Any, face: Integers) -> tuple[tuple[str, ...], NDArray[np.int32] | None]:
     """Return the names of a mesh's materials, and the material number of each triangle. Add the colours to the definition."""
     names: list[str] = []
 
@@ -267,21 +269,21 @@ def _materials(body: UsdBody, prim: Any, face: Integers) -> tuple[tuple[str, ...
             names.append(name)
         return names.index(name)
 
-    mesh_material = _material(body, prim) or _display_colour(prim)
+    mesh_material = _read_bound_material(body, prim) or _read_display_colour(prim)
     subsets = pxr("UsdShade").MaterialBindingAPI(prim).GetMaterialBindSubsets()
     if mesh_material is None and not subsets:
         return (), None
     most = int(face.max()) + 1
     of_face = np.full(most, number(mesh_material or ("default", (1.0, 1.0, 1.0))), np.int32)
     for subset in subsets:
-        bound = _material(body, subset.GetPrim())
+        bound = _read_bound_material(body, subset.GetPrim())
         if bound is not None:
             rows = np.array(subset.GetIndicesAttr().Get(body.stage.first) or [], np.int64)
             of_face[rows[(rows >= 0) & (rows < most)]] = number(bound)
     return tuple(names), of_face[face]
 
 
-def _material(body: UsdBody, prim: Any) -> tuple[str, tuple[float, float, float]] | None:
+def _read_bound_material(body: UsdBody, prim: Any) -> tuple[str, tuple[float, float, float]] | None:
     """Return the material that is bound to a prim, with its base colour. The colour is white if it comes from a texture."""
     material = pxr("UsdShade").MaterialBindingAPI(prim).ComputeBoundMaterial()[0]
     if not material:
@@ -290,12 +292,12 @@ def _material(body: UsdBody, prim: Any) -> tuple[str, tuple[float, float, float]
     colour_input = shader.GetInput("diffuseColor") if shader else None
     value = colour_input.Get() if colour_input else None
     if colour_input and colour_input.HasConnectedSource():
-        body.left_out[f"the texture of `{material.GetPath()}` is not read"] = None
+        body.omissions[f"the texture of `{material.GetPath()}` is not read"] = None
     colour = (1.0, 1.0, 1.0) if value is None or len(value) != 3 else tuple(float(min(max(c, 0.0), 1.0)) for c in value)
     return material.GetPrim().GetName(), (colour[0], colour[1], colour[2])
 
 
-def _display_colour(prim: Any) -> tuple[str, tuple[float, float, float]] | None:
+def _read_display_colour(prim: Any) -> tuple[str, tuple[float, float, float]] | None:
     """Return a name and the display colour of a mesh; None if it does not have exactly one colour."""
     primvar = pxr("UsdGeom").Gprim(prim).GetDisplayColorPrimvar()
     value = primvar.Get() if primvar and primvar.HasValue() else None

@@ -17,29 +17,29 @@ from numpy.typing import NDArray
 from antdsl import __version__
 from antdsl.bodies.agents.definition import Binding, Clip, Definition, Layer, Shape
 from antdsl.bodies.agents.other_axes import convert_axes
-from antdsl.bodies.agents.transforms import matrix_of, parts_of
+from antdsl.bodies.agents.transforms import compose_matrix, decompose_matrix
 from antdsl.bodies.files.clip_document import write_clip
-from antdsl.bodies.files.document_values import axis_word, unit_mm
-from antdsl.bodies.files.documents import json_text, write_group, write_layer, write_metadata, write_rig
-from antdsl.bodies.files.gltf_clips import write_settings
+from antdsl.bodies.files.document_values import format_axis, parse_unit_mm
+from antdsl.bodies.files.documents import format_json, write_group, write_layer, write_metadata, write_rig
+from antdsl.bodies.files.gltf_clips import build_settings_extras
 from antdsl.bodies.files.gltf_settings import CAPSULE_KEYS, body_extras
 from antdsl.bodies.files.gltf_textures import COLOUR
 from antdsl.bodies.files.gltf_writer import Entry, GltfWriter, ShapeParts
-from antdsl.scene.model import UNIT_MM
+from antdsl.scene.scene_model import UNIT_MM
 
-SHAPES = "shapes.glb"
+SHAPES_FILE_NAME = "shapes.glb"
 FRONT, UP, METRE = (0.0, 0.0, 1.0), (0.0, 1.0, 0.0), 1000.0
-_PLAIN = (0.3, 0.3, 0.3)  # colour of materials that have the colour of an agent's state, because a file has no agents
-_STILL: dict[str, tuple[float, ...]] = {"translation": (0, 0, 0), "rotation": (0, 0, 0, 1), "scale": (1, 1, 1)}
+_DEFAULT_COLOUR = (0.3, 0.3, 0.3)  # colour of materials that have the colour of an agent's state, because a file has no agents
+_IDENTITY_TRANSFORM: dict[str, tuple[float, ...]] = {"translation": (0, 0, 0), "rotation": (0, 0, 0, 1), "scale": (1, 1, 1)}
 
 
 # ---- our own files
 
 
-def definition_files(body: Definition, name: str) -> dict[str, bytes]:
+def build_definition_files(body: Definition, name: str) -> dict[str, bytes]:
     """Return the files of a definition by their paths: `NAME.json`, and in the folder `NAME` the parts that it names."""
     unit = next((word for word, mm in UNIT_MM.items() if mm == body.unit), f"{body.unit:.15g} mm")
-    if unit_mm(unit) != body.unit:
+    if parse_unit_mm(unit) != body.unit:
         unit, body = "mm", convert_axes(body, body.front, body.up, 1.0)
     files: dict[str, bytes] = {}
 
@@ -52,21 +52,21 @@ def definition_files(body: Definition, name: str) -> dict[str, bytes]:
         return {"file": f"{name}/{own}.json"}
 
     document: dict[str, Any] = {
-        "antdsl_body": 1, "name": body.name, "front": axis_word(body.front), "up": axis_word(body.up), "units": unit,
+        "antdsl_body": 1, "name": body.name, "front": format_axis(body.front), "up": format_axis(body.up), "units": unit,
         "length": body.length, "rig": part("rig", write_rig(body.rig)),
     }  # fmt: skip
     if body.materials:
         document["materials"] = {material: list(colour) for material, colour in body.materials.items()}
     if body.shapes:
-        files[f"{name}/{SHAPES}"] = _shapes_gltf(body)
-        document["shapes"] = [_shape_reference(body, shape, f"{name}/{SHAPES}") for shape in body.shapes.values()]
+        files[f"{name}/{SHAPES_FILE_NAME}"] = _build_shapes_gltf(body)
+        document["shapes"] = [_build_shape_reference(body, shape, f"{name}/{SHAPES_FILE_NAME}") for shape in body.shapes.values()]
     for key, texts in (
         ("layers", [(each.name, write_layer(each)) for each in body.layers.values()]),
-        ("clips", [(each.name, write_clip(_with_shear(body, each))) for each in body.clips.values()]),
+        ("clips", [(each.name, write_clip(_add_explicit_shear(body, each))) for each in body.clips.values()]),
         ("groups", [(each.name, write_group(each)) for each in body.groups.values()]),
     ):
         if texts:
-            document[key] = [part(f"{key}/{_file_name(each)}", text) for each, text in texts]
+            document[key] = [part(f"{key}/{_to_file_name(each)}", text) for each, text in texts]
     if body.legs:
         document["legs"] = [asdict(leg) for leg in body.legs]
     if body.gaits:
@@ -79,25 +79,27 @@ def definition_files(body: Definition, name: str) -> dict[str, bytes]:
         document["variation"] = {"scale": dict(body.variation.scales), "materials": dict(body.variation.materials)}
     if body.metadata:
         document["metadata"] = part("metadata", write_metadata(body.metadata))
-    return {f"{name}.json": json_text(document).encode()} | files
+    return {f"{name}.json": format_json(document).encode()} | files
 
 
-def _shapes_gltf(body: Definition) -> bytes:
+def _build_shapes_gltf(body: Definition) -> bytes:
     """Return a glTF file with all shapes unchanged, one mesh each. Shapes that follow joints have a skin. Units and axes are
     those of the definition."""
     writer = GltfWriter(f"antdsl {__version__}")
     materials = {}
     for name in {m: None for shape in body.shapes.values() for m in shape.materials if m and not _has_lone_material(body, shape)}:
         colour = body.materials.get(name, (1.0, 1.0, 1.0))
-        materials[name] = writer.add("materials", {"name": name, "pbrMetallicRoughness": {"baseColorFactor": [*colour, 1.0]}})
-    nodes = {name: writer.add("nodes", {"name": name}) for name in body.rig.names}
+        materials[name] = writer.add_part(
+            "materials", {"name": name, "pbrMetallicRoughness": {"baseColorFactor": [*colour, 1.0]}}
+        )
+    nodes = {name: writer.add_part("nodes", {"name": name}) for name in body.rig.names}
     roots = []
     for number, name in enumerate(body.rig.names):
         above = int(body.rig.parents[number])
         if above < 0:
             roots.append(nodes[name])
         else:
-            writer.entry("nodes", nodes[body.rig.names[above]]).setdefault("children", []).append(nodes[name])
+            writer.get_part("nodes", nodes[body.rig.names[above]]).setdefault("children", []).append(nodes[name])
     for shape in body.shapes.values():
         plain = Shape(
             shape.name, shape.points, shape.faces, shape.normals, shape.uvs, shape.materials, shape.material,
@@ -107,11 +109,11 @@ def _shapes_gltf(body: Definition) -> bytes:
         entry: dict[str, Any] = {"name": shape.name, "mesh": parts.mesh(shape.name, materials)}
         if shape.capture is not None:
             entry["skin"] = parts.add_skin(nodes, roots[0])
-        roots.append(writer.add("nodes", entry))
-    return writer.bytes(False, scene=0, scenes=[{"nodes": roots}])
+        roots.append(writer.add_part("nodes", entry))
+    return writer.to_bytes(False, scene=0, scenes=[{"nodes": roots}])
 
 
-def _shape_reference(body: Definition, shape: Shape, path: str) -> dict[str, Any]:
+def _build_shape_reference(body: Definition, shape: Shape, path: str) -> dict[str, Any]:
     """Return the entry of a definition file that refers to a shape, with the documented attributes of blend shapes."""
     reference: dict[str, Any] = {"file": path, "shape": shape.name}
     if _has_lone_material(body, shape):
@@ -123,9 +125,10 @@ def _shape_reference(body: Definition, shape: Shape, path: str) -> dict[str, Any
             "blendshape_attribs": " ".join(blend.attributes), "blendshape_ptidattr": blend.point_id,
             "blendshape_primidattr": blend.primitive_id,
         }  # fmt: skip
-    if shape.between is not None:
+    if shape.in_betweens is not None:
         reference |= {
-            "blendshape_shapenames": list(shape.between.shapes), "blendshape_inbetweenweights": list(shape.between.weights),
+            "blendshape_shapenames": list(shape.in_betweens.shapes),
+            "blendshape_inbetweenweights": list(shape.in_betweens.weights),
         }  # fmt: skip
     if shape.dual_quaternion_blend:
         reference["deformDualQuaternionBlendAttrib"] = shape.dual_quaternion_blend
@@ -138,15 +141,15 @@ def _has_lone_material(body: Definition, shape: Shape) -> bool:
     return len(shape.materials) == 1 and shape.materials[0] not in body.materials
 
 
-def _with_shear(body: Definition, clip: Clip) -> Clip:
+def _add_explicit_shear(body: Definition, clip: Clip) -> Clip:
     """Return a clip with explicit shear if the rest pose has shear. Otherwise a reader would take the shear from the rest
     pose."""
-    if clip.shear is not None or np.abs(parts_of(body.rig.rest)[3]).max(initial=0.0) < 1e-9:
+    if clip.shear is not None or np.abs(decompose_matrix(body.rig.rest)[3]).max(initial=0.0) < 1e-9:
         return clip
     return replace(clip, shear=np.zeros_like(clip.translation))
 
 
-def _file_name(name: str) -> str:
+def _to_file_name(name: str) -> str:
     """Return a name in the spelling of file names."""
     return re.sub(r"[^A-Za-z0-9_-]", "_", name)[:60] or "part"
 
@@ -159,8 +162,8 @@ def write_gltf(body: Definition, layer: Layer, *, text: bool) -> tuple[bytes, li
     about parts that glTF cannot store."""
     placed = convert_axes(body, FRONT, UP, METRE)
     document = _GltfParts(placed, layer)
-    data = document.writer.bytes(text, scene=0, scenes=[{"nodes": document.roots}], extras=body_extras(placed))
-    return data, [*document.notes, *_list_omissions(body, layer)]
+    data = document.writer.to_bytes(text, scene=0, scenes=[{"nodes": document.roots}], extras=body_extras(placed))
+    return data, [*document.omissions, *_list_omissions(body, layer)]
 
 
 def _list_omissions(body: Definition, layer: Layer) -> list[str]:
@@ -176,7 +179,7 @@ def _list_omissions(body: Definition, layer: Layer) -> list[str]:
         notes.append("metadata is left out")
     if any("dualquat" in binding.deformer for binding in layer.deforming):
         notes.append("dual quaternion skinning is linear there: glTF has no other")
-    if any(shape.between for shape in body.shapes.values()):
+    if any(shape.in_betweens for shape in body.shapes.values()):
         notes.append("in-betweens become separate morph targets, with the weight that they have at each sample")
     return notes
 
@@ -185,13 +188,13 @@ class _GltfParts:
     """The parts of a glTF file, created in order."""
 
     def __init__(self, body: Definition, layer: Layer) -> None:
-        self.body, self.writer, self.notes = body, GltfWriter(f"antdsl {__version__}"), list[str]()
+        self.body, self.writer, self.omissions = body, GltfWriter(f"antdsl {__version__}"), list[str]()
         self.nodes: dict[str, int] = {}
         self.roots: list[int] = []
-        self._morphs: list[tuple[int, ShapeParts]] = []
+        self._morph_shapes: list[tuple[int, ShapeParts]] = []
         self._add_joints()
         self._materials = {name: self._add_material(name, colour) for name, colour in body.materials.items()}
-        self._parts: dict[str, ShapeParts] = {}
+        self._shape_parts: dict[str, ShapeParts] = {}
         for binding in (*layer.static, *layer.deforming):
             self._add_binding(binding)
         for clip in body.clips.values():
@@ -201,83 +204,86 @@ class _GltfParts:
         """Add one node per joint, with its rest pose."""
         rig = self.body.rig
         moved = {joint for clip in self.body.clips.values() for joint in clip.joints}
-        parts = parts_of(rig.rest)
-        again = matrix_of(parts[0], parts[1], parts[2])
+        parts = decompose_matrix(rig.rest)
+        again = compose_matrix(parts[0], parts[1], parts[2])
         for number, name in enumerate(rig.names):
             entry: Entry = {"name": name}
             if np.abs(again[number] - rig.rest[number]).max() > 1e-6 and name not in moved:
                 entry["matrix"] = rig.rest[number].T.ravel().tolist()
             else:
-                for (path, still), part in zip(_STILL.items(), parts, strict=False):
+                for (path, still), part in zip(_IDENTITY_TRANSFORM.items(), parts, strict=False):
                     if np.abs(part[number] - np.array(still)).max() > 1e-12:
                         entry[path] = part[number].tolist()
-            self.nodes[name] = self.writer.add("nodes", entry)
+            self.nodes[name] = self.writer.add_part("nodes", entry)
             if rig.parents[number] < 0:
                 self.roots.append(self.nodes[name])
             else:
-                above = self.writer.entry("nodes", self.nodes[rig.names[rig.parents[number]]])
+                above = self.writer.get_part("nodes", self.nodes[rig.names[rig.parents[number]]])
                 above.setdefault("children", []).append(self.nodes[name])
 
     def _add_material(self, name: str, colour: tuple[float, float, float]) -> int:
         """Add a material with a base colour and return its number."""
         pbr = {"baseColorFactor": [*colour, 1.0], "metallicFactor": 0.0, "roughnessFactor": 0.55}
-        return self.writer.add("materials", {"name": name, "pbrMetallicRoughness": pbr})
+        return self.writer.add_part("materials", {"name": name, "pbrMetallicRoughness": pbr})
 
     def _add_binding(self, binding: Binding) -> None:
         """Write a mesh. A skinned mesh becomes a node next to the joints. Any other mesh is attached to its joint's node, or to a
         child of it if that node already has a mesh."""
         shape = self.body.shapes[binding.shape]
-        if binding.shape not in self._parts:
-            self._parts[binding.shape] = ShapeParts(self.writer, self.body, shape, shape.normals)
+        if binding.shape not in self._shape_parts:
+            self._shape_parts[binding.shape] = ShapeParts(self.writer, self.body, shape, shape.normals)
             for name in shape.materials:
                 if name and name not in self._materials:
-                    self._materials[name] = self._add_material(name, _PLAIN)
-        parts = self._parts[binding.shape]
+                    self._materials[name] = self._add_material(name, _DEFAULT_COLOUR)
+        parts = self._shape_parts[binding.shape]
         mesh = parts.mesh(shape.name, self._materials)
         if "skinning" in binding.deformer and shape.capture is not None:
-            node = self.writer.add("nodes", {"name": shape.name, "mesh": mesh, "skin": parts.add_skin(self.nodes, self.roots[0])})
+            node = self.writer.add_part(
+                "nodes", {"name": shape.name, "mesh": mesh, "skin": parts.add_skin(self.nodes, self.roots[0])}
+            )
             self.roots.append(node)
         else:
             node = self.nodes.get(binding.transform, self.roots[0])
-            if "mesh" in self.writer.entry("nodes", node):
-                below = self.writer.add("nodes", {"name": f"{binding.transform}.{shape.name}"})
-                self.writer.entry("nodes", node).setdefault("children", []).append(below)
+            if "mesh" in self.writer.get_part("nodes", node):
+                below = self.writer.add_part("nodes", {"name": f"{binding.transform}.{shape.name}"})
+                self.writer.get_part("nodes", node).setdefault("children", []).append(below)
                 node = below
-            self.writer.entry("nodes", node)["mesh"] = mesh
+            self.writer.get_part("nodes", node)["mesh"] = mesh
         if parts.targets is not None:
-            rest = parts.targets.weights(self.body.rig.defaults[None])[0].tolist()
-            self.writer.entry("meshes", mesh)["weights"] = rest
-            self._morphs.append((node, parts))
+            rest = parts.targets.weights(self.body.rig.channel_defaults[None])[0].tolist()
+            self.writer.get_part("meshes", mesh)["weights"] = rest
+            self._morph_shapes.append((node, parts))
 
     def _add_clip(self, clip: Clip) -> None:
         """Add a clip as an animation, with channels for its joints and for morph weights."""
-        times = self.writer.accessor(np.arange(clip.samples) / clip.rate, bounds=True)
+        times = self.writer.add_accessor(np.arange(clip.sample_count) / clip.rate, bounds=True)
         samplers: list[Entry] = []
         channels: list[Entry] = []
 
         def key(node: int, path: str, values: NDArray[np.float32]) -> None:
             channels.append({"sampler": len(samplers), "target": {"node": node, "path": path}})
-            samplers.append({"input": times, "output": self.writer.accessor(values), "interpolation": "LINEAR"})
+            samplers.append({"input": times, "output": self.writer.add_accessor(values), "interpolation": "LINEAR"})
 
         for number, joint in enumerate(clip.joints):
             if joint in self.nodes:
                 for path, part in (("translation", clip.translation), ("rotation", clip.rotation), ("scale", clip.scale)):
                     key(self.nodes[joint], path, part[:, number])
         if clip.shear is not None and np.abs(clip.shear).max() > 1e-6:
-            self.notes.append(f"the shear of the clip `{clip.name}` is left out: glTF has none")
-        values = np.tile(self.body.rig.defaults, (clip.samples, 1))
+            self.omissions.append(f"the shear of the clip `{clip.name}` is left out: glTF has none")
+        values = np.tile(self.body.rig.channel_defaults, (clip.sample_count, 1))
         known = [each.name for each in self.body.rig.channels]
         for number, channel in enumerate(clip.channels):
             if channel in known:
                 values[:, known.index(channel)] = clip.values[:, number]
         used = {channel for shape in self.body.shapes.values() if shape.blend for channel in shape.blend.channels}
         if set(clip.channels) - used:
-            self.notes.append(f"channels of the clip `{clip.name}` that drive no morph target are left out")
-        for node, parts in self._morphs:
+            self.omissions.append(f"channels of the clip `{clip.name}` that drive no morph target are left out")
+        for node, parts in self._morph_shapes:
             assert parts.targets is not None and parts.shape.blend is not None
             if set(parts.shape.blend.channels) & set(clip.channels):
                 key(node, "weights", parts.targets.weights(values).reshape(-1))
         if channels:
-            self.writer.add(
-                "animations", {"name": clip.name, "samplers": samplers, "channels": channels, "extras": write_settings(clip)}
+            self.writer.add_part(
+                "animations",
+                {"name": clip.name, "samplers": samplers, "channels": channels, "extras": build_settings_extras(clip)},
             )

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.bodies.agents.definition import Definition
-from antdsl.bodies.agents.deformers import bound
-from antdsl.bodies.agents.poses import REST_CLIP, Poses, clip_table, sample_poses, transforms
-from antdsl.bodies.posed_body import own_layer
+from antdsl.bodies.agents.deformers import deform_binding
+from antdsl.bodies.agents.poses import REST_CLIP, Poses, build_clip_table, compute_transforms, sample_poses
+from antdsl.bodies.posed_body import find_base_layer
 
 Floats = NDArray[np.float64]
 _MAX_SAMPLES = 1200  # samples of a clip that are examined
@@ -20,11 +20,11 @@ _CLOSED_SHARE = 1e-3  # of the body's extent: a last pose nearer to the first th
 
 def sample_worlds(body: Definition, clip: str, times: Floats) -> NDArray[np.float32]:
     """Return world matrices of joints, float32[n, J, 3, 4], joints in the order of the rig. `clip`: "" for the rest pose."""
-    table = clip_table(body)
-    number = table.number(clip) if clip else REST_CLIP
-    worlds = transforms(table, sample_poses(table, np.full(len(times), number), times))[1]
+    table = build_clip_table(body)
+    number = table.find_clip(clip) if clip else REST_CLIP
+    worlds = compute_transforms(table, sample_poses(table, np.full(len(times), number), times))[1]
     ordered = np.empty_like(worlds)
-    ordered[:, :, table.order] = worlds
+    ordered[:, :, table.joint_order] = worlds
     return ordered.transpose(3, 2, 0, 1)
 
 
@@ -51,7 +51,7 @@ class ClipMotion:
 def clip_motion(body: Definition, name: str, extent: float) -> ClipMotion:
     """Return the motion of a clip. `extent`: the size of the body. Long clips are examined at fewer samples."""
     clip = body.clips[name]
-    count = min(max(clip.samples, 1), _MAX_SAMPLES)
+    count = min(max(clip.sample_count, 1), _MAX_SAMPLES)
     times = np.linspace(0.0, clip.duration, count)
     worlds = sample_worlds(body, name, np.minimum(times, clip.duration * (1 - 1e-6)))
     step = clip.duration / max(count - 1, 1)
@@ -74,12 +74,12 @@ class BodyPoints:
 
 def posed_points(body: Definition, worlds: NDArray[np.float32]) -> BodyPoints:
     """Return the points of a body. `worlds`: the matrices of its joints in one pose, [J, 3, 4]."""
-    poses = Poses(worlds[None], None, np.asarray(body.rig.defaults, np.float32)[None])
+    poses = Poses(worlds[None], None, np.asarray(body.rig.channel_defaults, np.float32)[None])
     positions, joints = [np.zeros((0, 3))], [np.zeros(0, np.intp)]
-    layer = own_layer(body)
+    layer = find_base_layer(body)
     for binding in (*layer.static, *layer.deforming):
         shape = body.shapes[binding.shape]
-        points = np.asarray(bound(body, binding, poses).points[0], np.float64)
+        points = np.asarray(deform_binding(body, binding, poses).points[0], np.float64)
         if shape.capture is not None and binding.deformer not in ("", "blendshape"):
             numbers = np.array([body.rig.joint(name) for name in shape.capture.names], np.intp)
             strongest = shape.capture.weights.argmax(axis=1)

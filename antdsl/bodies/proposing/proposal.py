@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.bodies.agents.definition import Definition, language_name
-from antdsl.bodies.files.document_values import axis_word
+from antdsl.bodies.agents.definition import Definition, to_language_name
+from antdsl.bodies.files.document_values import format_axis
 from antdsl.bodies.proposing.joint_motion import posed_points
 from antdsl.bodies.proposing.leg_search import FoundLeg
 from antdsl.bodies.proposing.study import IDLE_WORDS, STILL_SHARE, BodyStudy, is_below, study_body
-from antdsl.scene.model import UNIT_MM
+from antdsl.scene.scene_model import UNIT_MM
 
 Floats = NDArray[np.float64]
 _PLAUSIBLE_HEIGHT_MM = (2.0, 4000.0)  # of an animal or a person
@@ -64,7 +64,7 @@ def propose(body: Definition, file: str) -> Proposal:
     proposal = Proposal()
     proposal.reasons[""] = ["Proposed by `antdsl body --propose`. Correct what is wrong, then delete the comments."]
     proposal.add("antdsl_body", 1)
-    proposal.add("name", language_name(body.name))
+    proposal.add("name", to_language_name(body.name))
     proposal.add("from", file)
     front = _add_axes(proposal, study)
     unit = _add_unit(proposal, study)
@@ -94,15 +94,15 @@ def _idle_reason(study: BodyStudy) -> str:
 def _add_axes(proposal: Proposal, study: BodyStudy) -> Floats:
     """Add `front` and `up`, and return the front."""
     body, up = study.body, study.up
-    word = axis_word(_triple(up))
-    if word == axis_word(body.up):
+    word = format_axis(_triple(up))
+    if word == format_axis(body.up):
         up_reason = "up: that of the file; feet are at its lower end" if study.search.feet else "up: that of the file"
     else:
         up_reason = (
-            f"up: along the file's {axis_word(body.up)} no legs reach the ground, along {word} {len(study.search.legs)} do"
+            f"up: along the file's {format_axis(body.up)} no legs reach the ground, along {word} {len(study.search.legs)} do"
         )
     front, front_reason = _front(study)
-    proposal.add("front", axis_word(_triple(front)), f"front: {front_reason}")
+    proposal.add("front", format_axis(_triple(front)), f"front: {front_reason}")
     proposal.add("up", word, up_reason)
     return front
 
@@ -198,7 +198,7 @@ def _clip_names(study: BodyStudy) -> dict[str, str]:
     words |= {study.idle: "idle"} if study.idle else {}
     order = dict.fromkeys([*words, *study.body.clips])
     for name in order:
-        word, count = words.get(name) or language_name(re.split(r"[|/]", name)[-1] or name), 2
+        word, count = words.get(name) or to_language_name(re.split(r"[|/]", name)[-1] or name), 2
         unique = word
         while unique in taken:
             unique, count = f"{word}_{count}", count + 1

@@ -12,8 +12,8 @@ from antdsl.cli.exits import CommandError, ExitCode
 from antdsl.cli.printing.messages import print_result
 
 if TYPE_CHECKING:
-    from antdsl.bench.costs import Job, Measurement
-    from antdsl.bench.tables import Result
+    from antdsl.bench.costs import BenchJob, Measurement
+    from antdsl.bench.tables import CaseResult
 
 SLOWEST_BACKEND = "reference"  # left out unless it is named: it takes one agent at a time
 
@@ -51,7 +51,7 @@ def bench(
         results = []
         for name, count in jobs:
             results.append(_measure_case(name, count, names, pairs, steps, threads, not steps_only))
-            _show(results[-1])
+            _print_result(results[-1])
         if json_ is not None:
             import json
 
@@ -77,7 +77,7 @@ def _choose_jobs(cases: list[str], agents: list[int]) -> list[tuple[str, int | N
     from antdsl.bench import CASES
 
     if not cases:
-        quick = [(case.name, agents or list(case.quick)) for case in CASES.values() if case.quick]
+        quick = [(case.name, agents or list(case.quick_agent_counts)) for case in CASES.values() if case.quick_agent_counts]
         return [(name, count) for name, counts in quick for count in counts]
     jobs: list[tuple[str, int | None]] = []
     for name in cases:
@@ -101,17 +101,17 @@ def _require_openable(name: str) -> None:
 
 
 def _measure_case(
-    name: str, count: int | None, backends: list[str], turns: int, steps: int, threads: int, full_run: bool
-) -> Result:
-    from antdsl.bench import Job
-    from antdsl.bench.tables import Result
+    name: str, agents: int | None, backends: list[str], turns: int, steps: int, threads: int, full_run: bool
+) -> CaseResult:
+    from antdsl.bench import BenchJob
+    from antdsl.bench.tables import CaseResult
 
-    alone = [_measure(Job(name, count, (each,), turns, steps, threads, full_run)) for each in backends]
-    together = _measure(Job(name, count, tuple(backends), turns, steps, threads)) if len(backends) > 1 else None
-    return Result(tuple(alone), together)
+    alone = [_measure_job(BenchJob(name, agents, (each,), turns, steps, threads, full_run)) for each in backends]
+    together = _measure_job(BenchJob(name, agents, tuple(backends), turns, steps, threads)) if len(backends) > 1 else None
+    return CaseResult(tuple(alone), together)
 
 
-def _measure(job: Job) -> Measurement:
+def _measure_job(job: BenchJob) -> Measurement:
     from antdsl.bench.costs import MeasuringError, measure_in_process
 
     try:
@@ -120,7 +120,7 @@ def _measure(job: Job) -> Measurement:
         raise CommandError(ExitCode.FINDINGS, f"error: {job.case}: {why}") from None
 
 
-def _show(result: Result) -> None:
-    from antdsl.cli.printing.bench_tables import show
+def _print_result(result: CaseResult) -> None:
+    from antdsl.cli.printing.bench_tables import print_case_result
 
-    show(result)
+    print_case_result(result)

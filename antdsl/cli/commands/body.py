@@ -48,10 +48,10 @@ def body(
 ) -> None:
     """Say what is in the body of an agent: joints, shapes, layers, clips, groups, metadata, and what is wrong with it."""
     from antdsl.bodies.files.reading import read_definition
-    from antdsl.bodies.library import library_body
+    from antdsl.bodies.library import load_library_body
     from antdsl.cli.arguments import parse_grants
-    from antdsl.cli.printing.body_tables import body_document, body_lines
-    from antdsl.cli.printing.reports import report_exit_code, show
+    from antdsl.cli.printing.body_tables import format_body, format_body_json
+    from antdsl.cli.printing.reports import choose_exit_code, print_report
     from antdsl.diagnostics import Report
     from antdsl.scene.library_bodies import BODY_WORDS
     from antdsl.scene.paths import Roots
@@ -60,33 +60,33 @@ def body(
     report = Report()
     definition: Definition | None
     if str(file) in BODY_WORDS and not file.is_file():
-        definition = library_body(str(file))
+        definition = load_library_body(str(file))
     else:
         definition, report = read_definition(file, roots, prim=prim, rate=rate or (_PROPOSAL_RATE if propose else 0.0))
     if propose:
-        show(report)
+        print_report(report)
         if definition is not None and report.ok:
             _propose(definition, file, to, quiet)
     elif as_json:
-        print_result(body_document(definition, report), newline=False)
+        print_result(format_body_json(definition, report), newline=False)
     else:
-        show(report)
+        print_report(report)
         if definition is not None and not quiet and to is None:
-            for line in body_lines(definition):
+            for line in format_body(definition):
                 print_result(line)
     if definition is not None and report.ok and to is not None and not propose:
         _write_body(definition, file, to, layer, quiet)
     if not report.ok:
         raise CommandError(
-            ExitCode.FINDINGS if as_json and report_exit_code(report) is not ExitCode.INPUT_OUTPUT else report_exit_code(report)
+            ExitCode.FINDINGS if as_json and choose_exit_code(report) is not ExitCode.INPUT_OUTPUT else choose_exit_code(report)
         )
 
 
 def _propose(body: Definition, source: Path, to: Path | None, quiet: bool) -> None:
     """Print a proposed definition file, or write it to `to`."""
+    from antdsl.atomic_write import write_atomically
     from antdsl.bodies.proposing.proposal import propose
     from antdsl.cli.destinations import protect_inputs, require_writable_file
-    from antdsl.whole import write_atomically
 
     if source.suffix.lower() == ".json" or not source.is_file():
         raise typer.BadParameter(f"`{source.name}` is not a glTF or USD file", param_hint="FILE")
@@ -109,10 +109,10 @@ def _propose(body: Definition, source: Path, to: Path | None, quiet: bool) -> No
 
 def _write_body(body: Definition, source: Path, to: Path, layer: str, quiet: bool) -> None:
     """Write a definition as another kind of file, and report the parts that are left out."""
-    from antdsl.bodies.files.writing import definition_files, write_gltf
-    from antdsl.bodies.posed_body import own_layer
+    from antdsl.atomic_write import create_folder_durably, write_atomically
+    from antdsl.bodies.files.writing import build_definition_files, write_gltf
+    from antdsl.bodies.posed_body import find_base_layer
     from antdsl.cli.destinations import protect_inputs, require_writable_file, require_writable_folder
-    from antdsl.whole import make_folder, write_atomically
 
     kind = to.suffix.lower()
     if kind not in (".json", ".glb", ".gltf"):
@@ -123,16 +123,16 @@ def _write_body(body: Definition, source: Path, to: Path, layer: str, quiet: boo
     require_writable_file(to, "--to")
     notes: list[str] = []
     if kind == ".json":
-        files = definition_files(body, to.stem)
+        files = build_definition_files(body, to.stem)
         parts = [path for path in files if path != to.name]
         require_writable_folder(to.parent / to.stem, "--to", *(path.partition("/")[2] for path in parts))
     else:
-        data, notes = write_gltf(body, body.layers[layer] if layer else own_layer(body), text=kind == ".gltf")
+        data, notes = write_gltf(body, body.layers[layer] if layer else find_base_layer(body), text=kind == ".gltf")
         files, parts = {to.name: data}, []
     with protect_inputs({"--to": to}, {"--to": (to.parent, [to.stem])} if parts else None) as inputs:
         inputs.append(source)
     for path in (*parts, to.name):
-        make_folder((to.parent / path).parent)
+        create_folder_durably((to.parent / path).parent)
         write_atomically(to.parent / path, files[path])
     if not quiet:
         print_note(f"{to}, and {len(parts)} files in {to.parent / to.stem}" if parts else f"{to}: {len(files[to.name]):,} bytes")

@@ -59,12 +59,12 @@ def check(
             raise typer.BadParameter("this list is available as text only; leave out `--format`", param_hint=flag)
     if STDIN_PATH in (paths or []) and len(paths) > 1:
         raise typer.BadParameter("standard input must be alone", param_hint="-")
-    from antdsl.checking import check_all, check_text
-    from antdsl.cli.printing.reports import report_exit_code, show
+    from antdsl.checking import check_files, check_text
+    from antdsl.cli.printing.reports import choose_exit_code, print_report
     from antdsl.diagnostics import Report
-    from antdsl.diagnostics.ignoring import apply_ignores, without_ignored
+    from antdsl.diagnostics.ignore_comments import apply_ignores, remove_ignored
     from antdsl.files import find_files
-    from antdsl.numerics.host import cores
+    from antdsl.numerics.host import count_available_cores
     from antdsl.pipeline import RunChoices, open_scene
 
     choices = RunChoices(parse_grants(root))
@@ -73,41 +73,49 @@ def check(
         files, report = list(checked.reports), Report()
     else:
         files, report = find_files(paths or [Path()])
-        checked = check_all(files, choices, strict=strict, cores=cores(), programs=params or cost, cpu_seconds=cpu_limit)
+        checked = check_files(
+            files, choices, strict=strict, cores=count_available_cores(), programs=params or cost, cpu_seconds=cpu_limit
+        )
     for file in files:
         report.extend(checked.reports[file])
     report = apply_ignores(report, checked.sources, strict=strict)
     if strict:
-        report = _strict(report)
-    show(report, format.value)
+        report = _treat_warnings_as_errors(report)
+    print_report(report, format.value)
     if format is ReportFormat.full and report.diagnostics:
-        codes = list(dict.fromkeys(each.code for each in without_ignored(report).sorted()))
+        codes = list(dict.fromkeys(each.code for each in remove_ignored(report).sort_by_place()))
         others = ", ".join(f"`{code}`" for code in codes[1:4]) + (" …" if len(codes) > 4 else "")
         if codes:
             print_result(f"for details, run `antdsl check --explain {codes[0]}`{f', or name {others}' if others else ''}\n")
     if params or cost:
-        from antdsl.cli.printing.check_tables import cost_table, explain_missing_table, params_table, settings_table, work_table
+        from antdsl.cli.printing.check_tables import (
+            explain_missing_table,
+            format_cost_table,
+            format_params_table,
+            format_work_table,
+            settings_table,
+        )
 
         programs = [(file, checked.programs[file]) for file in files if file in checked.programs]
         sound = [(file, program) for file, program in programs if checked.reports[file].ok]
-        for line in (*params_table(programs), *settings_table(programs)) if params else ():
+        for line in (*format_params_table(programs), *settings_table(programs)) if params else ():
             print_result(line)
-        for line in cost_table(sound) if cost else ():
+        for line in format_cost_table(sound) if cost else ():
             print_result(line)
         for file in files if cost else ():
             if not checked.reports[file].ok:
                 print_result(explain_missing_table("costs", file, checked.reports[file]))
         for file, _ in sound if cost else ():
             shot = open_scene(file, choices)[0] if file.suffix != ".ant" else None
-            for line in work_table(file, shot) if shot is not None else ():
+            for line in format_work_table(file, shot) if shot is not None else ():
                 print_result(line)
     if imports:
-        from antdsl.cli.printing.check_tables import import_table
+        from antdsl.cli.printing.check_tables import format_import_table
 
-        for line in import_table(files, checked.reports, choices):
+        for line in format_import_table(files, checked.reports, choices):
             print_result(line)
     if not report.ok:
-        raise CommandError(report_exit_code(report))
+        raise CommandError(choose_exit_code(report))
     if format is ReportFormat.full:
         warnings = len(report.diagnostics)
         if not files and not warnings:
@@ -118,7 +126,7 @@ def check(
         print_result(f"checked {len(files)} file{'' if len(files) == 1 else 's'}{tail}")
 
 
-def _strict(report: Report) -> Report:
+def _treat_warnings_as_errors(report: Report) -> Report:
     from dataclasses import replace
 
     from antdsl.diagnostics import Report
@@ -130,23 +138,27 @@ def _print_explanation(word: str) -> None:
     """Print the page of a diagnostic's code, or the meaning of a word of the language, of scenes or of the library."""
     import re
 
-    from antdsl.cli.printing.pages import show, show_page
+    from antdsl.cli.printing.pages import print_code_page, print_markdown
     from antdsl.diagnostics.codes import CODE_DESCRIPTIONS
-    from antdsl.diagnostics.suggestion import nearest_name
-    from antdsl.lsp.language import explain_word, words
-    from antdsl.syntax.mistakes.number_slips import unit_help
+    from antdsl.diagnostics.suggestion import find_nearest_name
+    from antdsl.lsp.word_help import explain_word, list_known_words
+    from antdsl.syntax.mistakes.number_slips import find_unit_help
     from antdsl.syntax.words import UNIT_NAMES
 
     if word in CODE_DESCRIPTIONS:
-        show_page(word)
+        print_code_page(word)
         return
     page = explain_word(word.removesuffix("()"))
     if page is not None:
-        show(page)
+        print_markdown(page)
         return
     slip = [part for part in re.findall("[A-Za-z]+", word) if part not in UNIT_NAMES] if re.search("[/*^%]", word) else []
     if slip:
-        raise CommandError(ExitCode.USAGE, f"error: no unit `{slip[0]}` as in `{word}`", unit_help(slip[0]))
-    near = nearest_name(word, CODE_DESCRIPTIONS) if "-" in word else nearest_name(word, {*words(), *CODE_DESCRIPTIONS})
+        raise CommandError(ExitCode.USAGE, f"error: no unit `{slip[0]}` as in `{word}`", find_unit_help(slip[0]))
+    near = (
+        find_nearest_name(word, CODE_DESCRIPTIONS)
+        if "-" in word
+        else find_nearest_name(word, {*list_known_words(), *CODE_DESCRIPTIONS})
+    )
     usual = "codes stand in brackets after `error`; words are those of the language and the names of its behaviours"
     raise CommandError(ExitCode.USAGE, f"error: no code and no word `{word}`", f"did you mean `{near}`?" if near else usual)

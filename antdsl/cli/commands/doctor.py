@@ -29,7 +29,7 @@ def doctor() -> None:
     for package in REQUIRED_PACKAGES:
         _check_package(package, problems)
     for package, purpose in OPTIONAL_PACKAGES.items():
-        _check_optional(package, purpose)
+        _check_optional_package(package, purpose)
     _check_machine_code(problems)
     _check_tables()
     _check_sandbox(problems)
@@ -39,8 +39,8 @@ def doctor() -> None:
     print_result("\nall is well")
 
 
-def _print_check(name: str, good: bool, words: str) -> None:
-    print_result(f"{'ok     ' if good else 'MISSING'} {name:<16} {words}".rstrip())
+def _print_check(name: str, is_ok: bool, details: str) -> None:
+    print_result(f"{'ok     ' if is_ok else 'MISSING'} {name:<16} {details}".rstrip())
 
 
 def _check_python(problems: list[str]) -> None:
@@ -54,9 +54,9 @@ def _check_python(problems: list[str]) -> None:
 
 
 def _check_system_libraries(problems: list[str]) -> None:
-    from antdsl.bootstrap import SYSTEM_LIBRARIES, missing_packages
+    from antdsl.bootstrap import SYSTEM_LIBRARIES, find_missing_packages
 
-    missing = missing_packages(SYSTEM_LIBRARIES)
+    missing = find_missing_packages(SYSTEM_LIBRARIES)
     _print_check(
         "system libraries",
         not missing,
@@ -69,12 +69,12 @@ def _check_system_libraries(problems: list[str]) -> None:
 def _check_package(package: str, problems: list[str]) -> None:
     from importlib import import_module
 
-    from antdsl.casting.open3d_module import open3d
+    from antdsl.casting.open3d_module import load_open3d
 
     display_name = _DISTRIBUTION_NAMES.get(package, package)
     try:
         if package == "open3d":
-            open3d()
+            load_open3d()
         else:
             import_module(package)
     except Exception as problem:  # a broken binary package can raise anything
@@ -85,10 +85,10 @@ def _check_package(package: str, problems: list[str]) -> None:
             else "pip install open3d-cpu (Linux x86-64) or open3d, after the system libraries"
         )
         return
-    _print_check(display_name, True, _version(display_name))
+    _print_check(display_name, True, _find_installed_version(display_name))
 
 
-def _version(name: str) -> str:
+def _find_installed_version(name: str) -> str:
     from importlib.metadata import PackageNotFoundError, version
 
     for candidate in (name, f"{name}-cpu"):
@@ -99,7 +99,7 @@ def _version(name: str) -> str:
     return ""
 
 
-def _check_optional(package: str, purpose: str) -> None:
+def _check_optional_package(package: str, purpose: str) -> None:
     from importlib.util import find_spec
 
     words = "installed" if find_spec(package) is not None else f"not installed; needed for {purpose}"
@@ -107,39 +107,39 @@ def _check_optional(package: str, purpose: str) -> None:
 
 
 def _check_machine_code(problems: list[str]) -> None:
-    from antdsl.machine_code import machine
+    from antdsl.machine_code import llvm_compiler
     from antdsl.machine_code.object_cache import ObjectCache
 
-    why = machine.unavailable()
-    _print_check("machine code", not why, why or f"for {machine.host().cpu}")
+    why = llvm_compiler.unavailability_reason()
+    _print_check("machine code", not why, why or f"for {llvm_compiler.host_target().cpu}")
     if why:
         problems.append(why)
         return
     _check_kernels()
     stored = ObjectCache()
-    stored.prepare()
+    stored.prepare_folder()
     for sentence in stored.messages:
         print_result(f"-       {'folder of code':<16} {sentence}")
 
 
 def _check_kernels() -> None:
     """Print whether the installation has compiled kernels for this processor, this LLVM version and these sources."""
-    from antdsl.machine_code import machine, shipped
+    from antdsl.machine_code import llvm_compiler, shipped_objects
     from antdsl.numerics.elementary_loops import cosines
 
-    host = machine.host()
-    if shipped.find_object(cosines.text_key(host), host) is None:
+    host = llvm_compiler.host_target()
+    if shipped_objects.find_object(cosines.text_key(host), host) is None:
         print_result(f"-       {'kernels':<16} compiled when they are first used, which takes some seconds once")
     else:
-        print_result(f"ok      {'kernels':<16} compiled in advance for {shipped.target_name(host)}")
+        print_result(f"ok      {'kernels':<16} compiled in advance for {shipped_objects.target_name(host)}")
 
 
 def _check_tables() -> None:
     """Print whether tables of meshes are stored for later runs, and if not, why."""
     from antdsl.numerics import stored_tables
 
-    stored = stored_tables.store()
-    stored.prepare()
+    stored = stored_tables.open_store()
+    stored.prepare_folder()
     for sentence in stored.messages:
         print_result(f"-       {'folder of tables':<16} {sentence}")
 
@@ -161,9 +161,9 @@ def _check_sandbox(problems: list[str]) -> None:
 
 
 def _check_files(problems: list[str]) -> None:
-    from antdsl.resources import grammar_file, library_names
+    from antdsl.resources import grammar_file, list_library_names
 
-    good = grammar_file("tables.json").is_file() and "steering" in library_names()
+    good = grammar_file("tables.json").is_file() and "steering" in list_library_names()
     _print_check("antdsl's files", good, "grammar, library of behaviours" if good else "grammar or behaviours not found")
     if not good:
         problems.append("install antdsl again")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import typer
 
-from antdsl.cli.destinations import default_path, protect_inputs, require_writable_folder
+from antdsl.cli.destinations import choose_default_path, protect_inputs, require_writable_folder
 from antdsl.cli.exits import explain_cache_errors, report_failures
 from antdsl.cli.printing.messages import print_note
 
@@ -27,24 +27,24 @@ def edit(
     quiet: bool = typer.Option(False, "--quiet", "-q", help="Print problems only."),
 ) -> None:
     """Write a copy of a cache with its orientations smoothed over time."""
-    from antdsl.outputs.cache.cache_reader import NAMES, open_cache
-    from antdsl.outputs.editing import smooth_orientations
+    from antdsl.outputs.cache.cache_reader import CACHE_ENTRY_NAMES, open_cache
+    from antdsl.outputs.orientation_smoothing import smooth_orientations
 
-    width = _parse_width(smooth)
-    folder = out if out is not None else default_path(cache.parent, f"{cache.resolve().name}_edited")
+    width = _parse_smoothing_width(smooth)
+    folder = out if out is not None else choose_default_path(cache.parent, f"{cache.resolve().name}_edited")
     require_writable_folder(folder, "--out")
     with explain_cache_errors(cache):
-        with protect_inputs({}, {"--out": (folder, NAMES)}) as inputs:
+        with protect_inputs({}, {"--out": (folder, CACHE_ENTRY_NAMES)}) as inputs:
             read = open_cache(cache)
-            inputs += [*read.source_files(), *(cache / name for name in NAMES)]
+            inputs += [*read.find_source_files(), *(cache / name for name in CACHE_ENTRY_NAMES)]
         count = sum(1 for _ in smooth_orientations(read, folder, width, force=force))
     if not quiet:
         print_note(f"{count} frames, orientations smoothed over {width}, are in {folder}")
 
 
-def _parse_width(text: str) -> int:
+def _parse_smoothing_width(text: str) -> int:
     """Return the number of frames over which `orient:9` smooths."""
-    from antdsl.outputs.editing import MAX_SMOOTHING_FRAMES, MIN_SMOOTHING_FRAMES
+    from antdsl.outputs.orientation_smoothing import MAX_SMOOTHING_FRAMES, MIN_SMOOTHING_FRAMES
 
     name, _, number = text.partition(":")
     if name != "orient":

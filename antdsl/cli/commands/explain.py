@@ -21,23 +21,25 @@ def explain(
 ) -> None:
     """Say why an agent did what it did in a frame: each change looked at, each layer's push, what it sensed and drew."""
     from antdsl.cli.arguments import parse_grants
-    from antdsl.cli.printing.reports import exit_on_errors, show
+    from antdsl.cli.printing.reports import exit_on_errors, print_report
     from antdsl.explain import ExplainError, as_json, tell
     from antdsl.explain import explain as explained
-    from antdsl.numerics.host import cores
+    from antdsl.numerics.host import count_available_cores
     from antdsl.outputs.cache.cache_reader import open_cache
     from antdsl.runtime import BindError
 
     grants = parse_grants(root)
     try:
         with explain_cache_errors(cache, "to compute it again"):
-            explanation = explained(open_cache(cache), agent, frame, species=species, scene=scene, grants=grants, threads=cores())
+            explanation = explained(
+                open_cache(cache), agent, frame, species=species, scene=scene, grants=grants, threads=count_available_cores()
+            )
     except BindError as why:
         exit_on_errors(why.report)
         raise CommandError(ExitCode.FINDINGS) from None
     except ExplainError as why:
         if why.report is not None:
-            show(why.report, to_stderr=True)
+            print_report(why.report, to_stderr=True)
         raise CommandError(
             ExitCode.USAGE if why.usage else ExitCode.FINDINGS, f"error: {why}", f"help: {why.help}" if why.help else ""
         ) from None

@@ -8,17 +8,17 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from antdsl.atomic_write import create_folder_durably, sync_files
 from antdsl.cli.destinations import protect_inputs, require_writable_file, require_writable_folder
 from antdsl.cli.exits import CommandError, ExitCode, explain_cache_errors, report_failures
 from antdsl.cli.printing.messages import print_note
 from antdsl.cli.scheduler import NO_TLS_OPTION, SCHEDULER_OPTION, TLS_OPTION, require_scheduler, run_cache_tasks
-from antdsl.whole import make_folder, sync_files
 
 if TYPE_CHECKING:
     from antdsl.outputs.cache.cache_reader import Cache
 
 
-def _explain_no_export(to: Path) -> str:
+def _explain_missing_export(to: Path) -> str:
     """Return why there is no export to files of this suffix, and which suffix to use instead."""
     from antdsl.outputs.exports import ALTERNATIVE_ADVICE, EXPORT_FORMATS
 
@@ -89,25 +89,25 @@ def export(
     """Write a cache for other programs: USD (needs the extra [usd]), glTF, points for Houdini, tables, arrays, meshes."""
     from antdsl.cli.arguments import parse_frame_range, parse_number_set, parse_shutter
     from antdsl.outputs.cache.cache_reader import open_cache
-    from antdsl.outputs.exports import EXPORT_FORMATS, AgentSubset, export_for
+    from antdsl.outputs.exports import EXPORT_FORMATS, AgentSubset, find_export
     from antdsl.outputs.gallery import Gallery
     from antdsl.outputs.numbered_files import ExportUnavailable
     from antdsl.scene.geometry.usd import UsdError
-    from antdsl.shots.exports import export_tasks
+    from antdsl.shots.exports import make_export_tasks
 
     require_scheduler(scheduler, tls, no_tls)
-    export = export_for(to)
+    export = find_export(to)
     if export is None:
-        raise typer.BadParameter(_explain_no_export(to), param_hint="--to")
+        raise typer.BadParameter(_explain_missing_export(to), param_hint="--to")
     word = form if form is not None else next(iter(export.forms))
     if word not in export.forms:
         raise typer.BadParameter(
             f"`{to.name}` cannot be written as `{word}`; available: {', '.join(export.forms)}", param_hint="--as"
         )
-    for part in export.barred:
+    for part in export.forbidden_strings:
         if part in to.name:
             raise typer.BadParameter(f"a `{to.suffix}` file cannot have `{part}` in its name", param_hint="--to")
-    if word not in export.each and "####" in to.name:
+    if word not in export.per_frame_forms and "####" in to.name:
         words = f"`{to.name}` as `{word}` is one file with all frames: leave out `####`"
         raise typer.BadParameter(words, param_hint="--to")
     between, chosen = parse_frame_range(frames), parse_number_set(ids, "--ids")
@@ -120,19 +120,21 @@ def export(
         "close": close,
     }
     set_options = {name: value for name, value in all_options.items() if value is not None}
-    for name in sorted(set_options.keys() - export.option_names(word)):
-        forms = [f"`{each.endings[0]}` as `{w}`" for each in EXPORT_FORMATS for w in each.forms if name in each.option_names(w)]
+    for name in sorted(set_options.keys() - export.list_option_names(word)):
+        forms = [
+            f"`{each.endings[0]}` as `{w}`" for each in EXPORT_FORMATS for w in each.forms if name in each.list_option_names(w)
+        ]
         raise typer.BadParameter(
             f"`{to.name}` as `{word}` does not support this option; {', '.join(forms)} does", param_hint=f"--{name}"
         )
     if "samples" in set_options and "shutter" not in set_options:
         raise typer.BadParameter("state the range of the samples: `--shutter -0.25..0.25`", param_hint="--samples")
-    if scheduler and word not in export.each:
-        spread = ", ".join(f"`{each.endings[0]}`" for each in EXPORT_FORMATS if each.each)
+    if scheduler and word not in export.per_frame_forms:
+        spread = ", ".join(f"`{each.endings[0]}`" for each in EXPORT_FORMATS if each.per_frame_forms)
         message = f"`{to.name}` as `{word}` is one file, which is written here; {spread} have a file for each frame"
         raise typer.BadParameter(message, param_hint="--scheduler")
     options = (export.options[word](**set_options),) if word in export.options else ()
-    if word in export.each or not to.absolute().parent.is_dir():
+    if word in export.per_frame_forms or not to.absolute().parent.is_dir():
         require_writable_folder(to.parent, "--to")
     else:
         require_writable_file(to, "--to")
@@ -144,15 +146,15 @@ def export(
                 advice = "`antdsl info CACHE` says which it has"
                 raise CommandError(ExitCode.INPUT_OUTPUT, "error: the cache has none of these frames", advice)
             paths = export.paths(word, to, cache_frames)
-            if word in export.each:
+            if word in export.per_frame_forms:
                 require_writable_folder(to.parent, "--to", *(path.name for path in paths))
                 with protect_inputs({}, {"--to": (to.parent, [path.name for path in paths])}) as inputs:
-                    inputs += opened_cache.source_files()
+                    inputs += opened_cache.find_source_files()
             else:
                 with protect_inputs({"--to": to}) as inputs:
-                    inputs += opened_cache.source_files()
+                    inputs += opened_cache.find_source_files()
             gallery = Gallery(opened_cache if chosen is None else AgentSubset(opened_cache.folder, opened_cache.manifest, chosen))
-            make_folder(to.parent)
+            create_folder_durably(to.parent)
             notes: Sequence[str] | None
             if scheduler:
                 where = scheduler, tls, no_tls
@@ -160,12 +162,12 @@ def export(
                     where,
                     cache,
                     to.parent,
-                    lambda real_cache, place: export_tasks(real_cache, to.name, word, chosen, cache_frames, place),
+                    lambda real_cache, place: make_export_tasks(real_cache, to.name, word, chosen, cache_frames, place),
                 )
                 notes = tuple(dict.fromkeys(note for answered in task_answers for note in answered.notes))
             else:
                 notes = export.forms[word](gallery, cache_frames, to, *options)
-            if word in export.each:
+            if word in export.per_frame_forms:
                 sync_files(paths)
             unknown = None if chosen is None else _describe_unknown_ids(opened_cache, cache_frames, chosen)
             notes = [*(notes or ()), *([] if unknown is None else [unknown])]

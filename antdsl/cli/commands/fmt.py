@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from antdsl.cli.arguments import STDIN_PATH, read_standard_input
-from antdsl.cli.exits import RETRY_ADVICE, CommandError, ExitCode, recovery_advice
+from antdsl.cli.exits import RETRY_ADVICE, CommandError, ExitCode, describe_recovery
 from antdsl.cli.printing.messages import print_note, print_result
 from antdsl.syntax.editions import EDITIONS
 
@@ -39,13 +39,13 @@ def fmt(
         raise typer.BadParameter("standard input goes alone", param_hint="-")
     from antdsl.cli.printing.reports import exit_on_errors
 
-    work = _Formatting(check, diff, edition)
+    work = _FormatCommand(check, diff, edition)
     if STDIN_PATH in paths:
         work.format_standard_input()
     else:
         work.files(paths)
     exit_on_errors(work.report)
-    if (check or diff) and work.changed:
+    if (check or diff) and work.changed_names:
         raise CommandError(ExitCode.FINDINGS)
 
 
@@ -56,20 +56,20 @@ def _empty_report() -> Report:
 
 
 @dataclass
-class _Formatting:
+class _FormatCommand:
     """The results so far. `report`: the errors of files that were not changed. Their warnings are left to `antdsl check`."""
 
-    check: bool
-    diff: bool
+    only_check: bool
+    print_diff: bool
     edition: int | None
-    changed: list[str] = field(default_factory=list)
-    left: int = 0  # files with mistakes, or that could not be read or written
+    changed_names: list[str] = field(default_factory=list)
+    skipped_count: int = 0  # files with mistakes, or that could not be read or written
     report: Report = field(default_factory=_empty_report)
 
     def files(self, paths: list[Path]) -> None:
         """Format all programs that paths select, then print how many changed."""
+        from antdsl.atomic_write import is_link
         from antdsl.files import find_files
-        from antdsl.whole import is_link
 
         all_files, report = find_files(paths)
         self.report.extend(report)
@@ -81,34 +81,34 @@ class _Formatting:
             if path in paths or not is_link(path) or any(path.resolve().is_relative_to(each.resolve()) for each in paths):
                 self.file(path)
                 continue
-            self.left += 1
+            self.skipped_count += 1
             words = f"`{path}` is a link to a file outside the folder", "name that file to format it"
             self.report.error("cannot-write", words[0], None, words[1])
-        same = len(programs) - len(self.changed) - self.left
-        word = "would change" if self.check or self.diff else "changed"
-        counts = ((len(self.changed), word), (same, "laid out well"), (self.left, "left alone"))
+        same = len(programs) - len(self.changed_names) - self.skipped_count
+        word = "would change" if self.only_check or self.print_diff else "changed"
+        counts = ((len(self.changed_names), word), (same, "laid out well"), (self.skipped_count, "left alone"))
         summary = [f"{count} file{'' if count == 1 else 's'} {what}" for count, what in counts if count]
-        print_note(", ".join(summary) or "no .ant files here", err=True)
+        print_note(", ".join(summary) or "no .ant files here", to_stderr=True)
 
     def file(self, path: Path) -> None:
         """Format one file, or only report the change with `--check` or `--diff`."""
         from antdsl import limits, syntax
-        from antdsl.bounded import read_bounded
+        from antdsl.safe_read import read_size_limited
 
         try:
             text = self.format_source(*syntax.read(path))
-            data = b"" if text is None else read_bounded(path, limits.MAX_PROGRAM_BYTES)
+            data = b"" if text is None else read_size_limited(path, limits.MAX_PROGRAM_BYTES)
             if text is None:
-                self.left += 1
+                self.skipped_count += 1
             elif text.encode("utf-8") != data:
-                if not (self.check or self.diff):
+                if not (self.only_check or self.print_diff):
                     syntax.write(path, text)
-                self.tell(str(path), data.decode("utf-8", "replace"), text)
+                self.report_change(str(path), data.decode("utf-8", "replace"), text)
         except OSError as problem:
-            self.left += 1
+            self.skipped_count += 1
             reason = (problem.strerror or "unknown reason").lower()
             self.report.error(
-                "cannot-write", f"cannot write `{path}`: {reason}", None, f"{recovery_advice(problem)} {RETRY_ADVICE}"
+                "cannot-write", f"cannot write `{path}`: {reason}", None, f"{describe_recovery(problem)} {RETRY_ADVICE}"
             )
 
     def format_standard_input(self) -> None:
@@ -119,11 +119,11 @@ class _Formatting:
         text = self.format_source(*syntax.read_bytes("<stdin>", data))
         if text is None:
             return
-        if not (self.check or self.diff):
+        if not (self.only_check or self.print_diff):
             sys.stdout.buffer.write(text.encode("utf-8"))
             sys.stdout.buffer.flush()
         elif text.encode("utf-8") != data:
-            self.tell("<stdin>", data.decode("utf-8"), text)
+            self.report_change("<stdin>", data.decode("utf-8"), text)
 
     def format_source(self, source: object, report: Report) -> str | None:
         """Return the text of a source in the standard layout, or None if it cannot be formatted. Then `report` has the
@@ -146,10 +146,10 @@ class _Formatting:
         self.report.extend(d for d in findings.diagnostics if d.severity == "error")
         return text
 
-    def tell(self, name: str, old_text: str, new_text: str) -> None:
+    def report_change(self, name: str, old_text: str, new_text: str) -> None:
         """Record a file that differs from the standard layout. Print its name, or its difference with `--diff`."""
-        self.changed.append(name)
-        if self.diff:
+        self.changed_names.append(name)
+        if self.print_diff:
             lines = difflib.unified_diff(old_text.splitlines(), new_text.splitlines(), name, name, lineterm="")
             print_result("\n".join(lines) if old_text.splitlines() != new_text.splitlines() else f"{name}: only line ends differ")
         else:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from antdsl.cli.destinations import default_path, is_standard_output, protect_inputs, require_writable_file, write_result
+from antdsl.cli.destinations import choose_default_path, is_standard_output, protect_inputs, require_writable_file, write_result
 from antdsl.cli.exits import CommandError, ExitCode
 from antdsl.cli.printing.messages import print_note
 
@@ -39,7 +39,7 @@ def graph(
     from antdsl.cli.printing.reports import exit_on_errors
 
     chosen = _choose_format(format, out)
-    target = out or default_path(Path(), file.stem + graphs.FORMATS[chosen][0][0])
+    target = out or choose_default_path(Path(), file.stem + graphs.FORMATS[chosen][0][0])
     require_writable_file(target, "--out")
     with protect_inputs({"--out": target}) as inputs:
         inputs.append(file)
@@ -76,12 +76,12 @@ def _choose_format(format: GraphFormat | None, out: Path | None) -> str:
 
 def _select_charts(charts: tuple[Chart, ...], names: list[str]) -> tuple[Chart, ...]:
     """Return the charts of the named species and machines, in the order of the text."""
-    from antdsl.diagnostics.suggestion import nearest_name
+    from antdsl.diagnostics.suggestion import find_nearest_name
 
     known = dict.fromkeys(part for chart in charts for part in (chart.title.partition(".")[0], chart.title))
     for name in names:
         if name not in known:
-            near = nearest_name(name, known)
+            near = find_nearest_name(name, known)
             hint = f"did you mean `{near}`?" if near else "there is " + ", ".join(f"`{k}`" for k in known)
             raise CommandError(ExitCode.USAGE, f"error: no species or machine `{name}`", hint)
     requested_names = set(names)

@@ -22,23 +22,23 @@ def info(
     verify: bool = typer.Option(False, "--verify", help="Read everything, and compare it with what was written."),
 ) -> None:
     """Say what is in a cache and what it was made from."""
-    from antdsl.diagnostics.model import printable
+    from antdsl.diagnostics.model import replace_unprintable
     from antdsl.outputs.cache.cache_reader import open_cache
 
     with explain_cache_errors():
         opened_cache = open_cache(cache)
     for line in describe_cache(opened_cache):
-        print_result(printable(line))  # the manifest may be a stranger's
+        print_result(replace_unprintable(line))  # the manifest may be a stranger's
     if verify:
         _verify_cache(opened_cache)
 
 
 def describe_cache(cache: Cache) -> list[str]:
     """Return the lines that describe a cache."""
-    from antdsl.outputs.provenance import resume_command
-    from antdsl.scene.geometry.import_notes import MeshImport, import_lines
+    from antdsl.outputs.provenance import make_resume_command
+    from antdsl.scene.geometry.import_notes import MeshImport, format_import_report
 
-    manifest, frames, hashes = cache.manifest, cache.frames(), cache.hashes()
+    manifest, frames, hashes = cache.manifest, cache.frames(), cache.read_state_hashes()
     frame_count = manifest.last - manifest.first + 1
     inside = [frame for frame in frames if manifest.first <= frame <= manifest.last]
     lines = [
@@ -66,12 +66,14 @@ def describe_cache(cache: Cache) -> list[str]:
     for mesh in manifest.meshes:
         lines.append(f"mesh         {mesh.name} ({mesh.kind}){_describe_patches(mesh, manifest.units)}")
         if mesh.imported is not None:
-            lines += [f"  {line}" for line in import_lines(MeshImport(**mesh.imported.model_dump()), manifest.units)]
+            lines += [f"  {line}" for line in format_import_report(MeshImport(**mesh.imported.model_dump()), manifest.units)]
     checkpoints = cache.checkpoints()
     lines.append(f"checkpoints  {' '.join(map(str, checkpoints)) if checkpoints else 'none'}")
     if inside and inside[-1] in hashes:
         lines.append(f"state hash   {hashes[inside[-1]]} (frame {inside[-1]})")
-    lines.append(f"complete     {'yes' if len(inside) == frame_count else f'no; go on with: {resume_command(cache.folder)}'}")
+    lines.append(
+        f"complete     {'yes' if len(inside) == frame_count else f'no; go on with: {make_resume_command(cache.folder)}'}"
+    )
     if manifest.made_with is not None:
         lines.append("made with")
         lines += [f"  {name:<10} {value or 'none'}" for name, value in manifest.made_with.model_dump().items()]
@@ -95,9 +97,9 @@ def _format_fps(text: str) -> str:
 
 def _verify_cache(cache: Cache) -> None:
     """Compare every frame and checkpoint with the stored hashes. A missing frame between others counts as damage."""
-    from antdsl.outputs.cache.cache_reader import STATIC
-    from antdsl.outputs.cache.hashes import HASHES
-    from antdsl.outputs.provenance import resume_command
+    from antdsl.outputs.cache.cache_reader import STATIC_FILE_NAME
+    from antdsl.outputs.cache.hashes import HASHES_FILE_NAME
+    from antdsl.outputs.provenance import make_resume_command
 
     lines, frames, checkpoints = cache.lines(), cache.frames(), cache.checkpoints()
     first, last = cache.manifest.first, cache.manifest.last
@@ -105,10 +107,10 @@ def _verify_cache(cache: Cache) -> None:
     strays = [
         f"frame {frame} is outside this cache, which has {first} to {last}" for frame in frames if not first <= frame <= last
     ]
-    strays += cache.strays()
+    strays += cache.describe_stray_files()
     for frame in sorted({*frames, *lines}):
         if not first <= frame <= last:
-            bad += [] if frame in frames else [f"`{HASHES}` lists frame {frame}, which is outside this cache"]
+            bad += [] if frame in frames else [f"`{HASHES_FILE_NAME}` lists frame {frame}, which is outside this cache"]
             continue
         if frame > next_frame:
             bad.append(
@@ -117,20 +119,20 @@ def _verify_cache(cache: Cache) -> None:
                 else f"frames {next_frame} to {frame - 1} are not there"
             )
         next_frame = max(next_frame, frame + 1)
-        why = cache.damage(frame, lines.get(frame))
+        why = cache.find_frame_damage(frame, lines.get(frame))
         bad += _find_read_errors(partial(cache.frame, frame)) if why is None else [why]
     for frame in checkpoints:
-        why = cache.checkpoint_damage(frame, lines.get(frame))
+        why = cache.find_checkpoint_damage(frame, lines.get(frame))
         bad += [] if why is None else [why]
-    why = cache.static_damage()
+    why = cache.find_static_damage()
     bad += [] if why is None else [why]
     if bad or strays:
         overflow_note = [f"… and {len(bad) - 50} more"] if len(bad) > 50 else []
         words = "\n".join([*(f"error: {why}" for why in bad[:50]), *overflow_note, *(f"error: {why}" for why in strays[:50])])
-        advice = [f"to compute damaged frames again: {resume_command(cache.folder)}"] if bad else []
+        advice = [f"to compute damaged frames again: {make_resume_command(cache.folder)}"] if bad else []
         advice += ["move away files that are not of this cache"] if strays else []
         raise CommandError(ExitCode.FINDINGS, words, "\n".join(advice))
-    unknown = [] if cache.manifest.static else [f"`{STATIC}`"]
+    unknown = [] if cache.manifest.static else [f"`{STATIC_FILE_NAME}`"]
     points = [str(frame) for frame in checkpoints if not lines[frame].checkpoint]
     unknown += [f"checkpoint{'s' if len(points) > 1 else ''} {' '.join(points)}"] if points else []
     count = len(checkpoints) - len(points)

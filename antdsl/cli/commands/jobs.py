@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from antdsl.cli.destinations import default_path, is_standard_output, protect_inputs, require_writable_file, write_result
+from antdsl.cli.destinations import choose_default_path, is_standard_output, protect_inputs, require_writable_file, write_result
 from antdsl.cli.exits import CommandError, ExitCode
 from antdsl.cli.printing.messages import print_note
 
 if TYPE_CHECKING:
-    from antdsl.farm import Job
+    from antdsl.farm import FarmJob
 
 OPEN_TEMPLATE_SUFFIXES, LINE_SUFFIXES = (".yaml", ".yml", ".json"), (".jsonl",)
 # Words of `antdsl render` that a job writes itself, and what to write instead.
@@ -57,7 +57,7 @@ def jobs(
 
     from antdsl.cli.arguments import parse_frame_range, parse_grants, parse_pairs, require_scene
     from antdsl.cli.printing.reports import exit_on_errors
-    from antdsl.farm import Shot, job_template, json_lines, shot_job
+    from antdsl.farm import ShotRequest, build_job_template, build_shot_job, format_json_lines
     from antdsl.pipeline import RunChoices, open_scene
 
     require_scene(scene)
@@ -73,27 +73,27 @@ def jobs(
         opened, report = open_scene(scene, RunChoices(granted, parse_frame_range(frames), seed, param_values), thorough=False)
     exit_on_errors(report)
     assert opened is not None
-    cache = out if out is not None else default_path(scene.resolve().parent, "out", scene.stem)
+    cache = out if out is not None else choose_default_path(scene.resolve().parent, "out", scene.stem)
     seeded = () if seed is None else ("--seed", str(seed))
-    shot = Shot(
+    shot = ShotRequest(
         scene=scene.resolve(),
         cache=cache,
-        pictures=pictures if pictures is not None else default_path(cache, "pictures", flag="--pictures"),
+        pictures=pictures if pictures is not None else choose_default_path(cache, "pictures", flag="--pictures"),
         first=opened.frames.first,
         last=opened.frames.last,
         every=every,
-        chunk=chunk,
+        pictures_per_task=chunk,
         run=(*seeded, *(word for name, value in param_values.items() for word in ("--set", f"{name}={value}"))),
-        render=look,
-        roots=tuple(granted.items()),
-        film=film,
+        render_arguments=look,
+        granted_roots=tuple(granted.items()),
+        makes_film=film,
     )
-    job = shot_job(shot, scene.resolve().stem)
+    job = build_shot_job(shot, scene.resolve().stem)
     if to.suffix in LINE_SUFFIXES:
-        write_result(to, json_lines(job).encode(), sys.stdout)
+        write_result(to, format_json_lines(job).encode(), sys.stdout)
     else:
         _require_template(job, shot.every, opened.frames.last - opened.frames.first + 1)
-        write_result(to, _template_text(job_template(job, to.resolve().parent), to.suffix), sys.stdout)
+        write_result(to, _format_template(build_job_template(job, to.resolve().parent), to.suffix), sys.stdout)
     if not quiet and not is_standard_output(to):
         _print_summary(job, to)
 
@@ -123,35 +123,35 @@ def _parse_render_words(text: str) -> tuple[str, ...]:
     return words
 
 
-def _require_template(job: Job, every: int, frames: int) -> None:
+def _require_template(job: FarmJob, every: int, frames: int) -> None:
     """Raise CommandError for a job that a template cannot express: too many tasks, or text that contains `{{`."""
-    from antdsl.farm import MOST_TASKS
+    from antdsl.farm import MAX_TASKS
 
-    tasks = max(len(step.chunks) for step in job.steps)
-    if tasks > MOST_TASKS:
-        enough = math.ceil(math.ceil(frames / every) / MOST_TASKS)
-        words = f"error: {tasks:,} tasks are more than a template may list ({MOST_TASKS:,})"
+    tasks = max(len(step.chunk_ranges) for step in job.steps)
+    if tasks > MAX_TASKS:
+        enough = math.ceil(math.ceil(frames / every) / MAX_TASKS)
+        words = f"error: {tasks:,} tasks are more than a template may list ({MAX_TASKS:,})"
         raise CommandError(ExitCode.USAGE, words, f"write `--chunk {enough}`, or export lines: `--to job.jsonl`")
-    for text in (text for step in job.steps for text in step.fixed_texts()):
+    for text in (text for step in job.steps for text in step.find_fixed_texts()):
         if "{{" in text:
             words = f"error: `{text}` has `{{{{`, which marks parameters in a template"
             raise CommandError(ExitCode.USAGE, words, "give it another name, or write lines: `--to job.jsonl`")
 
 
-def _template_text(document: dict[str, object], ending: str) -> bytes:
-    if ending == ".json":
+def _format_template(document: dict[str, object], suffix: str) -> bytes:
+    if suffix == ".json":
         return (json.dumps(document, indent=1, ensure_ascii=False) + "\n").encode()
     import yaml
 
     return yaml.safe_dump(document, sort_keys=False, allow_unicode=True, width=120).encode()
 
 
-def _print_summary(job: Job, to: Path) -> None:
-    from antdsl.farm import paths_to_name
+def _print_summary(job: FarmJob, to: Path) -> None:
+    from antdsl.farm import find_external_paths
 
-    counts = [f"{step.name} ({len(step.chunks)} tasks)" if step.chunks else step.name for step in job.steps]
+    counts = [f"{step.name} ({len(step.chunk_ranges)} tasks)" if step.chunk_ranges else step.name for step in job.steps]
     print_note(f"{to}: {', '.join(counts)}")
-    missing = paths_to_name(job, to.resolve().parent) if to.suffix in OPEN_TEMPLATE_SUFFIXES else []
+    missing = find_external_paths(job, to.resolve().parent) if to.suffix in OPEN_TEMPLATE_SUFFIXES else []
     if missing:
         print_note("these do not lie below it, so name them when you submit it:")
         for place in missing:

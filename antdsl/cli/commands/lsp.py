@@ -8,13 +8,13 @@ from antdsl.cli.exits import CommandError, ExitCode
 def lsp() -> None:
     """Answer an editor over standard input and output (language server protocol). Needs the extra [lsp]."""
     from antdsl.cli.printing.reports import exit_on_errors
-    from antdsl.lsp import ready
+    from antdsl.lsp import check_server_available
 
-    exit_on_errors(ready())
-    from antdsl.lsp.server import start
+    exit_on_errors(check_server_available())
+    from antdsl.lsp.server import run_server
 
     try:
-        ended_well = start()
+        ended_well = run_server()
     except OSError as problem:
         words = (problem.strerror or str(problem)).lower()
         raise CommandError(ExitCode.INPUT_OUTPUT, f"error: cannot write to standard output: {words}") from None

@@ -10,10 +10,10 @@ from typing import Any
 import typer
 
 from antdsl import __version__
+from antdsl.atomic_write import create_folder_durably, write_atomically
 from antdsl.cli.exits import CommandError, ExitCode
 from antdsl.cli.printing.messages import print_note
-from antdsl.resources import project_file
-from antdsl.whole import make_folder, write_atomically
+from antdsl.resources import project_template_file
 
 # Where each file goes, and its name among the files that come with antdsl.
 TEMPLATE_FILES = {
@@ -26,9 +26,13 @@ TEMPLATE_FILES = {
 }
 
 
-def file_text(name: str) -> str:
+def read_template_file(name: str) -> str:
     """Return the text of a file of the project."""
-    return project_file(TEMPLATE_FILES[name]).read_text(encoding="utf-8").replace("antdsl-VERSION-", f"antdsl-{__version__}-")
+    return (
+        project_template_file(TEMPLATE_FILES[name])
+        .read_text(encoding="utf-8")
+        .replace("antdsl-VERSION-", f"antdsl-{__version__}-")
+    )
 
 
 def new(folder: Path = typer.Argument(..., metavar="DIR", help="A folder that is not there yet, or is empty.")) -> None:
@@ -36,16 +40,16 @@ def new(folder: Path = typer.Argument(..., metavar="DIR", help="A folder that is
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise CommandError(ExitCode.INPUT_OUTPUT, f"error: `{folder}` already exists and is not empty", "name another folder")
     for name in TEMPLATE_FILES:
-        make_folder((folder / name).parent)
-        write_atomically(folder / name, file_text(name).encode())
-    write_atomically(folder / "ground.ply", ground())
+        create_folder_durably((folder / name).parent)
+        write_atomically(folder / name, read_template_file(name).encode())
+    write_atomically(folder / "ground.ply", build_ground_ply())
     print_note(f"walker.ant, scene.yaml and ground.ply are in {folder}; now:")
     for words in (("run", folder / "scene.yaml"), ("test", folder), ("render", folder / "out" / "scene", "--sheet")):
         print_note(f"  {shlex.join(['antdsl', *map(str, words)])}")
     print_note(f"{folder / 'README.md'} says more; a workflow for GitHub and hooks for pre-commit are there too")
 
 
-def ground(side: int = 49, width: float = 200.0) -> bytes:
+def build_ground_ply(side: int = 49, width: float = 200.0) -> bytes:
     """Return a gently rolling square as a binary .ply file: `side` × `side` vertices, `width` mm wide, y up."""
     import numpy as np
 

@@ -43,25 +43,25 @@ def plan(
     exit_on_errors(report)
     if final_plan is None:
         raise CommandError(ExitCode.FINDINGS)
-    print_result(_list_code(final_plan, setting, code) if native or code else planning.show(final_plan))
+    print_result(_list_machine_code(final_plan, setting, code) if native or code else planning.show(final_plan))
 
 
-def _list_code(final_plan: Plan, setting: WorldSetting | None, code: bool) -> str:
+def _list_machine_code(final_plan: Plan, setting: WorldSetting | None, include_code: bool) -> str:
     """Return the listing of a plan's machine code. Raises CommandError if no machine code can be made.
 
     `setting`: that of the scene, or None for a program alone.
-    `code`: append the text of the code.
+    `include_code`: append the text of the code.
     """
-    from antdsl.machine_code import machine
-    from antdsl.runtime.backends.native import listing
+    from antdsl.machine_code import llvm_compiler
+    from antdsl.runtime.backends.native import program_listing
     from antdsl.runtime.backends.native.programs import WorldFacts
 
-    if why := machine.unavailable():
+    if why := llvm_compiler.unavailability_reason():
         raise CommandError(ExitCode.FINDINGS, f"error: no machine code can be made here: {why}")
-    code_listing = listing.plan_program(
-        final_plan, machine.host(), listing.STATIC_WORLD if setting is None else WorldFacts.of(setting)
+    code_listing = program_listing.build_program(
+        final_plan, llvm_compiler.host_target(), program_listing.STATIC_WORLD if setting is None else WorldFacts.of(setting)
     )
     words = (
         "as on ground that stands still, without `lod`: a scene that uses this may have other code\n" if setting is None else ""
     )
-    return words + listing.show(code_listing) + (f"\n{code_listing.text}" if code else "")
+    return words + program_listing.format_listing(code_listing) + (f"\n{code_listing.text}" if include_code else "")

@@ -41,25 +41,32 @@ def preview(
 ) -> None:
     """Watch a scene while you write it: a page in the browser that reloads, rewinds and explains. Needs the extra [preview]."""
     from antdsl.cli.printing.reports import exit_on_errors
-    from antdsl.preview.serving import ready
+    from antdsl.preview.serving import check_preview_support
 
-    exit_on_errors(ready())
+    exit_on_errors(check_preview_support())
     from antdsl.cli.arguments import parse_grants, parse_pairs, require_scene
 
     require_scene(scene)
     from antdsl.pipeline import RunChoices
 
     choices = RunChoices(parse_grants(root), None, seed, parse_pairs(set_, "--set"))
-    listening = _listen(host, port, let_others_in)
+    listening = _open_sockets(host, port, let_others_in)
     try:
-        live = _make_live(scene, choices, threads)
-        _serve(live, scene, listening, open_it=not no_open, others=host is not None and let_others_in, again=port != 0)
+        live = _create_live(scene, choices, threads)
+        _serve_preview(
+            live,
+            scene,
+            listening,
+            opens_browser=not no_open,
+            allows_others=host is not None and let_others_in,
+            allows_reconnect=port != 0,
+        )
     finally:
         listening.close()
 
 
-def _listen(host: str | None, port: int | None, let_others_in: bool) -> ListeningSockets:
-    from antdsl.preview.serving.addresses import ListenError, is_loopback, listen
+def _open_sockets(host: str | None, port: int | None, let_others_in: bool) -> ListeningSockets:
+    from antdsl.preview.serving.addresses import ListenError, is_loopback, open_listening_sockets
 
     try:
         if not is_loopback(host) and not let_others_in:
@@ -70,23 +77,23 @@ def _listen(host: str | None, port: int | None, let_others_in: bool) -> Listenin
                 "listen to the network could read the token. Say that it is meant with `--let-others-in`, or leave `--host`\n"
                 "out and reach this machine through `ssh -L 8765:127.0.0.1:8765`",
             )
-        return listen(host, port)
+        return open_listening_sockets(host, port)
     except ListenError as why:
         raise CommandError(
             ExitCode.INPUT_OUTPUT, f"error: {why}", "name another with `--port` or `--host`, or leave them out"
         ) from None
 
 
-def _make_live(scene: Path, choices: RunChoices, threads: int) -> Live:
+def _create_live(scene: Path, choices: RunChoices, threads: int) -> Live:
     """Return the live simulation. Errors in the files are reported; the simulation begins as soon as they are corrected."""
     from antdsl.cli.commands.run import choose_threads
-    from antdsl.cli.printing.reports import report_exit_code, show
+    from antdsl.cli.printing.reports import choose_exit_code, print_report
     from antdsl.preview.live import Live
     from antdsl.runtime import Options
 
     live = Live.open(scene, choices, Options(threads=choose_threads(threads), feet=True))
-    show(live.report, to_stderr=True)
-    if report_exit_code(live.report) is ExitCode.INPUT_OUTPUT:
+    print_report(live.report, to_stderr=True)
+    if choose_exit_code(live.report) is ExitCode.INPUT_OUTPUT:
         raise CommandError(ExitCode.INPUT_OUTPUT)
     if not live.report.ok and _depends_on_params(choices, live):
         raise CommandError(ExitCode.FINDINGS)
@@ -104,21 +111,23 @@ def _depends_on_params(choices: RunChoices, live: Live) -> bool:
     return shot is not None and report.ok
 
 
-def _serve(live: Live, scene: Path, listening: ListeningSockets, *, open_it: bool, others: bool, again: bool) -> None:
-    """Serve the preview. `again`: it may be restarted on this port, and pages that are open now reconnect to it."""
+def _serve_preview(
+    live: Live, scene: Path, listening: ListeningSockets, *, opens_browser: bool, allows_others: bool, allows_reconnect: bool
+) -> None:
+    """Serve the preview. `allows_reconnect`: it may be restarted on this port, and pages that are open now reconnect to it."""
     from antdsl.preview.serving.guard import RequestGuard, ReturningPages
-    from antdsl.preview.serving.pages import load_pages
+    from antdsl.preview.serving.page_files import load_pages
     from antdsl.preview.serving.server import PreviewServer, run_server
 
     # what goes over a network is not encrypted: who reads a key there could come back with it
-    returning = ReturningPages.of(scene, listening.port) if again and not others else None
-    guard = RequestGuard(listening.names, returning=returning)
+    returning = ReturningPages.of(scene, listening.port) if allows_reconnect and not allows_others else None
+    guard = RequestGuard(listening.host_names, returning_pages=returning)
     server = PreviewServer(live, guard, load_pages(), listening)
 
     def tell() -> None:
         for address in listening.addresses:
             print_note(f"{address}#{guard.token}")
-        if others:
+        if allows_others:
             print_note(
                 "Other machines can reach this: who has the address with its token can watch the scene, read its programs\n"
                 "and steer the run, and can read and write no other file. What goes over the network is not encrypted."
@@ -127,8 +136,8 @@ def _serve(live: Live, scene: Path, listening: ListeningSockets, *, open_it: boo
             "" if live.report.ok else f" {scene} has errors: the page shows them, and the ants appear once you correct them."
         )
         print_note(f"Ctrl-C ends it.{waiting}")
-        if open_it:
-            _open_browser(f"{listening.addresses[0]}#{guard.invite()}")
+        if opens_browser:
+            _open_browser(f"{listening.addresses[0]}#{guard.make_invitation_code()}")
 
     live.start()
     try:

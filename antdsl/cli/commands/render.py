@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from antdsl.cli.destinations import default_path, require_writable_folder
+from antdsl.atomic_write import create_folder_durably, sync_files
+from antdsl.cli.destinations import choose_default_path, require_writable_folder
 from antdsl.cli.exits import CommandError, ExitCode, report_failures
 from antdsl.cli.printing.messages import print_note
 from antdsl.cli.scheduler import (
@@ -17,18 +18,17 @@ from antdsl.cli.scheduler import (
     SCHEDULER_OPTION,
     TLS_OPTION,
     SchedulerAddress,
+    choose_stop_exit_code,
     raise_on_sigterm,
     require_scheduler,
     run_cache_tasks,
-    stop_exit_code,
 )
-from antdsl.whole import make_folder, sync_files
 
 if TYPE_CHECKING:
-    from antdsl.outputs.cutting import CutPlane
+    from antdsl.outputs.agent_paths import PathWindow
+    from antdsl.outputs.cut_plane import CutPlane
     from antdsl.outputs.drawing import DrawRequest, StillStore
     from antdsl.outputs.gallery import Gallery
-    from antdsl.outputs.paths import PathWindow
 
 SHEET_PICTURES = 9  # pictures on a contact sheet where no frames are named
 MAX_PICTURES = 100
@@ -134,7 +134,7 @@ def render(
             _parse_ids(agents),
             cut,
             window,
-            tuple(_parse_strengths(full).items()),
+            tuple(_parse_full_strengths(full).items()),
             least,
             marks,
             blur,
@@ -144,9 +144,9 @@ def render(
     )
     gallery = _open_gallery(cache, settings)
     drawn = _choose_frames(gallery, parse_frame_range(frames), every, sheet, film)
-    folder = out if out is not None else default_path(cache, "pictures")
+    folder = out if out is not None else choose_default_path(cache, "pictures")
     require_writable_folder(folder, "--out", *(["film.mp4"] if film else ["sheet.png"] if sheet else []))
-    make_folder(folder)
+    create_folder_durably(folder)
     if film:
         _require_film_support()
     together = drawn if shot is None else _choose_frames(gallery, parse_frame_range(shot, "--shot"), every, False, True)
@@ -179,11 +179,11 @@ def render(
                 _write_stills(pictures, stills)
     except KeyboardInterrupt as why:
         advice = "the same command with `--resume` draws the others"
-        raise CommandError(stop_exit_code(why), "stopped: all written pictures are complete", advice) from None
+        raise CommandError(choose_stop_exit_code(why), "stopped: all written pictures are complete", advice) from None
 
 
 def _parse_cut(text: str | None) -> CutPlane | None:
-    from antdsl.outputs.cutting import CutPlane
+    from antdsl.outputs.cut_plane import CutPlane
 
     cut = CutPlane.of(text) if text is not None else None
     if text is not None and cut is None:
@@ -192,7 +192,7 @@ def _parse_cut(text: str | None) -> CutPlane | None:
 
 
 def _parse_window(text: str) -> PathWindow:
-    from antdsl.outputs.paths import MAX_WINDOW_SECONDS, PathWindow
+    from antdsl.outputs.agent_paths import MAX_WINDOW_SECONDS, PathWindow
 
     window = PathWindow.of(text)
     if window is None:
@@ -201,7 +201,7 @@ def _parse_window(text: str) -> PathWindow:
     return window
 
 
-def _parse_strengths(texts: list[str]) -> dict[str, float]:
+def _parse_full_strengths(texts: list[str]) -> dict[str, float]:
     from antdsl.scene.quantities import QuantityError, parse_number
 
     strengths = {}
@@ -232,10 +232,10 @@ def _open_gallery(folder: Path, settings: DrawRequest) -> Gallery:
         raise CommandError(ExitCode.FINDINGS, f"error: {why}", advice) from None
 
 
-def _choose_frames(gallery: Gallery, between: Any, every: int | None, sheet: bool, film: bool) -> list[int]:
+def _choose_frames(gallery: Gallery, frame_range: Any, every: int | None, sheet: bool, film: bool) -> list[int]:
     cache_frames = gallery.cache.frames()
-    if between is not None:
-        cache_frames = [frame for frame in cache_frames if between.first <= frame <= between.last]
+    if frame_range is not None:
+        cache_frames = [frame for frame in cache_frames if frame_range.first <= frame <= frame_range.last]
     if not cache_frames:
         message = "error: the cache has none of these frames"
         raise CommandError(ExitCode.INPUT_OUTPUT, message, "`antdsl info CACHE` says which it has")
@@ -248,7 +248,7 @@ def _choose_frames(gallery: Gallery, between: Any, every: int | None, sheet: boo
     if sheet and not film:
         steps = min(SHEET_PICTURES, len(cache_frames))
         return sorted({cache_frames[round(k * (len(cache_frames) - 1) / max(steps - 1, 1))] for k in range(steps)})
-    return cache_frames if between is not None or film else cache_frames[-1:]
+    return cache_frames if frame_range is not None or film else cache_frames[-1:]
 
 
 def _parse_ids(text: str | None) -> tuple[int, ...]:
@@ -264,16 +264,16 @@ def _draw_frames(
     gallery: Gallery,
     settings: DrawRequest,
     frames: list[int],
-    together: list[int],
+    camera_frames: list[int],
     threads: int,
     stored_stills: StillStore | None,
 ) -> Iterator[tuple[int, Any, bool]]:
-    """Yield frames with their pictures, and True if the picture was drawn, False if it comes from `stored_stills`. `together`:
-    the frames for which the camera is chosen."""
+    """Yield frames with their pictures, and True if the picture was drawn, False if it comes from `stored_stills`.
+    `camera_frames`: the frames for which the camera is chosen."""
     from antdsl.outputs.cache.cache_reader import CacheError
     from antdsl.outputs.drawing import AgentMissing, FrameDrawer
     from antdsl.outputs.gallery import PictureUnavailable
-    from antdsl.outputs.provenance import resume_command
+    from antdsl.outputs.provenance import make_resume_command
 
     drawer: FrameDrawer | None = None
     try:
@@ -282,10 +282,10 @@ def _draw_frames(
             if stored_image is not None:
                 yield frame, stored_image, False
                 continue
-            drawer = drawer or FrameDrawer(gallery, settings, together, threads)
+            drawer = drawer or FrameDrawer(gallery, settings, camera_frames, threads)
             yield frame, drawer.draw(frame), True
     except CacheError as why:
-        advice = f"to compute damaged frames again: {resume_command(gallery.cache.folder)}"
+        advice = f"to compute damaged frames again: {make_resume_command(gallery.cache.folder)}"
         raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {why}", advice) from None
     except PictureUnavailable as why:
         raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {why}", "run the scene again into another folder") from None
@@ -296,44 +296,46 @@ def _draw_frames(
 
 
 def _draw_on_cluster(
-    where: SchedulerAddress,
+    scheduler: SchedulerAddress,
     cache: Path,
     settings: DrawRequest,
     frames: list[int],
-    together: list[int],
+    camera_frames: list[int],
     folder: Path,
     fps: float | None,
 ) -> None:
     """Draw stills on a cluster's workers. With `fps`, join them to a film."""
-    from antdsl.outputs.drawing import still_path
-    from antdsl.shots.stills import still_tasks
+    from antdsl.outputs.drawing import make_still_path
+    from antdsl.shots.stills import make_still_tasks
 
-    stills = folder if fps is None else default_path(folder, "film.frames")
-    make_folder(stills)
+    stills = folder if fps is None else choose_default_path(folder, "film.frames")
+    create_folder_durably(stills)
     for answered in run_cache_tasks(
-        where, cache, stills, lambda real_cache, to: still_tasks(real_cache, settings, frames, together, to)
+        scheduler, cache, stills, lambda real_cache, to: make_still_tasks(real_cache, settings, frames, camera_frames, to)
     ):
         for frame in answered.task.document["frames"] if fps is None else ():
-            print_note(str(still_path(folder, frame)))
+            print_note(str(make_still_path(folder, frame)))
     if fps is None:
-        sync_files(still_path(folder, frame) for frame in frames)
+        sync_files(make_still_path(folder, frame) for frame in frames)
     if fps is not None:
-        _join_stills([still_path(stills, frame) for frame in frames], folder / "film.mp4", fps, settings.width * settings.height)
+        _join_stills(
+            [make_still_path(stills, frame) for frame in frames], folder / "film.mp4", fps, settings.width * settings.height
+        )
         stills.rmdir()
 
 
-def _join_stills(paths: list[Path], path: Path, fps: float, pixels: int) -> None:
-    """Combine pictures into a film, and remove the pictures. `pixels`: the number of pixels of each."""
-    from antdsl.bounded import read_bounded
+def _join_stills(paths: list[Path], path: Path, fps: float, pixels_per_picture: int) -> None:
+    """Combine pictures into a film, and remove the pictures. `pixels_per_picture`: the number of pixels of each."""
     from antdsl.cli.printing.reports import exit_on_errors
     from antdsl.outputs.drawing import MAX_STILL_BYTES
     from antdsl.outputs.pictures import write_film
     from antdsl.reader.image_request import ImageError, read_image_file
+    from antdsl.safe_read import read_size_limited
 
     def images() -> Iterator[Any]:
         for each in paths:
             try:
-                image = read_image_file(read_bounded(each, MAX_STILL_BYTES), "PNG", ("RGB",), pixels)
+                image = read_image_file(read_size_limited(each, MAX_STILL_BYTES), "PNG", ("RGB",), pixels_per_picture)
             except ImageError as why:
                 raise OSError(None, str(why), str(each)) from None
             if image.samples is None:
@@ -365,23 +367,23 @@ def _write_film(images: Iterator[Any], gallery: Gallery, folder: Path) -> None:
 
 
 def _write_sheet(pictures: list[tuple[int, Any]], stills: StillStore) -> None:
-    from antdsl.outputs.pictures import contact_sheet
-    from antdsl.outputs.pictures.image_files import still
+    from antdsl.outputs.pictures import make_contact_sheet
+    from antdsl.outputs.pictures.image_files import write_still
 
     path = stills.folder / "sheet.png"
-    still(contact_sheet([image for _, image in pictures], [f"frame {frame}" for frame, _ in pictures]), path)
+    write_still(make_contact_sheet([image for _, image in pictures], [f"frame {frame}" for frame, _ in pictures]), path)
     print_note(str(path))
-    picture = stills.put(*pictures[-1])
+    picture = stills.write_still(*pictures[-1])
     sync_files([picture])
     print_note(str(picture))
 
 
-def _write_stills(drawn: Iterator[tuple[int, Any, bool]], stills: StillStore) -> None:
+def _write_stills(drawn_frames: Iterator[tuple[int, Any, bool]], stills: StillStore) -> None:
     existing_count, paths = 0, []
-    for frame, image, new in drawn:
+    for frame, image, new in drawn_frames:
         existing_count += not new
         if new:
-            paths.append(stills.put(frame, image))
+            paths.append(stills.write_still(frame, image))
             print_note(str(paths[-1]))
     sync_files(paths)
     _report_skipped(existing_count)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from antdsl.cli.destinations import (
-    default_path,
+    choose_default_path,
     protect_inputs,
     redirect_messages,
     require_writable_file,
@@ -23,7 +23,7 @@ from antdsl.cli.memory_demand import ANY_MEMORY_OPTION, require_memory
 from antdsl.cli.printing.messages import print_note
 from antdsl.cli.scheduler import NO_TLS_OPTION, SCHEDULER_OPTION, TLS_OPTION, require_scheduler
 from antdsl.cli.shots import run_shots
-from antdsl.numerics.host import cores
+from antdsl.numerics.host import count_available_cores
 
 if TYPE_CHECKING:
     from antdsl.outputs.recording import Recording
@@ -95,7 +95,7 @@ def run(
     """Simulate scenes and write their caches."""
     from antdsl.cli.arguments import parse_frame_range, parse_grants, parse_pairs, require_scene
     from antdsl.cli.printing.reports import exit_on_errors
-    from antdsl.outputs.cache.cache_reader import NAMES
+    from antdsl.outputs.cache.cache_reader import CACHE_ENTRY_NAMES
     from antdsl.pipeline import RunChoices, open_scene
 
     require_scheduler(scheduler, tls, no_tls)
@@ -112,12 +112,12 @@ def run(
         return
     (scene,) = scenes
     require_writable_file(summary, "--summary")
-    folder = out if out is not None else default_path(scene.resolve().parent, "out", scene.stem)
+    folder = out if out is not None else choose_default_path(scene.resolve().parent, "out", scene.stem)
     if scene.is_file():  # else there is no folder beside it to ask
         require_writable_folder(folder, "--out")
-    again = _resume_command(scene, out, frames, seed, set_, root, summary, any_memory)
-    files, folders = {"--summary": summary}, {"--out": (folder, NAMES)}
-    with _stop_in_set_up(again), protect_inputs(files, folders) as inputs:
+    again = _build_resume_command(scene, out, frames, seed, set_, root, summary, any_memory)
+    files, folders = {"--summary": summary}, {"--out": (folder, CACHE_ENTRY_NAMES)}
+    with _handle_stop_in_set_up(again), protect_inputs(files, folders) as inputs:
         inputs.append(scene)
         shot, report = open_scene(scene, choices, thorough=False)
     exit_on_errors(report)
@@ -131,40 +131,40 @@ def run(
         backend=backend.value, chunk=chunk, threads=choose_threads(threads, quiet), shuffle_rows=shuffle, on_fault=on_fault.value
     )
     writing = report_failures("cannot write the cache", f"go on with: {again}")
-    with writing, _stop_in_set_up(again), protect_inputs(files, folders):  # another cache too, that the scene begins with
+    with writing, _handle_stop_in_set_up(again), protect_inputs(files, folders):  # another cache too, that the scene begins with
         recording = _begin_recording(shot, folder, options, choices, resume, force, quiet)
     with redirect_messages(summary) as output:
         if profile:
             from antdsl.runtime.profiling import StepMeter
 
-            recording.meter = StepMeter(None)
+            recording.step_meter = StepMeter(None)
         _record_to_end(recording, quiet, again)
         if summary is not None:
-            from antdsl.outputs.summary import summary_file
+            from antdsl.outputs.summary import encode_summary
 
             with report_failures("the cache is complete; cannot write its summary", f"go on with: {again}"):
-                write_result(summary, summary_file(recording), output)
-        if recording.meter is not None:
-            from antdsl.cli.printing.profile_table import show
+                write_result(summary, encode_summary(recording), output)
+        if recording.step_meter is not None:
+            from antdsl.cli.printing.profile_table import print_profile
 
-            show(recording.meter.profile(), lines=options.backend != "reference")
+            print_profile(recording.step_meter.profile(), show_lines=options.backend != "reference")
 
 
 def choose_threads(requested_threads: int, quiet: bool = False) -> int:
     """Return the number of threads to use: `requested_threads`, or all usable cores for 0. It is at most the number of usable
     cores, because more threads would only wait for each other, and libraries print warnings about it. Unless `quiet`, a message
     reports a reduction."""
-    core_count = cores()
+    core_count = count_available_cores()
     if requested_threads > core_count and not quiet:
         print_note(
             f"`--threads {requested_threads}`: this process may use {core_count} core{'s' * (core_count > 1)} here, "
             f"so {core_count} at a time",
-            err=True,
+            to_stderr=True,
         )
     return min(requested_threads or core_count, core_count)
 
 
-def _resume_command(
+def _build_resume_command(
     scene: Path,
     out: Path | None,
     frames: str | None,
@@ -190,12 +190,12 @@ def _resume_command(
 
 
 @contextmanager
-def _stop_in_set_up(again: str) -> Iterator[None]:
+def _handle_stop_in_set_up(resume_command: str) -> Iterator[None]:
     """End the command with its exit code on SIGTERM during set-up, when there is no frame to store yet."""
     import signal
 
     def stop(number: int, frame: object) -> None:
-        raise CommandError(ExitCode.TERMINATED, "stopped before the first frame", f"begin with: {again}")
+        raise CommandError(ExitCode.TERMINATED, "stopped before the first frame", f"begin with: {resume_command}")
 
     previous_handler = signal.signal(signal.SIGTERM, stop)
     try:
@@ -208,31 +208,31 @@ def _begin_recording(
     shot: Shot, folder: Path, options: Options, choices: RunChoices, resume: bool, force: bool, quiet: bool
 ) -> Recording:
     from antdsl.cli.printing.progress import show_set_up
-    from antdsl.cli.printing.reports import exit_on_errors, show
-    from antdsl.outputs.recording import begin
-    from antdsl.outputs.starting import StartError
+    from antdsl.cli.printing.reports import exit_on_errors, print_report
+    from antdsl.outputs.cache_start import StartError
+    from antdsl.outputs.recording import begin_recording
     from antdsl.runtime import BindError
-    from antdsl.runtime.binding.start_findings import start_warnings
+    from antdsl.runtime.binding.start_findings import find_start_warnings
 
     try:
         with explain_cache_errors(), show_set_up(quiet):
-            recording = begin(shot, folder, options, resume=resume, force=force)
+            recording = begin_recording(shot, folder, options, resume=resume, force=force)
         if recording.resumed_from is None and shot.scene.model.start is None:
-            show(start_warnings(shot.scene, recording.world), to_stderr=True)
+            print_report(find_start_warnings(shot.scene, recording.world), to_stderr=True)
         for note in recording.notes:
-            print_note(note, err=True)
+            print_note(note, to_stderr=True)
         return recording
     except (BindError, StartError) as why:
         exit_on_errors(why.report)
         raise CommandError(ExitCode.FINDINGS) from None
 
 
-def _record_to_end(recording: Recording, quiet: bool, again: str) -> None:
+def _record_to_end(recording: Recording, quiet: bool, resume_command: str) -> None:
     """Run to the last frame, or until Ctrl-C or SIGTERM requests a stop; then stop after the current frame."""
     import signal
 
     from antdsl.cli.printing.progress import show_progress
-    from antdsl.outputs.recording import record
+    from antdsl.outputs.recording import record_frames
     from antdsl.runtime import FaultStop, LimitStop
 
     code = ExitCode.INTERRUPTED
@@ -241,15 +241,15 @@ def _record_to_end(recording: Recording, quiet: bool, again: str) -> None:
         nonlocal code
         if number == signal.SIGTERM:  # farms send it several times, to the group and to the process
             code = ExitCode.TERMINATED
-        elif recording.stop:
+        elif recording.stop_requested:
             raise KeyboardInterrupt
-        recording.stop = True
+        recording.stop_requested = True
 
     previous_handlers = {number: signal.signal(number, ask_to_stop) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
-        failures = report_failures("cannot write the cache", f"go on with: {again}")
+        failures = report_failures("cannot write the cache", f"go on with: {resume_command}")
         with explain_cache_errors(), failures, show_progress(recording, quiet) as watch:
-            for _ in record(recording, watch.show_preroll):
+            for _ in record_frames(recording, watch.show_preroll):
                 watch.frame()
     except LimitStop as why:
         words = f"correct the program; the earlier frames are in {recording.folder}"
@@ -265,8 +265,10 @@ def _record_to_end(recording: Recording, quiet: bool, again: str) -> None:
         for number, handler in previous_handlers.items():
             signal.signal(number, handler)
         for note in recording.world.backend.messages():
-            print_note(note, err=True)
-    if recording.stop and not recording.complete:
+            print_note(note, to_stderr=True)
+    if recording.stop_requested and not recording.is_complete:
         if recording.frame is None:
-            raise CommandError(code, "stopped before the first frame", f"begin with: {again}")
-        raise CommandError(code, f"stopped after frame {recording.frame}, which has a checkpoint", f"go on with: {again}")
+            raise CommandError(code, "stopped before the first frame", f"begin with: {resume_command}")
+        raise CommandError(
+            code, f"stopped after frame {recording.frame}, which has a checkpoint", f"go on with: {resume_command}"
+        )

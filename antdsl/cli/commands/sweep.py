@@ -10,25 +10,25 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from antdsl.cli.destinations import default_path, protect_inputs, require_writable_folder
+from antdsl.atomic_write import write_atomically
+from antdsl.cli.destinations import choose_default_path, protect_inputs, require_writable_folder
 from antdsl.cli.exits import CommandError, ExitCode, report_failures
 from antdsl.cli.memory_demand import ANY_MEMORY_OPTION, require_memory
-from antdsl.cli.printing.messages import note_output, print_note
+from antdsl.cli.printing.messages import print_note, treat_output_as_notes
 from antdsl.cli.scheduler import (
     NO_TLS_OPTION,
     SCHEDULER_OPTION,
     TLS_OPTION,
+    choose_stop_exit_code,
     open_engine,
     raise_on_sigterm,
     require_scheduler,
-    stop_exit_code,
 )
-from antdsl.whole import write_atomically
 
 if TYPE_CHECKING:
-    from antdsl.sweep import Job, JobChooser, Outcome, RunStore
+    from antdsl.sweep import JobChooser, JobOutcome, RunStore, SweepJob
     from antdsl.sweep.study import Study
-    from antdsl.sweep.table import Result
+    from antdsl.sweep.table import RunResult
 
 RESULT_FILE_NAMES = (
     "table.txt",
@@ -110,12 +110,12 @@ def sweep(
     """Run scenes over parameter values and seeds, and report medians and quartiles."""
     from antdsl.cli.arguments import require_scene
     from antdsl.cli.printing.reports import exit_on_errors
-    from antdsl.cli.sweep_words import build_study, load_request, nothing, open_scene_shots, parse_widths
+    from antdsl.cli.sweep_arguments import build_study, load_request, open_scene_shots, parse_widths, reject_missing_scene
     from antdsl.executors import WorkersLost
-    from antdsl.numerics.host import cores
-    from antdsl.scene.paths import record_sought
-    from antdsl.sweep import JobChooser, RunStore, run_all
-    from antdsl.sweep.finished_runs import NoSweepFolder
+    from antdsl.numerics.host import count_available_cores
+    from antdsl.scene.paths import record_requested_paths
+    from antdsl.sweep import JobChooser, RunStore, run_jobs
+    from antdsl.sweep.finished_runs import NotASweepFolder
     from antdsl.sweep.study import SweepRequest
 
     require_scheduler(scheduler, tls, no_tls)
@@ -125,7 +125,7 @@ def sweep(
         load_request(context, out)
         if resume
         else SweepRequest(
-            scenes=[str(scene) for scene in scenes or ()] or nothing(),
+            scenes=[str(scene) for scene in scenes or ()] or reject_missing_scene(),
             vary=vary,
             design=design.value,
             points=points,
@@ -138,16 +138,16 @@ def sweep(
         )
     )
     widths, first = parse_widths(request), Path(request.scenes[0])
-    folder = out if out is not None else default_path(first.resolve().parent, "out", "sweep")
+    folder = out if out is not None else choose_default_path(first.resolve().parent, "out", "sweep")
     if first.is_file():  # else there is no folder beside it to ask
         require_writable_folder(folder, "--out", *RESULT_FILE_NAMES)
-    with protect_inputs({}, {"--out": (folder, (*RESULT_FILE_NAMES, "runs"))}) as inputs, record_sought() as read:
+    with protect_inputs({}, {"--out": (folder, (*RESULT_FILE_NAMES, "runs"))}) as inputs, record_requested_paths() as read:
         inputs += map(Path, request.scenes)
         study, runs, report = build_study(request)
     exit_on_errors(report)
     try:
         run_store = RunStore(folder)
-    except NoSweepFolder as why:
+    except NotASweepFolder as why:
         raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {why}", "name another folder with `--out`") from None
     request.write(folder)
 
@@ -167,18 +167,18 @@ def sweep(
     if others:
         print_note(
             f"{others} runs in {folder} are of files, values or sources of antdsl that are others now, and are not counted",
-            err=True,
+            to_stderr=True,
         )
-    processes = min(jobs or cores(), max(todo, 1))
-    threads = max(1, cores() // processes)
+    processes = min(jobs or count_available_cores(), max(todo, 1))
+    threads = max(1, count_available_cores() // processes)
     if todo and not any_memory and not scheduler:  # a cluster's machines have memory of their own
         require_memory(open_scene_shots(study, request), processes, len(runs))
-    failed: list[Outcome] = []
+    failed: list[JobOutcome] = []
     files = [path for path in read if path.is_file()]
     where = open_engine((scheduler, tls, no_tls), processes, threads, files)
     try:
         with raise_on_sigterm(), where as engine, _show_progress(todo, quiet, bool(request.until_known)) as watch:
-            for outcome in run_all(chooser.needed_jobs(), engine, watch.frame, watch.show_note):
+            for outcome in run_jobs(chooser.needed_jobs(), engine, watch.frame, watch.show_note):
                 watch.show_finished(outcome)
                 if outcome.measures is None:
                     failed.append(outcome)
@@ -191,7 +191,7 @@ def sweep(
         _write_tables(run_store, study, chooser, finished_measures, show, plots=False)
         finished = f"{len(finished_measures)} of {len(runs)} runs are finished and stored"
         code, words = (
-            (ExitCode.INPUT_OUTPUT, f"error: {why}") if isinstance(why, WorkersLost) else (stop_exit_code(why), "stopped")
+            (ExitCode.INPUT_OUTPUT, f"error: {why}") if isinstance(why, WorkersLost) else (choose_stop_exit_code(why), "stopped")
         )
         raise CommandError(
             code, f"{words}: {finished}", "the same command goes on with the others, and so does `--resume`"
@@ -204,10 +204,12 @@ def sweep(
 
 def _require_measures(chooser: JobChooser) -> None:
     """Raise CommandError if no run has reported a measure that a width goal names."""
-    unheard = chooser.missing_measures()
+    unheard = chooser.list_missing_measures()
     if unheard:
         raise CommandError(
-            ExitCode.USAGE, f"error: no measure begins with `{unheard[0]}`", f"there are: {', '.join(chooser.measure_prefixes())}"
+            ExitCode.USAGE,
+            f"error: no measure begins with `{unheard[0]}`",
+            f"there are: {', '.join(chooser.list_measure_prefixes())}",
         )
 
 
@@ -215,46 +217,54 @@ def _write_tables(
     run_store: RunStore, study: Study, chooser: JobChooser, finished_measures: Mapping[str, Any], show: Sequence[str], plots: bool
 ) -> None:
     """Write the table in all formats, and print it."""
-    from antdsl.sweep import rows
+    from antdsl.sweep import build_rows
     from antdsl.sweep.figures import is_available
-    from antdsl.sweep.plots import HOW, draw_factors, draw_measures
+    from antdsl.sweep.plots import INSTALL_HINT, draw_factors, draw_measures
     from antdsl.sweep.sensitivity import as_csv as effects_csv
-    from antdsl.sweep.sensitivity import text as effects_text
-    from antdsl.sweep.table import as_csv, as_json, choose_measures, known_text, runs_csv, runs_parquet, text
+    from antdsl.sweep.sensitivity import format_effects as effects_text
+    from antdsl.sweep.table import (
+        as_csv,
+        as_json,
+        choose_measures,
+        format_known_medians,
+        format_runs_csv,
+        format_runs_parquet,
+        format_table,
+    )
 
-    results: list[Result] = [(job, finished_measures[job.key]) for job in chooser.counted_jobs]
+    results: list[RunResult] = [(job, finished_measures[job.key]) for job in chooser.counted_jobs]
     if not results:
         return
-    table, known = rows(results), chooser.known_medians()
+    table, known = build_rows(results), chooser.list_known_medians()
     measures = choose_measures(table, show)
     if show and not measures:
         names = ", ".join(dict.fromkeys(row.measure.split(".")[0] for row in table))
         raise CommandError(ExitCode.USAGE, f"error: no measure begins with `{show[0]}`", f"there are: {names}")
-    effects, remarks = study.effects(table, measures)
-    lines = text(table, measures)
-    words = f"\n{known_text(known)}" if known else ""
-    if effects and study.chosen.design.analysis is not None:
-        words += f"\n{effects_text(study.chosen.design.analysis, effects)}"
+    effects, remarks = study.find_effects(table, measures)
+    lines = format_table(table, measures)
+    words = f"\n{format_known_medians(known)}" if known else ""
+    if effects and study.chosen_points.design.analysis is not None:
+        words += f"\n{effects_text(study.chosen_points.design.analysis, effects)}"
     texts = {
         "table.txt": lines + words,
         "table.csv": as_csv(table),
-        "runs.csv": runs_csv(results, study.units),
+        "runs.csv": format_runs_csv(results, study.unit_by_factor),
         "sweep.json": as_json(results, table, known, effects),
     }
     if effects:
         texts["sensitivity.csv"] = effects_csv(effects)
     files = {name: content.encode() for name, content in texts.items()}
-    parquet = runs_parquet(results, study.units)
+    parquet = format_runs_parquet(results, study.unit_by_factor)
     if parquet is not None:
         files["runs.parquet"] = parquet
     for name, content in files.items():
         write_atomically(run_store.folder / name, content)
-    print_note((_first_lines(lines) + words).rstrip("\n"))
+    print_note((_truncate_table(lines) + words).rstrip("\n"))
     for remark in remarks:
-        print_note(f"note: {remark}", err=True)
+        print_note(f"note: {remark}", to_stderr=True)
     drawn = []
     if plots and is_available() and len(measures) <= MAX_PLOT_PANELS:
-        if study.ranges:
+        if study.range_factors:
             draw_factors(study, results, measures, effects, run_store.folder / "factors.png")
             drawn.append("factors.png")
         else:
@@ -262,10 +272,10 @@ def _write_tables(
             drawn.append("table.png")
     print_note(f"in {run_store.folder}: {', '.join([*files, *drawn])}")
     if plots and not is_available():
-        print_note(HOW)
+        print_note(INSTALL_HINT)
 
 
-def _first_lines(lines: str) -> str:
+def _truncate_table(lines: str) -> str:
     """Return the first lines of a table, which are printed."""
     each = lines.splitlines(keepends=True)
     omitted_count = len(each) - 1 - MAX_PRINTED_LINES
@@ -277,27 +287,27 @@ def _first_lines(lines: str) -> str:
 class _RunProgress:
     """A listener for the progress of runs. It prints a line for each finished run, or nothing if quiet."""
 
-    def __init__(self, total: int, quiet: bool, at_most: bool) -> None:
+    def __init__(self, total: int, quiet: bool, is_maximum: bool) -> None:
         self.total, self.quiet, self.count = total, quiet, 0
-        self.of = f"of at most {total}" if at_most else f"of {total}"
-        self.notes: set[str] = set()
+        self.of = f"of at most {total}" if is_maximum else f"of {total}"
+        self.printed_notes: set[str] = set()
 
-    def frame(self, job: Job, frame: int) -> None:
+    def frame(self, job: SweepJob, frame: int) -> None:
         """Display that a run has reached a frame."""
 
-    def show_finished(self, outcome: Outcome) -> None:
+    def show_finished(self, outcome: JobOutcome) -> None:
         """Display that a run has ended, with or without success."""
         self.count += 1
         if outcome.measures is None:
-            print_note(f"failed: {outcome.job.name}: {outcome.problem}", err=True)
+            print_note(f"failed: {outcome.job.name}: {outcome.problem}", to_stderr=True)
         elif not self.quiet:
             self.print_line(f"{self.count} {self.of}: {outcome.job.name}, {outcome.measures['frames']} frames")
 
     def show_note(self, sentence: str) -> None:
         """Print a message about a deviation from the request. A message that several runs send is printed once."""
-        if sentence not in self.notes:
-            self.notes.add(sentence)
-            print_note(sentence, err=True)
+        if sentence not in self.printed_notes:
+            self.printed_notes.add(sentence)
+            print_note(sentence, to_stderr=True)
 
     def print_line(self, line: str) -> None:
         """Print a line of progress."""
@@ -307,39 +317,39 @@ class _RunProgress:
 class _BarProgress(_RunProgress):
     """Progress of runs as one line that is updated in place: finished runs, and the frames of the current runs."""
 
-    def __init__(self, total: int, at_most: bool, bar: Any) -> None:
-        super().__init__(total, False, at_most)
+    def __init__(self, total: int, is_maximum: bool, bar: Any) -> None:
+        super().__init__(total, False, is_maximum)
         self.bar = bar
         self.task = bar.add_task("", total=float(total), words="")
-        self.under_way: dict[str, tuple[str, int, float]] = {}
+        self.current_runs: dict[str, tuple[str, int, float]] = {}
 
-    def frame(self, job: Job, frame: int) -> None:
+    def frame(self, job: SweepJob, frame: int) -> None:
         first, last = job.frames
-        self.under_way[job.key] = (job.name, frame, (frame - first) / max(last - first, 1))
-        self._draw()
+        self.current_runs[job.key] = (job.name, frame, (frame - first) / max(last - first, 1))
+        self._update_bar()
 
-    def show_finished(self, outcome: Outcome) -> None:
-        self.under_way.pop(outcome.job.key, None)
+    def show_finished(self, outcome: JobOutcome) -> None:
+        self.current_runs.pop(outcome.job.key, None)
         super().show_finished(outcome)
-        self._draw()
+        self._update_bar()
 
-    def _draw(self) -> None:
-        words = " · ".join(f"{name}: {frame}" for name, frame, _ in list(self.under_way.values())[:4])
-        self.bar.update(self.task, completed=self.count + sum(share for *_, share in self.under_way.values()), words=words)
+    def _update_bar(self) -> None:
+        words = " · ".join(f"{name}: {frame}" for name, frame, _ in list(self.current_runs.values())[:4])
+        self.bar.update(self.task, completed=self.count + sum(share for *_, share in self.current_runs.values()), words=words)
 
     def print_line(self, line: str) -> None:
         self.bar.console.print(line, highlight=False, markup=False)
 
 
 @contextmanager
-def _show_progress(total: int, quiet: bool, at_most: bool) -> Iterator[_RunProgress]:
+def _show_progress(total: int, quiet: bool, is_maximum: bool) -> Iterator[_RunProgress]:
     from antdsl.cli.printing.progress import can_draw_bar
 
     if quiet or not total or not can_draw_bar():
-        yield _RunProgress(total, quiet, at_most)
+        yield _RunProgress(total, quiet, is_maximum)
         return
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
     columns = (BarColumn(24), TaskProgressColumn(), TimeRemainingColumn(), TextColumn("{task.fields[words]}"))
-    with note_output(), Progress(*columns, transient=True) as bar:
-        yield _BarProgress(total, at_most, bar)
+    with treat_output_as_notes(), Progress(*columns, transient=True) as bar:
+        yield _BarProgress(total, is_maximum, bar)

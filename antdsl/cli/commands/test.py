@@ -21,12 +21,12 @@ from antdsl.cli.exits import CommandError, ExitCode
 from antdsl.cli.printing.messages import print_note
 
 if TYPE_CHECKING:
-    from antdsl.specs import Case, Run
+    from antdsl.specs import SpecCase, SpecRun
 
 
 def test(
     paths: list[Path] = typer.Argument(..., help="Programs (.ant), scenes (.yaml), or folders to search."),
-    named: str = typer.Option("", "-k", metavar="NAME", help="Only specs with this in their name."),
+    name_filter: str = typer.Option("", "-k", metavar="NAME", help="Only specs with this in their name."),
     seeds: int = typer.Option(None, "--seeds", metavar="N", min=1, max=1000, help="Run each spec with the seeds 1 to N."),
     junit: Path = typer.Option(None, "--junit", metavar="FILE", help="Write the results as JUnit XML, for build servers."),
     json: Path = typer.Option(None, "--json", metavar="FILE", help="Write the results and the coverage as JSON."),
@@ -35,8 +35,10 @@ def test(
     ),
     no_keep: bool = typer.Option(False, "--no-keep", help="Save no failures."),
     update: bool = typer.Option(False, "--update", help="Store these runs as golden runs; later runs are compared with them."),
-    whole: bool = typer.Option(False, "--coverage", help="List all states and transitions, with how often each was reached."),
-    under: float = typer.Option(
+    show_coverage: bool = typer.Option(
+        False, "--coverage", help="List all states and transitions, with how often each was reached."
+    ),
+    min_coverage: float = typer.Option(
         None, "--fail-under", metavar="N", min=0, max=100, help="Fail if less than N % of the states and changes were met."
     ),
     root: list[str] = typer.Option([], "--root", metavar="NAME=DIR", help="Grant scenes a folder of assets outside their own."),
@@ -53,14 +55,14 @@ def test(
     """Run the specs of programs and say what was not as expected."""
     from antdsl.cli.arguments import parse_grants
     from antdsl.cli.commands.run import choose_threads
-    from antdsl.cli.printing.reports import report_exit_code, show
+    from antdsl.cli.printing.reports import choose_exit_code, print_report
     from antdsl.files import find_files
     from antdsl.runtime import Options
-    from antdsl.specs import Work, collect_cases, run_cases
+    from antdsl.specs import RunContext, collect_cases, run_cases
     from antdsl.specs.cases import settle_verdicts
     from antdsl.specs.failure_cache import FailureSaver
-    from antdsl.specs.golden.comparing import GoldenComparison
-    from antdsl.specs.golden.recorded import golden_path
+    from antdsl.specs.golden.golden_comparison import GoldenComparison
+    from antdsl.specs.golden.golden_runs import find_golden_path
     from antdsl.specs.reports import as_json, as_junit
     from antdsl.specs.text_report import (
         describe_counts,
@@ -69,61 +71,65 @@ def test(
         describe_golden,
         describe_uncovered,
         describe_verdict,
-        one_line,
+        format_case_line,
     )
 
     require_writable_file(junit, "--junit")
     require_writable_file(json, "--json")
     require_writable_folder(keep, "--keep")
     with protect_inputs({"--junit": junit, "--json": json}) as inputs:
-        runs, report = collect_cases(paths, grants=parse_grants(root), seeds=seeds, named=named)
-        inputs += [*find_files(paths)[0], *(golden_path(case.scene) for run in runs for case in run.cases)]
-    show(report, to_stderr=True)
+        runs, report = collect_cases(paths, grants=parse_grants(root), seeds=seeds, named=name_filter)
+        inputs += [*find_files(paths)[0], *(find_golden_path(case.scene) for run in runs for case in run.cases)]
+    print_report(report, to_stderr=True)
     everything = [case for run in runs for case in run.cases]
     if not everything and report.ok:
-        what = f"no spec here has `{named}` in its name" if named else "there is no spec here"
+        what = f"no spec here has `{name_filter}` in its name" if name_filter else "there is no spec here"
         raise CommandError(ExitCode.USAGE, f"error: {what}", 'write one in a program: `spec "…" on "scene.yaml" { always: … }`')
 
     with redirect_messages(junit, json) as output:
         progress = _TestProgress(quiet, len(runs))
 
-        def report_case(case: Case) -> None:
-            progress.clear()
+        def report_case(case: SpecCase) -> None:
+            progress.clear_line()
             if case.failures:
                 print_note(describe_failed_case(case))
             elif not quiet:
-                print_note(one_line(case))
+                print_note(format_case_line(case))
 
         options = Options(backend=backend.value, threads=choose_threads(threads, quiet))
         failure_saver = None if no_keep else FailureSaver(keep, parse_grants(root), options)
-        work = Work(options, failure_saver=failure_saver, goldens=GoldenComparison(update), report_case=report_case)
-        coverage, goldens = work.coverage, work.goldens
+        work = RunContext(
+            options, failure_saver=failure_saver, golden_comparison=GoldenComparison(update), report_case=report_case
+        )
+        coverage, goldens = work.coverage, work.golden_comparison
         assert goldens is not None
         stopped = False
         try:
             with _interrupt_between_frames() as ask:
 
-                def frame(run: Run, number: int, last: int) -> None:
+                def frame(run: SpecRun, number: int, last: int) -> None:
                     ask()
                     progress.frame(run, number, last)
 
                 work.frame = frame
                 run_cases(runs, work)
-                goldens.write()
+                goldens.write_golden_files()
         except KeyboardInterrupt:
             stopped = True
-            progress.clear()
+            progress.clear_line()
         for note in work.messages:
-            print_note(note, err=True)
-        show(goldens.report, to_stderr=True)
+            print_note(note, to_stderr=True)
+        print_report(goldens.report, to_stderr=True)
         report.extend(goldens.report)
         verdicts = settle_verdicts(everything)
         lines = [describe_verdict(verdict) for verdict in verdicts]
         lines += [describe_golden(result) for result in goldens.results if not quiet or result.outcome == "differs"]
         lines.append(describe_counts(everything, len(report.errors), goldens.results))
-        lines += [] if quiet else [describe_coverage(coverage)] * whole + [describe_uncovered(coverage)]
-        low = under is not None and not stopped and coverage.share * 100 < under
-        lines += [f"{coverage.share * 100:.4g} % of states and changes were met, less than {under:g} %"] if low else []
+        lines += [] if quiet else [describe_coverage(coverage)] * show_coverage + [describe_uncovered(coverage)]
+        low = min_coverage is not None and not stopped and coverage.covered_share * 100 < min_coverage
+        lines += (
+            [f"{coverage.covered_share * 100:.4g} % of states and changes were met, less than {min_coverage:g} %"] if low else []
+        )
         print_note("\n".join(line for line in lines if line))
         write_result(junit, as_junit(everything, report, goldens.results).encode(), output)
         write_result(json, as_json(everything, coverage, report, goldens.results).encode(), output)
@@ -133,7 +139,7 @@ def test(
     if low or differ or any(case.outcome == "failed" for case in everything):
         raise CommandError(ExitCode.FINDINGS)
     if not report.ok:
-        raise CommandError(report_exit_code(report))
+        raise CommandError(choose_exit_code(report))
 
 
 @contextmanager
@@ -167,23 +173,23 @@ class _TestProgress:
         import sys
 
         self.stream = sys.stderr if sys.stderr.isatty() and not quiet else None
-        self.runs = runs
-        self.seen: set[int] = set()
-        self.drawn = 0.0
+        self.run_count = runs
+        self.started_run_ids: set[int] = set()
+        self.last_drawn_seconds = 0.0
 
-    def frame(self, run: Run, frame: int, last: int) -> None:
+    def frame(self, run: SpecRun, frame: int, last: int) -> None:
         """Display that a run has reached a frame."""
         from time import monotonic
 
-        self.seen.add(id(run))
-        if self.stream is not None and monotonic() - self.drawn > 0.2:
-            self.drawn = monotonic()
+        self.started_run_ids.add(id(run))
+        if self.stream is not None and monotonic() - self.last_drawn_seconds > 0.2:
+            self.last_drawn_seconds = monotonic()
             name = run.cases[0].name if len(run.cases) == 1 else f"{len(run.cases)} specs"
-            words = f"run {len(self.seen)} of {self.runs}: {name}, seed {run.seed}, frame {frame} of {last}"
+            words = f"run {len(self.started_run_ids)} of {self.run_count}: {name}, seed {run.seed}, frame {frame} of {last}"
             self.stream.write(f"\r{words[:100]:<100}")
             self.stream.flush()
 
-    def clear(self) -> None:
+    def clear_line(self) -> None:
         """Clear the progress line."""
         if self.stream is not None:
             self.stream.write("\r" + " " * 100 + "\r")

@@ -8,21 +8,21 @@ from typing import Any
 
 import numpy as np
 
-from antdsl.bodies.agents.definition import Clip, Definition, Gait, Layer, Shape, language_names
-from antdsl.bodies.files.document_values import axis_word
-from antdsl.bodies.files.documents import plain_metadata
+from antdsl.bodies.agents.definition import Clip, Definition, Gait, Layer, Shape, map_language_names
+from antdsl.bodies.files.document_values import format_axis
+from antdsl.bodies.files.documents import to_plain_metadata
 from antdsl.diagnostics import Report
-from antdsl.diagnostics.places import escape_line
-from antdsl.diagnostics.render import render, visible_diagnostics
-from antdsl.scene.model import UNIT_MM
+from antdsl.diagnostics.render import choose_visible_diagnostics, render
+from antdsl.diagnostics.text_positions import escape_line
+from antdsl.scene.scene_model import UNIT_MM
 
 
-def body_lines(body: Definition) -> Iterator[str]:
+def format_body(body: Definition) -> Iterator[str]:
     """Yield the lines that describe a definition."""
-    unit = unit_of(body)
-    yield f"body         {body.name}: {body.length:.4g} {unit} long, front {axis_word(body.front)}, up {axis_word(body.up)}"
+    unit = find_length_unit(body)
+    yield f"body         {body.name}: {body.length:.4g} {unit} long, front {format_axis(body.front)}, up {format_axis(body.up)}"
     yield f"joints       {len(body.rig.names)}"
-    yield from tree_lines(body)
+    yield from format_joint_tree(body)
     for each in body.rig.channels:
         at = f" of {each.transform}" if each.transform else ""
         yield escape_line(f"channel      {each.name}{at}: {each.default:g} where no clip says otherwise")
@@ -49,24 +49,24 @@ def body_lines(body: Definition) -> Iterator[str]:
         yield escape_line(f"varies       {name}: {low:g} to {high:g} times as large")
     for name, colours in body.variation.materials.items():
         yield escape_line(f"varies       {name}: {' to '.join(' '.join(f'{part:.3g}' for part in colour) for colour in colours)}")
-    yield from _language_name_lines(body)
-    for key, value in plain_metadata(body.metadata).items():
+    yield from _format_language_names(body)
+    for key, value in to_plain_metadata(body.metadata).items():
         yield escape_line(f"metadata     {key}: {_shorten_text(json.dumps(value, ensure_ascii=False))}")
 
 
-def _language_name_lines(body: Definition) -> Iterator[str]:
+def _format_language_names(body: Definition) -> Iterator[str]:
     """Yield the spelling in programs and scenes of names that the language cannot write unchanged."""
     named: list[tuple[str, Iterable[str]]] = [
         ("clip", body.clips), ("layer", body.layers), ("group", body.groups), ("channel", (c.name for c in body.rig.channels)),
         *((f"mark of {clip.name}", clip.marks) for clip in body.clips.values()),
     ]  # fmt: skip
     for what, names in named:
-        for name, written in language_names(names).items():
+        for name, written in map_language_names(names).items():
             if name != written:
                 yield escape_line(f"written      {what} {name}: {written}")
 
 
-def tree_lines(body: Definition) -> Iterator[str]:
+def format_joint_tree(body: Definition) -> Iterator[str]:
     """Yield a line for each joint, below its parent and indented."""
     depth: list[int] = []
     for name, parent in zip(body.rig.names, body.rig.parents, strict=True):
@@ -74,7 +74,7 @@ def tree_lines(body: Definition) -> Iterator[str]:
         yield escape_line(f"  {'  ' * min(depth[-1], 40)}{name}")
 
 
-def unit_of(body: Definition) -> str:
+def find_length_unit(body: Definition) -> str:
     """Return the unit of a definition's lengths."""
     return next((name for name, mm in UNIT_MM.items() if abs(mm / body.unit - 1) < 1e-6), f"× {body.unit:g} mm")
 
@@ -85,8 +85,8 @@ def _describe_shape(shape: Shape) -> list[str]:
         words.append(f"follows {len(shape.capture.names)} joints")
     if shape.blend is not None:
         words.append(f"blends with {len(shape.blend.shapes)}")
-    if shape.between is not None:
-        words.append(f"{len(shape.between.shapes)} in-between")
+    if shape.in_betweens is not None:
+        words.append(f"{len(shape.in_betweens.shapes)} in-between")
     words += [word for word, values in (("no normals", shape.normals), ("no uvs", shape.uvs)) if values is None]
     return words
 
@@ -102,13 +102,13 @@ def _describe_clip(body: Definition, clip: Clip) -> list[str]:
     if clip.channels:
         words.append(f"{len(clip.channels)} channels")
     words.append("loops" if clip.loop else "plays once")
-    words.append(f"stride {clip.stride:.4g} {unit_of(body)}" if clip.stride else "stays in place")
+    words.append(f"stride {clip.stride:.4g} {find_length_unit(body)}" if clip.stride else "stays in place")
     words += [] if clip.feet else ["feet free"]
     words += [f"{name} at {mark_time:.3g} s" for name, mark_time in clip.marks.items()]
-    return [*words, "does not close"] if clip.loop and not _is_closed(body, clip) else words
+    return [*words, "does not close"] if clip.loop and not _is_clip_closed(body, clip) else words
 
 
-def _is_closed(body: Definition, clip: Clip) -> bool:
+def _is_clip_closed(body: Definition, clip: Clip) -> bool:
     """Return whether a clip ends in its first pose, apart from the displacement of its stride. The tolerance is a thousandth of
     the body length and of a turn."""
     ends = ((part[0], part[-1]) for part in (clip.translation, clip.rotation, clip.scale) if len(part))
@@ -128,26 +128,26 @@ def _shorten_text(text: str) -> str:
     return text if len(text) <= 100 else text[:99] + "…"
 
 
-def body_document(body: Definition | None, report: Report) -> str:
+def format_body_json(body: Definition | None, report: Report) -> str:
     """Return the description of a body as JSON. `body` is null if there is none. `findings` has the form of `antdsl check
     --format json`."""
-    findings = json.loads(render(report, "json")) if visible_diagnostics(report) else None
+    findings = json.loads(render(report, "json")) if choose_visible_diagnostics(report) else None
     content: dict[str, Any] = {"format_version": "1.0", "valid": report.ok, "body": None, "findings": findings}
     if body is not None:
         content["body"] = {
-            "name": body.name, "length": body.length, "unit_mm": body.unit, "front": axis_word(body.front),
-            "up": axis_word(body.up),
+            "name": body.name, "length": body.length, "unit_mm": body.unit, "front": format_axis(body.front),
+            "up": format_axis(body.up),
             "joints": {
                 name: None if parent < 0 else body.rig.names[parent]
                 for name, parent in zip(body.rig.names, body.rig.parents, strict=True)
             },
             "channels": {each.name: {"default": each.default, "transform": each.transform} for each in body.rig.channels},
-            "shapes": {name: _shape_document(shape) for name, shape in body.shapes.items()},
-            "layers": {name: _layer_document(layer) for name, layer in body.layers.items()},
-            "clips": {name: _clip_document(clip) for name, clip in body.clips.items()},
+            "shapes": {name: _make_shape_document(shape) for name, shape in body.shapes.items()},
+            "layers": {name: _make_layer_document(layer) for name, layer in body.layers.items()},
+            "clips": {name: _make_clip_document(clip) for name, clip in body.clips.items()},
             "idle": body.idle,
             "legs": {leg.name: {"upper": leg.upper, "lower": leg.lower, "foot": leg.foot} for leg in body.legs},
-            "gaits": {gait.name: _gait_document(gait) for gait in body.gaits},
+            "gaits": {gait.name: _make_gait_document(gait) for gait in body.gaits},
             "groups": {
                 name: {"members": dict(group.members), "channels": list(group.channels)} for name, group in body.groups.items()
             },
@@ -156,32 +156,34 @@ def body_document(body: Definition | None, report: Report) -> str:
                 "materials": {name: [list(colour) for colour in colours] for name, colours in body.variation.materials.items()},
             },
             "materials": {name: list(colour) for name, colour in body.materials.items()},
-            "metadata": plain_metadata(body.metadata),
+            "metadata": to_plain_metadata(body.metadata),
         }  # fmt: skip
     return json.dumps(content, indent=2, ensure_ascii=True) + "\n"
 
 
-def _shape_document(shape: Shape) -> dict[str, Any]:
+def _make_shape_document(shape: Shape) -> dict[str, Any]:
     return {
         "points": len(shape.points),
         "triangles": len(shape.faces),
         "joints": list(shape.capture.names) if shape.capture is not None else [],
         "blends_with": list(shape.blend.shapes) if shape.blend is not None else [],
-        "in_between": dict(zip(shape.between.shapes, shape.between.weights, strict=True)) if shape.between is not None else {},
+        "in_between": dict(zip(shape.in_betweens.shapes, shape.in_betweens.weights, strict=True))
+        if shape.in_betweens is not None
+        else {},
         "materials": list(shape.materials),
         "normals": shape.normals is not None,
         "uvs": shape.uvs is not None,
     }
 
 
-def _layer_document(layer: Layer) -> list[dict[str, Any]]:
+def _make_layer_document(layer: Layer) -> list[dict[str, Any]]:
     return [
         {"shape": each.shape, "transform": each.transform, "deformer": each.deformer, "bounds_scale": list(each.bounds_scale)}
         for each in (*layer.static, *layer.deforming)
     ]
 
 
-def _clip_document(clip: Clip) -> dict[str, Any]:
+def _make_clip_document(clip: Clip) -> dict[str, Any]:
     return {
         "seconds": clip.duration,
         "rate": clip.rate,
@@ -194,6 +196,6 @@ def _clip_document(clip: Clip) -> dict[str, Any]:
     }
 
 
-def _gait_document(gait: Gait) -> dict[str, Any]:
+def _make_gait_document(gait: Gait) -> dict[str, Any]:
     values = {"speed": gait.speed, "stride": gait.stride, "duty": gait.duty, "lift": gait.lift}
     return values | {"phases": list(gait.phases)}

@@ -6,12 +6,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from antdsl.diagnostics.places import escape_text
-from antdsl.program.cost import StateCost, costs
+from antdsl.diagnostics.text_positions import escape_text
+from antdsl.program.cost import StateCost, estimate_costs
 from antdsl.program.kinds import TypeKind
 from antdsl.program.model import Constant, Param, Program, Species
 from antdsl.program.tables.editions import STANDING_SETTING, setting_defaults
-from antdsl.program.tables.units import measure
+from antdsl.program.tables.units import find_unit_measure
 from antdsl.source import Span
 from antdsl.syntax import nodes
 
@@ -33,7 +33,7 @@ def _align_rows(rows: Sequence[Sequence[str]]) -> Iterator[str]:
 # --- params ----------------------------------------------------------------------------------------------------------
 
 
-def params_table(programs: CheckedPrograms) -> Iterator[str]:
+def format_params_table(programs: CheckedPrograms) -> Iterator[str]:
     """Yield the params of all programs. A param appears below the first file that has it."""
     listed: set[Span] = set()
     for file, program in programs:
@@ -41,13 +41,13 @@ def params_table(programs: CheckedPrograms) -> Iterator[str]:
         listed.update(param.span for param in new)
         if new:
             yield f"{file}:"
-            yield from _align_rows([("param", "default", "unit", "range", "help"), *(_param_row(param) for param in new)])
+            yield from _align_rows([("param", "default", "unit", "range", "help"), *(_make_param_row(param) for param in new)])
     if not listed:
         yield "no program here has a param"
 
 
 def settings_table(programs: CheckedPrograms) -> Iterator[str]:
-    """Yield the settings of all species whose defaults depend on the edition: value, and where it comes from."""
+    """Yield the settings with defaults that depend on the edition, of all species: value, and where it comes from."""
     listed: set[Span] = set()
     for file, program in programs:
         rows = [row for source in program.sources for row in _setting_rows(source, program, listed)]
@@ -67,21 +67,21 @@ def _setting_rows(source: nodes.File, program: Program, listed: set[Span]) -> It
         for name, default in setting_defaults(edition, STANDING_SETTING in lines).items():
             line = lines.get(name)
             value = default if line is None else " ".join(line.value.span.text.split())
-            origin = f"edition {edition}" if line is None else f"line {source.source.line_column(line.span.start)[0]}"
+            origin = f"edition {edition}" if line is None else f"line {source.source.find_line_column(line.span.start)[0]}"
             yield f"{species.name.text}.{name}", value, origin
 
 
-def _param_row(param: Param) -> tuple[str, ...]:
+def _make_param_row(param: Param) -> tuple[str, ...]:
     """Return name, default, unit, range and help. Numbers are in the author's unit; values of other kinds are as in the
     source."""
-    known = measure(param.unit) if param.unit else None
+    known = find_unit_measure(param.unit) if param.unit else None
 
     def cell(value: Constant | None) -> str:
         if value is None:
             return "…"
         if param.type.kind is TypeKind.BOOL:
             return "true" if value.number else "false"
-        if known is None or (known.u, known.step) != (value.u, value.step):
+        if known is None or (known.unit_power, known.step) != (value.unit_power, value.step):
             return " ".join(value.span.text.split()) if param.unit else f"{value.number:.6g}"
         return f"{value.number / known.factor:.6g}"
 
@@ -93,7 +93,7 @@ def _param_row(param: Param) -> tuple[str, ...]:
 # --- cost ------------------------------------------------------------------------------------------------------------
 
 
-def cost_table(programs: CheckedPrograms) -> Iterator[str]:
+def format_cost_table(programs: CheckedPrograms) -> Iterator[str]:
     """Yield the queries of each state and the memory of an agent. A species appears below the first file that has it."""
     listed: set[Span] = set()
     for file, program in programs:
@@ -102,20 +102,20 @@ def cost_table(programs: CheckedPrograms) -> Iterator[str]:
         sizes = _describe_memory(program) if new else {}
         for species in new:
             yield f"{file}: {species.name}{sizes.get(species.name, '')}"
-            yield from _align_rows([("state", "cost", "sums", "what it asks for"), *_state_rows(program, species)])
+            yield from _align_rows([("state", "cost", "sums", "what it asks for"), *_make_state_rows(program, species)])
     if not listed:
         yield "no program without errors here has a species"
 
 
-def _state_rows(program: Program, species: Species) -> Iterator[tuple[str, ...]]:
-    for part in costs(program, species):
+def _make_state_rows(program: Program, species: Species) -> Iterator[tuple[str, ...]]:
+    for part in estimate_costs(program, species):
         words = "; ".join(_list_uses(part))
-        yield part.name, f"{part.weight:,.0f}", f"{part.sums:,}", words or "-"
+        yield part.name, f"{part.weight:,.0f}", f"{part.operation_count:,}", words or "-"
 
 
 def _list_uses(part: StateCost) -> Iterator[str]:
     for kind in ("senses", "fields", "draws"):
-        words = [use.words for use in part.uses if use.kind == kind]
+        words = [use.description for use in part.uses if use.kind == kind]
         if words:
             yield f"{kind}: {', '.join(words)}"
 
@@ -126,14 +126,14 @@ _ROLE_PHRASES = {"attribute": "attributes", "pair": "values per pair", "memory":
 def _describe_memory(program: Program) -> dict[str, str]:
     """Return a description of the memory of each species, empty if the program cannot be compiled to a plan yet."""
     from antdsl import passes, plan
-    from antdsl.plan.registers import bytes_by_purpose
+    from antdsl.plan.registers import count_bytes_by_purpose
 
     lowered, report = plan.lower(program)
     if not report.ok:
         return {}
     memory_words = {}
     for name, species in passes.optimise(lowered).species.items():
-        size = bytes_by_purpose(species)
+        size = count_bytes_by_purpose(species)
         role_sizes = [f"{size[role]} {words}" for role, words in _ROLE_PHRASES.items() if size[role] or role != "pair"]
         of_all = sum(size[role] for role in _ROLE_PHRASES)
         memory_words[name] = f", {of_all} bytes an agent ({', '.join(role_sizes)}), {size['temp']} more in a step"
@@ -143,18 +143,18 @@ def _describe_memory(program: Program) -> dict[str, str]:
 # --- imports ---------------------------------------------------------------------------------------------------------
 
 
-def import_table(files: Sequence[Path], reports: Mapping[Path, Report], choices: RunChoices) -> Iterator[str]:
+def format_import_table(files: Sequence[Path], reports: Mapping[Path, Report], choices: RunChoices) -> Iterator[str]:
     """Yield, for each mesh of the scenes in `files`, what was read and what was changed. Scenes with errors are included."""
-    from antdsl.pipeline import mesh_imports
-    from antdsl.scene.geometry.import_notes import import_lines
+    from antdsl.pipeline import read_mesh_imports
+    from antdsl.scene.geometry.import_notes import format_import_report
 
     count = 0
     for file in files:
         if file.suffix == ".ant":
             continue
-        imports, units = mesh_imports(file, choices)
+        imports, units = read_mesh_imports(file, choices)
         for name, mesh_import in imports.items():
-            first, *rest = import_lines(mesh_import, units)
+            first, *rest = format_import_report(mesh_import, units)
             yield f"{file}: {name}: {first}"
             yield from (f"  {line}" for line in rest)
         if not imports and not reports[file].ok:
@@ -164,20 +164,20 @@ def import_table(files: Sequence[Path], reports: Mapping[Path, Report], choices:
         yield "no scene here has a mesh"
 
 
-def explain_missing_table(what: str, file: Path, report: Report) -> str:
-    """Return the reason why a file has no table of the kind `what`."""
+def explain_missing_table(table_kind: str, file: Path, report: Report) -> str:
+    """Return the reason why a file has no table of the kind `table_kind`."""
     errors = sum(each.severity == "error" for each in report.diagnostics)
-    return f"no {what} for `{file}`: it has {errors} error{'' if errors == 1 else 's'} (above)"
+    return f"no {table_kind} for `{file}`: it has {errors} error{'' if errors == 1 else 's'} (above)"
 
 
 # --- work of a scene -------------------------------------------------------------------------------------------------
 
 
-def work_table(file: Path, shot: Shot) -> Iterator[str]:
+def format_work_table(file: Path, shot: Shot) -> Iterator[str]:
     """Yield the allocations of a scene's world and crowd: counts and bytes, estimated before anything is allocated."""
-    from antdsl.cli.memory_demand import estimate_work, size_text
+    from antdsl.cli.memory_demand import estimate_work, format_bytes
 
     works = estimate_work(shot)
-    yield f"{file}: at least {size_text(sum(work.bytes for work in works))} for the world and its crowd"
-    rows = [(work.thing, f"{work.number:,} {work.parts}", size_text(work.bytes)) for work in works]
+    yield f"{file}: at least {format_bytes(sum(work.bytes for work in works))} for the world and its crowd"
+    rows = [(work.thing, f"{work.part_count:,} {work.unit_name}", format_bytes(work.bytes)) for work in works]
     yield from _align_rows([("thing", "work", "memory"), *rows])

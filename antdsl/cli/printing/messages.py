@@ -22,28 +22,29 @@ _PIPE_BLOCK_BYTES = 512  # bytes that a pipe takes without blocking once it is r
 class TerminalWriter(io.RawIOBase):
     """The raw end of standard output or standard error. Writing never raises OSError.
 
-    Results wait for a slow reader. Notes do not: they wait in a backlog while the work continues, until `close_streams`. `loss`:
-    the reason why a part of a result could not be written. It is None if everything was written or nothing reads the stream.
+    Results wait for a slow reader. Notes do not: they wait in a backlog while the work continues, until `close_streams`.
+    `loss_reason`: the reason why a part of a result could not be written. It is None if everything was written or nothing reads
+    the stream.
     """
 
     def __init__(self, raw: Any) -> None:
         self.raw = raw
         self.is_note = False
-        self.is_unread = False
-        self.loss: OSError | None = None
+        self.has_no_reader = False
+        self.loss_reason: OSError | None = None
         self.backlog = bytearray()
 
     def write(self, data: Any) -> int:
         """Write all of the data, or record why this is impossible. Return the length of the data in bytes in either case."""
         view = memoryview(data).cast("B")
-        if self.is_unread:
+        if self.has_no_reader:
             return len(view)
         if not self.is_note:
             self.flush_backlog()
             self._send(view)
         elif len(self.backlog) + len(view) <= _MAX_BACKLOG_BYTES:
             self.backlog += view
-            while self.backlog and self._is_ready():
+            while self.backlog and self._can_write():
                 self._send_backlog(_PIPE_BLOCK_BYTES)
         return len(view)
 
@@ -65,19 +66,19 @@ class TerminalWriter(io.RawIOBase):
                 if problem.errno in (errno.EAGAIN, errno.EWOULDBLOCK):
                     count = None
                 elif problem.errno in _CLOSED_READER_ERRORS:
-                    self.is_unread = True
+                    self.has_no_reader = True
                     self.backlog.clear()
                     return
                 else:
                     if not is_note:
-                        self.loss = problem
+                        self.loss_reason = problem
                     return
             if count is None:  # the stream is set not to block, and its reader is slow
-                self._is_ready(1000)
+                self._can_write(1000)
             else:
                 view = view[count:]
 
-    def _is_ready(self, milliseconds: int = 0) -> bool:
+    def _can_write(self, milliseconds: int = 0) -> bool:
         """Return whether a small write is possible without blocking."""
         import select
 
@@ -101,7 +102,7 @@ def guard_streams() -> None:
     """Make the streams of this process safe. Call this once, before any file is opened. A closed stream is opened on /dev/null,
     so that no other file gets its number and no child process receives it closed."""
     for number in range(3):
-        _reopen(number)
+        _open_null_stream(number)
     if hasattr(os, "set_blocking"):
         with suppress(OSError):
             os.set_blocking(0, True)  # else a reader takes "nothing yet" for the end
@@ -119,7 +120,7 @@ def guard_streams() -> None:
             os.register_at_fork(after_in_child=terminal.backlog.clear)
 
 
-def _reopen(number: int) -> None:
+def _open_null_stream(number: int) -> None:
     try:
         os.fstat(number)
     except OSError:
@@ -136,24 +137,24 @@ def close_streams() -> OSError | None:
     None."""
     for stream in (sys.stdout, sys.stderr):
         stream.flush()
-        terminal = _terminal(stream)
+        terminal = _find_terminal_writer(stream)
         if terminal is not None:
             terminal.flush_backlog()
-    terminal = _terminal(sys.stdout)
-    return None if terminal is None else terminal.loss
+    terminal = _find_terminal_writer(sys.stdout)
+    return None if terminal is None else terminal.loss_reason
 
 
-def _terminal(stream: TextIO) -> TerminalWriter | None:
+def _find_terminal_writer(stream: TextIO) -> TerminalWriter | None:
     raw = getattr(getattr(stream, "buffer", None), "raw", None)
     return raw if isinstance(raw, TerminalWriter) else None
 
 
 @contextmanager
-def note_output(stream: TextIO | None = None) -> Iterator[None]:
+def treat_output_as_notes(stream: TextIO | None = None) -> Iterator[None]:
     """Treat everything printed in this context as notes. Notes do not delay the work, and a lost note does not change the exit
     code. `stream`: standard output by default."""
     stream = sys.stdout if stream is None else stream
-    terminal = _terminal(stream)
+    terminal = _find_terminal_writer(stream)
     if terminal is None or terminal.is_note:
         yield
         return
@@ -166,10 +167,10 @@ def note_output(stream: TextIO | None = None) -> Iterator[None]:
         terminal.is_note = False
 
 
-def print_note(words: str = "", *, err: bool = False, newline: bool = True) -> None:
+def print_note(words: str = "", *, to_stderr: bool = False, newline: bool = True) -> None:
     """Print a note."""
-    stream = sys.stderr if err else sys.stdout
-    with note_output(stream):
+    stream = sys.stderr if to_stderr else sys.stdout
+    with treat_output_as_notes(stream):
         stream.write(words + "\n" if newline else words)
         stream.flush()
 

@@ -6,16 +6,16 @@ import sys
 
 from antdsl.cli.printing.messages import print_result
 from antdsl.diagnostics.codes import CODE_DESCRIPTIONS
-from antdsl.resources import code_page
+from antdsl.resources import find_code_page
 
 
-def show_page(code: str) -> None:
+def print_code_page(code: str) -> None:
     """Print the page of a known code. If the pages are not installed, print its one-line meaning."""
-    path = code_page(code)
-    show(f"# {code}\n\n{CODE_DESCRIPTIONS[code]}\n" if path is None else path.read_text(encoding="utf-8"))
+    path = find_code_page(code)
+    print_markdown(f"# {code}\n\n{CODE_DESCRIPTIONS[code]}\n" if path is None else path.read_text(encoding="utf-8"))
 
 
-def show(text: str) -> None:
+def print_markdown(text: str) -> None:
     """Print a Markdown text."""
     if not sys.stdout.isatty():
         print_result(text.rstrip("\n"))

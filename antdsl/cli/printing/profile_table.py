@@ -19,50 +19,54 @@ _MAX_LOCATION_CHARACTERS = 28  # letters of a file and a line, at most
 _MIN_TEXT_CHARACTERS = 12  # letters of a text that are shown, however narrow the terminal
 
 
-def show(profile: StepProfile, *, lines: bool) -> None:
-    """Print a profile. `lines` is false if the backend measures phases only."""
+def print_profile(profile: StepProfile, *, show_lines: bool) -> None:
+    """Print a profile. `show_lines` is false if the backend measures phases only."""
     console = Console(highlight=False, soft_wrap=True)
     with console.capture() as capture:
-        _print_tables(console, profile, lines)
+        _print_tables(console, profile, show_lines)
     print_note(capture.get(), newline=False)
 
 
-def _print_tables(console: Console, profile: StepProfile, lines: bool) -> None:
+def _print_tables(console: Console, profile: StepProfile, show_lines: bool) -> None:
     if not profile.frames:
         console.print("nothing to report: no frame was simulated after the first")
         return
     frames = "1 frame" if profile.frames == 1 else f"{profile.frames:,} frames"
-    worked = sum(profile.worked.values())
-    console.print(f"{profile.total:.2f} ms a frame, {worked:.2f} ms of processors, over {frames}{_describe_backend(profile)}")
-    total = profile.total
+    worked = sum(profile.cpu_ms.values())
+    console.print(f"{profile.total_ms:.2f} ms a frame, {worked:.2f} ms of processors, over {frames}{_describe_backend(profile)}")
+    total = profile.total_ms
     phases = sorted(profile.phases.items(), key=lambda each: -each[1])
-    _print_table(console, "phase", ((name, "", ms) for name, ms in phases), total, profile.worked)
-    if not lines:
+    _print_table(console, "phase", ((name, "", ms) for name, ms in phases), total, profile.cpu_ms)
+    if not show_lines:
         console.print("layers and lines are measured only on the backends `native` and `numpy`")
         return
     layers = sorted(profile.layers, key=lambda each: -each.ms)
     _print_table(console, "layer", ((each.span.text, each.species, each.ms) for each in layers), total)
     dearest = profile.lines[:MAX_LISTED_LINES]
-    _print_table(console, "line", ((each.text, f"{_short_path(each.file)}:{each.line}", each.ms) for each in dearest), total)
+    _print_table(console, "line", ((each.text, f"{_shorten_path(each.file)}:{each.line}", each.ms) for each in dearest), total)
 
 
 def _describe_backend(profile: StepProfile) -> str:
     """Return a description of the backend that ran the lines, and of the frames that are left out."""
-    if len(profile.by) < 2:
-        return "".join(f", by {name}" for name in profile.by)
-    return f", by machine code; left out: {profile.by['NumPy']:,} by NumPy before"
+    if len(profile.frames_by_backend) < 2:
+        return "".join(f", by {name}" for name in profile.frames_by_backend)
+    return f", by machine code; left out: {profile.frames_by_backend['NumPy']:,} by NumPy before"
 
 
-def _short_path(file: str) -> str:
+def _shorten_path(file: str) -> str:
     """Return the last two components of a file's path, because a long path would leave no space for numbers."""
     return "/".join(Path(file).parts[-2:])
 
 
 def _print_table(
-    console: Console, what: str, rows: Iterable[tuple[str, str, float]], total: float, worked: Mapping[str, float] | None = None
+    console: Console,
+    row_kind: str,
+    rows: Iterable[tuple[str, str, float]],
+    total: float,
+    cpu_milliseconds: Mapping[str, float] | None = None,
 ) -> None:
-    """Print the rows of one kind: milliseconds, CPU milliseconds, and the share of `total`. `worked`: CPU milliseconds by row, or
-    None."""
+    """Print the rows of one kind: milliseconds, CPU milliseconds, and the share of `total`. `cpu_milliseconds`: CPU milliseconds
+    by row, or None."""
     rows = list(rows)
     if not rows:
         return
@@ -70,17 +74,17 @@ def _print_table(
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="")
     figures = [
         ("ms", _FIGURE_CHARACTERS),
-        *([("cpu ms", _FIGURE_CHARACTERS)] if worked is not None else []),
+        *([("cpu ms", _FIGURE_CHARACTERS)] if cpu_milliseconds is not None else []),
         ("%", _SHARE_CHARACTERS),
     ]
     for title, width in figures:
         table.add_column(title, justify="right", no_wrap=True, width=width)
     if place:
-        table.add_column("of" if what == "layer" else "in", no_wrap=True, width=place)
+        table.add_column("of" if row_kind == "layer" else "in", no_wrap=True, width=place)
     text_width = console.width - sum(width + 2 for _, width in figures) - (place + 2 if place else 0)
-    table.add_column(what, no_wrap=True, max_width=max(text_width, _MIN_TEXT_CHARACTERS))
+    table.add_column(row_kind, no_wrap=True, max_width=max(text_width, _MIN_TEXT_CHARACTERS))
     for text, where, ms in rows:
-        cells = [f"{ms:.2f}", *([f"{worked.get(text, 0.0):.2f}"] if worked is not None else [])]
+        cells = [f"{ms:.2f}", *([f"{cpu_milliseconds.get(text, 0.0):.2f}"] if cpu_milliseconds is not None else [])]
         cells.append(f"{100 * ms / max(total, 1e-12):.0f}")
         table.add_row(
             *map(
@@ -92,5 +96,5 @@ def _print_table(
     console.print(table)
 
 
-def _shorten(text: str, most: int) -> str:
-    return text if len(text) <= most else text[: most - 1] + "…"
+def _shorten(text: str, max_characters: int) -> str:
+    return text if len(text) <= max_characters else text[: max_characters - 1] + "…"

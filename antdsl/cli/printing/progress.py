@@ -8,10 +8,10 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
-from antdsl.cli.printing.messages import note_output, print_note
+from antdsl.cli.printing.messages import print_note, treat_output_as_notes
 from antdsl.numerics import stages
 from antdsl.outputs.recording import Recording
-from antdsl.outputs.summary import states
+from antdsl.outputs.summary import count_states
 
 _LINE_INTERVAL_SECONDS = 5.0  # seconds between plain lines
 _BAR_CHARACTER = "█"
@@ -22,23 +22,23 @@ class ProgressDisplay:
 
     def __init__(self, recording: Recording) -> None:
         self.recording = recording
-        self.began = time.perf_counter()
-        self.done = 0
+        self.start_seconds = time.perf_counter()
+        self.written_frames = 0
 
     def show_preroll(self, what: str, frame: int) -> None:
         """Display that a preroll frame was simulated."""
 
     def frame(self) -> None:
         """Display that a frame was written."""
-        self.done += 1
+        self.written_frames += 1
 
-    def rate(self) -> float:
+    def compute_frame_rate(self) -> float:
         """Return the frames per second since the beginning."""
-        return self.done / max(time.perf_counter() - self.began, 1e-6)
+        return self.written_frames / max(time.perf_counter() - self.start_seconds, 1e-6)
 
-    def state_summary(self) -> str:
+    def describe_states(self) -> str:
         """Return the states that have agents, with numbers: `search 312 · carry 45`."""
-        return " · ".join(f"{name.split('.', 1)[1]} {count:,}" for name, count in states(self.recording).items() if count)
+        return " · ".join(f"{name.split('.', 1)[1]} {count:,}" for name, count in count_states(self.recording).items() if count)
 
 
 class LineProgress(ProgressDisplay):
@@ -46,7 +46,7 @@ class LineProgress(ProgressDisplay):
 
     def __init__(self, recording: Recording) -> None:
         super().__init__(recording)
-        self.said = 0.0
+        self.last_line_seconds = 0.0
 
     def show_preroll(self, what: str, frame: int) -> None:
         self._print_line(f"preroll {frame}")
@@ -55,13 +55,14 @@ class LineProgress(ProgressDisplay):
         super().frame()
         last = self.recording.shot.frames.last
         self._print_line(
-            f"frame {self.recording.frame} of {last}, {self.rate():.1f} fps, {self.state_summary()}", self.recording.frame == last
+            f"frame {self.recording.frame} of {last}, {self.compute_frame_rate():.1f} fps, {self.describe_states()}",
+            self.recording.frame == last,
         )
 
-    def _print_line(self, line: str, always: bool = False) -> None:
+    def _print_line(self, line: str, force: bool = False) -> None:
         now = time.perf_counter()
-        if always or now - self.said > _LINE_INTERVAL_SECONDS:
-            self.said = now
+        if force or now - self.last_line_seconds > _LINE_INTERVAL_SECONDS:
+            self.last_line_seconds = now
             print_note(line)
 
 
@@ -71,7 +72,7 @@ class BarProgress(ProgressDisplay):
     def __init__(self, recording: Recording, bar: Any, task: Any) -> None:
         super().__init__(recording)
         self.bar, self.task = bar, task
-        self.drawn = 0.0
+        self.last_drawn_seconds = 0.0
 
     def show_preroll(self, what: str, frame: int) -> None:
         self.bar.update(self.task, advance=1, words=f"preroll {frame}")
@@ -79,10 +80,12 @@ class BarProgress(ProgressDisplay):
     def frame(self) -> None:
         super().frame()
         now = time.perf_counter()
-        complete = self.recording.complete
-        if now - self.drawn > 0.2 or complete:
-            self.drawn = now
-            self.bar.update(self.task, words=f"frame {self.recording.frame} · {self.rate():.1f} fps · {self.state_summary()}")
+        complete = self.recording.is_complete
+        if now - self.last_drawn_seconds > 0.2 or complete:
+            self.last_drawn_seconds = now
+            self.bar.update(
+                self.task, words=f"frame {self.recording.frame} · {self.compute_frame_rate():.1f} fps · {self.describe_states()}"
+            )
         self.bar.advance(self.task)
 
 
@@ -94,12 +97,12 @@ def show_set_up(quiet: bool) -> Iterator[None]:
     elif can_draw_bar():
         from rich.progress import Progress, TextColumn
 
-        with note_output(), Progress(TextColumn("set up: {task.fields[words]}"), transient=True) as bar:
+        with treat_output_as_notes(), Progress(TextColumn("set up: {task.fields[words]}"), transient=True) as bar:
             task = bar.add_task("", total=None, words="")
-            with stages.report_to(lambda words: bar.update(task, words=words)):
+            with stages.report_stages_to(lambda words: bar.update(task, words=words)):
                 yield
     else:
-        with stages.report_to(_make_stage_printer()):
+        with stages.report_stages_to(_make_stage_printer()):
             yield
 
 
@@ -129,12 +132,12 @@ def show_progress(recording: Recording, quiet: bool) -> Iterator[ProgressDisplay
 
         start = frames.first - 1 - preroll if recording.resumed_from is None else recording.resumed_from
         columns = (BarColumn(24), MofNCompleteColumn(), TimeRemainingColumn(), TextColumn("{task.fields[words]}"))
-        with note_output(), Progress(*columns) as bar:
+        with treat_output_as_notes(), Progress(*columns) as bar:
             yield BarProgress(recording, bar, bar.add_task("", total=frames.last - start, words=""))
     else:
         yield LineProgress(recording)
-    if recording.complete:
-        _report_end(recording)
+    if recording.is_complete:
+        _print_cache_location(recording)
 
 
 def can_draw_bar() -> bool:
@@ -148,18 +151,18 @@ def can_draw_bar() -> bool:
     return True
 
 
-def _milliseconds_text(spent: Mapping[str, float], steps: int) -> str:
+def _format_milliseconds(seconds_by_part: Mapping[str, float], steps: int) -> str:
     """Return milliseconds per step of each part, the longest first. Negligible parts are left out."""
-    shares = sorted(((value / max(steps, 1), name) for name, value in spent.items()), reverse=True)
+    shares = sorted(((value / max(steps, 1), name) for name, value in seconds_by_part.items()), reverse=True)
     return ", ".join(f"{name} {1000 * share:.1f}" for share, name in shares if share > 5e-5)
 
 
-def _report_end(recording: Recording) -> None:
+def _print_cache_location(recording: Recording) -> None:
     spent = {**recording.seconds, **recording.world.timings}
     set_up = spent.pop("bind", 0.0) + spent.pop("first_step", 0.0)
     spent.pop("preroll", None)
     parts, hand_over_parts, behind = (
-        _milliseconds_text(each, recording.steps) for each in (spent, recording.frame_seconds, recording.behind)
+        _format_milliseconds(each, recording.steps) for each in (spent, recording.frame_seconds, recording.writer_seconds)
     )
     print_note(f"{len(recording.world):,} agents; set up in {set_up:.1f} s; milliseconds a frame: {parts or 'none'}")
     print_note(f"of `hand_over`: {hand_over_parts or 'none'}; meanwhile, behind the simulation: {behind or 'none'}")

@@ -10,13 +10,13 @@ from antdsl.diagnostics import Report
 _FILE_ERROR_CODES = frozenset(("cannot-read", "cannot-write", "no-such-file", "not-a-file", "file-too-large"))
 
 
-def show(report: Report, format: str = "full", *, to_stderr: bool = False) -> None:
+def print_report(report: Report, format: str = "full", *, to_stderr: bool = False) -> None:
     """Print the findings that no comment ignores. Machine-readable formats are printed even without findings, so that other
     programs always receive a document."""
-    from antdsl.diagnostics.ignoring import without_ignored
+    from antdsl.diagnostics.ignore_comments import remove_ignored
     from antdsl.diagnostics.render import render
 
-    report = without_ignored(report)
+    report = remove_ignored(report)
     if not report.diagnostics and format in ("full", "concise", "github"):
         return
     text = render(report, format)
@@ -26,14 +26,14 @@ def show(report: Report, format: str = "full", *, to_stderr: bool = False) -> No
 
 def exit_on_errors(report: Report) -> None:
     """Print warnings and errors to standard error. If there are errors, exit with their code."""
-    show(report, to_stderr=True)
+    print_report(report, to_stderr=True)
     if not report.ok:
-        raise CommandError(report_exit_code(report))
+        raise CommandError(choose_exit_code(report))
 
 
-def report_exit_code(report: Report) -> ExitCode:
+def choose_exit_code(report: Report) -> ExitCode:
     """Return the exit code for a report: input/output if a file cannot be read or written, findings in all other cases."""
     errors = [d for d in report.diagnostics if d.severity == "error"]
     if errors and all(d.span is None and d.code in _FILE_ERROR_CODES for d in errors):
         return ExitCode.INPUT_OUTPUT
-    return ExitCode.FINDINGS if errors else ExitCode.FINE
+    return ExitCode.FINDINGS if errors else ExitCode.SUCCESS

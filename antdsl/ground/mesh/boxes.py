@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.ground.mesh.face_table import CORNER_OFFSET, EDGE1_OFFSET, EDGE2_OFFSET, ROW_FLOATS
-from antdsl.machine_code.kernels import BOOL, F64, I32, I64, Array1, Array2, called, fetch_ahead, inlined, scratch
-from antdsl.numerics.kernel_vectors import TriangleWeights, Vec3, at, cross, dot, minus
-from antdsl.numerics.sorting import morton_codes
+from antdsl.machine_code.kernels import BOOL, F64, I32, I64, Array1, Array2, allocate_scratch, inlined, kernel_helper, prefetch
+from antdsl.numerics.kernel_vectors import TriangleWeights, Vec3, cross, dot, load_vector, minus
+from antdsl.numerics.sorting import compute_morton_codes
 
 Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -28,7 +28,7 @@ _MAX_OPEN_BOXES = 128  # size of the stack of boxes: more than a tree of 2**40 t
 class BoxTree(NamedTuple):
     """The arrays of `FaceBoxes` for kernels."""
 
-    order: Array1[I64]
+    triangle_order: Array1[I64]
     first: Array1[I64]
     bounds: Array2[F64]
 
@@ -44,7 +44,7 @@ class BoxHit(NamedTuple):
     """The first face on a path (-1 for none), the part of the path before it, and the corner weights of the hit."""
 
     face: I64
-    part: F64
+    path_fraction: F64
     weights: TriangleWeights
 
 
@@ -52,23 +52,23 @@ class BoxHit(NamedTuple):
 class FaceBoxes:
     """A tree of boxes over triangles.
 
-    - `order`: the triangles in the order of the smallest boxes, one triangle each
+    - `triangle_order`: the triangles in the order of the smallest boxes, one triangle each
     - `first`: level k has the boxes `first[k]` to `first[k + 1]` (exclusive); each holds `BOXES_PER_NODE` boxes of the level
       below
     - `bounds` (n, 6): of all boxes, the least x, y, z, then the greatest"""
 
-    order: Index
+    triangle_order: Index
     first: Index
     bounds: Floats
 
     @staticmethod
-    def of(vertices: Floats, faces: NDArray[np.int32], live: Index, group: NDArray[np.int32]) -> FaceBoxes:
-        """Build the tree of the `live` triangles. The triangles of one `group` int32[m] are consecutive.
+    def of(vertices: Floats, faces: NDArray[np.int32], live_faces: Index, group: NDArray[np.int32]) -> FaceBoxes:
+        """Build the tree of the `live_faces` triangles. The triangles of one `group` int32[m] are consecutive.
 
         Within a group they are in Morton order, so that neighbours share boxes (Lauterbach et al., Fast BVH Construction on GPUs,
         2009, p. 376-378)."""
-        order = live[np.lexsort((_morton_numbers(vertices[faces[live]].mean(axis=1)), group[live]))]
-        counts = [live.size]
+        order = live_faces[np.lexsort((_compute_morton_numbers(vertices[faces[live_faces]].mean(axis=1)), group[live_faces]))]
+        counts = [live_faces.size]
         while counts[-1] > 1:
             counts.append(-(-counts[-1] // BOXES_PER_NODE))
         first = np.cumsum([0, *counts])
@@ -76,28 +76,28 @@ class FaceBoxes:
         boxes.refit(vertices, faces)
         return boxes
 
-    def refit(self, vertices: Floats, faces: NDArray[np.int32], since: int = 0) -> None:
-        """Update `bounds` after triangles moved. Triangles before `since` in the order have not moved."""
-        a, b, c = (vertices.take(faces[self.order[since:], k], axis=0) for k in range(3))
+    def refit(self, vertices: Floats, faces: NDArray[np.int32], first_moved: int = 0) -> None:
+        """Update `bounds` after triangles moved. Triangles before `first_moved` in the order have not moved."""
+        a, b, c = (vertices.take(faces[self.triangle_order[first_moved:], k], axis=0) for k in range(3))
         ends = np.concatenate([np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)], axis=1)
-        self.bounds[since : self.first[1]] = ends
+        self.bounds[first_moved : self.first[1]] = ends
         for k in range(1, len(self.first) - 1):
-            since //= BOXES_PER_NODE
-            ends = self.bounds[self.first[k - 1] + BOXES_PER_NODE * since : self.first[k]]
+            first_moved //= BOXES_PER_NODE
+            ends = self.bounds[self.first[k - 1] + BOXES_PER_NODE * first_moved : self.first[k]]
             ends = np.concatenate([ends, np.repeat(ends[-1:], -len(ends) % BOXES_PER_NODE, axis=0)]).reshape(
                 -1, BOXES_PER_NODE, 6
             )
-            rows = slice(self.first[k] + since, self.first[k + 1])
+            rows = slice(self.first[k] + first_moved, self.first[k + 1])
             self.bounds[rows, :3], self.bounds[rows, 3:] = ends[:, :, :3].min(axis=1), ends[:, :, 3:].max(axis=1)
 
-    def tree(self) -> BoxTree:
+    def to_box_tree(self) -> BoxTree:
         """Return the arrays for kernels."""
-        return BoxTree(self.order, self.first, self.bounds)
+        return BoxTree(self.triangle_order, self.first, self.bounds)
 
-    def overlapping_pairs(self, low: Floats, high: Floats) -> tuple[Index, Index]:
+    def find_overlapping_pairs(self, low: Floats, high: Floats) -> tuple[Index, Index]:
         """Return pairs of a query box (3, k) and a triangle with a box that overlaps it."""
         box_numbers, node = np.arange(low.shape[1]), np.zeros(low.shape[1], np.int64)
-        if not self.order.size:
+        if not self.triangle_order.size:
             return box_numbers[:0], node[:0]
         for k in range(len(self.first) - 2, -1, -1):
             bounds = self.bounds.take(self.first[k] + node, axis=0).T
@@ -109,23 +109,23 @@ class FaceBoxes:
                 node = (BOXES_PER_NODE * node[:, None] + np.arange(BOXES_PER_NODE)).ravel()
                 real = node < self.first[k] - self.first[k - 1]
                 box_numbers, node = np.repeat(box_numbers, BOXES_PER_NODE)[real], node[real]
-        return box_numbers, self.order.take(node)
+        return box_numbers, self.triangle_order.take(node)
 
 
-@called
+@kernel_helper
 def gather_faces(
-    pieces: Array1[I32], boxes: BoxTree, one: Vec3, two: Vec3, size: F64, face: I64, piece: I64, face_list: FaceList
+    pieces: Array1[I32], boxes: BoxTree, one: Vec3, two: Vec3, margin: F64, face: I64, piece: I64, face_list: FaceList
 ) -> I64:
     """Write the triangles with boxes that overlap a query box into `face_list`, and return their number.
 
-    The query box contains the points `one` and `two`, and is `size` mm larger. Triangles are given by positions in the order of
+    The query box contains the points `one` and `two`, and is `margin` mm larger. Triangles are given by positions in the order of
     all triangles. `face` and the triangles of `piece` are left out."""
     order, first, bounds = boxes
     numbers, behind = face_list
     count, waiting = 0, 0
-    low_x, low_y, low_z = min(one[0], two[0]) - size, min(one[1], two[1]) - size, min(one[2], two[2]) - size
-    high_x, high_y, high_z = max(one[0], two[0]) + size, max(one[1], two[1]) + size, max(one[2], two[2]) + size
-    levels, nodes = scratch(_MAX_OPEN_BOXES, I64), scratch(_MAX_OPEN_BOXES, I64)
+    low_x, low_y, low_z = min(one[0], two[0]) - margin, min(one[1], two[1]) - margin, min(one[2], two[2]) - margin
+    high_x, high_y, high_z = max(one[0], two[0]) + margin, max(one[1], two[1]) + margin, max(one[2], two[2]) + margin
+    levels, nodes = allocate_scratch(_MAX_OPEN_BOXES, I64), allocate_scratch(_MAX_OPEN_BOXES, I64)
     if order.size:
         levels[0], nodes[0], waiting = first.size - 2, 0, 1
     while waiting:
@@ -139,16 +139,18 @@ def gather_faces(
                 levels[waiting], nodes[waiting] = level - 1, BOXES_PER_NODE * child
                 waiting += 1
                 for line in (0, 8, 16):
-                    fetch_ahead(bounds, 6 * (first[level - 1] + BOXES_PER_NODE * child) + line)
+                    prefetch(bounds, 6 * (first[level - 1] + BOXES_PER_NODE * child) + line)
             elif order[child] != face and pieces[order[child]] != piece:
                 numbers[behind + count] = child
                 count += 1
     return count
 
 
-@called
-def first_hit(table: Array1[F64], boxes: BoxTree, face_list: FaceList, count: I64, origin: Vec3, step: Vec3, fine: F64) -> BoxHit:
-    """Return the first hit of a path from `origin` by `step`, extended by `fine` mm, among the first `count` triangles of
+@kernel_helper
+def find_first_hit(
+    table: Array1[F64], boxes: BoxTree, face_list: FaceList, count: I64, origin: Vec3, step: Vec3, extension: F64
+) -> BoxHit:
+    """Return the first hit of a path from `origin` by `step`, extended by `extension` mm, among the first `count` triangles of
     `face_list`.
 
     `table` is the packed table. A triangle is hit from both sides if its box overlaps the path's box, but not by a path in its
@@ -160,7 +162,7 @@ def first_hit(table: Array1[F64], boxes: BoxTree, face_list: FaceList, count: I6
     if count == 0:
         return BoxHit(face, part, (b1, b2))
     square = dot(step, step)
-    long = 1.0 + min(fine / max(np.sqrt(square), 1e-300), MAX_LENGTHENING)
+    long = 1.0 + min(extension / max(np.sqrt(square), 1e-300), MAX_LENGTHENING)
     end_x, end_y, end_z = origin[0] + step[0] * long, origin[1] + step[1] * long, origin[2] + step[2] * long
     low_x, low_y, low_z = min(origin[0], end_x), min(origin[1], end_y), min(origin[2], end_z)
     high_x, high_y, high_z = max(origin[0], end_x), max(origin[1], end_y), max(origin[2], end_z)
@@ -170,7 +172,11 @@ def first_hit(table: Array1[F64], boxes: BoxTree, face_list: FaceList, count: I6
             continue
         f = order[b]
         row = ROW_FLOATS * f
-        e1, e2, s = at(table, row + EDGE1_OFFSET), at(table, row + EDGE2_OFFSET), minus(origin, at(table, row + CORNER_OFFSET))
+        e1, e2, s = (
+            load_vector(table, row + EDGE1_OFFSET),
+            load_vector(table, row + EDGE2_OFFSET),
+            minus(origin, load_vector(table, row + CORNER_OFFSET)),
+        )
         p = cross(step, e2)
         det = dot(e1, p)
         if abs(det) <= MIN_PLANE_SINE * np.sqrt(square * dot(e1, e1) * dot(e2, e2)):
@@ -191,11 +197,11 @@ def _is_disjoint(bounds: Array2[F64], b: I64, low_x: F64, low_y: F64, low_z: F64
     return x | y | (bounds[b, 2] > high_z) | (bounds[b, 5] < low_z)
 
 
-def _morton_numbers(positions: Floats) -> NDArray[np.uint64]:
+def _compute_morton_numbers(positions: Floats) -> NDArray[np.uint64]:
     """Return the number of each position [n,3] along a curve that keeps near positions together."""
     if not len(positions):
         return np.empty(0, np.uint64)
     low = positions.min(axis=0)
     size = max(float((positions.max(axis=0) - low).max()), 1e-300)
     cell = np.minimum((positions - low) / size * _GRID_STEPS_PER_AXIS, _GRID_STEPS_PER_AXIS - 1).astype(np.uint64)
-    return morton_codes(cell)
+    return compute_morton_codes(cell)

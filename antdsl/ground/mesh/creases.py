@@ -10,11 +10,11 @@ from operator import or_
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.casting.grid_filters import greatest_around, least_around
-from antdsl.casting.rasterise import triangle_cells
+from antdsl.casting.grid_filters import filter_maximum, filter_minimum
+from antdsl.casting.rasterise import iterate_triangle_cells
 from antdsl.casting.rays import RayScene
 from antdsl.ground.mesh.topology import NO_LINK, MeshTopology
-from antdsl.machine_code.kernels import BOOL, F64, I32, I64, Array1, Array3, Strided2, as_bits, inlined, kernel
+from antdsl.machine_code.kernels import BOOL, F64, I32, I64, Array1, Array3, Strided2, float_to_bits, inlined, kernel
 from antdsl.numerics import elementary, parallel, stored_tables
 from antdsl.numerics.vectors import dot
 
@@ -35,7 +35,7 @@ _PLACES_PER_THREAD = 512  # number of positions from which another thread is wor
 _EXPONENT_BIAS = 1022  # offset from the exponent bits of a float64 to the exponent of np.frexp
 
 
-def inner_creases(table: MeshTopology, corners: Floats) -> Index:
+def find_inner_creases(table: MeshTopology, corners: Floats) -> Index:
     """Return the half-edges at inner creases. Seen from one side of the face, the face beyond rises more steeply than at a smooth
     edge."""
     is_crease = np.zeros(table.link.shape[1], np.bool_)
@@ -95,32 +95,32 @@ class CreaseMap:
     Input: `corners` float64[m,3,3] of the faces, the `table` of their topology, which faces to consider, and the half-edges that
     count as creases."""
 
-    def __init__(self, corners: Floats, table: MeshTopology, minded: NDArray[np.bool_], half: Index) -> None:
-        live = np.flatnonzero(table.live & minded)
-        self._around: dict[int, NDArray[np.bool_]] = {}
+    def __init__(self, corners: Floats, table: MeshTopology, face_mask: NDArray[np.bool_], half: Index) -> None:
+        live = np.flatnonzero(table.live & face_mask)
+        self._near_cells_by_rung: dict[int, NDArray[np.bool_]] = {}
         self._low = corners[live].min(axis=(0, 1)) if live.size else np.zeros(3)
         size = (corners[live].max(axis=(0, 1)) if live.size else np.zeros(3)) - self._low
         self._width = max(float(size.max()) / _MAX_CELLS_PER_AXIS, 1e-9)
         self._shape = np.floor(size / self._width).astype(np.int64) + 1
-        self._first = int(np.frexp(self._width)[1])
+        self._lowest_rung = int(np.frexp(self._width)[1])
         # least and greatest distance (mm) that is distinguished
-        self.reaches = (self._width, float(self._shape.max()) * self._width)
-        self._of = (corners, table, minded, half)
+        self.reach_range = (self._width, float(self._shape.max()) * self._width)
+        self._inputs = (corners, table, face_mask, half)
 
     @cached_property
     def _grids(self) -> tuple[NDArray[np.bool_], Ints, Ints] | tuple[NDArray[np.bool_]]:
         """Return the cells that contain a crease. If there are several pieces, return also the least and the greatest piece in
         each cell."""
-        corners, table, minded, half = self._of
+        corners, table, minded, half = self._inputs
         live = np.flatnonzero(table.live & minded)
         half = half[minded[half // 3]]
         one, two = (corners[half // 3, (half % 3 + k) % 3] for k in (1, 2))
         sharp = self._mark_cells(np.stack([one, two, two], axis=1))
-        sharp |= self._mark_cells(corners[np.flatnonzero(table.cuts.cut & minded)])
+        sharp |= self._mark_cells(corners[np.flatnonzero(table.cuts.is_cut & minded)])
         if len(np.unique(table.piece[live])) < 2:
             return (sharp,)
         least, most = np.full(self._shape, _NO_CELL, np.int32), np.full(self._shape, -1, np.int32)
-        for cell, which in triangle_cells((corners[live] - self._low) / self._width, exact=False):
+        for cell, which in iterate_triangle_cells((corners[live] - self._low) / self._width, exact=False):
             at = tuple(np.clip(cell, 0, self._shape - 1).T)
             np.minimum.at(least, at, table.piece[live[which]])
             np.maximum.at(most, at, table.piece[live[which]])
@@ -130,11 +130,11 @@ class CreaseMap:
         """Return a mask of the cells that triangles touch."""
         is_marked = np.zeros(self._shape, np.bool_)
         if len(corners):
-            for cell, _ in triangle_cells((corners - self._low) / self._width, exact=False):
+            for cell, _ in iterate_triangle_cells((corners - self._low) / self._width, exact=False):
                 is_marked[tuple(np.clip(cell, 0, self._shape - 1).T)] = True
         return is_marked
 
-    def rows_near(self, rows: Index, rungs: Index, rung_bits: int, place: Floats, threads: int) -> NDArray[np.bool_]:
+    def find_rows_near(self, rows: Index, rungs: Index, rung_bits: int, place: Floats, threads: int) -> NDArray[np.bool_]:
         """Return which rows of positions (n, 3) may have a crease, another piece or a cut nearby. No row that has one is missing.
 
         A rung is the exponent of 2 of a reach, counted from that of a cell. Rows of rung -1 count as near; others are tested by
@@ -142,42 +142,51 @@ class CreaseMap:
         the other queries."""
         for rung in range(rung_bits.bit_length()):
             if rung_bits >> rung & 1:
-                work = partial(mark_near, rows, rungs, rung, place, self._low, self._width, self._within(self._first + rung))
-                parallel.in_parts(work, len(rows), threads, _PLACES_PER_THREAD)
+                work = partial(
+                    mark_rows_near,
+                    rows,
+                    rungs,
+                    rung,
+                    place,
+                    self._low,
+                    self._width,
+                    self._get_cells_within(self._lowest_rung + rung),
+                )
+                parallel.run_in_parts(work, len(rows), threads, _PLACES_PER_THREAD)
         is_near: NDArray[np.bool_] = rungs == -1
         return is_near
 
-    def _within(self, rung: int) -> NDArray[np.bool_]:
+    def _get_cells_within(self, rung: int) -> NDArray[np.bool_]:
         """Return the cells within 2**rung mm of a crease, another piece or a cut."""
-        if rung not in self._around:
+        if rung not in self._near_cells_by_rung:
             rings = int(min(np.ceil(np.ldexp(1.0, rung) / self._width) + 1, self._shape.max()))
-            corners, table, minded, half = self._of
-            inputs = (corners, table.live, table.link, table.piece, table.cuts.cut, minded, half, float(rings))
+            corners, table, minded, half = self._inputs
+            inputs = (corners, table.live, table.link, table.piece, table.cuts.is_cut, minded, half, float(rings))
             tables = stored_tables.get_or_compute("cells near creases", len(corners), inputs, partial(self._spread_cells, rings))
-            self._around[rung] = tables["near"]
-        return self._around[rung]
+            self._near_cells_by_rung[rung] = tables["near"]
+        return self._near_cells_by_rung[rung]
 
     def _spread_cells(self, rings: int) -> stored_tables.Tables:
         """Return a mask of the cells within `rings` cells of a crease, another piece or a cut."""
         sharp, *pieces = self._grids
-        is_near: NDArray[np.bool_] = greatest_around(sharp, rings) if sharp.any() else sharp
+        is_near: NDArray[np.bool_] = filter_maximum(sharp, rings) if sharp.any() else sharp
         if pieces:
-            least, most = least_around(pieces[0], rings), greatest_around(pieces[1], rings)
+            least, most = filter_minimum(pieces[0], rings), filter_maximum(pieces[1], rings)
             is_near = is_near | ((least != most) & (most >= 0))
         return {"near": is_near}
 
 
-def _stored_clearance(corners: Floats, table: MeshTopology, half: Index) -> Floats:
-    """Return the result of `rise_clearance`, stored for other runs."""
-    inputs = (corners, table.live, table.link, table.piece, table.cuts.cut, half)
+def _get_slope_clearance(corners: Floats, table: MeshTopology, half: Index) -> Floats:
+    """Return the result of `compute_slope_clearance`, stored for other runs."""
+    inputs = (corners, table.live, table.link, table.piece, table.cuts.is_cut, half)
     tables = stored_tables.get_or_compute(
-        "clear of rises", len(corners), inputs, lambda: {"clear": rise_clearance(corners, table, half)}
+        "clear of rises", len(corners), inputs, lambda: {"clear": compute_slope_clearance(corners, table, half)}
     )
     clear: Floats = tables["clear"]
     return clear
 
 
-def rise_clearance(corners: Floats, table: MeshTopology, half: Index) -> Floats:
+def compute_slope_clearance(corners: Floats, table: MeshTopology, half: Index) -> Floats:
     """Return, for each face, float64[m], a distance (mm) within which there is no crease and no other piece.
 
     `half`: the half-edges that are creases.
@@ -201,13 +210,13 @@ def rise_clearance(corners: Floats, table: MeshTopology, half: Index) -> Floats:
         distances[:] = 0.0
     elif pieces.size > 1:
         noise = _DISTANCE_NOISE * float((corners.max(axis=(0, 1)) - corners.min(axis=(0, 1))).max())
-        distances = np.minimum(distances, _distance_to_pieces(corners, table.piece, pieces, middle, radius + noise))
-    distances[table.cuts.cut] = 0.0
+        distances = np.minimum(distances, _measure_piece_distance(corners, table.piece, pieces, middle, radius + noise))
+    distances[table.cuts.is_cut] = 0.0
     clear: Floats = np.maximum(distances, 0.0)
     return clear
 
 
-def _distance_to_pieces(corners: Floats, piece: Ints, pieces: Index, middle: Floats, error: Floats) -> Floats:
+def _measure_piece_distance(corners: Floats, piece: Ints, pieces: Index, middle: Floats, error: Floats) -> Floats:
     """Return for each face, float64[m], the distance (mm) from its `middle` to faces of other `pieces`, less `error`; infinite
     for faces without a piece.
 
@@ -221,26 +230,26 @@ def _distance_to_pieces(corners: Floats, piece: Ints, pieces: Index, middle: Flo
         # Farther away than a tenth of the others' size, the distance to their box is sufficient.
         others = np.arange(len(own)) != k
         least, most = low[others].min(axis=0), high[others].max(axis=0)
-        away = _distance_from_box(middle[rows].T, least, most)
+        away = _measure_box_distance(middle[rows].T, least, most)
         far = away - error[rows] > _MAX_RELATIVE_DISTANCE * float((most - least).max())
         distances[rows[far]] = (away - error[rows])[far]
         near.append(rows[~far])
     rows = np.concatenate(near)
     at = middle[rows]
     along = np.ascontiguousarray(at.T)
-    bound = np.stack([_distance_from_box(along, least, most) for least, most in zip(low, high, strict=True)])
+    bound = np.stack([_measure_box_distance(along, least, most) for least, most in zip(low, high, strict=True)])
     bound[np.searchsorted(pieces, piece[rows]), np.arange(rows.size)] = np.inf
     begin, best = bound.argmin(axis=0), np.full(rows.size, np.inf)
     scenes = [RayScene(corners[each].reshape(-1, 3), np.arange(3 * each.size, dtype=np.int32).reshape(-1, 3)) for each in own]
     for first in (True, False):
         for k, scene in enumerate(scenes):
             chosen_rows = np.flatnonzero(begin == k if first else (begin != k) & (bound[k] < best))
-            best[chosen_rows] = np.minimum(best[chosen_rows], scene.closest(at[chosen_rows])[3])
+            best[chosen_rows] = np.minimum(best[chosen_rows], scene.find_closest(at[chosen_rows])[3])
     distances[rows] = best - error[rows]
     return distances
 
 
-def _distance_from_box(positions: Floats, low: Floats, high: Floats) -> Floats:
+def _measure_box_distance(positions: Floats, low: Floats, high: Floats) -> Floats:
     """Return the distance of positions (3, n) from a box; 0 inside."""
     x, y, z = (np.maximum(np.maximum(a - p, p - b), 0.0) for p, a, b in zip(positions, low, high, strict=True))
     away: Floats = np.sqrt(x * x + y * y + z * z)
@@ -257,12 +266,12 @@ class SlopeMap:
         still = np.ones(len(corners), np.bool_)
         for own in moving:
             still &= ~own
-        self._clear = _stored_clearance(corners, table, half) if not moving else np.zeros(len(corners))
-        self._least = float(self._clear.min(initial=np.inf))
-        self._size: Floats = np.sqrt(((corners - np.roll(corners, 1, axis=1)) ** 2).sum(axis=2).max(axis=1))
-        self._creases = CreaseMap(corners, table, still, half)
+        self._face_clearances = _get_slope_clearance(corners, table, half) if not moving else np.zeros(len(corners))
+        self._min_clearance = float(self._face_clearances.min(initial=np.inf))
+        self._face_sizes: Floats = np.sqrt(((corners - np.roll(corners, 1, axis=1)) ** 2).sum(axis=2).max(axis=1))
+        self._crease_map = CreaseMap(corners, table, still, half)
 
-    def rows_near_rises(
+    def find_rows_near_slopes(
         self,
         mesh: Ints,
         local: Ints,
@@ -272,19 +281,19 @@ class SlopeMap:
         moving: Sequence[tuple[Floats, Floats]],
         threads: int = 1,
     ) -> Index:
-        """Return rows as `MeshGround.rows_near_rises`, for agents on face `local` of a `mesh` (-1: nowhere).
+        """Return rows as `MeshGround.find_rows_near_slopes`, for agents on face `local` of a `mesh` (-1: nowhere).
 
         - `first`: the first face number of each mesh
         - `moving`: the lowest and highest corner of each moving mesh"""
-        if self._least > 0 and not moving and not np.fmax.reduce(reach, initial=0.0) >= self._least:
+        if self._min_clearance > 0 and not moving and not np.fmax.reduce(reach, initial=0.0) >= self._min_clearance:
             return np.empty(0, np.int64)  # no face has a rise within the reach
         rows, rungs = np.empty((2, len(reach)), np.int64)
-        on = (mesh, local, first, self._clear, self._size, reach, *self._creases.reaches)
-        parts = parallel.in_parts(partial(find_candidates, *on, rows, rungs), len(reach), threads)
+        on = (mesh, local, first, self._face_clearances, self._face_sizes, reach, *self._crease_map.reach_range)
+        parts = parallel.run_in_parts(partial(find_candidates, *on, rows, rungs), len(reach), threads)
         rows, rungs = parallel.join_parts(parts, rows, rungs)
         if not len(rows):
             return rows
-        is_near = self._creases.rows_near(rows, rungs, reduce(or_, [each for _, _, each in parts]), place, threads)
+        is_near = self._crease_map.find_rows_near(rows, rungs, reduce(or_, [each for _, _, each in parts]), place, threads)
         for low, high in moving:
             at, wide = place.take(rows, axis=0), reach[rows, None]
             is_near |= ((at >= low - wide) & (at <= high + wide)).all(axis=1)
@@ -292,9 +301,9 @@ class SlopeMap:
 
 
 @inlined
-def _rung(reach: F64, width: F64, largest: F64) -> I64:
+def _compute_rung(reach: F64, width: F64, largest: F64) -> I64:
     """Return the binary exponent of a reach, limited to `width` .. `largest`, as np.frexp gives it."""
-    return ((as_bits(min(max(reach, width), largest)) >> 52) & 0x7FF) - _EXPONENT_BIAS
+    return ((float_to_bits(min(max(reach, width), largest)) >> 52) & 0x7FF) - _EXPONENT_BIAS
 
 
 @kernel
@@ -302,8 +311,8 @@ def find_candidates(
     mesh: Array1[I32],
     face: Array1[I32],
     first: Array1[I64],
-    clear: Array1[F64],
-    wide: Array1[F64],
+    face_clearances: Array1[F64],
+    face_sizes: Array1[F64],
     reach: Array1[F64],
     width: F64,
     largest: F64,
@@ -318,16 +327,16 @@ def find_candidates(
     The rung is -1, or the rung of the reach for agents on a face larger than their reach. Returns `begin`, the number of these
     agents, and the rungs of `CreaseMap` to query, as bits from the rung of `width` on."""
     count, rung_bits = begin, 0
-    lowest = _rung(width, width, largest)
+    lowest = _compute_rung(width, width, largest)
     for i in range(begin, end):
         if mesh[i] < 0 or mesh[i] >= first.size - 1 or face[i] < 0 or not reach[i] > 0:
             continue
         f = first[mesh[i]] + face[i]
-        if not clear[f] <= reach[i]:
+        if not face_clearances[f] <= reach[i]:
             continue
         rung = -1
-        if wide[f] > reach[i]:
-            rung = _rung(reach[i], width, largest) - lowest
+        if face_sizes[f] > reach[i]:
+            rung = _compute_rung(reach[i], width, largest) - lowest
             rung_bits = rung_bits | (1 << rung)
         rows[count], rungs[count] = i, rung
         count += 1
@@ -335,7 +344,7 @@ def find_candidates(
 
 
 @kernel
-def mark_near(
+def mark_rows_near(
     rows: Array1[I64],
     rungs: Array1[I64],
     rung: I64,

@@ -16,18 +16,18 @@ from antdsl.ground.mesh.face_table import (
     ROW_FLOATS,
     SHEAR_OFFSET,
 )
-from antdsl.ground.mesh.surroundings import stance_of
+from antdsl.ground.mesh.surroundings import compute_stance
 from antdsl.ground.mesh.topology import NO_LINK
 from antdsl.ground.mesh.walkers import CutTables, FaceWalker, NearbySurfaces, SurfaceLanding, SurfaceTables
-from antdsl.machine_code.kernels import BOOL, F64, I32, I64, Array1, Array2, called, inlined
-from antdsl.numerics.kernel_vectors import TriangleWeights, Vec3, at, clamp_weights, dot, fmax, minus, plus, times
+from antdsl.machine_code.kernels import BOOL, F64, I32, I64, Array1, Array2, inlined, kernel_helper
+from antdsl.numerics.kernel_vectors import TriangleWeights, Vec3, clamp_weights, dot, fmax, load_vector, minus, plus, times
 
 OFF_FACE_TOUCHES = 16.0  # distance, in touch lengths, of feet from the face they left: more than the tolerance of its border
 MIN_SQUARED_CUT_SINE = 1e-6  # squared sine of the angle of a cut; limits how far feet are moved from a flat cut
 MAX_SLOPE_RUN = 1e3  # mm along a face per mm up, above which the face counts as level
 
 
-@called
+@kernel_helper
 def find_crossing(
     surface: SurfaceTables, around: NearbySurfaces, cuts: CutTables, walker: FaceWalker, length: F64
 ) -> SurfaceLanding:
@@ -39,20 +39,20 @@ def find_crossing(
     Feet keep more than `touch` (mm) away from the cutting face, on their side. That is a thousand times the rounding error of
     float64, so their side is always certain."""
     table, link, f, side = surface.table, surface.link, walker.face, walker.side
-    (first, others), touch = cuts, around.lengths.touch
-    place, up, direction = stance_of(table, walker)
+    (first, others), touch = cuts, around.lengths.touch_distance
+    place, up, direction = compute_stance(table, walker)
     face, best, best_distance, soonest = -1, np.inf, length, np.inf
     for k in range(first[f], first[f + 1]):
         other = others[k]
         row = ROW_FLOATS * other
-        normal, corner = at(table, row + NORMAL_OFFSET), at(table, row + CORNER_OFFSET)
+        normal, corner = load_vector(table, row + NORMAL_OFFSET), load_vector(table, row + CORNER_OFFSET)
         begins = dot(normal, minus(place, corner))
         towards = dot(normal, direction)
         ends = begins + towards * length
         if not (begins * ends <= 0 or (abs(ends) <= touch and abs(ends) < abs(begins))) or not abs(begins) > touch:
             continue
         # A face that does not rise above the plane of the feet is below the current sheet.
-        rise = fmax(fmax(dot(up, at(table, row + EDGE1_OFFSET)), dot(up, at(table, row + EDGE2_OFFSET))), 0.0)
+        rise = fmax(fmax(dot(up, load_vector(table, row + EDGE1_OFFSET)), dot(up, load_vector(table, row + EDGE2_OFFSET))), 0.0)
         if not dot(up, minus(corner, place)) + rise > touch:
             continue
         crossing_distance = min(max(begins / (begins - ends if begins != ends else 1.0), 0.0), 1.0) * length
@@ -71,51 +71,56 @@ def find_crossing(
     if face < 0:
         return SurfaceLanding(-1, (0.0, 0.0), 1.0, length, 0.0, False)
     row = ROW_FLOATS * face
-    normal = at(table, row + NORMAL_OFFSET)
+    normal = load_vector(table, row + NORMAL_OFFSET)
     crossing_place, towards = plus(place, times(direction, best_distance)), dot(normal, direction)
     steep = minus(up, times(normal, dot(up, normal)))
     off = times(steep, OFF_FACE_TOUCHES * touch / max(dot(steep, steep), MIN_SQUARED_CUT_SINE))
     pieces, side_groups = around.sides
     back = pieces[f] == pieces[face] and side_groups[1 if side < 0 else 0, f] != side_groups[1 if towards > 0 else 0, face]
-    if back or _is_tight(table, cuts, face, f, crossing_place, off, touch):
+    if back or _is_blocked_by_third_sheet(table, cuts, face, f, crossing_place, off, touch):
         # Up to the distance that feet keep from the cutting face; in a corner, not at all.
         near = 0.0
         if back:
             near = max(soonest - OFF_FACE_TOUCHES * touch / max(abs(towards), 1 / MAX_SLOPE_RUN), 0.0)
-        weights = _landing(table, ROW_FLOATS * f, plus(place, times(direction, near)))
+        weights = _compute_landing_weights(table, ROW_FLOATS * f, plus(place, times(direction, near)))
         return SurfaceLanding(
-            f, weights, (-1.0 if -dot(at(table, ROW_FLOATS * f + NORMAL_OFFSET), up) > 0 else 1.0), near, 0.0, True
+            f, weights, (-1.0 if -dot(load_vector(table, ROW_FLOATS * f + NORMAL_OFFSET), up) > 0 else 1.0), near, 0.0, True
         )
     return SurfaceLanding(
-        face, _landing(table, row, plus(crossing_place, off)), (-1.0 if towards > 0 else 1.0), best_distance, 0.0, False
+        face,
+        _compute_landing_weights(table, row, plus(crossing_place, off)),
+        (-1.0 if towards > 0 else 1.0),
+        best_distance,
+        0.0,
+        False,
     )
 
 
 @inlined
-def _in_frame(table: Array1[F64], row: I64, place: Vec3) -> tuple[F64, F64]:
+def _to_face_frame(table: Array1[F64], row: I64, place: Vec3) -> tuple[F64, F64]:
     """Return the coordinates of a position along the two axes of a face, from its first corner."""
-    off = minus(place, at(table, row + CORNER_OFFSET))
-    return dot(at(table, row + AXIS1_OFFSET), off), dot(at(table, row + AXIS2_OFFSET), off)
+    off = minus(place, load_vector(table, row + CORNER_OFFSET))
+    return dot(load_vector(table, row + AXIS1_OFFSET), off), dot(load_vector(table, row + AXIS2_OFFSET), off)
 
 
 @inlined
-def _weights(table: Array1[F64], row: I64, place: Vec3) -> TriangleWeights:
+def _compute_weights(table: Array1[F64], row: I64, place: Vec3) -> TriangleWeights:
     """Return the weights of the point of a face below a nearby position, clamped to the triangle."""
-    c, s = _in_frame(table, row, place)
+    c, s = _to_face_frame(table, row, place)
     return clamp_weights(c * table[row + RATE1_OFFSET] - s * table[row + SHEAR_OFFSET] + 0.0, s * table[row + RATE2_OFFSET] + 0.0)
 
 
 @inlined
-def _landing(table: Array1[F64], row: I64, place: Vec3) -> TriangleWeights:
+def _compute_landing_weights(table: Array1[F64], row: I64, place: Vec3) -> TriangleWeights:
     """Return the weights of the point of a face below a position, corrected for rounding."""
-    b1, b2 = _weights(table, row, place)
+    b1, b2 = _compute_weights(table, row, place)
     return clamp_weights(b1 + 0.0, b2 + 0.0)  # clamped again, because rounding may have moved them
 
 
 @inlined
 def _is_within(table: Array1[F64], row: I64, place: Vec3, touch: F64) -> BOOL:
     """Return whether a position in the plane of a face is in it, or outside by at most about `touch` mm."""
-    c, s = _in_frame(table, row, place)
+    c, s = _to_face_frame(table, row, place)
     rate1, rate2, shear = table[row + RATE1_OFFSET], table[row + RATE2_OFFSET], table[row + SHEAR_OFFSET]
     b1, b2 = c * rate1 - s * shear, s * rate2
     over = touch * (abs(rate1) + abs(rate2) + abs(shear))
@@ -123,27 +128,27 @@ def _is_within(table: Array1[F64], row: I64, place: Vec3, touch: F64) -> BOOL:
 
 
 @inlined
-def _lowest_corner(table: Array1[F64], face: I64, other: I64, sign: F64) -> F64:
+def _find_lowest_corner_height(table: Array1[F64], face: I64, other: I64, sign: F64) -> F64:
     """Return the height of a face's lowest corner over the plane of another face. The upper side of that plane is its normal
     times `sign`."""
     row, other_row = ROW_FLOATS * face, ROW_FLOATS * other
-    up = times(at(table, other_row + NORMAL_OFFSET), sign)
-    first = dot(up, minus(at(table, row + CORNER_OFFSET), at(table, other_row + CORNER_OFFSET)))
-    return first + min(min(dot(up, at(table, row + EDGE1_OFFSET)), dot(up, at(table, row + EDGE2_OFFSET))), 0.0)
+    up = times(load_vector(table, other_row + NORMAL_OFFSET), sign)
+    first = dot(up, minus(load_vector(table, row + CORNER_OFFSET), load_vector(table, other_row + CORNER_OFFSET)))
+    return first + min(min(dot(up, load_vector(table, row + EDGE1_OFFSET)), dot(up, load_vector(table, row + EDGE2_OFFSET))), 0.0)
 
 
 @inlined
 def _leads_through(
-    table: Array1[F64], link: Array2[I32], f: I64, side: F64, other: I64, begins: F64, crossing_place: Vec3, touch: F64
+    table: Array1[F64], link: Array2[I32], f: I64, side: F64, other: I64, start_height: F64, crossing_place: Vec3, touch: F64
 ) -> BOOL:
-    """Return whether a path continues behind another face's plane, or ends there. It reaches the plane from height `begins`, at
-    `crossing_place`.
+    """Return whether a path continues behind another face's plane, or ends there. It reaches the plane from height
+    `start_height`, at `crossing_place`.
 
     False if the current face only touches the other one and its neighbour folds back at that line, into a wedge without space."""
-    sign = -1.0 if begins < 0 else 1.0
-    if not _lowest_corner(table, f, other, sign) >= -touch:
+    sign = -1.0 if start_height < 0 else 1.0
+    if not _find_lowest_corner_height(table, f, other, sign) >= -touch:
         return True
-    b1, b2 = _weights(table, ROW_FLOATS * f, crossing_place)
+    b1, b2 = _compute_weights(table, ROW_FLOATS * f, crossing_place)
     edge, least = 0, 1.0 - b1 - b2
     if b1 < least:
         edge, least = 1, b1
@@ -152,11 +157,13 @@ def _leads_through(
     beyond = link[1 if side < 0 else 0, 3 * f + edge]
     if beyond == NO_LINK:
         return True
-    return _lowest_corner(table, beyond >> 3, other, sign) < -touch
+    return _find_lowest_corner_height(table, beyond >> 3, other, sign) < -touch
 
 
 @inlined
-def _is_tight(table: Array1[F64], cuts: CutTables, face: I64, own: I64, place: Vec3, off: Vec3, touch: F64) -> BOOL:
+def _is_blocked_by_third_sheet(
+    table: Array1[F64], cuts: CutTables, face: I64, own: I64, place: Vec3, off: Vec3, touch: F64
+) -> BOOL:
     """Return whether three sheets meet, so that feet at a position on a face must stay.
 
     Feet placed at distance `off` from their own face would pass or touch the third sheet."""
@@ -167,8 +174,8 @@ def _is_tight(table: Array1[F64], cuts: CutTables, face: I64, own: I64, place: V
         if third == own:
             continue
         row = ROW_FLOATS * third
-        normal = at(table, row + NORMAL_OFFSET)
-        begins = dot(normal, minus(place, at(table, row + CORNER_OFFSET)))
+        normal = load_vector(table, row + NORMAL_OFFSET)
+        begins = dot(normal, minus(place, load_vector(table, row + CORNER_OFFSET)))
         ends = begins + dot(normal, off)
         is_touched = (begins * ends < 0 and abs(begins) > touch) or abs(ends) <= touch
         is_tight = is_tight or (is_touched and _is_within(table, row, place, 2 * OFF_FACE_TOUCHES * touch))

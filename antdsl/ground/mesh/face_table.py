@@ -43,7 +43,7 @@ def pack_table(table: MeshTopology, mesh_of: NDArray[np.int32]) -> Floats:
     return result
 
 
-def pack_rows(into: Floats, table: MeshTopology, mesh_of: NDArray[np.int32], rows: slice) -> None:
+def pack_rows(packed_table: Floats, table: MeshTopology, mesh_of: NDArray[np.int32], rows: slice) -> None:
     """Write the numbers of some faces into a packed table."""
     m = rows.stop - rows.start
     halves = slice(3 * rows.start, 3 * rows.stop)
@@ -55,9 +55,9 @@ def pack_rows(into: Floats, table: MeshTopology, mesh_of: NDArray[np.int32], row
     parts += [v[rows].reshape(m, 1) for v in (table.rate1, table.rate2, table.shear)]
     parts += [edges.reshape(m, 12)]
     parts += [v[:, rows].T for v in (table.corner, table.edge1, table.edge2, table.smooth[2:])]
-    np.concatenate(parts, axis=1, out=into.reshape(-1, ROW_FLOATS)[rows])
+    np.concatenate(parts, axis=1, out=packed_table.reshape(-1, ROW_FLOATS)[rows])
 
 
-def mark_open(into: Floats, half: NDArray[np.int64], link: int) -> None:
+def mark_border_links(packed_table: Floats, half: NDArray[np.int64], link: int) -> None:
     """Write `link`, NO_LINK or OPEN, for some half-edges without a link into a packed table."""
-    into.reshape(-1, ROW_FLOATS)[half // 3, EDGES_OFFSET + 4 * (half % 3) + EDGE_LINK] = link
+    packed_table.reshape(-1, ROW_FLOATS)[half // 3, EDGES_OFFSET + 4 * (half % 3) + EDGE_LINK] = link

@@ -4,7 +4,7 @@ Positions are computed from vertices, which neighbouring faces share, so that le
 
 import numpy as np
 
-from antdsl.machine_code.kernels import BOOL, F64, I8, I32, I64, Array1, Array2, fetch_ahead, kernel
+from antdsl.machine_code.kernels import BOOL, F64, I8, I32, I64, Array1, Array2, kernel, prefetch
 
 _PREFETCH_GROUP_SIZE = 64  # footings with vertices prefetched together
 
@@ -29,7 +29,7 @@ def write_positions(
         end = min(begin + _PREFETCH_GROUP_SIZE, mesh.size)
         for n in range(end, min(end + _PREFETCH_GROUP_SIZE, mesh.size)):
             if mesh[n] >= 0 and face[n] >= 0 and mesh[n] < first.size:
-                fetch_ahead(faces, 3 * (first[mesh[n]] + face[n]))
+                prefetch(faces, 3 * (first[mesh[n]] + face[n]))
         for n in range(begin, end):
             if mesh[n] >= 0 and face[n] >= 0:
                 if mesh[n] >= first.size:
@@ -38,7 +38,7 @@ def write_positions(
                 if f >= faces.shape[0]:
                     return False
                 for corner in range(3):
-                    fetch_ahead(vertices, 3 * faces[f, corner])
+                    prefetch(vertices, 3 * faces[f, corner])
         for n in range(begin, end):
             x, y, z = 0.0, 0.0, 0.0
             if mesh[n] >= 0 and face[n] >= 0:
@@ -69,7 +69,7 @@ def write_sides(
 
 
 @kernel
-def find_farthest(displacements: Array2[F64], sizes: Array1[F64]) -> tuple[F64, F64]:
+def find_max_step_and_size(displacements: Array2[F64], sizes: Array1[F64]) -> tuple[F64, F64]:
     """Return the greatest squared length of the finite vectors (3, n), 0 if there is none, and the greatest size, NaN if all are
     NaN."""
     most, widest = 0.0, np.nan

@@ -18,51 +18,52 @@ _MAX_BORDER_PAIRS, _PAIRS_PER_CHUNK = 1_000_000, 50_000  # pairs of a border and
 _PLANE_TOLERANCE = 1e-4
 
 
-def find_open_borders(table: MeshTopology, boxes: FaceBoxes, scale: GroundScale, widest: float) -> Index:
-    """Return half-edges without a link on either side, beyond which `look_beyond_border` finds no landing for bodies of up to
-    `widest` mm.
+def find_open_borders(table: MeshTopology, boxes: FaceBoxes, scale: GroundScale, max_body_size: float) -> Index:
+    """Return half-edges without a link on either side, beyond which `find_landing_beyond_border` finds no landing for bodies of
+    up to `max_body_size` mm.
 
     The result is incomplete on a ground that is mostly borders, or has faces much finer than the bodies: a complete search would
     take long.
 
-    The search paths of `look_beyond_border` lie in the plane across the edge, above or below the face, except beyond the border.
-    They meet nothing under two conditions: all other nearby faces lie in the plane of the edge's face, and none extends over the
-    edge's line. Paths along that plane, and paths beyond the line, stay at least the gap away from these faces."""
+    The search paths of `find_landing_beyond_border` lie in the plane across the edge, above or below the face, except beyond the
+    border. They meet nothing under two conditions: all other nearby faces lie in the plane of the edge's face, and none extends
+    over the edge's line. Paths along that plane, and paths beyond the line, stay at least the gap away from these faces."""
     half = np.flatnonzero((table.link[0] == NO_LINK) & (table.link[1] == NO_LINK) & np.repeat(table.live, 3))[:_MAX_BORDERS]
     reach = 1.01 * (
-        (BORDER_RAY_HEIGHT_PER_BODY + BORDER_GAP_PER_BODY) * float(np.fmax(widest, scale.least / EYE_HEIGHT_PER_BODY))
-        + 4 * scale.fine
+        (BORDER_RAY_HEIGHT_PER_BODY + BORDER_GAP_PER_BODY)
+        * float(np.fmax(max_body_size, scale.min_eye_height / EYE_HEIGHT_PER_BODY))
+        + 4 * scale.coincident_distance
     )
     batches, begin, many, left = [half[:0]], 0, 1, _MAX_BORDER_PAIRS
     while begin < len(half) and left > 0:
         batch = half[begin : begin + many]
-        free, pairs = _select_open(table, boxes, scale, reach, batch)
+        free, pairs = _select_open_borders(table, boxes, scale, reach, batch)
         batches.append(batch[free])
         begin, left = begin + many, left - pairs
         many = max(1, min(2 * many, _PAIRS_PER_CHUNK * len(batch) // max(pairs, 1)))
     return np.concatenate(batches)
 
 
-def _select_open(
+def _select_open_borders(
     table: MeshTopology, boxes: FaceBoxes, scale: GroundScale, reach: float, half: Index
 ) -> tuple[NDArray[np.bool_], int]:
     """Return which of some half-edges are open borders, and the number of checked pairs.
 
     A pair is a half-edge and a face within `reach` mm of the half-edge's box."""
     face, k = half // 3, half % 3
-    one, other = _corners(table, face, (k + 1) % 3), _corners(table, face, (k + 2) % 3)
-    edge_rows, near_faces = boxes.overlapping_pairs(np.minimum(one, other) - reach, np.maximum(one, other) + reach)
+    one, other = _get_corners(table, face, (k + 1) % 3), _get_corners(table, face, (k + 2) % 3)
+    edge_rows, near_faces = boxes.find_overlapping_pairs(np.minimum(one, other) - reach, np.maximum(one, other) + reach)
     edge_rows, near_faces = (each[near_faces != face.take(edge_rows)] for each in (edge_rows, near_faces))
-    out = table.to_space(face, table.edge_s.take(half), -table.edge_c.take(half)).take(edge_rows, axis=1)
+    out = table.to_world_vectors(face, table.edge_s.take(half), -table.edge_c.take(half)).take(edge_rows, axis=1)
     normal, begin = table.normal.take(face.take(edge_rows), axis=1), one.take(edge_rows, axis=1)
-    free, least = np.ones(len(half), np.bool_), _PLANE_TOLERANCE * scale.fine
+    free, least = np.ones(len(half), np.bool_), _PLANE_TOLERANCE * scale.coincident_distance
     for corner in range(3):
-        away = _corners(table, near_faces, np.full(len(near_faces), corner)) - begin
+        away = _get_corners(table, near_faces, np.full(len(near_faces), corner)) - begin
         free[edge_rows[~((np.abs(dot(away, normal)) <= least) & (dot(away, out) <= least))]] = False
     return free, len(edge_rows)
 
 
-def _corners(table: MeshTopology, face: Index, k: Index) -> NDArray[np.float64]:
+def _get_corners(table: MeshTopology, face: Index, k: Index) -> NDArray[np.float64]:
     """Return corner `k` of each face, (3, n)."""
     edge = np.where(k == 1, table.edge1.take(face, axis=1), table.edge2.take(face, axis=1))
     corners: NDArray[np.float64] = table.corner.take(face, axis=1) + np.where(k == 0, 0.0, edge)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.casting.rasterise import triangle_cells
+from antdsl.casting.rasterise import iterate_triangle_cells
 from antdsl.numerics.vector_rows import dot, length
 
 Floats = NDArray[np.float64]
@@ -28,10 +28,10 @@ class SelfCuts:
     """Pairs of faces of the same piece that cut each other: face f and the faces `other[first[f]:first[f + 1]]`."""
 
     first: Index
-    other: Index
+    cutting_faces: Index
 
     @property
-    def cut(self) -> NDArray[np.bool_]:
+    def is_cut(self) -> NDArray[np.bool_]:
         """Return which faces are cut."""
         return np.diff(self.first) > 0
 
@@ -40,7 +40,7 @@ class SelfCuts:
         count = np.diff(self.first).take(face)
         which = np.repeat(np.arange(face.size), count)
         step = np.arange(which.size) - np.repeat(np.cumsum(count) - count, count)
-        return which, self.other.take(np.repeat(self.first.take(face), count) + step)
+        return which, self.cutting_faces.take(np.repeat(self.first.take(face), count) + step)
 
 
 def find_cuts(corners: Floats, weld: Ints, piece: Ints, grain: float) -> SelfCuts:
@@ -52,19 +52,19 @@ def find_cuts(corners: Floats, weld: Ints, piece: Ints, grain: float) -> SelfCut
     flat = weld.ravel()
     one_place = np.zeros((int(flat.max(initial=-1)) + 1, 3))
     one_place[flat[::-1]] = corners.reshape(-1, 3)[::-1]  # nearly equal corners get one position, so they cut nothing
-    one, two = _cutting_pairs(one_place[weld], weld, piece, grain)
+    one, two = _find_cutting_pairs(one_place[weld], weld, piece, grain)
     face, other = np.concatenate([one, two]), np.concatenate([two, one])
     order = np.lexsort((other, face))
     return SelfCuts(np.concatenate([[0], np.cumsum(np.bincount(face, minlength=len(piece)))]), other[order])
 
 
-def _cutting_pairs(corners: Floats, weld: Ints, piece: Ints, grain: float) -> tuple[Index, Index]:
+def _find_cutting_pairs(corners: Floats, weld: Ints, piece: Ints, grain: float) -> tuple[Index, Index]:
     """Return pairs of faces of one piece where an edge of one face crosses, ends on or lies on the other face."""
     cut_pairs = [np.empty((2, 0), np.int64)]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normal /= np.maximum(length(normal), 1e-300)[:, None]
     weld_columns = np.ascontiguousarray(weld.T)  # one array per corner: three arrays are faster than an axis of three
-    for one, two in _overlapping_pairs(corners, np.flatnonzero(piece >= 0)):
+    for one, two in _iterate_overlapping_pairs(corners, np.flatnonzero(piece >= 0)):
         own = np.flatnonzero(piece.take(one) == piece.take(two))
         one, two = one[own], two[own]
         same = [[own_corner.take(one) == other_corner.take(two) for other_corner in weld_columns] for own_corner in weld_columns]
@@ -87,13 +87,13 @@ def _cutting_pairs(corners: Floats, weld: Ints, piece: Ints, grain: float) -> tu
             for k in range(3):
                 free = np.flatnonzero(~(meets[k] | meets[(k + 1) % 3] | cuts))
                 ends = corners[f[free], k], corners[f[free], (k + 1) % 3]
-                cuts[free] = _pierces(*ends, corners[g[free]], grain)
+                cuts[free] = _find_piercing_edges(*ends, corners[g[free]], grain)
         cut_pairs.append(np.stack([one[cuts], two[cuts]]))
     pairs = np.unique(np.concatenate(cut_pairs, axis=1), axis=1)
     return pairs[0], pairs[1]
 
 
-def _overlapping_pairs(corners: Floats, live: Index) -> Iterator[tuple[Index, Index]]:
+def _iterate_overlapping_pairs(corners: Floats, live: Index) -> Iterator[tuple[Index, Index]]:
     """Yield pairs of `live` faces with overlapping boxes, the lower number first; a pair may occur more than once."""
     a, b, c = (np.ascontiguousarray(corners[:, k].T) for k in range(3))
     low, high = np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
@@ -103,7 +103,7 @@ def _overlapping_pairs(corners: Floats, live: Index) -> Iterator[tuple[Index, In
         width = _CELL_WIDTH_IN_FACES * float(np.median(size[left]))
         fits = size[left] <= _MAX_FACE_CELLS * width
         now, left = left[fits], left[~fits]
-        for one, two in _pairs_in_cells(corners, now, smaller, width):
+        for one, two in _iterate_pairs_in_cells(corners, now, smaller, width):
             for least, most in zip(low, high, strict=True):  # one axis after another: fewer pairs remain each time
                 beside = np.flatnonzero((least.take(one) <= most.take(two)) & (least.take(two) <= most.take(one)))
                 one, two = one[beside], two[beside]
@@ -111,16 +111,16 @@ def _overlapping_pairs(corners: Floats, live: Index) -> Iterator[tuple[Index, In
         smaller = np.concatenate([now, smaller])
 
 
-def _pairs_in_cells(corners: Floats, now: Index, smaller: Index, width: float) -> Iterator[tuple[Index, Index]]:
-    """Yield pairs of faces in one cell: of the faces `now` with each other, and with `smaller` faces."""
-    listed = np.concatenate([now, smaller])
+def _iterate_pairs_in_cells(corners: Floats, faces: Index, smaller_faces: Index, width: float) -> Iterator[tuple[Index, Index]]:
+    """Yield pairs of faces in one cell: of the faces `faces` with each other, and with `smaller_faces` faces."""
+    listed = np.concatenate([faces, smaller_faces])
     if listed.size < 2:
         return
     listed_corners = corners[listed]
     begin = listed_corners.min(axis=(0, 1))
     width = max(width, float((listed_corners.max(axis=(0, 1)) - begin).max()) / _MAX_CELLS_PER_AXIS, 1e-300)
     keys, names = [], []
-    for cell, which in triangle_cells((listed_corners - begin) / width, exact=False):
+    for cell, which in iterate_triangle_cells((listed_corners - begin) / width, exact=False):
         keys.append((cell[:, 0] << 42) | (cell[:, 1] << 21) | cell[:, 2])
         names.append(which)
     key, name = np.concatenate(keys), np.concatenate(names)
@@ -129,7 +129,7 @@ def _pairs_in_cells(corners: Floats, now: Index, smaller: Index, width: float) -
     keep = np.concatenate([[True], (key[1:] != key[:-1]) | (name[1:] != name[:-1])])
     key, name = key[keep], name[keep]
     # Each face is paired with later faces of its cell. Smaller faces come last and are not paired with each other.
-    count = np.where(name < now.size, np.searchsorted(key, key, "right") - np.arange(key.size) - 1, 0)
+    count = np.where(name < faces.size, np.searchsorted(key, key, "right") - np.arange(key.size) - 1, 0)
     stop = np.cumsum(count)
     start = 0
     while start < key.size:
@@ -141,7 +141,7 @@ def _pairs_in_cells(corners: Floats, now: Index, smaller: Index, width: float) -
         start = end
 
 
-def _pierces(start: Floats, end: Floats, triangle: Floats, grain: float) -> NDArray[np.bool_]:
+def _find_piercing_edges(start: Floats, end: Floats, triangle: Floats, grain: float) -> NDArray[np.bool_]:
     """Return whether edges go through triangles or touch them, up to `grain` mm (Möller, Trumbore, Fast, Minimum Storage
     Ray/Triangle Intersection, 1997, p. 22-24).
 

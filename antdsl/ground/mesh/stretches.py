@@ -18,7 +18,7 @@ from antdsl.ground.mesh.face_table import (
 )
 from antdsl.ground.mesh.topology import NO_LINK
 from antdsl.ground.mesh.walkers import ClearanceTables, FaceDirection, FaceWalker, SurfaceTables, WalkProgress, WalkStop
-from antdsl.machine_code.kernels import BOOL, F64, I64, Array1, fetch_ahead, inlined, load_consecutive, nearest_integer
+from antdsl.machine_code.kernels import BOOL, F64, I64, Array1, inlined, load_consecutive, prefetch, round_to_int
 from antdsl.numerics.kernel_vectors import AgentPose, TriangleWeights, Vec3, clamp_weights, plus, times
 
 MAX_EDGE_CROSSINGS = 400  # most edges crossed in one step; the agent then stops until the next step
@@ -31,14 +31,14 @@ LOOK_AHEAD_EVENT, BORDER_EVENT, OVERHANG_EVENT = 1, 2, 3  # possible obstacle; b
 
 
 @inlined
-def frame(table: Array1[F64], row: I64) -> tuple[Vec3, Vec3, Vec3]:
+def load_face_frame(table: Array1[F64], row: I64) -> tuple[Vec3, Vec3, Vec3]:
     """Return both axes of a face, and its normal."""
     ax, ay, az, bx, by, bz, nx, ny, nz, _, _, _ = load_consecutive(table, row + AXIS1_OFFSET, 12)
     return (ax, ay, az), (bx, by, bz), (nx, ny, nz)
 
 
 @inlined
-def lay_on_face(axis1: Vec3, axis2: Vec3, x: F64, y: F64, z: F64, c0: F64, s0: F64) -> tuple[F64, F64, F64]:
+def project_to_face(axis1: Vec3, axis2: Vec3, x: F64, y: F64, z: F64, c0: F64, s0: F64) -> tuple[F64, F64, F64]:
     """Project a vector into a face. Return the unit direction (c, s) in the face's frame, and a length (mm).
 
     Up to 60 degrees off the face, the length is that of the vector; beyond, it falls to 0. If the projection is zero or not
@@ -53,36 +53,37 @@ def lay_on_face(axis1: Vec3, axis2: Vec3, x: F64, y: F64, z: F64, c0: F64, s0: F
 
 
 @inlined
-def free_distance(near: ClearanceTables, f: I64, weights: TriangleWeights) -> F64:
-    """Return a distance (mm) from a position within which there is no other piece, see `FaceParts`; at most `reach`."""
-    n = near.counts[f]
+def get_clearance(near: ClearanceTables, f: I64, weights: TriangleWeights) -> F64:
+    """Return a distance (mm) from a position within which there is no other piece, see `FacePartClearances`; at most `reach`."""
+    n = near.parts_per_edge[f]
     if n == 0:
         return near.reach
-    column, row = nearest_integer(np.floor(weights[0] * n)), nearest_integer(np.floor(weights[1] * n))
-    return near.least[near.first[f] + max(min(column, n - 1), 0) * n + max(min(row, n - 1), 0)]
+    column, row = round_to_int(np.floor(weights[0] * n)), round_to_int(np.floor(weights[1] * n))
+    return near.clearances[near.first[f] + max(min(column, n - 1), 0) * n + max(min(row, n - 1), 0)]
 
 
 @inlined
 def walk_stretches(
     surface: SurfaceTables,
     near: ClearanceTables,
-    high: F64,
-    looked: BOOL,
-    along_open: BOOL,
+    search_height: F64,
+    skip_first_search: BOOL,
+    follow_borders: BOOL,
     walker: FaceWalker,
     progress: WalkProgress,
 ) -> tuple[FaceWalker, WalkProgress, WalkStop]:
     """Walk across faces until no displacement is left, or until an event.
 
-    A stretch that may have another piece within its length and `high` is an event, but not the first stretch if `looked`. With
-    `along_open`, open borders with nothing beyond them are followed, where no stretch may meet another piece."""
+    A stretch that may have another piece within its length and `search_height` is an event, but not the first stretch if
+    `skip_first_search`. With `follow_borders`, open borders with nothing beyond them are followed, where no stretch may meet
+    another piece."""
     table, link, forked, _ = surface
     f, (b1, b2), side, (c, s), (heading_c, heading_s) = walker
     left, distance, turn = progress
     event, edge, length, hops = 0, 0, 0.0, 0
     while turn < MAX_EDGE_CROSSINGS and left > 0:
         if turn >= CROSSINGS_BEFORE_NUDGE:  # noqa: SIM102 # tested first: it is rarely true, and the remainder of a division is expensive
-            if turn % CROSSINGS_BEFORE_NUDGE == 0 and not looked:
+            if turn % CROSSINGS_BEFORE_NUDGE == 0 and not skip_first_search:
                 b1 = b1 * (1 - NUDGE_FRACTION) + NUDGE_FRACTION / 3
                 b2 = b2 * (1 - NUDGE_FRACTION) + NUDGE_FRACTION / 3
         row = ROW_FLOATS * f
@@ -103,22 +104,22 @@ def walk_stretches(
             if edge_distance < until:
                 until, edge = edge_distance, 2
         length = min(until, left)
-        if high > 0 and not looked and free_distance(near, f, (b1, b2)) <= length + high:
+        if search_height > 0 and not skip_first_search and get_clearance(near, f, (b1, b2)) <= length + search_height:
             event = LOOK_AHEAD_EVENT
             break
-        looked = False
+        skip_first_search = False
         b1, b2 = clamp_weights(b1 + rate1 * length, b2 + rate2 * length)
         distance += length
         if until >= left:
             break
         left = left - length
         cosine, sine, linked, _ = load_consecutive(table, row + EDGES_OFFSET + 4 * edge, 4)
-        beyond = link[1, 3 * f + edge] if forked and side < 0 else nearest_integer(linked)
+        beyond = link[1, 3 * f + edge] if forked and side < 0 else round_to_int(linked)
         if beyond < 0:
-            if beyond == NO_LINK or not along_open or high > 0:
+            if beyond == NO_LINK or not follow_borders or search_height > 0:
                 event = BORDER_EVENT
                 break
-            (c, s), left = along_border((cosine, sine), (c, s), left)
+            (c, s), left = turn_along_border((cosine, sine), (c, s), left)
             hops += 1
             if hops >= MAX_SURFACE_HOPS:
                 left = 0.0
@@ -127,14 +128,14 @@ def walk_stretches(
                 table, beyond, edge, (cosine, sine), (b1, b2), side, (c, s), (heading_c, heading_s)
             )
             for line in (0, 24, 32):  # cache lines that the final pose reads; the walk reads the others at once
-                fetch_ahead(table, ROW_FLOATS * f + line)
+                prefetch(table, ROW_FLOATS * f + line)
         turn += 1
     walker = FaceWalker(f, (b1, b2), side, (c, s), (heading_c, heading_s))
     return walker, WalkProgress(left, distance, turn), WalkStop(event, edge, length, hops)
 
 
 @inlined
-def along_border(edge: FaceDirection, direction: FaceDirection, left: F64) -> tuple[FaceDirection, F64]:
+def turn_along_border(edge: FaceDirection, direction: FaceDirection, left: F64) -> tuple[FaceDirection, F64]:
     """Return the direction along an open border, and the distance left in that direction."""
     (edge_c, edge_s), (c, s) = edge, direction
     along = c * edge_c + s * edge_s
@@ -173,7 +174,7 @@ def cross_edge(
 
 
 @inlined
-def final_pose(table: Array1[F64], walker: FaceWalker, over: F64) -> AgentPose:
+def compute_final_pose(table: Array1[F64], walker: FaceWalker, height: F64) -> AgentPose:
     """Return position, smooth normal, transported heading and direction of travel in world space.
 
     Heading and direction are unit vectors in the plane of the smooth normal."""
@@ -203,14 +204,14 @@ def final_pose(table: Array1[F64], walker: FaceWalker, over: F64) -> AgentPose:
     hx = axis1[0] * heading_c + axis2[0] * heading_s
     hy = axis1[1] * heading_c + axis2[1] * heading_s
     hz = axis1[2] * heading_c + axis2[2] * heading_s
-    hx, hy, hz = _turn_with_normal(hx, hy, hz, nx, ny, nz, sx, sy, sz)
+    hx, hy, hz = _rotate_with_normal(hx, hy, hz, nx, ny, nz, sx, sy, sz)
     off = hx * sx + hy * sy + hz * sz
     hx, hy, hz = hx - off * sx, hy - off * sy, hz - off * sz
     size = np.sqrt(hx * hx + hy * hy + hz * hz)
     place = (
-        corner[0] + b1 * edge1[0] + b2 * edge2[0] + over * nx,
-        corner[1] + b1 * edge1[1] + b2 * edge2[1] + over * ny,
-        corner[2] + b1 * edge1[2] + b2 * edge2[2] + over * nz,
+        corner[0] + b1 * edge1[0] + b2 * edge2[0] + height * nx,
+        corner[1] + b1 * edge1[1] + b2 * edge2[1] + height * ny,
+        corner[2] + b1 * edge1[2] + b2 * edge2[2] + height * nz,
     )
     dx, dy, dz = plus(times(axis1, c), times(axis2, s))
     # Up or down along the face's normal into the plane of the smooth one: the next step's projection leads exactly back.
@@ -221,7 +222,7 @@ def final_pose(table: Array1[F64], walker: FaceWalker, over: F64) -> AgentPose:
 
 
 @inlined
-def _turn_with_normal(vx: F64, vy: F64, vz: F64, bx: F64, by: F64, bz: F64, ax: F64, ay: F64, az: F64) -> Vec3:
+def _rotate_with_normal(vx: F64, vy: F64, vz: F64, bx: F64, by: F64, bz: F64, ax: F64, ay: F64, az: F64) -> Vec3:
     """Return a vector rotated as unit normal b rotates into a. If they are opposite, the rotation goes over the vector itself."""
     cosine = bx * ax + by * ay + bz * az
     if cosine < -1 + 1e-9:

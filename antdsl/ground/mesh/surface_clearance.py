@@ -9,9 +9,9 @@ from functools import cached_property, partial
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.casting.distance_grid import cell_width, triangle_width
-from antdsl.casting.grid_filters import greatest_around, least_around
-from antdsl.casting.rasterise import triangle_cells
+from antdsl.casting.distance_grid import choose_cell_width, limit_cell_width
+from antdsl.casting.grid_filters import filter_maximum, filter_minimum
+from antdsl.casting.rasterise import iterate_triangle_cells
 from antdsl.casting.rays import RayScene
 from antdsl.numerics import stored_tables
 
@@ -25,18 +25,18 @@ _MAX_PIECES = 500  # number of pieces above which faces are not divided and coun
 
 
 @dataclass(frozen=True, slots=True)
-class FaceParts:
+class FacePartClearances:
     """Faces cut into parts, and the distance of each part from other pieces.
 
     - `reach`: the largest distance (mm) that is distinguished
     - `count`: face f has `count[f]` by `count[f]` parts along its first and second edge; 0 if no other piece is within `reach`
     - `first`: the number of the first part of each face
-    - `least`: a distance (mm) from each part within which there is no other piece"""
+    - `clearances`: a distance (mm) from each part within which there is no other piece"""
 
     reach: float
     first: Index
     count: NDArray[np.int32]
-    least: Floats
+    clearances: Floats
 
 
 class PieceClearances:
@@ -46,35 +46,39 @@ class PieceClearances:
     - `piece` int32[m]: the piece of each face, -1 for none
     - `cut`: faces that others of their piece cut; they count as a separate piece that touches all others
     - `low`: the lowest corner
-    - `noise`: the measuring error (mm)"""
+    - `distance_noise`: the measuring error (mm)"""
 
     def __init__(self, corners: Floats, piece: NDArray[np.int32], cut: NDArray[np.bool_], low: Floats, noise: float) -> None:
-        self.noise = noise
-        self._cut = cut
+        self.distance_noise = noise
+        self._is_cut = cut
         piece = np.where(cut, piece.max(initial=-1) + 1, piece).astype(np.int32)
         self._piece = piece
         self._corners, self._low = corners, low
-        self._parts: FaceParts | None = None
-        self._several = len(np.unique(piece[piece >= 0])) > 1
+        self._parts: FacePartClearances | None = None
+        self._has_several_pieces = len(np.unique(piece[piece >= 0])) > 1
 
-    def parts_within(self, reach: float) -> FaceParts:
+    def get_face_parts(self, reach: float) -> FacePartClearances:
         """Return clearances that distinguish distances up to `reach` mm. They are cached, and measured again if the reach has
         increased."""
         if self._parts is None or self._parts.reach < reach:
             # Wider than requested: otherwise a crowd that speeds up slowly would have it measured again and again.
-            self._parts = self._build_parts(1.5 * reach if self._several else np.inf)
+            self._parts = self._build_parts(1.5 * reach if self._has_several_pieces else np.inf)
         return self._parts
 
-    def _build_parts(self, reach: float) -> FaceParts:
-        inputs = (self._corners, self._piece, self._cut, self._low, self.noise, reach)
-        size = len(self._piece) if self._several else 0
-        tables = stored_tables.get_or_compute("distances of pieces", size, inputs, partial(self._measure, reach))
-        return FaceParts(reach, tables["first"], tables["count"], tables["least"])
+    def _build_parts(self, reach: float) -> FacePartClearances:
+        inputs = (self._corners, self._piece, self._is_cut, self._low, self.distance_noise, reach)
+        size = len(self._piece) if self._has_several_pieces else 0
+        tables = stored_tables.get_or_compute("distances of pieces", size, inputs, partial(self._measure_parts, reach))
+        return FacePartClearances(reach, tables["first"], tables["count"], tables["least"])
 
-    def _measure(self, reach: float) -> stored_tables.Tables:
-        """Measure the arrays of `FaceParts` by field name, for distances up to `reach` mm."""
+    def _measure_parts(self, reach: float) -> stored_tables.Tables:
+        """Measure the arrays of `FacePartClearances` by field name, for distances up to `reach` mm."""
         m = len(self._piece)
-        near = np.flatnonzero(self._faces_near_pieces(reach) | self._cut) if self._several else np.empty(0, np.int64)
+        near = (
+            np.flatnonzero(self._find_faces_near_pieces(reach) | self._is_cut)
+            if self._has_several_pieces
+            else np.empty(0, np.int64)
+        )
         count, first = np.zeros(m, np.int32), np.zeros(m, np.int64)
         if not near.size:
             return {"first": first, "count": count, "least": np.empty(0)}
@@ -87,11 +91,11 @@ class PieceClearances:
             for piece in np.unique(self._piece[near]):
                 if piece >= 0:
                     own = self._piece[near] == piece
-                    least[own] = self._part_clearances(near[own], near[~own & (self._piece[near] >= 0)], n, reach)
-        least[self._cut[near]] = 0.0
+                    least[own] = self._compute_part_clearances(near[own], near[~own & (self._piece[near] >= 0)], n, reach)
+        least[self._is_cut[near]] = 0.0
         return {"first": first, "count": count, "least": least.ravel()}
 
-    def _part_clearances(self, own: Index, others: Index, n: int, reach: float) -> Floats:
+    def _compute_part_clearances(self, own: Index, others: Index, n: int, reach: float) -> Floats:
         """Return the clearances (k, n*n) of faces `own`, each cut into n*n parts, from faces `others`."""
         a, b, c = (self._corners[own, k] for k in range(3))
         edge1, edge2 = (b - a) / n, (c - a) / n
@@ -105,18 +109,18 @@ class PieceClearances:
         if not beside.any():
             return np.full(centre.shape[:2], reach)
         scene = RayScene(other_corners[beside].reshape(-1, 3), np.arange(3 * int(beside.sum()), dtype=np.int32).reshape(-1, 3))
-        _, _, _, distance = scene.closest(centre.reshape(-1, 3))
-        gaps = distance.reshape(centre.shape[:2]) - radius[:, None] - 2 * self.noise
+        _, _, _, distance = scene.find_closest(centre.reshape(-1, 3))
+        gaps = distance.reshape(centre.shape[:2]) - radius[:, None] - 2 * self.distance_noise
         clear: Floats = np.clip(gaps, 0.0, reach)
         return clear
 
-    def _faces_near_pieces(self, reach: float) -> NDArray[np.bool_]:
+    def _find_faces_near_pieces(self, reach: float) -> NDArray[np.bool_]:
         """Return the faces that may have another piece within `reach` mm: faces in a cell with two pieces nearby."""
         grid = self._piece_grid
-        mixed = grid.mixed_cells(int(min(np.ceil(reach / grid.width), grid.size.max())))
-        is_near = np.zeros(len(grid.scaled), bool)
-        for cell, which in triangle_cells(grid.scaled, exact=False):
-            is_near[which[mixed[grid.flat(np.clip(cell, 0, grid.size - 1))]]] = True
+        mixed = grid.find_mixed_cells(int(min(np.ceil(reach / grid.width), grid.size.max())))
+        is_near = np.zeros(len(grid.corners_in_cells), bool)
+        for cell, which in iterate_triangle_cells(grid.corners_in_cells, exact=False):
+            is_near[which[mixed[grid.flatten_cells(np.clip(cell, 0, grid.size - 1))]]] = True
         return is_near
 
     @cached_property
@@ -124,17 +128,17 @@ class PieceClearances:
         """Return the grid of pieces, built on first use."""
         corners, piece = self._corners, self._piece
         size = corners.max(axis=(0, 1)) - self._low
-        width = triangle_width(corners, cell_width(size, _MAX_GRID_CELLS))
+        width = limit_cell_width(corners, choose_cell_width(size, _MAX_GRID_CELLS))
         cells = np.floor(size / width).astype(np.int64) + 1
         none, count = np.iinfo(np.int32).max, int(cells.prod())
         grid = _PieceGrid(
             width, (corners - self._low) / width, cells, np.full(count, none, np.int32), np.full(count, -1, np.int32)
         )
         live = np.flatnonzero(piece >= 0)
-        for cell, which in triangle_cells(grid.scaled[live], exact=False):
-            flat = grid.flat(np.minimum(cell, cells - 1))
-            np.minimum.at(grid.least, flat, piece[live[which]])
-            np.maximum.at(grid.most, flat, piece[live[which]])
+        for cell, which in iterate_triangle_cells(grid.corners_in_cells[live], exact=False):
+            flat = grid.flatten_cells(np.minimum(cell, cells - 1))
+            np.minimum.at(grid.min_piece, flat, piece[live[which]])
+            np.maximum.at(grid.max_piece, flat, piece[live[which]])
         return grid
 
 
@@ -143,25 +147,25 @@ class _PieceGrid:
     """A grid of the pieces near each cell.
 
     - `width`: the width of a cell (mm)
-    - `scaled`: the corners of faces, in cells
+    - `corners_in_cells`: the corners of faces, in cells
     - `size`: the number of cells along each axis
-    - `least`, `most`: the least and the greatest piece in each cell"""
+    - `min_piece`, `max_piece`: the least and the greatest piece in each cell"""
 
     width: float
-    scaled: Floats
+    corners_in_cells: Floats
     size: Index
-    least: NDArray[np.int32]
-    most: NDArray[np.int32]
+    min_piece: NDArray[np.int32]
+    max_piece: NDArray[np.int32]
 
-    def flat(self, cell: Index) -> Index:
+    def flatten_cells(self, cell: Index) -> Index:
         """Return the numbers of cells in the flattened grid."""
         flat: Index = (cell[..., 0] * self.size[1] + cell[..., 1]) * self.size[2] + cell[..., 2]
         return flat
 
-    def mixed_cells(self, rings: int) -> NDArray[np.bool_]:
+    def find_mixed_cells(self, rings: int) -> NDArray[np.bool_]:
         """Return the cells that have two pieces within `rings` cells."""
         shape = tuple(self.size)
-        least = least_around(self.least.reshape(shape), rings)
-        most = greatest_around(self.most.reshape(shape), rings)
+        least = filter_minimum(self.min_piece.reshape(shape), rings)
+        most = filter_maximum(self.max_piece.reshape(shape), rings)
         mixed: NDArray[np.bool_] = ((least != most) & (most >= 0)).ravel()
         return mixed

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from antdsl.ground.mesh.boxes import first_hit, gather_faces
+from antdsl.ground.mesh.boxes import find_first_hit, gather_faces
 from antdsl.ground.mesh.face_table import (
     AXIS1_OFFSET,
     AXIS2_OFFSET,
@@ -22,20 +22,20 @@ from antdsl.ground.mesh.face_table import (
     ROW_FLOATS,
 )
 from antdsl.ground.mesh.walkers import FaceDirection, FaceWalker, LengthTolerances, NearbySurfaces, SideGroups, SurfaceLanding
-from antdsl.machine_code.kernels import BOOL, F64, I64, Array1, called, inlined
+from antdsl.machine_code.kernels import BOOL, F64, I64, Array1, inlined, kernel_helper
 from antdsl.numerics.kernel_vectors import (
     TriangleWeights,
     Vec3,
-    at,
     clamp_weights,
     dot,
     fmax,
     fmin,
+    load_vector,
     minus,
     nearest_weights,
     plus,
+    rotate_between_normals,
     times,
-    turned,
     unit_or_first_axis,
 )
 
@@ -56,17 +56,17 @@ MIN_NORMALS_COSINE = -0.17
 class GroundScale:
     """Lengths (mm) that depend on the size of a ground.
 
-    - `noise`: more than the error of distances to other pieces
-    - `least`: the minimal eye height
-    - `fine`: the distance within which surfaces coincide
-    - `touch`: the distance within which faces touch
-    - `under`: a surface with its back towards an agent counts as below the agent up to this height above its feet"""
+    - `distance_noise`: more than the error of distances to other pieces
+    - `min_eye_height`: the minimal eye height
+    - `coincident_distance`: the distance within which surfaces coincide
+    - `touch_distance`: the distance within which faces touch
+    - `max_below_height`: a surface with its back towards an agent counts as below the agent up to this height above its feet"""
 
-    noise: float
-    least: float
-    fine: float
-    touch: float
-    under: float
+    distance_noise: float
+    min_eye_height: float
+    coincident_distance: float
+    touch_distance: float
+    max_below_height: float
 
     @staticmethod
     def of(extent: float) -> GroundScale:
@@ -81,7 +81,7 @@ class GroundScale:
 
     def lengths(self) -> LengthTolerances:
         """Return the lengths that kernels read."""
-        return LengthTolerances(self.least, self.fine, self.under, self.touch)
+        return LengthTolerances(self.min_eye_height, self.coincident_distance, self.max_below_height, self.touch_distance)
 
 
 class SurfaceStance(NamedTuple):
@@ -99,8 +99,8 @@ class SurfaceSight(NamedTuple):
     face: I64
     weights: TriangleWeights
     distance: F64
-    towards: Vec3
-    eye: F64
+    direction: Vec3
+    eye_height: F64
 
 
 class BorderFrame(NamedTuple):
@@ -111,83 +111,95 @@ class BorderFrame(NamedTuple):
     up: Vec3
 
 
-@called
+@kernel_helper
 def find_piece_ahead(
-    table: Array1[F64], around: NearbySurfaces, body: F64, walker: FaceWalker, left: F64, length: F64
+    table: Array1[F64], around: NearbySurfaces, body: F64, walker: FaceWalker, remaining: F64, length: F64
 ) -> SurfaceLanding:
     """Return another piece of surface within the path, seen from slightly above the ground.
 
     If the agent's own piece hides it, it is searched from a minimal height. Feet would otherwise pass under the agent's own
     piece."""
     pieces, boxes, face_list, f = around.sides.piece, around.boxes, around.face_list, walker.face
-    least, fine = around.lengths.least, around.lengths.fine
-    ground = stance_of(table, walker)
+    least, fine = around.lengths.min_eye_height, around.lengths.coincident_distance
+    ground = compute_stance(table, walker)
     place, _, direction = ground
-    high = fmax(fmin(EYE_HEIGHT_PER_BODY * body, left / MIN_LOOK_AHEAD_FACTOR), least)
+    high = fmax(fmin(EYE_HEIGHT_PER_BODY * body, remaining / MIN_LOOK_AHEAD_FACTOR), least)
     n = gather_faces(pieces, boxes, place, plus(place, times(direction, length)), high + 2 * fine, -1, pieces[f], face_list)
     if n == 0:
         return SurfaceLanding(-1, (0.0, 0.0), 1.0, length, 0.0, False)
-    face, weights, distance, towards, eye = _look_ahead(table, around, n, ground, length, high)
+    face, weights, distance, towards, eye = _find_visible_piece(table, around, n, ground, length, high)
     if face < 0:
         return SurfaceLanding(face, (0.0, 0.0), 1.0, length, 0.0, False)
     if _is_hidden(table, around, f, ground, length, eye, towards):
         n = gather_faces(pieces, boxes, place, plus(place, times(direction, length)), high + 2 * fine, -1, pieces[f], face_list)
-        face, weights, distance, towards, eye = _look_ahead(table, around, n, ground, length, least)
+        face, weights, distance, towards, eye = _find_visible_piece(table, around, n, ground, length, least)
         if face < 0:
             return SurfaceLanding(face, (0.0, 0.0), 1.0, length, 0.0, False)
     weights = clamp_weights(weights[0] + 0.0, weights[1] + 0.0)
     return SurfaceLanding(
-        face, weights, _approached_side(table, face, towards), min(np.sqrt(distance * distance + eye * eye), left), 0.0, False
+        face,
+        weights,
+        _find_approached_side(table, face, towards),
+        min(np.sqrt(distance * distance + eye * eye), remaining),
+        0.0,
+        False,
     )
 
 
-@called
-def _look_ahead(
-    table: Array1[F64], around: NearbySurfaces, n: I64, ground: SurfaceStance, length: F64, high: F64
+@kernel_helper
+def _find_visible_piece(
+    table: Array1[F64], around: NearbySurfaces, face_count: I64, ground: SurfaceStance, length: F64, eye_height: F64
 ) -> SurfaceSight:
-    """Return another piece within the path, seen from height `high`, or from half the height of a low ceiling.
+    """Return another piece within the path, seen from height `eye_height`, or from half the height of a low ceiling.
 
     If there is none, search at the path's end between the eye height and the ground."""
-    boxes, face_list, fine, under = around.boxes, around.face_list, around.lengths.fine, around.lengths.under
+    boxes, face_list, fine, under = (
+        around.boxes,
+        around.face_list,
+        around.lengths.coincident_distance,
+        around.lengths.max_below_height,
+    )
     place, up, direction = ground
-    roof, part, _ = first_hit(table, boxes, face_list, n, place, times(up, high), fine)
+    roof, part, _ = find_first_hit(table, boxes, face_list, face_count, place, times(up, eye_height), fine)
     # A face slightly above the agent with its back to it counts as below: climbing feet may be that deep in the ground.
-    if roof >= 0 and (dot(at(table, ROW_FLOATS * roof + NORMAL_OFFSET), up) < 0 or high * part > under):
-        high = high * part / 2
-    eye, step = plus(place, times(up, high)), times(direction, length)
-    face, part, weights = first_hit(table, boxes, face_list, n, eye, step, fine)
+    if roof >= 0 and (dot(load_vector(table, ROW_FLOATS * roof + NORMAL_OFFSET), up) < 0 or eye_height * part > under):
+        eye_height = eye_height * part / 2
+    eye, step = plus(place, times(up, eye_height)), times(direction, length)
+    face, part, weights = find_first_hit(table, boxes, face_list, face_count, eye, step, fine)
     if face >= 0:
-        return SurfaceSight(face, weights, min(part, 1.0) * length, direction, high)
+        return SurfaceSight(face, weights, min(part, 1.0) * length, direction, eye_height)
     # An obstacle between eye and ground here is below the next eye, on the next face or in the next step.
-    down = times(up, -high)
-    face, _, weights = first_hit(table, boxes, face_list, n, plus(eye, step), down, 0.0)
-    return SurfaceSight(face, weights, length, down, high)
+    down = times(up, -eye_height)
+    face, _, weights = find_first_hit(table, boxes, face_list, face_count, plus(eye, step), down, 0.0)
+    return SurfaceSight(face, weights, length, down, eye_height)
 
 
-@called
+@kernel_helper
 def _is_hidden(
-    table: Array1[F64], around: NearbySurfaces, f: I64, ground: SurfaceStance, length: F64, high: F64, towards: Vec3
+    table: Array1[F64], around: NearbySurfaces, f: I64, ground: SurfaceStance, length: F64, eye_height: F64, towards: Vec3
 ) -> BOOL:
-    """Return whether the agent's own piece hides face `f`, seen from eye height `high`."""
-    pieces, boxes, face_list, fine = around.sides.piece, around.boxes, around.face_list, around.lengths.fine
+    """Return whether the agent's own piece hides face `f`, seen from eye height `eye_height`."""
+    pieces, boxes, face_list, fine = around.sides.piece, around.boxes, around.face_list, around.lengths.coincident_distance
     place, up, direction = ground
     step, piece = times(direction, length), pieces[f]
-    eye = plus(place, times(up, high))
-    n = gather_faces(pieces, boxes, place, plus(place, step), high + 2 * fine, f, -1, face_list)
-    first = first_hit(table, boxes, face_list, n, plus(place, times(up, fine)), times(up, high - fine), 0.0).face
+    eye = plus(place, times(up, eye_height))
+    n = gather_faces(pieces, boxes, place, plus(place, step), eye_height + 2 * fine, f, -1, face_list)
+    first = find_first_hit(table, boxes, face_list, n, plus(place, times(up, fine)), times(up, eye_height - fine), 0.0).face
     if first >= 0 and pieces[first] == piece:
         return True
-    first = first_hit(table, boxes, face_list, n, eye, step, fine).face
+    first = find_first_hit(table, boxes, face_list, n, eye, step, fine).face
     if first >= 0 and pieces[first] == piece:
         return True
     if towards[0] == direction[0] and towards[1] == direction[1] and towards[2] == direction[2]:
         return False
-    first = first_hit(table, boxes, face_list, n, plus(eye, step), towards, 0.0).face
+    first = find_first_hit(table, boxes, face_list, n, plus(eye, step), towards, 0.0).face
     return first >= 0 and pieces[first] == piece
 
 
-@called
-def look_beyond_border(table: Array1[F64], around: NearbySurfaces, body: F64, edge: I64, walker: FaceWalker) -> SurfaceLanding:
+@kernel_helper
+def find_landing_beyond_border(
+    table: Array1[F64], around: NearbySurfaces, body: F64, edge: I64, walker: FaceWalker
+) -> SurfaceLanding:
     """Return the landing beyond an open border at which an agent stands: the first hit of a search path.
 
     The path goes up from the face, out over the border and down beyond it. It then returns from below, first at a small and then
@@ -197,12 +209,15 @@ def look_beyond_border(table: Array1[F64], around: NearbySurfaces, body: F64, ed
     Each part of the path begins at the end of the previous part, and stops at the first surface. So the agent never steps onto
     anything behind a sheet. The path is as wide as the gap on both sides of the border."""
     sides, boxes, face_list, f = around.sides, around.boxes, around.face_list, walker.face
-    pieces, least, fine = sides.piece, around.lengths.least, around.lengths.fine
+    pieces, least, fine = sides.piece, around.lengths.min_eye_height, around.lengths.coincident_distance
     row = ROW_FLOATS * f
-    place, up = position_on_face(table, row, walker.weights, walker.side), times(at(table, row + NORMAL_OFFSET), walker.side)
+    place, up = (
+        position_on_face(table, row, walker.weights, walker.side),
+        times(load_vector(table, row + NORMAL_OFFSET), walker.side),
+    )
     border = BorderFrame(f, walker.side, up)
     along = row + EDGES_OFFSET + 4 * edge
-    out = _in_space(table, row, (table[along + EDGE_SINE], -table[along + EDGE_COSINE]))
+    out = _to_world_direction(table, row, (table[along + EDGE_SINE], -table[along + EDGE_COSINE]))
     body = fmax(body, least / EYE_HEIGHT_PER_BODY)
     gap, high = BORDER_GAP_PER_BODY * body, BORDER_RAY_HEIGHT_PER_BODY * body
     most, across = high, times(out, gap)
@@ -211,39 +226,41 @@ def look_beyond_border(table: Array1[F64], around: NearbySurfaces, body: F64, ed
     if n == 0:
         return SurfaceLanding(-1, (0.0, 0.0), 1.0, 0.0, 0.0, False)
     hair = times(out, 2 * fine)  # a small offset, for borders exactly above or below this one
-    roof, part, _ = first_hit(table, boxes, face_list, n, plus(minus(place, hair), times(up, fine)), times(up, high - fine), 0.0)
+    roof, part, _ = find_first_hit(
+        table, boxes, face_list, n, plus(minus(place, hair), times(up, fine)), times(up, high - fine), 0.0
+    )
     if roof >= 0:
         high = (fine + part * (high - fine)) / 2
-    if first_hit(table, boxes, face_list, n, plus(place, times(up, high)), across, 0.0).face >= 0:
+    if find_first_hit(table, boxes, face_list, n, plus(place, times(up, high)), across, 0.0).face >= 0:
         high = min(high, EYE_HEIGHT_PER_BODY * body)
-        face, part, weights = first_hit(table, boxes, face_list, n, plus(place, times(up, high)), across, 0.0)
+        face, part, weights = find_first_hit(table, boxes, face_list, n, plus(place, times(up, high)), across, 0.0)
         if face >= 0:
             distance = gap * min(part, 1.0)
             if abs(high) <= gap:
-                return _step_landing(table, sides, border, face, weights, out, np.sqrt(distance * distance + high * high), 0.0)
-            return _step_landing(table, sides, border, face, weights, out, distance, high)
+                return _build_landing(table, sides, border, face, weights, out, np.sqrt(distance * distance + high * high), 0.0)
+            return _build_landing(table, sides, border, face, weights, out, distance, high)
     over, towards = plus(place, across), times(up, -(high + most))
-    face, part, weights = first_hit(table, boxes, face_list, n, plus(over, times(up, high)), towards, 0.0)
+    face, part, weights = find_first_hit(table, boxes, face_list, n, plus(over, times(up, high)), towards, 0.0)
     rise, distance = -most, gap
     if face >= 0:
         rise = high - part * (high + most)
-        if _may_step(table, sides, border, face, towards):
+        if _can_step(table, sides, border, face, towards):
             # Onto the nearest point of the face to a position above the border that is not below the face's plane.
             face_row = ROW_FLOATS * face
-            normal, corner = at(table, face_row + NORMAL_OFFSET), at(table, face_row + CORNER_OFFSET)
+            normal, corner = load_vector(table, face_row + NORMAL_OFFSET), load_vector(table, face_row + CORNER_OFFSET)
             plane = dot(minus(corner, place), normal) / dot(up, normal)
             height = min(plane, high) if plane > rise else rise
             if abs(height) <= gap:
                 height = 0.0
             above, edge1, edge2 = (
                 plus(place, times(up, height)),
-                at(table, face_row + EDGE1_OFFSET),
-                at(table, face_row + EDGE2_OFFSET),
+                load_vector(table, face_row + EDGE1_OFFSET),
+                load_vector(table, face_row + EDGE2_OFFSET),
             )
             b1, b2, away = nearest_weights(edge1, edge2, minus(above, corner))
             onto = minus(plus(plus(corner, times(edge1, b1)), times(edge2, b2)), above)
             rise, distance, weights = height, away, (b1, b2)
-            first, part, nearer = first_hit(table, boxes, face_list, n, above, onto, 0.0)
+            first, part, nearer = find_first_hit(table, boxes, face_list, n, above, onto, 0.0)
             if part * away < away - fine:
                 face, weights, distance, towards = first, nearer, part * away, onto
         else:
@@ -252,84 +269,88 @@ def look_beyond_border(table: Array1[F64], around: NearbySurfaces, body: F64, ed
         lowest, towards = rise, times(out, -2 * gap)
         for depth in (BORDER_GAP_PER_BODY * body, BORDER_RAY_DEPTH_PER_BODY * body):
             if lowest < -depth:
-                face, part, weights = first_hit(table, boxes, face_list, n, minus(over, times(up, depth)), towards, 0.0)
+                face, part, weights = find_first_hit(table, boxes, face_list, n, minus(over, times(up, depth)), towards, 0.0)
                 if face >= 0:
                     rise, distance = -depth, abs(gap - part * (2 * gap))
                     break
-    if face < 0 or not _may_step(table, sides, border, face, towards):
+    if face < 0 or not _can_step(table, sides, border, face, towards):
         return SurfaceLanding(-1, (0.0, 0.0), 1.0, 0.0, 0.0, False)
     # Down at the border itself, where the hit may come sooner; straight across to near surfaces.
     if rise < -gap:
         fall = times(up, rise + fine)
-        sooner, part, nearer = first_hit(table, boxes, face_list, n, minus(plus(place, hair), times(up, fine)), fall, 0.0)
+        sooner, part, nearer = find_first_hit(table, boxes, face_list, n, minus(plus(place, hair), times(up, fine)), fall, 0.0)
         if sooner >= 0:
             face, weights, towards = sooner, nearer, fall
             rise, distance = part * (rise + fine) - fine, 0.0
     if abs(rise) <= gap:
-        return _step_landing(table, sides, border, face, weights, towards, np.sqrt(distance * distance + rise * rise), 0.0)
-    return _step_landing(table, sides, border, face, weights, towards, distance, rise)
+        return _build_landing(table, sides, border, face, weights, towards, np.sqrt(distance * distance + rise * rise), 0.0)
+    return _build_landing(table, sides, border, face, weights, towards, distance, rise)
 
 
 @inlined
-def turn_to_face(table: Array1[F64], walker: FaceWalker, to: I64, to_side: F64) -> tuple[FaceDirection, FaceDirection]:
-    """Return direction and heading in the frame of the face `to`, rotated with the normal."""
-    row, other_row = ROW_FLOATS * walker.face, ROW_FLOATS * to
+def turn_to_face(table: Array1[F64], walker: FaceWalker, face: I64, side: F64) -> tuple[FaceDirection, FaceDirection]:
+    """Return direction and heading in the frame of the face `face`, rotated with the normal."""
+    row, other_row = ROW_FLOATS * walker.face, ROW_FLOATS * face
     old_normal, new_normal = (
-        times(at(table, row + NORMAL_OFFSET), walker.side),
-        times(at(table, other_row + NORMAL_OFFSET), to_side),
+        times(load_vector(table, row + NORMAL_OFFSET), walker.side),
+        times(load_vector(table, other_row + NORMAL_OFFSET), side),
     )
-    direction = _in_space(table, row, walker.direction)
-    new_direction = turned(direction, old_normal, new_normal, direction)
-    heading = turned(_in_space(table, row, walker.heading), old_normal, new_normal, direction)
-    axis1, axis2 = at(table, other_row + AXIS1_OFFSET), at(table, other_row + AXIS2_OFFSET)
+    direction = _to_world_direction(table, row, walker.direction)
+    new_direction = rotate_between_normals(direction, old_normal, new_normal, direction)
+    heading = rotate_between_normals(_to_world_direction(table, row, walker.heading), old_normal, new_normal, direction)
+    axis1, axis2 = load_vector(table, other_row + AXIS1_OFFSET), load_vector(table, other_row + AXIS2_OFFSET)
     return unit_or_first_axis(dot(axis1, new_direction), dot(axis2, new_direction)), unit_or_first_axis(
         dot(axis1, heading), dot(axis2, heading)
     )
 
 
 @inlined
-def stance_of(table: Array1[F64], walker: FaceWalker) -> SurfaceStance:
+def compute_stance(table: Array1[F64], walker: FaceWalker) -> SurfaceStance:
     """Return the stance of a walker."""
     row, side = ROW_FLOATS * walker.face, walker.side
     place = position_on_face(table, row, walker.weights, side)
-    return SurfaceStance(place, times(at(table, row + NORMAL_OFFSET), side), _in_space(table, row, walker.direction))
+    return SurfaceStance(
+        place, times(load_vector(table, row + NORMAL_OFFSET), side), _to_world_direction(table, row, walker.direction)
+    )
 
 
 @inlined
 def position_on_face(table: Array1[F64], row: I64, weights: TriangleWeights, side: F64) -> Vec3:
     """Return the position of a point on a face."""
     return plus(
-        plus(at(table, row + CORNER_OFFSET), times(at(table, row + EDGE1_OFFSET), weights[0])),
-        times(at(table, row + EDGE2_OFFSET), weights[1]),
+        plus(load_vector(table, row + CORNER_OFFSET), times(load_vector(table, row + EDGE1_OFFSET), weights[0])),
+        times(load_vector(table, row + EDGE2_OFFSET), weights[1]),
     )
 
 
 @inlined
-def _in_space(table: Array1[F64], row: I64, direction: FaceDirection) -> Vec3:
+def _to_world_direction(table: Array1[F64], row: I64, direction: FaceDirection) -> Vec3:
     """Return a direction in a face's frame as a vector in space."""
-    return plus(times(at(table, row + AXIS1_OFFSET), direction[0]), times(at(table, row + AXIS2_OFFSET), direction[1]))
+    return plus(
+        times(load_vector(table, row + AXIS1_OFFSET), direction[0]), times(load_vector(table, row + AXIS2_OFFSET), direction[1])
+    )
 
 
 @inlined
-def _approached_side(table: Array1[F64], face: I64, towards: Vec3) -> F64:
+def _find_approached_side(table: Array1[F64], face: I64, towards: Vec3) -> F64:
     """Return the side of a face from which a path in direction `towards` comes. The agent walks on that side."""
-    return -1.0 if dot(at(table, ROW_FLOATS * face + NORMAL_OFFSET), towards) > 0 else 1.0
+    return -1.0 if dot(load_vector(table, ROW_FLOATS * face + NORMAL_OFFSET), towards) > 0 else 1.0
 
 
-@called
-def _may_step(table: Array1[F64], sides: SideGroups, border: BorderFrame, face: I64, towards: Vec3) -> BOOL:
+@kernel_helper
+def _can_step(table: Array1[F64], sides: SideGroups, border: BorderFrame, face: I64, towards: Vec3) -> BOOL:
     """Return whether an agent may step over a border to a face.
 
     It may not step to the other side of the surface it walks on, nor to a face that turns back below that surface."""
     pieces, side_groups = sides
-    to_side = _approached_side(table, face, towards)
+    to_side = _find_approached_side(table, face, towards)
     own_side, other = 1 if border.side < 0 else 0, 1 if to_side < 0 else 0
     alike = pieces[border.face] != pieces[face] or side_groups[own_side, border.face] == side_groups[other, face]
-    return alike and dot(times(at(table, ROW_FLOATS * face + NORMAL_OFFSET), to_side), border.up) > MIN_NORMALS_COSINE
+    return alike and dot(times(load_vector(table, ROW_FLOATS * face + NORMAL_OFFSET), to_side), border.up) > MIN_NORMALS_COSINE
 
 
-@called
-def _step_landing(
+@kernel_helper
+def _build_landing(
     table: Array1[F64],
     sides: SideGroups,
     border: BorderFrame,
@@ -339,9 +360,14 @@ def _step_landing(
     distance: F64,
     rise: F64,
 ) -> SurfaceLanding:
-    """Return the landing of `look_beyond_border` on a face; no landing if the agent may not step there."""
-    if not _may_step(table, sides, border, face, towards):
+    """Return the landing of `find_landing_beyond_border` on a face; no landing if the agent may not step there."""
+    if not _can_step(table, sides, border, face, towards):
         return SurfaceLanding(-1, (0.0, 0.0), 1.0, 0.0, 0.0, False)
     return SurfaceLanding(
-        face, clamp_weights(weights[0] + 0.0, weights[1] + 0.0), _approached_side(table, face, towards), distance, rise, False
+        face,
+        clamp_weights(weights[0] + 0.0, weights[1] + 0.0),
+        _find_approached_side(table, face, towards),
+        distance,
+        rise,
+        False,
     )

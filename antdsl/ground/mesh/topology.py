@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from antdsl.ground.mesh.self_cuts import SelfCuts, find_cuts
 from antdsl.numerics import elementary, stored_tables
 from antdsl.numerics.vectors import dot
-from antdsl.scene.geometry.live_faces import component_numbers, corner_numbers, live_faces
+from antdsl.scene.geometry.live_faces import find_live_faces, number_components, number_corners
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -56,18 +56,18 @@ class MeshTopology:
     edge_s: Floats
     link: Ints
     piece: Ints
-    pieces: int
+    piece_count: int
     cuts: SelfCuts  # cuts between faces of one piece
     way: Ints  # (2, m): group number of each side (0: the normal's); sides that are reachable from each other share a number
-    forked: bool  # whether the links of any edge differ between the two sides, as where more than two faces meet
+    has_forked_edges: bool  # whether the links of any edge differ between the two sides, as where more than two faces meet
     smooth: Floats  # (9, m): unit normal at corner 0, 1, 2
     weld: Ints  # (m, 3): vertex numbers of corners; corners at one position share a number
 
-    def to_space(self, face: Index, c: Floats, s: Floats) -> Floats:
+    def to_world_vectors(self, face: Index, c: Floats, s: Floats) -> Floats:
         """Return vectors (3, k) in space, from their components in the frames of faces."""
         return self.axis1.take(face, axis=1) * c + self.axis2.take(face, axis=1) * s
 
-    def weights(self, face: Index, place: Floats) -> tuple[Floats, Floats]:
+    def compute_weights(self, face: Index, place: Floats) -> tuple[Floats, Floats]:
         """Return the weights of the point of each face below nearby positions (3, k), clamped to the triangle."""
         if not self.corner.shape[1]:
             return np.zeros(len(face)), np.zeros(len(face))
@@ -90,19 +90,21 @@ def build_topology(vertices: Floats, faces: Ints, mesh: Ints, extent: float) -> 
     tables = stored_tables.get_or_compute("topology", len(faces), inputs, partial(_build_tables, *inputs))
     cut = SelfCuts(tables.pop("first_cut"), tables.pop("cut_by"))
     link, piece = tables["link"], tables["piece"]
-    return MeshTopology(**tables, pieces=int(piece.max(initial=-1)) + 1, forked=bool((link[0] != link[1]).any()), cuts=cut)
+    return MeshTopology(
+        **tables, piece_count=int(piece.max(initial=-1)) + 1, has_forked_edges=bool((link[0] != link[1]).any()), cuts=cut
+    )
 
 
 def _build_tables(vertices: Floats, faces: Ints, mesh: Ints, extent: float) -> stored_tables.Tables:
     """Return the arrays of `build_topology`, by the field names of `MeshTopology`. The arrays of its cuts are `first_cut` and
     `cut_by`."""
     a, b, c = (vertices[faces[:, k]] for k in range(3))
-    weld = corner_numbers(vertices, faces, mesh, extent)
-    live = live_faces(weld, a, b, c)
+    weld = number_corners(vertices, faces, mesh, extent)
+    live = find_live_faces(weld, a, b, c)
     link = _link_edges(vertices, faces, weld, live)
     piece = _number_pieces(link, live)
     cut = find_cuts(vertices[faces], weld, piece, extent * _RELATIVE_TOUCH_DISTANCE)
-    side_groups, shape = _side_groups(link, live, piece), _shape_arrays(vertices, faces, weld, live)
+    side_groups, shape = _group_sides(link, live, piece), _compute_shape_arrays(vertices, faces, weld, live)
     return {
         "live": live,
         "link": link,
@@ -110,7 +112,7 @@ def _build_tables(vertices: Floats, faces: Ints, mesh: Ints, extent: float) -> s
         "way": side_groups,
         "weld": weld,
         "first_cut": cut.first,
-        "cut_by": cut.other,
+        "cut_by": cut.cutting_faces,
         **shape,
     }
 
@@ -122,7 +124,7 @@ def update_shape(table: MeshTopology, vertices: Floats, faces: Ints, rows: slice
     live, weld = table.live[rows], table.weld[rows]
     old_frames = {name: getattr(table, name)[:, rows].copy() for name in ("normal", "axis1", "axis2")}
     edges = {name: getattr(table, name).reshape(-1, 3)[rows].copy() for name in ("edge_c", "edge_s")}
-    shape = _shape_arrays(vertices, faces[rows], weld - weld.min(initial=0), live)
+    shape = _compute_shape_arrays(vertices, faces[rows], weld - weld.min(initial=0), live)
     flat = live & ~(np.isfinite(shape["rate1"]) & np.isfinite(shape["rate2"]) & (shape["rate2"] > 0))
     for name in _FLOAT_COLUMNS:
         array = getattr(table, name)
@@ -140,31 +142,31 @@ def update_shape(table: MeshTopology, vertices: Floats, faces: Ints, rows: slice
         table.smooth[:, at] = np.tile(table.normal[:, at], (3, 1))
 
 
-def _shape_arrays(vertices: Floats, faces: Ints, weld: Ints, live: NDArray[np.bool_]) -> dict[str, Floats]:
+def _compute_shape_arrays(vertices: Floats, faces: Ints, weld: Ints, live: NDArray[np.bool_]) -> dict[str, Floats]:
     """Return all arrays of a table that depend on corner positions, by the names in _FLOATS."""
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     edge1, edge2 = b - a, c - a
     across = np.cross(edge1, edge2)
     with np.errstate(all="ignore"):  # a moving face may lose its area
-        normal = across / np.where(live, _length(across), 1.0)[:, None]
-        length1 = np.where(live, _length(edge1), 1.0)
+        normal = across / np.where(live, _compute_lengths(across), 1.0)[:, None]
+        length1 = np.where(live, _compute_lengths(edge1), 1.0)
         axis1 = edge1 / length1[:, None]
         normal = np.where(np.isfinite(normal), normal, 0.0)
         axis2 = np.cross(normal, axis1)
         x2, y2 = (edge2 * axis1).sum(axis=1), np.where(live, (edge2 * axis2).sum(axis=1), 1.0)
-        direction = _edge_directions(length1, x2, y2)
+        direction = _compute_edge_directions(length1, x2, y2)
         frame = [np.ascontiguousarray(v.T) for v in (a, edge1, edge2, normal, axis1, axis2)]
-        smooth = _smooth_normals(vertices, faces, weld, live, normal)
+        smooth = _compute_smooth_normals(vertices, faces, weld, live, normal)
         rates = (1 / length1, 1 / y2, x2 / (y2 * length1))
     return dict(zip(_FLOAT_COLUMNS, (*frame, *rates, *direction, smooth), strict=True))
 
 
-def _length(v: Floats) -> Floats:
+def _compute_lengths(v: Floats) -> Floats:
     length: Floats = np.sqrt((v * v).sum(axis=1))
     return length
 
 
-def _edge_directions(length1: Floats, x2: Floats, y2: Floats) -> tuple[Floats, Floats]:
+def _compute_edge_directions(length1: Floats, x2: Floats, y2: Floats) -> tuple[Floats, Floats]:
     """Return the unit directions of the half-edges in their face's frame, as two arrays of 3m."""
     c = np.stack([x2 - length1, -x2, length1], axis=1)
     s = np.stack([y2, -y2, np.zeros_like(y2)], axis=1)
@@ -188,7 +190,7 @@ def _link_edges(vertices: Floats, faces: Ints, weld: Ints, live: NDArray[np.bool
     along = np.where(one < two, 1.0, -1.0)
     start, end = vertices[faces[face, (k + 1) % 3]], vertices[faces[face, (k + 2) % 3]]
     edge = (end - start) * along[:, None]
-    edge /= _length(edge)[:, None]
+    edge /= _compute_lengths(edge)[:, None]
     inward = vertices[faces[face, k]] - start
     inward -= (inward * edge).sum(axis=1)[:, None] * edge
     order = np.argsort(key, kind="stable")
@@ -197,7 +199,7 @@ def _link_edges(vertices: Floats, faces: Ints, weld: Ints, live: NDArray[np.bool
     group[order] = np.cumsum(first) - 1
     lead = order[first][group]  # one half-edge of each edge defines the direction and the zero of the angle
     axis, zero = edge[lead], inward[lead]
-    angle = elementary.wide_atan2((np.cross(axis, zero) * inward).sum(axis=1), (zero * inward).sum(axis=1))
+    angle = elementary.atan2_float64((np.cross(axis, zero) * inward).sum(axis=1), (zero * inward).sum(axis=1))
     order = np.lexsort((half, np.round(angle, 9), group))
     count = np.bincount(group)
     begin = np.cumsum(count) - count
@@ -219,13 +221,13 @@ def _number_pieces(link: Ints, live: NDArray[np.bool_]) -> Ints:
     """Return the number of the connected piece of each face, ascending from 0 by the first faces of pieces; -1 for faces that are
     not live."""
     half = np.flatnonzero(link[0] != NO_LINK)
-    piece = component_numbers(np.stack([half // 3, link[0, half] >> 3], axis=1), len(live))
+    piece = number_components(np.stack([half // 3, link[0, half] >> 3], axis=1), len(live))
     result = np.full(len(live), -1, np.int32)
     result[live] = np.unique(piece[live], return_inverse=True)[1]
     return result
 
 
-def _side_groups(link: Ints, live: NDArray[np.bool_], piece: Ints) -> Ints:
+def _group_sides(link: Ints, live: NDArray[np.bool_], piece: Ints) -> Ints:
     """Return a group number per side and face (2, m). Sides that are connected across edges, and so can be reached from each
     other, share one number.
 
@@ -244,10 +246,10 @@ def _side_groups(link: Ints, live: NDArray[np.bool_], piece: Ints) -> Ints:
     shut[piece[live & (link[0].reshape(-1, 3) == NO_LINK).any(axis=1)]] = False
     closed = np.flatnonzero(live)[shut[piece[live]]]
     one, two = np.concatenate([*from_sides, closed]), np.concatenate([*to_sides, closed + m])
-    return component_numbers(np.stack([one, two], axis=1), 2 * m).reshape(2, m)
+    return number_components(np.stack([one, two], axis=1), 2 * m).reshape(2, m)
 
 
-def _smooth_normals(vertices: Floats, faces: Ints, weld: Ints, live: NDArray[np.bool_], normal: Floats) -> Floats:
+def _compute_smooth_normals(vertices: Floats, faces: Ints, weld: Ints, live: NDArray[np.bool_], normal: Floats) -> Floats:
     """Return normals at the corners of faces, (9, m): the mean of the surrounding faces, weighted by their angle at the corner.
 
     Faces that meet this face in a crease are excluded (Thürmer, Wüthrich, Computing Vertex Normals from Polygonal Facets, 1998,
@@ -257,24 +259,24 @@ def _smooth_normals(vertices: Floats, faces: Ints, weld: Ints, live: NDArray[np.
     weight = np.zeros((m, 3))
     for k in range(3):
         u, v = corners[:, (k + 1) % 3] - corners[:, k], corners[:, (k + 2) % 3] - corners[:, k]
-        weight[:, k] = elementary.wide_atan2(_length(np.cross(u, v)), (u * v).sum(axis=1))
+        weight[:, k] = elementary.atan2_float64(_compute_lengths(np.cross(u, v)), (u * v).sum(axis=1))
     weight[~live] = 0.0
     points = int(weld.max(initial=-1)) + 1
     flat = weld.ravel()
     each = np.repeat(normal, 3, axis=0)
     total: Floats = np.stack([np.bincount(flat, weight.ravel() * each[:, axis], points) for axis in range(3)], axis=1)
-    mean = total / np.maximum(_length(total), 1e-300)[:, None]
+    mean = total / np.maximum(_compute_lengths(total), 1e-300)[:, None]
     smooth = mean[flat]
     # If each face is within half the crease angle of the mean, any two are within the crease angle.
     sharp = np.bincount(flat, (smooth * each).sum(axis=1) < np.sqrt((1 + _CREASE_COSINE) / 2), points) > 0
     slow = np.flatnonzero(sharp[flat])
     if slow.size:
         slow = slow[np.argsort(flat[slow], kind="stable")]
-        smooth[slow] = _crease_normals(slow, flat, weight.ravel(), each)
+        smooth[slow] = _compute_crease_normals(slow, flat, weight.ravel(), each)
     return np.ascontiguousarray(smooth.reshape(m, 9).T)
 
 
-def _crease_normals(corner: NDArray[np.int64], point: Ints, weight: Floats, normal: Floats) -> Floats:
+def _compute_crease_normals(corner: NDArray[np.int64], point: Ints, weight: Floats, normal: Floats) -> Floats:
     """Return the normals of corners, which are sorted by their point. Each is a mean over the corners at the same point with
     faces that meet its own face without a crease."""
     count = np.bincount(point[corner])[point[corner]]
@@ -285,11 +287,11 @@ def _crease_normals(corner: NDArray[np.int64], point: Ints, weight: Floats, norm
     cosine = (normal[corner[one]] * normal[other]).sum(axis=1)
     share = np.where(np.abs(cosine) >= _CREASE_COSINE, np.sign(cosine) * weight[other], 0.0)
     total: Floats = np.stack([np.bincount(one, share * normal[other][:, axis], corner.size) for axis in range(3)], axis=1)
-    size = _length(total)
+    size = _compute_lengths(total)
     return np.where(size[:, None] > 0, total / np.maximum(size, 1e-300)[:, None], normal[corner])
 
 
-def facing_sides(normals: Floats) -> NDArray[np.int8]:
+def find_facing_sides(normals: Floats) -> NDArray[np.int8]:
     """Return the axis direction nearest to each of the normals [n,3]: 0 +x, 1 -x, 2 +y, 3 -y, 4 +z, 5 -z; of equally near ones,
     the first."""
     n = np.asarray(normals)

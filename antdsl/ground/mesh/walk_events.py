@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from antdsl.ground.mesh import walk as loop
 from antdsl.ground.mesh import walkers
 from antdsl.ground.mesh.boxes import FaceBoxes
-from antdsl.ground.mesh.face_table import OPEN_BORDER_LINK, mark_open, pack_rows, pack_table
+from antdsl.ground.mesh.face_table import OPEN_BORDER_LINK, mark_border_links, pack_rows, pack_table
 from antdsl.ground.mesh.open_borders import find_open_borders
-from antdsl.ground.mesh.surface_clearance import FaceParts, PieceClearances
+from antdsl.ground.mesh.surface_clearance import FacePartClearances, PieceClearances
 from antdsl.ground.mesh.surroundings import EYE_HEIGHT_PER_BODY, GroundScale
 from antdsl.ground.mesh.topology import NO_LINK, MeshTopology
 from antdsl.numerics import parallel
@@ -28,9 +28,9 @@ _WAITING_PER_THREAD = 16  # number of waiting agents from which another thread i
 class WaitingAgents:
     """Agents that wait after the first loop: their floats and integers, one column each, and the number of agents left out."""
 
-    reals: Floats
-    wholes: NDArray[np.int64]
-    left: int
+    float_rows: Floats
+    integer_rows: NDArray[np.int64]
+    left_out_count: int
 
     @staticmethod
     def of(parts: list[tuple[int, int, int]], reals: Floats, wholes: NDArray[np.int64]) -> WaitingAgents:
@@ -45,36 +45,42 @@ class WalkTables:
 
     def __init__(self, table: MeshTopology, mesh: NDArray[np.int32], first: NDArray[np.int64]) -> None:
         self.table, self.first, self._mesh = table, first, mesh
-        self.packed = pack_table(table, mesh)
-        self._crowd: CrowdWalk | None = None  # the walk of the last step
-        self._still = True  # no face has changed its shape
-        self._open, self._widest = np.empty(0, np.int64), -np.inf  # marked half-edges, and the body size (mm) they are valid for
+        self.packed_table = pack_table(table, mesh)
+        self._last_crowd_walk: CrowdWalk | None = None  # the walk of the last step
+        self._is_unchanged = True  # no face has changed its shape
+        self._open_half_edges, self._max_body_size = (
+            np.empty(0, np.int64),
+            -np.inf,
+        )  # marked half-edges, and the body size (mm) they are valid for
 
-    def changed(self, faces: slice) -> None:
+    def update_faces(self, faces: slice) -> None:
         """Update faces with a new shape. Open borders change with each new shape, so the walk no longer uses them."""
-        if self._still:
-            self._still = False
-            mark_open(self.packed, self._open, NO_LINK)
-        pack_rows(self.packed, self.table, self._mesh, faces)
+        if self._is_unchanged:
+            self._is_unchanged = False
+            mark_border_links(self.packed_table, self._open_half_edges, NO_LINK)
+        pack_rows(self.packed_table, self.table, self._mesh, faces)
 
-    def over(self, parts: FaceParts, boxes: FaceBoxes, scale: GroundScale) -> CrowdWalk:
+    def with_parts(self, parts: FacePartClearances, boxes: FaceBoxes, scale: GroundScale) -> CrowdWalk:
         """Return the walk with `parts`, the distances to other surfaces."""
         return CrowdWalk(self, parts, boxes, scale)
 
-    def crowd_walk_for(
-        self, clearances: PieceClearances, boxes: FaceBoxes, scale: GroundScale, longest: float, widest: float
+    def build_crowd_walk(
+        self, clearances: PieceClearances, boxes: FaceBoxes, scale: GroundScale, max_displacement: float, max_body_size: float
     ) -> CrowdWalk:
-        """Return the walk for displacements up to `longest` and bodies up to `widest` (mm), with the distances to surrounding
-        surfaces."""
-        if self._still and widest > self._widest:
+        """Return the walk for displacements up to `max_displacement` and bodies up to `max_body_size` (mm), with the distances to
+        surrounding surfaces."""
+        if self._is_unchanged and max_body_size > self._max_body_size:
             # For larger bodies than needed: otherwise a growing crowd would repeat the search often.
-            self._widest = 1.5 * widest
-            mark_open(self.packed, self._open, NO_LINK)
-            self._open = find_open_borders(self.table, boxes, scale, self._widest)
-            mark_open(self.packed, self._open, OPEN_BORDER_LINK)
-        parts, known = clearances.parts_within(longest + EYE_HEIGHT_PER_BODY * widest + 3 * scale.noise), self._crowd
+            self._max_body_size = 1.5 * max_body_size
+            mark_border_links(self.packed_table, self._open_half_edges, NO_LINK)
+            self._open_half_edges = find_open_borders(self.table, boxes, scale, self._max_body_size)
+            mark_border_links(self.packed_table, self._open_half_edges, OPEN_BORDER_LINK)
+        parts, known = (
+            clearances.get_face_parts(max_displacement + EYE_HEIGHT_PER_BODY * max_body_size + 3 * scale.distance_noise),
+            self._last_crowd_walk,
+        )
         if known is None or known.parts is not parts or known.boxes is not boxes or known.scale is not scale:
-            known = self._crowd = self.over(parts, boxes, scale)
+            known = self._last_crowd_walk = self.with_parts(parts, boxes, scale)
         return known
 
 
@@ -83,56 +89,60 @@ class CrowdWalk:
     """A `walk` with `parts` (distances to other surfaces), `boxes` (their locations) and a `scale` (tolerances)."""
 
     walk: WalkTables
-    parts: FaceParts
+    parts: FacePartClearances
     boxes: FaceBoxes
     scale: GroundScale
 
-    def tables(self) -> tuple[walkers.SurfaceTables, walkers.ClearanceTables]:
+    def build_tables(self) -> tuple[walkers.SurfaceTables, walkers.ClearanceTables]:
         """Return the tables that kernels read: the faces, and the distances to other surfaces."""
         walk, parts = self.walk, self.parts
-        surface = walkers.SurfaceTables(walk.packed, walk.table.link, walk.table.forked, walk.first)
-        return surface, walkers.ClearanceTables(parts.first, parts.count, parts.least, parts.reach, self.scale.noise)
+        surface = walkers.SurfaceTables(walk.packed_table, walk.table.link, walk.table.has_forked_edges, walk.first)
+        return surface, walkers.ClearanceTables(
+            parts.first, parts.count, parts.clearances, parts.reach, self.scale.distance_noise
+        )
 
     def step(
         self,
         body: Floats,
-        at: tuple[Any, ...],
+        start: tuple[Any, ...],
         vectors: tuple[Floats, Floats, Floats],
-        to: tuple[Any, ...],
+        results: tuple[Any, ...],
         threads: int,
-        straight: bool,
+        stop_at_borders: bool,
     ) -> None:
-        """Move agents with wish, heading and up (3, n) from footings `at` to the result arrays `to`. With `straight`, paths end
-        at open borders."""
+        """Move agents with wish, heading and up (3, n) from footings `start` to the result arrays `results`. With
+        `stop_at_borders`, paths end at open borders."""
         n = body.size
         how = np.empty(n, np.uint8)
-        placed, moved, blocked = walkers.FootingArrays._make(to[:5]), walkers.PoseArrays._make(to[5:10]), to[10]
+        placed, moved, blocked = walkers.FootingArrays._make(results[:5]), walkers.PoseArrays._make(results[5:10]), results[10]
         reals, wholes = np.empty((loop.FLOAT_ROW_COUNT, n)), np.empty((loop.INTEGER_ROW_COUNT, n), np.int64)
-        work = partial(loop.walk_all, *self.tables(), at, body, vectors, reals, wholes, how, placed, moved)
-        waiting = WaitingAgents.of(parallel.in_parts(work, n, threads), reals, wholes)
-        self.continue_waiting(waiting, how, placed, moved, blocked, threads, straight)
+        work = partial(loop.walk_all, *self.build_tables(), start, body, vectors, reals, wholes, how, placed, moved)
+        waiting = WaitingAgents.of(parallel.run_in_parts(work, n, threads), reals, wholes)
+        self.continue_waiting(waiting, how, placed, moved, blocked, threads, stop_at_borders)
 
     def continue_waiting(
         self,
         waiting: WaitingAgents,
-        how: NDArray[np.uint8],
+        statuses: NDArray[np.uint8],
         placed: walkers.FootingArrays,
         moved: walkers.PoseArrays,
         blocked: NDArray[np.bool_],
         threads: int,
-        straight: bool = False,
+        stop_at_borders: bool = False,
     ) -> NDArray[np.int64]:
         """Move waiting agents to footings `placed` and poses `moved`, and mark those that are `blocked`; return their rows."""
-        reals, wholes = waiting.reals, waiting.wholes
+        reals, wholes = waiting.float_rows, waiting.integer_rows
         rows: NDArray[np.int64] = wholes[loop.AGENT_ROW]
         if not rows.size:
             return rows
         table, boxes, scale = self.walk.table, self.boxes, self.scale
-        sides, cuts = walkers.SideGroups(table.piece, table.way), walkers.CutTables(table.cuts.first, table.cuts.other)
+        sides, cuts = walkers.SideGroups(table.piece, table.way), walkers.CutTables(table.cuts.first, table.cuts.cutting_faces)
         count = wholes.shape[1]
-        parts = parallel.parts(count, threads, _WAITING_PER_THREAD)
-        buffer = np.empty(parts * boxes.order.size, np.int64)
-        known = walkers.PieceTables(sides, cuts, boxes.tree(), scale.lengths(), buffer, parts, count)
-        further = partial(loop.continue_walks, *self.tables(), known, straight, reals, wholes, how, placed, moved, blocked)
-        parallel.in_parts(further, count, threads, _WAITING_PER_THREAD)
+        parts = parallel.count_parts(count, threads, _WAITING_PER_THREAD)
+        buffer = np.empty(parts * boxes.triangle_order.size, np.int64)
+        known = walkers.PieceTables(sides, cuts, boxes.to_box_tree(), scale.lengths(), buffer, parts, count)
+        further = partial(
+            loop.continue_walks, *self.build_tables(), known, stop_at_borders, reals, wholes, statuses, placed, moved, blocked
+        )
+        parallel.run_in_parts(further, count, threads, _WAITING_PER_THREAD)
         return rows

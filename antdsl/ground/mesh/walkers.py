@@ -12,24 +12,25 @@ FaceDirection = tuple[F64, F64]  # cosine and sine in the frame of a face
 
 
 class SurfaceTables(NamedTuple):
-    """Tables of faces for a walk: the packed table, `link` and `forked` of the topology, and the first face of each mesh."""
+    """Tables of faces for a walk: the packed table, `link` and `has_forked_edges` of the topology, and the first face of each
+    mesh."""
 
     table: Array1[F64]
     link: Array2[I32]
-    forked: BOOL
+    has_forked_edges: BOOL
     first: Array1[I64]
 
 
 class ClearanceTables(NamedTuple):
-    """Distances to other pieces, as in `FaceParts`.
+    """Distances to other pieces, as in `FacePartClearances`.
 
-    An agent searches for pieces within its path, plus EYE_HEIGHT_PER_BODY times its body, plus `noise`."""
+    An agent searches for pieces within its path, plus EYE_HEIGHT_PER_BODY times its body, plus `distance_noise`."""
 
     first: Array1[I64]
-    counts: Array1[I32]
-    least: Array1[F64]
+    parts_per_edge: Array1[I32]
+    clearances: Array1[F64]
     reach: F64
-    noise: F64
+    distance_noise: F64
 
 
 class SideGroups(NamedTuple):
@@ -40,19 +41,19 @@ class SideGroups(NamedTuple):
 
 
 class CutTables(NamedTuple):
-    """Faces of the same piece that cut each face: `others` from `first[face]` to `first[face + 1]` (exclusive)."""
+    """Faces of the same piece that cut each face: `cutting_faces` from `first[face]` to `first[face + 1]` (exclusive)."""
 
     first: Array1[I64]
-    others: Array1[I64]
+    cutting_faces: Array1[I64]
 
 
 class LengthTolerances(NamedTuple):
-    """`least`, `fine`, `under` and `touch` of `GroundScale` (mm)."""
+    """`min_eye_height`, `coincident_distance`, `max_below_height` and `touch_distance` of `GroundScale` (mm)."""
 
-    least: F64
-    fine: F64
-    under: F64
-    touch: F64
+    min_eye_height: F64
+    coincident_distance: F64
+    max_below_height: F64
+    touch_distance: F64
 
 
 class NearbySurfaces(NamedTuple):
@@ -78,7 +79,7 @@ class FaceWalker(NamedTuple):
 class WalkProgress(NamedTuple):
     """The distances that an agent has left and has travelled (mm), and the number of edges it has crossed."""
 
-    left: F64
+    remaining: F64
     travelled: F64
     crossings: I64
 
@@ -90,7 +91,7 @@ class WalkStop(NamedTuple):
     event: I64
     edge: I64
     length: F64
-    hops: I64
+    followed_borders: I64
 
 
 class SurfaceLanding(NamedTuple):
@@ -102,7 +103,7 @@ class SurfaceLanding(NamedTuple):
     side: F64
     distance: F64
     height: F64
-    stops: BOOL
+    ends_walk: BOOL
 
 
 class PieceTables(NamedTuple):
@@ -143,11 +144,11 @@ class PoseArrays(NamedTuple):
 class AgentWalk(NamedTuple):
     """An agent during a walk.
 
-    - `high`: the distance (mm), on the agent's side, within which it searches for other surfaces
-    - `over`: its height (mm) over its face, on its side"""
+    - `search_height`: the distance (mm), on the agent's side, within which it searches for other surfaces
+    - `height`: its height (mm) over its face, on its side"""
 
-    high: F64
-    over: F64
+    search_height: F64
+    height: F64
     walker: FaceWalker
     progress: WalkProgress
     stop: WalkStop

@@ -34,24 +34,29 @@ class BrickGrid:
     """Distances of a solid's nodes. Node (i, j, k) lies at `origin + (i, j, k) * voxel` and belongs to brick (i // 16, ...).
 
     - `table`: the slot of each brick
-    - `values` float32[slots * 4096]: the distances of each slot's nodes, the last axis fastest, limited to `least` .. `most`
+    - `values` float32[slots * 4096]: the distances of each slot's nodes, the last axis fastest, limited to `min_distance` ..
+      `max_distance`
 
     All nodes of the outermost layer are air. So a point outside the grid has the distance of the nearest point in the grid."""
 
     origin: NDArray[np.float64]
     voxel: float
     shape: tuple[int, int, int]  # number of bricks along each axis
-    least: float
-    most: float
+    min_distance: float
+    max_distance: float
     table: NDArray[np.int32]  # one slot per brick, flat
     values: NDArray[np.float32]  # may have capacity for more slots than are used
-    used: int  # number of slots in use
+    used_slots: int  # number of slots in use
     steps: int = 0
-    steps_at_start: int = 0
-    fresh: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, bool))  # for each brick, whether it must be meshed again
-    touched: dict[int, Distances | None] = field(default_factory=dict)  # values of dug bricks before digging; None: undug solid
-    mark: int = 0  # sum of `hash_nodes` over all nodes, minus that of the start
-    started: bytes = b""  # digest of the start
+    start_volume_steps: int = 0
+    needs_meshing: NDArray[np.bool_] = field(
+        default_factory=lambda: np.zeros(0, bool)
+    )  # for each brick, whether it must be meshed again
+    original_values: dict[int, Distances | None] = field(
+        default_factory=dict
+    )  # values of dug bricks before digging; None: undug solid
+    node_hash_sum: int = 0  # sum of `hash_nodes` over all nodes, minus that of the start
+    start_digest: bytes = b""  # digest of the start
 
     @property
     def nodes(self) -> tuple[int, int, int]:
@@ -68,93 +73,97 @@ class BrickGrid:
     @property
     def nbytes(self) -> int:
         """Return the memory of the arrays in bytes."""
-        touched_bytes = sum(values.nbytes for values in self.touched.values() if values is not None)
-        return self.table.nbytes + self.values.nbytes + self.fresh.nbytes + touched_bytes
+        touched_bytes = sum(values.nbytes for values in self.original_values.values() if values is not None)
+        return self.table.nbytes + self.values.nbytes + self.needs_meshing.nbytes + touched_bytes
 
-    def dense(self) -> NDArray[np.float32]:
+    def to_dense(self) -> NDArray[np.float32]:
         """Return the distances of all nodes, float32[x, y, z]."""
-        pool = self.values[: self.used * BRICK_NODES].reshape(-1, BRICK_SIDE_NODES, BRICK_SIDE_NODES, BRICK_SIDE_NODES)
+        pool = self.values[: self.used_slots * BRICK_NODES].reshape(-1, BRICK_SIDE_NODES, BRICK_SIDE_NODES, BRICK_SIDE_NODES)
         blocks = pool[self.table.reshape(self.shape)]
         return np.ascontiguousarray(blocks.transpose(0, 3, 1, 4, 2, 5).reshape(self.nodes))
 
     def record_start(self) -> None:
         """Measure the solid volume and store it as the start value."""
-        used = self.values[: self.used * BRICK_NODES]
-        filled = fill_steps(used, self.voxel).reshape(-1, BRICK_NODES).sum(axis=1, dtype=np.int64)
-        self.steps = self.steps_at_start = int(filled.take(self.table).sum())
-        self.fresh = np.zeros(self.table.size, bool)
-        self.mark_fresh(np.flatnonzero(self.table >= 2))
-        hasher = sha256(np.array([*self.origin, self.voxel, self.least, self.most, *self.shape], np.float64).tobytes())
+        used = self.values[: self.used_slots * BRICK_NODES]
+        filled = compute_fill_steps(used, self.voxel).reshape(-1, BRICK_NODES).sum(axis=1, dtype=np.int64)
+        self.steps = self.start_volume_steps = int(filled.take(self.table).sum())
+        self.needs_meshing = np.zeros(self.table.size, bool)
+        self.mark_for_meshing(np.flatnonzero(self.table >= 2))
+        hasher = sha256(
+            np.array([*self.origin, self.voxel, self.min_distance, self.max_distance, *self.shape], np.float64).tobytes()
+        )
         hasher.update(self.table.tobytes() + used.tobytes())
-        self.started = hasher.digest()
+        self.start_digest = hasher.digest()
 
-    def open(self, bricks: Index) -> None:
+    def prepare_bricks(self, bricks: Index) -> None:
         """Prepare bricks for writing: each gets its own slot of nodes. `bricks` are ascending, without duplicates."""
         shared = bricks[self.table[bricks] < 2]
         for brick in bricks:
-            if int(brick) not in self.touched:
+            if int(brick) not in self.original_values:
                 slot = int(self.table[brick])
-                self.touched[int(brick)] = None if slot < 2 else self.values[slot * BRICK_NODES : (slot + 1) * BRICK_NODES].copy()
+                self.original_values[int(brick)] = (
+                    None if slot < 2 else self.values[slot * BRICK_NODES : (slot + 1) * BRICK_NODES].copy()
+                )
         if shared.size:
-            self._grow(self.used + shared.size)
-            slots = np.arange(self.used, self.used + shared.size)
+            self._grow_capacity(self.used_slots + shared.size)
+            slots = np.arange(self.used_slots, self.used_slots + shared.size)
             pool = self.values.reshape(-1, BRICK_NODES)
             pool[slots] = pool[self.table[shared]]
             self.table[shared] = slots
-            self.used += shared.size
-        self.mark_fresh(bricks)
+            self.used_slots += shared.size
+        self.mark_for_meshing(bricks)
 
-    def _grow(self, slots: int) -> None:
+    def _grow_capacity(self, slots: int) -> None:
         """Extend the array of values so that it has space for `slots` slots."""
         capacity = self.values.size // BRICK_NODES
         if slots > capacity:
             new_values = np.empty(max(slots, capacity + capacity // 4) * BRICK_NODES, np.float32)
-            new_values[: self.used * BRICK_NODES] = self.values[: self.used * BRICK_NODES]
+            new_values[: self.used_slots * BRICK_NODES] = self.values[: self.used_slots * BRICK_NODES]
             self.values = new_values
 
     # ---- keeping
 
-    def digest(self) -> bytes:
+    def compute_digest(self) -> bytes:
         """Return a digest that is equal for equal distances, in whichever slots the bricks are. It costs almost nothing."""
-        counts = np.array([self.mark, self.steps], np.uint64)
-        return sha256(self.started + counts.tobytes()).digest()
+        counts = np.array([self.node_hash_sum, self.steps], np.uint64)
+        return sha256(self.start_digest + counts.tobytes()).digest()
 
     def state(self) -> dict[str, NDArray[Any]]:
         """Return the changes since the start, as `Volume.state`."""
-        bricks = np.array(sorted(self.touched), np.int64)
+        bricks = np.array(sorted(self.original_values), np.int64)
         return {
             "bricks": bricks,
             "values": self.values.reshape(-1, BRICK_NODES)[self.table[bricks]],
             "steps": np.array(self.steps, np.int64),
-            "start": np.frombuffer(self.started, np.uint8).copy(),
+            "start": np.frombuffer(self.start_digest, np.uint8).copy(),
         }
 
-    def restore(self, arrays: Mapping[str, NDArray[Any]]) -> None:
+    def restore_changes(self, arrays: Mapping[str, NDArray[Any]]) -> None:
         """Restore a stored state, as `Volume.restore`."""
         bricks, values, start = (np.asarray(arrays[name]) for name in ("bricks", "values", "start"))
-        if start.tobytes() != self.started:
+        if start.tobytes() != self.start_digest:
             raise ValueError("the solid is not made from the same mesh")
         if values.shape != (len(bricks), BRICK_NODES) or values.dtype != np.float32 or not np.isfinite(values).all():
             raise ValueError("the bricks of the solid are damaged")
         if len(bricks) and not (bricks.min() >= 0 and bricks.max() < self.table.size and (np.diff(bricks) > 0).all()):
             raise ValueError("the bricks of the solid are damaged")
         pool = self.values.reshape(-1, BRICK_NODES)
-        for brick, was in self.touched.items():
+        for brick, was in self.original_values.items():
             pool[self.table[brick]] = pool[SOLID_SLOT] if was is None else was
-        self.mark_fresh(np.array(sorted(self.touched), np.int64))
-        self.open(bricks.astype(np.int64))
+        self.mark_for_meshing(np.array(sorted(self.original_values), np.int64))
+        self.prepare_bricks(bricks.astype(np.int64))
         pool = self.values.reshape(-1, BRICK_NODES)
         slots = self.table[bricks]
         nodes = (bricks.astype(np.int64) << 12)[:, None] + np.arange(BRICK_NODES)
-        self.mark = int((hash_nodes(nodes, values) - hash_nodes(nodes, pool[slots])).sum(dtype=np.uint64)) & MASK64
+        self.node_hash_sum = int((hash_nodes(nodes, values) - hash_nodes(nodes, pool[slots])).sum(dtype=np.uint64)) & MASK64
         pool[slots] = values
-        self.touched = {brick: was for brick, was in self.touched.items() if brick in set(bricks.tolist())}
+        self.original_values = {brick: was for brick, was in self.original_values.items() if brick in set(bricks.tolist())}
         self.steps = int(arrays["steps"])
 
-    def mark_fresh(self, bricks: Index) -> None:
+    def mark_for_meshing(self, bricks: Index) -> None:
         """Mark changed bricks for meshing. The bricks before them are marked too, because their last cells reach into the changed
         bricks."""
-        grid = self.fresh.reshape(self.shape)
+        grid = self.needs_meshing.reshape(self.shape)
         i, j, k = np.unravel_index(bricks, self.shape)
         for a in (0, 1):
             for b in (0, 1):
@@ -177,7 +186,7 @@ def hash_nodes(node: Index, distance: Distances) -> NDArray[np.uint64]:
     return x
 
 
-def fill_steps(distance: NDArray[np.float32], voxel: float) -> NDArray[np.int32]:
+def compute_fill_steps(distance: NDArray[np.float32], voxel: float) -> NDArray[np.int32]:
     """Return how full the voxel around each node is, 0 .. 256. It is half full at the surface, and empty or full from half a
     voxel away."""
     part = np.float32(0.5) - distance * np.float32(1.0 / voxel)

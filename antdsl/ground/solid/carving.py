@@ -47,8 +47,8 @@ class ChangedNodes:
     balls: Index
 
 
-def carve(bricks: BrickGrid, centres: Floats, radii: Floats, owners: Index) -> Floats:
-    """Dig balls out of a solid, as `Volume.carve`."""
+def carve_balls(bricks: BrickGrid, centres: Floats, radii: Floats, owners: Index) -> Floats:
+    """Dig balls out of a solid, as `Volume.carve_balls`."""
     centres, radii = np.asarray(centres, np.float64).reshape(-1, 3), np.asarray(radii, np.float64).reshape(-1)
     # Independent of the order of the balls: at a tie the lowest owner, then the lowest position.
     order = np.lexsort((radii, centres[:, 2], centres[:, 1], centres[:, 0], np.asarray(owners, np.int64).reshape(-1)))
@@ -59,7 +59,7 @@ def carve(bricks: BrickGrid, centres: Floats, radii: Floats, owners: Index) -> F
         brick = reached.nodes >> 12
         changed = np.zeros(bricks.table.size, bool)
         changed[brick] = True
-        bricks.open(np.flatnonzero(changed))
+        bricks.prepare_bricks(np.flatnonzero(changed))
         at = (bricks.table.take(brick).astype(np.int64) << 12) + (reached.nodes & (BRICK_NODES - 1))
         lost = _write_changes(bricks, at, reached, len(order))
         bricks.steps -= int(lost.sum())
@@ -70,7 +70,7 @@ def carve(bricks: BrickGrid, centres: Floats, radii: Floats, owners: Index) -> F
 def _select_balls(bricks: BrickGrid, centres: Floats, radii: Floats) -> tuple[Index, Index]:
     """Return the balls, ascending, that may reach into the grid, and the reach of each in voxels, rounded up."""
     local = (centres - bricks.origin) / bricks.voxel
-    reach = (radii - bricks.least) / bricks.voxel
+    reach = (radii - bricks.min_distance) / bricks.voxel
     with np.errstate(invalid="ignore"):
         meets = np.isfinite(local).all(axis=1) & np.isfinite(radii) & (radii > 0)
         meets &= ((local > -reach[:, None] - 1) & (local < np.array(bricks.nodes) + reach[:, None] + 1)).all(axis=1)
@@ -83,20 +83,20 @@ def _find_changed_nodes(bricks: BrickGrid, centres: Floats, radii: Floats) -> Ch
     """Return the nodes that balls change, one ball after another."""
     rows, steps = _select_balls(bricks, centres, radii)
     great = np.flatnonzero(steps > _LARGE_BALL_VOXELS)
-    parts = [_carve_large(bricks, centres, radii, int(ball)) for ball in rows[great]]
+    parts = [_carve_large_ball(bricks, centres, radii, int(ball)) for ball in rows[great]]
     small = np.flatnonzero(steps <= _LARGE_BALL_VOXELS)
-    parts.append(_carve_small(bricks, centres, radii, rows[small], steps[small]))
+    parts.append(_carve_small_balls(bricks, centres, radii, rows[small], steps[small]))
     nodes, values, balls = (np.concatenate(p) for p in zip(*parts, strict=True)) if len(parts) > 1 else parts[0]
     return ChangedNodes(nodes, values, balls)
 
 
-def _carve_large(bricks: BrickGrid, centres: Floats, radii: Floats, ball: int) -> NodeChanges:
+def _carve_large_ball(bricks: BrickGrid, centres: Floats, radii: Floats, ball: int) -> NodeChanges:
     """Return the changes of one large ball, brick by brick, so that only changed nodes need memory."""
     centre, radius = centres[ball], radii[ball]
     ends = []
     for axis in range(3):
         low, high = (
-            (centre[axis] + sign * (radius - bricks.least) - bricks.origin[axis]) / bricks.voxel / BRICK_SIDE_NODES
+            (centre[axis] + sign * (radius - bricks.min_distance) - bricks.origin[axis]) / bricks.voxel / BRICK_SIDE_NODES
             for sign in (-1, 1)
         )
         ends.append(np.arange(math.floor(max(low, 0.0)), math.floor(min(high, bricks.shape[axis] - 1.0)) + 1))
@@ -112,7 +112,7 @@ def _carve_large(bricks: BrickGrid, centres: Floats, radii: Floats, ball: int) -
             gap = (bricks.origin[axis] + (b * BRICK_SIDE_NODES + line) * bricks.voxel) - centre[axis]
             squares.append(gap * gap)
         away = ((squares[0][:, None, None] + squares[1][:, None]) + squares[2]).ravel()
-        value = np.minimum((radius - np.sqrt(away)).astype(np.float32), np.float32(bricks.most))
+        value = np.minimum((radius - np.sqrt(away)).astype(np.float32), np.float32(bricks.max_distance))
         changes = np.flatnonzero(value > bricks.values[slot * BRICK_NODES : (slot + 1) * BRICK_NODES])
         change_pairs.append((brick * BRICK_NODES + changes, value[changes]))
     nodes = np.concatenate([np.empty(0, np.int64), *(n for n, _ in change_pairs)])
@@ -120,24 +120,24 @@ def _carve_large(bricks: BrickGrid, centres: Floats, radii: Floats, ball: int) -
     return nodes, values, np.full(nodes.size, ball, np.int64)
 
 
-def _carve_small(bricks: BrickGrid, centres: Floats, radii: Floats, rows: Index, steps: Index) -> NodeChanges:
+def _carve_small_balls(bricks: BrickGrid, centres: Floats, radii: Floats, rows: Index, steps: Index) -> NodeChanges:
     """Return the changes of small balls."""
     capacity = int(((2 * steps + 2) ** 3).sum())
     nodes, values, balls = np.empty(capacity, np.int64), np.empty(capacity, np.float32), np.empty(capacity, np.int64)
-    tables = (bricks.table, bricks.values, bricks.origin, bricks.voxel, bricks.shape, bricks.least, bricks.most)
+    tables = (bricks.table, bricks.values, bricks.origin, bricks.voxel, bricks.shape, bricks.min_distance, bricks.max_distance)
     count = find_changes(tables, (centres, radii), rows, steps, (nodes, values, balls))
     return nodes[:count], values[:count], balls[:count]
 
 
-def _write_changes(bricks: BrickGrid, at: Index, reached: ChangedNodes, count: int) -> Index:
+def _write_changes(bricks: BrickGrid, value_indices: Index, changed_nodes: ChangedNodes, count: int) -> Index:
     """Store the maximum of the new distances in each node. Return the number of volume steps that each ball removed."""
-    old_values = bricks.values.take(at)
+    old_values = bricks.values.take(value_indices)
     lost = np.zeros(count, np.int64)
-    best = np.full(1 << (2 * at.size - 1).bit_length(), -1, np.int32)
-    bits = (reached.values.view(np.uint32), old_values.view(np.uint32))
-    changes = (reached.nodes, reached.values, reached.balls)
-    bricks.mark += write_changes(bricks.values, at, changes, old_values, bits, 1.0 / bricks.voxel, best, lost)
-    bricks.mark &= MASK64
+    best = np.full(1 << (2 * value_indices.size - 1).bit_length(), -1, np.int32)
+    bits = (changed_nodes.values.view(np.uint32), old_values.view(np.uint32))
+    changes = (changed_nodes.nodes, changed_nodes.values, changed_nodes.balls)
+    bricks.node_hash_sum += write_changes(bricks.values, value_indices, changes, old_values, bits, 1.0 / bricks.voxel, best, lost)
+    bricks.node_hash_sum &= MASK64
     return lost
 
 
@@ -188,42 +188,42 @@ def find_changes(bricks: BrickTables, all_balls: BallArrays, rows: Array1[I64], 
 @kernel
 def write_changes(
     values: Array1[F32],
-    at: Array1[I64],
+    value_indices: Array1[I64],
     changes: ChangeArrays,
     old_values: Array1[F32],
     bits: tuple[Array1[U32], Array1[U32]],
     scale: F32,
-    best: Array1[I32],
-    lost: Array1[I64],
+    strongest_rows: Array1[I32],
+    removed_steps: Array1[I64],
 ) -> U64:
-    """Store the greatest new value at each index `at`. Add to `lost` the volume steps that each ball removed. Return the change
-    of the bricks' mark.
+    """Store the greatest new value at each index `value_indices`. Add to `removed_steps` the volume steps that each ball removed.
+    Return the change of the bricks' mark.
 
     - `bits`: the bits of the new distances and of the `old_values`
-    - `best`: a hash table of row numbers; its size is a power of two, and all entries are -1 at the start"""
+    - `strongest_rows`: a hash table of row numbers; its size is a power of two, and all entries are -1 at the start"""
     nodes, news, balls = changes
     news_bits, old_bits = bits
-    capacity = best.size
-    for row in range(at.size):
-        slot = np.int64((np.uint64(at[row]) * _SCATTER_MULTIPLIER) >> np.uint64(32)) & (capacity - 1)
-        while best[slot] >= 0 and at[best[slot]] != at[row]:
+    capacity = strongest_rows.size
+    for row in range(value_indices.size):
+        slot = np.int64((np.uint64(value_indices[row]) * _SCATTER_MULTIPLIER) >> np.uint64(32)) & (capacity - 1)
+        while strongest_rows[slot] >= 0 and value_indices[strongest_rows[slot]] != value_indices[row]:
             slot = (slot + 1) & (capacity - 1)
-        now = best[slot]
+        now = strongest_rows[slot]
         if now < 0 or news[row] > news[now] or (news[row] == news[now] and balls[row] < balls[now]):
-            best[slot] = row
+            strongest_rows[slot] = row
     mark = np.uint64(0)
     for place in range(capacity):
-        last = best[place]
+        last = strongest_rows[place]
         if last >= 0:
-            values[at[last]] = news[last]
-            lost[balls[last]] += _fill_step(old_values[last], scale) - _fill_step(news[last], scale)
+            values[value_indices[last]] = news[last]
+            removed_steps[balls[last]] += _compute_fill_step(old_values[last], scale) - _compute_fill_step(news[last], scale)
             mark += _hash_node(nodes[last], news_bits[last]) - _hash_node(nodes[last], old_bits[last])
     return mark
 
 
 @inlined
-def _fill_step(distance: F32, scale: F32) -> I64:
-    """Return the result of `bricks.fill_steps` for one node."""
+def _compute_fill_step(distance: F32, scale: F32) -> I64:
+    """Return the result of `bricks.compute_fill_steps` for one node."""
     part = np.float32(0.5) - distance * scale
     part = min(max(part, np.float32(0)), np.float32(1))
     return np.int64(np.rint(part * _FULL_VOXEL_STEPS))

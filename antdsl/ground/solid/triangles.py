@@ -22,25 +22,25 @@ _PAIRS_PER_CHUNK = 1 << 15  # pairs of a node and a triangle per chunk, so that 
 _NEIGHBOUR_STEPS = ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1))
 
 
-def distances(shape: tuple[int, int, int], near: Index, corners: Floats, band: float) -> Distances:
+def compute_node_distances(shape: tuple[int, int, int], near: Index, corners: Floats, band: float) -> Distances:
     """Return the distances (voxels) of the nodes of bricks `near`, float32[len(near) * 4096]; `FAR` for nodes beyond `band`.
 
     `corners` float64[n,3,3] are the triangles in voxels. The distance of a node next to a triangle is measured to that triangle.
     From these nodes outwards, layer by layer, nodes are measured to their neighbours' nearest triangles (Bridson, Fluid
     Simulation for Computer Graphics, 2015, section 4.2)."""
     field = _DistanceField(shape, near, corners)
-    for nodes, triangle in nodes_beside(corners):
-        field.measure(nodes, triangle, False)
-    front = field.take_nearer()
+    for nodes, triangle in iterate_nodes_near(corners):
+        field.measure_distances(nodes, triangle, False)
+    front = field.pop_nearer_nodes()
     while front.size:
-        front = front[field.away[front] < band]
-        around = field.columns(front)
+        front = front[field.distances[front] < band]
+        around = field.to_node_columns(front)
         nodes = [
             np.concatenate(parts) for parts in zip(*(_shift_columns(around, step) for step in _NEIGHBOUR_STEPS), strict=True)
         ]
-        field.measure(nodes, np.tile(field.nearest[front], len(_NEIGHBOUR_STEPS)), True)
-        front = field.take_nearer()
-    return field.away
+        field.measure_distances(nodes, np.tile(field.nearest_triangles[front], len(_NEIGHBOUR_STEPS)), True)
+        front = field.pop_nearer_nodes()
+    return field.distances
 
 
 def _shift_columns(columns: list[Index], step: tuple[int, ...]) -> list[Index]:
@@ -48,7 +48,7 @@ def _shift_columns(columns: list[Index], step: tuple[int, ...]) -> list[Index]:
     return [column + by for column, by in zip(columns, step, strict=True)]
 
 
-def nodes_beside(corners: Floats) -> Iterator[tuple[list[Index], Index]]:
+def iterate_nodes_near(corners: Floats) -> Iterator[tuple[list[Index], Index]]:
     """Yield the nodes near each triangle, as the columns of their coordinates, and the triangle of each node.
 
     The nodes are near the plane of the triangle, and within about the same distance of its outline. Along the axis nearest to its
@@ -63,8 +63,8 @@ def nodes_beside(corners: Floats) -> Iterator[tuple[list[Index], Index]]:
         low = np.ceil(flat.min(axis=1) - EXACT_DISTANCE_VOXELS).astype(np.int64)
         count = np.floor(flat.max(axis=1) + EXACT_DISTANCE_VOXELS).astype(np.int64) - low + 1
         slope = normal[which]
-        for t, u, v in boxes(low, count, _PAIRS_PER_CHUNK):
-            near = _select_over(flat, t, u, v)
+        for t, u, v in iterate_lattice_points(low, count, _PAIRS_PER_CHUNK):
+            near = _select_projected_inside(flat, t, u, v)
             t, u, v = t[near], u[near], v[near]
             first = corners[which[t], 0]
             level = (
@@ -78,12 +78,12 @@ def nodes_beside(corners: Floats) -> Iterator[tuple[list[Index], Index]]:
             count_up = np.maximum(np.floor(level + reach).astype(np.int64) - lowest + 1, 0)
             which_line = np.repeat(np.arange(t.size), count_up)
             nodes: list[Index] = [u, u, u]
-            nodes[axis] = lowest[which_line] + count_from_zero(count_up)
+            nodes[axis] = lowest[which_line] + enumerate_groups(count_up)
             nodes[others[0]], nodes[others[1]] = u[which_line], v[which_line]
             yield nodes, which[t[which_line]]
 
 
-def _select_over(flat: Floats, t: Index, u: Index, v: Index) -> Index:
+def _select_projected_inside(flat: Floats, t: Index, u: Index, v: Index) -> Index:
     """Return the indices of the points that are over their triangle (k, 3, 2), or near its outline."""
     inside = np.ones(t.size, bool)
     turn = np.sign(
@@ -102,65 +102,71 @@ class _DistanceField:
 
     def __init__(self, shape: tuple[int, int, int], near: Index, corners: Floats) -> None:
         self._shape = shape
-        self._near = near
-        self._first = np.full(math.prod(shape), -1, np.int32)  # index of each brick's nodes in the arrays, in units of 4096
-        self._first[near] = np.arange(near.size)
-        self._triangles = _triangle_measures(corners)
-        self._nearer = np.zeros(near.size * BRICK_NODES, bool)
-        self.away: Distances = np.full(near.size * BRICK_NODES, FAR_DISTANCE, np.float32)
-        self.nearest = np.full(near.size * BRICK_NODES, -1, np.int32)
+        self._near_bricks = near
+        self._index_of_brick = np.full(
+            math.prod(shape), -1, np.int32
+        )  # index of each brick's nodes in the arrays, in units of 4096
+        self._index_of_brick[near] = np.arange(near.size)
+        self._triangle_data = _compute_triangle_data(corners)
+        self._has_come_nearer = np.zeros(near.size * BRICK_NODES, bool)
+        self.distances: Distances = np.full(near.size * BRICK_NODES, FAR_DISTANCE, np.float32)
+        self.nearest_triangles = np.full(near.size * BRICK_NODES, -1, np.int32)
 
-    def take_nearer(self) -> Index:
+    def pop_nearer_nodes(self) -> Index:
         """Return the array positions of nodes that have become nearer since the last call."""
-        changed_nodes = np.flatnonzero(self._nearer)
-        self._nearer[changed_nodes] = False
+        changed_nodes = np.flatnonzero(self._has_come_nearer)
+        self._has_come_nearer[changed_nodes] = False
         return changed_nodes
 
-    def columns(self, at: Index) -> list[Index]:
+    def to_node_columns(self, at: Index) -> list[Index]:
         """Return the node coordinates for array positions, as columns."""
         local = at & (BRICK_NODES - 1)
-        brick = np.unravel_index(self._near[at >> 12], self._shape)
+        brick = np.unravel_index(self._near_bricks[at >> 12], self._shape)
         within = (local >> 8, (local >> 4) & 15, local & 15)
         return [(b << 4) + w for b, w in zip(brick, within, strict=True)]
 
-    def measure(self, nodes: list[Index], triangle: NDArray[np.integer], new: bool) -> None:
-        """Measure each node's distance to its triangle. With `new`, measure only the nodes without a distance."""
+    def measure_distances(self, nodes: list[Index], triangle: NDArray[np.integer], only_unmeasured: bool) -> None:
+        """Measure each node's distance to its triangle. With `only_unmeasured`, measure only the nodes without a distance."""
         parts = [
-            self._nearer_distances([n[a : a + _PAIRS_PER_CHUNK] for n in nodes], triangle[a : a + _PAIRS_PER_CHUNK], new)
+            self._compute_nearer_distances(
+                [n[a : a + _PAIRS_PER_CHUNK] for n in nodes], triangle[a : a + _PAIRS_PER_CHUNK], only_unmeasured
+            )
             for a in range(0, len(triangle), _PAIRS_PER_CHUNK)
         ]
         for at, away, name in parts:
-            nearer = np.flatnonzero(away < self.away.take(at))
+            nearer = np.flatnonzero(away < self.distances.take(at))
             at, away, name = at[nearer], away[nearer], name[nearer]
-            np.minimum.at(self.away, at, away)
-            best = np.flatnonzero(away == self.away.take(at))
-            self.nearest[at[best]] = name[best]
-            self._nearer[at] = True
+            np.minimum.at(self.distances, at, away)
+            best = np.flatnonzero(away == self.distances.take(at))
+            self.nearest_triangles[at[best]] = name[best]
+            self._has_come_nearer[at] = True
 
-    def _nearer_distances(
-        self, nodes: list[Index], triangle: NDArray[np.integer], new: bool
+    def _compute_nearer_distances(
+        self, nodes: list[Index], triangle: NDArray[np.integer], only_unmeasured: bool
     ) -> tuple[Index, Distances, NDArray[np.integer]]:
         """Return array positions, distances and triangles of nodes in the bricks. See `measure`."""
         x, y, z = nodes
         nx, ny, nz = self._shape
         inside = (x >= 0) & (x < nx * 16) & (y >= 0) & (y < ny * 16) & (z >= 0) & (z < nz * 16)
-        slot = self._first.take(((x >> 4) * ny + (y >> 4)) * nz + (z >> 4), mode="clip").astype(np.int64)
+        slot = self._index_of_brick.take(((x >> 4) * ny + (y >> 4)) * nz + (z >> 4), mode="clip").astype(np.int64)
         inside &= slot >= 0
         at = (slot << 12) + (((x & 15) << 8) + ((y & 15) << 4) + (z & 15))
-        if new:
+        if only_unmeasured:
             safe_index = np.where(inside, at, 0)
-            inside &= (self.away.take(safe_index) > EXACT_DISTANCE_VOXELS) & (self.nearest.take(safe_index) != triangle)
+            inside &= (self.distances.take(safe_index) > EXACT_DISTANCE_VOXELS) & (
+                self.nearest_triangles.take(safe_index) != triangle
+            )
         rows = np.flatnonzero(inside)
         at, triangle = at[rows], triangle[rows]
-        away = _distance_to_triangle(self._triangles, triangle, [x[rows], y[rows], z[rows]])
-        if not new:
+        away = _compute_distances(self._triangle_data, triangle, [x[rows], y[rows], z[rows]])
+        if not only_unmeasured:
             # Beyond that, another triangle that was not tested may be nearer.
             sure = np.flatnonzero(away <= EXACT_DISTANCE_VOXELS)
             at, away, triangle = at[sure], away[sure], triangle[sure]
         return at, away, triangle
 
 
-def _triangle_measures(corners: Floats) -> Floats:
+def _compute_triangle_data(corners: Floats) -> Floats:
     """Return the data of triangles for distance measurements, (27, n): corners, edges, edge normals in the plane, and inverse
     squares."""
     a, b, c = (np.ascontiguousarray(corners[:, k].T) for k in range(3))
@@ -176,7 +182,7 @@ def _triangle_measures(corners: Floats) -> Floats:
     return np.concatenate(rows)
 
 
-def _distance_to_triangle(measures: Floats, triangle: NDArray[np.integer], nodes: list[Index]) -> Distances:
+def _compute_distances(measures: Floats, triangle: NDArray[np.integer], nodes: list[Index]) -> Distances:
     """Return the distance of each node to its triangle: to the plane if the node projects inside the triangle, else to the
     nearest edge."""
     m = measures.take(triangle, axis=1)
@@ -202,24 +208,24 @@ def _distance_to_triangle(measures: Floats, triangle: NDArray[np.integer], nodes
     return np.where(inside, np.abs(height), np.sqrt(nearest)).astype(np.float32)
 
 
-def boxes(low: Index, count: Index, piece: int) -> Iterator[tuple[Index, Index, Index]]:
-    """Yield all lattice points of rectangles, about `piece` at once: the rectangle's number and the two coordinates of each
+def iterate_lattice_points(low: Index, count: Index, batch_size: int) -> Iterator[tuple[Index, Index, Index]]:
+    """Yield all lattice points of rectangles, about `batch_size` at once: the rectangle's number and the two coordinates of each
     point.
 
     Rectangles start at `low` (n, 2) and have `count` (n, 2) points along each axis."""
     count = np.maximum(count, 0)
     rows = np.repeat(np.arange(len(low)), count[:, 0])
-    u = low[rows, 0] + count_from_zero(count[:, 0])
+    u = low[rows, 0] + enumerate_groups(count[:, 0])
     wide = count[rows, 1]
     ends = np.cumsum(wide)
     a = 0
     while a < rows.size:
-        b = max(int(np.searchsorted(ends, (ends[a - 1] if a else 0) + piece, side="right")), a + 1)
+        b = max(int(np.searchsorted(ends, (ends[a - 1] if a else 0) + batch_size, side="right")), a + 1)
         name = np.repeat(rows[a:b], wide[a:b])
-        yield name, np.repeat(u[a:b], wide[a:b]), low[name, 1] + count_from_zero(wide[a:b])
+        yield name, np.repeat(u[a:b], wide[a:b]), low[name, 1] + enumerate_groups(wide[a:b])
         a = b
 
 
-def count_from_zero(counts: Index) -> Index:
+def enumerate_groups(counts: Index) -> Index:
     """Return the numbers 0, 1 .. below each count, one sequence after another."""
     return np.arange(int(counts.sum())) - np.repeat(np.cumsum(counts) - counts, counts)

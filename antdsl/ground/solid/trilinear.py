@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.ground.solid.bricks import BrickGrid
-from antdsl.machine_code.kernels import BOOL, F32, F64, I32, I64, Array1, Array2, called, inlined, kernel
+from antdsl.machine_code.kernels import BOOL, F32, F64, I32, I64, Array1, Array2, inlined, kernel, kernel_helper
 from antdsl.numerics.kernel_vectors import Vec3, dot
 
 SURFACE_TOLERANCE_VOXELS = 1e-5  # voxels; the resolution of float32 distances
@@ -27,34 +27,36 @@ PointColumns64 = tuple[Array1[F64], Array1[F64], Array1[F64]]
 SMOOTH_NORMAL_REACH = 0.5  # voxels to both sides over which the smooth gradient is measured, without a body
 
 
-def grid_of(bricks: BrickGrid) -> tuple[Any, ...]:
+def to_brick_tables(bricks: BrickGrid) -> tuple[Any, ...]:
     """Return bricks in the form that kernels read."""
     return bricks.table, bricks.values, *bricks.origin, bricks.voxel, *bricks.shape
 
 
-def distance(bricks: BrickGrid, x: Floats, y: Floats, z: Floats) -> Floats:
+def sample_distances(bricks: BrickGrid, x: Floats, y: Floats, z: Floats) -> Floats:
     """Return the signed distance at positions (mm)."""
     signed_distances = np.empty(len(x))
-    write_distances(grid_of(bricks), _contiguous_columns(x, y, z), signed_distances)
+    write_distances(to_brick_tables(bricks), _contiguous_columns(x, y, z), signed_distances)
     return signed_distances
 
 
-def distance_and_gradient(bricks: BrickGrid, x: Floats, y: Floats, z: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+def sample_with_gradients(bricks: BrickGrid, x: Floats, y: Floats, z: Floats) -> tuple[Floats, Floats, Floats, Floats]:
     """Return the signed distance at positions (mm), and its gradient."""
     d, gx, gy, gz = np.empty((4, len(x)))
-    write_distance_and_gradient(grid_of(bricks), _contiguous_columns(x, y, z), d, (gx, gy, gz))
+    write_distance_and_gradient(to_brick_tables(bricks), _contiguous_columns(x, y, z), d, (gx, gy, gz))
     return d, gx, gy, gz
 
 
-def smooth_gradient(bricks: BrickGrid, x: Floats, y: Floats, z: Floats, lean: float = SMOOTH_NORMAL_REACH) -> list[Floats]:
-    """Return a gradient that varies smoothly, unlike the exact one. It is the difference along each axis over `lean` voxels in
-    both directions."""
-    a = lean * bricks.voxel
+def sample_smooth_gradients(
+    bricks: BrickGrid, x: Floats, y: Floats, z: Floats, reach_voxels: float = SMOOTH_NORMAL_REACH
+) -> list[Floats]:
+    """Return a gradient that varies smoothly, unlike the exact one. It is the difference along each axis over `reach_voxels`
+    voxels in both directions."""
+    a = reach_voxels * bricks.voxel
     scale = 0.5 / a
     return [
-        (distance(bricks, x + a, y, z) - distance(bricks, x - a, y, z)) * scale,
-        (distance(bricks, x, y + a, z) - distance(bricks, x, y - a, z)) * scale,
-        (distance(bricks, x, y, z + a) - distance(bricks, x, y, z - a)) * scale,
+        (sample_distances(bricks, x + a, y, z) - sample_distances(bricks, x - a, y, z)) * scale,
+        (sample_distances(bricks, x, y + a, z) - sample_distances(bricks, x, y - a, z)) * scale,
+        (sample_distances(bricks, x, y, z + a) - sample_distances(bricks, x, y, z - a)) * scale,
     ]
 
 
@@ -68,7 +70,7 @@ def write_distances(bricks: BrickTables, positions: PointColumns64, signed_dista
     """Write the signed distances at points to `signed_distances`."""
     x, y, z = positions
     for n in range(signed_distances.size):
-        signed_distances[n] = distance_at(bricks[0], bricks[1], bricks[2:], (x[n], y[n], z[n]))
+        signed_distances[n] = compute_distance(bricks[0], bricks[1], bricks[2:], (x[n], y[n], z[n]))
 
 
 @kernel
@@ -77,28 +79,28 @@ def write_distance_and_gradient(bricks: BrickTables, positions: PointColumns64, 
     x, y, z = positions
     gx, gy, gz = gradient
     for n in range(d.size):
-        d[n], (gx[n], gy[n], gz[n]) = distance_and_gradient_at(bricks[0], bricks[1], bricks[2:], (x[n], y[n], z[n]))
+        d[n], (gx[n], gy[n], gz[n]) = compute_distance_and_gradient(bricks[0], bricks[1], bricks[2:], (x[n], y[n], z[n]))
 
 
-@called
-def smooth_gradient_at(
-    table: Array1[I32], values: Array1[F32], grid: tuple[F64, F64, F64, F64, I64, I64, I64], lean: F64, p: Vec3
+@kernel_helper
+def compute_smooth_gradient(
+    table: Array1[I32], values: Array1[F32], grid: tuple[F64, F64, F64, F64, I64, I64, I64], reach_voxels: F64, p: Vec3
 ) -> Vec3:
-    """Return the gradient of `smooth_gradient` at one position."""
-    a = lean * grid[3]
+    """Return the gradient of `sample_smooth_gradients` at one position."""
+    a = reach_voxels * grid[3]
     scale = 0.5 / a
     x, y, z = p
     return (
-        (distance_at(table, values, grid, (x + a, y, z)) - distance_at(table, values, grid, (x - a, y, z))) * scale,
-        (distance_at(table, values, grid, (x, y + a, z)) - distance_at(table, values, grid, (x, y - a, z))) * scale,
-        (distance_at(table, values, grid, (x, y, z + a)) - distance_at(table, values, grid, (x, y, z - a))) * scale,
+        (compute_distance(table, values, grid, (x + a, y, z)) - compute_distance(table, values, grid, (x - a, y, z))) * scale,
+        (compute_distance(table, values, grid, (x, y + a, z)) - compute_distance(table, values, grid, (x, y - a, z))) * scale,
+        (compute_distance(table, values, grid, (x, y, z + a)) - compute_distance(table, values, grid, (x, y, z - a))) * scale,
     )
 
 
 @inlined
-def _clamp_to_node(place: F64, low: F64, over: F64, nodes: I64) -> tuple[I64, F64]:
+def _clamp_to_node(place: F64, low: F64, inverse_voxel: F64, nodes: I64) -> tuple[I64, F64]:
     """Return the node below a point along one axis, and the offset of the point from that node."""
-    at = (place - low) * over
+    at = (place - low) * inverse_voxel
     at = at if at >= 0.0 else 0.0
     at = min(at, nodes - 1.0)
     node = min(np.int64(at), nodes - 2)
@@ -106,7 +108,7 @@ def _clamp_to_node(place: F64, low: F64, over: F64, nodes: I64) -> tuple[I64, F6
 
 
 @inlined
-def corners_at(
+def load_cell_corners(
     table: Array1[I32], values: Array1[F32], grid: tuple[F64, F64, F64, F64, I64, I64, I64], p: Vec3
 ) -> tuple[tuple[F64, F64, F64, F64], tuple[F64, F64, F64, F64], Vec3]:
     """Return the values at the corners of the cell that contains a point, four and four, and the point's position in the cell, 0
@@ -124,38 +126,42 @@ def corners_at(
     x0, x1, y0, y1, z0, z1 = (i & 15) << 8, (i1 & 15) << 8, (j & 15) << 4, (j1 & 15) << 4, k & 15, k1 & 15
     return (
         (
-            _node_value(table, values, bx0 + by0 + bz0, x0 + y0 + z0), _node_value(table, values, bx0 + by0 + bz1, x0 + y0 + z1),
-            _node_value(table, values, bx0 + by1 + bz0, x0 + y1 + z0), _node_value(table, values, bx0 + by1 + bz1, x0 + y1 + z1),
+            _load_node_value(table, values, bx0 + by0 + bz0, x0 + y0 + z0),
+            _load_node_value(table, values, bx0 + by0 + bz1, x0 + y0 + z1),
+            _load_node_value(table, values, bx0 + by1 + bz0, x0 + y1 + z0),
+            _load_node_value(table, values, bx0 + by1 + bz1, x0 + y1 + z1),
         ),
         (
-            _node_value(table, values, bx1 + by0 + bz0, x1 + y0 + z0), _node_value(table, values, bx1 + by0 + bz1, x1 + y0 + z1),
-            _node_value(table, values, bx1 + by1 + bz0, x1 + y1 + z0), _node_value(table, values, bx1 + by1 + bz1, x1 + y1 + z1),
+            _load_node_value(table, values, bx1 + by0 + bz0, x1 + y0 + z0),
+            _load_node_value(table, values, bx1 + by0 + bz1, x1 + y0 + z1),
+            _load_node_value(table, values, bx1 + by1 + bz0, x1 + y1 + z0),
+            _load_node_value(table, values, bx1 + by1 + bz1, x1 + y1 + z1),
         ),
         (fx, fy, fz),
     )  # fmt: skip
 
 
 @inlined
-def _node_value(table: Array1[I32], values: Array1[F32], brick: I64, place: I64) -> F64:
+def _load_node_value(table: Array1[I32], values: Array1[F32], brick: I64, place: I64) -> F64:
     return np.float64(values[(table[brick] << 12) + place])
 
 
 @inlined
-def distance_at(table: Array1[I32], values: Array1[F32], grid: tuple[F64, F64, F64, F64, I64, I64, I64], p: Vec3) -> F64:
+def compute_distance(table: Array1[I32], values: Array1[F32], grid: tuple[F64, F64, F64, F64, I64, I64, I64], p: Vec3) -> F64:
     """Return the signed distance at a position (mm)."""
-    a, b, f = corners_at(table, values, grid, p)
+    a, b, f = load_cell_corners(table, values, grid, p)
     v00, v01 = a[0] + (a[1] - a[0]) * f[2], a[2] + (a[3] - a[2]) * f[2]
     v10, v11 = b[0] + (b[1] - b[0]) * f[2], b[2] + (b[3] - b[2]) * f[2]
     v0, v1 = v00 + (v01 - v00) * f[1], v10 + (v11 - v10) * f[1]
     return v0 + (v1 - v0) * f[0]
 
 
-@called
-def distance_and_gradient_at(
+@kernel_helper
+def compute_distance_and_gradient(
     table: Array1[I32], values: Array1[F32], grid: tuple[F64, F64, F64, F64, I64, I64, I64], p: Vec3
 ) -> tuple[F64, Vec3]:
     """Return the signed distance at a position (mm), and its gradient."""
-    a, b, f = corners_at(table, values, grid, p)
+    a, b, f = load_cell_corners(table, values, grid, p)
     d00, d01, d10, d11 = a[1] - a[0], a[3] - a[2], b[1] - b[0], b[3] - b[2]
     v00, v01, v10, v11 = a[0] + d00 * f[2], a[2] + d01 * f[2], b[0] + d10 * f[2], b[2] + d11 * f[2]
     e0, e1 = v01 - v00, v11 - v10
@@ -175,12 +181,13 @@ class SurfacePoints:
     is_in_reach: NDArray[np.bool_]
 
 
-def project(bricks: BrickGrid, points: Floats, hints: Floats, reach: float | None = None) -> SurfacePoints:
-    """Project points onto the surface, as `Volume.project`. If there is no result, the point and its hint are returned."""
+def project_to_surface(bricks: BrickGrid, points: Floats, hints: Floats, reach: float | None = None) -> SurfacePoints:
+    """Project points onto the surface, as `Volume.project_to_surface`. If there is no result, the point and its hint are
+    returned."""
     start = np.array(points, np.float64, order="C").reshape(-1, 3)
     hint = np.array(np.broadcast_to(np.asarray(hints, np.float64), start.shape), order="C")
     landed, turned, is_in_reach = np.empty_like(start), np.empty_like(start), np.empty(len(start), np.bool_)
-    project_points(grid_of(bricks), start, hint, SURFACE_TOLERANCE_VOXELS * bricks.voxel, landed, turned, is_in_reach)
+    project_points(to_brick_tables(bricks), start, hint, SURFACE_TOLERANCE_VOXELS * bricks.voxel, landed, turned, is_in_reach)
     far = 2 * bricks.voxel if reach is None else float(reach)
     is_in_reach &= ((landed - start) ** 2).sum(axis=1) <= far * far
     return SurfacePoints(np.where(is_in_reach[:, None], landed, start), np.where(is_in_reach[:, None], turned, hint), is_in_reach)
@@ -191,24 +198,24 @@ def project_points(
     bricks: BrickTables,
     start: Array2[F64],
     hints: Array2[F64],
-    close: F64,
+    tolerance: F64,
     positions: Array2[F64],
     normals: Array2[F64],
-    is_settled: Array1[BOOL],
+    is_on_surface: Array1[BOOL],
 ) -> None:
     """Apply `project_point` to points and hints [n,3]; write the results to the last three arrays."""
-    for i in range(is_settled.size):
+    for i in range(is_on_surface.size):
         p, hint = (start[i, 0], start[i, 1], start[i, 2]), (hints[i, 0], hints[i, 1], hints[i, 2])
-        is_settled[i], q, normal = project_point(bricks[0], bricks[1], bricks[2:], p, hint, close)
+        is_on_surface[i], q, normal = project_point(bricks[0], bricks[1], bricks[2:], p, hint, tolerance)
         for k in range(3):
             positions[i, k], normals[i, k] = q[k], normal[k]
 
 
-@called
+@kernel_helper
 def project_point(
-    table: Array1[I32], values: Array1[F32], grid: tuple[F64, F64, F64, F64, I64, I64, I64], p: Vec3, hint: Vec3, close: F64
+    table: Array1[I32], values: Array1[F32], grid: tuple[F64, F64, F64, F64, I64, I64, I64], p: Vec3, hint: Vec3, tolerance: F64
 ) -> tuple[BOOL, Vec3, Vec3]:
-    """Return whether the surface was found, a point within `close` (mm) of it, and the normal at that point.
+    """Return whether the surface was found, a point within `tolerance` (mm) of it, and the normal at that point.
 
     Without a result, the point and normal are `p` and `hint`. Each step is as long as the distance, but at most one voxel, along
     the gradient. Where the field is flat (in the middle of a cave, deep in the solid), steps follow the hint: down in air, up in
@@ -218,9 +225,9 @@ def project_point(
     if not np.isfinite(p[0] + p[1] + p[2]):
         return False, p, hint
     for turn in range(MAX_PROJECTION_STEPS):
-        d, g = distance_and_gradient_at(table, values, grid, q)
+        d, g = compute_distance_and_gradient(table, values, grid, q)
         square = dot(g, g)
-        if abs(d) <= close:
+        if abs(d) <= tolerance:
             if square > 0:
                 size = np.sqrt(square)
                 return True, q, (g[0] / size, g[1] / size, g[2] / size)

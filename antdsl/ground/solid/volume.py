@@ -28,7 +28,7 @@ __all__ = ["UnusableMesh", "Volume"]
 
 @dataclass(slots=True)
 class Volume:
-    """Soft ground that can be dug. It is created by `from_mesh`; only `carve` and `restore` change it."""
+    """Soft ground that can be dug. It is created by `from_mesh`; only `carve_balls` and `restore_changes` change it."""
 
     bricks: BrickGrid
 
@@ -50,13 +50,13 @@ class Volume:
         return self.bricks.voxel
 
     @property
-    def band(self) -> tuple[float, float]:
+    def distance_band(self) -> tuple[float, float]:
         """Return the least and the greatest distance of the field, mm. Farther inside and outside, the field is flat."""
-        return self.bricks.least, self.bricks.most
+        return self.bricks.min_distance, self.bricks.max_distance
 
     def dense_distances(self) -> NDArray[np.float32]:
         """Return the distances at all nodes of the grid, float32[x, y, z] mm. Node (0, 0, 0) is at `low`."""
-        return self.bricks.dense()
+        return self.bricks.to_dense()
 
     @property
     def low(self) -> Floats:
@@ -73,66 +73,66 @@ class Volume:
     def sample(self, points: Floats) -> Distances:
         """Return the trilinear signed distance float32[n] (mm) at points [n,3]. Far from the surface, it is the end of the
         band."""
-        return trilinear.distance(self.bricks, *_columns(points)).astype(np.float32)
+        return trilinear.sample_distances(self.bricks, *_split_columns(points)).astype(np.float32)
 
-    def gradient(self, points: Floats) -> Distances:
+    def sample_gradients(self, points: Floats) -> Distances:
         """Return the gradient float32[n,3] of the trilinear field at points [n,3]. Its length is about 1 near the surface, 0
         where the field is flat."""
-        return self.sample_and_gradient(points)[1]
+        return self.sample_with_gradients(points)[1]
 
-    def sample_and_gradient(self, points: Floats) -> tuple[Distances, Distances]:
+    def sample_with_gradients(self, points: Floats) -> tuple[Distances, Distances]:
         """Return the results of `sample` and `gradient`, for little more than the cost of one."""
-        distance, *gradient = trilinear.distance_and_gradient(self.bricks, *_columns(points))
+        distance, *gradient = trilinear.sample_with_gradients(self.bricks, *_split_columns(points))
         return distance.astype(np.float32), np.stack(gradient).astype(np.float32).T
 
-    def upright_normals(self, points: Floats, otherwise: Floats) -> Floats:
+    def compute_upright_normals(self, points: Floats, otherwise: Floats) -> Floats:
         """Return unit normals float64[n,3] out of the solid that vary smoothly along the surface. Bodies are oriented by these
         normals.
 
         Where the field is flat, the result is `otherwise` ([3] or [n,3])."""
-        slope = trilinear.smooth_gradient(self.bricks, *_columns(points))
+        slope = trilinear.sample_smooth_gradients(self.bricks, *_split_columns(points))
         size = np.sqrt((slope[0] * slope[0] + slope[1] * slope[1]) + slope[2] * slope[2])
         clear = size > 1e-3
         unit = np.stack([s / np.where(clear, size, 1.0) for s in slope], axis=1)
         return np.where(clear[:, None], unit, np.asarray(otherwise, np.float64))
 
-    def project(self, points: Floats, hints: Floats, reach: float | None = None) -> trilinear.SurfacePoints:
+    def project_to_surface(self, points: Floats, hints: Floats, reach: float | None = None) -> trilinear.SurfacePoints:
         """Return points on the surface near points [n,3], with normals out of the solid.
 
         `hints` [n,3] are unit vectors out of the intended surface, such as an agent's up: a wall that faces the opposite
         direction is rejected. A surface point beyond `reach` (mm, two voxels if None) is also rejected. `is_in_reach` of the
         result is false for rejected points."""
-        return trilinear.project(self.bricks, points, hints, reach)
+        return trilinear.project_to_surface(self.bricks, points, hints, reach)
 
     # ---- digging
 
-    def carve(self, centres: Floats, radii: Floats, owners: NDArray[np.int64]) -> Floats:
+    def carve_balls(self, centres: Floats, radii: Floats, owners: NDArray[np.int64]) -> Floats:
         """Dig balls, with centres [k,3] and radii [k] in mm, by owners int64[k]. Return the volume that each ball removed,
         float64[k] mm³.
 
         Each node becomes max(distance, radius - distance to the centre), so the order does not matter. The loss of a voxel counts
         for the ball that reaches deepest at that voxel; at a tie, for the lowest owner. The sum of the result is `volume()`
         before minus `volume()` after, to the last bit."""
-        return carving.carve(self.bricks, centres, radii, owners)
+        return carving.carve_balls(self.bricks, centres, radii, owners)
 
-    def volume(self) -> float:
+    def measure_volume(self) -> float:
         """Return the solid volume in mm³. Each voxel counts in steps of 1/256, by the depth of its node."""
         return self.bricks.steps * self.bricks.step_volume
 
     @property
-    def removed(self) -> float:
+    def removed_volume(self) -> float:
         """Return the volume dug so far, mm³."""
-        return (self.bricks.steps_at_start - self.bricks.steps) * self.bricks.step_volume
+        return (self.bricks.start_volume_steps - self.bricks.steps) * self.bricks.step_volume
 
     # ---- showing
 
-    def surface(self, changed_only: bool = True) -> Iterator[tuple[int, Floats, NDArray[np.int32]]]:
+    def iterate_brick_meshes(self, changed_only: bool = True) -> Iterator[tuple[int, Floats, NDArray[np.int32]]]:
         """Yield the triangles of the zero level by brick: (key, vertices float64[n,3] mm, faces int32[m,3] seen from the air).
 
         With `changed_only`, only bricks that changed since the last call are yielded (all bricks at the first call). A brick
         without faces has lost its earlier faces. Vertices on a side that two bricks share have the same coordinates, so the
         meshes of bricks fit."""
-        return surface(self.bricks, changed_only)
+        return iterate_brick_meshes(self.bricks, changed_only)
 
     # ---- keeping
 
@@ -141,13 +141,13 @@ class Volume:
         volume steps."""
         return self.bricks.state()
 
-    def restore(self, arrays: Mapping[str, NDArray[Any]]) -> None:
+    def restore_changes(self, arrays: Mapping[str, NDArray[Any]]) -> None:
         """Restore a state of a volume made from the same mesh. Raises ValueError for arrays of another volume."""
-        self.bricks.restore(arrays)
+        self.bricks.restore_changes(arrays)
 
-    def digest(self) -> bytes:
+    def compute_digest(self) -> bytes:
         """Return 32 bytes that are equal for equal solids. Only bricks changed since the last call are read."""
-        return self.bricks.digest()
+        return self.bricks.compute_digest()
 
     @property
     def nbytes(self) -> int:
@@ -155,22 +155,22 @@ class Volume:
         return self.bricks.nbytes
 
 
-def _columns(points: Floats) -> tuple[Floats, Floats, Floats]:
+def _split_columns(points: Floats) -> tuple[Floats, Floats, Floats]:
     x, y, z = np.array(np.asarray(points, np.float64).reshape(-1, 3).T, order="C")
     return x, y, z
 
 
-def surface(bricks: BrickGrid, changed_only: bool) -> Iterator[BrickMesh]:
-    """Yield the triangles of the zero level, as `Volume.surface`."""
-    chosen_bricks = np.flatnonzero(bricks.fresh) if changed_only else np.arange(bricks.table.size)
+def iterate_brick_meshes(bricks: BrickGrid, changed_only: bool) -> Iterator[BrickMesh]:
+    """Yield the triangles of the zero level, as `Volume.iterate_brick_meshes`."""
+    chosen_bricks = np.flatnonzero(bricks.needs_meshing) if changed_only else np.arange(bricks.table.size)
     if not changed_only:
-        chosen_bricks = np.flatnonzero(_bricks_to_mesh(bricks))
+        chosen_bricks = np.flatnonzero(_find_bricks_to_mesh(bricks))
     for brick in chosen_bricks:
-        bricks.fresh[brick] = False
+        bricks.needs_meshing[brick] = False
         yield _mesh_brick(bricks, int(brick))
 
 
-def _bricks_to_mesh(bricks: BrickGrid) -> NDArray[np.bool_]:
+def _find_bricks_to_mesh(bricks: BrickGrid) -> NDArray[np.bool_]:
     """Return the bricks with cells that touch a stored node."""
     stored = (bricks.table >= 2).reshape(bricks.shape)
     reach = stored.copy()
@@ -184,7 +184,7 @@ def _bricks_to_mesh(bricks: BrickGrid) -> NDArray[np.bool_]:
     return reach.ravel()
 
 
-def corner_values(bricks: BrickGrid, brick: int) -> NDArray[np.float32]:
+def load_corner_values(bricks: BrickGrid, brick: int) -> NDArray[np.float32]:
     """Return the values (17, 17, 17) at the corners of a brick's cells; fewer at the end of the grid."""
     at = np.unravel_index(brick, bricks.shape)
     pool = bricks.values.reshape(-1, BRICK_NODES)
@@ -210,7 +210,7 @@ def _mesh_brick(bricks: BrickGrid, brick: int) -> BrickMesh:
     """Return the key, vertices and faces of a brick, by marching cubes."""
     from skimage.measure import marching_cubes
 
-    values = corner_values(bricks, brick)
+    values = load_corner_values(bricks, brick)
     if not (values.min() < 0 < values.max()):
         return brick, np.empty((0, 3)), np.empty((0, 3), np.int32)
     cut: Any = marching_cubes

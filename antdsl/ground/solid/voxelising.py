@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
-from antdsl.casting.rasterise import triangle_cells
+from antdsl.casting.rasterise import iterate_triangle_cells
 from antdsl.ground.solid.bricks import AIR_SLOT, BRICK_NODES, BRICK_SIDE_NODES, SOLID_SLOT, BrickGrid, UnusableMesh
-from antdsl.ground.solid.triangles import boxes, distances
-from antdsl.scene.geometry.closed import count_open_edges, to_voxels
+from antdsl.ground.solid.triangles import compute_node_distances, iterate_lattice_points
+from antdsl.scene.geometry.closed_meshes import count_open_edges, round_to_voxels
 
 _PAIRS_PER_CHUNK = 1 << 16  # pairs of a triangle and a line per chunk
 Floats = NDArray[np.float64]
@@ -42,7 +42,7 @@ def voxelise(vertices: Floats, faces: Index, voxel: float, cap: int) -> BrickGri
     voxel_count = float(np.prod(sides + 1))
     # A thin sheet or a rod needs complete bricks.
     if voxel_count > cap or float(np.prod(shape)) * BRICK_NODES > 8.0 * cap:
-        return _too_many_voxels(max(voxel_count, float(np.prod(shape)) * BRICK_NODES / 8), cap, voxel)
+        return _describe_too_many_voxels(max(voxel_count, float(np.prod(shape)) * BRICK_NODES / 8), cap, voxel)
     # Not an integer number of voxels from the mesh: sides of a box would pass through nodes, where the gradient is ambiguous.
     origin = low - (_OUTER_BAND_VOXELS + 1.0 + np.array(_RAY_OFFSETS_VOXELS)) * voxel
     corners = (corners - origin) / voxel
@@ -54,21 +54,21 @@ def voxelise(vertices: Floats, faces: Index, voxel: float, cap: int) -> BrickGri
         origin=origin,
         voxel=voxel,
         shape=shape,  # type: ignore[arg-type]
-        least=-_INNER_BAND_VOXELS * voxel,
-        most=_OUTER_BAND_VOXELS * voxel,
+        min_distance=-_INNER_BAND_VOXELS * voxel,
+        max_distance=_OUTER_BAND_VOXELS * voxel,
         table=np.zeros(math.prod(shape), np.int32),
         values=np.empty(0, np.float32),
-        used=2,
+        used_slots=2,
     )
-    near = _near_bricks(bricks, corners)
+    near = _find_near_bricks(bricks, corners)
     if near.size * BRICK_NODES * _BYTES_PER_NEAR_NODE > limits.MAX_GRID_BYTES:
-        return _too_many_voxels(float(near.size) * BRICK_NODES, limits.MAX_GRID_BYTES // _BYTES_PER_NEAR_NODE, voxel)
+        return _describe_too_many_voxels(float(near.size) * BRICK_NODES, limits.MAX_GRID_BYTES // _BYTES_PER_NEAR_NODE, voxel)
     _fill_distances(bricks, shell, near, corners)
     bricks.record_start()
     return bricks
 
 
-def _too_many_voxels(voxel_count: float, cap: float, voxel: float) -> UnusableMesh:
+def _describe_too_many_voxels(voxel_count: float, cap: float, voxel: float) -> UnusableMesh:
     """Return the reason for a mesh with too many voxels, with a suggested voxel size."""
     least = voxel * max((voxel_count / cap) ** (1 / 3), 1.1)
     digits = 1 - math.floor(math.log10(least))
@@ -78,11 +78,11 @@ def _too_many_voxels(voxel_count: float, cap: float, voxel: float) -> UnusableMe
     )
 
 
-def _near_bricks(bricks: BrickGrid, corners: Floats) -> Index:
+def _find_near_bricks(bricks: BrickGrid, corners: Floats) -> Index:
     """Return the bricks, ascending, that may have a node in the band around the triangles."""
     grid = np.zeros(bricks.shape, bool)
     wide = _OUTER_BAND_VOXELS + 1.0
-    for cells, _ in triangle_cells(corners / _BLOCK_VOXELS):
+    for cells, _ in iterate_triangle_cells(corners / _BLOCK_VOXELS):
         block = np.unique((cells[:, 0] << 42) + (cells[:, 1] << 21) + cells[:, 2])
         at = np.stack([block >> 42, (block >> 21) & 0x1FFFFF, block & 0x1FFFFF], axis=1) * _BLOCK_VOXELS
         first = np.floor((at - wide) / BRICK_SIDE_NODES).astype(np.int64).clip(0)
@@ -95,8 +95,8 @@ def _near_bricks(bricks: BrickGrid, corners: Floats) -> Index:
 
 def _fill_distances(bricks: BrickGrid, shell: TriangleShell, near: Index, corners: Floats) -> None:
     """Write the distances of the bricks near the surface, and the signs of all bricks."""
-    flags, inside = brick_signs(shell, bricks.shape, near)
-    away = distances(bricks.shape, near, corners, _OUTER_BAND_VOXELS).reshape(-1, BRICK_NODES)
+    flags, inside = compute_brick_signs(shell, bricks.shape, near)
+    away = compute_node_distances(bricks.shape, near, corners, _OUTER_BAND_VOXELS).reshape(-1, BRICK_NODES)
     np.minimum(away, np.float32(_OUTER_BAND_VOXELS), out=away)
     np.negative(away, out=away, where=inside)
     np.maximum(away, np.float32(-_INNER_BAND_VOXELS), out=away)
@@ -106,9 +106,9 @@ def _fill_distances(bricks: BrickGrid, shell: TriangleShell, near: Index, corner
     bricks.values = np.empty((2 + mixed_bricks.size) * BRICK_NODES, np.float32)
     pool = bricks.values.reshape(-1, BRICK_NODES)
     np.multiply(away[mixed_bricks], np.float32(bricks.voxel), out=pool[2:])
-    np.clip(pool[2:], np.float32(bricks.least), np.float32(bricks.most), out=pool[2:])
-    pool[AIR_SLOT], pool[SOLID_SLOT] = bricks.most, bricks.least
-    bricks.used = 2 + mixed_bricks.size
+    np.clip(pool[2:], np.float32(bricks.min_distance), np.float32(bricks.max_distance), out=pool[2:])
+    pool[AIR_SLOT], pool[SOLID_SLOT] = bricks.max_distance, bricks.min_distance
+    bricks.used_slots = 2 + mixed_bricks.size
 
 
 class TriangleShell:
@@ -116,16 +116,18 @@ class TriangleShell:
     float64[n,3,3] in voxels."""
 
     def __init__(self, corners: Floats) -> None:
-        self.corners, self.grain = to_voxels(corners)
-        self.open_edges, self.wound = count_open_edges(self.corners)
+        self.corners, self.units_per_voxel = round_to_voxels(corners)
+        self.open_edges, self.has_consistent_winding = count_open_edges(self.corners)
 
 
-def brick_signs(shell: TriangleShell, shape: tuple[int, int, int], near: Index) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+def compute_brick_signs(
+    shell: TriangleShell, shape: tuple[int, int, int], near: Index
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Return whether the first node of each brick is inside, and whether each node of the bricks `near` (ascending) is inside,
     bool[len(near), 4096].
 
     A node is inside if its winding number is not 0, or is odd if faces have inconsistent winding."""
-    x, y, z, windings = _crossings(shell)
+    x, y, z, windings = _find_line_crossings(shell)
     nodes = [n * BRICK_SIDE_NODES for n in shape]
     slab = x >> 4
     order = np.argsort(slab, kind="stable")
@@ -141,7 +143,7 @@ def brick_signs(shell: TriangleShell, shape: tuple[int, int, int], near: Index) 
         count[:] = 0
         np.add.at(count, place[ends[s] : ends[s + 1]], windings[ends[s] : ends[s + 1]])
         wound = np.cumsum(count.reshape(BRICK_SIDE_NODES * nodes[1], nodes[2]), axis=1, dtype=np.int16)
-        within = (wound != 0 if shell.wound else wound % 2 != 0).reshape(
+        within = (wound != 0 if shell.has_consistent_winding else wound % 2 != 0).reshape(
             BRICK_SIDE_NODES, shape[1], BRICK_SIDE_NODES, shape[2], BRICK_SIDE_NODES
         )
         flags[s] = within[0, :, 0, :, 0]
@@ -150,14 +152,16 @@ def brick_signs(shell: TriangleShell, shape: tuple[int, int, int], near: Index) 
     return flags.ravel(), inside
 
 
-def _crossings(shell: TriangleShell) -> tuple[Index, Index, Index, NDArray[np.int16]]:
+def _find_line_crossings(shell: TriangleShell) -> tuple[Index, Index, Index, NDArray[np.int16]]:
     """Return where lines along the last axis cross triangles: the line (x, y), the first node beyond, and the winding number from
     that node on."""
     tri = shell.corners
-    grain = shell.grain
+    grain = shell.units_per_voxel
     low = -((-tri.min(axis=1)) // grain)
     count = tri.max(axis=1) // grain - low + 1
-    crossings = [_piece_crossings(tri, grain, *box) for box in boxes(low[:, :2], count[:, :2], _PAIRS_PER_CHUNK)]
+    crossings = [
+        _find_crossings_in_batch(tri, grain, *box) for box in iterate_lattice_points(low[:, :2], count[:, :2], _PAIRS_PER_CHUNK)
+    ]
     if not crossings:
         none = np.empty(0, np.int64)
         return none, none, none, np.empty(0, np.int16)
@@ -165,9 +169,11 @@ def _crossings(shell: TriangleShell) -> tuple[Index, Index, Index, NDArray[np.in
     return x, y, z, windings
 
 
-def _piece_crossings(tri: Index, grain: int, t: Index, x: Index, y: Index) -> tuple[Index, Index, Index, NDArray[np.int16]]:
-    """Return the crossings of some pairs of triangle `t` and line `x`, `y`, as `_crossings`."""
-    px, py = x * grain, y * grain
+def _find_crossings_in_batch(
+    tri: Index, units_per_voxel: int, t: Index, x: Index, y: Index
+) -> tuple[Index, Index, Index, NDArray[np.int16]]:
+    """Return the crossings of some pairs of triangle `t` and line `x`, `y`, as `_find_line_crossings`."""
+    px, py = x * units_per_voxel, y * units_per_voxel
     areas, above, below = [], np.ones(t.size, bool), np.ones(t.size, bool)
     for i, j in ((1, 2), (2, 0), (0, 1)):
         ax, ay, bx, by = tri[t, i, 0], tri[t, i, 1], tri[t, j, 0], tri[t, j, 1]
@@ -183,5 +189,5 @@ def _piece_crossings(tri: Index, grain: int, t: Index, x: Index, y: Index) -> tu
     total = (weight[0] + weight[1]) + weight[2]
     t = t[hit]
     height = (weight[0] * tri[t, 0, 2] + weight[1] * tri[t, 1, 2]) + weight[2] * tri[t, 2, 2]
-    level = np.floor(height / (total * grain)).astype(np.int64) + 1
+    level = np.floor(height / (total * units_per_voxel)).astype(np.int64) + 1
     return x[hit], y[hit], level, np.where(above[hit], 1, -1).astype(np.int16)

@@ -12,15 +12,15 @@ from antdsl.ground.solid.trilinear import (
     SMOOTH_NORMAL_REACH,
     SURFACE_TOLERANCE_VOXELS,
     BrickTables,
-    corners_at,
-    distance_and_gradient_at,
-    distance_at,
-    grid_of,
+    compute_distance,
+    compute_distance_and_gradient,
+    compute_smooth_gradient,
+    load_cell_corners,
     project_point,
-    smooth_gradient_at,
+    to_brick_tables,
 )
 from antdsl.ground.solid.volume import Volume
-from antdsl.machine_code.kernels import BOOL, F32, F64, I32, I64, Array1, Array2, Array3, called, inlined, kernel
+from antdsl.machine_code.kernels import BOOL, F32, F64, I32, I64, Array1, Array2, Array3, inlined, kernel, kernel_helper
 from antdsl.numerics.kernel_vectors import Vec3, cross, dot
 
 Vectors = Array2[F64]
@@ -63,15 +63,15 @@ def move(
     body = np.broadcast_to(np.asarray(size, np.float64), (count,))
     close = np.clip(3e-5 * body, SURFACE_TOLERANCE_VOXELS * bricks.voxel, 1e-3 * bricks.voxel)
     with np.errstate(over="ignore", invalid="ignore"):
-        lean = normal_reach(bricks, body)
+        lean = compute_normal_reach(bricks, body)
     vectors, distances = np.empty((4, 3, count)), np.empty(count)
     blocked, lost = np.empty(count, bool), np.empty(count, bool)
-    walk_all(grid_of(bricks), *columns, np.ascontiguousarray(close), lean, vectors, distances, blocked, lost)
+    walk_all(to_brick_tables(bricks), *columns, np.ascontiguousarray(close), lean, vectors, distances, blocked, lost)
     place, stance_up, head, direction = (v.T for v in vectors)
-    return GroundMove(Footing.on_solids(number, place), place, stance_up, head, direction, distances, blocked, lost)
+    return GroundMove(Footing.from_solids(number, place), place, stance_up, head, direction, distances, blocked, lost)
 
 
-def normal_reach(bricks: BrickGrid, body: Floats) -> Floats:
+def compute_normal_reach(bricks: BrickGrid, body: Floats) -> Floats:
     """Return the radius, in voxels around a point, over which a body's normal is measured."""
     return np.maximum(body * (STANCE_REACH_PER_BODY / bricks.voxel), SMOOTH_NORMAL_REACH)
 
@@ -83,8 +83,8 @@ def walk_all(
     steps: Vectors,
     heading: Vectors,
     up: Vectors,
-    close: Array1[F64],
-    lean: Array1[F64],
+    tolerances: Array1[F64],
+    normal_reaches: Array1[F64],
     results: Array3[F64],
     distances: Array1[F64],
     blocked: Array1[BOOL],
@@ -92,8 +92,8 @@ def walk_all(
 ) -> None:
     """Move all agents. Inputs (3, n): positions, steps, headings and up vectors.
 
-    - `close`: the tolerance to the surface (mm)
-    - `lean`: the radius over which normals are measured (voxels)
+    - `tolerances`: the tolerance to the surface (mm)
+    - `normal_reaches`: the radius over which normals are measured (voxels)
     - `results` (4, 3, n): position, up, heading and direction
     - `distances`, `blocked`, `lost`: the travelled distances, and the flags"""
     table, values = bricks[:2]
@@ -107,18 +107,18 @@ def walk_all(
         wish = (steps[0, i], steps[1, i], steps[2, i])
         if not np.isfinite(wish[0] + wish[1] + wish[2]):
             wish = (0.0, 0.0, 0.0)
-        normal = _unit(smooth_gradient_at(table, values, grid, SMOOTH_NORMAL_REACH, start), old_up)
+        normal = _normalise_or_fallback(compute_smooth_gradient(table, values, grid, SMOOTH_NORMAL_REACH, start), old_up)
         wish = _rotate_between(wish, old_up, normal, head)
-        p, n, direction, distances[i], blocked[i], lost[i] = _walk_agent(table, values, grid, start, normal, wish, close[i])
-        slope = smooth_gradient_at(table, values, grid, lean[i], p)
-        stance_up = _unit(slope, n) if dot(slope, slope) > MIN_SMOOTH_GRADIENT * MIN_SMOOTH_GRADIENT else n
+        p, n, direction, distances[i], blocked[i], lost[i] = _walk_agent(table, values, grid, start, normal, wish, tolerances[i])
+        slope = compute_smooth_gradient(table, values, grid, normal_reaches[i], p)
+        stance_up = _normalise_or_fallback(slope, n) if dot(slope, slope) > MIN_SMOOTH_GRADIENT * MIN_SMOOTH_GRADIENT else n
         head, _ = _project_tangent(_rotate_between(head, old_up, stance_up, head), stance_up)
         direction, _ = _project_tangent(_rotate_between(direction, n, stance_up, direction), stance_up)
         for k in range(3):
             results[0, k, i], results[1, k, i], results[2, k, i], results[3, k, i] = p[k], stance_up[k], head[k], direction[k]
 
 
-@called
+@kernel_helper
 def _prefetch_cells(
     table: Array1[I32],
     values: Array1[F32],
@@ -131,7 +131,7 @@ def _prefetch_cells(
     no meaning."""
     total = 0.0
     for i in range(first, last):
-        a, b, _ = corners_at(table, values, grid, (points[0, i], points[1, i], points[2, i]))
+        a, b, _ = load_cell_corners(table, values, grid, (points[0, i], points[1, i], points[2, i]))
         total += (a[0] + a[2]) + (b[0] + b[2])
     return total
 
@@ -148,7 +148,7 @@ class WalkResult(NamedTuple):
     lost: BOOL
 
 
-@called
+@kernel_helper
 def _walk_agent(
     table: Array1[I32],
     values: Array1[F32],
@@ -156,7 +156,7 @@ def _walk_agent(
     p: Vec3,
     n: Vec3,
     wish: Vec3,
-    close: F64,
+    tolerance: F64,
 ) -> WalkResult:
     """Return the result of all steps of one agent."""
     voxel = grid[3]
@@ -165,23 +165,25 @@ def _walk_agent(
     stride, walked = MAX_STRIDE_VOXELS, 0.0
     settled, blocked = False, False
     if not left > 0:
-        is_settled, p, new_normal = project_point(table, values, grid, p, n, close)
+        is_settled, p, new_normal = project_point(table, values, grid, p, n, tolerance)
         if not is_settled:
             return WalkResult(p, n, direction, walked, False, True)
-        direction = _turn_direction(direction, n, new_normal)
+        direction = _rotate_direction(direction, n, new_normal)
         return WalkResult(p, new_normal, direction, walked, False, False)
     for _ in range(MAX_STRIDES):
         if not left > 0:
             break
         length = min(left, stride * voxel)
-        q, g, d = _project_to_surface(table, values, grid, p, n, direction, length, close)
-        new_normal = _unit(g, n)
-        middle = distance_at(table, values, grid, ((p[0] + q[0]) * 0.5, (p[1] + q[1]) * 0.5, (p[2] + q[2]) * 0.5))
+        q, g, d = _project_to_surface(table, values, grid, p, n, direction, length, tolerance)
+        new_normal = _normalise_or_fallback(g, n)
+        middle = compute_distance(table, values, grid, ((p[0] + q[0]) * 0.5, (p[1] + q[1]) * 0.5, (p[2] + q[2]) * 0.5))
         displacement = (q[0] - p[0], q[1] - p[1], q[2] - p[2])
         far = MAX_STRIDE_STRETCH * length
-        good = dot(displacement, displacement) <= far * far and abs(d) <= close and abs(middle) <= MAX_CHORD_ERROR_VOXELS * voxel
+        good = (
+            dot(displacement, displacement) <= far * far and abs(d) <= tolerance and abs(middle) <= MAX_CHORD_ERROR_VOXELS * voxel
+        )
         if good and (length <= EDGE_STRIDE_VOXELS * voxel or dot(new_normal, n) > MIN_TURN_COSINE):
-            direction = _turn_direction(direction, n, new_normal)
+            direction = _rotate_direction(direction, n, new_normal)
             p, n = q, new_normal
             rest = left - length
             left = rest if rest > REMAINING_TOLERANCE_VOXELS * voxel else 0.0
@@ -189,10 +191,10 @@ def _walk_agent(
             stride = min(stride * 2, MAX_STRIDE_VOXELS)
             settled, blocked = True, False
         elif not settled:
-            is_settled, p, new_normal = project_point(table, values, grid, p, n, close)
+            is_settled, p, new_normal = project_point(table, values, grid, p, n, tolerance)
             if not is_settled:
                 return WalkResult(p, n, direction, walked, blocked, True)
-            direction = _turn_direction(direction, n, new_normal)
+            direction = _rotate_direction(direction, n, new_normal)
             n = new_normal
             settled = True
         else:
@@ -202,20 +204,20 @@ def _walk_agent(
                     break
                 # At the bottom of a groove or the top of a ridge: change to the other wall, once per move.
                 beyond = 2 * MIN_STRIDE_VOXELS * voxel
-                _, g = distance_and_gradient_at(
+                _, g = compute_distance_and_gradient(
                     table,
                     values,
                     grid,
                     (p[0] + direction[0] * beyond, p[1] + direction[1] * beyond, p[2] + direction[2] * beyond),
                 )
-                new_normal = _unit(g, n)
-                direction = _turn_direction(direction, n, new_normal)
+                new_normal = _normalise_or_fallback(g, n)
+                direction = _rotate_direction(direction, n, new_normal)
                 n = new_normal
                 stride, blocked = EDGE_STRIDE_VOXELS, True
     return WalkResult(p, n, direction, walked, blocked, False)
 
 
-@called
+@kernel_helper
 def _project_to_surface(
     table: Array1[I32],
     values: Array1[F32],
@@ -224,7 +226,7 @@ def _project_to_surface(
     n: Vec3,
     direction: Vec3,
     length: F64,
-    close: F64,
+    tolerance: F64,
 ) -> tuple[Vec3, Vec3, F64]:
     """Project the end of a path of `length` from `p`, a point on the zero level. Return the projected point, the gradient and the
     distance.
@@ -235,11 +237,11 @@ def _project_to_surface(
     voxel = grid[3]
     far = (p[0] + direction[0] * length, p[1] + direction[1] * length, p[2] + direction[2] * length)
     q = far
-    d, g = distance_and_gradient_at(table, values, grid, q)
+    d, g = compute_distance_and_gradient(table, values, grid, q)
     beyond = d > 0
     limit = 0.5 * voxel
     for _ in range(NEWTON_STEPS):
-        if not abs(d) > close:
+        if not abs(d) > tolerance:
             return q, g, d
         square = max(dot(g, g), 1e-4)
         step = -d / square
@@ -247,16 +249,16 @@ def _project_to_surface(
         if size > limit:
             step = step * (limit / max(size, limit))
         q = (q[0] + step * g[0], q[1] + step * g[1], q[2] + step * g[2])
-        d, g = distance_and_gradient_at(table, values, grid, q)
+        d, g = compute_distance_and_gradient(table, values, grid, q)
     part = 0.5
-    while abs(d) > close and part > 1e-4:
+    while abs(d) > tolerance and part > 1e-4:
         depth = (-part if beyond else part) * length
         near = (p[0] + depth * n[0], p[1] + depth * n[1], p[2] + depth * n[2])
-        if (distance_at(table, values, grid, near) > 0) != beyond:
+        if (compute_distance(table, values, grid, near) > 0) != beyond:
             for _ in range(MAX_BISECTIONS):
                 q = ((near[0] + far[0]) * 0.5, (near[1] + far[1]) * 0.5, (near[2] + far[2]) * 0.5)
-                d, g = distance_and_gradient_at(table, values, grid, q)
-                if not abs(d) > close:
+                d, g = compute_distance_and_gradient(table, values, grid, q)
+                if not abs(d) > tolerance:
                     break
                 if (d > 0) == beyond:
                     far = q
@@ -268,13 +270,13 @@ def _project_to_surface(
 
 
 @inlined
-def _turn_direction(direction: Vec3, old_normal: Vec3, new_normal: Vec3) -> Vec3:
+def _rotate_direction(direction: Vec3, old_normal: Vec3, new_normal: Vec3) -> Vec3:
     """Return a direction rotated from the old to the new normal, projected onto the new tangent plane."""
     direction, _ = _project_tangent(_rotate_between(direction, old_normal, new_normal, direction), new_normal)
     return direction
 
 
-@called
+@kernel_helper
 def _rotate_between(v: Vec3, old_normal: Vec3, new_normal: Vec3, direction: Vec3) -> Vec3:
     """Return a vector rotated by the smallest rotation from one unit normal to the other. For opposite normals, the rotation goes
     over `direction`."""
@@ -293,7 +295,7 @@ def _rotate_between(v: Vec3, old_normal: Vec3, new_normal: Vec3, direction: Vec3
     )
 
 
-@called
+@kernel_helper
 def _project_tangent(v: Vec3, normal: Vec3) -> tuple[Vec3, F64]:
     """Return the unit vector perpendicular to the normal and nearest to `v`, and the length of the component of `v` perpendicular
     to the normal."""
@@ -310,10 +312,10 @@ def _project_tangent(v: Vec3, normal: Vec3) -> tuple[Vec3, F64]:
 
 
 @inlined
-def _unit(v: Vec3, otherwise: Vec3) -> Vec3:
-    """Return the direction of a gradient, or `otherwise` where the field is flat."""
+def _normalise_or_fallback(v: Vec3, fallback: Vec3) -> Vec3:
+    """Return the direction of a gradient, or `fallback` where the field is flat."""
     size = np.sqrt(dot(v, v))
     if not size > 1e-6:
-        return otherwise
+        return fallback
     over = 1.0 / size
     return (v[0] * over, v[1] * over, v[2] * over)

@@ -19,34 +19,34 @@ class QuickFix:
 
     title: str
     edit: TextEdit
-    complaint: Diagnostic
+    diagnostic: Diagnostic
 
 
-def actions(workspace: Workspace, document: OpenDocument, start: int, end: int) -> list[QuickFix]:
+def find_quick_fixes(workspace: Workspace, document: OpenDocument, start: int, end: int) -> list[QuickFix]:
     """Return the edits that correct findings between two offsets."""
     fixes = []
-    for complaint in workspace.complaints(document.path):
+    for complaint in workspace.find_diagnostics(document.path):
         span = complaint.span
         if span is None or document.start(span) > end or document.end(span) < start:
             continue
-        edit = edit_of(document, complaint)
+        edit = find_edit(document, complaint)
         if edit is not None:
-            fixes.append(QuickFix(_title(document, edit), edit, complaint))
+            fixes.append(QuickFix(_format_title(document, edit), edit, complaint))
     return fixes
 
 
-def edit_of(document: OpenDocument, complaint: Diagnostic) -> TextEdit | None:
+def find_edit(document: OpenDocument, diagnostic: Diagnostic) -> TextEdit | None:
     """Return the edit for a finding: its fix, or the suggested name if the finding covers a single name."""
-    if complaint.fix is not None:
-        span = complaint.fix.span
-        return TextEdit(document.start(span), document.end(span), complaint.fix.text)
-    meant = _SUGGESTION_PATTERN.search(complaint.help or "")
-    if meant is None or complaint.span is None or not _NAME_PATTERN.fullmatch(complaint.span.text):
+    if diagnostic.fix is not None:
+        span = diagnostic.fix.span
+        return TextEdit(document.start(span), document.end(span), diagnostic.fix.text)
+    meant = _SUGGESTION_PATTERN.search(diagnostic.help or "")
+    if meant is None or diagnostic.span is None or not _NAME_PATTERN.fullmatch(diagnostic.span.text):
         return None
-    return TextEdit(document.start(complaint.span), document.end(complaint.span), meant.group(1))
+    return TextEdit(document.start(diagnostic.span), document.end(diagnostic.span), meant.group(1))
 
 
-def _title(document: OpenDocument, edit: TextEdit) -> str:
+def _format_title(document: OpenDocument, edit: TextEdit) -> str:
     old = " ".join(document.text.text[edit.start : edit.end].split())
     new = " ".join(edit.text.split())
     if not new:

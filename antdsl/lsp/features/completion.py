@@ -5,78 +5,78 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator
 
-from antdsl.lsp.features.context import context_at
-from antdsl.lsp.features.proposals import (
+from antdsl.lsp.features.context import find_context
+from antdsl.lsp.features.expression_completion import (
     CompletionItem,
     CompletionRequest,
-    argument_names,
-    behaviours,
-    fields,
-    make_thing_rule,
-    members,
-    own_names,
-    species,
-    values,
+    make_thing_proposer,
+    propose_argument_names,
+    propose_behaviours,
+    propose_fields,
+    propose_members,
+    propose_own_names,
+    propose_species,
+    propose_values,
 )
-from antdsl.lsp.words import FORM_HELP, SETTING_HELP
+from antdsl.lsp.word_descriptions import FORM_HELP, SETTING_HELP
 from antdsl.lsp.workspace import OpenDocument, Workspace
 from antdsl.program.expectations import MOTION_MEASURES
 from antdsl.program.tables.colours import COLOUR_BY_NAME
 from antdsl.program.tables.editions import SWITCH_EDITION, SWITCH_HELP, setting_defaults
 from antdsl.program.tables.effects import EFFECT_BY_OPERATION
-from antdsl.program.tables.things import KIND_BY_WORD, WITH_FACES, replacements
+from antdsl.program.tables.things import KIND_BY_WORD, KINDS_WITH_FACES, list_replacements
 from antdsl.program.tables.vocabulary import TYPE_BY_WORD, builtin_attributes
 from antdsl.syntax import nodes
 from antdsl.syntax.words import EXAMPLE_LINES, FIXED_FIELD_SETTINGS, LINE_WORDS_BY_RULE, UNIT_NAMES
 
 
-def complete(workspace: Workspace, document: OpenDocument, offset: int) -> list[CompletionItem]:
+def complete_program(workspace: Workspace, document: OpenDocument, offset: int) -> list[CompletionItem]:
     """Return the proposals at an offset of a program, each label once."""
-    context = context_at(document.text.text, offset)
-    if context.quiet:
+    context = find_context(document.text.text, offset)
+    if context.is_in_text_or_comment:
         return []
     names = document.names
     items_by_label: dict[str, CompletionItem] = {}
-    for item in _items(CompletionRequest(workspace, document, names, context)):
+    for item in _propose_items(CompletionRequest(workspace, document, names, context)):
         items_by_label.setdefault(item.label, item)
     return list(items_by_label.values())
 
 
-def _items(request: CompletionRequest) -> Iterator[CompletionItem]:
+def _propose_items(request: CompletionRequest) -> Iterator[CompletionItem]:
     """Yield the proposals for a position, possibly with repeated labels."""
     prefix, rule = request.prefix, request.context.rule
     number = re.search(r"(?<![A-Za-z_0-9.])[0-9][0-9.]*[ \t]*([a-zA-Z%/*^0-9]*)$", request.context.line)
     if number is not None and not prefix.endswith(".."):
         if re.search(r"\b(take|give)[ \t]+[^ \t]+[ \t]+$", prefix):
-            yield from _amounts(request)
-        yield from _units(number.group(1))
+            yield from _propose_amounts(request)
+        yield from _propose_units(number.group(1))
         return
     for pattern, give in _RULE_BY_LINE_PATTERN:
         if re.search(pattern, prefix):
             yield from give(request)
             return
     if prefix.endswith(".") and not prefix.endswith(".."):
-        yield from members(request)
+        yield from propose_members(request)
         return
-    if not prefix.strip() and request.context.called is None:
-        yield from _line_start(request, rule)
+    if not prefix.strip() and request.context.called_function is None:
+        yield from _propose_line_start(request, rule)
         return
     if rule in ("world_item",) or (rule == "top" and not prefix.startswith("behaviour")):
         return
-    if request.context.called is not None:
-        yield from argument_names(request)
-    yield from values(request)
+    if request.context.called_function is not None:
+        yield from propose_argument_names(request)
+    yield from propose_values(request)
 
 
 # --- at the beginning of a line --------------------------------------------------------------------------------------
 
 
-def _line_start(request: CompletionRequest, rule: str) -> Iterator[CompletionItem]:
+def _propose_line_start(request: CompletionRequest, rule: str) -> Iterator[CompletionItem]:
     """Propose the words and names that may begin a line. `rule`: the grammar rule of the block."""
-    if rule == "top" and not request.document.text.text[: _statement_start(request)].strip():
-        yield _word("ant")
+    if rule == "top" and not request.document.text.text[: _find_first_text(request)].strip():
+        yield _make_keyword_item("ant")
     for word in LINE_WORDS_BY_RULE.get(rule, ()):
-        yield _word(word)
+        yield _make_keyword_item(word)
     if rule == "world_item":
         for word, kind in KIND_BY_WORD.items():
             yield CompletionItem(word, "keyword", "kind of thing", kind.help)
@@ -87,22 +87,22 @@ def _line_start(request: CompletionRequest, rule: str) -> Iterator[CompletionIte
         defaults = setting_defaults(request.edition, False)
         for word, row in builtin_attributes(request.edition).items():
             default = defaults.get(word, row.default)
-            if row.settable:
+            if row.is_settable:
                 yield CompletionItem(word, "property", row.type, row.help + (f"; default {default}" if default else ""))
         for word, help in SWITCH_HELP.items() if request.edition >= SWITCH_EDITION else ():
             yield CompletionItem(word, "property", "bool", f"{help}; default {defaults[word]}")
     elif rule in ("statement", "action"):
-        yield from own_names(request, assignable=True)
+        yield from propose_own_names(request, only_assignable=True)
     elif rule == "weight":
-        yield from _states(request)
+        yield from _propose_states(request)
     elif rule == "layer":
         yield CompletionItem("state", "keyword", "what the current state steers")
-        yield from behaviours(request)
+        yield from propose_behaviours(request)
     elif rule in ("behaviour_line", "rule"):
-        yield from values(request)
+        yield from propose_values(request)
 
 
-def _statement_start(request: CompletionRequest) -> int:
+def _find_first_text(request: CompletionRequest) -> int:
     return len(request.document.text.text) - len(request.document.text.text.lstrip())
 
 
@@ -116,7 +116,7 @@ _SNIPPET_BY_WORD = {
 }  # fmt: skip
 
 
-def _word(word: str) -> CompletionItem:
+def _make_keyword_item(word: str) -> CompletionItem:
     return CompletionItem(word, "keyword", EXAMPLE_LINES.get(word, "").partition("` or")[0], FORM_HELP.get(word, ""),
     _SNIPPET_BY_WORD.get(word, ""),
                 word in _SNIPPET_BY_WORD)  # fmt: skip
@@ -125,35 +125,35 @@ def _word(word: str) -> CompletionItem:
 # --- after certain words ---------------------------------------------------------------------------------------------
 
 
-def _units(prefix: str) -> Iterator[CompletionItem]:
-    from antdsl.program.tables.units import dimension_words, measure
+def _propose_units(prefix: str) -> Iterator[CompletionItem]:
+    from antdsl.program.tables.units import describe_dimension, find_unit_measure
 
     head = prefix[: max(prefix.rfind("/"), prefix.rfind("*")) + 1]
     units = (*UNIT_NAMES, "%", "mm/s", "deg/s", "/s", "%/s", "/step") if not head else UNIT_NAMES
     for unit in units:
-        known = measure(head + unit)
+        known = find_unit_measure(head + unit)
         if known is not None:
-            yield CompletionItem(unit, "unit", dimension_words(known.dim))
+            yield CompletionItem(unit, "unit", describe_dimension(known.dim))
 
 
-def _targets(request: CompletionRequest) -> Iterator[CompletionItem]:
+def _propose_targets(request: CompletionRequest) -> Iterator[CompletionItem]:
     """Propose what may follow `->`: a state, a type or a value."""
     if re.match(r"behaviour\b", request.prefix):
-        yield from _types(request)
+        yield from _propose_types(request)
     elif request.context.rule == "rule":
-        yield from values(request)
+        yield from propose_values(request)
     else:
-        yield from _states(request)
+        yield from _propose_states(request)
         yield CompletionItem("previous", "keyword", "the previous state")
         yield CompletionItem("choose", "keyword", "one of several, by weight", "", "choose { ${1:state}: ${2:1} }", True)
 
 
-def _states(request: CompletionRequest, every: bool = False) -> Iterator[CompletionItem]:
-    """Propose states of the machine around the position. `every`: those of all machines."""
+def _propose_states(request: CompletionRequest, all_machines: bool = False) -> Iterator[CompletionItem]:
+    """Propose states of the machine around the position. `all_machines`: those of all machines."""
     table = request.names.species.get(request.species or "")
     tables = [table] if table is not None else list(request.names.species.values())
     for each in tables:
-        own = request.machine if request.machine in each.machines and not every and table is not None else None
+        own = request.machine if request.machine in each.machines and not all_machines and table is not None else None
         for machine, states in each.machines.items():
             if own is None or machine == own:
                 for name, state in states.items():
@@ -162,110 +162,113 @@ def _states(request: CompletionRequest, every: bool = False) -> Iterator[Complet
                     )
 
 
-def _comparison_values(request: CompletionRequest) -> Iterator[CompletionItem]:
+def _propose_all_states(request: CompletionRequest) -> Iterator[CompletionItem]:
     """Propose the states that a state may be compared with."""
-    return _states(request, every=True)
+    return _propose_states(request, all_machines=True)
 
 
-def _event_or_field(request: CompletionRequest) -> Iterator[CompletionItem]:
+def _propose_handled_events(request: CompletionRequest) -> Iterator[CompletionItem]:
     """Propose the events that a handler may name."""
     yield CompletionItem("spawn", "keyword", "once, at birth")
     yield CompletionItem("collision", "keyword", "its body begins to touch another's", "", "collision(${1:other})", True)
-    yield from _events(request)
+    yield from _propose_events(request)
 
 
-def _events(request: CompletionRequest) -> Iterator[CompletionItem]:
+def _propose_events(request: CompletionRequest) -> Iterator[CompletionItem]:
     for name in request.names.events:
         yield CompletionItem(name, "thing", "event")
 
 
-def _types(request: CompletionRequest) -> Iterator[CompletionItem]:
+def _propose_types(request: CompletionRequest) -> Iterator[CompletionItem]:
     for word in TYPE_BY_WORD:
         yield CompletionItem(word, "type", "type")
 
 
-def _colours(request: CompletionRequest) -> Iterator[CompletionItem]:
+def _propose_colours(request: CompletionRequest) -> Iterator[CompletionItem]:
     for colour in COLOUR_BY_NAME:
         yield CompletionItem(colour, "colour", "colour")
     yield CompletionItem("for at least", "keyword", "the minimum time in this state")
 
 
-def _library_names(request: CompletionRequest) -> Iterator[CompletionItem]:
-    from antdsl.resources import library_names
+def _propose_library_names(request: CompletionRequest) -> Iterator[CompletionItem]:
+    from antdsl.resources import list_library_names
 
-    for name in library_names():
+    for name in list_library_names():
         yield CompletionItem(name, "file", "library of behaviours")
 
 
-def _amounts(request: CompletionRequest) -> Iterator[CompletionItem]:
+def _propose_amounts(request: CompletionRequest) -> Iterator[CompletionItem]:
     """Propose amounts to take or give: the animal's own attributes."""
-    return own_names(request, assignable=True)
+    return propose_own_names(request, only_assignable=True)
 
 
-def _take_sources(request: CompletionRequest) -> Iterator[CompletionItem]:
+def _propose_take_sources(request: CompletionRequest) -> Iterator[CompletionItem]:
     """Propose what may follow `from`: `any` in a transition, otherwise a value to take from."""
     if re.match(r"(from|machine)\b", request.prefix.strip()) and "take" not in request.prefix:
         yield CompletionItem("any", "keyword", "from every state except …")
     else:
-        yield from values(request)
+        yield from propose_values(request)
 
 
-def _motion(request: CompletionRequest) -> Iterator[CompletionItem]:
+def _propose_motion_measures(request: CompletionRequest) -> Iterator[CompletionItem]:
     for name, type in MOTION_MEASURES.items():
         yield CompletionItem(name, "property", type)
 
 
-def _spec_settings(request: CompletionRequest) -> Iterator[CompletionItem]:
+def _propose_spec_settings(request: CompletionRequest) -> Iterator[CompletionItem]:
     """Propose what a spec may set: params and settings of fields, with their current value."""
     for table in request.names.species.values():
         for name, member in table.own.items():
             if isinstance(member, nodes.ParamDecl):
-                yield _with_value(f"{table.name}.{name}", member.declaration.value, member.declaration.help)
+                yield _make_setting_item(f"{table.name}.{name}", member.declaration.value, member.declaration.help)
     for field, node in request.names.fields.items():
         for setting in node.settings:
             if setting.name.text not in FIXED_FIELD_SETTINGS:
-                yield _with_value(f"{field}.{setting.name.text}", setting.value, node.help)
+                yield _make_setting_item(f"{field}.{setting.name.text}", setting.value, node.help)
 
 
-def _with_value(name: str, value: nodes.Expr, help: nodes.Text | None) -> CompletionItem:
+def _make_setting_item(name: str, value: nodes.Expr, help: nodes.Text | None) -> CompletionItem:
     text = " ".join(value.span.text.split())
     return CompletionItem(name, "property", text, help.text if help is not None else "", f"{name} = {text}")
 
 
-def _item_or_animal(request: CompletionRequest) -> Iterator[CompletionItem]:
+def _propose_items_and_animals(request: CompletionRequest) -> Iterator[CompletionItem]:
     """Propose things that may be missing: an item or an animal."""
-    yield from make_thing_rule("items")(request)
-    yield from species(request)
+    yield from make_thing_proposer("items")(request)
+    yield from propose_species(request)
 
 
-def _names_of_kind(kind: str) -> Callable[[CompletionRequest], Iterator[CompletionItem]]:
+def _make_kind_rule(kind: str) -> Callable[[CompletionRequest], Iterator[CompletionItem]]:
     """Return the function that proposes names for a statement, by the kind in its row."""
-    others = {"field": fields, "event": _events, "species": species}
-    return others.get(kind) or make_thing_rule(*replacements(kind))
+    others = {"field": propose_fields, "event": _propose_events, "species": propose_species}
+    return others.get(kind) or make_thing_proposer(*list_replacements(kind))
 
 
 _RULE_BY_LINE_PATTERN: tuple[tuple[str, Callable[[CompletionRequest], Iterator[CompletionItem]]], ...] = (
-    (r"->[ \t]*$", _targets),
-    (r"^start[ \t]+$", _states),
-    (r"^from any except ([a-z_0-9]+, *)*$", _states),
-    (r"(\b|\.)(state|previous|next)[ \t]*[!=]=[ \t]*$", _comparison_values),
-    (r"^field[ \t]+[a-z_0-9]+[ \t]+on[ \t]+([a-z_0-9]+,[ \t]*)*$", make_thing_rule(*WITH_FACES)),
-    (r"^on[ \t]+$", _event_or_field),
-    (r"^each[ \t]+$", species),
-    *((rf"^{row.op}[ \t]+$", _names_of_kind(row.target)) for row in EFFECT_BY_OPERATION.values() if row.target),
-    (r"^use[ \t]+$", _library_names),
-    (r"^state[ \t]+[a-z_0-9]+[ \t]+(\"[^\"]*\"[ \t]+)$", _colours),
-    (r"^(behaviour\b.*[(,][ \t]*[a-z_0-9]+|keep[ \t]+[a-z_0-9]+|[a-z_0-9]+):[ \t]*$", lambda request: _after_colon(request)),
-    (r"\b(take|give)[ \t]+(all|[^ \t]+([ \t]+[a-z%/]+)?)[ \t]+$", _amounts),
-    (r"\bfrom[ \t]+$", _take_sources),
-    (r"\bmotion\.$", _motion),
-    (r"\bnone[ \t]+of[ \t]+$", _item_or_animal),
-    (r"(^|\{[ \t]*)set[ \t]+$", _spec_settings),
+    (r"->[ \t]*$", _propose_targets),
+    (r"^start[ \t]+$", _propose_states),
+    (r"^from any except ([a-z_0-9]+, *)*$", _propose_states),
+    (r"(\b|\.)(state|previous|next)[ \t]*[!=]=[ \t]*$", _propose_all_states),
+    (r"^field[ \t]+[a-z_0-9]+[ \t]+on[ \t]+([a-z_0-9]+,[ \t]*)*$", make_thing_proposer(*KINDS_WITH_FACES)),
+    (r"^on[ \t]+$", _propose_handled_events),
+    (r"^each[ \t]+$", propose_species),
+    *((rf"^{row.op}[ \t]+$", _make_kind_rule(row.target)) for row in EFFECT_BY_OPERATION.values() if row.target),
+    (r"^use[ \t]+$", _propose_library_names),
+    (r"^state[ \t]+[a-z_0-9]+[ \t]+(\"[^\"]*\"[ \t]+)$", _propose_colours),
+    (
+        r"^(behaviour\b.*[(,][ \t]*[a-z_0-9]+|keep[ \t]+[a-z_0-9]+|[a-z_0-9]+):[ \t]*$",
+        lambda request: _propose_after_colon(request),
+    ),
+    (r"\b(take|give)[ \t]+(all|[^ \t]+([ \t]+[a-z%/]+)?)[ \t]+$", _propose_amounts),
+    (r"\bfrom[ \t]+$", _propose_take_sources),
+    (r"\bmotion\.$", _propose_motion_measures),
+    (r"\bnone[ \t]+of[ \t]+$", _propose_items_and_animals),
+    (r"(^|\{[ \t]*)set[ \t]+$", _propose_spec_settings),
 )
 
 
-def _after_colon(request: CompletionRequest) -> Iterator[CompletionItem]:
+def _propose_after_colon(request: CompletionRequest) -> Iterator[CompletionItem]:
     """Propose after `name:`: a type in a declaration, a condition in a spec, a weight in `choose`."""
     if request.context.rule in ("spec_line", "weight"):
-        return values(request)
-    return _types(request)
+        return propose_values(request)
+    return _propose_types(request)

@@ -17,31 +17,32 @@ class ContextBlock:
     """An open brace: the rule that reads the lines after it, and the line that opened it."""
 
     rule: str
-    head: str
+    opening_line: str
 
 
 @dataclass(frozen=True, slots=True)
 class CursorContext:
-    """The text before a position. `line`: the statement so far, without closed parts. `word`: the beginning of a word at its end.
-    `called`: the function with open brackets. `arguments`: the text between them so far."""
+    """The text before a position. `line`: the statement so far, without closed parts. `word_prefix`: the beginning of a word at
+    its end.
+    `called_function`: the function with open brackets. `arguments`: the text between them so far."""
 
     blocks: tuple[ContextBlock, ...]
     line: str
-    word: str
-    called: str | None
+    word_prefix: str
+    called_function: str | None
     arguments: str
-    quiet: bool  # inside a text or a comment
+    is_in_text_or_comment: bool  # inside a text or a comment
 
     @property
     def rule(self) -> str:
         """Return the grammar rule of the innermost block."""
         return self.blocks[-1].rule if self.blocks else "top"
 
-    def enclosing_name(self, rule: str, word: str) -> str | None:
+    def find_enclosing_name(self, rule: str, word: str) -> str | None:
         """Return the name of the enclosing block of a kind: ("top", "species") gives `forager`."""
         above = "top"
         for block in self.blocks:
-            words = _HEAD_WORD_PATTERN.findall(block.head)
+            words = _HEAD_WORD_PATTERN.findall(block.opening_line)
             if above == rule and words[:1] == [word]:
                 return words[1] if len(words) > 1 else ""
             above = block.rule
@@ -50,10 +51,10 @@ class CursorContext:
 
 def is_line_start(text: str, start: int) -> bool:
     """Return whether the word at `start` is the first of its statement; in a state's line, `interrupt` may precede it."""
-    return context_at(text, start).line.strip() in ("", "interrupt")
+    return find_context(text, start).line.strip() in ("", "interrupt")
 
 
-def context_at(text: str, offset: int) -> CursorContext:
+def find_context(text: str, offset: int) -> CursorContext:
     """Return the context of an offset. It never fails, whatever the text."""
     blocks: list[ContextBlock] = []
     brackets: list[int] = []  # offsets of open round and square brackets in this statement

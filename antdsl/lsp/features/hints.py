@@ -8,9 +8,9 @@ from fractions import Fraction
 from math import ceil
 
 from antdsl.lsp.workspace import OpenDocument, Workspace
-from antdsl.program.tables.units import measure
+from antdsl.program.tables.units import find_unit_measure
 from antdsl.program.tables.vocabulary import TIME_DIMENSION
-from antdsl.program.traverse import written_nodes
+from antdsl.program.traverse import iterate_nodes
 from antdsl.source import Span
 from antdsl.syntax import nodes
 
@@ -27,18 +27,18 @@ class InlayHint:
     help: str
 
 
-def hints(workspace: Workspace, document: OpenDocument) -> list[InlayHint]:
+def find_hints(workspace: Workspace, document: OpenDocument) -> list[InlayHint]:
     """Return the hints of a program in text order."""
-    fps = frame_rate(workspace, document)
-    all_hints = [hint for item in document.parsed[0].items for hint in _item_hints(item, fps)]
+    fps = find_frame_rate(workspace, document)
+    all_hints = [hint for item in document.parsed[0].items for hint in _find_item_hints(item, fps)]
     return sorted(all_hints, key=lambda hint: document.start(hint.span))
 
 
-def frame_rate(workspace: Workspace, document: OpenDocument) -> Fraction | None:
+def find_frame_rate(workspace: Workspace, document: OpenDocument) -> Fraction | None:
     """Return the frames per second of the scenes that use a program; None where they disagree or give none."""
     rates = set()
     for path in workspace.files():
-        if path.suffix == ".ant" or document.path not in workspace.linked_files(path):
+        if path.suffix == ".ant" or document.path not in workspace.find_linked_files(path):
             continue
         scene = workspace.document(path)
         if scene is not None:
@@ -49,17 +49,17 @@ def frame_rate(workspace: Workspace, document: OpenDocument) -> Fraction | None:
     return rates.pop() if len(rates) == 1 else None
 
 
-def _item_hints(item: object, fps: Fraction | None) -> Iterator[InlayHint]:
-    for part, _ in written_nodes(item):
+def _find_item_hints(item: object, fps: Fraction | None) -> Iterator[InlayHint]:
+    for part, _ in iterate_nodes(item):
         if isinstance(part, nodes.Layers):
-            yield from _rank_hints(part)
+            yield from _find_rank_hints(part)
         elif isinstance(part, nodes.Quantity):
-            hint = _frame_hint(part, fps)
+            hint = _make_frame_hint(part, fps)
             if hint is not None:
                 yield hint
 
 
-def _rank_hints(node: nodes.Layers) -> Iterator[InlayHint]:
+def _find_rank_hints(node: nodes.Layers) -> Iterator[InlayHint]:
     mode = node.mode.text if node.mode is not None else "budget"
     if mode == "sum":
         return  # all count alike
@@ -68,9 +68,9 @@ def _rank_hints(node: nodes.Layers) -> Iterator[InlayHint]:
         yield InlayHint(layer.span, True, f"{rank}.", f"layer {rank} of {len(node.layers)}: {rule}")
 
 
-def _frame_hint(node: nodes.Quantity, fps: Fraction | None) -> InlayHint | None:
+def _make_frame_hint(node: nodes.Quantity, fps: Fraction | None) -> InlayHint | None:
     """Return how many frames a duration takes, rounded up to whole steps."""
-    known = measure(node.unit)
+    known = find_unit_measure(node.unit)
     if known is None or known.dim != TIME_DIMENSION or known.step:
         return None
     rate = fps or _DEFAULT_FPS

@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from antdsl import limits
-from antdsl.lsp.features.tokens import keywords
+from antdsl.lsp.features.tokens import list_keywords
 from antdsl.lsp.names import NameOccurrence
 from antdsl.lsp.text import TextRange
 from antdsl.lsp.workspace import OpenDocument, Workspace
 from antdsl.program.names.bindings import NameKey
-from antdsl.program.names.declared import Declaration
+from antdsl.program.names.file_declarations import Declaration
 from antdsl.program.tables import vocabulary
 from antdsl.program.types.states import STATE_WORDS
 from antdsl.source import Source, Span
@@ -64,49 +64,49 @@ def find_declaration(workspace: Workspace, document: OpenDocument, key: NameKey)
     if key[0] in ("behaviour", "inner", "alias"):
         paths = [Path(key[1])]
     else:
-        paths = [document.path, *(path for path in workspace.related_files(document.path) if path != document.path)]
+        paths = [document.path, *(path for path in workspace.find_related_files(document.path) if path != document.path)]
     brought = None
     for path in paths:
         other = workspace.document(path)
         if other is None or not other.is_program:
             continue
-        for each in _candidate_keys(other, key):
-            entry = other.names.declared.get(each)
+        for each in _list_candidate_keys(other, key):
+            entry = other.names.declaration_by_key.get(each)
             if entry is not None and (key[0] != "species" or hasattr(entry.node, "members")):
                 return other, entry
             brought = brought or ((other, entry) if entry is not None else None)
     return brought
 
 
-def _candidate_keys(document: OpenDocument, key: NameKey) -> Iterator[NameKey]:
+def _list_candidate_keys(document: OpenDocument, key: NameKey) -> Iterator[NameKey]:
     """Yield the keys that an unknown name may stand for in another file."""
     kinds = _CANDIDATE_KINDS.get(key[0])
     if kinds is None:
         yield key
         return
-    for each in document.names.declared:
+    for each in document.names.declaration_by_key:
         if each[0] in kinds and each[-1] == key[-1] and not (key[0] == "?layer" and each[0] == "own" and each[1] != key[1]):
             yield each
 
 
-def occurrence_at(document: OpenDocument, offset: int) -> NameOccurrence | None:
+def find_occurrence_at(document: OpenDocument, offset: int) -> NameOccurrence | None:
     """Return the name at an offset, or None."""
     occurrences = document.at(offset)
     return occurrences[0] if occurrences else None
 
 
-def definition(workspace: Workspace, document: OpenDocument, offset: int) -> list[NameLocation]:
+def find_definition(workspace: Workspace, document: OpenDocument, offset: int) -> list[NameLocation]:
     """Return where the name at an offset is declared: in this file, another file or the library. If a file is named, return that
     file."""
     locations: dict[tuple[Path, int], NameLocation] = {}
     for occurrence in document.at(offset):
         key = occurrence.key
         if key[0] in ("file", "library"):
-            for other in _related_documents(workspace, key):
-                return [NameLocation(other, Span(_source(other), 0, 0))]
+            for other in _find_related_documents(workspace, key):
+                return [NameLocation(other, Span(_make_source(other), 0, 0))]
         elif key[0] == "element":
-            return [NameLocation(document, each.span) for each in document.occurrences if each.key == key and each.declares]
-        elif key[0] in ("scene-item", "?scene") and (items := list(_item_locations(workspace, document, key[-1]))):
+            return [NameLocation(document, each.span) for each in document.occurrences if each.key == key and each.is_declaration]
+        elif key[0] in ("scene-item", "?scene") and (items := list(_find_item_locations(workspace, document, key[-1]))):
             return items[:1]
         else:
             place = find_declaration(workspace, document, key)
@@ -119,33 +119,35 @@ def definition(workspace: Workspace, document: OpenDocument, offset: int) -> lis
     return list(locations.values())
 
 
-def _item_locations(workspace: Workspace, document: OpenDocument, name: str) -> Iterator[NameLocation]:
+def _find_item_locations(workspace: Workspace, document: OpenDocument, name: str) -> Iterator[NameLocation]:
     """Yield where scenes name an item: this scene, and those that it extends or that extend it."""
-    for path in workspace.extending_scenes(document.path):
+    for path in workspace.find_extending_scenes(document.path):
         other = workspace.document(path)
         if other is not None and name in other.scene.items:
             yield NameLocation(other, other.scene.items[name])
 
 
-def _related_documents(workspace: Workspace, key: NameKey) -> Iterator[OpenDocument]:
-    from antdsl.resources import library_file
+def _find_related_documents(workspace: Workspace, key: NameKey) -> Iterator[OpenDocument]:
+    from antdsl.resources import find_library_file
 
-    path = library_file(key[1]) if key[0] == "library" else Path(key[1])
+    path = find_library_file(key[1]) if key[0] == "library" else Path(key[1])
     document = workspace.document(path.resolve()) if path is not None else None
     if document is not None:
         yield document
 
 
-def _source(document: OpenDocument) -> Source:
+def _make_source(document: OpenDocument) -> Source:
     return document.parsed[0].source if document.is_program else Source(str(document.path), document.text.text)
 
 
-def references(workspace: Workspace, document: OpenDocument, offset: int, declaration: bool = True) -> list[NameLocation]:
+def find_references(
+    workspace: Workspace, document: OpenDocument, offset: int, include_declaration: bool = True
+) -> list[NameLocation]:
     """Return all references to the same symbol, in all related files."""
-    keys = {resolve_key(workspace, document, each.key) for each in _occurrences_at(document, offset)}
+    keys = {resolve_key(workspace, document, each.key) for each in _find_occurrences_at(document, offset)}
     locations: dict[tuple[Path, int], NameLocation] = {}
-    for other, occurrence in _all_occurrences(workspace, document, keys):
-        if declaration or not occurrence.declares:
+    for other, occurrence in _find_all_occurrences(workspace, document, keys):
+        if include_declaration or not occurrence.is_declaration:
             locations.setdefault((other.path, other.start(occurrence.span)), NameLocation(other, occurrence.span))
     return sorted(
         locations.values(),
@@ -158,26 +160,26 @@ def resolve_key(workspace: Workspace, document: OpenDocument, key: NameKey) -> N
     program."""
     if key[0] not in _CANDIDATE_KINDS:
         return key
-    if key[0] == "?scene" and any(_item_locations(workspace, document, key[1])):
+    if key[0] == "?scene" and any(_find_item_locations(workspace, document, key[1])):
         return ("scene-item", key[1])
     target = find_declaration(workspace, document, key)
     return target[1].key if target is not None else key
 
 
-def _occurrences_at(document: OpenDocument, offset: int) -> list[NameOccurrence]:
+def _find_occurrences_at(document: OpenDocument, offset: int) -> list[NameOccurrence]:
     occurrences = document.at(offset)
     return [each for each in occurrences if each.span == occurrences[0].span]
 
 
-def _all_occurrences(
+def _find_all_occurrences(
     workspace: Workspace, document: OpenDocument, keys: set[NameKey]
 ) -> Iterator[tuple[OpenDocument, NameOccurrence]]:
     if any(key[0] == "element" for key in keys):
         paths = [document.path]
     elif any(key[0] == "scene-item" for key in keys):
-        paths = workspace.extending_scenes(document.path)
+        paths = workspace.find_extending_scenes(document.path)
     else:
-        paths = workspace.related_files(document.path)
+        paths = workspace.find_related_files(document.path)
         paths += [Path(key[1]) for key in keys if key[0] in ("behaviour", "inner") and Path(key[1]) not in paths]
     known = {key[-1]: key for key in keys}
     for path in paths:
@@ -194,9 +196,9 @@ def _all_occurrences(
 # --- rename ----------------------------------------------------------------------------------------------------------
 
 
-def renamable_name(workspace: Workspace, document: OpenDocument, offset: int) -> NameOccurrence:
+def find_renamable_name(workspace: Workspace, document: OpenDocument, offset: int) -> NameOccurrence:
     """Return the renamable name at an offset. Raises RenameRefused when there is none."""
-    occurrence = occurrence_at(document, offset)
+    occurrence = find_occurrence_at(document, offset)
     if occurrence is None:
         raise RenameRefused("there is no name here")
     occurrence = replace(occurrence, key=resolve_key(workspace, document, occurrence.key))
@@ -208,26 +210,26 @@ def renamable_name(workspace: Workspace, document: OpenDocument, offset: int) ->
     return occurrence
 
 
-def rename_symbol(workspace: Workspace, document: OpenDocument, offset: int, new: str) -> list[NameLocation]:
+def rename_symbol(workspace: Workspace, document: OpenDocument, offset: int, new_name: str) -> list[NameLocation]:
     """Return all positions that a new name must be written to. Names that `take` and `give` bind together are renamed
     together."""
-    first = renamable_name(workspace, document, offset)
-    if not _NAME_PATTERN.fullmatch(new) or len(new) > limits.MAX_NAME_CHARACTERS:
-        raise RenameRefused(f"`{new[:80]}` is no name: small letters, digits and `_`, beginning with a letter")
-    called = first.key[0] == "behaviour" and (new in vocabulary.BUILTINS_BY_NAME or new in vocabulary.REDUCER_HELP)
-    if new in _RESERVED_NAMES or new in keywords() or called or _is_built_in(first.key, new):
-        raise RenameRefused(f"`{new}` is a word of the language")
-    keys = _jointly_bound_keys(
-        workspace, document, {resolve_key(workspace, document, each.key) for each in _occurrences_at(document, offset)}
+    first = find_renamable_name(workspace, document, offset)
+    if not _NAME_PATTERN.fullmatch(new_name) or len(new_name) > limits.MAX_NAME_CHARACTERS:
+        raise RenameRefused(f"`{new_name[:80]}` is no name: small letters, digits and `_`, beginning with a letter")
+    called = first.key[0] == "behaviour" and (new_name in vocabulary.BUILTINS_BY_NAME or new_name in vocabulary.REDUCER_HELP)
+    if new_name in _RESERVED_NAMES or new_name in list_keywords() or called or _is_built_in(first.key, new_name):
+        raise RenameRefused(f"`{new_name}` is a word of the language")
+    keys = _find_jointly_bound_keys(
+        workspace, document, {resolve_key(workspace, document, each.key) for each in _find_occurrences_at(document, offset)}
     )
     occurrences = {
-        (other.path, other.start(each.span)): (other, each) for other, each in _all_occurrences(workspace, document, keys)
+        (other.path, other.start(each.span)): (other, each) for other, each in _find_all_occurrences(workspace, document, keys)
     }
     for key in keys:
         place = find_declaration(workspace, document, key)
         if place is not None and not _is_own_file(workspace, place[0].path):
             raise RenameRefused(f"`{first.span.text}` belongs to the library, which cannot be changed here")
-        _refuse_collision(workspace, document, key, new)
+        _refuse_collision(workspace, document, key, new_name)
     return [NameLocation(other, each.span) for other, each in occurrences.values()]
 
 
@@ -238,17 +240,17 @@ def _is_own_file(workspace: Workspace, path: Path) -> bool:
     return not inside or any(path.is_relative_to(root) for root in workspace.roots)
 
 
-def _is_built_in(key: NameKey, new: str) -> bool:
+def _is_built_in(key: NameKey, new_name: str) -> bool:
     if key[0] in ("own", "let", "machine"):
-        return new in vocabulary.BUILTIN_ATTRIBUTE_BY_NAME
-    return key[0] == "attribute" and (new in vocabulary.ITEM_ATTRIBUTE_TYPES or new in vocabulary.HIT_ATTRIBUTE_TYPES)
+        return new_name in vocabulary.BUILTIN_ATTRIBUTE_BY_NAME
+    return key[0] == "attribute" and (new_name in vocabulary.ITEM_ATTRIBUTE_TYPES or new_name in vocabulary.HIT_ATTRIBUTE_TYPES)
 
 
-def _jointly_bound_keys(workspace: Workspace, document: OpenDocument, keys: set[NameKey]) -> set[NameKey]:
+def _find_jointly_bound_keys(workspace: Workspace, document: OpenDocument, keys: set[NameKey]) -> set[NameKey]:
     """Return the keys that are renamed together with `keys`. `take 1 load from meal` names the animal's `load` and the food's at
     once: if one is renamed, so is the other."""
     pairs: list[set[NameKey]] = []
-    for path in workspace.related_files(document.path):
+    for path in workspace.find_related_files(document.path):
         other = workspace.document(path)
         by_place: dict[int, set[NameKey]] = {}
         for each in other.occurrences if other is not None else ():
@@ -263,33 +265,33 @@ def _jointly_bound_keys(workspace: Workspace, document: OpenDocument, keys: set[
     return keys
 
 
-def _refuse_collision(workspace: Workspace, document: OpenDocument, key: NameKey, new: str) -> None:
+def _refuse_collision(workspace: Workspace, document: OpenDocument, key: NameKey, new_name: str) -> None:
     """Raise RenameRefused for a name that is already in use in the scope of the renamed one, or that would hide it."""
-    rivals: set[NameKey] = {(*key[:-1], new)}
+    rivals: set[NameKey] = {(*key[:-1], new_name)}
     if key[0] in ("own", "let", "machine"):
-        rivals |= {("own", key[1], new), ("machine", key[1], new)}
+        rivals |= {("own", key[1], new_name), ("machine", key[1], new_name)}
     if key[0] in ("thing", "field", "species", "event"):
-        rivals |= {(kind, new) for kind in ("thing", "field", "species", "event")}
+        rivals |= {(kind, new_name) for kind in ("thing", "field", "species", "event")}
     hiding = key[0] in ("thing", "field", "species", "event", "own", "let", "element", "inner")
-    for path in {*workspace.related_files(document.path), *([Path(key[1])] if key[0] in ("behaviour", "inner") else [])}:
+    for path in {*workspace.find_related_files(document.path), *([Path(key[1])] if key[0] in ("behaviour", "inner") else [])}:
         other = workspace.document(path)
         if other is None:
             continue
-        names = other.names.declared if other.is_program else {}
+        names = other.names.declaration_by_key if other.is_program else {}
         for rival_key in rivals:
-            if rival_key in names or (rival_key[0] == "scene-item" and not other.is_program and new in other.scene.items):
-                raise RenameRefused(f"there is a `{new}` already: {other.path.name}")
+            if rival_key in names or (rival_key[0] == "scene-item" and not other.is_program and new_name in other.scene.items):
+                raise RenameRefused(f"there is a `{new_name}` already: {other.path.name}")
         if not (hiding and other.is_program):
             continue
         for each in names:
             if (
-                each[-1] == new
+                each[-1] == new_name
                 and each[0] in ("own", "let", "inner", "thing", "field", "species", "event")
                 and _share_scope(key, each)
             ):
-                raise RenameRefused(f"`{new}` already exists and would be used instead: {other.path.name}")
-        if any(each.key[0] == "element" and each.span.text == new for each in other.occurrences):
-            raise RenameRefused(f"a local `{new}` in {other.path.name} would hide it")
+                raise RenameRefused(f"`{new_name}` already exists and would be used instead: {other.path.name}")
+        if any(each.key[0] == "element" and each.span.text == new_name for each in other.occurrences):
+            raise RenameRefused(f"a local `{new_name}` in {other.path.name} would hide it")
 
 
 def _share_scope(key: NameKey, other: NameKey) -> bool:

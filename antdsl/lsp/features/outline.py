@@ -7,9 +7,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
-from antdsl.lsp.language import MEMBER_WORDS
+from antdsl.lsp.word_help import MEMBER_WORDS
 from antdsl.lsp.workspace import OpenDocument
-from antdsl.program.names.declared import declaration
+from antdsl.program.names.file_declarations import find_declaring_node
 from antdsl.scene.document import DocumentNode, MappingNode, ScalarNode, SequenceNode
 from antdsl.source import Span
 from antdsl.syntax import nodes
@@ -27,17 +27,17 @@ class OutlineSymbol:
     span: Span  # all of it
     name_span: Span
     detail: str = ""
-    inner: list[OutlineSymbol] = field(default_factory=list)
+    children: list[OutlineSymbol] = field(default_factory=list)
 
 
-def symbols(document: OpenDocument) -> list[OutlineSymbol]:
+def list_symbols(document: OpenDocument) -> list[OutlineSymbol]:
     """Return the symbols of a program or a scene, in text order."""
     if not document.is_program:
-        return list(_key_symbols(document.scene.document)) if document.scene.document is not None else []
-    return [symbol for item in document.parsed[0].items if (symbol := _item_symbol(item)) is not None]
+        return list(_list_key_symbols(document.scene.document)) if document.scene.document is not None else []
+    return [symbol for item in document.parsed[0].items if (symbol := _make_item_symbol(item)) is not None]
 
 
-def _item_symbol(item: Any) -> OutlineSymbol | None:
+def _make_item_symbol(item: Any) -> OutlineSymbol | None:
     """Return the symbol of a top-level item; None if it has none."""
     if isinstance(item, nodes.World):
         inner = [OutlineSymbol(each.name.text, "thing", each.span, each.name.span, each.kind.text) for each in item.items]
@@ -52,14 +52,16 @@ def _item_symbol(item: Any) -> OutlineSymbol | None:
         name = item.library or item.alias
         return OutlineSymbol(name.text, "file", item.span, name.span, "use") if name is not None else None
     if isinstance(item, nodes.Species):
-        return OutlineSymbol(item.name.text, "species", item.span, item.name.span, "species", list(_member_symbols(item.members)))
+        return OutlineSymbol(
+            item.name.text, "species", item.span, item.name.span, "species", list(_list_member_symbols(item.members))
+        )
     return None
 
 
-def _member_symbols(members: Any) -> Iterator[OutlineSymbol]:
+def _list_member_symbols(members: Any) -> Iterator[OutlineSymbol]:
     """Yield the symbols of a species' or machine's members."""
     for member in members:
-        declared = declaration(member)
+        declared = find_declaring_node(member)
         if declared is not None:
             kind = {nodes.ParamDecl: "param", nodes.Declaration: "attribute"}.get(type(member), "value")
             word = MEMBER_WORDS.get(type(member), "")
@@ -70,7 +72,7 @@ def _member_symbols(members: Any) -> Iterator[OutlineSymbol]:
             )
         elif isinstance(member, nodes.Machine):
             yield OutlineSymbol(
-                member.name.text, "machine", member.span, member.name.span, "machine", list(_member_symbols(member.members))
+                member.name.text, "machine", member.span, member.name.span, "machine", list(_list_member_symbols(member.members))
             )
         elif isinstance(member, nodes.Layers):
             yield OutlineSymbol(
@@ -82,21 +84,21 @@ def _member_symbols(members: Any) -> Iterator[OutlineSymbol]:
             yield OutlineSymbol(member.name.text, "attribute", member.span, member.name.span)
 
 
-def _key_symbols(node: DocumentNode) -> Iterator[OutlineSymbol]:
+def _list_key_symbols(node: DocumentNode) -> Iterator[OutlineSymbol]:
     """Yield the keys of a scene's mapping, with the keys inside them."""
     if isinstance(node, MappingNode):
         for key, value in node.entries.items():
             span = node.keys[key]
             entry_span = Span(span.source, span.start, max(span.end, value.span.end))
             detail = value.text if isinstance(value, ScalarNode) else ""
-            yield OutlineSymbol(key, "key", entry_span, span, detail[:60], list(_key_symbols(value)))
+            yield OutlineSymbol(key, "key", entry_span, span, detail[:60], list(_list_key_symbols(value)))
     elif isinstance(node, SequenceNode):
         for item in node.items:
             if isinstance(item, MappingNode):
                 name = next((item.entries[k] for k in ("species",) if k in item.entries), None)
                 text = name.text if isinstance(name, ScalarNode) else "…"
                 first = Span(item.span.source, item.span.start, item.span.start + 1)
-                yield OutlineSymbol(text, "key", item.span, first, "", list(_key_symbols(item)))
+                yield OutlineSymbol(text, "key", item.span, first, "", list(_list_key_symbols(item)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,32 +107,32 @@ class FoldedRange:
 
     first: int
     last: int
-    comment: bool = False
+    is_comment: bool = False
 
 
-def folds(document: OpenDocument) -> list[FoldedRange]:
+def find_folds(document: OpenDocument) -> list[FoldedRange]:
     """Return the foldable ranges: brackets over several lines and runs of comments in a program, or values below keys in a
     scene."""
     if not document.is_program:
-        return _scene_folds(document)
+        return _find_scene_folds(document)
     text, all_folds, stack = document.text, [], []
     comments: list[int] = []
     for piece in _PIECE_PATTERN.finditer(text.text):
         sign = piece.group()
         if sign[0] == "#":
-            line = text.place(piece.start())[0]
-            if not text.line(line)[: piece.start() - text.starts[line]].strip():
+            line = text.find_line_column(piece.start())[0]
+            if not text.line(line)[: piece.start() - text.line_starts[line]].strip():
                 comments.append(line)
         elif sign in "{([":
             stack.append(piece.start())
         elif sign in "})]" and stack:
-            first, last = text.place(stack.pop())[0], text.place(piece.start())[0]
+            first, last = text.find_line_column(stack.pop())[0], text.find_line_column(piece.start())[0]
             if last > first + 1:
                 all_folds.append(FoldedRange(first, last - 1))
-    return sorted([*all_folds, *_run_folds(comments)], key=lambda fold: (fold.first, -fold.last))
+    return sorted([*all_folds, *_fold_line_runs(comments)], key=lambda fold: (fold.first, -fold.last))
 
 
-def _run_folds(lines: list[int]) -> Iterator[FoldedRange]:
+def _fold_line_runs(lines: list[int]) -> Iterator[FoldedRange]:
     """Yield a range for each run of at least two consecutive comment lines."""
     first = None
     for number, line in enumerate(lines):
@@ -141,13 +143,13 @@ def _run_folds(lines: list[int]) -> Iterator[FoldedRange]:
             first = None
 
 
-def _scene_folds(document: OpenDocument) -> list[FoldedRange]:
+def _find_scene_folds(document: OpenDocument) -> list[FoldedRange]:
     folds_by_line: dict[int, FoldedRange] = {}
-    stack = list(symbols(document))
+    stack = list(list_symbols(document))
     while stack:
         symbol = stack.pop()
         (first, _), (last, _) = document.range(symbol.span)
         if last > first:
             folds_by_line.setdefault(first, FoldedRange(first, last))
-        stack += symbol.inner
+        stack += symbol.children
     return [folds_by_line[line] for line in sorted(folds_by_line)]

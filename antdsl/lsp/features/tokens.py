@@ -32,18 +32,18 @@ _PIECE_PATTERN = re.compile(
 
 
 @lru_cache(maxsize=1)
-def keywords() -> frozenset[str]:
+def list_keywords() -> frozenset[str]:
     """Return the words that are part of the grammar."""
     text = grammar_file("antdsl.lark").read_text(encoding="utf-8")
     return frozenset(re.findall(r"^_?[A-Z]+\.1: /([a-z]+)\(", text, re.MULTILINE))
 
 
-def tokens(document: OpenDocument, first: int = 0, last: int | None = None) -> list[int]:
+def encode_tokens(document: OpenDocument, first_line: int = 0, last_line: int | None = None) -> list[int]:
     """Return the tokens of some lines in the protocol's form: five numbers each, positions relative to the previous token."""
-    text, words = document.text, keywords()
-    begin = text.starts[min(first, len(text.starts) - 1)]
-    end = len(text.text) if last is None or last + 1 >= len(text.starts) else text.starts[last + 1]
-    known = document.index.meanings
+    text, words = document.text, list_keywords()
+    begin = text.line_starts[min(first_line, len(text.line_starts) - 1)]
+    end = len(text.text) if last_line is None or last_line + 1 >= len(text.line_starts) else text.line_starts[last_line + 1]
+    known = document.index.meaning_by_offset
     data: list[int] = []
     line, column = 0, 0
     for piece in _PIECE_PATTERN.finditer(text.text, begin, end):
@@ -57,11 +57,11 @@ def tokens(document: OpenDocument, first: int = 0, last: int | None = None) -> l
                 kind = "keyword"
             else:
                 continue
-        at, where = text.place(piece.start())
+        at, where = text.find_line_column(piece.start())
         data += [
             at - line,
             where - column if at == line else where,
-            text.units(piece.group()),
+            text.count_columns(piece.group()),
             TOKEN_TYPES.index(kind),
             modifiers,
         ]

@@ -1,14 +1,14 @@
 """Kernels: loops over arrays that are written in a subset of Python and run as machine code.
 
 `@kernel` marks a function that is called with arrays. `@inlined` and `@called` mark functions that kernels call, for any types. A
-function is parsed (`ast`) and translated to typed instructions (`statements`, `expressions`, `side_by_side`), once for the types
+function is parsed (`ast`) and translated to typed instructions (`statements`, `expressions`, `simd_loops`), once for the types
 of its annotations. The instructions define its meaning: `ir` verifies them, and `rendering` writes them in LLVM's language. The
 interpreter of the tests runs them one iteration after another. `operations` has the table of all operations.
 
 The subset has i64, u64, float64, float32 and bool; tuples; records; and arrays of one to three axes, read and written by index.
-It has `for` over `range`, `independent`, arrays and tuples; `while`, `if`, `break`, `continue`, `return`; and the functions of
-`functions`. Loops over `range` of up to four constants are unrolled. `independent(begin, end)` states that no iteration reads
-what another one writes. Eight iterations then run in the lanes of a register.
+It has `for` over `range`, `simd_range`, arrays and tuples; `while`, `if`, `break`, `continue`, `return`; and the functions of
+`kernel_functions`. Loops over `range` of up to four constants are unrolled. `simd_range(begin, end)` states that no iteration
+reads what another one writes. Eight iterations then run in the lanes of a register.
 
 A record is a `typing.NamedTuple` class of a module, with fields of kernel types. Like a tuple, it can be a parameter (the
 annotation names the class), a variable, an argument and a result. `grid.first[cell]` reads a field. `Hit(face, distance=0)`
@@ -31,24 +31,25 @@ Semantics, where Python or NumPy might give a different result:
 - Casts of floats to integers truncate and saturate; NaN becomes 0.
 - `min(a, b)` is `b if b < a else a`, `max(a, b)` is `b if b > a else a`. So the result is `a` if one is NaN or both are zeros.
 - An index is at least 0 and below the length of its axis. The interpreter and the checked build report other indices.
-- In an `independent` loop, an index may be loop-invariant, or the iteration's number plus a loop-invariant number. Such an index
+- In an `simd_range` loop, an index may be loop-invariant, or the iteration's number plus a loop-invariant number. Such an index
   must be in range for inactive lanes too.
-- Reading a variable or an element of `scratch` before anything was stored to it is an error that only the interpreter reports."""
+- Reading a variable or an element of `allocate_scratch` before anything was stored to it is an error that only the interpreter
+  reports."""
 
 from antdsl.machine_code.kernels.checks import KernelFault
-from antdsl.machine_code.kernels.functions import (
-    as_bits,
-    as_float,
-    fetch_ahead,
-    independent,
-    load_consecutive,
-    nearest_integer,
-    put_three,
-    scratch,
-    three,
-)
 from antdsl.machine_code.kernels.ir import NotInSubset
-from antdsl.machine_code.kernels.kernel import called, inlined, kernel
+from antdsl.machine_code.kernels.kernel import inlined, kernel, kernel_helper
+from antdsl.machine_code.kernels.kernel_functions import (
+    allocate_scratch,
+    bits_to_float,
+    float_to_bits,
+    load3,
+    load_consecutive,
+    prefetch,
+    round_to_int,
+    simd_range,
+    store3,
+)
 from antdsl.machine_code.kernels.types import BOOL, F32, F64, I8, I16, I32, I64, U8, U32, U64, Array1, Array2, Array3, Strided2
 
 __all__ = [
@@ -68,16 +69,16 @@ __all__ = [
     "KernelFault",
     "NotInSubset",
     "Strided2",
-    "as_bits",
-    "as_float",
-    "called",
-    "fetch_ahead",
-    "independent",
+    "allocate_scratch",
+    "bits_to_float",
+    "float_to_bits",
     "inlined",
     "kernel",
+    "kernel_helper",
+    "load3",
     "load_consecutive",
-    "nearest_integer",
-    "put_three",
-    "scratch",
-    "three",
+    "prefetch",
+    "round_to_int",
+    "simd_range",
+    "store3",
 ]  # fmt: skip

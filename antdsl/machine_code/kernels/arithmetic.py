@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from antdsl.machine_code.kernels.types import DOUBLE, FLOAT, INT, LLVM_TYPE_BY_KIND, TRUTH, UNSIGNED
-from antdsl.machine_code.kernels.values import Number, constant
+from antdsl.machine_code.kernels.values import Number, literal_number
 from antdsl.machine_code.kernels.vectors import Vectors
-from antdsl.machine_code.kinds import LANE_COUNT
+from antdsl.machine_code.number_kinds import LANE_COUNT
 
 _PYTHON_OPERATORS: dict[type[ast.operator], Callable[[int, int], int]] = {
     ast.Add: lambda a, b: a + b, ast.Sub: lambda a, b: a - b, ast.Mult: lambda a, b: a * b, ast.FloorDiv: lambda a, b: a // b,
@@ -28,7 +28,7 @@ class ArithmeticEmitter(Vectors[Number]):
     """Writer of operations on numbers."""
 
     mask: Number | None = None  # the active iterations; None if code for one iteration is written
-    reached: Number | None = None  # a mask that holds for at least one iteration while it is `mask`
+    reached_mask: Number | None = None  # a mask that holds for at least one iteration while it is `mask`
 
     def any_lane(self, mask: Number) -> Number:
         """Return whether a mask holds for at least one iteration."""
@@ -36,13 +36,13 @@ class ArithmeticEmitter(Vectors[Number]):
         return self.op("ne", TRUTH, bits, Number(bits.kind, "0"))
 
     @property
-    def is_reached(self) -> bool:
+    def is_always_reached(self) -> bool:
         """Return whether the current code is certain to run for at least one iteration."""
-        return self.mask is None or self.mask.known is not None or self.mask is self.reached
+        return self.mask is None or self.mask.known is not None or self.mask is self.reached_mask
 
     def active_mask(self) -> Number | None:
         """Return a condition: whether the current code runs for at least one iteration. None if it always does."""
-        return None if self.mask is None or self.is_reached else self.any_lane(self.mask)
+        return None if self.mask is None or self.is_always_reached else self.any_lane(self.mask)
 
     def named_number(self, kind: str, name: str, lanes: int = 1, known: Any = None) -> Number:
         return Number(kind, name, known, lanes)
@@ -52,7 +52,7 @@ class ArithmeticEmitter(Vectors[Number]):
         if value.kind == kind:
             return value
         if value.known is not None and not value.wide and kind in (DOUBLE, INT, UNSIGNED) and value.kind != DOUBLE:
-            literal = constant(float(value.known) if kind == DOUBLE else int(value.known))
+            literal = literal_number(float(value.known) if kind == DOUBLE else int(value.known))
             return Number(kind, literal.name, literal.known if kind == DOUBLE else wrap_integer(int(value.known), kind))
         source, target = value.base, LLVM_TYPE_BY_KIND[kind]
         if kind == TRUTH:
@@ -69,9 +69,9 @@ class ArithmeticEmitter(Vectors[Number]):
             return self.op("fpext" if kind == DOUBLE else "fptrunc", kind, value)
         return self.op("fptoui" if kind == UNSIGNED else "fptosi", kind, value)
 
-    def alike(self, a: Number, b: Number) -> tuple[Number, Number]:
+    def match_lanes(self, a: Number, b: Number) -> tuple[Number, Number]:
         """Return both numbers, broadcast to all lanes if one of them has several lanes."""
-        return (self.widened(a), self.widened(b)) if a.wide or b.wide else (a, b)
+        return (self.broadcast(a), self.broadcast(b)) if a.wide or b.wide else (a, b)
 
     def to_float(self, value: Number) -> Number:
         return value if value.kind in (DOUBLE, FLOAT) else self.convert(value, DOUBLE)
@@ -81,9 +81,9 @@ class ArithmeticEmitter(Vectors[Number]):
 
         Raises NotInSubset for a float32 with another type, or for a literal that float32 cannot represent."""
         if FLOAT in (a.kind, b.kind) and TRUTH not in (a.kind, b.kind):
-            a, b = self._as_float32(a), self._as_float32(b)
+            a, b = self._to_float32(a), self._to_float32(b)
         kinds = {a.kind, b.kind}
-        a, b = self.alike(a, b)
+        a, b = self.match_lanes(a, b)
         if len(kinds) == 1:
             return (a, b) if a.kind != TRUTH else (self.convert(a, INT), self.convert(b, INT))
         if kinds <= {INT, UNSIGNED, TRUTH}:
@@ -94,7 +94,7 @@ class ArithmeticEmitter(Vectors[Number]):
             kind = FLOAT if kinds == {FLOAT, TRUTH} else DOUBLE
         return self.convert(a, kind), self.convert(b, kind)
 
-    def _as_float32(self, value: Number) -> Number:
+    def _to_float32(self, value: Number) -> Number:
         """Return a literal as float32. Raises NotInSubset if float32 does not have this number."""
         if value.kind == FLOAT:
             return value
@@ -103,21 +103,21 @@ class ArithmeticEmitter(Vectors[Number]):
         single = np.float32(value.known)
         if float(single) != value.known and value.known == value.known:
             self.fail(self.node, f"float32 has no {value.known}: write `np.float32({value.known})`")
-        literal = constant(single)
-        return self.widened(literal) if value.wide else literal
+        literal = literal_number(single)
+        return self.broadcast(literal) if value.wide else literal
 
-    def as_kind(self, value: Number, kind: str) -> Number:
+    def to_kind(self, value: Number, kind: str) -> Number:
         """Convert a number to a kind. Raises NotInSubset for a literal that the kind would change."""
         if value.kind == kind or value.known is None:
             return self.convert(value, kind)
         if kind == FLOAT:
-            return self._as_float32(value)
+            return self._to_float32(value)
         converted_number = self.convert(value, kind) if value.kind != DOUBLE else None
         if converted_number is None or converted_number.known not in (None, value.known):
             self.fail(self.node, f"{value.known} is no number of type {kind}")
         return converted_number
 
-    def arithmetic(self, node: ast.AST, operator: ast.operator, a: Number, b: Number) -> Number:
+    def apply_operator(self, node: ast.AST, operator: ast.operator, a: Number, b: Number) -> Number:
         """Return the result of a Python operator for two numbers. Operations on literals give a literal."""
         word = type(operator)
         folded = not (a.wide or b.wide)
@@ -128,9 +128,9 @@ class ArithmeticEmitter(Vectors[Number]):
             and word in _PYTHON_OPERATORS
             and DOUBLE not in (a.kind, b.kind)
         ):
-            return self._fold(node, word, a, b)
+            return self._fold_literals(node, word, a, b)
         if a.kind == b.kind == TRUTH and word in (ast.BitAnd, ast.BitOr, ast.BitXor):
-            return self.op(_INTEGER_OPCODES[word], TRUTH, *self.alike(a, b))
+            return self.op(_INTEGER_OPCODES[word], TRUTH, *self.match_lanes(a, b))
         if word is ast.Div:
             a, b = self.to_float(a), self.to_float(b)
         first = self._first_lane_sum(word, a, b)
@@ -140,7 +140,7 @@ class ArithmeticEmitter(Vectors[Number]):
                 self.fail(node, "no such operation of floats")
             return self.op(_FLOAT_OPCODES[word], a.kind, a, b)
         if word in _SHIFT_OPERATORS:
-            return self._shift(node, word, a, b)
+            return self._apply_shift(node, word, a, b)
         if word in _INTEGER_OPCODES:
             result = self.op(_INTEGER_OPCODES[word], a.kind, a, b)
             return Number(result.kind, result.name, None, result.lanes, first)
@@ -148,7 +148,7 @@ class ArithmeticEmitter(Vectors[Number]):
             self.fail(node, "no such operation of whole numbers")
         return self._divide(node, word is ast.Mod, a, b)
 
-    def _fold(self, node: ast.AST, word: type[ast.operator], a: Number, b: Number) -> Number:
+    def _fold_literals(self, node: ast.AST, word: type[ast.operator], a: Number, b: Number) -> Number:
         """Return the result of an operation on two integer literals, as an integer literal."""
         kind = UNSIGNED if UNSIGNED in (a.kind, b.kind) else INT
         try:
@@ -157,18 +157,18 @@ class ArithmeticEmitter(Vectors[Number]):
             self.fail(node, f"{problem}")
         if kind == INT and value not in _INT64_RANGE:
             self.fail(node, f"{value} is no whole number of 64 bits: write `np.uint64(…)` of an operand for one without a sign")
-        return Number(kind, constant(wrap_integer(value, kind)).name, wrap_integer(value, kind))
+        return Number(kind, literal_number(wrap_integer(value, kind)).name, wrap_integer(value, kind))
 
-    def _shift(self, node: ast.AST, word: type[ast.operator], a: Number, b: Number) -> Number:
+    def _apply_shift(self, node: ast.AST, word: type[ast.operator], a: Number, b: Number) -> Number:
         """Return a shifted number. Shift counts are taken modulo 64."""
         if b.known is None:
-            b = self.op("and", b.kind, b, self.alike(constant(63), b)[0])
+            b = self.op("and", b.kind, b, self.match_lanes(literal_number(63), b)[0])
         elif not 0 <= b.known < 64:
             self.fail(node, "numbers are shifted by 0 to 63 bits")
         return self.op("shl" if word is ast.LShift else "lshr" if a.kind == UNSIGNED else "ashr", a.kind, a, b)
 
-    def _divide(self, node: ast.AST, is_rest: bool, a: Number, b: Number) -> Number:
-        """Return the quotient of two integers, rounded down, or with `is_rest` the remainder.
+    def _divide(self, node: ast.AST, is_remainder: bool, a: Number, b: Number) -> Number:
+        """Return the quotient of two integers, rounded down, or with `is_remainder` the remainder.
 
         The checked build reports division by 0; other builds divide by 1 instead. They also divide by 1 for the least integer by
         -1, which wraps around."""
@@ -176,30 +176,32 @@ class ArithmeticEmitter(Vectors[Number]):
             self.fail(node, "division by 0")
         if b.known is None:
             counts = None if b.wide else self.active_mask()
-            checked = b if counts is None else self.select(counts, b, self.convert(constant(1), b.kind))
+            checked = b if counts is None else self.select(counts, b, self.convert(literal_number(1), b.kind))
             self.do("divisor", checked, *([self.mask] if b.wide and self.mask is not None else []), node=node)
-            without = self.compare("eq", b, constant(0))
+            without = self.compare("eq", b, literal_number(0))
             if a.kind == INT and (a.known is None or a.known == _INT64_RANGE[0]):
-                both = self.logical_and(self.compare("eq", b, constant(-1)), self.compare("eq", a, constant(_INT64_RANGE[0])))
-                without = self.op("or", TRUTH, *self.alike(without, both))
-            b = self.select(without, self.convert(constant(1), b.kind), b)
+                both = self.logical_and(
+                    self.compare("eq", b, literal_number(-1)), self.compare("eq", a, literal_number(_INT64_RANGE[0]))
+                )
+                without = self.op("or", TRUTH, *self.match_lanes(without, both))
+            b = self.select(without, self.convert(literal_number(1), b.kind), b)
         elif b.known == -1:
-            return self.negate(a) if not is_rest else self.op("sub", a.kind, a, a)
+            return self.negate(a) if not is_remainder else self.op("sub", a.kind, a, a)
         if a.kind == UNSIGNED:
-            return self.op("urem" if is_rest else "udiv", a.kind, a, b)
+            return self.op("urem" if is_remainder else "udiv", a.kind, a, b)
         rest = self.op("srem", INT, a, b)
-        other = self.compare("lt", self.op("xor", INT, rest, b), constant(0))
-        down = self.op("and", TRUTH, other, self.compare("ne", rest, constant(0)))
-        if is_rest:
-            return self.op("add", INT, rest, self.select(down, b, constant(0)))
+        other = self.compare("lt", self.op("xor", INT, rest, b), literal_number(0))
+        down = self.op("and", TRUTH, other, self.compare("ne", rest, literal_number(0)))
+        if is_remainder:
+            return self.op("add", INT, rest, self.select(down, b, literal_number(0)))
         return self.op("sub", INT, self.op("sdiv", INT, a, b), self.convert(down, INT))
 
     def logical_and(self, a: Number, b: Number) -> Number:
         """Return whether both conditions hold."""
         for one, other in ((a, b), (b, a)):
             if one.known is not None:
-                return other if one.known else constant(False)
-        return self.op("and", TRUTH, *self.alike(a, b))
+                return other if one.known else literal_number(False)
+        return self.op("and", TRUTH, *self.match_lanes(a, b))
 
     def _first_lane_sum(self, word: type[ast.operator], a: Number, b: Number) -> Number | None:
         """Return the sum or difference in the first lane, or None. One operand must grow by one per iteration, the other be
@@ -215,7 +217,7 @@ class ArithmeticEmitter(Vectors[Number]):
         if a.known is not None and not a.wide:
             if a.kind == INT and a.known == _INT64_RANGE[0]:
                 self.fail(self.node, f"{-a.known} is no whole number of 64 bits")
-            return constant(-a.known)
+            return literal_number(-a.known)
         if a.kind in (DOUBLE, FLOAT):
             return self.op("fneg", a.kind, a)
         a = self.convert(a, INT)
@@ -226,7 +228,7 @@ class ArithmeticEmitter(Vectors[Number]):
         if a.known is not None and b.known is not None and not (a.wide or b.wide):
             x, y = a.known, b.known
             held = {"lt": x < y, "le": x <= y, "gt": x > y, "ge": x >= y, "eq": x == y, "ne": x != y}
-            return constant(held[word])
+            return literal_number(held[word])
         a, b = self.match_kinds(a, b)
         if a.kind in (DOUBLE, FLOAT):
             return self.op(f"f{word}", TRUTH, a, b)
@@ -237,9 +239,9 @@ class ArithmeticEmitter(Vectors[Number]):
         """Return `then` in lanes where the condition holds, and `other` elsewhere."""
         if condition.known is not None:
             return then if condition.known else other
-        then, other = self.match_kinds(then, other) if then.kind != other.kind else self.alike(then, other)
+        then, other = self.match_kinds(then, other) if then.kind != other.kind else self.match_lanes(then, other)
         if condition.wide:
-            then, other = self.widened(then), self.widened(other)
+            then, other = self.broadcast(then), self.broadcast(other)
         return self.op("select", then.kind, condition, then, other, lanes=then.lanes)
 
 

@@ -10,28 +10,36 @@ from itertools import pairwise
 from types import ModuleType
 from typing import Any, NoReturn
 
-from antdsl.machine_code.kernels.elements import ElementAccess
-from antdsl.machine_code.kernels.functions import EMITTER_BY_FUNCTION, fetch_ahead, load_consecutive, put_three, scratch, three
+from antdsl.machine_code.kernels.element_access import ElementAccess
 from antdsl.machine_code.kernels.ir import MAX_CONSECUTIVE_ELEMENTS
+from antdsl.machine_code.kernels.kernel_functions import (
+    EMITTER_BY_FUNCTION,
+    allocate_scratch,
+    load3,
+    load_consecutive,
+    prefetch,
+    store3,
+)
+from antdsl.machine_code.kernels.kernel_unit import KernelUnit
 from antdsl.machine_code.kernels.records import field_types, is_record, rebuild_like
 from antdsl.machine_code.kernels.types import DOUBLE, FLOAT, INT, TRUTH, UNSIGNED, ArrayType, ScalarType
-from antdsl.machine_code.kernels.units import KernelUnit
-from antdsl.machine_code.kernels.values import Array, KernelItem, Number, constant, leaves
+from antdsl.machine_code.kernels.values import Array, KernelItem, Number, flatten_item, literal_number
 
 _COMPARISON_WORDS = {ast.Lt: "lt", ast.LtE: "le", ast.Gt: "gt", ast.GtE: "ge", ast.Eq: "eq", ast.NotEq: "ne"}
 
 
 class ExpressionEmitter(ElementAccess):
-    """Writer of Python expressions. `variables` has the value of each local name, `world` the names of the function's module."""
+    """Writer of Python expressions. `variables` has the value of each local name, `module_names` the names of the function's
+    module."""
 
-    world: dict[str, Any]
+    module_names: dict[str, Any]
     unit: KernelUnit
 
     def lookup_name(self, name: str) -> Any:
         """Return the item of a name, without loading the variables in it."""
         raise NotImplementedError
 
-    def loaded(self, item: Any) -> KernelItem:
+    def load_variables(self, item: Any) -> KernelItem:
         """Return an item of `lookup_name` with the values of its variables loaded."""
         raise NotImplementedError
 
@@ -39,48 +47,48 @@ class ExpressionEmitter(ElementAccess):
         """Write the call of a kernel function, and return its result."""
         raise NotImplementedError
 
-    def number(self, node: ast.expr) -> Number:
+    def emit_number(self, node: ast.expr) -> Number:
         """Write an expression, and return its number. Raises NotInSubset for another item."""
         value = self.value(node)
         if not isinstance(value, Number):
             self.fail(node, "this must be a number")
         return value
 
-    def truth(self, node: ast.expr) -> Number:
+    def emit_condition(self, node: ast.expr) -> Number:
         """Write an expression, and return its number as a condition."""
-        value = self.number(node)
-        return constant(bool(value.known)) if value.known is not None else self.convert(value, TRUTH)
+        value = self.emit_number(node)
+        return literal_number(bool(value.known)) if value.known is not None else self.convert(value, TRUTH)
 
     def value(self, node: ast.expr) -> KernelItem:
         """Write an expression, and return its item. Raises NotInSubset for unsupported syntax."""
         match node:
             case ast.Constant(value=bool() | int() | float() as known):
-                return constant(known)
+                return literal_number(known)
             case ast.Name(id=name):
-                return self.loaded(self.lookup_name(name))
+                return self.load_variables(self.lookup_name(name))
             case ast.Tuple(elts=parts):
-                return tuple(item for each in parts for item in self._tuple_items(each))
+                return tuple(item for each in parts for item in self._emit_tuple_items(each))
             case ast.BinOp(left=left, op=operator, right=right):
-                return self.arithmetic(node, operator, self.number(left), self.number(right))
+                return self.apply_operator(node, operator, self.emit_number(left), self.emit_number(right))
             case ast.UnaryOp(op=operator, operand=operand):
-                return self._unary(node, operator, operand)
+                return self._emit_unary(node, operator, operand)
             case ast.Compare(left=left, ops=operators, comparators=others):
-                return self._comparison([left, *others], operators)
+                return self._emit_comparison([left, *others], operators)
             case ast.BoolOp(op=operator, values=parts):
-                return self._boolean(isinstance(operator, ast.And), parts)
+                return self._emit_boolean(isinstance(operator, ast.And), parts)
             case ast.IfExp(test=test, body=then, orelse=other):
-                return self._conditional(node, test, then, other)
+                return self._emit_conditional(node, test, then, other)
             case ast.Subscript(value=of, slice=index):
-                return self.loaded(self._index_item(node, self._unloaded_value(of), index))
+                return self.load_variables(self._emit_index(node, self._emit_unloaded(of), index))
             case ast.Attribute(value=of, attr=attribute):
-                return self.loaded(self._attribute(node, of, attribute))
+                return self.load_variables(self._emit_attribute(node, of, attribute))
             case ast.Call(func=ast.Attribute(value=of, attr="_replace")):
                 return self._replace_fields(node, self.value(of))
             case ast.Call(func=function, args=arguments):
-                return self._call(node, function, arguments)
+                return self._emit_call(node, function, arguments)
         self.fail(node, f"`{ast.unparse(node)}` is not in the subset")
 
-    def _tuple_items(self, node: ast.expr) -> Any:
+    def _emit_tuple_items(self, node: ast.expr) -> Any:
         """Return the items that an expression adds to a tuple."""
         if not isinstance(node, ast.Starred):
             return (self.value(node),)
@@ -89,29 +97,29 @@ class ExpressionEmitter(ElementAccess):
             self.fail(node, "only tuples and records are spread by `*`")
         return spread
 
-    def _unloaded_value(self, node: ast.expr) -> Any:
+    def _emit_unloaded(self, node: ast.expr) -> Any:
         """Return the value of an expression. For a part of a variable, return its unloaded address, so that the other parts are
         not loaded."""
         match node:
             case ast.Name(id=name):
                 return self.lookup_name(name)
             case ast.Attribute(value=of, attr=attribute):
-                return self._attribute(node, of, attribute)
+                return self._emit_attribute(node, of, attribute)
         return self.value(node)
 
-    def _unary(self, node: ast.expr, operator: ast.unaryop, operand: ast.expr) -> Number:
+    def _emit_unary(self, node: ast.expr, operator: ast.unaryop, operand: ast.expr) -> Number:
         if isinstance(operator, ast.Not):
-            value = self.truth(operand)
-            return constant(not value.known) if value.known is not None else self.invert(value)
-        value = self.number(operand)
+            value = self.emit_condition(operand)
+            return literal_number(not value.known) if value.known is not None else self.invert(value)
+        value = self.emit_number(operand)
         if isinstance(operator, ast.USub):
             return self.negate(value)
         if isinstance(operator, ast.Invert):
             return self.invert(self.convert(value, INT) if value.known is not None else value)
         self.fail(node, "no such operator")
 
-    def _comparison(self, parts: list[ast.expr], operators: list[ast.cmpop]) -> Number:
-        values = [self.number(part) for part in parts]
+    def _emit_comparison(self, parts: list[ast.expr], operators: list[ast.cmpop]) -> Number:
+        values = [self.emit_number(part) for part in parts]
         conjunction = None
         for (a, b), operator in zip(pairwise(values), operators, strict=True):
             if type(operator) not in _COMPARISON_WORDS:
@@ -121,45 +129,45 @@ class ExpressionEmitter(ElementAccess):
         assert conjunction is not None
         return conjunction
 
-    def _boolean(self, every: bool, parts: list[ast.expr]) -> Number:
-        """Return `and` (with `every`) or `or` of conditions. As in Python, later ones are evaluated only if needed."""
-        first = self.truth(parts[0])
-        if len(parts) == 1 or (first.known is not None and bool(first.known) != every):
+    def _emit_boolean(self, is_and: bool, parts: list[ast.expr]) -> Number:
+        """Return `and` (with `is_and`) or `or` of conditions. As in Python, later ones are evaluated only if needed."""
+        first = self.emit_condition(parts[0])
+        if len(parts) == 1 or (first.known is not None and bool(first.known) != is_and):
             return first
         if first.known is not None:
-            return self._boolean(every, parts[1:])
+            return self._emit_boolean(is_and, parts[1:])
         if self.mask is not None:
-            return self._boolean_wide(first, every, parts[1:])
-        place, rest, end = self.slot(TRUTH), self.label("more"), self.label("both")
-        self.put(place, first)
-        self.branch(first, *((rest, end) if every else (end, rest)))
+            return self._emit_boolean_lanes(first, is_and, parts[1:])
+        place, rest, end = self.allocate_slot(TRUTH), self.make_label("more"), self.make_label("both")
+        self.store_number(place, first)
+        self.branch(first, *((rest, end) if is_and else (end, rest)))
         self.begin(rest)
-        self.put(place, self._boolean(every, parts[1:]))
+        self.store_number(place, self._emit_boolean(is_and, parts[1:]))
         self.jump(end)
         self.begin(end)
         return self.load(place, TRUTH)
 
-    def _conditional(self, node: ast.expr, test: ast.expr, then: ast.expr, other: ast.expr) -> KernelItem:
+    def _emit_conditional(self, node: ast.expr, test: ast.expr, then: ast.expr, other: ast.expr) -> KernelItem:
         """Write `then if test else other`, which evaluates one of both."""
-        condition = self.truth(test)
+        condition = self.emit_condition(test)
         if condition.known is not None:
             return self.value(then if condition.known else other)
         if condition.wide:
-            return self._conditional_wide(node, condition, then, other)
-        yes, no, end = self.label("yes"), self.label("no"), self.label("chosen")
+            return self._emit_conditional_lanes(node, condition, then, other)
+        yes, no, end = self.make_label("yes"), self.make_label("no"), self.make_label("chosen")
         self.branch(condition, yes, no)
         self.begin(yes)
         first = self.value(then)
-        after_first = self.block_now
+        after_first = self.current_block
         self.begin(no)
         second = self.value(other)
-        pairs = list(zip(leaves(first), leaves(second), strict=True))
+        pairs = list(zip(flatten_item(first), flatten_item(second), strict=True))
         kinds = [a.kind if a.kind == b.kind else self._common_kind(a, b) for a, b in pairs]
         lanes = [max(a.lanes, b.lanes) for a, b in pairs]
-        slots = [self.slot(kind, each) for kind, each in zip(kinds, lanes, strict=True)]
+        slots = [self.allocate_slot(kind, each) for kind, each in zip(kinds, lanes, strict=True)]
         self._store_leaves(second, kinds, lanes, slots)
         self.jump(end)
-        self.block_now = after_first
+        self.current_block = after_first
         self._store_leaves(first, kinds, lanes, slots)
         self.jump(end)
         self.begin(end)
@@ -180,17 +188,17 @@ class ExpressionEmitter(ElementAccess):
 
     def _store_leaves(self, item: KernelItem, kinds: list[str], lanes: list[int], slots: list[Number]) -> None:
         """Store the numbers of an item in stack slots, converted to the kinds and lanes of the slots."""
-        for number, kind, each, place in zip(leaves(item), kinds, lanes, slots, strict=True):
+        for number, kind, each, place in zip(flatten_item(item), kinds, lanes, slots, strict=True):
             value = self.convert(number, kind)
-            self.put(place, self.widened(value) if each > 1 else value)
+            self.store_number(place, self.broadcast(value) if each > 1 else value)
 
     def invert(self, value: Number) -> Number:
         """Return the negation of a condition, or the bitwise complement of a number."""
         ones = Number(value.kind, "true" if value.kind == TRUTH else "-1")
-        return self.op("xor", value.kind, value, self.widened(ones) if value.wide else ones)
+        return self.op("xor", value.kind, value, self.broadcast(ones) if value.wide else ones)
 
     @contextmanager
-    def where(self, condition: Number) -> Iterator[None]:
+    def restrict_lanes(self, condition: Number) -> Iterator[None]:
         """Within the context, write code that runs only for the lanes for which a condition holds."""
         outer_mask = self.mask
         assert outer_mask is not None
@@ -198,20 +206,20 @@ class ExpressionEmitter(ElementAccess):
         yield
         self.mask = outer_mask
 
-    def _boolean_wide(self, first: Number, every: bool, parts: list[ast.expr]) -> Number:
-        """Write `and` (with `every`) or `or` of conditions, the first of which differs between lanes."""
-        first = self.widened(first)
-        with self.where(first if every else self.invert(first)):
-            rest = self._boolean(every, parts)
-        if every:
+    def _emit_boolean_lanes(self, first: Number, is_and: bool, parts: list[ast.expr]) -> Number:
+        """Write `and` (with `is_and`) or `or` of conditions, the first of which differs between lanes."""
+        first = self.broadcast(first)
+        with self.restrict_lanes(first if is_and else self.invert(first)):
+            rest = self._emit_boolean(is_and, parts)
+        if is_and:
             return self.logical_and(first, rest)
-        return self.op("or", TRUTH, *self.alike(first, rest))
+        return self.op("or", TRUTH, *self.match_lanes(first, rest))
 
-    def _conditional_wide(self, node: ast.expr, condition: Number, then: ast.expr, other: ast.expr) -> KernelItem:
+    def _emit_conditional_lanes(self, node: ast.expr, condition: Number, then: ast.expr, other: ast.expr) -> KernelItem:
         """Write `then if condition else other` with a condition for each lane, which evaluates both."""
-        with self.where(condition):
+        with self.restrict_lanes(condition):
             first = self.value(then)
-        with self.where(self.invert(condition)):
+        with self.restrict_lanes(self.invert(condition)):
             second = self.value(other)
 
         def chosen(a: KernelItem, b: KernelItem) -> KernelItem:
@@ -224,11 +232,11 @@ class ExpressionEmitter(ElementAccess):
 
         return chosen(first, second)
 
-    def _attribute(self, node: ast.expr, of: ast.expr, attribute: str) -> KernelItem:
+    def _emit_attribute(self, node: ast.expr, of: ast.expr, attribute: str) -> KernelItem:
         """Return an attribute of a module, a field of a record, or the `shape` or `size` of an array."""
-        if isinstance(of, ast.Name) and isinstance(self.world.get(of.id), ModuleType):
-            return constant(getattr(self.world[of.id], attribute))
-        value = self._unloaded_value(of)
+        if isinstance(of, ast.Name) and isinstance(self.module_names.get(of.id), ModuleType):
+            return literal_number(getattr(self.module_names[of.id], attribute))
+        value = self._emit_unloaded(of)
         if attribute in getattr(value, "_fields", ()):
             return getattr(value, attribute)
         if isinstance(value, Array) and attribute == "shape":
@@ -244,49 +252,49 @@ class ExpressionEmitter(ElementAccess):
         parts = index.elts if isinstance(index, ast.Tuple) else [index]
         if len(parts) != len(array.lengths):
             self.fail(node, "an array needs one index for each axis")
-        return self.offset(node, array, [self.number(part) for part in parts])
+        return self.index_offset(node, array, [self.emit_number(part) for part in parts])
 
-    def _index_item(self, node: ast.expr, of: KernelItem, index: ast.expr) -> KernelItem:
+    def _emit_index(self, node: ast.expr, of: KernelItem, index: ast.expr) -> KernelItem:
         """Return an element or slice of a tuple, or an element or row of an array."""
         if isinstance(of, tuple) and isinstance(index, ast.Slice):
             return of[slice(*(self._constant_index(node, end) for end in (index.lower, index.upper, index.step)))]
         if isinstance(of, tuple):
-            at = self.number(index)
+            at = self.emit_number(index)
             if at.known is None:
                 self.fail(node, "a tuple's index stands in the text")
             return of[int(at.known)]
         if not isinstance(of, Array):
             self.fail(node, "only arrays and tuples have elements")
         if not isinstance(index, ast.Tuple) and len(of.lengths) > 1:
-            return self.row(node, of, self.number(index))
+            return self.row(node, of, self.emit_number(index))
         return self.load_element(of, self.at(node, of, index))
 
     def _constant_index(self, node: ast.AST, number: ast.expr | None) -> int | None:
         """Return the integer literal of a tuple index; None if it is absent."""
         if number is None:
             return None
-        known = self.number(number).known
+        known = self.emit_number(number).known
         if not isinstance(known, int):
             self.fail(node, "these must be whole numbers that are written in the source")
         return known
 
-    def _call(self, node: ast.Call, function: ast.expr, arguments: list[ast.expr]) -> KernelItem:
+    def _emit_call(self, node: ast.Call, function: ast.expr, arguments: list[ast.expr]) -> KernelItem:
         """Write a call of a built-in function, a record class or a kernel function, and return its result."""
         known = self.resolve_name(node, function)
         if is_record(known):
-            return self._record(node, known)
+            return self._build_record(node, known)
         if node.keywords:
             self.fail(node, "only the fields of records are given by name")
         if known is len:
             value = self.value(arguments[0])
-            return value.lengths[0] if isinstance(value, Array) else constant(len(value))
-        if known is scratch:
-            count, dtype = self.number(arguments[0]), self.resolve_name(node, arguments[1])
+            return value.lengths[0] if isinstance(value, Array) else literal_number(len(value))
+        if known is allocate_scratch:
+            count, dtype = self.emit_number(arguments[0]), self.resolve_name(node, arguments[1])
             if count.known is None or not isinstance(dtype, ScalarType):
                 self.fail(node, "scratch(COUNT, TYPE) with a count of the text")
-            return Array(dtype, self.allocate(int(count.known), dtype.stored), (count,))
+            return Array(dtype, self.allocate(int(count.known), dtype.stored_type), (count,))
         inputs = [self.value(each) for each in arguments]
-        if known in (load_consecutive, fetch_ahead, three, put_three):
+        if known in (load_consecutive, prefetch, load3, store3):
             return self._load_elements(node, known, inputs)
         try:
             written = EMITTER_BY_FUNCTION.get(known)
@@ -298,7 +306,7 @@ class ExpressionEmitter(ElementAccess):
             return written(self, *inputs)
         return self.call_function(node, known, inputs)
 
-    def _record(self, node: ast.Call, record: Any) -> KernelItem:
+    def _build_record(self, node: ast.Call, record: Any) -> KernelItem:
         """Return the record that a call of its class builds, from positional and keyword fields."""
         names = record._fields
         if len(node.args) > len(names):
@@ -308,7 +316,7 @@ class ExpressionEmitter(ElementAccess):
         missing = [name for name in names if name not in fields]
         if missing:
             self.fail(node, f"`{record.__name__}` is given no `{missing[0]}`")
-        return self._check_fields(node, record, fields)
+        return self._build_checked_record(node, record, fields)
 
     def _replace_fields(self, node: ast.Call, item: KernelItem) -> KernelItem:
         """Return a copy of a record with new values of some fields."""
@@ -316,7 +324,7 @@ class ExpressionEmitter(ElementAccess):
             self.fail(node, "`_replace` belongs to records, and is given fields by name")
         fields: dict[str, KernelItem] = {}
         self._add_keyword_fields(node, type(item), fields)
-        return self._check_fields(node, type(item), {**item._asdict(), **fields})
+        return self._build_checked_record(node, type(item), {**item._asdict(), **fields})
 
     def _add_keyword_fields(self, node: ast.Call, record: Any, fields: dict[str, KernelItem]) -> None:
         """Add the keyword arguments of a call to `fields`."""
@@ -331,7 +339,7 @@ class ExpressionEmitter(ElementAccess):
     def _fail_no_field(self, node: ast.AST, record: Any, name: str) -> NoReturn:
         self.fail(node, f"`{record.__name__}` has no field `{name}`: its fields are {', '.join(record._fields)}")
 
-    def _check_fields(self, node: ast.Call, record: Any, fields: dict[str, KernelItem]) -> KernelItem:
+    def _build_checked_record(self, node: ast.Call, record: Any, fields: dict[str, KernelItem]) -> KernelItem:
         types = field_types(record)._asdict()
         return record(**{name: self.fit_to_type(node, name, item, types[name]) for name, item in fields.items()})
 
@@ -342,10 +350,10 @@ class ExpressionEmitter(ElementAccess):
         if isinstance(type_, ScalarType) and isinstance(item, Number):
             if item.known is None and item.kind != type_.kind:
                 self.fail(node, f"`{name}` is {type_.kind}, and is given {item.kind}")
-            return self.as_kind(item, type_.kind)
+            return self.to_kind(item, type_.kind)
         if isinstance(type_, ArrayType) and isinstance(item, Array):
             strided = item.steps is not None
-            if (type_.axes, type_.strided) == (len(item.lengths), strided) and type_.of in (item.of, Any):
+            if (type_.axes, type_.is_strided) == (len(item.lengths), strided) and type_.of in (item.of, Any):
                 return item
         elif isinstance(type_, tuple) and type(item) is type(type_) and len(item) == len(type_):
             return rebuild_like(item, (self.fit_to_type(node, name, a, b) for a, b in zip(item, type_, strict=True)))
@@ -356,8 +364,8 @@ class ExpressionEmitter(ElementAccess):
         if len(inputs) < 2 or not (isinstance(inputs[0], Array) and isinstance(inputs[1], Number)):
             self.fail(node, "this needs an array and an index")
         array, at, *others = inputs
-        if known is fetch_ahead:
-            return self.fetch_ahead(array, at)
+        if known is prefetch:
+            return self.prefetch(array, at)
         if known is load_consecutive:
             count = others[0].known
             if not isinstance(count, int) or count % 4 or not 0 < count <= MAX_CONSECUTIVE_ELEMENTS:
@@ -365,21 +373,21 @@ class ExpressionEmitter(ElementAccess):
             return self.load_consecutive(node, array, at, count)
         if len(array.lengths) != 2 or array.steps is not None or array.of.kind not in (DOUBLE, FLOAT):
             self.fail(node, "this must be a contiguous array (n, 3) of floats")
-        if known is three:
-            return self.three(node, array, at)
-        self.put_three(node, array, at, others[0])
-        self.unit.written.add(array.origin)
+        if known is load3:
+            return self.load3(node, array, at)
+        self.store3(node, array, at, others[0])
+        self.unit.written_arrays.add(array.origin)
         return ()
 
     def resolve_name(self, node: ast.AST, name: ast.expr) -> Any:
         """Return the object of a name in the kernel's module, an imported package or Python's built-ins."""
         if isinstance(name, ast.Attribute) and isinstance(name.value, ast.Name):
-            package = self.world.get(name.value.id)
+            package = self.module_names.get(name.value.id)
             if isinstance(package, ModuleType):
                 return getattr(package, name.attr)
         if isinstance(name, ast.Name):
-            if name.id in self.world:
-                return self.world[name.id]
+            if name.id in self.module_names:
+                return self.module_names[name.id]
             if hasattr(builtins, name.id):
                 return getattr(builtins, name.id)
         self.fail(node, f"`{ast.unparse(name)}` is not known")

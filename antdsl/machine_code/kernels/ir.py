@@ -10,8 +10,8 @@ from functools import cache
 from typing import Any, Generic, NamedTuple, NoReturn, TypeVar
 
 from antdsl.machine_code.kernels.operations import BLOCK_ENDS, OPERATION_BY_NAME, TYPES_BY_CLASS
-from antdsl.machine_code.kernels.values import Number, text_type
-from antdsl.machine_code.kinds import LANE_COUNT
+from antdsl.machine_code.kernels.values import Number, llvm_type
+from antdsl.machine_code.number_kinds import LANE_COUNT
 
 CHECK_MESSAGES = {  # operations that are checks, with their messages
     "index": "index out of range, or negative",
@@ -43,13 +43,13 @@ class InvalidCode(Exception):
 class Instruction(NamedTuple):
     """An operation of `OPERATION_BY_NAME` with its operands.
 
-    - `extra`: the immediate `x` of the operation
+    - `immediate`: the immediate `x` of the operation
     - `line`: a line of the kernel's file"""
 
     op: str
     result: Number | None
     operands: tuple[Number, ...]
-    extra: Any
+    immediate: Any
     line: int
 
 
@@ -81,18 +81,18 @@ class IrBuilder(ABC, Generic[Value]):
     """Builder of the instructions of one function."""
 
     def __init__(self, place: str, file: str) -> None:
-        self.place, self.file = place, file
+        self.function_name, self.file = place, file
         self.node: ast.AST = ast.Pass()  # the current statement
         self.line = 0  # the line of the current statement
         self.slots: list[Instruction] = []
         self.blocks = [BasicBlock("entry", [])]
-        self.block_now = self.blocks[0]
-        self._numbers = 0
+        self.current_block = self.blocks[0]
+        self._name_count = 0
 
     def name(self, stem: str = "v") -> str:
         """Return a new register name, which starts with `stem`."""
-        self._numbers += 1
-        return f"%{stem}{self._numbers}"
+        self._name_count += 1
+        return f"%{stem}{self._name_count}"
 
     @abstractmethod
     def named_number(self, kind: str, name: str, lanes: int = 1, known: Any = None) -> Value:
@@ -102,23 +102,23 @@ class IrBuilder(ABC, Generic[Value]):
         """Add an instruction and return its result. The result has as many lanes as the first operand, or `lanes` if that is not
         0."""
         output = self.named_number(kind, self.name(), lanes or operands[0].lanes)
-        self.block_now.body.append(Instruction(op, output, operands, x, self.line))
+        self.current_block.body.append(Instruction(op, output, operands, x, self.line))
         return output
 
     def do(self, op: str, *operands: Number, x: Any = "", node: ast.AST | None = None) -> None:
         """Add an instruction without a result."""
         line = getattr(node, "lineno", self.line)
-        self.block_now.body.append(Instruction(op, None, operands, x, line))
+        self.current_block.body.append(Instruction(op, None, operands, x, line))
 
-    def slot(self, kind: str, lanes: int = 1) -> Number:
+    def allocate_slot(self, kind: str, lanes: int = 1) -> Number:
         """Add a stack slot for a number, and return its address."""
-        return self._alloca("a", text_type(kind, lanes))
+        return self._add_stack_slot("a", llvm_type(kind, lanes))
 
     def allocate(self, count: int, stored: str) -> Number:
         """Add a stack slot for `count` numbers, and return its address."""
-        return self._alloca("s", f"[{count} x {stored}], align 64")
+        return self._add_stack_slot("s", f"[{count} x {stored}], align 64")
 
-    def _alloca(self, stem: str, type: str) -> Number:
+    def _add_stack_slot(self, stem: str, type: str) -> Number:
         output = Number("ptr", self.name(stem))
         self.slots.append(Instruction("alloca", output, (), type, 0))
         return output
@@ -127,19 +127,19 @@ class IrBuilder(ABC, Generic[Value]):
         """Load the number at an address."""
         return self.op("load", kind, place, lanes=lanes)
 
-    def put(self, place: Number, value: Number) -> None:
+    def store_number(self, place: Number, value: Number) -> None:
         """Store a number at an address."""
         self.do("store", value, place)
 
-    def label(self, stem: str) -> str:
+    def make_label(self, stem: str) -> str:
         """Return a new block label, which starts with `stem`."""
-        self._numbers += 1
-        return f"{stem}{self._numbers}"
+        self._name_count += 1
+        return f"{stem}{self._name_count}"
 
     def begin(self, label: str) -> None:
         """Begin a block, to which the next instructions are added."""
-        self.block_now = BasicBlock(label, [])
-        self.blocks.append(self.block_now)
+        self.current_block = BasicBlock(label, [])
+        self.blocks.append(self.current_block)
 
     def jump(self, label: str) -> None:
         self.do("jump", x=(label,))
@@ -150,14 +150,14 @@ class IrBuilder(ABC, Generic[Value]):
     def fail(self, node: ast.AST, why: str) -> NoReturn:
         """Raise NotInSubset with the location of a node."""
         line = getattr(node, "lineno", self.line)
-        raise NotInSubset(f"{self.file}, line {line}, `{self.place}`: {why}")
+        raise NotInSubset(f"{self.file}, line {line}, `{self.function_name}`: {why}")
 
 
-def verify(functions: Sequence[IrFunction], others: Mapping[str, IrFunction] | None = None) -> None:
+def verify_functions(functions: Sequence[IrFunction], others: Mapping[str, IrFunction] | None = None) -> None:
     """Verify the types and the order of instructions. Raises InvalidCode.
 
     Each operand must have a type that fits the operation. Each register is defined once, and before it is read. The only branch
-    of a block is its last instruction. `others`: further functions that `functions` call."""
+    of a block is its last instruction. `others`: further functions that `kernel_functions` call."""
     known = {**(others or {}), **{each.name: each for each in functions}}
     for each in functions:
         _Verifier(each, known).run()
@@ -169,7 +169,7 @@ class _Verifier:
     def __init__(self, function: IrFunction, known: Mapping[str, IrFunction]) -> None:
         self.function, self.known = function, known
         self.types = {each.name: each.type for each in function.arguments}
-        self.slots = {each.result.name: each.extra for each in function.slots if each.result is not None}
+        self.slots = {each.result.name: each.immediate for each in function.slots if each.result is not None}
         self.labels = {each.label for each in function.blocks}
         self.types |= dict.fromkeys(self.slots, "ptr") | _GLOBAL_TYPES
 
@@ -181,12 +181,12 @@ class _Verifier:
             for each in block.body:
                 if (each.op in BLOCK_ENDS) != (each is last):
                     self.fail(each, f"block {block.label} does not end with its only branch")
-                self.instruction(each)
+                self.check_instruction(each)
 
     def fail(self, each: Instruction, why: str) -> NoReturn:
         raise InvalidCode(f"{self.function.file}, line {each.line}, {self.function.name}: {why} ({each})")
 
-    def instruction(self, each: Instruction) -> None:
+    def check_instruction(self, each: Instruction) -> None:
         """Check the operands and the result of an instruction."""
         op, result, operands, *_ = each
         known, types = self.types, tuple([operand.type for operand in operands])
@@ -195,16 +195,16 @@ class _Verifier:
             if known.get(name) != operand.type and name[0] in "%@":
                 self.fail(each, f"{name} is {known.get(name, 'not known')}, not {operand.type}")
         gives = "" if result is None else result.type
-        if not _fits(op, types, gives):
+        if not _matches_operation(op, types, gives):
             self.fail(each, "types do not fit the operation")
         if op in _VARIADIC_OPERATIONS:
-            self._check_rest(each, types, gives)
+            self._check_extra_rules(each, types, gives)
         if result is not None:
             if result.name in known:
                 self.fail(each, "the name is given twice")
             known[result.name] = gives
 
-    def _check_rest(self, each: Instruction, types: tuple[str, ...], gives: str) -> None:
+    def _check_extra_rules(self, each: Instruction, types: tuple[str, ...], gives: str) -> None:
         """Check the rules of an instruction that concern more than types."""
         op, _, operands, extra, _ = each
         if op in ("load", "store"):
@@ -226,9 +226,9 @@ class _Verifier:
 
 
 @cache
-def _fits(op: str, types: tuple[str, ...], result: str) -> bool:
+def _matches_operation(op: str, types: tuple[str, ...], result: str) -> bool:
     """Return whether the types of operands and result match an operation."""
-    takes, gives, lanewise = OPERATION_BY_NAME[op].takes, OPERATION_BY_NAME[op].gives, OPERATION_BY_NAME[op].lanewise
+    takes, gives, lanewise = OPERATION_BY_NAME[op].operand_types, OPERATION_BY_NAME[op].gives, OPERATION_BY_NAME[op].is_lanewise
     parts = [split_type(each) for each in types]
     bases = [base for _, base in parts]
     lanes = parts[0][0] if parts else 1
@@ -254,8 +254,12 @@ def split_type(type: str) -> tuple[int, str]:
     return int(lanes), base
 
 
-def _matches_class(letter: str, base: str, first: str) -> bool:
+def _matches_class(class_letter: str, base: str, first: str) -> bool:
     """Return whether a type belongs to the class of a letter; `first` is the type of the first operand."""
-    if letter in "v*":
+    if class_letter in "v*":
         return True
-    return base == first if letter == "=" else base in (_NUMBER_TYPES if letter == "n" else TYPES_BY_CLASS.get(letter, (letter,)))
+    return (
+        base == first
+        if class_letter == "="
+        else base in (_NUMBER_TYPES if class_letter == "n" else TYPES_BY_CLASS.get(class_letter, (class_letter,)))
+    )

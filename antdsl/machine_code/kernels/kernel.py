@@ -13,21 +13,21 @@ from threading import Lock
 from types import FunctionType
 from typing import Any, TypeVar
 
-from antdsl.machine_code import codes, library, machine
-from antdsl.machine_code.entries import inner_text
-from antdsl.machine_code.kernels import sources
-from antdsl.machine_code.kernels.calling import KernelDescription, caller, parallel_caller
+from antdsl.machine_code import code_cache, library, llvm_compiler
+from antdsl.machine_code.entry_functions import write_inner_function
+from antdsl.machine_code.kernels import source_key
 from antdsl.machine_code.kernels.checks import CHECKS_ENABLED, CheckRenderer, guard_call
 from antdsl.machine_code.kernels.checks.line_tables import LineTables
 from antdsl.machine_code.kernels.direct.argument_text import RESULT_WORDS
-from antdsl.machine_code.kernels.ir import IrFunction, verify
+from antdsl.machine_code.kernels.ir import IrFunction, verify_functions
+from antdsl.machine_code.kernels.kernel_calls import KernelDescription, make_caller, make_parallel_caller
+from antdsl.machine_code.kernels.kernel_unit import KernelUnit, result_type
 from antdsl.machine_code.kernels.records import rebuild_like, resolve_annotation
 from antdsl.machine_code.kernels.rendering import render_functions
-from antdsl.machine_code.kernels.side_by_side import write_function
+from antdsl.machine_code.kernels.simd_loops import write_function
 from antdsl.machine_code.kernels.types import INT, LLVM_TYPE_BY_KIND, ArrayType, ScalarType
-from antdsl.machine_code.kernels.units import KernelUnit, result_type
-from antdsl.machine_code.kernels.values import Array, KernelItem, Number, leaves
-from antdsl.machine_code.module import LlvmModule
+from antdsl.machine_code.kernels.values import Array, KernelItem, Number, flatten_item
+from antdsl.machine_code.llvm_module import LlvmModule
 
 PythonFunction = Callable[..., Any]
 F = TypeVar("F", bound=PythonFunction)
@@ -58,7 +58,7 @@ class KernelPart:
         }
 
 
-def _part(attribute: str) -> Callable[[F], F]:
+def _make_decorator(attribute: str) -> Callable[[F], F]:
     """Return a decorator that marks a function as a part of kernels with this attribute."""
 
     def decorate(function: F) -> F:
@@ -68,8 +68,8 @@ def _part(attribute: str) -> Callable[[F], F]:
     return decorate
 
 
-inlined = _part("alwaysinline")
-called = _part("")
+inlined = _make_decorator("alwaysinline")
+kernel_helper = _make_decorator("")
 
 
 class Kernel:
@@ -85,10 +85,10 @@ class Kernel:
         self.part = KernelPart(function)
         self.__doc__, self.__name__, self.__module__ = function.__doc__, function.__name__, function.__module__
         self._lock = Lock()
-        self._run: Callable[..., Any] | None = None
-        self._apart: Callable[[], Callable[..., list[Any]] | None] | None = None
+        self._loaded_call: Callable[..., Any] | None = None
+        self._get_parallel_call: Callable[[], Callable[..., list[Any]] | None] | None = None
         self.__call__ = self._first_call
-        library.add(self)
+        library.register_entry(self)
 
     def _first_call(self, *arguments: Any) -> Any:
         """Load the machine code, then call it."""
@@ -98,45 +98,45 @@ class Kernel:
         """Return the function that calls the machine code. The code is compiled or loaded if needed. Raises
         MachineCodeUnavailable."""
         with self._lock:
-            if self._run is None:
-                machine.require()
-                types, host = self.types(), machine.host()
-                code = codes.code(self.text_key(host), lambda: self.text(host))
-                self._run = self.__call__ = run = self.caller(code)
-                self._apart = cache(
-                    lambda: _guard(
-                        parallel_caller(self.__name__, code, types, self._description(code), run), code, CHECKS_ENABLED
+            if self._loaded_call is None:
+                llvm_compiler.require_llvm()
+                types, host = self.types(), llvm_compiler.host_target()
+                code = code_cache.load_code(self.text_key(host), lambda: self.text(host))
+                self._loaded_call = self.__call__ = run = self.make_caller(code)
+                self._get_parallel_call = cache(
+                    lambda: _guard_if_checked(
+                        make_parallel_caller(self.__name__, code, types, self._read_description(code), run), code, CHECKS_ENABLED
                     )
                 )
-            return self._run
+            return self._loaded_call
 
-    def caller(self, code: machine.LoadedCode, checked: bool = CHECKS_ENABLED) -> Callable[..., Any]:
+    def make_caller(self, code: llvm_compiler.LoadedCode, checked: bool = CHECKS_ENABLED) -> Callable[..., Any]:
         """Return the function that calls this kernel in the code of a text that contains it."""
-        guarded_call: Callable[..., Any] = _guard(
-            caller(self.__name__, code, self.types(), self._description(code)), code, checked
+        guarded_call: Callable[..., Any] = _guard_if_checked(
+            make_caller(self.__name__, code, self.types(), self._read_description(code)), code, checked
         )
         return guarded_call
 
-    def _description(self, code: machine.LoadedCode) -> KernelDescription:
-        return KernelDescription.read(code.constant_text(_description_name(self.__name__)))
+    def _read_description(self, code: llvm_compiler.LoadedCode) -> KernelDescription:
+        return KernelDescription.from_text(code.read_constant_text(_description_name(self.__name__)))
 
-    def parted(self) -> Callable[..., list[Any]] | None:
-        """Return the function that runs the kernel in parts on a pool of workers, as `calling.parallel_caller`; None if there is
-        none."""
-        if self._apart is None:
+    def get_parallel_call(self) -> Callable[..., list[Any]] | None:
+        """Return the function that runs the kernel in parts on a pool of workers, as `kernel_calls.make_parallel_caller`; None if
+        there is none."""
+        if self._get_parallel_call is None:
             self.load_function()
-        assert self._apart is not None
-        return self._apart()
+        assert self._get_parallel_call is not None
+        return self._get_parallel_call()
 
     def has_code(self) -> bool:
         """Return whether its machine code is available, in memory or from another run."""
-        if self._run is not None:
+        if self._loaded_call is not None:
             return True
-        return codes.is_available(self.text_key(machine.host()))
+        return code_cache.is_code_available(self.text_key(llvm_compiler.host_target()))
 
-    def text_key(self, target: machine.Target) -> str:
+    def text_key(self, target: llvm_compiler.Target) -> str:
         """Return the key of its sources, or its text if the sources have no key."""
-        return sources.key(self.part, self.types()) or self.text(target)
+        return source_key.source_key(self.part, self.types()) or self.text(target)
 
     def types(self) -> list[Any]:
         """Return the types of its annotations; for a record, the types of its fields."""
@@ -144,41 +144,43 @@ class Kernel:
         named = function.__code__.co_varnames[: function.__code__.co_argcount]
         return [resolve_annotation(function.__annotations__.get(name), function.__globals__) for name in named]
 
-    def text(self, target: machine.Target = machine.PORTABLE_TARGET) -> str:
+    def text(self, target: llvm_compiler.Target = llvm_compiler.PORTABLE_TARGET) -> str:
         """Return the text to compile, in LLVM's language."""
-        return text_of([self], target)
+        return render_kernels([self], target)
 
-    def instructions(self) -> tuple[str, KernelItem, list[IrFunction]]:
+    def build_instructions(self) -> tuple[str, KernelItem, list[IrFunction]]:
         """Return the instructions for the interpreter, without lanes.
 
         The result has the name of the kernel's function, its result, and all functions, callees first."""
         unit = KernelUnit(lanes=1)
         words, arrays = count(), count()
-        name, result = write_function(unit, self.part, [_argument(each, words, [], arrays) for each in self.types()])
-        verify(unit.functions)
+        name, result = write_function(unit, self.part, [_read_argument(each, words, [], arrays) for each in self.types()])
+        verify_functions(unit.functions)
         return name, result, unit.functions
 
 
-def text_of(kernels: Sequence[Kernel], target: machine.Target, checked: bool = CHECKS_ENABLED) -> str:
+def render_kernels(kernels: Sequence[Kernel], target: llvm_compiler.Target, checked: bool = CHECKS_ENABLED) -> str:
     """Return one text of several kernels with different names, in LLVM's language."""
     unit, module, tables = KernelUnit(), LlvmModule(target), LineTables() if checked else None
-    entries = [line for each in kernels for line in _entry(each, unit, module, tables)]
-    verify(unit.functions)
+    entries = [line for each in kernels for line in _build_entry(each, unit, module, tables)]
+    verify_functions(unit.functions)
     functions = render_functions(unit.functions, CheckRenderer() if checked else None, tables)
     return (
-        "\n".join([f"; {machine.ALL_PASSES_COMMENT}", module.text(), *functions, *entries, *(tables.text() if tables else [])])
+        "\n".join(
+            [f"; {llvm_compiler.ALL_PASSES_COMMENT}", module.text(), *functions, *entries, *(tables.text() if tables else [])]
+        )
         + "\n"
     )
 
 
-def _entry(kernel: Kernel, unit: KernelUnit, module: LlvmModule, tables: LineTables | None) -> tuple[str, str]:
+def _build_entry(kernel: Kernel, unit: KernelUnit, module: LlvmModule, tables: LineTables | None) -> tuple[str, str]:
     """Return the constant that describes a kernel, and the function that reads its arguments from a table and stores its
     results."""
     words, arrays, body = count(RESULT_WORDS), count(), list[str]()
-    inputs = [_argument(each, words, body, arrays) for each in kernel.types()]
+    inputs = [_read_argument(each, words, body, arrays) for each in kernel.types()]
     name, result = write_function(unit, kernel.part, inputs)
-    arguments = ", ".join(each.typed for item in inputs for each in leaves(item))
-    results = list(leaves(result))
+    arguments = ", ".join(each.typed for item in inputs for each in flatten_item(item))
+    results = list(flatten_item(result))
     if len(results) > RESULT_WORDS:
         raise TypeError(f"{kernel.__name__} gives back more than {RESULT_WORDS} numbers")
     code = kernel.part.function.__code__
@@ -199,9 +201,9 @@ def _entry(kernel: Kernel, unit: KernelUnit, module: LlvmModule, tables: LineTab
             value, stored = f"%wide{k}", "double"
         body.append(f"  %to{k} = getelementptr i64, ptr %t, i64 {k}\n  store {stored} {value}, ptr %to{k}")
     several = isinstance(result, tuple) and bool(results)
-    line = KernelDescription(tuple(each.kind for each in results), several, tuple(sorted(unit.written))).text()
+    line = KernelDescription(tuple(each.kind for each in results), several, tuple(sorted(unit.written_arrays))).text()
     constant = f'@{_description_name(kernel.__name__)} = constant [{len(line) + 1} x i8] c"{line}\\00"'
-    return constant, inner_text(module, kernel.__name__, "\n".join(body), line_table)
+    return constant, write_inner_function(module, kernel.__name__, "\n".join(body), line_table)
 
 
 def _description_name(name: str) -> str:
@@ -209,7 +211,7 @@ def _description_name(name: str) -> str:
     return f"about.{name}"
 
 
-def _guard(run: Any, code: machine.LoadedCode, checked: bool) -> Any:
+def _guard_if_checked(run: Any, code: llvm_compiler.LoadedCode, checked: bool) -> Any:
     """Return a call that raises KernelFault for failed checks if the build is checked, else the call itself."""
     return guard_call(run, code) if checked and run is not None else run
 
@@ -219,7 +221,7 @@ def kernel(function: PythonFunction) -> Kernel:
     return Kernel(function)  # type: ignore[arg-type]
 
 
-def _argument(type: Any, words: Iterator[int], body: list[str], numbers: Iterator[int]) -> KernelItem:
+def _read_argument(type: Any, words: Iterator[int], body: list[str], numbers: Iterator[int]) -> KernelItem:
     """Return the item of an argument. Its numbers are read from the next `words` of the table."""
 
     def read(kind: str) -> Number:
@@ -235,7 +237,7 @@ def _argument(type: Any, words: Iterator[int], body: list[str], numbers: Iterato
         return Number(kind, f"%n{k}")
 
     if isinstance(type, tuple):
-        return rebuild_like(type, (_argument(each, words, body, numbers) for each in type))
+        return rebuild_like(type, (_read_argument(each, words, body, numbers) for each in type))
     if isinstance(type, ScalarType):
         return read(type.kind)
     if not isinstance(type, ArrayType):
@@ -243,5 +245,5 @@ def _argument(type: Any, words: Iterator[int], body: list[str], numbers: Iterato
     origin = next(numbers)
     place = read("ptr")
     lengths = tuple(read(INT) for _ in range(type.axes))
-    steps = tuple(read(INT) for _ in range(type.axes)) if type.strided else None
+    steps = tuple(read(INT) for _ in range(type.axes)) if type.is_strided else None
     return Array(type.of, place, lengths, steps, origin)

@@ -33,32 +33,32 @@ TYPES_BY_CLASS: Final[Mapping[str, frozenset[str]]] = {
 class Operation(NamedTuple):
     """One operation of kernels and plans.
 
-    - `takes`: a class of types for each operand; `=` is the type of the first operand, `n` any number, `v` any type
+    - `operand_types`: a class of types for each operand; `=` is the type of the first operand, `n` any number, `v` any type
     - `gives`: the class of types of the result; `2` is the type of the second operand
     - `text`: the text in LLVM's language, with the operands, the result `r` and the immediate `x` as format fields
     - `meaning`: a function of NumPy scalars; if it is None, the interpreter implements the operation
     - `extra_types`: types after those of the operands in the declaration of an LLVM function"""
 
-    takes: str
+    operand_types: str
     gives: str
     text: str
     meaning: Callable[..., Any] | None = None
-    lanewise: bool = True
+    is_lanewise: bool = True
     extra_types: str = ""
 
 
-def unsigned(a: Any) -> int:
+def to_unsigned(a: Any) -> int:
     """Return an integer as if it were unsigned."""
     ones: int = (1 << 8 * a.dtype.itemsize) - 1
     return int(a) & ones
 
 
-def _on_unsigned(function: Callable[[int, int], Any]) -> Callable[[Any, Any], Any]:
+def _apply_unsigned(function: Callable[[int, int], Any]) -> Callable[[Any, Any], Any]:
     """Return a function of signed integers that calls a function of unsigned ones."""
-    return lambda a, b: wrap(function(unsigned(a), unsigned(b)), a.dtype)
+    return lambda a, b: wrap_to_dtype(function(to_unsigned(a), to_unsigned(b)), a.dtype)
 
 
-def wrap(number: int | bool, dtype: Any = np.int64) -> Any:
+def wrap_to_dtype(number: int | bool, dtype: Any = np.int64) -> Any:
     """Wrap an integer to the bits of a type; a condition is unchanged."""
     if isinstance(number, bool):
         return np.bool_(number)
@@ -67,56 +67,56 @@ def wrap(number: int | bool, dtype: Any = np.int64) -> Any:
     return dtype.type((number + half) % (2 * half) - half)
 
 
-def _quotient(a: Any, b: Any) -> Any:
+def _divide_truncating(a: Any, b: Any) -> Any:
     """Return the quotient of two integers, rounded to zero."""
     x, y = int(a), int(b)
-    return wrap(abs(x) // abs(y) * (1 if (x < 0) == (y < 0) else -1), a.dtype)
+    return wrap_to_dtype(abs(x) // abs(y) * (1 if (x < 0) == (y < 0) else -1), a.dtype)
 
 
-def _remainder(a: Any, b: Any) -> Any:
+def _remainder_truncating(a: Any, b: Any) -> Any:
     """Return the remainder of the quotient that is rounded to zero."""
     x, y = int(a), int(b)
-    return wrap(abs(x) % abs(y) * (-1 if x < 0 else 1), a.dtype)
+    return wrap_to_dtype(abs(x) % abs(y) * (-1 if x < 0 else 1), a.dtype)
 
 
-def _saturating_cast(signed: bool) -> Callable[[Any, Any], Any]:
+def _make_saturating_cast(signed: bool) -> Callable[[Any, Any], Any]:
     """Return the meaning of a cast from float to integer that truncates and saturates; NaN becomes 0."""
 
     def cast(a: Any, dtype: Any) -> Any:
         bounds, number = np.iinfo(dtype if signed else f"u{np.dtype(dtype).itemsize}"), float(a)
         least, most = int(bounds.min), int(bounds.max)
         if math.isnan(number):
-            return wrap(0, dtype)
-        return wrap(most if number >= most else least if number <= least else int(number), dtype)
+            return wrap_to_dtype(0, dtype)
+        return wrap_to_dtype(most if number >= most else least if number <= least else int(number), dtype)
 
     return cast
 
 
-def _low_bits(a: Any, dtype: Any) -> Any:
+def _truncate_bits(a: Any, dtype: Any) -> Any:
     """Return the low bits of an integer, as many as the type has."""
     return np.bool_(int(a) & 1) if np.dtype(dtype) == np.bool_ else a.astype(dtype)
 
 
-def _from_bits(a: Any, dtype: Any) -> Any:
+def _reinterpret_bits(a: Any, dtype: Any) -> Any:
     """Return the number of another type with the same bits."""
     return a.view(dtype)
 
 
-def _cast(a: Any, dtype: Any) -> Any:
+def _cast_to_dtype(a: Any, dtype: Any) -> Any:
     return a.astype(dtype)
 
 
-def _unsigned_cast(a: Any, dtype: Any) -> Any:
+def _cast_unsigned(a: Any, dtype: Any) -> Any:
     """Cast an integer as if it were unsigned."""
     return (a if a.dtype == np.bool_ else a.view(f"u{a.dtype.itemsize}")).astype(dtype)
 
 
-def _binary(takes: str, meanings: Mapping[str, Callable[..., Any]]) -> dict[str, Operation]:
+def _make_binary_operations(takes: str, meanings: Mapping[str, Callable[..., Any]]) -> dict[str, Operation]:
     """Return operations of two operands with LLVM's names."""
     return {name: Operation(takes, "=", name + " {0.typed}, {1.name}", meaning) for name, meaning in meanings.items()}
 
 
-def _comparisons(
+def _make_comparisons(
     takes: str, prefix: str, word: str, sign: str, meanings: Mapping[str, Callable[..., Any]]
 ) -> dict[str, Operation]:
     """Return the comparisons. `prefix` starts their names in the table; `word` and `sign` form LLVM's names."""
@@ -126,96 +126,114 @@ def _comparisons(
     }
 
 
-def _casts(takes: str, gives: str, meanings: Mapping[str, Callable[..., Any]]) -> dict[str, Operation]:
+def _make_casts(takes: str, gives: str, meanings: Mapping[str, Callable[..., Any]]) -> dict[str, Operation]:
     """Return the casts. Their meanings are functions of a number and the result type."""
     return {name: Operation(takes, gives, name + " {0.typed} to {r.type}", meaning) for name, meaning in meanings.items()}
 
 
-def _functions(takes: str, meanings: Mapping[str, Callable[..., Any]]) -> dict[str, Operation]:
+def _make_functions(takes: str, meanings: Mapping[str, Callable[..., Any]]) -> dict[str, Operation]:
     """Return the operations that call an LLVM function of the same name."""
     arguments = ", ".join(f"{{{k}.typed}}" for k in range(len(takes)))
     text = "call {r.type} @llvm.NAME.{0.suffix}(" + arguments + ")"
     return {name: Operation(takes, "=", text.replace("NAME", name), meaning) for name, meaning in meanings.items()}
 
 
-def _reductions(takes: str, meanings: Mapping[str, Callable[..., Any]]) -> dict[str, Operation]:
+def _make_reductions(takes: str, meanings: Mapping[str, Callable[..., Any]]) -> dict[str, Operation]:
     """Return the reductions of all lanes to one number. The meanings are functions of two numbers."""
     text = "call {r.type} @llvm.vector.reduce.NAME.{0.suffix}({0.typed})"
     return {
-        f"reduce.{name}": Operation(takes, takes, text.replace("NAME", name), meaning, lanewise=False)
+        f"reduce.{name}": Operation(takes, takes, text.replace("NAME", name), meaning, is_lanewise=False)
         for name, meaning in meanings.items()
     }
 
 
-def _zeros_below(a: Any) -> Any:
+def _count_trailing_zeros(a: Any) -> Any:
     """Return the number of trailing zero bits of a nonzero integer."""
     return a.dtype.type((int(a) & -int(a)).bit_length() - 1)
 
 
 _ORDER_OPERATORS: Final = {"lt": operator.lt, "le": operator.le, "gt": operator.gt, "ge": operator.ge}
 OPERATION_BY_NAME: Final[Mapping[str, Operation]] = {
-    **_binary("f=", {"fadd": operator.add, "fsub": operator.sub, "fmul": operator.mul, "fdiv": operator.truediv}),
-    **_binary("f=", {"frem": np.fmod}),
-    **_functions("f", {"sqrt": np.sqrt, "floor": np.floor, "ceil": np.ceil, "rint": np.rint, "fabs": np.abs}),
+    **_make_binary_operations("f=", {"fadd": operator.add, "fsub": operator.sub, "fmul": operator.mul, "fdiv": operator.truediv}),
+    **_make_binary_operations("f=", {"frem": np.fmod}),
+    **_make_functions("f", {"sqrt": np.sqrt, "floor": np.floor, "ceil": np.ceil, "rint": np.rint, "fabs": np.abs}),
     "fneg": Operation("f", "=", "fneg {0.typed}", operator.neg),
-    **_binary("i=", {"add": operator.add, "sub": operator.sub, "mul": operator.mul, "sdiv": _quotient, "srem": _remainder}),
-    **_binary(
-        "i=", {"udiv": _on_unsigned(operator.floordiv), "urem": _on_unsigned(operator.mod), "lshr": _on_unsigned(operator.rshift)}
+    **_make_binary_operations(
+        "i=",
+        {
+            "add": operator.add,
+            "sub": operator.sub,
+            "mul": operator.mul,
+            "sdiv": _divide_truncating,
+            "srem": _remainder_truncating,
+        },
     ),
-    **_functions("i", {"ctpop": lambda a: a.dtype.type(unsigned(a).bit_count())}),
-    **_functions("i=", {"smin": min}),
-    "cttz": Operation("i", "=", "call {r.type} @llvm.cttz.{0.suffix}({0.typed}, i1 true)", _zeros_below, extra_types=", i1"),
-    **_binary("i=", {"shl": operator.lshift, "ashr": operator.rshift}),
-    **_binary("n=", {"and": operator.and_, "or": operator.or_, "xor": operator.xor}),
-    **_comparisons("f=", "f", "fcmp", "o", {**_ORDER_OPERATORS, "eq": operator.eq}),
-    **_comparisons("f=", "f", "fcmp", "u", {"ne": operator.ne, "no": lambda a, b: (a != a) | (b != b)}),
-    **_comparisons("i=", "s", "icmp", "s", _ORDER_OPERATORS),
-    **_comparisons("i=", "u", "icmp", "u", {name: _on_unsigned(function) for name, function in _ORDER_OPERATORS.items()}),
-    **_comparisons("n=", "", "icmp", "", {"eq": operator.eq, "ne": operator.ne}),
+    **_make_binary_operations(
+        "i=",
+        {
+            "udiv": _apply_unsigned(operator.floordiv),
+            "urem": _apply_unsigned(operator.mod),
+            "lshr": _apply_unsigned(operator.rshift),
+        },
+    ),
+    **_make_functions("i", {"ctpop": lambda a: a.dtype.type(to_unsigned(a).bit_count())}),
+    **_make_functions("i=", {"smin": min}),
+    "cttz": Operation(
+        "i", "=", "call {r.type} @llvm.cttz.{0.suffix}({0.typed}, i1 true)", _count_trailing_zeros, extra_types=", i1"
+    ),
+    **_make_binary_operations("i=", {"shl": operator.lshift, "ashr": operator.rshift}),
+    **_make_binary_operations("n=", {"and": operator.and_, "or": operator.or_, "xor": operator.xor}),
+    **_make_comparisons("f=", "f", "fcmp", "o", {**_ORDER_OPERATORS, "eq": operator.eq}),
+    **_make_comparisons("f=", "f", "fcmp", "u", {"ne": operator.ne, "no": lambda a, b: (a != a) | (b != b)}),
+    **_make_comparisons("i=", "s", "icmp", "s", _ORDER_OPERATORS),
+    **_make_comparisons("i=", "u", "icmp", "u", {name: _apply_unsigned(function) for name, function in _ORDER_OPERATORS.items()}),
+    **_make_comparisons("n=", "", "icmp", "", {"eq": operator.eq, "ne": operator.ne}),
     "select": Operation("bvv", "2", "select {0.typed}, {1.typed}, {2.typed}", lambda c, a, b: a if c else b),
-    **_casts("i", "i", {"sext": _cast}),
-    **_casts("i", "n", {"trunc": _low_bits}),
-    **_casts("n", "n", {"zext": _unsigned_cast, "uitofp": _unsigned_cast, "bitcast": _from_bits}),
-    **_casts("i", "f", {"sitofp": _cast}),
-    **_casts("f", "f", {"fpext": _cast, "fptrunc": _cast}),
-    "fptosi": Operation("f", "i", "call {r.type} @llvm.fptosi.sat.{r.suffix}.{0.suffix}({0.typed})", _saturating_cast(True)),
-    "fptoui": Operation("f", "i", "call {r.type} @llvm.fptoui.sat.{r.suffix}.{0.suffix}({0.typed})", _saturating_cast(False)),
+    **_make_casts("i", "i", {"sext": _cast_to_dtype}),
+    **_make_casts("i", "n", {"trunc": _truncate_bits}),
+    **_make_casts("n", "n", {"zext": _cast_unsigned, "uitofp": _cast_unsigned, "bitcast": _reinterpret_bits}),
+    **_make_casts("i", "f", {"sitofp": _cast_to_dtype}),
+    **_make_casts("f", "f", {"fpext": _cast_to_dtype, "fptrunc": _cast_to_dtype}),
+    "fptosi": Operation("f", "i", "call {r.type} @llvm.fptosi.sat.{r.suffix}.{0.suffix}({0.typed})", _make_saturating_cast(True)),
+    "fptoui": Operation(
+        "f", "i", "call {r.type} @llvm.fptoui.sat.{r.suffix}.{0.suffix}({0.typed})", _make_saturating_cast(False)
+    ),
     # Memory. `x`: the type of an element or of a stack slot, or the alignment of a load or store.
-    "alloca": Operation("", "p", "alloca {x}", lanewise=False),
-    "element": Operation("pi", "p", "getelementptr {x}, {0.typed}, {1.typed}", lanewise=False),
-    "load": Operation("p", "v", "load {r.type}, {0.typed}{x}", lanewise=False),
-    "store": Operation("vp", "", "store {0.typed}, {1.typed}{x}", lanewise=False),
-    "volatile": Operation("vp", "", "store volatile {0.typed}, {1.typed}", lanewise=False),
-    "atomic.add": Operation("pi", "2", "atomicrmw add {0.typed}, {1.typed} monotonic", operator.add, lanewise=False),
-    "atomic.max": Operation("pi", "2", "atomicrmw max {0.typed}, {1.typed} monotonic", max, lanewise=False),
+    "alloca": Operation("", "p", "alloca {x}", is_lanewise=False),
+    "element": Operation("pi", "p", "getelementptr {x}, {0.typed}, {1.typed}", is_lanewise=False),
+    "load": Operation("p", "v", "load {r.type}, {0.typed}{x}", is_lanewise=False),
+    "store": Operation("vp", "", "store {0.typed}, {1.typed}{x}", is_lanewise=False),
+    "volatile": Operation("vp", "", "store volatile {0.typed}, {1.typed}", is_lanewise=False),
+    "atomic.add": Operation("pi", "2", "atomicrmw add {0.typed}, {1.typed} monotonic", operator.add, is_lanewise=False),
+    "atomic.max": Operation("pi", "2", "atomicrmw max {0.typed}, {1.typed} monotonic", max, is_lanewise=False),
     "is_null": Operation("p", "b", "icmp eq {0.typed}, null"),
     "prefetch": Operation(
-        "p", "", "call void @llvm.prefetch.p0({0.typed}, i32 0, i32 3, i32 1)", lanewise=False, extra_types=", i32, i32, i32"
+        "p", "", "call void @llvm.prefetch.p0({0.typed}, i32 0, i32 3, i32 1)", is_lanewise=False, extra_types=", i32, i32, i32"
     ),
     # Lanes. `x`: one or several lane numbers.
-    "insertelement": Operation("vv", "=", "insertelement {0.typed}, {1.typed}, i64 {x}", lanewise=False),
-    "extractelement": Operation("v", "v", "extractelement {0.typed}, i64 {x}", lanewise=False),
-    "shufflevector": Operation("v=", "v", "shufflevector {0.typed}, {1.typed}, {x}", lanewise=False),
-    "lanes": Operation("b", "i8", "bitcast {0.typed} to {r.type}", lanewise=False),
-    "mask": Operation("i", "b", "bitcast {0.typed} to {r.type}", lanewise=False),
-    **_reductions("i", {"smax": max, "add": operator.add}),
-    **_reductions("f", {"fmin": np.fmin, "fmax": np.fmax}),
-    "permd": Operation("ii", "=", "call {r.type} @llvm.x86.avx2.permd({0.typed}, {1.typed})", lanewise=False),  # of AVX2
+    "insertelement": Operation("vv", "=", "insertelement {0.typed}, {1.typed}, i64 {x}", is_lanewise=False),
+    "extractelement": Operation("v", "v", "extractelement {0.typed}, i64 {x}", is_lanewise=False),
+    "shufflevector": Operation("v=", "v", "shufflevector {0.typed}, {1.typed}, {x}", is_lanewise=False),
+    "lanes": Operation("b", "i8", "bitcast {0.typed} to {r.type}", is_lanewise=False),
+    "mask": Operation("i", "b", "bitcast {0.typed} to {r.type}", is_lanewise=False),
+    **_make_reductions("i", {"smax": max, "add": operator.add}),
+    **_make_reductions("f", {"fmin": np.fmin, "fmax": np.fmax}),
+    "permd": Operation("ii", "=", "call {r.type} @llvm.x86.avx2.permd({0.typed}, {1.typed})", is_lanewise=False),  # of AVX2
     # Calls, and structures of several results. `x`: the name of a function, or the index of a result.
-    "call": Operation("*", "v", "call {r.type} {x}({all})", lanewise=False),
-    "extractvalue": Operation("v", "v", "extractvalue {0.typed}, {x}", lanewise=False),
-    "insertvalue": Operation("vv", "=", "insertvalue {0.typed}, {1.typed}, {x}", lanewise=False),
+    "call": Operation("*", "v", "call {r.type} {x}({all})", is_lanewise=False),
+    "extractvalue": Operation("v", "v", "extractvalue {0.typed}, {x}", is_lanewise=False),
+    "insertvalue": Operation("vv", "=", "insertvalue {0.typed}, {1.typed}, {x}", is_lanewise=False),
     # Ends of blocks. `x`: the labels of the next blocks.
-    "jump": Operation("", "", "br label %{x[0]}", lanewise=False),
-    "branch": Operation("b", "", "br {0.typed}, label %{x[0]}, label %{x[1]}", lanewise=False),
-    "return": Operation("*", "", "ret {all}", lanewise=False),
+    "jump": Operation("", "", "br label %{x[0]}", is_lanewise=False),
+    "branch": Operation("b", "", "br {0.typed}, label %{x[0]}, label %{x[1]}", is_lanewise=False),
+    "return": Operation("*", "", "ret {all}", is_lanewise=False),
     # Time: the processor's counter, a wait for all earlier instructions, and a barrier against reordering.
-    "ticks": Operation("", "i", "call {r.type} @llvm.readcyclecounter()", lambda: np.int64(0), lanewise=False),
-    "wait": Operation("", "", "call void @llvm.x86.sse2.lfence()", lanewise=False),  # of x86
-    "border": Operation("", "", 'call void asm sideeffect "", ""()', lanewise=False),
+    "ticks": Operation("", "i", "call {r.type} @llvm.readcyclecounter()", lambda: np.int64(0), is_lanewise=False),
+    "wait": Operation("", "", "call void @llvm.x86.sse2.lfence()", is_lanewise=False),  # of x86
+    "border": Operation("", "", 'call void asm sideeffect "", ""()', is_lanewise=False),
     # Checks of the checked build and of the interpreter (`checks`). `x`: the number of consecutive elements.
-    "index": Operation("ii*", "", "", lanewise=False),
-    "span": Operation("i*", "", "", lanewise=False),
-    "divisor": Operation("i*", "", "", lanewise=False),
+    "index": Operation("ii*", "", "", is_lanewise=False),
+    "span": Operation("i*", "", "", is_lanewise=False),
+    "divisor": Operation("i*", "", "", is_lanewise=False),
 }
 BLOCK_ENDS: Final = frozenset({"jump", "branch", "return"})

@@ -26,18 +26,22 @@ def field_types(record: Any) -> Any:
     """Return the types of a record's fields, as a record of the same class. Raises TypeError for a field without a kernel
     type."""
     world = vars(sys.modules[record.__module__])
-    return record._make(resolve_annotation(_text(record.__annotations__[name]), world) for name in record._fields)
+    return record._make(resolve_annotation(_annotation_text(record.__annotations__[name]), world) for name in record._fields)
 
 
-def _text(annotation: Any) -> Any:
+def _annotation_text(annotation: Any) -> Any:
     """Return the text of an annotation, which `NamedTuple` wraps."""
     return getattr(annotation, "__forward_arg__", annotation)
 
 
-def resolve_annotation(annotation: Any, world: dict[str, Any]) -> Any:
-    """Return the type of an annotation in a module with the names `world`: a ScalarType, an ArrayType, a tuple or record of
-    these, or Any."""
-    return _type(_parse_annotation(annotation), world) if isinstance(annotation, str) else _expand_records(annotation)
+def resolve_annotation(annotation: Any, module_names: dict[str, Any]) -> Any:
+    """Return the type of an annotation in a module with the names `module_names`: a ScalarType, an ArrayType, a tuple or record
+    of these, or Any."""
+    return (
+        _resolve_type_node(_parse_annotation(annotation), module_names)
+        if isinstance(annotation, str)
+        else _expand_records(annotation)
+    )
 
 
 @cache
@@ -45,17 +49,17 @@ def _parse_annotation(text: str) -> ast.expr:
     return ast.parse(text, mode="eval").body
 
 
-def _type(node: ast.expr | None, world: dict[str, Any]) -> Any:
+def _resolve_type_node(node: ast.expr | None, module_names: dict[str, Any]) -> Any:
     """Return the type of an annotation's syntax tree."""
     if isinstance(node, ast.Name):
         if node.id in ("tuple", "Any"):
             return tuple if node.id == "tuple" else Any
-        if node.id in world:
-            return _expand_records(world[node.id])
+        if node.id in module_names:
+            return _expand_records(module_names[node.id])
     if isinstance(node, ast.Subscript):
         inner = node.slice.elts if isinstance(node.slice, ast.Tuple) else [node.slice]
-        of = [_type(each, world) for each in inner]
-        base = _type(node.value, world)
+        of = [_resolve_type_node(each, module_names) for each in inner]
+        base = _resolve_type_node(node.value, module_names)
         return tuple(of) if base is tuple else base[of[0]]
     raise TypeError(f"`{'nothing' if node is None else ast.unparse(node)}` is no type of `kernels`")
 

@@ -20,7 +20,7 @@ from antdsl.machine_code.kernels.ir import (
 )
 from antdsl.machine_code.kernels.operations import OPERATION_BY_NAME
 from antdsl.machine_code.kernels.values import Number
-from antdsl.machine_code.kinds import LANE_COUNT
+from antdsl.machine_code.number_kinds import LANE_COUNT
 
 _LANE_ORDER_BYTES = ", ".join(f"i8 {lane}" for lanes in LANES_BY_MASK for lane in lanes)
 _CONSTANT_TABLES = {
@@ -38,11 +38,11 @@ def render_functions(
 
     Without `checks`, the checks are left out; without `tables`, the line numbers."""
     declared = {ZEROS_CONSTANT.name: _CONSTANT_TABLES[ZEROS_CONSTANT.name]}
-    texts = [function_text(each, declared, checks, tables) for each in functions]
+    texts = [render_function(each, declared, checks, tables) for each in functions]
     return [*declared.values(), *texts, *([] if checks is None else [checks.text()])]
 
 
-def function_text(
+def render_function(
     function: IrFunction, declared: dict[str, str], checks: CheckRenderer | None = None, tables: LineTables | None = None
 ) -> str:
     """Return the text of a function. Add the LLVM functions that it calls, and the tables that it reads, to `declared`."""
@@ -52,26 +52,32 @@ def function_text(
         first = min((each.line for block in function.blocks for each in block.body if each.line), default=1)
         metadata = tables.begin_function(function.name[1:], function.file, first)
     head = f"define internal {function.result} {function.name}({arguments}) {function.attribute}{metadata} {{"
-    lines = [head, "entry:", *(_line(each, declared) for each in function.slots)]
+    lines = [head, "entry:", *(_render_instruction(each, declared) for each in function.slots)]
     for k, block in enumerate(function.blocks):
         if k:
             lines.append(f"{block.label}:")
         for each in block.body:
             if each.op not in CHECK_MESSAGES:
-                lines.append(_line(each, declared) if tables is None else _line(each, declared) + tables.of(each.line))
+                lines.append(
+                    _render_instruction(each, declared)
+                    if tables is None
+                    else _render_instruction(each, declared) + tables.of(each.line)
+                )
             elif checks is not None:
                 lines += checks.lines(function, each)
             if checks is not None and each.op == "call":
-                lines += checks.after_call(function)
+                lines += checks.render_call_check(function)
     return "\n".join([*lines, "}"])
 
 
-def _line(each: Instruction, declared: dict[str, str]) -> str:
+def _render_instruction(each: Instruction, declared: dict[str, str]) -> str:
     """Return the text of an instruction. Add the LLVM function or table that it uses to `declared`."""
     op, result, operands, extra, _ = each
     if op in ("jump", "branch"):  # the cache does not need lines with unique labels
         return "  " + OPERATION_BY_NAME[op].text.format(*operands, x=extra)
-    text, called = _pattern(op, tuple([operand.type for operand in operands]), "void" if result is None else result.type, extra)
+    text, called = _operation_pattern(
+        op, tuple([operand.type for operand in operands]), "void" if result is None else result.type, extra
+    )
     names = tuple([operand.name for operand in operands])
     if called is not None:
         declared.setdefault(*called)
@@ -81,7 +87,7 @@ def _line(each: Instruction, declared: dict[str, str]) -> str:
 
 
 @cache
-def _pattern(op: str, types: tuple[str, ...], gives: str, extra: Any) -> tuple[str, tuple[str, str] | None]:
+def _operation_pattern(op: str, types: tuple[str, ...], gives: str, extra: Any) -> tuple[str, tuple[str, str] | None]:
     """Return the text of an operation on these types, with `%s` for each operand. Return also the LLVM function that it calls,
     and its declaration, or None."""
     operation = OPERATION_BY_NAME[op]

@@ -15,26 +15,27 @@ LLVM_TYPE_BY_KIND = {DOUBLE: "double", FLOAT: "float", INT: "i64", UNSIGNED: "i6
 
 @dataclass(frozen=True, slots=True)
 class ScalarType:
-    """The type of a number. Arrays store it as `dtype`, which is `stored` in LLVM's language. Kernels compute with its `kind`."""
+    """The type of a number. Arrays store it as `dtype`, which is `stored_type` in LLVM's language. Kernels compute with its
+    `kind`."""
 
     name: str
     dtype: np.dtype[Any]
-    stored: str
+    stored_type: str
     kind: str
 
     @property
-    def loaded(self) -> str:
+    def loaded_kind(self) -> str:
         """Return the kind of a number as loaded from memory, before its conversion to the kind that kernels compute with."""
-        return self.kind if LLVM_TYPE_BY_KIND[self.kind] == self.stored else self.stored
+        return self.kind if LLVM_TYPE_BY_KIND[self.kind] == self.stored_type else self.stored_type
 
 
 @dataclass(frozen=True, slots=True)
 class ArrayType:
-    """An array type with a number of axes. If `strided`, each axis has its own step; otherwise the array is contiguous."""
+    """An array type with a number of axes. If `is_strided`, each axis has its own step; otherwise the array is contiguous."""
 
     axes: int
     of: ScalarType
-    strided: bool = False
+    is_strided: bool = False
 
 
 if TYPE_CHECKING:
@@ -68,9 +69,9 @@ else:
 
     class _Axes:
         def __init__(self, axes: int, strided: bool = False) -> None:
-            self.axes, self.strided = axes, strided
+            self.axes, self.is_strided = axes, strided
 
         def __getitem__(self, of: ScalarType) -> ArrayType:
-            return ArrayType(self.axes, of, self.strided)
+            return ArrayType(self.axes, of, self.is_strided)
 
     Array1, Array2, Array3, Strided2 = _Axes(1), _Axes(2), _Axes(3), _Axes(2, True)

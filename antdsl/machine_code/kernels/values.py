@@ -9,7 +9,7 @@ from typing import Any
 
 from antdsl.machine_code.kernels.records import rebuild_like
 from antdsl.machine_code.kernels.types import DOUBLE, FLOAT, INT, LLVM_TYPE_BY_KIND, TRUTH, UNSIGNED, ScalarType
-from antdsl.machine_code.kinds import F32, F64, I64, literal
+from antdsl.machine_code.number_kinds import F32, F64, I64, format_literal
 
 KernelItem = Any  # Number, Array, or a tuple or record of items
 _INTRINSIC_SUFFIXES = {"double": "f64", "float": "f32", "ptr": "p0"}
@@ -35,7 +35,7 @@ class Number:
     type: str = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        self.type = text_type(self.kind, self.lanes)
+        self.type = llvm_type(self.kind, self.lanes)
 
     @property
     def wide(self) -> bool:
@@ -60,7 +60,7 @@ class Number:
 
 
 @cache
-def text_type(kind: str, lanes: int = 1) -> str:
+def llvm_type(kind: str, lanes: int = 1) -> str:
     """Return the type of a kind in LLVM's language."""
     one = LLVM_TYPE_BY_KIND.get(kind, kind)
     return f"<{lanes} x {one}>" if lanes > 1 else one
@@ -77,30 +77,30 @@ class Array:
     origin: int = -1  # number of the kernel's argument, -1 for scratch
 
 
-def constant(value: Any) -> Number:
+def literal_number(value: Any) -> Number:
     """Return a literal as a number. Raises TypeError for any other value."""
     if isinstance(value, bool):
         return Number(TRUTH, "true" if value else "false", value)
     kind = type(value).__name__
     if kind == "uint64":
-        return Number(UNSIGNED, literal(value, I64), int(value))
+        return Number(UNSIGNED, format_literal(value, I64), int(value))
     if isinstance(value, float):  # includes np.float64
-        return Number(DOUBLE, literal(value, F64), float(value))
+        return Number(DOUBLE, format_literal(value, F64), float(value))
     if isinstance(value, int) or kind in ("int64", "int32", "intp"):
         integer = int(value)
-        return Number(UNSIGNED if integer >= 1 << 63 else INT, literal(integer, I64), integer)
+        return Number(UNSIGNED if integer >= 1 << 63 else INT, format_literal(integer, I64), integer)
     if kind == "float32":
-        return Number(FLOAT, literal(value, F32))
+        return Number(FLOAT, format_literal(value, F32))
     if kind == "bool":  # of NumPy
         return Number(TRUTH, "true" if value else "false", bool(value))
     raise TypeError(f"{value!r} is no number of a kernel")
 
 
-def leaves(item: KernelItem) -> Iterator[Number]:
+def flatten_item(item: KernelItem) -> Iterator[Number]:
     """Yield the numbers of an item, in order; for an array its address, lengths and steps."""
     if isinstance(item, tuple):
         for each in item:
-            yield from leaves(each)
+            yield from flatten_item(each)
     elif isinstance(item, Array):
         yield item.address
         yield from item.lengths

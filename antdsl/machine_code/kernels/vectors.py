@@ -6,13 +6,13 @@ from collections.abc import Iterable, Sequence
 
 from antdsl.machine_code.kernels.ir import IrBuilder, Value
 from antdsl.machine_code.kernels.values import Number
-from antdsl.machine_code.kinds import F32, LANE_COUNT
+from antdsl.machine_code.number_kinds import F32, LANE_COUNT
 
 
 class Vectors(IrBuilder[Value]):
     """Writer of operations that move numbers between lanes."""
 
-    def widened(self, value: Value) -> Value:
+    def broadcast(self, value: Value) -> Value:
         """Return the value broadcast to all lanes."""
         if value.wide:
             return value
@@ -22,7 +22,7 @@ class Vectors(IrBuilder[Value]):
         first = self.op("insertelement", value.kind, none, value, x=0)
         return self.op("shufflevector", value.kind, first, none, x=f"<{LANE_COUNT} x i32> zeroinitializer")
 
-    def one(self, value: Number, lane: int) -> Value:
+    def extract_lane(self, value: Number, lane: int) -> Value:
         """Return the number in one lane."""
         return self.op("extractelement", value.kind, value, x=lane, lanes=1)
 
@@ -40,13 +40,13 @@ class Vectors(IrBuilder[Value]):
         text = f"<{len(order)} x i32> <{', '.join(f'i32 {each}' for each in order)}>"
         return self.op("shufflevector", a.kind, a, b, x=text, lanes=len(order))
 
-    def turned(self, value: Number, by: int) -> Value:
-        """Return the value rotated by `by` lanes: each lane gets the number of the lane `by` further on."""
+    def rotate_lanes(self, value: Number, lane_offset: int) -> Value:
+        """Return the value rotated by `lane_offset` lanes: each lane gets the number of the lane `lane_offset` further on."""
         return self.shuffle(
-            value, Number(value.kind, "poison", lanes=LANE_COUNT), [(k + by) % LANE_COUNT for k in range(LANE_COUNT)]
+            value, Number(value.kind, "poison", lanes=LANE_COUNT), [(k + lane_offset) % LANE_COUNT for k in range(LANE_COUNT)]
         )
 
-    def columns(self, rows: Sequence[Number]) -> list[Value]:
+    def transpose_rows(self, rows: Sequence[Number]) -> list[Value]:
         """Return the four columns of eight rows of four numbers, in as few instructions as the lane size allows."""
         eight = range(LANE_COUNT)
         if rows[0].kind == F32:

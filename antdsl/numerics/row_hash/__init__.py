@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.machine_code.memory import address
+from antdsl.machine_code.memory import array_address
 from antdsl.numerics import parallel
 from antdsl.numerics.host import PARTS_PER_THREAD
 from antdsl.numerics.row_hash.loops import (
@@ -32,7 +32,7 @@ from antdsl.numerics.row_hash.loops import (
     STRIDED_WORD,
     TABLE_HEADER_WORDS,
     TABLE_WORDS_PER_WORD,
-    text,
+    build_llvm_text,
 )
 
 _LOW_32_BITS = 0xFFFFFFFF
@@ -40,13 +40,13 @@ _MASK_64 = 0xFFFFFFFFFFFFFFFF
 Int64Array = NDArray[np.int64]
 
 
-def row_hash(ids: NDArray[np.int64] | None, columns: Sequence[NDArray[Any]]) -> bytes:
+def hash_rows(ids: NDArray[np.int64] | None, columns: Sequence[NDArray[Any]]) -> bytes:
     """Return the hash, 16 bytes, of a table with these columns, [n] each, of 1, 2, 4 or 8 bytes per value.
 
     `ids` int64[n] are all different. None means the row numbers, for a table in which the order of rows matters."""
     count = len(columns[0]) if ids is None else len(ids)
     arrays = [np.ascontiguousarray(column) for column in (columns if ids is None else (ids, *columns))]
-    return _to_digest(HashTable(arrays, keys, ids=ids is not None).sums(count))
+    return _to_digest(HashTable(arrays, compute_word_keys, ids=ids is not None).compute_sums(count))
 
 
 def _to_digest(sums: Sequence[int]) -> bytes:
@@ -55,22 +55,24 @@ def _to_digest(sums: Sequence[int]) -> bytes:
 
 
 class RowHasher:
-    """Repeated `row_hash` of tables that mostly have the same addresses. The addresses are looked up once."""
+    """Repeated `hash_rows` of tables that mostly have the same addresses. The addresses are looked up once."""
 
     def __init__(self) -> None:
         self._arrays: list[NDArray[Any]] = []  # the ids first, if there are ids
         self._table: HashTable | None = None
-        self._whole: list[NDArray[Any]] = []
-        self._parts: list[NDArray[Any]] = []
+        self._split_arrays: list[NDArray[Any]] = []
+        self._split_columns: list[NDArray[Any]] = []
 
-    def split_columns(self, arrays: Sequence[NDArray[Any]], several: Sequence[bool]) -> list[NDArray[Any]]:
-        """Return the columns of arrays. An array for which `several` is true has one column per row of its first axis.
+    def split_columns(self, arrays: Sequence[NDArray[Any]], has_several: Sequence[bool]) -> list[NDArray[Any]]:
+        """Return the columns of arrays. An array for which `has_several` is true has one column per row of its first axis.
 
         As long as the arrays are the same, the result has the same objects."""
-        if len(arrays) != len(self._whole) or any(map(is_not, arrays, self._whole)):
-            self._whole = list(arrays)
-            self._parts = [part for array, each in zip(arrays, several, strict=True) for part in (array if each else (array,))]
-        return self._parts
+        if len(arrays) != len(self._split_arrays) or any(map(is_not, arrays, self._split_arrays)):
+            self._split_arrays = list(arrays)
+            self._split_columns = [
+                part for array, each in zip(arrays, has_several, strict=True) for part in (array if each else (array,))
+            ]
+        return self._split_columns
 
     def of(self, ids: NDArray[np.int64] | None, columns: Sequence[NDArray[Any]], threads: int = 1) -> bytes:
         """Return the hash of columns [n] or [n, k]; the latter count as k columns. Columns with fewer than four bytes per value
@@ -81,9 +83,9 @@ class RowHasher:
             return _to_digest((0, 0))
         table = self._table
         if table is None or len(arrays) != len(self._arrays) or not table.rebind(arrays, self._arrays):
-            self._table = table = HashTable(arrays, keys, ids=ids is not None)
+            self._table = table = HashTable(arrays, compute_word_keys, ids=ids is not None)
         self._arrays = arrays
-        return _to_digest(table.sums(count, threads))
+        return _to_digest(table.compute_sums(count, threads))
 
 
 def describe_columns(names: tuple[str, ...], columns: Iterable[NDArray[Any]]) -> bytes:
@@ -97,7 +99,7 @@ def _describe_columns(names: tuple[str, ...], types: tuple[np.dtype[Any], ...]) 
 
 
 @cache
-def keys(number: int) -> Int64Array:
+def compute_word_keys(number: int) -> Int64Array:
     """Return the four keys of a word by its number in the row, 32 bits each.
 
     They are the keys of its first and second half in one lane, then in the other lane. They come from two numbers of SplitMix64,
@@ -122,18 +124,18 @@ class _ColumnForm:
     dtype: np.dtype[Any]
     strides: tuple[int, ...]
     trailing_shape: tuple[int, ...]
-    piece: bool
+    is_contiguous: bool
 
 
 class HashTable:
     """The memory layout of a table's columns, for machine code.
 
     - `columns`: arrays [n] or [n, k], of 1, 2, 4 or 8 bytes per value; the table does not store the arrays
-    - `keys`: a function that returns the four keys of a word by its number
+    - `compute_word_keys`: a function that returns the four keys of a word by its number
     - `ids`: whether the first column is the ids of the rows; otherwise row numbers are used"""
 
     def __init__(self, columns: Sequence[NDArray[Any]], keys: Callable[[int], NDArray[np.int64]], *, ids: bool) -> None:
-        self._forms = [_ColumnForm(each.dtype, each.strides, each.shape[1:], each.flags.c_contiguous) for each in columns]
+        self._column_forms = [_ColumnForm(each.dtype, each.strides, each.shape[1:], each.flags.c_contiguous) for each in columns]
         words: list[tuple[int, list[_WordPart]]] = [] if ids else [(ROW_NUMBER_WORD, [])]
         half: list[_WordPart] = []
         for k, column in enumerate(columns):
@@ -152,14 +154,16 @@ class HashTable:
         if half:
             words.append((HALVES_WORD, half * 2))
         table: list[int] = []
-        self._slots: list[list[tuple[int, int]]] = [[] for _ in columns]  # for each column: words with its address, and offsets
+        self._address_slots: list[list[tuple[int, int]]] = [
+            [] for _ in columns
+        ]  # for each column: words with its address, and offsets
         for number, (kind, parts) in enumerate(words):
             for place, (k, offset, _) in zip((1, 3), parts, strict=False):
-                self._slots[k].append((len(table) + place, offset))
+                self._address_slots[k].append((len(table) + place, offset))
             steps = [word for _, _, step in parts for word in (0, step)]
             table += [kind, *steps, *[0] * (4 - len(steps)), *keys(number).tolist()]
         self._table = np.array(table, np.int64)
-        self._heads: Int64Array = np.zeros((0, TABLE_HEADER_WORDS), np.int64)  # one header per chunk
+        self._chunk_headers: Int64Array = np.zeros((0, TABLE_HEADER_WORDS), np.int64)  # one header per chunk
         self._chunks: Int64Array = np.zeros((0, 3), np.int64)
         self.rebind(columns, [None] * len(columns))
 
@@ -169,32 +173,32 @@ class HashTable:
         for k, (column, other) in enumerate(zip(columns, previous, strict=True)):
             if column is other:
                 continue
-            form, piece = self._forms[k], column.flags.c_contiguous  # always true for a single row
+            form, piece = self._column_forms[k], column.flags.c_contiguous  # always true for a single row
             if column.dtype is not form.dtype or column.strides != form.strides or column.shape[1:] != form.trailing_shape:
                 return False
-            if piece != form.piece:
+            if piece != form.is_contiguous:
                 return False
-            begin = address(column) if form.piece else column.ctypes.data
-            for slot, offset in self._slots[k]:
+            begin = array_address(column) if form.is_contiguous else column.ctypes.data
+            for slot, offset in self._address_slots[k]:
                 self._table[slot] = begin + offset
         return True
 
-    def sums(self, count: int, threads: int = 1) -> tuple[int, int]:
+    def compute_sums(self, count: int, threads: int = 1) -> tuple[int, int]:
         """Return the sums of both lanes over `count` rows modulo 2^64. Each row is mixed before it is added."""
         chunks = 1 if threads < 2 else max(1, min(PARTS_PER_THREAD * threads, count // parallel.MIN_AGENTS_PER_THREAD))
-        if len(self._heads) != chunks or self._chunks[-1, 2] != count:
-            self._heads = np.zeros((chunks, TABLE_HEADER_WORDS), np.int64)
-            self._heads[:, 2:] = len(self._table) // TABLE_WORDS_PER_WORD, address(self._table)
+        if len(self._chunk_headers) != chunks or self._chunks[-1, 2] != count:
+            self._chunk_headers = np.zeros((chunks, TABLE_HEADER_WORDS), np.int64)
+            self._chunk_headers[:, 2:] = len(self._table) // TABLE_WORDS_PER_WORD, array_address(self._table)
             ends = [count * k // chunks for k in range(chunks + 1)]
-            self._chunks = np.array([(address(self._heads[k]), *ends[k : k + 2]) for k in range(chunks)], np.int64)
-        self._heads[:, :2] = 0
-        parallel.call_rows(_function(), self._chunks, threads)
-        first, second = (sum(column) for column in self._heads[:, :2].T.tolist())
+            self._chunks = np.array([(array_address(self._chunk_headers[k]), *ends[k : k + 2]) for k in range(chunks)], np.int64)
+        self._chunk_headers[:, :2] = 0
+        parallel.call_with_rows(_load_function(), self._chunks, threads)
+        first, second = (sum(column) for column in self._chunk_headers[:, :2].T.tolist())
         return first, second
 
 
 @cache
-def _function() -> Callable[[int, int, int], None]:
+def _load_function() -> Callable[[int, int, int], None]:
     """Return the compiled function that sums rows."""
-    function: Callable[[int, int, int], None] = text.code().function("rows")
+    function: Callable[[int, int, int], None] = build_llvm_text.code().function("rows")
     return function

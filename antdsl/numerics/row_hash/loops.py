@@ -1,4 +1,4 @@
-"""The loops of `row_hash`, in LLVM's language.
+"""The loops of `hash_rows`, in LLVM's language.
 
 Rows are processed in blocks that fit into a core's own cache. The lanes of a block's rows are summed in that cache, word by word.
 So each column is read as one stream, which processors can prefetch. All columns at once would be too many streams."""
@@ -7,10 +7,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from antdsl.machine_code import machine
-from antdsl.machine_code.entries import inner_text
+from antdsl.machine_code import llvm_compiler
+from antdsl.machine_code.entry_functions import write_inner_function
 from antdsl.machine_code.library import library_text
-from antdsl.machine_code.module import LlvmModule
+from antdsl.machine_code.llvm_module import LlvmModule
 
 CONTIGUOUS_WORD, STRIDED_WORD, ROW_NUMBER_WORD, HALVES_WORD = range(4)  # kinds of words
 # Words of a table for each of the row's words: kind, two addresses each before the bytes of a step, four keys
@@ -38,32 +38,32 @@ class _TextBuilder:
         """Begin a block of code with a label."""
         self.lines.append(f"{label}:")
 
-    def put(self, value: str) -> str:
+    def add_value(self, value: str) -> str:
         """Append an instruction with a result, and return the result's name."""
         self._count += 1
         self.do(f"%v{self._count} = {value}")
         return f"%v{self._count}"
 
-    def place(self, begin: str, of: str, number: str) -> str:
+    def add_pointer(self, begin: str, of: str, number: str) -> str:
         """Append a pointer computation, and return the pointer's name."""
-        return self.put(f"getelementptr {of}, ptr {begin}, i64 {number}")
+        return self.add_value(f"getelementptr {of}, ptr {begin}, i64 {number}")
 
-    def broadcast(self, value: str, kind: str = "i64") -> str:
+    def add_broadcast(self, value: str, kind: str = "i64") -> str:
         """Write a number to all lanes."""
-        one = self.put(f"insertelement <{ROWS_PER_STEP} x {kind}> poison, {kind} {value}, i64 0")
-        return self.put(
+        one = self.add_value(f"insertelement <{ROWS_PER_STEP} x {kind}> poison, {kind} {value}, i64 0")
+        return self.add_value(
             f"shufflevector <{ROWS_PER_STEP} x {kind}> {one}, <{ROWS_PER_STEP} x {kind}> poison, <{ROWS_PER_STEP} x i32> "
             f"zeroinitializer"
         )
 
 
-def _constant(value: int) -> str:
+def _format_vector_constant(value: int) -> str:
     """Return a vector constant with a number in all lanes."""
     return "<" + ", ".join([f"i64 {value}"] * ROWS_PER_STEP) + ">"
 
 
 @library_text
-def text(target: machine.Target) -> str:
+def build_llvm_text(target: llvm_compiler.Target) -> str:
     """Return the text to compile: a function of the table that adds the sums of rows from the first to before the last."""
     module = LlvmModule(target)
     module.declare("llvm.memset.p0.i64", "void", ["ptr", "i8", "i64", "i1"])
@@ -88,33 +88,35 @@ def text(target: machine.Target) -> str:
     for lane in (0, 1):
         w.do(f"call void @llvm.memset.p0.i64(ptr align 64 %lane{lane}, i8 0, i64 %bytes, i1 false)")
     w.do("br label %words.loop")
-    _words(w)
+    _write_word_sums(w)
     _mix_rows(w)
     w.at("over")
     for lane in (0, 1):
-        place = w.place("%t", "i64", str(lane))
-        old_sum = w.put(f"load i64, ptr {place}")
-        w.do(f"store i64 {w.put(f'add i64 {old_sum}, %sum{lane}')}, ptr {place}")
-    return f"{module.text()}\n{inner_text(module, 'rows', chr(10).join(w.lines))}\n"
+        place = w.add_pointer("%t", "i64", str(lane))
+        old_sum = w.add_value(f"load i64, ptr {place}")
+        w.do(f"store i64 {w.add_value(f'add i64 {old_sum}, %sum{lane}')}, ptr {place}")
+    return f"{module.text()}\n{write_inner_function(module, 'rows', chr(10).join(w.lines))}\n"
 
 
-def _words(w: _TextBuilder) -> None:
+def _write_word_sums(w: _TextBuilder) -> None:
     """Add up both lanes of a block, word by word."""
     w.at("words.loop")
     w.do("%w = phi i64 [ 0, %block ], [ %w.next, %added ]")
     w.do("%w.more = icmp slt i64 %w, %words\n  br i1 %w.more, label %word, label %mix")
     w.at("word")
-    word = w.place("%table", "i64", w.put(f"mul i64 %w, {TABLE_WORDS_PER_WORD}"))
-    addresses = [w.place(word, "i64", str(k)) for k in range(TABLE_WORDS_PER_WORD)]
-    kind, *steps = (w.put(f"load i64, ptr {addresses[k]}") for k in (0, 2, 4))
-    columns = [w.put(f"load ptr, ptr {addresses[k]}") for k in (1, 3)]
-    keys = [w.broadcast(w.put(f"load i64, ptr {place}")) for place in addresses[5:]]
-    begins = [w.place(column, "i8", w.put(f"mul i64 %first, {step}")) for column, step in zip(columns, steps, strict=True)]
-    kind_tests = [w.put(f"icmp eq i64 {kind}, {each}") for each in (CONTIGUOUS_WORD, HALVES_WORD)]
-    in_place = w.put("xor i1 %few, true")
+    word = w.add_pointer("%table", "i64", w.add_value(f"mul i64 %w, {TABLE_WORDS_PER_WORD}"))
+    addresses = [w.add_pointer(word, "i64", str(k)) for k in range(TABLE_WORDS_PER_WORD)]
+    kind, *steps = (w.add_value(f"load i64, ptr {addresses[k]}") for k in (0, 2, 4))
+    columns = [w.add_value(f"load ptr, ptr {addresses[k]}") for k in (1, 3)]
+    keys = [w.add_broadcast(w.add_value(f"load i64, ptr {place}")) for place in addresses[5:]]
+    begins = [
+        w.add_pointer(column, "i8", w.add_value(f"mul i64 %first, {step}")) for column, step in zip(columns, steps, strict=True)
+    ]
+    kind_tests = [w.add_value(f"icmp eq i64 {kind}, {each}") for each in (CONTIGUOUS_WORD, HALVES_WORD)]
+    in_place = w.add_value("xor i1 %few, true")
     pairs = kind_tests[1]
     for step in steps:
-        pairs = w.put(f"and i1 {pairs}, {w.put(f'icmp eq i64 {step}, 4')}")
+        pairs = w.add_value(f"and i1 {pairs}, {w.add_value(f'icmp eq i64 {step}, 4')}")
     w.do(f"%as.it.is = and i1 {kind_tests[0]}, {in_place}\n  %as.pairs = and i1 {pairs}, {in_place}")
     w.do("br i1 %as.it.is, label %add, label %other\nother:\n  br i1 %as.pairs, label %pairs, label %gather")
     w.at("gather")
@@ -148,23 +150,23 @@ def _add_products(w: _TextBuilder, label: str, predecessor: str, columns: Sequen
     of halves.
 
     `predecessor` is the label of the block of code before."""
-    _loop(w, label, predecessor, ROWS_PER_STEP, "%room")
+    _begin_loop(w, label, predecessor, ROWS_PER_STEP, "%room")
     if len(columns) == 1:
-        place = w.place(columns[0], "i64", f"%{label}.i")
-        low = w.put(f"load {_LONG_LANES_TYPE}, ptr {place}, align 1")
-        halves = [low, w.put(f"lshr {_LONG_LANES_TYPE} {low}, {_constant(32)}")]
+        place = w.add_pointer(columns[0], "i64", f"%{label}.i")
+        low = w.add_value(f"load {_LONG_LANES_TYPE}, ptr {place}, align 1")
+        halves = [low, w.add_value(f"lshr {_LONG_LANES_TYPE} {low}, {_format_vector_constant(32)}")]
     else:
-        addresses = [w.place(column, "i32", f"%{label}.i") for column in columns]
-        loaded = [w.put(f"load {_HALF_LANES_TYPE}, ptr {place}, align 1") for place in addresses]
-        halves = [w.put(f"zext {_HALF_LANES_TYPE} {half} to {_LONG_LANES_TYPE}") for half in loaded]
+        addresses = [w.add_pointer(column, "i32", f"%{label}.i") for column in columns]
+        loaded = [w.add_value(f"load {_HALF_LANES_TYPE}, ptr {place}, align 1") for place in addresses]
+        halves = [w.add_value(f"zext {_HALF_LANES_TYPE} {half} to {_LONG_LANES_TYPE}") for half in loaded]
     for lane in (0, 1):
-        sums = [w.put(f"add {_LONG_LANES_TYPE} {half}, {keys[2 * lane + k]}") for k, half in enumerate(halves)]
-        cut = [w.put(f"and {_LONG_LANES_TYPE} {value}, {_constant(0xFFFFFFFF)}") for value in sums]
-        place = w.place(f"%lane{lane}", "i64", f"%{label}.i")
-        known = w.put(f"load {_LONG_LANES_TYPE}, ptr {place}, align 64")
-        product = w.put(f"mul {_LONG_LANES_TYPE} {cut[0]}, {cut[1]}")
-        w.do(f"store {_LONG_LANES_TYPE} {w.put(f'add {_LONG_LANES_TYPE} {known}, {product}')}, ptr {place}, align 64")
-    _end(w, label)
+        sums = [w.add_value(f"add {_LONG_LANES_TYPE} {half}, {keys[2 * lane + k]}") for k, half in enumerate(halves)]
+        cut = [w.add_value(f"and {_LONG_LANES_TYPE} {value}, {_format_vector_constant(0xFFFFFFFF)}") for value in sums]
+        place = w.add_pointer(f"%lane{lane}", "i64", f"%{label}.i")
+        known = w.add_value(f"load {_LONG_LANES_TYPE}, ptr {place}, align 64")
+        product = w.add_value(f"mul {_LONG_LANES_TYPE} {cut[0]}, {cut[1]}")
+        w.do(f"store {_LONG_LANES_TYPE} {w.add_value(f'add {_LONG_LANES_TYPE} {known}, {product}')}, ptr {place}, align 64")
+    _end_loop(w, label)
     w.do("br label %added")
 
 
@@ -192,7 +194,7 @@ def _write_halves(w: _TextBuilder, name: str, begin: str, step: str) -> None:
             w.do(f"br label %{name}.done")
 
 
-def _loop(w: _TextBuilder, label: str, predecessor: str, step: int, count: str) -> None:
+def _begin_loop(w: _TextBuilder, label: str, predecessor: str, step: int, count: str) -> None:
     """Begin a loop over the rows of a block. `predecessor` is the label of the block of code before."""
     w.do(f"br label %{label}")
     w.at(label)
@@ -202,7 +204,7 @@ def _loop(w: _TextBuilder, label: str, predecessor: str, step: int, count: str) 
     w.do(f"%{label}.next = add i64 %{label}.i, {step}")
 
 
-def _end(w: _TextBuilder, label: str) -> None:
+def _end_loop(w: _TextBuilder, label: str) -> None:
     """Jump back to the label of a loop, and begin the block of code after it."""
     w.do(f"br label %{label}")
     w.at(f"{label}.end")
@@ -210,46 +212,48 @@ def _end(w: _TextBuilder, label: str) -> None:
 
 def _read_halves(w: _TextBuilder, label: str, predecessor: str, begin: str, kind: str, shift: int) -> None:
     """Emit a loop that adds contiguous values in memory as halves of 64-bit values."""
-    _loop(w, label, predecessor, ROWS_PER_STEP, "%room")
-    at = w.place(begin, kind, f"%{label}.i")
-    half = w.put(f"load <{ROWS_PER_STEP} x {kind}>, ptr {at}, align 1")
+    _begin_loop(w, label, predecessor, ROWS_PER_STEP, "%room")
+    at = w.add_pointer(begin, kind, f"%{label}.i")
+    half = w.add_value(f"load <{ROWS_PER_STEP} x {kind}>, ptr {at}, align 1")
     if kind != "i32":
-        half = w.put(f"sext <{ROWS_PER_STEP} x {kind}> {half} to {_HALF_LANES_TYPE}")
-    half = w.put(f"zext {_HALF_LANES_TYPE} {half} to {_LONG_LANES_TYPE}")
-    place = w.place("%values", "i64", f"%{label}.i")
+        half = w.add_value(f"sext <{ROWS_PER_STEP} x {kind}> {half} to {_HALF_LANES_TYPE}")
+    half = w.add_value(f"zext {_HALF_LANES_TYPE} {half} to {_LONG_LANES_TYPE}")
+    place = w.add_pointer("%values", "i64", f"%{label}.i")
     if shift:
-        low = w.put(f"load {_LONG_LANES_TYPE}, ptr {place}, align 64")
-        moved = w.put(f"shl {_LONG_LANES_TYPE} {half}, {_constant(shift)}")
-        half = w.put(f"or {_LONG_LANES_TYPE} {low}, {moved}")
+        low = w.add_value(f"load {_LONG_LANES_TYPE}, ptr {place}, align 64")
+        moved = w.add_value(f"shl {_LONG_LANES_TYPE} {half}, {_format_vector_constant(shift)}")
+        half = w.add_value(f"or {_LONG_LANES_TYPE} {low}, {moved}")
     w.do(f"store {_LONG_LANES_TYPE} {half}, ptr {place}, align 64")
-    _end(w, label)
+    _end_loop(w, label)
 
 
 def _gather_values(w: _TextBuilder, label: str, predecessor: str, begin: str, step: str, kind: str, shift: int | None) -> None:
     """Write values that are `step` bytes apart, one by one, as complete words or as halves."""
-    _loop(w, label, predecessor, 1, "%count")
-    at = w.place(begin, "i8", w.put(f"mul i64 %{label}.i, {step}"))
-    word = w.put(f"load {kind}, ptr {at}, align 1")
-    place = w.place("%values", "i64", f"%{label}.i")
+    _begin_loop(w, label, predecessor, 1, "%count")
+    at = w.add_pointer(begin, "i8", w.add_value(f"mul i64 %{label}.i, {step}"))
+    word = w.add_value(f"load {kind}, ptr {at}, align 1")
+    place = w.add_pointer("%values", "i64", f"%{label}.i")
     if shift is not None:
         if kind != "i32":
-            word = w.put(f"sext {kind} {word} to i32")
-        word = w.put(f"zext i32 {word} to i64")
+            word = w.add_value(f"sext {kind} {word} to i32")
+        word = w.add_value(f"zext i32 {word} to i64")
         if shift:
-            low = w.put(f"load i64, ptr {place}, align 8")
-            moved = w.put(f"shl i64 {word}, {shift}")
-            word = w.put(f"or i64 {low}, {moved}")
+            low = w.add_value(f"load i64, ptr {place}, align 8")
+            moved = w.add_value(f"shl i64 {word}, {shift}")
+            word = w.add_value(f"or i64 {low}, {moved}")
     w.do(f"store i64 {word}, ptr {place}, align 8")
-    _end(w, label)
+    _end_loop(w, label)
 
 
 def _write_row_numbers(w: _TextBuilder) -> None:
     """Write the numbers of the rows."""
-    _loop(w, "numbers.of", "numbers", ROWS_PER_STEP, "%room")
-    number = w.put(f"add {_LONG_LANES_TYPE} {w.broadcast(w.put('add i64 %first, %numbers.of.i'))}, {_LANE_NUMBERS}")
-    place = w.place("%values", "i64", "%numbers.of.i")
+    _begin_loop(w, "numbers.of", "numbers", ROWS_PER_STEP, "%room")
+    number = w.add_value(
+        f"add {_LONG_LANES_TYPE} {w.add_broadcast(w.add_value('add i64 %first, %numbers.of.i'))}, {_LANE_NUMBERS}"
+    )
+    place = w.add_pointer("%values", "i64", "%numbers.of.i")
     w.do(f"store {_LONG_LANES_TYPE} {number}, ptr {place}, align 64")
-    _end(w, "numbers.of")
+    _end_loop(w, "numbers.of")
     w.do("br label %add")
 
 
@@ -266,12 +270,12 @@ def _mix_rows(w: _TextBuilder) -> None:
     w.do("%m.more = icmp slt i64 %m, %count\n  br i1 %m.more, label %mixing.turn, label %mixed")
     w.at("mixing.turn")
     for lane in (0, 1):
-        place = w.place(f"%lane{lane}", "i64", "%m")
-        h = w.put(f"load i64, ptr {place}, align 8")
+        place = w.add_pointer(f"%lane{lane}", "i64", "%m")
+        h = w.add_value(f"load i64, ptr {place}, align 8")
         for factor in (*_MIX_MULTIPLIERS, None):
-            shifted = w.put(f"lshr i64 {h}, 33")
-            h = w.put(f"xor i64 {h}, {shifted}")
-            h = h if factor is None else w.put(f"mul i64 {h}, {factor}")
+            shifted = w.add_value(f"lshr i64 {h}, 33")
+            h = w.add_value(f"xor i64 {h}, {shifted}")
+            h = h if factor is None else w.add_value(f"mul i64 {h}, {factor}")
         w.do(f"%mix.then{lane} = add i64 %mix.sum{lane}, {h}")
     w.do("%m.next = add i64 %m, 1\n  br label %mixing")
     w.at("mixed")

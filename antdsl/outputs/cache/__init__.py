@@ -3,6 +3,6 @@
 `cache_writer` writes frames atomically behind a lock (`lock`).
 `frame_writer` writes frames in a thread, while the simulation continues.
 `cache_reader` checks everything in a cache against limits before it is used.
-`frames` defines the arrays of a frame, `manifest` describes the cache, `hashes` finds damage.
+`frame_maker` defines the arrays of a frame, `manifest` describes the cache, `hashes` finds damage.
 `npz` writes and reads plain arrays.
 `solid_pieces` stores solids as the removed volume; `dug_solids` digs them again for drawing."""

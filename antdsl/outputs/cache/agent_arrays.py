@@ -13,45 +13,45 @@ from numpy.typing import NDArray
 
 from antdsl.numerics import parallel
 from antdsl.outputs.cache import frame_loops
-from antdsl.program.tables.columns import ATTRIBUTES, Column
+from antdsl.program.tables.columns import COLUMN_BY_ATTRIBUTE, Column
 from antdsl.runtime.body_positions import body_positions
 from antdsl.runtime.world import AXES, Population, World
 
 Arrays = dict[str, NDArray[Any]]
 
 
-class AgentArrays:
+class AgentArrayBuilder:
     """Builder of the agents' arrays.
 
     `scale`: scene units per millimetre.
     `factors`: multiplier of a number, by (species, name); 1 where absent.
-    `pairs`: by species, the names of values that exist per pair of agents and not per agent."""
+    `pair_names`: by species, the names of values that exist per pair of agents and not per agent."""
 
     def __init__(self, scale: float, factors: Mapping[tuple[str, str], float], pairs: Mapping[str, Container[str]]) -> None:
-        self.scale, self.factors, self.pairs = scale, factors, pairs
+        self.scale, self.factors, self.pair_names = scale, factors, pairs
 
-    def arrays(self, world: World, attributes: tuple[str, ...]) -> Arrays:
+    def build_arrays(self, world: World, attributes: tuple[str, ...]) -> Arrays:
         """Return the arrays with the names `attributes`, one row per agent of the world."""
         populations = [world.populations[name] for name in sorted(world.populations)]
         output = Arrays()
         for attribute in attributes:
-            column, end = ATTRIBUTES.get(attribute), 0
-            kind, shape = ("f4", ()) if column is None else (column.frame_type, column.dimensions())
+            column, end = COLUMN_BY_ATTRIBUTE.get(attribute), 0
+            kind, shape = ("f4", ()) if column is None else (column.frame_type, column.compute_dimensions())
             output[attribute] = np.empty((len(world), *shape), kind)
             for population in populations:
                 begin, end = end, end + len(population)
-                self._write(world, attribute, population, output[attribute][begin:end])
+                self._write_attribute(world, attribute, population, output[attribute][begin:end])
         return output
 
-    def _write(self, world: World, attribute: str, population: Population, out: NDArray[Any]) -> None:
+    def _write_attribute(self, world: World, attribute: str, population: Population, out: NDArray[Any]) -> None:
         """Write an attribute of a species into `out`, its rows of the array. Agents without the attribute get NaN."""
         threads = world.options.threads
-        column = ATTRIBUTES.get(attribute)
+        column = COLUMN_BY_ATTRIBUTE.get(attribute)
         if column is not None and column.kind == "derived":
-            VALUES[column.name](world, population, out)
+            VALUE_WRITERS[column.name](world, population, out)
         elif column is not None:
             write_column(population, column, self.scale, out, threads)
-        elif attribute not in population.plan.registers or attribute in self.pairs[population.name]:
+        elif attribute not in population.plan.registers or attribute in self.pair_names[population.name]:
             out[:] = np.nan
         else:
             write_numbers(population, attribute, self.factors.get((population.name, attribute), 1.0), out, threads)
@@ -59,27 +59,27 @@ class AgentArrays:
 
 def write_column(population: Population, column: Column, scale: float, out: NDArray[Any], threads: int = 1) -> None:
     """Write a column of a population into `out`, by id, in the units of frames. The column is a fixed array or registers."""
-    ranks, factor = population.id_ranks(), column.factor(scale)
+    ranks, factor = population.id_ranks(), column.compute_frame_factor(scale)
     if column.kind == "register" and not column.shape:
         write_numbers(population, column.name, factor, out, threads)
     elif column.kind == "register":
-        work = partial(frame_loops.agent_vectors, _columns(population, column.name), ranks, factor, out)
-        parallel.in_parts(work, len(ranks), threads)
+        work = partial(frame_loops.write_vectors, _find_vector_columns(population, column.name), ranks, factor, out)
+        parallel.run_in_parts(work, len(ranks), threads)
     elif column.shape:
-        work = partial(frame_loops.agent_positions, body_positions(population), ranks, factor, out)
-        parallel.in_parts(work, len(ranks), threads)
+        work = partial(frame_loops.write_positions, body_positions(population), ranks, factor, out)
+        parallel.run_in_parts(work, len(ranks), threads)
     else:
-        out[:] = population.columns[column.name].take(population.in_id_order())
+        out[:] = population.columns[column.name].take(population.rows_by_id())
 
 
 def write_numbers(population: Population, name: str, factor: float, out: NDArray[np.float32], threads: int = 1) -> None:
     """Write a register times `factor` into `out` float32[n], by id."""
     of = population.now[name]
     if of.dtype == np.float32:
-        work = partial(frame_loops.agent_numbers, of, population.id_ranks(), np.float32(factor), out)
-        parallel.in_parts(work, len(of), threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD)
+        work = partial(frame_loops.write_numbers, of, population.id_ranks(), np.float32(factor), out)
+        parallel.run_in_parts(work, len(of), threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD)
     else:
-        out[:] = of.take(population.in_id_order()).astype(np.float32, copy=False) * np.float32(factor)
+        out[:] = of.take(population.rows_by_id()).astype(np.float32, copy=False) * np.float32(factor)
 
 
 def write_colours(world: World, population: Population, out: NDArray[np.float32]) -> None:
@@ -89,24 +89,28 @@ def write_colours(world: World, population: Population, out: NDArray[np.float32]
         out[:] = 1.0
         return
     colours, ranks = np.array(machines[0].colours, np.float32), population.id_ranks()
-    work = partial(frame_loops.agent_colours, colours, population.now[f"{machines[0].name}.state"], ranks, out)
-    if not all(parallel.in_parts(work, len(ranks), world.options.threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD)):
+    work = partial(frame_loops.write_colours, colours, population.now[f"{machines[0].name}.state"], ranks, out)
+    if not all(parallel.run_in_parts(work, len(ranks), world.options.threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD)):
         raise IndexError("a state that does not belong to the species has no colour")
 
 
 def _write_states(world: World, population: Population, out: NDArray[np.int16]) -> None:
     machines = population.plan.machines
     if machines:
-        work = partial(frame_loops.agent_integers, population.now[f"{machines[0].name}.state"], population.id_ranks(), out)
-        parallel.in_parts(work, len(population), world.options.threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD)
+        work = partial(frame_loops.write_integers, population.now[f"{machines[0].name}.state"], population.id_ranks(), out)
+        parallel.run_in_parts(work, len(population), world.options.threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD)
     else:
         out[:] = 0
 
 
 def write_orientations(world: World, population: Population, out: NDArray[np.float32]) -> None:
     """Write the orientations of agents into `out` float32[n, 4]: quaternions x, y, z, w, by id."""
-    heading, up, ranks = _columns(population, "heading"), _columns(population, "up"), population.id_ranks()
-    parallel.in_parts(partial(frame_loops.agent_orientations, heading, up, ranks, out), len(ranks), world.options.threads)
+    heading, up, ranks = (
+        _find_vector_columns(population, "heading"),
+        _find_vector_columns(population, "up"),
+        population.id_ranks(),
+    )
+    parallel.run_in_parts(partial(frame_loops.write_orientations, heading, up, ranks, out), len(ranks), world.options.threads)
 
 
 def _write_species(world: World, population: Population, out: NDArray[np.int16]) -> None:
@@ -114,15 +118,15 @@ def _write_species(world: World, population: Population, out: NDArray[np.int16])
 
 
 def _write_ages(world: World, population: Population, out: NDArray[np.float32]) -> None:
-    out[:] = (world.frame - population.born[population.in_id_order()]) * world.dt
+    out[:] = (world.frame - population.born[population.rows_by_id()]) * world.dt
 
 
-def _columns(population: Population, name: str) -> tuple[NDArray[np.float32], ...]:
+def _find_vector_columns(population: Population, name: str) -> tuple[NDArray[np.float32], ...]:
     """Return the registers for x, y and z of a vector."""
     return tuple(population.now[f"{name}.{axis}"] for axis in AXES)
 
 
-VALUES: Mapping[str, Callable[[World, Population, NDArray[Any]], None]] = {
+VALUE_WRITERS: Mapping[str, Callable[[World, Population, NDArray[Any]], None]] = {
     "orient": write_orientations,
     "Cd": write_colours,
     "state": _write_states,

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.bodies.agents.definition import BodyError, Definition
-from antdsl.bodies.agents.packed import ARRAY_NAMES, digest, pack_definition, unpack_definition
-from antdsl.bodies.files.definition_checks import Parts, check_definition
+from antdsl.bodies.agents.packed import ARRAY_NAMES, hash_definition, pack_definition, unpack_definition
+from antdsl.bodies.files.definition_checks import ReadDefinition, check_definition
 from antdsl.diagnostics import Report
 from antdsl.outputs.cache.manifest import BodyEntry, Manifest, WornBodyEntry
 from antdsl.scene.body_choice import body_key
@@ -24,11 +24,11 @@ class StoredBodies:
     """Definitions for a cache.
 
     `entries`: a manifest entry for each definition.
-    `worn`: the bodies of each species that has bodies from files, or bodies that the scene names.
+    `index_by_species`: the bodies of each species that has bodies from files, or bodies that the scene names.
     `arrays`: the arrays of all definitions."""
 
     entries: tuple[BodyEntry, ...]
-    worn: Mapping[str, tuple[WornBodyEntry, ...]]
+    index_by_species: Mapping[str, tuple[WornBodyEntry, ...]]
     arrays: Arrays
 
     @staticmethod
@@ -42,7 +42,7 @@ class StoredBodies:
         for key, body in sorted(definitions.items()):
             number = numbers.setdefault(id(body), len(numbers))
             if number == len(entries):
-                entries.append(BodyEntry(name=texts.get(key, body.name)[-500:], digest=digest(body)))
+                entries.append(BodyEntry(name=texts.get(key, body.name)[-500:], digest=hash_definition(body)))
                 arrays |= {f"body.{number}.{part}": array for part, array in pack_definition(body).items()}
         index = {key: numbers[id(body)] for key, body in definitions.items()}
         worn = {
@@ -55,23 +55,23 @@ class StoredBodies:
         return StoredBodies(tuple(entries), worn, arrays)
 
 
-def definition_of(manifest: Manifest, static: Arrays, number: int) -> Definition:
+def load_definition(manifest: Manifest, static: Arrays, number: int) -> Definition:
     """Return the definition at index `number` of the manifest's list. Raises BodyError if it is missing, damaged, or not the one
     written."""
     arrays = {part: static[name] for part in ARRAY_NAMES if (name := f"body.{number}.{part}") in static}
     if number >= len(manifest.bodies) or len(arrays) != len(ARRAY_NAMES):
         raise BodyError("is not there")
-    definition = unpack_checked(arrays)
-    if digest(definition) != manifest.bodies[number].digest:
+    definition = unpack_checked_definition(arrays)
+    if hash_definition(definition) != manifest.bodies[number].digest:
         raise BodyError("is not the one that was written")
     return definition
 
 
-def unpack_checked(arrays: Mapping[str, NDArray[Any]]) -> Definition:
+def unpack_checked_definition(arrays: Mapping[str, NDArray[Any]]) -> Definition:
     """Return the definition from arrays that `bodies.agents.packed` made. Raises BodyError for any other arrays; all of them are
     checked."""
     definition, report = unpack_definition(arrays), Report()
     with np.errstate(all="ignore"):
-        if check_definition(Parts(definition, measured=False), report) is None:
+        if check_definition(ReadDefinition(definition, needs_length=False), report) is None:
             raise BodyError(f"is damaged: in a body, {report.errors[0].message}")
     return definition

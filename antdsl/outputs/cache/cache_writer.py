@@ -20,27 +20,27 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.numerics.records import part_of
+from antdsl.atomic_write import PART_SUFFIX, create_folder_durably, is_link, write_atomically
+from antdsl.numerics.records import select_by_prefix
 from antdsl.outputs.cache.cache_reader import (
-    MARKER,
-    STATIC,
-    SURFACE_ERROR,
+    MARKER_FILE_NAME,
+    STATIC_FILE_NAME,
+    SURFACE_ERROR_KEY,
     Cache,
-    checkpoint_path,
-    frame_path,
-    numbered_files,
+    list_numbered_files,
+    make_checkpoint_path,
+    make_frame_path,
     open_cache,
 )
-from antdsl.outputs.cache.frame_writer import BackgroundWorker, Scribe
-from antdsl.outputs.cache.frames import FrameMaker
-from antdsl.outputs.cache.hashes import HASHES, Line, hash_of_static, line_of, read_lines
-from antdsl.outputs.cache.lock import LOCK, FolderLock, FolderLocked
-from antdsl.outputs.cache.manifest import MANIFEST, Manifest, ManifestError, Provenance, write_manifest
-from antdsl.outputs.cache.npz import npz_file
-from antdsl.outputs.surface_error import surface_error
-from antdsl.runtime import World, checkpoint, feet_hash, state_hash
-from antdsl.runtime.checkpoints import STATE_HASH
-from antdsl.whole import PART_SUFFIX, is_link, make_folder, write_atomically
+from antdsl.outputs.cache.frame_maker import FrameMaker
+from antdsl.outputs.cache.frame_writer import BackgroundWorker, CacheFileWriter
+from antdsl.outputs.cache.hashes import HASHES_FILE_NAME, HashLine, hash_static_file, make_line, read_lines
+from antdsl.outputs.cache.lock import LOCK_FILE_NAME, FolderLock, FolderLocked
+from antdsl.outputs.cache.manifest import MANIFEST_FILE_NAME, Manifest, ManifestError, Provenance, write_manifest
+from antdsl.outputs.cache.npz import make_npz_file
+from antdsl.outputs.surface_error import measure_surface_error
+from antdsl.runtime import World, feet_hash, state_hash, take_checkpoint
+from antdsl.runtime.checkpoints import STATE_HASH_VERSION
 
 Arrays = Mapping[str, NDArray[Any]]
 
@@ -73,59 +73,67 @@ def prepare_folder(folder: Path, *, force: bool) -> None:
     cache."""
     if folder.exists() and not folder.is_dir():
         raise ForeignFolder(f"`{folder}` is a file")
-    make_folder(folder)
+    create_folder_durably(folder)
     for name in ("frames", "checkpoints"):
         if is_link(folder / name):
             raise PathBlocked(f"`{folder / name}` is a link, but a folder is needed there")
         if (folder / name).exists() and not (folder / name).is_dir():
             raise PathBlocked(f"`{folder / name}` is a file, but a folder is needed there")
-    for path in _files(folder):
+    for path in _list_cache_files(folder):
         if path.is_dir() and not path.is_symlink():
             raise PathBlocked(f"`{path}` is a folder, but a file of the cache is needed there")
-    lock = folder / LOCK
+    lock = folder / LOCK_FILE_NAME
     if os.path.lexists(lock) and not stat.S_ISREG(os.lstat(lock).st_mode):
         raise PathBlocked(f"`{lock}` is a link or a device, but a file of the cache is needed there")
-    marker = folder / MARKER
+    marker = folder / MARKER_FILE_NAME
     if not marker.exists():
         # a run that was killed at its start leaves a lock or an unfinished marker
         others = sorted(
-            name.name for name in folder.iterdir() if name.name != LOCK and not name.match(f".{MARKER}.*{PART_SUFFIX}")
+            name.name
+            for name in folder.iterdir()
+            if name.name != LOCK_FILE_NAME and not name.match(f".{MARKER_FILE_NAME}.*{PART_SUFFIX}")
         )
         if others and not force:
             raise ForeignFolder(f"`{folder}` has files that are not a cache's, such as `{others[0]}`")
         write_atomically(marker, b"This folder is written by antdsl; what is in it may be replaced by the next run.\n")
     for name in ("frames", "checkpoints"):
-        make_folder(folder / name)
+        create_folder_durably(folder / name)
 
 
-def _files(folder: Path) -> Iterator[Path]:
+def _list_cache_files(folder: Path) -> Iterator[Path]:
     """Yield the existing files of a cache's folder that a run removes or writes."""
-    yield from (folder / name for name in (MARKER, LOCK, STATIC, MANIFEST, HASHES))
-    for path in (frame_path, checkpoint_path):
-        yield from (path(folder, number) for number in numbered_files(folder, path)[0])
-    yield from _unfinished_files(folder)
+    yield from (
+        folder / name for name in (MARKER_FILE_NAME, LOCK_FILE_NAME, STATIC_FILE_NAME, MANIFEST_FILE_NAME, HASHES_FILE_NAME)
+    )
+    for path in (make_frame_path, make_checkpoint_path):
+        yield from (path(folder, number) for number in list_numbered_files(folder, path)[0])
+    yield from _find_unfinished_files(folder)
 
 
-def _unfinished_files(folder: Path) -> list[Path]:
+def _find_unfinished_files(folder: Path) -> list[Path]:
     """Return the unfinished files that killed runs left in the folder."""
     return [part for place in (folder, folder / "frames", folder / "checkpoints") for part in place.glob(f".*{PART_SUFFIX}")]
 
 
-def clear(folder: Path, above: int | None = None, damaged: Container[int] = ()) -> None:
+def clear_folder(folder: Path, last_retained: int | None = None, damaged: Container[int] = ()) -> None:
     """Remove the frames, checkpoints and hashes of an earlier run, and no other files.
 
-    `above`: remove only files of frames after this one; None removes all.
+    `last_retained`: remove only files of frames after this one; None removes all.
     `damaged`: frames with a checkpoint that is also removed.
     Hashes are removed first. If the removal is interrupted, a file without a hash is ignored."""
-    remaining_lines = {} if above is None else {f: line for f, line in read_lines(folder / HASHES).items() if f <= above}
-    write_atomically(folder / HASHES, b"".join(line.text(frame) for frame, line in remaining_lines.items()))
-    for number in numbered_files(folder, frame_path)[0]:
-        if above is None or number > above:
-            frame_path(folder, number).unlink(missing_ok=True)
-    for number in numbered_files(folder, checkpoint_path)[0]:
-        if above is None or number > above or number in damaged:
-            checkpoint_path(folder, number).unlink(missing_ok=True)
-    for part in _unfinished_files(folder):
+    remaining_lines = (
+        {}
+        if last_retained is None
+        else {f: line for f, line in read_lines(folder / HASHES_FILE_NAME).items() if f <= last_retained}
+    )
+    write_atomically(folder / HASHES_FILE_NAME, b"".join(line.text(frame) for frame, line in remaining_lines.items()))
+    for number in list_numbered_files(folder, make_frame_path)[0]:
+        if last_retained is None or number > last_retained:
+            make_frame_path(folder, number).unlink(missing_ok=True)
+    for number in list_numbered_files(folder, make_checkpoint_path)[0]:
+        if last_retained is None or number > last_retained or number in damaged:
+            make_checkpoint_path(folder, number).unlink(missing_ok=True)
+    for part in _find_unfinished_files(folder):
         part.unlink(missing_ok=True)
 
 
@@ -140,17 +148,17 @@ class DifferentHashes(Exception):
 class IntactPart:
     """The part of a cache that a run can continue.
 
-    `points`: checkpoints to continue from, the latest first.
-    `last_frame`: the last frame in the cache.
-    `broken`: a message on the first incomplete frame; None if all frames are complete."""
+    `checkpoints`: checkpoints to continue from, the latest first.
+    `find_last_frame`: the last frame in the cache.
+    `damage`: a message on the first incomplete frame; None if all frames are complete."""
 
     cache: Cache
-    points: list[int]
+    checkpoints: list[int]
     last_frame: int | None = None
-    broken: str | None = None
+    damage: str | None = None
 
 
-def intact_part(folder: Path, inputs: Mapping[str, str], first: int, last: int) -> IntactPart | None:
+def find_intact_part(folder: Path, inputs: Mapping[str, str], first: int, last: int) -> IntactPart | None:
     """Return the part of the cache that can be continued, or None if there is nothing to continue.
 
     A checkpoint counts only if the files of all frames up to it have the bytes that were written. Raises DifferentInputs if the
@@ -163,11 +171,11 @@ def intact_part(folder: Path, inputs: Mapping[str, str], first: int, last: int) 
     different = [name for name in {**then, **inputs} if then.get(name) != inputs.get(name)]
     if different:
         raise DifferentInputs(cache.manifest, sorted(different))
-    if cache.manifest.state_hash != STATE_HASH:
+    if cache.manifest.state_hash != STATE_HASH_VERSION:
         raise DifferentHashes(folder)
     lines, last_frame = cache.lines(), max(cache.frames(), default=None)
     unbroken, broken = first - 1, None
-    while unbroken < last and (broken := cache.damage(unbroken + 1, lines.get(unbroken + 1))) is None:
+    while unbroken < last and (broken := cache.find_frame_damage(unbroken + 1, lines.get(unbroken + 1))) is None:
         unbroken += 1
     if last_frame is None or last_frame <= unbroken or (last_frame == unbroken + 1 and last_frame not in lines):
         broken = None  # it ends here, or the run was killed between a frame and its line
@@ -180,8 +188,8 @@ def read_checkpoint(cache: Cache, frame: int) -> tuple[Arrays, float | None]:
     damaged.
 
     The surface error is the greatest of all frames up to this one; None if it was not stored."""
-    arrays = cache.checkpoint(frame)
-    stored_error = arrays.get(SURFACE_ERROR)
+    arrays = cache.read_checkpoint(frame)
+    stored_error = arrays.get(SURFACE_ERROR_KEY)
     known = (
         stored_error is not None
         and stored_error.shape == ()
@@ -189,7 +197,7 @@ def read_checkpoint(cache: Cache, frame: int) -> tuple[Arrays, float | None]:
         and 0 <= float(stored_error) < math.inf
     )
     worst = float(stored_error) if stored_error is not None and known else None
-    return part_of(arrays, "world."), worst
+    return select_by_prefix(arrays, "world."), worst
 
 
 class CacheWriter:
@@ -200,17 +208,21 @@ class CacheWriter:
     `made_with`: returns the provenance for the manifest. It reads all of antdsl's files, so the writing thread calls it.
     `report`: a callback for the results of each frame. It is called some frames later, and always before `__exit__` returns.
 
-    Once a frame is written, its results contain `hash`, `surface_error` and `seconds`.
-    `surface_error`: the greatest of all frames so far, in body lengths; None if the error of earlier frames is unknown.
+    Once a frame is written, its results contain `hash`, `measure_surface_error` and `seconds`.
+    `measure_surface_error`: the greatest of all frames so far, in body lengths; None if the error of earlier frames is unknown.
     `seconds`: the time spent, by name."""
 
     def __init__(
-        self, folder: Path, manifest: Manifest, made_with: Callable[[], Provenance], report: Callable[[Mapping[str, Any]], None]
+        self,
+        folder: Path,
+        manifest: Manifest,
+        get_provenance: Callable[[], Provenance],
+        report: Callable[[Mapping[str, Any]], None],
     ) -> None:
-        self.folder, self.manifest, self._made_with = folder, manifest, made_with
-        self._told = report
+        self.folder, self.manifest, self._get_provenance = folder, manifest, get_provenance
+        self._report = report
         self._lock = FolderLock(folder)
-        self._behind: BackgroundWorker | None = None
+        self._worker: BackgroundWorker | None = None
 
     def __enter__(self) -> CacheWriter:
         self._lock.__enter__()
@@ -218,82 +230,82 @@ class CacheWriter:
 
     def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None) -> None:
         try:
-            if self._behind is not None:
-                self._end(self._behind, is_complete=kind is None)
+            if self._worker is not None:
+                self._finish_writing(self._worker, is_complete=kind is None)
         except Exception:
             self._lock.__exit__(kind, value, trace)
             raise
         # If a second Ctrl-C interrupted the wait, the folder stays locked: a thread still writes to it.
         self._lock.__exit__(kind, value, trace)
 
-    def _end(self, behind: BackgroundWorker, *, is_complete: bool) -> None:
+    def _finish_writing(self, worker: BackgroundWorker, *, is_complete: bool) -> None:
         """Stop the thread. If the run is complete, sync the files first, and raise the error of a failed job."""
         try:
             if is_complete:
-                behind.hand_over(self._scribe.sync)
+                worker.submit(self._file_writer.sync_files)
         finally:
-            behind.finish()
-            self._scribe.close()
+            worker.wait_until_finished()
+            self._file_writer.close()
         if is_complete:
-            behind.check()
+            worker.raise_job_error()
 
     def begin(
         self,
         world: World,
         static: Arrays,
         maker: FrameMaker,
-        kept_lines: Mapping[int, Line],
+        retained_lines: Mapping[int, HashLine],
         damaged: Container[int] = (),
-        worst: float | None = 0.0,
+        greatest_error: float | None = 0.0,
     ) -> None:
-        """Write the files that apply to the complete run. Raises FolderLocked if another run has written since `kept_lines` were
-        read.
+        """Write the files that apply to the complete run. Raises FolderLocked if another run has written since `retained_lines`
+        were read.
 
-        Frames and checkpoints up to the last line of `kept_lines` stay. Other frames of an earlier run are removed first.
+        Frames and checkpoints up to the last line of `retained_lines` stay. Other frames of an earlier run are removed first.
 
         `damaged`: frames with a checkpoint that is also removed.
-        `worst`: the greatest surface error of the frames that stay; None if unknown."""
-        last = max(kept_lines, default=None)
-        lines = {} if last is None else read_lines(self.folder / HASHES)
-        if kept_lines != {frame: line for frame, line in lines.items() if last is not None and frame <= last}:
+        `greatest_error`: the greatest surface error of the frames that stay; None if unknown."""
+        last = max(retained_lines, default=None)
+        lines = {} if last is None else read_lines(self.folder / HASHES_FILE_NAME)
+        if retained_lines != {frame: line for frame, line in lines.items() if last is not None and frame <= last}:
             raise FolderLocked(f"another run has written to `{self.folder}` since this one read it")
-        clear(self.folder, last, damaged)
-        file = npz_file(static)
-        write_atomically(self.folder / STATIC, file.parts)
-        world.carved = {}
-        world.emitted = [] if "emit" in maker.events else None
-        self._maker, self._worst = maker, worst
-        self._scribe, self._behind = Scribe(self.folder), BackgroundWorker(self._told)
-        self._behind.hand_over(partial(self._put_manifest, hash_of_static(file)))
+        clear_folder(self.folder, last, damaged)
+        file = make_npz_file(static)
+        write_atomically(self.folder / STATIC_FILE_NAME, file.parts)
+        world.dug_balls = {}
+        world.emissions = [] if "emit" in maker.events else None
+        self._maker, self._greatest_error = maker, greatest_error
+        self._file_writer, self._worker = CacheFileWriter(self.folder), BackgroundWorker(self._report)
+        self._worker.submit(partial(self._write_manifest, hash_static_file(file)))
 
-    def _put_manifest(self, static: str) -> Mapping[str, Any]:
-        write_manifest(self.folder, self.manifest.model_copy(update={"static": static, "made_with": self._made_with()}))
+    def _write_manifest(self, static: str) -> Mapping[str, Any]:
+        write_manifest(self.folder, self.manifest.model_copy(update={"static": static, "made_with": self._get_provenance()}))
         return {}
 
-    def put_frame(self, world: World) -> None:
+    def submit_frame(self, world: World) -> None:
         """Measure and hash the world's current frame, and pass it to the writing thread. Raises an error of an earlier frame."""
-        assert self._behind is not None, "begin comes first"
+        assert self._worker is not None, "begin comes first"
         times = [time.perf_counter()]
-        self._worst = None if self._worst is None else max(self._worst, surface_error(world))
+        self._greatest_error = None if self._greatest_error is None else max(self._greatest_error, measure_surface_error(world))
         times.append(time.perf_counter())
         state, feet = state_hash(world), feet_hash(world.feet, world.options.threads)
         times.append(time.perf_counter())
-        file = npz_file(self._maker.frame(world))
-        line = line_of(world.frame, state, file, feet)
+        file = make_npz_file(self._maker.frame(world))
+        line = make_line(world.frame, state, file, feet)
         times.append(time.perf_counter())
         spent = dict(zip(("measure", "hash", "frame"), (end - start for start, end in pairwise(times)), strict=True))
-        measures = {"hash": state, "surface_error": self._worst}
-        scribe, frame = self._scribe, world.frame
+        measures = {"hash": state, "surface_error": self._greatest_error}
+        scribe, frame = self._file_writer, world.frame
 
         def write() -> Mapping[str, Any]:
             return {**measures, "made": spent, **scribe.frame(frame, file, line)}
 
-        self._behind.hand_over(write)
+        self._worker.submit(write)
 
-    def put_checkpoint(self, world: World) -> None:
+    def submit_checkpoint(self, world: World) -> None:
         """Pass everything needed to continue from the last frame to the writing thread."""
-        assert self._behind is not None, "begin comes first"
-        state_arrays = checkpoint(world)
+        assert self._worker is not None, "begin comes first"
+        state_arrays = take_checkpoint(world)
         arrays = {"frame": state_arrays["frame"], **{f"world.{name}": array for name, array in state_arrays.items()}}
-        arrays |= {} if self._worst is None else {SURFACE_ERROR: np.array(self._worst)}
-        self._behind.hand_over(partial(self._scribe.checkpoint, world.frame, arrays))
+        arrays |= {} if self._greatest_error is None else {SURFACE_ERROR_KEY: np.array(self._greatest_error)}
+        self._worker.submit(partial(self._file_writer.write_checkpoint, world.frame, arrays))

@@ -27,33 +27,33 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.numerics.vectors import dot
-from antdsl.outputs.cache.places import scene_places
-from antdsl.program.tables.columns import CONTACT
-from antdsl.runtime import World, take_emissions
+from antdsl.outputs.cache.scene_positions import to_scene_positions
+from antdsl.program.tables.columns import CONTACT_COLUMNS
+from antdsl.runtime import World, collect_emissions
 from antdsl.runtime.moving.capsules import CapsuleCrowd, NearbyPairs, find_near_pairs
 
 Arrays = dict[str, NDArray[Any]]
 
 
-def events_of(world: World, kinds: tuple[str, ...], scale: float) -> Arrays:
+def make_event_arrays(world: World, kinds: tuple[str, ...], scale: float) -> Arrays:
     """Return the arrays with the events since the previous frame, for the kinds `kinds`. `scale`: scene units per millimetre."""
-    return {f"events.{kind}.{name}": array for kind in kinds for name, array in EVENTS[kind](world, scale).items()}
+    return {f"events.{kind}.{name}": array for kind in kinds for name, array in EVENT_ARRAY_MAKERS[kind](world, scale).items()}
 
 
-def _emits(world: World, scale: float) -> Arrays:
+def _make_emit_arrays(world: World, scale: float) -> Arrays:
     """Return the arrays of emitted events since the previous frame."""
-    emissions = take_emissions(world)
-    return emissions | {"P": scene_places(emissions["P"], scale)}
+    emissions = collect_emissions(world)
+    return emissions | {"P": to_scene_positions(emissions["P"], scale)}
 
 
-def _contacts(world: World, scale: float) -> Arrays:
+def _make_contact_arrays(world: World, scale: float) -> Arrays:
     """Return the arrays of overlapping bodies, sorted by species and id."""
     if len(world) < 2:
-        return {column.field: np.zeros((0, *column.dimensions()), column.type) for column in CONTACT}
+        return {column.field: np.zeros((0, *column.compute_dimensions()), column.type) for column in CONTACT_COLUMNS}
     crowd = CapsuleCrowd(world)
     near = find_near_pairs(crowd)
     pairs = np.flatnonzero(near.gap < 0)
-    i, j, points = near.rows[near.i[pairs]], near.rows[near.j[pairs]], _contact_points(near, pairs)
+    i, j, points = near.rows[near.i[pairs]], near.rows[near.j[pairs]], _compute_contact_points(near, pairs)
     direction, gap = near.direction[:, pairs], near.gap[pairs]
     ids = crowd.of(lambda p: p.ids)
     names = sorted(world.populations)
@@ -61,28 +61,28 @@ def _contacts(world: World, scale: float) -> Arrays:
     order = np.lexsort((ids[j], species[j], ids[i], species[i]))
     i, j, points, direction, gap = i[order], j[order], points[:, order], direction[:, order], gap[order]
     return {
-        "species": species[i], "id": ids[i], "P": scene_places(points.T, scale),
+        "species": species[i], "id": ids[i], "P": to_scene_positions(points.T, scale),
         "N": direction.T.astype(np.float32), "other_species": species[j], "other": ids[j],
         "depth": (-gap * scale).astype(np.float32),
     }  # fmt: skip
 
 
-def _contact_points(near: NearbyPairs, pairs: NDArray[np.intp]) -> NDArray[np.float64]:
+def _compute_contact_points(near_pairs: NearbyPairs, pairs: NDArray[np.intp]) -> NDArray[np.float64]:
     """Return the contact points (3, k) in mm of pairs of capsules.
 
     A contact point is midway between the two surfaces, on the shortest line between the capsules' axes."""
-    i, j, direction, gap = near.i[pairs], near.j[pairs], near.direction[:, pairs], near.gap[pairs]
-    a, b, ri, rj = near.ahead[:, i], near.ahead[:, j], near.radius[i], near.radius[j]
-    off = direction * (gap + ri + rj) - (near.middle[:, i] - near.middle[:, j])  # t a - s b
+    i, j, direction, gap = near_pairs.i[pairs], near_pairs.j[pairs], near_pairs.direction[:, pairs], near_pairs.gap[pairs]
+    a, b, ri, rj = near_pairs.ahead[:, i], near_pairs.ahead[:, j], near_pairs.radius[i], near_pairs.radius[j]
+    off = direction * (gap + ri + rj) - (near_pairs.middle[:, i] - near_pairs.middle[:, j])  # t a - s b
     across = dot(a, b)
     free = 1.0 - across * across
     t = np.where(free > 1e-6, (dot(off, a) - across * dot(off, b)) / np.maximum(free, 1e-6), dot(off, a) / 2)
     s = across * t - dot(off, b)
-    t, s = np.clip(t, -near.half[i], near.half[i]), np.clip(s, -near.half[j], near.half[j])
-    first = near.middle[:, i] + a * t - direction * (ri + gap / 2)
-    second = near.middle[:, j] + b * s + direction * (rj + gap / 2)
+    t, s = np.clip(t, -near_pairs.half[i], near_pairs.half[i]), np.clip(s, -near_pairs.half[j], near_pairs.half[j])
+    first = near_pairs.middle[:, i] + a * t - direction * (ri + gap / 2)
+    second = near_pairs.middle[:, j] + b * s + direction * (rj + gap / 2)
     middle: NDArray[np.float64] = (first + second) / 2
     return middle
 
 
-EVENTS: Mapping[str, Callable[[World, float], Arrays]] = {"emit": _emits, "contact": _contacts}
+EVENT_ARRAY_MAKERS: Mapping[str, Callable[[World, float], Arrays]] = {"emit": _make_emit_arrays, "contact": _make_contact_arrays}

@@ -8,47 +8,49 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.program.tables.columns import FRAME
+from antdsl.program.tables.columns import FRAME_COLUMNS
 
 Arrays = Mapping[str, NDArray[Any]]
-Longs = NDArray[np.int64]
-ALWAYS_SAVED = frozenset(each.name for each in FRAME if each.of == "species" and each.saved == "always")  # also without `output`
+LongArray = NDArray[np.int64]
+ALWAYS_SAVED_ARRAYS = frozenset(
+    each.name for each in FRAME_COLUMNS if each.of == "species" and each.save_mode == "always"
+)  # also without `output`
 
-IDENTITY = frozenset(("id", "species"))
+IDENTITY_ARRAYS = frozenset(("id", "species"))
 
 
-def own_arrays(form: str) -> frozenset[str]:
+def list_special_arrays(form: str) -> frozenset[str]:
     """Return the names of the arrays for which a file format has a special attribute."""
-    return frozenset(each.frame_name for each in FRAME if form in each.exports.split())
+    return frozenset(each.frame_name for each in FRAME_COLUMNS if form in each.exports.split())
 
 
-def further_numbers(arrays: Arrays, form: str) -> Iterator[tuple[str, NDArray[Any]]]:
+def iterate_other_numbers(arrays: Arrays, form: str) -> Iterator[tuple[str, NDArray[Any]]]:
     """Yield the names and arrays with one number per agent that a file format writes under the same names."""
-    own, count = own_arrays(form), len(arrays["P"])
+    own, count = list_special_arrays(form), len(arrays["P"])
     for name, values in arrays.items():
         if name not in own and "." not in name.removesuffix(".state") and values.shape == (count,):
             yield name, values
 
 
-def agent_ids(arrays: Arrays) -> Longs:
+def get_agent_ids(arrays: Arrays) -> LongArray:
     """Return the id of each agent; its row index if the frame has no ids."""
-    return np.asarray(arrays["id"], np.int64) if "id" in arrays else np.arange(_count(arrays))
+    return np.asarray(arrays["id"], np.int64) if "id" in arrays else np.arange(_count_agents(arrays))
 
 
-def species_numbers(arrays: Arrays) -> Longs:
+def get_species_numbers(arrays: Arrays) -> LongArray:
     """Return the species number of each agent."""
-    return np.asarray(arrays["species"], np.int64) if "species" in arrays else np.zeros(_count(arrays), np.int64)
+    return np.asarray(arrays["species"], np.int64) if "species" in arrays else np.zeros(_count_agents(arrays), np.int64)
 
 
-def species_rows(arrays: Arrays, number: int) -> NDArray[np.intp]:
+def find_species_rows(arrays: Arrays, number: int) -> NDArray[np.intp]:
     """Return the rows of the agents of species `number`."""
-    return np.flatnonzero(species_numbers(arrays) == number)
+    return np.flatnonzero(get_species_numbers(arrays) == number)
 
 
-def agent_keys(arrays: Arrays) -> Longs:
+def make_agent_keys(arrays: Arrays) -> LongArray:
     """Return one number per agent that is unique among all agents and the same in all frames."""
-    return agent_ids(arrays) * 4096 + species_numbers(arrays)
+    return get_agent_ids(arrays) * 4096 + get_species_numbers(arrays)
 
 
-def _count(arrays: Arrays) -> int:
+def _count_agents(arrays: Arrays) -> int:
     return next((len(arrays[name]) for name in ("id", "P", "orient") if name in arrays), 0)

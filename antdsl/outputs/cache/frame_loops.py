@@ -1,4 +1,4 @@
-"""Loops of `frames`, `agent_arrays`, `pose_arrays` and `surface_error`.
+"""Loops of `frame_maker`, `agent_arrays`, `pose_arrays` and `surface_error`.
 
 Each loop passes once over the agents, for one array or for all clips of a machine. Loops with the last arguments `begin` and
 `end` run in parallel chunks.
@@ -22,21 +22,21 @@ from antdsl.machine_code.kernels import (
     Array2,
     Array3,
     Strided2,
-    as_bits,
-    independent,
+    float_to_bits,
     inlined,
     kernel,
+    simd_range,
 )  # fmt: skip
 
-Three = tuple[Array1[F32], Array1[F32], Array1[F32]]
-Four = tuple[Array1[F32], Array1[F32], Array1[F32], Array1[F32]]
+FloatColumns3 = tuple[Array1[F32], Array1[F32], Array1[F32]]
+FloatColumns4 = tuple[Array1[F32], Array1[F32], Array1[F32], Array1[F32]]
 Clips = tuple[Array1[I32], Array1[I32]]
 ClipsOut = tuple[Array1[I16], Array1[I16]]
 Shares = tuple[Array1[F32], Array1[F32], Array1[F32], Array1[F32], Array1[F32]]
 
 
 @kernel
-def agent_positions(position: Strided2[F64], ranks: Array1[I32], scale: F64, out: Array2[F32], begin: I64, end: I64) -> None:
+def write_positions(position: Strided2[F64], ranks: Array1[I32], scale: F64, out: Array2[F32], begin: I64, end: I64) -> None:
     """Write the positions of agents in scene units, each at its rank. Minus zero becomes zero."""
     for i in range(begin, end):
         k = ranks[i]
@@ -46,9 +46,9 @@ def agent_positions(position: Strided2[F64], ranks: Array1[I32], scale: F64, out
 
 
 @kernel
-def agent_vectors(of: Three, ranks: Array1[I32], scale: F32, out: Array2[F32], begin: I64, end: I64) -> None:
+def write_vectors(vectors: FloatColumns3, ranks: Array1[I32], scale: F32, out: Array2[F32], begin: I64, end: I64) -> None:
     """Write vectors of agents times a factor, each at its rank."""
-    x, y, z = of
+    x, y, z = vectors
     for i in range(begin, end):
         k = ranks[i]
         out[k, 0] = x[i] * scale
@@ -57,21 +57,21 @@ def agent_vectors(of: Three, ranks: Array1[I32], scale: F32, out: Array2[F32], b
 
 
 @kernel
-def agent_numbers(of: Array1[F32], ranks: Array1[I32], scale: F32, out: Array1[F32], begin: I64, end: I64) -> None:
+def write_numbers(numbers: Array1[F32], ranks: Array1[I32], scale: F32, out: Array1[F32], begin: I64, end: I64) -> None:
     """Write numbers of agents times a factor, each at its rank."""
     for i in range(begin, end):
-        out[ranks[i]] = of[i] * scale
+        out[ranks[i]] = numbers[i] * scale
 
 
 @kernel
-def agent_integers(of: Array1[I32], ranks: Array1[I32], out: Array1[I16], begin: I64, end: I64) -> None:
+def write_integers(integers: Array1[I32], ranks: Array1[I32], out: Array1[I16], begin: I64, end: I64) -> None:
     """Write integers of agents, each at its rank."""
     for i in range(begin, end):
-        out[ranks[i]] = of[i]
+        out[ranks[i]] = integers[i]
 
 
 @kernel
-def agent_colours(colours: Array2[F32], state: Array1[I32], ranks: Array1[I32], out: Array2[F32], begin: I64, end: I64) -> BOOL:
+def write_colours(colours: Array2[F32], state: Array1[I32], ranks: Array1[I32], out: Array2[F32], begin: I64, end: I64) -> BOOL:
     """Write the state colours of agents, each at its rank. Return whether every state has a colour."""
     for i in range(begin, end):
         number, k = state[i], ranks[i]
@@ -82,7 +82,7 @@ def agent_colours(colours: Array2[F32], state: Array1[I32], ranks: Array1[I32], 
 
 
 @kernel
-def playing(
+def write_playing_clips(
     clips: Clips, shares: Shares, ranks: Array1[I32], clips_out: ClipsOut, shares_out: Shares, begin: I64, end: I64
 ) -> None:
     """Write what one machine of each agent plays, each at the agent's rank: clips, turns, weights and the fade."""
@@ -98,14 +98,14 @@ def playing(
 
 
 @kernel
-def mark_worn(on: Array1[BOOL], ranks: Array1[I32], bit: I64, mask: Array1[I64]) -> None:
-    """Set `bit` in the masks of the agents that wear a layer (`on`). Masks are by rank."""
+def mark_worn_layer(is_worn: Array1[BOOL], ranks: Array1[I32], bit: I64, mask: Array1[I64]) -> None:
+    """Set `bit` in the masks of the agents that wear a layer (`is_worn`). Masks are by rank."""
     for i in range(ranks.size):
-        mask[ranks[i]] |= bit if on[i] else 0
+        mask[ranks[i]] |= bit if is_worn[i] else 0
 
 
 @kernel
-def nonzero_cells(values: Array1[F64], cells: Array1[I32], out: Array1[F32]) -> I64:
+def compress_nonzero_cells(values: Array1[F64], cells: Array1[I32], out: Array1[F32]) -> I64:
     """Write the indices of the values that are not 0 to `cells`, and these values to `out`. Return their number.
 
     Both outputs need one element more than `values`."""
@@ -121,11 +121,13 @@ def nonzero_cells(values: Array1[F64], cells: Array1[I32], out: Array1[F32]) -> 
 @inlined
 def _copy_sign(size: F64, sign: F64) -> F64:
     """Return `size` (not negative) with the sign of `sign`, as np.copysign does. NaN counts as positive."""
-    return -size if as_bits(sign) < 0 and sign == sign else size
+    return -size if float_to_bits(sign) < 0 and sign == sign else size
 
 
 @kernel
-def agent_orientations(heading: Three, up: Three, ranks: Array1[I32], out: Array2[F32], begin: I64, end: I64) -> None:
+def write_orientations(
+    heading: FloatColumns3, up: FloatColumns3, ranks: Array1[I32], out: Array2[F32], begin: I64, end: I64
+) -> None:
     """Write the orientations of agents as quaternions x, y, z, w, each at the agent's rank.
 
     A quaternion rotates +x to the heading, and +y to the part of `up` perpendicular to the heading.
@@ -134,7 +136,7 @@ def agent_orientations(heading: Three, up: Three, ranks: Array1[I32], out: Array
     If `up` is parallel to the heading, an arbitrary perpendicular direction replaces it."""
     px, py, pz = heading
     qx, qy, qz = up
-    for i in independent(begin, end):
+    for i in simd_range(begin, end):
         hx, hy, hz = np.float64(px[i]), np.float64(py[i]), np.float64(pz[i])
         ux, uy, uz = np.float64(qx[i]), np.float64(qy[i]), np.float64(qz[i])
         length = np.sqrt(hx * hx + hy * hy + hz * hz)
@@ -164,7 +166,7 @@ _BLOCK = 256  # agents per block: their rows stay in a core's cache from leg to 
 
 
 @kernel
-def agent_feet(
+def write_feet(
     foot_positions: Array3[F64],
     swing: Array2[F32],
     rise: Array1[F32],
@@ -194,7 +196,7 @@ def agent_feet(
                 positions_out[k, 3 * leg + 1] = np.float32((foot_positions[1, leg, i] + 0.0) * scale)
                 positions_out[k, 3 * leg + 2] = np.float32((foot_positions[2, leg, i] + 0.0) * scale)
                 down[k, leg] = 1 if swing[leg, i] == np.float32(-1.0) else 0
-        for i in independent(low, high):
+        for i in simd_range(low, high):
             rank = ranks[i]
             rise_out[rank] = rise[i] * np.float32(scale)
             a, b = -np.float64(slope[0, i]), -np.float64(slope[1, i])
@@ -206,7 +208,7 @@ def agent_feet(
 
 
 @kernel
-def greatest_distance(
+def find_greatest_error(
     position: Strided2[F64], ground: Strided2[F64], clearance: Array1[F32], size: Array1[F32], begin: I64, end: I64
 ) -> F64:
     """Return the greatest deviation, in body lengths, of an agent's distance to its ground from its clearance.

@@ -14,13 +14,13 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from antdsl.outputs.cache.cache_reader import checkpoint_path, frame_path
-from antdsl.outputs.cache.hashes import HASHES, Line, read_lines, with_checkpoint
-from antdsl.outputs.cache.npz import npz_file
-from antdsl.outputs.cache.zip_parts import Stored
-from antdsl.whole import AppendedFile, sync_files, write_atomically
+from antdsl.atomic_write import AppendOnlyFile, sync_files, write_atomically
+from antdsl.outputs.cache.cache_reader import make_checkpoint_path, make_frame_path
+from antdsl.outputs.cache.hashes import HASHES_FILE_NAME, HashLine, add_checkpoint_hash, read_lines
+from antdsl.outputs.cache.npz import make_npz_file
+from antdsl.outputs.cache.zip_parts import StoredFile
 
-_MOST = 3  # pending jobs: one that runs, and the waiting ones
+_MAX_PENDING_JOBS = 3  # pending jobs: one that runs, and the waiting ones
 
 Results = Mapping[str, Any]
 Work = Callable[[], Results]
@@ -28,7 +28,7 @@ Arrays = Mapping[str, NDArray[Any]]
 Measures = dict[str, Any]
 
 
-class Scribe:
+class CacheFileWriter:
     """Writer of files into a cache's folder, in order. It must be closed.
 
     A frame is written atomically, then its line with the hash. A checkpoint is written after all earlier frames are on the disk.
@@ -36,50 +36,50 @@ class Scribe:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self._lines = AppendedFile(folder / HASHES)
-        self._unsynced: list[Path] = []
-        self._last: dict[int, Line] = {}  # the line of the frame that was written last
+        self._lines_file = AppendOnlyFile(folder / HASHES_FILE_NAME)
+        self._unsynced_files: list[Path] = []
+        self._last_line: dict[int, HashLine] = {}  # the line of the frame that was written last
 
-    def frame(self, frame: int, file: Stored, line: Line) -> Measures:
+    def frame(self, frame: int, file: StoredFile, line: HashLine) -> Measures:
         """Write the file of a frame, then its line. Return the seconds spent."""
         began = time.perf_counter()
-        path = frame_path(self.folder, frame)
+        path = make_frame_path(self.folder, frame)
         write_atomically(path, file.parts, sync=False)
-        self._unsynced.append(path)
-        self._line(frame, line)
-        return _elapsed("write", began)
+        self._unsynced_files.append(path)
+        self._write_line(frame, line)
+        return _measure_elapsed("write", began)
 
-    def _line(self, frame: int, line: Line) -> None:
-        self._last = {frame: line}
-        self._lines.write([line.text(frame)])
+    def _write_line(self, frame: int, line: HashLine) -> None:
+        self._last_line = {frame: line}
+        self._lines_file.write([line.text(frame)])
 
-    def checkpoint(self, frame: int, arrays: Arrays) -> Measures:
+    def write_checkpoint(self, frame: int, arrays: Arrays) -> Measures:
         """Write a checkpoint durably, after everything before it, its hash included. Return the seconds spent.
 
         In caches of older versions, checkpoints have no hash."""
         began = time.perf_counter()
-        file = npz_file(arrays)
-        lines = self._last or read_lines(self.folder / HASHES)
-        self._line(frame, with_checkpoint(frame, lines[frame], file))
-        measures = self.sync()
-        write_atomically(checkpoint_path(self.folder, frame), file.parts)
+        file = make_npz_file(arrays)
+        lines = self._last_line or read_lines(self.folder / HASHES_FILE_NAME)
+        self._write_line(frame, add_checkpoint_hash(frame, lines[frame], file))
+        measures = self.sync_files()
+        write_atomically(make_checkpoint_path(self.folder, frame), file.parts)
         measures["seconds"] |= {"checkpoint": time.perf_counter() - began - measures["seconds"]["sync"]}
         return measures
 
-    def sync(self) -> Measures:
+    def sync_files(self) -> Measures:
         """Flush everything written so far to the disk. Return the seconds spent."""
         began = time.perf_counter()
-        sync_files(self._unsynced)
-        self._unsynced.clear()
-        self._lines.sync()
-        return _elapsed("sync", began)
+        sync_files(self._unsynced_files)
+        self._unsynced_files.clear()
+        self._lines_file.sync()
+        return _measure_elapsed("sync", began)
 
     def close(self) -> None:
         """Close the writer. Nothing is written afterwards."""
-        self._lines.close()
+        self._lines_file.close()
 
 
-def _elapsed(what: str, since: float) -> Measures:
+def _measure_elapsed(what: str, since: float) -> Measures:
     return {"seconds": {what: time.perf_counter() - since}}
 
 
@@ -90,48 +90,48 @@ class BackgroundWorker:
     After an error no further job runs, and the next call raises the error."""
 
     def __init__(self, report: Callable[[Results], None]) -> None:
-        self._told = report
-        self._work: SimpleQueue[Work | None] = SimpleQueue()
-        self._found: SimpleQueue[Results | None] = SimpleQueue()  # one per job, None if it did not run
-        self._left = 0  # jobs without a reported result
-        self._problem: BaseException | None = None
+        self._report = report
+        self._jobs: SimpleQueue[Work | None] = SimpleQueue()
+        self._results: SimpleQueue[Results | None] = SimpleQueue()  # one per job, None if it did not run
+        self._pending_count = 0  # jobs without a reported result
+        self._error: BaseException | None = None
         # a daemon: a disk that never answers must not prevent the program from ending; at worst an unfinished file remains
         self._thread = threading.Thread(target=self._run_thread, name="cache writer", daemon=True)
         self._thread.start()
 
-    def hand_over(self, work: Work) -> None:
+    def submit(self, job: Work) -> None:
         """Submit a job. Block while too many jobs are pending. Raises the error of an earlier job."""
-        self._report_results(_MOST - 1)
-        self.check()
-        self._left += 1
-        self._work.put(work)
+        self._report_results(_MAX_PENDING_JOBS - 1)
+        self.raise_job_error()
+        self._pending_count += 1
+        self._jobs.put(job)
 
-    def finish(self) -> None:
+    def wait_until_finished(self) -> None:
         """Wait until all jobs have ended and the thread has stopped. Does not raise the errors of jobs."""
         if self._thread.is_alive():
-            self._work.put(None)
+            self._jobs.put(None)
             self._thread.join()
-        self._report_results(self._left)
+        self._report_results(self._pending_count)
 
-    def check(self) -> None:
+    def raise_job_error(self) -> None:
         """Raise the error of an earlier job, if there is one."""
-        if self._problem is not None:
-            raise self._problem
+        if self._error is not None:
+            raise self._error
 
-    def _report_results(self, most: int) -> None:
-        """Report the results that arrived since the last call. Block until at most `most` jobs are pending."""
-        while self._left > most or not self._found.empty():
-            measures = self._found.get()
-            self._left -= 1
+    def _report_results(self, max_pending: int) -> None:
+        """Report the results that arrived since the last call. Block until at most `max_pending` jobs are pending."""
+        while self._pending_count > max_pending or not self._results.empty():
+            measures = self._results.get()
+            self._pending_count -= 1
             if measures is not None:
-                self._told(measures)
+                self._report(measures)
 
     def _run_thread(self) -> None:
-        while (work := self._work.get()) is not None:
+        while (work := self._jobs.get()) is not None:
             measures = None
-            if self._problem is None:
+            if self._error is None:
                 try:
                     measures = work()
                 except BaseException as problem:  # raised in the caller's thread
-                    self._problem = problem
-            self._found.put(measures)
+                    self._error = problem
+            self._results.put(measures)

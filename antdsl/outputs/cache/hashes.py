@@ -19,16 +19,16 @@ from hashlib import sha256
 from pathlib import Path
 
 from antdsl import limits
-from antdsl.bounded import open_regular, read_blocks, read_bounded
-from antdsl.outputs.cache.npz import FILE_BYTES
-from antdsl.outputs.cache.zip_parts import NotStored, Stored, read_headers
+from antdsl.outputs.cache.npz import MAX_FILE_BYTES
+from antdsl.outputs.cache.zip_parts import NotStored, StoredFile, read_headers
+from antdsl.safe_read import open_regular_file, read_blocks, read_size_limited
 
-HASHES = "hashes.jsonl"
-_BYTES = 400 * limits.MAX_FRAMES
+HASHES_FILE_NAME = "hashes.jsonl"
+_MAX_FILE_BYTES = 400 * limits.MAX_FRAMES
 
 
 @dataclass(frozen=True, slots=True)
-class Line:
+class HashLine:
     """The hashes of a frame. Fields are empty in caches older than the field.
 
     `hash`: the hash of the state.
@@ -48,28 +48,30 @@ class Line:
         return json.dumps(words | {name: text for name, text in optional.items() if text}).encode() + b"\n"
 
 
-def line_of(frame: int, state: str, file: Stored, feet: str = "") -> Line:
+def make_line(frame: int, state: str, file: StoredFile, feet: str = "") -> HashLine:
     """Return the line of a frame. `state`: the state hash; `file`: the written file; `feet`: the hash of the feet."""
-    return Line(state, _hash_headers(_frame_prefix(frame, state) + _feet_prefix(feet), file.headers), feet=feet)
+    return HashLine(state, _hash_headers(_make_frame_prefix(frame, state) + _make_feet_prefix(feet), file.headers), feet=feet)
 
 
-def with_checkpoint(frame: int, line: Line, file: Stored) -> Line:
+def add_checkpoint_hash(frame: int, line: HashLine, file: StoredFile) -> HashLine:
     """Return a frame's line with the hash of its checkpoint file added.
 
     The returned line is written after the frame's earlier line and replaces it."""
-    return replace(line, checkpoint=_hash_headers(_checkpoint_prefix(frame, line.hash) + _feet_prefix(line.feet), file.headers))
+    return replace(
+        line, checkpoint=_hash_headers(_make_checkpoint_prefix(frame, line.hash) + _make_feet_prefix(line.feet), file.headers)
+    )
 
 
-def hash_of_static(file: Stored) -> str:
+def hash_static_file(file: StoredFile) -> str:
     """Return the hash of the written `static.npz`."""
-    return _hash_headers(_STATIC, file.headers)
+    return _hash_headers(_STATIC_PREFIX, file.headers)
 
 
-def read_lines(path: Path) -> dict[int, Line]:
+def read_lines(path: Path) -> dict[int, HashLine]:
     """Return the complete lines, by frame. The result is empty if no line can be read."""
-    lines: dict[int, Line] = {}
+    lines: dict[int, HashLine] = {}
     try:
-        text = read_bounded(path, _BYTES, follow=False).decode("utf-8", "replace")
+        text = read_size_limited(path, _MAX_FILE_BYTES, follow=False).decode("utf-8", "replace")
     except OSError:
         return lines
     for line in text.split("\n")[:-1]:
@@ -81,48 +83,52 @@ def read_lines(path: Path) -> dict[int, Line]:
             break
         if not isinstance(frame, int) or not all(isinstance(word, str) for word in (state, file, point, feet)):
             break
-        lines[frame] = Line(state, file, point, feet)
+        lines[frame] = HashLine(state, file, point, feet)
     return lines
 
 
-def damage(path: Path, frame: int, line: Line | None) -> str | None:
+def find_frame_damage(path: Path, frame: int, line: HashLine | None) -> str | None:
     """Return a message on damage to the file of a frame, complete without context. Return None if its bytes are those that were
     written."""
     if line is None:
-        return _hash_problem(path, b"", "")
-    return _hash_problem(path, _frame_prefix(frame, line.hash) + _feet_part(line.file, line.feet), line.file)
+        return _find_hash_problem(path, b"", "")
+    return _find_hash_problem(path, _make_frame_prefix(frame, line.hash) + _make_feet_input(line.file, line.feet), line.file)
 
 
-def checkpoint_damage(path: Path, frame: int, line: Line | None) -> str | None:
+def find_checkpoint_damage(path: Path, frame: int, line: HashLine | None) -> str | None:
     """Return a message on damage to a checkpoint, or None. Damage is not detected if the cache has no hash of the checkpoint."""
     if line is None:
-        return _hash_problem(path, b"", "")
-    if not line.checkpoint and not line.file.startswith(_BY_HEADERS):
+        return _find_hash_problem(path, b"", "")
+    if not line.checkpoint and not line.file.startswith(_HEADER_METHOD_PREFIX):
         return None
-    return _hash_problem(path, _checkpoint_prefix(frame, line.hash) + _feet_part(line.checkpoint, line.feet), line.checkpoint)
+    return _find_hash_problem(
+        path, _make_checkpoint_prefix(frame, line.hash) + _make_feet_input(line.checkpoint, line.feet), line.checkpoint
+    )
 
 
-def static_damage(path: Path, expected: str) -> str | None:
+def find_static_damage(path: Path, expected: str) -> str | None:
     """Return a message on damage to `static.npz`, or None if it matches the hash `expected` of the manifest."""
-    return _hash_problem(path, _STATIC, expected)
+    return _find_hash_problem(path, _STATIC_PREFIX, expected)
 
 
-def _hash_problem(path: Path, begin: bytes, expected: str) -> str | None:
+def _find_hash_problem(path: Path, prefix: bytes, expected: str) -> str | None:
     """Return how a file differs from its hash, or None.
 
-    `expected`: the result of `_hash_headers` for `begin` and the file's headers. In older caches: the hash of `begin` and all
+    `expected`: the result of `_hash_headers` for `prefix` and the file's headers. In older caches: the hash of `prefix` and all
     bytes of the file. Empty if there is no hash."""
     try:
-        handle = open_regular(path, follow=False)
+        handle = open_regular_file(path, follow=False)
     except FileNotFoundError:
         return f"`{path}` is not there"
     except OSError as why:
         return f"`{path}` cannot be read: {(why.strerror or str(why)).lower()}"
     try:
         if not expected:
-            return f"`{path}` has no hash in `{HASHES}`"
-        held = read_blocks(handle, FILE_BYTES)
-        actual = _hash_headers(begin, read_headers(held)) if expected.startswith(_BY_HEADERS) else _hash_bytes(begin, held)
+            return f"`{path}` has no hash in `{HASHES_FILE_NAME}`"
+        held = read_blocks(handle, MAX_FILE_BYTES)
+        actual = (
+            _hash_headers(prefix, read_headers(held)) if expected.startswith(_HEADER_METHOD_PREFIX) else _hash_bytes(prefix, held)
+        )
     except NotStored:
         actual = ""
     except OSError as why:
@@ -132,35 +138,35 @@ def _hash_problem(path: Path, begin: bytes, expected: str) -> str | None:
     return None if actual == expected else f"`{path}` is not what was written there"
 
 
-_STATIC = b"static "
-_BY_HEADERS = "headers:"
+_STATIC_PREFIX = b"static "
+_HEADER_METHOD_PREFIX = "headers:"
 
 
-def _frame_prefix(frame: int, state: str) -> bytes:
+def _make_frame_prefix(frame: int, state: str) -> bytes:
     return f"{frame} {state} ".encode()
 
 
-def _checkpoint_prefix(frame: int, state: str) -> bytes:
+def _make_checkpoint_prefix(frame: int, state: str) -> bytes:
     return f"checkpoint {frame} {state} ".encode()
 
 
-def _feet_prefix(feet: str) -> bytes:
+def _make_feet_prefix(feet: str) -> bytes:
     return f"{feet} ".encode() if feet else b""
 
 
-def _feet_part(expected: str, feet: str) -> bytes:
+def _make_feet_input(expected: str, feet: str) -> bytes:
     """Return the part of a frame's hash input that covers the feet. It is empty if `expected` is a hash of all bytes of the
     file."""
-    return _feet_prefix(feet) if expected.startswith(_BY_HEADERS) else b""
+    return _make_feet_prefix(feet) if expected.startswith(_HEADER_METHOD_PREFIX) else b""
 
 
-def _hash_headers(begin: bytes, headers: Iterable[bytes]) -> str:
-    """Return the hash of `begin` and the headers of a file, prefixed with the name of the method."""
-    return _BY_HEADERS + _hash_bytes(begin, headers)
+def _hash_headers(prefix: bytes, headers: Iterable[bytes]) -> str:
+    """Return the hash of `prefix` and the headers of a file, prefixed with the name of the method."""
+    return _HEADER_METHOD_PREFIX + _hash_bytes(prefix, headers)
 
 
-def _hash_bytes(begin: bytes, data: Iterable[bytes]) -> str:
-    hashed = sha256(begin)
+def _hash_bytes(prefix: bytes, data: Iterable[bytes]) -> str:
+    hashed = sha256(prefix)
     for part in data:
         hashed.update(part)
     return hashed.hexdigest()[:32]

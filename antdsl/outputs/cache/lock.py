@@ -10,13 +10,13 @@ from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 
-from antdsl.whole import name_failures
+from antdsl.atomic_write import name_path_in_errors
 
-LOCK = "lock"
-_OPEN = os.O_RDWR | os.O_CREAT | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_NOFOLLOW", 0)
-_PATIENCE = 30.0  # seconds in which the writer of a killed run may finish its jobs
-_AGAIN = 0.01
-_HELD = (errno.EWOULDBLOCK, errno.EACCES, errno.EDEADLK)  # errors for a lock that another process holds
+LOCK_FILE_NAME = "lock"
+_OPEN_FLAGS = os.O_RDWR | os.O_CREAT | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_NOFOLLOW", 0)
+_MAX_WAIT_SECONDS = 30.0  # seconds in which the writer of a killed run may finish its jobs
+_RETRY_SECONDS = 0.01
+_HELD_LOCK_ERRORS = (errno.EWOULDBLOCK, errno.EACCES, errno.EDEADLK)  # errors for a lock that another process holds
 
 
 class FolderLocked(Exception):
@@ -36,35 +36,35 @@ class FolderLock:
     file outside the cache."""
 
     def __init__(self, folder: Path) -> None:
-        self.path = folder / LOCK
+        self.path = folder / LOCK_FILE_NAME
         self._handle: int | None = None
 
     def __enter__(self) -> FolderLock:
         while self._handle is None:
-            self._handle = self._open()
+            self._handle = self._open_locked()
         return self
 
-    def _open(self) -> int | None:
+    def _open_locked(self) -> int | None:
         """Return the handle of the open, locked file. Return None if the path was not the file's only name; the next call then
         succeeds."""
-        handle = os.open(self.path, _OPEN, 0o644)
+        handle = os.open(self.path, _OPEN_FLAGS, 0o644)
         try:
-            self._wait(handle)
-            if not self._is_own(handle):
+            self._wait_for_lock(handle)
+            if not self._is_only_name(handle):
                 _unlock(handle)
                 os.close(handle)
                 return None
-            with name_failures(self.path):
+            with name_path_in_errors(self.path):
                 os.ftruncate(handle, 0)
                 os.lseek(handle, 0, os.SEEK_SET)
-                os.write(handle, f"{os.getpid()} {_host()}\n".encode())
+                os.write(handle, f"{os.getpid()} {_find_host_name()}\n".encode())
         except BaseException:
             _unlock(handle)
             os.close(handle)
             raise
         return handle
 
-    def _is_own(self, handle: int) -> bool:
+    def _is_only_name(self, handle: int) -> bool:
         """Return whether the path is the only name of the open file. If the file has several names, the path is unlinked."""
         opened = os.fstat(handle)
         try:
@@ -78,7 +78,7 @@ class FolderLock:
             return False
         return True
 
-    def _wait(self, handle: int) -> None:
+    def _wait_for_lock(self, handle: int) -> None:
         """Lock the open file. Raises FolderLocked if another process holds the lock, after waiting for the writer of a run
         that has ended."""
         began = time.monotonic()
@@ -87,13 +87,15 @@ class FolderLock:
                 _try_lock(handle)
                 return
             except OSError as why:
-                if why.errno not in _HELD:  # a file system without locks, such as a network disk without its lock service
+                if (
+                    why.errno not in _HELD_LOCK_ERRORS
+                ):  # a file system without locks, such as a network disk without its lock service
                     raise OSError(why.errno, os.strerror(why.errno or 0), str(self.path)) from None
-                process, host = _holder(handle)
-                if not _has_ended(process, host) or time.monotonic() - began > _PATIENCE:
-                    where = f" of {host}" if host not in ("", _host()) else ""
+                process, host = _read_holder(handle)
+                if not _has_ended(process, host) or time.monotonic() - began > _MAX_WAIT_SECONDS:
+                    where = f" of {host}" if host not in ("", _find_host_name()) else ""
                     raise FolderLocked(f"process {process or '?'}{where} is writing to `{self.path.parent}`") from None
-            time.sleep(_AGAIN)
+            time.sleep(_RETRY_SECONDS)
 
     def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None) -> None:
         if self._handle is not None:
@@ -104,12 +106,12 @@ class FolderLock:
             os.close(handle)
 
 
-def _host() -> str:
+def _find_host_name() -> str:
     """Return the name of this machine or container. A process id is meaningful only together with it."""
     return "".join(each for each in platform.node() if each.isascii() and each.isprintable() and each != " ")[:64]
 
 
-def _holder(handle: int) -> tuple[str, str]:
+def _read_holder(handle: int) -> tuple[str, str]:
     """Return the process id and the host in the file. Both are empty where the system denies reading it (Windows)."""
     try:
         os.lseek(handle, 0, os.SEEK_SET)
@@ -121,7 +123,7 @@ def _holder(handle: int) -> tuple[str, str]:
 
 def _has_ended(holder: str, host: str) -> bool:
     """Return whether a process of this host is known to have ended. A zombie process has ended too."""
-    if os.name == "nt" or host not in ("", _host()) or not (holder.isascii() and holder.isdigit()):
+    if os.name == "nt" or host not in ("", _find_host_name()) or not (holder.isascii() and holder.isdigit()):
         return False  # Windows frees a lock with the one process that holds it
     try:
         os.kill(int(holder), 0)

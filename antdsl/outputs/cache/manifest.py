@@ -11,26 +11,26 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from antdsl import limits
-from antdsl.bounded import TooLarge, read_bounded
-from antdsl.program.tables.things import KIND_BY_WORD, WITH_FACES, KindOfThing
-from antdsl.whole import write_atomically
+from antdsl.atomic_write import write_atomically
+from antdsl.program.tables.things import KIND_BY_WORD, KINDS_WITH_FACES, ThingKindRow
+from antdsl.safe_read import FileTooLarge, read_size_limited
 
-FORMAT = 1
-MANIFEST = "manifest.json"
-_BYTES = 16 * limits.MIB
+FORMAT_VERSION = 1
+MANIFEST_FILE_NAME = "manifest.json"
+_MAX_MANIFEST_BYTES = 16 * limits.MIB
 
 Word = Annotated[str, Field(max_length=500)]
 ScenePath = Annotated[str, Field(max_length=500, pattern=r"^([^:/\\\x00-\x1f]+/)*[^:/\\\x00-\x1f]+\.ya?ml$")]
 Triple = tuple[float, float, float]
 Look = Literal["metal", "soil", "leaf", "light", "none"]
-MeshKind = Annotated[Word, Field(pattern=f"^({'|'.join(WITH_FACES)})$")]
+MeshKind = Annotated[Word, Field(pattern=f"^({'|'.join(KINDS_WITH_FACES)})$")]
 
 
-class Part(BaseModel):
+class ManifestPart(BaseModel):
     model_config = ConfigDict(extra="ignore", frozen=True, allow_inf_nan=False, hide_input_in_errors=True)
 
 
-class StateEntry(Part):
+class StateEntry(ManifestPart):
     """A state's name, label, and colour (sRGB display values from 0 to 1)."""
 
     name: Word
@@ -38,12 +38,12 @@ class StateEntry(Part):
     colour: Triple
 
 
-class MachineEntry(Part):
+class MachineEntry(ManifestPart):
     name: Word
     states: tuple[StateEntry, ...]
 
 
-class FeelersEntry(Part):
+class FeelersEntry(ManifestPart):
     """One set of feelers: rays ahead of the agent, up to `spread` radians to each side.
 
     Each ray is `reach` scene units plus `per_length` body lengths long."""
@@ -54,7 +54,7 @@ class FeelersEntry(Part):
     per_length: float
 
 
-class BodyEntry(Part):
+class BodyEntry(ManifestPart):
     """An agent definition: the file that it was read from, and a hash of its content.
 
     `static.npz` contains it as the arrays `body.N.text`, `.f4`, `.f8`, `.i4` and `.i8`. N is the index in the manifest's list."""
@@ -63,7 +63,7 @@ class BodyEntry(Part):
     digest: Word
 
 
-class ClipEntry(Part):
+class ClipEntry(ManifestPart):
     """A clip that states play.
 
     `on`: the transform group with the joints that it moves; empty for all joints.
@@ -79,7 +79,7 @@ class ClipEntry(Part):
     down: Word = ""
 
 
-class WornBodyEntry(Part):
+class WornBodyEntry(ManifestPart):
     """One body of a species.
 
     `body`: its word or file in the scene; None chooses one by the species' name.
@@ -91,7 +91,7 @@ class WornBodyEntry(Part):
     weight: Annotated[float, Field(ge=limits.MIN_BODY_WEIGHT, le=limits.MAX_BODY_WEIGHT)] = 1.0
 
 
-class SpeciesEntry(Part):
+class SpeciesEntry(ManifestPart):
     """A species.
 
     `body`: the body in pictures; None chooses one by the species' name.
@@ -119,7 +119,7 @@ class SpeciesEntry(Part):
 Count = Annotated[int, Field(ge=0)]
 
 
-class ImportEntry(Part):
+class ImportEntry(ManifestPart):
     """The import report of a mesh's file. The fields are those of `antdsl.scene.geometry.import_notes.MeshImport`."""
 
     file: Word
@@ -138,7 +138,7 @@ class ImportEntry(Part):
     left: Count | None = None
 
 
-class MeshEntry(Part):
+class MeshEntry(ManifestPart):
     """A mesh.
 
     `imported`: the import report of its file.
@@ -155,19 +155,19 @@ class MeshEntry(Part):
     imported: ImportEntry | None = None
 
     @property
-    def row(self) -> KindOfThing:
+    def row(self) -> ThingKindRow:
         """Return the program's table row for this kind of mesh."""
         return KIND_BY_WORD[self.kind]
 
 
-class FieldEntry(Part):
+class FieldEntry(ManifestPart):
     """A field. `cell`: the edge of a cell in scene units."""
 
     name: Word
     cell: float
 
 
-class ItemsEntry(Part):
+class ItemsEntry(ManifestPart):
     """Items of one name: the names of the single items, and the attributes for which each frame has an array.
 
     Positions and radii are in scene units, at the first simulated frame.
@@ -183,7 +183,7 @@ class ItemsEntry(Part):
     looks: tuple[Look | None, ...] = ()
 
 
-class CameraEntry(Part):
+class CameraEntry(ManifestPart):
     """A camera: points in scene units, focal length in mm for a sensor 36 mm wide.
 
     `moves`: whether `static.npz` has the camera at each frame."""
@@ -195,7 +195,7 @@ class CameraEntry(Part):
     moves: bool = False
 
 
-class Provenance(Part):
+class Provenance(ManifestPart):
     """The environment in which a cache was made. Readers do not depend on it.
 
     `sources`: a hash of antdsl's own files.
@@ -211,7 +211,7 @@ class Provenance(Part):
     command: Annotated[str, Field(max_length=2000)]
 
 
-class Manifest(Part):
+class Manifest(ManifestPart):
     """The description of a cache.
 
     `inputs`: a hash of every input that affects the frames.
@@ -219,8 +219,8 @@ class Manifest(Part):
     `first`, `last`: the first and the last requested frame.
     `events`: the names of events; frames contain indices into this list.
     `static`: the hash of `static.npz`; None if none was stored.
-    `state_hash`: the method of state hashes, a `STATE_HASH`.
-    `scene_path`: the path from the cache's folder to the scene file; None if `relative_path` returned none.
+    `state_hash`: the method of state hashes, a `STATE_HASH_VERSION`.
+    `scene_path`: the path from the cache's folder to the scene file; None if `find_relative_path` returned none.
     `origin`: the point, in scene units, that all positions are relative to; the zero point in caches without it."""
 
     format: Literal[1] = 1
@@ -255,7 +255,7 @@ class ManifestError(Exception):
     """Reason why a folder is not a cache. The message is complete without context."""
 
 
-def relative_path(file: Path, folder: Path) -> str | None:
+def find_relative_path(file: Path, folder: Path) -> str | None:
     """Return the path from a folder to a file, with `/` and `..`. Return None if it is too long for a manifest.
 
     Also return None if the path would pass through the root of the file system, because it would reveal folders of this
@@ -274,21 +274,21 @@ def relative_path(file: Path, folder: Path) -> str | None:
 def write_manifest(folder: Path, manifest: Manifest) -> None:
     """Write the manifest into a cache's folder, durably."""
     text = json.dumps(manifest.model_dump(mode="json"), indent=1, ensure_ascii=False) + "\n"
-    write_atomically(folder / MANIFEST, text.encode())
+    write_atomically(folder / MANIFEST_FILE_NAME, text.encode())
 
 
 def read_manifest(folder: Path) -> Manifest:
     """Return the manifest of a cache's folder. Raises ManifestError with the reason if there is none."""
-    path = folder / MANIFEST
+    path = folder / MANIFEST_FILE_NAME
     try:
-        text = read_bounded(path, _BYTES, follow=False).decode()
-    except TooLarge:
+        text = read_size_limited(path, _MAX_MANIFEST_BYTES, follow=False).decode()
+    except FileTooLarge:
         raise ManifestError(f"`{path}` is too large for a manifest") from None
     except (OSError, UnicodeDecodeError):
-        raise ManifestError(f"`{folder}` is not a cache: it has no readable `{MANIFEST}`") from None
+        raise ManifestError(f"`{folder}` is not a cache: it has no readable `{MANIFEST_FILE_NAME}`") from None
     newer = re.search(r'"format"\s*:\s*([0-9]{1,6})', text[:200])
-    if newer and int(newer[1]) > FORMAT:
-        raise ManifestError(f"`{folder}` was written by a newer antdsl (format {newer[1]}, this one reads {FORMAT})")
+    if newer and int(newer[1]) > FORMAT_VERSION:
+        raise ManifestError(f"`{folder}` was written by a newer antdsl (format {newer[1]}, this one reads {FORMAT_VERSION})")
     try:
         return Manifest.model_validate_json(text)
     except (ValidationError, RecursionError):

@@ -17,59 +17,59 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
-from antdsl.bounded import TooLarge, open_bounded
-from antdsl.outputs.cache.zip_parts import MemberForm, Stored, form_of, stored_file
+from antdsl.outputs.cache.zip_parts import MemberForm, StoredFile, make_member_form, make_stored_file
+from antdsl.safe_read import FileTooLarge, open_size_limited
 from antdsl.scene.geometry.arrays import ALLOWED_DTYPES, NPY_MAGIC, ArrayFileError, parse_npy, read_archive
 
-__all__ = ["ArrayFileError", "npz_file", "parse_npy", "read_npz", "to_bytes", "to_member"]
+__all__ = ["ArrayFileError", "encode_npz", "make_npz_file", "parse_npy", "read_npz", "write_member"]
 
-_BYTE = np.dtype(np.uint8)
-FILE_BYTES = 64 * limits.GIB
-_STAMP = (1980, 1, 1, 0, 0, 0)  # the same arrays give the same bytes, whenever they are written
+_BYTE_TYPE = np.dtype(np.uint8)
+MAX_FILE_BYTES = 64 * limits.GIB
+_FIXED_DATE = (1980, 1, 1, 0, 0, 0)  # the same arrays give the same bytes, whenever they are written
 
 
-def to_bytes(arrays: Mapping[str, NDArray[Any]]) -> bytes:
+def encode_npz(arrays: Mapping[str, NDArray[Any]]) -> bytes:
     """Return the bytes of an NPZ file with these arrays, in order."""
-    return b"".join(npz_file(arrays).parts)
+    return b"".join(make_npz_file(arrays).parts)
 
 
-def npz_file(arrays: Mapping[str, NDArray[Any]]) -> Stored:
+def make_npz_file(arrays: Mapping[str, NDArray[Any]]) -> StoredFile:
     """Return the NPZ file as consecutive parts. The parts share memory with the arrays, which must not change until the parts
     were used."""
-    return stored_file(_member(name, array) for name, array in arrays.items())
+    return make_stored_file(_make_member(name, array) for name, array in arrays.items())
 
 
-def _member(name: str, array: NDArray[Any]) -> tuple[MemberForm, memoryview]:
-    (form, kind), of = _form(name, array.dtype, array.shape), array.data
+def _make_member(name: str, array: NDArray[Any]) -> tuple[MemberForm, memoryview]:
+    (form, kind), of = _make_member_form(name, array.dtype, array.shape), array.data
     if not kind and of.nbytes and of.c_contiguous:
         return form, of.cast("B")
-    return form, np.asarray(array, order="C").astype(kind or array.dtype, copy=False).reshape(-1).view(_BYTE).data
+    return form, np.asarray(array, order="C").astype(kind or array.dtype, copy=False).reshape(-1).view(_BYTE_TYPE).data
 
 
 @lru_cache(1024)  # arrays of consecutive frames mostly have equal shapes
-def _form(name: str, dtype: np.dtype[Any], shape: tuple[int, ...]) -> tuple[MemberForm, str]:
+def _make_member_form(name: str, dtype: np.dtype[Any], shape: tuple[int, ...]) -> tuple[MemberForm, str]:
     """Return the zip member's form for an array with this name, type and shape, and the type to convert the array to.
 
     The second result is empty if the array in memory already has the bytes of the file."""
-    kind = _type_code(name, dtype)
+    kind = _encode_type(name, dtype)
     as_it_is = dtype.isnative and dtype.str == kind
-    return form_of(f"{name}.npy", _header(kind, shape), dtype.itemsize * prod(shape)), "" if as_it_is else kind
+    return make_member_form(f"{name}.npy", _make_header(kind, shape), dtype.itemsize * prod(shape)), "" if as_it_is else kind
 
 
-def to_member(
+def write_member(
     file: zipfile.ZipFile, name: str, dtype: np.dtype[Any], shape: tuple[int, ...], parts: Iterable[NDArray[Any]]
 ) -> None:
     """Add an array with this type and shape to an open NPZ file. `parts`: its consecutive parts, of which memory holds one at a
     time."""
-    entry = zipfile.ZipInfo(f"{name}.npy", _STAMP)
-    kind = _type_code(name, dtype)
+    entry = zipfile.ZipInfo(f"{name}.npy", _FIXED_DATE)
+    kind = _encode_type(name, dtype)
     with file.open(entry, "w", force_zip64=True) as member:
-        member.write(_header(kind, shape))
+        member.write(_make_header(kind, shape))
         for part in parts:
             member.write(np.asarray(part, order="C").astype(kind, copy=False).tobytes())
 
 
-def _type_code(name: str, dtype: np.dtype[Any]) -> str:
+def _encode_type(name: str, dtype: np.dtype[Any]) -> str:
     """Return the code of a type in the file. Raises ValueError for a type that cannot be stored."""
     kind = dtype.newbyteorder("<").str
     if kind not in ALLOWED_DTYPES:
@@ -77,19 +77,19 @@ def _type_code(name: str, dtype: np.dtype[Any]) -> str:
     return kind
 
 
-def _header(kind: str, shape: tuple[int, ...]) -> bytes:
+def _make_header(kind: str, shape: tuple[int, ...]) -> bytes:
     header = f"{{'descr': '{kind}', 'fortran_order': False, 'shape': {shape!r}, }}".encode("ascii")
     header += b" " * (-(len(NPY_MAGIC) + 2 + len(header) + 1) % 64) + b"\n"
     return NPY_MAGIC + len(header).to_bytes(2, "little") + header
 
 
-def read_npz(path: Path, only: Container[str] | None = None) -> dict[str, NDArray[Any]]:
-    """Return the arrays of a file that `to_bytes` wrote, after checking their checksums. `only`: the names to return; None for
+def read_npz(path: Path, names: Container[str] | None = None) -> dict[str, NDArray[Any]]:
+    """Return the arrays of a file that `encode_npz` wrote, after checking their checksums. `names`: the names to return; None for
     all.
 
     Raises ArrayFileError for any other file, and OSError for a file that cannot be opened. Links are not followed."""
     try:
-        with open_bounded(path, FILE_BYTES, follow=False) as file:
-            return read_archive(file, os.fstat(file.fileno()).st_size, only)
-    except TooLarge as why:
+        with open_size_limited(path, MAX_FILE_BYTES, follow=False) as file:
+            return read_archive(file, os.fstat(file.fileno()).st_size, names)
+    except FileTooLarge as why:
         raise ArrayFileError(f"has {why.size:,} bytes, more than the limit of {why.cap:,}") from None

@@ -37,107 +37,117 @@ from antdsl.bodies.agents.leg_ik import PlacedFeet
 from antdsl.bodies.agents.machine_clips import EARLIER_FIELDS, MachineClips
 from antdsl.bodies.agents.varied_bodies import VariationDraws
 from antdsl.numerics import parallel
-from antdsl.numerics.randomness import uniform
+from antdsl.numerics.randomness import draw_uniform
 from antdsl.outputs.cache import frame_loops
 from antdsl.outputs.cache.manifest import SpeciesEntry
-from antdsl.program.tables.columns import CLIPS, STANCE
+from antdsl.program.tables.columns import CLIP_COLUMNS, STANCE_COLUMNS
 from antdsl.runtime.world import Population, World
 from antdsl.scene.setting import CrowdData, WorldSetting
 
 _AXES = ("x", "y", "z")
 Arrays = Mapping[str, NDArray[Any]]
 # By field, the register behind `MACHINE.` and its type in a frame.
-_REGISTERS = {each.field: ("clip" if each.field == "clip" else f"clip_{each.field}", each.type) for each in CLIPS}
-_USUAL = tuple(field for field in _REGISTERS if field not in EARLIER_FIELDS)
-_CLIPS, _SHARES = ("clip", "before"), ("turns", "weight", "before_turns", "before_weight", "fade")
+_REGISTER_BY_FIELD = {each.field: ("clip" if each.field == "clip" else f"clip_{each.field}", each.type) for each in CLIP_COLUMNS}
+_USUAL_FIELDS = tuple(field for field in _REGISTER_BY_FIELD if field not in EARLIER_FIELDS)
+_CLIP_FIELDS, _SHARE_FIELDS = ("clip", "before"), ("turns", "weight", "before_turns", "before_weight", "fade")
 
 
-def playing(population: Population) -> Iterator[str]:
+def list_playing_machines(population: Population) -> Iterator[str]:
     """Yield the names of the machines that play clips, in text order."""
     return (machine.name for machine in population.plan.machines if f"{machine.name}.clip" in population.plan.registers)
 
 
-def clips_playing(population: Population, threads: int = 1) -> dict[str, NDArray[Any]]:
+def make_clip_arrays(population: Population, threads: int = 1) -> dict[str, NDArray[Any]]:
     """Return the `clips` arrays of a species, by agent id. Arrays of the earlier clip are included if any agent has one."""
     arrays: dict[str, NDArray[Any]] = {}
-    for machine in playing(population):
-        now = {field: population.now[f"{machine}.{register}"] for field, (register, _) in _REGISTERS.items()}
-        values = {field: np.empty(len(population), _REGISTERS[field][1]) for field in _USUAL}
-        of = [tuple([each[field] for field in names]) for each in (now, values) for names in (_CLIPS, _SHARES)]
-        work = partial(frame_loops.playing, of[0], of[1], population.id_ranks(), of[2], of[3])
-        parallel.in_parts(work, len(population), threads)
+    for machine in list_playing_machines(population):
+        now = {field: population.now[f"{machine}.{register}"] for field, (register, _) in _REGISTER_BY_FIELD.items()}
+        values = {field: np.empty(len(population), _REGISTER_BY_FIELD[field][1]) for field in _USUAL_FIELDS}
+        of = [tuple([each[field] for field in names]) for each in (now, values) for names in (_CLIP_FIELDS, _SHARE_FIELDS)]
+        work = partial(frame_loops.write_playing_clips, of[0], of[1], population.id_ranks(), of[2], of[3])
+        parallel.run_in_parts(work, len(population), threads)
         early = now["earlier_fade"] > 0
         if early.any() and (early & (now["fade"] > 0)).any():
-            rows = population.in_id_order()
-            values |= {field: now[field].take(rows).astype(_REGISTERS[field][1], copy=False) for field in EARLIER_FIELDS}
+            rows = population.rows_by_id()
+            values |= {field: now[field].take(rows).astype(_REGISTER_BY_FIELD[field][1], copy=False) for field in EARLIER_FIELDS}
         arrays |= {f"clips.{population.name}.{machine}.{field}": array for field, array in values.items()}
     return arrays
 
 
-def machine_clips(species: str, machine: str, arrays: Arrays, count: int) -> MachineClips | None:
+def read_machine_clips(species: str, machine: str, arrays: Arrays, count: int) -> MachineClips | None:
     """Return the clips that a machine of `count` agents plays. Return None if the arrays lack them."""
     named = f"clips.{species}.{machine}."
-    parts = {field: _stored(arrays, named + field, kind, count) for field, (_, kind) in _REGISTERS.items()}
-    if any(parts[field] is None for field in _USUAL):
+    parts = {field: _find_array(arrays, named + field, kind, count) for field, (_, kind) in _REGISTER_BY_FIELD.items()}
+    if any(parts[field] is None for field in _USUAL_FIELDS):
         return None
     return MachineClips(**{field: None if part is None else np.nan_to_num(part) for field, part in parts.items()})  # type: ignore[arg-type]
 
 
-def _stored(arrays: Arrays, name: str, kind: str, *shape: int) -> NDArray[Any] | None:
+def _find_array(arrays: Arrays, name: str, kind: str, *shape: int) -> NDArray[Any] | None:
     """Return an array of a frame. Return None if the frame has no array of this name, type and shape."""
     array = arrays.get(name)
     return None if array is None or array.shape != shape else np.asarray(array, kind)
 
 
-def machines_of(species: SpeciesEntry, arrays: Arrays, count: int) -> tuple[MachineClips, ...] | None:
+def read_all_machine_clips(species: SpeciesEntry, arrays: Arrays, count: int) -> tuple[MachineClips, ...] | None:
     """Return the clips that each machine of a species plays, for `count` agents. Return None if the frame lacks them."""
-    clips = [machine_clips(species.name, machine, arrays, count) for machine in species.playing]
+    clips = [read_machine_clips(species.name, machine, arrays, count) for machine in species.playing]
     return None if any(each is None for each in clips) else tuple(each for each in clips if each is not None)
 
 
-def placed_feet(world: World, key: str, scale: float) -> dict[str, NDArray[Any]]:
+def make_feet_arrays(world: World, key: str, scale: float) -> dict[str, NDArray[Any]]:
     """Return the `feet` arrays of a body; empty if its feet are not computed. `scale`: scene units per millimetre."""
     feet = world.feet.get(key)
     if feet is None:
         return {}
     n, legs = len(feet), feet.legs
-    values, ranks = {each.field: np.empty((n, *each.dimensions(legs=legs)), each.type) for each in STANCE}, feet.id_ranks()
-    of = parallel.contiguous(feet.shown.swapaxes(1, 2), feet.swing.T, feet.rise, feet.slope)  # leg by leg, as they mostly lie
+    values, ranks = (
+        {each.field: np.empty((n, *each.compute_dimensions(legs=legs)), each.type) for each in STANCE_COLUMNS},
+        feet.id_ranks(),
+    )
+    of = parallel.make_contiguous(
+        feet.shown.swapaxes(1, 2), feet.swing.T, feet.rise, feet.slope
+    )  # leg by leg, as they mostly lie
     outputs = values["P"].reshape(n, 3 * legs), values["down"], values["rise"], values["tilt"]
-    parallel.in_parts(partial(frame_loops.agent_feet, *of, ranks, scale, *outputs), n, world.options.threads)
+    parallel.run_in_parts(partial(frame_loops.write_feet, *of, ranks, scale, *outputs), n, world.options.threads)
     values["phase"][ranks] = feet.phase
     return {f"feet.{key}.{name}": array for name, array in values.items()}
 
 
-def feet_of(key: str, arrays: Arrays, count: int, legs: int) -> PlacedFeet | None:
+def read_feet(key: str, arrays: Arrays, count: int, legs: int) -> PlacedFeet | None:
     """Return the feet of the `count` agents that have a body, with `legs` legs each. Return None if the frame lacks them."""
-    parts = [_stored(arrays, f"feet.{key}.{each.field}", each.type, count, *each.dimensions(legs=legs)) for each in STANCE]
+    parts = [
+        _find_array(arrays, f"feet.{key}.{each.field}", each.type, count, *each.compute_dimensions(legs=legs))
+        for each in STANCE_COLUMNS
+    ]
     return PlacedFeet(*parts) if legs and not any(part is None for part in parts) else None  # type: ignore[arg-type]
 
 
-def layers_worn(population: Population, setting: WorldSetting) -> tuple[str, ...]:
+def list_wearable_layers(population: Population, setting: WorldSetting) -> tuple[str, ...]:
     """Return the layers that agents of a species may show in addition to the body's own: first those of its states, then the
     scene's."""
-    by_scene = (name for crowd in _crowds(population, setting) for part in crowd.wears for name in part if name)
-    return tuple(dict.fromkeys((*population.plan.wears, *by_scene)))[: limits.MAX_WORN_LAYERS]
+    by_scene = (
+        name for crowd in _find_species_crowds(population, setting) for part in crowd.worn_layers for name in part if name
+    )
+    return tuple(dict.fromkeys((*population.plan.worn_layers, *by_scene)))[: limits.MAX_WORN_LAYERS]
 
 
-def display_arrays(population: Population, setting: WorldSetting) -> dict[str, NDArray[Any]]:
+def make_display_arrays(population: Population, setting: WorldSetting) -> dict[str, NDArray[Any]]:
     """Return the arrays `wears`, `channels`, `looks` and `leans` of a species, by agent id."""
-    name, now, plan, rows = population.name, population.now, population.plan, population.in_id_order()
+    name, now, plan, rows = population.name, population.now, population.plan, population.rows_by_id()
     arrays: dict[str, NDArray[Any]] = {}
-    layers = layers_worn(population, setting)
+    layers = list_wearable_layers(population, setting)
     if layers:
         mask = np.zeros(len(rows), np.uint64)
-        for layer in plan.wears:
-            mark_layer(population, now[f"wear#{layer}"], _bit(layers, layer), mask)
-        for worn in _scene_layer_masks(population, rows, setting, layers):
+        for layer in plan.worn_layers:
+            mark_layer(population, now[f"wear#{layer}"], _make_layer_bit(layers, layer), mask)
+        for worn in _draw_scene_layer_masks(population, rows, setting, layers):
             mask |= worn
         arrays[f"wears.{name}"] = mask
     for channel in plan.channels:
         said = now[f"channel#{channel}.said"][rows]
         arrays[f"channels.{name}.{channel}"] = np.where(said, now[f"channel#{channel}"][rows], np.float32(np.nan))
-    for group in plan.looks:
+    for group in plan.look_groups:
         parts = [now[f"look#{group}.{axis}"][rows] for axis in _AXES]
         arrays[f"looks.{name}.{group}"] = np.stack(parts, axis=1).astype(np.float32)
     if "lean#turn" in plan.registers:
@@ -145,63 +155,63 @@ def display_arrays(population: Population, setting: WorldSetting) -> dict[str, N
     return arrays
 
 
-def mark_layer(population: Population, on: NDArray[np.bool_], bit: np.uint64, mask: NDArray[np.uint64]) -> None:
-    """Set `bit` in the masks of the agents that wear a layer. `on`: by row; `mask`: by id."""
-    frame_loops.mark_worn(on, population.id_ranks(), bit.view(np.int64), mask.view(np.int64))
+def mark_layer(population: Population, is_worn: NDArray[np.bool_], bit: np.uint64, mask: NDArray[np.uint64]) -> None:
+    """Set `bit` in the masks of the agents that wear a layer. `is_worn`: by row; `mask`: by id."""
+    frame_loops.mark_worn_layer(is_worn, population.id_ranks(), bit.view(np.int64), mask.view(np.int64))
 
 
-def worn_masks(species: SpeciesEntry, arrays: Arrays, count: int) -> NDArray[np.uint64]:
+def read_layer_masks(species: SpeciesEntry, arrays: Arrays, count: int) -> NDArray[np.uint64]:
     """Return the mask of layers of each of `count` agents; 0 for all if the frame has no masks."""
-    masks = _stored(arrays, f"wears.{species.name}", "u8", count)
+    masks = _find_array(arrays, f"wears.{species.name}", "u8", count)
     if not species.wears or masks is None:
         return np.zeros(count, np.uint64)
     return masks & np.uint64((1 << len(species.wears)) - 1)
 
 
-def layers_of(species: SpeciesEntry, mask: int) -> tuple[str, ...]:
+def list_mask_layers(species: SpeciesEntry, mask: int) -> tuple[str, ...]:
     """Return the names of the layers in a mask."""
     return tuple(layer for k, layer in enumerate(species.wears) if mask >> k & 1)
 
 
-def driven_values(species: SpeciesEntry, arrays: Arrays, ids: NDArray[np.int64], seed: int) -> DrivenPose:
+def read_driven_pose(species: SpeciesEntry, arrays: Arrays, ids: NDArray[np.int64], seed: int) -> DrivenPose:
     """Return the channels and looks that states set in a frame, and the variation between bodies, for agents with these `ids`.
 
     Data that the frame lacks is left out."""
     of, count = species.name, len(ids)
-    channels = {name: _stored(arrays, f"channels.{of}.{name}", "f4", count) for name in species.channels}
-    looks = {name: _stored(arrays, f"looks.{of}.{name}", "f4", count, 3) for name in species.looks}
+    channels = {name: _find_array(arrays, f"channels.{of}.{name}", "f4", count) for name in species.channels}
+    looks = {name: _find_array(arrays, f"looks.{of}.{name}", "f4", count, 3) for name in species.looks}
     return DrivenPose(
         {name: values for name, values in channels.items() if values is not None},
         {name: values for name, values in looks.items() if values is not None},
         VariationDraws(ids, seed, of),
-        _stored(arrays, f"leans.{of}", "f4", count, 2),
+        _find_array(arrays, f"leans.{of}", "f4", count, 2),
     )
 
 
-def _crowds(population: Population, setting: WorldSetting) -> Iterator[CrowdData]:
+def _find_species_crowds(population: Population, setting: WorldSetting) -> Iterator[CrowdData]:
     """Yield the scene's crowd lines of a species."""
     return (crowd for crowd in setting.crowds if crowd.species == population.name)
 
 
-def _scene_layer_masks(
+def _draw_scene_layer_masks(
     population: Population, rows: NDArray[np.intp], setting: WorldSetting, layers: tuple[str, ...]
 ) -> Iterator[NDArray[np.uint64]]:
     """Yield masks of the layers that the scene gives to agents, one layer per part of the body.
 
     Layers are drawn by the agent's id and the scene's seed, and stay for the agent's lifetime. Agents born later use the crowd
     line of their parent."""
-    crowds = [crowd for crowd in _crowds(population, setting) if crowd.wears]
+    crowds = [crowd for crowd in _find_species_crowds(population, setting) if crowd.worn_layers]
     if not crowds:
         return
     group, ids = population.now["group"][rows], population.ids[rows]
     for crowd in crowds:
-        for k, part in enumerate(crowd.wears):
-            bits = np.array([_bit(layers, layer) for layer in part], np.uint64)
-            drawn = uniform(setting.seed, 0, population.name, f"wear {crowd.group} {k}", 0, ids)
+        for k, part in enumerate(crowd.worn_layers):
+            bits = np.array([_make_layer_bit(layers, layer) for layer in part], np.uint64)
+            drawn = draw_uniform(setting.seed, 0, population.name, f"wear {crowd.line_index} {k}", 0, ids)
             which = np.minimum((drawn * np.float32(len(part))).astype(np.intp), len(part) - 1)
-            yield np.where(group == crowd.group, bits[which], np.uint64(0))
+            yield np.where(group == crowd.line_index, bits[which], np.uint64(0))
 
 
-def _bit(layers: tuple[str, ...], layer: str) -> np.uint64:
+def _make_layer_bit(layers: tuple[str, ...], layer: str) -> np.uint64:
     """Return the mask with the bit of one layer; 0 for a layer that the body lacks."""
     return np.uint64(1 << layers.index(layer)) if layer in layers else np.uint64(0)

@@ -25,9 +25,9 @@ Piece = tuple[NDArray[np.float64], NDArray[np.int32]]
 class PieceMaker:
     """Builder of the arrays of solids in frames. It reads from each volume the changes since the previous call."""
 
-    def __init__(self, first: int, every: int, scale: float) -> None:
-        self.first, self.every, self.scale = first, every, scale
-        self._dug: dict[str, dict[int, Piece]] = {}
+    def __init__(self, first: int, interval: int, scale: float) -> None:
+        self.first, self.every, self.scale = first, interval, scale
+        self._pieces_by_solid: dict[str, dict[int, Piece]] = {}
 
     def frame(self, world: World) -> Arrays:
         """Return the arrays of the world's current frame."""
@@ -38,15 +38,15 @@ class PieceMaker:
                 arrays[f"solid.{name}.balls"] = dug_now[name]
             if (world.frame - self.first) % self.every:
                 continue
-            dug = self._dug.setdefault(name, {})
-            dug |= {brick: (vertices, faces) for brick, vertices, faces in volume.surface()}
+            dug = self._pieces_by_solid.setdefault(name, {})
+            dug |= {brick: (vertices, faces) for brick, vertices, faces in volume.iterate_brick_meshes()}
             if dug:
                 arrays[f"mesh.{name}.changed"] = np.array(sorted(dug), np.int32)
                 arrays |= _join_arrays(name, dug, self.scale)
         return arrays
 
 
-def start_pieces(world: World, scale: float) -> Arrays:
+def make_start_arrays(world: World, scale: float) -> Arrays:
     """Return the arrays of all solids for `static.npz`, before digging. `offset` (mm) is 0, since the manifest has the origin."""
     arrays: Arrays = {}
     for name, volume in world.solids.items():
@@ -54,16 +54,17 @@ def start_pieces(world: World, scale: float) -> Arrays:
         arrays |= {
             f"solid.{name}.{key}": np.array(value)
             for key, value in {
-                "values": bricks.values[: bricks.used * BRICK_NODES], "table": bricks.table, "shape": bricks.shape,
-                "origin": bricks.origin, "voxel": bricks.voxel, "band": (bricks.least, bricks.most), "offset": np.zeros(3),
+                "values": bricks.values[: bricks.used_slots * BRICK_NODES], "table": bricks.table, "shape": bricks.shape,
+                "origin": bricks.origin, "voxel": bricks.voxel, "band": (bricks.min_distance, bricks.max_distance),
+                "offset": np.zeros(3),
             }.items()
         }  # fmt: skip
-        pieces = {brick: (vertices, faces) for brick, vertices, faces in volume.surface(changed_only=False)}
+        pieces = {brick: (vertices, faces) for brick, vertices, faces in volume.iterate_brick_meshes(changed_only=False)}
         arrays |= _join_arrays(name, pieces, scale)
     return arrays
 
 
-def start_volume(name: str, static: Mapping[str, NDArray[Any]]) -> Volume:
+def read_start_volume(name: str, static: Mapping[str, NDArray[Any]]) -> Volume:
     """Return the volume of a solid before any digging."""
 
     def read_array(key: str) -> NDArray[Any]:

@@ -13,25 +13,29 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from struct import Struct
 
+from antdsl.atomic_write import BytesParts
 from antdsl.numerics.check_sums import crc32
-from antdsl.whole import BytesParts
 
-LIMIT = (1 << 31) - 1  # larger sizes and offsets are written in eight bytes
-MOST = (1 << 16) - 1  # members; larger counts are written in eight bytes
-_ELSEWHERE = 0xFFFFFFFF  # marks a value that is in eight bytes of the extra field
-_PLAIN, _LONG = 20, 45  # the version of the format that a reader has to know
-_UTF8 = 0x800
-_TIME, _DATE = 0, 1 << 5 | 1  # 1 January 1980: the same arrays give the same bytes, whenever they are written
-_SYSTEM = 0 if sys.platform == "win32" else 3
-_ATTRIBUTES = 0o600 << 16
-_MEMBER = b"PK\3\4"
-_LOCAL = Struct("<4s5H3L2H")
-_CENTRAL = Struct("<4s4B4H3L5H2L")
-_LOCAL_CHECK, _CENTRAL_CHECK, _PLACE = 14, 16, 42  # offsets of the CRC-32 in the headers, and of the member's offset in its entry
-_TWO_LONGS = Struct("<2H2Q")
-_END = Struct("<4s4H2LH")
-_LONG_END = Struct("<4sQ2H2L4Q")
-_LOCATOR = Struct("<4sLQL")
+MAX_SHORT_SIZE = (1 << 31) - 1  # larger sizes and offsets are written in eight bytes
+MAX_SHORT_COUNT = (1 << 16) - 1  # members; larger counts are written in eight bytes
+_LONG_VALUE_MARK = 0xFFFFFFFF  # marks a value that is in eight bytes of the extra field
+_PLAIN_VERSION, _LONG_VERSION = 20, 45  # the version of the format that a reader has to know
+_UTF8_FLAG = 0x800
+_FIXED_TIME, _FIXED_DATE = 0, 1 << 5 | 1  # 1 January 1980: the same arrays give the same bytes, whenever they are written
+_SYSTEM_CODE = 0 if sys.platform == "win32" else 3
+_FILE_ATTRIBUTES = 0o600 << 16
+_MEMBER_SIGNATURE = b"PK\3\4"
+_LOCAL_HEADER = Struct("<4s5H3L2H")
+_DIRECTORY_ENTRY = Struct("<4s4B4H3L5H2L")
+_LOCAL_CRC_OFFSET, _ENTRY_CRC_OFFSET, _ENTRY_OFFSET_OFFSET = (
+    14,
+    16,
+    42,
+)  # offsets of the CRC-32 in the headers, and of the member's offset in its entry
+_LONG_SIZE_FIELD = Struct("<2H2Q")
+_END_RECORD = Struct("<4s4H2LH")
+_LONG_END_RECORD = Struct("<4sQ2H2L4Q")
+_LONG_END_LOCATOR = Struct("<4sLQL")
 
 
 class NotStored(Exception):
@@ -39,7 +43,7 @@ class NotStored(Exception):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Stored:
+class StoredFile:
     """A zip file that has not been written yet.
 
     `parts`: its consecutive bytes.
@@ -49,7 +53,7 @@ class Stored:
     headers: Sequence[bytes]
 
 
-def stored_file(members: Iterable[tuple[MemberForm, memoryview]]) -> Stored:
+def make_stored_file(members: Iterable[tuple[MemberForm, memoryview]]) -> StoredFile:
     """Return a file with these members, in order. Each member is its form and the content after the form's head.
 
     Contents are not copied. They must not change until the parts have been used."""
@@ -58,85 +62,91 @@ def stored_file(members: Iterable[tuple[MemberForm, memoryview]]) -> Stored:
     entries: list[bytes] = []
     at = 0
     for form, rest in members:
-        check = crc32(rest, form.check).to_bytes(4, "little")
+        check = crc32(rest, form.head_crc).to_bytes(4, "little")
         prefix, suffix = form.header
         header = prefix + check + suffix
         headers.append(header)
         parts += (header + form.head, rest)
-        entries.append(_entry(form, check, at))
+        entries.append(_make_directory_entry(form, check, at))
         at += len(header) + form.size
     directory = b"".join(entries)
-    headers.append(directory + _end(len(entries), len(directory), at))
-    return Stored([*parts, headers[-1]], headers)
+    headers.append(directory + _make_end_record(len(entries), len(directory), at))
+    return StoredFile([*parts, headers[-1]], headers)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MemberForm:
     """Data shared by all members with the same name, head and size.
 
-    `check`: the CRC-32 of the head.
+    `head_crc`: the CRC-32 of the head.
     `header`: the fixed bytes of the member's header, before and after the CRC-32.
     `entry`: the fixed bytes of the directory entry, before, between and after the CRC-32 and the offset."""
 
     head: bytes
     size: int
-    check: int
-    words: bytes
+    head_crc: int
+    name_bytes: bytes
     flags: int
     header: tuple[bytes, bytes]
     entry: tuple[bytes, bytes, bytes]
 
 
-def form_of(name: str, head: bytes, rest: int) -> MemberForm:
-    """Return the form of members with `rest` bytes after the head."""
-    words, size = name.encode(), len(head) + rest
-    flags = 0 if name.isascii() else _UTF8
-    size_field, version, extra = (size, _PLAIN, b"") if size <= LIMIT else (_ELSEWHERE, _LONG, _long_field(size, size))
-    local = (
-        _LOCAL.pack(_MEMBER, version, flags, 0, _TIME, _DATE, 0, size_field, size_field, len(words), len(extra)) + words + extra
+def make_member_form(name: str, head: bytes, content_size: int) -> MemberForm:
+    """Return the form of members with `content_size` bytes after the head."""
+    words, size = name.encode(), len(head) + content_size
+    flags = 0 if name.isascii() else _UTF8_FLAG
+    size_field, version, extra = (
+        (size, _PLAIN_VERSION, b"") if size <= MAX_SHORT_SIZE else (_LONG_VALUE_MARK, _LONG_VERSION, _make_long_field(size, size))
     )
-    prefix, suffix = _split_around(_central(words, flags, size, 0), _CENTRAL_CHECK)
-    entry = prefix, *_split_around(suffix, _PLACE - _CENTRAL_CHECK - 4)
-    return MemberForm(head, size, crc32(head), words, flags, _split_around(local, _LOCAL_CHECK), entry)
+    local = (
+        _LOCAL_HEADER.pack(
+            _MEMBER_SIGNATURE, version, flags, 0, _FIXED_TIME, _FIXED_DATE, 0, size_field, size_field, len(words), len(extra)
+        )
+        + words
+        + extra
+    )
+    prefix, suffix = _split_around_field(_make_blank_entry(words, flags, size, 0), _ENTRY_CRC_OFFSET)
+    entry = prefix, *_split_around_field(suffix, _ENTRY_OFFSET_OFFSET - _ENTRY_CRC_OFFSET - 4)
+    return MemberForm(head, size, crc32(head), words, flags, _split_around_field(local, _LOCAL_CRC_OFFSET), entry)
 
 
-def _split_around(record: bytes, at: int) -> tuple[bytes, bytes]:
-    """Return the bytes before and after the four-byte field at offset `at`."""
-    return record[:at], record[at + 4 :]
+def _split_around_field(record: bytes, offset: int) -> tuple[bytes, bytes]:
+    """Return the bytes before and after the four-byte field at offset `offset`."""
+    return record[:offset], record[offset + 4 :]
 
 
 def read_headers(blocks: Iterator[bytes]) -> Iterator[bytes]:
     """Yield the headers of a file, piece by piece, and check the contents in between by their CRC-32. The file arrives in blocks.
 
-    Raises NotStored if a checksum differs, or if `stored_file` cannot have made the file."""
-    file = _Pieces(blocks)
-    while (mark := file.read_up_to(len(_MEMBER))) == _MEMBER:
-        local = mark + file.read_exactly(_LOCAL.size - len(_MEMBER))
-        check, size, _, words, extra = _LOCAL.unpack(local)[6:]
+    Raises NotStored if a checksum differs, or if `make_stored_file` cannot have made the file."""
+    file = _BlockReader(blocks)
+    while (mark := file.read_up_to(len(_MEMBER_SIGNATURE))) == _MEMBER_SIGNATURE:
+        local = mark + file.read_exactly(_LOCAL_HEADER.size - len(_MEMBER_SIGNATURE))
+        check, size, _, words, extra = _LOCAL_HEADER.unpack(local)[6:]
         tail = file.read_exactly(words + extra)
         yield local + tail
-        if size == _ELSEWHERE:
-            if extra != _TWO_LONGS.size:
+        if size == _LONG_VALUE_MARK:
+            if extra != _LONG_SIZE_FIELD.size:
                 raise NotStored
-            size = _TWO_LONGS.unpack(tail[words:])[2]
+            size = _LONG_SIZE_FIELD.unpack(tail[words:])[2]
         if file.read_crc(size) != check:
             raise NotStored
     yield mark
-    yield from file.rest()
+    yield from file.read_rest()
 
 
-class _Pieces:
+class _BlockReader:
     """Reader of bytes that arrive in blocks, in pieces of other lengths."""
 
     def __init__(self, blocks: Iterator[bytes]) -> None:
         self._blocks = blocks
-        self._left = memoryview(b"")
+        self._remainder = memoryview(b"")
 
-    def _read_next(self, most: int) -> memoryview:
-        """Return at least one and at most `most` of the next bytes. Empty at the end."""
-        if not self._left:
-            self._left = memoryview(next(self._blocks, b""))
-        block, self._left = self._left[:most], self._left[most:]
+    def _read_next(self, max_bytes: int) -> memoryview:
+        """Return at least one and at most `max_bytes` of the next bytes. Empty at the end."""
+        if not self._remainder:
+            self._remainder = memoryview(next(self._blocks, b""))
+        block, self._remainder = self._remainder[:max_bytes], self._remainder[max_bytes:]
         return block
 
     def read_up_to(self, count: int) -> bytes:
@@ -163,44 +173,44 @@ class _Pieces:
             checksum, count = crc32(piece, checksum), count - len(piece)
         return checksum
 
-    def rest(self) -> Iterator[bytes]:
+    def read_rest(self) -> Iterator[bytes]:
         """Yield all remaining bytes."""
-        yield bytes(self._left)
+        yield bytes(self._remainder)
         yield from self._blocks
 
 
-def _entry(form: MemberForm, check: bytes, at: int) -> bytes:
-    """Return the directory entry of a member. `check`: the bytes of its CRC-32; `at`: the offset of the member."""
-    if at <= LIMIT:
+def _make_directory_entry(form: MemberForm, crc: bytes, offset: int) -> bytes:
+    """Return the directory entry of a member. `crc`: the bytes of its CRC-32; `offset`: the offset of the member."""
+    if offset <= MAX_SHORT_SIZE:
         prefix, suffix, rest = form.entry
-        return prefix + check + suffix + at.to_bytes(4, "little") + rest
-    prefix, suffix = _split_around(_central(form.words, form.flags, form.size, at), _CENTRAL_CHECK)
-    return prefix + check + suffix
+        return prefix + crc + suffix + offset.to_bytes(4, "little") + rest
+    prefix, suffix = _split_around_field(_make_blank_entry(form.name_bytes, form.flags, form.size, offset), _ENTRY_CRC_OFFSET)
+    return prefix + crc + suffix
 
 
-def _central(words: bytes, flags: int, size: int, at: int) -> bytes:
-    """Return the directory entry of a member at offset `at`, with the CRC-32 left 0."""
-    longs = [size, size] if size > LIMIT else []
-    size_field, place = (_ELSEWHERE if longs else size), at
-    if at > LIMIT:
-        longs, place = [*longs, at], _ELSEWHERE
-    version, extra = (_LONG, _long_field(*longs)) if longs else (_PLAIN, b"")
-    return _CENTRAL.pack(
-        b"PK\1\2", version, _SYSTEM, version, 0, flags, 0, _TIME, _DATE, 0, size_field, size_field,
-        len(words), len(extra), 0, 0, 0, _ATTRIBUTES, place,
-    ) + words + extra  # fmt: skip
+def _make_blank_entry(name_bytes: bytes, flags: int, size: int, offset: int) -> bytes:
+    """Return the directory entry of a member at offset `offset`, with the CRC-32 left 0."""
+    longs = [size, size] if size > MAX_SHORT_SIZE else []
+    size_field, place = (_LONG_VALUE_MARK if longs else size), offset
+    if offset > MAX_SHORT_SIZE:
+        longs, place = [*longs, offset], _LONG_VALUE_MARK
+    version, extra = (_LONG_VERSION, _make_long_field(*longs)) if longs else (_PLAIN_VERSION, b"")
+    return _DIRECTORY_ENTRY.pack(
+        b"PK\1\2", version, _SYSTEM_CODE, version, 0, flags, 0, _FIXED_TIME, _FIXED_DATE, 0, size_field, size_field,
+        len(name_bytes), len(extra), 0, 0, 0, _FILE_ATTRIBUTES, place,
+    ) + name_bytes + extra  # fmt: skip
 
 
-def _end(count: int, size: int, at: int) -> bytes:
-    """Return the end record of a zip file. `count`, `size`: entries and bytes of the directory; `at`: its offset."""
+def _make_end_record(count: int, size: int, offset: int) -> bytes:
+    """Return the end record of a zip file. `count`, `size`: entries and bytes of the directory; `offset`: its offset."""
     records = b""
-    if count > MOST or at > LIMIT or size > LIMIT:
-        records = _LONG_END.pack(b"PK\6\6", 44, _LONG, _LONG, 0, 0, count, count, size, at)
-        records += _LOCATOR.pack(b"PK\6\7", 0, at + size, 1)
-        count, size, at = min(count, MOST), min(size, _ELSEWHERE), min(at, _ELSEWHERE)
-    return records + _END.pack(b"PK\5\6", 0, 0, count, count, size, at, 0)
+    if count > MAX_SHORT_COUNT or offset > MAX_SHORT_SIZE or size > MAX_SHORT_SIZE:
+        records = _LONG_END_RECORD.pack(b"PK\6\6", 44, _LONG_VERSION, _LONG_VERSION, 0, 0, count, count, size, offset)
+        records += _LONG_END_LOCATOR.pack(b"PK\6\7", 0, offset + size, 1)
+        count, size, offset = min(count, MAX_SHORT_COUNT), min(size, _LONG_VALUE_MARK), min(offset, _LONG_VALUE_MARK)
+    return records + _END_RECORD.pack(b"PK\5\6", 0, 0, count, count, size, offset, 0)
 
 
-def _long_field(*numbers: int) -> bytes:
+def _make_long_field(*numbers: int) -> bytes:
     """Return the extra field of a header, with numbers of eight bytes."""
     return Struct(f"<2H{len(numbers)}Q").pack(1, 8 * len(numbers), *numbers)

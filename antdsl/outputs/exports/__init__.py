@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.outputs.cache.cache_reader import Arrays, Cache
-from antdsl.outputs.cache.frame_agents import ALWAYS_SAVED, IDENTITY, agent_ids, species_rows
+from antdsl.outputs.cache.frame_agents import ALWAYS_SAVED_ARRAYS, IDENTITY_ARRAYS, find_species_rows, get_agent_ids
 from antdsl.outputs.exports.csv_export import export_csv
 from antdsl.outputs.exports.events_export import export_csv_events, export_npz_events
 from antdsl.outputs.exports.geo_export import export_geo
@@ -20,11 +20,11 @@ from antdsl.outputs.exports.mesh_export import export_meshes, export_usd_meshes
 from antdsl.outputs.exports.npz_export import export_arrays
 from antdsl.outputs.exports.poses_export import export_poses
 from antdsl.outputs.exports.solid_export import export_solids, export_volumes
-from antdsl.outputs.numbered_files import numbered_path
+from antdsl.outputs.numbered_files import make_numbered_path
 from antdsl.outputs.usd.stage import UsdOptions, XformOptions, export_instances, export_xforms
-from antdsl.program.tables.columns import FRAME
+from antdsl.program.tables.columns import FRAME_COLUMNS
 
-_SUBJECTS = {each.name.partition(".")[0]: each.of for each in FRAME}  # by the first word of a name
+_SUBJECT_BY_ARRAY_PREFIX = {each.name.partition(".")[0]: each.of for each in FRAME_COLUMNS}  # by the first word of a name
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,21 +33,22 @@ class ExportFormat:
 
     `forms`: by name, the functions that write frames of a cache into a file; the first is the default. They return
     messages about omissions and changes.
-    `each`: the forms that write one file per frame, with the frame number in the name.
+    `per_frame_forms`: the forms that write one file per frame, with the frame number in the name.
     `options`: by form, the dataclass of its additional options.
-    `barred`: strings that file names must not contain, because they have a special meaning for the export's libraries."""
+    `forbidden_strings`: strings that file names must not contain, because they have a special meaning for the export's
+    libraries."""
 
     endings: tuple[str, ...]
     forms: Mapping[str, Callable[..., Sequence[str] | None]]
-    each: frozenset[str] = frozenset()
+    per_frame_forms: frozenset[str] = frozenset()
     options: Mapping[str, type] = field(default_factory=dict)
-    barred: tuple[str, ...] = ()
+    forbidden_strings: tuple[str, ...] = ()
 
     def paths(self, form: str, path: Path, frames: list[int]) -> list[Path]:
         """Return the paths of the files that a form writes."""
-        return [numbered_path(path, frame) for frame in frames] if form in self.each else [path]
+        return [make_numbered_path(path, frame) for frame in frames] if form in self.per_frame_forms else [path]
 
-    def option_names(self, form: str) -> frozenset[str]:
+    def list_option_names(self, form: str) -> frozenset[str]:
         """Return the names of a form's additional options."""
         return frozenset(each.name for each in fields(self.options[form])) if form in self.options else frozenset()
 
@@ -57,7 +58,7 @@ EXPORT_FORMATS = (
         (".usdc", ".usda", ".usd"),
         {"instances": export_instances, "xforms": export_xforms, "meshes": export_usd_meshes},
         options={"instances": UsdOptions, "xforms": XformOptions},
-        barred=("\\", ":SDF_FORMAT_ARGS:"),
+        forbidden_strings=("\\", ":SDF_FORMAT_ARGS:"),
     ),
     ExportFormat((".glb", ".gltf"), {"skinned": export_gltf}),
     ExportFormat((".geo",), {"points": export_geo}, frozenset({"points"})),
@@ -79,7 +80,7 @@ ALTERNATIVE_ADVICE = {
 }
 
 
-def export_for(path: Path) -> ExportFormat | None:
+def find_export(path: Path) -> ExportFormat | None:
     """Return the export for the ending of a path, in any case; None if there is none."""
     return next((export for export in EXPORT_FORMATS if path.suffix.lower() in export.endings), None)
 
@@ -90,33 +91,33 @@ class AgentSubset(Cache):
 
     ids: frozenset[int] = frozenset()
 
-    def frame(self, number: int, only: frozenset[str] | None = None) -> Arrays:
-        """Return the arrays of a frame, limited to the rows of the chosen agents. `only`: the names to return; None for all."""
-        arrays = super().frame(number, None if only is None else only | IDENTITY | self._id_arrays(only))
+    def frame(self, number: int, names: frozenset[str] | None = None) -> Arrays:
+        """Return the arrays of a frame, limited to the rows of the chosen agents. `names`: the names to return; None for all."""
+        arrays = super().frame(number, None if names is None else names | IDENTITY_ARRAYS | self._list_id_arrays(names))
         if "id" not in arrays:
             return arrays
-        chosen = np.isin(agent_ids(arrays), sorted(self.ids))
-        by_species = {entry.name: chosen[species_rows(arrays, k)] for k, entry in enumerate(self.manifest.species)}
-        named = {*self.manifest.attributes, *ALWAYS_SAVED}
-        chosen_arrays = {name: array for name, array in arrays.items() if only is None or name in only or name == "frame"}
+        chosen = np.isin(get_agent_ids(arrays), sorted(self.ids))
+        by_species = {entry.name: chosen[find_species_rows(arrays, k)] for k, entry in enumerate(self.manifest.species)}
+        named = {*self.manifest.attributes, *ALWAYS_SAVED_ARRAYS}
+        chosen_arrays = {name: array for name, array in arrays.items() if names is None or name in names or name == "frame"}
         for name, array in chosen_arrays.items():
-            rows = chosen if name in named else self._rows(name, arrays, by_species)
+            rows = chosen if name in named else self._select_rows(name, arrays, by_species)
             if rows is not None and array.ndim and len(array) == len(rows):
                 chosen_arrays[name] = array[rows]
         return chosen_arrays
 
-    def _id_arrays(self, only: frozenset[str]) -> set[str]:
+    def _list_id_arrays(self, names: frozenset[str]) -> set[str]:
         """Return the names of the id arrays that arrays of pairs and events need."""
-        return {f"{name.rpartition('.')[0]}.id" for name in only if _subject(name) in ("pair", "event")}
+        return {f"{name.rpartition('.')[0]}.id" for name in names if _find_array_subject(name) in ("pair", "event")}
 
-    def _rows(self, name: str, arrays: Arrays, by_species: dict[str, NDArray[np.bool_]]) -> NDArray[np.bool_] | None:
+    def _select_rows(self, name: str, arrays: Arrays, by_species: dict[str, NDArray[np.bool_]]) -> NDArray[np.bool_] | None:
         """Return which rows of an array belong to the chosen agents; None for an array that is not about agents."""
-        if _subject(name) in ("pair", "event"):
+        if _find_array_subject(name) in ("pair", "event"):
             owners = arrays.get(f"{name.rpartition('.')[0]}.id")
             return None if owners is None else np.isin(np.asarray(owners), sorted(self.ids))
-        return by_species.get(name.split(".")[1]) if _subject(name) == "one" else None
+        return by_species.get(name.split(".")[1]) if _find_array_subject(name) == "one" else None
 
 
-def _subject(name: str) -> str | None:
+def _find_array_subject(name: str) -> str | None:
     """Return the kind of row that an array has (`one`, `pair`, `event`), by the first word of its name; None for others."""
-    return _SUBJECTS.get(name.partition(".")[0]) if "." in name else None
+    return _SUBJECT_BY_ARRAY_PREFIX.get(name.partition(".")[0]) if "." in name else None

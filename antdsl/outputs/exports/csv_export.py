@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from antdsl.outputs.cache.frame_agents import agent_ids, own_arrays, species_rows
-from antdsl.outputs.csv_text import csv_text
+from antdsl.atomic_write import atomic_file
+from antdsl.outputs.cache.frame_agents import find_species_rows, get_agent_ids, list_special_arrays
+from antdsl.outputs.csv_text import format_csv
 from antdsl.outputs.euler_angles import EulerAngles
-from antdsl.outputs.gallery import Gallery, place_digits
-from antdsl.whole import atomic_file
+from antdsl.outputs.gallery import Gallery, choose_coordinate_format
 
 HEADER_LINE = "id,frame,tx,ty,tz,rx,ry,rz,sx,sy,sz,species"
 
@@ -23,16 +23,16 @@ def export_csv(gallery: Gallery, frames: Iterable[int], path: Path) -> None:
     length 1 along +x with +y up.
 
     Raises CacheError for a damaged frame, OSError if writing fails."""
-    row = "%d,%d" + f",{place_digits(gallery)}" * 3 + ",%.9g" * 6  # nine digits give a float32 back to the last bit
+    row = "%d,%d" + f",{choose_coordinate_format(gallery)}" * 3 + ",%.9g" * 6  # nine digits give a float32 back to the last bit
     angles = [EulerAngles() for _ in gallery.manifest.species]
     with atomic_file(path) as file:
         file.write(f"{HEADER_LINE}\n".encode())
-        names = [csv_text([("", each.name)]).replace("%", "%%") for each in gallery.manifest.species]
+        names = [format_csv([("", each.name)]).replace("%", "%%") for each in gallery.manifest.species]
         for frame in frames:
-            arrays = gallery.cache.frame(frame, own_arrays("csv"))
-            numbers = agent_ids(arrays)
+            arrays = gallery.cache.frame(frame, list_special_arrays("csv"))
+            numbers = get_agent_ids(arrays)
             for number, name in enumerate(names):
-                rows = species_rows(arrays, number)
+                rows = find_species_rows(arrays, number)
                 rows = rows[np.argsort(numbers[rows], kind="stable")]
                 table = np.empty((len(rows), 11))
                 table[:, 0], table[:, 1], table[:, 2:5] = numbers[rows], frame, arrays["P"][rows] + gallery.origin

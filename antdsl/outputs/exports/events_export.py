@@ -13,20 +13,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.bodies.body import turned
-from antdsl.numerics.records import part_of, take_rows
+from antdsl.atomic_write import atomic_file, write_atomically
+from antdsl.bodies.body import rotate_vectors
+from antdsl.numerics.records import select_by_prefix, take_rows
 from antdsl.outputs.cache.cache_reader import Arrays, CacheError
-from antdsl.outputs.cache.frame_agents import agent_ids, agent_keys, species_numbers, species_rows
-from antdsl.outputs.cache.npz import to_bytes
-from antdsl.outputs.csv_text import csv_text
-from antdsl.outputs.gallery import Gallery, place_digits
-from antdsl.program.tables.columns import CONTACT, Column
-from antdsl.whole import atomic_file, write_atomically
+from antdsl.outputs.cache.frame_agents import find_species_rows, get_agent_ids, get_species_numbers, make_agent_keys
+from antdsl.outputs.cache.npz import encode_npz
+from antdsl.outputs.csv_text import format_csv
+from antdsl.outputs.gallery import Gallery, choose_coordinate_format
+from antdsl.program.tables.columns import CONTACT_COLUMNS, Column
 
 EVENT_KINDS = ("birth", "death", "state", "footfall", "emit", "contact")
 HEADER_LINE = "frame,seconds,kind,species,id,x,y,z,nx,ny,nz,what,other_species,other,depth"
 _DEFAULT_UP = np.array([0.0, 1.0, 0.0])
-_COLUMNS = (Column("frame", "derived", "i8"), *CONTACT[:4], Column("what", "derived", "i4"), *CONTACT[4:])
+_COLUMNS = (Column("frame", "derived", "i8"), *CONTACT_COLUMNS[:4], Column("what", "derived", "i4"), *CONTACT_COLUMNS[4:])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,12 +54,12 @@ def export_csv_events(gallery: Gallery, frames: Iterable[int], path: Path) -> li
 
     Raises CacheError for a damaged frame, OSError if writing fails."""
     frames = list(frames)
-    names, digits = [entry.name for entry in gallery.manifest.species], place_digits(gallery)
+    names, digits = [entry.name for entry in gallery.manifest.species], choose_coordinate_format(gallery)
     with atomic_file(path) as file:
         file.write(f"{HEADER_LINE}\n".encode())
-        for frame, events in _all_events(gallery, frames):
+        for frame, events in _iterate_events(gallery, frames):
             rows: list[list[object]] = []
-            for k, word in enumerate(_event_words(gallery, events)):
+            for k, word in enumerate(_find_event_words(gallery, events)):
                 place = [digits % value for value in events.P[k] + gallery.origin]
                 numbers = [*place, *(f"{value:.9g}" for value in events.N[k])]
                 other: list[object] = [""] * 3
@@ -67,8 +67,8 @@ def export_csv_events(gallery: Gallery, frames: Iterable[int], path: Path) -> li
                     other = [names[events.other_species[k]], events.other[k], f"{events.depth[k]:.9g}"]
                 seconds = f"{(frame - gallery.manifest.first) * gallery.dt:.9g}"
                 rows.append([frame, seconds, events.kind, names[events.species[k]], events.id[k], *numbers, word, *other])
-            file.write(csv_text(rows).encode())
-    return _missing_notes(gallery, frames)
+            file.write(format_csv(rows).encode())
+    return _note_missing_events(gallery, frames)
 
 
 def export_npz_events(gallery: Gallery, frames: Iterable[int], path: Path) -> list[str]:
@@ -79,27 +79,27 @@ def export_npz_events(gallery: Gallery, frames: Iterable[int], path: Path) -> li
     `.other` and `.depth`. `KIND.P` is relative to `origin` float64[3]."""
     frames = list(frames)
     events_by_kind: dict[str, list[tuple[int, EventRows]]] = {kind: [] for kind in EVENT_KINDS}
-    for frame, each in _all_events(gallery, frames):
+    for frame, each in _iterate_events(gallery, frames):
         events_by_kind[each.kind].append((frame, each))
     arrays: dict[str, NDArray[Any]] = {"origin": gallery.origin}
     for kind, parts in events_by_kind.items():
         for column in _COLUMNS if kind == "contact" else _COLUMNS[:-3]:
             is_frame = column.name == "frame"
             values = [np.full(len(each.id), frame) if is_frame else getattr(each, column.field) for frame, each in parts]
-            empty = np.zeros((0, *column.dimensions()), column.type)
+            empty = np.zeros((0, *column.compute_dimensions()), column.type)
             arrays[f"{kind}.{column.field}"] = np.concatenate([empty, *values]).astype(column.type)
-    write_atomically(path, to_bytes(arrays))
-    return _missing_notes(gallery, frames)
+    write_atomically(path, encode_npz(arrays))
+    return _note_missing_events(gallery, frames)
 
 
-def _missing_notes(gallery: Gallery, frames: list[int]) -> list[str]:
+def _note_missing_events(gallery: Gallery, frames: list[int]) -> list[str]:
     arrays = gallery.cache.frame(frames[-1])
     lacks = [kind for kind in ("emit", "contact") if f"events.{kind}.id" not in arrays]
     kinds = ", ".join(lacks)
     return [f"the cache has no events {' and '.join(f'`{k}`' for k in lacks)}: `output: {{events: [{kinds}]}}`"] if lacks else []
 
 
-def _all_events(gallery: Gallery, frames: list[int]) -> Iterator[tuple[int, EventRows]]:
+def _iterate_events(gallery: Gallery, frames: list[int]) -> Iterator[tuple[int, EventRows]]:
     """Yield the events of frames, kind after kind, each with its frame.
 
     Events of the first frame follow from the frame before it, if that exists."""
@@ -108,26 +108,26 @@ def _all_events(gallery: Gallery, frames: list[int]) -> Iterator[tuple[int, Even
         previous = gallery.cache.frame(frames[0] - 1)
     except CacheError:
         previous = None
-    known_pairs: set[tuple[int, ...]] = set() if previous is None else set(_pairs(previous))
+    known_pairs: set[tuple[int, ...]] = set() if previous is None else set(_list_contact_pairs(previous))
     for frame in frames:
         arrays = gallery.cache.frame(frame)
         if previous is not None:
             yield from ((frame, each) for each in _compare_frames(gallery, previous, arrays) if len(each.id))
-        for each in _stored_events(arrays, known_pairs):
+        for each in _read_stored_events(arrays, known_pairs):
             if len(each.id):
                 yield frame, each
-        previous, known_pairs = arrays, set(_pairs(arrays))
+        previous, known_pairs = arrays, set(_list_contact_pairs(arrays))
 
 
 def _compare_frames(gallery: Gallery, previous: Arrays, arrays: Arrays) -> Iterator[EventRows]:
     """Yield the events that follow from a comparison of two consecutive frames: births, deaths, state changes and footfalls."""
-    was, now = agent_keys(previous), agent_keys(arrays)
+    was, now = make_agent_keys(previous), make_agent_keys(arrays)
     _, left, right = np.intersect1d(was, now, assume_unique=True, return_indices=True)
-    yield _events("birth", arrays, np.flatnonzero(~np.isin(now, was)))
-    yield _events("death", previous, np.flatnonzero(~np.isin(was, now)))
+    yield _make_events("birth", arrays, np.flatnonzero(~np.isin(now, was)))
+    yield _make_events("death", previous, np.flatnonzero(~np.isin(was, now)))
     if "state" in arrays and "state" in previous:
         changed = np.sort(right[previous["state"][left] != arrays["state"][right]])
-        yield _events("state", arrays, changed, np.asarray(arrays["state"], np.int64)[changed])
+        yield _make_events("state", arrays, changed, np.asarray(arrays["state"], np.int64)[changed])
     for number in range(len(gallery.manifest.species)):
         for which, key in enumerate(gallery.bodies.keys(number)):
             yield from _footfalls(gallery, (number, which, key), previous, arrays)
@@ -142,33 +142,37 @@ def _footfalls(gallery: Gallery, body: tuple[int, int, str], previous: Arrays, a
         return
     rows = []
     for each in (previous, arrays):
-        own = species_rows(each, number)
-        rows.append(own[gallery.bodies.numbers(number, agent_ids(each)[own]) == which])
-    was, now = (agent_keys(each)[own] for each, own in zip((previous, arrays), rows, strict=True))
+        own = find_species_rows(each, number)
+        rows.append(own[gallery.bodies.numbers(number, get_agent_ids(each)[own]) == which])
+    was, now = (make_agent_keys(each)[own] for each, own in zip((previous, arrays), rows, strict=True))
     _, left, right = np.intersect1d(was, now, assume_unique=True, return_indices=True)
     agent, leg = np.nonzero((down[0][left] == 0) & (down[1][right] != 0))
     row = right[agent]
-    yield _events("footfall", arrays, rows[1][row], leg, np.asarray(positions, np.float64)[row, leg])
+    yield _make_events("footfall", arrays, rows[1][row], leg, np.asarray(positions, np.float64)[row, leg])
 
 
-def _events(
-    kind: str, arrays: Arrays, rows: NDArray[np.intp], what: NDArray[Any] | None = None, place: NDArray[np.float64] | None = None
+def _make_events(
+    kind: str,
+    arrays: Arrays,
+    rows: NDArray[np.intp],
+    what: NDArray[Any] | None = None,
+    positions: NDArray[np.float64] | None = None,
 ) -> EventRows:
     """Return events of the agents in some rows of a frame. `N` is the agents' up.
 
-    `place`: positions of the events; None for the positions of the agents."""
+    `positions`: positions of the events; None for the positions of the agents."""
     none = np.full(len(rows), -1, np.int64)
-    up = turned(np.asarray(arrays["orient"], np.float64)[rows], np.tile(_DEFAULT_UP, (len(rows), 1)))
-    where = np.asarray(arrays["P"], np.float64)[rows] if place is None else place
+    up = rotate_vectors(np.asarray(arrays["orient"], np.float64)[rows], np.tile(_DEFAULT_UP, (len(rows), 1)))
+    where = np.asarray(arrays["P"], np.float64)[rows] if positions is None else positions
     details = none if what is None else np.asarray(what, np.int64)
-    species, ids = species_numbers(arrays)[rows], agent_ids(arrays)[rows]
+    species, ids = get_species_numbers(arrays)[rows], get_agent_ids(arrays)[rows]
     return EventRows(kind, species, ids, where, up, details, none, none, np.zeros(len(rows)))
 
 
-def _stored_events(arrays: Arrays, known_pairs: set[tuple[int, ...]]) -> Iterator[EventRows]:
+def _read_stored_events(arrays: Arrays, known_pairs: set[tuple[int, ...]]) -> Iterator[EventRows]:
     """Yield the events stored in a frame. Contacts in `known_pairs`, those of the previous frame, are left out."""
     for kind in ("emit", "contact"):
-        of = part_of(arrays, f"events.{kind}.")
+        of = select_by_prefix(arrays, f"events.{kind}.")
         if "id" not in of:
             continue
         none = np.full(len(of["id"]), -1, np.int64)
@@ -176,18 +180,18 @@ def _stored_events(arrays: Arrays, known_pairs: set[tuple[int, ...]]) -> Iterato
         place, normal, depth = (each.astype(np.float64) for each in (of["P"], of["N"], of.get("depth", np.zeros(len(none)))))
         events = EventRows(kind, of["species"].astype(np.int64), of["id"], place, normal, what, species, other, depth)
         if kind == "contact":
-            new = np.array([pair not in known_pairs for pair in _pairs(arrays)], np.bool_)
+            new = np.array([pair not in known_pairs for pair in _list_contact_pairs(arrays)], np.bool_)
             events = take_rows(events, new)
         yield events
 
 
-def _pairs(arrays: Arrays) -> list[tuple[int, ...]]:
+def _list_contact_pairs(arrays: Arrays) -> list[tuple[int, ...]]:
     """Return the species and ids of both agents of each contact in a frame."""
     keys = [f"events.contact.{name}" for name in ("species", "id", "other_species", "other")]
     return list(zip(*(arrays[key].tolist() for key in keys), strict=True)) if keys[-1] in arrays else []
 
 
-def _event_words(gallery: Gallery, events: EventRows) -> list[str]:
+def _find_event_words(gallery: Gallery, events: EventRows) -> list[str]:
     """Return the words for `what`: the state that begins, the leg that lands, or the event that is emitted."""
     species, manifest = events.species.tolist(), gallery.manifest
     if events.kind == "state":
@@ -197,6 +201,6 @@ def _event_words(gallery: Gallery, events: EventRows) -> list[str]:
     if events.kind == "footfall":
         bodies = [int(gallery.bodies.numbers(s, events.id[k : k + 1])[0]) for k, s in enumerate(species)]
         worn = list(zip(species, bodies, strict=True))
-        legs = {(s, which): [leg.name for leg in gallery.body(s, 0, which).definition.legs] for s, which in set(worn)}
+        legs = {(s, which): [leg.name for leg in gallery.load_body(s, 0, which).definition.legs] for s, which in set(worn)}
         return [legs[each][k] for each, k in zip(worn, events.what.tolist(), strict=True)]
     return [""] * len(species)

@@ -16,16 +16,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.atomic_write import write_atomically
 from antdsl.bodies.agents.machine_clips import MachineClips
-from antdsl.bodies.agents.transforms import rotation_product, unit_quaternion
+from antdsl.bodies.agents.transforms import multiply_quaternions, normalise_quaternion
 from antdsl.outputs.cache.cache_reader import Arrays, CacheError
-from antdsl.outputs.cache.frame_agents import IDENTITY, agent_ids, agent_keys, further_numbers, species_numbers, species_rows
+from antdsl.outputs.cache.frame_agents import (
+    IDENTITY_ARRAYS,
+    find_species_rows,
+    get_agent_ids,
+    get_species_numbers,
+    iterate_other_numbers,
+    make_agent_keys,
+)
 from antdsl.outputs.cache.manifest import SpeciesEntry
-from antdsl.outputs.cache.pose_arrays import machines_of
+from antdsl.outputs.cache.pose_arrays import read_all_machine_clips
 from antdsl.outputs.gallery import Gallery
-from antdsl.outputs.numbered_files import numbered_path
-from antdsl.scene.model import UNIT_MM
-from antdsl.whole import write_atomically
+from antdsl.outputs.numbered_files import make_numbered_path
+from antdsl.scene.scene_model import UNIT_MM
 
 Floats = NDArray[np.float64]
 Slot = tuple[NDArray[np.int64], Floats, Floats]
@@ -41,19 +48,24 @@ def export_geo(gallery: Gallery, frames: Iterable[int], path: Path) -> None:
     Raises CacheError for a damaged frame, OSError if writing fails. The files are not synced to the disk."""
     for frame in frames:
         arrays = gallery.cache.frame(frame)
-        text = json.dumps(_geometry(gallery, frame, arrays), separators=(",", ":"), allow_nan=False)
-        write_atomically(numbered_path(path, frame), (text + "\n").encode("ascii"), sync=False)
+        text = json.dumps(_make_geometry(gallery, frame, arrays), separators=(",", ":"), allow_nan=False)
+        write_atomically(make_numbered_path(path, frame), (text + "\n").encode("ascii"), sync=False)
 
 
-def _geometry(gallery: Gallery, frame: int, arrays: Arrays) -> list[Any]:
+def _make_geometry(gallery: Gallery, frame: int, arrays: Arrays) -> list[Any]:
     manifest, count = gallery.manifest, len(arrays["P"])
-    points = [_numbers(name, values, kind) for name, (values, kind) in _point_attributes(gallery, frame, arrays).items()]
-    points += [_strings(name, table, indices) for name, (table, indices) in _text_attributes(gallery, arrays).items()]
+    points = [
+        _format_numbers(name, values, kind) for name, (values, kind) in _make_point_attributes(gallery, frame, arrays).items()
+    ]
+    points += [_format_strings(name, table, indices) for name, (table, indices) in _make_text_attributes(gallery, arrays).items()]
     global_attributes = [
-        _numbers("fps", np.array([1 / gallery.dt])), _numbers("meters_per_unit", np.array([UNIT_MM[manifest.units] / 1000])),
+        _format_numbers("fps", np.array([1 / gallery.dt])),
+        _format_numbers("meters_per_unit", np.array([UNIT_MM[manifest.units] / 1000])),
     ]  # fmt: skip
     if gallery.origin.any():
-        global_attributes.append(_numbers("origin", _to_y_up(gallery.origin[None], manifest.up == "z"), storage="fpreal64"))
+        global_attributes.append(
+            _format_numbers("origin", _rotate_to_y_up(gallery.origin[None], manifest.up == "z"), storage="fpreal64")
+        )
     return [
         "fileversion", "18.5.0", "hasindex", False, "pointcount", count, "vertexcount", 0, "primitivecount", 0,
         "info", {"software": f"antdsl {manifest.antdsl}", "scene": manifest.scene, "frame": frame},
@@ -62,17 +74,17 @@ def _geometry(gallery: Gallery, frame: int, arrays: Arrays) -> list[Any]:
     ]  # fmt: skip
 
 
-def _point_attributes(gallery: Gallery, frame: int, arrays: Arrays) -> dict[str, tuple[NDArray[Any], str]]:
+def _make_point_attributes(gallery: Gallery, frame: int, arrays: Arrays) -> dict[str, tuple[NDArray[Any], str]]:
     """Return the numeric attributes of agents, each with Houdini's type of vector ("" for plain numbers)."""
     z_up = gallery.manifest.up == "z"
-    turn = unit_quaternion(np.asarray(arrays["orient"], np.float64))
-    attributes = {"P": (_to_y_up(arrays["P"], z_up), "point")}
+    turn = normalise_quaternion(np.asarray(arrays["orient"], np.float64))
+    attributes = {"P": (_rotate_to_y_up(arrays["P"], z_up), "point")}
     if "v" in arrays:
-        attributes["v"] = (_to_y_up(arrays["v"] + arrays.get("v_ground", np.float32(0)), z_up), "vector")
-    attributes["w"] = (_to_y_up(_angular_velocity(gallery, frame, arrays, turn), z_up), "vector")
-    facing = rotation_product(turn, np.broadcast_to(_Z_TO_X_ROTATION, turn.shape))
+        attributes["v"] = (_rotate_to_y_up(arrays["v"] + arrays.get("v_ground", np.float32(0)), z_up), "vector")
+    attributes["w"] = (_rotate_to_y_up(_compute_angular_velocity(gallery, frame, arrays, turn), z_up), "vector")
+    facing = multiply_quaternions(turn, np.broadcast_to(_Z_TO_X_ROTATION, turn.shape))
     attributes["orient"] = (
-        rotation_product(np.broadcast_to(_Z_TO_Y_ROTATION, turn.shape), facing) if z_up else facing,
+        multiply_quaternions(np.broadcast_to(_Z_TO_Y_ROTATION, turn.shape), facing) if z_up else facing,
         "quaternion",
     )
     attributes["pscale"] = (np.asarray(arrays["pscale"], np.float64), "")
@@ -80,18 +92,20 @@ def _point_attributes(gallery: Gallery, frame: int, arrays: Arrays) -> dict[str,
         attributes["Cd"] = (np.asarray(arrays["Cd"], np.float64), "color")
     if "id" in arrays:
         attributes["id"] = (np.asarray(arrays["id"], np.int64), "")
-    for name, values in further_numbers(arrays, "geo"):
+    for name, values in iterate_other_numbers(arrays, "geo"):
         if "." not in name:
             attributes[name] = (np.asarray(values, np.int64 if values.dtype.kind in "iu" else np.float64), "")
-    return {name: (np.nan_to_num(values), kind) for name, (values, kind) in attributes.items()} | _clip_numbers(gallery, arrays)
+    return {name: (np.nan_to_num(values), kind) for name, (values, kind) in attributes.items()} | _make_clip_numbers(
+        gallery, arrays
+    )
 
 
-def _text_attributes(gallery: Gallery, arrays: Arrays) -> dict[str, tuple[list[str], NDArray[np.int64]]]:
+def _make_text_attributes(gallery: Gallery, arrays: Arrays) -> dict[str, tuple[list[str], NDArray[np.int64]]]:
     """Return the text attributes of agents, each as a table of texts and the index of each agent's text. -1 means no text."""
     manifest, count = gallery.manifest, len(arrays["P"])
-    which = species_numbers(arrays)
+    which = get_species_numbers(arrays)
     species = [entry.name for entry in manifest.species]
-    ids = agent_ids(arrays)
+    ids = get_agent_ids(arrays)
     tables = {
         "species": (species, which),
         "agentname": ([f"{species[s]}_{n}" for s, n in zip(which.tolist(), ids.tolist(), strict=True)], np.arange(count)),
@@ -101,24 +115,24 @@ def _text_attributes(gallery: Gallery, arrays: Arrays) -> dict[str, tuple[list[s
         starts = np.cumsum([0, *map(len, states)])[:-1]
         known = np.asarray(arrays["state"], np.int64) + starts[which]
         tables["state"] = ([name for each in states for name in each], np.where([bool(states[s]) for s in which], known, -1))
-    return tables | _clip_names(gallery, arrays)
+    return tables | _make_clip_names(gallery, arrays)
 
 
-def _clip_numbers(gallery: Gallery, arrays: Arrays) -> dict[str, tuple[NDArray[Any], str]]:
+def _make_clip_numbers(gallery: Gallery, arrays: Arrays) -> dict[str, tuple[NDArray[Any], str]]:
     """Return the attributes `clipN_time` (seconds) and `clipN_weight` of the clips that each agent plays."""
     attributes: dict[str, tuple[NDArray[Any], str]] = {}
-    for number, entry, rows, slot, (clip, turns, weight) in _played_clips(gallery, arrays):
-        body = gallery.bodies.numbers(number, agent_ids(arrays)[rows])
-        for name, values in (("time", turns * _seconds(gallery, number, entry)[body, clip]), ("weight", weight)):
+    for number, entry, rows, slot, (clip, turns, weight) in _iterate_played_clips(gallery, arrays):
+        body = gallery.bodies.numbers(number, get_agent_ids(arrays)[rows])
+        for name, values in (("time", turns * _find_clip_durations(gallery, number, entry)[body, clip]), ("weight", weight)):
             column, _ = attributes.setdefault(f"clip{slot}_{name}", (np.zeros(len(arrays["P"])), ""))
             column[rows] = values
     return attributes
 
 
-def _clip_names(gallery: Gallery, arrays: Arrays) -> dict[str, tuple[list[str], NDArray[np.int64]]]:
+def _make_clip_names(gallery: Gallery, arrays: Arrays) -> dict[str, tuple[list[str], NDArray[np.int64]]]:
     """Return the attributes `clipN` (the name of a clip) and `clipN_group` (the transform group that it moves)."""
     attributes: dict[str, tuple[list[str], NDArray[np.int64]]] = {}
-    for _, entry, rows, slot, (clip, _, _) in _played_clips(gallery, arrays):
+    for _, entry, rows, slot, (clip, _, _) in _iterate_played_clips(gallery, arrays):
         for name, texts in (("", [each.name for each in entry.clips]), ("_group", [each.on for each in entry.clips])):
             table, indices = attributes.setdefault(f"clip{slot}{name}", ([], np.full(len(arrays["P"]), -1, np.int64)))
             indices[rows] = np.where(clip >= 0, clip + len(table), -1)
@@ -126,18 +140,18 @@ def _clip_names(gallery: Gallery, arrays: Arrays) -> dict[str, tuple[list[str], 
     return attributes
 
 
-def _played_clips(gallery: Gallery, arrays: Arrays) -> Iterator[tuple[int, SpeciesEntry, NDArray[np.intp], int, Slot]]:
+def _iterate_played_clips(gallery: Gallery, arrays: Arrays) -> Iterator[tuple[int, SpeciesEntry, NDArray[np.intp], int, Slot]]:
     """Yield the clips of each species that plays clips: species number, entry, rows of its agents, slot number, clips in the
     slot."""
     for number, entry in enumerate(gallery.manifest.species):
-        rows = species_rows(arrays, number)
-        machines = machines_of(entry, arrays, len(rows))
+        rows = find_species_rows(arrays, number)
+        machines = read_all_machine_clips(entry, arrays, len(rows))
         if machines and entry.clips:
-            for slot, played in enumerate(_slots(machines, len(rows))):
+            for slot, played in enumerate(_make_clip_slots(machines, len(rows))):
                 yield number, entry, rows, slot, played
 
 
-def _slots(machines: Iterable[MachineClips], count: int) -> list[Slot]:
+def _make_clip_slots(machines: Iterable[MachineClips], count: int) -> list[Slot]:
     """Return two slots per machine, for the outgoing and the current clip: clip number, turns, weight.
 
     Houdini normalises the weights at each joint. In antdsl, a machine's clips replace a share of the earlier machines'
@@ -159,43 +173,43 @@ def _slots(machines: Iterable[MachineClips], count: int) -> list[Slot]:
     return slots
 
 
-def _seconds(gallery: Gallery, number: int, entry: SpeciesEntry) -> Floats:
+def _find_clip_durations(gallery: Gallery, number: int, entry: SpeciesEntry) -> Floats:
     """Return the duration in seconds of each clip of a species, one row for each of its bodies; 1 for clips that the body lacks.
     A last column 0 stands for no clip."""
-    bodies = [gallery.body(number, 0, which).definition.clips for which in range(len(gallery.bodies.keys(number)))]
+    bodies = [gallery.load_body(number, 0, which).definition.clips for which in range(len(gallery.bodies.keys(number)))]
     return np.array(
         [[*(clips[each.name].duration if each.name in clips else 1.0 for each in entry.clips), 0.0] for clips in bodies]
     )
 
 
-def _angular_velocity(gallery: Gallery, frame: int, arrays: Arrays, turn: Floats) -> Floats:
+def _compute_angular_velocity(gallery: Gallery, frame: int, arrays: Arrays, orientations: Floats) -> Floats:
     """Return angular velocities (n, 3) in radians per second, from the rotation of each agent to the next frame.
 
     Without a next frame, the rotation from the previous frame is used."""
     for other, sign in ((frame + 1, 1.0), (frame - 1, -1.0)):
         try:
-            other_arrays = gallery.cache.frame(other, IDENTITY | {"orient"})
+            other_arrays = gallery.cache.frame(other, IDENTITY_ARRAYS | {"orient"})
         except CacheError:
             continue
-        mine, theirs = agent_keys(arrays), agent_keys(other_arrays)
+        mine, theirs = make_agent_keys(arrays), make_agent_keys(other_arrays)
         _, rows, then = np.intersect1d(mine, theirs, assume_unique=True, return_indices=True)
-        was, goes = turn[rows], unit_quaternion(np.asarray(other_arrays["orient"], np.float64))[then]
-        step = rotation_product(goes, was * (-1, -1, -1, 1))
+        was, goes = orientations[rows], normalise_quaternion(np.asarray(other_arrays["orient"], np.float64))[then]
+        step = multiply_quaternions(goes, was * (-1, -1, -1, 1))
         step = np.where(step[:, 3:] < 0, -step, step)
         sine = np.linalg.norm(step[:, :3], axis=1)
         angle = 2 * np.arctan2(sine, step[:, 3])
-        velocity = np.zeros((len(turn), 3))
+        velocity = np.zeros((len(orientations), 3))
         velocity[rows] = step[:, :3] * (sign * angle / np.maximum(sine, 1e-12) / gallery.dt)[:, None]
         return velocity
-    return np.zeros((len(turn), 3))
+    return np.zeros((len(orientations), 3))
 
 
-def _to_y_up(vectors: NDArray[Any], z_up: bool) -> Floats:
+def _rotate_to_y_up(vectors: NDArray[Any], z_up: bool) -> Floats:
     xyz = np.asarray(vectors, np.float64)
     return np.stack([xyz[:, 0], xyz[:, 2], -xyz[:, 1]], axis=1) if z_up else xyz
 
 
-def _numbers(name: str, values: NDArray[Any], kind: str = "", storage: str = "fpreal32") -> list[Any]:
+def _format_numbers(name: str, values: NDArray[Any], kind: str = "", storage: str = "fpreal32") -> list[Any]:
     """Return a numeric attribute of (n,) or (n, k) values, as the format's list of keys and values."""
     is_integer = values.dtype.kind == "i"
     storage = "int64" if is_integer else storage
@@ -211,7 +225,7 @@ def _numbers(name: str, values: NDArray[Any], kind: str = "", storage: str = "fp
     ]
 
 
-def _strings(name: str, table: list[str], indices: NDArray[np.int64]) -> list[Any]:
+def _format_strings(name: str, table: list[str], indices: NDArray[np.int64]) -> list[Any]:
     """Return a text attribute with values that are indices of a table, as the format's list of keys and values."""
     return [
         ["scope", "public", "type", "string", "name", name, "options", {}],

@@ -13,18 +13,24 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.atomic_write import write_atomically
 from antdsl.bodies.agents.definition import STATE_MATERIAL
-from antdsl.bodies.agents.transforms import parts_of
-from antdsl.bodies.body import vertex_normals
+from antdsl.bodies.agents.transforms import decompose_matrix
+from antdsl.bodies.body import compute_vertex_normals
 from antdsl.bodies.files.gltf_writer import GltfWriter, ShapeParts
 from antdsl.bodies.posed_body import PosedBody
 from antdsl.outputs.exports.gltf_stage import GltfStage
-from antdsl.outputs.exports.poses_export import FEWER_AGENTS_ADVICE, NO_AGENTS_MESSAGE, BodyKey, posed_rows, worn_crowds
+from antdsl.outputs.exports.poses_export import (
+    FEWER_AGENTS_ADVICE,
+    NO_AGENTS_MESSAGE,
+    BodyKey,
+    list_crowds_by_body,
+    make_pose_arrays,
+)
 from antdsl.outputs.gallery import Gallery
 from antdsl.outputs.numbered_files import ExportUnavailable
 from antdsl.outputs.pictures.light import decode_srgb
 from antdsl.outputs.pictures.model import Crowd
-from antdsl.whole import write_atomically
 
 _MAX_FILE_AGENTS, _MAX_FILE_BYTES = 1000, 1 << 28  # limits of one file
 _MAX_IGNORED_SHEAR = 1e-4
@@ -42,12 +48,12 @@ def export_gltf(gallery: Gallery, frames: Iterable[int], path: Path) -> list[str
     crowd = _BodyCollector.gather(gallery, frames)
     stage = GltfStage(gallery, frames)
     for key, body in crowd.bodies.items():
-        _write_agents(stage, body, crowd.colours(key), key[0])
+        _write_agents(stage, body, crowd.get_colours(key), key[0])
     for frame in frames:
-        stage.add_picture(gallery.picture(frame))
-    stage.finish()
-    write_atomically(path, stage.writer.bytes(path.suffix.lower() == ".gltf", scene=0, scenes=[stage.scene]))
-    return [*crowd.notes(), *stage.notes]
+        stage.add_picture(gallery.make_picture(frame))
+    stage.write_motion()
+    write_atomically(path, stage.writer.to_bytes(path.suffix.lower() == ".gltf", scene=0, scenes=[stage.scene]))
+    return [*crowd.make_notes(), *stage.notes]
 
 
 @dataclass(slots=True, eq=False)
@@ -58,11 +64,11 @@ class _BodyRecord:
     `id` int64, `frame` (numbers from 0): agent and frame of the row.
     `place` float64[4, 4]: from the body's space to the scene.
     `local` float32[J, 4, 4], `channels` float32[C]: joints and channels.
-    `colour`: by agent id, the display colour in its first frame."""
+    `colour_by_agent`: by agent id, the display colour in its first frame."""
 
-    worn: PosedBody
+    body: PosedBody
     arrays: dict[str, list[NDArray[Any]]] = field(default_factory=dict)
-    colour: dict[int, tuple[float, ...]] = field(default_factory=dict)
+    colour_by_agent: dict[int, tuple[float, ...]] = field(default_factory=dict)
 
 
 @dataclass(slots=True, eq=False)
@@ -70,7 +76,7 @@ class _BodyCollector:
     """Collector of the agents of a cache, by species and body."""
 
     bodies: dict[BodyKey, _BodyRecord]
-    turned: set[str] = field(default_factory=set)  # species with colour changes
+    recoloured_species: set[str] = field(default_factory=set)  # species with colour changes
 
     @staticmethod
     def gather(gallery: Gallery, frames: list[int]) -> _BodyCollector:
@@ -79,11 +85,11 @@ class _BodyCollector:
         output = _BodyCollector(bodies)
         size = 0
         for number, frame in enumerate(frames):
-            for key, crowd, worn in worn_crowds(gallery.picture(frame)):
+            for key, crowd, worn in list_crowds_by_body(gallery.make_picture(frame)):
                 body = bodies.setdefault(key, _BodyRecord(worn))
                 size += len(crowd.position) * (40 * len(worn.definition.rig.names) + 64)
-                output._add(key, body, crowd, number)
-            agents = sum(len(body.colour) for body in bodies.values())
+                output._add_crowd(key, body, crowd, number)
+            agents = sum(len(body.colour_by_agent) for body in bodies.values())
             if agents > _MAX_FILE_AGENTS or size > _MAX_FILE_BYTES:
                 many = (
                     f"{agents:,} agents with joints"
@@ -95,27 +101,27 @@ class _BodyCollector:
                 )
         return output
 
-    def _add(self, key: BodyKey, body: _BodyRecord, crowd: Crowd, number: int) -> None:
+    def _add_crowd(self, key: BodyKey, body: _BodyRecord, crowd: Crowd, number: int) -> None:
         """Append one frame's rows of a crowd to its body."""
-        rows = posed_rows(crowd) | {"frame": np.full(len(crowd.position), number, np.int64)}
+        rows = make_pose_arrays(crowd) | {"frame": np.full(len(crowd.position), number, np.int64)}
         for name in ("id", "frame", "place", "local", "channels"):
             body.arrays.setdefault(name, []).append(rows[name])
         for one, colour in zip(rows["id"].tolist(), np.asarray(crowd.colour).tolist(), strict=True):
-            if body.colour.setdefault(one, tuple(colour)) != tuple(colour):
-                self.turned.add(key[0])
+            if body.colour_by_agent.setdefault(one, tuple(colour)) != tuple(colour):
+                self.recoloured_species.add(key[0])
 
-    def colours(self, key: BodyKey) -> dict[int, tuple[float, ...]]:
+    def get_colours(self, key: BodyKey) -> dict[int, tuple[float, ...]]:
         """Return the display colours of the agents with a body, by id."""
-        return self.bodies[key].colour
+        return self.bodies[key].colour_by_agent
 
-    def notes(self) -> list[str]:
+    def make_notes(self) -> list[str]:
         """Return messages on features of the agents that glTF lacks."""
         messages = [] if self.bodies else [NO_AGENTS_MESSAGE]
         messages += [
             f"agents of `{species}` keep the colour of their first state: glTF has no colours over time"
-            for species in sorted(self.turned)
+            for species in sorted(self.recoloured_species)
         ]  # fmt: skip
-        deformers = {b.deformer for body in self.bodies.values() for b in body.worn.bindings if b.deformer}
+        deformers = {b.deformer for body in self.bodies.values() for b in body.body.bindings if b.deformer}
         if any("dualquat" in name for name in deformers):
             messages.append("dual quaternion skinning is linear there: glTF has no other")
         return messages
@@ -123,48 +129,48 @@ class _BodyCollector:
 
 def _write_agents(stage: GltfStage, body: _BodyRecord, colours: dict[int, tuple[float, ...]], species: str) -> None:
     """Write the nodes, skins and animation of all agents with one body."""
-    worn = body.worn
+    worn = body.body
     rig, writer = worn.definition.rig, stage.writer
     ids, frame, place, local, channels = map(np.concatenate, body.arrays.values())
-    move, turn, size, shear = parts_of(local.astype(np.float64))
+    move, turn, size, shear = decompose_matrix(local.astype(np.float64))
     if shear.size and np.abs(shear).max() > _MAX_IGNORED_SHEAR:
         stage.add_note("a shear of joints is left out: glTF has none")
     order = np.lexsort((frame, ids))
-    shapes = [_shape(writer, worn, binding.shape) for binding in worn.bindings]
+    shapes = [_write_shape(writer, worn, binding.shape) for binding in worn.bindings]
     meshes: dict[tuple[int, tuple[float, ...]], int] = {}
     starts = np.searchsorted(ids[order], sorted(colours))
     for one, start, end in zip(sorted(colours), starts, [*starts[1:], len(order)], strict=True):
         rows = order[start:end]
-        top = stage.agent(f"{species}_{one}", frame[rows], *parts_of(place[rows])[:3])
+        top = stage.add_agent(f"{species}_{one}", frame[rows], *decompose_matrix(place[rows])[:3])
         nodes: dict[str, int] = {}
         for joint, name in enumerate(rig.names):
             above = nodes[rig.names[rig.parents[joint]]] if rig.parents[joint] >= 0 else top
-            nodes[name] = stage.joint(above, name, frame[rows], move[rows, joint], turn[rows, joint], size[rows, joint])
+            nodes[name] = stage.add_joint(above, name, frame[rows], move[rows, joint], turn[rows, joint], size[rows, joint])
         for k, (binding, parts) in enumerate(zip(worn.bindings, shapes, strict=True)):
             key = (k, colours[one])
             if key not in meshes:
-                meshes[key] = parts.mesh(binding.shape, _materials(stage, worn, colours[one]))
+                meshes[key] = parts.mesh(binding.shape, _write_materials(stage, worn, colours[one]))
             follows = "skinning" in binding.deformer
             at = None if follows else nodes.get(binding.transform, top)
-            node = stage.body(
+            node = stage.add_body(
                 at, f"{species}_{one}_{binding.shape}", meshes[key], parts.add_skin(nodes, top) if follows else None
             )
             if parts.targets is not None and "blendshape" in binding.deformer:
-                stage.weights(node, frame[rows], parts.targets.weights(channels[rows]))
+                stage.write_weights(node, frame[rows], parts.targets.weights(channels[rows]))
 
 
-def _shape(writer: GltfWriter, worn: PosedBody, name: str) -> ShapeParts:
-    shape = worn.definition.shapes[name]
-    normals = shape.normals if shape.normals is not None else vertex_normals(shape.points.astype(np.float64), shape.faces)
-    return ShapeParts(writer, worn.definition, shape, normals)
+def _write_shape(writer: GltfWriter, body: PosedBody, name: str) -> ShapeParts:
+    shape = body.definition.shapes[name]
+    normals = shape.normals if shape.normals is not None else compute_vertex_normals(shape.points.astype(np.float64), shape.faces)
+    return ShapeParts(writer, body.definition, shape, normals)
 
 
-def _materials(stage: GltfStage, worn: PosedBody, colour: tuple[float, ...]) -> dict[str, int]:
+def _write_materials(stage: GltfStage, body: PosedBody, colour: tuple[float, ...]) -> dict[str, int]:
     """Return the numbers of a body's materials, by name. Triangles without a material get the agent's state colour."""
     state = tuple(float(part) for part in decode_srgb(np.array(colour)))
-    own: dict[str, Any] = dict(worn.definition.materials)
-    used = (material for binding in worn.bindings for material in worn.definition.shapes[binding.shape].materials)
+    own: dict[str, Any] = dict(body.definition.materials)
+    used = (material for binding in body.bindings for material in body.definition.shapes[binding.shape].materials)
     return {
-        name: stage.material(name or STATE_MATERIAL, own[name] if name in own and name != STATE_MATERIAL else state)
+        name: stage.find_or_add_material(name or STATE_MATERIAL, own[name] if name in own and name != STATE_MATERIAL else state)
         for name in dict.fromkeys(("", STATE_MATERIAL, *own, *used))
     }

@@ -8,18 +8,28 @@ from typing import Any
 
 import numpy as np
 
-from antdsl.bodies.body import turned
+from antdsl.atomic_write import atomic_path
+from antdsl.bodies.body import rotate_vectors
 from antdsl.numerics.records import take_rows
 from antdsl.outputs.exports.mesh_files import MeshPart, write_mesh
-from antdsl.outputs.exports.poses_export import FEWER_AGENTS_ADVICE, NO_AGENTS_MESSAGE, BodyKey, worn_crowds
+from antdsl.outputs.exports.poses_export import FEWER_AGENTS_ADVICE, NO_AGENTS_MESSAGE, BodyKey, list_crowds_by_body
 from antdsl.outputs.gallery import Gallery
-from antdsl.outputs.numbered_files import ExportUnavailable, numbered_path
+from antdsl.outputs.numbered_files import ExportUnavailable, make_numbered_path
 from antdsl.outputs.pictures.light import decode_srgb, encode_srgb
 from antdsl.outputs.pictures.model import Crowd
-from antdsl.outputs.usd.values import ROOT_PATH, StageOutput, ValueSamples, box, disk_failures, identifier, mesh, root, vectors
+from antdsl.outputs.usd.values import (
+    ROOT_PATH,
+    StageOutput,
+    ValueSamples,
+    add_mesh,
+    add_root,
+    compute_box,
+    raise_disk_errors,
+    to_identifier,
+    to_vector_array,
+)
 from antdsl.scene.geometry.usd import pxr
-from antdsl.scene.model import UNIT_MM
-from antdsl.whole import atomic_path
+from antdsl.scene.scene_model import UNIT_MM
 
 _MAX_FRAME_POINTS = 20_000_000  # points of a frame
 _AGENTS_PER_BATCH = 64  # agents that are posed at once
@@ -34,9 +44,9 @@ def export_meshes(gallery: Gallery, frames: Iterable[int], path: Path) -> list[s
     Raises ExportUnavailable if no agent is in all frames, or if there are too many points. Raises CacheError for a damaged frame,
     OSError if writing fails."""
     frames = list(frames)
-    common_ids, notes = _common_agents(gallery, frames)
+    common_ids, notes = _find_common_agents(gallery, frames)
     for frame in frames:
-        write_mesh(numbered_path(path, frame), list(_posed_meshes(gallery, frame, common_ids)), gallery.origin)
+        write_mesh(make_numbered_path(path, frame), list(_pose_meshes(gallery, frame, common_ids)), gallery.origin)
     return notes
 
 
@@ -46,9 +56,9 @@ def export_usd_meshes(gallery: Gallery, frames: Iterable[int], path: Path) -> li
 
     The meshes are `/World/SPECIES/agent_ID`. Raises UsdError without usd-core."""
     frames = list(frames)
-    common_ids, notes = _common_agents(gallery, frames)
+    common_ids, notes = _find_common_agents(gallery, frames)
     usd, geom = pxr("Usd"), pxr("UsdGeom")
-    with disk_failures(path), atomic_path(path, path.suffix) as part:
+    with raise_disk_errors(path), atomic_path(path, path.suffix) as part:
         stage = usd.Stage.CreateNew(str(part))
         geom.SetStageMetersPerUnit(stage, UNIT_MM[gallery.manifest.units] / 1000)
         geom.SetStageUpAxis(stage, gallery.manifest.up.upper())
@@ -56,41 +66,41 @@ def export_usd_meshes(gallery: Gallery, frames: Iterable[int], path: Path) -> li
         stage.SetFramesPerSecond(1 / gallery.dt)
         stage.SetStartTimeCode(frames[0])
         stage.SetEndTimeCode(frames[-1])
-        stage.SetDefaultPrim(root(stage, gallery.origin).GetPrim())
+        stage.SetDefaultPrim(add_root(stage, gallery.origin).GetPrim())
         out, samples = StageOutput(stage), dict[str, tuple[ValueSamples, ...]]()
         for frame in frames:
-            for each in _posed_meshes(gallery, frame, common_ids):
+            for each in _pose_meshes(gallery, frame, common_ids):
                 if each.name not in samples:
-                    samples[each.name] = _usd_mesh(out, each)
+                    samples[each.name] = _add_usd_mesh(out, each)
                 points, extent, normals = samples[each.name]
                 points.set(frame, each.points)
-                extent.set(frame, box(each.points))
+                extent.set(frame, compute_box(each.points))
                 normals.set(frame, each.normals)
         stage.Save()
         del samples, out, stage
     return notes
 
 
-def _usd_mesh(out: StageOutput, part: MeshPart) -> tuple[ValueSamples, ...]:
+def _add_usd_mesh(out: StageOutput, part: MeshPart) -> tuple[ValueSamples, ...]:
     species, _, number = part.name.rpartition("_")
-    pxr("UsdGeom").Xform.Define(out.stage, f"{ROOT_PATH}/{identifier(species)}")
-    usd_mesh = mesh(out.stage, f"{ROOT_PATH}/{identifier(species)}/agent_{number}", part.points, part.faces, part.normals)
+    pxr("UsdGeom").Xform.Define(out.stage, f"{ROOT_PATH}/{to_identifier(species)}")
+    usd_mesh = add_mesh(out.stage, f"{ROOT_PATH}/{to_identifier(species)}/agent_{number}", part.points, part.faces, part.normals)
     assert part.colours is not None
-    usd_mesh.CreateDisplayColorPrimvar("vertex").Set(vectors(decode_srgb(part.colours)))
+    usd_mesh.CreateDisplayColorPrimvar("vertex").Set(to_vector_array(decode_srgb(part.colours)))
     attributes = (usd_mesh.GetPointsAttr(), usd_mesh.GetExtentAttr(), usd_mesh.GetNormalsAttr())
     for attribute in attributes:
         attribute.Clear()
-    return tuple(out.samples(attribute, vectors, np.float32) for attribute in attributes)
+    return tuple(out.add_samples(attribute, to_vector_array, np.float32) for attribute in attributes)
 
 
-def _common_agents(gallery: Gallery, frames: list[int]) -> tuple[dict[BodyKey, set[int]], list[str]]:
+def _find_common_agents(gallery: Gallery, frames: list[int]) -> tuple[dict[BodyKey, set[int]], list[str]]:
     """Return, by species and layers, the ids of agents that are in all frames with the same layers; and messages about the
     others."""
     common_ids: dict[BodyKey, set[int]] = {}
     all_ids: dict[BodyKey, set[int]] = {}
     for k, frame in enumerate(frames):
         frame_ids: dict[BodyKey, set[int]] = {}
-        for key, crowd, _ in worn_crowds(gallery.picture(frame)):
+        for key, crowd, _ in list_crowds_by_body(gallery.make_picture(frame)):
             frame_ids.setdefault(key, set()).update(np.asarray(crowd.ids).tolist())
         common_ids = frame_ids if not k else {name: ids & frame_ids.get(name, set()) for name, ids in common_ids.items()}
         for name, ids in frame_ids.items():
@@ -105,13 +115,13 @@ def _common_agents(gallery: Gallery, frames: list[int]) -> tuple[dict[BodyKey, s
     return common_ids, [f"{left} agents are not there in all of these frames, and are left out"] if left else []
 
 
-def _posed_meshes(gallery: Gallery, frame: int, common_ids: dict[BodyKey, set[int]]) -> Iterator[MeshPart]:
+def _pose_meshes(gallery: Gallery, frame: int, common_ids: dict[BodyKey, set[int]]) -> Iterator[MeshPart]:
     """Yield the posed mesh of each agent in `common_ids`, by species and id."""
     parts: list[tuple[str, int, MeshPart]] = []
     total = 0
-    for key, crowd, worn in worn_crowds(gallery.picture(frame)):
+    for key, crowd, worn in list_crowds_by_body(gallery.make_picture(frame)):
         rows = np.flatnonzero(np.isin(np.asarray(crowd.ids), sorted(common_ids.get(key, ()))))
-        total += len(rows) * len(worn.own)
+        total += len(rows) * len(worn.material_colours)
         if total > _MAX_FRAME_POINTS:
             raise ExportUnavailable(
                 f"the meshes of so many agents have more than {_MAX_FRAME_POINTS:,} points a frame", FEWER_AGENTS_ADVICE
@@ -122,13 +132,13 @@ def _posed_meshes(gallery: Gallery, frame: int, common_ids: dict[BodyKey, set[in
 
 
 def _pose_batch(species: str, crowd: Crowd, rows: np.ndarray[Any, Any]) -> list[tuple[str, int, MeshPart]]:
-    worn = crowd.worn
+    worn = crowd.body
     assert crowd.ids is not None
-    points, normals = crowd.posed(worn, rows)
+    points, normals = crowd.pose_vertices(worn, rows)
     orient = np.asarray(crowd.orient, np.float64)[rows]
-    placed = turned(orient, points.astype(np.float64)) * crowd.scale[rows, None, None] + crowd.position[rows, None]
-    across = turned(orient, normals.astype(np.float64))
-    own, tint = encode_srgb(worn.colours(take_rows(crowd.driven, rows))) / 255.0, worn.tint[:, None]
+    placed = rotate_vectors(orient, points.astype(np.float64)) * crowd.scale[rows, None, None] + crowd.position[rows, None]
+    across = rotate_vectors(orient, normals.astype(np.float64))
+    own, tint = encode_srgb(worn.compute_colours(take_rows(crowd.driven, rows))) / 255.0, worn.tint_weights[:, None]
     parts = []
     for k, row in enumerate(rows.tolist()):
         number, colours = int(crowd.ids[row]), own[k % len(own)] * (1 - tint) + tint * crowd.colour[row]

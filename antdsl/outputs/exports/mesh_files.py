@@ -10,7 +10,7 @@ from typing import IO
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.whole import atomic_file
+from antdsl.atomic_write import atomic_file
 
 Floats = NDArray[np.floating]
 _LINES_PER_BLOCK = 1 << 16  # lines that are made at once

@@ -18,11 +18,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.atomic_write import atomic_file
 from antdsl.outputs.cache.cache_reader import Cache
-from antdsl.outputs.cache.frame_agents import ALWAYS_SAVED
-from antdsl.outputs.cache.npz import to_member
+from antdsl.outputs.cache.frame_agents import ALWAYS_SAVED_ARRAYS
+from antdsl.outputs.cache.npz import write_member
 from antdsl.outputs.gallery import Gallery
-from antdsl.whole import atomic_file
 
 Arrays = dict[str, NDArray[Any]]
 
@@ -39,29 +39,29 @@ def export_arrays(gallery: Gallery, frames: Iterable[int], path: Path) -> None:
             if array.ndim:
                 shapes.setdefault(name, (array.dtype, array.shape[1:]))
                 counts.setdefault(name, np.zeros(len(frames), np.int64))[number] = len(array)
-    agents = [name for name in shapes if name in {*cache.manifest.attributes, *ALWAYS_SAVED}]
-    small: Arrays = {"frames": np.array(frames, np.int64), "rows": _starts(counts["P"])}
-    small |= {f"{name}.rows": _starts(counts[name]) for name in shapes if name not in agents}
-    small["about"] = np.frombuffer(json.dumps(_describe(gallery, agents)).encode("ascii"), np.uint8)
+    agents = [name for name in shapes if name in {*cache.manifest.attributes, *ALWAYS_SAVED_ARRAYS}]
+    small: Arrays = {"frames": np.array(frames, np.int64), "rows": _compute_row_starts(counts["P"])}
+    small |= {f"{name}.rows": _compute_row_starts(counts[name]) for name in shapes if name not in agents}
+    small["about"] = np.frombuffer(json.dumps(_describe_arrays(gallery, agents)).encode("ascii"), np.uint8)
     with atomic_file(path) as output, zipfile.ZipFile(output, "w", zipfile.ZIP_STORED, allowZip64=True) as file:
         for name, array in small.items():
-            to_member(file, name, array.dtype, array.shape, [array])
+            write_member(file, name, array.dtype, array.shape, [array])
         for name, (kind, rest) in shapes.items():
-            to_member(file, name, kind, (int(counts[name].sum()), *rest), _parts(cache, frames, name, counts[name]))
+            write_member(file, name, kind, (int(counts[name].sum()), *rest), _iterate_parts(cache, frames, name, counts[name]))
 
 
-def _starts(counts: NDArray[np.int64]) -> NDArray[np.int64]:
+def _compute_row_starts(counts: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
 
 
-def _parts(cache: Cache, frames: list[int], name: str, counts: NDArray[np.int64]) -> Iterator[NDArray[Any]]:
+def _iterate_parts(cache: Cache, frames: list[int], name: str, counts: NDArray[np.int64]) -> Iterator[NDArray[Any]]:
     """Yield the array `name` of each frame that has it."""
     for frame, count in zip(frames, counts, strict=True):
         if count:
             yield cache.frame(frame, frozenset([name]))[name]
 
 
-def _describe(gallery: Gallery, agents: list[str]) -> dict[str, Any]:
+def _describe_arrays(gallery: Gallery, agents: list[str]) -> dict[str, Any]:
     manifest = gallery.manifest
     species = [each.model_dump(mode="json", include={"name", "machines", "clips", "playing"}) for each in manifest.species]
     return {

@@ -26,15 +26,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
+from antdsl.atomic_write import write_atomically
 from antdsl.bodies.agents.definition import Definition
-from antdsl.bodies.agents.poses import square_matrices
-from antdsl.bodies.body import rotation_matrices
+from antdsl.bodies.agents.poses import to_square_matrices
+from antdsl.bodies.body import build_rotation_matrices
 from antdsl.bodies.posed_body import PosedBody
-from antdsl.outputs.cache.npz import to_bytes
+from antdsl.outputs.cache.npz import encode_npz
 from antdsl.outputs.gallery import Gallery
 from antdsl.outputs.numbered_files import ExportUnavailable
 from antdsl.outputs.pictures.model import Crowd, Picture
-from antdsl.whole import write_atomically
 
 _MAX_FILE_BYTES = 2 * limits.GIB
 FEWER_AGENTS_ADVICE = "choose fewer with `--ids 0..20` or `--frames A..B`"
@@ -60,7 +60,7 @@ def export_poses(gallery: Gallery, frames: Iterable[int], path: Path) -> list[st
     rows_by_body: dict[str, _PoseRows] = {}
     size = 0
     for number, frame in enumerate(frames):
-        for (_, key, _), crowd, worn in worn_crowds(gallery.picture(frame)):
+        for (_, key, _), crowd, worn in list_crowds_by_body(gallery.make_picture(frame)):
             rows = rows_by_body.setdefault(key, _PoseRows(worn.definition))
             rows.counts += [0] * (number + 1 - len(rows.counts))
             rows.counts[number] += len(crowd.position)
@@ -69,7 +69,7 @@ def export_poses(gallery: Gallery, frames: Iterable[int], path: Path) -> list[st
                 raise ExportUnavailable(
                     f"poses of so many agents and frames take more than {_MAX_FILE_BYTES >> 30} GiB", FEWER_AGENTS_ADVICE
                 )
-            arrays = posed_rows(crowd)
+            arrays = make_pose_arrays(crowd)
             arrays["place"][:, :3, 3] += gallery.origin
             for name, array in arrays.items():
                 rows.arrays.setdefault(name, []).append(array)
@@ -86,7 +86,7 @@ def export_poses(gallery: Gallery, frames: Iterable[int], path: Path) -> list[st
             "channels": [each.name for each in rig.channels],
         }
     arrays["about"] = np.frombuffer(json.dumps(description).encode("ascii"), np.uint8)
-    write_atomically(path, to_bytes(arrays))
+    write_atomically(path, encode_npz(arrays))
     return [] if rows_by_body else [NO_AGENTS_MESSAGE]
 
 
@@ -94,31 +94,31 @@ def export_poses(gallery: Gallery, frames: Iterable[int], path: Path) -> list[st
 BodyKey = tuple[str, str, tuple[str, ...]]
 
 
-def worn_crowds(picture: Picture) -> list[tuple[BodyKey, Crowd, PosedBody]]:
+def list_crowds_by_body(picture: Picture) -> list[tuple[BodyKey, Crowd, PosedBody]]:
     """Return the crowds of a picture that have agents, each with its key (species, body and layers) and its body."""
     return [
-        ((crowd.species, crowd.body_key or crowd.species, crowd.worn.layers), crowd, crowd.worn)
+        ((crowd.species, crowd.body_key or crowd.species, crowd.body.layers), crowd, crowd.body)
         for crowd in picture.crowds
         if len(crowd.position)
     ]
 
 
-def placement_matrices(crowd: Crowd, body: Definition) -> NDArray[np.float64]:
+def compute_placements(crowd: Crowd, body: Definition) -> NDArray[np.float64]:
     """Return matrices float64[n, 4, 4] from the space of the body to the scene (relative to its origin), one per agent."""
     matrices = np.tile(np.eye(4), (len(crowd.position), 1, 1))
-    matrices[:, :3, :3] = rotation_matrices(np.asarray(crowd.orient, np.float64)) * np.asarray(crowd.scale)[:, None, None]
-    matrices[:, :3] = matrices[:, :3] @ body.base_matrix()
+    matrices[:, :3, :3] = build_rotation_matrices(np.asarray(crowd.orient, np.float64)) * np.asarray(crowd.scale)[:, None, None]
+    matrices[:, :3] = matrices[:, :3] @ body.compute_base_matrix()
     matrices[:, :3, 3] += crowd.position
     return matrices
 
 
-def posed_rows(crowd: Crowd) -> dict[str, NDArray[Any]]:
+def make_pose_arrays(crowd: Crowd) -> dict[str, NDArray[Any]]:
     """Return, by name, the ids of a crowd's agents, their placement matrices, the transforms of their joints, and their
     channels."""
-    poses = crowd.poses(local=True)
+    poses = crowd.compute_poses(local=True)
     assert poses.local is not None and crowd.ids is not None
     return {
-        "id": np.asarray(crowd.ids, np.int64), "place": placement_matrices(crowd, crowd.worn.definition),
-        "world": square_matrices(poses.world), "local": square_matrices(poses.local),
+        "id": np.asarray(crowd.ids, np.int64), "place": compute_placements(crowd, crowd.body.definition),
+        "world": to_square_matrices(poses.world), "local": to_square_matrices(poses.local),
         "channels": np.ascontiguousarray(poses.channels),
     }  # fmt: skip

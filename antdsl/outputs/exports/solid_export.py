@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
+from antdsl.atomic_write import write_atomically
 from antdsl.outputs.cache.dug_solids import DugSolids
-from antdsl.outputs.cache.npz import to_bytes
+from antdsl.outputs.cache.npz import encode_npz
 from antdsl.outputs.exports.mesh_files import MeshPart, write_mesh
 from antdsl.outputs.gallery import Gallery
-from antdsl.outputs.numbered_files import ExportUnavailable, numbered_path
-from antdsl.scene.model import UNIT_MM
-from antdsl.whole import write_atomically
+from antdsl.outputs.numbered_files import ExportUnavailable, make_numbered_path
+from antdsl.scene.scene_model import UNIT_MM
 
 _NO_SOLIDS_ERROR = ExportUnavailable("the scene has no solid that agents can dig", "`kind: solid` of a mesh in `world` makes one")
 
@@ -32,7 +32,7 @@ def export_solids(gallery: Gallery, frames: Iterable[int], path: Path) -> None:
         if not solids:
             raise _NO_SOLIDS_ERROR
         write_mesh(
-            numbered_path(path, frame), [MeshPart(each.name, each.vertices, each.faces) for each in solids], gallery.origin
+            make_numbered_path(path, frame), [MeshPart(each.name, each.vertices, each.faces) for each in solids], gallery.origin
         )
 
 
@@ -51,7 +51,7 @@ def export_volumes(gallery: Gallery, frames: Iterable[int], path: Path) -> list[
         raise _NO_SOLIDS_ERROR
     arrays: dict[str, NDArray[Any]] = {"frame": np.array(last, np.int64)}
     scale = 1.0 / UNIT_MM[gallery.manifest.units]
-    for name, volume, offset in dug.volumes():
+    for name, volume, offset in dug.iterate_volumes():
         bricks = volume.bricks
         points = int(np.prod([8 * int(n) for n in bricks.shape], dtype=np.float64))
         if points * 4 > limits.GIB:
@@ -62,7 +62,7 @@ def export_volumes(gallery: Gallery, frames: Iterable[int], path: Path) -> list[
             f"{name}.distance": volume.dense_distances() * np.float32(scale),
             f"{name}.origin": (np.asarray(bricks.origin, np.float64) + offset) * scale + gallery.origin,
             f"{name}.cell": np.array(bricks.voxel * scale),
-            f"{name}.band": np.array([bricks.least * scale, bricks.most * scale]),
+            f"{name}.band": np.array([bricks.min_distance * scale, bricks.max_distance * scale]),
         }
-    write_atomically(path, to_bytes(arrays))
+    write_atomically(path, encode_npz(arrays))
     return [f"the volume is that of frame {last}"]

@@ -1,8 +1,8 @@
 """Pictures of a frame: their content (`Picture`), the view (`Camera`), the ray renderer (`Renderer`), sheets and films."""
 
-from antdsl.outputs.pictures.cameras import camera_at_eye_level, camera_over
-from antdsl.outputs.pictures.image_files import check_film_support, still, write_film
-from antdsl.outputs.pictures.legend import contact_sheet, strip_width, with_strip
+from antdsl.outputs.pictures.cameras import make_eye_level_camera, make_overview_camera
+from antdsl.outputs.pictures.image_files import check_film_support, write_film, write_still
+from antdsl.outputs.pictures.legend import add_legend, compute_legend_width, make_contact_sheet
 from antdsl.outputs.pictures.model import Camera, Crowd, Item, LegendRow, Picture, Solid, Trail
 from antdsl.outputs.pictures.render import DISPLAY_OPTIONS, Renderer, render_frame
 
@@ -16,13 +16,13 @@ __all__ = [
     "Renderer",
     "Solid",
     "Trail",
-    "camera_at_eye_level",
-    "camera_over",
+    "add_legend",
     "check_film_support",
-    "contact_sheet",
+    "compute_legend_width",
+    "make_contact_sheet",
+    "make_eye_level_camera",
+    "make_overview_camera",
     "render_frame",
-    "still",
-    "strip_width",
-    "with_strip",
     "write_film",
+    "write_still",
 ]

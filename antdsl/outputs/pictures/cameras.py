@@ -3,39 +3,39 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.bodies.body import turned
+from antdsl.bodies.body import rotate_vectors
 from antdsl.casting.rays import RayScene
-from antdsl.outputs.pictures.actors import item_mesh
-from antdsl.outputs.pictures.camera import make_view, three
-from antdsl.outputs.pictures.light import sun_over
+from antdsl.outputs.pictures.camera import make_view, to_tuple
+from antdsl.outputs.pictures.light import make_sun
 from antdsl.outputs.pictures.model import Camera, Crowd, Picture
-from antdsl.outputs.pictures.setting import TABLE_DEPTH_SHARE
+from antdsl.outputs.pictures.moving_bodies import make_item_mesh
+from antdsl.outputs.pictures.static_setting import TABLE_DEPTH_SHARE
 
 Array = NDArray[np.float64]
 
 _MAX_TRIED_AGENTS = 24  # agents looked at for an eye-level camera
 
 
-def camera_over(picture: Picture, *, aspect: float = 16 / 9, focal: float = 35.0, slant: float = 38.0) -> Camera:
+def make_overview_camera(picture: Picture, *, aspect: float = 16 / 9, focal: float = 35.0, slant: float = 38.0) -> Camera:
     """Return a camera that looks down by `slant` degrees and shows every solid, agent and item of the picture."""
     up = np.asarray(picture.up, np.float64) / np.linalg.norm(picture.up)
-    return camera_holding(_all_points(picture, up), up, aspect=aspect, focal=focal, slant=slant)
+    return make_fitted_camera(_collect_points(picture, up), up, aspect=aspect, focal=focal, slant=slant)
 
 
-def camera_on_top(picture: Picture, *, aspect: float = 16 / 9) -> Camera:
+def make_top_camera(picture: Picture, *, aspect: float = 16 / 9) -> Camera:
     """Return a camera straight above with parallel rays that shows everything. The right of the picture is +x."""
     up = np.asarray(picture.up, np.float64) / np.linalg.norm(picture.up)
-    points = _all_points(picture, up)
+    points = _collect_points(picture, up)
     north = np.array([0.0, 0.0, -1.0]) if abs(up[2]) < 0.5 else np.array([0.0, 1.0, 0.0])
     right = np.cross(north, up)
     across, along, high = points @ right, points @ north, points @ up
     wide = 1.04 * max(float(np.ptp(across)), aspect * float(np.ptp(along)), 1e-6)
     middle = right * (across.min() + across.max()) / 2 + north * (along.min() + along.max()) / 2
     at = middle + up * (high.max() + 0.5 * wide)
-    return Camera(three(at), three(at - up), up=three(north), wide=wide)
+    return Camera(to_tuple(at), to_tuple(at - up), up=to_tuple(north), wide=wide)
 
 
-def camera_holding(points: Array, up: Array, *, aspect: float = 16 / 9, focal: float = 35.0, slant: float = 38.0) -> Camera:
+def make_fitted_camera(points: Array, up: Array, *, aspect: float = 16 / 9, focal: float = 35.0, slant: float = 38.0) -> Camera:
     """Return a camera that looks down by `slant` degrees and shows points (n, 3) as large as possible. `up`: a unit vector."""
     if not len(points):
         points = np.array([[-1.0, -1.0, -1.0], [1.0, 1.0, 1.0]])
@@ -53,13 +53,13 @@ def camera_holding(points: Array, up: Array, *, aspect: float = 16 / 9, focal: f
     near, far = 0.5 * reach, 12.0 * reach
     for _ in range(40):
         distance = (near + far) / 2
-        fits = _holds(middle + direction * distance, middle, points, up, focal, aspect)
+        fits = _fits_picture(middle + direction * distance, middle, points, up, focal, aspect)
         near, far = (near, distance) if fits else (distance, far)
     at, aim = _centre_camera(middle + direction * far, middle, points, up, focal, aspect)
-    return Camera(three(at), three(aim), focal=focal, up=three(up))
+    return Camera(to_tuple(at), to_tuple(aim), focal=focal, up=to_tuple(up))
 
 
-def _all_points(picture: Picture, up: Array) -> Array:
+def _collect_points(picture: Picture, up: Array) -> Array:
     parts = [np.asarray(solid.vertices, np.float64) for solid in picture.solids]
     parts += [np.asarray(crowd.position, np.float64) for crowd in picture.crowds]
     parts += [np.asarray(item.position, np.float64)[None] for item in picture.items]
@@ -71,35 +71,37 @@ def _all_points(picture: Picture, up: Array) -> Array:
     return points if len(points) else np.array([[-1.0, -1.0, -1.0], [1.0, 1.0, 1.0]])
 
 
-def _picture_coordinates(at: Array, aim: Array, points: Array, up: Array, focal: float, aspect: float) -> tuple[Array, Array]:
+def _project_points(position: Array, aim: Array, points: Array, up: Array, focal: float, aspect: float) -> tuple[Array, Array]:
     """Return the horizontal and vertical positions (n, 2) of points in the picture, and their distances ahead (n,).
 
     Positions are within 0..1 where points are visible."""
-    camera_view = make_view(Camera(three(at), three(aim), focal=focal, up=three(up)), round(1000 * aspect), 1000, three(up))
+    camera_view = make_view(
+        Camera(to_tuple(position), to_tuple(aim), focal=focal, up=to_tuple(up)), round(1000 * aspect), 1000, to_tuple(up)
+    )
     pixels, ahead = camera_view.project(points)
     return pixels / np.array([camera_view.width, camera_view.height]), ahead
 
 
-def _holds(at: Array, aim: Array, points: Array, up: Array, focal: float, aspect: float) -> bool:
+def _fits_picture(position: Array, aim: Array, points: Array, up: Array, focal: float, aspect: float) -> bool:
     """Return whether the points would fit into the picture if it were centred on them."""
-    shares, ahead = _picture_coordinates(at, aim, points, up, focal, aspect)
+    shares, ahead = _project_points(position, aim, points, up, focal, aspect)
     wide = shares.max(axis=0) - shares.min(axis=0)
     return bool((ahead > 0).all() and (wide <= 0.93).all())
 
 
-def _centre_camera(at: Array, aim: Array, points: Array, up: Array, focal: float, aspect: float) -> tuple[Array, Array]:
+def _centre_camera(position: Array, aim: Array, points: Array, up: Array, focal: float, aspect: float) -> tuple[Array, Array]:
     """Return the camera's position and aim, moved sideways so that the points are in the centre of the picture."""
     for _ in range(4):
-        shares, _ = _picture_coordinates(at, aim, points, up, focal, aspect)
+        shares, _ = _project_points(position, aim, points, up, focal, aspect)
         off = (shares.max(axis=0) + shares.min(axis=0)) / 2 - 0.5
-        ready = make_view(Camera(three(at), three(aim), focal=focal, up=three(up)), 100, 100, three(up))
-        distance = float(np.linalg.norm(aim - at)) * 2 * 18.0 / focal
-        step = ready.right * off[0] * distance - ready.above * off[1] * distance / aspect
-        at, aim = at + step, aim + step
-    return at, aim
+        ready = make_view(Camera(to_tuple(position), to_tuple(aim), focal=focal, up=to_tuple(up)), 100, 100, to_tuple(up))
+        distance = float(np.linalg.norm(aim - position)) * 2 * 18.0 / focal
+        step = ready.right_axis * off[0] * distance - ready.up_axis * off[1] * distance / aspect
+        position, aim = position + step, aim + step
+    return position, aim
 
 
-def camera_at_eye_level(
+def make_eye_level_camera(
     picture: Picture, agent: int | None = None, *, species: str | None = None, focal: float = 26.0, close: bool = False
 ) -> Camera | None:
     """Return a camera a few body lengths from an agent, at the height of its back. None if there is no such agent.
@@ -118,20 +120,24 @@ def camera_at_eye_level(
         rows = np.flatnonzero(np.asarray(crowd.ids) == agent)
     else:
         crowd = max((each for each in crowds if each.species == crowds[0].species), key=lambda each: len(each.position))
-        rows = _crowded_rows(crowd)
-    placed = [item_mesh(item, picture.up) for item in picture.items if item.shape != "none" and item.left > 0 and item.radius > 0]
+        rows = _find_crowded_rows(crowd)
+    placed = [
+        make_item_mesh(item, picture.up)
+        for item in picture.items
+        if item.shape != "none" and item.remaining_share > 0 and item.radius > 0
+    ]
     around = [(solid.vertices, solid.faces) for solid in picture.solids if len(solid.faces)]
     solids = RayScene.of(around + [(mesh.vertices, mesh.faces) for mesh in placed])
     best: tuple[float, Camera] | None = None
     for row in rows.tolist():
-        for camera in _candidate_cameras(crowd, row, focal, np.asarray(picture.up, np.float64), close):
-            score = _score(crowd, row, camera, solids)
+        for camera in _make_candidate_cameras(crowd, row, focal, np.asarray(picture.up, np.float64), close):
+            score = _score_camera(crowd, row, camera, solids)
             if best is None or score > best[0]:
                 best = (score, camera)
     return best[1] if best else None
 
 
-def _crowded_rows(crowd: Crowd) -> NDArray[np.int64]:
+def _find_crowded_rows(crowd: Crowd) -> NDArray[np.int64]:
     """Return the rows of agents with many others within twelve body lengths. The rows are spread over several positions."""
     from scipy.spatial import cKDTree
 
@@ -143,11 +149,11 @@ def _crowded_rows(crowd: Crowd) -> NDArray[np.int64]:
     return order[: _MAX_TRIED_AGENTS * 4 : 4] if len(order) >= _MAX_TRIED_AGENTS * 4 else order[:_MAX_TRIED_AGENTS]
 
 
-def _candidate_cameras(crowd: Crowd, row: int, focal: float, upright: Array, close: bool) -> list[Camera]:
+def _make_candidate_cameras(crowd: Crowd, row: int, focal: float, upright: Array, close: bool) -> list[Camera]:
     """Return camera positions around one agent. Positions behind its shoulder and in front of it come first."""
     scale = float(crowd.scale[row])
     orient = np.asarray(crowd.orient, np.float64)[row : row + 1]
-    ahead, up, side = (turned(orient, np.array([axis]))[0] for axis in ((1.0, 0, 0), (0, 1.0, 0), (0, 0, 1.0)))
+    ahead, up, side = (rotate_vectors(orient, np.array([axis]))[0] for axis in ((1.0, 0, 0), (0, 1.0, 0), (0, 0, 1.0)))
     position = np.asarray(crowd.position, np.float64)[row]
     # The horizon stays level wherever the agent does not walk on a wall or overhead.
     top = upright if float(up @ upright) > 0.5 else up
@@ -157,11 +163,11 @@ def _candidate_cameras(crowd: Crowd, row: int, focal: float, upright: Array, clo
         level = np.cos(turn) * ahead + np.sin(turn) * side
         at = position + scale * ((1.5 * level + 0.62 * up) if close else (3.1 * level + 0.95 * up))
         aim = position + scale * ((0.17 * up) if close else (0.22 * up - 0.9 * level))
-        cameras.append(Camera(three(at), three(aim), focal=focal, up=three(top)))
+        cameras.append(Camera(to_tuple(at), to_tuple(aim), focal=focal, up=to_tuple(top)))
     return cameras
 
 
-def _score(crowd: Crowd, row: int, camera: Camera, rays: RayScene) -> float:
+def _score_camera(crowd: Crowd, row: int, camera: Camera, rays: RayScene) -> float:
     """Return a score for how much of the crowd a camera shows. It is far below zero where ground or stone blocks the view."""
     camera_view = make_view(camera, 160, 90, camera.up or (0.0, 1.0, 0.0))
     scale = float(crowd.scale[row])
@@ -169,19 +175,22 @@ def _score(crowd: Crowd, row: int, camera: Camera, rays: RayScene) -> float:
     directions = np.stack(
         [
             camera_view.eye - target,
-            -0.45 * scale * camera_view.above,
-            *(scale * axis for axis in (camera_view.ahead, camera_view.right, -camera_view.right, camera_view.above)),
+            -0.45 * scale * camera_view.up_axis,
+            *(
+                scale * axis
+                for axis in (camera_view.forward_axis, camera_view.right_axis, -camera_view.right_axis, camera_view.up_axis)
+            ),
         ]
     )
-    if rays.occluded(np.stack([target, *[camera_view.eye] * 5]), directions, far=1.0).any():
+    if rays.find_occluded(np.stack([target, *[camera_view.eye] * 5]), directions, max_parameter=1.0).any():
         return -1e6
     pixels, ahead = camera_view.project(np.where(np.isfinite(crowd.position), crowd.position, 0.0))
     inside = (ahead < 60 * scale) & (pixels > 0).all(axis=1) & (pixels < [160, 90]).all(axis=1)
     is_obstructing, away = inside & (ahead > 0) & (ahead < 1.7 * scale), inside & (ahead >= 1.7 * scale)
-    clear = rays.cast(camera_view.eye[None], camera_view.ahead[None]).t[0] > 14 * scale
+    clear = rays.find_first_hits(camera_view.eye[None], camera_view.forward_axis[None]).t[0] > 14 * scale
     up = np.asarray(camera.up or (0.0, 1.0, 0.0), np.float64)
-    sun = sun_over(up).towards.astype(np.float64)
-    lit = not rays.occluded(target[None] + 0.3 * scale * up, sun[None]).any()
+    sun = make_sun(up).direction.astype(np.float64)
+    lit = not rays.find_occluded(target[None] + 0.3 * scale * up, sun[None]).any()
     company = float(np.minimum(1.0, 10 * scale / ahead[away]).sum()) * (1.0 if clear else 0.3) * (1.0 if lit else 0.2)
     # Light from the side of the camera shows what it falls on.
-    return company + 3.0 * lit * float(-camera_view.ahead @ sun) - 4.0 * float(is_obstructing.sum())
+    return company + 3.0 * lit * float(-camera_view.forward_axis @ sun) - 4.0 * float(is_obstructing.sum())

@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.bounded import open_bounded
+from antdsl.atomic_write import atomic_path, write_atomically
 from antdsl.diagnostics.model import Report
-from antdsl.whole import atomic_path, write_atomically
+from antdsl.safe_read import open_size_limited
 
 Image = NDArray[np.uint8]
 
 
-def still(image: Image, path: Path) -> None:
+def write_still(image: Image, path: Path) -> None:
     """Write a picture as PNG, atomically. Raises OSError if writing fails."""
     from PIL import Image as PillowImage
 
@@ -61,12 +61,12 @@ def write_film(images: Iterable[Image], path: Path, fps: float) -> Report:
             writer.send(None)
             count = 0
             try:
-                for image in _prepend(first, pictures):
+                for image in _prepend_image(first, pictures):
                     writer.send(np.ascontiguousarray(image[:height, :width]))
                     count += 1
             finally:
                 writer.close()
-            _demand_frames(part, count)
+            _check_frame_count(part, count)
     except OSError as problem:
         why = (problem.strerror or "the encoder stopped").lower()
         message = f"cannot write the film `{path.name}`: {why}"
@@ -74,7 +74,7 @@ def write_film(images: Iterable[Image], path: Path, fps: float) -> Report:
     return report
 
 
-def _demand_frames(path: Path, count: int) -> None:
+def _check_frame_count(path: Path, count: int) -> None:
     """Raise OSError if a film has fewer frames than were drawn, or is truncated. The encoder does not report a full disk."""
     import imageio_ffmpeg
 
@@ -89,7 +89,7 @@ def _demand_frames(path: Path, count: int) -> None:
 
 def _is_complete(path: Path) -> bool:
     """Return whether the boxes of an MP4 file (ISO/IEC 14496-12) end exactly at the end of the file."""
-    with open_bounded(path, 1 << 62) as file:
+    with open_size_limited(path, 1 << 62) as file:
         end, place = os.fstat(file.fileno()).st_size, 0
         while place < end:
             file.seek(place)
@@ -102,6 +102,6 @@ def _is_complete(path: Path) -> bool:
     return place == end
 
 
-def _prepend(first: Image, others: Iterable[Image]) -> Iterable[Image]:
+def _prepend_image(first: Image, others: Iterable[Image]) -> Iterable[Image]:
     yield first
     yield from others

@@ -1,4 +1,5 @@
-"""Sun, sky, haze and the tone curve from light to display values. Everything is linear light in float32 until `tone_map`."""
+"""Sun, sky, haze and the tone curve from light to display values. Everything is linear light in float32 until
+`apply_tone_curve`."""
 
 from dataclasses import dataclass
 from functools import cache
@@ -20,23 +21,28 @@ SUN_HALF_ANGLE_TANGENT = 0.03  # tangent of the half angle: wider than the real 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SunLight:
-    """The sun. `towards`: unit direction to it; `a`, `b`: unit axes perpendicular to `towards`; `up`: the world's up."""
+    """The sun. `direction`: unit direction to it; `first_axis`, `second_axis`: unit axes perpendicular to `direction`; `up`: the
+    world's up."""
 
-    towards: Floats
-    a: Floats
-    b: Floats
+    direction: Floats
+    first_axis: Floats
+    second_axis: Floats
     up: Floats
 
-    def spots(self, count: int) -> Floats:
+    def sample_disc(self, count: int) -> Floats:
         """Return directions (count, 3) to points that cover the sun's disc evenly. Consecutive points are far from each other."""
         k = np.arange(count)
         angle = k * (np.pi * (3 - np.sqrt(5)))
         radius = np.sqrt((k + 0.5) / count) * SUN_HALF_ANGLE_TANGENT
-        directions = self.towards + (radius * np.cos(angle))[:, None] * self.a + (radius * np.sin(angle))[:, None] * self.b
+        directions = (
+            self.direction
+            + (radius * np.cos(angle))[:, None] * self.first_axis
+            + (radius * np.sin(angle))[:, None] * self.second_axis
+        )
         return np.asarray(directions, np.float32)
 
 
-def sun_over(up: NDArray[np.float64], elevation: float = 40.0, azimuth: float = 280.0) -> SunLight:
+def make_sun(up: NDArray[np.float64], elevation: float = 40.0, azimuth: float = 280.0) -> SunLight:
     """Return a sun at `elevation` and `azimuth` degrees above the plane perpendicular to `up`."""
     upward = up / np.linalg.norm(up)
     first = np.roll(upward, 1) - upward * float(np.dot(np.roll(upward, 1), upward))
@@ -49,22 +55,22 @@ def sun_over(up: NDArray[np.float64], elevation: float = 40.0, azimuth: float = 
     return SunLight(*(v.astype(np.float32) for v in (towards, a, np.cross(a, towards), upward)))
 
 
-def ambient(upness: Floats) -> Floats:
+def compute_ambient_light(upness: Floats) -> Floats:
     """Return ambient light (n, 3) from sky and ground for normals with the vertical component `upness` (−1..1)."""
     share = (0.5 + 0.5 * upness)[:, None]
     return SKY_LIGHT * share + BOUNCE_LIGHT * (1 - share)
 
 
-def sky(direction: Floats, sun: SunLight) -> Floats:
+def compute_sky_light(direction: Floats, sun: SunLight) -> Floats:
     """Return the light (n, 3) of the sky in directions (n, 3)."""
     high = direction @ sun.up
     share = np.sqrt(np.clip(high, 0.0, 1.0))[:, None]
-    glow = np.clip(direction @ sun.towards, 0.0, 1.0)[:, None]
+    glow = np.clip(direction @ sun.direction, 0.0, 1.0)[:, None]
     light: Floats = HORIZON_COLOUR * (1 - share) + ZENITH_COLOUR * share + np.array([0.22, 0.17, 0.10], np.float32) * glow**8
     return light
 
 
-def environment_light(direction: Floats, sun: SunLight) -> Floats:
+def compute_environment_light(direction: Floats, sun: SunLight) -> Floats:
     """Return the light (n, 3) that a mirror reflects from directions (n, 3): sky above the horizon, ground below it."""
     high = (direction @ sun.up)[:, None]
     share = np.sqrt(np.clip(high, 0.0, 1.0))
@@ -72,17 +78,17 @@ def environment_light(direction: Floats, sun: SunLight) -> Floats:
     return np.asarray(BOUNCE_LIGHT + (above - BOUNCE_LIGHT) * np.clip(0.5 + 4 * high, 0.0, 1.0), np.float32)
 
 
-def apply_haze(colour: Floats, far: Floats, direction: Floats, sun: SunLight, reach: float) -> Floats:
-    """Return `colour` (n, 3) seen through the distance `far` (n,) of haze. There is little haze in downward directions.
+def apply_haze(colour: Floats, distances: Floats, direction: Floats, sun: SunLight, reach: float) -> Floats:
+    """Return `colour` (n, 3) seen through the distance `distances` (n,) of haze. There is little haze in downward directions.
 
     Haze hides half of the colour at about 0.7 `reach`."""
     level = 1 - np.clip(-(direction @ sun.up), 0.0, 1.0)
-    amount = (1 - np.exp(-far / np.float32(reach))) * level * level * level
+    amount = (1 - np.exp(-distances / np.float32(reach))) * level * level * level
     through: Floats = colour + (HORIZON_COLOUR - colour) * amount[:, None]
     return through
 
 
-def tone_map(light: Floats) -> Floats:
+def apply_tone_curve(light: Floats) -> Floats:
     """Return display-linear values 0..1: linear in dark and middle tones, compressed softly above 0.7."""
     light = np.maximum(light * np.float32(0.62), 0)
     knee = np.float32(0.7)
@@ -92,11 +98,11 @@ def tone_map(light: Floats) -> Floats:
 
 def encode_srgb(linear: Floats) -> NDArray[np.uint8]:
     """Return sRGB bytes of display-linear values."""
-    return _srgb_table().take((np.clip(linear, 0, 1) * np.float32(_SRGB_TABLE_STEPS) + np.float32(0.5)).astype(np.int32))
+    return _make_srgb_table().take((np.clip(linear, 0, 1) * np.float32(_SRGB_TABLE_STEPS) + np.float32(0.5)).astype(np.int32))
 
 
 @cache
-def _srgb_table() -> NDArray[np.uint8]:
+def _make_srgb_table() -> NDArray[np.uint8]:
     linear = np.arange(_SRGB_TABLE_STEPS + 1) / _SRGB_TABLE_STEPS
     display = np.where(linear <= 0.0031308, linear * 12.92, 1.055 * linear ** (1 / 2.4) - 0.055)
     return np.asarray(display * 255 + 0.5, np.uint8)

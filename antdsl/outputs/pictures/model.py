@@ -11,7 +11,7 @@ from antdsl.bodies.agents.driving import DrivenPose
 from antdsl.bodies.agents.leg_ik import BodySpaceFeet, PlacedFeet
 from antdsl.bodies.agents.machine_clips import MachineClips
 from antdsl.bodies.agents.poses import Poses
-from antdsl.bodies.library import library_body
+from antdsl.bodies.library import load_library_body
 from antdsl.bodies.posed_body import NO_DRIVEN_POSE, PosedBody
 from antdsl.numerics.records import take_rows
 
@@ -48,8 +48,8 @@ class AgentPathLines:
 
 
 @cache
-def _default_body() -> PosedBody:
-    return PosedBody(library_body("ant"), ())
+def _load_default_body() -> PosedBody:
+    return PosedBody(load_library_body("ant"), ())
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,7 +60,7 @@ class Crowd:
     `orient` (n, 4): quaternions x, y, z, w that rotate +x to the heading and +y to up.
     `scale` (n,): body lengths in world units.
     `colour` (n, 3): display values 0..1.
-    `worn`: the body (by default an ant). `body_key`: its key among the bodies of all species; empty means the species' name.
+    `body`: the body (by default an ant). `body_key`: its key among the bodies of all species; empty means the species' name.
     `plays`: the clips that each machine plays.
     `driven`: channels and looks that states set.
     `feet`: positions of the feet; None if unknown.
@@ -76,25 +76,27 @@ class Crowd:
     velocity: Array | None = None
     feelers: Array | None = None
     paths: AgentPathLines | None = None
-    worn: PosedBody = field(default_factory=_default_body)
+    body: PosedBody = field(default_factory=_load_default_body)
     plays: tuple[MachineClips, ...] = ()
     feet: PlacedFeet | None = None
     driven: DrivenPose = NO_DRIVEN_POSE
     next_crowd: "Crowd | None" = None
     body_key: str = ""
 
-    def poses(self, local: bool = False) -> Poses:
+    def compute_poses(self, local: bool = False) -> Poses:
         """Return transforms and channels of all agents in the space of their body."""
         count = len(self.position)
-        return self.worn.poses(self.plays, count, self.feet_beside(np.arange(count)), driven=self.driven, local=local)
+        return self.body.compute_poses(self.plays, count, self.select_feet(np.arange(count)), driven=self.driven, local=local)
 
-    def posed(self, body: PosedBody, rows: NDArray[np.intp]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    def pose_vertices(self, body: PosedBody, rows: NDArray[np.intp]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Return vertices and unit normals float32[n, v, 3] of some agents, in body lengths along the axes of their body.
 
         `body`: the crowd's body, or its `fine` or `coarse` form."""
-        return body.posed(take_rows(self.plays, rows), len(rows), self.feet_beside(rows), driven=take_rows(self.driven, rows))
+        return body.pose_vertices(
+            take_rows(self.plays, rows), len(rows), self.select_feet(rows), driven=take_rows(self.driven, rows)
+        )
 
-    def feet_beside(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> BodySpaceFeet | None:
+    def select_feet(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> BodySpaceFeet | None:
         """Return the feet of some agents as `PosedBody.posed` expects them. Return None if the feet are unknown."""
         if self.feet is None:
             return None
@@ -102,22 +104,22 @@ class Crowd:
             *(np.asarray(each)[rows] for each in (self.position, self.orient, self.scale))
         )
 
-    def rows(self, chosen: NDArray[np.bool_] | NDArray[np.intp]) -> "Crowd":
+    def select_rows(self, selected: NDArray[np.bool_] | NDArray[np.intp]) -> "Crowd":
         """Return the crowd with only the chosen agents. Feelers are dropped, since their rows are not agents."""
-        return take_rows(replace(self, feelers=None), chosen)
+        return take_rows(replace(self, feelers=None), selected)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Item:
     """Food, a nest or another placed object.
 
-    `left`: the remaining share, 0..1; the drawn body shrinks with it.
+    `remaining_share`: the remaining share, 0..1; the drawn body shrinks with it.
     `look`: replaces the material of the item's shape."""
 
     name: str
     position: tuple[float, float, float]
     radius: float
-    left: float = 1.0
+    remaining_share: float = 1.0
     shape: ItemShapeName = "sphere"
     look: MaterialName | None = None
 
@@ -128,14 +130,15 @@ class Trail:
 
     `position` (n, 3): the cells' positions on the surface; `cell`: their edge.
     `strength` (n,): 0 for cells without scent, so that scent fades towards them.
-    `full`: the strength drawn strongest. None chooses a strength: cells of at least this strength contain 70 % of the scent."""
+    `full_strength`: the strength drawn strongest. None chooses a strength: cells of at least this strength contain 70 % of the
+    scent."""
 
     name: str
     position: Array
     strength: Array
     cell: float
     colour: tuple[float, float, float] = (0.68, 0.10, 0.46)
-    full: float | None = None
+    full_strength: float | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

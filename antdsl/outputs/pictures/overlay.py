@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from PIL import Image as PillowImage
 from PIL import ImageDraw, ImageFont
 
-from antdsl.bodies.body import turned
+from antdsl.bodies.body import rotate_vectors
 from antdsl.outputs.pictures.camera import CameraView
 from antdsl.outputs.pictures.model import AgentPathLines, Crowd, FlowArrows, Picture
 
@@ -23,34 +23,34 @@ _PATH_ALPHA_RANGE, _PATH_ALPHA_STEPS = (40, 235), 8  # at the far ends and at th
 
 
 @cache
-def font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
+def load_font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
     """Return Pillow's own typeface at `size` pixels."""
     return ImageFont.load_default(size)
 
 
 def draw_overlay(
-    image: Image, picture: Picture, view: CameraView, far: NDArray[np.float32], show: tuple[str, ...], marks: float
+    image: Image, picture: Picture, view: CameraView, distances: NDArray[np.float32], show: tuple[str, ...], marks: float
 ) -> Image:
     """Return `image` with the overlays in `show`. Parts behind the ground are left out.
 
-    `far` (h, w): distance of static surfaces.
+    `distances` (h, w): distance of static surfaces.
     `marks`: diameter in pixels of the discs that stand for agents; 0 for none."""
     lines = [word for word in ("flow", "velocity", "paths", "feelers", "ids") if word in show]
     if not lines and marks <= 0:
         return image
     canvas = PillowImage.fromarray(image)
     if marks > 0:
-        _draw_marks(canvas, picture, view, far, marks)
+        _draw_marks(canvas, picture, view, distances, marks)
     draw = ImageDraw.Draw(canvas, "RGBA")
     for flow in picture.flows if "flow" in show else ():
-        _draw_arrows(draw, view, flow, _is_unhidden(flow.position, view, far))
+        _draw_arrows(draw, view, flow, _is_unhidden(flow.position, view, distances))
     for crowd in picture.crowds if "paths" in show else ():
         if crowd.paths is not None:
-            _draw_paths(draw, view, crowd.paths, far)
+            _draw_paths(draw, view, crowd.paths, distances)
     for crowd in picture.crowds:
-        is_visible = _visible_agents(crowd, view, far)
+        is_visible = _find_visible_agents(crowd, view, distances)
         if "velocity" in show and crowd.velocity is not None:
-            lift = _lifted_positions(crowd)[is_visible]
+            lift = _compute_lifted_positions(crowd)[is_visible]
             _draw_lines(
                 draw,
                 view,
@@ -59,20 +59,20 @@ def draw_overlay(
             )
         if "feelers" in show and crowd.feelers is not None and len(crowd.feelers):
             ends = np.asarray(crowd.feelers, np.float64)
-            _draw_lines(draw, view, ends[_is_unhidden(ends[:, 0], view, far)], _FEELER_COLOUR)
+            _draw_lines(draw, view, ends[_is_unhidden(ends[:, 0], view, distances)], _FEELER_COLOUR)
         if "ids" in show and crowd.ids is not None:
             _draw_ids(draw, view, crowd, np.flatnonzero(is_visible)[:_MAX_DRAWN_IDS])
     return np.asarray(canvas)
 
 
-def _lifted_positions(crowd: Crowd) -> Array:
+def _compute_lifted_positions(crowd: Crowd) -> Array:
     """Return positions slightly above the ground, at the height of the body."""
-    up = turned(np.asarray(crowd.orient, np.float64), np.tile([0.0, 1.0, 0.0], (len(crowd.position), 1)))
+    up = rotate_vectors(np.asarray(crowd.orient, np.float64), np.tile([0.0, 1.0, 0.0], (len(crowd.position), 1)))
     return np.asarray(crowd.position, np.float64) + up * 0.25 * np.asarray(crowd.scale, np.float64)[:, None]
 
 
-def _visible_agents(crowd: Crowd, view: CameraView, depth: NDArray[np.float32]) -> NDArray[np.bool_]:
-    return _is_unhidden(_lifted_positions(crowd), view, depth) if len(crowd.position) else np.zeros(0, np.bool_)
+def _find_visible_agents(crowd: Crowd, view: CameraView, depth: NDArray[np.float32]) -> NDArray[np.bool_]:
+    return _is_unhidden(_compute_lifted_positions(crowd), view, depth) if len(crowd.position) else np.zeros(0, np.bool_)
 
 
 def _is_unhidden(points: Array, view: CameraView, depth: NDArray[np.float32]) -> NDArray[np.bool_]:
@@ -80,8 +80,8 @@ def _is_unhidden(points: Array, view: CameraView, depth: NDArray[np.float32]) ->
     pixels, ahead = view.project(points)
     inside = (ahead > 0) & (pixels >= 0).all(axis=1) & (pixels[:, 0] < view.width) & (pixels[:, 1] < view.height)
     column, row = np.where(inside[:, None], pixels, 0).astype(np.int64).T
-    distance = view.distance(points)
-    near = distance <= depth[row, column] * 1.005 + view.pixel_size(np.maximum(ahead, 0)) * 2
+    distance = view.compute_distances(points)
+    near = distance <= depth[row, column] * 1.005 + view.compute_pixel_size(np.maximum(ahead, 0)) * 2
     return np.asarray(inside & near)
 
 
@@ -143,20 +143,22 @@ def _draw_ids(draw: ImageDraw.ImageDraw, view: CameraView, crowd: Crowd, rows: N
     if crowd.ids is None:
         return
     size = max(9, view.height // 54)
-    pixels, _ = view.project(_lifted_positions(crowd)[rows])
+    pixels, _ = view.project(_compute_lifted_positions(crowd)[rows])
     for (x, y), name in zip(pixels.tolist(), np.asarray(crowd.ids)[rows].tolist(), strict=True):
         draw.text(
             (x + size * 0.3, y - size * 1.1),
             str(name),
-            font=font(size),
+            font=load_font(size),
             fill=(255, 255, 255, 235),
             stroke_width=1,
             stroke_fill=(0, 0, 0, 190),
         )
 
 
-def _draw_marks(canvas: PillowImage.Image, picture: Picture, view: CameraView, far: NDArray[np.float32], wide: float) -> None:
-    """Draw a disc `wide` pixels across for each visible agent, in its colour. Near discs cover far ones.
+def _draw_marks(
+    canvas: PillowImage.Image, picture: Picture, view: CameraView, distances: NDArray[np.float32], diameter: float
+) -> None:
+    """Draw a disc `diameter` pixels across for each visible agent, in its colour. Near discs cover far ones.
 
     For soft edges, discs are drawn enlarged and then scaled down."""
     times = 4 if view.width * view.height <= 1 << 20 else 2
@@ -164,13 +166,13 @@ def _draw_marks(canvas: PillowImage.Image, picture: Picture, view: CameraView, f
     draw = ImageDraw.Draw(sheet)
     discs = []
     for crowd in picture.crowds:
-        is_visible = _visible_agents(crowd, view, far)
-        pixels, ahead = view.project(np.where(is_visible[:, None], _lifted_positions(crowd), 0.0))
+        is_visible = _find_visible_agents(crowd, view, distances)
+        pixels, ahead = view.project(np.where(is_visible[:, None], _compute_lifted_positions(crowd), 0.0))
         colour = np.clip(np.nan_to_num(np.asarray(crowd.colour, np.float64)) * 255, 0, 255).round()
         discs.append(np.concatenate([ahead[:, None], pixels, colour], axis=1)[is_visible])
     every = np.concatenate(discs or [np.zeros((0, 6))])
     for _, x, y, *colour in every[np.argsort(-every[:, 0], kind="stable")].tolist():
-        x, y, reach = x * times, y * times, wide * times / 2
+        x, y, reach = x * times, y * times, diameter * times / 2
         edge = max(1.0, reach * 0.3)
         draw.ellipse((x - reach - edge, y - reach - edge, x + reach + edge, y + reach + edge), fill=(20, 20, 20, 255))
         draw.ellipse((x - reach, y - reach, x + reach, y + reach), fill=(*(int(c) for c in colour), 255))

@@ -6,12 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.casting.picture_rays import PictureHits
-from antdsl.outputs.pictures.light import SUN_HALF_ANGLE_TANGENT, tone_map
-from antdsl.outputs.pictures.shading import PictureLighting, moving_light, still_light, sun_visibility
-from antdsl.outputs.pictures.shading_rows import Floats, each, pieces
-from antdsl.outputs.pictures.softness import open_share, sun_share
-from antdsl.outputs.pictures.stage import StaticStage, SurfaceSamples, pixel_offset
-from antdsl.outputs.pictures.trails import FieldDyes
+from antdsl.outputs.pictures.light import SUN_HALF_ANGLE_TANGENT, apply_tone_curve
+from antdsl.outputs.pictures.shading import PictureLighting, compute_moving_light, compute_static_light, compute_sun_visibility
+from antdsl.outputs.pictures.shading_rows import Floats, run_each, split_rows
+from antdsl.outputs.pictures.soft_shadows import compute_open_share, compute_sun_share
+from antdsl.outputs.pictures.static_stage import StaticStage, SurfaceSamples, compute_pixel_offset
+from antdsl.outputs.pictures.trail_colours import FieldColours
 
 Rows = NDArray[np.int64]
 
@@ -26,42 +26,51 @@ class FirstPass:
     """Samples at pixel centres.
 
     `light` (h · w, 3): display-linear light.
-    `behind` (h · w, 3): the same without moving bodies.
-    `opened` (h · w,): the unoccluded share of the hemisphere above the surface.
-    `front` (h · w,): whether a moving body is in front.
-    `swept` (h · w,): whether a moving body is in front at any shutter time, or a tiny one may be there."""
+    `background_light` (h · w, 3): the same without moving bodies.
+    `open_share` (h · w,): the unoccluded share of the hemisphere above the surface.
+    `covered_pixels` (h · w,): whether a moving body is in front.
+    `moving_pixels` (h · w,): whether a moving body is in front at any shutter time, or a tiny one may be there."""
 
     light: Floats
-    behind: Floats
-    opened: Floats
-    front: NDArray[np.bool_]
-    swept: NDArray[np.bool_]
+    background_light: Floats
+    open_share: Floats
+    covered_pixels: NDArray[np.bool_]
+    moving_pixels: NDArray[np.bool_]
 
 
-def sample_middles(still: StaticStage, lighting: PictureLighting, dyes: FieldDyes) -> FirstPass:
+def sample_centres(still: StaticStage, lighting: PictureLighting, dyes: FieldColours) -> FirstPass:
     """Return the first pass: the light of all pixels, sampled at their centres."""
-    samples, cast, threads = still.middle, lighting.cast, lighting.threads
-    visible, opened = np.ones(len(samples), np.float32), still.shade
-    if cast.size > 0:
-        reach = 1.1 * cast.size
-        shadowed, around = cast.may_be_shaded(samples.point, lighting.sun, (SUN_HALF_ANGLE_TANGENT * cast.throw, reach))
-        visible = sun_share(
-            still.grid, samples.sun, lighting.sun, cast.rays[:: 1 + (len(cast.rays) > 4)], cast.tall, threads, shadowed
+    samples, cast, threads = still.centre_samples, lighting.actors, lighting.threads
+    visible, opened = np.ones(len(samples), np.float32), still.open_share
+    if cast.contact_reach > 0:
+        reach = 1.1 * cast.contact_reach
+        shadowed, around = cast.find_shadable_points(
+            samples.point, lighting.sun, (SUN_HALF_ANGLE_TANGENT * cast.soft_edge_reach, reach)
         )
-        contact = open_share(still.grid, cast.rays[len(cast.rays) // 2], reach, _CONTACT_RAYS_PER_PIXEL, threads, around)
+        visible = compute_sun_share(
+            still.grid,
+            samples.sun_cosine,
+            lighting.sun,
+            cast.rays[:: 1 + (len(cast.rays) > 4)],
+            cast.shadow_reach,
+            threads,
+            shadowed,
+        )
+        contact = compute_open_share(still.grid, cast.rays[len(cast.rays) // 2], reach, _CONTACT_RAYS_PER_PIXEL, threads, around)
         opened = opened * contact
     albedo = dyes.colour_samples(samples)
     behind = np.empty_like(samples.direction)
 
     def fill(own: slice) -> None:
-        behind[own] = tone_map(still_light(lighting, samples, own, albedo[own], visible[own], opened[own]))
+        behind[own] = apply_tone_curve(compute_static_light(lighting, samples, own, albedo[own], visible[own], opened[own]))
 
-    each(fill, pieces(len(samples)), threads)
+    run_each(fill, split_rows(len(samples)), threads)
     light = behind.copy()
-    front, swept = np.zeros(len(samples), np.bool_), cast.tiny.copy()
-    near = np.flatnonzero(cast.near)
+    front, swept = np.zeros(len(samples), np.bool_), cast.tiny_body_pixels.copy()
+    near = np.flatnonzero(cast.near_pixels)
     every = [
-        find_moving(still, lighting, near, samples.far[near], (0.5, 0.5), time_index) for time_index in range(len(cast.rays))
+        find_moving_hits(still, lighting, near, samples.distance[near], (0.5, 0.5), time_index)
+        for time_index in range(len(cast.rays))
     ]
     hit_rows, hits = every[len(every) // 2]
     rows = near[hit_rows]
@@ -69,24 +78,29 @@ def sample_middles(still: StaticStage, lighting: PictureLighting, dyes: FieldDye
     if len(every) > 1:
         for other, _ in every:
             swept[near[other]] = True
-    start, direction = still.view.rays(rows)
+    start, direction = still.view.make_rays(rows)
     place = np.broadcast_to(start, direction.shape).astype(np.float32)
-    for own in pieces(len(rows)):
+    for own in split_rows(len(rows)):
         part = _select_hits(hits, own)
-        lit = moving_light(lighting, part, place[own], direction[own], len(every) // 2, lighting.sun.towards)
-        light[rows[own]] = tone_map(lit)
+        lit = compute_moving_light(lighting, part, place[own], direction[own], len(every) // 2, lighting.sun.direction)
+        light[rows[own]] = apply_tone_curve(lit)
     return FirstPass(light, behind, opened, front, swept)
 
 
-def find_moving(
-    still: StaticStage, lighting: PictureLighting, pixels: Rows, far: Floats, place: tuple[float, float], time_index: int
+def find_moving_hits(
+    still: StaticStage,
+    lighting: PictureLighting,
+    pixels: Rows,
+    max_distances: Floats,
+    position_in_pixel: tuple[float, float],
+    time_index: int,
 ) -> tuple[Rows, PictureHits]:
-    """Return the rows of the rays that hit a moving body nearer than `far` at one shutter time, and these hits.
+    """Return the rows of the rays that hit a moving body nearer than `max_distances` at one shutter time, and these hits.
 
-    `place`: the position of the rays in their pixels."""
-    start, direction = still.view.rays(pixels, *place)
-    hits = lighting.cast.rays[time_index].cast(start, direction, lighting.threads)
-    rows = np.flatnonzero(hits.t < far)
+    `position_in_pixel`: the position of the rays in their pixels."""
+    start, direction = still.view.make_rays(pixels, *position_in_pixel)
+    hits = lighting.actors.rays[time_index].find_first_hits(start, direction, lighting.threads)
+    rows = np.flatnonzero(hits.t < max_distances)
     return rows, _select_hits(hits, rows)
 
 
@@ -94,26 +108,32 @@ def _select_hits(hits: PictureHits, rows: Rows | slice) -> PictureHits:
     return PictureHits(*(getattr(hits, each.name)[rows] for each in fields(PictureHits)))
 
 
-def refine(still: StaticStage, lighting: PictureLighting, dyes: FieldDyes, first: FirstPass, most: int) -> Floats:
-    """Return display-linear light (h · w, 3). Pixels with edges or motion are means of several samples, at most `most`."""
+def refine_pixels(
+    still: StaticStage, lighting: PictureLighting, dyes: FieldColours, first: FirstPass, max_samples: int
+) -> Floats:
+    """Return display-linear light (h · w, 3). Pixels with edges or motion are means of several samples, at most `max_samples`."""
     light = first.light.copy()
-    pixels = _unsettled_pixels(still, first)
-    if most == 1 or not len(pixels):
+    pixels = _find_unsettled_pixels(still, first)
+    if max_samples == 1 or not len(pixels):
         return light
-    moments = len(lighting.cast.rays)
-    count = int(np.clip(_MEAN_SAMPLES_PER_PIXEL * len(light) / len(pixels), _MIN_REFINED_SAMPLES if moments == 1 else 8, most))
-    count = max(count, min(moments, most))
-    spots = lighting.sun.spots(count)
-    at_edge = still.grid.edge[pixels]
+    moments = len(lighting.actors.rays)
+    count = int(
+        np.clip(_MEAN_SAMPLES_PER_PIXEL * len(light) / len(pixels), _MIN_REFINED_SAMPLES if moments == 1 else 8, max_samples)
+    )
+    count = max(count, min(moments, max_samples))
+    spots = lighting.sun.sample_disc(count)
+    at_edge = still.grid.is_edge[pixels]
     edges, others = np.flatnonzero(at_edge), np.flatnonzero(~at_edge)
     total = np.zeros((len(pixels), 3), np.float32)
     # Shutter times are in another order than positions in the pixel.
     order = np.argsort(np.arange(count) * 0.6180339887498949 % 1.0, kind="stable") * moments // count
     for number, time_index in enumerate(order.tolist()):
-        one = _EdgeSample(still, lighting, pixel_offset(number, count), time_index, spots[number])
-        total[edges] += one.light_samples(dyes, first, still.edge_samples(number, count, lighting.threads))
+        one = _EdgeSample(still, lighting, compute_pixel_offset(number, count), time_index, spots[number])
+        total[edges] += one.compute_light(dyes, first, still.sample_edges(number, count, lighting.threads))
         # Where the surface continues, the static light is that of the pixel's centre.
-        total[others] += one.add_moving(pixels[others], still.middle.far[pixels[others]], first.behind[pixels[others]])
+        total[others] += one.add_moving_light(
+            pixels[others], still.centre_samples.distance[pixels[others]], first.background_light[pixels[others]]
+        )
     light[pixels] = total / count
     return light
 
@@ -122,38 +142,42 @@ def refine(still: StaticStage, lighting: PictureLighting, dyes: FieldDyes, first
 class _EdgeSample:
     """One sample of several pixels: its position in the pixel, its shutter time, and its point on the sun's disc."""
 
-    still: StaticStage
+    stage: StaticStage
     lighting: PictureLighting
-    place: tuple[float, float]
+    position_in_pixel: tuple[float, float]
     time_index: int
-    sunspot: Floats
+    sun_point: Floats
 
-    def light_samples(self, dyes: FieldDyes, first: FirstPass, samples: SurfaceSamples) -> Floats:
+    def compute_light(self, dyes: FieldColours, first: FirstPass, samples: SurfaceSamples) -> Floats:
         """Return display-linear light (n, 3) of samples of static surfaces, and of moving bodies in front of them."""
-        visible = sun_visibility(self.lighting, samples, self.time_index, self.sunspot)
-        light = still_light(
-            self.lighting, samples, slice(None), dyes.colour_samples(samples), visible, first.opened[samples.pixel]
+        visible = compute_sun_visibility(self.lighting, samples, self.time_index, self.sun_point)
+        light = compute_static_light(
+            self.lighting, samples, slice(None), dyes.colour_samples(samples), visible, first.open_share[samples.pixel]
         )
-        return self.add_moving(samples.pixel, samples.far, tone_map(light))
+        return self.add_moving_light(samples.pixel, samples.distance, apply_tone_curve(light))
 
-    def add_moving(self, pixels: Rows, far: Floats, light: Floats) -> Floats:
-        """Return `light` of pixels, replaced where a moving body is nearer than the static distance `far`."""
-        near = np.flatnonzero(self.lighting.cast.near[pixels])
-        rows, hits = find_moving(self.still, self.lighting, pixels[near], far[near], self.place, self.time_index)
+    def add_moving_light(self, pixels: Rows, max_distances: Floats, light: Floats) -> Floats:
+        """Return `light` of pixels, replaced where a moving body is nearer than the static distance `max_distances`."""
+        near = np.flatnonzero(self.lighting.actors.near_pixels[pixels])
+        rows, hits = find_moving_hits(
+            self.stage, self.lighting, pixels[near], max_distances[near], self.position_in_pixel, self.time_index
+        )
         if len(rows):
-            start, direction = self.still.view.rays(pixels[near[rows]], *self.place)
+            start, direction = self.stage.view.make_rays(pixels[near[rows]], *self.position_in_pixel)
             begin = np.broadcast_to(start, direction.shape).astype(np.float32)
             light = light.copy()
-            light[near[rows]] = tone_map(moving_light(self.lighting, hits, begin, direction, self.time_index, self.sunspot))
+            light[near[rows]] = apply_tone_curve(
+                compute_moving_light(self.lighting, hits, begin, direction, self.time_index, self.sun_point)
+            )
         return light
 
 
-def _unsettled_pixels(still: StaticStage, first: FirstPass) -> Rows:
+def _find_unsettled_pixels(still: StaticStage, first: FirstPass) -> Rows:
     """Return the pixels that need more samples: where surfaces meet or a body moves, and where a body differs from its
     neighbours."""
     high, wide = still.view.height, still.view.width
-    unsettled = first.swept.copy().reshape(high, wide)
-    front = first.front.reshape(high, wide)
+    unsettled = first.moving_pixels.copy().reshape(high, wide)
+    front = first.covered_pixels.reshape(high, wide)
     brightness = np.sqrt(first.light @ np.array([0.3, 0.6, 0.1], np.float32)).reshape(high, wide)
     for one_side, other_side in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
         step = (front[one_side] | front[other_side]) & (
@@ -162,5 +186,5 @@ def _unsettled_pixels(still: StaticStage, first: FirstPass) -> Rows:
         step |= front[one_side] != front[other_side]
         unsettled[one_side] |= step
         unsettled[other_side] |= step
-    unsettled.reshape(-1)[still.edges] = True
+    unsettled.reshape(-1)[still.edge_pixels] = True
     return np.flatnonzero(unsettled)

@@ -10,17 +10,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.outputs.pictures.actors import SceneActors, make_actors
 from antdsl.outputs.pictures.camera import CameraView, make_view
-from antdsl.outputs.pictures.light import SunLight, encode_srgb, sun_over
-from antdsl.outputs.pictures.looks import PictureScales
+from antdsl.outputs.pictures.light import SunLight, encode_srgb, make_sun
 from antdsl.outputs.pictures.model import Camera, Picture
+from antdsl.outputs.pictures.moving_bodies import SceneActors, make_actors
 from antdsl.outputs.pictures.overlay import draw_overlay
-from antdsl.outputs.pictures.refining import refine, sample_middles
-from antdsl.outputs.pictures.setting import StaticSetting, make_setting
+from antdsl.outputs.pictures.refining import refine_pixels, sample_centres
 from antdsl.outputs.pictures.shading import PictureLighting
-from antdsl.outputs.pictures.stage import StaticStage, stage
-from antdsl.outputs.pictures.trails import FieldDyes
+from antdsl.outputs.pictures.static_setting import StaticSetting, make_setting
+from antdsl.outputs.pictures.static_stage import StaticStage, make_stage
+from antdsl.outputs.pictures.surface_materials import PictureScales
+from antdsl.outputs.pictures.trail_colours import FieldColours
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
@@ -33,7 +33,7 @@ class _CameraCache:
     """Samples of static surfaces for one camera, and the colours of fields on them."""
 
     stage: StaticStage
-    dyes: FieldDyes
+    field_colours: FieldColours
 
 
 class Renderer:
@@ -63,8 +63,8 @@ class Renderer:
             raise ValueError("the shutter is open for 0 to 1 of a frame")
         self.width, self.height, self.samples = width, height, samples
         self.threads, self.least, self.enlarged, self.marks, self.blur = max(1, threads), least, enlarged, marks, blur
-        self._settings: list[tuple[tuple[int, ...], StaticSetting, tuple[object, ...]]] = []
-        self._kept: dict[tuple[object, ...], _CameraCache] = {}
+        self._cached_settings: list[tuple[tuple[int, ...], StaticSetting, tuple[object, ...]]] = []
+        self._cached_stages: dict[tuple[object, ...], _CameraCache] = {}
 
     def draw(self, picture: Picture, camera: Camera, *, show: Iterable[str] = ("trail",)) -> Image:
         """Return the picture as sRGB bytes (height, width, 3).
@@ -75,57 +75,62 @@ class Renderer:
         if wrong:
             raise ValueError(f"cannot show `{wrong[0]}`: there are {', '.join(DISPLAY_OPTIONS)}")
         up = np.asarray(picture.up, np.float64) / np.linalg.norm(picture.up)
-        sun = sun_over(up)
+        sun = make_sun(up)
         camera_view = make_view(camera, self.width, self.height, picture.up)
-        still = self._setting(picture, up)
-        scales = PictureScales(still.extent, _grain(picture, still.extent))
-        camera_cache = self._stage(picture, camera, still, camera_view, sun, scales)
+        still = self._get_setting(picture, up)
+        scales = PictureScales(still.extent, _choose_grain(picture, still.extent))
+        camera_cache = self._get_camera_cache(picture, camera, still, camera_view, sun, scales)
         bodied = picture if self.marks <= 0 else replace(picture, crowds=())
         cast = make_actors(bodied, camera_view, self.least, still, self.blur, self.enlarged)
-        camera_cache.dyes.set_trails(picture.trails if "trail" in options else ())
-        image = self._light(camera_cache, cast, PictureLighting(cast, still.rays, sun, scales, camera_view, self.threads))
+        camera_cache.field_colours.set_trails(picture.trails if "trail" in options else ())
+        image = self._compute_image(camera_cache, cast, PictureLighting(cast, still.rays, sun, scales, camera_view, self.threads))
         return draw_overlay(
-            image, picture, camera_view, camera_cache.stage.middle.far.reshape(self.height, self.width), options, self.marks
+            image,
+            picture,
+            camera_view,
+            camera_cache.stage.centre_samples.distance.reshape(self.height, self.width),
+            options,
+            self.marks,
         )
 
-    def _setting(self, picture: Picture, up: Array) -> StaticSetting:
+    def _get_setting(self, picture: Picture, up: Array) -> StaticSetting:
         """Return the ray scene of the solids.
 
         The cache holds the solids as well. So their ids, which are its keys, cannot be reused."""
         key = tuple(id(solid.vertices) for solid in picture.solids) + tuple(hash(float(v)) for v in up)
-        for known, still_setting, _ in self._settings:
+        for known, still_setting, _ in self._cached_settings:
             if known == key:
                 return still_setting
         still_setting = make_setting(picture.solids, up)
-        self._settings = [*self._settings[-1:], (key, still_setting, picture.solids)]
+        self._cached_settings = [*self._cached_settings[-1:], (key, still_setting, picture.solids)]
         return still_setting
 
-    def _stage(
+    def _get_camera_cache(
         self,
         picture: Picture,
         camera: Camera,
-        still: StaticSetting,
+        setting: StaticSetting,
         camera_view: CameraView,
         sun: SunLight,
         scales: PictureScales,
     ) -> _CameraCache:
         """Return the cached samples for a camera, or compute and cache them."""
-        key = (id(still), camera, picture.up, scales)
-        if key not in self._kept:
-            new_stage = stage(still, camera_view, sun, scales, self.threads)
+        key = (id(setting), camera, picture.up, scales)
+        if key not in self._cached_stages:
+            new_stage = make_stage(setting, camera_view, sun, scales, self.threads)
             # The samples of two cameras stay cached, for films that alternate between them.
-            self._kept = dict([*self._kept.items()][-1:])
-            self._kept[key] = _CameraCache(new_stage, FieldDyes(new_stage.middle))
+            self._cached_stages = dict([*self._cached_stages.items()][-1:])
+            self._cached_stages[key] = _CameraCache(new_stage, FieldColours(new_stage.centre_samples))
         else:
-            self._kept[key].stage.stays = True
-        return self._kept[key]
+            self._cached_stages[key].stage.is_reused = True
+        return self._cached_stages[key]
 
-    def _light(self, camera_cache: _CameraCache, cast: SceneActors, lighting: PictureLighting) -> Image:
+    def _compute_image(self, camera_cache: _CameraCache, actors: SceneActors, lighting: PictureLighting) -> Image:
         """Return the picture as sRGB bytes: one sample per pixel, then more samples at edges and moving bodies."""
         still = camera_cache.stage
-        first = sample_middles(still, lighting, camera_cache.dyes)
-        most = 2 * self.samples**2 * (2 if len(cast.rays) > 1 else 1) if self.samples > 1 else 1
-        light = refine(still, lighting, camera_cache.dyes, first, most)
+        first = sample_centres(still, lighting, camera_cache.field_colours)
+        most = 2 * self.samples**2 * (2 if len(actors.rays) > 1 else 1) if self.samples > 1 else 1
+        light = refine_pixels(still, lighting, camera_cache.field_colours, first, most)
         return encode_srgb(light.reshape(self.height, self.width, 3))
 
 
@@ -143,7 +148,7 @@ def render_frame(
     return Renderer(width, height, samples=samples, threads=threads).draw(picture, camera, show=show)
 
 
-def _grain(picture: Picture, extent: float) -> float:
+def _choose_grain(picture: Picture, extent: float) -> float:
     """Return the reference length of grain and shade, in world units, limited to values that suit the extent.
 
     It is the picture's own, else the body length of the first crowd. This length is rounded, so that growth does not invalidate

@@ -6,13 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.casting.picture_rays import PictureHits, PictureRays
-from antdsl.outputs.pictures import looks
-from antdsl.outputs.pictures.actors import SceneActors
+from antdsl.outputs.pictures import surface_materials
 from antdsl.outputs.pictures.camera import CameraView
-from antdsl.outputs.pictures.light import LAMP_LIGHT, SUN_LIGHT, SunLight, ambient, apply_haze, sky
-from antdsl.outputs.pictures.looks import PictureScales
-from antdsl.outputs.pictures.shading_rows import Floats, dots, interpolate_vertices, units
-from antdsl.outputs.pictures.stage import SurfaceSamples
+from antdsl.outputs.pictures.light import LAMP_LIGHT, SUN_LIGHT, SunLight, apply_haze, compute_ambient_light, compute_sky_light
+from antdsl.outputs.pictures.moving_bodies import SceneActors
+from antdsl.outputs.pictures.shading_rows import Floats, compute_dot_products, interpolate_vertices, normalise_rows
+from antdsl.outputs.pictures.static_stage import SurfaceSamples
+from antdsl.outputs.pictures.surface_materials import PictureScales
 
 Rows = NDArray[np.int64]
 
@@ -23,9 +23,9 @@ _RAY_OFFSET_EXTENTS = 2e-5  # extents that rays begin off a surface
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PictureLighting:
-    """The inputs for the light of a frame. `cast`: the moving bodies; `ground`: the static surfaces."""
+    """The inputs for the light of a frame. `actors`: the moving bodies; `ground`: the static surfaces."""
 
-    cast: SceneActors
+    actors: SceneActors
     ground: PictureRays
     sun: SunLight
     scales: PictureScales
@@ -33,99 +33,104 @@ class PictureLighting:
     threads: int
 
 
-def still_light(
-    lighting: PictureLighting, samples: SurfaceSamples, own: slice, albedo: Floats, visible: Floats, opened: Floats
+def compute_static_light(
+    lighting: PictureLighting, samples: SurfaceSamples, rows: slice, albedo: Floats, sun_share: Floats, open_share: Floats
 ) -> Floats:
-    """Return the light (n, 3) of the samples `own` of static surfaces.
+    """Return the light (n, 3) of the samples `rows` of static surfaces.
 
-    `visible` (n,): the share of the sun that reaches the samples; `opened` (n,): the share of the sky."""
+    `sun_share` (n,): the share of the sun that reaches the samples; `open_share` (n,): the share of the sky."""
     sun, extent = lighting.sun, lighting.scales.extent
-    far, direction = samples.far[own], samples.direction[own]
-    direct = samples.sun[own] * visible
-    light = ambient(samples.upness[own]) * opened[:, None] + direct[:, None] * SUN_LIGHT
-    light += lamp_light(samples.facing[own], direct, opened)
+    far, direction = samples.distance[rows], samples.direction[rows]
+    direct = samples.sun_cosine[rows] * sun_share
+    light = compute_ambient_light(samples.up_cosine[rows]) * open_share[:, None] + direct[:, None] * SUN_LIGHT
+    light += compute_lamp_light(samples.view_cosine[rows], direct, open_share)
     light *= albedo
-    light += samples.glow[own] * (0.25 + 0.75 * opened)[:, None]
+    light += samples.extra_light[rows] * (0.25 + 0.75 * open_share)[:, None]
     light = apply_haze(light, far, direction, sun, _HAZE_EXTENTS * extent)
-    table = np.flatnonzero(samples.kind[own] == looks.TABLE_KIND)
+    table = np.flatnonzero(samples.kind[rows] == surface_materials.TABLE_KIND)
     if len(table):  # lost in haze sooner, so that its end is never seen
         fade = 1 - np.exp(-np.square(far[table] / np.float32(_TABLE_FADE_EXTENTS * extent)))
         level = direction[table] - (direction[table] @ sun.up)[:, None] * sun.up
-        light[table] += (sky(level, sun) - light[table]) * fade[:, None]
+        light[table] += (compute_sky_light(level, sun) - light[table]) * fade[:, None]
     empty = np.flatnonzero(~np.isfinite(far))
-    light[empty] = sky(direction[empty], sun)
+    light[empty] = compute_sky_light(direction[empty], sun)
     return light
 
 
-def lamp_light(facing: Floats, direct: Floats, opened: Floats) -> Floats:
+def compute_lamp_light(facing: Floats, direct: Floats, open_share: Floats) -> Floats:
     """Return the light (n, 3) of a lamp next to the camera, at points without light from the sun or the sky.
 
     It makes tunnels and chambers visible."""
-    dark = np.clip(1.15 - 1.5 * opened, 0, 1) * np.clip(1 - 3 * direct, 0, 1)
+    dark = np.clip(1.15 - 1.5 * open_share, 0, 1) * np.clip(1 - 3 * direct, 0, 1)
     return np.asarray(LAMP_LIGHT * (dark * (0.25 + 0.75 * np.clip(facing, 0, 1)))[:, None])
 
 
-def sun_visibility(lighting: PictureLighting, samples: SurfaceSamples, time_index: int, spot: Floats) -> Floats:
+def compute_sun_visibility(lighting: PictureLighting, samples: SurfaceSamples, time_index: int, sun_point: Floats) -> Floats:
     """Return 1 for each sample (n,) that sunlight reaches, and 0 where a moving body hides the sun.
 
-    `spot`: the point of the sun's disc; `time_index`: the shutter time."""
+    `sun_point`: the point of the sun's disc; `time_index`: the shutter time."""
     visible = np.ones(len(samples), np.float32)
-    if lighting.cast.size > 0:
-        lit = np.flatnonzero(samples.sun > 0)
+    if lighting.actors.contact_reach > 0:
+        lit = np.flatnonzero(samples.sun_cosine > 0)
         start = samples.point[lit] + samples.normal[lit] * np.float32(_RAY_OFFSET_EXTENTS * lighting.scales.extent)
-        aim = np.broadcast_to(spot, start.shape)
-        cast = lighting.cast.rays[time_index]
-        visible[lit[cast.occluded(start, aim, lighting.cast.tall, lighting.threads)]] = 0
+        aim = np.broadcast_to(sun_point, start.shape)
+        cast = lighting.actors.rays[time_index]
+        visible[lit[cast.find_occluded(start, aim, lighting.actors.shadow_reach, lighting.threads)]] = 0
     return visible
 
 
-def moving_light(
-    lighting: PictureLighting, hits: PictureHits, start: Floats, direction: Floats, time_index: int, spot: Floats
+def compute_moving_light(
+    lighting: PictureLighting, hits: PictureHits, start: Floats, direction: Floats, time_index: int, sun_point: Floats
 ) -> Floats:
     """Return the light (n, 3) along rays from `start` in `direction` (n, 3) that hit a moving body, at one shutter time.
 
     Materials are: a matt body with a coat that reflects sky, ground and sun; metal, which reflects more; or a light source."""
-    mesh, sun = lighting.cast.mesh, lighting.sun
+    mesh, sun = lighting.actors.mesh, lighting.sun
     corners = mesh.faces[hits.face]
-    normal = units(interpolate_vertices(mesh.normal, corners, hits.u, hits.v))
-    normal *= np.where(dots(normal, hits.normal) < 0, np.float32(-1), np.float32(1))[:, None]
+    normal = normalise_rows(interpolate_vertices(mesh.normal, corners, hits.u, hits.v))
+    normal *= np.where(compute_dot_products(normal, hits.normal) < 0, np.float32(-1), np.float32(1))[:, None]
     colour = interpolate_vertices(mesh.colour, corners, hits.u, hits.v)
     gloss = mesh.gloss[corners[:, 0]]
     where: Floats = start + hits.t[:, None] * direction
     where += hits.normal * np.float32(_RAY_OFFSET_EXTENTS * lighting.scales.extent)
     soil = np.flatnonzero(gloss == 0)
     if len(soil):
-        wide = np.asarray(lighting.view.pixel_size(hits.t[soil]), np.float32) * np.float32(0.6)
-        look = looks.soil_look(colour[soil], normal[soil], where[soil], wide, lighting.scales)
+        wide = np.asarray(lighting.view.compute_pixel_size(hits.t[soil]), np.float32) * np.float32(0.6)
+        look = surface_materials.make_soil_material(colour[soil], normal[soil], where[soil], wide, lighting.scales)
         colour[soil], normal[soil] = look.albedo, look.normal
-    facing = np.clip(normal @ sun.towards, 0, 1)
-    facing *= np.clip((hits.normal @ sun.towards) * 6 + 0.6, 0, 1)
-    _apply_shadow(lighting, facing, where, time_index, spot)
+    facing = np.clip(normal @ sun.direction, 0, 1)
+    facing *= np.clip((hits.normal @ sun.direction) * 6 + 0.6, 0, 1)
+    _apply_shadow(lighting, facing, where, time_index, sun_point)
     upness = normal @ sun.up
-    half = units(spot - direction)
+    half = normalise_rows(sun_point - direction)
     shine = (
-        gloss * (0.5 * np.clip(dots(normal, half), 0, 1) ** 60 + 0.12 * np.clip(dots(normal, half), 0, 1) ** 12) * (facing > 0)
+        gloss
+        * (
+            0.5 * np.clip(compute_dot_products(normal, half), 0, 1) ** 60
+            + 0.12 * np.clip(compute_dot_products(normal, half), 0, 1) ** 12
+        )
+        * (facing > 0)
     )
     # Undersides see mostly the near ground, which the body keeps dark.
     near = 0.42 + 0.58 * np.clip(0.55 + 0.75 * upness, 0, 1)
     metal = gloss > 1
-    light: Floats = colour * (facing[:, None] * SUN_LIGHT + ambient(upness) * near[:, None])
-    coat = looks.schlick(normal, direction, 0.04) * gloss
-    coat[metal] = looks.schlick(normal[metal], direction[metal], 0.8)
-    tint = np.where(metal[:, None], looks.STEEL_COLOUR, np.float32(1))
+    light: Floats = colour * (facing[:, None] * SUN_LIGHT + compute_ambient_light(upness) * near[:, None])
+    coat = surface_materials.compute_reflected_share(normal, direction, 0.04) * gloss
+    coat[metal] = surface_materials.compute_reflected_share(normal[metal], direction[metal], 0.8)
+    tint = np.where(metal[:, None], surface_materials.STEEL_COLOUR, np.float32(1))
     light *= np.where(metal, np.float32(0.3), np.float32(1))[:, None]
-    light += looks.reflected_light(normal, direction, sun) * (coat * near)[:, None] * tint
+    light += surface_materials.compute_reflection(normal, direction, sun) * (coat * near)[:, None] * tint
     light += shine[:, None] * SUN_LIGHT
-    light[gloss < 0] = looks.LIGHT_COLOUR * looks.LIGHT_BRIGHTNESS
+    light[gloss < 0] = surface_materials.LIGHT_COLOUR * surface_materials.LIGHT_BRIGHTNESS
     return apply_haze(light, hits.t, direction, sun, _HAZE_EXTENTS * lighting.scales.extent)
 
 
-def _apply_shadow(lighting: PictureLighting, facing: Floats, where: Floats, time_index: int, spot: Floats) -> None:
+def _apply_shadow(lighting: PictureLighting, facing: Floats, points: Floats, time_index: int, sun_point: Floats) -> None:
     """Set the sunlight `facing` to 0 at points (n, 3) that a body or surface hides from the sun."""
-    cast, threads = lighting.cast, lighting.threads
+    cast, threads = lighting.actors, lighting.threads
     lit = np.flatnonzero(facing > 0)
-    aim = np.broadcast_to(spot, (len(lit), 3))
-    hidden = cast.rays[time_index].occluded(where[lit], aim, cast.tall, threads)
+    aim = np.broadcast_to(sun_point, (len(lit), 3))
+    hidden = cast.rays[time_index].find_occluded(points[lit], aim, cast.shadow_reach, threads)
     open_to = np.flatnonzero(~hidden)
-    hidden[open_to] = lighting.ground.occluded(where[lit[open_to]], aim[open_to], threads=threads)
+    hidden[open_to] = lighting.ground.find_occluded(points[lit[open_to]], aim[open_to], threads=threads)
     facing[lit[hidden]] = 0

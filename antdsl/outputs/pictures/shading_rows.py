@@ -14,15 +14,15 @@ SAMPLES_PER_CHUNK = 1 << 16  # samples worked on at once
 Floats = NDArray[Any]
 
 
-def dots(a: Floats, b: Floats) -> Floats:
+def compute_dot_products(a: Floats, b: Floats) -> Floats:
     """Return the dot products (n,) of rows (n, 3). This is several times faster than a sum over the short axis."""
     result: Floats = np.einsum("nc,nc->n", a, b)
     return result
 
 
-def units(a: Floats) -> Floats:
+def normalise_rows(a: Floats) -> Floats:
     """Return rows (n, 3) scaled to unit length; a zero row stays zero."""
-    return a * (1 / np.maximum(np.sqrt(dots(a, a)), np.float32(1e-12)))[:, None]
+    return a * (1 / np.maximum(np.sqrt(compute_dot_products(a, a)), np.float32(1e-12)))[:, None]
 
 
 def interpolate_vertices(table: Floats, corners: NDArray[np.int32], u: Floats, v: Floats) -> Floats:
@@ -37,12 +37,12 @@ def interpolate_vertices(table: Floats, corners: NDArray[np.int32], u: Floats, v
     return total
 
 
-def pieces(count: int) -> list[slice]:
+def split_rows(count: int) -> list[slice]:
     """Return slices that cut `count` rows into pieces."""
     return [slice(start, min(start + SAMPLES_PER_CHUNK, count)) for start in range(0, count, SAMPLES_PER_CHUNK)]
 
 
-def each(work: Callable[[Any], None], parts: Iterable[Any], threads: int) -> None:
+def run_each(work: Callable[[Any], None], parts: Iterable[Any], threads: int) -> None:
     """Call `work` for every part, on several threads. Each part must write to separate positions."""
     if threads == 1:
         for part in parts:

@@ -1,7 +1,7 @@
 """A cache as a USD stage, in the scene's units and axes.
 
-`moments`: agents by id at any time, also between frames, with velocities that lead to the next frame.
-`instancers`: a species as a point instancer, with a bank of poses (`bank`) as prototypes.
+`time_samples`: agents by id at any time, also between frames, with velocities that lead to the next frame.
+`instancers`: a species as a point instancer, with a bank of poses (`pose_bank`) as prototypes.
 `skeletons`: a species as one instance of a UsdSkel definition (`definitions`) per agent.
 `xforms`: a species as keyframes of one object per agent.
 `world`: meshes, items, fields and the camera; `materials`: their materials.

@@ -11,11 +11,20 @@ from typing import Any
 
 import numpy as np
 
-from antdsl.bodies.agents.blend_shapes import attribute_difference, knots_of, match_points, values_of
+from antdsl.bodies.agents.blend_shapes import compute_attribute_offsets, find_blend_knots, get_point_attribute, match_points
 from antdsl.bodies.agents.definition import Binding, Definition, Shape
 from antdsl.bodies.posed_body import PosedBody
-from antdsl.outputs.usd.materials import DrawnBody, MaterialBinder
-from antdsl.outputs.usd.values import Array, identifier, integers, make_unique, matrices, matrix, mesh, vectors
+from antdsl.outputs.usd.materials import MaterialBinder, MaterialBodyMesh
+from antdsl.outputs.usd.values import (
+    Array,
+    add_mesh,
+    make_unique,
+    to_identifier,
+    to_integer_array,
+    to_usd_matrices,
+    to_usd_matrix,
+    to_vector_array,
+)
 from antdsl.scene.geometry.usd import pxr
 
 _SAME_POSE_TOLERANCE = 1e-5  # body lengths by which bind poses may differ and be one
@@ -28,14 +37,14 @@ class SkelDefinition:
     `path`: the prim that agents are instances of.
     `joints`: paths of the joints, in the rig's order.
     `channels`: the channels that weight blend shapes.
-    `tinted`: meshes below `path` in the colour of the agent.
+    `tinted_meshes`: meshes below `path` in the colour of the agent.
     `notes`: messages about features that UsdSkel cannot represent.
     `number`: the index of the body among those of its species, from 1."""
 
     path: str
     joints: tuple[str, ...]
     channels: tuple[str, ...]
-    tinted: list[str] = field(default_factory=list)
+    tinted_meshes: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     number: int = 1
 
@@ -45,37 +54,39 @@ def write_definition(stage: Any, path: str, body: PosedBody, looks: MaterialBind
 
     `looks`: the body's materials. A body with a close-up form has a variant set `detail` with the variants `crowd` and `close`.
     `close`: selects the variant `close`."""
-    skel, definition = pxr("UsdSkel"), body.shaded
+    skel, definition = pxr("UsdSkel"), body.drawn_definition
     root = skel.Root.Define(stage, path)
-    joints = joint_paths(definition)
+    joints = make_joint_paths(definition)
     details = {"crowd": body} | ({"close": body.fine} if body.fine is not body else {})
-    drawn = {name: [b for b in each.bindings if len(each.shaded.shapes[b.shape].faces)] for name, each in details.items()}
+    drawn = {
+        name: [b for b in each.bindings if len(each.drawn_definition.shapes[b.shape].faces)] for name, each in details.items()
+    }
     channels = dict.fromkeys(
         channel
         for name, each in details.items()
         for binding in drawn[name]
-        if "blendshape" in binding.deformer and (blend := each.shaded.shapes[binding.shape].blend)
+        if "blendshape" in binding.deformer and (blend := each.drawn_definition.shapes[binding.shape].blend)
         for channel in blend.channels
     )
     skel_definition = SkelDefinition(path, joints, tuple(channels))
     rig = pxr("UsdGeom").Xform.Define(stage, f"{path}/rig")
-    rig.AddTransformOp().Set(matrix(definition.base_matrix()))
+    rig.AddTransformOp().Set(to_usd_matrix(definition.compute_base_matrix()))
     skeletons = _SkeletonTable(stage, f"{path}/rig", definition, joints)
     for name, each in details.items():
         pxr("UsdGeom").Xform.Define(stage, f"{path}/rig/{name}")
         names: set[str] = set()
         for binding in drawn[name]:
-            shape = make_unique(identifier(binding.shape), names)
-            _write_shape(stage, f"{path}/rig/{name}/{shape}", each.shaded, binding, skeletons, looks, skel_definition)
-    root.CreateExtentAttr(vectors(DrawnBody(body).extent()))
+            shape = make_unique(to_identifier(binding.shape), names)
+            _write_shape(stage, f"{path}/rig/{name}/{shape}", each.drawn_definition, binding, skeletons, looks, skel_definition)
+    root.CreateExtentAttr(to_vector_array(MaterialBodyMesh(body).compute_extent()))
     if len(details) > 1:
         chosen = "close" if close else "crowd"
         _add_variants(root.GetPrim(), list(details), chosen)
-        skel_definition.tinted = [below for below in skel_definition.tinted if below.startswith(f"rig/{chosen}/")]
+        skel_definition.tinted_meshes = [below for below in skel_definition.tinted_meshes if below.startswith(f"rig/{chosen}/")]
     return skel_definition
 
 
-def _add_variants(prim: Any, names: list[str], chosen: str) -> None:
+def _add_variants(prim: Any, names: list[str], selected: str) -> None:
     """Add a variant set `detail`. Each variant hides the others."""
     variants = prim.GetVariantSets().AddVariantSet("detail")
     for name in names:
@@ -85,20 +96,20 @@ def _add_variants(prim: Any, names: list[str], chosen: str) -> None:
             for other in names:
                 if other != name:
                     prim.GetStage().OverridePrim(f"{prim.GetPath()}/rig/{other}").SetActive(False)
-    variants.SetVariantSelection(chosen)
+    variants.SetVariantSelection(selected)
 
 
-def joint_paths(definition: Definition) -> tuple[str, ...]:
+def make_joint_paths(definition: Definition) -> tuple[str, ...]:
     """Return the joints of a rig as paths from its roots, with names valid in USD. Equal names get numbers."""
     paths: list[str] = []
     taken: set[str] = set()
     for name, parent in zip(definition.rig.names, definition.rig.parents.tolist(), strict=True):
         above = f"{paths[parent]}/" if parent >= 0 else ""
-        paths.append(make_unique(above + identifier(name), taken))
+        paths.append(make_unique(above + to_identifier(name), taken))
     return tuple(paths)
 
 
-def rest_world(definition: Definition) -> Array:
+def compute_rest_matrices(definition: Definition) -> Array:
     """Return the world matrices float64[J, 4, 4] of the joints in the rest pose."""
     world = np.array(definition.rig.rest, np.float64)
     for joint, parent in enumerate(definition.rig.parents.tolist()):
@@ -112,7 +123,7 @@ class _SkeletonTable:
 
     def __init__(self, stage: Any, path: str, definition: Definition, joints: tuple[str, ...]) -> None:
         self._stage, self._path, self._definition, self._joints = stage, path, definition, joints
-        self._rest, self._made = rest_world(definition), list[tuple[str, Array, Array, Any]]()
+        self._rest_matrices, self._skeletons = compute_rest_matrices(definition), list[tuple[str, Array, Array, Any]]()
 
     def find_or_add(self, shape: Shape) -> str:
         """Return the path of a skeleton with the bind pose of a shape.
@@ -122,26 +133,26 @@ class _SkeletonTable:
         capture = shape.capture
         numbers = [self._definition.rig.joint(name) for name in capture.names] if capture else []
         target = np.linalg.inv(capture.inverse) if capture else np.zeros((0, 4, 4))
-        for path, bind, known, attribute in self._made:
+        for path, bind, known, attribute in self._skeletons:
             deviation = np.abs(bind[numbers] - target)[known[numbers]]
             if deviation.max(initial=0.0) <= _SAME_POSE_TOLERANCE * self._definition.length:
                 bind[numbers], known[numbers] = target, True
-                attribute.Set(matrices(bind))
+                attribute.Set(to_usd_matrices(bind))
                 return path
-        bind, known = self._rest.copy(), np.zeros(len(self._joints), np.bool_)
+        bind, known = self._rest_matrices.copy(), np.zeros(len(self._joints), np.bool_)
         bind[numbers], known[numbers] = target, True
-        number = len(self._made) + 1
+        number = len(self._skeletons) + 1
         path = f"{self._path}/skeleton" + (f"_{number}" if number > 1 else "")
         skeleton = pxr("UsdSkel").Skeleton.Define(self._stage, path)
         skeleton.CreateJointsAttr(pxr("Vt").TokenArray(list(self._joints)))
-        skeleton.CreateRestTransformsAttr(matrices(np.asarray(self._definition.rig.rest)))
-        self._made.append((path, bind, known, skeleton.CreateBindTransformsAttr(matrices(bind))))
+        skeleton.CreateRestTransformsAttr(to_usd_matrices(np.asarray(self._definition.rig.rest)))
+        self._skeletons.append((path, bind, known, skeleton.CreateBindTransformsAttr(to_usd_matrices(bind))))
         pxr("UsdSkel").BindingAPI.Apply(skeleton.GetPrim())
         return path
 
-    def bind_of(self, path: str, joint: int) -> Array:
+    def find_bind_pose(self, path: str, joint: int) -> Array:
         """Return the bind pose of a joint. It does not change afterwards."""
-        _, bind, known, _ = next(each for each in self._made if each[0] == path)
+        _, bind, known, _ = next(each for each in self._skeletons if each[0] == path)
         known[joint] = True
         pose: Array = bind[joint]
         return pose
@@ -157,14 +168,14 @@ def _write_shape(
     skel_definition: SkelDefinition,
 ) -> None:
     shape = definition.shapes[binding.shape]
-    drawn = mesh(stage, path, shape.points, shape.faces, shape.normals, shape.uvs)
+    drawn = add_mesh(stage, path, shape.points, shape.faces, shape.normals, shape.uvs)
     material = np.zeros(len(shape.faces), np.int64) if shape.material is None else shape.material
     if looks.bind_faces(drawn, shape.materials or ("",), material):
-        skel_definition.tinted.append(path.removeprefix(f"{skel_definition.path}/"))
+        skel_definition.tinted_meshes.append(path.removeprefix(f"{skel_definition.path}/"))
     api = pxr("UsdSkel").BindingAPI.Apply(drawn.GetPrim())
     steps = binding.deformer.split("+") if binding.deformer else []
     skinned = [step for step in steps if step.endswith("skinning")]
-    _note_differences(skel_definition, binding, shape, steps)
+    _add_difference_notes(skel_definition, binding, shape, steps)
     skeleton = skeletons.find_or_add(shape if skinned else Shape(shape.name, shape.points, shape.faces))
     api.CreateSkeletonRel().SetTargets([skeleton])
     if skinned and shape.capture is not None:
@@ -173,14 +184,16 @@ def _write_shape(
         api.CreateGeomBindTransformAttr(pxr("Gf").Matrix4d(1))
     else:
         joint = definition.rig.joint(binding.transform) if binding.transform else 0
-        api.CreateJointIndicesPrimvar(True, 1).Set(integers(np.array([joint])))
+        api.CreateJointIndicesPrimvar(True, 1).Set(to_integer_array(np.array([joint])))
         api.CreateJointWeightsPrimvar(True, 1).Set(pxr("Vt").FloatArray([1.0]))
-        api.CreateGeomBindTransformAttr(matrix(skeletons.bind_of(skeleton, joint) if binding.transform else np.eye(4)))
+        api.CreateGeomBindTransformAttr(
+            to_usd_matrix(skeletons.find_bind_pose(skeleton, joint) if binding.transform else np.eye(4))
+        )
     if "blendshape" in steps and shape.blend is not None:
-        _write_blends(stage, path, api, definition, shape)
+        _write_blend_shapes(stage, path, api, definition, shape)
 
 
-def _note_differences(skel_definition: SkelDefinition, binding: Binding, shape: Shape, steps: list[str]) -> None:
+def _add_difference_notes(skel_definition: SkelDefinition, binding: Binding, shape: Shape, steps: list[str]) -> None:
     """Add notes on the differences between a binding and its form in UsdSkel."""
     if "dualquatblendskinning" in steps:
         skel_definition.notes.append(
@@ -201,41 +214,47 @@ def _write_capture(api: Any, definition: Definition, shape: Shape) -> None:
     assert capture is not None
     numbers = np.array([definition.rig.joint(name) for name in capture.names], np.int32)
     used = int(np.flatnonzero((capture.weights != 0).any(axis=0)).max(initial=0)) + 1
-    api.CreateJointIndicesPrimvar(False, used).Set(integers(numbers[capture.joints[:, :used]].ravel()))
+    api.CreateJointIndicesPrimvar(False, used).Set(to_integer_array(numbers[capture.joints[:, :used]].ravel()))
     weights = np.ascontiguousarray(capture.weights[:, :used], np.float32).ravel()
     api.CreateJointWeightsPrimvar(False, used).Set(pxr("Vt").FloatArray.FromNumpy(weights))
 
 
-def _write_blends(stage: Any, path: str, api: Any, definition: Definition, shape: Shape) -> None:
+def _write_blend_shapes(stage: Any, path: str, api: Any, definition: Definition, shape: Shape) -> None:
     """Write the inputs of a blend shape, each as a BlendShape weighted by the channel of the same name."""
     blend, skel = shape.blend, pxr("UsdSkel")
     assert blend is not None
     targets: list[Any] = []
     taken = {"st"}
     for name in blend.shapes:
-        each = f"{path}/{make_unique(identifier(name), taken)}"
+        each = f"{path}/{make_unique(to_identifier(name), taken)}"
         blend_shape = skel.BlendShape.Define(stage, each)
-        shapes, weights = knots_of(definition, name)
+        shapes, weights = find_blend_knots(definition, name)
         for target, weight in zip(shapes, weights.tolist(), strict=True):
-            into = blend_shape if weight == 1.0 else blend_shape.CreateInbetween(identifier(target.name))
+            into = blend_shape if weight == 1.0 else blend_shape.CreateInbetween(to_identifier(target.name))
             rows, other = match_points(shape, target, blend.point_id)
-            offsets = _offsets(shape, target, "P", rows, other, blend.attributes)
-            normals = _offsets(shape, target, "N", rows, other, blend.attributes)
+            offsets = _compute_blend_offsets(shape, target, "P", rows, other, blend.attributes)
+            normals = _compute_blend_offsets(shape, target, "N", rows, other, blend.attributes)
             if weight == 1.0:
-                blend_shape.CreateOffsetsAttr(vectors(offsets))
-                blend_shape.CreateNormalOffsetsAttr(vectors(normals))
+                blend_shape.CreateOffsetsAttr(to_vector_array(offsets))
+                blend_shape.CreateNormalOffsetsAttr(to_vector_array(normals))
             else:
                 into.SetWeight(weight)
-                into.SetOffsets(vectors(offsets))
-                into.CreateNormalOffsetsAttr(vectors(normals))
+                into.SetOffsets(to_vector_array(offsets))
+                into.CreateNormalOffsetsAttr(to_vector_array(normals))
         targets.append(blend_shape.GetPath())
-    api.CreateBlendShapesAttr(pxr("Vt").TokenArray([identifier(channel) for channel in blend.channels]))
+    api.CreateBlendShapesAttr(pxr("Vt").TokenArray([to_identifier(channel) for channel in blend.channels]))
     api.CreateBlendShapeTargetsRel().SetTargets(targets)
 
 
-def _offsets(base: Shape, target: Shape, name: str, rows: Array, other: Array, blended: tuple[str, ...]) -> Array:
+def _compute_blend_offsets(
+    base: Shape, target: Shape, name: str, rows: Array, other: Array, blended_attributes: tuple[str, ...]
+) -> Array:
     """Return the differences float32[P, 3] of an attribute (`name`) between the points of `base` and those of `target`."""
     offsets = np.zeros((len(base.points), 3), np.float32)
-    if name in blended and values_of(base, name) is not None and values_of(target, name) is not None:
-        offsets[rows] = attribute_difference(base, target, name, rows, other).T
+    if (
+        name in blended_attributes
+        and get_point_attribute(base, name) is not None
+        and get_point_attribute(target, name) is not None
+    ):
+        offsets[rows] = compute_attribute_offsets(base, target, name, rows, other).T
     return offsets

@@ -15,9 +15,17 @@ from numpy.typing import NDArray
 from antdsl.numerics.records import match_ids
 from antdsl.outputs.cache.manifest import SpeciesEntry
 from antdsl.outputs.pictures.light import decode_srgb
-from antdsl.outputs.usd.bank import PrototypeBank
-from antdsl.outputs.usd.moments import SpeciesSample, TimeSample
-from antdsl.outputs.usd.values import ROOT_PATH, StageOutput, ValueSamples, identifier, integers, name_states, vectors
+from antdsl.outputs.usd.pose_bank import PrototypeBank
+from antdsl.outputs.usd.time_samples import SpeciesSample, TimeSample
+from antdsl.outputs.usd.values import (
+    ROOT_PATH,
+    StageOutput,
+    ValueSamples,
+    to_identifier,
+    to_integer_array,
+    to_vector_array,
+    write_state_names,
+)
 from antdsl.scene.geometry.usd import pxr
 
 
@@ -29,101 +37,101 @@ class InstancerWriter:
     def __init__(self, out: StageOutput, species: SpeciesEntry, number: int, close: bool = False) -> None:
         self._out, self._number, stage = out, number, out.stage
         path = f"{ROOT_PATH}/{out.name('species', species.name)}"
-        self.made = pxr("UsdGeom").PointInstancer.Define(stage, path)
+        self.instancer = pxr("UsdGeom").PointInstancer.Define(stage, path)
         pxr("UsdGeom").Scope.Define(stage, f"{path}/prototypes")
-        name_states(self.made.GetPrim(), species)
+        write_state_names(self.instancer.GetPrim(), species)
         self._bank = PrototypeBank(out, species, close)
-        self._targets = 0
+        self._prototype_count = 0
         self._samples: dict[str, ValueSamples] = {}
-        self._signs = (np.zeros(0, np.int64), np.zeros((0, 4)))
-        self._api = pxr("UsdGeom").PrimvarsAPI(self.made)
-        self._names = [state.name for state in species.machines[0].states] if species.machines else []
+        self._previous_quaternions = (np.zeros(0, np.int64), np.zeros((0, 4)))
+        self._primvars_api = pxr("UsdGeom").PrimvarsAPI(self.instancer)
+        self._state_names = [state.name for state in species.machines[0].states] if species.machines else []
         vt = pxr("Vt")
-        self._kinds: dict[str, tuple[Callable[[Any], Any], Any]] = {
+        self._conversion_by_attribute: dict[str, tuple[Callable[[Any], Any], Any]] = {
             "orientations": (vt.QuathArray.FromNumpy, np.float16),
             "orientationsf": (vt.QuatfArray.FromNumpy, np.float32),
             "ids": (vt.Int64Array.FromNumpy, np.int64),
             "invisibleIds": (vt.Int64Array.FromNumpy, np.int64),
-            "protoIndices": (integers, np.int32),
+            "protoIndices": (to_integer_array, np.int32),
         }
 
     def sample(self, time_sample: TimeSample) -> None:
         """Write the agents at a time, by their ids."""
         agents, time = time_sample.agents(self._number), time_sample.time
-        prototypes = self._prototypes(agents, time_sample.shutter_agents[self._number])
-        self._set(time, "positions", agents.position)
+        prototypes = self._choose_prototypes(agents, time_sample.shutter_agents[self._number])
+        self._write_attribute(time, "positions", agents.position)
         turn = self._align_signs(agents)
         # USD's arrays of quaternions lie in memory with the real part last, as ours do
-        self._set(time, "orientations", turn)
-        self._set(time, "orientationsf", turn)
-        self._set(time, "velocities", agents.velocity)
-        self._set(time, "angularVelocities", agents.turning)
-        self._set(time, "scales", np.repeat(agents.scale[:, None], 3, axis=1))
-        self._set(time, "ids", agents.ids)
-        self._set(time, "invisibleIds", agents.ids[~agents.is_visible])
-        self._set(time, "protoIndices", prototypes)
-        self._set(time, "extent", self._extent(agents))
-        self._primvar(time, "displayColor", decode_srgb(agents.colour))
-        if agents.state is not None and self._names:
-            self._primvar(time, "state", np.clip(agents.state, 0, len(self._names) - 1))
+        self._write_attribute(time, "orientations", turn)
+        self._write_attribute(time, "orientationsf", turn)
+        self._write_attribute(time, "velocities", agents.velocity)
+        self._write_attribute(time, "angularVelocities", agents.angular_velocity)
+        self._write_attribute(time, "scales", np.repeat(agents.scale[:, None], 3, axis=1))
+        self._write_attribute(time, "ids", agents.ids)
+        self._write_attribute(time, "invisibleIds", agents.ids[~agents.is_visible])
+        self._write_attribute(time, "protoIndices", prototypes)
+        self._write_attribute(time, "extent", self._compute_extent(agents))
+        self._write_primvar(time, "displayColor", decode_srgb(agents.colour))
+        if agents.state is not None and self._state_names:
+            self._write_primvar(time, "state", np.clip(agents.state, 0, len(self._state_names) - 1))
         for name, values in agents.numbers.items():
-            self._primvar(time, name, values)
-        if len(self._bank.paths) > self._targets:
-            self.made.CreatePrototypesRel().SetTargets(self._bank.paths)
-            self._targets = len(self._bank.paths)
+            self._write_primvar(time, name, values)
+        if len(self._bank.paths) > self._prototype_count:
+            self.instancer.CreatePrototypesRel().SetTargets(self._bank.paths)
+            self._prototype_count = len(self._bank.paths)
 
-    def _prototypes(self, agents: SpeciesSample, shutter_agents: SpeciesSample) -> NDArray[np.int32]:
+    def _choose_prototypes(self, agents: SpeciesSample, shutter_agents: SpeciesSample) -> NDArray[np.int32]:
         """Return the prototype of each agent. It does not change while the shutter is open, since motion blur needs one
         mesh."""
-        prototypes = self._bank.prototype_numbers(agents)
+        prototypes = self._bank.find_prototypes(agents)
         if agents.ids is not shutter_agents.ids:
             at, is_matched = match_ids(agents.ids, shutter_agents.ids)
-            prototypes[is_matched] = self._bank.prototype_numbers(shutter_agents)[at[is_matched]]
+            prototypes[is_matched] = self._bank.find_prototypes(shutter_agents)[at[is_matched]]
         return prototypes
 
     def _align_signs(self, agents: SpeciesSample) -> NDArray[np.float64]:
         """Return orientations as quaternions, with the signs of the previous sample."""
         turn = agents.orient.copy()
-        at, is_matched = match_ids(agents.ids, self._signs[0])
+        at, is_matched = match_ids(agents.ids, self._previous_quaternions[0])
         if is_matched.any():
-            products = (turn[is_matched] * self._signs[1][at[is_matched]]).sum(axis=1)
+            products = (turn[is_matched] * self._previous_quaternions[1][at[is_matched]]).sum(axis=1)
             turn[is_matched] *= np.where(products < 0, -1.0, 1.0)[:, None]
-        self._signs = (agents.ids, turn)
+        self._previous_quaternions = (agents.ids, turn)
         return turn
 
-    def _extent(self, agents: SpeciesSample) -> NDArray[np.float64]:
+    def _compute_extent(self, agents: SpeciesSample) -> NDArray[np.float64]:
         place, size = agents.position[agents.is_visible], agents.scale[agents.is_visible]
         if not len(place):
             return np.zeros((2, 3))
-        reach = self._bank.reach * size[:, None]
+        reach = self._bank.max_reach * size[:, None]
         return np.stack([(place - reach).min(axis=0), (place + reach).max(axis=0)])
 
-    def _set(self, time: float, name: str, values: Any) -> None:
+    def _write_attribute(self, time: float, name: str, values: Any) -> None:
         if name not in self._samples:
-            convert, kind = self._kinds.get(name, (vectors, np.float32))
-            attribute = getattr(self.made, f"Create{name[0].upper()}{name[1:]}Attr")()
+            convert, kind = self._conversion_by_attribute.get(name, (to_vector_array, np.float32))
+            attribute = getattr(self.instancer, f"Create{name[0].upper()}{name[1:]}Attr")()
             always = name in ("positions", "orientations", "orientationsf", "velocities", "angularVelocities")
-            self._samples[name] = self._out.samples(attribute, convert, kind, always=always)
+            self._samples[name] = self._out.add_samples(attribute, convert, kind, always=always)
         self._samples[name].set(time, values)
 
-    def _primvar(self, time: float, name: str, values: Any) -> None:
+    def _write_primvar(self, time: float, name: str, values: Any) -> None:
         """Write one value per agent as a primvar. States are written as indices of their names."""
         if name not in self._samples:
             types, vt = pxr("Sdf").ValueTypeNames, pxr("Vt")
             is_integer = np.asarray(values).dtype.kind in "iu"
             if name == "state":
-                primvar = self._api.CreatePrimvar("state", types.TokenArray, "vertex")
-                primvar.Set(vt.TokenArray(self._names))
-                self._samples[name] = self._out.samples(primvar.CreateIndicesAttr(), integers, np.int32)
+                primvar = self._primvars_api.CreatePrimvar("state", types.TokenArray, "vertex")
+                primvar.Set(vt.TokenArray(self._state_names))
+                self._samples[name] = self._out.add_samples(primvar.CreateIndicesAttr(), to_integer_array, np.int32)
             elif name == "displayColor":
-                self._samples[name] = self._out.samples(
-                    self._api.CreatePrimvar(name, types.Color3fArray, "vertex"), vectors, np.float32
+                self._samples[name] = self._out.add_samples(
+                    self._primvars_api.CreatePrimvar(name, types.Color3fArray, "vertex"), to_vector_array, np.float32
                 )
             elif is_integer:
-                self._samples[name] = self._out.samples(
-                    self._api.CreatePrimvar(identifier(name), types.IntArray, "vertex"), integers, np.int32
+                self._samples[name] = self._out.add_samples(
+                    self._primvars_api.CreatePrimvar(to_identifier(name), types.IntArray, "vertex"), to_integer_array, np.int32
                 )
             else:
-                primvar = self._api.CreatePrimvar(identifier(name), types.FloatArray, "vertex")
-                self._samples[name] = self._out.samples(primvar, vt.FloatArray.FromNumpy, np.float32)
+                primvar = self._primvars_api.CreatePrimvar(to_identifier(name), types.FloatArray, "vertex")
+                self._samples[name] = self._out.add_samples(primvar, vt.FloatArray.FromNumpy, np.float32)
         self._samples[name].set(time, values)

@@ -1,6 +1,6 @@
 """Materials as UsdPreviewSurface. Each has one colour, or takes the colour of the prim that it is bound to.
 
-`DrawnBody` is the mesh of a posed body with its materials by triangle, normals and texture coordinates."""
+`MaterialBodyMesh` is the mesh of a posed body with its materials by triangle, normals and texture coordinates."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from antdsl.bodies.agents.definition import STATE_MATERIAL
 from antdsl.bodies.agents.machine_clips import MachineClips
 from antdsl.bodies.posed_body import PosedBody
-from antdsl.outputs.usd.values import Array, identifier, integers
+from antdsl.outputs.usd.values import Array, to_identifier, to_integer_array
 from antdsl.scene.geometry.usd import pxr
 
 Floats = NDArray[np.float32]
@@ -27,20 +27,20 @@ class MaterialBinder:
     """The materials below one prim. Each is created at its first use."""
 
     def __init__(self, stage: Any, path: str, colours: Mapping[str, tuple[float, float, float]]) -> None:
-        self._stage, self._path, self._colours = stage, path, colours
+        self._stage, self._path, self._colour_by_material = stage, path, colours
         for scope in (path.rpartition("/")[0], path):
             pxr("UsdGeom").Scope.Define(stage, scope)
-        self._made: dict[str, Any] = {}
+        self._materials: dict[str, Any] = {}
 
-    def bind(self, prim: Any, name: str) -> bool:
+    def bind_material(self, prim: Any, name: str) -> bool:
         """Bind the material `name` to a prim. Return whether it takes the primvar displayColor, as materials without a colour
         do."""
-        own = name in self._colours and name != STATE_MATERIAL
+        own = name in self._colour_by_material and name != STATE_MATERIAL
         known = name if own else STATE_MATERIAL
-        if known not in self._made:
-            colour = self._colours[name] if own else None
-            self._made[known] = _surface(self._stage, f"{self._path}/{identifier(known)}", colour)
-        pxr("UsdShade").MaterialBindingAPI.Apply(prim).Bind(self._made[known])
+        if known not in self._materials:
+            colour = self._colour_by_material[name] if own else None
+            self._materials[known] = _make_material(self._stage, f"{self._path}/{to_identifier(known)}", colour)
+        pxr("UsdShade").MaterialBindingAPI.Apply(prim).Bind(self._materials[known])
         return not own
 
     def bind_faces(self, mesh: Any, names: tuple[str, ...], material: Array) -> bool:
@@ -49,17 +49,17 @@ class MaterialBinder:
         `material` int[m]: indices of `names`. If all faces have the same material, it is bound to the mesh itself."""
         used = np.unique(material).tolist() if len(material) else [0]
         if len(used) == 1:
-            return self.bind(mesh.GetPrim(), names[used[0]])
+            return self.bind_material(mesh.GetPrim(), names[used[0]])
         shade, tinted = pxr("UsdShade").MaterialBindingAPI.Apply(mesh.GetPrim()), False
         for each in used:
-            faces = integers(np.flatnonzero(material == each))
-            subset = shade.CreateMaterialBindSubset(identifier(names[each] or STATE_MATERIAL), faces, "face")
-            tinted = self.bind(subset.GetPrim(), names[each]) or tinted
+            faces = to_integer_array(np.flatnonzero(material == each))
+            subset = shade.CreateMaterialBindSubset(to_identifier(names[each] or STATE_MATERIAL), faces, "face")
+            tinted = self.bind_material(subset.GetPrim(), names[each]) or tinted
         shade.SetMaterialBindSubsetsFamilyType("partition")
         return tinted
 
 
-def _surface(stage: Any, path: str, colour: tuple[float, float, float] | None) -> Any:
+def _make_material(stage: Any, path: str, colour: tuple[float, float, float] | None) -> Any:
     """Return a material of one colour (linear). If `colour` is None, it takes the colour of the primvar displayColor."""
     shade, types, gf = pxr("UsdShade"), pxr("Sdf").ValueTypeNames, pxr("Gf")
     material = shade.Material.Define(stage, path)
@@ -79,7 +79,7 @@ def _surface(stage: Any, path: str, colour: tuple[float, float, float] | None) -
     return material
 
 
-class DrawnBody:
+class MaterialBodyMesh:
     """The mesh of a body with materials.
 
     `faces` int32[m, 3].
@@ -88,7 +88,7 @@ class DrawnBody:
 
     def __init__(self, body: PosedBody) -> None:
         self.body = body
-        shapes = [body.shaded.shapes[binding.shape] for binding in body.bindings]
+        shapes = [body.drawn_definition.shapes[binding.shape] for binding in body.bindings]
         starts = np.cumsum([0, *(len(shape.points) for shape in shapes)])
         none = np.zeros((0, 3), np.int32)
         self.faces = np.concatenate([none, *(s.faces + np.int32(a) for s, a in zip(shapes, starts, strict=False))])
@@ -101,11 +101,13 @@ class DrawnBody:
         mapped = [np.zeros((len(s.points), 2), np.float32) if s.uvs is None else s.uvs for s in shapes]
         self.uvs = np.concatenate(mapped) if any(shape.uvs is not None for shape in shapes) else None
 
-    def extent(self) -> NDArray[np.float64]:
+    def compute_extent(self) -> NDArray[np.float64]:
         """Return a box (2, 3) that contains the body in all its clips, with some margin, in body lengths."""
         low, high = np.full(3, np.inf), np.full(3, -np.inf)
-        for machines in self._playing():
-            points = self.body.shape_points(self.body.poses(machines, len(machines[0].clip) if machines else 1))[0].reshape(-1, 3)
+        for machines in self._iterate_clips():
+            points = self.body.compute_shape_points(self.body.compute_poses(machines, len(machines[0].clip) if machines else 1))[
+                0
+            ].reshape(-1, 3)
             if len(points):
                 low, high = np.minimum(low, points.min(axis=0)), np.maximum(high, points.max(axis=0))
         if not np.isfinite(low).all():
@@ -113,13 +115,13 @@ class DrawnBody:
         middle, half = (low + high) / 2, (high - low) / 2 * _EXTENT_MARGIN
         return np.stack([middle - half, middle + half])
 
-    def _playing(self) -> Iterator[tuple[MachineClips, ...]]:
+    def _iterate_clips(self) -> Iterator[tuple[MachineClips, ...]]:
         yield ()
         for number in range(len(self.body.clips)):
-            yield (single_clip(np.full(_EXTENT_SAMPLES, number), np.arange(_EXTENT_SAMPLES) / _EXTENT_SAMPLES),)
+            yield (make_single_clips(np.full(_EXTENT_SAMPLES, number), np.arange(_EXTENT_SAMPLES) / _EXTENT_SAMPLES),)
 
 
-def single_clip(clip: NDArray[np.integer], turns: NDArray[np.floating]) -> MachineClips:
+def make_single_clips(clip: NDArray[np.integer], turns: NDArray[np.floating]) -> MachineClips:
     """Return the clips of agents that play one clip each (-1 for none), with full weight and no fade."""
     chosen = np.asarray(clip, np.int16)
     none, one = np.zeros(len(clip), np.float32), np.ones(len(clip), np.float32)

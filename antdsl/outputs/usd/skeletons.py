@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.bodies.agents.affine import decompose_matrices, normalise
+from antdsl.bodies.agents.affine import decompose_matrices, normalise_quaternions
 from antdsl.bodies.agents.poses import Poses
 from antdsl.bodies.posed_body import PosedBody
 from antdsl.numerics.records import match_ids
@@ -15,7 +15,7 @@ from antdsl.outputs.cache.manifest import SpeciesEntry
 from antdsl.outputs.pictures.light import decode_srgb
 from antdsl.outputs.usd.definitions import SkelDefinition, write_definition
 from antdsl.outputs.usd.materials import MaterialBinder
-from antdsl.outputs.usd.moments import SpeciesSample, TimeSample
+from antdsl.outputs.usd.time_samples import SpeciesSample, TimeSample
 from antdsl.outputs.usd.values import (
     BODIES_PATH,
     MATERIALS_PATH,
@@ -23,8 +23,8 @@ from antdsl.outputs.usd.values import (
     StageOutput,
     ValueSamples,
     Visibility,
-    identifier,
-    name_states,
+    to_identifier,
+    write_state_names,
 )
 from antdsl.scene.geometry.usd import pxr
 
@@ -40,20 +40,20 @@ class SkeletonWriter:
     def __init__(self, out: StageOutput, species: SpeciesEntry, number: int, copies: bool = False, close: bool = False) -> None:
         self._out, self._species, self._number, stage = out, species, number, out.stage
         self._path = f"{ROOT_PATH}/{out.name('species', species.name)}"
-        name_states(pxr("UsdGeom").Scope.Define(stage, self._path).GetPrim(), species)
+        write_state_names(pxr("UsdGeom").Scope.Define(stage, self._path).GetPrim(), species)
         pxr("UsdGeom").Scope.Define(stage, f"{self._path}/motion")
         self._bodies: dict[int, tuple[PosedBody, SkelDefinition]] = {}
         self._agents = dict[tuple[int, int], _AgentPrim]()  # by id and body
-        self._there: set[tuple[int, int]] = set()
-        self._named, self._file = set[int](), out.number
+        self._hideable_agents: set[tuple[int, int]] = set()
+        self._named_agents, self._file_number = set[int](), out.file_number
         self._first: float | None = None
-        self._sheared, self._copies, self._close = False, copies, close
+        self._has_shear, self._copies, self._uses_close_bodies = False, copies, close
 
     @property
     def notes(self) -> list[str]:
         """Return messages about features of the bodies that UsdSkel cannot represent."""
         messages = [note for _, definition in self._bodies.values() for note in definition.notes]
-        if self._sheared:
+        if self._has_shear:
             messages.append(f"joints of `{self._species.name}` are sheared: UsdSkel has no shear, it is left out")
         return messages
 
@@ -64,44 +64,44 @@ class SkeletonWriter:
         visible_keys = set[tuple[int, int]]()
         colour = decode_srgb(agents.colour)
         for part, (crowd, rows) in enumerate(agents.parts):
-            if crowd.worn is None:
+            if crowd.body is None:
                 continue
-            body, definition = self._body(crowd.worn)
-            joints = _joints(time_sample, self._number, part, body)
-            self._sheared = self._sheared or joints.sheared
-            channels = [body.definition.rig.channel(name) for name in definition.channels]
+            body, definition = self._find_or_write_body(crowd.body)
+            joints = _sample_joints(time_sample, self._number, part, body)
+            self._has_shear = self._has_shear or joints.has_shear
+            channels = [body.definition.rig.find_channel(name) for name in definition.channels]
             for k, row in enumerate(rows.tolist()):
                 if not agents.is_visible[row]:
                     continue
-                agent = self._agent(int(agents.ids[row]), definition, time_sample.time)
+                agent = self._find_or_add_agent(int(agents.ids[row]), definition, time_sample.time)
                 visible_keys.add((int(agents.ids[row]), definition.number))
-                agent.place(time_sample.time, agents, row, colour[row])
-                agent.pose(time_sample.time, [each[k] for each in joints.values], joints.channels[k, channels])
-        if self._file != self._out.number:  # a new file of values first hides all agents that may appear in it later
-            self._file, self._there = self._out.number, set(self._agents)
-        for hidden_key in sorted(self._there - visible_keys):
+                agent.write_placement(time_sample.time, agents, row, colour[row])
+                agent.write_pose(time_sample.time, [each[k] for each in joints.values], joints.channels[k, channels])
+        if self._file_number != self._out.file_number:  # a new file of values first hides all agents that may appear in it later
+            self._file_number, self._hideable_agents = self._out.file_number, set(self._agents)
+        for hidden_key in sorted(self._hideable_agents - visible_keys):
             self._agents[hidden_key].hide(time_sample.time)
-        self._there = visible_keys
+        self._hideable_agents = visible_keys
 
-    def _agent(self, name: int, body: SkelDefinition, time: float) -> _AgentPrim:
+    def _find_or_add_agent(self, name: int, body: SkelDefinition, time: float) -> _AgentPrim:
         """Return the instance of a body for an agent. If the agent's layers change later, it gets another instance."""
         if (name, body.number) not in self._agents:
             assert self._first is not None
-            path = f"agent_{name}" if name not in self._named else f"agent_{name}_{body.number}"
-            self._named.add(name)
+            path = f"agent_{name}" if name not in self._named_agents else f"agent_{name}_{body.number}"
+            self._named_agents.add(name)
             agent = _AgentPrim(self._out, self._path, path, name, body, self._species, self._first, time, self._copies)
             self._agents[name, body.number] = agent
         return self._agents[name, body.number]
 
-    def _body(self, worn: PosedBody) -> tuple[PosedBody, SkelDefinition]:
-        if id(worn) not in self._bodies:
+    def _find_or_write_body(self, body: PosedBody) -> tuple[PosedBody, SkelDefinition]:
+        if id(body) not in self._bodies:
             number = len(self._bodies) + 1
             name = self._out.name("species", self._species.name) + (f"_{number}" if self._bodies else "")
-            looks = MaterialBinder(self._out.stage, f"{MATERIALS_PATH}/{name}", worn.definition.materials)
-            definition = write_definition(self._out.stage, f"{BODIES_PATH}/{name}", worn, looks, self._close)
+            looks = MaterialBinder(self._out.stage, f"{MATERIALS_PATH}/{name}", body.definition.materials)
+            definition = write_definition(self._out.stage, f"{BODIES_PATH}/{name}", body, looks, self._uses_close_bodies)
             definition.number = number
-            self._bodies[id(worn)] = worn, definition
-        return self._bodies[id(worn)]
+            self._bodies[id(body)] = body, definition
+        return self._bodies[id(body)]
 
 
 class _JointSamples:
@@ -116,39 +116,39 @@ class _JointSamples:
         square = np.zeros((n * count, 4, 4))
         square[:, :3] = poses.local.reshape(n * count, 3, 4)
         place, turn, scale, shear = decompose_matrices(square)
-        self.sheared = bool((np.abs(shear) > _MAX_IGNORED_SHEAR).any())
+        self.has_shear = bool((np.abs(shear) > _MAX_IGNORED_SHEAR).any())
         parts = (np.moveaxis(each, 0, -1).reshape(n, count, len(each)) for each in (place, turn, scale))
         self.values = tuple(np.ascontiguousarray(each, np.float32) for each in parts)
         self.channels = np.asarray(poses.channels, np.float32)
 
-    def mix(self, rows: NDArray[np.bool_], other: _JointSamples, at: NDArray[np.intp], share: float) -> None:
+    def interpolate_rows(self, rows: NDArray[np.bool_], other: _JointSamples, other_rows: NDArray[np.intp], share: float) -> None:
         """Interpolate or extrapolate the joints in some rows towards those of `other` by `share`, linearly.
 
-        `at`: the row of each agent in `other`. Rotations go by the smaller angle."""
+        `other_rows`: the row of each agent in `other`. Rotations go by the smaller angle."""
         for k, (mine, theirs) in enumerate(zip(self.values, other.values, strict=True)):
-            towards = theirs[at[rows]]
+            towards = theirs[other_rows[rows]]
             if k == 1:
                 towards = np.where((towards * mine[rows]).sum(axis=-1, keepdims=True) < 0, -towards, towards)
             mine[rows] += (towards - mine[rows]) * np.float32(share)
-        self.channels[rows] += (other.channels[at[rows]] - self.channels[rows]) * np.float32(share)
+        self.channels[rows] += (other.channels[other_rows[rows]] - self.channels[rows]) * np.float32(share)
         turn = np.ascontiguousarray(np.moveaxis(self.values[1], -1, 0))
-        self.values = (self.values[0], np.ascontiguousarray(np.moveaxis(normalise(turn), 0, -1)), self.values[2])
+        self.values = (self.values[0], np.ascontiguousarray(np.moveaxis(normalise_quaternions(turn), 0, -1)), self.values[2])
 
 
-def _joints(time_sample: TimeSample, number: int, part: int, body: PosedBody) -> _JointSamples:
+def _sample_joints(time_sample: TimeSample, number: int, part: int, body: PosedBody) -> _JointSamples:
     """Return the joints of the agents with a body, at a time. After the last frame, the last motion continues."""
     agents = time_sample.species[number]
     crowd, rows = agents.parts[part]
-    joints = _JointSamples(crowd.poses(local=True))
+    joints = _JointSamples(crowd.compute_poses(local=True))
     others, share = time_sample.next_agents, time_sample.share
     if not others:
         others, share = time_sample.previous_agents, -share
     if not share or others is None:
         return joints
     for other, other_rows in others[number].parts:
-        if other.worn is body:
+        if other.body is body:
             at, same = match_ids(agents.ids[rows], others[number].ids[other_rows])
-            joints.mix(same, _JointSamples(other.poses(local=True)), at, share)
+            joints.interpolate_rows(same, _JointSamples(other.compute_poses(local=True)), at, share)
     return joints
 
 
@@ -158,7 +158,7 @@ class _AgentPrim:
     def __init__(
         self,
         out: StageOutput,
-        above: str,
+        parent_path: str,
         path: str,
         name: int,
         body: SkelDefinition,
@@ -169,77 +169,81 @@ class _AgentPrim:
     ) -> None:
         geom, skel, types, vt, gf = pxr("UsdGeom"), pxr("UsdSkel"), pxr("Sdf").ValueTypeNames, pxr("Vt"), pxr("Gf")
         stage, self._out = out.stage, out
-        moves = skel.Animation.Define(stage, f"{above}/motion/{path}")
+        moves = skel.Animation.Define(stage, f"{parent_path}/motion/{path}")
         moves.CreateJointsAttr(vt.TokenArray(list(body.joints)))
         array = vt.Vec3fArray.FromNumpy
         self._joints = (
-            out.samples(moves.CreateTranslationsAttr(), array, np.float32),
-            out.samples(moves.CreateRotationsAttr(), vt.QuatfArray.FromNumpy, np.float32),
-            out.samples(moves.CreateScalesAttr(), vt.Vec3hArray.FromNumpy, np.float16),
+            out.add_samples(moves.CreateTranslationsAttr(), array, np.float32),
+            out.add_samples(moves.CreateRotationsAttr(), vt.QuatfArray.FromNumpy, np.float32),
+            out.add_samples(moves.CreateScalesAttr(), vt.Vec3hArray.FromNumpy, np.float16),
         )
         self._weights = None
         if body.channels:
-            moves.CreateBlendShapesAttr(vt.TokenArray([identifier(channel) for channel in body.channels]))
-            self._weights = out.samples(moves.CreateBlendShapeWeightsAttr(), vt.FloatArray.FromNumpy, np.float32)
-        root = skel.Root.Define(stage, f"{above}/{path}")
+            moves.CreateBlendShapesAttr(vt.TokenArray([to_identifier(channel) for channel in body.channels]))
+            self._weights = out.add_samples(moves.CreateBlendShapeWeightsAttr(), vt.FloatArray.FromNumpy, np.float32)
+        root = skel.Root.Define(stage, f"{parent_path}/{path}")
         prim = root.GetPrim()
         single, double = geom.XformOp.PrecisionFloat, geom.XformOp.PrecisionDouble
-        self._place = out.samples(root.AddTranslateOp(double), lambda v: gf.Vec3d(*v.tolist()))
-        self._turn = out.samples(root.AddOrientOp(single), lambda v: gf.Quatf(float(v[3]), *v[:3].tolist()), np.float32)
-        self._size = out.samples(root.AddScaleOp(single), lambda v: gf.Vec3f(*v.tolist()), np.float32)
+        self._translations = out.add_samples(root.AddTranslateOp(double), lambda v: gf.Vec3d(*v.tolist()))
+        self._rotations = out.add_samples(root.AddOrientOp(single), lambda v: gf.Quatf(float(v[3]), *v[:3].tolist()), np.float32)
+        self._scales = out.add_samples(root.AddScaleOp(single), lambda v: gf.Vec3f(*v.tolist()), np.float32)
         prim.GetPayloads().AddInternalPayload(body.path)
         prim.SetInstanceable(not copies)
         skel.BindingAPI.Apply(prim).CreateAnimationSourceRel().SetTargets([moves.GetPath()])
         prim.CreateAttribute("userProperties:id", types.Int64).Set(name)
         self._api = geom.PrimvarsAPI(root)
         colour = self._api.CreatePrimvar("displayColor", types.Color3fArray, "constant")
-        tinted = (stage.OverridePrim(f"{above}/{path}/{below}") for below in body.tinted if copies)
+        tinted = (stage.OverridePrim(f"{parent_path}/{path}/{below}") for below in body.tinted_meshes if copies)
         tints = [geom.PrimvarsAPI(each).CreatePrimvar("displayColor", types.Color3fArray, "constant") for each in tinted]
-        self._colour = [out.samples(each, lambda v: vt.Vec3fArray.FromNumpy(v[None]), np.float32) for each in (colour, *tints)]
+        self._colour = [
+            out.add_samples(each, lambda v: vt.Vec3fArray.FromNumpy(v[None]), np.float32) for each in (colour, *tints)
+        ]
         self._names = [state.name for state in species.machines[0].states] if species.machines else []
         self._numbers: dict[str, ValueSamples] = {}
-        self._before = (np.zeros(4), None)
-        self._seen = Visibility(out, root, first, time)
+        self._previous_values = (np.zeros(4), None)
+        self._visibility = Visibility(out, root, first, time)
 
-    def place(self, time: float, agents: SpeciesSample, row: int, colour: NDArray[np.floating]) -> None:
+    def write_placement(self, time: float, agents: SpeciesSample, row: int, colour: NDArray[np.floating]) -> None:
         """Write position, orientation, scale, colour, state and numbers at a time."""
-        self._place.set(time, agents.position[row])
-        turn = agents.orient[row] * (-1.0 if agents.orient[row] @ self._before[0] < 0 else 1.0)
-        self._before = (turn, self._before[1])
-        self._turn.set(time, turn)
-        self._size.set(time, np.full(3, agents.scale[row]))
+        self._translations.set(time, agents.position[row])
+        turn = agents.orient[row] * (-1.0 if agents.orient[row] @ self._previous_values[0] < 0 else 1.0)
+        self._previous_values = (turn, self._previous_values[1])
+        self._rotations.set(time, turn)
+        self._scales.set(time, np.full(3, agents.scale[row]))
         for samples in self._colour:
             samples.set(time, colour)
         if agents.state is not None and 0 <= agents.state[row] < len(self._names):
-            self._number("state", agents.state[row], time)
+            self._write_number("state", agents.state[row], time)
         for name, values in agents.numbers.items():
-            self._number(name, values[row], time)
-        self._seen.set(time, True)
+            self._write_number(name, values[row], time)
+        self._visibility.set(time, True)
 
-    def pose(self, time: float, joints: list[Any], weights: Any) -> None:
+    def write_pose(self, time: float, joints: list[Any], weights: Any) -> None:
         """Write the transforms of the joints and the weights of blend shapes at a time."""
         positions, turns, scales = joints
-        previous = self._before[1]
+        previous = self._previous_values[1]
         if previous is not None:
             turns = np.where((turns * previous).sum(axis=-1, keepdims=True) < 0, -turns, turns)
-        self._before = (self._before[0], turns)
+        self._previous_values = (self._previous_values[0], turns)
         for samples, values in zip(self._joints, (positions, turns, scales), strict=True):
             samples.set(time, values)
         if self._weights is not None:
             self._weights.set(time, weights)
 
-    def _number(self, name: str, value: Any, time: float) -> None:
+    def _write_number(self, name: str, value: Any, time: float) -> None:
         if name not in self._numbers:
             types, names = pxr("Sdf").ValueTypeNames, self._names
             is_integer = np.asarray(value).dtype.kind in "iu"
             if name == "state":
                 primvar = self._api.CreatePrimvar("state", types.Token, "constant")
-                self._numbers[name] = self._out.samples(primvar, lambda v: names[int(v[0])], np.int64)
+                self._numbers[name] = self._out.add_samples(primvar, lambda v: names[int(v[0])], np.int64)
             else:
-                primvar = self._api.CreatePrimvar(identifier(name), types.Int if is_integer else types.Float, "constant")
-                self._numbers[name] = self._out.samples(primvar, (lambda v: int(v[0])) if is_integer else (lambda v: float(v[0])))
+                primvar = self._api.CreatePrimvar(to_identifier(name), types.Int if is_integer else types.Float, "constant")
+                self._numbers[name] = self._out.add_samples(
+                    primvar, (lambda v: int(v[0])) if is_integer else (lambda v: float(v[0]))
+                )
         self._numbers[name].set(time, np.reshape(value, 1))
 
     def hide(self, time: float) -> None:
         """Hide the agent from a time on."""
-        self._seen.set(time, False)
+        self._visibility.set(time, False)

@@ -20,17 +20,17 @@ from typing import Any
 import numpy as np
 
 from antdsl import __version__
-from antdsl.outputs.cache.frame_agents import IDENTITY, species_numbers
+from antdsl.atomic_write import atomic_path
+from antdsl.outputs.cache.frame_agents import IDENTITY_ARRAYS, get_species_numbers
 from antdsl.outputs.gallery import Gallery
 from antdsl.outputs.usd.instancers import InstancerWriter
-from antdsl.outputs.usd.moments import TimeSamples
 from antdsl.outputs.usd.skeletons import SkeletonWriter
-from antdsl.outputs.usd.values import BODIES_PATH, ROOT_PATH, StageOutput, disk_failures, root
+from antdsl.outputs.usd.time_samples import TimeSamples
+from antdsl.outputs.usd.values import BODIES_PATH, ROOT_PATH, StageOutput, add_root, raise_disk_errors
 from antdsl.outputs.usd.world import WorldWriter
 from antdsl.outputs.usd.xforms import XformWriter
 from antdsl.scene.geometry.usd import pxr
-from antdsl.scene.model import UNIT_MM
-from antdsl.whole import atomic_path
+from antdsl.scene.scene_model import UNIT_MM
 
 _DEFAULT_CLIP_SET = "default"  # the name of a prim's first set of clips
 MAX_SKELETON_AGENTS = 200  # agents of a species up to which each has a skeleton
@@ -75,52 +75,58 @@ def export_instances(gallery: Gallery, frames: Iterable[int], path: Path, option
 
     Raises UsdError without usd-core, CacheError for a damaged frame, OSError if writing fails."""
     frames = list(frames)
-    most = _max_agent_counts(gallery, frames)
+    most = _count_max_agents(gallery, frames)
 
     def kind(number: int) -> Callable[..., CrowdWriter]:
         if most[number] > options.skeletons:
             return partial(InstancerWriter, close=options.close)
         return partial(SkeletonWriter, copies=options.copies, close=options.close)
 
-    return _export(gallery, frames, path, options, kind)
+    return _export_stage(gallery, frames, path, options, kind)
 
 
 def export_xforms(gallery: Gallery, frames: Iterable[int], path: Path, options: XformOptions = _DEFAULT_OPTIONS) -> list[str]:
     """Write the stage with one Xform per agent, for programs that animate objects one by one."""
-    return _export(gallery, list(frames), path, options, lambda number: partial(XformWriter, close=options.close))
+    return _export_stage(gallery, list(frames), path, options, lambda number: partial(XformWriter, close=options.close))
 
 
-def _max_agent_counts(gallery: Gallery, frames: list[int]) -> list[int]:
+def _count_max_agents(gallery: Gallery, frames: list[int]) -> list[int]:
     """Return, for each species, the maximum number of its agents in any frame."""
     count = len(gallery.manifest.species)
     most = np.zeros(count, np.int64)
     for frame in frames:
-        which = species_numbers(gallery.cache.frame(frame, IDENTITY))
+        which = get_species_numbers(gallery.cache.frame(frame, IDENTITY_ARRAYS))
         most = np.maximum(most, np.bincount(which, minlength=count)[:count])
     counts: list[int] = most.tolist()
     return counts
 
 
-def shutter_times(frame: int, options: XformOptions) -> list[float]:
+def compute_sample_times(frame: int, options: XformOptions) -> list[float]:
     """Return the times at which agents have samples for a frame: the frame itself, and times in the shutter interval."""
     around = np.linspace(*options.shutter, options.samples) if options.shutter else np.zeros(1)
     sample_times: list[float] = sorted({round(frame + part, 6) for part in (0.0, *around.tolist())})
     return sample_times
 
 
-def _export(
-    gallery: Gallery, frames: list[int], path: Path, options: XformOptions, kind: Callable[[int], Callable[..., CrowdWriter]]
+def _export_stage(
+    gallery: Gallery,
+    frames: list[int],
+    path: Path,
+    options: XformOptions,
+    choose_writer: Callable[[int], Callable[..., CrowdWriter]],
 ) -> list[str]:
-    with disk_failures(path), atomic_path(path, path.suffix) as part:
+    with raise_disk_errors(path), atomic_path(path, path.suffix) as part:
         try:
             stage = pxr("Usd").Stage.CreateNew(str(part))
         except pxr("Tf").ErrorException as problem:
             raise OSError(None, "cannot be written", str(path)) from problem
         out = StageOutput(stage)
         with ValueFiles(out, path, frames, options.chunk) as files:
-            _describe(stage, gallery, frames)
-            crowds = [kind(number)(out, species, number) for number, species in enumerate(gallery.manifest.species)]
-            _write(_FrameWriters(WorldWriter(out, gallery, frames), crowds, TimeSamples(gallery)), files, frames, options, stage)
+            _write_metadata(stage, gallery, frames)
+            crowds = [choose_writer(number)(out, species, number) for number, species in enumerate(gallery.manifest.species)]
+            _write_frames(
+                _FrameWriters(WorldWriter(out, gallery, frames), crowds, TimeSamples(gallery)), files, frames, options, stage
+            )
             notes = [note for crowd in crowds for note in crowd.notes]
         del crowds, files, out, stage  # the file is closed before it is moved
     return list(dict.fromkeys(notes))
@@ -132,21 +138,21 @@ class _FrameWriters:
 
     world: WorldWriter
     crowds: list[CrowdWriter]
-    moments: TimeSamples
+    time_samples: TimeSamples
 
     def at(self, time: float, frame: int) -> None:
         """Write the agents at a time. If the time is that of the frame itself, also write the world."""
-        time_sample = self.moments.at(time, frame)
+        time_sample = self.time_samples.at(time, frame)
         if time == frame:
             self.world.frame(frame, time_sample.picture)
         for crowd in self.crowds:
             crowd.sample(time_sample)
 
 
-def _write(shot: _FrameWriters, files: ValueFiles, frames: list[int], options: XformOptions, stage: Any) -> None:
+def _write_frames(shot: _FrameWriters, files: ValueFiles, frames: list[int], options: XformOptions, stage: Any) -> None:
     written = -np.inf
     for number, frame in enumerate(frames):
-        for time in shutter_times(frame, options):
+        for time in compute_sample_times(frame, options):
             if time <= written + _SAME_TIME_FRAMES:
                 continue
             if written == -np.inf:
@@ -158,11 +164,11 @@ def _write(shot: _FrameWriters, files: ValueFiles, frames: list[int], options: X
             written = time
         if number % _FRAMES_PER_SAVE == _FRAMES_PER_SAVE - 1:
             stage.Save()
-    files.finish()
+    files.link_files()
     stage.Save()
 
 
-def _describe(stage: Any, gallery: Gallery, frames: list[int]) -> None:
+def _write_metadata(stage: Any, gallery: Gallery, frames: list[int]) -> None:
     geom, manifest = pxr("UsdGeom"), gallery.manifest
     geom.SetStageMetersPerUnit(stage, UNIT_MM[manifest.units] / 1000)
     geom.SetStageUpAxis(stage, manifest.up.upper())
@@ -171,7 +177,7 @@ def _describe(stage: Any, gallery: Gallery, frames: list[int]) -> None:
     stage.SetStartTimeCode(frames[0])
     stage.SetEndTimeCode(frames[-1])
     stage.SetMetadata("comment", f"antdsl {__version__}: {manifest.scene}, seed {manifest.seed}")
-    world = root(stage, gallery.origin)
+    world = add_root(stage, gallery.origin)
     pxr("Usd").ModelAPI(world).SetKind("assembly")
     stage.SetDefaultPrim(world.GetPrim())
     stage.CreateClassPrim(BODIES_PATH)
@@ -183,27 +189,27 @@ class ValueFiles:
     def __init__(self, out: StageOutput, path: Path, frames: list[int], chunk: int) -> None:
         self._out, self._path, self._frames = out, path, frames
         groups = {(frame - frames[0]) // chunk: frame for frame in reversed(frames)} if chunk else {}
-        self._starts = sorted(groups.values())
-        self._parts = ExitStack()
+        self._first_frames = sorted(groups.values())
+        self._unfinished_files = ExitStack()
         self._layer: Any = None
-        if self._starts:
-            out.manifest = pxr("Sdf").Layer.CreateAnonymous("manifest.usda")
+        if self._first_frames:
+            out.manifest_layer = pxr("Sdf").Layer.CreateAnonymous("manifest.usda")
 
     def starts_new_file(self, frame: int) -> bool:
         """Return whether a new file begins with this frame."""
-        return frame in self._starts[1:]
+        return frame in self._first_frames[1:]
 
     def begin(self, frame: int) -> None:
         """Begin the file of the values from this frame on. Raises OSError if that fails."""
-        if not self._starts:
+        if not self._first_frames:
             return
-        self._save()
-        part = self._parts.enter_context(atomic_path(self._file_path(f"{frame:04d}.usdc"), ".usdc"))
+        self._save_file()
+        part = self._unfinished_files.enter_context(atomic_path(self._make_file_path(f"{frame:04d}.usdc"), ".usdc"))
         part.unlink()
         self._layer = pxr("Sdf").Layer.CreateNew(str(part))
         self._out.begin(self._layer)
 
-    def _save(self) -> None:
+    def _save_file(self) -> None:
         if self._layer is not None:
             self._layer.Save()
         self._layer = None
@@ -217,28 +223,28 @@ class ValueFiles:
         The stage of an earlier export is removed first. Otherwise it would use the new values if the new stage is never
         written."""
         self._layer = self._out.clip = None
-        if self._starts and kind is None:
+        if self._first_frames and kind is None:
             self._path.unlink(missing_ok=True)
-        self._parts.__exit__(kind, problem, trace)
+        self._unfinished_files.__exit__(kind, problem, trace)
 
-    def finish(self) -> None:
+    def link_files(self) -> None:
         """Name all files of values in the stage."""
-        self._save()
-        if not self._starts:
+        self._save_file()
+        if not self._first_frames:
             return
         self._out.clip = None
-        manifest = self._file_path("manifest.usda")
-        self._out.manifest.Export(str(self._parts.enter_context(atomic_path(manifest, ".usda"))))
+        manifest = self._make_file_path("manifest.usda")
+        self._out.manifest_layer.Export(str(self._unfinished_files.enter_context(atomic_path(manifest, ".usda"))))
         gf, vt = pxr("Gf"), pxr("Vt")
         clips = pxr("Usd").ClipsAPI(self._out.stage.GetPrimAtPath(ROOT_PATH))
-        names = [f"./{self._file_path(f'{frame:04d}.usdc').name}" for frame in self._starts]
+        names = [f"./{self._make_file_path(f'{frame:04d}.usdc').name}" for frame in self._first_frames]
         clips.SetClipAssetPaths(pxr("Sdf").AssetPathArray([pxr("Sdf").AssetPath(name) for name in names]), _DEFAULT_CLIP_SET)
         clips.SetClipManifestAssetPath(pxr("Sdf").AssetPath(f"./{manifest.name}"), _DEFAULT_CLIP_SET)
         clips.SetClipPrimPath(ROOT_PATH, _DEFAULT_CLIP_SET)
         ends = (self._frames[0] - 1, self._frames[-1] + 2)  # samples of a shutter lie around the frames
-        begins = [ends[0], *self._starts[1:]]
+        begins = [ends[0], *self._first_frames[1:]]
         clips.SetClipActive(vt.Vec2dArray([gf.Vec2d(begin, k) for k, begin in enumerate(begins)]), _DEFAULT_CLIP_SET)
         clips.SetClipTimes(vt.Vec2dArray([gf.Vec2d(end, end) for end in ends]), _DEFAULT_CLIP_SET)
 
-    def _file_path(self, ending: str) -> Path:
+    def _make_file_path(self, ending: str) -> Path:
         return self._path.with_name(f"{self._path.stem}.values.{ending}")

@@ -26,7 +26,7 @@ BODIES_PATH = "/bodies"  # class prims, which are drawn only where something ref
 Array = NDArray[Any]
 
 
-def root(stage: Any, origin: NDArray[np.float64]) -> Any:
+def add_root(stage: Any, origin: NDArray[np.float64]) -> Any:
     """Return the root prim of a stage, moved in double precision by `origin` (scene units), which its positions are relative
     to."""
     world = pxr("UsdGeom").Xform.Define(stage, ROOT_PATH)
@@ -40,39 +40,39 @@ class ValueSamples:
 
     `always`: write a value at every time. Some readers use the attribute only at the times of other attributes."""
 
-    def __init__(self, out: StageOutput, attribute: Any, convert: Callable[[Array], Any], kind: Any, always: bool) -> None:
-        self._out, self._convert, self._kind, self._always = out, convert, kind, always
+    def __init__(self, out: StageOutput, attribute: Any, convert: Callable[[Array], Any], array_type: Any, always: bool) -> None:
+        self._out, self._convert, self._array_type, self._writes_always = out, convert, array_type, always
         self._attribute = attribute.GetAttr() if hasattr(attribute, "GetAttr") else attribute
         self._path = self._attribute.GetPath()
         self._value: Array | None = None
-        self._written = self._seen = 0.0
-        self._file = -1
+        self._written_time = self._last_time = 0.0
+        self._file_number = -1
 
     def set(self, time: float, values: Any) -> None:
         """Set the value from a time on. Times must ascend."""
-        value = np.ascontiguousarray(values, self._kind)
-        new = self._file != self._out.number
-        if new or self._always or self._value is None or not np.array_equal(self._value, value):
-            if not new and not self._always and self._value is not None and self._seen > self._written:
-                self._put(self._value, self._seen)
-            self._put(value, time)
-            self._value, self._written, self._file = value, time, self._out.number
-        self._seen = time
+        value = np.ascontiguousarray(values, self._array_type)
+        new = self._file_number != self._out.file_number
+        if new or self._writes_always or self._value is None or not np.array_equal(self._value, value):
+            if not new and not self._writes_always and self._value is not None and self._last_time > self._written_time:
+                self._write_value(self._value, self._last_time)
+            self._write_value(value, time)
+            self._value, self._written_time, self._file_number = value, time, self._out.file_number
+        self._last_time = time
 
-    def _put(self, value: Array, time: float) -> None:
+    def _write_value(self, value: Array, time: float) -> None:
         layer = self._out.clip
         if layer is None:
             self._attribute.Set(self._convert(value), time)
             return
-        for each in (layer, self._out.manifest):
+        for each in (layer, self._out.manifest_layer):
             if each.GetAttributeAtPath(self._path) is None:
-                self._declare(each)
+                self._declare_attribute(each)
         layer.SetTimeSample(self._path, time, self._convert(value))
 
-    def _declare(self, layer: Any) -> None:
+    def _declare_attribute(self, layer: Any) -> None:
         kind = self._attribute.GetTypeName()
         pxr("Sdf").JustCreatePrimAttributeInLayer(layer, self._path, kind, pxr("Sdf").VariabilityVarying)
-        if layer is self._out.manifest and self._path.name == pxr("UsdGeom").Tokens.visibility:
+        if layer is self._out.manifest_layer and self._path.name == pxr("UsdGeom").Tokens.visibility:
             layer.GetAttributeAtPath(self._path).default = "invisible"  # in files that know nothing of it
 
 
@@ -80,38 +80,38 @@ class StageOutput:
     """The written stage, and the layer that receives values over time.
 
     `clip`: the layer that receives values; None for the stage itself.
-    `manifest`: a layer that lists all attributes with values in clips."""
+    `manifest_layer`: a layer that lists all attributes with values in clips."""
 
     def __init__(self, stage: Any) -> None:
         self.stage: Any = stage
         self.clip: Any = None
-        self.manifest: Any = None
-        self.number = 0
-        self._taken = {"items", "fields", "camera", "looks", "world"}
-        self._named: dict[tuple[str, str], str] = {}
+        self.manifest_layer: Any = None
+        self.file_number = 0
+        self._used_names = {"items", "fields", "camera", "looks", "world"}
+        self._name_by_thing: dict[tuple[str, str], str] = {}
 
     def name(self, kind: str, name: str) -> str:
         """Return the name of a thing below the root, with a number if the name is taken by another thing."""
-        if (kind, name) not in self._named:
-            self._named[kind, name] = make_unique(identifier(name), self._taken)
-        return self._named[kind, name]
+        if (kind, name) not in self._name_by_thing:
+            self._name_by_thing[kind, name] = make_unique(to_identifier(name), self._used_names)
+        return self._name_by_thing[kind, name]
 
-    def samples(
-        self, attribute: Any, convert: Callable[[Array], Any], kind: Any = np.float64, *, always: bool = False
+    def add_samples(
+        self, attribute: Any, convert: Callable[[Array], Any], array_type: Any = np.float64, *, always: bool = False
     ) -> ValueSamples:
-        """Return the values over time of an attribute. `convert` converts arrays of the type `kind` to USD's type."""
-        return ValueSamples(self, attribute, convert, kind, always)
+        """Return the values over time of an attribute. `convert` converts arrays of the type `array_type` to USD's type."""
+        return ValueSamples(self, attribute, convert, array_type, always)
 
-    def begin(self, clip: Any) -> None:
+    def begin(self, layer: Any) -> None:
         """Write values into another layer from now on. Each attribute is written again at its next time."""
-        self.clip, self.number = clip, self.number + 1
+        self.clip, self.file_number = layer, self.file_number + 1
 
 
 class Visibility:
     """The visibility of a prim over time. A prim that appears after the first time is hidden before it."""
 
     def __init__(self, out: StageOutput, prim: Any, first: float, time: float) -> None:
-        self._samples = out.samples(prim.CreateVisibilityAttr(), lambda v: "inherited" if v[0] else "invisible", np.bool_)
+        self._samples = out.add_samples(prim.CreateVisibilityAttr(), lambda v: "inherited" if v[0] else "invisible", np.bool_)
         if time > first:
             self._samples.set(first, [False])
 
@@ -120,42 +120,42 @@ class Visibility:
         self._samples.set(time, [is_visible])
 
 
-def vectors(values: Array) -> Any:
+def to_vector_array(values: Array) -> Any:
     """Return rows (n, 3) as USD's array of vectors."""
     return pxr("Vt").Vec3fArray.FromNumpy(np.ascontiguousarray(values, np.float32))
 
 
-def integers(values: Array) -> Any:
+def to_integer_array(values: Array) -> Any:
     """Return numbers (n,) as USD's array of integers."""
     return pxr("Vt").IntArray.FromNumpy(np.ascontiguousarray(values, np.int32))
 
 
-def matrix(columns: Array) -> Any:
+def to_usd_matrix(columns: Array) -> Any:
     """Return a matrix (4, 4) for column vectors in USD's form for row vectors."""
     return pxr("Gf").Matrix4d(*np.asarray(columns, np.float64).T.ravel().tolist())
 
 
-def matrices(columns: Array) -> Any:
+def to_usd_matrices(columns: Array) -> Any:
     """Return matrices (n, 4, 4) for column vectors as USD's array of matrices for row vectors."""
     turned = np.ascontiguousarray(np.asarray(columns, np.float64).transpose(0, 2, 1))
     return pxr("Vt").Matrix4dArray.FromNumpy(turned)
 
 
-def box(points: Array) -> Array:
+def compute_box(points: Array) -> Array:
     """Return the lowest and the highest corner (2, 3) of the box around all points."""
     return np.stack([points.min(axis=0), points.max(axis=0)]) if len(points) else np.zeros((2, 3))
 
 
-def mesh(stage: Any, path: str, points: Array, faces: Array, normals: Array | None = None, uvs: Array | None = None) -> Any:
+def add_mesh(stage: Any, path: str, points: Array, faces: Array, normals: Array | None = None, uvs: Array | None = None) -> Any:
     """Add a static mesh of triangles and return it. `normals` (n, 3) and `uvs` (n, 2) are per point."""
     usd_mesh = pxr("UsdGeom").Mesh.Define(stage, path)
-    usd_mesh.CreatePointsAttr(vectors(points))
-    usd_mesh.CreateFaceVertexCountsAttr(integers(np.full(len(faces), 3)))
-    usd_mesh.CreateFaceVertexIndicesAttr(integers(np.ravel(faces)))
+    usd_mesh.CreatePointsAttr(to_vector_array(points))
+    usd_mesh.CreateFaceVertexCountsAttr(to_integer_array(np.full(len(faces), 3)))
+    usd_mesh.CreateFaceVertexIndicesAttr(to_integer_array(np.ravel(faces)))
     usd_mesh.CreateSubdivisionSchemeAttr("none")
-    usd_mesh.CreateExtentAttr(vectors(box(points)))
+    usd_mesh.CreateExtentAttr(to_vector_array(compute_box(points)))
     if normals is not None:
-        usd_mesh.CreateNormalsAttr(vectors(normals))
+        usd_mesh.CreateNormalsAttr(to_vector_array(normals))
         usd_mesh.SetNormalsInterpolation("vertex")
     if uvs is not None:
         kind = pxr("Sdf").ValueTypeNames.TexCoord2fArray
@@ -164,31 +164,31 @@ def mesh(stage: Any, path: str, points: Array, faces: Array, normals: Array | No
     return usd_mesh
 
 
-def name_states(prim: Any, species: SpeciesEntry) -> None:
+def write_state_names(prim: Any, species: SpeciesEntry) -> None:
     """Write the names of the state numbers into a prim's custom data."""
     for machine in species.machines:
         name = "states" if machine is species.machines[0] else f"{machine.name}.states"
-        prim.SetCustomDataByKey(identifier(name), pxr("Vt").StringArray([state.name for state in machine.states]))
+        prim.SetCustomDataByKey(to_identifier(name), pxr("Vt").StringArray([state.name for state in machine.states]))
 
 
-def make_unique(name: str, taken: set[str]) -> str:
-    """Return the name, with a number if it is taken. The result is added to `taken`."""
+def make_unique(name: str, used_names: set[str]) -> str:
+    """Return the name, with a number if it is taken. The result is added to `used_names`."""
     unique_name, number = name, 1
-    while unique_name in taken:
+    while unique_name in used_names:
         number += 1
         unique_name = f"{name}_{number}"
-    taken.add(unique_name)
+    used_names.add(unique_name)
     return unique_name
 
 
-def identifier(name: str) -> str:
+def to_identifier(name: str) -> str:
     """Return a name changed to a valid USD identifier."""
     word = re.sub("[^A-Za-z0-9_]", "_", name)
     return word if re.match("[A-Za-z_]", word) else f"_{word}"
 
 
 @contextmanager
-def disk_failures(path: Path) -> Iterator[None]:
+def raise_disk_errors(path: Path) -> Iterator[None]:
     """Raise an OSError that names `path` if the disk fails while USD writes. USD reports the system's message only in its own
     errors.
 

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from antdsl.bodies.body import vertex_normals
-from antdsl.bodies.shapes import placed
-from antdsl.numerics.vector_rows import unit_or
+from antdsl.bodies.body import compute_vertex_normals
+from antdsl.bodies.shapes import build_item_mesh
+from antdsl.numerics.vector_rows import normalise_or_fallback
 from antdsl.outputs.gallery import Gallery
 from antdsl.outputs.pictures.light import decode_srgb
 from antdsl.outputs.pictures.model import Item, Picture, Solid, Trail
@@ -19,15 +19,15 @@ from antdsl.outputs.usd.values import (
     Array,
     StageOutput,
     ValueSamples,
-    box,
-    identifier,
-    integers,
+    add_mesh,
+    compute_box,
     make_unique,
-    mesh,
-    vectors,
+    to_identifier,
+    to_integer_array,
+    to_vector_array,
 )
 from antdsl.scene.geometry.usd import pxr
-from antdsl.scene.model import UNIT_MM
+from antdsl.scene.scene_model import UNIT_MM
 
 _APERTURE_MM = 36.0  # mm
 _CREASE_COSINE = np.cos(np.radians(40.0))  # edges that are sharper stay sharp
@@ -40,13 +40,13 @@ class WorldWriter:
     """Writer of everything in the world except agents."""
 
     def __init__(self, out: StageOutput, gallery: Gallery, frames: list[int]) -> None:
-        self._out, self._gallery, self._first = out, gallery, frames[0]
-        self._looks = MaterialBinder(out.stage, f"{MATERIALS_PATH}/world", _COLOUR_BY_KIND)
+        self._out, self._gallery, self._first_frame = out, gallery, frames[0]
+        self._materials = MaterialBinder(out.stage, f"{MATERIALS_PATH}/world", _COLOUR_BY_KIND)
         self._meshes: dict[str, _MeshWriter] = {}
         self._items: dict[int, tuple[ValueSamples, ValueSamples]] = {}
-        self._items_named: set[str] = set()
+        self._item_names: set[str] = set()
         self._fields: dict[str, _FieldWriter] = {}
-        self._camera = _CameraWriter(out, gallery) if gallery.camera(frames[0]) else None
+        self._camera = _CameraWriter(out, gallery) if gallery.make_camera(frames[0]) else None
 
     def frame(self, frame: int, picture: Picture) -> None:
         """Write the world in a frame."""
@@ -54,22 +54,22 @@ class WorldWriter:
             if solid.name not in self._meshes:
                 path = f"{ROOT_PATH}/{self._out.name('mesh', solid.name)}"
                 self._meshes[solid.name] = _MeshWriter(self._out, path, self._gallery.manifest.up)
-                self._looks.bind(self._out.stage.GetPrimAtPath(path), solid.kind)
+                self._materials.bind_material(self._out.stage.GetPrimAtPath(path), solid.kind)
             self._meshes[solid.name].frame(frame, solid)
         for number, item in enumerate(picture.items):
-            self._item(frame, number, item)
+            self._write_item(frame, number, item)
         for trail in picture.trails:
             if trail.name not in self._fields:
                 self._fields[trail.name] = _FieldWriter(self._out, trail)
-                if frame > self._first:
-                    self._fields[trail.name].nothing(self._first)
+                if frame > self._first_frame:
+                    self._fields[trail.name].write_empty_frame(self._first_frame)
             self._fields[trail.name].frame(frame, trail)
         for removed_name in self._fields.keys() - {trail.name for trail in picture.trails}:
-            self._fields[removed_name].nothing(frame)
+            self._fields[removed_name].write_empty_frame(frame)
         if self._camera is not None:
             self._camera.frame(frame)
 
-    def _item(self, frame: int, number: int, item: Item) -> None:
+    def _write_item(self, frame: int, number: int, item: Item) -> None:
         """Write the body of an item at its position. Its size shows the remaining amount, as in pictures.
 
         `number`: the index of the item among all items."""
@@ -79,56 +79,56 @@ class WorldWriter:
         if number not in self._items:
             if not self._items:
                 geom.Xform.Define(stage, f"{ROOT_PATH}/items")
-            path = f"{ROOT_PATH}/items/{make_unique(identifier(item.name), self._items_named)}"
-            points, faces, colour = placed(item.shape)
-            geometry: tuple[Array, Array] = (points, vertex_normals(points, faces))
+            path = f"{ROOT_PATH}/items/{make_unique(to_identifier(item.name), self._item_names)}"
+            points, faces, colour = build_item_mesh(item.shape)
+            geometry: tuple[Array, Array] = (points, compute_vertex_normals(points, faces))
             if self._gallery.manifest.up == "z":
-                geometry = (_to_z_up(geometry[0]), _to_z_up(geometry[1]))
+                geometry = (_rotate_to_z_up(geometry[0]), _rotate_to_z_up(geometry[1]))
             place, normals = geometry
-            shape = mesh(stage, path, place, faces, normals, _uv_around(points))
+            shape = add_mesh(stage, path, place, faces, normals, _map_around_centre(points))
             ops = (shape.AddTranslateOp(), shape.AddScaleOp(geom.XformOp.PrecisionDouble))
-            self._items[number] = (self._out.samples(ops[0], _vector), self._out.samples(ops[1], _vector))
-            shape.CreateDisplayColorPrimvar("vertex").Set(vectors(decode_srgb(colour)))
-            self._looks.bind(shape.GetPrim(), "")
+            self._items[number] = (self._out.add_samples(ops[0], _to_usd_vector), self._out.add_samples(ops[1], _to_usd_vector))
+            shape.CreateDisplayColorPrimvar("vertex").Set(to_vector_array(decode_srgb(colour)))
+            self._materials.bind_material(shape.GetPrim(), "")
         move, scale = self._items[number]
         move.set(frame, item.position)
-        scale.set(frame, np.full(3, item.radius * max(min(item.left, 1.0), 1e-9) ** (1 / 3)))
+        scale.set(frame, np.full(3, item.radius * max(min(item.remaining_share, 1.0), 1e-9) ** (1 / 3)))
 
 
 class _CameraWriter:
     """Writer of the scene's own camera."""
 
     def __init__(self, out: StageOutput, gallery: Gallery) -> None:
-        self._gallery, self._reaches = gallery, False
+        self._gallery, self._has_clipping_range = gallery, False
         camera = pxr("UsdGeom").Camera.Define(out.stage, f"{ROOT_PATH}/camera")
-        self._tenths = 10.0 / UNIT_MM[gallery.manifest.units]  # of a millimetre in the stage's unit
-        camera.CreateHorizontalApertureAttr(_APERTURE_MM * self._tenths)
-        camera.CreateVerticalApertureAttr(_APERTURE_MM * 9 / 16 * self._tenths)
-        self._clipping = camera.CreateClippingRangeAttr()
-        self._move = out.samples(camera.AddTransformOp(), lambda rows: pxr("Gf").Matrix4d(*rows.ravel().tolist()))
-        self._focal, self._focus = (
-            out.samples(a, lambda v: float(v[0])) for a in (camera.CreateFocalLengthAttr(), camera.CreateFocusDistanceAttr())
+        self._tenths_per_mm = 10.0 / UNIT_MM[gallery.manifest.units]  # of a millimetre in the stage's unit
+        camera.CreateHorizontalApertureAttr(_APERTURE_MM * self._tenths_per_mm)
+        camera.CreateVerticalApertureAttr(_APERTURE_MM * 9 / 16 * self._tenths_per_mm)
+        self._clipping_range = camera.CreateClippingRangeAttr()
+        self._transform = out.add_samples(camera.AddTransformOp(), lambda rows: pxr("Gf").Matrix4d(*rows.ravel().tolist()))
+        self._focal, self._focus_distance = (
+            out.add_samples(a, lambda v: float(v[0])) for a in (camera.CreateFocalLengthAttr(), camera.CreateFocusDistanceAttr())
         )
 
     def frame(self, frame: int) -> None:
         """Write the camera's transform and lens in a frame."""
-        camera = self._gallery.camera(frame)
+        camera = self._gallery.make_camera(frame)
         assert camera is not None
         eye, aim = np.asarray(camera.at), np.asarray(camera.look_at)
         upward = camera.up or ((0.0, 1.0, 0.0) if self._gallery.manifest.up == "y" else (0.0, 0.0, 1.0))
-        back, up = unit_or(eye - aim, np.array([0.0, 0.0, 1.0])), np.asarray(upward, np.float64)
+        back, up = normalise_or_fallback(eye - aim, np.array([0.0, 0.0, 1.0])), np.asarray(upward, np.float64)
         if np.linalg.norm(np.cross(up, back)) < 1e-6:
             up = np.roll(up, 1)
-        side = unit_or(np.cross(up, back), np.array([0.0, 0.0, 1.0]))
+        side = normalise_or_fallback(np.cross(up, back), np.array([0.0, 0.0, 1.0]))
         rows = np.zeros((4, 4))
         rows[0, :3], rows[1, :3], rows[2, :3], rows[3] = side, np.cross(back, side), back, (*eye, 1)
         far = float(np.linalg.norm(aim - eye))
-        self._move.set(frame, rows)
-        self._focal.set(frame, [camera.focal * self._tenths])
-        self._focus.set(frame, [far])
-        if not self._reaches:
-            self._clipping.Set(pxr("Gf").Vec2f(far / 1000, far * 1000))
-            self._reaches = True
+        self._transform.set(frame, rows)
+        self._focal.set(frame, [camera.focal * self._tenths_per_mm])
+        self._focus_distance.set(frame, [far])
+        if not self._has_clipping_range:
+            self._clipping_range.Set(pxr("Gf").Vec2f(far / 1000, far * 1000))
+            self._has_clipping_range = True
 
 
 class _MeshWriter:
@@ -138,32 +138,32 @@ class _MeshWriter:
         usd_mesh = pxr("UsdGeom").Mesh.Define(out.stage, path)
         usd_mesh.CreateSubdivisionSchemeAttr("none")
         usd_mesh.CreateDoubleSidedAttr(True)
-        self._counts = out.samples(usd_mesh.CreateFaceVertexCountsAttr(), integers, np.int32)
-        self._corners = out.samples(usd_mesh.CreateFaceVertexIndicesAttr(), integers, np.int32)
-        self._points = out.samples(usd_mesh.CreatePointsAttr(), vectors, np.float32)
-        self._normals = out.samples(usd_mesh.CreateNormalsAttr(), vectors, np.float32)
+        self._counts = out.add_samples(usd_mesh.CreateFaceVertexCountsAttr(), to_integer_array, np.int32)
+        self._corners = out.add_samples(usd_mesh.CreateFaceVertexIndicesAttr(), to_integer_array, np.int32)
+        self._points = out.add_samples(usd_mesh.CreatePointsAttr(), to_vector_array, np.float32)
+        self._normals = out.add_samples(usd_mesh.CreateNormalsAttr(), to_vector_array, np.float32)
         usd_mesh.SetNormalsInterpolation("faceVarying")
-        self._extent = out.samples(usd_mesh.CreateExtentAttr(), vectors, np.float32)
+        self._extent = out.add_samples(usd_mesh.CreateExtentAttr(), to_vector_array, np.float32)
         kind = pxr("Sdf").ValueTypeNames.TexCoord2fArray
         uvs = pxr("UsdGeom").PrimvarsAPI(usd_mesh).CreatePrimvar("st", kind, "vertex")
-        self._uvs = out.samples(uvs, pxr("Vt").Vec2fArray.FromNumpy, np.float32)
+        self._uvs = out.add_samples(uvs, pxr("Vt").Vec2fArray.FromNumpy, np.float32)
         self._up = 1 if up == "y" else 2
-        self._drawn: Solid | None = None
-        self._mapped = np.zeros((0, 2), np.float32)
+        self._current_solid: Solid | None = None
+        self._current_uvs = np.zeros((0, 2), np.float32)
 
     def frame(self, frame: int, solid: Solid) -> None:
         """Write the mesh in a frame."""
-        if solid is not self._drawn:
-            if self._drawn is None or self._drawn.faces is not solid.faces:
-                self._mapped = _uv_from_above(solid.vertices, self._up)  # constant while the faces are the same
-            self._shaded = creased_normals(solid.vertices, solid.faces)
-            self._drawn = solid
+        if solid is not self._current_solid:
+            if self._current_solid is None or self._current_solid.faces is not solid.faces:
+                self._current_uvs = _map_from_above(solid.vertices, self._up)  # constant while the faces are the same
+            self._current_normals = compute_creased_normals(solid.vertices, solid.faces)
+            self._current_solid = solid
         self._counts.set(frame, np.full(len(solid.faces), 3))
         self._corners.set(frame, np.ravel(solid.faces))
         self._points.set(frame, solid.vertices)
-        self._normals.set(frame, self._shaded)
-        self._uvs.set(frame, self._mapped)
-        self._extent.set(frame, box(solid.vertices))
+        self._normals.set(frame, self._current_normals)
+        self._uvs.set(frame, self._current_uvs)
+        self._extent.set(frame, compute_box(solid.vertices))
 
 
 class _FieldWriter:
@@ -172,18 +172,20 @@ class _FieldWriter:
     def __init__(self, out: StageOutput, trail: Trail) -> None:
         geom = pxr("UsdGeom")
         geom.Xform.Define(out.stage, f"{ROOT_PATH}/fields")
-        usd_points = geom.Points.Define(out.stage, f"{ROOT_PATH}/fields/{identifier(trail.name)}")
+        usd_points = geom.Points.Define(out.stage, f"{ROOT_PATH}/fields/{to_identifier(trail.name)}")
         usd_points.CreatePurposeAttr("guide")
         floats = pxr("Vt").FloatArray.FromNumpy
-        self._points = out.samples(usd_points.CreatePointsAttr(), vectors, np.float32)
-        self._widths = out.samples(usd_points.CreateWidthsAttr(), floats, np.float32)
+        self._points = out.add_samples(usd_points.CreatePointsAttr(), to_vector_array, np.float32)
+        self._widths = out.add_samples(usd_points.CreateWidthsAttr(), floats, np.float32)
         usd_points.SetWidthsInterpolation("vertex")
         kind = pxr("Sdf").ValueTypeNames.FloatArray
-        self._strength = out.samples(geom.PrimvarsAPI(usd_points).CreatePrimvar("strength", kind, "vertex"), floats, np.float32)
-        self._extent = out.samples(usd_points.CreateExtentAttr(), vectors, np.float32)
-        usd_points.CreateDisplayColorPrimvar("constant").Set(vectors(decode_srgb(np.array([trail.colour]))))
+        self._strength = out.add_samples(
+            geom.PrimvarsAPI(usd_points).CreatePrimvar("strength", kind, "vertex"), floats, np.float32
+        )
+        self._extent = out.add_samples(usd_points.CreateExtentAttr(), to_vector_array, np.float32)
+        usd_points.CreateDisplayColorPrimvar("constant").Set(to_vector_array(decode_srgb(np.array([trail.colour]))))
 
-    def nothing(self, frame: int) -> None:
+    def write_empty_frame(self, frame: int) -> None:
         """Write that the field has no points in a frame."""
         self._points.set(frame, np.zeros((0, 3)))
         self._widths.set(frame, np.zeros(0))
@@ -194,28 +196,28 @@ class _FieldWriter:
         """Write the field's points and widths in a frame."""
         rows = np.flatnonzero(trail.strength > 0)
         points, strength = trail.position[rows], trail.strength[rows]
-        full = trail.full or float(strength.max(initial=0.0)) or 1.0
+        full = trail.full_strength or float(strength.max(initial=0.0)) or 1.0
         width = trail.cell * np.sqrt(np.clip(strength / full, 0.0, 1.0))
         self._points.set(frame, points)
         self._widths.set(frame, width)
         self._strength.set(frame, strength)
         reach = trail.cell / 2
-        self._extent.set(frame, box(points) + np.array([[-reach], [reach]]) if len(points) else np.zeros((2, 3)))
+        self._extent.set(frame, compute_box(points) + np.array([[-reach], [reach]]) if len(points) else np.zeros((2, 3)))
 
 
-def creased_normals(points: Array, faces: Array) -> Array:
+def compute_creased_normals(points: Array, faces: Array) -> Array:
     """Return unit normals float32[3 m, 3] of the corners of triangles. They are smooth, except where a face deviates by over 40
     degrees."""
     corners = np.asarray(points, np.float64)[faces]
     flat = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    flat = unit_or(flat, np.array([0.0, 1.0, 0.0]))
-    smooth = vertex_normals(points, faces).astype(np.float64)[faces]
+    flat = normalise_or_fallback(flat, np.array([0.0, 1.0, 0.0]))
+    smooth = compute_vertex_normals(points, faces).astype(np.float64)[faces]
     near = (smooth * flat[:, None]).sum(axis=-1, keepdims=True) > _CREASE_COSINE
     normals: Array = np.where(near, smooth, flat[:, None]).reshape(-1, 3).astype(np.float32)
     return normals
 
 
-def _uv_from_above(points: Array, up: int) -> Array:
+def _map_from_above(points: Array, up: int) -> Array:
     """Return texture coordinates (n, 2) as seen from above. The longer side has the range 0 to 1."""
     flat = np.delete(np.asarray(points, np.float64), up, axis=1)
     if not len(flat):
@@ -225,19 +227,19 @@ def _uv_from_above(points: Array, up: int) -> Array:
     return coordinates
 
 
-def _uv_around(points: Array) -> Array:
+def _map_around_centre(points: Array) -> Array:
     """Return texture coordinates (n, 2) by direction from the centre of a body: longitude and latitude."""
-    low, high = box(points)
+    low, high = compute_box(points)
     offset = points - (low + high) / 2
     size = np.maximum(np.linalg.norm(offset, axis=1), 1e-12)
     around = np.arctan2(offset[:, 2], offset[:, 0]) / (2 * np.pi) + 0.5
     return np.stack([around, np.arccos(np.clip(offset[:, 1] / size, -1.0, 1.0)) / np.pi], axis=1).astype(np.float32)
 
 
-def _to_z_up(directions: Array) -> Array:
+def _rotate_to_z_up(directions: Array) -> Array:
     """Convert vectors (n, 3) from a world with y up to one with z up."""
     return np.stack([directions[:, 0], -directions[:, 2], directions[:, 1]], axis=1)
 
 
-def _vector(values: Array) -> Any:
+def _to_usd_vector(values: Array) -> Any:
     return pxr("Gf").Vec3d(*values.tolist())

@@ -11,9 +11,9 @@ import numpy as np
 from antdsl.outputs.cache.manifest import SpeciesEntry
 from antdsl.outputs.euler_angles import EulerAngles
 from antdsl.outputs.pictures.light import decode_srgb
-from antdsl.outputs.usd.bank import PrototypeBank, add_coloured_mesh
-from antdsl.outputs.usd.moments import TimeSample
-from antdsl.outputs.usd.values import ROOT_PATH, StageOutput, Visibility, name_states
+from antdsl.outputs.usd.pose_bank import PrototypeBank, add_coloured_mesh
+from antdsl.outputs.usd.time_samples import TimeSample
+from antdsl.outputs.usd.values import ROOT_PATH, StageOutput, Visibility, write_state_names
 from antdsl.scene.geometry.usd import pxr
 
 
@@ -26,32 +26,32 @@ class XformWriter:
 
     def __init__(self, out: StageOutput, species: SpeciesEntry, number: int, close: bool = False) -> None:
         self._out, self._number, self._path = out, number, f"{ROOT_PATH}/{out.name('species', species.name)}"
-        name_states(pxr("UsdGeom").Scope.Define(out.stage, self._path).GetPrim(), species)
+        write_state_names(pxr("UsdGeom").Scope.Define(out.stage, self._path).GetPrim(), species)
         self._bank = PrototypeBank(out, species, close)
-        self._angles, self._agents, self._there = EulerAngles(), dict[int, _AgentPrim](), np.empty(0, np.int64)
-        self._first: float | None = None
-        self._file = out.number
+        self._euler_angles, self._agents, self._hideable_agents = EulerAngles(), dict[int, _AgentPrim](), np.empty(0, np.int64)
+        self._first_time: float | None = None
+        self._file_number = out.file_number
 
     def sample(self, time_sample: TimeSample) -> None:
         """Write the agents at a time. Agents that are missing at this time are hidden."""
         agents, time = time_sample.agents(self._number), time_sample.time
-        self._first = time if self._first is None else self._first
-        turn = self._angles.of(agents.ids, agents.orient)
+        self._first_time = time if self._first_time is None else self._first_time
+        turn = self._euler_angles.of(agents.ids, agents.orient)
         colour = decode_srgb(agents.colour)
         visible_ids = agents.ids[agents.is_visible]
-        if self._file != self._out.number:  # a new file of values first hides all agents that may appear in it later
-            self._file, self._there = self._out.number, np.array(sorted(self._agents), np.int64)
-        for hidden_id in np.setdiff1d(self._there, visible_ids).tolist():
+        if self._file_number != self._out.file_number:  # a new file of values first hides all agents that may appear in it later
+            self._file_number, self._hideable_agents = self._out.file_number, np.array(sorted(self._agents), np.int64)
+        for hidden_id in np.setdiff1d(self._hideable_agents, visible_ids).tolist():
             self._agents[hidden_id].hide(time)
         for row, name in enumerate(agents.ids.tolist()):
             if not agents.is_visible[row]:
                 continue
             if name not in self._agents:
-                pose = self._bank.poses_of(agents)[row]
-                self._agents[name] = _AgentPrim(self._out, f"{self._path}/agent_{name}", pose, name, self._first, time)
+                pose = self._bank.find_pose_paths(agents)[row]
+                self._agents[name] = _AgentPrim(self._out, f"{self._path}/agent_{name}", pose, name, self._first_time, time)
             state = -1 if agents.state is None else int(agents.state[row])
             self._agents[name].set(time, agents.position[row], turn[row], agents.scale[row], colour[row], state)
-        self._there = visible_ids
+        self._hideable_agents = visible_ids
 
 
 class _AgentPrim:
@@ -62,24 +62,24 @@ class _AgentPrim:
         xform = geom.Xform.Define(out.stage, path)
         double = geom.XformOp.PrecisionDouble
         ops = (xform.AddTranslateOp(double), xform.AddRotateXYZOp(double), xform.AddScaleOp(double))
-        self._ops = tuple(out.samples(op, lambda v: gf.Vec3d(*v.tolist())) for op in ops)
+        self._transform_samples = tuple(out.add_samples(op, lambda v: gf.Vec3d(*v.tolist())) for op in ops)
         prim = xform.GetPrim()
         prim.CreateAttribute("userProperties:id", types.Int64).Set(name)
         state = prim.CreateAttribute("userProperties:state", types.Int)
-        self._state = out.samples(state, lambda v: int(v[0]), np.int32)
+        self._state = out.add_samples(state, lambda v: int(v[0]), np.int32)
         colour = add_coloured_mesh(out.stage, f"{path}/body", shape)
-        self._colour = out.samples(colour, lambda v: vt.Vec3fArray.FromNumpy(v[None]), np.float32)
-        self._seen = Visibility(out, xform, first, time)
+        self._colour = out.add_samples(colour, lambda v: vt.Vec3fArray.FromNumpy(v[None]), np.float32)
+        self._visibility = Visibility(out, xform, first, time)
 
-    def set(self, time: float, place: Any, turn: Any, size: float, colour: Any, state: int) -> None:
+    def set(self, time: float, translation: Any, angles: Any, size: float, colour: Any, state: int) -> None:
         """Write translation, angles (degrees), scale, colour and state at a time."""
-        for samples, value in zip(self._ops, (place, turn, np.full(3, size)), strict=True):
+        for samples, value in zip(self._transform_samples, (translation, angles, np.full(3, size)), strict=True):
             samples.set(time, value)
         self._colour.set(time, colour)
         if state >= 0:
             self._state.set(time, state)
-        self._seen.set(time, True)
+        self._visibility.set(time, True)
 
     def hide(self, time: float) -> None:
         """Hide the agent from a time on."""
-        self._seen.set(time, False)
+        self._visibility.set(time, False)

@@ -9,8 +9,8 @@ from antdsl.plan import ir
 from antdsl.plan.builder import PlanError
 from antdsl.plan.ir import PlanNode, ValueKind
 from antdsl.plan.lowering import appearance, clips, pair_values, values
-from antdsl.plan.lowering.expressions import lower, own_attribute, scalar, single_node, vector
-from antdsl.plan.lowering.values import EntityRef, NamedThing, OwnPlace, VectorNodes
+from antdsl.plan.lowering.expressions import convert_to_node, lower_expression, lower_scalar, lower_vector, read_own_attribute
+from antdsl.plan.lowering.values import EntityRef, NamedThing, OwnPosition, VectorNodes
 from antdsl.plan.lowering.writer import AXES, PlanWriter, UnsupportedConstruct
 from antdsl.program import model
 from antdsl.program.tables.vocabulary import is_limit
@@ -20,120 +20,120 @@ OperandTuple = tuple[PlanNode | None, ...]
 STEER_TEMP, GAZE_TEMP = "~steer", "~gaze"  # `~` cannot occur in names of the program
 
 
-def write(w: PlanWriter, statements: Sequence[model.Statement], site: str, machine: str = "") -> None:
+def write_statements(w: PlanWriter, statements: Sequence[model.Statement], site: str, machine: str = "") -> None:
     """Write statements in text order. Unsupported ones are reported and left out. `machine`: the machine of the state, if the
     statements are a state's body."""
     for number, statement in enumerate(statements, 1):
         w.b.span = statement.span
         try:
             if isinstance(statement, model.Play):
-                clips.play(w, machine, statement)
+                clips.lower_play(w, machine, statement)
             else:
                 _LOWERER_BY_STATEMENT[type(statement)](w, statement, f"{site}#{number}")
         except UnsupportedConstruct as missing:
-            complain(w, missing)
+            report_unsupported(w, missing)
 
 
-def complain(w: PlanWriter, missing: UnsupportedConstruct) -> None:
+def report_unsupported(w: PlanWriter, construct: UnsupportedConstruct) -> None:
     """Report a construct that cannot run yet."""
-    w.report.error("not-yet", f"{missing.what} is not supported yet", missing.span, missing.help)
+    w.report.error("not-yet", f"{construct.construct} is not supported yet", construct.span, construct.help)
 
 
-def _rate(w: PlanWriter, amount: PlanNode, per_second: bool) -> PlanNode:
+def _scale_by_step(w: PlanWriter, amount: PlanNode, is_rate: bool) -> PlanNode:
     """Return the amount that is added in one step: the value, times `dt` if it is per second."""
-    return w.b("mul", amount, w.run("dt")) if per_second else amount
+    return w.b("mul", amount, w.run("dt")) if is_rate else amount
 
 
-def _steer(w: PlanWriter, s: model.Steer, site: str) -> None:
+def _lower_steer(w: PlanWriter, s: model.Steer, site: str) -> None:
     for axis in AXES:
         w.declare(f"{STEER_TEMP}.{axis}", ValueKind.F32, "temp")
-    push = vector(w, s.push)
+    push = lower_vector(w, s.push)
     w.note_steering(s, site, push)
     w.store_vector(STEER_TEMP, values.add(w.b, w.read_vector(STEER_TEMP), push), s.span)
 
 
-def _face(w: PlanWriter, s: model.FaceLine, site: str) -> None:
-    direction = vector(w, s.direction)
+def _lower_face(w: PlanWriter, s: model.FaceLine, site: str) -> None:
+    direction = lower_vector(w, s.direction)
     w.note_steering(s, site, direction)
-    face(w, GAZE_TEMP, direction, s.span)
+    store_face_direction(w, GAZE_TEMP, direction, s.span)
 
 
-def face(w: PlanWriter, register: str, direction: VectorNodes, span: Span | None) -> None:
+def store_face_direction(w: PlanWriter, register: str, direction: VectorNodes, span: Span | None) -> None:
     """Store a direction to face in a temp, unless an earlier line has set one."""
     for axis in AXES:
         w.declare(f"{register}.{axis}", ValueKind.F32, "temp")
     previous = w.read_vector(register)
     w.store_vector(
-        register, values.choose(w.b, w.b("gt", values.length(w.b, previous), w.b.number(0)), previous, direction), span
+        register, values.choose_vector(w.b, w.b("gt", values.length(w.b, previous), w.b.number(0)), previous, direction), span
     )
 
 
-def _assign(w: PlanWriter, s: model.Assign, site: str) -> None:
+def _lower_assign(w: PlanWriter, s: model.Assign, site: str) -> None:
     pair_attribute = pair_values.find_declaration(w, s.attribute)
     if pair_attribute is not None:
-        pair_values.assign(w, s, pair_attribute)
+        pair_values.write_assignment(w, s, pair_attribute)
         return
     b = w.b
-    value = lower(w, s.value)
+    value = lower_expression(w, s.value)
     if s.op != "=":
-        old = own_attribute(w, s.attribute, s.value.type)
+        old = read_own_attribute(w, s.attribute, s.value.type)
         if isinstance(value, VectorNodes) and isinstance(old, VectorNodes):
             change = values.scale(b, value, w.run("dt")) if s.per_second else value
             value = values.add(b, old, change) if s.op == "+=" else values.sub(b, old, change)
         else:
             if not isinstance(value, PlanNode) or not isinstance(old, PlanNode):
                 raise PlanError(f"`{s.op}` on something that is no number: {s.span.text!r}")
-            value = b("add" if s.op == "+=" else "sub", old, _rate(w, value, s.per_second))
+            value = b("add" if s.op == "+=" else "sub", old, _scale_by_step(w, value, s.per_second))
     if s.attribute == "heading" and isinstance(value, VectorNodes):
         size = values.length(b, value)
-        value = values.choose(
+        value = values.choose_vector(
             b, b("gt", size, b.number(values.MIN_VECTOR_LENGTH)), values.divide(b, value, size), w.read_vector("heading")
         )
-    w.store_value(s.attribute, value, s.span, infinite=is_limit(s.attribute))
+    w.store_value(s.attribute, value, s.span, allows_infinity=is_limit(s.attribute))
 
 
-def _give(w: PlanWriter, s: model.Give, site: str) -> None:
-    to = lower(w, s.to)
+def _lower_give(w: PlanWriter, s: model.Give, site: str) -> None:
+    to = lower_expression(w, s.to)
     if isinstance(to, NamedThing):
         every = w.b("set.items", w.b.number(float("inf")), attrs=(to.name,))
         to = EntityRef(model.TypeKind.ITEM, to.name, w.b("reduce.item", every, w.b.true, w.b("pair.distance")))
-    if not isinstance(to, EntityRef) or to.what is not model.TypeKind.ITEM:
+    if not isinstance(to, EntityRef) or to.kind is not model.TypeKind.ITEM:
         raise PlanError(f"a gift to a {type(to).__name__}")
-    amount = None if s.amount is None else _rate(w, scalar(w, s.amount), s.per_second)
-    w.add(ir.Give(to.of, s.attribute, to.node, amount, s.attribute, s.span))
+    amount = None if s.amount is None else _scale_by_step(w, lower_scalar(w, s.amount), s.per_second)
+    w.add_statement(ir.Give(to.of, s.attribute, to.node, amount, s.attribute, s.span))
     w.mark_written(s.attribute)
 
 
-def _ask(w: PlanWriter, s: model.EffectRequest, site: str) -> None:
+def _lower_request(w: PlanWriter, s: model.EffectRequest, site: str) -> None:
     """Write a request as its row defines. The operands are the arguments, or are computed from them."""
     rule = OPERAND_LOWERERS.get(s.op)
     if rule is not None:
         operands = rule(w, *s.args)
     else:
-        operands = tuple(None if arg is None else _operand(w, arg, s.per_second) for arg in s.args)
+        operands = tuple(None if arg is None else _lower_operand(w, arg, s.per_second) for arg in s.args)
     target_species = next((arg.type.of for arg in s.args if arg is not None and arg.type.kind is model.TypeKind.AGENT), None)
-    w.add(ir.Request(s.op, s.of, operands, s.span, own=s.own, site=s.key, target_species=target_species))
+    w.add_statement(ir.Request(s.op, s.of, operands, s.span, own=s.own, site=s.draw_key, target_species=target_species))
 
 
-def _operand(w: PlanWriter, arg: model.Expr, per_second: bool) -> PlanNode:
-    value = lower(w, arg)
-    if isinstance(value, OwnPlace):
+def _lower_operand(w: PlanWriter, arg: model.Expr, per_second: bool) -> PlanNode:
+    value = lower_expression(w, arg)
+    if isinstance(value, OwnPosition):
         return w.b("id")
-    node = single_node(w, arg, value)
-    return _rate(w, node, per_second) if node.kind is ValueKind.F32 else node
+    node = convert_to_node(w, arg, value)
+    return _scale_by_step(w, node, per_second) if node.kind is ValueKind.F32 else node
 
 
-def _carve_ball(w: PlanWriter, size_of: model.Expr | None, toward: model.Expr | None) -> OperandTuple:
+def _compute_carve_ball(w: PlanWriter, radius_expr: model.Expr | None, direction_expr: model.Expr | None) -> OperandTuple:
     """Return the operands of a ball to carve. Its centre is half a body length and half its radius ahead of the agent. Its lowest
     point is level with the feet, so an agent that moves ahead stays level."""
-    assert size_of is not None
+    assert radius_expr is not None
     b = w.b
-    radius = scalar(w, size_of)
+    radius = lower_scalar(w, radius_expr)
     heading = w.read_vector("heading")
-    ahead = heading if toward is None else values.unit(b, vector(w, toward))
-    if toward is not None:
+    ahead = heading if direction_expr is None else values.normalise(b, lower_vector(w, direction_expr))
+    if direction_expr is not None:
         size = values.length(b, ahead)
-        ahead = values.choose(b, b("gt", size, b.number(0.5)), ahead, heading)
+        ahead = values.choose_vector(b, b("gt", size, b.number(0.5)), ahead, heading)
     reach = b("mul", b("add", w.read("size"), radius), b.number(0.5))
     middle = values.add(b, w.read_vector("position"), values.scale(b, w.read_vector("up"), radius))
     middle = values.add(b, middle, values.scale(b, ahead, reach))
@@ -141,8 +141,9 @@ def _carve_ball(w: PlanWriter, size_of: model.Expr | None, toward: model.Expr | 
 
 
 # Computes the operands of an effect from its arguments, if its row says that they are computed.
-OPERAND_LOWERERS: dict[str, Callable[..., OperandTuple]] = {"carve": _carve_ball}
+OPERAND_LOWERERS: dict[str, Callable[..., OperandTuple]] = {"carve": _compute_carve_ball}
 _LOWERER_BY_STATEMENT: dict[type, Callable[[PlanWriter, Any, str], None]] = {
-    model.Steer: _steer, model.FaceLine: _face, model.Assign: _assign, model.Give: _give, model.EffectRequest: _ask,
+    model.Steer: _lower_steer, model.FaceLine: _lower_face, model.Assign: _lower_assign, model.Give: _lower_give,
+    model.EffectRequest: _lower_request,
     **appearance.LOWERER_BY_STATEMENT,
 }  # fmt: skip

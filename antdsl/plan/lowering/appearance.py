@@ -15,8 +15,8 @@ from typing import Any
 
 from antdsl.plan.ir import ValueKind
 from antdsl.plan.lowering import values
-from antdsl.plan.lowering.expressions import lower, scalar, truth
-from antdsl.plan.lowering.rules.places import offset_to
+from antdsl.plan.lowering.expressions import lower_condition, lower_expression, lower_scalar
+from antdsl.plan.lowering.rules.places import compute_offset
 from antdsl.plan.lowering.values import VectorNodes
 from antdsl.plan.lowering.writer import AXES, PlanWriter
 from antdsl.program import model
@@ -25,39 +25,39 @@ DEFAULT_LOOK_ANGLE, DEFAULT_LOOK_SECONDS = pi / 3, 0.2  # rad, s: defaults of `w
 _LOOK_AHEAD = (1.0, 0.0, 0.0)
 
 
-def wears_of(species: model.Species) -> tuple[str, ...]:
+def list_worn_layers(species: model.Species) -> tuple[str, ...]:
     """Return the layers that states wear, each once, in text order."""
-    return tuple(dict.fromkeys(line.layer for line in _lines(species) if isinstance(line, model.Wear)))
+    return tuple(dict.fromkeys(line.layer for line in _iterate_statements(species) if isinstance(line, model.Wear)))
 
 
-def channels_of(species: model.Species) -> tuple[str, ...]:
+def list_channels(species: model.Species) -> tuple[str, ...]:
     """Return the channels that states set, each once, in text order."""
-    return tuple(dict.fromkeys(line.channel for line in _lines(species) if isinstance(line, model.Channel)))
+    return tuple(dict.fromkeys(line.channel for line in _iterate_statements(species) if isinstance(line, model.Channel)))
 
 
-def looks_of(species: model.Species) -> tuple[str, ...]:
+def list_look_groups(species: model.Species) -> tuple[str, ...]:
     """Return the transform groups that states turn towards a point, each once, in text order."""
-    return tuple(dict.fromkeys(line.group for line in _lines(species) if isinstance(line, model.Look)))
+    return tuple(dict.fromkeys(line.group for line in _iterate_statements(species) if isinstance(line, model.Look)))
 
 
-def declare(w: PlanWriter) -> None:
+def declare_registers(w: PlanWriter) -> None:
     """Declare the registers of a species."""
     for role, sign in (("memory", ""), ("temp", "~")):
-        for layer in wears_of(w.species):
+        for layer in list_worn_layers(w.species):
             w.declare(f"{sign}wear#{layer}", ValueKind.BOOL, role)
-        for name in channels_of(w.species):
+        for name in list_channels(w.species):
             w.declare(f"{sign}channel#{name}", ValueKind.F32, role)
             w.declare(f"{sign}channel#{name}.said", ValueKind.BOOL, role)
-        for group in looks_of(w.species):
+        for group in list_look_groups(w.species):
             for axis, ahead in zip(AXES, _LOOK_AHEAD, strict=True):
                 w.declare(f"{sign}look#{group}.{axis}", ValueKind.F32, role, ahead)
-    for group in looks_of(w.species):
+    for group in list_look_groups(w.species):
         w.declare(f"~look#{group}.over", ValueKind.F32, "temp", DEFAULT_LOOK_SECONDS)
 
 
-def begin(w: PlanWriter, starts: Sequence[model.State]) -> None:
+def write_start_appearance(w: PlanWriter, start_states: Sequence[model.State]) -> None:
     """Write the appearance at birth, which is that of the start states. Looks begin straight ahead."""
-    for state in starts:
+    for state in start_states:
         for line in state.body:
             if isinstance(line, (model.Wear, model.Channel)):
                 w.b.span = line.span
@@ -65,68 +65,72 @@ def begin(w: PlanWriter, starts: Sequence[model.State]) -> None:
     _store_display(w)
 
 
-def settle(w: PlanWriter) -> None:
+def apply_appearance(w: PlanWriter) -> None:
     """Store the requested layers and channels after all machines have acted, and turn look directions by one step."""
     _store_display(w)
     b = w.b
-    for group in looks_of(w.species):
+    for group in list_look_groups(w.species):
         name = f"look#{group}"
         now, wish = w.read_vector(name), w.read_vector(f"~{name}")
         least = b("max", w.read(f"~{name}.over"), w.run("dt"))
         share = b("sub", b.number(1), b("exp", b("neg", b("div", w.run("dt"), least))))
-        turned = values.unit(b, values.add(b, now, values.scale(b, values.sub(b, wish, now), share)))
+        turned = values.normalise(b, values.add(b, now, values.scale(b, values.sub(b, wish, now), share)))
         has_direction = b("gt", values.dot(b, turned, turned), b.number(0.5))
-        w.store_vector(name, values.choose(b, has_direction, turned, now), None)
+        w.store_vector(name, values.choose_vector(b, has_direction, turned, now), None)
 
 
 def _store_display(w: PlanWriter) -> None:
-    for layer in wears_of(w.species):
+    for layer in list_worn_layers(w.species):
         w.store(f"wear#{layer}", w.read(f"~wear#{layer}"), None)
-    for name in channels_of(w.species):
+    for name in list_channels(w.species):
         for register in (f"channel#{name}", f"channel#{name}.said"):
             w.store(register, w.read(f"~{register}"), None)
 
 
-def _wear(w: PlanWriter, line: model.Wear, site: str) -> None:
+def _lower_wear(w: PlanWriter, line: model.Wear, site: str) -> None:
     register = f"~wear#{line.layer}"
-    worn = w.b.true if line.when is None else truth(w, line.when)
+    worn = w.b.true if line.condition is None else lower_condition(w, line.condition)
     w.store(register, w.b("or", w.read(register), worn), line.span)
 
 
-def _channel(w: PlanWriter, line: model.Channel, site: str) -> None:
-    w.store(f"~channel#{line.channel}", scalar(w, line.value), line.span)
+def _lower_channel(w: PlanWriter, line: model.Channel, site: str) -> None:
+    w.store(f"~channel#{line.channel}", lower_scalar(w, line.value), line.span)
     w.store(f"~channel#{line.channel}.said", w.b.true, line.span)
 
 
-def _look(w: PlanWriter, line: model.Look, site: str) -> None:
+def _lower_look(w: PlanWriter, line: model.Look, site: str) -> None:
     """Write the requested look direction towards a point, in the agent's frame and limited to the allowed angle. Without a point,
     it is straight ahead."""
     b, register = w.b, f"~look#{line.group}"
-    is_present, offset = offset_to(w, lower(w, line.at), line.at)
-    direction = values.unit(b, values.vector_if(b, is_present, offset))
+    is_present, offset = compute_offset(w, lower_expression(w, line.at), line.at)
+    direction = values.normalise(b, values.select_or_zero(b, is_present, offset))
     heading, up = w.read_vector("heading"), w.read_vector("up")
     side = values.cross(b, heading, up)
     local_direction = VectorNodes(values.dot(b, direction, heading), values.dot(b, direction, up), values.dot(b, direction, side))
-    limit = b.number(DEFAULT_LOOK_ANGLE) if line.within is None else scalar(w, line.within)
+    limit = b.number(DEFAULT_LOOK_ANGLE) if line.max_angle is None else lower_scalar(w, line.max_angle)
     least, widest = b("cos", limit), b("sin", limit)
     aside = values.length(b, VectorNodes(b.number(0), local_direction.y, local_direction.z))
     far = b("div", widest, b("max", aside, b.number(1e-6)))
     held = VectorNodes(least, b("mul", local_direction.y, far), b("mul", local_direction.z, far))
-    wish = values.choose(b, b("lt", local_direction.x, least), held, local_direction)
+    wish = values.choose_vector(b, b("lt", local_direction.x, least), held, local_direction)
     ahead = VectorNodes(*(b.number(part) for part in _LOOK_AHEAD))
     known = b("and", is_present, b("gt", aside, b.number(1e-6)))  # for a point straight behind, neither side is nearer
-    w.store_vector(register, values.choose(b, known, wish, ahead), line.span)
-    w.store(f"{register}.over", b.number(DEFAULT_LOOK_SECONDS) if line.over is None else scalar(w, line.over), line.span)
+    w.store_vector(register, values.choose_vector(b, known, wish, ahead), line.span)
+    w.store(
+        f"{register}.over",
+        b.number(DEFAULT_LOOK_SECONDS) if line.time_constant is None else lower_scalar(w, line.time_constant),
+        line.span,
+    )
 
 
 LOWERER_BY_STATEMENT: dict[type, Callable[[PlanWriter, Any, str], None]] = {
-    model.Wear: _wear,
-    model.Channel: _channel,
-    model.Look: _look,
+    model.Wear: _lower_wear,
+    model.Channel: _lower_channel,
+    model.Look: _lower_look,
 }
 
 
-def _lines(species: model.Species) -> Iterator[model.Statement]:
+def _iterate_statements(species: model.Species) -> Iterator[model.Statement]:
     for machine in species.machines:
         for state in machine.states:
             yield from state.body

@@ -8,13 +8,13 @@ from math import inf
 from antdsl.plan.builder import PlanBuilder
 from antdsl.plan.ir import PlanNode, ValueKind, birth_register
 from antdsl.plan.lowering import appearance, clips, pair_values
-from antdsl.plan.lowering.actions import complain, write
-from antdsl.plan.lowering.expressions import as_truth, lower, needs_register
+from antdsl.plan.lowering.actions import report_unsupported, write_statements
+from antdsl.plan.lowering.expressions import convert_to_condition, lower_expression, needs_register
 from antdsl.plan.lowering.machines import MachineWriter
 from antdsl.plan.lowering.values import LoweredValue
 from antdsl.plan.lowering.writer import PlanWriter, UnsupportedConstruct
 from antdsl.program import model
-from antdsl.program.tables.columns import REGISTERS
+from antdsl.program.tables.columns import REGISTER_COLUMN_BY_NAME
 from antdsl.program.tables.editions import (
     CRAWLING_SETTING,
     DEFAULT_BY_SETTING,
@@ -23,9 +23,9 @@ from antdsl.program.tables.editions import (
     STANDING_SETTING,
 )
 from antdsl.program.tables.vocabulary import builtin_attributes, is_limit
-from antdsl.program.traverse import inside
+from antdsl.program.traverse import iterate_expressions
 
-VECTOR_ATTRIBUTES = tuple(name for name, column in REGISTERS.items() if column.shape)
+VECTOR_ATTRIBUTES = tuple(name for name, column in REGISTER_COLUMN_BY_NAME.items() if column.shape)
 # Of bodies that stay outside their ground: the shift of the body, how much its feet wait for it, how deep it is inside a surface,
 # and the direction out of what it has met. The runtime sets them.
 CLEARANCE_REGISTERS = ("~lift.x", "~lift.y", "~lift.z", "~wait", "~depth", "~out.x", "~out.y", "~out.z")
@@ -36,21 +36,21 @@ BIRTH_ATTRIBUTES = (
 )  # fmt: skip
 
 
-def declare(w: PlanWriter) -> None:
+def declare_registers(w: PlanWriter) -> None:
     """Declare the registers that every agent has, then those of the author's attributes."""
     for name in VECTOR_ATTRIBUTES:
         for axis in "xyz":
             w.declare(f"{name}.{axis}", ValueKind.F32, "attribute")
     for name in (*_birth_attributes(w.species), "group"):
         w.declare(name, ValueKind.F32, "attribute")
-    if w.measures_pushes:
+    if w.has_moved_register:
         w.declare("moved", ValueKind.F32, "attribute")
     if w.species.clears_body:
         for name in CLEARANCE_REGISTERS:
             w.declare(name, ValueKind.F32, "attribute")
     for attribute in w.species.attributes:
         if attribute.each:
-            pair_values.declare(w, attribute)
+            pair_values.declare_registers(w, attribute)
             continue
         if attribute.name == "push":
             w.report.error("reserved-name", "`push` is reserved", attribute.span, "rename the attribute")
@@ -59,7 +59,7 @@ def declare(w: PlanWriter) -> None:
             w.declare_typed(attribute.name, attribute.type, "attribute")
 
 
-def given_default(w: PlanWriter, name: str) -> PlanNode:
+def compute_builtin_default(w: PlanWriter, name: str) -> PlanNode:
     """Return the default of a built-in attribute that the author does not set. `docs/card.md` lists these attributes as
     "given"."""
     b: PlanBuilder = w.b
@@ -94,9 +94,9 @@ def _birth_attributes(species: model.Species) -> list[str]:
     return [name for name in names if name != STANDING_SETTING or is_standing(species)]
 
 
-def newer_attributes(species: model.Species) -> frozenset[str]:
+def newer_attributes(species: model.Species) -> tuple[str, ...]:
     """Return the built-in attributes of a species that edition 1 does not have."""
-    return frozenset(_birth_attributes(species)) - builtin_attributes(1).keys()
+    return tuple(name for name in _birth_attributes(species) if name not in builtin_attributes(1))
 
 
 def is_standing(species: model.Species) -> bool:
@@ -108,19 +108,19 @@ def write_birth(w: PlanWriter, machines: list[MachineWriter]) -> None:
     """Write the block `born`."""
     for machine in machines:
         machine.begin()
-    for name in _attribute_order(w):
-        _attribute(w, name)
+    for name in _order_attributes(w):
+        _write_attribute(w, name)
     for number, handler in enumerate(h for h in w.species.handlers if h.event == "spawn"):
-        write(w, handler.actions, f"{w.species.name}.on.spawn#{number + 1}")
+        write_statements(w, handler.actions, f"{w.species.name}.on.spawn#{number + 1}")
     for machine in machines:
-        machine.enter_start()
-    appearance.begin(w, [machine.machine.states[machine.machine.start] for machine in machines])
-    clips.begin_leaning(w)
+        machine.write_start_actions()
+    appearance.write_start_appearance(w, [machine.machine.states[machine.machine.start] for machine in machines])
+    clips.store_start_heading(w)
 
 
-def _or_scene_value(w: PlanWriter, name: str, default: LoweredValue) -> LoweredValue:
+def _prefer_scene_value(w: PlanWriter, name: str, default: LoweredValue) -> LoweredValue:
     """Return the scene's value of an attribute if there is one, else the default. Attributes computed later use this value."""
-    if name not in w.begun_with or not isinstance(default, PlanNode) or default.kind not in (ValueKind.F32, ValueKind.BOOL):
+    if name not in w.scene_attributes or not isinstance(default, PlanNode) or default.kind not in (ValueKind.F32, ValueKind.BOOL):
         return default
     w.declare(birth_register(name), ValueKind.F32, "temp", inf)
     b, scene_value = w.b, w.read(birth_register(name))
@@ -128,7 +128,7 @@ def _or_scene_value(w: PlanWriter, name: str, default: LoweredValue) -> LoweredV
     return b("where", b("lt", scene_value, b.number(inf)), value, default)
 
 
-def _author_attributes(w: PlanWriter) -> dict[str, model.AttributeDecl]:
+def _find_author_attributes(w: PlanWriter) -> dict[str, model.AttributeDecl]:
     """Return the attributes in the author's text, and those with a default of a newer edition. Any other built-in attribute with
     the span of the species' name is not in the text; its default is made in this module, where the step length is known."""
     mine = [a for a in w.species.attributes if not a.each and a.name != "push"]
@@ -136,37 +136,37 @@ def _author_attributes(w: PlanWriter) -> dict[str, model.AttributeDecl]:
     return {a.name: a for a in mine if a.name in newer or not (a.is_builtin and a.span == w.species.span)}
 
 
-def _attribute(w: PlanWriter, name: str) -> None:
-    declared = _author_attributes(w)
+def _write_attribute(w: PlanWriter, name: str) -> None:
+    declared = _find_author_attributes(w)
     if name not in declared:
-        value: LoweredValue = _or_scene_value(w, name, given_default(w, name))
-        w.store_value(name, value, None, infinite=is_limit(name))
+        value: LoweredValue = _prefer_scene_value(w, name, compute_builtin_default(w, name))
+        w.store_value(name, value, None, allows_infinity=is_limit(name))
         return
     attribute = declared[name]
     w.b.span = attribute.span
     try:
-        value = lower(w, attribute.default)
+        value = lower_expression(w, attribute.default)
         if attribute.type.kind is model.TypeKind.BOOL:
-            value = as_truth(w, value, attribute.default)
-        w.store_value(name, _or_scene_value(w, name, value), attribute.span, infinite=is_limit(name))
+            value = convert_to_condition(w, value, attribute.default)
+        w.store_value(name, _prefer_scene_value(w, name, value), attribute.span, allows_infinity=is_limit(name))
     except UnsupportedConstruct as missing:
-        complain(w, missing)
+        report_unsupported(w, missing)
 
 
-def _attribute_order(w: PlanWriter) -> list[str]:
+def _order_attributes(w: PlanWriter) -> list[str]:
     """Return the names of all attributes, each after the attributes that its default reads. The checker has already rejected
     cycles."""
-    declared = _author_attributes(w)
+    declared = _find_author_attributes(w)
     needs: dict[str, list[str]] = {name: [] for name in (*_birth_attributes(w.species), *declared)}
     for name in needs:
         if name in declared:
-            needs[name] = [n for n in attributes_read(declared[name].default) if n in needs]
+            needs[name] = [n for n in find_attributes_read(declared[name].default) if n in needs]
         else:
             needs[name] = [each for each in _DEFAULT_OPERANDS.get(name, ()) if each in needs]
     return list(TopologicalSorter(needs).static_order())
 
 
-def attributes_read(expr: model.Expr) -> list[str]:
+def find_attributes_read(expr: model.Expr) -> list[str]:
     """Return the names of the agent's own attributes that an expression reads, also through lets."""
-    own = [e.name for e in inside(expr) if isinstance(e, model.AttributeRef) and e.of is None]
+    own = [e.name for e in iterate_expressions(expr) if isinstance(e, model.AttributeRef) and e.of is None]
     return ["velocity" if name == "speed" else name for name in own]

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 
 from antdsl.plan.ir import LayerPlan, ValueKind
 from antdsl.plan.lowering import values
-from antdsl.plan.lowering.actions import GAZE_TEMP, STEER_TEMP, complain, face
-from antdsl.plan.lowering.expressions import truth, vector
+from antdsl.plan.lowering.actions import GAZE_TEMP, STEER_TEMP, report_unsupported, store_face_direction
+from antdsl.plan.lowering.expressions import lower_condition, lower_vector
 from antdsl.plan.lowering.values import VectorNodes
 from antdsl.plan.lowering.writer import AXES, PlanWriter, UnsupportedConstruct
 from antdsl.program import model
@@ -17,74 +17,76 @@ from antdsl.program import model
 PUSH_REGISTER, BUDGET_LEFT_REGISTER, FACE_REGISTER = "push", "~left", "~face"
 
 
-def blend(w: PlanWriter, order: Sequence[str] | None) -> tuple[LayerPlan, ...]:
+def blend_layers(w: PlanWriter, order: Sequence[str] | None) -> tuple[LayerPlan, ...]:
     """Write the layers in order. The result is in the register `push`."""
     mode = w.species.layers.mode
     every = order_layers(w, order)
     layers = [layer for layer in every if not layer.faces]
     w.declare(BUDGET_LEFT_REGISTER, ValueKind.F32, "temp", 1.0)
     if not layers:
-        _spend(w, _states(w), w.species.span, last=True)
+        _spend_budget(w, _read_state_push(w), w.species.span, is_last=True)
     for number, layer in enumerate(layers):
         w.b.span = layer.span
         try:
-            _layer(w, layer, mode, last=number == len(layers) - 1)
+            _write_layer(w, layer, mode, is_last=number == len(layers) - 1)
         except UnsupportedConstruct as missing:
-            complain(w, missing)
+            report_unsupported(w, missing)
     if mode == "sum":
-        w.store_vector(PUSH_REGISTER, values.limit(w.b, w.read_vector(PUSH_REGISTER), w.b.number(1)), w.species.layers.span)
-    _face(w, every)
+        w.store_vector(
+            PUSH_REGISTER, values.limit_length(w.b, w.read_vector(PUSH_REGISTER), w.b.number(1)), w.species.layers.span
+        )
+    _write_face_direction(w, every)
     return tuple(LayerPlan(layer.text, layer.span) for layer in every)
 
 
-def _layer(w: PlanWriter, layer: model.Layer, mode: str, last: bool) -> None:
+def _write_layer(w: PlanWriter, layer: model.Layer, mode: str, is_last: bool) -> None:
     b = w.b
     strength = w.read(BUDGET_LEFT_REGISTER)
     left = b.true if mode == "sum" else b("gt", strength, b.number(0))
-    with w.region(left, layer.span):
-        condition = b.true if layer.condition is None else truth(w, layer.condition)
-        with w.region(condition, layer.span):
-            push = _states(w) if layer.push is None else vector(w, layer.push)
+    with w.open_region(left, layer.span):
+        condition = b.true if layer.condition is None else lower_condition(w, layer.condition)
+        with w.open_region(condition, layer.span):
+            push = _read_state_push(w) if layer.push is None else lower_vector(w, layer.push)
             w.note_layer(layer, strength, left, condition, push)
             if mode == "sum":
                 w.store_vector(PUSH_REGISTER, values.add(b, w.read_vector(PUSH_REGISTER), push), layer.span)
             elif mode == "first":
-                _take_first(w, push, layer, last)
+                _store_first_push(w, push, layer, is_last)
             else:
-                _spend(w, push, layer.span, last)
+                _spend_budget(w, push, layer.span, is_last)
 
 
-def _face(w: PlanWriter, layers: Sequence[model.Layer]) -> None:
-    """Write the direction that the body faces, from the topmost `face` line with a direction. At the line `state`, the `face`
-    lines of the states apply.
+def _write_face_direction(w: PlanWriter, layers: Sequence[model.Layer]) -> None:
+    """Write the direction that the body faces, from the topmost `store_face_direction` line with a direction. At the line
+    `state`, the `store_face_direction` lines of the states apply.
 
-    A `face` line uses no strength, so layers above cannot use up its share."""
+    A `store_face_direction` line uses no strength, so layers above cannot use up its share."""
     states = f"{GAZE_TEMP}.x" in w.registers
     if not layers and states:
-        face(w, FACE_REGISTER, w.read_vector(GAZE_TEMP), w.species.span)
+        store_face_direction(w, FACE_REGISTER, w.read_vector(GAZE_TEMP), w.species.span)
     for number, layer in enumerate(layers, 1):
         if not layer.faces and not (layer.push is None and states):
             continue
         w.b.span = layer.span
         try:
-            holds = w.b.true if layer.condition is None else truth(w, layer.condition)
-            with w.region(holds, layer.span):
-                direction = w.read_vector(GAZE_TEMP) if layer.push is None else vector(w, layer.push)
+            holds = w.b.true if layer.condition is None else lower_condition(w, layer.condition)
+            with w.open_region(holds, layer.span):
+                direction = w.read_vector(GAZE_TEMP) if layer.push is None else lower_vector(w, layer.push)
                 if layer.push is not None:
                     w.note_steering(layer, f"{w.species.name}.layers.face#{number}", direction, holds)
-                face(w, FACE_REGISTER, direction, layer.span)
+                store_face_direction(w, FACE_REGISTER, direction, layer.span)
         except UnsupportedConstruct as missing:
-            complain(w, missing)
+            report_unsupported(w, missing)
 
 
-def _states(w: PlanWriter) -> VectorNodes:
+def _read_state_push(w: PlanWriter) -> VectorNodes:
     """Return the sum of the pushes that the current states of all machines steer."""
     if f"{STEER_TEMP}.x" not in w.registers:
-        return values.zero(w.b)
+        return values.zero_vector(w.b)
     return w.read_vector(STEER_TEMP)
 
 
-def _spend(w: PlanWriter, push: VectorNodes, span: object, last: bool) -> None:
+def _spend_budget(w: PlanWriter, push: VectorNodes, span: object, is_last: bool) -> None:
     """Add a push, limited to the remaining strength, and subtract its length from the remaining strength."""
     b = w.b
     left, size = w.read(BUDGET_LEFT_REGISTER), values.length(b, push)
@@ -92,17 +94,17 @@ def _spend(w: PlanWriter, push: VectorNodes, span: object, last: bool) -> None:
     cut = values.scale(b, push, b("where", too_much, b("div", left, size), b.number(1)))
     place = b.span
     w.store_vector(PUSH_REGISTER, values.add(b, w.read_vector(PUSH_REGISTER), cut), place)
-    if not last:
+    if not is_last:
         w.store(BUDGET_LEFT_REGISTER, b("where", too_much, b.number(0), b("sub", left, size)), place)
 
 
-def _take_first(w: PlanWriter, push: VectorNodes, layer: model.Layer, last: bool) -> None:
+def _store_first_push(w: PlanWriter, push: VectorNodes, layer: model.Layer, is_last: bool) -> None:
     """Use the first push that is not zero as the result, limited to length 1."""
     b = w.b
     is_nonzero = b("gt", values.length(b, push), b.number(0))
-    with w.region(is_nonzero, layer.span):
-        w.store_vector(PUSH_REGISTER, values.limit(b, push, b.number(1)), layer.span)
-        if not last:
+    with w.open_region(is_nonzero, layer.span):
+        w.store_vector(PUSH_REGISTER, values.limit_length(b, push, b.number(1)), layer.span)
+        if not is_last:
             w.store(BUDGET_LEFT_REGISTER, b.number(0), layer.span)
 
 
@@ -119,7 +121,7 @@ def order_layers(w: PlanWriter, order: Sequence[str] | None) -> tuple[model.Laye
     result: list[model.Layer] = []
     for name in order:
         fitting = [layer for layer in layers if layer not in result and _is_named(layer, name)]
-        exact = [layer for layer in fitting if _plain_text(layer.text) == _plain_text(name)]
+        exact = [layer for layer in fitting if _remove_blanks(layer.text) == _remove_blanks(name)]
         if not exact and len(fitting) != 1:
             known = ", ".join(f"`{layer.text}`" for layer in layers)
             what = "no layer" if not fitting else "more than one layer"
@@ -135,16 +137,16 @@ def order_layers(w: PlanWriter, order: Sequence[str] | None) -> tuple[model.Laye
     return tuple(result)
 
 
-def _plain_text(text: str) -> str:
+def _remove_blanks(text: str) -> str:
     return "".join(text.split())
 
 
 def _is_named(layer: model.Layer, name: str) -> bool:
-    text = _plain_text(layer.text)
-    return text == _plain_text(name) or text.split("(")[0] == _plain_text(name)
+    text = _remove_blanks(layer.text)
+    return text == _remove_blanks(name) or text.split("(")[0] == _remove_blanks(name)
 
 
-def declare(w: PlanWriter) -> None:
+def declare_push(w: PlanWriter) -> None:
     """Declare the temp register `push`."""
     for axis in AXES:
         w.declare(f"{PUSH_REGISTER}.{axis}", ValueKind.F32, "temp")

@@ -1,4 +1,4 @@
-"""Lowers `play`: the clip that each machine plays, its progress, and the cross-fade from the previous clip.
+"""Lowers `lower_play`: the clip that each machine plays, its progress, and the cross-fade from the previous clip.
 
 Progress is counted in turns: 0 at the start of a clip, 1 after it has played once, and so on if it loops. So bodies with faster
 or slower clips of the same names continue at the same progress. A clip that covers ground advances with the distance that the
@@ -23,7 +23,7 @@ from math import pi
 from antdsl.plan import ir
 from antdsl.plan.ir import PlanNode, ValueKind
 from antdsl.plan.lowering import values
-from antdsl.plan.lowering.expressions import scalar, truth
+from antdsl.plan.lowering.expressions import lower_condition, lower_scalar
 from antdsl.plan.lowering.values import VectorNodes
 from antdsl.plan.lowering.writer import AXES, PlanWriter
 from antdsl.program import model
@@ -47,25 +47,25 @@ _FADE_REGISTER_COPIES = (
 )  # fmt: skip
 
 
-def clips_of(species: model.Species) -> tuple[ir.ClipPlan, ...]:
+def list_clips(species: model.Species) -> tuple[ir.ClipPlan, ...]:
     """Return the clips that a species plays, each once, in text order."""
     clip_plans: dict[ir.ClipPlan, None] = {}
     for machine in species.machines:
-        for line in _lines(machine):
-            clip_plans.setdefault(_clip_plan(line))
+        for line in _list_play_lines(machine):
+            clip_plans.setdefault(_make_clip_plan(line))
     return tuple(clip_plans)
 
 
-def _clip_plan(line: model.Play) -> ir.ClipPlan:
+def _make_clip_plan(line: model.Play) -> ir.ClipPlan:
     return ir.ClipPlan(line.clip, line.on, line.add, *line.blend_clips)
 
 
 def plays_clips(machine: model.Machine) -> bool:
     """Return whether at least one state of a machine plays a clip."""
-    return bool(_lines(machine))
+    return bool(_list_play_lines(machine))
 
 
-def declare(w: PlanWriter, machine: model.Machine) -> None:
+def declare_registers(w: PlanWriter, machine: model.Machine) -> None:
     """Declare the registers of a machine that plays clips."""
     name = machine.name
     for part in ("clip", "clip_before", "clip_earlier"):
@@ -77,48 +77,51 @@ def declare(w: PlanWriter, machine: model.Machine) -> None:
     w.declare(f"{name}.clip_waits", ValueKind.BOOL, "memory")
 
 
-def begin(w: PlanWriter, machine: model.Machine) -> None:
+def write_start_clip(w: PlanWriter, machine: model.Machine) -> None:
     """Write the clip of the start state at birth. It begins at its start or, if it loops, at a random time."""
     line = next((line for line in machine.states[machine.start].body if isinstance(line, model.Play)), None)
     if line is None:
         return
-    b, name, clip = w.b, machine.name, _clip_number(w, line)
+    b, name, clip = w.b, machine.name, _find_clip_number(w, line)
     draw = b("draw", attrs=(f"{w.species.name}.{name}.clip", 0))
     w.store(f"{name}.clip", clip, line.span)
-    w.store(f"{name}.clip_turns", b("where", _loops(w, clip), draw, b.number(0)), line.span)
+    w.store(f"{name}.clip_turns", b("where", _is_looping(w, clip), draw, b.number(0)), line.span)
     w.store(f"{name}.clip_last", b("sub", w.read(f"{name}.clip_turns"), b.number(_START_OFFSET_TURNS)), line.span)
     w.store(f"{name}.clip_weight", b.number(1), line.span)
 
 
-def give_way(w: PlanWriter, machine: model.Machine, over: model.Expr | None, span: Span) -> None:
-    """Store the fade time of the current clip, because a transition leaves its state. `over`: the time; None: the default."""
-    w.store(f"{machine.name}.clip_over", w.b.number(DEFAULT_FADE_SECONDS) if over is None else scalar(w, over), span)
+def store_fade_time(w: PlanWriter, machine: model.Machine, fade_time: model.Expr | None, span: Span) -> None:
+    """Store the fade time of the current clip, because a transition leaves its state. `fade_time`: the time; None: the
+    default."""
+    w.store(
+        f"{machine.name}.clip_over", w.b.number(DEFAULT_FADE_SECONDS) if fade_time is None else lower_scalar(w, fade_time), span
+    )
     w.store(f"{machine.name}.clip_waits", w.b.false, span)
 
 
-def enter(w: PlanWriter, machine: model.Machine, state: model.State) -> None:
+def restart_clip(w: PlanWriter, machine: model.Machine, state: model.State) -> None:
     """Request a restart of the clip of a state, for agents that enter the state. The clip restarts if its `again` holds, even if
     it plays already."""
     line = next((line for line in state.body if isinstance(line, model.Play)), None)
-    if line is not None and line.again is not None:
-        w.store(f"{machine.name}.clip_waits", truth(w, line.again), line.span)
+    if line is not None and line.restart_condition is not None:
+        w.store(f"{machine.name}.clip_waits", lower_condition(w, line.restart_condition), line.span)
 
 
-def rest(w: PlanWriter, machine: model.Machine, state: model.State) -> None:
+def fade_out_clip(w: PlanWriter, machine: model.Machine, state: model.State) -> None:
     """Fade out the previous clip in a state without a clip, if the machine has clips in other states."""
     if plays_clips(machine) and not any(isinstance(line, model.Play) for line in state.body):
-        _step(w, machine.name, w.b.row(NO_CLIP), None, w.b.number(0), state.span)
+        _write_clip_step(w, machine.name, w.b.row(NO_CLIP), None, w.b.number(0), state.span)
 
 
-def play(w: PlanWriter, machine: str, line: model.Play) -> None:
-    """Write a `play` line of the agent's current state."""
+def lower_play(w: PlanWriter, machine: str, line: model.Play) -> None:
+    """Write a `lower_play` line of the agent's current state."""
     b = w.b
-    speed = None if line.speed is None else scalar(w, line.speed)
-    weight = b.number(1) if line.weight is None else b("min", b("max", scalar(w, line.weight), b.number(0)), b.number(1))
-    _step(w, machine, _clip_number(w, line), speed, weight, line.span)
+    speed = None if line.speed is None else lower_scalar(w, line.speed)
+    weight = b.number(1) if line.weight is None else b("min", b("max", lower_scalar(w, line.weight), b.number(0)), b.number(1))
+    _write_clip_step(w, machine, _find_clip_number(w, line), speed, weight, line.span)
 
 
-def _step(w: PlanWriter, machine: str, clip: PlanNode, speed: PlanNode | None, weight: PlanNode, span: Span) -> None:
+def _write_clip_step(w: PlanWriter, machine: str, clip: PlanNode, speed: PlanNode | None, weight: PlanNode, span: Span) -> None:
     """Write one step of a machine that requests `clip`: the clip begins, waits until it can begin, or continues."""
     b, now, turns = w.b, w.read(f"{machine}.clip"), w.read(f"{machine}.clip_turns")
     none = clip is b.row(NO_CLIP)
@@ -126,7 +129,7 @@ def _step(w: PlanWriter, machine: str, clip: PlanNode, speed: PlanNode | None, w
     shares = (w.read(f"{machine}.{share}") for share in ("clip_fade", "clip_earlier_fade"))
     three = b("and", *(b("gt", share, b.number(0)) for share in shares))
     own = b.number(1) if speed is None else speed
-    first = _first_turns(w, machine, clip, b("mul", b("mul", _pace(w, clip), own), w.run("dt")))
+    first = _compute_first_turns(w, machine, clip, b("mul", b("mul", _compute_turn_rate(w, clip), own), w.run("dt")))
     held = (
         (_BEGINS_REGISTER, ValueKind.BOOL, b("and", wished, b("not", three))), (_WAITS_REGISTER, ValueKind.BOOL, b("and",
         wished, three)),
@@ -136,14 +139,14 @@ def _step(w: PlanWriter, machine: str, clip: PlanNode, speed: PlanNode | None, w
         w.declare(name, kind, "temp")
         w.store(name, node, span)
     begins, waits = w.read(_BEGINS_REGISTER), w.read(_WAITS_REGISTER)
-    pace = b("mul", _pace(w, now), b("where", waits, b.number(1), own))
+    pace = b("mul", _compute_turn_rate(w, now), b("where", waits, b.number(1), own))
     goes_on = b("add", turns, b("mul", pace, w.run("dt")))
-    further = b("where", _loops(w, now), goes_on, b("min", goes_on, b.number(1)))
+    further = b("where", _is_looping(w, now), goes_on, b("min", goes_on, b.number(1)))
     w.store(f"{machine}.clip_waits", waits, span)
     w.store(f"{machine}.clip_last", turns, span)
     w.store(f"{machine}.clip_turns", b("where", waits if none else b("not", begins), further, turns), span)
     _start_clip(w, machine, clip, span)
-    _fade(w, machine, span)
+    _advance_fades(w, machine, span)
     w.store(f"{machine}.clip_weight", b("where", waits, w.read(f"{machine}.clip_weight"), weight), span)
 
 
@@ -160,16 +163,16 @@ def lower_clip_test(w: PlanWriter, e: model.ClipTest) -> PlanNode:
     mark = b("clip.value", w.read(f"{machine}.clip"), attrs=(f"mark {e.mark}",))
     cycles = [b("floor", b("sub", each, mark)) for each in (turns, last)]
     crosses_mark = b("and", b("lt", last, mark), b("ge", turns, mark))
-    passed = b("or", b("and", _loops(w, w.read(f"{machine}.clip")), b("gt", cycles[0], cycles[1])), crosses_mark)
+    passed = b("or", b("and", _is_looping(w, w.read(f"{machine}.clip")), b("gt", cycles[0], cycles[1])), crosses_mark)
     return b("and", has_begun, b("and", passed, b("ge", mark, b.number(0))))
 
 
-def _first_turns(w: PlanWriter, machine: str, clip: PlanNode, step: PlanNode) -> tuple[PlanNode, PlanNode]:
+def _compute_first_turns(w: PlanWriter, machine: str, clip: PlanNode, step: PlanNode) -> tuple[PlanNode, PlanNode]:
     """Return the turns at which a new clip begins, and the turns one step earlier.
 
     It begins at 0. If both clips cover ground, it begins at the progress of the previous clip and advances by `step` turns."""
     b, previous_clip, turns = w.b, w.read(f"{machine}.clip"), w.read(f"{machine}.clip_turns")
-    both = b("and", b("ne", previous_clip, clip), b("and", _covers_ground(w, previous_clip), _covers_ground(w, clip)))
+    both = b("and", b("ne", previous_clip, clip), b("and", _is_covering_ground(w, previous_clip), _is_covering_ground(w, clip)))
     part = b("sub", turns, b("floor", turns))
     return b("where", both, b("add", part, step), b.number(0)), b("where", both, part, b.number(-_START_OFFSET_TURNS))
 
@@ -177,7 +180,7 @@ def _first_turns(w: PlanWriter, machine: str, clip: PlanNode, step: PlanNode) ->
 def _start_clip(w: PlanWriter, machine: str, clip: PlanNode, span: Span | None) -> None:
     """Start another clip. The clips before it move back by one place."""
     b = w.b
-    with w.region(w.read(_BEGINS_REGISTER), span or w.species.span):
+    with w.open_region(w.read(_BEGINS_REGISTER), span or w.species.span):
         for to, source in _FADE_REGISTER_COPIES:
             w.store(f"{machine}.{to}", w.read(f"{machine}.{source}"), span)
         w.store(f"{machine}.clip_fade", b.number(1), span)
@@ -186,23 +189,23 @@ def _start_clip(w: PlanWriter, machine: str, clip: PlanNode, span: Span | None) 
         w.store(f"{machine}.clip_turns", w.read(_START_REGISTER), span)
 
 
-def _fade(w: PlanWriter, machine: str, span: Span | None) -> None:
+def _advance_fades(w: PlanWriter, machine: str, span: Span | None) -> None:
     """Reduce the shares of the previous clips and advance them."""
     b, dt = w.b, w.run("dt")
-    with w.region(b("gt", w.read(f"{machine}.clip_fade"), b.number(0)), span or w.species.span):
+    with w.open_region(b("gt", w.read(f"{machine}.clip_fade"), b.number(0)), span or w.species.span):
         for which, share, over in (
             ("clip_earlier", "clip_earlier_fade", "clip_earlier_fading"),
             ("clip_before", "clip_fade", "clip_fading"),
         ):
             previous_clip = w.read(f"{machine}.{which}")
             left = b("sub", w.read(f"{machine}.{share}"), b("div", dt, b("max", w.read(f"{machine}.{over}"), dt)))
-            turns = b("add", w.read(f"{machine}.{which}_turns"), b("mul", _pace(w, previous_clip), dt))
-            held = b("where", _loops(w, previous_clip), turns, b("min", turns, b.number(1)))
+            turns = b("add", w.read(f"{machine}.{which}_turns"), b("mul", _compute_turn_rate(w, previous_clip), dt))
+            held = b("where", _is_looping(w, previous_clip), turns, b("min", turns, b.number(1)))
             w.store(f"{machine}.{which}_turns", held, span)
             w.store(f"{machine}.{share}", b("max", left, b.number(0)), span)
 
 
-def _pace(w: PlanWriter, clip: PlanNode) -> PlanNode:
+def _compute_turn_rate(w: PlanWriter, clip: PlanNode) -> PlanNode:
     """Return turns per second. For a clip that covers ground, they come from the agent's speed in body lengths, else from the
     clip's duration."""
     b = w.b
@@ -214,44 +217,44 @@ def _pace(w: PlanWriter, clip: PlanNode) -> PlanNode:
     return b("where", b("gt", stride, b.number(0)), by_ground, b("div", b.number(1), b("max", seconds, w.run("dt"))))
 
 
-def _clip_number(w: PlanWriter, line: model.Play) -> PlanNode:
+def _find_clip_number(w: PlanWriter, line: model.Play) -> PlanNode:
     """Return the number of the clip of a line."""
-    return w.b.row(clips_of(w.species).index(_clip_plan(line)))
+    return w.b.row(list_clips(w.species).index(_make_clip_plan(line)))
 
 
-def _loops(w: PlanWriter, clip: PlanNode) -> PlanNode:
+def _is_looping(w: PlanWriter, clip: PlanNode) -> PlanNode:
     return w.b("gt", w.b("clip.value", clip, attrs=("loop",)), w.b.number(0.5))
 
 
-def _covers_ground(w: PlanWriter, clip: PlanNode) -> PlanNode:
+def _is_covering_ground(w: PlanWriter, clip: PlanNode) -> PlanNode:
     return w.b("gt", w.b("clip.value", clip, attrs=("stride",)), w.b.number(0))
 
 
-def _lines(machine: model.Machine) -> list[model.Play]:
+def _list_play_lines(machine: model.Machine) -> list[model.Play]:
     return [line for state in machine.states for line in state.body if isinstance(line, model.Play)]
 
 
-def leans(w: PlanWriter) -> bool:
+def has_lean_clips(w: PlanWriter) -> bool:
     """Return whether a clip of the species has variants for turning, climbing or descending."""
-    return any(clip.leans for clip in clips_of(w.species))
+    return any(clip.has_lean_clips for clip in list_clips(w.species))
 
 
-def declare_leaning(w: PlanWriter) -> None:
+def declare_lean_registers(w: PlanWriter) -> None:
     """Declare the registers for turning and climbing."""
-    if leans(w):
+    if has_lean_clips(w):
         for name in ("turn", "slope", *(f"was.{axis}" for axis in AXES)):
             w.declare(f"lean#{name}", ValueKind.F32, "memory")
 
 
-def begin_leaning(w: PlanWriter) -> None:
+def store_start_heading(w: PlanWriter) -> None:
     """Store the heading at birth as the previous one, so that no agent has turned."""
-    if leans(w):
+    if has_lean_clips(w):
         w.store_vector("lean#was", w.read_vector("heading"), None)
 
 
-def settle(w: PlanWriter) -> None:
+def update_leaning(w: PlanWriter) -> None:
     """Store, once per step, the turn since the previous step about the body's up, and the slope of the heading."""
-    if not leans(w):
+    if not has_lean_clips(w):
         return
     b, dt, heading = w.b, w.run("dt"), w.read_vector("heading")
     turned = b("div", values.dot(b, values.cross(b, w.read_vector("lean#was"), heading), w.read_vector("up")), dt)
@@ -259,10 +262,10 @@ def settle(w: PlanWriter) -> None:
     share = b("sub", b.number(1), b("exp", b("neg", b("div", dt, b.number(LEAN_SMOOTHING_SECONDS)))))
     for name, measure, full_value in (("turn", turned, FULL_LEAN_TURN), ("slope", climb, FULL_LEAN_SLOPE)):
         now = w.read(f"lean#{name}")
-        wish = _limit(w, b("div", measure, b.number(full_value)))
+        wish = _clamp_to_unit(w, b("div", measure, b.number(full_value)))
         w.store(f"lean#{name}", b("add", now, b("mul", b("sub", wish, now), share)), None)
     w.store_vector("lean#was", heading, None)
 
 
-def _limit(w: PlanWriter, measure: PlanNode) -> PlanNode:
+def _clamp_to_unit(w: PlanWriter, measure: PlanNode) -> PlanNode:
     return w.b("min", w.b("max", measure, w.b.number(-1)), w.b.number(1))

@@ -14,7 +14,7 @@ from antdsl.plan.lowering.values import (
     EntityRef,
     LoweredValue,
     NamedThing,
-    OwnPlace,
+    OwnPosition,
     RayHit,
     RayHits,
     SetElement,
@@ -23,10 +23,10 @@ from antdsl.plan.lowering.values import (
 from antdsl.plan.lowering.writer import AXES, KIND_BY_TYPE_KIND, NONE_BY_KIND, PlanWriter, UnsupportedConstruct
 from antdsl.program import expectations, model
 from antdsl.program.tables.editions import OPTIONAL_ATTRIBUTES
-from antdsl.program.traverse import inside, parts
+from antdsl.program.traverse import iterate_expressions, iterate_parts
 
 
-def lower(w: PlanWriter, expr: model.Expr) -> LoweredValue:
+def lower_expression(w: PlanWriter, expr: model.Expr) -> LoweredValue:
     """Return the nodes of an expression, as read at the writer's current place."""
     outer, w.b.span = w.b.span, expr.span
     try:
@@ -35,46 +35,46 @@ def lower(w: PlanWriter, expr: model.Expr) -> LoweredValue:
         w.b.span = outer
 
 
-def scalar(w: PlanWriter, expr: model.Expr) -> PlanNode:
+def lower_scalar(w: PlanWriter, expr: model.Expr) -> PlanNode:
     """Lower an expression to one node: a number, a bool, a state, or the row or id of a reference."""
-    return single_node(w, expr, lower(w, expr))
+    return convert_to_node(w, expr, lower_expression(w, expr))
 
 
-def single_node(w: PlanWriter, expr: model.Expr, value: LoweredValue) -> PlanNode:
+def convert_to_node(w: PlanWriter, expr: model.Expr, value: LoweredValue) -> PlanNode:
     """Return the value of a lowered expression as one node."""
     if isinstance(value, EntityRef):
         return value.node
     if isinstance(value, SetElement):
-        return w.b("other.row") if value.what is model.TypeKind.ITEM else w.b("other.id")
+        return w.b("other.row") if value.kind is model.TypeKind.ITEM else w.b("other.id")
     if not isinstance(value, PlanNode):
         raise PlanError(f"a {type(value).__name__} where one value was due: {expr.span.text!r}")
     return value
 
 
-def vector(w: PlanWriter, expr: model.Expr) -> VectorNodes:
-    value = lower(w, expr)
+def lower_vector(w: PlanWriter, expr: model.Expr) -> VectorNodes:
+    value = lower_expression(w, expr)
     if not isinstance(value, VectorNodes):
         raise PlanError(f"a {type(value).__name__} where a vector was due: {expr.span.text!r}")
     return value
 
 
-def truth(w: PlanWriter, expr: model.Expr) -> PlanNode:
+def lower_condition(w: PlanWriter, expr: model.Expr) -> PlanNode:
     """Lower an expression as a condition. A value that may be none is true if it is present."""
-    return as_truth(w, lower(w, expr), expr)
+    return convert_to_condition(w, lower_expression(w, expr), expr)
 
 
-def as_truth(w: PlanWriter, value: LoweredValue, expr: model.Expr) -> PlanNode:
+def convert_to_condition(w: PlanWriter, value: LoweredValue, expr: model.Expr) -> PlanNode:
     if isinstance(value, PlanNode) and value.kind is ValueKind.BOOL:
         return value
     if isinstance(value, PlanNode) and value.kind is ValueKind.F32:
         return w.b("gt", value, w.b.number(0))
-    return presence(w, value, expr)
+    return lower_presence(w, value, expr)
 
 
-def presence(w: PlanWriter, value: LoweredValue, expr: model.Expr) -> PlanNode:
+def lower_presence(w: PlanWriter, value: LoweredValue, expr: model.Expr) -> PlanNode:
     """Return whether a reference, a hit or a set is not none."""
     if isinstance(value, EntityRef):
-        if value.what is model.TypeKind.ITEM:
+        if value.kind is model.TypeKind.ITEM:
             return w.b("item.alive", value.node, attrs=(value.of,))
         return w.b("agent.alive", value.node, attrs=(value.of,))
     if isinstance(value, RayHit):
@@ -86,7 +86,7 @@ def presence(w: PlanWriter, value: LoweredValue, expr: model.Expr) -> PlanNode:
         for hit in value.hits:
             is_any = w.b("or", is_any, hit.hit)
         return is_any
-    if isinstance(value, SetElement | OwnPlace | VectorNodes):
+    if isinstance(value, SetElement | OwnPosition | VectorNodes):
         return w.b.true
     raise PlanError(f"a {type(value).__name__} is never none: {expr.span.text!r}")
 
@@ -94,17 +94,17 @@ def presence(w: PlanWriter, value: LoweredValue, expr: model.Expr) -> PlanNode:
 # --- leaves ----------------------------------------------------------------------------------------------------------
 
 
-def _const(w: PlanWriter, e: model.Constant) -> LoweredValue:
+def _lower_constant(w: PlanWriter, e: model.Constant) -> LoweredValue:
     if e.type.kind is model.TypeKind.BOOL:
-        return w.b.truth(bool(e.number))
+        return w.b.boolean(bool(e.number))
     node = w.b.number(e.number)
-    for name, exponent in (("u", e.u), ("dt", e.step)):
+    for name, exponent in (("u", e.unit_power), ("dt", e.step)):
         if exponent:
-            node = w.b("mul" if exponent > 0 else "div", node, _power(w, w.run(name), abs(exponent)))
+            node = w.b("mul" if exponent > 0 else "div", node, _lower_unit_power(w, w.run(name), abs(exponent)))
     return node
 
 
-def _power(w: PlanWriter, base: PlanNode, exponent: float) -> PlanNode:
+def _lower_unit_power(w: PlanWriter, base: PlanNode, exponent: float) -> PlanNode:
     if exponent == int(exponent) and exponent <= 8:
         node = base
         for _ in range(int(exponent) - 1):
@@ -113,71 +113,71 @@ def _power(w: PlanWriter, base: PlanNode, exponent: float) -> PlanNode:
     return w.b("sqrt", base) if exponent == 0.5 else w.b("pow", base, w.b.number(exponent))
 
 
-def _none(w: PlanWriter, e: model.NoneRef) -> LoweredValue:
+def _lower_none(w: PlanWriter, e: model.NoneRef) -> LoweredValue:
     if e.type.kind is model.TypeKind.ITEM:
         return EntityRef(e.type.kind, e.type.of or "", w.b.row(-1))
     if e.type.kind is model.TypeKind.AGENT:
-        return EntityRef(e.type.kind, e.type.of or "", w.b.agent(-1))
+        return EntityRef(e.type.kind, e.type.of or "", w.b.agent_id(-1))
     if e.type.kind is model.TypeKind.HIT:
-        nothing = values.zero(w.b)
+        nothing = values.zero_vector(w.b)
         return RayHit(w.b.false, w.b.number(float("inf")), nothing, nothing)
     raise PlanError(f"none of a {e.type.kind.value}")
 
 
-def _state(w: PlanWriter, e: model.StateConstant) -> LoweredValue:
+def _lower_state(w: PlanWriter, e: model.StateConstant) -> LoweredValue:
     return w.b.row(e.index)
 
 
-def _param(w: PlanWriter, e: model.ParamRef) -> LoweredValue:
+def _lower_param(w: PlanWriter, e: model.ParamRef) -> LoweredValue:
     node = w.b("param", attrs=(e.name,))
     return w.b("ne", node, w.b.number(0)) if e.type.kind is model.TypeKind.BOOL else node
 
 
-def _thing(w: PlanWriter, e: model.ThingRef) -> LoweredValue:
+def _lower_thing(w: PlanWriter, e: model.ThingRef) -> LoweredValue:
     if e.name == "self":
-        return OwnPlace()
+        return OwnPosition()
     return NamedThing(e.type.kind, e.name)
 
 
 # --- names with a value ----------------------------------------------------------------------------------------------
 
 
-def _local(w: PlanWriter, e: model.BindingRef) -> LoweredValue:
+def _lower_binding(w: PlanWriter, e: model.BindingRef) -> LoweredValue:
     binding = e.binding
     if binding in w.environment:
         value = w.environment[binding]
-        if isinstance(value, SetElement) and binding is not w.elements[-1]:
+        if isinstance(value, SetElement) and binding is not w.set_elements[-1]:
             raise UnsupportedConstruct(f"`{binding.name}` inside a second set", e.span, "let each set read its own elements only")
         return value
     if binding.role == "latch":
         return w.read_now(binding.key or binding.name)
     if binding.role == "let":
-        return _let(w, binding)
+        return _lower_let(w, binding)
     raise PlanError(f"{binding.role} `{binding.name}` is used outside of its place")
 
 
-def _let(w: PlanWriter, binding: model.Binding) -> LoweredValue:
+def _lower_let(w: PlanWriter, binding: model.Binding) -> LoweredValue:
     """Lower a `let` once and return its value. Each use advances the memories in it.
 
     A snapshot holds for the whole step. Other lets, and all lets at birth, hold until the next store."""
-    lasting = binding.snapshot and not w.born
-    known = w.lets if lasting else w.fleeting
-    for each in _needed_lets(w, binding, known):
+    lasting = binding.snapshot and not w.is_birth
+    known = w.snapshot_lets if lasting else w.current_lets
+    for each in _order_needed_lets(w, binding, known):
         assert each.value is not None
-        outer_met, w.met = w.met, []
-        outer_snapshot, w.snapshot = w.snapshot, lasting
+        outer_met, w.used_memories = w.used_memories, []
+        outer_snapshot, w.is_snapshot = w.is_snapshot, lasting
         try:
-            value = lower(w, each.value)
-            known[each] = value, tuple(w.met)
+            value = lower_expression(w, each.value)
+            known[each] = value, tuple(w.used_memories)
         finally:
-            w.met, w.snapshot = outer_met, outer_snapshot
+            w.used_memories, w.is_snapshot = outer_met, outer_snapshot
     value, memories = known[binding]
     for memory in memories:
         w.advance_memory(memory)
     return value
 
 
-def _needed_lets(w: PlanWriter, binding: model.Binding, known: Container[model.Binding]) -> list[model.Binding]:
+def _order_needed_lets(w: PlanWriter, binding: model.Binding, known: Container[model.Binding]) -> list[model.Binding]:
     """Return a let and the lets that it uses, innermost first. Lowering them in this order avoids deep recursion."""
     order: list[model.Binding] = []
     stack: list[tuple[model.Binding, bool]] = [(binding, False)]
@@ -192,43 +192,43 @@ def _needed_lets(w: PlanWriter, binding: model.Binding, known: Container[model.B
             continue
         stack.append((each, True))
         assert each.value is not None
-        for used in (e.binding for e in inside(each.value) if isinstance(e, model.BindingRef)):
+        for used in (e.binding for e in iterate_expressions(each.value) if isinstance(e, model.BindingRef)):
             if used.role == "let" and used not in w.environment and used.snapshot == binding.snapshot:
                 stack.append((used, False))
     return order
 
 
-def _inline(w: PlanWriter, e: model.InlinedBehaviour) -> LoweredValue:
+def _lower_behaviour(w: PlanWriter, e: model.InlinedBehaviour) -> LoweredValue:
     for argument in e.arguments:
         assert argument.value is not None
-        w.environment[argument] = lower(w, argument.value)
+        w.environment[argument] = lower_expression(w, argument.value)
     for binding in e.body:
-        w.environment[binding] = _keep(w, binding) if binding.role == "keep" else _plain_let(w, binding)
-    return lower(w, e.result)
+        w.environment[binding] = _lower_keep(w, binding) if binding.role == "keep" else _lower_plain_let(w, binding)
+    return lower_expression(w, e.result)
 
 
-def _plain_let(w: PlanWriter, binding: model.Binding) -> LoweredValue:
+def _lower_plain_let(w: PlanWriter, binding: model.Binding) -> LoweredValue:
     assert binding.value is not None
-    return lower(w, binding.value)
+    return lower_expression(w, binding.value)
 
 
-def _keep(w: PlanWriter, binding: model.Binding) -> LoweredValue:
+def _lower_keep(w: PlanWriter, binding: model.Binding) -> LoweredValue:
     """Lower `keep x = first then next`: `first` in the first step, later `next` computed from the previous value. Memory is
     written once per step."""
     assert binding.value is not None and binding.then is not None
     on = f"{binding.key}.on"
     w.declare_typed(binding.key, binding.type, "memory")
     w.declare(on, ValueKind.BOOL, "memory")
-    first = lower(w, binding.value)
+    first = lower_expression(w, binding.value)
     w.environment[binding] = _read_previous(w, binding)
-    following = lower(w, binding.then)
-    now = select(w, w.read_previous(on), following, first)
+    following = lower_expression(w, binding.then)
+    now = select_value(w, w.read_previous(on), following, first)
     stores = (
         [(f"{binding.key}.{a}", n, binding.span) for a, n in zip(AXES, now, strict=True)]
         if isinstance(now, VectorNodes)
         else [(binding.key, now.node if isinstance(now, EntityRef) else now, binding.span)]
     )
-    w.memories[binding] = (*stores, (on, w.b.true, binding.span))
+    w.memory_updates[binding] = (*stores, (on, w.b.true, binding.span))
     w.advance_memory(binding)
     return now
 
@@ -240,50 +240,53 @@ def _read_previous(w: PlanWriter, binding: model.Binding) -> LoweredValue:
     return EntityRef(binding.type.kind, binding.type.of or "", node) if binding.type.kind in NONE_BY_KIND else node
 
 
-def select(w: PlanWriter, condition: PlanNode, then: LoweredValue, other: LoweredValue) -> LoweredValue:
+def select_value(w: PlanWriter, condition: PlanNode, then: LoweredValue, other: LoweredValue) -> LoweredValue:
     """Return `then` where the condition holds, else `other`. Works for hits and for all values that can be stored."""
     b = w.b
     if isinstance(then, VectorNodes) and isinstance(other, VectorNodes):
-        return values.choose(b, condition, then, other)
+        return values.choose_vector(b, condition, then, other)
     if isinstance(then, RayHit) and isinstance(other, RayHit):
         return RayHit(
             b("where", condition, then.hit, other.hit), b("where", condition, then.distance, other.distance),
-            values.choose(b, condition, then.normal, other.normal), values.choose(b, condition, then.direction, other.direction),
+            values.choose_vector(b, condition, then.normal, other.normal),
+            values.choose_vector(b, condition, then.direction, other.direction),
         )  # fmt: skip
-    then, other = _as_reference(w, then), _as_reference(w, other)
+    then, other = _convert_to_reference(w, then), _convert_to_reference(w, other)
     if isinstance(then, EntityRef) and isinstance(other, EntityRef):
-        return EntityRef(then.what, then.of or other.of, b("where", condition, then.node, other.node))
+        return EntityRef(then.kind, then.of or other.of, b("where", condition, then.node, other.node))
     if isinstance(then, PlanNode) and isinstance(other, PlanNode):
         return b("where", condition, then, other)
     raise PlanError(f"cannot choose between a {type(then).__name__} and a {type(other).__name__}")
 
 
-def _as_reference(w: PlanWriter, value: LoweredValue) -> LoweredValue:
+def _convert_to_reference(w: PlanWriter, value: LoweredValue) -> LoweredValue:
     if isinstance(value, SetElement):
-        return EntityRef(value.what, value.of, w.b("other.row") if value.what is model.TypeKind.ITEM else w.b("other.id"))
+        return EntityRef(value.kind, value.of, w.b("other.row") if value.kind is model.TypeKind.ITEM else w.b("other.id"))
     return value
 
 
 # --- attributes ------------------------------------------------------------------------------------------------------
 
 
-def _attribute(w: PlanWriter, e: model.AttributeRef) -> LoweredValue:
+def _lower_attribute(w: PlanWriter, e: model.AttributeRef) -> LoweredValue:
     pair_attribute = next((a for a in w.species.attributes if a.name == e.name and a.each), None)
     if pair_attribute is not None and e.of is not None:
-        return w.rules.pair_value(w, pair_attribute, e.of)
-    owner = None if e.of is None else lower(w, e.of)
-    if e.name == "moved" and "moved" not in w.registers and getattr(owner, "what", None) is not model.TypeKind.ITEM:
+        return w.rules.read_pair_value(w, pair_attribute, e.of)
+    owner = None if e.of is None else lower_expression(w, e.of)
+    if e.name == "moved" and "moved" not in w.registers and getattr(owner, "kind", None) is not model.TypeKind.ITEM:
         words = "`moved`, which the program does not use elsewhere,"
         raise UnsupportedConstruct(words, e.span, "add `let pushed = moved` to a species")
-    if owner is None or isinstance(owner, OwnPlace):
-        return own_attribute(w, e.name, e.type)
+    if owner is None or isinstance(owner, OwnPosition):
+        return read_own_attribute(w, e.name, e.type)
     if isinstance(owner, RayHit):
-        return _of_hit(w, owner, e)
+        return _read_hit_attribute(w, owner, e)
     if not isinstance(owner, SetElement | EntityRef):
         raise PlanError(f"`{e.name}` of a {type(owner).__name__}")
     if e.name == "speed":
-        return values.length(w.b, VectorNodes(*(_read_other(w, owner, f"velocity.{axis}", ValueKind.F32) for axis in AXES)))
-    if e.name == "id" and owner.what is model.TypeKind.AGENT:
+        return values.length(
+            w.b, VectorNodes(*(_read_other_register(w, owner, f"velocity.{axis}", ValueKind.F32) for axis in AXES))
+        )
+    if e.name == "id" and owner.kind is model.TypeKind.AGENT:
         return w.b("number", w.b("other.id") if isinstance(owner, SetElement) else owner.node)
     if e.name == "age":
         return w.b("agent.age", w.b("other.id") if isinstance(owner, SetElement) else owner.node, attrs=(owner.of,))
@@ -292,19 +295,21 @@ def _attribute(w: PlanWriter, e: model.AttributeRef) -> LoweredValue:
         if species is not None and not needs_register(species, e.name):
             return w.b.number(OPTIONAL_ATTRIBUTES[e.name])
     if e.type.kind is model.TypeKind.VECTOR:
-        prefix = "" if owner.what is model.TypeKind.ITEM and e.name == "position" else f"{e.name}."
-        return VectorNodes(*(_read_other(w, owner, f"{prefix}{axis}", ValueKind.F32) for axis in AXES))
-    return as_typed_value(w, _read_other(w, owner, e.name, KIND_BY_TYPE_KIND[e.type.kind], NONE_BY_KIND.get(e.type.kind)), e.type)
+        prefix = "" if owner.kind is model.TypeKind.ITEM and e.name == "position" else f"{e.name}."
+        return VectorNodes(*(_read_other_register(w, owner, f"{prefix}{axis}", ValueKind.F32) for axis in AXES))
+    return convert_to_typed_value(
+        w, _read_other_register(w, owner, e.name, KIND_BY_TYPE_KIND[e.type.kind], NONE_BY_KIND.get(e.type.kind)), e.type
+    )
 
 
-def as_typed_value(w: PlanWriter, node: PlanNode, type: model.ValueType) -> LoweredValue:
+def convert_to_typed_value(w: PlanWriter, node: PlanNode, type: model.ValueType) -> LoweredValue:
     """Return a register's node as a value of the language. A number that stands for a bool becomes a bool."""
     if type.kind in NONE_BY_KIND:
         return EntityRef(type.kind, type.of or "", node)
     return w.b("ne", node, w.b.number(0)) if type.kind is model.TypeKind.BOOL and node.kind is ValueKind.F32 else node
 
 
-def own_attribute(w: PlanWriter, name: str, type: model.ValueType) -> LoweredValue:
+def read_own_attribute(w: PlanWriter, name: str, type: model.ValueType) -> LoweredValue:
     """Return the value of an attribute of the agent itself."""
     if name == "id":
         return w.b("number", w.b("id"))
@@ -316,12 +321,12 @@ def own_attribute(w: PlanWriter, name: str, type: model.ValueType) -> LoweredVal
         return w.read_vector(name)
     if name in OPTIONAL_ATTRIBUTES and name not in w.registers:
         return w.b.number(OPTIONAL_ATTRIBUTES[name])
-    return as_typed_value(w, w.read(name), type)
+    return convert_to_typed_value(w, w.read(name), type)
 
 
-def measures_pushes(program: model.Program) -> bool:
+def needs_moved_register(program: model.Program) -> bool:
     """Return whether the program reads how far contacts pushed an agent. If so, species have the register `moved`."""
-    asking = parts([*program.species.values(), *program.specs])
+    asking = iterate_parts([*program.species.values(), *program.specs])
     return any(isinstance(part, model.AttributeRef) and part.name == "moved" for part in asking)
 
 
@@ -330,64 +335,65 @@ def needs_register(species: model.Species, name: str) -> bool:
     species declares or sets it."""
     if name not in OPTIONAL_ATTRIBUTES or any(a.name == name for a in species.attributes):
         return True
-    return any(isinstance(part, model.Assign) and part.attribute == name for part in parts(species))
+    return any(isinstance(part, model.Assign) and part.attribute == name for part in iterate_parts(species))
 
 
-def _read_other(
-    w: PlanWriter, owner: SetElement | EntityRef, register: str, kind: ValueKind, none: int | None = None
+def _read_other_register(
+    w: PlanWriter, owner: SetElement | EntityRef, register: str, kind: ValueKind, none_id: int | None = None
 ) -> PlanNode:
-    if owner.what is model.TypeKind.ITEM:
+    if owner.kind is model.TypeKind.ITEM:
         kind = ValueKind.F32  # items have numbers only
     if isinstance(owner, SetElement):
         return w.b("other", attrs=(register,), kind=kind)
-    if owner.what is model.TypeKind.ITEM:
+    if owner.kind is model.TypeKind.ITEM:
         return w.b("item.get", owner.node, attrs=(owner.of, register), kind=kind)
     node = w.b("agent.get", owner.node, attrs=(owner.of, register), kind=kind)
-    if none is None:
+    if none_id is None:
         return node
-    return w.b("where", w.b("agent.alive", owner.node, attrs=(owner.of,)), node, w.b.zero(kind, none))
+    return w.b("where", w.b("agent.alive", owner.node, attrs=(owner.of,)), node, w.b.constant_of_kind(kind, none_id))
 
 
-def _of_hit(w: PlanWriter, hit: RayHit, e: model.AttributeRef) -> LoweredValue:
+def _read_hit_attribute(w: PlanWriter, hit: RayHit, e: model.AttributeRef) -> LoweredValue:
     if e.name == "distance":
         return w.b("where", hit.hit, hit.distance, w.b.number(float("inf")))
     if e.name == "normal":
-        return values.vector_if(w.b, hit.hit, hit.normal)
-    reach = values.vector_if(w.b, hit.hit, values.scale(w.b, hit.direction, hit.distance))
+        return values.select_or_zero(w.b, hit.hit, hit.normal)
+    reach = values.select_or_zero(w.b, hit.hit, values.scale(w.b, hit.direction, hit.distance))
     return values.add(w.b, w.read_vector("position"), reach)
 
 
 # --- operations ------------------------------------------------------------------------------------------------------
 
 
-def _op(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
-    rule = w.rules.operations.get(e.name)
+def _lower_operation(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
+    rule = w.rules.operation_rules.get(e.name)
     if rule is None:
         raise UnsupportedConstruct(f"`{e.name}`", e.span, "leave the line out")
     return rule(w, e)
 
 
-def _clip_test(w: PlanWriter, e: model.ClipTest) -> LoweredValue:
+def _lower_clip_test(w: PlanWriter, e: model.ClipTest) -> LoweredValue:
     return w.rules.clip(w, e)
 
 
-def _set(w: PlanWriter, e: model.SetExpr) -> LoweredValue:
+def _lower_set(w: PlanWriter, e: model.SetExpr) -> LoweredValue:
     return w.rules.gather(w, e)
 
 
-def _reduce(w: PlanWriter, e: model.ReduceExpr) -> LoweredValue:
-    return w.rules.reduce(w, e)
+def _lower_reduction(w: PlanWriter, e: model.ReduceExpr) -> LoweredValue:
+    return w.rules.lower_reduction(w, e)
 
 
-def _lower_tell(w: PlanWriter, e: model.Expr) -> LoweredValue:
-    return w.tell(e)
+def _lower_spec_expression(w: PlanWriter, e: model.Expr) -> LoweredValue:
+    return w.lower_spec_expression(e)
 
 
 _LOWERER_BY_EXPRESSION: dict[type, Callable[[PlanWriter, Any], LoweredValue]] = {
-    model.Constant: _const, model.NoneRef: _none, model.StateConstant: _state, model.ClipTest: _clip_test, model.ParamRef: _param,
-    model.ThingRef: _thing, model.BindingRef: _local, model.InlinedBehaviour: _inline, model.AttributeRef: _attribute,
-    model.OperationExpr: _op,
-    model.SetExpr: _set, model.ReduceExpr: _reduce,
-    expectations.AggregateExpr: _lower_tell, expectations.AtStart: _lower_tell, expectations.MotionMeasure: _lower_tell,
-    expectations.OtherRun: _lower_tell, expectations.BodyMeasure: _lower_tell, expectations.CellValue: _lower_tell,
+    model.Constant: _lower_constant, model.NoneRef: _lower_none, model.StateConstant: _lower_state,
+    model.ClipTest: _lower_clip_test, model.ParamRef: _lower_param, model.ThingRef: _lower_thing,
+    model.BindingRef: _lower_binding, model.InlinedBehaviour: _lower_behaviour, model.AttributeRef: _lower_attribute,
+    model.OperationExpr: _lower_operation, model.SetExpr: _lower_set, model.ReduceExpr: _lower_reduction,
+    expectations.AggregateExpr: _lower_spec_expression, expectations.StartValue: _lower_spec_expression,
+    expectations.MotionMeasure: _lower_spec_expression, expectations.ReferenceRunValue: _lower_spec_expression,
+    expectations.BodyMeasure: _lower_spec_expression, expectations.CellValue: _lower_spec_expression,
 }  # fmt: skip

@@ -17,15 +17,15 @@ from antdsl.plan import ir
 from antdsl.plan.builder import PlanBuilder
 from antdsl.plan.ir import Block, PlanNode, ValueKind
 from antdsl.plan.lowering import appearance, birth, blending, clips, pair_values
-from antdsl.plan.lowering.actions import STEER_TEMP, complain, write
-from antdsl.plan.lowering.expressions import measures_pushes, own_attribute, scalar, truth, vector
+from antdsl.plan.lowering.actions import STEER_TEMP, report_unsupported, write_statements
+from antdsl.plan.lowering.expressions import lower_condition, lower_scalar, lower_vector, needs_moved_register, read_own_attribute
 from antdsl.plan.lowering.machines import MachineWriter
 from antdsl.plan.lowering.rules import LOWERING_RULES
 from antdsl.plan.lowering.source_map import NotingWriter, SourceNotes
 from antdsl.plan.lowering.values import EntityRef, VectorNodes, scale, sub
 from antdsl.plan.lowering.values import add as add_vectors
 from antdsl.plan.lowering.writer import AXES, BodyProportions, PlanWriter, UnsupportedConstruct
-from antdsl.plan.traverse import find_shared_senses, operands, required_nodes, statements
+from antdsl.plan.traverse import collect_required_nodes, find_shared_senses, iterate_statements, list_operands
 from antdsl.program import model
 from antdsl.program.tables.things import KIND_BY_WORD
 
@@ -38,18 +38,18 @@ def lower(
     *,
     orders: Mapping[str, Sequence[str]] | None = None,
     notes: dict[str, SourceNotes] | None = None,
-    begun_with: Mapping[str, Collection[str]] | None = None,
+    scene_attributes: Mapping[str, Collection[str]] | None = None,
     proportions: Mapping[str, BodyProportions] | None = None,
 ) -> tuple[ir.Plan, Report]:
     """Return the plan of a program, and errors for constructs that pass the checks but cannot run yet.
 
     - `orders`: by species, the order of the layers, each named by its text or by the word before its bracket.
     - `notes`: receives, for each species, the nodes of each part of its text.
-    - `begun_with`: by species, the attributes that the scene may set at an agent's birth.
+    - `scene_attributes`: by species, the attributes that the scene may set at an agent's birth.
     - `proportions`: of the bodies of species that set their height."""
     report = Report()
     builder = PlanBuilder()
-    pushes = measures_pushes(program)
+    pushes = needs_moved_register(program)
 
     def species_plan(s: model.Species) -> ir.SpeciesPlan:
         if notes is None:
@@ -57,16 +57,17 @@ def lower(
         else:
             notes[s.name] = SourceNotes()
             w = NotingWriter(builder, program, s, report, LOWERING_RULES, notes[s.name])
-        w.measures_pushes = pushes
-        w.begun_with = frozenset((begun_with or {}).get(s.name, ()))
+        w.has_moved_register = pushes
+        w.scene_attributes = frozenset((scene_attributes or {}).get(s.name, ()))
         w.proportions = (proportions or {}).get(s.name, w.proportions)
-        return _species(w, (orders or {}).get(s.name))
+        return _lower_species(w, (orders or {}).get(s.name))
 
-    with _deep_recursion():
+    with _allow_deep_recursion():
         species = {s.name: species_plan(s) for s in program.species.values()}
-        fields = {f.name: _field(builder, program, f, report) for f in program.fields.values()}
+        fields = {f.name: _lower_field(builder, program, f, report) for f in program.fields.values()}
         params = {
-            p.name: ir.ParamPlan(p.name, _lower_outside(builder, program, p.default, report)) for p in program.params.values()
+            p.name: ir.ParamPlan(p.name, _lower_run_constant(builder, program, p.default, report))
+            for p in program.params.values()
         }
     world = program.world.values()
     items = {t.name: ir.ItemsPlan(t.name, {a.name: a.default.number for a in t.attributes}) for t in world if t.kind == "items"}
@@ -75,7 +76,7 @@ def lower(
 
 
 @contextmanager
-def _deep_recursion() -> Iterator[None]:
+def _allow_deep_recursion() -> Iterator[None]:
     previous_limit = sys.getrecursionlimit()
     sys.setrecursionlimit(max(previous_limit, MAX_RECURSION_FRAMES))
     try:
@@ -87,38 +88,42 @@ def _deep_recursion() -> Iterator[None]:
 # --- species ---------------------------------------------------------------------------------------------------------
 
 
-def _species(w: PlanWriter, order: Sequence[str] | None) -> ir.SpeciesPlan:
+def _lower_species(w: PlanWriter, order: Sequence[str] | None) -> ir.SpeciesPlan:
     species = w.species
-    birth.declare(w)
-    blending.declare(w)
-    declare(w)
+    birth.declare_registers(w)
+    blending.declare_push(w)
+    declare_touch_registers(w)
     for latch in species.latches:
         w.declare(latch.key or latch.name, ValueKind.BOOL, "memory")
-    appearance.declare(w)
-    clips.declare_leaning(w)
+    appearance.declare_registers(w)
+    clips.declare_lean_registers(w)
     machines = [MachineWriter(w, machine) for machine in species.machines]
     born = _lower_birth(w, machines)
-    with w.block() as finish_block:
-        _decide(w, machines)
+    with w.collect_block() as finish_block:
+        _write_decide(w, machines)
         decide = finish_block()
-    with w.block() as finish_block:
+    with w.collect_block() as finish_block:
         for machine in machines:
-            machine.act()
-        appearance.settle(w)
-        clips.settle(w)
-        stand_still(w, machines)
+            machine.write_actions()
+        appearance.apply_appearance(w)
+        clips.update_leaning(w)
+        write_resting_push(w, machines)
         act = finish_block()
-    with w.block() as finish_block:
-        layers = blending.blend(w, order)
+    with w.collect_block() as finish_block:
+        layers = blending.blend_layers(w, order)
         for machine in machines:
-            machine.advance()
+            machine.advance_time()
         blend = finish_block()
-    nodes = required_nodes(node for phase in (decide, act, blend) for _, s in statements(phase) for node in operands(s))
+    nodes = collect_required_nodes(
+        node for phase in (decide, act, blend) for _, s in iterate_statements(phase) for node in list_operands(s)
+    )
     events = tuple(sorted({node.attrs[0] for node in nodes if node.op == "event"}))
     return ir.SpeciesPlan(
-        species.name, w.registers, tuple(m.plan() for m in machines), born, decide, act, blend, events, layers,
-        find_shared_senses(decide, act, blend), {a.name: pair_values.rest_value(w, a) for a in species.attributes if a.each},
-        clips.clips_of(species), appearance.wears_of(species), appearance.channels_of(species), appearance.looks_of(species),
+        species.name, w.registers, tuple(m.make_plan() for m in machines), born, decide, act, blend, events, layers,
+        find_shared_senses(decide, act, blend),
+        {a.name: pair_values.lower_rest_value(w, a) for a in species.attributes if a.each},
+        clips.list_clips(species), appearance.list_worn_layers(species), appearance.list_channels(species),
+        appearance.list_look_groups(species),
         species.clears_body, species.has_whole_body, birth.newer_attributes(species),
     )  # fmt: skip
 
@@ -126,113 +131,128 @@ def _species(w: PlanWriter, order: Sequence[str] | None) -> ir.SpeciesPlan:
 def _lower_birth(w: PlanWriter, machines: list[MachineWriter]) -> Block:
     """Return the block of birth. Birth is a separate step: the first normal step reads the stored values as its previous
     values."""
-    w.born = True
-    with w.block() as finish_block:
+    w.is_birth = True
+    with w.collect_block() as finish_block:
         birth.write_birth(w, machines)
         block = finish_block()
-    w.born = False
+    w.is_birth = False
     w.begin_step()
     return block
 
 
-def _decide(w: PlanWriter, machines: list[MachineWriter]) -> None:
+def _write_decide(w: PlanWriter, machines: list[MachineWriter]) -> None:
     """Write the block `decide`: relaxations, latches, handlers, then the transitions of all machines."""
     for attribute in w.species.attributes:
         if attribute.each:
-            pair_values.relax(w, attribute)
+            pair_values.relax_values(w, attribute)
         elif attribute.relax_to is not None:
-            _relax(w, attribute)
+            _write_relaxation(w, attribute)
     for latch in w.species.latches:
-        _latch(w, latch)
-    partners = notice(w)
+        _write_latch(w, latch)
+    partners = detect_new_contacts(w)
     for number, handler in enumerate(w.species.handlers, 1):
-        _handler(w, handler, number, partners)
+        _write_handler(w, handler, number, partners)
     for machine in machines:
-        machine.decide()
+        machine.write_decision()
 
 
-def _relax(w: PlanWriter, attribute: model.AttributeDecl) -> None:
+def _write_relaxation(w: PlanWriter, attribute: model.AttributeDecl) -> None:
     """Move an attribute towards its rest value by the share 1 - exp(-dt / over). The result per second does not depend on the
     step length."""
     b = w.b
-    assert attribute.relax_to is not None and attribute.relax_over is not None
+    assert attribute.relax_to is not None and attribute.relax_time is not None
     b.span = attribute.span
-    share = b("sub", b.number(1), b("exp", b("neg", b("div", w.run("dt"), scalar(w, attribute.relax_over)))))
-    now = own_attribute(w, attribute.name, attribute.type)
+    share = b("sub", b.number(1), b("exp", b("neg", b("div", w.run("dt"), lower_scalar(w, attribute.relax_time)))))
+    now = read_own_attribute(w, attribute.name, attribute.type)
     if isinstance(now, VectorNodes):
-        rest = vector(w, attribute.relax_to)
+        rest = lower_vector(w, attribute.relax_to)
         w.store_vector(attribute.name, add_vectors(b, now, scale(b, sub(b, rest, now), share)), attribute.span)
         return
     assert isinstance(now, PlanNode)
-    change = b("mul", b("sub", scalar(w, attribute.relax_to), now), share)
+    change = b("mul", b("sub", lower_scalar(w, attribute.relax_to), now), share)
     w.store(attribute.name, b("add", now, change), attribute.span)
 
 
-def _latch(w: PlanWriter, latch: model.Binding) -> None:
+def _write_latch(w: PlanWriter, latch: model.Binding) -> None:
     """Write a latch. It is on from the step in which its first condition holds until the step in which its second one holds."""
     assert latch.value is not None and latch.then is not None
     b, name = w.b, latch.key or latch.name
     b.span = latch.span
     try:
-        on = b("where", w.read_previous(name), b("not", truth(w, latch.then)), truth(w, latch.value))
+        on = b("where", w.read_previous(name), b("not", lower_condition(w, latch.then)), lower_condition(w, latch.value))
         w.store(name, on, latch.span)
     except UnsupportedConstruct as missing:
-        complain(w, missing)
+        report_unsupported(w, missing)
 
 
-def _handler(w: PlanWriter, handler: model.Handler, number: int, partners: Mapping[str, PlanNode]) -> None:
+def _write_handler(w: PlanWriter, handler: model.Handler, number: int, partners: Mapping[str, PlanNode]) -> None:
     """Write a handler. `partners`: by species, the other agent that an agent has begun to touch."""
     if handler.event == "spawn":
         return
     if handler.event == "collision":
-        bind(w, handler, partners[handler.of])
-        noticed = w.b("ne", partners[handler.of], w.b.agent(-1))
+        bind_partner(w, handler, partners[handler.of])
+        noticed = w.b("ne", partners[handler.of], w.b.agent_id(-1))
     else:
         noticed = w.b("event", attrs=(handler.event,))
-    with w.region(noticed, handler.span):
-        write(w, handler.actions, f"{w.species.name}.on.{handler.event}#{number}")
+    with w.open_region(noticed, handler.span):
+        write_statements(w, handler.actions, f"{w.species.name}.on.{handler.event}#{number}")
 
 
 # --- the rest --------------------------------------------------------------------------------------------------------
 
 
-def _lower_outside(builder: PlanBuilder, program: model.Program, e: model.Expr, report: Report) -> PlanNode:
+def _lower_run_constant(builder: PlanBuilder, program: model.Program, e: model.Expr, report: Report) -> PlanNode:
     """Lower an expression that does not depend on an agent."""
     empty_species = model.Species("", "", (), (), (), (), (), (), model.LayerStack("budget", (), e.span), e.span)
-    return scalar(PlanWriter(builder, program, empty_species, report, LOWERING_RULES), e)
+    return lower_scalar(PlanWriter(builder, program, empty_species, report, LOWERING_RULES), e)
 
 
-def _field(builder: PlanBuilder, program: model.Program, f: model.Field, report: Report) -> ir.FieldPlan:
+def _lower_field(builder: PlanBuilder, program: model.Program, declared_field: model.Field, report: Report) -> ir.FieldPlan:
     def node(e: model.Expr | None) -> PlanNode | None:
-        return None if e is None else _lower_outside(builder, program, e, report)
+        return None if e is None else _lower_run_constant(builder, program, e, report)
 
-    for surface in f.surfaces:
+    for surface in declared_field.surfaces:
         thing = program.world.get(surface)
         if thing is not None and not KIND_BY_WORD[thing.kind].is_ground:
             message = f"a field on the {thing.kind} `{surface}` is not supported yet"
-            report.error("not-yet", message, f.span, "name surfaces or solids")
-    cell = node(f.cell)
+            report.error("not-yet", message, declared_field.span, "name surfaces or solids")
+    cell = node(declared_field.cell)
     assert cell is not None
-    keep, diffuse, limit = _keep(builder, f, node), node(f.diffuse), node(f.limit)
-    return ir.FieldPlan(f.name, f.surfaces, cell, keep, diffuse, f.combine, limit, f.span, f.stencil, f.deposits)
+    keep, diffuse, limit = (
+        _compute_decay_factor(builder, declared_field, node),
+        node(declared_field.diffuse),
+        node(declared_field.limit),
+    )
+    return ir.FieldPlan(
+        declared_field.name,
+        declared_field.surfaces,
+        cell,
+        keep,
+        diffuse,
+        declared_field.combine,
+        limit,
+        declared_field.span,
+        declared_field.stencil,
+        declared_field.deposits,
+    )
 
 
-def _keep(b: PlanBuilder, f: model.Field, node: object) -> PlanNode | None:
+def _compute_decay_factor(b: PlanBuilder, declared_field: model.Field, lower_node: object) -> PlanNode | None:
     """Return the factor per step of a field: 2^(-dt / half_life), exp(-rate dt), or the factor `keeps`; None if nothing
     evaporates."""
-    assert callable(node)
+    assert callable(lower_node)
     dt = b("run", attrs=("dt",))
-    if f.half_life is not None:
-        return b("exp", b("div", b("mul", b.number(-log(2)), dt), node(f.half_life)))
-    if f.evaporate is not None:
-        return b("exp", b("neg", b("mul", node(f.evaporate), dt)))
-    if f.keeps is None:
+    if declared_field.half_life is not None:
+        return b("exp", b("div", b("mul", b.number(-log(2)), dt), lower_node(declared_field.half_life)))
+    if declared_field.evaporate is not None:
+        return b("exp", b("neg", b("mul", lower_node(declared_field.evaporate), dt)))
+    if declared_field.keeps is None:
         return None
-    factor: PlanNode = node(f.keeps)
-    return b("mul", factor, dt) if f.keeps.type.dim.time < 0 else factor
+    factor: PlanNode = lower_node(declared_field.keeps)
+    return b("mul", factor, dt) if declared_field.keeps.type.dimension.time < 0 else factor
 
 
-def stand_still(w: PlanWriter, machines: Sequence[MachineWriter]) -> None:
+def write_resting_push(w: PlanWriter, machines: Sequence[MachineWriter]) -> None:
     """Write the push of agents that no state has steered. Call this after all machines have acted."""
     rest = w.species.rest
     if rest is None:
@@ -240,29 +260,29 @@ def stand_still(w: PlanWriter, machines: Sequence[MachineWriter]) -> None:
     w.b.span = rest.span
     silent = w.b.true
     for machine in machines:
-        if machine.name in rest.silent:
-            silent = w.b("and", silent, machine.among(rest.silent[machine.name]))
+        if machine.name in rest.resting_states:
+            silent = w.b("and", silent, machine.is_in_any_state(rest.resting_states[machine.name]))
     for axis in AXES:
         w.declare(f"{STEER_TEMP}.{axis}", ValueKind.F32, "temp")
-    with w.region(silent, rest.span):
-        push = vector(w, rest.push)
+    with w.open_region(silent, rest.span):
+        push = lower_vector(w, rest.push)
         w.note_rest(rest, push)
         w.store_vector(STEER_TEMP, push, rest.span)
 
 
-def declare(w: PlanWriter) -> None:
+def declare_touch_registers(w: PlanWriter) -> None:
     """Declare registers for the ids of the agents that an agent touches, for each species with a collision handler."""
-    for of in _met(w.species):
-        for name in _touch_registers(w.species, of):
+    for of in _find_collision_handlers(w.species):
+        for name in _name_touch_registers(w.species, of):
             w.declare(name, ValueKind.I64, "memory", -1, of)
 
 
-def notice(w: PlanWriter) -> dict[str, PlanNode]:
+def detect_new_contacts(w: PlanWriter) -> dict[str, PlanNode]:
     """Return, by species, the id of the other agent that an agent has begun to touch; -1 for none. Afterwards it counts as
     touched."""
     partners = {}
-    for of, handler in _met(w.species).items():
-        names = _touch_registers(w.species, of)
+    for of, handler in _find_collision_handlers(w.species).items():
+        names = _name_touch_registers(w.species, of)
         w.b.span = handler.span
         contact = w.b("contact", *(w.read_previous(name) for name in names), attrs=(of,))
         for number, name in enumerate(names, 1):
@@ -271,13 +291,13 @@ def notice(w: PlanWriter) -> dict[str, PlanNode]:
     return partners
 
 
-def bind(w: PlanWriter, handler: model.Handler, partner: PlanNode) -> None:
+def bind_partner(w: PlanWriter, handler: model.Handler, partner: PlanNode) -> None:
     """Bind the name in the brackets of a handler to the agent `partner`."""
     if handler.other is not None:
         w.environment[handler.other] = EntityRef(model.TypeKind.AGENT, handler.of, partner)
 
 
-def _met(species: model.Species) -> dict[str, model.Handler]:
+def _find_collision_handlers(species: model.Species) -> dict[str, model.Handler]:
     """Return the first collision handler for each other species."""
     handlers: dict[str, model.Handler] = {}
     for handler in species.handlers:
@@ -286,6 +306,6 @@ def _met(species: model.Species) -> dict[str, model.Handler]:
     return handlers
 
 
-def _touch_registers(species: model.Species, of: str) -> Sequence[str]:
-    """Return the names of the registers with the ids of touched agents of the species `of`."""
-    return [f"{species.name}.touched.{of}#{number}" for number in range(1, limits.MAX_TOUCHED_AGENTS + 1)]
+def _name_touch_registers(species: model.Species, other_species: str) -> Sequence[str]:
+    """Return the names of the registers with the ids of touched agents of the species `other_species`."""
+    return [f"{species.name}.touched.{other_species}#{number}" for number in range(1, limits.MAX_TOUCHED_AGENTS + 1)]

@@ -9,22 +9,22 @@ from math import inf, nan
 
 from antdsl.plan.builder import PlanError
 from antdsl.plan.ir import PlanNode, ValueKind
-from antdsl.plan.lowering.expressions import lower, scalar
-from antdsl.plan.lowering.sets import bound, lower_set
-from antdsl.plan.lowering.values import ElementGroup, LoweredValue, OwnPlace, SetElement
+from antdsl.plan.lowering.expressions import lower_expression, lower_scalar
+from antdsl.plan.lowering.sets import lower_set, run_with_binding
+from antdsl.plan.lowering.values import ElementGroup, LoweredValue, OwnPosition, SetElement
 from antdsl.plan.lowering.writer import PlanWriter
-from antdsl.plan.registers import slot_names
+from antdsl.plan.registers import name_slot_registers
 from antdsl.program import model
 
 REST_TOLERANCE = 1e-9  # base units; values nearer to rest have no slot
 
 
-def declare(w: PlanWriter, attribute: model.AttributeDecl) -> None:
+def declare_registers(w: PlanWriter, attribute: model.AttributeDecl) -> None:
     """Declare the registers of a pair value, and a temp with its name, through which all stored values pass."""
-    holds = (attribute.type.kind.value, *attribute.type.dim, attribute.each)
-    for who, value in slot_names(attribute.name, attribute.strongest):
+    holds = (attribute.type.kind.value, *attribute.type.dimension, attribute.each)
+    for who, value in name_slot_registers(attribute.name, attribute.slot_count):
         w.declare(who, ValueKind.I64, "pair", -1, attribute.each, holds)
-        w.declare(value, ValueKind.F32, "pair", holds=holds)
+        w.declare(value, ValueKind.F32, "pair", language_type=holds)
     w.declare(attribute.name, ValueKind.F32, "temp")
 
 
@@ -33,60 +33,62 @@ def find_declaration(w: PlanWriter, name: str) -> model.AttributeDecl | None:
     return next((a for a in w.species.attributes if a.name == name and a.each), None)
 
 
-def read(w: PlanWriter, attribute: model.AttributeDecl, of: model.Expr) -> PlanNode:
+def read(w: PlanWriter, attribute: model.AttributeDecl, other: model.Expr) -> PlanNode:
     """Return the value of `likes[other]`."""
-    other_id = _id(w, lower(w, of))
-    result = rest_value(w, attribute)
-    for who, value in reversed(_slots(w, attribute)):
+    other_id = _lower_agent_id(w, lower_expression(w, other))
+    result = lower_rest_value(w, attribute)
+    for who, value in reversed(_read_slots(w, attribute)):
         result = w.b("where", w.b("eq", who, other_id), value, result)
     if other_id.op == "other.id":
         return result
-    return w.b("where", w.b("eq", other_id, w.b.agent(-1)), rest_value(w, attribute), result)
+    return w.b("where", w.b("eq", other_id, w.b.agent_id(-1)), lower_rest_value(w, attribute), result)
 
 
-def relax(w: PlanWriter, attribute: model.AttributeDecl) -> None:
+def relax_values(w: PlanWriter, attribute: model.AttributeDecl) -> None:
     """At the start of a step, relax each value towards its rest, and free the slots of values that have reached it."""
     b = w.b
     b.span = attribute.span
-    rest = rest_value(w, attribute)
+    rest = lower_rest_value(w, attribute)
     keep = b.number(1)
-    if attribute.relax_over is not None:
-        keep = b("exp", b("neg", b("div", w.run("dt"), scalar(w, attribute.relax_over))))
-    for (who, value), names in zip(_slots(w, attribute), slot_names(attribute.name, attribute.strongest), strict=True):
+    if attribute.relax_time is not None:
+        keep = b("exp", b("neg", b("div", w.run("dt"), lower_scalar(w, attribute.relax_time))))
+    for (who, value), names in zip(
+        _read_slots(w, attribute), name_slot_registers(attribute.name, attribute.slot_count), strict=True
+    ):
         away = b("mul", b("sub", value, rest), keep)
-        is_expired = b("or", b("eq", who, b.agent(-1)), b("le", b("abs", away), b.number(REST_TOLERANCE)))
-        w.store(names[0], b("where", is_expired, b.agent(-1), who), attribute.span)
+        is_expired = b("or", b("eq", who, b.agent_id(-1)), b("le", b("abs", away), b.number(REST_TOLERANCE)))
+        w.store(names[0], b("where", is_expired, b.agent_id(-1), who), attribute.span)
         w.store(names[1], b("where", is_expired, b.number(0), b("add", rest, away)), attribute.span)
 
 
-def assign(w: PlanWriter, s: model.Assign, attribute: model.AttributeDecl) -> None:
+def write_assignment(w: PlanWriter, s: model.Assign, attribute: model.AttributeDecl) -> None:
     """Write an assignment or addition to the value about one other agent, or about each agent of a set."""
-    if s.over is not None:
-        _assign_all(w, s, attribute)
+    if s.other_agents is not None:
+        _write_set_assignment(w, s, attribute)
         return
     if s.of is None:
         raise PlanError(f"a value per pair without another agent: {s.span.text!r}")
-    other_id = _id(w, lower(w, s.of))
-    value = _changed_value(w, s, read(w, attribute, s.of), scalar(w, s.value))
-    with w.region(w.b("ne", other_id, w.b.agent(-1)), s.span):
+    other_id = _lower_agent_id(w, lower_expression(w, s.of))
+    value = _compute_changed_value(w, s, read(w, attribute, s.of), lower_scalar(w, s.value))
+    with w.open_region(w.b("ne", other_id, w.b.agent_id(-1)), s.span):
         held = _freeze_value(w, f"~{attribute.name}.id", other_id, s)
-        _put(w, attribute, held, value, s, known=True)
+        _store_in_slot(w, attribute, held, value, s, has_slot=True)
 
 
-def _assign_all(w: PlanWriter, s: model.Assign, attribute: model.AttributeDecl) -> None:
+def _write_set_assignment(w: PlanWriter, s: model.Assign, attribute: model.AttributeDecl) -> None:
     """Set the values about all agents of a set. Agents with a slot change in place. Of the others, the strongest get slots, as
     many as there are slots.
 
     All values are computed before any is stored, because a value may use other pair values."""
     b = w.b
-    assert s.over is not None and s.element is not None
-    over = lower_set(w, s.over)
+    assert s.other_agents is not None and s.element is not None
+    over = lower_set(w, s.other_agents)
     if not isinstance(over, ElementGroup):
         raise PlanError(f"a value per pair about hits: {s.span.text!r}")
-    rest, zero = rest_value(w, attribute), b.number(0)
-    amount = bound(w, s.element, over.element, lambda: _changed_value(w, s, zero, scalar(w, s.value)))
+    rest, zero = lower_rest_value(w, attribute), b.number(0)
+    amount = run_with_binding(w, s.element, over.element, lambda: _compute_changed_value(w, s, zero, lower_scalar(w, s.value)))
     strength = b("abs", b("sub", amount, rest if s.op == "=" else zero))
-    other, slots = b("other.id"), _slots(w, attribute)
+    other, slots = b("other.id"), _read_slots(w, attribute)
     sound = b("eq", b("finite", amount), amount)
     wrong = b("reduce.any", over.nodes, b("and", over.condition, b("not", sound)))
     w.store(attribute.name, b("where", wrong, b.number(nan), zero), s.span)
@@ -102,16 +104,16 @@ def _assign_all(w: PlanWriter, s: model.Assign, attribute: model.AttributeDecl) 
         )
         changed_values.append(_freeze_value(w, f"~{attribute.name}.{k}", changed, s))
     new = b.all(holds, b("gt", strength, b.number(REST_TOLERANCE)), *(b("ne", other, who) for who, _ in slots))
-    coming = [(f"~{attribute.name}.new.{k}.id", f"~{attribute.name}.new.{k}") for k in range(attribute.strongest)]
+    coming = [(f"~{attribute.name}.new.{k}.id", f"~{attribute.name}.new.{k}") for k in range(attribute.slot_count)]
     for names in coming:
         w.declare(names[0], ValueKind.I64, "temp", -1)
         w.declare(names[1], ValueKind.F32, "temp")
-        w.store(names[0], b.agent(-1), s.span)
+        w.store(names[0], b.agent_id(-1), s.span)
 
     def find(new: PlanNode, left: int) -> None:
         """Find the strongest of the agents that have no slot yet, then recursively the next one."""
         other_id = b("reduce.agent", over.nodes, new, b("neg", strength))
-        with w.region(b("ne", other_id, b.agent(-1)), s.span):
+        with w.open_region(b("ne", other_id, b.agent_id(-1)), s.span):
             matched_amount = b("reduce.max", over.nodes, b("eq", other, other_id), amount)
             who, value = coming[-left]
             w.store(who, other_id, s.span)
@@ -121,15 +123,15 @@ def _assign_all(w: PlanWriter, s: model.Assign, attribute: model.AttributeDecl) 
 
     def come_in(left: int) -> None:
         who, value = coming[-left]
-        with w.region(b("ne", w.read(who), b.agent(-1)), s.span):
-            _put(w, attribute, w.read(who), w.read(value), s, known=False)
+        with w.open_region(b("ne", w.read(who), b.agent_id(-1)), s.span):
+            _store_in_slot(w, attribute, w.read(who), w.read(value), s, has_slot=False)
             if left > 1:
                 come_in(left - 1)
 
-    find(new, attribute.strongest)
-    for names, value in zip(slot_names(attribute.name, attribute.strongest), changed_values, strict=True):
+    find(new, attribute.slot_count)
+    for names, value in zip(name_slot_registers(attribute.name, attribute.slot_count), changed_values, strict=True):
         w.store(names[1], value, s.span)
-    come_in(attribute.strongest)
+    come_in(attribute.slot_count)
 
 
 def _freeze_value(w: PlanWriter, name: str, value: PlanNode, s: model.Assign) -> PlanNode:
@@ -139,28 +141,28 @@ def _freeze_value(w: PlanWriter, name: str, value: PlanNode, s: model.Assign) ->
     return w.read(name)
 
 
-def _put(
-    w: PlanWriter, attribute: model.AttributeDecl, other_id: PlanNode, value: PlanNode, s: model.Assign, known: bool
+def _store_in_slot(
+    w: PlanWriter, attribute: model.AttributeDecl, other_id: PlanNode, value: PlanNode, s: model.Assign, has_slot: bool
 ) -> None:
     """Store a value about an agent. Each slot in turn retains the stronger value and passes the weaker one to the next slot. The
     weakest value is dropped.
 
-    `known`: the agent may have a slot already, which is freed first."""
-    b, rest = w.b, rest_value(w, attribute)
+    `has_slot`: the agent may have a slot already, which is freed first."""
+    b, rest = w.b, lower_rest_value(w, attribute)
     carried, amount = other_id, _freeze_value(w, attribute.name, value, s)
     strength = b("abs", b("sub", amount, rest))
     changed: list[tuple[PlanNode, PlanNode]] = []
-    for who, stored_value in _slots(w, attribute):
-        if known:
+    for who, stored_value in _read_slots(w, attribute):
+        if has_slot:
             freed = b("eq", who, other_id)
-            who, stored_value = b("where", freed, b.agent(-1), who), b("where", freed, b.number(0), stored_value)
-        held = b("where", b("eq", who, b.agent(-1)), b.number(-1), b("abs", b("sub", stored_value, rest)))
+            who, stored_value = b("where", freed, b.agent_id(-1), who), b("where", freed, b.number(0), stored_value)
+        held = b("where", b("eq", who, b.agent_id(-1)), b.number(-1), b("abs", b("sub", stored_value, rest)))
         tie = b("and", b("eq", strength, held), b("lt", carried, who))
         stays = b("or", b("gt", strength, held), tie)
         changed.append((b("where", stays, carried, who), b("where", stays, amount, stored_value)))
         carried, amount = b("where", stays, who, carried), b("where", stays, stored_value, amount)
         strength = b("where", stays, held, strength)
-    names = slot_names(attribute.name, attribute.strongest)
+    names = name_slot_registers(attribute.name, attribute.slot_count)
     for (who_name, value_name), (who, stored_value) in zip(
         reversed(names), reversed(changed), strict=True
     ):  # in reverse, so that no store changes a value that a later one reads
@@ -169,24 +171,24 @@ def _put(
         w.store(who_name, held, s.span)
 
 
-def _changed_value(w: PlanWriter, s: model.Assign, old: PlanNode, value: PlanNode) -> PlanNode:
+def _compute_changed_value(w: PlanWriter, s: model.Assign, old: PlanNode, value: PlanNode) -> PlanNode:
     if s.op == "=":
         return value
     change = w.b("mul", value, w.run("dt")) if s.per_second else value
     return w.b("add" if s.op == "+=" else "sub", old, change)
 
 
-def _slots(w: PlanWriter, attribute: model.AttributeDecl) -> list[tuple[PlanNode, PlanNode]]:
-    return [(w.read(who), w.read(value)) for who, value in slot_names(attribute.name, attribute.strongest)]
+def _read_slots(w: PlanWriter, attribute: model.AttributeDecl) -> list[tuple[PlanNode, PlanNode]]:
+    return [(w.read(who), w.read(value)) for who, value in name_slot_registers(attribute.name, attribute.slot_count)]
 
 
-def rest_value(w: PlanWriter, attribute: model.AttributeDecl) -> PlanNode:
+def lower_rest_value(w: PlanWriter, attribute: model.AttributeDecl) -> PlanNode:
     """Return the initial and rest value of a pair value: a constant or a param."""
-    return scalar(w, attribute.default)
+    return lower_scalar(w, attribute.default)
 
 
-def _id(w: PlanWriter, value: LoweredValue) -> PlanNode:
+def _lower_agent_id(w: PlanWriter, value: LoweredValue) -> PlanNode:
     """Return the id of the agent that a pair value is about."""
-    if isinstance(value, OwnPlace):
+    if isinstance(value, OwnPosition):
         return w.b("id")
     return w.b("other.id") if isinstance(value, SetElement) else value.node  # type: ignore[union-attr]

@@ -9,10 +9,10 @@ from typing import TypeVar
 from antdsl.plan.builder import PlanError
 from antdsl.plan.ir import PlanNode, UpdateRate
 from antdsl.plan.lowering import values
-from antdsl.plan.lowering.expressions import lower, scalar, select, truth
+from antdsl.plan.lowering.expressions import lower_condition, lower_expression, lower_scalar, select_value
 from antdsl.plan.lowering.values import ElementGroup, EntityRef, LoweredValue, RayHit, RayHits, SetElement, VectorNodes
 from antdsl.plan.lowering.writer import PlanWriter, UnsupportedConstruct
-from antdsl.plan.simplify import constant_value
+from antdsl.plan.simplify import get_constant_value
 from antdsl.program import model
 from antdsl.program.model import Dimension
 
@@ -22,7 +22,7 @@ FULL_TURN_ANGLE = 2 * pi - 1e-5
 _MAX_COUNT_ARGUMENT = {"neighbours": 2, "all": 1}  # index of the argument with the maximum count
 
 
-def quantum_exponent(dim: Dimension) -> int:
+def choose_quantum_exponent(dim: Dimension) -> int:
     """Return the exponent of the quantum of sums. Terms are rounded to a multiple of 2**exponent base units, so that the sum is
     exact in any order.
 
@@ -38,53 +38,53 @@ def lower_set(w: PlanWriter, e: model.SetExpr) -> ElementGroup | RayHits:
     """Return the elements of a set with their condition, or the rays of feelers."""
     if e.source == "feelers":
         hits = lower_feelers(w, e)
-        narrowed_hits = tuple(_narrow_hit(w, hit, e.element, e.where) for hit in hits)
+        narrowed_hits = tuple(_filter_hit(w, hit, e.element, e.where) for hit in hits)
         return RayHits(narrowed_hits)
     b = w.b
     kind = e.element.type.kind
     if kind not in (model.TypeKind.ITEM, model.TypeKind.AGENT):
-        kind = model.TypeKind.ITEM if _is_items(w, e.of) else model.TypeKind.AGENT
+        kind = model.TypeKind.ITEM if _is_item_group(w, e.of) else model.TypeKind.AGENT
     if e.source == "neighbours":
-        radius, fov = scalar_of_agent(w, e.args[0], e), scalar_of_agent(w, e.args[1], e)
-        nodes = b("set.agents", radius, *min_cosine(w, fov), attrs=(e.of, _is_full_circle(fov)))
+        radius, fov = lower_agent_scalar(w, e.args[0], e), lower_agent_scalar(w, e.args[1], e)
+        nodes = b("set.agents", radius, *compute_min_cosine(w, fov), attrs=(e.of, _is_full_circle(fov)))
     elif kind is model.TypeKind.ITEM:
-        within = b.number(inf) if not e.args or e.args[0] is None else scalar_of_agent(w, e.args[0], e)
+        within = b.number(inf) if not e.args or e.args[0] is None else lower_agent_scalar(w, e.args[0], e)
         nodes = b("set.items", within, attrs=(e.of,))
     elif not e.args or e.args[0] is None:
         nodes = b("set.every", attrs=(e.of,))
     else:
-        nodes = b("set.agents", scalar_of_agent(w, e.args[0], e), b.number(ANY_DIRECTION_COSINE), attrs=(e.of, True))
+        nodes = b("set.agents", lower_agent_scalar(w, e.args[0], e), b.number(ANY_DIRECTION_COSINE), attrs=(e.of, True))
     element = SetElement(kind, e.of)
-    condition = bound(w, e.element, element, lambda: b.true if e.where is None else truth(w, e.where))
+    condition = run_with_binding(w, e.element, element, lambda: b.true if e.where is None else lower_condition(w, e.where))
     most = e.args[_MAX_COUNT_ARGUMENT[e.source]] if len(e.args) > _MAX_COUNT_ARGUMENT[e.source] else None
     if most is not None:
-        condition = b("and", condition, _among_nearest(w, nodes, condition, kind, scalar_of_agent(w, most, e)))
+        condition = b("and", condition, _is_among_nearest(w, nodes, condition, kind, lower_agent_scalar(w, most, e)))
     return ElementGroup(nodes, condition, element)
 
 
-def _among_nearest(w: PlanWriter, nodes: PlanNode, condition: PlanNode, kind: model.TypeKind, most: PlanNode) -> PlanNode:
-    """Return whether an element is among the `most` nearest elements for which a condition holds. If there are no more than
-    `most`, all count. At equal distance, the lower id or row counts as nearer."""
+def _is_among_nearest(w: PlanWriter, nodes: PlanNode, condition: PlanNode, kind: model.TypeKind, max_count: PlanNode) -> PlanNode:
+    """Return whether an element is among the `max_count` nearest elements for which a condition holds. If there are no more than
+    `max_count`, all count. At equal distance, the lower id or row counts as nearer."""
     b, away = w.b, w.b("pair.distance")
     of_items = kind is model.TypeKind.ITEM
-    last = b("reduce.nth_item" if of_items else "reduce.nth_agent", nodes, condition, away, most)
+    last = b("reduce.nth_item" if of_items else "reduce.nth_agent", nodes, condition, away, max_count)
     label = b("other.row") if of_items else b("other.id")
     far = b("reduce.min", nodes, b("eq", label, last), away)
     nearer = b("or", b("lt", away, far), b("and", b("eq", away, far), b("le", label, last)))
-    every = b("eq", last, b.zero(last.kind, -1))
-    return b("and", b("ge", most, b.number(1)), b("or", every, nearer))
+    every = b("eq", last, b.constant_of_kind(last.kind, -1))
+    return b("and", b("ge", max_count, b.number(1)), b("or", every, nearer))
 
 
-def _is_items(w: PlanWriter, name: str) -> bool:
+def _is_item_group(w: PlanWriter, name: str) -> bool:
     thing = w.program.world.get(name)
     return thing is not None and thing.kind == "items"
 
 
-def scalar_of_agent(w: PlanWriter, e: model.Expr | None, set_expr: model.SetExpr) -> PlanNode:
+def lower_agent_scalar(w: PlanWriter, e: model.Expr | None, set_expr: model.SetExpr) -> PlanNode:
     """Return a parameter of a set. It may depend on the agent, but not on an element of another set."""
     if e is None:
         raise PlanError(f"a set without its size: {set_expr.span.text!r}")
-    node = scalar(w, e)
+    node = lower_scalar(w, e)
     if node.rate > UpdateRate.AGENT:
         words = "a set with a size that depends on an element of another set"
         raise UnsupportedConstruct(words, e.span, "use a size that depends only on the agent")
@@ -92,11 +92,11 @@ def scalar_of_agent(w: PlanWriter, e: model.Expr | None, set_expr: model.SetExpr
 
 
 def _is_full_circle(fov: PlanNode) -> bool:
-    known = constant_value(fov)
+    known = get_constant_value(fov)
     return known is not None and known >= FULL_TURN_ANGLE
 
 
-def min_cosine(w: PlanWriter, fov: PlanNode) -> tuple[PlanNode]:
+def compute_min_cosine(w: PlanWriter, fov: PlanNode) -> tuple[PlanNode]:
     """Return the smallest cosine between the heading and any direction inside a field of view (an angle in rad)."""
     b = w.b
     if _is_full_circle(fov):
@@ -105,66 +105,66 @@ def min_cosine(w: PlanWriter, fov: PlanNode) -> tuple[PlanNode]:
     return (b("where", b("ge", fov, b.number(FULL_TURN_ANGLE)), b.number(ANY_DIRECTION_COSINE), narrow),)
 
 
-def bound(w: PlanWriter, binding: model.Binding, element: LoweredValue, body: Callable[[], T]) -> T:
+def run_with_binding(w: PlanWriter, binding: model.Binding, element: LoweredValue, body: Callable[[], T]) -> T:
     """Run `body` with a name bound to an element."""
     w.environment[binding] = element
     if isinstance(element, SetElement):
-        w.elements.append(binding)
+        w.set_elements.append(binding)
     try:
         return body()
     finally:
         if isinstance(element, SetElement):
-            w.elements.pop()
+            w.set_elements.pop()
         del w.environment[binding]
 
 
 # --- reductions ------------------------------------------------------------------------------------------------------
 
 
-def reduce(w: PlanWriter, e: model.ReduceExpr) -> LoweredValue:
+def lower_reduction(w: PlanWriter, e: model.ReduceExpr) -> LoweredValue:
     """Lower sum, mean, min, max, count, any, every, best or nearest over a set."""
-    over = lower_set(w, e.over)
+    over = lower_set(w, e.elements)
     if isinstance(over, RayHits):
         return _reduce_hits(w, e, over)
     b = w.b
-    if e.how == "nearest":
-        return _element_with_least(w, over, b("pair.distance"))
-    if e.body is None and e.how in ("count", "any"):
-        return b(f"reduce.{e.how}", over.nodes, over.condition)
+    if e.reducer == "nearest":
+        return _select_least_element(w, over, b("pair.distance"))
+    if e.body is None and e.reducer in ("count", "any"):
+        return b(f"reduce.{e.reducer}", over.nodes, over.condition)
     body_expr = e.body
     if body_expr is None:
-        raise PlanError(f"{e.how} without a body: {e.span.text!r}")
-    if e.how in ("count", "any", "every"):
-        holds = bound(w, e.element, over.element, lambda: truth(w, body_expr))
-        if e.how == "every":
+        raise PlanError(f"{e.reducer} without a body: {e.span.text!r}")
+    if e.reducer in ("count", "any", "every"):
+        holds = run_with_binding(w, e.element, over.element, lambda: lower_condition(w, body_expr))
+        if e.reducer == "every":
             return b("not", b("reduce.any", over.nodes, b("and", over.condition, b("not", holds))))
-        return b(f"reduce.{e.how}", over.nodes, b("and", over.condition, holds))
-    body = bound(w, e.element, over.element, lambda: lower(w, body_expr))
-    if e.how == "best":
+        return b(f"reduce.{e.reducer}", over.nodes, b("and", over.condition, holds))
+    body = run_with_binding(w, e.element, over.element, lambda: lower_expression(w, body_expr))
+    if e.reducer == "best":
         if not isinstance(body, PlanNode):
             raise PlanError("best of something that is no number")
-        return _element_with_least(w, over, b("neg", body))
+        return _select_least_element(w, over, b("neg", body))
     parts = list(body) if isinstance(body, VectorNodes) else [body]
-    results = [_reduce_numbers(w, e.how, over, part, quantum_exponent(body_expr.type.dim)) for part in parts]  # type: ignore[arg-type]
+    results = [_reduce_numbers(w, e.reducer, over, part, choose_quantum_exponent(body_expr.type.dimension)) for part in parts]  # type: ignore[arg-type]
     return VectorNodes(*results) if isinstance(body, VectorNodes) else results[0]
 
 
-def _reduce_numbers(w: PlanWriter, how: str, over: ElementGroup, body: PlanNode, fineness: int) -> PlanNode:
+def _reduce_numbers(w: PlanWriter, reducer: str, over: ElementGroup, body: PlanNode, exponent: int) -> PlanNode:
     b = w.b
-    if how in ("min", "max"):
-        return b(f"reduce.{how}", over.nodes, over.condition, body)
-    total = b("reduce.sum", over.nodes, over.condition, body, attrs=(fineness,))
-    if how == "sum":
+    if reducer in ("min", "max"):
+        return b(f"reduce.{reducer}", over.nodes, over.condition, body)
+    total = b("reduce.sum", over.nodes, over.condition, body, attrs=(exponent,))
+    if reducer == "sum":
         return total
-    if how != "mean":
-        raise PlanError(f"no such reduction: {how}")
+    if reducer != "mean":
+        raise PlanError(f"no such reduction: {reducer}")
     count = b("reduce.count", over.nodes, over.condition)
     return b("where", b("gt", count, b.number(0)), b("div", total, count), b.number(0))
 
 
-def _element_with_least(w: PlanWriter, over: ElementGroup, body: PlanNode) -> EntityRef:
-    op = "reduce.item" if over.element.what is model.TypeKind.ITEM else "reduce.agent"
-    return EntityRef(over.element.what, over.element.of, w.b(op, over.nodes, over.condition, body))
+def _select_least_element(w: PlanWriter, over: ElementGroup, body: PlanNode) -> EntityRef:
+    op = "reduce.item" if over.element.kind is model.TypeKind.ITEM else "reduce.agent"
+    return EntityRef(over.element.kind, over.element.of, w.b(op, over.nodes, over.condition, body))
 
 
 # --- feelers ---------------------------------------------------------------------------------------------------------
@@ -175,11 +175,11 @@ def lower_feelers(w: PlanWriter, e: model.SetExpr) -> tuple[RayHit, ...]:
     (Reynolds 1999, p. 12)."""
     b = w.b
     count_expr, spread_expr, reach_expr = e.args
-    count = constant_value(scalar_of_agent(w, count_expr, e))
+    count = get_constant_value(lower_agent_scalar(w, count_expr, e))
     if count is None:
         raise UnsupportedConstruct("a number of feelers that is not a literal number", e.span, "write a number: `feelers: 3`")
     n = max(1, min(16, int(count)))
-    spread, reach = scalar_of_agent(w, spread_expr, e), scalar_of_agent(w, reach_expr, e)
+    spread, reach = lower_agent_scalar(w, spread_expr, e), lower_agent_scalar(w, reach_expr, e)
     heading, up = w.read_vector("heading"), w.read_vector("up")
     across = values.cross(b, up, heading)
     hits = []
@@ -200,10 +200,10 @@ def cast_ray(w: PlanWriter, direction: VectorNodes, reach: PlanNode, target: str
     return RayHit(hit, distance, VectorNodes(x, y, z), direction)
 
 
-def _narrow_hit(w: PlanWriter, hit: RayHit, element: model.Binding, where: model.Expr | None) -> RayHit:
-    if where is None:
+def _filter_hit(w: PlanWriter, hit: RayHit, element: model.Binding, condition: model.Expr | None) -> RayHit:
+    if condition is None:
         return hit
-    holds = bound(w, element, _assume_hit(w, hit), lambda: truth(w, where))
+    holds = run_with_binding(w, element, _assume_hit(w, hit), lambda: lower_condition(w, condition))
     return RayHit(w.b("and", hit.hit, holds), hit.distance, hit.normal, hit.direction)
 
 
@@ -216,22 +216,22 @@ def _assume_hit(w: PlanWriter, hit: RayHit) -> RayHit:
 def _reduce_hits(w: PlanWriter, e: model.ReduceExpr, over: RayHits) -> LoweredValue:
     """Lower a reduction over hits, unrolled in the order of the rays."""
     b = w.b
-    if e.how == "nearest":
-        return _hit_with_least(w, over, [hit.distance for hit in over.hits])
+    if e.reducer == "nearest":
+        return _select_least_hit(w, over, [hit.distance for hit in over.hits])
     if e.body is None:
         conditions = [hit.hit for hit in over.hits]
     else:
         body_expr = e.body
-        lower_body = truth if e.how in ("count", "any", "every") else lower
-        bodies = [bound(w, e.element, _assume_hit(w, hit), lambda: lower_body(w, body_expr)) for hit in over.hits]
-        if e.how == "best":
-            return _hit_with_least(w, over, [b("neg", body) for body in bodies])  # type: ignore[arg-type]
-        if e.how not in ("count", "any", "every"):
-            return _reduce_hit_numbers(w, e.how, over, bodies)
-        if e.how == "every":
+        lower_body = lower_condition if e.reducer in ("count", "any", "every") else lower_expression
+        bodies = [run_with_binding(w, e.element, _assume_hit(w, hit), lambda: lower_body(w, body_expr)) for hit in over.hits]
+        if e.reducer == "best":
+            return _select_least_hit(w, over, [b("neg", body) for body in bodies])  # type: ignore[arg-type]
+        if e.reducer not in ("count", "any", "every"):
+            return _reduce_hit_numbers(w, e.reducer, over, bodies)
+        if e.reducer == "every":
             return b.all(*(b("or", b("not", hit.hit), body) for hit, body in zip(over.hits, bodies, strict=True)))  # type: ignore[arg-type]
         conditions = [b("and", hit.hit, body) for hit, body in zip(over.hits, bodies, strict=True)]  # type: ignore[arg-type]
-    if e.how == "any":
+    if e.reducer == "any":
         return _fold_nodes(w, "or", conditions, b.false)
     return _fold_nodes(w, "add", [b("number", each) for each in conditions], b.number(0))
 
@@ -242,16 +242,16 @@ def _fold_nodes(w: PlanWriter, op: str, nodes: list[PlanNode], start: PlanNode) 
     return start
 
 
-def _reduce_hit_numbers(w: PlanWriter, how: str, over: RayHits, bodies: list[LoweredValue]) -> LoweredValue:
+def _reduce_hit_numbers(w: PlanWriter, reducer: str, over: RayHits, bodies: list[LoweredValue]) -> LoweredValue:
     b = w.b
-    nothing = {"min": inf, "max": -inf}.get(how, 0.0)
+    nothing = {"min": inf, "max": -inf}.get(reducer, 0.0)
 
     def column(parts: list[PlanNode]) -> PlanNode:
         terms = [b("where", hit.hit, part, b.number(nothing)) for hit, part in zip(over.hits, parts, strict=True)]
-        if how in ("min", "max"):
-            return _fold_nodes(w, how, terms[1:], terms[0])
+        if reducer in ("min", "max"):
+            return _fold_nodes(w, reducer, terms[1:], terms[0])
         total = _fold_nodes(w, "add", terms, b.number(0))
-        if how == "sum":
+        if reducer == "sum":
             return total
         count = _fold_nodes(w, "add", [b("number", hit.hit) for hit in over.hits], b.number(0))
         return b("where", b("gt", count, b.number(0)), b("div", total, count), b.number(0))
@@ -261,12 +261,12 @@ def _reduce_hit_numbers(w: PlanWriter, how: str, over: RayHits, bodies: list[Low
     return column(bodies)  # type: ignore[arg-type]
 
 
-def _hit_with_least(w: PlanWriter, over: RayHits, keys: list[PlanNode]) -> RayHit:
+def _select_least_hit(w: PlanWriter, over: RayHits, keys: list[PlanNode]) -> RayHit:
     """Return the hit with the smallest key; of equal ones, the earlier ray."""
     best, least = over.hits[0], keys[0]
     for hit, key in zip(over.hits[1:], keys[1:], strict=True):
         better = w.b("and", hit.hit, w.b("or", w.b("not", best.hit), w.b("lt", key, least)))
-        chosen = select(w, better, hit, best)
+        chosen = select_value(w, better, hit, best)
         assert isinstance(chosen, RayHit)
         best, least = chosen, w.b("where", better, key, least)
     return best

@@ -12,11 +12,11 @@ from antdsl.diagnostics import Report
 from antdsl.plan.builder import PlanBuilder, PlanError
 from antdsl.plan.ir import PlanNode
 from antdsl.plan.lowering import values
-from antdsl.plan.lowering.expressions import lower, presence, scalar, truth
-from antdsl.plan.lowering.machines import has_passed, steps
+from antdsl.plan.lowering.expressions import lower_condition, lower_expression, lower_presence, lower_scalar
+from antdsl.plan.lowering.machines import count_steps, has_passed
 from antdsl.plan.lowering.writer import LoweringRules, PlanWriter
 from antdsl.program import model
-from antdsl.program.tables.units import default_unit, measure
+from antdsl.program.tables.units import choose_default_unit, find_unit_measure
 from antdsl.source import Span
 from antdsl.syntax.words import NUMBER_REGEX, UNITS_REGEX
 
@@ -46,12 +46,12 @@ class PartNote:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TimerNote:
-    """A waiting time. `what`: held, after or at least. `has`, `needs`: the elapsed and the required time, in steps for held, in
-    seconds otherwise."""
+    """A waiting time. `timer_kind`: held, after or at least. `elapsed`, `required`: the elapsed and the required time, in steps
+    for held, in seconds otherwise."""
 
-    what: str
-    has: PlanNode
-    needs: PlanNode
+    timer_kind: str
+    elapsed: PlanNode
+    required: PlanNode
     holds: PlanNode
 
 
@@ -82,11 +82,11 @@ class ChoiceNote:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LayerNote:
-    """A layer. `left`: the budget that earlier layers have left. `looked`: whether `left` is above 0."""
+    """A layer. `budget_left`: the budget that earlier layers have left. `has_budget`: whether `budget_left` is above 0."""
 
     layer: model.Layer
-    left: PlanNode
-    looked: PlanNode
+    budget_left: PlanNode
+    has_budget: PlanNode
     condition: PartNote | None
     holds: PlanNode
     push: tuple[PlanNode, PlanNode, PlanNode]
@@ -95,7 +95,7 @@ class LayerNote:
 RESTING_TEXT = "no line steers, so the agent does not move: halt()"
 
 
-def resting_site(species: str) -> str:
+def make_resting_site(species: str) -> str:
     """Return the key of the push of agents in states that do not steer."""
     return f"{species}.rest#1"
 
@@ -103,7 +103,7 @@ def resting_site(species: str) -> str:
 @dataclass(frozen=True, slots=True, eq=False)
 class SteerNote:
     """A `steer` or `face` line. `site`: its key, `SPECIES.MACHINE.STATE#1`, `SPECIES.layers.face#1`, or the result of
-    `resting_site`."""
+    `make_resting_site`."""
 
     site: str
     text: str
@@ -136,92 +136,108 @@ class NotingWriter(PlanWriter):
         super().__init__(builder, program, species, report, rules)
         self.notes = notes
 
-    def note_transition(self, machine: str, number: int, state: model.State, t: model.Transition, fires: PlanNode) -> None:
+    def note_transition(
+        self, machine: str, number: int, state: model.State, transition: model.Transition, fires: PlanNode
+    ) -> None:
         statement_count = len(self.statements)
-        condition = None if t.condition is None else self._part_note(t.condition, _written_units(t.span))
-        holds = None if t.condition is None else truth(self, t.condition)
-        take = None if t.take is None or t.take.source.type.kind is model.TypeKind.FIELD else self._part_note(t.take.source, [])
-        timers = tuple(self._timer_notes(machine, state, t))
+        condition = (
+            None
+            if transition.condition is None
+            else self._make_part_note(transition.condition, _find_written_units(transition.span))
+        )
+        holds = None if transition.condition is None else lower_condition(self, transition.condition)
+        take = (
+            None
+            if transition.take is None or transition.take.source.type.kind is model.TypeKind.FIELD
+            else self._make_part_note(transition.take.source, [])
+        )
+        timers = tuple(self._make_timer_notes(machine, state, transition))
         if len(self.statements) != statement_count:
-            raise PlanError(f"a note wrote a statement: {t.span.text!r}")
-        self.notes.changes.append(ChangeNote(machine, number, state, t, fires, condition, holds, timers, take))
+            raise PlanError(f"a note wrote a statement: {transition.span.text!r}")
+        self.notes.changes.append(ChangeNote(machine, number, state, transition, fires, condition, holds, timers, take))
 
-    def _timer_notes(self, machine: str, state: model.State, t: model.Transition) -> Iterator[TimerNote]:
-        if t.held is not None:
-            held_time, needs = self.read_previous(f"{t.key}.held"), steps(self, scalar(self, t.held))
+    def _make_timer_notes(self, machine: str, state: model.State, t: model.Transition) -> Iterator[TimerNote]:
+        if t.hold_time is not None:
+            held_time, needs = self.read_previous(f"{t.key}.held"), count_steps(self, lower_scalar(self, t.hold_time))
             yield TimerNote("held", held_time, needs, self.b("ge", held_time, needs))
         time_in_state = self.read(f"{machine}.time_in_state")
         if t.delay is not None:
-            yield TimerNote("after", time_in_state, scalar(self, t.delay), has_passed(self, machine, t.delay))
-        if state.at_least is not None and not t.interrupt:
-            yield TimerNote("at least", time_in_state, scalar(self, state.at_least), has_passed(self, machine, state.at_least))
+            yield TimerNote("after", time_in_state, lower_scalar(self, t.delay), has_passed(self, machine, t.delay))
+        if state.at_least is not None and not t.is_interrupt:
+            yield TimerNote(
+                "at least", time_in_state, lower_scalar(self, state.at_least), has_passed(self, machine, state.at_least)
+            )
 
     def note_choice(self, key: str, draw: PlanNode, weights: list[tuple[int, PlanNode]]) -> None:
         self.notes.choices[key] = ChoiceNote(key, draw, tuple(weights))
 
-    def note_layer(self, layer: model.Layer, left: PlanNode, looked: PlanNode, holds: PlanNode, push: values.VectorNodes) -> None:
+    def note_layer(
+        self, layer: model.Layer, budget_left: PlanNode, has_budget: PlanNode, holds: PlanNode, push: values.VectorNodes
+    ) -> None:
         statement_count = len(self.statements)
-        condition = None if layer.condition is None else self._part_note(layer.condition, _written_units(layer.condition.span))
+        condition = (
+            None if layer.condition is None else self._make_part_note(layer.condition, _find_written_units(layer.condition.span))
+        )
         if len(self.statements) != statement_count:
             raise PlanError(f"a note wrote a statement: {layer.text!r}")
-        self.notes.layers.append(LayerNote(layer, left, looked, condition, holds, (push.x, push.y, push.z)))
+        self.notes.layers.append(LayerNote(layer, budget_left, has_budget, condition, holds, (push.x, push.y, push.z)))
 
     def note_steering(
         self, s: model.Steer | model.FaceLine | model.Layer, site: str, push: values.VectorNodes, holds: PlanNode | None = None
     ) -> None:
-        self.notes.steers.append(SteerNote(site, _single_line(s.span.text), (push.x, push.y, push.z), holds))
+        self.notes.steers.append(SteerNote(site, _join_lines(s.span.text), (push.x, push.y, push.z), holds))
 
     def note_rest(self, rest: model.RestingPush, push: values.VectorNodes) -> None:
-        self.notes.steers.append(SteerNote(resting_site(self.species.name), RESTING_TEXT, (push.x, push.y, push.z)))
+        self.notes.steers.append(SteerNote(make_resting_site(self.species.name), RESTING_TEXT, (push.x, push.y, push.z)))
 
     # --- parts -------------------------------------------------------------------------------------------------------
 
-    def _part_note(self, e: model.Expr, units: list[str], depth: int = 0) -> PartNote | None:
+    def _make_part_note(self, e: model.Expr, units: list[str], depth: int = 0) -> PartNote | None:
         """Return an expression with the parts that determine it; None for expressions without a value (a species, a field)."""
-        value = lower(self, e)
-        text, type = _single_line(e.span.text), e.type
+        value = lower_expression(self, e)
+        text, type = _join_lines(e.span.text), e.type
         parts: tuple[PartNote, ...] = ()
-        if isinstance(value, values.NamedThing | values.OwnPlace | values.SetElement):
+        if isinstance(value, values.NamedThing | values.OwnPosition | values.SetElement):
             return None
         if isinstance(value, values.VectorNodes):
-            return PartNote(text, type, _display_unit(e, units, self.program), tuple(value))
+            return PartNote(text, type, _choose_display_unit(e, units, self.program), tuple(value))
         if isinstance(value, values.EntityRef):
-            return PartNote(text, model.ValueType(value.what, of=value.of), "", (value.node,))
+            return PartNote(text, model.ValueType(value.kind, of=value.of), "", (value.node,))
         if isinstance(value, values.RayHit):
             nearness = PartNote(
                 "distance", model.ValueType(model.TypeKind.NUMBER, model.Dimension(length=1)), "mm", (value.distance,)
             )
             return PartNote(text, _BOOL_TYPE, "", (value.hit,), (nearness,))
         if not isinstance(value, PlanNode):
-            return PartNote(text, _BOOL_TYPE, "", (presence(self, value, e),))
+            return PartNote(text, _BOOL_TYPE, "", (lower_presence(self, value, e),))
         if depth < _MAX_NOTED_DEPTH:
-            parts = tuple(self._inner_notes(e, value, units, depth + 1))
+            parts = tuple(self._make_inner_notes(e, value, units, depth + 1))
         joined = isinstance(e, model.OperationExpr) and e.name in _JOINING_OPERATIONS and bool(parts)
-        return PartNote(text, type, _display_unit(e, units, self.program), (value,), parts, "joined" if joined else "")
+        return PartNote(text, type, _choose_display_unit(e, units, self.program), (value,), parts, "joined" if joined else "")
 
-    def _inner_notes(self, e: model.Expr, node: PlanNode, units: list[str], depth: int) -> Iterator[PartNote]:
+    def _make_inner_notes(self, e: model.Expr, node: PlanNode, units: list[str], depth: int) -> Iterator[PartNote]:
         if isinstance(e, model.OperationExpr) and e.name == "chance" and node.op == "lt":
             yield PartNote("draw", _NUMBER_TYPE, "", node.args[:1], role="draw")
             yield PartNote("bar", _NUMBER_TYPE, "", node.args[1:], role="bar")
         named: set[str] = set()
-        for inner, written in _inner_parts(e, units):
-            outer = self.snapshot
-            self.snapshot = outer or (isinstance(e, model.BindingRef) and e.binding.snapshot and not self.born)
+        for inner, written in _iterate_inner_parts(e, units):
+            outer = self.is_snapshot
+            self.is_snapshot = outer or (isinstance(e, model.BindingRef) and e.binding.snapshot and not self.is_birth)
             try:
-                part = self._part_note(inner, written, depth)
+                part = self._make_part_note(inner, written, depth)
             finally:
-                self.snapshot = outer
+                self.is_snapshot = outer
             if part is not None and part.text not in named:
                 named.add(part.text)
                 yield part
 
 
-def _inner_parts(e: model.Expr, units: list[str]) -> Iterator[tuple[model.Expr, list[str]]]:
+def _iterate_inner_parts(e: model.Expr, units: list[str]) -> Iterator[tuple[model.Expr, list[str]]]:
     """Yield the parts of an expression that are worth displaying, each with its units: sides of a comparison, names in a sum, the
     values of `let`s."""
     if isinstance(e, model.BindingRef) and e.binding.role == "let" and e.binding.value is not None:
         if isinstance(e.binding.value, model.OperationExpr):
-            yield from _inner_parts(e.binding.value, _written_units(e.binding.value.span))
+            yield from _iterate_inner_parts(e.binding.value, _find_written_units(e.binding.value.span))
         return
     if not isinstance(e, model.OperationExpr):
         return
@@ -237,26 +253,26 @@ def _inner_parts(e: model.Expr, units: list[str]) -> Iterator[tuple[model.Expr, 
         ):
             yield arg, units
         else:
-            yield from _inner_parts(arg, units)
+            yield from _iterate_inner_parts(arg, units)
 
 
-def _single_line(text: str) -> str:
+def _join_lines(text: str) -> str:
     return " ".join(text.split())
 
 
-def _written_units(span: Span) -> list[str]:
+def _find_written_units(span: Span) -> list[str]:
     """Return the units after numbers in the text of a span."""
     return _NUMBER_WITH_UNIT.findall(span.text)
 
 
-def _display_unit(e: model.Expr, units: list[str], program: model.Program) -> str:
+def _choose_display_unit(e: model.Expr, units: list[str], program: model.Program) -> str:
     """Return a unit for a number: the unit of the param itself, the first unit of its dimension in the text, or a default one."""
     if e.type.kind not in (model.TypeKind.NUMBER, model.TypeKind.VECTOR):
         return ""
     if isinstance(e, model.ParamRef) and e.name in program.params:
         units = [program.params[e.name].unit, *units]
     for unit in units:
-        known = measure(unit) if unit else None
-        if known is not None and known.dim == e.type.dim:
+        known = find_unit_measure(unit) if unit else None
+        if known is not None and known.dim == e.type.dimension:
             return unit
-    return default_unit(e.type.dim)
+    return choose_default_unit(e.type.dimension)

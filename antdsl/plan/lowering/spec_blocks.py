@@ -13,13 +13,13 @@ from antdsl.diagnostics import Report
 from antdsl.plan import ir
 from antdsl.plan.builder import PlanBuilder
 from antdsl.plan.ir import OPERATION_BY_NAME, Block, PlanNode, Register, SpeciesPlan, Store, UpdateRate, ValueKind
-from antdsl.plan.lowering.actions import complain
-from antdsl.plan.lowering.expressions import lower, scalar, truth
+from antdsl.plan.lowering.actions import report_unsupported
+from antdsl.plan.lowering.expressions import lower_condition, lower_expression, lower_scalar
 from antdsl.plan.lowering.lower import MAX_RECURSION_FRAMES
 from antdsl.plan.lowering.rules import LOWERING_RULES
-from antdsl.plan.lowering.values import EntityRef, LoweredValue, OwnPlace, VectorNodes, length
+from antdsl.plan.lowering.values import EntityRef, LoweredValue, OwnPosition, VectorNodes, length
 from antdsl.plan.lowering.writer import PlanWriter, UnsupportedConstruct
-from antdsl.plan.traverse import find_shared_senses, required_nodes
+from antdsl.plan.traverse import collect_required_nodes, find_shared_senses
 from antdsl.program import expectations, model
 from antdsl.source import Span
 
@@ -31,19 +31,20 @@ _ITEM_VALUES_HELP = "items have a position, a radius and their own values"
 class AggregatePlan:
     """A number about all agents of a species, items of a name, cells of a field, or a solid. Nodes read it by `name`.
 
-    `where` and `body` are registers that `decide` has filled. `amount` is an item's attribute that is read as stored."""
+    `where_register` and `body_register` are registers that `decide` has filled. `amount` is an item's attribute that is read as
+    stored."""
 
     name: str
-    how: str
+    reducer: str
     kind: str
     of: str
-    where: str | None = None
-    body: str | None = None
+    where_register: str | None = None
+    body_register: str | None = None
     amount: str | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class StartPlan:
+class StartValuePlan:
     """A number at the start. For a number about the complete run, nodes read the start value of the node `value` by `name`. For a
     number of each agent, the start value of the register `source_register` is stored in the register `name`."""
 
@@ -54,7 +55,7 @@ class StartPlan:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class OtherRunPlan:
+class ReferenceValuePlan:
     """A number of the reference run. `value`: the node that computes it in that run. `name`: the name by which nodes of this run
     read it."""
 
@@ -77,20 +78,21 @@ class ReadingPlan:
 class JudgementPlan:
     """One expectation.
 
-    - `condition`, `since` (of a `when`): for a `species`, registers that `act` fills for each agent; otherwise nodes about the
+    - `condition`, `start_condition` (of a `when`): for a `species`, registers that `act` fills for each agent; otherwise nodes
+      about the
       complete run.
-    - `time`, `held`: nodes with one value for the run."""
+    - `time`, `hold_time`: nodes with one value for the run."""
 
     kind: str
-    block: int
+    block_number: int
     species: str | None
     condition: PlanNode | str
     time: PlanNode | None
     readings: tuple[ReadingPlan, ...]
     at_end: bool
     span: Span
-    held: PlanNode | None = None
-    since: PlanNode | str | None = None
+    hold_time: PlanNode | None = None
+    start_condition: PlanNode | str | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -98,24 +100,24 @@ class SpecPlan:
     """A lowered spec.
 
     - `plan`: has the judged species, and each group of items under its name as another species.
-    - `bodily`: by species, the names in GEOMETRY of registers. The judge fills these registers before the evaluation."""
+    - `body_measures`: by species, the names in GEOMETRY of registers. The judge fills these registers before the evaluation."""
 
     spec: expectations.Spec
     plan: ir.Plan
     duration: PlanNode | None
-    wholes: tuple[AggregatePlan, ...]
-    starts: tuple[StartPlan, ...]
+    aggregates: tuple[AggregatePlan, ...]
+    start_values: tuple[StartValuePlan, ...]
     judgements: tuple[JudgementPlan, ...]
-    others: tuple[OtherRunPlan, ...] = ()
-    bodily: Mapping[str, frozenset[str]] = field(default_factory=dict)
+    reference_values: tuple[ReferenceValuePlan, ...] = ()
+    body_measures: Mapping[str, frozenset[str]] = field(default_factory=dict)
 
 
 class _SpecWriter(PlanWriter):
     """A writer that also lowers expressions that only specs can use."""
 
-    def __init__(self, work: _SpecLowering, species: model.Species, registers: dict[str, Register]) -> None:
-        super().__init__(work.b, work.program, species, work.report, LOWERING_RULES)
-        self.work = work
+    def __init__(self, lowering: _SpecLowering, species: model.Species, registers: dict[str, Register]) -> None:
+        super().__init__(lowering.b, lowering.program, species, lowering.report, LOWERING_RULES)
+        self.lowering = lowering
         self.registers = dict(registers)
         self.blocks: dict[str, list[Store]] = {"decide": [], "act": [], "blend": []}
 
@@ -124,34 +126,34 @@ class _SpecWriter(PlanWriter):
             raise UnsupportedConstruct("a sense of an item", self.b.span or self.species.span, _ITEM_VALUES_HELP)
         return super()._read(name, snapshot)
 
-    def tell(self, e: model.Expr) -> LoweredValue:
+    def lower_spec_expression(self, e: model.Expr) -> LoweredValue:
         if isinstance(e, expectations.AggregateExpr):
-            return self.work.lower_aggregate(e)
+            return self.lowering.lower_aggregate(e)
         if isinstance(e, expectations.MotionMeasure):
             return self.b("told", attrs=(f"motion.{e.name}",))
-        if isinstance(e, expectations.OtherRun):
-            return self.work.lower_other_run(e)
+        if isinstance(e, expectations.ReferenceRunValue):
+            return self.lowering.lower_other_run(e)
         if isinstance(e, expectations.BodyMeasure):
             return self.read_body_register(e)
         if isinstance(e, expectations.CellValue):
             return self.b("snap", attrs=("value",), kind=ValueKind.F32)
-        assert isinstance(e, expectations.AtStart)
-        return self.work.start(self, e)
+        assert isinstance(e, expectations.StartValue)
+        return self.lowering.start(self, e)
 
     def read_body_register(self, e: expectations.BodyMeasure) -> PlanNode:
         """Return the register of a body measure. It is filled before the evaluation."""
         name = f"geometry.{e.name}"
         self.registers[name] = Register(name, ValueKind.F32, "attribute")
-        self.work.bodily.setdefault(self.species.name, set()).add(e.name)
+        self.lowering.body_measures.setdefault(self.species.name, set()).add(e.name)
         return self.b("snap", attrs=(name,), kind=ValueKind.F32)
 
     def store_result(self, block: str, name: str, node: PlanNode, span: Span) -> str:
         """Add a register of the spec that a block fills, and return its name."""
         self.registers[name] = Register(name, node.kind, "memory")
-        self.blocks[block].append(Store(name, node, span, infinite=True))
+        self.blocks[block].append(Store(name, node, span, allows_infinity=True))
         return name
 
-    def plan(self) -> SpeciesPlan:
+    def make_species_plan(self) -> SpeciesPlan:
         """Return the plan of the species with the registers and stores of the spec."""
         decide, act, blend = (Block(tuple(self.blocks[name])) for name in ("decide", "act", "blend"))
         lazy_senses = find_shared_senses(decide, act, blend)
@@ -162,45 +164,45 @@ class _SpecLowering:
     """The state of lowering one spec."""
 
     def __init__(self, program: model.Program, plan: ir.Plan, report: Report) -> None:
-        self.program, self.lowered, self.report = program, plan, report
+        self.program, self.program_plan, self.report = program, plan, report
         self.b = PlanBuilder()
-        self.wholes: list[AggregatePlan] = []
-        self.starts: list[StartPlan] = []
-        self.others: list[OtherRunPlan] = []
-        self.bodily: dict[str, set[str]] = {}
+        self.aggregates: list[AggregatePlan] = []
+        self.start_values: list[StartValuePlan] = []
+        self.reference_values: list[ReferenceValuePlan] = []
+        self.body_measures: dict[str, set[str]] = {}
         self.known: dict[model.Expr, PlanNode] = {}
         self.writers: dict[str, _SpecWriter] = {}
         empty_layers = model.LayerStack("budget", (), next(iter(program.species.values())).span)
-        self._nobody = empty_layers
-        self.above = _SpecWriter(self, self._find_species(""), {})
+        self._empty_layers = empty_layers
+        self.run_writer = _SpecWriter(self, self._make_empty_species(""), {})
 
-    def _find_species(self, name: str) -> model.Species:
-        return model.Species(name, "", (), (), (), (), (), (), self._nobody, self._nobody.span)
+    def _make_empty_species(self, name: str) -> model.Species:
+        return model.Species(name, "", (), (), (), (), (), (), self._empty_layers, self._empty_layers.span)
 
-    def agent_writer(self, species: str, span: Span | None = None) -> _SpecWriter:
+    def get_agent_writer(self, species: str, span: Span | None = None) -> _SpecWriter:
         """Return the writer of a species. Raise UnsupportedConstruct if the scene does not contain it."""
-        if species not in self.lowered.species:
+        if species not in self.program_plan.species:
             assert span is not None
             words = f"a spec on `{species}`, which the scene does not contain,"
             raise UnsupportedConstruct(words, span, f"add `{species}` to the scene's `crowd`")
         if species not in self.writers:
-            self.writers[species] = _SpecWriter(self, self.program.species[species], self.lowered.species[species].registers)
+            self.writers[species] = _SpecWriter(self, self.program.species[species], self.program_plan.species[species].registers)
         return self.writers[species]
 
-    def item_writer(self, items: str) -> _SpecWriter:
+    def get_item_writer(self, items: str) -> _SpecWriter:
         """Return the writer of a group of items, which has their values as registers."""
         if items not in self.writers:
-            names = ("position.x", "position.y", "position.z", "radius", *self.lowered.items[items].attributes)
+            names = ("position.x", "position.y", "position.z", "radius", *self.program_plan.items[items].attributes)
             self.writers[items] = _SpecWriter(
-                self, self._find_species(items), {n: Register(n, ValueKind.F32, "attribute") for n in names}
+                self, self._make_empty_species(items), {n: Register(n, ValueKind.F32, "attribute") for n in names}
             )
         return self.writers[items]
 
-    def cell_writer(self, field: str) -> _SpecWriter:
+    def get_cell_writer(self, field: str) -> _SpecWriter:
         """Return the writer of a field, which has the register `value`."""
         if field not in self.writers:
             self.writers[field] = _SpecWriter(
-                self, self._find_species(field), {"value": Register("value", ValueKind.F32, "attribute")}
+                self, self._make_empty_species(field), {"value": Register("value", ValueKind.F32, "attribute")}
             )
         return self.writers[field]
 
@@ -213,47 +215,51 @@ class _SpecLowering:
         return self.known[e]
 
     def _lower_new_aggregate(self, e: expectations.AggregateExpr) -> PlanNode:
-        name, of = f"whole#{len(self.wholes) + 1}", e.over.of or ""
-        kind = e.over.kind.value
+        name, of = f"whole#{len(self.aggregates) + 1}", e.population.of or ""
+        kind = e.population.kind.value
         where = body = amount = None
         if kind in ("species", "items") or e.body is not None:
-            writers = {"field": self.cell_writer, "items": self.item_writer}
-            w = writers[kind](of) if kind in writers else self.agent_writer(of, e.span)
+            writers = {"field": self.get_cell_writer, "items": self.get_item_writer}
+            w = writers[kind](of) if kind in writers else self.get_agent_writer(of, e.span)
             for element in e.elements:
-                w.environment[element] = OwnPlace()
+                w.environment[element] = OwnPosition()
             if e.where is not None:
-                where = w.store_result("decide", f"{name}.where", self._check_pure(w, truth(w, e.where), e.where), e.where.span)
+                where = w.store_result(
+                    "decide", f"{name}.where", self._check_pure(w, lower_condition(w, e.where), e.where), e.where.span
+                )
             if e.body is not None:
-                node = truth(w, e.body) if e.how in _TRUTH_AGGREGATES else scalar(w, e.body)
+                node = lower_condition(w, e.body) if e.reducer in _TRUTH_AGGREGATES else lower_scalar(w, e.body)
                 body = w.store_result("decide", f"{name}.body", self._check_pure(w, node, e.body), e.body.span)
-                if kind == "items" and node.op == "snap" and node.attrs[0] in self.lowered.items[of].attributes:
+                if kind == "items" and node.op == "snap" and node.attrs[0] in self.program_plan.items[of].attributes:
                     amount = node.attrs[0]
-        self.wholes.append(AggregatePlan(name, e.how, kind, of, where, body, amount))
+        self.aggregates.append(AggregatePlan(name, e.reducer, kind, of, where, body, amount))
         result = self.b("told", attrs=(name,))
         return self.b("ne", result, self.b.number(0)) if e.type.kind is model.TypeKind.BOOL else result
 
-    def start(self, w: _SpecWriter, e: expectations.AtStart) -> PlanNode:
+    def start(self, w: _SpecWriter, e: expectations.StartValue) -> PlanNode:
         """Return the value at the start, of the complete run or stored for each agent."""
         if e not in self.known:
             self.known[e] = self._lower_new_at_start(w, e)
         return self.known[e]
 
-    def _lower_new_at_start(self, w: _SpecWriter, e: expectations.AtStart) -> PlanNode:
-        node = scalar(w, e.value)
-        name = f"start#{len(self.starts) + 1}"
+    def _lower_new_at_start(self, w: _SpecWriter, e: expectations.StartValue) -> PlanNode:
+        node = lower_scalar(w, e.value)
+        name = f"start#{len(self.start_values) + 1}"
         if node.rate <= UpdateRate.STEP:
-            self.starts.append(StartPlan(name, value=node))
+            self.start_values.append(StartValuePlan(name, value=node))
             return self.b("told", attrs=(name,))
         source_register = w.store_result("decide", f"{name}.asked", self._check_pure(w, node, e), e.span)
         w.registers[name] = Register(name, ValueKind.F32, "attribute")
-        self.starts.append(StartPlan(name, species=w.species.name, source_register=source_register))
+        self.start_values.append(StartValuePlan(name, species=w.species.name, source_register=source_register))
         return self.b("snap", attrs=(name,), kind=ValueKind.F32)
 
-    def lower_other_run(self, e: expectations.OtherRun) -> PlanNode:
+    def lower_other_run(self, e: expectations.ReferenceRunValue) -> PlanNode:
         """Return the value in the reference run."""
         if e not in self.known:
-            self.others.append(OtherRunPlan(f"other#{len(self.others) + 1}", scalar(self.above, e.value)))
-            self.known[e] = self.b("told", attrs=(self.others[-1].name,))
+            self.reference_values.append(
+                ReferenceValuePlan(f"other#{len(self.reference_values) + 1}", lower_scalar(self.run_writer, e.value))
+            )
+            self.known[e] = self.b("told", attrs=(self.reference_values[-1].name,))
         return self.known[e]
 
     def _check_pure(self, w: _SpecWriter, node: PlanNode, e: model.Expr) -> PlanNode:
@@ -264,8 +270,10 @@ class _SpecLowering:
             words = "a value with memory in a spec"
             raise UnsupportedConstruct(words, e.span, "use what it causes: an attribute, a state, a speed")
         name = w.species.name
-        if name in (*self.lowered.items, *self.program.fields) and any(_is_agent_only(n) for n in required_nodes([node])):
-            if name in self.lowered.items:
+        if name in (*self.program_plan.items, *self.program.fields) and any(
+            _is_agent_only(n) for n in collect_required_nodes([node])
+        ):
+            if name in self.program_plan.items:
                 raise UnsupportedConstruct("a sense of an item", e.span, _ITEM_VALUES_HELP)
             raise UnsupportedConstruct("a sense of a cell", e.span, "a cell of a field has only a `value`")
         return node
@@ -274,29 +282,29 @@ class _SpecLowering:
 
     def lower_expectation(self, e: expectations.Expectation, number: int) -> JudgementPlan | None:
         try:
-            w = self.above if e.species is None else self.agent_writer(e.species, e.span)
-            node = self._check_pure(w, truth(w, e.condition), e.condition)
+            w = self.run_writer if e.species is None else self.get_agent_writer(e.species, e.span)
+            node = self._check_pure(w, lower_condition(w, e.condition), e.condition)
             condition = node if e.species is None else w.store_result("act", f"line#{number}", node, e.span)
-            time, held = (None if each is None else scalar(self.above, each) for each in (e.time, e.held))
+            time, held = (None if each is None else lower_scalar(self.run_writer, each) for each in (e.time, e.hold_time))
             since: PlanNode | str | None = None
-            if e.since is not None:
-                since_node = self._check_pure(w, truth(w, e.since), e.since)
+            if e.start_condition is not None:
+                since_node = self._check_pure(w, lower_condition(w, e.start_condition), e.start_condition)
                 since = since_node if e.species is None else w.store_result("act", f"line#{number}.since", since_node, e.span)
             readings = [self._lower_reading(w, r, f"line#{number}.{k}") for k, r in enumerate(e.readings)]
         except UnsupportedConstruct as missing:
-            complain(w, missing)
+            report_unsupported(w, missing)
             return None
-        return JudgementPlan(e.kind, e.block, e.species, condition, time, tuple(readings), e.at_end, e.span, held, since)
+        return JudgementPlan(e.kind, e.block_number, e.species, condition, time, tuple(readings), e.at_end, e.span, held, since)
 
     def _lower_reading(self, w: _SpecWriter, reading: expectations.ExpectationReading, name: str) -> ReadingPlan:
-        e, value = reading.expr, lower(w, reading.expr)
+        e, value = reading.expr, lower_expression(w, reading.expr)
         type = e.type
         if isinstance(value, EntityRef):
             value = value.node
         elif isinstance(value, VectorNodes):
-            value, type = length(w.b, value), model.ValueType(model.TypeKind.NUMBER, type.dim)
+            value, type = length(w.b, value), model.ValueType(model.TypeKind.NUMBER, type.dimension)
         elif not isinstance(value, PlanNode):
-            value, type = truth(w, e), model.ValueType(model.TypeKind.BOOL)
+            value, type = lower_condition(w, e), model.ValueType(model.TypeKind.BOOL)
         if value.rate <= UpdateRate.STEP:
             return ReadingPlan(e.span, type, reading.unit, node=value)
         return ReadingPlan(e.span, type, reading.unit, register=w.store_result("blend", name, value, e.span))
@@ -315,16 +323,16 @@ def lower_spec(spec: expectations.Spec, program: model.Program, plan: ir.Plan) -
     sys.setrecursionlimit(max(previous_limit, MAX_RECURSION_FRAMES))
     try:
         work = _SpecLowering(program, plan, report)
-        duration = None if spec.duration is None else scalar(work.above, spec.duration)
+        duration = None if spec.duration is None else lower_scalar(work.run_writer, spec.duration)
         judgements = [work.lower_expectation(e, n) for n, e in enumerate(spec.expectations, 1)]
     finally:
         sys.setrecursionlimit(previous_limit)
     if not report.ok:
         return None, report
-    species = {name: work.agent_writer(name).plan() for name in plan.species}
-    species |= {name: w.plan() for name, w in work.writers.items() if name not in species}
+    species = {name: work.get_agent_writer(name).make_species_plan() for name in plan.species}
+    species |= {name: w.make_species_plan() for name, w in work.writers.items() if name not in species}
     judged = replace(plan, species=species, nodes=tuple(work.b.nodes))
     valid_judgements = tuple(j for j in judgements if j is not None)
-    bodily = {name: frozenset(names) for name, names in work.bodily.items()}
-    wholes, starts, others = tuple(work.wholes), tuple(work.starts), tuple(work.others)
+    bodily = {name: frozenset(names) for name, names in work.body_measures.items()}
+    wholes, starts, others = tuple(work.aggregates), tuple(work.start_values), tuple(work.reference_values)
     return SpecPlan(spec, judged, duration, wholes, starts, valid_judgements, others, bodily), report

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from antdsl.plan.builder import PlanBuilder
 from antdsl.plan.ir import PlanNode
 from antdsl.program.model import TypeKind
-from antdsl.program.tables.things import KIND_BY_WORD, KindOfThing
+from antdsl.program.tables.things import KIND_BY_WORD, ThingKindRow
 
 MIN_VECTOR_LENGTH = 1e-30  # mm, mm/s, …: shorter vectors have no direction; keeps 1/x finite
 
@@ -25,10 +25,10 @@ class VectorNodes:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EntityRef:
-    """A reference to an item (`what` ITEM, `node` a row) or an agent (AGENT, an id); it may be none. `of`: the name of the items
+    """A reference to an item (`kind` ITEM, `node` a row) or an agent (AGENT, an id); it may be none. `of`: the name of the items
     or species."""
 
-    what: TypeKind
+    kind: TypeKind
     of: str
     node: PlanNode
 
@@ -37,7 +37,7 @@ class EntityRef:
 class SetElement:
     """The current element of the set that is being reduced."""
 
-    what: TypeKind
+    kind: TypeKind
     of: str
 
 
@@ -59,13 +59,13 @@ class NamedThing:
     name: str
 
     @property
-    def row(self) -> KindOfThing:
+    def row(self) -> ThingKindRow:
         """Return the row of the thing's kind."""
         return KIND_BY_WORD[self.kind.value]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class OwnPlace:
+class OwnPosition:
     """The agent itself, as a point."""
 
 
@@ -85,15 +85,15 @@ class RayHits:
     hits: tuple[RayHit, ...]
 
 
-LoweredValue = PlanNode | VectorNodes | EntityRef | SetElement | RayHit | NamedThing | OwnPlace | ElementGroup | RayHits
+LoweredValue = PlanNode | VectorNodes | EntityRef | SetElement | RayHit | NamedThing | OwnPosition | ElementGroup | RayHits
 
 
-def zip_with(f: Callable[..., PlanNode], *vectors: VectorNodes) -> VectorNodes:
+def zip_with(function: Callable[..., PlanNode], *vectors: VectorNodes) -> VectorNodes:
     """Apply a function of scalars to each component of vectors, and return the resulting vector."""
-    return VectorNodes(f(*(v.x for v in vectors)), f(*(v.y for v in vectors)), f(*(v.z for v in vectors)))
+    return VectorNodes(function(*(v.x for v in vectors)), function(*(v.y for v in vectors)), function(*(v.z for v in vectors)))
 
 
-def zero(b: PlanBuilder) -> VectorNodes:
+def zero_vector(b: PlanBuilder) -> VectorNodes:
     """Return the zero vector."""
     return VectorNodes(b.number(0), b.number(0), b.number(0))
 
@@ -137,26 +137,26 @@ def divide(b: PlanBuilder, v: VectorNodes, size: PlanNode) -> VectorNodes:
     return scale(b, v, inverse)
 
 
-def unit(b: PlanBuilder, v: VectorNodes) -> VectorNodes:
+def normalise(b: PlanBuilder, v: VectorNodes) -> VectorNodes:
     """Return the vector scaled to length 1; a zero vector stays zero (decision 24)."""
     return divide(b, v, length(b, v))
 
 
-def limit(b: PlanBuilder, v: VectorNodes, most: PlanNode) -> VectorNodes:
-    """Return v, shortened to the length `most` if it is longer."""
+def limit_length(b: PlanBuilder, v: VectorNodes, max_length: PlanNode) -> VectorNodes:
+    """Return v, shortened to the length `max_length` if it is longer."""
     size = length(b, v)
-    factor = b("where", b("gt", size, most), b("div", most, size), b.number(1))
+    factor = b("where", b("gt", size, max_length), b("div", max_length, size), b.number(1))
     return scale(b, v, factor)
 
 
-def choose(b: PlanBuilder, condition: PlanNode, then: VectorNodes, other: VectorNodes) -> VectorNodes:
+def choose_vector(b: PlanBuilder, condition: PlanNode, then: VectorNodes, other: VectorNodes) -> VectorNodes:
     """Return `then` where the condition holds, else `other`."""
     return zip_with(lambda p, q: b("where", condition, p, q), then, other)
 
 
-def vector_if(b: PlanBuilder, condition: PlanNode, v: VectorNodes) -> VectorNodes:
+def select_or_zero(b: PlanBuilder, condition: PlanNode, v: VectorNodes) -> VectorNodes:
     """Return v if the condition holds, else a zero vector."""
-    return choose(b, condition, v, zero(b))
+    return choose_vector(b, condition, v, zero_vector(b))
 
 
 def rotate(b: PlanBuilder, v: VectorNodes, axis: VectorNodes, angle: PlanNode) -> VectorNodes:

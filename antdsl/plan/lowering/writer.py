@@ -15,7 +15,7 @@ from antdsl.plan.builder import PlanBuilder, PlanError
 from antdsl.plan.ir import Block, If, PlanNode, PlanStatement, Register, Store, ValueKind
 from antdsl.plan.lowering import values
 from antdsl.plan.lowering.values import VectorNodes
-from antdsl.plan.traverse import required_nodes
+from antdsl.plan.traverse import collect_required_nodes
 from antdsl.program import model
 from antdsl.source import Span
 
@@ -32,9 +32,9 @@ NONE_BY_KIND = {model.TypeKind.ITEM: -1, model.TypeKind.AGENT: -1}
 class UnsupportedConstruct(Exception):
     """A construct that passes the checks but cannot run yet. It is reported as an error with its source location."""
 
-    def __init__(self, what: str, span: Span, help: str) -> None:
-        super().__init__(what)
-        self.what, self.span, self.help = what, span, help
+    def __init__(self, construct: str, span: Span, help: str) -> None:
+        super().__init__(construct)
+        self.construct, self.span, self.help = construct, span, help
 
 
 class BodyProportions(NamedTuple):
@@ -50,15 +50,15 @@ class LoweringRules(NamedTuple):
     """The functions that lower compound expressions: operations by name, sets, reductions, pair values and clip tests. These
     functions lower their own parts, so a PlanWriter receives them as an argument."""
 
-    operations: Mapping[str, Callable[[PlanWriter, model.OperationExpr], values.LoweredValue]]
+    operation_rules: Mapping[str, Callable[[PlanWriter, model.OperationExpr], values.LoweredValue]]
     gather: Callable[[PlanWriter, model.SetExpr], values.LoweredValue]
-    reduce: Callable[[PlanWriter, model.ReduceExpr], values.LoweredValue]
-    pair_value: Callable[[PlanWriter, model.AttributeDecl, model.Expr], PlanNode]
+    lower_reduction: Callable[[PlanWriter, model.ReduceExpr], values.LoweredValue]
+    read_pair_value: Callable[[PlanWriter, model.AttributeDecl, model.Expr], PlanNode]
     clip: Callable[[PlanWriter, model.ClipTest], PlanNode]
 
 
 class PlanWriter:
-    """Collects the statements of one species. `born`: the block of birth is written, in which every read is a `load`."""
+    """Collects the statements of one species. `is_birth`: the block of birth is written, in which every read is a `load`."""
 
     def __init__(
         self, builder: PlanBuilder, program: model.Program, species: model.Species, report: Report, rules: LoweringRules
@@ -69,21 +69,21 @@ class PlanWriter:
         self.species = species
         self.report = report
         self.registers: dict[str, Register] = {}
-        self.born = False
-        self.measures_pushes = False  # whether agents have the register `moved`
+        self.is_birth = False
+        self.has_moved_register = False  # whether agents have the register `moved`
         self.proportions = BodyProportions()
-        self.begun_with: frozenset[str] = frozenset()  # attributes that the scene may set at birth
-        self.snapshot = False
-        self.elements: list[model.Binding] = []
+        self.scene_attributes: frozenset[str] = frozenset()  # attributes that the scene may set at birth
+        self.is_snapshot = False
+        self.set_elements: list[model.Binding] = []
         self.environment: dict[model.Binding, values.LoweredValue] = {}
-        self.lets: dict[model.Binding, tuple[values.LoweredValue, tuple[model.Binding, ...]]] = {}
-        self.fleeting: dict[model.Binding, tuple[values.LoweredValue, tuple[model.Binding, ...]]] = {}
-        self.memories: dict[model.Binding, tuple[tuple[str, PlanNode, Span], ...]] = {}
-        self.met: list[model.Binding] = []  # memories that the current `let` uses
+        self.snapshot_lets: dict[model.Binding, tuple[values.LoweredValue, tuple[model.Binding, ...]]] = {}
+        self.current_lets: dict[model.Binding, tuple[values.LoweredValue, tuple[model.Binding, ...]]] = {}
+        self.memory_updates: dict[model.Binding, tuple[tuple[str, PlanNode, Span], ...]] = {}
+        self.used_memories: list[model.Binding] = []  # memories that the current `let` uses
         self.statements: list[PlanStatement] = []
         self._written: set[str] = set()
-        self._remembered: set[model.Binding] = set()
-        self._stores: dict[str, int] = {}
+        self._advanced_memories: set[model.Binding] = set()
+        self._store_counts: dict[str, int] = {}
 
     # --- registers ---------------------------------------------------------------------------------------------------
 
@@ -92,23 +92,23 @@ class PlanWriter:
         name: str,
         kind: ValueKind,
         role: str,
-        zero: float | int | bool = 0,
-        of: str | None = None,
-        holds: tuple[Any, ...] = (),
+        initial_value: float | int | bool = 0,
+        id_species: str | None = None,
+        language_type: tuple[Any, ...] = (),
     ) -> None:
         """Declare a register of this species. A second declaration with another kind or role is an internal error."""
         known = self.registers.get(name)
         if known is None:
-            self.registers[name] = Register(name, kind, role, zero, of, holds)
+            self.registers[name] = Register(name, kind, role, initial_value, id_species, language_type)
         elif known.kind is not kind or known.role != role:
             raise PlanError(f"register {name} is a {known.kind.value} {known.role} and a {kind.value} {role}")
 
     def declare_typed(self, name: str, type: model.ValueType, role: str) -> None:
         """Declare the registers for a value of the language: three for a vector."""
-        holds = (type.kind.value, *type.dim, type.of)
+        holds = (type.kind.value, *type.dimension, type.of)
         if type.kind is model.TypeKind.VECTOR:
             for axis in AXES:
-                self.declare(f"{name}.{axis}", ValueKind.F32, role, holds=holds)
+                self.declare(f"{name}.{axis}", ValueKind.F32, role, language_type=holds)
         elif type.kind in KIND_BY_TYPE_KIND:
             of = type.of if type.kind is model.TypeKind.AGENT else None
             self.declare(name, KIND_BY_TYPE_KIND[type.kind], role, NONE_BY_KIND.get(type.kind, 0), of, holds)
@@ -117,7 +117,7 @@ class PlanWriter:
 
     def read(self, name: str) -> PlanNode:
         """Return the value of a register at the current place."""
-        return self._read(name, self.snapshot)
+        return self._read(name, self.is_snapshot)
 
     def read_now(self, name: str) -> PlanNode:
         """Return a register's current value, even inside a snapshot. This is for latches, which are all set before any other code
@@ -126,19 +126,19 @@ class PlanWriter:
 
     def _read(self, name: str, snapshot: bool) -> PlanNode:
         register = self.registers[name]
-        version = self._stores.get(name, 0)
-        if self.born:
+        version = self._store_counts.get(name, 0)
+        if self.is_birth:
             return self.b("load", attrs=(name, version), kind=register.kind)
         if snapshot or name not in self._written:
             if register.role == "temp":
-                return self.b.zero(register.kind, register.zero)
+                return self.b.constant_of_kind(register.kind, register.initial_value)
             return self.b("snap", attrs=(name,), kind=register.kind)
         return self.b("load", attrs=(name, version), kind=register.kind)
 
     def read_previous(self, name: str) -> PlanNode:
         """Return a register's value before this step. The current place does not matter."""
-        if self.born:
-            return self.b.zero(self.registers[name].kind, self.registers[name].zero)
+        if self.is_birth:
+            return self.b.constant_of_kind(self.registers[name].kind, self.registers[name].initial_value)
         return self.b("snap", attrs=(name,), kind=self.registers[name].kind)
 
     def read_vector(self, name: str) -> VectorNodes:
@@ -148,18 +148,18 @@ class PlanWriter:
     def mark_written(self, name: str) -> None:
         """Record that a register has changed by a statement other than a Store, such as a claim or a gift."""
         self._written.add(name)
-        self._stores[name] = self._stores.get(name, 0) + 1
-        self.fleeting.clear()
+        self._store_counts[name] = self._store_counts.get(name, 0) + 1
+        self.current_lets.clear()
 
     def begin_step(self) -> None:
         """Clear the records of written registers, because a step begins."""
         self._written.clear()
-        self._remembered.clear()
-        self._stores.clear()
-        self.fleeting.clear()
-        self.memories.clear()
+        self._advanced_memories.clear()
+        self._store_counts.clear()
+        self.current_lets.clear()
+        self.memory_updates.clear()
 
-    def tell(self, e: model.Expr) -> values.LoweredValue:
+    def lower_spec_expression(self, e: model.Expr) -> values.LoweredValue:
         """Lower an expression that only specs can use. In programs it is an error."""
         raise PlanError(f"only specs can use this: {e.span.text!r}")
 
@@ -167,13 +167,17 @@ class PlanWriter:
 
     # Called during lowering. `NotingWriter` overrides these to record notes for `explain`.
 
-    def note_transition(self, machine: str, number: int, state: model.State, t: model.Transition, fires: PlanNode) -> None:
+    def note_transition(
+        self, machine: str, number: int, state: model.State, transition: model.Transition, fires: PlanNode
+    ) -> None:
         """Record a transition of a state, and whether it fires."""
 
     def note_choice(self, key: str, draw: PlanNode, weights: list[tuple[int, PlanNode]]) -> None:
         """Record a transition's choice of a state: the random draw and the weight of each state."""
 
-    def note_layer(self, layer: model.Layer, left: PlanNode, looked: PlanNode, holds: PlanNode, push: VectorNodes) -> None:
+    def note_layer(
+        self, layer: model.Layer, budget_left: PlanNode, has_budget: PlanNode, holds: PlanNode, push: VectorNodes
+    ) -> None:
         """Record a layer: the remaining strength, whether there is any, whether its condition holds, and its push."""
 
     def note_steering(
@@ -186,18 +190,18 @@ class PlanWriter:
 
     # --- statements --------------------------------------------------------------------------------------------------
 
-    def add(self, statement: PlanStatement) -> None:
+    def add_statement(self, statement: PlanStatement) -> None:
         """Append a statement to the current block."""
         self.statements.append(statement)
 
-    def store(self, name: str, value: PlanNode, span: Span | None, infinite: bool = False) -> None:
+    def store(self, name: str, value: PlanNode, span: Span | None, allows_infinity: bool = False) -> None:
         """Set a register for all later reads. A store of the value that it already has is omitted."""
         kind = self.registers[name].kind
         if value.kind is not kind:
             raise PlanError(f"register {name} is a {kind.value} and cannot take a {value.kind.value}")
         if value is self.read(name):
             return
-        self.add(Store(name, value, span, infinite))
+        self.add_statement(Store(name, value, span, allows_infinity))
         self.mark_written(name)
 
     def store_vector(self, name: str, value: VectorNodes, span: Span | None) -> None:
@@ -214,32 +218,32 @@ class PlanWriter:
 
     @staticmethod
     def _has_load(node: PlanNode, names: set[str]) -> bool:
-        return any(n.op == "load" and n.attrs[0] in names for n in required_nodes([node]))
+        return any(n.op == "load" and n.attrs[0] in names for n in collect_required_nodes([node]))
 
-    def store_value(self, name: str, value: values.LoweredValue, span: Span | None, infinite: bool = False) -> None:
+    def store_value(self, name: str, value: values.LoweredValue, span: Span | None, allows_infinity: bool = False) -> None:
         """Set the registers of a value of the language."""
         if isinstance(value, VectorNodes):
             self.store_vector(name, value, span)
         elif isinstance(value, values.EntityRef):
             self.store(name, value.node, span)
         elif isinstance(value, PlanNode):
-            self.store(name, value, span, infinite)
+            self.store(name, value, span, allows_infinity)
         else:
             raise PlanError(f"{name} cannot hold a {type(value).__name__}")
 
     def advance_memory(self, memory: model.Binding) -> None:
         """Write the next value of a memory, once on each path through the step. Record that the current `let` uses it."""
-        self.met.append(memory)
-        if memory in self._remembered:
+        self.used_memories.append(memory)
+        if memory in self._advanced_memories:
             return
-        self._remembered.add(memory)
-        for register, node, span in self.memories[memory]:
+        self._advanced_memories.add(memory)
+        for register, node, span in self.memory_updates[memory]:
             self.store(register, node, span)
 
     # --- regions -----------------------------------------------------------------------------------------------------
 
     @contextmanager
-    def block(self) -> Iterator[Callable[[], Block]]:
+    def collect_block(self) -> Iterator[Callable[[], Block]]:
         """Collect statements separately. The context yields a function that returns them as a Block."""
         outer, self.statements = self.statements, []
         mine = self.statements
@@ -249,10 +253,10 @@ class PlanWriter:
             self.statements = outer
 
     @contextmanager
-    def region(self, condition: PlanNode, span: Span | None) -> Iterator[None]:
+    def open_region(self, condition: PlanNode, span: Span | None) -> Iterator[None]:
         """Open a region: statements inside run only where the condition holds."""
         outer = self.statements
-        written, remembered = set(self._written), set(self._remembered)
+        written, remembered = set(self._written), set(self._advanced_memories)
         if condition is self.b.true:
             yield
             return
@@ -261,21 +265,21 @@ class PlanWriter:
             yield
         finally:
             inner, self.statements = self.statements, outer
-            self._remembered = remembered
-            self.fleeting.clear()
+            self._advanced_memories = remembered
+            self.current_lets.clear()
             if condition is self.b.false:
                 self._written = written
             elif inner:
-                self.add(If(condition, Block(tuple(inner)), span))
+                self.add_statement(If(condition, Block(tuple(inner)), span))
 
-    def alternatives(self, cases: Sequence[tuple[PlanNode, Span | None, Callable[[], None]]]) -> None:
+    def write_alternatives(self, cases: Sequence[tuple[PlanNode, Span | None, Callable[[], None]]]) -> None:
         """Write regions of which at most one applies to an agent. Each case has a condition, a span and a function that writes
         its statements. Stores in one region are not visible in the others."""
         entered = set(self._written)
         all_written = set(entered)
         for condition, span, write in cases:
             self._written = set(entered)
-            with self.region(condition, span):
+            with self.open_region(condition, span):
                 write()
             all_written |= self._written
         self._written = all_written

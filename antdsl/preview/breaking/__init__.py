@@ -12,7 +12,7 @@ from antdsl.preview.breaking.model import BreakpointError, BreakpointWatcher
 from antdsl.preview.breaking.watchers import FaultWatcher, SpecWatcher, StateWatcher
 from antdsl.preview.observing.observer import PauseReason
 from antdsl.preview.observing.spec_judgement import SpecObserver
-from antdsl.preview.requests import Break, ConditionBreak, FaultBreak, SpecBreak, StateBreak
+from antdsl.preview.requests import AnyBreak, ConditionBreak, FaultBreak, SpecBreak, StateBreak
 from antdsl.preview.session import Session
 from antdsl.runtime import World
 
@@ -30,100 +30,105 @@ class Breakpoint:
     """A breakpoint.
 
     `ask`: the request.
-    `waits`: the watcher; None while the breakpoint does not match the program.
-    `why`: the error if it does not match."""
+    `watcher`: the watcher; None while the breakpoint does not match the program.
+    `error`: the error if it does not match."""
 
-    ask: Break
-    waits: BreakpointWatcher | None = None
-    why: BreakpointError | None = None
+    ask: AnyBreak
+    watcher: BreakpointWatcher | None = None
+    error: BreakpointError | None = None
 
 
-def breakpoint_text(ask: Break) -> str:
+def describe_breakpoint(request: AnyBreak) -> str:
     """Return a breakpoint in an artist's words."""
-    match ask:
+    match request:
         case StateBreak():
-            return f"{ask.species} enters {ask.state}"
+            return f"{request.species} enters {request.state}"
         case ConditionBreak():
-            return " ".join(ask.text.split())[:80]
+            return " ".join(request.text.split())[:80]
         case SpecBreak():
-            return f"`{ask.spec}` fails"
+            return f"`{request.spec}` fails"
     return "a value at fault"
 
 
 class Breakpoints:
     """Checks the breakpoints after each played step.
 
-    `tell`: receives a message for each breakpoint that does not match the program, and one with all breakpoints when they are
-    built again."""
+    `send_message`: receives a message for each breakpoint that does not match the program, and one with all breakpoints when they
+    are built again."""
 
-    def __init__(self, specs: SpecObserver, tell: Callable[[dict[str, Any]], None] = lambda message: None) -> None:
-        self.specs, self.tell = specs, tell
-        self.breaks: list[Breakpoint] = []
+    def __init__(self, specs: SpecObserver, send_message: Callable[[dict[str, Any]], None] = lambda message: None) -> None:
+        self.specs, self.send_message = specs, send_message
+        self.breakpoints: list[Breakpoint] = []
         self._shot: Shot | None = None  # that they are made for
-        self._seen: tuple[World, int] | None = None  # the world and frame that they have seen
+        self._last_seen: tuple[World, int] | None = None  # the world and frame that they have seen
 
-    def set(self, session: Session, asks: Sequence[Break], tried: Break | None = None) -> None:
-        """Replace all breakpoints. `tried`: an additional one. Raises BreakpointError if `tried` does not match the program; then
-        nothing changes."""
-        if tried is not None and tried not in asks:
-            WATCHER_BY_BREAK_KIND[type(tried)](session, tried, self.specs)
-            asks = [*asks, tried]
-        known = {each.ask: each for each in self.breaks}
-        self.breaks = [known.get(ask) or Breakpoint(ask) for ask in asks]
-        self.specs.require([ask.spec for ask in asks if isinstance(ask, SpecBreak)])
+    def set(self, session: Session, requests: Sequence[AnyBreak], candidate: AnyBreak | None = None) -> None:
+        """Replace all breakpoints. `candidate`: an additional one. Raises BreakpointError if `candidate` does not match the
+        program; then nothing changes."""
+        if candidate is not None and candidate not in requests:
+            WATCHER_BY_BREAK_KIND[type(candidate)](session, candidate, self.specs)
+            requests = [*requests, candidate]
+        known = {each.ask: each for each in self.breakpoints}
+        self.breakpoints = [known.get(ask) or Breakpoint(ask) for ask in requests]
+        self.specs.require([ask.spec for ask in requests if isinstance(ask, SpecBreak)])
         self._make_watchers(session)
 
-    def message(self) -> dict[str, Any]:
+    def make_message(self) -> dict[str, Any]:
         """Return the message with all breakpoints, each with the reason why it does not match the program, or ""."""
-        reasons = [(each.ask.model_dump(), _reason_text(each.why)) for each in self.breaks]
+        reasons = [(each.ask.model_dump(), _describe_reason(each.error)) for each in self.breakpoints]
         return {"op": "breaks", "breaks": [{"made": ask_fields, "why": why} for ask_fields, why in reasons]}
 
     def on_new_world(self, session: Session) -> None:
         """Build the breakpoints again for another program, so that those that do not match are reported at once."""
-        if self.breaks and session.shot is not self._shot and session.frame == session.last_frame:
+        if self.breakpoints and session.shot is not self._shot and session.frame == session.last_frame:
             self._make_watchers(session)
 
     def before_step(self, session: Session) -> None:
         """Let the watchers record the current frame if they have not received it yet."""
-        if self.breaks and not self._is_seen(session):
+        if self.breakpoints and not self._has_seen_frame(session):
             if session.shot is not self._shot:
                 self._make_watchers(session)
-            for each in self.breaks:
-                if each.waits is not None:
-                    each.waits.begin(session)
-            self._seen = session.world, session.frame
+            for each in self.breakpoints:
+                if each.watcher is not None:
+                    each.watcher.begin(session)
+            self._last_seen = session.world, session.frame
 
     def after_step(self, session: Session) -> PauseReason | None:
         """Return the joined reasons of all breakpoints that were hit, or None."""
-        if not self.breaks or self._seen is None or session.world is not self._seen[0]:
+        if not self.breakpoints or self._last_seen is None or session.world is not self._last_seen[0]:
             return None  # none waits, or the step led into another program: that is looked at before the next
-        looked = [each.waits.check_frame(session) for each in self.breaks if each.waits is not None]
-        self._seen = session.world, session.frame
+        looked = [each.watcher.check_frame(session) for each in self.breakpoints if each.watcher is not None]
+        self._last_seen = session.world, session.frame
         stops = [stop for stop in looked if stop is not None]
         if not stops:
             return None
         first_stop = next((stop for stop in stops if stop.agents), stops[0])
         return replace(first_stop, line=" · ".join(stop.line for stop in stops))
 
-    def _is_seen(self, session: Session) -> bool:
+    def _has_seen_frame(self, session: Session) -> bool:
         """Return whether the watchers have received the session's current frame."""
-        return self._seen is not None and self._seen[0] is session.world and self._seen[1] == session.frame
+        return self._last_seen is not None and self._last_seen[0] is session.world and self._last_seen[1] == session.frame
 
     def _make_watchers(self, session: Session) -> None:
         """Build the watchers for the session's program, and report breakpoints that do not match it."""
-        self._shot, self._seen = session.shot, None
-        for each in self.breaks:
+        self._shot, self._last_seen = session.shot, None
+        for each in self.breakpoints:
             try:
-                each.waits, each.why = WATCHER_BY_BREAK_KIND[type(each.ask)](session, each.ask, self.specs), None
+                each.watcher, each.error = WATCHER_BY_BREAK_KIND[type(each.ask)](session, each.ask, self.specs), None
             except BreakpointError as why:
-                old_reason, each.waits, each.why = _reason_text(each.why), None, why
-                if old_reason == _reason_text(why):
+                old_reason, each.watcher, each.error = _describe_reason(each.error), None, why
+                if old_reason == _describe_reason(why):
                     continue
-                self.tell(
-                    {"op": "refused", "of": "breaks", "message": f"{breakpoint_text(each.ask)}: {why.message}", "help": why.help}
+                self.send_message(
+                    {
+                        "op": "refused",
+                        "of": "breaks",
+                        "message": f"{describe_breakpoint(each.ask)}: {why.message}",
+                        "help": why.help,
+                    }
                 )
-        self.tell(self.message())
+        self.send_message(self.make_message())
 
 
-def _reason_text(why: BreakpointError | None) -> str:
-    return "" if why is None else f"{why.message}: {why.help}" if why.help else why.message
+def _describe_reason(error: BreakpointError | None) -> str:
+    return "" if error is None else f"{error.message}: {error.help}" if error.help else error.message

@@ -12,7 +12,7 @@ from antdsl.diagnostics import Report
 from antdsl.pipeline import Shot
 from antdsl.plan.lowering.spec_blocks import SpecPlan, lower_spec
 from antdsl.preview.breaking.model import BreakpointError
-from antdsl.preview.breaking.watchers import MAX_SELECTED_AGENTS, agents_text
+from antdsl.preview.breaking.watchers import MAX_SELECTED_AGENTS, format_agents
 from antdsl.preview.observing.observer import PauseReason
 from antdsl.preview.requests import ConditionBreak
 from antdsl.preview.session import Session
@@ -32,36 +32,38 @@ class ConditionWatcher:
 
     A condition about each agent is evaluated per agent, and the hit names the agents."""
 
-    def __init__(self, session: Session, ask: ConditionBreak) -> None:
-        self.text = " ".join(ask.text.split())
-        self.plan = condition_plan(session.shot, ask.text)
+    def __init__(self, session: Session, request: ConditionBreak) -> None:
+        self.text = " ".join(request.text.split())
+        self.plan = compile_condition(session.shot, request.text)
         [self.line] = self.plan.judgements
-        self.asker: SpecEvaluator | None = None
-        self.held: NDArray[np.int64] = np.zeros(0, np.int64)  # ids for which it held; 0 alone where it is about the whole
+        self.evaluator: SpecEvaluator | None = None
+        self.previous_ids: NDArray[np.int64] = np.zeros(0, np.int64)  # ids for which it held; 0 alone where it is about the whole
 
     def begin(self, session: Session) -> None:
-        self.asker = SpecEvaluator(self.plan, session.world)
-        self.held = self._matching_ids(self.asker, session.world)
+        self.evaluator = SpecEvaluator(self.plan, session.world)
+        self.previous_ids = self._find_matching_ids(self.evaluator, session.world)
 
     def check_frame(self, session: Session) -> PauseReason | None:
-        if self.asker is None:
+        if self.evaluator is None:
             self.begin(session)
             return None
-        previous, self.held = self.held, self._matching_ids(self.asker, session.world)
-        new = np.setdiff1d(self.held, previous)
+        previous, self.previous_ids = self.previous_ids, self._find_matching_ids(self.evaluator, session.world)
+        new = np.setdiff1d(self.previous_ids, previous)
         if not len(new):
             return None
         if self.line.species is None:
-            return PauseReason(f"{self.text}: true at frame {session.frame}{self._values_text(self.asker, session.world)}")
+            return PauseReason(
+                f"{self.text}: true at frame {session.frame}{self._describe_values(self.evaluator, session.world)}"
+            )
         ids = tuple(int(each) for each in new)
         text = self.text.partition(":")[2].strip()
         return PauseReason(
-            f"{agents_text(self.line.species, ids[:MAX_SELECTED_AGENTS])}: {text} at frame {session.frame}",
+            f"{format_agents(self.line.species, ids[:MAX_SELECTED_AGENTS])}: {text} at frame {session.frame}",
             self.line.species,
             ids[:MAX_SELECTED_AGENTS],
         )
 
-    def _matching_ids(self, evaluator: SpecEvaluator, world: World) -> NDArray[np.int64]:
+    def _find_matching_ids(self, evaluator: SpecEvaluator, world: World) -> NDArray[np.int64]:
         judged_world = evaluator.ask(world, {})
         if self.line.species is None:
             assert not isinstance(self.line.condition, str)
@@ -70,7 +72,7 @@ class ConditionWatcher:
         assert isinstance(self.line.condition, str)
         return judged.ids[judged.now[self.line.condition].astype(np.bool_)]
 
-    def _values_text(self, evaluator: SpecEvaluator, world: World) -> str:
+    def _describe_values(self, evaluator: SpecEvaluator, world: World) -> str:
         readings = []
         for reading in self.line.readings:
             if reading.node is not None:
@@ -79,17 +81,17 @@ class ConditionWatcher:
         return f" ({', '.join(dict.fromkeys(readings))})" if readings else ""
 
 
-def condition_plan(shot: Shot, text: str) -> SpecPlan:
+def compile_condition(shot: Shot, text: str) -> SpecPlan:
     """Return the plan that evaluates a condition, as if it were the only line of a spec. Raises BreakpointError with the first
     error in the text."""
     from antdsl.program import check
 
-    file, report = parse(Source(_SOURCE_NAME, _spec_text(text)))
+    file, report = parse(Source(_SOURCE_NAME, _make_spec_text(text)))
     _raise_first_error(report)
     if not _is_one_line(file):
         raise BreakpointError(f"`{' '.join(text.split())[:80]}` is not one condition", _ONE_CONDITION_HELP)
     loaded = shot.loaded
-    program, report = check([*loaded.files, file], loaded.find_library, loaded.modules)
+    program, report = check([*loaded.files, file], loaded.find_library, loaded.module_by_path)
     words = (
         f"write `each {next(iter(shot.plan.species))}: {' '.join(text.split())}` to ask every agent, or ask for a `count` of all"
     )
@@ -101,7 +103,7 @@ def condition_plan(shot: Shot, text: str) -> SpecPlan:
     return plan
 
 
-def _spec_text(text: str) -> str:
+def _make_spec_text(text: str) -> str:
     each = _EACH_PATTERN.fullmatch(text)
     if each is None:
         return f'spec "breakpoint" {{\n  never: {text}\n}}\n'
@@ -123,7 +125,7 @@ def _raise_first_error(report: Report, suggestion: str = "") -> None:
 
     The error for a file that contains only a spec is ignored.
     `suggestion`: a correction for a condition about the complete world that only applies to an agent."""
-    for error in report.sorted():
+    for error in report.sort_by_place():
         if error.severity == "error" and error.code != "empty-program":
             help = (error.help or "").replace("never: ", "")
             if suggestion and error.code in ("wrong-rate", "unknown-name") and not help.startswith("did you mean"):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.diagnostics.suggestion import nearest_name
+from antdsl.diagnostics.suggestion import find_nearest_name
 from antdsl.preview.breaking.model import BreakpointError
 from antdsl.preview.observing.observer import PauseReason
 from antdsl.preview.observing.spec_judgement import CURVE_NAME_PREFIX, SpecObserver
@@ -19,42 +19,44 @@ MAX_SELECTED_AGENTS = 500  # agents that a page selects
 class StateWatcher:
     """Hit when an agent enters a state. Neither birth in the state nor a change from the state to itself counts."""
 
-    def __init__(self, session: Session, ask: StateBreak) -> None:
-        plan = session.shot.plan.species.get(ask.species)
+    def __init__(self, session: Session, request: StateBreak) -> None:
+        plan = session.shot.plan.species.get(request.species)
         if plan is None:
-            raise _unknown_name_error("species", ask.species, list(session.shot.plan.species))
-        machine = next((each for each in plan.machines if each.name == ask.machine), None)
+            raise _make_unknown_name_error("species", request.species, list(session.shot.plan.species))
+        machine = next((each for each in plan.machines if each.name == request.machine), None)
         if machine is None:
-            raise _unknown_name_error(f"machine of `{ask.species}`", ask.machine, [each.name for each in plan.machines])
-        if ask.state not in machine.states:
-            raise _unknown_name_error(f"state of `{ask.species}`", ask.state, list(machine.states))
-        self.ask, self.state = ask, machine.states.index(ask.state)
-        self.others: NDArray[np.int64] = np.zeros(0, np.int64)  # ids of those in another state
+            raise _make_unknown_name_error(
+                f"machine of `{request.species}`", request.machine, [each.name for each in plan.machines]
+            )
+        if request.state not in machine.states:
+            raise _make_unknown_name_error(f"state of `{request.species}`", request.state, list(machine.states))
+        self.ask, self.state = request, machine.states.index(request.state)
+        self.ids_in_other_states: NDArray[np.int64] = np.zeros(0, np.int64)  # ids of those in another state
 
     def begin(self, session: Session) -> None:
         population = session.world.populations[self.ask.species]
-        self.others = population.ids[population.now[f"{self.ask.machine}.state"] != self.state]
+        self.ids_in_other_states = population.ids[population.now[f"{self.ask.machine}.state"] != self.state]
 
     def check_frame(self, session: Session) -> PauseReason | None:
         population = session.world.populations[self.ask.species]
         ids_in_state = population.ids[population.now[f"{self.ask.machine}.state"] == self.state]
-        entered = np.intersect1d(ids_in_state, self.others)
+        entered = np.intersect1d(ids_in_state, self.ids_in_other_states)
         self.begin(session)
         if not len(entered):
             return None
         ids = tuple(int(each) for each in entered)
-        line = f"{agents_text(self.ask.species, ids)} entered {self.ask.state} at frame {session.frame}"
+        line = f"{format_agents(self.ask.species, ids)} entered {self.ask.state} at frame {session.frame}"
         return PauseReason(line, self.ask.species, ids[:MAX_SELECTED_AGENTS])
 
 
-def agents_text(species: str, ids: tuple[int, ...]) -> str:
+def format_agents(species: str, ids: tuple[int, ...]) -> str:
     """Return a text for agents of a species, with the ids of the first few."""
     words = f"{species} {', '.join(map(str, ids[:_MAX_NAMED_AGENTS]))}"
     return f"{words} and {len(ids) - _MAX_NAMED_AGENTS} more" if len(ids) > _MAX_NAMED_AGENTS else words
 
 
-def _unknown_name_error(what: str, name: str, known: list[str]) -> BreakpointError:
-    near = nearest_name(name, known)
+def _make_unknown_name_error(what: str, name: str, known: list[str]) -> BreakpointError:
+    near = find_nearest_name(name, known)
     listed = ", ".join(f"`{each}`" for each in known) or "none"
     return BreakpointError(f"there is no {what} `{name}`", f"did you mean `{near}`?" if near else f"there is {listed}")
 
@@ -62,16 +64,18 @@ def _unknown_name_error(what: str, name: str, known: list[str]) -> BreakpointErr
 class SpecWatcher:
     """Hit at the first frame at which a spec fails."""
 
-    def __init__(self, session: Session, ask: SpecBreak, specs: SpecObserver) -> None:
-        known = dict(specs.plans_by_name(session.shot, session.compiler.scene))
-        if ask.spec not in known:
-            near = nearest_name(ask.spec, known)
+    def __init__(self, session: Session, request: SpecBreak, specs: SpecObserver) -> None:
+        known = dict(specs.plan_specs(session.shot, session.compiler.scene))
+        if request.spec not in known:
+            near = find_nearest_name(request.spec, known)
             help = f"did you mean `{near}`?" if near else ", ".join(f"`{each}`" for each in known) or "the program has no spec"
-            raise BreakpointError(f"there is no spec `{ask.spec}`", help)
-        plan = known[ask.spec]
+            raise BreakpointError(f"there is no spec `{request.spec}`", help)
+        plan = known[request.spec]
         if isinstance(plan, str):
-            raise BreakpointError(f"`{ask.spec}` is not judged here: {plan}", f'`antdsl test` judges it: `--spec "{ask.spec}"`')
-        self.ask, self.specs = ask, specs
+            raise BreakpointError(
+                f"`{request.spec}` is not judged here: {plan}", f'`antdsl test` judges it: `--spec "{request.spec}"`'
+            )
+        self.ask, self.specs = request, specs
 
     def begin(self, session: Session) -> None:
         """Do nothing: the curve of the spec has its earlier results."""
@@ -80,7 +84,7 @@ class SpecWatcher:
         frame, curves, key = session.frame, session.timeline.curves, CURVE_NAME_PREFIX + self.ask.spec
         if curves.get(frame, {}).get(key) != 0.0 or curves.get(frame - 1, {}).get(key) == 0.0:
             return None
-        judged = next((each.as_json() for each in self.specs.judged if each.name == self.ask.spec), None)
+        judged = next((each.as_json() for each in self.specs.statuses if each.name == self.ask.spec), None)
         if judged is None or judged["frame"] != frame:  # it was judged before an edit, and is gone through again
             return PauseReason(f"`{self.ask.spec}` fails at frame {frame}")
         return PauseReason(
@@ -91,12 +95,12 @@ class SpecWatcher:
 class FaultWatcher:
     """Hit when an agent has a fault, even if the fault would otherwise only quarantine the agent."""
 
-    def __init__(self, session: Session, ask: FaultBreak) -> None:
-        self.ask = ask
+    def __init__(self, session: Session, request: FaultBreak) -> None:
+        self.ask = request
 
     def begin(self, session: Session) -> None:
         """Do nothing: each step has its own faults."""
 
     def check_frame(self, session: Session) -> PauseReason | None:
-        fault = session.world.faults.latest
-        return None if fault is None else PauseReason(fault.brief, fault.species, (fault.agent,))
+        fault = session.world.faults.fault_of_step
+        return None if fault is None else PauseReason(fault.brief_text, fault.species, (fault.agent,))

@@ -6,26 +6,26 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from antdsl.preview import requests
-from antdsl.preview.doing import edits, queries, time
+from antdsl.preview.doing import edits, playback, queries
 
 if TYPE_CHECKING:
     from antdsl.preview.live import Client, Live
 
 # By the kind of request. A handler may raise Refusal; others are reported as bugs and end nothing.
 HANDLER_BY_REQUEST: Mapping[type[Any], Callable[[Live, Any, Client], None]] = {
-    requests.Play: time.play,
-    requests.Pause: time.pause,
-    requests.Step: time.step,
-    requests.Speed: time.speed,
-    requests.Seek: time.seek,
-    requests.Restart: time.restart,
-    requests.Set: edits.set_value,
-    requests.Layer: edits.layer,
-    requests.Field_: edits.switch_field,
+    requests.Play: playback.play,
+    requests.Pause: playback.pause,
+    requests.Step: playback.step,
+    requests.SetSpeed: playback.set_speed,
+    requests.Seek: playback.seek,
+    requests.Restart: playback.restart,
+    requests.SetValue: edits.set_value,
+    requests.SwitchLayer: edits.switch_layer,
+    requests.SwitchField: edits.switch_field,
     requests.Reload: edits.reload,
-    requests.Look: queries.set_look,
-    requests.Explain: queries.explain,
-    requests.Breaks: queries.set_breakpoints,
-    requests.Profile: queries.profile,
+    requests.SetDisplay: queries.set_display,
+    requests.Explain: queries.explain_agent,
+    requests.SetBreakpoints: queries.set_breakpoints,
+    requests.SwitchProfile: queries.switch_profile,
 }
-SESSIONLESS_REQUESTS = frozenset([requests.Look, requests.Reload, requests.Speed])  # possible while the scene has errors
+SESSIONLESS_REQUESTS = frozenset([requests.SetDisplay, requests.Reload, requests.SetSpeed])  # possible while the scene has errors

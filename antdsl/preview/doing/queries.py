@@ -7,35 +7,35 @@ from typing import TYPE_CHECKING
 from antdsl.preview import requests
 from antdsl.preview.breaking import Breakpoints
 from antdsl.preview.breaking.model import BreakpointError
+from antdsl.preview.observing.cost_reporter import CostReporter
 from antdsl.preview.observing.explainer import Explainer
-from antdsl.preview.observing.meter import CostReporter
-from antdsl.preview.requests import Refusal
+from antdsl.preview.requests import RequestRefused
 
 if TYPE_CHECKING:
     from antdsl.preview.live import Client, Live
 
 
-def explain(live: Live, ask: requests.Explain, client: Client) -> None:
+def explain_agent(live: Live, request: requests.Explain, client: Client) -> None:
     """Send the explanation of an agent's step to the page that requested it."""
     if live.explainer is None or live.explainer.session is not live.session:
         live.explainer = Explainer(live.session)
-    client.tell(live.explainer.message(ask.species, ask.agent, ask.frame, live.screen.names.of))
+    client.tell(live.explainer.make_message(request.species, request.agent, request.frame, live.screen.names.of))
 
 
-def set_breakpoints(live: Live, ask: requests.Breaks, client: Client) -> None:
+def set_breakpoints(live: Live, request: requests.SetBreakpoints, client: Client) -> None:
     """Replace all breakpoints."""
     try:
-        live.observer(Breakpoints).set(live.session, ask.breaks, ask.tried)
+        live.find_observer(Breakpoints).set(live.session, request.breaks, request.tried)
     except BreakpointError as why:
-        raise Refusal(why.message, why.help) from None
+        raise RequestRefused(why.message, why.help) from None
 
 
-def set_look(live: Live, ask: requests.Look, client: Client) -> None:
+def set_display(live: Live, request: requests.SetDisplay, client: Client) -> None:
     """Set what a page displays in addition to the agents."""
-    live.clients[client] = ask
-    live.screen.on_look()
+    live.clients[client] = request
+    live.screen.on_display_change()
 
 
-def profile(live: Live, ask: requests.Profile, client: Client) -> None:
+def switch_profile(live: Live, request: requests.SwitchProfile, client: Client) -> None:
     """Start or stop sending the costs of steps to a page."""
-    live.observer(CostReporter).switch(client, ask.on)
+    live.find_observer(CostReporter).switch_client(client, request.on)

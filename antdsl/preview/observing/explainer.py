@@ -9,15 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from antdsl.diagnostics.suggestion import nearest_name
+from antdsl.diagnostics.suggestion import find_nearest_name
 from antdsl.explain import (
     ExplainError,
     LocatedExplanation,
     Replay,
-    absence_error,
     as_json,
     locate_explanations,
-    state_stretches,
+    make_absence_error,
+    merge_state_frames,
     tell,
 )
 from antdsl.explain.model import StateInterval as StateStretch
@@ -25,49 +25,49 @@ from antdsl.pipeline import Shot
 from antdsl.preview.agent_columns import Arrays
 from antdsl.preview.session import Session
 from antdsl.preview.timeline import ParamChange, SimulationStretch
-from antdsl.runtime import World, checkpoint
+from antdsl.runtime import World, take_checkpoint
 
 _CACHED_STRETCHES = 2  # stretches with cached replays: before and after an edit
 
 
 @dataclass(slots=True, eq=False)
 class StretchHistory:
-    """The history of one stretch of a session. `near`: one extra checkpoint, at the frame of the last replay."""
+    """The history of one stretch of a session. `extra_checkpoints`: one extra checkpoint, at the frame of the last replay."""
 
     session: Session
     stretch: SimulationStretch
-    near: dict[int, Arrays] = field(default_factory=dict)
+    extra_checkpoints: dict[int, Arrays] = field(default_factory=dict)
 
     @property
     def shot(self) -> Shot:
         """Return the shot that simulated the stretch."""
         return self.stretch.shot
 
-    def points(self) -> Sequence[int]:
+    def checkpoint_frames(self) -> Sequence[int]:
         """Return the frames with a checkpoint, ascending."""
-        return sorted({*self.stretch.checkpoints, *self.near})
+        return sorted({*self.stretch.checkpoints, *self.extra_checkpoints})
 
-    def world(self, point: int) -> World | None:
+    def restore_world(self, point: int) -> World | None:
         """Return a new world with the state of a checkpoint."""
-        arrays = self.near[point] if point in self.near else self.stretch.checkpoints[point]
-        return self.stretch.world(arrays, self.session.options, self.session.compiler.built)
+        arrays = self.extra_checkpoints[point] if point in self.extra_checkpoints else self.stretch.checkpoints[point]
+        return self.stretch.restore_world(arrays, self.session.options, self.session.compiler.binding_cache)
 
-    def hash(self, frame: int) -> str | None:
+    def find_hash(self, frame: int) -> str | None:
         """Return the hash of the session's current frame; None for other frames.
 
         Also return None if a param was set at the frame, since its new value takes effect only in the next step."""
         is_current = self.session.timeline.at(frame) is self.stretch and self.session.frame == frame
-        return self.session.hash if is_current and all(change.frame != frame for change in self.stretch.changes) else None
+        return self.session.hash if is_current and all(change.frame != frame for change in self.stretch.param_changes) else None
 
     def apply_interventions(self, world: World) -> None:
         """Set the params that change at the world's frame."""
-        self.stretch.before_step(world)
+        self.stretch.apply_param_changes(world)
 
-    def missing_error(self, frame: int) -> ExplainError:
+    def make_missing_error(self, frame: int) -> ExplainError:
         """Return the error for a frame that is no longer stored."""
         return ExplainError(f"the history of frame {frame} is no longer stored", f"stored from {self.session.first} on")
 
-    def difference_error(self, frame: int) -> ExplainError:
+    def make_difference_error(self, frame: int) -> ExplainError:
         """Return the error for a frame that is not reproduced bit by bit."""
         return ExplainError(f"frame {frame} is computed differently than before", "this is a bug in antdsl: please report it")
 
@@ -77,7 +77,7 @@ class Explainer:
 
     def __init__(self, session: Session) -> None:
         self.session = session
-        self._replays: list[tuple[SimulationStretch, tuple[ParamChange, ...], Replay]] = []
+        self._cached_replays: list[tuple[SimulationStretch, tuple[ParamChange, ...], Replay]] = []
 
     def explain(self, agents: Sequence[tuple[str, int]], frame: int) -> list[LocatedExplanation | None]:
         """Return explanations of the step to a frame for agents (species, id), with their states over time.
@@ -88,31 +88,31 @@ class Explainer:
             _check_species(species, replay.shot)
         history = replay.history
         assert isinstance(history, StretchHistory)
-        if frame - 1 not in history.near:  # requests for other agents soon follow the first
-            history.near = {frame - 1: checkpoint(replay.restore_before(frame))}
+        if frame - 1 not in history.extra_checkpoints:  # requests for other agents soon follow the first
+            history.extra_checkpoints = {frame - 1: take_checkpoint(replay.restore_step_start(frame))}
         return [
-            None if account is None else replace(account, explanation=self._with_state_history(account))
+            None if account is None else replace(account, explanation=self._add_state_history(account))
             for account in locate_explanations(replay, frame, agents)
         ]
 
-    def message(self, species: str, agent: int, frame: int, named: Callable[[str], str] = str) -> dict[str, Any]:
-        """Return the message for a page that requests the explanation of one agent. `named`: returns the page's name of a
+    def make_message(self, species: str, agent: int, frame: int, name_file: Callable[[str], str] = str) -> dict[str, Any]:
+        """Return the message for a page that requests the explanation of one agent. `name_file`: returns the page's name of a
         file."""
         account, why = None, ""
         try:
             [account] = self.explain([(species, agent)], frame)
             if account is None:
-                why = _error_text(absence_error(self._find_replay(frame), species, agent, frame))
+                why = _format_error(make_absence_error(self._find_replay(frame), species, agent, frame))
         except ExplainError as error:
-            why = _error_text(error)
+            why = _format_error(error)
         reply = {"op": "explained", "species": species, "agent": agent, "frame": frame, "message": why}
         if account is None:
             return reply | {"explanation": None, "told": "", "place": None, "neighbours": []}
         return reply | {
-            "explanation": _rename_files(as_json(account.explanation), named),
+            "explanation": _rename_files(as_json(account.explanation), name_file),
             "told": tell(account.explanation),
-            "place": list(account.place),
-            "neighbours": [list(place) for place in account.neighbours],
+            "place": list(account.position),
+            "neighbours": [list(place) for place in account.neighbour_positions],
         }
 
     def _find_replay(self, frame: int) -> Replay:
@@ -124,26 +124,26 @@ class Explainer:
             stored = f"frames {first + 1} to {head} can be explained" if head > first else "no step has been simulated yet"
             raise ExplainError(f"frame {frame} was not simulated, or is forgotten", stored)
         stretch = self.session.timeline.at(frame - 1)
-        key = tuple(stretch.changes)
-        self._replays = [stored for stored in self._replays if stored[0] in self.session.timeline.stretches]
-        for known, changes, replay in self._replays:
+        key = tuple(stretch.param_changes)
+        self._cached_replays = [stored for stored in self._cached_replays if stored[0] in self.session.timeline.stretches]
+        for known, changes, replay in self._cached_replays:
             if known is stretch and changes == key:
                 return replay
         replay = Replay(StretchHistory(self.session, stretch))
-        self._replays = [stored for stored in self._replays if stored[0] is not stretch][1 - _CACHED_STRETCHES :]
-        self._replays.append((stretch, key, replay))
+        self._cached_replays = [stored for stored in self._cached_replays if stored[0] is not stretch][1 - _CACHED_STRETCHES :]
+        self._cached_replays.append((stretch, key, replay))
         return replay
 
-    def _with_state_history(self, account: LocatedExplanation) -> Any:
-        explanation = account.explanation
-        state_strip = tuple(self._state_stretches(explanation.species, explanation.agent))
+    def _add_state_history(self, located: LocatedExplanation) -> Any:
+        explanation = located.explanation
+        state_strip = tuple(self._collect_state_stretches(explanation.species, explanation.agent))
         alive = (min(each.first for each in state_strip), max(each.last for each in state_strip)) if state_strip else None
         return replace(explanation, strip=state_strip, alive=alive)
 
-    def _state_stretches(self, species: str, agent: int) -> Iterator[StateStretch]:
+    def _collect_state_stretches(self, species: str, agent: int) -> Iterator[StateStretch]:
         """Yield the agent's states in all stored frames, one machine after the other."""
         frames_by_machine: dict[str, list[tuple[int, str]]] = {}
-        for frame, light in sorted(self.session.timeline.light.items()):
+        for frame, light in sorted(self.session.timeline.light_frames.items()):
             if species not in light:
                 continue
             rows = np.flatnonzero(light[species]["id"] == agent)
@@ -152,22 +152,22 @@ class Explainer:
                 state = machine.states[int(light[species][f"state/{machine.name}"][rows[0]])]
                 frames_by_machine.setdefault(machine.name, []).append((frame, state))
         for name, frames in frames_by_machine.items():
-            yield from state_stretches(name, frames)
+            yield from merge_state_frames(name, frames)
 
 
 def _check_species(species: str, shot: Shot) -> None:
     if species not in shot.plan.species:
-        near = nearest_name(species, shot.plan.species)
+        near = find_nearest_name(species, shot.plan.species)
         listed = ", ".join(f"`{name}`" for name in shot.plan.species)
         raise ExplainError(f"no species `{species}`", f"did you mean `{near}`?" if near else f"there is {listed}")
 
 
-def _error_text(error: ExplainError) -> str:
+def _format_error(error: ExplainError) -> str:
     return f"{error}: {error.help}" if error.help else str(error)
 
 
-def _rename_files(value: Any, named: Callable[[str], str]) -> Any:
-    """Return the value with each file renamed by `named`."""
+def _rename_files(value: Any, name_file: Callable[[str], str]) -> Any:
+    """Return the value with each file renamed by `name_file`."""
     if isinstance(value, dict):
-        return {key: named(each) if key == "file" else _rename_files(each, named) for key, each in value.items()}
-    return [_rename_files(each, named) for each in value] if isinstance(value, list) else value
+        return {key: name_file(each) if key == "file" else _rename_files(each, name_file) for key, each in value.items()}
+    return [_rename_files(each, name_file) for each in value] if isinstance(value, list) else value

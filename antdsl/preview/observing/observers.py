@@ -9,7 +9,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from antdsl.preview.breaking import Breakpoints
-from antdsl.preview.observing.meter import CostReporter
+from antdsl.preview.observing.cost_reporter import CostReporter
 from antdsl.preview.observing.observer import Observer
 from antdsl.preview.observing.spec_judgement import SpecObserver
 from antdsl.preview.session import Session
@@ -19,28 +19,33 @@ if TYPE_CHECKING:
     from antdsl.preview.observing.observer import PauseReason
 
 
-def _specs(live: Live) -> Observer:
-    return SpecObserver(live.tell_all)
+def _make_spec_observer(live: Live) -> Observer:
+    return SpecObserver(live.send_to_all)
 
 
-def _breakpoints(live: Live) -> Observer:
-    return Breakpoints(live.observer(SpecObserver), live.tell_all)
+def _make_breakpoints(live: Live) -> Observer:
+    return Breakpoints(live.find_observer(SpecObserver), live.send_to_all)
 
 
-def _notes(live: Live) -> Observer:
+def _make_note_observer(live: Live) -> Observer:
     return NoteObserver()
 
 
 # What each Live makes one of, in this order; a handler gets at its own by `live.observer(Kind)`. A spec is judged before one asks
 # whether it failed.
-OBSERVER_MAKERS: tuple[Callable[[Live], Observer], ...] = (CostReporter, _notes, _specs, _breakpoints)
+OBSERVER_MAKERS: tuple[Callable[[Live], Observer], ...] = (
+    CostReporter,
+    _make_note_observer,
+    _make_spec_observer,
+    _make_breakpoints,
+)
 
 
 class NoteObserver:
     """An observer that prints the backend's messages. Used only by the live thread."""
 
     def __init__(self) -> None:
-        self._said: set[str] = set()
+        self._printed_notes: set[str] = set()
 
     def before_step(self, session: Session) -> None:
         """Do nothing: messages are printed after the step."""
@@ -48,8 +53,8 @@ class NoteObserver:
     def after_step(self, session: Session) -> PauseReason | None:
         """Print new messages of the backend. Never pause."""
         for sentence in session.world.backend.messages():
-            if sentence not in self._said:
-                self._said.add(sentence)
+            if sentence not in self._printed_notes:
+                self._printed_notes.add(sentence)
                 print(sentence, file=sys.stderr, flush=True)
         return None
 

@@ -18,7 +18,7 @@ from antdsl.preview.timeline import SimulationStretch
 from antdsl.program.expectations import Spec
 from antdsl.runtime import World
 from antdsl.scene.paths import PathRefused, Roots
-from antdsl.specs.cases import Failure
+from antdsl.specs.cases import SpecFailure
 from antdsl.specs.judge import SpecJudge
 
 # Of the time that a step takes, and seconds: what judging a spec may take unless it is requested
@@ -32,20 +32,20 @@ class SpecStatus:
     """The status of one spec.
 
     `plan`: None if no plan can exist.
-    `why`: the reason if there is no judge.
+    `reason`: the reason if there is no judge.
     `judge`: judges the spec, or None.
     `seconds` and `frames`: the time of judging, and the number of judged frames.
     """
 
     name: str
     plan: SpecPlan | None = None
-    why: str = ""
+    reason: str = ""
     judge: SpecJudge | None = None
     seconds: float = 0.0
     frames: int = 0
 
     @property
-    def failure(self) -> Failure | None:
+    def failure(self) -> SpecFailure | None:
         """Return the first failure of the spec, or None."""
         return self.judge.failures[0] if self.judge is not None and self.judge.failures else None
 
@@ -57,38 +57,38 @@ class SpecStatus:
             "holds": None if self.judge is None else failed is None,
             "since": None if self.judge is None else self.judge.first,
             "frame": None if failed is None else failed.frame,
-            "message": self.why if failed is None else describe_failure(failed),
+            "message": self.reason if failed is None else describe_failure(failed),
             "species": failed.agent[0] if failed is not None and failed.agent is not None else "",
             "agents": [] if failed is None else list(failed.agents),
         }
 
 
 class SpecObserver:
-    """Judges all specs of a session's program. Specs that a client requires are judged at any cost. `tell` receives a message
-    whenever the status of a spec changes."""
+    """Judges all specs of a session's program. Specs that a client requires are judged at any cost. `send_message` receives a
+    message whenever the status of a spec changes."""
 
-    def __init__(self, tell: Callable[[dict[str, Any]], None] = lambda message: None) -> None:
-        self.tell, self.wanted = tell, frozenset[str]()
-        self.judged: list[SpecStatus] = []
-        self._plans: tuple[Shot, list[tuple[str, SpecPlan | str]]] | None = None
+    def __init__(self, send_message: Callable[[dict[str, Any]], None] = lambda message: None) -> None:
+        self.send_message, self.wanted = send_message, frozenset[str]()
+        self.statuses: list[SpecStatus] = []
+        self._cached_plans: tuple[Shot, list[tuple[str, SpecPlan | str]]] | None = None
         self._stretch: SimulationStretch | None = None
-        self._last = 0  # the frame that was judged last
-        self._told: dict[str, Any] = {}
-        self._began = 0.0
+        self._last_judged_frame = 0  # the frame that was judged last
+        self._last_message: dict[str, Any] = {}
+        self._step_start_time = 0.0
 
-    def message(self) -> dict[str, Any]:
+    def make_message(self) -> dict[str, Any]:
         """Return the message with the status of all specs."""
-        return {"op": "specs", "specs": [each.as_json() for each in self.judged]}
+        return {"op": "specs", "specs": [each.as_json() for each in self.statuses]}
 
     def require(self, names: Collection[str]) -> None:
         """Judge these specs whatever the cost. A spec for which judging was stopped is judged again from the next step on."""
         self.wanted = frozenset(names)
 
-    def plans_by_name(self, shot: Shot, scene: Path) -> list[tuple[str, SpecPlan | str]]:
+    def plan_specs(self, shot: Shot, scene: Path) -> list[tuple[str, SpecPlan | str]]:
         """Return the specs of a program by name. Each has its plan, or the reason why it is not judged in this session."""
-        if self._plans is None or self._plans[0] is not shot:
-            self._plans = shot, list(_plan_specs(shot, scene))
-        return self._plans[1]
+        if self._cached_plans is None or self._cached_plans[0] is not shot:
+            self._cached_plans = shot, list(_plan_specs(shot, scene))
+        return self._cached_plans[1]
 
     def on_new_world(self, session: Session) -> None:
         """Do nothing: the next step detects another world by its stretch."""
@@ -96,18 +96,18 @@ class SpecObserver:
     def before_step(self, session: Session) -> None:
         """Judge the frame before the step if necessary, and start timing the step."""
         self._judge_frame(session)
-        self._began = perf_counter()
+        self._step_start_time = perf_counter()
 
     def after_step(self, session: Session) -> PauseReason | None:
         """Judge the new frame, and send the statuses if they changed. Never pause."""
-        took = perf_counter() - self._began
+        took = perf_counter() - self._step_start_time
         self._judge_frame(session)
-        for each in self.judged:
+        for each in self.statuses:
             self._stop_if_slow(each, took)
-        message = self.message()
-        if message != self._told:
-            self._told = message
-            self.tell(message)
+        message = self.make_message()
+        if message != self._last_message:
+            self._last_message = message
+            self.send_message(message)
         return None
 
     def _judge_frame(self, session: Session) -> None:
@@ -116,48 +116,48 @@ class SpecObserver:
         if frame != session.last_frame or frame < shot.frames.first:
             return
         stretch = session.timeline.at(frame)
-        if stretch is not self._stretch or frame not in (self._last, self._last + 1):
+        if stretch is not self._stretch or frame not in (self._last_judged_frame, self._last_judged_frame + 1):
             self._stretch = stretch
-            self.judged = [_make_status(*each) for each in self.plans_by_name(shot, session.compiler.scene)]
+            self.statuses = [_make_status(*each) for each in self.plan_specs(shot, session.compiler.scene)]
             fresh = self._start_judging(session, lambda each: True)
         else:
             again = self._start_judging(session, lambda each: each.name in self.wanted)
-            fresh = self.judged if frame != self._last else again
-        self._last = frame
+            fresh = self.statuses if frame != self._last_judged_frame else again
+        self._last_judged_frame = frame
         for each in fresh:
             self._judge_spec(each, session.world)
             if each.judge is not None:
                 curve = 0.0 if each.failure is not None else 1.0
                 session.timeline.curves[frame].setdefault(CURVE_NAME_PREFIX + each.name, curve)
 
-    def _start_judging(self, session: Session, which: Callable[[SpecStatus], bool]) -> list[SpecStatus]:
-        """Start judging, from this frame on, the specs that `which` selects, that are not judged yet, and that can be. Return
-        these specs."""
-        candidates = [each for each in self.judged if each.judge is None and each.plan is not None and which(each)]
+    def _start_judging(self, session: Session, is_selected: Callable[[SpecStatus], bool]) -> list[SpecStatus]:
+        """Start judging, from this frame on, the specs that `is_selected` selects, that are not judged yet, and that can be.
+        Return these specs."""
+        candidates = [each for each in self.statuses if each.judge is None and each.plan is not None and is_selected(each)]
         for each in candidates:
             assert each.plan is not None
             each.judge = SpecJudge(each.plan, session.world, session.shot.frames.last)
-            each.why, each.seconds, each.frames = "", 0.0, 0
+            each.reason, each.seconds, each.frames = "", 0.0, 0
         return candidates
 
-    def _judge_spec(self, each: SpecStatus, world: World) -> None:
-        if each.judge is not None and not each.judge.over:
+    def _judge_spec(self, status: SpecStatus, world: World) -> None:
+        if status.judge is not None and not status.judge.is_over:
             began = thread_time()  # of the processor: what others do on this machine is not its fault
-            each.judge.look(world)
-            each.frames += 1
-            if each.frames > _WARM_UP_FRAMES:
-                each.seconds += thread_time() - began
+            status.judge.judge_frame(world)
+            status.frames += 1
+            if status.frames > _WARM_UP_FRAMES:
+                status.seconds += thread_time() - began
 
-    def _stop_if_slow(self, each: SpecStatus, step: float) -> None:
+    def _stop_if_slow(self, status: SpecStatus, step_seconds: float) -> None:
         """Stop judging a spec that takes too long, unless it has failed or a breakpoint needs it.
 
-        `step`: seconds of the last step."""
-        if each.judge is None or each.frames < _MEASURED_FRAMES or each.name in self.wanted or each.failure is not None:
+        `step_seconds`: seconds of the last step."""
+        if status.judge is None or status.frames < _MEASURED_FRAMES or status.name in self.wanted or status.failure is not None:
             return
-        takes = each.seconds / (each.frames - _WARM_UP_FRAMES)
-        if not each.judge.over and takes > max(_MAX_JUDGING_SHARE * step, _MAX_JUDGING_SECONDS):
-            each.judge = None
-            each.why = f"judging it takes {1000 * takes:.1f} ms a frame: with a breakpoint on it, it is judged all the same"
+        takes = status.seconds / (status.frames - _WARM_UP_FRAMES)
+        if not status.judge.is_over and takes > max(_MAX_JUDGING_SHARE * step_seconds, _MAX_JUDGING_SECONDS):
+            status.judge = None
+            status.reason = f"judging it takes {1000 * takes:.1f} ms a frame: with a breakpoint on it, it is judged all the same"
 
 
 def _make_status(name: str, plan: SpecPlan | str) -> SpecStatus:
@@ -169,7 +169,7 @@ def _plan_specs(shot: Shot, scene: Path) -> Iterator[tuple[str, SpecPlan | str]]
     for spec in shot.program.specs:
         names.append(spec.name)
         name = spec.name if names.count(spec.name) == 1 else f"{spec.name} ({names.count(spec.name)})"
-        yield name, _obstacle_text(spec, shot, scene) or _plan_spec(spec, shot)
+        yield name, _find_obstacle(spec, shot, scene) or _plan_spec(spec, shot)
 
 
 def _plan_spec(spec: Spec, shot: Shot) -> SpecPlan | str:
@@ -177,7 +177,7 @@ def _plan_spec(spec: Spec, shot: Shot) -> SpecPlan | str:
     return plan if plan is not None else next(each.message for each in report.errors)
 
 
-def _obstacle_text(spec: Spec, shot: Shot, scene: Path) -> str:
+def _find_obstacle(spec: Spec, shot: Shot, scene: Path) -> str:
     """Return the reason why a spec does not apply to this run, or "" if it applies."""
     if spec.scene is not None:
         try:
@@ -186,7 +186,7 @@ def _obstacle_text(spec: Spec, shot: Shot, scene: Path) -> str:
             return str(why)
         if realpath(place) != realpath(scene):
             return f"it is about `{spec.scene.text}`"
-    if spec.against is not None:
+    if spec.reference_run is not None:
         return "it compares with another run, as `antdsl test` does"
     if spec.changes:
         return f"it sets `{spec.changes[0].name}`, as `antdsl test` does"
@@ -195,11 +195,11 @@ def _obstacle_text(spec: Spec, shot: Shot, scene: Path) -> str:
     return ""
 
 
-def describe_failure(failure: Failure) -> str:
+def describe_failure(failure: SpecFailure) -> str:
     """Return a failure in one line: the condition that did not hold, the agent, and the values."""
     agent_text = ""
     if failure.agent is not None:
-        others_text = f" and {failure.others} more" if failure.others else ""
+        others_text = f" and {failure.other_count} more" if failure.other_count else ""
         agent_text = f", {failure.agent[0]} {failure.agent[1]}{others_text}"
     values = ", ".join(f"{text} is {value}" for text, value in failure.values)
     return f"{failure.message}{agent_text}" + (f" ({values})" if values else "")

@@ -9,7 +9,7 @@ from importlib.util import find_spec
 from antdsl.diagnostics import Report
 
 
-def ready() -> Report:
+def check_preview_support() -> Report:
     """Return an empty report if a preview can be served, else one error that names the missing extra."""
     report = Report()
     if find_spec("websockets") is None:

@@ -22,10 +22,10 @@ class ListenError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class ListeningSockets:
-    """Bound sockets. `names`: hosts with port that a request may have. `addresses`: to open in a browser, the best first."""
+    """Bound sockets. `host_names`: hosts with port that a request may have. `addresses`: to open in a browser, the best first."""
 
     sockets: tuple[socket.socket, ...]
-    names: frozenset[str]
+    host_names: frozenset[str]
     addresses: tuple[str, ...]
 
     @property
@@ -44,7 +44,7 @@ def is_loopback(host: str | None) -> bool:
     return host is None or all(ip_address(each).is_loopback for each in _resolve_host(host))
 
 
-def listen(host: str | None = None, port: int | None = None) -> ListeningSockets:
+def open_listening_sockets(host: str | None = None, port: int | None = None) -> ListeningSockets:
     """Bind sockets on the loopback interface, or at `host`. Without `port`, use the first free port from 8765 on; 0 takes any
     free port. Raises ListenError if the requested port is taken, or if this machine does not have the host."""
     addresses = _LOOPBACK_ADDRESSES if host is None else _resolve_host(host)
@@ -54,9 +54,9 @@ def listen(host: str | None = None, port: int | None = None) -> ListeningSockets
         except OSError as why:
             if why.errno == errno.EADDRINUSE and port is None:
                 continue
-            raise ListenError(_error_text(why, host, candidate)) from None
-        names = [_url_host(name) for name in _server_names(host, addresses)]
-        display_names = [_url_host(name) for name in _browser_addresses(host, addresses, sockets)]
+            raise ListenError(_describe_listen_error(why, host, candidate)) from None
+        names = [_format_url_host(name) for name in _list_server_names(host, addresses)]
+        display_names = [_format_url_host(name) for name in _list_browser_addresses(host, addresses, sockets)]
         return ListeningSockets(
             sockets, frozenset(f"{name}:{taken}" for name in names), tuple(f"http://{name}:{taken}/" for name in display_names)
         )
@@ -73,7 +73,7 @@ def _bind_sockets(addresses: Iterable[str], port: int) -> tuple[tuple[socket.soc
     try:
         for place in addresses:
             try:
-                sockets.append(_socket(place, port))
+                sockets.append(_bind_socket(place, port))
             except OSError as why:
                 if why.errno not in _MISSING_ADDRESS_ERRORS:
                     raise
@@ -89,9 +89,9 @@ def _bind_sockets(addresses: Iterable[str], port: int) -> tuple[tuple[socket.soc
     return tuple(sockets), port
 
 
-def _socket(place: str, port: int) -> socket.socket:
+def _bind_socket(address: str, port: int) -> socket.socket:
     """Return a socket that listens at one address. Raises OSError if it cannot be bound."""
-    six = ":" in place
+    six = ":" in address
     server_socket = socket.socket(socket.AF_INET6 if six else socket.AF_INET, socket.SOCK_STREAM)
     try:
         if sys.platform == "win32":
@@ -102,7 +102,7 @@ def _socket(place: str, port: int) -> socket.socket:
             )  # not to wait for what an earlier server left behind
         if six:
             server_socket.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
-        server_socket.bind((place, port))
+        server_socket.bind((address, port))
         server_socket.listen()  # until then another server may bind the same port
     except OSError:
         server_socket.close()
@@ -119,26 +119,26 @@ def _resolve_host(host: str) -> tuple[str, ...]:
     return tuple(dict.fromkeys(str(each[4][0]) for each in entries))
 
 
-def _server_names(host: str | None, addresses: Iterable[str]) -> list[str]:
+def _list_server_names(host: str | None, addresses: Iterable[str]) -> list[str]:
     """Return names that lead to this server and to no other: the requested host and its addresses. A server that listens at every
     address also has each address and name of the machine. Names that an attacker may choose are not included."""
     if host is None:
         return ["localhost", *_LOOPBACK_ADDRESSES]
     addresses = list(addresses)
     if any(ip_address(each).is_unspecified for each in addresses):
-        return ["localhost", *_LOOPBACK_ADDRESSES, socket.gethostname().lower(), *_machine_addresses()]
+        return ["localhost", *_LOOPBACK_ADDRESSES, socket.gethostname().lower(), *_find_machine_addresses()]
     return [host.lower(), *addresses]
 
 
-def _browser_addresses(host: str | None, addresses: Iterable[str], sockets: Iterable[socket.socket]) -> list[str]:
+def _list_browser_addresses(host: str | None, addresses: Iterable[str], sockets: Iterable[socket.socket]) -> list[str]:
     if host is None:
         return [str(each.getsockname()[0]) for each in sockets][:1]
     if any(ip_address(each).is_unspecified for each in addresses):
-        return [*_machine_addresses(), "127.0.0.1" if "0.0.0.0" in addresses else "::1"]
+        return [*_find_machine_addresses(), "127.0.0.1" if "0.0.0.0" in addresses else "::1"]
     return [host.lower()]
 
 
-def _machine_addresses() -> list[str]:
+def _find_machine_addresses() -> list[str]:
     """Return addresses at which other machines reach this one: those of its host name, and the source addresses of outgoing
     connections."""
     addresses: list[str] = []
@@ -152,15 +152,15 @@ def _machine_addresses() -> list[str]:
     return [each for each in dict.fromkeys(addresses) if "%" not in each and not ip_address(each).is_loopback]
 
 
-def _url_host(name: str) -> str:
+def _format_url_host(name: str) -> str:
     return f"[{name}]" if ":" in name else name
 
 
-def _error_text(why: OSError, host: str | None, port: int) -> str:
-    if why.errno == errno.EADDRINUSE:
+def _describe_listen_error(error: OSError, host: str | None, port: int) -> str:
+    if error.errno == errno.EADDRINUSE:
         return f"port {port} is taken"
-    if why.errno in (errno.EACCES, errno.EPERM):
+    if error.errno in (errno.EACCES, errno.EPERM):
         return f"this user may not listen on port {port}"
-    if why.errno in _MISSING_ADDRESS_ERRORS:
+    if error.errno in _MISSING_ADDRESS_ERRORS:
         return f"this machine has no address `{host or 'localhost'}`"
-    return f"cannot listen on port {port}: {(why.strerror or str(why)).lower()}"
+    return f"cannot listen on port {port}: {(error.strerror or str(error)).lower()}"

@@ -18,44 +18,44 @@ class ConnectionGate:
     thousands displaces its own connections, not a page that authenticates in time."""
 
     def __init__(self) -> None:
-        self._waiting: dict[GatedConnection, None] = {}
-        self._in: dict[GatedConnection, bool] = {}  # with whether it came by a code that is good once
+        self._unadmitted: dict[GatedConnection, None] = {}
+        self._admitted: dict[GatedConnection, bool] = {}  # with whether it came by a code that is good once
 
     def make_connection(self, *args: Any, **options: Any) -> GatedConnection:
         """Return a new connection, for `serve` to create connections with."""
         return GatedConnection(self, *args, **options)
 
-    def let_in(self, connection: ServerConnection, *, invited: bool) -> None:
-        """Admit a connection. `invited`: whether it used a code that is valid once."""
+    def admit(self, connection: ServerConnection, *, is_invited: bool) -> None:
+        """Admit a connection. `is_invited`: whether it used a code that is valid once."""
         assert isinstance(connection, GatedConnection)
-        self._waiting.pop(connection, None)
-        self._in[connection] = invited
+        self._unadmitted.pop(connection, None)
+        self._admitted[connection] = is_invited
 
-    def is_in(self, connection: ServerConnection) -> bool:
+    def is_admitted(self, connection: ServerConnection) -> bool:
         """Return whether a connection is admitted."""
-        return connection in self._in
+        return connection in self._admitted
 
     def is_invited(self, connection: ServerConnection) -> bool:
         """Return whether an admitted connection used a code that is valid once."""
-        return isinstance(connection, GatedConnection) and self._in.get(connection, False)
+        return isinstance(connection, GatedConnection) and self._admitted.get(connection, False)
 
     def add(self, connection: GatedConnection) -> None:
         """Add a connection that is not admitted yet. Close the oldest such connections above the limit."""
-        self._waiting[connection] = None
-        if len(self._waiting) > limits.MAX_UNADMITTED_CONNECTIONS:
-            oldest = next(iter(self._waiting))
-            del self._waiting[oldest]
+        self._unadmitted[connection] = None
+        if len(self._unadmitted) > limits.MAX_UNADMITTED_CONNECTIONS:
+            oldest = next(iter(self._unadmitted))
+            del self._unadmitted[oldest]
             oldest.transport.abort()
 
     def close_all(self) -> None:
         """Close all connections."""
-        for each in (*self._waiting, *self._in):
+        for each in (*self._unadmitted, *self._admitted):
             each.transport.abort()
 
     def remove(self, connection: GatedConnection) -> None:
         """Remove a closed connection."""
-        self._waiting.pop(connection, None)
-        self._in.pop(connection, None)
+        self._unadmitted.pop(connection, None)
+        self._admitted.pop(connection, None)
 
 
 class GatedConnection(ServerConnection):
@@ -65,16 +65,16 @@ class GatedConnection(ServerConnection):
 
     def __init__(self, gate: ConnectionGate, *args: Any, **options: Any) -> None:
         super().__init__(*args, **options)
-        self._door = gate
-        self._frames = TokenBucket(limits.MAX_PREVIEW_FRAMES_PER_SECOND, 2 * limits.MAX_PREVIEW_FRAMES_PER_SECOND)
-        self._pieces = 0
+        self._gate = gate
+        self._frame_bucket = TokenBucket(limits.MAX_PREVIEW_FRAMES_PER_SECOND, 2 * limits.MAX_PREVIEW_FRAMES_PER_SECOND)
+        self._fragment_count = 0
 
     def connection_made(self, transport: Any) -> None:
         super().connection_made(transport)
-        self._door.add(self)
+        self._gate.add(self)
 
     def connection_lost(self, exc: Exception | None) -> None:
-        self._door.remove(self)
+        self._gate.remove(self)
         super().connection_lost(exc)
 
     def process_event(self, event: Any) -> None:
@@ -86,26 +86,26 @@ class GatedConnection(ServerConnection):
     def _is_within_limits(self, frame: Frame) -> bool:
         """Count a frame. Return whether the client is within its rate and its number of fragments."""
         if frame.opcode in (Opcode.TEXT, Opcode.BINARY):
-            self._pieces = 0
+            self._fragment_count = 0
         elif frame.opcode is Opcode.CONT:
-            self._pieces += 1
-        return self._pieces < limits.MAX_PREVIEW_FRAGMENTS and self._frames.take()
+            self._fragment_count += 1
+        return self._fragment_count < limits.MAX_PREVIEW_FRAGMENTS and self._frame_bucket.take_token()
 
 
 class TokenBucket:
     """A rate limiter. It holds up to `most` tokens and gains `rate` tokens per second; each event takes one. `clock` returns
     seconds."""
 
-    def __init__(self, rate: float, most: float, clock: Callable[[], float] = monotonic) -> None:
-        self._rate, self._most, self._clock = rate, most, clock
-        self._holds, self._at = most, clock()
+    def __init__(self, rate: float, capacity: float, clock: Callable[[], float] = monotonic) -> None:
+        self._rate, self._capacity, self._clock = rate, capacity, clock
+        self._tokens, self._updated_time = capacity, clock()
 
-    def take(self) -> bool:
+    def take_token(self) -> bool:
         """Take one token and return True; return False if there is none."""
         now = self._clock()
-        self._holds = min(self._most, self._holds + (now - self._at) * self._rate)
-        self._at = now
-        if self._holds < 1:
+        self._tokens = min(self._capacity, self._tokens + (now - self._updated_time) * self._rate)
+        self._updated_time = now
+        if self._tokens < 1:
             return False
-        self._holds -= 1
+        self._tokens -= 1
         return True

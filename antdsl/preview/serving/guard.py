@@ -23,8 +23,8 @@ from enum import Enum
 from hashlib import sha256
 from pathlib import Path
 
+from antdsl.atomic_write import write_atomically
 from antdsl.user_folders import make_private_folder, read_private, state_folder
-from antdsl.whole import write_atomically
 
 _MAX_STORED_KEYS = 4  # with stored keys
 _MAX_KEY_FILES = 64  # of scenes and ports; the oldest go
@@ -67,20 +67,20 @@ class ReturningPages:
         return any([hmac.compare_digest(answer_bytes, proof) for proof in proofs])  # all of them, in the same time
 
 
-def _read_keys(place: Path) -> tuple[str, ...]:
+def _read_keys(path: Path) -> tuple[str, ...]:
     """Return the keys in a file; none if it is not a small private file of keys."""
     try:
-        keys = list(json.loads(read_private(place, _MAX_KEY_FILE_BYTES))["keys"])
+        keys = list(json.loads(read_private(path, _MAX_KEY_FILE_BYTES))["keys"])
     except (OSError, ValueError, TypeError, KeyError, RecursionError):
         return ()
     return tuple(key for key in keys if isinstance(key, str) and _KEY_PATTERN.fullmatch(key))[:_MAX_STORED_KEYS]
 
 
-def _write_keys(place: Path, keys: Sequence[str]) -> None:
+def _write_keys(path: Path, keys: Sequence[str]) -> None:
     """Write the keys atomically, readable by the file's owner only."""
-    write_atomically(place, json.dumps({"keys": list(keys)}).encode("ascii"), mode=0o600)
+    write_atomically(path, json.dumps({"keys": list(keys)}).encode("ascii"), mode=0o600)
     with suppress(OSError):
-        files = sorted(place.parent.glob("*.json"), key=lambda each: each.lstat().st_mtime)
+        files = sorted(path.parent.glob("*.json"), key=lambda each: each.lstat().st_mtime)
         for old in files[:-_MAX_KEY_FILES]:
             old.unlink()
 
@@ -98,50 +98,50 @@ class ConnectionVerdict(Enum):
 class RequestGuard:
     """Checks hosts, origins and tokens.
 
-    `names`: hosts with port, as in addresses: `localhost:8765`, `[::1]:8765`.
-    `returning`: if set, pages are admitted again after a restart of the server.
+    `host_names`: hosts with port, as in addresses: `localhost:8765`, `[::1]:8765`.
+    `returning_pages`: if set, pages are admitted again after a restart of the server.
     """
 
-    names: frozenset[str]
+    host_names: frozenset[str]
     token: str = field(default_factory=lambda: secrets.token_urlsafe(32), repr=False)
-    _codes: set[str] = field(default_factory=set, repr=False)
-    returning: ReturningPages | None = None
+    _invitation_codes: set[str] = field(default_factory=set, repr=False)
+    returning_pages: ReturningPages | None = None
 
-    def invite(self) -> str:
+    def make_invitation_code(self) -> str:
         """Return a code that replaces the token once, for the address that a browser is started with.
 
         Other users of this machine can read that address in the list of processes."""
         code = secrets.token_urlsafe(32)
-        self._codes.add(code)
+        self._invitation_codes.add(code)
         return code
 
     def is_own_host(self, headers: Sequence[str]) -> bool:
         """Return whether a request has exactly one `Host` header, and it equals one of the names."""
-        return len(headers) == 1 and headers[0] in self.names
+        return len(headers) == 1 and headers[0] in self.host_names
 
     def origin(self, headers: Sequence[str]) -> bool | None:
         """Return whether the origin of a request is this server's page; None if the request has no origin. `null` does not count
         as an origin of this server: pages from files and sandboxes send it."""
         if not headers:
             return None
-        return len(headers) == 1 and headers[0].removeprefix("http://") in self.names and headers[0].startswith("http://")
+        return len(headers) == 1 and headers[0].removeprefix("http://") in self.host_names and headers[0].startswith("http://")
 
-    def page(self, hosts: Sequence[str], origins: Sequence[str]) -> bool:
+    def may_load_page(self, hosts: Sequence[str], origins: Sequence[str]) -> bool:
         """Return whether the page may be loaded. No token is needed, because the page contains no secret."""
         return self.is_own_host(hosts) and self.origin(origins) is not False
 
-    def judge_socket(self, hosts: Sequence[str], origins: Sequence[str], offered: Iterable[str]) -> ConnectionVerdict:
-        """Return the verdict on a request to open a socket. `offered`: its `Sec-WebSocket-Protocol` headers."""
+    def judge_socket(self, hosts: Sequence[str], origins: Sequence[str], protocols: Iterable[str]) -> ConnectionVerdict:
+        """Return the verdict on a request to open a socket. `protocols`: its `Sec-WebSocket-Protocol` headers."""
         origin = self.origin(origins)
         if not self.is_own_host(hosts) or origin is False:
             return ConnectionVerdict.STRANGER
-        words = [word.strip() for line in offered for word in line.split(",")]
+        words = [word.strip() for line in protocols for word in line.split(",")]
         tokens = [word.removeprefix(_TOKEN_PREFIX) for word in words if word.startswith(_TOKEN_PREFIX)]
         if WEBSOCKET_PROTOCOL in words and len(tokens) == 1:
             if _is_equal(tokens[0], self.token):
                 return ConnectionVerdict.IN
-            used = {code for code in self._codes if _is_equal(tokens[0], code)}
-            self._codes.difference_update(used)
+            used = {code for code in self._invitation_codes if _is_equal(tokens[0], code)}
+            self._invitation_codes.difference_update(used)
             if used:
                 return ConnectionVerdict.INVITED
         return ConnectionVerdict.STRANGER if origin is None else ConnectionVerdict.WRONG_TOKEN

@@ -31,101 +31,101 @@ class ClientMailbox:
     def __init__(
         self,
         loop: asyncio.AbstractEventLoop,
-        hello: dict[str, str],
-        full: Callable[[], None],
+        hello_fields: dict[str, str],
+        on_full: Callable[[], None],
         *,
-        words: int = limits.MAX_QUEUED_MESSAGE_CHARACTERS,
-        packets: int = limits.MAX_QUEUED_PACKET_BYTES,
+        max_message_size: int = limits.MAX_QUEUED_MESSAGE_CHARACTERS,
+        max_packet_size: int = limits.MAX_QUEUED_PACKET_BYTES,
     ) -> None:
-        self._loop, self._hello, self._full = loop, hello, full
-        self._most_words, self._most_packets = words, packets
+        self._loop, self._hello_fields, self._on_full = loop, hello_fields, on_full
+        self._max_message_size, self._max_packet_size = max_message_size, max_packet_size
         self._queue: deque[str | _QueuedPacket] = deque()
-        self._waiting: dict[str, _QueuedPacket] = {}  # packets that a later one of their slot replaces in place
-        self._before: dict[str, _QueuedPacket] = {}  # the same from before the last scene: replaced, but not in place
-        self._words = self._packets = 0  # bytes
-        self._lock, self._there = Lock(), asyncio.Event()
-        self._woken = self._closed = False
+        self._packet_by_slot: dict[str, _QueuedPacket] = {}  # packets that a later one of their slot replaces in place
+        self._earlier_packets: dict[str, _QueuedPacket] = {}  # the same from before the last scene: replaced, but not in place
+        self._message_size = self._packet_size = 0  # bytes
+        self._lock, self._item_ready = Lock(), asyncio.Event()
+        self._is_woken = self._is_closed = False
 
     def tell(self, message: dict[str, Any]) -> None:
         """Append a message. A `hello` message also gets the build of the page, which only the server knows."""
         if message.get("op") == "hello":
-            message = {**message, **self._hello}
+            message = {**message, **self._hello_fields}
         text = json.dumps(message, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
         with self._lock:
-            if self._closed:
+            if self._is_closed:
                 return
             self._queue.append(text)
-            self._words += len(text)
+            self._message_size += len(text)
             if message.get("op") == "scene":
                 # a packet of the new scene must not take the place of one from before: it would arrive ahead of the scene
-                self._before.update(self._waiting)
-                self._waiting.clear()
+                self._earlier_packets.update(self._packet_by_slot)
+                self._packet_by_slot.clear()
             self._wake_or_close()
 
     def show(self, slot: str, packet: bytes) -> None:
         """Replace the waiting packet of the same slot, or append the packet. So each slot waits at most once, and frequent
         packets of one slot do not delay another."""
         with self._lock:
-            if self._closed:
+            if self._is_closed:
                 return
-            self._packets += len(packet)
-            waiting, past = self._waiting.get(slot), self._before.pop(slot, None)
+            self._packet_size += len(packet)
+            waiting, past = self._packet_by_slot.get(slot), self._earlier_packets.pop(slot, None)
             if past is not None:
-                self._packets -= len(past.packet or b"")
+                self._packet_size -= len(past.packet or b"")
                 past.packet = None
             if waiting is not None:
-                self._packets -= len(waiting.packet or b"")
+                self._packet_size -= len(waiting.packet or b"")
                 waiting.packet = packet
             else:
-                self._waiting[slot] = new_item = _QueuedPacket(slot, packet)
+                self._packet_by_slot[slot] = new_item = _QueuedPacket(slot, packet)
                 self._queue.append(new_item)
             self._wake_or_close()
 
-    async def next(self) -> str | bytes:
+    async def receive(self) -> str | bytes:
         """Return the next message or packet to send; wait if there is none. For one reader, on the event loop."""
         while True:
             with self._lock:
-                item = self._take()
+                item = self._take_item()
                 if item is None:
-                    self._woken = False
-                    self._there.clear()
+                    self._is_woken = False
+                    self._item_ready.clear()
             if item is not None:
                 return item
-            await self._there.wait()
+            await self._item_ready.wait()
 
     def close(self) -> None:
         """Drop all waiting messages and packets, and accept no more."""
         with self._lock:
             self._close()
 
-    def _take(self) -> str | bytes | None:
+    def _take_item(self) -> str | bytes | None:
         while self._queue:
             first = self._queue.popleft()
             if isinstance(first, str):
-                self._words -= len(first)
+                self._message_size -= len(first)
                 return first
-            for held in (self._waiting, self._before):
+            for held in (self._packet_by_slot, self._earlier_packets):
                 if held.get(first.slot) is first:
                     del held[first.slot]
             if first.packet is not None:
-                self._packets -= len(first.packet)
+                self._packet_size -= len(first.packet)
                 return first.packet
         return None
 
     def _wake_or_close(self) -> None:
         """Wake the reader, or close the queue if it exceeds its budget. The caller holds the lock."""
-        over = self._words > self._most_words or self._packets > self._most_packets
+        over = self._message_size > self._max_message_size or self._packet_size > self._max_packet_size
         if over:
             self._close()
-        elif self._woken:
+        elif self._is_woken:
             return
-        self._woken = True
+        self._is_woken = True
         with suppress(RuntimeError):  # the loop has ended, and with it the client
-            self._loop.call_soon_threadsafe(self._full if over else self._there.set)
+            self._loop.call_soon_threadsafe(self._on_full if over else self._item_ready.set)
 
     def _close(self) -> None:
-        self._closed = True
+        self._is_closed = True
         self._queue.clear()
-        self._waiting.clear()
-        self._before.clear()
-        self._words = self._packets = 0
+        self._packet_by_slot.clear()
+        self._earlier_packets.clear()
+        self._message_size = self._packet_size = 0

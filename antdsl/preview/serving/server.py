@@ -25,12 +25,12 @@ from websockets.typing import Subprotocol
 
 from antdsl import limits
 from antdsl.preview.live import Client, QueueFull
-from antdsl.preview.requests import ASK, Ask
+from antdsl.preview.requests import REQUEST_ADAPTER, AnyRequest
 from antdsl.preview.serving.addresses import ListeningSockets
 from antdsl.preview.serving.connections import ConnectionGate, TokenBucket
 from antdsl.preview.serving.guard import WEBSOCKET_PROTOCOL, ConnectionVerdict, RequestGuard
 from antdsl.preview.serving.mailbox import ClientMailbox
-from antdsl.preview.serving.pages import PageFiles
+from antdsl.preview.serving.page_files import PageFiles
 
 CONTENT_SECURITY_POLICY: Final = "; ".join(
     (
@@ -73,15 +73,15 @@ class RefusedRequest:
     message: str
     help: str = ""
 
-    def message_out(self) -> dict[str, Any]:
+    def make_message(self) -> dict[str, Any]:
         """Return the message that reports the rejection to the page."""
         return {"op": "refused", "of": self.of, "message": self.message, "help": self.help}
 
 
-def read_request(text: str) -> Ask | RefusedRequest:
+def read_request(text: str) -> AnyRequest | RefusedRequest:
     """Return the request in a message. Errors never repeat the message's content, except names of ops and fields."""
     try:
-        return ASK.validate_json(text)
+        return REQUEST_ADAPTER.validate_json(text)
     except ValidationError as why:
         first = why.errors(include_url=False, include_context=False, include_input=False)[0]
     kind, place = first["type"], [str(part) for part in first["loc"]]
@@ -104,7 +104,7 @@ class SimulationHost(Protocol):
     """The part of the simulation that the server uses. `antdsl.preview.live.Live` implements it. All methods are thread-safe and
     never block."""
 
-    def ask(self, ask: Ask, client: Client) -> None: ...
+    def ask(self, request: AnyRequest, client: Client) -> None: ...
     def join(self, client: Client) -> None: ...
     def leave(self, client: Client) -> None: ...
 
@@ -114,12 +114,12 @@ class PreviewServer:
 
     def __init__(self, live: SimulationHost, guard: RequestGuard, pages: PageFiles, listening: ListeningSockets) -> None:
         self._live, self._guard, self._pages, self._listening = live, guard, pages, listening
-        self._door = ConnectionGate()
+        self._gate = ConnectionGate()
         self._clients: set[ServerConnection] = set()
-        self._closing: set[asyncio.Task[None]] = set()
+        self._closing_tasks: set[asyncio.Task[None]] = set()
 
     @asynccontextmanager
-    async def running(self) -> AsyncIterator[None]:
+    async def run(self) -> AsyncIterator[None]:
         """Serve while the context is active. On exit, close all connections."""
         async with AsyncExitStack() as stack:
             for each in self._listening.sockets:
@@ -127,7 +127,7 @@ class PreviewServer:
                     serve(
                         self._serve_client,
                         sock=each,
-                        create_connection=cast("type[ServerConnection]", self._door.make_connection),
+                        create_connection=cast("type[ServerConnection]", self._gate.make_connection),
                         process_request=self._answer_request,
                         process_response=_add_headers,
                         subprotocols=[Subprotocol(WEBSOCKET_PROTOCOL)],
@@ -145,7 +145,7 @@ class PreviewServer:
                 yield
             finally:
                 # the library says goodbye and waits until that is sent, which never happens without a reader
-                asyncio.get_running_loop().call_later(_CLOSE_TIMEOUT_SECONDS, self._door.close_all)
+                asyncio.get_running_loop().call_later(_CLOSE_TIMEOUT_SECONDS, self._gate.close_all)
 
     # --- requests ------------------------------------------------------------------------------------------------------
 
@@ -154,14 +154,14 @@ class PreviewServer:
         hosts, origins = request.headers.get_all("Host"), request.headers.get_all("Origin")
         if getattr(request, "method", "GET") != "GET":  # earlier versions of websockets read nothing else
             return _make_response(HTTPStatus.METHOD_NOT_ALLOWED, extra=[("Allow", "GET")])
-        if not self._guard.page(hosts, origins):
+        if not self._guard.may_load_page(hosts, origins):
             return _make_response(HTTPStatus.FORBIDDEN)
         if request.path == "/ws":
             verdict = self._guard.judge_socket(hosts, origins, request.headers.get_all("Sec-WebSocket-Protocol"))
             if verdict is ConnectionVerdict.STRANGER:
                 return _make_response(HTTPStatus.FORBIDDEN)
             if verdict in (ConnectionVerdict.IN, ConnectionVerdict.INVITED):
-                self._door.let_in(connection, invited=verdict is ConnectionVerdict.INVITED)
+                self._gate.admit(connection, is_invited=verdict is ConnectionVerdict.INVITED)
             return None
         route = self._pages.routes.get(request.path)
         return _make_response(HTTPStatus.NOT_FOUND) if route is None else _make_response(HTTPStatus.OK, *route)
@@ -169,9 +169,9 @@ class PreviewServer:
     # --- sockets -------------------------------------------------------------------------------------------------------
 
     async def _serve_client(self, connection: ServerConnection) -> None:
-        if not self._door.is_in(connection) and await self._is_returning(connection):
-            self._door.let_in(connection, invited=True)
-        if not self._door.is_in(connection):
+        if not self._gate.is_admitted(connection) and await self._is_returning(connection):
+            self._gate.admit(connection, is_invited=True)
+        if not self._gate.is_admitted(connection):
             # only a page can read why: a browser tells it nothing of an answer that is no socket
             await _close_connection(connection, CloseCode.POLICY_VIOLATION, "wrong token")
             return
@@ -179,10 +179,10 @@ class PreviewServer:
             await _close_connection(connection, CloseCode.TRY_AGAIN_LATER, "too many pages are open")
             return
         hello = {"build": self._pages.build}
-        if self._door.is_invited(connection):
+        if self._gate.is_invited(connection):
             hello["token"] = self._guard.token
-        if self._guard.returning is not None:
-            hello["key"] = self._guard.returning.key
+        if self._guard.returning_pages is not None:
+            hello["key"] = self._guard.returning_pages.key
         mailbox = ClientMailbox(asyncio.get_running_loop(), hello, lambda: self._drop_slow_client(connection))
         self._clients.add(connection)
         self._live.join(mailbox)
@@ -199,7 +199,7 @@ class PreviewServer:
 
     async def _is_returning(self, connection: ServerConnection) -> bool:
         """Return whether a page with a wrong token proves that it was admitted before the server restarted."""
-        returning = self._guard.returning
+        returning = self._guard.returning_pages
         if returning is None or not returning.previous_keys or connection.request is None:
             return False
         nonce = secrets.token_urlsafe(32)
@@ -219,42 +219,42 @@ class PreviewServer:
                 if not isinstance(message, str):
                     await _close_connection(connection, CloseCode.UNSUPPORTED_DATA, "only text is accepted")
                     return
-                if bucket.take():
+                if bucket.take_token():
                     self._forward_request(message, mailbox)
-                elif not patience.take():
+                elif not patience.take_token():
                     await _close_connection(connection, CloseCode.TRY_AGAIN_LATER, "too many requests")
                     return
-                elif tell.take():
+                elif tell.take_token():
                     mailbox.tell(
-                        RefusedRequest("", "this page sends too many requests at once: the last one was ignored").message_out()
+                        RefusedRequest("", "this page sends too many requests at once: the last one was ignored").make_message()
                     )
 
     def _forward_request(self, message: str, mailbox: ClientMailbox) -> None:
         request = read_request(message)
         if isinstance(request, RefusedRequest):
-            mailbox.tell(request.message_out())
+            mailbox.tell(request.make_message())
             return
         try:
             self._live.ask(request, mailbox)
         except QueueFull:
-            mailbox.tell(RefusedRequest(request.op, "too many requests are waiting", "try again in a moment").message_out())
+            mailbox.tell(RefusedRequest(request.op, "too many requests are waiting", "try again in a moment").make_message())
         except Exception:
             traceback.print_exc(file=sys.stderr)
-            mailbox.tell(RefusedRequest(request.op, "this is a bug in antdsl: see the terminal for details").message_out())
+            mailbox.tell(RefusedRequest(request.op, "this is a bug in antdsl: see the terminal for details").make_message())
 
     def _drop_slow_client(self, connection: ServerConnection) -> None:
         closing = asyncio.create_task(
             _close_connection(connection, CloseCode.TRY_AGAIN_LATER, "too many messages wait for this page")
         )
-        self._closing.add(closing)
-        closing.add_done_callback(self._closing.discard)
+        self._closing_tasks.add(closing)
+        closing.add_done_callback(self._closing_tasks.discard)
 
 
 async def _send_messages(connection: ServerConnection, mailbox: ClientMailbox) -> None:
     """Send the waiting messages one by one. The next is chosen only after the last was sent, so a slow client gets the latest."""
     try:
         while True:
-            item = await mailbox.next()
+            item = await mailbox.receive()
             async with asyncio.timeout(_SEND_TIMEOUT_SECONDS):
                 await connection.send(item)
     except ConnectionClosed:
@@ -263,11 +263,11 @@ async def _send_messages(connection: ServerConnection, mailbox: ClientMailbox) -
         connection.transport.abort()
 
 
-async def _close_connection(connection: ServerConnection, code: CloseCode, why: str) -> None:
+async def _close_connection(connection: ServerConnection, code: CloseCode, reason: str) -> None:
     """Close a connection with a code and a reason. Stop waiting if the client does not respond in time."""
     with suppress(TimeoutError):
         async with asyncio.timeout(_CLOSE_TIMEOUT_SECONDS):
-            await connection.close(code, why)
+            await connection.close(code, reason)
     connection.transport.abort()
 
 
@@ -289,16 +289,16 @@ def _add_headers(connection: ServerConnection, request: Request, response: Respo
         response.headers[name] = value
 
 
-def run_server(server: PreviewServer, ready: Callable[[], None]) -> None:
-    """Serve until Ctrl-C or a termination signal. `ready` is called once pages can be loaded."""
-    asyncio.run(_serve_until_stopped(server, ready))
+def run_server(server: PreviewServer, on_ready: Callable[[], None]) -> None:
+    """Serve until Ctrl-C or a termination signal. `on_ready` is called once pages can be loaded."""
+    asyncio.run(_serve_until_stopped(server, on_ready))
 
 
-async def _serve_until_stopped(server: PreviewServer, ready: Callable[[], None]) -> None:
+async def _serve_until_stopped(server: PreviewServer, on_ready: Callable[[], None]) -> None:
     stop = asyncio.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         with suppress(NotImplementedError):  # on Windows Ctrl-C is an exception, and cancels this
             asyncio.get_running_loop().add_signal_handler(number, stop.set)
-    async with server.running():
-        ready()
+    async with server.run():
+        on_ready()
         await stop.wait()

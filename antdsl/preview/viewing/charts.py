@@ -11,40 +11,40 @@ from antdsl.program.model import Program
 
 
 class ChartMessages:
-    """The charts of a program. `need`: the package to install if charts cannot be laid out."""
+    """The charts of a program. `missing_package`: the package to install if charts cannot be laid out."""
 
     def __init__(self) -> None:
-        self.need = ""
-        self._laid: dict[Chart, PlacedChart] = {}
+        self.missing_package = ""
+        self._layout_by_chart: dict[Chart, PlacedChart] = {}
 
     def is_laid_out(self, program: Program) -> bool:
         """Return whether the existing layouts cover the charts of a program."""
-        return all(_without_positions(chart) in self._laid for chart in graphs.charts(program))
+        return all(_remove_positions(chart) in self._layout_by_chart for chart in graphs.charts(program))
 
     def of(self, program: Program) -> list[dict[str, Any]]:
         """Return one message per state machine of a program. Layouts that do not exist yet are computed."""
         machines = [(name, m.name) for name, species in program.species.items() for m in species.machines if m.states]
         charts = graphs.charts(program)
-        missing = [plain for chart in charts if (plain := _without_positions(chart)) not in self._laid]
+        missing = [plain for chart in charts if (plain := _remove_positions(chart)) not in self._layout_by_chart]
         placed, report = graphs.lay_out(list(dict.fromkeys(missing)))
         if not report.ok:
-            self.need = f"{report.errors[0].message}: {report.errors[0].help}"
+            self.missing_package = f"{report.errors[0].message}: {report.errors[0].help}"
             return []
-        self._laid |= {each.chart: each for each in placed}
-        self._laid = {plain: self._laid[plain] for plain in map(_without_positions, charts)}
+        self._layout_by_chart |= {each.chart: each for each in placed}
+        self._layout_by_chart = {plain: self._layout_by_chart[plain] for plain in map(_remove_positions, charts)}
         return [
-            _chart_message(species, machine, chart, self._laid[_without_positions(chart)])
+            _make_chart_message(species, machine, chart, self._layout_by_chart[_remove_positions(chart)])
             for (species, machine), chart in zip(machines, charts, strict=True)
         ]
 
 
-def _without_positions(chart: Chart) -> Chart:
+def _remove_positions(chart: Chart) -> Chart:
     """Return a chart without its positions in the file, as the input of a layout."""
     boxes = tuple(replace(box, details="", colour=(0.0, 0.0, 0.0)) for box in chart.boxes)
     return replace(chart, boxes=boxes, arrows=tuple(replace(arrow, details="") for arrow in chart.arrows))
 
 
-def _chart_message(species: str, machine: str, chart: Chart, placed: PlacedChart) -> dict[str, Any]:
+def _make_chart_message(species: str, machine: str, chart: Chart, placed: PlacedChart) -> dict[str, Any]:
     boxes = [
         {
             "key": box.key, "kind": box.kind, "name": box.name, "label": box.label, "colour": list(box.colour),

@@ -17,64 +17,64 @@ class SentCurves:
 
     def __init__(self) -> None:
         self._timeline: Timeline | None = None
-        self._upto: int | None = None
-        self._had = 0  # the last frame that was sent, again or not
-        self._branches: list[TimelineBranch] = []
+        self._last_sent_frame: int | None = None
+        self._highest_sent_frame = 0  # the last frame that was sent, again or not
+        self._sent_branches: list[TimelineBranch] = []
 
-    def forget_from(self, frame: int) -> None:
+    def mark_unsent_from(self, frame: int) -> None:
         """Note that a frame and all later frames must be sent again, because they are measured again."""
-        if self._upto is not None and self._upto >= frame:
-            self._upto = frame - 1
+        if self._last_sent_frame is not None and self._last_sent_frame >= frame:
+            self._last_sent_frame = frame - 1
 
-    def new_values(self, timeline: Timeline) -> dict[str, Any] | None:
+    def take_new_values(self, timeline: Timeline) -> dict[str, Any] | None:
         """Return the values that pages have not received yet, or None if there are none."""
-        if timeline is not self._timeline or timeline.branches != self._branches or self._upto is None:
-            return self.full_history(timeline)
+        if timeline is not self._timeline or timeline.branches != self._sent_branches or self._last_sent_frame is None:
+            return self.take_full_history(timeline)
         fresh = []
         for frame in reversed(timeline.curves):
-            if frame <= self._upto:
+            if frame <= self._last_sent_frame:
                 break
             fresh.append(frame)
         if not fresh:
             return None
-        again = fresh[-1] <= self._had
-        self._upto = self._had = max(fresh)
-        return _curves_message(again, {frame: timeline.curves[frame] for frame in reversed(fresh)}, None)
+        again = fresh[-1] <= self._highest_sent_frame
+        self._last_sent_frame = self._highest_sent_frame = max(fresh)
+        return _make_curves_message(again, {frame: timeline.curves[frame] for frame in reversed(fresh)}, None)
 
-    def full_history(self, timeline: Timeline) -> dict[str, Any]:
+    def take_full_history(self, timeline: Timeline) -> dict[str, Any]:
         """Return the complete history with its branches, and mark it as sent."""
-        self._timeline, self._branches = timeline, list(timeline.branches)
-        self._upto = self._had = timeline.last_frame
+        self._timeline, self._sent_branches = timeline, list(timeline.branches)
+        self._last_sent_frame = self._highest_sent_frame = timeline.last_frame
         branches = [
-            {"first": branch.first, "line": branch.line, **_curve_columns(thin_curves(branch.curves, _MAX_BRANCH_POINTS))}
+            {"first": branch.first, "line": branch.line, **_make_curve_columns(thin_curves(branch.curves, _MAX_BRANCH_POINTS))}
             for branch in timeline.branches
         ]
-        return _curves_message(True, thin_curves(timeline.curves, _MAX_HISTORY_POINTS), branches)
+        return _make_curves_message(True, thin_curves(timeline.curves, _MAX_HISTORY_POINTS), branches)
 
 
-def _curves_message(
+def _make_curves_message(
     reset: bool, curves: Mapping[int, Mapping[str, float]], branches: list[dict[str, Any]] | None
 ) -> dict[str, Any]:
-    return {"op": "curves", "reset": reset, **_curve_columns(curves), "branches": branches}
+    return {"op": "curves", "reset": reset, **_make_curve_columns(curves), "branches": branches}
 
 
-def _curve_columns(curves: Mapping[int, Mapping[str, float]]) -> dict[str, Any]:
+def _make_curve_columns(curves: Mapping[int, Mapping[str, float]]) -> dict[str, Any]:
     """Return one list per name, with null for frames without a value."""
     names = dict.fromkeys(name for values in curves.values() for name in values)
     return {
         "frames": list(curves),
-        "values": {name: [_finite_or_none(values.get(name)) for values in curves.values()] for name in names},
+        "values": {name: [_drop_nonfinite(values.get(name)) for values in curves.values()] for name in names},
     }
 
 
-def _finite_or_none(value: float | None) -> float | None:
+def _drop_nonfinite(value: float | None) -> float | None:
     return None if value is None or not math.isfinite(value) else round(value, 6)
 
 
-def thin_curves(curves: Mapping[int, Mapping[str, float]], most: int) -> Mapping[int, Mapping[str, float]]:
-    """Return at most `most` of the curves' frames, evenly spaced, including the last."""
-    if len(curves) <= most:
+def thin_curves(curves: Mapping[int, Mapping[str, float]], max_frames: int) -> Mapping[int, Mapping[str, float]]:
+    """Return at most `max_frames` of the curves' frames, evenly spaced, including the last."""
+    if len(curves) <= max_frames:
         return curves
     frames = list(curves)
-    step = -(-len(frames) // most)
+    step = -(-len(frames) // max_frames)
     return {frame: curves[frame] for frame in sorted({*frames[::step], frames[-1]})}

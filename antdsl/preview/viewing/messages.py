@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 from antdsl import __version__
 from antdsl.diagnostics import Report
-from antdsl.diagnostics.render import visible_diagnostics
+from antdsl.diagnostics.render import choose_visible_diagnostics
 from antdsl.preview.session import Outcome
-from antdsl.preview.viewing.names import is_library, open_text
+from antdsl.preview.viewing.file_names import is_library_file, read_file_text
 
 if TYPE_CHECKING:
     from antdsl.preview.live import Live
@@ -18,40 +18,40 @@ if TYPE_CHECKING:
 JsonMessage = dict[str, Any]
 
 
-def hello(live: Live) -> JsonMessage:
-    """Return the `hello` message. `build` is empty here: the server fills it in."""
-    return {"op": "hello", "version": __version__, "build": "", "scene": scene_file_name(live)}
+def make_hello(live: Live) -> JsonMessage:
+    """Return the `make_hello` message. `build` is empty here: the server fills it in."""
+    return {"op": "hello", "version": __version__, "build": "", "scene": find_scene_name(live)}
 
 
-def scene_file_name(live: Live) -> str:
+def find_scene_name(live: Live) -> str:
     """Return the page's name of the scene file."""
     return live.screen.names.of(live.compiler.scene)
 
 
-def texts(live: Live) -> JsonMessage:
+def make_texts_message(live: Live) -> JsonMessage:
     """Return the message with all programs and scenes, as they are on the disk."""
     entries, known_paths = [], set()
     for each in live.compiler.files():
         path = Path(os.path.realpath(each))
         if path in known_paths or path.suffix not in (".ant", ".yaml", ".yml"):
             continue
-        if (text := open_text(each, live.compiler.open_file)) is not None:
+        if (text := read_file_text(each, live.compiler.open_file)) is not None:
             known_paths.add(path)
-            kind = "library" if is_library(path) else "ant" if path.suffix == ".ant" else "yaml"
+            kind = "library" if is_library_file(path) else "ant" if path.suffix == ".ant" else "yaml"
             entries.append({"file": live.screen.names.of(path), "text": text, "kind": kind})
     return {"op": "texts", "texts": entries}
 
 
-def problems(live: Live) -> JsonMessage:
+def make_problems_message(live: Live) -> JsonMessage:
     """Return the errors and warnings of the files from the last attempt to open them."""
-    return {"op": "problems", "problems": _problems(live, live.report)}
+    return {"op": "problems", "problems": _make_problem_messages(live, live.report)}
 
 
-def _problems(live: Live, report: Report) -> list[JsonMessage]:
+def _make_problem_messages(live: Live, report: Report) -> list[JsonMessage]:
     """Return the messages of as many findings as the limit allows, and one about the number of further findings."""
-    selected = visible_diagnostics(report)
+    selected = choose_visible_diagnostics(report)
     entries, omitted_count = (
-        [live.screen.names.problem_message(each) for each in selected],
+        [live.screen.names.make_problem_message(each) for each in selected],
         len(report.diagnostics) - len(selected),
     )
     if omitted_count:
@@ -61,19 +61,20 @@ def _problems(live: Live, report: Report) -> list[JsonMessage]:
     return entries
 
 
-def outcome(live: Live, of: str, result: Outcome, file: str = "") -> JsonMessage:
-    """Return the message with the result of an edit. `of`: the op of the request; `file`: the file to write the text into."""
-    entries = _problems(live, result.report)
+def make_outcome_message(live: Live, operation: str, result: Outcome, file: str = "") -> JsonMessage:
+    """Return the message with the result of an edit. `operation`: the op of the request; `file`: the file to write the text
+    into."""
+    entries = _make_problem_messages(live, result.report)
     details = {"did": result.did, "line": result.line, "text": result.text, "file": file}
-    return {"op": "outcome", "of": of, "ok": result.ok, **details, "problems": entries}
+    return {"op": "outcome", "of": operation, "ok": result.ok, **details, "problems": entries}
 
 
-def stops(live: Live) -> JsonMessage:
+def make_stops_message(live: Live) -> JsonMessage:
     """Return the message with the frames at which play was stopped, and the reasons."""
-    return {"op": "stops", "stops": [{"frame": frame, "line": why} for frame, why in live.session.timeline.stops.items()]}
+    return {"op": "stops", "stops": [{"frame": frame, "line": why} for frame, why in live.session.timeline.stop_reasons.items()]}
 
 
-def status(live: Live, rate: float, hash: str | None) -> JsonMessage:
+def make_status_message(live: Live, rate: float, hash: str | None) -> JsonMessage:
     """Return the state of the session. Its values are empty while the scene has errors."""
     fields: JsonMessage = {
         "op": "status", "frame": 0, "first": 0, "head": 0, "playing": False, "speed": live.speed, "rate": round(rate, 1),
@@ -82,11 +83,12 @@ def status(live: Live, rate: float, hash: str | None) -> JsonMessage:
     }  # fmt: skip
     if not live.is_open:
         return fields
-    session, why = live.session, live.stop_at
+    session, why = live.session, live.pause_reason
     fields |= {
-        "frame": session.frame if live.light is None else live.light, "first": session.first, "head": session.last_frame,
-        "playing": session.playing, "edited": session.edited, "fault": session.fault, "agents": len(session.world),
-        "transitions": dict(session.world.transitions), "light": live.light is not None,
+        "frame": session.frame if live.displayed_frame is None else live.displayed_frame, "first": session.first,
+        "head": session.last_frame,
+        "playing": session.playing, "edited": session.edited, "fault": session.fault_text, "agents": len(session.world),
+        "transitions": dict(session.world.transitions), "light": live.displayed_frame is not None,
     }  # fmt: skip
     if why is not None:
         fields["paused_by"] = why.line

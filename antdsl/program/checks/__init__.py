@@ -5,20 +5,20 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from antdsl.diagnostics import Report
-from antdsl.program.checks.analysis.checked import CheckContext
+from antdsl.program.checks.analysis.check_context import CheckContext
+from antdsl.program.checks.attribute_writers import check_writers
 from antdsl.program.checks.draws import check_draws
 from antdsl.program.checks.flicker import check_flicker
 from antdsl.program.checks.layers import check_idle_layers, check_layering
 from antdsl.program.checks.per_frame import check_per_frame
 from antdsl.program.checks.steps import check_step_units
-from antdsl.program.checks.transitions import check_firing, check_reachability, check_shadowed
-from antdsl.program.checks.usage import check_empty, check_events, check_unused, check_unused_memory
+from antdsl.program.checks.transitions import check_constant_conditions, check_reachability, check_shadowed_transitions
+from antdsl.program.checks.usage import check_empty_program, check_events, check_unused_memory, check_unused_names
 from antdsl.program.checks.wide_radius import check_wide_radius
-from antdsl.program.checks.writers import check_writers
 
 Check = Callable[[CheckContext, Report], None]
 CHECKS: tuple[Check, ...] = (
-    check_empty,  # a program that declares nothing that acts
+    check_empty_program,  # a program that declares nothing that acts
     check_writers,  # two machines that set one attribute
     check_layering,  # a missing layer `state`
     check_step_units,  # for `--strict`: uses of the unit `step`
@@ -26,12 +26,12 @@ CHECKS: tuple[Check, ...] = (
 
 # Checks for programs without errors only. They report unused or ineffective code, and after an error such code may be what the
 # author meant to use.
-OF_SOUND: tuple[Check, ...] = (
+ERROR_FREE_CHECKS: tuple[Check, ...] = (
     check_reachability,  # states that no transition enters or leaves
-    check_shadowed,  # transitions that an earlier one always precedes
+    check_shadowed_transitions,  # transitions that an earlier one always precedes
     check_events,  # events that are emitted but never handled, or the reverse
-    check_unused,  # declarations that are never used
-    check_firing,  # conditions that never or always hold
+    check_unused_names,  # declarations that are never used
+    check_constant_conditions,  # conditions that never or always hold
     check_flicker,  # two states that lead to each other for the same values
     check_draws,  # random draws in conditions
     check_per_frame,  # changes that depend on the frame rate
@@ -41,12 +41,12 @@ OF_SOUND: tuple[Check, ...] = (
 )
 
 # Checks that examine each species separately: only its own parts and the params.
-OF_EACH = frozenset(
+PER_SPECIES_CHECKS = frozenset(
     (
-        check_shadowed,
+        check_shadowed_transitions,
         check_writers,
         check_layering,
-        check_firing,
+        check_constant_conditions,
         check_flicker,
         check_draws,
         check_per_frame,
@@ -55,6 +55,6 @@ OF_EACH = frozenset(
     )
 )
 # Of these, the checks that examine each state separately, and the layers.
-OF_STATES = frozenset((check_firing, check_draws, check_per_frame))
+PER_STATE_CHECKS = frozenset((check_constant_conditions, check_draws, check_per_frame))
 
-__all__ = ["CHECKS", "OF_EACH", "OF_SOUND", "OF_STATES", "Check", "CheckContext"]
+__all__ = ["CHECKS", "ERROR_FREE_CHECKS", "PER_SPECIES_CHECKS", "PER_STATE_CHECKS", "Check", "CheckContext"]

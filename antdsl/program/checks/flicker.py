@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from antdsl.diagnostics import Label, Report
-from antdsl.program.checks.analysis.checked import CheckContext
+from antdsl.program.checks.analysis.check_context import CheckContext
 from antdsl.program.checks.analysis.conditions import UNREADABLE_CONDITION_ERRORS, ConditionReader
 from antdsl.program.model import Assign, AttributeRef, Expr, Machine, State, Transition
-from antdsl.program.traverse import parts
+from antdsl.program.traverse import iterate_parts
 from antdsl.program.types.descriptions import quote_source
 
 
@@ -17,11 +17,11 @@ def check_flicker(checked: CheckContext, report: Report) -> None:
     reader = ConditionReader(checked.program.params)
     for species in checked.program.species.values():
         for machine in species.machines:
-            for forward, back in _opposite_changes(machine):
+            for forward, back in _iterate_opposite_changes(machine):
                 _check_pair(reader, machine, forward, back, report)
 
 
-def _opposite_changes(machine: Machine) -> Iterator[tuple[tuple[State, Transition], tuple[State, Transition]]]:
+def _iterate_opposite_changes(machine: Machine) -> Iterator[tuple[tuple[State, Transition], tuple[State, Transition]]]:
     """Yield all pairs of opposite transitions: one from a state to a later state, and one from the later state back."""
     for state in machine.states:
         for change in state.transitions:
@@ -33,14 +33,18 @@ def _opposite_changes(machine: Machine) -> Iterator[tuple[tuple[State, Transitio
 
 
 def _check_pair(
-    reader: ConditionReader, machine: Machine, forward: tuple[State, Transition], back: tuple[State, Transition], report: Report
+    reader: ConditionReader,
+    machine: Machine,
+    forward: tuple[State, Transition],
+    backward: tuple[State, Transition],
+    report: Report,
 ) -> None:
-    (state, change), (other, returning) = forward, back
-    if _has_wait(*forward) or _has_wait(*back) or change.condition is None or returning.condition is None:
+    (state, change), (other, returning) = forward, backward
+    if _has_wait(*forward) or _has_wait(*backward) or change.condition is None or returning.condition is None:
         return
-    if _changes_test(machine, forward, returning.condition) or _changes_test(machine, back, change.condition):
+    if _affects_test(machine, forward, returning.condition) or _affects_test(machine, backward, change.condition):
         return
-    if _is_overlapping(reader, change.condition, returning.condition):
+    if _can_both_hold(reader, change.condition, returning.condition):
         report.warning(
             "flicker",
             f"{quote_source(change.condition.span)} and {quote_source(returning.condition.span)} can hold at once: "
@@ -52,29 +56,29 @@ def _check_pair(
 
 
 def _has_wait(state: State, change: Transition) -> bool:
-    return change.delay is not None or change.held is not None or change.take is not None or state.at_least is not None
+    return change.delay is not None or change.hold_time is not None or change.take is not None or state.at_least is not None
 
 
-def _is_overlapping(reader: ConditionReader, one: Expr, other: Expr) -> bool:
+def _can_both_hold(reader: ConditionReader, first: Expr, second: Expr) -> bool:
     """Return whether both conditions compare the same value with constants, and at least one value satisfies both."""
     try:
-        cases = [reader.cases(one), reader.cases(other)]
+        cases = [reader.read_cases(first), reader.read_cases(second)]
     except UNREADABLE_CONDITION_ERRORS:
         return False
-    subjects = {key for each in cases for case in each for key in case.numbers}
-    if len(subjects) != 1 or any(case.tests for each in cases for case in each):
+    subjects = {key for each in cases for case in each for key in case.intervals}
+    if len(subjects) != 1 or any(case.truth_by_test for each in cases for case in each):
         return False
     return any(a.intersect(b) is not None for a in cases[0] for b in cases[1])
 
 
-def _changes_test(machine: Machine, edge: tuple[State, Transition], test: Expr) -> bool:
+def _affects_test(machine: Machine, transition: tuple[State, Transition], test: Expr) -> bool:
     """Return whether a transition sets a value that the condition `test` of the opposite transition reads, or restarts its
     clock."""
-    state, change = edge
+    state, change = transition
     assert change.target is not None
     blocks = (state.exit, change.actions, machine.states[change.target].enter)
     written = {line.attribute for block in blocks for line in block if isinstance(line, Assign)}
     # gives change what they give, for any test
     others = any(not isinstance(line, Assign) for block in blocks for line in block)
-    read = {part.name for part in parts(test) if isinstance(part, AttributeRef)}
+    read = {part.name for part in iterate_parts(test) if isinstance(part, AttributeRef)}
     return others or bool(written & read) or any(name.endswith(".time_in_state") for name in read)

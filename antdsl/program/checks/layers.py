@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 
 from antdsl.diagnostics import Label, Report
-from antdsl.program.checks.analysis.checked import CheckContext
+from antdsl.program.checks.analysis.check_context import CheckContext
 from antdsl.program.checks.analysis.conditions import ConditionReader, is_always, is_never
 from antdsl.program.model import (
     AttributeRef,
@@ -22,7 +22,7 @@ from antdsl.program.model import (
     Steer,
 )
 from antdsl.program.types.descriptions import quote_source
-from antdsl.program.types.folding import constant_behind
+from antdsl.program.types.folding import find_constant
 
 
 def check_layering(checked: CheckContext, report: Report) -> None:
@@ -57,7 +57,7 @@ def _check_priorities(reader: ConditionReader, species: Species, report: Report)
     if enough is None:
         return
     for place, layer in enumerate(lines[:-1]):
-        if is_always(reader, layer.condition) and _min_layer_strength(species, layer) >= enough:
+        if is_always(reader, layer.condition) and _compute_min_layer_strength(species, layer) >= enough:
             for below in lines[place + 1 :]:
                 report.warning(
                     "idle-layer", f"no strength is ever left for {quote_source(below.span)}", below.span,
@@ -67,50 +67,50 @@ def _check_priorities(reader: ConditionReader, species: Species, report: Report)
             return
 
 
-def _min_layer_strength(species: Species, layer: Layer) -> float:
+def _compute_min_layer_strength(species: Species, layer: Layer) -> float:
     """Return the smallest possible length of a layer's push; 0 if nothing is known."""
     if layer.push is not None:
-        return strength(layer.push)
+        return compute_min_strength(layer.push)
     if len(species.machines) != 1:
         return 0.0  # pushes of several machines may cancel each other
     each = []
     for state in species.machines[0].states:
         pushes = [line.push for line in state.body if isinstance(line, Steer)]
-        each.append(strength(pushes[0]) if len(pushes) == 1 else 0.0)
+        each.append(compute_min_strength(pushes[0]) if len(pushes) == 1 else 0.0)
     return min(each, default=0.0)
 
 
-def strength(push: Expr) -> float:
+def compute_min_strength(push: Expr) -> float:
     """Return the smallest possible length of a push; 0 if nothing is known."""
     if isinstance(push, BindingRef) and push.binding.role in ("let", "argument") and push.binding.value is not None:
-        return strength(push.binding.value)
+        return compute_min_strength(push.binding.value)
     if isinstance(push, InlinedBehaviour):
-        return strength(push.result)
+        return compute_min_strength(push.result)
     if isinstance(push, AttributeRef):
         return 1.0 if push.of is None and push.name in ("heading", "up") else 0.0
     if not isinstance(push, OperationExpr):
         return 0.0
     if push.name == "neg" and push.args[0] is not None:
-        return strength(push.args[0])
+        return compute_min_strength(push.args[0])
     if push.name == "if" and push.args[1] is not None and push.args[2] is not None:
-        return min(strength(push.args[1]), strength(push.args[2]))
+        return min(compute_min_strength(push.args[1]), compute_min_strength(push.args[2]))
     if push.name in ("mul", "div"):
-        return _min_scaled_length(push)
+        return _compute_min_scaled_length(push)
     if push.name == "vector":
-        numbers = [constant_behind(arg) if arg is not None else None for arg in push.args]
-        known = [c.number for c in numbers if c is not None and not (c.u or c.step)]
+        numbers = [find_constant(arg) if arg is not None else None for arg in push.args]
+        known = [c.number for c in numbers if c is not None and not (c.unit_power or c.step)]
         return math.hypot(*known)
     return 0.0
 
 
-def _min_scaled_length(push: OperationExpr) -> float:
+def _compute_min_scaled_length(push: OperationExpr) -> float:
     for vector, number in (push.args, push.args[::-1]):
         if vector is None or number is None:
             continue
-        factor = constant_behind(number)
-        if factor is not None and not (factor.u or factor.step) and factor.number:
+        factor = find_constant(number)
+        if factor is not None and not (factor.unit_power or factor.step) and factor.number:
             by = abs(factor.number)
-            return strength(vector) * (by if push.name == "mul" else 1 / by)
+            return compute_min_strength(vector) * (by if push.name == "mul" else 1 / by)
         if push.name == "div":
             break
     return 0.0

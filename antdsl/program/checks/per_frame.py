@@ -11,13 +11,20 @@ import math
 import re
 
 from antdsl.diagnostics import Fix, Label, Report
-from antdsl.program.checks.analysis.checked import CheckContext
-from antdsl.program.checks.analysis.short_steps import OwnValue, depends_on_step, find_changers, is_own, is_rate, reads
+from antdsl.program.checks.analysis.check_context import CheckContext
+from antdsl.program.checks.analysis.timestep_limits import (
+    OwnValue,
+    depends_on_step,
+    find_changers,
+    is_own_value,
+    is_rate,
+    reads_own_value,
+)
 from antdsl.program.checks.steps import FILM_FPS
 from antdsl.program.model import Assign, Binding, Dimension, EffectRequest, Expr, Give, OperationExpr, State, TypeKind
-from antdsl.program.traverse import parts
+from antdsl.program.traverse import iterate_parts
 from antdsl.program.types.descriptions import quote_source
-from antdsl.program.types.folding import constant_behind
+from antdsl.program.types.folding import find_constant
 from antdsl.source import Span
 from antdsl.syntax.words import QUANTITY_PATTERN
 
@@ -32,7 +39,7 @@ def check_per_frame(checked: CheckContext, report: Report) -> None:
         for machine in species.machines:
             for state in machine.states:
                 _check_lines(state, report)
-        for part in parts((species.machines, species.layers)):
+        for part in iterate_parts((species.machines, species.layers)):
             if isinstance(part, Binding) and part.role == "keep" and part.then is not None:
                 _check_memory(part, part.then, report)
 
@@ -52,18 +59,18 @@ def _check_lines(state: State, report: Report) -> None:
 
 
 def _check_rate(
-    line: Assign | EffectRequest | Give, amount: Expr, own: str, per_second: bool, begins: str, report: Report
+    line: Assign | EffectRequest | Give, amount: Expr, attribute: str, per_second: bool, line_start: str, report: Report
 ) -> None:
     """Report an amount that a state adds, if it is not an amount per second. The language multiplies such amounts by `dt`."""
-    if not per_second or is_rate(amount, own):
+    if not per_second or is_rate(amount, attribute):
         return
     single_amount = (
         amount.args[0] if isinstance(amount, OperationExpr) and amount.name == "div" and _is_dt(amount.args[1]) else None
     )
     help, fix = "what a state adds is multiplied by `dt` already: write an amount per second, without `dt`", None
     if single_amount is not None and not depends_on_step(single_amount) and _is_inside(single_amount.span, line.span):
-        fix = Fix(amount.span, _per_second_text(_source_text(single_amount.span)))
-        help = f"write `{begins}{fix.text}`, which is as much at {FILM_FPS} frames a second"
+        fix = Fix(amount.span, _convert_to_per_second(_join_source_lines(single_amount.span)))
+        help = f"write `{line_start}{fix.text}`, which is as much at {FILM_FPS} frames a second"
     report.warning("per-frame", f"{quote_source(line.span)} {_PER_FRAME_REASON}", line.span, help, fix=fix)
 
 
@@ -71,25 +78,25 @@ def _is_dt(expr: Expr | None) -> bool:
     return expr is not None and expr.span.text == "dt" and depends_on_step(expr)
 
 
-def _check_assignment(line: Assign, driven: bool, report: Report) -> None:
-    """Report an assignment of which the effect depends on the frame rate. `driven`: another line of the state adds to the
-    attribute."""
+def _check_assignment(line: Assign, has_other_change: bool, report: Report) -> None:
+    """Report an assignment of which the effect depends on the frame rate. `has_other_change`: another line of the state adds to
+    the attribute."""
     name, value = line.attribute, line.value
-    makers = find_changers(value, name, driven)
+    makers = find_changers(value, name, has_other_change)
     if not makers:
         return
-    added = "" if depends_on_step(value) else _added_rate_text(value, name)
+    added = "" if depends_on_step(value) else _format_added_rate(value, name)
     fix, display_text, addition = None, "", ""
     if added:
         fix, display_text = Fix(line.span, f"{name} {added}"), f"{name} {added}"
-    elif len(makers) == 1 and _is_inside(makers[0].span, line.span) and (text := _rate_free_text(makers[0], name)):
+    elif len(makers) == 1 and _is_inside(makers[0].span, line.span) and (text := _format_rate_free(makers[0], name)):
         fix, display_text = Fix(makers[0].span, text), f"{name} = {_replace_part(value.span, makers[0].span, text)}"
         decay = _DECAY_PATTERN.fullmatch(text) if makers[0] is value else None
         addition = f", or `relax to 0 over {decay[1]}` where it is declared" if decay else ""
     if display_text:
         help = f"write `{display_text}`, which is as much at {FILM_FPS} frames a second{addition}"
     elif value.type.kind is TypeKind.BOOL:
-        help = f"do it once: in `enter {{ }}`, or in a change: `when after 1 s -> … {{ {_source_text(line.span)} }}`"
+        help = f"do it once: in `enter {{ }}`, or in a change: `when after 1 s -> … {{ {_join_source_lines(line.span)} }}`"
     elif any(_is_vanishing(each, name) for each in makers):
         help = f"to keep a share per second, write `{name} = {name} * exp(-dt / 1 s)`; to add an amount, write `{name} += … /s`"
     else:
@@ -102,59 +109,61 @@ def _check_memory(keep: Binding, then: Expr, report: Report) -> None:
     makers = find_changers(then, keep)
     if not makers:
         return
-    text = _rate_free_text(makers[0], keep) if len(makers) == 1 and _is_inside(makers[0].span, then.span) else ""
+    text = _format_rate_free(makers[0], keep) if len(makers) == 1 and _is_inside(makers[0].span, then.span) else ""
     help = "write an amount per second, times `dt`"
     if text:
         help = f"write `then {_replace_part(then.span, makers[0].span, text)}`, which is as much at {FILM_FPS} frames a second"
     fix = Fix(makers[0].span, text) if text else None
-    report.warning("per-frame", f"`then {_source_text(then.span)}` {_PER_FRAME_REASON}", then.span, help, fix=fix)
+    report.warning("per-frame", f"`then {_join_source_lines(then.span)}` {_PER_FRAME_REASON}", then.span, help, fix=fix)
 
 
 # --- what to write instead -------------------------------------------------------------------------------------------
 
 
-def _added_rate_text(value: Expr, own: str) -> str:
+def _format_added_rate(value: Expr, own: str) -> str:
     """Return a rewrite that adds a rate: `+= 24 /s` for `x + 1`, `+= (gain - 0.1) * 24 /s` for `x + gain - 0.1`. Empty for other
     forms."""
     if not isinstance(value, OperationExpr) or value.name not in ("add", "sub"):
         return ""
     left, right = value.args
     assert left is not None and right is not None
-    if value.name == "add" and is_own(right, own) and not reads(left, own):
-        return f"+= {_per_second_text(_source_text(left.span))}"
+    if value.name == "add" and is_own_value(right, own) and not reads_own_value(left, own):
+        return f"+= {_convert_to_per_second(_join_source_lines(left.span))}"
     spine = [value]  # left operands in turn: `x + a - b` is (x + a) - b
     while isinstance(inner := spine[-1].args[0], OperationExpr) and inner.name in ("add", "sub"):
         spine.append(inner)
     first, rest = spine[-1].args
-    if first is None or rest is None or not is_own(first, own) or not _is_inside(first.span, value.span):
+    if first is None or rest is None or not is_own_value(first, own) or not _is_inside(first.span, value.span):
         return ""
-    if any(op.args[1] is None or reads(op.args[1], own) for op in spine):
+    if any(op.args[1] is None or reads_own_value(op.args[1], own) for op in spine):
         return ""
     if len(spine) == 1:
-        return f"{'+=' if value.name == 'add' else '-='} {_per_second_text(_source_text(rest.span))}"
+        return f"{'+=' if value.name == 'add' else '-='} {_convert_to_per_second(_join_source_lines(rest.span))}"
     text = " ".join(value.span.source.text[rest.span.start : value.span.end].split())
-    return f"+= {_per_second_text(text)}" if spine[-1].name == "add" and text.count("(") == text.count(")") else ""
+    return f"+= {_convert_to_per_second(text)}" if spine[-1].name == "add" and text.count("(") == text.count(")") else ""
 
 
-def _rate_free_text(op: Expr, own: OwnValue) -> str:
+def _format_rate_free(op: Expr, own: OwnValue) -> str:
     """Return the text of an operation with the same effect per second at any step length. Empty if the source does not determine
     it."""
     if not isinstance(op, OperationExpr) or len(op.args) < 2 or op.args[0] is None or op.args[1] is None:
         return ""
     left, right = op.args[:2]
     assert left is not None and right is not None
-    if any(depends_on_step(each) for each in op.args if each is not None and not reads(each, own)):
+    if any(depends_on_step(each) for each in op.args if each is not None and not reads_own_value(each, own)):
         return ""
-    if op.name in ("add", "sub") and is_own(left, own) and not reads(right, own):
-        return f"{left.span.text} {'+' if op.name == 'add' else '-'} {_per_second_text(_source_text(right.span))} * dt"
-    if op.name == "add" and is_own(right, own) and not reads(left, own):
-        return f"{right.span.text} + {_per_second_text(_source_text(left.span))} * dt"
-    if op.name in ("mul", "div") and is_own(left, own):
-        return _decay(left, right, -1 if op.name == "div" else 1)
-    if op.name == "mul" and is_own(right, own):
-        return _decay(right, left, 1)
+    if op.name in ("add", "sub") and is_own_value(left, own) and not reads_own_value(right, own):
+        return (
+            f"{left.span.text} {'+' if op.name == 'add' else '-'} {_convert_to_per_second(_join_source_lines(right.span))} * dt"
+        )
+    if op.name == "add" and is_own_value(right, own) and not reads_own_value(left, own):
+        return f"{right.span.text} + {_convert_to_per_second(_join_source_lines(left.span))} * dt"
+    if op.name in ("mul", "div") and is_own_value(left, own):
+        return _format_decay(left, right, -1 if op.name == "div" else 1)
+    if op.name == "mul" and is_own_value(right, own):
+        return _format_decay(right, left, 1)
     if op.name == "mix" and op.args[2] is not None:
-        return _mix_text(op, own)
+        return _format_mix(op, own)
     return ""
 
 
@@ -163,44 +172,45 @@ def _is_vanishing(op: Expr, own: str) -> bool:
     return (
         isinstance(op, OperationExpr)
         and op.name == "mul"
-        and any(e is not None and depends_on_step(e) and not reads(e, own) for e in op.args)
+        and any(e is not None and depends_on_step(e) and not reads_own_value(e, own) for e in op.args)
     )
 
 
-def _decay(own: Expr, factor: Expr, power: int) -> str:
-    part = _share(factor, power)
+def _format_decay(own: Expr, factor: Expr, power: int) -> str:
+    part = _format_share(factor, power)
     return f"{own.span.text} * {part}" if part else ""
 
 
-def _mix_text(op: OperationExpr, own: OwnValue) -> str:
+def _format_mix(op: OperationExpr, own: OwnValue) -> str:
     """Return a rewrite of `mix(x, goal, 0.1)` that does not depend on the frame rate. The original covers a tenth of the distance
     per step. Empty if there is none."""
     a, z, share = op.args
     assert a is not None and z is not None and share is not None
-    known = constant_behind(share)
-    if known is None or not 0 < known.number < 1 or reads(share, own):
+    known = find_constant(share)
+    if known is None or not 0 < known.number < 1 or reads_own_value(share, own):
         return ""
-    if is_own(a, own) and not reads(z, own):
-        return f"mix({_source_text(a.span)}, {_source_text(z.span)}, 1 - {_exp(math.log1p(-known.number))})"
-    if not is_own(z, own) or reads(a, own):
+    if is_own_value(a, own) and not reads_own_value(z, own):
+        left_over = _format_exponential(math.log1p(-known.number))
+        return f"mix({_join_source_lines(a.span)}, {_join_source_lines(z.span)}, 1 - {left_over})"
+    if not is_own_value(z, own) or reads_own_value(a, own):
         return ""
-    return f"mix({_source_text(a.span)}, {_source_text(z.span)}, {_exp(math.log(known.number))})"
+    return f"mix({_join_source_lines(a.span)}, {_join_source_lines(z.span)}, {_format_exponential(math.log(known.number))})"
 
 
-def _share(factor: Expr, power: int) -> str:
+def _format_share(factor: Expr, power: int) -> str:
     """Return a text such as `exp(-dt / 0.4 s)`, which replaces a constant factor per step. Empty if the factor has no such
     form."""
-    known = constant_behind(factor)
-    if known is None or known.u or known.number <= 0 or known.number == 1 or known.type.dim != Dimension():
+    known = find_constant(factor)
+    if known is None or known.unit_power or known.number <= 0 or known.number == 1 or known.type.dimension != Dimension():
         return ""
-    return _exp(power * math.log(known.number))
+    return _format_exponential(power * math.log(known.number))
 
 
-def _exp(rate: float) -> str:
+def _format_exponential(rate: float) -> str:
     return f"exp({'-' if rate < 0 else ''}dt / {1 / abs(rate) / FILM_FPS:.3g} s)"
 
 
-def _per_second_text(text: str) -> str:
+def _convert_to_per_second(text: str) -> str:
     """Convert the text of an amount per step to an amount per second: `1` to `24 /s`, `2 mm` to `48 mm/s`, `gain` to `gain * 24
     /s`."""
     literal = QUANTITY_PATTERN.fullmatch(text)
@@ -209,7 +219,7 @@ def _per_second_text(text: str) -> str:
     return f"{text if _SIMPLE_TERM_PATTERN.fullmatch(text) else f'({text})'} * {FILM_FPS} /s"
 
 
-def _source_text(span: Span) -> str:
+def _join_source_lines(span: Span) -> str:
     return " ".join(span.text.split())
 
 

@@ -6,10 +6,10 @@ import math
 from collections.abc import Iterator, Sequence
 
 from antdsl.diagnostics import Fix, Report
-from antdsl.program.checks.analysis.checked import CheckContext
+from antdsl.program.checks.analysis.check_context import CheckContext
 from antdsl.program.names.scope import FileNames
-from antdsl.program.tables.units import measure
-from antdsl.program.traverse import written_nodes
+from antdsl.program.tables.units import find_unit_measure
+from antdsl.program.traverse import iterate_nodes
 from antdsl.program.types.descriptions import quote_source
 from antdsl.source import Span
 from antdsl.syntax import nodes
@@ -21,38 +21,38 @@ def check_step_units(checked: CheckContext, report: Report) -> None:
     """Report each quantity with the unit `step`, with a replacement if there is one."""
     if not checked.declared.strict:
         return
-    for file in _all_files(checked.files):
+    for file in _iterate_files(checked.files):
         around: dict[int, nodes.Setting | nodes.AnimalProperty] = {}
-        for part, _ in written_nodes(file.node.items):
+        for part, _ in iterate_nodes(file.node.items):
             if isinstance(part, nodes.Setting | nodes.AnimalProperty):
                 around[id(part.value)] = part
-            elif isinstance(part, nodes.Quantity) and (known := measure(part.unit)) is not None and known.step:
-                fix, help = _replacement(part, known.step, around.get(id(part)))
+            elif isinstance(part, nodes.Quantity) and (known := find_unit_measure(part.unit)) is not None and known.step:
+                fix, help = _make_replacement(part, known.step, around.get(id(part)))
                 message = f"{quote_source(part.span)} depends on the frames per second"
                 report.warning("per-step", message, part.span, help, fix=fix)
 
 
-def _all_files(files: Sequence[FileNames]) -> Iterator[FileNames]:
+def _iterate_files(files: Sequence[FileNames]) -> Iterator[FileNames]:
     """Yield the files of the program and the files that they use by path, each once."""
     stack, visited = list(files), set[int]()
     while stack:
         file = stack.pop()
-        if id(file) not in visited and not file.missing:
+        if id(file) not in visited and not file.is_missing:
             visited.add(id(file))
             stack += file.aliases.values()
             yield file
 
 
-def _replacement(
-    node: nodes.Quantity, power: float, around: nodes.Setting | nodes.AnimalProperty | None
+def _make_replacement(
+    node: nodes.Quantity, power: float, parent: nodes.Setting | nodes.AnimalProperty | None
 ) -> tuple[Fix | None, str]:
     """Return a fix for a quantity in steps, and the help text about it. The fix is None if there is no replacement."""
-    if isinstance(around, nodes.Setting) and around.name.text == "keeps":
+    if isinstance(parent, nodes.Setting) and parent.name.text == "keeps":
         share = node.value * (0.01 if "%" in node.unit else 1.0)
         if not 0 < share < 1:
             return None, "state how fast it fades: `half_life 8 s`"
-        return _describe_fix(around.span, f"half_life {-math.log(2) / math.log(share) / FILM_FPS:.3g} s", "fades as fast")
-    if isinstance(around, nodes.AnimalProperty) and around.name.text == "response" and node.value <= 1:
+        return _describe_fix(parent.span, f"half_life {-math.log(2) / math.log(share) / FILM_FPS:.3g} s", "fades as fast")
+    if isinstance(parent, nodes.AnimalProperty) and parent.name.text == "response" and node.value <= 1:
         return Fix(node.span, "0.001 s"), "write `response 0.001 s`, which is immediate at any frame rate"
     if node.unit == "step":
         return _describe_fix(node.span, f"{node.value / FILM_FPS:.3g} s", "is as long")
@@ -62,5 +62,5 @@ def _replacement(
     return None, "say it in seconds"
 
 
-def _describe_fix(span: Span, text: str, words: str) -> tuple[Fix, str]:
-    return Fix(span, text), f"write `{text}`, which {words} at {FILM_FPS} frames a second"
+def _describe_fix(span: Span, text: str, description: str) -> tuple[Fix, str]:
+    return Fix(span, text), f"write `{text}`, which {description} at {FILM_FPS} frames a second"

@@ -6,12 +6,12 @@ constants only."""
 from __future__ import annotations
 
 from antdsl.diagnostics import Label, Report
-from antdsl.program.checks.analysis.checked import CheckContext
+from antdsl.program.checks.analysis.check_context import CheckContext
 from antdsl.program.checks.analysis.conditions import ConditionReader, implies, is_always, is_never
 from antdsl.program.model import ClipTest, Constant, EffectRequest, Expr, Machine, OperationExpr, Play, Species, State, Transition
 from antdsl.program.tables.effects import EFFECT_BY_OPERATION
 from antdsl.program.types.descriptions import quote_source
-from antdsl.program.types.folding import constant_behind
+from antdsl.program.types.folding import find_constant
 from antdsl.source import Span
 
 
@@ -19,7 +19,7 @@ def check_reachability(checked: CheckContext, report: Report) -> None:
     """Report states that cannot be reached, and states that cannot be left."""
     for species in checked.program.species.values():
         for machine in species.machines:
-            reached = _reachable_states(machine)
+            reached = _find_reachable_states(machine)
             for state in machine.states:
                 if state.index not in reached:
                     _report_unreachable(machine, state, report)
@@ -28,7 +28,7 @@ def check_reachability(checked: CheckContext, report: Report) -> None:
                     report.warning("trap", f"nothing leads out of state `{state.name}`", state.span, advice)
 
 
-def _reachable_states(machine: Machine) -> set[int]:
+def _find_reachable_states(machine: Machine) -> set[int]:
     """Return the states that are reachable from the start state. `previous` leads only to states that were active before."""
     reached: set[int] = set()
     stack = [machine.start]
@@ -53,7 +53,7 @@ def _is_stuck(state: State) -> bool:
     return not state.transitions and not leaves
 
 
-def check_shadowed(checked: CheckContext, report: Report) -> None:
+def check_shadowed_transitions(checked: CheckContext, report: Report) -> None:
     """Report transitions that never happen because an earlier one of the state always happens first."""
     reader = ConditionReader(checked.program.params)
     for species in checked.program.species.values():
@@ -62,7 +62,7 @@ def check_shadowed(checked: CheckContext, report: Report) -> None:
             changes: dict[Span, Transition] = {}
             for state in machine.states:
                 for place, change in enumerate(state.transitions):
-                    first = next((each for each in state.transitions[:place] if _is_hiding(reader, each, change)), None)
+                    first = next((each for each in state.transitions[:place] if _is_shadowing(reader, each, change)), None)
                     above.setdefault(change.span, []).append(first)
                     changes[change.span] = change
             for span, earlier_changes in above.items():
@@ -71,31 +71,35 @@ def check_shadowed(checked: CheckContext, report: Report) -> None:
 
 
 def _report_shadowed(reader: ConditionReader, change: Transition, first: Transition, report: Report) -> None:
-    certain = first.delay is None and first.held is None and is_always(reader, first.condition)
+    certain = first.delay is None and first.hold_time is None and is_always(reader, first.condition)
     label = "this one always happens" if certain else "this one happens whenever the other could"
     advice = f"move it above the one that {'always happens' if certain else 'comes first'}"
     report.warning("shadowed-change", "this change is never looked at", change.span, advice, labels=(Label(first.span, label),))
 
 
-def _is_hiding(reader: ConditionReader, first: Transition, change: Transition) -> bool:
+def _is_shadowing(reader: ConditionReader, first: Transition, change: Transition) -> bool:
     """Return whether transition `first` happens whenever `change`, a later one, could happen. A transition that takes something
     hides nothing, because the take may fail."""
-    if first.take is not None or not _is_earlier(first.delay, change.delay) or not _is_earlier(first.held, change.held):
+    if (
+        first.take is not None
+        or not _is_wait_shorter(first.delay, change.delay)
+        or not _is_wait_shorter(first.hold_time, change.hold_time)
+    ):
         return False
     if change.condition is not None and is_never(reader, change.condition):
         return False  # a condition that never holds is already reported
     return implies(reader, change.condition, first.condition)
 
 
-def _is_earlier(first: Expr | None, other: Expr | None) -> bool:
+def _is_wait_shorter(first: Expr | None, other: Expr | None) -> bool:
     """Return whether the waiting time `first` has always passed when the waiting time `other` has passed."""
     if first is None:
         return True
-    a, b = constant_behind(first), (constant_behind(other) if other is not None else None)
-    return a is not None and b is not None and (a.u, a.step) == (b.u, b.step) and a.number <= b.number
+    a, b = find_constant(first), (find_constant(other) if other is not None else None)
+    return a is not None and b is not None and (a.unit_power, a.step) == (b.unit_power, b.step) and a.number <= b.number
 
 
-def check_firing(checked: CheckContext, report: Report) -> None:
+def check_constant_conditions(checked: CheckContext, report: Report) -> None:
     """Report transitions of which the condition never or always holds."""
     reader = ConditionReader(checked.program.params)
     for species in checked.program.species.values():
@@ -127,17 +131,17 @@ def _check_clip_waits(species: Species, machine: Machine, state: State, report: 
         test = change.condition
         if test is None or not change.key.startswith(f"{species.name}.{machine.name}.{state.name}->"):
             continue
-        for part in _conjuncts(test):
+        for part in _split_conjunction(test):
             if isinstance(part, ClipTest) and part.machine == machine.name:
                 message = f"{quote_source(part.span)} never holds in `{state.name}`, which plays no clip"
                 advice = f"write `play {'walk' if not part.mark else 'dig'}` or another clip as a line of `{state.name}`"
                 report.warning("never-fires", message, part.span, advice)
 
 
-def _conjuncts(test: Expr) -> list[Expr]:
+def _split_conjunction(test: Expr) -> list[Expr]:
     """Return the conditions that a condition joins by `and`; all of them must hold."""
     if isinstance(test, OperationExpr) and test.name == "and":
-        return [part for arg in test.args if arg is not None for part in _conjuncts(arg)]
+        return [part for arg in test.args if arg is not None for part in _split_conjunction(arg)]
     return [test]
 
 

@@ -9,31 +9,31 @@ from collections.abc import Iterator
 from functools import partial
 
 from antdsl.diagnostics import Report
-from antdsl.diagnostics.suggestion import nearest_name
-from antdsl.program.checks.analysis.checked import CheckContext
-from antdsl.program.memo import cached_part
+from antdsl.diagnostics.suggestion import find_nearest_name
+from antdsl.program.checks.analysis.check_context import CheckContext
+from antdsl.program.memo import get_or_compute_part
 from antdsl.program.model import AttributeDecl, Constant, EffectRequest, NoneRef, OperationExpr, Program, Species, ThingRef
-from antdsl.program.tables.effects import feeding_effects
-from antdsl.program.traverse import parts
+from antdsl.program.tables.effects import list_feeding_effects
+from antdsl.program.traverse import iterate_parts
 from antdsl.program.types.descriptions import quote_source
 from antdsl.source import Span
 from antdsl.syntax import nodes
 
-_DECLARING = re.compile(r"\b(species|behaviour)\b")
+_DECLARING_NODES = re.compile(r"\b(species|behaviour)\b")
 
 
-def check_empty(checked: CheckContext, report: Report) -> None:
+def check_empty_program(checked: CheckContext, report: Report) -> None:
     """Report files that declare neither a species nor a behaviour."""
     for file in checked.files:
         source, items = file.node.source, file.node.items
         if not items or any(isinstance(item, (nodes.Species, nodes.Behaviour)) for item in items):
             continue
         # with such a word, a declaration could not be parsed, which is already reported
-        if not any(_DECLARING.search(line.partition("#")[0]) for line in source.text.splitlines()):
+        if not any(_DECLARING_NODES.search(line.partition("#")[0]) for line in source.text.splitlines()):
             report.error("empty-program", "no species and no behaviour is declared", items[0].span, "write `species ant { … }`")
 
 
-def check_unused(checked: CheckContext, report: Report) -> None:
+def check_unused_names(checked: CheckContext, report: Report) -> None:
     """Report params, attributes, lets and behaviours that are never used."""
     for species in checked.program.species.values():
         _check_species(checked, species, report)
@@ -52,7 +52,11 @@ def _check_species(checked: CheckContext, species: Species, report: Report) -> N
             report.warning("unused-param", message, param.span, f"write `{short}` where its value belongs, or delete it")
     for attribute in species.attributes:
         name = f"{species.name}.{attribute.name}"
-        if not attribute.is_builtin and not checked.is_used("attribute", name) and name not in checked.declared.written:
+        if (
+            not attribute.is_builtin
+            and not checked.is_used("attribute", name)
+            and name not in checked.declared.written_attributes
+        ):
             words = f"attribute `{attribute.name}` is never used"
             report.warning("unused-attribute", words, attribute.span, "use it, or delete it")
     for binding in (*species.lets, *species.latches):
@@ -80,8 +84,8 @@ def check_unused_memory(checked: CheckContext, report: Report) -> None:
         for attribute in species.attributes:
             if not attribute.is_builtin:
                 _check_attribute(checked, species, attribute, report)
-    wholes = _field_users(checked.program) if checked.program.fields else ()
-    named = [cached_part(checked.declared, ("named", each), partial(_used_names, each)) for each in wholes]
+    wholes = _iterate_field_users(checked.program) if checked.program.fields else ()
+    named = [get_or_compute_part(checked.declared, ("named", each), partial(_find_used_names, each)) for each in wholes]
     read, laid = (frozenset().union(*names) for names in zip(*named, strict=True)) if named else (frozenset(), frozenset())
     for field in checked.program.fields.values():
         if field.name in laid and field.name not in read and not checked.is_used("smelled", field.name):
@@ -89,7 +93,7 @@ def check_unused_memory(checked: CheckContext, report: Report) -> None:
             report.warning("unread-field", f"field `{field.name}` is laid and never smelled", field.span, advice)
 
 
-def _field_users(program: Program) -> Iterator[object]:
+def _iterate_field_users(program: Program) -> Iterator[object]:
     """Yield every part of a program that can name a field. States come one by one, because edits mostly change single states."""
     for species in program.species.values():
         yield from (state for machine in species.machines for state in machine.states)
@@ -97,9 +101,9 @@ def _field_users(program: Program) -> Iterator[object]:
     yield from program.specs
 
 
-def _used_names(root: object) -> tuple[frozenset[str], frozenset[str]]:
+def _find_used_names(root: object) -> tuple[frozenset[str], frozenset[str]]:
     """Return the names of things that are used as values below `root`, and the names of fields that an effect deposits into."""
-    every, laying = list(parts(root)), feeding_effects("field")
+    every, laying = list(iterate_parts(root)), list_feeding_effects("field")
     return (
         frozenset(each.name for each in every if isinstance(each, ThingRef)),
         frozenset(each.of for each in every if isinstance(each, EffectRequest) and each.op in laying),
@@ -108,7 +112,7 @@ def _used_names(root: object) -> tuple[frozenset[str], frozenset[str]]:
 
 def _check_attribute(checked: CheckContext, species: Species, attribute: AttributeDecl, report: Report) -> None:
     name = f"{species.name}.{attribute.name}"
-    read, written = checked.is_used("attribute", name), name in checked.declared.written
+    read, written = checked.is_used("attribute", name), name in checked.declared.written_attributes
     if written and not read:
         hint = f"ask for it: `when {attribute.name} … -> …`, name it in `output: {{attributes: […]}}` of the scene, or delete it"
         report.warning("unread-attribute", f"attribute `{attribute.name}` is set and never read", attribute.span, hint)
@@ -124,11 +128,11 @@ def check_events(checked: CheckContext, report: Report) -> None:
     if any(species.node is None for species in declared.species.values()):
         return  # a species of another file may emit or handle the event
     for event, span in declared.events.items():
-        _report_unheard(checked, event, span, report)
-        raised = any(checked.is_used(op, event) for op in feeding_effects("event"))
+        _report_unhandled_event(checked, event, span, report)
+        raised = any(checked.is_used(op, event) for op in list_feeding_effects("event"))
         noticed = checked.is_used("on", event) or checked.is_used("event", event)
         others = [name for name in declared.events if name != event]
-        near = nearest_name(event, others)
+        near = find_nearest_name(event, others)
         if raised and not noticed:
             advice = f"did you mean `{near}`?" if near else f"write `on {event} {{ … }}`, or ask for it: `when {event} -> …`"
             report.warning("unheard-event", f"no agent notices the event `{event}`", span, advice)
@@ -137,7 +141,7 @@ def check_events(checked: CheckContext, report: Report) -> None:
             report.warning("silent-event", f"no agent raises the event `{event}`", span, advice)
 
 
-def _report_unheard(checked: CheckContext, event: str, span: Span, report: Report) -> None:
+def _report_unhandled_event(checked: CheckContext, event: str, span: Span, report: Report) -> None:
     """Report each species that receives an event but neither handles it nor tests for it."""
     for name in checked.declared.species:
         if checked.is_used("told", f"{event} {name}") and not checked.is_used("heard", f"{event} {name}"):

@@ -10,7 +10,7 @@ from antdsl.program.names.scope import NameScope
 from antdsl.program.tables.units import combine_dimensions
 from antdsl.program.typed import Expr
 from antdsl.program.types.descriptions import is_compatible, quote_source, report_mismatch
-from antdsl.program.types.operators import value
+from antdsl.program.types.operators import type_value
 from antdsl.syntax import nodes
 
 
@@ -18,48 +18,48 @@ from antdsl.syntax import nodes
 class StatementContext:
     """The context of statements.
 
-    - `body`: the statements run in each step.
-    - `commuting`: they are in a handler, where several events may arrive in one step."""
+    - `is_state_body`: the statements run in each step.
+    - `must_commute`: they are in a handler, where several events may arrive in one step."""
 
-    body: bool
-    commuting: bool = False
-
-
-BODY_CONTEXT = StatementContext(body=True)
-ACTION_CONTEXT = StatementContext(body=False)
-HANDLER_CONTEXT = StatementContext(body=False, commuting=True)
+    is_state_body: bool
+    must_commute: bool = False
 
 
-def amount_or_rate(
+BODY_CONTEXT = StatementContext(is_state_body=True)
+ACTION_CONTEXT = StatementContext(is_state_body=False)
+HANDLER_CONTEXT = StatementContext(is_state_body=False, must_commute=True)
+
+
+def type_amount_or_rate(
     scope: NameScope,
     node: nodes.Expr,
     type: ValueType,
     block: StatementContext,
     prefix: str,
     suffix: str = "",
-    level: bool = False,
+    is_always_amount: bool = False,
 ) -> Expr | None:
     """Return the typed value that a line adds: a rate per second in a state's body, else an amount.
 
-    - `level`: always an amount.
+    - `is_always_amount`: always an amount.
     - `prefix`, `suffix`: the source text around the value, for messages."""
-    per_second = ValueType(type.kind, combine_dimensions(type.dim, Dimension(time=1), -1))
-    want = per_second if block.body else type
-    expr = value(scope, node, want)
+    per_second = ValueType(type.kind, combine_dimensions(type.dimension, Dimension(time=1), -1))
+    want = per_second if block.is_state_body else type
+    expr = type_value(scope, node, want)
     if expr.type.kind is TypeKind.BAD:
         return None
-    if level and expr.type == type:
+    if is_always_amount and expr.type == type:
         return expr
     if is_compatible(expr.type, want):
         return expr
     text = " ".join(node.span.text.split())
-    if block.body and is_compatible(expr.type, type):
-        better = _rate_text(node, text)
+    if block.is_state_body and is_compatible(expr.type, type):
+        better = _format_rate(node, text)
         message = f"{quote_source(node.span)} is an amount, and this line runs in every step"
         advice = f"say per what time: `{prefix}{better}{suffix}`"
         scope.report.error("not-a-rate", message, node.span, advice, fix=Fix(node.span, better))
-    elif not block.body and is_compatible(expr.type, per_second):
-        better = text[: -len("/s")].rstrip() if text.endswith("/s") else f"{_bracket(node, text)} * 1 s"
+    elif not block.is_state_body and is_compatible(expr.type, per_second):
+        better = text[: -len("/s")].rstrip() if text.endswith("/s") else f"{_add_brackets(node, text)} * 1 s"
         message = f"{quote_source(node.span)} is a rate, and this happens once"
         advice = f"say how much: `{prefix}{better}{suffix}`"
         scope.report.error("not-an-amount", message, node.span, advice, fix=Fix(node.span, better))
@@ -68,7 +68,7 @@ def amount_or_rate(
     return None
 
 
-def _rate_text(node: nodes.Expr, text: str) -> str:
+def _format_rate(node: nodes.Expr, text: str) -> str:
     if isinstance(node, nodes.Number):
         return f"{text} /s"
     if isinstance(node, nodes.Quantity):
@@ -80,8 +80,8 @@ def _rate_text(node: nodes.Expr, text: str) -> str:
         and node.right.name.text == "dt"
     ):
         return " ".join(node.left.span.text.split())  # a rate is multiplied by dt anyway
-    return f"{_bracket(node, text)} * 1 /s"
+    return f"{_add_brackets(node, text)} * 1 /s"
 
 
-def _bracket(node: nodes.Expr, text: str) -> str:
+def _add_brackets(node: nodes.Expr, text: str) -> str:
     return f"({text})" if isinstance(node, nodes.Binary) and node.op in ("+", "-") else text

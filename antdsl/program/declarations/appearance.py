@@ -13,9 +13,9 @@ from antdsl.program.declarations.amounts import StatementContext
 from antdsl.program.kinds import NUMBER_TYPE, TIME_TYPE, Dimension, TypeKind, ValueType
 from antdsl.program.names.scope import NameScope
 from antdsl.program.typed import Expr
-from antdsl.program.types.arguments import ArgumentSlot, arrange_arguments, place, type_arguments
-from antdsl.program.types.folding import constant_behind
-from antdsl.program.types.operators import condition, value_of_type
+from antdsl.program.types.arguments import ArgumentSlot, arrange_arguments, type_arguments, type_point
+from antdsl.program.types.folding import find_constant
+from antdsl.program.types.operators import type_condition, type_value_as
 from antdsl.syntax import nodes
 
 _NUMBER_ARGUMENTS, _NAME_ARGUMENTS, _CONDITION_ARGUMENTS = (
@@ -24,32 +24,36 @@ _NUMBER_ARGUMENTS, _NAME_ARGUMENTS, _CONDITION_ARGUMENTS = (
     ("again", "add"),
 )
 _CLIP_SLOTS = tuple(
-    ArgumentSlot(name, required=False) for name in ("speed", "weight", "on", "again", "add", "left", "right", "up", "down")
+    ArgumentSlot(name, is_required=False) for name in ("speed", "weight", "on", "again", "add", "left", "right", "up", "down")
 )
-_LOOK_SLOTS = (ArgumentSlot("at", required=True), ArgumentSlot("within", required=False), ArgumentSlot("over", required=False))
+_LOOK_SLOTS = (
+    ArgumentSlot("at", is_required=True),
+    ArgumentSlot("within", is_required=False),
+    ArgumentSlot("over", is_required=False),
+)
 _ANGLE_TYPE = ValueType(TypeKind.NUMBER, Dimension(angle=1))
 _MAX_ANGLE = 3.1415927  # rad
 
 
-def wear(scope: NameScope, line: nodes.Ask, block: StatementContext) -> model.Wear | None:
+def check_wear(scope: NameScope, line: nodes.Ask, block: StatementContext) -> model.Wear | None:
     """Check a line such as `wear helmet` or `wear load when load > 0`. Return None after an error."""
     assert line.name is not None
-    when = None if line.when is None else condition(scope, line.when, "`when`")
+    when = None if line.when is None else type_condition(scope, line.when, "`when`")
     if _is_misplaced(scope, line, block) or (when is not None and when.type.kind is TypeKind.BAD):
         return None
     return model.Wear(line.name.text, when, line.span)
 
 
-def channel(scope: NameScope, line: nodes.Ask, block: StatementContext) -> model.Channel | None:
+def check_channel(scope: NameScope, line: nodes.Ask, block: StatementContext) -> model.Channel | None:
     """Check a line such as `channel jaw = load`. Return None after an error."""
     assert line.name is not None and line.amount is not None
-    value = value_of_type(scope, line.amount, NUMBER_TYPE, f"`channel {line.name.text}`")
+    value = type_value_as(scope, line.amount, NUMBER_TYPE, f"`channel {line.name.text}`")
     if _is_misplaced(scope, line, block) or value.type.kind is TypeKind.BAD:
         return None
     return model.Channel(line.name.text, value, line.span)
 
 
-def look(scope: NameScope, line: nodes.Ask, block: StatementContext) -> model.Look | None:
+def check_look(scope: NameScope, line: nodes.Ask, block: StatementContext) -> model.Look | None:
     """Check a line such as `look head(at: meal, within: 60 deg, over: 0.2 s)`. Return None after an error."""
     assert line.name is not None
     arguments_by_slot = arrange_arguments(scope, "look", _LOOK_SLOTS, line, f"look {line.name.text}")
@@ -57,15 +61,15 @@ def look(scope: NameScope, line: nodes.Ask, block: StatementContext) -> model.Lo
         type_arguments(scope, line)
         return None
     argument_nodes = {name: arguments[0].value for name, arguments in arguments_by_slot.items()}
-    at = place(scope, argument_nodes["at"], "`at` of `look`")
+    at = type_point(scope, argument_nodes["at"], "`at` of `look`")
     within = (
-        value_of_type(scope, argument_nodes["within"], _ANGLE_TYPE, "`within` of `look`") if "within" in argument_nodes else None
+        type_value_as(scope, argument_nodes["within"], _ANGLE_TYPE, "`within` of `look`") if "within" in argument_nodes else None
     )
-    over = value_of_type(scope, argument_nodes["over"], TIME_TYPE, "`over` of `look`") if "over" in argument_nodes else None
+    over = type_value_as(scope, argument_nodes["over"], TIME_TYPE, "`over` of `look`") if "over" in argument_nodes else None
     said = [each for each in (at, within, over) if each is not None]
     if _is_misplaced(scope, line, block) or any(each.type.kind is TypeKind.BAD for each in said):
         return None
-    widest = None if within is None else constant_behind(within)
+    widest = None if within is None else find_constant(within)
     if within is not None and widest is not None and not 0 < widest.number <= _MAX_ANGLE:
         message = f"`{' '.join(within.span.text.split())}` is not an angle by which a body can turn its {line.name.text}"
         scope.report.error("out-of-range", message, within.span, "write an angle above `0 deg`, `180 deg` at most")
@@ -89,23 +93,23 @@ def check_duplicates(scope: NameScope, node: nodes.State) -> None:
 
 def _is_misplaced(scope: NameScope, line: nodes.Ask, block: StatementContext) -> bool:
     """Return whether a line is in an action instead of a state's body; report an error if so."""
-    if not block.body:
+    if not block.is_state_body:
         form = f"{line.verb} {line.name.text if line.name is not None else ''}"
         advice = f"write `{' '.join(line.span.text.split())}` as a line of the state itself"
         scope.report.error("misplaced", f"`{form}` is in an action, but it is shown as long as a state lasts", line.span, advice)
-    return not block.body
+    return not block.is_state_body
 
 
-def play(scope: NameScope, line: nodes.Ask, block: StatementContext) -> model.Play | None:
+def check_play(scope: NameScope, line: nodes.Ask, block: StatementContext) -> model.Play | None:
     """Check a line such as `play walk`, `play walk(speed: 0.5)` or `play wave(on: arms, weight: 0.8)`. Return None after an
     error."""
     assert line.name is not None
     clip = line.name.text
     arguments_by_slot = arrange_arguments(scope, "play", _CLIP_SLOTS, line, f"play {clip}") if line.arguments else {}
     if arguments_by_slot is None:
-        type_arguments(scope, _without_names(line))
+        type_arguments(scope, _drop_name_arguments(line))
         return None
-    if not block.body:
+    if not block.is_state_body:
         message = f"`play {clip}` is in an action, but a clip plays as long as a state lasts"
         scope.report.error("misplaced", message, line.span, f"write `play {clip}` as a line of the state itself")
         return None
@@ -114,13 +118,17 @@ def play(scope: NameScope, line: nodes.Ask, block: StatementContext) -> model.Pl
     for name in (each for each in (*_NUMBER_ARGUMENTS, *_CONDITION_ARGUMENTS) if each in argument_nodes):
         who = f"`{name}` of `play`"
         node = argument_nodes[name]
-        said[name] = value_of_type(scope, node, NUMBER_TYPE, who) if name in _NUMBER_ARGUMENTS else condition(scope, node, who)
-    names = {name: _name_argument(scope, clip, name, argument_nodes[name]) for name in _NAME_ARGUMENTS if name in argument_nodes}
+        said[name] = (
+            type_value_as(scope, node, NUMBER_TYPE, who) if name in _NUMBER_ARGUMENTS else type_condition(scope, node, who)
+        )
+    names = {
+        name: _get_name_argument(scope, clip, name, argument_nodes[name]) for name in _NAME_ARGUMENTS if name in argument_nodes
+    }
     if any(each.type.kind is TypeKind.BAD for each in said.values()) or None in names.values():
         return None
     if not all([_is_valid_value(scope, clip, name, each) for name, each in said.items()]):
         return None
-    add = constant_behind(said["add"]) if "add" in said else None
+    add = find_constant(said["add"]) if "add" in said else None
     on, left, right, up, down = (names.get(name) or "" for name in _NAME_ARGUMENTS)
     return model.Play(
         clip, on, said.get("speed"), said.get("weight"), line.span, said.get("again"), add is not None and add.number != 0,
@@ -128,7 +136,7 @@ def play(scope: NameScope, line: nodes.Ask, block: StatementContext) -> model.Pl
     )  # fmt: skip
 
 
-def _without_names(line: nodes.Ask) -> nodes.Ask:
+def _drop_name_arguments(line: nodes.Ask) -> nodes.Ask:
     """Return the line without the arguments that are names of clips or transform groups. Such names are not expressions."""
     named = [
         isinstance(each, nodes.Argument) and each.name is not None and each.name.text in _NAME_ARGUMENTS
@@ -137,7 +145,7 @@ def _without_names(line: nodes.Ask) -> nodes.Ask:
     return replace(line, arguments=tuple(each for each, of_body in zip(line.arguments, named, strict=True) if not of_body))
 
 
-def _name_argument(scope: NameScope, clip: str, argument: str, node: nodes.Expr) -> str | None:
+def _get_name_argument(scope: NameScope, clip: str, argument: str, node: nodes.Expr) -> str | None:
     """Return the name of a clip or transform group in an argument; None after an error."""
     if isinstance(node, nodes.NameRef):
         return node.name.text
@@ -149,7 +157,7 @@ def _name_argument(scope: NameScope, clip: str, argument: str, node: nodes.Expr)
 
 def _is_valid_value(scope: NameScope, clip: str, argument: str, expr: Expr) -> bool:
     """Return whether a value is allowed for its argument; report an error if not."""
-    known = constant_behind(expr)
+    known = find_constant(expr)
     text = " ".join(expr.span.text.split())
     words, help = "", ""
     if argument == "add" and known is None:

@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from math import inf
 
 from antdsl.diagnostics import Label
-from antdsl.diagnostics.suggestion import nearest_name
+from antdsl.diagnostics.suggestion import find_nearest_name
 from antdsl.program import model
-from antdsl.program.declarations.behaviours import declared_type
+from antdsl.program.declarations.behaviours import resolve_declared_type
 from antdsl.program.kinds import BAD_TYPE, BOOL_TYPE
 from antdsl.program.model import Expr, TypeKind
 from antdsl.program.names.ordering import order_declarations
@@ -17,11 +17,11 @@ from antdsl.program.names.scope import (
     NameScope,
     SpeciesNames,
     StableKeys,
-    bad_expression,
-    did_you_mean,
     is_known_missing,
+    make_bad_expression,
+    parse_type_words,
     report_duplicate,
-    type_from_words,
+    suggest_name,
 )
 from antdsl.program.tables.defaults import parse_default
 from antdsl.program.tables.editions import (
@@ -35,9 +35,9 @@ from antdsl.program.tables.editions import (
     SWITCH_HELP,
 )
 from antdsl.program.tables.vocabulary import BUILTIN_ATTRIBUTE_BY_NAME, BUILTINS_BY_NAME, REDUCER_HELP, SENSE_REPLACEMENTS
-from antdsl.program.types.descriptions import quote_source, type_words
-from antdsl.program.types.folding import constant_behind
-from antdsl.program.types.operators import value, value_of_type
+from antdsl.program.types.descriptions import describe_type, quote_source
+from antdsl.program.types.folding import find_constant
+from antdsl.program.types.operators import type_value, type_value_as
 from antdsl.source import Span
 from antdsl.syntax import nodes
 from antdsl.syntax.words import LANGUAGE_WORDS
@@ -50,12 +50,12 @@ _TOO_EARLY_REASON = "starting values are computed before the animal has sensed a
 # --- attributes ------------------------------------------------------------------------------------------------------
 
 
-def attributes(scope: NameScope, node: nodes.Species) -> list[model.AttributeDecl]:
+def check_attributes(scope: NameScope, node: nodes.Species) -> list[model.AttributeDecl]:
     """Return built-in and own attributes. Each comes after the attributes that its initial value reads."""
     declared: dict[str, nodes.Declaration | nodes.AnimalProperty] = {}
     assert scope.species is not None
     for name, row in scope.builtins.items():
-        default = default_text(name, scope.species) if row.settable else None
+        default = default_text(name, scope.species) if row.is_settable else None
         if default is not None and default != NO_LIMIT_WORD and not has_usual_value(name, scope.species):
             declared[name] = nodes.AnimalProperty(
                 nodes.Name(name, node.name.span), parse_default(default, node.name.span), None, node.name.span
@@ -73,7 +73,7 @@ def attributes(scope: NameScope, node: nodes.Species) -> list[model.AttributeDec
     if scope.edition >= SWITCH_EDITION:
         _check_extent(scope, node, written)
     order, circular = order_declarations(scope.report, "starting values", declared, lambda d: [d.value], lambda d: d.name)
-    declarations = [_attribute(scope, each, each.name.text in circular) for each in order]
+    declarations = [_check_attribute(scope, each, each.name.text in circular) for each in order]
     _check_speeds(scope, declarations, declared)
     return declarations
 
@@ -95,9 +95,14 @@ def _check_speeds(
     scope: NameScope, declarations: list[model.AttributeDecl], declared: Mapping[str, nodes.Declaration | nodes.AnimalProperty]
 ) -> None:
     """Check that the lowest speed of a species is not above the highest, if both are known."""
-    known = {each.name: constant_behind(each.default) for each in declarations if each.name in ("min_speed", "max_speed")}
+    known = {each.name: find_constant(each.default) for each in declarations if each.name in ("min_speed", "max_speed")}
     least, most = known.get("min_speed"), known.get("max_speed")
-    if least is None or most is None or (least.u, least.step) != (most.u, most.step) or least.number <= most.number:
+    if (
+        least is None
+        or most is None
+        or (least.unit_power, least.step) != (most.unit_power, most.step)
+        or least.number <= most.number
+    ):
         return
     place, fastest = declared["min_speed"].value.span, declared["max_speed"]
     usual = fastest.span == fastest.name.span  # the default, not in the source
@@ -129,7 +134,7 @@ def switches(scope: NameScope, node: nodes.Species) -> dict[str, bool]:
         if scope.edition < SWITCH_EDITION:
             _report_later_edition(scope, member, SWITCH_EDITION)
             continue
-        constant = constant_behind(value_of_type(scope.with_changes(runs_once=True), member.value, BOOL_TYPE, f"`{name}`"))
+        constant = find_constant(type_value_as(scope.with_changes(runs_once=True), member.value, BOOL_TYPE, f"`{name}`"))
         if constant is not None:
             values[name] = bool(constant.number)
         elif not any(d.span == member.value.span for d in scope.report.diagnostics):
@@ -147,16 +152,16 @@ def _report_later_edition(scope: NameScope, member: nodes.AnimalProperty, editio
 
 def _is_settable(scope: NameScope, member: nodes.AnimalProperty) -> bool:
     row, name = scope.builtins.get(member.name.text), member.name
-    if row is not None and row.settable:
+    if row is not None and row.is_settable:
         return True
     later = BUILTIN_ATTRIBUTE_BY_NAME.get(name.text)
-    if row is None and later is not None and later.settable and later.edition > scope.edition:
+    if row is None and later is not None and later.is_settable and later.edition > scope.edition:
         _report_later_edition(scope, member, later.edition)
         return False
-    known = [n for n, g in scope.builtins.items() if g.settable]
+    known = [n for n, g in scope.builtins.items() if g.is_settable]
     if row is None and scope.species and isinstance(member.value, nodes.NameRef) and is_state_name(scope, member.value.name.text):
         known = ["start"]  # `strat search`: only `start` is followed by a state
-        if nearest_name(name.text, known):
+        if find_nearest_name(name.text, known):
             scope.report.error("unknown-property", f"an animal has no property `{name.text}`", name.span, "did you mean `start`?")
             return False
     text = " ".join(member.value.span.text.split())
@@ -168,15 +173,15 @@ def _is_settable(scope: NameScope, member: nodes.AnimalProperty) -> bool:
             "unknown-property",
             f"an animal has no property `{name.text}`",
             name.span,
-            _correct_place(name.text)
-            or did_you_mean(name.text, known, f"write an attribute of your own as `{name.text} = {text}`"),
+            _suggest_place(name.text)
+            or suggest_name(name.text, known, f"write an attribute of your own as `{name.text} = {text}`"),
         )
         is_known_missing(scope, "name", name)  # the misspelt line was meant to declare it
-    value(scope.with_changes(runs_once=True), member.value)
+    type_value(scope.with_changes(runs_once=True), member.value)
     return False
 
 
-def _correct_place(word: str) -> str | None:
+def _suggest_place(word: str) -> str | None:
     """Return the right place for a line that begins with a sense or another word of the language. Such words cannot be attribute
     names."""
     if word in SENSE_REPLACEMENTS:
@@ -191,30 +196,30 @@ def is_state_name(scope: NameScope, word: str) -> bool:
     return scope.species is not None and any(word in machine.states for machine in scope.species.machines.values())
 
 
-def _attribute(scope: NameScope, node: nodes.Declaration | nodes.AnimalProperty, circular: bool) -> model.AttributeDecl:
+def _check_attribute(scope: NameScope, node: nodes.Declaration | nodes.AnimalProperty, is_circular: bool) -> model.AttributeDecl:
     names, name = scope.species, node.name.text
     assert names is not None
-    inner = scope.with_changes(keys=StableKeys(f"{names.name}.{name}"), no_let=_TOO_EARLY_REASON, runs_once=True)
+    inner = scope.with_changes(keys=StableKeys(f"{names.name}.{name}"), no_let_reason=_TOO_EARLY_REASON, runs_once=True)
     help = node.help.text if node.help else ""
     if isinstance(node, nodes.AnimalProperty):
-        type = type_from_words(BUILTIN_ATTRIBUTE_BY_NAME[name].type) or BAD_TYPE
-        default = bad_expression(node.value.span) if circular else _builtin_default(inner, node, type)
+        type = parse_type_words(BUILTIN_ATTRIBUTE_BY_NAME[name].type) or BAD_TYPE
+        default = make_bad_expression(node.value.span) if is_circular else _builtin_default(inner, node, type)
         _check_positive(scope, node, default)
         return model.AttributeDecl(name, type, default, True, help, node.name.span)
-    stated = declared_type(scope, node.type) if node.type is not None else None
+    stated = resolve_declared_type(scope, node.type) if node.type is not None else None
     stated = None if stated == BAD_TYPE else stated
-    if circular:
-        default = bad_expression(node.value.span)
+    if is_circular:
+        default = make_bad_expression(node.value.span)
     else:
-        default = value(inner, node.value) if stated is None else value_of_type(inner, node.value, stated, f"`{name}`")
+        default = type_value(inner, node.value) if stated is None else type_value_as(inner, node.value, stated, f"`{name}`")
     type = stated or default.type
     if type.kind not in _STORABLE_KINDS:
         advice = "an attribute is a number, a vector, a yes or no, an item or an agent"
-        scope.report.error("wrong-kind", f"{type_words(type)} cannot be an attribute", node.value.span, advice)
+        scope.report.error("wrong-kind", f"{describe_type(type)} cannot be an attribute", node.value.span, advice)
         type = BAD_TYPE
     names.attributes[name] = type
     if node.each is not None:
-        names.each[name] = node.each.species.text
+        names.pair_value_species[name] = node.each.species.text
     if node.range is not None:
         message = f"only a param can have a range, but `{name}` is an attribute"
         scope.report.error("wrong-kind", message, node.range.span, f"write `param {name} = …`, or leave the range out")
@@ -226,11 +231,11 @@ def _builtin_default(scope: NameScope, node: nodes.AnimalProperty, type: model.V
     name, limits = node.name.text, BUILTIN_ATTRIBUTE_BY_NAME[node.name.text].limits
     if limits and isinstance(node.value, nodes.NoneOf) and node.value.of is None:
         return model.Constant(type, model.ChangeRate.CONST, node.value.span, inf)
-    return value_of_type(scope, node.value, type, f"`{name}`")
+    return type_value_as(scope, node.value, type, f"`{name}`")
 
 
 def _check_positive(scope: NameScope, node: nodes.AnimalProperty, default: Expr) -> None:
-    constant = constant_behind(default)
+    constant = find_constant(default)
     most = BUILTIN_ATTRIBUTE_BY_NAME[node.name.text].most
     if constant is not None and constant.number > most:
         message = f"`{node.name.text}` cannot be {quote_source(node.value.span)}"

@@ -10,23 +10,23 @@ from antdsl.diagnostics import Fix, Label
 from antdsl.program import model
 from antdsl.program.declarations.amounts import ACTION_CONTEXT, BODY_CONTEXT
 from antdsl.program.declarations.appearance import check_duplicates, check_single_clip
-from antdsl.program.declarations.statements import check_statements, take
+from antdsl.program.declarations.statements import check_statements, check_take
 from antdsl.program.kinds import NUMBER_TYPE, TIME_TYPE
-from antdsl.program.memo import cached_part
+from antdsl.program.memo import get_or_compute_part
 from antdsl.program.model import Binding, Expr
 from antdsl.program.names.scope import (
     MachineNames,
     NameScope,
     StableKeys,
-    bad_expression,
-    did_you_mean,
     list_names,
+    make_bad_expression,
     report_duplicate,
+    suggest_name,
 )
-from antdsl.program.tables.colours import COLOUR_BY_NAME, default_rgb, rgb
+from antdsl.program.tables.colours import COLOUR_BY_NAME, choose_default_rgb, find_rgb
 from antdsl.program.types.descriptions import quote_source
-from antdsl.program.types.folding import constant_behind
-from antdsl.program.types.operators import condition, value_of_type
+from antdsl.program.types.folding import find_constant
+from antdsl.program.types.operators import type_condition, type_value_as
 from antdsl.program.types.states import report_unknown_state
 from antdsl.source import Span
 from antdsl.syntax import nodes
@@ -34,50 +34,54 @@ from antdsl.syntax import nodes
 MachineMember = nodes.State | nodes.Start | nodes.Change | nodes.Let | nodes.Latch
 
 
-def machine(scope: NameScope, names: MachineNames, members: Sequence[object], span: Span) -> model.Machine:
+def check_machine(scope: NameScope, names: MachineNames, members: Sequence[object], span: Span) -> model.Machine:
     """Return a checked machine with its states. `span`: the location of its name."""
     scope = scope.with_changes(machine=names)
     states = [m for m in members if isinstance(m, nodes.State)]
     known = (names.key, *(scope.species.bindings.values() if scope.species is not None else ()))
     changes = tuple(node for node in members if isinstance(node, nodes.Change))
-    anywhere = cached_part(scope.declared, ("anywhere", changes, known), lambda: _changes_from_any(scope, names, changes))
+    anywhere = get_or_compute_part(
+        scope.declared, ("anywhere", changes, known), lambda: _check_any_changes(scope, names, changes)
+    )
     machine_states: list[model.State] = []
-    for index, state in enumerate(_unique_states(states)):
+    for index, state in enumerate(_drop_duplicate_states(states)):
         general = [
             change for node, change in anywhere if change is not None and _applies_to(node, change, state.name.text, index)
         ]
         key = ("state", state, index, *general, *known)
-        machine_states.append(cached_part(scope.declared, key, partial(_state, scope, names, state, index, general)))
-    return model.Machine(names.name, _start(scope, names, members, span), tuple(machine_states), span)
+        machine_states.append(
+            get_or_compute_part(scope.declared, key, partial(_check_state, scope, names, state, index, general))
+        )
+    return model.Machine(names.name, _find_start_index(scope, names, members, span), tuple(machine_states), span)
 
 
-def _changes_from_any(
+def _check_any_changes(
     scope: NameScope, names: MachineNames, changes: Sequence[nodes.Change]
 ) -> list[tuple[nodes.Change, model.Transition | None]]:
     """Return the transitions `from any`, each with its checked form or None after an error."""
     scope = scope.with_changes(keys=StableKeys(f"{names.key}.{model.FROM_ANY_KEY}"))
-    return [(node, _general_transition(scope, names, node)) for node in changes]
+    return [(node, _check_any_change(scope, names, node)) for node in changes]
 
 
-def _unique_states(states: Sequence[nodes.State]) -> list[nodes.State]:
+def _drop_duplicate_states(states: Sequence[nodes.State]) -> list[nodes.State]:
     return list({state.name.text: state for state in reversed(states)}.values())[::-1]
 
 
-def _start(scope: NameScope, names: MachineNames, members: Sequence[object], span: Span) -> int:
+def _find_start_index(scope: NameScope, names: MachineNames, members: Sequence[object], span: Span) -> int:
     starts = [m for m in members if isinstance(m, nodes.Start)]
     for extra in starts[1:]:
         message = "a second `start`"
         advice = "an agent starts in one state"
         scope.report.error("duplicate-name", message, extra.span, advice, labels=(Label(starts[0].span, "first here"),))
     if starts:
-        return _state_index(scope, names, starts[0].state) or 0
+        return _find_state_index(scope, names, starts[0].state) or 0
     if len(names.states) > 1:
         message = f"nothing says which of the states {list_names(names.states)} comes first"
         scope.report.error("missing-start", message, span, f"write `start {next(iter(names.states))}`")
     return 0
 
 
-def _state_index(scope: NameScope, names: MachineNames, state: nodes.Name) -> int | None:
+def _find_state_index(scope: NameScope, names: MachineNames, state: nodes.Name) -> int | None:
     """Return the index of a state. For an unknown name, report an error and return the index of the most similar name, or
     None."""
     species, _, machine = names.key.partition(".")
@@ -90,18 +94,20 @@ def _state_index(scope: NameScope, names: MachineNames, state: nodes.Name) -> in
 # --- one state -------------------------------------------------------------------------------------------------------
 
 
-def _state(scope: NameScope, names: MachineNames, node: nodes.State, index: int, general: list[model.Transition]) -> model.State:
+def _check_state(
+    scope: NameScope, names: MachineNames, node: nodes.State, index: int, any_transitions: list[model.Transition]
+) -> model.State:
     path = f"{names.key}.{node.name.text}"
     scope = scope.with_changes(keys=StableKeys(path))
-    scope = scope.with_changes(locals=_lets(scope, node))
-    own = [_change(scope, names, line, path) for line in node.body if isinstance(line, nodes.Change)]
+    scope = scope.with_changes(local_names=_check_lets(scope, node))
+    own = [_check_change(scope, names, line, path) for line in node.body if isinstance(line, nodes.Change)]
     changes = [c for c in own if c is not None]
     check_single_clip(scope, node)
     check_duplicates(scope, node)
-    order = [c for c in changes if c.interrupt] + general + [c for c in changes if not c.interrupt]
+    order = [c for c in changes if c.is_interrupt] + any_transitions + [c for c in changes if not c.is_interrupt]
     return model.State(
-        node.name.text, index, node.label.text if node.label else "", _colour(scope, node, index),
-        _duration(scope, node.at_least, "`for at least`"), tuple(order),
+        node.name.text, index, node.label.text if node.label else "", _choose_colour(scope, node, index),
+        _type_duration(scope, node.at_least, "`for at least`"), tuple(order),
         check_statements(scope.with_changes(keys=StableKeys(f"{path}.enter")), node.enter, ACTION_CONTEXT),
         check_statements(scope.with_changes(keys=StableKeys(f"{path}.exit")), node.exit, ACTION_CONTEXT),
         check_statements(scope, [line for line in node.body if not isinstance(line, (nodes.Change, nodes.Let))], BODY_CONTEXT),
@@ -109,23 +115,25 @@ def _state(scope: NameScope, names: MachineNames, node: nodes.State, index: int,
     )  # fmt: skip
 
 
-def _lets(scope: NameScope, node: nodes.State) -> dict[str, Binding | Expr]:
+def _check_lets(scope: NameScope, node: nodes.State) -> dict[str, Binding | Expr]:
     """Return the lets of a state in text order. Like the lets of a species, they are snapshots of the start of the step."""
-    local: dict[str, Binding | Expr] = dict(scope.locals)
+    local: dict[str, Binding | Expr] = dict(scope.local_names)
     assert scope.species is not None
     for line in node.body:
         if not isinstance(line, nodes.Let):
             continue
         name = line.name
         if name.text in scope.species.attributes or name.text in scope.species.bindings or name.text in local:
-            report_duplicate(scope.report, "name", name, _first_span(node, scope, name))
+            report_duplicate(scope.report, "name", name, _find_first_span(node, scope, name))
         keys = StableKeys(f"{scope.keys.path}.{name.text}")
-        expr = scope.with_changes(locals=local, keys=keys, no_keep="a `let` only names a value").type_expression(line.value)
+        expr = scope.with_changes(local_names=local, keys=keys, no_keep_reason="a `let` only names a value").type_expression(
+            line.value
+        )
         local[name.text] = Binding(name.text, "let", expr.type, expr.rate, name.span, expr, snapshot=True)
     return local
 
 
-def _first_span(node: nodes.State, scope: NameScope, name: nodes.Name) -> Span:
+def _find_first_span(node: nodes.State, scope: NameScope, name: nodes.Name) -> Span:
     assert scope.species is not None
     own = scope.species.bindings.get(name.text)
     earlier = [
@@ -136,33 +144,33 @@ def _first_span(node: nodes.State, scope: NameScope, name: nodes.Name) -> Span:
     return own.span if own else earlier[0] if earlier else node.name.span
 
 
-def _colour(scope: NameScope, node: nodes.State, index: int) -> tuple[float, float, float]:
-    colour = rgb(node.colour.text) if node.colour else default_rgb(index)
+def _choose_colour(scope: NameScope, node: nodes.State, index: int) -> tuple[float, float, float]:
+    colour = find_rgb(node.colour.text) if node.colour else choose_default_rgb(index)
     if colour is None and node.colour is not None:
         examples = ("red", "orange", "yellow", "green", "blue", "violet", "brown", "grey")
         scope.report.error(
             "unknown-colour",
             f"no colour `{node.colour.text}`",
             node.colour.span,
-            did_you_mean(node.colour.text, COLOUR_BY_NAME, f"there is {list_names(examples)} and more"),
+            suggest_name(node.colour.text, COLOUR_BY_NAME, f"there is {list_names(examples)} and more"),
         )
-    red, green, blue = colour or default_rgb(index)
+    red, green, blue = colour or choose_default_rgb(index)
     return red / 255, green / 255, blue / 255
 
 
-def _duration(scope: NameScope, node: nodes.Expr | None, who: str) -> Expr | None:
+def _type_duration(scope: NameScope, node: nodes.Expr | None, subject: str) -> Expr | None:
     if node is None:
         return None
-    duration = value_of_type(scope, node, TIME_TYPE, who)
-    constant = constant_behind(duration)
+    duration = type_value_as(scope, node, TIME_TYPE, subject)
+    constant = find_constant(duration)
     if constant is not None and constant.number < 0:
-        message = f"{who} wants a time, and {quote_source(node.span)} is before now"
+        message = f"{subject} wants a time, and {quote_source(node.span)} is before now"
         scope.report.error("out-of-range", message, node.span, "write a time of `0 s` or more")
-    elif constant is not None and not constant.u and constant.number > limits.MAX_FRAMES:
+    elif constant is not None and not constant.unit_power and constant.number > limits.MAX_FRAMES:
         advice = f"write a shorter time: a run has {limits.MAX_FRAMES:,} frames at most"
         scope.report.warning("never-fires", f"{quote_source(node.span)} is longer than any run", node.span, advice)
-    elif constant is not None and not constant.u and not constant.step and 0 < constant.number * limits.MAX_FPS < 1:
-        message = f"{quote_source(node.span)} is shorter than a frame of any scene, so {who} takes one step"
+    elif constant is not None and not constant.unit_power and not constant.step and 0 < constant.number * limits.MAX_FPS < 1:
+        message = f"{quote_source(node.span)} is shorter than a frame of any scene, so {subject} takes one step"
         scope.report.warning("out-of-range", message, node.span, "write `1 step`, or a longer time")
     return duration
 
@@ -170,10 +178,10 @@ def _duration(scope: NameScope, node: nodes.Expr | None, who: str) -> Expr | Non
 # --- one change ------------------------------------------------------------------------------------------------------
 
 
-def _general_transition(scope: NameScope, names: MachineNames, node: nodes.Change) -> model.Transition | None:
+def _check_any_change(scope: NameScope, names: MachineNames, node: nodes.Change) -> model.Transition | None:
     for name in node.any_except or ():
-        _state_index(scope, names, name)
-    return _change(scope, names, node, scope.keys.path)
+        _find_state_index(scope, names, name)
+    return _check_change(scope, names, node, scope.keys.path)
 
 
 def _applies_to(node: nodes.Change, change: model.Transition, state: str, index: int) -> bool:
@@ -182,81 +190,81 @@ def _applies_to(node: nodes.Change, change: model.Transition, state: str, index:
     return change.target != index and all(name.text != state for name in node.any_except or ())
 
 
-def _change(scope: NameScope, names: MachineNames, node: nodes.Change, path: str) -> model.Transition | None:
-    key = scope.keys.next(_target_word(node.target), "->")
+def _check_change(scope: NameScope, names: MachineNames, node: nodes.Change, path: str) -> model.Transition | None:
+    key = scope.keys.make_key(_format_target(node.target), "->")
     scope = scope.with_changes(keys=StableKeys(key))
-    delay = _delay(scope, node.delay)
-    test = condition(scope, node.condition, "`when`") if node.condition is not None else None
-    held = _hold_time(scope, node.held)
-    claim = take(scope, node.take) if node.take is not None else None
-    choices = _choices(scope, names, node.target)
-    target = _target(scope, names, node.target)
+    delay = _type_delay(scope, node.delay)
+    test = type_condition(scope, node.condition, "`when`") if node.condition is not None else None
+    held = _type_hold_time(scope, node.held)
+    claim = check_take(scope, node.take) if node.take is not None else None
+    choices = _type_choices(scope, names, node.target)
+    target = _find_target_index(scope, names, node.target)
     actions = check_statements(scope, node.actions, ACTION_CONTEXT)
     if target is None and not choices and not node.target.previous:
         return None
     return model.Transition(
         key, node.interrupt, test, delay, held, claim, target, node.target.previous, choices, actions, node.span,
-        _duration(scope, node.over, "`over`"),
+        _type_duration(scope, node.over, "`over`"),
     )  # fmt: skip
 
 
-def _delay(scope: NameScope, node: nodes.Expr | None) -> Expr | None:
+def _type_delay(scope: NameScope, node: nodes.Expr | None) -> Expr | None:
     """Return the time of `after T`, which must be the complete condition. In `after 1 s and meal`, the parser reads the time as
     part of the condition, which is an error."""
-    time = _leftmost(node)
+    time = _find_leftmost(node)
     if node is None or time is None or time is node:
-        return _duration(scope, node, "`after`")
+        return _type_duration(scope, node, "`after`")
     source, text = time.span.source, f"time_in_state >= {time.span.text}"
     span = Span(source, source.text.rindex("after", 0, time.span.start), time.span.end)
     message = f"`{' '.join(span.text.split())}` cannot be combined with a condition"
     scope.report.error("wrong-kind", message, span, f"write `{text}` instead", fix=Fix(span, text))
-    return bad_expression(node.span)
+    return make_bad_expression(node.span)
 
 
-def _hold_time(scope: NameScope, node: nodes.Expr | None) -> Expr | None:
+def _type_hold_time(scope: NameScope, node: nodes.Expr | None) -> Expr | None:
     """Return the time of `held T`, which must end the condition. In `meal held 1 s and scent > 1` it is in the middle, which is
     an error."""
-    time = _leftmost(node)
+    time = _find_leftmost(node)
     if node is None or time is None or time is node:
-        return _duration(scope, node, "`held`")
+        return _type_duration(scope, node, "`held`")
     message = f"`held {' '.join(time.span.text.split())}` is in the middle of a condition"
     scope.report.error("wrong-kind", message, time.span, "write it at the end: the whole condition must hold that long")
-    return bad_expression(node.span)
+    return make_bad_expression(node.span)
 
 
-def _leftmost(node: nodes.Expr | None) -> nodes.Expr | None:
+def _find_leftmost(node: nodes.Expr | None) -> nodes.Expr | None:
     """Return the first operand in a chain of `and` and `or`."""
     while isinstance(node, nodes.Binary) and node.op in ("and", "or"):
         node = node.left
     return node
 
 
-def _target_word(target: nodes.Target) -> str:
+def _format_target(target: nodes.Target) -> str:
     if target.previous:
         return "previous"
     return target.name.text if target.name is not None else "choose"
 
 
-def _target(scope: NameScope, names: MachineNames, target: nodes.Target) -> int | None:
+def _find_target_index(scope: NameScope, names: MachineNames, target: nodes.Target) -> int | None:
     if target.name is None or target.previous:
         return None
-    return _state_index(scope, names, target.name)
+    return _find_state_index(scope, names, target.name)
 
 
-def _choices(scope: NameScope, names: MachineNames, target: nodes.Target) -> tuple[tuple[int, Expr], ...]:
+def _type_choices(scope: NameScope, names: MachineNames, target: nodes.Target) -> tuple[tuple[int, Expr], ...]:
     choices: list[tuple[int, Expr]] = []
     for choice in target.choices:
-        weight = value_of_type(
+        weight = type_value_as(
             scope.with_changes(runs_once=True), choice.weight, NUMBER_TYPE, f"the weight of `{choice.target.text}`"
         )
-        constant = constant_behind(weight)
+        constant = find_constant(weight)
         if constant is not None and constant.number < 0:
             message = f"a weight below 0: {quote_source(choice.weight.span)}"
             scope.report.error("out-of-range", message, choice.weight.span, "write a weight of 0 or more")
-        index = _state_index(scope, names, choice.target)
+        index = _find_state_index(scope, names, choice.target)
         if index is not None:
             choices.append((index, weight))
-    weights = [constant_behind(weight) for _, weight in choices]
+    weights = [find_constant(weight) for _, weight in choices]
     if choices and all(w is not None and w.number == 0 for w in weights):
         words = "all weights of `choose` are 0"
         scope.report.error("out-of-range", words, target.span, "give at least one state a weight above 0")

@@ -9,17 +9,17 @@ from antdsl import limits
 from antdsl.diagnostics import Label
 from antdsl.program import model
 from antdsl.program.declarations.amounts import ACTION_CONTEXT, HANDLER_CONTEXT
-from antdsl.program.declarations.attributes import attributes as attributes_in
+from antdsl.program.declarations.attributes import check_attributes as attributes_in
 from antdsl.program.declarations.attributes import is_state_name, switches
-from antdsl.program.declarations.machines import machine
-from antdsl.program.declarations.params import param
-from antdsl.program.declarations.resting import rest
-from antdsl.program.declarations.shades import fuzzy_mean
+from antdsl.program.declarations.fuzzy import type_fuzzy_mean
+from antdsl.program.declarations.machines import check_machine
+from antdsl.program.declarations.params import check_param
+from antdsl.program.declarations.resting_push import find_resting_push
 from antdsl.program.declarations.statements import check_statements
 from antdsl.program.kinds import BAD_TYPE, BOOL_TYPE, PUSH_TYPE, TIME_TYPE
-from antdsl.program.memo import cached_part
+from antdsl.program.memo import get_or_compute_part
 from antdsl.program.model import Binding, ChangeRate, Dimension, TypeKind, ValueType
-from antdsl.program.names.collect import BUILTIN_EVENTS, check_free_in_species
+from antdsl.program.names.collect import BUILTIN_EVENTS, check_free_member_name
 from antdsl.program.names.ordering import order_declarations
 from antdsl.program.names.scope import (
     Declarations,
@@ -27,14 +27,14 @@ from antdsl.program.names.scope import (
     NameScope,
     SpeciesNames,
     StableKeys,
-    bad_expression,
-    did_you_mean,
+    make_bad_expression,
     report_duplicate,
+    suggest_name,
 )
-from antdsl.program.types.descriptions import quote_source, type_words
-from antdsl.program.types.expressions import reference_type
-from antdsl.program.types.folding import constant_behind
-from antdsl.program.types.operators import condition, facing_direction, value_of_type
+from antdsl.program.types.descriptions import describe_type, quote_source
+from antdsl.program.types.expressions import find_reference_type
+from antdsl.program.types.folding import find_constant
+from antdsl.program.types.operators import type_condition, type_facing_direction, type_value_as
 from antdsl.program.types.pair_values import check_pair_value
 from antdsl.source import Span
 from antdsl.syntax import nodes
@@ -44,7 +44,8 @@ _PURE_LET_REASON = "a `let` only names a value"
 
 @dataclass(slots=True)
 class SpeciesDraft:
-    """A species under construction: its own names, so that other species may refer to them. `complete` adds the other members."""
+    """A species under construction: its own names, so that other species may refer to them. `complete_species` adds the other
+    members."""
 
     names: SpeciesNames
     node: nodes.Species
@@ -53,31 +54,31 @@ class SpeciesDraft:
     attributes: list[model.AttributeDecl]
 
 
-def draft(declared: Declarations, file: FileNames, node: nodes.Species) -> SpeciesDraft:
+def draft_species(declared: Declarations, file: FileNames, node: nodes.Species) -> SpeciesDraft:
     """Check the params and attributes of a species."""
     names = declared.species[node.name.text]
-    scope = NameScope(declared, file, StableKeys(names.name), declared.report, species=names, no_keep=_PURE_LET_REASON)
+    scope = NameScope(declared, file, StableKeys(names.name), declared.report, species=names, no_keep_reason=_PURE_LET_REASON)
     _check_names(scope, node)
-    names.pending = {m.name.text for m in _members_of_kind(node, nodes.Let, nodes.Latch, nodes.Fuzzy)} - names.builtins.keys()
+    names.untyped_names = {m.name.text for m in _list_members(node, nodes.Let, nodes.Latch, nodes.Fuzzy)} - names.builtins.keys()
     head = tuple(m for m in node.members if isinstance(m, (nodes.ParamDecl, nodes.Declaration, nodes.AnimalProperty)))
-    params, attributes, known = cached_part(
-        declared, ("draft", names.name, names.edition, head, node.name), lambda: _drafted(scope, node)
+    params, attributes, known = get_or_compute_part(
+        declared, ("draft", names.name, names.edition, head, node.name), lambda: _check_draft(scope, node)
     )
-    names.attributes, names.each, names.params = (dict(each) for each in known)
+    names.attributes, names.pair_value_species, names.params = (dict(each) for each in known)
     return SpeciesDraft(names, node, scope, params, attributes)
 
 
-def _drafted(
+def _check_draft(
     scope: NameScope, node: nodes.Species
 ) -> tuple[list[model.Param], list[model.AttributeDecl], tuple[dict[str, Any], ...]]:
     names = scope.species
     assert names is not None
-    params = [p for m in node.members if isinstance(m, nodes.ParamDecl) and (p := param(scope, m.declaration)) is not None]
+    params = [p for m in node.members if isinstance(m, nodes.ParamDecl) and (p := check_param(scope, m.declaration)) is not None]
     attributes = attributes_in(scope, node)
-    return params, attributes, (dict(names.attributes), dict(names.each), dict(names.params))
+    return params, attributes, (dict(names.attributes), dict(names.pair_value_species), dict(names.params))
 
 
-def _members_of_kind(node: nodes.Species, *kinds: type) -> list[Any]:
+def _list_members(node: nodes.Species, *kinds: type) -> list[Any]:
     """Return the members of some kinds, of a species and of its machines, in text order."""
     members: list[object] = []
     for member in node.members:
@@ -90,7 +91,7 @@ def _members_of_kind(node: nodes.Species, *kinds: type) -> list[Any]:
 def _check_names(scope: NameScope, node: nodes.Species) -> None:
     """Report names that occur twice or are words of the language."""
     spans_by_name: dict[str, Span] = {}
-    for member in _members_of_kind(node, nodes.Declaration, nodes.ParamDecl, nodes.Let, nodes.Latch, nodes.Fuzzy):
+    for member in _list_members(node, nodes.Declaration, nodes.ParamDecl, nodes.Let, nodes.Latch, nodes.Fuzzy):
         each = member.declaration if isinstance(member, nodes.ParamDecl) else member
         if isinstance(each, nodes.Fuzzy):
             value_span = each.rules[0].value.span if each.rules else each.name.span
@@ -99,7 +100,7 @@ def _check_names(scope: NameScope, node: nodes.Species) -> None:
         if each.name.text in spans_by_name:
             report_duplicate(scope.report, "name", each.name, spans_by_name[each.name.text])
         else:
-            check_free_in_species(scope.report, each.name, value_span, scope.builtins)
+            check_free_member_name(scope.report, each.name, value_span, scope.builtins)
         spans_by_name.setdefault(each.name.text, each.name.span)
     if len(spans_by_name) > limits.MAX_ATTRIBUTES:
         message = f"species `{node.name.text}` declares more than {limits.MAX_ATTRIBUTES} names"
@@ -109,60 +110,62 @@ def _check_names(scope: NameScope, node: nodes.Species) -> None:
 # --- the rest --------------------------------------------------------------------------------------------------------
 
 
-def complete(work: SpeciesDraft) -> model.Species:
+def complete_species(species_draft: SpeciesDraft) -> model.Species:
     """Check lets, latches, handlers, machines and layers. The attributes of all species must be known."""
-    names, node = work.names, work.node
-    key = ("species", node.name, names.edition, node.help, node.members, *work.attributes, *work.params)
-    species, names.bindings = cached_part(work.scope.declared, key, lambda: (_completed(work), names.bindings))
-    names.pending.clear()
+    names, node = species_draft.names, species_draft.node
+    key = ("species", node.name, names.edition, node.help, node.members, *species_draft.attributes, *species_draft.params)
+    species, names.bindings = get_or_compute_part(
+        species_draft.scope.declared, key, lambda: (_check_members(species_draft), names.bindings)
+    )
+    names.untyped_names.clear()
     return species
 
 
-def _completed(work: SpeciesDraft) -> model.Species:
-    scope, node, names = work.scope, work.node, work.names
+def _check_members(species_draft: SpeciesDraft) -> model.Species:
+    scope, node, names = species_draft.scope, species_draft.node, species_draft.names
     declarations: dict[str, nodes.Declaration] = {}
     for member in node.members:
         if isinstance(member, nodes.Declaration):
             declarations.setdefault(member.name.text, member)
-    attributes = [_with_relaxation(scope, a, declarations.get(a.name)) for a in work.attributes]
-    named = tuple(_members_of_kind(node, nodes.Let, nodes.Latch, nodes.Fuzzy))
-    bindings = cached_part(scope.declared, ("bindings", names.name, named), lambda: _bindings(scope, node))
+    attributes = [_add_relaxation(scope, a, declarations.get(a.name)) for a in species_draft.attributes]
+    named = tuple(_list_members(node, nodes.Let, nodes.Latch, nodes.Fuzzy))
+    bindings = get_or_compute_part(scope.declared, ("bindings", names.name, named), lambda: _check_bindings(scope, node))
     names.bindings = {binding.name: binding for binding in bindings}
-    names.pending.clear()
-    machines = _machines(scope.with_changes(no_keep=None), node)
+    names.untyped_names.clear()
+    machines = _check_machines(scope.with_changes(no_keep_reason=None), node)
     known = (names.name, *bindings)
     handling = tuple(m for m in node.members if isinstance(m, nodes.On))
-    handlers = cached_part(
-        scope.declared, ("handlers", handling, known), lambda: _handlers(scope.with_changes(no_keep=None), handling)
+    handlers = get_or_compute_part(
+        scope.declared, ("handlers", handling, known), lambda: _check_handlers(scope.with_changes(no_keep_reason=None), handling)
     )
     blocks = tuple(m for m in node.members if isinstance(m, nodes.Layers))
-    layers = cached_part(
-        scope.declared, ("layers", node.name, blocks, known), lambda: _layers(scope.with_changes(no_keep=None), node)
+    layers = get_or_compute_part(
+        scope.declared, ("layers", node.name, blocks, known), lambda: _check_layers(scope.with_changes(no_keep_reason=None), node)
     )
     switched = switches(scope, node)
     return model.Species(
-        names.name, node.help.text if node.help else "", tuple(attributes), tuple(work.params),
+        names.name, node.help.text if node.help else "", tuple(attributes), tuple(species_draft.params),
         tuple(b for b in bindings if b.role == "let"), tuple(b for b in bindings if b.role == "latch"),
         tuple(handlers), tuple(machines), layers, node.name.span,
-        rest(scope.with_changes(keys=StableKeys(f"{names.name}.rest")), machines, node.name), scope.edition,
+        find_resting_push(scope.with_changes(keys=StableKeys(f"{names.name}.rest")), machines, node.name), scope.edition,
         switched["body_clearance"], switched["body_contacts"],
     )  # fmt: skip
 
 
-def _with_relaxation(scope: NameScope, attribute: model.AttributeDecl, node: nodes.Declaration | None) -> model.AttributeDecl:
+def _add_relaxation(scope: NameScope, attribute: model.AttributeDecl, node: nodes.Declaration | None) -> model.AttributeDecl:
     """Return the attribute with its rest value and, for a pair value, the species of the other agents."""
     if node is None or (node.relax is None and node.each is None):
         return attribute
     to = over = None
     if node.relax is not None:
         if attribute.type.kind not in (TypeKind.NUMBER, TypeKind.VECTOR, TypeKind.BAD):
-            message = f"`{attribute.name}` is {type_words(attribute.type)} and cannot relax"
+            message = f"`{attribute.name}` is {describe_type(attribute.type)} and cannot relax"
             scope.report.error("wrong-kind", message, node.relax.span, "only numbers and vectors can change gradually")
-        to = value_of_type(scope, node.relax.to, attribute.type, "`relax to`")
-        over = value_of_type(scope, node.relax.over, TIME_TYPE, "`over`")
+        to = type_value_as(scope, node.relax.to, attribute.type, "`relax to`")
+        over = type_value_as(scope, node.relax.over, TIME_TYPE, "`over`")
     each, strongest = None, 0
     if node.each is not None:
-        type = reference_type(scope, node.each.species)
+        type = find_reference_type(scope, node.each.species)
         if type is not None and type.kind is not TypeKind.AGENT:
             message = f"`{node.each.species.text}` is not a species"
             scope.report.error("wrong-kind", message, node.each.species.span, "`for each` stores values about other agents")
@@ -172,7 +175,7 @@ def _with_relaxation(scope: NameScope, attribute: model.AttributeDecl, node: nod
             message = f"`{attribute.name}` does not say for how many others it is stored"
             scope.report.error("missing-bound", message, node.each.span, f"write `for each {each}, strongest 8`")
         else:
-            count = constant_behind(value_of_type(scope, node.each.strongest, ValueType(TypeKind.NUMBER), "`strongest`"))
+            count = find_constant(type_value_as(scope, node.each.strongest, ValueType(TypeKind.NUMBER), "`strongest`"))
             strongest = int(count.number) if count is not None else 0
             if count is None or not 1 <= count.number <= limits.MAX_PAIR_VALUES or count.number != strongest:
                 scope.report.error(
@@ -187,47 +190,47 @@ def _with_relaxation(scope: NameScope, attribute: model.AttributeDecl, node: nod
     )  # fmt: skip
 
 
-def _expressions_of(member: nodes.Let | nodes.Latch | nodes.Fuzzy) -> list[nodes.Expr]:
+def _list_expressions(member: nodes.Let | nodes.Latch | nodes.Fuzzy) -> list[nodes.Expr]:
     if isinstance(member, nodes.Fuzzy):
         return [part for rule in member.rules for part in (rule.condition, rule.value)]
     return [member.value] if isinstance(member, nodes.Let) else [member.on, member.until]
 
 
-def _bindings(scope: NameScope, node: nodes.Species) -> list[Binding]:
+def _check_bindings(scope: NameScope, node: nodes.Species) -> list[Binding]:
     """Return lets, latches and fuzzy values. Each comes after the bindings that it uses."""
     names = scope.species
     assert names is not None
     declared: dict[str, nodes.Let | nodes.Latch | nodes.Fuzzy] = {}
-    for member in _members_of_kind(node, nodes.Let, nodes.Latch, nodes.Fuzzy):
+    for member in _list_members(node, nodes.Let, nodes.Latch, nodes.Fuzzy):
         declared.setdefault(member.name.text, member)
-    order, circular = order_declarations(scope.report, "lets", declared, _expressions_of, lambda m: m.name)
+    order, circular = order_declarations(scope.report, "lets", declared, _list_expressions, lambda m: m.name)
     bindings: list[Binding] = []
     for each in order:
         name = each.name.text
         inner = scope.with_changes(keys=StableKeys(f"{names.name}.{name}"))
         if name in circular:
             binding = Binding(
-                name, "let", BAD_TYPE, ChangeRate.CONST, each.name.span, bad_expression(each.name.span), snapshot=True
+                name, "let", BAD_TYPE, ChangeRate.CONST, each.name.span, make_bad_expression(each.name.span), snapshot=True
             )
         elif isinstance(each, (nodes.Let, nodes.Fuzzy)):
-            expr = fuzzy_mean(inner, each) if isinstance(each, nodes.Fuzzy) else inner.type_expression(each.value)
+            expr = type_fuzzy_mean(inner, each) if isinstance(each, nodes.Fuzzy) else inner.type_expression(each.value)
             binding = Binding(name, "let", expr.type, expr.rate, each.name.span, expr, snapshot=True)
         else:
-            on, until = condition(inner, each.on, "`latch`"), condition(inner, each.until, "`until`")
+            on, until = type_condition(inner, each.on, "`latch`"), type_condition(inner, each.until, "`until`")
             binding = Binding(name, "latch", BOOL_TYPE, ChangeRate.AGENT, each.name.span, on, until, f"{names.name}.{name}")
         names.bindings[name] = binding
-        names.pending.discard(name)
+        names.untyped_names.discard(name)
         bindings.append(binding)
     return bindings
 
 
-def _machines(scope: NameScope, node: nodes.Species) -> list[model.Machine]:
+def _check_machines(scope: NameScope, node: nodes.Species) -> list[model.Machine]:
     names = scope.species
     assert names is not None
     machines: list[model.Machine] = []
     loose = [m for m in node.members if isinstance(m, (nodes.State, nodes.Start, nodes.Change))]
     if "main" in names.machines and any(isinstance(m, nodes.State) for m in loose):
-        machines.append(machine(scope, names.machines["main"], loose, node.name.span))
+        machines.append(check_machine(scope, names.machines["main"], loose, node.name.span))
     elif loose:
         message = "there are no states here"
         scope.report.error("unknown-state", message, loose[0].span, "move this line into the `machine` that it belongs to")
@@ -235,23 +238,23 @@ def _machines(scope: NameScope, node: nodes.Species) -> list[model.Machine]:
     for member in node.members:
         if isinstance(member, nodes.Machine) and member.name.text not in known_names:
             known_names.add(member.name.text)
-            machines.append(machine(scope, names.machines[member.name.text], member.members, member.name.span))
+            machines.append(check_machine(scope, names.machines[member.name.text], member.members, member.name.span))
     return machines
 
 
-def _handlers(scope: NameScope, written: tuple[nodes.On, ...]) -> list[model.Handler]:
+def _check_handlers(scope: NameScope, handler_nodes: tuple[nodes.On, ...]) -> list[model.Handler]:
     events: dict[str, StableKeys] = {}
-    return [_handler(scope, each, events) for each in written]
+    return [_check_handler(scope, each, events) for each in handler_nodes]
 
 
-def _handler(scope: NameScope, node: nodes.On, events: dict[str, StableKeys]) -> model.Handler:
-    """Check a handler. `events`: the keys of the earlier handlers by event, because two handlers of one event must not share
-    random draws."""
+def _check_handler(scope: NameScope, node: nodes.On, keys_by_event: dict[str, StableKeys]) -> model.Handler:
+    """Check a handler. `keys_by_event`: the keys of the earlier handlers by event, because two handlers of one event must not
+    share random draws."""
     names, event = scope.species, node.event.text
     assert names is not None
-    keys = events.setdefault(event, StableKeys(f"{names.name}.on.{event}"))
-    scope = scope.with_changes(keys=keys, no_keep="an event does not happen at every step")
-    other, partner_species = None, _partner_species(scope, node) if event == "collision" else ""
+    keys = keys_by_event.setdefault(event, StableKeys(f"{names.name}.on.{event}"))
+    scope = scope.with_changes(keys=keys, no_keep_reason="an event does not happen at every step")
+    other, partner_species = None, _find_partner_species(scope, node) if event == "collision" else ""
     if event == "collision" and node.variable is not None:
         _check_distinct_name(scope, node.variable)
         if partner_species:
@@ -262,11 +265,11 @@ def _handler(scope: NameScope, node: nodes.On, events: dict[str, StableKeys]) ->
                 ChangeRate.AGENT,
                 node.variable.span,
             )
-        scope = scope.with_changes(locals={node.variable.text: other or bad_expression(node.variable.span)})
+        scope = scope.with_changes(local_names={node.variable.text: other or make_bad_expression(node.variable.span)})
     elif node.variable is not None:
         message = f"`on {event}` does not name an agent"
         scope.report.error("wrong-argument", message, node.variable.span, f"write `on {event} {{ … }}`")
-        scope = scope.with_changes(locals={node.variable.text: bad_expression(node.variable.span)})
+        scope = scope.with_changes(local_names={node.variable.text: make_bad_expression(node.variable.span)})
     if event not in BUILTIN_EVENTS:
         scope.mark_used("on", event)
         scope.mark_used("heard", f"{event} {scope.species.name if scope.species else ''}")
@@ -279,7 +282,7 @@ def _handler(scope: NameScope, node: nodes.On, events: dict[str, StableKeys]) ->
     )
 
 
-def _partner_species(scope: NameScope, node: nodes.On) -> str:
+def _find_partner_species(scope: NameScope, node: nodes.On) -> str:
     """Return the species of the other agent in a collision: the named species, or the agent's own by default. "" after an
     error."""
     assert scope.species is not None
@@ -295,7 +298,7 @@ def _partner_species(scope: NameScope, node: nodes.On) -> str:
         advice = f"test it in a state: `when touching({name.text}) -> …`"
         scope.report.error("wrong-kind", f"`{name.text}` is not a species, but a collision is with an agent", name.span, advice)
     else:
-        advice = did_you_mean(name.text, known, f"declare it: `world {{ species {name.text} }}`")
+        advice = suggest_name(name.text, known, f"declare it: `world {{ species {name.text} }}`")
         scope.report.error("unknown-species", f"no species `{name.text}`", name.span, advice)
     return ""
 
@@ -313,7 +316,7 @@ def _check_distinct_name(scope: NameScope, variable: nodes.Name) -> None:
 # --- layers ----------------------------------------------------------------------------------------------------------
 
 
-def _layers(scope: NameScope, node: nodes.Species) -> model.LayerStack:
+def _check_layers(scope: NameScope, node: nodes.Species) -> model.LayerStack:
     names = scope.species
     assert names is not None
     written = [m for m in node.members if isinstance(m, nodes.Layers)]
@@ -331,7 +334,7 @@ def _layers(scope: NameScope, node: nodes.Species) -> model.LayerStack:
             "unknown-setting",
             f"layers cannot be combined by `{mode}`",
             block.mode.span,
-            did_you_mean(mode, ("sum", "first"), "write `layers`, `layers sum` or `layers first`"),
+            suggest_name(mode, ("sum", "first"), "write `layers`, `layers sum` or `layers first`"),
         )
     if len(block.layers) > limits.MAX_STEERING_LAYERS:
         message = f"more than {limits.MAX_STEERING_LAYERS} layers"
@@ -340,34 +343,34 @@ def _layers(scope: NameScope, node: nodes.Species) -> model.LayerStack:
         )
     scope = scope.with_changes(keys=StableKeys(f"{names.name}.layers"))
     counts: dict[str, int] = {}
-    return model.LayerStack(mode, tuple(_layer(scope, each, counts) for each in block.layers), block.span)
+    return model.LayerStack(mode, tuple(_check_layer(scope, each, counts) for each in block.layers), block.span)
 
 
-def _layer(scope: NameScope, node: nodes.Layer, counts: dict[str, int]) -> model.Layer:
+def _check_layer(scope: NameScope, node: nodes.Layer, word_counts: dict[str, int]) -> model.Layer:
     """Check a layer. Its key is its first word, such as `separate`; a second layer with this word has the key `separate#2`."""
     text = " ".join(node.push.span.text.split())
     steered = isinstance(node.push, nodes.NameRef) and node.push.name.text == "state" and not node.faces
-    word = _layer_word(node.push)
+    word = _find_layer_word(node.push)
     if node.faces:
         text, word = f"face {text}", f"face {word}"
-    counts[word] = counts.get(word, 0) + 1
-    key = word if counts[word] == 1 else f"{word}#{counts[word]}"
+    word_counts[word] = word_counts.get(word, 0) + 1
+    key = word if word_counts[word] == 1 else f"{word}#{word_counts[word]}"
     push = None
     own = scope.species
     taken = {*own.attributes, *own.bindings} if own else set()
     if node.faces:
-        push = facing_direction(scope, node.push)
+        push = type_facing_direction(scope, node.push)
     elif isinstance(node.push, nodes.NameRef) and is_state_name(scope, word) and own and word not in taken:
         message = f"`{word}` is a state, but a layer must be a wish"
         scope.report.error("state-as-value", message, node.push.span, "did you mean `state`?")  # probably means the steering
-        push = bad_expression(node.push.span)
+        push = make_bad_expression(node.push.span)
     elif not steered:
-        push = value_of_type(scope, node.push, PUSH_TYPE, "a layer")
-    test = condition(scope, node.condition, "`when`") if node.condition is not None else None
+        push = type_value_as(scope, node.push, PUSH_TYPE, "a layer")
+    test = type_condition(scope, node.condition, "`when`") if node.condition is not None else None
     return model.Layer(push, test, text, node.span, key, node.faces)
 
 
-def _layer_word(push: nodes.Expr) -> str:
+def _find_layer_word(push: nodes.Expr) -> str:
     while isinstance(push, (nodes.Binary, nodes.Unary, nodes.Call)):
         push = push.left if isinstance(push, nodes.Binary) else push.operand if isinstance(push, nodes.Unary) else push.function
     if isinstance(push, nodes.Member):

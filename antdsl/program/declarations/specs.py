@@ -5,29 +5,29 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
-from antdsl.program.declarations.world import SETTING_RULES, is_run_constant, outer_scope
+from antdsl.program.declarations.world import SETTING_RULES, is_run_constant, make_outer_scope
 from antdsl.program.expectations import (
     AggregateExpr,
-    AtStart,
     BodyMeasure,
     ComparisonRun,
     Expectation,
     ExpectationReading,
     MotionMeasure,
-    OtherRun,
+    ReferenceRunValue,
     Spec,
     SpecChange,
+    StartValue,
 )
 from antdsl.program.kinds import NUMBER_TYPE, TIME_TYPE
 from antdsl.program.model import ChangeRate, Expr, Field, OperationExpr, Param, TypeKind
-from antdsl.program.names.scope import Declarations, FileNames, NameScope, StableKeys, did_you_mean, list_names
-from antdsl.program.tables.units import default_unit, measure
+from antdsl.program.names.scope import Declarations, FileNames, NameScope, StableKeys, list_names, suggest_name
+from antdsl.program.tables.units import choose_default_unit, find_unit_measure
 from antdsl.program.tables.vocabulary import DRAWING_OPERATIONS
-from antdsl.program.traverse import parts, written_nodes
+from antdsl.program.traverse import iterate_nodes, iterate_parts
 from antdsl.program.types.aggregates import SpecRules
 from antdsl.program.types.descriptions import quote_source
-from antdsl.program.types.folding import constant_behind
-from antdsl.program.types.operators import condition, value_of_type
+from antdsl.program.types.folding import find_constant
+from antdsl.program.types.operators import type_condition, type_value_as
 from antdsl.syntax import nodes
 from antdsl.syntax.words import FIXED_FIELD_SETTINGS
 
@@ -49,10 +49,10 @@ class _SpecCheck:
     seeds: list[int] = field(default_factory=list)
     changes: list[SpecChange] = field(default_factory=list)
     expectations: list[Expectation] = field(default_factory=list)
-    share: float | None = None
-    compares: bool = False  # whether the spec has a reference run
-    against: ComparisonRun | None = None
-    blocks: int = 0
+    pass_share: float | None = None
+    has_reference_run: bool = False  # whether the spec has a reference run
+    reference_run: ComparisonRun | None = None
+    block_count: int = 0
 
 
 def check_spec(
@@ -62,30 +62,30 @@ def check_spec(
     if spec.scene is not None and not spec.scene.text.endswith((".yaml", ".yml")):
         words = f"`{spec.scene.text}` is not the name of a scene"
         declared.report.error("not-a-scene", words, spec.scene.span, 'write `on "scene.yaml"`')
-    work = _SpecCheck(declared, names, params, fields, compares=any(line.kind == "against" for line in spec.lines))
+    work = _SpecCheck(declared, names, params, fields, has_reference_run=any(line.kind == "against" for line in spec.lines))
     for line in spec.lines:
-        _line(work, line)
+        _check_line(work, line)
     if not any((line.condition is not None and line.kind not in _SETTING_WORDS) or line.kind == "each" for line in spec.lines):
         message = f"the spec {quote_source(spec.name.span)} expects nothing"
         declared.report.warning("empty-spec", message, spec.name.span, "write `always: …` or `within 20 s: …`")
     return Spec(
         spec.name.text, spec.scene, work.duration, tuple(dict.fromkeys(work.seeds)), tuple(work.changes),
-        tuple(work.expectations), spec.span, 1.0 if work.share is None else work.share, work.against,
+        tuple(work.expectations), spec.span, 1.0 if work.pass_share is None else work.pass_share, work.reference_run,
     )  # fmt: skip
 
 
-def _line(work: _SpecCheck, line: nodes.SpecLine) -> None:
+def _check_line(work: _SpecCheck, line: nodes.SpecLine) -> None:
     if line.kind == "for" and line.condition is None:
         _check_repeat(work, line, work.duration is not None)
-        work.duration = _time(work, line, outer_scope(work.declared, work.names, "spec"))
+        work.duration = _type_time(work, line, make_outer_scope(work.declared, work.names, "spec"))
     elif line.kind == "seeds":
         _read_seeds(work, line)
     elif line.kind == "pass":
-        _check_repeat(work, line, work.share is not None)
-        work.share = _pass_share(work, line)
+        _check_repeat(work, line, work.pass_share is not None)
+        work.pass_share = _read_pass_share(work, line)
     elif line.kind == "against":
-        _check_repeat(work, line, work.against is not None)
-        work.against = _comparison_run(work, line)
+        _check_repeat(work, line, work.reference_run is not None)
+        work.reference_run = _check_reference_run(work, line)
     elif line.kind == "set":
         _add_change(work, line)
     elif line.kind == "each":
@@ -94,21 +94,21 @@ def _line(work: _SpecCheck, line: nodes.SpecLine) -> None:
         _add_expectation(work, line, None)
 
 
-def _check_repeat(work: _SpecCheck, line: nodes.SpecLine, again: bool) -> None:
-    if again:
+def _check_repeat(work: _SpecCheck, line: nodes.SpecLine, is_repeated: bool) -> None:
+    if is_repeated:
         words = f"`{line.kind}` appears twice in one spec"
         work.declared.report.error("duplicate-name", words, line.span, "keep one of them")
 
 
-def _time(
+def _type_time(
     work: _SpecCheck, line: nodes.SpecLine, scope: NameScope, node: nodes.Expr | None = None, word: str = ""
 ) -> Expr | None:
     node, word = node or line.time, word or line.kind
     assert node is not None
-    expr = value_of_type(scope, node, TIME_TYPE, f"`{word}`")
+    expr = type_value_as(scope, node, TIME_TYPE, f"`{word}`")
     if expr.type.kind is TypeKind.BAD or not is_run_constant(work.declared.report, expr, f"`{word}`"):
         return None
-    known = constant_behind(expr)
+    known = find_constant(expr)
     if known is not None and known.number <= 0:
         message = f"`{word}` needs a time above 0"
         work.declared.report.error("out-of-range", message, node.span, "write a time above 0, such as `20 s`")
@@ -116,11 +116,11 @@ def _time(
     return expr
 
 
-def _pass_share(work: _SpecCheck, line: nodes.SpecLine) -> float | None:
+def _read_pass_share(work: _SpecCheck, line: nodes.SpecLine) -> float | None:
     """Return the share of the seeds that must pass, from 0 to 1; None after an error."""
     assert line.condition is not None
-    expr = value_of_type(outer_scope(work.declared, work.names, "spec"), line.condition, NUMBER_TYPE, "`pass`")
-    known = constant_behind(expr)
+    expr = type_value_as(make_outer_scope(work.declared, work.names, "spec"), line.condition, NUMBER_TYPE, "`pass`")
+    known = find_constant(expr)
     if known is not None and 0 < known.number <= 1:
         return known.number
     if expr.type.kind is not TypeKind.BAD:
@@ -129,7 +129,7 @@ def _pass_share(work: _SpecCheck, line: nodes.SpecLine) -> float | None:
     return None
 
 
-def _comparison_run(work: _SpecCheck, line: nodes.SpecLine) -> ComparisonRun:
+def _check_reference_run(work: _SpecCheck, line: nodes.SpecLine) -> ComparisonRun:
     """Return the reference run; its `set` lines are in a separate list."""
     report, scene = work.declared.report, line.target
     if isinstance(scene, nodes.Text) and not scene.text.endswith((".yaml", ".yml")):
@@ -153,7 +153,7 @@ def _read_seeds(work: _SpecCheck, line: nodes.SpecLine) -> None:
     node = line.condition
     assert node is not None
     ends = (node.low, node.high) if isinstance(node, nodes.RangeExpr) else (node,)
-    bounds = [_whole_number(work, end) for end in ends]
+    bounds = [_read_whole_number(work, end) for end in ends]
     numbers = [number for number in bounds if number is not None]
     if len(numbers) < len(bounds):
         return
@@ -167,9 +167,9 @@ def _read_seeds(work: _SpecCheck, line: nodes.SpecLine) -> None:
         work.seeds += range(low, high + 1)
 
 
-def _whole_number(work: _SpecCheck, node: nodes.Expr) -> int | None:
-    expr = value_of_type(outer_scope(work.declared, work.names, "spec"), node, NUMBER_TYPE, "`seeds`")
-    known = constant_behind(expr)
+def _read_whole_number(work: _SpecCheck, node: nodes.Expr) -> int | None:
+    expr = type_value_as(make_outer_scope(work.declared, work.names, "spec"), node, NUMBER_TYPE, "`seeds`")
+    known = find_constant(expr)
     if known is not None and known.number == int(known.number) and 0 <= known.number < 2**53:
         return int(known.number)
     if expr.type.kind is not TypeKind.BAD:
@@ -179,24 +179,24 @@ def _whole_number(work: _SpecCheck, node: nodes.Expr) -> int | None:
 
 
 def _add_change(work: _SpecCheck, line: nodes.SpecLine) -> None:
-    declared, scope = work.declared, outer_scope(work.declared, work.names, "spec")
+    declared, scope = work.declared, make_outer_scope(work.declared, work.names, "spec")
     assert line.target is not None and line.condition is not None
     text = "".join(line.target.span.text.split())
     thing, _, word = text.partition(".")
     if text in work.params:
         param = work.params[text]
-        declared.used.add(("param", text))
+        declared.used_names.add(("param", text))
         _bind_target(scope, line.target, "species", "own")
-        expr = value_of_type(scope, line.condition, param.type, f"`{text}`")
+        expr = type_value_as(scope, line.condition, param.type, f"`{text}`")
         if expr.type.kind is TypeKind.BAD:
             return
-        if constant_behind(expr) is None:
+        if find_constant(expr) is None:
             is_run_constant(declared.report, expr, f"`{text}`")
             return
         _check_range(work, line.condition, param, expr)
         work.changes.append(SpecChange(text, expr, line.span))
     elif thing in work.fields and word in SETTING_RULES and word not in FIXED_FIELD_SETTINGS:
-        declared.used.add(("field", thing))
+        declared.used_names.add(("field", thing))
         _bind_target(scope, line.target, "field", "setting")
         value = SETTING_RULES[word](scope, nodes.Setting(nodes.Name(word, line.target.span), line.condition, line.span))
         if value is not None:
@@ -206,7 +206,7 @@ def _add_change(work: _SpecCheck, line: nodes.SpecLine) -> None:
             *work.params,
             *(f"{name}.{word}" for name in work.fields for word in SETTING_RULES if word not in FIXED_FIELD_SETTINGS),
         ]
-        advice = did_you_mean(text, known, f"there is {list_names(work.params)}" if work.params else None)
+        advice = suggest_name(text, known, f"there is {list_names(work.params)}" if work.params else None)
         declared.report.error("unknown-name", f"no param `{text}` to set", line.target.span, advice)
 
 
@@ -219,9 +219,11 @@ def _bind_target(scope: NameScope, target: nodes.Expr | nodes.Text, owner: str, 
 
 
 def _check_range(work: _SpecCheck, node: nodes.Expr, param: Param, expr: Expr) -> None:
-    constant = constant_behind(expr)
+    constant = find_constant(expr)
     for bound, sign in ((param.low, 1), (param.high, -1)):
-        alike = constant is not None and bound is not None and (bound.u, bound.step) == (constant.u, constant.step)
+        alike = (
+            constant is not None and bound is not None and (bound.unit_power, bound.step) == (constant.unit_power, constant.step)
+        )
         if constant is not None and bound is not None and alike and sign * (constant.number - bound.number) < 0:
             low, high = (end.span.text if end is not None else "" for end in (param.low, param.high))
             message = f"`{param.name}` = {constant.span.text} is outside {low} .. {high}"
@@ -237,11 +239,11 @@ def _check_each_block(work: _SpecCheck, line: nodes.SpecLine) -> None:
     species = line.target.name.text
     if species not in declared.species:
         message = f"no species `{species}`"
-        declared.report.error("unknown-species", message, line.target.span, did_you_mean(species, declared.species))
+        declared.report.error("unknown-species", message, line.target.span, suggest_name(species, declared.species))
         return
-    declared.used.add(("species", species))
-    outer_scope(declared, work.names, "spec").bind(line.target.span, "species", species)
-    work.blocks += 1
+    declared.used_names.add(("species", species))
+    make_outer_scope(declared, work.names, "spec").bind(line.target.span, "species", species)
+    work.block_count += 1
     for inner in line.lines:
         if inner.kind in ("seeds", "pass", "set", "against", "sooner", "each") or (inner.kind == "for" and not inner.condition):
             message = f"`{inner.kind}` belongs to the whole spec"
@@ -252,20 +254,20 @@ def _check_each_block(work: _SpecCheck, line: nodes.SpecLine) -> None:
 
 def _add_expectation(work: _SpecCheck, line: nodes.SpecLine, species: str | None) -> None:
     assert line.condition is not None
-    rules = SpecRules(work.declared, work.compares)
-    scope = outer_scope(rules.declared, work.names, f"{species or ''}.spec")
+    rules = SpecRules(work.declared, work.has_reference_run)
+    scope = make_outer_scope(rules.declared, work.names, f"{species or ''}.spec")
     if species is not None:
         scope = scope.with_changes(species=work.declared.species[species], keys=StableKeys(f"{species}.spec"))
-    time = _time(work, line, scope) if line.time is not None else None
-    held = None if line.held is None else _time(work, line, scope, line.held, "held")
-    since = None if line.since is None else condition(scope, line.since, "`when`")
-    expr = condition(scope, line.condition, f"`{line.kind}`")
+    time = _type_time(work, line, scope) if line.time is not None else None
+    held = None if line.held is None else _type_time(work, line, scope, line.held, "held")
+    since = None if line.since is None else type_condition(scope, line.since, "`when`")
+    expr = type_condition(scope, line.condition, f"`{line.kind}`")
     conditions = [each for each in (since, expr) if each is not None]
-    if any(isinstance(p, Expr) and p.type.kind is TypeKind.BAD for each in conditions for p in parts(each)):
+    if any(isinstance(p, Expr) and p.type.kind is TypeKind.BAD for each in conditions for p in iterate_parts(each)):
         return
-    at_end = any(isinstance(part, MotionMeasure) for each in conditions for part in parts(each))
+    at_end = any(isinstance(part, MotionMeasure) for each in conditions for part in iterate_parts(each))
     if all(_is_judgeable(work, line, species, each, at_end) for each in conditions) and _allows_time(work, line):
-        readings, block = tuple(_readings(expr, line.condition)), work.blocks if species else 0
+        readings, block = tuple(_iterate_readings(expr, line.condition)), work.block_count if species else 0
         work.expectations.append(Expectation(line.kind, block, species, expr, time, readings, at_end, line.span, held, since))
 
 
@@ -277,7 +279,7 @@ def _allows_time(work: _SpecCheck, line: nodes.SpecLine) -> bool:
         advice = "leave `held` out: a condition that is always true has held all the time"
         report.error("wrong-argument", words, line.held.span, advice)
         return False
-    if line.kind == "sooner" and not work.compares:
+    if line.kind == "sooner" and not work.has_reference_run:
         words = "`sooner` compares with another run, and there is none"
         report.error("misplaced-line", words, line.span, "add a line such as `against { set forager.reward = 0 /s }`")
         return False
@@ -298,7 +300,7 @@ def _is_judgeable(work: _SpecCheck, line: nodes.SpecLine, species: str | None, e
         advice = "limit it in a line of the spec itself: `always: motion.circling < 5 %`"
         report.error("wrong-argument", "`motion` is measured over the whole run and known only at its end", expr.span, advice)
         return False
-    draw = next((p for p in parts(expr) if isinstance(p, OperationExpr) and p.name in DRAWING_OPERATIONS), None)
+    draw = next((p for p in iterate_parts(expr) if isinstance(p, OperationExpr) and p.name in DRAWING_OPERATIONS), None)
     if draw is not None:
         message = f"{quote_source(draw.span)} draws a random number, and a spec only looks"
         report.error("draw-in-spec", message, draw.span, "leave it out")
@@ -306,9 +308,9 @@ def _is_judgeable(work: _SpecCheck, line: nodes.SpecLine, species: str | None, e
     return True
 
 
-def _readings(expr: Expr, node: nodes.Expr) -> Iterator[ExpectationReading]:
+def _iterate_readings(expr: Expr, node: nodes.Expr) -> Iterator[ExpectationReading]:
     """Yield the values that a failure message reports, in text order: both sides of comparisons, and other values."""
-    units = [part.unit for part, _ in written_nodes(node) if isinstance(part, nodes.Quantity)]
+    units = [part.unit for part, _ in iterate_nodes(node) if isinstance(part, nodes.Quantity)]
     stack: list[Expr] = [expr]
     while stack:
         part = stack.pop()
@@ -321,16 +323,18 @@ def _readings(expr: Expr, node: nodes.Expr) -> Iterator[ExpectationReading]:
             yield ExpectationReading(part.args[0], "")  # the reference itself, or none
         elif isinstance(part, OperationExpr) and part.name in ("and", "or", "not", *_COMPARISON_OPERATIONS):
             stack += [arg for arg in reversed(part.args) if arg is not None]
-        elif part.rate > ChangeRate.RUN or isinstance(part, AggregateExpr | AtStart | MotionMeasure | OtherRun | BodyMeasure):
-            yield ExpectationReading(part, _display_unit(part, units))
+        elif part.rate > ChangeRate.RUN or isinstance(
+            part, AggregateExpr | StartValue | MotionMeasure | ReferenceRunValue | BodyMeasure
+        ):
+            yield ExpectationReading(part, _choose_display_unit(part, units))
 
 
-def _display_unit(part: Expr, units: list[str]) -> str:
+def _choose_display_unit(part: Expr, units: list[str]) -> str:
     """Return a unit for the display of a number: the first unit of its dimension in the source, or a default unit."""
     if part.type.kind is not TypeKind.NUMBER:
         return ""
     for unit in units:
-        known = measure(unit)
-        if known is not None and known.dim == part.type.dim:
+        known = find_unit_measure(unit)
+        if known is not None and known.dim == part.type.dimension:
             return unit
-    return default_unit(part.type.dim)
+    return choose_default_unit(part.type.dimension)

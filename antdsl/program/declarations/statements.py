@@ -8,23 +8,23 @@ from dataclasses import replace
 
 from antdsl.diagnostics import Label
 from antdsl.program import model
-from antdsl.program.declarations.amounts import StatementContext, amount_or_rate
-from antdsl.program.declarations.appearance import channel, look, play, wear
-from antdsl.program.declarations.asks import ask
+from antdsl.program.declarations.amounts import StatementContext, type_amount_or_rate
+from antdsl.program.declarations.appearance import check_channel, check_look, check_play, check_wear
+from antdsl.program.declarations.effect_requests import check_request
 from antdsl.program.kinds import NUMBER_TYPE, PUSH_TYPE
 from antdsl.program.model import Expr, TypeKind, ValueType
-from antdsl.program.names.scope import NameScope, did_you_mean, list_names, type_from_words
-from antdsl.program.types.arguments import place
-from antdsl.program.types.descriptions import is_compatible, quote_source, report_disagreement, report_mismatch, type_words
-from antdsl.program.types.operators import facing_direction, value, value_of_type
-from antdsl.program.types.pair_values import pair_values_of
+from antdsl.program.names.scope import NameScope, list_names, parse_type_words, suggest_name
+from antdsl.program.types.arguments import type_point
+from antdsl.program.types.descriptions import describe_type, is_compatible, quote_source, report_disagreement, report_mismatch
+from antdsl.program.types.operators import type_facing_direction, type_value, type_value_as
+from antdsl.program.types.pair_values import type_set_index
 from antdsl.source import Span
 from antdsl.syntax import nodes
 
 
 def check_statements(scope: NameScope, lines: Iterable[object], block: StatementContext) -> tuple[model.Statement, ...]:
     """Return the statements of a block in text order, without those that have errors."""
-    scope = scope.with_changes(runs_once=not block.body)
+    scope = scope.with_changes(runs_once=not block.is_state_body)
     checked_statements: list[model.Statement] = []
     assigned: dict[str, Span] = {}
     for line in lines:
@@ -37,19 +37,19 @@ def check_statements(scope: NameScope, lines: Iterable[object], block: Statement
     return tuple(checked_statements)
 
 
-def _report_duplicates(scope: NameScope, name: nodes.Name, assigned: dict[str, Span]) -> None:
-    if name.text in assigned:
+def _report_duplicates(scope: NameScope, name: nodes.Name, first_spans: dict[str, Span]) -> None:
+    if name.text in first_spans:
         message = f"`{name.text}` is set twice in one block, and only the second counts"
         advice = f"keep one of them, or add: `{name.text} += …`"
-        scope.report.error("two-writers", message, name.span, advice, labels=(Label(assigned[name.text], "first here"),))
-    assigned.setdefault(name.text, name.span)
+        scope.report.error("two-writers", message, name.span, advice, labels=(Label(first_spans[name.text], "first here"),))
+    first_spans.setdefault(name.text, name.span)
 
 
 # --- one line each ---------------------------------------------------------------------------------------------------
 
 
-def _steer(scope: NameScope, line: nodes.Steer, block: StatementContext) -> model.Statement | None:
-    push = value(scope, line.push, PUSH_TYPE)
+def _check_steer(scope: NameScope, line: nodes.Steer, block: StatementContext) -> model.Statement | None:
+    push = type_value(scope, line.push, PUSH_TYPE)
     if push.type.kind is TypeKind.BAD:
         return None
     if not is_compatible(push.type, PUSH_TYPE):
@@ -58,17 +58,17 @@ def _steer(scope: NameScope, line: nodes.Steer, block: StatementContext) -> mode
     return model.Steer(push, line.span)
 
 
-def _face(scope: NameScope, line: nodes.Face, block: StatementContext) -> model.Statement | None:
-    direction = facing_direction(scope, line.push)
+def _check_face(scope: NameScope, line: nodes.Face, block: StatementContext) -> model.Statement | None:
+    direction = type_facing_direction(scope, line.push)
     return None if direction.type.kind is TypeKind.BAD else model.FaceLine(direction, line.span)
 
 
-def _assign(scope: NameScope, line: nodes.Assign, block: StatementContext) -> model.Statement | None:
+def _check_assign(scope: NameScope, line: nodes.Assign, block: StatementContext) -> model.Statement | None:
     species = scope.species
     assert species is not None
     target, of, over, element, inner = line.target, None, None, None, scope
     if isinstance(target, nodes.IndexAll):
-        element_access = pair_values_of(scope, target)
+        element_access = type_set_index(scope, target)
         if element_access is None:
             return None
         pair_attribute, over, element, inner = element_access
@@ -76,61 +76,61 @@ def _assign(scope: NameScope, line: nodes.Assign, block: StatementContext) -> mo
     elif isinstance(target, nodes.Index) and isinstance(target.owner, nodes.NameRef):
         checked = scope.type_expression(target)
         if not isinstance(checked, model.AttributeRef):
-            value(scope, line.value)
+            type_value(scope, line.value)
             return None
         name, type, of = checked.name, checked.type, checked.of
     elif isinstance(target, nodes.NameRef):
-        own = _assigned_attribute(scope, target.name, block, line)
+        own = _find_assigned_attribute(scope, target.name, block, line)
         if own is None:
-            value(scope, line.value)
+            type_value(scope, line.value)
             return None
         name, type = own
     else:
-        value(scope, line.value)
+        type_value(scope, line.value)
         message = f"{quote_source(target.span)} belongs to another; an agent sets only its own values"
         scope.report.error("not-own", message, target.span, "raise an event with `emit`, and let the other set it in `on`")
         return None
-    scope.declared.written.add(f"{species.name}.{name}")
+    scope.declared.written_attributes.add(f"{species.name}.{name}")
     if line.op != "=":
         if type.kind is TypeKind.BAD:
-            value(scope, line.value)
+            type_value(scope, line.value)
             return None
         if type.kind not in (TypeKind.NUMBER, TypeKind.VECTOR):
-            message = f"`{name}` is {type_words(type)}, but you can add only to numbers and vectors"
+            message = f"`{name}` is {describe_type(type)}, but you can add only to numbers and vectors"
             scope.report.error("wrong-kind", message, line.span, f"set it: `{name} = …`")
             return None
-        change = amount_or_rate(inner, line.value, type, block, f"{' '.join(target.span.text.split())} {line.op} ")
-        return None if change is None else model.Assign(name, line.op, change, block.body, line.span, of, over, element)
-    if block.commuting and name not in ("heading", "velocity") and type.kind not in (TypeKind.AGENT, TypeKind.ITEM):
+        change = type_amount_or_rate(inner, line.value, type, block, f"{' '.join(target.span.text.split())} {line.op} ")
+        return None if change is None else model.Assign(name, line.op, change, block.is_state_body, line.span, of, over, element)
+    if block.must_commute and name not in ("heading", "velocity") and type.kind not in (TypeKind.AGENT, TypeKind.ITEM):
         text, what = (" ".join(each.span.text.split()) for each in (line.value, target))
         words = f"`{what}` is set in a handler, where several events may come at once"
         advice = f"add to it: `{what} += {text}`, or set it in a change that asks for it: `when … -> … {{ {what} = {text} }}`"
         scope.report.error("not-commuting", words, line.span, advice)
         return None
-    new = value_of_type(inner, line.value, type, f"`{name}`")
+    new = type_value_as(inner, line.value, type, f"`{name}`")
     return None if new.type.kind is TypeKind.BAD else model.Assign(name, "=", new, False, line.span, of, over, element)
 
 
-def _assigned_attribute(
+def _find_assigned_attribute(
     scope: NameScope, name: nodes.Name, block: StatementContext, line: nodes.Assign
 ) -> tuple[str, ValueType] | None:
     """Return the attribute that a bare name on the left of an assignment stands for, and its type; None after an error."""
     species, report, text = scope.species, scope.report, name.text
     assert species is not None
     scope.bind_own(name.span, name.text)
-    if text in species.each:
+    if text in species.pair_value_species:
         report.error("wrong-kind", f"`{text}` is a value per pair: name the other agent", name.span, f"write `{text}[other]`")
         return None
     if text in species.attributes:
         return text, species.attributes[text]
     builtin = scope.builtins.get(text)
-    if builtin is not None and (builtin.settable or text in ("velocity", "heading")):
-        if not builtin.settable and block.body:
+    if builtin is not None and (builtin.is_settable or text in ("velocity", "heading")):
+        if not builtin.is_settable and block.is_state_body:
             example = f"`enter {{ {' '.join(line.span.text.split())} }}`"
             advice = f"steer instead, or set it once: {example}"
             report.error("set-in-body", f"`{text}` cannot be set in every step", line.span, advice)
             return None
-        return text, type_from_words(builtin.type) or ValueType(TypeKind.BAD)
+        return text, parse_type_words(builtin.type) or ValueType(TypeKind.BAD)
     if text in species.params:
         message = f"`{text}` is a param, which has one value for all agents"
         report.error("not-settable", message, name.span, f"make it an attribute: `{text} = …` without `param`")
@@ -143,26 +143,28 @@ def _assigned_attribute(
             advice = "a transition changes it: `when … -> …`"
         report.error("not-settable", f"`{text}` cannot be set", name.span, advice)
     else:
-        known = [a for a in species.attributes if a not in species.each] + [n for n, g in scope.builtins.items() if g.settable]
+        known = [a for a in species.attributes if a not in species.pair_value_species] + [
+            n for n, g in scope.builtins.items() if g.is_settable
+        ]
         message = f"`{species.name}` has no attribute `{text}`"
         report.error(
-            "unknown-name", message, name.span, did_you_mean(text, known, f"declare it: `{text} = …` in `species {species.name}`")
+            "unknown-name", message, name.span, suggest_name(text, known, f"declare it: `{text} = …` in `species {species.name}`")
         )
     return None
 
 
-def _ask(scope: NameScope, line: nodes.Ask, block: StatementContext) -> model.Statement | None:
-    return _CHECKER_BY_DISPLAY_WORD.get(line.verb, ask)(scope, line, block)
+def _check_ask(scope: NameScope, line: nodes.Ask, block: StatementContext) -> model.Statement | None:
+    return _CHECKER_BY_DISPLAY_WORD.get(line.verb, check_request)(scope, line, block)
 
 
-def _give(scope: NameScope, line: nodes.Give, block: StatementContext) -> model.Statement | None:
+def _check_give(scope: NameScope, line: nodes.Give, block: StatementContext) -> model.Statement | None:
     species = scope.species
     assert species is not None
-    to = place(scope, line.to, "`to`")
-    own = _own_amount_type(scope, line.attribute, "to give from")
+    to = type_point(scope, line.to, "`to`")
+    own = _find_amount_type(scope, line.attribute, "to give from")
     amount = None
     if line.amount is not None:
-        amount = amount_or_rate(
+        amount = type_amount_or_rate(
             scope,
             line.amount,
             own or NUMBER_TYPE,
@@ -172,21 +174,21 @@ def _give(scope: NameScope, line: nodes.Give, block: StatementContext) -> model.
         )
     if own is None or not _has_attribute(scope, line.to, to, line.attribute, own) or (line.amount is not None and amount is None):
         return None
-    scope.declared.written.add(f"{species.name}.{line.attribute.text}")
-    return model.Give(line.attribute.text, amount, to, block.body, line.span)
+    scope.declared.written_attributes.add(f"{species.name}.{line.attribute.text}")
+    return model.Give(line.attribute.text, amount, to, block.is_state_body, line.span)
 
 
-def take(scope: NameScope, line: nodes.Take) -> model.Take | None:
+def check_take(scope: NameScope, line: nodes.Take) -> model.Take | None:
     """Check `take 1 load from meal` or `take all load from grass`. Such a take is part of a transition, and all agents that claim
     the same amount compete for it."""
     source = scope.type_expression(line.source, ValueType(TypeKind.PLACE)) if isinstance(line.source, nodes.NameRef) else None
     if source is None or source.type.kind is not TypeKind.FIELD:
-        source = place(scope, line.source, "`from`")
-    own = None if line.attribute is None else _own_amount_type(scope, line.attribute, "to take it into")
+        source = type_point(scope, line.source, "`from`")
+    own = None if line.attribute is None else _find_amount_type(scope, line.attribute, "to take it into")
     called = line.attribute.text if line.attribute is not None else ""
     amount = None
     if line.amount is not None:
-        amount = value_of_type(
+        amount = type_value_as(
             scope.with_changes(runs_once=True),
             line.amount,
             own or NUMBER_TYPE,
@@ -218,7 +220,7 @@ def take(scope: NameScope, line: nodes.Take) -> model.Take | None:
         return None
     assert scope.species is not None
     if called:
-        scope.declared.written.add(f"{scope.species.name}.{called}")
+        scope.declared.written_attributes.add(f"{scope.species.name}.{called}")
     return model.Take(called or None, amount, source, line.span)
 
 
@@ -237,18 +239,18 @@ def _is_field_amount(scope: NameScope, node: nodes.Expr, expr: Expr, attribute: 
     return False
 
 
-def _own_amount_type(scope: NameScope, name: nodes.Name, why: str) -> ValueType | None:
+def _find_amount_type(scope: NameScope, name: nodes.Name, purpose: str) -> ValueType | None:
     species = scope.species
     assert species is not None
     type = species.attributes.get(name.text)
     scope.bind_own(name.span, name.text)
-    if type is None or name.text in species.each:
-        known = [a for a in species.attributes if a not in species.each]
+    if type is None or name.text in species.pair_value_species:
+        known = [a for a in species.attributes if a not in species.pair_value_species]
         scope.report.error(
             "unknown-name",
-            f"`{species.name}` has no attribute `{name.text}` {why}",
+            f"`{species.name}` has no attribute `{name.text}` {purpose}",
             name.span,
-            did_you_mean(name.text, known, f"declare it: `{name.text} = 0` in `species {species.name}`"),
+            suggest_name(name.text, known, f"declare it: `{name.text} = 0` in `species {species.name}`"),
         )
         return None
     scope.mark_used("attribute", f"{species.name}.{name.text}")
@@ -272,7 +274,7 @@ def _has_attribute(scope: NameScope, node: nodes.Expr, item_expr: Expr, attribut
             "unknown-name",
             f"items `{item_expr.type.of}` have no `{attribute.text}`",
             attribute.span,
-            did_you_mean(
+            suggest_name(
                 attribute.text,
                 held,
                 f"declare it: `items {item_expr.type.of} {{ {attribute.text} = 0 }}`"
@@ -293,11 +295,12 @@ def _has_attribute(scope: NameScope, node: nodes.Expr, item_expr: Expr, attribut
 
 
 _CHECKER_BY_DISPLAY_WORD: dict[str, Callable[..., model.Statement | None]] = {
-    "play": play,
-    "wear": wear,
-    "channel": channel,
-    "look": look,
+    "play": check_play,
+    "wear": check_wear,
+    "channel": check_channel,
+    "look": check_look,
 }
 _CHECKER_BY_STATEMENT: dict[type, Callable[..., model.Statement | None]] = {
-    nodes.Steer: _steer, nodes.Face: _face, nodes.Assign: _assign, nodes.Ask: _ask, nodes.Give: _give,
+    nodes.Steer: _check_steer, nodes.Face: _check_face, nodes.Assign: _check_assign, nodes.Ask: _check_ask,
+    nodes.Give: _check_give,
 }  # fmt: skip

@@ -9,30 +9,30 @@ from antdsl.diagnostics import Label, Report
 from antdsl.program import model
 from antdsl.program.kinds import LENGTH_TYPE, NUMBER_TYPE, PER_SECOND_TYPE, TIME_TYPE
 from antdsl.program.model import ChangeRate, Constant, Dimension, Expr, TypeKind, ValueType
-from antdsl.program.names.collect import check_free
+from antdsl.program.names.collect import check_free_name
 from antdsl.program.names.scope import (
     Declarations,
     FileNames,
     NameScope,
     SpeciesNames,
     StableKeys,
-    did_you_mean,
     list_names,
     report_duplicate,
+    suggest_name,
 )
 from antdsl.program.tables.things import KIND_BY_WORD
-from antdsl.program.tables.units import number
+from antdsl.program.tables.units import make_number
 from antdsl.program.tables.vocabulary import ITEM_ATTRIBUTE_TYPES, builtin_attributes
 from antdsl.program.types.descriptions import is_compatible, quote_source, report_mismatch
-from antdsl.program.types.folding import constant_behind
-from antdsl.program.types.operators import value, value_of_type
+from antdsl.program.types.folding import find_constant
+from antdsl.program.types.operators import type_value, type_value_as
 from antdsl.syntax import nodes
 from antdsl.syntax.words import WORD_SETTING_VALUES
 
 
-def outer_scope(declared: Declarations, names: FileNames, path: str) -> NameScope:
+def make_outer_scope(declared: Declarations, names: FileNames, path: str) -> NameScope:
     """Return a scope outside of every species."""
-    return NameScope(declared, names, StableKeys(path), declared.report, no_keep="nothing is remembered outside a species")
+    return NameScope(declared, names, StableKeys(path), declared.report, no_keep_reason="nothing is remembered outside a species")
 
 
 # --- things ----------------------------------------------------------------------------------------------------------
@@ -53,9 +53,9 @@ def _declare_thing(declared: Declarations, names: FileNames, item: nodes.WorldIt
             "unknown-kind",
             f"no kind of thing `{kind}`",
             item.kind.span,
-            did_you_mean(kind, KIND_BY_WORD, f"kinds are {list_names(tuple(KIND_BY_WORD))}"),
+            suggest_name(kind, KIND_BY_WORD, f"kinds are {list_names(tuple(KIND_BY_WORD))}"),
         )
-        declared.unclear.add(name)
+        declared.unclear_things.add(name)
         return
     known = declared.things.get(name)
     if known is not None and (known.kind != kind or known.span.source.path == item.span.source.path):
@@ -64,9 +64,9 @@ def _declare_thing(declared: Declarations, names: FileNames, item: nodes.WorldIt
     if not KIND_BY_WORD[kind].has_values and item.attributes:
         message = f"{kind} `{name}` has no values"
         report.error("wrong-kind", message, item.attributes[0].span, "only `items` and `species` can have attributes")
-    if known is None and not check_free(report, item.name):
+    if known is None and not check_free_name(report, item.name):
         return
-    attributes = tuple(_attribute(declared, names, item, each) for each in item.attributes)
+    attributes = tuple(_check_attribute(declared, names, item, each) for each in item.attributes)
     if known is not None:
         have = {a.name for a in known.attributes}
         attributes = known.attributes + tuple(a for a in attributes if a.name not in have)
@@ -77,7 +77,9 @@ def _declare_thing(declared: Declarations, names: FileNames, item: nodes.WorldIt
             species.attributes.update({a.name: a.type for a in attributes})
 
 
-def _attribute(declared: Declarations, names: FileNames, item: nodes.WorldItem, node: nodes.Declaration) -> model.ItemAttribute:
+def _check_attribute(
+    declared: Declarations, names: FileNames, item: nodes.WorldItem, node: nodes.Declaration
+) -> model.ItemAttribute:
     report, name = declared.report, node.name.text
     twice = [d for d in item.attributes if d.name.text == name]
     if twice[0] is not node:
@@ -86,13 +88,13 @@ def _attribute(declared: Declarations, names: FileNames, item: nodes.WorldItem, 
     if name in taken:
         message = f"every one of `{item.name.text}` has a `{name}` already"
         report.error("reserved-name", message, node.name.span, f"call it otherwise, such as `my_{name}`")
-    expr = value(outer_scope(declared, names, f"world.{item.name.text}"), node.value)
-    constant = constant_behind(expr)
+    expr = type_value(make_outer_scope(declared, names, f"world.{item.name.text}"), node.value)
+    constant = find_constant(expr)
     if constant is None or constant.type.kind is not TypeKind.NUMBER:
         if expr.type.kind is not TypeKind.BAD:
             words = f"{quote_source(node.value.span)} is not a plain number, which an attribute of `{item.name.text}` starts with"
             report.error("wrong-rate", words, node.value.span, f"write a number: `{name} = 0`")
-        constant = number(0, node.value.span)
+        constant = make_number(0, node.value.span)
     return model.ItemAttribute(name, constant.type, constant, node.help.text if node.help else "", node.name.span)
 
 
@@ -108,7 +110,7 @@ def check_world_species(declared: Declarations) -> None:
             if own is None:
                 message = f"species `{thing.name}` has no attribute `{attribute.name}`"
                 declared.report.error(
-                    "unknown-name", message, attribute.span, did_you_mean(attribute.name, species.attributes), labels=labels
+                    "unknown-name", message, attribute.span, suggest_name(attribute.name, species.attributes), labels=labels
                 )
             elif not is_compatible(own, attribute.type):
                 report_mismatch(
@@ -134,7 +136,7 @@ def declare_fields(declared: Declarations, names: FileNames) -> list[nodes.Field
             if item.name.text in declared.things or item.name.text in declared.species:
                 clash = declared.things.get(item.name.text)
                 report_duplicate(declared.report, "name", item.name, clash.span if clash else item.name.span)
-            elif check_free(declared.report, item.name):
+            elif check_free_name(declared.report, item.name):
                 declared.fields[item.name.text] = item
                 added.append(item)
         elif known.span.source.path == item.span.source.path or known.span.text.split() != item.span.text.split():
@@ -148,7 +150,7 @@ def declare_fields(declared: Declarations, names: FileNames) -> list[nodes.Field
 def check_field(declared: Declarations, names: FileNames, node: nodes.FieldDecl) -> model.Field | None:
     """Return a field with its settings; None if it has no valid cell size."""
     report = declared.report
-    scope = outer_scope(declared, names, f"field.{node.name.text}")
+    scope = make_outer_scope(declared, names, f"field.{node.name.text}")
     surfaces = tuple(name.text for name in node.surfaces if _is_ground(declared, name))
     settings: dict[str, nodes.Setting] = {}
     for setting in node.settings:
@@ -158,7 +160,7 @@ def check_field(declared: Declarations, names: FileNames, node: nodes.FieldDecl)
                 "unknown-setting",
                 f"a field has no setting `{word}`",
                 setting.name.span,
-                did_you_mean(word, SETTING_RULES, f"settings are {list_names(SETTING_RULES)}"),
+                suggest_name(word, SETTING_RULES, f"settings are {list_names(SETTING_RULES)}"),
             )
             if not isinstance(setting.value, nodes.NameRef):
                 scope.type_expression(setting.value)
@@ -171,27 +173,27 @@ def check_field(declared: Declarations, names: FileNames, node: nodes.FieldDecl)
     if "cell" not in settings:
         message = f"field `{node.name.text}` does not say how large its cells are"
         report.error("missing-setting", message, node.name.span, "write `cell 4 mm` between its braces")
-    cell = setting_values.get("cell") or number(1, node.span)
+    cell = setting_values.get("cell") or make_number(1, node.span)
     return model.Field(
         node.name.text, surfaces, cell, setting_values.get("half_life"),
         setting_values.get("evaporate"), setting_values.get("keeps"), setting_values.get("diffuse"),
-        _chosen_word("combine", setting_values), setting_values.get("limit"), _stencil_size(setting_values),
-        _chosen_word("deposits", setting_values), node.name.span,
+        _get_chosen_word("combine", setting_values), setting_values.get("limit"), _get_stencil_size(setting_values),
+        _get_chosen_word("deposits", setting_values), node.name.span,
     )  # fmt: skip
 
 
 def _is_ground(declared: Declarations, name: nodes.Name) -> bool:
     thing = declared.things.get(name.text)
     if thing is not None and KIND_BY_WORD[thing.kind].has_faces:
-        declared.used.add(("thing", name.text))
+        declared.used_names.add(("thing", name.text))
         return True
-    if thing is None and name.text in declared.unclear:
+    if thing is None and name.text in declared.unclear_things:
         return False
     grounds = [t.name for t in declared.things.values() if KIND_BY_WORD[t.kind].is_ground]
     if thing is None:
         message = f"no surface `{name.text}`"
         declared.report.error(
-            "unknown-name", message, name.span, did_you_mean(name.text, grounds, f"declare it: `world {{ surface {name.text} }}`")
+            "unknown-name", message, name.span, suggest_name(name.text, grounds, f"declare it: `world {{ surface {name.text} }}`")
         )
     else:
         message = f"`{name.text}` is {thing.kind}, but a field needs a surface"
@@ -206,19 +208,23 @@ def _check_single_decay(report: Report, settings: dict[str, nodes.Setting]) -> N
         report.error("two-decays", message, extra.span, "keep one of them", labels=(Label(decays[0].span, "the other one"),))
 
 
-def _setting_rule(
-    type: ValueType, least: float | None = None, above: bool = False
+def _make_setting_rule(
+    type: ValueType, min_value: float | None = None, is_exclusive: bool = False
 ) -> Callable[[NameScope, nodes.Setting], Expr | None]:
     def check(scope: NameScope, node: nodes.Setting) -> Expr | None:
-        expr = value_of_type(scope, node.value, type, f"`{node.name.text}`")
+        expr = type_value_as(scope, node.value, type, f"`{node.name.text}`")
         if expr.type.kind is TypeKind.BAD:
             return None
         if not is_run_constant(scope.report, expr, f"`{node.name.text}` of a field"):
             return None
-        constant = constant_behind(expr)
-        if constant is not None and least is not None and (constant.number < least or (above and constant.number == least)):
+        constant = find_constant(expr)
+        if (
+            constant is not None
+            and min_value is not None
+            and (constant.number < min_value or (is_exclusive and constant.number == min_value))
+        ):
             message = f"`{node.name.text}` cannot be {quote_source(node.value.span)}"
-            advice = f"write {'more than' if above else 'at least'} {least:g}"
+            advice = f"write {'more than' if is_exclusive else 'at least'} {min_value:g}"
             scope.report.error("out-of-range", message, node.value.span, advice)
             return None
         return expr
@@ -226,24 +232,24 @@ def _setting_rule(
     return check
 
 
-def is_run_constant(report: Report, expr: Expr, who: str) -> bool:
+def is_run_constant(report: Report, expr: Expr, subject: str) -> bool:
     """Return whether a value is equal for all agents and in all steps; report an error if not."""
     if expr.rate <= ChangeRate.RUN:
         return True
     differs = "changes from step to step" if expr.rate is ChangeRate.STEP else "differs from agent to agent"
-    message = f"{quote_source(expr.span)} {differs}, and {who} is one value for the whole run"
+    message = f"{quote_source(expr.span)} {differs}, and {subject} is one value for the whole run"
     report.error("wrong-rate", message, expr.span, "write a number")
     return False
 
 
-def _keep_factor(scope: NameScope, node: nodes.Setting) -> Expr | None:
+def _type_keep_factor(scope: NameScope, node: nodes.Setting) -> Expr | None:
     """Return the factor per step of the setting `keeps`: 0.9 for `keeps 90 %/step`."""
-    expr = value(scope, node.value)
+    expr = type_value(scope, node.value)
     if expr.type.kind is TypeKind.BAD:
         return None
-    constant = constant_behind(expr)
+    constant = find_constant(expr)
     text = " ".join(node.value.span.text.split())
-    if constant is None or expr.type != PER_SECOND_TYPE or constant.step != -1 or constant.u:
+    if constant is None or expr.type != PER_SECOND_TYPE or constant.step != -1 or constant.unit_power:
         better = f"`keeps {text}/step`" if expr.type == NUMBER_TYPE else "`keeps 90 %/step`"
         message = f"`keeps` is a share for each step, and {quote_source(node.value.span)} is not"
         scope.report.error("wrong-unit", message, node.value.span, f"write {better}, or `half_life 8 s`")
@@ -252,10 +258,10 @@ def _keep_factor(scope: NameScope, node: nodes.Setting) -> Expr | None:
         message = f"`keeps` cannot be {quote_source(node.value.span)}"
         scope.report.error("out-of-range", message, node.value.span, "write a share from `0 %/step` to `100 %/step`")
         return None
-    return number(constant.number, node.value.span)
+    return make_number(constant.number, node.value.span)
 
 
-def _word_number(scope: NameScope, node: nodes.Setting) -> Expr | None:
+def _find_word_index(scope: NameScope, node: nodes.Setting) -> Expr | None:
     """Return the index of a setting's word among the allowed words, as a constant; report an error and return None for another
     word."""
     setting = node.name.text
@@ -266,28 +272,28 @@ def _word_number(scope: NameScope, node: nodes.Setting) -> Expr | None:
         advice = f"write {' or '.join(f'`{setting} {each}`' for each in words)}"
         scope.report.error("wrong-kind", message, node.value.span, advice)
         return None
-    return number(float(words.index(word)), node.value.span)
+    return make_number(float(words.index(word)), node.value.span)
 
 
-def _chosen_word(setting: str, setting_values: dict[str, Expr | None]) -> str:
+def _get_chosen_word(setting: str, setting_values: dict[str, Expr | None]) -> str:
     """Return the word of a setting; the default if it is absent or wrong."""
     chosen_value = setting_values.get(setting)
     return WORD_SETTING_VALUES[setting][int(chosen_value.number) if isinstance(chosen_value, Constant) else 0]
 
 
-def _stencil(scope: NameScope, node: nodes.Setting) -> Expr | None:
-    expr = value_of_type(scope, node.value, NUMBER_TYPE, "`stencil`")
+def _check_stencil(scope: NameScope, node: nodes.Setting) -> Expr | None:
+    expr = type_value_as(scope, node.value, NUMBER_TYPE, "`stencil`")
     if expr.type.kind is TypeKind.BAD:
         return None
-    constant = constant_behind(expr)
+    constant = find_constant(expr)
     if constant is None or constant.number not in STENCIL_SIZES:
         advice = "write `stencil 4`, cells beside it, or `stencil 8`, those at its corners too"
         scope.report.error("out-of-range", f"`stencil` is 4 or 8, not {quote_source(node.value.span)}", node.value.span, advice)
         return None
-    return number(constant.number, node.value.span)
+    return make_number(constant.number, node.value.span)
 
 
-def _stencil_size(setting_values: dict[str, Expr | None]) -> int:
+def _get_stencil_size(setting_values: dict[str, Expr | None]) -> int:
     chosen_value = setting_values.get("stencil")
     return int(chosen_value.number) if isinstance(chosen_value, Constant) else STENCIL_SIZES[0]
 
@@ -296,13 +302,13 @@ STENCIL_SIZES = (4, 8)  # numbers of neighbour cells, the default first
 
 
 SETTING_RULES: dict[str, Callable[[NameScope, nodes.Setting], Expr | None]] = {
-    "cell": _setting_rule(LENGTH_TYPE, 0, above=True),
-    "half_life": _setting_rule(TIME_TYPE, 0, above=True),
-    "evaporate": _setting_rule(PER_SECOND_TYPE, 0),
-    "keeps": _keep_factor,
-    "diffuse": _setting_rule(ValueType(TypeKind.NUMBER, Dimension(length=2, time=-1)), 0),
-    "stencil": _stencil,
-    "combine": _word_number,
-    "deposits": _word_number,
-    "limit": _setting_rule(NUMBER_TYPE, 0, above=True),
+    "cell": _make_setting_rule(LENGTH_TYPE, 0, is_exclusive=True),
+    "half_life": _make_setting_rule(TIME_TYPE, 0, is_exclusive=True),
+    "evaporate": _make_setting_rule(PER_SECOND_TYPE, 0),
+    "keeps": _type_keep_factor,
+    "diffuse": _make_setting_rule(ValueType(TypeKind.NUMBER, Dimension(length=2, time=-1)), 0),
+    "stencil": _check_stencil,
+    "combine": _find_word_index,
+    "deposits": _find_word_index,
+    "limit": _make_setting_rule(NUMBER_TYPE, 0, is_exclusive=True),
 }

@@ -3,4 +3,4 @@
 - `collect`: goes over all files once, and gathers their declarations and the behaviours that each file can call.
 - `ordering`: puts each declaration after the declarations that it uses.
 - `scope`: the names that are visible at a place of the text, and their meanings.
-- `missing`: reports an undeclared thing of the world, with the line that declares it."""
+- `missing_things`: reports an undeclared thing of the world, with the line that declares it."""

@@ -24,7 +24,7 @@ class NameUse(NamedTuple):
     In `take 1 load from meal`, the name `load` has two uses."""
 
     span: Span
-    declared: NameKey | Span
+    declaration: NameKey | Span
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,15 +7,15 @@ from collections.abc import Callable, Iterator, Mapping
 
 from antdsl import limits
 from antdsl.diagnostics import Fix, Report
-from antdsl.diagnostics.suggestion import nearest_name
+from antdsl.diagnostics.suggestion import find_nearest_name
 from antdsl.program.names.scope import (
     BehaviourInfo,
     Declarations,
     FileNames,
     MachineNames,
     SpeciesNames,
-    did_you_mean,
     report_duplicate,
+    suggest_name,
 )
 from antdsl.program.tables.effects import EFFECT_BY_OPERATION
 from antdsl.program.tables.vocabulary import (
@@ -52,9 +52,9 @@ BUILTIN_EVENTS = ("spawn", "collision")
 LIBRARY_NAMES = ("steering",)
 
 
-def module_key(using: nodes.File, written: str) -> str:
+def make_module_key(using_file: nodes.File, path: str) -> str:
     """Return the key of a file that is used by path: its path relative to the file that uses it, in the form of `Source.path`."""
-    return posixpath.normpath(posixpath.join(posixpath.dirname(using.source.path.replace("\\", "/")), written))
+    return posixpath.normpath(posixpath.join(posixpath.dirname(using_file.source.path.replace("\\", "/")), path))
 
 
 class FileLoader:
@@ -62,41 +62,41 @@ class FileLoader:
 
     def __init__(self, report: Report, library: LibraryFinder, modules: Mapping[str, nodes.File] | None) -> None:
         self.report = report
-        self.library = library
+        self.load_library = library
         self.modules = modules or {}
-        self.complained = modules is not None  # the caller has reported missing files
+        self.has_reported_missing = modules is not None  # the caller has reported missing files
         self.known: dict[int, FileNames] = {}
         self.libraries: dict[str, FileNames | None] = {}
 
-    def file(self, node: nodes.File, above: tuple[nodes.File, ...] = ()) -> FileNames:
-        """Return the names of a file. `above`: the files that use it, outermost first, to detect cycles."""
+    def file(self, node: nodes.File, using_files: tuple[nodes.File, ...] = ()) -> FileNames:
+        """Return the names of a file. `using_files`: the files that use it, outermost first, to detect cycles."""
         if id(node) in self.known:
             return self.known[id(node)]
         names = self.known[id(node)] = FileNames(node)
         for item in node.items:
             if isinstance(item, nodes.Behaviour):
-                self._behaviour(names, item)
+                self._add_behaviour(names, item)
         for item in node.items:
             if isinstance(item, nodes.Use):
-                self._load_use(names, item, (*above, node))
+                self._load_use(names, item, (*using_files, node))
         return names
 
-    def library_of(self, behaviour: str) -> str | None:
+    def find_library(self, behaviour: str) -> str | None:
         """Return the name of the library that has a behaviour of this name, or None. The library need not be in use."""
         for name in LIBRARY_NAMES:
-            node = self.library(name)
+            node = self.load_library(name)
             if node is not None and any(isinstance(item, nodes.Behaviour) and item.name.text == behaviour for item in node.items):
                 return name
         return None
 
-    def library_behaviour(self, library: str, behaviour: str) -> BehaviourInfo | None:
+    def find_library_behaviour(self, library: str, behaviour: str) -> BehaviourInfo | None:
         """Return a library's behaviour that the language itself needs, or None. The library need not be in use."""
         names = self.libraries.get(library)
-        if names is None and (node := self.library(library)) is not None:
+        if names is None and (node := self.load_library(library)) is not None:
             names = self.libraries[library] = self.file(node)
         return None if names is None else names.own.get(behaviour)
 
-    def _behaviour(self, names: FileNames, node: nodes.Behaviour) -> None:
+    def _add_behaviour(self, names: FileNames, node: nodes.Behaviour) -> None:
         name = node.name.text
         if name in names.own:
             report_duplicate(self.report, "behaviour", node.name, names.own[name].node.name.span)
@@ -106,55 +106,59 @@ class FileLoader:
         else:
             names.own[name] = BehaviourInfo(node, names)
 
-    def _load_use(self, names: FileNames, item: nodes.Use, above: tuple[nodes.File, ...]) -> None:
+    def _load_use(self, names: FileNames, item: nodes.Use, using_files: tuple[nodes.File, ...]) -> None:
         if item.library is not None:
-            self._use_library(names, item.library, above)
+            self._use_library(names, item.library, using_files)
         elif item.path is not None and item.alias is not None:
-            self._use_module(names, item.path, item.alias, above)
+            self._use_module(names, item.path, item.alias, using_files)
 
-    def _use_library(self, names: FileNames, name: nodes.Name, above: tuple[nodes.File, ...]) -> None:
+    def _use_library(self, names: FileNames, name: nodes.Name, using_files: tuple[nodes.File, ...]) -> None:
         if name.text not in self.libraries:
-            node = self.library(name.text)
-            self.libraries[name.text] = None if node is None else self.file(node, above)
+            node = self.load_library(name.text)
+            self.libraries[name.text] = None if node is None else self.file(node, using_files)
         file_names = self.libraries[name.text]
         if file_names is None:
-            names.wanting.add(nearest_name(name.text, LIBRARY_NAMES) or "")  # suppresses errors about names of this library
+            names.missing_uses.add(
+                find_nearest_name(name.text, LIBRARY_NAMES) or ""
+            )  # suppresses errors about names of this library
             self.report.error(
                 "unknown-library",
                 f"no library `{name.text}`",
                 name.span,
-                did_you_mean(name.text, LIBRARY_NAMES, "the library that comes with antdsl is `steering`"),
+                suggest_name(name.text, LIBRARY_NAMES, "the library that comes with antdsl is `steering`"),
             )
             return
         names.libraries.append(name.text)
         for behaviour, info in file_names.own.items():
-            names.library.setdefault(behaviour, info)
+            names.library_behaviours.setdefault(behaviour, info)
 
-    def _use_module(self, names: FileNames, path: nodes.Text, alias: nodes.Name, above: tuple[nodes.File, ...]) -> None:
-        node = self.modules.get(module_key(names.node, path.text)) or self.modules.get(path.text)
+    def _use_module(self, names: FileNames, path: nodes.Text, alias: nodes.Name, using_files: tuple[nodes.File, ...]) -> None:
+        node = self.modules.get(make_module_key(names.node, path.text)) or self.modules.get(path.text)
         if node is None:
-            names.aliases[alias.text] = FileNames(names.node, missing=True)
-            if not self.complained:
+            names.aliases[alias.text] = FileNames(names.node, is_missing=True)
+            if not self.has_reported_missing:
                 advice = 'write the path from this file\'s folder: `use "./mine.ant" as mine`'
                 self.report.error("unknown-module", f"no file `{path.text}` could be read", path.span, advice)
-        elif any(node is each for each in above):
-            circle = " → ".join(f"`{each.source.path}`" for each in [*above[[id(e) for e in above].index(id(node)) :], node])
+        elif any(node is each for each in using_files):
+            circle = " → ".join(
+                f"`{each.source.path}`" for each in [*using_files[[id(e) for e in using_files].index(id(node)) :], node]
+            )
             message = f"files use each other in a circle: {circle}"
             self.report.error("circle", message, path.span, "put what both need into a third file")
-        elif len(above) >= limits.MAX_USE_DEPTH:
+        elif len(using_files) >= limits.MAX_USE_DEPTH:
             message = f"files use files more than {limits.MAX_USE_DEPTH} levels deep"
             self.report.error("too-deep", message, path.span, "use the file directly")
         elif alias.text in names.aliases:
             message = f"two files are both named `{alias.text}`"
             self.report.error("duplicate-name", message, alias.span, "give one of them another name")
         else:
-            names.aliases[alias.text] = self.file(node, above)
+            names.aliases[alias.text] = self.file(node, using_files)
 
 
 # --- names of all files together -------------------------------------------------------------------------------------
 
 
-def declare(declared: Declarations, names: FileNames) -> None:
+def declare_names(declared: Declarations, names: FileNames) -> None:
     """Add the names of a file's fields, species, machines, states and events. `world.py` adds the things of the world."""
     report = declared.report
     for item in names.node.items:
@@ -163,17 +167,17 @@ def declare(declared: Declarations, names: FileNames) -> None:
             if known is not None and known.node is not None:
                 report_duplicate(report, "species", item.name, known.node.name.span)
                 continue
-            check_free(report, item.name)
+            check_free_name(report, item.name)
             species_names = SpeciesNames(item.name.text, item, edition=names.node.edition_number)
             declared.species[item.name.text] = species_names
             _declare_machines(report, species_names, item)
     for item in names.node.items:
         if isinstance(item, nodes.Species):
-            for event, span in _events(item):
+            for event, span in _iterate_events(item):
                 declared.events.setdefault(event, span)
 
 
-def check_free(report: Report, name: nodes.Name) -> bool:
+def check_free_name(report: Report, name: nodes.Name) -> bool:
     """Return whether a name may be declared. Report an error if it is a word of the language."""
     if name.text in _RESERVED_NAMES:
         message = f"`{name.text}` is a word of the language"
@@ -182,13 +186,13 @@ def check_free(report: Report, name: nodes.Name) -> bool:
     return True
 
 
-def check_free_in_species(report: Report, name: nodes.Name, value: Span, builtins: Mapping[str, BuiltinAttribute]) -> bool:
-    """Like `check_free`, for members of a species, which may not have the names of `builtins` either. `value`: the span of the
-    declared value."""
+def check_free_member_name(report: Report, name: nodes.Name, value: Span, builtins: Mapping[str, BuiltinAttribute]) -> bool:
+    """Like `check_free_name`, for members of a species, which may not have the names of `builtins` either. `value`: the span of
+    the declared value."""
     builtin = builtins.get(name.text)
     if builtin is None:
-        return check_free(report, name)
-    if builtin.settable:
+        return check_free_name(report, name)
+    if builtin.is_settable:
         text = " ".join(value.text.split())
         words = f"`{name.text}` is built in and is set without `=`"
         advice = f"write `{name.text} {text}`"
@@ -209,7 +213,7 @@ def _declare_machines(report: Report, species: SpeciesNames, node: nodes.Species
             if member.name.text in species.machines:
                 report_duplicate(report, "machine", member.name, member.name.span)
                 continue
-            check_free_in_species(report, member.name, member.name.span, species.builtins)
+            check_free_member_name(report, member.name, member.name.span, species.builtins)
             _declare_machine(report, species, member.name.text, tuple(m for m in member.members if isinstance(m, nodes.State)))
 
 
@@ -220,7 +224,7 @@ def _declare_machine(report: Report, species: SpeciesNames, name: str, states: t
         if state.name.text in machine_names.states:
             report_duplicate(report, "state", state.name, spans[state.name.text])
             continue
-        check_free(report, state.name)
+        check_free_name(report, state.name)
         machine_names.states[state.name.text] = len(machine_names.states)
         spans[state.name.text] = state.name.span
     if len(machine_names.states) > limits.MAX_MACHINE_STATES:
@@ -229,24 +233,24 @@ def _declare_machine(report: Report, species: SpeciesNames, name: str, states: t
     species.machines[name] = machine_names
 
 
-def _events(species: nodes.Species) -> Iterator[tuple[str, Span]]:
+def _iterate_events(species: nodes.Species) -> Iterator[tuple[str, Span]]:
     """Yield the events that a species emits or handles."""
-    for actions in action_blocks(species):
+    for actions in iterate_action_blocks(species):
         for action in actions:
-            if (event := raised_event(action)) is not None:
+            if (event := find_emitted_event(action)) is not None:
                 yield event.text, event.span
     for member in species.members:
         if isinstance(member, nodes.On) and member.event.text not in BUILTIN_EVENTS:
             yield member.event.text, member.event.span
 
 
-def raised_event(part: object) -> nodes.Name | None:
+def find_emitted_event(part: object) -> nodes.Name | None:
     """Return the name of the event that a line emits, or None."""
     row = EFFECT_BY_OPERATION.get(part.verb) if isinstance(part, nodes.Ask) else None
     return part.name if isinstance(part, nodes.Ask) and row is not None and row.target == "event" else None
 
 
-def action_blocks(species: nodes.Species) -> Iterator[tuple[object, ...]]:
+def iterate_action_blocks(species: nodes.Species) -> Iterator[tuple[object, ...]]:
     """Yield every list of statements in a species."""
     members: list[object] = list(species.members)
     for machine in species.members:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import TypeVar
 
 from antdsl.diagnostics import Report
-from antdsl.program.traverse import names_in
+from antdsl.program.traverse import iterate_names
 from antdsl.syntax import nodes
 
 T = TypeVar("T")
@@ -14,15 +14,16 @@ T = TypeVar("T")
 
 def order_declarations(
     report: Report,
-    what: str,
+    kind_words: str,
     declared: Mapping[str, T],
-    uses: Callable[[T], Iterable[object]],
-    name_of: Callable[[T], nodes.Name],
+    find_used_trees: Callable[[T], Iterable[object]],
+    find_name: Callable[[T], nodes.Name],
 ) -> tuple[list[T], set[str]]:
     """Return the declarations, each after the declarations that it uses, and the names in a cycle.
 
-    `uses`: returns the trees to search for used names. A cycle is reported once. One of its uses is ignored in the order."""
-    graph = {name: _used_names(each, declared, uses) for name, each in declared.items()}
+    `find_used_trees`: returns the trees to search for used names. A cycle is reported once. One of its uses is ignored in the
+    order."""
+    graph = {name: _find_used_names(each, declared, find_used_trees) for name, each in declared.items()}
     ordered_names: set[str] = set()
     circular: set[str] = set()
     order: list[T] = []
@@ -43,18 +44,20 @@ def order_declarations(
             if used in path:
                 circle = path[path.index(used) :]
                 if not circular & set(circle):
-                    _report_circle(report, what, [name_of(declared[each]) for each in circle])
+                    _report_cycle(report, kind_words, [find_name(declared[each]) for each in circle])
                 circular |= set(circle)
             elif used not in ordered_names:
                 stack.append((used, 0))
     return order, circular
 
 
-def _used_names(each: T, declared: Mapping[str, T], uses: Callable[[T], Iterable[object]]) -> list[str]:
-    return list({name.text: None for tree in uses(each) for name in names_in(tree) if name.text in declared})
+def _find_used_names(declaration: T, declared: Mapping[str, T], find_used_trees: Callable[[T], Iterable[object]]) -> list[str]:
+    return list(
+        {name.text: None for tree in find_used_trees(declaration) for name in iterate_names(tree) if name.text in declared}
+    )
 
 
-def _report_circle(report: Report, what: str, names: Sequence[nodes.Name]) -> None:
+def _report_cycle(report: Report, kind_words: str, names: Sequence[nodes.Name]) -> None:
     text = " → ".join(f"`{name.text}`" for name in [*names, names[0]])
-    message = f"{what} follow from each other in a circle: {text}"
+    message = f"{kind_words} follow from each other in a circle: {text}"
     report.error("circle", message, names[0].span, "take one out of the circle, or make it an attribute that is set")

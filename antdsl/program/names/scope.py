@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from antdsl.diagnostics import Label, Report
-from antdsl.diagnostics.suggestion import nearest_name
+from antdsl.diagnostics.suggestion import find_nearest_name
 from antdsl.program.kinds import BAD_TYPE
 from antdsl.program.memo import CheckMemo
 from antdsl.program.model import Binding, ChangeRate, Dimension, Expr, ThingRef, TypeKind, ValueType, WorldThing
@@ -45,10 +45,10 @@ class SpeciesNames:
     name: str
     node: nodes.Species | None
     attributes: dict[str, ValueType] = field(default_factory=dict)
-    each: dict[str, str] = field(default_factory=dict)  # pair values, with the species of the other agent
+    pair_value_species: dict[str, str] = field(default_factory=dict)  # pair values, with the species of the other agent
     params: dict[str, ValueType] = field(default_factory=dict)
     bindings: dict[str, Binding] = field(default_factory=dict)  # lets and latches that are checked
-    pending: set[str] = field(default_factory=set)  # declared names without a known type yet
+    untyped_names: set[str] = field(default_factory=set)  # declared names without a known type yet
     machines: dict[str, MachineNames] = field(default_factory=dict)
     edition: int = NEWEST_EDITION  # of the file that declares it
 
@@ -67,16 +67,16 @@ class SpeciesNames:
 
 @dataclass(slots=True)
 class BehaviourInfo:
-    """A behaviour with all information that its calls need. `size`: operations, `depth`: nesting, both with nested behaviours
-    expanded."""
+    """A behaviour with all information that its calls need. `operation_count`: operations, `depth`: nesting, both with nested
+    behaviours expanded."""
 
     node: nodes.Behaviour
     file: FileNames
     calls: list[BehaviourInfo] = field(default_factory=list)
-    size: int = 0
+    operation_count: int = 0
     depth: int = 0
-    keeps: bool = False
-    draws: bool = False
+    has_memory: bool = False
+    has_draws: bool = False
     state: str = "new"  # new, sized, circular, ok, broken
 
 
@@ -86,15 +86,15 @@ class FileNames:
 
     node: nodes.File
     own: dict[str, BehaviourInfo] = field(default_factory=dict)
-    library: dict[str, BehaviourInfo] = field(default_factory=dict)
+    library_behaviours: dict[str, BehaviourInfo] = field(default_factory=dict)
     aliases: dict[str, FileNames] = field(default_factory=dict)
     libraries: list[str] = field(default_factory=list)
-    missing: bool = False  # the file could not be read
-    wanting: set[str] = field(default_factory=set)  # libraries for which a missing `use` is reported
+    is_missing: bool = False  # the file could not be read
+    missing_uses: set[str] = field(default_factory=set)  # libraries for which a missing `use` is reported
 
-    def behaviour(self, name: str) -> BehaviourInfo | None:
+    def find_behaviour(self, name: str) -> BehaviourInfo | None:
         """Return the behaviour that a name calls in this file, or None."""
-        return self.own.get(name) or self.library.get(name)
+        return self.own.get(name) or self.library_behaviours.get(name)
 
 
 @dataclass(slots=True)
@@ -104,20 +104,24 @@ class Declarations:
     rules: TypingRules
     report: Report
     strict: bool = False
-    home: Callable[[str], str | None] = lambda name: None  # the library that has a behaviour of a name
-    shipped: Callable[[str, str], BehaviourInfo | None] = lambda library, name: None  # a behaviour, by library and name
+    find_library: Callable[[str], str | None] = lambda name: None  # the library that has a behaviour of a name
+    find_library_behaviour: Callable[[str, str], BehaviourInfo | None] = lambda library, name: (
+        None
+    )  # a behaviour, by library and name
     things: dict[str, WorldThing] = field(default_factory=dict)
     fields: dict[str, nodes.FieldDecl] = field(default_factory=dict)
     species: dict[str, SpeciesNames] = field(default_factory=dict)
     events: dict[str, Span] = field(default_factory=dict)
-    bound: list[NameUse] = field(default_factory=list)  # resolved names, in the order of checking
-    used: set[tuple[str, str]] = field(default_factory=set)
-    written: set[str] = field(default_factory=set)  # attributes, as `species.name`
-    unclear: set[str] = field(default_factory=set)  # reported things of unknown kind
-    unknown: dict[tuple[str, ...], list[Span]] = field(default_factory=dict)  # all uses of each missing name, by kind and place
-    expanded: int = 0  # operations in all expanded behaviours
+    name_uses: list[NameUse] = field(default_factory=list)  # resolved names, in the order of checking
+    used_names: set[tuple[str, str]] = field(default_factory=set)
+    written_attributes: set[str] = field(default_factory=set)  # attributes, as `species.name`
+    unclear_things: set[str] = field(default_factory=set)  # reported things of unknown kind
+    unknown_names: dict[tuple[str, ...], list[Span]] = field(
+        default_factory=dict
+    )  # all uses of each missing name, by kind and place
+    expanded_count: int = 0  # operations in all expanded behaviours
     memo: CheckMemo | None = None  # results of an earlier check
-    outside: int = 0  # number of the declarations that parts can see of other parts
+    outside_number: int = 0  # number of the declarations that parts can see of other parts
 
 
 def is_known_missing(scope: NameScope, kind: str, name: nodes.Name, owner: str = "") -> bool:
@@ -128,10 +132,10 @@ def is_known_missing(scope: NameScope, kind: str, name: nodes.Name, owner: str =
     - `owner`: the species to which the name belongs wherever it is used; "" for the species at this place."""
     around = (scope.file.node.source.path, scope.species.name if scope.species else "", scope.behaviour or "")
     where = (kind, *((owner,) if owner else around), name.text)
-    if where in scope.declared.unknown:
-        scope.declared.unknown[where].append(name.span)
+    if where in scope.declared.unknown_names:
+        scope.declared.unknown_names[where].append(name.span)
         return True
-    scope.declared.unknown[where] = [name.span]
+    scope.declared.unknown_names[where] = [name.span]
     return False
 
 
@@ -145,10 +149,10 @@ class StableKeys:
         self.path = path
         self.counts: dict[str, int] = {}
 
-    def next(self, word: str, sign: str = ".") -> str:
+    def make_key(self, word: str, separator: str = ".") -> str:
         """Return the next key for a word: `PATH.word#1`, then `PATH.word#2`."""
         count = self.counts[word] = self.counts.get(word, 0) + 1
-        return f"{self.path}{sign}{word}#{count}"
+        return f"{self.path}{separator}{word}#{count}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,14 +165,14 @@ class NameScope:
     report: Report
     species: SpeciesNames | None = None
     machine: MachineNames | None = None
-    locals: Mapping[str, Binding | Expr] = field(default_factory=dict)
+    local_names: Mapping[str, Binding | Expr] = field(default_factory=dict)
     element: Binding | None = None  # in `with:`, names mean its attributes first
-    sets: tuple[Binding, ...] = ()  # elements of the enclosing sets
+    set_elements: tuple[Binding, ...] = ()  # elements of the enclosing sets
     behaviour: str | None = None  # the behaviour around this place; inside, names of the species are not visible
-    generic: bool = False  # a behaviour is checked alone, with argument types that may be open
-    no_keep: str | None = None  # reason for which no `keep` is allowed here, for messages
-    no_let: str | None = None  # reason for which no `let` can be read here, for messages
-    shades: bool = False  # in a rule of `fuzzy`: a bool next to a degree counts as 1 or 0
+    is_generic: bool = False  # a behaviour is checked alone, with argument types that may be open
+    no_keep_reason: str | None = None  # reason for which no `keep` is allowed here, for messages
+    no_let_reason: str | None = None  # reason for which no `let` can be read here, for messages
+    allows_degrees: bool = False  # in a rule of `fuzzy`: a bool next to a degree counts as 1 or 0
     runs_once: bool = False  # the line runs once, not in each step: amounts instead of rates
 
     @property
@@ -184,26 +188,26 @@ class NameScope:
     def with_changes(self, **changes: Any) -> NameScope:
         return replace(self, **changes)
 
-    def type_expression(self, node: nodes.Expr, want: ValueType | None = None) -> Expr:
-        """Return the expression with its type. `want`: the expected type, which gives `none` and bare names their meaning. It is
-        not enforced."""
-        return self.declared.rules[type(node)](self, node, want)
+    def type_expression(self, node: nodes.Expr, expected_type: ValueType | None = None) -> Expr:
+        """Return the expression with its type. `expected_type`: the expected type, which gives `none` and bare names their
+        meaning. It is not enforced."""
+        return self.declared.rules[type(node)](self, node, expected_type)
 
     def reject(self, code: str, message: str, span: Span, help: str | None = None, **details: object) -> Expr:
         """Report an error about an expression, and return its replacement."""
         self.report.error(code, message, span, help, **details)
-        return bad_expression(span)
+        return make_bad_expression(span)
 
     def bind(self, span: Span, *key: str) -> None:
         """Record the declaration of the name at a span. Names in an expanded behaviour are not recorded, because they are
         elsewhere in the text."""
-        if self.behaviour is None or self.generic:
-            self.declared.bound.append(NameUse(span, key))
+        if self.behaviour is None or self.is_generic:
+            self.declared.name_uses.append(NameUse(span, key))
 
     def bind_local(self, span: Span, declared: Span) -> None:
-        """Like `bind`, for a name that is declared in the surrounding text, at the span `declared`."""
-        if self.behaviour is None or self.generic:
-            self.declared.bound.append(NameUse(span, declared))
+        """Like `bind`, for a name that is declared in the surrounding text, at the span `file_declarations`."""
+        if self.behaviour is None or self.is_generic:
+            self.declared.name_uses.append(NameUse(span, declared))
 
     def bind_thing(self, name: nodes.Name) -> None:
         """Like `bind`, for a name that can only be a species or a thing of the world."""
@@ -216,7 +220,9 @@ class NameScope:
         """Like `bind`, for a name that can only be a member of a species. `own`: the species, if it is not the one at this
         place."""
         own = own or self.species
-        if own is not None and (name in own.attributes or name in own.params or name in own.bindings or name in own.pending):
+        if own is not None and (
+            name in own.attributes or name in own.params or name in own.bindings or name in own.untyped_names
+        ):
             self.bind(span, "own", own.name, name)
 
     def bind_value(self, span: Span, owner: ValueType, name: str) -> None:
@@ -235,25 +241,25 @@ class NameScope:
         one = ValueType(TypeKind.ITEM, of=owner.of)
         if owner.kind in (TypeKind.AGENT, TypeKind.SPECIES) and owner.of in self.declared.species:
             self.bind_own(name.span, name.text, self.declared.species[owner.of])
-        elif owner.kind is TypeKind.ITEMS and name.text in attributes_of(self.declared, one):
+        elif owner.kind is TypeKind.ITEMS and name.text in find_attributes(self.declared, one):
             self.bind_value(name.span, one, name.text)
 
     def mark_used(self, kind: str, name: str) -> None:
         """Record that a declared name is used."""
-        self.declared.used.add((kind, name))
+        self.declared.used_names.add((kind, name))
 
 
-def bad_expression(span: Span) -> Expr:
+def make_bad_expression(span: Span) -> Expr:
     """Return the expression that replaces one with a reported error."""
     return ThingRef(BAD_TYPE, ChangeRate.CONST, span, "?")
 
 
-def rate_of(parts: Iterable[Expr | None]) -> ChangeRate:
+def find_highest_rate(parts: Iterable[Expr | None]) -> ChangeRate:
     """Return the greatest rate of some expressions; CONST if there are none."""
     return max((part.rate for part in parts if part is not None), default=ChangeRate.CONST)
 
 
-def type_from_words(words: str, of: str | None = None) -> ValueType | None:
+def parse_type_words(words: str, owner_name: str | None = None) -> ValueType | None:
     """Return the type for a word of `TYPE_BY_WORD`, or for words such as `angle / time` in the vocabulary; None if there is
     none."""
     if "/" in words:
@@ -269,21 +275,21 @@ def type_from_words(words: str, of: str | None = None) -> ValueType | None:
     vectors = {"push": Dimension(), "position": Dimension(length=1), "velocity": Dimension(length=1, time=-1)}
     if known in vectors:
         return ValueType(TypeKind.VECTOR, vectors[known])
-    return BAD_TYPE if known == "vector" else ValueType(TypeKind(known), Dimension(), of)
+    return BAD_TYPE if known == "vector" else ValueType(TypeKind(known), Dimension(), owner_name)
 
 
-def attributes_of(declared: Declarations, type: ValueType) -> dict[str, ValueType]:
+def find_attributes(declared: Declarations, type: ValueType) -> dict[str, ValueType]:
     """Return the types of the values of an item, agent or hit that can be read by name. For an agent of unknown species, these
     are the built-in ones."""
     if type.kind is TypeKind.HIT or (type.kind is TypeKind.ITEM and type.of == "hit"):
-        return _types_by_name(HIT_ATTRIBUTE_TYPES)
+        return _parse_types(HIT_ATTRIBUTE_TYPES)
     if type.kind is TypeKind.ITEM:
         thing = declared.things.get(type.of or "")
         own = {a.name: a.type for a in thing.attributes} if thing else {}
-        return _types_by_name(ITEM_ATTRIBUTE_TYPES) | own
+        return _parse_types(ITEM_ATTRIBUTE_TYPES) | own
     if type.kind is TypeKind.AGENT:
         names = declared.species.get(type.of or "")
-        builtin_types = _types_by_name({name: row.type for name, row in builtins_of(declared, type).items()})
+        builtin_types = _parse_types({name: row.type for name, row in builtins_of(declared, type).items()})
         return builtin_types | (names.attributes if names else {})
     return {}
 
@@ -295,27 +301,27 @@ def builtins_of(declared: Declarations, type: ValueType) -> Mapping[str, Builtin
     return builtin_attributes(1) if names is None else names.builtins
 
 
-def _types_by_name(table: Mapping[str, str]) -> dict[str, ValueType]:
-    return {name: word_type for name, words in table.items() if (word_type := type_from_words(words))}
+def _parse_types(table: Mapping[str, str]) -> dict[str, ValueType]:
+    return {name: word_type for name, words in table.items() if (word_type := parse_type_words(words))}
 
 
-def did_you_mean(word: str, candidates: Iterable[str], otherwise: str | None = None) -> str:
-    """Return the help text for an unknown name: the name that was probably meant, or `otherwise`, or the known names."""
+def suggest_name(word: str, candidates: Iterable[str], default_help: str | None = None) -> str:
+    """Return the help text for an unknown name: the name that was probably meant, or `default_help`, or the known names."""
     known = list(candidates)
-    suggestion = nearest_name(word, known)
+    suggestion = find_nearest_name(word, known)
     if suggestion:
         return f"did you mean `{suggestion}`?"
-    return otherwise or (f"there is {list_names(known)}" if known else "declare it, or leave this out")
+    return default_help or (f"there is {list_names(known)}" if known else "declare it, or leave this out")
 
 
-def list_names(names: Iterable[str], most: int = 12) -> str:
-    """Return a list of names for a help line, such as `a`, `b`, `c` …, with at most `most` names."""
+def list_names(names: Iterable[str], max_count: int = 12) -> str:
+    """Return a list of names for a help line, such as `a`, `b`, `c` …, with at most `max_count` names."""
     names = sorted(names)
-    return ", ".join(f"`{name}`" for name in names[:most]) + (", …" if len(names) > most else "")
+    return ", ".join(f"`{name}`" for name in names[:max_count]) + (", …" if len(names) > max_count else "")
 
 
-def report_duplicate(report: Report, what: str, name: nodes.Name, first: Span) -> None:
-    """Report a second declaration of a name, with the location of the first. `what`: the kind in words."""
-    message = f"{what} `{name.text}` is declared twice"
+def report_duplicate(report: Report, kind_words: str, name: nodes.Name, first: Span) -> None:
+    """Report a second declaration of a name, with the location of the first. `kind_words`: the kind in words."""
+    message = f"{kind_words} `{name.text}` is declared twice"
     advice = "give one of them another name, or delete it"
     report.error("duplicate-name", message, name.span, advice, labels=(Label(first, "first here"),))

@@ -89,11 +89,11 @@ DEFAULT_COLOUR_NAMES: tuple[str, ...] = (
 )
 
 
-def rgb(name: str) -> RgbTriple | None:
+def find_rgb(name: str) -> RgbTriple | None:
     """Return the sRGB values 0..255 of the colour `name`; None if there is no such colour."""
     return COLOUR_BY_NAME.get(name)
 
 
-def default_rgb(index: int) -> RgbTriple:
+def choose_default_rgb(index: int) -> RgbTriple:
     """Return the sRGB values 0..255 for a state without a declared colour. `index`: the index of the state, from 0."""
     return COLOUR_BY_NAME[DEFAULT_COLOUR_NAMES[index % len(DEFAULT_COLOUR_NAMES)]]

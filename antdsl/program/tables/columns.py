@@ -4,16 +4,16 @@ A row defines an array and its uses. Made from the rows: the store of a populati
 of a cache, exports, packets of the preview and the table of `docs/cache.md`.
 Registers that a program declares have no rows; their names, types and roles are in the plan.
 
-Rows are data. Functions that compute derived arrays are in the tables `VALUES` of `antdsl.outputs.cache.agent_arrays` and
-`antdsl.preview.agent_columns`, by the name of the row."""
+Rows are data. Functions that compute derived arrays are in the tables `VALUE_WRITERS` of
+`antdsl.outputs.cache.agent_arrays` and `VALUE_FUNCTIONS` of `antdsl.preview.agent_columns`, by the name of the row."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import Literal
 
-Kind = Literal["fixed", "register", "derived"]
-Shape = tuple[int | str, ...]
+ColumnKind = Literal["fixed", "register", "derived"]
+RowShape = tuple[int | str, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,40 +23,40 @@ class Column:
     - `kind`: `fixed`: in every population. `register`: a register of the plan, or one per axis. `derived`: computed for frames
       and packets.
     - `type`: a NumPy type code. `shape`: the shape of one row. `unit`: the unit of the values in the world.
-    - `zero`: the value in new rows.
-    - `checkpointed`, `hashed`: whether it is in checkpoints and in the state hash, if it is not derived.
-    - `migrated`: a reload always copies it, and newborns inherit such registers from their parents.
-    - `inherited`: for a fixed array, the array of the parent from which a newborn gets its value.
-    - `saved`: whether a frame has it: by `default`, on `request` in the scene's `output`, or `always` if there are values.
-    - `called`: its name in frames, if that is not `name`. Words in capitals stand for names of the scene.
+    - `initial_value`: the value in new rows.
+    - `is_checkpointed`, `is_hashed`: whether it is in checkpoints and in the state hash, if it is not derived.
+    - `is_migrated`: a reload always copies it, and newborns inherit such registers from their parents.
+    - `inherited_array`: for a fixed array, the array of the parent from which a newborn gets its value.
+    - `save_mode`: whether a frame has it: by `default`, on `request` in the scene's `output`, or `always` if there are values.
+    - `alias`: its name in frames, if that is not `name`. Words in capitals stand for names of the scene.
     - `of`: the meaning of a row: an agent of any `species`, an agent of `one` species, a `pair`, an `event`, an `item` or a
       `part` of a thing.
     - `exports`: the formats with a separate attribute for it. Formats that write all arrays of agents write it under its name.
     - `packet`: its name and type in the preview's packet of a frame.
-    - `light`: the preview stores it for all frames."""
+    - `in_preview`: the preview stores it for all frames."""
 
     name: str
-    kind: Kind
+    kind: ColumnKind
     type: str
-    shape: Shape = ()
+    shape: RowShape = ()
     help: str = ""
     unit: str = ""
-    zero: int = 0
-    checkpointed: bool = True
-    hashed: bool = True
-    migrated: bool = True
-    inherited: str = ""
-    saved: Literal["", "default", "request", "always"] = ""
-    called: str = ""
+    initial_value: int = 0
+    is_checkpointed: bool = True
+    is_hashed: bool = True
+    is_migrated: bool = True
+    inherited_array: str = ""
+    save_mode: Literal["", "default", "request", "always"] = ""
+    alias: str = ""
     of: str = "species"
     exports: str = ""
     packet: str = ""
-    light: bool = False
+    in_preview: bool = False
 
     @property
     def frame_name(self) -> str:
         """Return the name of the array in frames."""
-        return self.called or self.name
+        return self.alias or self.name
 
     @property
     def frame_type(self) -> str:
@@ -73,54 +73,59 @@ class Column:
         """Return the names of the plan's registers that make up the array."""
         return tuple(f"{self.name}.{axis}" for axis in "xyz") if self.shape else (self.name,)
 
-    def dimensions(self, **sizes: int) -> tuple[int, ...]:
+    def compute_dimensions(self, **sizes: int) -> tuple[int, ...]:
         """Return the shape of one row as numbers. `sizes`: the values of named sizes."""
         return tuple(sizes[size] if isinstance(size, str) else size for size in self.shape)
 
-    def factor(self, scale: float) -> float:
+    def compute_frame_factor(self, scale: float) -> float:
         """Return the factor from values in the world to values in frames. `scale`: scene units per millimetre."""
         return scale if self.unit.startswith("mm") else 1.0
 
 
 _ALL, _SCENES = "usd gltf geo csv", "usd geo"
 # fmt: off
-AGENTS = (
-    Column("frame", "derived", "i8", (), "its number", saved="always", of="frame"),
+AGENT_COLUMNS = (
+    Column("frame", "derived", "i8", (), "its number", save_mode="always", of="frame"),
     Column("speed", "derived", "f4", (), "length of the velocity", "mm/s", packet="speed f4"),
     Column("born", "fixed", "i8", (), "frame of birth", packet="born i4"),
     Column("quarantined", "fixed", "b1", (), "whether it stopped acting after a fault"),
-    Column("position", "fixed", "f8", (3,), "position", "mm", migrated=False, saved="default", called="P", exports=_ALL,
-           packet="position f4", light=True),
-    Column("normal", "fixed", "f4", (3,), "normal of the ground on its side", inherited="normal"),
+    Column("position", "fixed", "f8", (3,), "position", "mm", is_migrated=False, save_mode="default", alias="P", exports=_ALL,
+           packet="position f4", in_preview=True),
+    Column("normal", "fixed", "f4", (3,), "normal of the ground on its side", inherited_array="normal"),
     Column("position", "register", "f4", (3,), "position as programs read it", "mm"),
-    Column("velocity", "register", "f4", (3,), "velocity, per second", "mm/s", saved="default", called="v", exports=_SCENES),
-    Column("heading", "register", "f4", (3,), "unit vector ahead", packet="heading i1", light=True),
-    Column("up", "register", "f4", (3,), "unit vector up", packet="up i1", light=True),
+    Column("velocity", "register", "f4", (3,), "velocity, per second", "mm/s", save_mode="default", alias="v", exports=_SCENES),
+    Column("heading", "register", "f4", (3,), "unit vector ahead", packet="heading i1", in_preview=True),
+    Column("up", "register", "f4", (3,), "unit vector up", packet="up i1", in_preview=True),
     Column("orient", "derived", "f4", (4,), "quaternion x y z w that turns +x to the heading and +y to the agent's up",
-           saved="default", exports=_ALL),
-    Column("ids", "fixed", "i8", (), "number of the agent within its species", hashed=False, migrated=False, saved="default",
-           called="id", exports=_ALL, packet="id i4", light=True),
-    Column("size", "register", "f4", (), "body length", "mm", migrated=False, saved="default", called="pscale", exports=_ALL,
-           packet="size f4", light=True),
-    Column("Cd", "derived", "f4", (3,), "colour of its state, display (sRGB), 0 to 1", saved="default", exports="usd gltf geo"),
-    Column("state", "derived", "i2", (), "its state in the first machine: an index into the manifest's list", saved="default",
+           save_mode="default", exports=_ALL),
+    Column("ids", "fixed", "i8", (), "number of the agent within its species", is_hashed=False, is_migrated=False,
+           save_mode="default", alias="id", exports=_ALL, packet="id i4", in_preview=True),
+    Column("size", "register", "f4", (), "body length", "mm", is_migrated=False, save_mode="default", alias="pscale",
+           exports=_ALL, packet="size f4", in_preview=True),
+    Column("Cd", "derived", "f4", (3,), "colour of its state, display (sRGB), 0 to 1",
+           save_mode="default", exports="usd gltf geo"),
+    Column("state", "derived", "i2", (), "its state in the first machine: an index into the manifest's list", save_mode="default",
            exports=_SCENES),
     Column("species", "derived", "i2", (), "an index into the manifest's list; always present with more than one species",
-           saved="request", exports=_ALL),
-    Column("age", "derived", "f4", (), "seconds since birth", saved="request"),
-    Column("group", "register", "f4", (), "which line of the scene's `crowd` made it, from 0", saved="request"),
+           save_mode="request", exports=_ALL),
+    Column("age", "derived", "f4", (), "seconds since birth", save_mode="request"),
+    Column("group", "register", "f4", (), "which line of the scene's `crowd` made it, from 0", save_mode="request"),
     Column("v_ground", "derived", "f4", (3,), "velocity of the ground below each agent, if a surface moves. `v` is relative to "
-           "it: use `v + v_ground` for motion blur", saved="always", exports=_SCENES),
+           "it: use `v + v_ground` for motion blur", save_mode="always", exports=_SCENES),
 )
 
 
-def _family(prefix: str, of: str, *columns: tuple[str, str, Shape, str], kind: Kind = "derived") -> tuple[Column, ...]:
+def _make_columns(
+    prefix: str, of: str, *columns: tuple[str, str, RowShape, str], kind: ColumnKind = "derived"
+) -> tuple[Column, ...]:
     """Return rows of arrays that are always saved. `prefix`: the start of their names. `columns`: name, type, shape and help of
     each."""
-    return tuple(Column(f"{prefix}{name}", kind, type, shape, help, of=of, saved="always") for name, type, shape, help in columns)
+    return tuple(
+        Column(f"{prefix}{name}", kind, type, shape, help, of=of, save_mode="always") for name, type, shape, help in columns
+    )
 
 
-CLIPS = _family(
+CLIP_COLUMNS = _make_columns(
     "clips.SPECIES.MACHINE.", "one",
     ("clip", "i2", (), "of a machine that plays clips: an index into the species' `clips` in the manifest, -1 for none"),
     ("turns", "f4", (), "how often that clip has played since it began; the fraction is the phase"),
@@ -133,30 +138,30 @@ CLIPS = _family(
     ("earlier_turns", "f4", (), "how often it has played"),
     ("earlier_weight", "f4", (), "its share from 0 to 1"),
     ("earlier_fade", "f4", (), "its share of the part that fades out"), kind="register")
-STANCE = _family(
+STANCE_COLUMNS = _make_columns(
     "feet.SPECIES.", "one",
     ("P", "f4", ("legs", 3), "position of each foot, in the order of the body's legs, if it [stands on its feet](feet.md)"),
     ("down", "u1", ("legs",), "whether it stands"),
     ("phase", "f4", (), "of the gait, from 0 to 1"),
     ("rise", "f4", (), "height of the trunk above its rest height along its up"),
     ("tilt", "f4", (4,), "rotation of the trunk from `orient` (x y z w)"))
-OTHERS = (
-    *_family(
+OTHER_COLUMNS = (
+    *_make_columns(
         "", "one",
         ("wears.SPECIES", "u8", (), "[worn layers](clips.md#layers-that-are-worn): bit b for layer b of `wears` in the manifest"),
         ("channels.SPECIES.NAME", "f4", (), "the value that a state gives a [channel](clips.md#channels), NaN without one"),
         ("looks.SPECIES.GROUP", "f4", (3,), "where a transform group [looks](clips.md#looking-at-something): ahead, up, right"),
         ("leans.SPECIES", "f4", (2,), "how much it [turns left and climbs](clips.md#turns-and-slopes), from -1 to 1")),
-    *_family(
+    *_make_columns(
         "pairs.SPECIES.NAME.", "pair",
         ("id", "i8", (), "of a value per pair, if `output` requests it: the owner. Rows are by `id` and `other`"),
         ("other", "i8", (), "the other agent"),
         ("value", "f4", (), "the value")),
-    *_family(
+    *_make_columns(
         "", "item",
         ("items.NAME.ATTRIBUTE", "f8", (), "what each item has left"),
         ("items.NAME.P", "f4", (3,), "positions of items that move")),
-    *_family(
+    *_make_columns(
         "", "part",
         ("field.NAME.cells", "i4", (), "the cells that are not empty"),
         ("field.NAME.values", "f4", (), "their values"),
@@ -168,14 +173,14 @@ OTHERS = (
         ("mesh.SOLID.vertices", "f8", (3,), "vertices of the current faces of those bricks, which replace all that they had"),
         ("mesh.SOLID.faces", "i4", (3,), "those faces"),
         ("mesh.SOLID.bricks", "i4", (), "the brick of each face")))
-EMIT = _family(
+EMIT_COLUMNS = _make_columns(
     "events.emit.", "event",
     ("species", "i2", (), "if `output` requests it: the species of an agent that emitted an event in the step"),
     ("id", "i8", (), "its id"),
     ("P", "f4", (3,), "its position"),
     ("N", "f4", (3,), "the normal of its ground"),
     ("event", "i2", (), "an index into the manifest's `events`"))
-CONTACT = _family(
+CONTACT_COLUMNS = _make_columns(
     "events.contact.", "event",
     ("species", "i2", (), "if `output` requests it, for two bodies that overlap: the species of one"),
     ("id", "i8", (), "its id"),
@@ -184,7 +189,7 @@ CONTACT = _family(
     ("other_species", "i2", (), "the species of the other"),
     ("other", "i8", (), "its id"),
     ("depth", "f4", (), "the penetration depth"))
-FEET = (
+FEET_COLUMNS = (
     Column("ids", "fixed", "i8", ("n",)),
     *(Column(name, "fixed", "f8", (3, "n", "L"), unit="mm") for name in ("place", "shown", "start")),
     Column("swing", "fixed", "f4", ("n", "L")),
@@ -196,12 +201,16 @@ FEET = (
     Column("slope", "fixed", "f4", (2, "n")),
     Column("position", "fixed", "f8", (3, "n"), unit="mm"),
     *(Column(name, "fixed", "f4", (3, "n")) for name in ("heading", "up")),
-)  # must match `antdsl.runtime.feet.state.Feet`
+)  # must match `antdsl.runtime.feet.feet_state.Feet`
 # fmt: on
 
-FRAME = tuple(column for column in (*AGENTS, *CLIPS, *STANCE, *OTHERS, *EMIT, *CONTACT) if column.saved)
-FIXED = {column.name: column for column in AGENTS if column.kind == "fixed"}
-REGISTERS = {column.name: column for column in AGENTS if column.kind == "register"}
-MIGRATED_REGISTERS = tuple(name for c in REGISTERS.values() if c.migrated for name in c.registers)
-ATTRIBUTES = {column.frame_name: column for column in AGENTS if column.saved in ("default", "request")}
-DEFAULT_ATTRIBUTES = tuple(name for name, column in ATTRIBUTES.items() if column.saved == "default")
+FRAME_COLUMNS = tuple(
+    column
+    for column in (*AGENT_COLUMNS, *CLIP_COLUMNS, *STANCE_COLUMNS, *OTHER_COLUMNS, *EMIT_COLUMNS, *CONTACT_COLUMNS)
+    if column.save_mode
+)
+FIXED_COLUMN_BY_NAME = {column.name: column for column in AGENT_COLUMNS if column.kind == "fixed"}
+REGISTER_COLUMN_BY_NAME = {column.name: column for column in AGENT_COLUMNS if column.kind == "register"}
+MIGRATED_REGISTERS = tuple(name for c in REGISTER_COLUMN_BY_NAME.values() if c.is_migrated for name in c.registers)
+COLUMN_BY_ATTRIBUTE = {column.frame_name: column for column in AGENT_COLUMNS if column.save_mode in ("default", "request")}
+DEFAULT_ATTRIBUTE_NAMES = tuple(name for name, column in COLUMN_BY_ATTRIBUTE.items() if column.save_mode == "default")

@@ -15,7 +15,7 @@ _NAME_PATTERN = re.compile("[a-z_]+")
 _CALL_PATTERN = re.compile(r"([a-z_]+)\((.+)\)")
 
 
-def default_values(scope: NameScope, text: str, span: Span) -> tuple[Expr, ...]:
+def parse_default_values(scope: NameScope, text: str, span: Span) -> tuple[Expr, ...]:
     """Return the expression of a default, or both ends of a range. `span`: the location that errors refer to."""
     return tuple(scope.type_expression(parse_product(part.strip(), span)) for part in text.split(".."))
 

@@ -22,16 +22,18 @@ class Effect:
 
     - `target`: the kind of the thing that it names; "" for none.
     - `args`: its arguments. An argument of type `added A` is written without brackets, one of type `agent` after the word `to`.
-    - `computed`: the names of the plan's operands, if a function of `antdsl.plan.lowering.actions` computes them.
+    - `computed_operands`: the names of the plan's operands, if a function of `antdsl.plan.lowering.actions` computes them.
     - `phase`: the phase of a step that resolves it.
     - `help`: text for the editor. `meaning`: text for readers of plans.
-    - `too_often`: the text of the error if its line is in a state's body; "" if it is allowed there.
+    - `state_body_error`: the text of the error if its line is in a state's body; "" if it is allowed there.
     - `last`: the agent is removed after it.
-    - `draws`: it uses random numbers that depend on its place in the text.
-    - `feeds`: it changes what other agents sense of the named thing. Examples are `deposit` for a field and `emit` for an event.
-    - `refused`: the name of the fault that an operand that is not finite causes; "" if such operands are allowed.
-    - `above_0`: a first operand of 0 or less requests nothing. `quiet_at_0`: a trace omits a first operand of 0.
-    - `plan_text`, `trace`: templates of its line in a plan and in a trace, with operands by name.
+    - `uses_draws`: it uses random numbers that depend on its place in the text.
+    - `is_feeding_senses`: it changes what other agents sense of the named thing. Examples are `deposit` for a field and `emit`
+      for an event.
+    - `fault_name`: the name of the fault that an operand that is not finite causes; "" if such operands are allowed.
+    - `needs_positive_operand`: a first operand of 0 or less requests nothing. `hides_zero_in_trace`: a trace omits a first
+      operand of 0.
+    - `plan_template`, `trace_template`: templates of its line in a plan and in a trace, with operands by name.
 
     The templates have further names. `{of}` is the named thing. `{own}` is the agent's register that it fills after the blocks.
     `{receiver}` (traces only) is the species of the one agent that receives it. A part in square brackets is left out if one of
@@ -43,37 +45,41 @@ class Effect:
     phase: str
     help: str
     meaning: str
-    plan_text: str
-    trace: str
-    computed: tuple[str, ...] = ()
-    too_often: str = ""
+    plan_template: str
+    trace_template: str
+    computed_operands: tuple[str, ...] = ()
+    state_body_error: str = ""
     last: bool = False
-    draws: bool = False
-    feeds: bool = False
-    refused: str = ""
-    above_0: bool = False
-    quiet_at_0: bool = False
+    uses_draws: bool = False
+    is_feeding_senses: bool = False
+    fault_name: str = ""
+    needs_positive_operand: bool = False
+    hides_zero_in_trace: bool = False
     cost: UseCost | None = None
 
     @property
-    def numbers(self) -> tuple[ArgumentRow, ...]:
+    def computed_arguments(self) -> tuple[ArgumentRow, ...]:
         """Return the arguments that are computed. The others name an attribute."""
         return tuple(arg for arg in self.args if not arg.type.startswith("own "))
 
     @property
-    def operands(self) -> tuple[str, ...]:
+    def operand_names(self) -> tuple[str, ...]:
         """Return the names of the operands of the plan's statement."""
-        return self.computed or tuple(arg.name for arg in self.numbers)
+        return self.computed_operands or tuple(arg.name for arg in self.computed_arguments)
 
     @property
     def agents(self) -> frozenset[str]:
         """Return the names of the operands that are ids of agents."""
-        return frozenset() if self.computed else frozenset(arg.name for arg in self.numbers if arg.type == "agent")
+        return (
+            frozenset()
+            if self.computed_operands
+            else frozenset(arg.name for arg in self.computed_arguments if arg.type == "agent")
+        )
 
     @property
-    def optional(self) -> frozenset[str]:
+    def optional_operands(self) -> frozenset[str]:
         """Return the names of the operands that may be missing."""
-        return frozenset() if self.computed else frozenset(arg.name for arg in self.numbers if arg.optional)
+        return frozenset() if self.computed_operands else frozenset(arg.name for arg in self.computed_arguments if arg.optional)
 
 
 _EFFECT_ROWS = (
@@ -86,18 +92,18 @@ _EFFECT_ROWS = (
         "lands in the agent's own cell at t+1; the amount of a step (already multiplied by dt)",
         "deposit {amount} in {of}",
         "deposit {of} {amount}",
-        feeds=True,
-        refused="deposit {of}",
-        quiet_at_0=True,
+        is_feeding_senses=True,
+        fault_name="deposit {of}",
+        hides_zero_in_trace=True,
         cost=UseCost(25, "lays {thing}", "fields"),
     ),
     Effect(
         "carve",
         "solid",
         (
-            ArgumentRow("radius", "length", above=0, called="radius of a ball to dig", sample="size / 2"),
+            ArgumentRow("radius", "length", lower_bound=0, display_name="radius of a ball to dig", sample="size / 2"),
             ArgumentRow("toward", "push", optional=True),
-            ArgumentRow("into", "own mm^3", optional=True, called="a volume", sample="soil"),
+            ArgumentRow("into", "own mm^3", optional=True, display_name="a volume", sample="soil"),
         ),
         "solids",
         "digs a ball out of a solid",
@@ -105,9 +111,9 @@ _EFFECT_ROWS = (
         "(mm³) is added to the agent's own register, if one is named, after the step's blocks",
         "carve {of} ball {radius} at {x}, {y}, {z}[ -> {own}]",
         "carve {of}, radius {radius} mm",
-        computed=("radius", "x", "y", "z"),
-        refused="carve {of}",
-        above_0=True,
+        computed_operands=("radius", "x", "y", "z"),
+        fault_name="carve {of}",
+        needs_positive_operand=True,
         cost=UseCost(1000, "digs {thing}"),
     ),
     Effect(
@@ -120,7 +126,7 @@ _EFFECT_ROWS = (
         "alone (if it is in reach, where a distance is given), seen at t+1",
         "emit {of}[ within {within}][ to {to}]",
         "emit {of}[ within {within} mm][ to {receiver} {to}]",
-        feeds=True,
+        is_feeding_senses=True,
         cost=UseCost(50, "raises {thing}"),
     ),
     Effect(
@@ -132,22 +138,22 @@ _EFFECT_ROWS = (
         "makes a new agent at this one's position, at t+1",
         "spawn {of}",
         "spawn {of}",
-        too_often="would make a new one in every step",
-        draws=True,
+        state_body_error="would make a new one in every step",
+        uses_draws=True,
     ),
     Effect("die", "", (), "births", "removes this agent", "the agent is removed at t+1", "die", "die", last=True),
 )
 EFFECT_BY_OPERATION: dict[str, Effect] = {row.op: row for row in _EFFECT_ROWS}
 
 
-def effects_of_phase(phase: str) -> tuple[str, ...]:
+def list_effects_of_phase(phase: str) -> tuple[str, ...]:
     """Return the effects that a phase of a step resolves, in the order of the table."""
     return tuple(row.op for row in EFFECT_BY_OPERATION.values() if row.phase == phase)
 
 
-def feeding_effects(kind: str) -> frozenset[str]:
+def list_feeding_effects(kind: str) -> frozenset[str]:
     """Return the effects that add to the thing that they name. `kind`: the kind of the thing, `field` or `event`."""
-    return frozenset(row.op for row in EFFECT_BY_OPERATION.values() if row.feeds and row.target == kind)
+    return frozenset(row.op for row in EFFECT_BY_OPERATION.values() if row.is_feeding_senses and row.target == kind)
 
 
 def fill_template(template: str, values: Mapping[str, str | None]) -> str:

@@ -22,8 +22,8 @@ class ArgumentRow:
     - `default`: an expression of the language.
     - `optional`: may be absent (None).
     - `variadic`: may be repeated.
-    - `above`: the value of a constant must be above this. `is_integer`: it must be whole.
-    - `called`: its name in messages.
+    - `lower_bound`: the value of a constant must be above this. `is_integer`: it must be whole.
+    - `display_name`: its name in messages.
     - `sample`: an example for statements."""
 
     name: str
@@ -31,9 +31,9 @@ class ArgumentRow:
     default: str | None = None
     optional: bool = False
     variadic: bool = False
-    above: float | None = None
+    lower_bound: float | None = None
     is_integer: bool = False
-    called: str = ""
+    display_name: str = ""
     sample: str = ""
 
 
@@ -42,19 +42,20 @@ class UseCost:
     """The cost of a use for `antdsl check --cost`.
 
     - `weight`: a rough weight; one addition is 1.
-    - `words`: a text with `{thing}` (the named thing) and `{count}`.
+    - `text_template`: a text with `{thing}` (the named thing) and `{count}`.
     - `heading`: the heading that lists it.
-    - `times`: the index of the argument that multiplies the weight. `often`: the multiplier for an argument that is not constant.
-    - `within`: the index of the argument with the distance.
-    - `named`: the use counts only if it names a thing of the world."""
+    - `multiplier_index`: the index of the argument that multiplies the weight. `default_multiplier`: the multiplier for an
+      argument that is not constant.
+    - `distance_index`: the index of the argument with the distance.
+    - `needs_thing`: the use counts only if it names a thing of the world."""
 
     weight: float
-    words: str
+    text_template: str
     heading: str = "senses"
-    times: int | None = None
-    often: int = 1
-    within: int | None = None
-    named: bool = False
+    multiplier_index: int | None = None
+    default_multiplier: int = 1
+    distance_index: int | None = None
+    needs_thing: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,28 +88,28 @@ class BuiltinRow:
         return self.called or self.op
 
 
-_SIGNATURE = re.compile(r"(?P<name>\w+)\((?P<args>.*)\) -> (?P<result>.+)")
-_ARG = re.compile(
+_SIGNATURE_PATTERN = re.compile(r"(?P<name>\w+)\((?P<args>.*)\) -> (?P<result>.+)")
+_ARGUMENT_PATTERN = re.compile(
     r"(?P<name>\w+)(?P<variadic>…?): (?P<whole>whole )?(?P<type>[^=>?]+?)"
     r"( > (?P<above>\S+))?( = (?P<default>.+?))?(?P<optional>\??)"
 )
 
 
-def word(signature: str, help: str, op: str = "", **details: Any) -> BuiltinRow:
+def parse_row(signature: str, help: str, op: str = "", **details: Any) -> BuiltinRow:
     """Return the row of a word from its signature in the form of an editor: `clamp(x: number A, to: range A) -> number A`.
 
     - `a…: any A`: may be repeated.
     - `to: place?`: may be absent.
     - `most: whole number > 0 = 10`: must be whole and above 0; the default is 10.
     - `op`: the operation, if its name is not the word."""
-    parts = _SIGNATURE.fullmatch(signature)
+    parts = _SIGNATURE_PATTERN.fullmatch(signature)
     assert parts is not None, signature
-    args = tuple(_argument(each) for each in parts["args"].split(", ") if each)
+    args = tuple(_parse_argument(each) for each in parts["args"].split(", ") if each)
     return BuiltinRow(args, parts["result"], help, op or parts["name"], called=parts["name"] if op else "", **details)
 
 
-def _argument(text: str) -> ArgumentRow:
-    parts = _ARG.fullmatch(text)
+def _parse_argument(text: str) -> ArgumentRow:
+    parts = _ARGUMENT_PATTERN.fullmatch(text)
     assert parts is not None, text
     above = None if parts["above"] is None else float(parts["above"])
     optional, variadic, is_integer = (bool(parts[each]) for each in ("optional", "variadic", "whole"))
@@ -117,11 +118,11 @@ def _argument(text: str) -> ArgumentRow:
 
 @dataclass(frozen=True, slots=True)
 class ResultPart:
-    """One result of a sense. `kind`: a letter of the plan's table (f, b, i, l). `size`: 3 for a vector."""
+    """One result of a sense. `kind`: a letter of the plan's table (f, b, i, l). `component_count`: 3 for a vector."""
 
     name: str
     kind: str = "f"
-    size: int = 1
+    component_count: int = 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,8 +132,8 @@ class SenseRow:
     - `of`: the kind of thing that its first attribute names; "" for none.
     - `operands`: the kinds of the operands, one letter each. `attrs`: further attributes.
     - `trace`: the trace text of the results, by the names of the parts. Without it, three or more numbers are all listed.
-    - `nothing`: the trace text if the first result is false.
-    - `quiet`: left out of traces."""
+    - `empty_trace`: the trace text if the first result is false.
+    - `is_untraced`: left out of traces."""
 
     op: str
     of: str
@@ -142,29 +143,31 @@ class SenseRow:
     operands: str = ""
     attrs: tuple[str, ...] = ()
     trace: str = ""
-    nothing: str = ""
-    quiet: bool = False
+    empty_trace: str = ""
+    is_untraced: bool = False
 
     @property
     def kinds(self) -> str:
         """Return the kinds of all result numbers, one letter each."""
-        return "".join(part.kind * part.size for part in self.results)
+        return "".join(part.kind * part.component_count for part in self.results)
 
     @property
     def results_text(self) -> str:
         """Return the results and their meaning as text, as in the plan's table."""
         if len(self.kinds) == 1:
             return self.meaning
-        names = (f"{part.name}{axis} {part.kind}" for part in self.results for axis in ("xyz" if part.size == 3 else ("",)))
+        names = (
+            f"{part.name}{axis} {part.kind}" for part in self.results for axis in ("xyz" if part.component_count == 3 else ("",))
+        )
         return f"({', '.join(names)}): {self.meaning}"
 
-    def place(self, part: str) -> tuple[int, int]:
+    def find_result_index(self, part: str) -> tuple[int, int]:
         """Return the index of a result among all result numbers, and its size."""
         first = 0
         for each in self.results:
             if each.name == part:
-                return first, each.size
-            first += each.size
+                return first, each.component_count
+            first += each.component_count
         raise KeyError(part)
 
 
@@ -173,11 +176,11 @@ class SetSense:
     """A word that returns a set.
 
     - `op`: the source of the set in the typed tree.
-    - `sets`: the operations of the plan to which it can be lowered.
+    - `plan_operations`: the operations of the plan to which it can be lowered.
     - `rows`: its signatures, distinguished by the kind of the first argument."""
 
     op: str
     rows: tuple[BuiltinRow, ...]
-    sets: tuple[str, ...]
+    plan_operations: tuple[str, ...]
     cost: UseCost | None
     sample: str

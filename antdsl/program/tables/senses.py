@@ -8,15 +8,15 @@ from __future__ import annotations
 from math import pi
 
 from antdsl import limits
-from antdsl.program.tables.rows import BuiltinRow, ResultPart, SenseRow, UseCost, word
+from antdsl.program.tables.rows import BuiltinRow, ResultPart, SenseRow, UseCost, parse_row
 
 HALF_TURN_INTERVAL = (0.0, pi * (1 + 1e-6))  # an angle in float32 may exceed half a turn slightly
 SHARE_INTERVAL = (0.0, 1.0)
 POSITIVE_INTERVAL = (0.0, float("inf"))
 
-_NORMAL_PART = ResultPart("n", size=3)
-_CELLS_COST = UseCost(12, "{count} cells of {thing}", "fields", times=1, often=16)
-_NEAREST_COST = UseCost(100, "nearest of {thing}", named=True)
+_NORMAL_PART = ResultPart("n", component_count=3)
+_CELLS_COST = UseCost(12, "{count} cells of {thing}", "fields", multiplier_index=1, default_multiplier=16)
+_NEAREST_COST = UseCost(100, "nearest of {thing}", needs_thing=True)
 _CURVE_COST = UseCost(200, "curve {thing}")
 
 _SENSE_ROWS = (
@@ -26,7 +26,7 @@ _SENSE_ROWS = (
         (ResultPart("hit", "b"), ResultPart("distance"), _NORMAL_PART),
         "nearest surface along the direction (normalised), up to reach; normal toward the agent",
         (
-            word(
+            parse_row(
                 "ray(direction: push, reach: length, on: obstacle) -> hit",
                 "what lies in that direction, or none",
                 sense=True,
@@ -36,7 +36,7 @@ _SENSE_ROWS = (
         ),
         operands="ffff",
         trace="hit at {distance:.4g} mm",
-        nothing="nothing",
+        empty_trace="nothing",
     ),
     SenseRow(
         "obstacle.near",
@@ -45,7 +45,7 @@ _SENSE_ROWS = (
         "closest point of an obstacle, surface or solid within reach",
         operands="f",
         trace="hit at {distance:.4g} mm",
-        nothing="nothing",
+        empty_trace="nothing",
     ),
     SenseRow(
         "field.value",
@@ -53,7 +53,7 @@ _SENSE_ROWS = (
         (ResultPart("value"),),
         "the field in the agent's own cell",
         (
-            word(
+            parse_row(
                 "field_value(of: field) -> number",
                 "its amount here",
                 part="value",
@@ -68,7 +68,7 @@ _SENSE_ROWS = (
         (ResultPart("value"),),
         "the field where a straight way over the surface ends: so long (first), turned to the left of the heading (second)",
         (
-            word(
+            parse_row(
                 "smell(field: field, ahead: length, turn: angle = 0 deg) -> number",
                 "how much there is of it where a straight way over the surface ends, turned to the left",
                 part="value",
@@ -82,10 +82,10 @@ _SENSE_ROWS = (
     SenseRow(
         "field.strongest",
         "field",
-        (ResultPart("value"), ResultPart("", size=3)),
+        (ResultPart("value"), ResultPart("", component_count=3)),
         "the strongest of the nearest `count` cells; own position where there is none",
         (
-            word(
+            parse_row(
                 "max(field: field, nearest: count = 16) -> number",
                 "the strongest of the nearest cells",
                 op="field_max",
@@ -93,7 +93,7 @@ _SENSE_ROWS = (
                 sense=True,
                 cost=_CELLS_COST,
             ),
-            word(
+            parse_row(
                 "strongest(field: field, nearest: count = 16) -> position",
                 "where the strongest of the nearest cells lies; its own position where there is nothing",
                 sense=True,
@@ -107,10 +107,10 @@ _SENSE_ROWS = (
     SenseRow(
         "field.gradient",
         "field",
-        (ResultPart("", size=3),),
+        (ResultPart("", component_count=3),),
         "uphill, per mm",
         (
-            word(
+            parse_row(
                 "gradient(field: field) -> vector 1/length",
                 "uphill in the field, per unit of length",
                 sense=True,
@@ -122,17 +122,17 @@ _SENSE_ROWS = (
     SenseRow(
         "curve.closest",
         "curve",
-        (ResultPart("distance"), ResultPart("", size=3), ResultPart("t", size=3)),
+        (ResultPart("distance"), ResultPart("", component_count=3), ResultPart("t", component_count=3)),
         "closest point and unit tangent",
         (
-            word(
+            parse_row(
                 "closest(on: curve) -> position",
                 "the nearest point of a curve",
                 sense=True,
                 cost=_CURVE_COST,
                 sample="distance(closest(path))",
             ),
-            word(
+            parse_row(
                 "tangent(on: curve) -> push",
                 "the direction of the curve at its nearest point",
                 part="t",
@@ -146,9 +146,9 @@ _SENSE_ROWS = (
     SenseRow(
         "flow.value",
         "flow",
-        (ResultPart("", size=3),),
+        (ResultPart("", component_count=3),),
         "a flow at the agent's position, along its surface; no unit",
-        (word("flow_value(of: flow) -> push", "its direction here", form="value", cost=UseCost(30, "flow {thing}")),),
+        (parse_row("flow_value(of: flow) -> push", "its direction here", form="value", cost=UseCost(30, "flow {thing}")),),
     ),
     SenseRow(
         "flow.reachable",
@@ -156,7 +156,7 @@ _SENSE_ROWS = (
         (ResultPart("", "b"),),
         "whether a path leads from here to the target of a solved flow; of other flows, whether they are anything here",
         (
-            word(
+            parse_row(
                 "reachable(of: flow) -> bool",
                 "a path leads from here to the target of a solved flow; of other flows: it is anything here",
                 sense=True,
@@ -171,7 +171,7 @@ _SENSE_ROWS = (
         (ResultPart("value"),),
         "a painted number at the agent's position",
         (
-            word(
+            parse_row(
                 "map_value(of: map) -> number",
                 "the painted value here",
                 part="value",
@@ -186,7 +186,7 @@ _SENSE_ROWS = (
         (ResultPart("value"),),
         "gradient noise at the agent's place and time: cell size (first), number of the pattern, seconds that a cell lasts",
         (
-            word(
+            parse_row(
                 "noise(scale: length > 0, seed: whole number = 0, period: time > 0 = 1 s) -> number",
                 "a smooth function of place and time, -1 to 1 and about 0: hills `scale` apart, others after a `period`",
                 part="value",
@@ -201,15 +201,15 @@ _SENSE_ROWS = (
     SenseRow(
         "clear.velocity",
         "",
-        (ResultPart("", size=3),),
+        (ResultPart("", component_count=3),),
         "the velocity nearest to one (first three) by which it meets none of the nearest others: within mm, for s, so many",
         (
-            word(
+            parse_row(
                 "clear_velocity(wish: velocity, within: length, horizon: time > 0 = 2 s, most: whole number > 0 = 10) "
                 "-> velocity",
                 "the velocity nearest to `wish` that avoids collisions for `horizon`, if the others do their half",
                 sense=True,
-                cost=UseCost(3000, "clear velocity", within=1),
+                cost=UseCost(3000, "clear velocity", distance_index=1),
                 sample="match(clear_velocity(heading * max_speed, within: 3 m))",
             ),
         ),
@@ -218,14 +218,14 @@ _SENSE_ROWS = (
     SenseRow(
         "gap.widest",
         "",
-        (ResultPart("", size=3),),
+        (ResultPart("", component_count=3),),
         "unit way into the widest gap between the bearings of the nearest others: within mm, at most so many",
         (
-            word(
+            parse_row(
                 "widest_gap(within: length, most: whole number > 0 = 16) -> push",
                 "into the widest gap between its neighbours, length 1; nothing without any",
                 sense=True,
-                cost=UseCost(1500, "widest gap", within=0),
+                cost=UseCost(1500, "widest gap", distance_index=0),
                 sample="toward(widest_gap(within: 60 mm))",
             ),
         ),
@@ -239,7 +239,7 @@ _SENSE_ROWS = (
         "it); a second, 0 and 1 for no clip",
         operands="i",
         attrs=("what",),
-        quiet=True,  # a property of the body, equal in every step
+        is_untraced=True,  # a property of the body, equal in every step
     ),
     SenseRow(
         "contact",
@@ -255,7 +255,7 @@ SENSE_BY_OPERATION: dict[str, SenseRow] = {row.op: row for row in _SENSE_ROWS}
 
 # Words with several operations, one for each kind of argument. Their rules are in `antdsl.plan.lowering.rules`.
 GENERIC_WORDS = (
-    word(
+    parse_row(
         "distance(to: place) -> length",
         "distance; infinite if none",
         sense=True,
@@ -263,41 +263,43 @@ GENERIC_WORDS = (
         cost=_NEAREST_COST,
         sample="distance(nearest(food)) < 20 mm",
     ),
-    word(
+    parse_row(
         "direction(of: place, to: place?) -> push",
         "toward it, length 1 (or from it to another place); zero if none",
         sense=True,
         cost=_NEAREST_COST,
         sample="direction(nearest(food))",
     ),
-    word(
+    parse_row(
         "position(of: place) -> position",
         "position of a place; its own position if none",
         sense=True,
         cost=_NEAREST_COST,
         sample="position(nearest(food))",
     ),
-    word(
+    parse_row(
         "velocity(of: place) -> velocity",
         "its velocity; zero if it stands still or is none",
         sense=True,
         sample="velocity(nearest(rabbit))",
     ),
-    word("touching(x: place) -> bool", "its body touches that thing", sense=True, cost=_NEAREST_COST, sample="touching(nest)"),
-    word(
+    parse_row(
+        "touching(x: place) -> bool", "its body touches that thing", sense=True, cost=_NEAREST_COST, sample="touching(nest)"
+    ),
+    parse_row(
         "falloff(from: place, floor: length) -> number",
         "floor / distance, at most 1",
         sense=True,
         interval=SHARE_INTERVAL,
         sample="falloff(nearest(food), floor: size)",
     ),
-    word(
+    parse_row(
         "match(velocity: velocity) -> push",
         "the push that reaches a velocity in this step, at most 1: (velocity - own) * mass / (max_force * dt)",
         sense=True,
         sample="match(heading * 10 mm/s)",
     ),
-    word(
+    parse_row(
         "slope() -> angle",
         "angle between the ground and the horizontal",
         form="name",
@@ -305,11 +307,13 @@ GENERIC_WORDS = (
         interval=HALF_TURN_INTERVAL,
         sample="when slope > 30 deg -> rest",
     ),
-    word("uphill() -> push", "the world's up, laid along the ground", form="name", sense=True, sample="steer toward(uphill)"),
+    parse_row(
+        "uphill() -> push", "the world's up, laid along the ground", form="name", sense=True, sample="steer toward(uphill)"
+    ),
 )
 
 
-def find_words(how: str) -> tuple[BuiltinRow, ...]:
+def find_words(form: str) -> tuple[BuiltinRow, ...]:
     """Return the words of senses with one form: a `call`, a bare `name`, or the `value` of a thing."""
     every = (*(word for sense in _SENSE_ROWS for word in sense.words), *GENERIC_WORDS)
-    return tuple(word for word in every if word.form == how)
+    return tuple(word for word in every if word.form == form)

@@ -3,49 +3,49 @@ lowering of sets converts them."""
 
 from __future__ import annotations
 
-from antdsl.program.tables.rows import SetSense, UseCost, word
+from antdsl.program.tables.rows import SetSense, UseCost, parse_row
 
 _SET_ROWS = (
     SetSense(
         "neighbours",
         (
-            word(
+            parse_row(
                 "neighbours(radius: length, fov: angle = 360 deg, of: species?, most: number?) -> set",
                 "others of the same species (or of another) near it and in its field of view",
             ),
         ),
         ("set.agents",),
-        UseCost(600, "{thing}", within=0),
+        UseCost(600, "{thing}", distance_index=0),
         "count(neighbours(radius: 20 mm, fov: 270 deg))",
     ),
     SetSense(
         "all",
         (
-            word("all(of: items, within: length?, with: condition?, most: number?) -> set", "items or agents"),
-            word("all(of: species, within: length?, with: condition?, most: number?) -> set", "agents"),
+            parse_row("all(of: items, within: length?, with: condition?, most: number?) -> set", "items or agents"),
+            parse_row("all(of: species, within: length?, with: condition?, most: number?) -> set", "agents"),
         ),
         ("set.items", "set.every", "set.agents"),
-        UseCost(100, "all {thing}", within=0),
+        UseCost(100, "all {thing}", distance_index=0),
         "count(all(food, within: 40 mm))",
     ),
     SetSense(
         "feelers",
         (
-            word(
+            parse_row(
                 "feelers(on: obstacle, count: count = 3, spread: angle = 35 deg, reach: length) -> set",
                 "hits of rays along the velocity, spread evenly up to `spread` to either side about the up axis",
             ),
         ),
         ("ray",),
-        UseCost(400, "{count} rays on {thing}", times=0, often=3),
+        UseCost(400, "{count} rays on {thing}", multiplier_index=0, default_multiplier=3),
         "any(feelers(stones, count: 3, spread: 35 deg, reach: 6 mm))",
     ),
     SetSense(
         "nearest",
         (
-            word("nearest(of: items, within: length?, with: condition?) -> item", "the nearest, or none"),
-            word("nearest(of: species, within: length?, with: condition?) -> agent", "the nearest, or none"),
-            word("nearest(of: set) -> any", "the nearest of a set, or none"),
+            parse_row("nearest(of: items, within: length?, with: condition?) -> item", "the nearest, or none"),
+            parse_row("nearest(of: species, within: length?, with: condition?) -> agent", "the nearest, or none"),
+            parse_row("nearest(of: set) -> any", "the nearest of a set, or none"),
         ),
         (),  # the nearest of one of the sets above
         None,

@@ -1,7 +1,7 @@
 """The table of the kinds of things of the world, with one row each.
 
 From the rows come type words, checks, lowering, message texts for programs and scenes, the plan's lists and the editor's help.
-The class that reads a kind from a scene is in `antdsl.scene.kinds`."""
+The class that reads a kind from a scene is in `antdsl.scene.scene_kinds`."""
 
 from __future__ import annotations
 
@@ -10,90 +10,90 @@ from typing import Literal
 
 
 @dataclass(frozen=True, slots=True)
-class KindOfThing:
+class ThingKindRow:
     """A kind of thing of the world.
 
     - `word`: its word in `world { … }`.
-    - `called`: its name in messages, such as `a curve`; "" if types have other words for it.
-    - `replaces`: the kinds of arguments for which it is also allowed.
+    - `label`: its name in messages, such as `a curve`; "" if types have other words for it.
+    - `replaced_kinds`: the kinds of arguments for which it is also allowed.
     - `typed`: its meaning as the type of an argument; "" if it is no type word.
     - `scene_form`: words for its definition in a scene, such as `a mesh`.
     - `scene`: an example of the definition, for messages. `snippet`: the same with placeholders, for an editor.
-    - `nearest`: the operation of the plan that finds its nearest point; "" if it has no position.
-    - `touching`: the operation that tests whether agents touch it, if that is not `nearest`.
+    - `nearest_op`: the operation of the plan that finds its nearest point; "" if it has no position.
+    - `touching_op`: the operation that tests whether agents touch it, if that is not `nearest_op`.
     - `has_values`: each of its members has attributes.
     - `is_ground`: agents walk on it.
-    - `blocks`: agents cannot walk through it.
+    - `is_blocking`: agents cannot walk through it.
     - `is_dug`: agents change its shape, and its total is a volume.
     - `look`: the default look of its meshes in pictures."""
 
     word: str
     help: str
     sample: str
-    called: str = ""
-    replaces: tuple[str, ...] = ()
+    label: str = ""
+    replaced_kinds: tuple[str, ...] = ()
     typed: str = ""
     scene_form: str = ""
     scene: str = ""
     snippet: str = ""
-    nearest: str = ""
-    touching: str = ""
+    nearest_op: str = ""
+    touching_op: str = ""
     has_values: bool = False
     is_ground: bool = False
-    blocks: bool = False
+    is_blocking: bool = False
     is_dug: bool = False
     look: Literal["ground", "stone"] = "ground"
 
     @property
     def has_faces(self) -> bool:
         """Return whether the thing consists of triangles or voxels that agents can sense."""
-        return self.nearest == "obstacle.near"
+        return self.nearest_op == "obstacle.near"
 
 
 _THING_ROWS = (
-    KindOfThing(
-        "surface", "ground that agents walk on", "world { surface floor }", called="a surface", typed="the name of a surface",
-        replaces=("obstacle",), nearest="obstacle.near", touching="surface.touching", is_ground=True,
+    ThingKindRow(
+        "surface", "ground that agents walk on", "world { surface floor }", label="a surface", typed="the name of a surface",
+        replaced_kinds=("obstacle",), nearest_op="obstacle.near", touching_op="surface.touching", is_ground=True,
         scene_form="a mesh", scene="{mesh: ground.ply}", snippet="{mesh: ${1:ground.ply}}",
     ),
-    KindOfThing(
-        "obstacle", "what stands in the way, and is gone round", "world { obstacle chairs }", called="an obstacle",
-        typed="an obstacle, a surface or a solid by its name", nearest="obstacle.near", blocks=True, look="stone",
+    ThingKindRow(
+        "obstacle", "what stands in the way, and is gone round", "world { obstacle chairs }", label="an obstacle",
+        typed="an obstacle, a surface or a solid by its name", nearest_op="obstacle.near", is_blocking=True, look="stone",
         scene_form="a mesh", scene="{mesh: stones.ply}", snippet="{mesh: ${1:stones.ply}}",
     ),
-    KindOfThing(
-        "solid", "soft ground that may be dug", "world { solid sand }", called="a solid",
-        replaces=("obstacle",), nearest="obstacle.near", is_ground=True, is_dug=True,
+    ThingKindRow(
+        "solid", "soft ground that may be dug", "world { solid sand }", label="a solid",
+        replaced_kinds=("obstacle",), nearest_op="obstacle.near", is_ground=True, is_dug=True,
         scene_form="a mesh", scene="{mesh: hill.ply, voxel: 1 mm}", snippet="{mesh: ${1:hill.ply}, voxel: ${2:1 mm}}",
     ),
-    KindOfThing(
+    ThingKindRow(
         "items", "things that are placed, each with its own values", "world { items fruit { load = 0 } }",
-        typed="all items with a name", nearest="set.items", has_values=True,
+        typed="all items with a name", nearest_op="set.items", has_values=True,
         scene_form="items", scene="{one: {at: [0, 0, 0]}}", snippet="{${1:one}: {at: [${2:0}, 0, ${3:0}]}}",
     ),
-    KindOfThing(
-        "curve", "a line drawn in space", "world { curve path }", called="a curve", typed="the name of a curve",
-        nearest="curve.closest", scene_form="a curve", scene="{curve: way.json}", snippet="{curve: ${1:way.json}}",
+    ThingKindRow(
+        "curve", "a line drawn in space", "world { curve path }", label="a curve", typed="the name of a curve",
+        nearest_op="curve.closest", scene_form="a curve", scene="{curve: way.json}", snippet="{curve: ${1:way.json}}",
     ),
-    KindOfThing(
-        "flow", "directions along the ground", "world { flow drift }", called="a flow", typed="the name of a flow",
+    ThingKindRow(
+        "flow", "directions along the ground", "world { flow drift }", label="a flow", typed="the name of a flow",
         scene_form="a flow", scene="{toward: [0, 0, 0], radius: 50 mm}", snippet="{toward: ${1:nest}, radius: ${2:50 mm}}",
     ),
-    KindOfThing(
-        "map", "numbers painted on the ground", "world { map damp }", called="a map", typed="the name of a map",
+    ThingKindRow(
+        "map", "numbers painted on the ground", "world { map damp }", label="a map", typed="the name of a map",
         scene_form="a map", scene="{painted: ground.ply, attribute: NAME}",
         snippet="{painted: ${1:ground.ply}, attribute: ${2:damp}}",
     ),
-    KindOfThing(
+    ThingKindRow(
         "species", "agents that another file describes", "world { species beetle { hunger = 0 } }",
-        typed="the name of a species", nearest="set.every", has_values=True,
+        typed="the name of a species", nearest_op="set.every", has_values=True,
     ),
 )  # fmt: skip
-KIND_BY_WORD: dict[str, KindOfThing] = {row.word: row for row in _THING_ROWS}
-WITH_FACES = tuple(row.word for row in _THING_ROWS if row.has_faces)
-BLOCKING = tuple(row.word for row in _THING_ROWS if row.blocks)
+KIND_BY_WORD: dict[str, ThingKindRow] = {row.word: row for row in _THING_ROWS}
+KINDS_WITH_FACES = tuple(row.word for row in _THING_ROWS if row.has_faces)
+BLOCKING_KINDS = tuple(row.word for row in _THING_ROWS if row.is_blocking)
 
 
-def replacements(kind: str) -> tuple[str, ...]:
+def list_replacements(kind: str) -> tuple[str, ...]:
     """Return the kinds of things that are allowed as an argument of a kind. The kind itself comes first."""
-    return (kind, *(row.word for row in _THING_ROWS if kind in row.replaces))
+    return (kind, *(row.word for row in _THING_ROWS if kind in row.replaced_kinds))

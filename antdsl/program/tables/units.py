@@ -19,7 +19,7 @@ class UnitMeasure:
 
     dim: Dimension
     factor: float
-    u: float
+    unit_power: float
     step: float
 
 
@@ -33,7 +33,7 @@ def combine_dimensions(a: Dimension, b: Dimension, power: float = 1) -> Dimensio
     return Dimension(a.length + b.length * power, a.time + b.time * power, a.mass + b.mass * power, a.angle + b.angle * power)
 
 
-def measure(unit: str) -> UnitMeasure | None:
+def find_unit_measure(unit: str) -> UnitMeasure | None:
     """Return the value of a unit such as `mm/s`, `%/s`, `/step` or `mm^2/s`; None for an unknown unit."""
     dim, factor, u, step, position = Dimension(), 1.0, 0.0, 0.0, 0
     text = unit.replace(" ", "")
@@ -45,21 +45,21 @@ def measure(unit: str) -> UnitMeasure | None:
         power = (-1 if part[1] == "/" else 1) * int(part[3] or 1)
         dim = combine_dimensions(dim, known.dim, power)
         factor *= known.factor**power
-        u += known.u * power
+        u += known.unit_power * power
         step += known.step * power
     return UnitMeasure(dim, factor, u, step) if position == len(text) and text else None
 
 
-def constant(value: float, unit: str, span: Span) -> Constant | None:
+def make_constant(value: float, unit: str, span: Span) -> Constant | None:
     """Return the constant for a quantity; None if its unit is unknown."""
-    known = measure(unit)
+    known = find_unit_measure(unit)
     if known is None:
         return None
-    rate = ChangeRate.RUN if known.u or known.step else ChangeRate.CONST
-    return Constant(ValueType(TypeKind.NUMBER, known.dim), rate, span, value * known.factor, known.u, known.step)
+    rate = ChangeRate.RUN if known.unit_power or known.step else ChangeRate.CONST
+    return Constant(ValueType(TypeKind.NUMBER, known.dim), rate, span, value * known.factor, known.unit_power, known.step)
 
 
-def number(value: float, span: Span) -> Constant:
+def make_number(value: float, span: Span) -> Constant:
     """Return the constant for a number without a unit."""
     return Constant(ValueType(TypeKind.NUMBER), ChangeRate.CONST, span, value)
 
@@ -80,7 +80,7 @@ _DIMENSION_NAMES: dict[Dimension, str] = {
 }
 
 
-def default_unit(dim: Dimension) -> str:
+def choose_default_unit(dim: Dimension) -> str:
     """Return a usual unit of a dimension: `mm`, `deg/s`, `/s`; empty for a plain number."""
     if dim == FORCE_DIMENSION:
         return "uN"
@@ -93,15 +93,15 @@ def default_unit(dim: Dimension) -> str:
     return "*".join(top) + "".join("/" + unit for unit in below)
 
 
-def with_article(words: str) -> str:
+def add_article(words: str) -> str:
     """Return words with `a` or `an` before them."""
     return ("an " if words[0] in "aeiou" else "a ") + words
 
 
-def dimension_words(dim: Dimension) -> str:
+def describe_dimension(dim: Dimension) -> str:
     """Return words for a dimension: `a length`, `a number without a unit`, `a value in mm*g`."""
     name = _DIMENSION_NAMES.get(dim)
-    return with_article(name) if name else f"a value in `{default_unit(dim)}`"
+    return add_article(name) if name else f"a value in `{choose_default_unit(dim)}`"
 
 
 def format_number(value: float) -> str:
@@ -109,13 +109,13 @@ def format_number(value: float) -> str:
     return f"{value:.12g}"
 
 
-def with_unit(value: float, dim: Dimension) -> str:
+def format_with_unit(value: float, dim: Dimension) -> str:
     """Return a number with the default unit of a dimension: `30 mm` for 30 and a length."""
-    unit = default_unit(dim)
+    unit = choose_default_unit(dim)
     return f"{format_number(value)} {unit}".strip()
 
 
-def unit_spelling(node: nodes.Expr) -> str:
+def find_unit_spelling(node: nodes.Expr) -> str:
     """Return the first unit in the text of an expression; empty if there is none."""
     stack: list[object] = [node]
     while stack:

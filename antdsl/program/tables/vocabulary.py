@@ -11,7 +11,7 @@ from math import inf, pi
 
 from antdsl.program.model import Dimension, TypeKind
 from antdsl.program.tables import senses, set_senses
-from antdsl.program.tables.rows import BuiltinRow, UseCost, word
+from antdsl.program.tables.rows import BuiltinRow, UseCost, parse_row
 from antdsl.program.tables.things import KIND_BY_WORD
 from antdsl.syntax.editions import EDITIONS
 
@@ -27,12 +27,12 @@ FORCE_DIMENSION = Dimension(length=1, time=-2, mass=1)
 
 @dataclass(frozen=True, slots=True)
 class UnitRow:
-    """A unit. `factor`: its value in base units (mm, s, g, rad). `u`, `step`: powers of the scene's unit and of dt that multiply
-    the value."""
+    """A unit. `factor`: its value in base units (mm, s, g, rad). `unit_power`, `step`: powers of the scene's unit and of dt that
+    multiply the value."""
 
     dim: Dimension
     factor: float
-    u: int = 0
+    unit_power: int = 0
     step: int = 0
 
 
@@ -40,7 +40,7 @@ UNIT_BY_NAME: dict[str, UnitRow] = {
     "mm": UnitRow(LENGTH_DIMENSION, 1.0),
     "cm": UnitRow(LENGTH_DIMENSION, 10.0),
     "m": UnitRow(LENGTH_DIMENSION, 1000.0),
-    "u": UnitRow(LENGTH_DIMENSION, 1.0, u=1),
+    "u": UnitRow(LENGTH_DIMENSION, 1.0, unit_power=1),
     "s": UnitRow(TIME_DIMENSION, 1.0),
     "min": UnitRow(TIME_DIMENSION, 60.0),
     "step": UnitRow(TIME_DIMENSION, 1.0, step=1),
@@ -80,10 +80,11 @@ TYPE_BY_WORD: dict[str, Dimension | str] = {
 
 @dataclass(frozen=True, slots=True)
 class BuiltinAttribute:
-    """An attribute that every agent has. If it is `settable`, a species declares it without `=`, and statements may assign it."""
+    """An attribute that every agent has. If it is `is_settable`, a species declares it without `=`, and statements may assign
+    it."""
 
     type: str
-    settable: bool
+    is_settable: bool
     default: str | None  # as text of the language; `EDITION_DEFAULTS` overrides it
     help: str
     edition: int = 1  # the first edition that has it
@@ -160,57 +161,61 @@ _DRAW_COST = UseCost(60, "{word}", "draws")
 
 # Words that are not senses: functions of their arguments, and draws.
 _PLAIN_BUILTINS = (
-    word("abs(x: number A) -> number A", "absolute value"),
-    word("clamp(x: number A, to: range A) -> number A", "limited to a range"),
-    word("floor(x: number) -> number", "rounded down"),
-    word("sqrt(x: number A) -> number sqrt A", "square root; its dimension is halved", interval=senses.POSITIVE_INTERVAL),
-    word("sin(x: angle) -> number", "sine", interval=(-1, 1)),
-    word("cos(x: angle) -> number", "cosine", interval=(-1, 1)),
-    word("exp(x: number) -> number", "e to the x", interval=senses.POSITIVE_INTERVAL),
-    word("log(x: number) -> number", "natural logarithm"),
-    word(
+    parse_row("abs(x: number A) -> number A", "absolute value"),
+    parse_row("clamp(x: number A, to: range A) -> number A", "limited to a range"),
+    parse_row("floor(x: number) -> number", "rounded down"),
+    parse_row("sqrt(x: number A) -> number sqrt A", "square root; its dimension is halved", interval=senses.POSITIVE_INTERVAL),
+    parse_row("sin(x: angle) -> number", "sine", interval=(-1, 1)),
+    parse_row("cos(x: angle) -> number", "cosine", interval=(-1, 1)),
+    parse_row("exp(x: number) -> number", "e to the x", interval=senses.POSITIVE_INTERVAL),
+    parse_row("log(x: number) -> number", "natural logarithm"),
+    parse_row(
         "ramp(x: number A, from: range A, to: range B = 0 .. 1) -> number B",
         "maps one range to another in a straight line, and stays inside it",
     ),
-    word("mix(a: number A, b: number A, t: number) -> number A", "a at t = 0, b at t = 1"),
-    word("mix(a: vector A, b: vector A, t: number) -> vector A", "a at t = 0, b at t = 1"),
-    word("min(a: number A, b: number A) -> number A", "the lesser"),
-    word("max(a: number A, b: number A) -> number A", "the greater"),
-    word("length(v: vector A) -> number A", "length of a vector", interval=senses.POSITIVE_INTERVAL),
-    word("unit(v: vector A) -> push", "the same direction, length 1; zero stays zero"),
-    word("dot(a: vector A, b: vector B) -> number A*B", "scalar product"),
-    word("cross(a: vector A, b: vector B) -> vector A*B", "vector product"),
-    word(
+    parse_row("mix(a: number A, b: number A, t: number) -> number A", "a at t = 0, b at t = 1"),
+    parse_row("mix(a: vector A, b: vector A, t: number) -> vector A", "a at t = 0, b at t = 1"),
+    parse_row("min(a: number A, b: number A) -> number A", "the lesser"),
+    parse_row("max(a: number A, b: number A) -> number A", "the greater"),
+    parse_row("length(v: vector A) -> number A", "length of a vector", interval=senses.POSITIVE_INTERVAL),
+    parse_row("unit(v: vector A) -> push", "the same direction, length 1; zero stays zero"),
+    parse_row("dot(a: vector A, b: vector B) -> number A*B", "scalar product"),
+    parse_row("cross(a: vector A, b: vector B) -> vector A*B", "vector product"),
+    parse_row(
         "angle(a: vector A, b: vector B) -> angle",
         "angle between two directions, 0 to half a turn",
         interval=senses.HALF_TURN_INTERVAL,
     ),
-    word("rotate(v: vector A, about: push, by: angle) -> vector A", "turned about an axis"),
-    word("project(v: vector A, onto: push) -> vector A", "the component of v along a direction"),
-    word("limit(v: vector A, max: number A) -> vector A", "shortened to a length if longer"),
-    word("vector(x: number A, y: number A, z: number A) -> vector A", "from three numbers, in the scene's axes"),
-    word("first(a…: any A) -> any A", "the first that is not none"),
-    word(
+    parse_row("rotate(v: vector A, about: push, by: angle) -> vector A", "turned about an axis"),
+    parse_row("project(v: vector A, onto: push) -> vector A", "the component of v along a direction"),
+    parse_row("limit(v: vector A, max: number A) -> vector A", "shortened to a length if longer"),
+    parse_row("vector(x: number A, y: number A, z: number A) -> vector A", "from three numbers, in the scene's axes"),
+    parse_row("first(a…: any A) -> any A", "the first that is not none"),
+    parse_row(
         "uniform(low: number A, high: number A) -> number A", "a uniform random number between two", draws=True, cost=_DRAW_COST
     ),
-    word("normal(mean: number A, deviation: number A) -> number A", "a random number around a mean", draws=True, cost=_DRAW_COST),
-    word("pick(a…: any A) -> any A", "one of these, equally likely", draws=True, cost=_DRAW_COST),
-    word(
+    parse_row(
+        "normal(mean: number A, deviation: number A) -> number A", "a random number around a mean", draws=True, cost=_DRAW_COST
+    ),
+    parse_row("pick(a…: any A) -> any A", "one of these, equally likely", draws=True, cost=_DRAW_COST),
+    parse_row(
         "random(of: species) -> agent",
         "one living agent of a species, all equally likely",
         op="random_agent",
         draws=True,
         cost=_DRAW_COST,
     ),
-    word("rising(x: number A, over: range A) -> number", "0 below, 1 above, linear between", interval=senses.SHARE_INTERVAL),
-    word("falling(x: number A, over: range A) -> number", "1 below, 0 above, linear between", interval=senses.SHARE_INTERVAL),
-    word(
+    parse_row("rising(x: number A, over: range A) -> number", "0 below, 1 above, linear between", interval=senses.SHARE_INTERVAL),
+    parse_row(
+        "falling(x: number A, over: range A) -> number", "1 below, 0 above, linear between", interval=senses.SHARE_INTERVAL
+    ),
+    parse_row(
         "around(x: number A, over: range A) -> number", "1 in the middle of the range, 0 outside", interval=senses.SHARE_INTERVAL
     ),
 )
 
 
-def _by_name(rows: Iterable[BuiltinRow]) -> dict[str, tuple[BuiltinRow, ...]]:
+def _group_by_name(rows: Iterable[BuiltinRow]) -> dict[str, tuple[BuiltinRow, ...]]:
     table: dict[str, tuple[BuiltinRow, ...]] = {}
     for row in rows:
         table[row.name] = (*table.get(row.name, ()), row)
@@ -218,7 +223,7 @@ def _by_name(rows: Iterable[BuiltinRow]) -> dict[str, tuple[BuiltinRow, ...]]:
 
 
 # Called as functions. Names with several rows are distinguished by the first argument's type; the first row that fits wins.
-BUILTINS_BY_NAME = _by_name((*_PLAIN_BUILTINS, *senses.find_words("call"))) | {
+BUILTINS_BY_NAME = _group_by_name((*_PLAIN_BUILTINS, *senses.find_words("call"))) | {
     row.op: row.rows for row in set_senses.SET_SENSE_BY_OPERATION.values()
 }
 

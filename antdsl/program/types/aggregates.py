@@ -1,4 +1,4 @@
-"""Types expressions that only specs can use: `total(food.load)`, `share(state == carry)`, `at_start`, `motion.circling`."""
+"""Types expressions that only specs can use: `total(food.load)`, `share(state == carry)`, `initial_count`, `motion.circling`."""
 
 from __future__ import annotations
 
@@ -11,34 +11,34 @@ from antdsl.program.expectations import (
     GEOMETRY_MEASURES,
     MOTION_MEASURES,
     AggregateExpr,
-    AtStart,
     BodyMeasure,
     CellValue,
     MotionMeasure,
-    OtherRun,
+    ReferenceRunValue,
+    StartValue,
 )
 from antdsl.program.kinds import BOOL_TYPE, NUMBER_TYPE
 from antdsl.program.model import Binding, BindingRef, ChangeRate, Dimension, Expr, TypeKind, ValueType
 from antdsl.program.names.scope import (
     Declarations,
     NameScope,
-    attributes_of,
-    bad_expression,
-    did_you_mean,
+    find_attributes,
     list_names,
-    type_from_words,
+    make_bad_expression,
+    parse_type_words,
+    suggest_name,
 )
 from antdsl.program.tables.set_senses import SET_RESULT_OPERATIONS
 from antdsl.program.tables.things import KIND_BY_WORD
 from antdsl.program.tables.vocabulary import SENSE_TYPE_BY_NAME
-from antdsl.program.traverse import written_nodes
+from antdsl.program.traverse import iterate_nodes
 from antdsl.program.typed import ParamRef, ReduceExpr, ThingRef
 from antdsl.program.types import calls, expressions, operators
 from antdsl.program.types.arguments import type_arguments
-from antdsl.program.types.descriptions import quote_source, type_words
+from antdsl.program.types.descriptions import describe_type, quote_source
 from antdsl.program.types.expressions import TypedArgument
-from antdsl.program.types.operators import condition, value
-from antdsl.program.types.sets import reduction_body
+from antdsl.program.types.operators import type_condition, type_value
+from antdsl.program.types.sets import type_reduction_body
 from antdsl.source import Span
 from antdsl.syntax import nodes
 
@@ -52,26 +52,27 @@ _VOLUME_TYPE = ValueType(TypeKind.NUMBER, Dimension(length=3))
 class SpecRules:
     """The rules of specs, which override those of the language while a condition of a spec is checked."""
 
-    def __init__(self, declared: Declarations, compares: bool = False) -> None:
-        self.plain = declared.rules
-        self.compared: dict[str, Callable[..., Expr]] = {"at_start": self._at_start}
-        if compares:
-            self.compared["other"] = self._other_run
-        self.inside = False  # whether the checker is inside an aggregate such as `total(…)`
+    def __init__(self, declared: Declarations, has_reference_run: bool = False) -> None:
+        self.language_rules = declared.rules
+        self.comparison_rules: dict[str, Callable[..., Expr]] = {"at_start": self._type_at_start}
+        if has_reference_run:
+            self.comparison_rules["other"] = self._type_other_run
+        self.is_in_aggregate = False  # whether the checker is inside an aggregate such as `total(…)`
         self.cells = ""  # the field of which an aggregate reads the cells
-        self.other: Expr | None = None  # the other side of a comparison with `at_start` or `other`
+        self.other_side: Expr | None = None  # the other side of a comparison with `initial_count` or `other`
         own: dict[type, Callable[..., Expr]] = {
-            nodes.Call: self._call, nodes.NameRef: self._name, nodes.Member: self._member, nodes.Binary: self._binary,
+            nodes.Call: self._type_call, nodes.NameRef: self._type_name, nodes.Member: self._type_member,
+            nodes.Binary: self._type_binary,
         }  # fmt: skip
         self.declared = replace(declared, rules={**declared.rules, **own})
 
     # --- names -------------------------------------------------------------------------------------------------------
 
-    def _name(self, scope: NameScope, node: nodes.NameRef, want: ValueType | None) -> Expr:
+    def _type_name(self, scope: NameScope, node: nodes.NameRef, expected_type: ValueType | None) -> Expr:
         name = node.name.text
-        if name in self.compared:
-            if self.other is not None:
-                return self.compared[name](scope, self.other, node.span)
+        if name in self.comparison_rules:
+            if self.other_side is not None:
+                return self.comparison_rules[name](scope, self.other_side, node.span)
             when = "was" if name == "at_start" else "is in the other run"
             message = f"`{name}` is what the other side of a comparison {when}, and there is none"
             advice = f"write `total(food.load) == {name}`, or `{name}(total(food.load))`"
@@ -79,45 +80,42 @@ class SpecRules:
         species = scope.species
         own_names: set[str] = set() if species is None else {*species.attributes, *species.params, *species.bindings}
         if species is not None and name in GEOMETRY_MEASURES and name not in own_names:
-            return BodyMeasure(type_from_words(GEOMETRY_MEASURES[name]) or NUMBER_TYPE, ChangeRate.AGENT, node.span, name)
-        return expressions.name_of(scope, node, want)
+            return BodyMeasure(parse_type_words(GEOMETRY_MEASURES[name]) or NUMBER_TYPE, ChangeRate.AGENT, node.span, name)
+        return expressions.type_name(scope, node, expected_type)
 
-    def _at_start(self, scope: NameScope, expr: Expr, span: Span) -> Expr:
-        if self.inside:
+    def _type_at_start(self, scope: NameScope, expr: Expr, span: Span) -> Expr:
+        if self.is_in_aggregate:
             message = "`at_start` cannot be inside an expression that is computed for each agent"
             return scope.reject("set-in-set", message, span, "write `at_start(total(food.load))`")
         if expr.type.kind is TypeKind.BAD:
-            return bad_expression(span)
+            return make_bad_expression(span)
         if expr.type.kind is not TypeKind.NUMBER:
-            words = f"`at_start` is for numbers, and this is {type_words(expr.type)}"
+            words = f"`at_start` is for numbers, and this is {describe_type(expr.type)}"
             return scope.reject("wrong-kind", words, span, "compare numbers")
-        return AtStart(expr.type, expr.rate, span, expr)
+        return StartValue(expr.type, expr.rate, span, expr)
 
-    def _other_run(self, scope: NameScope, expr: Expr, span: Span) -> Expr:
+    def _type_other_run(self, scope: NameScope, expr: Expr, span: Span) -> Expr:
         """Return the value of a number of the reference run. It must be about the complete run, not about one agent."""
         if expr.type.kind is TypeKind.BAD:
-            return bad_expression(span)
-        if self.inside or scope.species is not None or expr.type.kind is not TypeKind.NUMBER or expr.rate > ChangeRate.STEP:
+            return make_bad_expression(span)
+        names_agent = self.is_in_aggregate or scope.species is not None
+        if names_agent or expr.type.kind is not TypeKind.NUMBER or expr.rate > ChangeRate.STEP:
             message = "`other` is a number of the whole in another run, where no agent is named"
             advice = "write it in a line of the spec itself: `always: total(nest.load) >= other`"
             return scope.reject("wrong-rate", message, span, advice)
-        return OtherRun(expr.type, ChangeRate.STEP, span, expr)
+        return ReferenceRunValue(expr.type, ChangeRate.STEP, span, expr)
 
-    def _member(self, scope: NameScope, node: nodes.Member, want: ValueType | None) -> Expr:
+    def _type_member(self, scope: NameScope, node: nodes.Member, expected_type: ValueType | None) -> Expr:
         owner, name = node.owner, node.name.text
         if isinstance(owner, nodes.NameRef):
             if owner.name.text in scope.declared.fields and name == "value":
-                return self._cell(scope, node, owner.name.text)
-            if owner.name.text == "motion" and "motion" not in scope.locals:
-                return self._motion(scope, node)
-            self_there = scope.locals.get(owner.name.text)
+                return self._type_cell(scope, node, owner.name.text)
+            if owner.name.text == "motion" and "motion" not in scope.local_names:
+                return self._type_motion(scope, node)
+            self_there = scope.local_names.get(owner.name.text)
             species = scope.declared.species.get(owner.name.text)
-            if (
-                isinstance(self_there, ThingRef)
-                and species is not None
-                and name in species.params
-                and name not in species.attributes
-            ):
+            is_own = isinstance(self_there, ThingRef)
+            if is_own and species is not None and name in species.params and name not in species.attributes:
                 scope.mark_used("param", f"{species.name}.{name}")
                 scope.bind(owner.span, "species", species.name)
                 scope.bind(node.name.span, "own", species.name, name)
@@ -125,12 +123,12 @@ class SpecRules:
             bodily = species is not None and name in GEOMETRY_MEASURES and name not in {*species.attributes, *species.params}
             if bodily and isinstance(self_there, ThingRef):
                 scope.bind(owner.span, "species", owner.name.text)
-                return BodyMeasure(type_from_words(GEOMETRY_MEASURES[name]) or NUMBER_TYPE, ChangeRate.AGENT, node.span, name)
+                return BodyMeasure(parse_type_words(GEOMETRY_MEASURES[name]) or NUMBER_TYPE, ChangeRate.AGENT, node.span, name)
             if self._reports_unnamed_agent(scope, owner.name.text, node):
-                return bad_expression(node.span)
-        return expressions.member_of(scope, node, want)
+                return make_bad_expression(node.span)
+        return expressions.type_member(scope, node, expected_type)
 
-    def _cell(self, scope: NameScope, node: nodes.Member, field: str) -> Expr:
+    def _type_cell(self, scope: NameScope, node: nodes.Member, field: str) -> Expr:
         scope.mark_used("field", field)
         scope.bind(node.owner.span, "field", field)
         if self.cells == field:
@@ -143,14 +141,14 @@ class SpecRules:
 
     def _reports_unnamed_agent(self, scope: NameScope, owner: str, node: nodes.Member) -> bool:
         """Return whether a text such as `forager.load` fails to name a single agent; report an error if so."""
-        kind, name = _thing_kind(scope.declared, owner), node.name.text
+        kind, name = _find_thing_kind(scope.declared, owner), node.name.text
         type = ValueType(TypeKind.AGENT if kind is TypeKind.SPECIES else TypeKind.ITEM, of=owner)
         params = scope.declared.species[owner].params if kind is TypeKind.SPECIES else {}
         known = kind is not None and name in {
-            *attributes_of(scope.declared, type),
+            *find_attributes(scope.declared, type),
             *(GEOMETRY_MEASURES if kind is TypeKind.SPECIES else ()),
         }
-        if not known or owner in scope.locals or name in params:
+        if not known or owner in scope.local_names or name in params:
             return False
         if isinstance(node.owner, nodes.NameRef):
             scope.bind_thing(node.owner.name)
@@ -161,47 +159,47 @@ class SpecRules:
         scope.report.error("wrong-rate", f"`{name}` is a value of one {who}, but `{owner}` is all of them", node.span, advice)
         return True
 
-    def _motion(self, scope: NameScope, node: nodes.Member) -> Expr:
+    def _type_motion(self, scope: NameScope, node: nodes.Member) -> Expr:
         words = MOTION_MEASURES.get(node.name.text)
         if words is None:
-            help = did_you_mean(node.name.text, MOTION_MEASURES, f"there is {list_names(MOTION_MEASURES)}")
+            help = suggest_name(node.name.text, MOTION_MEASURES, f"there is {list_names(MOTION_MEASURES)}")
             scope.report.error("unknown-name", f"`motion` has no `{node.name.text}`", node.name.span, help)
-            return bad_expression(node.span)
-        return MotionMeasure(type_from_words(words) or NUMBER_TYPE, ChangeRate.STEP, node.span, node.name.text)
+            return make_bad_expression(node.span)
+        return MotionMeasure(parse_type_words(words) or NUMBER_TYPE, ChangeRate.STEP, node.span, node.name.text)
 
     # --- the other side of a comparison ------------------------------------------------------------------------------
 
-    def _binary(self, scope: NameScope, node: nodes.Binary, want: ValueType | None) -> Expr:
-        sides = [_uses_word(side, self.compared) for side in (node.left, node.right)]
+    def _type_binary(self, scope: NameScope, node: nodes.Binary, expected_type: ValueType | None) -> Expr:
+        sides = [_uses_word(side, self.comparison_rules) for side in (node.left, node.right)]
         if node.op not in _COMPARISON_SIGNS or sides[0] == sides[1]:
-            return operators.binary(scope, node, want)
+            return operators.type_binary(scope, node, expected_type)
         other = node.right if sides[0] else node.left
-        expr = value(scope, other)
+        expr = type_value(scope, other)
         known = cast(nodes.Expr, TypedArgument(expr, other.span))
         left, right = (node.left, known) if sides[0] else (known, node.right)
-        outer, self.other = self.other, expr
+        outer, self.other_side = self.other_side, expr
         try:
-            return operators.binary(scope, nodes.Binary(node.op, left, right, node.op_span, node.span), want)
+            return operators.type_binary(scope, nodes.Binary(node.op, left, right, node.op_span, node.span), expected_type)
         finally:
-            self.other = outer
+            self.other_side = outer
 
     # --- wholes ------------------------------------------------------------------------------------------------------
 
-    def _call(self, scope: NameScope, node: nodes.Call, want: ValueType | None) -> Expr:
+    def _type_call(self, scope: NameScope, node: nodes.Call, expected_type: ValueType | None) -> Expr:
         name = node.function.name.text if isinstance(node.function, nodes.NameRef) else ""
         first = node.arguments[0] if len(node.arguments) == 1 else None
-        if name in self.compared:
+        if name in self.comparison_rules:
             if not isinstance(first, nodes.Argument) or first.name is not None:
                 return self._report_argument_count(scope, node, name)
-            return self.compared[name](scope, value(scope, first.value), node.span)
+            return self.comparison_rules[name](scope, type_value(scope, first.value), node.span)
         only = first.value if isinstance(first, nodes.Argument) and first.name is None else None
         if name in AGGREGATE_WORDS and only is not None and not _is_set(scope, only):
-            return self._aggregate(scope, node, name, only)
+            return self._type_aggregate(scope, node, name, only)
         if name in ("total", "share"):
             return self._report_argument_count(scope, node, name)
-        expr = calls.call(scope, node, want)
-        if isinstance(expr, ReduceExpr) and scope.species is None and not scope.sets:
-            return self._set_aggregate(scope, expr)
+        expr = calls.type_call(scope, node, expected_type)
+        if isinstance(expr, ReduceExpr) and scope.species is None and not scope.set_elements:
+            return self._type_set_aggregate(scope, expr)
         return expr
 
     @staticmethod
@@ -210,20 +208,20 @@ class SpecRules:
         sample = "share(state == carry)" if name == "share" else call_sample
         scope.report.error("wrong-argument", f"`{name}` needs exactly one value of all", node.span, f"write `{sample}`")
         type_arguments(scope, node)
-        return bad_expression(node.span)
+        return make_bad_expression(node.span)
 
     def _reports_nesting(self, scope: NameScope, span: Span) -> bool:
-        if self.inside:
+        if self.is_in_aggregate:
             message = f"{quote_source(span)} stands inside an expression for each agent"
             scope.report.error("set-in-set", message, span, "write one next to the other")
-        return self.inside
+        return self.is_in_aggregate
 
-    def _aggregate(self, scope: NameScope, node: nodes.Call, name: str, operand: nodes.Expr) -> Expr:
+    def _type_aggregate(self, scope: NameScope, node: nodes.Call, name: str, operand: nodes.Expr) -> Expr:
         if self._reports_nesting(scope, node.span):
-            return bad_expression(node.span)
+            return make_bad_expression(node.span)
         bare = operand.name.text if isinstance(operand, nodes.NameRef) else ""
         how = "total" if name == "sum" else name
-        field = _cell_field(scope.declared, operand)
+        field = _find_cell_field(scope.declared, operand)
         if field:
             if name not in _TRUTH_AGGREGATES and not (isinstance(operand, nodes.Member) and operand.name.text == "value"):
                 return self._report_no_sum(scope, node, field)
@@ -236,13 +234,12 @@ class SpecRules:
         if thing is not None and KIND_BY_WORD[thing.kind].is_dug and name == "total":
             scope.mark_used("thing", bare)
             scope.bind(operand.span, "thing", bare)
-            return AggregateExpr(
-                _VOLUME_TYPE, ChangeRate.STEP, node.span, how, ValueType(TypeKind(thing.kind), of=bare), (), None, None
-            )
-        over = ValueType(TypeKind.FIELD, of=field) if field else _subject(scope, node, operand)
+            dug = ValueType(TypeKind(thing.kind), of=bare)
+            return AggregateExpr(_VOLUME_TYPE, ChangeRate.STEP, node.span, how, dug, (), None, None)
+        over = ValueType(TypeKind.FIELD, of=field) if field else _find_subject(scope, node, operand)
         if over is None:
-            return bad_expression(node.span)
-        inner, elements = (scope.with_changes(species=None), ()) if field else _element_scope(scope, over, node.span)
+            return make_bad_expression(node.span)
+        inner, elements = (scope.with_changes(species=None), ()) if field else _make_element_scope(scope, over, node.span)
         if isinstance(operand, nodes.NameRef) and bare == over.of:
             scope.bind_thing(operand.name)
         self.cells = field
@@ -250,14 +247,18 @@ class SpecRules:
         if not (name in ("count", "any") and bare == over.of):
             if bare == over.of:
                 return self._report_no_value(scope, node, bare)
-            self.inside = True
-            body = condition(inner, operand, f"`{name}`") if name in _TRUTH_AGGREGATES else reduction_body(inner, name, operand)
-            self.inside, self.cells = False, ""
+            self.is_in_aggregate = True
+            body = (
+                type_condition(inner, operand, f"`{name}`")
+                if name in _TRUTH_AGGREGATES
+                else type_reduction_body(inner, name, operand)
+            )
+            self.is_in_aggregate, self.cells = False, ""
             if body.type.kind is TypeKind.BAD:
-                return bad_expression(node.span)
+                return make_bad_expression(node.span)
             if body.type.kind is TypeKind.VECTOR:
                 return self._report_vector(scope, node, operand)
-        return AggregateExpr(_result_type(how, body), ChangeRate.STEP, node.span, how, over, elements, None, body)
+        return AggregateExpr(_find_result_type(how, body), ChangeRate.STEP, node.span, how, over, elements, None, body)
 
     @staticmethod
     def _report_no_sum(scope: NameScope, node: nodes.Call, field: str) -> Expr:
@@ -266,50 +267,52 @@ class SpecRules:
         return scope.reject("wrong-argument", words, node.span, known)
 
     @staticmethod
-    def _report_no_value(scope: NameScope, node: nodes.Call, who: str) -> Expr:
-        value = f"{who}.{'size' if who in scope.declared.species else 'radius'}"
-        advice = f"name one, such as `{value}`, or write `count({who})` for how many there are"
-        return scope.reject("wrong-argument", f"{quote_source(node.span)} does not say which value of `{who}`", node.span, advice)
+    def _report_no_value(scope: NameScope, node: nodes.Call, subject: str) -> Expr:
+        value = f"{subject}.{'size' if subject in scope.declared.species else 'radius'}"
+        advice = f"name one, such as `{value}`, or write `count({subject})` for how many there are"
+        return scope.reject(
+            "wrong-argument", f"{quote_source(node.span)} does not say which value of `{subject}`", node.span, advice
+        )
 
     @staticmethod
     def _report_vector(scope: NameScope, node: nodes.Call, operand: nodes.Expr) -> Expr:
         text = " ".join(operand.span.text.split())
         message = f"{quote_source(node.span)} would be a vector, and a spec bounds numbers"
         scope.report.error("wrong-kind", message, operand.span, f"write `length({text})`")
-        return bad_expression(node.span)
+        return make_bad_expression(node.span)
 
-    def _set_aggregate(self, scope: NameScope, reduction: ReduceExpr) -> Expr:
+    def _type_set_aggregate(self, scope: NameScope, reduction: ReduceExpr) -> Expr:
         """Type `count(n in forager: n.load > 0)`. A set of all agents is a population; a smaller set needs an agent as its
         owner."""
-        over = reduction.over
+        over = reduction.elements
         if self._reports_nesting(scope, reduction.span):
-            return bad_expression(reduction.span)
+            return make_bad_expression(reduction.span)
         is_complete_set = over.source == "all" and all(arg is None for arg in over.args)
         is_number = reduction.type.kind in (TypeKind.NUMBER, TypeKind.BOOL)
-        if not is_complete_set or reduction.how in ("best", "nearest") or not is_number:
+        if not is_complete_set or reduction.reducer in ("best", "nearest") or not is_number:
             message = f"{quote_source(reduction.span)} needs an agent, but none is named"
             advice = "ask it in `each SPECIES { … }`, or ask for a `total`, `share`, `mean`, `min`, `max` or `count` of all"
             return scope.reject("wrong-rate", message, reduction.span, advice)
         kind = TypeKind.ITEMS if over.element.type.kind is TypeKind.ITEM else TypeKind.SPECIES
-        counts_all = reduction.how == "count" and reduction.body is not None and reduction.body.rate <= ChangeRate.CONST
+        counts_all = reduction.reducer == "count" and reduction.body is not None and reduction.body.rate <= ChangeRate.CONST
         body = None if counts_all else reduction.body
-        how = "total" if reduction.how == "sum" else reduction.how
-        elements = (reduction.element, over.element)
+        how = "total" if reduction.reducer == "sum" else reduction.reducer
+        subject, elements = ValueType(kind, of=over.of), (reduction.element, over.element)
         return AggregateExpr(
-            _result_type(how, body), ChangeRate.STEP, reduction.span, how, ValueType(kind, of=over.of), elements, over.where, body
+            _find_result_type(how, body), ChangeRate.STEP, reduction.span, how, subject, elements, over.where, body
         )
 
 
-def _result_type(how: str, body: Expr | None) -> ValueType:
-    if how in ("any", "every"):
+def _find_result_type(reducer: str, body: Expr | None) -> ValueType:
+    if reducer in ("any", "every"):
         return BOOL_TYPE
-    return NUMBER_TYPE if body is None or how in ("share", "count") else body.type
+    return NUMBER_TYPE if body is None or reducer in ("share", "count") else body.type
 
 
 def _uses_word(root: nodes.Expr, words: Container[str]) -> bool:
-    """Return whether an expression has a word such as `at_start` alone, and not as `at_start(…)`."""
-    called = {id(part.function) for part, _ in written_nodes(root) if isinstance(part, nodes.Call)}
-    return any(isinstance(p, nodes.NameRef) and p.name.text in words and id(p) not in called for p, _ in written_nodes(root))
+    """Return whether an expression has a word such as `initial_count` alone, and not as `initial_count(…)`."""
+    called = {id(part.function) for part, _ in iterate_nodes(root) if isinstance(part, nodes.Call)}
+    return any(isinstance(p, nodes.NameRef) and p.name.text in words and id(p) not in called for p, _ in iterate_nodes(root))
 
 
 def _is_set(scope: NameScope, node: nodes.Expr) -> bool:
@@ -321,9 +324,9 @@ def _is_set(scope: NameScope, node: nodes.Expr) -> bool:
     return binding is not None and binding.type.kind is TypeKind.SET
 
 
-def _cell_field(declared: Declarations, operand: nodes.Expr) -> str:
+def _find_cell_field(declared: Declarations, operand: nodes.Expr) -> str:
     """Return the field of which an expression reads cells, as `trail` in `trail.value > 0.1`; empty if there is none."""
-    members = [part for part, _ in written_nodes(operand) if isinstance(part, nodes.Member) and part.name.text == "value"]
+    members = [part for part, _ in iterate_nodes(operand) if isinstance(part, nodes.Member) and part.name.text == "value"]
     owners = [part.owner.name.text for part in members if isinstance(part.owner, nodes.NameRef)]
     return next((name for name in owners if name in declared.fields), "")
 
@@ -331,14 +334,14 @@ def _cell_field(declared: Declarations, operand: nodes.Expr) -> str:
 # --- subjects --------------------------------------------------------------------------------------------------------
 
 
-def _subject(scope: NameScope, node: nodes.Call, operand: nodes.Expr) -> ValueType | None:
+def _find_subject(scope: NameScope, node: nodes.Call, operand: nodes.Expr) -> ValueType | None:
     """Return the species or items that an aggregate names, else the only species with all of its values; None after an error."""
     declared = scope.declared
-    owners = [part.owner for part, _ in written_nodes(operand) if isinstance(part, nodes.Member)]
+    owners = [part.owner for part, _ in iterate_nodes(operand) if isinstance(part, nodes.Member)]
     named = [owner.name.text for owner in (*owners, operand) if isinstance(owner, nodes.NameRef)]
-    things = [name for name in dict.fromkeys(named) if _thing_kind(declared, name) is not None]
+    things = [name for name in dict.fromkeys(named) if _find_thing_kind(declared, name) is not None]
     if len(things) == 1:
-        kind = _thing_kind(declared, things[0])
+        kind = _find_thing_kind(declared, things[0])
         assert kind is not None
         scope.mark_used("species" if kind is TypeKind.SPECIES else "thing", things[0])
         return ValueType(kind, of=things[0])
@@ -363,7 +366,7 @@ def _subject(scope: NameScope, node: nodes.Call, operand: nodes.Expr) -> ValueTy
     return None
 
 
-def _thing_kind(declared: Declarations, name: str) -> TypeKind | None:
+def _find_thing_kind(declared: Declarations, name: str) -> TypeKind | None:
     if name in declared.species:
         return TypeKind.SPECIES
     thing = declared.things.get(name)
@@ -374,21 +377,23 @@ def _has_values(declared: Declarations, species: str, operand: nodes.Expr) -> bo
     """Return whether a species has every value that an expression names without an owner. Only names are compared."""
     names = declared.species[species]
     states = {state for machine in names.machines.values() for state in machine.states}
-    mine = {*names.attributes, *names.params, *names.bindings, *names.pending, *names.machines, *states}
+    mine = {*names.attributes, *names.params, *names.bindings, *names.untyped_names, *names.machines, *states}
     mine |= {*names.builtins}
     everywhere = {*declared.things, *declared.fields, *declared.species, *declared.events, "state", "previous", "next"}
     everywhere |= {*GEOMETRY_MEASURES, "time_in_state", "time", "frame", "dt", "true", "false", *SENSE_TYPE_BY_NAME, "self"}
-    called = {id(part.function) for part, _ in written_nodes(operand) if isinstance(part, nodes.Call)}
-    bare = {p.name.text for p, _ in written_nodes(operand) if isinstance(p, nodes.NameRef) and id(p) not in called}
+    called = {id(part.function) for part, _ in iterate_nodes(operand) if isinstance(part, nodes.Call)}
+    bare = {p.name.text for p, _ in iterate_nodes(operand) if isinstance(p, nodes.NameRef) and id(p) not in called}
     return bare <= mine | everywhere
 
 
-def _element_scope(scope: NameScope, over: ValueType, span: Span) -> tuple[NameScope, tuple[Binding, ...]]:
-    """Return the scope for expressions about one agent or item of `over`, and, for an item, the binding of its name."""
-    name = over.of or ""
-    if over.kind is TypeKind.SPECIES:
+def _make_element_scope(scope: NameScope, population: ValueType, span: Span) -> tuple[NameScope, tuple[Binding, ...]]:
+    """Return the scope for expressions about one agent or item of `population`, and, for an item, the binding of its name."""
+    name = population.of or ""
+    if population.kind is TypeKind.SPECIES:
         who = ThingRef(ValueType(TypeKind.AGENT, of=name), ChangeRate.AGENT, span, "self")
-        return scope.with_changes(species=scope.declared.species[name], machine=None, locals={**scope.locals, name: who}), ()
+        return scope.with_changes(
+            species=scope.declared.species[name], machine=None, local_names={**scope.local_names, name: who}
+        ), ()
     element = Binding(name, "element", ValueType(TypeKind.ITEM, Dimension(), name), ChangeRate.ELEMENT, span)
     element_value = BindingRef(element.type, ChangeRate.ELEMENT, span, element)
-    return scope.with_changes(species=None, element=element, locals={**scope.locals, name: element_value}), (element,)
+    return scope.with_changes(species=None, element=element, local_names={**scope.local_names, name: element_value}), (element,)

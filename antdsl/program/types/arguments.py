@@ -10,13 +10,13 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 from antdsl.diagnostics import Fix, Label
-from antdsl.diagnostics.suggestion import nearest_name
+from antdsl.diagnostics.suggestion import find_nearest_name
 from antdsl.program.model import Binding, ChangeRate, Dimension, Expr, ReduceExpr, SetExpr, TypeKind, ValueType
 from antdsl.program.names.scope import NameScope, list_names
 from antdsl.program.types.descriptions import KINDS_WITH_POSITION, quote_source, report_mismatch
 from antdsl.source import Span
 from antdsl.syntax import nodes
-from antdsl.syntax.mistakes.number_slips import comma_diagnostic, find_comma_number
+from antdsl.syntax.mistakes.number_slips import find_comma_number, make_comma_diagnostic
 
 CallNode = nodes.Call | nodes.Ask
 ArgumentsBySlot = dict[str, list[nodes.Argument]]
@@ -24,68 +24,74 @@ ArgumentsBySlot = dict[str, list[nodes.Argument]]
 
 @dataclass(frozen=True, slots=True)
 class ArgumentSlot:
-    """One parameter. `required`: it has no default and is not optional. `range`: its value consists of two values joined by
+    """One parameter. `is_required`: it has no default and is not optional. `range`: its value consists of two values joined by
     `..`."""
 
     name: str
-    required: bool
-    variadic: bool = False
+    is_required: bool
+    is_variadic: bool = False
     range: bool = False
 
 
 def arrange_arguments(
-    scope: NameScope, called: str, slots: Sequence[ArgumentSlot], node: CallNode, form: str = ""
+    scope: NameScope, function_name: str, slots: Sequence[ArgumentSlot], node: CallNode, form: str = ""
 ) -> ArgumentsBySlot | None:
     """Return the arguments by slot; None after an error that makes the call unusable. `form`: the text of the call up to its
-    bracket, if it is not `called`."""
-    form = form or called
+    bracket, if it is not `function_name`."""
+    form = form or function_name
     for argument in node.arguments:
         if isinstance(argument, nodes.Comprehension):
-            message = f"`{called}` cannot take `… in …: …`"
+            message = f"`{function_name}` cannot take `… in …: …`"
             scope.report.error("wrong-argument", message, argument.span, "that is for `sum mean min max count any every best`")
             return None
     arguments = [each for each in node.arguments if isinstance(each, nodes.Argument)]
-    comma = _decimal_comma(slots, arguments)
+    comma = _find_decimal_comma(slots, arguments)
     if comma is not None:
-        scope.report.add(comma_diagnostic(comma, only=not _is_valid_count(slots, _argument_forms(arguments))))
+        scope.report.add(
+            make_comma_diagnostic(comma, is_single_number=not _is_valid_count(slots, _list_argument_forms(arguments)))
+        )
         return None
     arguments_by_slot: ArgumentsBySlot = {}
     names, position, sound = [slot.name for slot in slots], 0, True
     late: list[tuple[nodes.Argument, str]] = []  # positional arguments after a named one
     for number, argument in enumerate(arguments):
         if argument.name is not None:
-            sound = _add_named(scope, called, names, arguments_by_slot, argument) and sound
+            sound = _add_named(scope, function_name, names, arguments_by_slot, argument) and sound
             continue
-        while position < len(slots) and slots[position].name in arguments_by_slot and not slots[position].variadic:
+        while position < len(slots) and slots[position].name in arguments_by_slot and not slots[position].is_variadic:
             position += 1
         if position >= len(slots):
-            advice, fix = _range_fix(slots, arguments) or (f"write `{_call_text(form, slots)}`", None)
-            scope.report.error("wrong-arity", f"`{called}` takes {_count_text(slots)}", argument.span, advice, fix=fix)
+            advice, fix = _make_range_fix(slots, arguments) or (f"write `{_format_call(form, slots)}`", None)
+            scope.report.error("wrong-arity", f"`{function_name}` takes {_format_count(slots)}", argument.span, advice, fix=fix)
             return None
         arguments_by_slot.setdefault(slots[position].name, []).append(argument)
         if any(each.name is not None for each in arguments[:number]):
             late.append((argument, slots[position].name))
-        position += 0 if slots[position].variadic else 1
+        position += 0 if slots[position].is_variadic else 1
     if late and sound:
         _report_late_positions(scope, next(each.name for each in arguments if each.name is not None), late)
         return None
-    missing = [slot.name for slot in slots if slot.required and slot.name not in arguments_by_slot]
+    missing = [slot.name for slot in slots if slot.is_required and slot.name not in arguments_by_slot]
     if missing and sound:
-        words = f"`{called}` wants {list_names(missing)}"
-        scope.report.error("missing-argument", words, node.span, f"write `{_call_text(form, slots)}`")
+        words = f"`{function_name}` wants {list_names(missing)}"
+        scope.report.error("missing-argument", words, node.span, f"write `{_format_call(form, slots)}`")
     return None if missing or not sound else arguments_by_slot
 
 
 def _add_named(
-    scope: NameScope, called: str, names: list[str], arguments_by_slot: dict[str, list[nodes.Argument]], argument: nodes.Argument
+    scope: NameScope,
+    function_name: str,
+    names: list[str],
+    arguments_by_slot: dict[str, list[nodes.Argument]],
+    argument: nodes.Argument,
 ) -> bool:
     name = argument.name
     assert name is not None
     if name.text not in names:
-        near = nearest_name(name.text, names)
+        near = find_nearest_name(name.text, names)
         advice = f"did you mean `{near}`?" if near else f"it takes {list_names(names)}" if names else "it takes none"
         span = Span(name.span.source, name.span.start, name.span.start + len(name.text))
-        message = f"`{called}` has no argument `{name.text}`"
+        message = f"`{function_name}` has no argument `{name.text}`"
         scope.report.error("unknown-argument", message, name.span, advice, fix=Fix(span, near) if near else None)
         return False
     if name.text in arguments_by_slot:
@@ -98,13 +104,13 @@ def _add_named(
     return True
 
 
-def _count_text(slots: Sequence[ArgumentSlot]) -> str:
+def _format_count(slots: Sequence[ArgumentSlot]) -> str:
     most = len(slots)
     return "no arguments" if most == 0 else "one argument" if most == 1 else f"at most {most} arguments"
 
 
-def _call_text(called: str, slots: Sequence[ArgumentSlot]) -> str:
-    return f"{called}({', '.join(slot.name if slot.required else slot.name + ': …' for slot in slots)})"
+def _format_call(function_name: str, slots: Sequence[ArgumentSlot]) -> str:
+    return f"{function_name}({', '.join(slot.name if slot.is_required else slot.name + ': …' for slot in slots)})"
 
 
 def type_arguments(scope: NameScope, node: CallNode) -> None:
@@ -116,26 +122,28 @@ def type_arguments(scope: NameScope, node: CallNode) -> None:
             scope.type_expression(argument.value.low)
             scope.type_expression(argument.value.high)
         else:
-            known = len(scope.declared.bound)
+            known = len(scope.declared.name_uses)
             scope.type_expression(argument.value)
             if argument.name is not None and argument.name.text == "with":
-                del scope.declared.bound[known:]  # drops names that were bound during the attempt
+                del scope.declared.name_uses[known:]  # drops names that were bound during the attempt
 
 
-def _report_late_positions(scope: NameScope, first: nodes.Name, late: Sequence[tuple[nodes.Argument, str]]) -> None:
-    """Report positional arguments after the named argument `first`. The fix adds the names of their parameters."""
-    span = Span(late[0][0].span.source, late[0][0].span.start, late[-1][0].span.end)
+def _report_late_positions(
+    scope: NameScope, first_named: nodes.Name, late_arguments: Sequence[tuple[nodes.Argument, str]]
+) -> None:
+    """Report positional arguments after the named argument `first_named`. The fix adds the names of their parameters."""
+    span = Span(late_arguments[0][0].span.source, late_arguments[0][0].span.start, late_arguments[-1][0].span.end)
     text, copied_end = "", span.start
-    for argument, slot in late:
+    for argument, slot in late_arguments:
         text += f"{span.source.text[copied_end : argument.span.start]}{slot}: "
         copied_end = argument.span.start
     text += span.source.text[copied_end : span.end]
-    message = f"{quote_source(late[0][0].span)} has no name and stands behind `{first.text}:`, which has one"
+    message = f"{quote_source(late_arguments[0][0].span)} has no name and stands behind `{first_named.text}:`, which has one"
     advice = f"say which it is: `{' '.join(text.split())}`, or write it before the first with a name"
-    scope.report.error("argument-order", message, late[0][0].span, advice, fix=Fix(span, text))
+    scope.report.error("argument-order", message, late_arguments[0][0].span, advice, fix=Fix(span, text))
 
 
-def _decimal_comma(slots: Sequence[ArgumentSlot], arguments: Sequence[nodes.Argument]) -> Span | None:
+def _find_decimal_comma(slots: Sequence[ArgumentSlot], arguments: Sequence[nodes.Argument]) -> Span | None:
     """Return the first number with a decimal comma that was parsed as two arguments; None if there is none.
 
     The comma is a decimal comma if the call is valid with the two halves joined. In a list such as `vector(1,2,3)`, it separates
@@ -160,8 +168,10 @@ def _decimal_comma(slots: Sequence[ArgumentSlot], arguments: Sequence[nodes.Argu
         else:
             merged.append([argument])
     one = [_ArgumentForm(pieces[0].name, any(isinstance(each.value, nodes.RangeExpr) for each in pieces)) for pieces in merged]
-    in_a_row = tight > 1 and tight == len(arguments) - 1 and _is_valid_count(slots, _argument_forms(arguments))
-    return joints[min(joints)] if _is_valid_count(slots, _merge_range_pairs(slots, one), least=2) and not in_a_row else None
+    in_a_row = tight > 1 and tight == len(arguments) - 1 and _is_valid_count(slots, _list_argument_forms(arguments))
+    return (
+        joints[min(joints)] if _is_valid_count(slots, _merge_range_pairs(slots, one), min_variadic=2) and not in_a_row else None
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,7 +182,7 @@ class _ArgumentForm:
     range: bool
 
 
-def _argument_forms(arguments: Sequence[nodes.Argument]) -> list[_ArgumentForm]:
+def _list_argument_forms(arguments: Sequence[nodes.Argument]) -> list[_ArgumentForm]:
     return [_ArgumentForm(each.name, isinstance(each.value, nodes.RangeExpr)) for each in arguments]
 
 
@@ -192,25 +202,26 @@ def _merge_range_pairs(slots: Sequence[ArgumentSlot], forms: Sequence[_ArgumentF
     return paired
 
 
-def _range_fix(slots: Sequence[ArgumentSlot], arguments: Sequence[nodes.Argument]) -> tuple[str, Fix] | None:
+def _make_range_fix(slots: Sequence[ArgumentSlot], arguments: Sequence[nodes.Argument]) -> tuple[str, Fix] | None:
     """Return help and a fix for two values where a range is expected. None if the number of arguments would still be wrong."""
     place = next((n for n, slot in enumerate(slots) if slot.range), len(arguments))
-    if place + 1 >= len(arguments) or not _is_valid_count(slots, _merge_range_pairs(slots, _argument_forms(arguments))):
+    if place + 1 >= len(arguments) or not _is_valid_count(slots, _merge_range_pairs(slots, _list_argument_forms(arguments))):
         return None
     low, high = arguments[place : place + 2]
     text = f"{' '.join(low.span.text.split())} .. {' '.join(high.span.text.split())}"
     return f"write the two ends as a range: `{text}`", Fix(Span(low.span.source, low.span.start, high.span.end), text)
 
 
-def _is_valid_count(slots: Sequence[ArgumentSlot], forms: Sequence[_ArgumentForm] | None, least: int = 1) -> bool:
-    """Return whether the arguments, by position and by name, match the slots. `least`: the minimum number for a variadic call."""
+def _is_valid_count(slots: Sequence[ArgumentSlot], forms: Sequence[_ArgumentForm] | None, min_variadic: int = 1) -> bool:
+    """Return whether the arguments, by position and by name, match the slots. `min_variadic`: the minimum number for a variadic
+    call."""
     if forms is None:
         return False
     by_name = [each.name for each in forms]
     names = [slot.name for slot in slots]
     positional_count = sum(name is None for name in by_name)
     named = {name.text for name in by_name if name is not None}
-    many = any(slot.variadic for slot in slots)
+    many = any(slot.is_variadic for slot in slots)
     if (
         any(name is None for name in by_name[positional_count:])
         or not named <= set(names)
@@ -219,35 +230,35 @@ def _is_valid_count(slots: Sequence[ArgumentSlot], forms: Sequence[_ArgumentForm
         return False
     if (
         (positional_count > len(slots) and not many)
-        or (many and positional_count < least)
+        or (many and positional_count < min_variadic)
         or named & set(names[:positional_count])
     ):
         return False
-    return all(slot.name in named or number < positional_count for number, slot in enumerate(slots) if slot.required)
+    return all(slot.name in named or number < positional_count for number, slot in enumerate(slots) if slot.is_required)
 
 
-def place(scope: NameScope, node: nodes.Expr, who: str) -> Expr:
+def type_point(scope: NameScope, node: nodes.Expr, subject: str) -> Expr:
     """Return an expression as a point."""
     expr = scope.type_expression(node, ValueType(TypeKind.PLACE))
     if expr.type.kind in (TypeKind.ITEMS, TypeKind.SPECIES):
-        return nearest_of(expr, node.span)
+        return make_nearest_reduction(expr, node.span)
     if (
         expr.type.kind in KINDS_WITH_POSITION
         or expr.type.kind is TypeKind.BAD
         or expr.type == ValueType(TypeKind.VECTOR, Dimension(length=1))
     ):
         return expr
-    return report_mismatch(scope.report, node, expr.type, ValueType(TypeKind.PLACE), who)
+    return report_mismatch(scope.report, node, expr.type, ValueType(TypeKind.PLACE), subject)
 
 
-def element_type(things: ValueType) -> ValueType:
+def find_element_type(things: ValueType) -> ValueType:
     """Return the type of one element of a group of items, or of a species."""
     return ValueType(TypeKind.ITEM if things.kind is TypeKind.ITEMS else TypeKind.AGENT, Dimension(), things.of)
 
 
-def nearest_of(things: Expr, span: Span) -> ReduceExpr:
+def make_nearest_reduction(things: Expr, span: Span) -> ReduceExpr:
     """Return a reduction to the nearest element of a group of items, or of a species."""
-    type = element_type(things.type)
+    type = find_element_type(things.type)
     element = Binding("it", "element", type, ChangeRate.ELEMENT, span)
     over = SetExpr(
         ValueType(TypeKind.SET, Dimension(), type.of), ChangeRate.AGENT, span, "all", type.of or "", (None,), element, None

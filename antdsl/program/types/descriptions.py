@@ -6,10 +6,10 @@ import re
 
 from antdsl.diagnostics import Diagnostic, Fix, Label, Report
 from antdsl.program.model import Dimension, Expr, OperationExpr, TypeKind, ValueType
-from antdsl.program.names.scope import bad_expression
+from antdsl.program.names.scope import make_bad_expression
 from antdsl.program.tables.senses import find_words
-from antdsl.program.tables.things import KIND_BY_WORD, replacements
-from antdsl.program.tables.units import dimension_words, with_article, with_unit
+from antdsl.program.tables.things import KIND_BY_WORD, list_replacements
+from antdsl.program.tables.units import add_article, describe_dimension, format_with_unit
 from antdsl.source import Span
 from antdsl.syntax import nodes
 
@@ -20,7 +20,7 @@ _KIND_PHRASES: dict[TypeKind, str] = {
     TypeKind.PLACE: "a place",
     TypeKind.SET: "a set",
     TypeKind.RANGE: "a range",
-    **{TypeKind(row.word): row.called for row in KIND_BY_WORD.values() if row.called},
+    **{TypeKind(row.word): row.label for row in KIND_BY_WORD.values() if row.label},
     TypeKind.FIELD: "a field",
 }
 # Kinds of things of which the name alone is not a value; an expression must read a value of them.
@@ -30,7 +30,7 @@ KINDS_WITH_POSITION = {
     TypeKind.AGENT,
     TypeKind.HIT,
     TypeKind.PLACE,
-    *(TypeKind(row.word) for row in KIND_BY_WORD.values() if row.nearest),
+    *(TypeKind(row.word) for row in KIND_BY_WORD.values() if row.nearest_op),
 }
 _FLOW = TypeKind("flow")
 _VECTOR_PHRASES: dict[Dimension, str] = {
@@ -40,25 +40,28 @@ _VECTOR_PHRASES: dict[Dimension, str] = {
 }
 
 
-def type_words(type: ValueType) -> str:
+def describe_type(type: ValueType) -> str:
     """Return words for a type: `a length`, `a push or direction`, `an item of food`, `an agent of rabbit`."""
     if type.kind is TypeKind.NUMBER:
-        return dimension_words(type.dim)
+        return describe_dimension(type.dimension)
     if type.kind is TypeKind.VECTOR:
-        return _VECTOR_PHRASES.get(type.dim) or f"a vector of {dimension_words(type.dim).removeprefix('a ').removeprefix('an ')}"
+        return (
+            _VECTOR_PHRASES.get(type.dimension)
+            or f"a vector of {describe_dimension(type.dimension).removeprefix('a ').removeprefix('an ')}"
+        )
     if type.kind in (TypeKind.ITEM, TypeKind.AGENT):
         word = "item" if type.kind is TypeKind.ITEM else "agent"
         return f"an {word}" if type.of is None else f"an {word} of `{type.of}`"
     if type.kind in (TypeKind.ITEMS, TypeKind.SPECIES):
         return "all items of a name" if type.kind is TypeKind.ITEMS else "a species"
-    return _KIND_PHRASES.get(type.kind, with_article(type.kind.value))
+    return _KIND_PHRASES.get(type.kind, add_article(type.kind.value))
 
 
-def quote_source(span: Span, most: int = 40) -> str:
-    """Return the source text of a span in backquotes, on one line, and shortened to `most` characters."""
+def quote_source(span: Span, max_characters: int = 40) -> str:
+    """Return the source text of a span in backquotes, on one line, and shortened to `max_characters` characters."""
     text = " ".join(span.text.split())
-    if len(text) > most:
-        text = text[: most - 1].rstrip() + "…"
+    if len(text) > max_characters:
+        text = text[: max_characters - 1].rstrip() + "…"
     return f"`{text}`"
 
 
@@ -68,8 +71,8 @@ def is_compatible(actual: ValueType, expected: ValueType) -> bool:
     if TypeKind.BAD in (actual.kind, expected.kind):
         return True
     if actual.kind is not expected.kind:
-        return actual.kind.value in replacements(expected.kind.value)
-    if actual.kind in (TypeKind.NUMBER, TypeKind.VECTOR) and actual.dim != expected.dim:
+        return actual.kind.value in list_replacements(expected.kind.value)
+    if actual.kind in (TypeKind.NUMBER, TypeKind.VECTOR) and actual.dimension != expected.dimension:
         return False
     return actual.of is None or expected.of is None or actual.of == expected.of
 
@@ -82,61 +85,65 @@ def report_mismatch(
     `expr`: its typed expression, if known. Returns a replacement for the expression."""
     if isinstance(expr, OperationExpr) and expr.name == "map_value" and expected.kind is TypeKind.VECTOR:
         text = " ".join(node.span.text.split())
-        message = f"`{text}` is a map of plain numbers, and {place} wants {type_words(expected)}"
+        message = f"`{text}` is a map of plain numbers, and {place} wants {describe_type(expected)}"
         advice = f"what is painted with directions is a flow: `world {{ flow {text} }}`"
         report.add(Diagnostic("wrong-kind", message, node.span, help=advice))
     else:
-        report.add(_mismatch(node, actual, expected, place))
-    return bad_expression(node.span)
+        report.add(_make_mismatch(node, actual, expected, place))
+    return make_bad_expression(node.span)
 
 
-def _mismatch(node: nodes.Expr, actual: ValueType, expected: ValueType, place: str) -> Diagnostic:
-    text, want = quote_source(node.span), type_words(expected)
+def _make_mismatch(node: nodes.Expr, actual: ValueType, expected: ValueType, place: str) -> Diagnostic:
+    text, want = quote_source(node.span), describe_type(expected)
     both_numbers = actual.kind is TypeKind.NUMBER and expected.kind is TypeKind.NUMBER
     if both_numbers and isinstance(node, nodes.Number):
-        write = with_unit(node.value, expected.dim)
+        write = format_with_unit(node.value, expected.dimension)
         message = f"{text} has no unit, and {place} wants {want}"
         return Diagnostic("missing-unit", message, node.span, help=f"write `{write}`", fix=Fix(node.span, write))
-    message = f"{text} is {type_words(actual)}, and {place} wants {want}"
+    message = f"{text} is {describe_type(actual)}, and {place} wants {want}"
     if both_numbers:
         fix = None
         advice = f"write {want}"
         if isinstance(node, nodes.Quantity):
-            write = with_unit(node.value, expected.dim)
+            write = format_with_unit(node.value, expected.dimension)
             advice, fix = f"write {want}, such as `{write}`", Fix(node.span, write)
         return Diagnostic("wrong-unit", message, node.span, help=advice, fix=fix)
     if actual.kind is expected.kind and actual.kind is TypeKind.VECTOR:
-        advice = "`direction(x)`, `unit(v)` and `match(velocity)` make pushes" if expected.dim == Dimension() else f"write {want}"
+        advice = (
+            "`direction(x)`, `unit(v)` and `match(velocity)` make pushes"
+            if expected.dimension == Dimension()
+            else f"write {want}"
+        )
         return Diagnostic("wrong-unit", message, node.span, help=advice)
-    advice = _advice(node, actual, expected)
-    fix = _vector_units_fix(node) if expected.kind is TypeKind.PLACE and actual == ValueType(TypeKind.VECTOR) else None
+    advice = _choose_advice(node, actual, expected)
+    fix = _make_vector_units_fix(node) if expected.kind is TypeKind.PLACE and actual == ValueType(TypeKind.VECTOR) else None
     if fix is None and expected.kind is not _FLOW and not (expected.kind is TypeKind.BOOL and actual.kind in _THING_KINDS):
-        fix = _own_text_fix(node, advice)
+        fix = _make_own_text_fix(node, advice)
     return Diagnostic("wrong-kind", message, node.span, help=advice, fix=fix)
 
 
-def _vector_units_fix(node: nodes.Expr) -> Fix | None:
+def _make_vector_units_fix(node: nodes.Expr) -> Fix | None:
     """Return a fix for `vector(10, 0, 0)` that adds a length unit to its numbers, so that the vector is a point; None if there is
     none."""
     if not isinstance(node, nodes.Call) or node.function.span.text != "vector":
         return None
     values = [each.value for each in node.arguments if isinstance(each, nodes.Argument)]
-    if len(values) < 3 or not all(isinstance(each, nodes.Number) or _is_minus(each) for each in values):
+    if len(values) < 3 or not all(isinstance(each, nodes.Number) or _is_negation(each) for each in values):
         return None
     return Fix(node.span, f"vector({', '.join(f'{each.span.text} mm' for each in values)})")
 
 
-def _is_minus(node: nodes.Expr) -> bool:
+def _is_negation(node: nodes.Expr) -> bool:
     return isinstance(node, nodes.Unary) and node.op == "-" and isinstance(node.operand, nodes.Number)
 
 
-def _own_text_fix(node: nodes.Expr, advice: str) -> Fix | None:
+def _make_own_text_fix(node: nodes.Expr, advice: str) -> Fix | None:
     """Return a fix from the first text in backquotes of the advice, if it consists of the source text; else None."""
     text, match = " ".join(node.span.text.split()), re.search("`([^`…]+)`", advice)
     return Fix(node.span, match[1]) if match and text in match[1] else None
 
 
-def _advice(node: nodes.Expr, actual: ValueType, expected: ValueType) -> str:
+def _choose_advice(node: nodes.Expr, actual: ValueType, expected: ValueType) -> str:
     text = " ".join(node.span.text.split())
     short = text if len(text) <= 30 else "…"
     if expected.kind is TypeKind.BOOL and actual.kind in _THING_KINDS:
@@ -145,10 +152,10 @@ def _advice(node: nodes.Expr, actual: ValueType, expected: ValueType) -> str:
         )
         return f"ask something of it: `touching({short})`, `distance({short}) < 20 mm`{any_there}"
     if expected.kind is TypeKind.PLACE:
-        fix = _vector_units_fix(node) if actual.kind is TypeKind.VECTOR else None
+        fix = _make_vector_units_fix(node) if actual.kind is TypeKind.VECTOR else None
         if fix is not None:
             return f"a place has lengths: `{fix.text}`"
-        if actual.kind is TypeKind.VECTOR and actual.dim == Dimension():
+        if actual.kind is TypeKind.VECTOR and actual.dimension == Dimension():
             ahead = f"{short} * 20 mm" if not isinstance(node, nodes.Binary) else f"({short}) * 20 mm"
             return (
                 f"a direction is not a place: use it directly to steer, or name a place in that direction: `position + {ahead}`"
@@ -159,12 +166,13 @@ def _advice(node: nodes.Expr, actual: ValueType, expected: ValueType) -> str:
             return "a number alone is not a condition: compare something with it"
         if isinstance(node, nodes.Binary) and node.op in ("and", "or"):
             short = f"({short})"
-        return f"compare it with something: `{short} > {with_unit(0.5 if actual.dim == Dimension() else 1, actual.dim)}`"
-    if expected.kind is TypeKind.VECTOR and expected.dim == Dimension():
+        number = format_with_unit(0.5 if actual.dimension == Dimension() else 1, actual.dimension)
+        return f"compare it with something: `{short} > {number}`"
+    if expected.kind is TypeKind.VECTOR and expected.dimension == Dimension():
         if actual.kind in KINDS_WITH_POSITION:
             return f"`direction({short})` is the push toward it"
         if actual.kind is TypeKind.NUMBER:
-            sample = f": `heading * {short}`" if actual.dim == Dimension() else ", such as `heading`"
+            sample = f": `heading * {short}`" if actual.dimension == Dimension() else ", such as `heading`"
             return f"a push needs a direction{sample}"
     if expected.kind is TypeKind.NUMBER and actual.kind is TypeKind.VECTOR:
         return f"`length({short})` is a number"
@@ -176,7 +184,7 @@ def _advice(node: nodes.Expr, actual: ValueType, expected: ValueType) -> str:
         return "name a flow: `world { flow drift }`, and in the scene `drift: {toward: nest}`"
     if expected.kind is TypeKind.ITEM and actual.kind is TypeKind.ITEMS:
         return f"`nearest({short})` is one of them"
-    return f"write {type_words(expected)}"
+    return f"write {describe_type(expected)}"
 
 
 def report_disagreement(
@@ -184,15 +192,18 @@ def report_disagreement(
 ) -> None:
     """Report that the types of the two operands of an operator do not match, with the source text of both."""
     (left_node, a), (right_node, b) = left, right
-    both = f"{quote_source(left_node.span)} is {type_words(a.type)} and {quote_source(right_node.span)} is {type_words(b.type)}"
+    both = (
+        f"{quote_source(left_node.span)} is {describe_type(a.type)} "
+        f"and {quote_source(right_node.span)} is {describe_type(b.type)}"
+    )
     message = f"{both}: `{op}` wants both alike"
     advice, fix = None, None
     for node, other in ((right_node, a), (left_node, b)):
         if isinstance(node, (nodes.Number, nodes.Quantity)) and other.type.kind is TypeKind.NUMBER:
-            write = with_unit(node.value, other.type.dim)
+            write = format_with_unit(node.value, other.type.dimension)
             advice, fix = f"write `{write}` for {quote_source(node.span)}", Fix(node.span, write)
             break
-    labels = (Label(left_node.span, type_words(a.type)), Label(right_node.span, type_words(b.type)))
+    labels = (Label(left_node.span, describe_type(a.type)), Label(right_node.span, describe_type(b.type)))
     missing = any(isinstance(n, nodes.Number) for n in (left_node, right_node)) and a.type.kind is b.type.kind
     code = "missing-unit" if missing and fix else "units-differ" if a.type.kind is b.type.kind else "kinds-differ"
     place = span if fix is None else fix.span

@@ -23,19 +23,19 @@ from antdsl.program.model import (
     TypeKind,
     ValueType,
 )
-from antdsl.program.names.missing import missing_thing
+from antdsl.program.names.missing_things import suggest_missing_thing
 from antdsl.program.names.scope import (
     NameScope,
-    attributes_of,
-    bad_expression,
-    did_you_mean,
+    find_attributes,
     is_known_missing,
     list_names,
-    type_from_words,
+    make_bad_expression,
+    parse_type_words,
+    suggest_name,
 )
-from antdsl.program.tables.other_words import NAME_REPLACEMENTS
+from antdsl.program.tables.foreign_words import NAME_REPLACEMENTS
 from antdsl.program.tables.things import KIND_BY_WORD
-from antdsl.program.tables.units import constant, number
+from antdsl.program.tables.units import make_constant, make_number
 from antdsl.program.tables.vocabulary import (
     BUILTINS_BY_NAME,
     REDUCER_HELP,
@@ -44,8 +44,8 @@ from antdsl.program.tables.vocabulary import (
     SENSE_TYPE_BY_NAME,
     UNIT_BY_NAME,
 )
-from antdsl.program.types.descriptions import quote_source, type_words
-from antdsl.program.types.states import STATE_WORDS, find_machine, machine_value, state_word
+from antdsl.program.types.descriptions import describe_type, quote_source
+from antdsl.program.types.states import STATE_WORDS, find_machine, type_machine_value, type_state_word
 from antdsl.source import Span
 from antdsl.syntax import nodes
 from antdsl.syntax.words import UNIT_NAMES
@@ -57,14 +57,14 @@ OPTIONAL_KINDS = frozenset({TypeKind.ITEM, TypeKind.AGENT, TypeKind.HIT})
 # --- literals --------------------------------------------------------------------------------------------------------
 
 
-def number_of(scope: NameScope, node: nodes.Number, want: ValueType | None) -> Expr:
+def type_number(scope: NameScope, node: nodes.Number, expected_type: ValueType | None) -> Expr:
     """Type a number without a unit."""
-    return number(node.value, node.span)
+    return make_number(node.value, node.span)
 
 
-def quantity_of(scope: NameScope, node: nodes.Quantity, want: ValueType | None) -> Expr:
+def type_quantity(scope: NameScope, node: nodes.Quantity, expected_type: ValueType | None) -> Expr:
     """Type a number with a unit; report an unknown unit."""
-    expr = constant(node.value, node.unit, node.span)
+    expr = make_constant(node.value, node.unit, node.span)
     if expr is not None:
         if abs(expr.number) > limits.MAX_NUMBER:
             message = f"{quote_source(node.span)} is too large to keep"
@@ -72,22 +72,22 @@ def quantity_of(scope: NameScope, node: nodes.Quantity, want: ValueType | None) 
         return expr
     units = ", ".join(f"`{unit}`" for unit in UNIT_BY_NAME)
     words = f"no unit `{node.unit}`"
-    scope.report.error("unknown-unit", words, node.unit_span, did_you_mean(node.unit, UNIT_BY_NAME, f"units are {units}"))
-    return bad_expression(node.span)
+    scope.report.error("unknown-unit", words, node.unit_span, suggest_name(node.unit, UNIT_BY_NAME, f"units are {units}"))
+    return make_bad_expression(node.span)
 
 
-def none_of(scope: NameScope, node: nodes.NoneOf, want: ValueType | None) -> Expr:
+def type_none(scope: NameScope, node: nodes.NoneOf, expected_type: ValueType | None) -> Expr:
     """Type `none` or `none of food`; the expected type gives a bare `none` its meaning."""
     if node.of is None:
-        if want is not None and want.kind in OPTIONAL_KINDS:
-            return NoneRef(want, ChangeRate.CONST, node.span)
+        if expected_type is not None and expected_type.kind in OPTIONAL_KINDS:
+            return NoneRef(expected_type, ChangeRate.CONST, node.span)
         advice = "write `none of food` or `none of rabbit`, with the name that is meant"
         return scope.reject("none-of-what", "`none` alone does not say of what", node.span, advice)
-    type = reference_type(scope, node.of)
-    return bad_expression(node.span) if type is None else NoneRef(type, ChangeRate.CONST, node.span)
+    type = find_reference_type(scope, node.of)
+    return make_bad_expression(node.span) if type is None else NoneRef(type, ChangeRate.CONST, node.span)
 
 
-def reference_type(scope: NameScope, name: nodes.Name) -> ValueType | None:
+def find_reference_type(scope: NameScope, name: nodes.Name) -> ValueType | None:
     """Return the type of one item or agent of a declared name. Report an error and return None for other names."""
     declared = scope.declared
     thing = declared.things.get(name.text)
@@ -102,7 +102,7 @@ def reference_type(scope: NameScope, name: nodes.Name) -> ValueType | None:
     known = [t.name for t in declared.things.values() if t.kind == "items"] + list(declared.species)
     scope.report.error(
         "unknown-name", f"no items or species `{name.text}`", name.span,
-        did_you_mean(name.text, known, f"declare it: `world {{ items {name.text} }}`"),
+        suggest_name(name.text, known, f"declare it: `world {{ items {name.text} }}`"),
     )  # fmt: skip
     return None
 
@@ -110,23 +110,30 @@ def reference_type(scope: NameScope, name: nodes.Name) -> ValueType | None:
 # --- names -----------------------------------------------------------------------------------------------------------
 
 
-def name_of(scope: NameScope, node: nodes.NameRef, want: ValueType | None) -> Expr:
+def type_name(scope: NameScope, node: nodes.NameRef, expected_type: ValueType | None) -> Expr:
     name, span = node.name.text, node.span
-    for look in (_local, _element_value, _language_word, _species_value, _builtin_value, _world_value):
+    for look in (
+        _type_local_name,
+        _type_element_value,
+        _type_language_word,
+        _type_species_value,
+        _type_builtin_value,
+        _type_world_value,
+    ):
         expr = look(scope, name, span)
         if expr is not None:
             return expr
-    return _report_unknown(scope, node, want)
+    return _report_unknown(scope, node, expected_type)
 
 
-def _local(scope: NameScope, name: str, span: Span) -> Expr | None:
-    local_value = scope.locals.get(name)
+def _type_local_name(scope: NameScope, name: str, span: Span) -> Expr | None:
+    local_value = scope.local_names.get(name)
     if local_value is None:
         return None
     if isinstance(local_value, Binding):
         scope.mark_used("local", f"{local_value.span}:{name}")
         scope.bind_local(span, local_value.span)
-        return binding_value(scope, local_value, span)
+        return make_binding_ref(scope, local_value, span)
     if local_value.type.kind is TypeKind.BAD:
         scope.bind_local(span, local_value.span)
     else:
@@ -134,17 +141,19 @@ def _local(scope: NameScope, name: str, span: Span) -> Expr | None:
     return local_value
 
 
-def binding_value(scope: NameScope, binding: Binding, span: Span) -> Expr:
+def make_binding_ref(scope: NameScope, binding: Binding, span: Span) -> Expr:
     """Return an expression that uses a named value."""
-    if binding.role == "let" and binding.snapshot and scope.no_let:
-        _report_too_early(scope, binding.name, span)
+    if binding.role == "let" and binding.snapshot and scope.no_let_reason:
+        _report_early_use(scope, binding.name, span)
     if binding.type.kind is TypeKind.SET and isinstance(binding.value, SetExpr):
         return binding.value
     return BindingRef(binding.type, binding.rate, span, binding)
 
 
-def _report_too_early(scope: NameScope, name: str, span: Span) -> None:
-    scope.report.error("let-too-early", f"`{name}` cannot be read here: {scope.no_let}", span, "set it in `on spawn { … }`")
+def _report_early_use(scope: NameScope, name: str, span: Span) -> None:
+    scope.report.error(
+        "let-too-early", f"`{name}` cannot be read here: {scope.no_let_reason}", span, "set it in `on spawn { … }`"
+    )
 
 
 def report_pair_value(scope: NameScope, node: nodes.Name, owner: str = "") -> Expr:
@@ -153,7 +162,7 @@ def report_pair_value(scope: NameScope, node: nodes.Name, owner: str = "") -> Ex
     return scope.reject("wrong-kind", f"`{node.text}` is a value per pair: name the other agent", node.span, help)
 
 
-def _element_value(scope: NameScope, name: str, span: Span) -> Expr | None:
+def _type_element_value(scope: NameScope, name: str, span: Span) -> Expr | None:
     if scope.element is None:
         return None
     element = scope.element
@@ -161,15 +170,15 @@ def _element_value(scope: NameScope, name: str, span: Span) -> Expr | None:
     if name == "it":
         return owner
     if name in STATE_WORDS and element.type.kind is TypeKind.AGENT:
-        return state_word(scope, owner, name, span, None)
-    type = attributes_of(scope.declared, element.type).get(name)
+        return type_state_word(scope, owner, name, span, None)
+    type = find_attributes(scope.declared, element.type).get(name)
     if type is None:
         return None
     scope.bind_value(span, element.type, name)
-    return value_of(scope, owner, name, type, span)
+    return make_attribute_ref(scope, owner, name, type, span)
 
 
-def _language_word(scope: NameScope, name: str, span: Span) -> Expr | None:
+def _type_language_word(scope: NameScope, name: str, span: Span) -> Expr | None:
     if name == "self":
         return ThingRef(
             ValueType(TypeKind.AGENT, of=scope.species.name if scope.species else None), ChangeRate.AGENT, span, "self"
@@ -179,7 +188,7 @@ def _language_word(scope: NameScope, name: str, span: Span) -> Expr | None:
     return None
 
 
-def _species_value(scope: NameScope, name: str, span: Span) -> Expr | None:
+def _type_species_value(scope: NameScope, name: str, span: Span) -> Expr | None:
     """Return the value of a name of the species: a param, attribute, let, latch, or value of a machine. None inside a
     behaviour."""
     species = scope.species
@@ -189,37 +198,37 @@ def _species_value(scope: NameScope, name: str, span: Span) -> Expr | None:
     if name in species.params:
         scope.mark_used("param", f"{species.name}.{name}")
         return ParamRef(species.params[name], ChangeRate.RUN, span, f"{species.name}.{name}")
-    if name in species.each:
+    if name in species.pair_value_species:
         return report_pair_value(scope, nodes.Name(name, span))
     if name in species.attributes:
         scope.mark_used("attribute", f"{species.name}.{name}")
         return AttributeRef(species.attributes[name], ChangeRate.AGENT, span, None, name)
     if name in species.bindings:
         scope.mark_used("let", f"{species.name}.{name}")
-        return binding_value(scope, species.bindings[name], span)
-    if name in species.pending:
+        return make_binding_ref(scope, species.bindings[name], span)
+    if name in species.untyped_names:
         scope.mark_used("let", f"{species.name}.{name}")
-        if scope.no_let:
-            _report_too_early(scope, name, span)
-        return bad_expression(span)
+        if scope.no_let_reason:
+            _report_early_use(scope, name, span)
+        return make_bad_expression(span)
     if name in STATE_WORDS and species.machines:
-        return state_word(scope, None, name, span, None)
+        return type_state_word(scope, None, name, span, None)
     return None
 
 
-def _builtin_value(scope: NameScope, name: str, span: Span) -> Expr | None:
+def _type_builtin_value(scope: NameScope, name: str, span: Span) -> Expr | None:
     if name in scope.builtins:
-        type = type_from_words(scope.builtins[name].type)
+        type = parse_type_words(scope.builtins[name].type)
         return AttributeRef(type or BAD_TYPE, ChangeRate.AGENT, span, None, name)
     if name in RUN_VALUE_TYPES:
-        type, rate = type_from_words(RUN_VALUE_TYPES[name]) or BAD_TYPE, ChangeRate.RUN if name == "dt" else ChangeRate.STEP
+        type, rate = parse_type_words(RUN_VALUE_TYPES[name]) or BAD_TYPE, ChangeRate.RUN if name == "dt" else ChangeRate.STEP
         return OperationExpr(type, rate, span, "run", (ThingRef(type, rate, span, name),))
     if name in SENSE_TYPE_BY_NAME:
-        return OperationExpr(type_from_words(SENSE_TYPE_BY_NAME[name]) or BAD_TYPE, ChangeRate.AGENT, span, name, ())
+        return OperationExpr(parse_type_words(SENSE_TYPE_BY_NAME[name]) or BAD_TYPE, ChangeRate.AGENT, span, name, ())
     return None
 
 
-def _world_value(scope: NameScope, name: str, span: Span) -> Expr | None:
+def _type_world_value(scope: NameScope, name: str, span: Span) -> Expr | None:
     declared = scope.declared
     if name in declared.fields:
         scope.mark_used("field", name)
@@ -242,25 +251,27 @@ def _world_value(scope: NameScope, name: str, span: Span) -> Expr | None:
     return None
 
 
-def visible_names(scope: NameScope) -> set[str]:
+def list_visible_names(scope: NameScope) -> set[str]:
     """Return every name that may be used as a value at a place."""
-    names = set(scope.locals) | set(scope.builtins) | set(RUN_VALUE_TYPES) | set(SENSE_TYPE_BY_NAME) | {"self", "true", "false"}
+    names = (
+        set(scope.local_names) | set(scope.builtins) | set(RUN_VALUE_TYPES) | set(SENSE_TYPE_BY_NAME) | {"self", "true", "false"}
+    )
     names |= set(scope.declared.fields) | set(scope.declared.things) | set(scope.declared.species) | set(scope.declared.events)
     if scope.species is not None and scope.behaviour is None:
         own = scope.species
-        names |= set(own.params) | set(own.attributes) | set(own.bindings) | own.pending
+        names |= set(own.params) | set(own.attributes) | set(own.bindings) | own.untyped_names
         names |= {*STATE_WORDS, *own.machines} if own.machines else set()
     if scope.element is not None:
-        names |= {"it", *attributes_of(scope.declared, scope.element.type)}
+        names |= {"it", *find_attributes(scope.declared, scope.element.type)}
     return names
 
 
-def _report_unknown(scope: NameScope, node: nodes.NameRef, want: ValueType | None) -> Expr:
+def _report_unknown(scope: NameScope, node: nodes.NameRef, expected_type: ValueType | None) -> Expr:
     name, report = node.name.text, scope.report
-    if name in scope.declared.unclear:
-        return bad_expression(node.span)
+    if name in scope.declared.unclear_things:
+        return make_bad_expression(node.span)
     if is_known_missing(scope, "name", node.name):
-        return bad_expression(node.span)
+        return make_bad_expression(node.span)
     if name in RESERVED_WORDS:
         report.error("not-yet", f"`{name}` is a word of the language that does not work yet", node.span, "leave it out for now")
     elif scope.species is not None and any(name in m.states for m in scope.species.machines.values()):
@@ -268,22 +279,24 @@ def _report_unknown(scope: NameScope, node: nodes.NameRef, want: ValueType | Non
     elif scope.species is not None and scope.behaviour is not None and name in scope.species.attributes:
         message = f"a behaviour cannot read `{name}` of the species that calls it"
         report.error("unknown-name", message, node.span, f"pass it as an argument: `{name}: …`")
-    elif name in BUILTINS_BY_NAME or name in REDUCER_HELP or scope.file.behaviour(name) is not None:
-        behaviour = scope.file.behaviour(name)
+    elif name in BUILTINS_BY_NAME or name in REDUCER_HELP or scope.file.find_behaviour(name) is not None:
+        behaviour = scope.file.find_behaviour(name)
         defaults = [None] if behaviour is None else [argument.default for argument in behaviour.node.arguments]
         alone = None not in defaults or (name in BUILTINS_BY_NAME and not BUILTINS_BY_NAME[name][0].args)
         report.error("call-without-brackets", f"`{name}` wants brackets", node.span, f"write `{name}({'' if alone else '…'})`")
     else:
-        advice, fix = missing_thing(scope, name, want) or _foreign_word_fix(name, node.span)
+        advice, fix = suggest_missing_thing(scope, name, expected_type) or _make_foreign_word_fix(name, node.span)
         if advice is None:
-            advice = did_you_mean(
-                name, visible_names(scope), f"declare it, or use one of {list_names(visible_names(scope) - set(scope.builtins))}"
+            advice = suggest_name(
+                name,
+                list_visible_names(scope),
+                f"declare it, or use one of {list_names(list_visible_names(scope) - set(scope.builtins))}",
             )
         report.error("unknown-name", f"no `{name}` is known here", node.span, advice, fix=fix)
-    return bad_expression(node.span)
+    return make_bad_expression(node.span)
 
 
-def _foreign_word_fix(name: str, span: Span) -> tuple[str | None, Fix | None]:
+def _make_foreign_word_fix(name: str, span: Span) -> tuple[str | None, Fix | None]:
     """Return help and a fix for a unit without a number, or for a name from other tools."""
     unit = f"a unit follows its number and contains no spaces: `1 {name}`, `30 mm/s`" if name in UNIT_NAMES else None
     instead = NAME_REPLACEMENTS.get(name)
@@ -295,7 +308,7 @@ def _foreign_word_fix(name: str, span: Span) -> tuple[str | None, Fix | None]:
 # --- values of things ------------------------------------------------------------------------------------------------
 
 
-def value_of(scope: NameScope, owner: Expr, name: str, type: ValueType, span: Span) -> Expr:
+def make_attribute_ref(scope: NameScope, owner: Expr, name: str, type: ValueType, span: Span) -> Expr:
     """Return the expression `owner.name` for a value that is known to exist."""
     if isinstance(owner, ThingRef) and owner.name == "self":
         scope.mark_used("attribute", f"{owner.type.of}.{name}")
@@ -305,29 +318,29 @@ def value_of(scope: NameScope, owner: Expr, name: str, type: ValueType, span: Sp
     return AttributeRef(type, max(owner.rate, ChangeRate.AGENT), span, owner, name)
 
 
-def member_of(scope: NameScope, node: nodes.Member, want: ValueType | None) -> Expr:
+def type_member(scope: NameScope, node: nodes.Member, expected_type: ValueType | None) -> Expr:
     machine = find_machine(scope, node.owner)
     if machine is not None:
         scope.bind(node.owner.span, "machine", machine.key.partition(".")[0], machine.name)
-        return machine_value(scope, machine, node)
+        return type_machine_value(scope, machine, node)
     owner = scope.type_expression(node.owner)
     name, kind = node.name.text, owner.type.kind
     if kind is TypeKind.BAD:
         return owner
     if kind is TypeKind.SPECIES:
-        return _param_of(scope, owner, node)
+        return _type_param(scope, owner, node)
     if kind is TypeKind.AGENT and name in STATE_WORDS:
-        return state_word(scope, owner, name, node.span, node.name.span)
-    known = attributes_of(scope.declared, owner.type)
+        return type_state_word(scope, owner, name, node.span, node.name.span)
+    known = find_attributes(scope.declared, owner.type)
     if name in known:
         scope.bind_value(node.name.span, owner.type, name)
         species = scope.declared.species.get(owner.type.of or "") if kind is TypeKind.AGENT else None
-        if species is not None and name in species.each:
+        if species is not None and name in species.pair_value_species:
             return report_pair_value(scope, node.name, owner.type.of or "")
-        return value_of(scope, owner, name, known[name], node.span)
+        return make_attribute_ref(scope, owner, name, known[name], node.span)
     scope.bind_unreadable(node.name, owner.type)
     _report_no_member(scope, owner, node, known)
-    return bad_expression(node.span)
+    return make_bad_expression(node.span)
 
 
 def _report_no_member(scope: NameScope, owner: Expr, node: nodes.Member, known: dict[str, ValueType]) -> None:
@@ -336,17 +349,17 @@ def _report_no_member(scope: NameScope, owner: Expr, node: nodes.Member, known: 
         advice = f"name one: `nearest({text}).{name}`" if name != "position" else f"`position({text})`"
         scope.report.error("wrong-kind", f"`{text}` is all items of that name, but `{name}` is a value of one", node.span, advice)
     elif known:
-        advice = did_you_mean(name, known, f"there is {list_names(known)}")
-        scope.report.error("unknown-name", f"{type_words(owner.type)} has no `{name}`", node.name.span, advice)
+        advice = suggest_name(name, known, f"there is {list_names(known)}")
+        scope.report.error("unknown-name", f"{describe_type(owner.type)} has no `{name}`", node.name.span, advice)
     elif kind is TypeKind.VECTOR:
         message = f"components of a vector have no names, so no `{name}`"
         scope.report.error("wrong-kind", message, node.name.span, f"the component along a direction is `dot({text}, up)`")
     else:
-        message = f"{quote_source(node.owner.span)} is {type_words(owner.type)} and has no values"
+        message = f"{quote_source(node.owner.span)} is {describe_type(owner.type)} and has no values"
         scope.report.error("wrong-kind", message, node.span, f"leave `.{name}` out")
 
 
-def _param_of(scope: NameScope, owner: Expr, node: nodes.Member) -> Expr:
+def _type_param(scope: NameScope, owner: Expr, node: nodes.Member) -> Expr:
     names = scope.declared.species[owner.type.of] if owner.type.of else None
     if names is not None and node.name.text in names.params:
         scope.mark_used("param", f"{names.name}.{node.name.text}")
@@ -366,15 +379,15 @@ class TypedArgument:
     span: Span
 
 
-def typed_argument(scope: NameScope, node: TypedArgument, want: ValueType | None) -> Expr:
+def type_typed_argument(scope: NameScope, node: TypedArgument, expected_type: ValueType | None) -> Expr:
     return node.expr
 
 
-def bad_expr(scope: NameScope, node: nodes.BadExpr, want: ValueType | None) -> Expr:
-    return bad_expression(node.span)
+def type_bad_expression(scope: NameScope, node: nodes.BadExpr, expected_type: ValueType | None) -> Expr:
+    return make_bad_expression(node.span)
 
 
-def range_of(scope: NameScope, node: nodes.RangeExpr, want: ValueType | None) -> Expr:
+def reject_range(scope: NameScope, node: nodes.RangeExpr, expected_type: ValueType | None) -> Expr:
     scope.type_expression(node.low)
     scope.type_expression(node.high)
     message = f"a range {quote_source(node.span)} cannot stand here"

@@ -13,9 +13,9 @@ _FOLDABLE_OPERATIONS = ("neg", "add", "sub", "mul", "div", "pow")
 _FLOAT_FUNCTIONS: dict[str, Callable[[float, float], float]] = {"add": lambda a, b: a + b, "sub": lambda a, b: a - b}
 
 
-def fold(report: Report, op: OperationExpr) -> Expr:
+def fold_operation(report: Report, op: OperationExpr) -> Expr:
     """Return the operation, or its constant value. Reports a division by 0 and numbers that are too large to store."""
-    values = [constant_behind(arg) if arg is not None else None for arg in op.args]
+    values = [find_constant(arg) if arg is not None else None for arg in op.args]
     if op.name == "div" and len(values) == 2 and values[1] is not None and values[1].number == 0:
         report.error("division-by-zero", "this divides by 0", op.span, "divide by something that is never 0")
         return op
@@ -34,27 +34,29 @@ def fold(report: Report, op: OperationExpr) -> Expr:
 def _fold_values(op: OperationExpr, values: list[Constant]) -> Constant | None:
     try:
         if op.name == "neg":
-            return _const(op, -values[0].number, values[0].u, values[0].step)
+            return _make_constant(op, -values[0].number, values[0].unit_power, values[0].step)
         a, b = values
-        if op.name in _FLOAT_FUNCTIONS and (a.u, a.step) == (b.u, b.step):
-            return _const(op, _FLOAT_FUNCTIONS[op.name](a.number, b.number), a.u, a.step)
+        if op.name in _FLOAT_FUNCTIONS and (a.unit_power, a.step) == (b.unit_power, b.step):
+            return _make_constant(op, _FLOAT_FUNCTIONS[op.name](a.number, b.number), a.unit_power, a.step)
         if op.name == "mul":
-            return _const(op, a.number * b.number, a.u + b.u, a.step + b.step)
+            return _make_constant(op, a.number * b.number, a.unit_power + b.unit_power, a.step + b.step)
         if op.name == "div":
-            return _const(op, a.number / b.number, a.u - b.u, a.step - b.step)
-        if op.name == "pow" and not (b.u or b.step) and (a.number > 0 or b.number == int(b.number)):
-            return _const(op, a.number**b.number, a.u * b.number, a.step * b.number)
+            return _make_constant(op, a.number / b.number, a.unit_power - b.unit_power, a.step - b.step)
+        if op.name == "pow" and not (b.unit_power or b.step) and (a.number > 0 or b.number == int(b.number)):
+            return _make_constant(op, a.number**b.number, a.unit_power * b.number, a.step * b.number)
     except (ValueError, OverflowError, ZeroDivisionError):
-        return _const(op, math.inf, 0, 0)
+        return _make_constant(op, math.inf, 0, 0)
     return None
 
 
-def _const(op: OperationExpr, value: float, u: float, step: float) -> Constant:
+def _make_constant(op: OperationExpr, value: float, unit_power: float, step_power: float) -> Constant:
     type: ValueType = op.type
-    return Constant(type, ChangeRate.RUN if u or step else ChangeRate.CONST, op.span, value, u, step)
+    return Constant(
+        type, ChangeRate.RUN if unit_power or step_power else ChangeRate.CONST, op.span, value, unit_power, step_power
+    )
 
 
-def constant_behind(expr: Expr) -> Constant | None:
+def find_constant(expr: Expr) -> Constant | None:
     """Return the value of an expression that is a constant, or an argument of a behaviour with a constant value; None for
     others."""
     while isinstance(expr, BindingRef) and expr.binding.role in ("argument", "let") and expr.binding.value is not None:

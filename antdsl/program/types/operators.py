@@ -5,13 +5,13 @@ from __future__ import annotations
 from antdsl.diagnostics import Fix
 from antdsl.program.kinds import BAD_TYPE, BOOL_TYPE, NUMBER_TYPE, PER_SECOND_TYPE, PUSH_TYPE, VELOCITY_TYPE
 from antdsl.program.model import ChangeRate, Constant, Expr, OperationExpr, TypeKind, ValueType
-from antdsl.program.names.scope import NameScope, bad_expression, rate_of, type_from_words
+from antdsl.program.names.scope import NameScope, find_highest_rate, make_bad_expression, parse_type_words
 from antdsl.program.tables.senses import find_words
 from antdsl.program.tables.units import combine_dimensions, scale_dimension
 from antdsl.program.tables.vocabulary import OPERATION_BY_SIGN
-from antdsl.program.types.descriptions import is_compatible, quote_source, report_disagreement, report_mismatch, type_words
+from antdsl.program.types.descriptions import describe_type, is_compatible, quote_source, report_disagreement, report_mismatch
 from antdsl.program.types.expressions import OPTIONAL_KINDS, THING_KINDS
-from antdsl.program.types.folding import constant_behind, fold
+from antdsl.program.types.folding import find_constant, fold_operation
 from antdsl.program.types.states import STATE_WORDS, find_state
 from antdsl.source import Span
 from antdsl.syntax import nodes
@@ -19,39 +19,39 @@ from antdsl.syntax import nodes
 _ORDER_SIGNS = ("<", "<=", ">", ">=")
 _EQUALITY_SIGNS = ("==", "!=")
 # The operation for the bare name of a thing where a value is expected, by its kind.
-_VALUE_AT_AGENT = {TypeKind(row.args[0].type): (row.op, type_from_words(row.result) or BAD_TYPE) for row in find_words("value")}
+_VALUE_AT_AGENT = {TypeKind(row.args[0].type): (row.op, parse_type_words(row.result) or BAD_TYPE) for row in find_words("value")}
 
 
-def op(name: str, type: ValueType, span: Span, *args: Expr | None, site: str = "") -> OperationExpr:
+def make_operation(name: str, type: ValueType, span: Span, *args: Expr | None, site: str = "") -> OperationExpr:
     """Return an operation with the highest rate of its arguments. `site`: the key of a draw."""
-    return OperationExpr(type, rate_of(args), span, name, args, site)
+    return OperationExpr(type, find_highest_rate(args), span, name, args, site)
 
 
 # --- operands --------------------------------------------------------------------------------------------------------
 
 
-def value(scope: NameScope, node: nodes.Expr, want: ValueType | None = None) -> Expr:
+def type_value(scope: NameScope, node: nodes.Expr, expected_type: ValueType | None = None) -> Expr:
     """Return an expression as a value. The name of a field, flow or map stands for its value at the agent."""
-    return as_value(scope.type_expression(node, want))
+    return convert_to_value(scope.type_expression(node, expected_type))
 
 
-def as_value(expr: Expr) -> Expr:
+def convert_to_value(expr: Expr) -> Expr:
     """Return the value at the agent for the name of a field, flow or map; any other expression unchanged."""
     value_op = _VALUE_AT_AGENT.get(expr.type.kind)
     return expr if value_op is None else OperationExpr(value_op[1], ChangeRate.AGENT, expr.span, value_op[0], (expr,))
 
 
-def value_of_type(scope: NameScope, node: nodes.Expr, want: ValueType, place: str) -> Expr:
+def type_value_as(scope: NameScope, node: nodes.Expr, expected_type: ValueType, place: str) -> Expr:
     """Return the value of an expression of a required type. `place`: the words for the place in messages."""
-    expr = value(scope, node, want)
-    if is_compatible(expr.type, want):
+    expr = type_value(scope, node, expected_type)
+    if is_compatible(expr.type, expected_type):
         return expr
-    return report_mismatch(scope.report, node, expr.type, want, place, expr)
+    return report_mismatch(scope.report, node, expr.type, expected_type, place, expr)
 
 
-def facing_direction(scope: NameScope, node: nodes.Expr) -> Expr:
+def type_facing_direction(scope: NameScope, node: nodes.Expr) -> Expr:
     """Return the value of an expression for a direction to face: a push or a velocity. The length has no effect."""
-    expr = value(scope, node, PUSH_TYPE)
+    expr = type_value(scope, node, PUSH_TYPE)
     if is_compatible(expr.type, VELOCITY_TYPE):
         return expr
     return (
@@ -59,20 +59,20 @@ def facing_direction(scope: NameScope, node: nodes.Expr) -> Expr:
     )
 
 
-def condition(scope: NameScope, node: nodes.Expr, place: str) -> Expr:
+def type_condition(scope: NameScope, node: nodes.Expr, place: str) -> Expr:
     """Type an expression as a bool. An item, agent or hit is true if it is not none. A set is true if it is not empty."""
     if not scope.runs_once and _mentions_event(scope, node):
         scope = scope.with_changes(runs_once=True)
-    return truth(scope, node, value(scope, node, BOOL_TYPE), place)
+    return convert_to_bool(scope, node, type_value(scope, node, BOOL_TYPE), place)
 
 
-def truth(scope: NameScope, node: nodes.Expr, expr: Expr, place: str) -> Expr:
+def convert_to_bool(scope: NameScope, node: nodes.Expr, expr: Expr, place: str) -> Expr:
     """Return a typed expression as a bool; report an error if it cannot be one."""
     kind = expr.type.kind
     if kind in (TypeKind.BOOL, TypeKind.BAD):
         return expr
-    if kind in OPTIONAL_KINDS or kind is TypeKind.SET or (kind is TypeKind.PLACE and scope.generic):
-        return op("is_some", BOOL_TYPE, expr.span, expr)
+    if kind in OPTIONAL_KINDS or kind is TypeKind.SET or (kind is TypeKind.PLACE and scope.is_generic):
+        return make_operation("is_some", BOOL_TYPE, expr.span, expr)
     return report_mismatch(scope.report, node, expr.type, BOOL_TYPE, place)
 
 
@@ -84,7 +84,7 @@ def _mentions_event(scope: NameScope, node: nodes.Expr) -> bool:
         part = stack.pop()
         if isinstance(part, nodes.NameRef):
             name = part.name.text
-            if name in scope.declared.events and name not in scope.locals:
+            if name in scope.declared.events and name not in scope.local_names:
                 return True
         elif isinstance(part, nodes.Binary) and part.op in ("and", "or"):
             stack += [part.left, part.right]
@@ -94,58 +94,58 @@ def _mentions_event(scope: NameScope, node: nodes.Expr) -> bool:
 # --- one operand -----------------------------------------------------------------------------------------------------
 
 
-def unary(scope: NameScope, node: nodes.Unary, want: ValueType | None) -> Expr:
+def type_unary(scope: NameScope, node: nodes.Unary, expected_type: ValueType | None) -> Expr:
     """Type `-x`, `not x`, `no x` and `chance x`."""
     if node.op == "-":
-        expr = value(scope, node.operand)
+        expr = type_value(scope, node.operand)
         if expr.type.kind not in (TypeKind.NUMBER, TypeKind.VECTOR, TypeKind.BAD):
             report_mismatch(scope.report, node.operand, expr.type, NUMBER_TYPE, "`-`")
-            return bad_expression(node.span)
-        return fold(scope.report, op("neg", expr.type, node.span, expr))
+            return make_bad_expression(node.span)
+        return fold_operation(scope.report, make_operation("neg", expr.type, node.span, expr))
     if node.op == "not":
-        return _not(scope, node)
+        return _type_not(scope, node)
     if node.op == "no":
-        return _no_test(scope, node)
-    return _chance(scope, node)
+        return _type_no_test(scope, node)
+    return _type_chance(scope, node)
 
 
-def _not(scope: NameScope, node: nodes.Unary) -> Expr:
-    expr = value(scope, node.operand, BOOL_TYPE)
+def _type_not(scope: NameScope, node: nodes.Unary) -> Expr:
+    expr = type_value(scope, node.operand, BOOL_TYPE)
     if expr.type == NUMBER_TYPE:
-        return op("sub", NUMBER_TYPE, node.span, Constant(NUMBER_TYPE, ChangeRate.CONST, node.span, 1.0), expr)
+        return make_operation("sub", NUMBER_TYPE, node.span, Constant(NUMBER_TYPE, ChangeRate.CONST, node.span, 1.0), expr)
     if expr.type == BAD_TYPE:
-        return bad_expression(node.span)
-    return op("not", BOOL_TYPE, node.span, truth(scope, node.operand, expr, "`not`"))
+        return make_bad_expression(node.span)
+    return make_operation("not", BOOL_TYPE, node.span, convert_to_bool(scope, node.operand, expr, "`not`"))
 
 
-def _no_test(scope: NameScope, node: nodes.Unary) -> Expr:
+def _type_no_test(scope: NameScope, node: nodes.Unary) -> Expr:
     expr = scope.type_expression(node.operand)
-    return _none_test(scope, node.operand, expr, node.span, "no")
+    return _make_none_test(scope, node.operand, expr, node.span, "no")
 
 
-def _none_test(scope: NameScope, node: nodes.Expr, expr: Expr, span: Span, word: str) -> Expr:
+def _make_none_test(scope: NameScope, node: nodes.Expr, expr: Expr, span: Span, word: str) -> Expr:
     kind = expr.type.kind
     if kind in OPTIONAL_KINDS or kind in (TypeKind.SET, TypeKind.BAD, TypeKind.PLACE):
-        return op("is_none", BOOL_TYPE, span, expr)
+        return make_operation("is_none", BOOL_TYPE, span, expr)
     advice = "`not` needs a yes or no" if kind is TypeKind.BOOL else "only an item, an agent, a hit or a set can be none"
     fix = None
     if kind in (TypeKind.ITEMS, TypeKind.SPECIES):
         nearest = f"nearest({' '.join(node.span.text.split())})"
         advice, fix = f"test for one of them: `no {nearest}`", Fix(node.span, nearest)
-    message = f"{quote_source(node.span)} is {type_words(expr.type)}, which is never none"
+    message = f"{quote_source(node.span)} is {describe_type(expr.type)}, which is never none"
     scope.report.error("wrong-kind", message, node.span, advice, fix=fix)
-    return bad_expression(span)
+    return make_bad_expression(span)
 
 
-def is_none(scope: NameScope, node: nodes.IsNone, want: ValueType | None) -> Expr:
+def type_is_none(scope: NameScope, node: nodes.IsNone, expected_type: ValueType | None) -> Expr:
     expr = scope.type_expression(node.operand)
-    test = _none_test(scope, node.operand, expr, node.span, "is none")
-    return op("not", BOOL_TYPE, node.span, test) if node.negated and isinstance(test, OperationExpr) else test
+    test = _make_none_test(scope, node.operand, expr, node.span, "is none")
+    return make_operation("not", BOOL_TYPE, node.span, test) if node.negated and isinstance(test, OperationExpr) else test
 
 
-def _chance(scope: NameScope, node: nodes.Unary) -> Expr:
-    expr = value(scope, node.operand)
-    site = draw_site(scope, "chance", node.span)
+def _type_chance(scope: NameScope, node: nodes.Unary) -> Expr:
+    expr = type_value(scope, node.operand)
+    site = make_draw_site(scope, "chance", node.span)
     _check_chance(scope, node, expr)
     if is_compatible(expr.type, PER_SECOND_TYPE) or (scope.runs_once and is_compatible(expr.type, NUMBER_TYPE)):
         return OperationExpr(BOOL_TYPE, max(expr.rate, ChangeRate.AGENT), node.span, "chance", (expr,), site)
@@ -158,11 +158,11 @@ def _chance(scope: NameScope, node: nodes.Unary) -> Expr:
         scope.report.error("not-a-rate", message, node.operand.span, advice)
     else:
         report_mismatch(scope.report, node.operand, expr.type, PER_SECOND_TYPE, "`chance`")
-    return bad_expression(node.span)
+    return make_bad_expression(node.span)
 
 
 def _check_chance(scope: NameScope, node: nodes.Unary, expr: Expr) -> None:
-    known = constant_behind(expr)
+    known = find_constant(expr)
     if known is None:
         return
     if known.number < 0:
@@ -173,58 +173,62 @@ def _check_chance(scope: NameScope, node: nodes.Unary, expr: Expr) -> None:
         scope.report.error("out-of-range", words, node.operand.span, "write at most `100 %`")
 
 
-def draw_site(scope: NameScope, word: str, span: Span) -> str:
+def make_draw_site(scope: NameScope, word: str, span: Span) -> str:
     """Return the key of a random draw. Draws inside a set are errors, because the result would depend on the order of the
     elements."""
-    if scope.sets:
+    if scope.set_elements:
         message = f"`{word}` draws a random number inside a set"
         scope.report.error("draw-in-set", message, span, "draw before the set: `let x = …`, and use `x` inside")
-    return scope.keys.next(word)
+    return scope.keys.make_key(word)
 
 
-def count(scope: NameScope, node: nodes.Expr, who: str) -> Expr:
+def type_count(scope: NameScope, node: nodes.Expr, subject: str) -> Expr:
     """Return a whole number that is constant before a run; report an error if the expression is not."""
-    expr = value(scope, node)
-    if expr.type.kind is TypeKind.BAD or (scope.generic and expr.type == NUMBER_TYPE):
+    expr = type_value(scope, node)
+    if expr.type.kind is TypeKind.BAD or (scope.is_generic and expr.type == NUMBER_TYPE):
         return expr
-    known = constant_behind(expr)
+    known = find_constant(expr)
     if known is not None and known.type == NUMBER_TYPE and 1 <= known.number <= 64 and known.number == int(known.number):
         return Constant(NUMBER_TYPE, ChangeRate.CONST, node.span, known.number)
-    message = f"{who} wants a whole number from 1 to 64, not {quote_source(node.span)}"
+    message = f"{subject} wants a whole number from 1 to 64, not {quote_source(node.span)}"
     return scope.reject("wrong-count", message, node.span, "write a number such as `3`")
 
 
 # --- two operands ----------------------------------------------------------------------------------------------------
 
 
-def binary(scope: NameScope, node: nodes.Binary, want: ValueType | None) -> Expr:
+def type_binary(scope: NameScope, node: nodes.Binary, expected_type: ValueType | None) -> Expr:
     """Type an operator with two operands."""
     if node.op in ("and", "or"):
-        return _logic(scope, node)
+        return _type_logic(scope, node)
     if node.op in _EQUALITY_SIGNS:
-        return _equal(scope, node)
-    left, right = value(scope, node.left), value(scope, node.right)
+        return _type_equality(scope, node)
+    left, right = type_value(scope, node.left), type_value(scope, node.right)
     if TypeKind.BAD in (left.type.kind, right.type.kind):
-        return op(OPERATION_BY_SIGN[node.op], BOOL_TYPE if node.op in _ORDER_SIGNS else BAD_TYPE, node.span, left, right)
+        return make_operation(
+            OPERATION_BY_SIGN[node.op], BOOL_TYPE if node.op in _ORDER_SIGNS else BAD_TYPE, node.span, left, right
+        )
     if node.op in _ORDER_SIGNS:
-        return _compare(scope, node, left, right)
+        return _type_comparison(scope, node, left, right)
     return _MAKER_BY_SIGN[node.op](scope, node, left, right)
 
 
-def _logic(scope: NameScope, node: nodes.Binary) -> Expr:
+def _type_logic(scope: NameScope, node: nodes.Binary) -> Expr:
     """Type `and` or `or`: a bool for two bools, or the minimum or maximum of two degrees of truth."""
-    left, right = value(scope, node.left, BOOL_TYPE), value(scope, node.right, BOOL_TYPE)
+    left, right = type_value(scope, node.left, BOOL_TYPE), type_value(scope, node.right, BOOL_TYPE)
     if BAD_TYPE in (left.type, right.type) and {left.type, right.type} <= {BAD_TYPE, NUMBER_TYPE}:
-        return op(node.op, BAD_TYPE, node.span, left, right)  # the invalid operand may have been meant as a degree of truth
+        return make_operation(
+            node.op, BAD_TYPE, node.span, left, right
+        )  # the invalid operand may have been meant as a degree of truth
     if left.type == NUMBER_TYPE and right.type == NUMBER_TYPE:
-        return op("min" if node.op == "and" else "max", NUMBER_TYPE, node.span, left, right)
-    if scope.shades and NUMBER_TYPE in (left.type, right.type):  # elsewhere, a number next to a bool is mostly a mistake
+        return make_operation("min" if node.op == "and" else "max", NUMBER_TYPE, node.span, left, right)
+    if scope.allows_degrees and NUMBER_TYPE in (left.type, right.type):  # elsewhere, a number next to a bool is mostly a mistake
         pairs = ((node.left, left), (node.right, right))
-        parts = (e if e.type == NUMBER_TYPE else truth(scope, n, e, f"`{node.op}`") for n, e in pairs)
-        return op(node.op, NUMBER_TYPE, node.span, *parts)
-    a = truth(scope, node.left, left, f"`{node.op}`")
-    b = truth(scope, node.right, right, f"`{node.op}`")
-    return op(node.op, BOOL_TYPE, node.span, a, b)
+        parts = (e if e.type == NUMBER_TYPE else convert_to_bool(scope, n, e, f"`{node.op}`") for n, e in pairs)
+        return make_operation(node.op, NUMBER_TYPE, node.span, *parts)
+    a = convert_to_bool(scope, node.left, left, f"`{node.op}`")
+    b = convert_to_bool(scope, node.right, right, f"`{node.op}`")
+    return make_operation(node.op, BOOL_TYPE, node.span, a, b)
 
 
 def _looks_like_state(node: nodes.Expr) -> bool:
@@ -238,43 +242,43 @@ def _is_state(scope: NameScope, node: nodes.Expr) -> bool:
     return isinstance(node, nodes.NameRef) and any(node.name.text in machine.states for machine in machines)
 
 
-def _equal(scope: NameScope, node: nodes.Binary) -> Expr:
+def _type_equality(scope: NameScope, node: nodes.Binary) -> Expr:
     left_node, right_node = node.left, node.right
     if _looks_like_state(right_node) and not _looks_like_state(left_node):
         left_node, right_node = right_node, left_node
-    left = value(scope, left_node)
+    left = type_value(scope, left_node)
     if left.type.kind is TypeKind.BAD and _is_state(scope, right_node):
-        return bad_expression(node.span)
+        return make_bad_expression(node.span)
     if left.type.kind is TypeKind.STATE:
         pair = find_state(scope, left, right_node)
         if pair is not None:
-            return op(OPERATION_BY_SIGN[node.op], BOOL_TYPE, node.span, *pair)
-    right = value(scope, right_node, left.type)
+            return make_operation(OPERATION_BY_SIGN[node.op], BOOL_TYPE, node.span, *pair)
+    right = type_value(scope, right_node, left.type)
     if isinstance(left_node, nodes.NoneOf) and left_node.of is None and right.type.kind in OPTIONAL_KINDS:
-        left = value(scope, left_node, right.type)
+        left = type_value(scope, left_node, right.type)
     if is_compatible(left.type, right.type) and left.type.kind not in THING_KINDS | {TypeKind.SET, TypeKind.VECTOR}:
-        return op(OPERATION_BY_SIGN[node.op], BOOL_TYPE, node.span, left, right)
+        return make_operation(OPERATION_BY_SIGN[node.op], BOOL_TYPE, node.span, left, right)
     if left.type.kind is right.type.kind and left.type.kind is not TypeKind.NUMBER:
         message = f"{quote_source(node.span)} compares what cannot be compared"
         scope.report.error("kinds-differ", message, node.span, "compare numbers, states, items or agents")
     else:
         report_disagreement(scope.report, node.op, node.span, (left_node, left), (right_node, right))
-    return op(OPERATION_BY_SIGN[node.op], BOOL_TYPE, node.span, left, right)
+    return make_operation(OPERATION_BY_SIGN[node.op], BOOL_TYPE, node.span, left, right)
 
 
-def _compare(scope: NameScope, node: nodes.Binary, left: Expr, right: Expr) -> Expr:
+def _type_comparison(scope: NameScope, node: nodes.Binary, left: Expr, right: Expr) -> Expr:
     if left.type.kind is TypeKind.NUMBER and is_compatible(left.type, right.type):
-        return op(OPERATION_BY_SIGN[node.op], BOOL_TYPE, node.span, left, right)
+        return make_operation(OPERATION_BY_SIGN[node.op], BOOL_TYPE, node.span, left, right)
     if left.type.kind is TypeKind.NUMBER or right.type.kind is TypeKind.NUMBER:
         report_disagreement(scope.report, node.op, node.span, (node.left, left), (node.right, right))
     else:
         report_mismatch(scope.report, node.left, left.type, NUMBER_TYPE, f"`{node.op}`")
-    return op(OPERATION_BY_SIGN[node.op], BOOL_TYPE, node.span, left, right)
+    return make_operation(OPERATION_BY_SIGN[node.op], BOOL_TYPE, node.span, left, right)
 
 
-def _sum(scope: NameScope, node: nodes.Binary, left: Expr, right: Expr) -> Expr:
+def _type_sum(scope: NameScope, node: nodes.Binary, left: Expr, right: Expr) -> Expr:
     if left.type.kind in (TypeKind.NUMBER, TypeKind.VECTOR) and is_compatible(left.type, right.type):
-        return fold(scope.report, op(OPERATION_BY_SIGN[node.op], left.type, node.span, left, right))
+        return fold_operation(scope.report, make_operation(OPERATION_BY_SIGN[node.op], left.type, node.span, left, right))
     odd = next(
         ((n, e) for n, e in ((node.left, left), (node.right, right)) if e.type.kind not in (TypeKind.NUMBER, TypeKind.VECTOR)),
         None,
@@ -283,7 +287,7 @@ def _sum(scope: NameScope, node: nodes.Binary, left: Expr, right: Expr) -> Expr:
         report_mismatch(scope.report, odd[0], odd[1].type, NUMBER_TYPE, f"`{node.op}`")
     else:
         report_disagreement(scope.report, node.op, node.span, (node.left, left), (node.right, right))
-    return bad_expression(node.span)
+    return make_bad_expression(node.span)
 
 
 def _check_operands(scope: NameScope, node: nodes.Binary, left: Expr, right: Expr) -> bool:
@@ -295,66 +299,68 @@ def _check_operands(scope: NameScope, node: nodes.Binary, left: Expr, right: Exp
     return True
 
 
-def _product(scope: NameScope, node: nodes.Binary, left: Expr, right: Expr) -> Expr:
+def _type_product(scope: NameScope, node: nodes.Binary, left: Expr, right: Expr) -> Expr:
     if not _check_operands(scope, node, left, right):
-        return bad_expression(node.span)
+        return make_bad_expression(node.span)
     vectors = [e for e in (left, right) if e.type.kind is TypeKind.VECTOR]
     if len(vectors) == 2:
         help = "write `dot(a, b)` for a number or `cross(a, b)` for a vector"
         scope.report.error("wrong-kind", f"{quote_source(node.span)} multiplies two vectors", node.op_span, help)
-        return bad_expression(node.span)
-    type = ValueType(TypeKind.VECTOR if vectors else TypeKind.NUMBER, combine_dimensions(left.type.dim, right.type.dim))
-    return fold(scope.report, op("mul", type, node.span, left, right))
+        return make_bad_expression(node.span)
+    type = ValueType(
+        TypeKind.VECTOR if vectors else TypeKind.NUMBER, combine_dimensions(left.type.dimension, right.type.dimension)
+    )
+    return fold_operation(scope.report, make_operation("mul", type, node.span, left, right))
 
 
-def _quotient(scope: NameScope, node: nodes.Binary, left: Expr, right: Expr) -> Expr:
+def _type_quotient(scope: NameScope, node: nodes.Binary, left: Expr, right: Expr) -> Expr:
     if not _check_operands(scope, node, left, right):
-        return bad_expression(node.span)
+        return make_bad_expression(node.span)
     if right.type.kind is TypeKind.VECTOR:
         advice = f"divide by its length: `length({quote_source(node.right.span).strip('`')})`"
         scope.report.error("wrong-kind", f"{quote_source(node.span)} divides by a vector", node.op_span, advice)
-        return bad_expression(node.span)
-    type = ValueType(left.type.kind, combine_dimensions(left.type.dim, right.type.dim, -1))
-    return fold(scope.report, op("div", type, node.span, left, right))
+        return make_bad_expression(node.span)
+    type = ValueType(left.type.kind, combine_dimensions(left.type.dimension, right.type.dimension, -1))
+    return fold_operation(scope.report, make_operation("div", type, node.span, left, right))
 
 
-def _power(scope: NameScope, node: nodes.Binary, left: Expr, right: Expr) -> Expr:
+def _type_power(scope: NameScope, node: nodes.Binary, left: Expr, right: Expr) -> Expr:
     if left.type.kind is not TypeKind.NUMBER:
         report_mismatch(scope.report, node.left, left.type, NUMBER_TYPE, "`^`")
-        return bad_expression(node.span)
+        return make_bad_expression(node.span)
     if right.type != NUMBER_TYPE:
         report_mismatch(scope.report, node.right, right.type, NUMBER_TYPE, "`^`")
-        return bad_expression(node.span)
-    exponent = constant_behind(right)
-    if left.type.dim != NUMBER_TYPE.dim and exponent is None:
-        message = f"{quote_source(node.left.span)} is {type_words(left.type)}, so its power must be a plain number"
+        return make_bad_expression(node.span)
+    exponent = find_constant(right)
+    if left.type.dimension != NUMBER_TYPE.dimension and exponent is None:
+        message = f"{quote_source(node.left.span)} is {describe_type(left.type)}, so its power must be a plain number"
         scope.report.error("wrong-unit", message, node.right.span, "write `^ 2`")
-        return bad_expression(node.span)
-    dim = scale_dimension(left.type.dim, exponent.number) if exponent else left.type.dim
-    return fold(scope.report, op("pow", ValueType(TypeKind.NUMBER, dim), node.span, left, right))
+        return make_bad_expression(node.span)
+    dim = scale_dimension(left.type.dimension, exponent.number) if exponent else left.type.dimension
+    return fold_operation(scope.report, make_operation("pow", ValueType(TypeKind.NUMBER, dim), node.span, left, right))
 
 
-_MAKER_BY_SIGN = {"+": _sum, "-": _sum, "*": _product, "/": _quotient, "^": _power}
+_MAKER_BY_SIGN = {"+": _type_sum, "-": _type_sum, "*": _type_product, "/": _type_quotient, "^": _type_power}
 
 
 # --- if c then a else b ----------------------------------------------------------------------------------------------
 
 
-def if_else(scope: NameScope, node: nodes.IfElse, want: ValueType | None) -> Expr:
-    test = condition(scope, node.condition, "`if`")
-    inner = scope.with_changes(no_keep="under `if` it would not be clear when it moves on")
+def type_if_else(scope: NameScope, node: nodes.IfElse, expected_type: ValueType | None) -> Expr:
+    test = type_condition(scope, node.condition, "`if`")
+    inner = scope.with_changes(no_keep_reason="under `if` it would not be clear when it moves on")
     bare = isinstance(node.then, nodes.NoneOf) and node.then.of is None
     if bare:
-        otherwise = value(inner, node.otherwise, want)
-        then = value(inner, node.then, otherwise.type)
+        otherwise = type_value(inner, node.otherwise, expected_type)
+        then = type_value(inner, node.then, otherwise.type)
     else:
-        then = value(inner, node.then, want)
-        otherwise = value(inner, node.otherwise, then.type)
+        then = type_value(inner, node.then, expected_type)
+        otherwise = type_value(inner, node.otherwise, then.type)
     if not is_compatible(then.type, otherwise.type):
         report_disagreement(scope.report, "if … then … else", node.span, (node.then, then), (node.otherwise, otherwise))
-        return bad_expression(node.span)
+        return make_bad_expression(node.span)
     type = otherwise.type if then.type.kind is TypeKind.BAD else then.type
     if type.kind in THING_KINDS or type.kind is TypeKind.SET:
-        message = f"`if` cannot choose {type_words(type)}"
+        message = f"`if` cannot choose {describe_type(type)}"
         return scope.reject("wrong-kind", message, node.span, "choose between values: numbers, vectors, items, agents")
-    return op("if", type, node.span, test, then, otherwise)
+    return make_operation("if", type, node.span, test, then, otherwise)

@@ -1,4 +1,5 @@
-"""Types sets and reductions over them: `neighbours`, `all`, `nearest`, `feelers`, `sum(n in SET: …)` and similar."""
+"""Types sets and reductions over them: `type_neighbours`, `all`, `type_nearest`, `type_feelers`, `sum(n in SET: …)` and
+similar."""
 
 from __future__ import annotations
 
@@ -6,20 +7,26 @@ from collections.abc import Callable
 
 from antdsl.program.kinds import BOOL_TYPE, LENGTH_TYPE, NUMBER_TYPE
 from antdsl.program.model import Binding, ChangeRate, Constant, Dimension, Expr, ReduceExpr, SetExpr, TypeKind, ValueType
-from antdsl.program.names.scope import NameScope, bad_expression, type_from_words
-from antdsl.program.tables.defaults import default_values
+from antdsl.program.names.scope import NameScope, make_bad_expression, parse_type_words
+from antdsl.program.tables.defaults import parse_default_values
 from antdsl.program.tables.rows import ArgumentRow, BuiltinRow
-from antdsl.program.traverse import bindings_in
-from antdsl.program.types.arguments import ArgumentSlot, arrange_arguments, element_type, nearest_of, type_arguments
-from antdsl.program.types.descriptions import is_compatible, quote_source, report_mismatch, type_words
-from antdsl.program.types.folding import constant_behind
-from antdsl.program.types.operators import condition, count, value, value_of_type
+from antdsl.program.traverse import find_bindings
+from antdsl.program.types.arguments import (
+    ArgumentSlot,
+    arrange_arguments,
+    find_element_type,
+    make_nearest_reduction,
+    type_arguments,
+)
+from antdsl.program.types.descriptions import describe_type, is_compatible, quote_source, report_mismatch
+from antdsl.program.types.folding import find_constant
+from antdsl.program.types.operators import type_condition, type_count, type_value, type_value_as
 from antdsl.syntax import nodes
 
 _SET_OWNER_KINDS = (TypeKind.ITEMS, TypeKind.SPECIES)
 
 
-def _arguments(scope: NameScope, node: nodes.Call, name: str, row: BuiltinRow) -> dict[str, list[nodes.Argument]] | None:
+def _arrange_arguments(scope: NameScope, node: nodes.Call, name: str, row: BuiltinRow) -> dict[str, list[nodes.Argument]] | None:
     arguments_by_slot = arrange_arguments(
         scope, name, [ArgumentSlot(a.name, a.default is None and not a.optional, a.variadic) for a in row.args], node
     )
@@ -28,48 +35,48 @@ def _arguments(scope: NameScope, node: nodes.Call, name: str, row: BuiltinRow) -
     return arguments_by_slot
 
 
-def _optional_value(
-    scope: NameScope, called: str, arg: ArgumentRow, arguments_by_slot: dict[str, list[nodes.Argument]], node: nodes.Call
+def _type_optional(
+    scope: NameScope, function_name: str, arg: ArgumentRow, arguments_by_slot: dict[str, list[nodes.Argument]], node: nodes.Call
 ) -> Expr | None:
     """Return the value of an argument, its default, or None."""
     written = arguments_by_slot.get(arg.name)
     if written is None:
-        return default_values(scope, arg.default, node.span)[0] if arg.default else None
-    return value_of_type(scope, written[0].value, type_from_words(arg.type) or NUMBER_TYPE, f"`{arg.name}` of `{called}`")
+        return parse_default_values(scope, arg.default, node.span)[0] if arg.default else None
+    return type_value_as(scope, written[0].value, parse_type_words(arg.type) or NUMBER_TYPE, f"`{arg.name}` of `{function_name}`")
 
 
-def _things(scope: NameScope, called: str, node: nodes.Expr, kinds: tuple[TypeKind, ...]) -> Expr | None:
+def _type_things(scope: NameScope, function_name: str, node: nodes.Expr, kinds: tuple[TypeKind, ...]) -> Expr | None:
     expr = scope.type_expression(node)
     if expr.type.kind in kinds:
         return expr
     if expr.type.kind is not TypeKind.BAD:
         names = "items or a species" if kinds == _SET_OWNER_KINDS else "a species"
-        message = f"`{called}` looks for {names}, and {quote_source(node.span)} is {type_words(expr.type)}"
+        message = f"`{function_name}` looks for {names}, and {quote_source(node.span)} is {describe_type(expr.type)}"
         scope.report.error("wrong-kind", message, node.span, f"write a name of {names}")
     return None
 
 
-def element_of(type: ValueType, name: str, node: nodes.Expr | nodes.Name) -> Binding:
+def make_element_binding(type: ValueType, name: str, node: nodes.Expr | nodes.Name) -> Binding:
     return Binding(name, "element", type, ChangeRate.ELEMENT, node.span)
 
 
-def neighbours(scope: NameScope, node: nodes.Call, name: str, row: BuiltinRow) -> Expr:
+def type_neighbours(scope: NameScope, node: nodes.Call, name: str, row: BuiltinRow) -> Expr:
     """Type `neighbours(radius, fov, of:)`: other agents of the agent's own species, or of the species `of`."""
-    arguments_by_slot = _arguments(scope, node, name, row)
+    arguments_by_slot = _arrange_arguments(scope, node, name, row)
     if arguments_by_slot is None:
-        return bad_expression(node.span)
-    radius, fov = (_optional_value(scope, name, arg, arguments_by_slot, node) for arg in row.args[:2])
+        return make_bad_expression(node.span)
+    radius, fov = (_type_optional(scope, name, arg, arguments_by_slot, node) for arg in row.args[:2])
     of = scope.species.name if scope.species else None
     if "of" in arguments_by_slot:
-        species = _things(scope, name, arguments_by_slot["of"][0].value, (TypeKind.SPECIES,))
+        species = _type_things(scope, name, arguments_by_slot["of"][0].value, (TypeKind.SPECIES,))
         if species is None:
-            return bad_expression(node.span)
+            return make_bad_expression(node.span)
         of = species.type.of
     elif scope.behaviour is None and scope.species is None:
         return scope.reject("wrong-argument", "`neighbours` without a species", node.span, "write `of: forager`")
     _check_reach(scope, radius, node)
-    most = _count_limit(scope, name, row, arguments_by_slot, node)
-    element = element_of(ValueType(TypeKind.AGENT, Dimension(), of), "it", node)
+    most = _type_count_limit(scope, name, row, arguments_by_slot, node)
+    element = make_element_binding(ValueType(TypeKind.AGENT, Dimension(), of), "it", node)
     return SetExpr(
         ValueType(TypeKind.SET, Dimension(), of),
         ChangeRate.AGENT,
@@ -83,39 +90,41 @@ def neighbours(scope: NameScope, node: nodes.Call, name: str, row: BuiltinRow) -
 
 
 def _check_reach(scope: NameScope, radius: Expr | None, node: nodes.Call) -> None:
-    known = constant_behind(radius) if radius is not None else None
+    known = find_constant(radius) if radius is not None else None
     if known is not None and known.number <= 0:
         message = "a radius of 0 or less reaches no agent"
         advice = "write a length above 0"
         scope.report.error("out-of-range", message, node.arguments[0].span if node.arguments else node.span, advice)
 
 
-def _count_limit(
-    scope: NameScope, called: str, row: BuiltinRow, arguments_by_slot: dict[str, list[nodes.Argument]], node: nodes.Call
+def _type_count_limit(
+    scope: NameScope, function_name: str, row: BuiltinRow, arguments_by_slot: dict[str, list[nodes.Argument]], node: nodes.Call
 ) -> Expr | None:
     """Return the maximum number of the nearest elements of a set that count. A known value must be whole and at least 1."""
     arg = next((arg for arg in row.args if arg.name == "most"), None)
-    most = _optional_value(scope, called, arg, arguments_by_slot, node) if arg is not None else None
-    known = constant_behind(most) if most is not None else None
+    most = _type_optional(scope, function_name, arg, arguments_by_slot, node) if arg is not None else None
+    known = find_constant(most) if most is not None else None
     if known is not None and (known.number < 1 or known.number != int(known.number)):
-        message = f"`most` of `{called}` is how many count, not {quote_source(arguments_by_slot['most'][0].value.span)}"
+        message = f"`most` of `{function_name}` is how many count, not {quote_source(arguments_by_slot['most'][0].value.span)}"
         advice = "write a whole number, 1 or more: `most: 3`"
         scope.report.error("out-of-range", message, arguments_by_slot["most"][0].value.span, advice)
     return most
 
 
-def all_of(scope: NameScope, node: nodes.Call, name: str, row: BuiltinRow) -> Expr:
+def type_all(scope: NameScope, node: nodes.Call, name: str, row: BuiltinRow) -> Expr:
     """Type `all(X, within:, with:)`."""
-    arguments_by_slot = _arguments(scope, node, name, row)
-    things = _things(scope, name, arguments_by_slot["of"][0].value, _SET_OWNER_KINDS) if arguments_by_slot else None
+    arguments_by_slot = _arrange_arguments(scope, node, name, row)
+    things = _type_things(scope, name, arguments_by_slot["of"][0].value, _SET_OWNER_KINDS) if arguments_by_slot else None
     if arguments_by_slot is None or things is None:
-        return bad_expression(node.span)
-    within = _optional_value(scope, name, row.args[1], arguments_by_slot, node)
-    element = element_of(element_type(things.type), "it", node)
+        return make_bad_expression(node.span)
+    within = _type_optional(scope, name, row.args[1], arguments_by_slot, node)
+    element = make_element_binding(find_element_type(things.type), "it", node)
     where = None
     if "with" in arguments_by_slot:
-        where = condition(_within_set(scope, element).with_changes(element=element), arguments_by_slot["with"][0].value, "`with`")
-    most = _count_limit(scope, name, row, arguments_by_slot, node)
+        where = type_condition(
+            _enter_set(scope, element).with_changes(element=element), arguments_by_slot["with"][0].value, "`with`"
+        )
+    most = _type_count_limit(scope, name, row, arguments_by_slot, node)
     set_expr = SetExpr(
         ValueType(TypeKind.SET, Dimension(), things.type.of),
         ChangeRate.AGENT,
@@ -130,49 +139,53 @@ def all_of(scope: NameScope, node: nodes.Call, name: str, row: BuiltinRow) -> Ex
     return set_expr
 
 
-def _within_set(scope: NameScope, element: Binding) -> NameScope:
-    return scope.with_changes(sets=(*scope.sets, element), no_keep="inside a set it would not be clear which agent remembers")
+def _enter_set(scope: NameScope, element: Binding) -> NameScope:
+    return scope.with_changes(
+        set_elements=(*scope.set_elements, element), no_keep_reason="inside a set it would not be clear which agent remembers"
+    )
 
 
-def nearest(scope: NameScope, node: nodes.Call, name: str, row: BuiltinRow) -> Expr:
+def type_nearest(scope: NameScope, node: nodes.Call, name: str, row: BuiltinRow) -> Expr:
     """Type `nearest(X, within:, with:)` or `nearest(SET)`."""
     first = node.arguments[0].value if len(node.arguments) == 1 and isinstance(node.arguments[0], nodes.Argument) else None
     if isinstance(first, (nodes.Call, nodes.NameRef)):
         expr = scope.type_expression(first)
         if isinstance(expr, SetExpr):
-            return _nearest_of_set(expr, node)
+            return _make_nearest(expr, node)
         if expr.type.kind in _SET_OWNER_KINDS:
-            return nearest_of(expr, node.span)
+            return make_nearest_reduction(expr, node.span)
         if expr.type.kind is not TypeKind.BAD:
-            message = f"`nearest` looks for items, a species or a set, and {quote_source(first.span)} is {type_words(expr.type)}"
+            message = (
+                f"`nearest` looks for items, a species or a set, and {quote_source(first.span)} is {describe_type(expr.type)}"
+            )
             scope.report.error("wrong-kind", message, first.span, "write `nearest(food)` or `nearest(neighbours(20 mm))`")
-        return bad_expression(node.span)
-    over = all_of(scope, node, name, row)
-    return _nearest_of_set(over, node) if isinstance(over, SetExpr) else over
+        return make_bad_expression(node.span)
+    over = type_all(scope, node, name, row)
+    return _make_nearest(over, node) if isinstance(over, SetExpr) else over
 
 
-def _nearest_of_set(over: SetExpr, node: nodes.Call) -> ReduceExpr:
+def _make_nearest(over: SetExpr, node: nodes.Call) -> ReduceExpr:
     return ReduceExpr(over.element.type, ChangeRate.AGENT, node.span, "nearest", over, over.element, None)
 
 
-def feelers(scope: NameScope, node: nodes.Call, name: str, row: BuiltinRow) -> Expr:
+def type_feelers(scope: NameScope, node: nodes.Call, name: str, row: BuiltinRow) -> Expr:
     """Type `feelers(X, count, spread, reach)`: rays ahead and to both sides. The elements of the set are their hits."""
-    arguments_by_slot = _arguments(scope, node, name, row)
+    arguments_by_slot = _arrange_arguments(scope, node, name, row)
     if arguments_by_slot is None:
-        return bad_expression(node.span)
+        return make_bad_expression(node.span)
     target = scope.type_expression(arguments_by_slot["on"][0].value)
     if not is_compatible(target.type, ValueType(TypeKind.OBSTACLE)):
         report_mismatch(
             scope.report, arguments_by_slot["on"][0].value, target.type, ValueType(TypeKind.OBSTACLE), f"`on` of `{name}`"
         )
-        return bad_expression(node.span)
+        return make_bad_expression(node.span)
     how_many = (
-        count(scope, arguments_by_slot["count"][0].value, f"`count` of `{name}`")
+        type_count(scope, arguments_by_slot["count"][0].value, f"`count` of `{name}`")
         if "count" in arguments_by_slot
-        else default_values(scope, row.args[1].default or "3", node.span)[0]
+        else parse_default_values(scope, row.args[1].default or "3", node.span)[0]
     )
-    spread, reach = (_optional_value(scope, name, arg, arguments_by_slot, node) for arg in row.args[2:])
-    element = element_of(ValueType(TypeKind.HIT), "it", node)
+    spread, reach = (_type_optional(scope, name, arg, arguments_by_slot, node) for arg in row.args[2:])
+    element = make_element_binding(ValueType(TypeKind.HIT), "it", node)
     of = target.type.of or ""
     return SetExpr(
         ValueType(TypeKind.SET, Dimension(), "hit"),
@@ -187,54 +200,54 @@ def feelers(scope: NameScope, node: nodes.Call, name: str, row: BuiltinRow) -> E
 
 
 SET_CHECKERS: dict[str, Callable[[NameScope, nodes.Call, str, BuiltinRow], Expr]] = {
-    "neighbours": neighbours, "all": all_of, "nearest": nearest, "feelers": feelers,
+    "neighbours": type_neighbours, "all": type_all, "nearest": type_nearest, "feelers": type_feelers,
 }  # fmt: skip
 
 
 # --- over sets -------------------------------------------------------------------------------------------------------
 
 
-def reduce(scope: NameScope, node: nodes.Call, how: str) -> Expr:
-    """Type `sum(n in SET: …)` and similar reductions. `count(SET)` and `any(SET)` need no body."""
+def type_reduction(scope: NameScope, node: nodes.Call, reducer: str) -> Expr:
+    """Type `sum(n in SET: …)` and similar reductions. `type_count(SET)` and `any(SET)` need no body."""
     argument = node.arguments[0]
     if isinstance(argument, nodes.Comprehension):
         over = scope.type_expression(argument.over)
         if over.type.kind in _SET_OWNER_KINDS:
-            over = complete_set(over)
+            over = make_complete_set(over)
         variable: nodes.Name | None = argument.variable
     else:
         over, variable = scope.type_expression(argument.value), None
     if not isinstance(over, SetExpr):
         if over.type.kind is not TypeKind.BAD:
-            message = f"`{how}` goes over a set, and {quote_source(over.span)} is {type_words(over.type)}"
+            message = f"`{reducer}` goes over a set, and {quote_source(over.span)} is {describe_type(over.type)}"
             scope.report.error("wrong-kind", message, over.span, "write a set, such as `neighbours(20 mm)` or `all(food)`")
-        return bad_expression(node.span)
+        return make_bad_expression(node.span)
     if variable is None or not isinstance(argument, nodes.Comprehension):
-        if how not in ("count", "any"):
-            message = f"`{how}` does not know what to take of each"
+        if reducer not in ("count", "any"):
+            message = f"`{reducer}` does not know what to take of each"
             return scope.reject(
-                "wrong-argument", message, node.span, f"write `{how}(n in {' '.join(over.span.text.split())}: …)`"
+                "wrong-argument", message, node.span, f"write `{reducer}(n in {' '.join(over.span.text.split())}: …)`"
             )
         element = over.element
         body: Expr = Constant(BOOL_TYPE, ChangeRate.CONST, node.span, 1.0)
     else:
-        element, inner = element_scope(scope, over, variable)
-        body = reduction_body(inner, how, argument.body)
-    reduction = ReduceExpr(_result_type(how, body, element), ChangeRate.AGENT, node.span, how, over, element, body)
+        element, inner = make_element_scope(scope, over, variable)
+        body = type_reduction_body(inner, reducer, argument.body)
+    reduction = ReduceExpr(_find_result_type(reducer, body, element), ChangeRate.AGENT, node.span, reducer, over, element, body)
     _check_nesting(scope, reduction, node)
     return reduction
 
 
-def element_scope(scope: NameScope, over: SetExpr, variable: nodes.Name) -> tuple[Binding, NameScope]:
+def make_element_scope(scope: NameScope, elements: SetExpr, variable: nodes.Name) -> tuple[Binding, NameScope]:
     """Return the binding of a name to each element of a set, and the scope in which it is visible."""
-    element = element_of(over.element.type, variable.text, variable)
+    element = make_element_binding(elements.element.type, variable.text, variable)
     _check_shadow(scope, variable)
-    return element, _within_set(scope, element).with_changes(locals={**scope.locals, variable.text: element})
+    return element, _enter_set(scope, element).with_changes(local_names={**scope.local_names, variable.text: element})
 
 
-def complete_set(things: Expr) -> SetExpr:
+def make_complete_set(things: Expr) -> SetExpr:
     """Return the set of all items or agents of a name, such as `food`."""
-    element = Binding("it", "element", element_type(things.type), ChangeRate.ELEMENT, things.span)
+    element = Binding("it", "element", find_element_type(things.type), ChangeRate.ELEMENT, things.span)
     return SetExpr(
         ValueType(TypeKind.SET, Dimension(), things.type.of),
         ChangeRate.AGENT,
@@ -254,47 +267,47 @@ def _check_shadow(scope: NameScope, variable: nodes.Name) -> None:
         and scope.behaviour is None
         and (variable.text in names.attributes or variable.text in names.bindings or variable.text in names.params)
     )
-    if own or variable.text in scope.locals:
+    if own or variable.text in scope.local_names:
         message = f"`{variable.text}` has a meaning here already"
         scope.report.error("duplicate-name", message, variable.span, "choose another name for the element")
 
 
-def reduction_body(scope: NameScope, how: str, node: nodes.Expr) -> Expr:
-    """Return the body of a reduction: a bool for `count` and similar, else a number, or for sums also a vector."""
-    if how in ("count", "any", "every"):
-        return condition(scope, node, f"`{how}`")
-    expr = value(scope, node)
-    allowed = (TypeKind.NUMBER, TypeKind.VECTOR, TypeKind.BAD) if how in ("sum", "mean") else (TypeKind.NUMBER, TypeKind.BAD)
+def type_reduction_body(scope: NameScope, reducer: str, node: nodes.Expr) -> Expr:
+    """Return the body of a reduction: a bool for `type_count` and similar, else a number, or for sums also a vector."""
+    if reducer in ("count", "any", "every"):
+        return type_condition(scope, node, f"`{reducer}`")
+    expr = type_value(scope, node)
+    allowed = (TypeKind.NUMBER, TypeKind.VECTOR, TypeKind.BAD) if reducer in ("sum", "mean") else (TypeKind.NUMBER, TypeKind.BAD)
     if expr.type.kind in allowed:
         return expr
-    if expr.type.kind is TypeKind.BOOL and how in ("sum", "mean"):
-        message = f"`{how}` adds numbers, and {quote_source(node.span)} is a yes or no"
+    if expr.type.kind is TypeKind.BOOL and reducer in ("sum", "mean"):
+        message = f"`{reducer}` adds numbers, and {quote_source(node.span)} is a yes or no"
         scope.report.error("wrong-kind", message, node.span, "use `count` to count how many meet a condition")
     else:
         report_mismatch(
             scope.report,
             node,
             expr.type,
-            LENGTH_TYPE if how in ("min", "max", "best") and expr.type.dim == LENGTH_TYPE.dim else NUMBER_TYPE,
-            f"`{how}`",
+            LENGTH_TYPE if reducer in ("min", "max", "best") and expr.type.dimension == LENGTH_TYPE.dimension else NUMBER_TYPE,
+            f"`{reducer}`",
         )
-    return bad_expression(node.span)
+    return make_bad_expression(node.span)
 
 
-def _result_type(how: str, body: Expr, element: Binding) -> ValueType:
-    if how == "count":
+def _find_result_type(reducer: str, body: Expr, element: Binding) -> ValueType:
+    if reducer == "count":
         return NUMBER_TYPE
-    if how in ("any", "every"):
+    if reducer in ("any", "every"):
         return BOOL_TYPE
-    return element.type if how == "best" else body.type
+    return element.type if reducer == "best" else body.type
 
 
 def _check_nesting(scope: NameScope, expr: Expr, node: nodes.Call) -> None:
     """Report a set inside a set that depends on the outer element. Neighbours of neighbours are not supported."""
-    if not scope.sets:
+    if not scope.set_elements:
         return
-    used = bindings_in(expr)
-    outer = next((element for element in scope.sets if element in used), None)
+    used = find_bindings(expr)
+    outer = next((element for element in scope.set_elements if element in used), None)
     if outer is not None:
         message = f"{quote_source(node.span)} would look at the neighbours of neighbours, through `{outer.name}`"
         scope.report.error("set-in-set", message, node.span, "store the inner result in an attribute, and read that")

@@ -3,10 +3,10 @@ MARK`."""
 
 from __future__ import annotations
 
-from antdsl.diagnostics.suggestion import nearest_name
+from antdsl.diagnostics.suggestion import find_nearest_name
 from antdsl.program.kinds import BOOL_TYPE, TIME_TYPE
 from antdsl.program.model import AttributeRef, ChangeRate, ClipTest, Expr, StateConstant, ThingRef, TypeKind, ValueType
-from antdsl.program.names.scope import MachineNames, NameScope, bad_expression, did_you_mean, is_known_missing, list_names
+from antdsl.program.names.scope import MachineNames, NameScope, is_known_missing, list_names, make_bad_expression, suggest_name
 from antdsl.source import Span
 from antdsl.syntax import nodes
 
@@ -19,25 +19,25 @@ def find_machine(scope: NameScope, owner: nodes.Expr) -> MachineNames | None:
         scope.species is None
         or scope.behaviour is not None
         or not isinstance(owner, nodes.NameRef)
-        or owner.name.text in scope.locals
+        or owner.name.text in scope.local_names
     ):
         return None
     return scope.species.machines.get(owner.name.text)
 
 
-def machine_value(scope: NameScope, machine: MachineNames, node: nodes.Member) -> Expr:
+def type_machine_value(scope: NameScope, machine: MachineNames, node: nodes.Member) -> Expr:
     """Type a value of a machine, such as `mood.state` or `mood.time_in_state`."""
     word = node.name.text
     if word in STATE_WORDS:
-        return _machine_word(machine, None, word, node.span)
+        return _type_machine_word(machine, None, word, node.span)
     message = f"machine `{machine.name}` has no `{word}`"
     scope.report.error(
-        "unknown-name", message, node.name.span, did_you_mean(word, STATE_WORDS, f"there is {list_names(STATE_WORDS)}")
+        "unknown-name", message, node.name.span, suggest_name(word, STATE_WORDS, f"there is {list_names(STATE_WORDS)}")
     )
-    return bad_expression(node.span)
+    return make_bad_expression(node.span)
 
 
-def state_word(scope: NameScope, owner: Expr | None, word: str, span: Span, name_span: Span | None) -> Expr:
+def type_state_word(scope: NameScope, owner: Expr | None, word: str, span: Span, name_span: Span | None) -> Expr:
     """Type `state` and similar words, of the agent itself or of the agent `owner`. Of several machines, it means the one at this
     place in the text, or the first."""
     names = scope.species if owner is None or owner.type.of is None else scope.declared.species.get(owner.type.of)
@@ -46,12 +46,12 @@ def state_word(scope: NameScope, owner: Expr | None, word: str, span: Span, name
     if names is None or not names.machines:
         advice = "you can test states only of a species that is checked together with this one"
         scope.report.error("unknown-name", f"no `{word}` is known here", name_span or span, advice)
-        return bad_expression(span)
+        return make_bad_expression(span)
     machine = scope.machine if owner is None and scope.machine is not None else next(iter(names.machines.values()))
-    return _machine_word(machine, owner, word, span)
+    return _type_machine_word(machine, owner, word, span)
 
 
-def _machine_word(machine: MachineNames, owner: Expr | None, word: str, span: Span) -> Expr:
+def _type_machine_word(machine: MachineNames, owner: Expr | None, word: str, span: Span) -> Expr:
     type = TIME_TYPE if word == "time_in_state" else ValueType(TypeKind.STATE, of=machine.key)
     rate = ChangeRate.AGENT if owner is None else max(owner.rate, ChangeRate.AGENT)
     return AttributeRef(type, rate, span, owner, f"{machine.name}.{word}")
@@ -71,25 +71,25 @@ def find_state(scope: NameScope, operand: Expr, node: nodes.Expr) -> tuple[Expr,
         if index is not None:
             scope.bind(node.span, "state", species, machine.name, node.name.text)
             word = operand.name.partition(".")[2]
-            return _machine_word(machine, operand.of, word, operand.span), StateConstant(
+            return _type_machine_word(machine, operand.of, word, operand.span), StateConstant(
                 ValueType(TypeKind.STATE, of=machine.key), ChangeRate.CONST, node.span, machine.key, index
             )
     known = [state for machine in order for state in machine.states]
     report_unknown_state(scope, node.name, species, known)
-    return operand, bad_expression(node.span)
+    return operand, make_bad_expression(node.span)
 
 
 def report_unknown_state(scope: NameScope, name: nodes.Name, species: str, known: list[str]) -> str | None:
     """Report an unknown state name. Return the name that was probably meant, or None."""
-    meant = nearest_name(name.text, known)
+    meant = find_nearest_name(name.text, known)
     if is_known_missing(scope, "state", name, species):
         return meant
-    advice = did_you_mean(name.text, known, f"`{species}` has the states {list_names(known)}" if known else None)
+    advice = suggest_name(name.text, known, f"`{species}` has the states {list_names(known)}" if known else None)
     scope.report.error("unknown-state", f"no state `{name.text}` in species `{species}`", name.span, advice)
     return meant
 
 
-def clip_test(scope: NameScope, node: nodes.ClipTest, want: ValueType | None) -> Expr:
+def type_clip_test(scope: NameScope, node: nodes.ClipTest, expected_type: ValueType | None) -> Expr:
     """Type `clip done` or `clip at MARK`, for the machine at this place in the text, or the first one."""
     names = scope.species
     if names is None or not names.machines or scope.behaviour is not None:

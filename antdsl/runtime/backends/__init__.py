@@ -2,7 +2,8 @@
 
 `reference` runs one agent and one operation at a time, in plain Python. It defines the language, and `explain` uses it.
 
-`numpy_backend` runs a block over all agents of a species. `compile` converts the block once into lists of instructions over
+`numpy_backend` runs a block over all agents of a species. `block_compiler` converts the block once into lists of instructions
+over
     slots (values). `numpy_calls` and `numpy_statements` make a function call of each instruction. A condition selects the rows
     where it holds.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from time import perf_counter
 
-from antdsl.runtime.backends.compile import (
+from antdsl.runtime.backends.block_compiler import (
     SPENT_SECONDS_SLOT,
     BlockCompiler,
     BlockInstruction,
@@ -24,11 +24,11 @@ class MeteredBlock:
     def __init__(self, compiler: BlockCompiler) -> None:
         self.instructions: list[BlockInstruction] = []
         self.seconds: list[float] = []
-        self._plain: list[tuple[RowScope, list[SlotFunction]]] = []
-        for scope in _scopes(compiler.root):
+        self._original_calls: list[tuple[RowScope, list[SlotFunction]]] = []
+        for scope in _iterate_scopes(compiler.root_scope):
             first = len(self.instructions)
-            self.instructions += scope.code  # in the order of `instructions_of`
-            self._plain.append((scope, scope.calls))
+            self.instructions += scope.code  # in the order of `list_instructions`
+            self._original_calls.append((scope, scope.calls))
             scope.calls = [_time_call(call, first + k) for k, call in enumerate(scope.calls)]
         self.reset()
 
@@ -36,29 +36,29 @@ class MeteredBlock:
         """Set all counters to 0."""
         self.seconds = [0.0] * len(self.instructions)
 
-    def new_lane(self) -> list[float]:
+    def new_counters(self) -> list[float]:
         """Return new counters for one chunk. The last number is the time of all calls inside the current one."""
         return [0.0] * (len(self.instructions) + 1)
 
-    def add_lanes(self, lanes: list[list[float]], passed: float) -> None:
-        """Add the counters of all chunks of one run of the block. `passed`: the elapsed time (s) of the run."""
-        share = min(1.0, passed / max(sum(lane[-1] for lane in lanes), 1e-12))
-        for lane in lanes:
+    def add_counters(self, counters: list[list[float]], elapsed: float) -> None:
+        """Add the counters of all chunks of one run of the block. `elapsed`: the elapsed time (s) of the run."""
+        share = min(1.0, elapsed / max(sum(lane[-1] for lane in counters), 1e-12))
+        for lane in counters:
             for k, seconds in enumerate(lane[:-1]):
                 self.seconds[k] += seconds * share
 
     def stop(self) -> None:
         """Restore the block's original calls."""
-        for scope, calls in self._plain:
+        for scope, calls in self._original_calls:
             scope.calls = calls
 
 
-def instructions_of(root: RowScope) -> list[BlockInstruction]:
+def list_instructions(root: RowScope) -> list[BlockInstruction]:
     """Return the instructions of a scope and its inner scopes, in the order of `MeteredBlock`."""
-    return [each for scope in _scopes(root) for each in scope.code]
+    return [each for scope in _iterate_scopes(root) for each in scope.code]
 
 
-def _scopes(root: RowScope) -> Iterator[RowScope]:
+def _iterate_scopes(root: RowScope) -> Iterator[RowScope]:
     pending = [root]
     while pending:
         scope = pending.pop()

@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.numerics.elementwise import FUNCTION_BY_NAME
-from antdsl.numerics.float_environment import set_standard
+from antdsl.numerics.float_environment import set_standard_floats
 from antdsl.plan import ir
-from antdsl.plan.registers import cacheable_senses, statement_numbers
-from antdsl.plan.traverse import required_nodes
+from antdsl.plan.registers import find_cacheable_senses, number_statements
+from antdsl.plan.traverse import collect_required_nodes
 from antdsl.runtime.backends import numpy_calls
-from antdsl.runtime.backends.compile import (
+from antdsl.runtime.backends.block_compiler import (
     BUFFERS_SLOT,
     EFFECTS_SLOT,
     LAZY_VALUES_SLOT,
@@ -31,7 +31,7 @@ from antdsl.runtime.backends.compile import (
 from antdsl.runtime.backends.metering import MeteredBlock
 from antdsl.runtime.pairs import MAX_PAIRS_PER_CHUNK
 from antdsl.runtime.requests import EffectRequests
-from antdsl.runtime.sensing import constant, uniform_leaf
+from antdsl.runtime.sensing import compute_uniform_leaf, constant_scalar
 from antdsl.runtime.world import DTYPE_BY_KIND, Population, World
 from antdsl.scene.setting import WorldSetting
 
@@ -42,35 +42,35 @@ StoredSenses = dict[ir.PlanNode, tuple[NDArray[np.bool_], list[NDArray[Any]]]]
 class NumpyBackend:
     """Runs a plan that is compiled once. Call `begin` at the start of each step, and `run` for each block of each species."""
 
-    spare = 0  # spare rows at the end of arrays over a species
+    spare_rows = 0  # spare rows at the end of arrays over a species
 
     def __init__(self, plan: ir.Plan) -> None:
         self._blocks: dict[tuple[str, str], BlockCompiler] = {}
-        self._of_run: dict[str, list[ir.PlanNode]] = {}
-        self._uniforms: dict[str, list[ir.PlanNode]] = {}
+        self._run_nodes: dict[str, list[ir.PlanNode]] = {}
+        self._step_nodes: dict[str, list[ir.PlanNode]] = {}
         self._constants: dict[str, dict[ir.PlanNode, Any]] = {}
         for name, species in plan.species.items():
-            order = statement_numbers(species)
+            order = number_statements(species)
             sets: dict[ir.PlanNode, int] = {}
             for block in BLOCK_NAMES:
                 compiler = self._blocks[name, block] = BlockCompiler(species, block, order, sets)
                 compiler.compile(getattr(species, block))
-                bind_calls(compiler, numpy_calls.call)
-            roots = tuple(node for block in BLOCK_NAMES for node in self._blocks[name, block].uniforms)
-            every = required_nodes(roots)
-            self._constants[name] = constant_values(node for node in every if node.rate is ir.UpdateRate.CONST)
-            self._of_run[name] = [node for node in every if node.rate is ir.UpdateRate.RUN]
-            self._uniforms[name] = [node for node in every if node.rate > ir.UpdateRate.RUN]
+                bind_calls(compiler, numpy_calls.make_call)
+            roots = tuple(node for block in BLOCK_NAMES for node in self._blocks[name, block].uniform_slots)
+            every = collect_required_nodes(roots)
+            self._constants[name] = compute_constants(node for node in every if node.rate is ir.UpdateRate.CONST)
+            self._run_nodes[name] = [node for node in every if node.rate is ir.UpdateRate.RUN]
+            self._step_nodes[name] = [node for node in every if node.rate > ir.UpdateRate.RUN]
         # the setting and params from which values of the run were computed
-        self._run: tuple[WorldSetting, dict[str, np.float32]] | None = None
-        self._lasting: dict[str, dict[ir.PlanNode, Any]] = {}  # values of the run, and constants
-        self._values: dict[str, dict[ir.PlanNode, Any]] = {}
-        self._kept: dict[str, StoredSenses] = {}
-        self._has: dict[str, NDArray[np.bool_]] = {}  # by species [sense, row]: whether the stored value is known
-        self._pairs: dict[str, dict[tuple[ir.PlanNode, int], Any]] = {}
+        self._run_inputs: tuple[WorldSetting, dict[str, np.float32]] | None = None
+        self._run_values: dict[str, dict[ir.PlanNode, Any]] = {}  # values of the run, and constants
+        self._uniform_values: dict[str, dict[ir.PlanNode, Any]] = {}
+        self._stored_senses: dict[str, StoredSenses] = {}
+        self._stored_masks: dict[str, NDArray[np.bool_]] = {}  # by species [sense, row]: whether the stored value is known
+        self._cached_pairs: dict[str, dict[tuple[ir.PlanNode, int], Any]] = {}
         self._buffers: list[dict[Any, list[NDArray[Any]]]] = []
         self._pool: ThreadPoolExecutor | None = None
-        self.metered: dict[tuple[str, str], MeteredBlock] = {}  # by species and block, while a Meter is active
+        self.metered_blocks: dict[tuple[str, str], MeteredBlock] = {}  # by species and block, while a Meter is active
 
     @property
     def blocks(self) -> Mapping[tuple[str, str], BlockCompiler]:
@@ -78,31 +78,31 @@ class NumpyBackend:
         return self._blocks
 
     @property
-    def by(self) -> str:
+    def backend_name(self) -> str:
         """Return the name of the backend that runs the blocks of this step, for the user."""
         return "NumPy"
 
-    def measure(self, on: bool) -> None:
+    def set_timing(self, enabled: bool) -> None:
         """Time each call from the next step on, or stop timing. Results do not change."""
-        if on == bool(self.metered):
+        if enabled == bool(self.metered_blocks):
             return
-        for each in self.metered.values():
+        for each in self.metered_blocks.values():
             each.stop()
-        self.metered = {key: MeteredBlock(compiler) for key, compiler in self._blocks.items()} if on else {}
+        self.metered_blocks = {key: MeteredBlock(compiler) for key, compiler in self._blocks.items()} if enabled else {}
 
     def begin(self, world: World) -> None:
         """Begin a step: compute its loop-invariant values and clear cached senses."""
         for name, population in world.populations.items():
-            self._values[name] = self._step_values(world, name)
-            n = len(population) + self.spare
-            self._pairs[name] = {}
-            has = self._has.get(name)
+            self._uniform_values[name] = self._compute_step_values(world, name)
+            n = len(population) + self.spare_rows
+            self._cached_pairs[name] = {}
+            has = self._stored_masks.get(name)
             if has is not None and has.shape[1] == n:
                 has.fill(False)
                 continue
-            nodes = cacheable_senses(population.plan)
-            has = self._has[name] = np.zeros((len(nodes), n), np.bool_)
-            self._kept[name] = {
+            nodes = find_cacheable_senses(population.plan)
+            has = self._stored_masks[name] = np.zeros((len(nodes), n), np.bool_)
+            self._stored_senses[name] = {
                 node: (
                     mask,
                     [np.empty(n, DTYPE_BY_KIND[kind]) for kind in ir.TUPLE_KINDS_BY_OPERATION.get(node.op, (node.kind,))],
@@ -114,47 +114,51 @@ class NumpyBackend:
         """Return an empty list: this backend runs everything as requested."""
         return []
 
-    def _step_values(self, world: World, species: str) -> dict[ir.PlanNode, Any]:
+    def _compute_step_values(self, world: World, species: str) -> dict[ir.PlanNode, Any]:
         """Return the values of the step that are equal for all agents, with those of the run."""
-        if self._run is None or self._run[0] is not world.setting or self._run[1] != world.params:
-            self._run = (world.setting, dict(world.params))
-            self._lasting = {name: uniform_values(world, nodes, self._constants[name]) for name, nodes in self._of_run.items()}
-        return uniform_values(world, self._uniforms[species], self._lasting[species])
+        if self._run_inputs is None or self._run_inputs[0] is not world.setting or self._run_inputs[1] != world.params:
+            self._run_inputs = (world.setting, dict(world.params))
+            self._run_values = {
+                name: compute_uniform_values(world, nodes, self._constants[name]) for name, nodes in self._run_nodes.items()
+            }
+        return compute_uniform_values(world, self._step_nodes[species], self._run_values[species])
 
     def run(self, world: World, population: Population, block: str, rows: NDArray[np.intp] | None = None) -> None:
         """Run a block for some rows (None: all), and add their requests to the population's effects."""
         compiler = self._blocks[population.name, block]
-        if not compiler.root.calls:
+        if not compiler.root_scope.calls:
             return
         if block == "born":
-            self._values[population.name] = self._step_values(world, population.name)
-        chunks = self._chunks(world, population, compiler, rows)
+            self._uniform_values[population.name] = self._compute_step_values(world, population.name)
+        chunks = self._split_rows(world, population, compiler, rows)
         threads = min(world.options.threads, len(chunks))
-        metered = self.metered.get((population.name, block))
-        spent = [None if metered is None else metered.new_lane() for _ in chunks]
+        metered = self.metered_blocks.get((population.name, block))
+        spent = [None if metered is None else metered.new_counters() for _ in chunks]
         began = perf_counter()
         effects = [EffectRequests() for _ in chunks]
         if threads <= 1:
             for chunk, into, times in zip(chunks, effects, spent, strict=True):
-                self._chunk(world, population, compiler, chunk, into, times, 0, True)
+                self._run_chunk(world, population, compiler, chunk, into, times, 0, True)
         else:
-            self._pool = self._pool or ThreadPoolExecutor(world.options.threads, "chunks", set_standard)
+            self._pool = self._pool or ThreadPoolExecutor(world.options.threads, "chunks", set_standard_floats)
             lanes = [range(k, len(chunks), threads) for k in range(threads)]
 
             def lane(number: int) -> None:
                 for k in lanes[number]:
-                    self._chunk(world, population, compiler, chunks[k], effects[k], spent[k], number, False)
+                    self._run_chunk(world, population, compiler, chunks[k], effects[k], spent[k], number, False)
 
             list(self._pool.map(lane, range(threads)))
         if metered is not None:
-            metered.add_lanes([times for times in spent if times is not None], perf_counter() - began)
+            metered.add_counters([times for times in spent if times is not None], perf_counter() - began)
         for each in effects:
-            population.effects.extend(each)
+            population.effects.append_all(each)
 
-    def _chunks(self, world: World, population: Population, compiler: BlockCompiler, rows: NDArray[np.intp] | None) -> list[Any]:
+    def _split_rows(
+        self, world: World, population: Population, compiler: BlockCompiler, rows: NDArray[np.intp] | None
+    ) -> list[Any]:
         """Return the rows to process, without quarantined agents, as slices or arrays of one chunk each."""
         size = max(1, world.options.chunk)
-        for species in compiler.everybody:
+        for species in compiler.complete_species:
             size = max(1, min(size, MAX_PAIRS_PER_CHUNK // max(1, len(world.populations[species]))))
         if rows is None and population.quarantined.any():
             rows = np.flatnonzero(~population.quarantined)
@@ -162,7 +166,7 @@ class NumpyBackend:
         parts = [slice(a, min(a + size, n)) for a in range(0, n, size)]
         return parts if rows is None else [rows[part] for part in parts]
 
-    def _chunk(
+    def _run_chunk(
         self,
         world: World,
         population: Population,
@@ -171,35 +175,35 @@ class NumpyBackend:
         effects: EffectRequests,
         spent: list[float] | None,
         lane: int,
-        alone: bool,
+        is_only_chunk: bool,
     ) -> None:
-        """Run a block for one chunk of rows. `lane`: the number of its thread. `alone`: no other thread runs."""
-        v: list[Any] = [None] * compiler.slots
+        """Run a block for one chunk of rows. `lane`: the number of its thread. `is_only_chunk`: no other thread runs."""
+        v: list[Any] = [None] * compiler.slot_count
         v[WORLD_SLOT], v[POPULATION_SLOT], v[EFFECTS_SLOT], v[LAZY_VALUES_SLOT] = (
             world,
             population,
             effects,
-            self._kept.get(population.name),
+            self._stored_senses.get(population.name),
         )
         v[SPENT_SECONDS_SLOT] = spent
-        v[PAIRS_SLOT] = {} if compiler.name == "born" else self._pairs[population.name]
-        v[THREADS_SLOT] = world.options.threads if alone else 1
-        values = self._values[population.name]
-        for node, slot in compiler.uniforms.items():
+        v[PAIRS_SLOT] = {} if compiler.name == "born" else self._cached_pairs[population.name]
+        v[THREADS_SLOT] = world.options.threads if is_only_chunk else 1
+        values = self._uniform_values[population.name]
+        for node, slot in compiler.uniform_slots.items():
             v[slot] = values[node]
         size = rows.stop - rows.start if isinstance(rows, slice) else len(rows)
-        v[BUFFERS_SLOT] = self._buffers_for(compiler, size, lane)
-        numpy_calls.enter(v, compiler.root, rows, size, None)
+        v[BUFFERS_SLOT] = self._prepare_buffers(compiler, size, lane)
+        numpy_calls.enter_scope(v, compiler.root_scope, rows, size, None)
         with np.errstate(all="ignore"):
-            for call in compiler.root.calls:
+            for call in compiler.root_scope.calls:
                 call(v)
 
-    def _buffers_for(self, compiler: BlockCompiler, size: int, lane: int) -> dict[Any, list[NDArray[Any]]]:
+    def _prepare_buffers(self, compiler: BlockCompiler, size: int, lane: int) -> dict[Any, list[NDArray[Any]]]:
         """Return output buffers of at least `size` rows for a block, by dtype; they are reused per thread."""
         while len(self._buffers) <= lane:
             self._buffers.append({})
         pool = self._buffers[lane]
-        for dtype, count in compiler.buffers.items():
+        for dtype, count in compiler.buffer_counts.items():
             arrays = pool.setdefault(dtype, [])
             if arrays and len(arrays[0]) < size:
                 arrays.clear()
@@ -208,17 +212,19 @@ class NumpyBackend:
         return pool
 
 
-def constant_values(nodes: Iterable[ir.PlanNode]) -> dict[ir.PlanNode, Any]:
+def compute_constants(nodes: Iterable[ir.PlanNode]) -> dict[ir.PlanNode, Any]:
     """Return the values that are constant over all steps. In `nodes`, operands come before the nodes that use them."""
     values: dict[ir.PlanNode, Any] = {}
     with np.errstate(all="ignore"):
         for node in nodes:
             f = FUNCTION_BY_NAME.get(node.op)
-            values[node] = constant(node) if f is None else f(*[values[a] for a in node.args])
+            values[node] = constant_scalar(node) if f is None else f(*[values[a] for a in node.args])
     return values
 
 
-def uniform_values(world: World, nodes: list[ir.PlanNode], known: dict[ir.PlanNode, Any] | None = None) -> dict[ir.PlanNode, Any]:
+def compute_uniform_values(
+    world: World, nodes: list[ir.PlanNode], known: dict[ir.PlanNode, Any] | None = None
+) -> dict[ir.PlanNode, Any]:
     """Return the values that are equal for all agents, as NumPy scalars, together with those in `known`.
 
     `nodes`: operands come before the nodes that use them. If it is empty, `known` itself is returned."""
@@ -228,5 +234,5 @@ def uniform_values(world: World, nodes: list[ir.PlanNode], known: dict[ir.PlanNo
     with np.errstate(all="ignore"):
         for node in nodes:
             f = FUNCTION_BY_NAME.get(node.op)
-            values[node] = uniform_leaf(world, node) if f is None else f(*[values[a] for a in node.args])
+            values[node] = compute_uniform_leaf(world, node) if f is None else f(*[values[a] for a in node.args])
     return values

@@ -14,7 +14,7 @@ from antdsl.numerics import randomness
 from antdsl.numerics.elementwise import FUNCTION_BY_NAME, UFUNC_BY_NAME
 from antdsl.plan import ir
 from antdsl.runtime import pairs as sets
-from antdsl.runtime.backends.compile import (
+from antdsl.runtime.backends.block_compiler import (
     BUFFERS_SLOT,
     LAZY_VALUES_SLOT,
     PAIRS_SLOT,
@@ -29,56 +29,56 @@ from antdsl.runtime.backends.compile import (
     SlotFunctionMaker,
     SlotValues,
 )
-from antdsl.runtime.backends.numpy_statements import row_numbers, statement
+from antdsl.runtime.backends.numpy_statements import as_row_array, make_statement_call
 from antdsl.runtime.sensing import SENSE_FUNCTIONS
 
 
-def call(instruction: BlockInstruction, compiler: BlockCompiler) -> SlotFunctionMaker:
+def make_call(instruction: BlockInstruction, compiler: BlockCompiler) -> SlotFunctionMaker:
     """Return the maker of an instruction's call; it takes the slots of output, inputs and buffer."""
-    scope, what = instruction.scope, instruction.what
+    scope, what = instruction.scope, instruction.subject
     if not isinstance(what, ir.PlanNode):
-        return statement(instruction) if instruction.inner is None else region(scope, instruction.inner)
-    match instruction.does:
-        case InstructionKind.VALUE | InstructionKind.BY_PAIR:
-            return elementwise(what) or leaf(what, compiler, scope)
+        return make_statement_call(instruction) if instruction.inner is None else make_region_call(scope, instruction.inner)
+    match instruction.kind:
+        case InstructionKind.VALUE | InstructionKind.PAIR_OPERATION:
+            return make_elementwise_call(what) or make_leaf_call(what, compiler, scope)
         case InstructionKind.GATHER:
-            return gather(scope, what.kind is ir.ValueKind.TUPLE)
-        case InstructionKind.KEEP:
+            return make_gather_call(scope, what.kind is ir.ValueKind.TUPLE)
+        case InstructionKind.CACHED_SENSE:
             assert instruction.inner is not None
-            return keep(what, scope, instruction.inner, instruction.result)
+            return make_cached_sense_call(what, scope, instruction.inner, instruction.result)
         case InstructionKind.PAIRS:
-            return pairs(what, compiler, scope)
+            return make_pairs_call(what, compiler, scope)
         case InstructionKind.SPREAD:
-            return spread
-        case InstructionKind.OF_PAIR:
-            return pair_leaf(what, scope)
+            return make_spread_call
+        case InstructionKind.PAIR_LEAF:
+            return make_pair_leaf_call(what, scope)
         case InstructionKind.REDUCE:
-            return reduction(what)
-    raise AssertionError(f"no call for {instruction.does}")
+            return make_reduction_call(what)
+    raise AssertionError(f"no call for {instruction.kind}")
 
 
-def enter(v: SlotValues, scope: RowScope, rows: Any, size: int, picked: NDArray[np.intp] | None) -> None:
+def enter_scope(v: SlotValues, scope: RowScope, rows: Any, size: int, picked: NDArray[np.intp] | None) -> None:
     """Set a scope's rows and the views of its output buffers."""
-    v[scope.rows], v[scope.size], v[scope.picked] = rows, size, picked
+    v[scope.rows], v[scope.row_count], v[scope.parent_indices] = rows, size, picked
     buffers = v[BUFFERS_SLOT]
-    for (dtype, number), slot in scope.views.items():
+    for (dtype, number), slot in scope.view_slots.items():
         v[slot] = buffers[dtype][number][:size]
 
 
-def descend(v: SlotValues, scope: RowScope, inner: RowScope, picked: NDArray[np.intp] | None) -> None:
+def run_inner_scope(v: SlotValues, scope: RowScope, inner: RowScope, picked: NDArray[np.intp] | None) -> None:
     """Run an inner scope for some of a scope's rows (None: all)."""
     rows = v[scope.rows]
     if picked is None:
-        enter(v, inner, rows, v[scope.size], None)
+        enter_scope(v, inner, rows, v[scope.row_count], None)
     elif isinstance(rows, slice):
-        enter(v, inner, picked + rows.start if rows.start else picked, len(picked), picked)
+        enter_scope(v, inner, picked + rows.start if rows.start else picked, len(picked), picked)
     else:
-        enter(v, inner, rows.take(picked), len(picked), picked)
+        enter_scope(v, inner, rows.take(picked), len(picked), picked)
     for call in inner.calls:
         call(v)
 
 
-def region(scope: RowScope, inner: RowScope) -> SlotFunctionMaker:
+def make_region_call(scope: RowScope, inner: RowScope) -> SlotFunctionMaker:
     """Return the call of an `If`: it runs the inner scope for the rows for which the condition holds."""
 
     def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
@@ -88,20 +88,20 @@ def region(scope: RowScope, inner: RowScope) -> SlotFunctionMaker:
             condition = v[a]
             if condition.ndim == 0:
                 if condition:
-                    descend(v, scope, inner, None)
+                    run_inner_scope(v, scope, inner, None)
                 return
             picked = condition.nonzero()[0]
             if len(picked):
-                descend(v, scope, inner, None if len(picked) == len(condition) else picked)
+                run_inner_scope(v, scope, inner, None if len(picked) == len(condition) else picked)
 
         return run
 
     return make
 
 
-def gather(scope: RowScope, several: bool) -> SlotFunctionMaker:
+def make_gather_call(scope: RowScope, is_tuple: bool) -> SlotFunctionMaker:
     """Return the call that takes a value of the enclosing scope for the rows of this scope."""
-    picked = scope.picked
+    picked = scope.parent_indices
 
     def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
         (a,) = inputs
@@ -110,7 +110,7 @@ def gather(scope: RowScope, several: bool) -> SlotFunctionMaker:
             p = v[picked]
             if p is None:
                 v[out] = v[a]
-            elif several:
+            elif is_tuple:
                 v[out] = tuple(part.take(p) for part in v[a])
             else:
                 v[out] = v[a].take(p)
@@ -120,7 +120,7 @@ def gather(scope: RowScope, several: bool) -> SlotFunctionMaker:
     return make
 
 
-def keep(node: ir.PlanNode, scope: RowScope, inner: RowScope, result: int) -> SlotFunctionMaker:
+def make_cached_sense_call(node: ir.PlanNode, scope: RowScope, inner: RowScope, result: int) -> SlotFunctionMaker:
     """Return the call for a sense that is cached for the step. It is computed only for rows without a value."""
 
     def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
@@ -129,7 +129,7 @@ def keep(node: ir.PlanNode, scope: RowScope, inner: RowScope, result: int) -> Sl
             rows = v[scope.rows]
             missing = (~has[rows]).nonzero()[0]
             if len(missing):
-                descend(v, scope, inner, None if len(missing) == v[scope.size] else missing)
+                run_inner_scope(v, scope, inner, None if len(missing) == v[scope.row_count] else missing)
                 new = v[inner.rows]
                 has[new] = True
                 for array, part in zip(arrays, v[result] if node.kind is ir.ValueKind.TUPLE else (v[result],), strict=True):
@@ -141,7 +141,7 @@ def keep(node: ir.PlanNode, scope: RowScope, inner: RowScope, result: int) -> Sl
     return make
 
 
-def elementwise(node: ir.PlanNode) -> SlotFunctionMaker | None:
+def make_elementwise_call(node: ir.PlanNode) -> SlotFunctionMaker | None:
     """Return the maker for an operation of the elementwise table, or None for other nodes."""
     f = FUNCTION_BY_NAME.get(node.op)
     if f is None:
@@ -178,14 +178,14 @@ def elementwise(node: ir.PlanNode) -> SlotFunctionMaker | None:
     return make
 
 
-def leaf(node: ir.PlanNode, compiler: BlockCompiler, scope: RowScope) -> SlotFunctionMaker:
+def make_leaf_call(node: ir.PlanNode, compiler: BlockCompiler, scope: RowScope) -> SlotFunctionMaker:
     """Return the maker of the call for a register, draw, part of a tuple or sense."""
     rows = scope.rows
     if node.op == "get":
         index = node.attrs[0]
         return lambda out, inputs, buffer: lambda v: v.__setitem__(out, v[inputs[0]][index])
     if node.op in ("snap", "load"):
-        name, copied = node.attrs[0], node.op == "load" and node.attrs[0] in compiler.changing
+        name, copied = node.attrs[0], node.op == "load" and node.attrs[0] in compiler.stored_registers
 
         def read(out: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
             def run(v: SlotValues) -> None:
@@ -197,7 +197,7 @@ def leaf(node: ir.PlanNode, compiler: BlockCompiler, scope: RowScope) -> SlotFun
 
         return read
     if node.op == "draw":
-        return _draw(node, compiler, scope)
+        return _make_draw_call(node, compiler, scope)
     sense = SENSE_FUNCTIONS[node.op]
 
     def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
@@ -209,38 +209,38 @@ def leaf(node: ir.PlanNode, compiler: BlockCompiler, scope: RowScope) -> SlotFun
     return make
 
 
-def _draw(node: ir.PlanNode, compiler: BlockCompiler, scope: RowScope) -> SlotFunctionMaker:
+def _make_draw_call(node: ir.PlanNode, compiler: BlockCompiler, scope: RowScope) -> SlotFunctionMaker:
     """Return the call for a random draw. Four draws of one site come from one run of the generator."""
     site, index = node.attrs
     key = (site, index >> 2)
-    fresh = key not in scope.draws
-    words = scope.draws.setdefault(key, compiler.slot()) if fresh else scope.draws[key]
+    fresh = key not in scope.draw_slots
+    words = scope.draw_slots.setdefault(key, compiler.allocate_slot()) if fresh else scope.draw_slots[key]
 
     def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
         def run(v: SlotValues) -> None:
             if fresh:
                 world, population = v[WORLD_SLOT], v[POPULATION_SLOT]
                 ids = population.ids[v[scope.rows]]
-                v[words] = randomness.words(world.setting.seed, world.frame, population.name, site, index >> 2, ids)
-            v[out] = randomness.unit_floats(v[words][index & 3])
+                v[words] = randomness.draw_four_words(world.setting.seed, world.frame, population.name, site, index >> 2, ids)
+            v[out] = randomness.to_unit_floats(v[words][index & 3])
 
         return run
 
     return make
 
 
-def pairs(node: ir.PlanNode, compiler: BlockCompiler, scope: RowScope) -> SlotFunctionMaker:
+def make_pairs_call(node: ir.PlanNode, compiler: BlockCompiler, scope: RowScope) -> SlotFunctionMaker:
     """Return the call for the pairs of a set.
 
     A set that several regions use is cached for the step after it was computed for a complete chunk."""
-    shared, root, rows = compiler.sets, compiler.root.rows, scope.rows
+    shared, root, rows = compiler.region_count_by_set, compiler.root_scope.rows, scope.rows
 
     def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
         def run(v: SlotValues) -> None:
             stored_pairs, chunk, mine = v[PAIRS_SLOT], v[root], v[rows]
             known = stored_pairs.get((node, chunk.start)) if isinstance(chunk, slice) else None
             if known is not None:
-                v[out] = known if mine is chunk else known.select_rows(row_numbers(mine) - chunk.start)
+                v[out] = known if mine is chunk else known.select_rows(as_row_array(mine) - chunk.start)
                 return
             v[out] = sets.find_pairs(v[WORLD_SLOT], v[POPULATION_SLOT], node, mine, tuple(v[a] for a in inputs), v[THREADS_SLOT])
             if mine is chunk and isinstance(chunk, slice) and shared.get(node, 0) > 1:
@@ -251,7 +251,7 @@ def pairs(node: ir.PlanNode, compiler: BlockCompiler, scope: RowScope) -> SlotFu
     return make
 
 
-def spread(out: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
+def make_spread_call(out: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
     """Return the call that repeats an agent's value for each of its pairs."""
     value, pair = inputs
 
@@ -261,7 +261,7 @@ def spread(out: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunctio
     return run
 
 
-def pair_leaf(node: ir.PlanNode, scope: RowScope) -> SlotFunctionMaker:
+def make_pair_leaf_call(node: ir.PlanNode, scope: RowScope) -> SlotFunctionMaker:
     """Return the call for a value of the other agent of a pair, or a value that depends on that agent.
 
     A sense is evaluated at the position of the requesting agent."""
@@ -271,10 +271,10 @@ def pair_leaf(node: ir.PlanNode, scope: RowScope) -> SlotFunctionMaker:
         def run(v: SlotValues) -> None:
             pair_set = v[inputs[0]]
             if sense is None:
-                v[out] = sets.pair_leaf(pair_set, node)
+                v[out] = sets.read_pair_value(pair_set, node)
             else:
                 v[out] = sense(
-                    v[WORLD_SLOT], v[POPULATION_SLOT], node, row_numbers(v[rows]).take(pair_set.i), *[v[a] for a in inputs[1:]]
+                    v[WORLD_SLOT], v[POPULATION_SLOT], node, as_row_array(v[rows]).take(pair_set.i), *[v[a] for a in inputs[1:]]
                 )
 
         return run
@@ -282,7 +282,7 @@ def pair_leaf(node: ir.PlanNode, scope: RowScope) -> SlotFunctionMaker:
     return make
 
 
-def reduction(node: ir.PlanNode) -> SlotFunctionMaker:
+def make_reduction_call(node: ir.PlanNode) -> SlotFunctionMaker:
     """Return the call for a reduction over the pairs of a set."""
     f = sets.REDUCTION_FUNCTIONS[node.op]
 

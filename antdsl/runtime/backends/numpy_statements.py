@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from antdsl.plan import ir
 from antdsl.program.tables import effects
-from antdsl.runtime.backends.compile import (
+from antdsl.runtime.backends.block_compiler import (
     EFFECTS_SLOT,
     POPULATION_SLOT,
     WORLD_SLOT,
@@ -19,34 +19,34 @@ from antdsl.runtime.backends.compile import (
     SlotFunctionMaker,
     SlotValues,
 )
-from antdsl.runtime.requests import ClaimEntry, FaultEntry, GiveEntry, RequestEntry
+from antdsl.runtime.requests import ClaimEntry, FaultEntry, GiftEntry, RequestEntry
 
 ALL_ROWS = slice(None)
 
 
-def row_numbers(rows: Any) -> NDArray[np.intp]:
+def as_row_array(rows: Any) -> NDArray[np.intp]:
     """Return rows, given as a slice or an array, as an array."""
     return np.arange(rows.start, rows.stop) if isinstance(rows, slice) else rows
 
 
 def _row_values(v: SlotValues, scope: RowScope, value: Any) -> NDArray[Any]:
     """Return one value for each row, in a separate array, because buffers are reused."""
-    return np.full(v[scope.size], value) if value.ndim == 0 else value.copy()
+    return np.full(v[scope.row_count], value) if value.ndim == 0 else value.copy()
 
 
-def is_storable(value: NDArray[Any], infinite: bool) -> NDArray[np.bool_]:
-    """Return which values may be stored: finite ones and, with `infinite`, also +inf."""
+def is_storable(value: NDArray[Any], allows_infinity: bool) -> NDArray[np.bool_]:
+    """Return which values may be stored: finite ones and, with `allows_infinity`, also +inf."""
     good: NDArray[np.bool_] = np.isfinite(value)
-    return good | (value == np.inf) if infinite else good
+    return good | (value == np.inf) if allows_infinity else good
 
 
 def _record_fault(v: SlotValues, block: str, register: str, span: Any, rows: NDArray[np.intp]) -> None:
     v[EFFECTS_SLOT].faults.append(FaultEntry(block, register, span, rows))
 
 
-def _store(statement: ir.Store, block: str, scope: RowScope) -> SlotFunctionMaker:
+def _make_store_call(statement: ir.Store, block: str, scope: RowScope) -> SlotFunctionMaker:
     """Return the call that stores a value in a register. A value that is not storable is a fault."""
-    name, infinite, span = statement.register, statement.infinite, statement.span
+    name, infinite, span = statement.register, statement.allows_infinity, statement.span
     number = statement.value.kind is ir.ValueKind.F32
 
     def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
@@ -59,7 +59,7 @@ def _store(statement: ir.Store, block: str, scope: RowScope) -> SlotFunctionMake
             if good is None or good.all():
                 target[rows] = value
                 return
-            rows = row_numbers(rows)
+            rows = as_row_array(rows)
             if value.ndim == 0:
                 _record_fault(v, block, name, span, rows)
                 return
@@ -71,12 +71,12 @@ def _store(statement: ir.Store, block: str, scope: RowScope) -> SlotFunctionMake
     return make
 
 
-def _finite_amounts(
+def _select_finite_amounts(
     v: SlotValues, scope: RowScope, block: str, what: str, span: Any, value: Any
 ) -> tuple[NDArray[np.intp], NDArray[Any], Any]:
     """Return the rows with finite values, these values, and the mask of these rows within the scope. Record a fault for all
     others."""
-    rows, value = row_numbers(v[scope.rows]), _row_values(v, scope, value)
+    rows, value = as_row_array(v[scope.rows]), _row_values(v, scope, value)
     good = np.isfinite(value)
     if good.all():
         return rows, value, ALL_ROWS
@@ -84,7 +84,7 @@ def _finite_amounts(
     return rows[good], value[good], good
 
 
-def _claim(statement: ir.Claim, block: str, scope: RowScope, order: int) -> SlotFunctionMaker:
+def _make_claim_call(statement: ir.Claim, block: str, scope: RowScope, order: int) -> SlotFunctionMaker:
     """Return the call that adds claims to the effects of the step."""
 
     def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
@@ -94,10 +94,10 @@ def _claim(statement: ir.Claim, block: str, scope: RowScope, order: int) -> Slot
 
         def run(v: SlotValues) -> None:
             if much is None:
-                rows = row_numbers(v[scope.rows])
+                rows = as_row_array(v[scope.rows])
                 amount, good = np.full(len(rows), np.inf, np.float32), ALL_ROWS
             else:
-                rows, amount, good = _finite_amounts(v, scope, block, what, statement.span, v[much])
+                rows, amount, good = _select_finite_amounts(v, scope, block, what, statement.span, v[much])
             if which is None:
                 item = v[POPULATION_SLOT].cells[statement.of][rows]
             else:
@@ -109,7 +109,7 @@ def _claim(statement: ir.Claim, block: str, scope: RowScope, order: int) -> Slot
     return make
 
 
-def _give(statement: ir.Give, block: str, scope: RowScope) -> SlotFunctionMaker:
+def _make_gift_call(statement: ir.Give, block: str, scope: RowScope) -> SlotFunctionMaker:
     """Return the call that subtracts gifts from registers and adds them to the effects of the step."""
 
     def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
@@ -117,41 +117,43 @@ def _give(statement: ir.Give, block: str, scope: RowScope) -> SlotFunctionMaker:
             own = v[POPULATION_SLOT].now[statement.own]
             item = _row_values(v, scope, v[inputs[0]])
             if statement.amount is None:
-                rows = row_numbers(v[scope.rows])
+                rows = as_row_array(v[scope.rows])
                 amount = own[rows]
             else:
-                rows, amount, good = _finite_amounts(v, scope, block, f"give {statement.own}", statement.span, v[inputs[1]])
+                rows, amount, good = _select_finite_amounts(
+                    v, scope, block, f"give {statement.own}", statement.span, v[inputs[1]]
+                )
                 item = item[good]
             has_item = (item >= 0) & (item < len(v[WORLD_SLOT].items[statement.items]))
             rows, amount, item = rows[has_item], amount[has_item], item[has_item]
             had = own[rows]
             left = had - np.clip(amount, np.float32(0), np.maximum(had, np.float32(0))) + np.float32(0)  # never -0
             own[rows] = left
-            v[EFFECTS_SLOT].gives.append(GiveEntry(statement, item, had.astype(np.float64) - left.astype(np.float64)))
+            v[EFFECTS_SLOT].gives.append(GiftEntry(statement, item, had.astype(np.float64) - left.astype(np.float64)))
 
         return run
 
     return make
 
 
-def _request(statement: ir.Request, block: str, scope: RowScope, order: int) -> SlotFunctionMaker:
+def _make_request_call(statement: ir.Request, block: str, scope: RowScope, order: int) -> SlotFunctionMaker:
     """Return the call for a request to other parts of the world, by row. A value that is not finite is a fault."""
     row = effects.EFFECT_BY_OPERATION[statement.op]
-    refused = row.refused.format(of=statement.of)
+    refused = row.fault_name.format(of=statement.of)
 
     def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
         slots = iter(inputs)
         which = [None if node is None else next(slots) for node in statement.args]
 
         def run(v: SlotValues) -> None:
-            rows = row_numbers(v[scope.rows])
+            rows = as_row_array(v[scope.rows])
             args = [None if slot is None else _row_values(v, scope, v[slot]) for slot in which]
             good = np.ones(len(rows), np.bool_)
             for arg in args if refused else ():
                 good &= True if arg is None else np.isfinite(arg)
             if not good.all():
                 _record_fault(v, block, refused, statement.span, rows[~good])
-            if row.above_0 and args[0] is not None:
+            if row.needs_positive_operand and args[0] is not None:
                 good &= args[0] > 0
             if good.all():
                 v[EFFECTS_SLOT].ask(RequestEntry(statement, order, rows.copy(), tuple(args)))
@@ -164,16 +166,16 @@ def _request(statement: ir.Request, block: str, scope: RowScope, order: int) -> 
     return make
 
 
-def statement(instruction: BlockInstruction) -> SlotFunctionMaker:
+def make_statement_call(instruction: BlockInstruction) -> SlotFunctionMaker:
     """Return the maker for any statement except `If`."""
-    what, block, scope, order = instruction.what, instruction.block, instruction.scope, instruction.order
+    what, block, scope, order = instruction.subject, instruction.block, instruction.scope, instruction.order
     match what:
         case ir.Store():
-            return _store(what, block, scope)
+            return _make_store_call(what, block, scope)
         case ir.Claim():
-            return _claim(what, block, scope, order)
+            return _make_claim_call(what, block, scope, order)
         case ir.Give():
-            return _give(what, block, scope)
+            return _make_gift_call(what, block, scope)
         case ir.Request():
-            return _request(what, block, scope, order)
+            return _make_request_call(what, block, scope, order)
     raise AssertionError(f"no call for {what!r}")

@@ -17,11 +17,11 @@ from antdsl import limits
 from antdsl.numerics import exact_sums
 from antdsl.numerics.elementwise import FUNCTION_BY_NAME
 from antdsl.plan import ir
-from antdsl.plan.registers import early_loads, statement_numbers
-from antdsl.plan.traverse import required_nodes
+from antdsl.plan.registers import find_early_loads, number_statements
+from antdsl.plan.traverse import collect_required_nodes
 from antdsl.program.tables.effects import EFFECT_BY_OPERATION
-from antdsl.runtime.requests import ClaimEntry, EffectRequests, FaultEntry, GiveEntry, RequestEntry
-from antdsl.runtime.sensing import SENSE_FUNCTIONS, uniform_leaf
+from antdsl.runtime.requests import ClaimEntry, EffectRequests, FaultEntry, GiftEntry, RequestEntry
+from antdsl.runtime.sensing import SENSE_FUNCTIONS, compute_uniform_leaf
 from antdsl.runtime.world import AXES, Population, World
 from antdsl.source import Span
 
@@ -33,7 +33,7 @@ class ReferenceBackend:
     """Runs a plan with the interface of the NumPy backend."""
 
     def __init__(self, plan: ir.Plan) -> None:
-        self._orders = {name: statement_numbers(species) for name, species in plan.species.items()}
+        self._orders = {name: number_statements(species) for name, species in plan.species.items()}
 
     def begin(self, world: World) -> None:
         """Do nothing: no data is cached from step to step."""
@@ -70,73 +70,78 @@ class AgentRun:
         population: Population,
         row: int,
         now: dict[str, Any],
-        at: int,
+        register_index: int,
         effects: EffectRequests,
         order: dict[ir.PlanStatement, int],
     ) -> None:
         self.world, self.population, self.row = world, population, row
-        self.now, self.at, self.effects, self.order = now, at, effects, order
+        self.now, self.at, self.effects, self.order = now, register_index, effects, order
         self.rows = np.array([row])
         self.values: dict[ir.PlanNode, Any] = {}
-        self.watch: Callable[[str, Span | None, ir.PlanNode], None] | None = None
+        self.on_fault: Callable[[str, Span | None, ir.PlanNode], None] | None = None
 
     def run(self, block: str, plan: ir.SpeciesPlan | None = None) -> None:
         """Run a block of the species, or of another plan of the same species."""
         tree: ir.Block = getattr(plan or self.population.plan, block)
-        self.block, self.values, self.early = block, {}, _early(tree)
-        self._block(tree, ())
+        self.block, self.values, self.early = block, {}, _cached_early_loads(tree)
+        self._run_block(tree, ())
 
     # --- statements ----------------------------------------------------------------------------------------------------
 
-    def _block(self, block: ir.Block, path: tuple[int, ...]) -> None:
+    def _run_block(self, block: ir.Block, path: tuple[int, ...]) -> None:
         for k, statement in enumerate(block.statements):
             for node in self.early.get((*path, k), ()):
                 self.value(node)
             if isinstance(statement, ir.If):
                 if self.value(statement.condition):
-                    self._block(statement.then, (*path, k))
+                    self._run_block(statement.then, (*path, k))
             else:
                 getattr(self, "_" + type(statement).__name__.lower())(statement)
 
-    def _finite(self, node: ir.PlanNode, what: str, span: Span | None, infinite: bool = False) -> Any:
+    def _compute_finite_value(self, node: ir.PlanNode, what: str, span: Span | None, infinite: bool = False) -> Any:
         """Return a value that may be stored; None after recording a fault if it may not."""
         value = self.value(node)
         if node.kind is not ir.ValueKind.F32 or np.isfinite(value) or (infinite and value == np.inf):
             return value
-        if self.watch is not None:
-            self.watch(what, span, node)
+        if self.on_fault is not None:
+            self.on_fault(what, span, node)
         self.effects.faults.append(FaultEntry(self.block, what, span, self.rows))
         return None
 
     def _store(self, s: ir.Store) -> None:
-        value = self._finite(s.value, s.register, s.span, s.infinite)
+        value = self._compute_finite_value(s.value, s.register, s.span, s.allows_infinity)
         if value is not None:
             self.now[s.register][self.at] = value
 
     def _claim(self, s: ir.Claim) -> None:
         item = self.population.cells[s.of][self.row] if s.item is None else self.value(s.item)
-        amount = np.float32(np.inf) if s.amount is None else self._finite(s.amount, f"take {s.attribute or s.of}", s.span)
+        amount = (
+            np.float32(np.inf)
+            if s.amount is None
+            else self._compute_finite_value(s.amount, f"take {s.attribute or s.of}", s.span)
+        )
         if amount is not None:
             self.effects.claims.append(ClaimEntry(s, self.order[s], self.rows, np.array([item]), np.array([amount])))
 
     def _give(self, s: ir.Give) -> None:
         item, had = self.value(s.item), self.now[s.own][self.at]
-        amount = had if s.amount is None else self._finite(s.amount, f"give {s.own}", s.span)
+        amount = had if s.amount is None else self._compute_finite_value(s.amount, f"give {s.own}", s.span)
         if amount is None or not 0 <= item < len(self.world.items[s.items]):
             return
         left = had - min(max(amount, np.float32(0)), max(had, np.float32(0))) + np.float32(0)  # never -0
         self.now[s.own][self.at] = left
-        self.effects.gives.append(GiveEntry(s, np.array([item]), np.array([float(had) - float(left)])))
+        self.effects.gives.append(GiftEntry(s, np.array([item]), np.array([float(had) - float(left)])))
 
     def _request(self, s: ir.Request) -> None:
         row = EFFECT_BY_OPERATION[s.op]
-        refused = row.refused.format(of=s.of)
+        refused = row.fault_name.format(of=s.of)
         values = [
-            None if node is None else self._finite(node, refused, s.span) if refused else self.value(node) for node in s.args
+            None if node is None else self._compute_finite_value(node, refused, s.span) if refused else self.value(node)
+            for node in s.args
         ]
         if any(value is None and node is not None for value, node in zip(values, s.args, strict=True)):
             return
-        if row.above_0 and not (values[0] or 0) > 0:
+        if row.needs_positive_operand and not (values[0] or 0) > 0:
             return
         args = tuple(None if value is None else np.array([value]) for value in values)
         self.effects.ask(RequestEntry(s, self.order[s], self.rows, args))
@@ -148,16 +153,16 @@ class AgentRun:
         pending = [node]
         while pending:
             top = pending[-1]
-            missing = [] if top in self.values else [n for n in _operands(top) if n not in self.values]
+            missing = [] if top in self.values else [n for n in _own_operands(top) if n not in self.values]
             if missing:
                 pending.extend(missing)
                 continue
             pending.pop()
             if top not in self.values:
-                self.values[top] = self._compute(top)
+                self.values[top] = self._compute_node(top)
         return self.values[node]
 
-    def _compute(self, node: ir.PlanNode) -> Any:
+    def _compute_node(self, node: ir.PlanNode) -> Any:
         if node.op in FUNCTION_BY_NAME:
             return FUNCTION_BY_NAME[node.op](*[self.values[a] for a in node.args])
         if node.op == "get":
@@ -167,28 +172,28 @@ class AgentRun:
         if node.op == "snap":
             return self.population.start[node.attrs[0]][self.row]
         if node.op.startswith("reduce."):
-            return self._reduce(node)
+            return self._compute_reduction(node)
         if node.rate <= ir.UpdateRate.STEP:
-            return uniform_leaf(self.world, node)
-        return self._sense(node, [self.values[a] for a in node.args])
+            return compute_uniform_leaf(self.world, node)
+        return self._compute_sense(node, [self.values[a] for a in node.args])
 
-    def _sense(self, node: ir.PlanNode, args: list[Any]) -> Any:
+    def _compute_sense(self, node: ir.PlanNode, args: list[Any]) -> Any:
         results = SENSE_FUNCTIONS[node.op](self.world, self.population, node, self.rows, *[np.array([a]) for a in args])
         return tuple(part[0] for part in results) if isinstance(results, tuple) else results[0]
 
     # --- sets ----------------------------------------------------------------------------------------------------------
 
-    def _reduce(self, node: ir.PlanNode) -> Any:
+    def _compute_reduction(self, node: ir.PlanNode) -> Any:
         chosen, *parts = node.args
-        members = self._members(chosen)
+        members = self._find_members(chosen)
         matches: list[tuple[SetMember, Any]] = []
         for member in members:
-            pair_values = self._pair(chosen, member, parts)
+            pair_values = self._compute_pair_values(chosen, member, parts)
             if pair_values[0]:
                 matches.append((member, pair_values[1] if len(pair_values) > 1 else None))
         return _REDUCTION_FUNCTIONS[node.op](self, node, chosen, matches)
 
-    def _members(self, node: ir.PlanNode) -> list[SetMember]:
+    def _find_members(self, node: ir.PlanNode) -> list[SetMember]:
         """Return the members of a set for this agent: within its radius, the cap and its field of view."""
         own = [self.population.start[f"position.{axis}"][self.row] for axis in AXES]
         args = [self.values[a] for a in node.args]
@@ -210,7 +215,7 @@ class AgentRun:
         hx, hy, hz = (self.population.start[f"heading.{axis}"][self.row] for axis in AXES)
         return [m for m in measured if (m[1] * hx + m[2] * hy) + m[3] * hz >= args[1] * m[4]]
 
-    def _pair(self, chosen: ir.PlanNode, member: SetMember, roots: list[ir.PlanNode]) -> list[Any]:
+    def _compute_pair_values(self, chosen: ir.PlanNode, member: SetMember, roots: list[ir.PlanNode]) -> list[Any]:
         """Return the values of the nodes `roots` for one other agent or item."""
         pair_values: dict[ir.PlanNode, Any] = {}
         for node in _pair_nodes(tuple(roots)):
@@ -218,7 +223,7 @@ class AgentRun:
             if node.op in FUNCTION_BY_NAME:
                 pair_values[node] = FUNCTION_BY_NAME[node.op](*args)
             elif node.op in SENSE_FUNCTIONS:
-                pair_values[node] = self._sense(node, args)
+                pair_values[node] = self._compute_sense(node, args)
             else:
                 pair_values[node] = self._other_value(chosen, member, node)
         return [pair_values[n] if n in pair_values else self.values[n] for n in roots]
@@ -234,24 +239,24 @@ class AgentRun:
         other = self.world.populations[chosen.attrs[0]]
         return other.ids[row] if node.op == "other.id" else other.start[node.attrs[0]][row]
 
-    def label(self, chosen: ir.PlanNode, member: SetMember) -> int:
+    def member_id(self, chosen: ir.PlanNode, member: SetMember) -> int:
         """Return the id of an agent, or the number of an item, in a set."""
         return member[0] if chosen.op == "set.items" else int(self.world.populations[chosen.attrs[0]].ids[member[0]])
 
 
 @cache
-def _early(block: ir.Block) -> dict[tuple[int, ...], list[ir.PlanNode]]:
-    return early_loads(block)
+def _cached_early_loads(block: ir.Block) -> dict[tuple[int, ...], list[ir.PlanNode]]:
+    return find_early_loads(block)
 
 
 @cache
 def _pair_nodes(roots: tuple[ir.PlanNode, ...]) -> tuple[ir.PlanNode, ...]:
     """Return the nodes at or below `roots` that have one value per pair, operands first."""
-    return tuple(n for n in required_nodes(roots) if n.rate == ir.UpdateRate.PAIR)
+    return tuple(n for n in collect_required_nodes(roots) if n.rate == ir.UpdateRate.PAIR)
 
 
 @cache
-def _operands(node: ir.PlanNode) -> tuple[ir.PlanNode, ...]:
+def _own_operands(node: ir.PlanNode) -> tuple[ir.PlanNode, ...]:
     """Return the agent's own values that a node needs. Sets and their bodies are searched down to such values."""
     operands: list[ir.PlanNode] = []
     pending = list(node.args)
@@ -275,7 +280,7 @@ MemberMatches = list[tuple[SetMember, Any]]
 _INFINITY = np.float32(np.inf)
 
 
-def _sum(agent: AgentRun, node: ir.PlanNode, chosen: ir.PlanNode, matches: MemberMatches) -> Any:
+def _reduce_sum(agent: AgentRun, node: ir.PlanNode, chosen: ir.PlanNode, matches: MemberMatches) -> Any:
     quantum = int(node.attrs[0])
     terms = [float(exact_sums.quantise(body, quantum)) for _, body in matches]
     if any(term != term for term in terms):
@@ -283,48 +288,48 @@ def _sum(agent: AgentRun, node: ir.PlanNode, chosen: ir.PlanNode, matches: Membe
     return np.float32(ldexp(sum(int(ldexp(term, -quantum)) for term in terms), quantum))  # integer multiples of the quantum
 
 
-def _min(agent: AgentRun, node: ir.PlanNode, chosen: ir.PlanNode, matches: MemberMatches) -> Any:
+def _reduce_min(agent: AgentRun, node: ir.PlanNode, chosen: ir.PlanNode, matches: MemberMatches) -> Any:
     least = _INFINITY
     for _, body in matches:
         least = body if body < least else least
     return least + np.float32(0)
 
 
-def _max(agent: AgentRun, node: ir.PlanNode, chosen: ir.PlanNode, matches: MemberMatches) -> Any:
+def _reduce_max(agent: AgentRun, node: ir.PlanNode, chosen: ir.PlanNode, matches: MemberMatches) -> Any:
     greatest = -_INFINITY
     for _, body in matches:
         greatest = body if body > greatest else greatest
     return greatest + np.float32(0)
 
 
-def _best(agent: AgentRun, chosen: ir.PlanNode, matches: MemberMatches) -> int:
-    sound = [(body, agent.label(chosen, member)) for member, body in matches if body == body]
+def _best_label(agent: AgentRun, chosen: ir.PlanNode, matches: MemberMatches) -> int:
+    sound = [(body, agent.member_id(chosen, member)) for member, body in matches if body == body]
     return min(sound)[1] if sound else -1
 
 
-def _nth(agent: AgentRun, node: ir.PlanNode, chosen: ir.PlanNode, matches: MemberMatches) -> int:
+def _nth_label(agent: AgentRun, node: ir.PlanNode, chosen: ir.PlanNode, matches: MemberMatches) -> int:
     number = np.floor(agent.values[node.args[3]])
-    sound = sorted((body, agent.label(chosen, member)) for member, body in matches if body == body)
+    sound = sorted((body, agent.member_id(chosen, member)) for member, body in matches if body == body)
     return sound[int(number) - 1][1] if 1 <= number <= len(sound) else -1
 
 
 _REDUCTION_FUNCTIONS: dict[str, Callable[[AgentRun, ir.PlanNode, ir.PlanNode, MemberMatches], Any]] = {
-    "reduce.sum": _sum,
-    "reduce.min": _min,
-    "reduce.max": _max,
+    "reduce.sum": _reduce_sum,
+    "reduce.min": _reduce_min,
+    "reduce.max": _reduce_max,
     "reduce.count": lambda agent, node, chosen, found: np.float32(len(found)),
     "reduce.any": lambda agent, node, chosen, found: np.bool_(bool(found)),
-    "reduce.agent": lambda agent, node, chosen, found: np.int64(_best(agent, chosen, found)),
-    "reduce.nth_agent": lambda agent, node, chosen, found: np.int64(_nth(agent, node, chosen, found)),
-    "reduce.nth_item": lambda agent, node, chosen, found: np.int32(_nth(agent, node, chosen, found)),
-    "reduce.item": lambda agent, node, chosen, found: np.int32(_best(agent, chosen, found)),
+    "reduce.agent": lambda agent, node, chosen, found: np.int64(_best_label(agent, chosen, found)),
+    "reduce.nth_agent": lambda agent, node, chosen, found: np.int64(_nth_label(agent, node, chosen, found)),
+    "reduce.nth_item": lambda agent, node, chosen, found: np.int32(_nth_label(agent, node, chosen, found)),
+    "reduce.item": lambda agent, node, chosen, found: np.int32(_best_label(agent, chosen, found)),
 }
 
 
 # --- telling a fault -------------------------------------------------------------------------------------------------
 
 
-def fault_operands(
+def find_fault_operands(
     world: World, population: Population, row: int, block: str, what: str, span: Span | None
 ) -> tuple[tuple[str, str], ...]:
     """Run one agent's step again, without effects, up to a rejected value.
@@ -333,14 +338,14 @@ def fault_operands(
     now = {name: population.start[name][row : row + 1].copy() for name in population.now}
     for name, register in population.plan.registers.items():
         if register.role == "temp":
-            now[name][0] = register.zero
-    agent = AgentRun(world, population, row, now, 0, EffectRequests(), statement_numbers(population.plan))
+            now[name][0] = register.initial_value
+    agent = AgentRun(world, population, row, now, 0, EffectRequests(), number_statements(population.plan))
 
     def watch(register: str, where: Span | None, node: ir.PlanNode) -> None:
         if agent.block == block and register == what and where == span:
             raise NodeFault(node)
 
-    agent.watch = watch
+    agent.on_fault = watch
     with np.errstate(all="ignore"):
         try:
             for name in ("born",) if block == "born" else STEP_BLOCKS:
@@ -348,24 +353,24 @@ def fault_operands(
                 if name == "decide":
                     apply_claims(agent, population)
         except NodeFault as met:
-            return _find_culprit(agent, met.node)
+            return _find_fault_origin(agent, met.node)
     return ()
 
 
 def apply_claims(agent: AgentRun, population: Population) -> None:
     """Set the claims of an agent that runs again to their settled results."""
     for claim in agent.effects.claims:
-        won = bool(population.now[claim.statement.won][agent.row])
-        agent.now[claim.statement.won][0] = won
+        won = bool(population.now[claim.statement.won_register][agent.row])
+        agent.now[claim.statement.won_register][0] = won
         if won and claim.statement.own is not None:
             if np.isinf(claim.amount[0]):
-                got = population.all_taken[claim.statement.site][agent.row]
+                got = population.claimed_totals[claim.statement.site][agent.row]
                 agent.now[claim.statement.own][0] = float(agent.now[claim.statement.own][0]) + got
             else:
                 agent.now[claim.statement.own][0] += claim.amount[0]
 
 
-def _find_culprit(agent: AgentRun, node: ir.PlanNode) -> tuple[tuple[str, str], ...]:
+def _find_fault_origin(agent: AgentRun, node: ir.PlanNode) -> tuple[tuple[str, str], ...]:
     """Return the first operation, in evaluation order, that has finite operands and a result that is not finite."""
 
     def sound(n: ir.PlanNode) -> bool:

@@ -13,9 +13,9 @@ from antdsl.fields.cells import FieldTooFine, SurfaceCells
 from antdsl.fields.growing import GrowingCells
 from antdsl.fields.pheromone import PheromoneField
 from antdsl.plan import ir
-from antdsl.runtime.binding.reuse import BindingCache
-from antdsl.scene.field_settings import largest_stable_diffusion
-from antdsl.scene.setting import FieldStart, MeshData
+from antdsl.runtime.binding.binding_cache import BindingCache
+from antdsl.scene.field_settings import compute_max_diffusion
+from antdsl.scene.setting import FieldStartData, MeshData
 
 if TYPE_CHECKING:
     from antdsl.runtime.world import World
@@ -39,10 +39,10 @@ def bind_fields(
             try:
                 kind = GrowingCells if any(name in world.solids for name in plan.surfaces) else SurfaceCells
                 make_cells = partial(kind, surfaces, size)
-                keep_all = built.get_or_make_deep if kind is GrowingCells else built.get_or_make
+                keep_all = built.get_deep_copy if kind is GrowingCells else built.get_or_make
                 cells[key] = keep_all(kind.__name__, (surfaces, size), make_cells)
             except FieldTooFine as why:
-                row = " in a row" if why.in_a_row else ""
+                row = " in a row" if why.is_axis_limit else ""
                 words = f"about {why.needed:,} cells of {size:g} mm{row}; {why.cap:,} are allowed"
                 report.error("field-too-fine", f"field `{plan.name}` needs {words}", plan.span, "write a larger `cell`")
                 continue
@@ -73,7 +73,7 @@ def _check_settings(
             "field-setting", f"`diffuse` and `limit` of field `{plan.name}` cannot be below 0", plan.span, "write 0 or more"
         )
         return False
-    most = largest_stable_diffusion(size, dt)
+    most = compute_max_diffusion(size, dt)
     if diffuse > most * (1 + 1e-6):
         report.error(
             "unstable-field",
@@ -85,7 +85,7 @@ def _check_settings(
     return True
 
 
-def _fill_start(field: PheromoneField, start: FieldStart, world: World) -> None:
+def _fill_start(field: PheromoneField, start: FieldStartData, world: World) -> None:
     """Set the start amounts of a field's cells."""
     if start.around is None:
         field.values[:] = start.value

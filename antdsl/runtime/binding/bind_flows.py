@@ -13,15 +13,23 @@ from numpy.typing import NDArray
 from antdsl import limits
 from antdsl.casting.curves import resample
 from antdsl.diagnostics import Report
-from antdsl.fields.face_points import FaceLattice, LatticeTooFine, cell_size, edge_pieces, weld_points
-from antdsl.fields.flow import PaintedMap, SurfaceFlow, VectorSource, falloff, lay_on_faces, make_spread_source, nearest_on_target
+from antdsl.fields.face_points import FaceLattice, LatticeTooFine, choose_cell_size, count_edge_pieces, weld_points
+from antdsl.fields.flow import (
+    PaintedMap,
+    SurfaceFlow,
+    VectorSource,
+    compute_falloff,
+    find_nearest_on_target,
+    make_spread_source,
+    project_to_faces,
+)
 from antdsl.fields.path_cost import WalkableSurface
-from antdsl.fields.solved import CrossableGround, PathFlow, least_cost
+from antdsl.fields.path_flow import CrossableGround, PathFlow, raise_to_min_cost
 from antdsl.ground.mesh.topology import NO_LINK
 from antdsl.ground.protocol import Flags, Floats, Index, MeshSurfaces
-from antdsl.runtime.binding.reuse import BindingCache
-from antdsl.runtime.moving.obstacles import obstacle_mesh
-from antdsl.scene.setting import BorderFlow, FlowData, FlowTarget, PaintedValues, SolvedFlow, SpreadFlow
+from antdsl.runtime.binding.binding_cache import BindingCache
+from antdsl.runtime.moving.obstacles import find_obstacle_mesh
+from antdsl.scene.setting import BorderFlowData, FlowData, FlowTarget, PaintedValues, SolvedFlowData, SpreadFlowData
 
 if TYPE_CHECKING:
     from antdsl.runtime.world import World
@@ -35,10 +43,10 @@ def bind_flows(world: World, report: Report, built: BindingCache) -> None:
     """Bind all maps and flows of the setting that the plan uses. Flows that never change are cached in `built`."""
     setting = world.setting
     for name, painted in setting.maps.items():
-        world.maps[name] = PaintedMap(_corners(world, painted)[:, :, 0])
-    land = (setting.surfaces, setting.obstacles, setting.maps, setting.up, setting.by_rays, world.origin)
+        world.maps[name] = PaintedMap(_corner_values(world, painted)[:, :, 0])
+    land = (setting.surfaces, setting.obstacles, setting.maps, setting.up, setting.uses_rays, world.origin)
     for name, flow in setting.flows.items():
-        if isinstance(flow, SolvedFlow) or world.solids or setting.moves:
+        if isinstance(flow, SolvedFlowData) or world.solids or setting.motion:
             bind_flow(world, name, flow, report)
             continue
         bound_flow = built.get_or_make("flow", (land, flow), partial(_cached_flow, world, name, flow))
@@ -59,7 +67,7 @@ def bind_flow(world: World, name: str, flow: FlowData, report: Report) -> None:
     try:
         world.flows[name] = bound_flow = _make_flow(world, flow)
         if not isinstance(flow, PaintedValues) and _may_change(world, flow):
-            bound_flow.renew = lambda now: _renew_flow(now, bound_flow, flow)
+            bound_flow.updater = lambda now: _recompute_flow(now, bound_flow, flow)
     except LatticeTooFine as why:
         report.error(
             "flow-too-fine",
@@ -71,30 +79,32 @@ def bind_flow(world: World, name: str, flow: FlowData, report: Report) -> None:
 
 def _make_flow(world: World, flow: FlowData) -> SurfaceFlow:
     if isinstance(flow, PaintedValues):
-        return _painted_flow(world, flow)
-    if isinstance(flow, SpreadFlow):
-        return _spread_flow(world, flow)
-    return _border_flow(world, flow) if isinstance(flow, BorderFlow) else _solved_flow(world, flow)
+        return _make_painted_flow(world, flow)
+    if isinstance(flow, SpreadFlowData):
+        return _make_spread_flow(world, flow)
+    return _make_border_flow(world, flow) if isinstance(flow, BorderFlowData) else _make_solved_flow(world, flow)
 
 
 # --- what moves ------------------------------------------------------------------------------------------------------
 
 
-def _may_change(world: World, flow: SpreadFlow | BorderFlow | SolvedFlow) -> bool:
+def _may_change(world: World, flow: SpreadFlowData | BorderFlowData | SolvedFlowData) -> bool:
     """Return whether any input of a flow moves: surfaces, its target, or obstacles for paths."""
-    moves = world.setting.moves
-    moving = [name for name in moves.meshes if name in world.setting.surfaces or isinstance(flow, SolvedFlow)]
-    dug = bool(world.solids) and isinstance(flow, SolvedFlow)
-    return bool(moving) or dug or (not isinstance(flow, BorderFlow) and flow.target.of in {**moves.items, **moves.curves})
+    moves = world.setting.motion
+    moving = [name for name in moves.meshes if name in world.setting.surfaces or isinstance(flow, SolvedFlowData)]
+    dug = bool(world.solids) and isinstance(flow, SolvedFlowData)
+    return bool(moving) or dug or (not isinstance(flow, BorderFlowData) and flow.target.of in {**moves.items, **moves.curves})
 
 
-def _renew_flow(world: World, bound_flow: SurfaceFlow, flow: SpreadFlow | BorderFlow | SolvedFlow) -> None:
+def _recompute_flow(world: World, bound_flow: SurfaceFlow, flow: SpreadFlowData | BorderFlowData | SolvedFlowData) -> None:
     """Replace a flow's values by those for the current positions of its inputs."""
-    if isinstance(flow, SolvedFlow):
-        assert isinstance(bound_flow, PathFlow) and bound_flow.grounds is not None
-        bound_flow.grounds = _grounds(world, bound_flow.lattice, bound_flow.grounds.faces, bound_flow.grounds.point)
-        bound_flow.cost = _cost(world, flow, bound_flow.grounds)
-        bound_flow.start, bound_flow.first, bound_flow.gap = _goal(world, flow, bound_flow.grounds)
+    if isinstance(flow, SolvedFlowData):
+        assert isinstance(bound_flow, PathFlow) and bound_flow.crossable_ground is not None
+        bound_flow.crossable_ground = _make_crossable_ground(
+            world, bound_flow.lattice, bound_flow.crossable_ground.faces, bound_flow.crossable_ground.slot_points
+        )
+        bound_flow.cost = _triangle_costs(world, flow, bound_flow.crossable_ground)
+        bound_flow.start, bound_flow.first, bound_flow.target_gap = _find_goal_points(world, flow, bound_flow.crossable_ground)
         return
     now = _make_flow(world, flow)
     bound_flow.lattice, bound_flow.c, bound_flow.s, bound_flow.source = now.lattice, now.c, now.s, now.source
@@ -110,7 +120,7 @@ def _ground_meshes(world: World) -> MeshSurfaces:
 # --- painted ---------------------------------------------------------------------------------------------------------
 
 
-def _corners(world: World, painted: PaintedValues) -> Floats:
+def _corner_values(world: World, painted: PaintedValues) -> Floats:
     """Return painted values at the corners of all faces of the ground, (3, faces, width); 0 on unpainted surfaces."""
     _, faces, mesh, _ = _ground_meshes(world).triangles
     own = np.flatnonzero(mesh == world.surface_index[painted.surface])
@@ -118,15 +128,15 @@ def _corners(world: World, painted: PaintedValues) -> Floats:
     corner_values = np.zeros((3, len(faces), values.shape[1]))
     local = world.setting.surfaces[painted.surface].faces
     for k in range(3):
-        corner_values[k, own] = values if painted.of_faces else values[local[:, k]]
+        corner_values[k, own] = values if painted.is_per_face else values[local[:, k]]
     return corner_values
 
 
-def _painted_flow(world: World, painted: PaintedValues) -> SurfaceFlow:
+def _make_painted_flow(world: World, painted: PaintedValues) -> SurfaceFlow:
     """Return a flow that interpolates painted vectors."""
     table = _ground_meshes(world).triangles[3]
-    corners = _corners(world, painted)
-    parts = [lay_on_faces(corners[k], table.axis1, table.axis2) for k in range(3)]
+    corners = _corner_values(world, painted)
+    parts = [project_to_faces(corners[k], table.axis1, table.axis2) for k in range(3)]
     c, s = (np.stack([part[k] for part in parts], axis=1).ravel() for k in range(2))
     return SurfaceFlow(FaceLattice.of(np.ones(corners.shape[1], np.int64)), c, s)
 
@@ -134,7 +144,7 @@ def _painted_flow(world: World, painted: PaintedValues) -> SurfaceFlow:
 # --- points over the ground ------------------------------------------------------------------------------------------
 
 
-def _chosen_faces(world: World, on: tuple[str, ...]) -> Flags:
+def _select_faces(world: World, on: tuple[str, ...]) -> Flags:
     """Return which faces belong to the flow's surfaces, without faces of area 0."""
     _, _, mesh, table = _ground_meshes(world).triangles
     mesh_numbers = [world.surface_index[name] for name in on] or list(world.surface_index.values())
@@ -150,68 +160,68 @@ def _longest_edges(world: World) -> tuple[Floats, Floats]:
     return np.sqrt((edges * edges).sum(axis=2)).max(axis=0), corners.mean(axis=1)
 
 
-def _lattice(world: World, chosen: Flags, flow: SpreadFlow | BorderFlow | SolvedFlow) -> FaceLattice:
+def _make_lattice(world: World, chosen: Flags, flow: SpreadFlowData | BorderFlowData | SolvedFlowData) -> FaceLattice:
     """Return a lattice with the flow's resolution on the chosen faces. Raises LatticeTooFine if the flow's cell is too small."""
-    return FaceLattice.of(edge_pieces(flow, np.where(chosen, _longest_edges(world)[0], 0.0), _ground_meshes(world).extent))
+    return FaceLattice.of(count_edge_pieces(flow, np.where(chosen, _longest_edges(world)[0], 0.0), _ground_meshes(world).extent))
 
 
 def _locate_slots(world: World, lattice: FaceLattice) -> tuple[Index, Floats]:
     """Return the face and the position (n, 3) mm of each slot."""
     table = _ground_meshes(world).triangles[3]
     face = lattice.faces()
-    b1, b2 = lattice.weights()
+    b1, b2 = lattice.compute_slot_weights()
     place = table.corner.take(face, axis=1) + b1 * table.edge1.take(face, axis=1) + b2 * table.edge2.take(face, axis=1)
     return face, np.ascontiguousarray(place.T)
 
 
-def _flow_from_vectors(
+def _make_vector_flow(
     world: World, lattice: FaceLattice, face: Index, vectors: Floats, chosen: Flags, source: VectorSource | None = None
 ) -> SurfaceFlow:
     table = _ground_meshes(world).triangles[3]
-    c, s = lay_on_faces(vectors, table.axis1.take(face, axis=1), table.axis2.take(face, axis=1))
+    c, s = project_to_faces(vectors, table.axis1.take(face, axis=1), table.axis2.take(face, axis=1))
     return SurfaceFlow(lattice, c * chosen[face], s * chosen[face], source)
 
 
 def _locate_target(world: World, target: FlowTarget) -> FlowTarget:
     """Return a target at the current frame, relative to the world's origin."""
-    moves = world.setting.moves
+    moves = world.setting.motion
     tracks = (moves.curves if target.line else moves.items).get(target.of)
-    positions = target.positions if tracks is None else moves.points(tracks, world.frame)
-    if tracks is not None and target.which is not None:
-        positions = positions[target.which : target.which + 1]
+    positions = target.positions if tracks is None else moves.find_positions(tracks, world.frame)
+    if tracks is not None and target.item_index is not None:
+        positions = positions[target.item_index : target.item_index + 1]
     return FlowTarget(positions - world.origin, target.radii, target.line)
 
 
 # --- about a target, and at borders ----------------------------------------------------------------------------------
 
 
-def _spread_flow(world: World, flow: SpreadFlow) -> SurfaceFlow:
+def _make_spread_flow(world: World, flow: SpreadFlowData) -> SurfaceFlow:
     target = _locate_target(world, flow.target)
     source = make_spread_source(flow, target)
     if world.ground.meshes is None:
         return SurfaceFlow(FaceLattice.of(np.ones(0, np.int64)), np.zeros(0), np.zeros(0), source)
-    chosen = near = _chosen_faces(world, flow.on)
+    chosen = near = _select_faces(world, flow.on)
     if flow.radius is not None:
         longest, middle = _longest_edges(world)
-        near = chosen & (nearest_on_target(target, middle)[0] <= flow.radius + longest)
-    lattice = _lattice(world, near, flow)
+        near = chosen & (find_nearest_on_target(target, middle)[0] <= flow.radius + longest)
+    lattice = _make_lattice(world, near, flow)
     face, place = _locate_slots(world, lattice)
     vectors = np.zeros_like(place)
     near_slots = np.flatnonzero(near[face])
     vectors[near_slots] = source(place[near_slots])
-    return _flow_from_vectors(world, lattice, face, vectors, chosen, source if not flow.on else None)
+    return _make_vector_flow(world, lattice, face, vectors, chosen, source if not flow.on else None)
 
 
-def _border_flow(world: World, flow: BorderFlow) -> SurfaceFlow:
+def _make_border_flow(world: World, flow: BorderFlowData) -> SurfaceFlow:
     vertices, faces, _, table = _ground_meshes(world).triangles
-    chosen = _chosen_faces(world, flow.on)
+    chosen = _select_faces(world, flow.on)
     half = np.flatnonzero((table.link[0] == NO_LINK) & np.repeat(chosen, 3))
     own, k = half // 3, half % 3
     one, two = vertices[faces[own, (k + 1) % 3]], vertices[faces[own, (k + 2) % 3]]
     edge = two - one
     length = np.sqrt((edge * edge).sum(axis=1))
     longest, middle = _longest_edges(world)
-    cell = cell_size(flow, _ground_meshes(world).extent)
+    cell = choose_cell_size(flow, _ground_meshes(world).extent)
     pieces = np.clip(np.ceil(2 * length / cell), 1, 4096).astype(np.int64)
     which = np.repeat(np.arange(len(half)), pieces)
     part = (np.arange(len(which)) - np.repeat(np.cumsum(pieces) - pieces, pieces) + 0.5) / pieces[which]
@@ -221,8 +231,8 @@ def _border_flow(world: World, flow: BorderFlow) -> SurfaceFlow:
     near = chosen.copy()
     target = FlowTarget(rim, np.zeros(len(rim)))
     if len(rim):
-        near &= nearest_on_target(target, middle)[0] <= flow.within + longest
-    lattice = _lattice(world, near, flow)
+        near &= find_nearest_on_target(target, middle)[0] <= flow.max_distance + longest
+    lattice = _make_lattice(world, near, flow)
     face, place = _locate_slots(world, lattice)
     vectors = np.zeros_like(place)
     near_slots = np.flatnonzero(near[face]) if len(rim) else np.empty(0, np.int64)
@@ -236,46 +246,46 @@ def _border_flow(world: World, flow: BorderFlow) -> SurfaceFlow:
         distance = np.sqrt((direction * direction).sum(axis=1))
         direction += 0.5 * cell * inward[line]
         direction /= np.maximum(np.sqrt((direction * direction).sum(axis=1)), 1e-12)[:, None]
-        vectors[near_slots] = direction * (falloff(distance, flow.within, flow.falloff) * flow.strength)[:, None]
-    return _flow_from_vectors(world, lattice, face, vectors, chosen)
+        vectors[near_slots] = direction * (compute_falloff(distance, flow.max_distance, flow.falloff) * flow.strength)[:, None]
+    return _make_vector_flow(world, lattice, face, vectors, chosen)
 
 
 # --- solved ----------------------------------------------------------------------------------------------------------
 
 
-def _solved_flow(world: World, flow: SolvedFlow) -> SurfaceFlow:
-    chosen = _chosen_faces(world, flow.on)
-    lattice = _lattice(world, chosen, flow)
-    grounds = _grounds(world, lattice, chosen)
-    start, first, gap = _goal(world, flow, grounds)
+def _make_solved_flow(world: World, flow: SolvedFlowData) -> SurfaceFlow:
+    chosen = _select_faces(world, flow.on)
+    lattice = _make_lattice(world, chosen, flow)
+    grounds = _make_crossable_ground(world, lattice, chosen)
+    start, first, gap = _find_goal_points(world, flow, grounds)
     every = max(1, ceil(flow.every / world.dt - 1e-9))
-    changes = bool(flow.crowding or world.setting.moves)
-    looked = [_solid_remainders(world)]
+    changes = bool(flow.crowding or world.setting.motion)
+    looked = [_solid_versions(world)]
 
     def due(now: World) -> bool:
         """Return whether a new solution is due and has changed inputs."""
         if (now.frame - now.setting.first_frame) % every:
             return False
-        previous_state, looked[0] = looked[0], _solid_remainders(now)
+        previous_state, looked[0] = looked[0], _solid_versions(now)
         return changes or looked[0] != previous_state
 
     solved_flow = PathFlow(
         lattice, np.zeros(0), np.zeros(0), None,
-        grounds=grounds, cost=_cost(world, flow, grounds), start=start, first=first, gap=gap, strength=flow.strength,
-        crowding=flow.crowding, every=every, due=due,
-        crowd=np.zeros(len(grounds.land.points), np.int64) if flow.crowding else None,
+        crossable_ground=grounds, cost=_triangle_costs(world, flow, grounds), start=start, first=first, target_gap=gap,
+        strength=flow.strength, crowding=flow.crowding, every=every, is_due=due,
+        crowd=np.zeros(len(grounds.surface.points), np.int64) if flow.crowding else None,
         stores_reached=any(node.op == "flow.reachable" for node in world.plan.nodes),
     )  # fmt: skip
     solved_flow.update_flow()
     return solved_flow
 
 
-def _solid_remainders(world: World) -> list[int]:
+def _solid_versions(world: World) -> list[int]:
     """Return a number for each solid that changes when the solid is dug."""
     return [volume.bricks.steps for volume in world.solids.values()]
 
 
-def _grounds(world: World, lattice: FaceLattice, chosen: Flags, point: Index | None = None) -> CrossableGround:
+def _make_crossable_ground(world: World, lattice: FaceLattice, chosen: Flags, point: Index | None = None) -> CrossableGround:
     """Return the surface for paths on a lattice: points merged across faces, open triangles, and links between surfaces.
 
     Triangles are open if no obstacle cuts them and no undug solid buries them. `point`: the point of each slot, if known."""
@@ -286,47 +296,46 @@ def _grounds(world: World, lattice: FaceLattice, chosen: Flags, point: Index | N
     count = int(point.max(initial=-1)) + 1
     points = np.empty((count, 3))
     points[point] = place
-    small, owner = lattice.triangles()
+    small, owner = lattice.compute_triangles()
     triangles = point[small]
     a, b, c = (points[triangles[:, k]] for k in range(3))
     across = np.cross(b - a, c - a)
     areas = np.sqrt((across * across).sum(axis=1)) / 2
-    open_ = chosen[owner] & (areas > 0) & ~_blocked_triangles(world, triangles, points, table.normal.T[owner])
+    open_ = chosen[owner] & (areas > 0) & ~_find_blocked_triangles(world, triangles, points, table.normal.T[owner])
     for volume in world.solids.values():
         open_ &= ~(volume.sample(points) < -_MAX_BURIED_VOXELS * volume.voxel)[triangles].any(axis=1)
     of = np.empty(count, np.int32)
     of[point] = mesh[face]
-    land = WalkableSurface(points, triangles, open_, _links(points, of, np.unique(triangles[open_]), areas))
+    land = WalkableSurface(points, triangles, open_, _find_links(points, of, np.unique(triangles[open_]), areas))
     axis1, axis2 = table.axis1.take(face, axis=1), table.axis2.take(face, axis=1)
     return CrossableGround(lattice, land, point, axis1, axis2, areas, chosen)
 
 
-def _blocked_triangles(world: World, triangles: Index, points: Floats, normal: Floats) -> Flags:
+def _find_blocked_triangles(world: World, triangles: Index, points: Floats, normal: Floats) -> Flags:
     """Return the triangles with an edge that hits an obstacle, tested slightly above the ground."""
     cut = np.zeros(len(triangles), bool)
     for name in world.plan.obstacles:
         if name not in world.obstacles:
             continue
-        scene = obstacle_mesh(world, name)
+        scene = find_obstacle_mesh(world, name)
         for k in range(3):
             start, end = points[triangles[:, k]], points[triangles[:, (k + 1) % 3]]
             step = end - start
             lift = _RAY_HEIGHT_PER_EDGE * np.sqrt((step * step).sum(axis=1))[:, None] * normal
-            cut[scene.cast_within(start + lift, step)[0]] = True
-            cut[scene.cast_within(end + lift, -step)[0]] = True
+            cut[scene.find_hits_within(start + lift, step)[0]] = True
+            cut[scene.find_hits_within(end + lift, -step)[0]] = True
     return cut
 
 
-def _links(points: Floats, of: NDArray[np.int32], used: Index, areas: Floats) -> Index:
-    """Return pairs of points of different surfaces. Each is paired with the nearest point of the other surface within about
-    one triangle's edge."""
+def _find_links(points: Floats, surface_numbers: NDArray[np.int32], used: Index, areas: Floats) -> Index:
+    """Return pairs of points of different surfaces: each with the nearest point of the other within about one triangle's edge."""
     from scipy.spatial import cKDTree
 
-    surfaces = np.unique(of[used])
+    surfaces = np.unique(surface_numbers[used])
     reach = 2.0 * float(np.sqrt(np.median(areas))) if len(areas) else 0.0
     pairs = [np.empty((0, 2), np.int64)]
     for one in surfaces:
-        mine, others = used[of[used] == one], used[of[used] > one]
+        mine, others = used[surface_numbers[used] == one], used[surface_numbers[used] > one]
         if len(mine) and len(others):
             distance, nearest_one = cKDTree(points[mine]).query(points[others], distance_upper_bound=reach)
             close = np.isfinite(distance)
@@ -334,20 +343,20 @@ def _links(points: Floats, of: NDArray[np.int32], used: Index, areas: Floats) ->
     return np.concatenate(pairs)
 
 
-def _goal(world: World, flow: SolvedFlow, grounds: CrossableGround) -> tuple[Index, Floats, float]:
+def _find_goal_points(world: World, flow: SolvedFlowData, grounds: CrossableGround) -> tuple[Index, Floats, float]:
     """Return the points at the target, their remaining distances, and the distance (mm) of the target from the ground.
 
     The points at the target are all points within its radius, and the nearest points to each of its positions. The last result
     is the least distance of a position from all points, minus the radius."""
     from scipy.spatial import cKDTree
 
-    land = grounds.land
-    used = np.unique(land.triangles[land.open])
+    land = grounds.surface
+    used = np.unique(land.triangles[land.is_open])
     if not len(used):
         return used, np.zeros(0), 0.0
     target = _locate_target(world, flow.target)
     positions, radii = target.positions, target.radii
-    side = float(np.sqrt(np.median(grounds.areas[land.open])))
+    side = float(np.sqrt(np.median(grounds.triangle_areas[land.is_open])))
     if target.line:
         positions = resample(positions, side)
         radii = np.zeros(len(positions))
@@ -365,10 +374,10 @@ def _goal(world: World, flow: SolvedFlow, grounds: CrossableGround) -> tuple[Ind
     return used[at], distance[at], away_by
 
 
-def _cost(world: World, flow: SolvedFlow, grounds: CrossableGround) -> Floats:
+def _triangle_costs(world: World, flow: SolvedFlowData, grounds: CrossableGround) -> Floats:
     """Return the path cost per mm within each triangle, without agents."""
-    land = grounds.land
-    _, owner = grounds.lattice.triangles()
+    land = grounds.surface
+    _, owner = grounds.lattice.compute_triangles()
     normal = _ground_meshes(world).triangles[3].normal.T[owner]
     upright = np.abs((normal * world.up).sum(axis=1))
     price = 1.0 + flow.slope * np.sqrt(np.maximum(1 - upright * upright, 0.0))
@@ -378,14 +387,14 @@ def _cost(world: World, flow: SolvedFlow, grounds: CrossableGround) -> Floats:
         gap = np.full(len(middle), np.inf)
         for name in world.plan.obstacles:
             if name in world.obstacles:
-                gap = np.minimum(gap, world.obstacles[name].nearest_within(x, y, z, flow.clearance).t)
+                gap = np.minimum(gap, world.obstacles[name].find_nearest_within(x, y, z, flow.clearance).t)
         tight = np.clip(1 - gap / flow.clearance, 0.0, 1.0)
         price = price + _CLEARANCE_COST_FACTOR * tight * tight
     if flow.maps:
-        b1, b2 = grounds.lattice.weights()
-        small, _ = grounds.lattice.triangles()
+        b1, b2 = grounds.lattice.compute_slot_weights()
+        small, _ = grounds.lattice.compute_triangles()
         b1, b2 = b1[small].mean(axis=1), b2[small].mean(axis=1)
         for name, factor in flow.maps.items():
             one, two, three = (corner.take(owner) for corner in world.maps[name].corners)
             price = price + factor * (one * (1 - b1 - b2) + two * b1 + three * b2)
-    return least_cost(price)
+    return raise_to_min_cost(price)

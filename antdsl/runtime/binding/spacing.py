@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.ground.protocol import Floats, Footing
-from antdsl.numerics.near_pairs import pairs_between
+from antdsl.numerics.near_pairs import find_pairs_between
 
 Rows = NDArray[np.intp]
 Flags = NDArray[np.bool_]
@@ -35,21 +35,21 @@ _CELLS_PER_BODY = 8  # of agents that may overlap, one represents all in a cell 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StartPositionDraws:
-    """Drawn start positions: footings, positions (n, 3) mm, ups (n, 3), and whether an agent may start at each (`good`)."""
+    """Drawn start positions: footings, positions (n, 3) mm, ups (n, 3), and whether an agent may start at each (`is_allowed`)."""
 
     footing: Footing
-    place: Floats
+    position: Floats
     up: Floats
-    good: Flags
+    is_allowed: Flags
 
-    def take(self, rows: Rows) -> StartPositionDraws:
+    def select_rows(self, rows: Rows) -> StartPositionDraws:
         """Return copies of the given rows."""
-        return StartPositionDraws(self.footing.take(rows), self.place[rows], self.up[rows], self.good[rows])
+        return StartPositionDraws(self.footing.take_rows(rows), self.position[rows], self.up[rows], self.is_allowed[rows])
 
-    def put(self, rows: Rows, other: StartPositionDraws) -> None:
+    def replace_rows(self, rows: Rows, other: StartPositionDraws) -> None:
         """Replace the given rows by those of `other`."""
-        self.footing.put(rows, other.footing)
-        self.place[rows], self.up[rows], self.good[rows] = other.place, other.up, other.good
+        self.footing.put_rows(rows, other.footing)
+        self.position[rows], self.up[rows], self.is_allowed[rows] = other.position, other.up, other.is_allowed
 
 
 PositionDrawer = Callable[[NDArray[np.int64], range], StartPositionDraws]
@@ -60,16 +60,16 @@ PositionDrawer = Callable[[NDArray[np.int64], range], StartPositionDraws]
 class _DiscGroup:
     """Discs of similar size: their positions (mm), their entry numbers, and the largest radius (mm)."""
 
-    place: Floats
+    position: Floats
     entries: Rows
-    widest: float
+    max_radius: float
 
     @cached_property
     def tree(self) -> Any:
         """Return a k-d tree of the positions."""
         from scipy.spatial import cKDTree
 
-        return cKDTree(self.place)
+        return cKDTree(self.position)
 
 
 class Occupancy:
@@ -83,13 +83,13 @@ class Occupancy:
         self._place = np.empty((0, 3))
         self._radius = np.empty(0)
         self._order = np.empty(0, np.intp)
-        self._there = np.empty(0, np.bool_)
+        self._is_present = np.empty(0, np.bool_)
         self._groups: list[_DiscGroup] = []
 
-    def add_present(self, place: Floats, radius: Floats) -> None:
+    def add_fixed(self, place: Floats, radius: Floats) -> None:
         """Add agents that are already placed and do not move. They may overlap each other."""
         rows = np.flatnonzero(has_extent(radius))
-        rows = rows[_first_per_cell(place[rows], radius[rows], _CELLS_PER_BODY)]
+        rows = rows[_find_first_per_cell(place[rows], radius[rows], _CELLS_PER_BODY)]
         self.add(place[rows], radius[rows], np.full(len(rows), -1))
 
     def add(self, place: Floats, radius: Floats, order: Rows) -> Rows:
@@ -98,20 +98,20 @@ class Occupancy:
         self._place = np.concatenate([self._place, place])
         self._radius = np.concatenate([self._radius, radius])
         self._order = np.concatenate([self._order, order])
-        self._there = np.concatenate([self._there, np.ones(len(order), np.bool_)])
+        self._is_present = np.concatenate([self._is_present, np.ones(len(order), np.bool_)])
         entries = np.arange(first, len(self._order))
-        self._add_group(np.concatenate([entries, *(group.entries for group in self._groups)]))
+        self._rebuild_groups(np.concatenate([entries, *(group.entries for group in self._groups)]))
         return entries
 
     def remove(self, entries: Rows) -> None:
         """Mark entries as removed; they stay in the groups until `drop_removed`."""
-        self._there[entries] = False
+        self._is_present[entries] = False
 
     def drop_removed(self) -> None:
         """Delete the removed entries from all groups."""
-        self._add_group(np.flatnonzero(self._there))
+        self._rebuild_groups(np.flatnonzero(self._is_present))
 
-    def _add_group(self, entries: Rows) -> None:
+    def _rebuild_groups(self, entries: Rows) -> None:
         """Rebuild the groups from these entries, one for each size class."""
         classes = _size_class(self._radius[entries])
         chosen = [entries[classes == size] for size in np.unique(classes)]
@@ -129,14 +129,14 @@ class Occupancy:
             rows = np.flatnonzero(classes == size)
             widest = float(radius[rows].max())
             for group in self._groups:
-                if order is not None and 2 * group.widest < widest:
+                if order is not None and 2 * group.max_radius < widest:
                     i, entry, share = self._worst_overlap(place, radius, order, rows, group)
                 else:
-                    reach = (widest + group.widest) * _GAP_FACTOR * 1.001 + self._rounding
-                    i, entry = pairs_between(place[rows], group.place, reach)
+                    reach = (widest + group.max_radius) * _GAP_FACTOR * 1.001 + self._rounding
+                    i, entry = find_pairs_between(place[rows], group.position, reach)
                     i, entry = rows[i], group.entries[entry]
                     share = self._distance_share(place[i], radius[i], entry)
-                meets = (share < 1) & self._there[entry]
+                meets = (share < 1) & self._is_present[entry]
                 if order is not None:
                     meets &= self._order[entry] < order[i]
                 pairs.append((i[meets], entry[meets], share[meets]))
@@ -170,25 +170,25 @@ class Occupancy:
             away, near = group.tree.query(at, np.arange(1, count + 1))
             near = group.entries[near]
             share = self._distance_share(at[:, None], wide[:, None], near)
-            share[~self._there[near] | (self._order[near] >= order[rows[pending_discs], None])] = np.inf
+            share[~self._is_present[near] | (self._order[near] >= order[rows[pending_discs], None])] = np.inf
             best = share.argmin(axis=1)
             entry[pending_discs], least[pending_discs] = (
                 near[np.arange(len(pending_discs)), best],
                 share[np.arange(len(pending_discs)), best],
             )
-            beyond = away[:, -1] / ((wide + group.widest) * _GAP_FACTOR + self._rounding)
+            beyond = away[:, -1] / ((wide + group.max_radius) * _GAP_FACTOR + self._rounding)
             pending_discs = pending_discs[(beyond < np.minimum(least[pending_discs], 1.0)) & (count < len(group.entries))]
             count *= 2
         return rows, entry, least
 
-    def freedom(self, place: Floats, radius: Floats, order: Rows) -> Floats:
+    def measure_freedom(self, place: Floats, radius: Floats, order: Rows) -> Floats:
         """Return the freedom (n) of discs from earlier entries: 1 without overlap, 0 at the centre of an entry."""
         i, _, share = self.find_overlaps(place, radius, order)
         least = np.ones(len(place))
         np.minimum.at(least, i, share)
         return least
 
-    def displaced_entries(self, entries: Rows) -> tuple[Rows, Floats]:
+    def find_displaced_entries(self, entries: Rows) -> tuple[Rows, Floats]:
         """Return the entries that must move after the given entries were added, and how free their positions were.
 
         The given entries may be among the results."""
@@ -201,7 +201,7 @@ class Occupancy:
         np.minimum.at(least, which, share[different])
         return who, least
 
-    def order(self, entries: Rows) -> Rows:
+    def start_order(self, entries: Rows) -> Rows:
         """Return the numbers of entries in the start order."""
         return self._order[entries]
 
@@ -225,9 +225,9 @@ def spread_agents(
     begin, size = 0, _FIRST_BATCH_AGENTS
     while begin < len(ids):
         part = slice(begin, begin + size)
-        drawn, held = _batch(occupancy, draw, ids[part], radius[part], first + begin, rounds)
+        drawn, held = _place_batch(occupancy, draw, ids[part], radius[part], first + begin, rounds)
         fits[part] = held
-        chosen = drawn if chosen is None else _join_places(chosen, drawn)
+        chosen = drawn if chosen is None else _join_draws(chosen, drawn)
         failed = np.count_nonzero(~held)
         rounds = next(rounds for share, rounds in _SPACING_ROUNDS if failed <= share * held.size)
         begin += size
@@ -235,7 +235,7 @@ def spread_agents(
     return draw(ids, range(1)) if chosen is None else chosen, fits
 
 
-def _batch(
+def _place_batch(
     occupancy: Occupancy, draw: PositionDrawer, ids: NDArray[np.int64], radius: Floats, first: int, rounds: tuple[int, ...]
 ) -> tuple[StartPositionDraws, Flags]:
     """Place one batch of agents in rounds. Return their positions, and which of them are free."""
@@ -250,44 +250,48 @@ def _batch(
             break
         drawn = draw(ids[left], range(attempt, attempt + tries))
         attempt += tries
-        score = _score(occupancy, drawn, np.tile(left, tries), radius, wide, order).reshape(tries, len(left))
+        score = _score_positions(occupancy, drawn, np.tile(left, tries), radius, wide, order).reshape(tries, len(left))
         pick = score.argmax(axis=0)  # the first free position, else the one with the least overlap
         score = score[pick, np.arange(len(left))]
-        drawn = drawn.take(pick * len(left) + np.arange(len(left)))
+        drawn = drawn.select_rows(pick * len(left) + np.arange(len(left)))
         if chosen is None:
             chosen = drawn
             best[left] = score
         else:
             better = np.flatnonzero(score > best[left])
-            chosen.put(left[better], drawn.take(better))
+            chosen.replace_rows(left[better], drawn.select_rows(better))
             best[left[better]] = score[better]
         new = left[score >= 1]
         held[new] = True
         new = new[wide[new]]
-        clear_rows = new[_first_per_cell(chosen.place[new], radius[new], 1)]
+        clear_rows = new[_find_first_per_cell(chosen.position[new], radius[new], 1)]
         crowded = np.setdiff1d(new, clear_rows, assume_unique=True)
         held[crowded], best[crowded] = False, 0.0
-        entry_of[clear_rows] = occupancy.add(chosen.place[clear_rows], radius[clear_rows], order[clear_rows])
-        losing, share = occupancy.displaced_entries(entry_of[clear_rows])
+        entry_of[clear_rows] = occupancy.add(chosen.position[clear_rows], radius[clear_rows], order[clear_rows])
+        losing, share = occupancy.find_displaced_entries(entry_of[clear_rows])
         occupancy.remove(losing)
-        displaced_rows = occupancy.order(losing) - first
+        displaced_rows = occupancy.start_order(losing) - first
         held[displaced_rows], best[displaced_rows] = False, share
     occupancy.drop_removed()
     assert chosen is not None
     return chosen, held
 
 
-def _score(occupancy: Occupancy, drawn: StartPositionDraws, rows: Rows, radius: Floats, wide: Flags, order: Rows) -> Floats:
+def _score_positions(
+    occupancy: Occupancy, drawn: StartPositionDraws, rows: Rows, radius: Floats, wide: Flags, order: Rows
+) -> Floats:
     """Return 1 for a free position, less for an occupied one, and -1 for a position at which no agent may start."""
-    score = np.where(drawn.good, 1.0, -1.0)
-    good_rows = np.flatnonzero(drawn.good & wide[rows])
-    score[good_rows] = occupancy.freedom(drawn.place[good_rows], radius[rows[good_rows]], order[rows[good_rows]])
+    score = np.where(drawn.is_allowed, 1.0, -1.0)
+    good_rows = np.flatnonzero(drawn.is_allowed & wide[rows])
+    score[good_rows] = occupancy.measure_freedom(drawn.position[good_rows], radius[rows[good_rows]], order[rows[good_rows]])
     return score
 
 
-def _join_places(one: StartPositionDraws, other: StartPositionDraws) -> StartPositionDraws:
-    place, up = np.concatenate([one.place, other.place]), np.concatenate([one.up, other.up])
-    return StartPositionDraws(Footing.concatenate(one.footing, other.footing), place, up, np.concatenate([one.good, other.good]))
+def _join_draws(one: StartPositionDraws, other: StartPositionDraws) -> StartPositionDraws:
+    place, up = np.concatenate([one.position, other.position]), np.concatenate([one.up, other.up])
+    return StartPositionDraws(
+        Footing.concatenate(one.footing, other.footing), place, up, np.concatenate([one.is_allowed, other.is_allowed])
+    )
 
 
 def _size_class(radius: Floats) -> NDArray[np.int64]:
@@ -295,14 +299,14 @@ def _size_class(radius: Floats) -> NDArray[np.int64]:
     return np.frexp(radius)[1].astype(np.int64)
 
 
-def _first_per_cell(place: Floats, radius: Floats, fine: int) -> Rows:
+def _find_first_per_cell(place: Floats, radius: Floats, subdivisions: int) -> Rows:
     """Return the first disc of each size class in each cell, ascending.
 
-    A cell is too small for two discs that do not overlap, or `fine` times smaller. The remaining discs are few enough to count
-    their pairs."""
+    A cell is too small for two discs that do not overlap, or `subdivisions` times smaller. The remaining discs are few enough to
+    count their pairs."""
     size = _size_class(radius)
     smallest = np.ldexp(0.5, size)  # smallest radius of the class
-    cell = np.floor(place / (2.0 * smallest / (np.sqrt(3.0) * fine))[:, None])
+    cell = np.floor(place / (2.0 * smallest / (np.sqrt(3.0) * subdivisions))[:, None])
     by = np.lexsort((np.arange(len(place)), cell[:, 0], cell[:, 1], cell[:, 2], size))
     same = (cell[by[1:]] == cell[by[:-1]]).all(axis=1) & (size[by[1:]] == size[by[:-1]])
     first = np.ones(len(place), np.bool_)

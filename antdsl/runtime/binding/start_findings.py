@@ -7,13 +7,13 @@ import math
 import numpy as np
 
 from antdsl.diagnostics import Report
-from antdsl.fields.solved import PathFlow
+from antdsl.fields.path_flow import PathFlow
 from antdsl.plan.ir import SpeciesPlan
-from antdsl.plan.traverse import blocks, operands, required_nodes, statements
+from antdsl.plan.traverse import collect_required_nodes, iterate_statements, list_blocks, list_operands
 from antdsl.runtime.world import World
 from antdsl.scene import Scene
-from antdsl.scene.setting import SolvedFlow
-from antdsl.scene.staging.item_placement import is_off_surface
+from antdsl.scene.setting import SolvedFlowData
+from antdsl.scene.staging.item_placement import is_away_from_surfaces
 
 _GAP_HELP = "open a way for it, move the target or the crowd, or write what they do there: `when not reachable({flow}) -> …`"
 _REACHABLE_OPERATION = "flow.reachable"
@@ -22,21 +22,21 @@ _UNREACHABLE_HELP = (
 )
 
 
-def start_warnings(scene: Scene, world: World) -> Report:
+def find_start_warnings(scene: Scene, world: World) -> Report:
     """Return warnings about the crowd of a world, each located in the scene."""
-    report = crowding_warnings(scene, world)
+    report = find_crowding_warnings(scene, world)
     for name, flow in world.setting.flows.items():
-        if not isinstance(flow, SolvedFlow) or name not in world.flows:
+        if not isinstance(flow, SolvedFlowData) or name not in world.flows:
             continue
-        gap = _excessive_gap(world, name)
+        gap = _measure_excessive_gap(world, name)
         if gap:
             words = f"the target of `{name}` is {gap:.4g} mm away from the ground, and the way ends at its nearest place"
             help = "move the target onto the ground, or give it a radius that reaches the ground"
             report.warning("unreachable-target", words, scene.span("world", name, key=True), help)
         for species, plan in world.plan.species.items():
             count = len(world.populations[species])
-            uses = _flow_uses(plan).get(name, set())
-            cut_off = count - count_reaching(world, species, name) if count and uses - {_REACHABLE_OPERATION} else 0
+            uses = _find_flow_operations(plan).get(name, set())
+            cut_off = count - count_agents_with_path(world, species, name) if count and uses - {_REACHABLE_OPERATION} else 0
             if cut_off:
                 words = f"{cut_off:,} of {count:,} `{species}` stand where no path leads to the target of `{name}`"
                 help = _UNREACHABLE_HELP if _REACHABLE_OPERATION in uses else _GAP_HELP.format(flow=name)
@@ -44,55 +44,61 @@ def start_warnings(scene: Scene, world: World) -> Report:
     return report
 
 
-def _excessive_gap(world: World, name: str) -> float:
+def _measure_excessive_gap(world: World, name: str) -> float:
     """Return how far (mm) a target is from the ground, if that is more than a tenth of the ground's extent; else 0.
 
     Targets often have a height that differs from the ground's, which matters little."""
     flow = world.flows[name]
-    if not isinstance(flow, PathFlow) or flow.grounds is None:
+    if not isinstance(flow, PathFlow) or flow.crossable_ground is None:
         return 0.0
-    points = flow.grounds.land.points
-    return flow.gap if len(points) and flow.gap > 0.1 * float(np.ptp(points, axis=0).max()) else 0.0
+    points = flow.crossable_ground.surface.points
+    return flow.target_gap if len(points) and flow.target_gap > 0.1 * float(np.ptp(points, axis=0).max()) else 0.0
 
 
-def count_reaching(world: World, species: str, flow: str) -> int:
+def count_agents_with_path(world: World, species: str, flow: str) -> int:
     """Return the number of agents of a species with a path from their position to the target of a flow."""
     population = world.populations[species]
     place, up = population.position.astype(np.float64), population.normal.astype(np.float64)
-    return int(np.count_nonzero(world.flows[flow].reaches(world.ground.meshes, population.footing, place, up)))
+    return int(np.count_nonzero(world.flows[flow].has_flow_at(world.ground.meshes, population.footing, place, up)))
 
 
-def _flow_uses(species: SpeciesPlan) -> dict[str, set[str]]:
+def _find_flow_operations(species: SpeciesPlan) -> dict[str, set[str]]:
     """Return, by flow name, the operations with which a species reads each flow."""
     uses: dict[str, set[str]] = {}
-    operand_nodes = [node for _, block in blocks(species) for _, each in statements(block) for node in operands(each)]
-    for node in required_nodes([*operand_nodes, *species.lazy]):
+    operand_nodes = [
+        node for _, block in list_blocks(species) for _, each in iterate_statements(block) for node in list_operands(each)
+    ]
+    for node in collect_required_nodes([*operand_nodes, *species.memoised_senses]):
         if node.op.startswith("flow."):
             uses.setdefault(str(node.attrs[0]), set()).add(node.op)
     return uses
 
 
-def crowding_warnings(scene: Scene, world: World) -> Report:
+def find_crowding_warnings(scene: Scene, world: World) -> Report:
     """Return warnings for crowd lines that had no space for all agents, each located at the place of the line.
 
     Lines with a place off all surfaces are skipped, because another check reports them."""
     report, setting = Report(), world.setting
-    for line in world.crowded:
-        if is_off_surface(setting.crowds[line.group].place, setting, scene.model.up):
+    for line in world.overcrowded_lines:
+        if is_away_from_surfaces(setting.crowds[line.group].place, setting, scene.model.up):
             continue
         low, high = (f"{radius:.3g}" for radius in line.radius)
         wide = f"{low} mm" if low == high else f"{low} to {high} mm"
-        cover = f"{line.cover:,.0f} mm²" if line.area is None else f"{line.cover:,.0f} of {line.area:,.0f} mm²"
+        cover = (
+            f"{line.covered_area:,.0f} mm²"
+            if line.available_area is None
+            else f"{line.covered_area:,.0f} of {line.available_area:,.0f} mm²"
+        )
         words = f"only {line.fit:,} of {line.count:,} `{line.species}` find room where they begin"
         place = scene.model.crowd[line.group].place
         words += f": with a radius of {wide} {'or half of `apart` ' if place.apart is not None else ''}they cover {cover}"
         help = "write a smaller `count`, or a smaller `radius` in the program"
         if place.apart is not None:
             help = "write a smaller `count`, a larger place, or a smaller `apart`"
-        elif line.larger is not None:
-            larger = f"`radius: {_round_up(line.larger / scene.model.unit_mm)} {scene.model.units}`"
+        elif line.sufficient_radius is not None:
+            larger = f"`radius: {_round_up(line.sufficient_radius / scene.model.unit_mm)} {scene.model.units}`"
             help = f"write {larger}, a smaller `count`, or a smaller `radius` in the program"
-        elif line.sides:
+        elif line.fits_by_area:
             help = "cover its sides and its underside too with `by: area`, or write a smaller `count`"
         elif place.inside is not None or place.density is not None:
             help = "write a larger place, a smaller `count`, or a smaller `radius` in the program"

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.casting.faces import nearest_on_triangle
+from antdsl.casting.faces import find_nearest_on_triangle
 from antdsl.ground.protocol import Flags, Floats, Footing
 from antdsl.numerics import vectors as vec
 from antdsl.runtime.world import World
@@ -27,27 +27,29 @@ class FaceArea:
     mm, relative to the world's origin. `ball`: centre and radius (mm)."""
 
     world: World
-    mesh: NDArray[np.int32]  # (k) the mesh of each face; numbers of solids follow those of meshes
-    local: NDArray[np.int32]  # (k) number of the face in the mesh
+    mesh_numbers: NDArray[np.int32]  # (k) the mesh of each face; numbers of solids follow those of meshes
+    face_in_mesh: NDArray[np.int32]  # (k) number of the face in the mesh
     corner: Floats
     edge1: Floats
     edge2: Floats
-    face: NDArray[np.int64]  # (m) the face of each triangle
+    triangle_face: NDArray[np.int64]  # (m) the face of each triangle
     weights: Floats  # (m, 3, 2) weights b1 and b2 of the triangle's corners in its face
-    cumulative: Floats  # (3m) cumulative area times density, for each corner of each triangle
-    total: float  # mm²
+    cumulative_area: Floats  # (3m) cumulative area times density, for each corner of each triangle
+    total_area: float  # mm²
     ball: tuple[Floats, float] | None
 
-    def points(self, u: NDArray[np.float32], *draws: NDArray[np.float32]) -> tuple[NDArray[np.int64], Floats, Floats, Floats]:
+    def draw_points(
+        self, u: NDArray[np.float32], *draws: NDArray[np.float32]
+    ) -> tuple[NDArray[np.int64], Floats, Floats, Floats]:
         """Return faces (n), weights b1 and b2 (n), and positions (n, 3) mm, from four draws each.
 
         A linear density in a triangle is a mixture of three densities, each proportional to one corner's weight. Gaps between
         sorted draws, two of them joined, have these densities (L. Devroye, Non-Uniform Random Variate Generation, 1986, V.2,
         XI.4). If there are no triangles, the face is -1 and the position zero."""
-        if not len(self.cumulative):
+        if not len(self.cumulative_area):
             return np.full(len(u), -1), np.zeros(len(u)), np.zeros(len(u)), np.zeros((len(u), 3))
-        pick = np.searchsorted(self.cumulative, u.astype(np.float64) * self.cumulative[-1], side="right")
-        pick = np.minimum(pick, len(self.cumulative) - 1)
+        pick = np.searchsorted(self.cumulative_area, u.astype(np.float64) * self.cumulative_area[-1], side="right")
+        pick = np.minimum(pick, len(self.cumulative_area) - 1)
         part, corner = pick // 3, pick % 3
         _, two, three = np.sort(draws, axis=0).astype(np.float64)
         much, rest, last = two, three - two, 1 - three
@@ -56,38 +58,38 @@ class FaceArea:
         c0 = 1.0 - c1 - c2
         own = self.weights[part]
         b1, b2 = ((own[:, 0, k] * c0 + own[:, 1, k] * c1) + own[:, 2, k] * c2 for k in range(2))
-        face = self.face[part]
+        face = self.triangle_face[part]
         place = self.corner[face] + b1[:, None] * self.edge1[face] + b2[:, None] * self.edge2[face]
         return face, b1, b2, place
 
     def at(self, *draws: NDArray[np.float32]) -> tuple[Footing, Floats, Flags]:
         """Return footings, ups perpendicular to the faces (n, 3), and whether an agent can stand there: inside the ball, in no
         solid."""
-        face, b1, b2, place = self.points(*draws)
-        if not len(self.cumulative):
-            return Footing.nowhere(len(face)), np.array(np.broadcast_to(self.world.up, place.shape)), face >= 0
+        face, b1, b2, place = self.draw_points(*draws)
+        if not len(self.cumulative_area):
+            return Footing.create_unplaced(len(face)), np.array(np.broadcast_to(self.world.up, place.shape)), face >= 0
         can_stand = np.ones(len(face), np.bool_)
         if self.ball is not None:
             middle, radius = self.ball
             away = place - middle
             can_stand &= away[:, 0] * away[:, 0] + away[:, 1] * away[:, 1] + away[:, 2] * away[:, 2] <= radius * radius
-        across = vec.cross(vec.columns(self.edge1[face], np.float64), vec.columns(self.edge2[face], np.float64))
-        up = vec.rows(vec.scale(across, 1.0 / np.maximum(vec.length(across), 1e-300)))
-        mesh = self.mesh[face]
-        footing = Footing.on_faces(mesh, self.local[face], b1, b2)
+        across = vec.cross(vec.split_columns(self.edge1[face], np.float64), vec.split_columns(self.edge2[face], np.float64))
+        up = vec.stack_rows(vec.scale(across, 1.0 / np.maximum(vec.length(across), 1e-300)))
+        mesh = self.mesh_numbers[face]
+        footing = Footing.from_faces(mesh, self.face_in_mesh[face], b1, b2)
         if not self.world.solids:
             return footing, up, can_stand
-        return self._with_solids(footing, place, up, can_stand)
+        return self._snap_to_solids(footing, place, up, can_stand)
 
-    def _with_solids(self, on_mesh: Footing, place: Floats, up: Floats, can_stand: Flags) -> tuple[Footing, Floats, Flags]:
+    def _snap_to_solids(self, on_mesh: Footing, place: Floats, up: Floats, can_stand: Flags) -> tuple[Footing, Floats, Flags]:
         """Move points on solids to the current surface of the solid, and reject points inside a solid."""
-        ground, footing = self.world.ground, on_mesh.with_places()
+        ground, footing = self.world.ground, on_mesh.add_position_columns()
         first = len(ground.names) - len(self.world.solids)
         for k, (name, volume) in enumerate(self.world.solids.items()):
             rows = np.flatnonzero(on_mesh.mesh == first + k)
             if rows.size:
-                landed, _ = ground.nearest(place[rows], [name])
-                footing.put(rows, landed)
+                landed, _ = ground.find_nearest(place[rows], [name])
+                footing.put_rows(rows, landed)
                 can_stand[rows] &= landed.mesh == first + k
                 up[rows] = ground.normal(landed)
             on_meshes = on_mesh.mesh < first
@@ -95,22 +97,24 @@ class FaceArea:
         return footing, up, can_stand
 
 
-def areas(world: World, on: tuple[str, ...], density: str | None, around: PointMm | None, radius: float | None) -> FaceArea:
+def find_face_area(
+    world: World, on: tuple[str, ...], density: str | None, around: PointMm | None, radius: float | None
+) -> FaceArea:
     """Return the faces of surfaces and solids `on` in their current position, within a ball and with the density of a map, if
     given.
 
     If the ball meets no face, it is enlarged until it reaches its original radius beyond the nearest face."""
-    mesh, local, corner, edge1, edge2, weight = _faces(world, on, density)
+    mesh, local, corner, edge1, edge2, weight = _collect_faces(world, on, density)
     face, weights = np.arange(len(mesh)), np.broadcast_to(_CORNER_WEIGHTS, (len(mesh), 3, 2))
     ball = None
     if around is not None and radius is not None and len(mesh):
         middle = np.asarray(around, np.float64) - world.origin
         corners = np.stack([corner, corner + edge1, corner + edge2], axis=1)
-        near = nearest_on_triangle(np.broadcast_to(middle, corner.shape), corners)
-        away = float(vec.length(vec.columns(near - middle, np.float64)).min())
+        near = find_nearest_on_triangle(np.broadcast_to(middle, corner.shape), corners)
+        away = float(vec.length(vec.split_columns(near - middle, np.float64)).min())
         ball = (middle, radius if away <= radius else away + radius)
-        face, weights = _faces_within(ball, corner, edge1, edge2)
-    double = vec.length(vec.cross(vec.columns(edge1, np.float64), vec.columns(edge2, np.float64)))
+        face, weights = _triangulate_ball_faces(ball, corner, edge1, edge2)
+    double = vec.length(vec.cross(vec.split_columns(edge1, np.float64), vec.split_columns(edge2, np.float64)))
     span1, span2 = weights[:, 1] - weights[:, 0], weights[:, 2] - weights[:, 0]
     size = double[face] * np.abs(span1[:, 0] * span2[:, 1] - span1[:, 1] * span2[:, 0])
     b1, b2 = weights[:, :, 0], weights[:, :, 1]
@@ -123,7 +127,7 @@ def areas(world: World, on: tuple[str, ...], density: str | None, around: PointM
 _FaceArrays = tuple[NDArray[np.int32], NDArray[np.int32], Floats, Floats, Floats, Floats]
 
 
-def _faces(world: World, on: tuple[str, ...], density: str | None) -> _FaceArrays:
+def _collect_faces(world: World, on: tuple[str, ...], density: str | None) -> _FaceArrays:
     """Return mesh, number in the mesh, corner, two edges and density at the corners (k, 3), of all usable faces of surfaces
     `on`."""
     ground = world.ground.meshes
@@ -150,7 +154,9 @@ def _faces(world: World, on: tuple[str, ...], density: str | None) -> _FaceArray
     return np.concatenate(meshes), np.concatenate(locals_), corner, edge1, edge2, weight
 
 
-def _faces_within(ball: tuple[Floats, float], corner: Floats, edge1: Floats, edge2: Floats) -> tuple[NDArray[np.int64], Floats]:
+def _triangulate_ball_faces(
+    ball: tuple[Floats, float], corner: Floats, edge1: Floats, edge2: Floats
+) -> tuple[NDArray[np.int64], Floats]:
     """Return triangles that cover the part of the faces within a ball: faces (m), and weights (m, 3, 2) of their corners.
 
     A triangle that extends beyond the ball is divided into four while it is larger than half the radius."""
@@ -173,13 +179,13 @@ def _faces_within(ball: tuple[Floats, float], corner: Floats, edge1: Floats, edg
     return np.concatenate(faces), np.concatenate(parts)
 
 
-def _cut_triangles(face: NDArray[np.int64], weights: Floats, at: Floats) -> tuple[NDArray[np.int64], Floats]:
-    """Divide triangles with corners `at` (m, 3, 3), given by face and weights, into four at their edge midpoints.
+def _cut_triangles(face: NDArray[np.int64], weights: Floats, corners: Floats) -> tuple[NDArray[np.int64], Floats]:
+    """Divide triangles with corners `corners` (m, 3, 3), given by face and weights, into four at their edge midpoints.
 
     Thin triangles are divided into two at the midpoint of the longest edge. Otherwise the number of
     quarters in the ball would grow without limit."""
-    sides = ((np.roll(at, -1, axis=1) - at) ** 2).sum(axis=2)
-    across = np.cross(at[:, 1] - at[:, 0], at[:, 2] - at[:, 0])
+    sides = ((np.roll(corners, -1, axis=1) - corners) ** 2).sum(axis=2)
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     thin = sides.max(axis=1) > _THIN_TRIANGLE_RATIO * np.sqrt((across * across).sum(axis=1))
     middles = (weights + np.roll(weights, -1, axis=1)) / 2
     quarters = np.concatenate([weights, middles], axis=1)[~thin][:, _QUARTER_CORNERS].reshape(-1, 3, 2)

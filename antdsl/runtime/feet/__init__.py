@@ -6,8 +6,8 @@ Input: the displacements, headings and ground of a step. `walking.measure` reads
 by id. Feet are simulated only if `Options.feet` is set. They are not part of `state_hash` and have a separate hash.
 
 All loops are kernels, without a second implementation. A step of the feet runs in this order:
-`bodies` computes positions and axes of bodies.
+`body_tables` computes positions and axes of bodies.
 `stepping` decides which feet lift and land, and where.
-`footholds` and `seeking` find ground for feet that need it.
+`foothold_kernels` and `foothold_search` find ground for feet that need it.
 `stepping` moves the trunks (`trunk`) and swings the feet.
 `gaits` computes stride, duty factor and phases by speed."""

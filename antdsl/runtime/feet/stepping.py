@@ -26,53 +26,65 @@ from antdsl.machine_code.kernels import (
     Array1,
     Array2,
     Array3,
-    fetch_ahead,
-    independent,
     inlined,
     kernel,
+    prefetch,
+    simd_range,
 )
 from antdsl.numerics.kernel_vectors import dot, minus
 from antdsl.runtime.feet import trunk
-from antdsl.runtime.feet.bodies import PLAY, body_at, fetch_columns, orthonormal_axes, to_body, to_world
-from antdsl.runtime.feet.gaits import FOOT_Y, HIP, LENGTH, MOST_CYCLES, OFF, REACH, REACHED, REST_X, REST_Z, SINK, gait_at
-from antdsl.runtime.feet.state import NOTHING, STANDS
+from antdsl.runtime.feet.body_tables import PLAY, local_to_world, orthonormal_axes, prefetch_columns, read_body, world_to_local
+from antdsl.runtime.feet.feet_state import NO_GROUND, STANDING_SWING
+from antdsl.runtime.feet.gaits import (
+    FOOT_Y,
+    HIP_POSITION,
+    LEG_LENGTH,
+    LEG_REACH,
+    MAX_CYCLES_PER_FRAME,
+    MAX_LEG_STRETCH,
+    MAX_SINK_SHARE,
+    REST_OFFSET,
+    REST_X,
+    REST_Z,
+    find_gait,
+)
 
 _F = np.float32
 _ZERO, _HALF, _ONE, _TWO, _THREE, _FOUR = _F(0), _F(0.5), _F(1), _F(2), _F(3), _F(4)
-_SINK, _REACHED, _MOST_CYCLES = _F(SINK), _F(REACHED), _F(MOST_CYCLES)
+_MAX_SINK_SHARE, _MAX_LEG_STRETCH, _MAX_CYCLES_PER_FRAME = _F(MAX_SINK_SHARE), _F(MAX_LEG_STRETCH), _F(MAX_CYCLES_PER_FRAME)
 
-_SLOW = _F(0.02)  # cycles per frame; slower agents put their feet back to rest
-_LEFT = _F(1.25)  # multiple of the reach: a foot farther from rest is lifted at any phase
-_AGAIN = _F(0.45)  # share of the leg length: a target farther from the needed position is searched again
-_STRETCHED = _F(0.99)  # share of the leg length: a foot farther from its hip is lifted
-_SMALL = _F(0.4)  # share of a stride: shorter swings are lower
-_LATE = _F(0.6)  # share of a swing until which a foot that missed its turn may lift
-_BEHIND = _F(0.3)  # share of the reach: a foot farther behind has missed its turn
-_LOWEST = _F(0.1)  # share of the leg length: least height of the hip above the foot in distance tests
-_AT_ONCE = _F(1e-3)  # share of a cycle by which the phase starts after the turn of the first foot
-_FETCHED = 16  # number of agents that are prefetched together
-_LEAST, _TINY, _LONG = _F(1e-6), _F(1e-9), _F(1e4)
+_SLOW_CYCLES_PER_FRAME = _F(0.02)  # cycles per frame; slower agents put their feet back to rest
+_MAX_OFFSET_REACHES = _F(1.25)  # multiple of the reach: a foot farther from rest is lifted at any phase
+_NEW_SEARCH_LEG_SHARE = _F(0.45)  # share of the leg length: a target farther from the needed position is searched again
+_STRETCHED_LEG_SHARE = _F(0.99)  # share of the leg length: a foot farther from its hip is lifted
+_SMALL_SWING_STRIDE_SHARE = _F(0.4)  # share of a stride: shorter swings are lower
+_LATEST_LIFT_SWING_SHARE = _F(0.6)  # share of a swing until which a foot that missed its turn may lift
+_MISSED_LIFT_REACH_SHARE = _F(0.3)  # share of the reach: a foot farther behind has missed its turn
+_MIN_HIP_HEIGHT_SHARE = _F(0.1)  # share of the leg length: least height of the hip above the foot in distance tests
+_PHASE_OVERSHOOT = _F(1e-3)  # share of a cycle by which the phase starts after the turn of the first foot
+_PREFETCH_GROUP_SIZE = 16  # number of agents that are prefetched together
+_MIN_COVER, _MIN_DIVISOR, _MAX_STANCE_FRAMES = _F(1e-6), _F(1e-9), _F(1e4)
 
 STAYS, LIFTS, LANDS, SEEKS_AGAIN = 0, 1, 2, 3  # values of `what`: the action of a foot in this step
-LEG_BITS, LEG = 16, 0xFFFF  # a request is: number of the agent << LEG_BITS | number of the leg
+LEG_BITS, LEG_MASK = 16, 0xFFFF  # a request is: number of the agent << LEG_BITS | number of the leg
 
-Legs = Array2[F32]  # as `Gaits.legs`
+LegTable = Array2[F32]  # as `Gaits.legs`
 GaitTables = tuple[Array1[F32], Array2[F32], Array2[F32]]  # as `Gaits.tables`
-FootPlaces = tuple[Array3[F64], Array3[F64], Array3[F64]]  # `place`, `start` and `shown` of feet
-States = tuple[Array2[F32], Array2[I16], Array2[F32]]  # `swing`, `on` and `found` of feet
-Trunks = tuple[Array1[F32], Array1[F32], Array2[F32]]  # `phase`, `rise` and `slope`
-Columns = tuple[FootPlaces, States, Trunks]
+FootPositions = tuple[Array3[F64], Array3[F64], Array3[F64]]  # `place`, `start` and `shown` of feet
+FootStates = tuple[Array2[F32], Array2[I16], Array2[F32]]  # `swing`, `on` and `found` of feet
+TrunkColumns = tuple[Array1[F32], Array1[F32], Array2[F32]]  # `phase`, `rise` and `slope`
+FootColumns = tuple[FootPositions, FootStates, TrunkColumns]
 # For each leg: target position ahead and aside, frames until landing, completed share of the swing at that time, distance
 # from the rest position, position relative to the body [3, L, n], and the action.
-Targets = tuple[Array2[F32], Array2[F32], Array2[F32], Array2[F32], Array2[F32], Array3[F32], Array2[U8]]
-Pace = tuple[Array1[F32], Array1[F32], Array1[BOOL]]  # stride, lift, and whether the agent hardly moves
+FootTargets = tuple[Array2[F32], Array2[F32], Array2[F32], Array2[F32], Array2[F32], Array3[F32], Array2[U8]]
+StepPaces = tuple[Array1[F32], Array1[F32], Array1[BOOL]]  # stride, lift, and whether the agent hardly moves
 
 
 @kernel
-def measure_cover(
+def measure_ground_covered(
     bodies: Array2[F64],
     last_pose: tuple[Array2[F64], Array2[F32], Array2[F32]],
-    legs: Legs,
+    legs: LegTable,
     new: Array1[BOOL],
     covered: Array3[F32],
     begin: I64,
@@ -83,8 +95,8 @@ def measure_cover(
 
     `last_pose`: position, heading and up of bodies at the end of the last frame. For `new` agents the result is 0."""
     position, heading, up = last_pose
-    for i in independent(begin, end):
-        place, ahead, _, aside, size = body_at(bodies, i)
+    for i in simd_range(begin, end):
+        place, ahead, _, aside, size = read_body(bodies, i)
         forward = np.float64(heading[0, i]), np.float64(heading[1, i]), np.float64(heading[2, i])
         above = np.float64(up[0, i]), np.float64(up[1, i]), np.float64(up[2, i])
         ahead_before, _, aside_before = orthonormal_axes(forward, above)
@@ -104,13 +116,13 @@ def measure_cover(
 def plan_steps(
     bodies: Array2[F64],
     covered: Array3[F32],
-    legs: Legs,
+    legs: LegTable,
     gaits: GaitTables,
     times: tuple[F32, F32, F32, F32],
     undermined: Array2[BOOL],
-    feet: Columns,
-    pace: Pace,
-    targets: Targets,
+    feet: FootColumns,
+    pace: StepPaces,
+    targets: FootTargets,
     requests: Array1[I64],
     begin: I64,
     end: I64,
@@ -129,22 +141,22 @@ def plan_steps(
     phase, rise, slope = feet[2]
     target_x, target_z, left, share, off, at, what = targets
     stride, lift, slow = pace
-    for group in range(begin, end, _FETCHED):
-        stop = min(group + _FETCHED, end)
-        until = min(stop + _FETCHED, end)
-        fetch_columns(place, 3 * count, 8, stop, until)
-        fetch_columns(bodies, 13, 8, stop, until)
-        fetch_columns(covered, 2 * count, 16, stop, until)
-        fetch_columns(at, 3 * count, 16, stop, until)
+    for group in range(begin, end, _PREFETCH_GROUP_SIZE):
+        stop = min(group + _PREFETCH_GROUP_SIZE, end)
+        until = min(stop + _PREFETCH_GROUP_SIZE, end)
+        prefetch_columns(place, 3 * count, 8, stop, until)
+        prefetch_columns(bodies, 13, 8, stop, until)
+        prefetch_columns(covered, 2 * count, 16, stop, until)
+        prefetch_columns(at, 3 * count, 16, stop, until)
         for each in (swing, rest_offset, target_x, target_z, left, share, off):
-            fetch_columns(each, count, 16, stop, until)
+            prefetch_columns(each, count, 16, stop, until)
         for each in (on, what, undermined):
-            fetch_columns(each, count, 64, stop, until)
-        fetch_columns(slope, 2, 16, stop, until)
+            prefetch_columns(each, count, 64, stop, until)
+        prefetch_columns(slope, 2, 16, stop, until)
         for each in (rise, phase, stride, lift):
-            fetch_ahead(each, stop)
-        for i in independent(group, stop):
-            body = body_at(bodies, i)
+            prefetch(each, stop)
+        for i in simd_range(group, stop):
+            body = read_body(bodies, i)
             lean, raised = (slope[0, i], slope[1, i]), rise[i] / _F(body.size)
             frame_distance = _ZERO
             for leg in range(count):
@@ -152,60 +164,60 @@ def plan_steps(
                     covered[0, leg, i] * covered[0, leg, i] + covered[1, leg, i] * covered[1, leg, i]
                 )
             frame_distance = frame_distance / _F(max(1, count))
-            gait, long, duty, high = gait_at(gaits, frame_distance / dt, frame_distance, shortest)
+            gait, long, duty, high = find_gait(gaits, frame_distance / dt, frame_distance, shortest)
             stride[i], lift[i] = long, high
             ahead = frame_distance / long
-            still = ahead < _SLOW
+            still = ahead < _SLOW_CYCLES_PER_FRAME
             slow[i] = still
             restless, stands = False, True
             for leg in range(count):
-                local_foot = to_body(body, (place[0, leg, i], place[1, leg, i], place[2, leg, i]))
+                local_foot = world_to_local(body, (place[0, leg, i], place[1, leg, i], place[2, leg, i]))
                 at[0, leg, i], at[1, leg, i], at[2, leg, i] = local_foot
-                away = _rest_distance(legs, leg, local_foot, _hip(legs, leg, lean, raised))
+                away = _rest_distance(legs, leg, local_foot, _hip_position(legs, leg, lean, raised))
                 off[leg, i] = away
-                down = swing[leg, i] == STANDS
-                if swing[leg, i] >= _ZERO or (down and away > legs[OFF, leg] + rest_offset[leg, i]):
+                down = swing[leg, i] == STANDING_SWING
+                if swing[leg, i] >= _ZERO or (down and away > legs[REST_OFFSET, leg] + rest_offset[leg, i]):
                     restless = True
-                if not down or not away <= legs[OFF, leg]:
+                if not down or not away <= legs[REST_OFFSET, leg]:
                     stands = False
             if still and restless:
                 ahead = max(ahead, rests)
-            ahead = min(ahead, _MOST_CYCLES)
+            ahead = min(ahead, _MAX_CYCLES_PER_FRAME)
             # An agent that starts to walk lifts the foot with the next turn at once, so that no foot is left behind.
             gap = _F(np.inf)
             for leg in range(count):
-                leg_phase = _cycle_share(phase[i] + gaits[2][gait, leg])
+                leg_phase = _wrap_phase(phase[i] + gaits[2][gait, leg])
                 wait = duty - leg_phase
                 wait = wait if wait > _ZERO else wait + _ONE
                 gap = min(gap, wait)
-            advance = gap + _AT_ONCE if stands and not still and gap > ahead else ahead
+            advance = gap + _PHASE_OVERSHOOT if stands and not still and gap > ahead else ahead
             rate = min(max(ahead / (_ONE - duty), swings), _ONE)
-            stance = max(_ONE / max(ahead, _LEAST) - _ONE / rate, _ZERO)  # number of frames of the stance
+            stance = max(_ONE / max(ahead, _MIN_COVER) - _ONE / rate, _ZERO)  # number of frames of the stance
             for leg in range(count):
                 local_foot = at[0, leg, i], at[1, leg, i], at[2, leg, i]
-                hip = _hip(legs, leg, lean, raised)
+                hip = _hip_position(legs, leg, lean, raised)
                 x, z = local_foot[0] - legs[REST_X, leg], local_foot[2] - legs[REST_Z, leg]
                 cover_x, cover_z = covered[0, leg, i], covered[1, leg, i]
-                leg_phase = _cycle_share(phase[i] + gaits[2][gait, leg])
+                leg_phase = _wrap_phase(phase[i] + gaits[2][gait, leg])
                 next_phase = leg_phase + advance
                 crosses = (leg_phase < duty and next_phase >= duty) or next_phase >= _ONE + duty
                 # The foot missed its turn, for example because the gait changed: it is behind its rest and may still swing.
                 behind = x * cover_x + z * cover_z < _ZERO
-                late = leg_phase >= duty and leg_phase < duty + _LATE * (_ONE - duty)
-                late = late and behind and off[leg, i] > _BEHIND * legs[REACH, leg]
-                due = (crosses or late) and (not still or off[leg, i] > _HALF * legs[OFF, leg] + rest_offset[leg, i])
+                late = leg_phase >= duty and leg_phase < duty + _LATEST_LIFT_SWING_SHARE * (_ONE - duty)
+                late = late and behind and off[leg, i] > _MISSED_LIFT_REACH_SHARE * legs[LEG_REACH, leg]
+                due = (crosses or late) and (not still or off[leg, i] > _HALF * legs[REST_OFFSET, leg] + rest_offset[leg, i])
                 lost = (
-                    off[leg, i] > _LEFT * legs[REACH, leg]
+                    off[leg, i] > _MAX_OFFSET_REACHES * legs[LEG_REACH, leg]
                     or undermined[leg, i]
-                    or _is_too_far(legs, leg, local_foot, hip, _STRETCHED)
+                    or _is_too_far(legs, leg, local_foot, hip, _STRETCHED_LEG_SHARE)
                 )
-                down = swing[leg, i] == STANDS
+                down = swing[leg, i] == STANDING_SWING
                 lifts = down and (due or lost)
                 flies = lifts or swing[leg, i] >= _ZERO
                 if lifts:
                     for axis in range(3):
                         start[axis, leg, i] = place[axis, leg, i]
-                progress, increment = STANDS, rate
+                progress, increment = STANDING_SWING, rate
                 frames = _ZERO
                 if flies:
                     over = next_phase - duty
@@ -214,8 +226,11 @@ def plan_steps(
                         increment = over / (_ONE - duty)
                     progress = min((_ZERO if lifts else swing[leg, i]) + increment, _ONE)
                     frames = (_ONE - progress) / rate
-                half_x, half_z = min(stance, _LONG) * cover_x * _HALF, min(stance, _LONG) * cover_z * _HALF
-                by = min(_ONE, legs[REACH, leg] / max(np.sqrt(half_x * half_x + half_z * half_z), _TINY))
+                half_x, half_z = (
+                    min(stance, _MAX_STANCE_FRAMES) * cover_x * _HALF,
+                    min(stance, _MAX_STANCE_FRAMES) * cover_z * _HALF,
+                )
+                by = min(_ONE, legs[LEG_REACH, leg] / max(np.sqrt(half_x * half_x + half_z * half_z), _MIN_DIVISOR))
                 to_x = legs[REST_X, leg] + cover_x * frames + half_x * by
                 to_z = legs[REST_Z, leg] + cover_z * frames + half_z * by
                 lands = flies and progress >= _ONE
@@ -223,11 +238,11 @@ def plan_steps(
                 to_x, to_z = to_x - cover_x * past, to_z - cover_z * past
                 target_x[leg, i], target_z[leg, i], left[leg, i], share[leg, i] = to_x, to_z, frames, progress
                 miss_x, miss_z = local_foot[0] - to_x, local_foot[2] - to_z
-                most = legs[OFF, leg] if still else _AGAIN * legs[LENGTH, leg]
-                again = miss_x * miss_x + miss_z * miss_z > most * most or on[leg, i] == NOTHING
-                again = lands and (again or _is_too_far(legs, leg, local_foot, hip, _REACHED))
+                most = legs[REST_OFFSET, leg] if still else _NEW_SEARCH_LEG_SHARE * legs[LEG_LENGTH, leg]
+                again = miss_x * miss_x + miss_z * miss_z > most * most or on[leg, i] == NO_GROUND
+                again = lands and (again or _is_too_far(legs, leg, local_foot, hip, _MAX_LEG_STRETCH))
                 what[leg, i] = (SEEKS_AGAIN if again else LANDS) if lands else (LIFTS if lifts else STAYS)
-            phase[i] = _cycle_share(phase[i] + advance)
+            phase[i] = _wrap_phase(phase[i] + advance)
     many = 0
     for i in range(begin, end):
         for leg in range(count):
@@ -240,11 +255,11 @@ def plan_steps(
 @kernel
 def take_steps(
     bodies: Array2[F64],
-    legs: Legs,
+    legs: LegTable,
     trunk_steps: tuple[F32, F32, F32],
-    feet: Columns,
-    pace: Pace,
-    targets: Targets,
+    feet: FootColumns,
+    pace: StepPaces,
+    targets: FootTargets,
     last: tuple[Array2[F64], Array2[F32], Array2[F32]],
     begin: I64,
     end: I64,
@@ -261,33 +276,33 @@ def take_steps(
     _, rise, slope = feet[2]
     share, at, what = targets[3], targets[5], targets[6]
     stride, lift, slow = pace
-    for group in range(begin, end, _FETCHED):
-        stop = min(group + _FETCHED, end)
-        until = min(stop + _FETCHED, end)
+    for group in range(begin, end, _PREFETCH_GROUP_SIZE):
+        stop = min(group + _PREFETCH_GROUP_SIZE, end)
+        until = min(stop + _PREFETCH_GROUP_SIZE, end)
         for each in (place, start, current_place):
-            fetch_columns(each, 3 * count, 8, stop, until)
-        fetch_columns(bodies, 13, 8, stop, until)
-        fetch_columns(at, 3 * count, 16, stop, until)
+            prefetch_columns(each, 3 * count, 8, stop, until)
+        prefetch_columns(bodies, 13, 8, stop, until)
+        prefetch_columns(at, 3 * count, 16, stop, until)
         for each in (swing, share, rest_offset):
-            fetch_columns(each, count, 16, stop, until)
+            prefetch_columns(each, count, 16, stop, until)
         for each in (on, what):
-            fetch_columns(each, count, 64, stop, until)
-        fetch_columns(slope, 2, 16, stop, until)
+            prefetch_columns(each, count, 64, stop, until)
+        prefetch_columns(slope, 2, 16, stop, until)
         for each in (rise, stride, lift):
-            fetch_ahead(each, stop)
-        for i in independent(group, stop):
-            body = body_at(bodies, i)
+            prefetch(each, stop)
+        for i in simd_range(group, stop):
+            body = read_body(bodies, i)
             size = _F(body.size)
             lean, raised = (slope[0, i], slope[1, i]), rise[i] / size
             for leg in range(count):
                 lands = what[leg, i] >= LANDS
-                swing[leg, i] = STANDS if lands and on[leg, i] != NOTHING else share[leg, i]
-                local_foot = to_body(body, (place[0, leg, i], place[1, leg, i], place[2, leg, i]))
+                swing[leg, i] = STANDING_SWING if lands and on[leg, i] != NO_GROUND else share[leg, i]
+                local_foot = world_to_local(body, (place[0, leg, i], place[1, leg, i], place[2, leg, i]))
                 at[0, leg, i], at[1, leg, i], at[2, leg, i] = local_foot
                 if not slow[i]:
                     rest_offset[leg, i] = _ZERO
                 elif lands:
-                    rest_offset[leg, i] = _rest_distance(legs, leg, local_foot, _hip(legs, leg, lean, raised))
+                    rest_offset[leg, i] = _rest_distance(legs, leg, local_foot, _hip_position(legs, leg, lean, raised))
             height, ahead, aside = trunk.fit_plane(at, on, count, i)
             play = _F(bodies[PLAY, i])
             height, ahead, aside = min(max(height, -highest * play), highest), ahead * play, aside * play
@@ -297,18 +312,20 @@ def take_steps(
             torn = False
             for leg in range(count):
                 local_foot = at[0, leg, i], at[1, leg, i], at[2, leg, i]
-                if swing[leg, i] == STANDS and _is_too_far(legs, leg, local_foot, _hip(legs, leg, tilt, high / size), _STRETCHED):
+                if swing[leg, i] == STANDING_SWING and _is_too_far(
+                    legs, leg, local_foot, _hip_position(legs, leg, tilt, high / size), _STRETCHED_LEG_SHARE
+                ):
                     torn = True
             if not torn:  # otherwise the trunk stays, so that all standing feet remain in reach
                 rise[i], slope[0, i], slope[1, i] = high, tilt[0], tilt[1]
             lean, raised = (slope[0, i], slope[1, i]), rise[i] / size
             for leg in range(count):
                 if swing[leg, i] >= _ZERO:
-                    swing_start = to_body(body, (start[0, leg, i], start[1, leg, i], start[2, leg, i]))
+                    swing_start = world_to_local(body, (start[0, leg, i], start[1, leg, i], start[2, leg, i]))
                     local_foot = at[0, leg, i], at[1, leg, i], at[2, leg, i]
-                    hip = _hip(legs, leg, lean, raised)
+                    hip = _hip_position(legs, leg, lean, raised)
                     x, y, z = _swing_position(legs, leg, (swing_start, local_foot, hip), swing[leg, i], stride[i], lift[i])
-                    foot = to_world(body, x, y, z)
+                    foot = local_to_world(body, x, y, z)
                     current_place[0, leg, i], current_place[1, leg, i], current_place[2, leg, i] = foot
                 else:
                     for axis in range(3):
@@ -319,15 +336,15 @@ def take_steps(
 
 
 @inlined
-def _cycle_share(turns: Any) -> Any:
+def _wrap_phase(turns: Any) -> Any:
     """Return the phase (0 to 1) in the current cycle after a number of cycles."""
     return turns - np.floor(turns)
 
 
 @inlined
-def _hip(legs: Any, leg: Any, slope: Any, raised: Any) -> Any:
+def _hip_position(legs: Any, leg: Any, slope: Any, raised: Any) -> Any:
     """Return the position of a leg's hip, for a trunk that leans by `slope` and is raised."""
-    x, y, z = trunk.lean_point(slope, (legs[HIP, leg], legs[HIP + 1, leg], legs[HIP + 2, leg]))
+    x, y, z = trunk.tilt_point(slope, (legs[HIP_POSITION, leg], legs[HIP_POSITION + 1, leg], legs[HIP_POSITION + 2, leg]))
     return x, y + raised, z
 
 
@@ -338,7 +355,7 @@ def _rest_distance(legs: Any, leg: Any, local_foot: Any, hip: Any) -> Any:
     This is the lesser of two distances: along the ground, and from the straight line from the hip through the rest position."""
     rest_x, rest_z = legs[REST_X, leg], legs[REST_Z, leg]
     x, z = local_foot[0] - rest_x, local_foot[2] - rest_z
-    by = hip[1] / max(hip[1] - local_foot[1], _LOWEST * legs[LENGTH, leg])
+    by = hip[1] / max(hip[1] - local_foot[1], _MIN_HIP_HEIGHT_SHARE * legs[LEG_LENGTH, leg])
     a, c = hip[0] + (local_foot[0] - hip[0]) * by - rest_x, hip[2] + (local_foot[2] - hip[2]) * by - rest_z
     return np.sqrt(min(x * x + z * z, a * a + c * c))
 
@@ -346,10 +363,10 @@ def _rest_distance(legs: Any, leg: Any, local_foot: Any, hip: Any) -> Any:
 @inlined
 def _is_too_far(legs: Any, leg: Any, local_foot: Any, hip: Any, most: Any) -> Any:
     """Return whether a foot is farther from its hip than the share `most` of its leg length, with the trunk as low as allowed."""
-    length = legs[LENGTH, leg]
+    length = legs[LEG_LENGTH, leg]
     x, z = local_foot[0] - hip[0], local_foot[2] - hip[2]
     y = local_foot[1] - hip[1] + legs[FOOT_Y, leg]
-    high = max(abs(y) - (_SINK * length if y < _ZERO else _ZERO), _ZERO)
+    high = max(abs(y) - (_MAX_SINK_SHARE * length if y < _ZERO else _ZERO), _ZERO)
     far = most * length
     return (x * x + high * high) + z * z > far * far
 
@@ -361,10 +378,10 @@ def _swing_position(legs: Any, leg: Any, ends: Any, progress: Any, stride: Any, 
     eased = progress * progress * (_THREE - _TWO * progress)
     dx, dy, dz = local_foot[0] - swing_start[0], local_foot[1] - swing_start[1], local_foot[2] - swing_start[2]
     far = np.sqrt((dx * dx + dy * dy) + dz * dz)
-    arc = lift * min(_ONE, far / (stride * _SMALL)) * (_FOUR * progress * (_ONE - progress))
+    arc = lift * min(_ONE, far / (stride * _SMALL_SWING_STRIDE_SHARE)) * (_FOUR * progress * (_ONE - progress))
     # The foot joint is above the ground, so the hip is lowered by the same height for the distance test.
     a, b, c = hip[0], hip[1] - legs[FOOT_Y, leg], hip[2]
     x, y, z = swing_start[0] + dx * eased - a, swing_start[1] + dy * eased + arc - b, swing_start[2] + dz * eased - c
     long = np.sqrt((x * x + y * y) + z * z)
-    by = min(_ONE, legs[LENGTH, leg] * _REACHED / max(long, _TINY))
+    by = min(_ONE, legs[LEG_LENGTH, leg] * _MAX_LEG_STRETCH / max(long, _MIN_DIVISOR))
     return a + x * by, b + y * by, c + z * by

@@ -11,29 +11,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.machine_code.kernels import inlined
-from antdsl.runtime.feet.gaits import FOOT_Y, HIP, SQUARE
-from antdsl.runtime.feet.state import NOTHING, STANDS
+from antdsl.runtime.feet.feet_state import NO_GROUND, STANDING_SWING
+from antdsl.runtime.feet.gaits import FOOT_Y, HIP_POSITION, SQUARED_LENGTH
 
 Floats = NDArray[np.float32]
 _F = np.float32
 _ZERO, _ONE, _INFINITE = _F(0), _F(1), _F(np.inf)
 
-STEEPEST = _F(0.35)  # maximum slope of the trunk relative to the body's up: 19 degrees
-HIGHEST = 0.3  # share of the hip height: maximum offset of the trunk
-SLACK, SLOWLY = 0.06, 0.2  # s: time constants of a new tilt or lower height, and of a greater height, for smooth steps
-_STIFF = _F(0.02)  # damping (squared length): keeps a plane through feet that are close together level
-_PLANE = _F(3)  # least number of feet for a plane; with fewer, the trunk does not tilt
-_FLAT = _F(1e-6)
+MAX_TRUNK_SLOPE = _F(0.35)  # maximum slope of the trunk relative to the body's up: 19 degrees
+MAX_RISE_HIP_SHARE = 0.3  # share of the hip height: maximum offset of the trunk
+SETTLE_SECONDS, RISE_SECONDS = (
+    0.06,
+    0.2,
+)  # s: time constants of a new tilt or lower height, and of a greater height, for smooth steps
+_PLANE_FIT_DAMPING = _F(0.02)  # damping (squared length): keeps a plane through feet that are close together level
+_MIN_PLANE_FEET = _F(3)  # least number of feet for a plane; with fewer, the trunk does not tilt
+_MIN_SQUARED_SLOPE = _F(1e-6)
 
 
 @inlined
-def fit_plane(points: Any, held: Any, legs: Any, i: Any) -> Any:
+def fit_plane(points: Any, ground_numbers: Any, legs: Any, i: Any) -> Any:
     """Return height, slope ahead and slope aside of the plane through the ground of the feet of agent `i`, before smoothing.
 
-    `points` [3, L, n]: the ground position of each foot. `held` [L, n]: what the foot stands on, as `Feet.on`."""
+    `points` [3, L, n]: the ground position of each foot. `ground_numbers` [L, n]: what the foot stands on, as `Feet.on`."""
     count, mean_x, mean_y, mean_z = _ZERO, _ZERO, _ZERO, _ZERO
     for leg in range(legs):
-        weight = _ONE if held[leg, i] != NOTHING else _ZERO
+        weight = _ONE if ground_numbers[leg, i] != NO_GROUND else _ZERO
         count = count + weight
         mean_x, mean_y = mean_x + points[0, leg, i] * weight, mean_y + points[1, leg, i] * weight
         mean_z = mean_z + points[2, leg, i] * weight
@@ -41,36 +44,36 @@ def fit_plane(points: Any, held: Any, legs: Any, i: Any) -> Any:
     mean_x, mean_y, mean_z = mean_x * per, mean_y * per, mean_z * per
     xx, zz, xz, xy, zy = _ZERO, _ZERO, _ZERO, _ZERO, _ZERO
     for leg in range(legs):
-        weight = _ONE if held[leg, i] != NOTHING else _ZERO
+        weight = _ONE if ground_numbers[leg, i] != NO_GROUND else _ZERO
         x, y = (points[0, leg, i] - mean_x) * weight, (points[1, leg, i] - mean_y) * weight
         z = (points[2, leg, i] - mean_z) * weight
         xx, zz, xz, xy, zy = xx + x * x, zz + z * z, xz + x * z, xy + x * y, zy + z * y
-    xx, zz, xz, xy, zy = xx * per + _STIFF, zz * per + _STIFF, xz * per, xy * per, zy * per
+    xx, zz, xz, xy, zy = xx * per + _PLANE_FIT_DAMPING, zz * per + _PLANE_FIT_DAMPING, xz * per, xy * per, zy * per
     determinant = xx * zz - xz * xz
     ahead, aside = _ZERO, _ZERO
-    if count >= _PLANE:
+    if count >= _MIN_PLANE_FEET:
         ahead, aside = (zz * xy - xz * zy) / determinant, (xx * zy - xz * xy) / determinant
-    by = min(_ONE, STEEPEST / max(np.sqrt(ahead * ahead + aside * aside), _FLAT))
+    by = min(_ONE, MAX_TRUNK_SLOPE / max(np.sqrt(ahead * ahead + aside * aside), _MIN_SQUARED_SLOPE))
     ahead, aside = ahead * by, aside * by
     height = (mean_y - ahead * mean_x) - aside * mean_z if count > _ZERO else _ZERO
     return height, ahead, aside
 
 
 @inlined
-def lower_trunk(points: Any, standing: Any, legs: Any, rise: Any, slope: Any, least: Any, i: Any) -> Any:
+def lower_trunk(points: Any, standing: Any, legs: Any, rise: Any, slope: Any, min_rise: Any, i: Any) -> Any:
     """Return the rise of a trunk, lowered as far as the legs of its standing feet require. The trunk leans by `slope`."""
     most = _INFINITE
     for leg in range(legs.shape[1]):
-        x, y, z = lean_point(slope, (legs[HIP, leg], legs[HIP + 1, leg], legs[HIP + 2, leg]))
+        x, y, z = tilt_point(slope, (legs[HIP_POSITION, leg], legs[HIP_POSITION + 1, leg], legs[HIP_POSITION + 2, leg]))
         dx, dz = points[0, leg, i] - x, points[2, leg, i] - z
-        square = legs[SQUARE, leg] - dx * dx - dz * dz
-        if standing[leg, i] == STANDS and square > _ZERO:
+        square = legs[SQUARED_LENGTH, leg] - dx * dx - dz * dz
+        if standing[leg, i] == STANDING_SWING and square > _ZERO:
             most = min(most, points[1, leg, i] + legs[FOOT_Y, leg] + np.sqrt(max(square, _ZERO)) - y)
-    return max(min(rise, most), min(rise, least))
+    return max(min(rise, most), min(rise, min_rise))
 
 
 @inlined
-def lean_point(slope: Any, point: Any) -> Any:
+def tilt_point(slope: Any, point: Any) -> Any:
     """Return a point of a trunk after the shortest rotation of the trunk's up to the normal of a plane.
 
     `slope`: the plane's slopes ahead and aside."""
@@ -88,7 +91,7 @@ def lean_point(slope: Any, point: Any) -> Any:
     )
 
 
-def slope_quaternions(slope: Floats) -> Floats:
+def compute_slope_quaternions(slope: Floats) -> Floats:
     """Return the rotations of trunks with slopes [2, n] as unit quaternions float32[n, 4]: x, y, z, w."""
     a, b = -slope[0].astype(np.float64), -slope[1].astype(np.float64)
     size = 1 / np.sqrt((a * a + 1) + b * b)

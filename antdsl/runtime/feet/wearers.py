@@ -80,6 +80,6 @@ def sorted_ids_of(world: World, key: str) -> NDArray[np.int64]:
     population = world.populations[species_of_key(key)]
     if len(world.setting.body_weights.get(population.name, ())) < 2:
         return population.sorted_ids()[0]
-    numbers = numbers_by_row(population, world.setting)[population.in_id_order()]
+    numbers = numbers_by_row(population, world.setting)[population.rows_by_id()]
     own: NDArray[np.int64] = population.sorted_ids()[0][numbers == number_of_key(key)]
     return own

@@ -34,16 +34,16 @@ def find_bodies_inside(world: World, population: Population, rows: NDArray[np.in
     now, count = population.now, len(rows)
     size, shape = now["size"].take(rows).astype(np.float64), body_shape(world, population, 0.0)
     depths, outs = np.zeros(count, np.float32), np.zeros((3, count), np.float32)
-    poses = BodyPoses(vec.vector_registers(now, "up"), vec.vector_registers(now, "heading"))
+    poses = BodyPoses(vec.get_vector_registers(now, "up"), vec.get_vector_registers(now, "heading"))
     zero = np.zeros(len(population), np.float32)
-    lift = vec.vector_registers(now, "~lift") if LIFT_REGISTERS[0] in now else (zero, zero.copy(), zero.copy())
+    lift = vec.get_vector_registers(now, "~lift") if LIFT_REGISTERS[0] in now else (zero, zero.copy(), zero.copy())
     lift = (lift[0].copy(), lift[1].copy(), lift[2].copy())
     meshes = world.ground.meshes
-    walk = None if not isinstance(meshes, MeshGround) else meshes.crowd_walk(0.0, float(np.fmax.reduce(size, initial=0.0)))
+    walk = None if not isinstance(meshes, MeshGround) else meshes.build_crowd_walk(0.0, float(np.fmax.reduce(size, initial=0.0)))
     if walk is not None and count:
         limits = BodyLimits(zero, zero, _F(1), now["size"], shape, np.inf, np.inf)
-        search, old = face_search(walk, count, 1), vec.take(lift, rows)
-        table = walk.tables()[0].table
+        search, old = face_search(walk, count, 1), vec.take_rows(lift, rows)
+        table = walk.build_tables()[0].table
         shift_bodies(
             table,
             search,
@@ -59,8 +59,8 @@ def find_bodies_inside(world: World, population: Population, rows: NDArray[np.in
             count,
         )
     is_inside: NDArray[np.bool_] = depths > _VISIBLE_DEPTH
-    place = population.position[rows].T + np.stack(vec.take(lift, rows))
-    up, heading = (np.stack(vec.take(each, rows)).astype(np.float64) for each in poses)
+    place = population.position[rows].T + np.stack(vec.take_rows(lift, rows))
+    up, heading = (np.stack(vec.take_rows(each, rows)).astype(np.float64) for each in poses)
     for volume in world.solids.values():
         clear = (shape.radius - _VISIBLE_DEPTH) * size - volume.voxel / 2
         for end in (-shape.half, 0.0, shape.half):

@@ -6,10 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from antdsl.ground.mesh.boxes import BoxTree, FaceList, first_hit, gather_faces
+from antdsl.ground.mesh.boxes import BoxTree, FaceList, find_first_hit, gather_faces
 from antdsl.ground.mesh.face_table import CORNER_OFFSET, EDGE1_OFFSET, EDGE2_OFFSET, NORMAL_OFFSET, ROW_FLOATS
-from antdsl.machine_code.kernels import F64, I32, I64, Array1, called
-from antdsl.numerics.kernel_vectors import Vec3, at, dot, minus, nearest_weights, plus, times
+from antdsl.machine_code.kernels import F64, I32, I64, Array1, kernel_helper
+from antdsl.numerics.kernel_vectors import Vec3, dot, load_vector, minus, nearest_weights, plus, times
 from antdsl.runtime.moving.body_paths import BodyShape
 
 SHIFT_TURNS = 4  # times that a body is shifted out of what it touches, before its depth is measured
@@ -37,7 +37,7 @@ class BodyShift(NamedTuple):
     out: Vec3
 
 
-@called
+@kernel_helper
 def shift_outside(
     table: Array1[F64],
     pieces: Array1[I32],
@@ -71,13 +71,13 @@ def shift_outside(
                 start, step, extra = anchor, minus(middle, anchor), shape.radius
             if part == 2:
                 step = times(tip, -1.0)
-            hit = first_hit(table, boxes, faces, n, start, step, 0.0)
+            hit = find_first_hit(table, boxes, faces, n, start, step, 0.0)
             if hit.face >= 0:
-                m = at(table, ROW_FLOATS * hit.face + NORMAL_OFFSET)
+                m = load_vector(table, ROW_FLOATS * hit.face + NORMAL_OFFSET)
                 along = dot(m, step)
                 if along > 0:
                     m, along = times(m, -1.0), -along
-                over = (1.0 - min(hit.part, 1.0)) * -along + extra
+                over = (1.0 - min(hit.path_fraction, 1.0)) * -along + extra
                 if over > depth:
                     depth, out = over, m
                 if turn < turns:
@@ -86,12 +86,12 @@ def shift_outside(
             center = plus(plus(rest, shift), times(heading, shape.half * (2.0 * np.float64(point) / (_AXIS_POINTS - 1) - 1.0)))
             best, away = shape.radius, (0.0, 0.0, 0.0)
             for k in range(n):
-                row = ROW_FLOATS * boxes.order[faces.numbers[faces.begin + k]]
-                v = minus(center, at(table, row + CORNER_OFFSET))
+                row = ROW_FLOATS * boxes.triangle_order[faces.numbers[faces.begin + k]]
+                v = minus(center, load_vector(table, row + CORNER_OFFSET))
                 # If the plane of a face is farther away, so are all its points.
-                if abs(dot(v, at(table, row + NORMAL_OFFSET))) >= best:
+                if abs(dot(v, load_vector(table, row + NORMAL_OFFSET))) >= best:
                     continue
-                edge1, edge2 = at(table, row + EDGE1_OFFSET), at(table, row + EDGE2_OFFSET)
+                edge1, edge2 = load_vector(table, row + EDGE1_OFFSET), load_vector(table, row + EDGE2_OFFSET)
                 b1, b2, distance = nearest_weights(edge1, edge2, v)
                 if distance < best:
                     best, away = distance, minus(minus(v, times(edge1, b1)), times(edge2, b2))

@@ -14,9 +14,9 @@ from antdsl.ground.mesh.face_table import (  # fmt: skip
 )
 from antdsl.ground.mesh.surroundings import position_on_face
 from antdsl.ground.mesh.walkers import FootingArrays, SurfaceTables
-from antdsl.machine_code.kernels import called, kernel, load_consecutive
+from antdsl.machine_code.kernels import kernel, kernel_helper, load_consecutive
 from antdsl.machine_code.kernels.types import BOOL, F64, I32, I64, U8, Array1, Array2
-from antdsl.numerics.kernel_vectors import TriangleWeights, Vec3, VectorColumns, at, dot, minus, plus, times
+from antdsl.numerics.kernel_vectors import TriangleWeights, Vec3, VectorColumns, dot, load_vector, minus, plus, times
 from antdsl.runtime.moving.body_paths import BodyShape
 from antdsl.runtime.moving.body_records import MAX_LIFT_PER_BODY, SHARP, BodyLimits, BodyPoses, BodyRegisters, scale_shape
 from antdsl.runtime.moving.tilting import read_vector
@@ -98,13 +98,13 @@ def lift_bodies(
     return begin, count - begin
 
 
-@called
+@kernel_helper
 def _face_lift(
     table: Array1[F64], link: Array2[I32], f: I64, weights: TriangleWeights, shape: BodyShape, up: Vec3, heading: Vec3
 ) -> F64:
     """Return how far (mm) both ends of a body must rise along its up to clear its face and those that rise beyond its edges."""
     row, lift = ROW_FLOATS * f, 0.0
-    own = at(table, row + NORMAL_OFFSET)
+    own = load_vector(table, row + NORMAL_OFFSET)
     side = -1.0 if dot(own, up) < 0 else 1.0
     own, place = times(own, side), position_on_face(table, row, weights, side)
     middle = plus(times(up, shape.height), times(heading, shape.ahead))
@@ -125,11 +125,12 @@ def _face_lift(
             if beyond < 0:
                 continue
             other = ROW_FLOATS * (beyond >> 3)
-            normal = times(at(table, other + NORMAL_OFFSET), -side if (beyond & 1) == 1 else side)
-            corner = at(table, other + CORNER_OFFSET)
+            normal = times(load_vector(table, other + NORMAL_OFFSET), -side if (beyond & 1) == 1 else side)
+            corner = load_vector(table, other + CORNER_OFFSET)
             # What is beyond the edge rises if a corner of the own face lies above its plane.
             center = plus(
-                at(table, row + CORNER_OFFSET), times(plus(at(table, row + EDGE1_OFFSET), at(table, row + EDGE2_OFFSET)), 1 / 3.0)
+                load_vector(table, row + CORNER_OFFSET),
+                times(plus(load_vector(table, row + EDGE1_OFFSET), load_vector(table, row + EDGE2_OFFSET)), 1 / 3.0),
             )
             if dot(minus(center, corner), normal) <= 0:
                 continue

@@ -10,14 +10,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from antdsl.ground.mesh.boxes import BoxTree, FaceList, first_hit
+from antdsl.ground.mesh.boxes import BoxTree, FaceList, find_first_hit
 from antdsl.ground.mesh.face_table import AXIS1_OFFSET, AXIS2_OFFSET, EDGES_OFFSET, NORMAL_OFFSET, RATE1_OFFSET, ROW_FLOATS
 from antdsl.ground.mesh.stretches import cross_edge
 from antdsl.ground.mesh.surroundings import position_on_face, turn_to_face
 from antdsl.ground.mesh.walkers import FaceWalker, SurfaceTables
-from antdsl.machine_code.kernels import BOOL, F64, I32, I64, Array1, called, inlined, load_consecutive, nearest_integer
+from antdsl.machine_code.kernels import BOOL, F64, I32, I64, Array1, inlined, kernel_helper, load_consecutive, round_to_int
 from antdsl.numerics.elementary_loops import atan2
-from antdsl.numerics.kernel_vectors import Vec3, at, clamp_weights, cross, dot, minus, plus, times
+from antdsl.numerics.kernel_vectors import Vec3, clamp_weights, cross, dot, load_vector, minus, plus, times
 
 _F = np.float32
 MAX_VALLEY_TURN = 2.0  # radians: a valley where the ground turns by more is a wall
@@ -72,7 +72,7 @@ def is_crossing(nearby: FacesNearby, f: I64, other: I64) -> BOOL:
     return pieces[f] != pieces[other] or (cuts[f + 1] > cuts[f] and cuts[other + 1] > cuts[other] and f != other)
 
 
-@called
+@kernel_helper
 def trace_bends(
     surface: SurfaceTables, nearby: FacesNearby, start: FaceWalker, window: F64, eye: F64, points: Array1[F64]
 ) -> GroundBend:
@@ -82,7 +82,7 @@ def trace_bends(
     `points`: receives the positions of the feet, of the edges and of the end of the path."""
     table, link, forked, _ = surface
     walker, left, roll, pitch, count, climb, walks = start, window, 0.0, 0.0, 0, 0.0, True
-    normal = times(at(table, ROW_FLOATS * start.face + NORMAL_OFFSET), start.side)
+    normal = times(load_vector(table, ROW_FLOATS * start.face + NORMAL_OFFSET), start.side)
     while walks:
         f, (b1, b2), side, (c, s), heading = walker
         row = ROW_FLOATS * f
@@ -101,20 +101,20 @@ def trace_bends(
             until, edge = max(b2, 0.0) / -rate2, 2
         length = min(until, left)
         cosine, sine, linked, _ = load_consecutive(table, row + EDGES_OFFSET + 4 * edge, 4)
-        beyond = link[1, 3 * f + edge] if forked and side < 0 else nearest_integer(linked)
+        beyond = link[1, 3 * f + edge] if forked and side < 0 else round_to_int(linked)
         walks = until < left and beyond >= 0 and count <= MAX_PATH_EDGES
         other, turn, ahead, aside = normal, 0.0, 0.0, 0.0
-        axis1, axis2 = at(table, row + AXIS1_OFFSET), at(table, row + AXIS2_OFFSET)
+        axis1, axis2 = load_vector(table, row + AXIS1_OFFSET), load_vector(table, row + AXIS2_OFFSET)
         travel = plus(times(axis1, c), times(axis2, s))
         meets = False
         if nearby.count > 0 and count <= MAX_PATH_EDGES:
-            hit = first_hit(
+            hit = find_first_hit(
                 table, nearby.boxes, nearby.faces, nearby.count, plus(place, times(normal, eye)), times(travel, length), 0.0
             )
             if hit.face >= 0 and is_crossing(nearby, f, hit.face):
                 meets, walks = True, True
-                length = hit.part * length
-                other = at(table, ROW_FLOATS * hit.face + NORMAL_OFFSET)
+                length = hit.path_fraction * length
+                other = load_vector(table, ROW_FLOATS * hit.face + NORMAL_OFFSET)
                 other_side = -1.0 if dot(other, travel) > 0 else 1.0
                 other = times(other, other_side)
                 hinge = cross(normal, other)
@@ -130,7 +130,7 @@ def trace_bends(
             axis = plus(times(axis1, cosine), times(axis2, sine))
             ahead, aside = cosine * c + sine * s, (sine * c - cosine * s) * side
             walker = cross_edge(table, beyond, edge, (cosine, sine), weights, side, (c, s), heading)
-            other = times(at(table, ROW_FLOATS * walker.face + NORMAL_OFFSET), walker.side)
+            other = times(load_vector(table, ROW_FLOATS * walker.face + NORMAL_OFFSET), walker.side)
             turn = np.float64(atan2(_F(dot(cross(normal, other), axis)), _F(dot(normal, other))))
         is_wall = walks and turn * aside < 0 and abs(turn) > MAX_VALLEY_TURN
         if is_wall or not walks:
@@ -147,7 +147,7 @@ def trace_bends(
     return GroundBend(roll * share, pitch * share, count)
 
 
-@called
+@kernel_helper
 def profile_lift(points: Array1[F64], count: I64, shape: BodyShape, place: Vec3, up: Vec3, heading: Vec3, most: F64) -> F64:
     """Return how far (mm) a body must rise along its up to clear the profile below it, at most `most`.
 
@@ -155,7 +155,7 @@ def profile_lift(points: Array1[F64], count: I64, shape: BodyShape, place: Vec3,
     lift = 0.0
     old_x, old_y = 0.0, 0.0
     for k in range(count):
-        away = minus(at(points, POINT_FLOATS * k), place)
+        away = minus(load_vector(points, POINT_FLOATS * k), place)
         x, y = dot(away, heading) - shape.ahead, dot(away, up) - shape.height
         off = max(abs(x) - shape.half, 0.0)
         if off < shape.radius:

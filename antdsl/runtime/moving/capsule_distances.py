@@ -7,9 +7,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.machine_code.kernels import called, fetch_ahead, independent, inlined, kernel
+from antdsl.machine_code.kernels import inlined, kernel, kernel_helper, prefetch, simd_range
 from antdsl.machine_code.kernels.types import BOOL, F32, F64, I64, Array1, Array2, Strided2
-from antdsl.numerics.kernel_vectors import Vec3, VectorColumns, dot, minus, of, plus, times
+from antdsl.numerics.kernel_vectors import Vec3, VectorColumns, dot, get_column, minus, plus, times
 from antdsl.numerics.sorting import compact_indices
 
 _SEARCH_RADII = 1.6  # radii: how far beyond its axis an agent is looked about, more than one since it will yet be moved
@@ -78,16 +78,16 @@ class CrowdBounds(NamedTuple):
     greatest: tuple[F64, F64, F64, F64]
 
 
-class MeetingCounts(NamedTuple):
+class TouchingPairCounts(NamedTuple):
     """Counts of the pairs that may touch.
 
-    `pairs`: their number. `rows`: how many agents they contain. `lost`: how many have no separation axis.
-    `widest`: the largest radius (mm)."""
+    `pair_count`: their number. `row_count`: how many agents they contain. `without_axis`: how many have no separation axis.
+    `max_radius`: the largest radius (mm)."""
 
-    pairs: I64
-    rows: I64
-    lost: I64
-    widest: F64
+    pair_count: I64
+    row_count: I64
+    without_axis: I64
+    max_radius: F64
 
 
 @inlined
@@ -120,7 +120,7 @@ def place_trunks(
     length, width, height, ahead = shape
     half, radius, shift, reach, middle = to
     for begin in range(0, size.size, _AGENTS_PER_BATCH):
-        for i in independent(begin, min(begin + _AGENTS_PER_BATCH, size.size)):
+        for i in simd_range(begin, min(begin + _AGENTS_PER_BATCH, size.size)):
             row, column = first + i, i - begin
             wide = np.float64(_FLOAT32_ZERO if size[i] <= 0 else size[i])
             radius[row] = wide * width * 0.5
@@ -173,26 +173,26 @@ def find_separation(away: Vec3, a: Vec3, b: Vec3, between: Vec3, reach: F64, len
     return minus(separation, times(between, over)), over, flat
 
 
-@called
+@kernel_helper
 def _measure_gap(
-    away: Vec3, a: Vec3, b: Vec3, one: Vec3, other: Vec3, reach: F64, length: F64, wide: F64
+    away: Vec3, a: Vec3, b: Vec3, one: Vec3, other: Vec3, reach: F64, length: F64, radius_sum: F64
 ) -> tuple[F64, Vec3, BOOL]:
     """Return the gap (mm) and separation axis of a pair, and whether both have the same position and thus no axis.
 
     If the capsule axes cross, the separation axis is the direction between the middles."""
     separation, over, flat = find_separation(away, a, b, mean_up(one, other), reach, length)
     distance = np.sqrt(dot(separation, separation))
-    margin = wide * wide - over * over
+    margin = radius_sum * radius_sum - over * over
     gap = distance - np.sqrt(margin) if margin > 0 else np.inf
     lost = False
-    if distance <= wide * _MIN_AXIS_DISTANCE_WIDTHS:
+    if distance <= radius_sum * _MIN_AXIS_DISTANCE_WIDTHS:
         separation, distance = flat, np.sqrt(dot(flat, flat))
-        lost = distance <= wide * _MIN_AXIS_DISTANCE_WIDTHS
+        lost = distance <= radius_sum * _MIN_AXIS_DISTANCE_WIDTHS
     size = max(distance, 1e-300)
     return gap, (separation[0] / size, separation[1] / size, separation[2] / size), lost
 
 
-@called
+@kernel_helper
 def measure_listed(
     bodies: CapsuleArrays,
     displacement: Any,
@@ -206,12 +206,21 @@ def measure_listed(
 ) -> I64:
     """Measure the first `count` pairs in `pair_numbers`, as `measure_changed` does."""
     middle, ahead, up, half, radius = bodies
-    for n in independent(0, count):
+    for n in simd_range(0, count):
         pair = pair_numbers[n]
         p, q = i[pair], j[pair]
-        away = minus(plus(of(middle, p), of(displacement, p)), plus(of(middle, q), of(displacement, q)))
+        away = minus(
+            plus(get_column(middle, p), get_column(displacement, p)), plus(get_column(middle, q), get_column(displacement, q))
+        )
         gap[pair], (direction[0, pair], direction[1, pair], direction[2, pair]), nowhere = _measure_gap(
-            away, of(ahead, p), of(ahead, q), of(up, p), of(up, q), half[p], half[q], radius[p] + radius[q]
+            away,
+            get_column(ahead, p),
+            get_column(ahead, q),
+            get_column(up, p),
+            get_column(up, q),
+            half[p],
+            half[q],
+            radius[p] + radius[q],
         )
         lost[n] = 1 if nowhere else 0
     without = compact_indices(lost, count)
@@ -236,13 +245,13 @@ def measure_changed(
 
     Returns the number of pairs without a separation axis; these are listed at the start of `lost`. `pair_numbers`: a work
     buffer."""
-    for pair in independent(0, i.size):
+    for pair in simd_range(0, i.size):
         pair_numbers[pair] = 1 if changed[i[pair]] | changed[j[pair]] else 0
     return measure_listed(bodies, displacement, i, j, gap, direction, pair_numbers, compact_indices(pair_numbers, i.size), lost)
 
 
 @kernel
-def measure_before(
+def measure_before_step(
     bodies: CapsuleArrays,
     walked: Strided2[F64],
     i: Array1[I64],
@@ -252,7 +261,7 @@ def measure_before(
     depth: Array1[F64],
     lost: Array1[I64],
 ) -> I64:
-    """Write `gap`, `direction` and `depth` before the step, as described for `capsules.NearbyPairs.measure_before`.
+    """Write `gap`, `direction` and `depth` before the step, as described for `capsules.NearbyPairs.measure_before_step`.
 
     Returns the number of pairs without a separation axis; these are listed at the start of `lost`."""
     middle, ahead, up, half, radius = bodies
@@ -262,14 +271,21 @@ def measure_before(
                 row = j[pair] if side else i[pair]
                 for axis in range(3):
                     for vectors in (middle, walked, ahead, up):
-                        fetch_ahead(vectors, axis * depth.size + row)
-                fetch_ahead(half, row)
-                fetch_ahead(radius, row)
-        for pair in independent(start, min(start + _PREFETCH_GROUP_SIZE, i.size)):
+                        prefetch(vectors, axis * depth.size + row)
+                prefetch(half, row)
+                prefetch(radius, row)
+        for pair in simd_range(start, min(start + _PREFETCH_GROUP_SIZE, i.size)):
             p, q = i[pair], j[pair]
-            away = minus(minus(of(middle, p), of(walked, p)), minus(of(middle, q), of(walked, q)))
+            away = minus(minus(get_column(middle, p), get_column(walked, p)), minus(get_column(middle, q), get_column(walked, q)))
             gap[pair], (direction[0, pair], direction[1, pair], direction[2, pair]), nowhere = _measure_gap(
-                away, of(ahead, p), of(ahead, q), of(up, p), of(up, q), half[p], half[q], radius[p] + radius[q]
+                away,
+                get_column(ahead, p),
+                get_column(ahead, q),
+                get_column(up, p),
+                get_column(up, q),
+                half[p],
+                half[q],
+                radius[p] + radius[q],
             )
             lost[pair] = 1 if nowhere else 0
     depth[:] = 0.0
@@ -281,7 +297,7 @@ def measure_before(
 
 
 @kernel
-def find_meetings(
+def select_touching_pairs(
     crowd: CrowdCapsules,
     key: Array1[I64],
     i: Array1[I64],
@@ -291,31 +307,32 @@ def find_meetings(
     known: Array1[I64],
     rows: Array1[I64],
     number: Array1[I64],
-    every: BOOL,
-    dead: F64,
-) -> MeetingCounts:
+    all_pairs: BOOL,
+    dead_zone_share: F64,
+) -> TouchingPairCounts:
     """Select the pairs (`i`, `j`) that may touch, for `capsules.find_near_pairs`, and move them to the front of all pair
     arrays.
 
     `known`: receives the indices of pairs without a separation axis. `number`: a work buffer.
-    `every`: if False, only pairs with a row that overlaps another by more than `dead` times the sum of both radii."""
+    `all_pairs`: if False, only pairs with a row that overlaps another by more than `dead_zone_share` times the sum of both
+    radii."""
     middle, ahead, up, half, radius = crowd
     for start in range(0, i.size, _PREFETCH_GROUP_SIZE):
         for pair in range(min(start + _PREFETCH_GROUP_SIZE, i.size), min(start + 2 * _PREFETCH_GROUP_SIZE, i.size)):
             for side in range(2):
                 row = j[pair] if side else i[pair]
                 for axis in range(3):
-                    fetch_ahead(middle, axis * key.size + row)
-                    fetch_ahead(ahead[axis], row)
-                    fetch_ahead(up[axis], row)
-                fetch_ahead(half, row)
-                fetch_ahead(radius, row)
-                fetch_ahead(key, row)
-        for pair in independent(start, min(start + _PREFETCH_GROUP_SIZE, i.size)):
+                    prefetch(middle, axis * key.size + row)
+                    prefetch(ahead[axis], row)
+                    prefetch(up[axis], row)
+                prefetch(half, row)
+                prefetch(radius, row)
+                prefetch(key, row)
+        for pair in simd_range(start, min(start + _PREFETCH_GROUP_SIZE, i.size)):
             p, q = i[pair], j[pair]
             if key[p] > key[q]:
                 p, q = j[pair], i[pair]
-            away, wide = minus(of(middle, p), of(middle, q)), radius[p] + radius[q]
+            away, wide = minus(get_column(middle, p), get_column(middle, q)), radius[p] + radius[q]
             far, v, nowhere = _measure_gap(
                 away,
                 _read_vector(ahead, p),
@@ -332,21 +349,21 @@ def find_meetings(
     pairs, lost, widest = 0, 0, 0.0
     for pair in range(i.size):  # written whatever it is: no branch that is hard to foretell
         p, q, state = i[pair], j[pair], known[pair]
-        v = of(direction, pair)
+        v = get_column(direction, pair)
         i[pairs], j[pairs], gap[pairs], known[pairs] = p, q, gap[pair], state
         direction[0, pairs], direction[1, pairs], direction[2, pairs] = v
         pairs += 1 if state != 0 else 0
     for pair in range(pairs):
         p, q = i[pair], j[pair]
         widest = max(max(widest, radius[p]), radius[q])
-        if every or gap[pair] < (radius[p] + radius[q]) * -dead:
+        if all_pairs or gap[pair] < (radius[p] + radius[q]) * -dead_zone_share:
             number[p], number[q] = _OVERLAPPING_FLAG, _OVERLAPPING_FLAG
-    if not every:
+    if not all_pairs:
         near = pairs
         pairs = 0
         for pair in range(near):
             p, q, state = i[pair], j[pair], known[pair]
-            v = of(direction, pair)
+            v = get_column(direction, pair)
             i[pairs], j[pairs], gap[pairs], known[pairs] = p, q, gap[pair], state
             direction[0, pairs], direction[1, pairs], direction[2, pairs] = v
             one, other = number[p], number[q]
@@ -363,14 +380,14 @@ def find_meetings(
         nowhere = known[pair] == _NO_AXIS_FLAG
         known[lost] = pair
         lost += 1 if nowhere else 0
-    return MeetingCounts(pairs, count, lost, widest)
+    return TouchingPairCounts(pairs, count, lost, widest)
 
 
 @kernel
-def gather_bodies(rows: Array1[I64], crowd: CrowdCapsules, to: CapsuleArrays) -> None:
+def gather_capsules(rows: Array1[I64], crowd: CrowdCapsules, to: CapsuleArrays) -> None:
     """Write the capsules of the given rows to `to`."""
     middle, ahead, up, half, radius = crowd
-    for k in independent(0, rows.size):
+    for k in simd_range(0, rows.size):
         row = rows[k]
         to.half[k], to.radius[k] = half[row], radius[row]
         for axis in range(3):

@@ -23,16 +23,22 @@ from antdsl.runtime.moving.capsule_distances import (
     CrowdCapsules,
     TrunkCapsules,
     empty_extremes,
-    find_meetings,
-    gather_bodies,
-    measure_before,
+    gather_capsules,
+    measure_before_step,
     measure_changed,
     place_trunks,
+    select_touching_pairs,
 )
 from antdsl.runtime.moving.loads import LOAD_REGISTER, extend_trunks
 from antdsl.runtime.world import AXES, Population, World
 from antdsl.scene.body_choice import species_of_key
-from antdsl.scene.library_bodies import CAPSULE_BY_BODY, LOAD_FRONT_BY_BODY, WHOLE_CAPSULE_BY_BODY, Capsule, body_for_species
+from antdsl.scene.library_bodies import (
+    CAPSULE_BY_BODY,
+    LOAD_FRONT_BY_BODY,
+    WHOLE_CAPSULE_BY_BODY,
+    TrunkCapsule,
+    find_body_for_species,
+)
 from antdsl.senses.touching import Bounds, find_touching
 
 Floats = NDArray[np.float64]
@@ -43,12 +49,12 @@ _PAIR_ID_MULTIPLIER = 0x9E3779B1  # an odd number, that numbers pairs of ids
 _SPECIES_KEY_STEP = 1 << 40  # more than there are ids of a species
 
 
-def capsule_of(world: World, key: str) -> Capsule:
+def find_capsule(world: World, key: str) -> TrunkCapsule:
     """Return the capsule of a body. It comes from the body's own file, else from the body that the first crowd line names, else
     from the body with the species' name."""
-    own, species = world.setting.rooms.get(key), species_of_key(key)
+    own, species = world.setting.body_capsules.get(key), species_of_key(key)
     if own is not None:
-        return Capsule(own.length, own.width, own.height, own.ahead)
+        return TrunkCapsule(own.length, own.width, own.height, own.forward_offset)
     capsules = WHOLE_CAPSULE_BY_BODY if world.plan.species[species].has_whole_body else CAPSULE_BY_BODY
     return capsules[_library_body(world, species)]
 
@@ -56,13 +62,13 @@ def capsule_of(world: World, key: str) -> Capsule:
 def _library_body(world: World, species: str) -> str:
     """Return the name of the library body of a species."""
     bodies = (crowd.body for crowd in world.setting.crowds if crowd.species == species and crowd.body)
-    return next(bodies, None) or body_for_species(species)
+    return next(bodies, None) or find_body_for_species(species)
 
 
 def _load_front(world: World, species: str) -> float | None:
     """Return how far (body lengths) the front of a load is ahead of the feet. None if agents of a species hold no loads that
     take room."""
-    if world.setting.rooms.get(species) is not None or not world.plan.species[species].has_whole_body:
+    if world.setting.body_capsules.get(species) is not None or not world.plan.species[species].has_whole_body:
         return None
     return LOAD_FRONT_BY_BODY.get(_library_body(world, species))
 
@@ -77,10 +83,10 @@ class CapsuleCrowd:
         self.species = [population for population in world.populations.values() if len(population)]
         self.species = self.species or list(world.populations.values())[:1]  # no agents: arrays of no rows
         self.first = np.array([*accumulate(map(len, self.species), initial=0)], np.intp)
-        self.key = self.of(lambda p: p.ids + k * _SPECIES_KEY_STEP if (k := self.species.index(p)) else p.ids)
-        self.bounds = self._measure()  # of x, y and z of middles and of reaches
+        self.agent_keys = self.of(lambda p: p.ids + k * _SPECIES_KEY_STEP if (k := self.species.index(p)) else p.ids)
+        self.bounds = self._place_capsules()  # of x, y and z of middles and of reaches
 
-    def _measure(self) -> Bounds | None:
+    def _place_capsules(self) -> Bounds | None:
         """Compute the capsules of each species; return the bounds of all capsules, None if they are not known."""
         self.half, self.radius, self.ahead, self.reach = np.empty((4, len(self)))
         self.middle = np.empty((3, len(self)))
@@ -88,12 +94,12 @@ class CapsuleCrowd:
         capsules, extremes = TrunkCapsules(self.half, self.radius, self.ahead, self.reach, self.middle), empty_extremes()
         bounds: Any = ()
         for population, first in zip(self.species, self.first.tolist(), strict=False):
-            own = self._registers(population)
+            own = self._select_registers(population)
             place = np.ascontiguousarray(population.position.T)
-            stands = (place, vec.vector_registers(own, "heading"), vec.vector_registers(own, "up"), own["size"])
+            stands = (place, vec.get_vector_registers(own, "heading"), vec.get_vector_registers(own, "up"), own["size"])
             for key, rows in rows_by_body(population, self.world.setting):
-                capsule = capsule_of(self.world, key)
-                shape = CapsuleShape(*map(float, (capsule.length, capsule.width, capsule.height, capsule.ahead)))
+                capsule = find_capsule(self.world, key)
+                shape = CapsuleShape(*map(float, (capsule.length, capsule.width, capsule.height, capsule.forward_offset)))
                 if rows is None:
                     bounds = place_trunks(*stands, shape, first, capsules, extremes)
                 else:
@@ -121,12 +127,12 @@ class CapsuleCrowd:
         for population, begin, end, first in zip(self.species, bounds, bounds[1:], firsts, strict=False):
             yield population, rows[begin:end] - first if first else rows[begin:end]
 
-    def vector(self, name: str) -> vec.VectorArrays:
+    def read_vector(self, name: str) -> vec.VectorArrays:
         """Return the three registers of a vector, concatenated over all species."""
-        x, y, z = (self.of(lambda p, axis=axis: self._registers(p)[f"{name}.{axis}"]) for axis in AXES)  # type: ignore[misc]
+        x, y, z = (self.of(lambda p, axis=axis: self._select_registers(p)[f"{name}.{axis}"]) for axis in AXES)  # type: ignore[misc]
         return x, y, z
 
-    def _registers(self, population: Population) -> dict[str, NDArray[Any]]:
+    def _select_registers(self, population: Population) -> dict[str, NDArray[Any]]:
         return population.start if self._start else population.now
 
 
@@ -144,7 +150,7 @@ def _place_some_trunks(
     place, heading, up, size = stands
     half, radius, ahead, reach = np.empty((4, len(rows)))
     subset = TrunkCapsules(half, radius, ahead, reach, np.empty((3, len(rows))))
-    own = np.ascontiguousarray(place.take(rows, axis=1)), vec.take(heading, rows), vec.take(up, rows), size.take(rows)
+    own = np.ascontiguousarray(place.take(rows, axis=1)), vec.take_rows(heading, rows), vec.take_rows(up, rows), size.take(rows)
     bounds = place_trunks(*own, shape, 0, subset, extremes)
     for column, part in zip(capsules, subset, strict=True):
         column[..., first + rows] = part
@@ -158,7 +164,7 @@ class NearbyPairs:
     `rows`: ascending rows of the crowd that are in any pair.
     `i`, `j`: indices of both agents in `rows`; the first comes first by species and id.
     For each row, at the time when the pairs were listed:
-    `middle`, `ahead`, `up` (3, k); `half`, `radius` (k): the capsules. `widest`: the largest radius.
+    `middle`, `ahead`, `up` (3, k); `half`, `radius` (k): the capsules. `max_radius`: the largest radius.
     For each pair, as last measured:
     `gap` (m): distance to contact, negative for overlaps.
     `direction` (3, m): separation axis, a unit vector from the second to the first."""
@@ -172,7 +178,7 @@ class NearbyPairs:
     up: Floats
     half: Floats
     radius: Floats
-    widest: float
+    max_radius: float
     gap: Floats
     direction: Floats
 
@@ -181,12 +187,12 @@ class NearbyPairs:
         """Return the capsules of the rows as kernels read them."""
         return CapsuleArrays(self.middle, self.ahead, self.up, self.half, self.radius)
 
-    def measure_before(self, walked: Floats) -> tuple[Floats, Floats, Floats]:
+    def measure_before_step(self, walked: Floats) -> tuple[Floats, Floats, Floats]:
         """Return gaps and separation axes of all pairs before the rows `walked` (3, k) mm, with current headings. Also return
         the greatest overlap (k) mm of each row."""
         pairs, rows = len(self.i), len(self.rows)
         gap, direction, depth, lost = np.empty(pairs), np.empty((3, pairs)), np.empty(rows), np.empty(pairs, np.intp)
-        count = measure_before(self.bodies, walked, self.i, self.j, gap, direction, depth, lost)
+        count = measure_before_step(self.bodies, walked, self.i, self.j, gap, direction, depth, lost)
         self.draw_directions(direction, lost[:count])
         return gap, direction, depth
 
@@ -196,57 +202,60 @@ class NearbyPairs:
         count = measure_changed(self.bodies, displacement, self.i, self.j, changed, self.gap, self.direction, pair_numbers, lost)
         self.draw_directions(self.direction, lost[:count])
 
-    def draw_directions(self, direction: Floats, which: Rows) -> None:
+    def draw_directions(self, direction: Floats, pair_indices: Rows) -> None:
         """Draw separation axes (3, m) for pairs with equal positions. Each lies along the ground of the first agent and
         depends on the seed and both ids."""
-        if not len(which):
+        if not len(pair_indices):
             return
-        crowd, i, j = self.crowd, self.i.take(which), self.j.take(which)
-        first, second = (crowd.key.take(self.rows.take(k)) for k in (i, j))
+        crowd, i, j = self.crowd, self.i.take(pair_indices), self.j.take(pair_indices)
+        first, second = (crowd.agent_keys.take(self.rows.take(k)) for k in (i, j))
         kinds = (first // _SPECIES_KEY_STEP) * len(crowd.species) + second // _SPECIES_KEY_STEP
         turn = np.empty(len(i), np.float32)
         for kind in np.unique(kinds):
             subset = np.flatnonzero(kinds == kind)
             one, other = (crowd.species[number].name for number in divmod(int(kind), len(crowd.species)))
             ids = (first[subset] % _SPECIES_KEY_STEP) * _PAIR_ID_MULTIPLIER + second[subset] % _SPECIES_KEY_STEP
-            turn[subset] = randomness.uniform(crowd.world.setting.seed, 0, one, f"parts from {other}", 0, ids)
+            turn[subset] = randomness.draw_uniform(crowd.world.setting.seed, 0, one, f"parts from {other}", 0, ids)
         angle = turn * np.float32(2 * np.pi)
         normal = self.up.take(i, axis=1)
-        side = np.stack(vec.any_perpendicular((normal[0], normal[1], normal[2])))
-        direction[:, which] = side * elementary.cos(angle) + vec.stacked_cross(normal, side) * elementary.sin(angle)
+        side = np.stack(vec.find_perpendicular((normal[0], normal[1], normal[2])))
+        direction[:, pair_indices] = side * elementary.cos(angle) + vec.compute_stacked_cross(normal, side) * elementary.sin(
+            angle
+        )
 
 
-def find_near_pairs(crowd: CapsuleCrowd, dead: float | None = None) -> NearbyPairs:
+def find_near_pairs(crowd: CapsuleCrowd, dead_zone_share: float | None = None) -> NearbyPairs:
     """Return the pairs of a crowd that may touch.
 
-    With `dead`, only pairs are returned that have a row which overlaps another by more than this share of both radii."""
+    With `dead_zone_share`, only pairs are returned that have a row which overlaps another by more than this share of both
+    radii."""
     x, y, z = crowd.middle
-    pairs = find_touching((x, y, z), crowd.reach, crowd.key, crowd.bounds)
-    i, j, m = *parallel.contiguous(pairs.i, pairs.j), len(pairs.i)
+    pairs = find_touching((x, y, z), crowd.reach, crowd.agent_keys, crowd.bounds)
+    i, j, m = *parallel.make_contiguous(pairs.i, pairs.j), len(pairs.i)
     gap, direction, known = np.empty(m), np.empty((3, m)), np.empty(m, np.intp)
     rows, number = np.empty((2, len(crowd)), np.intp)
-    stand = CrowdCapsules(crowd.middle, crowd.vector("heading"), crowd.vector("up"), crowd.half, crowd.radius)
-    every = (True, 0.0) if dead is None else (False, dead)
-    m, count, lost, widest = find_meetings(stand, crowd.key, i, j, gap, direction, known, rows, number, *every)
+    stand = CrowdCapsules(crowd.middle, crowd.read_vector("heading"), crowd.read_vector("up"), crowd.half, crowd.radius)
+    every = (True, 0.0) if dead_zone_share is None else (False, dead_zone_share)
+    m, count, lost, widest = select_touching_pairs(stand, crowd.agent_keys, i, j, gap, direction, known, rows, number, *every)
     rows, (middle, ahead, up), (half, radius) = rows[:count], np.empty((3, 3, count)), np.empty((2, count))
     own = CapsuleArrays(middle, ahead, up, half, radius)
-    gather_bodies(rows, stand, own)
+    gather_capsules(rows, stand, own)
     near = NearbyPairs(crowd, rows, i[:m], j[:m], *own, widest, gap[:m], np.ascontiguousarray(direction[:, :m]))
     near.draw_directions(near.direction, known[:lost])
     return near
 
 
-def overlap_depths(world: World) -> Floats:
+def measure_overlap_depths(world: World) -> Floats:
     """Return each agent's greatest penetration depth in widths of its trunk, 0 without overlap. The result is float64[n],
     species by species."""
     crowd = CapsuleCrowd(world)
     near = find_near_pairs(crowd)
     depth = np.zeros(len(crowd))
-    depth[near.rows] = greatest_depths(len(near.rows), near.i, near.j, near.gap) / (2 * near.radius)
+    depth[near.rows] = find_greatest_depths(len(near.rows), near.i, near.j, near.gap) / (2 * near.radius)
     return depth
 
 
-def greatest_depths(count: int, i: Rows, j: Rows, gap: Floats) -> Floats:
+def find_greatest_depths(count: int, i: Rows, j: Rows, gap: Floats) -> Floats:
     """Return the greatest overlap (mm) of each of `count` rows, from the gaps of pairs; 0 without overlap."""
     depth, inside = np.zeros(count), np.flatnonzero(gap < 0)
     for k in (i.take(inside), j.take(inside)):

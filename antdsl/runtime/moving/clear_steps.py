@@ -32,7 +32,7 @@ from antdsl.runtime.moving.body_records import (
     FaceBuffers,
     FaceSearch,
 )
-from antdsl.runtime.moving.capsules import capsule_of
+from antdsl.runtime.moving.capsules import find_capsule
 from antdsl.runtime.moving.clearance import aim_bodies, limit_steps, shift_bodies
 from antdsl.runtime.world import AXES, Population, World
 
@@ -55,7 +55,7 @@ def has_clearance(world: World, population: Population) -> bool:
     """Return whether the bodies of a species stay outside their ground. The ground must consist of meshes, and the bodies must
     follow it: those with a posture or a slope limit of their own do not."""
     plan = population.plan
-    return plan.clears_body and not plan.settings & {"upright", "max_slope"} and isinstance(world.ground, MeshGround)
+    return plan.clears_body and not {"upright", "max_slope"} & {*plan.settings} and isinstance(world.ground, MeshGround)
 
 
 @dataclass(slots=True)
@@ -94,9 +94,9 @@ class ClearStep:
         (levels,), (row_levels,) = (population.get_buffers(name, 1, (n,), np.uint8) for name in ("bends", "bends of rows"))
         size = np.where(now["size"] > 0, now["size"], 0).astype(np.float64)
         has_bend = world.ground.mark_bends(population.footing, population.position, size, levels, threads)
-        (rows,), heading = population.get_buffers("uneven", 1, (n,), np.int64), vec.vector_registers(now, "heading")
+        (rows,), heading = population.get_buffers("uneven", 1, (n,), np.int64), vec.get_vector_registers(now, "heading")
         work = partial(select_rows, levels, heading, *stance, _retained_registers(population), rows, row_levels)
-        rows, row_levels = parallel.join_parts(parallel.in_parts(work, n, threads), rows, row_levels)
+        rows, row_levels = parallel.join_parts(parallel.run_in_parts(work, n, threads), rows, row_levels)
         dt = float(limits[2])
         bounds = BodyLimits(*limits, now["size"], body_shape(world, population), _SHIFT_SPEED * dt, _JUMP_SPEED * dt)
         step = ClearStep(population, walk, bounds, threads, rows, row_levels)
@@ -107,7 +107,7 @@ class ClearStep:
         """Shorten the steps (mm) and velocities of agents so that their bodies can follow."""
         if len(self.rows):
             p = self.population
-            up = vec.vector_registers(p.now, "up")
+            up = vec.get_vector_registers(p.now, "up")
             at = FootingArrays._make(_FACE_COLUMNS(p.footing.columns))
             inputs = (at, BodyRows(self.rows, self.levels), up, p.normal, step, velocity, self.limits, _retained_registers(p))
             self._run(partial(limit_steps, self._surface, self._search(len(self.rows)), *inputs), len(self.rows))
@@ -118,30 +118,33 @@ class ClearStep:
         self.previous = previous
         (rows,), (levels,) = p.get_buffers("uneven", 1, (n,), np.int64), p.get_buffers("bends of rows", 1, (n,), np.uint8)
         feet = FootingArrays._make(_FACE_COLUMNS(p.footing.columns))
-        poses = BodyPoses(vec.vector_registers(now, "up"), vec.vector_registers(now, "heading"))
+        poses = BodyPoses(vec.get_vector_registers(now, "up"), vec.get_vector_registers(now, "heading"))
         inputs = (feet, self.has_bend, self.state, self.all_levels, poses, self.limits, _retained_registers(p), rows, levels)
-        parts = parallel.in_parts(partial(lift_bodies, self._surface, *inputs), n, self.threads)
+        parts = parallel.run_in_parts(partial(lift_bodies, self._surface, *inputs), n, self.threads)
         self.rows, self.levels = rows, levels = parallel.join_parts(parts, rows, levels)
         if not len(rows):
             return
         self.lifts = _read_lift(p, rows)
-        held, depths = (*vec.take(previous.up, rows), *vec.take(previous.heading, rows), *self.lifts), now["~depth"].take(rows)
+        held, depths = (
+            (*vec.take_rows(previous.up, rows), *vec.take_rows(previous.heading, rows), *self.lifts),
+            now["~depth"].take(rows),
+        )
         self.headings = tuple(now[f"heading.{axis}"].take(rows) for axis in AXES)
         self._aim(rows, self.levels, previous)
         uneven = np.flatnonzero(self.levels == SHARP)
-        depth, out = self._shift(rows[uneven], vec.take(self.lifts, uneven))
+        depth, out = self._shift(rows[uneven], vec.take_rows(self.lifts, uneven))
         old = depths[uneven]
         deeper = np.flatnonzero((depth > np.maximum(old, _MAX_DEPTH)) & (old < _STRANDED_DEPTH))
         if deeper.size:
             at = uneven[deeper]
             back = rows[at]
             footing, position, normal = outset
-            self._put(back, (footing.take(back), position[back], normal[back]))
+            self._put(back, (footing.take_rows(back), position[back], normal[back]))
             for k, axis in enumerate(AXES):
                 now[f"~out.{axis}"][back] = out[k, deeper]
             self._stand_up(at)
             self._aim(back, self.levels[at], previous)
-            turned, _ = self._shift(back, vec.take(self.lifts, at))
+            turned, _ = self._shift(back, vec.take_rows(self.lifts, at))
             worse = np.flatnonzero(turned > np.maximum(old[deeper], _MAX_DEPTH))
             for name, values in zip(_POSE_REGISTERS, held, strict=True):
                 now[name][back[worse]] = values[at[worse]]
@@ -154,7 +157,7 @@ class ClearStep:
         """Record positions and poses before contacts move agents."""
         p, rows = self.population, self.rows
         columns = [p.now[name].take(rows) for name in (*_POSE_REGISTERS, "~wait", "~depth")]
-        self.recorded = (p.footing.take(rows), p.position[rows], p.normal[rows]), columns
+        self.recorded = (p.footing.take_rows(rows), p.position[rows], p.normal[rows]), columns
 
     def correct(self) -> None:
         """Turn and shift the bodies that contacts have moved.
@@ -169,7 +172,7 @@ class ClearStep:
         self._stand_up(at)
         self._aim(moved, levels, self.previous)
         sharp, depth = np.flatnonzero(levels == SHARP), np.zeros(len(at), np.float32)
-        depth[sharp], _ = self._shift(moved[sharp], vec.take(self.lifts, at[sharp]))
+        depth[sharp], _ = self._shift(moved[sharp], vec.take_rows(self.lifts, at[sharp]))
         cosine, old_cosine = (
             (c[0] * n[:, 0] + c[1] * n[:, 1]) + c[2] * n[:, 2]
             for c, n in (
@@ -181,7 +184,7 @@ class ClearStep:
         bad = (depth > np.maximum(old, _MAX_DEPTH)) | (cosine < np.minimum(old_cosine, _MIN_LEAN_COSINE))
         now["~depth"][moved] = depth
         back, at = moved[bad], at[bad]
-        self._put(back, (footing.take(at), position[at], normal[at]))
+        self._put(back, (footing.take_rows(at), position[at], normal[at]))
         for name, values in zip((*_POSE_REGISTERS, "~wait", "~depth"), columns, strict=True):
             now[name][back] = values[at]
 
@@ -196,7 +199,7 @@ class ClearStep:
     def _put(self, rows: Rows, stands: tuple[Footing, NDArray[np.float64], NDArray[np.float32]]) -> None:
         """Put agents back to footings, positions and normals."""
         p, (footing, position, normal) = self.population, stands
-        p.footing.put(rows, footing)
+        p.footing.put_rows(rows, footing)
         p.position[rows], p.normal[rows] = position, normal
         for k, axis in enumerate(AXES):
             p.now[f"position.{axis}"][rows] = position[:, k]
@@ -210,7 +213,9 @@ class ClearStep:
         for turn in range(1 + _QUARTER_TURNS):
             for k, axis in enumerate(AXES):
                 now[f"up.{axis}"][rows], now[f"heading.{axis}"][rows] = normal[k], heading[k]
-            previous = BodyPoses(vec.copy(vec.vector_registers(now, "up")), vec.copy(vec.vector_registers(now, "heading")))
+            previous = BodyPoses(
+                vec.copy(vec.get_vector_registers(now, "up")), vec.copy(vec.get_vector_registers(now, "heading"))
+            )
             self._aim(rows, self.levels, previous)
             depth, _ = self._shift(rows, _read_lift(p, rows))
             better = np.flatnonzero(depth < best if turn == 0 else (depth < best) & (best > _MAX_DEPTH))
@@ -224,7 +229,7 @@ class ClearStep:
 
     @property
     def _surface(self) -> SurfaceTables:
-        return self.walk.tables()[0]
+        return self.walk.build_tables()[0]
 
     def _search(self, count: int) -> FaceSearch:
         return face_search(self.walk, count, self.threads)
@@ -232,7 +237,7 @@ class ClearStep:
     def _aim(self, rows: Rows, levels: NDArray[np.uint8], previous: BodyPoses) -> None:
         p, now = self.population, self.population.now
         at = FootingArrays._make(_FACE_COLUMNS(p.footing.columns))
-        poses = BodyPoses(vec.vector_registers(now, "up"), vec.vector_registers(now, "heading"))
+        poses = BodyPoses(vec.get_vector_registers(now, "up"), vec.get_vector_registers(now, "heading"))
         inputs = (at, BodyRows(rows, levels), previous, poses, self.limits, _retained_registers(p))
         self._run(partial(aim_bodies, self._surface, self._search(len(rows)), *inputs), len(rows))
 
@@ -240,12 +245,12 @@ class ClearStep:
         """Shift bodies outside the faces around them; return their depths and the directions out (3, k)."""
         p, now = self.population, self.population.now
         depths, outs = np.zeros(len(rows), np.float32), np.zeros((3, len(rows)), np.float32)
-        poses = BodyPoses(vec.vector_registers(now, "up"), vec.vector_registers(now, "heading"))
+        poses = BodyPoses(vec.get_vector_registers(now, "up"), vec.get_vector_registers(now, "heading"))
         inputs = (
             rows,
             BodyStances(p.position, p.normal, poses),
             self.limits,
-            vec.vector_registers(now, "~lift"),
+            vec.get_vector_registers(now, "~lift"),
             old,
             depths,
             outs,
@@ -256,7 +261,7 @@ class ClearStep:
 
     def _run(self, work: partial[object], count: int) -> None:
         if count:
-            parallel.in_parts(work, count, self.threads, _ROWS_PER_THREAD)
+            parallel.run_in_parts(work, count, self.threads, _ROWS_PER_THREAD)
 
 
 def settle_clear(world: World, population: Population, rows: Rows) -> bool:
@@ -267,7 +272,7 @@ def settle_clear(world: World, population: Population, rows: Rows) -> bool:
         return False
     assert isinstance(world.ground, MeshGround)
     now, n = population.now, len(population)
-    walk = world.ground.crowd_walk(0.0, float(np.fmax.reduce(now["size"], initial=0.0)))
+    walk = world.ground.build_crowd_walk(0.0, float(np.fmax.reduce(now["size"], initial=0.0)))
     if walk is None:
         return False
     free = np.full(n, np.inf, np.float32)
@@ -283,24 +288,26 @@ def settle_clear(world: World, population: Population, rows: Rows) -> bool:
 
 def face_search(walk: CrowdWalk, count: int, threads: int) -> FaceSearch:
     """Return the tables for a search of faces for `count` rows."""
-    several = parallel.parts(count, threads, _ROWS_PER_THREAD)
+    several = parallel.count_parts(count, threads, _ROWS_PER_THREAD)
     table, boxes = walk.walk.table, walk.boxes
-    buffers = FaceBuffers(np.empty(several * boxes.order.size, np.int64), several, count)
-    return FaceSearch(table.pieces > 1 or bool(table.cuts.first[-1]), table.piece, table.cuts.first, boxes.tree(), buffers)
+    buffers = FaceBuffers(np.empty(several * boxes.triangle_order.size, np.int64), several, count)
+    return FaceSearch(
+        table.piece_count > 1 or bool(table.cuts.first[-1]), table.piece, table.cuts.first, boxes.to_box_tree(), buffers
+    )
 
 
 def body_shape(world: World, population: Population, margin: float = _MARGIN_PER_BODY) -> BodyShape:
     """Return the capsule of a species' body, for a body of 1 mm, longer by a `margin` at both ends."""
-    capsule = capsule_of(world, population.name)
+    capsule = find_capsule(world, population.name)
     half = max(capsule.length - capsule.width, 0.0) / 2 + margin
-    return BodyShape(half, capsule.width / 2, capsule.height, capsule.ahead)
+    return BodyShape(half, capsule.width / 2, capsule.height, capsule.forward_offset)
 
 
 def _read_lift(population: Population, rows: Rows) -> VectorArrays:
-    return vec.take(vec.vector_registers(population.now, "~lift"), rows)
+    return vec.take_rows(vec.get_vector_registers(population.now, "~lift"), rows)
 
 
 def _retained_registers(population: Population) -> BodyRegisters:
     now = population.now
-    lift, out = vec.vector_registers(now, "~lift"), vec.vector_registers(now, "~out")
+    lift, out = vec.get_vector_registers(now, "~lift"), vec.get_vector_registers(now, "~out")
     return BodyRegisters(lift, now["~wait"], now["~depth"], out)

@@ -9,26 +9,26 @@ import numpy as np
 
 from antdsl.ground.mesh.boxes import FaceList, gather_faces
 from antdsl.ground.mesh.face_table import AXIS1_OFFSET, AXIS2_OFFSET, NORMAL_OFFSET, ROW_FLOATS  # fmt: skip
-from antdsl.ground.mesh.stretches import lay_on_face
+from antdsl.ground.mesh.stretches import project_to_face
 from antdsl.ground.mesh.surroundings import position_on_face
 from antdsl.ground.mesh.walkers import FaceWalker, FootingArrays, SurfaceTables
-from antdsl.machine_code.kernels import called, inlined, kernel, scratch
+from antdsl.machine_code.kernels import allocate_scratch, inlined, kernel, kernel_helper
 from antdsl.machine_code.kernels.types import F32, F64, I64, Array1, Array2
-from antdsl.numerics.elementary_loops import atan2, cos_sin
+from antdsl.numerics.elementary_loops import atan2, compute_cos_and_sin
 from antdsl.numerics.kernel_vectors import (
     Vec3,
     VectorColumns,
-    at,
     cross,
     dot,
+    get_row64,
+    load_vector,
     minus,
+    normalise_vector,
     plus,
     rotate_about_axis,
-    row64,
     times,
-    unit,
 )  # fmt: skip
-from antdsl.numerics.parallel import buffer_index
+from antdsl.numerics.parallel import compute_buffer_index
 from antdsl.runtime.moving.body_contacts import BodyStance, shift_outside
 from antdsl.runtime.moving.body_paths import (
     DISTANCE_AT,
@@ -70,7 +70,7 @@ _VALLEY_GAP_PER_BODY = 0.01  # of a body: the same of a valley that no body fits
 @inlined
 def _buffer(search: FaceSearch, begin: I64) -> I64:
     """Return where the buffer of a part begins."""
-    return buffer_index(begin, search.buffers.count, search.buffers.several) * search.boxes.order.size
+    return compute_buffer_index(begin, search.buffers.count, search.buffers.several) * search.boxes.triangle_order.size
 
 
 @inlined
@@ -86,14 +86,14 @@ def _angle(a: Vec3, b: Vec3) -> F64:
     return np.float64(atan2(_F(np.sqrt(dot(side, side))), _F(dot(a, b))))
 
 
-@called
+@kernel_helper
 def _approach_normal(up: Vec3, normal: Vec3, most: F64, ahead: Vec3) -> Vec3:
     """Return the up, rotated towards a normal if it is more than `most` radians away."""
     angle, result = _angle(up, normal), up
     if angle > most:
         axis, _, _ = turn_axis(up, normal, ahead)
-        c, s = cos_sin(_F(angle - most))
-        result = unit(rotate_about_axis(up, axis, np.float64(c), np.float64(s)))
+        c, s = compute_cos_and_sin(_F(angle - most))
+        result = normalise_vector(rotate_about_axis(up, axis, np.float64(c), np.float64(s)))
     return result
 
 
@@ -117,14 +117,14 @@ def limit_steps(
     A step leads away from what the body met in the last step. It ends before an edge if the body cannot stand beyond it, and
     before a valley that no body fits into."""
     table, first, rows, levels = surface.table, surface.first, listed.rows, listed.levels
-    points, faces = scratch(PATH_FLOATS, F64), FaceList(search.buffers.numbers, _buffer(search, begin))
+    points, faces = allocate_scratch(PATH_FLOATS, F64), FaceList(search.buffers.numbers, _buffer(search, begin))
     for j in range(begin, end):
         i = rows[j]
         displacement = read_vector(step, i)
         length = np.sqrt(dot(displacement, displacement))
         if feet.mesh[i] < 0 or feet.face[i] < 0 or feet.over[i] != 0 or not (length > 0 and length < np.inf):
             continue
-        wall, ground, size = read_vector(retained.out, i), row64(normals, i), np.float64(limits.size[i])
+        wall, ground, size = read_vector(retained.out, i), get_row64(normals, i), np.float64(limits.size[i])
         if dot(wall, wall) > 0:
             displacement = _retreat(
                 displacement,
@@ -139,11 +139,11 @@ def limit_steps(
         if levels[j] == SHARP:
             f = first[feet.mesh[i]] + feet.face[i]
             row = ROW_FLOATS * f
-            own = at(table, row + NORMAL_OFFSET)
+            own = load_vector(table, row + NORMAL_OFFSET)
             side = -1.0 if dot(own, ground) < 0 else 1.0
             own, weights = times(own, side), (feet.b1[i], feet.b2[i])
-            axis1, axis2 = at(table, row + AXIS1_OFFSET), at(table, row + AXIS2_OFFSET)
-            c, s, left = lay_on_face(axis1, axis2, displacement[0], displacement[1], displacement[2], 1.0, 0.0)
+            axis1, axis2 = load_vector(table, row + AXIS1_OFFSET), load_vector(table, row + AXIS2_OFFSET)
+            c, s, left = project_to_face(axis1, axis2, displacement[0], displacement[1], displacement[2], 1.0, 0.0)
             if left > 0:
                 place = position_on_face(table, row, weights, side)
                 count = 0
@@ -155,7 +155,7 @@ def limit_steps(
                 bend = trace_bends(surface, nearby, start, left, _EYE_PER_BODY * size, points)
                 free, up = left, read_vector(body_up, i)
                 for k in range(1, bend.count - 1):
-                    n = at(points, POINT_FLOATS * k + NORMAL_AT)
+                    n = load_vector(points, POINT_FLOATS * k + NORMAL_AT)
                     most = max(_MAX_LEAN, 0.5 * _angle(own, n) + _KNIFE_SLACK) + np.float64(limits.most[i])
                     if _angle(up, n) > most:
                         free = min(free, max(points[POINT_FLOATS * k + DISTANCE_AT] - _EDGE_GAP_PER_BODY * size, 0.0))
@@ -206,7 +206,7 @@ def aim_bodies(
     `previous`: poses before the step. `now`: those of the feet, replaced by those of the bodies."""
     table, first, rows, levels = surface.table, surface.first, listed.rows, listed.levels
     faces = FaceList(search.buffers.numbers, _buffer(search, begin))
-    ahead_points, behind_points = scratch(PATH_FLOATS, F64), scratch(PATH_FLOATS, F64)
+    ahead_points, behind_points = allocate_scratch(PATH_FLOATS, F64), allocate_scratch(PATH_FLOATS, F64)
     for j in range(begin, end):
         i = rows[j]
         stands = read_vector(previous.up, i)
@@ -220,11 +220,11 @@ def aim_bodies(
         if feet.mesh[i] >= 0 and feet.face[i] >= 0 and feet.over[i] == 0 and size > 0 and levels[j] > 0:
             f = first[feet.mesh[i]] + feet.face[i]
             row = ROW_FLOATS * f
-            own = at(table, row + NORMAL_OFFSET)
+            own = load_vector(table, row + NORMAL_OFFSET)
             side = -1.0 if dot(own, normal) < 0 else 1.0
             own, weights, window = times(own, side), (feet.b1[i], feet.b2[i]), WINDOW_PER_BODY * size
             travel = _turn_within(turn_heading(look, stands, own), perpendicular(heading, own), own, turn)
-            c, s = dot(at(table, row + AXIS1_OFFSET), travel), dot(at(table, row + AXIS2_OFFSET), travel)
+            c, s = dot(load_vector(table, row + AXIS1_OFFSET), travel), dot(load_vector(table, row + AXIS2_OFFSET), travel)
             place = position_on_face(table, row, weights, side)
             count = 0
             if levels[j] == SHARP and search.several_pieces:
@@ -235,13 +235,13 @@ def aim_bodies(
             roll2, pitch2, behind_count = trace_bends(surface, nearby, back, window, _EYE_PER_BODY * size, behind_points)
             bend = plus(times(travel, roll - roll2), times(cross(own, travel), pitch - pitch2))
             angle = np.sqrt(dot(bend, bend))
-            axis, (c32, s32) = times(bend, 1 / max(angle, 1e-300)), cos_sin(_F(angle))
-            mean = unit(rotate_about_axis(own, axis, np.float64(c32), np.float64(s32)))
+            axis, (c32, s32) = times(bend, 1 / max(angle, 1e-300)), compute_cos_and_sin(_F(angle))
+            mean = normalise_vector(rotate_about_axis(own, axis, np.float64(c32), np.float64(s32)))
             target_heading = perpendicular(rotate_about_axis(travel, axis, np.float64(c32), np.float64(s32)), mean)
             target_up, lean = mean, _MAX_LEAN
             for back_k in range(ahead_count - 1):
                 k = ahead_count - 2 - back_k
-                n = at(ahead_points, POINT_FLOATS * k + NORMAL_AT)
+                n = load_vector(ahead_points, POINT_FLOATS * k + NORMAL_AT)
                 extra, half = _LEAN_PER_BODY * ahead_points[POINT_FLOATS * k + DISTANCE_AT] / size, 0.5 * _angle(own, n)
                 lean = max(lean, half - 4.0 * extra)
                 target_up = _approach_normal(target_up, n, max(_MAX_LEAN + extra, half), travel)
@@ -251,9 +251,9 @@ def aim_bodies(
         full_tilt = atan2(_F(sine), _F(cosine))
         tilt, c, s, up = full_tilt, cosine, sine, target_up
         if not full_tilt <= limits.most[i]:
-            c32, s32 = cos_sin(limits.most[i])
+            c32, s32 = compute_cos_and_sin(limits.most[i])
             tilt, c, s = limits.most[i], np.float64(c32), np.float64(s32)
-            up = unit(rotate_about_axis(stands, axis, c, s))
+            up = normalise_vector(rotate_about_axis(stands, axis, c, s))
         turned = perpendicular(rotate_about_axis(look, axis, c, s), up)
         yaw = np.sqrt(max(turn * turn - np.float64(tilt) * np.float64(tilt), 0.0)) if limited else 4.0
         facing = _turn_within(turned, turn_heading(target_heading, target_up, up), up, yaw)
@@ -274,14 +274,14 @@ def aim_bodies(
             retained.lift[k][i] = _F(lift[k])
 
 
-@called
+@kernel_helper
 def _turn_within(heading: Vec3, goal: Vec3, up: Vec3, most: F64) -> Vec3:
     """Return the heading turned towards a goal by at most `most` radians. Both are perpendicular to `up`."""
     left = cross(up, heading)
     yaw, most_yaw, result = atan2(_F(dot(left, goal)), _F(dot(heading, goal))), _F(most), goal
     if not abs(yaw) <= most_yaw:
-        c, s = cos_sin(most_yaw if yaw > 0 else -most_yaw)
-        result = unit(plus(times(heading, np.float64(c)), times(left, np.float64(s))))
+        c, s = compute_cos_and_sin(most_yaw if yaw > 0 else -most_yaw)
+        result = normalise_vector(plus(times(heading, np.float64(c)), times(left, np.float64(s))))
     return result
 
 
@@ -311,7 +311,7 @@ def shift_bodies(
         i = rows[j]
         size = np.float64(limits.size[i])
         position = (place[i, 0], place[i, 1], place[i, 2])
-        stance = BodyStance(position, row64(normals, i), read_vector(pose.up, i), read_vector(pose.heading, i), size)
+        stance = BodyStance(position, get_row64(normals, i), read_vector(pose.up, i), read_vector(pose.heading, i), size)
         shape, most = scale_shape(limits.shape, size), MAX_LIFT_PER_BODY * size
         result = shift_outside(table, search.pieces, search.boxes, faces, shape, stance, read_vector(lift, i), most, turns)
         change = minus(result.shift, read_vector(old, j))

@@ -21,11 +21,11 @@ from numpy.typing import NDArray
 from antdsl.numerics import elementary
 from antdsl.numerics import vectors as vec
 from antdsl.numerics.vectors import VectorArrays, dot
-from antdsl.runtime.moving import corrections, cutting
+from antdsl.runtime.moving import correction_walks, step_clamping
 from antdsl.runtime.moving.capsules import CapsuleCrowd, NearbyPairs, find_near_pairs
-from antdsl.runtime.moving.corrections import CorrectionWalker, FootPositions, fill_approach, fill_stances
+from antdsl.runtime.moving.correction_walks import CorrectionWalker, FootPositions, write_approach, write_stances
 from antdsl.runtime.moving.long_steps import StartPositions, find_long_steps, stop_long_steps
-from antdsl.runtime.moving.separation import DEAD_ZONE_SHARE, SUM_BITS, arrays, restore_headings, separate_pairs
+from antdsl.runtime.moving.separation import DEAD_ZONE_SHARE, SUM_BITS, make_buffers, restore_headings, separate_pairs
 from antdsl.runtime.world import PUSHED_REGISTER, World
 
 Floats = NDArray[np.float64]
@@ -40,17 +40,17 @@ _SOFT_CONTACT_SECONDS = 0.1  # s, in which two part by the most of their overlap
 class SolverEffort:
     """The number of iterations against overlaps in a substep.
 
-    `looks`: how often pairs are measured again. `sweeps`: the number of sweeps after each measurement.
-    `rounds`: the number of rounds. Rounds after the first are for agents that the ground deflected or that could not move."""
+    `outer_iterations`: how often pairs are measured again. `sweeps`: the number of sweeps after each measurement.
+    `passes`: the number of rounds. Rounds after the first are for agents that the ground deflected or that could not move."""
 
-    looks: int
+    outer_iterations: int
     sweeps: int
-    rounds: int
+    passes: int
 
     @property
     def is_single(self) -> bool:
         """Return whether there is one look, sweep and round. Then only agents that overlap at the first measurement are moved."""
-        return self.looks == self.sweeps == self.rounds == 1
+        return self.outer_iterations == self.sweeps == self.passes == 1
 
 
 SOLVER_EFFORTS: Mapping[str, SolverEffort] = {"soft": SolverEffort(1, 1, 1), "hard": SolverEffort(12, 4, 3)}
@@ -69,54 +69,56 @@ def record_stances(world: World) -> StartStances | None:
         return None
     species, headings = world.populations.items(), {}
     if world.setting.contacts == "hard":
-        headings = {name: vec.copy(vec.vector_registers(population.now, "heading")) for name, population in species}
+        headings = {name: vec.copy(vec.get_vector_registers(population.now, "heading")) for name, population in species}
     normals = {name: population.normal for name, population in species}
     return StartStances({name: population.position for name, population in species}, normals, headings)
 
 
-def resolve_contacts(world: World, began: StartStances, dt: float) -> None:
-    """Separate overlapping agents after a substep of `dt` s. `began`: the stances at its start."""
+def resolve_contacts(world: World, step_start: StartStances, dt: float) -> None:
+    """Separate overlapping agents after a substep of `dt` s. `step_start`: the stances at its start."""
     if len(world) < 2:
         return
     effort, crowd = SOLVER_EFFORTS[world.setting.contacts], CapsuleCrowd(world)
     is_hard = world.setting.contacts == "hard"
-    long = find_long_steps(crowd, began) if is_hard else None
+    long = find_long_steps(crowd, step_start) if is_hard else None
     near = find_near_pairs(crowd, DEAD_ZONE_SHARE if effort.is_single else None)
     if not len(near.i) and long is None:
         return
     share = 1.0 if is_hard else 1.0 - float(elementary.exp(_F(-dt / _SOFT_CONTACT_SECONDS)))
-    agents, walked = _PairAgents.of(crowd, near, began, dt)
-    gap, direction, depth = near.measure_before(walked)
+    agents, walked = _PairAgents.of(crowd, near, step_start, dt)
+    gap, direction, depth = near.measure_before_step(walked)
     cut = np.zeros_like(near.middle)
     if is_hard and len(near.i):
-        cut, stopped, changed = cutting.cut_steps(near, _find_approach(crowd, near.rows, dt), agents.mass, walked, gap, direction)
-        _restore_headings(crowd, near, stopped, began.headings)
-    if long is not None and stop_long_steps(world, began, long, near, cut, dt):
+        cut, stopped, changed = step_clamping.clamp_steps(
+            near, _find_approach(crowd, near.rows, dt), agents.mass, walked, gap, direction
+        )
+        _restore_headings(crowd, near, stopped, step_start.headings)
+    if long is not None and stop_long_steps(world, step_start, long, near, cut, dt):
         crowd = CapsuleCrowd(world)
         near = find_near_pairs(crowd)
-        agents, walked = _PairAgents.of(crowd, near, began, dt)
-        _, _, depth = near.measure_before(walked)
+        agents, walked = _PairAgents.of(crowd, near, step_start, dt)
+        _, _, depth = near.measure_before_step(walked)
         cut = np.zeros_like(near.middle)
     elif is_hard and len(near.i):
         near.measure(cut, changed)
     if not len(near.i):
         return
-    which, held, walking = np.ones(len(near.i), np.bool_), agents.frozen, CorrectionWalker(crowd, began.positions, dt)
-    work = arrays(len(near.rows), len(near.i))
-    for left in range(effort.rounds - 1, -1, -1):
-        asked = _separate(near, agents, which, held, walked, depth, effort, share, cut, work)
-        moved_rows, requested_moves = corrections.led(asked)
+    which, held, walking = np.ones(len(near.i), np.bool_), agents.is_frozen, CorrectionWalker(crowd, step_start.positions, dt)
+    work = make_buffers(len(near.rows), len(near.i))
+    for left in range(effort.passes - 1, -1, -1):
+        asked = _solve_separation(near, agents, which, held, walked, depth, effort, share, cut, work)
+        moved_rows, requested_moves = correction_walks.select_displaced(asked)
         rows = near.rows.take(moved_rows)
         got = walking.walk(rows, requested_moves)
         _record_pushes(crowd, rows, cut, moved_rows, requested_moves, got)
         if not left:
             break
         cut, held = np.zeros_like(cut), held.copy()
-        touched = corrections.find_missed(near, moved_rows, requested_moves, got, held)
+        touched = correction_walks.find_unresolved_rows(near, moved_rows, requested_moves, got, held)
         if not touched.any():
             break
         near.measure(cut, touched)
-        visible_pairs = corrections.find_visible_pairs(near, touched)
+        visible_pairs = correction_walks.find_overlapping_pairs(near, touched)
         if visible_pairs is None:
             break
         which = visible_pairs
@@ -128,21 +130,24 @@ def _find_approach(crowd: CapsuleCrowd, rows: Rows, dt: float) -> Floats:
     """Return the previous displacement (3, k) mm of the given rows: their velocity before this substep times `dt`."""
     first, displacement = 0, np.empty((3, len(rows)))
     for population, own in crowd.split_rows(rows):
-        fill_approach(own, first, vec.vector_registers(population.start, "velocity"), dt, displacement)
+        write_approach(own, first, vec.get_vector_registers(population.start, "velocity"), dt, displacement)
         first += len(own)
     return displacement
 
 
-def _record_pushes(crowd: CapsuleCrowd, rows: Rows, cut: Floats, moved_rows: Rows, requested_moves: Floats, got: Floats) -> None:
+def _record_pushes(
+    crowd: CapsuleCrowd, rows: Rows, cut: Floats, moved_rows: Rows, requested_moves: Floats, reached_moves: Floats
+) -> None:
     """Add the distance that each row was pushed in this step, for species with a program that reads it.
 
     Only the displacement that others caused counts, without the correction `cut` (3, k) of the row's own step.
     `rows`: ascending rows of the crowd. `moved_rows`: indices of moved rows among these.
-    `requested_moves` (3, k) mm: the requested displacements. `got`: the displacements that were reached; only these count."""
+    `requested_moves` (3, k) mm: the requested displacements. `reached_moves`: the displacements that were reached; only these
+    count."""
     if not any(PUSHED_REGISTER in population.now for population in crowd.species):
         return
     pushed = requested_moves - cut.take(moved_rows, axis=1)
-    short = np.where((pushed == 0).all(axis=0), 0.0, got - (requested_moves - pushed))
+    short = np.where((pushed == 0).all(axis=0), 0.0, reached_moves - (requested_moves - pushed))
     far = np.sqrt(dot(short, short)).astype(_F)
     first = 0
     for population, own in crowd.split_rows(rows):
@@ -156,15 +161,15 @@ class _PairAgents:
     """Values of the rows in pairs for one substep.
 
     `start` (3, k) mm: positions at the start. `reach` (k) mm: how far each row may walk.
-    `mass`: masses. `yields`: a factor, at most 1, of the distance that neighbours can push a row.
-    `normal` (3, k): normals of the ground below the feet. `frozen`: stopped by a fault."""
+    `mass`: masses. `push_share`: a factor, at most 1, of the distance that neighbours can push a row.
+    `normal` (3, k): normals of the ground below the feet. `is_frozen`: stopped by a fault."""
 
     start: Floats
     reach: Floats
     mass: Floats
-    yields: Floats
+    push_share: Floats
     normal: Floats
-    frozen: Flags
+    is_frozen: Flags
 
     @staticmethod
     def of(crowd: CapsuleCrowd, near: NearbyPairs, began: StartStances, dt: float) -> tuple[_PairAgents, Floats]:
@@ -173,7 +178,7 @@ class _PairAgents:
         vectors, (reach, mass), first = np.empty((3, 3, len(rows))), np.empty((2, len(rows))), 0
         for p, own in crowd.split_rows(rows):
             feet = FootPositions(began.positions[p.name], p.position, p.normal, p.now["max_speed"], p.now["mass"])
-            fill_stances(own, first, feet, dt, *vectors, reach, mass)
+            write_stances(own, first, feet, dt, *vectors, reach, mass)
             first += len(own)
         start, walked, normal = vectors
         yields = np.ones(len(rows))
@@ -187,11 +192,11 @@ class _PairAgents:
         return _PairAgents(start, reach, mass, yields, normal, crowd.of(lambda p: p.quarantined).take(rows)), walked
 
 
-def _separate(
+def _solve_separation(
     near: NearbyPairs,
     agents: _PairAgents,
-    which: Flags,
-    held: Flags,
+    is_selected: Flags,
+    is_held: Flags,
     walked: Floats,
     depth: Floats,
     effort: SolverEffort,
@@ -199,16 +204,16 @@ def _separate(
     cut: Floats,
     work: tuple[Any, ...],
 ) -> Floats:
-    """Return the displacements (3, k) mm of rows that separate the pairs flagged in `which` (m).
+    """Return the displacements (3, k) mm of rows that separate the pairs flagged in `is_selected` (m).
 
-    Pairs are measured after steps were changed by `cut` (3, k) mm. `held`: rows that are not moved farther.
+    Pairs are measured after steps were changed by `cut` (3, k) mm. `is_held`: rows that are not moved farther.
     `walked` (3, k) mm: the displacement of each row. `depth` (k) mm: its overlap before. `work`: buffers for kernels."""
-    magic = np.ldexp(1.5, int(np.frexp(near.widest)[1]) + 1 - SUM_BITS + 52)
-    which, displacement = which.copy(), cut.copy()
-    looks, lost = effort.looks, np.empty(len(near.i), np.intp)
+    magic = np.ldexp(1.5, int(np.frexp(near.max_radius)[1]) + 1 - SUM_BITS + 52)
+    is_selected, displacement = is_selected.copy(), cut.copy()
+    looks, lost = effort.outer_iterations, np.empty(len(near.i), np.intp)
     bodies = (near.middle, near.ahead, near.up, near.half, near.radius)
-    pairs = (near.i, near.j, near.gap, near.direction, which)
-    stand = (agents.mass, agents.yields, agents.reach, depth, held, agents.normal, walked, cut)
+    pairs = (near.i, near.j, near.gap, near.direction, is_selected)
+    stand = (agents.mass, agents.push_share, agents.reach, depth, is_held, agents.normal, walked, cut)
     while looks:
         looks, count = separate_pairs(bodies, pairs, stand, displacement, magic, looks, effort.sweeps, share, lost, work)
         near.draw_directions(near.direction, lost[:count])
@@ -222,5 +227,5 @@ def _restore_headings(crowd: CapsuleCrowd, near: NearbyPairs, stopped: Rows, fac
     rows, last = near.rows.take(stopped), 0
     for population, own in crowd.split_rows(rows):
         first, last = last, last + len(own)
-        vectors = (facing[population.name], *(vec.vector_registers(population.now, name) for name in ("up", "heading")))
+        vectors = (facing[population.name], *(vec.get_vector_registers(population.now, name) for name in ("up", "heading")))
         restore_headings(own, stopped[first:last], rows[first:last], *vectors, crowd.ahead, near.ahead, near.middle)

@@ -19,7 +19,7 @@ _SOLID_CONTACT_PER_BODY = 0.02  # of a body: how far from a solid who stands on 
 _FALL_BODY_LENGTHS_PER_SECOND = 7.5  # body lengths a second: falling speed of agents with a max_speed of 0
 
 
-def limit_fall(world: World, population: Population, moved: GroundMove, dt: np.float32) -> GroundMove:
+def limit_fall_speed(world: World, population: Population, moved: GroundMove, dt: np.float32) -> GroundMove:
     """Limit the result of a walk: agents that would exceed `max_speed` move only that far, on the straight line to their
     target.
 
@@ -37,7 +37,7 @@ def limit_fall(world: World, population: Population, moved: GroundMove, dt: np.f
     place = population.position[rows] + displacement[rows] * (most[rows] / far[rows])[:, None]
     solid = np.where(from_solid[rows], population.footing.mesh[rows], moved.footing.mesh[rows])
     footing, position = moved.footing.copy(), moved.position.copy()
-    footing.put(rows, Footing.on_solids(solid, place))
+    footing.put_rows(rows, Footing.from_solids(solid, place))
     position[rows] = place
     return dataclasses.replace(moved, footing=footing, position=position)
 
@@ -55,7 +55,7 @@ def find_airborne(world: World, population: Population, rows: Rows) -> Rows:
     return np.flatnonzero(is_airborne)
 
 
-def push_airborne(world: World, population: Population, rows: Rows, displacement: Floats) -> GroundMove:
+def move_airborne(world: World, population: Population, rows: Rows, displacement: Floats) -> GroundMove:
     """Return the positions to which pushes (k, 3) mm move agents in the air of a solid. They move in a straight line, but not
     into a solid."""
     place = population.position[rows] + displacement
@@ -65,7 +65,7 @@ def push_airborne(world: World, population: Population, rows: Rows, displacement
     mesh, up, heading = (
         population.footing.mesh[rows],
         population.normal[rows].astype(np.float64),
-        population.vector("heading")[rows],
+        population.read_vector("heading")[rows],
     )
     no = np.zeros(len(rows), np.bool_)
-    return GroundMove(Footing.on_solids(mesh, place), place, up, heading, heading, length(displacement), no, no)
+    return GroundMove(Footing.from_solids(mesh, place), place, up, heading, heading, length(displacement), no, no)

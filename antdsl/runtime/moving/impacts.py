@@ -10,11 +10,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from antdsl.machine_code.kernels import called, independent, inlined, kernel, load_consecutive
+from antdsl.machine_code.kernels import inlined, kernel, kernel_helper, load_consecutive, simd_range
 from antdsl.machine_code.kernels.types import BOOL, F32, F64, I32, I64, Array1, Array2, Strided2
-from antdsl.numerics.kernel_vectors import Vec3, VectorColumns, dot, minus, of, plus, put_vector, times
+from antdsl.numerics.kernel_vectors import Vec3, VectorColumns, dot, get_column, minus, plus, store_column, times
 from antdsl.runtime.moving.capsule_distances import find_separation, mean_up
-from antdsl.senses.touching import Agents, span_end, span_start
+from antdsl.senses.touching import Agents, find_span_end, find_span_start
 
 # Radii: with shorter steps, no pair passes from contact to beyond the reach of the search for pairs, if it is as deep as below
 _LONG_STEP_RADII = 1.9
@@ -74,7 +74,7 @@ def flag_long_steps(
     `place`, `began` (n, 3) mm: end and start. `half`, `radius`, `flags`: of the crowd, where the species starts at index
     `first`."""
     total = 0
-    for k in independent(0, place.shape[0]):
+    for k in simd_range(0, place.shape[0]):
         x, y, z = place[k, 0] - began[k, 0], place[k, 1] - began[k, 1], place[k, 2] - began[k, 2]
         wide, squared = radius[first + k], (x * x + y * y) + z * z
         far = wide * _LONG_STEP_RADII + min(half[first + k], wide * _LONG_STEP_HALVES_RADII)
@@ -98,17 +98,17 @@ def fill_paths(
     """Write the paths of the agents of a species, from index `first` on. `to.middle` has the middles at the end before.
 
     `place`, `began` (n, 3) mm: end and start. `normal` (n, 3): normals of the ground at the start."""
-    for k in independent(0, place.shape[0]):
+    for k in simd_range(0, place.shape[0]):
         row = first + k
         x, y, z = place[k, 0] - began[k, 0], place[k, 1] - began[k, 1], place[k, 2] - began[k, 2]
         path = (x, y, z)
         one = (np.float64(normal[k, 0]), np.float64(normal[k, 1]), np.float64(normal[k, 2]))
         other = (np.float64(up[0][k]), np.float64(up[1][k]), np.float64(up[2][k]))
         bend = minus(other, one)
-        middle = minus(of(to.middle, row), path)
-        put_vector(to.middle, row, middle)
-        put_vector(to.displacement, row, path)
-        put_vector(to.ahead, row, (np.float64(ahead[0][k]), np.float64(ahead[1][k]), np.float64(ahead[2][k])))
+        middle = minus(get_column(to.middle, row), path)
+        store_column(to.middle, row, middle)
+        store_column(to.displacement, row, path)
+        store_column(to.ahead, row, (np.float64(ahead[0][k]), np.float64(ahead[1][k]), np.float64(ahead[2][k])))
         between = mean_up(one, other)
         for axis in range(3):
             to.up[axis, row] = between[axis] if dot(between, between) > 0 else other[axis]
@@ -122,15 +122,19 @@ def _squash(v: Vec3, between: Vec3, part: F64) -> Vec3:
     return minus(v, times(between, dot(v, between) * part))
 
 
-@called
+@kernel_helper
 def find_impact(paths: PathArrays, p: I64, q: I64, moves: Vec3, share: F64) -> tuple[F64, Vec3]:
     """Return when two bodies meet, `NEVER` if they do not, and the direction along the ground from the second to the first.
 
     `moves` (mm): the relative displacement. `share`: of both radii, the distance that counts as contact. On curved ground,
     heights count less, so that two arcs over one hill meet although their chords do not."""
     wide, sag = (paths.radius[p] + paths.radius[q]) * share, paths.sag[p] + paths.sag[q]
-    between, part = mean_up(of(paths.up, p), of(paths.up, q)), 1 - wide / max(wide + sag * 2, 1e-300)
-    away, a, b = minus(of(paths.middle, p), of(paths.middle, q)), of(paths.ahead, p), of(paths.ahead, q)
+    between, part = mean_up(get_column(paths.up, p), get_column(paths.up, q)), 1 - wide / max(wide + sag * 2, 1e-300)
+    away, a, b = (
+        minus(get_column(paths.middle, p), get_column(paths.middle, q)),
+        get_column(paths.ahead, p),
+        get_column(paths.ahead, q),
+    )
     away, moves = _squash(away, between, part), _squash(moves, between, part)
     a, b, far, time = _squash(a, between, part), _squash(b, between, part), np.sqrt(dot(moves, moves)), 0.0
     across = (0.0, 0.0, 0.0)
@@ -156,9 +160,9 @@ def find_impact(paths: PathArrays, p: I64, q: I64, moves: Vec3, share: F64) -> t
 @inlined
 def _are_paths_near(paths: PathArrays, p: I64, q: I64) -> BOOL:
     """Return whether the paths of two bodies come so near each other, at any times, that the bodies may touch."""
-    one, other = of(paths.displacement, p), of(paths.displacement, q)
+    one, other = get_column(paths.displacement, p), get_column(paths.displacement, q)
     long, size = np.sqrt(dot(one, one)), np.sqrt(dot(other, other))
-    away = minus(plus(of(paths.middle, p), times(one, 0.5)), plus(of(paths.middle, q), times(other, 0.5)))
+    away = minus(plus(get_column(paths.middle, p), times(one, 0.5)), plus(get_column(paths.middle, q), times(other, 0.5)))
     one, other = times(one, 1 / max(long, 1e-300)), times(other, 1 / max(size, 1e-300))
     separation, _, _ = find_separation(away, one, other, (0.0, 0.0, 0.0), long * 0.5, size * 0.5)
     reach = paths.half[p] + paths.half[q] + paths.radius[p] + paths.radius[q] + paths.sag[p] + paths.sag[q]
@@ -179,8 +183,8 @@ def list_path_pairs(
         (x, y, z, extent), a = load_consecutive(asks, 4 * at, 4), asking_rows[at]
         for span in range(search.shifts.size):
             key = asking_keys[at] + search.shifts[span]
-            first = span_start(search.agents, search.starts, search.cells, search.own, at, span, key)
-            last = span_end(search.agents, search.starts, search.cells, key)
+            first = find_span_start(search.agents, search.starts, search.cells, search.own, at, span, key)
+            last = find_span_end(search.agents, search.starts, search.cells, key)
             for n in range(first, last):
                 b = rows[n]
                 if active[a] == 0 and active[b] == 0:
@@ -196,7 +200,7 @@ def list_path_pairs(
                     continue
                 time, direction = NEVER, (0.0, 0.0, 0.0)
                 if only_impacts:
-                    moves = minus(of(paths.displacement, p), of(paths.displacement, q))
+                    moves = minus(get_column(paths.displacement, p), get_column(paths.displacement, q))
                     wide, far = paths.radius[p] + paths.radius[q], np.sqrt(dot(moves, moves))
                     if far < wide * _LONG_STEP_RADII:
                         continue
@@ -209,6 +213,6 @@ def list_path_pairs(
                 if used >= to.i.size:
                     return -1
                 to.i[used], to.j[used], to.time[used] = p, q, time
-                put_vector(to.direction, used, direction)
+                store_column(to.direction, used, direction)
                 used += 1
     return used

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from antdsl.machine_code.kernels import independent, kernel
+from antdsl.machine_code.kernels import kernel, simd_range
 from antdsl.machine_code.kernels.types import BOOL, F32, F64, I64, Array1
 from antdsl.numerics.kernel_vectors import VectorColumns
 from antdsl.runtime.moving.capsule_distances import TrunkCapsules
@@ -22,7 +22,7 @@ def extend_trunks(
     The capsules are those from index `first` on, as `place_trunks` stored them."""
     half, radius, shift, reach, middle = to
     has_loads = False
-    for i in independent(0, size.size):
+    for i in simd_range(0, size.size):
         row = first + i
         wide = np.float64(np.float32(0) if size[i] <= np.float32(0) else size[i])
         longer = max(wide * front - (shift[row] + half[row] + radius[row]), 0.0) * (0.5 if carries[i] else 0.0)

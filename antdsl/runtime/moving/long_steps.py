@@ -16,14 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.numerics import vectors as vec
-from antdsl.numerics.sorting import ranks, stable_order
+from antdsl.numerics.sorting import invert_order, sort_stably
 from antdsl.runtime.moving.capsules import CapsuleCrowd, NearbyPairs
-from antdsl.runtime.moving.corrections import CorrectionWalker, fill_approach
-from antdsl.runtime.moving.cutting import CutBuffers, sum_magic
+from antdsl.runtime.moving.correction_walks import CorrectionWalker, write_approach
 from antdsl.runtime.moving.impacts import PathArrays, PathPairs, PathSearch, fill_paths, flag_long_steps, list_path_pairs
+from antdsl.runtime.moving.step_clamping import ClampBuffers, sum_magic
 from antdsl.runtime.moving.stopping import bend_paths, find_next_impacts, list_corrections, shorten_paths
 from antdsl.runtime.world import World
-from antdsl.senses.touching import neighbour_searches
+from antdsl.senses.touching import iterate_neighbour_searches
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -58,7 +58,7 @@ def stop_long_steps(
     `long` (n): flags of long steps. `near`: pairs that are near each other at the end. Contacts cut the steps of these by `cut`
     (3, k) mm; if any agent is stopped, this function moves them as well."""
     crowd = CapsuleCrowd(world)
-    paths, rank = _fill_paths(crowd, began), ranks(stable_order(crowd.key)).astype(np.int64)
+    paths, rank = _fill_paths(crowd, began), invert_order(sort_stably(crowd.agent_keys)).astype(np.int64)
     walked = paths.displacement.copy()
     paths.displacement[:, near.rows] += cut
     hits = _without_near(_list_pairs(paths, rank, long, True), near, rank)
@@ -85,7 +85,7 @@ def _fill_paths(crowd: CapsuleCrowd, began: StartPositions) -> PathArrays:
     paths = PathArrays(crowd.middle.copy(), displacement, ahead, up, crowd.half, crowd.radius, sag, mass)
     for population, first in zip(crowd.species, crowd.first.tolist(), strict=False):
         now, name = population.now, population.name
-        axes = (vec.vector_registers(now, "heading"), vec.vector_registers(now, "up"))
+        axes = (vec.get_vector_registers(now, "heading"), vec.get_vector_registers(now, "up"))
         fill_paths(population.position, began.positions[name], began.normals[name], *axes, now["mass"], first, paths)
     return paths
 
@@ -94,7 +94,7 @@ def _list_pairs(paths: PathArrays, rank: NDArray[np.int64], active: NDArray[np.i
     """Return the pairs with an active row and near paths, as `impacts.list_path_pairs` does."""
     middle = paths.middle + paths.displacement / 2
     reach = np.sqrt(vec.dot(paths.displacement, paths.displacement)) / 2 + paths.half + paths.radius + paths.sag
-    searches = [PathSearch(*search) for search in neighbour_searches((middle[0], middle[1], middle[2]), reach)]
+    searches = [PathSearch(*search) for search in iterate_neighbour_searches((middle[0], middle[1], middle[2]), reach)]
     space = _FIRST_PAIRS_PER_AGENT * len(rank)
     while True:
         (i, j), used = np.empty((2, space), np.int64), 0
@@ -104,7 +104,7 @@ def _list_pairs(paths: PathArrays, rank: NDArray[np.int64], active: NDArray[np.i
             if used < 0:
                 break
         if used >= 0:
-            order = stable_order(rank[i[:used]] * len(rank) + rank[j[:used]])
+            order = sort_stably(rank[i[:used]] * len(rank) + rank[j[:used]])
             return PathPairs(i.take(order), j.take(order), pairs.time.take(order), pairs.direction.take(order, axis=1))
         space *= 4
 
@@ -113,10 +113,10 @@ def _bend_paths(crowd: CapsuleCrowd, paths: PathArrays, hits: PathPairs, dt: flo
     """Deflect paths along the bodies that they meet. Return which rows (n) meet another one."""
     n, m, approach = len(crowd), len(hits.i), np.empty((3, len(crowd)))
     for population, first in zip(crowd.species, crowd.first.tolist(), strict=False):
-        fill_approach(np.arange(len(population)), first, vec.vector_registers(population.start, "velocity"), dt, approach)
+        write_approach(np.arange(len(population)), first, vec.get_vector_registers(population.start, "velocity"), dt, approach)
     (cut, sums), part, changed = np.empty((2, 3, n)), np.empty(n), np.empty(n, np.bool_)
     meeting_counts, bent_rows, stopped = np.empty((3, n), np.int64)
-    buffers = CutBuffers(np.empty((2, m)), sums, part, meeting_counts, bent_rows, np.empty(m, np.int64))
+    buffers = ClampBuffers(np.empty((2, m)), sums, part, meeting_counts, bent_rows, np.empty(m, np.int64))
     bend_paths(hits, paths, approach, sum_magic(paths.displacement), buffers, cut, stopped, changed)
     paths.displacement[:] += cut
     changed[hits.i], changed[hits.j] = True, True

@@ -14,7 +14,7 @@ from antdsl.ground.moving import FaceAxes, MovingGround
 from antdsl.ground.protocol import Footing, GroundMove
 from antdsl.numerics import vectors as vec
 from antdsl.numerics.vectors import VectorArrays
-from antdsl.runtime.moving.obstacles import obstacle_mesh
+from antdsl.runtime.moving.obstacles import find_obstacle_mesh
 from antdsl.runtime.world import AXES, Population, World
 
 _CURVE_SPACING_MM = 1.0  # mm: queries for the nearest point and direction split a curve into pieces of this length
@@ -25,23 +25,23 @@ _F = np.float32
 
 def move_world(world: World) -> None:
     """Move all moving things to the next frame. Agents move with their ground, then out of obstacles that have reached them."""
-    if not world.setting.moves:
+    if not world.setting.motion:
         return
-    ground = moving_ground(world)
+    ground = get_moving_ground(world)
     standing = [(p, *_find_riders(ground, p)) for p in world.populations.values() if len(p)]
     pose_world(world, world.frame + 1)
     for population, rows, previous_axes in standing:
         if ground is not None and previous_axes is not None and len(rows):
             _carry_riders(ground, population, rows, previous_axes)
     for name in world.plan.obstacles:
-        if name in world.setting.moves.meshes and name in world.obstacles:
+        if name in world.setting.motion.meshes and name in world.obstacles:
             for population, _, _ in standing:
-                _push_out(world, population, name)
+                _push_out_agents(world, population, name)
 
 
 def pose_world(world: World, frame: int) -> None:
     """Move all moving things to their positions at a frame of the scene. Agents retain their footing and position."""
-    moves = world.setting.moves
+    moves = world.setting.motion
     if not moves:
         return
     pose_ground(world, frame)
@@ -49,20 +49,20 @@ def pose_world(world: World, frame: int) -> None:
         if name in world.obstacles:
             world.obstacles[name] = _make_ray_scene(world, name, frame)
             if world.detail is not None and name in world.setting.obstacles:
-                world.detail.move_boxes(name, vertices_at(world, name, frame))
+                world.detail.move_boxes(name, compute_vertices(world, name, frame))
     for name, tracks in moves.items.items():
         if name in world.items:
             items = world.items[name]
-            items.position = moves.points(tracks, frame) - world.origin
+            items.position = moves.find_positions(tracks, frame) - world.origin
             for k, axis in enumerate(AXES):
                 items.visible_values[axis] = items.position[:, k].astype(np.float32)
     for name, tracks in moves.curves.items():
         if name in world.curves:
-            world.curves[name] = make_curve(moves.points(tracks, frame) - world.origin)
+            world.curves[name] = make_curve(moves.find_positions(tracks, frame) - world.origin)
     world.clearances.clear()
 
 
-def moving_ground(world: World) -> MovingGround | None:
+def get_moving_ground(world: World) -> MovingGround | None:
     """Return the part of the ground that consists of meshes, if some of them move; else None."""
     meshes = world.ground.meshes
     return meshes if isinstance(meshes, MovingGround) else None
@@ -70,17 +70,17 @@ def moving_ground(world: World) -> MovingGround | None:
 
 def pose_ground(world: World, frame: int) -> None:
     """Move only the ground to a frame, using NumPy alone. This is for callers that read a world and cast no rays."""
-    ground = moving_ground(world)
+    ground = get_moving_ground(world)
     if ground is not None:
-        moved = [name for name in world.setting.moves.meshes if name in world.setting.surfaces]
-        ground.pose_meshes({name: vertices_at(world, name, frame) for name in moved})
+        moved = [name for name in world.setting.motion.meshes if name in world.setting.surfaces]
+        ground.pose_meshes({name: compute_vertices(world, name, frame) for name in moved})
 
 
-def vertices_at(world: World, name: str, frame: int) -> NDArray[np.float64]:
+def compute_vertices(world: World, name: str, frame: int) -> NDArray[np.float64]:
     """Return the vertices of a mesh at a frame of the scene, in the world's coordinates."""
-    moves, setting = world.setting.moves, world.setting
+    moves, setting = world.setting.motion, world.setting
     mesh = setting.surfaces[name] if name in setting.surfaces else setting.obstacles[name]
-    return moves.meshes[name].vertices_at(mesh.vertices, frame - moves.first) - world.origin
+    return moves.meshes[name].compute_vertices(mesh.vertices, frame - moves.first) - world.origin
 
 
 def make_curve(points: NDArray[np.float64]) -> SampledCurve:
@@ -88,9 +88,9 @@ def make_curve(points: NDArray[np.float64]) -> SampledCurve:
     return SampledCurve(points, _CURVE_SPACING_MM)
 
 
-def ground_velocity(world: World, population: Population) -> NDArray[np.float64] | None:
+def measure_ground_velocity(world: World, population: Population) -> NDArray[np.float64] | None:
     """Return the velocity (n, 3) mm/s of the ground points below agents in the last step; None if no ground moves."""
-    ground, moves = moving_ground(world), world.setting.moves
+    ground, moves = get_moving_ground(world), world.setting.motion
     if ground is None:
         return None
     speed = np.zeros((len(population), 3))
@@ -99,42 +99,42 @@ def ground_velocity(world: World, population: Population) -> NDArray[np.float64]
         rows = np.flatnonzero(footing.mesh == number) if name in moves.meshes else np.empty(0, np.int64)
         if len(rows):
             corner = world.setting.surfaces[name].faces[footing.face[rows]]
-            displacement = vertices_at(world, name, world.frame) - vertices_at(world, name, world.frame - 1)
+            displacement = compute_vertices(world, name, world.frame) - compute_vertices(world, name, world.frame - 1)
             a, b, c = (displacement[corner[:, k]] for k in range(3))
             b1, b2 = footing.b1[rows, None], footing.b2[rows, None]
             speed[rows] = (a + b1 * (b - a) + b2 * (c - a)) / world.dt
     return speed
 
 
-def agent_rest_positions(world: World, population: Population) -> NDArray[np.float64]:
+def compute_agent_rest_positions(world: World, population: Population) -> NDArray[np.float64]:
     """Return the rest positions (n, 3) mm of the ground points below agents. The cells of fields are defined at rest
     positions."""
-    return rest_positions(world, population.footing, population.position)
+    return compute_rest_positions(world, population.footing, population.position)
 
 
-def rest_positions(world: World, footing: Footing, place: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return rest positions as `agent_rest_positions` does, for footings at positions `place` (n, 3) mm."""
-    ground = moving_ground(world)
+def compute_rest_positions(world: World, footing: Footing, place: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return rest positions as `compute_agent_rest_positions` does, for footings at positions `place` (n, 3) mm."""
+    ground = get_moving_ground(world)
     if ground is None:
         return place
     place = place.copy()
-    rows = ground.rows_on_moving(footing.mesh)
-    place[rows] = ground.rest_position(footing.take_on_meshes(rows))
+    rows = ground.find_rows_on_moving(footing.mesh)
+    place[rows] = ground.compute_rest_positions(footing.take_on_meshes(rows))
     return place
 
 
 def rotate_from_rest(world: World, population: Population, rows: NDArray[np.intp] | slice, vectors: VectorArrays) -> VectorArrays:
     """Return vectors at the ground's rest pose (three float32 arrays), rotated to the current pose of the ground below each
     agent."""
-    ground = moving_ground(world)
+    ground = get_moving_ground(world)
     if ground is None:
         return vectors
-    on = ground.rows_on_moving(population.footing.mesh[rows])
+    on = ground.find_rows_on_moving(population.footing.mesh[rows])
     if not len(on):
         return vectors
     footing = population.footing.take_on_meshes(np.arange(len(population))[rows][on])
     turned = _rotate_vectors(
-        ground.rest_axes(footing), ground.axes(footing), np.stack([np.asarray(v, np.float64)[on] for v in vectors])
+        ground.compute_rest_axes(footing), ground.axes(footing), np.stack([np.asarray(v, np.float64)[on] for v in vectors])
     )
     turned_vectors = vec.copy(vectors)
     for component, value in zip(turned_vectors, turned, strict=True):
@@ -146,15 +146,17 @@ def move_from_rest(world: World, population: Population, rows: NDArray[np.intp] 
     """Return the current positions of points near agents, given at the ground's rest pose (three float32 arrays, mm).
 
     All ground near an agent is assumed to have moved like the agent's own face."""
-    ground = moving_ground(world)
+    ground = get_moving_ground(world)
     if ground is None:
         return positions
-    on = ground.rows_on_moving(population.footing.mesh[rows])
+    on = ground.find_rows_on_moving(population.footing.mesh[rows])
     if not len(on):
         return positions
     standing = population.footing.take_on_meshes(np.arange(len(population))[rows][on])
     rest_points = np.stack([np.asarray(p, np.float64)[on] for p in positions])
-    away = _rotate_vectors(ground.rest_axes(standing), ground.axes(standing), rest_points - ground.rest_position(standing).T)
+    away = _rotate_vectors(
+        ground.compute_rest_axes(standing), ground.axes(standing), rest_points - ground.compute_rest_positions(standing).T
+    )
     current_positions = vec.copy(positions)
     for component, value in zip(current_positions, ground.position(standing).T + away, strict=True):
         component[on] = value
@@ -164,14 +166,14 @@ def move_from_rest(world: World, population: Population, rows: NDArray[np.intp] 
 def _make_ray_scene(world: World, name: str, frame: int) -> RayScene:
     setting = world.setting
     mesh = setting.surfaces[name] if name in setting.surfaces else setting.obstacles[name]
-    return RayScene(vertices_at(world, name, frame), mesh.faces, brief=True)
+    return RayScene(compute_vertices(world, name, frame), mesh.faces, is_short_lived=True)
 
 
 def _find_riders(ground: MovingGround | None, population: Population) -> tuple[NDArray[np.intp], FaceAxes | None]:
     """Return the rows of agents on moving ground, and the axes of their faces before the ground moves."""
     if ground is None:
         return np.empty(0, np.intp), None
-    rows = ground.rows_on_moving(population.footing.mesh)
+    rows = ground.find_rows_on_moving(population.footing.mesh)
     return rows, ground.axes(population.footing.take_on_meshes(rows))
 
 
@@ -184,7 +186,7 @@ def _carry_riders(ground: MovingGround, population: Population, rows: NDArray[np
         name: _rotate_vectors(previous_axes, next_axes, _read_vectors(population, name, rows))
         for name in ("up", "heading", "velocity")
     }
-    up = np.ascontiguousarray(ground.upright_normals(footing, turned["up"].T).T)
+    up = np.ascontiguousarray(ground.compute_upright_normals(footing, turned["up"].T).T)
     heading = turned["heading"] - up * (turned["heading"] * up).sum(axis=0)
     size = np.sqrt((heading * heading).sum(axis=0))
     turned["heading"] = np.where(size > 1e-12, heading / np.where(size > 0, size, 1.0), turned["heading"])
@@ -208,32 +210,35 @@ def _read_vectors(population: Population, name: str, rows: NDArray[np.intp]) -> 
     return np.stack([population.now[f"{name}.{axis}"][rows] for axis in AXES]).astype(np.float64)
 
 
-def _push_out(world: World, population: Population, name: str) -> None:
+def _push_out_agents(world: World, population: Population, name: str) -> None:
     """Walk agents out of an obstacle that has reached them, away from its nearest face, until their margin is free."""
-    scene, now = obstacle_mesh(world, name), population.now
-    place = vec.vector_registers(now, "position")
+    scene, now = find_obstacle_mesh(world, name), population.now
+    place = vec.get_vector_registers(now, "position")
     margin = np.maximum(now["radius"], _F(0)) * _OBSTACLE_MARGIN_SHARE
-    rows = np.flatnonzero(scene.clearance(*place) <= margin)
+    rows = np.flatnonzero(scene.measure_clearance(*place) <= margin)
     for _ in range(_MAX_PUSH_DIRECTIONS):
         if not len(rows):
             return
-        gap, out = scene.signed_distances(*vec.take(place, rows), margin[rows], world.options.threads)
+        gap, out = scene.measure_signed_distances(*vec.take_rows(place, rows), margin[rows], world.options.threads)
         need = margin[rows] - gap
         pressed_rows = np.flatnonzero(need > _F(1e-4) * np.maximum(margin[rows], _F(1e-6)))
         if not len(pressed_rows):
             return
         rows, need = rows[pressed_rows], need[pressed_rows]
-        up, heading = vec.take(vec.vector_registers(now, "up"), rows), vec.take(vec.vector_registers(now, "heading"), rows)
-        away = vec.flat((out[0][pressed_rows], out[1][pressed_rows], out[2][pressed_rows]), up)
+        up, heading = (
+            vec.take_rows(vec.get_vector_registers(now, "up"), rows),
+            vec.take_rows(vec.get_vector_registers(now, "heading"), rows),
+        )
+        away = vec.project_to_plane((out[0][pressed_rows], out[1][pressed_rows], out[2][pressed_rows]), up)
         level = vec.length(away)
         # a face that comes down from above leads nowhere: then it goes the way it looks
-        away = vec.unit(away, heading)
+        away = vec.normalise_or_fallback(away, heading)
         far = need / np.maximum(level, _F(0.25))
         moved = world.ground.move(
-            population.footing.take(rows),
-            vec.rows(vec.scale(away, far)),
-            vec.rows(heading),
-            vec.rows(up),
+            population.footing.take_rows(rows),
+            vec.stack_rows(vec.scale(away, far)),
+            vec.stack_rows(heading),
+            vec.stack_rows(up),
             now["size"][rows].astype(np.float64),
             world.options.threads,
         )
@@ -243,7 +248,7 @@ def _push_out(world: World, population: Population, name: str) -> None:
 def _apply_move(population: Population, rows: NDArray[np.intp], moved: GroundMove) -> None:
     """Place the given agents at the results of a push, and project their velocity onto the ground at the new positions."""
     footing = population.footing.copy()  # a snapshot may have the one from before
-    footing.put(rows, moved.footing)
+    footing.put_rows(rows, moved.footing)
     population.footing = footing
     population.position[rows] = moved.position
     velocity = _read_vectors(population, "velocity", rows)

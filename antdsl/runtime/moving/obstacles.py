@@ -9,15 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.casting.grid_rays import PREFETCH_GROUP_SIZE, GridTables, cast_feeler
-from antdsl.casting.nearest_faces import prefetch_around, prefetch_lists, signed_distance
+from antdsl.casting.nearest_faces import measure_signed_distance, prefetch_around, prefetch_lists
 from antdsl.casting.rays import RayScene
 from antdsl.casting.tolerances import FACE_BEYOND_GRID
-from antdsl.machine_code.kernels import BOOL, F32, I64, Array1, Array2, Strided2, independent, inlined, kernel, scratch
+from antdsl.machine_code.kernels import BOOL, F32, I64, Array1, Array2, Strided2, allocate_scratch, inlined, kernel, simd_range
 from antdsl.numerics import parallel
 from antdsl.numerics import vectors as vec
 from antdsl.numerics.kernel_vectors import Vec3F32, VectorColumns, dot, minus, plus, times
 from antdsl.numerics.vectors import VectorArrays, VectorComponents
-from antdsl.runtime.moving.obstacle_clearance import cached_clearance
+from antdsl.runtime.moving.obstacle_clearance import get_clearance
 from antdsl.runtime.world import Population, World
 
 Floats = NDArray[np.float32]
@@ -32,32 +32,33 @@ _RADIUS_SLACK_FACTOR = _F(1) + _CLEARANCE_SLACK
 _RAY_SLACK_FACTOR, _STEP_SLACK_FACTOR = 1 + 1e-6, _F(1) + _F(1e-6)  # more than rounding makes of a distance, or a path shorter
 
 
-def slide(world: World, population: Population, step: VectorArrays, up: VectorComponents, radius: Floats) -> VectorArrays:
+def slide_steps(world: World, population: Population, step: VectorArrays, up: VectorComponents, radius: Floats) -> VectorArrays:
     """Return the step (mm) of every agent, deflected along the obstacles ahead. `up` is the normal of the ground."""
     names = _obstacle_names(world)
     if names:
-        place, began = vec.vector_registers(population.now, "position"), _is_at_start(population, world.options.threads)
+        place, began = vec.get_vector_registers(population.now, "position"), _is_at_start(population, world.options.threads)
     for name in names:
-        scene = obstacle_mesh(world, name)
-        clear = cached_clearance(world, population, name) if began else scene.clearance(*place)
-        step = _slide_along(scene, place, step, up, radius, clear, world.options.threads)
+        scene = find_obstacle_mesh(world, name)
+        clear = get_clearance(world, population, name) if began else scene.measure_clearance(*place)
+        step = _slide_along_obstacle(scene, place, step, up, radius, clear, world.options.threads)
     return step
 
 
-def slide_some(world: World, population: Population, rows: Rows, step: VectorArrays, up: VectorComponents) -> VectorArrays:
-    """Return steps as `slide` does, for agents that have moved within the step and continue from their current positions."""
+def slide_rows(world: World, population: Population, rows: Rows, step: VectorArrays, up: VectorComponents) -> VectorArrays:
+    """Return steps as `slide_steps` does, for agents that have moved within the step and continue from their current
+    positions."""
     names = _obstacle_names(world)
     if names:
         place, radius, drift = _measure_drift(population, rows)
     for name in names:
-        clear = cached_clearance(world, population, name).take(rows) - drift
-        step = _slide_along(obstacle_mesh(world, name), place, step, up, radius, clear, world.options.threads)
+        clear = get_clearance(world, population, name).take(rows) - drift
+        step = _slide_along_obstacle(find_obstacle_mesh(world, name), place, step, up, radius, clear, world.options.threads)
     return step
 
 
 def _measure_drift(population: Population, rows: Rows) -> tuple[VectorArrays, Floats, Floats]:
     """Return positions of some agents, their radii, and an upper bound of their distance (mm) from the start of the step."""
-    positions, start = (vec.vector_registers(registers, "position") for registers in (population.now, population.start))
+    positions, start = (vec.get_vector_registers(registers, "position") for registers in (population.now, population.start))
     place, radius, drift = np.empty((3, len(rows)), np.float32), *np.empty((2, len(rows)), np.float32)
     measure_drift(rows, positions, start, population.now["radius"], place, radius, drift)
     return (place[0], place[1], place[2]), radius, drift
@@ -68,7 +69,7 @@ def _obstacle_names(world: World) -> list[str]:
     return [name for name in world.plan.obstacles if name in world.obstacles]
 
 
-def obstacle_mesh(world: World, name: str) -> RayScene:
+def find_obstacle_mesh(world: World, name: str) -> RayScene:
     """Return the mesh of an obstacle that agents cannot enter; solids are not among these obstacles."""
     scene = world.obstacles[name]
     assert isinstance(scene, RayScene)
@@ -77,34 +78,34 @@ def obstacle_mesh(world: World, name: str) -> RayScene:
 
 def _is_at_start(population: Population, threads: int) -> bool:
     """Return whether all agents are still where the step began; this is false after a first substep."""
-    now, start = vec.vector_registers(population.now, "position"), vec.vector_registers(population.start, "position")
+    now, start = vec.get_vector_registers(population.now, "position"), vec.get_vector_registers(population.start, "position")
     work, least = partial(is_unchanged, now, start), parallel.MIN_LIGHT_ITEMS_PER_THREAD
-    return all(parallel.in_parts(work, len(population), threads, least))
+    return all(parallel.run_in_parts(work, len(population), threads, least))
 
 
-def _slide_along(
+def _slide_along_obstacle(
     scene: RayScene, place: VectorArrays, step: VectorArrays, up: VectorComponents, radius: Floats,
     clear: Floats, threads: int,
 ) -> VectorArrays:  # fmt: skip
     """Return steps (mm) of agents at `place`, deflected along one obstacle; `clear`: a lower bound (mm) of their distance from
     it."""
-    n, tables = len(radius), scene.tables()
+    n, tables = len(radius), scene.get_tables()
     if tables is not None:
         (rows, hit_rows), columns, faces = np.empty((2, n), np.int64), np.empty((10, n), np.float32), np.empty((4, n), np.float32)
         normals = np.stack(up) if isinstance(up, tuple) else up
-        work = partial(bend_steps, tables, place, step, normals, radius, clear, rows, columns, hit_rows, faces)
-        parts = parallel.in_parts(work, n, threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD)
+        work = partial(deflect_steps, tables, place, step, normals, radius, clear, rows, columns, hit_rows, faces)
+        parts = parallel.run_in_parts(work, n, threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD)
         if not any([left for _, _, _, left in parts]):
-            return _turn_at_hits(scene, step, rows, columns, hit_rows, faces, parts, threads)
+            return _deflect_at_hits(scene, step, rows, columns, hit_rows, faces, parts, threads)
     rows, columns = np.empty(n, np.int64), np.empty((9, n), np.float32)
-    parts = parallel.in_parts(partial(select_touching, place, step, radius, clear, rows, columns), n, threads)
+    parts = parallel.run_in_parts(partial(select_touching, place, step, radius, clear, rows, columns), n, threads)
     rows, columns = parallel.join_parts(parts, rows, columns)
     count, columns = len(rows), np.ascontiguousarray(columns)
     if not count:
         return step
-    above = vec.take(up, rows)
+    above = vec.take_rows(up, rows)
     size, margin, _, x, y, z, _, _, _ = columns
-    gap, out = scene.signed_distances(x, y, z, size + margin, threads)
+    gap, out = scene.measure_signed_distances(x, y, z, size + margin, threads)
     new_steps, going, rays = np.empty((3, count), np.float32), np.empty(count, np.int64), np.empty((9, count), np.float32)
     asking = keep_margins(columns, above, gap, out, new_steps, going, rays)
     a, b, c = new_steps
@@ -115,15 +116,15 @@ def _slide_along(
         if len(hit_rows):
             free = np.clip(hits.t[hit_rows] - margin[hit_rows], _F(0), size[hit_rows])
             normal = (hits.nx[hit_rows], hits.ny[hit_rows], hits.nz[hit_rows])
-            _turn_aside(scene, (x, y, z), (a, b, c), above, columns[1], going[hit_rows], free, normal, threads)
+            _deflect_at_face(scene, (x, y, z), (a, b, c), above, columns[1], going[hit_rows], free, normal, threads)
     return _replace_rows(step, rows, new_steps)
 
 
-def _turn_at_hits(
+def _deflect_at_hits(
     scene: RayScene, step: VectorArrays, rows: NDArray[np.int64], columns: Floats, hit_rows: NDArray[np.int64],
     hits: Floats, parts: list[tuple[int, int, int, int]], threads: int,
 ) -> VectorArrays:  # fmt: skip
-    """Return the steps with those deflected by `bend_steps` replaced. Steps that still hit a face are deflected along it."""
+    """Return the steps with those deflected by `deflect_steps` replaced. Steps that still hit a face are deflected along it."""
     rows, columns = parallel.join_parts(parts, rows, columns)
     if not len(rows):
         return step
@@ -134,7 +135,7 @@ def _turn_at_hits(
             hit_rows = hit_rows + np.repeat(np.cumsum(counts) - counts, [hit for _, _, hit, _ in parts])
         free, *normal = hits
         place, new_steps, above = (columns[k : k + 3] for k in (0, 3, 6))
-        _turn_aside(scene, place, new_steps, above, columns[9], hit_rows, free, (normal[0], normal[1], normal[2]), threads)
+        _deflect_at_face(scene, place, new_steps, above, columns[9], hit_rows, free, (normal[0], normal[1], normal[2]), threads)
     return _replace_rows(step, rows, columns[3:6])
 
 
@@ -145,23 +146,23 @@ def _replace_rows(step: VectorArrays, rows: NDArray[np.int64], own: Floats) -> V
     return to[0], to[1], to[2]
 
 
-def _turn_aside(
+def _deflect_at_face(
     scene: RayScene, place: VectorComponents, step: VectorComponents, up: VectorComponents, margin: Floats,
     hit_rows: Rows,
     free: Floats, normal: VectorArrays, threads: int,
 ) -> None:  # fmt: skip
     """Deflect, in place, the steps of agents `hit_rows` along a face with this normal, which they hit after `free` mm."""
-    u, intended_steps = vec.take(up, hit_rows), vec.take(step, hit_rows)
+    u, intended_steps = vec.take_rows(up, hit_rows), vec.take_rows(step, hit_rows)
     size = vec.length(intended_steps)
-    wall = vec.unit(vec.flat(normal, u), normal)
+    wall = vec.normalise_or_fallback(vec.project_to_plane(normal, u), normal)
     part = free / size
     rest = vec.scale(intended_steps, _F(1) - part)
     into = np.minimum(vec.dot(rest, wall), _F(0))
-    new_steps = vec.add(vec.scale(intended_steps, part), vec.sub(rest, vec.scale(wall, into)))
+    new_steps = vec.add(vec.scale(intended_steps, part), vec.subtract(rest, vec.scale(wall, into)))
     # In a corner the way along one wall leads into the next: then it goes only as far as is free.
-    again, free, _ = _find_hits(scene, vec.take(place, hit_rows), new_steps, margin[hit_rows], threads)
+    again, free, _ = _find_hits(scene, vec.take_rows(place, hit_rows), new_steps, margin[hit_rows], threads)
     if len(again):
-        short = vec.take(new_steps, again)
+        short = vec.take_rows(new_steps, again)
         short = vec.scale(short, free / vec.length(short))
         for component, value in zip(new_steps, short, strict=True):
             component[again] = value
@@ -176,8 +177,8 @@ def _find_hits(
     size = vec.length(step)
     going = np.flatnonzero(size > _MIN_STEP_MM)
     size, margin = size[going], margin[going]
-    direction = vec.scale(vec.take(step, going), _F(1) / size)
-    hits = scene.cast_feelers(vec.take(place, going), direction, size + margin, threads)
+    direction = vec.scale(vec.take_rows(step, going), _F(1) / size)
+    hits = scene.cast_feelers(vec.take_rows(place, going), direction, size + margin, threads)
     hit_rows = np.flatnonzero(hits.hit)
     free = np.clip(hits.t[hit_rows] - margin[hit_rows], _F(0), size[hit_rows])
     return going[hit_rows], free, (hits.nx[hit_rows], hits.ny[hit_rows], hits.nz[hit_rows])
@@ -229,16 +230,17 @@ def _keep_margin(
 
 class TouchCounts(NamedTuple):
     """Counts from a range of agents that starts at `begin`. `agents`: those that may touch an obstacle on their step.
-    `hits`: those that hit it even after the step keeps the margin. `unknown`: those for which the grid gives no answer."""
+    `hit_count`: those that hit it even after the step keeps the margin. `unknown_count`: those for which the grid gives no
+    answer."""
 
     begin: I64
     agents: I64
-    hits: I64
-    unknown: I64
+    hit_count: I64
+    unknown_count: I64
 
 
 @kernel
-def bend_steps(
+def deflect_steps(
     grid: GridTables,
     place: VectorColumns,
     step: VectorColumns,
@@ -263,7 +265,7 @@ def bend_steps(
             rows[asking] = i
             asking += 1
     count, hit, left = 0, 0, 0
-    cubes = scratch(9 * PREFETCH_GROUP_SIZE, I64)
+    cubes = allocate_scratch(9 * PREFETCH_GROUP_SIZE, I64)
     for low in range(begin, asking, PREFETCH_GROUP_SIZE):
         high = min(low + PREFETCH_GROUP_SIZE, asking)
         for n in range(low, high):
@@ -275,7 +277,7 @@ def bend_steps(
             size, margin, _ = _measure_step(step, radius, clear, i)
             at, above = (place[0][i], place[1][i], place[2][i]), (up[0, i], up[1, i], up[2, i])
             reach = np.float64((size + margin) * _RADIUS_SLACK_FACTOR + _CLEARANCE_SLACK) * _RAY_SLACK_FACTOR
-            gap, out = signed_distance(grid, at, reach)
+            gap, out = measure_signed_distance(grid, at, reach)
             if gap == _FLOAT32_INFINITY:
                 continue
             left += 1 if gap != gap else 0
@@ -303,7 +305,7 @@ def bend_steps(
 @kernel
 def replace_rows(step: VectorColumns, rows: Array1[I64], own: Strided2[F32], to: Array2[F32]) -> None:
     """Write the steps to `to` (3, n), with those of the given rows replaced by `own` (3, k)."""
-    for i in independent(0, step[0].size):
+    for i in simd_range(0, step[0].size):
         to[0, i], to[1, i], to[2, i] = step[0][i], step[1][i], step[2][i]
     for k in range(rows.size):
         to[0, rows[k]], to[1, rows[k]], to[2, rows[k]] = own[0, k], own[1, k], own[2, k]
@@ -369,7 +371,7 @@ def slow_velocities(
     intended_step: VectorColumns, step: VectorColumns, velocity: VectorColumns, rate: F32, begin: I64, end: I64
 ) -> None:
     """Set velocities to `rate` times the step, for agents from `begin` to before `end` with a step other than `intended_step`."""
-    for i in independent(begin, end):
+    for i in simd_range(begin, end):
         if step[0][i] != intended_step[0][i] or step[1][i] != intended_step[1][i] or step[2][i] != intended_step[2][i]:
             for k in range(3):
                 velocity[k][i] = step[k][i] * rate
@@ -387,7 +389,7 @@ def measure_drift(
 ) -> None:
     """Write the positions `at` (3, k) of rows, their radii, and their slightly increased distance (mm) from the start of the
     step."""
-    for k in independent(0, rows.size):
+    for k in simd_range(0, rows.size):
         row = rows[k]
         to = (place[0][row], place[1][row], place[2][row])
         displacement = minus(to, (start[0][row], start[1][row], start[2][row]))

@@ -11,7 +11,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.numerics.vectors import VectorArrays, dot, stacked_cross
+from antdsl.numerics.vectors import VectorArrays, compute_stacked_cross, dot
 from antdsl.runtime.world import AXES, Population, World
 
 Floats = NDArray[np.float64]
@@ -34,17 +34,17 @@ def orient_bodies(
     up = _UP_ESTIMATORS[world.setting.orient](
         world, population, np.stack(previous_velocity).astype(np.float64), np.stack(previous_up), normal, ground
     )
-    heading = population.vector("heading").T
+    heading = population.read_vector("heading").T
     # laid over as the way up is turned, by the least turn (O. Rodrigues, 1840)
-    axis, cosine = stacked_cross(ground, up), dot(ground, up)
-    turned = heading * cosine + stacked_cross(axis, heading) + axis * (dot(axis, heading) / (1.0 + cosine))
-    turned = _normalise_or(turned - up * dot(turned, up), heading)
+    axis, cosine = compute_stacked_cross(ground, up), dot(ground, up)
+    turned = heading * cosine + compute_stacked_cross(axis, heading) + axis * (dot(axis, heading) / (1.0 + cosine))
+    turned = _normalise_or_default(turned - up * dot(turned, up), heading)
     for name, value in (("up", up), ("heading", turned)):
         for component, register in zip(value, AXES, strict=True):
             population.now[f"{name}.{register}"][:] = component
 
 
-def _up_from_turns(
+def _estimate_up_from_turns(
     world: World,
     population: Population,
     previous_velocity: Floats,
@@ -58,12 +58,12 @@ def _up_from_turns(
     The previous up is retained where the directions agree and where an agent stands. It is also retained where the ground
     curves by more than a tenth of the angle between the directions."""
     zero = np.zeros_like(previous_velocity)
-    one, other = _normalise_or(previous_velocity, zero), _normalise_or(population.vector("velocity").T, zero)
-    across = stacked_cross(one, other)
+    one, other = _normalise_or_default(previous_velocity, zero), _normalise_or_default(population.read_vector("velocity").T, zero)
+    across = compute_stacked_cross(one, other)
     sine = np.sqrt(dot(across, across))
     bend = normal.T.astype(np.float64) - ground
     plain = (sine >= _MIN_TURN_SINE) & (np.sqrt(dot(bend, bend)) <= _MAX_NORMAL_TURN_SHARE * sine)
-    up = _normalise_or(across, ground)
+    up = _normalise_or_default(across, ground)
     up = np.where(dot(up, ground) < 0, -up, up)  # which way round it turned tells nothing of which side it stands on
     up = np.where(plain & (dot(up, ground) >= _MAX_TILT_COSINE), up, previous_up.astype(np.float64))
     return _limit_tilt(up, ground)
@@ -71,12 +71,12 @@ def _up_from_turns(
 
 def _limit_tilt(up: Floats, ground: Floats) -> Floats:
     """Return up vectors (3, n), rotated towards the ground's normals so that they differ by at most 10 degrees."""
-    aside = _normalise_or(up - ground * dot(up, ground), np.zeros_like(up))
+    aside = _normalise_or_default(up - ground * dot(up, ground), np.zeros_like(up))
     most = ground * _MAX_TILT_COSINE + aside * np.sqrt(1.0 - _MAX_TILT_COSINE * _MAX_TILT_COSINE)
-    return np.where(dot(up, ground) < _MAX_TILT_COSINE, _normalise_or(most, ground), up)
+    return np.where(dot(up, ground) < _MAX_TILT_COSINE, _normalise_or_default(most, ground), up)
 
 
-def _up_from_probes(
+def _estimate_up_from_probes(
     world: World,
     population: Population,
     previous_velocity: Floats,
@@ -88,25 +88,25 @@ def _up_from_probes(
 
     The points are those nearest to half a body ahead and to half a body to the left. The ground's normal is returned where a
     point is in line with the body, or where the result is more than 45 degrees from the normal."""
-    heading = population.vector("heading").T
+    heading = population.read_vector("heading").T
     reach = np.maximum(population.now["size"], np.float32(0)).astype(np.float64) / 2
     place = population.position.T
     displacements = []
-    for direction in (heading, stacked_cross(ground, heading)):
-        footing, _ = world.ground.nearest((place + direction * reach).T)
+    for direction in (heading, compute_stacked_cross(ground, heading)):
+        footing, _ = world.ground.find_nearest((place + direction * reach).T)
         displacements.append(world.ground.position(footing).T - place)
-    up = stacked_cross(displacements[0], displacements[1])
+    up = compute_stacked_cross(displacements[0], displacements[1])
     size = np.sqrt(dot(up, up))
     sound = (size > 0.1 * reach * reach) & (reach > 0)
-    up = np.where(sound, _normalise_or(up, ground), ground)
+    up = np.where(sound, _normalise_or_default(up, ground), ground)
     return np.where(dot(up, ground) < _MAX_PROBE_TILT_COSINE, ground, up)
 
 
-def _normalise_or(v: Floats, otherwise: Floats) -> Floats:
+def _normalise_or_default(v: Floats, otherwise: Floats) -> Floats:
     """Return unit vectors (3, n) in the directions of `v`; `otherwise` where v has no direction."""
     size = np.sqrt(dot(v, v))
     good = size > 1e-12
     return np.where(good, v / np.where(good, size, 1.0), otherwise)
 
 
-_UP_ESTIMATORS: dict[str, Callable[..., Floats]] = {"turns": _up_from_turns, "probes": _up_from_probes}
+_UP_ESTIMATORS: dict[str, Callable[..., Floats]] = {"turns": _estimate_up_from_turns, "probes": _estimate_up_from_probes}

@@ -9,9 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from antdsl.machine_code.kernels import BOOL, F32, F64, I64, Array1, called
-from antdsl.numerics.elementary_loops import atan2, cos_sin
-from antdsl.numerics.kernel_vectors import Vec3, cross, divide, dot, rotate_about_axis, unit
+from antdsl.machine_code.kernels import BOOL, F32, F64, I64, Array1, kernel_helper
+from antdsl.numerics.elementary_loops import atan2, compute_cos_and_sin
+from antdsl.numerics.kernel_vectors import Vec3, cross, divide_vector, dot, normalise_vector, rotate_about_axis
 from antdsl.runtime.world import Population, World
 
 UPRIGHT_REGISTER = "upright"  # of species that set it, by `SpeciesPlan.settings`: others may have an attribute of that name
@@ -36,7 +36,7 @@ def posture_of(world: World, population: Population) -> Posture:
     return Posture(is_set, upright, np.asarray(world.up, np.float64))
 
 
-@called
+@kernel_helper
 def stand_up(up: Vec3, posture: Posture, i: I64) -> Vec3:
     """Return the up of body i, turned from `up` by its share of the way to the up of the world."""
     share = posture.upright[i]
@@ -49,5 +49,5 @@ def stand_up(up: Vec3, posture: Posture, i: I64) -> Vec3:
     sine = np.sqrt(dot(axis, axis))
     if not sine > _OPPOSITE_SINE:
         return up
-    c, s = cos_sin(atan2(_F(sine), _F(cosine)) * share)
-    return unit(rotate_about_axis(up, divide(axis, max(sine, 1e-300)), np.float64(c), np.float64(s)))
+    c, s = compute_cos_and_sin(atan2(_F(sine), _F(cosine)) * share)
+    return normalise_vector(rotate_about_axis(up, divide_vector(axis, max(sine, 1e-300)), np.float64(c), np.float64(s)))

@@ -7,11 +7,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.machine_code.kernels import BOOL, F64, I64, Array1, Array2, Array3, Strided2, called, independent, inlined, kernel
-from antdsl.numerics.kernel_vectors import Vec3, VectorColumns, dot, minus, of, plus, put_vector, times
+from antdsl.machine_code.kernels import (
+    BOOL,
+    F64,
+    I64,
+    Array1,
+    Array2,
+    Array3,
+    Strided2,
+    inlined,
+    kernel,
+    kernel_helper,
+    simd_range,
+)
+from antdsl.numerics.kernel_vectors import Vec3, VectorColumns, dot, get_column, minus, plus, store_column, times
 from antdsl.numerics.sorting import compact_indices
 from antdsl.runtime.moving.capsule_distances import CapsuleArrays, measure_listed
-from antdsl.runtime.moving.cutting import add_rounded, negate
+from antdsl.runtime.moving.step_clamping import add_rounded, negate
 
 DEAD_ZONE_SHARE = 5e-4  # of the two collision radii: overlaps up to this move no agent, so that resting agents stay at rest
 SUM_BITS = 40  # digits of a term in a sum, below the widest overlap
@@ -23,8 +35,7 @@ _SHALLOW_OUTER_SHARE_FACTOR = 1.0
 _MIN_INNER_SHARE = 1 / 64  # of the whole: what the inner one makes room for at least
 _CLUSTER_OVERRELAXATION = 1.5  # times the mean of its contacts, by which an agent in a dense cluster is moved
 _MIN_SQUARED_GROUND_PART = 0.1  # square of the part of a way that lies along the ground, below which one goes no farther for it
-# radii: an agent counts as in a dense cluster from half this previous penetration depth on, and fully from one and a half times
-# it
+# radii: an agent counts as in a dense cluster from half this previous penetration depth on, and fully from 1.5 times it
 _CLUSTER_DEPTH_RADII = 0.4
 _RESTING_DISTANCE_SHARE = 0.01  # of its allowed distance: an agent that goes less rests, and presses no other
 _FREE_AGENT_PUSH_SHARE = 0.3  # of the way that it may walk: how far one that was free is pushed by others in a substep
@@ -43,16 +54,15 @@ SolverBuffers = tuple[
     Array1[I64],
 ]  # fmt: skip
 
-_WEIGHT_ROW, _LOCKED_ROW, _SPREAD_ROW, _INVERSE_MASS_ROW, _CLUSTER_SHARE_ROW, _MAX_CORRECTION_ROW, _PUSH_LIMIT_ROW = range(
-    7
-)  # numbers of rows
+# Numbers of rows
+_WEIGHT_ROW, _LOCKED_ROW, _SPREAD_ROW, _INVERSE_MASS_ROW, _CLUSTER_SHARE_ROW, _MAX_CORRECTION_ROW, _PUSH_LIMIT_ROW = range(7)
 _NUMBER_ROW, _ROW_LIST_ROW, _CONTACTS_ROW = 0, 1, 2  # whole numbers of rows
 _NO_ROW = -1  # number of a row that is in no pair of a look
 _DEAD_ZONE_ROW, _DEPTH_ROW, _GROUND_PART_ROW, _SHARE_ROW = 0, 1, 2, 4  # numbers of pairs, of the last two one of each side
 _CHOSEN_PAIR_ROW, _FIRST_AGENT_ROW, _SECOND_AGENT_ROW, _TOUCHING_PAIR_ROW = range(4)  # whole numbers of pairs
 
 
-def arrays(rows: int, pairs: int) -> tuple[NDArray[Any], ...]:
+def make_buffers(rows: int, pairs: int) -> tuple[NDArray[Any], ...]:
     """Return the buffers that `separate_pairs` needs for a crowd with this number of rows and pairs."""
     return (
         np.empty((3, rows)), np.empty((3, rows)), np.empty((7, rows)), np.empty((3, rows), np.int64), np.empty(rows, np.bool_),
@@ -68,20 +78,13 @@ def _round_term(term: F64) -> F64:
 
 @kernel
 def restore_headings(
-    rows: Array1[I64],
-    stopped: Array1[I64],
-    crowd_rows: Array1[I64],
-    previous_heading: VectorColumns,
-    up: VectorColumns,
-    heading: VectorColumns,
-    shift: Array1[F64],
-    ahead: Array2[F64],
-    middle: Array2[F64],
-) -> None:
+    rows: Array1[I64], stopped: Array1[I64], crowd_rows: Array1[I64], previous_heading: VectorColumns, up: VectorColumns,
+    heading: VectorColumns, shift: Array1[F64], ahead: Array2[F64], middle: Array2[F64],
+) -> None:  # fmt: skip
     """Reset headings and trunks of the given rows of a species to those before the substep.
 
     `stopped`: indices of the rows among all rows in pairs. `crowd_rows`: their indices in the crowd."""
-    for n in independent(0, rows.size):
+    for n in simd_range(0, rows.size):
         row, k = rows[n], stopped[n]
         above = (up[0][row], up[1][row], up[2][row])
         direction = (previous_heading[0][row], previous_heading[1][row], previous_heading[2][row])
@@ -105,8 +108,8 @@ def _maximum(numbers: Array1[F64], count: I64) -> F64:
     return most
 
 
-@called
-def _share_overlap(m: I64, count: I64, buffers: SolverBuffers, light: Array1[F64], heap_share: Array1[F64]) -> None:
+@kernel_helper
+def _share_overlap(m: I64, count: I64, buffers: SolverBuffers, mobility: Array1[F64], cluster_share: Array1[F64]) -> None:
     """Compute the shares of the overlap by which the first and the second agent of each pair move; they add up to 1.
 
     The lighter and the less locked agent move more. Only the first `m` pairs of `buffers`, among the first `count` rows, are
@@ -139,12 +142,12 @@ def _share_overlap(m: I64, count: I64, buffers: SolverBuffers, light: Array1[F64
     for n in range(m):
         p, q = first[n], second[n]
         outward = _SHALLOW_OUTER_SHARE_FACTOR + (_OUTER_SHARE_FACTOR - _SHALLOW_OUTER_SHARE_FACTOR) * max(
-            heap_share[p], heap_share[q]
+            cluster_share[p], cluster_share[q]
         )
         outer = 0.5 + outward * (locked[q] - locked[p]) / max(locked[p] + locked[q], 1e-300)
         outer = min(max(outer, _MIN_INNER_SHARE), 1 - _MIN_INNER_SHARE)
-        one = light[p] * outer * numbers[_GROUND_PART_ROW, n]
-        total = one + light[q] * (1 - outer) * numbers[_GROUND_PART_ROW + 1, n]
+        one = mobility[p] * outer * numbers[_GROUND_PART_ROW, n]
+        total = one + mobility[q] * (1 - outer) * numbers[_GROUND_PART_ROW + 1, n]
         part = np.rint(one / max(total, 1e-300) * _SHARE_RESOLUTION) / _SHARE_RESOLUTION
         numbers[_SHARE_ROW, n], numbers[_SHARE_ROW + 1, n] = part, 1 - part if total > 0 else 0.0
 
@@ -162,18 +165,10 @@ def _limit_correction(correction: Vec3, middle: Vec3, limit: F64) -> Vec3:
 
 @kernel
 def separate_pairs(
-    bodies: CapsuleArrays,
-    pairs: PairArrays,
-    stand: AgentArrays,
-    displacement: Array2[F64],
-    magic: F64,
-    looks: I64,
-    sweeps: I64,
-    slow: F64,
-    lost: Array1[I64],
-    buffers: SolverBuffers,
-) -> tuple[I64, I64]:
-    """Separate pairs in `looks` measurements with `sweeps` sweeps each, by a share `slow` of their overlap.
+    bodies: CapsuleArrays, pairs: PairArrays, agents: AgentArrays, displacement: Array2[F64], magic: F64,
+    outer_iterations: I64, sweeps: I64, relaxation: F64, lost: Array1[I64], buffers: SolverBuffers,
+) -> tuple[I64, I64]:  # fmt: skip
+    """Separate pairs in `outer_iterations` measurements with `sweeps` sweeps each, by a share `relaxation` of their overlap.
 
     Changes `gap`, `direction` and `which` of the pairs, and `displacement` (mm). It stops if pairs without a separation axis
     occur. It then returns the number of remaining looks and of these pairs, listed at the start of `lost`."""
@@ -181,16 +176,16 @@ def separate_pairs(
     i, j, gap, direction, which = pairs
     number, row_list, changed = buffers[3][_NUMBER_ROW], buffers[3][_ROW_LIST_ROW], buffers[4]
     chosen, touching, starts, row_pairs = buffers[7][_CHOSEN_PAIR_ROW], buffers[7][_TOUCHING_PAIR_ROW], buffers[8], buffers[9]
-    for pair in independent(0, i.size):
+    for pair in simd_range(0, i.size):
         touching[pair] = 1 if which[pair] and gap[pair] < _dead_gap(radius, i, j, pair) else 0
     touch = compact_indices(touching, i.size)
     number[:] = _NO_ROW
     changed[:] = False
-    alone = looks == 1 and sweeps == 1  # then only agents that touch another are moved
+    alone = outer_iterations == 1 and sweeps == 1  # then only agents that touch another are moved
     if touch and not alone and starts[0] < 0:
         _group_pairs(i, j, starts, row_pairs)
-    for left in range(looks - 1, -1, -1):
-        moved, rows = _run_look(radius, pairs, touch, stand, displacement, magic, sweeps, slow, alone, buffers)
+    for left in range(outer_iterations - 1, -1, -1):
+        moved, rows = _run_outer_iteration(radius, pairs, touch, agents, displacement, magic, sweeps, relaxation, alone, buffers)
         if not moved or not left:
             break
         count, kept_count = 0, 0
@@ -225,7 +220,7 @@ def _dead_gap(radius: Array1[F64], i: Array1[I64], j: Array1[I64], pair: I64) ->
     return -((radius[i[pair]] + radius[j[pair]]) * DEAD_ZONE_SHARE)
 
 
-@called
+@kernel_helper
 def _group_pairs(i: Array1[I64], j: Array1[I64], starts: Array1[I64], row_pairs: Array1[I64]) -> None:
     """List the pairs of each row k in `row_pairs`, from index `starts[k]` to before `starts[k + 1]`."""
     starts[:] = 0
@@ -242,20 +237,22 @@ def _group_pairs(i: Array1[I64], j: Array1[I64], starts: Array1[I64], row_pairs:
         starts[i[pair]], starts[j[pair]] = one, other
 
 
-@called
-def _find_limits(radius: Array1[F64], stand: AgentArrays, row_list: Array1[I64], count: I64, of_rows: Array2[F64]) -> None:
+@kernel_helper
+def _compute_row_limits(
+    radius: Array1[F64], agents: AgentArrays, row_list: Array1[I64], count: I64, of_rows: Array2[F64]
+) -> None:
     """Compute four values of the given rows: mobility, membership in a dense cluster (0 to 1), largest distance from the start
     and push limit (mm)."""
-    mass, yields, reach, depth, held, _, walked, _ = stand
+    mass, yields, reach, depth, held, _, walked, _ = agents
     light, heap_share, most, push_limit = (
         of_rows[_INVERSE_MASS_ROW],
         of_rows[_CLUSTER_SHARE_ROW],
         of_rows[_MAX_CORRECTION_ROW],
         of_rows[_PUSH_LIMIT_ROW],
     )
-    for k in independent(0, count):
+    for k in simd_range(0, count):
         row = row_list[k]
-        displacement = of(walked, row)
+        displacement = get_column(walked, row)
         size = np.sqrt(dot(displacement, displacement))
         far = max(reach[row], size)
         most[k], push_limit[k] = far, min(far * _FREE_AGENT_PUSH_SHARE + depth[row], far) * yields[row]
@@ -267,8 +264,8 @@ def _find_limits(radius: Array1[F64], stand: AgentArrays, row_list: Array1[I64],
         light[k] = 0.0 if held[row] else 1 / mass[row]
 
 
-@called
-def _run_look(
+@kernel_helper
+def _run_outer_iteration(
     radius: Array1[F64],
     pairs: PairArrays,
     touch: I64,
@@ -276,11 +273,11 @@ def _run_look(
     displacement: Array2[F64],
     magic: F64,
     sweeps: I64,
-    slow: F64,
-    alone: BOOL,
+    relaxation: F64,
+    only_touching: BOOL,
     buffers: SolverBuffers,
 ) -> tuple[BOOL, I64]:
-    """Make the sweeps of one look, for `touch` touching pairs. With `alone`, only these pairs are used, else all pairs of
+    """Make the sweeps of one look, for `touch` touching pairs. With `only_touching`, only these pairs are used, else all pairs of
     their rows.
 
     Marks the rows that changed. Returns whether any row changed, and how many rows were visited; these are listed at the start
@@ -311,7 +308,7 @@ def _run_look(
             if number[k] < 0:
                 number[k], row_list[count] = count, k
                 count += 1
-    if alone:
+    if only_touching:
         for n in range(touch):
             chosen[n] = those[n]
         m = touch
@@ -335,13 +332,13 @@ def _run_look(
         first[n], second[n] = number[i[pair]], number[j[pair]]
     for k in range(count):
         number[row_list[k]] = _NO_ROW
-    _find_limits(radius, stand, row_list, count, of_rows)
+    _compute_row_limits(radius, stand, row_list, count, of_rows)
     for n in range(m):
         pair = chosen[n]
         numbers[_DEPTH_ROW, n] = -gap[pair] if gap[pair] < -least[n] else 0.0
-        v = of(direction, pair)
+        v = get_column(direction, pair)
         for side in range(2):
-            up = of(normal, j[pair] if side else i[pair])
+            up = get_column(normal, j[pair] if side else i[pair])
             along = minus(v, times(up, dot(v, up)))
             side_directions[side, n, 0], side_directions[side, n, 1], side_directions[side, n, 2] = along
             numbers[_GROUND_PART_ROW + side, n] = dot(along, along)
@@ -353,7 +350,7 @@ def _run_look(
             for axis in range(3):
                 side_directions[side, n, axis] *= factor
     for k in range(count):
-        put_vector(new_displacement, k, of(displacement, row_list[k]))
+        store_column(new_displacement, k, get_column(displacement, row_list[k]))
     for _ in range(sweeps):
         for k in range(count):
             sums[0, k], sums[1, k], sums[2, k], weight[k], contacts[k] = 0.0, 0.0, 0.0, 0.0, 0
@@ -361,10 +358,10 @@ def _run_look(
         for n in range(m):
             pair, p, q = chosen[n], first[n], second[n]
             one, other = (
-                minus(of(new_displacement, p), of(displacement, i[pair])),
-                minus(of(new_displacement, q), of(displacement, j[pair])),
+                minus(get_column(new_displacement, p), get_column(displacement, i[pair])),
+                minus(get_column(new_displacement, q), get_column(displacement, j[pair])),
             )
-            left = gap[pair] + dot(of(direction, pair), minus(one, other))
+            left = gap[pair] + dot(get_column(direction, pair), minus(one, other))
             if left < -least[n]:
                 touching = True
                 for side in range(2):
@@ -373,7 +370,8 @@ def _run_look(
                         sums,
                         k,
                         times(
-                            (side_directions[side, n, 0], side_directions[side, n, 1], side_directions[side, n, 2]), left * -slow
+                            (side_directions[side, n, 0], side_directions[side, n, 1], side_directions[side, n, 2]),
+                            left * -relaxation,
                         ),
                         magic,
                     )
@@ -384,13 +382,13 @@ def _run_look(
         for k in range(count):
             at = row_list[k]
             part = (1 + (_CLUSTER_OVERRELAXATION - 1) * heap_share[k] if contacts[k] > 1 else 1.0) / max(weight[k], 1.0)
-            target = plus(of(new_displacement, k), times(of(sums, k), part))
-            target = _limit_correction(target, negate(of(cut, at)), far[k])
-            put_vector(new_displacement, k, _limit_correction(target, of(walked, at), most[k]))
+            target = plus(get_column(new_displacement, k), times(get_column(sums, k), part))
+            target = _limit_correction(target, negate(get_column(cut, at)), far[k])
+            store_column(new_displacement, k, _limit_correction(target, get_column(walked, at), most[k]))
     moved = False
     for k in range(count):
         for axis in range(3):
             changed[row_list[k]] |= new_displacement[axis, k] != displacement[axis, row_list[k]]
         moved |= changed[row_list[k]]
-        put_vector(displacement, row_list[k], of(new_displacement, k))
+        store_column(displacement, row_list[k], get_column(new_displacement, k))
     return moved, count

@@ -39,7 +39,7 @@ class SlopeStart:
 
     @staticmethod
     def of(population: Population) -> SlopeStart:
-        return SlopeStart(population.footing, population.position, population.normal, population.vector("heading"))
+        return SlopeStart(population.footing, population.position, population.normal, population.read_vector("heading"))
 
     def find_steep(self, world: World, population: Population, rows: Rows, footing: Footing, pose: tuple[Floats, Floats]) -> Rows:
         """Return the indices in `rows` of agents with too steep a step to a footing. `pose`: its positions (k, 3) mm and smooth
@@ -50,7 +50,7 @@ class SlopeStart:
         distance = np.sqrt(_dot(displacement, displacement))
         which = np.flatnonzero((_dot(face_normals(world, footing, smooth), up) < limit) & (distance > 0))
         is_rising = _dot(displacement, up)[which] > _MIN_RISE_SHARE * distance[which]
-        start = self.footing.take(rows[which])
+        start = self.footing.take_rows(rows[which])
         normal = face_normals(world, start, self.normal[rows[which]].astype(np.float64))
         was_steep = _dot(normal, up) < limit[which]
         steep: Rows = which[is_rising | ~was_steep]
@@ -92,7 +92,7 @@ def lay_pushes(world: World, population: Population) -> None:
     rows = np.flatnonzero(_dot(normal, up) < steepest_cosines(population, every))
     if not len(rows):
         return
-    normal, push = normal[rows], population.vector("push")[rows].astype(np.float64)
+    normal, push = normal[rows], population.read_vector("push")[rows].astype(np.float64)
     across = _dot(push, normal)[:, None]
     uphill = up - normal * _dot(normal, up)[:, None]
     uphill = uphill / np.maximum(np.sqrt(_dot(uphill, uphill))[:, None], 1e-12)
@@ -125,11 +125,11 @@ def _can_cross(world: World, population: Population, start: SlopeStart, rows: Ro
     lead = np.sqrt(_dot(step, step))[:, None] + _LEAD_PER_HEIGHT / _STEP_PER_HEIGHT * tread
     ahead = ahead / np.maximum(np.sqrt(_dot(ahead, ahead))[:, None], 1e-12) * lead
     origin = start.position[rows] + up * tread * (1 + _CLEARANCE_PER_STEP)
-    hit, _, _ = meshes.trace_normals(origin, ahead, threads)
+    hit, _, _ = meshes.find_hit_normals(origin, ahead, threads)
     is_free = np.ones(len(rows), np.bool_)
     is_free[hit] = False
     down = -up * tread * (2 + 2 * _CLEARANCE_PER_STEP)
-    hit, _, normal = meshes.trace_normals(origin + ahead, down, threads)
+    hit, _, normal = meshes.find_hit_normals(origin + ahead, down, threads)
     limit = steepest_cosines(population, rows)
     crosses[hit] = np.abs(_dot(normal.T, up)) >= limit[hit]
     return crosses & is_free
@@ -141,7 +141,7 @@ def deflect_steps(world: World, population: Population, start: SlopeStart, rows:
 
     `step` (k, 3) mm: the steps that were too steep."""
     up = np.asarray(world.up, np.float64)
-    wall = face_normals(world, population.footing.take(rows), population.normal[rows].astype(np.float64))
+    wall = face_normals(world, population.footing.take_rows(rows), population.normal[rows].astype(np.float64))
     wall = wall - _dot(wall, up)[:, None] * up
     wall = wall / np.maximum(np.sqrt(_dot(wall, wall))[:, None], 1e-12)
     into = _dot(step, wall)[:, None]
@@ -153,12 +153,12 @@ def deflect_steps(world: World, population: Population, start: SlopeStart, rows:
         if not len(again):
             break
         result[again] = other[again]
-        moved.put(again, _move(world, population, start, rows[again], other[again]))
+        moved.put_rows(again, _move(world, population, start, rows[again], other[again]))
     return result, moved
 
 
 def _move(world: World, population: Population, start: SlopeStart, rows: Rows, step: Floats) -> GroundMove:
     """Return where the ground moves agents from their start by steps (k, 3) mm."""
-    normal, heading = start.normal[rows].astype(np.float64), population.vector("heading")[rows].astype(np.float64)
+    normal, heading = start.normal[rows].astype(np.float64), population.read_vector("heading")[rows].astype(np.float64)
     size = population.now["size"][rows].astype(np.float64)
-    return world.ground.move(start.footing.take(rows), step, heading, normal, size, world.options.threads)
+    return world.ground.move(start.footing.take_rows(rows), step, heading, normal, size, world.options.threads)

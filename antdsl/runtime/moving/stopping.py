@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from antdsl.machine_code.kernels import independent, inlined, kernel
+from antdsl.machine_code.kernels import inlined, kernel, simd_range
 from antdsl.machine_code.kernels.types import BOOL, F64, I64, Array1, Array2
-from antdsl.numerics.kernel_vectors import dot, minus, of, put_vector, times
+from antdsl.numerics.kernel_vectors import dot, get_column, minus, store_column, times
 from antdsl.numerics.sorting import compact_indices
-from antdsl.runtime.moving.cutting import CutBuffers, bend_along, negate
 from antdsl.runtime.moving.impacts import NEVER, PathArrays, PathPairs, find_impact
+from antdsl.runtime.moving.step_clamping import ClampBuffers, bend_along, negate
 
 _STOP_OVERLAP_SHARE = 2e-3  # of the radii: an overlap up to which bodies slide along each other
 _PRESSING_SHARE = 0.5  # of the radii: how far a heavy body enters a light one, which is then pushed
@@ -26,7 +26,7 @@ def bend_paths(
     paths: PathArrays,
     approach: Array2[F64],
     magic: F64,
-    buffers: CutBuffers,
+    buffers: ClampBuffers,
     cut: Array2[F64],
     stopped: Array1[I64],
     changed: Array1[BOOL],
@@ -36,15 +36,15 @@ def bend_paths(
 
     `approach` (3, n) mm: displacements in the previous period of equal length. A body follows another one that withdraws.
     The other arguments are as in `cutting.bend_along`."""
-    for pair in independent(0, pairs.i.size):
-        direction, over = of(pairs.direction, pair), 0
+    for pair in simd_range(0, pairs.i.size):
+        direction, over = get_column(pairs.direction, pair), 0
         for side in range(2):
             own, other = (pairs.j[pair], pairs.i[pair]) if side else (pairs.i[pair], pairs.j[pair])
-            towards, time = -dot(direction, of(paths.displacement, own)), pairs.time[pair]
-            far = max(towards, 0.0) * time + max(-dot(direction, of(approach, other)), 0.0) * (1 - time)
+            towards, time = -dot(direction, get_column(paths.displacement, own)), pairs.time[pair]
+            far = max(towards, 0.0) * time + max(-dot(direction, get_column(approach, other)), 0.0) * (1 - time)
             pressed = (paths.radius[own] + paths.radius[other]) * _PRESSING_SHARE
             far += _heavier_share(paths, own, other) * min(max(towards - far, 0.0), pressed)
-            buffers.free[side, pair] = far
+            buffers.free_gaps[side, pair] = far
             over = 1 if towards - far > 0 else over
             direction = negate(direction)
         buffers.pairs[pair] = over
@@ -62,11 +62,11 @@ def find_next_impacts(
     for pair in range(pairs.i.size):
         p, q = pairs.i[pair], pairs.j[pair]
         if (latest[p] | latest[q]) & (touched[p] | touched[q]):
-            moves = minus(of(paths.displacement, p), of(paths.displacement, q))
+            moves = minus(get_column(paths.displacement, p), get_column(paths.displacement, q))
             heavier = max(_heavier_share(paths, p, q), _heavier_share(paths, q, p))
             share = 1 - _STOP_OVERLAP_SHARE - _PRESSING_SHARE * heavier
             pairs.time[pair], direction = find_impact(paths, p, q, moves, share)
-            put_vector(pairs.direction, pair, direction)
+            store_column(pairs.direction, pair, direction)
     count = 0
     first[:] = NEVER
     for pair in range(pairs.i.size):
@@ -92,26 +92,26 @@ def shorten_paths(
         time = pairs.time[pair]
         if time > 1.0:
             continue
-        direction = of(pairs.direction, pair)
+        direction = get_column(pairs.direction, pair)
         for side in range(2):
             own, other = (pairs.j[pair], pairs.i[pair]) if side else (pairs.i[pair], pairs.j[pair])
             is_first = (first[own] == time) & (first[other] == time)
-            if halts or ((is_first | (not only_first)) and -dot(direction, of(paths.displacement, own)) > 0):
+            if halts or ((is_first | (not only_first)) and -dot(direction, get_column(paths.displacement, own)) > 0):
                 factor[own] = min(factor[own], 0.0 if halts else time)
             direction = negate(direction)
-    for k in independent(0, factor.size):
+    for k in simd_range(0, factor.size):
         latest[k] = factor[k] < 1.0
         touched[k] |= latest[k]
-        put_vector(paths.displacement, k, times(of(paths.displacement, k), factor[k]))
+        store_column(paths.displacement, k, times(get_column(paths.displacement, k), factor[k]))
 
 
 @kernel
 def list_corrections(displacement: Array2[F64], walked: Array2[F64], rows: Array1[I64], corrections: Array2[F64]) -> I64:
     """Write the rows with another end than `walked` (3, n) mm, and the displacements (mm) from there. Return their number."""
-    for k in independent(0, rows.size):
-        path, step = of(displacement, k), of(walked, k)
+    for k in simd_range(0, rows.size):
+        path, step = get_column(displacement, k), get_column(walked, k)
         rows[k] = 1 if (path[0] != step[0]) | (path[1] != step[1]) | (path[2] != step[2]) else 0
     count = compact_indices(rows, rows.size)
     for n in range(count):
-        put_vector(corrections, n, minus(of(displacement, rows[n]), of(walked, rows[n])))
+        store_column(corrections, n, minus(get_column(displacement, rows[n]), get_column(walked, rows[n])))
     return count

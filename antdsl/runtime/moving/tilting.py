@@ -13,29 +13,29 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.machine_code.kernels import called, independent, inlined, kernel, three
+from antdsl.machine_code.kernels import inlined, kernel, kernel_helper, load3, simd_range
 from antdsl.machine_code.kernels.types import BOOL, F32, F64, I32, I64, Array1, Array2, Strided2
 from antdsl.numerics import parallel
 from antdsl.numerics import vectors as vec
-from antdsl.numerics.elementary_loops import atan2, cos_sin
+from antdsl.numerics.elementary_loops import atan2, compute_cos_and_sin
 from antdsl.numerics.kernel_vectors import (
     Vec3,
     VectorColumns,
-    column64,
     cross,
-    divide,
+    divide_vector,
     dot,
+    get_column64,
+    get_row64,
     minus,
+    normalise_vector,
     plus,
     rotate_about_axis,
-    row64,
     times,
-    unit,
 )  # fmt: skip
 from antdsl.numerics.vectors import VectorArrays
 from antdsl.runtime.moving.postures import Posture, posture_of, stand_up
-from antdsl.runtime.moving.rises import fill_reach, find_walls
 from antdsl.runtime.moving.velocities import LEANING_STATE, STANDING_STATE, maximum
+from antdsl.runtime.moving.walls_ahead import find_walls, write_wall_reach
 from antdsl.runtime.world import Population, World
 
 # Of walls: normal and direction ahead (3, k), angle, how far, over how much.
@@ -50,39 +50,41 @@ _STEEP_COSINE = 0.9  # as `vectors.across`
 _WAITING_VELOCITY_SHARE = _F(0.05)  # of a velocity: retained by an agent that waits for its body
 
 
-def settle_bodies(world: World, population: Population, rows: NDArray[np.intp]) -> None:
+def tilt_new_bodies(world: World, population: Population, rows: NDArray[np.intp]) -> None:
     """Tilt new bodies at once as far as their posture and the walls ahead require, so that their heads are free."""
     n, now = len(population), population.now
     state, reach, rest = np.full(n, STANDING_STATE, np.int32), np.empty(n), np.zeros(n, np.float32)
     x, y, z = np.empty((3, n), np.float32)
-    fill_reach(now["size"], reach)
+    write_wall_reach(now["size"], reach)
     *walls, _ = find_walls(world, population, (x, y, z), (rest, rest, rest), reach, state)
     start = population.start
     poses = *_pose_registers(start), *_pose_registers(now)
-    settle_rows(rows, state, population.normal, (x, y, z), tuple(walls), posture_of(world, population), *poses)
+    tilt_rows(rows, state, population.normal, (x, y, z), tuple(walls), posture_of(world, population), *poses)
 
 
-def lay_headings(population: Population, threads: int = 1) -> None:
+def level_headings(population: Population, threads: int = 1) -> None:
     """Replace heading and up of leaning bodies by those of the feet, along the ground, while programs run.
 
     Thus a push ahead continues over an edge while the body tilts."""
     n, start, now = len(population), population.start, population.now
     (leaning_rows,) = population.get_buffers("leaning", 1, (n,), np.int64)
     lean = population.get_buffers("laid", 3, (3, n), np.float32)
-    work = partial(_lay_rows, population.normal, *_pose_registers(start), *_pose_registers(now), leaning_rows, *lean)
-    parts = parallel.in_parts(work, n, threads)
-    population.laid = tuple(parallel.join_parts(parts, leaning_rows, *lean)) if any([count for _, count in parts]) else None
+    work = partial(_level_rows, population.normal, *_pose_registers(start), *_pose_registers(now), leaning_rows, *lean)
+    parts = parallel.run_in_parts(work, n, threads)
+    population.replaced_poses = (
+        tuple(parallel.join_parts(parts, leaning_rows, *lean)) if any([count for _, count in parts]) else None
+    )
 
 
 def restore_bodies(population: Population) -> None:
-    """Restore the up and heading that `lay_headings` replaced, except headings that have changed since."""
-    if population.laid is not None:
-        _restore_rows(*population.laid, *_pose_registers(population.start), *_pose_registers(population.now))
-    population.laid = None
+    """Restore the up and heading that `level_headings` replaced, except headings that have changed since."""
+    if population.replaced_poses is not None:
+        _restore_rows(*population.replaced_poses, *_pose_registers(population.start), *_pose_registers(population.now))
+    population.replaced_poses = None
 
 
 def _pose_registers(values: dict[str, NDArray[Any]]) -> tuple[VectorArrays, VectorArrays]:
-    return vec.vector_registers(values, "up"), vec.vector_registers(values, "heading")
+    return vec.get_vector_registers(values, "up"), vec.get_vector_registers(values, "heading")
 
 
 @inlined
@@ -97,7 +99,7 @@ def perpendicular(v: Vec3, up: Vec3) -> Vec3:
     flat = minus(v, times(up, dot(v, up)))
     size = np.sqrt(dot(flat, flat))
     if size > 1e-6:
-        return divide(flat, size)
+        return divide_vector(flat, size)
     axis = (0.0, 1.0, 0.0) if abs(up[0]) > _STEEP_COSINE else (1.0, 0.0, 0.0)
     side = minus(axis, times(up, dot(axis, up)))
     return times(side, 1 / np.sqrt(dot(side, side)))
@@ -105,11 +107,11 @@ def perpendicular(v: Vec3, up: Vec3) -> Vec3:
 
 @inlined
 def _is_leaning(up: VectorColumns, normal: Array2[F32], i: I64) -> BOOL:
-    x, y, z = three(normal, i)
+    x, y, z = load3(normal, i)
     return up[0][i] != x or up[1][i] != y or up[2][i] != z
 
 
-@called
+@kernel_helper
 def turn_axis(one: Vec3, other: Vec3, ahead: Vec3) -> tuple[Vec3, F64, F64]:
     """Return the axis of the least rotation from one unit vector to another, and the cosine and sine of its angle.
 
@@ -117,11 +119,11 @@ def turn_axis(one: Vec3, other: Vec3, ahead: Vec3) -> tuple[Vec3, F64, F64]:
     axis, cosine = cross(one, other), min(max(dot(one, other), -1.0), 1.0)
     sine = np.sqrt(dot(axis, axis))
     if sine > _OPPOSITE_SINE or cosine > 0:
-        return divide(axis, max(sine, 1e-300)), cosine, sine
-    return unit(cross(one, ahead)), cosine, sine
+        return divide_vector(axis, max(sine, 1e-300)), cosine, sine
+    return normalise_vector(cross(one, ahead)), cosine, sine
 
 
-@called
+@kernel_helper
 def turn_heading(heading: Vec3, one: Vec3, other: Vec3) -> Vec3:
     """Return a heading after the rotation that turns the normal `one` into the normal `other`, perpendicular to the latter."""
     axis, cosine, sine = turn_axis(one, other, heading)
@@ -129,30 +131,29 @@ def turn_heading(heading: Vec3, one: Vec3, other: Vec3) -> Vec3:
 
 
 @inlined
-def _approach(displacement: Vec3, wall: Vec3, ahead: Vec3) -> F64:
+def _measure_approach(displacement: Vec3, wall: Vec3, ahead: Vec3) -> F64:
     """Return by how much (mm) a displacement reduces the distance to the wall along `ahead`."""
     return dot(displacement, wall) / min(dot(ahead, wall), -1e-3)
 
 
-@called
-def _tilt_up(n: Vec3, wall: Vec3, ahead: Vec3, angle: F64, far: F64, over: F64, displacement: Vec3) -> Vec3:
-    """Return the up of a body after a displacement, on ground with normal `n`, tilted towards the normal of the wall ahead if
-    needed."""
-    part = min(max(1.0 - (far - _approach(displacement, wall, ahead)) / over, 0.0), 1.0) * angle
+@kernel_helper
+def _tilt_up(n: Vec3, wall: Vec3, ahead: Vec3, angle: F64, wall_distance: F64, tilt_distance: F64, displacement: Vec3) -> Vec3:
+    """Return the up of a body after a displacement, on ground with normal `n`, tilted towards a wall ahead if needed."""
+    part = min(max(1.0 - (wall_distance - _measure_approach(displacement, wall, ahead)) / tilt_distance, 0.0), 1.0) * angle
     axis, cosine = cross(n, wall), dot(n, wall)
     sine = np.sqrt(dot(axis, axis))
     left = np.float64(atan2(_F(sine), _F(cosine)))
     least = _F(min(part, left))
     if not (least > 0 and sine > 1e-6):
         return n
-    side = cross(divide(axis, max(sine, 1e-300)), n)
-    c, s = cos_sin(least)
+    side = cross(divide_vector(axis, max(sine, 1e-300)), n)
+    c, s = compute_cos_and_sin(least)
     turned = plus(times(n, np.float64(c)), times(side, np.float64(s)))
-    return divide(turned, np.sqrt(dot(turned, turned)))
+    return divide_vector(turned, np.sqrt(dot(turned, turned)))
 
 
 @inlined
-def begin_stance(
+def compute_stance(
     i: I64,
     up: VectorColumns,
     heading: VectorColumns,
@@ -180,12 +181,12 @@ def begin_stance(
     state[i] = STANDING_STATE
     if _is_leaning(up, normal, i):
         state[i] = LEANING_STATE
-        level_heading = turn_heading(read_vector(heading, i), read_vector(up, i), row64(normal, i))
+        level_heading = turn_heading(read_vector(heading, i), read_vector(up, i), get_row64(normal, i))
         looking[0][i], looking[1][i], looking[2][i] = _F(level_heading[0]), _F(level_heading[1]), _F(level_heading[2])
 
 
 @kernel
-def settle_rows(
+def tilt_rows(
     rows: Array1[I64], state: Array1[I32], normal: Array2[F32], looking: VectorColumns, walls: WallArrays, posture: Posture,
     start_up: VectorColumns, start_heading: VectorColumns, now_up: VectorColumns, now_heading: VectorColumns,
 ) -> None:  # fmt: skip
@@ -194,11 +195,11 @@ def settle_rows(
     for i in rows:
         j = state[i]
         if j >= 0 or posture.is_set:
-            ground = row64(normal, i)
+            ground = get_row64(normal, i)
             heading, up = read_vector(now_heading, i), ground
             if j >= 0:
                 heading = read_vector(looking, i)
-                up = _tilt_up(ground, column64(wall, j), column64(ahead, j), angle[j], far[j], over[j], (0.0, 0.0, 0.0))
+                up = _tilt_up(ground, get_column64(wall, j), get_column64(ahead, j), angle[j], far[j], over[j], (0.0, 0.0, 0.0))
             if posture.is_set:
                 up = stand_up(up, posture, i)
             facing = turn_heading(heading, ground, up)
@@ -210,7 +211,7 @@ def settle_rows(
 
 
 @kernel
-def _lay_rows(
+def _level_rows(
     normal: Array2[F32],
     start_up: VectorColumns,
     start_heading: VectorColumns,
@@ -231,7 +232,7 @@ def _lay_rows(
     for i in range(begin, end):
         if not _is_leaning(now_up, normal, i):
             continue
-        level_heading = turn_heading(read_vector(start_heading, i), read_vector(start_up, i), row64(normal, i))
+        level_heading = turn_heading(read_vector(start_heading, i), read_vector(start_up, i), get_row64(normal, i))
         rows[count] = i
         for k in range(3):
             up[k, count], heading[k, count], along[k, count] = start_up[k][i], start_heading[k][i], _F(level_heading[k])
@@ -267,7 +268,7 @@ def _restore_rows(
 
 
 @kernel
-def limit_pace(
+def limit_steps(
     state: Array1[I32],
     step: VectorColumns,
     velocity: VectorColumns,
@@ -290,12 +291,12 @@ def limit_pace(
             continue
         own_step, stands = read_vector(step, i), read_vector(up, i)
         size = np.sqrt(dot(own_step, own_step))
-        target_up = row64(normal, i)
+        target_up = get_row64(normal, i)
         limit = np.inf
         if j >= 0 and not (posture.is_set and posture.upright[i] > 0):  # upright bodies do not tilt before walls
-            w, a = column64(wall, j), column64(ahead, j)
+            w, a = get_column64(wall, j), get_column64(ahead, j)
             target_up = _tilt_up(target_up, w, a, angle[j], far[j], over[j], zero)
-            towards = _approach(divide(own_step, max(size, 1e-300)), w, a)
+            towards = _measure_approach(divide_vector(own_step, max(size, 1e-300)), w, a)
             across = cross(stands, w)
             left = np.float64(atan2(_F(np.sqrt(dot(across, across))), _F(dot(stands, w))))
             tilt = angle[j] - left + np.float64(most[i])
@@ -312,18 +313,17 @@ def limit_pace(
 
 
 class BodyPosture(NamedTuple):
-    """Postures of bodies: `up`, `heading`, and position `place` (n, 3) mm."""
+    """Postures of bodies: `up`, `heading`, and position `position` (n, 3) mm."""
 
     up: VectorColumns
     heading: VectorColumns
-    place: Strided2[F64]
+    position: Strided2[F64]
 
 
 class TurnLimits(NamedTuple):
-    """Limits and goal of a turn. `most`: the largest tilt of each body (radians). `max_turn`: turn limits (rad/s).
-    `dt`: duration (s). `posture`: how the bodies stand."""
+    """Limits of turns: `max_tilt` of each body (radians), `max_turn` (rad/s), duration `dt` (s), and how the bodies stand."""
 
-    most: Array1[F32]
+    max_tilt: Array1[F32]
     max_turn: Array1[F32]
     dt: F32
     posture: Posture
@@ -356,7 +356,7 @@ def follow_ground(
     for row in range(begin, end):
         rows[count] = row
         count += state[row] != STANDING_STATE
-    for k in independent(begin, count):
+    for k in simd_range(begin, count):
         i = rows[k]
         j = state[i]
         stands = read_vector(before_up, i)
@@ -365,7 +365,7 @@ def follow_ground(
         displacement = (place[i, 0] - before[i, 0], place[i, 1] - before[i, 1], place[i, 2] - before[i, 2])
         target_up = normal
         if j >= 0:
-            target_up = _tilt_up(normal, column64(wall, j), column64(ahead, j), angle[j], far[j], over[j], displacement)
+            target_up = _tilt_up(normal, get_column64(wall, j), get_column64(ahead, j), angle[j], far[j], over[j], displacement)
         if posture.is_set:
             target_up = stand_up(target_up, posture, i)
         axis, cosine, sine = turn_axis(stands, target_up, look)
@@ -373,9 +373,9 @@ def follow_ground(
         if full_tilt <= most[i]:
             tilt, c, s, up = full_tilt, cosine, sine, target_up
         else:
-            part = cos_sin(most[i])
+            part = compute_cos_and_sin(most[i])
             tilt, c, s = most[i], np.float64(part[0]), np.float64(part[1])
-            up = unit(rotate_about_axis(stands, axis, c, s))
+            up = normalise_vector(rotate_about_axis(stands, axis, c, s))
         one = perpendicular(rotate_about_axis(look, axis, c, s), up)
         other = turn_heading(turn_heading(looking, normal, target_up), target_up, up)
         yaw_limit = 4.0
@@ -387,11 +387,11 @@ def follow_ground(
         yaw = atan2(_F(dot(left, other)), _F(dot(one, other)))
         facing = other
         if not abs(yaw) <= most_yaw:
-            c32, s32 = cos_sin(most_yaw if yaw > 0 else -most_yaw)
-            facing = unit(plus(times(one, np.float64(c32)), times(left, np.float64(s32))))
+            c32, s32 = compute_cos_and_sin(most_yaw if yaw > 0 else -most_yaw)
+            facing = normalise_vector(plus(times(one, np.float64(c32)), times(left, np.float64(s32))))
         if j >= 0:
-            w, a = column64(wall, j), column64(ahead, j)
-            middle = plus(times(up, 2 * raised * half[j]), times(a, _approach(displacement, w, a) - far[j]))
+            w, a = get_column64(wall, j), get_column64(ahead, j)
+            middle = plus(times(up, 2 * raised * half[j]), times(a, _measure_approach(displacement, w, a) - far[j]))
             with_turn = dot(plus(middle, times(facing, half[j])), w)
             without = dot(plus(middle, times(one, half[j])), w)
             if with_turn < min(without, 0.0):

@@ -11,10 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from antdsl.machine_code.kernels import BOOL, F32, F64, I32, I64, Array1, Array2, Strided2, called, inlined, kernel, put_three
+from antdsl.machine_code.kernels import BOOL, F32, F64, I32, I64, Array1, Array2, Strided2, inlined, kernel, kernel_helper, store3
 from antdsl.numerics import elementary
-from antdsl.numerics.elementary_loops import atan2, cos_sin
-from antdsl.numerics.kernel_vectors import AgentPose, Vec3F32, VectorColumns, cross, dot, flat, minus, plus, times
+from antdsl.numerics.elementary_loops import atan2, compute_cos_and_sin
+from antdsl.numerics.kernel_vectors import AgentPose, Vec3F32, VectorColumns, cross, dot, minus, plus, project_to_plane, times
 
 _F = np.float32
 _FLOAT32_ZERO, _FLOAT32_HALF, _FLOAT32_ONE = _F(0), _F(0.5), _F(1)
@@ -35,7 +35,7 @@ LEANING_STATE, STANDING_STATE, HURRYING_STATE = -1, -2, -3
 
 
 @cache
-def share(dt: np.float32) -> np.float32:
+def heading_share(dt: np.float32) -> np.float32:
     """Return the share of the turn towards the movement that is made in a substep of `dt` s."""
     return _F(1.0 - float(elementary.exp(_F(-float(dt) / _HEADING_SECONDS))))
 
@@ -63,10 +63,10 @@ class AgentAbilities(NamedTuple):
 class PushTimes(NamedTuple):
     """Durations (s) of a push in a substep.
 
-    `at_once`: agents with a response of at most this get the push of the complete step in the first substep.
+    `instant_response`: agents with a response of at most this get the push of the complete step in the first substep.
     `first`: the duration of their push in this substep, 0 in later ones. `dt`: the duration for all other agents."""
 
-    at_once: F32
+    instant_response: F32
     first: F32
     dt: F32
 
@@ -80,9 +80,9 @@ class ArrivalLimits(NamedTuple):
 
 
 class ArrivalBodies(NamedTuple):
-    """Bodies after a walk: tilt limits `most` (radians), states, and buffers for the previous `up` and `heading`."""
+    """Bodies after a walk: tilt limits `max_tilt` (radians), states, and buffers for the previous `up` and `heading`."""
 
-    most: Array1[F32]
+    max_tilt: Array1[F32]
     state: Array1[I32]
     up: VectorColumns
     heading: VectorColumns
@@ -91,21 +91,21 @@ class ArrivalBodies(NamedTuple):
 class ArrivalTimes(NamedTuple):
     """Times of a turn after a walk.
 
-    `at_once`: agents with a response (s) of at most this face their movement at once.
-    `dt`: the duration (s). `share`: the share of the turn that the others make in this time."""
+    `instant_response`: agents with a response (s) of at most this face their movement at once.
+    `dt`: the duration (s). `turn_share`: the share of the turn that the others make in this time."""
 
-    at_once: F32
+    instant_response: F32
     dt: F32
-    share: F32
+    turn_share: F32
 
 
 class GazeDirections(NamedTuple):
     """Directions to face. `is_set`: whether there are any. `direction`: the directions.
-    `everyone`: whether all bodies must be aligned with their feet."""
+    `align_all`: whether all bodies must be aligned with their feet."""
 
     is_set: BOOL
     direction: VectorColumns
-    everyone: BOOL
+    align_all: BOOL
 
 
 class MotionRegisters(NamedTuple):
@@ -118,46 +118,52 @@ class MotionRegisters(NamedTuple):
 
 
 class ArrivalArrays(NamedTuple):
-    """The inputs and outputs of `arrive_rows`.
+    """The inputs and outputs of `update_arrived_rows`.
 
-    `old` (n, 3), `step`, `velocity`: positions, steps and velocities before the walk.
+    `start` (n, 3), `step`, `velocity`: positions, steps and velocities before the walk.
     `registers`, `normals` (n, 3): receive the results. The other fields are inputs."""
 
-    old: Strided2[F64]
+    start: Strided2[F64]
     step: VectorColumns
     velocity: VectorColumns
     limits: ArrivalLimits
     bodies: ArrivalBodies
     times: ArrivalTimes
-    facing: GazeDirections
+    gaze: GazeDirections
     registers: MotionRegisters
     normals: Array2[F32]
 
 
 class WalkedPoses(NamedTuple):
-    """Poses after a walk: position, up, heading and direction (3, n), and which agents are `blocked`."""
+    """Poses after a walk: position, up, heading and direction (3, n), and which agents are `is_blocked`."""
 
-    place: Strided2[F64]
+    position: Strided2[F64]
     up: Strided2[F64]
     heading: Strided2[F64]
     direction: Strided2[F64]
-    blocked: Array1[BOOL]
+    is_blocked: Array1[BOOL]
 
 
 @inlined
 def apply_push(
-    drive: AgentDrives, up: Vec3F32, abilities: AgentAbilities, keeps: BOOL, min_speed: Array1[F32], times_of: PushTimes, i: I64
+    drive: AgentDrives,
+    up: Vec3F32,
+    abilities: AgentAbilities,
+    has_min_speed: BOOL,
+    min_speed: Array1[F32],
+    times_of: PushTimes,
+    i: I64,
 ) -> Vec3F32:
     """Return the velocity of agent i after its push along the ground, within the limits of speed and turn. `up`: normal of the
     ground.
 
-    `keeps`: whether `min_speed` applies."""
+    `has_min_speed`: whether `min_speed` applies."""
     push, velocity, heading, _, _ = drive
     max_speed, max_force, mass, response, max_turn = abilities
     at_once, first, dt = times_of
-    wish = flat((push[0][i], push[1][i], push[2][i]), up)
+    wish = project_to_plane((push[0][i], push[1][i], push[2][i]), up)
     wish = times(wish, _FLOAT32_ONE / maximum(length(wish), _FLOAT32_ONE))
-    previous_velocity = flat((velocity[0][i], velocity[1][i], velocity[2][i]), up)
+    previous_velocity = project_to_plane((velocity[0][i], velocity[1][i], velocity[2][i]), up)
     time = first if response[i] <= at_once else dt
     gain = max_force[i] / mass[i]
     gain = (gain if np.isfinite(gain) else _FLOAT32_ZERO) * time
@@ -170,14 +176,16 @@ def apply_push(
         v[1] if np.isfinite(v[1]) else _FLOAT32_ZERO,
         v[2] if np.isfinite(v[2]) else _FLOAT32_ZERO,
     )
-    if keeps:
+    if has_min_speed:
         least = _minimum(maximum(min_speed[i], _FLOAT32_ZERO), maximum(max_speed[i], _FLOAT32_ZERO))
-        v = _raise_speed(v, previous_velocity, flat((heading[0][i], heading[1][i], heading[2][i]), up), least)
+        v = _raise_speed(v, previous_velocity, project_to_plane((heading[0][i], heading[1][i], heading[2][i]), up), least)
     if np.isfinite(max_turn[i]):
         most = maximum(max_turn[i], _FLOAT32_ZERO) * time
         turn = min(most, _FLOAT32_PI)
         both = length(v) * length(previous_velocity)
-        if not (dot(v, previous_velocity) > (cos_sin(turn)[0] + _SAFE_COSINE_MARGIN) * both and both > _MIN_VECTOR_LENGTH):
+        if not (
+            dot(v, previous_velocity) > (compute_cos_and_sin(turn)[0] + _SAFE_COSINE_MARGIN) * both and both > _MIN_VECTOR_LENGTH
+        ):
             v = _limit_turn(
                 v, previous_velocity, up, most, length(v) if response[i] <= at_once else SLOW_SPEED_SHARE * max_speed[i]
             )
@@ -185,55 +193,55 @@ def apply_push(
 
 
 @inlined
-def _raise_speed(velocity: Vec3F32, previous_velocity: Vec3F32, heading: Vec3F32, least: F32) -> Vec3F32:
+def _raise_speed(velocity: Vec3F32, previous_velocity: Vec3F32, heading: Vec3F32, min_speed: F32) -> Vec3F32:
     """Return a velocity raised to a least speed.
 
     A slower agent gets the missing speed in its previous direction (from rest: along its heading). A sideways push turns it;
     braking never reverses it."""
     square = dot(velocity, velocity)
-    if not square < least * least:
+    if not square < min_speed * min_speed:
         return velocity
     ahead, good = _normalise(previous_velocity)
     if not good:
         ahead, good = _normalise(heading)
         if not good:
-            ahead = (_FLOAT32_ZERO * least, _FLOAT32_ZERO * least, _FLOAT32_ZERO * least)
+            ahead = (_FLOAT32_ZERO * min_speed, _FLOAT32_ZERO * min_speed, _FLOAT32_ZERO * min_speed)
     along = dot(velocity, ahead)
-    increase = np.sqrt(maximum((least * least - square) + along * along, _FLOAT32_ZERO)) - along
+    increase = np.sqrt(maximum((min_speed * min_speed - square) + along * along, _FLOAT32_ZERO)) - along
     return plus(velocity, times(ahead, increase))
 
 
-@called
-def _limit_turn(velocity: Vec3F32, previous_velocity: Vec3F32, up: Vec3F32, most: F32, creep: F32) -> Vec3F32:
-    """Return the velocity turned by at most `most` (radians) from the previous one. From rest it may have any direction.
+@kernel_helper
+def _limit_turn(velocity: Vec3F32, previous_velocity: Vec3F32, up: Vec3F32, max_turn: F32, creep: F32) -> Vec3F32:
+    """Return the velocity turned by at most `max_turn` (radians) from the previous one. From rest it may have any direction.
 
     It has its component in that direction. So a push against the motion first brakes: it does not speed up what it cannot turn.
     Below the speed `creep` (mm/s) it keeps its length, and the agent turns round almost on the spot."""
     if not length(previous_velocity) > 0:
-        most = _F(4.0)
+        max_turn = _F(4.0)
     ahead, good = _normalise(previous_velocity)
     if not good:
         ahead, good = _normalise(velocity)
         if not good:
-            ahead = _perpendicular(up)
+            ahead = _find_perpendicular(up)
     direction, good = _normalise(velocity)
     if not good:
         direction = ahead
     left = cross(up, ahead)
-    side, good = _normalise(flat(direction, ahead))
+    side, good = _normalise(project_to_plane(direction, ahead))
     if not good:
         side = left
     sine, cosine = length(cross(ahead, direction)), dot(ahead, direction)
-    if not (np.isfinite(sine) and np.isfinite(cosine)) or not atan2(sine, cosine) > most:
+    if not (np.isfinite(sine) and np.isfinite(cosine)) or not atan2(sine, cosine) > max_turn:
         return velocity
-    c, s = cos_sin(most)
+    c, s = compute_cos_and_sin(max_turn)
     turned = plus(times(ahead, c), times(side, s))
     return times(turned, maximum(dot(velocity, turned), _minimum(length(velocity), creep)))
 
 
 @inlined
-def arrive_agent(i: I64, pose: AgentPose, blocked: BOOL, arrival: ArrivalArrays) -> None:
-    """Write position, up, heading and direction of agent i after its walk, in float64, as `arrive_rows` describes."""
+def update_arrived_agent(i: I64, pose: AgentPose, blocked: BOOL, arrival: ArrivalArrays) -> None:
+    """Write position, up, heading and direction of agent i after its walk, in float64, as `update_arrived_rows` describes."""
     place, above, ahead, direction = pose
     old, step, velocity, limits, bodies, times_of, facing, registers, normals = arrival
     max_speed, max_turn, response = limits
@@ -250,7 +258,7 @@ def arrive_agent(i: I64, pose: AgentPose, blocked: BOOL, arrival: ArrivalArrays)
         travel = times(travel, rate)
         lost = minus(times((step[0][i], step[1][i], step[2][i]), rate), travel)
         v = minus(travel, times(lost, BOUNCE_SPEED_SHARE))
-    v = flat(v, u)
+    v = project_to_plane(v, u)
     h = (_F(ahead[0]), _F(ahead[1]), _F(ahead[2]))
     previous_heading, was = (heading[0][i], heading[1][i], heading[2][i]), (up[0][i], up[1][i], up[2][i])
     chord = minus(u, was)
@@ -271,11 +279,11 @@ def arrive_agent(i: I64, pose: AgentPose, blocked: BOOL, arrival: ArrivalArrays)
             to_up[k][i], to_heading[k][i] = was[k], previous_heading[k]
     for k in range(3):
         to[k][i], heading[k][i], up[k][i], position[k][i] = v[k], h[k], u[k], _F(place[k])
-    put_three(normals, i, u)
+    store3(normals, i, u)
 
 
 @kernel
-def arrive_rows(rows: Array1[I64], walked: WalkedPoses, arrival: ArrivalArrays, begin: I64, end: I64) -> None:
+def update_arrived_rows(rows: Array1[I64], walked: WalkedPoses, arrival: ArrivalArrays, begin: I64, end: I64) -> None:
     """Write velocity, heading, position and up of `rows` from `begin` to before `end` into the registers after the walk.
 
     The `state` of a body that stands as its feet do becomes "hastens" in two cases. Its up turns by more than `most`
@@ -290,7 +298,7 @@ def arrive_rows(rows: Array1[I64], walked: WalkedPoses, arrival: ArrivalArrays, 
             (ahead[0, i], ahead[1, i], ahead[2, i]),
             (direction[0, i], direction[1, i], direction[2, i]),
         )
-        arrive_agent(i, pose, blocked[i], arrival)
+        update_arrived_agent(i, pose, blocked[i], arrival)
 
 
 @inlined
@@ -306,51 +314,51 @@ def _turn_heading(
     heading: Vec3F32,
     velocity: Vec3F32,
     up: Vec3F32,
-    faces: BOOL,
+    has_gaze: BOOL,
     wish: Vec3F32,
     max_speed: F32,
     max_turn: F32,
     at_once: BOOL,
     tilt: F32,
     dt: F32,
-    part: F32,
+    turn_share: F32,
 ) -> Vec3F32:
-    """Return the heading turned towards the movement, or towards the direction to face: completely or by the share `part`.
+    """Return the heading turned towards the movement, or towards the direction to face: completely or by the share `turn_share`.
 
     The turn and the tilt of the body (`tilt`, its squared angle) together are no faster than `max_turn`. For more than a right
     angle, the heading turns over its side first."""
-    heading, good = _normalise(flat(heading, up))
+    heading, good = _normalise(project_to_plane(heading, up))
     if not good:
-        heading = _perpendicular(up)
+        heading = _find_perpendicular(up)
     direction, good = _normalise(velocity)
     if not good:
         direction = heading
     faced = False
-    if faces:
+    if has_gaze:
         facing, good = _normalise(wish)
-        along = flat(facing if good else up, up)
+        along = project_to_plane(facing if good else up, up)
         faced = length(along) > MIN_FACE_SINE
         facing, good = _normalise(along)
         if faced and good:
             direction = facing
     if dot(heading, direction) < 0 and not (at_once and not np.isfinite(max_turn)):
         left = cross(up, heading)
-        side, good = _normalise(flat(direction, heading))
+        side, good = _normalise(project_to_plane(direction, heading))
         if not good:
             side = left
-        direction, good = _normalise(flat(side, up))
+        direction, good = _normalise(project_to_plane(side, up))
         if not good:
             direction = left
     eager = _minimum(length(velocity) / maximum(max_speed * SLOW_SPEED_SHARE, _F(1e-6)), _FLOAT32_ONE)
     if faced:
         eager = _FLOAT32_ONE
-    change = times(minus(direction, heading), _FLOAT32_ONE if at_once else part * eager)
+    change = times(minus(direction, heading), _FLOAT32_ONE if at_once else turn_share * eager)
     if np.isfinite(max_turn):
         size, most = length(change), maximum(max_turn, _FLOAT32_ZERO) * dt
         most = np.sqrt(maximum(most * most - tilt, _FLOAT32_ZERO))
         if size > most:
             change = times(change, most / (size if size > 0 else _FLOAT32_ONE))
-    turned, good = _normalise(flat(plus(heading, change), up))
+    turned, good = _normalise(project_to_plane(plus(heading, change), up))
     if not good:
         return heading
     return turned
@@ -382,7 +390,9 @@ def _normalise(a: Vec3F32) -> tuple[Vec3F32, BOOL]:
 
 
 @inlined
-def _perpendicular(up: Vec3F32) -> Vec3F32:
+def _find_perpendicular(up: Vec3F32) -> Vec3F32:
     steep = abs(up[0]) > _STEEP_COSINE
-    side = flat((_FLOAT32_ZERO if steep else _FLOAT32_ONE, _FLOAT32_ONE if steep else _FLOAT32_ZERO, _FLOAT32_ZERO), up)
+    side = project_to_plane(
+        (_FLOAT32_ZERO if steep else _FLOAT32_ONE, _FLOAT32_ONE if steep else _FLOAT32_ZERO, _FLOAT32_ZERO), up
+    )
     return times(side, _FLOAT32_ONE / length(side))

@@ -3,12 +3,12 @@
 Counts in a file are compared with its size before anything is allocated. Readers of other libraries only get files that were
 checked first.
 
-`meshes`: chooses a reader by the ending of the file: `obj_file`, `ply` and `ply_body`, `stl_file`, `gltf_mesh` or `usd`.
+`mesh_files`: chooses a reader by the ending of the file: `obj_file`, `ply` and `ply_body`, `stl_file`, `gltf_mesh` or `usd`.
 `mesh_text`: the tokenizer of text files.
 `polygons`: the triangulation for all formats.
 `import_notes`: the report of a reader's omissions and changes.
 `points`, `arrays`: read JSON points and .npz files.
 `painted`: reads values on vertices and faces.
-`closed`: whether triangles close to a body.
-`live_faces`: which triangles are ground.
+`closed_meshes`: whether triangles close to a body.
+`find_live_faces`: which triangles are ground.
 `matrices`: applies transforms, with every sum written out."""

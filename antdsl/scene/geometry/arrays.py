@@ -34,17 +34,17 @@ def read_arrays(data: bytes) -> dict[str, NDArray[Any]]:
     return read_archive(io.BytesIO(data), len(data))
 
 
-def read_archive(file: IO[bytes], size: int, only: Container[str] | None = None) -> dict[str, NDArray[Any]]:
-    """Return the arrays of an open file of `size` bytes, as `read_arrays` does. `only`: the names to read; None for all."""
+def read_archive(file: IO[bytes], size: int, names: Container[str] | None = None) -> dict[str, NDArray[Any]]:
+    """Return the arrays of an open file of `size` bytes, as `read_arrays` does. `names`: the names to read; None for all."""
     try:
         with zipfile.ZipFile(file) as archive:
-            return _read_members(archive, size, only)
+            return _read_members(archive, size, names)
     # NotImplementedError: zipfile's word for a compression that it does not know
     except (zipfile.BadZipFile, EOFError, NotImplementedError, RuntimeError, ValueError, OverflowError) as problem:
         raise ArrayFileError(f"is damaged or not an array file ({problem})") from None
 
 
-def _read_members(archive: zipfile.ZipFile, size: int, only: Container[str] | None) -> dict[str, NDArray[Any]]:
+def _read_members(archive: zipfile.ZipFile, size: int, names: Container[str] | None) -> dict[str, NDArray[Any]]:
     """Return the arrays of an open archive of `size` bytes. Raises ArrayFileError, or an error of zipfile, with the reason."""
     entries = archive.infolist()
     if len(entries) > MAX_ARCHIVE_MEMBERS:
@@ -60,7 +60,7 @@ def _read_members(archive: zipfile.ZipFile, size: int, only: Container[str] | No
             raise ArrayFileError(f"has two arrays `{name}`")
         if entry.compress_type != zipfile.ZIP_STORED or entry.flag_bits & 0x1 or entry.compress_size != entry.file_size:
             raise ArrayFileError(f"has a compressed or locked array `{name}`")
-        if only is None or name in only:
+        if names is None or name in names:
             arrays[name] = parse_npy(archive.read(entry), name)  # read compares the checksum
     return arrays
 
@@ -80,7 +80,7 @@ def parse_npy(data: bytes, name: str) -> NDArray[Any]:
     return np.frombuffer(data, dtype, offset=10 + length).reshape(shape)
 
 
-def to_float64(values: NDArray[Any]) -> NDArray[np.float64]:
+def convert_to_float64(values: NDArray[Any]) -> NDArray[np.float64]:
     """Return a copy as float64, without NumPy's warning for signalling NaNs. Readers check that values are finite."""
     with np.errstate(invalid="ignore"):
         return values.astype(np.float64)

@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
-from antdsl.diagnostics.model import printable
-from antdsl.scene.geometry.arrays import to_float64
-from antdsl.scene.geometry.polygons import strip_triangles
+from antdsl.diagnostics.model import replace_unprintable
+from antdsl.scene.geometry.arrays import convert_to_float64
+from antdsl.scene.geometry.polygons import split_strip
 
 _DTYPE_BY_COMPONENT = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _COMPONENTS_BY_TYPE = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
@@ -57,16 +57,16 @@ class GltfDocument:
     """A glTF file with checked access to its JSON. Every index and type is validated on access. Raises GltfError with the
     reason."""
 
-    def __init__(self, data: bytes, beside: Callable[[str, int], bytes]) -> None:
+    def __init__(self, data: bytes, read_sibling: Callable[[str, int], bytes]) -> None:
         """`beside(path, cap)` returns the bytes of a file in the same folder, of at most `cap` bytes."""
         text, self._binary = _split_chunks(data)
         self.tree = _parse_json(text)
-        self._beside = beside
-        self._left = limits.MAX_BODY_FILE_BYTES
+        self._read_sibling = read_sibling
+        self._remaining_bytes = limits.MAX_BODY_FILE_BYTES
         self._buffers: dict[int, bytes] = {}
-        self._kept: dict[int, NDArray[Any]] = {}
-        self._decoded = 0
-        self._tops: dict[str, list[dict[str, Any]]] = {}
+        self._cached_accessors: dict[int, NDArray[Any]] = {}
+        self._decoded_bytes = 0
+        self._top_lists: dict[str, list[dict[str, Any]]] = {}
         version = str(self.get_object(self.tree, "asset").get("version", ""))
         if not version.startswith("2."):
             raise GltfError(f"is glTF {version[:10] or 'without a version'}; only 2.0 is supported", _EXPORT_AGAIN_HELP)
@@ -105,57 +105,57 @@ class GltfDocument:
         """Return the index at a key, below `count`. Return None if the key is absent."""
         return None if key not in holder else self.check_index(holder[key], key, count)
 
-    def check_index(self, value: Any, what: str, count: int) -> int:
-        """Return a value as an index below `count`. `what`: its kind, for messages."""
+    def check_index(self, value: Any, kind: str, count: int) -> int:
+        """Return a value as an index below `count`. `kind`: its kind, for messages."""
         if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < count:
-            raise GltfError(f"names `{what}` {str(value)[:20]}, of which there are {count:,}", _EXPORT_AGAIN_HELP)
+            raise GltfError(f"names `{kind}` {str(value)[:20]}, of which there are {count:,}", _EXPORT_AGAIN_HELP)
         return value
 
-    def top(self, key: str) -> list[dict[str, Any]]:
+    def get_top_list(self, key: str) -> list[dict[str, Any]]:
         """Return a top-level list of the file, such as `nodes`, checked on first use."""
-        if key not in self._tops:
-            self._tops[key] = self.get_objects(self.tree, key)
-        return self._tops[key]
+        if key not in self._top_lists:
+            self._top_lists[key] = self.get_objects(self.tree, key)
+        return self._top_lists[key]
 
-    def get_floats(self, holder: dict[str, Any], key: str, otherwise: tuple[float, ...]) -> NDArray[np.float64]:
-        """Return the numbers at a key, as many as `otherwise` has. If the key is absent, return `otherwise`."""
-        numbers = holder.get(key, otherwise)
-        right = isinstance(numbers, list | tuple) and len(numbers) == len(otherwise)
+    def get_floats(self, holder: dict[str, Any], key: str, default: tuple[float, ...]) -> NDArray[np.float64]:
+        """Return the numbers at a key, as many as `default` has. If the key is absent, return `default`."""
+        numbers = holder.get(key, default)
+        right = isinstance(numbers, list | tuple) and len(numbers) == len(default)
         if not right or not all(isinstance(x, int | float) and not isinstance(x, bool) and abs(x) < 1e30 for x in numbers):
-            raise GltfError(f"has a `{key}` that is not {len(otherwise)} numbers", _EXPORT_AGAIN_HELP)
+            raise GltfError(f"has a `{key}` that is not {len(default)} numbers", _EXPORT_AGAIN_HELP)
         return np.array(numbers, np.float64)
 
-    def name(self, holder: dict[str, Any], otherwise: str) -> str:
-        """Return the name of an object in a form that is safe to display and write. `otherwise`: the result without a name."""
+    def name(self, holder: dict[str, Any], default: str) -> str:
+        """Return the name of an object in a form that is safe to display and write. `default`: the result without a name."""
         text = holder.get("name")
         if not isinstance(text, str) or not text.strip():
-            return otherwise
-        return printable(text[:200])
+            return default
+        return replace_unprintable(text[:200])
 
     # ---- arrays
 
     def read_accessor(self, number: Any, width: int | None = None) -> NDArray[Any]:
         """Return the values (count, width) of an accessor: float64 for floats and for normalized integers, int64 otherwise."""
-        accessors = self.top("accessors")
+        accessors = self.get_top_list("accessors")
         number = self.check_index(number, "accessor", len(accessors))
-        if number not in self._kept:
-            self._kept[number] = self._accessor_values(accessors[number], number)
-        values = self._kept[number]
+        if number not in self._cached_accessors:
+            self._cached_accessors[number] = self._decode_accessor(accessors[number], number)
+        values = self._cached_accessors[number]
         if width is not None and values.shape[1] != width:
             raise GltfError(f"has an accessor {number} of {values.shape[1]} numbers where {width} are needed", _EXPORT_AGAIN_HELP)
         return values
 
-    def _accessor_values(self, accessor: dict[str, Any], number: int) -> NDArray[Any]:
+    def _decode_accessor(self, accessor: dict[str, Any], number: int) -> NDArray[Any]:
         kind, width = (
-            _DTYPE_BY_COMPONENT.get(_as_integer(accessor.get("componentType"))),
+            _DTYPE_BY_COMPONENT.get(_check_integer(accessor.get("componentType"))),
             _COMPONENTS_BY_TYPE.get(str(accessor.get("type"))),
         )
         count = accessor.get("count")
         if kind is None or width is None or isinstance(count, bool) or not isinstance(count, int) or count < 0:
             raise GltfError(f"has an accessor {number} of a kind that is not known", _EXPORT_AGAIN_HELP)
         size = np.dtype(kind).itemsize * width
-        self._decoded += count * max(size, 8 * width)
-        if self._decoded > 4 * limits.MAX_BODY_FILE_BYTES:
+        self._decoded_bytes += count * max(size, 8 * width)
+        if self._decoded_bytes > 4 * limits.MAX_BODY_FILE_BYTES:
             raise GltfError(f"has an accessor {number} of {count:,} values, more than are read", code="too-large")
         if width == 16 and np.dtype(kind).itemsize < 4:
             raise GltfError(f"has an accessor {number} of a kind that is not known", _EXPORT_AGAIN_HELP)
@@ -166,7 +166,7 @@ class GltfDocument:
         if "sparse" in accessor:
             raw = self._apply_sparse(self.get_object(accessor, "sparse"), raw, kind, width)
         if kind == "<f4":
-            return to_float64(raw)
+            return convert_to_float64(raw)
         integers = raw.astype(np.int64)
         if accessor.get("normalized") is not True:
             return integers
@@ -174,7 +174,7 @@ class GltfDocument:
 
     def _apply_sparse(self, sparse: dict[str, Any], raw: NDArray[Any], kind: str, width: int) -> NDArray[Any]:
         indices, values, count = self.get_object(sparse, "indices"), self.get_object(sparse, "values"), sparse.get("count")
-        index_kind = _DTYPE_BY_COMPONENT.get(_as_integer(indices.get("componentType")))
+        index_kind = _DTYPE_BY_COMPONENT.get(_check_integer(indices.get("componentType")))
         if index_kind is None or isinstance(count, bool) or not isinstance(count, int) or not 0 <= count <= len(raw):
             raise GltfError("has a sparse accessor that is invalid", _EXPORT_AGAIN_HELP)
         rows = self._read_rows(indices.get("bufferView"), indices.get("byteOffset", 0), count, index_kind, 1)[:, 0].astype(
@@ -188,7 +188,7 @@ class GltfDocument:
 
     def _read_rows(self, view: Any, start: Any, count: int, kind: str, width: int) -> NDArray[Any]:
         """Return `count` rows of a buffer view, from its byte `start` on."""
-        views = self.top("bufferViews")
+        views = self.get_top_list("bufferViews")
         buffer_view = views[self.check_index(view, "bufferView", len(views))]
         offset, length, stride = buffer_view.get("byteOffset", 0), buffer_view.get("byteLength"), buffer_view.get("byteStride", 0)
         size = np.dtype(kind).itemsize * width
@@ -208,22 +208,22 @@ class GltfDocument:
 
     def read_image_bytes(self, number: int) -> bytes:
         """Return the bytes of an image's file, from a buffer or from a file beside this one."""
-        image = self.top("images")[number]
+        image = self.get_top_list("images")[number]
         if "bufferView" not in image:
             return self._fetch_buffer(image, number)
-        views = self.top("bufferViews")
+        views = self.get_top_list("bufferViews")
         length = views[self.check_index(image["bufferView"], "bufferView", len(views))].get("byteLength")
         if isinstance(length, bool) or not isinstance(length, int) or length < 0:
             raise GltfError("has a buffer view that is invalid", _EXPORT_AGAIN_HELP)
         return self._read_rows(image["bufferView"], 0, length, "u1", 1).tobytes()
 
     def _read_buffer(self, number: Any) -> bytes:
-        buffers = self.top("buffers")
+        buffers = self.get_top_list("buffers")
         number = self.check_index(number, "buffer", len(buffers))
         if number not in self._buffers:
             data = self._fetch_buffer(buffers[number], number)
-            self._left -= len(data)
-            if self._left < 0:
+            self._remaining_bytes -= len(data)
+            if self._remaining_bytes < 0:
                 raise GltfError(f"has buffers of more than {limits.MAX_BODY_FILE_BYTES:,} bytes", code="too-large")
             self._buffers[number] = data
         return self._buffers[number]
@@ -242,10 +242,10 @@ class GltfDocument:
                 return b64decode(body, validate=True)
             except (binascii.Error, ValueError):
                 raise GltfError(f"has a buffer {number} that is not written as base64", _EXPORT_AGAIN_HELP) from None
-        return self._beside(unquote(uri), self._left)
+        return self._read_sibling(unquote(uri), self._remaining_bytes)
 
 
-def _as_integer(value: Any) -> int:
+def _check_integer(value: Any) -> int:
     return value if isinstance(value, int) and not isinstance(value, bool) else -1
 
 
@@ -279,7 +279,7 @@ def _parse_json(text: bytes) -> dict[str, Any]:
         words = f"has more than {limits.MAX_BODY_JSON_BYTES:,} bytes of JSON"
         raise GltfError(words, "write its buffers to a .bin file", "too-large")
     try:
-        document = json.loads(text.decode("utf-8-sig"), parse_constant=_refuse_constant)
+        document = json.loads(text.decode("utf-8-sig"), parse_constant=_reject_constant)
     except (ValueError, RecursionError):
         raise GltfError("is not glTF: its JSON cannot be read", _EXPORT_AGAIN_HELP) from None
     if not isinstance(document, dict):
@@ -287,16 +287,16 @@ def _parse_json(text: bytes) -> dict[str, Any]:
     return document
 
 
-def _refuse_constant(word: str) -> float:
+def _reject_constant(word: str) -> float:
     raise ValueError(word)
 
 
 # ---- nodes
 
 
-def node_parents(file: GltfDocument) -> list[int]:
+def find_node_parents(file: GltfDocument) -> list[int]:
     """Return the parent of each node, -1 for a root. Raises GltfError if the nodes are not a tree."""
-    nodes = file.top("nodes")
+    nodes = file.get_top_list("nodes")
     if len(nodes) > _MAX_NODES:
         raise GltfError(f"has {len(nodes):,} nodes, more than are read", code="too-large")
     parents = [-1] * len(nodes)
@@ -321,16 +321,16 @@ def node_parents(file: GltfDocument) -> list[int]:
     return parents
 
 
-def scene_roots(file: GltfDocument) -> list[int]:
+def find_scene_roots(file: GltfDocument) -> list[int]:
     """Return the root nodes of the file's scene; none if it has no scene."""
-    nodes, scenes = file.top("nodes"), file.top("scenes")
+    nodes, scenes = file.get_top_list("nodes"), file.get_top_list("scenes")
     scene = file.get_index(file.tree, "scene", len(scenes)) or 0
     return [file.check_index(root, "node", len(nodes)) for root in file.get_list(scenes[scene], "nodes")] if scenes else []
 
 
-def nodes_below(file: GltfDocument, roots: Iterable[int]) -> list[int]:
+def find_nodes_below(file: GltfDocument, roots: Iterable[int]) -> list[int]:
     """Return `roots` and all their descendants: parents first, children in the order of the file."""
-    nodes, ordered_nodes = file.top("nodes"), []
+    nodes, ordered_nodes = file.get_top_list("nodes"), []
     visited: set[int] = set()
     waiting = list(reversed(list(roots)))
     while waiting:
@@ -345,14 +345,14 @@ def nodes_below(file: GltfDocument, roots: Iterable[int]) -> list[int]:
 # ---- triangles
 
 
-def primitive_triangles(file: GltfDocument, primitive: dict[str, Any], points: int) -> tuple[NDArray[np.int64], int]:
+def make_primitive_triangles(file: GltfDocument, primitive: dict[str, Any], points: int) -> tuple[NDArray[np.int64], int]:
     """Return the triangles (n, 3) of a primitive with `points` points. The primitive is a list, a strip or a fan.
 
     The second result is the number of corners that remain at the end, too few for a triangle."""
     corners = file.read_accessor(primitive["indices"], 1)[:, 0].astype(np.int64) if "indices" in primitive else np.arange(points)
     mode = primitive.get("mode", TRIANGLES_MODE)
     if mode == STRIP_MODE:
-        triangles = strip_triangles(corners)
+        triangles = split_strip(corners)
     elif mode == TRIANGLES_MODE or len(corners) < 3:
         triangles = corners[: len(corners) // 3 * 3].reshape(-1, 3)
     else:

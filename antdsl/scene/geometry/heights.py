@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
-from antdsl.scene.geometry.arrays import ArrayFileError, read_archive, to_float64
+from antdsl.scene.geometry.arrays import ArrayFileError, convert_to_float64, read_archive
 from antdsl.scene.geometry.mesh_text import MeshError
 
 Floats = NDArray[np.float64]
@@ -54,7 +54,7 @@ def _read_image(data: bytes, form: str) -> Floats:
         raise MeshError("has several pages", "save one of them")
     if image.samples is None:
         raise MeshError(f"has no samples of 16 bits in one channel (its mode is {image.mode})", "save it as grey with 16 bits")
-    samples = to_float64(image.samples)
+    samples = convert_to_float64(image.samples)
     return samples if image.mode == "F" else samples / _MAX_GREY_SAMPLE
 
 
@@ -82,7 +82,7 @@ def _read_array(data: bytes, array: str | None, layer: int | None) -> Floats:
     if samples.ndim != 2:
         raise MeshError(f"has an array with {samples.ndim} dimensions", "save one with rows and columns")
     _check_size(*samples.shape)
-    return to_float64(samples)
+    return convert_to_float64(samples)
 
 
 def _check_size(rows: int, columns: int) -> None:
@@ -93,7 +93,7 @@ def _check_size(rows: int, columns: int) -> None:
         raise MeshError(words, "use a smaller one")
 
 
-def height_surface(heights: Floats, extent: tuple[float, float]) -> tuple[Floats, NDArray[np.int64]]:
+def make_height_surface(heights: Floats, extent: tuple[float, float]) -> tuple[Floats, NDArray[np.int64]]:
     """Return vertices (n, 3) and faces (m, 3) of heights [rows, columns]. The surface is centred at the origin, with y up.
 
     `extent`: the size in x and z.
@@ -110,7 +110,7 @@ def height_surface(heights: Floats, extent: tuple[float, float]) -> tuple[Floats
     return vertices.reshape(-1, 3), faces.reshape(-1, 3).astype(np.int64)
 
 
-def surface_deviation(heights: Floats) -> float:
+def compute_deviation(heights: Floats) -> float:
     """Return the largest distance between the triangles and the bilinear surface through the samples.
 
     It is in the middle of a cell: a quarter of the cell's twist, the difference of the sums of its diagonal corners."""

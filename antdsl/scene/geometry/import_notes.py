@@ -19,21 +19,21 @@ class SkippedElement:
 class ImportNotes:
     """Notes on one mesh file.
 
-    `cut`: polygons with more than three corners.
-    `concave`: polygons in `cut` with a corner that points inward.
-    `crossing`: polygons that cut or cover themselves.
+    `cut_polygons`: polygons with more than three corners.
+    `concave_polygons`: polygons in `cut_polygons` with a corner that points inward.
+    `crossing_polygons`: polygons that cut or cover themselves.
     `crossing_face`: the index of the first of these."""
 
     form: str = ""
     vertices: int = 0
     triangles: int = 0
-    cut: int = 0
-    concave: int = 0
-    crossing: int = 0
+    cut_polygons: int = 0
+    concave_polygons: int = 0
+    crossing_polygons: int = 0
     crossing_face: int = 0
     skipped: dict[str, SkippedElement] = field(default_factory=dict)
 
-    def skip(self, what: str, count: int = 1, line: int | None = None) -> None:
+    def count_skipped(self, what: str, count: int = 1, line: int | None = None) -> None:
         """Count elements `what` that are not read."""
         if not count:
             return
@@ -43,7 +43,7 @@ class ImportNotes:
             self.skipped.setdefault(what, SkippedElement(what, 0, line))
         self.skipped[what].count += count
 
-    def skipped_phrases(self) -> list[str]:
+    def describe_skipped(self) -> list[str]:
         """Return the skipped elements as phrases, such as `3 × `l` (line 8)`."""
         return [
             (f"{each.count:,} × " if each.count > 1 else "") + each.what + ("" if each.line is None else f" (line {each.line:,})")
@@ -82,25 +82,25 @@ class MeshImport:
     left: int | None = None
 
 
-def import_lines(mesh_import: MeshImport, units: str) -> Iterator[str]:
+def format_import_report(mesh_import: MeshImport, units: str) -> Iterator[str]:
     """Yield the lines of the report as text."""
-    counts = f"{_count_phrase(mesh_import.vertices, 'vertex', 'vertices')}, {_count_phrase(mesh_import.triangles, 'triangle')}"
+    counts = f"{_format_count(mesh_import.vertices, 'vertex', 'vertices')}, {_format_count(mesh_import.triangles, 'triangle')}"
     yield f"{mesh_import.file}, {mesh_import.form}: {counts}"
     size = " × ".join(f"{high - low:.9g}" for low, high in zip(mesh_import.low, mesh_import.high, strict=True))
     low, high = (", ".join(f"{x:.9g}" for x in corner) for corner in (mesh_import.low, mesh_import.high))
     yield f"{size} {units}, from [{low}] to [{high}]"
     changes = [
-        f"{_count_phrase(mesh_import.polygons, 'polygon')} triangulated"
+        f"{_format_count(mesh_import.polygons, 'polygon')} triangulated"
         + (f", {mesh_import.concave:,} of them concave" if mesh_import.concave else "")
         + (f", {mesh_import.crossing:,} crossing themselves" if mesh_import.crossing else "")
         if mesh_import.polygons
         else "",
-        f"{_count_phrase(mesh_import.welded, 'vertex', 'vertices')} welded" if mesh_import.welded else "",
-        f"{_count_phrase(mesh_import.dropped, 'degenerate or doubled triangle')} dropped"
-        + (f", {_count_phrase(mesh_import.left, 'triangle')} left" if mesh_import.left is not None else "")
+        f"{_format_count(mesh_import.welded, 'vertex', 'vertices')} welded" if mesh_import.welded else "",
+        f"{_format_count(mesh_import.dropped, 'degenerate or doubled triangle')} dropped"
+        + (f", {_format_count(mesh_import.left, 'triangle')} left" if mesh_import.left is not None else "")
         if mesh_import.dropped
         else "",
-        f"open, {_count_phrase(mesh_import.border_edges, 'border edge')}"
+        f"open, {_format_count(mesh_import.border_edges, 'border edge')}"
         if mesh_import.border_edges
         else "closed, no border edges",
     ]
@@ -109,5 +109,5 @@ def import_lines(mesh_import: MeshImport, units: str) -> Iterator[str]:
         yield f"not read: {', '.join(mesh_import.skipped)}"
 
 
-def _count_phrase(number: int, one: str, many: str | None = None) -> str:
-    return f"{number:,} {one if number == 1 else many or one + 's'}"
+def _format_count(number: int, singular: str, plural: str | None = None) -> str:
+    return f"{number:,} {singular if number == 1 else plural or singular + 's'}"

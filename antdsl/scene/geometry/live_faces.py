@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.numerics.near_pairs import pairs_within
+from antdsl.numerics.near_pairs import find_pairs_within
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -20,13 +20,13 @@ _FACES_TRIED_FIRST = 8  # faces that are examined before all others
 
 def has_area(a: Floats, b: Floats, c: Floats) -> NDArray[np.bool_]:
     """Return whether each triangle with the corners a, b, c (m, 3) has an area."""
-    area = _length(np.cross(b - a, c - a))
-    longest = np.maximum.reduce([_length(edge) for edge in (b - a, c - a, c - b)])
+    area = _compute_lengths(np.cross(b - a, c - a))
+    longest = np.maximum.reduce([_compute_lengths(edge) for edge in (b - a, c - a, c - b)])
     return np.asarray((area > _FLAT_TRIANGLE_RATIO * longest * longest) & (area > 0))
 
 
-def live_faces(numbers: Ints, a: Floats, b: Floats, c: Floats) -> NDArray[np.bool_]:
-    """Return whether each face with the corners a, b, c (m, 3) is ground. `numbers`: the result of `corner_numbers`."""
+def find_live_faces(numbers: Ints, a: Floats, b: Floats, c: Floats) -> NDArray[np.bool_]:
+    """Return whether each face with the corners a, b, c (m, 3) is ground. `numbers`: the result of `number_corners`."""
     live = has_area(a, b, c)
     key = np.sort(numbers, axis=1)
     live &= (key[:, 0] != key[:, 1]) & (key[:, 1] != key[:, 2])
@@ -41,7 +41,7 @@ def has_live_face(vertices: Floats, faces: Ints, extent: float) -> bool:
 
     Usually one of the largest faces has corners far from all others. Then not all corners need numbers."""
     a, b, c = (vertices[faces[:, k]] for k in range(3))
-    area = np.where(has_area(a, b, c), _length(np.cross(b - a, c - a)), 0.0)
+    area = np.where(has_area(a, b, c), _compute_lengths(np.cross(b - a, c - a)), 0.0)
     clearance = _ISOLATION_GRAINS * extent * _JOIN_DISTANCE
     for face in np.argsort(-area, kind="stable")[:_FACES_TRIED_FIRST]:
         if not area[face]:
@@ -52,15 +52,15 @@ def has_live_face(vertices: Floats, faces: Ints, extent: float) -> bool:
             isolated_count += not ((away > 0) & (away <= clearance)).any()
         if isolated_count >= 2:
             return True
-    return bool(live_faces(corner_numbers(vertices, faces, np.zeros(len(faces), np.int32), extent), a, b, c).any())
+    return bool(find_live_faces(number_corners(vertices, faces, np.zeros(len(faces), np.int32), extent), a, b, c).any())
 
 
-def _length(v: Floats) -> Floats:
+def _compute_lengths(v: Floats) -> Floats:
     length: Floats = np.sqrt((v * v).sum(axis=1))
     return length
 
 
-def corner_numbers(vertices: Floats, faces: Ints, mesh: Ints, extent: float) -> Ints:
+def number_corners(vertices: Floats, faces: Ints, mesh: Ints, extent: float) -> Ints:
     """Return numbers int32[m, 3] of the corners of faces. Corners of one mesh at one position share a number.
 
     `vertices` float64[n, 3]; `faces` int32[m, 3].
@@ -78,7 +78,7 @@ def corner_numbers(vertices: Floats, faces: Ints, mesh: Ints, extent: float) -> 
     return weld.reshape(-1, 3)
 
 
-def component_numbers(pairs: NDArray[np.int64], count: int) -> NDArray[np.int32]:
+def number_components(pairs: NDArray[np.int64], count: int) -> NDArray[np.int32]:
     """Return the connected component int32[count] of each node. `pairs` (k, 2): the nodes that are connected.
 
     Components are numbered from 0, in the order of their first nodes."""
@@ -99,9 +99,9 @@ def _merge_cells(points: Floats, owner: Ints, cell: NDArray[np.int64], grain: fl
     """Return new cell numbers int64[n]. Cells of one owner share a number if they have corners nearer to each other than
     `grain`."""
     begin = np.unique(cell, return_index=True)[1]
-    near = np.stack(pairs_within(points[begin], grain), axis=1)
+    near = np.stack(find_pairs_within(points[begin], grain), axis=1)
     near = near[owner[begin][near[:, 0]] == owner[begin][near[:, 1]]]
     if not near.size:
         return cell
-    joined: NDArray[np.int64] = component_numbers(near, begin.size).astype(np.int64)[cell]
+    joined: NDArray[np.int64] = number_components(near, begin.size).astype(np.int64)[cell]
     return joined

@@ -14,17 +14,17 @@ Floats = NDArray[np.float64]
 _FULL_TURN = Decimal("6.28318530717958647692528676655900576839433879875021164194988918")
 
 
-def still(*shape: int) -> Floats:
+def make_identity_transforms(*shape: int) -> Floats:
     """Return identity transforms (*shape, 3, 4)."""
     transforms = np.zeros((*shape, 3, 4))
     transforms[..., [0, 1, 2], [0, 1, 2]] = 1.0
     return transforms
 
 
-def transform_of_parts(translation: Floats, rotation: Floats, scale: Floats) -> Floats:
+def make_transform(translation: Floats, rotation: Floats, scale: Floats) -> Floats:
     """Return the transform (3, 4) that scales, then rotates, then translates. `rotation`: a quaternion x y z w of any length."""
     x, y, z, w = rotation / max(float(np.sqrt((rotation * rotation).sum())), 1e-30)
-    transform = still()
+    transform = make_identity_transforms()
     transform[:, :3] = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
         [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
@@ -35,25 +35,25 @@ def transform_of_parts(translation: Floats, rotation: Floats, scale: Floats) -> 
     return transform
 
 
-def compose(outer: Floats, inner: Floats) -> Floats:
+def compose_transforms(outer: Floats, inner: Floats) -> Floats:
     """Return the transform that applies `inner` first, then `outer`."""
-    composed = matrix_product(outer[..., :3], inner)
+    composed = multiply_matrices(outer[..., :3], inner)
     composed[..., 3] += outer[..., 3]
     return composed
 
 
-def matrix_product(a: Floats, b: Floats) -> Floats:
+def multiply_matrices(a: Floats, b: Floats) -> Floats:
     """Return the product of matrices (…, j, 3) and (…, 3, k)."""
     result: Floats = (a[..., 0, None] * b[..., 0:1, :] + a[..., 1, None] * b[..., 1:2, :]) + a[..., 2, None] * b[..., 2:3, :]
     return result
 
 
-def determinant(transform: Floats) -> float:
+def compute_determinant(transform: Floats) -> float:
     """Return the determinant of a transform (3, 4): the factor by which volumes grow, negative if it mirrors."""
-    return float(determinants(transform))
+    return float(compute_determinants(transform))
 
 
-def determinants(transforms: Floats) -> Floats:
+def compute_determinants(transforms: Floats) -> Floats:
     """Return the determinants (…) of transforms (…, 3, 4)."""
     a, b, c = (transforms[..., row, :3] for row in range(3))
     across = np.cross(b, c)
@@ -61,13 +61,13 @@ def determinants(transforms: Floats) -> Floats:
     return result
 
 
-def uniform_scale(transform: Floats) -> float:
+def find_uniform_scale(transform: Floats) -> float:
     """Return the factor by which a transform scales lengths. It must be the same in all directions."""
     with localcontext(prec=40):
-        return float(abs(Decimal(determinant(transform))) ** (Decimal(1) / 3)) if determinant(transform) else 0.0
+        return float(abs(Decimal(compute_determinant(transform))) ** (Decimal(1) / 3)) if compute_determinant(transform) else 0.0
 
 
-def cosine_and_sine(angle: float) -> tuple[float, float]:
+def compute_cosine_and_sine(angle: float) -> tuple[float, float]:
     """Return cosine and sine of an angle in radians, correct to the last bit, by their series in decimal numbers."""
     with localcontext(prec=60):
         x = Decimal(angle) % _FULL_TURN
@@ -79,23 +79,23 @@ def cosine_and_sine(angle: float) -> tuple[float, float]:
         return float(sums[0]), float(sums[1])
 
 
-def inverses(transforms: Floats) -> Floats:
+def invert_transforms(transforms: Floats) -> Floats:
     """Return the inverses of transforms (…, 3, 4). All of them must be invertible."""
     a, b, c = (transforms[..., row, :3] for row in range(3))
-    turn = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=-1) / determinants(transforms)[..., None, None]
-    return np.concatenate([turn, -matrix_product(turn, transforms[..., 3:])], axis=-1)
+    turn = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=-1) / compute_determinants(transforms)[..., None, None]
+    return np.concatenate([turn, -multiply_matrices(turn, transforms[..., 3:])], axis=-1)
 
 
 def has_inverse(transform: Floats) -> bool:
     """Return whether a transform has an inverse. A transform that flattens space has none."""
-    return bool(have_inverses(transform))
+    return bool(find_invertible(transform))
 
 
-def have_inverses(transforms: Floats) -> NDArray[np.bool_]:
+def find_invertible(transforms: Floats) -> NDArray[np.bool_]:
     """Return whether each of the transforms (…, 3, 4) has an inverse."""
     turn = transforms[..., :3].reshape(*transforms.shape[:-2], 9)
     square = (turn * turn).sum(axis=-1)
-    is_large = np.abs(determinants(transforms)) > 1e-12 * square * np.sqrt(square)
+    is_large = np.abs(compute_determinants(transforms)) > 1e-12 * square * np.sqrt(square)
     return np.asarray(np.isfinite(transforms).all(axis=(-2, -1)) & is_large)
 
 
@@ -106,7 +106,7 @@ def apply_transforms(transform: Floats, points: Floats) -> Floats:
     return result
 
 
-def distinct_points(points: Floats) -> tuple[NDArray[np.int64], NDArray[np.bool_], NDArray[np.int64]]:
+def find_distinct_points(points: Floats) -> tuple[NDArray[np.int64], NDArray[np.bool_], NDArray[np.int64]]:
     """Return the distinct points among points (n, 3). Zero and minus zero are equal.
 
     Results: the order by x, y, z; a mask of the points that differ from the previous one in this order; and for each point, the

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
-from antdsl.diagnostics.model import printable
+from antdsl.diagnostics.model import replace_unprintable
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -46,16 +46,16 @@ class MeshError(Exception):
         self.help = help
 
 
-def display_word(word: bytes, most: int = 20) -> str:
-    """Return a word of an untrusted file in a form that is safe in a message, limited to `most` characters."""
-    text = word[:most].decode("ascii", "replace")
-    return printable(text)
+def format_word(word: bytes, max_characters: int = 20) -> str:
+    """Return a word of an untrusted file in a form that is safe in a message, limited to `max_characters` characters."""
+    text = word[:max_characters].decode("ascii", "replace")
+    return replace_unprintable(text)
 
 
-def check_count(count: int, most: int, what: str) -> None:
-    """Raise MeshError if `count` is larger than `most`. `what`: the counted things, in the plural."""
-    if count > most:
-        raise MeshError(f"has more than {most:,} {what}", "use a lighter mesh")
+def check_count(count: int, max_count: int, plural: str) -> None:
+    """Raise MeshError if `count` is larger than `max_count`. `plural`: the counted things, in the plural."""
+    if count > max_count:
+        raise MeshError(f"has more than {max_count:,} {plural}", "use a lighter mesh")
 
 
 def check_text(data: bytes) -> None:
@@ -66,7 +66,7 @@ def check_text(data: bytes) -> None:
         raise MeshError("is not a text file")
 
 
-def plain_text(data: bytes, wavefront: bool = False) -> bytes:
+def normalise_text(data: bytes, wavefront: bool = False) -> bytes:
     """Return text with line feeds between lines, without byte order mark and comments.
 
     A comment begins with `#` at the start of a word. After the numbers of a vertex or face, it also begins within a word. For
@@ -82,11 +82,11 @@ def plain_text(data: bytes, wavefront: bool = False) -> bytes:
         data = _COMMENT_OR_NAME_PATTERN.sub(rb"\1", data) if wavefront else _COMMENT_PATTERN.sub(b"", data)
         data = _ADJACENT_COMMENT_PATTERN.sub(rb"\1", data) if b"#" in data else data
     if wavefront and b"\\" in data:
-        data = _CONTINUATION_PATTERN.sub(_continuation, data)
+        data = _CONTINUATION_PATTERN.sub(_replace_continuation, data)
     return data
 
 
-def _continuation(end: re.Match[bytes]) -> bytes:
+def _replace_continuation(end: re.Match[bytes]) -> bytes:
     """Return the replacement for `\\\\` at the end of a line. In a line with a name, it stays as it is."""
     line = end.string[end.string.rfind(b"\n", 0, end.start()) + 1 : end.start()]
     return end[0] if line.lstrip()[:8].lower().split(None, 1)[:1] in _NAME_KEYWORDS else _CONTINUATION_BYTE
@@ -118,7 +118,7 @@ class TextBlock:
             self._words.append(self.data.tobytes().split())
         return self._words[0]
 
-    def slice(self, begin: int, stop: int) -> TextBlock:
+    def select_lines(self, begin: int, stop: int) -> TextBlock:
         """Return a block with the lines `begin` to before `stop`."""
         part = slice(begin, stop)
         return TextBlock(self.number[part], self.first[part], self.count[part], self.start, self.end, self.data, self._words)
@@ -127,7 +127,7 @@ class TextBlock:
         """Return the words of the k-th line."""
         return self.words[self.first[k] : self.first[k] + self.count[k]]
 
-    def line_keywords(self) -> NDArray[np.bytes_]:
+    def find_line_keywords(self) -> NDArray[np.bytes_]:
         """Return the first word of each line in lower case, limited to 8 letters."""
         start, stop = self.start[self.first], self.end[self.first]
         found = np.zeros((len(self), 8), np.uint8)
@@ -137,10 +137,10 @@ class TextBlock:
         found[(found >= 65) & (found <= 90)] += 32
         return found.view("S8")[:, 0]
 
-    def read_floats(self, at: Integers, what: str) -> Floats:
-        """Return the words at indices `at` as numbers, in the same shape. Raises MeshError with the line of the first invalid
-        number."""
-        flat = at.ravel()
+    def read_floats(self, word_indices: Integers, what: str) -> Floats:
+        """Return the words at indices `word_indices` as numbers, in the same shape. Raises MeshError with the line of the first
+        invalid number."""
+        flat = word_indices.ravel()
         longest = int((self.end[flat] - self.start[flat]).max(initial=0))
         words = self.words
         if len(flat) and flat[-1] - flat[0] == len(flat) - 1 and (np.diff(flat) == 1).all():
@@ -153,32 +153,32 @@ class TextBlock:
             numbers = np.fromiter(map(float, chosen), np.float64, len(chosen))
         except ValueError:
             numbers = np.array([self._read_number(word, int(k), what) for word, k in zip(chosen, flat.tolist(), strict=True)])
-        return numbers.reshape(at.shape)
+        return numbers.reshape(word_indices.shape)
 
-    def _read_number(self, word: bytes, at: int, what: str) -> float:
+    def _read_number(self, word: bytes, word_index: int, what: str) -> float:
         try:
             if len(word) > _MAX_NUMBER_BYTES or b"_" in word:
                 raise ValueError
             return float(word)
         except ValueError:
             decimal = re.fullmatch(rb"[+-]?[0-9]+,[0-9]+(?:[eE][+-]?[0-9]+)?", word)
-            help = f"write decimal points, such as `{display_word(word.replace(b',', b'.'))}`" if decimal else _EXPORT_AGAIN_HELP
-            words = f"has in line {self.line_number(at):,} `{display_word(word)}` for {what}, which is not a number"
+            help = f"write decimal points, such as `{format_word(word.replace(b',', b'.'))}`" if decimal else _EXPORT_AGAIN_HELP
+            words = f"has in line {self.find_line_number(word_index):,} `{format_word(word)}` for {what}, which is not a number"
             raise MeshError(words, help) from None
 
-    def line_number(self, at: int) -> int:
-        """Return the line number of the word at index `at`."""
-        return int(self.number[np.searchsorted(self.first, at, side="right") - 1])
+    def find_line_number(self, word_index: int) -> int:
+        """Return the line number of the word at index `word_index`."""
+        return int(self.number[np.searchsorted(self.first, word_index, side="right") - 1])
 
-    def read_integers(self, at: Integers, slash: bool = False) -> tuple[Integers, NDArray[np.bool_]]:
-        """Return the words at indices `at` as integers, and whether each word is an integer.
+    def read_integers(self, word_indices: Integers, slash: bool = False) -> tuple[Integers, NDArray[np.bool_]]:
+        """Return the words at indices `word_indices` as integers, and whether each word is an integer.
 
         With `slash`, only the part before a slash counts, as in `1/2/3`."""
-        start, end = self.start[at], self.end[at]
+        start, end = self.start[word_indices], self.end[word_indices]
         negative = self.data[start] == 45
         start = start + negative
-        value = np.zeros(at.shape, np.int64)
-        running, length = start < end, np.zeros(at.shape, np.int64)
+        value = np.zeros(word_indices.shape, np.int64)
+        running, length = start < end, np.zeros(word_indices.shape, np.int64)
         for k in range(_MAX_INTEGER_DIGITS + 1):
             digit = self.data[np.minimum(start + k, len(self.data) - 1)].astype(np.int64) - 48
             running = running & (start + k < end) & (digit >= 0) & (digit <= 9)
@@ -190,12 +190,14 @@ class TextBlock:
         is_integer = stop >= end
         if slash and (slashes := self.data == 47).any():
             slash_counts = np.concatenate(([0], np.cumsum(slashes)))
-            is_integer |= slashes[np.minimum(stop, len(self.data) - 1)] & (slash_counts[end] - slash_counts[self.start[at]] <= 2)
+            is_integer |= slashes[np.minimum(stop, len(self.data) - 1)] & (
+                slash_counts[end] - slash_counts[self.start[word_indices]] <= 2
+            )
         return np.where(negative, -value, value), (length > 0) & (length <= _MAX_INTEGER_DIGITS) & is_integer
 
 
 def read_blocks(text: bytes, number: int = 1) -> Iterator[TextBlock]:
-    """Yield the lines of a `plain_text` in blocks. Raises MeshError for a line that is too long.
+    """Yield the lines of a `normalise_text` in blocks. Raises MeshError for a line that is too long.
 
     `number`: the number of the first line in the file."""
     at = 0

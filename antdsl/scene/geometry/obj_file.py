@@ -27,9 +27,9 @@ def read_obj(data: bytes, notes: ImportNotes, group: str | None = None) -> Polyg
     notes.form = "Wavefront .obj"
     mesh_text.check_text(data)
     reader = _ObjReader(notes, group)
-    for block in mesh_text.read_blocks(mesh_text.plain_text(data, wavefront=True)):
+    for block in mesh_text.read_blocks(mesh_text.normalise_text(data, wavefront=True)):
         reader.read_block(block)
-    return reader.mesh()
+    return reader.make_mesh()
 
 
 @dataclass(slots=True)
@@ -50,12 +50,12 @@ class _ObjReader:
 
     def read_block(self, block: mesh_text.TextBlock) -> None:
         """Read the lines of a block."""
-        kind = block.line_keywords()
+        kind = block.find_line_keywords()
         vertex, face = kind == b"v", (kind == b"f") | (kind == b"fo")
         vertex_counts = self.vertices + np.cumsum(vertex)
         if vertex.any():
             self._read_vertices(block.number[vertex], block.first[vertex], block.count[vertex], block)
-        within = np.ones(len(block), np.bool_) if self.group is None else self._is_chosen(block, kind)
+        within = np.ones(len(block), np.bool_) if self.group is None else self._select_group_lines(block, kind)
         chosen = face & within
         if chosen.any():
             self._read_faces(block, np.flatnonzero(chosen), vertex_counts[chosen])
@@ -66,11 +66,11 @@ class _ObjReader:
                 continue
             line = int(block.number[k])
             if word in _SKIPPED_ELEMENT_NAMES:
-                self.notes.skip(f"{_SKIPPED_ELEMENT_NAMES[word]} (`{word.decode()}`)", 1, line)
+                self.notes.count_skipped(f"{_SKIPPED_ELEMENT_NAMES[word]} (`{word.decode()}`)", 1, line)
             elif word in _FREE_FORM_KEYWORDS:
-                self.notes.skip("free-form geometry", 1, line)
+                self.notes.count_skipped("free-form geometry", 1, line)
             else:
-                self.notes.skip(f"unknown keyword `{mesh_text.display_word(word)}`", 1, line)
+                self.notes.count_skipped(f"unknown keyword `{mesh_text.format_word(word)}`", 1, line)
 
     def _read_vertices(
         self, number: mesh_text.Integers, first: mesh_text.Integers, count: mesh_text.Integers, block: mesh_text.TextBlock
@@ -95,18 +95,18 @@ class _ObjReader:
         index, is_integer = block.read_integers(at, slash=True)
         wrong = np.flatnonzero(~is_integer | (index == 0))
         if len(wrong):
-            word = mesh_text.display_word(block.words[at[wrong[0]]])
-            line = block.line_number(int(at[wrong[0]]))
+            word = mesh_text.format_word(block.words[at[wrong[0]]])
+            line = block.find_line_number(int(at[wrong[0]]))
             raise mesh_text.MeshError(f"has a corner `{word}` that is no vertex number in line {line:,}")
         back = np.repeat(vertex_counts, count)
         absent = np.flatnonzero(index < -back)
         if len(absent):
-            raise mesh_text.MeshError(_missing_vertex_text(int(index[absent[0]]), block.line_number(int(at[absent[0]]))))
+            raise mesh_text.MeshError(_describe_missing_vertex(int(index[absent[0]]), block.find_line_number(int(at[absent[0]]))))
         self.indices.append(np.where(index < 0, back + index, index - 1))
         self.counts.append(count)
         self.lines.append(number)
 
-    def _is_chosen(self, block: mesh_text.TextBlock, kind: NDArray[np.bytes_]) -> NDArray[np.bool_]:
+    def _select_group_lines(self, block: mesh_text.TextBlock, kind: NDArray[np.bytes_]) -> NDArray[np.bool_]:
         """Return whether each line of a block belongs to the requested group or object."""
         is_chosen = np.zeros(len(block), np.bool_)
         begin = 0
@@ -125,29 +125,31 @@ class _ObjReader:
         is_chosen[begin:] = self.in_group or self.in_object
         return is_chosen
 
-    def mesh(self) -> PolygonMesh:
+    def make_mesh(self) -> PolygonMesh:
         """Return the mesh of all lines read."""
         if self.group is not None and not self.counts:
-            raise mesh_text.MeshError(_missing_group_text(self.group, list(self.names)), None)
+            raise mesh_text.MeshError(_describe_missing_group(self.group, list(self.names)), None)
         points = np.concatenate(self.points) if self.points else np.empty((0, 3))
         indices = np.concatenate(self.indices) if self.indices else np.empty(0, np.int64)
         counts = np.concatenate(self.counts) if self.counts else np.empty(0, np.int64)
         absent = np.flatnonzero(indices >= len(points))
         if len(absent):
             face = int(np.searchsorted(np.cumsum(counts), absent[0], side="right"))
-            raise mesh_text.MeshError(_missing_vertex_text(int(indices[absent[0]]) + 1, int(np.concatenate(self.lines)[face])))
+            raise mesh_text.MeshError(
+                _describe_missing_vertex(int(indices[absent[0]]) + 1, int(np.concatenate(self.lines)[face]))
+            )
         return PolygonMesh(points, counts, indices)
 
 
-def _missing_vertex_text(vertex: int, line: int) -> str:
+def _describe_missing_vertex(vertex: int, line: int) -> str:
     return f"names a vertex {vertex} that is not there in line {line:,}"
 
 
-def _missing_group_text(group: str, names: list[str]) -> str:
-    from antdsl.diagnostics.suggestion import nearest_name
+def _describe_missing_group(group: str, names: list[str]) -> str:
+    from antdsl.diagnostics.suggestion import find_nearest_name
 
     if group in names:
         return f"has no faces in its group `{group}`"
-    near = nearest_name(group, names)
+    near = find_nearest_name(group, names)
     hint = f"did you mean `{near}`?" if near else "it has " + (", ".join(f"`{n[:40]}`" for n in names[:8]) or "no groups")
     return f"has no group `{group[:60]}`: {hint}"

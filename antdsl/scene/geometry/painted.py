@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
-from antdsl.scene.geometry.arrays import ArrayFileError, read_arrays, to_float64
+from antdsl.scene.geometry.arrays import ArrayFileError, convert_to_float64, read_arrays
 from antdsl.scene.geometry.ply import HeaderError, PlyElement, PlyHeader, read_header
 from antdsl.scene.geometry.ply_body import read_columns
 
@@ -20,8 +20,8 @@ _COMPONENT_NAME_PATTERNS = (("{}_x", "{}_y", "{}_z"), ("{}.x", "{}.y", "{}.z"), 
 class PaintError(Exception):
     """Reason why a file lacks the requested data. The message fits after the file's name; `help` says what to write."""
 
-    def __init__(self, words: str, help: str | None = None) -> None:
-        super().__init__(words)
+    def __init__(self, message: str, help: str | None = None) -> None:
+        super().__init__(message)
         self.help = help
 
 
@@ -44,14 +44,14 @@ def read_painted_values(data: bytes, name: str, attribute: str | tuple[str, ...]
     return rows
 
 
-def _list_names(names: Sequence[str]) -> str:
+def _format_names(names: Sequence[str]) -> str:
     return ", ".join(f"`{name[:40]}`" for name in list(names)[:12]) or "nothing"
 
 
 # --- .ply ------------------------------------------------------------------------------------------------------------
 
 
-def _from_ply(data: bytes, attribute: str | tuple[str, ...], width: int) -> Floats:
+def _read_ply_attribute(data: bytes, attribute: str | tuple[str, ...], width: int) -> Floats:
     try:
         header = read_header(data)
         for element in header.elements:
@@ -64,7 +64,7 @@ def _from_ply(data: bytes, attribute: str | tuple[str, ...], width: int) -> Floa
     words = " ".join(attribute) if isinstance(attribute, tuple) else attribute
     sample = "attribute: [nx, ny, nz]" if width == 3 else "attribute: NAME"
     what = "three attributes" if width == 3 else "attribute"
-    raise PaintError(f"has no {what} `{words}`", f"write `{sample}`; the file has {_list_names(painted)}")
+    raise PaintError(f"has no {what} `{words}`", f"write `{sample}`; the file has {_format_names(painted)}")
 
 
 def _find_columns(element: PlyElement, attribute: str | tuple[str, ...], width: int) -> tuple[str, ...] | None:
@@ -94,7 +94,7 @@ def _read_scaled(data: bytes, header: PlyHeader, element: PlyElement, columns: t
 # --- .npz ------------------------------------------------------------------------------------------------------------
 
 
-def _from_npz(data: bytes, attribute: str | tuple[str, ...], width: int) -> Floats:
+def _read_npz_array(data: bytes, attribute: str | tuple[str, ...], width: int) -> Floats:
     try:
         arrays = read_arrays(data)
     except ArrayFileError as why:
@@ -102,8 +102,8 @@ def _from_npz(data: bytes, attribute: str | tuple[str, ...], width: int) -> Floa
     names = attribute if isinstance(attribute, tuple) else (attribute,)
     missing = [name for name in names if name not in arrays]
     if missing:
-        raise PaintError(f"has no array `{missing[0]}`", f"write `attribute: NAME`; the file has {_list_names(list(arrays))}")
-    parts = [to_float64(arrays[name]) / (255.0 if arrays[name].dtype == np.uint8 else 1.0) for name in names]
+        raise PaintError(f"has no array `{missing[0]}`", f"write `attribute: NAME`; the file has {_format_names(list(arrays))}")
+    parts = [convert_to_float64(arrays[name]) / (255.0 if arrays[name].dtype == np.uint8 else 1.0) for name in names]
     rows = parts[0] if len(parts) == 1 else np.stack(parts, axis=-1) if len({p.shape for p in parts}) == 1 else np.empty(0)
     rows = rows[:, None] if rows.ndim == 1 and width == 1 else rows
     if rows.ndim != 2 or rows.shape[1] != width:
@@ -112,4 +112,7 @@ def _from_npz(data: bytes, attribute: str | tuple[str, ...], width: int) -> Floa
     return rows
 
 
-_READER_BY_SUFFIX: dict[str, Callable[[bytes, str | tuple[str, ...], int], Floats]] = {"ply": _from_ply, "npz": _from_npz}
+_READER_BY_SUFFIX: dict[str, Callable[[bytes, str | tuple[str, ...], int], Floats]] = {
+    "ply": _read_ply_attribute,
+    "npz": _read_npz_array,
+}

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from antdsl import limits
-from antdsl.scene.geometry.mesh_text import display_word
+from antdsl.scene.geometry.mesh_text import format_word
 
 DTYPE_BY_TYPE = {
     "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4", "double": "f8",
@@ -41,7 +41,7 @@ class PlyElement:
     count: int
     properties: tuple[PlyProperty, ...]
 
-    def least_bytes(self) -> int:
+    def compute_min_bytes(self) -> int:
         """Return the least number of bytes of one element. An empty list has only its length."""
         return sum(np.dtype(p.count or p.kind).itemsize for p in self.properties)
 
@@ -50,20 +50,20 @@ class PlyElement:
 class PlyHeader:
     """A header.
 
-    `order`: the byte order, `<` or `>`; empty for text.
-    `body`: the offset at which the elements begin.
+    `byte_order`: the byte order, `<` or `>`; empty for text.
+    `body_offset`: the offset at which the elements begin.
     `line`: the line of the file at which the elements begin."""
 
-    order: str
+    byte_order: str
     elements: tuple[PlyElement, ...]
-    body: int
+    body_offset: int
     line: int
 
 
 def read_header(data: bytes) -> PlyHeader:
     """Return the header of a .ply file. Its counts are compared with the file's size. Raises HeaderError with the reason if they
     differ."""
-    lines, body = _header_lines(data)
+    lines, body = _split_header_lines(data)
     order: str | None = None
     elements: list[PlyElement] = []
     for line in lines:
@@ -79,7 +79,7 @@ def read_header(data: bytes) -> PlyHeader:
             last = elements[-1]
             elements[-1] = PlyElement(last.name, last.count, (*last.properties, parsed_property))
         else:
-            raise HeaderError(f"has a header line that is not understood: `{display_word(line, 40)}`")
+            raise HeaderError(f"has a header line that is not understood: `{format_word(line, 40)}`")
     if order is None:
         raise HeaderError("does not say its format")
     header = PlyHeader(order, tuple(elements), body, len(lines) + 3)
@@ -87,7 +87,7 @@ def read_header(data: bytes) -> PlyHeader:
     return header
 
 
-def _header_lines(data: bytes) -> tuple[list[bytes], int]:
+def _split_header_lines(data: bytes) -> tuple[list[bytes], int]:
     """Return the lines between `ply` and `end_header`, and the offset of the body. Words in comments are ignored."""
     head = data[: 64 * limits.KIB]
     at = 3 if head.startswith(b"\xef\xbb\xbf") else 0
@@ -121,6 +121,6 @@ def _check_size(header: PlyHeader, size: int) -> None:
     for name, words, most in (("face", "faces", limits.MAX_MESH_FACES), ("vertex", "vertices", 3 * limits.MAX_MESH_FACES)):
         if counts.get(name, 0) > most:
             raise HeaderError(f"says it has {counts[name]:,} {words}, more than {most:,}")
-    least = sum(element.count * (element.least_bytes() if header.order else 1) for element in header.elements)
-    if least > size - header.body:
+    least = sum(element.count * (element.compute_min_bytes() if header.byte_order else 1) for element in header.elements)
+    if least > size - header.body_offset:
         raise HeaderError(f"says it has {sum(counts.values()):,} elements, too many for a file of {size:,} bytes")

@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
-from antdsl.scene.geometry.arrays import to_float64
+from antdsl.scene.geometry.arrays import convert_to_float64
 from antdsl.scene.geometry.import_notes import ImportNotes
-from antdsl.scene.geometry.mesh_text import MeshError, TextBlock, display_word, plain_text, read_blocks
+from antdsl.scene.geometry.mesh_text import MeshError, TextBlock, format_word, normalise_text, read_blocks
 from antdsl.scene.geometry.ply import HeaderError, PlyElement, PlyHeader, read_header
-from antdsl.scene.geometry.polygons import PolygonMesh, strip_triangles
+from antdsl.scene.geometry.polygons import PolygonMesh, split_strip
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -42,7 +42,7 @@ def read_ply(data: bytes, notes: ImportNotes) -> PolygonMesh:
     """Return vertices and polygons of a file. Triangle strips become triangles. Raises HeaderError or MeshError with the
     reason."""
     header = read_header(data)
-    notes.form = {"": "text", "<": "binary", ">": "binary (big-endian)"}[header.order] + " .ply"
+    notes.form = {"": "text", "<": "binary", ">": "binary (big-endian)"}[header.byte_order] + " .ply"
     named = {e.name.lower(): e for e in reversed(header.elements)}
     vertex, face, strips = (named.get(word) for word in ("vertex", "face", "tristrips"))
     requested_names: dict[int, Collection[str]] = {}
@@ -52,15 +52,15 @@ def read_ply(data: bytes, notes: ImportNotes) -> PolygonMesh:
     if not {"x", "y", "z"} <= axes.keys():
         raise HeaderError("has vertices without x, y and z")
     requested_names[id(vertex)] = [axes[axis] for axis in "xyz"]
-    lists = {id(e): _corner_property(e) for e in (face, strips) if e is not None and e.count}
+    lists = {id(e): _find_corner_property(e) for e in (face, strips) if e is not None and e.count}
     requested_names |= {key: [name] for key, name in lists.items()}
     for element in header.elements:
         if element.count and id(element) not in requested_names:
-            notes.skip(f"element `{display_word(element.name.encode())}` ({element.count:,})")
+            notes.count_skipped(f"element `{format_word(element.name.encode())}` ({element.count:,})")
     element_columns = read_elements(data, header, requested_names, notes)
     columns = element_columns[id(vertex)]
     with np.errstate(invalid="ignore"):  # a signalling NaN warns on conversion; values that are not finite are rejected later
-        points = to_float64(np.stack([columns[axes[axis]].values for axis in "xyz"], axis=1))
+        points = convert_to_float64(np.stack([columns[axes[axis]].values for axis in "xyz"], axis=1))
     counts, indices = [np.empty(0, np.int64)], [np.empty(0, np.int64)]
     for shape in (face, strips):
         if shape is None or not shape.count:
@@ -71,18 +71,18 @@ def read_ply(data: bytes, notes: ImportNotes) -> PolygonMesh:
             counts.append(column.counts)
             indices.append(column.values)
         else:
-            triangles = strip_triangles(_with_restarts(column.values, column.counts))
+            triangles = split_strip(_insert_restarts(column.values, column.counts))
             counts.append(np.full(len(triangles), 3))
             indices.append(triangles.reshape(-1))
     return PolygonMesh(points, np.concatenate(counts), np.concatenate(indices))
 
 
-def _with_restarts(values: Integers, counts: Integers) -> Integers:
+def _insert_restarts(values: Integers, counts: Integers) -> Integers:
     """Return the corners of several strips, with -1 between strips."""
     return np.insert(values, np.cumsum(counts)[:-1], -1)
 
 
-def _corner_property(element: PlyElement) -> str:
+def _find_corner_property(element: PlyElement) -> str:
     """Return the name of the property that lists the corners of a face or strip."""
     lists = [p for p in element.properties if p.count]
     named = [p for p in lists if p.name.lower() in _INDEX_PROPERTY_NAMES] or lists
@@ -101,7 +101,7 @@ def read_columns(data: bytes, header: PlyHeader, element: PlyElement, names: Seq
         columns = read_elements(data, header, {id(element): names}, ImportNotes())[id(element)]
     except MeshError as why:
         raise HeaderError(str(why)) from None
-    return to_float64(np.stack([columns[name].values for name in names], axis=1)).reshape(-1, len(names))
+    return convert_to_float64(np.stack([columns[name].values for name in names], axis=1)).reshape(-1, len(names))
 
 
 def read_elements(
@@ -111,14 +111,14 @@ def read_elements(
     for element in header.elements:
         names = [p.name for p in element.properties]
         if twice := next((name for k, name in enumerate(names) if name in names[:k]), None):
-            words = f"names the property `{display_word(twice.encode())}` of `{display_word(element.name.encode())}` twice"
+            words = f"names the property `{format_word(twice.encode())}` of `{format_word(element.name.encode())}` twice"
             raise HeaderError(words)
-    read: _TextBody | _BinaryBody = _BinaryBody(data, header) if header.order else _TextBody(data, header)
+    read: _TextBody | _BinaryBody = _BinaryBody(data, header) if header.byte_order else _TextBody(data, header)
     element_columns: dict[int, ColumnByName] = {}
     for element in header.elements:
         if len(element_columns) == len(requested_names):
             break
-        columns = read.columns(element, requested_names.get(id(element), ()))
+        columns = read.read_columns(element, requested_names.get(id(element), ()))
         if id(element) in requested_names:
             element_columns[id(element)] = columns
     else:
@@ -130,69 +130,71 @@ class _TextBody:
     """A text body: one line per element; blank lines are skipped."""
 
     def __init__(self, data: bytes, header: PlyHeader) -> None:
-        self._blocks = read_blocks(plain_text(data[header.body :]), header.line)
-        self._open: TextBlock | None = None
+        self._blocks = read_blocks(normalise_text(data[header.body_offset :]), header.line)
+        self._partial_block: TextBlock | None = None
 
     def _read_lines(self, count: int) -> Iterator[TextBlock]:
         """Yield blocks with `count` lines in total, or fewer if the file ends."""
         while count > 0:
-            block = self._open if self._open is not None and len(self._open) else next(self._blocks, None)
+            block = (
+                self._partial_block if self._partial_block is not None and len(self._partial_block) else next(self._blocks, None)
+            )
             if block is None:
                 return
-            yield block.slice(0, count)
-            self._open = block.slice(count, len(block))
+            yield block.select_lines(0, count)
+            self._partial_block = block.select_lines(count, len(block))
             count -= min(count, len(block))
 
     def note_rest(self, notes: ImportNotes) -> None:
         """Add a note if the file has lines after the last element."""
-        for block in ([self._open] if self._open is not None else []) + list(self._blocks):
+        for block in ([self._partial_block] if self._partial_block is not None else []) + list(self._blocks):
             if len(block):
-                notes.skip("lines after the last element", len(block), int(block.number[0]))
+                notes.count_skipped("lines after the last element", len(block), int(block.number[0]))
 
-    def columns(self, element: PlyElement, requested_names: Collection[str]) -> ColumnByName:
+    def read_columns(self, element: PlyElement, requested_names: Collection[str]) -> ColumnByName:
         """Return the requested columns of the next element, by property. Other columns are skipped."""
         parts: dict[str, list[PlyColumn]] = {name: [] for name in requested_names}
         count = 0
         for block in self._read_lines(element.count):
             count += len(block)
             if requested_names:
-                self._read(block, element, parts)
+                self._read_block(block, element, parts)
         if count < element.count:
-            what = display_word(element.name.encode())
+            what = format_word(element.name.encode())
             raise HeaderError(f"{_TOO_SHORT_MESSAGE}: it has {count:,} of {element.count:,} {what} lines")
         return {name: _join_columns(each) for name, each in parts.items()}
 
-    def _read(self, block: TextBlock, element: PlyElement, parts: Mapping[str, list[PlyColumn]]) -> None:
-        at, what = block.first, display_word(element.name.encode())
+    def _read_block(self, block: TextBlock, element: PlyElement, parts: Mapping[str, list[PlyColumn]]) -> None:
+        at, what = block.first, format_word(element.name.encode())
         stop = block.first + block.count
         last = max(k for k, p in enumerate(element.properties) if p.name in parts)
         for p in element.properties[: last + 1] if any(p.count for p in element.properties) else element.properties:
-            self._check(block, at < stop, what)
+            self._check_lines(block, at < stop, what)
             if p.count is None:
                 if p.name in parts:
-                    parts[p.name].append(PlyColumn(block.read_floats(at, f"`{display_word(p.name.encode())}` of a {what}")))
+                    parts[p.name].append(PlyColumn(block.read_floats(at, f"`{format_word(p.name.encode())}` of a {what}")))
                 at = at + 1
                 continue
             count, is_integer = block.read_integers(at)
-            self._check(block, is_integer & (count >= 0), what)
-            self._check(block, at + 1 + count <= stop, what)
+            self._check_lines(block, is_integer & (count >= 0), what)
+            self._check_lines(block, at + 1 + count <= stop, what)
             if p.name in parts:
                 within = np.arange(int(count.sum())) - np.repeat(np.cumsum(count) - count, count)
                 word_indices = np.repeat(at + 1, count) + within
                 values, are_whole = block.read_integers(word_indices)
                 if not are_whole.all():
-                    line = block.line_number(int(word_indices[np.flatnonzero(~are_whole)[0]]))
-                    self._check(block, block.number != line, what)
+                    line = block.find_line_number(int(word_indices[np.flatnonzero(~are_whole)[0]]))
+                    self._check_lines(block, block.number != line, what)
                 parts[p.name].append(PlyColumn(values, count))
             at = at + 1 + count
         if not any(p.count for p in element.properties):
-            self._check(block, at == stop, what)
+            self._check_lines(block, at == stop, what)
 
     @staticmethod
-    def _check(block: TextBlock, right: NDArray[np.bool_], what: str) -> None:
-        if not right.all():
-            k = int(np.flatnonzero(~right)[0])
-            text = display_word(b" ".join(block.line(k)[:6]))
+    def _check_lines(block: TextBlock, is_valid: NDArray[np.bool_], what: str) -> None:
+        if not is_valid.all():
+            k = int(np.flatnonzero(~is_valid)[0])
+            text = format_word(b" ".join(block.line(k)[:6]))
             raise HeaderError(f"has an incomplete {what} in line {block.number[k]:,}: `{text}`")
 
 
@@ -207,34 +209,34 @@ class _BinaryBody:
     """A binary body: the elements follow each other without gaps."""
 
     def __init__(self, data: bytes, header: PlyHeader) -> None:
-        self._data, self._order, self._at = data, header.order, header.body
+        self._data, self._byte_order, self._offset = data, header.byte_order, header.body_offset
 
     def note_rest(self, notes: ImportNotes) -> None:
         """Add a note if the file has bytes after the last element."""
-        rest = len(self._data) - self._at
-        if self._data[self._at :].strip(b"\0 \n\r\t\x1a"):  # no padding
-            notes.skip(f"{rest:,} bytes after the last element")
+        rest = len(self._data) - self._offset
+        if self._data[self._offset :].strip(b"\0 \n\r\t\x1a"):  # no padding
+            notes.count_skipped(f"{rest:,} bytes after the last element")
 
-    def columns(self, element: PlyElement, requested_names: Collection[str]) -> ColumnByName:
+    def read_columns(self, element: PlyElement, requested_names: Collection[str]) -> ColumnByName:
         """Return the requested columns of the next element, by property. Other columns are skipped."""
         if not element.count:
             return {p.name: PlyColumn(np.empty(0), np.empty(0, np.int64) if p.count else None) for p in element.properties}
-        lengths = self._first_lengths(element)
+        lengths = self._read_first_lengths(element)
         if lengths is None:
-            return self._read_uneven(element, requested_names)
+            return self._read_uneven_lists(element, requested_names)
         layout: list[tuple[str, str] | tuple[str, str, tuple[int]]] = []
         for p in element.properties:
             if p.count is not None:
-                layout += [(f"{p.name}#", self._order + p.count), (p.name, self._order + p.kind, (lengths[p.name],))]
+                layout += [(f"{p.name}#", self._byte_order + p.count), (p.name, self._byte_order + p.kind, (lengths[p.name],))]
             else:
-                layout.append((p.name, self._order + p.kind))
+                layout.append((p.name, self._byte_order + p.kind))
         kind = np.dtype(layout)
-        if self._at + element.count * kind.itemsize > len(self._data):
-            return self._read_uneven(element, requested_names)
-        rows = np.frombuffer(self._data, kind, element.count, self._at)
+        if self._offset + element.count * kind.itemsize > len(self._data):
+            return self._read_uneven_lists(element, requested_names)
+        rows = np.frombuffer(self._data, kind, element.count, self._offset)
         if any((rows[f"{name}#"] != length).any() for name, length in lengths.items()):
-            return self._read_uneven(element, requested_names)
-        self._at += rows.nbytes
+            return self._read_uneven_lists(element, requested_names)
+        self._offset += rows.nbytes
         found = {}
         for p in element.properties:
             if p.name in requested_names and p.count is None:
@@ -243,10 +245,10 @@ class _BinaryBody:
                 found[p.name] = PlyColumn(rows[p.name].astype(np.int64).reshape(-1), np.full(element.count, lengths[p.name]))
         return found
 
-    def _first_lengths(self, element: PlyElement) -> dict[str, int] | None:
+    def _read_first_lengths(self, element: PlyElement) -> dict[str, int] | None:
         """Return the list lengths of the first element, by property. All elements usually share them. Return None if that is
         impossible."""
-        at, lengths = self._at, {}
+        at, lengths = self._offset, {}
         for p in element.properties:
             if p.count is not None:
                 length = self._read_count(p.count, at, element, 0)
@@ -258,21 +260,21 @@ class _BinaryBody:
                 at += np.dtype(p.kind).itemsize
         return lengths
 
-    def _read_count(self, kind: str, at: int, element: PlyElement, row: int) -> int:
-        if at + np.dtype(kind).itemsize > len(self._data):
-            raise HeaderError(f"{_TOO_SHORT_MESSAGE}: it ends in its {display_word(element.name.encode())} {row}")
-        count = np.frombuffer(self._data, self._order + kind, 1, at)[0]
+    def _read_count(self, kind: str, offset: int, element: PlyElement, row: int) -> int:
+        if offset + np.dtype(kind).itemsize > len(self._data):
+            raise HeaderError(f"{_TOO_SHORT_MESSAGE}: it ends in its {format_word(element.name.encode())} {row}")
+        count = np.frombuffer(self._data, self._byte_order + kind, 1, offset)[0]
         if not (count >= 0 and np.isfinite(count)):
-            words = f"has a list of {count:,} values in its {display_word(element.name.encode())} {row}, more than the file has"
+            words = f"has a list of {count:,} values in its {format_word(element.name.encode())} {row}, more than the file has"
             raise HeaderError(words)
         return int(count)
 
-    def _read_uneven(self, element: PlyElement, requested_names: Collection[str]) -> ColumnByName:
+    def _read_uneven_lists(self, element: PlyElement, requested_names: Collection[str]) -> ColumnByName:
         """Return lists of different lengths. First find where each begins, element by element, then read all values at once."""
-        data, at, name = self._data, self._at, display_word(element.name.encode())
+        data, at, name = self._data, self._offset, format_word(element.name.encode())
         starts: dict[str, list[int]] = {p.name: [] for p in element.properties if p.name in requested_names}
         counts: dict[str, list[int]] = {p.name: [] for p in element.properties if p.name in requested_names and p.count}
-        steps = [_value_reader(self._order, p.kind, p.count) for p in element.properties]
+        steps = [_make_value_reader(self._byte_order, p.kind, p.count) for p in element.properties]
         names = [p.name if p.name in requested_names else "" for p in element.properties]
         try:
             for row in range(element.count):
@@ -292,7 +294,7 @@ class _BinaryBody:
                     raise HeaderError(f"{_TOO_SHORT_MESSAGE}: it ends in its {name} {row}")
         except (struct.error, OverflowError, ValueError):
             raise HeaderError(f"{_TOO_SHORT_MESSAGE}: it ends among its {name}s") from None
-        self._at = at
+        self._offset = at
         columns = {}
         for p in element.properties:
             if p.name in requested_names:
@@ -308,7 +310,7 @@ class _BinaryBody:
         within = np.arange(total) - np.repeat(np.cumsum(count) - count, count)
         at = np.repeat(start, count) + within * size
         raw = np.frombuffer(self._data, np.uint8)[at[:, None] + np.arange(size)]
-        return np.ascontiguousarray(raw).view(self._order + kind)[:, 0]
+        return np.ascontiguousarray(raw).view(self._byte_order + kind)[:, 0]
 
 
 _STRUCT_CODES = {
@@ -316,7 +318,9 @@ _STRUCT_CODES = {
 }  # fmt: skip
 
 
-def _value_reader(order: str, kind: str, count: str | None) -> tuple[int, Callable[[bytes, int], tuple[Any, ...]] | None, int]:
+def _make_value_reader(
+    order: str, kind: str, count: str | None
+) -> tuple[int, Callable[[bytes, int], tuple[Any, ...]] | None, int]:
     """Return how to read a value: its number of bytes; for a list, also the reader of its length and the bytes of the length."""
     read = None if count is None else struct.Struct(order + _STRUCT_CODES[count])
     return np.dtype(kind).itemsize, None if read is None else read.unpack_from, 0 if read is None else read.size

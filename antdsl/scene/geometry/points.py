@@ -18,19 +18,19 @@ class PointsError(Exception):
     """Reason why a file has no points. The message fits after the file's name."""
 
 
-def _refuse_constant(word: str) -> Any:
+def _reject_constant(word: str) -> Any:
     raise PointsError(f"has `{word}`, which is not a number")
 
 
-def read_points(data: bytes, least: int) -> NDArray[np.float64]:
-    """Return at least `least` points as an array (n, 3) in the file's own units. Raises PointsError with the reason if that
+def read_points(data: bytes, min_count: int) -> NDArray[np.float64]:
+    """Return at least `min_count` points as an array (n, 3) in the file's own units. Raises PointsError with the reason if that
     fails."""
     try:
-        points = json.loads(data.decode("utf-8-sig"), parse_constant=_refuse_constant)
+        points = json.loads(data.decode("utf-8-sig"), parse_constant=_reject_constant)
     except (ValueError, RecursionError):
         raise PointsError("is not JSON") from None
-    if not isinstance(points, list) or len(points) < least:
-        raise PointsError(f"is not a list of at least {least} points `[x, y, z]`")
+    if not isinstance(points, list) or len(points) < min_count:
+        raise PointsError(f"is not a list of at least {min_count} points `[x, y, z]`")
     if len(points) > limits.MAX_AGENTS:
         raise PointsError(f"has more than {limits.MAX_AGENTS:,} points")
     for number, point in enumerate(points):

@@ -35,16 +35,16 @@ class Triangulation:
     """Triangles of polygons.
 
     `corners` int64[m, 3]: indices into the list of the corners of all polygons.
-    `polygon` int64[m]: the polygon of each triangle, ascending.
-    `cut`: the number of polygons with more than three corners.
-    `concave`: the number of these polygons with a corner that points inward.
-    `crossing`: indices of polygons that cut or cover themselves."""
+    `polygon_indices` int64[m]: the polygon of each triangle, ascending.
+    `cut_count`: the number of polygons with more than three corners.
+    `concave_count`: the number of these polygons with a corner that points inward.
+    `crossing_polygons`: indices of polygons that cut or cover themselves."""
 
     corners: Integers
-    polygon: Integers
-    cut: int = 0
-    concave: int = 0
-    crossing: tuple[int, ...] = ()
+    polygon_indices: Integers
+    cut_count: int = 0
+    concave_count: int = 0
+    crossing_polygons: tuple[int, ...] = ()
 
 
 def triangulate(points: Floats, counts: Integers, indices: Integers) -> Triangulation:
@@ -57,14 +57,14 @@ def triangulate(points: Floats, counts: Integers, indices: Integers) -> Triangul
     if len(counts) and (counts == 3).all():
         return Triangulation(np.arange(3 * len(counts)).reshape(-1, 3), np.arange(len(counts)))
     own = np.arange(len(indices))
-    while (again := _is_repeated(points[indices[own]], counts)).any():
+    while (again := _find_repeated_corners(points[indices[own]], counts)).any():
         counts = counts - np.bincount(np.repeat(np.arange(len(counts)), counts)[again], minlength=len(counts))
         own = own[~again]
     triangulation = _cut_polygons(points, counts, indices[own])
     return replace(triangulation, corners=own[triangulation.corners])
 
 
-def _is_repeated(points: Floats, counts: Integers) -> NDArray[np.bool_]:
+def _find_repeated_corners(points: Floats, counts: Integers) -> NDArray[np.bool_]:
     """Return whether each corner coincides with the previous one. A last corner may also coincide with the first one.
 
     Only polygons with at least four corners are examined."""
@@ -93,13 +93,13 @@ def _cut_polygons(points: Floats, counts: Integers, indices: Integers) -> Triang
         fans, middle, crossed = _cut_fans(rings)
         known = middle >= 0
         parts.append((these[known], at[known][np.arange(int(known.sum()))[:, None, None], fans[known]]))
-        concave += int(_has_reflex(rings[middle != 0]).sum())
+        concave += int(_find_concave(rings[middle != 0]).sum())
         crossing += these[crossed].tolist()
         hard += these[~known].tolist()
     _check_work(counts[hard])
     for number in sorted(hard):
         at = np.arange(start[number], start[number] + counts[number])
-        triangles, crossed_itself = _cut_ears(_project(points[indices[at]][None])[0][0])
+        triangles, crossed_itself = _cut_ears(_project_outlines(points[indices[at]][None])[0][0])
         parts.append((np.full(1, number), at[triangles][None]))
         if crossed_itself:
             crossing.append(number)
@@ -116,7 +116,7 @@ def _check_work(counts: Integers) -> None:
         raise TooManyCorners(f"has {len(counts):,} polygons with too many corners to triangulate")
 
 
-def _project(rings: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+def _project_outlines(rings: Floats) -> tuple[Floats, NDArray[np.bool_]]:
     """Return polygons [p, n, 3] as counter-clockwise outlines [p, n, 2], and whether each polygon has an area.
 
     They are projected along the axis nearest to their normal."""
@@ -145,8 +145,8 @@ def _cut_fans(rings: Floats) -> tuple[Integers, Integers, NDArray[np.bool_]]:
 
     The third result is the corner at the centre of the fan. It is -1 if none of the tried fans covers the polygon."""
     count = rings.shape[1]
-    outline, has_area = _project(rings)
-    crossed = ~has_area & _is_crossing(rings)
+    outline, has_area = _project_outlines(rings)
+    crossed = ~has_area & _find_crossing(rings)
     middle = np.where(has_area, -1, 0)  # without an area: a fan of nothing
     step = np.arange(1, count - 1)
     for k in range(min(count, _MAX_FAN_TRIES)):
@@ -169,16 +169,16 @@ def _cut_fans(rings: Floats) -> tuple[Integers, Integers, NDArray[np.bool_]]:
     return fans, middle, crossed
 
 
-def _has_reflex(rings: Floats) -> NDArray[np.bool_]:
+def _find_concave(rings: Floats) -> NDArray[np.bool_]:
     """Return whether each of the polygons [p, n, 3] has a corner that points inward."""
-    outline, has_area = _project(rings)
+    outline, has_area = _project_outlines(rings)
     side = np.roll(outline, -1, axis=1) - outline
     previous_side = np.roll(side, 1, axis=1)
     turn = previous_side[..., 0] * side[..., 1] - previous_side[..., 1] * side[..., 0]
     return np.asarray(has_area & (turn < -_FLAT_AREA_RATIO).any(axis=1))
 
 
-def _is_crossing(rings: Floats) -> NDArray[np.bool_]:
+def _find_crossing(rings: Floats) -> NDArray[np.bool_]:
     """Return whether each of the polygons [p, n, 3] crosses itself, like an 8. The polygons must have no total area.
 
     Such a polygon crosses itself if one of its triangles has an area."""
@@ -194,7 +194,7 @@ def _cut_ears(outline: Floats) -> tuple[Integers, bool]:
 
     grid = np.round(outline * _GRID_CELLS)
     triangles = triangulate_float64(grid, np.array([len(grid)], np.uint32)).astype(np.int64).reshape(-1, 3)
-    twice = _double_areas(grid, triangles)
+    twice = _compute_double_areas(grid, triangles)
     triangles[twice < 0] = triangles[twice < 0][:, [0, 2, 1]]
     x, y = grid.T
     double_area = float((x * np.roll(y, -1) - y * np.roll(x, -1)).sum())
@@ -205,7 +205,7 @@ def _cut_ears(outline: Floats) -> tuple[Integers, bool]:
     ) > _AREA_TOLERANCE * double_area
 
 
-def _double_areas(grid: Floats, triangles: Integers) -> Floats:
+def _compute_double_areas(grid: Floats, triangles: Integers) -> Floats:
     a, b, c = (grid[triangles[:, k]] for k in range(3))
     areas: Floats = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
     return areas
@@ -231,7 +231,7 @@ def _split_at_corners(triangles: list[list[int]], corners: list[GridCorner]) -> 
         triangle = waiting.pop()
         for k in range(3):
             a, b, c = triangle[k], triangle[(k + 1) % 3], triangle[(k + 2) % 3]
-            chain = _corner_chain(a, b, needed, corners) if (a, b) in loose else []
+            chain = _find_corner_chain(a, b, needed, corners) if (a, b) in loose else []
             if chain:
                 stops = [a, *chain, b]
                 waiting += [[one, two, c] for one, two in pairwise(stops)][::-1]
@@ -241,7 +241,7 @@ def _split_at_corners(triangles: list[list[int]], corners: list[GridCorner]) -> 
     return result
 
 
-def _corner_chain(a: int, b: int, needed: dict[int, list[int]], corners: list[GridCorner]) -> list[int]:
+def _find_corner_chain(a: int, b: int, needed: dict[int, list[int]], corners: list[GridCorner]) -> list[int]:
     """Return the corners on the straight line from a to b that `needed` edges connect. Empty if these edges leave the line."""
     (ax, ay), (bx, by) = corners[a], corners[b]
     at = a
@@ -269,7 +269,7 @@ def _corner_chain(a: int, b: int, needed: dict[int, list[int]], corners: list[Gr
 T = TypeVar("T", bound=np.integer)
 
 
-def strip_triangles(corners: NDArray[T], restart: int = -1) -> NDArray[T]:
+def split_strip(corners: NDArray[T], restart: int = -1) -> NDArray[T]:
     """Return the triangles (n, 3) of a strip of corners. Every second one is reversed, so that all face the same side.
 
     Triangles with a repeated corner only connect parts of a strip and are left out. `restart`: the value that begins a new
@@ -292,14 +292,14 @@ class PolygonMesh:
     """A mesh of polygons, as readers return it.
 
     `points` float64[n, 3]: in the file's units.
-    `counts` int64[p]: the number of corners of each polygon.
-    `indices` int64[counts.sum()]: the point of each corner; readers need not check it."""
+    `corner_counts` int64[p]: the number of corners of each polygon.
+    `point_indices` int64[counts.sum()]: the point of each corner; readers need not check it."""
 
     points: NDArray[np.float64]
-    counts: NDArray[np.int64]
-    indices: NDArray[np.int64]
+    corner_counts: NDArray[np.int64]
+    point_indices: NDArray[np.int64]
 
     @staticmethod
-    def of_triangles(points: NDArray[np.float64], triangles: NDArray[np.int64]) -> PolygonMesh:
+    def from_triangles(points: NDArray[np.float64], triangles: NDArray[np.int64]) -> PolygonMesh:
         """Return a mesh of triangles (m, 3)."""
         return PolygonMesh(points, np.full(len(triangles), 3), triangles.reshape(-1))

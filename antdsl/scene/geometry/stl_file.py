@@ -9,9 +9,9 @@ import numpy as np
 
 from antdsl import limits
 from antdsl.scene.geometry import mesh_text
-from antdsl.scene.geometry.arrays import to_float64
+from antdsl.scene.geometry.arrays import convert_to_float64
 from antdsl.scene.geometry.import_notes import ImportNotes
-from antdsl.scene.geometry.matrices import distinct_points
+from antdsl.scene.geometry.matrices import find_distinct_points
 from antdsl.scene.geometry.polygons import PolygonMesh
 
 _HEADER_BYTES, _FACE_BYTES = 84, 50  # bytes before the first face, and of each
@@ -25,8 +25,8 @@ def read_stl(data: bytes, notes: ImportNotes) -> PolygonMesh:
     wrong = np.flatnonzero(~np.isfinite(corners).all(axis=1))
     if len(wrong):
         raise mesh_text.MeshError(f"has a corner (of face {wrong[0] // 3}) that is not a finite point")
-    order, new, which = distinct_points(corners)
-    return PolygonMesh.of_triangles(corners[order[new]], which.reshape(-1, 3))
+    order, new, which = find_distinct_points(corners)
+    return PolygonMesh.from_triangles(corners[order[new]], which.reshape(-1, 3))
 
 
 def _is_text(data: bytes) -> bool:
@@ -57,9 +57,9 @@ def _read_binary(data: bytes, notes: ImportNotes) -> mesh_text.Floats:
     if rest >= _FACE_BYTES and rest % _FACE_BYTES == 0 and not is_padding:
         raise mesh_text.MeshError(f"says it has {count:,} faces, and has {count + rest // _FACE_BYTES:,}")
     if not is_padding:
-        notes.skip(f"{rest:,} bytes after the last face")
+        notes.count_skipped(f"{rest:,} bytes after the last face")
     rows = np.frombuffer(data, np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("pad", "<u2")]), count, _HEADER_BYTES)
-    return to_float64(rows["corners"].reshape(-1, 3))
+    return convert_to_float64(rows["corners"].reshape(-1, 3))
 
 
 _FACET_LINE, _VERTEX_LINE, _FACET_END_LINE, _LOOP_LINE, _SOLID_LINE, _OTHER_LINE = range(6)
@@ -73,8 +73,8 @@ _LINE_KIND_BY_KEYWORD = {
 def _read_text(data: bytes, notes: ImportNotes) -> mesh_text.Floats:
     notes.form = "text .stl"
     corners, kinds, numbers, last = [np.empty((0, 3))], [np.empty(0, np.int64)], [np.empty(0, np.int64)], 0
-    for block in mesh_text.read_blocks(mesh_text.plain_text(data)):
-        letters = block.line_keywords()
+    for block in mesh_text.read_blocks(mesh_text.normalise_text(data)):
+        letters = block.find_line_keywords()
         kind = np.full(len(block), _OTHER_LINE)
         for word, code in _LINE_KIND_BY_KEYWORD.items():
             kind[letters == word] = code
@@ -84,10 +84,10 @@ def _read_text(data: bytes, notes: ImportNotes) -> mesh_text.Floats:
             raise mesh_text.MeshError(f"has a corner of fewer than three numbers in line {block.number[short[0]]:,}")
         corners.append(block.read_floats(block.first[vertex][:, None] + np.arange(1, 4), "a corner"))
         if (kind == _OTHER_LINE).any():
-            _check_others(
+            _check_unknown_lines(
                 block.number,
                 kind,
-                [mesh_text.display_word(b" ".join(block.line(int(k)))) for k in np.flatnonzero(kind == _OTHER_LINE)],
+                [mesh_text.format_word(b" ".join(block.line(int(k)))) for k in np.flatnonzero(kind == _OTHER_LINE)],
                 notes,
             )
         used = (kind != _LOOP_LINE) & (kind != _SOLID_LINE) & (kind != _OTHER_LINE)
@@ -99,14 +99,14 @@ def _read_text(data: bytes, notes: ImportNotes) -> mesh_text.Floats:
     return np.concatenate(corners)
 
 
-def _check_others(number: mesh_text.Integers, kind: mesh_text.Integers, words: list[str], notes: ImportNotes) -> None:
+def _check_unknown_lines(number: mesh_text.Integers, kind: mesh_text.Integers, words: list[str], notes: ImportNotes) -> None:
     """Raise MeshError for an unknown line within a facet. Add notes about other unknown lines."""
     others = np.flatnonzero(kind == _OTHER_LINE)
     opened = np.cumsum((kind == _FACET_LINE).astype(np.int64) - (kind == _FACET_END_LINE))
     for place, text in zip(others.tolist(), words, strict=True):
         if opened[place] > 0:
             raise mesh_text.MeshError(f"has a line {number[place]:,} that is not understood: `{text}`")
-        notes.skip(f"an invalid line: `{text}`", 1, int(number[place]))
+        notes.count_skipped(f"an invalid line: `{text}`", 1, int(number[place]))
 
 
 def _check_facets(kinds: mesh_text.Integers, numbers: mesh_text.Integers, last: int) -> None:

@@ -2,7 +2,7 @@
 
 `stage_scene`: defines the order: meshes, things, items, flows, crowd.
 `stage_things`: reads things that are more than one static file.
-`moves`: gives the positions of things at each frame.
+`motion`: gives the positions of things at each frame.
 `item_placement`: gives the positions of items.
 `stage_flows`: gives the data of flows and maps.
-`cached`: stores results about small meshes for reuse."""
+`mesh_cache`: stores results about small meshes for reuse."""

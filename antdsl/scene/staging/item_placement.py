@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.numerics.elementary import wide_atan2
+from antdsl.numerics.elementary import atan2_float64
 from antdsl.program.model import Dimension, TypeKind, WorldThing
 from antdsl.scene import setting as stage_of
-from antdsl.scene.staging.cached import cached_per_mesh
-from antdsl.scene.staging.stage_things import follow_surface, item_positions, simulated_frames, stage_usd_items
-from antdsl.scene.staging.usd_values import UsdFile, read_in_base_units, warn_near_misses
+from antdsl.scene.staging.mesh_cache import cached_per_mesh
+from antdsl.scene.staging.stage_things import compute_item_positions, follow_surface, list_simulated_frames, stage_usd_items
+from antdsl.scene.staging.usd_values import UsdFile, read_in_base_units, warn_misspelled_names
 from antdsl.scene.thing_models import ItemThing, UsdThing
 
 if TYPE_CHECKING:
@@ -35,9 +35,9 @@ def place_items(staging: SceneStaging, name: str, value: UsdThing | dict[str, It
         track = _place_item(staging, name, item, placing)
         if track is None:
             continue
-        radius = None if placing.radius is None else placing.radius.length(model.unit_mm)
+        radius = None if placing.radius is None else placing.radius.to_millimetres(model.unit_mm)
         attributes = {key: quantity.to_base_units(model.unit_mm, dt) for key, quantity in (placing.model_extra or {}).items()}
-        position = three(track[0])
+        position = to_tuple(track[0])
         items.append(stage_of.ItemData(item, position, DEFAULT_ITEM_RADIUS if radius is None else radius, attributes))
         tracks.append(track)
     frames = max((len(track) for track in tracks), default=1)
@@ -51,51 +51,51 @@ def _place_item(staging: SceneStaging, name: str, item: str, thing: ItemThing) -
 
     With `on`, it lies on the surface: at each position of its keys, or without keys at one point of a surface that may move. If
     it misses the surface, report an error and return None."""
-    track = item_positions(staging, name, item, thing)
+    track = compute_item_positions(staging, name, item, thing)
     mesh = staging.surfaces.get(thing.on) if thing.on is not None else None
     if mesh is None or thing.on is None:
         return track
     moves, tall = staging.moves.get(thing.on), 1 if staging.scene.model.up == "y" else 2
     track = track.copy()
     for k, place in enumerate(track):
-        frame_mesh = mesh if moves is None or k == 0 else stage_of.MeshData(moves.vertices_at(mesh.vertices, k), mesh.faces)
-        height = surface_height(frame_mesh, three(place), staging.scene.model.up)
+        frame_mesh = mesh if moves is None or k == 0 else stage_of.MeshData(moves.compute_vertices(mesh.vertices, k), mesh.faces)
+        height = find_surface_height(frame_mesh, to_tuple(place), staging.scene.model.up)
         if height is None:
             words = f"`{item}` is neither over nor under `{thing.on}`"
             if k:
-                words += f" at frame {simulated_frames(staging)[k]}"
+                words += f" at frame {list_simulated_frames(staging)[k]}"
             span = staging.scene.span("world", name, item, "keys" if k else "at")
             staging.report.error("off-surface", words, span, "move it, or leave out `on`")
             return None
         place[tall] = height
-    return follow_surface(mesh, moves, three(track[0])) if moves is not None and not thing.keys else track
+    return follow_surface(mesh, moves, to_tuple(track[0])) if moves is not None and not thing.keys else track
 
 
 def check_crowds(staging: SceneStaging, crowds: Sequence[stage_of.CrowdData]) -> None:
     """Warn about a crowd that would start where there is no surface. It starts at the nearest surface point instead."""
     for crowd in crowds:
-        if crowd.count and is_off_surface(crowd.place, staging, staging.scene.model.up):
+        if crowd.count and is_away_from_surfaces(crowd.place, staging, staging.scene.model.up):
             words = f"there is no surface where `{crowd.species}` is to begin, so it begins at the nearest"
-            ball = ", write a larger `radius`" if crowd.place.by_area else ""
+            ball = ", write a larger `radius`" if crowd.place.is_by_area else ""
             help = f"move it with `around`{ball}, or check the `units` of the mesh"
-            staging.report.warning("off-surface", words, staging.scene.span("crowd", crowd.group, "place"), help)
+            staging.report.warning("off-surface", words, staging.scene.span("crowd", crowd.line_index, "place"), help)
 
 
-def is_off_surface(place: stage_of.PlaceData, things: SceneStaging | stage_of.WorldSetting, up: str) -> bool:
+def is_away_from_surfaces(placement: stage_of.PlacementData, things: SceneStaging | stage_of.WorldSetting, up: str) -> bool:
     """Return whether no surface is above or below the disc in which a crowd starts. A start by area uses a ball."""
-    if place.around is None or place.radius is None:
+    if placement.disc_centre is None or placement.radius is None:
         return False
     grounds = {**things.surfaces, **{name: solid.mesh for name, solid in things.solids.items()}}
-    usual = things.surfaces if place.by_area and things.surfaces else grounds
-    meshes = [grounds[name] for name in place.on or usual if name in grounds]
-    axes = (0, 1, 2) if place.by_area else (0, 2) if up == "y" else (0, 1)
-    return len(meshes) > 0 and not any(_is_in_reach(mesh, place.around, place.radius, axes) for mesh in meshes)
+    usual = things.surfaces if placement.is_by_area and things.surfaces else grounds
+    meshes = [grounds[name] for name in placement.on or usual if name in grounds]
+    axes = (0, 1, 2) if placement.is_by_area else (0, 2) if up == "y" else (0, 1)
+    return len(meshes) > 0 and not any(_is_in_reach(mesh, placement.disc_centre, placement.radius, axes) for mesh in meshes)
 
 
 @cached_per_mesh
 def _is_in_reach(mesh: stage_of.MeshData, middle: stage_of.PointMm, radius: float, axes: tuple[int, ...]) -> bool:
     """Return whether a mesh reaches into a ball. If an axis is left out of `axes`, the ball is a disc seen along this axis."""
-    faces = _near_faces(mesh, middle, axes, radius)
+    faces = _find_near_faces(mesh, middle, axes, radius)
     corners = np.zeros((len(faces), 3, 3))
     corners[:, :, : len(axes)] = (mesh.vertices[:, axes] - np.array(middle)[list(axes)])[faces]
     square = radius * radius * (1.0 + 1e-12)
@@ -124,30 +124,30 @@ def _place_usd_items(
     model = staging.scene.model
     dt = float(1 / model.fps)
     each = {key: quantity.to_base_units(model.unit_mm, dt) for key, quantity in (value.each.model_extra or {}).items()}
-    radius = None if value.each.radius is None else value.each.radius.length(model.unit_mm)
-    own = {a.name: a.type.dim for a in thing.attributes if a.type.kind is TypeKind.NUMBER}
+    radius = None if value.each.radius is None else value.each.radius.to_millimetres(model.unit_mm)
+    own = {a.name: a.type.dimension for a in thing.attributes if a.type.kind is TypeKind.NUMBER}
     file = UsdFile(staging, value.usd, staging.scene.span("world", name, "usd"), points)
     columns = {key: read_in_base_units(file, key, dim) for key, dim in own.items()}
     wide = read_in_base_units(file, "radius", Dimension(length=1)) * abs(value.scale)
-    for key, column in zip(_facing_attributes(value), _facing_columns(model.up, value, points.ahead), strict=True):
+    for key, column in zip(_list_turn_attributes(value), _make_turn_columns(model.up, value, points.ahead), strict=True):
         columns[key] = np.where(np.isfinite(columns[key]), columns[key], column)
-    warn_near_misses(file, name, [*own, "radius"])
+    warn_misspelled_names(file, name, [*own, "radius"])
     items = []
     for number, item in enumerate(points.names):
         attributes = {key: float(column[number]) for key, column in columns.items() if np.isfinite(column[number])}
         sizes = (points.radius[number], wide[number], DEFAULT_ITEM_RADIUS if radius is None else radius)
         size = next(float(size) for size in sizes if np.isfinite(size) and size > 0)
-        items.append(stage_of.ItemData(item, three(points.positions[0, number]), size, {**each, **attributes}))
+        items.append(stage_of.ItemData(item, to_tuple(points.positions[0, number]), size, {**each, **attributes}))
     if len(points.positions) > 1:
         staging.item_tracks[name] = points.positions
     return tuple(items)
 
 
-def _facing_attributes(value: UsdThing) -> tuple[str, ...]:
+def _list_turn_attributes(value: UsdThing) -> tuple[str, ...]:
     return () if value.turn is None else value.turn if isinstance(value.turn, tuple) else (value.turn,)
 
 
-def _facing_columns(up: str, value: UsdThing, ahead: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+def _make_turn_columns(up: str, value: UsdThing, ahead: NDArray[np.float64]) -> list[NDArray[np.float64]]:
     """Return the columns of the attributes that receive the direction of empties.
 
     They are a unit vector (three columns), or its angle from +x about the scene's up, counted to the left. Columns are nan
@@ -160,15 +160,17 @@ def _facing_columns(up: str, value: UsdThing, ahead: NDArray[np.float64]) -> lis
         return [x, y, z]
     left = -z if up == "y" else y
     level = np.sqrt(x * x + left * left)
-    return [np.where(level > 1e-6, wide_atan2(left, x), np.nan)]
+    return [np.where(level > 1e-6, atan2_float64(left, x), np.nan)]
 
 
-def three(place: NDArray[np.float64]) -> stage_of.PointMm:
+def to_tuple(point: NDArray[np.float64]) -> stage_of.PointMm:
     """Return a point as three Python floats."""
-    return float(place[0]), float(place[1]), float(place[2])
+    return float(point[0]), float(point[1]), float(point[2])
 
 
-def _near_faces(mesh: stage_of.MeshData, point: stage_of.PointMm, axes: Sequence[int], reach: float = 0.0) -> NDArray[np.int32]:
+def _find_near_faces(
+    mesh: stage_of.MeshData, point: stage_of.PointMm, axes: Sequence[int], reach: float = 0.0
+) -> NDArray[np.int32]:
     """Return the faces (m, 3) with boxes that come within about `reach` of a point, along the given axes."""
     near = np.ones(len(mesh.faces), np.bool_)
     for axis in axes:
@@ -181,10 +183,10 @@ def _near_faces(mesh: stage_of.MeshData, point: stage_of.PointMm, axes: Sequence
 
 
 @cached_per_mesh
-def surface_height(mesh: stage_of.MeshData, point: stage_of.PointMm, up: str) -> float | None:
+def find_surface_height(mesh: stage_of.MeshData, point: stage_of.PointMm, up: str) -> float | None:
     """Return the highest coordinate of a mesh on the vertical line through a point; None if the line misses the mesh."""
     flat, tall = ([0, 2], 1) if up == "y" else ([0, 1], 2)
-    corners = mesh.vertices[_near_faces(mesh, point, flat)]
+    corners = mesh.vertices[_find_near_faces(mesh, point, flat)]
     plan = corners[:, :, flat] - np.array(point)[flat]
     # twice the areas of the three triangles that the point makes with the edges, seen from above
     across = [plan[:, i, 0] * plan[:, (i + 1) % 3, 1] - plan[:, i, 1] * plan[:, (i + 1) % 3, 0] for i in range(3)]

@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 
 from antdsl.program.tables.things import KIND_BY_WORD
 from antdsl.scene import setting as stage_of
-from antdsl.scene.geometry.closed import count_border_edges, count_open_solid_edges, find_odd_edges
+from antdsl.scene.geometry.closed_meshes import count_border_edges, count_open_solid_edges, find_odd_edges
 from antdsl.scene.geometry.import_notes import MeshImport
-from antdsl.scene.geometry.live_faces import component_numbers, has_area, has_live_face
-from antdsl.scene.geometry.matrices import distinct_points
-from antdsl.scene.geometry.meshes import RawMesh
-from antdsl.scene.setting import world_origin
+from antdsl.scene.geometry.live_faces import has_area, has_live_face, number_components
+from antdsl.scene.geometry.matrices import find_distinct_points
+from antdsl.scene.geometry.mesh_files import RawMesh
+from antdsl.scene.setting import compute_world_origin
 from antdsl.scene.thing_models import HeightThing, MeshThing, ThingModel, UsdThing
 from antdsl.source import Span
 
@@ -43,31 +43,31 @@ _DEFAULT_WELD_VOXELS = 0.01  # of a voxel: finer detail is lost in voxels anyway
 def report_losses(staging: SceneStaging, display_name: str, raw: RawMesh, span: Span | None) -> None:
     """Warn about contents of a mesh file that are not in the scene."""
     report, notes = staging.report, raw.notes
-    if raw.dropped:
-        faces = "face" if raw.dropped == 1 else "faces"
-        words = f"{raw.dropped:,} {faces} of `{display_name}` without area or given twice left out"
+    if raw.dropped_faces:
+        faces = "face" if raw.dropped_faces == 1 else "faces"
+        words = f"{raw.dropped_faces:,} {faces} of `{display_name}` without area or given twice left out"
         report.warning("degenerate-faces", words, span, "merge doubled points and faces in the program that made the mesh")
-    if notes.crossing:
-        faces = "face crosses itself" if notes.crossing == 1 else "faces intersect themselves"
-        words = f"{notes.crossing:,} {faces} in `{display_name}`, the first is face {notes.crossing_face:,}"
+    if notes.crossing_polygons:
+        faces = "face crosses itself" if notes.crossing_polygons == 1 else "faces intersect themselves"
+        words = f"{notes.crossing_polygons:,} {faces} in `{display_name}`, the first is face {notes.crossing_face:,}"
         report.warning("crossing-face", words, span, "cut it into triangles in the program that made the mesh")
-    skipped = notes.skipped_phrases()
+    skipped = notes.describe_skipped()
     if skipped:
         remainder = f" and {len(skipped) - 8} more" if len(skipped) > 8 else ""
         words = f"`{display_name}` has content that is not read: {', '.join(skipped[:8])}{remainder}"
         report.warning("unread-content", words, span, "export as triangles or polygons what agents should meet")
 
 
-def report_distances(staging: SceneStaging, setting: stage_of.WorldSetting) -> None:
+def check_origin_distances(staging: SceneStaging, setting: stage_of.WorldSetting) -> None:
     """Warn about meshes that extend so far from the world's origin that positions there are imprecise."""
-    origin = world_origin(setting)
+    origin = compute_world_origin(setting)
     walked = {**setting.surfaces, **{name: solid.mesh for name, solid in setting.solids.items()}}
     for name, mesh in (walked or setting.obstacles).items():  # no agent comes near an obstacle beyond all surfaces
         away = max(float(np.abs(edge(mesh.vertices, axis=0) - origin).max()) for edge in (np.min, np.max))
         if away > _FAR_FROM_ORIGIN_MM:
             words = f"`{name}` reaches {away / 1e6:,.0f} km from the middle of the world, where positions have steps of 1 mm"
             help = "move its parts closer together with `at`, or check its `units`"
-            staging.report.warning("far-away", words, mesh_location(staging, name)[1], help)
+            staging.report.warning("far-away", words, find_mesh_location(staging, name)[1], help)
 
 
 def weld_thing(
@@ -80,9 +80,9 @@ def weld_thing(
         words, span = f"`{name}` moves, and only what stands still is welded", staging.scene.span("world", name, "weld")
         staging.report.error("wrong-value", words, span, "delete `weld`, and weld it in the program that made the mesh")
         return mesh
-    tolerance, span = value.weld.length(staging.scene.model.unit_mm), staging.scene.span("world", name, "weld")
+    tolerance, span = value.weld.to_millimetres(staging.scene.model.unit_mm), staging.scene.span("world", name, "weld")
     written = f"`weld: {span.text if span is not None else f'{tolerance:g} mm'}`"
-    lengths = edge_lengths(mesh.vertices, mesh.faces)
+    lengths = compute_edge_lengths(mesh.vertices, mesh.faces)
     shortest = float(lengths[lengths > 0].min())
     words, welding = f"{written} moves corners of every face of `{name}` to one place", None
     if (lengths > tolerance).any():
@@ -97,7 +97,7 @@ def weld_thing(
         help = f"write less than {shortest:.3g} mm, its shortest edge"
         staging.report.error("wrong-value", words, span, help)
         return mesh
-    removed_count, median = int((~welding.keep).sum()), float(np.median(lengths))
+    removed_count, median = int((~welding.is_retained_face).sum()), float(np.median(lengths))
     if removed_count * _MANY_REMOVED_FACES > len(mesh.faces) or tolerance > median / 2:
         words = f"{written} removes {removed_count:,} of {len(mesh.faces):,} triangles of `{name}`"
         words = words if removed_count else f"{written} is more than half of the median edge of `{name}`, {median:.3g} mm"
@@ -109,22 +109,22 @@ def weld_thing(
 class _WeldedMesh:
     """A mesh after welding.
 
-    `moved`: the number of moved vertices.
-    `keep`: whether each of the previous faces still has three corners."""
+    `moved_count`: the number of moved vertices.
+    `is_retained_face`: whether each of the previous faces still has three corners."""
 
     mesh: stage_of.MeshData
-    moved: int
-    keep: NDArray[np.bool_]
+    moved_count: int
+    is_retained_face: NDArray[np.bool_]
 
 
 def _weld_mesh(mesh: stage_of.MeshData, tolerance: float) -> _WeldedMesh | None:
     """Return the mesh with its vertices welded, without faces that lose a corner. Return None if no face with an area remains.
 
     Raises WeldError if the tolerance is much too large."""
-    vertices, count = welded(mesh.vertices, tolerance)
+    vertices, count = weld_vertices(mesh.vertices, tolerance)
     if not count:
         return _WeldedMesh(mesh, 0, np.ones(len(mesh.faces), np.bool_))
-    keep = has_three_places(vertices, mesh.faces)
+    keep = has_distinct_corners(vertices, mesh.faces)
     welded_mesh = stage_of.MeshData(vertices, mesh.faces[keep])
     return (
         _WeldedMesh(welded_mesh, count, keep) if has_area(*(vertices[welded_mesh.faces[:, k]] for k in range(3))).any() else None
@@ -133,12 +133,17 @@ def _weld_mesh(mesh: stage_of.MeshData, tolerance: float) -> _WeldedMesh | None:
 
 def _record_welding(staging: SceneStaging, name: str, welding: _WeldedMesh) -> stage_of.MeshData:
     """Record the changes by welding, and return the welded mesh. Values painted on faces stay with the remaining faces."""
-    raw = staging.raw[name]
-    if welding.moved:
-        staging.welds[name] = staging.welds.get(name, 0) + welding.moved
-    if not welding.keep.all():
-        dropped = raw.dropped + int((~welding.keep).sum())
-        staging.raw[name] = replace(raw, faces=raw.faces[welding.keep], own_faces=raw.own_faces[welding.keep], dropped=dropped)
+    raw = staging.raw_meshes[name]
+    if welding.moved_count:
+        staging.weld_counts[name] = staging.weld_counts.get(name, 0) + welding.moved_count
+    if not welding.is_retained_face.all():
+        dropped = raw.dropped_faces + int((~welding.is_retained_face).sum())
+        staging.raw_meshes[name] = replace(
+            raw,
+            faces=raw.faces[welding.is_retained_face],
+            own_faces=raw.own_faces[welding.is_retained_face],
+            dropped_faces=dropped,
+        )
     return welding.mesh
 
 
@@ -146,7 +151,7 @@ def close_solid(staging: SceneStaging, name: str, value: MeshThing | UsdThing, s
     """Return the solid. If it is not closed and the scene has no `weld`, its vertices are welded.
 
     Reports an error if it still has no inside."""
-    display_name, place = mesh_location(staging, name)
+    display_name, place = find_mesh_location(staging, name)
     if is_flat(solid.mesh.vertices, solid.mesh.faces):
         words, help = f"the solid `{name}` has no volume: `{display_name}` is flat", "give it a thickness, or declare a `surface`"
         staging.report.error("bad-mesh", words, place, help)
@@ -167,11 +172,14 @@ def close_solid(staging: SceneStaging, name: str, value: MeshThing | UsdThing, s
     edges = "1 edge borders" if loose == 1 else f"{loose:,} edges border"
     words = f"the mesh of the solid `{name}` is not closed: {edges} on nothing"
     gaps = measure_openings(solid.mesh.vertices, solid.mesh.faces, solid.voxel)
-    if gaps.gap:
-        help = f"its gaps are up to {gaps.width:.2g} mm wide: write `weld: {gaps.gap:g} mm`"
+    if gaps.closing_tolerance:
+        help = f"its gaps are up to {gaps.width:.2g} mm wide: write `weld: {gaps.closing_tolerance:g} mm`"
     else:
-        holes = "it has a hole" if gaps.holes == 1 else f"it has {gaps.holes:,} holes, the largest"
-        help = f"{holes} of {gaps.edges:,} edges, up to {gaps.longest:.3g} mm long: close it in the program that made the mesh"
+        holes = "it has a hole" if gaps.hole_count == 1 else f"it has {gaps.hole_count:,} holes, the largest"
+        help = (
+            f"{holes} of {gaps.largest_hole_edges:,} edges, up to {gaps.longest_edge:.3g} mm long: "
+            "close it in the program that made the mesh"
+        )
     staging.report.error("bad-mesh", words, place, help)
     return solid
 
@@ -188,7 +196,7 @@ def check_live_faces(staging: SceneStaging) -> None:
     for name, mesh in staging.surfaces.items():
         if has_live_face(mesh.vertices, mesh.faces, extent):
             continue
-        display_name, span = mesh_location(staging, name)
+        display_name, span = find_mesh_location(staging, name)
         if has_area(*(mesh.vertices[mesh.faces[:, k]] for k in range(3))).any():
             words = f"the mesh `{display_name}` is less than a millionth as wide as all surfaces together ({extent:.3g} mm)"
             help = "check its `units` and `scale`, or leave it out"
@@ -198,11 +206,11 @@ def check_live_faces(staging: SceneStaging) -> None:
         staging.report.error("bad-mesh", words, span, help)
 
 
-def mesh_location(staging: SceneStaging, name: str) -> tuple[str, Span | None]:
+def find_mesh_location(staging: SceneStaging, name: str) -> tuple[str, Span | None]:
     """Return the name of a thing's mesh for messages, and where the scene names the mesh."""
     value = staging.scene.model.world[name]
     assert isinstance(value, ThingModel)
-    key = "prim" if isinstance(value, UsdThing) else value.head()
+    key = "prim" if isinstance(value, UsdThing) else value.find_head()
     return str(value.path if isinstance(value, UsdThing) else getattr(value, key)), staging.scene.span("world", name, key)
 
 
@@ -211,23 +219,23 @@ def collect_imports(staging: SceneStaging) -> dict[str, MeshImport]:
     imports, unit = {}, staging.scene.model.unit_mm
     solids = {name: solid.mesh for name, solid in staging.solids.items()}
     for name, mesh in {**staging.surfaces, **staging.obstacles, **solids}.items():
-        raw, value = staging.raw[name], staging.scene.model.world[name]
+        raw, value = staging.raw_meshes[name], staging.scene.model.world[name]
         notes = raw.notes
         corners = mesh.vertices[mesh.faces].reshape(-1, 3)
         low, high = (edge(corners, axis=0) / unit for edge in (np.min, np.max))
         imports[name] = MeshImport(
-            file=str(getattr(value, value.head())) if isinstance(value, ThingModel) else name,
+            file=str(getattr(value, value.find_head())) if isinstance(value, ThingModel) else name,
             form=notes.form or ("USD" if isinstance(value, UsdThing) else "heights"),
             vertices=notes.vertices,
             triangles=notes.triangles,
-            polygons=notes.cut,
-            concave=notes.concave,
-            crossing=notes.crossing,
-            dropped=raw.dropped,
-            welded=staging.welds.get(name, 0),
+            polygons=notes.cut_polygons,
+            concave=notes.concave_polygons,
+            crossing=notes.crossing_polygons,
+            dropped=raw.dropped_faces,
+            welded=staging.weld_counts.get(name, 0),
             left=len(mesh.faces),
             border_edges=count_border_edges(mesh),
-            skipped=tuple(notes.skipped_phrases()),
+            skipped=tuple(notes.describe_skipped()),
             low=(float(low[0]), float(low[1]), float(low[2])),
             high=(float(high[0]), float(high[1]), float(high[2])),
         )
@@ -238,14 +246,14 @@ class WeldError(Exception):
     """Reason why vertices are not welded. The message fits after the tolerance."""
 
 
-def welded(vertices: Floats, tolerance: float) -> tuple[Floats, int]:
+def weld_vertices(vertices: Floats, tolerance: float) -> tuple[Floats, int]:
     """Return vertices (n, 3) after welding, and the number of moved vertices. Their indices do not change.
 
     Vertices nearer to each other than `tolerance`, directly or through others, move to the position of the first of them.
     Raises WeldError if a list of the near pairs would need far more memory than the mesh."""
     from scipy.spatial import KDTree
 
-    order, new, which = distinct_points(vertices)
+    order, new, which = find_distinct_points(vertices)
     points = vertices[order[new]]
     tree = KDTree(points)
     if int(tree.count_neighbors(tree, tolerance)) - len(points) > 2 * max(_MAX_WELD_PAIRS, _MAX_PAIRS_PER_VERTEX * len(points)):
@@ -253,23 +261,23 @@ def welded(vertices: Floats, tolerance: float) -> tuple[Floats, int]:
     pairs = tree.query_pairs(tolerance, output_type="ndarray")
     if not len(pairs):
         return vertices, 0
-    number = component_numbers(pairs, len(points))[which]
+    number = number_components(pairs, len(points))[which]
     first = np.full(int(number.max()) + 1, len(vertices))
     np.minimum.at(first, number, np.arange(len(vertices)))  # the first in the file, whatever the library's numbers
     welded_vertices = vertices[first[number]]
     return welded_vertices, int((welded_vertices != vertices).any(axis=1).sum())
 
 
-def edge_lengths(vertices: Floats, faces: Faces) -> Floats:
+def compute_edge_lengths(vertices: Floats, faces: Faces) -> Floats:
     """Return the lengths (m, 3) of the edges of faces."""
     corners = vertices[faces]
     edges = corners - np.roll(corners, -1, axis=1)
     return np.asarray(np.sqrt((edges * edges).sum(axis=2)))
 
 
-def has_three_places(vertices: Floats, faces: Faces) -> NDArray[np.bool_]:
+def has_distinct_corners(vertices: Floats, faces: Faces) -> NDArray[np.bool_]:
     """Return whether each face has corners at three different positions."""
-    return np.asarray((edge_lengths(vertices, faces) > 0).all(axis=1))
+    return np.asarray((compute_edge_lengths(vertices, faces) > 0).all(axis=1))
 
 
 def is_flat(vertices: Floats, faces: Faces) -> bool:
@@ -288,30 +296,30 @@ def is_flat(vertices: Floats, faces: Faces) -> bool:
 class MeshOpenings:
     """The openings of a mesh that is not closed.
 
-    `gap`: a tolerance in mm, with one digit, at which welding closes the mesh; 0 if there is none.
+    `closing_tolerance`: a tolerance in mm, with one digit, at which welding closes the mesh; 0 if there is none.
     `width`: the widest gap in mm that this welding closes; 0 if there is none.
-    `holes`: the number of connected borders.
-    `edges`: the number of edges of the largest hole.
-    `longest`: its longest edge in mm."""
+    `hole_count`: the number of connected borders.
+    `largest_hole_edges`: the number of edges of the largest hole.
+    `longest_edge`: its longest edge in mm."""
 
-    gap: float
+    closing_tolerance: float
     width: float
-    holes: int
-    edges: int
-    longest: float
+    hole_count: int
+    largest_hole_edges: int
+    longest_edge: float
 
 
-def measure_openings(vertices: Floats, faces: Faces, grain: float) -> MeshOpenings:
-    """Return the openings of a mesh. `grain`: positions nearer to each other than this coincide."""
+def measure_openings(vertices: Floats, faces: Faces, tolerance: float) -> MeshOpenings:
+    """Return the openings of a mesh. `tolerance`: positions nearer to each other than this coincide."""
     from scipy.spatial import KDTree
 
-    edges, points = find_odd_edges(vertices, faces, grain)
+    edges, points = find_odd_edges(vertices, faces, tolerance)
     ends = points[edges]
     lengths = np.sqrt(((ends[:, 0] - ends[:, 1]) ** 2).sum(axis=1))
     rim = np.unique(edges)
     near = KDTree(points[rim]).query(points[rim], k=min(2, len(rim)))[0]
     near = near[:, -1] if near.ndim == 2 else near
-    most = float(np.median(edge_lengths(vertices, faces))) / 4
+    most = float(np.median(compute_edge_lengths(vertices, faces))) / 4
     narrow = near[near < most]
     gap = width = float(narrow.max()) if len(narrow) else 0.0
     for _ in range(_MAX_CLOSING_TRIES if gap else 0):
@@ -319,13 +327,17 @@ def measure_openings(vertices: Floats, faces: Faces, grain: float) -> MeshOpenin
         if gap > most:
             break
         try:
-            moved = welded(vertices, gap)[0]
+            moved = weld_vertices(vertices, gap)[0]
         except WeldError:
             break
-        if has_three_places(moved, faces).any() and not is_flat(moved, faces) and not len(find_odd_edges(moved, faces, grain)[0]):
+        if (
+            has_distinct_corners(moved, faces).any()
+            and not is_flat(moved, faces)
+            and not len(find_odd_edges(moved, faces, tolerance)[0])
+        ):
             return MeshOpenings(gap, width, 0, 0, 0.0)
         gap *= 2
-    _, piece, count = np.unique(component_numbers(edges, len(points))[edges[:, 0]], return_inverse=True, return_counts=True)
+    _, piece, count = np.unique(number_components(edges, len(points))[edges[:, 0]], return_inverse=True, return_counts=True)
     largest = int(count.argmax())
     return MeshOpenings(0.0, 0.0, len(count), int(count[largest]), float(lengths[piece == largest].max()))
 

@@ -11,8 +11,8 @@ from antdsl.diagnostics import Label
 from antdsl.program.model import Constant, Expr, OperationExpr, ParamRef
 from antdsl.program.tables.vocabulary import LENGTH_DIMENSION
 from antdsl.scene.document import PathKey
-from antdsl.scene.geometry.meshes import mesh_area
-from antdsl.scene.matching import const_in_base_units
+from antdsl.scene.geometry.mesh_files import compute_mesh_area
+from antdsl.scene.scene_checks import convert_constant
 
 if TYPE_CHECKING:
     from antdsl.scene.staging.stage_scene import SceneStaging
@@ -34,14 +34,14 @@ def _check_cells(staging: SceneStaging) -> None:
     for name, declared in staging.program.fields.items():
         if not isinstance(declared.cell, Constant):
             continue
-        edge = const_in_base_units(declared.cell, staging.scene)
+        edge = convert_constant(declared.cell, staging.scene)
         if edge <= 0:
             continue
-        area = sum(mesh_area(surfaces[s]) for s in declared.surfaces if s in surfaces)
+        area = sum(compute_mesh_area(surfaces[s]) for s in declared.surfaces if s in surfaces)
         place = declared.surfaces[0] if declared.surfaces else ""
         # a plane that lies aslant touches up to 1.7 times the voxels of its area; one each for the area is the least
         labels = (Label(declared.cell.span, "the cell's size"),)
-        refuse_if_many(
+        report_too_many(
             staging,
             area / (edge * edge),
             limits.MAX_FIELD_CELLS,
@@ -61,7 +61,7 @@ def _check_scale(staging: SceneStaging) -> None:
     for line in staging.scene.model.crowd:
         species = staging.program.species.get(line.species)
         size = next((a.default for a in species.attributes if a.name == "size"), None) if species else None
-        length = _first_length(size, staging) if size is not None else None
+        length = _find_first_length(size, staging) if size is not None else None
         if length is None:
             continue
         for name, mesh in staging.surfaces.items():
@@ -81,13 +81,13 @@ def _check_scale(staging: SceneStaging) -> None:
                 staging.report.warning("odd-scale", words, place, help)
 
 
-def _first_length(expression: Expr, staging: SceneStaging) -> float | None:
+def _find_first_length(expression: Expr, staging: SceneStaging) -> float | None:
     """Return the first length in an expression such as `uniform(3 mm, 5 mm)`, in millimetres; None without one."""
     stack: list[Expr | None] = [expression]
     while stack:
         part = stack.pop()
-        if isinstance(part, Constant) and part.type.dim == LENGTH_DIMENSION and part.number > 0:
-            return const_in_base_units(part, staging.scene)
+        if isinstance(part, Constant) and part.type.dimension == LENGTH_DIMENSION and part.number > 0:
+            return convert_constant(part, staging.scene)
         if isinstance(part, ParamRef):
             stack.append(staging.program.params[part.name].default)
         elif isinstance(part, OperationExpr):
@@ -95,20 +95,20 @@ def _first_length(expression: Expr, staging: SceneStaging) -> float | None:
     return None
 
 
-def refuse_if_many(
+def report_too_many(
     staging: SceneStaging,
     count: float,
-    cap: int,
-    what: str,
+    max_count: int,
+    subject: str,
     parts: str,
     edge: float,
     *path: PathKey,
     labels: tuple[Label, ...] = (),
 ) -> None:
-    """Report an error if `count` parts with an edge of `edge` mm exceed `cap`. `path`: the location in the scene."""
-    if count > cap:
+    """Report an error if `count` parts with an edge of `edge` mm exceed `max_count`. `path`: the location in the scene."""
+    if count > max_count:
         size = f"{count * 8 / limits.GIB:,.0f} GiB" if count * 8 > limits.GIB else f"{count * 8 / limits.MIB:,.0f} MiB"
-        message = f"{what} would need at least {count:,.0f} {parts} of {edge:g} mm (about {size}), more than {cap:,}"
-        larger = edge * (count / cap) ** (1 / 3 if parts == "voxels" else 1 / 2)
+        message = f"{subject} would need at least {count:,.0f} {parts} of {edge:g} mm (about {size}), more than {max_count:,}"
+        larger = edge * (count / max_count) ** (1 / 3 if parts == "voxels" else 1 / 2)
         help = f"write {parts[:-1]}s of {larger * 1.05:.3g} mm or more, or check the `units` of the mesh"
         staging.report.error("too-large", message, staging.scene.span(*path), help, labels=labels)

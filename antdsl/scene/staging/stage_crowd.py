@@ -9,25 +9,25 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.diagnostics.suggestion import nearest_name
+from antdsl.diagnostics.suggestion import find_nearest_name
 from antdsl.program.model import Dimension, TypeKind
 from antdsl.scene import setting as stage_of
-from antdsl.scene.crowd_model import Placement, UsdPlaces, Walk
+from antdsl.scene.crowd_model import Placement, UsdPositions, Walk
 from antdsl.scene.document import PathKey
 from antdsl.scene.load import Scene
 from antdsl.scene.quantities import Quantity
 from antdsl.scene.staging.stage_things import stage_usd_places
-from antdsl.scene.staging.usd_values import UsdFile, read_in_base_units, warn_near_misses
-from antdsl.scene.thing_models import millimetres
+from antdsl.scene.staging.usd_values import UsdFile, read_in_base_units, warn_misspelled_names
+from antdsl.scene.thing_models import convert_point
 from antdsl.scene.values import PointValue
 
 if TYPE_CHECKING:
     from antdsl.scene.staging.stage_scene import SceneStaging
 
 
-def length(scene: Scene, value: Quantity | None) -> float | None:
+def convert_length(scene: Scene, value: Quantity | None) -> float | None:
     """Return a length of the scene in mm; None for None."""
-    return None if value is None else value.length(scene.model.unit_mm)
+    return None if value is None else value.to_millimetres(scene.model.unit_mm)
 
 
 PointsByName = Mapping[str, stage_of.PointMm]
@@ -45,47 +45,49 @@ def stage_point(
     if around is None:
         return None if radius is None else (0.0, 0.0, 0.0)
     if not isinstance(around, str):
-        return millimetres(around, staging.scene.model.unit_mm)
+        return convert_point(around, staging.scene.model.unit_mm)
     if around not in item_points and staging.report.ok:
-        near = nearest_name(around, item_points)
+        near = find_nearest_name(around, item_points)
         help = f"did you mean `{near}`?" if near else None
         staging.report.error("unknown-thing", f"no item is named `{around}`", staging.scene.span(*path, key), help)
     return item_points.get(around)
 
 
-def place(staging: SceneStaging, item_points: PointsByName, place: Placement, *path: PathKey) -> stage_of.PlaceData:
+def stage_placement(
+    staging: SceneStaging, item_points: PointsByName, placement: Placement, *path: PathKey
+) -> stage_of.PlacementData:
     """Return the starting positions of a crowd line, in mm and the scene's axes. Errors go into the report."""
     scene = staging.scene
     points, ahead, values = None, None, {}
-    if isinstance(place.points, UsdPlaces):
-        usd_points = stage_usd_places(staging, place.points, *path)
+    if isinstance(placement.points, UsdPositions):
+        usd_points = stage_usd_places(staging, placement.points, *path)
         if usd_points is not None:
-            file = UsdFile(staging, place.points.usd, scene.span(*path, "points", "usd"), usd_points)
+            file = UsdFile(staging, placement.points.usd, scene.span(*path, "points", "usd"), usd_points)
             points, ahead, values = (
                 usd_points.positions[0],
-                _normalise(usd_points.ahead),
+                _normalise_rows(usd_points.ahead),
                 _read_usd_attributes(file, scene.model.crowd[int(path[1])].species),
             )
-    elif place.points is not None:
-        points = staging.points(place.points, 1, *path, "points")
+    elif placement.points is not None:
+        points = staging.read_points(placement.points, 1, *path, "points")
         if points is not None:
             points = points * scene.model.unit_mm
-    return stage_of.PlaceData(
-        on=(place.on,) if place.on is not None else (),
-        around=stage_point(staging, item_points, place.around, place.radius, *path),
-        inside=stage_point(staging, item_points, place.inside, None, *path, key="inside"),
-        radius=length(scene, place.radius),
+    return stage_of.PlacementData(
+        on=(placement.on,) if placement.on is not None else (),
+        disc_centre=stage_point(staging, item_points, placement.around, placement.radius, *path),
+        ray_origin=stage_point(staging, item_points, placement.inside, None, *path, key="inside"),
+        radius=convert_length(scene, placement.radius),
         points=points,
-        density=place.density,
-        by_area=place.by == "area",
-        spacing=_read_spacing(scene, place.apart),
-        seed=place.seed,
-        ahead=ahead,
+        density=placement.density,
+        is_by_area=placement.by == "area",
+        spacing=_read_spacing(scene, placement.apart),
+        seed=placement.seed,
+        headings=ahead,
         values=values,
     )
 
 
-def _normalise(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+def _normalise_rows(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return vectors (n, 3) scaled to length 1; nan for zero vectors."""
     size = np.sqrt((vectors[:, 0] * vectors[:, 0] + vectors[:, 1] * vectors[:, 1]) + vectors[:, 2] * vectors[:, 2])
     unit_vectors: NDArray[np.float64] = vectors / np.where(size > 0, size, np.nan)[:, None]
@@ -95,10 +97,10 @@ def _normalise(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
 def _read_usd_attributes(file: UsdFile, species: str) -> dict[str, NDArray[np.float64]]:
     """Return the attributes of a species for which the points or empties of the file have values, by name."""
     declared = file.staging.program.species[species].attributes
-    own = {a.name: a.type.dim for a in declared if a.type.kind is TypeKind.NUMBER and not a.each}
+    own = {a.name: a.type.dimension for a in declared if a.type.kind is TypeKind.NUMBER and not a.each}
     own |= {a.name: Dimension() for a in declared if a.type.kind is TypeKind.BOOL}
     columns = {name: read_in_base_units(file, name, dim) for name, dim in own.items()}
-    warn_near_misses(file, species, own)
+    warn_misspelled_names(file, species, own)
     return {name: column for name, column in columns.items() if np.isfinite(column).any()}
 
 
@@ -110,13 +112,15 @@ def stage_walk(scene: Scene, walk: Walk | None) -> stage_of.WalkData | None:
     x, y, z = walk.direction
     size = math.sqrt((x * x + y * y) + z * z)
     speed = (
-        walk.speed.length(model.unit_mm) if walk.speed.is_bare else walk.speed.to_base_units(model.unit_mm, float(1 / model.fps))
+        walk.speed.to_millimetres(model.unit_mm)
+        if walk.speed.is_bare
+        else walk.speed.to_base_units(model.unit_mm, float(1 / model.fps))
     )
-    return stage_of.WalkData((x / size, y / size, z / size), speed, walk.length.length(model.unit_mm))
+    return stage_of.WalkData((x / size, y / size, z / size), speed, walk.length.to_millimetres(model.unit_mm))
 
 
 def _read_spacing(scene: Scene, spacing: Quantity | str | None) -> float:
     """Return the least distance (mm) between agents of a crowd line at the start. inf means evenly distributed."""
     if isinstance(spacing, str):
         return math.inf
-    return length(scene, spacing) or 0.0
+    return convert_length(scene, spacing) or 0.0

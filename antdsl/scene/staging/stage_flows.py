@@ -11,12 +11,12 @@ from antdsl import limits
 from antdsl.scene import setting as stage_of
 from antdsl.scene import thing_models as model
 from antdsl.scene.entry_checks import report_unknown
-from antdsl.scene.geometry.meshes import RawMesh, rotate_points, rotate_up
+from antdsl.scene.geometry.mesh_files import RawMesh, rotate_points, rotate_up
 from antdsl.scene.geometry.painted import PaintError, read_painted_values
-from antdsl.scene.kinds import find_goal, find_painted_surface, is_file
 from antdsl.scene.quantities import Quantity
+from antdsl.scene.scene_kinds import find_flow_target, find_painted_surface, is_file_path
 from antdsl.scene.setting import FlowTarget
-from antdsl.scene.staging.stage_things import first_rotation, limit_length, stage_usd_paint
+from antdsl.scene.staging.stage_things import find_first_rotation, limit_length, stage_usd_paint
 
 if TYPE_CHECKING:
     from antdsl.scene.staging.stage_scene import SceneStaging
@@ -30,14 +30,14 @@ def stage_flow(staging: SceneStaging, name: str, thing: model.FlowThing | model.
         return _stage_painted(staging, name, thing, 3)
 
     def mm(value: Quantity | None) -> float | None:
-        return None if value is None else value.length(staging.scene.model.unit_mm)
+        return None if value is None else value.to_millimetres(staging.scene.model.unit_mm)
 
     on = () if thing.on is None else (thing.on,)
     if isinstance(thing, model.BorderFlow):
         within = mm(thing.within)
         assert within is not None
-        return stage_of.BorderFlow(on or (thing.border,), within, thing.falloff, thing.strength, mm(thing.cell))
-    goal = find_goal(thing)
+        return stage_of.BorderFlowData(on or (thing.border,), within, thing.falloff, thing.strength, mm(thing.cell))
+    goal = find_flow_target(thing)
     assert goal is not None
     target = _stage_target(staging, name, *goal)
     if target is None:
@@ -48,46 +48,46 @@ def stage_flow(staging: SceneStaging, name: str, thing: model.FlowThing | model.
             _DEFAULT_INTERVAL_SECONDS if thing.every is None else thing.every.to_base_units(model_.unit_mm, float(1 / model_.fps))
         )
         clearance = mm(thing.room) or 0.0
-        return stage_of.SolvedFlow(
+        return stage_of.SolvedFlowData(
             target, thing.slope, clearance, dict(thing.maps), thing.crowding, every, thing.strength, mm(thing.cell), on
         )
     assert isinstance(thing, model.SpreadFlow)
     direction, gather = goal[0], thing.gather if isinstance(thing, model.TangentFlow) else 0.0
-    return stage_of.SpreadFlow(direction, target, mm(thing.radius), thing.falloff, thing.strength, mm(thing.cell), on, gather)  # type: ignore[arg-type]
+    return stage_of.SpreadFlowData(direction, target, mm(thing.radius), thing.falloff, thing.strength, mm(thing.cell), on, gather)  # type: ignore[arg-type]
 
 
-def _stage_target(staging: SceneStaging, name: str, key: str, goal: model.Target) -> FlowTarget | None:
+def _stage_target(staging: SceneStaging, name: str, key: str, target: model.Target) -> FlowTarget | None:
     scene, items = staging.scene, staging.items
-    if not isinstance(goal, str):
-        return FlowTarget(np.array([model.millimetres(goal, scene.model.unit_mm)]), np.zeros(1))
-    if is_file(goal):
-        points = staging.points(goal, 2 if key == "tangent" else 1, "world", name, key)
+    if not isinstance(target, str):
+        return FlowTarget(np.array([model.convert_point(target, scene.model.unit_mm)]), np.zeros(1))
+    if is_file_path(target):
+        points = staging.read_points(target, 2 if key == "tangent" else 1, "world", name, key)
         if points is None:
             return None
         points = points * scene.model.unit_mm
         return FlowTarget(points, np.zeros(len(points)), line=len(points) > 1)
-    if goal in staging.curves:
-        points = staging.curves[goal][0]
-        return FlowTarget(points, np.zeros(len(points)), line=True, of=goal)
-    of, which, target_items = goal, None, items.get(goal) or ()
+    if target in staging.curves:
+        points = staging.curves[target][0]
+        return FlowTarget(points, np.zeros(len(points)), line=True, of=target)
+    of, which, target_items = target, None, items.get(target) or ()
     if not target_items:
-        own = [(group, k) for group, each in items.items() for k, item in enumerate(each) if item.name == goal]
+        own = [(group, k) for group, each in items.items() for k, item in enumerate(each) if item.name == target]
         if not own:
-            _report_no_target(staging, name, key, goal)
+            _report_no_target(staging, name, key, target)
             return None
         of, which = own[0]
         target_items = (items[of][which],)
     positions, radii = (np.array([getattr(i, key) for i in target_items], np.float64) for key in ("position", "radius"))
-    return FlowTarget(positions, radii, of=of, which=which)
+    return FlowTarget(positions, radii, of=of, item_index=which)
 
 
-def _report_no_target(staging: SceneStaging, name: str, key: str, goal: str) -> None:
+def _report_no_target(staging: SceneStaging, name: str, key: str, target: str) -> None:
     """Report a target that is not an item, unless another message already explains it."""
     items = staging.items
     if not staging.report.ok:
         return
-    if goal in items:
-        words, help = f"`{goal}` has no items, so `{name}` leads nowhere", f"add one: `{goal}: {{one: {{at: [0, 0, 0]}}}}`"
+    if target in items:
+        words, help = f"`{target}` has no items, so `{name}` leads nowhere", f"add one: `{target}: {{one: {{at: [0, 0, 0]}}}}`"
         staging.report.error("missing-thing", words, staging.scene.span("world", name, key), help)
         return
     known = [*items, *(item.name for each in items.values() for item in each)]
@@ -103,9 +103,9 @@ def _stage_painted(staging: SceneStaging, name: str, thing: model.PaintedThing, 
     """Return painted values on the vertices or faces of a surface, as the surface is in the scene.
 
     `width`: 1 for the numbers of a map, 3 for the vectors of a flow. On failure, report an error and return None."""
-    surfaces = staging.program.of_kind("surface")
+    surfaces = staging.program.list_things_of_kind("surface")
     surface = thing.on or find_painted_surface(staging.scene, surfaces, thing) or surfaces[0]
-    raw, mesh = staging.raw.get(surface), staging.scene.model.world.get(surface)
+    raw, mesh = staging.raw_meshes.get(surface), staging.scene.model.world.get(surface)
     if isinstance(mesh, model.UsdThing) and mesh.usd == thing.painted:
         values = stage_usd_paint(staging, name, thing, mesh, width)
         return None if values is None else stage_of.PaintedValues(surface, values, False)
@@ -121,7 +121,7 @@ def _stage_painted(staging: SceneStaging, name: str, thing: model.PaintedThing, 
         return None
     own = _select_used_rows(rows, raw)
     if own is None:
-        has = "`{}` has {:,} vertices and {:,} triangles".format(surface, *raw.counts)
+        has = "`{}` has {:,} vertices and {:,} triangles".format(surface, *raw.file_counts)
         help = "paint on the mesh that the surface is made from, its points in the same order"
         staging.report.error("bad-paint", f"`{thing.painted}` has {len(rows):,} values, and {has}", span, help)
         return None
@@ -131,7 +131,7 @@ def _stage_painted(staging: SceneStaging, name: str, thing: model.PaintedThing, 
         up = staging.scene.model.up
         mirrored, own_up = (mesh.scale < 0, mesh.own_up or up) if isinstance(mesh, model.MeshThing) else (False, "y")
         values = values * (-1.0 if mirrored else 1.0)
-        values = limit_length(rotate_points(rotate_up(values, own_up, up), first_rotation(staging, mesh)))
+        values = limit_length(rotate_points(rotate_up(values, own_up, up), find_first_rotation(staging, mesh)))
     return stage_of.PaintedValues(surface, values if width == 3 else values[:, 0], of_faces)
 
 
@@ -139,7 +139,7 @@ def _select_used_rows(rows: NDArray[np.float64], raw: RawMesh) -> tuple[NDArray[
     """Return the rows of those vertices or faces of the file that are in the scene, and whether they are faces.
 
     Return None if the number of rows fits neither."""
-    vertices, faces = raw.counts
+    vertices, faces = raw.file_counts
     if len(rows) == vertices:
         return rows[raw.own_vertices], False
     return (rows[raw.own_faces], True) if len(rows) == faces else None

@@ -8,21 +8,21 @@ import numpy as np
 
 from antdsl import limits
 from antdsl.scene import setting as stage_of
-from antdsl.scene.geometry.heights import height_surface, read_heights, surface_deviation
+from antdsl.scene.geometry.heights import compute_deviation, make_height_surface, read_heights
+from antdsl.scene.geometry.mesh_files import RawMesh, check_mesh, make_limited_mesh, place_mesh, read_mesh
 from antdsl.scene.geometry.mesh_text import MeshError
-from antdsl.scene.geometry.meshes import RawMesh, check_mesh, mesh_within_limits, placed, read_mesh
 from antdsl.scene.paths import PathRefused
 from antdsl.scene.staging.mesh_imports import close_solid, report_losses, weld_thing
-from antdsl.scene.staging.size_checks import refuse_if_many
-from antdsl.scene.staging.stage_things import place_moves, read_moving_mesh, stage_usd_mesh
-from antdsl.scene.thing_models import UNIT_MM, HeightThing, MeshThing, UsdThing, angles, millimetres
+from antdsl.scene.staging.size_checks import report_too_many
+from antdsl.scene.staging.stage_things import place_motion, read_moving_mesh, stage_usd_mesh
+from antdsl.scene.thing_models import UNIT_MM, HeightThing, MeshThing, UsdThing, convert_point, convert_rotation
 
 if TYPE_CHECKING:
     from antdsl.scene.staging.stage_scene import SceneStaging
 
 
 def stage_mesh(staging: SceneStaging, name: str, value: MeshThing | HeightThing | UsdThing) -> stage_of.MeshData | None:
-    """Return a mesh at the first frame. On failure, report an error and return None. Its motion goes into `staging.moves`."""
+    """Return a mesh at the first frame. On failure, report an error and return None. Its motion goes into `staging.motion`."""
     scene, report = staging.scene, staging.report
     up, unit_mm = scene.model.up, scene.model.unit_mm
     if isinstance(value, UsdThing):
@@ -37,35 +37,37 @@ def stage_mesh(staging: SceneStaging, name: str, value: MeshThing | HeightThing 
         geometry = (
             read_moving_mesh(staging, name, value)
             if scene.roots.is_sequence(value.mesh)
-            else _read_still_mesh(staging, name, value)
+            else _read_static_mesh(staging, name, value)
         )
     if geometry is None:
         return None
     raw, inner = geometry
     span = scene.span("world", name, key)
     try:
-        mesh = placed(raw, factor=factor, own_up=own_up, up=up, angles=angles(value), at=millimetres(value.at, unit_mm))
-        moving = place_moves(staging, value, raw, inner, factor, own_up)
+        mesh = place_mesh(
+            raw, factor=factor, own_up=own_up, up=up, angles=convert_rotation(value), position=convert_point(value.at, unit_mm)
+        )
+        moving = place_motion(staging, value, raw, inner, factor, own_up)
         if moving is not None:
             rest, moves = moving
-            mesh = mesh_within_limits(rest, mesh.faces)
+            mesh = make_limited_mesh(rest, mesh.faces)
             if moves is not None:
                 staging.moves[name] = moves
     except MeshError as why:
         report.error("bad-mesh", f"the mesh `{display_name}` {why}", span, why.help)
         return None
-    staging.raw[name] = raw
+    staging.raw_meshes[name] = raw
     mesh = weld_thing(staging, name, value, mesh)
     report_losses(staging, display_name, raw, span)
     return mesh
 
 
-def _read_still_mesh(staging: SceneStaging, name: str, value: MeshThing) -> tuple[RawMesh, None] | None:
+def _read_static_mesh(staging: SceneStaging, name: str, value: MeshThing) -> tuple[RawMesh, None] | None:
     data = staging.read_file(value.mesh, limits.MAX_MESH_BYTES, "world", name, "mesh")
     if data is None:
         return None
     try:
-        return read_mesh(data, value.mesh, value.group, staging.sibling_reader(value.mesh)), None
+        return read_mesh(data, value.mesh, value.group, staging.make_sibling_reader(value.mesh)), None
     except PathRefused as refused:
         words = f"the mesh `{value.mesh}` names a buffer: {refused}"
         staging.report.error(refused.code, words, staging.scene.span("world", name, "mesh"), refused.help)
@@ -82,16 +84,16 @@ def _read_height_mesh(staging: SceneStaging, name: str, value: HeightThing) -> t
     if data is None:
         return None
     unit_mm = staging.scene.model.unit_mm
-    offset = 0.0 if value.offset is None else value.offset.length(unit_mm)
+    offset = 0.0 if value.offset is None else value.offset.to_millimetres(unit_mm)
     try:
-        heights = offset + value.scale.length(unit_mm) * read_heights(data, value.height, value.array, value.layer)
-        x, z = (side.length(unit_mm) for side in value.extent)
-        raw = check_mesh(*height_surface(heights, (x, z)))
+        heights = offset + value.scale.to_millimetres(unit_mm) * read_heights(data, value.height, value.array, value.layer)
+        x, z = (side.to_millimetres(unit_mm) for side in value.extent)
+        raw = check_mesh(*make_height_surface(heights, (x, z)))
     except MeshError as why:
         span = staging.scene.span("world", name, "height")
         staging.report.error("bad-mesh", f"the heights `{value.height}` {why}", span, why.help)
         return None
-    staging.deviations[name] = surface_deviation(heights)
+    staging.deviations[name] = compute_deviation(heights)
     return raw, None
 
 
@@ -102,9 +104,9 @@ def stage_solid(staging: SceneStaging, name: str, value: MeshThing | UsdThing) -
     mesh = stage_mesh(staging, name, value)
     if mesh is None or value.voxel is None:  # that it is missing was reported when the scene was matched
         return None
-    edge = value.voxel.length(staging.scene.model.unit_mm)
+    edge = value.voxel.to_millimetres(staging.scene.model.unit_mm)
     across = [float(side) / edge + 1 for side in np.ptp(mesh.vertices, axis=0)]
-    refuse_if_many(
+    report_too_many(
         staging, across[0] * across[1] * across[2], limits.MAX_VOXELS, f"`{name}`", "voxels", edge, "world", name, "voxel"
     )
     solid = stage_of.SolidData(mesh, edge)

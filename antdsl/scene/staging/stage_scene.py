@@ -17,25 +17,25 @@ from antdsl.diagnostics import Report
 from antdsl.program.model import Program
 from antdsl.scene import setting as stage_of
 from antdsl.scene.document import PathKey
-from antdsl.scene.geometry.closed import check_sides
+from antdsl.scene.geometry.closed_meshes import check_obstacle_sides
 from antdsl.scene.geometry.import_notes import MeshImport
-from antdsl.scene.geometry.meshes import RawMesh
+from antdsl.scene.geometry.mesh_files import RawMesh
 from antdsl.scene.geometry.points import MAX_POINT_FILE_BYTES, PointsError, read_points
-from antdsl.scene.kinds import KINDS
 from antdsl.scene.library_bodies import BODY_WORDS
 from antdsl.scene.load import Scene
-from antdsl.scene.model import UsdCamera
 from antdsl.scene.paths import PathRefused
 from antdsl.scene.quantities import Quantity
+from antdsl.scene.scene_kinds import SCENE_KINDS
+from antdsl.scene.scene_model import UsdCamera
 from antdsl.scene.staging.item_placement import check_crowds, place_items
-from antdsl.scene.staging.mesh_imports import check_live_faces, collect_imports, report_distances
-from antdsl.scene.staging.moves import GeometryMoves, MeshMoves
+from antdsl.scene.staging.mesh_imports import check_live_faces, check_origin_distances, collect_imports
+from antdsl.scene.staging.motion import GeometryMoves, MeshMoves
 from antdsl.scene.staging.size_checks import check_sizes
-from antdsl.scene.staging.stage_crowd import length, place, stage_point, stage_walk
+from antdsl.scene.staging.stage_crowd import convert_length, stage_placement, stage_point, stage_walk
 from antdsl.scene.staging.stage_flows import check_densities, stage_flow, stage_map
 from antdsl.scene.staging.stage_meshes import stage_mesh, stage_solid
 from antdsl.scene.staging.stage_things import stage_curve, stage_usd_camera
-from antdsl.scene.thing_models import millimetres
+from antdsl.scene.thing_models import convert_point
 
 _UP_VECTORS = {"y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
@@ -56,27 +56,27 @@ class SceneStaging:
     item_tracks: dict[str, NDArray[np.float64]] = field(default_factory=dict)  # positions (frames, n, 3) of items that move
     flows: dict[str, stage_of.FlowData] = field(default_factory=dict)
     maps: dict[str, stage_of.PaintedValues] = field(default_factory=dict)
-    raw: dict[str, RawMesh] = field(default_factory=dict)  # meshes as their files have them
+    raw_meshes: dict[str, RawMesh] = field(default_factory=dict)  # meshes as their files have them
     moves: dict[str, MeshMoves] = field(default_factory=dict)  # by mesh
     deviations: dict[str, float] = field(default_factory=dict)  # mm, of surfaces of heights: triangles from bilinear patches
     closures: dict[str, Any] = field(default_factory=dict)  # USD files that were collected, by name
-    welds: dict[str, int] = field(default_factory=dict)  # vertices that were moved onto others, by mesh
+    weld_counts: dict[str, int] = field(default_factory=dict)  # vertices that were moved onto others, by mesh
 
-    def read(self, group: str, name: str, value: Any) -> Any:
+    def read_thing(self, group: str, name: str, value: Any) -> Any:
         """Return the data of a thing for the mapping `group` of the setting. On failure, report an error and return None."""
         return READERS[group](self, name, value)
 
-    def read_file(self, text: str, cap: int, *path: PathKey) -> bytes | None:
+    def read_file(self, text: str, max_bytes: int, *path: PathKey) -> bytes | None:
         """Return a file's bytes. On failure, report an error at the path that names the file, and return None."""
         try:
-            data = self.scene.roots.read(text, cap)
+            data = self.scene.roots.read_file(text, max_bytes)
         except PathRefused as refused:
             self.report.error(refused.code, str(refused), self.scene.span(*path), refused.help)
             return None
         self.hashes[text] = hashlib.blake2b(data, digest_size=16).hexdigest()
         return data
 
-    def sibling_reader(self, text: str) -> Callable[[str, int], bytes]:
+    def make_sibling_reader(self, text: str) -> Callable[[str, int], bytes]:
         """Return a reader for files that are named in a file of the scene, relative to that file's folder.
 
         The reader raises PathRefused for files outside the allowed folders."""
@@ -85,19 +85,20 @@ class SceneStaging:
 
         def read(name: str, cap: int) -> bytes:
             full_path = root + colon + (posixpath.normpath(posixpath.join(folder, name)) if name[:1] != "/" else name)
-            data = self.scene.roots.read(full_path, cap)
+            data = self.scene.roots.read_file(full_path, cap)
             self.hashes[full_path] = hashlib.blake2b(data, digest_size=16).hexdigest()
             return data
 
         return read
 
-    def points(self, text: str, least: int, *path: PathKey) -> NDArray[np.float64] | None:
-        """Return at least `least` points of a JSON file, in the file's own units. On failure, report an error and return None."""
+    def read_points(self, text: str, min_count: int, *path: PathKey) -> NDArray[np.float64] | None:
+        """Return at least `min_count` points of a JSON file, in the file's own units. On failure, report an error and return
+        None."""
         data = self.read_file(text, MAX_POINT_FILE_BYTES, *path)
         if data is None:
             return None
         try:
-            return read_points(data, least)
+            return read_points(data, min_count)
         except PointsError as why:
             self.report.error("bad-points", f"`{text}` {why}", self.scene.span(*path), "write `[[0, 0, 0], [50, 0, 0]]`")
             return None
@@ -105,7 +106,7 @@ class SceneStaging:
     def find_sequence(self, text: str, *path: PathKey) -> dict[int, str] | None:
         """Return the files of a path with `####`, by frame. On failure, report an error and return None."""
         try:
-            return self.scene.roots.sequence(text)
+            return self.scene.roots.find_sequence(text)
         except PathRefused as refused:
             self.report.error(refused.code, str(refused), self.scene.span(*path), refused.help)
             return None
@@ -117,7 +118,7 @@ READERS: Mapping[str, Callable[[SceneStaging, str, Any], Any]] = {
     "flows": stage_flow, "maps": stage_map,
 }  # fmt: skip
 CHECKS: Mapping[str, Callable[[SceneStaging], None]] = {
-    "surfaces": check_live_faces, "obstacles": check_sides, "solids": check_sizes,
+    "surfaces": check_live_faces, "obstacles": check_obstacle_sides, "solids": check_sizes,
 }  # fmt: skip
 
 
@@ -128,9 +129,9 @@ def _stage_things(staging: SceneStaging, *groups: str) -> None:
     """Stage the things of some groups in the program's order. Curves and items keep the scene's order, as in caches."""
     program, scene = staging.program.world, staging.scene.model.world
     for name in scene if groups[0] in ("curves", "items") else program:
-        kind, value = KINDS.get(program[name].kind) if name in program else None, scene.get(name)
+        kind, value = SCENE_KINDS.get(program[name].kind) if name in program else None, scene.get(name)
         if kind is not None and kind.group in groups and isinstance(value, kind.models):
-            data = kind.stage(staging, name, value)
+            data = kind.stage_thing(staging, name, value)
             if data is not None:
                 getattr(staging, kind.group)[name] = data
     for group in groups:
@@ -143,7 +144,7 @@ def _single_library_body(weights: Mapping[str, float]) -> str:
     return next((text for text in weights if len(weights) == 1 and text in BODY_WORDS), "")
 
 
-def stage(
+def build_setting(
     scene: Scene, program: Program, overrides: Mapping[str, Quantity] | None = None
 ) -> tuple[stage_of.WorldSetting | None, Report, dict[str, str]]:
     """Return the setting, the report, and a hash of each file read. The setting is None if there are errors.
@@ -161,7 +162,7 @@ def stage(
         stage_of.CrowdData(
             line.species,
             line.count,
-            place(staging, item_points, line.place, "crowd", number, "place"),
+            stage_placement(staging, item_points, line.place, "crowd", number, "place"),
             number,
             stage_walk(scene, line.walk),
             _single_library_body(line.body_weights),
@@ -173,10 +174,10 @@ def stage(
     check_crowds(staging, crowds)
     camera = stage_usd_camera(staging, model.camera) if isinstance(model.camera, UsdCamera) else None
     starts = {
-        name: stage_of.FieldStart(
+        name: stage_of.FieldStartData(
             start.start,
             stage_point(staging, item_points, start.around, start.radius, "fields", name),
-            length(scene, start.radius),
+            convert_length(scene, start.radius),
         )
         for name, start in model.fields.items()
     }
@@ -190,7 +191,7 @@ def stage(
     setting = stage_of.WorldSetting(
         fps=model.fps,
         substeps=model.substeps,
-        by_rays=model.stick == "rays",
+        uses_rays=model.stick == "rays",
         orient=model.orient,
         contacts=model.contacts,
         up=_UP_VECTORS[model.up],
@@ -200,24 +201,24 @@ def stage(
         crowds=crowds,
         params=params,
         field_start=starts,
-        moves=GeometryMoves(
+        motion=GeometryMoves(
             first=model.frames.first - model.preroll,
             meshes={name: moves for name, moves in staging.moves.items() if name not in staging.solids},
             items=staging.item_tracks,
             curves={name: positions for name, positions in staging.curves.items() if len(positions) > 1},
         ),
         camera=camera,
-        detail=_stage_detail(scene, camera),
+        level_of_detail=_stage_detail(scene, camera),
         deviations=staging.deviations,
         imports=collect_imports(staging),
         spans={name: scene.span("world", name) for name in model.world},
         **things,
     )
-    report_distances(staging, setting)
+    check_origin_distances(staging, setting)
     return setting, staging.report, staging.hashes
 
 
-def import_reports(scene: Scene, program: Program) -> dict[str, MeshImport]:
+def collect_import_reports(scene: Scene, program: Program) -> dict[str, MeshImport]:
     """Return the report on each mesh that can be read, even if the scene has errors."""
     staging = SceneStaging(scene, program)
     for group in _MESHES:
@@ -230,10 +231,10 @@ def _stage_detail(scene: Scene, camera: stage_of.CameraData | None) -> stage_of.
     model = scene.model
     if model.lod is None or model.camera is None or isinstance(model.camera, str):
         return None
-    near, far = model.lod.near.length(model.unit_mm), length(scene, model.lod.far)
+    near, far = model.lod.near.to_millimetres(model.unit_mm), convert_length(scene, model.lod.far)
     if camera is not None:
         camera_positions = camera.at
     else:
         assert not isinstance(model.camera, UsdCamera)
-        camera_positions = np.array([millimetres(model.camera.at, model.unit_mm)])
+        camera_positions = np.array([convert_point(model.camera.at, model.unit_mm)])
     return stage_of.DetailData(camera_positions, near, float("inf") if far is None else far, model.frames.first)

@@ -12,16 +12,16 @@ from numpy.typing import NDArray
 
 from antdsl import limits
 from antdsl.scene import setting as stage_of
-from antdsl.scene.crowd_model import UsdPlaces
+from antdsl.scene.crowd_model import UsdPositions
 from antdsl.scene.document import PathKey
 from antdsl.scene.geometry.import_notes import ImportNotes
 from antdsl.scene.geometry.matrices import apply_transforms, has_inverse
+from antdsl.scene.geometry.mesh_files import RawMesh, check_mesh, read_mesh_arrays, rotate_points, rotate_up
 from antdsl.scene.geometry.mesh_text import MeshError
-from antdsl.scene.geometry.meshes import RawMesh, check_mesh, mesh_arrays, rotate_points, rotate_up
-from antdsl.scene.model import UsdCamera
 from antdsl.scene.paths import PathRefused
 from antdsl.scene.quantities import Quantity
-from antdsl.scene.staging.moves import MeshMoves
+from antdsl.scene.scene_model import UsdCamera
+from antdsl.scene.staging.motion import MeshMoves
 from antdsl.scene.thing_models import (
     UNIT_MM,
     CurveThing,
@@ -30,10 +30,10 @@ from antdsl.scene.thing_models import (
     PaintedThing,
     PlacedThing,
     UsdThing,
-    angles,
-    millimetres,
+    convert_point,
+    convert_rotation,
 )
-from antdsl.scene.values import PlaceKey, PointValue
+from antdsl.scene.values import PointValue, PositionKey
 
 if TYPE_CHECKING:
     from antdsl.scene.geometry.usd import UsdPoints, UsdStage
@@ -47,19 +47,19 @@ T = TypeVar("T")
 # ---- frames
 
 
-def simulated_frames(staging: SceneStaging) -> range:
+def list_simulated_frames(staging: SceneStaging) -> range:
     """Return the simulated frames, including the preroll. At the first frame, meshes are at rest."""
     model = staging.scene.model
     return range(model.frames.first - model.preroll, model.frames.last + 1)
 
 
-def files_per_frame(staging: SceneStaging, text: str, *path: PathKey) -> list[str] | None:
+def find_frame_files(staging: SceneStaging, text: str, *path: PathKey) -> list[str] | None:
     """Return the file of each frame if a path has `####`, else None. The first and last existing files also hold outside."""
     files = staging.find_sequence(text, *path)
     if files is None:
         return None
     numbers = list(files)
-    frames = simulated_frames(staging)
+    frames = list_simulated_frames(staging)
     used = [files.get(min(max(frame, numbers[0]), numbers[-1])) for frame in frames]
     if None in used:
         frame = frames[used.index(None)]
@@ -74,35 +74,35 @@ def files_per_frame(staging: SceneStaging, text: str, *path: PathKey) -> list[st
 
 
 def interpolate_keys(
-    keys: Mapping[int, PlaceKey],
+    keys: Mapping[int, PositionKey],
     own_at: PointValue | None,
-    own_turn: RotationAngles | None,
+    own_rotation: RotationAngles | None,
     frames: Sequence[int],
     unit_mm: float,
 ) -> tuple[Floats, Floats] | None:
     """Return position (frames, 3) in mm and rotation (frames, 3) in radians at each frame; None without keys.
 
-    Values that no key defines come from the thing itself: `own_at`, `own_turn`."""
+    Values that no key defines come from the thing itself: `own_at`, `own_rotation`."""
     if not keys:
         return None
-    at = {f: millimetres(key.at, unit_mm) for f, key in keys.items() if key.at is not None}
+    at = {f: convert_point(key.at, unit_mm) for f, key in keys.items() if key.at is not None}
     turn = {f: tuple(a.number for a in key.rotate) for f, key in keys.items() if key.rotate is not None}
     if not at:
-        at = {0: millimetres(own_at, unit_mm)}
+        at = {0: convert_point(own_at, unit_mm)}
     if not turn:
-        turn = {0: tuple(a.number for a in own_turn) if own_turn else (0.0, 0.0, 0.0)}
-    return _interpolate(at, frames), _interpolate(turn, frames)
+        turn = {0: tuple(a.number for a in own_rotation) if own_rotation else (0.0, 0.0, 0.0)}
+    return _interpolate_values(at, frames), _interpolate_values(turn, frames)
 
 
-def _interpolate(keys: Mapping[int, tuple[float, ...]], frames: Sequence[int]) -> Floats:
+def _interpolate_values(keys: Mapping[int, tuple[float, ...]], frames: Sequence[int]) -> Floats:
     times = sorted(keys)
     values = np.array([keys[time] for time in times], np.float64)
     return np.stack([np.interp(np.array(frames, np.float64), times, values[:, axis]) for axis in range(3)], axis=1)
 
 
-def _key_transforms(staging: SceneStaging, value: PlacedThing | CurveThing, factor: float, own_up: str) -> Floats | None:
+def _make_key_transforms(staging: SceneStaging, value: PlacedThing | CurveThing, factor: float, own_up: str) -> Floats | None:
     """Return the transforms (frames, 3, 4) from a file's positions into the scene; None if the thing has no keys."""
-    model, frames = staging.scene.model, simulated_frames(staging)
+    model, frames = staging.scene.model, list_simulated_frames(staging)
     placed = interpolate_keys(value.keys, value.at, getattr(value, "rotate", None), frames, model.unit_mm)
     if placed is None:
         return None
@@ -119,7 +119,7 @@ def _key_transforms(staging: SceneStaging, value: PlacedThing | CurveThing, fact
 
 def read_moving_mesh(staging: SceneStaging, name: str, value: MeshThing) -> tuple[RawMesh, MeshMoves | None] | None:
     """Return a mesh from files per frame, and the motion of its vertices in the file's own units and axes."""
-    files = files_per_frame(staging, value.mesh, "world", name, "mesh")
+    files = find_frame_files(staging, value.mesh, "world", name, "mesh")
     if files is None:
         return None
     span = staging.scene.span("world", name, "mesh")
@@ -134,7 +134,7 @@ def read_moving_mesh(staging: SceneStaging, name: str, value: MeshThing) -> tupl
             return None
         try:
             notes = ImportNotes()
-            vertices, faces = mesh_arrays(data, file, value.group, staging.sibling_reader(file), notes)
+            vertices, faces = read_mesh_arrays(data, file, value.group, staging.make_sibling_reader(file), notes)
             if raw is None or positions is None or first is None:
                 raw, first = check_mesh(vertices, faces, notes), faces
                 size = len(files) * len(raw.vertices) * 48
@@ -158,7 +158,7 @@ def read_moving_mesh(staging: SceneStaging, name: str, value: MeshThing) -> tupl
             return None
         read = {file: positions[k]}
     assert raw is not None and positions is not None
-    return raw, None if (positions == positions[0]).all() else MeshMoves.free(positions)
+    return raw, None if (positions == positions[0]).all() else MeshMoves.from_positions(positions)
 
 
 def stage_usd_mesh(staging: SceneStaging, name: str, value: UsdThing) -> tuple[RawMesh, MeshMoves | None] | None:
@@ -168,35 +168,35 @@ def stage_usd_mesh(staging: SceneStaging, name: str, value: UsdThing) -> tuple[R
     mesh = _read_usd(staging, value.usd, value.path, value.purpose, ("world", name), read_usd_mesh)
     if mesh is None:
         return None
-    if mesh.passed_over:
-        words = f"shapes of the types {', '.join(mesh.passed_over)} below `{value.path}` are not read"
+    if mesh.unread_shape_types:
+        words = f"shapes of the types {', '.join(mesh.unread_shape_types)} below `{value.path}` are not read"
         staging.report.warning("usd-left-out", words, staging.scene.span("world", name, "prim"), "turn them into meshes")
-    return mesh.raw, mesh.moves
+    return mesh.raw_mesh, mesh.motion
 
 
-def place_moves(
-    staging: SceneStaging, value: PlacedThing, raw: RawMesh, inner: MeshMoves | None, factor: float, own_up: str
+def place_motion(
+    staging: SceneStaging, value: PlacedThing, raw: RawMesh, file_motion: MeshMoves | None, factor: float, own_up: str
 ) -> tuple[Floats, MeshMoves | None] | None:
     """Return the vertices at rest and the motion of a mesh that moves in its file, by keys, or both. None if it does not move."""
-    transforms = _key_transforms(staging, value, factor, own_up)
-    if inner is None and transforms is None:
+    transforms = _make_key_transforms(staging, value, factor, own_up)
+    if file_motion is None and transforms is None:
         return None
     if transforms is None:  # one key anywhere: the thing's own place at all frames
-        transforms = _key_transforms(staging, value.model_copy(update={"keys": {0: PlaceKey()}}), factor, own_up)
+        transforms = _make_key_transforms(staging, value.model_copy(update={"keys": {0: PositionKey()}}), factor, own_up)
     assert transforms is not None and has_inverse(transforms[0])
     rest = apply_transforms(transforms[0], raw.vertices)
-    if inner is not None:
-        return rest, inner.placed(transforms)
-    return rest, None if (transforms == transforms[0]).all() else MeshMoves.rigid(transforms, len(rest))
+    if file_motion is not None:
+        return rest, file_motion.transform_motion(transforms)
+    return rest, None if (transforms == transforms[0]).all() else MeshMoves.from_transforms(transforms, len(rest))
 
 
-def first_rotation(staging: SceneStaging, value: PlacedThing) -> tuple[float, float, float]:
+def find_first_rotation(staging: SceneStaging, value: PlacedThing) -> tuple[float, float, float]:
     """Return the rotation of a mesh at the first frame, radians about x, then y, then z."""
-    placed = interpolate_keys(value.keys, value.at, value.rotate, simulated_frames(staging)[:1], staging.scene.model.unit_mm)
+    placed = interpolate_keys(value.keys, value.at, value.rotate, list_simulated_frames(staging)[:1], staging.scene.model.unit_mm)
     if placed is not None:
         x, y, z = placed[1][0].tolist()
         return x, y, z
-    return angles(value)
+    return convert_rotation(value)
 
 
 def limit_length(vectors: Floats) -> Floats:
@@ -229,7 +229,7 @@ def stage_usd_paint(staging: SceneStaging, name: str, thing: PaintedThing, mesh:
         return None
     if width == 1:
         return values
-    return limit_length(rotate_points(values * (-1.0 if mesh.scale < 0 else 1.0), first_rotation(staging, mesh)))
+    return limit_length(rotate_points(values * (-1.0 if mesh.scale < 0 else 1.0), find_first_rotation(staging, mesh)))
 
 
 # ---- curves
@@ -246,13 +246,13 @@ def stage_curve(staging: SceneStaging, name: str, value: CurveThing | UsdThing) 
         factor, own_up = value.scale, model.up
     else:
         files = (
-            files_per_frame(staging, value.curve, "world", name, "curve")
+            find_frame_files(staging, value.curve, "world", name, "curve")
             if staging.scene.roots.is_sequence(value.curve)
             else [value.curve]
         )
         if files is None:
             return None
-        read = {file: staging.points(file, 2, "world", name, "curve") for file in dict.fromkeys(files)}
+        read = {file: staging.read_points(file, 2, "world", name, "curve") for file in dict.fromkeys(files)}
         lines = [read[file] for file in files]
         if any(line is None for line in lines):
             return None
@@ -267,10 +267,10 @@ def stage_curve(staging: SceneStaging, name: str, value: CurveThing | UsdThing) 
         factor, own_up = UNIT_MM[value.units or model.units], value.up or model.up
     if positions is None:
         return None
-    transforms = _key_transforms(staging, value, factor, own_up)
+    transforms = _make_key_transforms(staging, value, factor, own_up)
     if transforms is None:
-        at = np.array(millimetres(value.at, model.unit_mm))
-        turn = angles(value) if isinstance(value, UsdThing) else (0.0, 0.0, 0.0)
+        at = np.array(convert_point(value.at, model.unit_mm))
+        turn = convert_rotation(value) if isinstance(value, UsdThing) else (0.0, 0.0, 0.0)
         return np.stack([rotate_points(rotate_up(line * factor, own_up, model.up), turn) + at for line in positions])
     return _apply_by_frame(transforms, positions)
 
@@ -286,12 +286,12 @@ def _apply_by_frame(transforms: Floats, positions: Floats) -> Floats:
 # ---- items
 
 
-def item_positions(staging: SceneStaging, name: str, item: str, thing: ItemThing) -> Floats:
+def compute_item_positions(staging: SceneStaging, name: str, item: str, thing: ItemThing) -> Floats:
     """Return the positions (frames, 3) of an item in mm, by its keys. One frame if it has no keys."""
     unit_mm = staging.scene.model.unit_mm
-    placed = interpolate_keys(thing.keys, thing.at, None, simulated_frames(staging), unit_mm)
+    placed = interpolate_keys(thing.keys, thing.at, None, list_simulated_frames(staging), unit_mm)
     if placed is None:
-        return np.array([millimetres(thing.at, unit_mm)])
+        return np.array([convert_point(thing.at, unit_mm)])
     if any(key.rotate is not None for key in thing.keys.values()):
         frame = next(f for f, key in thing.keys.items() if key.rotate is not None)
         span = staging.scene.span("world", name, item, "keys", str(frame), "rotate")
@@ -309,10 +309,10 @@ def stage_usd_items(staging: SceneStaging, name: str, value: UsdThing) -> UsdPoi
     points = _read_usd(staging, value.usd, value.path, value.purpose, ("world", name), lambda stage: read_usd_points(stage, kind))
     if points is None:
         return None
-    transforms = _key_transforms(staging, value, value.scale, staging.scene.model.up)
+    transforms = _make_key_transforms(staging, value, value.scale, staging.scene.model.up)
     if transforms is None:
-        transforms = _key_transforms(
-            staging, value.model_copy(update={"keys": {0: PlaceKey()}}), value.scale, staging.scene.model.up
+        transforms = _make_key_transforms(
+            staging, value.model_copy(update={"keys": {0: PositionKey()}}), value.scale, staging.scene.model.up
         )
         assert transforms is not None
         transforms = transforms[:1]
@@ -324,7 +324,7 @@ def stage_usd_items(staging: SceneStaging, name: str, value: UsdThing) -> UsdPoi
     )
 
 
-def stage_usd_places(staging: SceneStaging, value: UsdPlaces, *path: PathKey) -> UsdPoints | None:
+def stage_usd_places(staging: SceneStaging, value: UsdPositions, *path: PathKey) -> UsdPoints | None:
     """Return the points or empties at which a crowd line starts, in mm and the scene's axes."""
     from antdsl.scene.geometry.usd import read_usd_points
 
@@ -334,13 +334,13 @@ def stage_usd_places(staging: SceneStaging, value: UsdPlaces, *path: PathKey) ->
     return _read_usd(staging, value.usd, value.prim or "/", "render", place, lambda stage: read_usd_points(stage, kind))
 
 
-def follow_surface(mesh: stage_of.MeshData, moves: MeshMoves, place: stage_of.PointMm) -> Floats:
+def follow_surface(mesh: stage_of.MeshData, moves: MeshMoves, point: stage_of.PointMm) -> Floats:
     """Return the positions (frames, 3) of a point on a moving surface. The point stays on its triangle."""
     corners = mesh.vertices[mesh.faces]
     a, b, c = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     normal = np.cross(b, c)
     size = np.maximum((normal * normal).sum(axis=1), 1e-300)
-    away = np.array(place) - a
+    away = np.array(point) - a
     w2 = (np.cross(b, away) * normal).sum(axis=1) / size
     w1 = (np.cross(away, c) * normal).sum(axis=1) / size
     off = np.abs((away * normal).sum(axis=1)) / np.sqrt(size) + 1e6 * np.maximum(
@@ -349,7 +349,7 @@ def follow_surface(mesh: stage_of.MeshData, moves: MeshMoves, place: stage_of.Po
     face = int(off.argmin())
     positions = []
     for k in range(moves.frames):
-        p = moves.vertices_at(mesh.vertices, k)[mesh.faces[face]]
+        p = moves.compute_vertices(mesh.vertices, k)[mesh.faces[face]]
         positions.append(p[0] + w1[face] * (p[1] - p[0]) + w2[face] * (p[2] - p[0]))
     return np.array(positions)
 
@@ -370,7 +370,7 @@ def _read_usd(
             text,
             prim,
             up=model.up,
-            frames=simulated_frames(staging),
+            frames=list_simulated_frames(staging),
             fps=model.fps,
             purpose=purpose,
             closures=staging.closures,

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
-from antdsl.diagnostics.suggestion import nearest_name
+from antdsl.diagnostics.suggestion import find_nearest_name
 from antdsl.program.model import Dimension
-from antdsl.program.tables.units import dimension_words, with_unit
+from antdsl.program.tables.units import describe_dimension, format_with_unit
 from antdsl.scene.quantities import QuantityError, parse_quantity
 from antdsl.source import Span
 
@@ -49,12 +49,12 @@ def read_in_base_units(file: UsdFile, key: str, dim: Dimension) -> NDArray[np.fl
         try:
             quantity = parse_quantity(text)
         except QuantityError as why:
-            help = why.help or f"write a number, or one with a unit: `{with_unit(1, dim)}`"
+            help = why.help or f"write a number, or one with a unit: `{format_with_unit(1, dim)}`"
             report.error("bad-usd", f"{where} has `{text}`, which {why}", file.span, help)
             return column
         if quantity.dim != dim:
-            words = f"{where} has `{text}`, but `{key}` is {dimension_words(dim)}"
-            report.error("wrong-unit", words, file.span, f"write it like `{with_unit(1, dim)}`")
+            words = f"{where} has `{text}`, but `{key}` is {describe_dimension(dim)}"
+            report.error("wrong-unit", words, file.span, f"write it like `{format_with_unit(1, dim)}`")
             return column
         column[number] = quantity.to_base_units(model.unit_mm, float(1 / model.fps))
     if (np.abs(column) > limits.MAX_NUMBER).any():
@@ -66,18 +66,18 @@ def read_in_base_units(file: UsdFile, key: str, dim: Dimension) -> NDArray[np.fl
     return column
 
 
-def warn_near_misses(file: UsdFile, of: str, known: Collection[str]) -> None:
+def warn_misspelled_names(file: UsdFile, owner: str, known_names: Collection[str]) -> None:
     """Warn about properties of the file that are no attributes but are spelled almost like one.
 
     Other properties belong to other programs."""
-    keys = sorted({*file.points.values, *file.points.texts} - {*known, "kind", "name"})
+    keys = sorted({*file.points.values, *file.points.texts} - {*known_names, "kind", "name"})
     near = {
-        key: "" if key in _OPTIONAL_ATTRIBUTES else nearest_name(key, known)
+        key: "" if key in _OPTIONAL_ATTRIBUTES else find_nearest_name(key, known_names)
         for key in keys
-        if key in _OPTIONAL_ATTRIBUTES or nearest_name(key, known)
+        if key in _OPTIONAL_ATTRIBUTES or find_nearest_name(key, known_names)
     }
     if near:
-        words = f"in `{file.name}`, no attribute of `{of}` reads {', '.join(f'`{key}`' for key in near)}"
+        words = f"in `{file.name}`, no attribute of `{owner}` reads {', '.join(f'`{key}`' for key in near)}"
         help = ", ".join(
             f"`{key}`: did you mean `{meant}`?" if meant else f"`{key}`: declare it in the species first"
             for key, meant in near.items()

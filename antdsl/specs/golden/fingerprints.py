@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.program.model import Program, TypeKind, ValueType
-from antdsl.program.names.scope import type_from_words
-from antdsl.program.tables.units import default_unit
+from antdsl.program.names.scope import parse_type_words
+from antdsl.program.tables.units import choose_default_unit
 from antdsl.program.tables.vocabulary import BUILTIN_ATTRIBUTE_BY_NAME
 from antdsl.runtime.world import Population, World
-from antdsl.specs.aggregates import exact_total
+from antdsl.specs.aggregates import sum_exactly
 from antdsl.specs.value_text import format_value
 
 _MAX_NAMED_AGENTS = 8  # agents named of those that differ
@@ -33,24 +33,24 @@ _MIX_MULTIPLIER = np.uint64(0x9E3779B97F4A7C15)
 class FingerprintColumn:
     """One attribute of all agents of a species, all items of a name or all cells of a field. Agents are sorted by id.
 
-    `rank`: the order in reports. `opaque`: the values mean nothing to a reader. `names`: of items, by number."""
+    `report_rank`: the order in reports. `is_opaque`: the values mean nothing to a reader. `item_names`: of items, by number."""
 
-    who: str
-    what: str
-    rank: int
+    owner: str
+    attribute: str
+    report_rank: int
     ids: NDArray[np.int64]
     values: NDArray[Any]
     type: ValueType = _PLAIN_NUMBER_TYPE
     unit: str = ""
-    opaque: bool = False
-    names: tuple[str, ...] = ()
+    is_opaque: bool = False
+    item_names: tuple[str, ...] = ()
 
     @property
     def key(self) -> str:
         """Return the unique name of the column, such as `forager.load`."""
-        return f"{self.who}.{self.what}" if self.what else self.who
+        return f"{self.owner}.{self.attribute}" if self.attribute else self.owner
 
-    def bits(self) -> NDArray[np.uint64]:
+    def find_value_bits(self) -> NDArray[np.uint64]:
         """Return the bits of the values, 64 for each value."""
         if self.values.dtype.itemsize == 8:
             return self.values.view(np.uint64)
@@ -58,20 +58,21 @@ class FingerprintColumn:
             return self.values.view(np.uint32).astype(np.uint64)
         return self.values.astype(np.uint64)
 
-    def sums(self) -> tuple[int, int]:
+    def compute_sums(self) -> tuple[int, int]:
         """Return the sum and the weighted sum of the bits, modulo 2^64."""
-        bits = self.bits()
+        bits = self.find_value_bits()
         return int(bits.sum(dtype=np.uint64)), int(((self.ids + 1).astype(np.uint64) * bits).sum(dtype=np.uint64))
 
-    def one(self, was: tuple[int, int]) -> tuple[int, Any] | None:
-        """Return the row and the old value of the only value that changed since the sums were `was`; None if several changed."""
-        now = self.sums()
-        changed, weighted = ((b - a) % 2**64 for a, b in zip(was, now, strict=True))
+    def find_only_change(self, old_sums: tuple[int, int]) -> tuple[int, Any] | None:
+        """Return the row and the old value of the only value that changed since the sums were `old_sums`; None if several
+        changed."""
+        now = self.compute_sums()
+        changed, weighted = ((b - a) % 2**64 for a, b in zip(old_sums, now, strict=True))
         matching_rows = np.flatnonzero((self.ids + 1).astype(np.uint64) * np.uint64(changed) == np.uint64(weighted))
         if not changed or len(matching_rows) != 1:
             return None
         row = int(matching_rows[0])
-        previous_bits = (int(self.bits()[row]) - changed) % 2**64
+        previous_bits = (int(self.find_value_bits()[row]) - changed) % 2**64
         size = self.values.dtype.itemsize
         if previous_bits >= 2 ** (8 * size):
             return None
@@ -81,10 +82,10 @@ class FingerprintColumn:
         """Return a value of the column in the author's spelling."""
         return format_value(world, value, self.type, self.unit)
 
-    def summary(self, world: World) -> str:
+    def summarise(self, world: World) -> str:
         """Return the values if there are few of them; else how many agents are in each state, for how many a truth holds, or the
         mean."""
-        if self.opaque or not len(self.values):
+        if self.is_opaque or not len(self.values):
             return ""
         if len(self.values) <= _MAX_LISTED_VALUES:
             return ", ".join(self.format_value(world, value) for value in self.values)
@@ -95,35 +96,36 @@ class FingerprintColumn:
             return f"{np.count_nonzero(self.values)} of {len(self.values)}"
         if self.type.kind is not TypeKind.NUMBER or self.values.dtype.kind != "f":
             return ""
-        return f"{self.format_value(world, np.float64(exact_total(self.values) / len(self.values)))} on average"
+        return f"{self.format_value(world, np.float64(sum_exactly(self.values) / len(self.values)))} on average"
 
 
-def columns(world: World, program: Program) -> dict[str, FingerprintColumn]:
+def build_columns(world: World, program: Program) -> dict[str, FingerprintColumn]:
     """Return all columns of a state by key."""
     column_list: list[FingerprintColumn] = []
     for name in sorted(world.populations):
-        column_list += _agent_columns(world, program, world.populations[name])
+        column_list += _make_agent_columns(world, program, world.populations[name])
     for name, items in sorted(world.items.items()):
         ids = np.arange(len(items))
         column_list += [
-            FingerprintColumn(name, key, 2, ids, amounts, names=items.names) for key, amounts in sorted(items.amounts.items())
+            FingerprintColumn(name, key, 2, ids, amounts, item_names=items.names)
+            for key, amounts in sorted(items.amounts.items())
         ]
     for name, field in sorted(world.fields.items()):
         values = np.asarray(field.values, np.float64)
         column_list.append(FingerprintColumn(name, "", 3, np.arange(len(values)), values))
-    for name, parts in sorted(_part_digests(world).items()):
+    for name, parts in sorted(_compute_part_digests(world).items()):
         column_list.append(
-            FingerprintColumn(name, "", 3, np.zeros(1, np.int64), np.frombuffer(parts[:8], np.uint64), opaque=True)
+            FingerprintColumn(name, "", 3, np.zeros(1, np.int64), np.frombuffer(parts[:8], np.uint64), is_opaque=True)
         )
     for name, value in sorted(world.params.items()):
         column_list.append(FingerprintColumn(name, "", 0, np.zeros(1, np.int64), np.array([value], np.float32)))
     return {column.key: column for column in column_list}
 
 
-def _part_digests(world: World) -> dict[str, bytes]:
+def _compute_part_digests(world: World) -> dict[str, bytes]:
     from hashlib import sha256
 
-    digests = {name: volume.digest() for name, volume in world.solids.items()}
+    digests = {name: volume.compute_digest() for name, volume in world.solids.items()}
     for name, flow in world.flows.items():
         state = b"".join(key.encode() + array.tobytes() for key, array in sorted(flow.state().items()))
         if state:
@@ -131,20 +133,20 @@ def _part_digests(world: World) -> dict[str, bytes]:
     return digests
 
 
-def _agent_columns(world: World, program: Program, population: Population) -> list[FingerprintColumn]:
+def _make_agent_columns(world: World, program: Program, population: Population) -> list[FingerprintColumn]:
     """Return one column for each value that the author names. Memories and footings are combined in one column."""
-    rows = population.in_id_order()
+    rows = population.rows_by_id()
     ids, name = population.ids[rows], population.name
     species = program.species[name]
     mine = {a.name: a.type for a in species.attributes}
-    agent_columns = [FingerprintColumn(name, "id", 0, ids, ids, opaque=True)]
+    agent_columns = [FingerprintColumn(name, "id", 0, ids, ids, is_opaque=True)]
     rest = np.zeros(len(ids), np.uint64)
     for key, register in sorted(population.plan.registers.items()):
         if register.role == "temp":
             continue
         column = _make_column(name, key, mine, ids, population.now[key][rows])
         if column is None:
-            rest = rest * _MIX_MULTIPLIER + FingerprintColumn(name, key, 9, ids, population.now[key][rows]).bits()
+            rest = rest * _MIX_MULTIPLIER + FingerprintColumn(name, key, 9, ids, population.now[key][rows]).find_value_bits()
         else:
             agent_columns.append(column)
     stored_arrays = [population.born, population.quarantined, *population.position.T]
@@ -152,39 +154,47 @@ def _agent_columns(world: World, program: Program, population: Population) -> li
     stored_arrays += [flags for _, flags in sorted(population.events.items())]
     for array in stored_arrays:
         for part in array.T if array.ndim == 2 else (array,):
-            rest = rest * _MIX_MULTIPLIER + FingerprintColumn(name, "", 9, ids, np.ascontiguousarray(part)[rows]).bits()
-    return [*agent_columns, FingerprintColumn(name, "memory", 9, ids, rest, opaque=True)]
+            rest = (
+                rest * _MIX_MULTIPLIER + FingerprintColumn(name, "", 9, ids, np.ascontiguousarray(part)[rows]).find_value_bits()
+            )
+    return [*agent_columns, FingerprintColumn(name, "memory", 9, ids, rest, is_opaque=True)]
 
 
 def _make_column(
-    who: str, key: str, mine: dict[str, ValueType], ids: NDArray[np.int64], values: NDArray[Any]
+    owner: str, key: str, type_by_attribute: dict[str, ValueType], ids: NDArray[np.int64], values: NDArray[Any]
 ) -> FingerprintColumn | None:
     machine, _, word = key.rpartition(".")
     if word == "state" and machine:
         what = "state" if machine == "main" else key
-        return FingerprintColumn(who, what, 1, ids, values, ValueType(TypeKind.STATE, of=f"{who}.{machine}"))
+        return FingerprintColumn(owner, what, 1, ids, values, ValueType(TypeKind.STATE, of=f"{owner}.{machine}"))
     base, axis = (machine, f".{word}") if word in ("x", "y", "z") else (key, "")
-    if base in mine or base in BUILTIN_ATTRIBUTE_BY_NAME:
-        type = mine.get(base) or type_from_words(BUILTIN_ATTRIBUTE_BY_NAME[base].type) or _PLAIN_NUMBER_TYPE
+    if base in type_by_attribute or base in BUILTIN_ATTRIBUTE_BY_NAME:
+        type = type_by_attribute.get(base) or parse_type_words(BUILTIN_ATTRIBUTE_BY_NAME[base].type) or _PLAIN_NUMBER_TYPE
         rank = 4 + _MOTION_VECTORS.index(base) if base in _MOTION_VECTORS else 1
         if type.kind is TypeKind.VECTOR:
-            type = ValueType(TypeKind.NUMBER, type.dim)
+            type = ValueType(TypeKind.NUMBER, type.dimension)
         return FingerprintColumn(
-            who, base + axis, rank, ids, values, type, default_unit(type.dim) if type.kind is TypeKind.NUMBER else ""
+            owner,
+            base + axis,
+            rank,
+            ids,
+            values,
+            type,
+            choose_default_unit(type.dimension) if type.kind is TypeKind.NUMBER else "",
         )
     return None
 
 
-def agents_digest(world: World, population: Population, program: Program) -> str:
-    """Return four hexadecimal digits for each of the agents that `sample_places` names."""
+def digest_agents(world: World, population: Population, program: Program) -> str:
+    """Return four hexadecimal digits for each of the agents that `choose_sample_indices` names."""
     mixed = np.zeros(len(population), np.uint64)
-    for column in _agent_columns(world, program, population):
-        mixed = (mixed ^ column.bits()) * _MIX_MULTIPLIER
-    picked = sample_places(len(population))
+    for column in _make_agent_columns(world, program, population):
+        mixed = (mixed ^ column.find_value_bits()) * _MIX_MULTIPLIER
+    picked = choose_sample_indices(len(population))
     return (mixed >> np.uint64(48)).astype(">u2")[picked].tobytes().hex()
 
 
-def sample_places(count: int) -> NDArray[np.int64]:
+def choose_sample_indices(count: int) -> NDArray[np.int64]:
     """Return which of `count` agents a digest distinguishes, by index in the order of ids."""
     return np.unique(np.arange(MAX_SAMPLED_AGENTS) * count // MAX_SAMPLED_AGENTS) if count else np.zeros(0, np.int64)
 
@@ -192,90 +202,100 @@ def sample_places(count: int) -> NDArray[np.int64]:
 @dataclass(frozen=True, slots=True)
 class StateDifference:
     """`member`: the agent, item or cell, if it is a single known one, or some of the agents that differ; empty if none is known.
-    `now` and `was`: values in the author's terms; empty if they are unknown."""
+    `now` and `old_value`: values in the author's terms; empty if they are unknown."""
 
-    who: str
-    what: str
+    owner: str
+    attribute: str
     member: str
     now: str
-    was: str
+    old_value: str
 
     def __str__(self) -> str:
-        name = f"`{self.who}.{self.what}`" if self.what else f"`{self.who}`"
+        name = f"`{self.owner}.{self.attribute}`" if self.attribute else f"`{self.owner}`"
         name += f" of {self.member}" if self.member else ""
-        if self.now and self.was and self.now != self.was:
-            return f"{name} is {self.now}, was {self.was}"
+        if self.now and self.old_value and self.now != self.old_value:
+            return f"{name} is {self.now}, was {self.old_value}"
         return f"{name} differs"
 
 
 def find_differences(
-    world: World, program: Program, was: Mapping[str, tuple[str, str, str]], agents: Mapping[str, str]
+    world: World, program: Program, recorded_sums: Mapping[str, tuple[str, str, str]], recorded_digests: Mapping[str, str]
 ) -> list[StateDifference]:
-    """Return all attributes that differ, the most informative first. `was`: sums and words by key; `agents`: digests by
-    species."""
-    now = columns(world, program)
+    """Return all attributes that differ, the most informative first. `recorded_sums`: sums and words by key; `recorded_digests`:
+    digests by species."""
+    now = build_columns(world, program)
     differing_agents = {
-        name: _name_differing(world, program, name, text) for name, text in agents.items() if name in world.populations
+        name: _name_differing(world, program, name, text) for name, text in recorded_digests.items() if name in world.populations
     }
     ranked_differences: list[tuple[int, StateDifference]] = []
-    others = {name: len(world.populations[name]) for name in world.populations if _has_other_agents(now, was, name)}
+    others = {name: len(world.populations[name]) for name in world.populations if _has_other_agents(now, recorded_sums, name)}
     ranked_differences += [(0, StateDifference(name, "", "", f"{count} agents", "others")) for name, count in others.items()]
     for key, column in now.items():
-        if column.who in others:
+        if column.owner in others:
             continue
-        if key not in was:
-            ranked_differences.append((0, StateDifference(column.who, column.what, "", "there", "not there")))
+        if key not in recorded_sums:
+            ranked_differences.append((0, StateDifference(column.owner, column.attribute, "", "there", "not there")))
             continue
-        first, second, words = was[key]
+        first, second, words = recorded_sums[key]
         sums = (int(first, 16), int(second, 16))
-        if column.sums() != sums:
-            ranked_differences.append((column.rank, _describe_difference(world, column, sums, words, differing_agents)))
-    for key in was.keys() - now.keys():
+        if column.compute_sums() != sums:
+            ranked_differences.append((column.report_rank, _describe_difference(world, column, sums, words, differing_agents)))
+    for key in recorded_sums.keys() - now.keys():
         who, _, what = key.partition(".")
         ranked_differences.append((0, StateDifference(who, what, "", "not there", "there")))
     ranked_differences.sort(key=lambda pair: pair[0])
     return [difference for _, difference in ranked_differences]
 
 
-def _has_other_agents(now: Mapping[str, FingerprintColumn], was: Mapping[str, tuple[str, str, str]], species: str) -> bool:
+def _has_other_agents(
+    current_columns: Mapping[str, FingerprintColumn], recorded_sums: Mapping[str, tuple[str, str, str]], species: str
+) -> bool:
     """Return whether the agents differ from the recorded ones; their values cannot be compared then."""
     key = f"{species}.id"
-    return key in now and key in was and now[key].sums() != (int(was[key][0], 16), int(was[key][1], 16))
+    return (
+        key in current_columns
+        and key in recorded_sums
+        and current_columns[key].compute_sums() != (int(recorded_sums[key][0], 16), int(recorded_sums[key][1], 16))
+    )
 
 
 def _describe_difference(
-    world: World, column: FingerprintColumn, sums: tuple[int, int], words: str, differing_agents: Mapping[str, str]
+    world: World,
+    column: FingerprintColumn,
+    recorded_sums: tuple[int, int],
+    recorded_summary: str,
+    differing_agents: Mapping[str, str],
 ) -> StateDifference:
-    one = column.one(sums)
-    if one is not None and not column.opaque:
+    one = column.find_only_change(recorded_sums)
+    if one is not None and not column.is_opaque:
         row, previous_value = one
         return StateDifference(
-            column.who,
-            column.what,
-            _member_name(column, row),
+            column.owner,
+            column.attribute,
+            _find_member_name(column, row),
             column.format_value(world, column.values[row]),
             column.format_value(world, previous_value),
         )
-    member = _member_name(column, one[0]) if one is not None else differing_agents.get(column.who, "")
-    return StateDifference(column.who, column.what, member, column.summary(world), words)
+    member = _find_member_name(column, one[0]) if one is not None else differing_agents.get(column.owner, "")
+    return StateDifference(column.owner, column.attribute, member, column.summarise(world), recorded_summary)
 
 
-def _member_name(column: FingerprintColumn, row: int) -> str:
-    if column.names:
-        return column.names[row]
-    if not column.what and len(column.ids) == 1:
+def _find_member_name(column: FingerprintColumn, row: int) -> str:
+    if column.item_names:
+        return column.item_names[row]
+    if not column.attribute and len(column.ids) == 1:
         return ""  # a param
-    return f"{column.who} {column.ids[row]}" if column.what else f"cell {column.ids[row]}"
+    return f"{column.owner} {column.ids[row]}" if column.attribute else f"cell {column.ids[row]}"
 
 
-def _name_differing(world: World, program: Program, name: str, text: str) -> str:
+def _name_differing(world: World, program: Program, name: str, recorded_digest: str) -> str:
     """Return which of the agents in a digest differ; empty if the digest is not about the same agents."""
     population = world.populations[name]
-    rows, now = sample_places(len(population)), agents_digest(world, population, program)
-    if len(now) != len(text):
+    rows, now = choose_sample_indices(len(population)), digest_agents(world, population, program)
+    if len(now) != len(recorded_digest):
         return ""
-    ids = population.ids[population.in_id_order()][rows]
-    differ = [int(id) for k, id in enumerate(ids) if now[4 * k : 4 * k + 4] != text[4 * k : 4 * k + 4]]
+    ids = population.ids[population.rows_by_id()][rows]
+    differ = [int(id) for k, id in enumerate(ids) if now[4 * k : 4 * k + 4] != recorded_digest[4 * k : 4 * k + 4]]
     if not differ:
         return ""
     remainder = f" and {len(differ) - _MAX_NAMED_AGENTS} more" if len(differ) > _MAX_NAMED_AGENTS else ""

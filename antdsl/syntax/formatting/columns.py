@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 
-from antdsl.syntax.formatting.brackets import LayoutNode, TokenLeaf
+from antdsl.syntax.formatting.bracket_reader import LayoutNode, TokenLeaf
 from antdsl.syntax.formatting.items import LayoutBlock, LayoutStatement
 
 MAX_ALIGNED_CHARACTERS = 64  # longer text before a mark does not affect the alignment of neighbours
@@ -16,20 +16,20 @@ _MIN_COMMENT_BLANKS = 2  # minimum blanks before a comment
 @dataclass(slots=True)
 class LayoutRow:
     """A statement or a comment before layout: the cells of its first line, and the following lines. Rows of one `kind` are
-    aligned. `alone`: it does not affect the alignment of its neighbours."""
+    aligned. `is_separate`: it does not affect the alignment of its neighbours."""
 
     kind: str
     cells: list[str]
-    rest: list[str]
+    following_lines: list[str]
     comment: str | None
     blank_before: bool
-    alone: bool
+    is_separate: bool
 
 
 def split_cells(statement: LayoutStatement) -> tuple[str, list[Sequence[LayoutNode | LayoutBlock]]]:
     """Return the kind that a one-line statement is aligned with, and its parts cut at the marks. The last cell is the help."""
-    parts, words = statement.parts, statement.words
-    kind, mark = _alignment_kind(statement.rule, words)
+    parts, words = statement.parts, statement.first_words
+    kind, mark = _find_alignment(statement.rule, words)
     if mark is None:
         return "plain", [parts]
     place = mark(parts)
@@ -53,15 +53,15 @@ def _find_sign(sign: str) -> MarkFinder:
     return place
 
 
-def _second_part(parts: Sequence[LayoutNode | LayoutBlock]) -> int | None:
+def _find_second_part(parts: Sequence[LayoutNode | LayoutBlock]) -> int | None:
     return 1 if len(parts) > 1 else None
 
 
-def _alignment_kind(rule: str, words: Sequence[str]) -> tuple[str, MarkFinder | None]:
+def _find_alignment(rule: str, words: Sequence[str]) -> tuple[str, MarkFinder | None]:
     """Return, from the rule and the first words of a line, the kind it is aligned with, and the mark."""
     first = words[0] if words else ""
     if rule in ("world_item", "setting"):
-        return rule, _second_part
+        return rule, _find_second_part
     if rule == "rule":
         return rule, _find_sign("->")
     if rule in ("declaration", "weight"):
@@ -72,15 +72,15 @@ def _alignment_kind(rule: str, words: Sequence[str]) -> tuple[str, MarkFinder | 
         if first in ("param", "let", "latch", "keep"):
             return "let" if first == "latch" else first, _find_sign("=")
     if rule == "member" and "{" not in words:
-        return _member_alignment(words)
+        return _find_member_alignment(words)
     return "plain", None
 
 
-def _member_alignment(words: Sequence[str]) -> tuple[str, MarkFinder | None]:
+def _find_member_alignment(words: Sequence[str]) -> tuple[str, MarkFinder | None]:
     """Return the kind of a species line that begins with a name: an attribute or a given property."""
     if words[0] in ("start", "on", "layers", "machine", "state", "fuzzy") and words[1:2] not in (["="], [":"]):
         return "plain", None
-    return ("declaration", _find_sign("=")) if words[1:2] in (["="], [":"]) else ("given", _second_part)
+    return ("declaration", _find_sign("=")) if words[1:2] in (["="], [":"]) else ("given", _find_second_part)
 
 
 def align_rows(rows: Sequence[LayoutRow], indent: int) -> list[str]:
@@ -90,11 +90,13 @@ def align_rows(rows: Sequence[LayoutRow], indent: int) -> list[str]:
         if run[0].blank_before:
             lines.append("")
         texts = [text for _, same in groupby(run, key=lambda row: row.kind) for text in _align_run(list(same))]
-        column = _next_column([text for row, text in zip(run, texts, strict=True) if row.comment], _MIN_COMMENT_BLANKS)
+        column = _compute_next_column([text for row, text in zip(run, texts, strict=True) if row.comment], _MIN_COMMENT_BLANKS)
         for row, text in zip(run, texts, strict=True):
-            first = text if row.comment is None or row.rest else _pad_text(text, column, row.comment, _MIN_COMMENT_BLANKS)
-            lines += [" " * indent + first, *row.rest]
-            if row.rest and row.comment is not None:
+            first = (
+                text if row.comment is None or row.following_lines else _pad_text(text, column, row.comment, _MIN_COMMENT_BLANKS)
+            )
+            lines += [" " * indent + first, *row.following_lines]
+            if row.following_lines and row.comment is not None:
                 lines[-1] += " " * _MIN_COMMENT_BLANKS + row.comment
     return lines
 
@@ -103,7 +105,7 @@ def _split_runs(rows: Sequence[LayoutRow]) -> Iterator[list[LayoutRow]]:
     """Yield runs of rows on consecutive lines; a comment line, or a statement of several lines, is a separate run."""
     run: list[LayoutRow] = []
     for row in rows:
-        if run and (row.blank_before or row.alone or run[-1].alone):
+        if run and (row.blank_before or row.is_separate or run[-1].is_separate):
             yield run
             run = []
         run.append(row)
@@ -116,13 +118,13 @@ def _align_run(rows: Sequence[LayoutRow]) -> list[str]:
     texts = [row.cells[0] for row in rows]
     for k in range(1, max(len(row.cells) for row in rows)):
         has_cell = [len(row.cells) > k and row.cells[k] != "" for row in rows]
-        column = _next_column([text for text, has in zip(texts, has_cell, strict=True) if has], 1)
+        column = _compute_next_column([text for text, has in zip(texts, has_cell, strict=True) if has], 1)
         texts = [_pad_text(t, column, r.cells[k], 1) if has else t for t, r, has in zip(texts, rows, has_cell, strict=True)]
     return texts
 
 
-def _next_column(texts: Sequence[str], gap: int) -> int:
-    """Return the column after the longest text and the gap; texts longer than `MOST` do not count."""
+def _compute_next_column(texts: Sequence[str], gap: int) -> int:
+    """Return the column after the longest text and the gap; texts longer than `MAX_ALIGNED_CHARACTERS` do not count."""
     return max((len(text) + gap for text in texts if len(text) <= MAX_ALIGNED_CHARACTERS), default=0)
 
 

@@ -14,13 +14,13 @@ from antdsl.source import Source, Span
 from antdsl.syntax import nodes as n
 from antdsl.syntax.blocks import BraceGroup, SourceLine, cut_lines
 from antdsl.syntax.brackets import pair_brackets
-from antdsl.syntax.formatting.brackets import BracketGroup, BracketReader, LayoutNode, TokenLeaf
+from antdsl.syntax.formatting.bracket_reader import BracketGroup, BracketReader, LayoutNode, TokenLeaf
 from antdsl.syntax.scan import TokenScan, scan
 from antdsl.syntax.words import BODY_RULE_BY_LINE
 
 
 @dataclass(slots=True)
-class RemarkItem:
+class CommentItem:
     """A comment on a separate line."""
 
     text: str
@@ -29,11 +29,12 @@ class RemarkItem:
 
 @dataclass(slots=True)
 class LayoutBlock:
-    """The content between two braces. `one_line`: true if all statements were on one line. `head`: the comment after `{`."""
+    """The content between two braces. `is_one_line`: true if all statements were on one line. `opening_comment`: the comment
+    after `{`."""
 
     items: list[LayoutItem]
-    one_line: bool
-    head: str | None = None
+    is_one_line: bool
+    opening_comment: str | None = None
 
 
 @dataclass(slots=True)
@@ -47,7 +48,7 @@ class LayoutStatement:
     comment: str | None = None
 
     @property
-    def words(self) -> list[str]:
+    def first_words(self) -> list[str]:
         """Return the first words, up to the first bracket or block."""
         found: list[str] = []
         for part in self.parts:
@@ -57,12 +58,12 @@ class LayoutStatement:
         return found
 
 
-LayoutItem = LayoutStatement | RemarkItem
+LayoutItem = LayoutStatement | CommentItem
 
 
 def needs_own_lines(part: LayoutNode | LayoutBlock) -> bool:
     """Return whether a part of a statement cannot be on one line with the rest."""
-    return part.forced if isinstance(part, BracketGroup) else isinstance(part, LayoutBlock) and not part.one_line
+    return part.is_forced_open if isinstance(part, BracketGroup) else isinstance(part, LayoutBlock) and not part.is_one_line
 
 
 def read_items(file: n.File) -> list[LayoutItem]:
@@ -87,13 +88,13 @@ def _find_marks(file: n.File) -> tuple[frozenset[int], frozenset[int]]:
                 calls.add(part.function.span.end)
             elif isinstance(part, n.Unary) and part.op == "-":
                 minus.add(part.op_span.start)
-            elif (name := _called_name(part)) is not None:
+            elif (name := _find_called_name(part)) is not None:
                 calls.add(name.span.end)
             stack.extend(getattr(part, each.name) for each in fields(part))
     return frozenset(calls), frozenset(minus)
 
 
-def _called_name(part: object) -> n.Name | None:
+def _find_called_name(part: object) -> n.Name | None:
     """Return the function or verb that a node names, after which arguments in brackets may follow; None if there is none."""
     if isinstance(part, n.Ask):
         return part.name if part.amount is None else None
@@ -105,16 +106,16 @@ class _ItemReader:
     """One walk over the lines of a text; comments are taken in the order of the text."""
 
     scan: TokenScan
-    calls: frozenset[int]
-    minus: frozenset[int]
-    taken: int = field(default=0)  # number of comments already placed
+    function_ends: frozenset[int]
+    unary_minus_offsets: frozenset[int]
+    taken_count: int = field(default=0)  # number of comments already placed
 
-    def next_before(self, offset: int) -> n.Comment | None:
+    def take_comment_before(self, offset: int) -> n.Comment | None:
         """Return the next comment if it begins before an offset."""
         comments = self.scan.comments
-        if self.taken < len(comments) and comments[self.taken].span.start < offset:
-            self.taken += 1
-            return comments[self.taken - 1]
+        if self.taken_count < len(comments) and comments[self.taken_count].span.start < offset:
+            self.taken_count += 1
+            return comments[self.taken_count - 1]
         return None
 
     def count_line_ends(self, start: int, end: int) -> int:
@@ -125,18 +126,18 @@ class _ItemReader:
         item_list: list[LayoutItem] = []
         last = start  # end of the previous item
         for line in lines:
-            last = self.add_remarks(item_list, last, line.start)
+            last = self.add_comments(item_list, last, line.start)
             item_list.append(self.make_statement(line, rule, self.has_blank_line(item_list, last, line.start)))
             last = line.end
-        self.add_remarks(item_list, last, end)
+        self.add_comments(item_list, last, end)
         return item_list
 
     def has_blank_line(self, item_list: list[LayoutItem], last: int, start: int) -> bool:
         return bool(item_list) and self.count_line_ends(last, start) > 1
 
-    def add_remarks(self, item_list: list[LayoutItem], last: int, end: int) -> int:
+    def add_comments(self, item_list: list[LayoutItem], last: int, end: int) -> int:
         """Put the comments up to `end` after the last statement or on separate lines; return where the last of them ends."""
-        while (comment := self.next_before(end)) is not None:
+        while (comment := self.take_comment_before(end)) is not None:
             text = comment.text.rstrip()
             previous_item = item_list[-1] if item_list else None
             if (
@@ -146,51 +147,53 @@ class _ItemReader:
             ):
                 previous_item.comment = text
             else:
-                item_list.append(RemarkItem(text, self.has_blank_line(item_list, last, comment.span.start)))
+                item_list.append(CommentItem(text, self.has_blank_line(item_list, last, comment.span.start)))
             last = comment.span.end
         return last
 
     def make_statement(self, line: SourceLine, rule: str, blank_before: bool) -> LayoutStatement:
-        reader = BracketReader(self.scan, self.calls, self.minus, self.next_before)
+        reader = BracketReader(self.scan, self.function_ends, self.unary_minus_offsets, self.take_comment_before)
         parts: list[LayoutNode | LayoutBlock] = []
         groups = iter(line.groups)
         index = 0
         while index < len(line.tokens):
             token = line.tokens[index]
-            if token.kind == "open" and self.scan.clean[token.start] == "{":
+            if token.kind == "open" and self.scan.clean_characters[token.start] == "{":
                 first = parts[0].text if isinstance(parts[0], TokenLeaf) else ""
                 parts.append(self.make_block(next(groups), rule, first))
                 index += 2  # skip the closing brace; the tokens between belong to the group
-                reader.resume(line.tokens[index - 1])
+                reader.resume_after(line.tokens[index - 1])
             else:
                 node, index = reader.read_node(line.tokens, index)
                 parts.append(node)
         return LayoutStatement(rule, parts, blank_before)
 
-    def make_block(self, group: BraceGroup, rule: str, first: str) -> LayoutBlock:
-        inner = "weight" if group.chooses else BODY_RULE_BY_LINE.get((rule, first)) or BODY_RULE_BY_LINE.get((rule, "*")) or ""
-        start, end = group.open.end, group.close.start
+    def make_block(self, group: BraceGroup, rule: str, first_word: str) -> LayoutBlock:
+        inner = (
+            "weight" if group.is_choice else BODY_RULE_BY_LINE.get((rule, first_word)) or BODY_RULE_BY_LINE.get((rule, "*")) or ""
+        )
+        start, end = group.open.end, group.closing_brace.start
         head = None
         comments = self.scan.comments
         limit = group.lines[0].start if group.lines else end
-        if self.taken < len(comments) and not self.count_line_ends(start, comments[self.taken].span.start):
-            comment = self.next_before(limit)
+        if self.taken_count < len(comments) and not self.count_line_ends(start, comments[self.taken_count].span.start):
+            comment = self.take_comment_before(limit)
             if comment is not None:
                 head, start = comment.text.rstrip(), comment.span.end
         item_list = self.read_lines(group.lines, inner, start, end)
         return LayoutBlock(item_list, self.is_one_line(group, item_list, head), head)
 
-    def is_one_line(self, group: BraceGroup, item_list: list[LayoutItem], head: str | None) -> bool:
+    def is_one_line(self, group: BraceGroup, item_list: list[LayoutItem], opening_comment: str | None) -> bool:
         """Return whether a block may be on one line: it has no line ends or comments, and no part of it needs separate lines."""
-        if not item_list and head is None:
+        if not item_list and opening_comment is None:
             return True
         for item in item_list:
-            if isinstance(item, RemarkItem) or item.comment is not None:
+            if isinstance(item, CommentItem) or item.comment is not None:
                 return False
             if any(needs_own_lines(part) for part in item.parts):
                 return False
-        if head is not None:
+        if opening_comment is not None:
             return False
         ends = [group.open.end, *(line.end for line in group.lines)]
-        starts = [*(line.start for line in group.lines), group.close.start]
+        starts = [*(line.start for line in group.lines), group.closing_brace.start]
         return not any(self.count_line_ends(end, start) for end, start in zip(ends, starts, strict=True))

@@ -11,7 +11,7 @@ from antdsl.diagnostics.model import Report
 from antdsl.source import Source, Span
 from antdsl.syntax import nodes as n
 from antdsl.syntax.formatting.items import read_items
-from antdsl.syntax.formatting.lines import text_of_items
+from antdsl.syntax.formatting.lines import format_items
 from antdsl.syntax.parser import parse
 
 
@@ -27,14 +27,14 @@ def format(source: Source) -> tuple[str | None, Report]:
     file, report = parse(source)
     if not report.ok:
         return None, report
-    text = text_of_items(read_items(file))
+    text = format_items(read_items(file))
     if text == source.text:
         return text, report
     if report_too_long(source, text, report):
         return None, report
     again, findings = parse(Source(source.path, text))
-    if not findings.ok or first_difference(file, again):
-        raise LayoutError(f"{source.path}: {first_difference(file, again) or findings.diagnostics[0].message}")
+    if not findings.ok or find_first_difference(file, again):
+        raise LayoutError(f"{source.path}: {find_first_difference(file, again) or findings.diagnostics[0].message}")
     return text, report
 
 
@@ -51,13 +51,13 @@ def report_too_long(source: Source, text: str, report: Report) -> bool:
     return not report.ok
 
 
-def first_difference(one: n.File, other: n.File) -> str | None:
+def find_first_difference(first: n.File, second: n.File) -> str | None:
     """Return the first difference between two files, except locations, in a few words. None if they are the same program with the
     same comments."""
-    ours, theirs = ([comment.text.rstrip() for comment in file.comments] for file in (one, other))
+    ours, theirs = ([comment.text.rstrip() for comment in file.comments] for file in (first, second))
     if ours != theirs:
         return next((f"comment `{a}` became `{b}`" for a, b in zip(ours, theirs, strict=False) if a != b), "a comment was lost")
-    left, right = flatten_tree(one), flatten_tree(other)
+    left, right = flatten_tree(first), flatten_tree(second)
     for a, b in zip(left, right, strict=False):
         if a != b:
             return f"`{a}` became `{b}`"

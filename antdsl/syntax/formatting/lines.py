@@ -5,9 +5,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from antdsl.syntax.formatting.brackets import BracketGroup, BracketSlot, LayoutNode, TokenLeaf, split_operands
+from antdsl.syntax.formatting.bracket_reader import BracketGroup, BracketSlot, LayoutNode, TokenLeaf, split_operands
 from antdsl.syntax.formatting.columns import LayoutRow, align_rows, split_cells
-from antdsl.syntax.formatting.items import LayoutBlock, LayoutItem, LayoutStatement, RemarkItem, needs_own_lines
+from antdsl.syntax.formatting.items import CommentItem, LayoutBlock, LayoutItem, LayoutStatement, needs_own_lines
 
 MAX_LINE_CHARACTERS = 120  # characters of a line that can be broken
 INDENT_BLANKS = 2  # indent of a block
@@ -15,128 +15,130 @@ INDENT_BLANKS = 2  # indent of a block
 LayoutPart = LayoutNode | LayoutBlock
 
 
-def text_of_items(items: Sequence[LayoutItem]) -> str:
+def format_items(items: Sequence[LayoutItem]) -> str:
     """Return the text of a file from its items."""
-    return "".join(f"{line}\n" for line in _block_lines(items, 0))
+    return "".join(f"{line}\n" for line in _format_block(items, 0))
 
 
-def _block_lines(items: Sequence[LayoutItem], indent: int) -> list[str]:
+def _format_block(items: Sequence[LayoutItem], indent: int) -> list[str]:
     """Return the lines of the items of a block, indented by `indent` blanks."""
     rows = [_make_row(item, indent) for item in items]
     return align_rows(rows, indent)
 
 
 def _make_row(item: LayoutItem, indent: int) -> LayoutRow:
-    if isinstance(item, RemarkItem):
+    if isinstance(item, CommentItem):
         return LayoutRow("remark", [item.text], [], None, item.blank_before, True)
-    lines = _statement_lines(item.parts, indent)
+    lines = _format_statement(item.parts, indent)
     if len(lines) > 1:
         return LayoutRow("long", lines[:1], lines[1:], item.comment, item.blank_before, True)
     kind, parts = split_cells(item)
-    return LayoutRow(kind, [_flat_text(part).strip(" ") for part in parts], [], item.comment, item.blank_before, False)
+    return LayoutRow(kind, [_format_flat(part).strip(" ") for part in parts], [], item.comment, item.blank_before, False)
 
 
-def _flat_text(parts: Sequence[LayoutPart]) -> str:
+def _format_flat(parts: Sequence[LayoutPart]) -> str:
     """Return parts as text on one line."""
-    return "".join(_flat_block(part) if isinstance(part, LayoutBlock) else part.flat for part in parts)
+    return "".join(_format_flat_block(part) if isinstance(part, LayoutBlock) else part.flat_text for part in parts)
 
 
-def _flat_block(block: LayoutBlock) -> str:
+def _format_flat_block(block: LayoutBlock) -> str:
     if not block.items:
         return " {}"
-    return " { " + "; ".join(_flat_text(item.parts) for item in block.items if isinstance(item, LayoutStatement)) + " }"
+    return " { " + "; ".join(_format_flat(item.parts) for item in block.items if isinstance(item, LayoutStatement)) + " }"
 
 
-def _statement_lines(parts: Sequence[LayoutPart], indent: int) -> list[str]:
+def _format_statement(parts: Sequence[LayoutPart], indent: int) -> list[str]:
     """Return the lines of a statement; the first has no indent."""
     blocks = [k for k, part in enumerate(parts) if isinstance(part, LayoutBlock)]
     opened = [k for k in blocks if needs_own_lines(parts[k])]
     for start, end in zip([-1, *opened], [*opened, len(parts)], strict=True):
         inner = [k for k in blocks if start < k < end]
-        if inner and indent + len(_piece_text(parts, start, min(end, inner[-1] + 1))) > MAX_LINE_CHARACTERS:
+        if inner and indent + len(_format_piece(parts, start, min(end, inner[-1] + 1))) > MAX_LINE_CHARACTERS:
             opened += inner
     opened.sort()
     lines = [""]
     for start, end in zip([-1, *opened], [*opened, len(parts)], strict=True):
         block = parts[end] if end < len(parts) else None
-        piece = _sequence_lines(parts[start + 1 : end], indent, len(lines[-1]) or indent, len(" {") if block else 0)
+        piece = _format_sequence(parts[start + 1 : end], indent, len(lines[-1]) or indent, len(" {") if block else 0)
         lines[-1] += piece[0]
         lines += piece[1:]
         if isinstance(block, LayoutBlock):
-            lines[-1] += " {" + (f"  {block.head}" if block.head else "")
-            lines += _block_lines(block.items, indent + INDENT_BLANKS)
+            lines[-1] += " {" + (f"  {block.opening_comment}" if block.opening_comment else "")
+            lines += _format_block(block.items, indent + INDENT_BLANKS)
             lines.append(" " * indent + "}")
     return lines
 
 
-def _piece_text(parts: Sequence[LayoutPart], start: int, end: int) -> str:
+def _format_piece(parts: Sequence[LayoutPart], start: int, end: int) -> str:
     """Return the line between two broken blocks, with the braces before and after it."""
-    text = _flat_text(parts[start + 1 : end])
+    text = _format_flat(parts[start + 1 : end])
     return ("}" if start >= 0 else "") + text + (" {" if end < len(parts) and isinstance(parts[end], LayoutBlock) else "")
 
 
-def _sequence_lines(parts: Sequence[LayoutPart], indent: int, column: int, suffix: int = 0) -> list[str]:
+def _format_sequence(parts: Sequence[LayoutPart], indent: int, column: int, suffix: int = 0) -> list[str]:
     """Lay out successive parts from a column on. A bracket is broken if it does not fit together with what follows up to the next
     bracket. `suffix` characters follow the last part."""
     lines = [""]
     for k, part in enumerate(parts):
-        if isinstance(part, BracketGroup) and (part.forced or column + _required_width(parts, k, suffix) > MAX_LINE_CHARACTERS):
-            inside = _bracket_lines(part, indent)
+        if isinstance(part, BracketGroup) and (
+            part.is_forced_open or column + _compute_required_width(parts, k, suffix) > MAX_LINE_CHARACTERS
+        ):
+            inside = _format_bracket(part, indent)
             lines[-1] += inside[0]
             lines += inside[1:]
             column = len(lines[-1])
         else:
-            text = _flat_text([part])
+            text = _format_flat([part])
             lines[-1] += text
             column += len(text)
     return lines
 
 
-def _required_width(parts: Sequence[LayoutPart], start: int, suffix: int) -> int:
+def _compute_required_width(parts: Sequence[LayoutPart], start: int, suffix: int) -> int:
     """Return the number of characters that must fit on the line if a bracket is not broken. A help text at its end does not
     count."""
-    count = len(_flat_text([parts[start]]))
+    count = len(_format_flat([parts[start]]))
     for part in parts[start + 1 :]:
         if isinstance(part, BracketGroup):
-            return count + len(part.open.flat)
+            return count + len(part.open.flat_text)
         if not (part is parts[-1] and isinstance(part, TokenLeaf) and part.kind == "text"):
-            count += len(_flat_text([part]))
+            count += len(_format_flat([part]))
     return count + suffix
 
 
-def _bracket_lines(bracket: BracketGroup, indent: int) -> list[str]:
+def _format_bracket(bracket: BracketGroup, indent: int) -> list[str]:
     """Return a bracket with each slot on separate lines."""
-    if not bracket.slots and not bracket.tail:
-        return [bracket.flat]
-    lines = [bracket.open.flat]
+    if not bracket.slots and not bracket.end_comments:
+        return [bracket.flat_text]
+    lines = [bracket.open.flat_text]
     for slot in bracket.slots:
-        lines += _slot_lines(
+        lines += _format_slot(
             slot,
-            indent + INDENT_BLANKS * (2 if slot.deeper else 1),
-            INDENT_BLANKS if len(bracket.slots) > 1 and not slot.deeper else 0,
+            indent + INDENT_BLANKS * (2 if slot.is_indented else 1),
+            INDENT_BLANKS if len(bracket.slots) > 1 and not slot.is_indented else 0,
         )
-    lines += [" " * (indent + INDENT_BLANKS) + comment.text.rstrip() for comment in bracket.tail]
-    lines.append(" " * indent + bracket.close.flat)
+    lines += [" " * (indent + INDENT_BLANKS) + comment.text.rstrip() for comment in bracket.end_comments]
+    lines.append(" " * indent + bracket.closing_leaf.flat_text)
     return lines
 
 
-def _slot_lines(slot: BracketSlot, indent: int, deeper: int) -> list[str]:
-    """Return the lines of a slot; its operands after the first are indented by `deeper`."""
-    lines = [" " * indent + comment.text.rstrip() for comment in slot.lead]
+def _format_slot(slot: BracketSlot, indent: int, operand_indent: int) -> list[str]:
+    """Return the lines of a slot; its operands after the first are indented by `operand_indent`."""
+    lines = [" " * indent + comment.text.rstrip() for comment in slot.leading_comments]
     parts = slot.operands or split_operands(slot)
-    flat = slot.flat
+    flat = slot.flat_text
     if (
         not slot.operands
-        and not any(isinstance(node, BracketGroup) and node.forced for node in slot.nodes)
+        and not any(isinstance(node, BracketGroup) and node.is_forced_open for node in slot.nodes)
         and indent + len(flat) <= MAX_LINE_CHARACTERS
     ):
         lines.append(" " * indent + flat)
     elif len(parts) > 1:
         for number, operand in enumerate(parts):
-            lines += _slot_lines(operand, indent + (deeper if number else 0), INDENT_BLANKS)
+            lines += _format_slot(operand, indent + (operand_indent if number else 0), INDENT_BLANKS)
     else:
-        inside = _sequence_lines(slot.nodes, indent, indent)
+        inside = _format_sequence(slot.nodes, indent, indent)
         lines += [" " * indent + inside[0].lstrip(" "), *inside[1:]]
-    if slot.trail is not None:
-        lines[-1] += f"  {slot.trail.text.rstrip()}"
+    if slot.trailing_comment is not None:
+        lines[-1] += f"  {slot.trailing_comment.text.rstrip()}"
     return lines

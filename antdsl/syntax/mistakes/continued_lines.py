@@ -42,7 +42,7 @@ def join_lines(scan: TokenScan) -> list[ScannedToken]:
     joints: list[int] = []  # indices of line ends inside one statement
     left_out: set[int] = set()
     for index, token in enumerate(tokens):
-        text = _token_text(scan, token)
+        text = _get_token_text(scan, token)
         indent = token.indent if token.indent >= 0 and not (joints and joints[-1] == index - 1) else indent
         open = open + 1 if text in ("(", "[") else max(0, open - 1) if text in (")", "]") else 0 if text in ("{", "}") else open
         if token.kind != "end" or open:
@@ -53,15 +53,15 @@ def join_lines(scan: TokenScan) -> list[ScannedToken]:
             scan.blank_out(token.start, token.end)
             tokens[index + 1] = replace(tokens[index + 1], indent=-1)
         elif joints:
-            _report_joints(scan, tokens, joints)
+            _report_continuations(scan, tokens, joints)
             joints = []
     if joints:
-        _report_joints(scan, tokens, joints)
+        _report_continuations(scan, tokens, joints)
     return [token for index, token in enumerate(tokens) if index not in left_out] if left_out else scan.tokens
 
 
-def _token_text(scan: TokenScan, token: ScannedToken) -> str:
-    return "".join(scan.clean[token.start : token.end])
+def _get_token_text(scan: TokenScan, token: ScannedToken) -> str:
+    return "".join(scan.clean_characters[token.start : token.end])
 
 
 def _is_continuation(scan: TokenScan, tokens: list[ScannedToken], index: int, indent: int) -> bool:
@@ -69,26 +69,26 @@ def _is_continuation(scan: TokenScan, tokens: list[ScannedToken], index: int, in
     if index + 1 >= len(tokens) or index == 0 or scan.source.text[tokens[index].start] != "\n":
         return False
     previous_token, following = tokens[index - 1], tokens[index + 1]
-    if previous_token.kind == "end" or _token_text(scan, previous_token) in ("{", "}") or following.kind == "end":
+    if previous_token.kind == "end" or _get_token_text(scan, previous_token) in ("{", "}") or following.kind == "end":
         return False
-    word = _token_text(scan, following)
+    word = _get_token_text(scan, following)
     if word in _CONTINUING_WORDS:
-        behind = _token_text(scan, tokens[index + 2]) if index + 2 < len(tokens) else ""
+        behind = _get_token_text(scan, tokens[index + 2]) if index + 2 < len(tokens) else ""
         return not word.isalpha() or behind not in ("=", ":")
     return (
-        _token_text(scan, previous_token) in _INCOMPLETE_ENDINGS
+        _get_token_text(scan, previous_token) in _INCOMPLETE_ENDINGS
         and following.indent > indent
         and word not in _LINE_WORDS
         and word not in "{}"
     )
 
 
-def _report_joints(scan: TokenScan, tokens: list[ScannedToken], joints: list[int]) -> None:
-    text, following = scan.source.text, tokens[joints[0] + 1]
+def _report_continuations(scan: TokenScan, tokens: list[ScannedToken], line_end_indices: list[int]) -> None:
+    text, following = scan.source.text, tokens[line_end_indices[0] + 1]
     word = text[following.start : following.end]
-    start, end = tokens[joints[0] - 1].end, tokens[joints[-1] + 1].start
+    start, end = tokens[line_end_indices[0] - 1].end, tokens[line_end_indices[-1] + 1].start
     better, copied_end = "", start
-    for joint in joints:
+    for joint in line_end_indices:
         better += text[copied_end : tokens[joint - 1].end] + " "
         copied_end = tokens[joint + 1].start
     comment = any(start <= each.span.start < end for each in scan.comments)

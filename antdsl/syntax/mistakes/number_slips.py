@@ -6,7 +6,7 @@ import re
 
 from antdsl import limits
 from antdsl.diagnostics.model import Diagnostic, Fix
-from antdsl.diagnostics.suggestion import nearest_name
+from antdsl.diagnostics.suggestion import find_nearest_name
 from antdsl.source import Source, Span
 from antdsl.syntax.words import UNIT_NAMES, UNIT_SLIP_HELP
 
@@ -17,40 +17,40 @@ _GLUED_TEXT_PATTERN = re.compile(r"[A-Za-z_][A-Za-z_0-9]*|\.[0-9][0-9.]*|\.(?!\.
 _DIGITS_BEFORE_PATTERN = re.compile(r"(?<![A-Za-z0-9_.])[0-9]+\Z")
 _DIGITS_AFTER_PATTERN = re.compile(r"[0-9]+(?!\.?[0-9])")
 _THOUSANDS_PATTERN = re.compile(r"[1-9][0-9]{0,2}(?:,[0-9]{3})+(?:\.[0-9]+)?")
-_MAX_SHOWN_CHARACTERS = 60  # longer numbers are shortened in messages
+_MAX_QUOTED_CHARACTERS = 60  # longer numbers are shortened in messages
 
 
 def find_comma_number(source: Source, comma: int) -> Span | None:
     """Return the span of the number around a comma without blanks on either side; None if the comma can only separate two
     things."""
-    left = _DIGITS_BEFORE_PATTERN.search(source.text, max(0, comma - _MAX_SHOWN_CHARACTERS), comma)
+    left = _DIGITS_BEFORE_PATTERN.search(source.text, max(0, comma - _MAX_QUOTED_CHARACTERS), comma)
     right = _DIGITS_AFTER_PATTERN.match(source.text, comma + 1)
     return Span(source, left.start(), right.end()) if left and right and source.text[comma : comma + 1] == "," else None
 
 
-def comma_diagnostic(span: Span, *, only: bool = True) -> Diagnostic:
-    """Return the error about a number with commas. `only`: it cannot be two numbers separated by a comma."""
+def make_comma_diagnostic(span: Span, *, is_single_number: bool = True) -> Diagnostic:
+    """Return the error about a number with commas. `is_single_number`: it cannot be two numbers separated by a comma."""
     text = span.text
     plain_number, dotted = text.replace(",", ""), text.replace(",", ".")
     thousands, is_single = _THOUSANDS_PATTERN.fullmatch(text), text.count(",") == 1 and "." not in text
     fix: str | None = None
     two = text.replace(",", ", ")
     if is_single and not thousands:
-        help = f"write a dot: `{dotted}`" + ("" if only else f"; separate two values with a space: `{two}`")
-        fix = dotted if only else None
+        help = f"write a dot: `{dotted}`" + ("" if is_single_number else f"; separate two values with a space: `{two}`")
+        fix = dotted if is_single_number else None
     elif is_single:
-        help = f"write `{plain_number}`, or `{dotted}` with a dot" + ("" if only else f", or `{two}` for two values")
+        help = f"write `{plain_number}`, or `{dotted}` with a dot" + ("" if is_single_number else f", or `{two}` for two values")
     elif thousands:
         help, fix = f"write `{plain_number}`", plain_number
     else:
         help = "write it with digits and at most one dot, as in `1200` or `1.25`"
     message = (
-        f"number `{text if len(text) <= _MAX_SHOWN_CHARACTERS else text[: _MAX_SHOWN_CHARACTERS - 1] + '…'}` has a comma in it"
+        f"number `{text if len(text) <= _MAX_QUOTED_CHARACTERS else text[: _MAX_QUOTED_CHARACTERS - 1] + '…'}` has a comma in it"
     )
     return Diagnostic("bad-number", message, span, help=help, fix=None if fix is None else Fix(span, fix))
 
 
-def number_problem(piece: str, characters: str, end: int) -> tuple[str, int, str] | None:
+def find_number_problem(piece: str, characters: str, end: int) -> tuple[str, int, str] | None:
     """Return the message, the corrected end and the help for an invalid number that ends at offset `end`; None if it is valid."""
     glued = _GLUED_TEXT_PATTERN.match(characters, end)
     rest = glued.group() if glued else ""
@@ -72,9 +72,9 @@ def number_problem(piece: str, characters: str, end: int) -> tuple[str, int, str
     return None
 
 
-def unit_help(word: str) -> str:
+def find_unit_help(word: str) -> str:
     """Return the help text for a word that is not a unit."""
     near = UNIT_SLIP_HELP.get(word.lower())
-    if near is None and (name := nearest_name(word, UNIT_NAMES)) is not None:
+    if near is None and (name := find_nearest_name(word, UNIT_NAMES)) is not None:
         near = f"did you mean `{name}`?"
     return near or f"units are {' '.join(UNIT_NAMES)} and %; to multiply, write `*`"

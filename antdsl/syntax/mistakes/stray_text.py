@@ -78,9 +78,9 @@ def _report_forbidden(scan: TokenScan) -> None:
         name = f"U+{ord(character):04X}"
         if "\u202a" <= character <= "\u2069" and character not in "\u2028\u2029":
             message, help = f"hidden text direction mark {name}", "delete it: it can make text look like something else"
-            scan.error("hidden-direction", message, match.start(), match.end(), help, "")
+            scan.report_error("hidden-direction", message, match.start(), match.end(), help, "")
         else:
-            scan.error("control-character", f"control character {name}", match.start(), match.end(), "delete it", "")
+            scan.report_error("control-character", f"control character {name}", match.start(), match.end(), "delete it", "")
         scan.blank_out(match.start(), match.end())
 
 
@@ -91,7 +91,7 @@ def _report_invisible(scan: TokenScan) -> None:
         for match in _INVISIBLE_CHARACTERS.finditer(text, said.start(), said.end()):
             name = unicodedata.name(match.group(), "character").lower()
             message = f"{name} (U+{ord(match.group()):04X}), which does not show"
-            scan.error("control-character", message, match.start(), match.end(), "delete it", "")
+            scan.report_error("control-character", message, match.start(), match.end(), "delete it", "")
 
 
 def _report_markers(scan: TokenScan) -> None:
@@ -102,24 +102,26 @@ def _report_markers(scan: TokenScan) -> None:
             sign = match.group()[0]
             if sign in "<" or (sign == ">" and drop_from < 0):
                 help = "keep one of the two versions and delete the lines with `<<<<<<<`, `=======` and `>>>>>>>`"
-                scan.error("merge-conflict", "merge conflict left in the file", match.start(), match.end(), help)
+                scan.report_error("merge-conflict", "merge conflict left in the file", match.start(), match.end(), help)
             elif sign in "|=" and drop_from < 0:
                 drop_from = match.start()
             elif sign == ">":
-                blank_lines(scan, drop_from, match.end())
+                blank_text(scan, drop_from, match.end())
                 drop_from = -1
-            blank_lines(scan, match.start(), match.end())
+            blank_text(scan, match.start(), match.end())
     for index, match in enumerate(_CODE_FENCE_PATTERN.finditer(scan.source.text)):
         if index == 0:
-            scan.error("markdown-fence", "markdown code fence in the file", match.start(), match.end(), "delete this line", "")
-        blank_lines(scan, match.start(), match.end())
+            scan.report_error(
+                "markdown-fence", "markdown code fence in the file", match.start(), match.end(), "delete this line", ""
+            )
+        blank_text(scan, match.start(), match.end())
 
 
-def blank_lines(scan: TokenScan, start: int, end: int) -> None:
+def blank_text(scan: TokenScan, start: int, end: int) -> None:
     """Replace text by blanks, but keep the line ends."""
     for offset in range(start, end):
-        if scan.clean[offset] != "\n":
-            scan.clean[offset] = " "
+        if scan.clean_characters[offset] != "\n":
+            scan.clean_characters[offset] = " "
 
 
 def _report_long_lines(scan: TokenScan) -> None:
@@ -130,12 +132,12 @@ def _report_long_lines(scan: TokenScan) -> None:
         if len(line) > limits.MAX_LINE_CHARACTERS:
             message = f"line of {len(line)} characters, at most {limits.MAX_LINE_CHARACTERS} are allowed"
             end = start + len(line)
-            scan.error("line-too-long", message, end - 1, end, "break the line inside parentheses, or at `;`")
+            scan.report_error("line-too-long", message, end - 1, end, "break the line inside parentheses, or at `;`")
             return
         start += len(line) + 1
 
 
-def ascii_for(character: str) -> str | None:
+def find_ascii_lookalike(character: str) -> str | None:
     """Return the ASCII letter, digit or `_` that a character looks like, or None. Accented letters are not look-alikes: they are
     intended."""
     if character < "\x80":
@@ -153,7 +155,7 @@ def ascii_for(character: str) -> str | None:
 _SUGGESTED_WORD_PATTERN = re.compile("write `([a-z]+)`")
 
 
-def replacement_word(help: str, previous_character: str, next_character: str) -> str | None:
+def make_replacement_word(help: str, previous_character: str, next_character: str) -> str | None:
     """Return the word to write instead of a sign, with a blank where the adjacent character is part of a word."""
     match = _SUGGESTED_WORD_PATTERN.fullmatch(help)
     if match is None:

@@ -6,9 +6,9 @@ import re
 from dataclasses import dataclass
 
 from antdsl.diagnostics.model import Diagnostic, Fix, find_fix
-from antdsl.diagnostics.suggestion import nearest_name
+from antdsl.diagnostics.suggestion import find_nearest_name
 from antdsl.source import Span
-from antdsl.syntax.mistakes.number_slips import comma_diagnostic, find_comma_number, unit_help
+from antdsl.syntax.mistakes.number_slips import find_comma_number, find_unit_help, make_comma_diagnostic
 from antdsl.syntax.words import (
     CONTINUATION_TEXTS,
     EXAMPLE_LINE_BY_RULE,
@@ -25,9 +25,9 @@ from antdsl.syntax.words import (
 
 @dataclass(frozen=True, slots=True)
 class UnexpectedToken:
-    """A position where a line could not be read further. `previous_text` and `token_text`: the texts on both sides (`token_text`
-    is empty at the line's end). `expected_terminals`: the names of the terminals that were possible there. `rule`: the grammar
-    rule that reads the line."""
+    """A position where a line could not be read further. `previous_text` and `get_token_text`: the texts on both sides
+    (`get_token_text` is empty at the line's end). `expected_terminals`: the names of the terminals that were possible there.
+    `rule`: the grammar rule that reads the line."""
 
     rule: str
     first: str
@@ -38,36 +38,17 @@ class UnexpectedToken:
     span: Span
     first_span: Span
     expected_terminals: frozenset[str]
-    next: str = ""  # the text after `token_text`
-    earlier: str = ""  # the text before `previous_text`
+    following_text: str = ""  # the text after `get_token_text`
+    earlier_text: str = ""  # the text before `previous_text`
 
 
 # Terminals that a line needs after a complete value, the most informative first.
 _REQUIRED_TERMINALS = (
-    ("ARROW", "`->`"),
-    ("_THEN", "`then`"),
-    ("_ELSE", "`else`"),
-    ("UNTIL", "`until`"),
-    ("_OVER", "`over`"),
-    ("FROM", "`from`"),
-    ("RPAR", "`)`"),
-    ("RSQB", "`]`"),
-    ("_DOTS", "`..`"),
-    ("LBRACE", "`{`"),
-    ("EQUAL", "`=`"),
-    ("_COLON", "`:`"),
-    ("_STRONGEST", "`strongest`"),
-    ("_TO", "`to`"),
-    ("_IN", "`in`"),
-    ("WHEN", "`when`"),
-    ("ANY", "`any`"),
-    ("AT", "`at`"),
-    ("_LEAST", "`least`"),
-    ("EACH", "`each`"),
-    ("AS", "`as`"),
-    ("ON", "`on`"),
-    ("_COMMA", "`,`"),
-)
+    ("ARROW", "`->`"), ("_THEN", "`then`"), ("_ELSE", "`else`"), ("UNTIL", "`until`"), ("_OVER", "`over`"),
+    ("FROM", "`from`"), ("RPAR", "`)`"), ("RSQB", "`]`"), ("_DOTS", "`..`"), ("LBRACE", "`{`"), ("EQUAL", "`=`"),
+    ("_COLON", "`:`"), ("_STRONGEST", "`strongest`"), ("_TO", "`to`"), ("_IN", "`in`"), ("WHEN", "`when`"), ("ANY", "`any`"),
+    ("AT", "`at`"), ("_LEAST", "`least`"), ("EACH", "`each`"), ("AS", "`as`"), ("ON", "`on`"), ("_COMMA", "`,`"),
+)  # fmt: skip
 # Words that join the parts of a line. Another word there may be a misspelling of one of these.
 _JOINING_WORDS = frozenset(
     ("any", "at", "each", "else", "except", "from", "held", "least", "over", "strongest", "take", "then", "until", "when")
@@ -96,18 +77,22 @@ def make_diagnostic(unexpected: UnexpectedToken) -> Diagnostic:
     message = f"found {_quote_text(unexpected.token_text)}"
     if unexpected.previous_text:
         message += f" after {_quote_text(unexpected.previous_text)}"
-    help, fix = _form_text(unexpected), None
-    slip = _find_slip(unexpected)
+    help, fix = _format_form(unexpected), None
+    slip = _find_misspelt_word(unexpected)
     if slip is not None:
         help, fix = f"did you mean `{slip}`?", Fix(unexpected.span, slip)
-    elif _forgets_colon(unexpected):
+    elif _has_missing_colon(unexpected):
         fix = _insert_before(unexpected, ": ")
         help = f"to name an argument, write `{unexpected.previous_text}: {unexpected.token_text}`"
-    elif unexpected.token_kind == "word" and unexpected.next == ":" and {"RPAR", "_COMMA"} <= unexpected.expected_terminals:
+    elif (
+        unexpected.token_kind == "word"
+        and unexpected.following_text == ":"
+        and {"RPAR", "_COMMA"} <= unexpected.expected_terminals
+    ):
         help, fix = f"write a comma before `{unexpected.token_text}:`", _insert_behind(unexpected, ",")
-    elif _forgets_arrow(unexpected):
+    elif _has_missing_arrow(unexpected):
         help, fix = f"write `-> {unexpected.token_text}`", _insert_before(unexpected, "-> ")
-    elif forgets_brackets(unexpected):
+    elif has_missing_brackets(unexpected):
         help = f"write `{unexpected.previous_text}({unexpected.token_text})`"
         place = Span(unexpected.span.source, _insert_behind(unexpected, "").span.start, unexpected.span.end)
         fix = Fix(place, f"({unexpected.token_text})")
@@ -118,7 +103,7 @@ def make_diagnostic(unexpected: UnexpectedToken) -> Diagnostic:
 
 def _explain_inner_after(unexpected: UnexpectedToken) -> Diagnostic | None:
     """`when meal and after 1 s`: only the whole condition may be `after`."""
-    if unexpected.previous_text != "after" or unexpected.earlier not in ("and", "or") or unexpected.token_kind != "number":
+    if unexpected.previous_text != "after" or unexpected.earlier_text not in ("and", "or") or unexpected.token_kind != "number":
         return None
     source = unexpected.span.source
     start = source.text.rindex("after", 0, unexpected.span.start)
@@ -140,7 +125,7 @@ def _explain_quoted_library(unexpected: UnexpectedToken) -> Diagnostic | None:
     )
 
 
-def _find_slip(unexpected: UnexpectedToken) -> str | None:
+def _find_misspelt_word(unexpected: UnexpectedToken) -> str | None:
     """Return the allowed word that the unexpected token is a misspelling of; None if there is none."""
     if unexpected.token_kind != "word" or len(unexpected.token_text) < 3 or "NAME" in unexpected.expected_terminals:
         return None
@@ -149,31 +134,31 @@ def _find_slip(unexpected: UnexpectedToken) -> str | None:
         for terminal in unexpected.expected_terminals
         if terminal.lstrip("_").lower() in _JOINING_WORDS
     ]
-    return nearest_name(unexpected.token_text, words)
+    return find_nearest_name(unexpected.token_text, words)
 
 
-def _forgets_arrow(unexpected: UnexpectedToken) -> bool:
-    return "ARROW" in unexpected.expected_terminals and unexpected.token_kind == "word" and unexpected.next in ("", "{")
+def _has_missing_arrow(unexpected: UnexpectedToken) -> bool:
+    return "ARROW" in unexpected.expected_terminals and unexpected.token_kind == "word" and unexpected.following_text in ("", "{")
 
 
-def forgets_brackets(unexpected: UnexpectedToken) -> bool:
+def has_missing_brackets(unexpected: UnexpectedToken) -> bool:
     """Return whether brackets are missing, as in `touching nest`: two names in a row, of which the first could be a
     function."""
-    names = unexpected.previous_kind == unexpected.token_kind == "word" and unexpected.next not in ("(", ".", "[", ":")
+    names = unexpected.previous_kind == unexpected.token_kind == "word" and unexpected.following_text not in ("(", ".", "[", ":")
     return (
         names
-        and unexpected.earlier in _VALUE_STARTING_WORDS
-        and {unexpected.previous_text, unexpected.token_text}.isdisjoint(_keywords() | _JOINING_WORDS)
+        and unexpected.earlier_text in _VALUE_STARTING_WORDS
+        and {unexpected.previous_text, unexpected.token_text}.isdisjoint(_list_keywords() | _JOINING_WORDS)
     )
 
 
-def _forgets_colon(unexpected: UnexpectedToken) -> bool:
+def _has_missing_colon(unexpected: UnexpectedToken) -> bool:
     arguments = {"RPAR", "_COMMA"} <= unexpected.expected_terminals and unexpected.rule != "top"
-    between = arguments and unexpected.earlier in ("(", ",") and unexpected.next in (",", ")")
+    between = arguments and unexpected.earlier_text in ("(", ",") and unexpected.following_text in (",", ")")
     return between and unexpected.previous_kind == "word" and unexpected.token_kind in ("number", "word")
 
 
-def plain_diagnostic(unexpected: UnexpectedToken) -> Diagnostic:
+def make_plain_diagnostic(unexpected: UnexpectedToken) -> Diagnostic:
     """Return the same error without a guess at the intended text: for a file with a great many mistakes."""
     if not unexpected.token_text:
         return Diagnostic("unfinished-line", f"line ends after {_quote_text(unexpected.previous_text)}", unexpected.span)
@@ -182,24 +167,24 @@ def plain_diagnostic(unexpected: UnexpectedToken) -> Diagnostic:
     )
 
 
-def better_first_word(unexpected: UnexpectedToken) -> str | None:
+def suggest_first_word(unexpected: UnexpectedToken) -> str | None:
     """Return the word that a line's first word is a misspelling of, if the line has no other valid meaning; else None."""
     words = LINE_WORDS_BY_RULE[unexpected.rule]
     other = FOREIGN_FIRST_WORDS.get(unexpected.first)
     if other in words and unexpected.token_text not in _WRITING_SIGNS:
         return other
-    declares = unexpected.earlier == unexpected.first and unexpected.token_text == "="  # `parm smell = …`
+    declares = unexpected.earlier_text == unexpected.first and unexpected.token_text == "="  # `parm smell = …`
     if (
         unexpected.first in words
         or not unexpected.first.isidentifier()
         or (unexpected.token_text in (*_WRITING_SIGNS, "(") and not declares)
     ):
         return None
-    return nearest_name(unexpected.first, words)
+    return find_nearest_name(unexpected.first, words)
 
 
 def _explain_misspelling(unexpected: UnexpectedToken) -> Diagnostic | None:
-    better = better_first_word(unexpected)
+    better = suggest_first_word(unexpected)
     if better is None:
         return None
     message = f"`{unexpected.first}` does not begin a line here"
@@ -211,10 +196,10 @@ def _explain_misspelling(unexpected: UnexpectedToken) -> Diagnostic | None:
 def _explain_misplaced(unexpected: UnexpectedToken) -> Diagnostic | None:
     if unexpected.first in LINE_WORDS_BY_RULE[unexpected.rule] or unexpected.first not in LINE_CONTEXT_BY_WORD:
         return None
-    return misplaced_diagnostic(unexpected.first, unexpected.first_span)
+    return make_misplaced_diagnostic(unexpected.first, unexpected.first_span)
 
 
-def misplaced_diagnostic(word: str, span: Span) -> Diagnostic:
+def make_misplaced_diagnostic(word: str, span: Span) -> Diagnostic:
     """Return the error about a line that begins with a word which belongs elsewhere."""
     return Diagnostic("misplaced-line", f"`{word}` does not stand here", span, help=f"it belongs {LINE_CONTEXT_BY_WORD[word]}")
 
@@ -235,14 +220,14 @@ def _explain_label(unexpected: UnexpectedToken) -> Diagnostic | None:
     names = (
         unexpected.previous_kind == "word"
         and unexpected.token_text == ":"
-        and unexpected.earlier not in ("(", ",", "{", "", "let", "param", "keep", "latch")
+        and unexpected.earlier_text not in ("(", ",", "{", "", "let", "param", "keep", "latch")
     )
     if not names or unexpected.rule in ("spec_line", "weight", "top"):
         return None
     line_text = unexpected.span.source.text[unexpected.first_span.start : unexpected.span.start]
     if line_text.count("(") <= line_text.count(")"):
         return None
-    message = f"found `{unexpected.previous_text}:` after {_quote_text(unexpected.earlier)}, expected `,` or `)`"
+    message = f"found `{unexpected.previous_text}:` after {_quote_text(unexpected.earlier_text)}, expected `,` or `)`"
     return Diagnostic("unexpected-text", message, unexpected.span, help=f"write a comma before `{unexpected.previous_text}:`")
 
 
@@ -251,26 +236,31 @@ def _explain_comma(unexpected: UnexpectedToken) -> Diagnostic | None:
     token_span, source = unexpected.span, unexpected.span.source
     comma = token_span.start if unexpected.token_text == "," else token_span.start - 1 if unexpected.previous_text == "," else -1
     span = find_comma_number(source, comma) if comma > 0 else None
-    return None if span is None else comma_diagnostic(span)
+    return None if span is None else make_comma_diagnostic(span)
 
 
 def _explain_unit(unexpected: UnexpectedToken) -> Diagnostic | None:
     number = unexpected.previous_kind == "number" and unexpected.previous_text[-1:].isdigit()
-    if not number or unexpected.token_kind != "word" or unexpected.token_text in _keywords() or unexpected.next == ":":
-        return None
-    if unexpected.next in _ASSIGNMENT_SIGNS and "$END" in unexpected.expected_terminals:
-        return _explain_line_end(unexpected)
     if (
-        _forgets_arrow(unexpected)
-        and unexpected.token_text not in UNIT_SLIP_HELP
-        and nearest_name(unexpected.token_text, UNIT_NAMES) is None
+        not number
+        or unexpected.token_kind != "word"
+        or unexpected.token_text in _list_keywords()
+        or unexpected.following_text == ":"
     ):
         return None
-    message, help = f"`{unexpected.token_text}` is not a unit", unit_help(unexpected.token_text)
+    if unexpected.following_text in _ASSIGNMENT_SIGNS and "$END" in unexpected.expected_terminals:
+        return _explain_line_end(unexpected)
+    if (
+        _has_missing_arrow(unexpected)
+        and unexpected.token_text not in UNIT_SLIP_HELP
+        and find_nearest_name(unexpected.token_text, UNIT_NAMES) is None
+    ):
+        return None
+    message, help = f"`{unexpected.token_text}` is not a unit", find_unit_help(unexpected.token_text)
     return Diagnostic("unknown-unit", message, unexpected.span, help=help, fix=find_fix(message, unexpected.span, help))
 
 
-def _keywords() -> frozenset[str]:
+def _list_keywords() -> frozenset[str]:
     line_words = frozenset(word for words in LINE_WORDS_BY_RULE.values() for word in words)
     return line_words | {*CONTINUATION_TEXTS, "relax", "strongest"}
 
@@ -281,7 +271,9 @@ def _explain_equals(unexpected: UnexpectedToken) -> Diagnostic | None:
         return Diagnostic("unexpected-text", message, unexpected.span, help=help, fix=Fix(unexpected.span, "="))
     if unexpected.token_text != "=" or "SAME" not in unexpected.expected_terminals:
         return None
-    named = unexpected.previous_kind == "word" and unexpected.earlier in ("(", ",") and "RPAR" in unexpected.expected_terminals
+    named = (
+        unexpected.previous_kind == "word" and unexpected.earlier_text in ("(", ",") and "RPAR" in unexpected.expected_terminals
+    )
     if named and not _QUERY_START_PATTERN.search(unexpected.span.source.text, 0, unexpected.span.start):
         name = unexpected.previous_text
         message, help = f"found `=` after the argument's name `{name}`", f"write `{name}: …`"
@@ -292,7 +284,7 @@ def _explain_equals(unexpected: UnexpectedToken) -> Diagnostic | None:
 
 def has_doubled_sign(unexpected: UnexpectedToken) -> bool:
     """Return whether `==` stands for `=`, as in `let x == 1`."""
-    names = unexpected.previous_kind == "word" and unexpected.earlier in ("let", "param", "latch", "keep")
+    names = unexpected.previous_kind == "word" and unexpected.earlier_text in ("let", "param", "latch", "keep")
     return unexpected.token_text == "==" and (names or unexpected.previous_text == unexpected.first)
 
 
@@ -305,7 +297,7 @@ def _explain_double_comparison(unexpected: UnexpectedToken) -> Diagnostic | None
 
 
 def _explain_second_line(unexpected: UnexpectedToken) -> Diagnostic | None:
-    return _explain_line_end(unexpected) if begins_line(unexpected) else None
+    return _explain_line_end(unexpected) if is_line_start(unexpected) else None
 
 
 def _explain_line_end(unexpected: UnexpectedToken) -> Diagnostic:
@@ -328,10 +320,10 @@ def _insert_behind(unexpected: UnexpectedToken, text: str) -> Fix:
     return Fix(Span(source, end, end), text)
 
 
-def begins_line(unexpected: UnexpectedToken) -> bool:
+def is_line_start(unexpected: UnexpectedToken) -> bool:
     """Return whether the unexpected token is a word that begins a line, after something that could end one."""
     words = LINE_WORDS_BY_RULE[unexpected.rule]
-    assigns = bool(words) and unexpected.token_kind == "word" and unexpected.next in _ASSIGNMENT_SIGNS
+    assigns = bool(words) and unexpected.token_kind == "word" and unexpected.following_text in _ASSIGNMENT_SIGNS
     return (unexpected.token_text in words or assigns) and "$END" in unexpected.expected_terminals
 
 
@@ -339,7 +331,7 @@ def _explain_unfinished(unexpected: UnexpectedToken) -> Diagnostic | None:
     if unexpected.token_text:
         return None
     message = f"line ends after {_quote_text(unexpected.previous_text)}, expected {_describe_expected(unexpected)}"
-    return Diagnostic("unfinished-line", message, unexpected.span, help=_form_text(unexpected))
+    return Diagnostic("unfinished-line", message, unexpected.span, help=_format_form(unexpected))
 
 
 def _describe_expected(unexpected: UnexpectedToken) -> str:
@@ -373,7 +365,7 @@ def _describe_expected(unexpected: UnexpectedToken) -> str:
     return "the end of the line" if "$END" in expected_terminals else "something else"
 
 
-def _form_text(unexpected: UnexpectedToken) -> str:
+def _format_form(unexpected: UnexpectedToken) -> str:
     if {"RPAR", "_COMMA"} <= unexpected.expected_terminals and unexpected.rule != "top":
         return "arguments are written like `seek(meal)` or `wander(swing: 40 deg)`"
     if unexpected.expected_terminals == {"FROM"}:

@@ -14,8 +14,8 @@ from functools import wraps
 from typing import Any, Final
 
 from antdsl.machine_code.kernels.ir import CHECK_MESSAGES, Instruction, IrFunction
-from antdsl.machine_code.kinds import LANE_COUNT
-from antdsl.machine_code.machine import LoadedCode
+from antdsl.machine_code.llvm_compiler import LoadedCode
+from antdsl.machine_code.number_kinds import LANE_COUNT
 
 CHECKS_VARIABLE: Final = "ANTDSL_CHECKED_KERNELS"
 CHECKS_ENABLED: Final = os.environ.get(CHECKS_VARIABLE) == "1"
@@ -76,17 +76,17 @@ class CheckRenderer:
             lines.append(f"  {fine}.each = icmp ne {first.typed}, zeroinitializer")
             lines.append(f"  {fine} = call i1 @check.all({_MASK_TYPE} {fine}.each, {_mask(others)})")
         elif first.wide:
-            passed = f"{first.typed}, {others[0].typed}, i64 {each.extra}, {_mask(others[1:])}"
+            passed = f"{first.typed}, {others[0].typed}, i64 {each.immediate}, {_mask(others[1:])}"
             lines.append(f"  {fine} = call i1 @check.indices({passed})")
         else:
             length = others[0].name
             for k, other in enumerate(others[1:] if each.op == "span" else ()):
                 lines.append(f"  {fine}.of{k} = mul i64 {length}, {other.name}")
                 length = f"{fine}.of{k}"
-            lines.append(f"  {fine} = call i1 @check.index({first.typed}, i64 {length}, i64 {each.extra})")
+            lines.append(f"  {fine} = call i1 @check.index({first.typed}, i64 {length}, i64 {each.immediate})")
         return [*lines, *self._return_lines(function, fine, f"  store i64 {len(self._messages)}, ptr @{_FAULT_VARIABLE}")]
 
-    def after_call(self, function: IrFunction) -> list[str]:
+    def render_call_check(self, function: IrFunction) -> list[str]:
         """Return the lines that return from a function if the function it called has failed."""
         self._numbers += 1
         fine = f"%c{self._numbers}"
@@ -95,11 +95,11 @@ class CheckRenderer:
             *self._return_lines(function, fine),
         ]  # fmt: skip
 
-    def _return_lines(self, function: IrFunction, fine: str, *lines: str) -> list[str]:
-        """Return a branch: unless the condition `fine` holds, `lines` run and the function returns zeros."""
-        label = fine[1:]
+    def _return_lines(self, function: IrFunction, passed_label: str, *lines: str) -> list[str]:
+        """Return a branch: unless the condition `passed_label` holds, `lines` run and the function returns zeros."""
+        label = passed_label[1:]
         passed = "ret void" if function.result == "void" else f"ret {function.result} zeroinitializer"
-        branch = f"  br i1 {fine}, label %{label}.fine, label %{label}.fault"
+        branch = f"  br i1 {passed_label}, label %{label}.fine, label %{label}.fault"
         return [branch, f"{label}.fault:", *lines, f"  {passed}", f"{label}.fine:"]
 
     def text(self) -> str:
@@ -121,7 +121,7 @@ def guard_call(run: Callable[..., Any], code: LoadedCode) -> Callable[..., Any]:
     def call(*arguments: Any) -> Any:
         output = run(*arguments)
         if word.value:
-            message = code.constant_text(_FAULT_MESSAGES_VARIABLE).split("\n")[word.value - 1]
+            message = code.read_constant_text(_FAULT_MESSAGES_VARIABLE).split("\n")[word.value - 1]
             word.value = 0
             raise KernelFault(message)
         return output

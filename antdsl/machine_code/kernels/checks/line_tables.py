@@ -28,23 +28,23 @@ class LineTables:
     def __init__(self) -> None:
         self._nodes: dict[str, int] = {}
         self._function = ""
-        self._first = 0
+        self._first_line = 0
 
-    def _node(self, text: str) -> int:
+    def _add_node(self, text: str) -> int:
         """Add a metadata node, and return its number."""
         return self._nodes.setdefault(text, len(_HEADER_LINES) - 2 + len(self._nodes))
 
     def begin_function(self, name: str, file_name: str, line: int) -> str:
         """Return the text that follows the head of a function."""
-        file = self._node(f'!DIFile(filename: "{_escape_name(_relative_path(file_name))}", directory: "")')
-        self._first = line
+        file = self._add_node(f'!DIFile(filename: "{_escape_name(_relative_path(file_name))}", directory: "")')
+        self._first_line = line
         fields = f'name: "{name}", scope: !{file}, file: !{file}, line: {line}, type: !3, unit: !0'
-        self._function = f"!{self._node(f'distinct !DISubprogram({fields}, spFlags: DISPFlagDefinition)')}"
+        self._function = f"!{self._add_node(f'distinct !DISubprogram({fields}, spFlags: DISPFlagDefinition)')}"
         return f" !dbg {self._function}"
 
     def of(self, line: int) -> str:
         """Return the suffix that an instruction of this line needs; line 0 means the first line of the function."""
-        return f", !dbg !{self._node(f'!DILocation(line: {line or self._first}, scope: {self._function})')}"
+        return f", !dbg !{self._add_node(f'!DILocation(line: {line or self._first_line}, scope: {self._function})')}"
 
     def text(self) -> list[str]:
         """Return all metadata nodes."""

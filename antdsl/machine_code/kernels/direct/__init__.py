@@ -3,7 +3,7 @@ array in Python.
 
 All kernels share one function (METH_FASTCALL). Each binds it to bytes that describe the arguments to read. If an object has
 another type than its argument, the function calls `otherwise` with all arguments, and returns its result. The function relies on
-the memory layout of objects in CPython and NumPy (`PyArrayObject_fields` is part of NumPy's binary interface). `possible`
+the memory layout of objects in CPython and NumPy (`PyArrayObject_fields` is part of NumPy's binary interface). `is_supported`
 verifies that layout first."""
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from antdsl.machine_code import machine
+from antdsl.machine_code import llvm_compiler
 from antdsl.machine_code.kernels.direct import argument_text as reading
 
 _CONTIGUOUS_FLAG, _ALIGNED_FLAG, _WRITEABLE_FLAG = 0x1, 0x100, 0x400  # flags of arrays
@@ -32,8 +32,8 @@ class _MethodDefinition(ctypes.Structure):
     _fields_ = (("name", ctypes.c_char_p), ("code", ctypes.c_void_p), ("flags", ctypes.c_int), ("text", ctypes.c_char_p))
 
 
-class _Pair(NamedTuple):
-    """A record that `possible` inspects."""
+class _ProbeRecord(NamedTuple):
+    """A record that `is_supported` inspects."""
 
     first: Any
     second: Any
@@ -44,73 +44,85 @@ class ArgumentSpec:
     """An argument, or an element of a tuple argument, and its words in the table.
 
     - `path`: the index of the argument, then the indices within nested tuples
-    - `place`: the first word in the table; a number takes one word
-    - `axes`, `strided`: an array takes words for its address, its lengths and, if `strided`, its steps
+    - `word_index`: the first word in the table; a number takes one word
+    - `axes`, `is_strided`: an array takes words for its address, its lengths and, if `is_strided`, its steps
     - `count`: the number of elements of a tuple or record, which takes no word; None for numbers and arrays"""
 
     path: tuple[int, ...]
-    place: int = 0
+    word_index: int = 0
     kind: int = reading.REAL_KIND
     dtype: np.dtype[Any] | None = None
     axes: int = 0
-    strided: bool = False
-    written: bool = False
+    is_strided: bool = False
+    is_written: bool = False
     count: int | None = None
 
 
 def make_builtin(
     name: str,
-    code: machine.LoadedCode,
+    code: llvm_compiler.LoadedCode,
     specs: Sequence[ArgumentSpec],
-    words: int,
-    gives: Sequence[int],
-    otherwise: Callable[..., Any],
-    run: int = 0,
+    table_words: int,
+    result_kinds: Sequence[int],
+    fallback: Callable[..., Any],
+    parallel_run: int = 0,
 ) -> Any:
     """Return a built-in Python function that calls kernel code; None if no such function can be made.
 
-    - `words`: the length of the table that the code reads; the code stores its results in the first words
-    - `gives`: the kinds of these results
+    - `table_words`: the length of the table that the code reads; the code stores its results in the first words
+    - `result_kinds`: the kinds of these results
     - `specs`: the arguments; a tuple comes before its contents
-    - `otherwise`: the function that is called with arguments of other types
-    - `run`: the address of a function that runs the code in parts, or 0
+    - `fallback`: the function that is called with arguments of other types
+    - `parallel_run`: the address of a function that runs the code in parts, or 0
 
-    With `run`, `specs` has two more numbers, in the words behind the table, and the built-in function returns a list."""
+    With `parallel_run`, `specs` has two more numbers, in the words behind the table, and the built-in function returns a list."""
     if (
-        words + 2 > reading.MAX_TABLE_WORDS
-        or len(gives) > reading.RESULT_WORDS
+        table_words + 2 > reading.MAX_TABLE_WORDS
+        or len(result_kinds) > reading.RESULT_WORDS
         or any(len(each.path) >= reading.MAX_TUPLE_DEPTH for each in specs)
-        or not possible()
+        or not is_supported()
     ):
         return None
     count = sum(len(each.path) == 1 for each in specs)
-    head = [code.place(name), count, id(otherwise), len(specs), len(gives), ctypes.addressof(_addresses()), run, words, *gives]
-    descriptor = struct.pack(f"={len(head)}q", *head).ljust(8 * reading.HEADER_WORDS, b"\0") + b"".join(map(_pack_step, specs))
-    method = _MethodDefinition(name.encode(), _code().place("direct"), _FASTCALL_FLAG, None)
+    head = [
+        code.function_address(name),
+        count,
+        id(fallback),
+        len(specs),
+        len(result_kinds),
+        ctypes.addressof(_api_addresses()),
+        parallel_run,
+        table_words,
+        *result_kinds,
+    ]
+    descriptor = struct.pack(f"={len(head)}q", *head).ljust(8 * reading.HEADER_WORDS, b"\0") + b"".join(
+        map(_pack_argument, specs)
+    )
+    method = _MethodDefinition(name.encode(), _load_code().function_address("direct"), _FASTCALL_FLAG, None)
     make = ctypes.pythonapi.PyCFunction_NewEx
     make.argtypes, make.restype = (ctypes.c_void_p, ctypes.py_object, ctypes.py_object), ctypes.py_object
     return make(
-        ctypes.addressof(method), descriptor, (method, code, otherwise, _code(), tuple(specs))
+        ctypes.addressof(method), descriptor, (method, code, fallback, _load_code(), tuple(specs))
     )  # the built-in function keeps these alive
 
 
-def _pack_step(each: ArgumentSpec) -> bytes:
+def _pack_argument(each: ArgumentSpec) -> bytes:
     """Return the words that describe how to read an argument."""
     depth, index = len(each.path) - 1, each.path[-1]
     if each.count is not None:
         return struct.pack(f"={reading.WORDS_PER_ARGUMENT}q", reading.TUPLE_ARGUMENT, depth, index, 0, each.count, 0, 0, 0)
     if each.dtype is None:
         return struct.pack(
-            f"={reading.WORDS_PER_ARGUMENT}q", reading.NUMBER_ARGUMENT, depth, index, each.place, each.kind, 0, 0, 0
+            f"={reading.WORDS_PER_ARGUMENT}q", reading.NUMBER_ARGUMENT, depth, index, each.word_index, each.kind, 0, 0, 0
         )
-    flags = _ALIGNED_FLAG | (0 if each.strided else _CONTIGUOUS_FLAG) | (_WRITEABLE_FLAG if each.written else 0)
-    size = each.dtype.itemsize if each.strided else 0
+    flags = _ALIGNED_FLAG | (0 if each.is_strided else _CONTIGUOUS_FLAG) | (_WRITEABLE_FLAG if each.is_written else 0)
+    size = each.dtype.itemsize if each.is_strided else 0
     return struct.pack(
         f"={reading.WORDS_PER_ARGUMENT}q",
         reading.ARRAY_ARGUMENT,
         depth,
         index,
-        each.place,
+        each.word_index,
         id(each.dtype),
         each.axes,
         flags,
@@ -119,16 +131,16 @@ def _pack_step(each: ArgumentSpec) -> bytes:
 
 
 @cache
-def _code() -> machine.LoadedCode:
+def _load_code() -> llvm_compiler.LoadedCode:
     return reading.text.code()
 
 
 @cache
-def possible() -> bool:
+def is_supported() -> bool:
     """Return whether objects have the memory layout that `text` reads: 64-bit CPython with a global lock."""
     if sys.implementation.name != "cpython" or ctypes.sizeof(ctypes.c_void_p) != 8 or hasattr(sys, "getobjects"):
         return False
-    if sysconfig.get_config_var("Py_GIL_DISABLED") or bytes.__basicsize__ != reading.bytes_offset() + 1:
+    if sysconfig.get_config_var("Py_GIL_DISABLED") or bytes.__basicsize__ != reading.bytes_data_offset() + 1:
         return False
     if not all(hasattr(ctypes.pythonapi, name) for name in (*reading.PYTHON_API_CALLS, "PyCFunction_NewEx")):
         return False
@@ -153,19 +165,19 @@ def possible() -> bool:
     for form, value in zip("ddfqQ?", numbers, strict=True):
         if struct.unpack(form, ctypes.string_at(id(value) + head, struct.calcsize(form)))[0] != value:
             return False
-    for type_ in (tuple, ArgumentSpec, int, _Pair):
+    for type_ in (tuple, ArgumentSpec, int, _ProbeRecord):
         if ctypes.c_uint64.from_address(id(type_) + reading.TYPE_FLAGS_OFFSET).value != type_.__flags__:
             return False
         if bool(type_.__flags__ & reading.TUPLE_FLAG) != issubclass(type_, tuple):
             return False
-    pair = _Pair(array, head)
+    pair = _ProbeRecord(array, head)
     inside = (ctypes.c_int64 * 2).from_address(id(pair) + tuple.__basicsize__)
     types = [ctypes.c_int64.from_address(id(each) + head - 8).value for each in (*pair, pair)]
     return tuple(inside) == tuple(map(id, pair)) and types == [id(type(each)) for each in (*pair, pair)]
 
 
 @cache
-def _addresses() -> ctypes.Array[ctypes.c_int64]:
+def _api_addresses() -> ctypes.Array[ctypes.c_int64]:
     """Return the addresses of all functions and objects in the text, in the order of `PYTHON_API_CALLS` and `PYTHON_OBJECTS`."""
     calls = [ctypes.cast(getattr(ctypes.pythonapi, name), ctypes.c_void_p).value or 0 for name in reading.PYTHON_API_CALLS]
     addresses = [*calls, *map(id, reading.PYTHON_OBJECTS.values())]

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from antdsl.machine_code import machine
-from antdsl.machine_code.library import library_text, read_language
+from antdsl.machine_code import llvm_compiler
+from antdsl.machine_code.library import library_text, read_llvm_file
 
 MAX_TABLE_WORDS = 256  # limit of a call's table, 2 kB on the stack
 MAX_JOB_PARTS = 64  # limit of a job
@@ -33,19 +33,19 @@ PYTHON_API_CALLS = (
 )  # fmt: skip
 
 
-def bytes_offset() -> int:
+def bytes_data_offset() -> int:
     """Return the offset of the data in a bytes object."""
     return object.__basicsize__ + 16  # their number, and a hash
 
 
 @library_text
-def text(_: machine.Target) -> str:
+def text(_: llvm_compiler.Target) -> str:
     """Return `PyObject *direct(PyObject *description, PyObject *const *given, Py_ssize_t count)` in LLVM's language."""
     head = object.__basicsize__
     names = (*(f"call.{name}" for name in PYTHON_API_CALLS), *PYTHON_OBJECTS)
-    readers = (_reader_text(name, number) for number, name in enumerate(names))
-    code_text = read_language("direct.ll") + "\n".join([*readers, ""])
-    values = {"HEAD": head, "TYPE": head - 8, "DESCRIPTION": bytes_offset(), "INSIDE": tuple.__basicsize__}
+    readers = (_render_reader(name, number) for number, name in enumerate(names))
+    code_text = read_llvm_file("direct.ll") + "\n".join([*readers, ""])
+    values = {"HEAD": head, "TYPE": head - 8, "DESCRIPTION": bytes_data_offset(), "INSIDE": tuple.__basicsize__}
     values |= {"WORDS": MAX_TABLE_WORDS, "DEPTH": MAX_TUPLE_DEPTH}
     values |= {"AXES": head + 8, "LENGTHS": head + 16, "STEPS": head + 24, "DTYPE": head + 40, "FLAGS": head + 48}
     values |= {"STEP": 8 * WORDS_PER_ARGUMENT, "FIRST": 8 * HEADER_WORDS, "ARRAY": ARRAY_ARGUMENT, "TUPLE": TUPLE_ARGUMENT}
@@ -57,7 +57,7 @@ def text(_: machine.Target) -> str:
     return code_text
 
 
-def _reader_text(name: str, number: int) -> str:
+def _render_reader(name: str, number: int) -> str:
     """Return the function that reads an argument of one kind."""
     return (
         f"define internal ptr @{name}(ptr %here) alwaysinline {{\n  %at = getelementptr ptr, ptr %here, i64 {number}\n"

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from antdsl.plan.lowering import clips, pair_values
 from antdsl.plan.lowering.rules import chance, logic, numbers, places, senses
-from antdsl.plan.lowering.sets import lower_set, reduce
+from antdsl.plan.lowering.sets import lower_reduction, lower_set
 from antdsl.plan.lowering.values import LoweredValue
 from antdsl.plan.lowering.writer import LoweringRules, PlanWriter
 from antdsl.program import model
@@ -19,4 +19,4 @@ OPERATION_RULES: dict[str, Callable[[PlanWriter, model.OperationExpr], LoweredVa
     **places.PLACE_RULES,
     **senses.SENSE_RULES,
 }
-LOWERING_RULES = LoweringRules(OPERATION_RULES, lower_set, reduce, pair_values.read, clips.lower_clip_test)
+LOWERING_RULES = LoweringRules(OPERATION_RULES, lower_set, lower_reduction, pair_values.read, clips.lower_clip_test)

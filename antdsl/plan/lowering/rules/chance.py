@@ -6,60 +6,66 @@ from math import pi
 
 from antdsl.plan.builder import PlanError
 from antdsl.plan.ir import PlanNode
-from antdsl.plan.lowering.expressions import lower, scalar, select
+from antdsl.plan.lowering.expressions import lower_expression, lower_scalar, select_value
 from antdsl.plan.lowering.values import EntityRef, LoweredValue, NamedThing
 from antdsl.plan.lowering.writer import PlanWriter
 from antdsl.program import model
 
 
-def draw(w: PlanWriter, e: model.OperationExpr, index: int = 0) -> PlanNode:
+def lower_draw(w: PlanWriter, e: model.OperationExpr, index: int = 0) -> PlanNode:
     """Return a uniform random number in [0, 1)."""
     if not e.site:
         raise PlanError(f"a draw without a site: {e.span.text!r}")
     return w.b("draw", attrs=(e.site, index))
 
 
-def _uniform(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
-    low, high = (scalar(w, a) for a in e.args if a is not None)
-    return w.b("add", low, w.b("mul", w.b("sub", high, low), draw(w, e)))
+def _lower_uniform(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
+    low, high = (lower_scalar(w, a) for a in e.args if a is not None)
+    return w.b("add", low, w.b("mul", w.b("sub", high, low), lower_draw(w, e)))
 
 
-def _normal(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
+def _lower_normal(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     """Lower a normal draw by the method of Box and Muller (1958). 1 - u is in (0, 1], so the logarithm is finite."""
-    mean, deviation = (scalar(w, a) for a in e.args if a is not None)
+    mean, deviation = (lower_scalar(w, a) for a in e.args if a is not None)
     b = w.b
-    radius = b("sqrt", b("mul", b.number(-2), b("log", b("sub", b.number(1), draw(w, e)))))
-    wave = b("cos", b("mul", b.number(2 * pi), draw(w, e, 1)))
+    radius = b("sqrt", b("mul", b.number(-2), b("log", b("sub", b.number(1), lower_draw(w, e)))))
+    wave = b("cos", b("mul", b.number(2 * pi), lower_draw(w, e, 1)))
     return b("add", mean, b("mul", deviation, b("mul", radius, wave)))
 
 
-def _pick(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
-    choices = [lower(w, a) for a in e.args if a is not None]
-    place = w.b("mul", draw(w, e), w.b.number(len(choices)))
+def _lower_pick(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
+    choices = [lower_expression(w, a) for a in e.args if a is not None]
+    place = w.b("mul", lower_draw(w, e), w.b.number(len(choices)))
     result = choices[-1]
     for k in range(len(choices) - 2, -1, -1):
-        result = select(w, w.b("lt", place, w.b.number(k + 1)), choices[k], result)
+        result = select_value(w, w.b("lt", place, w.b.number(k + 1)), choices[k], result)
     return result
 
 
-def _random_agent(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
+def _lower_random_agent(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     assert e.args[0] is not None
-    of = lower(w, e.args[0])
+    of = lower_expression(w, e.args[0])
     if not isinstance(of, NamedThing) or not e.site:
         raise PlanError(f"random of no species: {e.span.text!r}")
     return EntityRef(model.TypeKind.AGENT, of.name, w.b("draw.agent", attrs=(e.site, of.name)))
 
 
-def _chance(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
+def _lower_chance(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     """Lower `chance`. A rate becomes the probability 1 - exp(-rate dt) per step, for any step length. A probability is used
     directly."""
     argument = e.args[0]
     assert argument is not None
-    share = scalar(w, argument)
+    share = lower_scalar(w, argument)
     b = w.b
-    if argument.type.dim.time < 0:
+    if argument.type.dimension.time < 0:
         share = b("sub", b.number(1), b("exp", b("neg", b("mul", share, w.run("dt")))))
-    return b("lt", draw(w, e), share)
+    return b("lt", lower_draw(w, e), share)
 
 
-CHANCE_RULES = {"uniform": _uniform, "normal": _normal, "pick": _pick, "random_agent": _random_agent, "chance": _chance}
+CHANCE_RULES = {
+    "uniform": _lower_uniform,
+    "normal": _lower_normal,
+    "pick": _lower_pick,
+    "random_agent": _lower_random_agent,
+    "chance": _lower_chance,
+}

@@ -7,29 +7,29 @@ from collections.abc import Callable
 from antdsl.plan.builder import PlanError
 from antdsl.plan.ir import PlanNode, ValueKind
 from antdsl.plan.lowering import values
-from antdsl.plan.lowering.expressions import lower, scalar, single_node, vector
+from antdsl.plan.lowering.expressions import convert_to_node, lower_expression, lower_scalar, lower_vector
 from antdsl.plan.lowering.values import LoweredValue, VectorNodes
 from antdsl.plan.lowering.writer import PlanWriter
-from antdsl.plan.simplify import constant_value
+from antdsl.plan.simplify import get_constant_value
 from antdsl.program import model
 
 OperationRule = Callable[[PlanWriter, model.OperationExpr], LoweredValue]
 
 
-def args(w: PlanWriter, e: model.OperationExpr) -> list[PlanNode]:
+def lower_arguments(w: PlanWriter, e: model.OperationExpr) -> list[PlanNode]:
     """Return all operands as scalars. None of them may be absent."""
-    return [scalar(w, a) for a in e.args if a is not None]
+    return [lower_scalar(w, a) for a in e.args if a is not None]
 
 
 def _lower_both(w: PlanWriter, e: model.OperationExpr) -> tuple[LoweredValue, LoweredValue, Callable[[], list[PlanNode]]]:
     """Return both operands, and a function that returns them as scalars. Each operand is lowered only once, because two times
     would double the work at each level of nesting."""
     first, second = (a for a in e.args if a is not None)
-    left, right = lower(w, first), lower(w, second)
-    return left, right, lambda: [single_node(w, first, left), single_node(w, second, right)]
+    left, right = lower_expression(w, first), lower_expression(w, second)
+    return left, right, lambda: [convert_to_node(w, first, left), convert_to_node(w, second, right)]
 
 
-def _make_binary(op: str) -> OperationRule:
+def _make_binary_rule(op: str) -> OperationRule:
     def rule(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
         left, right, scalars = _lower_both(w, e)
         if isinstance(left, VectorNodes) and isinstance(right, VectorNodes):
@@ -39,7 +39,7 @@ def _make_binary(op: str) -> OperationRule:
     return rule
 
 
-def _mul(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
+def _lower_mul(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     left, right, scalars = _lower_both(w, e)
     if isinstance(left, VectorNodes) and isinstance(right, PlanNode):
         return values.scale(w.b, left, right)
@@ -48,25 +48,25 @@ def _mul(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     return w.b("mul", *scalars())
 
 
-def _div(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
+def _lower_div(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     dividend, divisor = (a for a in e.args if a is not None)
-    left, right = lower(w, dividend), scalar(w, divisor)
+    left, right = lower_expression(w, dividend), lower_scalar(w, divisor)
     if isinstance(left, VectorNodes):
         return values.zip_with(lambda p: w.b("div", p, right), left)
-    return w.b("div", single_node(w, dividend, left), right)
+    return w.b("div", convert_to_node(w, dividend, left), right)
 
 
-def _neg(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
+def _lower_neg(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     (operand,) = (a for a in e.args if a is not None)
-    inner = lower(w, operand)
+    inner = lower_expression(w, operand)
     if isinstance(inner, VectorNodes):
         return values.neg(w.b, inner)
-    return w.b("neg", single_node(w, operand, inner))
+    return w.b("neg", convert_to_node(w, operand, inner))
 
 
-def _pow(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
-    base, exponent = args(w, e)
-    known = constant_value(exponent)
+def _lower_pow(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
+    base, exponent = lower_arguments(w, e)
+    known = get_constant_value(exponent)
     if known is None:
         return w.b("pow", base, exponent)
     if known == 0.5:
@@ -79,16 +79,16 @@ def _pow(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     return w.b("div", w.b.number(1), result) if known < 0 else result
 
 
-def _make_plain(op: str) -> OperationRule:
-    return lambda w, e: w.b(op, *args(w, e))
+def _make_scalar_rule(op: str) -> OperationRule:
+    return lambda w, e: w.b(op, *lower_arguments(w, e))
 
 
-def _clamp(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
-    x, low, high = args(w, e)
+def _lower_clamp(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
+    x, low, high = lower_arguments(w, e)
     return w.b("min", w.b("max", x, low), high)
 
 
-def share(w: PlanWriter, x: PlanNode, low: PlanNode, high: PlanNode) -> PlanNode:
+def compute_share(w: PlanWriter, x: PlanNode, low: PlanNode, high: PlanNode) -> PlanNode:
     """Return the position of x between low and high, from 0 to 1. If low equals high, the result jumps from 0 to 1 there."""
     b = w.b
     wide = b("sub", high, low)
@@ -97,20 +97,20 @@ def share(w: PlanWriter, x: PlanNode, low: PlanNode, high: PlanNode) -> PlanNode
     return b("where", b("ne", wide, b.number(0)), between, step)
 
 
-def _ramp(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
-    x, from_low, from_high, to_low, to_high = args(w, e)
-    return _interpolate(w, to_low, to_high, share(w, x, from_low, from_high))
+def _lower_ramp(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
+    x, from_low, from_high, to_low, to_high = lower_arguments(w, e)
+    return _interpolate(w, to_low, to_high, compute_share(w, x, from_low, from_high))
 
 
 def _interpolate(w: PlanWriter, a: PlanNode, z: PlanNode, t: PlanNode) -> PlanNode:
-    if constant_value(a) == 0:
+    if get_constant_value(a) == 0:
         return w.b("mul", z, t)
     return w.b("add", w.b("mul", a, w.b("sub", w.b.number(1), t)), w.b("mul", z, t))
 
 
-def _mix(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
-    first, second = (lower(w, a) for a in e.args[:2] if a is not None)
-    t = scalar(w, e.args[2])  # type: ignore[arg-type]
+def _lower_mix(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
+    first, second = (lower_expression(w, a) for a in e.args[:2] if a is not None)
+    t = lower_scalar(w, e.args[2])  # type: ignore[arg-type]
     if isinstance(first, VectorNodes) and isinstance(second, VectorNodes):
         return values.zip_with(lambda p, q: _interpolate(w, p, q, t), first, second)
     if isinstance(first, PlanNode) and isinstance(second, PlanNode):
@@ -118,23 +118,23 @@ def _mix(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     raise PlanError("mix of two unlike values")
 
 
-def _rising(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
-    return share(w, *args(w, e))
+def _lower_rising(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
+    return compute_share(w, *lower_arguments(w, e))
 
 
-def _falling(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
-    return w.b("sub", w.b.number(1), share(w, *args(w, e)))
+def _lower_falling(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
+    return w.b("sub", w.b.number(1), compute_share(w, *lower_arguments(w, e)))
 
 
-def _around(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
-    x, low, high = args(w, e)
+def _lower_around(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
+    x, low, high = lower_arguments(w, e)
     b = w.b
     half = b("mul", b("sub", high, low), b.number(0.5))
     middle = b("add", low, half)
     return b("max", b("sub", b.number(1), b("div", b("abs", b("sub", x, middle)), half)), b.number(0))
 
 
-def _make_comparison(op: str) -> OperationRule:
+def _make_comparison_rule(op: str) -> OperationRule:
     def rule(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
         left, right, scalars = _lower_both(w, e)
         if isinstance(left, VectorNodes) and isinstance(right, VectorNodes):
@@ -149,65 +149,68 @@ def _make_comparison(op: str) -> OperationRule:
 
 
 NUMBER_RULES = {
-    "add": _make_binary("add"), "sub": _make_binary("sub"), "mul": _mul, "div": _div, "neg": _neg, "pow": _pow,
-    "lt": _make_plain("lt"), "le": _make_plain("le"), "gt": _make_plain("gt"), "ge": _make_plain("ge"),
-    "eq": _make_comparison("eq"), "ne": _make_comparison("ne"),
-    "abs": _make_plain("abs"), "floor": _make_plain("floor"), "sqrt": _make_plain("sqrt"), "sin": _make_plain("sin"),
-    "cos": _make_plain("cos"),
-    "exp": _make_plain("exp"), "log": _make_plain("log"), "min": _make_plain("min"), "max": _make_plain("max"),
-    "clamp": _clamp, "ramp": _ramp, "mix": _mix, "rising": _rising, "falling": _falling, "around": _around,
+    "add": _make_binary_rule("add"), "sub": _make_binary_rule("sub"), "mul": _lower_mul, "div": _lower_div,
+    "neg": _lower_neg, "pow": _lower_pow,
+    "lt": _make_scalar_rule("lt"), "le": _make_scalar_rule("le"), "gt": _make_scalar_rule("gt"), "ge": _make_scalar_rule("ge"),
+    "eq": _make_comparison_rule("eq"), "ne": _make_comparison_rule("ne"),
+    "abs": _make_scalar_rule("abs"), "floor": _make_scalar_rule("floor"), "sqrt": _make_scalar_rule("sqrt"),
+    "sin": _make_scalar_rule("sin"), "cos": _make_scalar_rule("cos"),
+    "exp": _make_scalar_rule("exp"), "log": _make_scalar_rule("log"), "min": _make_scalar_rule("min"),
+    "max": _make_scalar_rule("max"),
+    "clamp": _lower_clamp, "ramp": _lower_ramp, "mix": _lower_mix, "rising": _lower_rising, "falling": _lower_falling,
+    "around": _lower_around,
 }  # fmt: skip
 
 
-def _length(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
-    return values.length(w.b, vector(w, e.args[0]))  # type: ignore[arg-type]
+def _lower_length(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
+    return values.length(w.b, lower_vector(w, e.args[0]))  # type: ignore[arg-type]
 
 
-def _unit(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
-    return values.unit(w.b, vector(w, e.args[0]))  # type: ignore[arg-type]
+def _lower_unit(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
+    return values.normalise(w.b, lower_vector(w, e.args[0]))  # type: ignore[arg-type]
 
 
-def _pair(w: PlanWriter, e: model.OperationExpr) -> tuple[VectorNodes, VectorNodes]:
-    return vector(w, e.args[0]), vector(w, e.args[1])  # type: ignore[arg-type]
+def _lower_vector_pair(w: PlanWriter, e: model.OperationExpr) -> tuple[VectorNodes, VectorNodes]:
+    return lower_vector(w, e.args[0]), lower_vector(w, e.args[1])  # type: ignore[arg-type]
 
 
-def _dot(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
-    return values.dot(w.b, *_pair(w, e))
+def _lower_dot(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
+    return values.dot(w.b, *_lower_vector_pair(w, e))
 
 
-def _cross(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
-    return values.cross(w.b, *_pair(w, e))
+def _lower_cross(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
+    return values.cross(w.b, *_lower_vector_pair(w, e))
 
 
-def _angle(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
-    return values.angle_between(w.b, *_pair(w, e))
+def _lower_angle(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
+    return values.angle_between(w.b, *_lower_vector_pair(w, e))
 
 
-def _unit_direction(w: PlanWriter, e: model.Expr) -> VectorNodes:
+def _lower_unit_direction(w: PlanWriter, e: model.Expr) -> VectorNodes:
     """Return a direction of length 1. `up` and `heading` already have this length."""
     if isinstance(e, model.AttributeRef) and e.of is None and e.name in ("up", "heading"):
-        return vector(w, e)
-    return values.unit(w.b, vector(w, e))
+        return lower_vector(w, e)
+    return values.normalise(w.b, lower_vector(w, e))
 
 
-def _rotate(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
-    return values.rotate(w.b, vector(w, e.args[0]), _unit_direction(w, e.args[1]), scalar(w, e.args[2]))  # type: ignore[arg-type]
+def _lower_rotate(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
+    return values.rotate(w.b, lower_vector(w, e.args[0]), _lower_unit_direction(w, e.args[1]), lower_scalar(w, e.args[2]))  # type: ignore[arg-type]
 
 
-def _project(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
-    direction = _unit_direction(w, e.args[1])  # type: ignore[arg-type]
-    return values.scale(w.b, direction, values.dot(w.b, vector(w, e.args[0]), direction))  # type: ignore[arg-type]
+def _lower_project(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
+    direction = _lower_unit_direction(w, e.args[1])  # type: ignore[arg-type]
+    return values.scale(w.b, direction, values.dot(w.b, lower_vector(w, e.args[0]), direction))  # type: ignore[arg-type]
 
 
-def _limit(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
-    return values.limit(w.b, vector(w, e.args[0]), scalar(w, e.args[1]))  # type: ignore[arg-type]
+def _lower_limit(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
+    return values.limit_length(w.b, lower_vector(w, e.args[0]), lower_scalar(w, e.args[1]))  # type: ignore[arg-type]
 
 
-def _vector(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
-    return VectorNodes(*(scalar(w, a) for a in e.args if a is not None))
+def _lower_vector(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
+    return VectorNodes(*(lower_scalar(w, a) for a in e.args if a is not None))
 
 
 VECTOR_RULES = {
-    "length": _length, "unit": _unit, "dot": _dot, "cross": _cross, "angle": _angle, "rotate": _rotate, "project": _project,
-    "limit": _limit, "vector": _vector,
+    "length": _lower_length, "unit": _lower_unit, "dot": _lower_dot, "cross": _lower_cross, "angle": _lower_angle,
+    "rotate": _lower_rotate, "project": _lower_project, "limit": _lower_limit, "vector": _lower_vector,
 }  # fmt: skip

@@ -7,82 +7,82 @@ from math import inf
 from antdsl.plan.builder import PlanError
 from antdsl.plan.ir import PlanNode, ValueKind
 from antdsl.plan.lowering import values
-from antdsl.plan.lowering.expressions import lower, scalar
-from antdsl.plan.lowering.values import EntityRef, LoweredValue, NamedThing, OwnPlace, RayHit, SetElement, VectorNodes
+from antdsl.plan.lowering.expressions import lower_expression, lower_scalar
+from antdsl.plan.lowering.values import EntityRef, LoweredValue, NamedThing, OwnPosition, RayHit, SetElement, VectorNodes
 from antdsl.plan.lowering.writer import AXES, PlanWriter, UnsupportedConstruct
 from antdsl.program import model
 
 
-def where(w: PlanWriter, value: LoweredValue, e: model.Expr) -> tuple[PlanNode, VectorNodes]:
+def locate_point(w: PlanWriter, value: LoweredValue, e: model.Expr) -> tuple[PlanNode, VectorNodes]:
     """Return whether the point exists, and its position (mm)."""
     b = w.b
     if isinstance(value, VectorNodes):
         return b.true, value
-    if isinstance(value, OwnPlace):
+    if isinstance(value, OwnPosition):
         return b.true, w.read_vector("position")
-    value = _nearest_of(w, value)
+    value = _find_nearest_member(w, value)
     if isinstance(value, EntityRef):
-        return _ref_position(w, value)
+        return _read_ref_position(w, value)
     if isinstance(value, SetElement):
-        prefix = "" if value.what is model.TypeKind.ITEM else "position."
+        prefix = "" if value.kind is model.TypeKind.ITEM else "position."
         return b.true, VectorNodes(*(b("other", attrs=(prefix + axis,), kind=ValueKind.F32) for axis in AXES))
-    is_present, offset = offset_to(w, value, e)
+    is_present, offset = compute_offset(w, value, e)
     return is_present, values.add(b, w.read_vector("position"), offset)
 
 
-def offset_to(w: PlanWriter, value: LoweredValue, e: model.Expr) -> tuple[PlanNode, VectorNodes]:
+def compute_offset(w: PlanWriter, value: LoweredValue, e: model.Expr) -> tuple[PlanNode, VectorNodes]:
     """Return whether the point exists, and the vector from the agent to it (mm)."""
     b = w.b
-    value = _nearest_of(w, value)
+    value = _find_nearest_member(w, value)
     if isinstance(value, SetElement):
         return b.true, VectorNodes(b("pair.x"), b("pair.y"), b("pair.z"))
     if isinstance(value, RayHit):
         return value.hit, values.scale(b, value.direction, value.distance)
-    if isinstance(value, NamedThing) and value.row.nearest == "obstacle.near":
-        near = b(value.row.nearest, b.number(inf), attrs=(value.name,))
+    if isinstance(value, NamedThing) and value.row.nearest_op == "obstacle.near":
+        near = b(value.row.nearest_op, b.number(inf), attrs=(value.name,))
         within, distance, x, y, z = (b("get", near, attrs=(i,)) for i in range(5))
         return within, values.scale(b, VectorNodes(x, y, z), b("neg", distance))
-    if isinstance(value, NamedThing) and value.row.nearest == "curve.closest":
+    if isinstance(value, NamedThing) and value.row.nearest_op == "curve.closest":
         is_present: PlanNode = b.true
-        point = _point(w, value.name)
-    elif isinstance(value, VectorNodes | OwnPlace | EntityRef):
-        is_present, point = where(w, value, e)
+        point = _find_curve_point(w, value.name)
+    elif isinstance(value, VectorNodes | OwnPosition | EntityRef):
+        is_present, point = locate_point(w, value, e)
     else:
         raise PlanError(f"a {type(value).__name__} has no place: {e.span.text!r}")
     return is_present, values.sub(b, point, w.read_vector("position"))
 
 
-def distance_to(w: PlanWriter, value: LoweredValue, e: model.Expr) -> PlanNode:
+def compute_distance(w: PlanWriter, value: LoweredValue, e: model.Expr) -> PlanNode:
     """Return the distance to a point in mm; infinite if there is none."""
     b = w.b
-    value = _nearest_of(w, value)
+    value = _find_nearest_member(w, value)
     if isinstance(value, SetElement):
         return b("pair.distance")
     if isinstance(value, RayHit):
         return b("where", value.hit, value.distance, b.number(inf))
-    if isinstance(value, NamedThing) and value.row.nearest == "curve.closest":
-        return b("get", b(value.row.nearest, attrs=(value.name,)), attrs=(0,))
-    if isinstance(value, NamedThing) and value.row.nearest == "obstacle.near":
-        near = b(value.row.nearest, b.number(inf), attrs=(value.name,))
+    if isinstance(value, NamedThing) and value.row.nearest_op == "curve.closest":
+        return b("get", b(value.row.nearest_op, attrs=(value.name,)), attrs=(0,))
+    if isinstance(value, NamedThing) and value.row.nearest_op == "obstacle.near":
+        near = b(value.row.nearest_op, b.number(inf), attrs=(value.name,))
         return b("where", b("get", near, attrs=(0,)), b("get", near, attrs=(1,)), b.number(inf))
-    is_present, offset = offset_to(w, value, e)
+    is_present, offset = compute_offset(w, value, e)
     return b("where", is_present, values.length(b, offset), b.number(inf))
 
 
-def _nearest_of(w: PlanWriter, value: LoweredValue) -> LoweredValue:
+def _find_nearest_member(w: PlanWriter, value: LoweredValue) -> LoweredValue:
     """Return the nearest item or agent for a group of items or a species; return any other value unchanged."""
-    if isinstance(value, NamedThing) and value.row.nearest == "set.items":
-        every = w.b(value.row.nearest, w.b.number(inf), attrs=(value.name,))
+    if isinstance(value, NamedThing) and value.row.nearest_op == "set.items":
+        every = w.b(value.row.nearest_op, w.b.number(inf), attrs=(value.name,))
         return EntityRef(model.TypeKind.ITEM, value.name, w.b("reduce.item", every, w.b.true, w.b("pair.distance")))
-    if isinstance(value, NamedThing) and value.row.nearest == "set.every":
-        every = w.b(value.row.nearest, attrs=(value.name,))
+    if isinstance(value, NamedThing) and value.row.nearest_op == "set.every":
+        every = w.b(value.row.nearest_op, attrs=(value.name,))
         return EntityRef(model.TypeKind.AGENT, value.name, w.b("reduce.agent", every, w.b.true, w.b("pair.distance")))
     return value
 
 
-def _ref_position(w: PlanWriter, ref: EntityRef) -> tuple[PlanNode, VectorNodes]:
+def _read_ref_position(w: PlanWriter, ref: EntityRef) -> tuple[PlanNode, VectorNodes]:
     b = w.b
-    if ref.what is model.TypeKind.ITEM:
+    if ref.kind is model.TypeKind.ITEM:
         is_present = b("item.alive", ref.node, attrs=(ref.of,))
         return is_present, VectorNodes(*(b("item.get", ref.node, attrs=(ref.of, axis), kind=ValueKind.F32) for axis in AXES))
     is_present = b("agent.alive", ref.node, attrs=(ref.of,))
@@ -91,101 +91,101 @@ def _ref_position(w: PlanWriter, ref: EntityRef) -> tuple[PlanNode, VectorNodes]
     )
 
 
-def _point(w: PlanWriter, curve: str) -> VectorNodes:
+def _find_curve_point(w: PlanWriter, curve: str) -> VectorNodes:
     closest = w.b("curve.closest", attrs=(curve,))
     return VectorNodes(*(w.b("get", closest, attrs=(1 + i,)) for i in range(3)))
 
 
-def _place(w: PlanWriter, e: model.OperationExpr, index: int = 0) -> tuple[LoweredValue, model.Expr]:
+def _lower_point_argument(w: PlanWriter, e: model.OperationExpr, index: int = 0) -> tuple[LoweredValue, model.Expr]:
     expr = e.args[index]
     assert expr is not None
-    return lower(w, expr), expr
+    return lower_expression(w, expr), expr
 
 
 # --- the rules -------------------------------------------------------------------------------------------------------
 
 
-def _distance(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
-    return distance_to(w, *_place(w, e))
+def _lower_distance(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
+    return compute_distance(w, *_lower_point_argument(w, e))
 
 
-def _direction(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
+def _lower_direction(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     b = w.b
-    start, start_expr = _place(w, e)
+    start, start_expr = _lower_point_argument(w, e)
     if len(e.args) < 2 or e.args[1] is None:
-        return _toward(w, start, start_expr)
-    end, end_expr = _place(w, e, 1)
-    if isinstance(end, OwnPlace):
-        return values.neg(b, _toward(w, start, start_expr))
-    if isinstance(start, OwnPlace):
-        return _toward(w, end, end_expr)
-    has_start, from_point = where(w, start, start_expr)
-    has_end, to_point = where(w, end, end_expr)
-    return values.vector_if(b, b("and", has_start, has_end), values.unit(b, values.sub(b, to_point, from_point)))
+        return _compute_direction(w, start, start_expr)
+    end, end_expr = _lower_point_argument(w, e, 1)
+    if isinstance(end, OwnPosition):
+        return values.neg(b, _compute_direction(w, start, start_expr))
+    if isinstance(start, OwnPosition):
+        return _compute_direction(w, end, end_expr)
+    has_start, from_point = locate_point(w, start, start_expr)
+    has_end, to_point = locate_point(w, end, end_expr)
+    return values.select_or_zero(b, b("and", has_start, has_end), values.normalise(b, values.sub(b, to_point, from_point)))
 
 
-def _toward(w: PlanWriter, value: LoweredValue, e: model.Expr) -> VectorNodes:
+def _compute_direction(w: PlanWriter, value: LoweredValue, e: model.Expr) -> VectorNodes:
     b = w.b
     if isinstance(value, RayHit):
-        return values.vector_if(b, value.hit, value.direction)
-    is_present, offset = offset_to(w, value, e)
+        return values.select_or_zero(b, value.hit, value.direction)
+    is_present, offset = compute_offset(w, value, e)
     size = b("pair.distance") if isinstance(value, SetElement) else values.length(b, offset)
-    return values.vector_if(b, is_present, values.divide(b, offset, size))
+    return values.select_or_zero(b, is_present, values.divide(b, offset, size))
 
 
-def _position(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
-    is_present, point = where(w, *_place(w, e))
-    return values.choose(w.b, is_present, point, w.read_vector("position"))
+def _lower_position(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
+    is_present, point = locate_point(w, *_lower_point_argument(w, e))
+    return values.choose_vector(w.b, is_present, point, w.read_vector("position"))
 
 
-def _velocity(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
-    value = _place(w, e)[0]
-    if isinstance(value, OwnPlace):
+def _lower_velocity(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
+    value = _lower_point_argument(w, e)[0]
+    if isinstance(value, OwnPosition):
         return w.read_vector("velocity")
-    value = _nearest_of(w, value)
-    if isinstance(value, EntityRef) and value.what is model.TypeKind.AGENT:
+    value = _find_nearest_member(w, value)
+    if isinstance(value, EntityRef) and value.kind is model.TypeKind.AGENT:
         return VectorNodes(
             *(w.b("agent.get", value.node, attrs=(value.of, f"velocity.{axis}"), kind=ValueKind.F32) for axis in AXES)
         )
-    if isinstance(value, SetElement) and value.what is model.TypeKind.AGENT:
+    if isinstance(value, SetElement) and value.kind is model.TypeKind.AGENT:
         return VectorNodes(*(w.b("other", attrs=(f"velocity.{axis}",), kind=ValueKind.F32) for axis in AXES))
-    return values.zero(w.b)
+    return values.zero_vector(w.b)
 
 
-def _touching(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
-    value, expr = _place(w, e)
+def _lower_touching(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
+    value, expr = _lower_point_argument(w, e)
     b = w.b
     radius = w.read("radius")
     if isinstance(value, NamedThing):
         row = value.row
-        if row.touching:
-            return b(row.touching, attrs=(value.name,))
+        if row.touching_op:
+            return b(row.touching_op, attrs=(value.name,))
         if row.has_faces:
-            return b("get", b(row.nearest, radius, attrs=(value.name,)), attrs=(0,))
-        if row.nearest == "set.items":
-            every = b(row.nearest, b.number(inf), attrs=(value.name,))
+            return b("get", b(row.nearest_op, radius, attrs=(value.name,)), attrs=(0,))
+        if row.nearest_op == "set.items":
+            every = b(row.nearest_op, b.number(inf), attrs=(value.name,))
             reach = b("add", b("other", attrs=("radius",), kind=ValueKind.F32), radius)
             return b("reduce.any", every, b("le", b("pair.distance"), reach))
-        if row.nearest == "set.every":
+        if row.nearest_op == "set.every":
             words = "touching any agent of a species"
             raise UnsupportedConstruct(words, e.span, f"any(n in neighbours(size, of: {value.name}): touching(n))")
     if isinstance(value, SetElement):
         radius = b("add", b("other", attrs=("radius",), kind=ValueKind.F32), radius)
     if isinstance(value, EntityRef):
-        op = "item.get" if value.what is model.TypeKind.ITEM else "agent.get"
+        op = "item.get" if value.kind is model.TypeKind.ITEM else "agent.get"
         radius = b("add", b(op, value.node, attrs=(value.of, "radius"), kind=ValueKind.F32), radius)
-    return b("le", distance_to(w, value, expr), radius)
+    return b("le", compute_distance(w, value, expr), radius)
 
 
-def _falloff(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
+def _lower_falloff(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     """Return floor / max(distance, floor) (decision 19): 1 near the point, 0 if there is no point."""
-    distance = distance_to(w, *_place(w, e))
+    distance = compute_distance(w, *_lower_point_argument(w, e))
     assert e.args[1] is not None
-    floor = scalar(w, e.args[1])
+    floor = lower_scalar(w, e.args[1])
     return w.b("div", floor, w.b("max", distance, floor))
 
 
 PLACE_RULES = {
-    "distance": _distance, "direction": _direction, "position": _position, "velocity": _velocity, "touching": _touching,
-    "falloff": _falloff,
+    "distance": _lower_distance, "direction": _lower_direction, "position": _lower_position, "velocity": _lower_velocity,
+    "touching": _lower_touching, "falloff": _lower_falloff,
 }  # fmt: skip

@@ -7,33 +7,33 @@ from collections.abc import Callable
 from antdsl.plan.builder import PlanError
 from antdsl.plan.ir import PlanNode
 from antdsl.plan.lowering import values
-from antdsl.plan.lowering.expressions import lower, scalar, vector
+from antdsl.plan.lowering.expressions import lower_expression, lower_scalar, lower_vector
 from antdsl.plan.lowering.sets import cast_ray
 from antdsl.plan.lowering.values import LoweredValue, NamedThing, VectorNodes
 from antdsl.plan.lowering.writer import PlanWriter, UnsupportedConstruct
-from antdsl.plan.simplify import constant_value
+from antdsl.plan.simplify import get_constant_value
 from antdsl.program import model
 from antdsl.program.tables.rows import BuiltinRow, SenseRow
 from antdsl.program.tables.senses import SENSE_BY_OPERATION
 
 
-def _thing_name(w: PlanWriter, e: model.OperationExpr, index: int = 0) -> str:
+def _get_thing_name(w: PlanWriter, e: model.OperationExpr, index: int = 0) -> str:
     expr = e.args[index]
     assert expr is not None
-    thing = lower(w, expr)
+    thing = lower_expression(w, expr)
     if not isinstance(thing, NamedThing):
         raise PlanError(f"a {type(thing).__name__} where a thing of the world was due: {e.span.text!r}")
     return thing.name
 
 
-def _make_plain(sense: SenseRow, word: BuiltinRow) -> Callable[[PlanWriter, model.OperationExpr], LoweredValue]:
+def _make_sense_rule(sense: SenseRow, word: BuiltinRow) -> Callable[[PlanWriter, model.OperationExpr], LoweredValue]:
     """Return the rule of a word that has the arguments of its sense: the named thing, then the operands."""
-    first, size = sense.place(word.part)
+    first, size = sense.find_result_index(word.part)
 
     def rule(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
         rest = e.args[1:] if sense.of else e.args
-        operands = [node for arg in rest if arg is not None for node in _operands(lower(w, arg), arg)]
-        sense_node = w.b(sense.op, *operands, attrs=(_thing_name(w, e),) if sense.of else ())
+        operands = [node for arg in rest if arg is not None for node in _list_operands(lower_expression(w, arg), arg)]
+        sense_node = w.b(sense.op, *operands, attrs=(_get_thing_name(w, e),) if sense.of else ())
         if len(sense.kinds) == 1:
             return sense_node
         components = [w.b("get", sense_node, attrs=(first + i,)) for i in range(size)]
@@ -42,7 +42,7 @@ def _make_plain(sense: SenseRow, word: BuiltinRow) -> Callable[[PlanWriter, mode
     return rule
 
 
-def _operands(value: LoweredValue, e: model.Expr) -> tuple[PlanNode, ...]:
+def _list_operands(value: LoweredValue, e: model.Expr) -> tuple[PlanNode, ...]:
     """Return a number as one operand, a vector as three."""
     if isinstance(value, PlanNode):
         return (value,)
@@ -51,69 +51,69 @@ def _operands(value: LoweredValue, e: model.Expr) -> tuple[PlanNode, ...]:
     raise PlanError(f"a {type(value).__name__} where a number or a vector was due: {e.span.text!r}")
 
 
-def _nearest_cells(w: PlanWriter, e: model.OperationExpr) -> list[PlanNode]:
+def _lower_nearest_cells(w: PlanWriter, e: model.OperationExpr) -> list[PlanNode]:
     count_expr = e.args[1]
     assert count_expr is not None
-    count = constant_value(scalar(w, count_expr))
+    count = get_constant_value(lower_scalar(w, count_expr))
     if count is None:
         raise UnsupportedConstruct("a number of cells that is not a literal number", e.span, "write a number: `nearest: 16`")
-    cells = w.b("field.strongest", attrs=(_thing_name(w, e), max(1, min(27, int(count)))))
+    cells = w.b("field.strongest", attrs=(_get_thing_name(w, e), max(1, min(27, int(count)))))
     return [w.b("get", cells, attrs=(i,)) for i in range(4)]
 
 
-def _field_max(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
-    return _nearest_cells(w, e)[0]
+def _lower_field_max(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
+    return _lower_nearest_cells(w, e)[0]
 
 
-def _strongest(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
-    return VectorNodes(*_nearest_cells(w, e)[1:])
+def _lower_strongest(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
+    return VectorNodes(*_lower_nearest_cells(w, e)[1:])
 
 
-def _ray(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
+def _lower_ray(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     direction, reach = e.args[0], e.args[1]
     assert direction is not None and reach is not None
-    return cast_ray(w, values.unit(w.b, vector(w, direction)), scalar(w, reach), _thing_name(w, e, 2))
+    return cast_ray(w, values.normalise(w.b, lower_vector(w, direction)), lower_scalar(w, reach), _get_thing_name(w, e, 2))
 
 
-def _slope(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
-    return values.angle_between(w.b, w.read_vector("up"), _world_up(w))
+def _lower_slope(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
+    return values.angle_between(w.b, w.read_vector("up"), _read_world_up(w))
 
 
-def _uphill(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
+def _lower_uphill(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     """Return the world's up minus its component along the agent's up. The length is the sine of the slope."""
-    up, sky = w.read_vector("up"), _world_up(w)
+    up, sky = w.read_vector("up"), _read_world_up(w)
     return values.sub(w.b, sky, values.scale(w.b, up, values.dot(w.b, up, sky)))
 
 
-def _world_up(w: PlanWriter) -> VectorNodes:
+def _read_world_up(w: PlanWriter) -> VectorNodes:
     return VectorNodes(w.run("up_x"), w.run("up_y"), w.run("up_z"))
 
 
-def _run(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
-    name = _thing_name(w, e)
+def _lower_run_value(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
+    name = _get_thing_name(w, e)
     return w.run(name) if name == "dt" else w.b("step", attrs=(name,))
 
 
-def _event(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
-    return w.b("event", attrs=(_thing_name(w, e),))
+def _lower_event(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
+    return w.b("event", attrs=(_get_thing_name(w, e),))
 
 
-def _match(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
+def _lower_match(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     """Return the push that reaches a velocity within this step: (requested - own) mass / (max_force dt), at most 1 (Reynolds
     1999, 6)."""
     assert e.args[0] is not None
     b = w.b
-    change = values.sub(b, vector(w, e.args[0]), w.read_vector("velocity"))
+    change = values.sub(b, lower_vector(w, e.args[0]), w.read_vector("velocity"))
     strength = b("mul", w.read("max_force"), w.run("dt"))
-    return values.limit(b, values.scale(b, change, b("div", w.read("mass"), strength)), b.number(1))
+    return values.limit_length(b, values.scale(b, change, b("div", w.read("mass"), strength)), b.number(1))
 
 
 _COMPUTED_SENSES = {
-    "field_max": _field_max, "strongest": _strongest, "ray": _ray, "slope": _slope, "uphill": _uphill, "run": _run,
-    "event": _event, "match": _match,
+    "field_max": _lower_field_max, "strongest": _lower_strongest, "ray": _lower_ray, "slope": _lower_slope,
+    "uphill": _lower_uphill, "run": _lower_run_value, "event": _lower_event, "match": _lower_match,
 }  # fmt: skip
 SENSE_RULES = {
-    word.op: _make_plain(sense, word)
+    word.op: _make_sense_rule(sense, word)
     for sense in SENSE_BY_OPERATION.values()
     for word in sense.words
     if word.op not in _COMPUTED_SENSES

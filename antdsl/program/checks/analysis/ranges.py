@@ -26,21 +26,21 @@ class Interval(NamedTuple):
 
     low: float = -math.inf
     high: float = math.inf
-    low_open: bool = False
-    high_open: bool = False
+    is_low_open: bool = False
+    is_high_open: bool = False
 
     @property
     def is_empty(self) -> bool:
-        return self.low > self.high or (self.low == self.high and (self.low_open or self.high_open))
+        return self.low > self.high or (self.low == self.high and (self.is_low_open or self.is_high_open))
 
     def intersect(self, other: Interval) -> Interval:
-        low = max((self.low, self.low_open), (other.low, other.low_open))
-        high = min((self.high, not self.high_open), (other.high, not other.high_open))
+        low = max((self.low, self.is_low_open), (other.low, other.is_low_open))
+        high = min((self.high, not self.is_high_open), (other.high, not other.is_high_open))
         return Interval(low[0], high[0], low[1], not high[1])
 
-    def hull(self, other: Interval) -> Interval:
-        low = min((self.low, self.low_open), (other.low, other.low_open))
-        high = max((self.high, not self.high_open), (other.high, not other.high_open))
+    def unite(self, other: Interval) -> Interval:
+        low = min((self.low, self.is_low_open), (other.low, other.is_low_open))
+        high = max((self.high, not self.is_high_open), (other.high, not other.is_high_open))
         return Interval(low[0], high[0], low[1], not high[1])
 
 
@@ -49,69 +49,69 @@ _ATTRIBUTE_INTERVALS = {name: POSITIVE_NUMBERS for name in ("speed", "age", "siz
 _OPERATION_INTERVALS: dict[str, Interval] = {op: Interval(*ends) for op, ends in INTERVAL_BY_OPERATION.items()}
 
 
-def range_of(expr: Expr | None, params: Mapping[str, Param], known: dict[int, Interval]) -> Interval:
+def compute_range(expr: Expr | None, params: Mapping[str, Param], known_ranges: dict[int, Interval]) -> Interval:
     """Return the range of a number in base units. A param has its declared range, because a scene may set any value within it.
-    `known` caches the ranges of bindings by id, because one let may be used in many places."""
+    `known_ranges` caches the ranges of bindings by id, because one let may be used in many places."""
     if expr is None or expr.type.kind is not TypeKind.NUMBER:
         return ANY_NUMBER
     if isinstance(expr, Constant):
-        return Interval(expr.number, expr.number) if not (expr.u or expr.step) else _sign(expr.number)
+        return Interval(expr.number, expr.number) if not (expr.unit_power or expr.step) else _compute_sign_range(expr.number)
     if isinstance(expr, ParamRef):
-        return _param_range(params.get(expr.name))
+        return _compute_param_range(params.get(expr.name))
     if isinstance(expr, BindingRef):
         if expr.binding.role not in ("let", "argument") or expr.binding.value is None:
             return ANY_NUMBER
-        if id(expr.binding) not in known:
-            known[id(expr.binding)] = range_of(expr.binding.value, params, known)
-        return known[id(expr.binding)]
+        if id(expr.binding) not in known_ranges:
+            known_ranges[id(expr.binding)] = compute_range(expr.binding.value, params, known_ranges)
+        return known_ranges[id(expr.binding)]
     if isinstance(expr, AttributeRef):
         return POSITIVE_NUMBERS if expr.name.endswith(".time_in_state") else _ATTRIBUTE_INTERVALS.get(expr.name, ANY_NUMBER)
     if isinstance(expr, InlinedBehaviour):
-        return range_of(expr.result, params, known)
+        return compute_range(expr.result, params, known_ranges)
     if isinstance(expr, ReduceExpr):
-        return POSITIVE_NUMBERS if expr.how == "count" else ANY_NUMBER
+        return POSITIVE_NUMBERS if expr.reducer == "count" else ANY_NUMBER
     if isinstance(expr, OperationExpr):
-        return _operation_range(expr, params, known)
+        return _compute_operation_range(expr, params, known_ranges)
     return ANY_NUMBER
 
 
-def _sign(number: float) -> Interval:
+def _compute_sign_range(number: float) -> Interval:
     """Return the range of a constant that depends on the scene. Only the sign of such a constant is known."""
     return Interval(0, 0) if number == 0 else POSITIVE_NUMBERS if number > 0 else Interval(-math.inf, 0)
 
 
-def _param_range(param: Param | None) -> Interval:
+def _compute_param_range(param: Param | None) -> Interval:
     if param is None or param.low is None or param.high is None:
         return ANY_NUMBER
-    if any(end.u or end.step for end in (param.low, param.high)):
+    if any(end.unit_power or end.step for end in (param.low, param.high)):
         return ANY_NUMBER
     return Interval(param.low.number, param.high.number)
 
 
-def _operation_range(op: OperationExpr, params: Mapping[str, Param], known: dict[int, Interval]) -> Interval:
+def _compute_operation_range(op: OperationExpr, params: Mapping[str, Param], known_ranges: dict[int, Interval]) -> Interval:
     if op.name in _OPERATION_INTERVALS:
         return _OPERATION_INTERVALS[op.name]
     rule = _INTERVAL_RULES.get(op.name)
     if rule is None:
         return ANY_NUMBER
-    parts = [range_of(arg, params, known) for arg in op.args]
+    parts = [compute_range(arg, params, known_ranges) for arg in op.args]
     bounds = rule(parts)
     return ANY_NUMBER if math.isnan(bounds.low) or math.isnan(bounds.high) else bounds
 
 
-def _product(a: Interval, b: Interval) -> Interval:
+def _multiply_ends(a: Interval, b: Interval) -> Interval:
     """Return the product of two interval ends. The product of infinity and 0 is 0, because actual values are finite."""
     ends = [0.0 if 0 in (x, y) else x * y for x in (a.low, a.high) for y in (b.low, b.high)]
     return Interval(min(ends), max(ends))
 
 
-def _quotient(a: Interval, b: Interval) -> Interval:
+def _divide_intervals(a: Interval, b: Interval) -> Interval:
     if b.low <= 0 <= b.high:
         return POSITIVE_NUMBERS if a.low >= 0 and b.low >= 0 else ANY_NUMBER
-    return _product(a, Interval(1 / b.high, 1 / b.low))
+    return _multiply_ends(a, Interval(1 / b.high, 1 / b.low))
 
 
-def _absolute(a: Interval) -> Interval:
+def _take_absolute(a: Interval) -> Interval:
     return Interval(max(0.0, a.low, -a.high), max(-a.low, a.high))
 
 
@@ -119,13 +119,13 @@ _INTERVAL_RULES: dict[str, Callable[[list[Interval]], Interval]] = {
     "neg": lambda p: Interval(-p[0].high, -p[0].low),
     "add": lambda p: Interval(p[0].low + p[1].low, p[0].high + p[1].high),
     "sub": lambda p: Interval(p[0].low - p[1].high, p[0].high - p[1].low),
-    "mul": lambda p: _product(p[0], p[1]),
-    "div": lambda p: _quotient(p[0], p[1]),
-    "abs": lambda p: _absolute(p[0]),
+    "mul": lambda p: _multiply_ends(p[0], p[1]),
+    "div": lambda p: _divide_intervals(p[0], p[1]),
+    "abs": lambda p: _take_absolute(p[0]),
     "min": lambda p: Interval(min(p[0].low, p[1].low), min(p[0].high, p[1].high)),
     "max": lambda p: Interval(max(p[0].low, p[1].low), max(p[0].high, p[1].high)),
     "clamp": lambda p: Interval(p[1].low, p[2].high),
-    "ramp": lambda p: p[3].hull(p[4]),
-    "uniform": lambda p: p[0].hull(p[1]),
-    "if": lambda p: p[1].hull(p[2]),
+    "ramp": lambda p: p[3].unite(p[4]),
+    "uniform": lambda p: p[0].unite(p[1]),
+    "if": lambda p: p[1].unite(p[2]),
 }

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from antdsl import limits
 from antdsl.reader.protocol import ProtocolError, ReaderMessage
-from antdsl.scene.geometry.meshes import RawMesh, check_mesh
+from antdsl.scene.geometry.mesh_files import RawMesh, check_mesh
 from antdsl.scene.geometry.usd.errors import UsdError
 from antdsl.scene.geometry.usd.points import UsdPoints
 from antdsl.scene.geometry.usd.stage import UsdStage
-from antdsl.scene.staging.moves import MeshMoves
+from antdsl.scene.staging.motion import MeshMoves
 
 Floats = NDArray[np.float64]
 T = TypeVar("T")
@@ -27,15 +27,15 @@ _MAX_NAME_CHARACTERS = 256  # characters of a name in the file
 class UsdMesh:
     """A mesh of a USD file.
 
-    `raw`: the mesh as from a mesh file, but in mm and the scene's axes.
-    `moves`: its motion; None if it is static.
+    `raw_mesh`: the mesh as from a mesh file, but in mm and the scene's axes.
+    `motion`: its motion; None if it is static.
     `values`: by the name of a primvar, numbers float64 (n,), or vectors (n, 3) rotated with their mesh.
-    `passed_over`: types of shapes that are not read."""
+    `unread_shape_types`: types of shapes that are not read."""
 
-    raw: RawMesh
-    moves: MeshMoves | None
+    raw_mesh: RawMesh
+    motion: MeshMoves | None
     values: Mapping[str, Floats]
-    passed_over: tuple[str, ...]
+    unread_shape_types: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,14 +57,14 @@ def read_usd_mesh(stage: UsdStage, primvars: Iterable[str] = ()) -> UsdMesh:
     names = tuple(primvars)
     answer = stage.ask("usd-mesh", {"primvars": names})
     try:
-        vertices = answer.array("vertices", "f8", None, 3)
-        faces = answer.array("faces", "i8", None, 3)
+        vertices = answer.require_array("vertices", "f8", None, 3)
+        faces = answer.require_array("faces", "i8", None, 3)
         if len(faces) > limits.MAX_MESH_FACES or len(vertices) > 3 * limits.MAX_MESH_FACES:
             words = f"the meshes below `{stage.prim}` have {len(faces):,} faces, more than {limits.MAX_MESH_FACES:,}"
             raise UsdError("too-large", words, "name a part of it")
         moves = _read_moves(answer, len(vertices), len(stage.frames)) if "moves:group" in answer.arrays else None
         values = {name: _read_values(answer, f"value:{number}", len(vertices)) for number, name in enumerate(names)}
-        passed_over = tuple(text[:_MAX_NAME_CHARACTERS] for text in answer.texts("passed_over", 1000))
+        passed_over = tuple(text[:_MAX_NAME_CHARACTERS] for text in answer.require_texts("passed_over", 1000))
     except ProtocolError as why:
         raise stage.make_answer_error(why) from None
     raw = check_mesh(vertices, faces)  # which looks at each index and each vertex that is used
@@ -73,20 +73,24 @@ def read_usd_mesh(stage: UsdStage, primvars: Iterable[str] = ()) -> UsdMesh:
 
 
 def _read_moves(answer: ReaderMessage, count: int, frames: int) -> MeshMoves:
-    tracks = answer.array("moves:tracks", "f8", None, frames, 3, 4)
-    deformed = answer.indices("moves:bent", "i8", count, None)
-    offsets = answer.array("moves:offsets", "f8", frames if len(deformed) else 0, len(deformed), 3)
+    tracks = answer.require_array("moves:tracks", "f8", None, frames, 3, 4)
+    deformed = answer.require_indices("moves:bent", "i8", count, None)
+    offsets = answer.require_array("moves:offsets", "f8", frames if len(deformed) else 0, len(deformed), 3)
     if len(deformed) > 1 and not (np.diff(deformed) > 0).all():
         raise ProtocolError("`bent` is not ascending")
-    return MeshMoves(answer.indices("moves:group", "i4", len(tracks), count), tracks, deformed, offsets)
+    return MeshMoves(answer.require_indices("moves:group", "i4", len(tracks), count), tracks, deformed, offsets)
 
 
 def _read_values(answer: ReaderMessage, name: str, count: int) -> Floats:
     array = answer.arrays.get(name)
-    return answer.array(name, "f8", count) if array is not None and array.ndim == 1 else answer.array(name, "f8", count, 3)
+    return (
+        answer.require_array(name, "f8", count)
+        if array is not None and array.ndim == 1
+        else answer.require_array(name, "f8", count, 3)
+    )
 
 
-def with_usd_errors(read: Callable[[UsdStage], T]) -> Callable[[UsdStage], T]:
+def wrap_usd_errors(read: Callable[[UsdStage], T]) -> Callable[[UsdStage], T]:
     """Wrap a function so that an invalid answer raises UsdError."""
 
     @wraps(read)
@@ -106,43 +110,43 @@ def read_usd_points(stage: UsdStage, kind: str | None = None) -> UsdPoints:
     `kind`: return instead all prims below it, at any depth, with this `userProperties:kind`."""
     answer = stage.ask("usd-points", {"of_kind": kind})
     try:
-        positions = answer.array("places", "f8", None, None, 3)
+        positions = answer.require_array("places", "f8", None, None, 3)
         frames, count = positions.shape[:2]
         if count > limits.MAX_AGENTS:
             raise UsdError("too-large", f"there are more than {limits.MAX_AGENTS:,} points below `{stage.prim}`")
         if frames not in (1, len(stage.frames)) or not np.isfinite(positions).all():
             raise ProtocolError("`places` has other frames, or a point that is not finite")
-        keys, words = answer.texts("values", 10_000), answer.texts("texts", 10_000)
+        keys, words = answer.require_texts("values", 10_000), answer.require_texts("texts", 10_000)
         return UsdPoints(
-            names=answer.packed_texts("names", count),
+            names=answer.unpack_texts("names", count),
             positions=positions,
-            radius=answer.array("radius", "f8", count),
-            values={key: answer.array(f"value:{number}", "f8", count) for number, key in enumerate(keys)},
-            texts={key: answer.packed_texts(f"text:{number}", count) for number, key in enumerate(words)},
-            ahead=answer.array("ahead", "f8", count, 3),
-            unit=answer.number("unit"),
+            radius=answer.require_array("radius", "f8", count),
+            values={key: answer.require_array(f"value:{number}", "f8", count) for number, key in enumerate(keys)},
+            texts={key: answer.unpack_texts(f"text:{number}", count) for number, key in enumerate(words)},
+            ahead=answer.require_array("ahead", "f8", count, 3),
+            unit=answer.require_number("unit"),
         )
     except ProtocolError as why:
         raise stage.make_answer_error(why) from None
 
 
-@with_usd_errors
+@wrap_usd_errors
 def read_usd_curve(stage: UsdStage) -> Floats:
     """Return the points (frames, k, 3) of the one BasisCurves at or below the prim; a single frame if it is static.
 
     Raises UsdError if there is none or more than one."""
-    positions = stage.ask("usd-curve").array("places", "f8", None, None, 3)
+    positions = stage.ask("usd-curve").require_array("places", "f8", None, None, 3)
     if len(positions) not in (1, len(stage.frames)) or not positions.shape[1] >= 2 or not np.isfinite(positions).all():
         raise ProtocolError("`places` has other frames, too few points, or one that is not finite")
     return positions
 
 
-@with_usd_errors
+@wrap_usd_errors
 def read_usd_camera(stage: UsdStage) -> UsdCamera:
     """Return the camera at the stage's prim, or the only camera below it."""
     answer = stage.ask("usd-camera")
-    at = answer.array("at", "f8", None, 3)
+    at = answer.require_array("at", "f8", None, 3)
     if len(at) not in (1, len(stage.frames)):
         raise ProtocolError("`at` has the wrong frames")
-    look_at, up = (answer.array(name, "f8", len(at), 3) for name in ("look_at", "up"))
-    return UsdCamera(at, look_at, up, answer.array("focal", "f8", len(at)))
+    look_at, up = (answer.require_array(name, "f8", len(at), 3) for name in ("look_at", "up"))
+    return UsdCamera(at, look_at, up, answer.require_array("focal", "f8", len(at)))

@@ -27,7 +27,7 @@ from typing import NoReturn
 
 from antdsl import limits
 from antdsl.reader import client
-from antdsl.reader.protocol import ProtocolError, ReadRefusal, display_text
+from antdsl.reader.protocol import ProtocolError, ReadRefusal, clean_for_display
 from antdsl.scene.geometry.usd.errors import UsdError
 from antdsl.scene.paths import PathRefused, Roots
 
@@ -63,20 +63,20 @@ class Closure:
         self._files: dict[str, str] = {}  # the name of each by its full path
         self._packages: dict[str, dict[str, bytes]] = {}
         try:
-            self.folder = os.path.realpath(client.new_folder())
+            self.folder = os.path.realpath(client.create_reader_folder())
         except OSError as problem:
             words = f"`{text}` cannot be read: there is no folder for temporary files ({(problem.strerror or '').lower()})"
             raise UsdError("bad-usd", words, "set TMPDIR to a folder with room", "usd") from None
         weakref.finalize(self, shutil.rmtree, self.folder, True)
-        self._top = self._full_path(text, None)
-        self.path = self._collect(text)
+        self._top_path = self._make_full_path(text, None)
+        self.path = self._collect_files(text)
 
     @property
-    def digest(self) -> str:
+    def closure_digest(self) -> str:
         """Return a hash of all files with their names."""
         return blake2b(repr(sorted(self.hashes.items())).encode(), digest_size=16).hexdigest()
 
-    def _collect(self, text: str) -> str:
+    def _collect_files(self, text: str) -> str:
         """Copy the file and all files that it consists of. Return the path of its copy."""
         waiting = [self._copy_file(text, None)]
         known_places = set(waiting)
@@ -87,10 +87,10 @@ class Closure:
                     known_places.add(layer_place)
                     waiting.append(layer_place)
                     if len(known_places) > limits.MAX_USD_LAYERS:
-                        raise self._size_error(text)
-        return self._copy_path(self._top)
+                        raise self._make_size_error(text)
+        return self._make_copy_path(self._top_path)
 
-    def _copy_path(self, path: str) -> str:
+    def _make_copy_path(self, path: str) -> str:
         """Return the path of a file's copy, whether it exists or not."""
         try:
             below = os.path.relpath(path, os.path.commonpath([*self._folders.values()]))
@@ -99,37 +99,41 @@ class Closure:
             below = os.path.join(re.sub("[^A-Za-z0-9]", "_", drive), rest.lstrip("/\\"))
         return os.path.join(self.folder, below)
 
-    def _full_path(self, text: str, by: LayerLocation | None) -> str:
-        """Return the full path of a file from its name in a scene. Only the text is checked. `by`: the layer that names the
-        file."""
+    def _make_full_path(self, text: str, naming_layer: LayerLocation | None) -> str:
+        """Return the full path of a file from its name in a scene. Only the text is checked. `naming_layer`: the layer that names
+        the file."""
         if not text.lower().endswith(USD_SUFFIXES):
             raise UsdError(
-                "bad-usd", f"`{_shorten(text)}`{_naming_phrase(by)} is not one of {', '.join(USD_SUFFIXES)}", None, "usd"
+                "bad-usd",
+                f"`{_shorten_text(text)}`{_describe_naming_layer(naming_layer)} is not one of {', '.join(USD_SUFFIXES)}",
+                None,
+                "usd",
             )
         try:
             return os.path.abspath(self._roots.path(text))
         except PathRefused as refused:
-            raise _refusal_error(refused, by) from None
+            raise _make_refusal_error(refused, naming_layer) from None
 
-    def _copy_file(self, text: str, by: LayerLocation | None) -> LayerLocation:
-        """Copy a file and return the copy's location. `text`: its name in a scene; `by`: the layer that names the file."""
-        path = self._full_path(text, by)
+    def _copy_file(self, text: str, naming_layer: LayerLocation | None) -> LayerLocation:
+        """Copy a file and return the copy's location. `text`: its name in a scene; `naming_layer`: the layer that names the
+        file."""
+        path = self._make_full_path(text, naming_layer)
         if path not in self._files:
             try:
-                data = self._roots.read(text, limits.MAX_MESH_BYTES)
+                data = self._roots.read_file(text, limits.MAX_MESH_BYTES)
             except PathRefused as refused:
-                raise _refusal_error(refused, by) from None
+                raise _make_refusal_error(refused, naming_layer) from None
             self.size += len(data)
             if len(self._files) >= limits.MAX_USD_LAYERS or self.size > 4 * limits.MAX_MESH_BYTES:
-                raise self._size_error(text)
+                raise self._make_size_error(text)
             self._files[path] = text
             self.hashes[text] = blake2b(data, digest_size=16).hexdigest()
             if text.lower().endswith(PACKAGE_SUFFIX):
-                data = self._unpack(path, text, data)
-            self._write_copy(Path(self._copy_path(path)), data)
+                data = self._unpack_package(path, text, data)
+            self._write_copy(Path(self._make_copy_path(path)), data)
         return path, next(iter(self._packages.get(path, [""])))
 
-    def _unpack(self, path: str, text: str, data: bytes) -> bytes:
+    def _unpack_package(self, path: str, text: str, data: bytes) -> bytes:
         try:
             self._packages[path] = read_layers(data)
         except PackageError as why:
@@ -145,20 +149,20 @@ class Closure:
             words = f"`{self.text}` cannot be copied to be read: {(problem.strerror or 'it cannot be written').lower()}"
             raise UsdError("bad-usd", words, "set TMPDIR to a folder with room", "usd") from None
 
-    def _find_named_files(self, place: LayerLocation) -> Iterator[LayerLocation]:
+    def _find_named_files(self, layer: LayerLocation) -> Iterator[LayerLocation]:
         """Yield the files, or layers of the same package, that a layer names."""
-        path, inside = place
-        copy, name = self._copy_path(path), f"{self._files[path]}{f'[{inside}]' if inside else ''}"
+        path, inside = layer
+        copy, name = self._make_copy_path(path), f"{self._files[path]}{f'[{inside}]' if inside else ''}"
         document = {"path": f"{copy}[{inside}]" if inside else copy, "folder": self.folder, "text": name}
         digest = blake2b(f"{self.hashes[self._files[path]]} {inside}".encode(), digest_size=16).hexdigest()
         for asset in self._read_assets(document, name, digest):
-            yield self._find_package_layer(place, asset) if inside else self._find_file(place, asset)
+            yield self._find_package_layer(layer, asset) if inside else self._find_file(layer, asset)
 
     def _read_assets(self, document: dict[str, str], name: str, digest: str) -> list[str]:
         try:
-            return client.ask("usd-layer", document, size=self.size, digest=digest).texts("assets")
+            return client.send_request("usd-layer", document, file_bytes=self.size, request_digest=digest).require_texts("assets")
         except ReadRefusal as why:
-            if why.about == "exception":
+            if why.subject == "exception":
                 raise UsdError("bad-usd", f"`{name}` cannot be read as USD: {why}", why.help, "usd") from None
             raise UsdError(why.code, str(why), why.help, "usd") from None
         except client.ReaderFailure as why:
@@ -166,60 +170,60 @@ class Closure:
         except ProtocolError as why:
             raise UsdError("bad-usd", f"`{name}` cannot be read: {why}", "export it again", "usd") from None
 
-    def _find_package_layer(self, place: LayerLocation, asset: str) -> LayerLocation:
+    def _find_package_layer(self, layer: LayerLocation, asset: str) -> LayerLocation:
         """Return the layer of a package that another layer of the package names."""
-        path, inside = place
+        path, inside = layer
         target = posixpath.normpath(posixpath.join(posixpath.dirname(inside), asset))
         parts = self._packages[path]
         if target not in parts and not asset.startswith("."):
             target = posixpath.normpath(asset)  # USD looks beside the layer, then from the package's top
         if target not in parts or _ABSOLUTE_PATH_PATTERN.match(asset):
-            words = f"`{_shorten(asset)}`{_naming_phrase(place)} is not a layer of that package"
+            words = f"`{_shorten_text(asset)}`{_describe_naming_layer(layer)} is not a layer of that package"
             raise UsdError("bad-path", words, "package all files together, for example with `usdzip`", "usd")
         return path, target
 
-    def _find_file(self, place: LayerLocation, asset: str) -> LayerLocation:
+    def _find_file(self, layer: LayerLocation, asset: str) -> LayerLocation:
         """Copy a file that a layer names, and return its location.
 
         Raises UsdError for an address, or for a text that USD would evaluate on opening."""
-        named = f"`{_shorten(asset)}`{_naming_phrase(place)}"
+        named = f"`{_shorten_text(asset)}`{_describe_naming_layer(layer)}"
         if "`" in asset or ":SDF_FORMAT_ARGS:" in asset:
             raise UsdError("bad-path", f"{named} is an expression, not a file", "write the path in full", "usd")
         if _URL_PATTERN.match(asset):
             raise UsdError("bad-path", f"{named} is an address, not a file", "copy the file beside the others", "usd")
         outer, mark, inner = asset.partition("[")
         if _ABSOLUTE_PATH_PATTERN.match(asset):
-            self._refuse_outside(named)
-        file_place = self._copy_file(self._find_name(place[0], outer, named), place)
+            self._reject_outside(named)
+        file_place = self._copy_file(self._resolve_name(layer[0], outer, named), layer)
         if not mark:
             return file_place
         if file_place[0] not in self._packages or inner.removesuffix("]") not in self._packages[file_place[0]]:
             raise UsdError("bad-path", f"{named} is not a layer of a package", "name the package alone", "usd")
         return file_place[0], inner.removesuffix("]")
 
-    def _find_name(self, path: str, asset: str, named: str) -> str:
+    def _resolve_name(self, path: str, asset: str, named: str) -> str:
         """Return the name of the file that USD would find for an asset path: next to the layer, else next to the top layer."""
-        folders = [os.path.dirname(path)] + ([] if asset.startswith(".") else [os.path.dirname(self._top)])
-        names = [self._scene_name(os.path.normpath(os.path.join(folder, asset))) for folder in folders]
+        folders = [os.path.dirname(path)] + ([] if asset.startswith(".") else [os.path.dirname(self._top_path)])
+        names = [self._find_scene_name(os.path.normpath(os.path.join(folder, asset))) for folder in folders]
         inside = [name for name in names if name is not None]
         if not inside:
-            self._refuse_outside(named)
-        return next((name for name in inside if self._is_there(name)), inside[0])
+            self._reject_outside(named)
+        return next((name for name in inside if self._exists(name)), inside[0])
 
-    def _is_there(self, name: str) -> bool:
+    def _exists(self, name: str) -> bool:
         """Return whether something with this name exists below a root. Something unreadable also counts; reading it reports the
         reason."""
         try:
-            return self._roots.file_size(name) >= 0
+            return self._roots.measure_file_size(name) >= 0
         except PathRefused as refused:
             return refused.code != "no-such-file"
 
-    def _refuse_outside(self, named: str) -> NoReturn:
+    def _reject_outside(self, named: str) -> NoReturn:
         message = f"{named} lies outside the scene's folder and of every granted root, or is absolute"
         help = "write a path relative to the file, and grant its folder with `--root NAME=FOLDER`, or copy the file"
         raise UsdError("bad-path", message, help, "usd")
 
-    def _scene_name(self, path: str) -> str | None:
+    def _find_scene_name(self, path: str) -> str | None:
         """Return a file's name in a scene; None outside all roots. The disk is not accessed."""
         for name, folder in self._folders.items():
             if path.startswith(folder.rstrip(os.sep) + os.sep):
@@ -227,26 +231,31 @@ class Closure:
                 return f"{name}:{below}" if name else below
         return None
 
-    def _size_error(self, text: str) -> UsdError:
+    def _make_size_error(self, text: str) -> UsdError:
         return UsdError("too-large", f"`{text}` and the files it is made of are more than are read", None, "usd")
 
 
-def _refusal_error(why: PathRefused, by: LayerLocation | None) -> UsdError:
-    return UsdError(why.code, f"{why} (named by {_layer_name(by)})" if by else str(why), why.help, "usd")
+def _make_refusal_error(refusal: PathRefused, naming_layer: LayerLocation | None) -> UsdError:
+    return UsdError(
+        refusal.code,
+        f"{refusal} (named by {_format_layer_name(naming_layer)})" if naming_layer else str(refusal),
+        refusal.help,
+        "usd",
+    )
 
 
-def _naming_phrase(place: LayerLocation | None) -> str:
+def _describe_naming_layer(layer: LayerLocation | None) -> str:
     """Return words that say which layer names a file. They fit between the file's name and the problem."""
-    return f", named by {_layer_name(place)}," if place else ""
+    return f", named by {_format_layer_name(layer)}," if layer else ""
 
 
-def _layer_name(place: LayerLocation) -> str:
-    name = posixpath.basename(place[1]) or os.path.basename(place[0])
-    return f"`{display_text(name[:_DISPLAY_WIDTH])}`"
+def _format_layer_name(layer: LayerLocation) -> str:
+    name = posixpath.basename(layer[1]) or os.path.basename(layer[0])
+    return f"`{clean_for_display(name[:_DISPLAY_WIDTH])}`"
 
 
-def _shorten(text: str) -> str:
-    return display_text(text if len(text) <= _DISPLAY_WIDTH else text[: _DISPLAY_WIDTH - 3] + "…")
+def _shorten_text(text: str) -> str:
+    return clean_for_display(text if len(text) <= _DISPLAY_WIDTH else text[: _DISPLAY_WIDTH - 3] + "…")
 
 
 class PackageError(Exception):
@@ -293,7 +302,7 @@ def _read_layers(archive: zipfile.ZipFile, size: int) -> dict[str, bytes]:
 
 def _check_member(entry: zipfile.ZipInfo, known_names: set[str]) -> None:
     name = entry.orig_filename
-    display_name = f"`{display_text(name[:60])}`"
+    display_name = f"`{clean_for_display(name[:60])}`"
     parts = name.removesuffix("/").split("/")
     if not all(_MEMBER_NAME_PATTERN.fullmatch(part) and part not in (".", "..") for part in parts) or len(name) > 4096:
         raise PackageError(f"has a member {display_name} with a name that is absolute, leaves the package or is no plain name")

@@ -9,7 +9,7 @@ import re
 from functools import cache
 from typing import Any
 
-from antdsl.diagnostics.model import printable
+from antdsl.diagnostics.model import replace_unprintable
 from antdsl.reader.protocol import ReadRefusal
 
 _OUT_OF_MEMORY_PHRASES = ("failed to map segment", "annot allocate memory")  # what loaders of libraries say without memory
@@ -24,13 +24,13 @@ class UsdError(ReadRefusal):
         super().__init__(code, message, help, key)
 
 
-def error_text(problem: Exception, folder: str) -> str:
-    """Return the message of a USD exception, without the location in USD's source code. `folder`: as for `plain_text`."""
+def format_usd_error(problem: Exception, folder: str) -> str:
+    """Return the message of a USD exception, without the location in USD's source code. `folder`: as for `clean_usd_text`."""
     messages = re.findall(r"in file \S+ : '(.*?)'\s*(?:\n|$)", str(problem), re.DOTALL)
-    return plain_text(messages[-1] if messages else type(problem).__name__, folder)
+    return clean_usd_text(messages[-1] if messages else type(problem).__name__, folder)
 
 
-def plain_text(text: str, folder: str) -> str:
+def clean_usd_text(text: str, folder: str) -> str:
     """Return a text of USD as one line of a message that is the same in each run.
 
     Paths of copies in `folder` become names of files. Memory addresses are removed."""
@@ -38,7 +38,7 @@ def plain_text(text: str, folder: str) -> str:
     line = _SESSION_LAYER_PATTERN.sub("", line)
     line = _MEMORY_ADDRESS_PATTERN.sub("", line)
     line = re.sub(r"\bpxrInternal\w*::(?:\w+::)*", "", line)  # names inside of USD's own code
-    line = printable(line)
+    line = replace_unprintable(line)
     return line if len(line) <= 200 else line[:197] + "…"
 
 
@@ -53,9 +53,11 @@ def pxr(module: str) -> Any:
         if any(words in str(problem) for words in _OUT_OF_MEMORY_PHRASES):
             raise MemoryError(str(problem)) from None
         why = "" if getattr(problem, "name", "") in ("pxr", f"pxr.{module}") else f", which cannot be loaded ({problem})"
-        raise missing_extra_error(why) from None
+        raise make_missing_extra_error(why) from None
 
 
-def missing_extra_error(why: str = "") -> UsdError:
-    """Return the error for a missing usd-core. `why`: the reason if it is installed but cannot be loaded."""
-    return UsdError("missing-extra", f"USD files need the package usd-core{why}", 'install it: pip install "antdsl[usd]"', "usd")
+def make_missing_extra_error(reason: str = "") -> UsdError:
+    """Return the error for a missing usd-core. `reason`: the reason if it is installed but cannot be loaded."""
+    return UsdError(
+        "missing-extra", f"USD files need the package usd-core{reason}", 'install it: pip install "antdsl[usd]"', "usd"
+    )

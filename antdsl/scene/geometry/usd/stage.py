@@ -15,7 +15,7 @@ from antdsl.reader import client, confinement
 from antdsl.reader.protocol import ProtocolError, ReaderMessage, ReadRefusal
 from antdsl.scene.geometry.mesh_text import MeshError
 from antdsl.scene.geometry.usd.closure import Closure
-from antdsl.scene.geometry.usd.errors import UsdError, missing_extra_error
+from antdsl.scene.geometry.usd.errors import UsdError, make_missing_extra_error
 from antdsl.scene.paths import Roots
 
 _FRAMES_PER_EXTRA_SECOND = 8  # that a request may take in addition
@@ -52,35 +52,37 @@ class UsdStage:
             **(document or {}),
         }
         key_fields = {name: value for name, value in said.items() if name not in ("path", "folder")}
-        digest = blake2b(repr((kind, self.closure.digest, sorted(key_fields.items()), self.frames)).encode(), digest_size=16)
+        digest = blake2b(
+            repr((kind, self.closure.closure_digest, sorted(key_fields.items()), self.frames)).encode(), digest_size=16
+        )
         try:
-            return client.ask(
+            return client.send_request(
                 kind,
                 said,
                 {"frames": np.array(self.frames, np.int64)},
-                size=self.closure.size,
-                seconds=len(self.frames) // _FRAMES_PER_EXTRA_SECOND,
-                digest=digest.hexdigest(),
-                files=self.closure.digest,
+                file_bytes=self.closure.size,
+                extra_cpu_seconds=len(self.frames) // _FRAMES_PER_EXTRA_SECOND,
+                request_digest=digest.hexdigest(),
+                files_digest=self.closure.closure_digest,
             )
         except client.ReaderFailure as why:
             raise self.make_error(str(why), why.help) from None
         except ReadRefusal as why:
-            if why.about == "mesh":
+            if why.subject == "mesh":
                 raise MeshError(str(why), why.help) from None
-            if why.about == "exception":
+            if why.subject == "exception":
                 raise self.make_error(f"cannot be read: {why}", why.help) from None
-            if why.about:
+            if why.subject:
                 raise
             raise UsdError(why.code, str(why), why.help, why.key) from None
 
-    def make_error(self, words: str, help: str | None = None) -> UsdError:
-        """Return an error about the prim. `words`: a text that fits after the prim's name."""
-        return UsdError("bad-usd", f"`{self.prim}` of `{self.closure.text}` {words}", help)
+    def make_error(self, message: str, help: str | None = None) -> UsdError:
+        """Return an error about the prim. `message`: a text that fits after the prim's name."""
+        return UsdError("bad-usd", f"`{self.prim}` of `{self.closure.text}` {message}", help)
 
-    def make_answer_error(self, why: ProtocolError) -> UsdError:
+    def make_answer_error(self, error: ProtocolError) -> UsdError:
         """Return an error for an answer that does not match the request."""
-        return self.make_error(f"cannot be read: the reader sent an invalid answer ({why})", "export it again")
+        return self.make_error(f"cannot be read: the reader sent an invalid answer ({error})", "export it again")
 
 
 def open_stage(
@@ -121,7 +123,7 @@ def _check_sandbox(text: str) -> None:
 
     Also raise it if the system cannot confine the process that reads USD, unless the user trusts USD files."""
     if find_spec("pxr") is None:
-        raise missing_extra_error()
+        raise make_missing_extra_error()
     try:
         is_confined = bool(client.active_layers()["seccomp"])
     except client.ReaderFailure as why:

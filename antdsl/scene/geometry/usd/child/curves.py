@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from antdsl import limits
 from antdsl.scene.geometry.matrices import apply_transforms
-from antdsl.scene.geometry.usd.child.shapes import BAKE_HELP, check_bytes
+from antdsl.scene.geometry.usd.child.shapes import BAKE_HELP, check_motion_bytes
 from antdsl.scene.geometry.usd.child.stage import Floats, OpenStage
 from antdsl.scene.geometry.usd.errors import UsdError, pxr
 
@@ -24,15 +24,15 @@ _CUBIC_BASES = {
 }
 
 
-def curve_positions(stage: OpenStage) -> Floats:
+def read_curve_positions(stage: OpenStage) -> Floats:
     """Return the points (frames, k, 3) of the one BasisCurves at or below the prim; a single frame if it is static.
 
     Raises UsdError if there is none or more than one."""
     geom = pxr("UsdGeom")
-    curves = [prim for prim in stage.visible_prims(stage.prim) if prim.IsA(geom.BasisCurves)]
+    curves = [prim for prim in stage.find_visible_prims(stage.prim) if prim.IsA(geom.BasisCurves)]
     path = stage.prim.GetPath()
     if not curves:
-        other = sorted({str(p.GetTypeName()) for p in stage.visible_prims(stage.prim) if p.IsA(geom.Curves)})
+        other = sorted({str(p.GetTypeName()) for p in stage.find_visible_prims(stage.prim) if p.IsA(geom.Curves)})
         words = f"there is no curve at or below `{path}`" + (f", only {', '.join(other)}" if other else "")
         raise UsdError("no-such-prim", words, "name a prim of the type BasisCurves")
     if len(curves) > 1:
@@ -46,12 +46,12 @@ def curve_positions(stage: OpenStage) -> Floats:
         curve.GetPointsAttr().ValueMightBeTimeVarying() or curve.GetCurveVertexCountsAttr().ValueMightBeTimeVarying()
     )
     travels = stage.is_moving(prim)
-    transforms = stage.scene_transforms(prim, travels)
+    transforms = stage.compute_scene_transforms(prim, travels)
     first = _read_polyline(curve, stage.first, prim)
     if len(first) > limits.MAX_AGENTS:
         raise UsdError("too-large", f"`{prim.GetPath()}` has more than {limits.MAX_AGENTS:,} points")
     times = stage.times if bends or travels else stage.times[:1]
-    check_bytes(len(first) * len(times) * 24, f"`{prim.GetPath()}`")
+    check_motion_bytes(len(first) * len(times) * 24, f"`{prim.GetPath()}`")
     positions = np.empty((len(times), len(first), 3))
     for k, time in enumerate(times):
         line = _read_polyline(curve, pxr("Usd").TimeCode(time), prim) if k and bends else first

@@ -10,7 +10,7 @@ import numpy as np
 
 from antdsl.reader.protocol import ReadRefusal
 from antdsl.scene.geometry.mesh_text import MeshError
-from antdsl.scene.geometry.usd.errors import error_text, pxr
+from antdsl.scene.geometry.usd.errors import format_usd_error, pxr
 
 if TYPE_CHECKING:
     from antdsl.reader.protocol import ReaderMessage
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 ReaderAnswer = tuple[dict[str, Any], Mapping[str, Any]]
 
 
-def with_refusals(read: Callable[[ReaderMessage], ReaderAnswer]) -> Callable[[ReaderMessage], ReaderAnswer]:
+def wrap_refusals(read: Callable[[ReaderMessage], ReaderAnswer]) -> Callable[[ReaderMessage], ReaderAnswer]:
     """Return the function changed to raise every problem of the file as a ReadRefusal.
 
     The `about` of the ReadRefusal is `mesh` for unusable meshes, and `exception` for errors of USD."""
@@ -31,7 +31,9 @@ def with_refusals(read: Callable[[ReaderMessage], ReaderAnswer]) -> Callable[[Re
         except MeshError as why:
             raise ReadRefusal("bad-mesh", str(why), why.help, "prim", "mesh") from why
         except pxr("Tf").ErrorException as why:
-            raise ReadRefusal("bad-usd", error_text(why, str(request.document["folder"])), None, "prim", "exception") from why
+            raise ReadRefusal(
+                "bad-usd", format_usd_error(why, str(request.document["folder"])), None, "prim", "exception"
+            ) from why
         except UnicodeDecodeError as why:  # a name or a text of the file that USD passes on as it is
             raise ReadRefusal("bad-usd", "it has bytes that are no UTF-8 text", "export it again", "prim", "exception") from why
 

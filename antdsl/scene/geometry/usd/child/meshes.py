@@ -11,10 +11,23 @@ from numpy.typing import NDArray
 
 from antdsl import limits
 from antdsl.reader.sandbox import allow_memory
-from antdsl.scene.geometry.matrices import apply_transforms, compose, determinants, have_inverses, inverses, still
+from antdsl.scene.geometry.matrices import (
+    apply_transforms,
+    compose_transforms,
+    compute_determinants,
+    find_invertible,
+    invert_transforms,
+    make_identity_transforms,
+)
 from antdsl.scene.geometry.mesh_text import MeshError
 from antdsl.scene.geometry.polygons import TooManyCorners, triangulate
-from antdsl.scene.geometry.usd.child.shapes import BAKE_HELP, PlacedMesh, check_bytes, placed_meshes, unread_shape_types
+from antdsl.scene.geometry.usd.child.shapes import (
+    BAKE_HELP,
+    PlacedMesh,
+    check_motion_bytes,
+    find_placed_meshes,
+    list_unread_types,
+)
 from antdsl.scene.geometry.usd.child.stage import Floats, OpenStage
 from antdsl.scene.geometry.usd.errors import UsdError, pxr
 
@@ -27,15 +40,15 @@ class JoinedMesh:
 
     `vertices` float64 (n, 3): in mm and the scene's axes.
     `faces` int64 (m, 3): in the order of the file.
-    `moves`: the arrays of a `MeshMoves`, by name; None if the mesh is static.
+    `motion_arrays`: the arrays of a `MeshMoves`, by name; None if the mesh is static.
     `values`: by the name of a primvar, numbers (n,), or vectors (n, 3) rotated with their mesh.
-    `passed_over`: types of shapes that are not read."""
+    `unread_shape_types`: types of shapes that are not read."""
 
     vertices: Floats
     faces: Faces
-    moves: dict[str, NDArray[Any]] | None
+    motion_arrays: dict[str, NDArray[Any]] | None
     values: dict[str, Floats]
-    passed_over: tuple[str, ...]
+    unread_shape_types: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,7 +72,7 @@ def join_meshes(stage: OpenStage, primvars: Iterable[str] = ()) -> JoinedMesh:
     Raises UsdError if there are no meshes, MeshError if they are not usable."""
     path = stage.prim.GetPath()
     shapes, faces, points = [], 0, 0
-    for placed in placed_meshes(stage):
+    for placed in find_placed_meshes(stage):
         shape = _read_shape(stage, placed)
         faces += len(shape.faces) * shape.count
         points += len(shape.points) * shape.count
@@ -69,10 +82,10 @@ def join_meshes(stage: OpenStage, primvars: Iterable[str] = ()) -> JoinedMesh:
             raise UsdError("too-large", f"{words}; {most}", "name a part of it")
         if len(shape.faces):
             shapes.append(shape)
-    passed_over = tuple(unread_shape_types(stage))
+    passed_over = tuple(list_unread_types(stage))
     if not shapes:
         also = f", only {', '.join(passed_over)}" if passed_over else ""
-        raise UsdError("no-such-prim", f"there is no mesh at or below `{path}`{also}", _hidden_reason(stage))
+        raise UsdError("no-such-prim", f"there is no mesh at or below `{path}`{also}", _find_hidden_reason(stage))
     allow_memory(6 * 24 * (faces + points))
     values = {name: np.concatenate([_read_values(stage, shape, name) for shape in shapes]) for name in primvars}
     return JoinedMesh(*_join_shapes(shapes), _make_moves(stage, shapes), values, passed_over)
@@ -117,14 +130,14 @@ def _make_triangles(
     counts: NDArray[np.int64],
     corners: NDArray[np.int64],
     is_filled: NDArray[np.bool_],
-    backwards: bool,
+    is_reversed: bool,
     path: Any,
 ) -> Faces:
     """Return triangles (m, 3) of the polygons that are `is_filled`.
 
-    With `backwards`, the corners of each polygon are read in reverse order, beginning with its first corner."""
+    With `is_reversed`, the corners of each polygon are read in reverse order, beginning with its first corner."""
     at = np.arange(len(corners))
-    if backwards:
+    if is_reversed:
         start, count = np.repeat(np.cumsum(counts) - counts, counts), np.repeat(counts, counts)
         at = start + (start - at) % np.maximum(count, 1)
     filled_corners = corners[at[np.repeat(is_filled, counts)]]
@@ -142,7 +155,7 @@ def _join_shapes(shapes: list[_MeshShape]) -> tuple[Floats, Faces]:
     for shape in shapes:
         transforms, count = shape.placed.transforms[:, 0], len(shape.points)
         vertices.append(apply_transforms(transforms[:, None], shape.points).reshape(-1, 3))
-        is_mirrored = determinants(transforms) < 0
+        is_mirrored = compute_determinants(transforms) < 0
         turned = np.where(is_mirrored[:, None, None], shape.faces[:, [0, 2, 1]], shape.faces)
         faces.append((turned + (vertex_count + count * np.arange(len(transforms)))[:, None, None]).reshape(-1, 3))
         vertex_count += count * len(transforms)
@@ -161,8 +174,8 @@ def _make_moves(stage: OpenStage, shapes: list[_MeshShape]) -> dict[str, NDArray
         len(shape.points) * frames * 24 * int(alone.sum()) + shape.placed.transforms.shape[1] * 96 * int((~alone).sum())
         for shape, alone in zip(shapes, free, strict=True)
     ]
-    check_bytes(sum(sizes), "what moves")
-    tracks, group, deformed, vertex_count, count = [still(1, frames)], [], [], 0, 1
+    check_motion_bytes(sum(sizes), "what moves")
+    tracks, group, deformed, vertex_count, count = [make_identity_transforms(1, frames)], [], [], 0, 1
     for shape, alone in zip(shapes, free, strict=True):
         transforms, points = shape.placed.transforms, len(shape.points)
         is_first = (transforms == transforms[:, :1]).all(axis=(2, 3))
@@ -170,8 +183,8 @@ def _make_moves(stage: OpenStage, shapes: list[_MeshShape]) -> dict[str, NDArray
         number = np.where(moved, count + np.cumsum(moved) - 1, 0)
         group.append(np.repeat(number.astype(np.int32), points))
         if moved.any():
-            track = compose(transforms[moved], inverses(transforms[moved, 0])[:, None])
-            track[is_first[moved]] = still()  # exactly where it rests
+            track = compose_transforms(transforms[moved], invert_transforms(transforms[moved, 0])[:, None])
+            track[is_first[moved]] = make_identity_transforms()  # exactly where it rests
             tracks.append(track)
             count += len(track)
         deformed.append((vertex_count + points * np.flatnonzero(alone)[:, None] + np.arange(points)).ravel())
@@ -179,7 +192,7 @@ def _make_moves(stage: OpenStage, shapes: list[_MeshShape]) -> dict[str, NDArray
     numbers = np.concatenate(deformed)
     offsets = np.empty((frames if len(numbers) else 0, len(numbers), 3))
     for k in range(len(offsets)):
-        offsets[k] = np.concatenate([_free_offsets(stage, s, f, k) for s, f in zip(shapes, free, strict=True) if f.any()])
+        offsets[k] = np.concatenate([_compute_free_offsets(stage, s, f, k) for s, f in zip(shapes, free, strict=True) if f.any()])
     if count == 1 and not len(numbers):
         return None
     return {"group": np.concatenate(group), "tracks": np.concatenate(tracks), "bent": numbers, "offsets": offsets}
@@ -190,10 +203,10 @@ def _find_free_places(shape: _MeshShape) -> NDArray[np.bool_]:
     transforms = shape.placed.transforms
     if shape.is_deformed:
         return np.ones(len(transforms), np.bool_)
-    return ~have_inverses(transforms[:, 0]) if transforms.shape[1] > 1 else np.zeros(len(transforms), np.bool_)
+    return ~find_invertible(transforms[:, 0]) if transforms.shape[1] > 1 else np.zeros(len(transforms), np.bool_)
 
 
-def _free_offsets(stage: OpenStage, shape: _MeshShape, free: NDArray[np.bool_], k: int) -> Floats:
+def _compute_free_offsets(stage: OpenStage, shape: _MeshShape, free: NDArray[np.bool_], k: int) -> Floats:
     """Return the offsets of vertices from their rest positions at frame `k`, for the places in `free`."""
     points = _read_points(pxr("UsdGeom").Mesh(shape.placed.prim), stage.times[k]) if shape.is_deformed else shape.points
     if len(points) != len(shape.points):
@@ -234,7 +247,7 @@ def _rotate_vectors(transforms: Floats, vectors: Floats) -> Floats:
     return np.asarray(turned * (long / np.where(size > 0, size, 1.0)))
 
 
-def _hidden_reason(stage: OpenStage) -> str | None:
+def _find_hidden_reason(stage: OpenStage) -> str | None:
     """Return a help text for a prim without readable meshes: they have another purpose, are invisible, or do not exist."""
     usd, geom = pxr("Usd"), pxr("UsdGeom")
     every = [p for p in usd.PrimRange(stage.prim, usd.TraverseInstanceProxies()) if p.IsA(geom.Mesh)]

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 
 from antdsl import limits
-from antdsl.diagnostics.suggestion import nearest_name
-from antdsl.scene.geometry.matrices import apply_transforms, uniform_scale
-from antdsl.scene.geometry.usd.child.shapes import BAKE_HELP, check_bytes
+from antdsl.diagnostics.suggestion import find_nearest_name
+from antdsl.scene.geometry.matrices import apply_transforms, find_uniform_scale
+from antdsl.scene.geometry.usd.child.shapes import BAKE_HELP, check_motion_bytes
 from antdsl.scene.geometry.usd.child.stage import Floats, OpenStage
 from antdsl.scene.geometry.usd.errors import UsdError, pxr
 from antdsl.scene.geometry.usd.points import UsdPoints
@@ -18,17 +18,17 @@ _USER_NAMESPACE = "userProperties"  # the namespace into which Blender, Maya and
 _MAX_LISTED_KINDS = 12
 
 
-def point_arrays(stage: OpenStage, kind: str | None = None) -> UsdPoints:
+def read_point_arrays(stage: OpenStage, kind: str | None = None) -> UsdPoints:
     """Return the points of all Points prims at or below the stage's prim. Without such prims, return one for each child with a
     position.
 
     `kind`: return instead all prims below it, at any depth, with this `userProperties:kind`."""
     geom = pxr("UsdGeom")
-    clouds = [prim for prim in stage.visible_prims(stage.prim) if prim.IsA(geom.Points)] if kind is None else []
-    empties = [] if clouds else _placed_children(stage) if kind is None else _prims_of_kind(stage, kind)
+    clouds = [prim for prim in stage.find_visible_prims(stage.prim) if prim.IsA(geom.Points)] if kind is None else []
+    empties = [] if clouds else _find_placed_children(stage) if kind is None else _find_prims_of_kind(stage, kind)
     if len(empties) > limits.MAX_AGENTS:
         raise UsdError("too-large", f"there are more than {limits.MAX_AGENTS:,} places below `{stage.prim.GetPath()}`")
-    check_bytes(len(empties) * len(stage.times) * 24, f"the places below `{stage.prim.GetPath()}`")
+    check_motion_bytes(len(empties) * len(stage.times) * 24, f"the places below `{stage.prim.GetPath()}`")
     parts = [_read_cloud(stage, prim) for prim in clouds] or [_read_empty(stage, prim) for prim in empties]
     if not parts:
         message = f"there are neither points nor empties below `{stage.prim.GetPath()}`"
@@ -37,7 +37,7 @@ def point_arrays(stage: OpenStage, kind: str | None = None) -> UsdPoints:
     if sum(counts) > limits.MAX_AGENTS:
         raise UsdError("too-large", f"there are more than {limits.MAX_AGENTS:,} points below `{stage.prim.GetPath()}`")
     frames = max(len(part.positions) for part in parts)
-    check_bytes(sum(counts) * frames * 24, f"the points below `{stage.prim.GetPath()}`")
+    check_motion_bytes(sum(counts) * frames * 24, f"the points below `{stage.prim.GetPath()}`")
     positions = np.concatenate([np.broadcast_to(p.positions, (frames, n, 3)) for p, n in zip(parts, counts, strict=True)], axis=1)
     if not np.isfinite(positions).all():
         raise UsdError("bad-usd", f"a point below `{stage.prim.GetPath()}` is not finite")
@@ -58,7 +58,7 @@ def point_arrays(stage: OpenStage, kind: str | None = None) -> UsdPoints:
             for key in words
         },
         ahead=np.concatenate([part.ahead for part in parts]),
-        unit=uniform_scale(stage.to_scene),
+        unit=find_uniform_scale(stage.to_scene),
     )
 
 
@@ -66,10 +66,10 @@ def _read_cloud(stage: OpenStage, prim: Any) -> UsdPoints:
     points = pxr("UsdGeom").Points(prim)
     attribute, path = points.GetPointsAttr(), prim.GetPath()
     moving = len(stage.times) > 1 and attribute.ValueMightBeTimeVarying()
-    transforms = stage.scene_transforms(prim, stage.is_moving(prim))
+    transforms = stage.compute_scene_transforms(prim, stage.is_moving(prim))
     count = len(attribute.Get(stage.first) or [])
     times = stage.times if moving or len(transforms) > 1 else stage.times[:1]
-    check_bytes(count * len(times) * 24, f"`{path}`")
+    check_motion_bytes(count * len(times) * 24, f"`{path}`")
     positions = np.empty((len(times), count, 3))
     for k, time in enumerate(times):
         frame_points = np.array(attribute.Get(pxr("Usd").TimeCode(time)) or [], np.float64).reshape(-1, 3)
@@ -77,11 +77,13 @@ def _read_cloud(stage: OpenStage, prim: Any) -> UsdPoints:
             raise UsdError("moving-topology", f"`{path}` has other points at other frames", BAKE_HELP)
         positions[k] = apply_transforms(transforms[min(k, len(transforms) - 1)], frame_points)
     widths = np.array(points.GetWidthsAttr().Get(stage.first) or [], np.float64)
-    one = uniform_scale(transforms[0])
+    one = find_uniform_scale(transforms[0])
     width = np.broadcast_to(widths, count) if len(widths) in (1, count) and count else np.full(count, np.nan)
     names = tuple(_read_names(prim, count))
     values = _read_numbers(stage, prim, count)
-    return UsdPoints(names, positions, width / 2 * one, values, {}, np.full((count, 3), np.nan), uniform_scale(stage.to_scene))
+    return UsdPoints(
+        names, positions, width / 2 * one, values, {}, np.full((count, 3), np.nan), find_uniform_scale(stage.to_scene)
+    )
 
 
 def _read_names(prim: Any, count: int) -> list[str]:
@@ -103,7 +105,7 @@ def _read_numbers(stage: OpenStage, prim: Any, count: int) -> dict[str, Floats]:
     return values_by_name
 
 
-def _placed_children(stage: OpenStage) -> list[Any]:
+def _find_placed_children(stage: OpenStage) -> list[Any]:
     return [
         p
         for p in stage.prim.GetFilteredChildren(pxr("Usd").TraverseInstanceProxies())
@@ -111,12 +113,12 @@ def _placed_children(stage: OpenStage) -> list[Any]:
     ]
 
 
-def _prims_of_kind(stage: OpenStage, kind: str) -> list[Any]:
+def _find_prims_of_kind(stage: OpenStage, kind: str) -> list[Any]:
     """Return the prims below the stage's prim that declare this kind. If there are none, raise UsdError that lists the existing
     kinds."""
     prims: list[Any] = []
     others: set[str] = set()
-    for prim in stage.visible_prims(stage.prim):
+    for prim in stage.find_visible_prims(stage.prim):
         attribute = prim.GetAttribute(f"{_USER_NAMESPACE}:kind")
         word = attribute.Get(stage.first) if attribute and attribute.HasValue() else None
         if word is not None and str(word) == kind and prim.IsA(pxr("UsdGeom").Xformable):
@@ -125,7 +127,7 @@ def _prims_of_kind(stage: OpenStage, kind: str) -> list[Any]:
             others.add(str(word)[: limits.MAX_NAME_CHARACTERS])
     if prims:
         return prims
-    where, near = stage.prim.GetPath(), nearest_name(kind, others)
+    where, near = stage.prim.GetPath(), find_nearest_name(kind, others)
     if near:
         help = f"did you mean `kind: {near}`?"
     elif others:
@@ -137,7 +139,7 @@ def _prims_of_kind(stage: OpenStage, kind: str) -> list[Any]:
 
 def _read_empty(stage: OpenStage, prim: Any) -> UsdPoints:
     """Return a prim that has only a position, as one point: an Xform, a locator, or an empty of Blender."""
-    transforms = stage.scene_transforms(prim, stage.is_moving(prim))
+    transforms = stage.compute_scene_transforms(prim, stage.is_moving(prim))
     values = _read_numbers(stage, prim, 1)
     texts: dict[str, tuple[str, ...]] = {}
     for attribute in prim.GetAuthoredPropertiesInNamespace(_USER_NAMESPACE):
@@ -157,5 +159,5 @@ def _read_empty(stage: OpenStage, prim: Any) -> UsdPoints:
         values,
         texts,
         transforms[:1, :, 0],
-        uniform_scale(stage.to_scene),
+        find_uniform_scale(stage.to_scene),
     )

@@ -8,12 +8,12 @@ import numpy as np
 
 from antdsl.numerics import vector_rows
 from antdsl.reader.protocol import pack_texts
-from antdsl.scene.geometry.matrices import uniform_scale
+from antdsl.scene.geometry.matrices import find_uniform_scale
 from antdsl.scene.geometry.usd.child import stage as stages
-from antdsl.scene.geometry.usd.child.curves import curve_positions
-from antdsl.scene.geometry.usd.child.guard import ReaderAnswer, with_refusals
+from antdsl.scene.geometry.usd.child.curves import read_curve_positions
+from antdsl.scene.geometry.usd.child.guard import ReaderAnswer, wrap_refusals
 from antdsl.scene.geometry.usd.child.meshes import join_meshes
-from antdsl.scene.geometry.usd.child.points import point_arrays
+from antdsl.scene.geometry.usd.child.points import read_point_arrays
 from antdsl.scene.geometry.usd.child.stage import Floats, OpenStage
 from antdsl.scene.geometry.usd.errors import UsdError, pxr
 
@@ -24,35 +24,35 @@ _SENSOR_WIDTH_MM = 36.0  # mm, the width that focal lengths are for
 _DEFAULT_FOCUS_MM = 1000.0  # mm: how far off it looks where it has no focus
 
 
-@with_refusals
+@wrap_refusals
 def open_stage(request: ReaderMessage) -> ReaderAnswer:
     """Open the stage to check that this is possible, and answer without data."""
     stages.open_stage(request)
     return {}, {}
 
 
-@with_refusals
+@wrap_refusals
 def read_mesh(request: ReaderMessage) -> ReaderAnswer:
     """Answer with the joined meshes.
 
-    `vertices`, `faces`, `passed_over`: as in `JoinedMesh`.
+    `vertices`, `faces`, `unread_shape_types`: as in `JoinedMesh`.
     `moves:NAME`: the arrays of the motion, if the mesh moves.
     `value:N`: the values of the N-th of the requested `primvars`."""
     names = [str(name) for name in request.document["primvars"]]
     mesh = join_meshes(stages.open_stage(request), names)
-    moves = {f"moves:{name}": array for name, array in (mesh.moves or {}).items()}
+    moves = {f"moves:{name}": array for name, array in (mesh.motion_arrays or {}).items()}
     values = {f"value:{number}": mesh.values[name] for number, name in enumerate(names)}
-    return {"passed_over": mesh.passed_over}, {"vertices": mesh.vertices, "faces": mesh.faces} | moves | values
+    return {"passed_over": mesh.unread_shape_types}, {"vertices": mesh.vertices, "faces": mesh.faces} | moves | values
 
 
-@with_refusals
+@wrap_refusals
 def read_points(request: ReaderMessage) -> ReaderAnswer:
     """Answer with points or empties.
 
     `names`, `places`, `radius`, `ahead`, `unit`: as in `UsdPoints`; `places` are its positions.
     `values`, `texts`: the names of numbers and words.
     `value:N`, `text:N`: the N-th of these."""
-    points = point_arrays(stages.open_stage(request), request.document["of_kind"])
+    points = read_point_arrays(stages.open_stage(request), request.document["of_kind"])
     arrays = {"places": points.positions, "radius": points.radius, "ahead": points.ahead}
     arrays |= {f"value:{number}": array for number, array in enumerate(points.values.values())}
     for number, texts in enumerate(points.texts.values()):
@@ -61,23 +61,23 @@ def read_points(request: ReaderMessage) -> ReaderAnswer:
     return {"unit": points.unit, "values": list(points.values), "texts": list(points.texts)}, arrays
 
 
-@with_refusals
+@wrap_refusals
 def read_curve(request: ReaderMessage) -> ReaderAnswer:
     """Answer with the points of a curve, `places` (frames, k, 3)."""
-    return {}, {"places": curve_positions(stages.open_stage(request))}
+    return {}, {"places": read_curve_positions(stages.open_stage(request))}
 
 
-@with_refusals
+@wrap_refusals
 def read_camera(request: ReaderMessage) -> ReaderAnswer:
     """Answer with a camera: `at`, `look_at`, `up` and `focal`."""
-    return {}, camera_arrays(stages.open_stage(request))
+    return {}, read_camera_arrays(stages.open_stage(request))
 
 
-def camera_arrays(stage: OpenStage) -> dict[str, Floats]:
+def read_camera_arrays(stage: OpenStage) -> dict[str, Floats]:
     """Return the camera at the stage's prim, or the only camera below it: `at`, `look_at`, `up` (frames, 3) and `focal`
     (frames,)."""
     geom = pxr("UsdGeom")
-    cameras = [prim for prim in stage.visible_prims(stage.prim) if prim.IsA(geom.Camera)]
+    cameras = [prim for prim in stage.find_visible_prims(stage.prim) if prim.IsA(geom.Camera)]
     if len(cameras) != 1:
         path = stage.prim.GetPath()
         words = f"there is no camera at or below `{path}`" if not cameras else f"below `{path}` are {len(cameras)} cameras"
@@ -86,11 +86,11 @@ def camera_arrays(stage: OpenStage) -> dict[str, Floats]:
     prim, camera = cameras[0], geom.Camera(cameras[0])
     attributes = (camera.GetFocalLengthAttr(), camera.GetHorizontalApertureAttr(), camera.GetFocusDistanceAttr())
     changes = len(stage.times) > 1 and any(a.ValueMightBeTimeVarying() for a in attributes)
-    transforms = stage.scene_transforms(prim, stage.is_moving(prim))
+    transforms = stage.compute_scene_transforms(prim, stage.is_moving(prim))
     times = stage.times if changes or len(transforms) > 1 else stage.times[:1]
     transforms = np.broadcast_to(transforms, (len(times), 3, 4))
     lens = np.array([[float(a.Get(pxr("Usd").TimeCode(time))) for a in attributes] for time in times])
-    unit = uniform_scale(stage.to_scene)
+    unit = find_uniform_scale(stage.to_scene)
     at, ahead, up = transforms[:, :, 3], -vector_rows.unit(transforms[:, :, 2]), vector_rows.unit(transforms[:, :, 1])
     far = np.where(lens[:, 2] > 0, lens[:, 2] * unit, _DEFAULT_FOCUS_MM)[:, None]
     # both are in tenths of the stage's unit, so that their ratio is free of it

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from antdsl import limits
 from antdsl.reader.sandbox import allow_memory
-from antdsl.scene.geometry.matrices import compose
-from antdsl.scene.geometry.usd.child.stage import Floats, OpenStage, column_matrix
+from antdsl.scene.geometry.matrices import compose_transforms
+from antdsl.scene.geometry.usd.child.stage import Floats, OpenStage, to_column_matrix
 from antdsl.scene.geometry.usd.errors import UsdError, pxr
 
 _MAX_NESTED_INSTANCERS = 8  # point instancers inside each other
@@ -27,7 +27,7 @@ class PlacedMesh:
 
 
 @dataclass(slots=True)
-class PlaceCount:
+class PlaceCounter:
     """The number of places that point instancers create below `path`. Nested instancers multiply.
 
     Places are counted before they are built."""
@@ -39,40 +39,46 @@ class PlaceCount:
     def add_instances(self, count: int) -> None:
         """Add the instances of one instancer, for all places of this instancer. Raises UsdError above the limit."""
         self.instances += count
-        self._check(self.instances, "instances")
+        self._check_total(self.instances, "instances")
 
-    def mesh(self, count: int) -> None:
+    def add_mesh(self, count: int) -> None:
         """Add the places of one mesh. Raises UsdError above the limit."""
         self.meshes += count
-        self._check(self.meshes, "instances of meshes")
+        self._check_total(self.meshes, "instances of meshes")
 
-    def _check(self, total: int, what: str) -> None:
+    def _check_total(self, total: int, what: str) -> None:
         if total > limits.MAX_USD_INSTANCES:
             words = f"the point instancers below `{self.path}` come to {total:,} {what}, more than {limits.MAX_USD_INSTANCES:,}"
             raise UsdError("too-large", words, "name a part of it, or scatter fewer instances")
 
 
-def placed_meshes(stage: OpenStage) -> Iterator[PlacedMesh]:
+def find_placed_meshes(stage: OpenStage) -> Iterator[PlacedMesh]:
     """Yield every mesh at or below the stage's prim, in the order of the file."""
-    count = PlaceCount(str(stage.prim.GetPath()))
-    for prim in stage.visible_prims(stage.prim):
+    count = PlaceCounter(str(stage.prim.GetPath()))
+    for prim in stage.find_visible_prims(stage.prim):
         if prim.IsA(pxr("UsdGeom").Mesh):
-            yield PlacedMesh(prim, stage.scene_transforms(prim, stage.is_moving(prim))[None])
+            yield PlacedMesh(prim, stage.compute_scene_transforms(prim, stage.is_moving(prim))[None])
         elif prim.IsA(pxr("UsdGeom").PointInstancer):
-            yield from _placed_instances(stage, prim, stage.scene_transforms(prim, stage.is_moving(prim))[None], count, 1)
+            yield from _find_placed_instances(
+                stage, prim, stage.compute_scene_transforms(prim, stage.is_moving(prim))[None], count, 1
+            )
 
 
-def unread_shape_types(stage: OpenStage) -> list[str]:
+def list_unread_types(stage: OpenStage) -> list[str]:
     """Return the types of the shapes at or below the prim that are not read, since they are not meshes."""
     geom = pxr("UsdGeom")
     read = (geom.Mesh, geom.PointInstancer, geom.Curves, geom.Points)
     type_names = {
-        str(p.GetTypeName()) for p in stage.visible_prims(stage.prim) if p.IsA(geom.Gprim) and not any(p.IsA(k) for k in read)
+        str(p.GetTypeName())
+        for p in stage.find_visible_prims(stage.prim)
+        if p.IsA(geom.Gprim) and not any(p.IsA(k) for k in read)
     }
     return sorted(type_names)
 
 
-def _placed_instances(stage: OpenStage, prim: Any, transforms: Floats, count: PlaceCount, depth: int) -> Iterator[PlacedMesh]:
+def _find_placed_instances(
+    stage: OpenStage, prim: Any, transforms: Floats, count: PlaceCounter, depth: int
+) -> Iterator[PlacedMesh]:
     """Yield the meshes that a point instancer places. `transforms`: from the instancer's space to the scene."""
     if depth > _MAX_NESTED_INSTANCERS:
         raise UsdError(
@@ -82,38 +88,38 @@ def _placed_instances(stage: OpenStage, prim: Any, transforms: Floats, count: Pl
     index = np.array(instancer.GetProtoIndicesAttr().Get(stage.first) or [], np.int64)
     if not len(index):
         return
-    chosen = _find_unmasked(stage, instancer, len(index))
+    chosen = _find_unmasked_instances(stage, instancer, len(index))
     roots = [prim.GetStage().GetPrimAtPath(path) for path in instancer.GetPrototypesRel().GetForwardedTargets()]
     if index.min() < 0 or index.max() >= len(roots):
         raise UsdError("bad-usd", f"`{prim.GetPath()}` refers to a missing prototype")
     count.add_instances(len(index) * len(transforms))
-    own = _instance_transforms(stage, instancer, len(index))
+    own = _compute_instance_transforms(stage, instancer, len(index))
     for number, root in enumerate(roots):
         of_this = np.flatnonzero(chosen & (index == number))
         if root and len(of_this):
-            inside = _compose_all(transforms, own[of_this])
-            for child, transform in _prototype_meshes(stage, root):
-                child_transforms = _compose_all(inside, transform[None])
+            inside = _compose_pairs(transforms, own[of_this])
+            for child, transform in _find_prototype_meshes(stage, root):
+                child_transforms = _compose_pairs(inside, transform[None])
                 if child.IsA(pxr("UsdGeom").Mesh):
-                    count.mesh(len(child_transforms))
+                    count.add_mesh(len(child_transforms))
                     yield PlacedMesh(child, child_transforms)
                 else:
-                    yield from _placed_instances(stage, child, child_transforms, count, depth + 1)
+                    yield from _find_placed_instances(stage, child, child_transforms, count, depth + 1)
 
 
-def _compose_all(outer: Floats, inner: Floats) -> Floats:
+def _compose_pairs(outer: Floats, inner: Floats) -> Floats:
     """Return every inner transform followed by every outer one. (a, f, 3, 4) and (b, g, 3, 4) give (a·b, max(f, g), 3, 4)."""
-    check_bytes(len(outer) * len(inner) * max(outer.shape[1], inner.shape[1]) * 96, "instances")
-    composed = compose(outer[:, None], inner[None])
+    check_motion_bytes(len(outer) * len(inner) * max(outer.shape[1], inner.shape[1]) * 96, "instances")
+    composed = compose_transforms(outer[:, None], inner[None])
     return composed.reshape(-1, *composed.shape[2:])
 
 
-def _find_unmasked(stage: OpenStage, instancer: Any, count: int) -> NDArray[np.bool_]:
+def _find_unmasked_instances(stage: OpenStage, instancer: Any, count: int) -> NDArray[np.bool_]:
     mask = list(instancer.ComputeMaskAtTime(stage.first))
     return np.array(mask, np.bool_) if len(mask) == count else np.ones(count, np.bool_)
 
 
-def _instance_transforms(stage: OpenStage, instancer: Any, count: int) -> Floats:
+def _compute_instance_transforms(stage: OpenStage, instancer: Any, count: int) -> Floats:
     """Return the transforms (instances, frames, 3, 4) of all instances into the instancer's space.
 
     They include the prototypes' own transforms."""
@@ -124,7 +130,7 @@ def _instance_transforms(stage: OpenStage, instancer: Any, count: int) -> Floats
         r and pxr("UsdGeom").Xformable(r) and pxr("UsdGeom").Xformable(r).TransformMightBeTimeVarying() for r in roots
     )
     times = stage.times if moved else stage.times[:1]
-    check_bytes(count * len(times) * 96, f"the instances of `{path}`")
+    check_motion_bytes(count * len(times) * 96, f"the instances of `{path}`")
     transforms = np.empty((count, len(times), 3, 4))
     first = list(instancer.GetProtoIndicesAttr().Get(stage.first))
     for k, time in enumerate(times):
@@ -145,7 +151,7 @@ def _instance_transforms(stage: OpenStage, instancer: Any, count: int) -> Floats
 BAKE_HELP = "export it with one set of faces for all frames, or name a part that keeps its faces"
 
 
-def _prototype_meshes(stage: OpenStage, root: Any) -> Iterator[tuple[Any, Floats]]:
+def _find_prototype_meshes(stage: OpenStage, root: Any) -> Iterator[tuple[Any, Floats]]:
     """Yield the meshes and instancers of a prototype, with transforms (frames, 3, 4) into the space of its root.
 
     The root's own transform is not included."""
@@ -161,10 +167,10 @@ def _prototype_meshes(stage: OpenStage, root: Any) -> Iterator[tuple[Any, Floats
         if inner:
             walk.PruneChildren()
         if (inner or prim.IsA(geom.Mesh)) and image.ComputePurpose() in ("default", stage.purpose):
-            yield prim, _relative_transforms(stage, prim, root)
+            yield prim, _compute_relative_transforms(stage, prim, root)
 
 
-def _relative_transforms(stage: OpenStage, prim: Any, root: Any) -> Floats:
+def _compute_relative_transforms(stage: OpenStage, prim: Any, root: Any) -> Floats:
     geom = pxr("UsdGeom")
     moved, above = False, prim
     while above and above != root:
@@ -174,11 +180,11 @@ def _relative_transforms(stage: OpenStage, prim: Any, root: Any) -> Floats:
     for time in stage.times if moved else stage.times[:1]:
         cache.SetTime(pxr("Usd").TimeCode(time))
         matrix = pxr("Gf").Matrix4d(1.0) if prim == root else cache.ComputeRelativeTransform(prim, root)[0]
-        matrices.append(column_matrix(matrix))
+        matrices.append(to_column_matrix(matrix))
     return np.array(matrices)
 
 
-def check_bytes(size: int, what: str) -> None:
+def check_motion_bytes(size: int, what: str) -> None:
     """Raise UsdError if motion of `size` bytes exceeds the limit. Otherwise raise the process's memory limit for it."""
     if size > limits.MAX_MOTION_BYTES:
         words = (

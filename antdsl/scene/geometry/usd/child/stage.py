@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
-from antdsl.scene.geometry.matrices import compose
-from antdsl.scene.geometry.usd.child.guard import ReaderAnswer, with_refusals
-from antdsl.scene.geometry.usd.errors import UsdError, error_text, plain_text, pxr
+from antdsl.scene.geometry.matrices import compose_transforms
+from antdsl.scene.geometry.usd.child.guard import ReaderAnswer, wrap_refusals
+from antdsl.scene.geometry.usd.errors import UsdError, clean_usd_text, format_usd_error, pxr
 
 if TYPE_CHECKING:
     from antdsl.reader.protocol import ReaderMessage
@@ -52,7 +52,7 @@ class OpenStage:
             return True
         return image.ComputePurpose() in ("default", self.purpose) and image.ComputeVisibility(self.first) != "invisible"
 
-    def visible_prims(self, prim: Any) -> Iterator[Any]:
+    def find_visible_prims(self, prim: Any) -> Iterator[Any]:
         """Yield the prim and its visible descendants. Instances are included, prototypes of point instancers are not."""
         usd, geom = pxr("Usd"), pxr("UsdGeom")
         walk = iter(usd.PrimRange(prim, usd.TraverseInstanceProxies()))
@@ -65,16 +65,16 @@ class OpenStage:
                 walk.PruneChildren()
             yield descendant
 
-    def scene_transforms(self, prim: Any, every: bool) -> Floats:
+    def compute_scene_transforms(self, prim: Any, all_frames: bool) -> Floats:
         """Return the transforms (frames, 3, 4) from a prim's own space to the scene.
 
-        `every`: return all frames; otherwise only the first."""
+        `all_frames`: return all frames; otherwise only the first."""
         cache = pxr("UsdGeom").XformCache()
         found = []
-        for time in self.times if every else self.times[:1]:
+        for time in self.times if all_frames else self.times[:1]:
             cache.SetTime(pxr("Usd").TimeCode(time))
-            found.append(column_matrix(cache.GetLocalToWorldTransform(prim)))
-        return compose(self.to_scene, np.array(found))
+            found.append(to_column_matrix(cache.GetLocalToWorldTransform(prim)))
+        return compose_transforms(self.to_scene, np.array(found))
 
     def is_moving(self, prim: Any) -> bool:
         """Return whether the transform of a prim may change over time."""
@@ -90,7 +90,7 @@ class OpenStage:
         return False
 
 
-def column_matrix(matrix: Any) -> Floats:
+def to_column_matrix(matrix: Any) -> Floats:
     """Return USD's matrix for row vectors as (3, 4) for column vectors."""
     rows = np.array(matrix, np.float64)
     return np.ascontiguousarray(rows[:, :3].T)
@@ -108,7 +108,7 @@ def open_stage(request: ReaderMessage) -> OpenStage:
     Frame f is USD's time code f · timeCodesPerSecond / fps. They are equal if the rates are equal. Raises UsdError if the stage
     uses a file outside the folder, exceeds the limits, or has no such prim."""
     global _last_stage
-    said, frames = request.document, request.array("frames", "<i8", None)
+    said, frames = request.document, request.require_array("frames", "<i8", None)
     path, folder, text, prim, up, purpose = (str(said[key]) for key in ("path", "folder", "text", "prim", "up", "purpose"))
     fps = Fraction(int(said["fps"][0]), int(said["fps"][1]))
     key = (path, folder, prim, up, purpose, fps, frames.tobytes())
@@ -133,10 +133,10 @@ def _open_layer(
             raise UsdError("bad-path", f"`{text}` uses a file that is outside the granted roots", None, "usd")
     stage_prim = stage.GetPrimAtPath(place)
     if not stage_prim or not stage_prim.IsActive():
-        raise _missing_prim_error(top, text, place, bool(stage_prim))
+        raise _make_missing_prim_error(top, text, place, bool(stage_prim))
     problems = stage.GetCompositionErrors()
     if problems:
-        raise UsdError("bad-usd", f"`{text}` does not hold together: {plain_text(str(problems[0]), folder)}", None, "usd")
+        raise UsdError("bad-usd", f"`{text}` does not hold together: {clean_usd_text(str(problems[0]), folder)}", None, "usd")
     _check_prim_count(stage, text, prim)
     rate = float(stage.GetTimeCodesPerSecond())
     factor = float(geom.GetStageMetersPerUnit(stage)) * 1000.0
@@ -145,7 +145,9 @@ def _open_layer(
             words = f"`{text}` has `{name} = {value:g}`, which is not valid"
             raise UsdError("bad-usd", words, f"give it a `{name}` above 0", "usd")
     times = tuple(float(Fraction(frame) / fps) * rate for frame in frames)
-    return OpenStage(stage_prim, _scene_transform(factor, str(geom.GetStageUpAxis(stage)).lower(), up), times, purpose, stage)
+    return OpenStage(
+        stage_prim, _make_scene_transform(factor, str(geom.GetStageUpAxis(stage)).lower(), up), times, purpose, stage
+    )
 
 
 def _check_prim_count(stage: Any, text: str, prim: str) -> None:
@@ -159,12 +161,12 @@ def _check_prim_count(stage: Any, text: str, prim: str) -> None:
             raise UsdError("bad-usd", words, "name a smaller part of it")
 
 
-def _scene_transform(factor: float, own: str, up: str) -> Floats:
-    """Return the transform (3, 4) from a stage to the scene. `factor`: mm per unit; `own`: the stage's up axis."""
+def _make_scene_transform(factor: float, own_up: str, up: str) -> Floats:
+    """Return the transform (3, 4) from a stage to the scene. `factor`: mm per unit; `own_up`: the stage's up axis."""
     matrix = np.zeros((3, 4))
-    if own == up:
+    if own_up == up:
         rows = [(0, 1.0), (1, 1.0), (2, 1.0)]
-    elif own == "z":
+    elif own_up == "z":
         rows = [(0, 1.0), (2, 1.0), (1, -1.0)]  # as `meshes.rotate_up`
     else:
         rows = [(0, 1.0), (2, -1.0), (1, 1.0)]
@@ -173,9 +175,9 @@ def _scene_transform(factor: float, own: str, up: str) -> Floats:
     return matrix
 
 
-def _missing_prim_error(layer: Any, text: str, path: Any, inactive: bool) -> UsdError:
+def _make_missing_prim_error(layer: Any, text: str, path: Any, inactive: bool) -> UsdError:
     """Return an error for a missing prim. It lists the children of the longest existing part of the path."""
-    from antdsl.diagnostics.suggestion import nearest_name
+    from antdsl.diagnostics.suggestion import find_nearest_name
 
     if inactive:
         return UsdError("no-such-prim", f"the prim `{path}` of `{text}` is inactive", "make it active, or name another")
@@ -189,7 +191,7 @@ def _missing_prim_error(layer: Any, text: str, path: Any, inactive: bool) -> Usd
         above = above.GetParentPath()
     names = [child.GetName() for child in parent.GetFilteredChildren(usd.PrimAllPrimsPredicate)][:200] if parent else []
     missing_name = str(path).removeprefix(str(above)).strip("/").split("/")[0]
-    near = nearest_name(missing_name, names)
+    near = find_nearest_name(missing_name, names)
     if near:
         help: str | None = f"did you mean `{above.AppendChild(near)}`?"
     else:
@@ -197,7 +199,7 @@ def _missing_prim_error(layer: Any, text: str, path: Any, inactive: bool) -> Usd
     return UsdError("no-such-prim", f"there is no prim `{path}` in `{text}`", help)
 
 
-@with_refusals
+@wrap_refusals
 def read_layer(request: ReaderMessage) -> ReaderAnswer:
     """Answer with `assets`, the asset paths in a layer, as they are in the file.
 
@@ -229,18 +231,18 @@ def open_layer(path: str, folder: str, text: str) -> Any:
         _open_layers.clear()
         _current_folder = folder
     if path not in _open_layers:
-        _open_layers[path] = _checked_layer(path, folder, text)
+        _open_layers[path] = _open_checked_layer(path, folder, text)
     return _open_layers[path]
 
 
-def _checked_layer(path: str, folder: str, text: str) -> Any:
+def _open_checked_layer(path: str, folder: str, text: str) -> Any:
     why = "it is not a format that USD knows"
     try:
         layer = pxr("Sdf").Layer.FindOrOpen(path)
         if layer is not None:
             return layer
     except pxr("Tf").ErrorException as problem:
-        why = error_text(problem, folder).replace(os.path.relpath(path, folder), text)
+        why = format_usd_error(problem, folder).replace(os.path.relpath(path, folder), text)
     except UnicodeDecodeError:  # USD's message repeats the invalid bytes
         why = "it has bytes that are no UTF-8 text"
     raise UsdError("bad-usd", f"`{text}` cannot be read as USD: {why}", "export it again", "usd")

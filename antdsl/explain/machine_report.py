@@ -1,0 +1,110 @@
+"""The decisions of a machine in a step: every transition in its order, the one taken, the claims, and the random draws."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from antdsl.explain.model import ChoiceResult, ClaimResult, MachineStep, TransitionReport
+from antdsl.explain.tracing import AgentTrace
+from antdsl.explain.value_text import build_condition_part, build_timer_reading, locate_span
+from antdsl.numerics import randomness
+from antdsl.plan.ir import MachinePlan
+from antdsl.plan.lowering.source_map import ChangeNote, ChoiceNote, SourceNotes
+from antdsl.program import model
+from antdsl.runtime.requests import ClaimEntry
+from antdsl.runtime.world import Population, World
+
+
+def build_machine_step(
+    world: World, population: Population, machine: MachinePlan, notes: SourceNotes, trace: AgentTrace
+) -> MachineStep:
+    """Return the report on one machine of an agent. `world`: the world at the start of the step."""
+    old_state = int(trace.start[f"{machine.name}.state"])
+    new_state = int(trace.now[f"{machine.name}.state"])
+    mine = [n for n in notes.changes if n.machine == machine.name and n.state.index == old_state]
+    winner = int(trace.now[f"~{machine.name}.pending"]) if mine else 0
+    won = next((note for note in mine if note.number == winner), None)
+    claim = _build_claim_result(world, population, won, trace) if won is not None and won.transition.take is not None else None
+    changed = won is not None and (claim is None or claim.won)
+    choice = notes.choices.get(won.transition.key) if won is not None and changed else None
+    return MachineStep(
+        machine.name,
+        machine.states[old_state],
+        machine.states[new_state],
+        float(trace.start[f"{machine.name}.time_in_state"]),
+        tuple(_build_transition_report(world, machine, note, winner, trace) for note in mine),
+        changed,
+        claim,
+        None if choice is None else _build_choice_result(machine, choice, trace, new_state),
+    )
+
+
+def _build_transition_report(
+    world: World, machine: MachinePlan, note: ChangeNote, winner: int, trace: AgentTrace
+) -> TransitionReport:
+    """Return the report on one transition. `winner`: the number of the transition that was taken."""
+    t = note.transition
+    kind = "interrupt" if t.is_interrupt else "from any" if f".{model.FROM_ANY_KEY}->" in t.key else "when"
+    return TransitionReport(
+        locate_span(t.span),
+        kind,
+        _describe_target(machine, t),
+        build_condition_part(world, note.condition, trace.values),
+        note.holds is None or bool(trace.values[note.holds]),
+        tuple(build_timer_reading(each, trace.values) for each in note.timers),
+        build_condition_part(world, note.take, trace.values),
+        bool(trace.values[note.fires]),
+        note.number == winner,
+    )
+
+
+def _describe_target(machine: MachinePlan, t: model.Transition) -> str:
+    """Return the target of a transition, in words."""
+    if t.targets_previous:
+        return "previous"
+    if t.choices:
+        return " | ".join(machine.states[index] for index, _ in t.choices)
+    return machine.states[t.target] if t.target is not None else "the same"
+
+
+def _build_claim_result(world: World, population: Population, taken_change: ChangeNote, trace: AgentTrace) -> ClaimResult | None:
+    """Return the result of the claim of a transition; None if the agent made no claim."""
+    entry = next((each for each in trace.claims if each.statement.site == taken_change.transition.key), None)
+    if entry is None:
+        return None
+    statement = entry.statement
+    name, amount = statement.of, float(entry.amount[0])
+    if statement.item is not None:
+        names = world.items[statement.of].names
+        item = int(entry.item[0])
+        name = names[item] if 0 <= item < len(names) else "none"
+    return ClaimResult(
+        statement.of,
+        name,
+        statement.attribute or statement.own or "",
+        amount if np.isfinite(amount) else None,
+        _compute_claim_draw(world, population, entry, trace.row),
+        bool(population.now[statement.won_register][trace.row]),
+        locate_span(
+            taken_change.transition.take.span if taken_change.transition.take is not None else taken_change.transition.span
+        ),
+    )
+
+
+def _compute_claim_draw(world: World, population: Population, entry: ClaimEntry, row: int) -> float:
+    """Return the random draw, from 0 to 1, that sets the order in which the agent's claim is served."""
+    ids = population.ids[row : row + 1]
+    words = randomness.draw_four_words(world.setting.seed, world.frame, population.name, entry.statement.site, 0, ids)
+    return float(words[0][0]) / float(np.uint64(1) << np.uint64(32))
+
+
+def _build_choice_result(machine: MachinePlan, note: ChoiceNote, trace: AgentTrace, new_state: int) -> ChoiceResult | None:
+    """Return the draw among the states of a `choose`; None if it was not computed."""
+    if note.draw not in trace.values:
+        return None
+    total = sum(float(trace.values[node]) for _, node in note.weights)
+    bars, sum_so_far = [], 0.0
+    for index, node in note.weights:
+        sum_so_far += float(trace.values[node])
+        bars.append((machine.states[index], sum_so_far / total if total > 0 else 0.0))
+    return ChoiceResult(float(trace.values[note.draw]), tuple(bars), machine.states[new_state])

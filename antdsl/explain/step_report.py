@@ -1,0 +1,151 @@
+"""Builds the report on an agent's step, the result of `explain`, from the trace and the world before and after."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from antdsl.explain.layer_report import build_layer_reports, find_steering_lines, read_total_push
+from antdsl.explain.machine_report import build_machine_step
+from antdsl.explain.model import Explanation, FloatTriple, MachineStep
+from antdsl.explain.replaying import Replay
+from antdsl.explain.sense_report import list_observed_sets, list_random_draws, list_sense_readings, read_field_values
+from antdsl.explain.step_effects import describe_effects, list_changes
+from antdsl.explain.tracing import AgentTrace
+from antdsl.explain.value_text import locate_span, to_float_triple
+from antdsl.plan.lowering.source_map import make_resting_site
+from antdsl.program.model import Handler, Species
+from antdsl.runtime.world import AXES, Population, World
+
+MAX_NEIGHBOUR_POSITIONS = 256  # of each set
+
+
+@dataclass(frozen=True, slots=True)
+class LocatedExplanation:
+    """An explanation with positions, in mm relative to the world's origin: of the agent at the start of the step, and of the
+    agents and items it considered. The nearest of each set comes first."""
+
+    explanation: Explanation
+    position: FloatTriple
+    neighbour_positions: tuple[FloatTriple, ...]
+
+
+def explain_agents(replay: Replay, frame: int, agents: Sequence[tuple[str, int]]) -> list[Explanation | None]:
+    """Return what each agent (species, id) did in the step to a frame, without its state timeline. None for an agent that did not
+    live when the step began, or was in quarantine. Raises ExplainError if the step cannot be repeated."""
+    return [None if each is None else each.explanation for each in locate_explanations(replay, frame, agents)]
+
+
+def locate_explanations(replay: Replay, frame: int, agents: Sequence[tuple[str, int]]) -> list[LocatedExplanation | None]:
+    """Return explanations as `explain_agents` does, with positions."""
+
+    def look(world: World, population: Population, trace: AgentTrace) -> tuple[AgentTrace, LocatedExplanation]:
+        return trace, LocatedExplanation(_build_explanation(replay, frame, world, population, trace), *_find_positions(trace))
+
+    step = replay.step(frame, agents, look)
+    explanations: list[LocatedExplanation | None] = []
+    for each in step.results:
+        if each is None:
+            explanations.append(None)
+            continue
+        trace, located = each
+        explanation = _add_effects(replay, step.end_world, trace, located.explanation)
+        explanations.append(replace(located, explanation=replace(explanation, hash=step.hash, checkpoint=step.checkpoint)))
+    return explanations
+
+
+def _find_positions(trace: AgentTrace) -> tuple[FloatTriple, tuple[FloatTriple, ...]]:
+    """Return the position of the agent at the start of the step, and those of the agents that it looked at, each once."""
+    own = to_float_triple(trace.start[f"position.{axis}"] for axis in AXES)
+    near = [
+        member
+        for members in trace.set_members.values()
+        for member in sorted(members, key=lambda m: float(m[4]))[:MAX_NEIGHBOUR_POSITIONS]
+    ]
+    positions = (to_float_triple(own[k] + float(member[1 + k]) for k in range(3)) for member in near)
+    return own, tuple(dict.fromkeys(positions))
+
+
+def _has_collided(handler: Handler, trace: AgentTrace) -> bool:
+    """Return whether a handler of collisions has run: its agent has begun to touch another."""
+    if handler.event != "collision":
+        return False
+    return any(node.op == "contact" and node.attrs[0] == handler.of and value[0] != -1 for node, value in trace.senses.items())
+
+
+def _build_explanation(replay: Replay, frame: int, world: World, population: Population, trace: AgentTrace) -> Explanation:
+    """Return all that is known before the effects of the step."""
+    program = replay.shot.program.species[population.name]
+    notes = replay.notes[population.name]
+    machines = tuple(build_machine_step(world, population, machine, notes, trace) for machine in population.plan.machines)
+    fps = world.setting.fps
+    velocity = to_float_triple(trace.start[f"velocity.{axis}"] for axis in AXES)
+    handlers = tuple(
+        locate_span(handler.span)
+        for handler in program.handlers
+        if (handler.event in population.events and population.events[handler.event][trace.row]) or _has_collided(handler, trace)
+    )
+    return Explanation(
+        scene=Path(replay.shot.scene.source.path).name,
+        species=population.name,
+        agent=int(population.ids[trace.row]),
+        frame=frame,
+        fps=f"{fps.numerator}/{fps.denominator}",
+        hash="",
+        checkpoint=0,
+        mode=program.layers.mode,
+        strip=(),
+        alive=None,
+        notes=(),
+        machines=machines,
+        handlers=handlers,
+        steers=find_steering_lines(population.name, notes, trace, _find_active_sites(program, machines)),
+        layers=build_layer_reports(world, program.layers.mode, notes, trace),
+        push=to_float_triple(read_total_push(trace)),
+        velocity=(velocity, None),
+        acceleration=None,
+        seen=list_observed_sets(world, trace),
+        fields=read_field_values(world, population, trace.row),
+        senses=list_sense_readings(trace),
+        draws=list_random_draws(trace),
+        did=describe_effects(trace.effects),
+        changes=(),
+    )
+
+
+def _find_active_sites(species: Species, machines: Sequence[MachineStep]) -> tuple[str, ...]:
+    """Return the code sites that run for this agent in this step: the bodies of its current states, their `enter` blocks after a
+    change, and the layers' `face` lines. If no current state steers, the default site is added."""
+    sites = [f"{species.name}.{m.machine}.{m.after}#" for m in machines]
+    sites += [f"{species.name}.{m.machine}.{m.after}.enter#" for m in machines if m.changed]
+    sites.append(f"{species.name}.layers.face#")
+    rest = species.rest
+    if rest is not None:
+        states = {m.name: [state.name for state in m.states] for m in species.machines}
+        state_indices = {m.machine: states[m.machine].index(m.after) for m in machines}
+        if all(state_indices[name] in silent for name, silent in rest.resting_states.items()):
+            sites.append(make_resting_site(species.name))
+    return tuple(sites)
+
+
+def _add_effects(replay: Replay, world: World, trace: AgentTrace, explanation: Explanation) -> Explanation:
+    """Return the explanation with the results of the step. An agent that died in the step has no results."""
+    population = world.populations[explanation.species]
+    row = int(population.find_rows(np.array([explanation.agent]))[0])
+    if row < 0:
+        return replace(explanation, notes=(f"it died in this step: frame {explanation.frame} is without it",))
+    velocity: FloatTriple = to_float_triple(population.now[f"velocity.{axis}"][row] for axis in AXES)
+    gained = to_float_triple(
+        (new_component - old_component) / world.dt
+        for old_component, new_component in zip(explanation.velocity[0], velocity, strict=True)
+    )
+    species = replay.shot.program.species[explanation.species]
+    return replace(
+        explanation,
+        velocity=(explanation.velocity[0], velocity),
+        acceleration=gained,
+        changes=list_changes(world, population, species, trace, explanation.agent),
+    )

@@ -1,0 +1,62 @@
+"""Ascending integers: finding a number in them, and sums over groups."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+_MAX_BLOCKS = 8_000_000  # most blocks of an index
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BlockIndex:
+    """Ascending numbers, divided into blocks that cover 2**shift values each.
+
+    `start`: where each block begins.
+    `bisection_steps`: how many bisection steps the fullest block needs."""
+
+    shift: int
+    start: NDArray[np.int32]
+    bisection_steps: int
+
+    @staticmethod
+    def of(numbers: NDArray[np.int64], end: int) -> BlockIndex:
+        """Return the index of ascending numbers from 0 to before `end`."""
+        shift = max(0, int(end // min(_MAX_BLOCKS, 4 * len(numbers) + 1)).bit_length())
+        start = np.zeros((end >> shift) + 2, np.int32)
+        np.cumsum(np.bincount(numbers >> shift, minlength=len(start) - 1), out=start[1:])
+        return BlockIndex(shift, start, int(np.diff(start).max(initial=0)).bit_length())
+
+    def count_smaller(self, numbers: NDArray[np.int64], targets: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return, for each of `targets`, how many of the numbers are smaller. Targets are from 0 to before the end."""
+        block = targets >> self.shift
+        low, high = self.start.take(block).astype(np.int64), self.start.take(block + 1).astype(np.int64)
+        for _ in range(self.bisection_steps):
+            middle = (low + high) >> 1
+            is_less = (numbers.take(np.minimum(middle, len(numbers) - 1)) < targets) & (low < high)
+            low, high = np.where(is_less, middle + 1, low), np.where(is_less, high, middle)
+        return low
+
+
+NO_INDEX = BlockIndex(0, np.zeros(1, np.int32), 0)
+NO_CELLS = np.empty(0, np.int32)
+
+
+def compute_group_ranks(counts: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the rank 0, 1, … of each element within its group, for consecutive groups of these sizes."""
+    ranks: NDArray[np.int64] = np.arange(int(counts.sum())) - np.repeat(np.cumsum(counts) - counts, counts)
+    return ranks
+
+
+def sum_by_key(keys: NDArray[np.int64], terms: Floats) -> tuple[NDArray[np.int64], Floats]:
+    """Return the distinct keys, ascending, and the sum of `terms` for each key."""
+    order = np.argsort(keys, kind="stable")
+    keys, terms = keys[order], terms[order]
+    if not len(keys):
+        return keys, terms
+    first = np.flatnonzero(np.concatenate(([True], keys[1:] != keys[:-1])))
+    return keys[first], np.add.reduceat(terms, first, axis=0)

@@ -1,0 +1,40 @@
+"""Widths of words, in px. They are equal on every machine: a viewer with another font fits the words into the stated width."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import TYPE_CHECKING
+from unicodedata import east_asian_width
+
+if TYPE_CHECKING:
+    from PIL.ImageFont import FreeTypeFont
+
+# Beyond ASCII Pillow's own letters have no accents, but these.
+_NON_ASCII_GLYPHS = frozenset("·…°“”")
+
+
+def measure_text_width(text: str, size: int) -> float:
+    """Return the width of a line of text, px. `size`: the font size, px.
+
+    Characters of Pillow's font have measured widths. The width of any other character is estimated from its kind."""
+    known = "".join(sign for sign in text if _has_built_in_glyph(sign))
+    wide = sum(1.0 if east_asian_width(sign) in "WF" else 0.65 for sign in text if not _has_built_in_glyph(sign))
+    return round(load_built_in_font(size).getlength(known) + wide * size, 2)
+
+
+def has_built_in_glyphs(text: str) -> bool:
+    """Return whether Pillow's built-in font has every character of a text."""
+    return all(_has_built_in_glyph(sign) for sign in text)
+
+
+def _has_built_in_glyph(sign: str) -> bool:
+    """Return whether Pillow's built-in font has a character."""
+    return " " <= sign <= "~" or sign in _NON_ASCII_GLYPHS
+
+
+@lru_cache(maxsize=32)
+def load_built_in_font(size: int) -> FreeTypeFont:
+    """Return Pillow's built-in font. `size`: the font size, px."""
+    from PIL import ImageFont
+
+    return ImageFont.load_default(size)  # type: ignore[return-value]

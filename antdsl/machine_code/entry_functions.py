@@ -1,0 +1,50 @@
+"""Functions that are called from outside: each sets the processor's float mode, and restores it at the end.
+
+A host may flush denormal numbers to zero or round upward, and a thread inherits that mode from its creator. So the outer function
+sets the mode register, and calls an inner function that does the work. The call keeps LLVM from moving an operation before the
+change of mode, or after its end."""
+
+from __future__ import annotations
+
+from antdsl.machine_code.llvm_module import LlvmModule
+from antdsl.machine_code.number_kinds import I32, I64, PTR
+
+ENTRY_ARGUMENTS = "ptr %t, i64 %begin, i64 %end"
+_DEFAULT_MXCSR = 0x1F80  # no flush to zero, rounding to nearest, no traps
+
+
+def write_inner_function(module: LlvmModule, name: str, body: str, line_table: str = "") -> str:
+    """Return the text of an inner function with a given body. Its parameters: table of addresses, first row, row after the last.
+
+    `line_table` is the debug metadata of the body, or empty."""
+    inside = f"define internal void @{name}.inside({ENTRY_ARGUMENTS}) noinline{line_table} {{\nentry:\n{body}\n  ret void\n}}"
+    return write_outer_function(module, name) + inside
+
+
+def write_outer_function(module: LlvmModule, name: str) -> str:
+    """Return the text of the function that is called from outside. It calls the inner function, named with the suffix
+    `.inside`."""
+    prologue, epilogue = (
+        _write_x86_float_mode(module) if module.target.x86 else _write_arm_float_mode(module) if module.target.arm else ("", "")
+    )
+    call = f"  call void @{name}.inside({ENTRY_ARGUMENTS})"
+    return f"define void @{name}({ENTRY_ARGUMENTS}) {{\nentry:\n{prologue}{call}\n{epilogue}  ret void\n}}\n"
+
+
+def _write_x86_float_mode(module: LlvmModule) -> tuple[str, str]:
+    """Return the text that sets the float mode of x86, and the text that restores it."""
+    module.declare("llvm.x86.sse.stmxcsr", "void", [PTR])
+    module.declare("llvm.x86.sse.ldmxcsr", "void", [PTR])
+    prologue = (
+        f"  %saved = alloca {I32}\n  %usual = alloca {I32}\n  store {I32} {_DEFAULT_MXCSR}, ptr %usual\n"
+        "  call void @llvm.x86.sse.stmxcsr(ptr %saved)\n  call void @llvm.x86.sse.ldmxcsr(ptr %usual)\n"
+    )
+    return prologue, "  call void @llvm.x86.sse.ldmxcsr(ptr %saved)\n"
+
+
+def _write_arm_float_mode(module: LlvmModule) -> tuple[str, str]:
+    """Return the text that sets the float mode of ARM, and the text that restores it."""
+    module.declare("llvm.aarch64.get.fpcr", I64, [])
+    module.declare("llvm.aarch64.set.fpcr", "void", [I64])
+    prologue = f"  %saved = call {I64} @llvm.aarch64.get.fpcr()\n  call void @llvm.aarch64.set.fpcr({I64} 0)\n"
+    return prologue, f"  call void @llvm.aarch64.set.fpcr({I64} %saved)\n"

@@ -1,0 +1,240 @@
+"""Loads and stores of array elements, for one iteration of a loop or for several in SIMD lanes.
+
+If the elements of all lanes are contiguous in memory, they are loaded or stored at once, else one by one. For inactive lanes,
+another address is read, and nothing is stored."""
+
+from __future__ import annotations
+
+import ast
+
+from antdsl.machine_code.kernels.arithmetic import ArithmeticEmitter
+from antdsl.machine_code.kernels.ir import ZEROS_CONSTANT
+from antdsl.machine_code.kernels.types import INT, TRUTH, ScalarType
+from antdsl.machine_code.kernels.values import Array, Number, literal_number
+from antdsl.machine_code.number_kinds import LANE_COUNT
+
+ALL_LANES = Number(TRUTH, "splat (i1 true)", True, LANE_COUNT)  # all iterations are active
+
+
+class ElementAccess(ArithmeticEmitter):
+    """Writer of loads and stores of array elements."""
+
+    def check_index(self, node: ast.AST, index: Number, length: Number, count: int = 1) -> None:
+        """Check that `count` indices from this one on are within an axis. Raises NotInSubset if an index is certainly outside."""
+        if index.known is not None and (index.known < 0 or (length.known is not None and index.known + count > length.known)):
+            self.fail(node, f"{index.known} is no index of an axis, or a negative one")
+        if index.known is None or length.known is None:
+            counts = None if index.wide else self.active_mask()
+            if counts is not None:
+                index, length = self.select(counts, index, literal_number(0)), self.select(counts, length, literal_number(count))
+            self.do("index", index, length, *([self.mask] if index.wide and self.mask is not None else []), x=count, node=node)
+
+    def _check_span(self, array: Array, first: Number, count: int = LANE_COUNT) -> None:
+        """Check that consecutive elements, read or stored at once, are in the array in all iterations."""
+        self.do("span", first, *array.lengths, x=count)
+
+    def index_offset(self, node: ast.AST, array: Array, numbers: list[Number]) -> Number:
+        """Return the offset of an index from the first element, in elements."""
+        for each in numbers:
+            if each.base != "i64":
+                self.fail(node, "an index is a whole number that is not negative")
+        for each, length in zip(numbers, array.lengths, strict=True):
+            self.check_index(node, each, length)
+        steps = array.steps
+        place = numbers[0] if steps is None else self.apply_operator(node, ast.Mult(), numbers[0], steps[0])
+        for k, number in enumerate(numbers[1:], 1):
+            if steps is None:
+                place = self.apply_operator(node, ast.Mult(), place, array.lengths[k])
+            else:
+                number = self.apply_operator(node, ast.Mult(), number, steps[k])
+            place = self.apply_operator(node, ast.Add(), place, number)
+        return place
+
+    def count(self, array: Array) -> Number:
+        """Return the number of elements of an array."""
+        total = array.lengths[0]
+        for each in array.lengths[1:]:
+            total = self.op("mul", INT, total, each)
+        return total
+
+    def load_element(self, array: Array, at: Number) -> Number:
+        """Load the element at an offset of `at` elements from the first one."""
+        scalar = array.of
+        if not at.wide:
+            element = self.op("load", scalar.loaded_kind, self._guarded_address(array, at))
+        elif at.first:
+            self._check_span(array, at.first)
+            element = self._load_lanes(array, scalar.loaded_kind, self._offset_address(array, at.first))
+        else:
+            element = self._gather(array, at)
+        if scalar.kind == TRUTH:
+            return self.op("ne", TRUTH, element, Number("i8", "zeroinitializer" if at.wide else "0", lanes=at.lanes))
+        if scalar.kind == INT and scalar.stored_type != "i64":
+            return self.op("zext" if scalar.name.startswith("U") else "sext", INT, element)
+        return element
+
+    def _load_lanes(self, array: Array, kind: str, place: Number) -> Number:
+        """Load consecutive elements, one for each iteration."""
+        return self.op("load", kind, place, x=_element_alignment(array), lanes=LANE_COUNT)
+
+    def store_element(self, node: ast.AST, array: Array, at: Number, item: Number) -> None:
+        """Store `item` as the element at an offset of `at` elements from the first one."""
+        if (self.mask is not None) != at.wide:
+            self.fail(node, "what several turns would change at once belongs to none of them")
+        value = self.to_stored_kind(array.of, self.broadcast(item) if at.wide else item)
+        if not at.wide:
+            self.do("store", value, self._offset_address(array, at))
+            return
+        mask = self.mask or ALL_LANES
+        if at.first:
+            self._check_span(array, at.first)
+            place = self._offset_address(array, at.first)
+            if mask.known is None:
+                value = self.op("select", value.kind, mask, value, self._load_lanes(array, value.kind, place))
+            self.do("store", value, place, x=_element_alignment(array))
+            return
+        for lane in range(LANE_COUNT):
+            stored, next_block = "", ""
+            if mask.known is None:
+                stored, next_block = self.make_label("stored"), self.make_label("after")
+                self.branch(self.extract_lane(mask, lane), stored, next_block)
+                self.begin(stored)
+            place = self._offset_address(array, self.extract_lane(at, lane))
+            self.do("store", self.extract_lane(value, lane), place)
+            if next_block:
+                self.jump(next_block)
+                self.begin(next_block)
+
+    def to_stored_kind(self, scalar: ScalarType, item: Number) -> Number:
+        """Convert a number to the form in which an array of this type stores it."""
+        value = self.convert(item, scalar.kind)
+        if value.kind == TRUTH:
+            return self.op("zext", "i8", value)
+        return value if value.base == scalar.stored_type else self.op("trunc", scalar.stored_type, value)
+
+    def row(self, node: ast.AST, array: Array, index: Number) -> Array:
+        """Return the part of an array at an index of the first axis, with one axis less."""
+        if index.wide:
+            self.fail(node, "all lanes use the same part of an array: its index cannot depend on the turn")
+        self.check_index(node, index, array.lengths[0])
+        step = literal_number(1) if array.steps is None else array.steps[0]
+        for each in array.lengths[1:] if array.steps is None else ():
+            step = self.apply_operator(node, ast.Mult(), step, each)
+        address = self._offset_address(array, self.apply_operator(node, ast.Mult(), index, step))
+        return Array(array.of, address, array.lengths[1:], None if array.steps is None else array.steps[1:], array.origin)
+
+    def _offset_address(self, array: Array, at: Number) -> Number:
+        """Return the address of the element at an offset."""
+        return self._element_address(array, array.address, at)
+
+    def _element_address(self, array: Array, address: Number, at: Number | int) -> Number:
+        """Return the address of the element that is `at` elements after `address`."""
+        index = Number(INT, str(at)) if isinstance(at, int) else at
+        return self.op("element", "ptr", address, index, x=array.of.stored_type, lanes=index.lanes)
+
+    def _guarded_address(self, array: Array, at: Number) -> Number:
+        """Return the address of an element at a loop-invariant index.
+
+        If no iteration is active, the index may be out of range; the result is then the address of zeros. The index is compared
+        with the array's length, not combined with the mask, so that LLVM can move the load out of loops."""
+        place = self._offset_address(array, at)
+        if self.mask is None or self.is_always_reached:
+            return place
+        if array.steps is not None:
+            counts = self.any_lane(self.mask)
+        else:
+            counts = self.logical_and(self.compare("ge", at, literal_number(0)), self.compare("lt", at, self.count(array)))
+        return place if counts.known is not None else self.op("select", "ptr", counts, place, ZEROS_CONSTANT)
+
+    def _lane_addresses(self, array: Array, at: Number) -> Number:
+        """Return the addresses of elements, one per lane. Inactive lanes get the address of zeros, which no code writes to."""
+        addresses = self._offset_address(array, at)
+        if self.mask is None or self.mask.known is not None:
+            return addresses
+        return self.op("select", "ptr", self.mask, addresses, self.broadcast(ZEROS_CONSTANT))
+
+    def load_consecutive(self, node: ast.AST, array: Array, at: Number, count: int) -> tuple[Number, ...]:
+        """Return `count` consecutive elements of an array, converted to the kind that kernels compute with. `count` is a multiple
+        of four."""
+        self.check_index(node, at, array.lengths[0], count)
+        if not at.wide:
+            offsets = [self.apply_operator(node, ast.Add(), at, literal_number(k)) for k in range(count)]
+            return tuple(self.load_element(array, each) for each in offsets)
+        addresses = self._lane_addresses(array, at)
+        lanes = [self.extract_lane(addresses, lane) for lane in range(LANE_COUNT)]
+        return tuple(each for k in range(0, count, 4) for each in self._load_four(array, lanes, k))
+
+    def _load_four(self, array: Array, lanes: list[Number], offset: int) -> list[Number]:
+        """Return four columns of eight lanes: the elements at `offset` to `offset + 3` after each of eight addresses."""
+        rows = []
+        for lane in lanes:
+            place = self._element_address(array, lane, offset)
+            rows.append(self.op("load", array.of.kind, place, x=_element_alignment(array), lanes=4))
+        return self.transpose_rows(rows)
+
+    def load3(self, node: ast.AST, array: Array, row: Number) -> tuple[Number, ...]:
+        """Return the three elements of a row."""
+        if not row.first:
+            return tuple(self.load_element(array, each) for each in self._row_offsets(node, array, row))
+        self.check_index(node, row, array.lengths[0])
+        return self._load3_lanes(array, row.first)
+
+    def _load3_lanes(self, array: Array, first: Number) -> tuple[Number, ...]:
+        """Return the three elements of consecutive rows, one row per lane, from row `first` on."""
+        place, parts = self._rows_address(array, first), []
+        for k in range(3):
+            parts.append(self._load_lanes(array, array.of.kind, self._element_address(array, place, LANE_COUNT * k)))
+        columns = []
+        for column in range(3):
+            positions = range(column, 3 * LANE_COUNT, 3)
+            low = self.shuffle(parts[0], parts[1], tuple(k if k < 2 * LANE_COUNT else 0 for k in positions))
+            order = tuple(k - LANE_COUNT if k >= 2 * LANE_COUNT else lane for lane, k in enumerate(positions))
+            columns.append(self.shuffle(low, parts[2], order))
+        return tuple(columns)
+
+    def _rows_address(self, array: Array, first: Number) -> Number:
+        """Return the address of consecutive rows of three elements from `first` on."""
+        start = self.op("mul", INT, first, Number(INT, "3"))
+        self._check_span(array, start, 3 * LANE_COUNT)
+        return self._offset_address(array, start)
+
+    def store3(self, node: ast.AST, array: Array, row: Number, items: tuple[Number, ...]) -> None:
+        """Store the three elements of a row."""
+        if not row.first:
+            for at, item in zip(self._row_offsets(node, array, row), items, strict=True):
+                self.store_element(node, array, at, item)
+            return
+        self.check_index(node, row, array.lengths[0])
+        kind, mask = array.of.kind, self.mask or ALL_LANES
+        values = [self.broadcast(self.convert(each, kind)) for each in items]
+        if mask.known is None:
+            values = [self.select(mask, *each) for each in zip(values, self._load3_lanes(array, row.first), strict=True)]
+        place = self._rows_address(array, row.first)
+        for part in range(3):
+            positions = [divmod(k, 3) for k in range(LANE_COUNT * part, LANE_COUNT * (part + 1))]
+            two = self.shuffle(values[0], values[1], tuple(lane + LANE_COUNT * (c == 1) for lane, c in positions))
+            order = tuple(LANE_COUNT + lane if c == 2 else k for k, (lane, c) in enumerate(positions))
+            address = self._element_address(array, place, LANE_COUNT * part)
+            self.do("store", self.shuffle(two, values[2], order), address, x=_element_alignment(array))
+
+    def _row_offsets(self, node: ast.AST, array: Array, row: Number) -> list[Number]:
+        """Return the offsets of a row's elements from the first element of an array."""
+        return [self.index_offset(node, array, [row, literal_number(k)]) for k in range(3)]
+
+    def prefetch(self, array: Array, at: Number) -> tuple[()]:
+        """Prefetch the memory of an element."""
+        for lane in range(LANE_COUNT if at.wide else 1):
+            self.do("prefetch", self._offset_address(array, self.extract_lane(at, lane) if at.wide else at))
+        return ()
+
+    def _gather(self, array: Array, at: Number) -> Number:
+        """Load the element at each lane's offset, one by one."""
+        addresses = self._lane_addresses(array, at)
+        return self.combine_lanes(
+            self.op("load", array.of.loaded_kind, self.extract_lane(addresses, lane)) for lane in range(LANE_COUNT)
+        )
+
+
+def _element_alignment(array: Array) -> str:
+    """Return the alignment of a load or store of several elements: the size of one element, not their total size."""
+    return f", align {array.of.dtype.itemsize}"

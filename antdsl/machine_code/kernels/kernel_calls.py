@@ -1,0 +1,185 @@
+"""Calls of a kernel's code: arguments are checked and written into a table of words, which the code reads.
+
+Machine code (`direct`) handles most calls. The functions of this module handle the others, and report mistakes, such as arrays of
+another type or memory layout."""
+
+from __future__ import annotations
+
+import ctypes
+import struct
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from antdsl.machine_code import llvm_compiler, workers_text
+from antdsl.machine_code.kernels import direct
+from antdsl.machine_code.kernels.direct import ArgumentSpec
+from antdsl.machine_code.kernels.direct.argument_text import INTEGER_KIND, REAL_KIND, RESULT_WORDS, TRUTH_KIND, UNSIGNED_KIND
+from antdsl.machine_code.kernels.types import INT, ArrayType, ScalarType
+from antdsl.machine_code.memory import array_address
+
+_CTYPES_FORMATS = {"double": "d", "float": "d", "i64": "q", "u64": "Q", "i1": "q"}
+_RESULT_KINDS = {"double": REAL_KIND, "float": REAL_KIND, "i64": INTEGER_KIND, "u64": UNSIGNED_KIND, "i1": INTEGER_KIND}
+
+
+@dataclass(frozen=True, slots=True)
+class KernelDescription:
+    """The signature of a kernel's text.
+
+    - `gives`: the kinds of its results
+    - `has_several_results`: whether the kernel returns a tuple
+    - `written_arrays`: the numbers of the arrays that the kernel writes to"""
+
+    gives: tuple[str, ...]
+    has_several_results: bool
+    written_arrays: tuple[int, ...]
+
+    def text(self) -> str:
+        """Return the description as one line of text without quotes."""
+        return ";".join((",".join(self.gives), str(int(self.has_several_results)), ",".join(map(str, self.written_arrays))))
+
+    @classmethod
+    def from_text(cls, text: str) -> KernelDescription:
+        """Return the description from a line that the method `text` wrote."""
+        gives, several, stored = (tuple(filter(None, part.split(","))) for part in text.split(";"))
+        return cls(gives, several == ("1",), tuple(map(int, stored)))
+
+
+def make_caller(
+    name: str, code: llvm_compiler.LoadedCode, types: Sequence[Any], description: KernelDescription
+) -> Callable[..., Any]:
+    """Return a function that calls a kernel with its arguments. `types` are the types of the kernel's annotations."""
+    specs = list(_argument_specs(types, description.written_arrays))
+    words = RESULT_WORDS + sum(_word_count(each) for each in specs)
+    result_kinds, several = list(description.gives), description.has_several_results
+    plain_call = _make_python_caller(name, code.function(name), types, specs, words, result_kinds, several)
+    if several and len(result_kinds) == 1:
+        return plain_call
+    kinds = [TRUTH_KIND if each == "i1" else _RESULT_KINDS[each] for each in result_kinds]
+    return direct.make_builtin(name, code, specs, words, kinds, plain_call) or plain_call
+
+
+def make_parallel_caller(
+    name: str,
+    code: llvm_compiler.LoadedCode,
+    types: Sequence[Any],
+    description: KernelDescription,
+    single_call: Callable[..., Any],
+) -> Callable[..., Any] | None:
+    """Return a function that runs a kernel in parts on a pool, or None if the kernel cannot be run in parts.
+
+    The last two parameters of the kernel are the begin and the end of its loop. The function takes the kernel's arguments, the
+    number of parts and the address of the pool. It returns a list with the kernel's results for each part. If it cannot read the
+    arguments, it calls `single_call` with all of them, as one part."""
+    specs = list(_argument_specs(types, description.written_arrays))
+    words = RESULT_WORDS + sum(_word_count(each) for each in specs)
+    if any(not isinstance(each, ScalarType) or each.kind != INT for each in types[-2:]) or (
+        description.has_several_results and len(description.gives) == 1
+    ):
+        return None
+    range_specs = [ArgumentSpec((len(types) + k,), words + k, INTEGER_KIND) for k in range(2)]
+    kinds = [TRUTH_KIND if each == "i1" else _RESULT_KINDS[each] for each in description.gives]
+
+    def alone(*arguments: Any) -> list[Any]:
+        return [single_call(*arguments[:-2])]
+
+    run = workers_text.load_code().function_address("run")
+    function: Callable[..., Any] | None = direct.make_builtin(name, code, [*specs, *range_specs], words, kinds, alone, run)
+    return function
+
+
+def _argument_specs(types: Sequence[Any], written_arrays: Sequence[int]) -> Iterator[ArgumentSpec]:
+    """Yield the arguments that a kernel expects and their positions in the table; a tuple comes before its elements."""
+    place, arrays = RESULT_WORDS, 0
+
+    def each_of(many: Sequence[Any], path: tuple[int, ...]) -> Iterator[ArgumentSpec]:
+        nonlocal place, arrays
+        for index, type in enumerate(many):
+            at = (*path, index)
+            if isinstance(type, ArrayType):
+                spec = ArgumentSpec(at, place, 0, type.of.dtype, type.axes, type.is_strided, arrays in written_arrays)
+                arrays += 1
+            elif isinstance(type, ScalarType):
+                spec = ArgumentSpec(at, place, _RESULT_KINDS[type.kind])
+            else:
+                yield ArgumentSpec(at, count=len(type))
+                yield from each_of(type, at)
+                continue
+            place += _word_count(spec)
+            yield spec
+
+    return each_of(types, ())
+
+
+def _word_count(spec: ArgumentSpec) -> int:
+    if spec.count is not None:
+        return 0
+    return 1 if spec.dtype is None else 1 + spec.axes * (2 if spec.is_strided else 1)
+
+
+def _make_python_caller(
+    name: str, function: Any, types: Sequence[Any], specs: list[ArgumentSpec], words: int, result_kinds: list[str], several: bool
+) -> Callable[..., Any]:
+    """Return the function that `make_caller` describes, implemented in Python instead of machine code."""
+    word_specs = [each for each in specs if each.count is None]
+    results = struct.Struct("=" + "".join(_CTYPES_FORMATS[each] for each in result_kinds))
+    truths = [k for k, each in enumerate(result_kinds) if each == "i1"]
+
+    def run(*arguments: Any) -> Any:
+        buffer = ctypes.create_string_buffer(8 * words)
+        table = memoryview(buffer).cast("B")
+        integers, unsigned, real = table.cast("q"), table.cast("Q"), table.cast("d")
+        for each, value in zip(word_specs, list(flatten_arguments(name, types, arguments)), strict=True):
+            if each.dtype is not None:
+                for place, word in enumerate(_describe_array(name, each, value), each.word_index):
+                    integers[place] = word
+            elif each.kind == REAL_KIND:
+                real[each.word_index] = value
+            else:
+                (integers if each.kind == INTEGER_KIND else unsigned)[each.word_index] = int(value)
+        function(ctypes.addressof(buffer), 0, 0)
+        if not result_kinds:
+            return None
+        values: tuple[Any, ...] = results.unpack_from(buffer)
+        if truths:
+            values = tuple(bool(value) if k in truths else value for k, value in enumerate(values))
+        return values if several else values[0]
+
+    return run
+
+
+def flatten_arguments(name: str, types: Sequence[Any], arguments: Sequence[Any]) -> Iterator[Any]:
+    """Yield the arguments, with tuples replaced by their contents. Raises TypeError or ValueError for a wrong number of
+    arguments."""
+    if len(types) != len(arguments):
+        raise TypeError(f"{name} takes {len(types)} arguments, not {len(arguments)}")
+    for type, argument in zip(types, arguments, strict=True):
+        if not isinstance(type, tuple):
+            yield argument
+        elif len(type) != len(argument):
+            raise ValueError(f"{name} takes {len(type)} values there, not {len(argument)}")
+        else:
+            yield from flatten_arguments(name, type, argument)
+
+
+def _describe_array(name: str, spec: ArgumentSpec, array: Any) -> tuple[int, ...]:
+    """Return the words that describe an array. Raises ValueError for another type or memory layout."""
+    dtype, shape = spec.dtype, array.shape
+    assert dtype is not None
+    if (dtype is not array.dtype and dtype != array.dtype) or len(shape) != spec.axes:
+        raise ValueError(f"{name} wants an array of {dtype} with {spec.axes} axes, not of {array.dtype} with {array.ndim}")
+    if spec.is_written and not array.flags.writeable:
+        raise ValueError(f"{name} writes to an array that is read-only")
+    if not array.flags.aligned:
+        raise ValueError(f"{name} wants an array that is aligned to its elements")
+    if not spec.is_strided:
+        return (array_address(array), *shape)
+    size, (one, two) = dtype.itemsize, array.strides
+    if (one % size or two % size) and array.size:
+        raise ValueError(f"{name} wants whole elements from one index to the next")
+    if array.flags.c_contiguous:
+        place = array_address(array)
+    else:
+        turned = array.T
+        place = array_address(turned) if turned.flags.c_contiguous else array.__array_interface__["data"][0]
+    return (place, *shape, one // size, two // size)

@@ -1,0 +1,52 @@
+"""The state of a kernel while its functions are written; variables and loop labels of one function."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from antdsl.machine_code.kernels.ir import IrFunction
+from antdsl.machine_code.kernels.values import KernelItem, Number, flatten_item
+from antdsl.machine_code.number_kinds import LANE_COUNT
+
+
+@dataclass(slots=True)
+class StackVariable:
+    """A variable: the kind of its number, and its stack slot."""
+
+    kind: str
+    slot_address: Number
+    lanes: int = 1
+
+    @property
+    def wide(self) -> bool:
+        """Return whether the variable has a number for each lane."""
+        return self.lanes > 1
+
+
+@dataclass(slots=True)
+class LoopLabels:
+    """The labels that `continue` (`next_label`) and `break` (`end`) jump to."""
+
+    next_label: str
+    end: str
+
+
+@dataclass(slots=True, eq=False)
+class KernelUnit:
+    """The functions of a text, while they are written.
+
+    - `lanes`: the number of lanes of independent loops, 1 or 8
+    - `specialisations`: the name and result of each function, by key
+    - `written_arrays`: the numbers of the array arguments that some function writes to"""
+
+    lanes: int = LANE_COUNT
+    functions: list[IrFunction] = field(default_factory=list)
+    specialisations: dict[tuple[Any, str], tuple[str, KernelItem]] = field(default_factory=dict)
+    written_arrays: set[int] = field(default_factory=set)
+
+
+def result_type(item: KernelItem) -> str:
+    """Return the result type of a function that returns an item."""
+    numbers = [each.type for each in flatten_item(item)]
+    return "void" if not numbers else numbers[0] if len(numbers) == 1 else f"{{{', '.join(numbers)}}}"

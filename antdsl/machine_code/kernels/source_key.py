@@ -1,0 +1,131 @@
+"""A key of all sources of a kernel's text. It identifies cached code, so that the text need not be written.
+
+The key covers the files with the kernel's functions, the values of the names in these functions, and all files of `machine_code`.
+A kernel with a name for a value that cannot be compared between runs has no key; its text identifies it."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from functools import cache
+from hashlib import blake2b
+from pathlib import Path
+from types import CodeType, FunctionType, GenericAlias, ModuleType
+from typing import Any
+
+import numpy as np
+
+from antdsl import machine_code
+from antdsl.limits import MIB
+from antdsl.machine_code.kernels.checks import CHECKS_ENABLED
+from antdsl.machine_code.kernels.records import field_types, is_record, resolve_annotation
+from antdsl.machine_code.kernels.types import ArrayType, ScalarType
+from antdsl.safe_read import read_size_limited
+
+_MAX_SOURCE_BYTES = 4 * MIB  # of a file
+
+
+class _UnknownSource(Exception):
+    """Error for a value that cannot be compared between runs."""
+
+
+def source_key(part: Any, types: list[Any]) -> str | None:
+    """Return a key for the text of a kernel with arguments of these types; None if there is none. A key
+    differs from the start of every text."""
+    parts: list[str] = [_hash_compiler_sources(), f"checked {CHECKS_ENABLED}", *map(_describe_type, types)]
+    known: dict[int, int] = {}
+    try:
+        _describe_function(part, parts, known)
+    except (_UnknownSource, OSError, ValueError):
+        return None
+    hashed = blake2b(digest_size=32)
+    for each in parts:
+        data = each.encode("utf-8", "surrogatepass")
+        hashed.update(len(data).to_bytes(8, "little") + data)
+    return "sources " + hashed.hexdigest()
+
+
+def _describe_type(type: Any) -> str:
+    if isinstance(type, tuple):
+        names = getattr(type, "_fields", ())
+        return f"{type.__class__.__qualname__}{names}({','.join(map(_describe_type, type))})"
+    return _cached_repr(type)
+
+
+@cache
+def _cached_repr(type: Any) -> str:
+    return repr(type)
+
+
+@cache
+def _hash_compiler_sources() -> str:
+    """Return the hashes of all sources of `machine_code`, which read and write the texts of kernels."""
+    folder = Path(machine_code.__file__).parent
+    return "".join(_file_digest(str(each)) for each in sorted([*folder.rglob("*.py"), *folder.rglob("*.ll")]))
+
+
+def _file_digest(path: str) -> str:
+    """Return the hash of a file; it is computed again after a change of time or size."""
+    file_stat = os.stat(path)
+    return _cached_file_digest(path, file_stat.st_mtime_ns, file_stat.st_size)
+
+
+@cache
+def _cached_file_digest(path: str, modified_ns: int, size: int) -> str:
+    return blake2b(read_size_limited(path, _MAX_SOURCE_BYTES), digest_size=16).hexdigest()
+
+
+def _describe_function(part: Any, parts: list[str], known: dict[int, int]) -> None:
+    """Append the description of a function that kernels use, and of the values of its names. A function that is already described
+    is given by its number."""
+    function: FunctionType = part.function
+    if id(function) in known:
+        parts.append(f"function {known[id(function)]}")
+        return
+    known[id(function)] = len(known)
+    code, world = function.__code__, function.__globals__
+    place = f"{function.__module__} {function.__qualname__} {code.co_firstlineno} {part.attribute}"
+    parts.append(f"{place} {_file_digest(code.co_filename)}")
+    names = sorted(set(_code_names(code)))
+    for name in names:
+        if name in world:
+            parts.append(name)
+            _describe_value(world[name], names, parts, known)
+
+
+def _code_names(code: CodeType) -> Iterator[str]:
+    """Yield all names in the code of a function. The translation may look up each of them in the function's module."""
+    for names in (code.co_names, code.co_varnames, code.co_freevars, code.co_cellvars):
+        yield from names
+    for each in code.co_consts:
+        if isinstance(each, CodeType):
+            yield from _code_names(each)
+
+
+def _describe_value(value: Any, names: list[str], parts: list[str], known: dict[int, int]) -> None:
+    """Append the description of a value that kernels use. Raises _UnknownSource if it has none."""
+    part = None if is_record(value) else getattr(value, "part", None)
+    if part is not None:
+        _describe_function(part, parts, known)
+    elif isinstance(value, ModuleType):
+        parts.append(f"module {value.__name__}")
+        has = vars(value)  # NumPy takes long to say that it has not
+        for name in names:
+            inner = has.get(name)
+            if inner is not None and not isinstance(inner, ModuleType):
+                parts.append(name)
+                _describe_value(inner, [], parts, known)
+    elif is_record(value):
+        parts.append(f"record {value.__module__} {_describe_type(field_types(value))}")
+    elif isinstance(value, tuple):
+        parts.append(f"{type(value).__qualname__} {len(value)}")
+        for each in value:
+            _describe_value(each, names, parts, known)
+    elif value is None or isinstance(value, bool | int | float | str | np.generic | ScalarType | ArrayType):
+        parts.append(f"{type(value).__name__} {value!r}")
+    elif isinstance(value, GenericAlias):
+        parts.append(_describe_type(resolve_annotation(value, {})))
+    elif callable(value) and isinstance(getattr(value, "__qualname__", None), str):
+        parts.append(f"{value.__module__} {value.__qualname__}")
+    else:
+        raise _UnknownSource

@@ -1,0 +1,122 @@
+"""Start of a run from another cache: from the agents, items and fields of one of its frames."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from pathlib import Path
+
+import numpy as np
+
+from antdsl.diagnostics import Report
+from antdsl.numerics.records import select_by_prefix
+from antdsl.outputs.cache.cache_reader import CacheError, make_checkpoint_path, open_cache
+from antdsl.outputs.cache.manifest import ManifestError
+from antdsl.outputs.cache.npz import MAX_FILE_BYTES
+from antdsl.pipeline import Shot
+from antdsl.runtime import CheckpointError, World, restore_checkpoint
+from antdsl.runtime.moving.moving_geometry import pose_world
+from antdsl.safe_read import read_blocks
+from antdsl.scene.paths import PathRefused
+from antdsl.scene.scene_model import UNIT_MM
+
+_COINCIDENT_DISTANCE_MM = 1e-6  # mm
+
+
+class StartError(Exception):
+    """A run cannot start from the other cache. `report`: the reason, at its location in the scene."""
+
+    def __init__(self, report: Report) -> None:
+        super().__init__("; ".join(d.message for d in report.errors))
+        self.report = report
+
+
+def find_start_cache(shot: Shot) -> Path | None:
+    """Return the folder of the cache that the scene starts from, or None. Raises StartError if its path is rejected."""
+    start = shot.scene.model.start
+    if start is None:
+        return None
+    try:
+        return shot.scene.roots.path(start.cache)
+    except PathRefused as refused:
+        raise _make_error(shot, refused.code, str(refused), "cache", refused.help) from None
+
+
+def hash_start_frame(shot: Shot) -> dict[str, str]:
+    """Return a hash of the frame that the scene starts from, as an input of the new cache. Empty if the scene starts with its
+    crowd."""
+    folder, start = find_start_cache(shot), shot.scene.model.start
+    if folder is None or start is None:
+        return {}
+    hashed = hashlib.blake2b(digest_size=16)
+    try:
+        handle = shot.scene.roots.open_file(make_checkpoint_path(Path(start.cache), start.frame).as_posix())
+    except PathRefused as refused:
+        if refused.code == "no-such-file":
+            raise _make_missing_error(shot, folder) from None
+        raise _make_error(shot, refused.code, str(refused), "cache", refused.help) from None
+    try:
+        for block in read_blocks(handle, MAX_FILE_BYTES):
+            hashed.update(block)
+    except OSError:
+        raise _make_missing_error(shot, folder) from None
+    finally:
+        os.close(handle)
+    return {"from": hashed.hexdigest()}
+
+
+def start_from_cache(shot: Shot, world: World) -> None:
+    """Restore the world from the other cache, as the first frame of this scene. Raises StartError if that is not possible."""
+    folder, start = find_start_cache(shot), shot.scene.model.start
+    if folder is None or start is None:
+        return
+    try:
+        cache = open_cache(folder)
+        arrays = cache.read_checkpoint(start.frame)
+    except ManifestError as why:
+        raise _make_error(shot, "no-such-file", str(why), "cache", "name the folder of a cache below the scene's own") from None
+    except CacheError:
+        raise _make_missing_error(shot, folder) from None
+    source_origin = np.array(cache.manifest.origin) * UNIT_MM[cache.manifest.units]
+    if "origin" in cache.manifest.model_fields_set and (source_origin != world.origin).any():  # older caches do not say it
+        a, b = (" ".join(f"{x / 1000:.15g}" for x in each) for each in (source_origin, world.origin))
+        words = f"the world of `{start.cache}` has its origin at {a} m, and this scene's world at {b} m"
+        raise _make_error(shot, "wrong-value", words, "cache", "give the surfaces the same meshes at the same places")
+    first, params = world.frame, dict(world.params)
+    try:
+        restore_checkpoint(world, select_by_prefix(arrays, "world."))
+    except CheckpointError as why:
+        words = f"frame {start.frame} of `{start.cache}` belongs to different programs: {why}"
+        raise _make_error(shot, "wrong-value", words, "cache", "begin with a cache of the same programs") from None
+    shift = first - world.frame
+    world.frame = first
+    pose_world(world, first)
+    world.params = params
+    world.transitions.clear()
+    world.motion.reset()
+    world.motion.begin(world)
+    world.faults.count = 0
+    for population in world.populations.values():
+        population.born = population.born + shift
+        footed = world.ground.position(population.footing)
+        if len(footed) and np.abs(footed - population.position).max() > _COINCIDENT_DISTANCE_MM:
+            words = f"the agents of `{start.cache}` stand on different meshes than this scene's"
+            raise _make_error(shot, "wrong-value", words, "cache", "give the surfaces the same meshes, in the same order")
+
+
+def _make_missing_error(shot: Shot, folder: Path) -> StartError:
+    start = shot.scene.model.start
+    assert start is not None
+    try:
+        checkpoints = open_cache(folder).checkpoints()
+    except ManifestError as why:
+        return _make_error(shot, "no-such-file", str(why), "cache", "name the folder of a cache below the scene's own")
+    near = sorted(checkpoints, key=lambda frame: abs(frame - start.frame))[:3]
+    help = "write one of " + ", ".join(map(str, sorted(near))) if near else "run the other scene first"
+    return _make_error(shot, "no-such-file", f"`{start.cache}` has no intact checkpoint at frame {start.frame}", "frame", help)
+
+
+def _make_error(shot: Shot, code: str, message: str, key: str, help: str | None) -> StartError:
+    report = Report()
+    report.error(code, message, shot.scene.span("from", key), help)
+    return StartError(report)

@@ -1,0 +1,89 @@
+"""Section views: geometry beyond a plane is left out, so that the inside of solids is visible."""
+
+from __future__ import annotations
+
+import re
+from copy import deepcopy
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.ground.solid import Volume
+from antdsl.ground.solid.bricks import BRICK_NODES, BRICK_SIDE_NODES
+from antdsl.outputs.pictures.model import Picture, Solid
+from antdsl.scene.quantities import QuantityError, parse_number
+
+_SECTION_COLOUR = (0.33, 0.24, 0.17)  # display values of cut soil
+_PLANE = re.compile(r"\s*([xyz])\s*([<>])(.*)", re.DOTALL)
+
+
+@dataclass(frozen=True, slots=True)
+class CutPlane:
+    """A plane across an axis. Points with a coordinate above `at` (scene units) are cut away, or below `at` if `cuts_below`."""
+
+    axis: int
+    at: float
+    cuts_below: bool
+
+    @staticmethod
+    def of(text: str) -> CutPlane | None:
+        """Return the plane of a text such as `z > 0`; None for any other text."""
+        match = _PLANE.fullmatch(text)
+        try:
+            return None if match is None else CutPlane("xyz".index(match[1]), parse_number(match[3]), match[2] == "<")
+        except QuantityError:
+            return None
+
+    def is_cut_away(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Return whether each point [n, 3] is cut away."""
+        along = points[:, self.axis]
+        return along < self.at if self.cuts_below else along > self.at
+
+    def compute_section_colours(self, points: NDArray[np.float64], max_distance: float) -> NDArray[np.float64]:
+        """Return colours [n, 3] of a solid's vertices: dark within `max_distance` of the plane, so that cavities are visible, NaN
+        elsewhere."""
+        colour = np.full((len(points), 3), np.nan)
+        colour[np.abs(points[:, self.axis] - self.at) < max_distance] = _SECTION_COLOUR
+        return colour
+
+    def cut_volume(self, volume: Volume, offset: NDArray[np.float64], scale: float) -> Volume:
+        """Return a copy of a volume without the part beyond the plane.
+
+        Each distance becomes max(distance, depth beyond the plane). `offset`: position of the volume in mm; `scale`: scene units
+        per mm."""
+        copied = deepcopy(volume)
+        bricks = copied.bricks
+        nodes = bricks.origin[self.axis] + np.arange(bricks.nodes[self.axis]) * bricks.voxel
+        depth = (nodes + offset[self.axis]) * scale - self.at
+        depth = (-depth if self.cuts_below else depth) / scale
+        low = depth.reshape(-1, BRICK_SIDE_NODES).max(axis=1) > bricks.min_distance  # slices of bricks that the plane changes
+        index = np.unravel_index(np.arange(bricks.table.size), bricks.shape)[self.axis]
+        changed = np.flatnonzero(low[index] & (bricks.table != 0))
+        bricks.prepare_bricks(changed)
+        pool = bricks.values.reshape(-1, BRICK_NODES)
+        shape = [1, 1, 1, 1]
+        shape[self.axis + 1] = BRICK_SIDE_NODES
+        cut = np.minimum(depth.reshape(-1, BRICK_SIDE_NODES)[index[changed]].astype(np.float32), np.float32(bricks.max_distance))
+        slots = bricks.table[changed]
+        spread = cut.reshape([len(changed), *shape[1:]])
+        pool[slots] = np.maximum(pool[slots].reshape(-1, BRICK_SIDE_NODES, BRICK_SIDE_NODES, BRICK_SIDE_NODES), spread).reshape(
+            -1, BRICK_NODES
+        )
+        return copied
+
+    def cut_picture(self, picture: Picture) -> Picture:
+        """Return a picture without the agents, items, scent and mesh faces that the plane removes. Solids must be cut already."""
+        return replace(
+            picture,
+            solids=tuple(self._cut_mesh(solid) for solid in picture.solids),
+            crowds=tuple(crowd.select_rows(~self.is_cut_away(crowd.position)) for crowd in picture.crowds),
+            items=tuple(item for item in picture.items if not self.is_cut_away(np.array([item.position]))[0]),
+            trails=tuple(replace(t, strength=np.where(self.is_cut_away(t.position), 0.0, t.strength)) for t in picture.trails),
+        )
+
+    def _cut_mesh(self, solid: Solid) -> Solid:
+        """Return a mesh without the faces of which all corners are cut away."""
+        is_removed = self.is_cut_away(solid.vertices)
+        is_visible = ~is_removed[solid.faces].all(axis=1)
+        return solid if is_visible.all() else replace(solid, faces=solid.faces[is_visible])

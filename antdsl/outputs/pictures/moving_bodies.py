@@ -1,0 +1,360 @@
+"""Everything that moves in a frame, as one ray scene: the posed body of each agent, and each item at its size."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.bodies.body import build_orientations, build_rotation_matrices, compute_vertex_normals
+from antdsl.bodies.posed_body import PosedBody
+from antdsl.bodies.shapes import build_item_mesh
+from antdsl.casting.picture_rays import PictureRays
+from antdsl.numerics.records import take_rows
+from antdsl.outputs.pictures import surface_materials
+from antdsl.outputs.pictures.camera import CameraView
+from antdsl.outputs.pictures.light import SunLight, decode_srgb
+from antdsl.outputs.pictures.model import Crowd, Item, Picture
+from antdsl.outputs.pictures.shading_rows import Floats
+from antdsl.outputs.pictures.static_setting import StaticSetting
+
+Array = NDArray[np.float64]
+
+CLOSE_BODY_PIXELS = 60.0  # pixels of body length from which the close-up body is worth its triangles
+DISTANT_BODY_PIXELS = 18.0  # pixels below which a few triangles are enough
+MAX_CLOSE_BODIES = 1200  # most bodies drawn as close-ups, the largest first
+MAX_SHUTTER_TIMES = 12
+METAL_GLOSS, LIGHT_GLOSS = 1.5, -1.0  # in place of gloss
+MAX_CLOSE_TRIANGLES = 1_000_000  # of close-up bodies of a species' own
+_SHADOW_MAP_CELLS = 2048  # along each side of the map of shadows
+_TINY_BODY_PIXELS = 4.0  # pixels below which a body may be missed by rays through pixel centres
+_STEEP_SLOPE_SHARE = 0.8  # of a pile's slope: what is steeper beside it is a stone or a wall
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ActorMesh:
+    """One or more bodies at one time, as one mesh.
+
+    `vertices` (n, 3), `faces` (m, 3).
+    `normal` (n, 3), `colour` (n, 3) in linear values.
+    `gloss` (n,): 0 (dull) to 1. METAL_GLOSS, above 1, means metal. LIGHT_GLOSS, below 0, means a light source."""
+
+    vertices: Array
+    faces: NDArray[np.int32]
+    normal: Floats
+    colour: Floats
+    gloss: Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BodyMesh:
+    """A number b of bodies of one shape with v vertices each.
+
+    `local_vertices` float32 (b, v, 3): rotated vertices, relative to the position, at the picture's frame.
+    `positions` (b, 3): positions.
+    `next_frame`: `local_vertices` and `positions` at the next frame; None for static bodies.
+    `faces`: those of all bodies; `normal`, `colour`, `gloss`: per vertex."""
+
+    local_vertices: Floats
+    positions: Array
+    next_frame: tuple[Floats, Array] | None
+    faces: NDArray[np.int32]
+    normal: Floats
+    colour: Floats
+    gloss: Floats
+
+    def at(self, time_offset: float) -> Array:
+        """Return vertices (b, v, 3) at `time_offset` frames later. Each vertex moves in a straight line."""
+        if self.next_frame is None or time_offset == 0:
+            return self.local_vertices + self.positions[:, None]
+        local = self.local_vertices + (self.next_frame[0] - self.local_vertices) * np.float32(time_offset)
+        return np.asarray(local + (self.positions + (self.next_frame[1] - self.positions) * time_offset)[:, None])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SceneActors:
+    """Everything that moves in a frame.
+
+    `rays`: the ray scenes at one or more times while the shutter is open.
+    `mesh`: the bodies at the middle of these times.
+    `near_pixels` bool (h · w,): pixels in which a body may be visible.
+    `tiny_body_pixels` bool (h · w,): pixels with a body so small that rays through pixel centres may miss it.
+    `shadow_reach`: the greatest distance in world units at which shadows are searched.
+    `contact_reach`: the distance in world units within which a body darkens the ground.
+    `soft_edge_reach`: the greatest distance in world units for which the softness of shadow edges is computed.
+    `boxes`: lowest and highest corners (b, 3) of the bodies while the shutter is open."""
+
+    rays: tuple[PictureRays, ...]
+    mesh: ActorMesh
+    near_pixels: NDArray[np.bool_]
+    tiny_body_pixels: NDArray[np.bool_]
+    shadow_reach: float
+    contact_reach: float
+    soft_edge_reach: float
+    boxes: tuple[Array, Array]
+
+    def find_shadable_points(self, points: Floats, sun: SunLight, reaches: Sequence[float]) -> list[NDArray[np.bool_]]:
+        """Return, for each of `reaches`, whether each point (n, 3) may be in the shadow of a box.
+
+        The box is enlarged by the reach on all sides. Points and boxes are projected along the sun's direction onto a map."""
+        low, high = self.boxes
+        if not len(low):
+            return [np.zeros(len(points), np.bool_) for _ in reaches]
+        across = np.stack([sun.first_axis, sun.second_axis], axis=1).astype(np.float64)
+        middle, half = (low + high) / 2 @ across, (high - low) / 2 @ np.abs(across)
+        widest = half + max(reaches)
+        least, most = (middle - widest).min(axis=0), (middle + widest).max(axis=0)
+        # One more column at each end, because of float32 rounding.
+        cell = np.maximum((most - least) / (_SHADOW_MAP_CELLS - 4), 1e-12)
+        coordinates = []
+        for axis in range(2):
+            turn = (across[:, axis] / cell[axis]).astype(np.float32)
+            at = points @ turn
+            at -= np.float32(least[axis] / cell[axis] - 2)
+            coordinates.append(np.clip(at, 0, _SHADOW_MAP_CELLS - 1).astype(np.int32))
+        cells = coordinates[1] * _SHADOW_MAP_CELLS + coordinates[0]
+        masks = []
+        for reach in reaches:
+            first = np.floor((middle - half - reach - least) / cell).astype(np.int64) + 1
+            last = np.floor((middle + half + reach - least) / cell).astype(np.int64) + 4
+            covered = _fill_rectangles(first, np.minimum(last, _SHADOW_MAP_CELLS), _SHADOW_MAP_CELLS, _SHADOW_MAP_CELLS)
+            covered[:, [0, -1]] = covered[[0, -1]] = False  # what lies outside of the map
+            masks.append(covered.reshape(-1)[cells])
+        return masks
+
+
+def make_actors(
+    picture: Picture,
+    view: CameraView,
+    least: float = 0.0,
+    ground: StaticSetting | None = None,
+    blur: float = 0.0,
+    enlarged: float = 3.0,
+) -> SceneActors:
+    """Return the moving part of `picture`, without invisible agents.
+
+    Large agents in `view` use close-up bodies, and agents of a few pixels use few triangles.
+    `least`: shorter bodies are enlarged to this length in pixels, by a factor of at most `enlarged`.
+    `ground`: loose soil is fitted to it.
+    `blur`: the share of a frame for which the shutter is open."""
+    parts: list[BodyMesh] = []
+    longest = 0.0
+    for crowd in picture.crowds:
+        if len(crowd.position):
+            parts += _pose_crowd(crowd, view, least, enlarged)
+            longest = max(longest, float(np.max(crowd.scale)))
+    for item in picture.items:
+        if item.shape != "none" and item.remaining_share > 0 and item.radius > 0:
+            solid = make_item_mesh(item, picture.up, ground)
+            place = np.asarray([item.position], np.float64)
+            local = (solid.vertices - place).astype(np.float32)[None]
+            parts.append(BodyMesh(local, place, None, solid.faces, solid.normal, solid.colour, solid.gloss))
+    widest = max((item.radius for item in picture.items), default=0.0)
+    moments = _choose_shutter_times(parts, view, blur)
+    meshes = [_join_parts(parts, time_offset) for time_offset in moments]
+    boxes = _compute_boxes(parts, blur)
+    rays = tuple(PictureRays(mesh.vertices, mesh.faces) for mesh in meshes)
+    mesh = meshes[len(meshes) // 2]
+    tall, size = max(20 * longest, 8 * widest), max(longest, 0.3 * widest) if parts else 0.0
+    throw = 20 * longest if longest > 0 else tall
+    return SceneActors(rays, mesh, *_find_covered_pixels(boxes, view), tall, size, throw, boxes)
+
+
+def _choose_shutter_times(parts: list[BodyMesh], view: CameraView, blur: float) -> list[float]:
+    """Return the times at which the open shutter is sampled, in frames after the picture's frame.
+
+    There is about one time per 1.5 pixels of the longest motion."""
+    if blur <= 0:
+        return [0.0]
+    longest = 0.0
+    for part in parts:
+        if part.next_frame is not None and part.local_vertices.size:
+            ends = [part.at(time_offset)[:, ::7].reshape(-1, 3) for time_offset in (0.0, blur)]
+            (a, first), (b, last) = (view.project(end) for end in ends)
+            displacement = np.linalg.norm(b - a, axis=1)[(first > 0) & (last > 0)]
+            longest = max(longest, float(np.quantile(displacement, 0.99)) if len(displacement) else 0.0)
+    count = int(np.clip(np.ceil(longest / 1.5), 1, MAX_SHUTTER_TIMES))
+    return [blur * (k + 0.5) / count for k in range(count)]
+
+
+def _join_parts(parts: list[BodyMesh], time_offset: float) -> ActorMesh:
+    if not parts:
+        none = np.zeros((0, 3), np.float32)
+        return ActorMesh(none.astype(np.float64), np.zeros((0, 3), np.int32), none, none, none[:, 0])
+    points = [part.at(time_offset).reshape(-1, 3) for part in parts]
+    starts = np.cumsum([0] + [len(each) for each in points])
+    return ActorMesh(
+        np.concatenate(points),
+        np.concatenate([part.faces + np.int32(start) for part, start in zip(parts, starts[:-1], strict=True)]),
+        np.concatenate([part.normal for part in parts]),
+        np.concatenate([part.colour for part in parts]),
+        np.concatenate([part.gloss for part in parts]),
+    )
+
+
+def _compute_boxes(parts: list[BodyMesh], blur: float) -> tuple[Array, Array]:
+    """Return the axis-aligned boxes of all bodies while the shutter is open: lowest and highest corners (b, 3)."""
+    corners: list[tuple[Array, Array]] = [(np.zeros((0, 3)), np.zeros((0, 3)))]
+    for part in parts:
+        low, high = part.local_vertices.min(axis=1) + part.positions, part.local_vertices.max(axis=1) + part.positions
+        if part.next_frame is not None and blur > 0:
+            end = part.at(blur)
+            low, high = np.minimum(low, end.min(axis=1)), np.maximum(high, end.max(axis=1))
+        corners.append((low, high))
+    lows, highs = zip(*corners, strict=True)
+    return np.concatenate(lows), np.concatenate(highs)
+
+
+def _find_covered_pixels(boxes: tuple[Array, Array], view: CameraView) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return the pixels (h · w,) in which a box may be visible.
+
+    The second result has only the boxes of a few pixels, which rays through pixel centres may miss."""
+    high, wide = view.height, view.width
+    corners = np.stack([[boxes[bit >> axis & 1][:, axis] for axis in range(3)] for bit in range(8)])  # (8, 3, b)
+    pixels, ahead = view.project(np.moveaxis(corners, 2, 0).reshape(-1, 3))
+    pixels, ahead = pixels.reshape(-1, 8, 2), ahead.reshape(-1, 8)
+    low, high_ = pixels.min(axis=1), pixels.max(axis=1)
+    # What reaches behind the camera may be anywhere.
+    around = (ahead <= 0).any(axis=1) & (ahead > 0).any(axis=1)
+    low[around], high_[around] = -1, max(high, wide) + 1
+    is_ahead = (ahead > 0).any(axis=1)
+    few = is_ahead & ((high_ - low).max(axis=1) < _TINY_BODY_PIXELS)
+
+    def covered(which: NDArray[np.bool_], margin: float) -> NDArray[np.bool_]:
+        first = np.clip(np.floor(low[which] - margin), 0, (wide, high)).astype(np.int64)
+        last = np.clip(np.ceil(high_[which] + margin) + (margin > 0), 0, (wide, high)).astype(np.int64)
+        return _fill_rectangles(first, last, wide, high).reshape(-1)
+
+    return covered(np.asarray(is_ahead), 2.0), covered(np.asarray(few), 0.0)
+
+
+def _fill_rectangles(first: NDArray[np.int64], last: NDArray[np.int64], column_count: int, row_count: int) -> NDArray[np.bool_]:
+    """Return whether each cell (high, wide) of a grid lies in one of n rectangles.
+
+    `first`, `last` (n, 2): column and row of the first cell, and of the cell after the last one."""
+    count = np.zeros((row_count + 1, column_count + 1), np.int32)
+    for x, y, sign in ((first, first, 1), (last, last, 1), (first, last, -1), (last, first, -1)):
+        np.add.at(count, (y[:, 1], x[:, 0]), sign)
+    return np.asarray(count.cumsum(axis=0).cumsum(axis=1)[:-1, :-1] > 0)
+
+
+def _pose_crowd(crowd: Crowd, view: CameraView, least: float, enlarged: float) -> list[BodyMesh]:
+    """Return the posed bodies of a crowd: close-up, normal and distant bodies by their size in the picture."""
+    scale = np.asarray(crowd.scale, np.float64)
+    finite = np.isfinite(crowd.position).all(axis=1) & np.isfinite(crowd.orient).all(axis=1) & np.isfinite(scale) & (scale > 0)
+    position = np.where(finite[:, None], crowd.position, 0.0)
+    scale = np.where(finite, scale, 1.0)
+    depth = view.project(position)[1]
+    # What is a little outside still throws its shadow into the picture.
+    is_visible = finite & (depth > -20 * scale) & _is_in_sight(position, depth, 20 * scale, view)
+    near = np.maximum(view.compute_distances(position), 1e-9)
+    pixels = scale / view.compute_pixel_size(near)
+    large = np.flatnonzero(is_visible & (pixels >= CLOSE_BODY_PIXELS))
+    most = min(MAX_CLOSE_BODIES, MAX_CLOSE_TRIANGLES // max(1, len(crowd.body.fine.faces))) if len(large) else 0
+    close = np.sort(large[np.argsort(-pixels[large], kind="stable")[:most]])
+    sizes = np.minimum(np.maximum(scale, least * view.compute_pixel_size(near)), enlarged * scale)
+    tiny = is_visible & (sizes < DISTANT_BODY_PIXELS * view.compute_pixel_size(near))
+    far = np.setdiff1d(np.flatnonzero(is_visible & ~tiny), close)
+    # Of a body a few pixels long the parts with colours of their own would hide the state's.
+    plain = np.where(pixels < CLOSE_BODY_PIXELS, np.clip(1 - pixels / CLOSE_BODY_PIXELS, 0.0, 1.0) ** 2, 0.0)
+    levels = (("fine", close), ("coarse", far), ("distant", np.setdiff1d(np.flatnonzero(tiny), close)))
+    bodies = [(getattr(crowd.body, level), rows) for level, rows in levels if len(rows)]
+    return [_pose_bodies(crowd, body, rows, sizes, plain) for body, rows in bodies if len(body.faces)]
+
+
+def _pose_bodies(crowd: Crowd, body: PosedBody, rows: NDArray[np.int64], size: Array, plain: Array) -> BodyMesh:
+    """Return the bodies of some agents (`rows`), posed by the clips that they play.
+
+    `size` (n,): the drawn length of each agent of the crowd.
+    `plain` (n,): the share by which coloured parts also take the agent's colour."""
+    turn, long = _make_rotations(crowd, rows), size[rows].astype(np.float32)[:, None, None]
+    local, normal = crowd.pose_vertices(body, rows)
+    then = None
+    if crowd.next_crowd is not None:
+        later, _ = crowd.next_crowd.pose_vertices(body, rows)
+        then = (
+            np.matmul(later * long, _make_rotations(crowd.next_crowd, rows)),
+            np.asarray(crowd.next_crowd.position, np.float64)[rows],
+        )
+    bright = decode_srgb(np.nan_to_num(np.asarray(crowd.colour, np.float32)[rows]))[:, None, :]
+    tint = body.tint_weights[None, :, None]
+    tint = tint + (1 - tint) * (0.6 * plain[rows].astype(np.float32))[:, None, None]
+    colour = bright * tint + body.compute_colours(take_rows(crowd.driven, rows)) * (1 - tint)
+    place = np.asarray(crowd.position, np.float64)[rows]
+    return _make_part(np.matmul(local * long, turn), place, then, body.faces, np.matmul(normal, turn), colour, 0.5)
+
+
+def _make_rotations(crowd: Crowd, rows: NDArray[np.int64]) -> Floats:
+    """Return matrices (n, 3, 3) that rotate vertices, as row vectors, to the agents' orientations."""
+    return np.swapaxes(build_rotation_matrices(np.asarray(crowd.orient, np.float64)[rows]).astype(np.float32), 1, 2)
+
+
+def _make_part(
+    local: Floats,
+    positions: Array,
+    next_frame: tuple[Floats, Array] | None,
+    faces: NDArray[np.int32],
+    normal: Floats,
+    colour: Floats,
+    gloss: float,
+) -> BodyMesh:
+    """Return a `BodyMesh` of bodies that share `faces`, with one gloss for all vertices."""
+    bodies, own = local.shape[:2]
+    every = (faces[None] + (np.arange(bodies, dtype=np.int32) * own)[:, None, None]).reshape(-1, 3)
+    shine = np.full(bodies * own, gloss, np.float32)
+    return BodyMesh(
+        local, positions, next_frame, every, normal.reshape(-1, 3), np.ascontiguousarray(colour).reshape(-1, 3), shine
+    )
+
+
+def _is_in_sight(points: Array, depth: Array, margin: Array, view: CameraView) -> NDArray[np.bool_]:
+    """Return whether a ball of radius `margin` around each point intersects the view pyramid."""
+    offset = points - view.eye
+    inside = np.ones(len(points), np.bool_)
+    if view.is_parallel:
+        depth = np.ones(len(points))
+    for axis, half in ((view.right_axis, view.half_extent[0]), (view.up_axis, view.half_extent[1])):
+        inside &= np.abs(offset @ axis) - depth * half <= margin * float(np.hypot(1.0, half))
+    return inside
+
+
+def make_item_mesh(item: Item, up: tuple[float, float, float], ground: StaticSetting | None = None) -> ActorMesh:
+    """Return an item's body at its position and remaining size. `ground`: loose soil is fitted to it."""
+    vertices, faces, colour = build_item_mesh(item.shape)
+    size = item.radius * min(max(item.remaining_share, 0.0), 1.0) ** (1 / 3)
+    upward = np.array([up]) / np.linalg.norm(up)
+    turn = build_rotation_matrices(build_orientations(np.array([[0.83, 0.31, 0.46]]), upward))[0]
+    points = (vertices * size) @ turn.T + np.asarray(item.position, np.float64)
+    if item.shape == "mound" and ground is not None:
+        points += _find_ground_heights(points, np.asarray(item.position, np.float64), upward[0], size, ground)[:, None] * upward
+    shade, gloss = _find_item_material(item, decode_srgb(colour))
+    return ActorMesh(points, faces, compute_vertex_normals(points, faces), shade, np.full(len(points), gloss, np.float32))
+
+
+def _find_item_material(item: Item, colour: Floats) -> tuple[Floats, float]:
+    """Return linear colours (n, 3) and the gloss of an item, by its look."""
+    if item.look is None:
+        return colour, 0.0 if item.shape == "mound" else 0.5
+    plain, gloss = {
+        "metal": (surface_materials.STEEL_COLOUR, METAL_GLOSS),
+        "soil": (decode_srgb((0.55, 0.42, 0.30)), 0.0),
+        "leaf": (surface_materials.LEAF_COLOUR, 0.4),
+        "light": (surface_materials.LIGHT_COLOUR, LIGHT_GLOSS),
+    }[item.look]
+    return np.broadcast_to(plain, colour.shape), gloss
+
+
+def _find_ground_heights(points: Array, base_point: Array, up: Array, size: float, ground: StaticSetting) -> Array:
+    """Return the height (n,) of the ground below each point, relative to `base_point`, limited in slope. So a mound follows
+    uneven ground.
+
+    Ground on which no soil can lie counts as height 0, and so does ground further below than `size`."""
+    away = points - base_point
+    level = points - (away @ up)[:, None] * up
+    start = level + size * up
+    hits = ground.rays.find_first_hits(start, np.broadcast_to((-up).astype(np.float32), start.shape))
+    down = np.where(np.isin(ground.kind[hits.face], surface_materials.TRAIL_KINDS), hits.t, np.inf)  # soil is heaped on no stone
+    flat = np.linalg.norm(level - base_point, axis=1)
+    return np.clip(
+        np.where(down <= 2 * size, size - np.minimum(down, 2 * size), 0.0), -_STEEP_SLOPE_SHARE * flat, _STEEP_SLOPE_SHARE * flat
+    )

@@ -1,0 +1,346 @@
+"""Colour and grain of static surfaces: soil, rock, the cut edge of the ground, and the table below it.
+
+Soil and stone are made of solid noise from small tables: smooth values with their gradient, and packed grains."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.outputs.pictures.light import SunLight, compute_environment_light, decode_srgb
+from antdsl.outputs.pictures.shading_rows import Floats, compute_dot_products, normalise_rows
+
+# Turned, so that no plane across an axis of the world runs along the lattice.
+_PATTERN_ROTATION = np.array([[0.36, 0.48, -0.80], [-0.80, 0.60, 0.0], [0.48, 0.64, 0.60]], np.float32)
+_PATTERN_PERIOD = 32  # the pattern repeats after this many wavelengths
+SURFACE_KINDS = ("ground", "stone", "boulder", "hill", "table", "edge", "grain", "figure", "metal", "leaf", "light")
+(
+    GROUND_KIND,
+    STONE_KIND,
+    BOULDER_KIND,
+    HILL_KIND,
+    TABLE_KIND,
+    EDGE_KIND,
+    GRAIN_KIND,
+    FIGURE_KIND,
+    METAL_KIND,
+    LEAF_KIND,
+    LIGHT_KIND,
+) = range(len(SURFACE_KINDS))
+TRAIL_KINDS = (GROUND_KIND, BOULDER_KIND, HILL_KIND, FIGURE_KIND, METAL_KIND, LEAF_KIND)  # where a field's colour may lie
+
+SOIL_COLOUR = decode_srgb((0.68, 0.60, 0.48))
+_DRY_SOIL_COLOUR = decode_srgb((0.755, 0.70, 0.59))
+_MOSS_COLOUR = decode_srgb((0.56, 0.585, 0.42))
+_ROCK_COLOUR = decode_srgb((0.50, 0.465, 0.42))
+_STONE_COLOURS = decode_srgb(np.array([(0.57, 0.565, 0.56), (0.50, 0.515, 0.54), (0.64, 0.60, 0.55)]))
+_BOULDER_COLOUR = decode_srgb((0.60, 0.575, 0.545))
+_LICHEN_COLOUR = decode_srgb((0.70, 0.70, 0.58))
+_HILL_COLOUR = decode_srgb((0.55, 0.42, 0.30))
+_EARTH_COLOUR = decode_srgb((0.42, 0.33, 0.25))
+_CLAY_COLOUR = decode_srgb((0.78, 0.70, 0.61))
+_PALE_CLAY_COLOUR = decode_srgb((0.84, 0.775, 0.69))
+_TABLE_COLOUR = decode_srgb((0.80, 0.80, 0.79))
+STEEL_COLOUR, LEAF_COLOUR, LIGHT_COLOUR = (
+    decode_srgb((0.70, 0.71, 0.73)),
+    decode_srgb((0.33, 0.50, 0.17)),
+    decode_srgb((1.0, 0.93, 0.78)),
+)
+_LEAF_VEIN_COLOUR = decode_srgb((0.52, 0.64, 0.30))
+_QUARTZ_COLOUR, _BASALT_COLOUR = decode_srgb((0.86, 0.82, 0.74)), decode_srgb((0.40, 0.36, 0.32))
+_GRAINY_KINDS = (GROUND_KIND, HILL_KIND, EDGE_KIND)  # kinds of surfaces made of grains
+LIGHT_BRIGHTNESS = 2.6  # of a light: several times what the sun makes of white
+
+
+@dataclass(frozen=True, slots=True)
+class PictureScales:
+    """Reference lengths in world units. `extent`: the diagonal of the complete set; `grain`: about one body length."""
+
+    extent: float
+    grain: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SurfaceMaterial:
+    """The material of n samples of static surfaces: linear `albedo` (n, 3), and the `normal` (n, 3) including grain."""
+
+    albedo: Floats
+    normal: Floats
+
+
+def make_surface_material(
+    kind: NDArray[np.uint8],
+    points: Floats,
+    normal: Floats,
+    up: Floats,
+    pixel_width: Floats,
+    scales: PictureScales,
+    vertex_colours: Floats,
+) -> SurfaceMaterial:
+    """Return the material of n samples.
+
+    `kind` (n,): index in SURFACE_KINDS.
+    `points`, `normal` (n, 3): positions and smooth normals.
+    `pixel_width` (n,): width of a pixel at the sample, in world units.
+    `vertex_colours` (n, 4): the mesh's own colour, and its weight (0 or 1)."""
+    upness = normal @ up
+    large, _ = compute_value_noise(points, scales.extent / 9, 1)
+    patch, _ = compute_value_noise(points, scales.extent / 34, 2)
+    albedo = np.empty_like(points)
+    for code in np.unique(kind):
+        rows = np.flatnonzero(kind == code)
+        albedo[rows] = _COLOUR_FUNCTIONS[int(code)](points[rows], upness[rows], large[rows], patch[rows], up, scales)
+    own = np.flatnonzero(vertex_colours[:, 3] > 0)
+    albedo[own] += (vertex_colours[own, :3] - albedo[own]) * vertex_colours[own, 3:]
+    return _add_grain(albedo, normal, kind, points, pixel_width, scales)
+
+
+def make_soil_material(
+    albedo: Floats, normal: Floats, points: Floats, pixel_width: Floats, scales: PictureScales
+) -> SurfaceMaterial:
+    """Return the material of loose soil with the colour `albedo` (n, 3), including its grain."""
+    return _add_grain(albedo, normal, np.full(len(points), HILL_KIND, np.uint8), points, pixel_width, scales)
+
+
+def _add_grain(
+    albedo: Floats, normal: Floats, kind: NDArray[np.uint8], points: Floats, pixel: Floats, scales: PictureScales
+) -> SurfaceMaterial:
+    """Add bumps and specks to a surface. Each size is added only where pixels are small enough to show it."""
+    rough = np.array([1.0, 0.8, 0.9, 1.2, 0.0, 0.9, 0.8, 0.45, 0.05, 0.25, 0.0], np.float32)[kind]
+    for wavelength, height, speck, seed in (
+        (2.4, 0.30, 0.10, 5),
+        (0.6, 0.34, 0.14, 6),
+        (0.14, 0.40, 0.22, 7),
+        (0.04, 0.42, 0.34, 8),
+        (0.012, 0.42, 0.30, 11),
+    ):
+        length = wavelength * scales.grain
+        visibility = np.clip(length / pixel * 0.4 - 0.5, 0.0, 1.0) * rough
+        rows = np.flatnonzero(visibility > 0.01)
+        if not len(rows):
+            continue
+        value, slope = compute_value_noise(points[rows], length, seed)
+        own = normal[rows]
+        slope -= own * compute_dot_products(slope, own)[:, None]
+        normal[rows] = own - slope * (visibility[rows] * np.float32(height * length * 0.5))[:, None]
+        albedo[rows] *= (1 + visibility[rows] * value * np.float32(speck))[:, None]
+    _add_sand(albedo, normal, kind, points, pixel, scales)
+    return SurfaceMaterial(albedo, normalise_rows(normal))
+
+
+def _add_sand(
+    albedo: Floats, normal: Floats, kind: NDArray[np.uint8], points: Floats, pixel: Floats, scales: PictureScales
+) -> None:
+    """Add grains of sand to soil, coarse ones in patches. Each size is added only where pixels resolve single grains."""
+    loose = np.flatnonzero(np.isin(kind, _GRAINY_KINDS))
+    for size, share, seed in ((0.11, 0.16, 21), (0.042, 0.42, 22), (0.016, 0.85, 23), (0.006, 1.0, 24)):
+        length = size * scales.grain
+        visibility = np.clip(length / pixel[loose] * 0.5 - 0.8, 0.0, 1.0)
+        visible_rows = np.flatnonzero(visibility > 0.01)
+        if not len(visible_rows):
+            continue
+        rows, visibility = loose[visible_rows], visibility[visible_rows]
+        if share < 1:
+            patch, _ = compute_value_noise(points[rows], 9 * length, seed + 10)
+            visibility = visibility * np.clip((patch + 2 * np.float32(share) - 1) * 2 + 0.5, 0.0, 1.0)
+            patch_rows = np.flatnonzero(visibility > 0.01)
+            rows, visibility = rows[patch_rows], visibility[patch_rows]
+        out, offset, tone = compute_grain_noise(points[rows], length, seed)
+        bare = normal[rows]
+        offset -= bare * compute_dot_products(offset, bare)[:, None]
+        normal[rows] = bare + offset * (visibility * np.float32(0.42) * out)[:, None]
+        light = 1 + np.float32(0.17) * tone - np.float32(0.30) * out**4
+        albedo[rows] *= (1 + visibility * (light - 1))[:, None]
+        # Some grains are quartz, some dark rock.
+        pale, dark = np.clip((tone - 0.84) * 7, 0, 1) * visibility, np.clip((-tone - 0.86) * 7, 0, 1) * visibility
+        albedo[rows] += (_QUARTZ_COLOUR - albedo[rows]) * (0.5 * pale)[:, None]
+        albedo[rows] += (_BASALT_COLOUR - albedo[rows]) * (0.5 * dark)[:, None]
+
+
+def _mix_colours(first: Floats, second: Floats, share: Floats) -> Floats:
+    mixed: Floats = first + (second - first) * np.clip(share, 0.0, 1.0)[:, None]
+    return mixed
+
+
+def _colour_ground(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: PictureScales) -> Floats:
+    colour = _mix_colours(SOIL_COLOUR, _DRY_SOIL_COLOUR, 0.5 + 0.9 * large)
+    colour = _mix_colours(colour, _MOSS_COLOUR, (0.55 * patch - 0.75 * large - 0.12) * 1.6 * np.clip(upness * 4 - 2.6, 0, 1))
+    return _mix_colours(colour, _ROCK_COLOUR, (0.86 - upness + 0.10 * patch) * 4.0)
+
+
+def _colour_stone(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: PictureScales) -> Floats:
+    tone = np.clip(1.0 + 1.2 * large, 0.0, 2.0)
+    first = _mix_colours(_STONE_COLOURS[0], _STONE_COLOURS[1], 1 - tone)
+    return _mix_colours(first, _STONE_COLOURS[2], tone - 1) * (1 + 0.12 * patch)[:, None]
+
+
+def _colour_boulder(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: PictureScales) -> Floats:
+    bands = np.sin((points @ up) * np.float32(2 * np.pi / (scales.extent / 60)) + 3 * patch)
+    colour = _BOULDER_COLOUR * (1 + 0.07 * bands + 0.08 * patch)[:, None]
+    return _mix_colours(colour, _LICHEN_COLOUR, (patch + 0.5 * large - 0.35) * 1.8 * np.clip(upness, 0, 1))
+
+
+def _colour_hill(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: PictureScales) -> Floats:
+    return _HILL_COLOUR * (1 + 0.14 * patch + 0.10 * large)[:, None]
+
+
+def _colour_table(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: PictureScales) -> Floats:
+    return np.broadcast_to(_TABLE_COLOUR, points.shape)
+
+
+def _colour_edge(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: PictureScales) -> Floats:
+    layers = np.sin((points @ up) * np.float32(2 * np.pi / (scales.extent / 70)) + 2.2 * patch + 3 * large)
+    colour: Floats = _EARTH_COLOUR * (1 + 0.16 * layers + 0.10 * patch)[:, None]
+    return colour
+
+
+def _colour_grain(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: PictureScales) -> Floats:
+    tone, _ = compute_value_noise(points, scales.grain * 0.9, 9)
+    return _mix_colours(_mix_colours(SOIL_COLOUR, _ROCK_COLOUR, 0.45 - 1.4 * tone), _DRY_SOIL_COLOUR * 1.1, 1.6 * tone)
+
+
+def _colour_figure(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: PictureScales) -> Floats:
+    return _mix_colours(_CLAY_COLOUR, _PALE_CLAY_COLOUR, 0.5 + 0.5 * large + 0.25 * patch)
+
+
+def _colour_metal(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: PictureScales) -> Floats:
+    return 0.30 * STEEL_COLOUR * (1 + 0.08 * patch)[:, None]
+
+
+def _colour_leaf(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: PictureScales) -> Floats:
+    fine, _ = compute_value_noise(points, scales.extent / 90, 12)
+    return _mix_colours(
+        LEAF_COLOUR * (1 + 0.22 * patch + 0.15 * large)[:, None], _LEAF_VEIN_COLOUR, np.clip(1 - 7 * np.abs(fine), 0, 1) * 0.6
+    )
+
+
+def _colour_light(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: PictureScales) -> Floats:
+    return np.broadcast_to(LIGHT_COLOUR, points.shape)
+
+
+_COLOUR_FUNCTIONS = (
+    _colour_ground,
+    _colour_stone,
+    _colour_boulder,
+    _colour_hill,
+    _colour_table,
+    _colour_edge,
+    _colour_grain,
+    _colour_figure,
+    _colour_metal,
+    _colour_leaf,
+    _colour_light,
+)
+
+
+def compute_glow(kind: NDArray[np.uint8], look: SurfaceMaterial, direction: Floats, sun: SunLight) -> Floats:
+    """Return the light (n, 3) that samples send to the eye in addition to scattered light, for rays along `direction`.
+
+    It consists of reflections of metal and leaves, and of emission."""
+    light = np.zeros((len(kind), 3), np.float32)
+    for code, colour, least in ((METAL_KIND, STEEL_COLOUR, 0.75), (LEAF_KIND, np.ones(3, np.float32), 0.04)):
+        rows = np.flatnonzero(kind == code)
+        if len(rows):
+            normal, ray = look.normal[rows], direction[rows]
+            light[rows] = compute_reflection(normal, ray, sun) * compute_reflected_share(normal, ray, least)[:, None] * colour
+    light[kind == LIGHT_KIND] = LIGHT_COLOUR * LIGHT_BRIGHTNESS
+    return light
+
+
+def compute_reflection(normal: Floats, direction: Floats, sun: SunLight) -> Floats:
+    """Return the reflections (n, 3) of sky and ground at surfaces with `normal` (n, 3), for rays along `direction` (n, 3)."""
+    back = np.clip(-compute_dot_products(normal, direction), 0, 1)
+    return compute_environment_light(direction + normal * (2 * back)[:, None], sun)
+
+
+def compute_reflected_share(normal: Floats, direction: Floats, min_share: float) -> Floats:
+    """Return the reflected share (n,) of light: `min_share` for perpendicular rays, 1 at a grazing angle.
+
+    Schlick, Computer Graphics Forum 13(3), 1994."""
+    return np.asarray(
+        min_share + (1 - min_share) * (1 - np.clip(-compute_dot_products(normal, direction), 0, 1)) ** 5, np.float32
+    )
+
+
+def _rotate_rows(rows: Floats, matrix: Floats) -> Floats:
+    """Return rows (n, 3) times a matrix. The product is written out: BLAS would wake threads, which cost more than the
+    product."""
+    turned = np.empty_like(rows)
+    for k in range(3):
+        turned[:, k] = rows[:, 0] * matrix[0, k] + rows[:, 1] * matrix[1, k] + rows[:, 2] * matrix[2, k]
+    return turned
+
+
+@lru_cache(maxsize=4)
+def _make_noise_table(seed: int) -> Floats:
+    values = np.random.Generator(np.random.Philox(seed)).uniform(-1.0, 1.0, _PATTERN_PERIOD**3).astype(np.float32)
+    values.setflags(write=False)
+    return values
+
+
+def compute_value_noise(points: Floats, wavelength: float, seed: int) -> tuple[Floats, Floats]:
+    """Return smooth noise at `points` (n, 3): values (n,) within −1..1 and their gradient (n, 3) per world unit.
+
+    There is about one bump per `wavelength` (world units)."""
+    table = _make_noise_table(seed)
+    scaled = _rotate_rows(points, _PATTERN_ROTATION * np.float32(1.0 / wavelength))
+    lattice = np.floor(scaled)
+    part = scaled - lattice
+    cell = lattice.astype(np.int32) & (_PATTERN_PERIOD - 1)
+    following = (cell + 1) & (_PATTERN_PERIOD - 1)
+    ease = part * part * (3 - 2 * part)
+    slope = 6 * part * (1 - part) * np.float32(1.0 / wavelength)
+    (x, y, z), (a, b, c) = ease.T, slope.T
+    x0, y0, z0 = cell[:, 0] * (_PATTERN_PERIOD * _PATTERN_PERIOD), cell[:, 1] * _PATTERN_PERIOD, cell[:, 2]
+    x1, y1, z1 = following[:, 0] * (_PATTERN_PERIOD * _PATTERN_PERIOD), following[:, 1] * _PATTERN_PERIOD, following[:, 2]
+    rows = []
+    for row in (x0 + y0, x0 + y1, x1 + y0, x1 + y1):
+        low, high = table.take(row + z0), table.take(row + z1)
+        rows.append((low + (high - low) * z, high - low))
+    (v00, d00), (v01, d01), (v10, d10), (v11, d11) = rows
+    low, high = v00 + (v01 - v00) * y, v10 + (v11 - v10) * y
+    by_y = (v01 - v00) + ((v11 - v10) - (v01 - v00)) * x
+    near, far = d00 + (d01 - d00) * y, d10 + (d11 - d10) * y
+    gradient = np.stack([(high - low) * a, by_y * b, (near + (far - near) * x) * c], axis=1)
+    return low + (high - low) * x, _rotate_rows(gradient, _PATTERN_ROTATION.T)
+
+
+@lru_cache(maxsize=4)
+def _make_grain_table(seed: int) -> Floats:
+    """Return, for each lattice cell, three coordinates of its grain and the grain's tone, within −1..1."""
+    draw = np.random.Generator(np.random.Philox(seed)).uniform(-1.0, 1.0, (_PATTERN_PERIOD**3, 4)).astype(np.float32)
+    draw.setflags(write=False)
+    return draw
+
+
+def compute_grain_noise(points: Floats, size: float, seed: int) -> tuple[Floats, Floats, Floats]:
+    """Return packed grains at `points` (n, 3), about one per `size` (Worley, SIGGRAPH 1996).
+
+    The results are, for the grain nearest to each point:
+    the distance from its centre (n,), within 0..1;
+    the vector from its centre (n, 3), of length about 1 at the rim;
+    its tone (n,), within −1..1."""
+    table = _make_grain_table(seed)
+    scaled = _rotate_rows(points, _PATTERN_ROTATION * np.float32(1.0 / size))
+    low = np.floor(scaled - np.float32(0.5))
+    cell = low.astype(np.int32)
+    inside = scaled - low
+    nearest = np.full(len(points), np.inf, np.float32)
+    nearest_offset, tone = np.zeros_like(points), np.zeros(len(points), np.float32)
+    for x in (0, 1):
+        for y in (0, 1):
+            for z in (0, 1):
+                own = ((cell[:, 0] + x) & (_PATTERN_PERIOD - 1)) * (_PATTERN_PERIOD * _PATTERN_PERIOD) + (
+                    (cell[:, 1] + y) & (_PATTERN_PERIOD - 1)
+                ) * _PATTERN_PERIOD
+                grain = table.take(own + ((cell[:, 2] + z) & (_PATTERN_PERIOD - 1)), axis=0)
+                offset = inside - np.array([x + 0.5, y + 0.5, z + 0.5], np.float32) - grain[:, :3] * np.float32(0.42)
+                square = np.einsum("nc,nc->n", offset, offset)
+                nearer = np.flatnonzero(square < nearest)
+                nearest[nearer], nearest_offset[nearer], tone[nearer] = square[nearer], offset[nearer], grain[nearer, 3]
+    return (
+        np.minimum(np.sqrt(nearest) * np.float32(1.5), 1),
+        _rotate_rows(nearest_offset, _PATTERN_ROTATION.T * np.float32(1.5)),
+        tone,
+    )

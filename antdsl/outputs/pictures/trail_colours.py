@@ -1,0 +1,158 @@
+"""Ground colours from fields. The values of cells are smoothed along the surface."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.outputs.pictures.light import decode_srgb
+from antdsl.outputs.pictures.model import Trail
+from antdsl.outputs.pictures.shading_rows import Floats, split_rows
+from antdsl.outputs.pictures.static_stage import SurfaceSamples
+from antdsl.outputs.pictures.surface_materials import SOIL_COLOUR
+
+Array = NDArray[np.float64]
+
+_MAX_VOXELS = 40_000_000
+_MAX_GROUND_COVER = 0.66  # of the ground's own colour
+_LUMINANCE_WEIGHTS = np.array([0.2126, 0.7152, 0.0722], np.float32)  # of linear sRGB
+_GRAIN_BRIGHTNESS_RANGE = (0.5, 1.6)  # times the light of soil
+
+
+class TrailVoxels:
+    """The voxels that hold a trail between the corners `low` and `high` (3,). They are created once per camera and filled in each
+    frame."""
+
+    def __init__(self, low: Array, high: Array, cell: float) -> None:
+        self.cell = cell
+        while np.prod(np.ceil((high - low) / self.cell) + 4) > _MAX_VOXELS:
+            self.cell *= 1.26
+        self.low = low - 1.5 * self.cell
+        self.shape = tuple(int(v) for v in np.ceil((high - low) / self.cell) + 4)
+        self._trail_cells: Array | None = None
+
+    def spread_trail(self, trail: Trail) -> None:
+        """Distribute a trail over the voxels. Cells are not on a lattice, so each is distributed over the eight voxels around
+        it."""
+        if self._trail_cells is not trail.position:
+            self._trail_cells = trail.position
+            self._spread = _TrilinearSpread(trail.position, self.low, self.cell, self.shape)
+            self._weight_sums = self._spread.spread_values(np.ones(len(trail.position), np.float32))
+        self._cover_sums = self._spread.spread_values(compute_ground_cover(trail))
+
+    def interpolate_cover(self, points: Floats) -> Floats:
+        """Return the share of the ground (n,), 0..1, that the trail covers at points (n, 3). Near cells have more weight."""
+        scaled = (points - self.low.astype(np.float32)) * np.float32(1 / self.cell) - np.float32(0.5)
+        corner = np.clip(np.floor(scaled), 0, np.asarray(self.shape, np.float32) - 2)
+        part = np.clip(scaled - corner, 0, 1)
+        cell = corner.astype(np.int32)
+        _, b, c = self.shape
+        first = (cell[:, 0] * b + cell[:, 1]) * c + cell[:, 2]
+        return self._interpolate(self._cover_sums, first, part) / np.maximum(
+            self._interpolate(self._weight_sums, first, part), 1e-6
+        )
+
+    def _interpolate(self, voxels: Floats, lowest_voxels: NDArray[np.int32], fractions: Floats) -> Floats:
+        """Return trilinear values of voxels. `lowest_voxels`: the lowest voxel around each point; `fractions` (n, 3): the
+        position between voxels."""
+        _, b, c = self.shape
+        x, y, z = fractions.T
+        rows = []
+        for step in (0, c, b * c, b * c + c):
+            low = voxels.take(lowest_voxels + np.int32(step))
+            rows.append(low + (voxels.take(lowest_voxels + np.int32(step + 1)) - low) * z)
+        between: Floats = (rows[0] + (rows[1] - rows[0]) * y) * (1 - x) + (rows[2] + (rows[3] - rows[2]) * y) * x
+        return between
+
+
+class FieldColours:
+    """The colours of fields on everything that one camera shows. All coloured points must be near the points of `middle`."""
+
+    def __init__(self, centre_samples: SurfaceSamples) -> None:
+        self._centre_samples, self._colourable_rows = centre_samples, centre_samples.colourable_rows
+        points = centre_samples.point[self._colourable_rows]
+        if len(points):
+            self._low, self._high = points.min(axis=0).astype(np.float64), points.max(axis=0).astype(np.float64)
+        self._voxels_by_trail: dict[tuple[str, float], TrailVoxels] = {}
+        self._trails: list[Trail] = []
+
+    def set_trails(self, trails: tuple[Trail, ...]) -> None:
+        """Set the trails of a frame."""
+        self._trails = [
+            each for each in trails if len(self._colourable_rows) and len(each.position) and (each.strength > 0).any()
+        ]
+        for trail in self._trails:
+            cloth = self._voxels_by_trail.setdefault((trail.name, trail.cell), TrailVoxels(self._low, self._high, trail.cell))
+            cloth.spread_trail(trail)
+
+    def colour_samples(self, samples: SurfaceSamples) -> Floats:
+        """Return the colours (n, 3) of samples with the trails on them."""
+        if not self._trails:
+            return samples.albedo
+        rows = self._colourable_rows if samples is self._centre_samples else samples.colourable_rows
+        colours, points = samples.albedo[rows], samples.point[rows]
+        for trail in self._trails:
+            cloth = self._voxels_by_trail[trail.name, trail.cell]
+            for own in split_rows(len(rows)):
+                colours[own] = colour_ground(colours[own], cloth.interpolate_cover(points[own]), trail)
+        albedo = samples.albedo.copy()
+        albedo[rows] = colours
+        return albedo
+
+
+class _TrilinearSpread:
+    """The positions of cells at `position` (n, 3) in the voxel grid, and the weights of the eight voxels around each cell."""
+
+    def __init__(self, position: Array, low: Array, cell: float, shape: tuple[int, ...]) -> None:
+        scaled = (np.asarray(position, np.float64) - low) / cell - 0.5
+        corner = np.floor(scaled)
+        self.inner_rows = np.flatnonzero(((corner >= 0) & (corner < np.asarray(shape) - 1)).all(axis=1))
+        part, corner = (scaled - corner)[self.inner_rows], corner[self.inner_rows].astype(np.int64)
+        _, b, c = shape
+        self.size = int(np.prod(shape))
+        self.first = (corner[:, 0] * b + corner[:, 1]) * c + corner[:, 2]
+        self.steps = [(i * b + j) * c + k for i in (0, 1) for j in (0, 1) for k in (0, 1)]
+        sides = [np.stack([1 - part[:, axis], part[:, axis]]) for axis in range(3)]
+        self.weights = [(sides[0][i] * sides[1][j] * sides[2][k]) for i in (0, 1) for j in (0, 1) for k in (0, 1)]
+
+    def spread_values(self, values: Floats) -> Floats:
+        """Return the voxels, each the weighted sum of the `values` (n,) of the cells near it."""
+        voxels = np.zeros(self.size, np.float32)
+        for step, weight in zip(self.steps, self.weights, strict=True):
+            np.add.at(voxels, self.first + step, (weight * values[self.inner_rows]).astype(np.float32))
+        return voxels
+
+
+def estimate_full_strength(strength: Array) -> float:
+    """Return the strength to draw strongest; 0 without scent. Cells of at least this strength contain 70 % of all scent.
+
+    So the extent of faint scent has little effect on it."""
+    held = np.sort(np.asarray(strength, np.float64)[np.asarray(strength) > 0])
+    return float(held[np.searchsorted(np.cumsum(held), 0.3 * held.sum())]) if len(held) else 0.0
+
+
+def choose_full_strength(trail: Trail) -> float:
+    """Return the strength of a trail that is drawn strongest."""
+    return trail.full_strength if trail.full_strength is not None else estimate_full_strength(trail.strength)
+
+
+def compute_ground_cover(trail: Trail) -> Floats:
+    """Return the share of the ground (n,) that the scent of each cell covers."""
+    return compute_cover(trail.strength, choose_full_strength(trail))
+
+
+def compute_cover(strength: Array, max_strength: float) -> Floats:
+    """Return the shares (n,) of the ground that strengths (n,) cover. `max_strength`: the strength drawn strongest.
+
+    Scent spans many powers of ten, and agents also follow faint scent. With the exponent 0.4, a thousandth of the strongest
+    covers a sixteenth."""
+    share = np.clip(np.asarray(strength, np.float64) / max(max_strength, 1e-30), 0.0, 1.0) ** 0.4
+    return np.asarray(share, np.float32)
+
+
+def colour_ground(albedo: Floats, share: Floats, trail: Trail) -> Floats:
+    """Return linear ground colours (n, 3) with the trail on them. `share` (n,): the share of the ground that the trail covers.
+
+    The strongest part replaces two thirds of the ground's colour. The trail follows the brightness of the grains below it."""
+    light = np.clip((albedo @ _LUMINANCE_WEIGHTS) / np.float32(SOIL_COLOUR @ _LUMINANCE_WEIGHTS), *_GRAIN_BRIGHTNESS_RANGE)
+    return np.asarray(
+        albedo + (decode_srgb(trail.colour) * light[:, None] - albedo) * (_MAX_GROUND_COVER * share)[:, None], np.float32
+    )

@@ -1,0 +1,16 @@
+"""Determines the senses of which the result is stored for the rest of the step."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from antdsl.plan.ir import Plan
+from antdsl.plan.traverse import find_shared_senses
+
+
+def memoise_senses(plan: Plan) -> Plan:
+    """Return the plan with `lazy` of each species recomputed. Other passes change which regions use a sense."""
+    return replace(
+        plan,
+        species={n: replace(s, memoised_senses=find_shared_senses(s.decide, s.act, s.blend)) for n, s in plan.species.items()},
+    )

@@ -1,0 +1,137 @@
+"""Detects changed contents of files by polling. So it works on every disk, however editors save
+files. A change is reported once the file has stopped changing."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from hashlib import blake2b
+from pathlib import Path
+from threading import Event
+from time import monotonic
+
+from antdsl.safe_read import FileTooLarge, open_regular_file, read_blocks
+
+_UNCHANGED_SECONDS = 0.03  # seconds that a file has to stay as it is
+_MISSING_FILE_SECONDS = 0.3  # the same for one that is not there or empty: half of a save by most editors
+_REREAD_SECONDS = 1.0  # seconds after which small files are read though nothing tells of a change: clocks of disks can be coarse
+_SMALL_FILE_BYTES = 1 << 20
+_REREAD_BYTES_PER_POLL = 1 << 20  # bytes of such files that are read in one look
+_MAX_READ_BYTES = 1 << 26  # bytes of one file that are read; a larger one is known by its date and size alone
+_UNKNOWN_HASH = b""  # no hash of any contents
+
+FileStamp = tuple[int, int, int] | None
+
+
+@dataclass(slots=True)
+class _WatchedFile:
+    stamp: FileStamp
+    contents: bytes | None  # a hash; None for a file that is not there
+    read_stamp: FileStamp  # when that was read
+    changed_time: float | None = None  # when it was found other than before; None: nothing is up
+    read_time: float = 0.0
+    is_unreported: bool = False  # not reported yet
+
+
+class FileWatch:
+    """Watches files. `paths` is called at each poll, because an edit may add files. `opened` returns a handle on a regular file,
+    or raises OSError. `clock` returns seconds.
+
+    A path that is not a regular file counts as missing until a regular file replaces it.
+    """
+
+    def __init__(
+        self,
+        list_paths: Callable[[], Iterable[Path]],
+        *,
+        open_file: Callable[[Path], int] = open_regular_file,
+        clock: Callable[[], float] = monotonic,
+    ) -> None:
+        self._list_paths, self._open_file, self._clock = list_paths, open_file, clock
+        self._files: dict[Path, _WatchedFile] = {}
+        self._remaining_bytes = 0  # bytes that may still be read in this look without a sign of change
+        self.poll()
+
+    def poll(self) -> tuple[Path, ...]:
+        """Return the files that have stopped changing and have other contents than when they were last reported or first read."""
+        now, paths, self._remaining_bytes = self._clock(), list(dict.fromkeys(self._list_paths())), _REREAD_BYTES_PER_POLL
+        changed = [path for path in paths if path in self._files and self._is_changed(path, self._files[path], now)]
+        for path in paths:
+            if path not in self._files:
+                self._files[path] = _WatchedFile(stamp := _read_stamp(path), self._hash_contents(path), stamp, read_time=now)
+        for path in set(self._files) - set(paths):
+            del self._files[path]
+        return tuple(changed)
+
+    def recheck_changing(self) -> None:
+        """Note that other code has just read the files. A file that is changing at this time counts as changed once it stops,
+        even if its contents are then the same as before."""
+        for path, file in self._files.items():
+            if _read_stamp(path) != file.read_stamp:
+                file.contents = _UNKNOWN_HASH
+
+    def is_being_written(self) -> bool:
+        """Return whether a file has changed and may still be incomplete. Each change is reported once."""
+        changed_files = [file for file in self._files.values() if file.is_unreported]
+        for file in changed_files:
+            file.is_unreported = False
+        return any(file.stamp is not None and file.stamp[1] > 0 for file in changed_files)
+
+    def wait_for_changes(self, stop: Event, interval: float = 0.02) -> Iterator[tuple[Path, ...]]:
+        """Wait for changes, and yield the changed files, until `stop` is set. `interval`: seconds between two polls."""
+        while not stop.wait(interval):
+            changed = self.poll()
+            if changed:
+                yield changed
+
+    def _is_changed(self, path: Path, watched: _WatchedFile, now: float) -> bool:
+        stamp = _read_stamp(path)
+        if stamp != watched.stamp:
+            watched.stamp, watched.changed_time, watched.is_unreported = stamp, now, True
+        elif (
+            watched.changed_time is None
+            and stamp is not None
+            and stamp[1] <= _SMALL_FILE_BYTES
+            and now - watched.read_time >= _REREAD_SECONDS
+            and self._remaining_bytes > 0
+        ):
+            watched.changed_time = now
+            self._remaining_bytes -= stamp[1]
+        if watched.changed_time is None or now - watched.changed_time < (
+            _MISSING_FILE_SECONDS if stamp is None or stamp[1] == 0 else _UNCHANGED_SECONDS
+        ):
+            return False
+        contents = self._hash_contents(path)
+        if _read_stamp(path) != stamp:  # written to while it was read
+            watched.changed_time = now
+            return False
+        watched.changed_time, watched.read_time, watched.is_unreported = None, now, False
+        other, watched.contents, watched.read_stamp = contents != watched.contents, contents, stamp
+        return other
+
+    def _hash_contents(self, path: Path) -> bytes | None:
+        """Return a hash of a regular file's content; for a large file, a hash of its stamp."""
+        hashed = blake2b(digest_size=16)
+        try:
+            handle = self._open_file(path)
+        except (OSError, ValueError):
+            return None
+        try:
+            for block in read_blocks(handle, _MAX_READ_BYTES):
+                hashed.update(block)
+        except FileTooLarge:
+            return repr(_read_stamp(path)).encode()
+        except OSError:
+            return None
+        finally:
+            os.close(handle)
+        return hashed.digest()
+
+
+def _read_stamp(path: Path) -> FileStamp:
+    try:
+        status = os.stat(path)
+    except (OSError, ValueError):
+        return None
+    return status.st_mtime_ns, status.st_size, status.st_ino

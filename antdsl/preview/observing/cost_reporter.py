@@ -1,0 +1,89 @@
+"""Sends the costs of steps to the pages that request them. Steps are measured only while such a page is connected."""
+
+from __future__ import annotations
+
+from math import inf
+from time import monotonic
+from typing import TYPE_CHECKING, Any
+
+from antdsl.preview.session import Session
+from antdsl.preview.viewing.file_names import FileNames
+from antdsl.runtime.profiling import StepProfile
+
+if TYPE_CHECKING:
+    from antdsl.preview.live import Client, Live
+    from antdsl.preview.observing.observer import PauseReason
+
+_MESSAGE_INTERVAL_SECONDS = 0.25  # seconds between two messages
+_MIN_REPORTED_MS = 5e-4  # ms a frame: a faster line is not reported
+
+
+class CostReporter:
+    """An observer that sends costs of steps. Used only by the live thread."""
+
+    def __init__(self, live: Live) -> None:
+        self._live = live
+        self._clients: set[Client] = set()
+        self._last_sent_time = -inf
+
+    def switch_client(self, client: Client, is_on: bool) -> None:
+        """Start or stop sending costs to a page, from the next step on."""
+        (self._clients.add if is_on else self._clients.discard)(client)
+        self._last_sent_time = -inf
+        self._switch_measuring(self._live.session)
+
+    def before_step(self, session: Session) -> None:
+        """Do nothing: the session's meter starts automatically."""
+
+    def after_step(self, session: Session) -> PauseReason | None:
+        """Send the costs if a page requests them and enough time has passed. Never pause."""
+        if self._clients:
+            self._clients &= self._live.clients.keys()  # the others have left
+            self._switch_measuring(session)
+            self._send_costs(session)
+        return None
+
+    def on_new_world(self, session: Session) -> None:
+        """Do nothing: the session moves its meter to the new world."""
+
+    def _switch_measuring(self, session: Session) -> None:
+        """Measure steps while any page requests the costs."""
+        if bool(self._clients) != (session.meter is not None):
+            session.measure(bool(self._clients))
+
+    def _send_costs(self, session: Session) -> None:
+        """Send the latest costs to the pages that request them."""
+        now = monotonic()
+        if session.meter is None or now - self._last_sent_time < _MESSAGE_INTERVAL_SECONDS:
+            return
+        profile = session.meter.profile()
+        if profile.frames:
+            self._last_sent_time = now
+            packet = make_profile_message(profile, self._live.screen.names)
+            for client in self._clients:
+                client.tell(packet)
+
+
+def make_profile_message(profile: StepProfile, names: FileNames) -> dict[str, Any]:
+    """Return the message with a profile, for pages."""
+    return {
+        "op": "profile",
+        "frames": profile.frames,
+        "total": round(profile.total_ms, 4),
+        "phases": [{"name": name, "ms": round(ms, 4)} for name, ms in profile.phases.items()],
+        "layers": [
+            {
+                "species": each.species,
+                "text": each.span.text,
+                "file": names.of(each.span.source.path),
+                "line": each.span.source.find_line_column(each.span.start)[0],
+                "ms": round(each.ms, 4),
+            }
+            for each in profile.layers
+        ],
+        "lines": [
+            {"file": names.of(each.file), "line": each.line, "text": each.text, "ms": round(each.ms, 4)}
+            for each in profile.lines
+            if each.ms >= _MIN_REPORTED_MS
+        ],
+    }

@@ -1,0 +1,39 @@
+"""The files of the page, read once: a response for every address, and a hash of all files."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from hashlib import sha256
+
+from antdsl.resources import preview_page_file
+
+_CONTENT_TYPE_BY_FILE = {
+    "index.html": "text/html; charset=utf-8",
+    "app.js": "text/javascript; charset=utf-8",
+    "app.css": "text/css; charset=utf-8",
+}
+_BUILD_PLACEHOLDER = b'<meta name="build" content="" />'
+
+
+@dataclass(frozen=True, slots=True)
+class PageFiles:
+    """The page's files. `routes`: type and body by the address in a request. Addresses are only looked up in `routes`; they never
+    become file names."""
+
+    routes: dict[str, tuple[str, bytes]]
+    build: str
+
+
+def load_pages() -> PageFiles:
+    """Return the installed page. Raises OSError if its files are missing."""
+    bodies = {name: preview_page_file(name).read_bytes() for name in _CONTENT_TYPE_BY_FILE}
+    hashed = sha256()
+    for name in _CONTENT_TYPE_BY_FILE:
+        hashed.update(len(bodies[name]).to_bytes(8, "little") + bodies[name])
+    build = hashed.hexdigest()[:16]
+    # the page compares this with what the server says when it is connected: one out of a cache finds out that it is old
+    bodies["index.html"] = bodies["index.html"].replace(
+        _BUILD_PLACEHOLDER, _BUILD_PLACEHOLDER.replace(b'""', f'"{build}"'.encode())
+    )
+    routes = {f"/{name}": (kind, bodies[name]) for name, kind in _CONTENT_TYPE_BY_FILE.items()}
+    return PageFiles({**routes, "/": routes["/index.html"]}, build)

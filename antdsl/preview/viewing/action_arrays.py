@@ -1,0 +1,273 @@
+"""Packs the actions of bodies in a frame into few bytes.
+
+These are up to three clips per machine with progress and weight, the positions of feet, and the pose of the trunk."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.bodies.agents.blending import blend_poses
+from antdsl.bodies.agents.definition import Definition, TransformGroup
+from antdsl.bodies.agents.driving import set_pose_channels
+from antdsl.bodies.agents.leg_ik import LegSolver
+from antdsl.bodies.agents.machine_clips import MachineClips, PlayedClip, build_machine_playback
+from antdsl.bodies.agents.poses import ClipTable, build_clip_table
+from antdsl.bodies.agents.varied_bodies import VariationDraws, draw_colour_position, draw_group_scale
+from antdsl.bodies.skinned_mesh import compute_target_weights, reduce_to_channels
+from antdsl.numerics.vector_rows import normalise_or_fallback
+from antdsl.outputs.cache.pose_arrays import (
+    list_playing_machines,
+    list_wearable_layers,
+    make_clip_arrays,
+    make_display_arrays,
+    read_machine_clips,
+)
+from antdsl.pipeline import Shot
+from antdsl.preview.session import Session
+from antdsl.preview.timeline import SpeciesPoses
+from antdsl.preview.viewing.body_packets import BodyOutfit, BodyTraits, build_posed_body, find_traits, outfits
+from antdsl.runtime import Population, World
+from antdsl.runtime.body_rows import numbers_by_row
+from antdsl.runtime.feet.feet_state import Feet
+from antdsl.runtime.feet.trunk import compute_slope_quaternions
+
+_STEPS_PER_BODY_LENGTH = 4096  # steps in a body's length
+_UNIT_INT16 = 32767
+_MAX_FEET_BITS = 15  # feet with a bit for whether they stand
+Floats = NDArray[np.float32]
+NO_CLIP_CODE = 65535  # the number of no clip
+_UNIT_UINT16 = 65535  # one turn of a clip, or a weight of 1
+Arrays = dict[str, NDArray[Any]]
+
+
+def store_poses(session: Session) -> None:
+    """Store the poses of the session's frame with its light frame, unless they are stored already."""
+    world, lights = session.world, session.read_light_frame(session.frame)
+    if lights is not None and session.frame not in session.timeline.poses:
+        poses = {
+            name: _make_species_poses(session, each, lights[name]) for name, each in world.populations.items() if name in lights
+        }
+        session.timeline.poses.put_frame(session.frame, poses)
+
+
+def read_stored_poses(session: Session, frame: int) -> dict[str, Arrays]:
+    """Return the stored actions of bodies at a frame, by species. Species that now have other bodies or clips are left out."""
+    arrays_by_species = {}
+    for name, then in session.timeline.poses.get(frame, {}).items():
+        population = session.world.populations.get(name)
+        if population is not None and outfits(session.world, session.shot, population) == then.outfit:
+            arrays_by_species[name] = then.arrays
+    return arrays_by_species
+
+
+def _make_species_poses(session: Session, population: Population, light: Arrays) -> SpeciesPoses:
+    worn = outfits(session.world, session.shot, population)
+    return SpeciesPoses(worn, make_action_arrays(session.world, session.shot, population, light))
+
+
+def make_action_arrays(world: World, shot: Shot, population: Population, light: Arrays) -> Arrays:
+    """Return the actions of bodies as arrays.
+
+    - `SPECIES/plays/MACHINE`: of machines that play clips.
+    - `SPECIES/wears` uint32[n]: a bit for each worn layer.
+    - `SPECIES/look/GROUP` int8[n, 3]: a direction, 127 is 1.
+    - `SPECIES/lean` int8[n, 3]: turn, slope, 0; 127 is 1.
+    - `SPECIES/trait/K` float32[n, 3]: three of the body traits, in order.
+    - `SPECIES/feet` and `SPECIES/stance`: if feet are computed.
+
+    Arrays of features that a body lacks are left out. `light`: the light frame of these agents, by id.
+
+    For a species with several bodies, each body has these arrays under its key, for its agents only. `SPECIES/body` uint8[n] is
+    the index of each agent's body.
+    """
+    stored = make_clip_arrays(population) | make_display_arrays(population, world.setting)
+    every, arrays = outfits(world, shot, population), Arrays()
+    numbers = numbers_by_row(population, world.setting)[population.rows_by_id()]
+    for number, (key, worn) in enumerate(every.items()):
+        if len(every) == 1:
+            arrays |= _body_arrays(world, population, key, worn, (stored, light))
+        else:
+            rows = np.flatnonzero(numbers == number)
+            parts = [{name: array[rows] for name, array in each.items()} for each in (stored, light)]
+            arrays |= _body_arrays(world, population, key, worn, (parts[0], parts[1]))
+            arrays[f"{population.name}/body"] = numbers
+    return arrays
+
+
+def _body_arrays(world: World, population: Population, key: str, worn: BodyOutfit, of: tuple[Arrays, Arrays]) -> Arrays:
+    """Return the actions of the agents with a body. `of`: their arrays of a frame and their light frame, by id."""
+    stored, light = of
+    count = len(light["id"])
+    clips_by_machine = {
+        each: read_machine_clips(population.name, each, stored, count) for each in list_playing_machines(population)
+    }
+    machines = {each: clip for each, clip in clips_by_machine.items() if clip is not None}
+    clips = [worn.definition.clips.get(clip) for clip, *_ in worn.clips]
+    loops = np.array([*(clip is not None and clip.loop for clip in clips), False])
+    arrays: Arrays = {f"plays/{each}": pack_clips(clip, loops) for each, clip in machines.items()}
+    arrays |= _make_display_arrays(world, population, stored, worn)
+    played = (*build_posed_body(worn).build_idle_clips(light["id"], world.frame * world.dt), *machines.values())
+    arrays |= _make_trait_arrays(world, population, of, worn, played)
+    if key in world.feet and count:
+        arrays |= _make_species_stances(world, key, worn, light, tuple(machines.values()))
+    return {f"{key}/{what}": array for what, array in arrays.items()}
+
+
+def _make_display_arrays(world: World, population: Population, stored: Arrays, body_outfit: BodyOutfit) -> Arrays:
+    arrays: Arrays = {}
+    if body_outfit.layers:
+        known = list_wearable_layers(population, world.setting)
+        mask = stored[f"wears.{population.name}"]
+        layer_bits = np.zeros(len(mask), np.uint32)
+        for k, layer in enumerate(body_outfit.layers):
+            layer_bits |= ((mask >> np.uint64(known.index(layer))) & np.uint64(1)).astype(np.uint32) << np.uint32(k)
+        arrays["wears"] = layer_bits
+    for group in body_outfit.look_groups:
+        arrays[f"look/{group}"] = np.rint(127 * np.nan_to_num(stored[f"looks.{population.name}.{group}"])).astype(np.int8)
+    if body_outfit.blends_lean:
+        leans = np.nan_to_num(stored[f"leans.{population.name}"])
+        arrays["lean"] = np.rint(127 * np.clip(np.column_stack([leans, np.zeros(len(leans))]), -1, 1)).astype(np.int8)
+    return arrays
+
+
+def _make_trait_arrays(
+    world: World, population: Population, of: tuple[Arrays, Arrays], body_outfit: BodyOutfit, machines: tuple[MachineClips, ...]
+) -> Arrays:
+    stored, ids = of[0], of[1]["id"].astype(np.int64)
+    differ, varied, count = find_traits(body_outfit), body_outfit.definition.variation, len(ids)
+    if not differ.count or not count:
+        return {}
+    draws = VariationDraws(ids, world.setting.seed, population.name)
+    trait_values = np.zeros((count, -(-differ.count // 3) * 3), np.float32)
+    parts = [draw_group_scale(varied, name, draws) for name in differ.scales]
+    parts += [draw_colour_position(varied, name, draws) for name in differ.materials]
+    first = len(differ.targets)
+    if first:
+        said = {each: stored[f"channels.{population.name}.{each}"] for each in population.plan.channels}
+        lean = stored.get(f"leans.{population.name}")
+        trait_values[:, :first] = compute_blend_weights(body_outfit, differ, machines, count, said, lean)
+    for k, part in enumerate(parts, first):
+        trait_values[:, k] = part
+    return {f"trait/{k}": trait_values[:, 3 * k : 3 * k + 3] for k in range(trait_values.shape[1] // 3)}
+
+
+def compute_blend_weights(
+    body_outfit: BodyOutfit,
+    body_traits: BodyTraits,
+    machines: Sequence[MachineClips],
+    count: int,
+    channel_values: Mapping[str, NDArray[Any]],
+    lean: NDArray[Any] | None = None,
+) -> NDArray[np.float32]:
+    """Return the weights of blend-shape targets, float32[n, T], from the clips that agents play and the values of channels."""
+    table, groups = make_channel_table(body_outfit.definition)
+    plays = (*body_outfit.clips, PlayedClip(body_outfit.definition.idle))
+    poses = blend_poses(table, groups, build_machine_playback(table, plays, machines, count, lean))
+    return compute_target_weights(body_traits.targets, table.rig, set_pose_channels(table, poses, channel_values).channels)
+
+
+@lru_cache(maxsize=8)
+def make_channel_table(definition: Definition) -> tuple[ClipTable, Mapping[str, TransformGroup]]:
+    """Return the sampled clips of a definition, and its transform groups by name."""
+    alone = reduce_to_channels(definition)
+    return build_clip_table(alone), alone.groups
+
+
+def _make_species_stances(
+    world: World, name: str, body_outfit: BodyOutfit, light: Arrays, machines: tuple[MachineClips, ...]
+) -> Arrays:
+    body = build_posed_body(body_outfit)
+    if body.leg_solver is None:
+        return {}
+    played = (*body.build_idle_clips(light["id"], world.frame * world.dt), *machines)
+    stands = body.leg_solver.compute_stance_weights(
+        (*body_outfit.clips, PlayedClip(body_outfit.definition.idle)), played, len(light["id"])
+    )
+    return dict(make_stance_arrays(body.leg_solver, world.feet[name].sorted_by_id(), light, stands))
+
+
+def pack_clips(clips: MachineClips, loops: NDArray[np.bool_]) -> NDArray[np.uint16]:
+    """Return the clips that one machine of n agents plays, uint16[n, 3, k]: numbers, progress and weights.
+
+    k is 2: the clip of the state and the previous one. It is 3 if any agent still plays the clip before these. `loops`: whether
+    each clip of the species loops, and False for no clip. A clip that does not loop ends with its last sample.
+    """
+    slots = list(clips.iterate_clip_slots())[::-1]
+    if not slots[-1][2].any():
+        slots.pop()
+    output = np.empty((len(clips.clip), 3, len(slots)), np.uint16)
+    for place, (clip, turns, weight) in enumerate(slots):
+        known = (clip >= 0) & (clip < len(loops) - 1)
+        exact = np.nan_to_num(turns.astype(np.float64))
+        again = loops[np.where(known, clip, -1)]
+        output[:, 0, place] = np.where(known, clip, NO_CLIP_CODE)
+        output[:, 1, place] = np.round(np.where(again, exact - np.floor(exact), np.clip(exact, 0, 1)) * _UNIT_UINT16)
+        output[:, 2, place] = np.round(np.clip(np.nan_to_num(weight), 0, 1) * _UNIT_UINT16)
+    return output
+
+
+def make_stance_arrays(legs: LegSolver, feet: Feet, light: Arrays, foot_weights: Floats) -> dict[str, NDArray[np.int16]]:
+    """Return the stances of bodies as two integer arrays.
+
+    - `feet` int16[n, L, 3]: the target of each foot joint relative to a body with an unmoved trunk, in 1/4096 of the body length,
+      along ahead, up and aside.
+    - `stance` int16[n, 6]: column 0 is the rise of the trunk in 1/4096 of the body length. Columns 1 to 3 are x, y and z of its
+      rotation (32767 is 1). Column 4 is the weight of the feet (32767 is 1). Column 5 has a bit for each foot that stands.
+
+    `light`: the displayed positions and directions of these agents.
+    `foot_weights`: [n], the weight with which clips leave feet on the ground.
+
+    Bodies are oriented by directions of three bytes, as on pages. So rounding does not shake a standing foot.
+    """
+    size = np.where(light["size"] > 0, light["size"], 1).astype(np.float32)
+    rise = feet.rise / size * foot_weights
+    tilt = compute_slope_quaternions(feet.slope) * foot_weights[:, None]
+    tilt[:, 3] += 1 - foot_weights
+    tilt /= np.maximum(np.linalg.norm(tilt, axis=1, keepdims=True), 1e-20)
+    stance = np.empty((len(foot_weights), 6), np.int16)
+    stance[:, 0] = _quantise(rise, _STEPS_PER_BODY_LENGTH)
+    stance[:, 1:4] = _quantise(tilt[:, :3], _UNIT_INT16)  # by less than half a turn, so that w is above 0
+    stance[:, 4] = _quantise(foot_weights, _UNIT_INT16)
+    is_down = feet.is_standing[:, :_MAX_FEET_BITS]
+    stance[:, 5] = (is_down << np.arange(is_down.shape[1])).sum(axis=1)
+    away = (feet.shown - light["position"].T[:, :, None]).astype(np.float32) / size[None, :, None]
+    place = _rotate_back(_compute_body_axes(light), away)
+    place[1] += legs.sole_heights[None] - rise[:, None]
+    goals = _rotate_back(_make_rotations(tilt), place)
+    return {"feet": _quantise(goals.transpose(1, 2, 0), _STEPS_PER_BODY_LENGTH), "stance": stance}
+
+
+def _compute_body_axes(light: Arrays) -> Floats:
+    """Return the columns forward, up and sideways of agents, float32[3, 3, n], computed in the same way as by pages."""
+    up = normalise_or_fallback(light["up"].astype(np.float64), np.array([0.0, 1.0, 0.0])).astype(np.float32)
+    ahead = light["heading"].astype(np.float32)
+    ahead -= up * (ahead * up).sum(axis=1, keepdims=True)
+    ahead /= np.maximum(np.linalg.norm(ahead, axis=1, keepdims=True), 1e-20)
+    return np.stack([ahead.T, up.T, np.cross(ahead, up).T], axis=1)
+
+
+def _make_rotations(quaternions: Floats) -> Floats:
+    """Return matrices float32[3, 3, n] of unit quaternions [n, 4]."""
+    x, y, z, w = quaternions.T
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.stack([np.stack(row) for row in rows]).astype(np.float32)
+
+
+def _rotate_back(matrices: Floats, points: Floats) -> Floats:
+    """Return points float32[3, n, L] multiplied by the transposed matrices [3, 3, n]."""
+    x, y, z = points
+    return np.stack([(m[0][:, None] * x + m[1][:, None] * y) + m[2][:, None] * z for m in matrices.transpose(1, 0, 2)])
+
+
+def _quantise(values: NDArray[Any], full_scale: int) -> NDArray[np.int16]:
+    steps: NDArray[np.int16] = np.clip(np.rint(np.nan_to_num(values) * np.float32(full_scale)), -32767, 32767).astype(np.int16)
+    return steps

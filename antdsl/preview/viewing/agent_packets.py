@@ -1,0 +1,151 @@
+"""The packet of each frame: agents by id, items with their amounts, and the feelers of followed agents."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.outputs.feelers import compute_feeler_rays, list_feelers
+from antdsl.plan.ir import Plan
+from antdsl.preview.agent_columns import CURRENT_COLUMNS, make_light_frame, make_packet_arrays
+from antdsl.preview.binary_packets import pack_arrays
+from antdsl.preview.viewing.action_arrays import make_action_arrays, read_stored_poses, store_poses
+from antdsl.preview.viewing.page_units import choose_unit, find_unit_size
+from antdsl.preview.viewing.view_state import PageInterest, SlotPackets, ViewState
+from antdsl.program.model import Program
+from antdsl.runtime import Population, World
+
+_MISSING_STATE = 255
+Arrays = dict[str, NDArray[Any]]
+
+
+class AgentPackets:
+    """The slot `frame`. Directions are unit vectors times 127, speeds are in mm/s, and columns in the units that the scene
+    message names."""
+
+    def __init__(self) -> None:
+        self._last_key: tuple[World | None, int, int | None, PageInterest] = (None, 0, None, PageInterest())
+
+    def make_packets(self, view_state: ViewState) -> SlotPackets:
+        """Yield the packet of the frame if the frame, the world or the displayed columns changed."""
+        world = view_state.world
+        key = (
+            world,
+            world.frame if view_state.stored_frame is None else view_state.stored_frame,
+            view_state.stored_frame,
+            view_state.interest,
+        )
+        if key[0] is self._last_key[0] and key[1:] == self._last_key[1:]:
+            return
+        self._last_key = key
+        if view_state.stored_frame is not None:  # also while the session is on its way there
+            lights = view_state.session.read_light_frame(view_state.stored_frame)
+            if lights is not None:
+                plan = view_state.session.timeline.at(view_state.stored_frame).shot.plan
+                light = _renumber_states(_join_stored_arrays(lights), plan, view_state.shot.plan)
+                for pose_arrays in read_stored_poses(view_state.session, view_state.stored_frame).values():
+                    light |= pose_arrays
+                yield "frame", pack_arrays("frame", light, frame=view_state.stored_frame, light=True)
+            return
+        arrays: Arrays = {}
+        factors = _find_column_factors(world, view_state.shot.program, view_state.interest)
+        store_poses(view_state.session)
+        lights = view_state.session.read_light_frame(world.frame) or {}  # what is remembered of it was just made of it
+        poses = read_stored_poses(view_state.session, world.frame)
+        for name, population in world.populations.items():
+            then = lights[name] if name in lights else make_light_frame(population)
+            arrays |= _join_stored_arrays({name: then}) | _make_current_arrays(population, factors)
+            arrays |= poses[name] if name in poses else make_action_arrays(world, view_state.shot, population, then)
+        arrays |= _make_item_arrays(world, view_state.shot.program)
+        feelers, feeler_owners = _make_followed_feelers(world, view_state.shot.program, view_state.interest)
+        yield "frame", pack_arrays("frame", arrays | feelers, frame=world.frame, light=False, felt=feeler_owners)
+
+
+def _make_current_arrays(population: Population, factors: Mapping[tuple[str, str], float]) -> Arrays:
+    """Return the arrays of a frame that are not stored with light frames."""
+    name, now, rows = population.name, population.now, population.rows_by_id()
+    arrays: Arrays = {f"{name}/{column}": array for column, array in make_packet_arrays(population, CURRENT_COLUMNS).items()}
+    for (species, column), factor in factors.items():
+        if species == name:
+            arrays[f"{name}/column/{column}"] = now[column][rows].astype(np.float32) * np.float32(factor)
+    return arrays
+
+
+def _find_column_factors(world: World, program: Program, interest: PageInterest) -> dict[tuple[str, str], float]:
+    """Return the conversion factors of the requested columns that exist."""
+    factors = {}
+    for species, name in sorted(interest.columns):
+        declared = {each.name: each for each in program.species[species].attributes} if species in program.species else {}
+        if name in declared and species in world.populations and name in world.populations[species].now:
+            factors[species, name] = 1 / find_unit_size(choose_unit(declared[name]), world.setting.unit_mm, world.dt)
+    return factors
+
+
+def _make_followed_feelers(world: World, program: Program, interest: PageInterest) -> tuple[Arrays, list[tuple[str, int, int]]]:
+    """Return the feelers of all followed agents, one after the other, and a list of these agents with the number of their
+    feelers."""
+    feelers = [(who, make_feeler_arrays(world, program, who.species, who.agent)) for who in interest.followed_agents]
+    feelers = [(who, arrays) for who, arrays in feelers if arrays]
+    owners = [(who.species, who.agent, len(arrays["feelers"])) for who, arrays in feelers]
+    return {name: np.concatenate([arrays[name] for _, arrays in feelers]) for name in (feelers[0][1] if feelers else ())}, owners
+
+
+def _make_item_arrays(world: World, program: Program) -> Arrays:
+    arrays: Arrays = {}
+    for name, items in world.items.items():
+        arrays[f"item/{name}/position"] = items.position.astype(np.float32)
+        arrays[f"item/{name}/size"] = items.visible_values["radius"]
+        for declared in program.world[name].attributes:
+            if declared.name in items.amounts:
+                one = find_unit_size(choose_unit(declared), world.setting.unit_mm, world.dt)
+                arrays[f"item/{name}/amount/{declared.name}"] = (items.amounts[declared.name] / one).astype(np.float32)
+    return arrays
+
+
+def _renumber_states(arrays: Arrays, stored_plan: Plan, page_plan: Plan) -> Arrays:
+    """Return the states, renumbered from the stored program to the program that pages know. States missing there become
+    255."""
+    for name, species in stored_plan.species.items() if stored_plan is not page_plan else ():
+        known = (
+            {machine.name: machine.states for machine in page_plan.species[name].machines} if name in page_plan.species else {}
+        )
+        for machine in species.machines:
+            states = known.get(machine.name, ())
+            table = np.array([states.index(each) if each in states else _MISSING_STATE for each in machine.states], np.uint8)
+            arrays[f"{name}/state/{machine.name}"] = table[arrays[f"{name}/state/{machine.name}"]]
+    return arrays
+
+
+def _join_stored_arrays(lights: Mapping[str, Arrays]) -> Arrays:
+    return {f"{species}/{name}": array for species, light in lights.items() for name, array in light.items()}
+
+
+def make_feeler_arrays(world: World, program: Program, species: str, agent: int) -> dict[str, NDArray[Any]]:
+    """Return `feelers` float32 (k, 2, 3), each from the agent to the feeler's end or first hit, and `feelers/hit` uint8 (k).
+    Return {} if the agent does not exist."""
+    population = world.populations.get(species)
+    row = int(population.find_rows(np.array([agent]))[0]) if population is not None else -1
+    if population is None or row < 0:
+        return {}
+    scale = 1 / world.setting.unit_mm
+    position = population.position[row : row + 1] * scale
+    ahead, up = (population.read_vector(name)[row : row + 1] for name in ("heading", "up"))
+    size = population.now["size"][row : row + 1].astype(np.float64) * scale
+    feelers = list_feelers(program, species, world.params, world.setting.unit_mm, world.dt)
+    if not feelers:
+        return {}
+    lines = np.concatenate([compute_feeler_rays(entry, position, ahead, up, size) for entry in feelers]) / scale
+    displacement = lines[:, 1] - lines[:, 0]
+    reach = np.sqrt((displacement * displacement).sum(axis=1))
+    unit = (displacement / np.maximum(reach, 1e-12)[:, None]).astype(np.float32)
+    start = lines[:, 0].astype(np.float32)
+    nearest = np.full(len(lines), np.inf, np.float32)
+    for name in (*world.plan.obstacles, *world.solids):
+        hits = world.obstacles[name].cast_feelers(start.T, unit.T, reach.astype(np.float32))
+        nearest = np.minimum(nearest, np.where(hits.hit, hits.t, np.inf))
+    hit = np.isfinite(nearest)
+    lines[hit, 1] = start[hit] + unit[hit] * nearest[hit, None]
+    return {"feelers": lines.astype(np.float32), "feelers/hit": hit.astype(np.uint8)}

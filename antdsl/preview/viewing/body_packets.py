@@ -1,0 +1,342 @@
+"""The bodies that agents and items are displayed with, each sent once. Bodies of species are skinned meshes with the samples of
+the played clips. The page poses them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.bodies.agents.definition import Definition
+from antdsl.bodies.agents.driving import iterate_look_shares
+from antdsl.bodies.agents.leg_ik import LEG_BENDING_LIMITS, LegSolver
+from antdsl.bodies.agents.machine_clips import PlayedClip
+from antdsl.bodies.agents.poses import ClipTable, build_clip_table
+from antdsl.bodies.agents.varied_bodies import iterate_scale_pivots
+from antdsl.bodies.library import load_library_body
+from antdsl.bodies.posed_body import PosedBody
+from antdsl.bodies.shapes import build_item_mesh, choose_item_shape
+from antdsl.bodies.skinned_mesh import BlendTarget, compute_blend_targets
+from antdsl.outputs.cache.pose_arrays import list_playing_machines, list_wearable_layers
+from antdsl.pipeline import Shot
+from antdsl.preview.binary_packets import pack_arrays
+from antdsl.preview.viewing.view_state import SlotPackets, ViewState
+from antdsl.runtime import Population, World
+from antdsl.scene.body_choice import body_keys, number_of_key, species_of_key
+from antdsl.scene.crowd_model import named_weights
+from antdsl.scene.library_bodies import BODY_WORDS, find_body_for_species
+
+Arrays = dict[str, NDArray[Any]]
+MAX_PAGE_LAYERS = 24  # that pages tell apart: whole numbers of so many bits are exact in float32
+_CACHED_BODIES = 16  # outfits with built bodies
+MAX_BLEND_TARGETS = 48  # of blend shapes, that pages know
+
+
+class RigPackets:
+    """The slots `rig:KEY`, one for each body of a species. Sent again if a body, or the clips that it plays, change."""
+
+    def __init__(self) -> None:
+        self._sent_rigs: dict[str, tuple[BodyOutfit, tuple[str, ...]]] = {}
+
+    def make_packets(self, view_state: ViewState) -> SlotPackets:
+        """Yield the packets of bodies that are new or have new clips."""
+        for population in view_state.world.populations.values():
+            for key, worn in outfits(view_state.world, view_state.shot, population).items():
+                rig_key = worn, tuple(list_playing_machines(population))
+                if self._sent_rigs.get(key) != rig_key:
+                    self._sent_rigs[key] = rig_key
+                    yield f"rig:{key}", make_rig_packet(key, *rig_key)
+
+
+@dataclass(frozen=True, slots=True)
+class BodyOutfit:
+    """The abilities of a species' bodies.
+
+    `clips`: clips of its states, with transform groups.
+    `layers`: the layers that some agents wear in addition to the body's own.
+    `look_groups`: the transform groups of `look`.
+    `blends_lean`: whether clips blend with turn and slope.
+    """
+
+    definition: Definition
+    clips: tuple[PlayedClip, ...] = ()
+    layers: tuple[str, ...] = ()
+    look_groups: tuple[str, ...] = ()
+    blends_lean: bool = False
+
+
+def outfits(world: World, shot: Shot, population: Population) -> dict[str, BodyOutfit]:
+    """Return the outfits of a species, by the keys of its bodies. Layers beyond the limit of pages are dropped."""
+    keys = body_keys(population.name, len(world.setting.body_weights.get(population.name, ())))
+    return {key: _outfit(world, population, body_of_key(shot, key)) for key in keys}
+
+
+def _outfit(world: World, population: Population, definition: Definition) -> BodyOutfit:
+    """Return the outfit of agents of a species that have a body."""
+    plan = population.plan
+    layers = tuple(name for name in list_wearable_layers(population, world.setting) if name in definition.layers)[
+        :MAX_PAGE_LAYERS
+    ]
+    looks = tuple(name for name in plan.look_groups if name in definition.groups)
+    plays = tuple(
+        PlayedClip(each.name, each.on, each.is_additive, each.left_clip, each.right_clip, each.up_clip, each.down_clip)
+        for each in plan.clips
+    )
+    return BodyOutfit(definition, plays, layers, looks, "lean:turn" in plan.registers)
+
+
+def make_rig_packet(key: str, body_outfit: BodyOutfit, machines: tuple[str, ...] = ()) -> bytes:
+    """Return the packet of a body: its clips, and its meshes for crowds and for near agents.
+
+    `idle` in its header: the number and duration (s) of the base clip below all others; absent without such a clip."""
+    arrays, header = _make_rig(body_outfit)
+    return pack_arrays(f"rig:{key}", arrays, machines=list(machines), **header)
+
+
+@lru_cache(maxsize=_CACHED_BODIES)
+def build_posed_body(body_outfit: BodyOutfit) -> PosedBody:
+    """Return the body of an outfit. It is built once."""
+    return PosedBody(body_outfit.definition, body_outfit.clips, body_outfit.layers)
+
+
+@dataclass(frozen=True, slots=True)
+class BodyTraits:
+    """The properties in which the bodies of agents differ, apart from clips. Each is one number per agent.
+
+    `targets`: weights of blend-shape targets.
+    `scales`: sizes of transform groups.
+    `materials`: positions in the colour ranges of materials.
+    """
+
+    targets: tuple[BlendTarget, ...] = ()
+    scales: tuple[str, ...] = ()
+    materials: tuple[str, ...] = ()
+
+    @property
+    def count(self) -> int:
+        """Return the number of traits."""
+        return len(self.targets) + len(self.scales) + len(self.materials)
+
+
+@lru_cache(maxsize=_CACHED_BODIES)
+def find_traits(body_outfit: BodyOutfit) -> BodyTraits:
+    """Return the traits of an outfit. Targets beyond the limit of pages are dropped."""
+    targets = dict.fromkeys(each for level in _make_detail_levels(body_outfit).values() for each in _find_blend_targets(level))
+    varied = body_outfit.definition.variation
+    return BodyTraits(tuple(targets)[:MAX_BLEND_TARGETS], tuple(varied.scales), tuple(varied.materials))
+
+
+def _make_detail_levels(body_outfit: BodyOutfit) -> dict[str, PosedBody]:
+    body = build_posed_body(body_outfit)
+    return {"low": body.coarse, "fine": body.fine}
+
+
+def _find_blend_targets(level: PosedBody) -> dict[BlendTarget, NDArray[np.float32]]:
+    return compute_blend_targets(level.drawn_definition, level.bindings, level.point_indices)
+
+
+@lru_cache(maxsize=_CACHED_BODIES)
+def _make_rig(body_outfit: BodyOutfit) -> tuple[Arrays, dict[str, Any]]:
+    definition, plays = body_outfit.definition, body_outfit.clips
+    body, table = build_posed_body(body_outfit), build_clip_table(definition)
+    idle = definition.clips.get(definition.idle)
+    arrays = _make_clip_arrays(table, definition, plays if idle is None else (*plays, PlayedClip(definition.idle)))
+    arrays |= _make_leg_arrays(body.leg_solver, table)
+    arrays["look"] = _order_weights_by_depth(
+        table, [iterate_look_shares(table.rig, definition.groups[name]) for name in body_outfit.look_groups]
+    )
+    differ = find_traits(body_outfit)
+    arrays |= _make_variation_arrays(definition, differ, table)
+    for level, each in _make_detail_levels(body_outfit).items():
+        mesh_arrays = _make_mesh_arrays(each, table) | _make_trait_vertex_arrays(each, differ)
+        arrays |= {f"{level}/{name}": array for name, array in mesh_arrays.items()}
+    return arrays, {
+        "joints": len(table.joint_order), "texels": _count_texels(table), "length": float(definition.length),
+        "base": [round(float(x), 9) for x in definition.compute_base_matrix()[:3].reshape(-1)], "bending": LEG_BENDING_LIMITS,
+        "idle": [] if idle is None or idle.duration <= 0 else [len(plays), idle.duration],
+        "looks": list(body_outfit.look_groups), "leans": body_outfit.blends_lean, "traits": differ.count,
+        "targets": len(differ.targets),
+    }  # fmt: skip
+
+
+def _count_texels(table: ClipTable) -> int:
+    """Return the number of texels (four numbers each) per joint and sample: one for translation, one for rotation, and further
+    ones for scale and shear if there are any."""
+    return 2 + table.has_scale + table.has_shear
+
+
+def _make_clip_arrays(table: ClipTable, definition: Definition, played_clips: tuple[PlayedClip, ...]) -> Arrays:
+    """Return the arrays of the clips. Joints are numbered by depth in the rig.
+
+    - `sample` float32[R, J, texels, 4]: the samples, the rest pose first.
+    - `parent` int32[J]: the parent of each joint.
+    - `clip` int32[P, 3, 4]: the first sample (-1 if the body lacks the clip), the number of samples, flags (1 loops, 2 is added),
+      and the transform group. Then the first samples and numbers of samples of its left and right, up and down variants.
+    - `group` float32[G, J]: weights of joints, first those of the complete rig.
+    """
+    joints, sample_rows = len(table.joint_order), [np.array([0])]
+    groups = ["", *sorted({each.on for each in played_clips} - {""})]
+    clip_ranges: dict[str, tuple[int, int]] = {}
+    for name in dict.fromkeys(name for each in played_clips for name in (each.clip, *each[3:]) if name in table.names):
+        number = table.find_clip(name) + 1
+        first, length = int(table.first[number]), int(table.sample_counts[number])
+        clip_ranges[name] = sum(map(len, sample_rows)), length
+        sample_rows.append(np.arange(first, first + length))
+    clips = []
+    for each in played_clips:
+        first, length = clip_ranges.get(each.clip, (-1, 1))
+        again = first >= 0 and bool(table.is_looping[table.find_clip(each.clip) + 1])
+        blend_ranges = [number for blend_clip in each[3:] for number in clip_ranges.get(blend_clip, (-1, 1))]
+        clips.append((first, length, int(again) + 2 * int(each.add), groups.index(each.on), *blend_ranges))
+    rows = table.samples[np.concatenate(sample_rows)]
+    sample = np.zeros((len(rows), joints, _count_texels(table), 4), np.float32)
+    at = 0
+    for texel, width in enumerate((3, 4, *([3] if table.has_scale else []), *([3] if table.has_shear else []))):
+        part = rows[:, at : at + width * joints].reshape(len(rows), width, joints)
+        sample[:, :, texel, :width] = part.transpose(0, 2, 1)
+        at += width * joints
+    place = _find_depth_order(table)
+    parents = np.asarray(table.rig.parents)[table.joint_order]
+    ones = np.ones(joints, np.float32)
+    weights = [ones if not name else table.weights(definition.groups[name])[0] for name in groups]
+    return {
+        "sample": sample,
+        "parent": np.where(parents >= 0, place[parents], -1).astype(np.int32),
+        "clip": np.array(clips, np.int32).reshape(-1, 12),
+        "group": np.stack(weights).astype(np.float32),
+    }
+
+
+def _order_weights_by_depth(table: ClipTable, groups: Sequence[Iterable[tuple[int, float]]]) -> NDArray[np.float32]:
+    """Return the joint weights of G groups as float32[G, J], joints by depth. `groups`: pairs of a joint's number in the rig and
+    its weight."""
+    weights = np.zeros((len(groups), len(table.joint_order)), np.float32)
+    for k, group in enumerate(groups):
+        for joint, weight in group:
+            weights[k, joint] = weight
+    return weights[:, table.joint_order]
+
+
+def _make_variation_arrays(definition: Definition, body_traits: BodyTraits, table: ClipTable) -> Arrays:
+    """Return two arrays.
+
+    - `scale` float32[S, J]: the weight with which the size of a transform group scales each joint, with its descendants; joints
+      by depth.
+    - `palette` float32[c, 4]: the colours of materials that vary, one material after the other.
+    """
+    scale = _order_weights_by_depth(
+        table, [iterate_scale_pivots(table.rig, definition.groups[name]) for name in body_traits.scales]
+    )
+    colours = [colour for name in body_traits.materials for colour in definition.variation.materials[name]]
+    palette = np.zeros((len(colours), 4), np.float32)
+    palette[:, :3] = np.array(colours, np.float32).reshape(-1, 3)
+    return {"scale": scale, "palette": palette}
+
+
+def _make_trait_vertex_arrays(level: PosedBody, body_traits: BodyTraits) -> Arrays:
+    """Return two arrays.
+
+    - `target` float32[T, v, 6]: the offsets of each blend-shape target to positions and normals.
+    - `paint` float32[v, 2]: the number of the trait that selects a vertex's colour (-1 if the colour does not vary), and the
+      index of the first of its colours.
+    """
+    targets, count = _find_blend_targets(level), len(level.mesh.points)
+    none = np.zeros((count, 6), np.float32)
+    paint = np.full((count, 2), -1, np.float32)
+    first = 0
+    for k, name in enumerate(body_traits.materials):
+        paint[level.material_names == name] = len(body_traits.targets) + len(body_traits.scales) + k, first
+        first += len(level.definition.variation.materials[name])
+    return {"target": np.array([targets.get(each, none) for each in body_traits.targets], np.float32), "paint": paint}
+
+
+def _find_depth_order(table: ClipTable) -> NDArray[np.int32]:
+    """Return, for each joint of the rig, its index in the order by depth."""
+    place = np.empty(len(table.joint_order), np.int32)
+    place[table.joint_order] = np.arange(len(table.joint_order))
+    return place
+
+
+def _make_leg_arrays(legs: LegSolver | None, table: ClipTable) -> Arrays:
+    """Return `leg` float32[L, 2, 4]: the joints of hip, knee and foot, numbered by depth, and the axis about which a straight
+    knee bends."""
+    if legs is None:
+        return {}
+    leg_array, place = np.zeros((legs.count, 2, 4), np.float32), _find_depth_order(table)
+    leg_array[:, 0, :3] = [place[[each.upper, each.lower, each.foot]] for each in legs.chains]
+    leg_array[:, 1, :3] = legs.get_straight_axes()
+    return {"leg": leg_array}
+
+
+def _number_leg_parts(legs: LegSolver | None, joints: int) -> NDArray[np.int32]:
+    """Return the leg part of each joint of the rig: 0 for none, else three times the leg's number plus 1 for thigh, 2 for shank,
+    3 for foot."""
+    part_numbers = np.zeros(joints, np.int32)
+    for number, each in enumerate(legs.chains if legs is not None else ()):
+        for piece, those in enumerate((each.thigh, each.shank, each.sole), 1):
+            part_numbers[those] = 3 * number + piece
+    return part_numbers
+
+
+def _make_mesh_arrays(body: PosedBody, table: ClipTable) -> Arrays:
+    """Return the arrays of the mesh.
+
+    - `position` and `normal` float32[v, 3] in the rest pose; `face` uint32[m, 3].
+    - `colour` uint8[v, 4]: square roots of linear colours, and the share of the agent's own colour.
+    - `bone` uint8 or uint16[v, 4]; `weight` uint8[v, 4].
+    - `joint` int32[B] by depth and `inverse` float32[B, 3, 4] of the bones."""
+    mesh = body.mesh
+    place = np.append(_find_depth_order(table), -1)  # of a bone without a joint: -1
+    colour = np.sqrt(np.clip(np.column_stack([body.material_colours, np.square(body.tint_weights)]), 0, 1))
+    return {
+        "position": mesh.points,
+        "normal": np.round(mesh.normals * 127).astype(np.int8),
+        "face": body.faces.astype(np.uint32),
+        "colour": np.round(colour * 255).astype(np.uint8),
+        "bone": mesh.bones.astype(np.uint16),
+        "weight": mesh.weights,
+        "joint": place[mesh.bone_joints].astype(np.int32),
+        "part": np.append(_number_leg_parts(body.leg_solver, len(table.joint_order)), 0)[mesh.bone_joints].astype(np.int32),
+        "inverse": mesh.inverse_matrices,
+        "layer": body.layer_masks.astype(np.uint32),
+    }
+
+
+def body_of_key(shot: Shot, key: str) -> Definition:
+    """Return a body: from its own file, else the library body that the scene requests or that matches the species' name."""
+    own, species, number = shot.bodies.get(key), species_of_key(key), number_of_key(key)
+    if own is not None:
+        return own
+    named = list(named_weights(shot.scene.model.crowd).get(species, {}))
+    requested_body = named[number] if number < len(named) else None
+    return load_library_body(requested_body if requested_body in BODY_WORDS else find_body_for_species(species))
+
+
+class ItemBodyPackets:
+    """The slots `item:ITEMS:NAME`. Items that only mark positions have no body."""
+
+    def __init__(self) -> None:
+        self._sent_items: set[tuple[str, str, int]] = set()
+
+    def make_packets(self, view_state: ViewState) -> SlotPackets:
+        """Yield the packets of items with a new body."""
+        for kind, items in view_state.world.items.items():
+            for index, name in enumerate(items.names):
+                if (kind, name, index) in self._sent_items:
+                    continue
+                self._sent_items.add((kind, name, index))
+                shape = choose_item_shape(kind, name)
+                if shape == "none":
+                    continue
+                vertices, faces, colour = build_item_mesh(shape)
+                slot = f"item:{kind}:{name}"
+                arrays = {
+                    "position": vertices.astype(np.float32),
+                    "face": faces.astype(np.uint32),
+                    "colour": colour.astype(np.float32),
+                }
+                yield slot, pack_arrays(slot, arrays, items=kind, index=index, shape=shape)

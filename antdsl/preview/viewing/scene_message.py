@@ -1,0 +1,169 @@
+"""The scene message: everything that a page can display, set, switch, and colour agents by."""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from antdsl.outputs.feelers import list_feelers
+from antdsl.preview.session import Session, make_silencing_settings
+from antdsl.preview.viewing.field_packets import choose_full_value
+from antdsl.preview.viewing.file_names import FileNames, read_file_text
+from antdsl.preview.viewing.page_units import choose_unit, convert_constant, find_unit_size, list_colour_attributes
+from antdsl.program.model import ItemAttribute, Param
+from antdsl.runtime import Population
+from antdsl.scene.body_choice import body_keys
+from antdsl.scene.quantities import parse_quantity
+from antdsl.scene.scene_model import Camera
+from antdsl.scene.thing_models import convert_point
+
+if TYPE_CHECKING:
+    from antdsl.preview.live import Live
+
+_SPECIES_COLOURS = ((0.98, 0.75, 0.24), (0.35, 0.75, 0.95), (0.62, 0.86, 0.42), (0.93, 0.47, 0.65), (0.70, 0.60, 0.96))
+_FOCAL_LENGTH_MM = 35.0  # mm, as for pictures
+
+
+def make_scene_message(live: Live, box: BoundingBox, charts: list[dict[str, Any]], missing_package: str) -> dict[str, Any]:
+    """Return the scene message for the session's current program."""
+    session, names = live.session, live.screen.names
+    world, program = session.world, session.shot.program
+    low, high = box.of(session)
+    return {
+        "op": "scene", "name": names.of(live.compiler.scene), "fps": float(world.setting.fps), "last": session.shot.frames.last,
+        "unit_mm": world.setting.unit_mm,
+        "up": [float(x) for x in world.up], "low": low, "high": high,
+        "camera": _make_camera_entry(session),
+        "species": [_make_species_entry(session, names, population) for population in world.populations.values()],
+        "params": [_make_param_entry(session, names, name, param) for name, param in program.params.items()],
+        "fields": _list_fields(session), "flows": list(world.flows), "curves": list(world.setting.curves),
+        "solids": list(world.solids), "items": _list_items(session), "specs": [spec.name for spec in program.specs],
+        "charts": charts, "charts_need": missing_package,
+    }  # fmt: skip
+
+
+class BoundingBox:
+    """The box around all ground, solids and agents, relative to the world's origin. It changes only with ground and
+    solids. Pages reset their view when the box changes."""
+
+    def __init__(self) -> None:
+        self._input_key: tuple[list[list[float]], bool] = [], False
+        self._box: tuple[list[float], list[float]] | None = None
+
+    def of(self, session: Session) -> tuple[list[float], list[float]]:
+        """Return the lowest and the highest corner of the box for a session, in mm."""
+        world = session.world
+        meshes = [mesh.vertices for mesh in (*world.setting.surfaces.values(), *world.setting.obstacles.values())]
+        meshes += [solid.mesh.vertices for solid in world.setting.solids.values()]
+        ends = [end - world.origin for mesh in meshes if len(mesh) for end in (mesh.min(axis=0), mesh.max(axis=0))]
+        people = [population.position for population in world.populations.values() if len(population)]
+        signature = [[float(x) for x in end] for end in ends], bool(people)
+        if self._box is None or signature != self._input_key:
+            ends += [end for positions in people for end in (positions.min(axis=0), positions.max(axis=0))]
+            ends = ends or [np.full(3, -100.0), np.full(3, 100.0)]
+            low, high = np.min(ends, axis=0), np.max(ends, axis=0)
+            self._input_key, self._box = signature, ([float(x) for x in low], [float(x) for x in high])
+        return self._box
+
+
+def _make_camera_entry(session: Session) -> dict[str, Any] | None:
+    """Return the scene's own camera in the first frame, relative to the world's origin."""
+    setting, origin, own = session.world.setting, session.world.origin, session.shot.scene.model.camera
+    if setting.camera is not None:
+        at, look_at, focal = setting.camera.at[0], setting.camera.look_at[0], float(setting.camera.focal[0]) or _FOCAL_LENGTH_MM
+    elif isinstance(own, Camera):
+        at, look_at = (np.asarray(convert_point(point, setting.unit_mm)) for point in (own.at, own.look_at))
+        focal = own.focal.number if own.focal is not None else _FOCAL_LENGTH_MM
+    else:
+        return None
+    return {"at": [float(x) for x in at - origin], "look_at": [float(x) for x in look_at - origin], "focal": focal}
+
+
+def _make_species_entry(session: Session, names: FileNames, population: Population) -> dict[str, Any]:
+    world, shot, name = session.world, session.shot, population.name
+    declared = list_colour_attributes(world, name, shot.program.species[name].attributes)
+    feelers = list_feelers(shot.program, name, world.params, world.setting.unit_mm, world.dt)
+    return {
+        "name": name,
+        "bodies": list(body_keys(name, len(world.setting.body_weights.get(name, ())))),
+        "attributes": [{"name": each.name, "unit": choose_unit(each)} for each in declared],
+        "machines": [
+            {"name": machine.name, "states": list(machine.states), "colours": [list(colour) for colour in machine.colours]}
+            for machine in population.plan.machines
+        ],
+        "layers": _list_layers(session, names, population),
+        "feelers": [
+            {"count": f.count, "spread": f.spread, "reach": f.reach * world.setting.unit_mm, "per_length": f.per_length}
+            for f in feelers
+        ],
+    }
+
+
+def _list_layers(session: Session, names: FileNames, population: Population) -> list[dict[str, Any]]:
+    """Return the running layers and those that are off, in text order."""
+    entries = []
+    for layer in population.plan.layers:
+        span = layer.span
+        line = span.source.find_line_column(span.start)[0]
+        entries.append({"text": span.text, "file": names.of(span.source.path), "line": line, "on": True})
+    for (species, text), path in session.disabled_layers.items():
+        if species == population.name:
+            file_text = read_file_text(path, session.compiler.open_file) or ""
+            own = re.search(rf"^\s*species\s+{re.escape(species)}\b", file_text, re.MULTILINE)
+            line = file_text.count("\n", 0, max(file_text.find(text, own.start() if own else 0), 0)) + 1
+            entries.append({"text": text, "file": names.of(path), "line": line, "on": False})
+    return sorted(entries, key=lambda each: (each["file"], each["line"]))
+
+
+def _make_param_entry(session: Session, names: FileNames, name: str, param: Param) -> dict[str, Any]:
+    world, scene = session.world, session.shot.scene
+    unit_mm, dt = world.setting.unit_mm, world.dt
+    scene_value = scene.model.set.get(name)
+    written = scene_value.text if scene_value is not None else param.default.span.text if param.default.span is not None else ""
+    chosen = session.choices.params.get(name)
+    value = written if chosen is None else chosen
+    quantity = scene_value if chosen is None else parse_quantity(chosen)
+    number = convert_constant(param.default, unit_mm, dt) if quantity is None else quantity.to_base_units(unit_mm, dt)
+    one = find_unit_size(param.unit, unit_mm, dt)
+    low, high = (None if each is None else convert_constant(each, unit_mm, dt) / one for each in (param.low, param.high))
+    return {
+        "name": name, "value": value, "number": number / one, "unit": param.unit,
+        "low": low, "high": high, "help": param.help,
+        "file": names.of(param.span.source.path), "line": param.span.source.find_line_column(param.span.start)[0],
+        "written": written,
+    }  # fmt: skip
+
+
+def _list_fields(session: Session) -> list[dict[str, Any]]:
+    chosen = session.choices.params
+    return [
+        {
+            "name": name, "unit": "", "colour": list(_SPECIES_COLOURS[number % len(_SPECIES_COLOURS)]),
+            "on": not chosen.items() >= make_silencing_settings(name).items(),
+            "full": choose_full_value(field.limit),
+        }
+        for number, (name, field) in enumerate(session.world.fields.items())
+    ]  # fmt: skip
+
+
+def _list_items(session: Session) -> list[dict[str, Any]]:
+    things = session.shot.program.world
+    return [
+        {
+            "name": name, "kind": things[name].kind, "names": list(items.names),
+            "amounts": [
+                {"name": a.name, "unit": choose_unit(a), "first": _find_initial_amounts(session, name, a)}
+                for a in things[name].attributes if a.name in items.amounts
+            ],
+        }
+        for name, items in session.world.items.items()
+    ]  # fmt: skip
+
+
+def _find_initial_amounts(session: Session, name: str, amount: ItemAttribute) -> list[float]:
+    """Return the initial amount of each item, in the author's unit."""
+    unit_mm, dt = session.world.setting.unit_mm, session.world.dt
+    usual, one = convert_constant(amount.default, unit_mm, dt), find_unit_size(choose_unit(amount), unit_mm, dt)
+    return [each.attributes.get(amount.name, usual) / one for each in session.world.setting.items[name]]

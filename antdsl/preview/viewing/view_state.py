@@ -1,0 +1,77 @@
+"""The input and the interface of the views that create packets."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import Protocol
+
+from antdsl.pipeline import Shot
+from antdsl.preview.ahead import Ahead
+from antdsl.preview.requests import AgentRef, SetDisplay
+from antdsl.preview.session import Session
+from antdsl.runtime import World
+
+SlotPackets = Iterator[tuple[str, bytes]]
+
+
+@dataclass(frozen=True, slots=True)
+class PageInterest:
+    """All data that at least one page displays."""
+
+    columns: frozenset[tuple[str, str]] = frozenset()  # species and attribute
+    fields: frozenset[str] = frozenset()
+    flows: frozenset[str] = frozenset()
+    shows_solids: bool = True
+    followed_agents: tuple[AgentRef, ...] = ()  # each once
+    planned_agents: tuple[AgentRef, ...] | None = None  # agents with future paths shown, each once; None: no page shows any
+    plans_all_agents: bool = False
+
+    @classmethod
+    def from_displays(cls, looks: Iterable[SetDisplay]) -> PageInterest:
+        """Return the union of what the pages with these requests display."""
+        looks = list(looks)
+        followed = dict.fromkeys(look.follow for look in looks if look.follow is not None)
+        planned = [look.planned for look in looks if look.planned is not None]
+        return cls(
+            frozenset((column.species, column.name) for look in looks for column in look.columns),
+            frozenset(name for look in looks for name in look.fields),
+            frozenset(name for look in looks for name in look.flows),
+            any(look.solids for look in looks),
+            tuple(followed),
+            tuple(dict.fromkeys(who for each in planned for who in each)) if planned else None,
+            any(not each for each in planned),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class ViewState:
+    """A snapshot of the inputs of all views.
+
+    `session` and `ahead`: the session, and its simulated future frames.
+    `interest`: the data that pages display.
+    `stored_frame`: the stored frame that is displayed instead of the session's own, or None.
+    `now`: the time in seconds.
+    `is_advancing`: whether the session plays or is on its way to a frame.
+    """
+
+    session: Session
+    ahead: Ahead
+    interest: PageInterest
+    stored_frame: int | None
+    now: float
+    is_advancing: bool  # it plays, or is on its way: the next moment comes soon
+
+    @property
+    def world(self) -> World:
+        return self.session.world
+
+    @property
+    def shot(self) -> Shot:
+        return self.session.shot
+
+
+class PacketMaker(Protocol):
+    """Creates the packets of one kind, and returns only those that changed."""
+
+    def make_packets(self, view_state: ViewState) -> SlotPackets: ...

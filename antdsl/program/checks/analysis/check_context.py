@@ -1,0 +1,22 @@
+"""The input of a check: the program, and the uses of its names."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from antdsl.program.model import Program
+from antdsl.program.names.scope import Declarations, FileNames
+
+
+@dataclass(frozen=True, slots=True)
+class CheckContext:
+    """The input of a check: a program, the uses of its names, and its files."""
+
+    program: Program
+    declared: Declarations
+    files: Sequence[FileNames]
+
+    def is_used(self, kind: str, name: str) -> bool:
+        """Return whether the program uses a name of a kind, such as `param`."""
+        return (kind, name) in self.declared.used_names

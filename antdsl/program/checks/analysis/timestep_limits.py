@@ -1,0 +1,399 @@
+"""Computes the limit of an updated value as the step length `dt` goes to 0, to find updates that depend on the frame rate.
+
+An update is independent of the frame rate under two conditions. In a step of length 0 the value does not change, and in a short
+step the change is proportional to `dt`. Then two steps of half the length change the value as much as one step. The analysis
+therefore examines each part of an expression for small `dt`: how fast it vanishes, its limit and if it has the previous value."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from enum import IntEnum
+
+from antdsl.program.model import Constant, Expr, InlinedBehaviour, OperationExpr, ReduceExpr
+from antdsl.program.tables.vocabulary import DRAWING_OPERATIONS
+from antdsl.program.traverse import iterate_parts
+from antdsl.program.typed import AttributeRef, Binding, BindingRef, ThingRef
+
+OwnValue = str | Binding  # the attribute that an update sets, or the memory
+
+
+class StepInfluence(IntEnum):
+    """The influence of the previous value on a result: none, vanishing in short steps, unchanged (SAME), unknown or changed. For
+    SAME, two updates in a row equal one, so the number of updates per second does not matter."""
+
+    NONE = 0
+    VANISHING = 1
+    SAME = 2
+    UNSURE = 3
+    CHANGED = 4
+
+
+@dataclass(frozen=True, slots=True)
+class ShortStepValue:
+    """The behaviour of a value for small `dt`. It is proportional to `dt ** power`; if `power` is above 0, it vanishes.
+    - `to`: the limit, if it is known. `changers`: the first two operations that change the previous value.
+    - `deviation_power`: the deviation from the limit or previous value goes with `dt ** off`; infinite if `dt` has no influence.
+    - `cause`: the operation that causes the deviation, or in which the value vanishes."""
+
+    influence: StepInfluence = StepInfluence.NONE
+    power: float = 0.0
+    to: float | None = None
+    deviation_power: float = math.inf
+    changers: tuple[Expr, ...] = ()
+    cause: Expr | None = None
+
+    @property
+    def is_vanishing(self) -> bool:
+        return self.influence <= StepInfluence.VANISHING and self.power > 0
+
+    @property
+    def depends_on_dt(self) -> bool:
+        changes = self.deviation_power < math.inf or self.power < 0 or self.influence is StepInfluence.VANISHING
+        return changes and self.influence <= StepInfluence.VANISHING
+
+
+OperandValues = Sequence[ShortStepValue]
+_UNSURE_VALUE = ShortStepValue(StepInfluence.UNSURE)
+_QUERY_OPERATIONS = frozenset(("lt", "le", "gt", "ge", "eq", "ne", "is_some", "is_none", "chance", "event", "touching"))
+_RATE_FREE_OPERATIONS = frozenset(("chance", "event"))  # equally frequent at any frame rate
+
+
+def find_changers(value: Expr, own_value: OwnValue, has_other_change: bool = False) -> tuple[Expr, ...]:
+    """Return at most two operations that change a value even for `dt` near 0, or not in proportion to `dt`: none if the update is
+    independent of the frame rate, or uses the unit `step`, which `--strict` reports. `has_other_change`: by another line."""
+    short = _analyse_value(value, own_value, has_other_change)
+    if short.influence is StepInfluence.CHANGED:
+        makers = short.changers
+    else:
+        is_slow = short.influence is StepInfluence.SAME and not _grows_with_time(short.deviation_power, value)
+        wrong = is_slow or short.influence is StepInfluence.VANISHING
+        makers = (short.cause,) if wrong and short.cause is not None else ()
+    return tuple(each for each in makers if not _uses_step_unit(each))
+
+
+def is_rate(value: Expr, own_value: OwnValue) -> bool:
+    """Return whether `value` is an amount per second. `value` is the operand that an update multiplies by `dt` and adds."""
+    short = _analyse_value(value, own_value, False)
+    return short.influence is StepInfluence.UNSURE or _grows_with_time(short.power + 1, value) or _uses_step_unit(value)
+
+
+def depends_on_step(value: Expr) -> bool:
+    """Return whether an expression depends on the length of a step."""
+    return any(_is_dt(part) or (isinstance(part, Constant) and bool(part.step)) for part in iterate_parts(value))
+
+
+def is_own_value(part: Expr, own_value: OwnValue) -> bool:
+    if isinstance(own_value, str):
+        return isinstance(part, AttributeRef) and part.of is None and part.name == own_value
+    return isinstance(part, BindingRef) and part.binding is own_value
+
+
+def reads_own_value(expr: Expr, own_value: OwnValue) -> bool:
+    return any(isinstance(part, Expr) and is_own_value(part, own_value) for part in iterate_parts(expr))
+
+
+def _grows_with_time(power: float, value: Expr) -> bool:
+    """Return whether the sum of a value proportional to `dt ** power` grows with time; with draws, also as the root."""
+    has_draw = any(isinstance(part, OperationExpr) and part.name in DRAWING_OPERATIONS for part in iterate_parts(value))
+    return power == math.inf or math.isclose(power, 1) or (has_draw and math.isclose(power, 0.5))
+
+
+def _uses_step_unit(value: Expr) -> bool:
+    return any(isinstance(part, Constant) and part.step for part in iterate_parts(value))
+
+
+def _is_dt(part: object) -> bool:
+    if not isinstance(part, OperationExpr) or part.name != "run":
+        return False
+    return isinstance(part.args[0], ThingRef) and part.args[0].name == "dt"
+
+
+# --- through an expression -------------------------------------------------------------------------------------------
+
+
+def _analyse_value(value: Expr, own: OwnValue, has_other_change: bool) -> ShortStepValue:
+    known: dict[int, ShortStepValue] = {}
+    for part in _iterate_dependencies(value, own):
+        below = [known[id(each)] for each in _list_operands(part, own)]
+        if is_own_value(part, own):
+            short = ShortStepValue(StepInfluence.SAME)
+        elif isinstance(part, OperationExpr) and part.name == "if":
+            short = _analyse_conditional(part, below, own, has_other_change)
+        elif isinstance(part, OperationExpr):
+            short = _ANALYSIS_RULES.get(part.name, _analyse_unknown)(part, below)
+        elif isinstance(part, Constant):
+            short = _analyse_constant(part)
+        elif isinstance(part, ReduceExpr):
+            short = _analyse_combination(part, below)
+            short = short if short.is_vanishing else ShortStepValue()  # values inside a set belong to other agents
+        else:
+            short = below[0] if below else ShortStepValue()
+        known[id(part)] = short
+    return known[id(value)]
+
+
+def _iterate_dependencies(value: Expr, own: OwnValue) -> Iterator[Expr]:
+    """Yield the parts of an expression that contribute to its value. Each part comes once, operands before operations."""
+    stack: list[tuple[Expr, bool]] = [(value, False)]
+    visited: set[int] = set()
+    while stack:
+        part, is_expanded = stack.pop()
+        if is_expanded:
+            yield part
+        elif id(part) not in visited:
+            visited.add(id(part))
+            stack.append((part, True))
+            stack += [(each, False) for each in reversed(_list_operands(part, own))]
+
+
+def _list_operands(part: Expr, own: OwnValue) -> list[Expr]:
+    if is_own_value(part, own):
+        return []
+    if isinstance(part, BindingRef) and part.binding.role in ("let", "argument") and part.binding.value is not None:
+        return [part.binding.value]
+    if isinstance(part, InlinedBehaviour):
+        return [part.result]
+    if isinstance(part, ReduceExpr):
+        return [part.body] if part.reducer in ("sum", "mean", "min", "max") and part.body is not None else []
+    return [arg for arg in part.args if arg is not None] if isinstance(part, OperationExpr) else []
+
+
+def _analyse_constant(part: Constant) -> ShortStepValue:
+    if part.number == 0:
+        return _make_vanishing_value(math.inf)
+    if part.step:
+        return _make_vanishing_value(part.step) if part.step > 0 else ShortStepValue(power=part.step)
+    return ShortStepValue(to=None if part.unit_power else part.number)
+
+
+# --- one operation ---------------------------------------------------------------------------------------------------
+
+
+def _make_vanishing_value(power: float, how: StepInfluence = StepInfluence.NONE, cause: Expr | None = None) -> ShortStepValue:
+    return ShortStepValue(how, power, 0.0, power, cause=cause)
+
+
+def _collect_changers(operands: Iterable[ShortStepValue], *extra: Expr) -> tuple[Expr, ...]:
+    return tuple(dict.fromkeys([*(each for one in operands for each in one.changers), *extra]))[:2]
+
+
+def _make_changed_value(op: Expr, operands: OperandValues) -> ShortStepValue:
+    power = min([0.0, *(each.power for each in operands)])
+    return ShortStepValue(StepInfluence.CHANGED, power, changers=_collect_changers(operands, op))
+
+
+def _make_offset_value(own: ShortStepValue, deviation_power: float, cause: Expr | None) -> ShortStepValue:
+    """Return the previous value with an added deviation proportional to `dt ** off`."""
+    is_greater = own.influence is StepInfluence.SAME and deviation_power < own.deviation_power
+    return replace(own, deviation_power=deviation_power, cause=cause) if is_greater else own
+
+
+def _find_strongest_influence(operands: OperandValues) -> StepInfluence:
+    return max((each.influence for each in operands), default=StepInfluence.NONE)
+
+
+def _is_near(value: float | None, number: float) -> bool:
+    return value is not None and math.isclose(value, number, abs_tol=1e-12)
+
+
+def _analyse_sum(op: OperationExpr, operands: OperandValues) -> ShortStepValue:
+    a, b = operands
+    if op.name == "sub" and any(isinstance(each, OperationExpr) and each.name == "floor" for each in iterate_parts(op.args[1])):
+        return a  # `x - floor(x)` moves the value back into its range
+    own, other = (a, b) if a.influence >= b.influence else (b, a)
+    if own.influence is StepInfluence.UNSURE:
+        return _UNSURE_VALUE
+    if own.influence is StepInfluence.CHANGED:
+        extra = () if other.is_vanishing or other.influence is StepInfluence.UNSURE else (op,)
+        return replace(own, changers=_collect_changers(operands, *extra))
+    if own.influence is StepInfluence.SAME:
+        if other.influence is StepInfluence.SAME or not other.is_vanishing or (op.name == "sub" and own is b):
+            return _make_changed_value(op, operands)
+        return _make_offset_value(own, other.power, op)
+    off = min(a.deviation_power, b.deviation_power)
+    to = None if a.to is None or b.to is None else a.to - b.to if op.name == "sub" else a.to + b.to
+    if _is_near(to, 0):
+        return _make_vanishing_value(off, own.influence, own.cause)
+    return ShortStepValue(power=min(a.power, b.power, 0.0), to=to, deviation_power=off)
+
+
+def _analyse_product(op: OperationExpr, operands: OperandValues) -> ShortStepValue:
+    a, b = operands
+    if StepInfluence.UNSURE in (a.influence, b.influence):
+        return _UNSURE_VALUE
+    power = a.power + b.power
+    own, other = (a, b) if a.influence >= b.influence else (b, a)
+    if power > 0:
+        cause = op if own.influence >= StepInfluence.SAME else own.cause
+        return _make_vanishing_value(power, min(own.influence, StepInfluence.VANISHING), cause)
+    if own.influence is StepInfluence.NONE:
+        to = a.to * b.to if a.to is not None and b.to is not None and power == 0 else None
+        return ShortStepValue(power=power, to=to, deviation_power=min(a.deviation_power, b.deviation_power))
+    if own.influence >= StepInfluence.SAME and other.influence is StepInfluence.NONE and _is_near(other.to, 1):
+        return _make_offset_value(own, other.deviation_power, op)
+    return replace(_make_changed_value(op, operands), power=power)
+
+
+def _analyse_quotient(op: OperationExpr, operands: OperandValues) -> ShortStepValue:
+    a, b = operands
+    if b.influence > StepInfluence.VANISHING:
+        return _analyse_product(op, (a, b if b.influence is StepInfluence.UNSURE else _make_changed_value(op, (b,))))
+    if b.power == math.inf:
+        return _UNSURE_VALUE
+    to, off = (1 / b.to, b.deviation_power) if b.to else (None, math.inf)
+    inverse = ShortStepValue(b.influence, -b.power, to, off, cause=b.cause)
+    return _analyse_product(op, (a, inverse))
+
+
+def _analyse_negative(op: OperationExpr, operands: OperandValues) -> ShortStepValue:
+    a = operands[0]
+    if a.influence is StepInfluence.UNSURE or a.influence <= StepInfluence.VANISHING:
+        return replace(a, to=None if a.to is None else -a.to)
+    return _make_changed_value(op, operands)
+
+
+def _analyse_power(op: OperationExpr, operands: OperandValues) -> ShortStepValue:
+    a, b = operands
+    if StepInfluence.UNSURE in (a.influence, b.influence) or b.influence is StepInfluence.VANISHING:
+        return _UNSURE_VALUE
+    if b.influence > StepInfluence.VANISHING or a.influence > StepInfluence.VANISHING:
+        if a.influence is StepInfluence.SAME and _is_near(b.to, 1):
+            return a if b.deviation_power == math.inf else _UNSURE_VALUE
+        return _UNSURE_VALUE if b.depends_on_dt else _make_changed_value(op, operands)
+    if b.to is None:
+        return _UNSURE_VALUE if a.depends_on_dt or b.depends_on_dt else ShortStepValue()
+    if b.is_vanishing:
+        return ShortStepValue(to=1.0, deviation_power=b.deviation_power) if a.power == 0 else _UNSURE_VALUE
+    if a.power and not b.depends_on_dt:
+        power = a.power * b.to
+        return _make_vanishing_value(power, a.influence, a.cause) if power > 0 else ShortStepValue(power=power)
+    to = None if a.to is None else _evaluate(lambda x: x ** (b.to or 0.0), a.to)
+    return ShortStepValue(to=to, deviation_power=min(a.deviation_power, b.deviation_power))
+
+
+def _evaluate(function: Callable[[float], float], argument: float) -> float | None:
+    try:
+        result = function(argument)
+    except (ValueError, OverflowError, ZeroDivisionError):
+        return None
+    return result if isinstance(result, float) and math.isfinite(result) else None
+
+
+def _make_function_rule(function: Callable[[float], float]) -> Callable[[OperationExpr, OperandValues], ShortStepValue]:
+    def rule(op: OperationExpr, below: OperandValues) -> ShortStepValue:
+        a = below[0]
+        if a.influence > StepInfluence.VANISHING:
+            return _UNSURE_VALUE if a.influence is StepInfluence.UNSURE else _make_changed_value(op, below)
+        if a.power < 0:
+            return _UNSURE_VALUE
+        to = None if a.to is None else _evaluate(function, a.to)
+        off = a.deviation_power
+        return _make_vanishing_value(off, a.influence, a.cause) if _is_near(to, 0) else ShortStepValue(to=to, deviation_power=off)
+
+    return rule
+
+
+def _analyse_mix(op: OperationExpr, operands: OperandValues) -> ShortStepValue:
+    a, b, share = operands
+    if share.influence is StepInfluence.UNSURE:
+        return _UNSURE_VALUE
+    for side, end in ((a, 0), (b, 1)):
+        if share.influence <= StepInfluence.VANISHING and _is_near(share.to, end):
+            if side.influence is StepInfluence.NONE:
+                power = min(side.power, share.deviation_power) if side.power else 0.0
+                return replace(side, deviation_power=min(side.deviation_power, share.deviation_power), power=power)
+            return _make_offset_value(side, share.deviation_power, op)
+    return _analyse_combination(op, operands[:2]) if share.influence is StepInfluence.NONE else _make_changed_value(op, operands)
+
+
+def _analyse_rotation(op: OperationExpr, operands: OperandValues) -> ShortStepValue:
+    own, by = operands[0], operands[-1]
+    if not by.is_vanishing:
+        return _analyse_combination(op, operands)
+    return _make_offset_value(own, by.power, op) if own.influence >= StepInfluence.SAME else own
+
+
+def _analyse_combination(op: Expr, operands: OperandValues) -> ShortStepValue:
+    """Analyse an operation such as a vector of numbers or a draw between two ends. The result vanishes if all operands vanish."""
+    influence = _find_strongest_influence(operands)
+    if influence >= StepInfluence.SAME:
+        return _UNSURE_VALUE if influence is StepInfluence.UNSURE else _make_changed_value(op, operands)
+    if operands and all(each.is_vanishing for each in operands):
+        cause = next((each.cause for each in operands if each.cause), None)
+        return _make_vanishing_value(min(each.power for each in operands), influence, cause)
+    off = min((each.deviation_power for each in operands), default=math.inf)
+    return ShortStepValue(power=min([0.0, *(each.power for each in operands)]), deviation_power=off)
+
+
+def _analyse_first_operand(op: OperationExpr, operands: OperandValues) -> ShortStepValue:
+    """Analyse a length or a component of a vector. The result vanishes if the vector vanishes."""
+    a = operands[0]
+    if a.influence <= StepInfluence.VANISHING:
+        return a
+    return _analyse_combination(op, operands[:1]) if op.name == "length" else _analyse_pass_through(op, operands)
+
+
+def _analyse_pass_through(op: OperationExpr, operands: OperandValues) -> ShortStepValue:
+    influence = _find_strongest_influence(operands)
+    if influence is StepInfluence.CHANGED:
+        return replace(next(each for each in operands if each.influence is influence), changers=_collect_changers(operands))
+    if influence is StepInfluence.SAME:
+        return min((each for each in operands if each.influence is influence), key=lambda each: each.deviation_power)
+    return _analyse_unknown(op, operands)
+
+
+def _analyse_clamp(op: OperationExpr, operands: OperandValues) -> ShortStepValue:
+    """Analyse `min`, `max` and `clamp`. If all operands are known numbers, the result is known."""
+    tos = [each.to for each in operands if each.to is not None]
+    if _find_strongest_influence(operands) > StepInfluence.VANISHING or len(tos) < len(operands):
+        return _analyse_pass_through(op, operands)
+    to = min(max(tos[0], tos[1]), tos[2]) if op.name == "clamp" else min(tos) if op.name == "min" else max(tos)
+    left = [each for each in operands if each.to == to]
+    off = min(each.deviation_power for each in left)
+    how, by = _find_strongest_influence(left), next((each.cause for each in left if each.cause), None)
+    return _make_vanishing_value(off, how, by) if _is_near(to, 0) else ShortStepValue(to=to, deviation_power=off)
+
+
+def _analyse_conditional(op: OperationExpr, operands: OperandValues, own: OwnValue, has_other_change: bool) -> ShortStepValue:
+    """Analyse `if`. Changes by chance or by an event happen equally often at any rate. `has_other_change`: another line changes
+    the value. Then a branch may move it back into its range: `if turn > 1 then turn - 1 else turn`."""
+    (test, *ends), branches = op.args, operands[1:]
+    assert test is not None
+    influence = _find_strongest_influence(branches)
+    if influence < StepInfluence.SAME:
+        return _analyse_combination(op, branches)
+    back = has_other_change and reads_own_value(test, own) and any(end is not None and is_own_value(end, own) for end in ends)
+    if back or any(isinstance(each, OperationExpr) and each.name in _RATE_FREE_OPERATIONS for each in iterate_parts(test)):
+        return ShortStepValue(StepInfluence.SAME)
+    lost = [each.cause for each in branches if each.influence is StepInfluence.VANISHING and each.cause is not None]
+    if not lost or influence is StepInfluence.UNSURE:
+        return _analyse_pass_through(op, branches)
+    return ShortStepValue(StepInfluence.CHANGED, changers=_collect_changers(branches, *lost))
+
+
+def _analyse_query(op: OperationExpr, operands: OperandValues) -> ShortStepValue:
+    return ShortStepValue()  # a condition; its effect is analysed where it is used
+
+
+def _analyse_unknown(op: OperationExpr, operands: OperandValues) -> ShortStepValue:
+    influence = _find_strongest_influence(operands)
+    if influence is StepInfluence.UNSURE or any(each.depends_on_dt for each in operands):
+        return _UNSURE_VALUE
+    return _make_changed_value(op, operands) if influence >= StepInfluence.SAME else ShortStepValue()
+
+
+_ANALYSIS_RULES: dict[str, Callable[[OperationExpr, OperandValues], ShortStepValue]] = {
+    "add": _analyse_sum, "sub": _analyse_sum, "mul": _analyse_product, "div": _analyse_quotient, "dot": _analyse_product,
+    "cross": _analyse_product, "neg": _analyse_negative, "pow": _analyse_power,
+    "sqrt": lambda op, operands: _analyse_power(op, (*operands, ShortStepValue(to=0.5))),
+    "exp": _make_function_rule(math.exp), "log": _make_function_rule(math.log), "sin": _make_function_rule(math.sin),
+    "cos": _make_function_rule(math.cos), "mix": _analyse_mix, "rotate": _analyse_rotation,
+    "run": lambda op, operands: _make_vanishing_value(1.0) if _is_dt(op) else ShortStepValue(),
+    "min": _analyse_clamp, "max": _analyse_clamp, "clamp": _analyse_clamp, "abs": _analyse_first_operand,
+    "limit": _analyse_first_operand, "project": _analyse_first_operand, "length": _analyse_first_operand,
+    **dict.fromkeys(("first", "floor", "unit", "and", "or"), _analyse_pass_through),
+    **dict.fromkeys(("vector", "uniform", "normal", "pick"), _analyse_combination),
+    **dict.fromkeys(_QUERY_OPERATIONS, _analyse_query),
+}  # fmt: skip

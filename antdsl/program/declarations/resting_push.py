@@ -1,0 +1,38 @@
+"""Finds states that steer nothing. If other states of the species steer, agents in these states stand still, by the library's
+`halt()`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from antdsl.program import model
+from antdsl.program.declarations.behaviours import call_implicitly
+from antdsl.program.names.scope import NameScope
+from antdsl.syntax import nodes
+
+HALT_LIBRARY, HALT_BEHAVIOUR = "steering", "halt"
+
+
+def find_resting_push(scope: NameScope, machines: Sequence[model.Machine], name: nodes.Name) -> model.RestingPush | None:
+    """Return the push for agents in states that steer nothing. None if a machine steers in all of its states, or if no machine
+    steers at all.
+
+    A machine that never steers, such as one for moods, does not count. An agent stands still only if none of the other machines
+    steers in its current state. `name`: the name of the species, which is the location of the implicit call."""
+    silent: dict[str, tuple[int, ...]] = {}
+    for machine in machines:
+        quiet = tuple(state.index for state in machine.states if not is_steering(state))
+        if len(quiet) < len(machine.states):
+            silent[machine.name] = quiet
+    if not silent or not all(silent.values()):
+        return None
+    halt = scope.declared.find_library_behaviour(HALT_LIBRARY, HALT_BEHAVIOUR)
+    if halt is None:
+        return None
+    call = nodes.Call(nodes.NameRef(name, name.span), (), name.span)
+    return model.RestingPush(silent, call_implicitly(scope, halt, call), name.span)
+
+
+def is_steering(state: model.State) -> bool:
+    """Return whether a state declares how its agents move, even if by a zero push."""
+    return any(isinstance(line, model.Steer) for line in state.body)

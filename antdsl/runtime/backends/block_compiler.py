@@ -1,0 +1,353 @@
+"""Converts a block of the plan into lists of vectorised instructions over slots. A slot holds one value for all rows of a
+scope. A scope consists of the rows for which a region's condition holds.
+
+A value is computed in the first scope that uses it, and gathered from there into inner scopes. Senses that the plan marks as
+lazy are stored for the complete step, in arrays as long as the species. They are computed for the rows that have no value yet.
+NumPy runs the instructions one by one (`numpy_calls`). `native` makes machine code from the same lists."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Any
+
+from antdsl.numerics.elementwise import FUNCTION_BY_NAME, UFUNC_BY_NAME
+from antdsl.plan import ir
+from antdsl.plan.registers import find_cacheable_senses, find_early_loads, find_written_register
+from antdsl.plan.traverse import collect_required_nodes, iterate_with_positions, list_operands
+from antdsl.runtime.pairs import is_nearest_only
+from antdsl.runtime.world import DTYPE_BY_KIND
+from antdsl.source import Span
+
+SlotValues = list[Any]
+SlotFunction = Callable[[SlotValues], None]
+SlotFunctionMaker = Callable[
+    [int, tuple[int, ...], "int | None"], SlotFunction
+]  # arguments: slots of the result, the inputs and the buffer
+(
+    WORLD_SLOT,
+    POPULATION_SLOT,
+    EFFECTS_SLOT,
+    BUFFERS_SLOT,
+    LAZY_VALUES_SLOT,
+    PAIRS_SLOT,
+    THREADS_SLOT,
+    SPENT_SECONDS_SLOT,
+    FIRST_SLOT,
+) = 0, 1, 2, 3, 4, 5, 6, 7, 8
+
+
+class InstructionKind(Enum):
+    """The kind of an instruction. The instruction's `what` is its node or statement."""
+
+    VALUE = "value"  # a node's value for the rows of the scope
+    GATHER = "gather"  # a value of the enclosing scope, for the rows of this scope
+    REGION = "region"  # runs the inner scope for the rows where the condition holds
+    CACHED_SENSE = "keep"  # runs the inner scope for rows without a stored value; the result is the stored values
+    PAIRS = "pairs"  # the pairs of a set
+    SPREAD = "spread"  # an agent's value for each of its pairs
+    PAIR_LEAF = "of pair"  # a leaf of the pair's other agent, or a sense that depends on that agent
+    PAIR_OPERATION = "by pair"  # an elementwise operation over pairs
+    REDUCE = "reduce"
+    STATEMENT = "statement"
+
+
+@dataclass(slots=True, eq=False)
+class BlockInstruction:
+    """One instruction of a block; `subject` is its node or statement.
+
+    `out`, `inputs`: slots of its result and operands.
+    `dtype`: type of the buffer for its result; None: it allocates an array.
+    `span`: the source text that it computes.
+    `layer`: number of the first layer that needs it, -1 for none."""
+
+    kind: InstructionKind
+    subject: ir.PlanNode | ir.PlanStatement
+    out: int
+    inputs: tuple[int, ...]
+    dtype: Any
+    scope: RowScope
+    span: Span | None
+    layer: int
+    inner: RowScope | None = None
+    result: int = -1  # slot of the inner scope that is read after it
+    block: str = ""
+    order: int = -1  # position of a statement in the text of its species
+
+
+@dataclass(slots=True, eq=False)
+class RowScope:
+    """The rows of one region. `rows`, `parent_indices` and `row_count` are slots.
+
+    `rows`: row numbers in the species (slice or array). `parent_indices`: indices in the parent's rows (None: all). `row_count`:
+    the number
+        of rows."""
+
+    parent: RowScope | None
+    rows: int
+    parent_indices: int
+    row_count: int
+    code: list[BlockInstruction] = field(default_factory=list)
+    known: dict[ir.PlanNode, int] = field(default_factory=dict)
+    pairs: dict[ir.PlanNode, PairScope] = field(default_factory=dict)
+    draw_slots: dict[tuple[str, int], int] = field(default_factory=dict)  # (site, block) -> slot of its four words
+    view_slots: dict[tuple[Any, int], int] = field(default_factory=dict)  # (dtype, number of buffer) -> slot of its view
+    calls: list[SlotFunction] = field(default_factory=list)
+
+
+@dataclass(slots=True, eq=False)
+class PairScope:
+    """The pairs of one set in one scope: the slot of the pairs, and the slots of values over them by node."""
+
+    slot: int
+    known: dict[ir.PlanNode, int] = field(default_factory=dict)
+
+
+class BlockCompiler:
+    """Converts one block of a plan to instructions over slots, in nested scopes of rows."""
+
+    def __init__(
+        self, species: ir.SpeciesPlan, block: str, order: dict[ir.PlanStatement, int], sets: dict[ir.PlanNode, int]
+    ) -> None:
+        self.name, self._species, self._order = block, species, order
+        self.uniform_slots: dict[ir.PlanNode, int] = {}
+        self.slot_count = FIRST_SLOT
+        self.lazy_nodes = frozenset(find_cacheable_senses(species)) if block != "born" else frozenset()
+        self.root_scope = self._new_scope(None)
+        self.buffer_counts: dict[Any, int] = {}  # number of buffers, by dtype
+        self.stored_registers: set[str] = set()  # registers that the block stores
+        self.region_count_by_set = sets  # for each set of the species: the number of regions that use it
+        self.complete_species: set[str] = set()  # species of which a set contains all agents
+        self._layer_spans = tuple(layer.span for layer in species.layers) if block == "blend" else ()
+        self._layer_number = -1
+
+    def allocate_slot(self) -> int:
+        """Return a new slot."""
+        self.slot_count += 1
+        return self.slot_count - 1
+
+    def _new_scope(self, parent: RowScope | None) -> RowScope:
+        return RowScope(parent, self.allocate_slot(), self.allocate_slot(), self.allocate_slot())
+
+    def _emit(
+        self,
+        scope: RowScope,
+        kind: InstructionKind,
+        subject: ir.PlanNode | ir.PlanStatement,
+        out: int,
+        inputs: tuple[int, ...],
+        dtype: Any = None,
+        *,
+        inner: RowScope | None = None,
+        result: int = -1,
+    ) -> None:
+        order = -1 if isinstance(subject, ir.PlanNode) else self._order[subject]
+        scope.code.append(
+            BlockInstruction(
+                kind, subject, out, inputs, dtype, scope, subject.span, self._layer_number, inner, result, self.name, order
+            )
+        )
+
+    def compile(self, block: ir.Block) -> None:
+        """Emit the instructions of a block, starting from its root scope."""
+        self.early = find_early_loads(block)
+        self.stored_registers.update(
+            name for _, each in iterate_with_positions(block) if (name := find_written_register(each)) is not None
+        )
+        self._compile_block(self.root_scope, block, ())
+
+    # --- statements ----------------------------------------------------------------------------------------------------
+
+    def _compile_block(self, scope: RowScope, block: ir.Block, path: tuple[int, ...]) -> None:
+        """Emit the statements of a block or region; `path` is its position in the nested regions."""
+        for k, (statement, layer) in enumerate(zip(block.statements, self._find_statement_layers(block), strict=True)):
+            self._layer_number = layer
+            for node in self.early.get((*path, k), ()):
+                self.value(scope, node)
+            inputs = tuple(self.value(scope, node) for node in list_operands(statement))
+            if isinstance(statement, ir.If):
+                inner = self._new_scope(scope)
+                self._compile_block(inner, statement.then, (*path, k))
+                self._layer_number = layer
+                if inner.code:
+                    self._emit(scope, InstructionKind.REGION, statement, -1, (inputs[0],), inner=inner)
+                continue
+            self._emit(scope, InstructionKind.STATEMENT, statement, -1, inputs)
+
+    def _find_statement_layers(self, block: ir.Block) -> list[int]:
+        """Return the layer that contains the line of each statement.
+
+        A statement that stores a behaviour's memory is in another file. It gets the layer that called the behaviour: that of
+        the next statement inside a layer."""
+        if not self._layer_spans:
+            return [-1] * len(block.statements)
+        numbers, current = [], self._layer_number
+        for statement in reversed(block.statements):
+            span = statement.span
+            for number, layer in enumerate(self._layer_spans):
+                if span is not None and span.source is layer.source and layer.start <= span.start < layer.end:
+                    current = number
+            numbers.append(current)
+        return numbers[::-1]
+
+    # --- values --------------------------------------------------------------------------------------------------------
+
+    def value(self, scope: RowScope, node: ir.PlanNode, recompute: bool = False) -> int:
+        """Return the slot of a node's value in a scope, after emitting missing instructions. `recompute`: compute a node again
+        even if it is stored."""
+        if node.rate <= ir.UpdateRate.STEP:
+            return self._uniform_slot(node)
+        missing: set[ir.PlanNode] = set()
+        pending = [node]
+        while pending:
+            top = pending.pop()
+            if top in missing or top.rate <= ir.UpdateRate.STEP or self._find_holding_scope(scope, top) is not None:
+                continue
+            if top.rate == ir.UpdateRate.AGENT and top.kind is not ir.ValueKind.SET:
+                missing.add(top)
+                if top in self.lazy_nodes and not (recompute and top is node):
+                    continue
+            pending.extend(top.args)
+        for each in sorted(missing, key=lambda n: n.number):
+            if each in self.lazy_nodes and not (recompute and each is node):
+                self._emit_lazy(scope, each)
+            else:
+                self._emit_node(scope, each)
+        return self._known_slot(scope, node)
+
+    def _uniform_slot(self, node: ir.PlanNode) -> int:
+        """Return the slot of a value that is equal for all agents."""
+        if node not in self.uniform_slots:
+            self.uniform_slots[node] = self.allocate_slot()
+        return self.uniform_slots[node]
+
+    @staticmethod
+    def _find_holding_scope(scope: RowScope | None, node: ir.PlanNode) -> RowScope | None:
+        """Return the innermost scope around `scope`, or itself, that has a value; None if none has it."""
+        while scope is not None and node not in scope.known:
+            scope = scope.parent
+        return scope
+
+    def _known_slot(self, scope: RowScope, node: ir.PlanNode) -> int:
+        """Return the slot of a value that this scope or an outer scope contains. A value of an outer scope is gathered for
+        this scope."""
+        if node.rate <= ir.UpdateRate.STEP:
+            return self._uniform_slot(node)
+        holders = [scope]
+        while node not in holders[-1].known:
+            outer = holders[-1].parent
+            assert outer is not None, f"{node!r} is not known"
+            holders.append(outer)
+        for inner in reversed(holders[:-1]):
+            assert inner.parent is not None
+            inner.known[node] = slot = self.allocate_slot()
+            self._emit(inner, InstructionKind.GATHER, node, slot, (inner.parent.known[node],))
+        return scope.known[node]
+
+    def _emit_node(self, scope: RowScope, node: ir.PlanNode) -> None:
+        """Emit the instruction of one node; its operands already have slots."""
+        if node.op.startswith("reduce."):
+            does, inputs = InstructionKind.REDUCE, self._emit_reduction(scope, node)
+        else:
+            does, inputs = InstructionKind.VALUE, tuple(self._known_slot(scope, a) for a in node.args)
+        slot = self.allocate_slot()
+        self._emit(scope, does, node, slot, inputs, DTYPE_BY_KIND[node.kind] if node.op in UFUNC_BY_NAME else None)
+        scope.known[node] = slot
+
+    def _emit_lazy(self, scope: RowScope, node: ir.PlanNode) -> None:
+        """Emit a lazy node: computed in an inner scope of the rows without a value, and stored for the step."""
+        inner = self._new_scope(scope)
+        result = self.value(inner, node, recompute=True)
+        slot = scope.known[node] = self.allocate_slot()
+        self._emit(scope, InstructionKind.CACHED_SENSE, node, slot, (), inner=inner, result=result)
+
+    # --- sets ----------------------------------------------------------------------------------------------------------
+
+    def _emit_reduction(self, scope: RowScope, node: ir.PlanNode) -> tuple[int, ...]:
+        """Emit the pairs and pair values of a reduction; return the slots of its inputs."""
+        pairs = self._pair_scope(scope, node.args[0])
+        bodies = node.args[1:]
+        for each in collect_required_nodes(bodies):
+            if each.rate == ir.UpdateRate.PAIR and each not in pairs.known:
+                self._emit_pair_value(scope, pairs, each)
+        return pairs.slot, *(self._pair_slot(scope, pairs, body) for body in bodies)
+
+    def _pair_scope(self, scope: RowScope, node: ir.PlanNode) -> PairScope:
+        """Return the pairs of a set in a scope; emit them if they are missing."""
+        if node not in scope.pairs:
+            if node.op == "set.every" and not is_nearest_only(self._species, node):
+                self.complete_species.add(node.attrs[0])
+            inputs = tuple(self._known_slot(scope, a) for a in node.args)
+            pairs = scope.pairs[node] = PairScope(self.allocate_slot())
+            if self.name != "born" and all(part.op != "load" for part in collect_required_nodes((node,))):
+                self.region_count_by_set[node] = self.region_count_by_set.get(node, 0) + 1
+            self._emit(scope, InstructionKind.PAIRS, node, pairs.slot, inputs)
+        return scope.pairs[node]
+
+    def _pair_slot(self, scope: RowScope, pairs: PairScope, node: ir.PlanNode) -> int:
+        """Return the slot of a value over pairs. A value of the agent itself is repeated for its pairs."""
+        if node.rate <= ir.UpdateRate.STEP:
+            return self._uniform_slot(node)
+        if node in pairs.known:
+            return pairs.known[node]
+        slot = pairs.known[node] = self.allocate_slot()
+        self._emit(scope, InstructionKind.SPREAD, node, slot, (self._known_slot(scope, node), pairs.slot))
+        return slot
+
+    def _emit_pair_value(self, scope: RowScope, pairs: PairScope, node: ir.PlanNode) -> None:
+        inputs = tuple(self._pair_slot(scope, pairs, a) for a in node.args)
+        does = InstructionKind.PAIR_OPERATION if node.op in FUNCTION_BY_NAME else InstructionKind.PAIR_LEAF
+        slot = pairs.known[node] = self.allocate_slot()
+        self._emit(scope, does, node, slot, inputs if does is InstructionKind.PAIR_OPERATION else (pairs.slot, *inputs))
+
+
+# --- buffers ---------------------------------------------------------------------------------------------------------
+
+
+def _flatten_instructions(scope: RowScope, order: list[tuple[BlockInstruction, bool]]) -> None:
+    """Append the instructions to `order` in execution order.
+
+    An instruction with an inner scope appears before that scope with False, and again after it with True."""
+    for instruction in scope.code:
+        order.append((instruction, False))
+        if instruction.inner is not None:
+            _flatten_instructions(instruction.inner, order)
+            order.append((instruction, True))
+
+
+def bind_calls(compiler: BlockCompiler, maker: Callable[[BlockInstruction, BlockCompiler], SlotFunctionMaker]) -> None:
+    """Assign an output array to each elementwise result, reused after its last use, and make the calls.
+
+    This is a linear scan over the execution order (M. Poletto and V. Sarkar, TOPLAS 21(5), 1999, p. 895). No region runs
+    twice."""
+    order: list[tuple[BlockInstruction, bool]] = []
+    _flatten_instructions(compiler.root_scope, order)
+    last: dict[int, int] = {}
+    for position, (instruction, is_after) in enumerate(order):
+        for slot in (instruction.result,) if is_after else instruction.inputs:
+            last[slot] = position
+    for instruction, is_after in reversed(order):
+        if instruction.kind is InstructionKind.GATHER and not is_after:  # the result may be the input itself
+            (source,) = instruction.inputs
+            last[source] = max(last[source], last.get(instruction.out, -1))
+    free: dict[Any, list[int]] = {}
+    held: dict[int, tuple[Any, int]] = {}
+    for position, (instruction, is_after) in enumerate(order):
+        for slot in [s for s in held if last.get(s, -1) <= position]:
+            dtype, number = held.pop(slot)
+            free[dtype].append(number)
+        buffer = None
+        if instruction.dtype is not None and not is_after:
+            spare = free.setdefault(instruction.dtype, [])
+            if not spare:
+                spare.append(compiler.buffer_counts.get(instruction.dtype, 0))
+                compiler.buffer_counts[instruction.dtype] = spare[-1] + 1
+            number = spare.pop()
+            held[instruction.out] = (instruction.dtype, number)
+            buffer = instruction.scope.view_slots.setdefault((instruction.dtype, number), -1)
+            if buffer == -1:
+                buffer = instruction.scope.view_slots[instruction.dtype, number] = compiler.allocate_slot()
+        if not is_after:
+            make = maker(instruction, compiler)
+            instruction.scope.calls.append(make(instruction.out, instruction.inputs, buffer))

@@ -1,0 +1,144 @@
+"""Accumulators of reductions over pairs, as machine code: for eight requesting agents, or for one agent in eight parts.
+
+Terms of sums are multiples of one quantum and add without rounding, so their order does not matter (`numerics.exact_sums`)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from antdsl.machine_code.kernels.values import Number
+from antdsl.machine_code.lanes import LaneBuilder, Lanes
+from antdsl.machine_code.number_kinds import F32, F64, I32, I64, LANE_COUNT
+from antdsl.numerics import exact_sums
+from antdsl.plan import ir
+
+NO_LABEL = (1 << 63) - 1
+
+
+@dataclass(slots=True, eq=False)
+class RunningReduction:
+    """Running values of one reduction, in stack slots: one lane per agent, or eight lanes for parts of one agent."""
+
+    builder: LaneBuilder
+    node: ir.PlanNode
+    needs_two_words: bool  # more terms than float64 adds exactly
+    _parts: list[tuple[Number, str]] = field(default_factory=list)  # stack slots with their kinds
+
+    def start(self) -> None:
+        """Allocate the running values, and set them to their initial values."""
+        for k, row in enumerate(INITIAL_VALUES[self.node.op]):
+            if k == 0 or self.needs_two_words or self.node.op != "reduce.sum":
+                self._parts.append((self.builder.allocate_slot(row[0], LANE_COUNT), row[0]))
+                self._write_part(k, self.builder.make_constant(row[1], row[0]))
+
+    def add_term(self, mask: Lanes, body: Lanes | None, label: Lanes | None) -> None:
+        """Emit code that adds a term of each lane in the mask."""
+        e = self.builder
+        match self.node.op:
+            case "reduce.sum":
+                assert body is not None
+                term = self._round_term(e.select_lanes(mask, body, e.make_constant(0.0, F32)))
+                if self.needs_two_words:
+                    quantum = int(self.node.attrs[0])
+                    magic = float(np.ldexp(1.5, quantum + exact_sums.LOW_WORD_BITS + 52))
+                    high = (term + magic) - magic
+                    self._write_part(0, self._read_part(0) + high)
+                    self._write_part(1, self._read_part(1) + (term - high))
+                else:
+                    self._write_part(0, self._read_part(0) + term)
+            case "reduce.count":
+                self._write_part(0, self._read_part(0) + e.convert(mask, I32))
+            case "reduce.any":
+                self._write_part(0, self._read_part(0) | e.convert(mask, I32))
+            case "reduce.min":
+                assert body is not None
+                least = self._read_part(0)
+                self._write_part(0, e.select_lanes(mask & (body < least), body, least))
+            case "reduce.max":
+                assert body is not None
+                most = self._read_part(0)
+                self._write_part(0, e.select_lanes(mask & (body > most), body, most))
+            case _:
+                assert body is not None and label is not None
+                least, best_label = self._read_part(0), self._read_part(1)
+                better = mask & ((body < least) | ((body == least) & (label < best_label)))
+                self._write_part(0, e.select_lanes(better, body, least))
+                self._write_part(1, e.select_lanes(better, label, best_label))
+
+    def _read_part(self, part: int) -> Lanes:
+        place, kind = self._parts[part]
+        return self.builder.load(place, kind, LANE_COUNT)
+
+    def _write_part(self, part: int, value: Lanes) -> None:
+        self.builder.store_number(self._parts[part][0], value)
+
+    def _round_term(self, body: Lanes) -> Lanes:
+        """Return a term rounded to a multiple of the quantum, as `exact_sums.rounded` does."""
+        quantum = int(self.node.attrs[0])
+        bound, magic = float(np.ldexp(1.0, quantum + exact_sums.MAX_TERM_EXPONENT)), float(np.ldexp(1.5, quantum + 52))
+        if float(np.float32(bound)) == bound:  # clamping before conversion gives the same result
+            body, bound = self.builder.apply_function(np.clip, body, -np.float32(bound), np.float32(bound)), np.inf
+        wide = self.builder.convert(body, F64)
+        if bound < np.inf:
+            wide = self.builder.apply_function(np.clip, wide, -bound, bound)
+        rounded: Lanes = (wide + magic) - magic
+        return rounded
+
+    def result(self) -> Lanes:
+        """Return the result of the reduction for each lane."""
+        e = self.builder
+        match self.node.op:
+            case "reduce.sum":
+                total = self._read_part(0)
+                if self.needs_two_words:
+                    total = total + self._read_part(1)
+                return e.convert(total, F32)
+            case "reduce.count":
+                return e.convert(self._read_part(0), F32)
+            case "reduce.any":
+                return self._read_part(0) != 0
+            case "reduce.min" | "reduce.max":
+                return self._read_part(0) + np.float32(0)
+        label = self._read_part(1)
+        label = e.select_lanes(label == NO_LABEL, e.make_constant(-1, I64), label)
+        return label if self.node.op == "reduce.agent" else e.convert(label, I32)
+
+    def combine_lanes(self) -> None:
+        """Combine the eight parts and store the result in each."""
+        for half in (4, 2, 1):
+            self._combine_with([self.builder.rotate_lanes(self._read_part(k), half) for k in range(len(self._parts))])
+
+    def _combine_with(self, other: list[Lanes]) -> None:
+        """Combine the running values with other ones."""
+        e, a = self.builder, other[0]
+        match self.node.op:
+            case "reduce.sum" | "reduce.count":
+                for k, value in enumerate(other):
+                    self._write_part(k, self._read_part(k) + value)
+            case "reduce.any":
+                self._write_part(0, self._read_part(0) | a)
+            case "reduce.min":
+                mine = self._read_part(0)
+                self._write_part(0, e.select_lanes(a < mine, a, mine))
+            case "reduce.max":
+                mine = self._read_part(0)
+                self._write_part(0, e.select_lanes(a > mine, a, mine))
+            case _:
+                mine, best_label, label = self._read_part(0), self._read_part(1), other[1]
+                better = (a < mine) | ((a == mine) & (label < best_label))
+                self._write_part(0, e.select_lanes(better, a, mine))
+                self._write_part(1, e.select_lanes(better, label, best_label))
+
+
+INITIAL_VALUES: dict[str, tuple[tuple[str, Any], ...]] = {
+    "reduce.sum": ((F64, 0.0), (F64, 0.0)),
+    "reduce.count": ((I32, 0),),
+    "reduce.any": ((I32, 0),),
+    "reduce.min": ((F32, np.inf),),
+    "reduce.max": ((F32, -np.inf),),
+    "reduce.agent": ((F32, np.inf), (I64, NO_LABEL)),
+    "reduce.item": ((F32, np.inf), (I64, NO_LABEL)),
+}

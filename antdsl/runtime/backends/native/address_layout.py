@@ -1,0 +1,40 @@
+"""Layout of the tables of addresses and numbers: machine code contains only indices into these tables.
+
+So the code contains no addresses and no values, and all worlds and param values of a program share it."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable
+from dataclasses import dataclass, field
+
+from antdsl.machine_code.number_kinds import BOOL, F32, I32, I64
+from antdsl.plan import ir
+
+LANE_TYPE_BY_KIND = {ir.ValueKind.F32: F32, ir.ValueKind.BOOL: BOOL, ir.ValueKind.I32: I32, ir.ValueKind.I64: I64}
+AddressKey = tuple[Hashable, ...]
+
+
+@dataclass(slots=True, eq=False)
+class AddressLayout:
+    """Indices in the tables of addresses and numbers.
+
+    `pointer_indices`: indices in the table of addresses. The first entry is the address of the numbers.
+    `number_indices`: indices in the table of numbers, eight bytes each.
+    `array_kinds`: kinds of the values stored between stages or for calls, by slot and part."""
+
+    pointer_indices: dict[AddressKey, int] = field(default_factory=lambda: {("numbers",): 0})
+    number_indices: dict[AddressKey, int] = field(default_factory=dict)
+    array_kinds: dict[tuple[int, int], str] = field(default_factory=dict)
+
+    def pointer_index(self, *key: Hashable) -> int:
+        """Return the index of an address; a new one for a new key."""
+        return self.pointer_indices.setdefault(key, len(self.pointer_indices))
+
+    def number_index(self, *key: Hashable) -> int:
+        """Return the index of a number; a new one for a new key."""
+        return self.number_indices.setdefault(key, len(self.number_indices))
+
+    def array_index(self, slot: int, part: int, kind: str) -> int:
+        """Return the index of the address of a stored value."""
+        self.array_kinds[slot, part] = kind
+        return self.pointer_index("array", slot, part)

@@ -1,0 +1,350 @@
+"""Fills a block's tables of addresses and numbers: the memory address of each array of the world that its machine code uses.
+
+Machine code reads eight rows at once, so every array is padded by eight rows (`padded_arrays`). Tables are reused from step to
+step, and only entries that may have changed are written again. These are addresses of named arrays that were replaced, copies
+made in each step, and changed numbers. Births, reordered rows and reloads create new arrays, so they are noticed in the same
+manner."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from itertools import repeat
+from operator import is_not, itemgetter
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.fields.pheromone import PheromoneField
+from antdsl.fields.threshold_cells import CellsAboveThreshold
+from antdsl.machine_code.memory import array_address
+from antdsl.numerics import randomness
+from antdsl.plan import ir
+from antdsl.program.tables.columns import FIXED_COLUMN_BY_NAME
+from antdsl.runtime.backends.native.address_layout import AddressKey
+from antdsl.runtime.backends.native.block_writer import BlockCode
+from antdsl.runtime.backends.native.lane_memory import LaneMemories, LaneMemory
+from antdsl.runtime.backends.native.padded_arrays import PaddedArrays, PaddedCopy
+from antdsl.runtime.clip_values import clip_table, table_starts
+from antdsl.runtime.moving.obstacle_clearance import get_clearance
+from antdsl.runtime.world import Population, World
+
+AddressFinder = Callable[[World, Population], int]
+HolderFinder = Callable[[World, Population], Any]
+NamedIndices = list[tuple[str, int]]  # register names, with the indices of their addresses
+TableWords = NDArray[np.int64]
+
+
+class WatchedArrays:
+    """Arrays of one object of the world.
+
+    `of`: finds the object. `get`: returns its arrays, or an object that changes when they change.
+    `put`: writes the addresses of all arrays if the result of `get` differs from `seen`. It may replace arrays by padded ones."""
+
+    __slots__ = ("get", "of", "put", "seen")
+
+    def __init__(
+        self,
+        of: HolderFinder,
+        get: Callable[[Any], Iterable[NDArray[Any]]],
+        put: Callable[[World, Population, Any, TableWords], None],
+    ) -> None:
+        self.of, self.get, self.put = of, get, put
+        self.seen: Iterable[Any] = repeat(None)
+
+
+class AddressTables:
+    """The inputs of one block of one species: addresses and numbers that all threads read, and `lanes` for the parts of the
+    block."""
+
+    def __init__(self, code: BlockCode, padded_arrays: PaddedArrays) -> None:
+        self.code, self._padded_arrays = code, padded_arrays
+        self.numbers = np.zeros(max(len(code.layout.number_indices), 1), np.int64)
+        self.pointers = np.zeros(len(code.layout.pointer_indices), np.int64)
+        self.pointers[0] = array_address(self.numbers)
+        self.lanes = LaneMemories(code)
+        self.version = 0  # of the pointers
+        self._views = {np.dtype(kind): self.numbers.view(kind) for kind in (np.int64, np.float64, np.float32, np.int32, np.bool_)}
+        nodes: list[tuple[ir.PlanNode, int]] = []
+        self._draw_entries: dict[tuple[str, str, int], dict[str, int]] = {}  # by species, site and block: the index of each word
+        self._number_entries: list[tuple[Callable[[World, str], int | float], str, int]] = []
+        for key, place in code.layout.number_indices.items():
+            node = key[1] if key[0] == "node" else None
+            if isinstance(node, ir.PlanNode):
+                nodes.append((node, place))
+            elif key[0] == "philox":
+                self._draw_entries.setdefault((str(key[1]), str(key[2]), int(str(key[3]))), {})[str(key[4])] = place
+            else:
+                self._number_entries.append((_NUMBER_GETTERS[str(key[0])], str(key[1]) if len(key) > 1 else "", place))
+        self._run_entries = [each for each in nodes if each[0].rate <= ir.UpdateRate.RUN]
+        self._step_entries = [each for each in nodes if each[0].rate > ir.UpdateRate.RUN]
+        self._written_values: Any = None  # the values from which the entries in `_lasting` were written
+        self._written_seed: int | None = None  # the seed for which words of draws were written
+        self._written_numbers: list[int | float | None] = [None] * len(self._number_entries)
+        pointers = list(code.layout.pointer_indices.items())
+        self._sense_entries = [(int(str(key[1])), key[2], place) for key, place in pointers if key[0] == "kept"]
+        self._grid_entries = [
+            (int(str(key[1])), str(key[2]), place) for key, place in pointers if key[0] == "grid" and key[2] != "widest"
+        ]
+        self._written_sources: list[Any] = [None] * (1 + len(code.near))  # stored senses and grids of the last fill
+        groups: dict[AddressKey, list[tuple[AddressKey, int]]] = {}
+        self._finder_entries: list[tuple[AddressFinder, int]] = []
+        for key, place in pointers:
+            holder = self._holder_key(key)
+            if holder is not None:
+                groups.setdefault(holder, []).append((key, place))
+            elif key[0] in _FINDER_MAKERS:
+                self._finder_entries.append((_FINDER_MAKERS[str(key[0])](self, key), place))
+        self._watched_arrays = [self._watch_arrays(holder, keys) for holder, keys in groups.items()]
+        self._written_addresses = [0] * len(self._finder_entries)
+
+    def fill(
+        self,
+        world: World,
+        population: Population,
+        values: Mapping[ir.PlanNode, Any],
+        run_values: Any,
+        stored_senses: Any,
+        grids: Any,
+    ) -> None:
+        """Fill all entries except those of a single lane.
+
+        `values`: the values of the step, including those of the run, which stay valid while `run_values` is the same object.
+            `grids`: a cell grid for each search."""
+        self._update_numbers(world, values, run_values)
+        words, changed = self.pointers, False
+        for held in self._watched_arrays:
+            holder = held.of(world, population)
+            if any(map(is_not, held.seen, held.get(holder))):
+                held.put(world, population, holder, words)
+                held.seen, changed = held.get(holder), True
+        if stored_senses is not self._written_sources[0]:
+            self._written_sources[0], changed = stored_senses, True
+            for number, part, place in self._sense_entries:
+                has, parts = stored_senses[self.code.lazy_nodes[number]]
+                words[place] = array_address(has if part == "has" else parts[part])
+        for search, grid in enumerate(grids, 1):
+            if grid is not self._written_sources[search]:
+                self._written_sources[search], changed = grid, True
+                for number, name, place in self._grid_entries:
+                    if number == search - 1:
+                        words[place] = 0 if grid[name] is None else array_address(grid[name])
+        for number, (find, place) in enumerate(self._finder_entries):
+            at = find(world, population)
+            if at != self._written_addresses[number]:
+                self._written_addresses[number] = words[place] = at
+                changed = True
+        self.version += changed
+
+    def largest_species(self, world: World) -> int:
+        """Return the number of agents of the largest species if the block searches for other agents, else 0."""
+        return max([len(other) for other in world.populations.values()]) if self.code.near else 0
+
+    def prepare_lanes(self, parts: int, rows: int, others: int) -> list[LaneMemory]:
+        """Return lanes for `parts` parts of `rows` rows each, ready to run with the filled tables.
+
+        `others`: the number of agents of the largest searched species."""
+        return self.lanes.prepare_lanes(parts, rows, others, self.pointers)
+
+    def _update_numbers(self, world: World, values: Mapping[ir.PlanNode, Any], lasting: Any) -> None:
+        """Write the numbers of the step. Unchanged numbers, and those of the run, are not written again."""
+        if lasting is not self._written_values:
+            self._written_values = lasting
+            for node, place in self._run_entries:
+                self._write_number(place, values[node])
+        for node, place in self._step_entries:
+            self._write_number(place, values[node])
+        if self._draw_entries:
+            first, seed = randomness.compute_frame_word(world.frame), world.setting.seed
+            for of, words in self._draw_entries.items():
+                self.numbers[words["first"]] = first
+                if seed != self._written_seed:
+                    (_, low, last), (k0, k1) = randomness.build_counters(seed, world.frame, *of)
+                    for word, value in (("low", low), ("last", last), ("k0", k0), ("k1", k1)):
+                        self.numbers[words[word]] = value
+            self._written_seed = seed
+        for number, (of_world, name, place) in enumerate(self._number_entries):
+            current_value = of_world(world, name)
+            if current_value != self._written_numbers[number]:
+                self._written_numbers[number] = current_value
+                self._write_number(
+                    place, np.float64(current_value) if isinstance(current_value, float) else np.int64(current_value)
+                )
+
+    def _write_number(self, place: int, value: Any) -> None:
+        view = self._views[value.dtype]
+        view[place * (8 // value.dtype.itemsize)] = value
+
+    # --- arrays that the world has by name: keys of one holder, and what looks at it ------------------------------------------
+
+    def _holder_key(self, key: AddressKey) -> AddressKey | None:
+        """Return the key of the object that contains a named array, or None."""
+        match key[0]:
+            case "start" | "now" | "cell":
+                return (key[0],)
+            case name if name in FIXED_COLUMN_BY_NAME:
+                return ("own",)
+            case "item" | "field":
+                return key[:2]
+            case "other" if key[2] not in _SORTED_ID_NAMES:
+                return ("other" if key[2] in _OTHER_FIXED else "start of", key[1])
+        return None
+
+    def _watch_arrays(self, holder: AddressKey, keys: list[tuple[AddressKey, int]]) -> WatchedArrays:
+        """Return the watcher of all arrays that one object contains."""
+        of, names = str(holder[-1]), [(str(key[-1]), place) for key, place in keys]
+        match holder[0]:
+            case "start" | "now" as when:
+                return self._watch_registers(names, start=when == "start")
+            case "own":
+                return self._watch_mapping(lambda world, population: population.columns, names)
+            case "other":
+                names = [(_OTHER_FIXED[name], place) for name, place in names]
+                return self._watch_mapping(lambda world, population: world.populations[of].columns, names)
+            case "start of":
+                return self._watch_mapping(lambda world, population: world.populations[of].start, names)
+            case "item":
+                return self._watch_mapping(lambda world, population: world.items[of].visible_values, names)
+            case "field":
+                return _watch_field(of, [(key[2:], place) for key, place in keys])
+        return self._watch_mapping(lambda world, population: population.cells, names)
+
+    def _watch_registers(self, names: NamedIndices, *, start: bool) -> WatchedArrays:
+        """Return the watcher of registers, at the start of the step or now."""
+
+        def put(world: World, population: Population, holder: Any, words: TableWords) -> None:
+            for name, place in names:
+                words[place] = self._padded_arrays.move_register(population, name, start=start)[1]
+
+        find: HolderFinder = (lambda world, population: population.start) if start else (lambda world, population: population.now)
+        return WatchedArrays(find, _make_getter(names), put)
+
+    def _watch_mapping(self, of: HolderFinder, names: NamedIndices) -> WatchedArrays:
+        """Return the watcher of the arrays in a mapping."""
+
+        def put(world: World, population: Population, holder: Any, words: TableWords) -> None:
+            for name, place in names:
+                holder[name], words[place] = self._padded_arrays.pad_array(holder[name])
+
+        return WatchedArrays(of, _make_getter(names), put)
+
+    # --- one kind of key each: gives what looks for its address in a step ---------------------------------------------------
+
+    def _make_mesh_finder(self, key: AddressKey) -> AddressFinder:
+        copy = self._get_copy(key)
+        return lambda world, population: copy.of(population.footing.mesh, np.int64)
+
+    def _make_event_finder(self, key: AddressKey) -> AddressFinder:
+        """Return a function that finds the flags of agents that an event has reached, as a new array in each step.
+
+        For a species that does not handle the event, no flag is set."""
+        name = str(key[1])
+        if name not in self.code.species.event_names:
+            copy = self._get_copy(key)
+            return lambda world, population: copy.of(np.zeros(len(population), np.bool_), np.bool_, len(population))
+
+        def find(world: World, population: Population) -> int:
+            population.events[name], place = self._padded_arrays.pad_array(population.events[name])
+            return place
+
+        return find
+
+    def _make_sorted_ids_finder(self, key: AddressKey) -> AddressFinder:
+        """Return a function that finds the sorted ids of another species, or their rows."""
+        copy, species, which = self._padded_arrays.copy(*key), str(key[1]), key[2] != "sorted ids"
+
+        def find(world: World, population: Population) -> int:
+            other = world.populations[species]
+            return copy.of(other.sorted_ids()[which], np.int64, (other.version, len(other)))
+
+        return find
+
+    def _make_clearance_finder(self, key: AddressKey) -> AddressFinder:
+        copy, name = self._get_copy(key), str(key[1])
+        return lambda world, population: copy.of(get_clearance(world, population, name), np.float32)
+
+    def _make_clip_finder(self, key: AddressKey) -> AddressFinder:
+        copy, what = self._get_copy(key), str(key[1])
+        return lambda world, population: copy.derived_address(world.setting, lambda: clip_table(world, population, what))
+
+    def _find_clip_body(self, key: AddressKey) -> AddressFinder:
+        """Return a function that finds where the entries of each agent's body begin in the tables of clips."""
+        copy = self._get_copy(key)
+
+        def find(world: World, population: Population) -> int:
+            return copy.of(table_starts(world, population), np.int32, (population.version, len(population)))
+
+        return find
+
+    def _make_threshold_finder(self, key: AddressKey) -> AddressFinder:
+        """Return a function that finds the cells near which a field reaches a threshold."""
+        _, name, count, bound = key
+        numbers, place = self._views[np.dtype(np.float32)], 2 * self.code.layout.number_index("node", bound)
+        reached: CellsAboveThreshold | None = None
+
+        def find(world: World, population: Population) -> int:
+            nonlocal reached
+            field, least = world.fields[str(name)], numbers[place]
+            if reached is None or not reached.of(field, least):
+                reached = CellsAboveThreshold(field, least, int(str(count)))
+            return array_address(reached.now(world.options.threads))
+
+        return find
+
+    def _get_copy(self, key: AddressKey) -> PaddedCopy:
+        """Return the padded copy for a key of this species."""
+        return self._padded_arrays.copy(self.code.species.name, *key)
+
+
+def _make_getter(names: NamedIndices) -> Callable[[Any], Iterable[NDArray[Any]]]:
+    """Return a function that gets the arrays with these names."""
+    get_arrays = itemgetter(*(name for name, _ in names))
+    return get_arrays if len(names) > 1 else lambda holder: (get_arrays(holder),)
+
+
+def _watch_field(field_name: str, names: list[tuple[AddressKey, int]]) -> WatchedArrays:
+    """Return the watcher of a field's arrays, which change with the field's version. They are indexed by cell and need no
+    padding."""
+
+    def get(field: PheromoneField) -> tuple[Any, ...]:
+        return field, field.version
+
+    def put(world: World, population: Population, field: PheromoneField, words: TableWords) -> None:
+        for (what, *arguments), place in names:
+            if what == "places":
+                words[place] = array_address(field.sensed_positions)
+            else:
+                words[place] = array_address(
+                    field.cells.get_nearest_cells(int(str(arguments[0]))) if arguments else getattr(field, str(what))
+                )
+
+    return WatchedArrays(lambda world, population: world.fields[field_name], get, put)
+
+
+def _power_of_2_below(count: int) -> int:
+    """Return the greatest power of 2 below a count; 0 for counts 0 and 1."""
+    return 1 << ((count - 1).bit_length() - 1) if count > 1 else 0
+
+
+_SORTED_ID_NAMES = frozenset(("sorted ids", "rows of sorted ids"))
+_OTHER_FIXED = {"frame of birth": "born", "unsorted ids": "ids"}  # key of a fixed column of another species
+_FINDER_MAKERS: dict[str, Callable[[AddressTables, AddressKey], AddressFinder]] = {
+    "mesh": AddressTables._make_mesh_finder,
+    "event": AddressTables._make_event_finder,
+    "other": AddressTables._make_sorted_ids_finder,
+    "clear": AddressTables._make_clearance_finder,
+    "clip": AddressTables._make_clip_finder,
+    "clip body": AddressTables._find_clip_body,
+    "reached": AddressTables._make_threshold_finder,
+}
+_NUMBER_GETTERS: dict[str, Callable[[World, str], int | float]] = {
+    "frame": lambda world, name: world.frame,
+    "dt": lambda world, name: float(world.dt),
+    "items": lambda world, name: len(world.items[name]),
+    "agents": lambda world, name: len(world.populations[name]),
+    "half": lambda world, name: _power_of_2_below(len(world.populations[name])),
+    "turns": lambda world, name: _power_of_2_below(len(world.populations[name])).bit_length(),
+    "cells": lambda world, name: len(world.fields[name].cells),
+    "threads": lambda world, name: world.options.threads,
+    "surface": lambda world, name: world.surface_index.get(name, -1),
+}

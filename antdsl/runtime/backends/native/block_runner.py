@@ -1,0 +1,354 @@
+"""Runs one block as machine code. Its rows are divided into parts, which run through its stages, possibly in several threads.
+
+Between stages, calls without machine code run. At the end, requests to the world are collected."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from itertools import accumulate
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.machine_code.number_kinds import LANE_COUNT
+from antdsl.numerics import parallel
+from antdsl.numerics.host import PARTS_PER_THREAD, count_available_cores
+from antdsl.plan import ir
+from antdsl.runtime.backends.block_compiler import (
+    EFFECTS_SLOT,
+    PAIRS_SLOT,
+    POPULATION_SLOT,
+    THREADS_SLOT,
+    WORLD_SLOT,
+    BlockInstruction,
+    InstructionKind,
+    RowScope,
+)
+from antdsl.runtime.backends.metering import MeteredBlock
+from antdsl.runtime.backends.native.address_tables import AddressTables
+from antdsl.runtime.backends.native.compile_queue import ReadyCode
+from antdsl.runtime.backends.native.lane_memory import LaneMemory
+from antdsl.runtime.backends.native.line_profiling import LineTimes
+from antdsl.runtime.backends.native.padded_arrays import PaddedArrays
+from antdsl.runtime.backends.native.request_emission import record_request
+from antdsl.runtime.requests import FaultEntry
+from antdsl.runtime.sensing import BATCHED_SENSES, SENSE_FUNCTIONS
+from antdsl.runtime.world import Population, World
+
+_PART_ROW_MULTIPLE = 64  # part sizes are multiples of this, so that few births change no size
+# Calls at the end of a stage, in groups of one sense with one name: whether the sense writes its results to the arrays itself,
+# and each call with its index in `BlockCode.needs`, -1 for none.
+StageCalls = list[tuple[bool, list[tuple[BlockInstruction, int]]]]
+
+
+class BlockRunner:
+    """The machine code of one block of a species, which can be run in each step."""
+
+    def __init__(self, ready: ReadyCode, species: str, name: str, padded_arrays: PaddedArrays) -> None:
+        self.code, self.compiler = ready.block_codes[species, name], ready.blocks[species, name]
+        self.tables = AddressTables(self.code, padded_arrays)
+        self.numpy_calls = ready.calls
+        self.uniform_nodes = {slot: node for node, slot in self.compiler.uniform_slots.items()}
+        numbers = {each: number for number, each in enumerate(self.code.needs)}
+        self._prepared_for: tuple[int, ...] = ()
+        self._part_groups: list[PartGroup] = []
+        self.stages: list[tuple[Any, StageCalls]] = []  # the function of each stage, and the calls after it
+        for stage, function in enumerate(self.code.names):
+            groups = ready.call_groups[species, name, stage]
+            calls = [(_is_batched_sense(group[0]), [(each, numbers.get(each, -1)) for each in group]) for group in groups]
+            self.stages.append((ready.function(function), calls))
+
+    def run(
+        self, world: World, population: Population, values: dict[ir.PlanNode, Any], timed: MeteredBlock | None
+    ) -> list[tuple[int, int]]:
+        """Run all rows through the block, and add their requests to the population's effects in row order.
+
+        `values`: the values that are equal for all agents. `timed`: collects times by line, if lines are timed.
+        Returns the parts, as first row and end row, in which an agent has too many neighbours within a radius."""
+        count, others = len(population), self.tables.largest_species(world)
+        of = (count, others, world.options.chunk, world.options.threads, self.tables.version)
+        if of != self._prepared_for:
+            self._prepare_lanes(*of)
+            self._prepared_for = of
+        if timed is not None:
+            return self._run_timed(world, population, values, timed)
+        return self._run_parts(world, population, values)
+
+    def _prepare_lanes(self, count: int, others: int, chunk: int, threads: int, version: int) -> None:
+        """Divide the rows into parts and prepare their lanes."""
+        threads = max(1, min(threads, count_available_cores()))
+        size = _part_size(count, chunk, threads)
+        bounds = [(begin, min(begin + size, count)) for begin in range(0, count, size)]
+        lanes = self.tables.prepare_lanes(min(len(bounds), PARTS_PER_THREAD * threads if threads > 1 else 1), size, others)
+        chunks = [RowChunk(self, lane) for lane in lanes]
+        firsts = range(0, len(bounds), len(lanes))
+        self._part_groups = [PartGroup(self, chunks, bounds[first : first + len(lanes)], threads) for first in firsts]
+
+    def _run_timed(
+        self, world: World, population: Population, values: dict[ir.PlanNode, Any], timed: MeteredBlock
+    ) -> list[tuple[int, int]]:
+        """Run all rows, and add the times by line to `timed`."""
+        lines, chunks, began = self.code.lines, self._part_groups[0].chunks, perf_counter()
+        for each in chunks:
+            each.line_times = None if lines is None else LineTimes(lines, each.lane.ticks, timed.new_counters())
+        bad = self._run_parts(world, population, values)
+        counted = [each.line_times for each in chunks if each.line_times is not None]
+        if counted:
+            for spent in counted:
+                spent.distribute_to_lines()
+            timed.add_counters([spent.counters for spent in counted], perf_counter() - began if len(chunks) > 1 else np.inf)
+        return bad
+
+    def _run_parts(self, world: World, population: Population, values: dict[ir.PlanNode, Any]) -> list[tuple[int, int]]:
+        bad: list[tuple[int, int]] = []
+        for each in self._part_groups:
+            bad += each.run(world, population, values)
+        return bad
+
+
+def _is_batched_sense(each: BlockInstruction) -> bool:
+    """Return whether a sense reads and writes the arrays of machine code itself."""
+    return each.kind is InstructionKind.VALUE and isinstance(each.subject, ir.PlanNode) and each.subject.op in BATCHED_SENSES
+
+
+def _part_size(count: int, chunk: int, threads: int) -> int:
+    """Return the number of rows of a part.
+
+    It is at most a chunk, and smaller where several parts per thread pay off for balance. In one round, the parts of a thread
+    have at most a chunk of rows together. So their data stays in the processor's cache from stage to stage."""
+    most = chunk if threads < 2 else chunk // PARTS_PER_THREAD
+    parts = max(
+        -(-count // max(LANE_COUNT, most)),
+        min(PARTS_PER_THREAD * threads, count // parallel.MIN_AGENTS_PER_THREAD) if threads > 1 else 1,
+    )
+    most = _PART_ROW_MULTIPLE * parts
+    return _PART_ROW_MULTIPLE * max(1, -(-count // most))
+
+
+class PartGroup:
+    """Consecutive parts of a block's rows that run through its stages together.
+
+    All parts pass one stage without the interpreter, then the calls at its end, then the next stage."""
+
+    def __init__(self, block: BlockRunner, chunks: list[RowChunk], bounds: list[tuple[int, int]], threads: int) -> None:
+        self._block, self._threads, self._bounds = block, threads, bounds
+        self.chunks = chunks[: len(bounds)]
+        self._begin, self._end = bounds[0][0], bounds[-1][1]
+        self._table = np.array([(each.lane.address, *part) for each, part in zip(self.chunks, bounds, strict=True)], np.int64)
+
+    def run(self, world: World, population: Population, values: dict[ir.PlanNode, Any]) -> list[tuple[int, int]]:
+        """Run the parts through all stages, and add their requests to the population's effects.
+
+        Returns the parts in which an agent has too many others within a radius."""
+        chunks, timed = self.chunks, self.chunks[0].line_times is not None
+        for each, part in zip(chunks, self._bounds, strict=True):
+            each.begin(world, population, values, *part)
+        for function, calls in self._block.stages:
+            if timed:
+                self._run_in_threads(partial(RowChunk.run_stage, function=function))
+            else:
+                parallel.call_with_rows(function, self._table, self._threads)
+            if calls:
+                self._run_needed_calls(world, population, values, calls)
+        return [part for each, part in zip(chunks, self._bounds, strict=True) if not each.end()]
+
+    def _run_in_threads(self, work: Callable[[RowChunk], object]) -> None:
+        """Run `work` for each part, in threads."""
+        coming = iter(self.chunks)
+
+        def run_parts(_: int) -> None:
+            for each in coming:  # the next part that no thread has taken
+                work(each)
+
+        if len(self.chunks) > 1:
+            parallel.run_in_threads(run_parts, min(self._threads, len(self.chunks)))
+        else:
+            run_parts(0)
+
+    def _run_needed_calls(
+        self, world: World, population: Population, values: dict[ir.PlanNode, Any], stage_calls: StageCalls
+    ) -> None:
+        """Run those calls at the end of a stage that at least one agent needs."""
+        needs = [max(each) for each in zip(*[chunk.lane.needed_calls.tolist() for chunk in self.chunks], strict=True)]
+        others = []
+        for in_place, group in stage_calls:
+            needed = [each for each, number in group if number < 0 or needs[number]]
+            if needed and in_place:
+                self._answer_calls(world, population, values, needed)
+            elif needed:
+                others.append(group)
+        if others:
+            self._run_in_threads(partial(RowChunk.run_calls, stage_calls=others))
+
+    def _answer_calls(
+        self, world: World, population: Population, values: dict[ir.PlanNode, Any], instructions: list[BlockInstruction]
+    ) -> None:
+        """Run one call, or several calls of one sense with one name.
+
+        Inputs are read from the arrays of the previous stage; results are written to the arrays that the next stage reads."""
+        began, block, node = perf_counter(), self._block, instructions[0].subject
+        assert isinstance(node, ir.PlanNode)
+        answer, nothing = BATCHED_SENSES[node.op]
+        asks = [block.tables.lanes.ask(each, self._end - self._begin, block.uniform_nodes, values) for each in instructions]
+        for each, (_, _, results) in zip(instructions, asks, strict=True):
+            if each not in block.code.guarded:
+                for array, value in zip(results, nothing, strict=True):
+                    array.fill(value)
+        answer(world, population, node, slice(self._begin, self._end), asks)
+        if self.chunks[0].line_times is not None:
+            self.chunks[0].add_call_time(began, instructions, [int(np.count_nonzero(asking)) for asking, _, _ in asks])
+
+
+class RowChunk:
+    """Runs rows of a block through its stages, in one thread. If `line_times` is set, it collects times."""
+
+    world: World
+    population: Population
+    values: dict[ir.PlanNode, Any]
+    first: int
+    last: int
+
+    def __init__(self, block: BlockRunner, lane: LaneMemory) -> None:
+        self.runner, self.lane = block, lane
+        self.line_times: LineTimes | None = None
+        self._rows_by_mask: dict[int, NDArray[np.intp]] = {}
+        self._slots: list[Any] | None = None
+
+    def begin(self, world: World, population: Population, values: dict[ir.PlanNode, Any], first: int, last: int) -> None:
+        """Set the rows to run (from the first to before the last)."""
+        self.world, self.population, self.values = world, population, values
+        self.first, self.last = first, last
+        self._slots = None
+        self._rows_by_mask.clear()
+        self.lane.reset_counts()
+
+    def run_stage(self, function: Callable[[int, int, int], None]) -> None:
+        """Run the rows through a stage, and record its time."""
+        began = perf_counter()
+        function(self.lane.address, self.first, self.last)
+        if self.line_times is not None:
+            self.line_times.seconds += perf_counter() - began
+
+    def end(self) -> bool:
+        """Add the rows' requests to the population's effects, after all stages.
+
+        Returns False if an agent has too many others within a radius."""
+        lane, effects = self.lane, self.population.effects
+        crowded, *counts = lane.counts.tolist()
+        if not crowded:
+            for number, count in enumerate(counts):
+                if count:
+                    record_request(
+                        self.runner.code.lists[number], [column[:count].copy() for column in lane.list_columns[number]], effects
+                    )
+            if lane.fault_notes[0]:
+                self._record_faults()
+        self._slots = None
+        del self.world, self.population, self.values  # not needed once no other thread uses them
+        return not crowded
+
+    def add_call_time(self, began: float, instructions: list[BlockInstruction], rows: list[int]) -> None:
+        """Divide the time since `began` among completed calls, in proportion to the rows of each."""
+        if self.line_times is not None:
+            each_row = (perf_counter() - began) / max(sum(rows), 1)
+            for each, count in zip(instructions, rows, strict=True):
+                self.line_times.add_call(each, count * each_row)
+
+    def _record_faults(self) -> None:
+        """Record the values that machine code rejected as faults."""
+        notes = self.lane.fault_notes
+        for k in range(int(notes[0])):
+            row, fault_word = int(notes[1 + 2 * k]), int(notes[2 + 2 * k])
+            refused, by = self.runner.code.faults[fault_word >> LANE_COUNT]
+            rows = row + np.flatnonzero([fault_word >> bit & 1 for bit in range(LANE_COUNT)])
+            self.population.effects.faults.append(FaultEntry(self.runner.compiler.name, refused, by.span, rows))
+
+    # --- calls ---------------------------------------------------------------------------------------------------------
+
+    def _numpy_slots(self) -> list[Any]:
+        """Return the list of slots that NumPy calls expect."""
+        if self._slots is None:
+            compiler = self.runner.compiler
+            v = self._slots = [None] * compiler.slot_count
+            v[WORLD_SLOT], v[POPULATION_SLOT], v[EFFECTS_SLOT] = self.world, self.population, self.population.effects
+            v[PAIRS_SLOT], v[THREADS_SLOT] = {}, 1
+            v[compiler.root_scope.rows] = slice(self.first, self.last)
+            for node, slot in compiler.uniform_slots.items():
+                v[slot] = self.values[node]
+        return self._slots
+
+    def _find_masked_rows(self, slot: int) -> NDArray[np.intp]:
+        """Return the rows, counted within the chunk, for which a mask holds."""
+        if slot not in self._rows_by_mask:
+            (self._rows_by_mask[slot],) = self.lane.arrays[slot, 0][: self.last - self.first].nonzero()
+        return self._rows_by_mask[slot]
+
+    def _scope_rows(self, scope: RowScope) -> NDArray[np.intp]:
+        rows, v = self._find_masked_rows(self.runner.code.schedule.resolve_slot(scope.rows)), self._numpy_slots()
+        is_complete = len(rows) == self.last - self.first
+        v[scope.rows], v[scope.row_count] = (slice(self.first, self.last) if is_complete else rows + self.first), len(rows)
+        return rows
+
+    def _operand_values(self, slot: int, rows: NDArray[np.intp]) -> Any:
+        """Return a value that a stage stored, for the given rows; or a value that is equal for all agents."""
+        source = self.runner.code.schedule.resolve_slot(slot)
+        array = self.lane.arrays.get((source, 0))
+        if array is not None:
+            return array.take(rows)
+        return self._numpy_slots()[source]
+
+    def _run_call(self, each: BlockInstruction, rows: NDArray[np.intp]) -> Any:
+        """Return the result of a NumPy call for the given rows."""
+        v = self._numpy_slots()
+        for slot in each.inputs:
+            v[slot] = self._operand_values(slot, rows)
+        self.runner.numpy_calls[each](v)
+        return v[each.out]
+
+    def run_calls(self, stage_calls: Sequence[list[tuple[BlockInstruction, int]]]) -> None:
+        """Run calls, each for the rows that need it."""
+        needs = self.lane.needed_calls.tolist()
+        for group in stage_calls:
+            needed = [each for each, number in group if number < 0 or needs[number]]
+            if needed:
+                with np.errstate(all="ignore"):
+                    self._run_call_group(needed)
+
+    def _run_call_group(self, instructions: list[BlockInstruction]) -> None:
+        """Run one call, or several calls of one sense with one name. A row appears once for each of its requests."""
+        code, began = self.runner.code, perf_counter()
+        if len(instructions) == 1 and instructions[0] not in code.guarded:
+            rows = self._scope_rows(instructions[0].scope)
+            if len(rows):
+                self._store_results(instructions[0], rows, self._run_call(instructions[0], rows))
+                self.add_call_time(began, instructions, [len(rows)])
+            return
+        chosen = [self._find_masked_rows(code.call_mask_slot(each)) for each in instructions]
+        ends = list(accumulate(len(rows) for rows in chosen))
+        if not ends[-1]:
+            return
+        columns = []
+        for place in range(len(instructions[0].inputs)):
+            parts = [self._operand_values(each.inputs[place], rows) for each, rows in zip(instructions, chosen, strict=True)]
+            pairs = zip(parts, chosen, strict=True)
+            spread = [part if isinstance(part, np.ndarray) and part.ndim else np.full(len(rows), part) for part, rows in pairs]
+            columns.append(np.concatenate(spread))
+        node = instructions[0].subject
+        assert isinstance(node, ir.PlanNode)
+        asking = np.concatenate(chosen) + self.first
+        results = SENSE_FUNCTIONS[node.op](self.world, self.population, node, asking, *columns)
+        parts_of = results if isinstance(results, tuple) else (results,)
+        for each, rows, end in zip(instructions, chosen, ends, strict=True):
+            if len(rows):
+                self._store_results(each, rows, tuple(part[end - len(rows) : end] for part in parts_of))
+        self.add_call_time(began, instructions, [len(rows) for rows in chosen])
+
+    def _store_results(self, each: BlockInstruction, rows: NDArray[np.intp], results: Any) -> None:
+        """Write the results of a call to the arrays that the next stage reads."""
+        for part, value in enumerate(results if isinstance(results, tuple) else (results,)):
+            array = self.lane.arrays.get((each.out, part))
+            if array is not None:
+                array[rows] = value

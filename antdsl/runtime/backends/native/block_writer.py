@@ -1,0 +1,400 @@
+"""Machine code of a block: one function per stage, which runs eight rows at a time through all instructions of the stage."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from antdsl.machine_code.entry_functions import write_outer_function
+from antdsl.machine_code.kernels.ir import BasicBlock
+from antdsl.machine_code.lanes import LaneBuilder, Lanes, add_elementwise_function
+from antdsl.machine_code.llvm_module import LlvmModule
+from antdsl.machine_code.number_kinds import BOOL, F32, I8, I64, LANE_COUNT, PTR
+from antdsl.numerics.elementwise import FUNCTION_BY_NAME
+from antdsl.plan import ir
+from antdsl.runtime.backends.block_compiler import BlockCompiler, BlockInstruction, InstructionKind, RowScope
+from antdsl.runtime.backends.native.address_layout import LANE_TYPE_BY_KIND, AddressKey, AddressLayout
+from antdsl.runtime.backends.native.field_threshold import limit_strength, may_reach_bound
+from antdsl.runtime.backends.native.line_profiling import LineCounters, add_marks
+from antdsl.runtime.backends.native.stage_schedule import StageSchedule, reduction_operands
+
+_OUT_OF_LINE_FUNCTIONS = frozenset(("sin", "cos", "exp", "log", "pow", "atan2"))  # called as functions of the module, not inlined
+_FIRST_GUARD_SLOT = -1_000_000  # slots from here downward are masks of agents that need a call
+
+
+class FunctionWriter:
+    """The context for writing one function: a builder, and the table indices of arrays and numbers."""
+
+    def __init__(self, module: LlvmModule, layout: AddressLayout) -> None:
+        self.module, self.layout = module, layout
+        e = self.builder = LaneBuilder(module)
+        self.table, self.begin, self.end = e.named_number(PTR, "%t"), e.named_number(I64, "%begin"), e.named_number(I64, "%end")
+        self._loaded_addresses: dict[AddressKey, Lanes] = {}
+
+    def array_address(self, *key: Any) -> Lanes:
+        """Return the address of an array, which is read once per call of the function."""
+        if key not in self._loaded_addresses:
+            at = self.builder.make_constant(self.layout.pointer_index(*key), I64, 1)
+            place = self.builder.add_at_entry("element", PTR, self.table, at, x=PTR)
+            self._loaded_addresses[key] = self.builder.add_at_entry("load", PTR, place)
+        return self._loaded_addresses[key]
+
+    def stage_array_address(self, slot: int, part: int, kind: str) -> Lanes:
+        """Return the address of a stored value for the current rows."""
+        self.layout.array_index(slot, part, kind)
+        return self.array_address("array", slot, part)
+
+    def read_uniform(self, kind: str, *key: Any, is_scalar: bool = False) -> Lanes:
+        """Return a value that is equal for all agents: in every lane, or (`is_scalar`) as a single number."""
+
+        def make() -> Lanes:
+            place = self.builder.address(self.array_address("numbers"), self.layout.number_index(*key), I64)
+            return self.builder.load_scalar(place, 0, kind)
+
+        single: Lanes = self.builder.get_or_make(("number", kind, *key), make)
+        if is_scalar:
+            return single
+        lanes: Lanes = self.builder.get_or_make(("numbers", kind, *key), lambda: self.builder.broadcast(single))
+        return lanes
+
+    def apply_operation(self, op: str, *args: Lanes) -> Any:
+        """Apply an elementwise operation to lanes, with the function that NumPy also uses."""
+        formula = FUNCTION_BY_NAME[op]
+        if op not in _OUT_OF_LINE_FUNCTIONS:
+            return formula(*args)
+        name = add_elementwise_function(self.module, f"f.{op}", tuple(each.kind for each in args), formula)
+        return self.builder.call_function(name, F32, *args)
+
+    def add_to_module(self, name: str) -> None:
+        """Add the function to the module under a name that can be called from outside."""
+        outer = write_outer_function(self.module, name)
+        self.builder.end(name, (self.table, self.begin, self.end), attribute="noinline", outer=outer)
+
+
+@dataclass(slots=True, eq=False)
+class NeighbourSearch:
+    """Reductions over neighbours of one species that share one search. `reduction_loops`: the sets that they reduce.
+    `extra_registers`: registers of the others, needed in the order of the cell grid; each text names up to four."""
+
+    species: str
+    sets: list[ir.PlanNode]
+    extra_registers: list[str]
+
+
+@dataclass(slots=True, eq=False)
+class BlockCode:
+    """A compiled block: the names of its stages' functions, and the tables, calls and lists that running them needs."""
+
+    species: ir.SpeciesPlan
+    names: list[str]
+    layout: AddressLayout
+    schedule: StageSchedule
+    lines: LineCounters | None = None  # for code that is timed by line
+    faults: list[tuple[str, BlockInstruction]] = field(default_factory=list)  # name of the value and its instruction
+    near: list[NeighbourSearch] = field(default_factory=list)
+    lazy_nodes: list[ir.PlanNode] = field(default_factory=list)
+    scent_bounds: dict[int, ir.PlanNode] = field(default_factory=dict)  # `scents.bounds`
+    lists: list[BlockInstruction] = field(default_factory=list)  # statements with lists of requesting rows, from slot -1 downward
+    needs: list[BlockInstruction] = field(default_factory=list)  # calls for which the code records whether an agent needs them
+    guarded: dict[BlockInstruction, int] = field(default_factory=dict)  # calls that only some agents need, with their mask slot
+
+    def call_mask_slot(self, each: BlockInstruction) -> int:
+        """Return the slot of the mask of rows for which a call is made."""
+        guarded = self.guarded.get(each)
+        return self.schedule.resolve_slot(each.scope.rows) if guarded is None else guarded
+
+
+NodeLowerer = Callable[["BlockWriter", ir.PlanNode, tuple[Any, ...]], Any]
+
+
+class BlockWriter(FunctionWriter):
+    """Writes the function of one stage."""
+
+    def __init__(
+        self, module: LlvmModule, code: BlockCode, compiler: BlockCompiler, stage: int, senses: dict[str, NodeLowerer],
+        reduce: Callable[[BlockWriter, BlockInstruction], None], guards: Mapping[str, tuple[NodeLowerer, tuple[Any, ...]]],
+        ask: Callable[[BlockWriter, BlockInstruction], None], combine: Callable[[str], str],
+    ) -> None:  # fmt: skip
+        super().__init__(module, code.layout)
+        self.code, self.compiler, self.stage, self.senses, self._emit_reduction = code, compiler, stage, senses, reduce
+        self.guards, self.ask, self.field_combination = guards, ask, combine
+        self.schedule, self.species = code.schedule, code.species.name
+        self._uniform_nodes = {slot: node for node, slot in compiler.uniform_slots.items()}
+        self._instruction_by_slot: dict[int, BlockInstruction] = {}
+        self._cached_senses: dict[int, ir.PlanNode] = {}
+        self._kinds_by_slot: dict[int, tuple[str, ...]] = {}
+        self._reductions: list[BlockInstruction] = []
+        self._index_scope(compiler.root_scope)
+        self.mask: list[Lanes] = []
+        self._cleared_masks: list[int] = []  # mask slots that are cleared first, in case their scope is skipped
+        self.top_writers: list[Callable[[], None]] = []  # write code that runs first for each eight rows; called at the end
+        self.groups: dict[BlockInstruction, Any] = {}  # reductions over neighbours, by the search that finds them
+
+    def _index_scope(self, scope: RowScope) -> None:
+        for each in scope.code:
+            if each.kind is InstructionKind.REDUCE and each in self.schedule.native_instructions:
+                self._reductions.append(each)
+            if isinstance(each.subject, ir.PlanNode) and each.out >= 0:
+                self._instruction_by_slot[each.out] = each
+                kinds = ir.TUPLE_KINDS_BY_OPERATION.get(each.subject.op, (each.subject.kind,))
+                self._kinds_by_slot[each.out] = tuple(LANE_TYPE_BY_KIND.get(kind, "") for kind in kinds)
+                if each.kind is InstructionKind.CACHED_SENSE and each not in self.schedule.inlined_senses:
+                    self._cached_senses[each.out] = each.subject
+            if each.inner is not None:
+                self._kinds_by_slot[each.inner.rows] = (BOOL,)
+                self._index_scope(each.inner)
+
+    def write_function(self, name: str) -> None:
+        """Add the function to the module."""
+        e = self.builder
+        rows = self.end - self.begin
+        with e.write_loop(rows, LANE_COUNT) as offset:
+            self.offset = offset
+            self.row = self.begin + offset
+            root = self.compiler.root_scope
+            mask = (offset + e.lane_numbers() < rows) & ~e.load_lanes(self.array_address("quarantined"), self.row, BOOL)
+            if root.rows in self.schedule.stored_slots and self.stage == 0:
+                e.store_lanes(self.stage_array_address(root.rows, 0, BOOL), offset, mask)
+            e.known[-1][root.rows] = mask
+            self.mask.append(mask)
+            top, place = e.current_block, len(e.current_block.body)
+            self._write_scope(root)
+            last, e.current_block = e.current_block, BasicBlock("", [])
+            for slot in self._cleared_masks:
+                e.store_lanes(self.stage_array_address(slot, 0, BOOL), offset, e.make_constant(False, BOOL))
+            for do in self.top_writers:
+                do()
+            top.body[place:place] = e.current_block.body
+            e.current_block = last
+        if self.code.lines is not None:
+            add_marks(self)
+        self.add_to_module(name)
+
+    # --- instructions --------------------------------------------------------------------------------------------------
+
+    def _timed_instruction(self, each: BlockInstruction) -> AbstractContextManager[None]:
+        """Return a context in which written code is timed for an instruction, if lines are timed."""
+        return nullcontext() if self.code.lines is None else self._time_with_counter(self.code.lines.find_counter(each))
+
+    @contextmanager
+    def _time_with_counter(self, counter: int) -> Iterator[None]:
+        previous_line, self.builder.line = self.builder.line, counter
+        yield
+        self.builder.line = previous_line
+
+    def _write_scope(self, scope: RowScope) -> None:
+        for each in scope.code:
+            with self._timed_instruction(each):
+                match each.kind:
+                    case InstructionKind.REGION:
+                        self._write_region(each)
+                    case InstructionKind.CACHED_SENSE:
+                        self._write_lazy(each)
+                    case InstructionKind.STATEMENT:
+                        if self.schedule.at[each] == self.stage:
+                            self._write_statement(each)
+                    case InstructionKind.VALUE if each in self.schedule.calls_after_stage[self.stage]:
+                        self._write_guard(each)
+                    case InstructionKind.VALUE | InstructionKind.REDUCE if each in self.schedule.native_instructions:
+                        if self.schedule.stage_by_slot.get(each.out) == self.stage:
+                            self.slot_value(each.out)
+
+    def _write_need_note(self, each: BlockInstruction, mask: Lanes) -> None:
+        """Emit code that records whether any agent needs a call."""
+        e = self.builder
+        place = e.address(self.array_address("needs"), len(self.code.needs), I8)
+        self.code.needs.append(each)
+        e.store_number(place, e.load(place, I8) | e.mask_to_i8(mask))
+
+    def _write_guard(self, each: BlockInstruction) -> None:
+        """Emit code that records which agents need a call, if that is known, and stores the result for the others."""
+        assert isinstance(each.subject, ir.PlanNode)
+        guard = self.guards.get(each.subject.op)
+        if guard is None:
+            self._write_need_note(each, self.mask[-1])
+            return
+        asks, others = guard
+        needed = self.mask[-1] & asks(self, each.subject, tuple(self.slot_value(k) for k in each.inputs))
+        self._write_need_note(each, needed)
+        slot = self.code.guarded.setdefault(each, _FIRST_GUARD_SLOT - len(self.code.guarded))
+        self._cleared_masks.append(slot)
+        self.builder.store_lanes(self.stage_array_address(slot, 0, BOOL), self.offset, needed)
+        e = self.builder
+        for part, (value, kind) in enumerate(zip(others, self._kinds_by_slot[each.out], strict=True)):
+            e.store_lanes(self.stage_array_address(each.out, part, kind), self.offset, e.make_constant(value, kind))
+
+    def _write_region(self, each: BlockInstruction) -> None:
+        inner = each.inner
+        assert inner is not None
+        if not self.schedule.is_run_in_stage(inner, self.stage):
+            return
+        mask = self._find_scope_mask(inner, lambda: self.mask[-1] & self.slot_value(each.inputs[0]))
+        with self.builder.write_if(self.builder.any_lane(mask)):
+            self.mask.append(mask)
+            self._write_scope(inner)
+            self.mask.pop()
+
+    def _find_scope_mask(self, inner: RowScope, make: Callable[[], Lanes]) -> Lanes:
+        """Return the mask of an inner scope: computed in this stage, or stored by an earlier stage."""
+        mask: Lanes
+        if self.schedule.stage_by_slot[inner.rows] != self.stage:
+            mask = self.slot_value(inner.rows)
+            return mask
+        mask = self.builder.known[-1][inner.rows] = make()
+        if inner.rows in self.schedule.stored_slots:
+            self._cleared_masks.append(inner.rows)
+            self._store_slot(inner.rows, mask)
+        return mask
+
+    def _write_lazy(self, each: BlockInstruction) -> None:
+        inner, node = each.inner, each.subject
+        assert inner is not None and isinstance(node, ir.PlanNode)
+        if each in self.schedule.inlined_senses:
+            self._write_scope(inner)
+            return
+        if not self.schedule.is_run_in_stage(inner, self.stage):
+            return
+        if node not in self.code.lazy_nodes:
+            self.code.lazy_nodes.append(node)
+        e, number = self.builder, self.code.lazy_nodes.index(node)
+        has = self.array_address("kept", number, "has")
+
+        def missing() -> Lanes:
+            asks = self.mask[-1] & ~e.load_lanes(has, self.row, BOOL)
+            bound = self.code.scent_bounds.get(each.out)
+            return asks if bound is None else asks & may_reach_bound(self, node, bound)
+
+        mask = self._find_scope_mask(inner, missing)
+        with e.write_if(e.any_lane(mask)):
+            self.mask.append(mask)
+            self._write_scope(inner)
+            if self.schedule.at[each] == self.stage:
+                result = self.slot_value(each.result)
+                for part, value in enumerate(result if isinstance(result, tuple) else (result,)):
+                    e.store_masked(mask, self.array_address("kept", number, part), self.row, value)
+                e.store_masked(mask, has, self.row, e.make_constant(True, BOOL))
+            self.mask.pop()
+        if self.schedule.at[each] == self.stage and each.out in self.schedule.stored_slots:
+            self.slot_value(each.out)
+
+    # --- values --------------------------------------------------------------------------------------------------------
+
+    def slot_value(self, slot: int) -> Any:
+        """Return the value of a slot: known, loop-invariant, loaded from an earlier stage, or computed by new code."""
+        slot = self.schedule.resolve_slot(slot)
+        if slot in self._uniform_nodes:
+            node = self._uniform_nodes[slot]
+            return self.read_uniform(LANE_TYPE_BY_KIND[node.kind], "node", node)
+        return self.builder.get_or_make(slot, lambda: self._compute_slot(slot))
+
+    def _compute_slot(self, slot: int) -> Any:
+        if slot in self._cached_senses:
+            number, kinds = self.code.lazy_nodes.index(self._cached_senses[slot]), self._kinds_by_slot[slot]
+            parts = tuple(
+                self.builder.load_lanes(self.array_address("kept", number, k), self.row, kind) for k, kind in enumerate(kinds)
+            )
+            if slot in self.code.scent_bounds:
+                parts = (limit_strength(self, self._cached_senses[slot], self.code.scent_bounds[slot], parts[0]), *parts[1:])
+            self._store_slot(slot, parts)
+            return parts if len(parts) > 1 else parts[0]
+        each = self._instruction_by_slot.get(slot)
+        node = None if each is None else each.subject
+        is_recomputed = isinstance(node, ir.PlanNode) and node.op in ("snap", "id") and slot not in self.schedule.stored_slots
+        is_native = each is not None and each in self.schedule.native_instructions
+        if each is None or not is_native or (self.schedule.stage_by_slot[slot] != self.stage and not is_recomputed):
+            parts = tuple(
+                self.builder.load_lanes(self.stage_array_address(slot, k, kind), self.offset, kind)
+                for k, kind in enumerate(self._kinds_by_slot[slot])
+            )
+            return parts if len(parts) > 1 else parts[0]
+        with self._timed_instruction(each):
+            if each.kind is InstructionKind.REDUCE:
+                self._emit_reduction(self, each)
+                return self.builder.known[-1][slot]
+            assert isinstance(node, ir.PlanNode)
+            if node.op == "get":
+                value = self.slot_value(each.inputs[0])[node.attrs[0]]
+            elif node.op in FUNCTION_BY_NAME:
+                value = self.apply_operation(node.op, *(self.slot_value(k) for k in each.inputs))
+            else:
+                value = self.senses[node.op](self, node, tuple(self.slot_value(k) for k in each.inputs))
+            self._store_slot(slot, value)
+        return value
+
+    def known(self, slot: int, value: Any) -> None:
+        """Record the value of a slot that other code has computed already, and store it if a later stage needs it."""
+        self.builder.known[-1][slot] = value
+        self._store_slot(slot, value)
+
+    def _store_slot(self, slot: int, value: Any) -> None:
+        if slot in self.schedule.stored_slots:
+            for part, each in enumerate(value if isinstance(value, tuple) else (value,)):
+                self.builder.store_lanes(self.stage_array_address(slot, part, each.kind), self.offset, each)
+
+    def find_joint_reductions(self, first: BlockInstruction) -> list[BlockInstruction]:
+        """Return other reductions over the same species or items that one search can compute with `first`.
+        They must not depend on its result. Reductions over agents may be in other scopes."""
+        assert isinstance(first.subject, ir.PlanNode)
+        reductions, of = [], first.subject.args[0]
+        for each in self._reductions:
+            node = each.subject
+            if each is first or not isinstance(node, ir.PlanNode):
+                continue
+            if node.args[0].op != of.op or node.args[0].attrs[0] != of.attrs[0]:
+                continue
+            if self.schedule.stage_by_slot.get(each.out) != self.stage or any(each.out in names for names in self.builder.known):
+                continue
+            if each.scope is not first.scope and of.op != "set.agents":
+                continue
+            if all(self._is_ready(slot) for slot in reduction_operands(each)):
+                reductions.append(each)
+        return reductions
+
+    def _is_ready(self, slot: int) -> bool:
+        """Return whether a value is known or needs only operations, without any reduction or register that changes."""
+        slot = self.schedule.resolve_slot(slot)
+        if slot in self._uniform_nodes or any(slot in names for names in self.builder.known):
+            return True
+        each = self._instruction_by_slot.get(slot)
+        if each is None or self.schedule.stage_by_slot.get(slot) != self.stage:
+            return slot not in self._cached_senses
+        if each.kind is not InstructionKind.VALUE or not isinstance(each.subject, ir.PlanNode) or each.subject.op == "load":
+            return False
+        return all(self._is_ready(k) for k in each.inputs)
+
+    # --- statements ----------------------------------------------------------------------------------------------------
+
+    def _write_statement(self, each: BlockInstruction) -> None:
+        what = each.subject
+        if isinstance(what, ir.Store):
+            self._write_store(each, what)
+        else:
+            self.ask(self, each)
+
+    def _write_store(self, each: BlockInstruction, what: ir.Store) -> None:
+        value, mask = self.slot_value(each.inputs[0]), self.mask[-1]
+        if value.kind == F32:
+            good = np.isfinite(value)
+            if what.allows_infinity:
+                good = good | (value == float("inf"))
+            self.write_fault_record(mask & ~good, what.register, each)
+            mask = mask & good
+        self.builder.store_masked(mask, self.array_address("now", what.register), self.row, value)
+
+    def write_fault_record(self, bad: Lanes, what: str, by: BlockInstruction) -> None:
+        """Emit code that records eight rows with a value that is not finite: the first row, and a mask of the faulty rows.
+        The number of the rejected value is stored above the bits of the mask."""
+        e, faults = self.builder, self.code.faults
+        with e.write_if(e.any_lane(bad)):
+            faults.append((what, by))  # one entry per place; its notes have space for one of each eight rows
+            notes = self.array_address("notes")
+            count = e.load_scalar(notes, 0, I64)
+            first = e.address(notes, count * 2, I64)
+            note_word = e.mask_to_i64(bad) | ((len(faults) - 1) << LANE_COUNT)
+            for k, value in enumerate((self.row, note_word)):
+                e.store_number(e.address(first, k + 1, I64), value)
+            e.store_number(notes, count + 1)

@@ -1,0 +1,181 @@
+"""Makes a plan's blocks ready to run as machine code: text, loaded code, and the calls between stages.
+
+Each function that is called from outside is compiled separately, in a thread parallel to the run. Code is cached by its text:
+in memory, and in a folder for later runs (`object_cache`). The numbers of a program are not part of the text, so changing a
+number compiles nothing. An edit compiles only the stages that it changes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import cache, partial
+from threading import Lock
+from typing import Any
+from weakref import ReferenceType, WeakKeyDictionary, ref
+
+from antdsl.machine_code import code_cache, llvm_compiler
+from antdsl.plan import ir
+from antdsl.runtime.backends import numpy_calls
+from antdsl.runtime.backends.block_compiler import BlockInstruction, InstructionKind, SlotFunction
+from antdsl.runtime.backends.native import stored_blocks
+from antdsl.runtime.backends.native.block_writer import BlockCode
+from antdsl.runtime.backends.native.programs import CompiledBlocks, NativeProgram, WorldFacts, write_program
+from antdsl.runtime.sensing import SENSE_FUNCTIONS
+
+_code_by_plan: WeakKeyDictionary[ir.Plan, dict[WorldFacts, ReadyCode]] = WeakKeyDictionary()
+_pending_requests: list[tuple[ReferenceType[Future[ReadyCode]], Generator[None, None, ReadyCode]]] = []
+_requests_lock = Lock()
+
+
+class CodeUnavailable(Exception):
+    """Error if machine code cannot be made on this machine. The message gives the reason and a remedy."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ReadyCode:
+    """The loaded code of a plan.
+
+    `blocks`: the compiled blocks, to which the other fields refer.
+    `block_codes`: the block codes, by species and block.
+    `loaded_code`: the loaded code of each function, by name.
+    `calls`: the function call for each instruction without machine code.
+    `call_groups`: the calls after each stage, by species, block and stage; calls of one sense with one name are grouped."""
+
+    blocks: CompiledBlocks
+    facts: WorldFacts
+    block_codes: Mapping[tuple[str, str], BlockCode]
+    loaded_code: Mapping[str, llvm_compiler.LoadedCode]
+    calls: Mapping[BlockInstruction, SlotFunction]
+    call_groups: Mapping[tuple[str, str, int], list[list[BlockInstruction]]]
+
+    def function(self, name: str) -> Any:
+        """Return a function of the program by name, as `llvm_compiler.LoadedCode.function` does."""
+        return self.loaded_code[name].function(name)
+
+
+def find_ready_code(plan: ir.Plan, facts: WorldFacts) -> ReadyCode | None:
+    """Return the loaded code of a plan if it is still in memory, else None."""
+    with _requests_lock:
+        return _code_by_plan.get(plan, {}).get(facts)
+
+
+def _build_ready(
+    plan: ir.Plan, blocks: CompiledBlocks, facts: WorldFacts, known: stored_blocks.StoredBlocks | None
+) -> Generator[None, None, ReadyCode]:
+    """Compile a plan's blocks for this processor. The generator does one piece of work per step. Raises CodeUnavailable."""
+    if why := llvm_compiler.unavailability_reason():
+        raise CodeUnavailable(why)
+    host = llvm_compiler.host_target()
+    text = cache(lambda: write_program(plan, blocks, facts, host))
+    if known is None:
+        subject = stored_blocks.make_subject(plan, blocks, facts, host)
+        known = {name: stored_blocks.text_key(each) for name, each in text().units.items()}, dict(text().blocks)
+        if subject is not None:
+            stored_blocks.write_blocks(subject, text())
+    units, written = known
+    yield
+    calls: dict[BlockInstruction, SlotFunction] = {}
+    together: dict[tuple[str, str, int], list[list[BlockInstruction]]] = {}
+    for key, code in written.items():
+        for stage, called in enumerate(code.schedule.calls_after_stage):
+            together[(*key, stage)] = _group_calls(called)
+        for each in (each for called in code.schedule.calls_after_stage for each in called):
+            calls[each] = numpy_calls.make_call(each, blocks[key])(each.out, each.inputs, None)
+    machine_codes = {}
+    for name, named in units.items():
+        machine_codes[name] = code_cache.load_code(named, partial(_unit_text, text, name))
+        yield
+    ready = ReadyCode(blocks, facts, written, machine_codes, calls, together)
+    with _requests_lock:
+        _code_by_plan.setdefault(plan, {})[facts] = ready
+    return ready
+
+
+def _unit_text(text: Callable[[], NativeProgram], name: str) -> str:
+    return text().units[name]
+
+
+def find_stored_blocks(plan: ir.Plan, blocks: CompiledBlocks, facts: WorldFacts) -> stored_blocks.StoredBlocks | None:
+    """Return the compiled blocks of a plan that an earlier run stored; None if none are stored. With them, code is loaded at
+    once."""
+    subject = (
+        stored_blocks.make_subject(plan, blocks, facts, llvm_compiler.host_target()) if llvm_compiler.is_available() else None
+    )
+    return None if subject is None else stored_blocks.read_blocks(subject)
+
+
+def start_building(
+    plan: ir.Plan, blocks: CompiledBlocks, facts: WorldFacts, known: stored_blocks.StoredBlocks | None = None
+) -> Future[ReadyCode]:
+    """Build machine code for a plan's blocks in a thread, and return a future. Its result may be the error CodeUnavailable.
+
+    The latest request is built first, because a user waits for it. Building stops once the caller drops the future, for
+    example because the program was saved again.
+    `known`: the result of `find_stored_blocks`."""
+    coming: Future[ReadyCode] = Future()
+    with _requests_lock:
+        _pending_requests.append((ref(coming), _build_ready(plan, blocks, facts, known)))
+    _compile_thread().submit(_run_next_piece)
+    return coming
+
+
+def _run_next_piece() -> None:
+    """Do one piece of work for the latest request that is still needed."""
+    with _requests_lock:
+        _pending_requests[:] = [each for each in _pending_requests if each[0]() is not None]
+        if not _pending_requests:
+            return
+        future_reference, making = _pending_requests[-1]
+    try:
+        next(making)
+    except StopIteration as made:
+        ready: ReadyCode = made.value
+        _finish_request(future_reference, lambda coming: coming.set_result(ready))
+    except Exception as problem:
+        why = problem
+        _finish_request(future_reference, lambda coming: coming.set_exception(why))
+    with suppress(RuntimeError):  # the program is exiting, so no caller waits
+        _compile_thread().submit(_run_next_piece)
+
+
+def _finish_request(future_reference: ReferenceType[Future[ReadyCode]], set_outcome: Callable[[Future[ReadyCode]], None]) -> None:
+    """Complete a request by setting its result or its error. `set_outcome` sets it on the future."""
+    with _requests_lock:
+        _pending_requests[:] = [each for each in _pending_requests if each[0] is not future_reference]
+    coming = future_reference()
+    if coming is not None:
+        set_outcome(coming)
+
+
+def release_code() -> None:
+    """Drop all code in memory that no backend uses, as in a new process. Stored code is unchanged."""
+    with _requests_lock:
+        _code_by_plan.clear()
+    code_cache.release_unused_code()
+
+
+@cache
+def _compile_thread() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(1, "machine code")
+
+
+def _group_calls(calls: list[BlockInstruction]) -> list[list[BlockInstruction]]:
+    """Return the calls in their order, in groups. Calls of one sense with one name run together."""
+    groups: list[list[BlockInstruction]] = []
+    known: dict[Any, list[BlockInstruction]] = {}
+    for each in calls:
+        if (
+            each.kind is not InstructionKind.VALUE
+            or not isinstance(each.subject, ir.PlanNode)
+            or each.subject.op not in SENSE_FUNCTIONS
+        ):
+            groups.append([each])
+            continue
+        key = (each.subject.op, each.subject.attrs)
+        if key not in known:
+            known[key] = []
+            groups.append(known[key])
+        known[key].append(each)
+    return groups

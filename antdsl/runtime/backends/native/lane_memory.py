@@ -1,0 +1,171 @@
+"""The data of each part of a block while machine code runs: values passed between stages, lists, recorded faults, counters."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.casting.nearby import FeelerQuery
+from antdsl.machine_code.memory import array_address
+from antdsl.machine_code.number_kinds import BOOL, F32, F64, I32, I64, LANE_COUNT
+from antdsl.plan import ir
+from antdsl.runtime.backends.block_compiler import BlockInstruction
+from antdsl.runtime.backends.native.address_layout import AddressKey
+from antdsl.runtime.backends.native.block_writer import BlockCode
+from antdsl.runtime.backends.native.search import MAX_LISTED_CANDIDATES
+
+DTYPE_BY_KIND = {F32: np.float32, F64: np.float64, BOOL: np.bool_, I32: np.int32, I64: np.int64}
+Arrays = dict[tuple[int, int], NDArray[Any]]  # by slot and part
+_LANE_KEY_KINDS = ("array", "laid", "notes", "counts", "needs", "ticks", "candidates")  # kinds of keys with an array per lane
+
+
+class LaneMemory:
+    """The memory of one part of a block.
+
+    `counts`: first, above 0 if an agent has too many neighbours; then the length of each list.
+    `needed_calls`: for each call, above 0 if an agent needs it.
+    `list_columns`: for each list, rows and the values stored for them.
+    `ticks`: counters by line, for timed code.
+    `deposit_flags`: by field, whether anything was deposited.
+    `widest`: the greatest radius of each search."""
+
+    def __init__(self, code: BlockCode, pointers: NDArray[np.int64]) -> None:
+        self.code, self.pointers = code, np.zeros_like(pointers)
+        self.address = array_address(self.pointers)
+        self.arrays: Arrays = {}
+        self.list_columns: list[list[NDArray[Any]]] = []
+        self.fault_notes = np.zeros(1, np.int64)
+        self.counts, self.needed_calls = np.zeros(1 + len(code.lists), np.int64), np.zeros(max(len(code.needs), 1), np.uint8)
+        self.ticks = np.zeros(0 if code.lines is None else len(code.lines.instruction_numbers), np.int64)
+        self.deposit_flags: dict[str, NDArray[np.bool_]] = {}
+        self.widest = [np.zeros(LANE_COUNT, np.float32) for _ in code.near]
+        self._candidates = np.zeros(0, np.int32)
+        self._keys = [
+            (key, place)
+            for key, place in code.layout.pointer_indices.items()
+            if key[0] in _LANE_KEY_KINDS or key[2:] == ("widest",)
+        ]
+        self._lane_entries = np.array([place for _, place in self._keys], np.intp)
+        self._lane_addresses = np.zeros(len(self._keys), np.int64)
+
+    def copy_pointers(self, pointers: NDArray[np.int64]) -> None:
+        """Set the addresses that are common to all lanes."""
+        self.pointers[:] = pointers
+        self.pointers[self._lane_entries] = self._lane_addresses
+
+    def reset_counts(self) -> None:
+        """Set all counters to 0."""
+        self.fault_notes[0] = 0
+        self.counts.fill(0)
+        if self.code.needs:
+            self.needed_calls.fill(0)
+
+    def allocate(self, arrays: Arrays, rows: int, others: int) -> None:
+        """Use the given arrays for `rows` rows, with eight spare rows at the end.
+
+        `others`: the number of agents of the largest searched species, for which buffers are allocated."""
+        self.arrays = arrays
+        self.list_columns.clear()
+        for number in range(len(self.code.lists)):
+            parts = sorted(part for slot, part in self.arrays if slot == -1 - number)
+            self.list_columns.append([self.arrays[-1 - number, part] for part in parts])
+        notes, candidates = (
+            1 + 2 * (len(self.code.faults) * (rows // LANE_COUNT + 1)),
+            2 * others + (LANE_COUNT + 1) * MAX_LISTED_CANDIDATES,
+        )
+        if len(self.fault_notes) < notes:
+            self.fault_notes = np.zeros(notes, np.int64)
+        if len(self._candidates) < candidates:
+            self._candidates = np.zeros(candidates, np.int32)  # for one agent, with distances
+        for number, (key, _) in enumerate(self._keys):
+            self._lane_addresses[number] = array_address(self._find_array(key))
+
+    def _find_array(self, key: AddressKey) -> NDArray[Any]:
+        """Return the lane's own array for a layout key."""
+        match key[0]:
+            case "array":
+                return self.arrays[int(str(key[1])), int(str(key[2]))]
+            case "grid":
+                return self.widest[int(str(key[1]))]
+            case "laid":
+                return self.deposit_flags.setdefault(str(key[1]), np.zeros(1, np.bool_))
+            case "notes":
+                return self.fault_notes
+            case "counts":
+                return self.counts
+            case "needs":
+                return self.needed_calls
+            case "ticks":
+                return self.ticks
+        return self._candidates
+
+
+class LaneMemories:
+    """The memories of all parts of a block that run at the same time.
+
+    Stage results of all parts are contiguous, part after part: the arrays of each lane are slices of `arrays`."""
+
+    def __init__(self, code: BlockCode) -> None:
+        self.code = code
+        self.arrays: Arrays = {}
+        self.every: list[LaneMemory] = []  # includes lanes of earlier, larger numbers of parts
+        self._part_rows = self._largest_species = self._part_count = 0
+        self._queries: dict[
+            BlockInstruction, tuple[FeelerQuery, list[tuple[ir.PlanNode, Any]]]
+        ] = {}  # query by call, with its uniform operands and their values
+
+    def prepare_lanes(self, parts: int, rows: int, others: int, pointers: NDArray[np.int64]) -> list[LaneMemory]:
+        """Return lanes for `parts` parts of `rows` rows each (multiples of eight if there are several parts), with the shared
+        addresses.
+
+        `others`: the number of agents of the largest searched species, for which buffers are allocated."""
+        while len(self.every) < parts:
+            self.every.append(LaneMemory(self.code, pointers))
+        if rows != self._part_rows or parts > self._part_count or others > self._largest_species:
+            self._part_rows, self._part_count, self._largest_species = (
+                rows,
+                max(parts, self._part_count),
+                max(others, self._largest_species),
+            )
+            self._allocate()
+        lanes = self.every[:parts]
+        for lane in lanes:
+            lane.copy_pointers(pointers)
+        return lanes
+
+    def _allocate(self) -> None:
+        """Allocate the arrays of all parts, and assign each lane its slices."""
+        rows, length = self._part_rows, self._part_count * self._part_rows + LANE_COUNT
+        self._queries.clear()
+        for key, kind in self.code.layout.array_kinds.items():
+            if key not in self.arrays or len(self.arrays[key]) < length:
+                self.arrays[key] = np.zeros(length, DTYPE_BY_KIND[kind])
+        for k, lane in enumerate(self.every[: self._part_count]):
+            own = {key: array[k * rows : (k + 1) * rows + LANE_COUNT] for key, array in self.arrays.items()}
+            lane.allocate(own, rows, self._largest_species)
+
+    def ask(
+        self, each: BlockInstruction, rows: int, uniform: Mapping[int, ir.PlanNode], values: Mapping[ir.PlanNode, Any]
+    ) -> FeelerQuery:
+        """Return the query for a call: which of `rows` rows of all parts need it, its arguments, and the arrays for its
+        results.
+
+        `uniform`: by slot, the nodes that have one value for all agents."""
+        known = self._queries.get(each)
+        if known is not None:
+            request, same = known
+            if len(request[0]) == rows and all([values[node] is value for node, value in same]):
+                return request
+        slots = [self.code.schedule.resolve_slot(slot) for slot in each.inputs]
+        same = [(uniform[slot], values[uniform[slot]]) for slot in slots if (slot, 0) not in self.arrays]
+        operands = [
+            self.arrays[slot, 0][:rows] if (slot, 0) in self.arrays else np.full(rows, values[uniform[slot]]) for slot in slots
+        ]
+        assert isinstance(each.subject, ir.PlanNode)
+        results = [self.arrays[each.out, part][:rows] for part in range(len(ir.TUPLE_KINDS_BY_OPERATION[each.subject.op]))]
+        request = (self.arrays[self.code.call_mask_slot(each), 0][:rows], tuple(operands), tuple(results))
+        self._queries[each] = (request, same)
+        return request

@@ -1,0 +1,153 @@
+"""Times machine code by line: marks in the code read the processor's counter where the source line changes.
+
+Only code compiled for timing has marks (`programs.WorldFacts.timed`). The time between two marks is added to the counter of
+the line before the second mark. The total duration of the functions converts counters to seconds. A call, such as a search
+shared by several lines, counts for the line at which it occurs in the code."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.machine_code.kernels.ir import BasicBlock
+from antdsl.machine_code.kernels.values import Number
+from antdsl.machine_code.lanes import Lanes
+from antdsl.machine_code.number_kinds import I64
+from antdsl.runtime.backends.block_compiler import BlockCompiler, BlockInstruction
+from antdsl.runtime.backends.metering import list_instructions
+
+if TYPE_CHECKING:
+    from antdsl.runtime.backends.native.block_writer import FunctionWriter
+
+
+class LineCounters:
+    """Counters of a block: one for each source line within each layer. The first counter is for instructions without a line.
+
+    `number_by_instruction`: the index of each instruction among the instructions of `MeteredBlock`.
+    The other list has, for each counter, the index of an instruction on its line, -1 for none."""
+
+    def __init__(self, compiler: BlockCompiler) -> None:
+        self.number_by_instruction = {each: k for k, each in enumerate(list_instructions(compiler.root_scope))}
+        self.instruction_numbers = [-1]
+        self._counters: dict[tuple[str, int, int], int] = {}
+
+    def find_counter(self, instruction: BlockInstruction) -> int:
+        """Return the counter of an instruction's line; a new one if the line has none yet."""
+        span = instruction.span
+        place = ("", 0) if span is None else (span.source.path, span.source.find_line_column(span.start)[0])
+        key = (*place, instruction.layer)
+        if key not in self._counters:
+            self._counters[key] = len(self.instruction_numbers)
+            self.instruction_numbers.append(self.number_by_instruction[instruction])
+        return self._counters[key]
+
+
+class _MarkWriter:
+    """Rewrites a function with marks between instructions that have different counters."""
+
+    def __init__(self, w: FunctionWriter) -> None:
+        self.builder, self._ticks, self._last_time_slot = w.builder, w.array_address("ticks"), w.builder.allocate_slot(I64)
+        self._needs_fence = w.module.target.x86
+        self._pending_slots: dict[str, Number] = {}  # stack slots that hold values, by type
+        self._mark_end = 0  # index in the block after the last mark
+
+    def write_marks(self) -> None:
+        """Add marks to all blocks of the function."""
+        e, blocks = self.builder, self.builder.blocks
+        e.blocks, e.current_block = blocks[:1], BasicBlock(blocks[0].label, [])
+        e.blocks[0] = e.current_block
+        e.store_number(self._last_time_slot, self._read_counter())
+        current = 0
+        for k, block in enumerate(blocks):
+            if k:
+                e.begin(block.label)
+            self._mark_end = len(e.current_block.body)
+            for each in block.body:
+                if each.line != current:
+                    self._add_ticks(current)
+                    current = each.line
+                e.current_block.body.append(each)
+        self._add_ticks(current)
+
+    def _add_ticks(self, number: int) -> None:
+        """Emit code that adds the time since the last mark to a counter."""
+        e = self.builder
+        self._store_pending()
+        last, now = e.load(self._last_time_slot, I64), self._read_counter()
+        passed, place = now - last, e.address(self._ticks, number, I64)
+        e.store_number(place, e.load(place, I64) + passed)
+        e.store_number(self._last_time_slot, now)
+        self._add_barrier(now)
+
+    def _read_counter(self) -> Lanes:
+        """Return the processor's counter after all earlier instructions have completed. Otherwise divisions and roots of a
+        line would count for a later line."""
+        if self._needs_fence:
+            self.builder.do("wait")
+        return self.builder.op("ticks", I64, lanes=1)
+
+    def _store_pending(self) -> None:
+        """Store all values that are not used yet, so that they are computed before the mark.
+
+        LLVM does not move these stores past the counter. Without them, it would compute the values where they are used, in
+        another line."""
+        written = self.builder.current_block.body[self._mark_end :]
+        read = {operand.name for each in written for operand in each.operands}
+        for value in [each.result for each in written if each.result is not None and each.result.name not in read]:
+            if value.type not in self._pending_slots:
+                self._pending_slots[value.type] = self.builder.allocate_slot(value.kind, value.lanes)
+            self.builder.do("volatile", value, self._pending_slots[value.type])
+
+    def _add_barrier(self, count: Lanes) -> None:
+        """Prevent LLVM from moving later operations before this point.
+
+        LLVM reorders instructions within a basic block. A branch that it cannot prove to be always taken starts a new block.
+        `count` is never 0, which LLVM does not know."""
+        e, never, following = self.builder, self.builder.make_label("never"), self.builder.make_label("marked")
+        e.branch(count != 0, following, never)
+        e.begin(never)
+        e.do("border")
+        e.jump(following)
+        e.begin(following)
+        self._mark_end = 0
+
+
+def add_marks(w: FunctionWriter) -> None:
+    """Add marks to a function that is complete except for its end."""
+    _MarkWriter(w).write_marks()
+
+
+@dataclass(slots=True, eq=False)
+class LineTimes:
+    """The times of a block's parts in one run.
+
+    `ticks`: the counters to which its code adds. `counters`: counters from `MeteredBlock.new_counters`. `seconds`: the time of
+    the
+        functions."""
+
+    lines: LineCounters
+    ticks: NDArray[np.int64]
+    counters: list[float]
+    seconds: float = 0.0
+
+    def __post_init__(self) -> None:
+        self.ticks[:] = 0
+
+    def add_call(self, instruction: BlockInstruction, seconds: float) -> None:
+        """Add the time of an instruction without machine code."""
+        self._add_seconds(self.lines.number_by_instruction[instruction], seconds)
+
+    def distribute_to_lines(self) -> None:
+        """Divide the time of the functions among their lines."""
+        ticks = np.maximum(self.ticks, 0)  # counters of two processors may differ
+        to_seconds = self.seconds / max(int(ticks.sum()), 1)
+        for number, count in zip(self.lines.instruction_numbers, ticks.tolist(), strict=True):
+            if number >= 0:
+                self._add_seconds(number, count * to_seconds)
+
+    def _add_seconds(self, number: int, seconds: float) -> None:
+        self.counters[number] += seconds
+        self.counters[-1] += seconds

@@ -1,0 +1,207 @@
+"""Runs a plan's blocks as machine code. NumPy runs blocks until their code is ready, and if no code can be made. The results have
+the same bits."""
+
+from __future__ import annotations
+
+from concurrent.futures import Future, wait
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.machine_code import code_cache, llvm_compiler
+from antdsl.machine_code.number_kinds import LANE_COUNT
+from antdsl.plan import ir
+from antdsl.plan.traverse import collect_required_nodes
+from antdsl.runtime.backends.native import program_listing
+from antdsl.runtime.backends.native.block_runner import BlockRunner
+from antdsl.runtime.backends.native.block_writer import NeighbourSearch
+from antdsl.runtime.backends.native.compile_queue import (
+    CodeUnavailable,
+    ReadyCode,
+    find_ready_code,
+    find_stored_blocks,
+    start_building,
+)
+from antdsl.runtime.backends.native.padded_arrays import PaddedArrays
+from antdsl.runtime.backends.native.programs import WorldFacts, write_program
+from antdsl.runtime.backends.native.search.search_grids import Arrays, SearchGrids
+from antdsl.runtime.backends.numpy_backend import NumpyBackend
+from antdsl.runtime.backends.reference import AgentRun
+from antdsl.runtime.requests import EffectRequests
+from antdsl.runtime.world import AXES, Population, World
+
+_MIN_AGENTS_FOR_CODE = 2_000  # with as many agents, loading code pays off after a few steps
+_MIN_STEP_SECONDS = 0.2  # CPU seconds of earlier steps from which compilation pays off
+_MAX_LOAD_SECONDS = 1.0  # maximum wait for stored code
+_SAMPLED_RADII = 8  # agents of which radii are computed to choose the first cell size
+_DEFAULT_AGENTS_PER_CELL = 8  # agents per cell if no radius is known
+
+
+class NativeBackend(NumpyBackend):
+    """Runs a plan in one world. A thread compiles the code from the first step on."""
+
+    spare_rows = LANE_COUNT
+
+    def __init__(self, plan: ir.Plan) -> None:
+        super().__init__(plan)
+        self._plan = plan
+        self._pending_code: Future[ReadyCode] | None = None
+        self._unavailable_reason: str | None = None  # the reason if machine code cannot be made
+        self._has_begun = False
+        self._looked_up_facts: set[WorldFacts] = set()  # facts for which stored code was searched
+        self.ready_code: ReadyCode | None = None
+        self._runners: dict[tuple[str, str], BlockRunner] = {}
+        self._is_timed = False  # whether the active code is timed by line
+        # the inactive code: timed code while untimed code is active, and the reverse
+        self._inactive_code: tuple[ReadyCode | None, Future[ReadyCode] | None, dict[tuple[str, str], BlockRunner]] = (
+            None,
+            None,
+            {},
+        )
+        self._padded_arrays = PaddedArrays()
+        self._versions: list[int] = []
+        self._search_radii: dict[tuple[str, str, int], float] = {}
+        self._grids = SearchGrids()
+
+    @property
+    def backend_name(self) -> str:
+        return super().backend_name if self.ready_code is None else "machine code"
+
+    def set_timing(self, enabled: bool) -> None:
+        """Time program lines from the next step on, or stop timing. Timing needs separate code; NumPy runs until that code is
+        ready."""
+        if enabled != self._is_timed:
+            self._is_timed = enabled
+            current = (self.ready_code, self._pending_code, self._runners)
+            (self.ready_code, self._pending_code, self._runners), self._inactive_code = self._inactive_code, current
+        super().set_timing(enabled)
+
+    def begin(self, world: World) -> None:
+        """Begin a step: set its loop-invariant values, clear cached senses, and switch to machine code that has become ready."""
+        self._request_code(world, world.options.wait_for_code)
+        self._has_begun = True
+        versions = [population.version for population in world.populations.values()]
+        if versions != self._versions:
+            self._versions = versions
+            self._padded_arrays.drop_unused()
+        self._padded_arrays.begin_step(world.populations.values())
+        self._grids.begin_step()
+        super().begin(world)
+
+    def messages(self) -> list[str]:
+        """Return messages for the user about differences from the requested execution. None of them changes a result."""
+        sentences = [] if self._unavailable_reason is None else [self._unavailable_reason]
+        return sentences + code_cache.messages()
+
+    def wait_for_code(self, world: World) -> None:
+        """Wait until all blocks can run as machine code from the next step on, or until this has failed."""
+        self._request_code(world, True)
+
+    def instruction_counts(self) -> dict[str, int]:
+        """Return the number of LLVM instructions of each function, compiled for a generic processor."""
+        if self.ready_code is None:
+            return {}
+        native_program = write_program(self._plan, self.blocks, self.ready_code.facts, llvm_compiler.PORTABLE_TARGET)
+        return {f"instructions {name}": number for name, number in program_listing.instruction_counts(native_program).items()}
+
+    def _request_code(self, world: World, must_wait: bool) -> None:
+        """Start to build missing code after the first step, for which a user waits, if the remaining steps are worth it.
+
+        Code that an earlier run has stored is loaded before the step."""
+        if self.ready_code is not None or self._unavailable_reason is not None:
+            return
+        if self._is_timed and llvm_compiler.is_available() and not llvm_compiler.host_target().x86:
+            return  # other processors may forbid reading the counter
+        facts = WorldFacts.of(world.setting, timed=self._is_timed)
+        ready = find_ready_code(world.plan, facts)
+        pays = len(world) >= _MIN_AGENTS_FOR_CODE or sum(world.cpu_seconds.values()) >= _MIN_STEP_SECONDS
+        if ready is None and self._pending_code is None and (must_wait or pays):
+            is_first = facts not in self._looked_up_facts
+            self._looked_up_facts.add(facts)
+            stored = find_stored_blocks(world.plan, self.blocks, facts) if is_first else None
+            if must_wait or self._has_begun or stored is not None:
+                self._pending_code = start_building(world.plan, self.blocks, facts, stored)
+                if stored is not None:
+                    wait([self._pending_code], _MAX_LOAD_SECONDS)
+        if self._pending_code is not None and (must_wait or self._pending_code.done()):
+            try:
+                ready = self._pending_code.result()
+            except CodeUnavailable as why:
+                self._unavailable_reason = f"NumPy runs instead of machine code, slower and with the same result: {why}"
+            except Exception as problem:
+                if must_wait:
+                    raise
+                self._unavailable_reason = (
+                    "NumPy runs instead of machine code, slower and with the same result: making it failed, which is a mistake "
+                    f"in antdsl ({type(problem).__name__}: {problem})"
+                )
+        if ready is not None:
+            self.ready_code = ready
+
+    def run(self, world: World, population: Population, block: str, rows: NDArray[np.intp] | None = None) -> None:
+        """Run a block for some rows (None: all), and add their requests to the population's effects. Blocks of births run in
+        NumPy."""
+        name = population.name
+        code = None if rows is not None else self._runners.get((name, block)) or self._find_runner(name, block)
+        metered = self.metered_blocks.get((name, block)) if self.metered_blocks else None
+        if code is None or (code.code.lines is None) != (metered is None):
+            super().run(world, population, block, rows)
+            return
+        near = code.code.near
+        grids = [self._find_search_grid(world, population, block, each, number) for number, each in enumerate(near)]
+        values, tables = self._uniform_values[name], code.tables
+        tables.fill(world, population, values, self._run_values[name], self._stored_senses[name], grids)
+        for begin, end in code.run(world, population, values, metered):
+            super().run(world, population, block, np.arange(begin, end))  # raises the error with its location
+        for lane in tables.lanes.every:
+            for field, laid in lane.deposit_flags.items():
+                if laid[0]:
+                    world.fields[field].mark_pending()
+                    laid[0] = False
+        for number in range(len(near)):
+            key, widest = (name, block, number), [lane.widest[number] for lane in tables.lanes.every]
+            self._search_radii[key] = max([max(each.tolist()) for each in widest]) or self._search_radii[key]
+            for each in widest:
+                each.fill(0)
+
+    def _find_runner(self, species: str, block: str) -> BlockRunner | None:
+        """Return the runner of a block's machine code; None if the block has no machine code."""
+        if self.ready_code is None or (species, block) not in self.ready_code.block_codes:
+            return None
+        native_block = self._runners[species, block] = BlockRunner(self.ready_code, species, block, self._padded_arrays)
+        return native_block
+
+    def _find_search_grid(self, world: World, population: Population, block: str, search: NeighbourSearch, number: int) -> Arrays:
+        """Return the cell grid for a search. Its cells suit the greatest radius of the previous step, or initially that of
+        `_estimate_radius`."""
+        key = (population.name, block, number)
+        other = world.populations[search.species]
+        if key not in self._search_radii:
+            self._search_radii[key] = _estimate_radius(world, population, other, [chosen.args[0] for chosen in search.sets])
+        widest = self._search_radii[key]
+        beside = [(names, [other.start[name] for name in names.split()]) for names in search.extra_registers]
+        return self._grids.of(world, other, widest if widest > 0 else 1.0, beside)
+
+
+def _estimate_radius(world: World, population: Population, other: Population, radii: list[ir.PlanNode]) -> float:
+    """Return the greatest radius (mm) of a search, computed by the reference backend for a sample of agents.
+
+    A radius that itself depends on a search would take too long. It is replaced by a radius that contains about
+    `_DEFAULT_AGENTS_PER_CELL` of the others."""
+    cheap = [
+        radius for radius in radii if not any(each.op in ("set.agents", "set.every") for each in collect_required_nodes([radius]))
+    ]
+    lengths = [0.0] if len(cheap) == len(radii) else [_default_cell_size(other)]
+    for row in np.linspace(0, len(population) - 1, min(_SAMPLED_RADII, len(population))).astype(int) if cheap else ():
+        agent = AgentRun(world, population, int(row), population.now, int(row), EffectRequests(), {})
+        lengths += [float(agent.value(radius)) for radius in cheap]
+    return max((each for each in lengths if np.isfinite(each)), default=0.0)
+
+
+def _default_cell_size(population: Population) -> float:
+    """Return the edge (mm) of a cell that contains about `_DEFAULT_AGENTS_PER_CELL` agents, for a crowd along a line, on a
+    sheet or in a volume."""
+    columns = (population.start[f"position.{axis}"] for axis in AXES)
+    extents = sorted((float(np.ptp(finite)) for place in columns if len(finite := place[np.isfinite(place)])), reverse=True)
+    share = _DEFAULT_AGENTS_PER_CELL / max(len(population), 1)
+    return max((float(np.prod(extents[:k]) * share) ** (1 / k) for k in range(1, len(extents) + 1)), default=0.0)

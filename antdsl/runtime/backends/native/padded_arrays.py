@@ -1,0 +1,106 @@
+"""Arrays with eight spare rows at the end, because machine code reads eight rows at once.
+
+Registers and other named arrays of the world are moved into such arrays. Arrays of other owners are copied."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Iterable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.machine_code.memory import array_address, copy_padded, has_padding
+from antdsl.machine_code.number_kinds import LANE_COUNT
+from antdsl.runtime.backends.native.address_layout import AddressKey
+from antdsl.runtime.world import Population
+
+_MIN_ARRAYS_TO_DROP = 64  # number of arrays below which unused ones are not searched for
+
+
+class PaddedArrays:
+    """Padded arrays by content. All blocks that name the same content share one array."""
+
+    def __init__(self) -> None:
+        self._padded_by_id: dict[
+            int, tuple[NDArray[Any], NDArray[Any], int]
+        ] = {}  # by identity: an array, that with room, its address
+        self._max_arrays = _MIN_ARRAYS_TO_DROP  # with more arrays, unused ones are released
+        self._copies: dict[AddressKey, PaddedCopy] = {}
+        self.step = 0  # number of the step; a copy without stamp is valid for one step
+
+    def pad_array(self, array: NDArray[Any]) -> tuple[NDArray[Any], int]:
+        """Return a padded array with the same content, and its address. If `array` is already padded, it is returned.
+
+        The caller must use the returned array from then on."""
+        known = self._padded_by_id.get(id(array))
+        if known is None:
+            new = array if has_padding(array) else copy_padded(array)
+            known = self._padded_by_id[id(array)] = (array, new, array_address(new))
+            self._padded_by_id[id(new)] = (new, *known[1:])
+        # a caller, such as a spec query, continues with the array without padding: it may have changed
+        elif known[1] is not array:
+            np.copyto(known[1], array)
+        return known[1:]
+
+    def move_register(self, population: Population, name: str, *, start: bool) -> tuple[NDArray[Any], int]:
+        """Return a register's array and its address, after moving it into a padded array if needed.
+
+        If the values for the start of the step and for now shared the old array, they share the new one. Otherwise it would be
+        copied at the end of each step."""
+        holders = population.start, population.now
+        array = holders[not start][name]
+        located_array = self.pad_array(array)
+        for holder in holders:
+            if holder.get(name) is array:
+                holder[name] = located_array[0]
+        return located_array
+
+    def begin_step(self, populations: Iterable[Population]) -> None:
+        """Release unused arrays if they may outnumber those in use. Called at the start of a step."""
+        self.step += 1
+        if len(self._padded_by_id) > self._max_arrays:
+            held = {id(array) for each in populations for holder in (each.start, each.now) for array in holder.values()}
+            self._padded_by_id = {key: known for key, known in self._padded_by_id.items() if id(known[1]) in held}
+            self._max_arrays = max(_MIN_ARRAYS_TO_DROP, 2 * len(self._padded_by_id))
+
+    def drop_unused(self) -> None:
+        """Release arrays that are no longer in use, after the rows have changed."""
+        self._padded_by_id.clear()
+
+    def copy(self, *key: Hashable) -> PaddedCopy:
+        """Return the copy for a key. All blocks that use the key share the copy."""
+        return self._copies.setdefault(key, PaddedCopy(self))
+
+
+class PaddedCopy:
+    """A padded copy of an array that another part of the program owns, or of an array derived from the world."""
+
+    __slots__ = ("_address", "_owner", "_padded", "_source_stamp")
+
+    def __init__(self, owner: PaddedArrays) -> None:
+        self._owner, self._address = owner, 0
+        self._source_stamp: Any = None
+        self._padded: NDArray[Any] = np.zeros(0)
+
+    def of(self, array: NDArray[Any], dtype: Any, stamp: Any = None) -> int:
+        """Return the address of a padded copy of an array. The copy stays valid while `stamp` is unchanged; without a stamp,
+        for one step."""
+        stamp = self._owner.step if stamp is None else stamp
+        if stamp != self._source_stamp or len(self._padded) != len(array) + LANE_COUNT:
+            self._resize(len(array), dtype)
+            self._padded[: len(array)] = array
+            self._source_stamp = stamp
+        return self._address
+
+    def derived_address(self, source: Any, make: Callable[[], NDArray[Any]]) -> int:
+        """Return the address of an array that `make` derives from `source`. It is made again when `source` is another object."""
+        if source is not self._source_stamp:
+            self._source_stamp, self._padded = source, make()
+            self._address = array_address(self._padded)
+        return self._address
+
+    def _resize(self, rows: int, dtype: Any) -> None:
+        if len(self._padded) != rows + LANE_COUNT:
+            self._padded = np.zeros(rows + LANE_COUNT, dtype)
+            self._address = array_address(self._padded)

@@ -1,0 +1,164 @@
+"""Machine code for agents' requests to the world. Deposits are added directly to cells.
+
+All other requests are written to lists, one per statement, in the order of the agents' rows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.fields.pheromone import DEPOSIT_UNIT, MAX_DEPOSIT
+from antdsl.machine_code.lanes import Lanes
+from antdsl.machine_code.number_kinds import F32, F64, FLOAT_KINDS, I8, I32, I64, LANE_COUNT
+from antdsl.plan import ir
+from antdsl.program.tables.effects import EFFECT_BY_OPERATION
+from antdsl.runtime.backends.block_compiler import BlockInstruction
+from antdsl.runtime.backends.native.block_writer import BlockWriter
+from antdsl.runtime.backends.native.native_senses import prefetch_cells
+from antdsl.runtime.requests import ClaimEntry, EffectRequests, GiftEntry, RequestEntry
+
+
+def _emit_deposit(b: BlockWriter, each: BlockInstruction, what: ir.Request) -> None:
+    """Emit a deposit, with the result of `fields.pheromone.PheromoneField.deposit`: whole multiples of a unit, which add in
+    any order."""
+    e, mask, name = b.builder, b.mask[-1], what.of
+    amount: Lanes = b.slot_value(each.inputs[0])
+    mask = _emit_finite_check(b, mask, amount, EFFECT_BY_OPERATION[what.op].fault_name.format(of=name), each)
+    cell = e.load_lanes(b.array_address("cell", name), b.row, I32)
+    laid = mask & (cell >= 0) & (amount != 0)
+    prefetch_cells(b, name, b.array_address("field", name, "pending_deposits"), 8)
+    with e.write_if(e.any_lane(laid)):
+        wide = e.clamp(e.convert(amount, F64), e.make_constant(-MAX_DEPOSIT, F64), e.make_constant(MAX_DEPOSIT, F64))
+        amounts, cells = e.allocate_slot(I64, LANE_COUNT), e.allocate_slot(I32, LANE_COUNT)
+        e.store_number(amounts, e.to_int64(wide / DEPOSIT_UNIT))
+        e.store_number(cells, cell)
+        bits = e.mask_to_i64(laid)
+        pending = b.array_address("field", name, "pending_deposits")
+        with e.write_loop(LANE_COUNT) as lane, e.write_if(e.has_bit(bits, lane)):
+            at, increment = e.load_scalar(cells, lane, I32), e.load_scalar(amounts, lane, I64)
+            place = e.address(pending, e.convert(at, I64), I64)
+            adds = b.field_combination(name) == "add"
+            together = b.read_uniform(I64, "threads", is_scalar=True)
+            with e.write_if(together > 1):
+                e.op("atomic.add" if adds else "atomic.max", I64, place, increment)
+            with e.write_if(together <= 1):
+                old_value = e.load(place, I64)
+                e.store_number(
+                    place, old_value + increment if adds else e.select_lanes(increment > old_value, increment, old_value)
+                )
+        e.store_number(b.array_address("laid", name), e.make_constant(1, I8, 1))
+
+
+def _emit_list_append(b: BlockWriter, each: BlockInstruction, mask: Lanes, values: list[Lanes]) -> None:
+    """Emit code that appends to a statement's list: the rows of eight agents for which a condition holds, and their `values`."""
+    e, number = b.builder, len(b.code.lists)
+    b.code.lists.append(each)
+    with e.write_if(e.any_lane(mask)):
+        stored = [e.to_stored_form(value) for value in values]
+        columns = [
+            b.stage_array_address(-1 - number, part, kind) for part, kind in enumerate((I64, *(value.kind for value in values)))
+        ]
+        slots = []
+        for value in stored:
+            slots.append(e.allocate_slot(value.kind, LANE_COUNT))
+            e.store_number(slots[-1], value)
+        left = e.allocate_slot(I64)
+        bits = e.mask_to_i64(mask)
+        e.store_number(left, bits)
+        total = e.address(b.array_address("counts"), 1 + number, I64)
+        old_total = e.load(total, I64)
+        count = e.op("ctpop", I64, bits)
+        with e.write_loop(count) as k:
+            rest = e.load(left, I64)
+            lane = e.op("cttz", I64, rest)
+            e.store_number(left, rest & (rest - 1))
+            at = old_total + k
+            e.store_number(e.address(columns[0], at, I64), b.row + lane)
+            for column, place, value in zip(columns[1:], slots, stored, strict=True):
+                e.store_number(e.address(column, at, value.kind), e.load_scalar(place, lane, value.kind))
+        e.store_number(total, old_total + count)
+
+
+def _emit_finite_check(b: BlockWriter, mask: Lanes, amount: Lanes, what: str, by: BlockInstruction) -> Lanes:
+    """Return the mask of agents with a finite amount; record a fault for the others."""
+    good: Lanes = np.isfinite(amount)
+    b.write_fault_record(mask & ~good, what, by)
+    return mask & good
+
+
+def _emit_world_request(b: BlockWriter, each: BlockInstruction, what: ir.Request) -> None:
+    """Emit a request, with the result of `numpy_statements`."""
+    row, slots = EFFECT_BY_OPERATION[what.op], iter(each.inputs)
+    args: list[Lanes] = [b.slot_value(next(slots)) for node in what.args if node is not None]
+    mask = b.mask[-1]
+    numbers = [arg for arg in args if arg.kind in FLOAT_KINDS] if row.fault_name else []
+    if numbers:
+        good = np.isfinite(numbers[0])
+        for arg in numbers[1:]:
+            good = good & np.isfinite(arg)
+        b.write_fault_record(mask & ~good, row.fault_name.format(of=what.of), each)
+        mask = mask & good
+    if row.needs_positive_operand and what.args[0] is not None:
+        mask = mask & (args[0] > 0)
+    _emit_list_append(b, each, mask, args)
+
+
+def _emit_claim(b: BlockWriter, each: BlockInstruction, what: ir.Claim) -> None:
+    """Emit a claim, with the result of `numpy_statements`."""
+    e, mask, slots = b.builder, b.mask[-1], iter(each.inputs)
+    item: Lanes = e.load_lanes(b.array_address("cell", what.of), b.row, I32) if what.item is None else b.slot_value(next(slots))
+    amount = e.make_constant(np.inf, F32)
+    if what.amount is not None:
+        amount = b.slot_value(next(slots))
+        mask = _emit_finite_check(b, mask, amount, f"take {what.attribute or what.of}", each)
+    _emit_list_append(b, each, mask, [item, amount])
+
+
+def _emit_gift(b: BlockWriter, each: BlockInstruction, what: ir.Give) -> None:
+    """Emit a gift, with the result of `numpy_statements`."""
+    e, mask, own = b.builder, b.mask[-1], b.array_address("now", what.own)
+    item: Lanes = b.slot_value(each.inputs[0])
+    had = e.load_lanes(own, b.row, F32)
+    amount = had
+    if what.amount is not None:
+        amount = b.slot_value(each.inputs[1])
+        mask = _emit_finite_check(b, mask, amount, f"give {what.own}", each)
+    is_valid = mask & (item >= 0) & (item < b.read_uniform(I32, "items", what.items))
+    zero = e.make_constant(0.0, F32)
+    most = e.select_lanes(had > zero, had, zero)
+    cut = e.select_lanes(amount > zero, amount, zero)
+    left = had - e.select_lanes(cut < most, cut, most) + zero
+    e.store_masked(is_valid, own, b.row, left)
+    _emit_list_append(b, each, is_valid, [item, e.convert(had, F64) - e.convert(left, F64)])
+
+
+def emit_request(b: BlockWriter, each: BlockInstruction) -> None:
+    """Emit a statement that requests something from the world."""
+    match each.subject:
+        case ir.Request(op="deposit") as what:
+            _emit_deposit(b, each, what)
+        case ir.Request() as what:
+            _emit_world_request(b, each, what)
+        case ir.Claim() as what:
+            _emit_claim(b, each, what)
+        case ir.Give() as what:
+            _emit_gift(b, each, what)
+
+
+def record_request(each: BlockInstruction, columns: Sequence[NDArray[Any]], effects: EffectRequests) -> None:
+    """Add the contents of a statement's list to the effects of a step. `columns`: rows, then the values stored for them."""
+    what = each.subject
+    match what:
+        case ir.Claim():
+            rows, item, amount = columns
+            effects.claims.append(ClaimEntry(what, each.order, rows, item, amount))
+        case ir.Give():
+            _, item, amount = columns
+            effects.gives.append(GiftEntry(what, item, amount))
+        case ir.Request():
+            rest = iter(columns[1:])
+            args = tuple(None if node is None else next(rest) for node in what.args)
+            effects.ask(RequestEntry(what, each.order, columns[0], args))

@@ -1,0 +1,219 @@
+"""Search for agents with very many neighbours: one agent at a time, any number of candidates, and a cap by distance and id.
+
+Candidates are listed, then their distances as integers in the same order. If the widest radius contains more candidates than
+the cap, bisection finds the distance of the last counted neighbour. The cap applies to every radius, because the nearest in a
+wide radius are also the nearest in a narrow one. Then the list is reduced to the counted neighbours and traversed for all
+requested reductions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from antdsl import limits
+from antdsl.machine_code.kernels.values import Number
+from antdsl.machine_code.lanes import Lanes
+from antdsl.machine_code.number_kinds import BOOL, F32, I8, I32, I64, LANE_COUNT, PTR
+from antdsl.plan import ir
+from antdsl.runtime.backends.native.accumulators import NO_LABEL, RunningReduction
+from antdsl.runtime.backends.native.block_writer import BlockWriter, FunctionWriter
+from antdsl.runtime.backends.native.reduction_loops import PairValues, accumulate_pairs
+from antdsl.runtime.backends.native.search.cell_rows import SEARCH_SLACK_FACTOR, CellRows, append_numbers
+from antdsl.runtime.backends.native.search.search_pairs import OPERAND_STRIDE_BYTES, NeighbourLanes, SearchCode, measure_pairs
+from antdsl.runtime.world import AXES
+
+_REJECTED_DISTANCE_NUMBER = (1 << 31) - 1  # key of a rejected candidate, above the keys of all distances
+
+
+def write_dense_search(b: BlockWriter, near: SearchCode) -> None:
+    """Write the function that processes the agents in a mask of eight, one by one."""
+    w = FunctionWriter(b.module, b.layout)
+    e = w.builder
+    rows, mask, own_area, out = (
+        e.named_number(I64, "%row"),
+        e.named_number(I64, "%mask"),
+        e.named_number(PTR, "%own"),
+        e.named_number(PTR, "%out"),
+    )
+    with e.write_loop(LANE_COUNT) as lane, e.write_if(e.has_bit(mask, lane)):
+        row = rows + lane
+
+        def mine(k: int) -> Lanes:
+            return e.load_scalar(e.offset_address(own_area, OPERAND_STRIDE_BYTES * k), lane, near.operand_kinds[k])
+
+        def put(k: int, value: Lanes) -> None:
+            e.store_number(e.address(e.offset_address(out, OPERAND_STRIDE_BYTES * k), lane, value.kind), value)
+
+        own = {node: e.broadcast(mine(k)) for node, k in near.operand_slots.items()}
+        place = [e.broadcast(e.load_scalar(w.array_address("start", f"position.{axis}"), row, F32)) for axis in AXES]
+        radius = {chosen: e.broadcast(mine(k)) for chosen, k in near.radius_slots.items()}
+        crowd = _DenseNeighbours(w, near, place, e.broadcast(e.convert(row, I32)) if near.other_species == b.species else None)
+        crowd.list_candidates(list(radius.values()))
+        for chosen, k in near.overflow_slots.items():
+            put(k, crowd.is_over_limit(radius[chosen]))
+        crowd.keep_nearest()
+        heading = (
+            [e.broadcast(e.load_scalar(w.array_address("start", f"heading.{axis}"), row, F32)) for axis in AXES]
+            if near.view
+            else []
+        )
+        sums = [RunningReduction(e, node, needs_two_words=False) for node in near.nodes]
+        for each in sums:
+            each.start()
+        with e.write_loop(e.load(crowd.count_address, I64), LANE_COUNT) as at:
+            others = crowd.at(at)
+
+            def inside(chosen: ir.PlanNode) -> Lanes:
+                reached = others.is_present & (others.distance <= radius[chosen])
+                if chosen in near.view:
+                    hx, hy, hz = heading
+                    ahead = (others.dx * hx + others.dy * hy) + others.dz * hz
+                    reached = reached & (ahead >= mine(near.view[chosen]) * others.distance)
+                return reached
+
+            pairs = PairValues(w, lambda node: own[node], others.load_leaf, b.senses)
+            for each, node in zip(sums, near.nodes, strict=True):
+                reached = e.get_or_make(("near", node.args[0]), lambda chosen=node.args[0]: inside(chosen))  # type: ignore[misc]
+                accumulate_pairs(each, node, pairs, reached, others.ids)
+        for k, each in enumerate(sums):
+            each.combine_lanes()
+            put(k, e.extract_lane(e.to_stored_form(each.result()), 0))
+    e.end(f"{near.name}.many", (w.table, rows, mask, own_area, out))
+
+
+@dataclass(slots=True, eq=False)
+class _DenseNeighbours:
+    """The others around one requesting agent.
+
+    `buffer`: their positions in the grid's order. `keys`: their distances as integers, `_REJECTED_DISTANCE_NUMBER` outside the
+        widest radius.
+    Both are padded to a multiple of eight. `count_address`: the address of their number."""
+
+    writer: FunctionWriter
+    search: SearchCode
+    own_position: list[Lanes]
+    own_row: Lanes | None
+    buffer: Lanes = field(init=False)
+    keys: Lanes = field(init=False)
+    count_address: Number = field(init=False)
+
+    def list_candidates(self, radii: list[Lanes]) -> None:
+        """List the others that may be within the widest radius, with their distances."""
+        w, e = self.writer, self.writer.builder
+        self.buffer, self.count_address = w.array_address("candidates"), e.allocate_slot(I64)
+        e.store_number(self.count_address, e.make_constant(0, I64, 1))
+        search = CellRows(w, self.search.number, self.own_position, radii, e.make_constant(True, BOOL))
+        limit = (search.max_radius * search.max_radius) * np.float32(SEARCH_SLACK_FACTOR) + np.float32(1e-30)
+        columns = [w.array_address("grid", self.search.number, axis) for axis in AXES]
+
+        with e.write_loop(search.count_rows()):
+            row = search.next_row()
+            begin, count = (e.convert(e.extract_lane(each, 0), I64) for each in row)
+            with e.write_loop(count, LANE_COUNT) as k:
+                at = begin + k
+                is_present = k + e.lane_numbers() < count
+                dx, dy, dz = (e.load_lanes(column, at, F32) - own for column, own in zip(columns, self.own_position, strict=True))
+                square = (dx * dx + dy * dy) + dz * dz
+                numbers = e.convert(at, I32) + e.convert(e.lane_numbers(), I32)
+                append_numbers(e, self.buffer, self.count_address, numbers, is_present & (square <= limit))
+        count = e.load(self.count_address, I64)
+        self._pad_list(count)
+        self.keys = e.address(self.buffer, count + LANE_COUNT, I32)
+        with e.write_loop(count, LANE_COUNT) as index:
+            others = self.at(index)
+            within = others.is_present & (others.distance <= search.max_radius)
+            if self.own_row is not None:
+                within = within & (others.rows != self.own_row)
+            e.store_lanes(
+                self.keys,
+                index,
+                e.select_lanes(within, e.reinterpret_bits(others.distance, I32), e.make_constant(_REJECTED_DISTANCE_NUMBER, I32)),
+            )
+
+    def _pad_list(self, count: Lanes) -> None:
+        """Append eight zeros to the list, because it is read eight entries at a time."""
+        self.writer.builder.store_lanes(self.buffer, count, self.writer.builder.make_constant(0, I32))
+
+    def at(self, index: Lanes) -> NeighbourLanes:
+        """Return eight of the listed others, from `index` on."""
+        e = self.writer.builder
+        is_present = index + e.lane_numbers() < e.load(self.count_address, I64)
+        at = e.select_lanes(is_present, e.load_lanes(self.buffer, index, I32), e.make_constant(0, I32))
+        return measure_pairs(self.writer, self.search, at, self.own_position, is_present)
+
+    def _count_passing(self, test: Callable[[Lanes, Lanes], Lanes]) -> Lanes:
+        """Return how many of the others pass a test. Its inputs are an index and the eight keys from that index on."""
+        e = self.writer.builder
+        counted = e.allocate_slot(I32, LANE_COUNT)
+        e.store_number(counted, e.make_constant(0, I32))
+        with e.write_loop(e.load(self.count_address, I64), LANE_COUNT) as index:
+            good = test(index, e.load_lanes(self.keys, index, I32))
+            e.store_number(counted, e.load(counted, I32, LANE_COUNT) + e.convert(good, I32))
+        return e.op("reduce.add", I32, e.load(counted, I32, LANE_COUNT), lanes=1)
+
+    def _bisect_least(self, place: Number, kind: str, most: int, enough: Callable[[Lanes], Lanes]) -> None:
+        """Find the least integer from 0 to `most` for which `enough` holds, and write it to `place`. All bits of `most` are 1."""
+        e = self.writer.builder
+        low, high = e.allocate_slot(kind), e.allocate_slot(kind)
+        e.store_number(low, e.make_constant(0, kind, 1))
+        e.store_number(high, e.make_constant(most, kind, 1))
+        with e.write_loop(most.bit_length()):
+            a, z = e.load(low, kind), e.load(high, kind)
+            middle = a + ((z - a) >> 1)
+            good = enough(middle)
+            e.store_number(low, e.select_lanes(good, a, middle + 1))
+            e.store_number(high, e.select_lanes(good, middle, z))
+        e.store_number(place, e.load(high, kind))
+
+    def is_over_limit(self, radius: Lanes) -> Lanes:
+        """Return whether more than `limits.MAX_CANDIDATES_IN_RADIUS` others are within a radius."""
+        e = self.writer.builder
+        many = e.allocate_slot(I8)
+        e.store_number(many, e.make_constant(0, I8, 1))
+        with e.write_if(e.load(self.count_address, I64) > limits.MAX_CANDIDATES_IN_RADIUS):
+            inside = radius >= np.float32(0)
+            bound = e.reinterpret_bits(radius, I32)
+            number = self._count_passing(lambda index, keys: inside & (keys <= bound))
+            e.store_number(many, e.convert(number > limits.MAX_CANDIDATES_IN_RADIUS, I8))
+        return e.load(many, I8)
+
+    def keep_nearest(self) -> None:
+        """Reduce the list to the counted others: if there are more than the cap, the nearest by (distance, id)."""
+        e, cap = self.writer.builder, limits.MAX_QUERY_NEIGHBOURS
+        far, last = e.allocate_slot(I32), e.allocate_slot(I64)
+        e.store_number(far, e.make_constant(_REJECTED_DISTANCE_NUMBER - 1, I32, 1))
+        e.store_number(last, e.make_constant(NO_LABEL, I64, 1))
+        with e.write_if(e.load(self.count_address, I64) > cap):
+
+            def enough(reach: Lanes, least: int = cap) -> Lanes:
+                bound = e.broadcast(reach)
+                return self._count_passing(lambda index, keys: keys <= bound) >= least
+
+            with e.write_if(enough(e.load(far, I32), cap + 1)):
+                self._bisect_least(far, I32, _REJECTED_DISTANCE_NUMBER, enough)
+                reach = e.broadcast(e.load(far, I32))
+                nearer = self._count_passing(lambda index, keys: keys < reach)
+                equal = self._count_passing(lambda index, keys: keys == reach)
+                rest = cap - nearer
+
+                def by_id(middle: Lanes) -> Lanes:
+                    bound = e.broadcast(middle)
+                    return self._count_passing(lambda index, keys: (keys == reach) & (self.at(index).ids() <= bound)) >= rest
+
+                with e.write_if(equal > rest):
+                    self._bisect_least(last, I64, NO_LABEL, by_id)
+        reach, label = e.broadcast(e.load(far, I32)), e.load(last, I64)
+        ties = label != NO_LABEL
+        out, good = e.allocate_slot(I64), e.allocate_slot(I8)
+        e.store_number(out, e.make_constant(0, I64, 1))
+        with e.write_loop(e.load(self.count_address, I64), LANE_COUNT) as index:
+            keys = e.load_lanes(self.keys, index, I32)
+            e.store_number(good, e.mask_to_i8(keys <= reach))
+            with e.write_if(ties):
+                first = (keys < reach) | ((keys == reach) & (self.at(index).ids() <= label))
+                e.store_number(good, e.mask_to_i8(first))
+            append_numbers(e, self.buffer, out, e.load_lanes(self.buffer, index, I32), e.mask_from_i8(e.load(good, I8)))
+        e.store_number(self.count_address, e.load(out, I64))
+        self._pad_list(e.load(out, I64))

@@ -1,0 +1,157 @@
+"""Cell grids for searches: crowds in cell order (`senses.cell_order`). Arrays and cells are reused in later steps."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+from math import ceil, inf, log2
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.machine_code.number_kinds import LANE_COUNT
+from antdsl.numerics import parallel
+from antdsl.runtime.world import AXES, Population, World
+from antdsl.senses.cell_order import CellOrder, GridShape, Positions, find_bounding_box, store_registers
+
+_RETEST_STEPS = 64  # steps after which a crowd gets new cells and the sheet test is repeated
+_BOX_MARGIN_SHARE = 1 / 32  # margin of a box around a crowd, as a share of the extent
+_MIN_FILLED_SHARE = 0.8  # a crowd that fills less of its box gets new cells
+_MAX_AGENTS_IN_ONE_CELL = 128  # for fewer agents, cells do not reduce the candidates
+_UNUSED_STEPS_BEFORE_RELEASE = 16  # steps after which the arrays of an unused cell size are released
+_MAX_COARSER_QUARTERS = 2  # quarters of an octave: searching cells wider by this costs less than sorting again
+_MAX_CELLS_PER_AGENT = 4  # with more cells per agent, wider cells cost less
+_UNBOUNDED_WIDTH = 1e300  # mm: width of a single cell for all positions
+
+Arrays = Mapping[str, NDArray[Any] | None]
+RegisterGroups = Sequence[tuple[str, list[NDArray[np.float32]]]]  # groups of up to four registers, with their names
+BoxCorners = tuple[list[float], list[float]]
+
+
+class _CrowdBox:
+    """A box slightly larger than the crowd.
+
+    Its cells are used while the crowd stays inside the box and fills it. They expire after some steps, because the crowd may
+    spread in height."""
+
+    def __init__(self, corners: BoxCorners, until: int) -> None:
+        extent = [high - low for low, high in zip(*corners, strict=True)]
+        self.low = [low - _BOX_MARGIN_SHARE * each for low, each in zip(corners[0], extent, strict=True)]
+        self.high = [high + _BOX_MARGIN_SHARE * each for high, each in zip(corners[1], extent, strict=True)]
+        self._min_extent, self._expiry_step = [_MIN_FILLED_SHARE * each for each in extent], until
+
+    def is_suitable(self, corners: BoxCorners, step: int) -> bool:
+        """Return whether the cells of this box suit a step in which the crowd has these corners."""
+        (ax, ay, az), (bx, by, bz) = corners
+        (lx, ly, lz), (hx, hy, hz), (x, y, z) = self.low, self.high, self._min_extent
+        inside = lx <= ax and ly <= ay and lz <= az and bx <= hx and by <= hy and bz <= hz
+        return inside and bx - ax >= x and by - ay >= y and bz - az >= z and step < self._expiry_step
+
+
+class _CrowdGrid(CellOrder):
+    """A crowd in cells of one size, with registers in the order of the cells."""
+
+    def __init__(self, count: int, threads: int) -> None:
+        super().__init__(count, threads)
+        self.last_used_step = 0  # the last step in which a search read it
+        self.box: _CrowdBox | None = None  # the box of the cells
+        self._sorted_in_step: dict[str, int] = {}  # by register names: the step in which they were sorted
+
+    def sort_registers(self, registers: RegisterGroups, step: int) -> None:
+        """Write registers in the order of the cells, unless this was already done in this step."""
+        for names, columns in registers:
+            if self._sorted_in_step.get(names) == step:
+                continue
+            if names not in self._sorted_in_step:
+                self.tables = {**self.tables, names: np.zeros((self.count + LANE_COUNT, 4), np.float32)}
+            self._sorted_in_step[names], laid = step, self.tables[names]
+            assert laid is not None
+            four = parallel.make_contiguous(*columns, *(columns[:1] * (4 - len(columns))))
+            work = partial(store_registers, self.at, four, laid.reshape(-1))
+            parallel.run_in_parts(work, self.count, self.threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD)
+
+
+class SearchGrids:
+    """Sorts crowds into cells, and reuses the results within a step."""
+
+    def __init__(self) -> None:
+        self._grids_of_step: dict[tuple[str, float], _CrowdGrid] = {}  # of this step
+        self._corners: dict[str, BoxCorners] = {}  # of this step
+        self._stored_grids: dict[tuple[str, float], _CrowdGrid] = {}
+        self._step = 0
+        self._sheet_tests: dict[str, tuple[int, int, bool]] = {}  # by species: number of agents, last step of validity, result
+
+    def begin_step(self) -> None:
+        """Invalidate the sorted crowds, because agents have moved."""
+        self._grids_of_step.clear()
+        self._corners.clear()
+        self._step += 1
+        for key in [
+            key for key, each in self._stored_grids.items() if self._step - each.last_used_step > _UNUSED_STEPS_BEFORE_RELEASE
+        ]:
+            del self._stored_grids[key]
+
+    def of(self, world: World, other: Population, radius: float, extra_registers: RegisterGroups = ()) -> Arrays:
+        """Return the arrays for a search, with cells that suit the radius `radius` (mm). `extra_registers`: registers needed in
+        the order of the cells."""
+        size = float(ceil(4 * log2(radius))) if len(other) > _MAX_AGENTS_IN_ONE_CELL and radius < inf else inf
+        for wider in range(_MAX_COARSER_QUARTERS + 1):
+            grid = self._grids_of_step.get((other.name, size + wider))
+            if grid is not None:
+                break
+        if grid is None:
+            grid = self._grids_of_step[other.name, size] = self._sort_crowd(world, other, size)
+        grid.sort_registers(extra_registers, self._step)
+        return grid.tables
+
+    def _sort_crowd(self, world: World, other: Population, size: float) -> _CrowdGrid:
+        """Return a crowd, sorted into cells for radii of 2**(size / 4) mm."""
+        count, threads = len(other), world.options.threads
+        crowd = self._stored_grids.get((other.name, size))
+        if crowd is None or crowd.count != count or crowd.threads != threads:
+            crowd = self._stored_grids[other.name, size] = _CrowdGrid(count, threads)
+        crowd.last_used_step = self._step
+        x, y, z = parallel.make_contiguous(*(other.start[f"position.{axis}"] for axis in AXES))
+        corners = self._corners.get(other.name)
+        if corners is None:
+            corners = self._corners[other.name] = find_bounding_box((x, y, z))
+        shape = crowd.shape
+        if shape is None or crowd.box is None or not crowd.box.is_suitable(corners, self._step):
+            crowd.box = _CrowdBox(corners, self._step + _RETEST_STEPS)
+            shape = self._choose_shape(other, (x, y, z), crowd.box, size)
+        crowd.sort(shape, (x, y, z))
+        return crowd
+
+    def _choose_shape(self, other: Population, positions: Positions, box: _CrowdBox, size: float) -> GridShape:
+        """Return the cells for a crowd in a box; a single cell if there are very few agents."""
+        if size == inf:
+            return GridShape((0, 1, 2), box.low, [0.0] * 3, [_UNBOUNDED_WIDTH] * 3, [1] * 3)
+        shape = GridShape.of(box.low, box.high, 2.0 ** (size / 4))
+        if self._is_sheet(other, positions, shape):
+            shape = shape.to_sheet()
+        return _coarsen_shape(shape, _MAX_CELLS_PER_AGENT * len(other))
+
+    def _is_sheet(self, other: Population, positions: Positions, shape: GridShape) -> bool:
+        """Return whether a crowd lies in one layer. The result only affects speed, so it is not computed in every step."""
+        count, until, known = self._sheet_tests.get(other.name, (-1, 0, False))
+        if count != len(other) or self._step >= until:
+            known, until = shape.can_be_sheet(positions), self._step + _RETEST_STEPS
+        self._sheet_tests[other.name] = (len(other), until, known)
+        return known and shape.extent[2] > 0
+
+
+def _coarsen_shape(shape: GridShape, most: int) -> GridShape:
+    """Return a shape with wider cells if a sparse crowd needs more than `most` cells, most of them empty.
+
+    Cells become up to four times longer along the fast axis, then up to twice as long along each axis."""
+    if shape.cell_count <= most:
+        return shape
+    width, size = list(shape.width), list(shape.size)
+    for axis in (0, 0, 1, 2, 0):
+        if size[0] * size[1] * size[2] <= most:
+            break
+        if size[axis] > 1:
+            width[axis] *= 2
+            size[axis] = int(shape.extent[axis] / width[axis]) + 1
+    return GridShape(shape.axes, shape.low, shape.extent, width, size)

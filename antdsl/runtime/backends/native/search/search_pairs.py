@@ -1,0 +1,114 @@
+"""The inputs of a search's functions, and the pairs that the search finds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from antdsl.machine_code.lanes import Lanes
+from antdsl.machine_code.number_kinds import I32, I64, LANE_COUNT
+from antdsl.plan import ir
+from antdsl.runtime.backends.native.address_layout import LANE_TYPE_BY_KIND
+from antdsl.runtime.backends.native.block_writer import FunctionWriter
+from antdsl.runtime.backends.native.float4 import load_quadruples, quadruple_address
+from antdsl.runtime.world import AXES
+
+POSITION_REGISTERS = tuple(f"position.{axis}" for axis in AXES)
+OPERAND_STRIDE_BYTES = 64  # bytes from one operand or result of a search to the next
+
+
+@dataclass(slots=True, eq=False)
+class SearchCode:
+    """The inputs of the functions of a search: indices of operands and results in their areas."""
+
+    name: str
+    number: int
+    other_species: str
+    nodes: list[ir.PlanNode]
+    operand_kinds: list[str] = field(default_factory=list)  # kinds of the operands
+    radius_slots: dict[ir.PlanNode, int] = field(default_factory=dict)
+    view: dict[ir.PlanNode, int] = field(default_factory=dict)
+    operand_slots: dict[ir.PlanNode, int] = field(default_factory=dict)
+    # sets for which too many neighbours are reported, and their index among the results
+    overflow_slots: dict[ir.PlanNode, int] = field(default_factory=dict)
+    extra_registers: list[str] = field(
+        default_factory=list
+    )  # registers of the others in the grid's order; each text names up to four
+
+
+@dataclass(slots=True, eq=False)
+class NeighbourLanes:
+    """Eight pairs of a requesting agent and another agent.
+
+    `is_present`: mask of the pairs that exist. `rows`: rows of the others.
+    `dx`, `dy`, `dz`, `distance`: the vector other minus own, and its length.
+    `at`: indices of the others in the grid. `positions`: their positions."""
+
+    writer: FunctionWriter
+    search: SearchCode
+    is_present: Lanes
+    at: Lanes
+    rows: Lanes
+    positions: list[Lanes]
+    dx: Lanes
+    dy: Lanes
+    dz: Lanes
+    distance: Lanes
+
+    def ids(self) -> Lanes:
+        """Return the ids of the others."""
+
+        def make() -> Lanes:
+            return self.writer.builder.gather(
+                self.writer.array_address("other", self.search.other_species, "unsorted ids"), self._extract_rows(), I64
+            )
+
+        found: Lanes = self.writer.builder.get_or_make(("ids", self.rows.name), make)
+        return found
+
+    def load_leaf(self, node: ir.PlanNode) -> Lanes:
+        """Return the value of a leaf that depends on the other agent."""
+        named = {"pair.x": self.dx, "pair.y": self.dy, "pair.z": self.dz, "pair.distance": self.distance}
+        if node.op in named:
+            return named[node.op]
+        if node.op == "other.id":
+            return self.ids()
+        if node.attrs[0] in POSITION_REGISTERS:
+            return self.positions[POSITION_REGISTERS.index(node.attrs[0])]
+        for names in self.search.extra_registers:
+            if node.attrs[0] in names.split():
+                return self._load_extra_values(names)[names.split().index(node.attrs[0])]
+        return self.writer.builder.gather(
+            self.writer.array_address("other", self.search.other_species, node.attrs[0]),
+            self._extract_rows(),
+            LANE_TYPE_BY_KIND[node.kind],
+        )
+
+    def _load_extra_values(self, names: str) -> list[Lanes]:
+        e, base = self.writer.builder, self.writer.array_address("grid", self.search.number, names)
+        registers: list[Lanes] = e.get_or_make((names, self.rows.name), lambda: load_quadruples(e, base, self.at))
+        return registers
+
+    def _extract_rows(self) -> Lanes:
+        """Return the rows of the other agents, loaded one by one.
+
+        They are needed one by one as addresses, and extracting them from eight lanes is slow."""
+        e, positions = self.writer.builder, self.writer.array_address("grid", self.search.number, "places")
+
+        def make() -> Lanes:
+            fours = (quadruple_address(e, positions, e.extract_lane(self.at, lane)) for lane in range(LANE_COUNT))
+            return e.combine_lanes(e.load(e.offset_address(four, 12), I32) for four in fours)
+
+        row_lanes: Lanes = e.get_or_make(("rows", self.rows.name), make)
+        return row_lanes
+
+
+def measure_pairs(w: FunctionWriter, near: SearchCode, at: Lanes, place: list[Lanes], is_present: Lanes) -> NeighbourLanes:
+    """Return the pairs of requesting agents at positions `place` and others at grid indices `at`."""
+    e = w.builder
+    *others, rows = load_quadruples(e, w.array_address("grid", near.number, "places"), at)
+    dx, dy, dz = (other - own for other, own in zip(others, place, strict=True))
+    return NeighbourLanes(
+        w, near, is_present, at, e.reinterpret_bits(rows, I32), others, dx, dy, dz, np.sqrt((dx * dx + dy * dy) + dz * dz)
+    )

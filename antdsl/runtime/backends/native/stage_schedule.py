@@ -1,0 +1,287 @@
+"""Assigns each instruction of a block to a stage, and finds the values that one stage stores for the next.
+
+Operations without machine code (rays, curves, flows) are called between two stages. All rows run through stage 0, then the
+calls at its end run, then all rows run through stage 1. A statement runs in the first stage in which its operands are known,
+in source order. A value is computed where it is first needed. It is stored in an array if a later stage or a call also needs
+it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+
+from antdsl.plan import ir
+from antdsl.runtime.backends.block_compiler import BlockCompiler, BlockInstruction, InstructionKind, RowScope
+
+_REREAD_OPS = frozenset(("snap", "id"))  # loaded again in each stage, not stored in an array
+PAIR_INSTRUCTION_KINDS = (
+    InstructionKind.PAIRS,
+    InstructionKind.SPREAD,
+    InstructionKind.PAIR_LEAF,
+    InstructionKind.PAIR_OPERATION,
+)
+
+
+@dataclass(slots=True, eq=False)
+class StageSchedule:
+    """The stages of a block. `stage_count` is their number.
+
+    `stage_by_slot`: the stage in which each slot's value is computed. `stored_slots`: slots that are stored in arrays.
+    `calls[k]`: the calls after stage k.
+    The mask of a scope has the slot of the scope's rows. The mask of the root is known in every stage."""
+
+    stage_count: int
+    stage_by_slot: dict[int, int]
+    stored_slots: set[int]
+    use_stages: dict[int, set[int]]
+    at: dict[BlockInstruction, int]  # stage of statements, or of the end of a cached sense
+    calls_after_stage: list[list[BlockInstruction]]
+    slot_aliases: dict[int, int]
+    native_instructions: frozenset[BlockInstruction]  # values and reductions with machine code
+    inlined_senses: frozenset[BlockInstruction]  # cached senses that are cheap enough to compute again
+
+    def resolve_slot(self, slot: int) -> int:
+        """Return the slot that stores a value, following gathers of inner scopes to the outer slot."""
+        while slot in self.slot_aliases:
+            slot = self.slot_aliases[slot]
+        return slot
+
+    def is_run_in_stage(self, scope: RowScope, stage: int) -> bool:
+        """Return whether a stage runs any instruction of a scope."""
+        return stage in self.use_stages.get(self.resolve_slot(scope.rows), ())
+
+
+@dataclass(slots=True)
+class _ScheduleBuilder:
+    """The stages of a block while they are assigned. Fields are as in `StageSchedule`."""
+
+    compiler: BlockCompiler
+    has_machine_code: Callable[[ir.PlanNode], bool]
+    is_costly: Callable[[ir.PlanNode], bool]
+    uniform_slots: frozenset[int] = frozenset()
+    first: dict[int, int] = field(default_factory=dict)  # earliest stage in which a slot's value can be known
+    last_store_stages: dict[object, int] = field(default_factory=dict)
+    last_load_stages: dict[object, int] = field(default_factory=dict)
+    slot_aliases: dict[int, int] = field(default_factory=dict)
+    at: dict[BlockInstruction, int] = field(default_factory=dict)
+    native_instructions: set[BlockInstruction] = field(default_factory=set)
+    inlined_senses: set[BlockInstruction] = field(default_factory=set)
+    calls_by_stage: dict[int, list[BlockInstruction]] = field(default_factory=dict)
+    pair_slots: set[int] = field(default_factory=set)  # slots over pairs that calls need
+
+
+def make_schedule(
+    compiler: BlockCompiler, has_machine_code: Callable[[ir.PlanNode], bool], is_costly: Callable[[ir.PlanNode], bool]
+) -> StageSchedule:
+    """Return the stages of a block.
+
+    `has_machine_code`: whether a node has machine code.
+    `is_costly`: whether machine code must store a node that is cached for the step, because computing it again takes too long."""
+    maker = _ScheduleBuilder(compiler, has_machine_code, is_costly, frozenset(compiler.uniform_slots.values()))
+    for instruction in _all_instructions(compiler.root_scope):
+        what = instruction.subject
+        if instruction.kind is InstructionKind.REDUCE and isinstance(what, ir.PlanNode) and not has_machine_code(what):
+            _find_pair_slots(maker, instruction)
+    _assign_stages(maker, compiler.root_scope, 0)
+    return _trace_uses(maker)
+
+
+def _all_instructions(scope: RowScope) -> Iterator[BlockInstruction]:
+    for instruction in scope.code:
+        yield instruction
+        if instruction.inner is not None:
+            yield from _all_instructions(instruction.inner)
+
+
+def _find_pair_slots(maker: _ScheduleBuilder, reduce: BlockInstruction) -> None:
+    """Record the slots over pairs that a called reduction needs."""
+    makers = {each.out: each for each in reduce.scope.code if each.kind in PAIR_INSTRUCTION_KINDS}
+    pending = [slot for slot in reduce.inputs if slot in makers]
+    while pending:
+        slot = pending.pop()
+        if slot not in maker.pair_slots:
+            maker.pair_slots.add(slot)
+            pending += [each for each in makers[slot].inputs if each in makers]
+
+
+def _resolve_alias(maker: _ScheduleBuilder, slot: int) -> int:
+    while slot in maker.slot_aliases:
+        slot = maker.slot_aliases[slot]
+    return slot
+
+
+def _earliest_stage(maker: _ScheduleBuilder, slots: tuple[int, ...]) -> int:
+    """Return the first stage in which all slots are known."""
+    return max((maker.first.get(_resolve_alias(maker, slot), 0) for slot in slots), default=0)
+
+
+def _assign_stages(maker: _ScheduleBuilder, scope: RowScope, mask_stage: int) -> None:
+    """Compute the first stage in which each value can be known, and the stage of each statement.
+
+    `mask_stage`: the first stage in which the scope's mask is known."""
+    maker.first[scope.rows] = mask_stage
+    for each in scope.code:
+        stage, what = max(mask_stage, _earliest_stage(maker, each.inputs)), each.subject
+        match each.kind:
+            case InstructionKind.GATHER:
+                maker.slot_aliases[each.out] = each.inputs[0]
+            case InstructionKind.REGION:
+                assert each.inner is not None
+                _assign_stages(maker, each.inner, stage)
+            case InstructionKind.CACHED_SENSE:
+                assert each.inner is not None and isinstance(what, ir.PlanNode)
+                key = ("kept", what)
+                stage = max(mask_stage, maker.last_store_stages.get(key, 0))
+                if maker.has_machine_code(what) and not maker.is_costly(what):
+                    maker.inlined_senses.add(each)
+                    maker.slot_aliases[each.out], maker.slot_aliases[each.inner.rows] = each.result, scope.rows
+                    _assign_stages(maker, each.inner, mask_stage)
+                else:
+                    maker.last_load_stages[key] = stage
+                    _assign_stages(maker, each.inner, stage)
+                    result = maker.first.get(_resolve_alias(maker, each.result), 0)
+                    maker.at[each] = maker.last_store_stages[key] = maker.first[each.out] = max(stage, result)
+            case InstructionKind.STATEMENT:
+                register = what.register if isinstance(what, ir.Store) else what.own if isinstance(what, ir.Give) else None
+                if register is not None:
+                    stage = max(stage, maker.last_store_stages.get(register, 0), maker.last_load_stages.get(register, 0))
+                    maker.last_store_stages[register] = stage
+                maker.at[each] = stage
+            case InstructionKind.VALUE | InstructionKind.REDUCE if isinstance(what, ir.PlanNode) and maker.has_machine_code(what):
+                if what.op == "load":
+                    stage = max(stage, maker.last_store_stages.get(what.attrs[0], 0))
+                    maker.last_load_stages[what.attrs[0]] = max(stage, maker.last_load_stages.get(what.attrs[0], 0))
+                elif each.kind is InstructionKind.REDUCE:
+                    stage = max(mask_stage, _earliest_stage(maker, reduction_operands(each)))
+                maker.native_instructions.add(each)
+                maker.first[each.out] = stage
+            case _:
+                if each.kind in PAIR_INSTRUCTION_KINDS and each.out not in maker.pair_slots:
+                    if each.kind is InstructionKind.SPREAD:
+                        maker.slot_aliases[each.out] = each.inputs[0]
+                    else:
+                        maker.first[each.out] = stage
+                    continue
+                maker.calls_by_stage.setdefault(stage, []).append(each)
+                maker.first[each.out] = stage if each.kind in PAIR_INSTRUCTION_KINDS else stage + 1
+
+
+def reduction_operands(reduce: BlockInstruction) -> tuple[int, ...]:
+    """Return the slots of the agents' own values that a reduction with machine code needs."""
+    makers = {each.out: each for each in reduce.scope.code if each.kind in PAIR_INSTRUCTION_KINDS}
+    operands: dict[int, None] = {}
+    pending = list(reduce.inputs)
+    visited: set[int] = set()
+    while pending:
+        slot = pending.pop()
+        if slot in visited:
+            continue
+        visited.add(slot)
+        producer = makers.get(slot)
+        if producer is None:
+            operands[slot] = None
+        elif producer.kind is InstructionKind.SPREAD:
+            operands[producer.inputs[0]] = None
+        else:
+            pending += producer.inputs
+    return tuple(operands)
+
+
+def _trace_uses(maker: _ScheduleBuilder) -> StageSchedule:
+    """Find the stages that use each value, from the last instruction to the first, and return the schedule."""
+    stages = 1 + max([*maker.first.values(), *maker.at.values(), *(k + 1 for k in maker.calls_by_stage)], default=0)
+    calls = [maker.calls_by_stage.get(k, []) for k in range(stages)]
+    called = {each for group in calls for each in group}
+    use_stages: dict[int, set[int]] = {}
+    home: dict[int, int] = {}
+    left: set[int] = set()
+
+    def want(slots: tuple[int, ...], stage: int, array: bool = False) -> None:
+        for slot in slots:
+            slot = _resolve_alias(maker, slot)
+            if slot in maker.uniform_slots:
+                continue
+            use_stages.setdefault(slot, set()).add(stage)
+            if array:
+                left.add(slot)
+
+    made_by_calls = {each.out for each in called}
+    reread_slots: set[int] = set()
+    for each in reversed(list(_iterate_run_order(maker.compiler.root_scope))):
+        instruction, ending = each
+        scope, out = instruction.scope, instruction.out
+        if instruction.kind is InstructionKind.REGION:
+            assert instruction.inner is not None
+            mask = instruction.inner.rows
+            if not ending and mask in use_stages:
+                home[mask] = min(use_stages[mask])
+                want((instruction.inputs[0], scope.rows), home[mask])
+                _propagate_outwards(maker, scope, use_stages, use_stages[mask])
+        elif instruction.kind is InstructionKind.CACHED_SENSE:
+            assert instruction.inner is not None
+            mask = instruction.inner.rows
+            if instruction in maker.inlined_senses:
+                continue
+            if ending:
+                if out in use_stages:
+                    want((instruction.result, mask), maker.at[instruction])
+            elif mask in use_stages:
+                home[mask] = min(use_stages[mask])  # no earlier stage runs the scope that computes it
+                want((scope.rows,), home[mask])
+                _propagate_outwards(maker, scope, use_stages, use_stages[mask])
+        elif ending:
+            continue
+        elif instruction in called:
+            stage = next(k for k, group in enumerate(calls) if instruction in group)
+            inputs = tuple(
+                slot for slot in instruction.inputs if _resolve_alias(maker, slot) not in made_by_calls | maker.pair_slots
+            )
+            want(inputs, stage, array=True)
+            want((scope.rows,), stage, array=True)
+            home[out] = stage + 1
+        elif instruction.kind is InstructionKind.STATEMENT:
+            want((*instruction.inputs, scope.rows), maker.at[instruction])
+        elif instruction in maker.native_instructions and out in use_stages:
+            what = instruction.subject
+            assert isinstance(what, ir.PlanNode)
+            inputs = reduction_operands(instruction) if instruction.kind is InstructionKind.REDUCE else instruction.inputs
+            if what.op in _REREAD_OPS and out not in left:
+                home[out] = min(use_stages[out])
+                reread_slots.add(out)
+                for stage in use_stages[out]:
+                    want((scope.rows,), stage)
+                continue
+            home[out] = maker.first[out] if what.op == "load" else min(use_stages[out])
+            want((*inputs, scope.rows), home[out])
+            if max(use_stages[out]) > home[out]:
+                left.add(out)
+    for slot, stages_ in use_stages.items():
+        if slot in home and max(stages_) > home[slot] and slot not in made_by_calls and slot not in reread_slots:
+            left.add(slot)
+    return StageSchedule(
+        stages,
+        home,
+        left,
+        use_stages,
+        maker.at,
+        calls,
+        maker.slot_aliases,
+        frozenset(maker.native_instructions),
+        frozenset(maker.inlined_senses),
+    )
+
+
+def _propagate_outwards(maker: _ScheduleBuilder, scope: RowScope, use_stages: dict[int, set[int]], stages: set[int]) -> None:
+    """Mark the scopes that enclose an inner scope as needed in the same stages."""
+    use_stages.setdefault(_resolve_alias(maker, scope.rows), set()).update(stages)
+
+
+def _iterate_run_order(scope: RowScope) -> Iterator[tuple[BlockInstruction, bool]]:
+    """Yield the instructions in execution order.
+
+    An instruction with an inner scope appears before that scope with False, and again after it with True."""
+    for instruction in scope.code:
+        yield instruction, False
+        if instruction.inner is not None:
+            yield from _iterate_run_order(instruction.inner)
+            yield instruction, True

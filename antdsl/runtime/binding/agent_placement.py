@@ -1,0 +1,256 @@
+"""Start positions of agents: on the ground or inside things, outside obstacles and clear of each other.
+
+A position depends on the seed, the agent's species and id, and the agents placed before. Adding agents moves no other agent."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.numerics import elementary, randomness
+from antdsl.numerics import vectors as vec
+from antdsl.numerics.vectors import VectorArrays
+from antdsl.plan import ir
+from antdsl.plan.traverse import iterate_with_positions
+from antdsl.program.tables.effects import list_effects_of_phase
+from antdsl.runtime.binding.spacing import Occupancy, StartPositionDraws, has_extent, spread_agents
+from antdsl.runtime.binding.start_positions import FULL_TURN, MAX_RANDOM_COVER, PLACEMENT_FRAME, StartPositionSampler
+from antdsl.runtime.faults import FaultLog
+from antdsl.runtime.lifecycle import apply_deaths_and_births, initialise_newborn, settle_newborn
+from antdsl.runtime.moving import scripted_walks
+from antdsl.runtime.moving.clear_steps import settle_clear
+from antdsl.runtime.moving.tilting import tilt_new_bodies
+from antdsl.runtime.world import AXES, OvercrowdedLine, Population, World, add_rows, empty_population, select_rows
+from antdsl.scene.setting import CrowdData, PlacementData
+
+_MIN_NORMAL_SINE = 1e-3  # at smaller sines of the angle to the normal, a direction leads off the ground
+
+
+def place_crowds(world: World) -> None:
+    """Add all crowds to the world, with ids in the order of the scene's crowd lines."""
+    counted: dict[str, int] = {}
+    joining: list[tuple[CrowdData, NDArray[np.int64]]] = []
+    for crowd in world.setting.crowds:
+        population = world.populations[crowd.species]
+        ids = np.arange(counted.get(crowd.species, 0), counted.get(crowd.species, 0) + crowd.count)
+        counted[crowd.species] = population.next_id = int(crowd.count + (ids[0] if len(ids) else population.next_id))
+        joining.append((crowd, ids))
+    place_new_agents(world, joining)
+    joined: dict[str, NDArray[np.intp]] = {}
+    for name, population in world.populations.items():
+        if len(population):
+            _shuffle_rows(world, population)
+            joined[name] = np.arange(len(population))
+    initialise_agents(world, joined)
+    world.motion.begin(world)
+
+
+def place_new_agents(world: World, new_crowds: Sequence[tuple[CrowdData, NDArray[np.int64]]]) -> dict[str, NDArray[np.intp]]:
+    """Add agents of crowd lines and return their rows, by species. Only their positions are set.
+
+    They are placed as the scene says, clear of each other and of existing agents. Positions that the scene gives as points
+    come first and are used unchanged. Then each line keeps clear of earlier lines. `world.crowded` lists the lines that had no
+    space for all agents."""
+    new_crowds = [(crowd, ids) for crowd, ids in new_crowds if len(ids)]
+    if not new_crowds:
+        return {}
+    starts = [StartPositionSampler(world, crowd) for crowd, _ in new_crowds]
+    radius = _compute_spacing_radii(world, new_crowds, starts, _compute_birth_radii(world, new_crowds, starts))
+    occupancy = Occupancy(_position_precision(world))
+    for population in world.populations.values():
+        occupancy.add_fixed(population.position, population.now["radius"].astype(np.float64))
+    draws: dict[int, StartPositionDraws] = {}
+    for k, (_, ids) in enumerate(new_crowds):
+        if starts[k].has_points:
+            draws[k] = starts[k].draw(ids, range(1))
+            occupancy.add_fixed(draws[k].position, radius[k])
+    first = 0
+    for k, (crowd, ids) in enumerate(new_crowds):
+        if k not in draws:
+            draws[k], fits = spread_agents(occupancy, starts[k].draw, ids, radius[k], first)
+            first += len(ids)
+            if not fits.all():
+                wide = radius[k][has_extent(radius[k])]
+                ends = (float(wide.min(initial=np.inf)), float(wide.max(initial=0.0)))
+                cover = float(np.pi * (wide * wide).sum())
+                fit, start = int(np.count_nonzero(fits)), starts[k]
+                room_for = (start.estimate_area(), start.find_sufficient_radius(cover), start.fits_on_all_sides(cover))
+                world.overcrowded_lines.append(
+                    OvercrowdedLine(crowd.line_index, crowd.species, len(ids), fit, ends, cover, *room_for)
+                )
+    rows: dict[str, list[NDArray[np.intp]]] = {}
+    for k, (crowd, ids) in enumerate(new_crowds):
+        rows.setdefault(crowd.species, []).append(_place_crowd(world, crowd, ids, draws[k]))
+    return {name: np.concatenate(parts) for name, parts in rows.items()}
+
+
+def _place_crowd(world: World, crowd: CrowdData, ids: NDArray[np.int64], drawn: StartPositionDraws) -> NDArray[np.intp]:
+    """Add the agents of one crowd line at drawn positions; return their rows."""
+    population = world.populations[crowd.species]
+    rows = add_rows(population, ids, world.frame, drawn.position, drawn.footing)
+    for k, axis in enumerate(AXES):
+        population.now[f"up.{axis}"][rows] = drawn.up[:, k]
+    population.now["group"][rows] = crowd.line_index
+    write_place_values(population, np.arange(rows.start, rows.stop), crowd.place)
+    return np.arange(rows.start, rows.stop)
+
+
+def _compute_birth_radii(
+    world: World, new_crowds: Sequence[tuple[CrowdData, NDArray[np.int64]]], starts: Sequence[StartPositionSampler]
+) -> list[NDArray[np.float64]]:
+    """Return the radius (mm) at birth of each line's agents, at the positions of their first draw.
+
+    A radius may depend on anything available at birth, so a temporary world computes it."""
+    trial = replace(
+        world,
+        populations={name: empty_population(p.plan, world.ground) for name, p in world.populations.items()},
+        faults=FaultLog(),
+        grids={},
+        trees={},
+        clearances={},
+        transitions={},
+        detail=None,
+    )
+    rows: dict[str, list[NDArray[np.intp]]] = {}
+    lines = []
+    for (crowd, ids), start in zip(new_crowds, starts, strict=True):
+        lines.append(_place_crowd(trial, crowd, ids, start.draw(ids, range(1))))
+        rows.setdefault(crowd.species, []).append(lines[-1])
+    joined = {name: np.concatenate(parts) for name, parts in rows.items()}
+    for name, chosen in joined.items():
+        trial.populations[name].next_id = world.populations[name].next_id
+        _orient_agents(trial, trial.populations[name], chosen)
+    initialise_newborn(trial, joined)
+    radius = {name: trial.populations[name].now["radius"].astype(np.float64) for name in joined}
+    return [radius[crowd.species][own] for (crowd, _), own in zip(new_crowds, lines, strict=True)]
+
+
+def _compute_spacing_radii(
+    world: World,
+    new_crowds: Sequence[tuple[CrowdData, NDArray[np.int64]]],
+    starts: Sequence[StartPositionSampler],
+    radius: list[NDArray[np.float64]],
+) -> list[NDArray[np.float64]]:
+    """Return the radii (mm) for spacing.
+
+    If a line declares a distance between its agents, the radius is at least half of it. For an even crowd, the radius is large
+    enough that discs cover as much of the place as random placement can fill. All lines with the same place are counted
+    together."""
+    radii = []
+    for (crowd, _), start, own in zip(new_crowds, starts, radius, strict=True):
+        half = crowd.place.spacing / 2
+        if np.isinf(half):
+            count = sum(c.count for c in world.setting.crowds if _place_key(c.place) == _place_key(crowd.place))
+            half = np.sqrt(MAX_RANDOM_COVER * (start.estimate_area() or 0.0) / (np.pi * max(count, 1)))
+        radii.append(np.maximum(own, half) if half > 0 else own)
+    return radii
+
+
+def _place_key(place: PlacementData) -> tuple[object, ...]:
+    """Return a key that is equal for two lines that start evenly in the same place."""
+    return place.on, place.disc_centre, place.radius, place.density, place.is_by_area, place.spacing
+
+
+def _position_precision(world: World) -> float:
+    """Return the precision (mm) of positions, which are float32 relative to the world's origin."""
+    meshes = world.ground.meshes
+    far = 0.0 if meshes is None else float(np.abs([meshes.low, meshes.high]).max(initial=0.0))
+    return far * float(np.finfo(np.float32).eps)
+
+
+def initialise_agents(world: World, new_rows: Mapping[str, NDArray[np.intp]]) -> None:
+    """Set stance, birth values and start velocity of new agents. `new_rows`: their rows, by species.
+
+    Events that they emit at birth are visible in the first step."""
+    for name, rows in new_rows.items():
+        _orient_agents(world, world.populations[name], rows)
+    initialise_newborn(world, new_rows)
+    for name, rows in new_rows.items():
+        _set_start_velocity(world, world.populations[name], rows)
+        scripted_walks.start_walks(world, world.populations[name], rows)
+        if not settle_clear(world, world.populations[name], rows):
+            tilt_new_bodies(world, world.populations[name], rows)
+    settle_newborn(world)  # before deaths: requests of an agent that dies at birth count
+    births = set(list_effects_of_phase("births"))
+    if any(births & p.effects.requests.keys() for p in world.populations.values()):
+        apply_deaths_and_births(world)
+        settle_newborn(world)
+    for population in world.populations.values():
+        for name in population.events:
+            population.events[name] |= population.raised_events[name]
+            population.raised_events[name].fill(False)
+
+
+def _draw_uniform(world: World, species: str, index: int, ids: NDArray[np.int64]) -> NDArray[np.float32]:
+    return randomness.draw_uniform(world.setting.seed, PLACEMENT_FRAME, species, "heading", index, ids)
+
+
+def _shuffle_rows(world: World, population: Population) -> None:
+    if world.options.shuffle_rows is not None:
+        select_rows(population, np.random.default_rng(world.options.shuffle_rows).permutation(len(population)))
+
+
+def write_place_values(population: Population, rows: NDArray[np.intp], place: PlacementData) -> None:
+    """Write the values of a place's points into registers of `rows`. The block `born` reads them afterwards."""
+    for name, column in place.values.items():
+        if (register := ir.birth_register(name)) in population.now:
+            point_values = column[population.ids[rows] % len(column)]
+            population.now[register][rows] = np.where(np.isfinite(point_values), point_values, np.inf)
+
+
+def _choose_headings(
+    world: World, population: Population, rows: NDArray[np.intp], up: VectorArrays, drawn: VectorArrays
+) -> VectorArrays:
+    """Return headings: along the ground, as given at the start points, else the drawn ones."""
+    heading = drawn
+    for crowd in world.setting.crowds:
+        if crowd.species != population.name or crowd.place.headings is None:
+            continue
+        own = np.flatnonzero(population.now["group"][rows] == crowd.line_index)
+        ahead = vec.split_columns(crowd.place.headings[population.ids[rows[own]] % len(crowd.place.headings)], np.float32)
+        heading = vec.copy(heading)
+        for component, value in zip(
+            heading,
+            vec.normalise_or_fallback(
+                vec.project_to_plane(ahead, vec.take_rows(up, own)), vec.take_rows(drawn, own), _MIN_NORMAL_SINE
+            ),
+            strict=True,
+        ):
+            component[own] = value
+    return heading
+
+
+def _orient_agents(world: World, population: Population, rows: NDArray[np.intp]) -> None:
+    """Set up, heading and velocity of agents: up from the ground, a random heading unless the scene gives one, velocity 0."""
+    target_up = np.stack([population.now[f"up.{axis}"] for axis in AXES], axis=1).astype(np.float64)
+    up = vec.split_columns(world.ground.compute_upright_normals(population.footing, target_up)[rows], np.float32)
+    angle = _draw_uniform(world, population.name, 0, population.ids[rows]) * FULL_TURN
+    side = vec.find_perpendicular(up)
+    ahead = vec.cross(up, side)
+    heading = vec.add(vec.scale(side, elementary.cos(angle)), vec.scale(ahead, elementary.sin(angle)))
+    heading = _choose_headings(world, population, rows, up, heading)
+    for k, axis in enumerate(AXES):
+        population.normal[rows, k] = up[k]
+        for name, value in (("position", population.position[rows, k]), ("up", up[k]), ("heading", heading[k])):
+            population.now[f"{name}.{axis}"][rows] = value
+            population.start[f"{name}.{axis}"][rows] = value
+
+
+def _set_start_velocity(world: World, population: Population, rows: NDArray[np.intp]) -> None:
+    """Set the velocity along the heading, at a random share of full speed (T02). Species that set their motion at birth are
+    skipped."""
+    if any(
+        isinstance(s, ir.Store) and s.register.startswith("velocity.") for _, s in iterate_with_positions(population.plan.born)
+    ):
+        return
+    speed = population.now["max_speed"][rows] * _draw_uniform(world, population.name, 1, population.ids[rows])
+    if "min_speed" in population.now:
+        least = np.minimum(population.now["min_speed"][rows], population.now["max_speed"][rows])
+        speed = np.maximum(speed, least)
+    for axis in AXES:
+        velocity = population.now[f"heading.{axis}"][rows] * speed
+        population.now[f"velocity.{axis}"][rows] = velocity
+        population.start[f"velocity.{axis}"][rows] = velocity

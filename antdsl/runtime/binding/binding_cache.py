@@ -1,0 +1,75 @@
+"""Cached data made from meshes, for the next world, found by a digest of its inputs.
+
+An edited program rarely comes with other meshes. Preparing a ground with its rays and cells takes longer than a step."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from copy import deepcopy
+from dataclasses import fields, is_dataclass
+from hashlib import sha256
+from typing import Any, TypeVar
+
+import numpy as np
+
+T = TypeVar("T")
+
+
+class BindingCache:
+    """Grounds, ray scenes, cells, volumes and flows that do not change after they are made.
+
+    Data that changes, such as for dug or moving things, is stored in its initial state and returned as a copy."""
+
+    def __init__(self) -> None:
+        self._values: dict[str, Any] = {}
+        self._used_keys: set[str] = set()
+
+    def get_or_make(self, what: str, inputs: object, make: Callable[[], T], *, copy_value: Callable[[T], T] | None = None) -> T:
+        """Return the result of `make`, or the cached result for an equal `inputs`.
+
+        `inputs`: arrays, numbers, texts and combinations of these. If `make` raises an exception, it propagates and nothing is
+            cached."""
+        key = compute_digest((what, inputs))
+        self._used_keys.add(key)
+        if key not in self._values:
+            self._values[key] = make()
+        product: T = self._values[key]
+        return product if copy_value is None else copy_value(product)
+
+    def get_deep_copy(self, what: str, inputs: object, make: Callable[[], T]) -> T:
+        """Return a deep copy of the result of `make` or of the cached result. This is for values that change in use."""
+        return self.get_or_make(what, inputs, make, copy_value=deepcopy)
+
+    def drop_unused(self) -> None:
+        """Remove the values that were not used since the last call of this method."""
+        self._values = {key: value for key, value in self._values.items() if key in self._used_keys}
+        self._used_keys = set()
+
+
+def compute_digest(value: object) -> str:
+    """Return a hash of a value by its content. It may consist of arrays, numbers, texts, mappings, sequences and dataclasses."""
+    hashed = sha256()
+    _add_to_digest(hashed.update, value)
+    return hashed.hexdigest()
+
+
+def _add_to_digest(update: Callable[[bytes], None], value: object) -> None:
+    """Pass the content of a value to `update`, with marks that distinguish types and lengths."""
+    if isinstance(value, np.ndarray):
+        update(f"a{value.dtype.str}{value.shape}".encode())
+        update(np.ascontiguousarray(value).tobytes())
+    elif is_dataclass(value) and not isinstance(value, type):
+        update(f"d{type(value).__name__}".encode())
+        for each in fields(value):
+            _add_to_digest(update, getattr(value, each.name))
+    elif isinstance(value, Mapping):
+        update(f"m{len(value)}".encode())
+        for key, inner in value.items():
+            _add_to_digest(update, key)
+            _add_to_digest(update, inner)
+    elif isinstance(value, tuple | list):
+        update(f"t{len(value)}".encode())
+        for inner in value:
+            _add_to_digest(update, inner)
+    else:
+        update(f"{type(value).__name__}:{value!r};".encode())

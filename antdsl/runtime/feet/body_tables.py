@@ -1,0 +1,136 @@
+"""Positions and axes of bodies as one table, and the conversion of points between bodies and the world.
+
+A table is float64[14, n]. Its rows are position (mm), then the unit vectors ahead, up and aside, three rows each. Then come the
+size (mm), and the play of the trunk: 1 if it lies over its feet, 0 if the body has shifted out of the ground and stays there.
+Points of a body are in body lengths: ahead, above, aside."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.machine_code.kernels import F32, F64, I64, Array1, Array2, inlined, kernel, prefetch, simd_range
+from antdsl.numerics import parallel
+from antdsl.numerics import vectors as vec
+from antdsl.numerics.kernel_vectors import (
+    Vec3,
+    Vec3F32,
+    VectorColumns,
+    cross,
+    dot,
+    minus,
+    project_to_plane,
+    unit_or_perpendicular,
+)
+from antdsl.runtime.body_positions import LIFT_REGISTERS, body_positions
+from antdsl.runtime.feet.wearers import Wearers
+
+POSITION_ROW = 0  # first of the three rows of the position
+SIZE, PLAY = 12, 13
+_TABLE_ROWS = 14
+_SHIFT_WITHOUT_PLAY = 0.05  # of a body: the shift from which on a trunk does not follow the feet
+_MIN_SIZE = 1e-12
+_F = np.float32
+
+
+def place_bodies(population: Wearers, buffer_name: str, threads: int) -> NDArray[np.float64]:
+    """Return the table of a population. `buffer_name`: the buffer for the table, which the next call with the same name
+    overwrites."""
+    n, now = len(population), population.now
+    (bodies,) = population.get_buffers(buffer_name, 1, (_TABLE_ROWS, n), np.float64)
+    if n:
+        columns = vec.get_vector_registers(now, "heading"), vec.get_vector_registers(now, "up"), now["size"]
+        work = partial(_place_bodies, np.ascontiguousarray(body_positions(population).T), *columns, bodies)
+        parallel.run_in_parts(work, n, threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD)
+        bodies[PLAY] = 1.0
+        if LIFT_REGISTERS[0] in now:
+            x, y, z = (now[name].astype(np.float64) for name in LIFT_REGISTERS)
+            free = _SHIFT_WITHOUT_PLAY * np.maximum(bodies[SIZE], _MIN_SIZE)
+            bodies[PLAY] -= np.minimum(np.sqrt(x * x + y * y + z * z) / free, 1.0)
+    return bodies
+
+
+@kernel
+def _place_bodies(
+    position: Array2[F64], heading: VectorColumns, up: VectorColumns, size: Array1[F32], bodies: Array2[F64], begin: I64, end: I64
+) -> None:
+    """Write the table columns of bodies from `begin` to before `end`."""
+    for i in simd_range(begin, end):
+        place = position[0, i], position[1, i], position[2, i]
+        forward = np.float64(heading[0][i]), np.float64(heading[1][i]), np.float64(heading[2][i])
+        above = np.float64(up[0][i]), np.float64(up[1][i]), np.float64(up[2][i])
+        ahead, straight, aside = orthonormal_axes(forward, above)
+        for axis in range(3):
+            bodies[axis, i], bodies[3 + axis, i] = place[axis], ahead[axis]
+            bodies[6 + axis, i], bodies[9 + axis, i] = straight[axis], aside[axis]
+        bodies[12, i] = np.float64(size[i])
+
+
+@inlined
+def orthonormal_axes(heading: Vec3, up: Vec3) -> tuple[Vec3, Vec3, Vec3]:
+    """Return the unit vectors ahead, up and aside of a body. Ahead is the unchanged heading; up is `up` made perpendicular to
+    it."""
+    ahead = unit_or_perpendicular(heading, up)
+    straight = unit_or_perpendicular(project_to_plane(up, ahead), ahead)
+    return ahead, straight, cross(ahead, straight)
+
+
+class Body(NamedTuple):
+    """A body in the world: position `position` (mm), unit vectors, and size (mm)."""
+
+    position: Vec3
+    ahead: Vec3
+    up: Vec3
+    aside: Vec3
+    size: F64
+
+
+@inlined
+def read_body(bodies: Array2[F64], i: I64) -> Body:
+    """Return body i of a table."""
+    place = bodies[0, i], bodies[1, i], bodies[2, i]
+    ahead = bodies[3, i], bodies[4, i], bodies[5, i]
+    up = bodies[6, i], bodies[7, i], bodies[8, i]
+    aside = bodies[9, i], bodies[10, i], bodies[11, i]
+    return Body(place, ahead, up, aside, bodies[12, i])
+
+
+@inlined
+def prefetch_columns(table: Any, rows: I64, group_size: I64, begin: I64, end: I64) -> None:
+    """Prefetch columns of a table (…, n) with `rows` rows, `group_size` numbers at once.
+
+    The kernels of this package read about 100 rows; a processor prefetches only a few of them itself."""
+    for row in range(rows):
+        k = begin
+        while k < end:
+            prefetch(table, row * table.shape[-1] + k)
+            k += group_size
+
+
+@inlined
+def local_to_world(body: Body, x: F32, y: F32, z: F32) -> Vec3:
+    """Return the world position (mm) of a point that is given in float32 body lengths."""
+    place, ahead, up, aside, size = body
+    a, b, c = np.float64(x) * size, np.float64(y) * size, np.float64(z) * size
+    return (
+        place[0] + ((a * ahead[0] + b * up[0]) + c * aside[0]),
+        place[1] + ((a * ahead[1] + b * up[1]) + c * aside[1]),
+        place[2] + ((a * ahead[2] + b * up[2]) + c * aside[2]),
+    )
+
+
+@inlined
+def world_to_local(body: Body, position: Vec3) -> Vec3F32:
+    """Return a world position (mm) relative to a body, in float32 body lengths: ahead, above, aside."""
+    place, ahead, up, aside, size = body
+    by = _F(1.0 / max(size, _MIN_SIZE))
+    away = _to_float32(minus(position, place))
+    return dot(away, _to_float32(ahead)) * by, dot(away, _to_float32(up)) * by, dot(away, _to_float32(aside)) * by
+
+
+@inlined
+def _to_float32(v: Vec3) -> Vec3F32:
+    return _F(v[0]), _F(v[1]), _F(v[2])

@@ -1,0 +1,185 @@
+"""The feet of one species as arrays, one row for each agent."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from hashlib import sha256
+from typing import Any
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from antdsl.numerics.records import match_ids
+from antdsl.numerics.row_hash import RowHasher, describe_columns
+from antdsl.numerics.sorting import invert_order, sort_stably
+from antdsl.program.tables.columns import FEET_COLUMNS
+
+Array = NDArray[Any]
+
+STANDING_SWING = np.float32(-1)  # value of `swing` for a standing foot
+NO_GROUND, PLANE_GROUND = -2, -1  # values of `on`
+_COLUMNS = {column.name: column for column in FEET_COLUMNS}
+_SHAPES = {name: column.shape for name, column in _COLUMNS.items()} | {"covered": (2, "n", "L"), "stood": (3, "n")}
+
+
+def zeros_by_leg(shape: Sequence[int], dtype: DTypeLike = np.float64) -> Array:
+    """Return zeros [..., n, L] that are stored leg by leg.
+
+    Operations on all legs then run along all agents at once, where n is large and L small. NumPy preserves that order in
+    derived arrays."""
+    return np.zeros((*shape[:-2], shape[-1], shape[-2]), dtype).swapaxes(-1, -2)
+
+
+def _empty_columns(count: int, legs: int) -> dict[str, Any]:
+    """Return all columns of `Feet` for `count` agents, filled with zeros."""
+    shapes = {name: column.compute_dimensions(n=count, L=legs) for name, column in _COLUMNS.items()}
+    return {
+        name: zeros_by_leg(shapes[name], column.type) if "L" in column.shape else np.zeros(shapes[name], column.type)
+        for name, column in _COLUMNS.items()
+    }
+
+
+def _agent_axis(name: str) -> int:
+    """Return which axis of a column is that of the agents."""
+    return _SHAPES[name].index("n")
+
+
+@dataclass(slots=True, eq=False)
+class Feet:
+    """The feet of n agents with L legs. Positions are mm in world coordinates, components first.
+
+    Agents may be in any order. A step sorts them by the population's rows, so that neighbours in space are mostly adjacent.
+
+    - `place` float64[3, n, L]: the point where each foot stands or is to land
+    - `shown`, `start` float64[3, n, L]: current position of each foot, and the start of its swing
+    - `swing` float32[n, L]: the completed share of the swing, -1 for a standing foot
+    - `on` int16[n, L]: number of the thing below `place`; -1: the plane; -2: nothing (the foot hangs)
+    - `face` int32[n, L], `weight` float64[2, n, L]: the triangle, and the weights of its second and third corner
+    - `found` float32[n, L]: distance (body lengths) of a foothold from the rest position if no nearer ground exists
+    - `phase` float32[n]: gait phase, from 0 to 1
+    - `rise` float32[n]: height of the trunk above its rest height (mm)
+    - `slope` float32[2, n]: increase in ground height below the feet, per length ahead and per length aside
+    - `position` float64[3, n], `heading`, `up` float32[3, n]: those of the body at the end of the last frame"""
+
+    ids: NDArray[np.int64]
+    place: NDArray[np.float64]
+    shown: NDArray[np.float64]
+    start: NDArray[np.float64]
+    swing: NDArray[np.float32]
+    on: NDArray[np.int16]
+    face: NDArray[np.int32]
+    weight: NDArray[np.float64]
+    found: NDArray[np.float32]
+    phase: NDArray[np.float32]
+    rise: NDArray[np.float32]
+    slope: NDArray[np.float32]
+    position: NDArray[np.float64]
+    heading: NDArray[np.float32]
+    up: NDArray[np.float32]
+    # Displacement of rest positions over the ground, float32[2, n, L], ahead and aside (body lengths); None between steps.
+    covered: NDArray[np.float32] | None = field(default=None)
+    stood: NDArray[np.float64] | None = field(default=None)  # positions before the ground moved, float64[3, n]; NaN: new
+    row_hasher: RowHasher = field(default_factory=RowHasher)  # hashes the rows
+    _cached_ranks: NDArray[np.int32] | None = field(default=None, init=False)
+
+    @staticmethod
+    def empty(legs: int) -> Feet:
+        """Return the feet of an empty population with this number of legs."""
+        return Feet(**_empty_columns(0, legs))
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+    @property
+    def legs(self) -> int:
+        """Return the number of legs of each agent."""
+        return int(self.swing.shape[1])
+
+    @property
+    def is_standing(self) -> NDArray[np.bool_]:
+        """Return which feet stand, bool[n, L]."""
+        return np.asarray(self.swing == STANDING_SWING)
+
+    def stored_arrays(self) -> dict[str, Array]:
+        """Return the stored arrays, by name, without copying."""
+        return {name: getattr(self, name) for name in _COLUMNS}
+
+    def sorted_by_id(self) -> Feet:
+        """Return the feet with rows sorted by id."""
+        return self.match_ids(np.sort(self.ids))[0]
+
+    def id_ranks(self) -> NDArray[np.int32]:
+        """Return the rank of each row in the order of ids."""
+        if self._cached_ranks is None:
+            self._cached_ranks = invert_order(sort_stably(self.ids))
+        return self._cached_ranks
+
+    def _find_id_rows(self, ids: NDArray[np.int64]) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
+        """Return the row of each id, and whether the id has a row."""
+        order = sort_stably(self.ids)
+        at, known = match_ids(ids, self.ids.take(order))
+        return order.take(at, mode="clip") if order.size else at, known
+
+    def copy_common(self, previous_feet: Feet) -> None:
+        """Copy the feet of all agents that are also in `previous_feet`."""
+        at, known = previous_feet._find_id_rows(self.ids)
+        for name, array in self.stored_arrays().items():
+            rows: tuple[Any, ...] = (slice(None),) * _agent_axis(name)
+            array[(*rows, known)] = getattr(previous_feet, name)[(*rows, at[known])]
+
+    def match_ids(self, ids: NDArray[np.int64]) -> tuple[Feet, NDArray[np.intp]]:
+        """Return the feet of agents in the order of `ids`, and the rows of agents that had no feet before; their values are
+        zero."""
+        if np.array_equal(ids, self.ids):
+            return self, np.zeros(0, np.intp)
+        at, known = self._find_id_rows(ids)
+        new = np.flatnonzero(~known)
+        columns: dict[str, Any] = {name: _select_rows(name, getattr(self, name), at, new) for name in _SHAPES}
+        return Feet(**columns | {"ids": ids.copy()}), new
+
+
+def _select_rows(name: str, array: Array | None, source_rows: NDArray[np.intp], new_rows: NDArray[np.intp]) -> Array | None:
+    """Return the rows `source_rows` of a column, with zeros in the `new_rows` rows (NaN for the body positions of the previous
+    step)."""
+    if array is None:
+        return None
+    axis, is_by_leg = _agent_axis(name), "L" in _SHAPES[name]
+    if not array.shape[axis]:
+        shape = (*array.shape[:axis], len(source_rows), *array.shape[axis + 1 :])
+        picked = zeros_by_leg(shape, array.dtype) if is_by_leg else np.zeros(shape, array.dtype)
+    elif is_by_leg:
+        picked = array.swapaxes(-1, -2).take(source_rows, axis=-1).swapaxes(-1, -2)
+    else:
+        picked = array.take(source_rows, axis=axis)
+    if new_rows.size:
+        rows: tuple[Any, ...] = (slice(None),) * axis
+        picked[(*rows, new_rows)] = np.nan if name == "stood" else 0
+    return picked
+
+
+def feet_hash(feet: Mapping[str, Feet], threads: int = 1) -> str:
+    """Return a hash of the feet of all species; an empty text if there are none. `state_hash` does not include feet."""
+    if not feet:
+        return ""
+    digest = sha256()
+    for name in sorted(feet):
+        digest.update(f"\0{name}\0{len(feet[name])}".encode())
+        arrays = feet[name].stored_arrays()
+        ids = arrays.pop("ids")
+        columns = feet[name].row_hasher.split_columns(list(arrays.values()), [_agent_axis(key) == 1 for key in arrays])
+        digest.update(describe_columns(tuple(arrays), arrays.values()) + feet[name].row_hasher.of(ids, columns, threads))
+    return digest.hexdigest()[:32]
+
+
+def feet_from_arrays(arrays: Mapping[str, Array], legs: int, ids: NDArray[np.int64]) -> Feet:
+    """Return the feet from arrays that `Feet.arrays` returned. Raises ValueError if the arrays do not match the legs and ids."""
+    columns = _empty_columns(len(ids), legs)
+    for name, column in columns.items():
+        array = arrays.get(name)
+        if array is None or array.dtype != column.dtype or array.shape != column.shape:
+            raise ValueError(f"`{name}` is missing or of another shape")
+        column[...] = array
+    if not np.array_equal(columns["ids"], ids):
+        raise ValueError("the `ids` differ")
+    return Feet(**columns)

@@ -1,0 +1,348 @@
+"""Walks for the displacements that contacts request. Agents move over their ground and along obstacles, no farther than they
+can walk in the step's duration."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.ground.protocol import GroundMove
+from antdsl.machine_code.kernels import BOOL, F32, F64, I64, Array1, Array2, Strided2, inlined, kernel, simd_range
+from antdsl.numerics import vectors as vec
+from antdsl.numerics.kernel_vectors import Vec3, Vec3F32, VectorColumns, dot, get_column, minus, plus, store_column, times
+from antdsl.numerics.vectors import VectorArrays, VectorComponents
+from antdsl.runtime.moving.capsules import CapsuleCrowd, NearbyPairs
+from antdsl.runtime.moving.falling import find_airborne, move_airborne
+from antdsl.runtime.moving.obstacles import slide_rows
+from antdsl.runtime.world import Population
+
+Flags = NDArray[np.bool_]
+
+_VISIBLE_OVERLAP_SHARE = 0.05  # of the room of two: an overlap for which more is walked
+_MISSED_RADIUS_SHARE = 0.05  # of a radius: who ends so far from where it was to is looked at again
+# Of the way it was to go: who comes on by less is held by an obstacle, a border or a fall, and others make the room
+_HELD_DISTANCE_SHARE = 0.5
+Floats = NDArray[np.float64]
+Rows = NDArray[np.intp]
+
+_DISTANCE_SLACK_FACTOR = 1.005  # times the way allowed, above which a correction is not made: less is the rounding of a seam
+_MAX_BACKTRACKS = 3  # times that one is led back which got farther than it may
+_FLOAT32_ZERO, _FLOAT32_ONE, _MIN_VECTOR_LENGTH, _MIN_MASS = np.float32(0), np.float32(1), np.float32(1e-12), 1e-30
+
+
+class CorrectionWalker:
+    """Walks agents of a crowd within one substep of `dt` s. `began`: start positions (n, 3) mm, by species."""
+
+    def __init__(self, crowd: CapsuleCrowd, start_positions: Mapping[str, Floats], dt: float) -> None:
+        self._crowd, self._start_positions, self._dt = crowd, start_positions, dt
+
+    def walk(self, rows: Rows, displacement: Floats) -> Floats:
+        """Walk the given ascending rows of the crowd by (3, k) mm; return the displacements reached."""
+        got: list[Floats] = []
+        for population, own in self._crowd.split_rows(rows):
+            first = sum(each.shape[1] for each in got)
+            got.append(self._walk_species(population, own, displacement[:, first : first + len(own)]))
+        return got[0] if len(got) == 1 else np.concatenate(got, axis=1)
+
+    def _walk_species(self, population: Population, rows: Rows, displacement: Floats) -> Floats:
+        """Walk agents of one species by (3, k) mm over their ground, along obstacles; return the displacements reached.
+
+        Their velocity loses its component against the displacement."""
+        if not len(rows):
+            return np.empty_like(displacement)
+        world, threads = self._crowd.world, self._crowd.world.options.threads
+        step, normal, up, heading, size = self._prepare_walk(population, rows, displacement)
+        step = slide_rows(world, population, rows, step, normal)
+        moved = world.ground.move(population.footing.take_rows(rows), vec.stack_rows(step), heading, up, size, threads)
+        if world.solids and len(airborne_rows := find_airborne(world, population, rows)):
+            moved.put_rows(airborne_rows, move_airborne(world, population, rows[airborne_rows], displacement.T[airborne_rows]))
+        fair = self._move_back_in_range(population, rows, moved, size)
+        if fair is None:
+            return self._apply_move(population, rows, moved)
+        got = np.zeros_like(displacement)
+        if len(fair):
+            got[:, fair] = self._apply_move(population, rows.take(fair), moved.take_rows(fair))
+        return got
+
+    def _prepare_walk(
+        self, population: Population, rows: Rows, displacement: Floats
+    ) -> tuple[VectorArrays, VectorComponents, Floats, Floats, Floats]:
+        """Return the inputs of a walk by (3, k) mm for the given rows.
+
+        These are: step and ground normal, float32; the same normal and the headings, float64 (k, 3); sizes (mm)."""
+        now = population.now
+        step, feet = np.empty((2, 3, len(rows)), np.float32)
+        up, heading, size = *np.empty((2, 3, len(rows))), np.empty(len(rows))
+        _prepare_walk(
+            rows,
+            displacement,
+            population.normal,
+            vec.get_vector_registers(now, "heading"),
+            now["size"],
+            step,
+            feet,
+            up,
+            heading,
+            size,
+        )
+        return (step[0], step[1], step[2]), feet, up.T, heading.T, size
+
+    def _move_back_in_range(self, population: Population, rows: Rows, moved: GroundMove, size: Floats) -> Rows | None:
+        """Move agents back towards their start if curved ground took them farther than they may walk.
+
+        Returns the ascending indices of rows that are within range afterwards; None for all."""
+        for _ in range(_MAX_BACKTRACKS):
+            far, most = self._measure_reach(population, rows, moved)
+            if far is None:
+                return None
+            over = np.flatnonzero(far > most * _DISTANCE_SLACK_FACTOR)
+            if not len(over):
+                break
+            start = self._start_positions[population.name][rows[over]]
+            back = (moved.position[over] - start) * (most[over] / far[over] - 1.0)[:, None]
+            again, ground = moved.take_rows(over), self._crowd.world.ground
+            threads = self._crowd.world.options.threads
+            moved.put_rows(over, ground.move(again.footing, back, again.heading, again.up, size[over], threads))
+        far, most = self._measure_reach(population, rows, moved)
+        return None if far is None else np.flatnonzero(far <= most * _DISTANCE_SLACK_FACTOR)
+
+    def _measure_reach(self, population: Population, rows: Rows, moved: GroundMove) -> tuple[Floats | None, Floats]:
+        """Return the distances (mm) of agents from their start, and the largest allowed distances. The first is None if no
+        agent exceeds its limit."""
+        began, max_speed = self._start_positions[population.name], population.now["max_speed"]
+        far, most = np.empty((2, len(rows)))
+        is_too_far = _has_row_out_of_range(rows, moved.position, began, population.position, max_speed, self._dt, far, most)
+        return (far if is_too_far else None), most
+
+    def _apply_move(self, population: Population, rows: Rows, moved: GroundMove) -> Floats:
+        """Write the new positions and footings of agents; return their displacements (3, k) mm.
+
+        Bodies retain their up, because leaning bodies would overlap others again. The next step aligns them with their feet.
+        The arrays were created by the walk of this substep, so they are not shared."""
+        at, velocity = (vec.get_vector_registers(population.now, name) for name in ("position", "velocity"))
+        got = np.empty((3, len(rows)))
+        _store_arrivals(rows, moved.position, moved.up, self._dt, at, velocity, population.position, population.normal, got)
+        population.footing.put_rows(rows, moved.footing)  # at last, since a plane's footings are the places themselves
+        return got
+
+
+@inlined
+def _read_row(table: Strided2[F64], i: I64) -> Vec3:
+    """Return row i of vectors (n, 3)."""
+    return table[i, 0], table[i, 1], table[i, 2]
+
+
+@inlined
+def _to_float32(v: Vec3) -> Vec3F32:
+    return np.float32(v[0]), np.float32(v[1]), np.float32(v[2])
+
+
+class FootPositions(NamedTuple):
+    """Feet of the agents of a species.
+
+    `start`, `current` (n, 3) mm: positions at the start and now. `normal` (n, 3): normal of the ground.
+    `max_speed` (mm/s), `mass`: of each agent."""
+
+    start: Strided2[F64]
+    current: Strided2[F64]
+    normal: Strided2[F32]
+    max_speed: Array1[F32]
+    mass: Array1[F32]
+
+
+@kernel
+def write_stances(
+    rows: Array1[I64],
+    first: I64,
+    species: FootPositions,
+    dt: F64,
+    start: Array2[F64],
+    walked: Array2[F64],
+    normal: Array2[F64],
+    reach: Array1[F64],
+    mass: Array1[F64],
+) -> None:
+    """Write the stances of the given rows of a species after a substep of `dt` s, from index `first` on among all rows in
+    pairs.
+
+    The outputs are as in `contacts._PairAgents`; `walked` (3, k) is the displacement (mm)."""
+    began, place, feet, max_speed, weight = species
+    for n in simd_range(0, rows.size):
+        row, k = rows[n], first + n
+        start_point = _read_row(began, row)
+        store_column(start, k, start_point)
+        store_column(walked, k, minus(_read_row(place, row), start_point))
+        normal[0, k], normal[1, k], normal[2, k] = feet[row, 0], feet[row, 1], feet[row, 2]
+        reach[k] = np.float64(_FLOAT32_ZERO if max_speed[row] <= 0 else max_speed[row]) * dt
+        mass[k] = max(np.float64(weight[row]), _MIN_MASS)
+
+
+@kernel
+def write_approach(rows: Array1[I64], first: I64, velocity: VectorColumns, dt: F32, displacement: Array2[F64]) -> None:
+    """Write the previous displacement (mm) of the given rows of a species, their velocity times `dt`, from index `first` on."""
+    for n in simd_range(0, rows.size):
+        for axis in range(3):
+            displacement[axis, first + n] = velocity[axis][rows[n]] * dt
+
+
+@kernel
+def _prepare_walk(
+    rows: Array1[I64],
+    displacement: Strided2[F64],
+    feet: Strided2[F32],
+    facing: VectorColumns,
+    long: Array1[F32],
+    step: Array2[F32],
+    normal: Array2[F32],
+    up: Array2[F64],
+    heading: Array2[F64],
+    size: Array1[F64],
+) -> None:
+    """Write the inputs of a walk by (3, k) mm for the given rows of a species.
+
+    These are: step and ground normal, float32; the same normal, headings and sizes (mm), float64."""
+    for k in simd_range(0, rows.size):
+        row = rows[k]
+        size[k] = long[row]
+        for axis in range(3):
+            step[axis, k], heading[axis, k] = displacement[axis, k], facing[axis][row]
+            normal[axis, k] = feet[row, axis]
+            up[axis, k] = feet[row, axis]
+
+
+@kernel
+def _has_row_out_of_range(
+    rows: Array1[I64],
+    to: Strided2[F64],
+    began: Strided2[F64],
+    place: Strided2[F64],
+    max_speed: Array1[F32],
+    dt: F64,
+    far: Array1[F64],
+    most: Array1[F64],
+) -> BOOL:
+    """Return whether any of the given rows would end at `to` (k, 3) farther from its start than allowed, or at an unknown
+    distance.
+
+    `began` (n, 3): start positions. Writes the distance from the start (mm) to `far`, and the allowed distance to `most`."""
+    is_too_far = False
+    for k in range(rows.size):
+        row = rows[k]
+        start = _read_row(began, row)
+        displacement, walked = minus(_read_row(to, k), start), minus(_read_row(place, row), start)
+        far[k] = np.sqrt(dot(displacement, displacement))
+        most[k] = max(np.float64(max_speed[row]) * dt, np.sqrt(dot(walked, walked)))
+        is_too_far |= not far[k] <= most[k] * _DISTANCE_SLACK_FACTOR
+    return is_too_far
+
+
+@kernel
+def _store_arrivals(
+    rows: Array1[I64],
+    to: Strided2[F64],
+    above: Strided2[F64],
+    dt: F32,
+    at: VectorColumns,
+    velocity: VectorColumns,
+    place: Strided2[F64],
+    feet: Strided2[F32],
+    got: Array2[F64],
+) -> None:
+    """Write the values of agents at the end of their corrections, except footings.
+
+    `to`, `above` (k, 3): positions and ups. `got` (3, k) mm: the displacements."""
+    for k in simd_range(0, rows.size):
+        row = rows[k]
+        end, up = _read_row(to, k), _to_float32(_read_row(above, k))
+        displacement = minus(end, _read_row(place, row))
+        store_column(got, k, displacement)
+        pushed = _to_float32(displacement)
+        size = np.sqrt(dot(pushed, pushed))
+        good = size > _MIN_VECTOR_LENGTH and np.isfinite(size)
+        factor = _FLOAT32_ONE / (size if good else _FLOAT32_ONE)
+        against = times(pushed, factor)
+        if not good:
+            against = (size * _FLOAT32_ZERO, size * _FLOAT32_ZERO, size * _FLOAT32_ZERO)
+        v = (velocity[0][row], velocity[1][row], velocity[2][row])
+        back, most = -dot(v, against), size / dt
+        back = _FLOAT32_ZERO if back <= 0 else back  # never -0
+        v = plus(v, times(against, most if most < back else back))
+        v = minus(v, times(up, dot(v, up)))
+        for axis in range(3):
+            at[axis][row], velocity[axis][row] = end[axis], v[axis]
+            place[row, axis], feet[row, axis] = end[axis], up[axis]
+
+
+def select_displaced(corrections: Floats) -> tuple[Rows, Floats]:
+    """Return the rows with a nonzero displacement in `correction_walks` (3, k) mm, and these displacements."""
+    moved_rows, requested_moves = np.empty(corrections.shape[1], np.intp), np.empty_like(corrections)
+    count = _select_moves(corrections, moved_rows, requested_moves)
+    return moved_rows[:count], requested_moves[:, :count]
+
+
+def find_unresolved_rows(
+    near: NearbyPairs, moved_rows: Rows, requested_moves: Floats, reached_moves: Floats, held: Flags
+) -> Flags:
+    """Return which rows (k) must be measured again, and update their positions.
+
+    `moved_rows`: the rows to move. `requested_moves`, `reached_moves` (3, ..) mm: their requested and reached displacements.
+    `held` (k): set for rows that advanced too little; flags that are already set stay."""
+    touched = np.zeros(len(held), np.bool_)
+    _mark_unresolved_rows(moved_rows, requested_moves, reached_moves, near.radius, near.middle, held, touched)
+    return touched
+
+
+def find_overlapping_pairs(near: NearbyPairs, touched: Flags) -> Flags | None:
+    """Return which pairs (m) have a row that is `touched` (k); None if no such pair overlaps enough for another round."""
+    which = np.empty(len(near.i), np.bool_)
+    return which if _mark_overlapping_pairs(near.i, near.j, near.gap, near.radius, touched, which) else None
+
+
+@kernel
+def _select_moves(corrections: Array2[F64], moved_rows: Array1[I64], requested_moves: Array2[F64]) -> I64:
+    """Write the rows with a nonzero displacement to the start of `moved_rows` and `requested_moves` (3, k); return their
+    number."""
+    count = 0
+    for k in range(moved_rows.size):
+        correction = get_column(corrections, k)
+        moved_rows[count] = k  # written whatever it is: no branch that is hard to foretell
+        store_column(requested_moves, count, correction)
+        count += (correction[0] != 0) | (correction[1] != 0) | (correction[2] != 0)
+    return count
+
+
+@kernel
+def _mark_unresolved_rows(
+    moved_rows: Array1[I64],
+    requested_moves: Strided2[F64],
+    got: Strided2[F64],
+    radius: Array1[F64],
+    middle: Strided2[F64],
+    held: Array1[BOOL],
+    touched: Array1[BOOL],
+) -> None:
+    for n in simd_range(0, moved_rows.size):
+        row, to, on = moved_rows[n], get_column(requested_moves, n), get_column(got, n)
+        short, far = minus(to, on), _MISSED_RADIUS_SHARE * radius[row]
+        store_column(middle, row, plus(get_column(middle, row), on))
+        if dot(short, short) > far * far:
+            touched[row] = True
+            if dot(on, to) < _HELD_DISTANCE_SHARE * dot(to, to):
+                held[row] = True
+
+
+@kernel
+def _mark_overlapping_pairs(
+    i: Array1[I64], j: Array1[I64], gap: Array1[F64], radius: Array1[F64], touched: Array1[BOOL], which: Array1[BOOL]
+) -> BOOL:
+    """Write to `which` the pairs that have a `touched` row; return whether any of them overlaps enough for another round."""
+    for pair in simd_range(0, i.size):
+        which[pair] = touched[i[pair]] | touched[j[pair]]
+    has_overlap = False
+    for pair in range(i.size):
+        if which[pair]:
+            has_overlap |= gap[pair] < -((radius[i[pair]] + radius[j[pair]]) * _VISIBLE_OVERLAP_SHARE)
+    return has_overlap

@@ -1,0 +1,353 @@
+"""A substep of a crowd, from pushes to positions: acceleration, limits of speed and turn, obstacles, the walk, headings and
+bodies.
+
+a = push * max_force / mass; v += a dt; P += v dt (T20 of the sources, explicit Euler as in the source). An agent with a
+response of at most one step changes its velocity at once and faces its direction of motion. The heading of other agents
+follows within a tenth of a second. An agent with a direction to face turns to that direction instead, and walks backward and
+sideways along its velocity.
+
+One loop over all agents does everything that does not depend on obstacles or walls. A second loop walks all agents that stay
+on their own surface, and updates them after the walk (`substep_kernels`). Few agents may touch an obstacle, search for walls,
+lean or have a wall ahead. These have separate loops."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from math import inf, nan
+from operator import itemgetter
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.ground.mesh import walk as loop
+from antdsl.ground.mesh.surface import MeshGround
+from antdsl.ground.mesh.walk_events import CrowdWalk, WaitingAgents
+from antdsl.ground.mesh.walkers import FootingArrays, PoseArrays
+from antdsl.ground.plane import PlaneGround
+from antdsl.ground.protocol import Footing, Ground, GroundMove
+from antdsl.numerics import parallel
+from antdsl.numerics import vectors as vec
+from antdsl.numerics.vectors import VectorArrays, VectorComponents
+from antdsl.runtime.moving.body_records import BodyPoses
+from antdsl.runtime.moving.clear_steps import ClearStep, has_clearance
+from antdsl.runtime.moving.falling import limit_fall_speed
+from antdsl.runtime.moving.head_clearance import MIN_BODY_HEIGHT_SHARE
+from antdsl.runtime.moving.obstacles import slide_steps, slow_velocities
+from antdsl.runtime.moving.orienting import orient_bodies
+from antdsl.runtime.moving.postures import Posture, posture_of
+from antdsl.runtime.moving.scripted_walks import compute_guided_velocities, find_guided_agents, find_walks_by_line
+from antdsl.runtime.moving.slopes import SlopeStart, deflect_steps, find_walls_of_slope, has_slope_limit, lay_pushes
+from antdsl.runtime.moving.substep_kernels import IntendedMotion, PendingWalks, prepare_steps, walk_plane, walk_triangles
+from antdsl.runtime.moving.tilting import BodyPosture, TurnLimits, follow_ground, limit_steps
+from antdsl.runtime.moving.velocities import (
+    FACE_REGISTER,
+    KINEMATIC_STEPS,
+    STANDING_STATE,
+    AgentAbilities,
+    AgentDrives,
+    ArrivalArrays,
+    ArrivalBodies,
+    ArrivalLimits,
+    ArrivalTimes,
+    GazeDirections,
+    MotionRegisters,
+    PushTimes,
+    WalkedPoses,
+    heading_share,
+    update_arrived_rows,
+)
+from antdsl.runtime.moving.walls_ahead import NO_WALLS, WallsAhead, find_walls
+from antdsl.runtime.world import Population, World
+
+MIN_SPEED_REGISTER = "min_speed"  # a register of those species alone that ask for it
+_F = np.float32
+_FACE_COLUMNS = itemgetter("mesh", "face", "b1", "b2", "over")  # columns of footings, as kernels read them
+_ARRIVALS_PER_THREAD = 64  # agents with separate arrival from which a thread pays off
+
+
+def move_agents(world: World, population: Population, substep: int) -> ClearStep | None:
+    """Move all agents of a species by one substep. This changes position, velocity, heading, up and footing.
+
+    Returns the step of their bodies if these stay outside their ground: contacts must correct it."""
+    if not len(population):
+        return None
+    dt = _F(world.dt / world.setting.substeps)
+    clear = _move_clear(world, population, dt, substep) if has_clearance(world, population) else None
+    if clear is not None:
+        return clear
+    posture = posture_of(world, population)
+    others = world.setting.orient != "normal"
+    crowd = _CrowdSubstep.of(world, population, dt, others or posture.is_set or has_slope_limit(population))
+    previous_pose = (vec.copy(crowd.registers[1]), vec.copy(crowd.registers[3]), population.normal) if others else None
+    slopes = SlopeStart.of(population) if has_slope_limit(population) else None
+    if slopes is not None:
+        lay_pushes(world, population)
+    crowd.prepare_steps(substep)
+    crowd.deflect_at_obstacles()
+    up = crowd.registers[3]
+    walls = find_walls(world, population, crowd.level_headings, crowd.step, crowd.wall_reach, crowd.state)
+    n, threads = len(population), crowd.threads
+    work = partial(
+        limit_steps, crowd.state, crowd.step, crowd.velocity, up, population.normal, crowd.max_tilts, tuple(walls[:-1]), posture
+    )
+    parallel.run_in_parts(work, n, threads)
+    came_from = population.position
+    arrival = crowd.walk(world.ground)
+    if slopes is not None:
+        crowd.stop_at_slopes(slopes, arrival)
+    if previous_pose is not None:
+        orient_bodies(world, population, *previous_pose)
+    crowd.follow_feet(came_from, walls, posture)
+    return None
+
+
+def _move_clear(world: World, population: Population, dt: np.float32, substep: int) -> ClearStep | None:
+    """Move agents with bodies that stay outside their ground. Return None if the ground does not consist of triangles."""
+    crowd = _CrowdSubstep.of(world, population, dt, False)
+    crowd.prepare_steps(substep)
+    crowd.deflect_at_obstacles()
+    assert isinstance(world.ground, MeshGround)
+    walk = world.ground.build_crowd_walk(crowd.max_step_length, crowd.max_size)
+    if walk is None:
+        return None
+    limits = crowd.max_tilts, population.now["max_turn"], dt
+    clear = ClearStep.of(world, population, walk, (crowd.state, crowd.level_headings), limits)
+    clear.limit(crowd.step, crowd.velocity)
+    outset = population.footing, population.position, population.normal
+    crowd.walk(world.ground)
+    clear.follow(BodyPoses(*crowd.previous_axes), outset)
+    crowd.follow_feet(outset[1], NO_WALLS, posture_of(world, population))
+    return clear
+
+
+@dataclass(slots=True)
+class _CrowdSubstep:
+    """The substep of one crowd, for `dt` of the `frame_time` seconds of a frame.
+
+    `registers`: position, velocity, heading and up. The other arrays are results of the kernels in `substep_kernels`.
+    `align_all`: whether the bodies of all agents must be aligned with their feet after the walk.
+    `previous_axes`: buffers for the previous up and heading of agents with bodies that must be aligned."""
+
+    world: World
+    population: Population
+    dt: np.float32
+    frame_time: np.float32
+    align_all: bool
+    registers: tuple[VectorArrays, VectorArrays, VectorArrays, VectorArrays]
+    velocity: VectorArrays
+    step: VectorArrays
+    level_headings: VectorArrays
+    previous_axes: tuple[VectorArrays, VectorArrays]
+    step_lengths: NDArray[np.float32]
+    max_tilts: NDArray[np.float32]
+    wall_reach: NDArray[np.float64]
+    state: NDArray[np.int32]
+    max_step_length: float = 0.0  # step (mm) that is finite
+    max_size: float = nan  # size (mm) that is a number
+
+    @staticmethod
+    def of(world: World, population: Population, dt: np.float32, align_all: bool) -> _CrowdSubstep:
+        """Return the state of a substep before the first stage."""
+        now, n = population.now, len(population)
+        buffer = population.get_buffers("on the way", 17, (n,), np.float32)
+        (reach,), (state,) = (
+            population.get_buffers("reach", 1, (n,), np.float64),
+            population.get_buffers("state", 1, (n,), np.int32),
+        )
+        registers = tuple(vec.get_vector_registers(now, name) for name in ("position", "velocity", "heading", "up"))
+        velocity, step, looking, up, heading = (buffer[k : k + 3] for k in range(0, 15, 3))
+        columns = (registers, velocity, step, looking, (up, heading), *buffer[15:], reach, state)
+        return _CrowdSubstep(world, population, dt, _F(world.dt), align_all, *columns)  # type: ignore[arg-type]
+
+    @property
+    def threads(self) -> int:
+        return self.world.options.threads
+
+    def prepare_steps(self, substep: int) -> None:
+        """Compute the intended motion of all agents, before obstacles are considered."""
+        p, now, frame_time = self.population, self.population.now, self.frame_time
+        drive = AgentDrives(vec.get_vector_registers(now, "push"), *self.registers[1:], p.normal)
+        abilities = AgentAbilities(now["max_speed"], now["max_force"], now["mass"], now["response"], now["max_turn"])
+        keeps = MIN_SPEED_REGISTER in now
+        least = now[MIN_SPEED_REGISTER] if keeps else now["max_speed"]
+        times = PushTimes(frame_time * KINEMATIC_STEPS, frame_time if substep == 0 else _F(0), self.dt)
+        outset = IntendedMotion(
+            self.velocity, self.step, self.level_headings, self.step_lengths, self.max_tilts, self.wall_reach, self.state
+        )
+        work = partial(prepare_steps, drive, abilities, keeps, least, now["size"], p.quarantined, times, outset)
+        results = parallel.run_in_parts(work, len(p), self.threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD)
+        self.max_step_length, self.max_size = results[0] if len(results) == 1 else map(max, zip(*results, strict=True))
+        if self.max_size == -inf:
+            self.max_size = nan
+        if find_walks_by_line(self.world, p):
+            velocity = compute_guided_velocities(self.world, p, self.velocity, vec.split_columns(p.normal, np.float32))
+            zero = np.zeros(len(p), np.float32)
+            self.velocity = vec.select_vectors(p.quarantined, (zero, zero, zero), velocity)
+            self.step = vec.scale(self.velocity, self.dt)
+            self.step_lengths = vec.length(self.step)
+            self.max_step_length = float(self.step_lengths.max(initial=0.0, where=np.isfinite(self.step_lengths)))
+
+    def deflect_at_obstacles(self) -> None:
+        """Deflect steps along obstacles, and update the velocities of agents with deflected steps."""
+        world, p = self.world, self.population
+        if not world.plan.obstacles:
+            return
+        intended_step, up = self.step, p.normal.T
+        step = raise_to_min_speed(world, p, slide_steps(world, p, intended_step, up, p.now["radius"]), up, self.dt)
+        if step is not intended_step:
+            work = partial(slow_velocities, intended_step, step, self.velocity, _F(1) / self.dt)
+            parallel.run_in_parts(work, len(p), self.threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD)
+            self.step = step
+
+    def follow_feet(self, came_from: NDArray[np.float64], walls: WallsAhead, posture: Posture) -> None:
+        """Turn the bodies that do not stand as their feet do after them. `came_from` (n, 3): positions before the walk (mm)."""
+        p, n = self.population, len(self.population)
+        previous, limits = (
+            BodyPosture(*self.previous_axes, came_from),
+            TurnLimits(self.max_tilts, p.now["max_turn"], self.dt, posture),
+        )
+        (rows,) = p.get_buffers("following", 1, (n,), np.int64)
+        ahead, (_, _, heading, up) = (previous, p.position, limits, tuple(walls[:-1]), walls.half_lengths), self.registers
+        work = partial(follow_ground, self.state, *ahead, MIN_BODY_HEIGHT_SHARE, up, heading, rows)
+        parallel.run_in_parts(work, n, self.threads)
+
+    def walk(self, ground: Ground) -> ArrivalArrays:
+        """Walk all agents over a ground to their new positions, and update their registers. Return what it read and wrote."""
+        now = self.population.now
+        limits = ArrivalLimits(now["max_speed"], now["max_turn"], now["response"])
+        times = ArrivalTimes(self.frame_time * KINEMATIC_STEPS, self.dt, heading_share(self.dt))
+        facing = GazeDirections(
+            FACE_REGISTER in now,
+            vec.get_vector_registers(now, "~face") if FACE_REGISTER in now else self.registers[1],
+            self.align_all,
+        )
+        bodies, registers = ArrivalBodies(self.max_tilts, self.state, *self.previous_axes), MotionRegisters._make(self.registers)
+        normals, old = np.empty((len(self.population), 3), np.float32), self.population.position
+        arrival = ArrivalArrays(old, self.step, self.velocity, limits, bodies, times, facing, registers, normals)
+        if isinstance(ground, PlaneGround):
+            self._walk_plane(ground, arrival)
+        elif not isinstance(ground, MeshGround) or not self._walk_meshes(ground, arrival):
+            self._walk_ground(ground, arrival)
+        return arrival
+
+    def stop_at_slopes(self, start: SlopeStart, arrival: ArrivalArrays) -> None:
+        """Walk again, along the slope, the agents with a step onto ground that is too steep for them."""
+        p = self.population
+        rows = find_walls_of_slope(self.world, p, start)
+        if not len(rows):
+            return
+        step, moved = deflect_steps(self.world, p, start, rows, vec.stack_rows(vec.take_rows(self.step, rows)))
+        for k in range(3):
+            self.step[k][rows] = step[:, k]
+            self.velocity[k][rows] = step[:, k] / self.dt
+            for registers, previous in zip(self.registers[2:], reversed(self.previous_axes), strict=True):
+                registers[k][rows] = previous[k][rows]
+        n = len(p)
+        p.footing.put_rows(rows, moved.footing)
+        p.position[rows] = moved.position
+        place, above, ahead, direction = np.empty((4, 3, n))
+        blocked = np.zeros(n, np.bool_)
+        for to, values in ((place, moved.position), (above, moved.up), (ahead, moved.heading), (direction, moved.direction)):
+            to[:, rows] = values.T
+        self._update_arrived(rows, WalkedPoses(place, above, ahead, direction, blocked), arrival)
+
+    def _walk_plane(self, plane: PlaneGround, arrival: ArrivalArrays) -> None:
+        p, n = self.population, len(self.population)
+        place = np.empty((n, 3))
+        work = partial(walk_plane, plane.up, self.level_headings, arrival._replace(start=p.footing.point), place)
+        parallel.run_in_parts(work, n, self.threads)
+        p.footing, p.position, p.normal = Footing.from_plane(place), place, arrival.normals
+
+    def _walk_meshes(self, ground: MeshGround, arrival: ArrivalArrays) -> bool:
+        """Walk all agents over the triangles of the ground. Return None if the ground does not consist of triangles."""
+        p, n = self.population, len(self.population)
+        walk = ground.build_crowd_walk(self.max_step_length, self.max_size)
+        if walk is None:
+            return False
+        tables = walk.build_tables()
+        to = Footing.from_faces(np.empty(n, np.int32), np.empty(n, np.int32), *np.empty((3, n)))
+        at, placed = FootingArrays._make(_FACE_COLUMNS(p.footing.columns)), FootingArrays._make(_FACE_COLUMNS(to.columns))
+        place = np.empty((3, n))
+        (how,) = p.get_buffers("how", 1, (n,), np.uint8)
+        (reals,), (wholes,) = (
+            p.get_buffers("reals", 1, (loop.FLOAT_ROW_COUNT, n), np.float64),
+            p.get_buffers("wholes", 1, (loop.INTEGER_ROW_COUNT, n), np.int64),
+        )
+        stride_inputs, held = (at, p.now["size"], p.normal, self.level_headings), PendingWalks(reals, wholes, how)
+        work = partial(walk_triangles, *tables, *stride_inputs, arrival, held, placed, place)
+        parts = parallel.run_in_parts(work, n, self.threads)
+        if any([waiting or left for _, waiting, left in parts]):
+            self._walk_pending(ground, arrival, walk, WaitingAgents.of(parts, reals, wholes), to, place, how)
+        p.footing, p.position, p.normal = to, place.T, arrival.normals
+        return True
+
+    def _walk_pending(
+        self,
+        ground: MeshGround,
+        arrival: ArrivalArrays,
+        walk: CrowdWalk,
+        pending: WaitingAgents,
+        to: Footing,
+        place: NDArray[np.float64],
+        statuses: NDArray[np.uint8],
+    ) -> None:
+        """Move the agents that `walk_triangles` left out, then update their registers.
+
+        These reach something other than the next face of their surface, have no footing, or have NaN values."""
+        p, n = self.population, len(self.population)
+        above, ahead, direction = p.get_buffers("walked", 3, (3, n), np.float64)
+        (distance,), (blocked,) = p.get_buffers("gone", 1, (n,), np.float64), p.get_buffers("blocked", 1, (n,), np.bool_)
+        placed, moved = FootingArrays._make(_FACE_COLUMNS(to.columns)), PoseArrays(place, above, ahead, direction, distance)
+        rows = walk.continue_waiting(pending, statuses, placed, moved, blocked, self.threads)
+        if pending.left_out_count:
+            others = np.flatnonzero(statuses != loop.FINISHED_STATUS)
+            result = GroundMove(to, place.T, above.T, ahead.T, direction.T, distance, blocked, np.zeros(n, np.bool_))
+            result.put_rows(others, self._move_rows(ground, others))
+            rows = np.union1d(rows, others)
+        if len(rows):
+            self._update_arrived(rows, WalkedPoses(place, above, ahead, direction, blocked), arrival)
+
+    def _walk_ground(self, ground: Ground, arrival: ArrivalArrays) -> None:
+        p, rows = self.population, np.arange(len(self.population))
+        moved = self._move_rows(ground, slice(None))
+        if self.world.solids:
+            moved = limit_fall_speed(self.world, p, moved, self.dt)
+        walked = WalkedPoses(moved.position.T, moved.up.T, moved.heading.T, moved.direction.T, moved.blocked)
+        self._update_arrived(rows, walked, arrival)
+        p.footing, p.position, p.normal = moved.footing, moved.position, arrival.normals
+
+    def _move_rows(self, ground: Ground, rows: NDArray[np.intp] | slice) -> GroundMove:
+        """Return where the ground moves the given agents."""
+        p = self.population
+        stands = self.state[rows] == STANDING_STATE
+        heading = vec.select_vectors(stands, vec.take_rows(self.registers[2], rows), vec.take_rows(self.level_headings, rows))
+        vectors = vec.stack_rows(vec.take_rows(self.step, rows)), vec.stack_rows(heading), p.normal[rows].astype(np.float64)
+        size = p.now["size"][rows].astype(np.float64)
+        return ground.move(p.footing.take_rows(rows), *vectors, size, self.threads)
+
+    def _update_arrived(self, rows: NDArray[np.intp], walked: WalkedPoses, arrival: ArrivalArrays) -> None:
+        work = partial(update_arrived_rows, rows, walked, arrival)
+        parallel.run_in_parts(work, len(rows), self.threads, _ARRIVALS_PER_THREAD)
+
+
+def raise_to_min_speed(
+    world: World, population: Population, step: VectorArrays, up: VectorComponents, dt: np.float32
+) -> VectorArrays:
+    """Return the steps (mm) after deflection by obstacles, lengthened for agents that must keep moving.
+
+    Their steps get the least length in the same direction, if that path is free."""
+    now = population.now
+    if MIN_SPEED_REGISTER not in now or not world.plan.obstacles:
+        return step
+    size, least_length = (
+        vec.length(step),
+        np.minimum(np.maximum(now[MIN_SPEED_REGISTER], _F(0)), np.maximum(now["max_speed"], _F(0))) * dt,
+    )
+    short = (
+        (size > _F(1e-9)) & (size < least_length * _F(0.999)) & ~population.quarantined & ~find_guided_agents(world, population)
+    )
+    if not short.any():
+        return step
+    longer = vec.scale(step, np.where(short, least_length / np.where(size > 0, size, _F(1)), _F(0)))
+    return vec.select_vectors(short, slide_steps(world, population, longer, up, now["radius"]), step)

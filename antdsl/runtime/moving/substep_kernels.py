@@ -1,0 +1,201 @@
+"""A substep of a crowd in two loops over all agents.
+
+`prepare_steps` does everything before obstacles and walls. Then one loop for each kind of ground walks agents and updates them
+    at their new positions."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from antdsl.ground.mesh.stretches import compute_final_pose
+from antdsl.ground.mesh.walk import (  # fmt: skip
+    FINISHED_STATUS,
+    LEFT_OUT_STATUS,
+    PREFETCH_EIGHTS,
+    WAITING_STATUS,
+    compact_waiting,
+    prefetch_faces,
+    store_footing,
+    store_waiting,
+    walk_agent,
+)
+from antdsl.ground.mesh.walkers import ClearanceTables, FootingArrays, SurfaceTables
+from antdsl.ground.plane import walk_straight
+from antdsl.machine_code.kernels import inlined, kernel, load3, prefetch, simd_range
+from antdsl.machine_code.kernels.types import BOOL, F32, F64, I32, I64, U8, Array1, Array2
+from antdsl.numerics.kernel_vectors import Vec3, VectorColumns, dot, times
+from antdsl.runtime.moving.tilting import compute_stance
+from antdsl.runtime.moving.velocities import (
+    STANDING_STATE,
+    AgentAbilities,
+    AgentDrives,
+    ArrivalArrays,
+    PushTimes,
+    apply_push,
+    update_arrived_agent,
+)
+from antdsl.runtime.moving.walls_ahead import MAX_TILT_DISTANCE_HALVES, compute_half_size
+
+_F = np.float32
+_FLOAT32_ZERO = _F(0)
+
+
+class IntendedMotion(NamedTuple):
+    """The intended motion of agents.
+
+    `velocity` (mm/s). `step`: the displacement in `dt` (mm). `length`: the length of the step (mm).
+    `level_heading`: heading along the ground, for agents that lean.
+    `max_tilt`: the largest tilt (radians). `wall_reach`: how far ahead the agent searches for walls (mm).
+    `state`: how the body stands, see `velocities`."""
+
+    velocity: VectorColumns
+    step: VectorColumns
+    level_heading: VectorColumns
+    length: Array1[F32]
+    max_tilt: Array1[F32]
+    wall_reach: Array1[F64]
+    state: Array1[I32]
+
+
+class PendingWalks(NamedTuple):
+    """Values of the agents that `walk_triangles` leaves to a later walk: `float_values` and `integer_values`, and in `statuses`
+    the status of every agent."""
+
+    float_values: Array2[F64]
+    integer_values: Array2[I64]
+    statuses: Array1[U8]
+
+
+@kernel
+def prepare_steps(
+    drive: AgentDrives,
+    abilities: AgentAbilities,
+    has_min_speed: BOOL,
+    min_speed: Array1[F32],
+    size: Array1[F32],
+    quarantined: Array1[BOOL],
+    times_of: PushTimes,
+    motion: IntendedMotion,
+    begin: I64,
+    end: I64,
+) -> tuple[F64, F64]:
+    """Compute the intended motion of agents from `begin` to before `end` after their push. `has_min_speed`: whether `min_speed`
+    applies.
+
+    Returns the longest finite step and the greatest size (mm), -inf if there is no finite number."""
+    heading, up, normal = drive.heading, drive.up, drive.normal
+    max_speed, max_turn, dt = abilities.max_speed, abilities.max_turn, times_of.dt
+    to, step, looking, long, most, reach, state = motion
+    for i in simd_range(begin, end):
+        u = load3(normal, i)
+        v = apply_push(drive, u, abilities, has_min_speed, min_speed, times_of, i)
+        if quarantined[i]:
+            v = (_FLOAT32_ZERO, _FLOAT32_ZERO, _FLOAT32_ZERO)
+        displacement = times(v, dt)
+        for k in range(3):
+            to[k][i], step[k][i] = v[k], displacement[k]
+        long[i] = np.sqrt(dot(displacement, displacement))
+        compute_stance(i, up, heading, normal, max_speed, size, max_turn, dt, most, looking, state)
+        reach[i] = MAX_TILT_DISTANCE_HALVES * compute_half_size(size[i])
+    longest, greatest = _FLOAT32_ZERO, _F(-np.inf)
+    for i in range(begin, end):
+        longest = long[i] if long[i] > longest and np.isfinite(long[i]) else longest
+        greatest = size[i] if size[i] > greatest else greatest
+    return np.float64(longest), np.float64(greatest)
+
+
+@inlined
+def _level_heading(heading: VectorColumns, looking: VectorColumns, state: Array1[I32], i: I64) -> Vec3:
+    """Return the heading of agent i along the ground, in float64."""
+    if state[i] == STANDING_STATE:
+        return np.float64(heading[0][i]), np.float64(heading[1][i]), np.float64(heading[2][i])
+    return np.float64(looking[0][i]), np.float64(looking[1][i]), np.float64(looking[2][i])
+
+
+@kernel
+def walk_triangles(
+    surface: SurfaceTables,
+    near: ClearanceTables,
+    footing: FootingArrays,
+    size: Array1[F32],
+    normal: Array2[F32],
+    level_heading: VectorColumns,
+    arrival: ArrivalArrays,
+    pending: PendingWalks,
+    new_footing: FootingArrays,
+    place: Array2[F64],
+    begin: I64,
+    end: I64,
+) -> tuple[I64, I64, I64]:
+    """Walk agents over triangles by their float32 steps and headings, and update those that reach their end as
+    `update_arrived_rows` does.
+
+    `footing`: initial footings. `new_footing`, `place` (n, 3): resulting footings and positions (mm). `pending`: values of agents
+    that wait
+        for a later walk.
+    Returns `begin`, and the numbers of agents that wait and of agents that are left out."""
+    mesh, face, b1s, b2s, overs = footing
+    first, step, how = surface.first, arrival.step, pending.statuses
+    registers, heading, state = arrival.registers, arrival.registers.heading, arrival.bodies.state
+    for group in range(begin - 8 * PREFETCH_EIGHTS, end, 8):
+        # Columns are prefetched, too: there are more of them than a processor prefetches automatically.
+        k = group + 8 * PREFETCH_EIGHTS
+        for columns in (arrival.velocity, step, *registers, arrival.limits):
+            for each in columns:
+                prefetch(each, k)
+        for each in (arrival.bodies.max_tilt, size, state, b1s, b2s, overs, *new_footing):
+            prefetch(each, k)
+        for axis in range(3):
+            prefetch(place, k + axis * new_footing.b1.size)
+        for each in (normal, arrival.normals):
+            prefetch(each, 3 * k)
+            prefetch(each, 3 * k + 16)
+        for each in (mesh, face):
+            prefetch(each, k + 64)
+        prefetch_faces(surface, mesh, face, max(group + 8 * PREFETCH_EIGHTS, begin), min(group + 8 * PREFETCH_EIGHTS + 8, end))
+        for i in simd_range(max(group, begin), min(group + 8, end)):
+            how[i] = LEFT_OUT_STATUS
+            if mesh[i] < 0 or face[i] < 0:
+                continue
+            displacement = (np.float64(step[0][i]), np.float64(step[1][i]), np.float64(step[2][i]))
+            if not np.isfinite(displacement[0] + displacement[1] + displacement[2]):
+                continue
+            x, y, z = load3(normal, i)
+            up = (np.float64(x), np.float64(y), np.float64(z))
+            long, look = np.float64(size[i]), _level_heading(heading, level_heading, state, i)
+            f, weights = first[mesh[i]] + face[i], (b1s[i], b2s[i])
+            walk = walk_agent(surface, near, True, f, weights, overs[i], long, displacement, look, up)
+            if walk.stop.event:
+                how[i] = WAITING_STATUS
+                store_waiting(pending.float_values, pending.integer_values, i, np.float64(size[i]), walk)
+                continue
+            how[i] = FINISHED_STATUS
+            # No edge leads to another mesh.
+            store_footing(new_footing, i, mesh[i], walk.walker.face - first[mesh[i]], walk.height, walk.walker)
+            pose = compute_final_pose(surface.table, walk.walker, walk.height)
+            for k in range(3):
+                place[k, i] = pose.place[k]
+            update_arrived_agent(i, pose, walk.stop.followed_borders > 0, arrival)
+    waiting, left = compact_waiting(how, pending.float_values, pending.integer_values, begin, end)
+    return begin, waiting, left
+
+
+@kernel
+def walk_plane(
+    plane: Array1[F64], level_heading: VectorColumns, arrival: ArrivalArrays, place: Array2[F64], begin: I64, end: I64
+) -> None:
+    """Walk agents from `begin` to before `end` along a plane to points `place` (n, 3), and update them as `update_arrived_rows`
+    does.
+
+    `plane`: the unit normal of the plane."""
+    at, step, heading, state = arrival.start, arrival.step, arrival.registers.heading, arrival.bodies.state
+    up = (plane[0], plane[1], plane[2])
+    for i in simd_range(begin, end):
+        displacement = (np.float64(step[0][i]), np.float64(step[1][i]), np.float64(step[2][i]))
+        look = _level_heading(heading, level_heading, state, i)
+        pose, _ = walk_straight(up, (at[i, 0], at[i, 1], at[i, 2]), displacement, look)
+        for k in range(3):
+            place[i, k] = pose.place[k]
+        update_arrived_agent(i, pose, False, arrival)

@@ -1,0 +1,240 @@
+"""Walls ahead of agents: parts of the ground that the next steps reach, and how far a body tilts before it reaches them.
+
+A body of length L tilts linearly over a distance of L before a wall. Its head is L/2 ahead of its feet, so it stays out of a
+wall of up to a right angle. For an overhanging wall, the distance is longer by angle / sine."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.machine_code.kernels import BOOL, F32, F64, I32, I64, Array1, Array2, Strided2, inlined, kernel, simd_range
+from antdsl.numerics import vectors as vec
+from antdsl.numerics.elementary_loops import atan2
+from antdsl.numerics.kernel_vectors import VectorColumns, cross, dot, get_column, minus, plus, times
+from antdsl.numerics.vectors import VectorArrays
+from antdsl.runtime.moving.velocities import FACE_REGISTER, STANDING_STATE
+from antdsl.runtime.world import Population, World
+
+Floats = NDArray[np.float64]
+# Of looks: the agent, half a body, the step (mm), its direction and the ground's normal.
+WallRays = tuple[Array1[I64], Array1[F64], Array1[F64], Strided2[F64], Strided2[F64]]
+
+_F = np.float32
+_WALL_TURN_COSINE = 0.7071067811865476  # cosine of the least turn of the ground that is a wall; less is smooth, or a slope
+_EYE_HEIGHT_PER_BODY = 0.03  # of a body: how high above the feet a ray looks for walls
+_SAME_RAY_COSINE = 0.97  # cosine of the angle between look and step above which one ray tells of both
+_MIN_BUFFER_AGENTS = 512  # agents for which memory is always allocated
+MAX_TILT_DISTANCE_HALVES = 3.0  # half bodies before a wall within which a body tilts, at most
+
+
+class WallsAhead(NamedTuple):
+    """Walls ahead of some agents, lengths in mm.
+
+    `normals` (3, k): normals on the agents' side. `directions` (3, k): directions towards the walls.
+    `angles` (radians): between ground and wall.
+    `distances`: distance of the feet from the wall. `tilt_distances`: the distance over which the body tilts. `half_lengths`:
+    half of the body's
+        length."""
+
+    normals: Floats
+    directions: Floats
+    angles: Floats
+    distances: Floats
+    tilt_distances: Floats
+    half_lengths: Floats
+
+
+NO_WALLS = WallsAhead(*np.empty((2, 3, 0)), *np.empty((4, 0)))
+
+
+def find_walls(
+    world: World,
+    population: Population,
+    level_headings: VectorArrays,
+    step: VectorArrays,
+    reach: Floats,
+    body_states: NDArray[np.int32],
+) -> WallsAhead:
+    """Return the walls within `reach` (mm) of agents, along their heading over the ground and along their step (mm).
+
+    Of two walls, the one that tilts the body further is used. For an agent that walks backward while it faces another
+    direction, the step is not searched, because its head is on the other side.
+    `body_states`: set to the number of the wall of each agent with a wall.
+    `level_headings`: initially contains the headings along the ground of leaning agents; set for all agents that search for
+    walls."""
+    meshes = world.ground.meshes
+    if meshes is None:
+        return NO_WALLS
+    rows = meshes.find_rows_near_slopes(population.footing, population.position, reach, world.options.threads)
+    if not len(rows):
+        return NO_WALLS
+    now, most = (
+        population.now,
+        max(_MIN_BUFFER_AGENTS, 1 << len(rows).bit_length()),
+    )  # the same memory while about as many look out
+    (which,) = population.get_buffers("looks", 1, (2 * most,), np.int64)
+    halves, sizes = population.get_buffers("sizes", 2, (2 * most,), np.float64)
+    ahead, normal, origin, ray = population.get_buffers("ways", 4, (3, 2 * most), np.float64)
+    looks = (which, halves, sizes, ahead, normal)
+    face, heading = (
+        vec.get_vector_registers(now, "~face") if FACE_REGISTER in now else step,
+        vec.get_vector_registers(now, "heading"),
+    )
+    directions = BodyDirections(heading, level_headings, body_states, step, FACE_REGISTER in now, face)
+    count = write_wall_rays(rows, now["size"], population.position, population.normal, directions, looks, origin, ray)
+    hit, part, wall = meshes.find_hit_normals(origin[:, :count].T, ray[:, :count].T, world.options.threads)
+    if not len(hit):
+        return NO_WALLS
+    lengths, wall_normals, along = np.empty((4, len(hit))), *np.empty((2, 3, len(hit)))
+    count = write_walls(len(rows), looks, hit, part, wall, wall_normals, along, *lengths, body_states)
+    return WallsAhead(wall_normals[:, :count], along[:, :count], *lengths[:, :count])
+
+
+@inlined
+def compute_half_size(size: F32) -> F64:
+    """Return half of a body's size (mm), 0 for a size that is not a valid number."""
+    long = np.float64(_F(0) if size <= 0 else size)
+    return long / 2 if np.isfinite(long) else 0.0
+
+
+@kernel
+def write_wall_reach(size: Array1[F32], reach: Array1[F64]) -> None:
+    """Write how far ahead (mm) bodies of the given sizes (mm) search for walls."""
+    for i in simd_range(0, size.size):
+        reach[i] = MAX_TILT_DISTANCE_HALVES * compute_half_size(size[i])
+
+
+class BodyDirections(NamedTuple):
+    """Directions of agents.
+
+    `heading`: headings. `level_heading`: headings along the ground, for agents that lean according to `state`.
+    `step`: steps (mm). `faces`: whether `face` contains directions to face."""
+
+    heading: VectorColumns
+    level_heading: VectorColumns
+    state: Array1[I32]
+    step: VectorColumns
+    faces: BOOL
+    face: VectorColumns
+
+
+@kernel
+def write_wall_rays(
+    rows: Array1[I64],
+    size: Array1[F32],
+    position: Strided2[F64],
+    normal: Array2[F32],
+    directions: BodyDirections,
+    wall_rays: WallRays,
+    origin: Array2[F64],
+    ray: Array2[F64],
+) -> I64:
+    """Write the rays (3, ..) with which agents search for walls, and their data `wall_rays`; return their number.
+
+    The first rays are along the heading over the ground, one for each of `rows`. Then come rays along the step, for agents
+    that step sideways and do not walk backward. The buffers have space for two rays per row. `looking` contains the heading
+    along the ground for leaning agents, and for all rows afterwards."""
+    which, halves, sizes, aheads, normals = wall_rays
+    heading, looking, state, step, faces, face = directions
+    count = rows.size
+    for k in range(rows.size):
+        i, half = rows[k], compute_half_size(size[rows[k]])
+        if state[i] == STANDING_STATE:
+            looking[0][i], looking[1][i], looking[2][i] = heading[0][i], heading[1][i], heading[2][i]
+        up = (np.float64(normal[i, 0]), np.float64(normal[i, 1]), np.float64(normal[i, 2]))
+        ahead = (np.float64(looking[0][i]), np.float64(looking[1][i]), np.float64(looking[2][i]))
+        direction = (np.float64(step[0][i]), np.float64(step[1][i]), np.float64(step[2][i]))
+        direction = minus(direction, times(up, dot(direction, up)))
+        step_length = np.sqrt(dot(direction, direction))
+        if step_length > 1e-9:
+            long = max(step_length, 1e-300)
+            direction = (direction[0] / long, direction[1] / long, direction[2] / long)
+        else:
+            direction = ahead
+        same = dot(direction, ahead)
+        aside = same < _SAME_RAY_COSINE
+        if aside and faces and same < 0 and (face[0][i] != 0 or face[1][i] != 0 or face[2][i] != 0):
+            aside = False
+        place = (position[i, 0], position[i, 1], position[i, 2])
+        start = plus(place, times(up, 2 * _EYE_HEIGHT_PER_BODY * half))
+        reach = MAX_TILT_DISTANCE_HALVES * half
+        at = k
+        for turn in range(2):
+            if turn == 0 or aside:
+                which[at], halves[at], sizes[at] = i, half, step_length
+                for axis in range(3):
+                    aheads[axis, at], normals[axis, at] = ahead[axis], up[axis]
+                    origin[axis, at], ray[axis, at] = start[axis], ahead[axis] * reach
+            if turn == 0 and aside:
+                at = count
+                count += 1
+                ahead = direction
+    return count
+
+
+@kernel
+def write_walls(
+    first: I64,
+    wall_rays: WallRays,
+    hit: Array1[I64],
+    part: Array1[F64],
+    hit_normals: Strided2[F64],
+    wall: Array2[F64],
+    ahead: Array2[F64],
+    angle: Array1[F64],
+    far: Array1[F64],
+    over: Array1[F64],
+    half: Array1[F64],
+    state: Array1[I32],
+) -> I64:
+    """Write the `WallsAhead` of agents with a wall ahead, and return their number.
+
+    `hit`: ascending indices of the rays that hit something; the `first` rays are along the heading.
+    Of two walls, the one that needs more tilt is used. Its number is written to `state`."""
+    which, halves, sizes, aheads, normals = wall_rays
+    middle = 0
+    while middle < hit.size and hit[middle] < first:
+        middle += 1
+    one, two, count = 0, middle, 0
+    while one < middle or two < hit.size:
+        row = 0
+        if one < middle and (two >= hit.size or which[hit[one]] <= which[hit[two]]):
+            row = which[hit[one]]
+        else:
+            row = which[hit[two]]
+        best, has_wall = 0.0, False
+        for turn in range(2):
+            k, own = -1, False
+            if turn == 0:
+                own = one < middle and which[hit[one]] == row
+                k = one
+                one += 1 if own else 0
+            else:
+                own = two < hit.size and which[hit[two]] == row
+                k = two
+                two += 1 if own else 0
+            if own:
+                h = hit[k]
+                direction, up = get_column(aheads, h), get_column(normals, h)
+                normal = get_column(hit_normals, k)
+                if dot(normal, direction) > 0:
+                    normal = (-normal[0], -normal[1], -normal[2])
+                cosine, aside = dot(up, normal), cross(up, normal)
+                sine = max(np.sqrt(dot(aside, aside)), 1e-6)
+                turned = np.float64(atan2(_F(sine), _F(cosine)))
+                long = halves[h] * min(max(turned / sine, 2.0), MAX_TILT_DISTANCE_HALVES)
+                high, reach = 2 * _EYE_HEIGHT_PER_BODY * halves[h], MAX_TILT_DISTANCE_HALVES * halves[h]
+                away = max(part[k] * reach - high * cosine / sine, 0.0)
+                tilt = (1.0 - away / long) * turned
+                if cosine < _WALL_TURN_COSINE and away < long + 2 * sizes[h] and (not has_wall or tilt > best):
+                    best, has_wall = tilt, True
+                    angle[count], far[count], over[count], half[count] = turned, away, long, halves[h]
+                    for axis in range(3):
+                        wall[axis, count], ahead[axis, count] = normal[axis], direction[axis]
+        if has_wall:
+            state[row] = count
+            count += 1
+    return count

@@ -1,0 +1,252 @@
+"""Readers of mesh files to `MeshData`. Counts are compared with the file's size before anything is allocated.
+
+This module also checks the results of all mesh readers: indices out of range, values that are not finite, faces without area."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl import limits
+from antdsl.scene.geometry.gltf_mesh import SiblingReader, read_gltf_mesh
+from antdsl.scene.geometry.import_notes import ImportNotes
+from antdsl.scene.geometry.matrices import compute_cosine_and_sine
+from antdsl.scene.geometry.mesh_text import MeshError
+from antdsl.scene.geometry.obj_file import read_obj
+from antdsl.scene.geometry.ply import HeaderError
+from antdsl.scene.geometry.ply_body import read_ply
+from antdsl.scene.geometry.polygons import PolygonMesh, TooManyCorners, triangulate
+from antdsl.scene.geometry.stl_file import read_stl
+from antdsl.scene.paths import PathRefused
+from antdsl.scene.setting import MeshData
+from antdsl.scene.staging.mesh_cache import cached_per_mesh
+
+Floats = NDArray[np.float64]
+Faces = NDArray[np.int64]
+
+_MAX_COORDINATE_MM = 1e9  # mm; a thousand kilometres
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RawMesh:
+    """A mesh with vertices in the file's units and axes, and the number of faces without area that were left out.
+
+    `own_vertices`, `own_faces`: the index of each vertex and face in the file.
+    `file_counts`: the numbers of vertices and triangles of the file."""
+
+    vertices: Floats
+    faces: Faces
+    dropped_faces: int
+    own_vertices: NDArray[np.int64]
+    own_faces: NDArray[np.int64]
+    file_counts: tuple[int, int]
+    notes: ImportNotes = field(default_factory=ImportNotes)
+
+
+def read_mesh(data: bytes, name: str, group: str | None = None, read_sibling: SiblingReader | None = None) -> RawMesh:
+    """Return the triangles of a file's bytes. Raises MeshError with the reason if there are none.
+
+    `group`: the only group or object of an .obj file to read, or the only node of a glTF file, with all below it.
+    `beside(path, cap)`: returns the bytes of a file in the same folder."""
+    is_cached = len(data) <= _MAX_CACHED_BYTES and not name.lower().endswith(
+        ".gltf"
+    )  # buffers of .gltf files may be in other files
+    return _read_cached(data, name, group) if is_cached else _read_checked(data, name, group, read_sibling)
+
+
+_MAX_CACHED_BYTES = 2 * limits.MIB  # of a file that is read again for the next scene of a folder
+
+
+@lru_cache(maxsize=16)
+def _read_cached(data: bytes, name: str, group: str | None) -> RawMesh:
+    """Read a mesh. Small meshes are cached for further scenes, so the arrays must not be changed."""
+    mesh = _read_checked(data, name, group, None)
+    for array in (mesh.vertices, mesh.faces, mesh.own_vertices, mesh.own_faces):
+        array.setflags(write=False)
+    return mesh
+
+
+def _read_checked(data: bytes, name: str, group: str | None, read_sibling: SiblingReader | None) -> RawMesh:
+    notes = ImportNotes()
+    return check_mesh(*read_mesh_arrays(data, name, group, read_sibling, notes), notes)
+
+
+def read_mesh_arrays(
+    data: bytes, name: str, group: str | None = None, read_sibling: SiblingReader | None = None, notes: ImportNotes | None = None
+) -> tuple[Floats, Faces]:
+    """Return vertices and all triangles of a file, with the arguments of `read_mesh`, without the checks of `check_mesh`.
+
+    `notes`: receives the omissions."""
+    notes = ImportNotes() if notes is None else notes
+    kind = name.rsplit(".", 1)[-1].lower() if "." in name else ""
+    if kind not in MESH_SUFFIXES:
+        raise MeshError(
+            f"is not one of {', '.join('.' + k for k in MESH_SUFFIXES)}", "export it as a .glb, .ply, .obj or .stl file"
+        )
+    if group is not None and kind in READER_BY_SUFFIX:
+        raise MeshError("has no groups, which only .obj and glTF files have", "leave `group` out")
+    try:
+        if kind in READER_BY_SUFFIX:
+            return _triangulate(READER_BY_SUFFIX[kind](data, notes), notes)
+        if kind == "obj":
+            return _triangulate(read_obj(data, notes, group), notes)
+        return _triangulate(read_gltf_mesh(data, notes, group, read_sibling or _reject_sibling), notes)
+    except (MeshError, PathRefused, MemoryError):
+        raise
+    except HeaderError as why:
+        raise MeshError(str(why)) from None
+    except TooManyCorners as why:
+        raise MeshError(str(why), "cut it into smaller faces in the program that made the mesh") from None
+    except Exception as problem:  # an external reader may raise anything for an untrusted file
+        raise MeshError(f"cannot be read ({type(problem).__name__})") from problem
+
+
+def _triangulate(mesh: PolygonMesh, notes: ImportNotes) -> tuple[Floats, Faces]:
+    """Return the vertices of a mesh, and its polygons as triangles."""
+    wrong = np.flatnonzero((mesh.point_indices < 0) | (mesh.point_indices >= len(mesh.points)))
+    if len(wrong):
+        face = int(np.searchsorted(np.cumsum(mesh.corner_counts), wrong[0], side="right"))
+        raise MeshError(f"has a face (number {face}) that names a vertex which is not there")
+    if np.maximum(mesh.corner_counts - 2, 0).sum() > limits.MAX_MESH_FACES:
+        raise MeshError(f"has more than {limits.MAX_MESH_FACES:,} faces", "use a lighter mesh")
+    points = mesh.points
+    bad = np.asarray((~np.isfinite(points) | (np.abs(points) >= 1e30)).any(axis=1))
+    if bad.any():
+        used = mesh.point_indices[bad[mesh.point_indices]]
+        if len(used):
+            raise MeshError(f"has a vertex (number {used[0]}) that is not a finite point")
+    triangulation = triangulate(points, mesh.corner_counts, mesh.point_indices)
+    small = mesh.corner_counts < 3
+    notes.count_skipped("faces of fewer than three corners", int(small.sum()))
+    notes.cut_polygons, notes.concave_polygons, notes.crossing_polygons = (
+        triangulation.cut_count,
+        triangulation.concave_count,
+        len(triangulation.crossing_polygons),
+    )
+    notes.crossing_face = triangulation.crossing_polygons[0] if triangulation.crossing_polygons else 0
+    notes.vertices, notes.triangles = len(points), len(triangulation.corners)
+    return points, mesh.point_indices[triangulation.corners]
+
+
+def check_mesh(vertices: Floats, faces: Faces, notes: ImportNotes | None = None) -> RawMesh:
+    """Check vertices and faces by the rules that hold for every format, and return them. Raises MeshError with the reason."""
+    if len(vertices) == 0 or len(faces) == 0:
+        raise MeshError("has no faces")
+    if len(faces) > limits.MAX_MESH_FACES:
+        raise MeshError(f"has {len(faces):,} faces, more than {limits.MAX_MESH_FACES:,}", "use a lighter mesh")
+    bad = np.flatnonzero((faces < 0).any(axis=1) | (faces >= len(vertices)).any(axis=1))
+    if len(bad):
+        raise MeshError(f"has a face (number {bad[0]}) that names a vertex which is not there")
+    used = np.zeros(len(vertices), bool)
+    used[faces.ravel()] = True
+    wrong = np.flatnonzero(used & ~(np.isfinite(vertices).all(axis=1) & (np.abs(vertices) < 1e30).all(axis=1)))
+    if len(wrong):
+        raise MeshError(f"has a vertex (number {wrong[0]}) that is not a finite point")
+    corners = vertices[faces]
+    a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    across = np.cross(a, b)
+    area = np.sqrt((across * across).sum(axis=1))
+    longest = np.maximum((a * a).sum(axis=1), (b * b).sum(axis=1))
+    keep = area > 1e-12 * longest
+    first = _find_first_rows(np.sort(faces, axis=1).astype(np.int64), len(vertices))
+    single = np.zeros(len(faces), bool)
+    single[first] = True
+    keep &= single
+    if not keep.any():
+        raise MeshError("has no face with an area")
+    sound_faces = faces[keep]
+    # vertices that no face uses would stretch the bounding box
+    numbers = np.full(len(vertices), -1, np.int64)
+    used[:] = False
+    used[sound_faces.ravel()] = True
+    numbers[used] = np.arange(int(used.sum()))
+    return RawMesh(
+        np.ascontiguousarray(vertices[used]),
+        numbers[sound_faces],
+        int(len(faces) - len(sound_faces)),
+        np.flatnonzero(used),
+        np.flatnonzero(keep),
+        (len(vertices), len(faces)),
+        notes or ImportNotes("", len(vertices), len(faces)),
+    )
+
+
+def _find_first_rows(rows: Faces, bound: int) -> NDArray[np.int64]:
+    """Return the index of the first occurrence of each distinct row of three numbers.
+
+    Numbers are below `bound`. For speed, each row is combined into one number."""
+    if bound > 2**21:
+        _, first = np.unique(rows, axis=0, return_index=True)
+    else:
+        _, first = np.unique((rows[:, 0] << 42) | (rows[:, 1] << 21) | rows[:, 2], return_index=True)
+    return np.asarray(first, np.int64)
+
+
+READER_BY_SUFFIX: dict[str, Callable[[bytes, ImportNotes], PolygonMesh]] = {"ply": read_ply, "stl": read_stl}
+GLTF_SUFFIXES = ("gltf", "glb")
+MESH_SUFFIXES = (*READER_BY_SUFFIX, "obj", *GLTF_SUFFIXES)
+
+
+def _reject_sibling(path: str, max_bytes: int) -> bytes:
+    raise MeshError("has a buffer in another file", "export it as .glb, which has its buffers inside")
+
+
+def rotate_up(points: Floats, own_up: str, scene_up: str) -> Floats:
+    """Return points of a file with the up axis `own_up`, rotated about x into a scene with the up axis `scene_up`."""
+    if own_up == scene_up:
+        return points
+    x, y, z = points.T
+    return np.column_stack((x, z, -y) if own_up == "z" else (x, -z, y))
+
+
+def rotate_points(points: Floats, angles: tuple[float, float, float]) -> Floats:
+    """Return points rotated about x, then y, then z. `angles`: in radians."""
+    for axis, angle in enumerate(angles):
+        if angle:
+            c, s = compute_cosine_and_sine(angle)
+            b, d = (axis + 1) % 3, (axis + 2) % 3
+            turned = points.copy()
+            turned[:, b] = c * points[:, b] - s * points[:, d]
+            turned[:, d] = s * points[:, b] + c * points[:, d]
+            points = turned
+    return points
+
+
+@cached_per_mesh
+def place_mesh(
+    mesh: RawMesh,
+    *,
+    factor: float,
+    own_up: str,
+    up: str,
+    angles: tuple[float, float, float],
+    position: tuple[float, float, float],
+) -> MeshData:
+    """Return a file's mesh in the scene: in millimetres and the scene's axes. Raises MeshError if a vertex is too far out.
+
+    A mirrored mesh keeps its outside."""
+    vertices = rotate_points(rotate_up(mesh.vertices * factor, own_up, up), angles) + np.array(position)
+    mesh_data = make_limited_mesh(vertices, mesh.faces[:, ::-1] if factor < 0 else mesh.faces)
+    if not mesh.vertices.flags.writeable:
+        for array in (mesh_data.vertices, mesh_data.faces):
+            array.setflags(write=False)
+    return mesh_data
+
+
+def make_limited_mesh(vertices: Floats, faces: NDArray[np.integer]) -> MeshData:
+    """Return vertices in mm and faces as a mesh. Raises MeshError if a vertex is too far out."""
+    if not np.isfinite(vertices).all() or np.abs(vertices).max() > _MAX_COORDINATE_MM:
+        raise MeshError("lies more than a thousand kilometres out", "move it with `at`, or check its `units`")
+    return MeshData(np.ascontiguousarray(vertices), np.ascontiguousarray(faces, np.int32))
+
+
+@cached_per_mesh
+def compute_mesh_area(mesh: MeshData) -> float:
+    """Return the area of all faces in mm²."""
+    a, b, c = (mesh.vertices[mesh.faces[:, corner]] for corner in range(3))
+    across = np.cross(b - a, c - a)
+    return float(np.sqrt((across * across).sum(axis=1)).sum() / 2)

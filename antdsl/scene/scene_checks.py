@@ -1,0 +1,264 @@
+"""Checks of a scene against a program. Each name must refer to a thing of the right kind, each value must have the right
+dimension and range.
+
+No mesh is read here; only the existence of files is checked. `CHECKS` lists the checks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from antdsl import limits
+from antdsl.diagnostics import Label, Report
+from antdsl.diagnostics.suggestion import find_nearest_name
+from antdsl.program.model import Constant, Program, TypeKind
+from antdsl.program.tables.columns import COLUMN_BY_ATTRIBUTE
+from antdsl.program.tables.things import KIND_BY_WORD
+from antdsl.program.tables.units import format_number
+from antdsl.scene import field_settings
+from antdsl.scene.crowd_model import Placement, UsdPositions
+from antdsl.scene.document import PathKey
+from antdsl.scene.entry_checks import Entry, check_dimension, check_file, report_unknown
+from antdsl.scene.existence_checks import check_absent_species, check_bodies
+from antdsl.scene.field_settings import check_field_dynamics
+from antdsl.scene.load import Scene
+from antdsl.scene.quantities import Quantity
+from antdsl.scene.scene_kinds import SCENE_KINDS
+from antdsl.scene.step_checks import check_step_lengths
+
+
+def match_scene(scene: Scene, program: Program) -> Report:
+    """Return a report of everything in the scene that does not match the program, with locations."""
+    report = Report()
+    for check in SCENE_CHECKS:
+        check(scene, program, report)
+    return report
+
+
+def convert_constant(const: Constant, scene: Scene) -> float:
+    """Return a constant of the program in base units, for this scene's length unit and frame rate."""
+    return float(const.number * scene.model.unit_mm**const.unit_power * float(1 / scene.model.fps) ** const.step)
+
+
+def _check_world(scene: Scene, program: Program, report: Report) -> None:
+    scene_things = scene.model.world
+    program_things = {name: thing for name, thing in program.world.items() if thing.kind in SCENE_KINDS}
+    misspelt = set()
+    for name in scene_things:
+        if name not in program_things:
+            report_unknown(report, scene, ("world", name), "no program has a thing of the world named", program_things)
+            misspelt.add(find_nearest_name(name, program_things))
+    for name, thing in program_things.items():
+        row, kind = KIND_BY_WORD[thing.kind], SCENE_KINDS[thing.kind]
+        if name not in scene_things and name in misspelt:
+            continue  # one mistake, one complaint
+        if name not in scene_things:
+            place = scene.span("world", key=True) if "world" in scene.document.entries else scene.span("antdsl", key=True)
+            message = f"the program's {thing.kind} `{name}` has no {kind.missing_data} in the scene"
+            advice = f"add `{name}: {row.scene}` to `world`"
+            report.error("missing-thing", message, place, advice, labels=(Label(thing.span, "declared here"),))
+        elif not isinstance(scene_things[name], kind.models):
+            message = f"`{name}` is {row.scene_form} in the program, and something else here"
+            place, advice = scene.span("world", name), f"write `{name}: {row.scene}`"
+            report.error("wrong-kind", message, place, advice, labels=(Label(thing.span, "declared here"),))
+        else:
+            kind.check(Entry(scene, program, report, name, thing), scene_things[name])
+
+
+def _check_crowd(scene: Scene, program: Program, report: Report) -> None:
+    total = 0
+    for number, line in enumerate(scene.model.crowd):
+        total += line.count
+        if line.species not in program.species:
+            report_unknown(report, scene, ("crowd", number, "species"), "no program has a species", program.species, key=False)
+        _check_placement(scene, program, report, line.place, "crowd", number, "place")
+        if line.walk is not None and not any(line.walk.direction):
+            where = scene.span("crowd", number, "walk", "direction")
+            report.error("wrong-value", "`[0, 0, 0]` leads nowhere", where, "write a direction, such as `[1, 0, 0]`")
+    if total > limits.MAX_AGENTS:
+        report.error(
+            "too-large", f"{total:,} agents are more than {limits.MAX_AGENTS:,}", scene.span("crowd"), "write a smaller `count`"
+        )
+
+
+def list_item_names(scene: Scene) -> dict[str, tuple[str, str]]:
+    """Return the names that `around` accepts, each as (items, item). For the name of items, the first item counts."""
+    names: dict[str, tuple[str, str]] = {}
+    for name, value in scene.model.world.items():
+        if isinstance(value, dict) and value:
+            names[name] = (name, next(iter(value)))
+    for name, value in scene.model.world.items():
+        if isinstance(value, dict):
+            for item in value:
+                names.setdefault(item, (name, item))
+    return names
+
+
+def _check_around(scene: Scene, report: Report, around: object, radius: object, *path: PathKey) -> None:
+    if isinstance(around, str) and around not in list_item_names(scene) and not scene.model.has_usd_items:
+        report_unknown(report, scene, (*path, "around"), "no item is named", list_item_names(scene), key=False)
+    if around is not None and radius is None:
+        at = scene.span(*path, "around", key=True)
+        report.error("missing-key", "`around` has no effect without `radius`", at, "add `radius: 50 mm`")
+
+
+def _check_placement(scene: Scene, program: Program, report: Report, place: Placement, *path: PathKey) -> None:
+    grounds = [name for name, thing in program.world.items() if KIND_BY_WORD[thing.kind].is_ground]
+    if place.on is not None and place.on not in grounds:
+        report_unknown(report, scene, (*path, "on"), "no surface is named", grounds, key=False)
+    if place.points is not None:
+        if isinstance(place.points, UsdPositions):
+            check_file(scene, report, place.points.usd, *path, "points", "usd")
+        else:
+            check_file(scene, report, place.points, *path, "points")
+        if place.around is not None:
+            words = "agents are placed at points or around a place, not both"
+            report.error("wrong-value", words, scene.span(*path, "around", key=True), "keep one of them")
+    if place.density is not None:
+        maps = program.list_things_of_kind("map")
+        if place.density not in maps:
+            report_unknown(report, scene, (*path, "density"), "no map is named", maps, key=False)
+    used_keys = [name for name in ("points", "around", "radius", "density") if getattr(place, name) is not None]
+    for method in ("density", "inside"):
+        other = [name for name in used_keys if name != method]
+        if getattr(place, method) is not None and other:
+            words = f"agents are placed by `{method}` or by `{other[0]}`, not both"
+            report.error("wrong-value", words, scene.span(*path, method, key=True), "keep one of them")
+    if place.by == "area" and place.inside is not None:
+        words = "agents that begin `inside` stand where lines from there end, and are not spread by area"
+        report.error("wrong-value", words, scene.span(*path, "by", key=True), "leave `by` out")
+    for key in ("apart", "seed"):
+        if getattr(place, key) is not None and place.points is not None:
+            words = f"agents at `points` stand where these are, and nothing is left for `{key}` to say"
+            report.error("wrong-value", words, scene.span(*path, key, key=True), f"leave `{key}` out")
+    if place.apart == "even" and (place.inside is not None or (place.density is not None and place.by != "area")):
+        what, addition = ("inside", "") if place.inside is not None else ("by `density` from above", ", or add `by: area`")
+        advice = f"write a length, such as `apart: 10 mm`{addition}"
+        report.error("wrong-value", f"how much room there is {what} is not known", scene.span(*path, "apart", key=True), advice)
+    _check_around(scene, report, place.around, place.radius, *path)
+
+
+def _check_params(scene: Scene, program: Program, report: Report) -> None:
+    for name, value in scene.model.set.items():
+        check_param(scene, program, report, name, value, "set", name)
+
+
+def check_param(scene: Scene, program: Program, report: Report, name: str, value: Quantity, *path: PathKey) -> None:
+    """Report a value of a param or of a field's setting that does not match its declaration: name, dimension, range."""
+    dim = field_settings.find_setting_dimension(program, name)
+    if dim is not None:
+        advice = field_settings.suggest_setting_value(name, value)
+        if check_dimension(scene, report, value, dim, name, *(path or ("antdsl",))) and advice:
+            place = scene.span(*path) if path else None
+            report.error("out-of-range", f"`{name}` cannot be {value.text}", place, advice)
+        return
+    if name not in program.params:
+        known = [*program.params, *field_settings.list_settable_names(program)]
+        if path:
+            report_unknown(report, scene, path, "no program has a param", known)
+        else:
+            near = find_nearest_name(name, known)
+            report.error("unknown-thing", f"no program has a param `{name}`", None, f"did you mean `{near}`?" if near else None)
+        return
+    param = program.params[name]
+    if not check_dimension(scene, report, value, param.type.dimension, name, *(path or ("antdsl",))):
+        return
+    number = value.to_base_units(scene.model.unit_mm, float(1 / scene.model.fps))
+    low, high = (None if bound is None else convert_constant(bound, scene) for bound in (param.low, param.high))
+    slack = 1e-9 * max(abs(number), 1e-30)
+    if (low is not None and number < low - slack) or (high is not None and number > high + slack):
+        ends = [_format_bound(bound, name) for bound in (param.low, param.high)]
+        message = f"`{name}` = {value.text} is outside {ends[0]} .. {ends[1]}"
+        place = scene.span(*path) if path else None
+        report.error(
+            "out-of-range", message, place, "write a value inside the range", labels=(Label(param.span, "declared here"),)
+        )
+
+
+def _format_bound(bound: Constant | None, name: str) -> str:
+    if bound is None:
+        return "…"
+    return bound.span.text if 0 < len(bound.span.text) < 40 else format_number(bound.number)
+
+
+def _check_fields(scene: Scene, program: Program, report: Report) -> None:
+    for name, start in scene.model.fields.items():
+        if name not in program.fields:
+            report_unknown(report, scene, ("fields", name), "no program has a field", program.fields)
+        _check_around(scene, report, start.around, start.radius, "fields", name)
+
+
+def resolve_layer_order(scene: Scene, program: Program, species: str) -> tuple[list[str] | None, list[int]]:
+    """Return the texts of a species' layers in the scene's order, and the indices of wrong lines.
+
+    A line of the scene is wrong if it matches no layer, or several. With wrong lines or missing layers, the texts are None."""
+    layers = list(program.species[species].layers.layers)
+    order: list[str] = []
+    wrong: list[int] = []
+    for number, line in enumerate(scene.model.layers[species]):
+        fitting = [layer.text for layer in layers if layer.text.startswith(line.strip()) and layer.text not in order]
+        exact = [text for text in fitting if text == line.strip() or text.split("(")[0].strip() == line.strip()]
+        fitting = exact if len(exact) == 1 else fitting
+        if len(fitting) == 1:
+            order.append(fitting[0])
+        else:
+            wrong.append(number)
+    return (order if not wrong and len(order) == len(layers) else None), wrong
+
+
+def _check_layers(scene: Scene, program: Program, report: Report) -> None:
+    for name in scene.model.layers:
+        if name not in program.species:
+            report_unknown(report, scene, ("layers", name), "no program has a species", program.species)
+            continue
+        texts = [layer.text for layer in program.species[name].layers.layers]
+        order, wrong = resolve_layer_order(scene, program, name)
+        for number in wrong:
+            line = scene.model.layers[name][number]
+            help = "write the beginning of one of: " + ", ".join(f"`{text}`" for text in texts)
+            report.error(
+                "unknown-thing", f"`{line}` begins no single layer of `{name}`", scene.span("layers", name, number), help
+            )
+        if order is None and not wrong:
+            left = [text for text in texts if not any(text.startswith(line.strip()) for line in scene.model.layers[name])]
+            advice = "add " + ", ".join(f"`{text}`" for text in left) if left else None
+            report.error(
+                "missing-thing", f"the order of the layers of `{name}` is incomplete", scene.span("layers", name), advice
+            )
+
+
+def _check_detail(scene: Scene, program: Program, report: Report) -> None:
+    lod = scene.model.lod
+    if lod is None:
+        return
+    if scene.model.camera is None or isinstance(scene.model.camera, str):
+        advice = "write `camera: {at: [200, 150, 300], look_at: [0, 0, 0]}`, or leave `lod` out"
+        words = "`lod` goes by the distance from the camera, and there is none while agents walk"
+        report.error("missing-key", words, scene.span("lod"), advice)
+    unit = scene.model.unit_mm
+    if lod.far is not None and lod.far.to_millimetres(unit) < lod.near.to_millimetres(unit):
+        report.error("wrong-value", "`far` is nearer than `near`", scene.span("lod", "far"), "write the greater distance")
+
+
+def _check_output(scene: Scene, program: Program, report: Report) -> None:
+    known = set(COLUMN_BY_ATTRIBUTE)
+    for species in program.species.values():
+        known |= {attribute.name for attribute in species.attributes if attribute.type.kind is TypeKind.NUMBER}
+        known |= {f"{machine.name}.state" for machine in species.machines}
+    for number, name in enumerate(scene.model.output.attributes):
+        if name not in known:
+            report_unknown(report, scene, ("output", "attributes", number), "no attribute is named", known, key=False)
+
+
+SCENE_CHECKS: tuple[Callable[[Scene, Program, Report], None], ...] = (
+    _check_world,  # what `around` and `on` name is in here
+    _check_crowd,
+    check_bodies,
+    check_absent_species,
+    _check_params,
+    _check_fields,
+    check_field_dynamics,
+    _check_layers,
+    _check_detail,
+    _check_output,
+    check_step_lengths,  # last: a warning, about values that the others have checked
+)

@@ -1,0 +1,185 @@
+"""The contents of a `scene.yaml`: one pydantic model for each mapping in it. Scalars are text until these models type them."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Union
+
+from pydantic import BeforeValidator, Discriminator, Field, Tag
+
+from antdsl import limits
+from antdsl.diagnostics.suggestion import find_nearest_name
+from antdsl.program.tables.columns import DEFAULT_ATTRIBUTE_NAMES
+from antdsl.scene.crowd_model import CrowdLine as CrowdLine
+from antdsl.scene.crowd_model import Placement as Placement
+from antdsl.scene.crowd_model import Walk as Walk
+from antdsl.scene.scene_kinds import SCENE_KINDS
+from antdsl.scene.thing_models import UNIT_MM as UNIT_MM
+from antdsl.scene.thing_models import Axis, ItemThing, ThingModel, Unit, UsdThing
+from antdsl.scene.values import (
+    AnyQuantity,
+    FilePath,
+    FrameRange,
+    FrameRangeValue,
+    FramesPerSecond,
+    PointOrName,
+    PositiveLength,
+    SceneName,
+    SceneWord,
+    make_error,
+    parse_integer_between,
+    parse_number_between,
+    parse_one_of,
+)
+from antdsl.scene.values import PointValue as PointValue
+from antdsl.scene.values import PositionKey as PositionKey
+from antdsl.scene.values import ScenePart as ScenePart
+
+Stick = Annotated[str, BeforeValidator(parse_one_of("triangles", "rays"))]
+Orient = Annotated[str, BeforeValidator(parse_one_of("normal", "turns", "probes"))]
+Contacts = Annotated[Literal["off", "soft", "hard"], BeforeValidator(parse_one_of("off", "soft", "hard"))]
+
+
+# The key that says what a thing of the world is, unless it is the name of an item.
+THING_MODELS: dict[str, type[ThingModel]] = {
+    each.find_head(): each for kind in SCENE_KINDS.values() for each in kind.models if issubclass(each, ThingModel)
+}
+FILE_HEADS = frozenset(head for head, each in THING_MODELS.items() if each.names_file)
+
+
+def make_thing_tag(head: str) -> str:
+    """Return the tag of a thing's form with a head. It is the last word in the location of an error."""
+    return f"{head}-thing"
+
+
+def _find_thing_tag(value: Any) -> str:
+    keywords = (
+        [word for word in THING_MODELS if word in value and not isinstance(value[word], dict)] if isinstance(value, dict) else []
+    )
+    return make_thing_tag(keywords[0]) if keywords else "items-thing"
+
+
+def _check_items(value: Any) -> Any:
+    if not isinstance(value, dict):
+        raise make_error(
+            "a thing of the world is a mapping", "write `{mesh: ground.ply}`, `{curve: way.json}` or `{apple: {at: [0, 0, 0]}}`"
+        )
+    for word, inner in value.items():
+        near = None if isinstance(inner, dict) else find_nearest_name(str(word), THING_MODELS)
+        if near:
+            raise make_error(f"`{word}` says of no thing of the world what it is", f"did you mean `{near}`?")
+    if value and not any(isinstance(inner, dict) for inner in value.values()):
+        raise make_error(
+            "no key says what this thing of the world is", "add one of " + ", ".join(f"`{word}`" for word in THING_MODELS)
+        )
+    return value
+
+
+if TYPE_CHECKING:
+    WorldThing = ThingModel | dict[str, ItemThing]
+else:
+    _ITEMS = Annotated[dict[SceneName, ItemThing], BeforeValidator(_check_items), Tag("items-thing")]
+    _FORMS = tuple(Annotated[each, Tag(make_thing_tag(head))] for head, each in THING_MODELS.items())
+    WorldThing = Annotated[Union[(*_FORMS, _ITEMS)], Discriminator(_find_thing_tag)]
+
+
+class FieldStart(ScenePart):
+    """Starting values of a field.
+
+    `start`: the value, everywhere, or only within `radius` of a point or an item.
+    `around`: the point or item (default: the origin)."""
+
+    start: Annotated[float, BeforeValidator(parse_number_between(0, 1e9))]
+    around: PointOrName | None = None
+    radius: PositiveLength | None = None
+
+
+class Camera(ScenePart):
+    at: PointValue
+    look_at: PointValue
+    focal: PositiveLength | None = None
+
+
+class UsdCamera(ScenePart):
+    """A camera of a USD file, with its motion."""
+
+    usd: FilePath
+    prim: SceneWord
+
+
+Fit = Annotated[str, BeforeValidator(parse_one_of("fit"))]
+
+
+def _find_camera_tag(value: Any) -> str:
+    if isinstance(value, str):
+        return "camera-word"
+    return "usd-camera" if isinstance(value, dict) and "usd" in value else "camera-here"
+
+
+class LevelOfDetail(ScenePart):
+    """Level of detail by distance from the camera.
+
+    `near`: up to here, feelers hit triangles.
+    `far`: up to here, feelers hit the boxes of the pieces of obstacles. Beyond it, they hit nothing."""
+
+    near: PositiveLength
+    far: PositiveLength | None = None
+
+
+class Output(ScenePart):
+    attributes: tuple[Annotated[str, BeforeValidator(lambda v: v)], ...] = DEFAULT_ATTRIBUTE_NAMES
+    checkpoint: Annotated[int, BeforeValidator(parse_integer_between(1, 100_000))] = 50
+    events: tuple[Annotated[str, BeforeValidator(parse_one_of("contact", "emit"))], ...] = ()
+
+
+class StartFrom(ScenePart):
+    """A frame of another cache. Its agents, items and fields are the start of the run."""
+
+    cache: FilePath
+    frame: Annotated[int, BeforeValidator(parse_integer_between(-limits.MAX_FRAMES, limits.MAX_FRAMES * 1000))]
+
+
+MODEL_BY_PATH: dict[str, type[ScenePart]] = {  # the models of mappings, by their keys
+    "place": Placement, "camera": Camera, "lod": LevelOfDetail, "output": Output, "from": StartFrom, "crowd": CrowdLine,
+    "walk": Walk,
+}  # fmt: skip
+
+
+class SceneModel(ScenePart):
+    edition: Annotated[str, BeforeValidator(parse_one_of("1"))] = Field(alias="antdsl")
+    extends: FilePath | None = None  # is gone once the scenes are put together
+    units: Unit = "mm"
+    up: Axis = "y"
+    fps: FramesPerSecond = Fraction(24)
+    frames: FrameRangeValue = FrameRange(1, 240)
+    preroll: Annotated[int, BeforeValidator(parse_integer_between(0, limits.MAX_FRAMES))] = 0
+    substeps: Annotated[int, BeforeValidator(parse_integer_between(1, limits.MAX_SUBSTEPS))] = 1
+    stick: Stick = "triangles"
+    orient: Orient = "normal"
+    contacts: Contacts = "off"
+    seed: Annotated[int, BeforeValidator(parse_integer_between(0, 2**64 - 1))] = 0
+    start: StartFrom | None = Field(None, alias="from")
+    world: dict[SceneName, WorldThing] = {}
+    crowd: tuple[CrowdLine, ...] = ()
+    set: dict[str, AnyQuantity] = {}
+    fields: dict[SceneName, FieldStart] = {}
+    layers: dict[SceneName, tuple[str, ...]] = {}
+    camera: (
+        Annotated[
+            Annotated[Camera, Tag("camera-here")] | Annotated[UsdCamera, Tag("usd-camera")] | Annotated[Fit, Tag("camera-word")],
+            Discriminator(_find_camera_tag),
+        ]
+        | None
+    ) = None
+    lod: LevelOfDetail | None = None
+    output: Output = Output()
+
+    @property
+    def unit_mm(self) -> float:
+        """Return the scene's unit of length in millimetres."""
+        return UNIT_MM[self.units]
+
+    @property
+    def has_usd_items(self) -> bool:
+        """Return whether names of items may come from a USD file, which is read only when the scene is staged."""
+        return any(isinstance(value, UsdThing) for value in self.world.values())

@@ -1,0 +1,84 @@
+"""Chooses where a task writes its files. If the worker can access the requested folder, the task writes to it. Otherwise it
+writes to a folder of the worker. The files are then fetched in parts, and moved into place when they are complete."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from antdsl.atomic_write import create_sibling_file
+from antdsl.executors import Task, TaskRefused, WorkerContext, hash_document
+from antdsl.executors.tasks import TaskFunction
+from antdsl.limits import MAX_TASK_OUTPUT_BYTES
+from antdsl.safe_read import open_size_limited, read_blocks
+
+
+@dataclass(frozen=True, slots=True)
+class Destination:
+    """A folder with a marker file. The marker shows a worker that it can access the same folder."""
+
+    folder: str
+    token: str
+
+    @classmethod
+    def of(cls, document: Mapping[str, Any]) -> Destination:
+        """Return the destination that the document of a task contains."""
+        return cls(document["folder"], document["token"])
+
+    def make_task(self, work: TaskFunction, document: Mapping[str, Any]) -> Task:
+        """Return a task that writes to this folder. Its key is made of its document."""
+        document = {**document, **asdict(self)}
+        key = hash_document(document)
+        return Task(key, work, {**document, "key": key})
+
+    def make_frame_tasks(
+        self, work: TaskFunction, document: Mapping[str, Any], frames: Sequence[int], chunk: int
+    ) -> Iterator[Task]:
+        """Yield tasks that write `chunk` frames each to this folder."""
+        for start in range(0, len(frames), chunk):
+            yield self.make_task(work, {**document, "frames": list(frames[start : start + chunk])})
+
+    def choose_task_folder(self, worker: WorkerContext, key: str) -> Path:
+        """Return the folder to which a task writes its files on this machine."""
+        if worker.scratch_folder is None or (Path(self.folder) / self.token).is_file():
+            return Path(self.folder)
+        task_folder = worker.scratch_folder / key
+        task_folder.mkdir(exist_ok=True)
+        return task_folder
+
+    def describe_files(self, worker: WorkerContext, task_folder: Path, key: str) -> dict[str, Any]:
+        """Return the answer of a task after it has written files. It lists the files that must be fetched. Raises TaskRefused if
+        they are too large."""
+        if task_folder == Path(self.folder):
+            return {"worker": "", "made": key, "files": []}
+        files = [path for path in sorted(task_folder.rglob("*")) if path.is_file()]
+        total = sum(path.stat().st_size for path in files)
+        if total > MAX_TASK_OUTPUT_BYTES:
+            raise TaskRefused(
+                f"it made {total:,} bytes, and more than {MAX_TASK_OUTPUT_BYTES:,} are not fetched; name a folder that "
+                f"workers see too"
+            )
+        listed = [[path.relative_to(task_folder).as_posix(), path.stat().st_size, _hash_file(path)] for path in files]
+        return {"worker": worker.name, "made": key, "files": listed}
+
+
+@contextmanager
+def mark_folder(folder: Path) -> Iterator[Destination]:
+    """Yield a folder as a destination. The folder has a marker file while the context is open."""
+    token = create_sibling_file(folder / "seen")
+    try:
+        yield Destination(str(folder.resolve()), token.name)
+    finally:
+        token.unlink(missing_ok=True)
+
+
+def _hash_file(path: Path) -> str:
+    hashed = hashlib.blake2b(digest_size=16)
+    with open_size_limited(path, MAX_TASK_OUTPUT_BYTES) as file:
+        for block in read_blocks(file.fileno(), MAX_TASK_OUTPUT_BYTES):
+            hashed.update(block)
+    return hashed.hexdigest()

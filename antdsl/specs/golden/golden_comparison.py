@@ -1,0 +1,80 @@
+"""The golden runs of one `antdsl test`: which run is compared with which, and what `--update` rewrites."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from antdsl.diagnostics import Report
+from antdsl.specs.cases import SpecRun
+from antdsl.specs.golden import golden_runs
+
+GoldenKey = tuple[Path, tuple[tuple[str, str], ...]]
+
+
+@dataclass(slots=True)
+class GoldenComparison:
+    """`update`: the first seed of each scene and each set of changed params becomes a golden run. Otherwise the stored run is
+    compared. Problems of a file are in `report`."""
+
+    update: bool = False
+    report: Report = field(default_factory=Report)
+    results: list[golden_runs.GoldenResult] = field(default_factory=list)
+    files: dict[Path, golden_runs.Golden | None] = field(default_factory=dict)
+    recorder_by_key: dict[GoldenKey, tuple[SpecRun, golden_runs.GoldenRecorder]] = field(default_factory=dict)
+
+    def make_watch(self, run: SpecRun, frame_count: int) -> golden_runs.GoldenWatch | None:
+        """Return the recorder or comparer for a run of about `frame_count` frames; None if it is neither recorded nor
+        compared."""
+        scene = run.cases[0].scene
+        changes = {change.name: "".join(change.value.span.text.split()) for change in run.cases[0].spec.changes}
+        result = golden_runs.GoldenResult(scene, dict(sorted(changes.items())), run.seed)
+        if self.update:
+            key = (scene.resolve(), tuple(result.changes.items()))
+            if key in self.recorder_by_key:
+                return None
+            self.results.append(result)
+            self.recorder_by_key[key] = (run, golden_runs.GoldenRecorder(run, result, frame_count))
+            return self.recorder_by_key[key][1]
+        golden_file = self._read_golden(scene)
+        golden = None if golden_file is None else _find_golden_run(golden_file, result)
+        if golden_file is None or golden is None or not golden.frames:
+            return None
+        self.results.append(result)
+        return golden_runs.GoldenComparer(run, result, golden, golden_file.made)
+
+    def _read_golden(self, scene: Path) -> golden_runs.Golden | None:
+        path = golden_runs.find_golden_path(scene)
+        if path not in self.files:
+            self.files[path] = None
+            try:
+                self.files[path] = golden_runs.read_golden(path)
+            except golden_runs.GoldenError as why:
+                self.report.error("wrong-value", str(why), None, "record it again with `antdsl test … --update`")
+        return self.files[path]
+
+    def write_golden_files(self) -> None:
+        """With `update`, write what was recorded. A run that failed its specs does not become golden. Other runs of a file
+        stay."""
+        new: dict[Path, list[golden_runs.GoldenRun]] = {}
+        for run, recorder in self.recorder_by_key.values():
+            if any(case.outcome == "failed" for case in run.cases):
+                recorder.result.message = "not written: its specs failed"
+            elif recorder.golden_run is not None:
+                new.setdefault(golden_runs.find_golden_path(run.cases[0].scene), []).append(recorder.golden_run)
+                recorder.result.outcome = "written"
+        for path, runs in new.items():
+            self._merge_runs(path, runs)
+
+    def _merge_runs(self, path: Path, runs: list[golden_runs.GoldenRun]) -> None:
+        try:
+            old = golden_runs.read_golden(path)
+        except golden_runs.GoldenError:
+            old = None  # damaged: the reason to rewrite it
+        fresh = {(tuple(sorted(run.set.items())), run.seed) for run in runs}
+        others = [] if old is None else [run for run in old.runs if (tuple(sorted(run.set.items())), run.seed) not in fresh]
+        golden_runs.write_golden(path, [*others, *runs])
+
+
+def _find_golden_run(golden_file: golden_runs.Golden, result: golden_runs.GoldenResult) -> golden_runs.GoldenRun | None:
+    return next((run for run in golden_file.runs if run.set == dict(result.changes) and run.seed == result.seed), None)

@@ -1,0 +1,237 @@
+"""Golden runs: the results of a run, stored as text beside its scene; a later run is compared with it frame by frame.
+
+`scene.golden.json` has a hash for every frame. At most STATIONS times, at regular intervals, it also has the content of
+`fingerprints`. Thus the first frame that differs is always known. Which attribute of which agent differs is known there or at the
+next of those frames."""
+
+from __future__ import annotations
+
+import json
+import platform
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Literal, Protocol
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from antdsl import __version__, limits
+from antdsl.atomic_write import write_atomically
+from antdsl.program.model import Program
+from antdsl.runtime import World, state_hash
+from antdsl.safe_read import FileTooLarge, read_size_limited
+from antdsl.specs.cases import SpecRun
+from antdsl.specs.golden.fingerprints import StateDifference, build_columns, digest_agents, find_differences
+
+MAX_RECORDED_FRAMES = 48
+_MAX_FILE_BYTES = 64 * limits.MIB
+_FIRST_FORMAT_PATTERN = re.compile(rb'\s*\{\s*"golden"\s*:\s*1\b')  # of runs with states hashed as SHA-256 of all rows
+GoldenText = Annotated[str, Field(max_length=2000)]
+ValueSums = tuple[
+    GoldenText, GoldenText, GoldenText
+]  # sum and weighted sum of the bits, hexadecimal; what is reported of the values
+
+
+class GoldenModel(BaseModel):
+    """The base of the stored models."""
+
+    model_config = ConfigDict(extra="forbid", hide_input_in_errors=True)
+
+
+class GoldenFrame(GoldenModel):
+    """A frame. `parts`: those that differ from the last frame with parts; `agents`: the digests by species."""
+
+    frame: int
+    hash: GoldenText
+    parts: dict[GoldenText, ValueSums] = {}
+    agents: dict[GoldenText, GoldenText] = {}
+
+
+class GoldenRun(GoldenModel):
+    """A run by its changed params and its seed, with a readable `summary` of the last frame."""
+
+    set: dict[GoldenText, GoldenText]
+    seed: int
+    summary: dict[GoldenText, GoldenText]
+    frames: list[GoldenFrame]
+
+
+class Golden(GoldenModel):
+    """The contents of a golden file. `made`: the environment in which it was written."""
+
+    golden: Literal[2]
+    made: dict[GoldenText, GoldenText]
+    runs: list[GoldenRun]
+
+
+class GoldenError(Exception):
+    """Error for a file that is no golden file. The message is self-contained."""
+
+
+@dataclass(slots=True)
+class GoldenResult:
+    """The outcome of a golden run: same, differs, written, or waiting. `frame`: the first that differs; `detail_frame`: the frame
+    in which `differences` was determined; `origin`: where the golden run was recorded, if the environment is different."""
+
+    scene: Path
+    changes: Mapping[str, str]
+    seed: int
+    outcome: str = "waiting"
+    frame: int | None = None
+    detail_frame: int | None = None
+    differences: list[StateDifference] = field(default_factory=list)
+    message: str = ""
+    origin: str = ""
+    frames: int = 0
+
+    @property
+    def name(self) -> str:
+        """Return the display name: the scene and the changed params."""
+        return "golden run of " + ", ".join([self.scene.name, *(f"{name} = {text}" for name, text in self.changes.items())])
+
+
+class GoldenWatch(Protocol):
+    """Receives each frame of a run. The run continues at least until `is_over` is true."""
+
+    @property
+    def is_over(self) -> bool: ...
+    def observe_frame(self, world: World) -> None: ...
+    def end(self, world: World) -> None: ...
+
+
+def find_golden_path(scene: Path) -> Path:
+    """Return the path of a scene's golden runs."""
+    return scene.with_name(f"{scene.stem}.golden.json")
+
+
+def describe_environment() -> dict[str, str]:
+    """Return the versions and the system that results depend on."""
+    return {
+        "antdsl": __version__, "python": platform.python_version(), "numpy": np.__version__,
+        "system": f"{platform.system()} {platform.machine()}",
+    }  # fmt: skip
+
+
+def read_golden(path: Path) -> Golden | None:
+    """Return the golden runs of a file, None if there is no file. Raises GoldenError if it is not valid."""
+    try:
+        data = read_size_limited(path, _MAX_FILE_BYTES)
+        if _FIRST_FORMAT_PATTERN.match(data):
+            raise GoldenError(f"`{path.name}` is of an antdsl that hashes states in another way, and cannot be compared")
+        return Golden.model_validate_json(data)
+    except FileNotFoundError:
+        return None
+    except FileTooLarge:
+        raise GoldenError(f"`{path.name}` is too large for a file of golden runs") from None
+    except OSError as problem:
+        raise GoldenError(f"`{path.name}` cannot be read: {(problem.strerror or str(problem)).lower()}") from None
+    except (ValidationError, RecursionError):
+        raise GoldenError(f"`{path.name}` is damaged, or of another version") from None
+
+
+def write_golden(path: Path, runs: Iterable[GoldenRun]) -> None:
+    """Write golden runs, one line per frame, so that a text comparison shows what changed."""
+    lines = [f'{{"golden": 2,\n"made": {json.dumps(describe_environment())},\n"runs": [']
+    ordered = sorted(runs, key=lambda run: (sorted(run.set.items()), run.seed))
+    for number, run in enumerate(ordered):
+        head = f'{{"set": {json.dumps(run.set, ensure_ascii=False)}, "seed": {run.seed},\n"summary": {{\n'
+        summary_lines = ",\n".join(f" {json.dumps(k)}: {json.dumps(v, ensure_ascii=False)}" for k, v in run.summary.items())
+        frames = ",\n".join(
+            json.dumps(frame.model_dump(exclude_defaults=True), ensure_ascii=False, separators=(",", ":")) for frame in run.frames
+        )
+        lines.append(f'{head}{summary_lines}}},\n"frames": [\n{frames}\n]}}{"," if number + 1 < len(ordered) else ""}')
+    write_atomically(path, ("\n".join(lines) + "\n]}\n").encode())
+
+
+class GoldenRecorder:
+    """Records a golden run from a run of about `frames` frames. It does not prolong the run."""
+
+    is_over = True
+
+    def __init__(self, run: SpecRun, result: GoldenResult, frame_count: int) -> None:
+        self.program, self.result = run.shot.program, result
+        self.every = max(1, -(-frame_count // MAX_RECORDED_FRAMES))
+        self.known: dict[str, ValueSums] = {}
+        self.frames: list[GoldenFrame] = []
+        self.golden_run: GoldenRun | None = None
+
+    def observe_frame(self, world: World) -> None:
+        """Record the hash of this frame and, at regular intervals, its fingerprints."""
+        frame = GoldenFrame(frame=world.frame, hash=state_hash(world))
+        if len(self.frames) % self.every == 0:
+            sums_by_key = _compute_column_sums(world, self.program)
+            frame.parts = {key: sums for key, sums in sums_by_key.items() if self.known.get(key) != sums}
+            frame.parts |= {key: ("", "", "") for key in self.known.keys() - sums_by_key.keys()}
+            frame.agents = _compute_agent_digests(world, self.program)
+            self.known = sums_by_key
+        self.frames.append(frame)
+
+    def end(self, world: World) -> None:
+        """Build the golden run from the recorded frames."""
+        self.result.frames = len(self.frames)
+        summary = {name: f"{len(population)} agents" for name, population in sorted(world.populations.items())}
+        column_summaries = {key: column.summarise(world) for key, column in build_columns(world, self.program).items()}
+        summary |= {key: words for key, words in column_summaries.items() if words}
+        self.golden_run = GoldenRun(set=dict(self.result.changes), seed=self.result.seed, summary=summary, frames=self.frames)
+
+
+class GoldenComparer:
+    """Compares a run with a golden one; `result` has the outcome."""
+
+    def __init__(self, run: SpecRun, result: GoldenResult, golden: GoldenRun, environment: Mapping[str, str]) -> None:
+        self.program, self.result, self.golden = run.shot.program, result, golden
+        self.environment_text = ", ".join(f"{name} {text}" for name, text in environment.items())
+        if dict(environment) == describe_environment():
+            self.environment_text = ""
+        self.known: dict[str, ValueSums] = {}
+        self.is_over = False
+
+    def observe_frame(self, world: World) -> None:
+        """Compare this frame with the golden one."""
+        if self.is_over:
+            return
+        golden_frame = self.golden.frames[self.result.frames]
+        if golden_frame.frame != world.frame:
+            self._record_difference(world.frame, f"the run begins at frame {world.frame}, it began at frame {golden_frame.frame}")
+            self.is_over = True
+            return
+        self.result.frames += 1
+        if golden_frame.parts or golden_frame.agents:
+            self.known = {key: sums for key, sums in {**self.known, **golden_frame.parts}.items() if any(sums)}
+        if self.result.frame is None and state_hash(world) != golden_frame.hash:
+            self._record_difference(world.frame, "")
+        if self.result.frame is not None and golden_frame.agents:
+            self.result.detail_frame = world.frame
+            self.result.differences = find_differences(world, self.program, self.known, golden_frame.agents)
+            self.is_over = True
+        elif self.result.frames == len(self.golden.frames):
+            self.is_over = True
+            if self.result.frame is None:
+                self.result.outcome = "same"
+            else:
+                self.result.message = "no later frame is stored in detail"
+
+    def end(self, world: World) -> None:
+        """Do nothing: the result is complete."""
+
+    def _record_difference(self, frame: int, words: str) -> None:
+        self.result.outcome, self.result.frame, self.result.message, self.result.origin = (
+            "differs",
+            frame,
+            words,
+            self.environment_text,
+        )
+
+
+def _compute_column_sums(world: World, program: Program) -> dict[str, ValueSums]:
+    sums_by_key = {}
+    for key, column in build_columns(world, program).items():
+        first, second = column.compute_sums()
+        sums_by_key[key] = (f"{first:x}", f"{second:x}", column.summarise(world))
+    return sums_by_key
+
+
+def _compute_agent_digests(world: World, program: Program) -> dict[str, str]:
+    return {name: digest_agents(world, population, program) for name, population in sorted(world.populations.items())}
