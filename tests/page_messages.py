@@ -37,7 +37,7 @@ def scene(**other: Any) -> dict[str, Any]:
         "written": "3 mm",
     }
     species = {
-        "name": "ant", "attributes": [{"name": "load", "unit": "mg"}], "feelers": [],
+        "name": "ant", "bodies": ["ant"], "attributes": [{"name": "load", "unit": "mg"}], "feelers": [],
         "machines": [{"name": "main", "states": ["walk", "rest"], "colours": [WALK, REST]}],
         "layers": [{"text": "wander()", "file": "ant.ant", "line": 6, "on": True}],
     }  # fmt: skip
