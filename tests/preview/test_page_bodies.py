@@ -331,7 +331,7 @@ def blended() -> Definition:
 
     shapes = [
         shape("base", 0, blend=BlendTargets(("puffed", "torn"), ("puff", "tear"))),
-        shape("puffed", 0.3), shape("torn", 0.3, between=InBetweens(("half",), (0.4,))), shape("half", 0.3),
+        shape("puffed", 0.3), shape("torn", 0.3, in_betweens=InBetweens(("half",), (0.4,))), shape("half", 0.3),
     ]  # fmt: skip
     values = random.uniform(0, 1, (9, 1)).astype(np.float32)
     return replace(
