@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from antdsl.ground.mesh.boxes import BoxTree, FaceList
+from antdsl.ground.protocol import Footing
 from antdsl.machine_code.kernels import BOOL, F64, I32, I64, Array1, Array2
 from antdsl.numerics.kernel_vectors import TriangleWeights
 
@@ -122,13 +123,18 @@ class PieceTables(NamedTuple):
 
 
 class FootingArrays(NamedTuple):
-    """Where agents stand: mesh, face, two weights, and the height over the face (mm)."""
+    """Where agents stand: mesh, face, two weights, and the height over the face (mm). The names are those of columns."""
 
     mesh: Array1[I32]
     face: Array1[I32]
     b1: Array1[F64]
     b2: Array1[F64]
     over: Array1[F64]
+
+
+def get_footing_arrays(footing: Footing) -> FootingArrays:
+    """Return the arrays of footings on meshes, as kernels read and write them."""
+    return FootingArrays._make(map(footing.columns.__getitem__, FootingArrays._fields))
 
 
 class PoseArrays(NamedTuple):

@@ -19,7 +19,7 @@ from antdsl.machine_code.kernels.types import BOOL, F64, I32, I64, U8, Array1, A
 from antdsl.numerics.kernel_vectors import TriangleWeights, Vec3, VectorColumns, dot, load_vector, minus, plus, times
 from antdsl.runtime.moving.body_paths import BodyShape
 from antdsl.runtime.moving.body_records import MAX_LIFT_PER_BODY, SHARP, BodyLimits, BodyPoses, BodyRegisters, scale_shape
-from antdsl.runtime.moving.tilting import read_vector
+from antdsl.runtime.moving.postures import read_vector
 from antdsl.runtime.moving.velocities import HURRYING_STATE, STANDING_STATE
 
 _F = np.float32

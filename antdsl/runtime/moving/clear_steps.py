@@ -7,14 +7,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import partial
-from operator import itemgetter
 
 import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.ground.mesh.surface import MeshGround
 from antdsl.ground.mesh.walk_events import CrowdWalk
-from antdsl.ground.mesh.walkers import FootingArrays, SurfaceTables
+from antdsl.ground.mesh.walkers import SurfaceTables, get_footing_arrays
 from antdsl.ground.protocol import Footing
 from antdsl.numerics import parallel
 from antdsl.numerics import vectors as vec
@@ -34,10 +33,11 @@ from antdsl.runtime.moving.body_records import (
 )
 from antdsl.runtime.moving.capsules import find_capsule
 from antdsl.runtime.moving.clearance import aim_bodies, limit_steps, shift_bodies
+from antdsl.runtime.moving.postures import has_posture
+from antdsl.runtime.moving.slopes import has_slope_limit
 from antdsl.runtime.world import AXES, Population, World
 
 _F = np.float32
-_FACE_COLUMNS = itemgetter("mesh", "face", "b1", "b2", "over")
 _MAX_DEPTH = _F(0.008)  # of a body: how deep it may be inside a surface without an effect
 _YIELD_DEPTH = _F(0.003)  # of a body: how much deeper a body may be after each step in which it could neither walk nor turn
 _STRANDED_DEPTH = _F(0.08)  # of a body: one that is so deep inside moves freely
@@ -54,8 +54,8 @@ Rows = NDArray[np.int64]
 def has_clearance(world: World, population: Population) -> bool:
     """Return whether the bodies of a species stay outside their ground. The ground must consist of meshes, and the bodies must
     follow it: those with a posture or a slope limit of their own do not."""
-    plan = population.plan
-    return plan.clears_body and not {"upright", "max_slope"} & {*plan.settings} and isinstance(world.ground, MeshGround)
+    follows_ground = not has_posture(population) and not has_slope_limit(population)
+    return population.plan.clears_body and follows_ground and isinstance(world.ground, MeshGround)
 
 
 @dataclass(slots=True)
@@ -108,7 +108,7 @@ class ClearStep:
         if len(self.rows):
             p = self.population
             up = vec.get_vector_registers(p.now, "up")
-            at = FootingArrays._make(_FACE_COLUMNS(p.footing.columns))
+            at = get_footing_arrays(p.footing)
             inputs = (at, BodyRows(self.rows, self.levels), up, p.normal, step, velocity, self.limits, _retained_registers(p))
             self._run(partial(limit_steps, self._surface, self._search(len(self.rows)), *inputs), len(self.rows))
 
@@ -117,7 +117,7 @@ class ClearStep:
         p, now, n = self.population, self.population.now, len(self.population)
         self.previous = previous
         (rows,), (levels,) = p.get_buffers("uneven", 1, (n,), np.int64), p.get_buffers("bends of rows", 1, (n,), np.uint8)
-        feet = FootingArrays._make(_FACE_COLUMNS(p.footing.columns))
+        feet = get_footing_arrays(p.footing)
         poses = BodyPoses(vec.get_vector_registers(now, "up"), vec.get_vector_registers(now, "heading"))
         inputs = (feet, self.has_bend, self.state, self.all_levels, poses, self.limits, _retained_registers(p), rows, levels)
         parts = parallel.run_in_parts(partial(lift_bodies, self._surface, *inputs), n, self.threads)
@@ -236,7 +236,7 @@ class ClearStep:
 
     def _aim(self, rows: Rows, levels: NDArray[np.uint8], previous: BodyPoses) -> None:
         p, now = self.population, self.population.now
-        at = FootingArrays._make(_FACE_COLUMNS(p.footing.columns))
+        at = get_footing_arrays(p.footing)
         poses = BodyPoses(vec.get_vector_registers(now, "up"), vec.get_vector_registers(now, "heading"))
         inputs = (at, BodyRows(rows, levels), previous, poses, self.limits, _retained_registers(p))
         self._run(partial(aim_bodies, self._surface, self._search(len(rows)), *inputs), len(rows))

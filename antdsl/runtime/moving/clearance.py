@@ -51,7 +51,7 @@ from antdsl.runtime.moving.body_records import (
     FaceSearch,
     scale_shape,
 )
-from antdsl.runtime.moving.tilting import perpendicular, read_vector, turn_axis, turn_heading
+from antdsl.runtime.moving.postures import perpendicular, read_vector, tilt_within, turn_axis, turn_heading, turn_within
 
 _F = np.float32
 WINDOW_PER_BODY = 1.0  # of a body: length of the path ahead of the feet, and of that behind them
@@ -223,7 +223,7 @@ def aim_bodies(
             own = load_vector(table, row + NORMAL_OFFSET)
             side = -1.0 if dot(own, normal) < 0 else 1.0
             own, weights, window = times(own, side), (feet.b1[i], feet.b2[i]), WINDOW_PER_BODY * size
-            travel = _turn_within(turn_heading(look, stands, own), perpendicular(heading, own), own, turn)
+            travel = turn_within(turn_heading(look, stands, own), perpendicular(heading, own), own, turn)
             c, s = dot(load_vector(table, row + AXIS1_OFFSET), travel), dot(load_vector(table, row + AXIS2_OFFSET), travel)
             place = position_on_face(table, row, weights, side)
             count = 0
@@ -247,16 +247,9 @@ def aim_bodies(
                 target_up = _approach_normal(target_up, n, max(_MAX_LEAN + extra, half), travel)
             target_up = _approach_normal(target_up, normal, lean, travel)
             target_heading = turn_heading(target_heading, mean, target_up)
-        axis, cosine, sine = turn_axis(stands, target_up, look)
-        full_tilt = atan2(_F(sine), _F(cosine))
-        tilt, c, s, up = full_tilt, cosine, sine, target_up
-        if not full_tilt <= limits.most[i]:
-            c32, s32 = compute_cos_and_sin(limits.most[i])
-            tilt, c, s = limits.most[i], np.float64(c32), np.float64(s32)
-            up = normalise_vector(rotate_about_axis(stands, axis, c, s))
-        turned = perpendicular(rotate_about_axis(look, axis, c, s), up)
+        up, turned, (tilt, full_tilt) = tilt_within(stands, look, target_up, limits.most[i])
         yaw = np.sqrt(max(turn * turn - np.float64(tilt) * np.float64(tilt), 0.0)) if limited else 4.0
-        facing = _turn_within(turned, turn_heading(target_heading, target_up, up), up, yaw)
+        facing = turn_within(turned, turn_heading(target_heading, target_up, up), up, yaw)
         rise = 0.0
         if ahead_count > 0:
             shape = scale_shape(limits.shape, size)
@@ -272,17 +265,6 @@ def aim_bodies(
         for k in range(3):
             now.up[k][i], now.heading[k][i] = _F(up[k]), _F(facing[k])
             retained.lift[k][i] = _F(lift[k])
-
-
-@kernel_helper
-def _turn_within(heading: Vec3, goal: Vec3, up: Vec3, most: F64) -> Vec3:
-    """Return the heading turned towards a goal by at most `most` radians. Both are perpendicular to `up`."""
-    left = cross(up, heading)
-    yaw, most_yaw, result = atan2(_F(dot(left, goal)), _F(dot(heading, goal))), _F(most), goal
-    if not abs(yaw) <= most_yaw:
-        c, s = compute_cos_and_sin(most_yaw if yaw > 0 else -most_yaw)
-        result = normalise_vector(plus(times(heading, np.float64(c)), times(left, np.float64(s))))
-    return result
 
 
 @kernel

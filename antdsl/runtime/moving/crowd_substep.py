@@ -15,7 +15,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import partial
 from math import inf, nan
-from operator import itemgetter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +22,7 @@ from numpy.typing import NDArray
 from antdsl.ground.mesh import walk as loop
 from antdsl.ground.mesh.surface import MeshGround
 from antdsl.ground.mesh.walk_events import CrowdWalk, WaitingAgents
-from antdsl.ground.mesh.walkers import FootingArrays, PoseArrays
+from antdsl.ground.mesh.walkers import PoseArrays, get_footing_arrays
 from antdsl.ground.plane import PlaneGround
 from antdsl.ground.protocol import Footing, Ground, GroundMove
 from antdsl.numerics import parallel
@@ -62,7 +61,6 @@ from antdsl.runtime.world import Population, World
 
 MIN_SPEED_REGISTER = "min_speed"  # a register of those species alone that ask for it
 _F = np.float32
-_FACE_COLUMNS = itemgetter("mesh", "face", "b1", "b2", "over")  # columns of footings, as kernels read them
 _ARRIVALS_PER_THREAD = 64  # agents with separate arrival from which a thread pays off
 
 
@@ -267,7 +265,7 @@ class _CrowdSubstep:
             return False
         tables = walk.build_tables()
         to = Footing.from_faces(np.empty(n, np.int32), np.empty(n, np.int32), *np.empty((3, n)))
-        at, placed = FootingArrays._make(_FACE_COLUMNS(p.footing.columns)), FootingArrays._make(_FACE_COLUMNS(to.columns))
+        at, placed = get_footing_arrays(p.footing), get_footing_arrays(to)
         place = np.empty((3, n))
         (how,) = p.get_buffers("how", 1, (n,), np.uint8)
         (reals,), (wholes,) = (
@@ -298,7 +296,7 @@ class _CrowdSubstep:
         p, n = self.population, len(self.population)
         above, ahead, direction = p.get_buffers("walked", 3, (3, n), np.float64)
         (distance,), (blocked,) = p.get_buffers("gone", 1, (n,), np.float64), p.get_buffers("blocked", 1, (n,), np.bool_)
-        placed, moved = FootingArrays._make(_FACE_COLUMNS(to.columns)), PoseArrays(place, above, ahead, direction, distance)
+        placed, moved = get_footing_arrays(to), PoseArrays(place, above, ahead, direction, distance)
         rows = walk.continue_waiting(pending, statuses, placed, moved, blocked, self.threads)
         if pending.left_out_count:
             others = np.flatnonzero(statuses != loop.FINISHED_STATUS)

@@ -46,7 +46,7 @@ class PathArrays(NamedTuple):
 
 
 class PathSearch(NamedTuple):
-    """A search for pairs as `touching.Search`: arguments of a kernel that visits pairs."""
+    """A search for pairs as `touching.PairSearch`: arguments of a kernel that visits pairs."""
 
     asking: Agents
     agents: Agents

@@ -1,4 +1,4 @@
-"""How bodies stand: between the normal of their ground and the up of the world.
+"""How bodies stand and turn: between the normal of their ground and the up of the world.
 
 A species with `upright` has the register. 0 stands along the normal of the ground, 1 along the up of the world, and bodies in
 between turn by that share of the angle."""
@@ -9,14 +9,28 @@ from typing import NamedTuple
 
 import numpy as np
 
-from antdsl.machine_code.kernels import BOOL, F32, F64, I64, Array1, kernel_helper
+from antdsl.machine_code.kernels import BOOL, F32, F64, I64, Array1, inlined, kernel_helper
 from antdsl.numerics.elementary_loops import atan2, compute_cos_and_sin
-from antdsl.numerics.kernel_vectors import Vec3, cross, divide_vector, dot, normalise_vector, rotate_about_axis
+from antdsl.numerics.kernel_vectors import (
+    Vec3,
+    VectorColumns,
+    cross,
+    divide_vector,
+    dot,
+    minus,
+    normalise_vector,
+    plus,
+    rotate_about_axis,
+    times,
+)  # fmt: skip
 from antdsl.runtime.world import Population, World
 
 UPRIGHT_REGISTER = "upright"  # of species that set it, by `SpeciesPlan.settings`: others may have an attribute of that name
 
 _F = np.float32
+# Sine of an angle near half a turn, below which its axis is drowned in rounding: it goes over the head then
+_FLIP_SINE = 0.05
+_STEEP_COSINE = 0.9  # as `vectors.across`
 _OPPOSITE_SINE = 1e-6  # sine of an angle near half a turn, which has no axis: such bodies stay as they are
 
 
@@ -29,9 +43,14 @@ class Posture(NamedTuple):
     world_up: Array1[F64]
 
 
+def has_posture(population: Population) -> bool:
+    """Return whether a species says how its bodies stand."""
+    return UPRIGHT_REGISTER in population.plan.settings
+
+
 def posture_of(world: World, population: Population) -> Posture:
     """Return the posture of a population."""
-    is_set = UPRIGHT_REGISTER in population.plan.settings
+    is_set = has_posture(population)
     upright = population.now[UPRIGHT_REGISTER if is_set else "size"]
     return Posture(is_set, upright, np.asarray(world.up, np.float64))
 
@@ -51,3 +70,66 @@ def stand_up(up: Vec3, posture: Posture, i: I64) -> Vec3:
         return up
     c, s = compute_cos_and_sin(atan2(_F(sine), _F(cosine)) * share)
     return normalise_vector(rotate_about_axis(up, divide_vector(axis, max(sine, 1e-300)), np.float64(c), np.float64(s)))
+
+
+@inlined
+def read_vector(vectors: VectorColumns, i: I64) -> Vec3:
+    """Return vector i of vectors (3, n), in float64."""
+    return np.float64(vectors[0][i]), np.float64(vectors[1][i]), np.float64(vectors[2][i])
+
+
+@inlined
+def perpendicular(v: Vec3, up: Vec3) -> Vec3:
+    """Return the unit vector perpendicular to `up` that is nearest to v; an arbitrary one if v has no direction."""
+    flat = minus(v, times(up, dot(v, up)))
+    size = np.sqrt(dot(flat, flat))
+    if size > 1e-6:
+        return divide_vector(flat, size)
+    axis = (0.0, 1.0, 0.0) if abs(up[0]) > _STEEP_COSINE else (1.0, 0.0, 0.0)
+    side = minus(axis, times(up, dot(axis, up)))
+    return times(side, 1 / np.sqrt(dot(side, side)))
+
+
+@kernel_helper
+def turn_axis(one: Vec3, other: Vec3, ahead: Vec3) -> tuple[Vec3, F64, F64]:
+    """Return the axis of the least rotation from one unit vector to another, and the cosine and sine of its angle.
+
+    Near half a turn, where the axis is undefined, the rotation passes through `ahead`."""
+    axis, cosine = cross(one, other), min(max(dot(one, other), -1.0), 1.0)
+    sine = np.sqrt(dot(axis, axis))
+    if sine > _FLIP_SINE or cosine > 0:
+        return divide_vector(axis, max(sine, 1e-300)), cosine, sine
+    return normalise_vector(cross(one, ahead)), cosine, sine
+
+
+@kernel_helper
+def turn_heading(heading: Vec3, one: Vec3, other: Vec3) -> Vec3:
+    """Return a heading after the rotation that turns the normal `one` into the normal `other`, perpendicular to the latter."""
+    axis, cosine, sine = turn_axis(one, other, heading)
+    return perpendicular(rotate_about_axis(heading, axis, cosine, sine), other)
+
+
+@kernel_helper
+def tilt_within(stands: Vec3, look: Vec3, goal: Vec3, most: F32) -> tuple[Vec3, Vec3, tuple[F32, F32]]:
+    """Return the up `stands` turned towards a goal by at most `most` radians, and the heading `look` turned with it.
+
+    Also returns the angle of this turn and that of a full one (radians)."""
+    axis, cosine, sine = turn_axis(stands, goal, look)
+    full_tilt = atan2(_F(sine), _F(cosine))
+    tilt, c, s, up = full_tilt, cosine, sine, goal
+    if not full_tilt <= most:
+        c32, s32 = compute_cos_and_sin(most)
+        tilt, c, s = most, np.float64(c32), np.float64(s32)
+        up = normalise_vector(rotate_about_axis(stands, axis, c, s))
+    return up, perpendicular(rotate_about_axis(look, axis, c, s), up), (tilt, full_tilt)
+
+
+@kernel_helper
+def turn_within(heading: Vec3, goal: Vec3, up: Vec3, most: F64) -> Vec3:
+    """Return the heading turned towards a goal by at most `most` radians. Both are perpendicular to `up`."""
+    left = cross(up, heading)
+    yaw, most_yaw, result = atan2(_F(dot(left, goal)), _F(dot(heading, goal))), _F(most), goal
+    if not abs(yaw) <= most_yaw:
+        c, s = compute_cos_and_sin(most_yaw if yaw > 0 else -most_yaw)
+        result = normalise_vector(plus(times(heading, np.float64(c)), times(left, np.float64(s))))
+    return result

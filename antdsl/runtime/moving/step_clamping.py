@@ -62,6 +62,13 @@ def negate(v: Vec3) -> Vec3:
     return -v[0], -v[1], -v[2]
 
 
+@inlined
+def compute_heavier_share(mass: Array1[F64], own: I64, other: I64) -> F64:
+    """Return by how much the first of two rows is heavier: 0 for equal masses or a lighter row, almost 1 for a very heavy
+    one."""
+    return 1 - min(2 * mass[other] / (mass[own] + mass[other]), 1.0)
+
+
 class ClampBuffers(NamedTuple):
     """Work buffers. `free_gaps` is (2, m), `sums` (3, k); `step_share`, `contact_counts` and `deflected_rows` are (k), `pairs` is
     (m)."""
@@ -86,7 +93,7 @@ def bend_along(
     stopped: Array1[I64],
     changed: Array1[BOOL],
 ) -> I64:
-    """Deflect and cut steps along the limits in `buffers.free`. Return the number of stopped rows.
+    """Deflect and cut steps along the limits in `buffers.free_gaps`. Return the number of stopped rows.
 
     `buffers.pairs` flags the pairs with a step beyond a limit.
     `cut` (3, k): receives the corrections (mm). `changed`: receives flags of changed rows.
@@ -172,8 +179,7 @@ def _deflect_steps(
             own, other = (j[pair], i[pair]) if side else (i[pair], j[pair])
             towards = -dot(pair_direction, get_column(walked, own))
             far = max(gap[pair], 0.0) * 0.5 + max(-dot(pair_direction, get_column(approach, other)), 0.0)
-            heavier = 1 - min(2 * mass[other] / (mass[own] + mass[other]), 1.0)
-            far += heavier * max(towards - far, 0.0)
+            far += compute_heavier_share(mass, own, other) * max(towards - far, 0.0)
             free[side, pair] = far
             over = 1 if towards - far > 0 else over
             pair_direction = negate(pair_direction)

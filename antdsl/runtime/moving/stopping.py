@@ -2,22 +2,15 @@
 
 from __future__ import annotations
 
-from antdsl.machine_code.kernels import inlined, kernel, simd_range
+from antdsl.machine_code.kernels import kernel, simd_range
 from antdsl.machine_code.kernels.types import BOOL, F64, I64, Array1, Array2
 from antdsl.numerics.kernel_vectors import dot, get_column, minus, store_column, times
 from antdsl.numerics.sorting import compact_indices
 from antdsl.runtime.moving.impacts import NEVER, PathArrays, PathPairs, find_impact
-from antdsl.runtime.moving.step_clamping import ClampBuffers, bend_along, negate
+from antdsl.runtime.moving.step_clamping import ClampBuffers, bend_along, compute_heavier_share, negate
 
 _STOP_OVERLAP_SHARE = 2e-3  # of the radii: an overlap up to which bodies slide along each other
 _PRESSING_SHARE = 0.5  # of the radii: how far a heavy body enters a light one, which is then pushed
-
-
-@inlined
-def _heavier_share(paths: PathArrays, own: I64, other: I64) -> F64:
-    """Return by how much the first of two rows is heavier: 0 for equal masses or a lighter row, almost 1 for a very heavy
-    one."""
-    return 1 - min(2 * paths.mass[other] / (paths.mass[own] + paths.mass[other]), 1.0)
 
 
 @kernel
@@ -35,7 +28,7 @@ def bend_paths(
     rows.
 
     `approach` (3, n) mm: displacements in the previous period of equal length. A body follows another one that withdraws.
-    The other arguments are as in `cutting.bend_along`."""
+    The other arguments are as in `step_clamping.bend_along`."""
     for pair in simd_range(0, pairs.i.size):
         direction, over = get_column(pairs.direction, pair), 0
         for side in range(2):
@@ -43,7 +36,7 @@ def bend_paths(
             towards, time = -dot(direction, get_column(paths.displacement, own)), pairs.time[pair]
             far = max(towards, 0.0) * time + max(-dot(direction, get_column(approach, other)), 0.0) * (1 - time)
             pressed = (paths.radius[own] + paths.radius[other]) * _PRESSING_SHARE
-            far += _heavier_share(paths, own, other) * min(max(towards - far, 0.0), pressed)
+            far += compute_heavier_share(paths.mass, own, other) * min(max(towards - far, 0.0), pressed)
             buffers.free_gaps[side, pair] = far
             over = 1 if towards - far > 0 else over
             direction = negate(direction)
@@ -63,7 +56,7 @@ def find_next_impacts(
         p, q = pairs.i[pair], pairs.j[pair]
         if (latest[p] | latest[q]) & (touched[p] | touched[q]):
             moves = minus(get_column(paths.displacement, p), get_column(paths.displacement, q))
-            heavier = max(_heavier_share(paths, p, q), _heavier_share(paths, q, p))
+            heavier = max(compute_heavier_share(paths.mass, p, q), compute_heavier_share(paths.mass, q, p))
             share = 1 - _STOP_OVERLAP_SHARE - _PRESSING_SHARE * heavier
             pairs.time[pair], direction = find_impact(paths, p, q, moves, share)
             store_column(pairs.direction, pair, direction)

@@ -26,14 +26,20 @@ from antdsl.numerics.kernel_vectors import (
     dot,
     get_column64,
     get_row64,
-    minus,
-    normalise_vector,
     plus,
-    rotate_about_axis,
     times,
 )  # fmt: skip
 from antdsl.numerics.vectors import VectorArrays
-from antdsl.runtime.moving.postures import Posture, posture_of, stand_up
+from antdsl.runtime.moving.postures import (
+    Posture,
+    perpendicular,
+    posture_of,
+    read_vector,
+    stand_up,
+    tilt_within,
+    turn_heading,
+    turn_within,
+)
 from antdsl.runtime.moving.velocities import LEANING_STATE, STANDING_STATE, maximum
 from antdsl.runtime.moving.walls_ahead import find_walls, write_wall_reach
 from antdsl.runtime.world import Population, World
@@ -44,9 +50,6 @@ WallArrays = tuple[Strided2[F64], Strided2[F64], Array1[F64], Array1[F64], Array
 _F = np.float32
 _FLOAT32_ZERO, _FLOAT32_ONE, _FLOAT32_PI, _RIGHT_ANGLE = _F(0), _F(1), _F(np.pi), _F(np.pi / 2)
 _MIN_TILT_RATE = _F(np.pi / 4)  # rad/s that a body tilts at least: one that turns slower still comes round an edge
-# Sine of an angle near half a turn, below which its axis is drowned in rounding: it goes over the head then
-_OPPOSITE_SINE = 0.05
-_STEEP_COSINE = 0.9  # as `vectors.across`
 _WAITING_VELOCITY_SHARE = _F(0.05)  # of a velocity: retained by an agent that waits for its body
 
 
@@ -88,46 +91,9 @@ def _pose_registers(values: dict[str, NDArray[Any]]) -> tuple[VectorArrays, Vect
 
 
 @inlined
-def read_vector(vectors: VectorColumns, i: I64) -> Vec3:
-    """Return vector i of vectors (3, n), in float64."""
-    return np.float64(vectors[0][i]), np.float64(vectors[1][i]), np.float64(vectors[2][i])
-
-
-@inlined
-def perpendicular(v: Vec3, up: Vec3) -> Vec3:
-    """Return the unit vector perpendicular to `up` that is nearest to v; an arbitrary one if v has no direction."""
-    flat = minus(v, times(up, dot(v, up)))
-    size = np.sqrt(dot(flat, flat))
-    if size > 1e-6:
-        return divide_vector(flat, size)
-    axis = (0.0, 1.0, 0.0) if abs(up[0]) > _STEEP_COSINE else (1.0, 0.0, 0.0)
-    side = minus(axis, times(up, dot(axis, up)))
-    return times(side, 1 / np.sqrt(dot(side, side)))
-
-
-@inlined
 def _is_leaning(up: VectorColumns, normal: Array2[F32], i: I64) -> BOOL:
     x, y, z = load3(normal, i)
     return up[0][i] != x or up[1][i] != y or up[2][i] != z
-
-
-@kernel_helper
-def turn_axis(one: Vec3, other: Vec3, ahead: Vec3) -> tuple[Vec3, F64, F64]:
-    """Return the axis of the least rotation from one unit vector to another, and the cosine and sine of its angle.
-
-    Near half a turn, where the axis is undefined, the rotation passes through `ahead`."""
-    axis, cosine = cross(one, other), min(max(dot(one, other), -1.0), 1.0)
-    sine = np.sqrt(dot(axis, axis))
-    if sine > _OPPOSITE_SINE or cosine > 0:
-        return divide_vector(axis, max(sine, 1e-300)), cosine, sine
-    return normalise_vector(cross(one, ahead)), cosine, sine
-
-
-@kernel_helper
-def turn_heading(heading: Vec3, one: Vec3, other: Vec3) -> Vec3:
-    """Return a heading after the rotation that turns the normal `one` into the normal `other`, perpendicular to the latter."""
-    axis, cosine, sine = turn_axis(one, other, heading)
-    return perpendicular(rotate_about_axis(heading, axis, cosine, sine), other)
 
 
 @inlined
@@ -368,27 +334,13 @@ def follow_ground(
             target_up = _tilt_up(normal, get_column64(wall, j), get_column64(ahead, j), angle[j], far[j], over[j], displacement)
         if posture.is_set:
             target_up = stand_up(target_up, posture, i)
-        axis, cosine, sine = turn_axis(stands, target_up, look)
-        full_tilt = atan2(_F(sine), _F(cosine))
-        if full_tilt <= most[i]:
-            tilt, c, s, up = full_tilt, cosine, sine, target_up
-        else:
-            part = compute_cos_and_sin(most[i])
-            tilt, c, s = most[i], np.float64(part[0]), np.float64(part[1])
-            up = normalise_vector(rotate_about_axis(stands, axis, c, s))
-        one = perpendicular(rotate_about_axis(look, axis, c, s), up)
+        up, one, (tilt, _) = tilt_within(stands, look, target_up, most[i])
         other = turn_heading(turn_heading(looking, normal, target_up), target_up, up)
         yaw_limit = 4.0
         if np.isfinite(max_turn[i]):
             turn = np.float64(max(max_turn[i], _F(0)) * dt)
             yaw_limit = np.sqrt(max(turn * turn - np.float64(tilt) * np.float64(tilt), 0.0))
-        most_yaw = _F(min(yaw_limit, 4.0))
-        left = cross(up, one)
-        yaw = atan2(_F(dot(left, other)), _F(dot(one, other)))
-        facing = other
-        if not abs(yaw) <= most_yaw:
-            c32, s32 = compute_cos_and_sin(most_yaw if yaw > 0 else -most_yaw)
-            facing = normalise_vector(plus(times(one, np.float64(c32)), times(left, np.float64(s32))))
+        facing = turn_within(one, other, up, min(yaw_limit, 4.0))
         if j >= 0:
             w, a = get_column64(wall, j), get_column64(ahead, j)
             middle = plus(times(up, 2 * raised * half[j]), times(a, _measure_approach(displacement, w, a) - far[j]))
