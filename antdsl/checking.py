@@ -8,9 +8,10 @@ import os
 import signal
 import sys
 import traceback
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 from antdsl import syntax
@@ -110,8 +111,9 @@ def _check_in_processes(
     os.close(theirs)
     children: list[tuple[int, int]] = []
     try:
+        check = partial(_check_in_child, groups, mine, choices, strict, parsed, result.cpu_seconds)
         for _ in range(min(cores, len(groups)) - 1):
-            children.append(_start_child(groups, mine, choices, strict, parsed, result.cpu_seconds))
+            children.append(_start_child(check))
         _check_claimed_groups(groups, mine, choices, strict, parsed, result)
         while children:
             result.merge(_collect_child_result(*children.pop(0)))
@@ -208,22 +210,16 @@ def _can_fork() -> bool:
     return sys.platform == "linux" and "open3d" not in sys.modules
 
 
-def _start_child(
-    groups: Sequence[list[Path]],
-    claim_pipe: int,
-    choices: RunChoices,
-    strict: bool,
-    parsed: SharedParsedFiles,
-    cpu_seconds: float,
-) -> tuple[int, int]:
-    """Start a child process that checks groups of files. Return its process id, and the handle of the pipe with its result."""
+def _start_child(check: Callable[[int], None]) -> tuple[int, int]:
+    """Start a child process that checks files and writes its result to the pipe that `check` gets. Return its process id, and the
+    handle of that pipe."""
     ours, theirs = os.pipe()
     process = os.fork()
     if process == 0:
         code = 1
         try:
             os.close(ours)
-            _check_in_child(theirs, groups, claim_pipe, choices, strict, parsed, cpu_seconds)
+            check(theirs)
             code = 0
             if "antdsl.reader.client" in sys.modules:
                 from antdsl.reader.client import end_reader
@@ -236,13 +232,13 @@ def _start_child(
 
 
 def _check_in_child(
-    result_pipe: int,
     groups: Sequence[list[Path]],
     claim_pipe: int,
     choices: RunChoices,
     strict: bool,
     parsed: SharedParsedFiles,
     cpu_seconds: float,
+    result_pipe: int,
 ) -> None:
     """Check groups in a child process, and write the encoded reports to `result_pipe`."""
     results = CheckResult(cpu_seconds=cpu_seconds)
