@@ -5,6 +5,7 @@ most agents."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -48,7 +49,7 @@ def list_query_rows(queries: Sequence[FeelerQuery]) -> list[tuple[int, NDArray[n
     return [(number, np.flatnonzero(asking)) for number, (asking, *_) in enumerate(queries)]
 
 
-class ProximityQueries:
+class ProximityQueries(ABC):
     """Queries about triangles near positions. `casting.rays` implements the basic queries that they use."""
 
     origin: Vectors
@@ -60,29 +61,29 @@ class ProximityQueries:
     _grid: DistanceGrid | None
     _has_refined_grid: bool
 
+    @abstractmethod
     def find_closest(
         self, points: Vectors, threads: int = 1, max_distance: NDArray[Any] | float = np.inf
     ) -> tuple[NDArray[np.int32], NDArray[np.int32], Vectors, Vectors]:
         """Return mesh, face, position and distance of the nearest face to each point."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _find_hits_within(
         self, origin: Vectors, displacement: Vectors, threads: int, most_hit: bool = False
     ) -> tuple[Index, Vectors, Index]:
         """Return the rays that hit within one `displacement`, ascending, with ray parameter and face."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _get_facing_normals(self, face: Index, direction: NDArray[Any]) -> NDArray[np.float32]:
         """Return the normals of faces, on the sides that rays with these directions hit."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _get_triangle_grid(self) -> TriangleGrid | None:
         """Return the grid for short rays and near faces; None if there is none."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _bound_distances(self, points: Vectors) -> Vectors:
         """Return the approximate distances [n] (mm) to the nearest face."""
-        raise NotImplementedError
 
     def measure_clearance(self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], threads: int = 1) -> NDArray[np.float32]:
         """Return a distance (mm, float32[n]) within which positions have no face; 0 when near, inf without faces."""

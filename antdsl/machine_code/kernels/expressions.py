@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import builtins
+from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import pairwise
@@ -28,24 +29,24 @@ from antdsl.machine_code.kernels.values import Array, KernelItem, Number, flatte
 _COMPARISON_WORDS = {ast.Lt: "lt", ast.LtE: "le", ast.Gt: "gt", ast.GtE: "ge", ast.Eq: "eq", ast.NotEq: "ne"}
 
 
-class ExpressionEmitter(ElementAccess):
+class ExpressionEmitter(ElementAccess, ABC):
     """Writer of Python expressions. `variables` has the value of each local name, `module_names` the names of the function's
     module."""
 
     module_names: dict[str, Any]
     unit: KernelUnit
 
+    @abstractmethod
     def lookup_name(self, name: str) -> Any:
         """Return the item of a name, without loading the variables in it."""
-        raise NotImplementedError
 
+    @abstractmethod
     def load_variables(self, item: Any) -> KernelItem:
         """Return an item of `lookup_name` with the values of its variables loaded."""
-        raise NotImplementedError
 
+    @abstractmethod
     def call_function(self, node: ast.Call, function: Any, inputs: list[KernelItem]) -> KernelItem:
         """Write the call of a kernel function, and return its result."""
-        raise NotImplementedError
 
     def emit_number(self, node: ast.expr) -> Number:
         """Write an expression, and return its number. Raises NotInSubset for another item."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+from abc import abstractmethod
 from collections import Counter
 from collections.abc import Callable
 from functools import lru_cache
@@ -253,7 +254,7 @@ class StatementWriter(ExpressionEmitter):
         if isinstance(iterable, ast.Call):
             known, numbers = self.resolve_name(iterable, iterable.func), [self.emit_number(each) for each in iterable.args]
             if known not in (range, simd_range) or not isinstance(target, ast.Name):
-                self.fail(node, "`for` goes over `range`, `independent` or a tuple")
+                self.fail(node, "`for` goes over `range`, `simd_range` or a tuple")
             step = int(numbers[2].known or 0) if len(numbers) == 3 else 1
             if step == 0:
                 self.fail(node, "a step is a number of the text, and not 0")
@@ -273,7 +274,7 @@ class StatementWriter(ExpressionEmitter):
             self.write_unrolled_loop(node, target, list(items), body)
             return
         if not isinstance(items, Array) or len(items.lengths) != 1:
-            self.fail(node, "`for` goes over `range`, `independent`, a tuple or an array with one axis")
+            self.fail(node, "`for` goes over `range`, `simd_range`, a tuple or an array with one axis")
         at = f"~{self.make_label('at')}"
 
         def turn() -> None:
@@ -288,9 +289,9 @@ class StatementWriter(ExpressionEmitter):
         """Write a loop over numbers. `write` writes an iteration; None means that an iteration is just `body`."""
         self._write_counted_loop(name, begin, end, step, write or (lambda: self.write_block(body)))
 
+    @abstractmethod
     def write_simd_loop(self, name: str, begin: Number, end: Number, body: list[ast.stmt]) -> None:
         """Write a loop in which several iterations can run at once."""
-        raise NotImplementedError
 
     def write_unrolled_loop(self, node: ast.AST, target: ast.expr, items: list[KernelItem], body: list[ast.stmt]) -> None:
         """Write the body once for each item."""

@@ -78,7 +78,7 @@ class AddressTables:
                 self._number_entries.append((_NUMBER_GETTERS[str(key[0])], str(key[1]) if len(key) > 1 else "", place))
         self._run_entries = [each for each in nodes if each[0].rate <= ir.UpdateRate.RUN]
         self._step_entries = [each for each in nodes if each[0].rate > ir.UpdateRate.RUN]
-        self._written_values: Any = None  # the values from which the entries in `_lasting` were written
+        self._written_values: Any = None  # the values from which the `_run_entries` were written
         self._written_seed: int | None = None  # the seed for which words of draws were written
         self._written_numbers: list[int | float | None] = [None] * len(self._number_entries)
         pointers = list(code.layout.pointer_indices.items())
