@@ -25,7 +25,7 @@ def estimate_work(shot: Shot) -> list[WorkEstimate]:
     from antdsl.plan.registers import count_bytes_by_purpose
     from antdsl.program.model import Constant
     from antdsl.runtime.binding.work_estimates import estimate_world_work
-    from antdsl.scene.scene_checks import convert_constant
+    from antdsl.scene.entry_checks import convert_constant
 
     sizes = {name: sum(count_bytes_by_purpose(species).values()) for name, species in shot.plan.species.items()}
     fields = {

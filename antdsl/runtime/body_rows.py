@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.runtime.world import Population
-from antdsl.scene.body_choice import body_keys, body_numbers
+from antdsl.scene.body_choice import body_numbers
 from antdsl.scene.setting import WorldSetting
 
 
@@ -20,8 +20,8 @@ def numbers_by_row(population: Population, setting: WorldSetting) -> NDArray[np.
 
 def rows_by_body(population: Population, setting: WorldSetting) -> tuple[tuple[str, NDArray[np.intp] | None], ...]:
     """Return the key of each body of a species and the rows of its agents, ascending. A single body has None: all rows."""
-    count = len(setting.body_weights.get(population.name, ()))
-    if count < 2:
+    keys = setting.list_body_keys(population.name)
+    if len(keys) < 2:
         return ((population.name, None),)
     numbers = numbers_by_row(population, setting)
-    return tuple((key, np.flatnonzero(numbers == k)) for k, key in enumerate(body_keys(population.name, count)))
+    return tuple((key, np.flatnonzero(numbers == k)) for k, key in enumerate(keys))

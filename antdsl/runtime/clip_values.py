@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from antdsl.runtime.body_rows import numbers_by_row
 from antdsl.runtime.world import Population, World
-from antdsl.scene.body_choice import body_keys
 from antdsl.scene.setting import ClipData
 
 _UNKNOWN_CLIP = ClipData()
@@ -21,7 +20,7 @@ def clip_table(world: World, population: Population, property_name: str) -> NDAr
 
     `property_name`: the property `seconds`, `stride`, `loop` or `mark NAME`."""
     every = []
-    for key in body_keys(population.name, len(world.setting.body_weights.get(population.name, ()))):
+    for key in world.setting.list_body_keys(population.name):
         known = world.setting.clips.get(key, {})
         every += [*(known.get(each.name, _UNKNOWN_CLIP) for each in population.plan.clips), _UNKNOWN_CLIP]
     return np.array([_read_clip_property(each, property_name) for each in every], np.float32)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from antdsl import limits
 from antdsl.diagnostics import Report
 from antdsl.diagnostics.suggestion import find_nearest_name
-from antdsl.program.model import Dimension, Program, TypeKind, WorldThing
+from antdsl.program.model import Constant, Dimension, Program, TypeKind, WorldThing
 from antdsl.program.tables.units import choose_default_unit, describe_dimension, format_with_unit
 from antdsl.scene.document import PathKey
 from antdsl.scene.paths import PathRefused
@@ -89,3 +89,8 @@ def check_dimension(scene: Scene, report: Report, value: Quantity, dim: Dimensio
         help = f"write a value in `{unit}`" if unit else "write the number alone"
         report.error("wrong-unit", f"{words}, not {describe_dimension(value.dim)}", scene.span(*path), help)
     return False
+
+
+def convert_constant(const: Constant, scene: Scene) -> float:
+    """Return a constant of the program in base units, for this scene's length unit and frame rate."""
+    return float(const.number * scene.model.unit_mm**const.unit_power * float(1 / scene.model.fps) ** const.step)

@@ -17,7 +17,7 @@ from antdsl.program.tables.units import format_number
 from antdsl.scene import field_settings
 from antdsl.scene.crowd_model import Placement, UsdPositions
 from antdsl.scene.document import PathKey
-from antdsl.scene.entry_checks import Entry, check_dimension, check_file, report_unknown
+from antdsl.scene.entry_checks import Entry, check_dimension, check_file, convert_constant, report_unknown
 from antdsl.scene.existence_checks import check_absent_species, check_bodies
 from antdsl.scene.field_settings import check_field_dynamics
 from antdsl.scene.load import Scene
@@ -32,11 +32,6 @@ def match_scene(scene: Scene, program: Program) -> Report:
     for check in SCENE_CHECKS:
         check(scene, program, report)
     return report
-
-
-def convert_constant(const: Constant, scene: Scene) -> float:
-    """Return a constant of the program in base units, for this scene's length unit and frame rate."""
-    return float(const.number * scene.model.unit_mm**const.unit_power * float(1 / scene.model.fps) ** const.step)
 
 
 def _check_world(scene: Scene, program: Program, report: Report) -> None:

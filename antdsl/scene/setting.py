@@ -12,6 +12,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.scene.body_choice import body_keys
 from antdsl.scene.geometry.import_notes import MeshImport
 from antdsl.scene.staging.motion import GeometryMoves
 from antdsl.source import Span
@@ -338,6 +339,10 @@ class WorldSetting:
     undrawn_things: frozenset[str] = frozenset()
     imports: Mapping[str, MeshImport] = field(default_factory=dict)
     spans: Mapping[str, Span] = field(default_factory=dict)
+
+    def list_body_keys(self, species: str) -> tuple[str, ...]:
+        """Return the keys of all bodies of a species (`scene.body_choice`); at least one."""
+        return body_keys(species, len(self.body_weights.get(species, ())))
 
     @property
     def dt(self) -> float:

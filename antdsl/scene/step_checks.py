@@ -7,6 +7,7 @@ from math import ceil
 from antdsl import limits
 from antdsl.diagnostics import Label, Report
 from antdsl.program.model import AttributeDecl, Constant, Expr, OperationExpr, ParamRef, Program
+from antdsl.scene.entry_checks import convert_constant
 from antdsl.scene.library_bodies import BODY_WORDS, CAPSULE_BY_BODY, find_body_for_species
 from antdsl.scene.load import Scene
 
@@ -63,6 +64,4 @@ def _constant_value(part: Expr | None, scene: Scene, program: Program) -> float 
         if value is not None:
             return value.to_base_units(scene.model.unit_mm, float(1 / scene.model.fps))
         part = program.params[part.name].default
-    if not isinstance(part, Constant):
-        return None
-    return float(part.number * scene.model.unit_mm**part.unit_power * float(1 / scene.model.fps) ** part.step)
+    return convert_constant(part, scene) if isinstance(part, Constant) else None

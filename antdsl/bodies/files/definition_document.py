@@ -7,12 +7,20 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from antdsl.bodies.agents.definition import Clip, Definition, Gait, Leg, Rig, Variation
+from antdsl.bodies.agents.definition import Clip, Definition, Rig, Variation
 from antdsl.bodies.files.clip_document import build_clip, check_marks
 from antdsl.bodies.files.definition_checks import ReadDefinition
 from antdsl.bodies.files.document_errors import read_form
 from antdsl.bodies.files.document_model import BaseForm, BodyForm, ClipForm, ClipReference
-from antdsl.bodies.files.documents import build_group, build_layer, build_rig, read_metadata
+from antdsl.bodies.files.documents import (
+    build_capsule,
+    build_gaits,
+    build_group,
+    build_layer,
+    build_legs,
+    build_rig,
+    read_metadata,
+)
 from antdsl.bodies.files.json_text import Node, find_node, find_span, report_unknown
 from antdsl.bodies.files.named_files import GLTF_ENDINGS, USD_ENDINGS, BodyFiles, get_file_ending
 from antdsl.bodies.files.shape_references import read_includes, read_shapes
@@ -65,13 +73,11 @@ def read_document(root: Node, files: BodyFiles, name: str) -> ReadDefinition | N
         scales = {group: (min(ends), max(ends)) for group, ends in form.variation.scale.items()}
         definition = replace(definition, variation=Variation(scales, form.variation.materials))
     if "legs" in form.model_fields_set:
-        definition = replace(definition, legs=tuple(Leg(**dict(leg)) for leg in form.legs))
+        definition = replace(definition, legs=build_legs(form.legs))
     if "gaits" in form.model_fields_set:
-        gaits = sorted((Gait(**dict(gait)) for gait in form.gaits), key=lambda gait: gait.speed)
-        definition = replace(definition, gaits=tuple(gaits))
+        definition = replace(definition, gaits=build_gaits(form.gaits))
     if form.capsule is not None:
-        sizes = form.capsule
-        definition = replace(definition, capsule=(sizes.length, sizes.width, sizes.height, sizes.ahead))
+        definition = replace(definition, capsule=build_capsule(form.capsule))
     parts.definition = replace(definition, idle=form.idle or definition.idle)
     return parts
 

@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
-from antdsl.bodies.agents.definition import Binding, Channel, Layer, Rig, TransformGroup
-from antdsl.bodies.files.document_model import GroupForm, LayerForm, RigForm
+from antdsl.bodies.agents.definition import Binding, Channel, Gait, Layer, Leg, Rig, TransformGroup
+from antdsl.bodies.files.document_model import CapsuleForm, GaitForm, GroupForm, LayerForm, LegForm, RigForm
 from antdsl.bodies.files.json_text import Node, find_span, report_unknown
 from antdsl.diagnostics import Label, Report
 from antdsl.diagnostics.suggestion import find_nearest_name
@@ -142,6 +142,21 @@ def build_layer(form: LayerForm) -> Layer:
 def write_layer(layer: Layer) -> str:
     """Return a layer as text in the documented form."""
     return format_json(_use_integers({"version": 2, **asdict(layer)}))
+
+
+def build_legs(forms: Iterable[LegForm]) -> tuple[Leg, ...]:
+    """Return the legs of a document."""
+    return tuple(Leg(**dict(form)) for form in forms)
+
+
+def build_gaits(forms: Iterable[GaitForm]) -> tuple[Gait, ...]:
+    """Return the gaits of a document, the slowest first."""
+    return tuple(sorted((Gait(**dict(form)) for form in forms), key=lambda gait: gait.speed))
+
+
+def build_capsule(form: CapsuleForm) -> tuple[float, float, float, float]:
+    """Return a capsule as `Definition.capsule` describes it."""
+    return form.length, form.width, form.height, form.ahead
 
 
 def build_group(form: GroupForm) -> TransformGroup:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, replace
 from typing import Any
 
-from antdsl.bodies.agents.definition import BodyError, Definition, Gait, Leg
+from antdsl.bodies.agents.definition import BodyError, Definition
 from antdsl.bodies.files.gltf_clips import EXTRAS_KEY
 
 CAPSULE_KEYS = ("length", "width", "height", "ahead")
@@ -35,6 +35,7 @@ def with_extras(body: Definition, extras: Any) -> Definition:
     from pydantic import ValidationError  # late, as what follows: most files have no such settings
 
     from antdsl.bodies.files.document_model import BodySettings
+    from antdsl.bodies.files.documents import build_capsule, build_gaits, build_legs
 
     try:
         form = BodySettings.model_validate(settings)
@@ -43,10 +44,7 @@ def with_extras(body: Definition, extras: Any) -> Definition:
         path = "".join(f" at `{str(key)[:60]}`" for key in error["loc"])
         advice = "the extras must be an object of length, legs, gaits, idle and capsule: delete or correct it"
         raise BodyError(f"has unknown extras `{EXTRAS_KEY}`{path}", advice) from None
-    gaits = sorted((Gait(**dict(gait)) for gait in form.gaits), key=lambda gait: gait.speed)
-    sizes = form.capsule
-    capsule = None if sizes is None else (sizes.length, sizes.width, sizes.height, sizes.ahead)
     return replace(
-        body, length=form.length or 0.0, legs=tuple(Leg(**dict(leg)) for leg in form.legs), gaits=tuple(gaits),
-        idle=form.idle or "", capsule=capsule,
+        body, length=form.length or 0.0, legs=build_legs(form.legs), gaits=build_gaits(form.gaits), idle=form.idle or "",
+        capsule=None if form.capsule is None else build_capsule(form.capsule),
     )  # fmt: skip

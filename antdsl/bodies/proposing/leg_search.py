@@ -117,6 +117,11 @@ def _ancestors(rig: Rig, joint: int) -> list[int]:
     return path
 
 
+def is_below(rig: Rig, joint: int, top: int) -> bool:
+    """Return whether a joint is `top` or below it."""
+    return top in _ancestors(rig, joint)
+
+
 def _path(rig: Rig, start: int, end: int) -> list[int]:
     """Return the joints from `start` down to `end`."""
     path = _ancestors(rig, end)

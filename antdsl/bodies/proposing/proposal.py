@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from antdsl.bodies.agents.definition import Definition, to_language_name
 from antdsl.bodies.files.document_values import format_axis
 from antdsl.bodies.proposing.joint_motion import posed_points
-from antdsl.bodies.proposing.leg_search import FoundLeg
-from antdsl.bodies.proposing.study import IDLE_WORDS, STILL_SHARE, BodyStudy, is_below, study_body
+from antdsl.bodies.proposing.leg_search import FoundLeg, is_below
+from antdsl.bodies.proposing.study import IDLE_WORDS, STILL_SHARE, BodyStudy, study_body
 from antdsl.scene.scene_model import UNIT_MM
 
 Floats = NDArray[np.float64]
@@ -69,14 +69,15 @@ def propose(body: Definition, file: str) -> Proposal:
     front = _add_axes(proposal, study)
     unit = _add_unit(proposal, study)
     _add_length(proposal, study, front)
+    names = _clip_names(study)
     if study.idle:
-        proposal.add("idle", _clip_names(study)[study.idle], f"`{study.idle}` {_idle_reason(study)}")
+        proposal.add("idle", names[study.idle], f"`{study.idle}` {_idle_reason(study)}")
     else:
         proposal.reasons.setdefault("clips", []).append(
             "no clip stands still: agents that play nothing, and the standing height of legs, have the rest pose of the file"
         )
-    _add_clips(proposal, study)
-    _add_legs(proposal, study, front, unit)
+    _add_clips(proposal, study, names)
+    _add_legs(proposal, study, names, front, unit)
     _add_capsule(proposal, study, front)
     return proposal
 
@@ -212,9 +213,9 @@ def _gait_word(name: str) -> str:
     return next((word for word in _GAIT_WORDS if word in name.lower()), "")
 
 
-def _add_clips(proposal: Proposal, study: BodyStudy) -> None:
-    """Add `clips`: names, strides, and whether feet are placed on the ground while they play."""
-    names, entries, reasons = _clip_names(study), [], []
+def _add_clips(proposal: Proposal, study: BodyStudy, names: Mapping[str, str]) -> None:
+    """Add `clips`: `names`, strides, and whether feet are placed on the ground while they play."""
+    entries, reasons = [], []
     for name in study.body.clips:
         entry: dict[str, Any] = {"clip": name, "name": names[name]}
         gait = study.gaits.get(name)
@@ -240,8 +241,8 @@ def _add_clips(proposal: Proposal, study: BodyStudy) -> None:
 # ---- legs and gaits
 
 
-def _add_legs(proposal: Proposal, study: BodyStudy, front: Floats, unit: float) -> None:
-    """Add `legs` and `gaits`."""
+def _add_legs(proposal: Proposal, study: BodyStudy, clip_names: Mapping[str, str], front: Floats, unit: float) -> None:
+    """Add `legs` and `gaits`. `clip_names`: by the names in the file."""
     search = study.search
     if not search.legs:
         for reason in search.reasons or ("no chain of joints reaches the ground",):
@@ -257,7 +258,7 @@ def _add_legs(proposal: Proposal, study: BodyStudy, front: Floats, unit: float) 
     reasons = [f"legs: {len(legs)} chains of joints end within 5 % of the height above the lowest point", *search.reasons]
     proposal.add("legs", legs, *reasons)
     feet = [search.feet.index(search.legs[k]) for k in order]
-    clip_names, gaits, gait_reasons, speeds = _clip_names(study), [], [], list[float]()
+    gaits, gait_reasons, speeds = [], [], list[float]()
     for name, gait in sorted(study.gaits.items(), key=lambda each: each[1].speed):
         if any(abs(gait.speed - speed) < 0.1 * speed for speed in speeds):
             gait_reasons.append(f"`{clip_names[name]}` is as fast as another one, so it gives no gait")

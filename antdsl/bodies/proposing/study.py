@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.bodies.agents.definition import Definition, Rig
+from antdsl.bodies.agents.definition import Definition
 from antdsl.bodies.proposing.clip_gaits import ClipGait, find_gait, planted_share
 from antdsl.bodies.proposing.joint_motion import BodyPoints, ClipMotion, clip_motion, posed_points, sample_worlds
 from antdsl.bodies.proposing.leg_search import LegSearch, find_legs
@@ -89,10 +89,3 @@ def _leg_length(search: LegSearch, worlds: NDArray[np.float32]) -> float:
 
 def _distance(place: Floats, a: int, b: int) -> float:
     return float(np.linalg.norm(place[b] - place[a]))
-
-
-def is_below(rig: Rig, joint: int, top: int) -> bool:
-    """Return whether a joint is `top` or below it."""
-    while joint >= 0 and joint != top:
-        joint = int(rig.parents[joint])
-    return joint == top

@@ -48,7 +48,6 @@ from antdsl.runtime.checkpoints import STATE_HASH_VERSION
 from antdsl.runtime.lifecycle import event_names
 from antdsl.runtime.moving.moving_geometry import compute_vertices, measure_ground_velocity
 from antdsl.runtime.world import Population, World
-from antdsl.scene.body_choice import body_keys
 from antdsl.scene.setting import WorldSetting
 
 Arrays = dict[str, NDArray[Any]]
@@ -91,7 +90,7 @@ class FrameMaker:
             arrays |= make_clip_arrays(population, world.options.threads)
             arrays |= make_display_arrays(population, world.setting)
             arrays |= self._make_pair_arrays(population, population.rows_by_id())
-            for key in body_keys(name, len(world.setting.body_weights.get(name, ()))):
+            for key in world.setting.list_body_keys(name):
                 arrays |= make_feet_arrays(world, key, self.scale)
         for name, field in world.fields.items():
             arrays[f"field.{name}.cells"], arrays[f"field.{name}.values"] = _find_nonzero_cells(np.asarray(field.values))

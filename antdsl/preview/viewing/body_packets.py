@@ -26,7 +26,7 @@ from antdsl.pipeline import Shot
 from antdsl.preview.binary_packets import pack_arrays
 from antdsl.preview.viewing.view_state import SlotPackets, ViewState
 from antdsl.runtime import Population, World
-from antdsl.scene.body_choice import body_keys, number_of_key, species_of_key
+from antdsl.scene.body_choice import number_of_key, species_of_key
 from antdsl.scene.crowd_model import named_weights
 from antdsl.scene.library_bodies import BODY_WORDS, find_body_for_species
 
@@ -71,7 +71,7 @@ class BodyOutfit:
 
 def outfits(world: World, shot: Shot, population: Population) -> dict[str, BodyOutfit]:
     """Return the outfits of a species, by the keys of its bodies. Layers beyond the limit of pages are dropped."""
-    keys = body_keys(population.name, len(world.setting.body_weights.get(population.name, ())))
+    keys = world.setting.list_body_keys(population.name)
     return {key: _outfit(world, population, body_of_key(shot, key)) for key in keys}
 
 

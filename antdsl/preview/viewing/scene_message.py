@@ -14,7 +14,6 @@ from antdsl.preview.viewing.file_names import FileNames, read_file_text
 from antdsl.preview.viewing.page_units import choose_unit, convert_constant, find_unit_size, list_colour_attributes
 from antdsl.program.model import ItemAttribute, Param
 from antdsl.runtime import Population
-from antdsl.scene.body_choice import body_keys
 from antdsl.scene.quantities import parse_quantity
 from antdsl.scene.scene_model import Camera
 from antdsl.scene.thing_models import convert_point
@@ -87,7 +86,7 @@ def _make_species_entry(session: Session, names: FileNames, population: Populati
     feelers = list_feelers(shot.program, name, world.params, world.setting.unit_mm, world.dt)
     return {
         "name": name,
-        "bodies": list(body_keys(name, len(world.setting.body_weights.get(name, ())))),
+        "bodies": list(world.setting.list_body_keys(name)),
         "attributes": [{"name": each.name, "unit": choose_unit(each)} for each in declared],
         "machines": [
             {"name": machine.name, "states": list(machine.states), "colours": [list(colour) for colour in machine.colours]}

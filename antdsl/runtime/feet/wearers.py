@@ -61,7 +61,7 @@ class SomeWearers:
 
     @property
     def footing(self) -> Footing:
-        return Footing({name: column[self.rows] for name, column in self.population.footing.columns.items()})
+        return self.population.footing.take_rows(self.rows)
 
 
 def wearers_of(world: World, key: str) -> Wearers:
@@ -78,7 +78,7 @@ def wearers_of(world: World, key: str) -> Wearers:
 def sorted_ids_of(world: World, key: str) -> NDArray[np.int64]:
     """Return the ids of the agents that have the body `key`, ascending."""
     population = world.populations[species_of_key(key)]
-    if len(world.setting.body_weights.get(population.name, ())) < 2:
+    if len(world.setting.list_body_keys(population.name)) < 2:
         return population.sorted_ids()[0]
     numbers = numbers_by_row(population, world.setting)[population.rows_by_id()]
     own: NDArray[np.int64] = population.sorted_ids()[0][numbers == number_of_key(key)]

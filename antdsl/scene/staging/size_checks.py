@@ -11,8 +11,8 @@ from antdsl.diagnostics import Label
 from antdsl.program.model import Constant, Expr, OperationExpr, ParamRef
 from antdsl.program.tables.vocabulary import LENGTH_DIMENSION
 from antdsl.scene.document import PathKey
+from antdsl.scene.entry_checks import convert_constant
 from antdsl.scene.geometry.mesh_files import compute_mesh_area
-from antdsl.scene.scene_checks import convert_constant
 
 if TYPE_CHECKING:
     from antdsl.scene.staging.stage_scene import SceneStaging
