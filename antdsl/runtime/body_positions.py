@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.runtime.feet.wearers import Wearers
+if TYPE_CHECKING:
+    from antdsl.runtime.feet.wearers import Wearers
 
 LIFT_REGISTERS = ("~lift.x", "~lift.y", "~lift.z")  # mm, of species with bodies that stay outside their ground
 

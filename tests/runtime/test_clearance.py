@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from fractions import Fraction
 from itertools import pairwise
 
@@ -20,6 +21,9 @@ from antdsl.machine_code.kernels.types import F64, I64, Array1
 from antdsl.outputs.cache.agent_arrays import AgentArrayBuilder
 from antdsl.passes import optimise
 from antdsl.runtime import MeshData, Options, World, WorldSetting, bind, state_hash, step
+from antdsl.runtime.body_positions import LIFT_REGISTERS, body_positions
+from antdsl.runtime.body_rows import rows_by_body
+from antdsl.runtime.feet.wearers import wearers_of
 from antdsl.runtime.moving import clearance
 from antdsl.runtime.moving.body_paths import PATH_FLOATS, BodyShape, FacesNearby, profile_lift, trace_bends
 from antdsl.runtime.moving.body_records import BodyLimits, BodyPoses, BodyStances
@@ -238,3 +242,16 @@ def test_the_first_edition_has_no_registers_for_bodies() -> None:
     text = WALKER.replace("ant 2", "ant 1").replace("SWITCH", "")
     assert not any(name.startswith("~lift") for name in plan_of(text, "").species["a"].registers)
     assert any(name.startswith("~lift") for name in plan_of(WALKER.replace("SWITCH", ""), "").species["a"].registers)
+
+
+def test_feet_of_several_bodies_read_the_shift_of_each_body() -> None:
+    world = walking(stairs(), 60)
+    world.setting = replace(world.setting, body_weights={"a": (1.0, 1.0)})
+    for _ in range(8):
+        step(world)
+    population = world.populations["a"]
+    drawn = body_positions(population)
+    assert any(population.now[name].any() for name in LIFT_REGISTERS)
+    for key, rows in rows_by_body(population, world.setting):
+        assert rows is not None and len(rows) > 10
+        assert np.array_equal(body_positions(wearers_of(world, key)), drawn[rows])

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.ground.protocol import Footing
+from antdsl.runtime.body_positions import LIFT_REGISTERS
 from antdsl.runtime.body_rows import numbers_by_row, rows_by_body
 from antdsl.runtime.world import AXES, Population, World
 from antdsl.scene.body_choice import number_of_key, species_of_key
@@ -30,7 +31,7 @@ class Wearers(Protocol):
 
     @property
     def now(self) -> Mapping[str, NDArray[Any]]:
-        """Return registers by name; at least those of heading, up and size."""
+        """Return registers by name; at least those of heading, up and size, and those of a shift if the species has one."""
 
     def __len__(self) -> int: ...
 
@@ -71,7 +72,8 @@ def wearers_of(world: World, key: str) -> Wearers:
     rows = dict(parts)[key]
     if rows is None:
         return population
-    registers = {name: population.now[name].take(rows) for name in _REGISTERS}
+    names = (*_REGISTERS, *(name for name in LIFT_REGISTERS if name in population.now))
+    registers = {name: population.now[name].take(rows) for name in names}
     return SomeWearers(population, key, rows, population.ids.take(rows), population.position.take(rows, axis=0), registers)
 
 
