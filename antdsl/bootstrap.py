@@ -123,7 +123,9 @@ def install_packages(packages: list[str]) -> None:
     prefix = [] if os.geteuid() == 0 else ["sudo"]
     env = {**os.environ, "DEBIAN_FRONTEND": "noninteractive"}
     subprocess.run([*prefix, "apt-get", "update", "-qq"], check=True, env=env)
-    subprocess.run([*prefix, *APT_INSTALL_COMMAND.split(), *packages], check=True, env=env, stdout=subprocess.DEVNULL)
+    # A fresh system may be updating itself: wait for its lock.
+    wait = ["-o", "DPkg::Lock::Timeout=300"]
+    subprocess.run([*prefix, *APT_INSTALL_COMMAND.split(), *wait, *packages], check=True, env=env, stdout=subprocess.DEVNULL)
 
 
 def ensure_environment(folder: Path, requirements: list[str]) -> Path:

@@ -155,15 +155,19 @@ def test_where_threads_go_side_by_side_lines_share_the_time_that_passed(
 @pytest.mark.parametrize(
     "options", sampled([Options(backend="numpy"), Options(threads=2, chunk=64, backend="numpy")], [Options(backend="numpy")])
 )
-def test_the_lines_add_up_to_nearly_all_of_the_blocks(options: Options) -> None:
-    """By the real clock; what is left is what a block is set up with, the less of it the more agents there are."""
+def test_the_lines_add_up_to_all_that_senses_of_the_blocks_take(
+    options: Options, clock: Clock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Only senses take time on this clock, so nothing is left over for setting up a block."""
+    for name, sense in list(numpy_calls.SENSE_FUNCTIONS.items()):
+        monkeypatch.setitem(numpy_calls.SENSE_FUNCTIONS, name, clock.slow(sense, 0.01))
     shot = opened(FORAGING.with_name("scene.yaml"), 2000)
     world = bind(shot.plan, shot.setting, options)
     step(world)
     profile = measured(world, 6)
     lines, blocks = sum(each.ms for each in profile.lines), sum(profile.phases[name] for name in BLOCKS)
-    assert 0.6 * blocks < lines <= blocks
-    assert sum(each.ms for each in profile.layers) <= profile.phases["blend"]
+    assert lines > 100 and lines == pytest.approx(blocks)
+    assert sum(each.ms for each in profile.layers) <= profile.phases["blend"] * (1 + 1e-9)
     assert profile.total_ms == pytest.approx(sum(profile.phases.values()))
     assert [each.ms for each in profile.lines] == sorted((each.ms for each in profile.lines), reverse=True)
 

@@ -66,15 +66,13 @@ export class Connection {
     const socket = new WebSocket(this.address, ["antdsl.1", `token.${this.token}`]);
     socket.binaryType = "arraybuffer";
     this.socket = socket;
-    socket.onopen = () => {
-      this.tell(true, "");
-    };
     socket.onmessage = (event: MessageEvent<string | ArrayBuffer>) => {
       if (typeof event.data === "string") {
         const message = JSON.parse(event.data) as Told;
         if (message.op === "return") void this.prove(socket, message.nonce);
         if (message.op === "hello") {
           this.tries = 0;
+          this.tell(true, "");
           for (const each of this.lasting.values()) socket.send(JSON.stringify(each));
         }
         for (const listener of this.heard.get(message.op) ?? []) listener(message as never);
