@@ -1,6 +1,6 @@
 """Turns a plan and a setting into a world, and advances the world step by step.
 
-`bind` (in `binding`) makes the world at its first frame; `step` runs all functions in `phases.PHASES` once. In a step, senses
+`bind` (in `binding`) makes the world at its first frame. `step` runs all functions in `phases.PHASES` once. In a step, senses
     read the world as it was at the start of the step. Blocks of the plan run on a backend (`backends`) and write requests into
     an `EffectRequests`. Claims, deposits, digging, births and deaths are then resolved in an order that does not depend on
     rows. `moving` moves all agents by their steering forces. `world` contains all mutable data. `checkpoints` writes, reads

@@ -10,12 +10,13 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     from antdsl.runtime.feet.wearers import Wearers
 
-LIFT_REGISTERS = ("~lift.x", "~lift.y", "~lift.z")  # mm, of species with bodies that stay outside their ground
+LIFT_REGISTERS = ("~lift.x", "~lift.y", "~lift.z")  # mm; for species with bodies that stay outside their ground
 
 
 def body_positions(population: Wearers) -> NDArray[np.float64]:
-    """Return the positions (n, 3) at which bodies are drawn (mm): those of the feet, plus the shift of a body that stays outside
-    its ground. Each component is contiguous."""
+    """Return the positions (n, 3) at which bodies are drawn (mm). Each component is contiguous.
+
+    They are the positions of the feet, plus the shift of bodies that stay outside their ground."""
     if LIFT_REGISTERS[0] not in population.now:
         return population.position
     shifted = np.empty((3, len(population)))

@@ -1,4 +1,4 @@
-"""Which agents of a species have which of its bodies, row by row."""
+"""The body of each agent, for species with several bodies."""
 
 from __future__ import annotations
 
@@ -19,7 +19,8 @@ def numbers_by_row(population: Population, setting: WorldSetting) -> NDArray[np.
 
 
 def rows_by_body(population: Population, setting: WorldSetting) -> tuple[tuple[str, NDArray[np.intp] | None], ...]:
-    """Return the key of each body of a species and the rows of its agents, ascending. A single body has None: all rows."""
+    """Return the key of each body of a species, with the ascending rows of its agents. For a single body, the rows are None:
+    all."""
     keys = setting.list_body_keys(population.name)
     if len(keys) < 2:
         return ((population.name, None),)

@@ -1,4 +1,4 @@
-"""The complete state of a world as named arrays, from which a run continues without any difference, and a hash of it.
+"""The complete state of a world as named arrays, and its hash. A run continues from the arrays without any difference.
 
 The hash is equal for any row order, chunk size, thread count and backend, and different for any other state."""
 
@@ -70,12 +70,13 @@ def restore_checkpoint(world: World, arrays: Mapping[str, NDArray[Any]]) -> None
             world.ground.position(population.footing)  # rejects invalid faces, which compiled code would not check
     except CheckpointError:
         raise
-    except (ValueError, TypeError, IndexError, KeyError, OverflowError) as why:  # arrays from an outside source
+    # arrays from outside may fail in any of these ways
+    except (ValueError, TypeError, IndexError, KeyError, OverflowError) as why:
         raise CheckpointError(f"it does not hold together ({type(why).__name__})") from why
 
 
 def _restore_world(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
-    """Restore a state; arrays that do not match raise various errors."""
+    """Restore a state. Arrays that do not match raise various errors."""
     world.frame = int(_read_checked_array(arrays, "frame"))
     world.faults.count = int(_read_checked_array(arrays, "faults"))
     for name in world.params:
@@ -119,7 +120,7 @@ def _restore_world(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
 
 
 def _restore_feet(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
-    """Restore the feet of a checkpoint. If the checkpoint was written without feet, all agents start with their feet at rest."""
+    """Restore the feet of a checkpoint. If it was written without feet, all agents start with their feet at rest."""
     restored_feet = {}
     for name, feet in world.feet.items():
         foot_arrays = select_by_prefix(arrays, f"feet.{name}.")
@@ -143,7 +144,7 @@ def _population_arrays(population: Population) -> Arrays:
 
 
 def _restore_population(population: Population, arrays: Mapping[str, NDArray[Any]], prefix: str) -> None:
-    """Restore the agents of a species from arrays of which the names begin with `prefix`."""
+    """Restore the agents of a species from arrays with names that begin with `prefix`."""
     count = len(_read_checked_array(arrays, f"{prefix}ids"))
     now = _population_arrays(population)
     taken = {}
@@ -204,7 +205,7 @@ def state_hash(world: World) -> str:
 
 
 def _hash_rows(population: Population, threads: int) -> bytes:
-    """Return the hash of all arrays that belong to the state of agents."""
+    """Return the hash of all arrays in the state of the agents."""
     columns = [(name, population.columns[name]) for name in _HASHED_COLUMNS]
     columns += [(f"footing.{name}", array) for name, array in population.footing.columns.items()]
     columns += [(name, population.now[name]) for name in population.state_registers()]

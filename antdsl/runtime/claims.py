@@ -1,8 +1,8 @@
-"""Claims on items and field cells, settled between the phases decide and act, and gifts to items. Losses equal gains exactly.
+"""Claims on items and field cells, resolved between the phases decide and act, and gifts to items. Losses equal gains exactly.
 
-An agent's own register is float32; an item's amount and a field's cell are float64. They change by exactly the difference in
-the register. From a field, agents take whole multiples of `DEPOSIT_UNIT`, as with deposits. While registers contain only such
-multiples, so do the cells."""
+An agent's own register is float32; an item's amount and a field's cell are float64. They change by exactly the difference in the
+register. From a field, agents take whole multiples of `DEPOSIT_UNIT`, as with deposits. While registers contain only such
+multiples, cells do, too."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ ClaimEntries = list[tuple[Population, ClaimEntry]]
 
 
 def settle_claims(world: World) -> None:
-    """Serve the claims on each amount in the order of (draw, id), as long as the remainder suffices."""
+    """Serve the claims on each amount in the order of (draw, id) until the remainder does not suffice."""
     item_claims: dict[tuple[str, str], ClaimEntries] = {}
     of_fields: dict[str, ClaimEntries] = {}
     for population in world.populations.values():
@@ -98,7 +98,7 @@ def _settle_amount(
         for numbers in ([names.index(p.name) for p, _ in entries], [e.order for _, e in entries], np.arange(len(entries)))
     )
     turn = _number_agent_claims(species, ids, place)
-    for number in range(int(turn.max()) + 1):  # an agent's second claim sees its register after the first
+    for number in range(int(turn.max()) + 1):  # the second claim of an agent reads its register after the first claim
         now = np.flatnonzero(valid & (turn == number))
         _serve_claims(rest, now, (place, species, ids, draw, item), row, amount, unit, entries, source)
 
@@ -111,9 +111,9 @@ def _settle_by_kernel(
     population: Population,
     entry: ClaimEntry,
 ) -> bool:
-    """Settle the claims of one statement with a kernel, in the order of `keys`, if each claims a fixed amount for a register.
+    """Resolve the claims of one statement with a kernel, in the order of `keys`, if each claims a fixed amount for a register.
 
-    Return whether this was possible; if not, nothing has changed."""
+    Return whether this was possible. If not, nothing has changed."""
     statement = entry.statement
     if statement.own is None or statement.amount is None:
         return False
@@ -135,8 +135,7 @@ def _serve_claims(
     entries: ClaimEntries,
     source: NDArray[np.intp] | None,
 ) -> None:
-    """Serve the claims `claim_indices`, which are of different agents, in the order of `keys`; the last key, the item, is the
-    primary one.
+    """Serve the claims `claim_indices` of different agents in the order of `keys`. The last key, the item, is the primary one.
 
     `source`: the entry of each claim; None if there is only one entry."""
     claim_indices = claim_indices[np.lexsort([key[claim_indices] for key in keys])]
@@ -163,7 +162,7 @@ def _serve_claims(
 def _add_winnings(
     population: Population, entry: ClaimEntry, rows: NDArray[np.intp], amount: NDArray[np.float32], granted: NDArray[np.float64]
 ) -> None:
-    """Add the amounts won to the agents' own registers. `granted`: the exact amount that each agent adds."""
+    """Add the amounts that agents obtained to their own registers. `granted`: the exact amount that each agent adds."""
     assert entry.statement.own is not None
     own = population.now[entry.statement.own]
     if entry.statement.amount is not None:
@@ -215,8 +214,8 @@ class _ServedClaims:
         self.register_values[positions], self.has_register[positions] = had, True
 
     def amounts_for_all(self, positions: NDArray[np.intp], remaining: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the amounts for claims for all, from the amounts `remaining`: in whole units, and at most what the register can
-        represent."""
+        """Return the amounts of claims for everything, from the amounts `remaining`: whole units, and at most what the register
+        can represent."""
         had = self.register_values[positions].astype(np.float64)
         with np.errstate(all="ignore"):
             rounded_amount = np.floor(remaining / self.unit) * self.unit if self.unit else remaining
@@ -233,7 +232,7 @@ def _draw_claim_order(world: World, population: Population, entry: ClaimEntry) -
 
 
 def _number_agent_claims(species: NDArray[np.int64], ids: NDArray[np.int64], place: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the number of each claim among those of the same agent, in the order of the source text."""
+    """Return the number of each claim among the claims of the same agent, in the order of the source text."""
     order = np.lexsort((place, ids, species))
     fresh = np.ones(len(order), np.bool_)
     fresh[1:] = (ids[order][1:] != ids[order][:-1]) | (species[order][1:] != species[order][:-1])
@@ -324,11 +323,11 @@ def _settle_in_order(
     change: Array1[F64],
     got: Array1[F64],
 ) -> BOOL:
-    """Settle the claims of one statement, of different agents, in an order by `item`.
+    """Resolve the claims of one statement, of different agents, in an order by `item`.
 
-    The `own` register of a served agent rises by its `amount`, and its `won` is set. If any claim is for all, nothing is
-    settled and the result is False.
-    `item`, `row`, `amount` [n]: values of each claim. `claimed`, `change`, `got` [n]: buffers."""
+    The `own` register of a served agent rises by its `amount`, and its `won` is set. If any claim is for the complete remainder,
+    nothing is resolved and the result is False. `item`, `row`, `amount` [n]: values of each claim. `claimed`, `change`, `got`
+    [n]: buffers."""
     for k in range(order.size):
         if amount[k] == np.inf:
             return False
@@ -351,7 +350,7 @@ def _settle_in_order(
 
 @inlined
 def _serve_one_by_one(rest: Array1[F64], item: Array1[I64], change: Array1[F64], got: Array1[F64], count: I64) -> None:
-    """Serve sorted claims item by item; the claims of an item in order, until its remainder does not suffice."""
+    """Serve sorted claims item by item. The claims on an item are served in order until its remainder does not suffice."""
     k = 0
     while k < count:
         which, begin, taken, enough = item[k], k, 0.0, True

@@ -1,4 +1,4 @@
-"""Properties of the clips that a species plays, from the definitions of its bodies and the clip names of its states."""
+"""Properties of the clips that a species plays. They come from its bodies and from the clip names of its states."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ _UNKNOWN_CLIP = ClipData()
 
 
 def clip_table(world: World, population: Population, property_name: str) -> NDArray[np.float32]:
-    """Return a property of each clip of the species' plan; a last entry is for an unknown clip. A species with several bodies has
-    these entries for each body in turn.
+    """Return a property of each clip of the species' plan. The last entry is for an unknown clip.
 
-    `property_name`: the property `seconds`, `stride`, `loop` or `mark NAME`."""
+    A species with several bodies has these entries for each body in turn. `property_name`: `seconds`, `stride`, `loop` or `mark
+    NAME`."""
     every = []
     for key in world.setting.list_body_keys(population.name):
         known = world.setting.clips.get(key, {})
@@ -27,16 +27,17 @@ def clip_table(world: World, population: Population, property_name: str) -> NDAr
 
 
 def table_starts(world: World, population: Population) -> NDArray[np.int32]:
-    """Return where the entries of each agent's body begin in `clip_table`, int32[n]."""
+    """Return the index in `clip_table` at which the entries of each agent's body begin, int32[n]."""
     return numbers_by_row(population, world.setting).astype(np.int32) * np.int32(len(population.plan.clips) + 1)
 
 
 def clip_value(
     world: World, population: Population, property_name: str, clip: Any, rows: Any = slice(None)
 ) -> NDArray[np.float32]:
-    """Return a property of clips, given by their numbers in the species' plan. No clip has the value of an unknown clip.
+    """Return a property of clips, given by their numbers in the species' plan. Without a clip, the value is that of an unknown
+    clip.
 
-    `rows`: those of the agents with these clips."""
+    `rows`: the rows of the agents with these clips."""
     values = clip_table(world, population, property_name)
     number, last = np.asarray(clip), len(population.plan.clips)
     place = np.where((number >= 0) & (number < last), number, last)

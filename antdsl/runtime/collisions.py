@@ -1,7 +1,7 @@
-"""Bodies that touch at the start of a step, and contacts that are new: the input of `on collision`.
+"""Bodies that touch at the start of a step, and new contacts: the input of `on collision`.
 
 Two bodies start to touch when the gap between their capsules falls below a small share of their combined collision radii. They
-touch until the gap is several times that share. Thus bodies that press against each other and shake a little do not collide
+touch until the gap is several times that share. So bodies that press against each other and shake slightly do not collide
 repeatedly."""
 
 from __future__ import annotations
@@ -26,7 +26,8 @@ _CONTACT_END_GAP = 0.25  # share of the sum of two radii: a contact ends above t
 def find_new_contacts(world: World, population: Population, other_species: str, rows: Rows, touched: Ids) -> tuple[Ids, Ids]:
     """Return the new contact of each of the given agents, and the ids of all agents that it touches from now on.
 
-    The new contact is the id of the deepest agent of species `other_species` that it starts to touch, -1 for none.
+    The new contact is the id of an agent of species `other_species` that it starts to touch: the one with the deepest overlap, -1
+    for none.
     `touched` (n, k): the ids touched so far, -1 for none. If all k are in use, new contacts are ignored."""
     contact_ids = np.full(len(rows), -1, np.int64)
     known = _cached_touching(world).get((population.name, other_species))
@@ -57,7 +58,7 @@ def _cached_touching(world: World) -> Mapping[tuple[str, str], TouchingAgents]:
 
 
 def _find_touching(crowd: CapsuleCrowd) -> dict[tuple[str, str], TouchingAgents]:
-    """Return the contacts of all agents, by both species. `touching` pairs are near enough to continue a contact."""
+    """Return the contacts of all agents, by both species. `touching` pairs are near enough that an existing contact continues."""
     contacts: dict[tuple[str, str], TouchingAgents] = {}
     if len(crowd) < 2:
         return contacts

@@ -1,4 +1,4 @@
-"""Digging: the balls that all agents dig in a step are removed from the solids together, before any agent moves.
+"""Digging: in each step, the balls that all agents dig are removed from the solids together, before any agent moves.
 
 The new walls become cells of every field on the solid."""
 
@@ -18,13 +18,14 @@ from antdsl.runtime.world import Population, World
 
 Floats = NDArray[np.float64]
 
-_SURFACE_DISTANCE_VOXELS = 0.5  # ball points at most this far from the surface are on a new wall
+_SURFACE_DISTANCE_VOXELS = 0.5  # ball points within this distance of the surface are on a new wall
 _MAX_POINTS_PER_EDGE = 16  # points along an edge of the cube that is projected onto a ball
 
 
 def dig_solids(world: World) -> None:
-    """Remove the requested balls from solids, and add to each agent the amount that it dug. Agents that lose their ground fall
-    in the phase `move`."""
+    """Remove the requested balls from solids, and add to each agent the amount that it dug.
+
+    Agents that lose their ground fall in the phase `move`."""
     requests: dict[str, list[tuple[Population, RequestEntry]]] = {}
     for population in world.populations.values():
         for entry in population.effects.take_requests("carve"):
@@ -61,7 +62,7 @@ def _carve_solid(world: World, solid: str, entries: list[tuple[Population, Reque
 
 
 def _add_dug_amount(population: Population, entry: RequestEntry, removed: NDArray[np.float64]) -> None:
-    """Add the dug volume to the agents' own register."""
+    """Add the dug volume to each agent's own register."""
     if entry.request.own is not None:
         register = population.now[entry.request.own]
         register[entry.rows] = (register[entry.rows].astype(np.float64) + removed).astype(np.float32)
@@ -75,7 +76,7 @@ def take_dug_balls(world: World) -> dict[str, NDArray[np.float64]]:
 
 
 def grow_wall_cells(fields: Iterable[PheromoneField], volume: Volume, centres: Floats, radius: Floats) -> None:
-    """Add cells to the fields on a solid, at the walls of balls with centres [k,3] and radii [k] in mm.
+    """Add cells to the fields on a solid, at the walls of dug balls with centres [k,3] and radii [k] in mm.
 
     The result depends on the order of the balls."""
     by_cells: dict[int, list[PheromoneField]] = {}

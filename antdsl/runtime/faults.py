@@ -1,5 +1,4 @@
-"""Values that are not finite: which agent has one, its place in the source, its operands, and whether the run continues
-(decision 24).
+"""Values that are not finite: the agent, the place in the source, the operands, and whether the run continues (decision 24).
 
 To find the operands, the reference backend runs the agent's step again, because it has every intermediate value."""
 
@@ -58,13 +57,13 @@ class FaultLog:
     """All faults of a run: their number, and details of the first ones."""
 
     count: int = 0
-    rejected_births: int = 0  # beyond limits.AGENTS
+    rejected_births: int = 0  # births rejected because of `limits.AGENTS`
     reported_faults: list[Fault] = field(default_factory=list)
-    fault_of_step: Fault | None = None  # the first of the last step
+    fault_of_step: Fault | None = None  # the first fault of the last step
 
 
 class FaultStop(RuntimeError):
-    """Error for a step with a fault, if the run stops on faults. It is raised after the step; `fault` is its first fault."""
+    """Error after a step with a fault, if the run stops on faults. `fault` is the first fault of the step."""
 
     def __init__(self, fault: Fault) -> None:
         super().__init__(str(fault))
@@ -72,7 +71,7 @@ class FaultStop(RuntimeError):
 
 
 class LimitStop(FaultStop):
-    """Error for a step that would exceed the limits. It is raised within the step; the world is unusable afterwards."""
+    """Error within a step that would exceed the limits. The world is unusable afterwards."""
 
 
 def collect_faults(world: World) -> None:
@@ -87,7 +86,8 @@ def collect_faults(world: World) -> None:
             groups.setdefault((place, entry.block, _register_display_name(entry.register)), []).append(entry)
         population.effects.faults = []
         for (_, _, word), entries in sorted(groups.items(), key=lambda pair: pair[0]):
-            rows = np.unique(np.concatenate([entry.rows for entry in entries]))  # a vector has three parts and one fault
+            # a vector has three components but counts as one fault
+            rows = np.unique(np.concatenate([entry.rows for entry in entries]))
             rows = rows[np.argsort(population.ids[rows])]
             log.count += len(rows)
             for row in rows[: max(_MAX_REPORTED_FAULTS - len(log.reported_faults), 0 if log.fault_of_step else 1)]:
@@ -101,7 +101,7 @@ def collect_faults(world: World) -> None:
 
 
 def _register_display_name(register: str) -> str:
-    """Return the author's name for a register: a vector's name without axis, or the purpose of a temporary register."""
+    """Return the author's name for a register: the vector's name without axis, or the purpose of a temporary register."""
     name = register.removesuffix(".x").removesuffix(".y").removesuffix(".z")
     return {"~steer": "steer", "~gaze": "face", "~face": "face", "~left": "push", "~held": "the vector"}.get(name, name)
 

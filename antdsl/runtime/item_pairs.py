@@ -1,7 +1,7 @@
 """Items near agents: pairs of a requesting row and an item, sorted by both, with offset (mm, float32) and distance (mm).
 
-If there are few items, all are measured from all rows. If there are many, items that are too far away along two axes are first
-left out. Both methods give the same bits."""
+With few items, all are measured from all rows. With many items, those too far away along two axes are excluded first. Both
+methods give the same bits."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def find_items_within(items: Items, own: tuple[Floats, ...], radius: Any) -> Ite
 
 
 def _visible_positions(items: Items) -> VectorArrays:
-    """Return positions of items, float32, as agents sense them."""
+    """Return the positions of items as agents sense them, float32."""
     x, y, z = (np.asarray(items.visible_values[axis], np.float32) for axis in AXES)
     return x, y, z
 
@@ -56,8 +56,8 @@ def measure_all(items: Items, own: tuple[Floats, ...], reach: Floats) -> ItemPai
 
 
 def measure_filtered(items: Items, own: tuple[Floats, ...], reach: Floats) -> ItemPairColumns:
-    """Return the pairs within `reach` (mm), after measuring only items in reach along the two axes with the widest spread of
-    items."""
+    """Return the pairs within `reach` (mm). Only items in reach along the two axes with the widest spread of items are
+    measured."""
     n, item_points = len(own[0]), _visible_positions(items)
     with np.errstate(invalid="ignore"):
         one, two = sorted(range(3), key=lambda k: -float(np.nan_to_num(np.ptp(item_points[k]))))[:2]

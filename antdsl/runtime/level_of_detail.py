@@ -17,7 +17,7 @@ from antdsl.scene.setting import DetailData, MeshData
 
 BoxArrays = tuple[NDArray[np.float32], NDArray[np.float32]]  # least and greatest corners
 
-_GRID_CELLS_PER_AXIS = 32  # of a coarse grid, along each axis
+_GRID_CELLS_PER_AXIS = 32  # cells of the coarse grid
 DETAIL_LEVELS = ("triangles", "boxes", "nothing")
 _BOX_CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], np.float64)
 _BOX_TRIANGLES = np.array(
@@ -72,10 +72,10 @@ class DetailLevels:
         }
 
     def find_levels(self, world: World, population: Population, name: str) -> NDArray[np.int8] | None:
-        """Return at which level each agent senses an obstacle (index into LEVELS, int8[n]), or None for other things. Cached
-        for the step.
+        """Return the level at which each agent senses an obstacle (index into LEVELS, int8[n]), or None for other things.
 
-        An agent inside the box of a piece, for example within the walls of a house, senses the triangles."""
+        The result is cached for the step. An agent inside the box of a piece, for example within the walls of a house, senses the
+        triangles."""
         if name not in self._boxes:
             return None
         key = (population.name, f"~level of {name}", population.version)
@@ -163,7 +163,7 @@ def is_in_boxes(place: NDArray[np.float32], low: NDArray[np.float32], high: NDAr
     least, most = low.min(axis=0), high.max(axis=0)
     width = np.maximum(most - least, np.float32(1e-6)) / np.float32(_GRID_CELLS_PER_AXIS)
 
-    def cell(where: NDArray[np.float32]) -> NDArray[np.intp]:  # never less for a greater coordinate, so no box is missed
+    def cell(where: NDArray[np.float32]) -> NDArray[np.intp]:  # monotonic, so that no box is missed
         at: NDArray[np.intp] = np.clip(np.floor((where - least) / width), 0, _GRID_CELLS_PER_AXIS - 1).astype(np.intp)
         return at
 

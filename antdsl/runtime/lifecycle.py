@@ -52,7 +52,7 @@ def apply_deposits(world: World) -> None:
 
 
 def settle_newborn(world: World) -> None:
-    """Apply the requests that agents make at birth, before the next step. Thus no request remains between two steps."""
+    """Apply the requests that agents make at birth, before the next step. So no request remains between two steps."""
     if not any([population.effects.has_pending for population in world.populations.values()]):
         return
     raise_events(world)
@@ -66,7 +66,7 @@ def settle_newborn(world: World) -> None:
     for name in fields:
         world.fields[name].step(1.0, 0.0, world.dt)
     for population in world.populations.values():
-        population.effects.claims = []  # no agent claims at birth: there is no decision to win
+        population.effects.claims = []  # claims at birth are not possible: no decision could use the result
 
 
 def raise_events(world: World) -> None:
@@ -88,7 +88,7 @@ def raise_events(world: World) -> None:
 
 
 def _notify_receiver(world: World, population: Population, entry: RequestEntry) -> None:
-    """Flag the receiver that each emitter names, if the receiver exists and is in reach."""
+    """Flag the receiver that each emitter names, if that agent exists and is in reach."""
     other = world.populations.get(entry.request.target_species or "")
     if other is None or not len(other) or entry.request.of not in other.raised_events:
         return
@@ -113,8 +113,9 @@ def _flag_in_reach(population: Population, entry: RequestEntry, other: Populatio
 
 
 def apply_deaths_and_births(world: World) -> None:
-    """Remove dead agents, then add newborn agents. New ids are in the order of (parent's species, parent's id, position in the
-    source)."""
+    """Remove dead agents, then add newborn agents.
+
+    New ids are in the order of (parent's species, parent's id, position in the source)."""
     coming, bereft = _collect_births(world), False
     for population in world.populations.values():
         if dying := population.effects.take_requests("die"):
@@ -178,8 +179,8 @@ def _add_newborn(world: World, population: Population, births: BirthRows) -> NDA
 def initialise_newborn(world: World, newborn: Mapping[str, NDArray[np.intp]]) -> None:
     """Run the block `born` to fill the registers of new rows, by species. Position, up, heading and velocity are already set.
 
-    Agents born together sense each other's position and movement. All their other values are still 0 or none, independent of
-    the order of computation."""
+    Agents born together sense each other's position and movement. Their other values read as 0 or none, in any order of
+    computation."""
     world.grids.clear()  # rows have changed
     world.trees.clear()
     world.touching = None

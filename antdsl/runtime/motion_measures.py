@@ -1,4 +1,4 @@
-"""Measures of motion over a run: do agents look alive? They do not act on agents, and are not part of the state."""
+"""Measures of the motion in a run, to judge whether agents look alive. They influence no agent, and are not part of the state."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ if TYPE_CHECKING:
 
 Counts = NDArray[np.int64]
 Floats = NDArray[np.float64]
-_HISTOGRAM_BINS = 1800  # of turns, 0.1 degree each; of overlaps, 1/1800 each
+_HISTOGRAM_BINS = 1800  # bins of a histogram: 0.1 degrees of turn each, or 1/1800 of overlap each
 _WINDOW_SECONDS = 2.0  # s: duration of a path that is classified as straight or circling
 _MAX_CIRCLING_SHARE = 0.15  # a path circles if its net displacement is at most this share of its length
 _MIN_PATH_BODY_LENGTHS = 3.0  # shorter paths are not classified
-_MIN_PUSH = 0.2  # a smaller push is no wish to move
+_MIN_PUSH = 0.2  # agents with a smaller push do not intend to move
 _STANDING_SPEED_SHARE = 0.03  # share of max_speed below which an agent stands
 _TOUCH_OVERLAP_SHARE = 0.01  # share of the sum of two radii: a smaller overlap is only a touch
 _VISIBLE_OVERLAP_SHARE = 0.05  # share of the trunk's width: deeper overlaps are visible
@@ -44,7 +44,7 @@ _MOTION_REGISTERS = tuple(f"{name}.{axis}" for name in ("velocity", "push") for 
 _MEASURED_REGISTERS = (*_POSE_REGISTERS, *_MOTION_REGISTERS, "max_speed", "size")
 _CURRENT_REGISTERS, _STEP_START_REGISTERS = itemgetter(*_MEASURED_REGISTERS), itemgetter(*_POSE_REGISTERS)
 _MOTION_THRESHOLDS = (np.float32(_MIN_PUSH), np.float32(_STANDING_SPEED_SHARE), np.float32(_MIN_PATH_BODY_LENGTHS))
-_AGENTS_PER_PART = 512  # agents per part; values of a part are computed before they are counted
+_AGENTS_PER_PART = 512  # agents per chunk; the values of a chunk are computed before they are counted
 _BIN_LOOKUP_CELLS = 4096  # cells of half chords; each has the first bin that it overlaps
 
 
@@ -89,7 +89,7 @@ class MotionMeasures:
     windows: dict[str, PathWindow] = field(default_factory=dict)
 
     def reset(self) -> None:
-        """Restart the measures, for example after a preroll. The counts of `begin`, overlaps at the start, are retained."""
+        """Restart the measures, for example after a preroll. The counts of `begin` (overlaps at the start) are retained."""
         for each in fields(fresh := MotionMeasures(placed=self.placed, overlapping=self.overlapping)):
             setattr(self, each.name, getattr(fresh, each.name))
 
@@ -125,7 +125,7 @@ class MotionMeasures:
         return motion
 
     def record_step(self, world: World) -> None:
-        """Count one step. Call this after the phase `move`, before the ground moves on."""
+        """Count one step. Call this after the phase `move`, before the ground moves."""
         second = max(1, round(1.0 / world.dt))
         every = second if world.setting.contacts == "off" else 1 + len(world) // _MAX_AGENTS_MEASURED_EACH_STEP
         crowds = [population for population in world.populations.values() if len(population)]
@@ -143,7 +143,7 @@ class MotionMeasures:
         if len(straight):
             self.ways += len(straight)
             self.circling += int(np.count_nonzero(straight < _MAX_CIRCLING_SHARE))
-            self.straightness += fsum(straight)  # the same in any order of rows
+            self.straightness += fsum(straight)  # `fsum`: the same result for any order of rows
 
     def _count_motion(self, population: Population, window: PathWindow, dt: np.float32, steps: int, threads: int) -> Floats:
         """Add a step to the counts and paths; return the straightness (0 to 1) of the paths that have ended."""
@@ -169,7 +169,7 @@ class MotionMeasures:
         return parallel.join_parts(counts, window.straightness)[0]
 
     def _add_part_counts(self) -> None:
-        """Add the turns and tilts that the parts of a kernel have counted in separate rows to the totals."""
+        """Add the turns and tilts that the chunks of a kernel have counted in separate rows to the totals."""
         for total, rows in zip((self.turns, self.tilts), self.part_counts, strict=True):
             total += rows.sum(axis=0)
         self.part_counts.fill(0)
@@ -178,7 +178,7 @@ class MotionMeasures:
         """Return the window of a species, with its rows reordered to those of the agents."""
         known, ids = self.windows.get(population.name), population.ids
         if known is not None and (known.ids is ids or np.array_equal(known.ids, ids)):
-            known.ids = ids  # not compared again
+            known.ids = ids  # the same array, so that the next comparison is fast
             return known
         n = len(ids)
         fresh = PathWindow(ids, np.empty((n, 3)), np.empty(n), np.empty(n, np.int64))
@@ -200,7 +200,7 @@ class MotionMeasures:
 
     def _measure_bodies(self, world: World, with_depths: bool, crowds: list[Population]) -> None:
         """Measure penetration depths of trunks (if `with_depths`), and overlaps, heads and bodies of `crowds`, in parallel.
-        An overlap is that with the worst neighbour: 0 without, 1 at one position. Heads and bodies inside the ground count."""
+        Overlaps are with the deepest neighbour: 0 without, 1 at equal positions. Heads and bodies inside the ground count."""
         looks: list[Callable[[], NDArray[Any]]] = [partial(measure_overlap_depths, world)] if with_depths else []
         for population in crowds:
             places = *vec.get_vector_registers(population.now, "position"), population.now["radius"]
@@ -208,7 +208,7 @@ class MotionMeasures:
             looks += [partial(find, world, population) for find in (find_heads_inside, find_sampled_bodies_inside)]
 
         def run_looks(begin: int, end: int) -> list[NDArray[Any]]:
-            with np.errstate(all="ignore"):  # the error state is per thread
+            with np.errstate(all="ignore"):  # NumPy's error state is per thread
                 return [look() for look in looks[begin:end]]
 
         results = chain.from_iterable(parallel.run_in_parts(run_looks, len(looks), world.options.threads, 1))
@@ -221,8 +221,8 @@ class MotionMeasures:
             self.heads_inside, self.bodies_inside = self.heads_inside + int(heads.sum()), self.bodies_inside + int(bodies.sum())
 
     def summary(self) -> dict[str, float]:
-        """Return turn_p99, tilt_p99, tilt_max (degrees per step), step_max (share of the longest allowed step), straightness,
-        circling, standing, heads_inside, body_inside, overlap_start, deep_max (shares), overlap_p99 (0 to 1)."""
+        """Return the measures by name: degrees per step for turns and tilts, a share of the longest allowed step for `step_max`,
+        else 0 to 1."""
         self._add_part_counts()
         return {
             "turn_p99": _percentile_99(self.turns) * 180.0,
@@ -240,12 +240,12 @@ class MotionMeasures:
         }
 
 
-_CHECKPOINT_FIELDS = tuple(each.name for each in fields(MotionMeasures))[:-3]  # those in checkpoints
+_CHECKPOINT_FIELDS = tuple(each.name for each in fields(MotionMeasures))[:-3]  # the fields that checkpoints contain
 _WINDOW_COLUMNS = tuple(each.name for each in fields(PathWindow) if each.init)
 
 
 def _chord_degrees(half: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return the angle (degrees) over half a chord of the unit circle."""
+    """Return the angle (degrees) of half a chord of the unit circle."""
     return np.asarray(np.degrees(2 * np.arcsin(half)))
 
 
@@ -255,12 +255,11 @@ def _find_bins(angle: NDArray[np.float32]) -> Counts:
 
 @cache
 def _make_bin_table() -> tuple[NDArray[np.float32], Counts]:
-    """Return the least half chord of each bin of turns, and the bin of the least half chord of each of 4096 cells.
-    They are float32[bins + 2], the last beyond all half chords, and int64[cells + 1].
-    Bins are found by bisection, because a longer chord is a greater angle."""
+    """Return the least half chord of each bin of turns, and the bin of the least half chord of each of 4096 cells. They are
+    float32[bins + 2], the last beyond all half chords, and int64[cells + 1]. Bins are found by bisection."""
     bin_numbers = np.arange(1, _HISTOGRAM_BINS + 1)
     low, high = (np.full(_HISTOGRAM_BINS, np.float32(end).view(np.int32), np.int64) for end in (0.0, 1.0))
-    while (low < high).any():  # positive floats are ordered as their bits are
+    while (low < high).any():  # positive floats have the same order as their bits
         middle = (low + high) >> 1
         is_reached = _find_bins(_chord_degrees(middle.astype(np.int32).view(np.float32))) >= bin_numbers
         low, high = np.where(is_reached, low, np.minimum(middle + 1, high)), np.where(is_reached, middle, high)
@@ -331,8 +330,8 @@ class HistogramBins(NamedTuple):
 
 
 class MotionLimits(NamedTuple):
-    """`dt`: seconds of a step. `min_push`: least push that counts as a wish. `standing_share`: share of speed below which an
-    agent stands. A path ends after `steps` steps, and counts if it is at least `min_path_length` body lengths long."""
+    """Thresholds. `dt`: seconds of a step. `min_push`: of an agent that intends to move. `standing_share`: an agent below this
+    share of its speed stands. A path ends after `steps` steps; shorter paths than `min_path_length` body lengths are ignored."""
 
     dt: F32
     min_push: F32
@@ -342,8 +341,9 @@ class MotionLimits(NamedTuple):
 
 
 class StepCounts(NamedTuple):
-    """Counts of a part from agent `begin` on. `ended_paths`: ended paths, with their straightness stored from `begin` on.
-    `standing`: standing agents. `max_tilt_half_chord`: greatest half chord of a tilt. `max_step_share`: of the longest step."""
+    """Counts of a chunk from agent `begin` on.
+    `ended_paths`: ended paths; their straightness is stored from `begin` on. `max_tilt_half_chord`: half chord of the greatest
+    tilt. `max_step_share`: of the longest allowed step."""
 
     begin: I64
     ended_paths: I64

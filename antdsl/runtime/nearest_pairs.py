@@ -1,8 +1,7 @@
-"""The nearest agent of a complete species for each of many agents, found with a k-d tree (J. L. Bentley, Multidimensional
-binary search trees, Comm. ACM 18, 1975).
+"""The nearest agent of a complete species for each of many agents, found with a k-d tree.
 
-The tree only gives candidates, so that not all pairs are measured. Float32 distances decide, and ids at equal distance, as
-where all pairs are measured."""
+Source: J. L. Bentley, Multidimensional binary search trees, Comm. ACM 18, 1975. The tree only returns candidates, to avoid
+measuring all pairs. Float32 distances, and ids at equal distances, select among them, as when all pairs are measured."""
 
 from __future__ import annotations
 
@@ -17,9 +16,9 @@ from antdsl.runtime.world import AXES, Population, World
 Floats = NDArray[np.float32]
 PairColumns = tuple[NDArray[np.intp], NDArray[np.intp], Floats, Floats, Floats, Floats]
 
-_DISTANCE_SLACK_FACTOR = 1 + 1e-6  # by more than float32 rounds a distance
-_MIN_DISTANCE_MM = 1e-15  # mm, below which squares of float32 lose digits
-_MAX_DISTANCE_MM = 1e15  # mm, above which they overflow
+_DISTANCE_SLACK_FACTOR = 1 + 1e-6  # exceeds the rounding of a float32 distance
+_MIN_DISTANCE_MM = 1e-15  # squares of smaller float32 distances lose digits
+_MAX_DISTANCE_MM = 1e15  # squares of larger float32 distances overflow
 _FIRST_QUERY_NEIGHBOURS = 3  # neighbours in the first query
 _QUERY_GROWTH_FACTOR = 4  # growth of the query if all results are equally near
 _MAX_EQUAL_DISTANCES = 64  # with more equal float32 distances, all pairs are measured
@@ -31,10 +30,9 @@ def find_nearest_agents(
 ) -> PairColumns | None:
     """Return the nearest other of each requesting agent.
 
-    `own`: x, y and z of the requesting agents, float32[n] mm. `ids`: their ids if they are of the other's species, so that
-        none finds itself.
-    The result is: ascending indices of agents with a result, rows of the others, offsets x, y, z from the requesting agent,
-    distances. It is None if a position is not finite or its square exceeds float32."""
+    `own`: x, y and z of the requesting agents, float32[n] mm. `ids`: their ids if both are of the same species, so that no agent
+    finds itself. The result is: ascending indices of agents with a result, rows of the others, offsets x, y, z from the
+    requesting agent, distances. It is None if a position is not finite or its square exceeds float32."""
     mine, sites = np.stack(own, axis=1).astype(np.float64), _cached_sites(world, other)
     if sites is None or not (np.abs(mine) < _MAX_DISTANCE_MM).all():
         return None
@@ -82,7 +80,7 @@ def _measure_all_agents(
         distance = np.sqrt((dx * dx + dy * dy) + dz * dz)
         if ids is not None:
             distance[known == ids.take(batch)[:, None]] = np.inf
-        best = distance.argmin(axis=1)  # the first of several, which has the least id
+        best = distance.argmin(axis=1)  # the first of several, with the least id
         hit_rows = np.flatnonzero(np.isfinite(distance[np.arange(len(batch)), best]))
         columns = (array[hit_rows, best.take(hit_rows)] for array in (dx, dy, dz, distance))
         parts.append((batch.take(hit_rows), order.take(best.take(hit_rows)), *columns))
@@ -103,9 +101,8 @@ def _measure_pairs(other: Population, own: tuple[Floats, ...], i: NDArray[np.int
 class _AgentSites:
     """The distinct positions of agents of a species.
 
-    `tree`: a k-d tree of the positions.
-    `first`, `second_rows`: the rows of the two least ids at each position; the second is -1 if there is one agent. The second is
-        needed if the first is the requesting agent."""
+    `tree`: a k-d tree of the positions. `first`, `second_rows`: the rows of the two least ids at each position; the second is -1
+    for a single agent. It is used if the first is the requesting agent."""
 
     tree: Any
     first: NDArray[np.intp]
@@ -113,8 +110,9 @@ class _AgentSites:
 
 
 def _cached_sites(world: World, other: Population) -> _AgentSites | None:
-    """Return the positions of a species at the start of the step, cached for the step. None if there is no agent, or if a
-    position is not finite or too far out."""
+    """Return the positions of a species at the start of the step, cached for the step.
+
+    Return None if there is no agent, or if a position is not finite or too far from the origin."""
     if other.name not in world.trees:
         world.trees[other.name] = _build_sites(other)
     sites: _AgentSites | None = world.trees[other.name]
@@ -122,7 +120,7 @@ def _cached_sites(world: World, other: Population) -> _AgentSites | None:
 
 
 def _build_sites(other: Population) -> _AgentSites | None:
-    """Return the distinct positions of a species; None as for `_cached_sites`."""
+    """Return the distinct positions of a species, or None in the cases of `_cached_sites`."""
     from scipy.spatial import cKDTree
 
     x, y, z = (other.start[f"position.{axis}"] for axis in AXES)

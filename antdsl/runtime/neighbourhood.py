@@ -1,7 +1,6 @@
-"""The neighbours of an agent in the tangent plane of its ground: the velocity that avoids all of them, and the widest gap
-between them.
+"""The neighbours of an agent in the tangent plane of its ground, and the cell grids that find neighbours.
 
-Also the cell grids that find neighbours."""
+Computes the velocity that avoids all neighbours, and the widest gap between them."""
 
 from __future__ import annotations
 
@@ -23,7 +22,7 @@ from antdsl.senses.clear_velocity import VelocityWishes, fill_clear_velocities, 
 from antdsl.senses.nearest_others import CrowdTables, Requesters, fill_nearest_offsets, store_up_and_motion
 from antdsl.senses.neighbours import CellGrid
 
-_MAX_COARSER_QUARTERS = 4  # quarters of an octave by which reused cells may be wider
+_MAX_COARSER_QUARTERS = 4  # cells may be wider than requested by this many quarters of an octave
 _EVERY_SPECIES = ""  # the name of the grid of all agents
 Floats = NDArray[np.float64]
 Rows = NDArray[np.intp]
@@ -34,8 +33,8 @@ def compute_clear_velocity(
 ) -> tuple[NDArray[np.float32], ...]:
     """Return velocities (mm/s, x y z) along the ground for the given agents, nearest to the velocity `wish`.
 
-    They avoid hits for `horizon` s with the `most` nearest others of any species, within `within` mm on the same side of the
-    ground. All agents are used as they were at the start of the step."""
+    They avoid collisions for `horizon` s with the `most` nearest agents of any species. Only agents within `within` mm on the
+    same side of the ground count. All agents have their state at the start of the step."""
     crowd, requesters = build_nearest_search(world, population, rows, within, most)
     a, b, c = wish
     wished = np.ascontiguousarray(a, np.float64), np.ascontiguousarray(b, np.float64), np.ascontiguousarray(c, np.float64)
@@ -50,8 +49,8 @@ def find_widest_gap(
 ) -> tuple[NDArray[np.float32], ...]:
     """Return unit directions (x y z) along the ground for the given agents, into the widest gap between neighbours.
 
-    Neighbours are the `most` nearest others of any species, within `within` mm on the same side of the ground. Without
-    neighbours the result is 0."""
+    Neighbours are the `most` nearest agents of any species, within `within` mm on the same side of the ground. Without neighbours
+    the result is 0."""
     crowd, requesters = build_nearest_search(world, population, rows, within, most)
     shape = len(rows), int(min(np.max(most, initial=0.0, where=most > 0), MAX_QUERY_NEIGHBOURS))
     x, y, is_present, axes = np.zeros(shape), np.zeros(shape), np.zeros(shape, np.bool_), np.empty((6, len(rows)))
@@ -65,7 +64,7 @@ def find_widest_gap(
 def build_nearest_search(
     world: World, population: Population, rows: Rows, within: Floats, most: Floats
 ) -> tuple[CrowdTables, Requesters]:
-    """Return all agents as a crowd, and the given agents as requesters, for a search of neighbours."""
+    """Return all agents as a crowd and the given agents as requesters, for a neighbour search."""
     widest = float(np.max(within, initial=0.0, where=np.isfinite(within)))
     grid = _find_grid(world, _EVERY_SPECIES, widest if widest > 0 else 1.0, partial(_CrowdGrid, world))
     assert isinstance(grid, _CrowdGrid)
@@ -104,7 +103,7 @@ class _CrowdGrid(CellGrid):
 
 
 def _first_rows(populations: Mapping[str, Population], names: Sequence[str]) -> dict[str, int]:
-    """Return the first row of each species in an array that contains the species in the order of `names`."""
+    """Return the first row of each species in an array of all species in the order of `names`."""
     ends = accumulate(len(populations[name]) for name in names)
     return {name: end - len(populations[name]) for name, end in zip(names, ends, strict=True)}
 
@@ -120,9 +119,9 @@ def find_species_grid(world: World, other: Population, widest: float) -> CellGri
 
 
 def _find_grid(world: World, name: str, widest: float, sort: Callable[[float], CellGrid]) -> CellGrid:
-    """Return a grid of this step that suits the radius `widest` (mm). If there is none, make one.
+    """Return a grid of this step that suits the radius `widest` (mm). Make one if there is none.
 
-    A search with wider existing cells costs less than sorting again."""
+    Searching wider existing cells costs less than sorting again."""
     size = float(np.ceil(4 * np.log2(widest)))
     known = [(k, grid) for (of, k), grid in list(world.grids.items()) if of == name and size <= k <= size + _MAX_COARSER_QUARTERS]
     if known:

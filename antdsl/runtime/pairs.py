@@ -34,11 +34,10 @@ MAX_PAIRS_PER_CHUNK = 1 << 22  # limit for a chunk that compares all agents with
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PairRows:
-    """Pairs of a set.
+    """The pairs of a set.
 
-    `of`: the other agents or items. `count`: the number of requesting rows.
-    `i`: index of the requesting row, from 0. `j`: row in `of`.
-    `dx`, `dy`, `dz`: other minus own position, float32 mm. `distance`: the length of that vector."""
+    `of`: the other agents or items. `count`: the number of requesting rows. `i`: index of the requesting row, from 0. `j`: row in
+    `of`. `dx`, `dy`, `dz`: position of the other minus own position, float32 mm. `distance`: the length of that vector."""
 
     of: Population | Items
     count: int  # requesting rows
@@ -98,7 +97,8 @@ def find_pairs(
 
 
 def _advise_on_radius(other: Population, radius: Any) -> str:
-    """Return advice for a radius with too many agents: if more agents are in it than fit without overlap, they overlap."""
+    """Return advice for a radius with too many agents. If more agents are in it than fit without overlap, the advice is to
+    separate them."""
     widest, body = float(np.max(radius)), float(np.median(other.start["radius"]))
     if 0 < widest < body * np.sqrt(limits.MAX_CANDIDATES_IN_RADIUS):
         return "they stand in each other, so give them more room, or write a smaller radius"
@@ -106,8 +106,7 @@ def _advise_on_radius(other: Population, radius: Any) -> str:
 
 
 def is_nearest_only(species: ir.SpeciesPlan, node: ir.PlanNode) -> bool:
-    """Return whether a set is a complete species of which only the nearest agent is used. The set then contains only that
-    agent."""
+    """Return whether a set is a complete species of which only the nearest agent is used. Only that agent is then in the set."""
     return node.op == "set.every" and count_nearest(species, node) == 1
 
 
@@ -140,7 +139,7 @@ def _shorten_radii(other: Population, own: tuple[Floats, ...], ids: NDArray[np.i
 
 
 def _find_set_use(species: ir.SpeciesPlan, node: ir.PlanNode) -> Span | None:
-    """Return the smallest part of the species' own source that uses a set. The set itself may be defined in a library."""
+    """Return the smallest part of the species' own source that uses a set, because the set may be defined in a library."""
     if _is_own_text(node.span):
         return node.span
     for _, block in list_blocks(species):
@@ -251,7 +250,7 @@ def _reduce_max(pairs: PairRows, node: ir.PlanNode, condition: Any, body: Any) -
 
 
 def _best_label(pairs: PairRows, condition: Any, body: Any, label: NDArray[Any], none: Any) -> Any:
-    """Return the label of the pair with the least `body` for each row. Of equal ones, the lesser label is chosen."""
+    """Return the label of the pair with the least `body` for each row. Among equals, the least label is chosen."""
     result = np.full(pairs.count, none)
     i, keep = _select_rows(pairs, condition)
     if not len(i):
@@ -276,7 +275,7 @@ def _best_item(pairs: PairRows, node: ir.PlanNode, condition: Any, body: Any) ->
 
 
 def _nth_label(pairs: PairRows, condition: Any, body: Any, number: Any, label: NDArray[Any], none: Any) -> Any:
-    """Return the label of the pair with the n-th least `body` for each row. Equal ones are ordered by label."""
+    """Return the label of the pair with the n-th least `body` for each row. Equals are ordered by label."""
     result = np.full(pairs.count, none)
     i, keep = _select_rows(pairs, condition)
     body, number = _select_body_values(pairs, body, keep), np.floor(_select_body_values(pairs, number, keep))

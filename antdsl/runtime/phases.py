@@ -1,7 +1,7 @@
-"""One step: its phases in order, each with its wall time and CPU time. PHASES defines the order, and the language reference
-shows it.
+"""The phases of a step in order, each with its wall time and CPU time. PHASES defines the order that the language reference
+shows.
 
-Agents, items and fields are read as they were at the start of the step (`start`, `visible_values`). Written values are visible
+Agents, items and fields are read in their state at the start of the step (`start`, `visible_values`). Written values are visible
 in the next step."""
 
 from __future__ import annotations
@@ -27,10 +27,9 @@ _SORT_INTERVAL_FRAMES, _MIN_AGENTS_TO_SORT = 16, 2048  # frames, agents
 
 
 def prepare_senses(world: World) -> None:
-    """Prepare the senses of a step: clear cached values, show the items' amounts, solve flows that are due, find each agent's
-    cells.
+    """Prepare the senses of a step: clear cached values, show the items' amounts, solve due flows, and find each agent's cells.
 
-    Senses are computed when they are first needed. From this phase on, `time` and `frame` are those of the new frame."""
+    Senses are computed on first use. From this phase on, `time` and `frame` belong to the new frame."""
     world.is_stepping = True
     world.grids.clear()
     world.trees.clear()
@@ -51,12 +50,12 @@ def prepare_senses(world: World) -> None:
 
 
 def run_decisions(world: World) -> None:
-    """Run handlers, latches and transitions, which decide what each agent intends to do."""
+    """Run handlers, latches and transitions. They decide what each agent intends to do."""
     _run_block(world, "decide")
 
 
 def settle_claims(world: World) -> None:
-    """Settle the claims: decide which agents get what they requested."""
+    """Resolve the claims: decide which agents get what they requested."""
     claims.settle_claims(world)
 
 
@@ -92,7 +91,7 @@ def apply_effects(world: World) -> None:
 
 
 def _settle_requests(phase: str, world: World) -> None:
-    """Settle all requests that a phase is responsible for. A function that settles several kinds is called once."""
+    """Apply all requests of a phase. A function that applies several kinds is called once."""
     if any([population.effects.requests for population in world.populations.values()]):
         for settle in dict.fromkeys(SETTLER_BY_EFFECT[op] for op in list_effects_of_phase(phase)):
             settle(world)
@@ -134,13 +133,13 @@ def apply_births(world: World) -> None:
     """Remove dead agents from the populations and add newborn ones."""
     _settle_requests("births", world)
     lifecycle.settle_newborn(world)
-    faults.collect_faults(world)  # of births, while their rows and the frame are still these
+    faults.collect_faults(world)  # count the faults of births before rows and frame change
 
 
 def commit_step(world: World) -> None:
     """Make the values written in this step the state that agents sense in the next step."""
     world.frame, world.is_stepping = world.display_frame, False
-    by_place = (world.frame - world.setting.first_frame - 1) % _SORT_INTERVAL_FRAMES == 0  # after the first step, too
+    by_place = (world.frame - world.setting.first_frame - 1) % _SORT_INTERVAL_FRAMES == 0  # also after the first step
     for population in world.populations.values():
         for name in population.events:
             population.events[name], population.raised_events[name] = population.raised_events[name], population.events[name]
@@ -176,7 +175,7 @@ def _count_transitions(world: World, population: Population) -> None:
                 world.transitions[key] = world.transitions.get(key, 0) + int(numbers[pair])
 
 
-# The function that settles an effect, by op; the effect's phase calls it.
+# The function that applies an effect, by op; the effect's phase calls it.
 SETTLER_BY_EFFECT: dict[str, Callable[[World], None]] = {
     "deposit": lifecycle.apply_deposits,
     "carve": digging.dig_solids,

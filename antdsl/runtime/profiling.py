@@ -23,7 +23,7 @@ _COMMENT_PATTERN = re.compile(r'("[^"]*")|#.*')
 
 @dataclass(frozen=True, slots=True)
 class LayerTime:
-    """The time of a layer in ms per frame, with everything that was computed for it, in any file."""
+    """The time of a layer in ms per frame. It includes everything computed for the layer, in any file."""
 
     species: str
     span: Span
@@ -32,7 +32,7 @@ class LayerTime:
 
 @dataclass(frozen=True, slots=True)
 class LineTime:
-    """The time of a program line in ms per frame. Lines that it calls have their own entries.
+    """The time of a program line in ms per frame. Lines called by it have their own entries.
 
     `text`: the line without indentation and comment."""
 
@@ -85,8 +85,8 @@ class _Measurement:
 class StepMeter:
     """Averages the times over the frames of the last `seconds`, or over all frames (None).
 
-    Call `begin` before a step and `end` after it; each step may be of another world. Measurements of another program are
-    dropped. Measurements of NumPy are dropped once machine code runs the steps."""
+    Call `begin` before a step and `end` after it; each step may be of another world. Measurements of another program are dropped.
+    Measurements of NumPy are dropped once machine code runs the steps."""
 
     def __init__(self, seconds: float | None = 1.0, *, clock: Callable[[], float] = monotonic) -> None:
         self._seconds, self._clock = seconds, clock
@@ -185,7 +185,7 @@ def _make_layer_time(species: str, layer: LayerPlan, ms: float) -> LayerTime:
 
 
 def _line_times(spent: Iterator[tuple[BlockInstruction, float]], to_ms: float) -> list[LineTime]:
-    """Return the times by the line in which the text of each call begins.
+    """Return the times by program line; a call counts for the line in which its text begins.
 
     Files are identified by name, because parts of a file are read more than once."""
     seconds_by_line: dict[tuple[str, int], float] = {}

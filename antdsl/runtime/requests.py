@@ -1,5 +1,4 @@
-"""Requests of the blocks of one step to other parts of the world. A backend fills an `EffectRequests`; the phases apply it
-later.
+"""Requests of a step's blocks to other parts of the world. A backend fills an `EffectRequests`; later phases apply it.
 
 Every entry contains the rows of one statement in one chunk. The order in which entries are applied does not change any bit."""
 
@@ -25,7 +24,7 @@ class ClaimEntry:
     order: int  # place of the statement in the text of its species
     rows: Rows
     item: NDArray[np.int32]  # item or cell of a field; -1 for none
-    amount: NDArray[np.float32]  # inf: all that is left
+    amount: NDArray[np.float32]  # inf: the complete remainder
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,8 +54,7 @@ class RequestEntry:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FaultEntry:
-    """Rows with a value that is not finite, its location in the source, and the block (so that the reference can run it
-    again)."""
+    """Rows with a value that is not finite, its location in the source, and the block, which the reference backend runs again."""
 
     block: str
     register: str
@@ -75,7 +73,7 @@ class EffectRequests:
 
     @property
     def has_pending(self) -> bool:
-        """Return whether any request, claim or gift is not settled yet."""
+        """Return whether any request, claim or gift is still pending."""
         return bool(self.requests or self.claims or self.gives)
 
     def ask(self, entry: RequestEntry) -> None:

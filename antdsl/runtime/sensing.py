@@ -1,6 +1,6 @@
 """The senses of agents: one function per operation of the plan, for any number of rows at once.
 
-Both backends use it for draws, rays, fields, curves, items and other agents. Each backend finds and reduces sets by its own
+Both backends use it for draws, rays, fields, curves, items and other agents. Each backend finds and reduces sets with its own
 method. Arguments are arrays with one entry per row, or single values. Results are arrays with one entry per row."""
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ SenseValue = Any
 Rows = slice | NDArray[np.intp]
 FLOAT32_MIN_VECTOR_LENGTH = np.float32(MIN_VECTOR_LENGTH)
 NO_HIT = (np.False_, np.float32(np.inf), np.float32(0), np.float32(0), np.float32(0))  # result of a ray without a hit
-_PULL_INSIDE_SHARE = 1e-6  # share of the path to the middle of a face
+_PULL_INSIDE_SHARE = 1e-6  # share of the path from a border point to the middle of its face
 
 
 def constant_scalar(node: ir.PlanNode) -> SenseValue:
@@ -48,7 +48,7 @@ def constant_scalar(node: ir.PlanNode) -> SenseValue:
 
 
 def compute_uniform_leaf(world: World, node: ir.PlanNode) -> SenseValue:
-    """Return a constant, a param or a value of the run or step as a NumPy scalar."""
+    """Return a constant, a param, or a value of the run or step as a NumPy scalar."""
     if node.rate is ir.UpdateRate.CONST:
         return constant_scalar(node)
     match node.op:
@@ -164,7 +164,7 @@ def _sense_ray(
     dz: SenseValue,
     reach: SenseValue,
 ) -> SenseValue:
-    """Return what one feeler of each row hits, as `_sense_rays` does."""
+    """Return the result of one feeler of each row, as `_sense_rays` does."""
     n = _row_count(rows)
     rays = tuple(np.ascontiguousarray(_spread_rows(v, rows), np.float32) for v in (dx, dy, dz, reach))
     hits = tuple(np.full(n, value) for value in NO_HIT)
@@ -173,10 +173,10 @@ def _sense_ray(
 
 
 def _sense_rays(world: World, population: Population, node: ir.PlanNode, rows: Rows, queries: Sequence[FeelerQuery]) -> None:
-    """Compute what the feelers of n `rows` hit.
+    """Compute the hits of the feelers of n `rows`.
 
-    Operands: directions (x y z) of any length and the reach (mm), float32[n] each.
-    Results, initially `NO_HIT`: whether the feeler hits, the distance (mm) and the normal (x y z)."""
+    Operands: directions (x y z) of any length and the reach (mm), float32[n] each. Results, initially `NO_HIT`: whether the
+    feeler hits, the distance (mm) and the normal (x y z)."""
     name, start = node.attrs[0], population.start
     place = start["position.x"][rows], start["position.y"][rows], start["position.z"][rows]
     clear = get_clearance(world, population, name)
@@ -199,9 +199,9 @@ def _cast_remaining_feelers(
     queries: Sequence[FeelerQuery],
     threads: int,
 ) -> None:
-    """Compute what the remaining feelers hit in one scene, with all rays at once.
+    """Compute the hits of the remaining feelers in one scene, with all rays at once.
 
-    `remaining`, `columns`: the remaining feelers, as `Obstacle.cast_feeler_batch` returns and takes them."""
+    `remaining`, `columns`: the remaining feelers, in the form that `Obstacle.cast_feeler_batch` takes and returns."""
     *place, clear = columns
     row = np.concatenate([rows for _, rows in remaining])
     ask_numbers = np.repeat([each for each, _ in remaining], [len(rows) for _, rows in remaining])
@@ -264,10 +264,10 @@ def _sense_field_ahead(
 
 
 def _pull_inside_border(world: World, moved: GroundMove) -> tuple[Footing, NDArray[np.float64]]:
-    """Return the ends of paths, moved slightly into the face if a path ends at an open border.
+    """Return the ends of paths. A path that ends at an open border is moved slightly into the face.
 
-    A border may be between two cells. Exactly on it, one side of a strip would read its own cells and the other side cells
-    outside the surface."""
+    A border may lie between two cells. Exactly on it, one side of a strip would read its own cells, the other side cells outside
+    the surface."""
     meshes = world.ground.meshes
     if meshes is None or not moved.blocked.any():
         return moved.footing, moved.position
@@ -390,8 +390,8 @@ SENSE_FUNCTIONS: Mapping[str, Callable[..., SenseValue]] = {
     "clip.value": _sense_clip_value,
 }
 
-# Senses that read their operands from the arrays of machine code and write results there, for several queries of n rows at once.
-# Each has its function and its initial results.
+# Senses with operands and results in the arrays of machine code, for several queries of n rows at once.
+# Each entry has its function and its initial results.
 BATCHED_SENSES: Mapping[
     str, tuple[Callable[[World, Population, ir.PlanNode, Rows, Sequence[FeelerQuery]], None], tuple[Any, ...]]
 ] = {"ray": (_sense_rays, NO_HIT)}

@@ -42,17 +42,16 @@ DTYPE_BY_KIND: Mapping[ir.ValueKind, type[np.generic]] = {
     ir.ValueKind.F32: np.float32, ir.ValueKind.BOOL: np.bool_, ir.ValueKind.I32: np.int32, ir.ValueKind.I64: np.int64,
 }  # fmt: skip
 AXES = ("x", "y", "z")
-PUSHED_REGISTER = "moved"  # mm, by contacts in one step; a register of species with a program that reads it
+PUSHED_REGISTER = "moved"  # mm per step, by contacts; only species that use it have this register
 MOVED_REGISTERS = tuple(name for column in REGISTER_COLUMN_BY_NAME.values() if column.shape for name in column.registers)
 Scalar = TypeVar("Scalar", bound=np.generic)
 
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """How to run. No option changes a result; only `on_fault` determines what happens after a fault.
+    """How to run. No option changes a result, except that `on_fault` determines what happens after a fault.
     `chunk`: number of rows that a thread processes at once. `shuffle_rows`: a seed for a random order of rows.
-    `wait_for_code`: the first step of the native backend waits for machine code instead of running in NumPy until it is ready.
-    `feet`: positions of feet are computed for bodies with legs and gaits."""
+    `wait_for_code`: the first step waits for machine code, instead of running in NumPy. `feet`: compute positions of feet."""
 
     backend: Literal["numpy", "native", "reference"] = "native"
     chunk: int = 16_384
@@ -65,7 +64,8 @@ class Options:
 
 @dataclass(slots=True, eq=False)
 class Items:
-    """Items of one name. `amounts` float64: conserved. `visible_values` float32: amounts at the start of the step, for senses."""
+    """Items of one name.
+    `amounts` float64: conserved. `visible_values` float32: amounts at the start of the step, for senses."""
 
     name: str
     names: tuple[str, ...]
@@ -83,7 +83,7 @@ class Items:
 
 
 class FixedColumn(Generic[Scalar]):
-    """A typed attribute of a population that accesses one array of its `columns`, named as in `FIXED_COLUMN_BY_NAME`."""
+    """A typed attribute of a population for one array of its `columns`, with the attribute's name in `FIXED_COLUMN_BY_NAME`."""
 
     def __set_name__(self, owner: type, name: str) -> None:
         self._name = name
@@ -116,8 +116,8 @@ class Population:
     # field -> the lookup data of its cells, independent of rows
     voxels: dict[str, CellLookupState | None] = field(default_factory=dict)
     effects: EffectRequests = field(default_factory=EffectRequests)
-    claimed_totals: dict[str, NDArray[np.float64]] = field(default_factory=dict)  # by site: claimed by all in this step
-    version: int = 0  # changes with the rows
+    claimed_totals: dict[str, NDArray[np.float64]] = field(default_factory=dict)  # by site: total claimed in this step
+    version: int = 0  # changes when rows change
     reordered: tuple[NDArray[np.int64], NDArray[np.intp]] | None = None  # ids before the last `select_rows`, and its rows
     next_id: int = 0
     replaced_poses: tuple[NDArray[Any], ...] | None = None  # poses of leaning bodies, which `level_headings` replaced
@@ -129,7 +129,8 @@ class Population:
     _cached_ranks: tuple[int, NDArray[np.int32]] | None = None
     bodies: tuple[int, NDArray[np.uint8]] | None = None  # version, and the index of each row's body: see `body_rows`
     _cached_state_names: tuple[ir.SpeciesPlan, tuple[str, ...]] | None = None
-    _cached_temps: tuple[ir.SpeciesPlan, int, dict[str, NDArray[Any]]] | None = None  # of a plan and so many agents, with zeros
+    # the plan, the number of agents, and arrays of zeros
+    _cached_temps: tuple[ir.SpeciesPlan, int, dict[str, NDArray[Any]]] | None = None
 
     def state_registers(self) -> tuple[str, ...]:
         """Return the names of registers that belong to the state, in order."""
@@ -163,14 +164,14 @@ class Population:
         return len(self.columns["ids"])
 
     def sorted_ids(self) -> tuple[NDArray[np.int64], NDArray[np.intp]]:
-        """Return ids in ascending order, and their rows. Callers must not write to the arrays."""
+        """Return ids in ascending order, and their rows. Callers must not change the arrays."""
         if self._cached_rows is None or self._cached_rows[0] != self.version:
             order = sort_stably(self.ids)
             self._cached_rows = (self.version, self.ids[order], order)
         return self._cached_rows[1], self._cached_rows[2]
 
     def find_rows(self, ids: NDArray[np.int64]) -> NDArray[np.intp]:
-        """Return the row of each id; -1 for the id of no agent and for dead agents."""
+        """Return the row of each id, or -1 for ids of dead agents and of no agent."""
         known, order = self.sorted_ids()
         if not len(known):
             return np.full(np.shape(ids), -1, np.intp)
@@ -202,9 +203,9 @@ class Population:
 
 @dataclass(frozen=True, slots=True)
 class OvercrowdedLine:
-    """A crowd line (number `group`) of the scene with a place that has no space for all its agents.
-    `fit` of `count` agents are clear of all others. `radius` (mm): least and greatest. `fits_by_area`: all would fit with `by:
-    area`. `covered_area`, `available_area` (mm²): the area that all agents would cover, and the available area (None: not known).
+    """A crowd line (number `group`) of the scene without space for all its agents at its place.
+    `fit`: how many of its `count` agents have space. `radius` (mm): least and greatest. `fits_by_area`: `by: area` would fit all.
+    `covered_area`, `available_area` (mm²): the area that all agents would cover, and the available area (None if unknown).
     `sufficient_radius` (mm): for a place with a radius, the radius with space for all; None if there is none."""
 
     group: int
@@ -222,21 +223,20 @@ class StepBackend(Protocol):
     """The interface of backends, which run the blocks of a plan; see `backends`."""
 
     def begin(self, world: World) -> None:
-        """Begin a step: drop data that was cached for the last step."""
+        """Begin a step: drop data cached for the last step."""
 
     def run(self, world: World, population: Population, block: str, rows: NDArray[np.intp] | None = None) -> None:
         """Run a block for some agents (None: all)."""
 
     def messages(self) -> list[str]:
-        """Return messages for the user about differences from the requested execution. None of them changes a result."""
+        """Return messages for the user about differences from the requested execution. These differences change no result."""
 
 
 @dataclass(slots=True, eq=False)
 class World:
     """A bound plan during a run.
-
-    `frame`: the number of the current frame; within a step, of the frame from which the step began.
-    `origin` (mm): subtracted from all positions at binding, so that float32 stays precise far from the scene's zero."""
+    `frame`: the number of the current frame. During a step, it is the frame before the step. `origin` (mm): subtracted from all
+    positions at binding, so that float32 stays precise far from the scene's zero."""
 
     plan: ir.Plan
     setting: WorldSetting
@@ -283,7 +283,7 @@ class World:
 
     @property
     def display_frame(self) -> int:
-        """Return the frame that current computations belong to: that of the step in progress, else the current frame."""
+        """Return the frame that computations belong to: during a step the frame that it produces, else the current frame."""
         return self.frame + self.is_stepping
 
     def __len__(self) -> int:
@@ -308,8 +308,8 @@ def stored_registers(plan: ir.SpeciesPlan) -> frozenset[str]:
 
 
 def shares_start_array(plan: ir.SpeciesPlan, register: str, stored: frozenset[str]) -> bool:
-    """Return whether a register needs only one array for the start of a step and for now.
-    This holds if it never changes, or exists only within a step."""
+    """Return whether a register needs only one array, for both the start of a step and the current values.
+    This holds if the register never changes, or exists only within a step."""
     return register not in stored or plan.registers[register].role == "temp"
 
 
@@ -323,7 +323,7 @@ def empty_population(plan: ir.SpeciesPlan, ground: Ground) -> Population:
 
 
 def make_fixed_columns(count: int, **known: Any) -> dict[str, NDArray[Any]]:
-    """Return the arrays of `FIXED_COLUMN_BY_NAME` for `count` new rows: those in `known`, and zeros for all others."""
+    """Return the arrays of `FIXED_COLUMN_BY_NAME` for `count` new rows, from `known` or else filled with zeros."""
     return {
         name: np.asarray(known[name])
         if name in known
@@ -333,13 +333,13 @@ def make_fixed_columns(count: int, **known: Any) -> dict[str, NDArray[Any]]:
 
 
 def select_rows(population: Population, rows: NDArray[np.intp]) -> None:
-    """Remove all rows except the given ones, which get this order."""
+    """Keep only the given rows, in the given order."""
     _reorder_columns(population, rows)
     _replace_registers(population, lambda array, _: gather_padded(array, rows))
 
 
 def publish_state(population: Population, threads: int, rows: NDArray[np.intp] | None = None) -> None:
-    """Make the written values those that agents sense. With `rows`, a permutation, also reorder the agents.
+    """Publish the written values: agents sense them from now on. With `rows`, a permutation, also reorder the agents.
     Registers stay in their arrays, unless one array serves as both `start` and `now`."""
     start, now = population.start, population.now
     if rows is not None:
@@ -392,7 +392,7 @@ def add_rows(population: Population, ids: NDArray[np.int64], frame: int, place: 
 
 
 def _replace_registers(population: Population, change: Callable[[NDArray[Any], str], NDArray[Any]]) -> None:
-    """Replace every register array by the result of `change`. Registers that share one array for start and now still share it."""
+    """Replace every register array by the result of `change`. Registers with one array for start and now continue to share it."""
     for name, array in population.now.items():
         shared = population.start[name] is array
         population.now[name] = change(array, name)

@@ -1,4 +1,4 @@
-"""Start positions of agents: on the ground or inside things, outside obstacles and clear of each other.
+"""Start positions of agents: on the ground or inside things, outside obstacles, without overlaps.
 
 A position depends on the seed, the agent's species and id, and the agents placed before. Adding agents moves no other agent."""
 
@@ -26,7 +26,7 @@ from antdsl.runtime.moving.tilting import tilt_new_bodies
 from antdsl.runtime.world import AXES, OvercrowdedLine, Population, World, add_rows, empty_population, select_rows
 from antdsl.scene.setting import CrowdData, PlacementData
 
-_MIN_NORMAL_SINE = 1e-3  # at smaller sines of the angle to the normal, a direction leads off the ground
+_MIN_NORMAL_SINE = 1e-3  # if the sine of a direction's angle to the normal is smaller, the direction leads off the ground
 
 
 def place_crowds(world: World) -> None:
@@ -51,9 +51,8 @@ def place_crowds(world: World) -> None:
 def place_new_agents(world: World, new_crowds: Sequence[tuple[CrowdData, NDArray[np.int64]]]) -> dict[str, NDArray[np.intp]]:
     """Add agents of crowd lines and return their rows, by species. Only their positions are set.
 
-    They are placed as the scene says, clear of each other and of existing agents. Positions that the scene gives as points
-    come first and are used unchanged. Then each line keeps clear of earlier lines. `world.crowded` lists the lines that had no
-    space for all agents."""
+    Agents overlap neither each other nor existing agents. Positions that the scene gives as points come first and are used
+    unchanged. Each line avoids the agents of earlier lines. `world.crowded` lists the lines without space for all agents."""
     new_crowds = [(crowd, ids) for crowd, ids in new_crowds if len(ids)]
     if not new_crowds:
         return {}
@@ -103,7 +102,7 @@ def _compute_birth_radii(
 ) -> list[NDArray[np.float64]]:
     """Return the radius (mm) at birth of each line's agents, at the positions of their first draw.
 
-    A radius may depend on anything available at birth, so a temporary world computes it."""
+    A radius may depend on any value available at birth, so a temporary world computes it."""
     trial = replace(
         world,
         populations={name: empty_population(p.plan, world.ground) for name, p in world.populations.items()},
@@ -136,9 +135,8 @@ def _compute_spacing_radii(
 ) -> list[NDArray[np.float64]]:
     """Return the radii (mm) for spacing.
 
-    If a line declares a distance between its agents, the radius is at least half of it. For an even crowd, the radius is large
-    enough that discs cover as much of the place as random placement can fill. All lines with the same place are counted
-    together."""
+    If a line declares a distance between its agents, the radius is at least half of it. For an even crowd, the discs are as large
+    as random placement can fit into the place. Lines with the same place are counted together."""
     radii = []
     for (crowd, _), start, own in zip(new_crowds, starts, radius, strict=True):
         half = crowd.place.spacing / 2
@@ -204,7 +202,7 @@ def write_place_values(population: Population, rows: NDArray[np.intp], place: Pl
 def _choose_headings(
     world: World, population: Population, rows: NDArray[np.intp], up: VectorArrays, drawn: VectorArrays
 ) -> VectorArrays:
-    """Return headings: along the ground, as given at the start points, else the drawn ones."""
+    """Return headings along the ground: the heading of the start point if it has one, else the drawn heading."""
     heading = drawn
     for crowd in world.setting.crowds:
         if crowd.species != population.name or crowd.place.headings is None:
@@ -224,7 +222,7 @@ def _choose_headings(
 
 
 def _orient_agents(world: World, population: Population, rows: NDArray[np.intp]) -> None:
-    """Set up, heading and velocity of agents: up from the ground, a random heading unless the scene gives one, velocity 0."""
+    """Set up, heading and velocity of agents: up from the ground, the scene's heading or a random one, velocity 0."""
     target_up = np.stack([population.now[f"up.{axis}"] for axis in AXES], axis=1).astype(np.float64)
     up = vec.split_columns(world.ground.compute_upright_normals(population.footing, target_up)[rows], np.float32)
     angle = _draw_uniform(world, population.name, 0, population.ids[rows]) * FULL_TURN
@@ -240,8 +238,7 @@ def _orient_agents(world: World, population: Population, rows: NDArray[np.intp])
 
 
 def _set_start_velocity(world: World, population: Population, rows: NDArray[np.intp]) -> None:
-    """Set the velocity along the heading, at a random share of full speed (T02). Species that set their motion at birth are
-    skipped."""
+    """Set the velocity along the heading, at a random share of full speed (T02). Skip species that set their motion at birth."""
     if any(
         isinstance(s, ir.Store) and s.register.startswith("velocity.") for _, s in iterate_with_positions(population.plan.born)
     ):

@@ -1,4 +1,4 @@
-"""Makes flows and maps of a setting over the ground: sample points at the required resolution, and the values at these points."""
+"""Make flows and maps of a setting over the ground: sample points at the required resolution, and the values there."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from antdsl.runtime.world import World
 
 _CLEARANCE_COST_FACTOR = 8.0  # cost of a mm next to an obstacle, relative to open ground
-_MAX_BURIED_VOXELS = 0.05  # deeper below the surface of a solid, ground cannot be crossed
+_MAX_BURIED_VOXELS = 0.05  # ground buried deeper in a solid cannot be crossed
 _RAY_HEIGHT_PER_EDGE = 0.25  # height of obstacle rays above the ground, as a share of the edge
 
 
@@ -51,7 +51,7 @@ def bind_flows(world: World, report: Report, built: BindingCache) -> None:
             continue
         bound_flow = built.get_or_make("flow", (land, flow), partial(_cached_flow, world, name, flow))
         if bound_flow is None:
-            bind_flow(world, name, flow, report)  # complains
+            bind_flow(world, name, flow, report)  # reports errors
         else:
             world.flows[name] = copy(bound_flow)
 

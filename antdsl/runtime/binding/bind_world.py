@@ -70,7 +70,7 @@ def bind_empty(
 ) -> World:
     """Return a world as `bind` does, but without agents.
 
-    `origin` (mm): an existing origin that positions are relative to. Raises MachineCodeUnavailable if no kernel can run."""
+    `origin` (mm): an existing origin to which positions are relative. Raises MachineCodeUnavailable if no kernel can run."""
     llvm_compiler.require_llvm()
     options, built = options or Options(), built or BindingCache()
     origin = compute_world_origin(setting) if origin is None else origin

@@ -1,6 +1,6 @@
-"""Cached data made from meshes, for the next world, found by a digest of its inputs.
+"""A cache of data made from meshes, for the next world. Its keys are digests of the inputs.
 
-An edited program rarely comes with other meshes. Preparing a ground with its rays and cells takes longer than a step."""
+Meshes seldom change when a program is edited. Preparing a ground with its rays and cells takes longer than a step."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ T = TypeVar("T")
 
 
 class BindingCache:
-    """Grounds, ray scenes, cells, volumes and flows that do not change after they are made.
+    """A cache of grounds, ray scenes, cells, volumes and flows that do not change after they are made.
 
-    Data that changes, such as for dug or moving things, is stored in its initial state and returned as a copy."""
+    Data that changes later, such as dug or moving things, is stored in its initial state and returned as a copy."""
 
     def __init__(self) -> None:
         self._values: dict[str, Any] = {}
@@ -37,7 +37,7 @@ class BindingCache:
         return product if copy_value is None else copy_value(product)
 
     def get_deep_copy(self, what: str, inputs: object, make: Callable[[], T]) -> T:
-        """Return a deep copy of the result of `make` or of the cached result. This is for values that change in use."""
+        """Return a deep copy of the result of `make` or of the cached result, for values that change later."""
         return self.get_or_make(what, inputs, make, copy_value=deepcopy)
 
     def drop_unused(self) -> None:

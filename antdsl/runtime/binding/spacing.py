@@ -1,8 +1,8 @@
-"""Spaces agents at the start: each takes the first of its random positions at which its `radius` touches no earlier agent.
+"""Spacing of agents at the start: each takes the first of its random positions at which its `radius` touches no earlier agent.
 
-Method: random sequential addition of discs (dart throwing), in rounds over all agents at once. In a round, each agent without
-a position tries the next positions of its series. If two agents touch, the later one tries again. An agent's result therefore
-depends only on earlier agents, so adding agents moves none of them.
+Method: random sequential addition of discs (dart throwing), in rounds over all agents at once. In a round, each agent without a
+position tries the next positions of its series. If two agents touch, the later one tries again. So an agent's result depends only
+on earlier agents, and adding agents moves none of them.
 
 Random discs of one size cover at most 54.7 % of a plane and approach that ever more slowly. The number of tries is therefore
 limited (J. Feder, Random sequential adsorption, J. Theor. Biol. 87, 1980)."""
@@ -30,7 +30,7 @@ _FIRST_BATCH_AGENTS = 64  # agents of the first batch; each later batch is as la
 _GAP_FACTOR = 1.001  # factor on the distance at contact, because float32 rounds
 # Smaller neighbours of the first query; each further query doubles the number until the result is certain
 _FIRST_QUERY_NEIGHBOURS = 8
-_CELLS_PER_BODY = 8  # of agents that may overlap, one represents all in a cell of this part of a body
+_CELLS_PER_BODY = 8  # cells per body length; of agents that may overlap, each cell uses one
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,8 +75,8 @@ class _DiscGroup:
 class Occupancy:
     """The occupied positions, as discs.
 
-    An entry has a position, a radius and its number in the start order. Of two entries that overlap, the later one moves.
-    `rounding`: precision of positions (mm)."""
+    An entry has a position, a radius and its number in the start order. If two entries overlap, the later one moves. `rounding`:
+    precision of positions (mm)."""
 
     def __init__(self, rounding: float = 0.0) -> None:
         self._rounding = rounding
@@ -189,9 +189,9 @@ class Occupancy:
         return least
 
     def find_displaced_entries(self, entries: Rows) -> tuple[Rows, Floats]:
-        """Return the entries that must move after the given entries were added, and how free their positions were.
+        """Return the entries that must move because the given entries were added, and how free their positions were.
 
-        The given entries may be among the results."""
+        The result may contain given entries."""
         i, entry, share = self.find_overlaps(self._place[entries], self._radius[entries])
         own = entries[i]
         loser = np.where(self._order[entry] < self._order[own], own, entry)
@@ -207,7 +207,7 @@ class Occupancy:
 
 
 def has_extent(radius: NDArray[np.floating[Any]]) -> Flags:
-    """Return which radii keep other agents away: those above 0, not NaN."""
+    """Return which radii keep other agents away: positive ones, not NaN."""
     wide: Flags = np.isfinite(radius) & (radius > 0)
     return wide
 
@@ -218,7 +218,7 @@ def spread_agents(
     """Return positions for agents in id order, and which agents have a position at which they touch no other.
 
     All other agents get the position at which they touch earlier agents least. `first`: the number of the first agent in the
-    order of all starting agents. Agents with a free position are added to `occupancy`, the others are not."""
+    order of all starting agents. Only agents with a free position are added to `occupancy`."""
     chosen: StartPositionDraws | None = None
     fits = np.zeros(len(ids), np.bool_)
     rounds: tuple[int, ...] = _SPACING_ROUNDS[0][1]
@@ -302,8 +302,8 @@ def _size_class(radius: Floats) -> NDArray[np.int64]:
 def _find_first_per_cell(place: Floats, radius: Floats, subdivisions: int) -> Rows:
     """Return the first disc of each size class in each cell, ascending.
 
-    A cell is too small for two discs that do not overlap, or `subdivisions` times smaller. The remaining discs are few enough to
-    count their pairs."""
+    A cell is too small for two discs that do not overlap, or `subdivisions` times smaller. Few enough discs remain to count their
+    pairs."""
     size = _size_class(radius)
     smallest = np.ldexp(0.5, size)  # smallest radius of the class
     cell = np.floor(place / (2.0 * smallest / (np.sqrt(3.0) * subdivisions))[:, None])

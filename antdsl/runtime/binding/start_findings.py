@@ -1,4 +1,4 @@
-"""Findings about the start of a crowd after binding: not enough space for all agents, or no path to the target of a flow."""
+"""Findings about the start of a crowd after binding: too little space for all agents, or no path to the target of a flow."""
 
 from __future__ import annotations
 
@@ -45,9 +45,9 @@ def find_start_warnings(scene: Scene, world: World) -> Report:
 
 
 def _measure_excessive_gap(world: World, name: str) -> float:
-    """Return how far (mm) a target is from the ground, if that is more than a tenth of the ground's extent; else 0.
+    """Return the distance (mm) of a target from the ground if it exceeds a tenth of the ground's extent, else 0.
 
-    Targets often have a height that differs from the ground's, which matters little."""
+    Smaller differences, as in the height of a target, matter little."""
     flow = world.flows[name]
     if not isinstance(flow, PathFlow) or flow.crossable_ground is None:
         return 0.0
@@ -75,7 +75,7 @@ def _find_flow_operations(species: SpeciesPlan) -> dict[str, set[str]]:
 
 
 def find_crowding_warnings(scene: Scene, world: World) -> Report:
-    """Return warnings for crowd lines that had no space for all agents, each located at the place of the line.
+    """Return warnings for crowd lines without space for all agents, each located at the place of the line.
 
     Lines with a place off all surfaces are skipped, because another check reports them."""
     report, setting = Report(), world.setting

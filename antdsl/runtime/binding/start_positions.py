@@ -45,7 +45,7 @@ class StartPositionSampler:
             )
 
     def estimate_area(self) -> float | None:
-        """Return the ground area (mm²) on which agents can start, to two digits if sampled; None if unknown."""
+        """Return the ground area (mm²) on which agents can start, or None if unknown. A sampled area is rounded to two digits."""
         place = self.place
         if self.has_points or place.ray_origin is not None or (place.density is not None and not place.is_by_area):
             return None
@@ -59,14 +59,14 @@ class StartPositionSampler:
             total_area = float(np.pi * radius * radius)
         else:
             total_area = find_face_area(self._world, self._surface_names, None, None, None).total_area
-            # a point that lands on another face is covered from above
+            # a point projected onto another face is covered from above
             displacement = drawn.position - self._target_points(ids, 0)
             good = good & (vec.length(vec.split_columns(displacement, np.float64)) < _COINCIDENT_DISTANCE_MM)
         share = float(np.count_nonzero(good)) / _AREA_SAMPLE_POINTS
         return total_area if share == 1 else float(f"{total_area * share:.1e}")
 
     def find_sufficient_radius(self, agent_area: float) -> float | None:
-        """Return a radius (mm) of the place with space for agents that cover `agent_area` (mm²); None if there is none."""
+        """Return a radius (mm) of the place that gives space to agents covering `agent_area` (mm²), or None if there is none."""
         radius = self.place.radius
         for _ in range(_MAX_RADIUS_TRIES):
             if radius is None:
@@ -79,7 +79,8 @@ class StartPositionSampler:
         return None
 
     def fits_on_all_sides(self, agent_area: float) -> bool:
-        """Return whether agents that cover `agent_area` (mm²) would fit on all sides of the surface, not only on the upper side.
+        """Return whether agents covering `agent_area` (mm²) would fit if they used all sides of the surface, not only the upper
+        side.
 
         This applies to agents that start anywhere on a surface, placed from above."""
         place = self.place
@@ -94,7 +95,7 @@ class StartPositionSampler:
         return wider is not None and wider * MAX_RANDOM_COVER >= agent_area
 
     def draw(self, ids: Ids, tries: range) -> StartPositionDraws:
-        """Return start positions for each try in `tries`: those of all agents for the first try, then for the next."""
+        """Return start positions for each try in `tries`: all agents for the first try, then for the next."""
         world, place = self._world, self.place
         if place.ray_origin is not None and world.ground.meshes is not None:
             return self._draw_by_rays(np.asarray(place.ray_origin, np.float64) - world.origin, ids, tries)
@@ -146,13 +147,13 @@ class StartPositionSampler:
     def _draw_by_rays(self, start: Floats, ids: Ids, tries: range) -> StartPositionDraws:
         """Return the first hits of rays from a place in random directions, with ups towards the place.
 
-        If a ray hits no mesh, or a mesh not in `on`, the result is the surface nearest to its start, marked as not allowed."""
+        If a ray hits no mesh, or a mesh outside `on`, the result is the surface nearest to its start, marked as not allowed."""
         world, meshes = self._world, self._world.ground.meshes
         assert meshes is not None
         mesh_numbers = [meshes.names.index(name) for name in (self.place.on or meshes.names) if name in meshes.names]
         far = meshes.extent * 1.8 + float(np.abs(start - (meshes.low + meshes.high) / 2).max())
         u, v = (np.concatenate([self._draw_uniform(ids, 2 * attempt + k, "inside") for attempt in tries]) for k in range(2))
-        height = 1.0 - 2.0 * u.astype(np.float64)  # evenly distributed directions (Archimedes' hat-box theorem)
+        height = 1.0 - 2.0 * u.astype(np.float64)  # directions evenly distributed on the sphere (Archimedes' hat-box theorem)
         flat, angle = np.sqrt(np.maximum(1.0 - height * height, 0.0)), v * FULL_TURN
         directions = np.stack([flat * elementary.cos(angle), height, flat * elementary.sin(angle)], axis=1)
         begin = np.broadcast_to(start, directions.shape)
@@ -181,7 +182,7 @@ def _draw_points_on_faces(
 
 
 def is_inside_obstacle(world: World, points: Floats) -> NDArray[np.bool_]:
-    """Return which points are inside an obstacle: a ray upwards first hits the back of a face."""
+    """Return which points are inside an obstacle: a ray upwards from such a point first hits the back of a face."""
     is_inside = np.zeros(len(points), np.bool_)
     up = np.broadcast_to(world.up, points.shape)
     for name in world.plan.obstacles:
@@ -190,6 +191,6 @@ def is_inside_obstacle(world: World, points: Floats) -> NDArray[np.bool_]:
             continue
         hits = find_obstacle_mesh(world, name).find_first_hits(points, up)
         corners = mesh.vertices[mesh.faces[np.maximum(hits.face, 0)]]
-        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])  # edges: the origin does not matter
+        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])  # edges do not depend on the origin
         is_inside |= hits.is_hit & ((normal * up).sum(axis=1) > 0)
     return is_inside

@@ -23,8 +23,9 @@ _QUARTER_CORNERS = np.array([[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]])
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FaceArea:
-    """Triangles (m) from which positions are drawn; each is a face or a part of a face. Corners and edges (k, 3) of faces are in
-    mm, relative to the world's origin. `ball`: centre and radius (mm)."""
+    """Triangles (m) from which positions are drawn. Each is a face or a part of a face.
+
+    Corners and edges (k, 3) of faces are in mm, relative to the world's origin. `ball`: centre and radius (mm)."""
 
     world: World
     mesh_numbers: NDArray[np.int32]  # (k) the mesh of each face; numbers of solids follow those of meshes
@@ -43,8 +44,8 @@ class FaceArea:
     ) -> tuple[NDArray[np.int64], Floats, Floats, Floats]:
         """Return faces (n), weights b1 and b2 (n), and positions (n, 3) mm, from four draws each.
 
-        A linear density in a triangle is a mixture of three densities, each proportional to one corner's weight. Gaps between
-        sorted draws, two of them joined, have these densities (L. Devroye, Non-Uniform Random Variate Generation, 1986, V.2,
+        A linear density in a triangle is a mixture of three densities, each proportional to one corner's weight. The gaps between
+        sorted draws, with two gaps merged, have these densities (L. Devroye, Non-Uniform Random Variate Generation, 1986, V.2,
         XI.4). If there are no triangles, the face is -1 and the position zero."""
         if not len(self.cumulative_area):
             return np.full(len(u), -1), np.zeros(len(u)), np.zeros(len(u)), np.zeros((len(u), 3))
@@ -63,7 +64,7 @@ class FaceArea:
         return face, b1, b2, place
 
     def at(self, *draws: NDArray[np.float32]) -> tuple[Footing, Floats, Flags]:
-        """Return footings, ups perpendicular to the faces (n, 3), and whether an agent can stand there: inside the ball, in no
+        """Return footings, ups perpendicular to the faces (n, 3), and whether an agent can stand there: inside the ball and in no
         solid."""
         face, b1, b2, place = self.draw_points(*draws)
         if not len(self.cumulative_area):
@@ -100,7 +101,7 @@ class FaceArea:
 def find_face_area(
     world: World, on: tuple[str, ...], density: str | None, around: PointMm | None, radius: float | None
 ) -> FaceArea:
-    """Return the faces of surfaces and solids `on` in their current position, within a ball and with the density of a map, if
+    """Return the face area of surfaces and solids `on` in their current position, within a ball and with the density of a map, if
     given.
 
     If the ball meets no face, it is enlarged until it reaches its original radius beyond the nearest face."""
@@ -128,8 +129,8 @@ _FaceArrays = tuple[NDArray[np.int32], NDArray[np.int32], Floats, Floats, Floats
 
 
 def _collect_faces(world: World, on: tuple[str, ...], density: str | None) -> _FaceArrays:
-    """Return mesh, number in the mesh, corner, two edges and density at the corners (k, 3), of all usable faces of surfaces
-    `on`."""
+    """Return all usable faces of surfaces `on`: mesh, number in the mesh, corner, two edges, and density at the corners (k,
+    3)."""
     ground = world.ground.meshes
     face_groups: list[_FaceArrays] = []
     if ground is not None:

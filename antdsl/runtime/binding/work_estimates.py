@@ -1,4 +1,4 @@
-"""Estimates the memory that binding a scene needs, before any allocation: counts and bytes from extents and areas."""
+"""Estimate the memory that binding a scene needs, before any allocation: counts and bytes from extents and areas."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ _BYTES_PER_FACE = 200  # bytes of a face with its vertices, links, normals and t
 _BYTES_PER_VOXEL = 8  # bytes of a voxel: distance and state
 _BYTES_PER_CELL = 48  # bytes of a field cell: two float32, position, neighbours
 _BYTES_PER_FLOW_POINT = 64  # bytes of a flow point: position and vector in float64, cost
-# Measured with wandering agents far from one another, as the peak of a process with 20,000 and with 120,000 of them.
+# Measured with wandering agents far from each other: the peak memory of a process with 20,000 and with 120,000 agents.
 _BYTES_PER_AGENT = 600  # bytes of an agent of any species: footing, walk results, grids, frame row
 _BYTES_PER_LEG = 550  # bytes of a walking leg
 
 
 class WorkEstimate(NamedTuple):
-    """The needs of one thing of the world: `part_count` of `unit_name`, and the approximate `bytes`."""
+    """The needs of one thing of the world: `part_count` parts called `unit_name`, and the approximate `bytes`."""
 
     thing: str
     part_count: int
@@ -47,7 +47,7 @@ def estimate_world_work(
 
 
 def _saturate_count(count: float) -> int:
-    """Return an estimate as an integer, limited if it is very large or infinite."""
+    """Return an estimate as an integer. Very large and infinite values are limited."""
     return int(min(count, 2.0**62)) if count > 0 else 0
 
 

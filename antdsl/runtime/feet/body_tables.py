@@ -1,8 +1,8 @@
 """Positions and axes of bodies as one table, and the conversion of points between bodies and the world.
 
-A table is float64[14, n]. Its rows are position (mm), then the unit vectors ahead, up and aside, three rows each. Then come the
-size (mm), and the play of the trunk: 1 if it lies over its feet, 0 if the body has shifted out of the ground and stays there.
-Points of a body are in body lengths: ahead, above, aside."""
+A table is float64[14, n]. Its rows are the position (mm) and the unit vectors ahead, up and aside, three rows each. Then come the
+size (mm) and the play of the trunk: 1 if it stays over its feet, 0 if the body has shifted out of the ground. Points of a body
+are in body lengths: ahead, above, aside."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from antdsl.runtime.feet.wearers import Wearers
 POSITION_ROW = 0  # first of the three rows of the position
 SIZE, PLAY = 12, 13
 _TABLE_ROWS = 14
-_SHIFT_WITHOUT_PLAY = 0.05  # of a body: the shift from which on a trunk does not follow the feet
+_SHIFT_WITHOUT_PLAY = 0.05  # body lengths; with a larger shift, a trunk does not follow the feet
 _MIN_SIZE = 1e-12
 _F = np.float32
 
@@ -71,8 +71,7 @@ def _place_bodies(
 
 @inlined
 def orthonormal_axes(heading: Vec3, up: Vec3) -> tuple[Vec3, Vec3, Vec3]:
-    """Return the unit vectors ahead, up and aside of a body. Ahead is the unchanged heading; up is `up` made perpendicular to
-    it."""
+    """Return the unit vectors ahead, up and aside of a body. Ahead is the heading; up is made perpendicular to it."""
     ahead = unit_or_perpendicular(heading, up)
     straight = unit_or_perpendicular(project_to_plane(up, ahead), ahead)
     return ahead, straight, cross(ahead, straight)

@@ -41,7 +41,7 @@ def _empty_columns(count: int, legs: int) -> dict[str, Any]:
 
 
 def _agent_axis(name: str) -> int:
-    """Return which axis of a column is that of the agents."""
+    """Return which axis of a column is the axis of the agents."""
     return _SHAPES[name].index("n")
 
 
@@ -56,11 +56,11 @@ class Feet:
     - `swing` float32[n, L]: the completed share of the swing, -1 for a standing foot
     - `on` int16[n, L]: number of the thing below `place`; -1: the plane; -2: nothing (the foot hangs)
     - `face` int32[n, L], `weight` float64[2, n, L]: the triangle, and the weights of its second and third corner
-    - `found` float32[n, L]: distance (body lengths) of a foothold from the rest position if no nearer ground exists
+    - `found` float32[n, L]: distance (body lengths) of a foothold from the rest position, if that is the nearest ground
     - `phase` float32[n]: gait phase, from 0 to 1
     - `rise` float32[n]: height of the trunk above its rest height (mm)
     - `slope` float32[2, n]: increase in ground height below the feet, per length ahead and per length aside
-    - `position` float64[3, n], `heading`, `up` float32[3, n]: those of the body at the end of the last frame"""
+    - `position` float64[3, n], `heading`, `up` float32[3, n]: pose of the body at the end of the last frame"""
 
     ids: NDArray[np.int64]
     place: NDArray[np.float64]
@@ -129,8 +129,8 @@ class Feet:
             array[(*rows, known)] = getattr(previous_feet, name)[(*rows, at[known])]
 
     def match_ids(self, ids: NDArray[np.int64]) -> tuple[Feet, NDArray[np.intp]]:
-        """Return the feet of agents in the order of `ids`, and the rows of agents that had no feet before; their values are
-        zero."""
+        """Return the feet of agents in the order of `ids`, and the rows of agents without previous feet. The values of new agents
+        are zero."""
         if np.array_equal(ids, self.ids):
             return self, np.zeros(0, np.intp)
         at, known = self._find_id_rows(ids)
@@ -140,8 +140,8 @@ class Feet:
 
 
 def _select_rows(name: str, array: Array | None, source_rows: NDArray[np.intp], new_rows: NDArray[np.intp]) -> Array | None:
-    """Return the rows `source_rows` of a column, with zeros in the `new_rows` rows (NaN for the body positions of the previous
-    step)."""
+    """Return the rows `source_rows` of a column, with zeros in the rows `new_rows`. Body positions of the previous step get NaN
+    there."""
     if array is None:
         return None
     axis, is_by_leg = _agent_axis(name), "L" in _SHAPES[name]
@@ -159,7 +159,7 @@ def _select_rows(name: str, array: Array | None, source_rows: NDArray[np.intp], 
 
 
 def feet_hash(feet: Mapping[str, Feet], threads: int = 1) -> str:
-    """Return a hash of the feet of all species; an empty text if there are none. `state_hash` does not include feet."""
+    """Return a hash of the feet of all species, or an empty text without feet. `state_hash` does not include feet."""
     if not feet:
         return ""
     digest = sha256()

@@ -20,9 +20,9 @@ from antdsl.scene.body_choice import species_of_key
 from antdsl.scene.setting import LegsData
 
 _F = np.float32
-_DUG_GAP_LEG_SHARE = 0.02  # share of the leg length: a larger gap to the solid means that the ground was dug away
+_DUG_GAP_LEG_SHARE = 0.02  # share of the leg length; with a larger gap to the solid, the ground below the foot was dug away
 _PHASE_STEP_PER_ID = 0.6180339887498949  # phase difference at birth of agents with successive ids (golden ratio)
-_MIN_AGENTS_PER_THREAD = 256  # least number of agents for which a thread is faster
+_MIN_AGENTS_PER_THREAD = 256  # fewer agents are not worth another thread
 
 
 class LegsOfBody:
@@ -46,7 +46,7 @@ def place_initial_feet(world: World) -> None:
 
 
 def record_ground_covered(world: World) -> None:
-    """Record how far the rest position of each foot moved over the ground in this step, before the ground itself moves on."""
+    """Record how far the rest position of each foot moved over the ground in this step, before the ground itself moves."""
     for name, feet in world.feet.items():
         population, walkers = wearers_of(world, name), world.legs_by_species[name]
         feet, new = feet.match_ids(population.ids)
@@ -76,7 +76,7 @@ def _transpose_legs(array: NDArray[Any]) -> NDArray[Any]:
 
 
 class _FeetStep:
-    """One step of the feet of n agents that have one body, with L legs."""
+    """One step of the feet of n agents with the same body, with L legs."""
 
     def __init__(self, world: World, name: str, population: Wearers, walkers: LegsOfBody) -> None:
         assert world.foot_ground is not None
@@ -116,7 +116,7 @@ class _FeetStep:
         feet.covered = feet.stood = None
 
     def _follow_ground(self) -> None:
-        """Move feet with the ground that they stand on, and the start points of swings with the bodies."""
+        """Move feet with the ground below them, and the start points of swings with the bodies."""
         feet = self.feet
         if self.foot_ground.moving_numbers:
             self.foot_ground.move_places(self.world, feet.on, feet.face, feet.weight, feet.place)
@@ -164,7 +164,7 @@ class _FeetStep:
         self._seek_ground(parallel.join_parts(parts, self.requests)[0])
 
     def _seek_ground(self, requests: NDArray[np.int64]) -> None:
-        """Find ground for the requested feet, encoded as `stepping.LEG_BITS` describes."""
+        """Find ground for the requested feet. `requests`: encoded as `stepping.LEG_BITS` describes."""
         if requests.size:
             feet, gaits, targets = self.feet, self.gaits, self.targets
             goals, measures = (*targets[:3], targets[-1]), (gaits.legs, gaits.exact_legs)

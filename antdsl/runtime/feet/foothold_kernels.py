@@ -1,7 +1,6 @@
-"""Kernels that find ground for feet: what rays from the legs hit, and which hits a leg can use.
+"""Kernels that find ground for feet: the hits of rays from the legs, and which hits a leg can use.
 
-Requests are columns: arrays (3, k) of positions (mm), float64[k] of lengths. Rays are short, so a `TriangleGrid` is used for
-them."""
+Requests are columns: arrays (3, k) of positions (mm), and float64[k] of lengths. Rays are short and use a `TriangleGrid`."""
 
 from __future__ import annotations
 
@@ -32,7 +31,7 @@ _MIN_START_HEIGHT_SHARE = 0.2  # share of the leg length: least height of the se
 # Start face of a ray: number of the ground << FACE_BITS | face; -1 without a start face.
 FACE_BITS, FACE_MASK = 32, 0xFFFFFFFF
 HitColumns = tuple[Array1[F64], Array2[F64], Array1[I16], Array1[I32], Array2[F64]]  # as `GroundHits.columns`
-# Hip, requested position, up of the body, greatest distance of the foot joint from the hip, and its height above the ground.
+# Hip, target position, up of the body, greatest distance of the foot joint from the hip, and its height above the ground.
 SeekerColumns = tuple[Array2[F64], Array2[F64], Array2[F64], Array1[F64], Array1[F64]]
 
 
@@ -53,10 +52,10 @@ def aim_first_rays(
 ) -> None:
     """Compute the search for ground of the requests from `begin` to before `end` (numbered as `stepping.LEG_BITS` describes).
 
-    Writes to `seekers` where hips will be when feet land and the target positions of the feet; to `rays` the first ray between
-    both. `measures`: `Gaits.legs` and `Gaits.exact`.
+    Writes to `seekers` the positions of hips at landing and the target positions of feet. Writes to `rays` the first ray from hip
+    to target. `measures`: `Gaits.legs` and `Gaits.exact`.
     `standing`: start faces of the agents, copied to `rays`.
-    `quick`: set for feet that lift; these search again when they land."""
+    `quick`: set for feet that lift; they search again when they land."""
     legs, exact = measures
     count = legs.shape[1]
     target_x, target_z, left, what = targets
@@ -105,12 +104,11 @@ def cast_on_mesh(
     begin: I64,
     end: I64,
 ) -> tuple[I64, I64]:
-    """Write to `hits` what rays from `begin` to before `end` hit on one mesh, if it is nearer than the previous hit.
+    """Write to `hits` the hits of rays from `begin` to before `end` on one mesh, if they are nearer than previous hits.
 
-    `number`: the number of the mesh among all ground for feet.
-    `starts`: faces on the mesh from which rays walk, if the mesh has `rings`; they become the faces that are hit. Other rays
-        use the grid.
-    `beyond_grid`: receives, from index `begin` on, the rays that are too long for the grid. Returns `begin` and their number."""
+    `number`: the number of the mesh among all ground for feet. `starts`: start faces of rays on the mesh, if the mesh has
+    `rings`; replaced by the faces that were hit. Rays without a start face use the grid. `beyond_grid`: receives, from index
+    `begin` on, the rays that are too long for the grid. Returns `begin` and their number."""
     shape, (least, greatest), count = grid[0], box, 0
     zero = shape[6], shape[7], shape[8]
     cells, rays = allocate_scratch(2 * _PREFETCH_GROUP_SIZE, I64), allocate_scratch(_PREFETCH_GROUP_SIZE, I64)
@@ -187,7 +185,7 @@ def find_nearest_on_mesh(
 
 @inlined
 def _store_nearer_hit(hits: Any, k: Any, number: Any, t: Any, a: Any, w: Any) -> None:
-    """Write a hit of ray `k` on a mesh, unless the previous hit is nearer. It is at `a` + `t` * `w`."""
+    """Write a hit of ray `k` on a mesh, at `a` + `t` * `w`, unless the previous hit is nearer."""
     if t < hits[0][k]:
         _store_hit_position(hits, k, number, t, (a[0] + w[0] * t, a[1] + w[1] * t, a[2] + w[2] * t))
 
@@ -236,8 +234,8 @@ def aim_detour_rays(
     begin: I64,
     end: I64,
 ) -> None:
-    """Compute two rays for each of the seekers `rows`: from `origins` to the point above the target position, and from that
-    point down.
+    """Compute two rays for each of the seekers `rows`. The first leads from `origins` to the point above the target position, the
+    second down from there.
 
     `above`, `down`: start and displacement of the second ray. `level`: displacement of the first ray."""
     hips, goals, ups, longest, _ = seekers
@@ -264,11 +262,10 @@ def choose_nearest_hits(
     begin: I64,
     end: I64,
 ) -> tuple[I64, I64]:
-    """Write to `hits` the hit that is nearest to the target position, of three rays: the first ray, and both rays of
-    `aim_detour_rays`.
+    """Choose from three rays the hit nearest to the target position: the first ray, and both rays of `aim_detour_rays`.
 
-    Seekers without a near enough hit are written to `lost` from index `begin` on, as indices in `rows`. For these, `reach`
-    gets the distance (mm) within which a position would be nearer. Returns `begin` and their number."""
+    Writes it to `hits`. Seekers without a near enough hit are written to `lost` from index `begin` on, as indices in `rows`. For
+    these, `reach` receives the distance (mm) within which a position would be nearer. Returns `begin` and their number."""
     longest = seekers[3]
     count = 0
     for n in range(begin, end):
@@ -305,7 +302,7 @@ def accept_visible_positions(
     begin: I64,
     end: I64,
 ) -> None:
-    """Copy the nearest positions `nearest_hits` of seekers `rows` to `hits`, if the leg reaches the position and the hip sees it.
+    """Copy the nearest positions `nearest_hits` of seekers `rows` to `hits`, if the leg reaches them and the hip sees them.
 
     `sight_hits`: the hits of rays from the hip to these positions."""
     for n in range(begin, end):
@@ -328,8 +325,7 @@ def store_footholds(
     begin: I64,
     end: I64,
 ) -> None:
-    """Store the ground found for the requests as the new footholds of the feet. A foot without ground hangs at its target
-    position."""
+    """Store the ground found for the requests as the new footholds. A foot without ground hangs at its target position."""
     for k in range(begin, end):
         i, leg = requests[k] >> LEG_BITS, requests[k] & LEG_MASK
         foothold = get_column(seekers[1], k) if hits[2][k] == NO_GROUND else get_column(hits[1], k)

@@ -1,8 +1,8 @@
 """Ground for feet: which points of surfaces, obstacles, solids and the plane a leg can reach, and on which side.
 
-A foot searches along the straight line from its hip to its target position, so that no leg passes through a thin mesh. If the
-hit is far from the target (an edge, a wall, a step), the foot searches from above the target, along the body's up. The start
-of this ray must be visible from the hip. The last attempt is the nearest position on the ground. A result is
+A foot searches along the straight line from its hip to its target position, so that no leg passes through a thin mesh. The hit
+may be far from the target, for example at an edge, a wall or a step. Then the foot searches from above the target, along the
+body's up. The start of this ray must be visible from the hip. The last attempt is the nearest position on the ground. A result is
 visible from the hip, and no farther away than the leg is long."""
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ Rows = NDArray[np.int64]
 Arrays = tuple[NDArray[Any], ...]
 
 _SIGHT_RAY_SHORTENING = 1e-6  # share by which a ray is shortened in the visibility test
-_MIN_RAYS_PER_THREAD = 256  # least number of rays for which a thread is faster
+_MIN_RAYS_PER_THREAD = 256  # fewer rays are not worth another thread
 _NO_RINGS = np.empty(0), np.empty(0, np.int32), np.empty(0, np.float32)  # for a mesh on which no agent stands
 
 
@@ -91,8 +91,7 @@ class FootGround:
         self._walked_meshes: set[int] = set()  # numbers of meshes that agents stand on
 
     def find_start_faces(self, population: Wearers) -> Rows:
-        """Return the faces below agents, from which rays near their bodies walk; encoded as
-        `foothold_kernels.FACE_BITS` describes."""
+        """Return the faces below agents, encoded as `foothold_kernels.FACE_BITS` describes. Rays near the bodies start there."""
         columns = population.footing.columns
         if "face" not in columns or not self._start_codes.size:
             return np.full(len(population), -1)
@@ -104,9 +103,8 @@ class FootGround:
     def cast_rays(self, world: World, origin: Vectors, displacement: Vectors, starts: Rows, most_hit: bool = True) -> GroundHits:
         """Return the first hits of the straight lines from `origin` by `displacement`.
 
-        `starts`: faces near the origins, or -1.
-        `most_hit`: most rays are expected to hit a mesh that bodies walk on, so that Open3D need not test first which rays do.
-        Neither argument changes a result."""
+        `starts`: faces near the origins, or -1. `most_hit`: whether most rays probably hit a mesh that bodies walk on. Open3D
+        then skips the test which rays do. Neither argument changes a result."""
         hits, threads = GroundHits.empty(origin.shape[1]), world.options.threads
         if isinstance(world.ground, PlaneGround):
             _cast_on_plane(world, origin, displacement, hits)
@@ -232,7 +230,7 @@ class FootholdRequests:
 
     `requests` int64[k]: agent and leg, encoded as `stepping.LEG_BITS` describes.
     `columns`: hip, target position and up of the body, (3, k); then two heights or lengths (mm), [k]. These are the largest
-        distance of the foot joint from the hip, and the height of the joint above its ground.
+    distance of the foot joint from the hip, and the joint's height above its ground.
     `displacement` (3, k): from the hip to beyond the target (mm).
     `start_faces`: start faces of the rays, as returned by `FootGround.start_faces`.
     `is_quick`: the foot lifts, and searches again when it lands."""
@@ -263,7 +261,7 @@ class FootholdRequests:
         return seeking
 
     def store_ground(self, hits: GroundHits, columns: Arrays, threads: int) -> None:
-        """Write the ground that was found to `place`, `on`, `face` and `weight` of the feet; arrays have legs before agents."""
+        """Write the ground of the requests to `place`, `on`, `face` and `weight` of the feet. Arrays have legs before agents."""
         work = partial(foothold_kernels.store_footholds, self.requests, self.columns, hits.columns, *columns)
         parallel.run_in_parts(work, len(self.requests), threads, _MIN_RAYS_PER_THREAD)
 
@@ -288,7 +286,7 @@ def _search_around(
     is_reachable: NDArray[np.bool_],
     rows: Rows,
 ) -> None:
-    """Find ground for feet without a usable hit on the straight line: from above the target position, then the nearest
+    """Find ground for feet without a usable hit on the straight line. Search from above the target, then for the nearest
     position."""
     threads, count = world.options.threads, len(rows)
     buffer = np.empty((13, count))

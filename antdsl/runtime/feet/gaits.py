@@ -82,7 +82,7 @@ class Gait(NamedTuple):
 def find_gait(gaits: Any, speed: F32, frame_distance: F32, reach: F32) -> Gait:
     """Return the gait of an agent at a speed (body lengths per second).
 
-    `frame_distance`: the distance that the agent covers in a frame (body lengths). `reach`: the reach of its shortest leg."""
+    `frame_distance`: the agent's displacement per frame (body lengths). `reach`: the reach of its shortest leg."""
     speeds, values = gaits[0], gaits[1]
     last, k = speeds.size - 1, 0
     for each in range(1, speeds.size):
@@ -105,8 +105,8 @@ def find_gait(gaits: Any, speed: F32, frame_distance: F32, reach: F32) -> Gait:
 def compute_rest_positions(legs: LegsData) -> tuple[Floats, Floats]:
     """Return the rest positions of feet, ahead and aside of the body, float32[L] each, in body lengths.
 
-    A foot rests where it is in the standing body. If a stretched leg could not make a step from that position, it rests nearer
-    to the hip."""
+    A foot rests at its position in the standing body. If a stretched leg could not make a step from there, the rest position is
+    nearer to the hip."""
     down, ahead = legs.foot - legs.hip, _hip_reach(legs)
     most = ahead * (1.0 - REACH_SHARE)
     x = legs.hip[:, 0] + np.clip(down[:, 0], -most, most)

@@ -1,12 +1,11 @@
 """One step of all feet of a species, as kernels: `plan_steps` before the search for ground, `take_steps` after it.
 
-The phase of a gait advances by the ground that the feet covered, turning included, divided by the stride. A foot lifts when
-its stance is over, or when its leg would be too short. It swings in an arc to a point half a stance ahead of its rest
-position, and stands from then on. An agent that does not move puts its feet back to their rest positions, in the order of the
-gait.
+The phase of a gait advances by the ground that the feet covered, turning included, divided by the stride. A foot lifts when its
+stance is over, or when its leg would be too short. It swings in an arc to a point half a stance ahead of its rest position, and
+stands from then on. An agent that does not move puts its feet back to their rest positions, in the order of the gait.
 
-Phases by ground covered, and stance and swing by duty factor, follow M. H. Raibert and J. K. Hodgins, Animation of Dynamic
-Legged Locomotion, SIGGRAPH 1991, and N. M. Thalmann et al.'s survey of walking. Forces are not simulated.
+Phases by covered ground, and stance and swing by duty factor, follow M. H. Raibert and J. K. Hodgins, Animation of Dynamic Legged
+Locomotion, SIGGRAPH 1991, and N. M. Thalmann et al.'s survey of walking. Forces are not simulated.
 
 Arrays of legs are [..., L, n]. Lengths are body lengths, float32; positions are mm, float64."""
 
@@ -58,10 +57,10 @@ _MAX_OFFSET_REACHES = _F(1.25)  # multiple of the reach: a foot farther from res
 _NEW_SEARCH_LEG_SHARE = _F(0.45)  # share of the leg length: a target farther from the needed position is searched again
 _STRETCHED_LEG_SHARE = _F(0.99)  # share of the leg length: a foot farther from its hip is lifted
 _SMALL_SWING_STRIDE_SHARE = _F(0.4)  # share of a stride: shorter swings are lower
-_LATEST_LIFT_SWING_SHARE = _F(0.6)  # share of a swing until which a foot that missed its turn may lift
+_LATEST_LIFT_SWING_SHARE = _F(0.6)  # share of a swing; a foot that missed its turn may lift until then
 _MISSED_LIFT_REACH_SHARE = _F(0.3)  # share of the reach: a foot farther behind has missed its turn
 _MIN_HIP_HEIGHT_SHARE = _F(0.1)  # share of the leg length: least height of the hip above the foot in distance tests
-_PHASE_OVERSHOOT = _F(1e-3)  # share of a cycle by which the phase starts after the turn of the first foot
+_PHASE_OVERSHOOT = _F(1e-3)  # share of a cycle; the phase starts this much after the turn of the first foot
 _PREFETCH_GROUP_SIZE = 16  # number of agents that are prefetched together
 _MIN_COVER, _MIN_DIVISOR, _MAX_STANCE_FRAMES = _F(1e-6), _F(1e-9), _F(1e4)
 
@@ -90,8 +89,8 @@ def measure_ground_covered(
     begin: I64,
     end: I64,
 ) -> None:
-    """Write to `covered` [2, L, n] how far the rest position of each foot moved over the ground: ahead and aside of the
-    current body.
+    """Write to `covered` [2, L, n] how far the rest position of each foot moved over the ground: ahead and aside of the current
+    body.
 
     `last_pose`: position, heading and up of bodies at the end of the last frame. For `new` agents the result is 0."""
     position, heading, up = last_pose
@@ -129,11 +128,11 @@ def plan_steps(
 ) -> tuple[I64, I64]:
     """Advance the phase of agents from `begin` to before `end`, and decide which of their feet lift and land, and where.
 
-    `times`: frame duration (s); cycles per frame of an agent that puts its feet back; least share of a swing per frame; least
-        reach of a leg (body lengths).
+    `times`: frame duration (s), cycles per frame of an agent that puts its feet back, least share of a swing per frame, and least
+    reach of a leg (body lengths).
     `undermined`: feet that lost their ground to digging.
-    `requests`: receives, from index L * `begin` on, the feet that need ground, encoded as `LEG_BITS` describes.
-    Returns the index of the first request, and the number of requests."""
+    `requests`: receives, from index L * `begin` on, the feet that need ground, encoded as `LEG_BITS` describes. Returns the index
+    of the first request, and the number of requests."""
     count = legs.shape[1]
     dt, rests, swings, shortest = times
     place, start, _ = feet[0]
@@ -183,7 +182,7 @@ def plan_steps(
             if still and restless:
                 ahead = max(ahead, rests)
             ahead = min(ahead, _MAX_CYCLES_PER_FRAME)
-            # An agent that starts to walk lifts the foot with the next turn at once, so that no foot is left behind.
+            # An agent that starts to walk immediately lifts the foot with the next turn, so that no foot is left behind.
             gap = _F(np.inf)
             for leg in range(count):
                 leg_phase = _wrap_phase(phase[i] + gaits[2][gait, leg])
@@ -201,7 +200,8 @@ def plan_steps(
                 leg_phase = _wrap_phase(phase[i] + gaits[2][gait, leg])
                 next_phase = leg_phase + advance
                 crosses = (leg_phase < duty and next_phase >= duty) or next_phase >= _ONE + duty
-                # The foot missed its turn, for example because the gait changed: it is behind its rest and may still swing.
+                # The foot missed its turn, for example because the gait changed: it is behind its rest position and may still
+                # swing.
                 behind = x * cover_x + z * cover_z < _ZERO
                 late = leg_phase >= duty and leg_phase < duty + _LATEST_LIFT_SWING_SHARE * (_ONE - duty)
                 late = late and behind and off[leg, i] > _MISSED_LIFT_REACH_SHARE * legs[LEG_REACH, leg]
@@ -234,7 +234,7 @@ def plan_steps(
                 to_x = legs[REST_X, leg] + cover_x * frames + half_x * by
                 to_z = legs[REST_Z, leg] + cover_z * frames + half_z * by
                 lands = flies and progress >= _ONE
-                past = ((_ZERO if lifts else swing[leg, i]) + increment - _ONE if lands else _ZERO) / rate  # since landing
+                past = ((_ZERO if lifts else swing[leg, i]) + increment - _ONE if lands else _ZERO) / rate  # frames since landing
                 to_x, to_z = to_x - cover_x * past, to_z - cover_z * past
                 target_x[leg, i], target_z[leg, i], left[leg, i], share[leg, i] = to_x, to_z, frames, progress
                 miss_x, miss_z = local_foot[0] - to_x, local_foot[2] - to_z
@@ -264,11 +264,11 @@ def take_steps(
     begin: I64,
     end: I64,
 ) -> None:
-    """Swing feet to the ground that was found, move the trunks over them, and write the positions of all feet.
+    """Swing feet to their new footholds, move the trunks over them, and write the positions of all feet.
 
-    `trunk_steps`: three numbers. First, the share of a change of tilt, or to a lower height, that is made per frame. Second,
-        the share of a change to a greater height. Third, the largest difference from the height at rest.
-    `last`: receives position, heading and up of bodies for the next frame."""
+    `trunk_steps`: three numbers. The first is the share per frame of a change of tilt, or to a lower height. The second is the
+    share of a change to a greater height. The third is the largest difference from the height at rest. `last`: receives position,
+    heading and up of bodies for the next frame."""
     count = legs.shape[1]
     slower, faster, highest = trunk_steps
     place, start, current_place = feet[0]
@@ -352,7 +352,7 @@ def _hip_position(legs: Any, leg: Any, slope: Any, raised: Any) -> Any:
 def _rest_distance(legs: Any, leg: Any, local_foot: Any, hip: Any) -> Any:
     """Return the distance (body lengths) of a foot from its rest position.
 
-    This is the lesser of two distances: along the ground, and from the straight line from the hip through the rest position."""
+    This is the lesser of two distances: along the ground, and from the line from the hip through the rest position."""
     rest_x, rest_z = legs[REST_X, leg], legs[REST_Z, leg]
     x, z = local_foot[0] - rest_x, local_foot[2] - rest_z
     by = hip[1] / max(hip[1] - local_foot[1], _MIN_HIP_HEIGHT_SHARE * legs[LEG_LENGTH, leg])
@@ -379,7 +379,7 @@ def _swing_position(legs: Any, leg: Any, ends: Any, progress: Any, stride: Any, 
     dx, dy, dz = local_foot[0] - swing_start[0], local_foot[1] - swing_start[1], local_foot[2] - swing_start[2]
     far = np.sqrt((dx * dx + dy * dy) + dz * dz)
     arc = lift * min(_ONE, far / (stride * _SMALL_SWING_STRIDE_SHARE)) * (_FOUR * progress * (_ONE - progress))
-    # The foot joint is above the ground, so the hip is lowered by the same height for the distance test.
+    # The foot joint is above the ground. For the distance test, the hip is lowered by the joint's height.
     a, b, c = hip[0], hip[1] - legs[FOOT_Y, leg], hip[2]
     x, y, z = swing_start[0] + dx * eased - a, swing_start[1] + dy * eased + arc - b, swing_start[2] + dz * eased - c
     long = np.sqrt((x * x + y * y) + z * z)

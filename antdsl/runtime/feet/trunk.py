@@ -20,10 +20,7 @@ _ZERO, _ONE, _INFINITE = _F(0), _F(1), _F(np.inf)
 
 MAX_TRUNK_SLOPE = _F(0.35)  # maximum slope of the trunk relative to the body's up: 19 degrees
 MAX_RISE_HIP_SHARE = 0.3  # share of the hip height: maximum offset of the trunk
-SETTLE_SECONDS, RISE_SECONDS = (
-    0.06,
-    0.2,
-)  # s: time constants of a new tilt or lower height, and of a greater height, for smooth steps
+SETTLE_SECONDS, RISE_SECONDS = (0.06, 0.2)  # time constants (s) of a new tilt or lower height, and of a greater height
 _PLANE_FIT_DAMPING = _F(0.02)  # damping (squared length): keeps a plane through feet that are close together level
 _MIN_PLANE_FEET = _F(3)  # least number of feet for a plane; with fewer, the trunk does not tilt
 _MIN_SQUARED_SLOPE = _F(1e-6)
@@ -78,7 +75,7 @@ def tilt_point(slope: Any, point: Any) -> Any:
 
     `slope`: the plane's slopes ahead and aside."""
     x, y, z = point
-    a, b = -slope[0], -slope[1]  # the normal is (a, 1, b) by its length
+    a, b = -slope[0], -slope[1]  # the normal (a, 1, b), divided by its length
     size = _ONE / np.sqrt((a * a + _ONE) + b * b)
     nx, ny, nz = a * size, size, b * size
     by = _ONE / (_ONE + ny)

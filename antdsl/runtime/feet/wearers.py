@@ -1,4 +1,4 @@
-"""The agents that have one body, as far as feet read them."""
+"""The agents that have one body, in the form in which feet read them."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Wearers(Protocol):
 
     @property
     def now(self) -> Mapping[str, NDArray[Any]]:
-        """Return registers by name; at least those of heading, up and size, and those of a shift if the species has one."""
+        """Return registers by name: at least heading, up and size, and the shift if the species has one."""
 
     def __len__(self) -> int: ...
 
@@ -45,7 +45,7 @@ class Wearers(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SomeWearers:
-    """The agents of a population in some rows, which all have the body `key`."""
+    """The agents in some rows of a population, all with the body `key`."""
 
     population: Population
     key: str

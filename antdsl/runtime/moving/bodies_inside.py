@@ -1,5 +1,4 @@
-"""Finds bodies that are inside the ground: behind a surface that agents walk on or nearer to it than they are wide, or in a
-solid."""
+"""Find bodies that are inside the ground or inside a solid."""
 
 from __future__ import annotations
 
@@ -15,13 +14,14 @@ from antdsl.runtime.moving.clearance import shift_bodies
 from antdsl.runtime.world import Population, World
 
 _F = np.float32
-_MAX_BODIES_MEASURED_AT_ONCE = 250  # of k times as many agents of a species, every k-th is measured
-_VISIBLE_DEPTH = _F(0.01)  # of a body: one that is no deeper inside but touches
+_MAX_BODIES_MEASURED_AT_ONCE = 250  # a larger species is sampled: only every k-th agent is measured
+_VISIBLE_DEPTH = _F(0.01)  # body lengths; a shallower overlap counts as contact
 
 
 def find_sampled_bodies_inside(world: World, population: Population) -> NDArray[np.bool_]:
-    """Return which bodies are inside the ground or a solid, bool[k], of up to about 250 agents: those with ids that are multiples
-    of a number."""
+    """Return which sampled bodies are inside the ground or a solid, bool[k].
+
+    The sample has up to about 250 agents: those with an id that is a multiple of one number."""
     rows = np.flatnonzero(population.ids % (1 + len(population) // _MAX_BODIES_MEASURED_AT_ONCE) == 0)
     return find_bodies_inside(world, population, rows)
 
@@ -29,8 +29,9 @@ def find_sampled_bodies_inside(world: World, population: Population) -> NDArray[
 def find_bodies_inside(world: World, population: Population, rows: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Return which bodies of `rows` are inside the ground or a solid in the current state, bool[k].
 
-    A body is the capsule of its trunk, with head and abdomen. It is inside a mesh if a face crosses its axis, or comes nearer to
-    it than its radius, less a hundredth of a body. It is inside a solid if that is so near to its ends or its middle."""
+    A body is the capsule of its trunk, with head and abdomen. It is inside a mesh if a face crosses its axis. It is also inside
+    if a face is nearer to the axis than the radius, less 1 % of the body length. It is inside a solid if the solid is that near
+    to an end or the middle of the axis."""
     now, count = population.now, len(rows)
     size, shape = now["size"].take(rows).astype(np.float64), body_shape(world, population, 0.0)
     depths, outs = np.zeros(count, np.float32), np.zeros((3, count), np.float32)

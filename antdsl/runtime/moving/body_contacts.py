@@ -1,4 +1,4 @@
-"""Contacts of bodies with the triangles around them: how far a body must shift to be outside, and how deep it remains inside."""
+"""Contacts of bodies with the triangles around them: the shift that moves a body outside, and the depth that remains."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from antdsl.machine_code.kernels import F64, I32, I64, Array1, kernel_helper
 from antdsl.numerics.kernel_vectors import Vec3, dot, load_vector, minus, nearest_weights, plus, times
 from antdsl.runtime.moving.body_paths import BodyShape
 
-SHIFT_TURNS = 4  # times that a body is shifted out of what it touches, before its depth is measured
-_ANCHOR_HEIGHT_PER_BODY = 0.02  # of a body: the height above the feet from which the middle must be visible
-_AXIS_POINTS = 9  # of the axis of a capsule, from which the nearest face is searched
-_SLACK_PER_BODY = 0.004  # of a body: a depth that needs no shift
-_MARGIN_PER_BODY = 0.3  # of a body: how far around a body faces are searched
+SHIFT_TURNS = 4  # shifts of a body out of its contacts before the depth is measured
+_ANCHOR_HEIGHT_PER_BODY = 0.02  # body lengths above the feet; the middle must be visible from this point
+_AXIS_POINTS = 9  # points on the axis of a capsule from which the nearest face is searched
+_SLACK_PER_BODY = 0.004  # body lengths; a shallower overlap needs no shift
+_MARGIN_PER_BODY = 0.3  # body lengths around a body within which faces are searched
 
 
 class BodyStance(NamedTuple):
@@ -30,7 +30,7 @@ class BodyStance(NamedTuple):
 
 
 class BodyShift(NamedTuple):
-    """The shift of a body (mm) from its stance, how deep it is inside a surface after it (mm), and the direction out."""
+    """The shift of a body from its stance (mm), its remaining depth inside a surface (mm), and the direction out."""
 
     shift: Vec3
     depth: F64
@@ -51,8 +51,8 @@ def shift_outside(
 ) -> BodyShift:
     """Return the shift that brings a capsule outside all faces around it, starting from `shift`, and its remaining depth.
 
-    In each of `turns`, the body leaves what its axis crosses, then what is nearer to its axis than its radius. With 0 turns, only
-    the depth is measured. The shift is at most `most` mm."""
+    Each of `turns` first moves the body off the faces that its axis crosses, then off the faces nearer than its radius. With 0
+    turns, only the depth is measured. The shift is at most `most` mm."""
     place, normal, up, heading, size = stance
     rest = plus(place, plus(times(up, shape.height), times(heading, shape.ahead)))
     tip = times(heading, shape.half + shape.radius)
@@ -88,7 +88,7 @@ def shift_outside(
             for k in range(n):
                 row = ROW_FLOATS * boxes.triangle_order[faces.numbers[faces.begin + k]]
                 v = minus(center, load_vector(table, row + CORNER_OFFSET))
-                # If the plane of a face is farther away, so are all its points.
+                # All points of a face are at least as far away as its plane.
                 if abs(dot(v, load_vector(table, row + NORMAL_OFFSET))) >= best:
                     continue
                 edge1, edge2 = load_vector(table, row + EDGE1_OFFSET), load_vector(table, row + EDGE2_OFFSET)

@@ -1,4 +1,4 @@
-"""Which bodies need more than their feet, and how far those on wide faces rise over the faces beyond the edges of their own."""
+"""Select the bodies that need more than their feet, and lift bodies on wide faces over the ground beyond the edges."""
 
 from __future__ import annotations
 
@@ -37,10 +37,10 @@ def select_rows(
     begin: I64,
     end: I64,
 ) -> tuple[I64, I64]:
-    """List the agents from `begin` to before `end` with steps that may have to be shortened; return `begin` and their number.
+    """List the agents from `begin` to before `end` that may need shorter steps; return `begin` and their number.
 
-    All agents on ground with a level get a `state` in which bodies are aligned after the walk, and their heading in `looking`.
-    `row_levels`: receives the `levels` of the listed agents."""
+    All agents on ground with a level get a `state` that aligns their bodies after the walk. `looking` receives their headings.
+    `row_levels` receives the `levels` of the listed agents."""
     count = begin
     for i in range(begin, end):
         if levels[i] > 0 and state[i] == STANDING_STATE:
@@ -69,10 +69,10 @@ def lift_bodies(
     begin: I64,
     end: I64,
 ) -> tuple[I64, I64]:
-    """Lift bodies on wide faces off the faces around their own, from `begin` to before `end`.
+    """Lift bodies that stand on a wide face off the neighbouring faces, for agents from `begin` to before `end`.
 
-    Lists bodies on ground with a level, and those that are shifted, wait or are deep inside; returns `begin` and their number.
-    Their `state` becomes that of a body that stands as its feet do. `row_levels`: receives their `levels`."""
+    Lists bodies on ground with a level, and bodies that are shifted, waiting or deep inside. Returns `begin` and their number.
+    Their `state` becomes that of a body aligned with its feet. `row_levels` receives their `levels`."""
     table, link, first = surface.table, surface.link, surface.first
     count = begin
     for i in range(begin, end):
@@ -102,7 +102,8 @@ def lift_bodies(
 def _face_lift(
     table: Array1[F64], link: Array2[I32], f: I64, weights: TriangleWeights, shape: BodyShape, up: Vec3, heading: Vec3
 ) -> F64:
-    """Return how far (mm) both ends of a body must rise along its up to clear its face and those that rise beyond its edges."""
+    """Return how far (mm) both ends of a body must rise along its up, to clear its face and the faces that rise beyond its
+    edges."""
     row, lift = ROW_FLOATS * f, 0.0
     own = load_vector(table, row + NORMAL_OFFSET)
     side = -1.0 if dot(own, up) < 0 else 1.0
@@ -112,7 +113,7 @@ def _face_lift(
     for edge in range(4):
         normal, corner = own, place
         if edge < 3:
-            # The distance from an edge is the weight of the corner opposite it, by how fast that weight changes.
+            # Distance from an edge: the weight of the opposite corner, divided by the gradient of that weight.
             weight, x, y = 1.0 - weights[0] - weights[1], -along, shear - slant
             if edge == 1:
                 weight, x, y = weights[0], along, -shear
@@ -127,7 +128,7 @@ def _face_lift(
             other = ROW_FLOATS * (beyond >> 3)
             normal = times(load_vector(table, other + NORMAL_OFFSET), -side if (beyond & 1) == 1 else side)
             corner = load_vector(table, other + CORNER_OFFSET)
-            # What is beyond the edge rises if a corner of the own face lies above its plane.
+            # The face beyond the edge rises if a corner of the own face lies above its plane.
             center = plus(
                 load_vector(table, row + CORNER_OFFSET),
                 times(plus(load_vector(table, row + EDGE1_OFFSET), load_vector(table, row + EDGE2_OFFSET)), 1 / 3.0),

@@ -1,8 +1,8 @@
-"""The path of a body over the triangles below it: how the ground turns along it, and its profile.
+"""The path of a body over the triangles below it: how the ground turns along the path, and its height profile.
 
-A path is a straight line over the triangles, ahead of the feet and behind them. Each side of an edge that it crosses turns the
-ground by a rotation vector along the edge. The mean of these rotations over the path is how a body lies on it: it begins to turn
-a path's length before an edge, is half turned on the edge, and has turned as far beyond it."""
+A path is a straight line over the triangles, ahead of the feet and behind them. At each edge that it crosses, the ground turns by
+a rotation vector along the edge. The mean of these rotations over the path orients the body. So a body begins to turn one path
+length before an edge, is half turned on the edge, and completes the turn at the same distance beyond it."""
 
 from __future__ import annotations
 
@@ -20,16 +20,18 @@ from antdsl.numerics.elementary_loops import atan2
 from antdsl.numerics.kernel_vectors import Vec3, clamp_weights, cross, dot, load_vector, minus, plus, times
 
 _F = np.float32
-MAX_VALLEY_TURN = 2.0  # radians: a valley where the ground turns by more is a wall
-MAX_PATH_EDGES = 16  # edges that a path crosses on each side of the feet, at most
-POINT_FLOATS = 8  # of a point of a path: position, normal of the face that begins there, distance, whether that face rises
+MAX_VALLEY_TURN = 2.0  # radians; a valley with a larger turn is a wall
+MAX_PATH_EDGES = 16  # maximum number of edges that a path crosses on each side of the feet
+POINT_FLOATS = 8  # floats of a path point: position, normal of the face that begins there, distance, whether that face rises
 NORMAL_AT, DISTANCE_AT, RISE_AT = 3, 6, 7
-PATH_FLOATS = POINT_FLOATS * (MAX_PATH_EDGES + 2)  # of the points of one side: the feet, the edges, and the end
+PATH_FLOATS = POINT_FLOATS * (MAX_PATH_EDGES + 2)  # points of one side: the feet, the edges, and the end
 
 
 class GroundBend(NamedTuple):
-    """The mean turn of the ground along a path: a rotation vector (radians), `roll` the direction of the path and `pitch` it,
-    to the left. `count`: the number of points of the profile."""
+    """The mean turn of the ground along a path.
+
+    `roll`, `pitch`: components of its rotation vector (radians), along the path and to the left. `count`: the number of points of
+    the profile."""
 
     roll: F64
     pitch: F64
@@ -37,8 +39,8 @@ class GroundBend(NamedTuple):
 
 
 class BodyShape(NamedTuple):
-    """The capsule of a trunk (mm): `half` of its axis, its `radius`, the `height` of its middle above the feet, and how far it is
-    `ahead` of them."""
+    """The capsule of a trunk (mm): `half` length of its axis, `radius`, `height` of its middle above the feet, and distance
+    `ahead` of the feet."""
 
     half: F64
     radius: F64
@@ -67,7 +69,7 @@ class FacesNearby(NamedTuple):
 
 @inlined
 def is_crossing(nearby: FacesNearby, f: I64, other: I64) -> BOOL:
-    """Return whether a face belongs to another piece than face f, or both are cut by faces of their piece."""
+    """Return whether a face belongs to another piece than face f, or both faces are cut by faces of their piece."""
     pieces, cuts = nearby.pieces, nearby.cuts
     return pieces[f] != pieces[other] or (cuts[f + 1] > cuts[f] and cuts[other + 1] > cuts[other] and f != other)
 
@@ -76,10 +78,10 @@ def is_crossing(nearby: FacesNearby, f: I64, other: I64) -> BOOL:
 def trace_bends(
     surface: SurfaceTables, nearby: FacesNearby, start: FaceWalker, window: F64, eye: F64, points: Array1[F64]
 ) -> GroundBend:
-    """Walk a path of length `window` (mm); return how the ground turns along it, as a mean over the path and its mirror image.
+    """Walk a path of length `window` (mm). Return the turn of the ground along it, as a mean over the path and its mirror image.
 
-    A face of `nearby` that crosses the path, seen from the height `eye` (mm), continues it.
-    `points`: receives the positions of the feet, of the edges and of the end of the path."""
+    If a face of `nearby` crosses the path at the height `eye` (mm), the path continues on that face. `points` receives the
+    positions of the feet, of the edges and of the end of the path."""
     table, link, forked, _ = surface
     walker, left, roll, pitch, count, climb, walks = start, window, 0.0, 0.0, 0, 0.0, True
     normal = times(load_vector(table, ROW_FLOATS * start.face + NORMAL_OFFSET), start.side)
@@ -151,7 +153,8 @@ def trace_bends(
 def profile_lift(points: Array1[F64], count: I64, shape: BodyShape, place: Vec3, up: Vec3, heading: Vec3, most: F64) -> F64:
     """Return how far (mm) a body must rise along its up to clear the profile below it, at most `most`.
 
-    The body stands at `place`. The capsule clears each point of the profile, and its ends clear the lines between them."""
+    The body stands at `place`. The capsule must clear each point of the profile. Its ends must also clear the lines between the
+    points."""
     lift = 0.0
     old_x, old_y = 0.0, 0.0
     for k in range(count):
@@ -165,7 +168,7 @@ def profile_lift(points: Array1[F64], count: I64, shape: BodyShape, place: Vec3,
             size = np.sqrt(dx * dx + dy * dy)
             if size > 1e-9:
                 dx, dy = dx / size, dy / size
-                # The normal of the line, on the side of the body: the profile runs away from the feet.
+                # The normal of the line on the body's side: profile points are ordered away from the feet.
                 nx, ny = -dy, dx
                 if ny < 0:
                     nx, ny = -nx, -ny

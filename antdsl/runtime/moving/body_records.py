@@ -10,8 +10,8 @@ from antdsl.machine_code.kernels.types import BOOL, F32, F64, I32, I64, U8, Arra
 from antdsl.numerics.kernel_vectors import VectorColumns
 from antdsl.runtime.moving.body_paths import BodyShape
 
-SHARP = 2  # level of ground with sharp edges, other pieces or cuts, see `MeshGround.mark_bends`
-MAX_LIFT_PER_BODY = 0.6  # of a body: how far it shifts at most
+SHARP = 2  # level of ground with sharp edges, other pieces or cuts; see `MeshGround.mark_bends`
+MAX_LIFT_PER_BODY = 0.6  # body lengths; the largest shift of a body
 
 
 class BodyPoses(NamedTuple):
@@ -22,8 +22,10 @@ class BodyPoses(NamedTuple):
 
 
 class BodyLimits(NamedTuple):
-    """Limits of bodies: the largest tilt `most` (radians), `max_turn` (rad/s), `dt` (s), `size` (mm), the `shape` of a body of
-    1 mm, and how far it should shift (`ease`) and may shift (`jump`) in the step (body lengths)."""
+    """Limits of bodies in a step.
+
+    `most`: the largest tilt (radians). `max_turn` (rad/s). `dt` (s). `size` (mm). `shape`: the shape of a body of 1 mm. `ease`,
+    `jump`: how far a body shifts by choice, and at most (body lengths)."""
 
     most: Array1[F32]
     max_turn: Array1[F32]
@@ -35,8 +37,10 @@ class BodyLimits(NamedTuple):
 
 
 class BodyRegisters(NamedTuple):
-    """What a body retains of a step: its shift `lift` (mm), how much its feet `wait` for it (0 to 1), its `depth` inside a
-    surface (body lengths), and the direction `out` of what it has met."""
+    """Values that a body retains from step to step.
+
+    `lift`: its shift (mm). `wait`: how strongly its feet wait for it, 0 to 1. `depth`: its depth inside a surface (body lengths).
+    `out`: the direction out of the surface that it touched."""
 
     lift: VectorColumns
     wait: Array1[F32]
@@ -45,14 +49,14 @@ class BodyRegisters(NamedTuple):
 
 
 class BodyRows(NamedTuple):
-    """Rows of agents, and how the ground bends around each, see `MeshGround.mark_bends`."""
+    """Rows of agents, and the bend of the ground around each; see `MeshGround.mark_bends`."""
 
     rows: Array1[I64]
     levels: Array1[U8]
 
 
 class BodyStances(NamedTuple):
-    """Where all bodies stand: positions (n, 3) mm, normals (n, 3) of the ground, and poses."""
+    """Stances of all bodies: positions (n, 3) mm, normals (n, 3) of the ground, and poses."""
 
     place: Strided2[F64]
     normals: Array2[F32]
@@ -60,7 +64,7 @@ class BodyStances(NamedTuple):
 
 
 class FaceBuffers(NamedTuple):
-    """`several` buffers for face numbers, for parts of `count` rows."""
+    """Work buffers for face numbers. There are `several` buffers, each for a chunk of `count` rows."""
 
     numbers: Array1[I64]
     several: I64
@@ -68,8 +72,9 @@ class FaceBuffers(NamedTuple):
 
 
 class FaceSearch(NamedTuple):
-    """The tables for a search of faces: `piece` and the cuts of the topology, a tree of boxes, and buffers. `several_pieces`:
-    whether a path may meet another piece, or a face that cuts its piece."""
+    """Tables for a search of faces: `piece` and the cuts of the topology, a tree of boxes, and buffers.
+
+    `several_pieces`: whether a path may meet another piece, or a face that cuts its own piece."""
 
     several_pieces: BOOL
     pieces: Array1[I32]

@@ -12,18 +12,19 @@ from antdsl.machine_code.kernels.types import BOOL, F32, F64, I64, Array1, Array
 from antdsl.numerics.kernel_vectors import Vec3, VectorColumns, dot, get_column, minus, plus, times
 from antdsl.numerics.sorting import compact_indices
 
-_SEARCH_RADII = 1.6  # radii: how far beyond its axis an agent is looked about, more than one since it will yet be moved
-_CANDIDATE_DISTANCE_WIDTHS = 1.5  # widths that two are apart, up to which they may yet meet
-_OPPOSITE_SIDES_COSINE = -0.5  # cosine between two ways of standing, below which agents are on two sides of something
-_MIN_AXIS_DISTANCE_WIDTHS = 1e-6  # of a width: so near each other, two axes give no direction
+# radii around the axis within which neighbours are searched; more than 1, because the agent may still be moved
+_SEARCH_RADII = 1.6
+_CANDIDATE_DISTANCE_WIDTHS = 1.5  # widths; pairs farther apart cannot touch in this substep
+_OPPOSITE_SIDES_COSINE = -0.5  # cosine between two up directions; below it, the agents are on opposite sides of something
+_MIN_AXIS_DISTANCE_WIDTHS = 1e-6  # widths; two axes this near to each other define no direction
 _FLOAT32_ZERO = np.float32(0)
 _AGENTS_PER_BATCH = 64  # agents with bounds computed in SIMD lanes
 _EMPTY_EXTREMES = np.repeat([np.inf, -np.inf, 0.0], [4 * _AGENTS_PER_BATCH, 4 * _AGENTS_PER_BATCH, _AGENTS_PER_BATCH]).reshape(
     9, _AGENTS_PER_BATCH
 )
-_PREFETCH_GROUP_SIZE = 32  # pairs of which the rows are prefetched before they are measured
+_PREFETCH_GROUP_SIZE = 32  # number of pairs with rows prefetched before they are measured
 _MAY_TOUCH_FLAG, _NO_AXIS_FLAG = 1, 2  # flags of a pair: it may touch; it has no separation axis
-_NEAR_OVERLAP_FLAG, _OVERLAPPING_FLAG = 1, 2  # what is known of a row: that it is near one that is in another, and that it is
+_NEAR_OVERLAP_FLAG, _OVERLAPPING_FLAG = 1, 2  # flags of a row: a neighbour overlaps another; the row itself overlaps another
 
 
 class CapsuleArrays(NamedTuple):
@@ -40,7 +41,7 @@ class CapsuleArrays(NamedTuple):
 
 
 class CrowdCapsules(NamedTuple):
-    """Capsules of all agents, with vectors in the layout of registers."""
+    """Capsules of all agents. Vectors have the layout of registers."""
 
     middle: Array2[F64]
     ahead: VectorColumns
@@ -62,7 +63,7 @@ class CapsuleShape(NamedTuple):
 
 
 class TrunkCapsules(NamedTuple):
-    """Capsules of all agents, as in `capsules.CapsuleCrowd`. `shift`: distance (mm) of each middle ahead of the feet."""
+    """Capsules of all agents, as in `capsules.CapsuleCrowd`. `shift`: the distance (mm) of each middle ahead of the feet."""
 
     half: Array1[F64]
     radius: Array1[F64]
@@ -72,7 +73,7 @@ class TrunkCapsules(NamedTuple):
 
 
 class CrowdBounds(NamedTuple):
-    """The least and the greatest x, y and z of the middles, and of the reach (mm); NaN if a value is not finite."""
+    """The least and greatest x, y and z of the middles, and the least and greatest reach (mm). NaN if a value is not finite."""
 
     least: tuple[F64, F64, F64, F64]
     greatest: tuple[F64, F64, F64, F64]
@@ -97,8 +98,8 @@ def _read_vector(vectors: VectorColumns, i: I64) -> Vec3:
 
 
 def empty_extremes() -> NDArray[np.float64]:
-    """Return initial bounds for `place_trunks`: +inf for least, -inf for greatest values, and 0 for the number of values that
-    are not finite."""
+    """Return initial bounds for `place_trunks`: +inf for minima, -inf for maxima, and 0 for the count of values that are not
+    finite."""
     return _EMPTY_EXTREMES.copy()
 
 
@@ -154,10 +155,10 @@ def mean_up(one: Vec3, other: Vec3) -> Vec3:
 
 @inlined
 def find_separation(away: Vec3, a: Vec3, b: Vec3, between: Vec3, reach: F64, length: F64) -> tuple[Vec3, F64, Vec3]:
-    """Return the vector between the nearest points of two axes across `between`, its height along `between`, and the vector
-    between the middles across `between`.
+    """Return the vector between the nearest points of two axes, measured across `between`.
 
-    The nearest points of two segments are computed as in C. Ericson, Real-Time Collision Detection, 2005, 5.1.9.
+    Also returns its height along `between`, and the vector between the middles across `between`. The nearest points of two
+    segments are computed as in C. Ericson, Real-Time Collision Detection, 2005, 5.1.9.
     `away`: from the second middle to the first. `a`, `b`: unit vectors along the axes. `reach`, `length`: their half lengths."""
     flat = minus(away, times(between, dot(away, between)))
     one, other = minus(a, times(between, dot(a, between))), minus(b, times(between, dot(b, between)))
@@ -177,7 +178,7 @@ def find_separation(away: Vec3, a: Vec3, b: Vec3, between: Vec3, reach: F64, len
 def _measure_gap(
     away: Vec3, a: Vec3, b: Vec3, one: Vec3, other: Vec3, reach: F64, length: F64, radius_sum: F64
 ) -> tuple[F64, Vec3, BOOL]:
-    """Return the gap (mm) and separation axis of a pair, and whether both have the same position and thus no axis.
+    """Return the gap (mm) and separation axis of a pair, and whether the pair has no axis because both positions are equal.
 
     If the capsule axes cross, the separation axis is the direction between the middles."""
     separation, over, flat = find_separation(away, a, b, mean_up(one, other), reach, length)
@@ -310,12 +311,11 @@ def select_touching_pairs(
     all_pairs: BOOL,
     dead_zone_share: F64,
 ) -> TouchingPairCounts:
-    """Select the pairs (`i`, `j`) that may touch, for `capsules.find_near_pairs`, and move them to the front of all pair
-    arrays.
+    """Select the pairs (`i`, `j`) that may touch, for `capsules.find_near_pairs`. Move them to the front of all pair arrays.
 
     `known`: receives the indices of pairs without a separation axis. `number`: a work buffer.
-    `all_pairs`: if False, only pairs with a row that overlaps another by more than `dead_zone_share` times the sum of both
-    radii."""
+    `all_pairs`: if False, select only pairs with a row that overlaps another row. The overlap must exceed `dead_zone_share` times
+    the sum of both radii."""
     middle, ahead, up, half, radius = crowd
     for start in range(0, i.size, _PREFETCH_GROUP_SIZE):
         for pair in range(min(start + _PREFETCH_GROUP_SIZE, i.size), min(start + 2 * _PREFETCH_GROUP_SIZE, i.size)):
@@ -347,7 +347,7 @@ def select_touching_pairs(
             known[pair] = (_NO_AXIS_FLAG if nowhere else _MAY_TOUCH_FLAG) if far < wide * _CANDIDATE_DISTANCE_WIDTHS else 0
     number[:] = 0
     pairs, lost, widest = 0, 0, 0.0
-    for pair in range(i.size):  # written whatever it is: no branch that is hard to foretell
+    for pair in range(i.size):  # stored unconditionally: the branch would be hard to predict
         p, q, state = i[pair], j[pair], known[pair]
         v = get_column(direction, pair)
         i[pairs], j[pairs], gap[pairs], known[pairs] = p, q, gap[pair], state

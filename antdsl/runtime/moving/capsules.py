@@ -45,13 +45,15 @@ Floats = NDArray[np.float64]
 Rows = NDArray[np.intp]
 Flags = NDArray[np.bool_]
 
-_PAIR_ID_MULTIPLIER = 0x9E3779B1  # an odd number, that numbers pairs of ids
-_SPECIES_KEY_STEP = 1 << 40  # more than there are ids of a species
+_PAIR_ID_MULTIPLIER = 0x9E3779B1  # an odd multiplier that combines two ids into one key
+_SPECIES_KEY_STEP = 1 << 40  # larger than any id of a species
 
 
 def find_capsule(world: World, key: str) -> TrunkCapsule:
-    """Return the capsule of a body. It comes from the body's own file, else from the body that the first crowd line names, else
-    from the body with the species' name."""
+    """Return the capsule of a body.
+
+    The shape comes from the body's own file. Without one, it comes from the body that the first crowd line names, then from the
+    body with the species' name."""
     own, species = world.setting.body_capsules.get(key), species_of_key(key)
     if own is not None:
         return TrunkCapsule(own.length, own.width, own.height, own.forward_offset)
@@ -66,8 +68,8 @@ def _library_body(world: World, species: str) -> str:
 
 
 def _load_front(world: World, species: str) -> float | None:
-    """Return how far (body lengths) the front of a load is ahead of the feet. None if agents of a species hold no loads that
-    take room."""
+    """Return how far (body lengths) the front of a load is ahead of the feet. Return None if agents of the species hold no loads
+    with a size."""
     if world.setting.body_capsules.get(species) is not None or not world.plan.species[species].has_whole_body:
         return None
     return LOAD_FRONT_BY_BODY.get(_library_body(world, species))
@@ -81,13 +83,13 @@ class CapsuleCrowd:
     def __init__(self, world: World, start: bool = False) -> None:
         self.world, self._start = world, start
         self.species = [population for population in world.populations.values() if len(population)]
-        self.species = self.species or list(world.populations.values())[:1]  # no agents: arrays of no rows
+        self.species = self.species or list(world.populations.values())[:1]  # without agents, arrays have no rows
         self.first = np.array([*accumulate(map(len, self.species), initial=0)], np.intp)
         self.agent_keys = self.of(lambda p: p.ids + k * _SPECIES_KEY_STEP if (k := self.species.index(p)) else p.ids)
-        self.bounds = self._place_capsules()  # of x, y and z of middles and of reaches
+        self.bounds = self._place_capsules()  # bounds of x, y and z of the middles, and of the reach
 
     def _place_capsules(self) -> Bounds | None:
-        """Compute the capsules of each species; return the bounds of all capsules, None if they are not known."""
+        """Compute the capsules of each species. Return the bounds of all capsules, or None if they are unknown."""
         self.half, self.radius, self.ahead, self.reach = np.empty((4, len(self)))
         self.middle = np.empty((3, len(self)))
         has_loads = False
@@ -161,13 +163,12 @@ def _place_some_trunks(
 class NearbyPairs:
     """Pairs of capsules that are near each other. Lengths are in mm.
 
-    `rows`: ascending rows of the crowd that are in any pair.
-    `i`, `j`: indices of both agents in `rows`; the first comes first by species and id.
-    For each row, at the time when the pairs were listed:
-    `middle`, `ahead`, `up` (3, k); `half`, `radius` (k): the capsules. `max_radius`: the largest radius.
-    For each pair, as last measured:
-    `gap` (m): distance to contact, negative for overlaps.
-    `direction` (3, m): separation axis, a unit vector from the second to the first."""
+    - `rows`: ascending rows of the crowd that occur in a pair.
+    - `i`, `j`: indices of both agents in `rows`. The first agent comes first by species and id.
+    - `middle`, `ahead`, `up` (3, k); `half`, `radius` (k): the capsule of each row when the pairs were listed. `max_radius`: the
+      largest radius.
+    - `gap` (m): last measured distance to contact of each pair, negative for overlaps.
+    - `direction` (3, m): last measured separation axis, a unit vector from the second agent to the first."""
 
     crowd: CapsuleCrowd
     rows: Rows
@@ -188,8 +189,9 @@ class NearbyPairs:
         return CapsuleArrays(self.middle, self.ahead, self.up, self.half, self.radius)
 
     def measure_before_step(self, walked: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return gaps and separation axes of all pairs before the rows `walked` (3, k) mm, with current headings. Also return
-        the greatest overlap (k) mm of each row."""
+        """Return gaps and separation axes of all pairs before the rows `walked` (3, k) mm, with current headings.
+
+        Also returns the greatest overlap (k) mm of each row."""
         pairs, rows = len(self.i), len(self.rows)
         gap, direction, depth, lost = np.empty(pairs), np.empty((3, pairs)), np.empty(rows), np.empty(pairs, np.intp)
         count = measure_before_step(self.bodies, walked, self.i, self.j, gap, direction, depth, lost)
@@ -227,8 +229,7 @@ class NearbyPairs:
 def find_near_pairs(crowd: CapsuleCrowd, dead_zone_share: float | None = None) -> NearbyPairs:
     """Return the pairs of a crowd that may touch.
 
-    With `dead_zone_share`, only pairs are returned that have a row which overlaps another by more than this share of both
-    radii."""
+    With `dead_zone_share`, return only pairs with a row that overlaps another row by more than this share of both radii."""
     x, y, z = crowd.middle
     pairs = find_touching((x, y, z), crowd.reach, crowd.agent_keys, crowd.bounds)
     i, j, m = *parallel.make_contiguous(pairs.i, pairs.j), len(pairs.i)

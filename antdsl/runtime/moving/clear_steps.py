@@ -1,7 +1,7 @@
-"""A substep of bodies that stay outside their ground. Before the walk their feet are slowed, after it they turn, lift and shift.
+"""A substep of bodies that stay outside their ground. Feet slow down before the walk; bodies turn, lift and shift after it.
 
-A step that would bring a body deeper into a surface is taken back. The body then turns where it stands. If it cannot even do
-that, it keeps its pose. A body that is deep inside a surface, as after a birth in a gap, moves freely until it is outside."""
+A step is undone if it would bring the body deeper into a surface. The body then turns on the spot. If it cannot turn either, it
+keeps its pose. A body deep inside a surface, for example after a birth in a gap, moves freely until it is outside."""
 
 from __future__ import annotations
 
@@ -38,30 +38,35 @@ from antdsl.runtime.moving.slopes import has_slope_limit
 from antdsl.runtime.world import AXES, Population, World
 
 _F = np.float32
-_MAX_DEPTH = _F(0.008)  # of a body: how deep it may be inside a surface without an effect
-_YIELD_DEPTH = _F(0.003)  # of a body: how much deeper a body may be after each step in which it could neither walk nor turn
-_STRANDED_DEPTH = _F(0.08)  # of a body: one that is so deep inside moves freely
-_MIN_LEAN_COSINE = _F(0.5)  # of the angle between body and ground, beyond which no contact brings a body
-_MARGIN_PER_BODY = 0.04  # of a body: how much longer its capsule is at both ends
-_ROWS_PER_THREAD = 32  # for which a thread pays
+_MAX_DEPTH = _F(0.008)  # body lengths; a shallower overlap has no effect
+# body lengths; the allowed depth grows by this after each step in which a body could neither walk nor turn
+_YIELD_DEPTH = _F(0.003)
+_STRANDED_DEPTH = _F(0.08)  # body lengths; a body this deep inside moves freely
+_MIN_LEAN_COSINE = _F(0.5)  # cosine of the angle between body and ground; contacts cannot tilt a body further
+_MARGIN_PER_BODY = 0.04  # body lengths that are added at both ends of the capsule
+_ROWS_PER_THREAD = 32  # fewer rows are not worth another thread
 _POSE_REGISTERS = tuple(f"{name}.{axis}" for name in ("up", "heading", "~lift") for axis in AXES)
-_SHIFT_SPEED, _JUMP_SPEED = 3.6, 8.4  # body lengths per second that a body shifts by choice, and at most
-_QUARTER_TURNS = 3  # tried at birth by a body that does not fit
+# body lengths per second; a body shifts at the first speed by choice, and never faster than the second
+_SHIFT_SPEED, _JUMP_SPEED = 3.6, 8.4
+_QUARTER_TURNS = 3  # at birth, a body that does not fit tries these turns
 
 Rows = NDArray[np.int64]
 
 
 def has_clearance(world: World, population: Population) -> bool:
-    """Return whether the bodies of a species stay outside their ground. The ground must consist of meshes, and the bodies must
-    follow it: those with a posture or a slope limit of their own do not."""
+    """Return whether the bodies of a species stay outside their ground.
+
+    The ground must consist of meshes, and the bodies must follow it. Bodies with a posture or a slope limit do not."""
     follows_ground = not has_posture(population) and not has_slope_limit(population)
     return population.plan.clears_body and follows_ground and isinstance(world.ground, MeshGround)
 
 
 @dataclass(slots=True)
 class ClearStep:
-    """The substep of the bodies of a species. `walk`: the tables of the ground. `rows`: agents on ground with bends, and those
-    that do not stand as their feet do. `levels`: how their ground bends, see `MeshGround.mark_bends`."""
+    """The substep of the bodies of a species.
+
+    `walk`: the tables of the ground. `rows`: agents on ground with bends, and agents that are not aligned with their feet.
+    `levels`: the bend of the ground below them, see `MeshGround.mark_bends`."""
 
     population: Population
     walk: CrowdWalk
@@ -87,7 +92,7 @@ class ClearStep:
     ) -> ClearStep:
         """List the rows with bodies that need more than their feet.
 
-        `stance`: the states of bodies, and the headings along the ground of those that lean. `limits`: tilt and turn limits, and
+        `stance`: the states of bodies, and the headings along the ground of leaning bodies. `limits`: tilt and turn limits, and
         the duration (s)."""
         now, n, threads = population.now, len(population), world.options.threads
         assert isinstance(world.ground, MeshGround)
@@ -113,7 +118,8 @@ class ClearStep:
             self._run(partial(limit_steps, self._surface, self._search(len(self.rows)), *inputs), len(self.rows))
 
     def follow(self, previous: BodyPoses, outset: tuple[Footing, NDArray[np.float64], NDArray[np.float32]]) -> None:
-        """Turn and shift bodies after the walk. `previous`: earlier poses. `outset`: earlier footings, positions, normals."""
+        """Turn and shift bodies after the walk. `previous`: poses before it. `outset`: footings, positions and normals before
+        it."""
         p, now, n = self.population, self.population.now, len(self.population)
         self.previous = previous
         (rows,), (levels,) = p.get_buffers("uneven", 1, (n,), np.int64), p.get_buffers("bends of rows", 1, (n,), np.uint8)
@@ -162,7 +168,8 @@ class ClearStep:
     def correct(self) -> None:
         """Turn and shift the bodies that contacts have moved.
 
-        A move that would bring one deeper into a surface, or farther off its ground than it may lean, is taken back."""
+        A move is undone if it would bring the body deeper into a surface. It is also undone if the body would lean more than
+        allowed."""
         p, now, rows = self.population, self.population.now, self.rows
         (footing, position, normal), columns = self.recorded
         at = np.flatnonzero((p.position[rows] != position).any(axis=1))
@@ -189,7 +196,7 @@ class ClearStep:
             now[name][back] = values[at]
 
     def _stand_up(self, at: Rows) -> None:
-        """Set the poses of some of `rows` to those of the feet, so that bodies can be turned after them again."""
+        """Set the poses of some of `rows` to the poses of the feet, so that bodies can be turned towards the feet again."""
         p, rows = self.population, self.rows[at]
         for k, axis in enumerate(AXES):
             p.now[f"up.{axis}"][rows] = p.normal[rows, k]
@@ -197,7 +204,7 @@ class ClearStep:
             p.now[f"~lift.{axis}"][rows] = self.lifts[k][at]
 
     def _put(self, rows: Rows, stands: tuple[Footing, NDArray[np.float64], NDArray[np.float32]]) -> None:
-        """Put agents back to footings, positions and normals."""
+        """Restore the footings, positions and normals of agents."""
         p, (footing, position, normal) = self.population, stands
         p.footing.put_rows(rows, footing)
         p.position[rows], p.normal[rows] = position, normal
@@ -205,7 +212,8 @@ class ClearStep:
             p.now[f"position.{axis}"][rows] = position[:, k]
 
     def settle(self) -> None:
-        """Turn and shift new bodies at once. One that does not fit turns by quarters, and stands where it is least deep."""
+        """Turn and shift new bodies at once. A body that does not fit tries quarter turns, and takes the one with the least
+        depth."""
         p, now, rows = self.population, self.population.now, self.rows
         heading = [now[f"heading.{axis}"].take(rows) for axis in AXES]
         best, pose = np.full(len(rows), np.inf, np.float32), [now[name].take(rows) for name in _POSE_REGISTERS]
@@ -242,7 +250,7 @@ class ClearStep:
         self._run(partial(aim_bodies, self._surface, self._search(len(rows)), *inputs), len(rows))
 
     def _shift(self, rows: Rows, old: VectorArrays) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Shift bodies outside the faces around them; return their depths and the directions out (3, k)."""
+        """Shift bodies outside the faces around them. Return the remaining depths and the directions out (3, k)."""
         p, now = self.population, self.population.now
         depths, outs = np.zeros(len(rows), np.float32), np.zeros((3, len(rows)), np.float32)
         poses = BodyPoses(vec.get_vector_registers(now, "up"), vec.get_vector_registers(now, "heading"))
@@ -265,9 +273,9 @@ class ClearStep:
 
 
 def settle_clear(world: World, population: Population, rows: Rows) -> bool:
-    """Turn and shift new bodies at once so that they are outside their ground.
+    """Turn and shift new bodies at once, so that they are outside their ground.
 
-    Returns False if the bodies of the species do not stay outside, or the ground does not consist of triangles."""
+    Returns False if the bodies of the species need not stay outside, or if the ground does not consist of triangles."""
     if not has_clearance(world, population):
         return False
     assert isinstance(world.ground, MeshGround)
@@ -297,7 +305,7 @@ def face_search(walk: CrowdWalk, count: int, threads: int) -> FaceSearch:
 
 
 def body_shape(world: World, population: Population, margin: float = _MARGIN_PER_BODY) -> BodyShape:
-    """Return the capsule of a species' body, for a body of 1 mm, longer by a `margin` at both ends."""
+    """Return the capsule of a species' body for a body of 1 mm, extended by `margin` at both ends."""
     capsule = find_capsule(world, population.name)
     half = max(capsule.length - capsule.width, 0.0) / 2 + margin
     return BodyShape(half, capsule.width / 2, capsule.height, capsule.forward_offset)

@@ -1,7 +1,7 @@
-"""Kernels that hold bodies outside their ground: they shorten steps, turn bodies over the path below them, and shift them.
+"""Kernels that hold bodies outside their ground. They shorten steps, turn bodies over the path below them, and shift bodies.
 
-A body follows the mean turn of the ground along its path (`body_paths`), no faster than it can turn. It is never farther from
-the ground's normal than an angle: a step ends before an edge until the body can stand beyond it."""
+A body follows the mean turn of the ground along its path (`body_paths`), no faster than it can turn. Its angle to the ground's
+normal is limited. So a step ends before an edge until the body can stand beyond the edge."""
 
 from __future__ import annotations
 
@@ -54,28 +54,28 @@ from antdsl.runtime.moving.body_records import (
 from antdsl.runtime.moving.postures import perpendicular, read_vector, tilt_within, turn_axis, turn_heading, turn_within
 
 _F = np.float32
-WINDOW_PER_BODY = 1.0  # of a body: length of the path ahead of the feet, and of that behind them
-_EYE_PER_BODY = 0.03  # of a body: the height above the ground at which a path meets other pieces
-_MAX_LEAN = 0.92  # radians between body and the ground below the feet; 53 degrees
-_LEAN_PER_BODY = 0.65  # radians by which ground that is a body farther away may differ more
-_MIN_WAIT_LAG, _MAX_WAIT_LAG = 0.087, 0.35  # radians: a body that lags so much slows its feet, or stops them
-_KNIFE_SLACK = 0.1  # radians more than half the turn of a sharp edge, at which the feet step over it
-_MIN_VELOCITY_SHARE = 0.3  # of a velocity: what an agent retains that waits for its body
-_RETREAT_SHARE = 0.2  # of a step: how far an agent retreats from what its body has met
-_EDGE_GAP_PER_BODY = 0.002  # of a body: how far from an edge feet wait
-_EDGE_REACH_PER_BODY = 0.05  # of a body: feet that are so near to an edge stand at it
-_VALLEY_GAP_PER_BODY = 0.01  # of a body: the same of a valley that no body fits into
+WINDOW_PER_BODY = 1.0  # body lengths; length of the path ahead of the feet, and of the path behind them
+_EYE_PER_BODY = 0.03  # body lengths above the ground at which a path meets other pieces
+_MAX_LEAN = 0.92  # radians between body and the ground below the feet (53 degrees)
+_LEAN_PER_BODY = 0.65  # radians that the limit grows per body length of distance
+_MIN_WAIT_LAG, _MAX_WAIT_LAG = 0.087, 0.35  # radians; from the first lag on feet slow down, at the second they stop
+_KNIFE_SLACK = 0.1  # radians beyond half the turn of a sharp edge; the feet then step over it
+_MIN_VELOCITY_SHARE = 0.3  # share of the velocity that an agent retains while it waits for its body
+_RETREAT_SHARE = 0.2  # share of the step by which an agent retreats from a surface that its body touched
+_EDGE_GAP_PER_BODY = 0.002  # body lengths between an edge and waiting feet
+_EDGE_REACH_PER_BODY = 0.05  # body lengths; feet this near to an edge stand at the edge
+_VALLEY_GAP_PER_BODY = 0.01  # body lengths; the same for a valley that is too narrow for the body
 
 
 @inlined
 def _buffer(search: FaceSearch, begin: I64) -> I64:
-    """Return where the buffer of a part begins."""
+    """Return the index at which the buffer of a chunk begins."""
     return compute_buffer_index(begin, search.buffers.count, search.buffers.several) * search.boxes.triangle_order.size
 
 
 @inlined
 def _own_piece(search: FaceSearch, f: I64) -> I64:
-    """Return the piece of face f, since no path on it meets that piece; -1 if a face cuts face f."""
+    """Return the piece of face f, which a path on f cannot meet. Return -1 if another face cuts face f."""
     return -1 if search.cuts[f + 1] > search.cuts[f] else np.int64(search.pieces[f])
 
 
@@ -88,7 +88,7 @@ def _angle(a: Vec3, b: Vec3) -> F64:
 
 @kernel_helper
 def _approach_normal(up: Vec3, normal: Vec3, most: F64, ahead: Vec3) -> Vec3:
-    """Return the up, rotated towards a normal if it is more than `most` radians away."""
+    """Return the up direction. If it is more than `most` radians away from a normal, rotate it towards the normal."""
     angle, result = _angle(up, normal), up
     if angle > most:
         axis, _, _ = turn_axis(up, normal, ahead)
@@ -114,8 +114,8 @@ def limit_steps(
 ) -> None:
     """Shorten the steps (mm) of the listed agents from `begin` to before `end` so that their bodies can follow.
 
-    A step leads away from what the body met in the last step. It ends before an edge if the body cannot stand beyond it, and
-    before a valley that no body fits into."""
+    A step leads away from the surface that the body touched in the last step. It ends before an edge if the body cannot stand
+    beyond it. It also ends before a valley that is too narrow for the body."""
     table, first, rows, levels = surface.table, surface.first, listed.rows, listed.levels
     points, faces = allocate_scratch(PATH_FLOATS, F64), FaceList(search.buffers.numbers, _buffer(search, begin))
     for j in range(begin, end):
@@ -159,7 +159,7 @@ def limit_steps(
                     most = max(_MAX_LEAN, 0.5 * _angle(own, n) + _KNIFE_SLACK) + np.float64(limits.most[i])
                     if _angle(up, n) > most:
                         free = min(free, max(points[POINT_FLOATS * k + DISTANCE_AT] - _EDGE_GAP_PER_BODY * size, 0.0))
-                # A body that has come as near as it can to what is beyond an edge never gets there.
+                # A body at its nearest possible distance from the surface beyond an edge cannot cross that edge.
                 turns_away = free < _EDGE_REACH_PER_BODY * size and free < left and retained.wait[i] == 0
                 last = POINT_FLOATS * (bend.count - 1)
                 if points[last + RISE_AT] < 0:
@@ -176,9 +176,9 @@ def limit_steps(
 
 @inlined
 def _retreat(step: Vec3, length: F64, wall: Vec3, distance: F64) -> Vec3:
-    """Return a step of the given length, without the part that leads into a wall, and `distance` out of it.
+    """Return a step of the given length without its component into a wall, moved `distance` away from the wall.
 
-    `wall`: the direction out along the ground. A step that leads along the wall is reversed."""
+    `wall`: the direction away from the wall, along the ground. A step that leads along the wall is reversed."""
     size = np.sqrt(dot(wall, wall))
     into = dot(step, wall)
     out, inside = times(step, -1 / length), -length
@@ -201,9 +201,9 @@ def aim_bodies(
     begin: I64,
     end: I64,
 ) -> None:
-    """Turn the listed bodies from `begin` to before `end` after their feet, and lift them off the path below them.
+    """Turn the listed bodies from `begin` to before `end` towards their feet, and lift them off the path below them.
 
-    `previous`: poses before the step. `now`: those of the feet, replaced by those of the bodies."""
+    `previous`: poses before the step. `now`: poses of the feet; they are replaced by the poses of the bodies."""
     table, first, rows, levels = surface.table, surface.first, listed.rows, listed.levels
     faces = FaceList(search.buffers.numbers, _buffer(search, begin))
     ahead_points, behind_points = allocate_scratch(PATH_FLOATS, F64), allocate_scratch(PATH_FLOATS, F64)
@@ -284,9 +284,9 @@ def shift_bodies(
 ) -> None:
     """Shift the bodies of `rows` from `begin` to before `end` out of the faces around them, starting from their `lift` (mm).
 
-    `old`: the shift of each of `rows` before the step; a body that would have to shift farther from it counts as deep inside.
-    `turns`: as in `shift_outside`. `depths`, `outs` (3, k): how deep each of `rows` remains inside (body lengths), and the
-    direction out of it."""
+    `old`: the shift of each of `rows` before the step. A body that would have to shift too far from it counts as deep inside.
+    `turns`: as in `shift_outside`. `depths`, `outs` (3, k): receive the remaining depth of each of `rows` (body lengths), and the
+    direction out."""
     faces = FaceList(search.buffers.numbers, _buffer(search, begin))
     place, normals, pose = stands
     for j in range(begin, end):

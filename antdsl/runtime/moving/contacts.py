@@ -1,13 +1,14 @@
 """Contacts: bodies that overlap after all agents have walked are separated along the surface, all species together.
 
-Position-based contacts (M. Müller et al., Position Based Dynamics, VRIPHYS 2006, 3.3) in Jacobi sweeps. Each agent takes the
-mean of its contacts (M. Macklin et al., Unified Particle Physics for Real-Time Applications, SIGGRAPH 2014, 4.2). A sweep adds
-over pairs exactly, so the result does not depend on their order. Two bodies separate in shares by their masses.
+Position-based contacts (M. Müller et al., Position Based Dynamics, VRIPHYS 2006, 3.3) in Jacobi sweeps. Each agent takes the mean
+of its contacts (M. Macklin et al., Unified Particle Physics for Real-Time Applications, SIGGRAPH 2014, 4.2). A sweep adds over
+pairs exactly, so the result does not depend on their order. Two bodies separate in shares by their masses.
 
 No agent moves farther from its position at the start of the step than it can walk in the step's duration. A step into another
-agent is cut and slides along it. Agents that overlapped before the step separate as fast as they can walk. The remaining
-overlap is measured (`motion_measures`). Surface and obstacles take precedence over contacts. An agent loses the part of its
-velocity that leads into another agent. Being pushed adds no velocity, because resting agents would then never stop moving."""
+agent is shortened and slides along that agent. Agents that overlapped before the step separate at their walking speed.
+`motion_measures` measures the remaining overlap. Surface and obstacles take precedence over contacts. An agent loses the part of
+its velocity that leads into another agent. A push by others adds no velocity; otherwise resting agents would never stop
+moving."""
 
 from __future__ import annotations
 
@@ -33,15 +34,15 @@ Rows = NDArray[np.intp]
 Flags = NDArray[np.bool_]
 
 _F = np.float32
-_SOFT_CONTACT_SECONDS = 0.1  # s, in which two part by the most of their overlap
+_SOFT_CONTACT_SECONDS = 0.1  # time constant of soft contacts
 
 
 @dataclass(frozen=True, slots=True)
 class SolverEffort:
     """The number of iterations against overlaps in a substep.
 
-    `outer_iterations`: how often pairs are measured again. `sweeps`: the number of sweeps after each measurement.
-    `passes`: the number of rounds. Rounds after the first are for agents that the ground deflected or that could not move."""
+    `outer_iterations`: how often pairs are measured again. `sweeps`: the number of sweeps after each measurement. `passes`: the
+    number of passes. Passes after the first are for agents that the ground deflected or that could not move."""
 
     outer_iterations: int
     sweeps: int
@@ -49,7 +50,8 @@ class SolverEffort:
 
     @property
     def is_single(self) -> bool:
-        """Return whether there is one look, sweep and round. Then only agents that overlap at the first measurement are moved."""
+        """Return whether there is one outer iteration, one sweep and one pass. Then only agents that overlap at the first
+        measurement move."""
         return self.outer_iterations == self.sweeps == self.passes == 1
 
 
@@ -140,10 +142,9 @@ def _record_pushes(
 ) -> None:
     """Add the distance that each row was pushed in this step, for species with a program that reads it.
 
-    Only the displacement that others caused counts, without the correction `cut` (3, k) of the row's own step.
+    Only displacements by other agents count. The correction `cut` (3, k) of the row's own step does not.
     `rows`: ascending rows of the crowd. `moved_rows`: indices of moved rows among these.
-    `requested_moves` (3, k) mm: the requested displacements. `reached_moves`: the displacements that were reached; only these
-    count."""
+    `requested_moves` (3, k) mm: the requested displacements. `reached_moves`: the actual displacements; only these count."""
     if not any(PUSHED_REGISTER in population.now for population in crowd.species):
         return
     pushed = requested_moves - cut.take(moved_rows, axis=1)
@@ -160,8 +161,8 @@ def _record_pushes(
 class _PairAgents:
     """Values of the rows in pairs for one substep.
 
-    `start` (3, k) mm: positions at the start. `reach` (k) mm: how far each row may walk.
-    `mass`: masses. `push_share`: a factor, at most 1, of the distance that neighbours can push a row.
+    `start` (3, k) mm: positions at the start. `reach` (k) mm: the distance that each row may walk.
+    `mass`: masses. `push_share`: limits the distance that neighbours can push a row; at most 1.
     `normal` (3, k): normals of the ground below the feet. `is_frozen`: stopped by a fault."""
 
     start: Floats
@@ -184,7 +185,7 @@ class _PairAgents:
         yields = np.ones(len(rows))
         if (
             len(rows) and mass.min() < mass.max()
-        ):  # or the sweeps would push at a heavy one as often as a light one cannot get away
+        ):  # otherwise the sweeps would push a heavy agent as often as a light one cannot move away
             yields[:] = 0.0
             for k, other in ((near.i, near.j), (near.j, near.i)):
                 one, two = mass.take(k), mass.take(other)
@@ -206,8 +207,9 @@ def _solve_separation(
 ) -> Floats:
     """Return the displacements (3, k) mm of rows that separate the pairs flagged in `is_selected` (m).
 
-    Pairs are measured after steps were changed by `cut` (3, k) mm. `is_held`: rows that are not moved farther.
-    `walked` (3, k) mm: the displacement of each row. `depth` (k) mm: its overlap before. `work`: buffers for kernels."""
+    Pairs are measured after steps were changed by `cut` (3, k) mm. `is_held`: rows that must not move farther.
+    `walked` (3, k) mm: the displacement of each row. `depth` (k) mm: the overlap of each row before the step. `work`: buffers for
+    kernels."""
     magic = np.ldexp(1.5, int(np.frexp(near.max_radius)[1]) + 1 - SUM_BITS + 52)
     is_selected, displacement = is_selected.copy(), cut.copy()
     looks, lost = effort.outer_iterations, np.empty(len(near.i), np.intp)
@@ -223,7 +225,7 @@ def _solve_separation(
 def _restore_headings(crowd: CapsuleCrowd, near: NearbyPairs, stopped: Rows, facing: Mapping[str, VectorArrays]) -> None:
     """Reset the headings of the `stopped` rows of `near` to those before the substep.
 
-    An agent that cannot walk, because others surround it, cannot turn either."""
+    An agent that cannot walk because others surround it cannot turn either."""
     rows, last = near.rows.take(stopped), 0
     for population, own in crowd.split_rows(rows):
         first, last = last, last + len(own)

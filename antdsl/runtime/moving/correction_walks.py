@@ -1,5 +1,6 @@
-"""Walks for the displacements that contacts request. Agents move over their ground and along obstacles, no farther than they
-can walk in the step's duration."""
+"""Walks for the displacements that contacts request. Agents move over their ground and along obstacles.
+
+No agent moves farther than it can walk in the step's duration."""
 
 from __future__ import annotations
 
@@ -21,26 +22,26 @@ from antdsl.runtime.world import Population
 
 Flags = NDArray[np.bool_]
 
-_VISIBLE_OVERLAP_SHARE = 0.05  # of the room of two: an overlap for which more is walked
-_MISSED_RADIUS_SHARE = 0.05  # of a radius: who ends so far from where it was to is looked at again
-# Of the way it was to go: who comes on by less is held by an obstacle, a border or a fall, and others make the room
+_VISIBLE_OVERLAP_SHARE = 0.05  # share of both collision radii; a larger overlap needs another pass
+_MISSED_RADIUS_SHARE = 0.05  # share of the radius; an agent that ends this far from its target is measured again
+# Share of the requested displacement. An agent that advances less is held by an obstacle, a border or a fall; others then move.
 _HELD_DISTANCE_SHARE = 0.5
 Floats = NDArray[np.float64]
 Rows = NDArray[np.intp]
 
-_DISTANCE_SLACK_FACTOR = 1.005  # times the way allowed, above which a correction is not made: less is the rounding of a seam
-_MAX_BACKTRACKS = 3  # times that one is led back which got farther than it may
+_DISTANCE_SLACK_FACTOR = 1.005  # factor of the allowed distance; smaller excesses are rounding at seams
+_MAX_BACKTRACKS = 3  # an agent that went too far is moved back at most this often
 _FLOAT32_ZERO, _FLOAT32_ONE, _MIN_VECTOR_LENGTH, _MIN_MASS = np.float32(0), np.float32(1), np.float32(1e-12), 1e-30
 
 
 class CorrectionWalker:
-    """Walks agents of a crowd within one substep of `dt` s. `began`: start positions (n, 3) mm, by species."""
+    """Walker for agents of a crowd within one substep of `dt` s. `began`: start positions (n, 3) mm, by species."""
 
     def __init__(self, crowd: CapsuleCrowd, start_positions: Mapping[str, Floats], dt: float) -> None:
         self._crowd, self._start_positions, self._dt = crowd, start_positions, dt
 
     def walk(self, rows: Rows, displacement: Floats) -> Floats:
-        """Walk the given ascending rows of the crowd by (3, k) mm; return the displacements reached."""
+        """Walk the given ascending rows of the crowd by (3, k) mm. Return the displacements that they reach."""
         got: list[Floats] = []
         for population, own in self._crowd.split_rows(rows):
             first = sum(each.shape[1] for each in got)
@@ -48,7 +49,7 @@ class CorrectionWalker:
         return got[0] if len(got) == 1 else np.concatenate(got, axis=1)
 
     def _walk_species(self, population: Population, rows: Rows, displacement: Floats) -> Floats:
-        """Walk agents of one species by (3, k) mm over their ground, along obstacles; return the displacements reached.
+        """Walk agents of one species by (3, k) mm over their ground, along obstacles. Return the displacements that they reach.
 
         Their velocity loses its component against the displacement."""
         if not len(rows):
@@ -91,9 +92,9 @@ class CorrectionWalker:
         return (step[0], step[1], step[2]), feet, up.T, heading.T, size
 
     def _move_back_in_range(self, population: Population, rows: Rows, moved: GroundMove, size: Floats) -> Rows | None:
-        """Move agents back towards their start if curved ground took them farther than they may walk.
+        """Move agents back towards their start if curved ground took them too far.
 
-        Returns the ascending indices of rows that are within range afterwards; None for all."""
+        Return the ascending indices of the rows that are within range afterwards, or None for all rows."""
         for _ in range(_MAX_BACKTRACKS):
             far, most = self._measure_reach(population, rows, moved)
             if far is None:
@@ -110,8 +111,8 @@ class CorrectionWalker:
         return None if far is None else np.flatnonzero(far <= most * _DISTANCE_SLACK_FACTOR)
 
     def _measure_reach(self, population: Population, rows: Rows, moved: GroundMove) -> tuple[Floats | None, Floats]:
-        """Return the distances (mm) of agents from their start, and the largest allowed distances. The first is None if no
-        agent exceeds its limit."""
+        """Return the distances (mm) of agents from their start, and the largest allowed distances. Instead of the distances,
+        return None if no agent exceeds its limit."""
         began, max_speed = self._start_positions[population.name], population.now["max_speed"]
         far, most = np.empty((2, len(rows)))
         is_too_far = _has_row_out_of_range(rows, moved.position, began, population.position, max_speed, self._dt, far, most)
@@ -125,7 +126,7 @@ class CorrectionWalker:
         at, velocity = (vec.get_vector_registers(population.now, name) for name in ("position", "velocity"))
         got = np.empty((3, len(rows)))
         _store_arrivals(rows, moved.position, moved.up, self._dt, at, velocity, population.position, population.normal, got)
-        population.footing.put_rows(rows, moved.footing)  # at last, since a plane's footings are the places themselves
+        population.footing.put_rows(rows, moved.footing)  # last, because the footings on a plane are the positions themselves
         return got
 
 
@@ -182,7 +183,8 @@ def write_stances(
 
 @kernel
 def write_approach(rows: Array1[I64], first: I64, velocity: VectorColumns, dt: F32, displacement: Array2[F64]) -> None:
-    """Write the previous displacement (mm) of the given rows of a species, their velocity times `dt`, from index `first` on."""
+    """Write the previous displacement (mm) of the given rows of a species, from index `first` on. It is their velocity times
+    `dt`."""
     for n in simd_range(0, rows.size):
         for axis in range(3):
             displacement[axis, first + n] = velocity[axis][rows[n]] * dt
@@ -227,7 +229,7 @@ def _has_row_out_of_range(
     """Return whether any of the given rows would end at `to` (k, 3) farther from its start than allowed, or at an unknown
     distance.
 
-    `began` (n, 3): start positions. Writes the distance from the start (mm) to `far`, and the allowed distance to `most`."""
+    `began` (n, 3): start positions. Writes the distances from the start (mm) to `far`, and the allowed distances to `most`."""
     is_too_far = False
     for k in range(rows.size):
         row = rows[k]
@@ -268,7 +270,7 @@ def _store_arrivals(
             against = (size * _FLOAT32_ZERO, size * _FLOAT32_ZERO, size * _FLOAT32_ZERO)
         v = (velocity[0][row], velocity[1][row], velocity[2][row])
         back, most = -dot(v, against), size / dt
-        back = _FLOAT32_ZERO if back <= 0 else back  # never -0
+        back = _FLOAT32_ZERO if back <= 0 else back  # avoid -0
         v = plus(v, times(against, most if most < back else back))
         v = minus(v, times(up, dot(v, up)))
         for axis in range(3):
@@ -288,7 +290,7 @@ def find_unresolved_rows(
 ) -> Flags:
     """Return which rows (k) must be measured again, and update their positions.
 
-    `moved_rows`: the rows to move. `requested_moves`, `reached_moves` (3, ..) mm: their requested and reached displacements.
+    `moved_rows`: the rows to move. `requested_moves`, `reached_moves` (3, ..) mm: their requested and actual displacements.
     `held` (k): set for rows that advanced too little; flags that are already set stay."""
     touched = np.zeros(len(held), np.bool_)
     _mark_unresolved_rows(moved_rows, requested_moves, reached_moves, near.radius, near.middle, held, touched)
@@ -296,7 +298,7 @@ def find_unresolved_rows(
 
 
 def find_overlapping_pairs(near: NearbyPairs, touched: Flags) -> Flags | None:
-    """Return which pairs (m) have a row that is `touched` (k); None if no such pair overlaps enough for another round."""
+    """Return which pairs (m) have a `touched` row (k). Return None if no such pair overlaps enough for another pass."""
     which = np.empty(len(near.i), np.bool_)
     return which if _mark_overlapping_pairs(near.i, near.j, near.gap, near.radius, touched, which) else None
 
@@ -308,7 +310,7 @@ def _select_moves(corrections: Array2[F64], moved_rows: Array1[I64], requested_m
     count = 0
     for k in range(moved_rows.size):
         correction = get_column(corrections, k)
-        moved_rows[count] = k  # written whatever it is: no branch that is hard to foretell
+        moved_rows[count] = k  # stored unconditionally: the branch would be hard to predict
         store_column(requested_moves, count, correction)
         count += (correction[0] != 0) | (correction[1] != 0) | (correction[2] != 0)
     return count
@@ -338,7 +340,7 @@ def _mark_unresolved_rows(
 def _mark_overlapping_pairs(
     i: Array1[I64], j: Array1[I64], gap: Array1[F64], radius: Array1[F64], touched: Array1[BOOL], which: Array1[BOOL]
 ) -> BOOL:
-    """Write to `which` the pairs that have a `touched` row; return whether any of them overlaps enough for another round."""
+    """Write to `which` the pairs that have a `touched` row. Return whether any of them overlaps enough for another pass."""
     for pair in simd_range(0, i.size):
         which[pair] = touched[i[pair]] | touched[j[pair]]
     has_overlap = False

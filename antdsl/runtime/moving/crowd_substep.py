@@ -1,14 +1,12 @@
-"""A substep of a crowd, from pushes to positions: acceleration, limits of speed and turn, obstacles, the walk, headings and
-bodies.
+"""A substep of a crowd, from pushes to positions: acceleration, limits of speed and turn, obstacles, walk, headings and bodies.
 
-a = push * max_force / mass; v += a dt; P += v dt (T20 of the sources, explicit Euler as in the source). An agent with a
-response of at most one step changes its velocity at once and faces its direction of motion. The heading of other agents
-follows within a tenth of a second. An agent with a direction to face turns to that direction instead, and walks backward and
-sideways along its velocity.
+a = push * max_force / mass; v += a dt; P += v dt (T20 of the sources, explicit Euler as in the source). An agent with a response
+of at most one step changes its velocity at once and faces its direction of motion. The headings of other agents follow within 0.1
+s. An agent with a direction to face turns to that direction instead, and walks backward and sideways along its velocity.
 
-One loop over all agents does everything that does not depend on obstacles or walls. A second loop walks all agents that stay
-on their own surface, and updates them after the walk (`substep_kernels`). Few agents may touch an obstacle, search for walls,
-lean or have a wall ahead. These have separate loops."""
+The first loop over all agents computes everything that does not depend on obstacles or walls. The second loop walks all agents
+that stay on their own surface, and updates them after the walk (`substep_kernels`). Separate loops process the few agents that
+may touch an obstacle, search for walls, lean or have a wall ahead."""
 
 from __future__ import annotations
 
@@ -59,15 +57,15 @@ from antdsl.runtime.moving.velocities import (
 from antdsl.runtime.moving.walls_ahead import NO_WALLS, WallsAhead, find_walls
 from antdsl.runtime.world import Population, World
 
-MIN_SPEED_REGISTER = "min_speed"  # a register of those species alone that ask for it
+MIN_SPEED_REGISTER = "min_speed"  # only species that use it have this register
 _F = np.float32
-_ARRIVALS_PER_THREAD = 64  # agents with separate arrival from which a thread pays off
+_ARRIVALS_PER_THREAD = 64  # fewer agents with separate arrival are not worth another thread
 
 
 def move_agents(world: World, population: Population, substep: int) -> ClearStep | None:
     """Move all agents of a species by one substep. This changes position, velocity, heading, up and footing.
 
-    Returns the step of their bodies if these stay outside their ground: contacts must correct it."""
+    If bodies stay outside their ground, return their step: contacts must correct it."""
     if not len(population):
         return None
     dt = _F(world.dt / world.setting.substeps)
@@ -141,8 +139,8 @@ class _CrowdSubstep:
     max_tilts: NDArray[np.float32]
     wall_reach: NDArray[np.float64]
     state: NDArray[np.int32]
-    max_step_length: float = 0.0  # step (mm) that is finite
-    max_size: float = nan  # size (mm) that is a number
+    max_step_length: float = 0.0  # largest finite step (mm)
+    max_size: float = nan  # largest size (mm); NaN without a valid size
 
     @staticmethod
     def of(world: World, population: Population, dt: np.float32, align_all: bool) -> _CrowdSubstep:
@@ -199,7 +197,8 @@ class _CrowdSubstep:
             self.step = step
 
     def follow_feet(self, came_from: NDArray[np.float64], walls: WallsAhead, posture: Posture) -> None:
-        """Turn the bodies that do not stand as their feet do after them. `came_from` (n, 3): positions before the walk (mm)."""
+        """Turn bodies that are not aligned with their feet towards the feet. `came_from` (n, 3): positions before the walk
+        (mm)."""
         p, n = self.population, len(self.population)
         previous, limits = (
             BodyPosture(*self.previous_axes, came_from),
@@ -230,7 +229,7 @@ class _CrowdSubstep:
         return arrival
 
     def stop_at_slopes(self, start: SlopeStart, arrival: ArrivalArrays) -> None:
-        """Walk again, along the slope, the agents with a step onto ground that is too steep for them."""
+        """Walk again, along the slope, the agents that would step onto ground that is too steep for them."""
         p = self.population
         rows = find_walls_of_slope(self.world, p, start)
         if not len(rows):
@@ -292,7 +291,7 @@ class _CrowdSubstep:
     ) -> None:
         """Move the agents that `walk_triangles` left out, then update their registers.
 
-        These reach something other than the next face of their surface, have no footing, or have NaN values."""
+        These agents leave the faces of their surface, have no footing, or have NaN values."""
         p, n = self.population, len(self.population)
         above, ahead, direction = p.get_buffers("walked", 3, (3, n), np.float64)
         (distance,), (blocked,) = p.get_buffers("gone", 1, (n,), np.float64), p.get_buffers("blocked", 1, (n,), np.bool_)
@@ -332,9 +331,9 @@ class _CrowdSubstep:
 def raise_to_min_speed(
     world: World, population: Population, step: VectorArrays, up: VectorComponents, dt: np.float32
 ) -> VectorArrays:
-    """Return the steps (mm) after deflection by obstacles, lengthened for agents that must keep moving.
+    """Return the steps (mm) after deflection by obstacles, lengthened for agents with a minimum speed.
 
-    Their steps get the least length in the same direction, if that path is free."""
+    Their steps get the minimum length in the same direction, if that path is free."""
     now = population.now
     if MIN_SPEED_REGISTER not in now or not world.plan.obstacles:
         return step

@@ -1,5 +1,6 @@
-"""Limits the speed of falls: no agent moves farther in a step than `max_speed` allows. An agent that lost its ground to
-digging stays in the air during its fall."""
+"""Limit the speed of falls: no agent moves farther in a step than `max_speed` allows.
+
+An agent that lost its ground to digging stays in the air during its fall."""
 
 from __future__ import annotations
 
@@ -14,16 +15,15 @@ from antdsl.runtime.world import Population, World
 
 Rows = NDArray[np.intp]
 
-_DISTANCE_SLACK_FACTOR = 1.005  # times the way allowed, above which a step is cut: less is the rounding of a seam
-_SOLID_CONTACT_PER_BODY = 0.02  # of a body: how far from a solid who stands on it may be
-_FALL_BODY_LENGTHS_PER_SECOND = 7.5  # body lengths a second: falling speed of agents with a max_speed of 0
+_DISTANCE_SLACK_FACTOR = 1.005  # factor of the allowed distance; smaller excesses are rounding at seams
+_SOLID_CONTACT_PER_BODY = 0.02  # body lengths; the largest distance of an agent from the solid that it stands on
+_FALL_BODY_LENGTHS_PER_SECOND = 7.5  # falling speed of agents with a max_speed of 0
 
 
 def limit_fall_speed(world: World, population: Population, moved: GroundMove, dt: np.float32) -> GroundMove:
-    """Limit the result of a walk: agents that would exceed `max_speed` move only that far, on the straight line to their
-    target.
+    """Limit the result of a walk. An agent that would exceed `max_speed` moves only that far, on the straight line to its target.
 
-    They are then in the air of the solid that they fall from or fall to. Their next step continues from that position."""
+    It is then in the air of the solid that it falls from or falls to. Its next step continues from that position."""
     now, first = population.now, len(world.ground.names) - len(world.solids)
     speed = np.where(now["max_speed"] > 0, now["max_speed"], now["size"] * np.float32(_FALL_BODY_LENGTHS_PER_SECOND)).astype(
         np.float64

@@ -1,4 +1,4 @@
-"""Finds heads that are inside the ground: behind a surface that agents walk on, or in a solid."""
+"""Find heads that are inside the ground: behind a surface that agents walk on, or in a solid."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from antdsl.numerics import vectors as vec
 from antdsl.runtime.body_positions import LIFT_REGISTERS
 from antdsl.runtime.world import AXES, Population, World
 
-MIN_BODY_HEIGHT_SHARE = 0.1  # of a body: how high its middle is over the feet, unless its clearance is more
-HEAD_DEPTH_TOLERANCE = 0.1  # of a body: a head that is no deeper inside but touches
+MIN_BODY_HEIGHT_SHARE = 0.1  # body lengths of the middle above the feet, unless the body's clearance is larger
+HEAD_DEPTH_TOLERANCE = 0.1  # body lengths; a shallower overlap counts as contact
 
 
 def find_heads_inside(world: World, population: Population) -> NDArray[np.bool_]:
     """Return which heads are inside the ground or a solid in the current state, bool[n].
 
-    A head is half a body ahead of the middle. The middle is above the feet, along the mean of the ground's normal and the
-    body's up. A head is inside if a surface lies between head and middle, or if it is in a solid. It must be more than a tenth
-    of a body behind that surface or inside that solid."""
+    A head is half a body ahead of the middle. The middle is above the feet, along the mean of the ground's normal and the body's
+    up. A head is inside if it lies behind a surface between head and middle, or in a solid. Its depth must exceed a tenth of a
+    body."""
     now = population.now
     size = now["size"].astype(np.float64)
     high = np.maximum(MIN_BODY_HEIGHT_SHARE * size, now["clearance"])

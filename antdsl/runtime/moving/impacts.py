@@ -1,8 +1,7 @@
-"""Kernels for bodies that move far in a substep: which of them meet on straight paths, and when.
+"""Kernels for bodies that move far in a substep: which pairs meet on straight paths, and when.
 
-The clearance of two capsules with constant orientation is a convex function of time on straight paths. Newton's method from
-the left therefore never passes the first impact (conservative advancement, C. Ericson, Real-Time Collision Detection, 2005,
-5.5.3)."""
+The clearance of two capsules with constant orientation is a convex function of time on straight paths. So Newton's method from
+the left never passes the first impact (conservative advancement, C. Ericson, Real-Time Collision Detection, 2005, 5.5.3)."""
 
 from __future__ import annotations
 
@@ -16,16 +15,16 @@ from antdsl.numerics.kernel_vectors import Vec3, VectorColumns, dot, get_column,
 from antdsl.runtime.moving.capsule_distances import find_separation, mean_up
 from antdsl.senses.touching import Agents, find_span_end, find_span_start
 
-# Radii: with shorter steps, no pair passes from contact to beyond the reach of the search for pairs, if it is as deep as below
+# Radii. With shorter steps, no touching pair gets beyond the range of the pair search, if its depth is at most as below.
 _LONG_STEP_RADII = 1.9
-_LONG_STEP_HALVES_RADII = 1.6  # radii: a step may be longer by half the length of the body, up to this
+_LONG_STEP_HALVES_RADII = 1.6  # radii; half the body length may lengthen a step up to this
 NEVER = 2.0  # time of an impact that does not occur, in substeps
-_MIN_FLAT_SHARE = 0.1  # of the radii: bodies nearer than this along the ground are above each other
-_GRAZE_RADII = 2.0  # radii of two bodies: with a shorter path, bodies that touch do not pass to the other side
-_PASS_SHARE = 0.8  # of the radii: bodies that only graze each other farther out do not pass through each other
-_ITERATIONS = 40  # of Newton's method; only paths that graze each other need more than ten
-_TOUCH_TOLERANCE = 1e-6  # of the radii: a clearance that is an impact
-_APPROACH_TOLERANCE = 1e-6  # of the path: a slower approach is none
+_MIN_FLAT_SHARE = 0.1  # share of both radii; bodies nearer than this along the ground are above each other
+_GRAZE_RADII = 2.0  # radii of both bodies; on shorter paths, touching bodies do not pass to the other side
+_PASS_SHARE = 0.8  # share of both radii; bodies that graze each other farther out do not pass through each other
+_ITERATIONS = 40  # iterations of Newton's method; only grazing paths need more than ten
+_TOUCH_TOLERANCE = 1e-6  # share of both radii; a smaller clearance is an impact
+_APPROACH_TOLERANCE = 1e-6  # share of the path; a slower approach does not count
 
 
 class PathArrays(NamedTuple):
@@ -69,10 +68,10 @@ class PathPairs(NamedTuple):
 def flag_long_steps(
     place: Strided2[F64], began: Strided2[F64], half: Array1[F64], radius: Array1[F64], first: I64, flags: Array1[I64]
 ) -> I64:
-    """Flag the agents of a species with steps so long that a contact on the way may be missed; return their number.
+    """Flag the agents of a species with steps so long that a contact along the path may be missed. Return their number.
 
-    `place`, `began` (n, 3) mm: end and start. `half`, `radius`, `flags`: of the crowd, where the species starts at index
-    `first`."""
+    `place`, `began` (n, 3) mm: end and start. `half`, `radius`, `flags`: arrays of the crowd, in which the species starts at
+    index `first`."""
     total = 0
     for k in simd_range(0, place.shape[0]):
         x, y, z = place[k, 0] - began[k, 0], place[k, 1] - began[k, 1], place[k, 2] - began[k, 2]
@@ -95,7 +94,7 @@ def fill_paths(
     first: I64,
     to: PathArrays,
 ) -> None:
-    """Write the paths of the agents of a species, from index `first` on. `to.middle` has the middles at the end before.
+    """Write the paths of the agents of a species, from index `first` on. On entry, `to.middle` has the middles at the end.
 
     `place`, `began` (n, 3) mm: end and start. `normal` (n, 3): normals of the ground at the start."""
     for k in simd_range(0, place.shape[0]):
@@ -112,22 +111,23 @@ def fill_paths(
         between = mean_up(one, other)
         for axis in range(3):
             to.up[axis, row] = between[axis] if dot(between, between) > 0 else other[axis]
-        to.sag[row] = np.sqrt(dot(path, path)) * np.sqrt(dot(bend, bend)) * 0.25  # an arc leaves its chord by half as much
+        to.sag[row] = np.sqrt(dot(path, path)) * np.sqrt(dot(bend, bend)) * 0.25  # the distance of an arc from its chord
         to.mass[row] = max(np.float64(mass[k]), 1e-30)
 
 
 @inlined
 def _squash(v: Vec3, between: Vec3, part: F64) -> Vec3:
-    """Return a vector of which `part` is removed from the component along `between`."""
+    """Return a vector with its component along `between` reduced by the share `part`."""
     return minus(v, times(between, dot(v, between) * part))
 
 
 @kernel_helper
 def find_impact(paths: PathArrays, p: I64, q: I64, moves: Vec3, share: F64) -> tuple[F64, Vec3]:
-    """Return when two bodies meet, `NEVER` if they do not, and the direction along the ground from the second to the first.
+    """Return when two bodies meet, and the direction along the ground from the second to the first. The time is `NEVER` if they
+    do not meet.
 
-    `moves` (mm): the relative displacement. `share`: of both radii, the distance that counts as contact. On curved ground,
-    heights count less, so that two arcs over one hill meet although their chords do not."""
+    `moves` (mm): the relative displacement. `share`: the share of both radii that counts as contact. On curved ground, heights
+    count less. So two arcs over one hill meet although their chords do not."""
     wide, sag = (paths.radius[p] + paths.radius[q]) * share, paths.sag[p] + paths.sag[q]
     between, part = mean_up(get_column(paths.up, p), get_column(paths.up, q)), 1 - wide / max(wide + sag * 2, 1e-300)
     away, a, b = (
@@ -159,7 +159,7 @@ def find_impact(paths: PathArrays, p: I64, q: I64, moves: Vec3, share: F64) -> t
 
 @inlined
 def _are_paths_near(paths: PathArrays, p: I64, q: I64) -> BOOL:
-    """Return whether the paths of two bodies come so near each other, at any times, that the bodies may touch."""
+    """Return whether the paths of two bodies come close enough, at any times, that the bodies may touch."""
     one, other = get_column(paths.displacement, p), get_column(paths.displacement, q)
     long, size = np.sqrt(dot(one, one)), np.sqrt(dot(other, other))
     away = minus(plus(get_column(paths.middle, p), times(one, 0.5)), plus(get_column(paths.middle, q), times(other, 0.5)))
@@ -173,11 +173,11 @@ def _are_paths_near(paths: PathArrays, p: I64, q: I64) -> BOOL:
 def list_path_pairs(
     search: PathSearch, paths: PathArrays, rank: Array1[I64], active: Array1[I64], only_impacts: BOOL, used: I64, to: PathPairs
 ) -> I64:
-    """Append the pairs with an `active` row and near paths to the first `used` pairs of `to`. Return the new number of pairs,
-    or -1 if the arrays are too short.
+    """Append the pairs with an `active` row and near paths to the first `used` pairs of `to`. Return the new number of pairs, or
+    -1 if the arrays are too short.
 
-    `rank` (n): which row of a pair is the first. `only_impacts`: whether only pairs that pass through each other are appended.
-    Of bodies that touch from the start, only those that can come out on the other side count."""
+    `rank` (n): defines which row of a pair is the first. `only_impacts`: append only pairs that pass through each other. Bodies
+    that touch at the start count only if they can pass to the other side."""
     (asks, asking_rows, asking_keys), (ordered, rows, _) = search.asking, search.agents
     for at in range(asking_rows.size):
         (x, y, z, extent), a = load_consecutive(asks, 4 * at, 4), asking_rows[at]

@@ -1,4 +1,4 @@
-"""Extends the capsules of bodies that carry a load."""
+"""Extend the capsules of bodies that carry a load."""
 
 from __future__ import annotations
 
@@ -9,17 +9,16 @@ from antdsl.machine_code.kernels.types import BOOL, F32, F64, I64, Array1
 from antdsl.numerics.kernel_vectors import VectorColumns
 from antdsl.runtime.moving.capsule_distances import TrunkCapsules
 
-LOAD_REGISTER = "wear#load"  # whether an agent shows the layer of its body with a load
+LOAD_REGISTER = "wear#load"  # whether the body of an agent shows its load
 
 
 @kernel
 def extend_trunks(
     carries: Array1[BOOL], heading: VectorColumns, size: Array1[F32], front: F64, first: I64, to: TrunkCapsules
 ) -> BOOL:
-    """Extend the capsules of the agents of a species that carry a load to `front` body lengths ahead of the feet. Return whether
-    any agent carries one.
+    """Extend the capsules of the agents of a species that carry a load, to `front` body lengths ahead of the feet.
 
-    The capsules are those from index `first` on, as `place_trunks` stored them."""
+    Return whether any agent carries a load. The capsules are those from index `first` on, as `place_trunks` stored them."""
     half, radius, shift, reach, middle = to
     has_loads = False
     for i in simd_range(0, size.size):

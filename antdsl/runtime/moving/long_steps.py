@@ -1,10 +1,9 @@
 """Long steps: agents with steps longer than a body do not pass through each other (continuous contacts).
 
-After all agents have walked, pairs are listed by their distance at the end. Bodies that met on the way and are far from each
-other again are in no such pair. This module searches for them along the straight lines between start and end. Each such body
-continues from the impact along the other one. Paths that have changed are then shortened until no two bodies meet on the straight
-lines between start and end. Agents with short steps cannot pass each other, so a step without long ones costs one loop over all
-agents."""
+After all agents have walked, pairs are listed by their distance at the end. This list lacks bodies that met during the step and
+separated again. This module finds them along the straight lines between start and end. Each such body continues from the impact
+along the other one. Then changed paths are shortened until no two bodies meet on these lines. Agents with short steps cannot pass
+each other, so a step without long ones costs one loop over all agents."""
 
 from __future__ import annotations
 
@@ -28,9 +27,9 @@ from antdsl.senses.touching import iterate_neighbour_searches
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
-_FIRST_PAIRS_PER_AGENT = 2  # space for pairs in the first attempt
-_EXACT_PASSES = 16  # passes that only use impacts that are the first of both agents
-_MAX_PASSES = 64  # passes after which agents that still meet another one do not move
+_FIRST_PAIRS_PER_AGENT = 2  # initial capacity for pairs
+_EXACT_PASSES = 16  # the first passes use only impacts that are the first of both agents
+_MAX_PASSES = 64  # after these passes, agents that still meet others do not move
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,8 +54,8 @@ def stop_long_steps(
 ) -> bool:
     """Stop agents that would pass through others in a substep of `dt` s. Return whether there was such an agent.
 
-    `long` (n): flags of long steps. `near`: pairs that are near each other at the end. Contacts cut the steps of these by `cut`
-    (3, k) mm; if any agent is stopped, this function moves them as well."""
+    `long` (n): flags of long steps. `near`: pairs that are near each other at the end. `cut` (3, k) mm: the corrections of their
+    steps by contacts. If any agent is stopped, this function also applies these corrections."""
     crowd = CapsuleCrowd(world)
     paths, rank = _fill_paths(crowd, began), invert_order(sort_stably(crowd.agent_keys)).astype(np.int64)
     walked = paths.displacement.copy()
@@ -110,7 +109,7 @@ def _list_pairs(paths: PathArrays, rank: NDArray[np.int64], active: NDArray[np.i
 
 
 def _bend_paths(crowd: CapsuleCrowd, paths: PathArrays, hits: PathPairs, dt: float) -> Flags:
-    """Deflect paths along the bodies that they meet. Return which rows (n) meet another one."""
+    """Deflect paths along the bodies that they meet. Return flags (n) of the rows that meet another one."""
     n, m, approach = len(crowd), len(hits.i), np.empty((3, len(crowd)))
     for population, first in zip(crowd.species, crowd.first.tolist(), strict=False):
         write_approach(np.arange(len(population)), first, vec.get_vector_registers(population.start, "velocity"), dt, approach)
@@ -124,7 +123,7 @@ def _bend_paths(crowd: CapsuleCrowd, paths: PathArrays, hits: PathPairs, dt: flo
 
 
 def _shorten_paths(paths: PathArrays, pairs: PathPairs, touched: Flags) -> None:
-    """Shorten paths until no pair with a `touched` row (n) meets. Rows that become shorter are touched too."""
+    """Shorten paths until no pair with a `touched` row (n) meets. Each shortened row becomes touched, too."""
     latest, first, factor = touched.copy(), *np.empty((2, len(touched)))
     for turn in count():
         if not find_next_impacts(pairs, paths, touched, latest, first):

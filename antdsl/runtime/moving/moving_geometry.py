@@ -17,9 +17,9 @@ from antdsl.numerics.vectors import VectorArrays
 from antdsl.runtime.moving.obstacles import find_obstacle_mesh
 from antdsl.runtime.world import AXES, Population, World
 
-_CURVE_SPACING_MM = 1.0  # mm: queries for the nearest point and direction split a curve into pieces of this length
-_OBSTACLE_MARGIN_SHARE = np.float32(0.5)  # of the radius: how far an obstacle that comes near keeps an agent's centre off
-_MAX_PUSH_DIRECTIONS = 4  # ways out that are tried in one step
+_CURVE_SPACING_MM = 1.0  # queries for the nearest point and direction split a curve into pieces of this length
+_OBSTACLE_MARGIN_SHARE = np.float32(0.5)  # share of the radius that a moving obstacle keeps from an agent's centre
+_MAX_PUSH_DIRECTIONS = 4  # directions tried per step to leave an obstacle
 _F = np.float32
 
 
@@ -69,7 +69,7 @@ def get_moving_ground(world: World) -> MovingGround | None:
 
 
 def pose_ground(world: World, frame: int) -> None:
-    """Move only the ground to a frame, using NumPy alone. This is for callers that read a world and cast no rays."""
+    """Move only the ground to a frame, with NumPy alone, for callers that read a world and cast no rays."""
     ground = get_moving_ground(world)
     if ground is not None:
         moved = [name for name in world.setting.motion.meshes if name in world.setting.surfaces]
@@ -145,7 +145,7 @@ def rotate_from_rest(world: World, population: Population, rows: NDArray[np.intp
 def move_from_rest(world: World, population: Population, rows: NDArray[np.intp] | slice, positions: VectorArrays) -> VectorArrays:
     """Return the current positions of points near agents, given at the ground's rest pose (three float32 arrays, mm).
 
-    All ground near an agent is assumed to have moved like the agent's own face."""
+    All ground near an agent is assumed to have moved with the agent's own face."""
     ground = get_moving_ground(world)
     if ground is None:
         return positions
@@ -200,7 +200,7 @@ def _carry_riders(ground: MovingGround, population: Population, rows: NDArray[np
 
 
 def _rotate_vectors(previous_axes: FaceAxes, next_axes: FaceAxes, v: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return vectors (3, n) with unchanged components along axes that have turned."""
+    """Return vectors (3, n) with the same components along the next axes as they had along the previous axes."""
     parts = [(a[0] * v[0] + a[1] * v[1]) + a[2] * v[2] for a in previous_axes]
     turned: NDArray[np.float64] = (parts[0] * next_axes[0] + parts[1] * next_axes[1]) + parts[2] * next_axes[2]
     return turned
@@ -231,7 +231,7 @@ def _push_out_agents(world: World, population: Population, name: str) -> None:
         )
         away = vec.project_to_plane((out[0][pressed_rows], out[1][pressed_rows], out[2][pressed_rows]), up)
         level = vec.length(away)
-        # a face that comes down from above leads nowhere: then it goes the way it looks
+        # a face directly above gives no direction along the ground: use the heading
         away = vec.normalise_or_fallback(away, heading)
         far = need / np.maximum(level, _F(0.25))
         moved = world.ground.move(
@@ -247,7 +247,7 @@ def _push_out_agents(world: World, population: Population, name: str) -> None:
 
 def _apply_move(population: Population, rows: NDArray[np.intp], moved: GroundMove) -> None:
     """Place the given agents at the results of a push, and project their velocity onto the ground at the new positions."""
-    footing = population.footing.copy()  # a snapshot may have the one from before
+    footing = population.footing.copy()  # a copy: a snapshot may share the previous footing
     footing.put_rows(rows, moved.footing)
     population.footing = footing
     population.position[rows] = moved.position

@@ -1,4 +1,5 @@
-"""Obstacles are hard: a step that would move an agent's centre into an obstacle is shortened, and its rest slides along it."""
+"""Obstacles are hard: a step that would move an agent's centre into an obstacle is shortened, and the remainder slides along
+it."""
 
 from __future__ import annotations
 
@@ -24,12 +25,12 @@ Floats = NDArray[np.float32]
 Rows = NDArray[np.intp]
 _F = np.float32
 _FLOAT32_ZERO, _FLOAT32_HALF, _FLOAT32_ONE, _FLOAT32_INFINITY = _F(0), _F(0.5), _F(1), _F(np.inf)
-_MIN_STEP_MM = _F(1e-9)  # mm: a shorter step is none
+_MIN_STEP_MM = _F(1e-9)  # a shorter step counts as no step
 _MIN_VECTOR_LENGTH = _F(1e-12)  # as `vectors.unit`
-_CENTRE_MARGIN_SHARE = _F(0.5)  # of the radius: how near the centre comes to a face that it walks into
+_CENTRE_MARGIN_SHARE = _F(0.5)  # share of the radius; the distance that the centre keeps from a face ahead
 _CLEARANCE_SLACK = _F(1e-4)  # as `obstacle_clearance`
 _RADIUS_SLACK_FACTOR = _F(1) + _CLEARANCE_SLACK
-_RAY_SLACK_FACTOR, _STEP_SLACK_FACTOR = 1 + 1e-6, _F(1) + _F(1e-6)  # more than rounding makes of a distance, or a path shorter
+_RAY_SLACK_FACTOR, _STEP_SLACK_FACTOR = 1 + 1e-6, _F(1) + _F(1e-6)  # larger than the rounding of a distance or of a path length
 
 
 def slide_steps(world: World, population: Population, step: VectorArrays, up: VectorComponents, radius: Floats) -> VectorArrays:
@@ -45,8 +46,7 @@ def slide_steps(world: World, population: Population, step: VectorArrays, up: Ve
 
 
 def slide_rows(world: World, population: Population, rows: Rows, step: VectorArrays, up: VectorComponents) -> VectorArrays:
-    """Return steps as `slide_steps` does, for agents that have moved within the step and continue from their current
-    positions."""
+    """Return steps as `slide_steps` does, for agents that have already moved within the step and continue from there."""
     names = _obstacle_names(world)
     if names:
         place, radius, drift = _measure_drift(population, rows)
@@ -87,8 +87,8 @@ def _slide_along_obstacle(
     scene: RayScene, place: VectorArrays, step: VectorArrays, up: VectorComponents, radius: Floats,
     clear: Floats, threads: int,
 ) -> VectorArrays:  # fmt: skip
-    """Return steps (mm) of agents at `place`, deflected along one obstacle; `clear`: a lower bound (mm) of their distance from
-    it."""
+    """Return the steps (mm) of agents at `place`, deflected along one obstacle. `clear`: a lower bound (mm) of their distance
+    from it."""
     n, tables = len(radius), scene.get_tables()
     if tables is not None:
         (rows, hit_rows), columns, faces = np.empty((2, n), np.int64), np.empty((10, n), np.float32), np.empty((4, n), np.float32)
@@ -130,7 +130,7 @@ def _deflect_at_hits(
         return step
     hit_rows, hits = parallel.join_parts([(begin, hit) for begin, _, hit, _ in parts], hit_rows, hits)
     if len(hit_rows):
-        if len(parts) > 1:  # each part counts its own
+        if len(parts) > 1:  # each chunk counts from its own start
             counts = [count for _, count, _, _ in parts]
             hit_rows = hit_rows + np.repeat(np.cumsum(counts) - counts, [hit for _, _, hit, _ in parts])
         free, *normal = hits
@@ -159,7 +159,7 @@ def _deflect_at_face(
     rest = vec.scale(intended_steps, _F(1) - part)
     into = np.minimum(vec.dot(rest, wall), _F(0))
     new_steps = vec.add(vec.scale(intended_steps, part), vec.subtract(rest, vec.scale(wall, into)))
-    # In a corner the way along one wall leads into the next: then it goes only as far as is free.
+    # In a corner, sliding along one wall leads into the next: the step then ends at the free length.
     again, free, _ = _find_hits(scene, vec.take_rows(place, hit_rows), new_steps, margin[hit_rows], threads)
     if len(again):
         short = vec.take_rows(new_steps, again)
@@ -221,7 +221,7 @@ def _keep_margin(
     if long > size:
         step = times(step, size / long)
     if gap < 0:
-        clear = _FLOAT32_INFINITY  # nothing holds who is inside
+        clear = _FLOAT32_INFINITY  # an agent inside the obstacle is not held
     elif not gap <= clear:
         clear = gap
     size = np.sqrt(dot(step, step))
@@ -229,9 +229,10 @@ def _keep_margin(
 
 
 class TouchCounts(NamedTuple):
-    """Counts from a range of agents that starts at `begin`. `agents`: those that may touch an obstacle on their step.
-    `hit_count`: those that hit it even after the step keeps the margin. `unknown_count`: those for which the grid gives no
-    answer."""
+    """Counts for a range of agents that starts at `begin`.
+
+    `agents`: agents with a step that may touch an obstacle. `hit_count`: agents that hit it even after the step keeps the margin.
+    `unknown_count`: agents for which the grid has no answer."""
 
     begin: I64
     agents: I64
@@ -254,10 +255,10 @@ def deflect_steps(
     begin: I64,
     end: I64,
 ) -> TouchCounts:
-    """Find the agents from `begin` to before `end` that may touch an obstacle on their step, and write from index `begin` on:
-    `rows`: these agents. `columns` [10, n]: position, deflected step, `up` of the ground, margin. `hit_rows`: those that hit.
-    `hits` [4, n]: free length of the step (mm) and normal of the face. `clear`: a lower bound (mm) of the distance.
-    Agents outside the obstacle with the nearest face out of range are left out: their steps do not change."""
+    """Find the agents from `begin` to before `end` with a step that may touch an obstacle. Write from index `begin` on: `rows`:
+    these agents. `columns` [10, n]: position, deflected step, `up` of the ground, margin. `hit_rows`: the agents that hit. `hits`
+    [4, n]: free length of the step (mm) and normal of the face. `clear`: a lower bound (mm) of the distance. Agents outside the
+    obstacle are left out if its nearest face is out of range: their steps do not change."""
     asking = begin
     for i in range(begin, end):
         _, _, may_touch = _measure_step(step, radius, clear, i)
@@ -322,8 +323,8 @@ def select_touching(
     begin: I64,
     end: I64,
 ) -> tuple[I64, I64]:
-    """Find the agents from `begin` to before `end` that may touch an obstacle on their step; return `begin` and their number.
-    `clear`: a lower bound (mm) of the distance from the obstacle. From index `begin` on, writes the agents to `rows`, and to
+    """Find the agents from `begin` to before `end` with a step that may touch an obstacle. Return `begin` and their number.
+    `clear`: a lower bound (mm) of the distance from the obstacle. From index `begin` on, writes the agents to `rows`. Writes to
     `columns` [9, ..] the length of the step, the margin (mm), `clear`, the position and the step."""
     count = begin
     for i in range(begin, end):
@@ -347,8 +348,9 @@ def keep_margins(
     rays: Array2[F32],
 ) -> I64:
     """Write steps `new_steps` [3, n] that keep the margin from the nearest face, for agents found by `select_touching`.
-    `above`: up of the ground. `gaps`, `out` [3, n]: distance and direction of the nearest face. Return how many may hit it.
-    Writes these agents to `going`, and to `rays` [9, n] their position, direction, range, length of the step and margin."""
+
+    `above`: up of the ground. `gaps`, `out` [3, n]: distance and direction of the nearest face. Returns how many agents may hit
+    it. Writes these agents to `going`, and to `rays` [9, n] their position, direction, range, length of the step and margin."""
     count = 0
     for i in range(gaps.size):
         margin, up, away = near[1, i], (above[0][i], above[1][i], above[2][i]), (out[0, i], out[1, i], out[2, i])
@@ -370,7 +372,8 @@ def keep_margins(
 def slow_velocities(
     intended_step: VectorColumns, step: VectorColumns, velocity: VectorColumns, rate: F32, begin: I64, end: I64
 ) -> None:
-    """Set velocities to `rate` times the step, for agents from `begin` to before `end` with a step other than `intended_step`."""
+    """Set velocities to `rate` times the step, for agents from `begin` to before `end` with a step that differs from
+    `intended_step`."""
     for i in simd_range(begin, end):
         if step[0][i] != intended_step[0][i] or step[1][i] != intended_step[1][i] or step[2][i] != intended_step[2][i]:
             for k in range(3):
@@ -387,8 +390,8 @@ def measure_drift(
     radius: Array1[F32],
     drift: Array1[F32],
 ) -> None:
-    """Write the positions `at` (3, k) of rows, their radii, and their slightly increased distance (mm) from the start of the
-    step."""
+    """Write the positions `at` (3, k) of rows, their radii, and an upper bound `drift` (mm) of their distance from the start of
+    the step."""
     for k in simd_range(0, rows.size):
         row = rows[k]
         to = (place[0][row], place[1][row], place[2][row])

@@ -1,8 +1,8 @@
-"""Orients bodies on the ground by another method than the ground's smooth normal. The normal is used where a method fails.
+"""Orient bodies by another method than the ground's smooth normal. Where a method fails, the normal is used.
 
 Both methods follow the sources (R15). `turns` (method 1 in the source) does not query the ground. Two successive directions of
-motion span the plane of flat ground, and their cross product is its normal. `probes` (method 2) finds two points on the
-surface, ahead and to the left. The body is perpendicular to the directions to these points."""
+motion span the plane of flat ground, and their cross product is its normal. `probes` (method 2) finds two points on the surface,
+ahead and to the left. The body is perpendicular to the directions to these points."""
 
 from __future__ import annotations
 
@@ -16,11 +16,12 @@ from antdsl.runtime.world import AXES, Population, World
 
 Floats = NDArray[np.float64]
 
-_MIN_TURN_SINE = 0.0087  # sine of the least turn of a direction, half a degree, that tells of a plane
-_MAX_NORMAL_TURN_SHARE = 0.1  # of that turn: how far the ground's normal may turn in the same step
+_MIN_TURN_SINE = 0.0087  # sine of half a degree; a smaller turn of the direction does not define a plane
+_MAX_NORMAL_TURN_SHARE = 0.1  # share of that turn; largest turn of the ground's normal in the same step
 # cosine of 10 degrees: greatest angle between the ground's normal and an up computed from turns or retained
 _MAX_TILT_COSINE = 0.984807753012208
-_MAX_PROBE_TILT_COSINE = 0.7071067811865476  # cosine of 45 degrees: the same of what two probes say
+# cosine of 45 degrees: greatest angle between the ground's normal and an up computed from probes
+_MAX_PROBE_TILT_COSINE = 0.7071067811865476
 
 
 def orient_bodies(
@@ -35,7 +36,7 @@ def orient_bodies(
         world, population, np.stack(previous_velocity).astype(np.float64), np.stack(previous_up), normal, ground
     )
     heading = population.read_vector("heading").T
-    # laid over as the way up is turned, by the least turn (O. Rodrigues, 1840)
+    # rotate the heading as the up direction rotates, by the shortest rotation (O. Rodrigues, 1840)
     axis, cosine = compute_stacked_cross(ground, up), dot(ground, up)
     turned = heading * cosine + compute_stacked_cross(axis, heading) + axis * (dot(axis, heading) / (1.0 + cosine))
     turned = _normalise_or_default(turned - up * dot(turned, up), heading)
@@ -64,7 +65,7 @@ def _estimate_up_from_turns(
     bend = normal.T.astype(np.float64) - ground
     plain = (sine >= _MIN_TURN_SINE) & (np.sqrt(dot(bend, bend)) <= _MAX_NORMAL_TURN_SHARE * sine)
     up = _normalise_or_default(across, ground)
-    up = np.where(dot(up, ground) < 0, -up, up)  # which way round it turned tells nothing of which side it stands on
+    up = np.where(dot(up, ground) < 0, -up, up)  # the sign of a turn does not show on which side the agent stands
     up = np.where(plain & (dot(up, ground) >= _MAX_TILT_COSINE), up, previous_up.astype(np.float64))
     return _limit_tilt(up, ground)
 
@@ -86,8 +87,8 @@ def _estimate_up_from_probes(
 ) -> Floats:
     """Return up vectors (3, n) perpendicular to the directions to two ground points.
 
-    The points are those nearest to half a body ahead and to half a body to the left. The ground's normal is returned where a
-    point is in line with the body, or where the result is more than 45 degrees from the normal."""
+    The points are the ground points nearest to half a body ahead and half a body to the left. Where a point is in line with the
+    body, or the result is more than 45 degrees from the ground's normal, the normal is returned."""
     heading = population.read_vector("heading").T
     reach = np.maximum(population.now["size"], np.float32(0)).astype(np.float64) / 2
     place = population.position.T
@@ -103,7 +104,7 @@ def _estimate_up_from_probes(
 
 
 def _normalise_or_default(v: Floats, otherwise: Floats) -> Floats:
-    """Return unit vectors (3, n) in the directions of `v`; `otherwise` where v has no direction."""
+    """Return unit vectors (3, n) in the directions of `v`, or `otherwise` where v has no direction."""
     size = np.sqrt(dot(v, v))
     good = size > 1e-12
     return np.where(good, v / np.where(good, size, 1.0), otherwise)

@@ -1,7 +1,7 @@
 """How bodies stand and turn: between the normal of their ground and the up of the world.
 
-A species with `upright` has the register. 0 stands along the normal of the ground, 1 along the up of the world, and bodies in
-between turn by that share of the angle."""
+The register exists for species that set `upright`. With 0, bodies stand along the normal of the ground; with 1, along the up of
+the world. Values between turn bodies by that share of the angle."""
 
 from __future__ import annotations
 
@@ -25,18 +25,20 @@ from antdsl.numerics.kernel_vectors import (
 )  # fmt: skip
 from antdsl.runtime.world import Population, World
 
-UPRIGHT_REGISTER = "upright"  # of species that set it, by `SpeciesPlan.settings`: others may have an attribute of that name
+UPRIGHT_REGISTER = "upright"  # for species that set it in `SpeciesPlan.settings`; others may have an attribute of this name
 
 _F = np.float32
-# Sine of an angle near half a turn, below which its axis is drowned in rounding: it goes over the head then
+# Sine of an angle near half a turn. Below it, rounding hides the rotation axis, and the body turns over its head.
 _FLIP_SINE = 0.05
 _STEEP_COSINE = 0.9  # as `vectors.across`
-_OPPOSITE_SINE = 1e-6  # sine of an angle near half a turn, which has no axis: such bodies stay as they are
+_OPPOSITE_SINE = 1e-6  # sine of an angle near half a turn, without a rotation axis: such bodies keep their up
 
 
 class Posture(NamedTuple):
-    """How the bodies of a species stand. `is_set`: whether it says so. `upright`: share of the way from the normal of the
-    ground to `world_up`, the unit vector up of the world."""
+    """How the bodies of a species stand.
+
+    `is_set`: whether the species defines it. `upright`: share of the angle from the normal of the ground to `world_up`, the unit
+    vector up of the world."""
 
     is_set: BOOL
     upright: Array1[F32]
@@ -44,7 +46,7 @@ class Posture(NamedTuple):
 
 
 def has_posture(population: Population) -> bool:
-    """Return whether a species says how its bodies stand."""
+    """Return whether a species defines how its bodies stand."""
     return UPRIGHT_REGISTER in population.plan.settings
 
 
@@ -57,7 +59,7 @@ def posture_of(world: World, population: Population) -> Posture:
 
 @kernel_helper
 def stand_up(up: Vec3, posture: Posture, i: I64) -> Vec3:
-    """Return the up of body i, turned from `up` by its share of the way to the up of the world."""
+    """Return the up of body i: `up`, turned by the body's share of the angle to the up of the world."""
     share = posture.upright[i]
     if not share > 0:
         return up
@@ -80,7 +82,7 @@ def read_vector(vectors: VectorColumns, i: I64) -> Vec3:
 
 @inlined
 def perpendicular(v: Vec3, up: Vec3) -> Vec3:
-    """Return the unit vector perpendicular to `up` that is nearest to v; an arbitrary one if v has no direction."""
+    """Return the unit vector perpendicular to `up` that is nearest to v, or an arbitrary one if v has no direction."""
     flat = minus(v, times(up, dot(v, up)))
     size = np.sqrt(dot(flat, flat))
     if size > 1e-6:
@@ -104,7 +106,7 @@ def turn_axis(one: Vec3, other: Vec3, ahead: Vec3) -> tuple[Vec3, F64, F64]:
 
 @kernel_helper
 def turn_heading(heading: Vec3, one: Vec3, other: Vec3) -> Vec3:
-    """Return a heading after the rotation that turns the normal `one` into the normal `other`, perpendicular to the latter."""
+    """Return a heading after the rotation from the normal `one` to the normal `other`; it is perpendicular to `other`."""
     axis, cosine, sine = turn_axis(one, other, heading)
     return perpendicular(rotate_about_axis(heading, axis, cosine, sine), other)
 
@@ -113,7 +115,7 @@ def turn_heading(heading: Vec3, one: Vec3, other: Vec3) -> Vec3:
 def tilt_within(stands: Vec3, look: Vec3, goal: Vec3, most: F32) -> tuple[Vec3, Vec3, tuple[F32, F32]]:
     """Return the up `stands` turned towards a goal by at most `most` radians, and the heading `look` turned with it.
 
-    Also returns the angle of this turn and that of a full one (radians)."""
+    Also returns the angle of this turn and the angle of the full turn (radians)."""
     axis, cosine, sine = turn_axis(stands, goal, look)
     full_tilt = atan2(_F(sine), _F(cosine))
     tilt, c, s, up = full_tilt, cosine, sine, goal

@@ -1,4 +1,4 @@
-"""Agents that the scene guides: they walk straight on at one speed for a distance, without senses or decisions (P18)."""
+"""Agents that the scene guides: they walk straight ahead at one speed for a distance, without senses or decisions (P18)."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _F = np.float32
 def find_walks_by_line(world: World, population: Population) -> dict[int, WalkData]:
     """Return the walks of a species, by the number of the crowd line."""
     walks = {}
-    for crowd in world.setting.crowds:  # runs a few times in each step: most scenes guide no agents
+    for crowd in world.setting.crowds:  # called several times per step; most scenes guide no agents
         if crowd.walk is not None and crowd.species == population.name:
             walks[crowd.line_index] = crowd.walk
     return walks
@@ -38,8 +38,7 @@ def find_deciding_rows(world: World, population: Population) -> Rows | None:
 
 
 def start_walks(world: World, population: Population, rows: Rows) -> None:
-    """Turn those of `rows` that the scene guides to their direction along the ground, and set their velocity to the scene's
-    speed.
+    """Start the walks of the guided agents in `rows`: turn each to its direction along the ground, at the scene's speed.
 
     That speed may exceed the agents' own limit."""
     now, start = population.now, population.start
@@ -49,7 +48,7 @@ def start_walks(world: World, population: Population, rows: Rows) -> None:
         direction = np.broadcast_to(np.array(walk.direction, np.float32)[:, None], (3, len(own)))
         ahead = vec.normalise_or_fallback(
             vec.project_to_plane((direction[0], direction[1], direction[2]), up), heading, 1e-3
-        )  # one that leads off the ground is none
+        )  # a direction off the ground is not used
         now["max_speed"][own] = start["max_speed"][own] = np.maximum(now["max_speed"][own], _F(walk.speed))
         for name, value in (("heading", ahead), ("velocity", vec.scale(ahead, _F(walk.speed)))):
             for axis, component in zip(AXES, value, strict=True):

@@ -25,25 +25,27 @@ from antdsl.numerics.sorting import compact_indices
 from antdsl.runtime.moving.capsule_distances import CapsuleArrays, measure_listed
 from antdsl.runtime.moving.step_clamping import add_rounded, negate
 
-DEAD_ZONE_SHARE = 5e-4  # of the two collision radii: overlaps up to this move no agent, so that resting agents stay at rest
-SUM_BITS = 40  # digits of a term in a sum, below the widest overlap
-_SHARE_RESOLUTION = 1 << 20  # a share is a multiple of one in so many
-_LOCK_SPREAD_CONTACTS = 3  # contacts along which the lock values spread
-_OUTER_SHARE_FACTOR = 10.0  # times the difference of two agents, by which the outer one moves more in a dense cluster
-# The same among those who are hardly in each other: there a crowd that presses must not be thrown about
+DEAD_ZONE_SHARE = 5e-4  # share of both collision radii; smaller overlaps move no agent, so that resting agents stay at rest
+SUM_BITS = 40  # bits of a term in a sum, below the largest overlap
+_SHARE_RESOLUTION = 1 << 20  # shares are multiples of 1 / this number
+_LOCK_SPREAD_CONTACTS = 3  # number of contacts along which lock values spread
+_OUTER_SHARE_FACTOR = 10.0  # in a dense cluster, the outer agent moves more by this factor of the difference
+# The same for agents that hardly overlap. There it must be small, because a pressing crowd must not be thrown about.
 _SHALLOW_OUTER_SHARE_FACTOR = 1.0
-_MIN_INNER_SHARE = 1 / 64  # of the whole: what the inner one makes room for at least
-_CLUSTER_OVERRELAXATION = 1.5  # times the mean of its contacts, by which an agent in a dense cluster is moved
-_MIN_SQUARED_GROUND_PART = 0.1  # square of the part of a way that lies along the ground, below which one goes no farther for it
-# radii: an agent counts as in a dense cluster from half this previous penetration depth on, and fully from 1.5 times it
+_MIN_INNER_SHARE = 1 / 64  # least share of the displacement that the inner agent takes
+_CLUSTER_OVERRELAXATION = 1.5  # in a dense cluster, an agent moves by this factor of the mean of its contacts
+# square of the part of a displacement along the ground; below it, the displacement is not lengthened
+_MIN_SQUARED_GROUND_PART = 0.1
+# radii; agents with half this previous penetration depth begin to count as clustered, with 1.5 times it completely
 _CLUSTER_DEPTH_RADII = 0.4
-_RESTING_DISTANCE_SHARE = 0.01  # of its allowed distance: an agent that goes less rests, and presses no other
-_FREE_AGENT_PUSH_SHARE = 0.3  # of the way that it may walk: how far one that was free is pushed by others in a substep
+_RESTING_DISTANCE_SHARE = 0.01  # share of the allowed distance; an agent that moves less rests and presses no other
+_FREE_AGENT_PUSH_SHARE = 0.3  # share of the allowed distance that others push an agent that was free
 _FLOAT32_ONE, _MIN_VECTOR_LENGTH = np.float32(1), np.float32(1e-12)  # as `vectors.unit`
 _ROUNDING_MAGIC = 1.5 * 2.0 ** (52 - SUM_BITS)
 
-PairArrays = tuple[Array1[I64], Array1[I64], Array1[F64], Array2[F64], Array1[BOOL]]  # i, j, gap, way, and which count
-# Masses, yields, reaches, depths and who is held; normals of the ground, walked and cut, as `contacts` has them
+# i, j, gap, direction, and which pairs count
+PairArrays = tuple[Array1[I64], Array1[I64], Array1[F64], Array2[F64], Array1[BOOL]]
+# Masses, mobilities, reaches, depths and held flags; normals of the ground, `walked` and `cut`, as in `contacts`
 AgentArrays = tuple[
     Array1[F64], Array1[F64], Array1[F64], Array1[F64], Array1[BOOL], Strided2[F64], Strided2[F64], Strided2[F64]
 ]  # fmt: skip
@@ -54,12 +56,13 @@ SolverBuffers = tuple[
     Array1[I64],
 ]  # fmt: skip
 
-# Numbers of rows
+# rows of the float buffer of agents
 _WEIGHT_ROW, _LOCKED_ROW, _SPREAD_ROW, _INVERSE_MASS_ROW, _CLUSTER_SHARE_ROW, _MAX_CORRECTION_ROW, _PUSH_LIMIT_ROW = range(7)
-_NUMBER_ROW, _ROW_LIST_ROW, _CONTACTS_ROW = 0, 1, 2  # whole numbers of rows
-_NO_ROW = -1  # number of a row that is in no pair of a look
-_DEAD_ZONE_ROW, _DEPTH_ROW, _GROUND_PART_ROW, _SHARE_ROW = 0, 1, 2, 4  # numbers of pairs, of the last two one of each side
-_CHOSEN_PAIR_ROW, _FIRST_AGENT_ROW, _SECOND_AGENT_ROW, _TOUCHING_PAIR_ROW = range(4)  # whole numbers of pairs
+_NUMBER_ROW, _ROW_LIST_ROW, _CONTACTS_ROW = 0, 1, 2  # rows of the integer buffer of agents
+_NO_ROW = -1  # a row that occurs in no pair of an outer iteration
+# rows of the float buffer of pairs; the last two have one number per side
+_DEAD_ZONE_ROW, _DEPTH_ROW, _GROUND_PART_ROW, _SHARE_ROW = 0, 1, 2, 4
+_CHOSEN_PAIR_ROW, _FIRST_AGENT_ROW, _SECOND_AGENT_ROW, _TOUCHING_PAIR_ROW = range(4)  # rows of the integer buffer of pairs
 
 
 def make_buffers(rows: int, pairs: int) -> tuple[NDArray[Any], ...]:
@@ -112,7 +115,7 @@ def _maximum(numbers: Array1[F64], count: I64) -> F64:
 def _share_overlap(m: I64, count: I64, buffers: SolverBuffers, mobility: Array1[F64], cluster_share: Array1[F64]) -> None:
     """Compute the shares of the overlap by which the first and the second agent of each pair move; they add up to 1.
 
-    The lighter and the less locked agent move more. Only the first `m` pairs of `buffers`, among the first `count` rows, are
+    A lighter agent and a less locked agent move more. Only the first `m` pairs of `buffers`, among the first `count` rows, are
     used.
 
     An agent is locked if it deeply overlaps others that deeply overlap others. The measure repeatedly adds up overlaps along
@@ -154,8 +157,7 @@ def _share_overlap(m: I64, count: I64, buffers: SolverBuffers, mobility: Array1[
 
 @inlined
 def _limit_correction(correction: Vec3, middle: Vec3, limit: F64) -> Vec3:
-    """Return a correction that ends at most `limit` (mm) from a point. `middle`: the vector from that point to the end of the
-    walk."""
+    """Return a correction that ends at most `limit` (mm) from a point. `middle`: the vector from that point to the walk's end."""
     displacement = plus(middle, correction)
     size = np.sqrt(dot(displacement, displacement))
     if size > limit:
@@ -170,8 +172,8 @@ def separate_pairs(
 ) -> tuple[I64, I64]:  # fmt: skip
     """Separate pairs in `outer_iterations` measurements with `sweeps` sweeps each, by a share `relaxation` of their overlap.
 
-    Changes `gap`, `direction` and `which` of the pairs, and `displacement` (mm). It stops if pairs without a separation axis
-    occur. It then returns the number of remaining looks and of these pairs, listed at the start of `lost`."""
+    Changes `gap`, `direction` and `which` of the pairs, and `displacement` (mm). Stops if pairs without a separation axis occur.
+    Then returns the number of remaining outer iterations and of these pairs, which are listed at the start of `lost`."""
     radius = bodies.radius
     i, j, gap, direction, which = pairs
     number, row_list, changed = buffers[3][_NUMBER_ROW], buffers[3][_ROW_LIST_ROW], buffers[4]
@@ -181,7 +183,7 @@ def separate_pairs(
     touch = compact_indices(touching, i.size)
     number[:] = _NO_ROW
     changed[:] = False
-    alone = outer_iterations == 1 and sweeps == 1  # then only agents that touch another are moved
+    alone = outer_iterations == 1 and sweeps == 1  # only agents that touch others move
     if touch and not alone and starts[0] < 0:
         _group_pairs(i, j, starts, row_pairs)
     for left in range(outer_iterations - 1, -1, -1):
@@ -242,7 +244,7 @@ def _compute_row_limits(
     radius: Array1[F64], agents: AgentArrays, row_list: Array1[I64], count: I64, of_rows: Array2[F64]
 ) -> None:
     """Compute four values of the given rows: mobility, membership in a dense cluster (0 to 1), largest distance from the start
-    and push limit (mm)."""
+    (mm) and push limit (mm)."""
     mass, yields, reach, depth, held, _, walked, _ = agents
     light, heap_share, most, push_limit = (
         of_rows[_INVERSE_MASS_ROW],
@@ -277,11 +279,11 @@ def _run_outer_iteration(
     only_touching: BOOL,
     buffers: SolverBuffers,
 ) -> tuple[BOOL, I64]:
-    """Make the sweeps of one look, for `touch` touching pairs. With `only_touching`, only these pairs are used, else all pairs of
-    their rows.
+    """Make the sweeps of one outer iteration, for `touch` touching pairs. With `only_touching`, use only these pairs, else all
+    pairs of their rows.
 
-    Marks the rows that changed. Returns whether any row changed, and how many rows were visited; these are listed at the start
-    of `row_list`."""
+    Marks the rows that changed. Returns whether any row changed, and how many rows were visited; these are listed at the start of
+    `row_list`."""
     i, j, gap, direction, which = pairs
     normal, walked, cut = stand[5], stand[6], stand[7]
     new_displacement, sums, of_rows, wholes, changed, numbers, side_directions, indices, starts, row_pairs = buffers
@@ -320,7 +322,8 @@ def _run_outer_iteration(
                 pair = row_pairs[at]
                 beside = i[pair] + j[pair] - row
                 slot = number[beside]
-                if which[pair] and (slot < 0 or slot >= touching_count or beside > row):  # a pair of two that touch is met twice
+                # avoid visiting a pair of two touching rows twice
+                if which[pair] and (slot < 0 or slot >= touching_count or beside > row):
                     if slot < 0:
                         number[beside], row_list[count] = count, beside
                         count += 1

@@ -1,8 +1,8 @@
 """Ground that is too steep for agents acts as a wall: steps onto it are deflected along it, or end where they began.
 
-A species with `max_slope` has the register. A step is too steep if it leads up ground steeper than that, or from other
-ground onto it. Steps of stairs are no walls: an agent crosses a steep part if it can stand beyond it, at most a quarter of
-its height higher or lower. Only the agents with such a step are computed here, each from its own values."""
+The register exists for species with `max_slope`. A step is too steep if it leads up ground steeper than that, or from other
+ground onto it. Steps of stairs are not walls. An agent crosses a steep part if it can stand beyond it, at most a quarter of its
+height higher or lower. Only agents with such a step are computed here, each from its own values."""
 
 from __future__ import annotations
 
@@ -18,19 +18,18 @@ from antdsl.runtime.world import AXES, Population, World
 Floats = NDArray[np.float64]
 Rows = NDArray[np.intp]
 
-MAX_SLOPE_REGISTER = "max_slope"  # of species that set it, by `SpeciesPlan.settings`
-_STEP_PER_HEIGHT = 0.25  # how much higher or lower the ground may be beyond a steep part
-_LEAD_PER_HEIGHT = 0.15  # how far ahead of its feet, in addition to its step, an agent stands beyond a steep part
-_CLEARANCE_PER_STEP = 0.05  # of a step's height: how far over the next tread a ray passes
-_MIN_RISE_SHARE = 0.02  # of a step's length: less of a rise is level
+MAX_SLOPE_REGISTER = "max_slope"  # for species that set it in `SpeciesPlan.settings`
+_STEP_PER_HEIGHT = 0.25  # body heights; largest difference in height beyond a steep part
+_LEAD_PER_HEIGHT = 0.15  # body heights; how far ahead of its feet, in addition to its step, an agent stands beyond a steep part
+_CLEARANCE_PER_STEP = 0.05  # share of a stair's height; distance of a ray above the next tread
+_MIN_RISE_SHARE = 0.02  # share of the step's length; a smaller rise counts as level
 _COSINE_TOLERANCE = 1e-6
-_NUDGE = 0.3  # of a step: how far an agent turns away from a wall that it would touch again
+_NUDGE = 0.3  # share of the step by which an agent turns away from a wall that it would touch again
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SlopeStart:
-    """Where the agents of a species stand before a substep: footings, positions (n, 3) mm, smooth normals of the ground and
-    headings of the bodies (n, 3)."""
+    """Stances of the agents of a species before a substep: footings, positions (n, 3) mm, smooth normals, and headings (n, 3)."""
 
     footing: Footing
     position: Floats
@@ -42,8 +41,9 @@ class SlopeStart:
         return SlopeStart(population.footing, population.position, population.normal, population.read_vector("heading"))
 
     def find_steep(self, world: World, population: Population, rows: Rows, footing: Footing, pose: tuple[Floats, Floats]) -> Rows:
-        """Return the indices in `rows` of agents with too steep a step to a footing. `pose`: its positions (k, 3) mm and smooth
-        normals (k, 3)."""
+        """Return the indices in `rows` of agents with a too steep step to a footing.
+
+        `pose`: positions (k, 3) mm and smooth normals (k, 3) at the footing."""
         up, limit = np.asarray(world.up, np.float64), steepest_cosines(population, rows)
         position, smooth = pose
         displacement = position - self.position[rows]
@@ -64,7 +64,8 @@ def _dot(a: Floats, b: Floats) -> Floats:
 
 
 def face_normals(world: World, footing: Footing, smooth: Floats) -> Floats:
-    """Return the unit normals (k, 3) of the faces below agents, on the side of the smooth normals; these without a footing."""
+    """Return the unit normals (k, 3) of the faces below agents, on the side of the smooth normals. Agents without a footing get
+    the smooth normals."""
     normal = world.ground.normal(footing)
     side = _dot(normal, smooth)[:, None]
     facing: Floats = np.where(side != 0, normal * np.sign(side), smooth)
@@ -72,21 +73,21 @@ def face_normals(world: World, footing: Footing, smooth: Floats) -> Floats:
 
 
 def steepest_cosines(population: Population, rows: Rows) -> Floats:
-    """Return the cosines of the steepest slopes of agents, a little less because of rounding."""
+    """Return the cosines of the steepest slopes that agents can walk, slightly reduced because of rounding."""
     angle = np.clip(population.now[MAX_SLOPE_REGISTER][rows], np.float32(0), np.float32(np.pi))
     cosine: Floats = elementary.cos(angle).astype(np.float64)
     return cosine - _COSINE_TOLERANCE
 
 
 def has_slope_limit(population: Population) -> bool:
-    """Return whether a species has a steepest slope."""
+    """Return whether a species limits its slope."""
     return MAX_SLOPE_REGISTER in population.plan.settings
 
 
 def lay_pushes(world: World, population: Population) -> None:
-    """Lay the pushes of agents on steep ground along it, so that a push ahead leads up or down to the end of a step of stairs.
+    """Turn the pushes of agents on steep ground along that ground, so that a push ahead leads over steps of stairs.
 
-    What a push has across the ground turns into a push up or down along it."""
+    The part of a push across the ground turns into a push up or down along it."""
     up, every = np.asarray(world.up, np.float64), np.arange(len(population))
     normal = face_normals(world, population.footing, population.normal.astype(np.float64))
     rows = np.flatnonzero(_dot(normal, up) < steepest_cosines(population, every))
@@ -102,7 +103,7 @@ def lay_pushes(world: World, population: Population) -> None:
 
 
 def find_walls_of_slope(world: World, population: Population, start: SlopeStart) -> Rows:
-    """Return the agents that made a step that is too steep and cannot cross the steep part as a step of stairs."""
+    """Return the agents with a too steep step that cannot cross the steep part as a step of stairs."""
     every, pose = np.arange(len(population)), (population.position, population.normal.astype(np.float64))
     rows = start.find_steep(world, population, every, population.footing, pose)
     if not len(rows):
@@ -136,10 +137,9 @@ def _can_cross(world: World, population: Population, start: SlopeStart, rows: Ro
 
 
 def deflect_steps(world: World, population: Population, start: SlopeStart, rows: Rows, step: Floats) -> tuple[Floats, GroundMove]:
-    """Return the steps (k, 3) mm of agents along the steep ground that stopped them, and where these lead. Agents that would
-    meet steep ground again do not move.
+    """Return the steps (k, 3) mm of agents along the steep ground that stopped them, and the ends of these steps.
 
-    `step` (k, 3) mm: the steps that were too steep."""
+    `step` (k, 3) mm: the steps that were too steep. Agents that would meet steep ground again do not move."""
     up = np.asarray(world.up, np.float64)
     wall = face_normals(world, population.footing.take_rows(rows), population.normal[rows].astype(np.float64))
     wall = wall - _dot(wall, up)[:, None] * up

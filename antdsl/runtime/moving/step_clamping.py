@@ -1,4 +1,4 @@
-"""Steps into other agents are deflected along them, then cut. No agent walks farther than half of the free gap."""
+"""Deflect steps into other agents along these agents, then shorten them. No agent walks farther than half of the free gap."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ Floats = NDArray[np.float64]
 Rows = NDArray[np.intp]
 Flags = NDArray[np.bool_]
 
-_SUM_BITS = 40  # digits of a term in a sum, below the widest overlap
-_STOPPED_DISTANCE_SHARE = 0.5  # of its way: who goes less is stopped
-_MAX_DEFLECTIONS = 3  # times that a step is bent along those in its way, before it is cut
+_SUM_BITS = 40  # bits of a term in a sum, below the largest overlap
+_STOPPED_DISTANCE_SHARE = 0.5  # share of the step; an agent that can walk less is stopped
+_MAX_DEFLECTIONS = 3  # deflections of a step along agents ahead, before it is shortened
 
 
 def clamp_steps(
@@ -45,7 +45,7 @@ def clamp_steps(
 
 
 def sum_magic(walked: Floats) -> float:
-    """Return the number that defines the quantum of sums of steps of the given lengths, for `add_rounded`."""
+    """Return the number that defines the rounding quantum of sums of steps of the given lengths, for `add_rounded`."""
     most = max(walked.max(), -walked.min(), 1e-30)
     return float(np.ldexp(1.5, int(np.frexp(most)[1]) + 2 - _SUM_BITS + 52))
 
@@ -64,8 +64,8 @@ def negate(v: Vec3) -> Vec3:
 
 @inlined
 def compute_heavier_share(mass: Array1[F64], own: I64, other: I64) -> F64:
-    """Return by how much the first of two rows is heavier: 0 for equal masses or a lighter row, almost 1 for a very heavy
-    one."""
+    """Return by how much the first of two rows is heavier: 0 for equal masses or a lighter row, almost 1 for a much heavier
+    row."""
     return 1 - min(2 * mass[other] / (mass[own] + mass[other]), 1.0)
 
 

@@ -9,8 +9,8 @@ from antdsl.numerics.sorting import compact_indices
 from antdsl.runtime.moving.impacts import NEVER, PathArrays, PathPairs, find_impact
 from antdsl.runtime.moving.step_clamping import ClampBuffers, bend_along, compute_heavier_share, negate
 
-_STOP_OVERLAP_SHARE = 2e-3  # of the radii: an overlap up to which bodies slide along each other
-_PRESSING_SHARE = 0.5  # of the radii: how far a heavy body enters a light one, which is then pushed
+_STOP_OVERLAP_SHARE = 2e-3  # share of both radii; bodies with smaller overlaps slide along each other
+_PRESSING_SHARE = 0.5  # share of both radii; how far a heavy body enters a light one and then pushes it
 
 
 @kernel
@@ -27,8 +27,8 @@ def bend_paths(
     """Deflect paths at the impacts of `pairs`: a body continues from there along the other one. Return the number of stopped
     rows.
 
-    `approach` (3, n) mm: displacements in the previous period of equal length. A body follows another one that withdraws.
-    The other arguments are as in `step_clamping.bend_along`."""
+    `approach` (3, n) mm: displacements in the previous period of equal length. A body follows a body that withdraws. The other
+    arguments are as in `step_clamping.bend_along`."""
     for pair in simd_range(0, pairs.i.size):
         direction, over = get_column(pairs.direction, pair), 0
         for side in range(2):
@@ -75,11 +75,11 @@ def shorten_paths(
     pairs: PathPairs, paths: PathArrays, first: Array1[F64], only_first: BOOL, halts: BOOL, factor: Array1[F64],
     touched: Array1[BOOL], latest: Array1[BOOL],
 ) -> None:  # fmt: skip
-    """Shorten the displacements of the rows that move towards another one up to their impact.
+    """Shorten the displacements of the rows that move towards another row up to their impact.
 
-    The tangent plane at the impact then separates the two bodies for the whole substep, also if paths become shorter.
-    `only_first`: only impacts that are the first of both rows are used, because others may not occur after that.
-    `halts`: whether the rows do not move at all. `factor` (n): a work buffer. Sets the flags `touched` and `latest`."""
+    The tangent plane at the impact then separates both bodies for the whole substep, even if paths become shorter. `only_first`:
+    use only impacts that are the first of both rows, because later ones may not occur. `halts`: stop the rows completely.
+    `factor` (n): a work buffer. Sets the flags `touched` and `latest`."""
     factor[:] = 1.0
     for pair in range(pairs.i.size):
         time = pairs.time[pair]
@@ -100,7 +100,7 @@ def shorten_paths(
 
 @kernel
 def list_corrections(displacement: Array2[F64], walked: Array2[F64], rows: Array1[I64], corrections: Array2[F64]) -> I64:
-    """Write the rows with another end than `walked` (3, n) mm, and the displacements (mm) from there. Return their number."""
+    """Write the rows that do not end at `walked` (3, n) mm, and the displacements (mm) from there. Return their number."""
     for k in simd_range(0, rows.size):
         path, step = get_column(displacement, k), get_column(walked, k)
         rows[k] = 1 if (path[0] != step[0]) | (path[1] != step[1]) | (path[2] != step[2]) else 0

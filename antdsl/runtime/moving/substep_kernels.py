@@ -60,8 +60,9 @@ class IntendedMotion(NamedTuple):
 
 
 class PendingWalks(NamedTuple):
-    """Values of the agents that `walk_triangles` leaves to a later walk: `float_values` and `integer_values`, and in `statuses`
-    the status of every agent."""
+    """Values of the agents that `walk_triangles` leaves to a later walk.
+
+    `float_values`, `integer_values`: their values. `statuses`: the status of every agent."""
 
     float_values: Array2[F64]
     integer_values: Array2[I64]
@@ -129,18 +130,16 @@ def walk_triangles(
     begin: I64,
     end: I64,
 ) -> tuple[I64, I64, I64]:
-    """Walk agents over triangles by their float32 steps and headings, and update those that reach their end as
-    `update_arrived_rows` does.
+    """Walk agents over triangles by their float32 steps and headings. Update the agents that arrive, as `update_arrived_rows`
+    does.
 
     `footing`: initial footings. `new_footing`, `place` (n, 3): resulting footings and positions (mm). `pending`: values of agents
-    that wait
-        for a later walk.
-    Returns `begin`, and the numbers of agents that wait and of agents that are left out."""
+    that wait for a later walk. Returns `begin`, and the numbers of waiting agents and of agents that are left out."""
     mesh, face, b1s, b2s, overs = footing
     first, step, how = surface.first, arrival.step, pending.statuses
     registers, heading, state = arrival.registers, arrival.registers.heading, arrival.bodies.state
     for group in range(begin - 8 * PREFETCH_EIGHTS, end, 8):
-        # Columns are prefetched, too: there are more of them than a processor prefetches automatically.
+        # Columns need explicit prefetches: there are more than a processor prefetches automatically.
         k = group + 8 * PREFETCH_EIGHTS
         for columns in (arrival.velocity, step, *registers, arrival.limits):
             for each in columns:
@@ -172,7 +171,7 @@ def walk_triangles(
                 store_waiting(pending.float_values, pending.integer_values, i, np.float64(size[i]), walk)
                 continue
             how[i] = FINISHED_STATUS
-            # No edge leads to another mesh.
+            # No edge connects two meshes.
             store_footing(new_footing, i, mesh[i], walk.walker.face - first[mesh[i]], walk.height, walk.walker)
             pose = compute_final_pose(surface.table, walk.walker, walk.height)
             for k in range(3):

@@ -1,9 +1,9 @@
 """Bodies follow the ground below their feet smoothly, no faster than they can turn, and with the head out of walls ahead.
 
-Feet are exact. Their footing and the normal below them (`Population.normal`) change at once, at an edge by any angle. The
-body's up and heading turn towards those of the feet step by step; frames store the body's values. Programs sense and push
-along the axes of the feet. Before a wall, the body tilts ahead of the feet: by a right angle over about its own length. If it
-cannot tilt as fast as it walks, the feet slow down."""
+Feet are exact: at an edge, their footing and the normal below them (`Population.normal`) change at once, by any angle. The body's
+up and heading turn gradually towards the feet. Frames store the body's values. Programs sense and push along the axes of the
+feet. Before a wall, the body tilts ahead of the feet: by a right angle over about its own length. If it cannot tilt as fast as it
+walks, the feet slow down."""
 
 from __future__ import annotations
 
@@ -44,13 +44,13 @@ from antdsl.runtime.moving.velocities import LEANING_STATE, STANDING_STATE, maxi
 from antdsl.runtime.moving.walls_ahead import find_walls, write_wall_reach
 from antdsl.runtime.world import Population, World
 
-# Of walls: normal and direction ahead (3, k), angle, how far, over how much.
+# Walls: normals (3, k), directions ahead (3, k), angles, distances, tilt distances.
 WallArrays = tuple[Strided2[F64], Strided2[F64], Array1[F64], Array1[F64], Array1[F64]]
 
 _F = np.float32
 _FLOAT32_ZERO, _FLOAT32_ONE, _FLOAT32_PI, _RIGHT_ANGLE = _F(0), _F(1), _F(np.pi), _F(np.pi / 2)
-_MIN_TILT_RATE = _F(np.pi / 4)  # rad/s that a body tilts at least: one that turns slower still comes round an edge
-_WAITING_VELOCITY_SHARE = _F(0.05)  # of a velocity: retained by an agent that waits for its body
+_MIN_TILT_RATE = _F(np.pi / 4)  # rad/s; bodies tilt at least this fast, so that slow ones still get around edges
+_WAITING_VELOCITY_SHARE = _F(0.05)  # share of the velocity that an agent retains while it waits for its body
 
 
 def tilt_new_bodies(world: World, population: Population, rows: NDArray[np.intp]) -> None:
@@ -68,7 +68,7 @@ def tilt_new_bodies(world: World, population: Population, rows: NDArray[np.intp]
 def level_headings(population: Population, threads: int = 1) -> None:
     """Replace heading and up of leaning bodies by those of the feet, along the ground, while programs run.
 
-    Thus a push ahead continues over an edge while the body tilts."""
+    So a push ahead continues over an edge while the body tilts."""
     n, start, now = len(population), population.start, population.now
     (leaning_rows,) = population.get_buffers("leaning", 1, (n,), np.int64)
     lean = population.get_buffers("laid", 3, (3, n), np.float32)
@@ -80,7 +80,7 @@ def level_headings(population: Population, threads: int = 1) -> None:
 
 
 def restore_bodies(population: Population) -> None:
-    """Restore the up and heading that `level_headings` replaced, except headings that have changed since."""
+    """Restore the up and heading that `level_headings` replaced. Keep headings that have changed since."""
     if population.replaced_poses is not None:
         _restore_rows(*population.replaced_poses, *_pose_registers(population.start), *_pose_registers(population.now))
     population.replaced_poses = None
@@ -246,7 +246,7 @@ def limit_steps(
     begin: I64,
     end: I64,
 ) -> None:
-    """Reduce steps and velocities of agents from `begin` to before `end` so that bodies can follow the feet.
+    """Shorten steps and reduce velocities of agents from `begin` to before `end` so that bodies can follow the feet.
 
     This applies to agents that lean or have a wall ahead, according to `state`."""
     wall, ahead, angle, far, over = walls
@@ -312,9 +312,8 @@ def follow_ground(
 ) -> None:
     """Turn the bodies from `begin` to before `end` after their feet; changes `now_up` and `now_heading`.
 
-    `previous`: postures before the step. `place`: new positions of the feet. `rows`: a work buffer.
-    Bodies that stand as their feet do, according to `state`, are skipped. A body that would turn its head into a wall tilts
-    first."""
+    `previous`: postures before the step. `place`: new positions of the feet. `rows`: a work buffer. Bodies that are aligned with
+    their feet, according to `state`, are skipped. A body tilts first if a turn would move its head into a wall."""
     before_up, before_heading, before = previous
     most, max_turn, dt, posture = limits
     wall, ahead, angle, far, over = walls

@@ -1,8 +1,8 @@
 """Velocities after a push, and velocities and headings after a walk, for one agent at a time in float32.
 
-This module defines how fast headings follow the movement and the states of bodies. The `state` of a body is the number of the
-wall ahead, or one of three values. The body leans; or it stands as its feet do; or it hastens, that is, it stands so but would
-turn too fast."""
+This module defines how fast headings follow the movement, and the states of bodies. The `state` of a body is the number of the
+wall ahead, or one of three values: the body leans, is aligned with its feet, or hastens. A body hastens if it is aligned with its
+feet but would turn too fast."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ _F = np.float32
 _FLOAT32_ZERO, _FLOAT32_HALF, _FLOAT32_ONE = _F(0), _F(0.5), _F(1)
 _MIN_VECTOR_LENGTH, _STEEP_COSINE = _F(1e-12), _F(0.9)  # as `vectors.unit` and `vectors.across`
 _FLOAT32_PI = _F(np.pi)
-_SAFE_COSINE_MARGIN = _F(1e-3)  # of a cosine: an angle that is less by as much needs no inverse tangent
-_HEADING_SECONDS = 0.1  # s, of the heading on its way to the direction of movement (T22)
-FACE_REGISTER = "~face.x"  # a register of those species alone that ask for it
-SLOW_SPEED_SHARE = _F(0.1)  # of max_speed: below it the heading follows more and more slowly
-BOUNCE_SPEED_SHARE = _F(0.3)  # of the speed into the border of an open surface that is turned back
-TURN_SLACK_FACTOR = _F(1.005)  # times the greatest turn, up to which rounding may bring one
-MIN_FACE_SINE = _F(1e-3)  # sine of the angle to the body's up below which a way to face says nothing
-KINEMATIC_STEPS = _F(1.0001)  # steps: who responds within that is kinematic
-MIN_SQUARED_TURN = _F(1e-12)  # rad2 more than the greatest turn that are rounding
-ANGLE_COEFFICIENT_1_12, ANGLE_COEFFICIENT_1_90 = _F(1 / 12), _F(1 / 90)  # of the series of an angle's square
+_SAFE_COSINE_MARGIN = _F(1e-3)  # an angle with a cosine smaller by this margin needs no inverse tangent
+_HEADING_SECONDS = 0.1  # s; time constant of the heading towards the direction of movement (T22)
+FACE_REGISTER = "~face.x"  # only species that use it have this register
+SLOW_SPEED_SHARE = _F(0.1)  # share of max_speed; below it, the heading follows more and more slowly
+BOUNCE_SPEED_SHARE = _F(0.3)  # share of the speed into the border of an open surface that is reflected
+TURN_SLACK_FACTOR = _F(1.005)  # factor of the largest turn; smaller excesses are rounding
+MIN_FACE_SINE = _F(1e-3)  # sine of the angle between the body's up and a direction to face; a smaller one gives no heading
+KINEMATIC_STEPS = _F(1.0001)  # steps; agents with a shorter response are kinematic
+MIN_SQUARED_TURN = _F(1e-12)  # rad2 above the largest turn; smaller excesses are rounding
+ANGLE_COEFFICIENT_1_12, ANGLE_COEFFICIENT_1_90 = _F(1 / 12), _F(1 / 90)  # coefficients of the series for a squared angle
 
 LEANING_STATE, STANDING_STATE, HURRYING_STATE = -1, -2, -3
 
@@ -63,7 +63,7 @@ class AgentAbilities(NamedTuple):
 class PushTimes(NamedTuple):
     """Durations (s) of a push in a substep.
 
-    `instant_response`: agents with a response of at most this get the push of the complete step in the first substep.
+    `instant_response`: agents with a response of at most this receive the push of the complete step in the first substep.
     `first`: the duration of their push in this substep, 0 in later ones. `dt`: the duration for all other agents."""
 
     instant_response: F32
@@ -215,8 +215,8 @@ def _raise_speed(velocity: Vec3F32, previous_velocity: Vec3F32, heading: Vec3F32
 def _limit_turn(velocity: Vec3F32, previous_velocity: Vec3F32, up: Vec3F32, max_turn: F32, creep: F32) -> Vec3F32:
     """Return the velocity turned by at most `max_turn` (radians) from the previous one. From rest it may have any direction.
 
-    It has its component in that direction. So a push against the motion first brakes: it does not speed up what it cannot turn.
-    Below the speed `creep` (mm/s) it keeps its length, and the agent turns round almost on the spot."""
+    It keeps only its component in that direction. So a push against the motion first brakes, and does not speed up an agent that
+    cannot turn. Below the speed `creep` (mm/s) the velocity keeps its length, and the agent turns almost on the spot."""
     if not length(previous_velocity) > 0:
         max_turn = _F(4.0)
     ahead, good = _normalise(previous_velocity)
@@ -286,9 +286,9 @@ def update_arrived_agent(i: I64, pose: AgentPose, blocked: BOOL, arrival: Arriva
 def update_arrived_rows(rows: Array1[I64], walked: WalkedPoses, arrival: ArrivalArrays, begin: I64, end: I64) -> None:
     """Write velocity, heading, position and up of `rows` from `begin` to before `end` into the registers after the walk.
 
-    The `state` of a body that stands as its feet do becomes "hastens" in two cases. Its up turns by more than `most`
-    (radians), or it turns more than `TURN_SLACK_FACTOR` times as fast as `max_turn` allows. For bodies that do not stand as
-    their feet do, the previous up and heading are stored in `bodies`."""
+    The `state` of a body that is aligned with its feet becomes "hastens" in two cases: its up turns by more than `most`
+    (radians), or it turns more than `TURN_SLACK_FACTOR` times as fast as `max_turn` allows. For all other bodies, the previous up
+    and heading are stored in `bodies`."""
     place, above, ahead, direction, blocked = walked
     for j in range(begin, end):
         i = rows[j]
@@ -325,8 +325,8 @@ def _turn_heading(
 ) -> Vec3F32:
     """Return the heading turned towards the movement, or towards the direction to face: completely or by the share `turn_share`.
 
-    The turn and the tilt of the body (`tilt`, its squared angle) together are no faster than `max_turn`. For more than a right
-    angle, the heading turns over its side first."""
+    The turn and the tilt of the body (`tilt`, its squared angle) together are limited by `max_turn`. For more than a right angle,
+    the heading turns over its side first."""
     heading, good = _normalise(project_to_plane(heading, up))
     if not good:
         heading = _find_perpendicular(up)

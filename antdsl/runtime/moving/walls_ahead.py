@@ -1,7 +1,7 @@
 """Walls ahead of agents: parts of the ground that the next steps reach, and how far a body tilts before it reaches them.
 
-A body of length L tilts linearly over a distance of L before a wall. Its head is L/2 ahead of its feet, so it stays out of a
-wall of up to a right angle. For an overhanging wall, the distance is longer by angle / sine."""
+A body of length L tilts linearly over a distance of L before a wall. Its head is L/2 ahead of its feet, so it stays out of a wall
+of up to a right angle. For an overhanging wall, the distance is longer by the factor angle / sine."""
 
 from __future__ import annotations
 
@@ -19,15 +19,16 @@ from antdsl.runtime.moving.velocities import FACE_REGISTER, STANDING_STATE
 from antdsl.runtime.world import Population, World
 
 Floats = NDArray[np.float64]
-# Of looks: the agent, half a body, the step (mm), its direction and the ground's normal.
+# Rays: the agent, half a body, the step (mm), the ray's direction and the ground's normal.
 WallRays = tuple[Array1[I64], Array1[F64], Array1[F64], Strided2[F64], Strided2[F64]]
 
 _F = np.float32
-_WALL_TURN_COSINE = 0.7071067811865476  # cosine of the least turn of the ground that is a wall; less is smooth, or a slope
-_EYE_HEIGHT_PER_BODY = 0.03  # of a body: how high above the feet a ray looks for walls
-_SAME_RAY_COSINE = 0.97  # cosine of the angle between look and step above which one ray tells of both
-_MIN_BUFFER_AGENTS = 512  # agents for which memory is always allocated
-MAX_TILT_DISTANCE_HALVES = 3.0  # half bodies before a wall within which a body tilts, at most
+# cosine of the smallest turn of the ground that counts as a wall; less is smooth, or a slope
+_WALL_TURN_COSINE = 0.7071067811865476
+_EYE_HEIGHT_PER_BODY = 0.03  # body lengths; height above the feet of a ray that searches for walls
+_SAME_RAY_COSINE = 0.97  # cosine of the angle between heading and step; above it, one ray serves both
+_MIN_BUFFER_AGENTS = 512  # buffers have space for at least this number of agents
+MAX_TILT_DISTANCE_HALVES = 3.0  # half bodies; a body tilts within this distance before a wall, at most
 
 
 class WallsAhead(NamedTuple):
@@ -60,8 +61,8 @@ def find_walls(
 ) -> WallsAhead:
     """Return the walls within `reach` (mm) of agents, along their heading over the ground and along their step (mm).
 
-    Of two walls, the one that tilts the body further is used. For an agent that walks backward while it faces another
-    direction, the step is not searched, because its head is on the other side.
+    Of two walls, the one that tilts the body further is used. If an agent walks backward while it faces another direction, its
+    step is not searched, because its head is on the other side.
     `body_states`: set to the number of the wall of each agent with a wall.
     `level_headings`: initially contains the headings along the ground of leaning agents; set for all agents that search for
     walls."""
@@ -74,7 +75,7 @@ def find_walls(
     now, most = (
         population.now,
         max(_MIN_BUFFER_AGENTS, 1 << len(rows).bit_length()),
-    )  # the same memory while about as many look out
+    )  # reuse the memory while the number of searching agents is similar
     (which,) = population.get_buffers("looks", 1, (2 * most,), np.int64)
     halves, sizes = population.get_buffers("sizes", 2, (2 * most,), np.float64)
     ahead, normal, origin, ray = population.get_buffers("ways", 4, (3, 2 * most), np.float64)
