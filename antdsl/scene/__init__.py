@@ -23,6 +23,6 @@ __all__ = ["PathRefused", "Roots", "Scene", "load_text"]
 
 
 def __getattr__(name: str) -> Any:
-    if name in ("Scene", "load_text"):  # read when first used: the reader's process needs geometry alone
+    if name in ("Scene", "load_text"):  # loaded on first use: the reader process needs only `geometry`
         return getattr(import_module("antdsl.scene.load"), name)
     raise AttributeError(f"module `antdsl.scene` has no `{name}`")

@@ -1,8 +1,8 @@
-"""The bodies of a species with several: which agent has which.
+"""The bodies of a species that has several, and the choice of a body for each agent.
 
-A body is drawn for each agent by its id and the scene's seed, in proportion to weights, for the agent's lifetime. So neither
-rows, nor births, nor deaths of other agents change it. A species with one body has the body key `SPECIES`. A species with several
-has a key for each, `SPECIES#0` and so on."""
+A body is drawn for each agent by its id and the scene's seed, in proportion to weights, for the agent's lifetime. So rows, births
+and deaths of other agents do not change it. A species with one body has the body key `SPECIES`. A species with several bodies has
+a key for each: `SPECIES#0` and so on."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ def species_of_key(key: str) -> str:
 
 
 def number_of_key(key: str) -> int:
-    """Return the index of the body of a key among the bodies of its species."""
+    """Return the index of a body key's body among the bodies of its species."""
     return int(key.partition(_SEPARATOR)[2] or 0)
 
 
 def body_numbers(weights: Sequence[float], seed: int, species: str, ids: NDArray[np.int64]) -> NDArray[np.uint8]:
-    """Return the index of each agent's body, uint8[n]. `weights`: of all bodies of the species, above 0; empty for one body."""
+    """Return the index of each agent's body, uint8[n]. `weights`: the weight of each body, above 0; empty for a single body."""
     if len(weights) < 2:
         return np.zeros(len(ids), np.uint8)
     drawn = draw_uniform(seed, 0, species, "body", 0, np.asarray(ids, np.int64)).astype(np.float64)

@@ -60,7 +60,7 @@ class Placement(ScenePart):
     `radius`, `around`: scatter only within a radius of a point or an item (default: the scene's origin).
     `density`: a map that paints the density of agents.
     `points`: given positions.
-    `inside`: a point or an item; agents start where lines from there first hit a surface.
+    `inside`: a point or an item; agents start at the first hits of lines from there with a surface.
     `by`: `above` drops agents onto surfaces, `area` spreads them over the area, undersides included.
     `apart`: the least distance between agents, or `even`: as large as space allows.
     `seed`: replaces the scene's seed."""
@@ -92,7 +92,7 @@ class Walk(ScenePart):
 
 
 class LayerChoice(ScenePart):
-    """A choice of one layer, or `none`, drawn for each agent. A layer that is listed twice is twice as likely."""
+    """A choice of one layer, or `none`, drawn for each agent. Listing a layer twice doubles its probability."""
 
     any: Annotated[tuple[SceneName, ...], Field(min_length=1, max_length=limits.MAX_WORN_LAYERS)]
 
@@ -118,8 +118,8 @@ BodyValue = Annotated[
 class CrowdLine(ScenePart):
     """Agents of one species.
 
-    `body`: the body in pictures, a word or the file of an agent definition; by default it depends on the species' name. Several
-    bodies have a weight each: agents get one of them, in proportion.
+    `body`: the body in pictures, a word or the file of an agent definition. The default depends on the species' name. Several
+    bodies have weights: each agent gets one of them, with a probability in proportion.
     `wear`: additional layers of the body that the agents show."""
 
     species: SceneName
@@ -144,7 +144,7 @@ class CrowdLine(ScenePart):
 
 
 def named_weights(crowd: Iterable[CrowdLine]) -> dict[str, dict[str, float]]:
-    """Return, by species, the bodies that the lines of a crowd name, with their weights. The first line that names any counts."""
+    """Return, by species, the bodies that crowd lines name, with their weights. The first line that names any applies."""
     weights: dict[str, dict[str, float]] = {}
     for line in crowd:
         if line.body is not None:

@@ -1,7 +1,7 @@
 """Parser from a scene's text to a tree of mappings, sequences and scalars, each with its location.
 
-It reads YAML without tags, anchors, aliases, merges or duplicate keys. Scalars stay text. The schema decides what `no`, `1:30` or
-`010` mean."""
+It reads YAML without tags, anchors, aliases, merges or duplicate keys. Scalars stay text. The schema decides the meaning of `no`,
+`1:30` or `010`."""
 
 from __future__ import annotations
 
@@ -60,8 +60,8 @@ def to_plain_tree(node: DocumentNode) -> Any:
 def find_span(node: DocumentNode, path: Sequence[PathKey], *, key: bool = False) -> tuple[Span, tuple[PathKey, ...]]:
     """Return the location of the value at a path of keys, and the part of the path that exists.
 
-    With `key`, return the location of the last key instead. If the value does not exist, its nearest existing ancestor counts.
-    Parts of the path that are not in the tree, such as a schema's own tags, are skipped."""
+    With `key`, return the location of the last key instead. If the value does not exist, return the location of its nearest
+    existing ancestor. Parts of the path that are not in the tree, such as the schema's own tags, are skipped."""
     span, walked = node.span, ()  # type: tuple[Span, tuple[PathKey, ...]]
     for part in path:
         if isinstance(node, MappingNode) and isinstance(part, str) and part in node.entries:
@@ -77,10 +77,10 @@ def find_span(node: DocumentNode, path: Sequence[PathKey], *, key: bool = False)
 
 
 class _DocumentError(Exception):
-    """Reading cannot continue. The error is already in the report."""
+    """Error that ends reading. It is already in the report."""
 
 
-# Characters that look like a blank or like nothing; YAML takes them for letters. Joiners belong to the spelling of words.
+# Invisible characters and characters that look like a blank. YAML reads them as letters. Joiners belong to the spelling of words.
 _ODD_BLANK_PATTERN = re.compile("[\u00a0\u00ad\u1680\u180e\u2000-\u200b\u200e\u200f\u202f\u205f-\u2064\u3000]")
 _QUOTED_TEXT_PATTERN = re.compile(r"""'[^'\n]*'|"(?:\\.|[^"\\\n])*"|(?:^|(?<=\s))#[^\n]*""", re.MULTILINE)
 _FORBIDDEN_CHARACTERS = re.compile(
@@ -180,7 +180,7 @@ class _DocumentReader:
         return self.reject("too-large", f"values are nested more than {limits.MAX_YAML_DEPTH} levels deep", span)
 
     def report_odd_blank(self, match: re.Match[str]) -> None:
-        """Report the first character that looks like a blank but is none."""
+        """Report the first character that looks like a blank but is not one."""
         import unicodedata
 
         character = match[0]
@@ -200,7 +200,7 @@ class _DocumentReader:
         words = (getattr(problem, "problem", None) or "this is not YAML").replace("'\\t'", "a tab")
         text, help = self.source.text, None
         labels: list[Label] = []
-        if "nesting depth" in words:  # newer readers of YAML look further ahead than the events they have given
+        if "nesting depth" in words:  # recent YAML readers look ahead beyond the events that they have returned
             return self.reject_depth(Span(self.source, start, min(start + 1, len(self.source.text))))
         if not text.isascii():
             odd = _ODD_BLANK_PATTERN.search(_QUOTED_TEXT_PATTERN.sub(lambda quoted: "." * len(quoted[0]), text))

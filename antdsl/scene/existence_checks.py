@@ -43,7 +43,8 @@ def check_bodies(scene: Scene, program: Program, report: Report) -> None:
 
 
 def body_span(scene: Scene, number: int, text: str) -> Span:
-    """Return where crowd line `number` names the body `text`: its key in a mapping of bodies, else the value of `body`."""
+    """Return the location at which crowd line `number` names the body `text`: its key in a mapping of bodies, else the value of
+    `body`."""
     if isinstance(scene.model.crowd[number].body, dict):
         return scene.span("crowd", number, "body", text, key=True)
     return scene.span("crowd", number, "body")
@@ -61,7 +62,7 @@ def _check_body_file(scene: Scene, text: str, place: Span, report: Report) -> No
 
 
 def check_absent_species(scene: Scene, program: Program, report: Report) -> None:
-    """Report species that agents search for, or collide with, but that nothing defines."""
+    """Report species that agents search for or collide with, but that no program defines."""
     absent = [name for name, thing in program.world.items() if thing.kind == "species" and name not in program.species]
     if not absent:
         return

@@ -1,4 +1,4 @@
-"""Settings of fields that the scene, or the user who runs it, changes (`set: {trail.half_life: 4 s}`).
+"""Settings of fields that the scene, or the user at the command line, changes (`set: {trail.half_life: 4 s}`).
 
 This module also checks that fields work at the scene's frame rate: cells must be large enough for the speed at which scent
 spreads."""
@@ -17,7 +17,7 @@ from antdsl.program.types.folding import find_constant
 from antdsl.scene.load import Scene
 from antdsl.scene.quantities import Quantity
 
-FADE_SETTINGS = ("half_life", "evaporate", "keeps")  # a field has one of these
+FADE_SETTINGS = ("half_life", "evaporate", "keeps")  # a field has exactly one of these
 _SETTING_DIMENSIONS = {
     "half_life": Dimension(time=1),
     "evaporate": Dimension(time=-1),
@@ -39,7 +39,7 @@ def list_settable_names(program: Program) -> list[str]:
 
 
 def suggest_setting_value(name: str, value: Quantity) -> str:
-    """Return a help text for an invalid value of a setting: which value to write instead. Empty if the value is valid."""
+    """Return a help text for an invalid value of a setting: the value to write instead. Empty if the value is valid."""
     word = name.partition(".")[2]
     if word == "keeps" and (value.step != -1 or not 0 <= value.number <= 1):
         return "write a share from `0 %/step` to `100 %/step`"
@@ -71,8 +71,7 @@ def replace_field_settings(program: Program, scene: Scene, values: Mapping[str, 
 
 
 def replace_field_setting(field: Field, setting_name: str, value: Expr) -> Field:
-    """Return a field with another value for one setting. If the setting says how the field fades, other such settings are
-    removed."""
+    """Return a field with another value for one setting. A new setting for fading removes the other settings for fading."""
     values: dict[str, Any] = dict.fromkeys(FADE_SETTINGS) if setting_name in FADE_SETTINGS else {}
     return replace(field, **{**values, setting_name: value})
 

@@ -1,4 +1,4 @@
-"""Explains why a scene's text is not YAML: a line with a wrong indent or without its colon. It also says what to write.
+"""Explains why a scene's text is not YAML: a line with a wrong indent or without its colon, and what to write instead.
 
 YAML itself only reports where it stopped reading, which is often a line or a word later."""
 
@@ -12,7 +12,7 @@ from antdsl.diagnostics import Diagnostic, Fix
 from antdsl.source import Source, Span
 
 _DIAGNOSTIC_CODE = "scene-syntax"
-# A plain key ends with a character that is no blank: a class that takes blanks, before `\s*`, takes the square of their number.
+# A plain key must end with a non-blank character. A class that includes blanks before `\s*` would take quadratic time.
 _KEY_PATTERN = re.compile(r"""("[^"]*"|'[^']*'|[^\s#:\[\]{},&*!|>%@`"'-](?:[^#:\[\]{},]*[^\s#:\[\]{},])?)\s*:(?=\s|$)""")
 _MISSING_SPACE_PATTERN = re.compile(r"(?:- +)?([A-Za-z_][\w.]*):(?=[^\s:/\\])(.+)")
 _MISSING_COLON_PATTERN = re.compile(r"(?:- +)?([A-Za-z_][\w.]*)[ \t]+([^\s:#=].*|[=] ?.*)")
@@ -87,7 +87,7 @@ def explain_indentation(source: Source, stop: int) -> Diagnostic | None:
 def _find_odd_line(text: str, stop: int | None = None) -> _OddLine | None:
     """Return the first line with an indent that fits no level, or None. Lines after the offset `stop` are ignored."""
     levels: list[_IndentLevel] = []
-    opened = False  # the line before has a key without a value
+    opened = False  # the previous line has a key without a value
     for line in _iterate_lines(text, len(text) if stop is None else stop):
         if "\t" in text[line.start - line.indent : line.start]:
             return None
@@ -210,9 +210,10 @@ def _strip_comment(line: str, depth: int, quote: str) -> tuple[str, int, str]:
 
 
 def explain_missing_colon(source: Source, start: int) -> Diagnostic | None:
-    """Return the error about a line with a key but no colon before the value, such as `fps 24` or `fps:24`; None without one.
+    """Return the error about a line with a key but no colon before the value, such as `fps 24` or `fps:24`; None if there is
+    none.
 
-    YAML reads such a line as continuing into the next. `start`: only lines at or above this offset count."""
+    YAML reads such a line as continuing in the next line. `start`: only lines at or above this offset count."""
     line, _ = source.find_line_column(start)
     for number in (line, line - 1):
         text = source.line_text(number)

@@ -14,7 +14,7 @@ from antdsl.scene.paths import PathRefused, Roots
 from antdsl.source import Span
 
 EXTENDS_KEY = "extends"
-_UNINHERITED_KEYS = frozenset((EXTENDS_KEY, "antdsl"))  # said by each file for itself
+_UNINHERITED_KEYS = frozenset((EXTENDS_KEY, "antdsl"))  # keys that are not inherited
 
 
 def merge_parents(
@@ -22,7 +22,7 @@ def merge_parents(
 ) -> MappingNode | None:
     """Return a scene's tree merged with all scenes that it extends, nearest first. Return None if the report has errors.
 
-    A scene is searched next to the scene that names it, so that paths in both mean the same.
+    A parent scene is searched next to the scene that names it, so that relative paths agree.
     `unsaved_texts`: contents that override files on disk, for scenes that are open in an editor."""
     scene_names = [name.replace("\\", "/").rsplit("/", 1)[-1]]
     behind = document

@@ -21,7 +21,7 @@ from antdsl.syntax.mistakes.number_slips import COMMA_NUMBER_PATTERN, make_comma
 if TYPE_CHECKING:
     from antdsl.scene.scene_model import SceneModel
 
-# What people look for in a scene and find elsewhere.
+# Keys that users look for in a scene although they belong elsewhere.
 _MISPLACED_KEY_HELP = {
     "threads": "give `--threads N` on the command line",
     "chunk": "give `--chunk N` on the command line",
@@ -37,7 +37,7 @@ _MISPLACED_KEY_HELP = {
 }
 
 
-_UNION_TAG_SUFFIXES = ("-thing", "-camera", "-here")  # of the tags of models in a union; no key of a scene ends with one
+_UNION_TAG_SUFFIXES = ("-thing", "-camera", "-here")  # suffix of the tags of models in a union; no key of a scene ends with it
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -123,7 +123,7 @@ _KEYS_WITH_LINES = frozenset(("world", "set", "fields", "layers", "camera", "lod
 def _find_outdented_lines(document: MappingNode) -> dict[PathKey, Diagnostic]:
     """Return the error about lines at the left edge that belong below the previous key, which has no value.
 
-    The error about the first of these lines is listed under every key that gets no other error."""
+    The error for the first of these lines is listed under every key without another error."""
     from antdsl.scene.scene_model import SceneModel
 
     known = {field.alias or name for name, field in SceneModel.model_fields.items()}
@@ -222,10 +222,7 @@ _SHAPE_MESSAGES = {
     "too_short": "this list has too few values",
 }
 
-_LIST_HELP = {
-    "wear": "write `wear: [LAYER]`",
-    "any": "write `{any: [LAYER, LAYER, none]}`",
-}  # what to write for lists, by their key
+_LIST_HELP = {"wear": "write `wear: [LAYER]`", "any": "write `{any: [LAYER, LAYER, none]}`"}  # examples of lists, by their key
 
 
 def _describe_error(kind: str, error: Any) -> str:
@@ -254,7 +251,7 @@ def _list_allowed_keys(path: tuple[PathKey, ...]) -> list[str]:
     from antdsl.scene import scene_model
     from antdsl.scene.crowd_model import LayerChoice
 
-    # the last word of the path (tags of the schema are among them) that tells which model complained
+    # the last word of the path identifies the model that raised the error; tags of the schema are among the words
     models: dict[str, type[scene_model.ScenePart]] = {
         **{scene_model.make_thing_tag(head): each for head, each in scene_model.THING_MODELS.items()},
         "usd-camera": scene_model.UsdCamera,

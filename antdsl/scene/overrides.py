@@ -17,7 +17,7 @@ from antdsl.scene.quantities import Quantity, QuantityError, parse_quantity
 from antdsl.scene.scene_checks import check_param
 
 if TYPE_CHECKING:
-    from antdsl.scene.setting import WorldSetting  # it brings NumPy, which a check does without
+    from antdsl.scene.setting import WorldSetting  # imported late, because it imports NumPy and a check does not need it
 
 
 def read_overrides(scene: Scene, program: Program, params: Mapping[str, str], report: Report) -> Mapping[str, Quantity]:

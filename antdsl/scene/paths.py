@@ -19,12 +19,12 @@ _WINDOWS_DEVICE_NAMES = frozenset(
     ["con", "prn", "aux", "nul", "conin$", "conout$", *(f"{name}{i}" for name in ("com", "lpt") for i in "0123456789¹²³")]
 )
 _VARIABLE_PATTERN = re.compile(r"\$(?:[A-Za-z_][A-Za-z0-9_]*|\{[^}/]*\}?|\([^)/]*\)?)|%[A-Za-z_][A-Za-z0-9_]*%")
-_FRAME_COUNTER_PATTERN = re.compile("%0?[0-9]*d")  # of C: programs write it for the number of a frame
+_FRAME_COUNTER_PATTERN = re.compile("%0?[0-9]*d")  # programs replace it by the number of a frame, with the format of C
 _WILDCARD_CHARACTERS = "*?[]{}`"
-_WINDOWS_FORBIDDEN_CHARACTERS = '<>:"|'  # no name on Windows has them
+_WINDOWS_FORBIDDEN_CHARACTERS = '<>:"|'  # not allowed in names on Windows
 _INVISIBLE_CATEGORIES = frozenset(
     ["Cc", "Cs", "Zl", "Zp"]
-)  # categories of characters without a shape: control characters, surrogates, lines
+)  # categories of invisible characters: control characters, surrogates, line separators
 GRANTED_PATH_PATTERN = re.compile(r"([A-Za-z][A-Za-z0-9_]{1,31}):(?!//)(.*)", re.DOTALL)
 _MAX_PATH_CHARACTERS = 500
 RequestedPaths = dict[Path, Path | None]
@@ -33,11 +33,9 @@ _SEQUENCE_PATTERN = re.compile("([^#]*?)(#{1,9})([^#/]*)")
 
 
 class PathRefused(Exception):
-    """A path that may not be opened.
+    """Error for a path that may not be opened. The text of the exception is the diagnostic's message.
 
-    `code`: the diagnostic's code.
-    `help`: what to write instead.
-    The text of the exception is the diagnostic's message."""
+    `code`: the diagnostic's code. `help`: what to write instead."""
 
     def __init__(self, code: str, message: str, help: str | None = None) -> None:
         super().__init__(message)
@@ -56,7 +54,7 @@ def record_requested_paths() -> Iterator[RequestedPaths]:
     finally:
         _requested_paths.reset(token)
         for path, root in sought_files.items():
-            record_request(path, root)  # an outer context records them too
+            record_request(path, root)  # an outer context also records them
 
 
 @dataclass(frozen=True, slots=True)
@@ -316,10 +314,10 @@ def _check_exact_name(folder: int, component: str, display_path: str) -> None:
 
 
 def _is_exact_name(folder: int, component: str) -> bool:
-    """Return whether a file is known to have exactly this name. The folder is not listed, since it may contain thousands of
+    """Return whether a file is known to have exactly this name. The folder is not listed, because it may contain thousands of
     files.
 
-    False also covers uncertain cases: the file does not exist, or the name exists in another case too."""
+    False also covers uncertain cases: the file does not exist, or the name exists in another case, too."""
     other = "".join(c.swapcase() if c.isascii() else c for c in component)
     if other == component:
         return False

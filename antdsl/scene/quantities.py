@@ -1,4 +1,4 @@
-"""Numbers with units in scenes: `50 mm`, `20 %/s`, `12`, and ranges: `-0.25..0.25`, `1001..1240`.
+"""Numbers with units in scenes, such as `50 mm`, `20 %/s` and `12`, and ranges, such as `-0.25..0.25` and `1001..1240`.
 
 Scenes, flags and sweeps parse them here, with the language's own table of units."""
 
@@ -19,7 +19,8 @@ _INTEGERS = re.compile(r"(-?[0-9]{1,9})(?:\s*\.\.\s*(-?[0-9]{1,9}))?", re.ASCII)
 
 
 class QuantityError(ValueError):
-    """Reason why a text is not a quantity. The message fits after the text; `help` says what to write, if known."""
+    """Error for a text that is not a quantity. The message is the reason, and fits after the text. `help`: what to write, if
+    known."""
 
     def __init__(self, message: str, help: str = "") -> None:
         super().__init__(message)
@@ -57,7 +58,7 @@ class Quantity:
 
 
 def parse_number(text: str) -> float:
-    """Return a decimal number. Raises QuantityError with the reason if the text is not one."""
+    """Return a decimal number. Raises QuantityError with the reason if the text is not a number."""
     text = text.strip()
     _reject_comma(text)
     if not _NUMBER_PATTERN.fullmatch(text):
@@ -114,7 +115,7 @@ def parse_quantity(text: str) -> Quantity:
 
 
 def _reject_comma(text: str) -> None:
-    """Raise QuantityError for `0,4mm`, the notation of many countries, with the same message as for a program."""
+    """Raise QuantityError for a decimal comma, as in `0,4mm`, with the same message as for a program."""
     match = COMMA_NUMBER_PATTERN.match(text.lstrip("+-"))
     if match is not None:
         start = len(text) - len(text.lstrip("+-"))

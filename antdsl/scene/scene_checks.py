@@ -45,7 +45,7 @@ def _check_world(scene: Scene, program: Program, report: Report) -> None:
     for name, thing in program_things.items():
         row, kind = KIND_BY_WORD[thing.kind], SCENE_KINDS[thing.kind]
         if name not in scene_things and name in misspelt:
-            continue  # one mistake, one complaint
+            continue  # one message per mistake
         if name not in scene_things:
             place = scene.span("world", key=True) if "world" in scene.document.entries else scene.span("antdsl", key=True)
             message = f"the program's {thing.kind} `{name}` has no {kind.missing_data} in the scene"
@@ -245,7 +245,7 @@ def _check_output(scene: Scene, program: Program, report: Report) -> None:
 
 
 SCENE_CHECKS: tuple[Callable[[Scene, Program, Report], None], ...] = (
-    _check_world,  # what `around` and `on` name is in here
+    _check_world,  # the names that `around` and `on` refer to
     _check_crowd,
     check_bodies,
     check_absent_species,
@@ -255,5 +255,5 @@ SCENE_CHECKS: tuple[Callable[[Scene, Program, Report], None], ...] = (
     _check_layers,
     _check_detail,
     _check_output,
-    check_step_lengths,  # last: a warning, about values that the others have checked
+    check_step_lengths,  # last, because it warns about values that the others have checked
 )

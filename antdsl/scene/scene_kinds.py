@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from antdsl.scene.staging.stage_scene import SceneStaging
 
 
-_FLOW_TARGET_KEYS = ("tangent", "toward", "away", "solved")  # keys that name where a flow leads
+_FLOW_TARGET_KEYS = ("tangent", "toward", "away", "solved")  # keys that name the target of a flow
 
 
 @dataclass(frozen=True, slots=True)

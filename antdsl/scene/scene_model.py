@@ -40,7 +40,7 @@ Orient = Annotated[str, BeforeValidator(parse_one_of("normal", "turns", "probes"
 Contacts = Annotated[Literal["off", "soft", "hard"], BeforeValidator(parse_one_of("off", "soft", "hard"))]
 
 
-# The key that says what a thing of the world is, unless it is the name of an item.
+# The key that identifies the kind of a thing of the world, unless the key is the name of an item.
 THING_MODELS: dict[str, type[ThingModel]] = {
     each.find_head(): each for kind in SCENE_KINDS.values() for each in kind.models if issubclass(each, ThingModel)
 }
@@ -139,7 +139,7 @@ class StartFrom(ScenePart):
     frame: Annotated[int, BeforeValidator(parse_integer_between(-limits.MAX_FRAMES, limits.MAX_FRAMES * 1000))]
 
 
-MODEL_BY_PATH: dict[str, type[ScenePart]] = {  # the models of mappings, by their keys
+MODEL_BY_PATH: dict[str, type[ScenePart]] = {  # the models of mappings, by key
     "place": Placement, "camera": Camera, "lod": LevelOfDetail, "output": Output, "from": StartFrom, "crowd": CrowdLine,
     "walk": Walk,
 }  # fmt: skip
@@ -147,7 +147,7 @@ MODEL_BY_PATH: dict[str, type[ScenePart]] = {  # the models of mappings, by thei
 
 class SceneModel(ScenePart):
     edition: Annotated[str, BeforeValidator(parse_one_of("1"))] = Field(alias="antdsl")
-    extends: FilePath | None = None  # is gone once the scenes are put together
+    extends: FilePath | None = None  # removed when the scenes are merged
     units: Unit = "mm"
     up: Axis = "y"
     fps: FramesPerSecond = Fraction(24)

@@ -17,7 +17,7 @@ from antdsl.scene.geometry.import_notes import MeshImport
 from antdsl.scene.staging.motion import GeometryMoves
 from antdsl.source import Span
 
-_MAX_ORIGIN_OFFSET_MM = 1e5  # mm: a world with its middle no farther out retains the zero point
+_MAX_ORIGIN_OFFSET_MM = 1e5  # mm; if the middle of the world is nearer to the zero point, the zero point is the origin
 
 
 PointMm = tuple[float, float, float]
@@ -73,7 +73,7 @@ class SpreadFlowData:
     `radius`: the distance in mm beyond which the flow is 0; None for no limit.
     `gather`: above 0, a flow along a line also leads onto it. At the radius, this is the ratio of the part onto the line to the
     part along it.
-    `cell`: the distance (mm) of the points where it is computed; None for a share of the radius.
+    `cell`: the distance (mm) between its sample points; None for a share of the radius.
     `on`: the surfaces; empty for all."""
 
     direction: Literal["tangent", "toward", "away"]
@@ -139,13 +139,13 @@ class PlacementData:
 
     `points` (n, 3): one per agent, in order, repeated after the last.
     `radius`: a disc of `radius` mm around `disc_centre`, dropped along the scene's up onto the surfaces.
-    `ray_origin`: where lines from this point in all directions first hit a surface, on the side of the point.
-    Otherwise: evenly over the surfaces, or with the density of the map `density`.
+    `ray_origin`: the first hits of lines from this point in all directions, on the side of the point. Otherwise: evenly over the
+    surfaces, or with the density of the map `density`.
 
     `on`: the surfaces; empty for all.
     `is_by_area`: agents stand on the front of faces of any direction. `radius` is then that of a ball, and `points` move to the
     nearest surface point.
-    `spacing`: the least distance (mm) of centres; inf: as large as the space allows for all that start with equal settings.
+    `spacing`: the least distance (mm) between centres; inf: as large as the space allows for all lines with equal settings.
     `seed`: for the positions; None for the setting's seed.
     `headings` (n, 3): the unit vector of the heading at each point; nan for a random heading.
     `values` (n,): by name, attributes of the agent at each point, in base units; nan for the species' value."""
@@ -238,10 +238,8 @@ class GaitData:
 class LegsData:
     """The L legs of a body in its standing pose, in body lengths.
 
-    Axes: x along the heading, y up from the ground, z to the side (x × y).
-    `foot` float64[L, 3]: the foot joints.
-    `hip` float64[L, 3]: where legs begin.
-    `length` float64[L]: the reach of a straight leg from hip to foot joint.
+    Axes: x along the heading, y up from the ground, z to the side (x × y). `foot` float64[L, 3]: the foot joints. `hip`
+    float64[L, 3]: the start of each leg. `length` float64[L]: the reach of a straight leg from hip to foot joint.
     `gaits`: from slow to fast, at least one."""
 
     foot: NDArray[np.float64]
@@ -347,7 +345,8 @@ class WorldSetting:
     @property
     def dt(self) -> float:
         """Return the duration of a step in seconds."""
-        return self.fps.denominator / self.fps.numerator  # queried many times a step: a Fraction takes ten times as long
+        # cached: queried many times a step, and a Fraction takes ten times as long
+        return self.fps.denominator / self.fps.numerator
 
     @property
     def initial_attributes(self) -> dict[str, frozenset[str]]:
@@ -359,11 +358,11 @@ class WorldSetting:
 
 
 def compute_world_origin(setting: WorldSetting) -> NDArray[np.float64]:
-    """Return the point (3,) in mm that positions are relative to.
+    """Return the point (3,) in mm to which positions are relative.
 
     It is the middle of the world in whole metres, or 0 if the world is near the zero point."""
     meshes = setting.surfaces or {name: solid.mesh for name, solid in setting.solids.items()}
-    meshes = meshes or setting.obstacles  # one more stone moves nothing
+    meshes = meshes or setting.obstacles  # rounded, so that one more small object does not move the origin
     point_sets = [m.vertices for m in meshes.values() if len(m.vertices)]
     point_sets = point_sets or [
         np.array([i.position for items in setting.items.values() for i in items], np.float64).reshape(-1, 3)

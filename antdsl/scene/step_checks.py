@@ -1,4 +1,4 @@
-"""Warns about agents that walk farther than their body is long in one step, although bodies take room."""
+"""Warns about agents that walk farther than their body length in one step although contacts are on."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def check_step_lengths(scene: Scene, program: Program, report: Report) -> None:
     """Warn once for each species with steps longer than the body, if contacts are on; suggest the number of substeps.
 
     Steps follow from `fps`, `substeps` and `max_speed`, body lengths from `size` and a body of the library. Species with other
-    bodies, or with values that depend on more than params and draws, are not checked."""
+    bodies are not checked, nor values that depend on more than params and draws."""
     model, seen = scene.model, set()
     if model.contacts == "off":
         return
@@ -42,12 +42,12 @@ def check_step_lengths(scene: Scene, program: Program, report: Report) -> None:
 
 
 def _limit(length: float, scene: Scene) -> str:
-    """Return the greatest speed (text) at which a step of the scene's greatest number of substeps is `length` mm long."""
+    """Return the speed (text) at which a step is `length` mm long with the scene's maximum number of substeps."""
     return f"{length * float(scene.model.fps) * limits.MAX_SUBSTEPS / 1000:.3g} m/s"
 
 
 def _typical_value(attribute: AttributeDecl | None, scene: Scene, program: Program) -> float | None:
-    """Return the mean value of an attribute at birth in base units; None if it depends on more than params and draws."""
+    """Return the mean value of an attribute at birth in base units. Return None if it depends on more than params and draws."""
     part: Expr | None = attribute.default if attribute is not None else None
     if isinstance(part, OperationExpr) and part.name in ("uniform", "normal"):
         values = [_constant_value(each, scene, program) for each in part.args[:2]]

@@ -30,11 +30,11 @@ Axis = Annotated[str, BeforeValidator(parse_one_of("y", "z"))]
 Purpose = Annotated[str, BeforeValidator(parse_one_of("render", "proxy"))]
 
 LOOKS = ("metal", "soil", "leaf", "light", "none")
-Look = Annotated[str, BeforeValidator(parse_one_of(*LOOKS))]  # of things in pictures
+Look = Annotated[str, BeforeValidator(parse_one_of(*LOOKS))]  # keys for the thing in pictures
 
 
 class ThingModel(ScenePart):
-    """One form of a thing of the world. Its first field is the `find_head`, the key that identifies the form.
+    """One form of a thing of the world. Its first field is the head, the key that identifies the form.
 
     `names_file`: whether the value of the head is the path of the thing's own file."""
 
@@ -223,7 +223,7 @@ class SolvedFlow(FlowThing):
     `slope`: times the sine of the ground's slope.
     `room`: a cost within this distance of an obstacle.
     `maps`: the values of maps, each times its factor.
-    `crowding`: times the share of the ground covered by agents, measured again at the interval `every`."""
+    `crowding`: times the share of the ground covered by agents. The share is measured again after each interval `every`."""
 
     solved: Target
     slope: Annotated[float, BeforeValidator(parse_number_between(0, 1e6))] = 0.0

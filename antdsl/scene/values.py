@@ -1,7 +1,7 @@
 """The kinds of scalar in a scene, as pydantic types over text: integers, quantities, lengths, frame rates, names.
 
-It also has the mappings that several models share: points, and positions at frames. Each type converts a text to a value by one
-exact routine. Otherwise it raises an error with a code, a message, and what to write instead."""
+It also has the mappings that several models share: points, and positions at frames. Each type converts a text to a value exactly,
+or raises an error with a code, a message, and what to write instead."""
 
 from __future__ import annotations
 
@@ -168,7 +168,7 @@ def _parse_fps(value: Any) -> Fraction:
         rate = Fraction(text)
     except ZeroDivisionError:
         raise make_error(f"{_describe_value(text)} divides by zero", "write `24000/1001`") from None
-    # what people write as 23.976 or 29.97 is a rate of the form N·1000/1001
+    # the rates that users write as 23.976 or 29.97 are N·1000/1001
     for nominal in (24, 30, 48, 60, 120):
         exact = Fraction(nominal * 1000, 1001)
         if "." in text and abs(rate - exact) < Fraction(1, 200):
@@ -185,7 +185,7 @@ class FrameRange(NamedTuple):
     last: int
 
 
-# What else people write between two frames.
+# other separators that users write between two frames
 _OTHER_RANGE_PATTERN = re.compile(r"\[?\s*(-?[0-9]{1,9})\s*(?:-|–|—|…|\.{3}|:|,|;|to|bis)\s*(-?[0-9]{1,9})\s*\]?", re.ASCII)
 
 

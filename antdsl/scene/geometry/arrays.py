@@ -26,7 +26,8 @@ _MEMBER_NAME_PATTERN = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.\-#>|/]*", re.ASCII)
 
 
 class ArrayFileError(Exception):
-    """Reason why a file is not in the expected format, or not complete. The message fits after the file's name."""
+    """Error for a file that is incomplete or not in the expected format. The message is the reason, and fits after the file's
+    name."""
 
 
 def read_arrays(data: bytes) -> dict[str, NDArray[Any]]:
@@ -39,7 +40,7 @@ def read_archive(file: IO[bytes], size: int, names: Container[str] | None = None
     try:
         with zipfile.ZipFile(file) as archive:
             return _read_members(archive, size, names)
-    # NotImplementedError: zipfile's word for a compression that it does not know
+    # NotImplementedError: raised by zipfile for an unknown compression
     except (zipfile.BadZipFile, EOFError, NotImplementedError, RuntimeError, ValueError, OverflowError) as problem:
         raise ArrayFileError(f"is damaged or not an array file ({problem})") from None
 

@@ -1,6 +1,6 @@
 """Checks whether triangles form a closed body, and which of their sides is outside.
 
-Both follow from the number and the directions of traversals of each edge."""
+Both results follow from the number and the directions of traversals of each edge."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-_WELD_SUBDIVISIONS = 16.0  # with it, corners nearer than a millionth of the extent coincide
+_WELD_SUBDIVISIONS = 16.0  # resolution of rounding: corners nearer than a millionth of the extent coincide
 
 
 def round_to_voxels(corners: Floats) -> tuple[Index, int]:
@@ -46,8 +46,8 @@ def count_open_edges(corners: Index) -> tuple[int, bool]:
 def count_inward_pieces(vertices: Floats, faces: NDArray[np.int32]) -> tuple[int, int]:
     """Return the number of closed pieces of a mesh that face inward, and of pieces with inconsistent orientation.
 
-    A piece is connected across edges of two faces. An inward piece within the box of another piece is a hollow, and
-    correct."""
+    A piece is connected across edges of two faces. An inward piece within the box of another piece is a hollow and not
+    counted."""
     if not len(faces):
         return 0, 0
     corners = vertices[faces]
@@ -56,7 +56,7 @@ def count_inward_pieces(vertices: Floats, faces: NDArray[np.int32]) -> tuple[int
         round_to_voxels((corners - low) * (_WELD_SUBDIVISIONS / max(float((high - low).max()), 1e-12)))[0]
     )
     one = first[count == 2]
-    odd = direction[one] == direction[one + 1]  # faces that are wound alike pass the edge between them in opposite directions
+    odd = direction[one] == direction[one + 1]  # faces with the same winding traverse their common edge in opposite directions
     piece = _find_components(len(faces), face[one], face[one + 1])
     open_ = np.zeros(len(faces), bool)
     open_[piece[face[np.repeat(count % 2 == 1, count)]]] = True

@@ -26,7 +26,7 @@ _COMPONENTS_BY_TYPE = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 _EXPORT_AGAIN_HELP = "export it again, as glTF 2.0"
 _MAX_NODES = 65_536
 TRIANGLES_MODE, STRIP_MODE, FAN_MODE = 4, 5, 6  # modes of primitives
-# What a reader must know to understand a file at all. Others change how it looks, and are passed over.
+# Extensions that a reader must support to understand a file at all. Others change the appearance and are ignored.
 _UNSUPPORTED_EXTENSIONS = {
     "KHR_draco_mesh_compression": "Draco",
     "EXT_meshopt_compression": "meshopt",
@@ -43,10 +43,9 @@ _IGNORED_EXTENSIONS = (
 
 
 class GltfError(Exception):
-    """Reason why a file cannot be used. The message fits after the file's name.
+    """Error for a file that cannot be used. The message is the reason, and fits after the file's name.
 
-    `code`: the diagnostic's code, if it is not the reader's usual one.
-    `help`: what to do instead."""
+    `code`: the diagnostic's code, if it is not the reader's usual one. `help`: what to do instead."""
 
     def __init__(self, message: str, help: str | None = None, code: str = "") -> None:
         super().__init__(message)
@@ -306,7 +305,7 @@ def find_node_parents(file: GltfDocument) -> list[int]:
             if parents[child] >= 0 or child == number:
                 raise GltfError(f"has a node {child} with two parents", _EXPORT_AGAIN_HELP, "bad-rig")
             parents[child] = number
-    state = [0] * len(nodes)  # 1: being followed, 2: known to lead to a root
+    state = [0] * len(nodes)  # 1: on the current path, 2: known to lead to a root
     for start in range(len(nodes)):
         path: list[int] = []
         at = start
@@ -348,7 +347,7 @@ def find_nodes_below(file: GltfDocument, roots: Iterable[int]) -> list[int]:
 def make_primitive_triangles(file: GltfDocument, primitive: dict[str, Any], points: int) -> tuple[NDArray[np.int64], int]:
     """Return the triangles (n, 3) of a primitive with `points` points. The primitive is a list, a strip or a fan.
 
-    The second result is the number of corners that remain at the end, too few for a triangle."""
+    The second result is the number of remaining corners at the end: too few for another triangle."""
     corners = file.read_accessor(primitive["indices"], 1)[:, 0].astype(np.int64) if "indices" in primitive else np.arange(points)
     mode = primitive.get("mode", TRIANGLES_MODE)
     if mode == STRIP_MODE:

@@ -76,7 +76,7 @@ def _read_scene(file: gltf_file.GltfDocument, notes: ImportNotes, node_name: str
         if number not in chosen or mesh is None:
             continue
         transform = transforms[number]
-        if "skin" in node:  # by the specification the node's own transform does not count
+        if "skin" in node:  # the specification ignores the transform of the node itself
             notes.count_skipped(f"the skin of `{file.name(node, 'a node')}`: its mesh is read as it was modelled")
             transform = make_identity_transforms()
         if _INSTANCING_EXTENSION in file.get_object(node, "extensions"):
@@ -148,7 +148,7 @@ def _find_named_nodes(file: gltf_file.GltfDocument, scene_nodes: list[int], node
 def _read_primitive(
     file: gltf_file.GltfDocument, primitive: dict[str, Any], notes: ImportNotes
 ) -> tuple[Floats, NDArray[np.int64]] | None:
-    """Return the points and triangles of a primitive. If it has no readable ones, add a note and return None."""
+    """Return the points and triangles of a primitive. If it has no readable triangles, add a note and return None."""
     mode = primitive.get("mode", gltf_file.TRIANGLES_MODE)
     if mode not in (gltf_file.TRIANGLES_MODE, gltf_file.STRIP_MODE, gltf_file.FAN_MODE):
         known = isinstance(mode, int) and not isinstance(mode, bool) and 0 <= mode < len(_NON_SURFACE_MODES)

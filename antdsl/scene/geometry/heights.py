@@ -17,8 +17,8 @@ from antdsl.scene.geometry.mesh_text import MeshError
 Floats = NDArray[np.float64]
 
 IMAGE_FORMATS = {"png": "PNG", "tif": "TIFF", "tiff": "TIFF"}
-_PIXEL_MODES = ("F", "I;16", "I;16L", "I;16B", "I;16N")  # Pillow's: floats, and 16-bit grey in all byte orders
-_MAX_GREY_SAMPLE = 65535.0  # the sample of a 16-bit image that is 1
+_PIXEL_MODES = ("F", "I;16", "I;16L", "I;16B", "I;16N")  # Pillow's modes: floats, and 16-bit grey in all byte orders
+_MAX_GREY_SAMPLE = 65535.0  # the sample of a 16-bit image that represents 1
 
 
 def read_heights(data: bytes, name: str, array: str | None = None, layer: int | None = None) -> Floats:
@@ -113,6 +113,6 @@ def make_height_surface(heights: Floats, extent: tuple[float, float]) -> tuple[F
 def compute_deviation(heights: Floats) -> float:
     """Return the largest distance between the triangles and the bilinear surface through the samples.
 
-    It is in the middle of a cell: a quarter of the cell's twist, the difference of the sums of its diagonal corners."""
+    It occurs in the middle of a cell, and is a quarter of the cell's twist: the difference of the sums of diagonal corners."""
     twist = heights[:-1, :-1] - heights[:-1, 1:] - heights[1:, :-1] + heights[1:, 1:]
     return float(np.abs(twist).max()) / 4

@@ -12,10 +12,10 @@ from antdsl.numerics.near_pairs import find_pairs_within
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
-_JOIN_DISTANCE = 1e-6  # of the extent of all surfaces: corners nearer than this are one corner
-_FLAT_TRIANGLE_RATIO = 1e-7  # height over longest edge below which a triangle is a line
-_ISOLATION_GRAINS = 5.0  # grains: a corner this far from all others is not joined with any
-_FACES_TRIED_FIRST = 8  # faces that are examined before all others
+_JOIN_DISTANCE = 1e-6  # share of the extent of all surfaces; corners nearer than this are one corner
+_FLAT_TRIANGLE_RATIO = 1e-7  # ratio of height to longest edge; below it, a triangle is a line
+_ISOLATION_GRAINS = 5.0  # grains; a corner this far from all others is not merged
+_FACES_TRIED_FIRST = 8  # number of largest faces that are examined before all others
 
 
 def has_area(a: Floats, b: Floats, c: Floats) -> NDArray[np.bool_]:
@@ -39,7 +39,7 @@ def find_live_faces(numbers: Ints, a: Floats, b: Floats, c: Floats) -> NDArray[n
 def has_live_face(vertices: Floats, faces: Ints, extent: float) -> bool:
     """Return whether any face of a mesh is ground. `extent`: the width of all surfaces together.
 
-    Usually one of the largest faces has corners far from all others. Then not all corners need numbers."""
+    Usually one of the largest faces has corners far from all others. Then most corners need no numbers."""
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     area = np.where(has_area(a, b, c), _compute_lengths(np.cross(b - a, c - a)), 0.0)
     clearance = _ISOLATION_GRAINS * extent * _JOIN_DISTANCE
@@ -84,7 +84,7 @@ def number_components(pairs: NDArray[np.int64], count: int) -> NDArray[np.int32]
     Components are numbered from 0, in the order of their first nodes."""
     parent = np.arange(count)
     one, two = pairs[:, 0], pairs[:, 1]
-    while one.size:  # each round leaves at most half of the roots that are joined with others
+    while one.size:  # each pass removes at least half of the roots that are connected to others
         low, high = np.minimum(parent[one], parent[two]), np.maximum(parent[one], parent[two])
         joined = np.flatnonzero(low != high)
         one, two = one[joined], two[joined]

@@ -58,7 +58,7 @@ def read_mesh(data: bytes, name: str, group: str | None = None, read_sibling: Si
     return _read_cached(data, name, group) if is_cached else _read_checked(data, name, group, read_sibling)
 
 
-_MAX_CACHED_BYTES = 2 * limits.MIB  # of a file that is read again for the next scene of a folder
+_MAX_CACHED_BYTES = 2 * limits.MIB  # cache for files that are read again by the next scene of a folder
 
 
 @lru_cache(maxsize=16)
@@ -101,7 +101,7 @@ def read_mesh_arrays(
         raise MeshError(str(why)) from None
     except TooManyCorners as why:
         raise MeshError(str(why), "cut it into smaller faces in the program that made the mesh") from None
-    except Exception as problem:  # an external reader may raise anything for an untrusted file
+    except Exception as problem:  # a library may raise any error for an untrusted file
         raise MeshError(f"cannot be read ({type(problem).__name__})") from problem
 
 
@@ -159,7 +159,7 @@ def check_mesh(vertices: Floats, faces: Faces, notes: ImportNotes | None = None)
     if not keep.any():
         raise MeshError("has no face with an area")
     sound_faces = faces[keep]
-    # vertices that no face uses would stretch the bounding box
+    # unused vertices would extend the bounding box
     numbers = np.full(len(vertices), -1, np.int64)
     used[:] = False
     used[sound_faces.ravel()] = True

@@ -22,12 +22,12 @@ MAX_LINE_BYTES = limits.MIB
 MAX_VERTICES = 3 * limits.MAX_MESH_FACES
 _READ_BLOCK_BYTES = 64 * limits.KIB
 _MAX_NUMBER_BYTES = 40  # of a number
-_MAX_INTEGER_DIGITS = 10  # of a whole number
+_MAX_INTEGER_DIGITS = 10  # the pattern of an integer
 _EXPORT_AGAIN_HELP = "export it again, as triangles or polygons in a .ply, .obj or .stl file"
 _UTF16_BYTE_ORDER_MARKS = (b"\xff\xfe", b"\xfe\xff", b"\x00\x00\xfe\xff")
 _IS_BLANK_BYTE = np.zeros(256, np.bool_)
 _IS_BLANK_BYTE[[9, 10, 11, 12, 13, 32]] = True
-_CONTINUATION_BYTE = b"\x0b"  # stands for the line end of a continued line: blank, and counted
+_CONTINUATION_BYTE = b"\x0b"  # replaces the line end of a continued line
 _COMMENT_REGEX = rb"(?:(?<=[\t\n\x0b\x0c ])|\A)#[^\n]*"
 _COMMENT_PATTERN = re.compile(_COMMENT_REGEX)
 _COMMENT_OR_NAME_PATTERN = re.compile(
@@ -35,11 +35,13 @@ _COMMENT_OR_NAME_PATTERN = re.compile(
 )
 _ADJACENT_COMMENT_PATTERN = re.compile(rb"^([\t\x0c ]*[vflpVFLP][nNtT]?[\t\x0c ][^\n#]*)#[^\n]*", re.MULTILINE)
 _CONTINUATION_PATTERN = re.compile(rb"\\[\t\x0c ]*(?:\n|\Z)")
-_NAME_KEYWORDS = [[word] for word in b"mtllib usemtl o g maplib usemap".split()]  # a `\` at the end of these is part of a name
+# after these words, `\` at the end is part of a name
+_NAME_KEYWORDS = [[word] for word in b"mtllib usemtl o g maplib usemap".split()]
 
 
 class MeshError(Exception):
-    """Reason why a file is not a usable mesh. The message fits after the file's name; `help` says what to do."""
+    """Error for a file that is not a usable mesh. The message is the reason, and fits after the file's name. `help`: what to
+    do."""
 
     def __init__(self, message: str, help: str | None = _EXPORT_AGAIN_HELP) -> None:
         super().__init__(message)
@@ -149,7 +151,7 @@ class TextBlock:
             chosen = [words[k] for k in flat.tolist()]
         try:
             if longest > _MAX_NUMBER_BYTES or ((self.data == 95).any() and any(b"_" in word for word in chosen)):
-                raise ValueError  # a number of Python alone
+                raise ValueError  # a number that only Python accepts
             numbers = np.fromiter(map(float, chosen), np.float64, len(chosen))
         except ValueError:
             numbers = np.array([self._read_number(word, int(k), what) for word, k in zip(chosen, flat.tolist(), strict=True)])

@@ -12,7 +12,7 @@ from antdsl.scene.geometry import mesh_text
 from antdsl.scene.geometry.import_notes import ImportNotes
 from antdsl.scene.geometry.polygons import PolygonMesh
 
-# Keywords without geometry: names, looks, numbers that belong to vertices.
+# Keywords without geometry: names, materials, and numbers that belong to vertices.
 _IGNORED_KEYWORDS = frozenset(
     b"vn vt g o s mg usemtl mtllib usemap maplib shadow_obj trace_obj lod bevel c_interp d_interp".split()
 )

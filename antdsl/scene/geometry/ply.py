@@ -21,7 +21,7 @@ _LINE_END_PATTERN = re.compile(rb"\r\n|\r|\n")
 
 
 class HeaderError(Exception):
-    """Reason why a header is not accepted. The message fits after the file's name."""
+    """Error for an invalid header. The message is the reason, and fits after the file's name."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +100,7 @@ def _split_header_lines(data: bytes) -> tuple[list[bytes], int]:
             if line.lower() != b"ply":
                 break
         elif line.lower() == b"end_header":
-            # after lines that end with a carriage return alone, a line feed is the first byte of the body
+            # if lines end with a carriage return alone, a line feed is the first byte of the body
             return lines, end.start() + (1 if end[0] == b"\r\n" and ends[0] == b"\r" else len(end[0]))
         else:
             lines.append(line)

@@ -59,7 +59,8 @@ def read_ply(data: bytes, notes: ImportNotes) -> PolygonMesh:
             notes.count_skipped(f"element `{format_word(element.name.encode())}` ({element.count:,})")
     element_columns = read_elements(data, header, requested_names, notes)
     columns = element_columns[id(vertex)]
-    with np.errstate(invalid="ignore"):  # a signalling NaN warns on conversion; values that are not finite are rejected later
+    # converting a signalling NaN causes a warning; values that are not finite are rejected later
+    with np.errstate(invalid="ignore"):
         points = convert_to_float64(np.stack([columns[axes[axis]].values for axis in "xyz"], axis=1))
     counts, indices = [np.empty(0, np.int64)], [np.empty(0, np.int64)]
     for shape in (face, strips):
@@ -214,7 +215,7 @@ class _BinaryBody:
     def note_rest(self, notes: ImportNotes) -> None:
         """Add a note if the file has bytes after the last element."""
         rest = len(self._data) - self._offset
-        if self._data[self._offset :].strip(b"\0 \n\r\t\x1a"):  # no padding
+        if self._data[self._offset :].strip(b"\0 \n\r\t\x1a"):  # the format has no padding
             notes.count_skipped(f"{rest:,} bytes after the last element")
 
     def read_columns(self, element: PlyElement, requested_names: Collection[str]) -> ColumnByName:
@@ -246,8 +247,8 @@ class _BinaryBody:
         return found
 
     def _read_first_lengths(self, element: PlyElement) -> dict[str, int] | None:
-        """Return the list lengths of the first element, by property. All elements usually share them. Return None if that is
-        impossible."""
+        """Return the list lengths of the first element, by property. All elements usually share them. Return None if they cannot
+        be read."""
         at, lengths = self._offset, {}
         for p in element.properties:
             if p.count is not None:
@@ -270,7 +271,8 @@ class _BinaryBody:
         return int(count)
 
     def _read_uneven_lists(self, element: PlyElement, requested_names: Collection[str]) -> ColumnByName:
-        """Return lists of different lengths. First find where each begins, element by element, then read all values at once."""
+        """Return lists of different lengths. First find the start of each list, element by element, then read all values at
+        once."""
         data, at, name = self._data, self._offset, format_word(element.name.encode())
         starts: dict[str, list[int]] = {p.name: [] for p in element.properties if p.name in requested_names}
         counts: dict[str, list[int]] = {p.name: [] for p in element.properties if p.name in requested_names and p.count}
@@ -321,6 +323,7 @@ _STRUCT_CODES = {
 def _make_value_reader(
     order: str, kind: str, count: str | None
 ) -> tuple[int, Callable[[bytes, int], tuple[Any, ...]] | None, int]:
-    """Return how to read a value: its number of bytes; for a list, also the reader of its length and the bytes of the length."""
+    """Return the functions and sizes to read a value: its number of bytes; for a list, also the reader of its length and the
+    bytes of the length."""
     read = None if count is None else struct.Struct(order + _STRUCT_CODES[count])
     return np.dtype(kind).itemsize, None if read is None else read.unpack_from, 0 if read is None else read.size

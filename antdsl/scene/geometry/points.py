@@ -1,4 +1,4 @@
-"""Reader of JSON files of points: a list of `[x, y, z]`. They are for curves, and for placing agents one by one."""
+"""Reader of JSON files of points, `[x, y, z]` each, for curves and for placing agents one by one."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ MAX_POINT_FILE_BYTES = 64 * limits.MIB
 
 
 class PointsError(Exception):
-    """Reason why a file has no points. The message fits after the file's name."""
+    """Error for a file without usable points. The message is the reason, and fits after the file's name."""
 
 
 def _reject_constant(word: str) -> Any:

@@ -17,17 +17,17 @@ Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 GridCorner = tuple[int, int]
 
-MAX_POLYGON_CORNERS = 20_000  # of one polygon that no fan covers: cutting it takes about a second
+MAX_POLYGON_CORNERS = 20_000  # limit for one polygon that no fan covers; cutting it takes about a second
 MAX_FILE_WORK = 16 * MAX_POLYGON_CORNERS**2  # limit for all such polygons of a file: sum of squared corner counts, plus calls
-_WORK_PER_CALL = 20_000  # what each polygon adds to this sum for its call
-_MAX_FAN_TRIES = 8  # corners that are tried as the middle of a fan
-_GRID_CELLS = 2.0**24  # cells across a polygon: products of two sides stay below 2**53
-_FLAT_AREA_RATIO = 1e-10  # of the square of a polygon's extent: triangles with less area have none
-_AREA_TOLERANCE = 1e-5  # of a polygon's area: what its triangles may differ from it by rounding to the grid
+_WORK_PER_CALL = 20_000  # cost of each polygon in this sum for its call
+_MAX_FAN_TRIES = 8  # corners that are tried as the centre of a fan
+_GRID_CELLS = 2.0**24  # cells of the grid across a polygon; products of two sides stay below 2**53
+_FLAT_AREA_RATIO = 1e-10  # share of the squared extent of a polygon; triangles with less area count as empty
+_AREA_TOLERANCE = 1e-5  # share of a polygon's area; its triangles may differ from it by rounding to the grid
 
 
 class TooManyCorners(Exception):
-    """Polygons would take too long to cut. The message fits after a file's name."""
+    """Error for polygons that would take too long to cut. The message fits after a file's name."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -122,7 +122,7 @@ def _project_outlines(rings: Floats) -> tuple[Floats, NDArray[np.bool_]]:
     They are projected along the axis nearest to their normal."""
     low = rings.min(axis=1, keepdims=True)
     extent = np.maximum((rings.max(axis=1, keepdims=True) - low).max(axis=2, keepdims=True), 1e-300)
-    unit = (rings - low) / np.ldexp(1.0, np.frexp(extent)[1])  # a power of two: nothing is rounded
+    unit = (rings - low) / np.ldexp(1.0, np.frexp(extent)[1])  # a power of two, so that nothing is rounded
     following = np.roll(unit, -1, axis=1)
     normal = np.stack(
         [
@@ -147,7 +147,7 @@ def _cut_fans(rings: Floats) -> tuple[Integers, Integers, NDArray[np.bool_]]:
     count = rings.shape[1]
     outline, has_area = _project_outlines(rings)
     crossed = ~has_area & _find_crossing(rings)
-    middle = np.where(has_area, -1, 0)  # without an area: a fan of nothing
+    middle = np.where(has_area, -1, 0)  # a polygon without area has no fan
     step = np.arange(1, count - 1)
     for k in range(min(count, _MAX_FAN_TRIES)):
         open_ = np.flatnonzero(middle < 0)
@@ -156,12 +156,12 @@ def _cut_fans(rings: Floats) -> tuple[Integers, Integers, NDArray[np.bool_]]:
         side = np.roll(outline[open_], -k, axis=1)
         side = side[:, 1:] - side[:, :1]
         area = side[:, :-1, 0] * side[:, 1:, 1] - side[:, :-1, 1] * side[:, 1:, 0]
-        # once past half a turn about the middle, the fan must not come back to its first side
+        # after more than half a turn about the centre, the fan must not return to its first side
         turn = side[:, :1, 0] * side[:, :, 1] - side[:, :1, 1] * side[:, :, 0]
         past = np.maximum.accumulate(turn < -_FLAT_AREA_RATIO, axis=1)
         covers = (area > _FLAT_AREA_RATIO).all(axis=1) & ~(past[:, :-1] & (turn[:, 1:] >= -_FLAT_AREA_RATIO)).any(axis=1)
         middle[open_[covers]] = k
-    if count == 4:  # a quad that no fan covers crosses itself
+    if count == 4:  # a quad without a fan crosses itself
         crossed |= middle < 0
         middle = np.maximum(middle, 0)
     around = np.stack([np.zeros(len(step), np.int64), step, step + 1], axis=1)
@@ -179,7 +179,7 @@ def _find_concave(rings: Floats) -> NDArray[np.bool_]:
 
 
 def _find_crossing(rings: Floats) -> NDArray[np.bool_]:
-    """Return whether each of the polygons [p, n, 3] crosses itself, like an 8. The polygons must have no total area.
+    """Return whether each of the polygons [p, n, 3] crosses itself, like an 8. The polygons must have a total area of zero.
 
     Such a polygon crosses itself if one of its triangles has an area."""
     side = rings[:, 1:] - rings[:, :1]
@@ -212,16 +212,16 @@ def _compute_double_areas(grid: Floats, triangles: Integers) -> Floats:
 
 
 def _split_at_corners(triangles: list[list[int]], corners: list[GridCorner]) -> list[list[int]]:
-    """Split triangles so that they also use corners on straight sides, which earcut leaves out.
+    """Split triangles so that they also use corners on straight sides, which earcut omits.
 
-    Otherwise there would be a crack to a neighbour that uses these corners."""
+    Otherwise there would be a gap to a neighbour that uses these corners."""
     count = len(corners)
     border = {(k, (k + 1) % count) for k in range(count)}
     edges = {(t[k], t[(k + 1) % 3]) for t in triangles for k in range(3)}
     loose = {(a, b) for a, b in edges if (a, b) not in border and (b, a) not in edges}
     if not loose:
         return triangles
-    # Edges that a triangle still needs: sides of the polygon, and the opposite of each loose edge.
+    # Edges without a triangle so far: sides of the polygon, and the reverse of each unmatched edge.
     needed: dict[int, list[int]] = {}
     for a, b in [*(border - edges), *((b, a) for a, b in loose)]:
         needed.setdefault(a, []).append(b)

@@ -14,7 +14,7 @@ from antdsl.scene.geometry.import_notes import ImportNotes
 from antdsl.scene.geometry.matrices import find_distinct_points
 from antdsl.scene.geometry.polygons import PolygonMesh
 
-_HEADER_BYTES, _FACE_BYTES = 84, 50  # bytes before the first face, and of each
+_HEADER_BYTES, _FACE_BYTES = 84, 50  # bytes before the first face, and bytes per face
 _BEFORE_SOLID_PATTERN = re.compile(rb"\A(?:\xef\xbb\xbf)?(?:\s|#[^\r\n]*[\r\n])*")
 _MISSING_PART_MESSAGE = "is not a .stl file, or a part of it is missing"
 

@@ -49,7 +49,7 @@ def place_items(staging: SceneStaging, name: str, value: UsdThing | dict[str, It
 def _place_item(staging: SceneStaging, name: str, item: str, thing: ItemThing) -> NDArray[np.float64] | None:
     """Return an item's position at each frame (frames, 3); one frame if it is static.
 
-    With `on`, it lies on the surface: at each position of its keys, or without keys at one point of a surface that may move. If
+    With `on`, it lies on the surface: at each position of its keys, or without keys at one point, also if the surface moves. If
     it misses the surface, report an error and return None."""
     track = compute_item_positions(staging, name, item, thing)
     mesh = staging.surfaces.get(thing.on) if thing.on is not None else None
@@ -82,7 +82,7 @@ def check_crowds(staging: SceneStaging, crowds: Sequence[stage_of.CrowdData]) ->
 
 
 def is_away_from_surfaces(placement: stage_of.PlacementData, things: SceneStaging | stage_of.WorldSetting, up: str) -> bool:
-    """Return whether no surface is above or below the disc in which a crowd starts. A start by area uses a ball."""
+    """Return whether no surface is above or below the disc in which a crowd starts. A start by area uses a ball instead."""
     if placement.disc_centre is None or placement.radius is None:
         return False
     grounds = {**things.surfaces, **{name: solid.mesh for name, solid in things.solids.items()}}
@@ -188,7 +188,7 @@ def find_surface_height(mesh: stage_of.MeshData, point: stage_of.PointMm, up: st
     flat, tall = ([0, 2], 1) if up == "y" else ([0, 1], 2)
     corners = mesh.vertices[_find_near_faces(mesh, point, flat)]
     plan = corners[:, :, flat] - np.array(point)[flat]
-    # twice the areas of the three triangles that the point makes with the edges, seen from above
+    # twice the areas of the triangles between the point and each edge, seen from above
     across = [plan[:, i, 0] * plan[:, (i + 1) % 3, 1] - plan[:, i, 1] * plan[:, (i + 1) % 3, 0] for i in range(3)]
     double_area = across[0] + across[1] + across[2]
     inside = (np.abs(double_area) > 1e-12) & np.all(

@@ -29,15 +29,15 @@ Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
 Faces = NDArray[np.int32]
 
-# Pairs of near places that are listed at most, and for each place on average
+# maximum number of pairs of near positions, and their maximum mean per position
 _MAX_WELD_PAIRS, _MAX_PAIRS_PER_VERTEX = 1 << 21, 32
-_FLAT_BODY_RATIO = 1e-9  # of the extent: bodies that are less thick have no volume
-_MAX_CLOSING_TRIES = 4  # tolerances that are tried to close gaps, each twice as large
+_FLAT_BODY_RATIO = 1e-9  # share of the extent; thinner bodies have no volume
+_MAX_CLOSING_TRIES = 4  # tolerances for closing gaps; each is twice the previous
 
 
-_FAR_FROM_ORIGIN_MM = 2.0**23  # mm from the origin of the world: beyond it a float32 has steps of a millimetre
-_MANY_REMOVED_FACES = 20  # welding that removes more than one face in this many causes a warning
-_DEFAULT_WELD_VOXELS = 0.01  # of a voxel: finer detail is lost in voxels anyway
+_FAR_FROM_ORIGIN_MM = 2.0**23  # mm from the origin of the world; beyond it, float32 has steps of a millimetre
+_MANY_REMOVED_FACES = 20  # welding causes a warning if it removes more than one in this number of faces
+_DEFAULT_WELD_VOXELS = 0.01  # share of a voxel; voxels lose finer detail in any case
 
 
 def report_losses(staging: SceneStaging, display_name: str, raw: RawMesh, span: Span | None) -> None:
@@ -62,7 +62,7 @@ def check_origin_distances(staging: SceneStaging, setting: stage_of.WorldSetting
     """Warn about meshes that extend so far from the world's origin that positions there are imprecise."""
     origin = compute_world_origin(setting)
     walked = {**setting.surfaces, **{name: solid.mesh for name, solid in setting.solids.items()}}
-    for name, mesh in (walked or setting.obstacles).items():  # no agent comes near an obstacle beyond all surfaces
+    for name, mesh in (walked or setting.obstacles).items():  # agents do not come near obstacles beyond all surfaces
         away = max(float(np.abs(edge(mesh.vertices, axis=0) - origin).max()) for edge in (np.min, np.max))
         if away > _FAR_FROM_ORIGIN_MM:
             words = f"`{name}` reaches {away / 1e6:,.0f} km from the middle of the world, where positions have steps of 1 mm"
@@ -243,7 +243,7 @@ def collect_imports(staging: SceneStaging) -> dict[str, MeshImport]:
 
 
 class WeldError(Exception):
-    """Reason why vertices are not welded. The message fits after the tolerance."""
+    """Error if vertices cannot be welded. The message is the reason, and fits after the tolerance."""
 
 
 def weld_vertices(vertices: Floats, tolerance: float) -> tuple[Floats, int]:
@@ -263,7 +263,7 @@ def weld_vertices(vertices: Floats, tolerance: float) -> tuple[Floats, int]:
         return vertices, 0
     number = number_components(pairs, len(points))[which]
     first = np.full(int(number.max()) + 1, len(vertices))
-    np.minimum.at(first, number, np.arange(len(vertices)))  # the first in the file, whatever the library's numbers
+    np.minimum.at(first, number, np.arange(len(vertices)))  # the first vertex in the file, independent of the library's numbers
     welded_vertices = vertices[first[number]]
     return welded_vertices, int((welded_vertices != vertices).any(axis=1).sum())
 

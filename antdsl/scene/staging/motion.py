@@ -51,7 +51,7 @@ class MeshMoves:
 
     @staticmethod
     def from_positions(positions: Floats) -> MeshMoves:
-        """Return moves in which every vertex moves separately. `positions` (frames, n, 3)."""
+        """Return moves of vertices that move independently. `positions` (frames, n, 3)."""
         frames, count = positions.shape[:2]
         offsets = (positions - positions[0]).astype(np.float64)
         return MeshMoves(np.zeros(count, np.int32), make_identity_transforms(1, frames), np.arange(count), offsets)

@@ -17,8 +17,9 @@ from antdsl.scene.geometry.mesh_files import compute_mesh_area
 if TYPE_CHECKING:
     from antdsl.scene.staging.stage_scene import SceneStaging
 
-_MAX_WORLD_BODY_LENGTHS = 1e6  # body lengths: ants in a whole county
-_MAX_VOXEL_PER_BODY, _GOOD_VOXEL_PER_BODY = 1 / 3, 1 / 4  # of a body: voxels that are too wide, and good ones
+_MAX_WORLD_BODY_LENGTHS = 1e6  # body lengths; larger surfaces, such as a county for ants, probably have a wrong unit
+# body lengths; voxels larger than the first are too coarse, the second is a good size
+_MAX_VOXEL_PER_BODY, _GOOD_VOXEL_PER_BODY = 1 / 3, 1 / 4
 
 
 def check_sizes(staging: SceneStaging) -> None:
@@ -39,7 +40,7 @@ def _check_cells(staging: SceneStaging) -> None:
             continue
         area = sum(compute_mesh_area(surfaces[s]) for s in declared.surfaces if s in surfaces)
         place = declared.surfaces[0] if declared.surfaces else ""
-        # a plane that lies aslant touches up to 1.7 times the voxels of its area; one each for the area is the least
+        # a tilted plane touches up to 1.7 voxels per voxel of its area; one is the lower bound
         labels = (Label(declared.cell.span, "the cell's size"),)
         report_too_many(
             staging,
@@ -55,9 +56,9 @@ def _check_cells(staging: SceneStaging) -> None:
 
 
 def _check_scale(staging: SceneStaging) -> None:
-    """Warn about a surface that is hardly larger than its agents, or so large that its units are likely wrong.
+    """Warn about a surface hardly larger than its agents, or so large that its unit is probably wrong.
 
-    Also warn about voxels too coarse for the agents that walk and dig there."""
+    Also warn about voxels that are too coarse for the agents that walk and dig there."""
     for line in staging.scene.model.crowd:
         species = staging.program.species.get(line.species)
         size = next((a.default for a in species.attributes if a.name == "size"), None) if species else None

@@ -111,7 +111,7 @@ def _stage_painted(staging: SceneStaging, name: str, thing: model.PaintedThing, 
         return None if values is None else stage_of.PaintedValues(surface, values, False)
     data = staging.read_file(thing.painted, limits.MAX_MESH_BYTES, "world", name, "painted")
     if data is None or raw is None or not isinstance(mesh, model.MeshThing | model.HeightThing):
-        return None  # the problem was reported with the mesh
+        return None  # the error was reported with the mesh
     span = staging.scene.span("world", name, "painted")
     attribute = name if thing.attribute is None else thing.attribute
     try:
@@ -146,7 +146,7 @@ def _select_used_rows(rows: NDArray[np.float64], raw: RawMesh) -> tuple[NDArray[
 
 
 def check_densities(staging: SceneStaging) -> None:
-    """Report a crowd with a density map that is 0 everywhere or painted on another surface."""
+    """Report a crowd with a density map that is 0 everywhere, or that is painted on another surface."""
     for number, line in enumerate(staging.scene.model.crowd):
         name = line.place.density
         if name is None or name not in staging.maps:

@@ -102,7 +102,7 @@ def stage_solid(staging: SceneStaging, name: str, value: MeshThing | UsdThing) -
 
     A request for too many voxels is rejected before any voxel is created."""
     mesh = stage_mesh(staging, name, value)
-    if mesh is None or value.voxel is None:  # that it is missing was reported when the scene was matched
+    if mesh is None or value.voxel is None:  # the missing file was reported when the scene was checked
         return None
     edge = value.voxel.to_millimetres(staging.scene.model.unit_mm)
     across = [float(side) / edge + 1 for side in np.ptp(mesh.vertices, axis=0)]

@@ -56,11 +56,12 @@ class SceneStaging:
     item_tracks: dict[str, NDArray[np.float64]] = field(default_factory=dict)  # positions (frames, n, 3) of items that move
     flows: dict[str, stage_of.FlowData] = field(default_factory=dict)
     maps: dict[str, stage_of.PaintedValues] = field(default_factory=dict)
-    raw_meshes: dict[str, RawMesh] = field(default_factory=dict)  # meshes as their files have them
+    raw_meshes: dict[str, RawMesh] = field(default_factory=dict)  # meshes as in their files
     moves: dict[str, MeshMoves] = field(default_factory=dict)  # by mesh
-    deviations: dict[str, float] = field(default_factory=dict)  # mm, of surfaces of heights: triangles from bilinear patches
-    closures: dict[str, Any] = field(default_factory=dict)  # USD files that were collected, by name
-    weld_counts: dict[str, int] = field(default_factory=dict)  # vertices that were moved onto others, by mesh
+    # mm, for height surfaces: the largest distance of triangles from bilinear patches
+    deviations: dict[str, float] = field(default_factory=dict)
+    closures: dict[str, Any] = field(default_factory=dict)  # collected USD files, by name
+    weld_counts: dict[str, int] = field(default_factory=dict)  # vertices merged with others, by mesh
 
     def read_thing(self, group: str, name: str, value: Any) -> Any:
         """Return the data of a thing for the mapping `group` of the setting. On failure, report an error and return None."""
@@ -140,7 +141,7 @@ def _stage_things(staging: SceneStaging, *groups: str) -> None:
 
 
 def _single_library_body(weights: Mapping[str, float]) -> str:
-    """Return the word of a crowd line's body if it is its only one and from the library, else an empty text."""
+    """Return the word of a crowd line's body if it is the only one and from the library, else an empty text."""
     return next((text for text in weights if len(weights) == 1 and text in BODY_WORDS), "")
 
 
@@ -154,7 +155,7 @@ def build_setting(
     model = scene.model
     for group in (*_MESHES, "curves", "items"):
         _stage_things(staging, group)
-    _stage_things(staging, "flows", "maps")  # they lead to curves and items
+    _stage_things(staging, "flows", "maps")  # first, because they contain curves and items
     item_points = {item.name: item.position for group in staging.items.values() for item in group} | {
         name: group[0].position for name, group in staging.items.items() if group
     }

@@ -181,7 +181,7 @@ def place_motion(
     transforms = _make_key_transforms(staging, value, factor, own_up)
     if file_motion is None and transforms is None:
         return None
-    if transforms is None:  # one key anywhere: the thing's own place at all frames
+    if transforms is None:  # a single key: the thing has the same position at all frames
         transforms = _make_key_transforms(staging, value.model_copy(update={"keys": {0: PositionKey()}}), factor, own_up)
     assert transforms is not None and has_inverse(transforms[0])
     rest = apply_transforms(transforms[0], raw.vertices)
@@ -276,8 +276,7 @@ def stage_curve(staging: SceneStaging, name: str, value: CurveThing | UsdThing) 
 
 
 def _apply_by_frame(transforms: Floats, positions: Floats) -> Floats:
-    """Return positions (frames, k, 3) after the transforms of their frames. The shorter of the two is continued with its last
-    frame."""
+    """Return positions (frames, k, 3) after the transforms of their frames. The shorter input is extended with its last frame."""
     count = max(len(positions), len(transforms))
     frames = [(min(k, len(transforms) - 1), min(k, len(positions) - 1)) for k in range(count)]
     return np.stack([apply_transforms(transforms[i], positions[j]) for i, j in frames])
@@ -335,7 +334,7 @@ def stage_usd_places(staging: SceneStaging, value: UsdPositions, *path: PathKey)
 
 
 def follow_surface(mesh: stage_of.MeshData, moves: MeshMoves, point: stage_of.PointMm) -> Floats:
-    """Return the positions (frames, 3) of a point on a moving surface. The point stays on its triangle."""
+    """Return the positions (frames, 3) of a point that is attached to its triangle on a moving surface."""
     corners = mesh.vertices[mesh.faces]
     a, b, c = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     normal = np.cross(b, c)

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from antdsl.scene.staging.stage_scene import SceneStaging
 
 
-_OPTIONAL_ATTRIBUTES = ("max_turn", "min_speed")  # an agent has these only where its species says them
+_OPTIONAL_ATTRIBUTES = ("max_turn", "min_speed")  # agents have these values only if their species defines them
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,7 +67,7 @@ def read_in_base_units(file: UsdFile, key: str, dim: Dimension) -> NDArray[np.fl
 
 
 def warn_misspelled_names(file: UsdFile, owner: str, known_names: Collection[str]) -> None:
-    """Warn about properties of the file that are no attributes but are spelled almost like one.
+    """Warn about properties of the file that are not attributes but have a similar name.
 
     Other properties belong to other programs."""
     keys = sorted({*file.points.values, *file.points.texts} - {*known_names, "kind", "name"})

@@ -20,7 +20,7 @@ from antdsl.scene.staging.motion import MeshMoves
 
 Floats = NDArray[np.float64]
 T = TypeVar("T")
-_MAX_NAME_CHARACTERS = 256  # characters of a name in the file
+_MAX_NAME_CHARACTERS = 256  # maximum length of a name in the file
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,7 +67,7 @@ def read_usd_mesh(stage: UsdStage, primvars: Iterable[str] = ()) -> UsdMesh:
         passed_over = tuple(text[:_MAX_NAME_CHARACTERS] for text in answer.require_texts("passed_over", 1000))
     except ProtocolError as why:
         raise stage.make_answer_error(why) from None
-    raw = check_mesh(vertices, faces)  # which looks at each index and each vertex that is used
+    raw = check_mesh(vertices, faces)  # `check_mesh` examines each index and each used vertex
     used_values = {name: value[raw.own_vertices] for name, value in values.items()}
     return UsdMesh(raw, None if moves is None else moves.select_vertices(raw.own_vertices), used_values, passed_over)
 

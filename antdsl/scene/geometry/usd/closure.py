@@ -2,9 +2,9 @@
 
 The reader process may only open files in this folder.
 
-`Roots` reads each file, so the same rules hold as for any file that a scene names. Files must be below the scene's folder or a
+`Roots` reads each file, so the same rules apply as to any file that a scene names. Files must be below the scene's folder or a
 granted root. Links and addresses are not followed, and a file may be no larger than a mesh. The reader opens each copy and lists
-the files that it names. Copies have the same relative paths as the files, by which USD finds them. No message reveals whether a
+the files that it names. Copies have the same relative paths as the files, so that USD finds them. No message reveals whether a
 file outside the roots exists.
 
 A .usdz package is unpacked here, never by USD. It is written again as USD expects it: layers only, stored, with plain and unique
@@ -32,8 +32,8 @@ from antdsl.scene.geometry.usd.errors import UsdError
 from antdsl.scene.paths import PathRefused, Roots
 
 LAYER_SUFFIXES = (".usd", ".usda", ".usdc")
-_MEMBER_ALIGNMENT_BYTES = 64  # of the data of each member (USDZ specification)
-_PADDING_FIELD_ID = 0x1986  # the extra field by which USD pads
+_MEMBER_ALIGNMENT_BYTES = 64  # alignment of the data of each member (USDZ specification)
+_PADDING_FIELD_ID = 0x1986  # the extra field that USD uses for padding
 _END_RECORD_STRUCT = struct.Struct("<4s4H2LH")
 _MEMBER_NAME_PATTERN = re.compile(r"[^\x00-\x1f\x7f\\:\[\]<>|*?\"@`]{1,255}")
 
@@ -44,7 +44,7 @@ _URL_PATTERN = re.compile("[A-Za-z][A-Za-z0-9+.-]+:")
 _ABSOLUTE_PATH_PATTERN = re.compile(r"[/\\]|[A-Za-z]:")
 _DISPLAY_WIDTH = 80
 
-LayerLocation = tuple[str, str]  # the full path of a file, and the layer inside of it where it is a package, else ""
+LayerLocation = tuple[str, str]  # the full path of a file, and for a package the layer in it, else ""
 
 
 class Closure:
@@ -60,7 +60,7 @@ class Closure:
         self.hashes: dict[str, str] = {}
         self._roots = roots
         self._folders = {name: os.path.abspath(folder) for name, folder in (("", roots.folder), *roots.granted.items())}
-        self._files: dict[str, str] = {}  # the name of each by its full path
+        self._files: dict[str, str] = {}  # the name of each file, by its full path
         self._packages: dict[str, dict[str, bytes]] = {}
         try:
             self.folder = os.path.realpath(client.create_reader_folder())
@@ -94,7 +94,7 @@ class Closure:
         """Return the path of a file's copy, whether it exists or not."""
         try:
             below = os.path.relpath(path, os.path.commonpath([*self._folders.values()]))
-        except ValueError:  # folders of several drives
+        except ValueError:  # the files may be on several drives
             drive, rest = os.path.splitdrive(path)
             below = os.path.join(re.sub("[^A-Za-z0-9]", "_", drive), rest.lstrip("/\\"))
         return os.path.join(self.folder, below)
@@ -176,7 +176,7 @@ class Closure:
         target = posixpath.normpath(posixpath.join(posixpath.dirname(inside), asset))
         parts = self._packages[path]
         if target not in parts and not asset.startswith("."):
-            target = posixpath.normpath(asset)  # USD looks beside the layer, then from the package's top
+            target = posixpath.normpath(asset)  # USD searches next to the layer, then at the package's top
         if target not in parts or _ABSOLUTE_PATH_PATTERN.match(asset):
             words = f"`{_shorten_text(asset)}`{_describe_naming_layer(layer)} is not a layer of that package"
             raise UsdError("bad-path", words, "package all files together, for example with `usdzip`", "usd")
@@ -211,7 +211,7 @@ class Closure:
         return next((name for name in inside if self._exists(name)), inside[0])
 
     def _exists(self, name: str) -> bool:
-        """Return whether something with this name exists below a root. Something unreadable also counts; reading it reports the
+        """Return whether a file with this name exists below a root. Unreadable files also count; reading them reports the
         reason."""
         try:
             return self._roots.measure_file_size(name) >= 0
@@ -259,12 +259,11 @@ def _shorten_text(text: str) -> str:
 
 
 class PackageError(Exception):
-    """Reason why a package is not read. The message fits after the package's name."""
+    """Error for a package that is not read. The message is the reason, and fits after the package's name."""
 
 
 def read_layers(data: bytes) -> dict[str, bytes]:
-    """Return the layers of a package, by name. The first layer represents the package. Other members, such as textures, are left
-    out.
+    """Return the layers of a package, by name. The first layer is the root layer. Other members, such as textures, are omitted.
 
     Raises PackageError if the file is not a package, or if it has a forbidden member."""
     _check_end(data)
@@ -297,7 +296,7 @@ def _read_layers(archive: zipfile.ZipFile, size: int) -> dict[str, bytes]:
     layers = [entry for entry in entries if entry.filename.lower().endswith(LAYER_SUFFIXES)]
     if not layers or layers[0] is not entries[0]:
         raise PackageError("does not begin with a layer")
-    return {entry.filename: archive.read(entry) for entry in layers}  # reading compares the checksum
+    return {entry.filename: archive.read(entry) for entry in layers}  # reading verifies the checksum
 
 
 def _check_member(entry: zipfile.ZipInfo, known_names: set[str]) -> None:
@@ -314,7 +313,7 @@ def _check_member(entry: zipfile.ZipInfo, known_names: set[str]) -> None:
     if entry.compress_type != zipfile.ZIP_STORED or entry.compress_size != entry.file_size:
         raise PackageError(f"has a compressed member {display_name}, and those of a .usdz are stored")
     kind = entry.external_attr >> 28
-    if kind not in (0, 4, 8):  # file types of Unix: none given, a folder, a regular file
+    if kind not in (0, 4, 8):  # Unix file types: none given, folder, regular file
         raise PackageError(f"has a member {display_name} that is a link or a device")
 
 

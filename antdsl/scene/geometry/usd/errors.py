@@ -12,7 +12,7 @@ from typing import Any
 from antdsl.diagnostics.model import replace_unprintable
 from antdsl.reader.protocol import ReadRefusal
 
-_OUT_OF_MEMORY_PHRASES = ("failed to map segment", "annot allocate memory")  # what loaders of libraries say without memory
+_OUT_OF_MEMORY_PHRASES = ("failed to map segment", "annot allocate memory")  # messages of library loaders that run out of memory
 _SESSION_LAYER_PATTERN = re.compile(r",@anon:0x[0-9a-fA-F]+:[^@]*-session\.\w+@")  # a layer that USD adds to each stage
 _MEMORY_ADDRESS_PATTERN = re.compile(r"(?:\banon:0x[0-9a-fA-F]+:?)|(?: ?<0x[0-9a-fA-F]+>)")
 
@@ -37,7 +37,7 @@ def clean_usd_text(text: str, folder: str) -> str:
     line = " ".join(text.replace(folder.rstrip(os.sep) + os.sep, "").split())
     line = _SESSION_LAYER_PATTERN.sub("", line)
     line = _MEMORY_ADDRESS_PATTERN.sub("", line)
-    line = re.sub(r"\bpxrInternal\w*::(?:\w+::)*", "", line)  # names inside of USD's own code
+    line = re.sub(r"\bpxrInternal\w*::(?:\w+::)*", "", line)  # names in USD's own code
     line = replace_unprintable(line)
     return line if len(line) <= 200 else line[:197] + "…"
 

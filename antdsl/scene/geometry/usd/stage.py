@@ -18,7 +18,7 @@ from antdsl.scene.geometry.usd.closure import Closure
 from antdsl.scene.geometry.usd.errors import UsdError, make_missing_extra_error
 from antdsl.scene.paths import Roots
 
-_FRAMES_PER_EXTRA_SECOND = 8  # that a request may take in addition
+_FRAMES_PER_EXTRA_SECOND = 8  # optional fields of a request
 
 
 @dataclass(frozen=True, slots=True, eq=False)

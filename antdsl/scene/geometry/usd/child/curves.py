@@ -15,7 +15,7 @@ from antdsl.scene.geometry.usd.child.shapes import BAKE_HELP, check_motion_bytes
 from antdsl.scene.geometry.usd.child.stage import Floats, OpenStage
 from antdsl.scene.geometry.usd.errors import UsdError, pxr
 
-_SEGMENTS_PER_CUBIC = 16  # straight pieces that one cubic piece becomes
+_SEGMENTS_PER_CUBIC = 16  # number of straight pieces per cubic piece
 # Weights of four points for 1, t, t², t³ (Foley, van Dam, Computer Graphics: Principles and Practice, 1990, 11.2).
 _CUBIC_BASES = {
     "bezier": (((1, 0, 0, 0), (-3, 3, 0, 0), (3, -6, 3, 0), (-1, 3, -3, 1)), 1, 3),

@@ -26,7 +26,7 @@ def wrap_refusals(read: Callable[[ReaderMessage], ReaderAnswer]) -> Callable[[Re
     @wraps(read)
     def answer(request: ReaderMessage) -> ReaderAnswer:
         try:
-            with np.errstate(all="ignore"):  # a value that is not finite is reported where it is used
+            with np.errstate(all="ignore"):  # values that are not finite are reported by the code that uses them
                 return read(request)
         except MeshError as why:
             raise ReadRefusal("bad-mesh", str(why), why.help, "prim", "mesh") from why
@@ -34,7 +34,7 @@ def wrap_refusals(read: Callable[[ReaderMessage], ReaderAnswer]) -> Callable[[Re
             raise ReadRefusal(
                 "bad-usd", format_usd_error(why, str(request.document["folder"])), None, "prim", "exception"
             ) from why
-        except UnicodeDecodeError as why:  # a name or a text of the file that USD passes on as it is
+        except UnicodeDecodeError as why:  # USD does not validate names and texts of the file
             raise ReadRefusal("bad-usd", "it has bytes that are no UTF-8 text", "export it again", "prim", "exception") from why
 
     return answer

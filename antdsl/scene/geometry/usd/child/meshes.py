@@ -184,7 +184,7 @@ def _make_moves(stage: OpenStage, shapes: list[_MeshShape]) -> dict[str, NDArray
         group.append(np.repeat(number.astype(np.int32), points))
         if moved.any():
             track = compose_transforms(transforms[moved], invert_transforms(transforms[moved, 0])[:, None])
-            track[is_first[moved]] = make_identity_transforms()  # exactly where it rests
+            track[is_first[moved]] = make_identity_transforms()  # so that vertices at rest are exact
             tracks.append(track)
             count += len(track)
         deformed.append((vertex_count + points * np.flatnonzero(alone)[:, None] + np.arange(points)).ravel())
@@ -248,7 +248,7 @@ def _rotate_vectors(transforms: Floats, vectors: Floats) -> Floats:
 
 
 def _find_hidden_reason(stage: OpenStage) -> str | None:
-    """Return a help text for a prim without readable meshes: they have another purpose, are invisible, or do not exist."""
+    """Return a help text for a prim without readable meshes. Either they have another purpose, are invisible, or do not exist."""
     usd, geom = pxr("Usd"), pxr("UsdGeom")
     every = [p for p in usd.PrimRange(stage.prim, usd.TraverseInstanceProxies()) if p.IsA(geom.Mesh)]
     if not every:

@@ -14,7 +14,7 @@ from antdsl.scene.geometry.usd.child.stage import Floats, OpenStage
 from antdsl.scene.geometry.usd.errors import UsdError, pxr
 from antdsl.scene.geometry.usd.points import UsdPoints
 
-_USER_NAMESPACE = "userProperties"  # the namespace into which Blender, Maya and others export what users gave an object
+_USER_NAMESPACE = "userProperties"  # the namespace into which Blender, Maya and others export custom properties of objects
 _MAX_LISTED_KINDS = 12
 
 

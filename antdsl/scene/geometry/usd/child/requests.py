@@ -20,8 +20,8 @@ from antdsl.scene.geometry.usd.errors import UsdError, pxr
 if TYPE_CHECKING:
     from antdsl.reader.protocol import ReaderMessage
 
-_SENSOR_WIDTH_MM = 36.0  # mm, the width that focal lengths are for
-_DEFAULT_FOCUS_MM = 1000.0  # mm: how far off it looks where it has no focus
+_SENSOR_WIDTH_MM = 36.0  # mm; the sensor width to which focal lengths refer
+_DEFAULT_FOCUS_MM = 1000.0  # mm; distance of `look_at` for a camera without a focus
 
 
 @wrap_refusals
@@ -93,6 +93,6 @@ def read_camera_arrays(stage: OpenStage) -> dict[str, Floats]:
     unit = find_uniform_scale(stage.to_scene)
     at, ahead, up = transforms[:, :, 3], -vector_rows.unit(transforms[:, :, 2]), vector_rows.unit(transforms[:, :, 1])
     far = np.where(lens[:, 2] > 0, lens[:, 2] * unit, _DEFAULT_FOCUS_MM)[:, None]
-    # both are in tenths of the stage's unit, so that their ratio is free of it
+    # both values are in tenths of the stage's unit, so their ratio does not depend on it
     focal = lens[:, 0] / np.where(lens[:, 1] > 0, lens[:, 1], 20.955) * _SENSOR_WIDTH_MM
     return {"at": at, "look_at": at + ahead * far, "up": up, "focal": focal}

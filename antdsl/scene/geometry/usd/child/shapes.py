@@ -15,7 +15,7 @@ from antdsl.scene.geometry.matrices import compose_transforms
 from antdsl.scene.geometry.usd.child.stage import Floats, OpenStage, to_column_matrix
 from antdsl.scene.geometry.usd.errors import UsdError, pxr
 
-_MAX_NESTED_INSTANCERS = 8  # point instancers inside each other
+_MAX_NESTED_INSTANCERS = 8  # maximum nesting of point instancers
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -156,7 +156,7 @@ def _find_prototype_meshes(stage: OpenStage, root: Any) -> Iterator[tuple[Any, F
 
     The root's own transform is not included."""
     usd, geom = pxr("Usd"), pxr("UsdGeom")
-    # below an `over` or a `class`, which keeps it from being drawn separately, it is still a prototype
+    # `over` and `class` prims are not drawn on their own, but can be prototypes
     walk = iter(usd.PrimRange(root, usd.TraverseInstanceProxies(usd.PrimIsActive & usd.PrimIsLoaded)))
     for prim in walk:
         image = geom.Imageable(prim)

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from antdsl.reader.protocol import ReaderMessage
 
 _current_folder = ""
-_open_layers: dict[str, Any] = {}  # of the folder, so that USD reads each once
+_open_layers: dict[str, Any] = {}  # cached by folder, so that USD reads each layer once
 Floats = NDArray[np.float64]
 
 
@@ -96,7 +96,7 @@ def to_column_matrix(matrix: Any) -> Floats:
     return np.ascontiguousarray(rows[:, :3].T)
 
 
-_last_stage: tuple[tuple[object, ...], OpenStage] | None = None  # requests about one prim follow each other
+_last_stage: tuple[tuple[object, ...], OpenStage] | None = None  # successive requests are often about the same prim
 
 
 def open_stage(request: ReaderMessage) -> OpenStage:
@@ -167,7 +167,7 @@ def _make_scene_transform(factor: float, own_up: str, up: str) -> Floats:
     if own_up == up:
         rows = [(0, 1.0), (1, 1.0), (2, 1.0)]
     elif own_up == "z":
-        rows = [(0, 1.0), (2, 1.0), (1, -1.0)]  # as `meshes.rotate_up`
+        rows = [(0, 1.0), (2, 1.0), (1, -1.0)]  # the same as `meshes.rotate_up`
     else:
         rows = [(0, 1.0), (2, -1.0), (1, 1.0)]
     for row, (column, sign) in enumerate(rows):
@@ -217,10 +217,11 @@ def read_layer(request: ReaderMessage) -> ReaderAnswer:
         if place.IsPrimPath() or place.IsPrimVariantSelectionPath():
             spec = layer.GetObjectAtPath(place)
             if spec is not None and spec.HasInfo("clips"):
-                # they are opened when a value is read, which nothing could check before
+                # USD opens them when it reads a value, so they cannot be checked in advance
                 words = f"`{place}` of `{text}` has value clips, which are not supported"
                 raise UsdError("bad-usd", words, "flatten the file: `usdcat --flatten`", "usd")
-    return {"assets": sorted(filter(None, layer.GetCompositionAssetDependencies()))}, {}  # an empty one names the layer itself
+    # an empty path refers to the layer itself
+    return {"assets": sorted(filter(None, layer.GetCompositionAssetDependencies()))}, {}
 
 
 def open_layer(path: str, folder: str, text: str) -> Any:
@@ -243,6 +244,6 @@ def _open_checked_layer(path: str, folder: str, text: str) -> Any:
             return layer
     except pxr("Tf").ErrorException as problem:
         why = format_usd_error(problem, folder).replace(os.path.relpath(path, folder), text)
-    except UnicodeDecodeError:  # USD's message repeats the invalid bytes
+    except UnicodeDecodeError:  # USD's message would repeat the invalid bytes
         why = "it has bytes that are no UTF-8 text"
     raise UsdError("bad-usd", f"`{text}` cannot be read as USD: {why}", "export it again", "usd")
