@@ -1,5 +1,4 @@
-"""Ground of meshes and solids together. An agent that meets a solid steps up onto it; an agent on a solid that meets a mesh steps
-down.
+"""Ground of meshes and solids together. Agents step up from meshes onto solids, and down from solids onto meshes.
 
 Ground inside undug solid is closed. It is open again where the solid is dug away."""
 
@@ -21,15 +20,14 @@ from antdsl.numerics.vectors import rotate_between_normals
 
 Rows = NDArray[np.intp]
 
-_SUNK_VOXELS = 0.05  # depth in voxels below a solid's surface up to which mesh ground is still open
-_MAX_SURFACE_CHANGES = 4  # most changes between meshes and solids in one step
-_EYE_HEIGHT_PER_BODY = 0.02  # in body lengths: height above the path at which an agent searches for meshes
+_SUNK_VOXELS = 0.05  # voxels below a solid's surface; mesh ground down to this depth is still open
+_MAX_SURFACE_CHANGES = 4  # maximum number of changes between meshes and solids in one step
+_EYE_HEIGHT_PER_BODY = 0.02  # body lengths above the path from which an agent searches for meshes
 
 
 @dataclass(slots=True)
 class _WalkState:
-    """Agents during a walk: footings, orientations and remaining displacements (`remaining`). Each component of a vector is
-    contiguous."""
+    """Agents during a walk: footings, orientations and `remaining` displacements. Each component of a vector is contiguous."""
 
     footing: Footing
     place: Floats
@@ -44,8 +42,8 @@ class _WalkState:
 
 @dataclass(slots=True)
 class _SolidEntries:
-    """Agents that entered undug solid: their numbers, the solid, the part of their path before the entry, and the position of the
-    entry."""
+    """Agents that entered undug solid: their numbers, the solid, the part of their path before the entry, and the entry's
+    position."""
 
     rows: Rows
     solids: NDArray[np.intp]
@@ -72,11 +70,10 @@ class CombinedGround:
     def place_points(
         self, points: Floats, up: Floats, surface_names: Iterable[str] | None = None
     ) -> tuple[Footing, NDArray[np.bool_]]:
-        """Return footings below points [n,3]: the first hit of a ray from far above along -`up`, on the names in `surface_names`,
-        or on all.
+        """Return footings below points [n,3]. The footing is the first hit of a ray from far above along -`up`.
 
-        No agent can stand on ground inside undug solid. Such a footing is moved to the solid's surface above, with False in the
-        second array."""
+        Rays hit only the names in `surface_names`; None means all. No agent can stand on ground inside undug solid. Such a
+        footing is moved to the solid's surface above, with False in the second array."""
         points = np.asarray(points, np.float64).reshape(-1, 3)
         names = self.names if surface_names is None else tuple(surface_names)
         unknown = [name for name in names if name not in self.names]
@@ -109,8 +106,9 @@ class CombinedGround:
         return footing, is_placed
 
     def find_nearest(self, points: Floats, surface_names: Iterable[str] | None = None) -> tuple[Footing, Floats]:
-        """Return footings at the nearest point of meshes and solids, and the distance float64[n]. `surface_names` limits the
-        search to these names, if given."""
+        """Return footings at the nearest point of meshes and solids, and the distance float64[n].
+
+        `surface_names`: the names to search; None means all."""
         points = np.asarray(points, np.float64).reshape(-1, 3)
         footing, distance = self.create_unplaced(len(points)), np.full(len(points), np.inf)
         names = self.names if surface_names is None else tuple(surface_names)
@@ -210,8 +208,8 @@ class CombinedGround:
     # ---- parts of moving
 
     def _walk_stretch(self, walk: _WalkState, rows: Rows, body: Floats, threads: int, is_last: bool) -> Rows:
-        """Walk `rows` on their current mesh or solid. Agents that meet another one are then placed on it; return those with
-        distance left."""
+        """Walk `rows` on their current mesh or solid. Place agents that meet another one on it. Return the agents with distance
+        left."""
         again = []
         on = walk.footing.mesh[rows]
         mesh = rows[on < self._count]
@@ -224,7 +222,7 @@ class CombinedGround:
         return np.sort(np.concatenate(again))
 
     def _walk_on_meshes(self, walk: _WalkState, rows: Rows, body: Floats, threads: int, is_last: bool) -> Rows:
-        """Walk `rows` over meshes, up to the first solid; return those with distance left."""
+        """Walk `rows` over meshes, up to the first solid. Return the agents with distance left."""
         meshes = self.meshes
         assert meshes is not None
         previous_footing = walk.footing.take_on_meshes(rows)
@@ -279,20 +277,20 @@ class CombinedGround:
     def _step_onto_solid(
         self, walk: _WalkState, rows: Rows, entries: _SolidEntries, moved: GroundMove, body: Floats, threads: int, is_last: bool
     ) -> Rows:
-        """Place the agents in `rows` that entered a solid on it; return those with distance left."""
+        """Place the agents in `rows` that entered a solid on it. Return the agents with distance left."""
         again = [np.empty(0, np.intp)]
         for k, volume in enumerate(self._volumes):
             mine = np.flatnonzero(entries.solids == k)
             if not mine.size:
                 continue
             of, part = entries.rows[mine], entries.path_fraction[mine]
-            # From a little above: an agent exactly at the seam might be below a mesh after its next step.
+            # From slightly above: an agent exactly at the seam might be below a mesh after its next step.
             above = entries.place[mine] + moved.up[of] * (_EYE_HEIGHT_PER_BODY * body[rows[of]])[:, None]
             landed = volume.project_to_surface(above, compute_normals(volume, above), 2 * volume.voxel)
             ok = landed.is_in_reach
             if self.meshes is not None:
                 ok &= ~self.meshes.find_path_hits(above, landed.points - above, threads)[0]
-            shut = rows[of[~ok]]  # no reachable position: return to the start of the step
+            shut = rows[of[~ok]]  # no reachable position, so they return to the start of the step
             walk.blocked[shut], walk.remaining[shut] = True, 0.0
             walk.place[shut] = self.position(walk.footing.take_rows(shut))
             on, of, part = rows[of[ok]], of[ok], part[ok]
@@ -311,7 +309,7 @@ class CombinedGround:
     def _walk_on_solid(
         self, walk: _WalkState, rows: Rows, k: int, volume: Volume, body: Floats, threads: int, is_last: bool
     ) -> Rows:
-        """Walk `rows` over solid number `k`, up to the first mesh; return those with distance left."""
+        """Walk `rows` over solid number `k`, up to the first mesh. Return the agents with distance left."""
         previous_footing = walk.footing
         start = np.stack([previous_footing.x[rows], previous_footing.y[rows], previous_footing.z[rows]]).T
         wish, ahead, up = (take_rows(v, rows) for v in (walk.remaining, walk.heading, walk.up))
@@ -350,8 +348,9 @@ class CombinedGround:
         return np.concatenate([again, down[rest > 0]])
 
     def _drop_to_ground(self, walk: _WalkState, rows: Rows) -> None:
-        """Move agents without a solid nearby down, along the scene's up axis, onto the ground below. If there is none, move them
-        to the nearest ground."""
+        """Move agents without a solid nearby down, along the scene's up axis, onto the ground below.
+
+        If there is no ground below, move them to the nearest ground."""
         if not rows.size:
             return
         start = self.position(walk.footing.take_rows(rows))
@@ -378,8 +377,9 @@ class CombinedGround:
     def _find_mesh_crossings(
         self, start: Floats, end: Floats, up: Floats, up_after: Floats, body: Floats, threads: int
     ) -> tuple[NDArray[np.bool_], Floats, Footing]:
-        """Return which agents have a mesh across their path, as seen from slightly above the path. Return also the part of the
-        path before the mesh, and the footing at the mesh."""
+        """Return which agents have a mesh across their path, as seen from slightly above the path.
+
+        Return also the part of the path before the mesh, and the footing at the mesh."""
         n = len(start)
         if self.meshes is None:
             return np.zeros(n, np.bool_), np.ones(n), Footing.create_unplaced(n)

@@ -22,8 +22,9 @@ FaceAxes = tuple[Floats, Floats, Floats]
 
 
 class MovingGround(MeshGround):
-    """A `MeshGround` in which the meshes named `moving` may be posed. `rest` has the initial positions of all meshes; field cells
-    refer to it."""
+    """A `MeshGround` in which the meshes named `moving` change their pose.
+
+    `rest` has the initial positions of all meshes; field cells refer to it."""
 
     def __init__(self, surfaces: Mapping[str, MeshArrays], moving: Iterable[str], by_rays: bool = False) -> None:
         self._is_moving = np.isin(list(surfaces), list(moving))
@@ -39,7 +40,7 @@ class MovingGround(MeshGround):
         self._box_by_mesh = {name: _compute_box(self._vertices[rows]) for name, rows in self._vertex_slices.items()}
         self._static_scenes: dict[tuple[int, ...], tuple[RayScene, Index]] = {}
         self._clearances = _MovingClearances(self)  # type: ignore[assignment]
-        # A moving mesh may rise above feet by any height. So a face with its back to an agent always counts as below.
+        # A moving mesh may rise above feet by any height, so a face with its back to an agent always counts as below.
         self._scale = replace(self._scale, max_below_height=np.inf)
 
     def copy(self) -> MovingGround:
@@ -73,8 +74,8 @@ class MovingGround(MeshGround):
         return np.flatnonzero(known & self._is_moving.take(np.where(known, mesh, 0)))
 
     def axes(self, footing: Footing) -> FaceAxes:
-        """Return the frames (3, n) of the faces that agents stand on: along the first edge, across it, and along the normal of
-        the winding."""
+        """Return the frames (3, n) of the faces below agents: along the first edge, across it, and along the normal of the
+        winding."""
         face, _ = self._compute_face_numbers(footing)
         t = self._topology
         return t.axis1.take(face, axis=1), t.axis2.take(face, axis=1), t.normal.take(face, axis=1)
@@ -86,7 +87,7 @@ class MovingGround(MeshGround):
         return t.axis1.take(face, axis=1), t.axis2.take(face, axis=1), t.normal.take(face, axis=1)
 
     def compute_rest_positions(self, footing: Footing) -> Floats:
-        """Return the rest positions (n, 3) of the points that agents stand on."""
+        """Return the rest positions (n, 3) of the surface points below agents."""
         face, known = self._compute_face_numbers(footing)
         t = self._rest_topology
         place = t.corner.take(face, axis=1) + footing.b1 * t.edge1.take(face, axis=1) + footing.b2 * t.edge2.take(face, axis=1)

@@ -27,7 +27,7 @@ _FACE_COLUMNS = ("mesh", "face", "b1", "b2", "over")
 _POSITION_COLUMNS = ("x", "y", "z")
 _MESH_DEFAULTS: dict[str, ColumnArray | float] = dict.fromkeys(
     _POSITION_COLUMNS, 0.0
-)  # of agents on a mesh of a ground that has solids
+)  # agents on meshes of a ground that has solids
 
 
 def take_rows(array: NDArray[Any], rows: Rows) -> NDArray[Any]:
@@ -36,7 +36,7 @@ def take_rows(array: NDArray[Any], rows: Rows) -> NDArray[Any]:
 
 
 class Footing:
-    """Where agents stand, one row each: a table of named columns, which depend on the kind of ground.
+    """The footings of agents, one row each: a table of named columns, which depend on the kind of ground.
 
     meshes             `mesh` and `face` (int32[n], -1 = nowhere), the weights `b1`, `b2` of the face's second and third corner.
                        An agent that steps over a border is `over` mm off the face along its normal; 0 for others.
@@ -146,7 +146,7 @@ class Footing:
         return Footing({name: take_rows(self.columns[name], rows) for name in _FACE_COLUMNS})
 
     def put_rows(self, rows: Rows, other: Footing) -> None:
-        """Write other footings into rows. They are of the same kind of ground, or of its meshes alone."""
+        """Write other footings into rows. They belong to the same kind of ground, or only to its meshes."""
         columns = _MESH_DEFAULTS | other.columns
         for name, column in self.columns.items():
             column[rows] = columns[name]
@@ -199,7 +199,8 @@ class GroundMove:
         return GroundMove(self.footing.take_rows(rows), position, up, heading, direction, travelled, blocked, lost)
 
     def put_rows(self, rows: Rows, other: GroundMove) -> None:
-        """Write other results of the same ground into rows. Values that all agents of a ground share (a plane's `up`) stay."""
+        """Write other results of the same ground into rows. Values common to all agents of a ground (a plane's `up`) do not
+        change."""
         self.footing.put_rows(rows, other.footing)
         for column, values in zip(self.list_columns(), other.list_columns(), strict=True):
             if column.flags.writeable:
@@ -228,8 +229,9 @@ class Ground(Protocol):
         point, with False in the second array, bool[n]. Raises KeyError for an unknown name."""
 
     def find_nearest(self, points: Floats, surface_names: Iterable[str] | None = None) -> tuple[Footing, Floats]:
-        """Return footings at the points of the surfaces and solids in `surface_names` (None: all) that are nearest to points
-        [n,3], and the distance float64[n]."""
+        """Return footings at the surface points nearest to points [n,3], and the distance float64[n].
+
+        `surface_names`: the surfaces and solids to search; None means all."""
 
     def position(self, footing: Footing) -> Floats:
         """Return positions in the world, float64[n,3]; zero for agents without a footing."""
@@ -303,4 +305,4 @@ class MeshSurfaces(Ground, Protocol):
         """Return the rows, ascending, of agents at positions [n,3] for which a surface may rise within `reach` [n] mm.
 
         A surface rises at an inner crease, at another piece, or at a moving mesh. Agents with a `reach` of 0 or less are left
-        out. No other agent near a rise is missing. The result for an agent does not depend on the others."""
+        out. The result contains all other agents near a rise. The result for an agent does not depend on the others."""

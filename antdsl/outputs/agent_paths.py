@@ -19,8 +19,8 @@ from antdsl.outputs.pictures.model import AgentPathLines, Crowd
 from antdsl.scene.quantities import QuantityError, parse_number_range
 
 _INTERPOLATED_FIELDS = ("position", "orient", "plays", "feet", "driven")
-MAX_WINDOW_SECONDS = 60.0  # of each side of a window
-_PATH_LIFT_PER_BODY = 0.06  # of a body's length: how far above the ground a path is drawn, along the agent's up
+MAX_WINDOW_SECONDS = 60.0  # maximum on each side of a window
+_PATH_LIFT_PER_BODY = 0.06  # body lengths; height of a drawn path above the ground, along the agent's up
 _READ_ARRAYS = frozenset(("P", "orient", "pscale", *IDENTITY_ARRAYS))
 
 

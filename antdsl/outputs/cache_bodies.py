@@ -20,8 +20,9 @@ from antdsl.scene.library_bodies import BODY_WORDS, find_body_for_species
 
 
 class CacheBodies:
-    """Bodies by species (an index of the manifest's list), by their index among the bodies of the species, and by the mask of the
-    layers that agents wear. `static`: the arrays of the cache's `static.npz`."""
+    """Bodies by species (an index of the manifest's list), index among the bodies of the species, and mask of worn layers.
+
+    `static`: the arrays of the cache's `static.npz`."""
 
     def __init__(self, manifest: Manifest, static: Mapping[str, NDArray[Any]]) -> None:
         self._manifest, self._static = manifest, static
@@ -29,7 +30,7 @@ class CacheBodies:
         self._worn: dict[tuple[int, int, int], PosedBody] = {}
 
     def keys(self, number: int) -> tuple[str, ...]:
-        """Return the keys of the bodies of a species, by which frames name the feet of their agents."""
+        """Return the keys of the bodies of a species. Frames use these keys to name the feet of the agents."""
         species, count = self._manifest.species[number], len(_entries(self._manifest.species[number]))
         return tuple(body_key(species.name, which, count) for which in range(count))
 
@@ -48,7 +49,7 @@ class CacheBodies:
         return self._worn[key]
 
     def definition(self, number: int, which: int = 0) -> Definition:
-        """Return the definition of a body of a species. Raises BodyError if the cache's definition is damaged."""
+        """Return the agent definition of a body of a species. Raises BodyError if the cache's definition is damaged."""
         if (number, which) not in self._definitions:
             species = self._manifest.species[number]
             entry = _entries(species)[which]

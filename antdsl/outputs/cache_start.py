@@ -24,7 +24,7 @@ _COINCIDENT_DISTANCE_MM = 1e-6  # mm
 
 
 class StartError(Exception):
-    """A run cannot start from the other cache. `report`: the reason, at its location in the scene."""
+    """Error if a run cannot start from the other cache. `report`: the reason, at its location in the scene."""
 
     def __init__(self, report: Report) -> None:
         super().__init__("; ".join(d.message for d in report.errors))
@@ -78,7 +78,8 @@ def start_from_cache(shot: Shot, world: World) -> None:
     except CacheError:
         raise _make_missing_error(shot, folder) from None
     source_origin = np.array(cache.manifest.origin) * UNIT_MM[cache.manifest.units]
-    if "origin" in cache.manifest.model_fields_set and (source_origin != world.origin).any():  # older caches do not say it
+    # older caches do not contain the origin
+    if "origin" in cache.manifest.model_fields_set and (source_origin != world.origin).any():
         a, b = (" ".join(f"{x / 1000:.15g}" for x in each) for each in (source_origin, world.origin))
         words = f"the world of `{start.cache}` has its origin at {a} m, and this scene's world at {b} m"
         raise _make_error(shot, "wrong-value", words, "cache", "give the surfaces the same meshes at the same places")

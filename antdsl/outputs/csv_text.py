@@ -7,7 +7,9 @@ import re
 from collections.abc import Iterable, Sequence
 from types import SimpleNamespace
 
-_FORMULA_START_CHARACTERS = frozenset("=+-@\t\r\n＝＋－＠")  # a cell that begins with one of these is a formula in some programs
+_FORMULA_START_CHARACTERS = frozenset(
+    "=+-@\t\r\n＝＋－＠"
+)  # some programs read a cell that begins with one of these as a formula
 _NUMBER_PATTERN = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|[+-]?(?:inf|nan)")
 
 
@@ -23,6 +25,7 @@ def escape_cell(value: object) -> object:
 def format_csv(rows: Iterable[Sequence[object]]) -> str:
     """Return rows as lines that end in a line feed. Cells with commas, quotes or line ends are quoted."""
     lines: list[str] = []
-    writer = csv.writer(SimpleNamespace(write=lines.append))  # ends a line in CR LF, and so puts cells with either in quotes
+    # `csv` ends a line in CR LF, and so quotes cells that contain either character
+    writer = csv.writer(SimpleNamespace(write=lines.append))
     writer.writerows([escape_cell(value) for value in row] for row in rows)
     return "".join(f"{line[:-2]}\n" for line in lines)

@@ -57,7 +57,7 @@ class CutPlane:
         nodes = bricks.origin[self.axis] + np.arange(bricks.nodes[self.axis]) * bricks.voxel
         depth = (nodes + offset[self.axis]) * scale - self.at
         depth = (-depth if self.cuts_below else depth) / scale
-        low = depth.reshape(-1, BRICK_SIDE_NODES).max(axis=1) > bricks.min_distance  # slices of bricks that the plane changes
+        low = depth.reshape(-1, BRICK_SIDE_NODES).max(axis=1) > bricks.min_distance  # layers of bricks that the plane changes
         index = np.unravel_index(np.arange(bricks.table.size), bricks.shape)[self.axis]
         changed = np.flatnonzero(low[index] & (bricks.table != 0))
         bricks.prepare_bricks(changed)

@@ -28,16 +28,16 @@ from antdsl.outputs.pictures.model import Camera, Picture
 from antdsl.outputs.pictures.render import Renderer
 from antdsl.safe_read import read_size_limited
 
-_PNG_HASH_KEYWORD = "antdsl"  # keyword of the text with the hash in a PNG file
+_PNG_HASH_KEYWORD = "antdsl"  # the key of the hash among the texts of a PNG file
 MAX_STILL_BYTES = 512 * limits.MIB
 
 Image = NDArray[np.uint8]
-# Shorter agents are enlarged to this length (pixels), by a factor of at most the second number
+# Shorter agents are enlarged to this length (pixels), but by at most this factor
 MIN_AGENT_PIXELS, MAX_AGENT_ENLARGEMENT = 7.0, 3.0
 
 
 class AgentMissing(Exception):
-    """The agent that a camera follows is not in the frame."""
+    """Error if the agent that a camera follows is not in the frame."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,7 +106,7 @@ class FrameDrawer:
                 return camera
             if agents or any(len(crowd.position) for crowd in picture.crowds):
                 raise AgentMissing(_describe_missing_agent(picture, agents))
-            which = "fit"  # a frame without agents, as the end of a hunt: the other frames of a film still count
+            which = "fit"  # a frame without agents, such as the end of a hunt; the other frames of a film still show agents
         if which == "top":
             return make_top_camera(picture, aspect=aspect)
         if which == "fit" or (which == "scene" and self.gallery.has_fitted_camera):
@@ -146,7 +146,7 @@ class StillStore:
         """Return the store for the stills of a cache. A still's hash covers data that identifies the cache's frames.
 
         `camera_frames`: the frames that a common camera is chosen for."""
-        read = cache.manifest.model_copy(update={"made_with": None}).model_dump_json()  # pictures do not depend on it
+        read = cache.manifest.model_copy(update={"made_with": None}).model_dump_json()  # pictures do not depend on provenance
         manifest = blake2b(read.encode(), digest_size=16).hexdigest()
         frames = cache.frames()
         inputs = {

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from antdsl.bodies.body import build_rotation_matrices
 
 Floats = NDArray[np.float64]
-_GIMBAL_LOCK_COSINE = 1e-6  # cosine of the middle angle below which only the sum or difference of the others is known
+_GIMBAL_LOCK_COSINE = 1e-6  # cosine of the middle angle; below it, only the sum or difference of the other angles is defined
 
 
 class EulerAngles:

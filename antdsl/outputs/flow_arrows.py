@@ -1,4 +1,5 @@
-"""Flows as arrows on the ground, stored in a cache for pictures. There are few enough arrows to tell them apart.
+"""Flows as arrows on the ground, stored in a cache for pictures. The number of arrows is limited so that single arrows stay
+visible.
 
 static.npz  flow.NAME.P f4 (n, 3): start points of the arrows
             flow.NAME.V f4 (n, 3): vectors of the arrows, as at the first frame"""
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 from antdsl.outputs.cache.scene_positions import to_scene_positions
 from antdsl.runtime.world import World
 
-_ARROWS_PER_EXTENT = 44  # arrows in a row along the longest side of the ground
+_ARROWS_PER_EXTENT = 44  # number of arrows along the longest side of the ground
 _ARROW_LENGTH_SHARE = 0.85  # length of an arrow of strength 1, as a share of the arrows' distance
 _MIN_ARROW_STRENGTH = 0.02  # weaker flows are not drawn
 _ARROW_LIFT = 0.06

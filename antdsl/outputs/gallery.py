@@ -51,14 +51,15 @@ _SURFACE_KIND_BY_NAME: tuple[tuple[str, SurfaceKind], ...] = (
 _SURFACE_KIND_BY_MATERIAL: dict[str, SurfaceKind] = {"metal": "metal", "soil": "hill", "leaf": "leaf", "light": "light"}
 _UP_VECTORS = {"y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 REQUIRED_ATTRIBUTES = ("P", "orient", "pscale")
-_FIELD_COLOURS = ((0.68, 0.10, 0.46), (0.05, 0.46, 0.62), (0.80, 0.40, 0.05), (0.30, 0.22, 0.66))  # fields in their order
-_FLOW_COLOURS = ((250, 246, 226), (60, 214, 255), (255, 150, 60), (190, 140, 255))  # flows in their order
-_OUTLINE_DIRECTIONS, _MAX_FITTED_FRAMES = 96, 48  # directions for the outermost agents; frames examined to fit a camera
-_MAX_STRENGTH_FRAMES = 8  # frames examined for the strongest value of a field
+# colours of the fields, in their order
+_FIELD_COLOURS = ((0.68, 0.10, 0.46), (0.05, 0.46, 0.62), (0.80, 0.40, 0.05), (0.30, 0.22, 0.66))
+_FLOW_COLOURS = ((250, 246, 226), (60, 214, 255), (255, 150, 60), (190, 140, 255))  # colours of the flows, in their order
+_OUTLINE_DIRECTIONS, _MAX_FITTED_FRAMES = 96, 48  # directions for the outermost agents, and frames examined to fit a camera
+_MAX_STRENGTH_FRAMES = 8  # frames examined to find the strongest value of a field
 
 
 class PictureUnavailable(Exception):
-    """Reason why a cache cannot be drawn. The message is complete without context."""
+    """Error for a cache that cannot be drawn. The message is the reason, complete without context."""
 
 
 @contextmanager
@@ -150,7 +151,7 @@ class Gallery:
 
         The points are the outermost agents in many directions, with a margin of the body's reach. Only some of the frames are
         examined."""
-        turn = np.arange(_OUTLINE_DIRECTIONS) * (np.pi * (3.0 - np.sqrt(5.0)))  # a spiral that covers a ball evenly
+        turn = np.arange(_OUTLINE_DIRECTIONS) * (np.pi * (3.0 - np.sqrt(5.0)))  # a spiral that covers the sphere evenly
         height = 1.0 - 2.0 * (np.arange(_OUTLINE_DIRECTIONS) + 0.5) / _OUTLINE_DIRECTIONS
         flat = np.sqrt(1.0 - height * height)
         directions = np.stack([flat * np.cos(turn), height, flat * np.sin(turn)])
@@ -310,7 +311,8 @@ class Gallery:
                 look = group.looks[number] if number < len(group.looks) else None
                 shape = cast(ItemShapeName, choose_item_shape(group.name, name))
                 if look == "none" or (shape == "none" and look is not None):
-                    shape = "none" if look == "none" else "sphere"  # a place that is meant is seen where the scene says of what
+                    # an item with a look but no shape is shown as a sphere
+                    shape = "none" if look == "none" else "sphere"
                 left = self._compute_remaining_share(group.name, group.attributes, number, arrays)
                 items.append(Item(name, position, radius, left, shape, None if look == "none" else look))
         return tuple(items)
@@ -357,7 +359,7 @@ class Gallery:
             for frame in sorted(chosen):
                 try:
                     arrays = self.cache.frame(frame)
-                except CacheError:  # other frames can be drawn without a damaged one
+                except CacheError:  # a damaged frame does not prevent drawing others
                     continue
                 for field in self.manifest.fields:
                     values = np.asarray(arrays.get(f"field.{field.name}.values", ()), np.float64)

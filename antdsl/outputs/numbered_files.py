@@ -7,7 +7,8 @@ from pathlib import Path
 
 
 class ExportUnavailable(Exception):
-    """Reason why a cache cannot be exported in this form. The message is complete without context; `help` says what to do."""
+    """Error for a cache that cannot be exported in this form. The message is the reason, complete without context. `help`: what
+    to do."""
 
     def __init__(self, message: str, help: str = "") -> None:
         super().__init__(message)

@@ -26,7 +26,7 @@ _REQUIRED_ARRAYS = ("id", "orient")
 
 
 class NotEditable(Exception):
-    """Reason why a cache cannot be edited. The message is complete without context."""
+    """Error for a cache that cannot be edited. The message is the reason, complete without context."""
 
 
 def smooth_orientations(cache: Cache, folder: Path, width: int, *, force: bool = False) -> Iterator[int]:
@@ -40,7 +40,7 @@ def smooth_orientations(cache: Cache, folder: Path, width: int, *, force: bool =
     prepare_folder(folder, force=force)
     with FolderLock(folder):
         clear_folder(folder)
-        (folder / "manifest.json").unlink(missing_ok=True)  # the folder is no cache until it is complete
+        (folder / "manifest.json").unlink(missing_ok=True)  # the folder is not a cache until it is complete
         static = make_npz_file(cache.read_static())
         write_atomically(folder / STATIC_FILE_NAME, static.parts)
         yield from _write_frames(cache, folder, width)
@@ -108,7 +108,7 @@ def smooth_frame(frames: Mapping[int, FrameOrientations], frame: int, width: int
     reach = np.minimum(sides[0][1], sides[1][1])
     total = current.orient.copy()
     for k in range(half):
-        angle = np.minimum((k + 1) / (reach + 1), 1.0) * np.pi  # beyond its reach an agent counts for nothing
+        angle = np.minimum((k + 1) / (reach + 1), 1.0) * np.pi  # beyond its reach, an agent has weight 0
         total += (0.5 + 0.5 * np.cos(angle))[:, None] * (sides[0][0][k] + sides[1][0][k])
     size = np.sqrt((total * total).sum(axis=1))
     good = np.isfinite(size) & (size > 1e-6)

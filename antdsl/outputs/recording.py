@@ -61,20 +61,21 @@ class Recording:
     world: World
     inputs: Mapping[str, str]
     resumed_from: int | None = None
-    retained_lines: dict[int, HashLine] = field(default_factory=dict)  # the lines of the frames up to there
-    damaged_checkpoints: list[int] = field(default_factory=list)  # checkpoints of an earlier run that are of no use
-    notes: list[str] = field(default_factory=list)  # messages on damaged parts of an earlier run that are made again
+    retained_lines: dict[int, HashLine] = field(default_factory=dict)  # the lines of the retained frames
+    damaged_checkpoints: list[int] = field(default_factory=list)  # unusable checkpoints of an earlier run
+    notes: list[str] = field(default_factory=list)  # messages on damaged parts of an earlier run that are recomputed
     static_arrays: dict[str, NDArray[Any]] = field(default_factory=dict)  # the arrays of `static.npz`
-    frame: int | None = None  # the last that was passed to the writer
+    frame: int | None = None  # the last frame that was passed to the writer
     stop_requested: bool = False
-    last_state_hash: str = ""  # of the last frame that is known to be written
-    surface_error: float | None = 0.0  # the greatest of all frames, in body lengths; None if earlier ones are unknown
-    steps: int = 0  # after the first
+    last_state_hash: str = ""  # hash of the last frame that is known to be written
+    # greatest error of all frames, in body lengths; None if the error of earlier frames is unknown
+    surface_error: float | None = 0.0
+    steps: int = 0  # number of steps after the first
     seconds: dict[str, float] = field(default_factory=dict)
     frame_seconds: dict[str, float] = field(default_factory=dict)  # frames: parts of `submit`
     writer_seconds: dict[str, float] = field(default_factory=dict)  # frames and checkpoints written meanwhile
     start_time: float = field(default_factory=time.perf_counter)
-    scene_path: str | None = None  # path from the cache to its scene, if it differs from that between the files in use
+    scene_path: str | None = None  # path from the cache to its scene, if it differs from the path between the files in use
     step_meter: StepMeter | None = None  # measures the steps after the first
 
     @property
@@ -96,7 +97,7 @@ class Recording:
 
 
 class NothingToResume(Exception):
-    """No checkpoint of an earlier run can be used. The message says why."""
+    """Error if no checkpoint of an earlier run can be used. The message is the reason."""
 
 
 def begin_recording(shot: Shot, folder: Path, options: Options, *, resume: bool, force: bool) -> Recording:
@@ -246,7 +247,7 @@ def record_frames(recording: Recording, on_frame: Callable[[str, int], None] = l
                 _run_timed_step(recording, "preroll")
                 on_frame("preroll", world.frame)
             world.motion.reset()
-            collect_emissions(world)  # events of the preroll are no events of the first frame
+            collect_emissions(world)  # events of the preroll do not belong to the first frame
             world.timings.clear()
             world.cpu_seconds.clear()
             _write_frame(recording, writer)

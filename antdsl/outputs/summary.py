@@ -10,8 +10,9 @@ from antdsl.outputs.recording import Recording
 
 
 def summarise_run(recording: Recording) -> dict[str, Any]:
-    """Return counts, speeds and measurements of a run. `seconds`, `fps` and `measure_peak_memory` differ between equal runs, all
-    others do not."""
+    """Return counts, speeds and measurements of a run.
+
+    `seconds`, `fps` and `measure_peak_memory` differ between equal runs; all other values are the same."""
     world = recording.world
     stepping = recording.seconds.get("step", 0.0) + recording.seconds.get("hand_over", 0.0)
     steps = recording.steps

@@ -17,12 +17,12 @@ Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 BOXES_PER_NODE = 4  # child boxes of a box
-# Weight by which a hit may lie outside a triangle, so that no path passes between two triangles at an edge
+# Margin of corner weights for a hit, so that no path passes between two triangles at an edge
 EDGE_TOLERANCE = 1e-9
-MAX_LENGTHENING = 1e6  # largest factor by which a path is extended
-MIN_PLANE_SINE = 1e-12  # sine between a path and a plane below which the path counts as parallel, without a hit
+MAX_LENGTHENING = 1e6  # maximum factor by which a path is extended
+MIN_PLANE_SINE = 1e-12  # sine between a path and a plane; below it, the path counts as parallel, without a hit
 _GRID_STEPS_PER_AXIS = 1 << 21  # resolution of the Morton order along an axis
-_MAX_OPEN_BOXES = 128  # size of the stack of boxes: more than a tree of 2**40 triangles needs
+_MAX_OPEN_BOXES = 128  # size of the stack of boxes; a tree of 2**40 triangles needs less
 
 
 class BoxTree(NamedTuple):
@@ -63,10 +63,10 @@ class FaceBoxes:
 
     @staticmethod
     def of(vertices: Floats, faces: NDArray[np.int32], live_faces: Index, group: NDArray[np.int32]) -> FaceBoxes:
-        """Build the tree of the `live_faces` triangles. The triangles of one `group` int32[m] are consecutive.
+        """Build the tree of the `live_faces` triangles.
 
-        Within a group they are in Morton order, so that neighbours share boxes (Lauterbach et al., Fast BVH Construction on GPUs,
-        2009, p. 376-378)."""
+        The triangles of one `group` int32[m] are consecutive. Within a group they are in Morton order, so that neighbours share
+        boxes (Lauterbach et al., Fast BVH Construction on GPUs, 2009, p. 376-378)."""
         order = live_faces[np.lexsort((_compute_morton_numbers(vertices[faces[live_faces]].mean(axis=1)), group[live_faces]))]
         counts = [live_faces.size]
         while counts[-1] > 1:
@@ -153,9 +153,9 @@ def find_first_hit(
     """Return the first hit of a path from `origin` by `step`, extended by `extension` mm, among the first `count` triangles of
     `face_list`.
 
-    `table` is the packed table. A triangle is hit from both sides if its box overlaps the path's box, but not by a path in its
-    plane. Of two hits at equal distance, the lower number counts (Möller, Trumbore, Fast, Minimum Storage Ray/Triangle
-    Intersection, 1997, p. 22-24)."""
+    `table` is the packed table. Both sides of a triangle can be hit, if its box overlaps the path's box. A path in the triangle's
+    plane does not hit. Of two hits at equal distance, the lower number counts (Möller, Trumbore, Fast, Minimum Storage
+    Ray/Triangle Intersection, 1997, p. 22-24)."""
     order, _, bounds = boxes
     numbers, behind = face_list
     face, part, b1, b2 = -1, np.inf, 0.0, 0.0

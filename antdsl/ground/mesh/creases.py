@@ -1,5 +1,6 @@
-"""Where bodies may meet a surface that rises ahead of them: near inner creases, and where two pieces of a ground are close to
-each other."""
+"""Areas in which bodies may meet a surface that rises ahead of them.
+
+They are near inner creases, and where two pieces of a ground are close to each other."""
 
 from __future__ import annotations
 
@@ -23,21 +24,22 @@ Index = NDArray[np.int64]
 Ints = NDArray[np.int32]
 
 _SAMPLES_PER_CREASE = 5  # points along a crease from which distances are measured
-_MAX_SEPARATE_PIECES = 64  # pieces of a ground above which each face counts as near another
-_MAX_RELATIVE_DISTANCE = 0.1  # relative to the size of the other pieces
-_DISTANCE_NOISE = 1e-4  # relative to the ground's extent; more than the error of float32 distances
+_MAX_SEPARATE_PIECES = 64  # with more pieces, each face counts as near another
+_MAX_RELATIVE_DISTANCE = 0.1  # share of the size of the other pieces
+_DISTANCE_NOISE = 1e-4  # share of the ground's extent; exceeds the error of float32 distances
 _MAX_CELLS_PER_AXIS = 192  # cells along the longest side of a ground
 _SMOOTH_EDGE_COSINE = 0.7071067811865476  # cosine of the largest angle between faces at a smooth edge
-_MIN_BEND = np.radians(14.0)  # radians: a rise of less is clear of a body that stands on the smoothed ground
-_WIDE_PER_BODY = 0.6  # of a body: faces of this height have at most one edge below either half of a body
+_MIN_BEND = np.radians(14.0)  # radians; a body on smoothed ground does not touch a smaller rise
+_WIDE_PER_BODY = 0.6  # body lengths; a face of this height has at most one edge below either half of a body
 _NO_CELL = np.iinfo(np.int32).max
-_PLACES_PER_THREAD = 512  # number of positions from which another thread is worthwhile
+_PLACES_PER_THREAD = 512  # fewer positions are not worth another thread
 _EXPONENT_BIAS = 1022  # offset from the exponent bits of a float64 to the exponent of np.frexp
 
 
 def find_inner_creases(table: MeshTopology, corners: Floats) -> Index:
-    """Return the half-edges at inner creases. Seen from one side of the face, the face beyond rises more steeply than at a smooth
-    edge."""
+    """Return the half-edges at inner creases, as seen from one side of the face.
+
+    At an inner crease, the face beyond rises more steeply than at a smooth edge."""
     is_crease = np.zeros(table.link.shape[1], np.bool_)
     for side, sign in ((0, 1.0), (1, -1.0)):
         half = np.flatnonzero(table.link[side] != NO_LINK)
@@ -59,10 +61,9 @@ def sharp_edges(table: MeshTopology, corners: Floats) -> Index:
 
 
 def bend_edges(table: MeshTopology, corners: Floats, size: float) -> tuple[Index, NDArray[np.bool_]]:
-    """Return where the ground rises so much that a body of `size` mm may meet it.
+    """Return the half-edges at which a body of `size` mm may meet rising ground, and which wide faces have such an edge, bool[m].
 
-    The half-edges beside narrow faces, of which a body crosses several at once, so that each counts from a smaller turn on. And
-    bool[m], whether a wide face has such an edge."""
+    A body crosses several narrow faces at once, so each of their edges counts even for a smaller turn."""
     half, cosine, face = _edge_turns(table)
     length = np.sqrt(((corners[face, (half % 3 + 2) % 3] - corners[face, (half % 3 + 1) % 3]) ** 2).sum(axis=1))
     area = np.sqrt((np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) ** 2).sum(axis=1))
@@ -73,7 +74,7 @@ def bend_edges(table: MeshTopology, corners: Floats, size: float) -> tuple[Index
     turn = _MIN_BEND * np.minimum(height / reach, 1.0)
     far = corners[table.link[0, half] >> 3, (table.link[0, half] >> 1) & 3].T - corners[face, (half % 3 + 1) % 3].T
     climbs = dot(table.normal.take(face, axis=1), far) > 0
-    # Agents may stand on either side of a sheet, so what falls from one side rises from the other.
+    # Agents may stand on either side of a sheet: an edge that descends on one side rises on the other.
     climbs |= bool((table.link[0].reshape(-1, 3)[table.live] == NO_LINK).any())
     bends, wide = (cosine < elementary.cos(turn.astype(np.float32))) & climbs, height >= reach
     has_bend = np.zeros(len(corners), np.bool_)
@@ -109,8 +110,8 @@ class CreaseMap:
 
     @cached_property
     def _grids(self) -> tuple[NDArray[np.bool_], Ints, Ints] | tuple[NDArray[np.bool_]]:
-        """Return the cells that contain a crease. If there are several pieces, return also the least and the greatest piece in
-        each cell."""
+        """Return the cells that contain a crease. With several pieces, return also the least and the greatest piece in each
+        cell."""
         corners, table, minded, half = self._inputs
         live = np.flatnonzero(table.live & minded)
         half = half[minded[half // 3]]
@@ -135,7 +136,8 @@ class CreaseMap:
         return is_marked
 
     def find_rows_near(self, rows: Index, rungs: Index, rung_bits: int, place: Floats, threads: int) -> NDArray[np.bool_]:
-        """Return which rows of positions (n, 3) may have a crease, another piece or a cut nearby. No row that has one is missing.
+        """Return which rows of positions (n, 3) may have a crease, another piece or a cut nearby. The result contains all rows
+        that have one.
 
         A rung is the exponent of 2 of a reach, counted from that of a cell. Rows of rung -1 count as near; others are tested by
         the grid of their rung. `rung_bits` has a bit for each such rung. The result for a position and a reach does not depend on
@@ -201,7 +203,7 @@ def compute_slope_clearance(corners: Floats, table: MeshTopology, half: Index) -
         one, two = (corners[half // 3, (half % 3 + k) % 3] for k in (1, 2))
         part = np.linspace(0.0, 1.0, _SAMPLES_PER_CREASE)[:, None, None]
         reach = np.sqrt(((two - one) ** 2).sum(axis=1).max()) / (2 * (_SAMPLES_PER_CREASE - 1))
-        samples = (one + part * (two - one)).reshape(-1, 3)  # most of them twice, from both sides of the crease
+        samples = (one + part * (two - one)).reshape(-1, 3)  # most points occur twice, from both sides of the crease
         samples = samples[np.lexsort(samples.T)]
         fresh = np.concatenate(([True], (samples[1:] != samples[:-1]).any(axis=1)))
         distances = cKDTree(samples[fresh]).query(middle)[0] - radius - reach

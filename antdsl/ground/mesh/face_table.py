@@ -12,8 +12,8 @@ from antdsl.ground.mesh.topology import MeshTopology
 Floats = NDArray[np.float64]
 
 ROW_FLOATS = 40  # five complete cache lines
-# In the order in which a walk reads them, four at a time. At EDGES are four numbers of each edge: its direction, its link, and
-# one that belongs elsewhere, the face's mesh and the first two of nine smooth normals, of which the other seven are at SMOOTH.
+# Numbers in the order in which a walk reads them, four at a time. EDGES has four numbers per edge: its direction (two numbers),
+# its link, and one other number: the face's mesh or one of the first two smooth normals. SMOOTH has the other seven of nine.
 (
     AXIS1_OFFSET,
     AXIS2_OFFSET,
@@ -28,7 +28,7 @@ ROW_FLOATS = 40  # five complete cache lines
     EDGE2_OFFSET,
     SMOOTH_NORMALS_OFFSET,
 ) = 0, 3, 6, 9, 10, 11, 12, 15, 24, 27, 30, 33
-EDGE_COSINE, EDGE_SINE, EDGE_LINK = 0, 1, 2  # from EDGES and 4 times the edge on
+EDGE_COSINE, EDGE_SINE, EDGE_LINK = 0, 1, 2  # offsets from EDGES + 4 * edge
 OPEN_BORDER_LINK = -2  # link of a border with nothing beyond it, see `open_borders`
 
 

@@ -49,7 +49,7 @@ def write_positions(
                 x = (x + p * (vertices[j] - x)) + q * (vertices[k] - x)
                 y = (y + p * (vertices[j + 1] - y)) + q * (vertices[k + 1] - y)
                 z = (z + p * (vertices[j + 2] - z)) + q * (vertices[k + 2] - z)
-                if h != 0.0 or x == 0.0 or y == 0.0 or z == 0.0:  # otherwise nothing changes, not even the sign of zero
+                if h != 0.0 or x == 0.0 or y == 0.0 or z == 0.0:  # otherwise no value changes, not even the sign of zero
                     x, y, z = x + h * normal[0, f], y + h * normal[1, f], z + h * normal[2, f]
             place[n, 0], place[n, 1], place[n, 2] = x, y, z
     return True

@@ -12,21 +12,20 @@ from antdsl.numerics.vectors import dot
 
 Index = NDArray[np.int64]
 
-_MAX_BORDERS = 10_000  # most borders that are searched
-_MAX_BORDER_PAIRS, _PAIRS_PER_CHUNK = 1_000_000, 50_000  # pairs of a border and a nearby face: most per ground, and per chunk
-# Relative to the tolerances: more than the rounding error of a corner, less than the width of any search path.
+_MAX_BORDERS = 10_000  # maximum number of searched borders
+_MAX_BORDER_PAIRS, _PAIRS_PER_CHUNK = 1_000_000, 50_000  # pairs of a border and a nearby face: maximum per ground, and per chunk
+# Relative to the tolerances: larger than the rounding error of a corner, smaller than the width of any search path.
 _PLANE_TOLERANCE = 1e-4
 
 
 def find_open_borders(table: MeshTopology, boxes: FaceBoxes, scale: GroundScale, max_body_size: float) -> Index:
-    """Return half-edges without a link on either side, beyond which `find_landing_beyond_border` finds no landing for bodies of
-    up to `max_body_size` mm.
+    """Return half-edges without a link on either side that have no landing beyond them for bodies of up to `max_body_size` mm.
 
-    The result is incomplete on a ground that is mostly borders, or has faces much finer than the bodies: a complete search would
-    take long.
+    The landing is that of `find_landing_beyond_border`. The result is incomplete on a ground that is mostly borders, or has faces
+    much finer than the bodies: a complete search would take too long.
 
     The search paths of `find_landing_beyond_border` lie in the plane across the edge, above or below the face, except beyond the
-    border. They meet nothing under two conditions: all other nearby faces lie in the plane of the edge's face, and none extends
+    border. They meet nothing under two conditions. All other nearby faces lie in the plane of the edge's face, and none extends
     over the edge's line. Paths along that plane, and paths beyond the line, stay at least the gap away from these faces."""
     half = np.flatnonzero((table.link[0] == NO_LINK) & (table.link[1] == NO_LINK) & np.repeat(table.live, 3))[:_MAX_BORDERS]
     reach = 1.01 * (

@@ -1,5 +1,6 @@
-"""Places where a mesh cuts itself. Pairs of faces that cut each other are determined once. An agent on a face of a pair crosses
-the other face exactly at the cut, and nowhere else."""
+"""Pairs of faces at which a mesh cuts itself. They are determined once.
+
+An agent on a face of a pair crosses the other face exactly at the cut, and nowhere else."""
 
 from __future__ import annotations
 
@@ -18,8 +19,8 @@ Index = NDArray[np.int64]
 
 _PAIRS_PER_CHUNK = 2_000_000  # pairs of faces in a cell per chunk
 _CELL_WIDTH_IN_FACES = 2.0  # width of a cell, in median face sizes
-_MAX_FACE_CELLS = 8.0  # cells along a face above which it belongs to the larger faces
-_COPLANAR_COSINE = 1 - 1e-12  # absolute cosine between normals above which faces count as parallel
+_MAX_FACE_CELLS = 8.0  # a face across more cells belongs to the larger faces
+_COPLANAR_COSINE = 1 - 1e-12  # absolute cosine between normals; above it, faces count as parallel
 _MAX_CELLS_PER_AXIS = 1 << 20  # along an axis
 
 
@@ -63,12 +64,12 @@ def _find_cutting_pairs(corners: Floats, weld: Ints, piece: Ints, grain: float) 
     cut_pairs = [np.empty((2, 0), np.int64)]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normal /= np.maximum(length(normal), 1e-300)[:, None]
-    weld_columns = np.ascontiguousarray(weld.T)  # one array per corner: three arrays are faster than an axis of three
+    weld_columns = np.ascontiguousarray(weld.T)  # one array per corner is faster than an axis of three
     for one, two in _iterate_overlapping_pairs(corners, np.flatnonzero(piece >= 0)):
         own = np.flatnonzero(piece.take(one) == piece.take(two))
         one, two = one[own], two[own]
         same = [[own_corner.take(one) == other_corner.take(two) for other_corner in weld_columns] for own_corner in weld_columns]
-        # Faces with a common edge cannot cut each other. Faces with one common corner can.
+        # Faces with a common edge cannot cut each other; faces with one common corner can.
         count = sum(each.view(np.int8) for row in same for each in row)
         pair_rows = np.flatnonzero(count < 2)
         pair_rows = pair_rows[np.abs(dot(normal[one[pair_rows]], normal[two[pair_rows]])) < _COPLANAR_COSINE]
@@ -104,7 +105,7 @@ def _iterate_overlapping_pairs(corners: Floats, live: Index) -> Iterator[tuple[I
         fits = size[left] <= _MAX_FACE_CELLS * width
         now, left = left[fits], left[~fits]
         for one, two in _iterate_pairs_in_cells(corners, now, smaller, width):
-            for least, most in zip(low, high, strict=True):  # one axis after another: fewer pairs remain each time
+            for least, most in zip(low, high, strict=True):  # one axis after another, so that fewer pairs remain each time
                 beside = np.flatnonzero((least.take(one) <= most.take(two)) & (least.take(two) <= most.take(one)))
                 one, two = one[beside], two[beside]
             yield np.minimum(one, two), np.maximum(one, two)

@@ -1,4 +1,4 @@
-"""Stretches of a walk, each across one face. A walk pauses where something may be in the path or beyond a border."""
+"""Stretches of a walk, each across one face. A walk pauses where another surface may be in the path or beyond a border."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from antdsl.ground.mesh.walkers import ClearanceTables, FaceDirection, FaceWalke
 from antdsl.machine_code.kernels import BOOL, F64, I64, Array1, inlined, load_consecutive, prefetch, round_to_int
 from antdsl.numerics.kernel_vectors import AgentPose, TriangleWeights, Vec3, clamp_weights, plus, times
 
-MAX_EDGE_CROSSINGS = 400  # most edges crossed in one step; the agent then stops until the next step
-_MIN_NORMAL_COSINE = 0.1  # of face and smooth normal: below it a direction is not lifted completely
+MAX_EDGE_CROSSINGS = 400  # maximum number of edges crossed in one step; the agent then stops until the next step
+_MIN_NORMAL_COSINE = 0.1  # cosine between face and smooth normal; below it, a direction is not lifted completely
 CROSSINGS_BEFORE_NUDGE = 24  # crossings after which a walker is nudged, because it may circle a corner
 NUDGE_FRACTION = 1e-7  # share of a face by which it is moved
 BORDER_INWARD_SHARE = 1e-6  # share of the direction that points inwards, so that rounding does not lead back to the border
-MAX_SURFACE_HOPS = 6  # most changes of surface, or turns along a border, in one step
+MAX_SURFACE_HOPS = 6  # maximum number of changes of surface, or turns along a border, in one step
 LOOK_AHEAD_EVENT, BORDER_EVENT, OVERHANG_EVENT = 1, 2, 3  # possible obstacle; border reached; agent above a border
 
 
@@ -48,13 +48,13 @@ def project_to_face(axis1: Vec3, axis2: Vec3, x: F64, y: F64, z: F64, c0: F64, s
     flat = np.sqrt(c * c + s * s)
     if not (flat > 1e-150 and flat < np.inf):
         return c0, s0, 0.0
-    # Up to 60 degrees off the surface the length is preserved; beyond, it falls steadily to nothing.
+    # The length is preserved up to 60 degrees off the surface; beyond, it decreases steadily to 0.
     return c / flat, s / flat, min(np.sqrt(x * x + y * y + z * z), 2 * flat)
 
 
 @inlined
 def get_clearance(near: ClearanceTables, f: I64, weights: TriangleWeights) -> F64:
-    """Return a distance (mm) from a position within which there is no other piece, see `FacePartClearances`; at most `reach`."""
+    """Return a distance (mm) around a position without any other piece; at most `reach`. See `FacePartClearances`."""
     n = near.parts_per_edge[f]
     if n == 0:
         return near.reach
@@ -74,8 +74,8 @@ def walk_stretches(
 ) -> tuple[FaceWalker, WalkProgress, WalkStop]:
     """Walk across faces until no displacement is left, or until an event.
 
-    A stretch that may have another piece within its length and `search_height` is an event, but not the first stretch if
-    `skip_first_search`. With `follow_borders`, open borders with nothing beyond them are followed, where no stretch may meet
+    A stretch is an event if another piece may be within its length and `search_height`. With `skip_first_search`, the first
+    stretch is excepted. With `follow_borders`, the walk follows open borders with nothing beyond them, where no stretch may meet
     another piece."""
     table, link, forked, _ = surface
     f, (b1, b2), side, (c, s), (heading_c, heading_s) = walker
@@ -127,7 +127,7 @@ def walk_stretches(
             f, (b1, b2), side, (c, s), (heading_c, heading_s) = cross_edge(
                 table, beyond, edge, (cosine, sine), (b1, b2), side, (c, s), (heading_c, heading_s)
             )
-            for line in (0, 24, 32):  # cache lines that the final pose reads; the walk reads the others at once
+            for line in (0, 24, 32):  # cache lines that only the final pose reads
                 prefetch(table, ROW_FLOATS * f + line)
         turn += 1
     walker = FaceWalker(f, (b1, b2), side, (c, s), (heading_c, heading_s))
@@ -214,7 +214,7 @@ def compute_final_pose(table: Array1[F64], walker: FaceWalker, height: F64) -> A
         corner[2] + b1 * edge1[2] + b2 * edge2[2] + height * nz,
     )
     dx, dy, dz = plus(times(axis1, c), times(axis2, s))
-    # Up or down along the face's normal into the plane of the smooth one: the next step's projection leads exactly back.
+    # Rotate along the face's normal into the plane of the smooth one, so that the next step's projection is exact.
     lift = (dx * sx + dy * sy + dz * sz) / max(nx * sx + ny * sy + nz * sz, _MIN_NORMAL_COSINE)
     dx, dy, dz = dx - lift * nx, dy - lift * ny, dz - lift * nz
     long = np.sqrt(dx * dx + dy * dy + dz * dz)
@@ -223,7 +223,8 @@ def compute_final_pose(table: Array1[F64], walker: FaceWalker, height: F64) -> A
 
 @inlined
 def _rotate_with_normal(vx: F64, vy: F64, vz: F64, bx: F64, by: F64, bz: F64, ax: F64, ay: F64, az: F64) -> Vec3:
-    """Return a vector rotated as unit normal b rotates into a. If they are opposite, the rotation goes over the vector itself."""
+    """Return a vector rotated as unit normal b rotates into a. If the normals are opposite, the rotation passes through the
+    vector itself."""
     cosine = bx * ax + by * ay + bz * az
     if cosine < -1 + 1e-9:
         hx, hy, hz = by * vz - bz * vy, bz * vx - bx * vz, bx * vy - by * vx

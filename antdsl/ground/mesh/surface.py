@@ -22,7 +22,7 @@ from antdsl.ground.sticking import move_by_rays
 from antdsl.numerics import parallel
 from antdsl.numerics.vectors import dot
 
-SHARP_REACH, BEND_REACH = 1.6, 0.9  # bodies around an agent in which its ground must be level, see `mark_bends`
+SHARP_REACH, BEND_REACH = 1.6, 0.9  # body lengths around an agent within which its ground must be level, see `mark_bends`
 
 
 class MeshGround:
@@ -59,10 +59,10 @@ class MeshGround:
             corners, self._topology.piece, self._topology.cuts.is_cut, self.low, self._scale.distance_noise
         )
         self._walk_tables: WalkTables | None = None
-        # Where bodies must turn ahead of their feet, and faces that they must rise over, by size; computed on first use.
+        # By size, computed on first use: where bodies must turn ahead of their feet, and faces that they must rise over.
         self._bends: dict[float, tuple[SlopeMap | None, NDArray[np.bool_]]] = {}
         self._sharp: SlopeMap | None = None
-        self._slope_map: SlopeMap | None = None  # where bodies may meet walls, computed on first use
+        self._slope_map: SlopeMap | None = None  # areas in which bodies may meet walls, computed on first use
 
     def _group_surfaces(self) -> NDArray[np.int32]:
         """Return a group number for each face; the faces of one group move together."""
@@ -99,8 +99,9 @@ class MeshGround:
         return self._build_footing(face, *self._topology.compute_weights(np.maximum(face, 0), place.T)), is_hit
 
     def find_nearest(self, points: Floats, surface_names: Iterable[str] | None = None) -> tuple[Footing, Floats]:
-        """Return footings at the points of the surfaces in `surface_names` (None: all) that are nearest to points [n,3], and the
-        distance float64[n]."""
+        """Return footings at the surface points nearest to points [n,3], and the distance float64[n].
+
+        `surface_names`: the surfaces to search; None means all."""
         points = np.asarray(points, np.float64).reshape(-1, 3)
         scene, live = self._get_ray_scene(surface_names)
         mesh, local, place, distance = scene.find_closest(points)
@@ -202,10 +203,11 @@ class MeshGround:
     ) -> NDArray[np.bool_]:
         """Write how the ground bends around agents of `size` [n] mm at positions [n,3] into `levels`.
 
-        Agents within 1.6 bodies of a sharp edge, another piece, a cut or a moving mesh get 2. Others within 0.9 bodies of narrow
-        faces that rise get 1, and all others 0. Return which faces have an edge at which the ground rises, but not sharply."""
+        The level is 2 within 1.6 body lengths of a sharp edge, another piece, a cut or a moving mesh. It is 1 for other agents
+        within 0.9 body lengths of narrow faces that rise, and 0 for all others. Return which faces have an edge at which the
+        ground rises, but not sharply."""
         part, power = np.frexp(max(float(np.fmax.reduce(size, initial=0.0)), 1e-6))
-        rung = float(np.ldexp(np.ceil(part * 8) / 8, power))  # tables for a few sizes only
+        rung = float(np.ldexp(np.ceil(part * 8) / 8, power))  # rounded, so that tables exist for a few sizes only
         own = [mask for mask, _, _ in self.list_moving_boxes()]
         if rung not in self._bends:
             corners = self._vertices[self._faces]

@@ -1,5 +1,4 @@
-"""Lower bounds of the distance from agents on a surface to any other piece of surface. With them, most agents need no search for
-pieces."""
+"""Lower bounds of the distance from agents on a surface to any other piece of surface. They make most searches unnecessary."""
 
 from __future__ import annotations
 
@@ -19,9 +18,9 @@ Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 _MAX_GRID_CELLS = 400_000
-_MAX_FACE_PARTS = 100_000  # most parts of all faces near other pieces
+_MAX_FACE_PARTS = 100_000  # maximum number of parts of all faces near other pieces
 _MAX_PARTS_PER_EDGE = 8  # parts along each edge of a face
-_MAX_PIECES = 500  # number of pieces above which faces are not divided and count as touching
+_MAX_PIECES = 500  # with more pieces, faces are not divided and count as touching
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +30,7 @@ class FacePartClearances:
     - `reach`: the largest distance (mm) that is distinguished
     - `count`: face f has `count[f]` by `count[f]` parts along its first and second edge; 0 if no other piece is within `reach`
     - `first`: the number of the first part of each face
-    - `clearances`: a distance (mm) from each part within which there is no other piece"""
+    - `clearances`: a distance (mm) around each part without any other piece"""
 
     reach: float
     first: Index
@@ -61,7 +60,7 @@ class PieceClearances:
         """Return clearances that distinguish distances up to `reach` mm. They are cached, and measured again if the reach has
         increased."""
         if self._parts is None or self._parts.reach < reach:
-            # Wider than requested: otherwise a crowd that speeds up slowly would have it measured again and again.
+            # Wider than requested: otherwise a crowd that accelerates slowly would cause repeated measurements.
             self._parts = self._build_parts(1.5 * reach if self._has_several_pieces else np.inf)
         return self._parts
 

@@ -1,5 +1,4 @@
-"""The surroundings of walkers beyond the next face of their surface: obstacles in their path, and continuations beyond a
-border."""
+"""The surroundings of walkers beyond the next face: obstacles in their path, and continuations beyond a border."""
 
 from __future__ import annotations
 
@@ -39,16 +38,17 @@ from antdsl.numerics.kernel_vectors import (
     unit_or_first_axis,
 )
 
-EYE_HEIGHT_PER_BODY = 0.02  # in body lengths: eye height above the surface
-MIN_LOOK_AHEAD_FACTOR = 8.0  # the search covers at least this multiple of the eye height: climbing also gains height
-BORDER_GAP_PER_BODY = 0.02  # in body lengths: distance beyond a border that is searched
-# In body lengths: height and depth of the search at a border, and its second depth
+EYE_HEIGHT_PER_BODY = 0.02  # body lengths; eye height above the surface
+# multiple of the eye height; the search covers at least this distance, because climbing also gains height
+MIN_LOOK_AHEAD_FACTOR = 8.0
+BORDER_GAP_PER_BODY = 0.02  # body lengths; distance beyond a border that is searched
+# Body lengths: height and depth of the search at a border, and its second depth
 BORDER_RAY_HEIGHT_PER_BODY, BORDER_RAY_DEPTH_PER_BODY = 0.5, 0.25
-RELATIVE_DISTANCE_NOISE = 1e-4  # relative to the ground's extent; more than the error of distances to other pieces
-RELATIVE_MIN_EYE_HEIGHT = 1e-6  # relative to the extent: smallest eye height
-RELATIVE_COINCIDENT_DISTANCE = 1e-8  # relative to the extent: nearer surfaces coincide
-RELATIVE_TOUCH_DISTANCE = 1e-9  # relative to the extent: feet nearer to a cutting face are on it
-# Cosine of about 100 degrees: agents do not step over a border between faces with a smaller cosine
+RELATIVE_DISTANCE_NOISE = 1e-4  # share of the ground's extent; exceeds the error of distances to other pieces
+RELATIVE_MIN_EYE_HEIGHT = 1e-6  # share of the extent; smallest eye height
+RELATIVE_COINCIDENT_DISTANCE = 1e-8  # share of the extent; nearer surfaces coincide
+RELATIVE_TOUCH_DISTANCE = 1e-9  # share of the extent; feet nearer to a cutting face are on it
+# Cosine of about 100 degrees. Agents do not step over a border between faces with a smaller cosine.
 MIN_NORMALS_COSINE = -0.17
 
 
@@ -115,10 +115,10 @@ class BorderFrame(NamedTuple):
 def find_piece_ahead(
     table: Array1[F64], around: NearbySurfaces, body: F64, walker: FaceWalker, remaining: F64, length: F64
 ) -> SurfaceLanding:
-    """Return another piece of surface within the path, seen from slightly above the ground.
+    """Return another piece of surface within the path, as seen from slightly above the ground.
 
-    If the agent's own piece hides it, it is searched from a minimal height. Feet would otherwise pass under the agent's own
-    piece."""
+    If the agent's own piece hides it, the search is repeated from a minimal height. Otherwise feet would pass under the agent's
+    own piece."""
     pieces, boxes, face_list, f = around.sides.piece, around.boxes, around.face_list, walker.face
     least, fine = around.lengths.min_eye_height, around.lengths.coincident_distance
     ground = compute_stance(table, walker)
@@ -152,7 +152,7 @@ def _find_visible_piece(
 ) -> SurfaceSight:
     """Return another piece within the path, seen from height `eye_height`, or from half the height of a low ceiling.
 
-    If there is none, search at the path's end between the eye height and the ground."""
+    If there is none, search between eye height and ground at the end of the path."""
     boxes, face_list, fine, under = (
         around.boxes,
         around.face_list,
@@ -161,14 +161,15 @@ def _find_visible_piece(
     )
     place, up, direction = ground
     roof, part, _ = find_first_hit(table, boxes, face_list, face_count, place, times(up, eye_height), fine)
-    # A face slightly above the agent with its back to it counts as below: climbing feet may be that deep in the ground.
+    # A face slightly above the agent's feet with its back to the agent counts as below: climbing feet may be that deep in the
+    # ground.
     if roof >= 0 and (dot(load_vector(table, ROW_FLOATS * roof + NORMAL_OFFSET), up) < 0 or eye_height * part > under):
         eye_height = eye_height * part / 2
     eye, step = plus(place, times(up, eye_height)), times(direction, length)
     face, part, weights = find_first_hit(table, boxes, face_list, face_count, eye, step, fine)
     if face >= 0:
         return SurfaceSight(face, weights, min(part, 1.0) * length, direction, eye_height)
-    # An obstacle between eye and ground here is below the next eye, on the next face or in the next step.
+    # An obstacle between eye and ground at this point is below the next eye position, on the next face or in the next step.
     down = times(up, -eye_height)
     face, _, weights = find_first_hit(table, boxes, face_list, face_count, plus(eye, step), down, 0.0)
     return SurfaceSight(face, weights, length, down, eye_height)
@@ -207,7 +208,7 @@ def find_landing_beyond_border(
     level.
 
     Each part of the path begins at the end of the previous part, and stops at the first surface. So the agent never steps onto
-    anything behind a sheet. The path is as wide as the gap on both sides of the border."""
+    anything behind a sheet. On both sides of the border, the path is one gap away from it."""
     sides, boxes, face_list, f = around.sides, around.boxes, around.face_list, walker.face
     pieces, least, fine = sides.piece, around.lengths.min_eye_height, around.lengths.coincident_distance
     row = ROW_FLOATS * f
@@ -245,7 +246,7 @@ def find_landing_beyond_border(
     if face >= 0:
         rise = high - part * (high + most)
         if _can_step(table, sides, border, face, towards):
-            # Onto the nearest point of the face to a position above the border that is not below the face's plane.
+            # Step onto the nearest point of the face to a position above the border and above the face's plane.
             face_row = ROW_FLOATS * face
             normal, corner = load_vector(table, face_row + NORMAL_OFFSET), load_vector(table, face_row + CORNER_OFFSET)
             plane = dot(minus(corner, place), normal) / dot(up, normal)
@@ -275,7 +276,7 @@ def find_landing_beyond_border(
                     break
     if face < 0 or not _can_step(table, sides, border, face, towards):
         return SurfaceLanding(-1, (0.0, 0.0), 1.0, 0.0, 0.0, False)
-    # Down at the border itself, where the hit may come sooner; straight across to near surfaces.
+    # Straight down at the border itself, where the hit may be nearer; straight across to near surfaces.
     if rise < -gap:
         fall = times(up, rise + fine)
         sooner, part, nearer = find_first_hit(table, boxes, face_list, n, minus(plus(place, hair), times(up, fine)), fall, 0.0)

@@ -19,9 +19,9 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 Index = NDArray[np.int64]
 
-_RELATIVE_TOUCH_DISTANCE = 1e-9  # relative to the extent: nearer faces touch
+_RELATIVE_TOUCH_DISTANCE = 1e-9  # share of the extent; nearer faces touch
 _DEGENERATE_RATE = 1e12  # weight per mm across a face without width
-_CREASE_COSINE = np.sqrt(0.5)  # cosine of 45 degrees: normals are not smoothed between faces at a larger angle
+_CREASE_COSINE = np.sqrt(0.5)  # cosine of 45 degrees; between faces at a larger angle, normals are not smoothed
 
 NO_LINK = -1
 _FLOAT_COLUMNS = tuple(

@@ -1,7 +1,7 @@
-"""Walking over triangles: straight lines that unfold across edges, climb obstacles and stop at open borders. Exact in float64:
-the point never leaves its triangle, and the path is as long as requested.
+"""Walking over triangles: straight lines that unfold across edges, climb obstacles and stop at open borders.
 
-A first loop goes over all agents. Agents that may meet anything but the next face of their own surface wait for a second loop."""
+The walk is exact in float64: the point never leaves its triangle, and the path is as long as requested. A first loop processes
+all agents. Agents that may meet anything but the next face of their own surface are left to a second loop."""
 
 from __future__ import annotations
 
@@ -63,8 +63,8 @@ AGENT_ROW, FACE_ROW, CROSSINGS_ROW, HOPS_ROW, BLOCKED_ROW, IS_NEAR_ROW, EVENT_RO
 LEFT_OUT_STATUS, FINISHED_STATUS, WAITING_STATUS = range(
     3
 )  # state of an agent after the first loop; other callers leave agents out, for `walk_all`
-PREFETCH_EIGHTS = 2  # groups of eight agents by which prefetches are ahead
-PREFETCH_GROUP_SIZE = 64  # agents with rows prefetched together: as many as fit into the first-level cache
+PREFETCH_EIGHTS = 2  # number of groups of eight agents between a prefetch and its use
+PREFETCH_GROUP_SIZE = 64  # agents with rows prefetched together; they fit into the first-level cache
 
 
 @inlined
@@ -94,7 +94,7 @@ def walk_agent(
     heading: Vec3,
     up: Vec3,
 ) -> AgentWalk:
-    """Walk an agent over face `face` and the faces beyond its edges. It starts at `weights`, at height `height` the face.
+    """Walk an agent over face `face` and the faces beyond its edges, starting at `weights`, `height` mm above the face.
 
     The result is that of `walk_stretches`. With `follow_borders`, the agent follows open borders."""
     axis1, axis2, normal = load_face_frame(surface.table, ROW_FLOATS * face)
@@ -106,7 +106,7 @@ def walk_agent(
     heading_c, heading_s, _ = project_to_face(axis1, axis2, heading[0], heading[1], heading[2], c, s)
     high = _compute_search_margin(near.distance_noise, size)
     if not get_clearance(near, face, weights) <= left + high:
-        high = -np.inf  # no search is needed on the complete path
+        high = -np.inf  # the complete path needs no search
     walker, progress = FaceWalker(face, weights, side, (c, s), (heading_c, heading_s)), WalkProgress(left, 0.0, 0)
     if height != 0 and left > 0:
         stop = WalkStop(OVERHANG_EVENT, 0, 0.0, 0)
@@ -154,7 +154,7 @@ def walk_all(
 ) -> tuple[I64, I64, I64]:
     """Make one step of agents `begin` to `end` (exclusive).
 
-    - `footings`: where agents stand; an agent that is nowhere, or has weights that are not finite, is nowhere afterwards
+    - `footings`: the initial footings; an agent without a footing, or with weights that are not finite, has none afterwards
     - `vectors`: wish, heading and up (3, n); a wish that is not finite counts as zero
     - `statuses`: written for each agent: whether it has been moved (FINISHED_STATUS) or waits (WAITING_STATUS)
     - `float_rows`, `integer_rows` (.., n): the waiting agents, from column `begin` on
@@ -254,7 +254,7 @@ def continue_walks(
                 edge, outward = _find_open_border(table, surface.link, walker)
                 if outward:
                     event = BORDER_EVENT
-                    turn -= 1  # only `walk_stretches` counts this crossing
+                    turn -= 1  # because only `walk_stretches` counts this crossing
                 else:
                     over, left, distance = _climb_border(over, 0.0, left, distance)
                     if over != 0:
@@ -303,7 +303,7 @@ def continue_walks(
 
 @inlined
 def store_footing(placed: FootingArrays, i: I64, mesh: I64, face: I64, height: F64, walker: FaceWalker) -> None:
-    """Write the footing of agent `i` after a walk: on a face of a mesh, at height `height` the face on the agent's side."""
+    """Write the footing of agent `i` after a walk: on a face of a mesh, `height` mm above the face on the agent's side."""
     placed.mesh[i], placed.face[i], placed.over[i] = mesh, face, height * walker.side + 0.0
     placed.b1[i], placed.b2[i] = walker.weights
 

@@ -1,5 +1,4 @@
-"""A step of a crowd over triangles: a loop over all agents, then one over the agents that may meet another surface or a
-border."""
+"""A step of a crowd over triangles: a loop over all agents, then one over agents that may meet another surface or a border."""
 
 from __future__ import annotations
 
@@ -21,7 +20,7 @@ from antdsl.ground.mesh.topology import NO_LINK, MeshTopology
 from antdsl.numerics import parallel
 
 Floats = NDArray[np.float64]
-_WAITING_PER_THREAD = 16  # number of waiting agents from which another thread is worthwhile
+_WAITING_PER_THREAD = 16  # fewer waiting agents are not worth another thread
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +53,7 @@ class WalkTables:
         )  # marked half-edges, and the body size (mm) they are valid for
 
     def update_faces(self, faces: slice) -> None:
-        """Update faces with a new shape. Open borders change with each new shape, so the walk no longer uses them."""
+        """Update faces with a new shape. Open borders depend on the shape, so the stored walk is discarded."""
         if self._is_unchanged:
             self._is_unchanged = False
             mark_border_links(self.packed_table, self._open_half_edges, NO_LINK)
@@ -70,7 +69,7 @@ class WalkTables:
         """Return the walk for displacements up to `max_displacement` and bodies up to `max_body_size` (mm), with the distances to
         surrounding surfaces."""
         if self._is_unchanged and max_body_size > self._max_body_size:
-            # For larger bodies than needed: otherwise a growing crowd would repeat the search often.
+            # For larger bodies than needed: otherwise a growing crowd would cause frequent searches.
             self._max_body_size = 1.5 * max_body_size
             mark_border_links(self.packed_table, self._open_half_edges, NO_LINK)
             self._open_half_edges = find_open_borders(self.table, boxes, scale, self._max_body_size)

@@ -86,7 +86,7 @@ class WalkProgress(NamedTuple):
 
 
 class WalkStop(NamedTuple):
-    """The reason why a walk pauses (0: it does not), the edge and length of the stretch, and how many borders the agent has
+    """The reason for a pause of a walk (0: none), the edge and length of the stretch, and how many borders the agent has
     followed."""
 
     event: I64
@@ -96,8 +96,9 @@ class WalkStop(NamedTuple):
 
 
 class SurfaceLanding(NamedTuple):
-    """The face that an agent continues on (-1 for none): weights, side, the distance to the face, its height, and whether the
-    agent stops there."""
+    """The face on which an agent continues (-1 for none).
+
+    Also its weights, its side, its distance and height, and whether the agent stops there."""
 
     face: I64
     weights: TriangleWeights
@@ -123,7 +124,7 @@ class PieceTables(NamedTuple):
 
 
 class FootingArrays(NamedTuple):
-    """Where agents stand: mesh, face, two weights, and the height over the face (mm). The names are those of columns."""
+    """The footings of agents: mesh, face, two weights, and the height over the face (mm). The names are those of columns."""
 
     mesh: Array1[I32]
     face: Array1[I32]

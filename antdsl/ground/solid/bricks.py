@@ -1,5 +1,6 @@
-"""Storage of a solid: a table of bricks and a pool of slots with their nodes. Slot 0 is air, slot 1 is undug solid; each other
-slot belongs to one brick."""
+"""Storage of a solid: a table of bricks and a pool of slots with their nodes.
+
+Slot 0 is air, slot 1 is undug solid; each other slot belongs to one brick."""
 
 from __future__ import annotations
 
@@ -23,7 +24,7 @@ MASK64 = (1 << 64) - 1
 
 @dataclass(frozen=True, slots=True)
 class UnusableMesh:
-    """The reason why a mesh cannot be a solid, in one line for artists, and what to do instead."""
+    """Error for a mesh that cannot be a solid: the reason in one line for artists, and what to do instead."""
 
     message: str
     help: str
@@ -49,12 +50,10 @@ class BrickGrid:
     used_slots: int  # number of slots in use
     steps: int = 0
     start_volume_steps: int = 0
-    needs_meshing: NDArray[np.bool_] = field(
-        default_factory=lambda: np.zeros(0, bool)
-    )  # for each brick, whether it must be meshed again
+    needs_meshing: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, bool))  # whether each brick must be meshed again
     original_values: dict[int, Distances | None] = field(
         default_factory=dict
-    )  # values of dug bricks before digging; None: undug solid
+    )  # values of dug bricks before digging; None for undug solid
     node_hash_sum: int = 0  # sum of `hash_nodes` over all nodes, minus that of the start
     start_digest: bytes = b""  # digest of the start
 

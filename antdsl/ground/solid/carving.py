@@ -1,5 +1,6 @@
-"""Digging balls out of a solid. Each node takes the maximum of its old distance and the distances that the balls require. The
-order of the balls does not matter."""
+"""Digging balls out of a solid. Each node takes the maximum of its old distance and the distances that the balls require.
+
+The order of the balls does not matter."""
 
 from __future__ import annotations
 
@@ -18,7 +19,7 @@ Index = NDArray[np.int64]
 Distances = NDArray[np.float32]
 NodeChanges = tuple[Index, Distances, Index]  # the fields of ChangedNodes
 
-_LARGE_BALL_VOXELS = 24  # reach in voxels above which a ball is dug brick by brick
+_LARGE_BALL_VOXELS = 24  # voxels; a ball with a larger reach is dug brick by brick
 
 # Table, values, origin, voxel, shape, and the least and the greatest distance of the bricks
 BrickTables = tuple[Array1[I32], Array1[F32], Array1[F64], F64, tuple[I64, I64, I64], F64, F32]
@@ -50,7 +51,7 @@ class ChangedNodes:
 def carve_balls(bricks: BrickGrid, centres: Floats, radii: Floats, owners: Index) -> Floats:
     """Dig balls out of a solid, as `Volume.carve_balls`."""
     centres, radii = np.asarray(centres, np.float64).reshape(-1, 3), np.asarray(radii, np.float64).reshape(-1)
-    # Independent of the order of the balls: at a tie the lowest owner, then the lowest position.
+    # Independent of the order of the balls: at a tie, the lowest owner, then the lowest position, gets the voxel.
     order = np.lexsort((radii, centres[:, 2], centres[:, 1], centres[:, 0], np.asarray(owners, np.int64).reshape(-1)))
     centres, radii = centres[order], radii[order]
     reached = _find_changed_nodes(bricks, centres, radii)
@@ -75,7 +76,7 @@ def _select_balls(bricks: BrickGrid, centres: Floats, radii: Floats) -> tuple[In
         meets = np.isfinite(local).all(axis=1) & np.isfinite(radii) & (radii > 0)
         meets &= ((local > -reach[:, None] - 1) & (local < np.array(bricks.nodes) + reach[:, None] + 1)).all(axis=1)
     rows = np.flatnonzero(meets)
-    # At most the width of the grid, for a ball of any size.
+    # Limited to the width of the grid, for a ball of any size.
     return rows, np.ceil(np.minimum(reach[rows], 2.0 * max(bricks.nodes))).astype(np.int64)
 
 

@@ -1,5 +1,6 @@
-"""Distances of nodes from the nearest triangle, in a narrow band. They are exact next to triangles, and propagated from node to
-node beyond."""
+"""Distances of nodes from the nearest triangle, in a narrow band.
+
+They are exact next to triangles, and propagated from node to node beyond."""
 
 from __future__ import annotations
 
@@ -15,9 +16,9 @@ Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
 Distances = NDArray[np.float32]
 
-# Distance in voxels up to which nodes are measured to all triangles; corners of cells at the surface are nearer
+# Voxels: nodes up to this distance are measured to all triangles; corners of cells at the surface are nearer
 EXACT_DISTANCE_VOXELS = 1.75
-FAR_DISTANCE = np.float32(1e9)  # of nodes beyond the band
+FAR_DISTANCE = np.float32(1e9)  # distance of nodes beyond the band
 _PAIRS_PER_CHUNK = 1 << 15  # pairs of a node and a triangle per chunk, so that they fit into the processor's cache
 _NEIGHBOUR_STEPS = ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1))
 
@@ -55,7 +56,8 @@ def iterate_nodes_near(corners: Floats) -> Iterator[tuple[list[Index], Index]]:
     normal, a triangle covers few lines of nodes, and few nodes of each line are near."""
     edges = corners[:, [1, 2]] - corners[:, :1]
     normal = np.cross(edges[:, 0], edges[:, 1])
-    axes = np.where(normal.any(axis=1), np.abs(normal).argmax(axis=1), -1)  # no area: its sides belong to other triangles
+    # a triangle without area is skipped: its sides belong to other triangles
+    axes = np.where(normal.any(axis=1), np.abs(normal).argmax(axis=1), -1)
     for axis in range(3):
         which = np.flatnonzero(axes == axis)
         others = [k for k in range(3) if k != axis]
@@ -160,7 +162,7 @@ class _DistanceField:
         at, triangle = at[rows], triangle[rows]
         away = _compute_distances(self._triangle_data, triangle, [x[rows], y[rows], z[rows]])
         if not only_unmeasured:
-            # Beyond that, another triangle that was not tested may be nearer.
+            # Beyond that distance, a triangle that was not tested may be nearer.
             sure = np.flatnonzero(away <= EXACT_DISTANCE_VOXELS)
             at, away, triangle = at[sure], away[sure], triangle[sure]
         return at, away, triangle
@@ -197,7 +199,7 @@ def _compute_distances(measures: Floats, triangle: NDArray[np.integer], nodes: l
         np.clip(s, 0.0, 1.0, out=s)
         if k == 0:
             height = (px * nx + py * ny) + pz * nz
-        # Which side of the edge: the normal times the edge points inwards.
+        # The normal times the edge points inwards, which gives the side of the edge.
         turn = (px * (ny * ez - nz * ey) + py * (nz * ex - nx * ez)) + pz * (nx * ey - ny * ex)
         inside = inside & (turn >= 0)
         px -= s * ex

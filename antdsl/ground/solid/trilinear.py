@@ -17,14 +17,14 @@ from antdsl.numerics.kernel_vectors import Vec3, dot
 
 SURFACE_TOLERANCE_VOXELS = 1e-5  # voxels; the resolution of float32 distances
 MAX_PROJECTION_STEPS = 60
-MIN_SQUARED_GRADIENT = 0.01  # squared length below which a gradient gives no direction
+MIN_SQUARED_GRADIENT = 0.01  # squared length; a shorter gradient gives no direction
 Floats = NDArray[np.float64]
 BrickTables = tuple[
     Array1[I32], Array1[F32], F64, F64, F64, F64, I64, I64, I64
 ]  # table, values, origin, voxel and shape of bricks
 PointColumns64 = tuple[Array1[F64], Array1[F64], Array1[F64]]
 
-SMOOTH_NORMAL_REACH = 0.5  # voxels to both sides over which the smooth gradient is measured, without a body
+SMOOTH_NORMAL_REACH = 0.5  # voxels to both sides over which the smooth gradient is measured if there is no body
 
 
 def to_brick_tables(bricks: BrickGrid) -> tuple[Any, ...]:

@@ -18,7 +18,7 @@ from antdsl.ground.solid.bricks import BRICK_NODES, BRICK_SIDE_NODES, BrickGrid,
 
 BrickMesh = tuple[int, NDArray[np.float64], NDArray[np.int32]]
 
-_VERTEX_PARTS_PER_VOXEL = 4096.0  # vertices are rounded to these parts of a voxel, so that bricks agree at their common side
+_VERTEX_PARTS_PER_VOXEL = 4096.0  # vertices are rounded to this part of a voxel, so that bricks agree at their common side
 Floats = NDArray[np.float64]
 Distances = NDArray[np.float32]
 Arrays = dict[str, NDArray[Any]]
@@ -97,7 +97,7 @@ class Volume:
         return np.where(clear[:, None], unit, np.asarray(otherwise, np.float64))
 
     def project_to_surface(self, points: Floats, hints: Floats, reach: float | None = None) -> trilinear.SurfacePoints:
-        """Return points on the surface near points [n,3], with normals out of the solid.
+        """Return points on the surface near points [n,3], with normals that point out of the solid.
 
         `hints` [n,3] are unit vectors out of the intended surface, such as an agent's up: a wall that faces the opposite
         direction is rejected. A surface point beyond `reach` (mm, two voxels if None) is also rejected. `is_in_reach` of the

@@ -20,9 +20,9 @@ _PAIRS_PER_CHUNK = 1 << 16  # pairs of a triangle and a line per chunk
 Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-# Voxels of the band inside and outside; a cell that the surface crosses has corners within 1.733
+# Width of the band in voxels, inside and outside; corners of a cell that the surface crosses are within 1.733
 _INNER_BAND_VOXELS, _OUTER_BAND_VOXELS = 1.75, 4.0
-_RAY_OFFSETS_VOXELS = (0.37, 0.41, 0.43)  # voxels
+_RAY_OFFSETS_VOXELS = (0.37, 0.41, 0.43)  # offset of the grid, so that sides of a box do not pass through nodes
 _BLOCK_VOXELS = 4.0  # voxels
 _BYTES_PER_NEAR_NODE = 24  # memory in bytes for each node near the surface during conversion
 
@@ -40,10 +40,10 @@ def voxelise(vertices: Floats, faces: Index, voxel: float, cap: int) -> BrickGri
     sides = (high - low) / voxel
     shape = tuple(math.ceil((float(side) + 2 * _OUTER_BAND_VOXELS + 4.0) / BRICK_SIDE_NODES) for side in sides)
     voxel_count = float(np.prod(sides + 1))
-    # A thin sheet or a rod needs complete bricks.
+    # A thin sheet or a rod still needs complete bricks.
     if voxel_count > cap or float(np.prod(shape)) * BRICK_NODES > 8.0 * cap:
         return _describe_too_many_voxels(max(voxel_count, float(np.prod(shape)) * BRICK_NODES / 8), cap, voxel)
-    # Not an integer number of voxels from the mesh: sides of a box would pass through nodes, where the gradient is ambiguous.
+    # Offset from the mesh by a fraction of a voxel: otherwise sides of a box pass through nodes, where the gradient is ambiguous.
     origin = low - (_OUTER_BAND_VOXELS + 1.0 + np.array(_RAY_OFFSETS_VOXELS)) * voxel
     corners = (corners - origin) / voxel
     shell = TriangleShell(corners)
@@ -178,7 +178,8 @@ def _find_crossings_in_batch(
     for i, j in ((1, 2), (2, 0), (0, 1)):
         ax, ay, bx, by = tri[t, i, 0], tri[t, i, 1], tri[t, j, 0], tri[t, j, 1]
         area = (bx - ax) * (py - ay) - (by - ay) * (px - ax)
-        # Lines count as moved by an infinitesimal distance along x, and a smaller one along y, so none meets the end of an edge.
+        # Lines are treated as shifted by an infinitesimal distance along x, and a smaller one along y, so none meets the end of
+        # an edge.
         tie = np.where(by != ay, ay - by, bx - ax)
         side = np.where(area != 0, area, tie)
         above &= side > 0

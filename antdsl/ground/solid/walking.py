@@ -27,17 +27,18 @@ Vectors = Array2[F64]
 
 MAX_STRIDE_VOXELS = 1.0  # largest partial step, in voxels
 MIN_STRIDE_VOXELS = 1 / 128  # smallest partial step, in voxels
-# Distance in voxels of the middle of a partial step from the surface; a larger one cuts an edge or passes a thin wall
+# Voxels between the middle of a partial step and the surface; a larger distance cuts an edge or passes a thin wall
 MAX_CHORD_ERROR_VOXELS = 0.12
-MIN_TURN_COSINE = -0.25  # cosine between normals before and after a partial step, below which it may have reached another wall
-MAX_STRIDE_STRETCH = 1.3  # largest distance of a partial step, in multiples of its length
-EDGE_STRIDE_VOXELS = 0.1  # length in voxels below which a sharp turn of the normal is an edge, not another wall
+# cosine between normals before and after a partial step; below it, the agent may have reached another wall
+MIN_TURN_COSINE = -0.25
+MAX_STRIDE_STRETCH = 1.3  # maximum length of a projected partial step, as a multiple of its length
+EDGE_STRIDE_VOXELS = 0.1  # voxels; in a shorter step, a sharp turn of the normal is an edge, not another wall
 NEWTON_STEPS = 4
 MAX_BISECTIONS = 24
-REMAINING_TOLERANCE_VOXELS = 1e-6  # remaining distance in voxels that counts as zero
-MAX_STRIDES = 400  # most partial steps of a move
-STANCE_REACH_PER_BODY = 0.4  # in body lengths: distance to both sides over which the normal of the stance is measured
-MIN_SMOOTH_GRADIENT = 0.1  # length of that gradient below which the normal at the point itself is used
+REMAINING_TOLERANCE_VOXELS = 1e-6  # voxels; a smaller remaining distance counts as zero
+MAX_STRIDES = 400  # maximum number of partial steps of a move
+STANCE_REACH_PER_BODY = 0.4  # body lengths to both sides over which the normal of the stance is measured
+MIN_SMOOTH_GRADIENT = 0.1  # length of that gradient; below it, the normal at the point itself is used
 
 _PREFETCH_GROUP_SIZE = 16  # agents with cells prefetched together
 
@@ -127,8 +128,9 @@ def _prefetch_cells(
     first: I64,
     last: I64,
 ) -> F64:
-    """Read the cells around the positions of some agents. No read depends on another, so none has to wait. The returned sum has
-    no meaning."""
+    """Read the cells around the positions of some agents, so that they are in the cache. The reads are independent of each other.
+
+    The returned sum has no meaning."""
     total = 0.0
     for i in range(first, last):
         a, b, _ = load_cell_corners(table, values, grid, (points[0, i], points[1, i], points[2, i]))
@@ -202,7 +204,7 @@ def _walk_agent(
             if stride < MIN_STRIDE_VOXELS:
                 if blocked:
                     break
-                # At the bottom of a groove or the top of a ridge: change to the other wall, once per move.
+                # At the bottom of a groove or the top of a ridge, change to the other wall, once per move.
                 beyond = 2 * MIN_STRIDE_VOXELS * voxel
                 _, g = compute_distance_and_gradient(
                     table,

@@ -39,14 +39,14 @@ CACHE_ENTRY_NAMES = (
     MANIFEST_FILE_NAME,
     MARKER_FILE_NAME,
 )  # the entries of a cache's folder
-SURFACE_ERROR_KEY = "surface_error"  # in a checkpoint: the greatest surface error of all frames up to it
+SURFACE_ERROR_KEY = "surface_error"  # key in a checkpoint: the greatest surface error of all frames up to it
 _NUMBERED_FILE_PATTERN = re.compile(r"[a-z]+\.(-?[0-9]{1,10})\.npz", re.ASCII)
 
 Arrays = Mapping[str, NDArray[Any]]
 
 
 class CacheError(Exception):
-    """Reason why a part of a cache cannot be used. The message is complete without context."""
+    """Error for a part of a cache that cannot be used. The message is the reason, complete without context."""
 
 
 def make_frame_path(folder: Path, frame: int) -> Path:

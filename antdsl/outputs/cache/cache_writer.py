@@ -46,15 +46,15 @@ Arrays = Mapping[str, NDArray[Any]]
 
 
 class ForeignFolder(Exception):
-    """The folder contains a file that antdsl did not write. The message names it."""
+    """Error for a folder with a file that antdsl did not write. The message names the file."""
 
 
 class PathBlocked(Exception):
-    """A folder, a link or another object has the path of one of the cache's files. The message names the path."""
+    """Error if a folder, a link or another object has the path of a cache file. The message names the path."""
 
 
 class DifferentInputs(Exception):
-    """The cache was made from other inputs.
+    """Error for a cache that was made from other inputs.
 
     `names`: the inputs that differ.
     `choices`: descriptions of the options that differ."""
@@ -138,7 +138,7 @@ def clear_folder(folder: Path, last_retained: int | None = None, damaged: Contai
 
 
 class DifferentHashes(Exception):
-    """The cache was made with another method of state hashes, so states cannot be compared."""
+    """Error for a cache that was made with another method of state hashes, so that states cannot be compared."""
 
     def __init__(self, folder: Path) -> None:
         super().__init__(f"`{folder}` was written by an antdsl that hashes states in another way")
@@ -150,7 +150,7 @@ class IntactPart:
 
     `checkpoints`: checkpoints to continue from, the latest first.
     `find_last_frame`: the last frame in the cache.
-    `damage`: a message on the first incomplete frame; None if all frames are complete."""
+    `damage`: a message on the first incomplete frame, or None if all frames are complete."""
 
     cache: Cache
     checkpoints: list[int]
@@ -178,7 +178,7 @@ def find_intact_part(folder: Path, inputs: Mapping[str, str], first: int, last: 
     while unbroken < last and (broken := cache.find_frame_damage(unbroken + 1, lines.get(unbroken + 1))) is None:
         unbroken += 1
     if last_frame is None or last_frame <= unbroken or (last_frame == unbroken + 1 and last_frame not in lines):
-        broken = None  # it ends here, or the run was killed between a frame and its line
+        broken = None  # the intact part ends here, or the run was killed between a frame and its line
     points = [number for number in reversed(cache.checkpoints()) if first <= number <= unbroken]
     return IntactPart(cache, points, last_frame, broken)
 

@@ -77,7 +77,7 @@ class DugSolids:
         """Dig the balls of one frame. A frame that cannot be read is skipped."""
         try:
             arrays = self.cache.frame(frame)
-        except CacheError:  # other frames can be drawn without a missing one
+        except CacheError:  # a missing frame does not prevent drawing others
             return
         for name, solid in self._solid_by_name.items():
             balls = arrays.get(f"solid.{name}.balls")

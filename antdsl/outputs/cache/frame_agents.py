@@ -14,7 +14,7 @@ Arrays = Mapping[str, NDArray[Any]]
 LongArray = NDArray[np.int64]
 ALWAYS_SAVED_ARRAYS = frozenset(
     each.name for each in FRAME_COLUMNS if each.of == "species" and each.save_mode == "always"
-)  # also without `output`
+)  # these exist also without `output`
 
 IDENTITY_ARRAYS = frozenset(("id", "species"))
 

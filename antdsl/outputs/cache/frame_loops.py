@@ -162,7 +162,7 @@ def write_orientations(
         out[k, 2], out[k, 3] = np.float32(az * bw - ay * bx), np.float32(aw * bw)
 
 
-_BLOCK = 256  # agents per block: their rows stay in a core's cache from leg to leg
+_BLOCK = 256  # agents per block; their rows stay in a core's cache from leg to leg
 
 
 @kernel

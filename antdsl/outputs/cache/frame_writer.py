@@ -1,7 +1,7 @@
 """Writing of frames and checkpoints, in order, in a thread, with results for each.
 
-It is a thread and not a process, so it receives arrays without a copy into shared memory. No code changes these arrays any more.
-Nearly all of its work (checksums, hashes, files) runs without the interpreter's lock."""
+A thread, unlike a process, receives arrays without a copy into shared memory. Nothing changes these arrays afterwards. Nearly all
+of its work (checksums, hashes, files) runs without the interpreter's lock."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from antdsl.outputs.cache.hashes import HASHES_FILE_NAME, HashLine, add_checkpoi
 from antdsl.outputs.cache.npz import make_npz_file
 from antdsl.outputs.cache.zip_parts import StoredFile
 
-_MAX_PENDING_JOBS = 3  # pending jobs: one that runs, and the waiting ones
+_MAX_PENDING_JOBS = 3  # the running job and the waiting jobs
 
 Results = Mapping[str, Any]
 Work = Callable[[], Results]
@@ -38,7 +38,7 @@ class CacheFileWriter:
         self.folder = folder
         self._lines_file = AppendOnlyFile(folder / HASHES_FILE_NAME)
         self._unsynced_files: list[Path] = []
-        self._last_line: dict[int, HashLine] = {}  # the line of the frame that was written last
+        self._last_line: dict[int, HashLine] = {}  # the last written line
 
     def frame(self, frame: int, file: StoredFile, line: HashLine) -> Measures:
         """Write the file of a frame, then its line. Return the seconds spent."""
@@ -95,7 +95,7 @@ class BackgroundWorker:
         self._results: SimpleQueue[Results | None] = SimpleQueue()  # one per job, None if it did not run
         self._pending_count = 0  # jobs without a reported result
         self._error: BaseException | None = None
-        # a daemon: a disk that never answers must not prevent the program from ending; at worst an unfinished file remains
+        # a daemon thread: a disk that never answers must not keep the program from ending; at worst, an unfinished file remains
         self._thread = threading.Thread(target=self._run_thread, name="cache writer", daemon=True)
         self._thread.start()
 

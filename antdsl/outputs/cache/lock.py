@@ -14,13 +14,13 @@ from antdsl.atomic_write import name_path_in_errors
 
 LOCK_FILE_NAME = "lock"
 _OPEN_FLAGS = os.O_RDWR | os.O_CREAT | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_NOFOLLOW", 0)
-_MAX_WAIT_SECONDS = 30.0  # seconds in which the writer of a killed run may finish its jobs
+_MAX_WAIT_SECONDS = 30.0  # seconds for the writer of a killed run to finish its jobs
 _RETRY_SECONDS = 0.01
 _HELD_LOCK_ERRORS = (errno.EWOULDBLOCK, errno.EACCES, errno.EDEADLK)  # errors for a lock that another process holds
 
 
 class FolderLocked(Exception):
-    """Another run writes to the folder. The message contains its process id."""
+    """Error if another run writes to the folder. The message contains its process id."""
 
 
 class FolderLock:
@@ -71,7 +71,7 @@ class FolderLock:
             named = os.stat(self.path, follow_symlinks=False)
         except FileNotFoundError:
             return False
-        if not os.path.samestat(opened, named):  # another run has replaced it since
+        if not os.path.samestat(opened, named):  # another run has replaced the file since
             return False
         if opened.st_nlink > 1:
             os.unlink(self.path)
@@ -87,9 +87,7 @@ class FolderLock:
                 _try_lock(handle)
                 return
             except OSError as why:
-                if (
-                    why.errno not in _HELD_LOCK_ERRORS
-                ):  # a file system without locks, such as a network disk without its lock service
+                if why.errno not in _HELD_LOCK_ERRORS:  # for example a network disk without its lock service
                     raise OSError(why.errno, os.strerror(why.errno or 0), str(self.path)) from None
                 process, host = _read_holder(handle)
                 if not _has_ended(process, host) or time.monotonic() - began > _MAX_WAIT_SECONDS:
@@ -124,7 +122,7 @@ def _read_holder(handle: int) -> tuple[str, str]:
 def _has_ended(holder: str, host: str) -> bool:
     """Return whether a process of this host is known to have ended. A zombie process has ended too."""
     if os.name == "nt" or host not in ("", _find_host_name()) or not (holder.isascii() and holder.isdigit()):
-        return False  # Windows frees a lock with the one process that holds it
+        return False  # Windows releases a lock when the process that holds it ends
     try:
         os.kill(int(holder), 0)
     except (ProcessLookupError, OverflowError):
@@ -156,5 +154,5 @@ def _unlock(handle: int) -> None:
     if os.name != "nt":
         import fcntl
 
-        with suppress(OSError):  # of a file system without locks
+        with suppress(OSError):  # some file systems have no locks
             fcntl.flock(handle, fcntl.LOCK_UN)

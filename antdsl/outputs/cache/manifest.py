@@ -82,7 +82,7 @@ class ClipEntry(ManifestPart):
 class WornBodyEntry(ManifestPart):
     """One body of a species.
 
-    `body`: its word or file in the scene; None chooses one by the species' name.
+    `body`: its word or file in the scene; None selects a body by the species' name.
     `definition`: the index of its agent definition in the manifest's `bodies`; None for a body of the library.
     `weight`: its share among the bodies of the species."""
 
@@ -248,11 +248,11 @@ class Manifest(ManifestPart):
     fields: tuple[FieldEntry, ...]
     items: tuple[ItemsEntry, ...]
     events: tuple[Word, ...] = ()
-    camera: CameraEntry | Literal["fit"] | None = None  # `fit`: one that holds the crowd in the frames that are drawn
+    camera: CameraEntry | Literal["fit"] | None = None  # `fit`: a camera that shows the crowd in all drawn frames
 
 
 class ManifestError(Exception):
-    """Reason why a folder is not a cache. The message is complete without context."""
+    """Error for a folder that is not a cache. The message is the reason, complete without context."""
 
 
 def find_relative_path(file: Path, folder: Path) -> str | None:
@@ -261,7 +261,8 @@ def find_relative_path(file: Path, folder: Path) -> str | None:
     Also return None if the path would pass through the root of the file system, because it would reveal folders of this
     machine."""
     start = folder.resolve()
-    for end in (Path(os.path.abspath(file)), file.resolve()):  # the way through links first: it stays below what both share
+    # first the path through links, because it stays below the common folder
+    for end in (Path(os.path.abspath(file)), file.resolve()):
         if end.anchor == start.anchor and os.path.commonpath((start, end)) != start.anchor:
             path = Path(os.path.relpath(end, start)).as_posix()
             try:

@@ -25,7 +25,7 @@ __all__ = ["ArrayFileError", "encode_npz", "make_npz_file", "parse_npy", "read_n
 
 _BYTE_TYPE = np.dtype(np.uint8)
 MAX_FILE_BYTES = 64 * limits.GIB
-_FIXED_DATE = (1980, 1, 1, 0, 0, 0)  # the same arrays give the same bytes, whenever they are written
+_FIXED_DATE = (1980, 1, 1, 0, 0, 0)  # fixed, so that equal arrays give equal bytes at any time
 
 
 def encode_npz(arrays: Mapping[str, NDArray[Any]]) -> bytes:
@@ -46,7 +46,7 @@ def _make_member(name: str, array: NDArray[Any]) -> tuple[MemberForm, memoryview
     return form, np.asarray(array, order="C").astype(kind or array.dtype, copy=False).reshape(-1).view(_BYTE_TYPE).data
 
 
-@lru_cache(1024)  # arrays of consecutive frames mostly have equal shapes
+@lru_cache(1024)  # arrays of consecutive frames usually have equal shapes
 def _make_member_form(name: str, dtype: np.dtype[Any], shape: tuple[int, ...]) -> tuple[MemberForm, str]:
     """Return the zip member's form for an array with this name, type and shape, and the type to convert the array to.
 

@@ -107,7 +107,7 @@ def make_feet_arrays(world: World, key: str, scale: float) -> dict[str, NDArray[
     )
     of = parallel.make_contiguous(
         feet.shown.swapaxes(1, 2), feet.swing.T, feet.rise, feet.slope
-    )  # leg by leg, as they mostly lie
+    )  # arrays with legs before agents
     outputs = values["P"].reshape(n, 3 * legs), values["down"], values["rise"], values["tilt"]
     parallel.run_in_parts(partial(frame_loops.write_feet, *of, ranks, scale, *outputs), n, world.options.threads)
     values["phase"][ranks] = feet.phase

@@ -19,6 +19,6 @@ def find_scene_origin(world: World) -> tuple[float, float, float]:
 
 def to_scene_positions(positions: NDArray[np.floating], scale: float) -> NDArray[np.float32]:
     """Convert positions in mm, relative to the world's origin, to scene units as float32. `scale`: scene units per millimetre."""
-    unsigned = positions + 0.0  # a zero with a sign would change the bytes of a file
+    unsigned = positions + 0.0  # a negative zero would change the bytes of a file
     scene_positions: NDArray[np.float32] = (unsigned * scale).astype(np.float32)
     return scene_positions

@@ -17,11 +17,11 @@ from antdsl.atomic_write import BytesParts
 from antdsl.numerics.check_sums import crc32
 
 MAX_SHORT_SIZE = (1 << 31) - 1  # larger sizes and offsets are written in eight bytes
-MAX_SHORT_COUNT = (1 << 16) - 1  # members; larger counts are written in eight bytes
+MAX_SHORT_COUNT = (1 << 16) - 1  # members; the format stores larger counts in eight bytes
 _LONG_VALUE_MARK = 0xFFFFFFFF  # marks a value that is in eight bytes of the extra field
-_PLAIN_VERSION, _LONG_VERSION = 20, 45  # the version of the format that a reader has to know
+_PLAIN_VERSION, _LONG_VERSION = 20, 45  # the version of the format that a reader must support
 _UTF8_FLAG = 0x800
-_FIXED_TIME, _FIXED_DATE = 0, 1 << 5 | 1  # 1 January 1980: the same arrays give the same bytes, whenever they are written
+_FIXED_TIME, _FIXED_DATE = 0, 1 << 5 | 1  # 1 January 1980, so that equal arrays give equal bytes at any time
 _SYSTEM_CODE = 0 if sys.platform == "win32" else 3
 _FILE_ATTRIBUTES = 0o600 << 16
 _MEMBER_SIGNATURE = b"PK\3\4"
@@ -39,7 +39,8 @@ _LONG_END_LOCATOR = Struct("<4sLQL")
 
 
 class NotStored(Exception):
-    """The file is not a zip file of stored (uncompressed) members, or a content does not match its header."""
+    """Error for a file that is not a zip file of stored (uncompressed) members, or with a content that does not match its
+    header."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

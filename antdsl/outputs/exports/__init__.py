@@ -70,7 +70,7 @@ EXPORT_FORMATS = (
 )
 
 
-# Other requested endings, and what to write instead: docs/exports.md says why.
+# Other endings that users request, and what to write instead; docs/exports.md explains why.
 ALTERNATIVE_ADVICE = {
     ".abc": "`.usdc` with `--as meshes`",
     ".bclip": "`.glb`",

@@ -23,7 +23,7 @@ def export_csv(gallery: Gallery, frames: Iterable[int], path: Path) -> None:
     length 1 along +x with +y up.
 
     Raises CacheError for a damaged frame, OSError if writing fails."""
-    row = "%d,%d" + f",{choose_coordinate_format(gallery)}" * 3 + ",%.9g" * 6  # nine digits give a float32 back to the last bit
+    row = "%d,%d" + f",{choose_coordinate_format(gallery)}" * 3 + ",%.9g" * 6  # nine digits restore a float32 exactly
     angles = [EulerAngles() for _ in gallery.manifest.species]
     with atomic_file(path) as file:
         file.write(f"{HEADER_LINE}\n".encode())

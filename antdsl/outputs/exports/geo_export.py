@@ -37,8 +37,8 @@ from antdsl.scene.scene_model import UNIT_MM
 Floats = NDArray[np.float64]
 Slot = tuple[NDArray[np.int64], Floats, Floats]
 _SQRT_HALF = float(np.sqrt(0.5))
-_Z_TO_X_ROTATION = np.array([0.0, _SQRT_HALF, 0.0, _SQRT_HALF])  # turns +z to +x, about +y
-_Z_TO_Y_ROTATION = np.array([-_SQRT_HALF, 0.0, 0.0, _SQRT_HALF])  # turns +z to +y, about +x
+_Z_TO_X_ROTATION = np.array([0.0, _SQRT_HALF, 0.0, _SQRT_HALF])  # rotates +z to +x, about +y
+_Z_TO_Y_ROTATION = np.array([-_SQRT_HALF, 0.0, 0.0, _SQRT_HALF])  # rotates +z to +y, about +x
 _COVERING_CLIP_WEIGHT = 1e6  # factor for the weight of a clip that replaces others completely
 
 

@@ -21,7 +21,7 @@ from antdsl.scene.scene_model import UNIT_MM
 
 _SENSOR_WIDTH_MM, _DEFAULT_ASPECT = 36.0, 16 / 9
 _SQRT_HALF = float(np.sqrt(0.5))
-_RIGID_TOLERANCE = 1e-4  # largest deviation from a rigid motion, as a share of the mesh's size
+_RIGID_TOLERANCE = 1e-4  # share of the mesh's size; a motion with smaller deviations counts as rigid
 
 Floats = NDArray[np.float64]
 
@@ -59,7 +59,7 @@ class GltfStage:
             world["rotation"] = [-_SQRT_HALF, 0.0, 0.0, _SQRT_HALF]
         if gallery.origin.any():
             x, y, z = (gallery.origin * scale).tolist()
-            world["translation"] = [x, z, -y] if gallery.manifest.up == "z" else [x, y, z]  # JSON: double precision
+            world["translation"] = [x, z, -y] if gallery.manifest.up == "z" else [x, y, z]  # JSON has double precision
         self._world_node = self.writer.add_part("nodes", world)
         self.scene: dict[str, Any] = {"nodes": [self._world_node]}
         self._write_camera()
@@ -241,7 +241,7 @@ class GltfStage:
             return
         angle = 2 * np.arctan(_SENSOR_WIDTH_MM / _DEFAULT_ASPECT / 2 / first.focal)
         away = float(np.linalg.norm(np.subtract(first.at, first.look_at))) * UNIT_MM[self.gallery.manifest.units] / 1000
-        reach = max(away, 1e-6)  # metres: the scale of a node does not count for its camera
+        reach = max(away, 1e-6)  # metres; the scale of a node does not affect its camera
         lens = {"yfov": float(angle), "aspectRatio": _DEFAULT_ASPECT, "znear": reach * 1e-3, "zfar": reach * 1e3}
         number = self.writer.add_part("cameras", {"type": "perspective", "perspective": lens})
         node = self._add_node(self._world_node, {"name": "camera", "camera": number})

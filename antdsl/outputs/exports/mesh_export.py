@@ -31,7 +31,7 @@ from antdsl.outputs.usd.values import (
 from antdsl.scene.geometry.usd import pxr
 from antdsl.scene.scene_model import UNIT_MM
 
-_MAX_FRAME_POINTS = 20_000_000  # points of a frame
+_MAX_FRAME_POINTS = 20_000_000  # maximum number of points in a frame
 _AGENTS_PER_BATCH = 64  # agents that are posed at once
 
 

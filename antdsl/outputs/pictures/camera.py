@@ -75,7 +75,7 @@ def make_view(camera: Camera, width: int, height: int, up: tuple[float, float, f
     ahead = normalise_or_fallback(np.asarray(camera.look_at, np.float64) - eye, np.array([1.0, 0.0, 0.0]))
     upward = normalise_or_fallback(np.asarray(camera.up or up, np.float64), np.array([0.0, 1.0, 0.0]))
     right = np.cross(ahead, upward)
-    if np.linalg.norm(right) < 1e-6:  # straight down: the picture's top is where the next axis points
+    if np.linalg.norm(right) < 1e-6:  # looking straight down: the picture's top is along the next axis
         right = np.cross(ahead, np.roll(upward, 1))
     right = normalise_or_fallback(right, np.array([1.0, 0.0, 0.0]))
     if camera.wide is not None:

@@ -13,7 +13,7 @@ from antdsl.outputs.pictures.static_setting import TABLE_DEPTH_SHARE
 
 Array = NDArray[np.float64]
 
-_MAX_TRIED_AGENTS = 24  # agents looked at for an eye-level camera
+_MAX_TRIED_AGENTS = 24  # agents tried for an eye-level camera
 
 
 def make_overview_camera(picture: Picture, *, aspect: float = 16 / 9, focal: float = 35.0, slant: float = 38.0) -> Camera:
@@ -41,7 +41,7 @@ def make_fitted_camera(points: Array, up: Array, *, aspect: float = 16 / 9, foca
         points = np.array([[-1.0, -1.0, -1.0], [1.0, 1.0, 1.0]])
     first = np.roll(up, 1) - up * float(np.roll(up, 1) @ up)
     first /= np.linalg.norm(first)
-    # With y up the picture's right is a little off +x; with z up likewise.
+    # With y up, the picture's right is slightly off +x. With z up, the same applies.
     second = np.cross(up, first)
     sideways, towards = (second, first) if abs(second[0]) > abs(first[0]) else (first, second)
     sideways = sideways * (1.0 if sideways[0] >= 0 else -1.0)
@@ -112,7 +112,7 @@ def make_eye_level_camera(
     crowds = [crowd for crowd in picture.crowds if len(crowd.position) and species in (None, crowd.species)]
     if not crowds:
         return None
-    if agent is not None:  # a species may stand in several crowds, by what its agents wear
+    if agent is not None:  # agents of a species may be in several crowds, by their worn layers
         has = (each for each in crowds if each.ids is not None and (np.asarray(each.ids) == agent).any())
         crowd = next(has, None)
         if crowd is None:
@@ -155,7 +155,7 @@ def _make_candidate_cameras(crowd: Crowd, row: int, focal: float, upright: Array
     orient = np.asarray(crowd.orient, np.float64)[row : row + 1]
     ahead, up, side = (rotate_vectors(orient, np.array([axis]))[0] for axis in ((1.0, 0, 0), (0, 1.0, 0), (0, 0, 1.0)))
     position = np.asarray(crowd.position, np.float64)[row]
-    # The horizon stays level wherever the agent does not walk on a wall or overhead.
+    # The horizon stays level unless the agent walks on a wall or overhead.
     top = upright if float(up @ upright) > 0.5 else up
     cameras = []
     for angle in (150, -150, 35, -35, 115, -115, 75, -75):
@@ -192,5 +192,5 @@ def _score_camera(crowd: Crowd, row: int, camera: Camera, rays: RayScene) -> flo
     sun = make_sun(up).direction.astype(np.float64)
     lit = not rays.find_occluded(target[None] + 0.3 * scale * up, sun[None]).any()
     company = float(np.minimum(1.0, 10 * scale / ahead[away]).sum()) * (1.0 if clear else 0.3) * (1.0 if lit else 0.2)
-    # Light from the side of the camera shows what it falls on.
+    # Light from the side of the camera shows the shape of lit things.
     return company + 3.0 * lit * float(-camera_view.forward_axis @ sun) - 4.0 * float(is_obstructing.sum())

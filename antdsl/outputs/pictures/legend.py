@@ -21,8 +21,8 @@ _SHEET_COLOUR, _LABEL_COLOUR = (28, 30, 34), (236, 236, 232)
 Image = NDArray[np.uint8]
 
 _PAPER_COLOUR, _INK_COLOUR, _SOFT_COLOUR = (28, 30, 34), (238, 238, 234), (164, 166, 168)
-_LEGEND_WIDTH_SHARE = 0.22  # of the picture's width
-_TICK_SHARES = (1.0, 0.1, 0.01, 0.001)  # of the strongest
+_LEGEND_WIDTH_SHARE = 0.22  # share of the picture's width
+_TICK_SHARES = (1.0, 0.1, 0.01, 0.001)  # shares of the strongest value
 
 
 def compute_legend_width(picture: Picture, width: int, show: tuple[str, ...]) -> int:

@@ -14,9 +14,9 @@ SKY_LIGHT = np.array([0.50, 0.62, 0.84], np.float32)
 BOUNCE_LIGHT = np.array([0.34, 0.28, 0.21], np.float32)
 ZENITH_COLOUR = np.array([0.30, 0.58, 1.05], np.float32)
 HORIZON_COLOUR = np.array([1.12, 1.20, 1.24], np.float32)
-_SRGB_TABLE_STEPS = 1 << 14  # of linear values that have bytes of their own: less than half a byte in the darks
-LAMP_LIGHT = np.array([0.95, 0.84, 0.68], np.float32)  # beside the camera
-SUN_HALF_ANGLE_TANGENT = 0.03  # tangent of the half angle: wider than the real one, for soft edges
+_SRGB_TABLE_STEPS = 1 << 14  # linear values with an entry in the table; the error is less than half a byte in dark tones
+LAMP_LIGHT = np.array([0.95, 0.84, 0.68], np.float32)  # a lamp at the camera
+SUN_HALF_ANGLE_TANGENT = 0.03  # wider than the real sun, for soft edges
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -16,7 +16,7 @@ from antdsl.bodies.posed_body import NO_DRIVEN_POSE, PosedBody
 from antdsl.numerics.records import take_rows
 
 Array = NDArray[np.float64]
-# A ground that is no floor is drawn as a figure of clay; a hill is bare soil.
+# A ground that is not a floor is drawn as a clay figure; a hill is bare soil.
 SurfaceKind = Literal["ground", "stone", "boulder", "hill", "metal", "leaf", "light"]
 MaterialName = Literal["metal", "soil", "leaf", "light"]
 ItemShapeName = Literal["apple", "ring", "crumb", "cube", "mound", "sphere", "none"]

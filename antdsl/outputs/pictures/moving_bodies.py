@@ -20,15 +20,15 @@ from antdsl.outputs.pictures.static_setting import StaticSetting
 
 Array = NDArray[np.float64]
 
-CLOSE_BODY_PIXELS = 60.0  # pixels of body length from which the close-up body is worth its triangles
-DISTANT_BODY_PIXELS = 18.0  # pixels below which a few triangles are enough
-MAX_CLOSE_BODIES = 1200  # most bodies drawn as close-ups, the largest first
+CLOSE_BODY_PIXELS = 60.0  # pixels of body length; from this length on, the close-up body is drawn
+DISTANT_BODY_PIXELS = 18.0  # pixels of body length; shorter bodies are drawn with few triangles
+MAX_CLOSE_BODIES = 1200  # maximum number of close-up bodies; the largest come first
 MAX_SHUTTER_TIMES = 12
-METAL_GLOSS, LIGHT_GLOSS = 1.5, -1.0  # in place of gloss
-MAX_CLOSE_TRIANGLES = 1_000_000  # of close-up bodies of a species' own
-_SHADOW_MAP_CELLS = 2048  # along each side of the map of shadows
-_TINY_BODY_PIXELS = 4.0  # pixels below which a body may be missed by rays through pixel centres
-_STEEP_SLOPE_SHARE = 0.8  # of a pile's slope: what is steeper beside it is a stone or a wall
+METAL_GLOSS, LIGHT_GLOSS = 1.5, -1.0  # special values of gloss
+MAX_CLOSE_TRIANGLES = 1_000_000  # maximum number of triangles in close-up bodies of one definition
+_SHADOW_MAP_CELLS = 2048  # cells along each side of the shadow map
+_TINY_BODY_PIXELS = 4.0  # pixels; rays through pixel centres may miss a smaller body
+_STEEP_SLOPE_SHARE = 0.8  # share of a pile's slope; steeper neighbouring ground is a stone or a wall
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -104,7 +104,7 @@ class SceneActors:
         middle, half = (low + high) / 2 @ across, (high - low) / 2 @ np.abs(across)
         widest = half + max(reaches)
         least, most = (middle - widest).min(axis=0), (middle + widest).max(axis=0)
-        # One more column at each end, because of float32 rounding.
+        # One more column at each end, to allow for float32 rounding.
         cell = np.maximum((most - least) / (_SHADOW_MAP_CELLS - 4), 1e-12)
         coordinates = []
         for axis in range(2):
@@ -118,7 +118,7 @@ class SceneActors:
             first = np.floor((middle - half - reach - least) / cell).astype(np.int64) + 1
             last = np.floor((middle + half + reach - least) / cell).astype(np.int64) + 4
             covered = _fill_rectangles(first, np.minimum(last, _SHADOW_MAP_CELLS), _SHADOW_MAP_CELLS, _SHADOW_MAP_CELLS)
-            covered[:, [0, -1]] = covered[[0, -1]] = False  # what lies outside of the map
+            covered[:, [0, -1]] = covered[[0, -1]] = False  # cells outside of the map
             masks.append(covered.reshape(-1)[cells])
         return masks
 
@@ -210,11 +210,11 @@ def _find_covered_pixels(boxes: tuple[Array, Array], view: CameraView) -> tuple[
 
     The second result has only the boxes of a few pixels, which rays through pixel centres may miss."""
     high, wide = view.height, view.width
-    corners = np.stack([[boxes[bit >> axis & 1][:, axis] for axis in range(3)] for bit in range(8)])  # (8, 3, b)
+    corners = np.stack([[boxes[bit >> axis & 1][:, axis] for axis in range(3)] for bit in range(8)])  # shape (8, 3, b)
     pixels, ahead = view.project(np.moveaxis(corners, 2, 0).reshape(-1, 3))
     pixels, ahead = pixels.reshape(-1, 8, 2), ahead.reshape(-1, 8)
     low, high_ = pixels.min(axis=1), pixels.max(axis=1)
-    # What reaches behind the camera may be anywhere.
+    # A box that reaches behind the camera may cover any pixel.
     around = (ahead <= 0).any(axis=1) & (ahead > 0).any(axis=1)
     low[around], high_[around] = -1, max(high, wide) + 1
     is_ahead = (ahead > 0).any(axis=1)
@@ -245,7 +245,7 @@ def _pose_crowd(crowd: Crowd, view: CameraView, least: float, enlarged: float) -
     position = np.where(finite[:, None], crowd.position, 0.0)
     scale = np.where(finite, scale, 1.0)
     depth = view.project(position)[1]
-    # What is a little outside still throws its shadow into the picture.
+    # A body slightly outside still casts its shadow into the picture.
     is_visible = finite & (depth > -20 * scale) & _is_in_sight(position, depth, 20 * scale, view)
     near = np.maximum(view.compute_distances(position), 1e-9)
     pixels = scale / view.compute_pixel_size(near)
@@ -255,7 +255,7 @@ def _pose_crowd(crowd: Crowd, view: CameraView, least: float, enlarged: float) -
     sizes = np.minimum(np.maximum(scale, least * view.compute_pixel_size(near)), enlarged * scale)
     tiny = is_visible & (sizes < DISTANT_BODY_PIXELS * view.compute_pixel_size(near))
     far = np.setdiff1d(np.flatnonzero(is_visible & ~tiny), close)
-    # Of a body a few pixels long the parts with colours of their own would hide the state's.
+    # On a body a few pixels long, parts with their own colours would hide the state's colour.
     plain = np.where(pixels < CLOSE_BODY_PIXELS, np.clip(1 - pixels / CLOSE_BODY_PIXELS, 0.0, 1.0) ** 2, 0.0)
     levels = (("fine", close), ("coarse", far), ("distant", np.setdiff1d(np.flatnonzero(tiny), close)))
     bodies = [(getattr(crowd.body, level), rows) for level, rows in levels if len(rows)]
@@ -353,7 +353,7 @@ def _find_ground_heights(points: Array, base_point: Array, up: Array, size: floa
     level = points - (away @ up)[:, None] * up
     start = level + size * up
     hits = ground.rays.find_first_hits(start, np.broadcast_to((-up).astype(np.float32), start.shape))
-    down = np.where(np.isin(ground.kind[hits.face], surface_materials.TRAIL_KINDS), hits.t, np.inf)  # soil is heaped on no stone
+    down = np.where(np.isin(ground.kind[hits.face], surface_materials.TRAIL_KINDS), hits.t, np.inf)  # no soil is piled on stone
     flat = np.linalg.norm(level - base_point, axis=1)
     return np.clip(
         np.where(down <= 2 * size, size - np.minimum(down, 2 * size), 0.0), -_STEEP_SLOPE_SHARE * flat, _STEEP_SLOPE_SHARE * flat

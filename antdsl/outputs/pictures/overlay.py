@@ -15,11 +15,12 @@ Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
 _VELOCITY_COLOUR, _FEELER_COLOUR = (255, 250, 235), (255, 96, 64)
-_ARROW_HEAD_LENGTH, _ARROW_HEAD_ANGLE = 0.34, 0.45  # of an arrow: how long its head is, and how wide (radians)
+# head of an arrow: its length as a share of the arrow, and its angle (radians)
+_ARROW_HEAD_LENGTH, _ARROW_HEAD_ANGLE = 0.34, 0.45
 _VELOCITY_LINE_SECONDS = 0.25  # seconds of motion that a velocity line shows
 _MAX_DRAWN_IDS = 2000
-_PAST_PATH_COLOUR, _FUTURE_PATH_COLOUR = (20, 24, 30), (255, 236, 120)  # of paths
-_PATH_ALPHA_RANGE, _PATH_ALPHA_STEPS = (40, 235), 8  # at the far ends and at the agent; steps between them
+_PAST_PATH_COLOUR, _FUTURE_PATH_COLOUR = (20, 24, 30), (255, 236, 120)  # colours of past and future paths
+_PATH_ALPHA_RANGE, _PATH_ALPHA_STEPS = (40, 235), 8  # opacity at the far ends and at the agent; steps between them
 
 
 @cache

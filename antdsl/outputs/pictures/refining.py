@@ -15,9 +15,9 @@ from antdsl.outputs.pictures.trail_colours import FieldColours
 
 Rows = NDArray[np.int64]
 
-_CONTACT_RAYS_PER_PIXEL = 4  # of every fourth pixel
-_VISIBLE_DIFFERENCE = 0.03  # difference of two pixels' display values that an eye sees
-# Samples of a refined pixel at least, and of all of them for each pixel of the picture
+_CONTACT_RAYS_PER_PIXEL = 4  # for every fourth pixel
+_VISIBLE_DIFFERENCE = 0.03  # difference of two pixels' display values that is visible
+# Minimum number of samples of a refined pixel, and mean number of samples per pixel of the picture
 _MIN_REFINED_SAMPLES, _MEAN_SAMPLES_PER_PIXEL = 4, 1.1
 
 
@@ -125,12 +125,12 @@ def refine_pixels(
     at_edge = still.grid.is_edge[pixels]
     edges, others = np.flatnonzero(at_edge), np.flatnonzero(~at_edge)
     total = np.zeros((len(pixels), 3), np.float32)
-    # Shutter times are in another order than positions in the pixel.
+    # Shutter times have a different order than positions in the pixel.
     order = np.argsort(np.arange(count) * 0.6180339887498949 % 1.0, kind="stable") * moments // count
     for number, time_index in enumerate(order.tolist()):
         one = _EdgeSample(still, lighting, compute_pixel_offset(number, count), time_index, spots[number])
         total[edges] += one.compute_light(dyes, first, still.sample_edges(number, count, lighting.threads))
-        # Where the surface continues, the static light is that of the pixel's centre.
+        # Where the surface continues, the static light of the pixel's centre is used.
         total[others] += one.add_moving_light(
             pixels[others], still.centre_samples.distance[pixels[others]], first.background_light[pixels[others]]
         )

@@ -16,9 +16,9 @@ from antdsl.outputs.pictures.surface_materials import PictureScales
 
 Rows = NDArray[np.int64]
 
-_HAZE_EXTENTS = 2.2  # extents of the set after which haze hides most
-_TABLE_FADE_EXTENTS = 3.2  # extents after which the table is one with the sky
-_RAY_OFFSET_EXTENTS = 2e-5  # extents that rays begin off a surface
+_HAZE_EXTENTS = 2.2  # extents of the set; haze hides most things beyond this distance
+_TABLE_FADE_EXTENTS = 3.2  # extents; beyond them, the table has the colour of the sky
+_RAY_OFFSET_EXTENTS = 2e-5  # extents; distance of ray origins from a surface
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,7 +48,7 @@ def compute_static_light(
     light += samples.extra_light[rows] * (0.25 + 0.75 * open_share)[:, None]
     light = apply_haze(light, far, direction, sun, _HAZE_EXTENTS * extent)
     table = np.flatnonzero(samples.kind[rows] == surface_materials.TABLE_KIND)
-    if len(table):  # lost in haze sooner, so that its end is never seen
+    if len(table):  # the table fades sooner, so that its edge is never visible
         fade = 1 - np.exp(-np.square(far[table] / np.float32(_TABLE_FADE_EXTENTS * extent)))
         level = direction[table] - (direction[table] @ sun.up)[:, None] * sun.up
         light[table] += (compute_sky_light(level, sun) - light[table]) * fade[:, None]
@@ -111,7 +111,7 @@ def compute_moving_light(
         )
         * (facing > 0)
     )
-    # Undersides see mostly the near ground, which the body keeps dark.
+    # Undersides mostly reflect the ground nearby, which the body shades.
     near = 0.42 + 0.58 * np.clip(0.55 + 0.75 * upness, 0, 1)
     metal = gloss > 1
     light: Floats = colour * (facing[:, None] * SUN_LIGHT + compute_ambient_light(upness) * near[:, None])

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-SAMPLES_PER_CHUNK = 1 << 16  # samples worked on at once
-# float32 throughout; NumPy's own types lose that wherever a Python number is mixed in.
+SAMPLES_PER_CHUNK = 1 << 16  # samples processed at once
+# float32 throughout. NumPy's own types would not ensure that, because Python numbers convert them.
 Floats = NDArray[Any]
 
 

@@ -14,12 +14,10 @@ from antdsl.outputs.pictures.camera import CameraView
 from antdsl.outputs.pictures.light import SunLight
 from antdsl.outputs.pictures.shading_rows import Floats, compute_dot_products, run_each, split_rows
 
-_SUN_RAYS_PER_EDGE_PIXEL = 4  # rays to the sun of a pixel that lies at the edge of a shadow
-_PIXEL_ORDER = np.array(
-    [0, 8, 2, 10, 12, 4, 14, 6, 3, 11, 1, 9, 15, 7, 13, 5]
-)  # of 4 × 4 pixels: those beside each other differ most
-_SHADOW_EDGE_PIXELS = 2  # pixels within which a shadow's edge is looked for: all sixteen directions are among these
-_SAME_SURFACE_COSINE = 0.8  # cosine between normals of one surface
+_SUN_RAYS_PER_EDGE_PIXEL = 4  # rays to the sun per pixel at the edge of a shadow
+_PIXEL_ORDER = np.array([0, 8, 2, 10, 12, 4, 14, 6, 3, 11, 1, 9, 15, 7, 13, 5])  # order in 4 × 4 pixels: neighbours differ most
+_SHADOW_EDGE_PIXELS = 2  # pixels around a shadow's edge; all sixteen directions occur among them
+_SAME_SURFACE_COSINE = 0.8  # cosine between normals; above it, two pixels are on one surface
 _WIDE_TAPS, _NARROW_TAPS = np.array([1, 2, 2, 2, 1], np.float32) / 8, np.array([1, 2, 1], np.float32) / 4
 
 
@@ -222,7 +220,7 @@ def _sample_open_share(
         for ray in range(count):
             aim = directions[ray * 16 + pick[own]]
             towards = side * aim[:, :1] + other * aim[:, 1:2] + normal * aim[:, 2:3]
-            length = reach * ((ray + 0.6) / count) ** 1.5  # near things shade more than far ones
+            length = reach * ((ray + 0.6) / count) ** 1.5  # near objects shade more than distant ones
             occlusion += rays.find_occluded(start, towards, length, threads)
         opened[own] = 1 - occlusion / count
 

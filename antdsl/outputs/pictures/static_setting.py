@@ -20,19 +20,19 @@ from antdsl.outputs.pictures.shading_rows import Floats
 from antdsl.outputs.pictures.surface_materials import PictureScales
 
 _PEBBLE_SHAPES = 8
-_MAX_PEBBLES = 8_000  # of each size class
-_MAX_PEBBLES_PER_FACE = 48  # pebbles of a size class on one triangle at most
+_MAX_PEBBLES = 8_000  # maximum number of pebbles per size class
+_MAX_PEBBLES_PER_FACE = 48  # maximum number of pebbles of a size class on one triangle
 _PEBBLE_CLASSES = 3  # size classes in a picture; in each, radii are between a power of two and the next one
 _MAX_PEBBLE_RADIUS = 0.066  # radius in body lengths
 _PEBBLES_PER_SQUARE_RADIUS = 0.009  # mean number of pebbles of a class on an area of one squared radius
 _PEBBLE_RANGE_PER_RADIUS = 500  # distance from the camera up to which a pebble is drawn, in its radii
-_PEBBLE_HEIGHT_PER_RADIUS = 0.3  # what is seen of a pebble above the ground: feet that pass are at most that deep in it
+_PEBBLE_HEIGHT_PER_RADIUS = 0.3  # height of a pebble above the ground; feet sink in at most that deep
 Array = NDArray[np.float64]
 
 
-# How far the table lies below the lowest point, as a share of the extent: room for the cut edge of a floor
+# Depth of the table below the lowest point, as a share of the extent: space for the cut edge of a floor
 TABLE_DEPTH_SHARE = 0.03
-_TABLE_DEPTH_SHARE_WITHOUT_FLOOR = 0.001  # the same without a floor: things stand on the table
+_TABLE_DEPTH_SHARE_WITHOUT_FLOOR = 0.001  # the same without a floor: things are on the table
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -23,10 +23,10 @@ from antdsl.outputs.pictures.soft_shadows import PixelGrid, compute_open_share, 
 from antdsl.outputs.pictures.static_setting import StaticSetting, add_pebbles
 from antdsl.outputs.pictures.surface_materials import PictureScales, make_surface_material
 
-SHADE_RAYS_PER_PIXEL = 6  # of every fourth pixel, each of 16 of which asks in other directions
-_SHADE_REACH_PER_BODY = 11  # body lengths within which things shade each other
-_EDGE_NORMAL_COSINE = 0.86  # cosine between normals from which on they are of two sides of an edge
-_EDGE_STEP_PIXELS = 4.0  # pixels' widths off its plane from which on a neighbour lies behind
+SHADE_RAYS_PER_PIXEL = 6  # rays for every fourth pixel; 16 neighbouring such pixels use different directions
+_SHADE_REACH_PER_BODY = 11  # body lengths; within this distance, things shade each other
+_EDGE_NORMAL_COSINE = 0.86  # cosine between normals; below it, two pixels are on two sides of an edge
+_EDGE_STEP_PIXELS = 4.0  # pixel widths; a neighbour farther off the plane is on a surface behind
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -152,7 +152,7 @@ def _sample_position(
         upness[first], facing[first] = look.normal @ sun.up, -compute_dot_products(look.normal, towards[hit_rows])
         kind[first] = setting.kind[hits.face[hit_rows]]
         glow[first] = surface_materials.compute_glow(kind[first], look, towards[hit_rows], sun)
-        # A coarse mesh shades its own smooth slopes in steps just where the light grazes: faded out there.
+        # A coarse mesh shades its own smooth slopes in steps at grazing light, so the shadow is faded out there.
         grazing = np.clip((smooth @ sun.direction) * 7, 0, 1)
         light[first] = np.clip(look.normal @ sun.direction, 0, 1) * grazing
 
@@ -176,7 +176,7 @@ def _make_surface_materials(
     smooth = normalise_rows(interpolate_vertices(setting.normal, corners, u, v))
     smooth *= np.where(compute_dot_products(smooth, flat) < 0, np.float32(-1), np.float32(1))[:, None]
     pixel = np.asarray(view.compute_pixel_size(hits.t[hit_rows]), np.float32) * np.float32(0.6)
-    # Seen along the ground a pixel covers more of it.
+    # At a flat angle, a pixel covers more of the ground.
     pixel /= np.sqrt(np.clip(-compute_dot_products(flat, direction), 0.04, 1.0))
     painted = interpolate_vertices(setting.vertex_colours, corners, u, v)
     look = make_surface_material(setting.kind[face], points, smooth.copy(), setting.up, pixel, scales, painted)

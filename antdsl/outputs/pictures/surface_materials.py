@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from antdsl.outputs.pictures.light import SunLight, compute_environment_light, decode_srgb
 from antdsl.outputs.pictures.shading_rows import Floats, compute_dot_products, normalise_rows
 
-# Turned, so that no plane across an axis of the world runs along the lattice.
+# Rotated, so that no plane across an axis of the world follows the lattice.
 _PATTERN_ROTATION = np.array([[0.36, 0.48, -0.80], [-0.80, 0.60, 0.0], [0.48, 0.64, 0.60]], np.float32)
 _PATTERN_PERIOD = 32  # the pattern repeats after this many wavelengths
 SURFACE_KINDS = ("ground", "stone", "boulder", "hill", "table", "edge", "grain", "figure", "metal", "leaf", "light")
@@ -28,7 +28,8 @@ SURFACE_KINDS = ("ground", "stone", "boulder", "hill", "table", "edge", "grain",
     LEAF_KIND,
     LIGHT_KIND,
 ) = range(len(SURFACE_KINDS))
-TRAIL_KINDS = (GROUND_KIND, BOULDER_KIND, HILL_KIND, FIGURE_KIND, METAL_KIND, LEAF_KIND)  # where a field's colour may lie
+# kinds of surfaces that can show a field's colour
+TRAIL_KINDS = (GROUND_KIND, BOULDER_KIND, HILL_KIND, FIGURE_KIND, METAL_KIND, LEAF_KIND)
 
 SOIL_COLOUR = decode_srgb((0.68, 0.60, 0.48))
 _DRY_SOIL_COLOUR = decode_srgb((0.755, 0.70, 0.59))
@@ -50,7 +51,7 @@ STEEL_COLOUR, LEAF_COLOUR, LIGHT_COLOUR = (
 _LEAF_VEIN_COLOUR = decode_srgb((0.52, 0.64, 0.30))
 _QUARTZ_COLOUR, _BASALT_COLOUR = decode_srgb((0.86, 0.82, 0.74)), decode_srgb((0.40, 0.36, 0.32))
 _GRAINY_KINDS = (GROUND_KIND, HILL_KIND, EDGE_KIND)  # kinds of surfaces made of grains
-LIGHT_BRIGHTNESS = 2.6  # of a light: several times what the sun makes of white
+LIGHT_BRIGHTNESS = 2.6  # brightness of a light source; several times that of a white surface in the sun
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,14 +12,15 @@ from antdsl.outputs.pictures.surface_materials import SOIL_COLOUR
 Array = NDArray[np.float64]
 
 _MAX_VOXELS = 40_000_000
-_MAX_GROUND_COVER = 0.66  # of the ground's own colour
-_LUMINANCE_WEIGHTS = np.array([0.2126, 0.7152, 0.0722], np.float32)  # of linear sRGB
-_GRAIN_BRIGHTNESS_RANGE = (0.5, 1.6)  # times the light of soil
+_MAX_GROUND_COVER = 0.66  # share of the ground's own colour that a trail may replace
+_LUMINANCE_WEIGHTS = np.array([0.2126, 0.7152, 0.0722], np.float32)  # luminance weights of linear sRGB
+_GRAIN_BRIGHTNESS_RANGE = (0.5, 1.6)  # factors of the light of soil
 
 
 class TrailVoxels:
-    """The voxels that hold a trail between the corners `low` and `high` (3,). They are created once per camera and filled in each
-    frame."""
+    """The voxels that contain a trail, between the corners `low` and `high` (3,).
+
+    They are created once per camera and filled in each frame."""
 
     def __init__(self, low: Array, high: Array, cell: float) -> None:
         self.cell = cell

@@ -27,7 +27,7 @@ from antdsl.outputs.usd.values import (
 )
 from antdsl.scene.geometry.usd import pxr
 
-_SAME_POSE_TOLERANCE = 1e-5  # body lengths by which bind poses may differ and be one
+_SAME_POSE_TOLERANCE = 1e-5  # body lengths; bind poses that differ less are merged
 
 
 @dataclass(slots=True)

@@ -17,10 +17,10 @@ from antdsl.outputs.usd.values import Array, to_identifier, to_integer_array
 from antdsl.scene.geometry.usd import pxr
 
 Floats = NDArray[np.float32]
-_EXTENT_SAMPLES = 8  # of each clip, which an extent is measured by
-_EXTENT_MARGIN = 1.25  # of an extent, for what lies between samples and for blends
+_EXTENT_SAMPLES = 8  # samples of each clip to measure an extent
+_EXTENT_MARGIN = 1.25  # factor of an extent, for poses between samples and blends
 _MATERIAL_ROUGHNESS = 0.55
-_DEFAULT_COLOUR = (0.35, 0.35, 0.35)  # where nothing says a colour
+_DEFAULT_COLOUR = (0.35, 0.35, 0.35)  # for surfaces without a colour
 
 
 class MaterialBinder:

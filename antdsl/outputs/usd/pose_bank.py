@@ -33,11 +33,11 @@ from antdsl.outputs.usd.values import (
 )
 from antdsl.scene.geometry.usd import pxr
 
-POSES_PER_CLIP = 16  # of a clip on the whole body
-_POSES_PER_GROUP_CLIP = 4  # of a clip on a transform group
-_MAX_PROTOTYPES = 2048  # prototypes of a species, beyond which clips on groups are left out
-_STANDING_SPEED = 0.02  # body lengths a second below which an agent stands
-_MAX_FINE_TRIANGLES = 1500  # triangles above which the coarse body is taken
+POSES_PER_CLIP = 16  # poses per clip on the complete body
+_POSES_PER_GROUP_CLIP = 4  # poses per clip on a transform group
+_MAX_PROTOTYPES = 2048  # maximum number of prototypes of a species; beyond it, clips on groups are omitted
+_STANDING_SPEED = 0.02  # body lengths per second; slower agents stand
+_MAX_FINE_TRIANGLES = 1500  # the coarse body is used if the fine one has more triangles
 
 
 class PrototypeBank:
@@ -167,7 +167,7 @@ def compute_clip_codes(body: PosedBody, crowd: Crowd, speed: NDArray[np.float64]
     clips = [body.definition.clips.get(each.clip) for each in list_bank_clips(body)]
     loops = np.array([clip is not None and clip.loop for clip in clips] + [False])
     groups = np.array([bool(each.on) for each in list_bank_clips(body)] + [False])
-    added = np.array([each.add for each in list_bank_clips(body)] + [False])  # over all others: left out
+    added = np.array([each.add for each in list_bank_clips(body)] + [False])  # clips added to others are omitted
     steps = np.where(groups, _POSES_PER_GROUP_CLIP, POSES_PER_CLIP)
     count = len(crowd.position)
     body_codes, on_parts = np.full(count, 0, np.int64), []

@@ -28,7 +28,7 @@ from antdsl.outputs.usd.values import (
 )
 from antdsl.scene.geometry.usd import pxr
 
-_MAX_IGNORED_SHEAR = 1e-4  # of a joint, above which what UsdSkel omits is reported
+_MAX_IGNORED_SHEAR = 1e-4  # shear of a joint; larger values are reported, because UsdSkel omits shear
 
 
 class SkeletonWriter:
@@ -43,7 +43,7 @@ class SkeletonWriter:
         write_state_names(pxr("UsdGeom").Scope.Define(stage, self._path).GetPrim(), species)
         pxr("UsdGeom").Scope.Define(stage, f"{self._path}/motion")
         self._bodies: dict[int, tuple[PosedBody, SkelDefinition]] = {}
-        self._agents = dict[tuple[int, int], _AgentPrim]()  # by id and body
+        self._agents = dict[tuple[int, int], _AgentPrim]()  # by agent id and body
         self._hideable_agents: set[tuple[int, int]] = set()
         self._named_agents, self._file_number = set[int](), out.file_number
         self._first: float | None = None

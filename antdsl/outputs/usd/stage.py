@@ -33,7 +33,7 @@ from antdsl.scene.geometry.usd import pxr
 from antdsl.scene.scene_model import UNIT_MM
 
 _DEFAULT_CLIP_SET = "default"  # the name of a prim's first set of clips
-MAX_SKELETON_AGENTS = 200  # agents of a species up to which each has a skeleton
+MAX_SKELETON_AGENTS = 200  # maximum number of agents of a species with separate skeletons
 _FRAMES_PER_SAVE = 24  # frames in memory before the file is saved
 _SAME_TIME_FRAMES = 1e-6  # frames
 
@@ -158,7 +158,7 @@ def _write_frames(shot: _FrameWriters, files: ValueFiles, frames: list[int], opt
             if written == -np.inf:
                 files.begin(frame)
             elif time == frame and files.starts_new_file(frame):
-                shot.at(time, frame)  # the end of the file before
+                shot.at(time, frame)  # completes the previous file
                 files.begin(frame)
             shot.at(time, frame)
             written = time
@@ -241,7 +241,7 @@ class ValueFiles:
         clips.SetClipAssetPaths(pxr("Sdf").AssetPathArray([pxr("Sdf").AssetPath(name) for name in names]), _DEFAULT_CLIP_SET)
         clips.SetClipManifestAssetPath(pxr("Sdf").AssetPath(f"./{manifest.name}"), _DEFAULT_CLIP_SET)
         clips.SetClipPrimPath(ROOT_PATH, _DEFAULT_CLIP_SET)
-        ends = (self._frames[0] - 1, self._frames[-1] + 2)  # samples of a shutter lie around the frames
+        ends = (self._frames[0] - 1, self._frames[-1] + 2)  # samples of a shutter interval are around the frames
         begins = [ends[0], *self._first_frames[1:]]
         clips.SetClipActive(vt.Vec2dArray([gf.Vec2d(begin, k) for k, begin in enumerate(begins)]), _DEFAULT_CLIP_SET)
         clips.SetClipTimes(vt.Vec2dArray([gf.Vec2d(end, end) for end in ends]), _DEFAULT_CLIP_SET)

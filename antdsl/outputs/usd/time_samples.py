@@ -19,7 +19,7 @@ from antdsl.outputs.gallery import Gallery
 from antdsl.outputs.pictures.model import Crowd, Picture
 
 Floats = NDArray[np.float64]
-_CACHED_FRAMES = 3  # frames in memory: the one before, this and the next
+_CACHED_FRAMES = 3  # frames in memory: the previous, the current and the next
 
 
 @dataclass(frozen=True, slots=True, eq=False)

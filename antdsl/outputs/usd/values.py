@@ -22,7 +22,7 @@ _DISK_ERRORS = (
 )  # fmt: skip
 ROOT_PATH = "/World"
 MATERIALS_PATH = "/World/looks"
-BODIES_PATH = "/bodies"  # class prims, which are drawn only where something refers to them
+BODIES_PATH = "/bodies"  # class prims, which are drawn only where a prim refers to them
 Array = NDArray[Any]
 
 
@@ -73,7 +73,7 @@ class ValueSamples:
         kind = self._attribute.GetTypeName()
         pxr("Sdf").JustCreatePrimAttributeInLayer(layer, self._path, kind, pxr("Sdf").VariabilityVarying)
         if layer is self._out.manifest_layer and self._path.name == pxr("UsdGeom").Tokens.visibility:
-            layer.GetAttributeAtPath(self._path).default = "invisible"  # in files that know nothing of it
+            layer.GetAttributeAtPath(self._path).default = "invisible"  # hidden in files without a value for the prim
 
 
 class StageOutput:

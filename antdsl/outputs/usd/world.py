@@ -101,7 +101,7 @@ class _CameraWriter:
     def __init__(self, out: StageOutput, gallery: Gallery) -> None:
         self._gallery, self._has_clipping_range = gallery, False
         camera = pxr("UsdGeom").Camera.Define(out.stage, f"{ROOT_PATH}/camera")
-        self._tenths_per_mm = 10.0 / UNIT_MM[gallery.manifest.units]  # of a millimetre in the stage's unit
+        self._tenths_per_mm = 10.0 / UNIT_MM[gallery.manifest.units]  # tenths of the stage's unit per millimetre
         camera.CreateHorizontalApertureAttr(_APERTURE_MM * self._tenths_per_mm)
         camera.CreateVerticalApertureAttr(_APERTURE_MM * 9 / 16 * self._tenths_per_mm)
         self._clipping_range = camera.CreateClippingRangeAttr()
