@@ -22,15 +22,15 @@ from antdsl.child_processes import isolate_search_paths
 from antdsl.machine_code import library, llvm_compiler, shipped_objects
 
 _MAX_PROCESSES = 8  # each process takes 200 MB, and 2 s to import the kernels
-_QualifiedName = tuple[str, str]  # a module, and a name in it
+_QualifiedName = tuple[str, str]  # module and name of an entry
 _CompileTask = tuple[_QualifiedName, tuple[str, ...]]  # an entry, and the names of its targets
 
 
 def build_object_files(folder: Path, entries: Sequence[library.LibraryEntry], targets: Iterable[str], processes: int = 1) -> int:
     """Write the object files of targets into a folder, which is created if needed. Return the number of newly compiled objects.
 
-    Objects that the folder already has are not compiled again. `entry_functions` are the kernels and texts to compile. With
-    several `processes`, they must be those of the package."""
+    Objects that exist in the folder are not compiled again. `entry_functions`: the kernels and texts to compile. With several
+    `processes`, they must be those of the package."""
     keys: dict[str, dict[_QualifiedName, str]] = {}
     objects_by_target: dict[str, dict[str, bytes]] = {}
     for name in targets:
@@ -96,7 +96,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m antdsl.machine_code.build_objects", description=__doc__)
     parser.add_argument("--host", action="store_true", help="only for this machine")
     host = parser.parse_args().host
-    isolate_search_paths()  # before processes are started
+    isolate_search_paths()  # set before processes start
     why = llvm_compiler.unavailability_reason()
     targets = list(shipped_objects.TARGET_BY_NAME)
     if host and not why:

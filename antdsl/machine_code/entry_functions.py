@@ -1,8 +1,8 @@
 """Functions that are called from outside: each sets the processor's float mode, and restores it at the end.
 
 A host may flush denormal numbers to zero or round upward, and a thread inherits that mode from its creator. So the outer function
-sets the mode register, and calls an inner function that does the work. The call keeps LLVM from moving an operation before the
-change of mode, or after its end."""
+sets the mode register, and calls an inner function that does the work. Because of the call, LLVM does not move operations out of
+the section with the changed mode."""
 
 from __future__ import annotations
 

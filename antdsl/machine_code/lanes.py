@@ -1,8 +1,8 @@
 """Values of eight agents at once, and the builder of a plan's functions.
 
-`Lanes` supports the operators and the NumPy functions of the project's formulas (`_EMITTER_BY_UFUNC`). A function of
-`numerics` that is called with lanes instead of arrays adds its operations, in NumPy's order and with its roundings. So each
-operation has one meaning for both."""
+`Lanes` supports the operators and the NumPy functions of the project's formulas (`_EMITTER_BY_UFUNC`). A function of `numerics`
+that is called with lanes instead of arrays adds its operations, in NumPy's order and with its roundings. So an operation has the
+same meaning for lanes and arrays."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from antdsl.machine_code.llvm_module import LlvmModule
 from antdsl.machine_code.number_kinds import BOOL, F32, F64, I8, I32, I64, LANE_COUNT, PTR, format_literal
 
 _INTEGER_COMPARISONS = {"lt": "slt", "le": "sle", "gt": "sgt", "ge": "sge", "eq": "eq", "ne": "ne"}  # LLVM's names for integers
-_ROUNDING_MAGIC = 6755399441055744.0  # 1.5 * 2**52: a sum with it has the rounded integer in its last bits
+_ROUNDING_MAGIC = 6755399441055744.0  # after adding 1.5 * 2**52, the lowest bits are the rounded integer
 
 
 def _make_operator(word: str, *, swapped: bool = False) -> Callable[[Lanes, Any], Lanes]:
@@ -73,7 +73,7 @@ class Lanes(Number):
 
 
 class LaneBuilder(Vectors[Lanes]):
-    """Writer of one function of eight lanes. Blocks nest; `known` is a stack, because values are only valid in their block."""
+    """Writer of one function of eight lanes. Blocks nest; `known` is a stack, because values are valid only in their block."""
 
     def __init__(self, module: LlvmModule) -> None:
         super().__init__("plan", "plan")
@@ -201,7 +201,7 @@ class LaneBuilder(Vectors[Lanes]):
 
     def select_lanes(self, condition: Lanes, then: Any, other: Any) -> Lanes:
         if not isinstance(then, Lanes) and not isinstance(other, Lanes):
-            # as NumPy does for two numbers of Python
+            # as NumPy does for two Python numbers
             kind = F64 if isinstance(then, float) or isinstance(other, float) else I64
             then = self.make_constant(then, kind, condition.lanes)
         a, b = self.match_kinds(then, other)
@@ -289,7 +289,7 @@ class LaneBuilder(Vectors[Lanes]):
         self.do("store", self.broadcast(stored), place, x=", align 1")
 
     def store_masked(self, mask: Lanes, base: Number, index: Lanes, value: Lanes) -> None:
-        """Store the elements of the eight for which a condition holds. No other code may write to the eight meanwhile."""
+        """Store those of eight elements for which a condition holds. No other code may write to the eight meanwhile."""
         stored = self.to_stored_form(value)
         place = self.address(base, index, stored.kind)
         old_value = self.op("load", stored.kind, place, x=", align 1", lanes=LANE_COUNT)

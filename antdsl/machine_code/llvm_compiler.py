@@ -14,7 +14,7 @@ from threading import Lock
 from typing import Any
 
 _LLVM_LOCK = Lock()  # LLVM has one context per process
-if hasattr(os, "register_at_fork"):  # in a child forked during LLVM's work, its locks would stay held
+if hasattr(os, "register_at_fork"):  # a child process forked while LLVM works would inherit locked locks
     os.register_at_fork(before=_LLVM_LOCK.acquire, after_in_parent=_LLVM_LOCK.release, after_in_child=_LLVM_LOCK.release)
 _NUMBER_PATTERN = re.compile("[0-9]+")
 _OLDEST_LLVMLITE_VERSION = (0, 45)  # the oldest llvmlite that can parse these texts
@@ -52,7 +52,8 @@ class Target:
         return self.triple.partition("-")[0] in ("aarch64", "arm64")
 
 
-PORTABLE_TARGET = Target("x86_64-unknown-linux-gnu", "x86-64-v3", "+avx2,-fma")  # for what is to be the same on each machine
+# a target for results that must be equal on every machine
+PORTABLE_TARGET = Target("x86_64-unknown-linux-gnu", "x86-64-v3", "+avx2,-fma")
 
 
 class MachineCodeUnavailable(RuntimeError):
@@ -71,14 +72,16 @@ def _import_llvm() -> Any:
 
 @cache
 def unavailability_reason() -> str:
-    """Return why no code can be compiled on this machine, and the remedy; an empty string if code can be compiled."""
+    """Return the reason why no code can be compiled on this machine, and the remedy. Return an empty string if code can be
+    compiled."""
     try:
         import llvmlite
 
         host_target()
     except ImportError:
         return 'llvmlite is not installed: pip install "llvmlite>=0.45"'
-    except (OSError, RuntimeError, AttributeError) as problem:  # not loadable, or made without this processor
+    # the library cannot be loaded, or was built without this processor
+    except (OSError, RuntimeError, AttributeError) as problem:
         return f"llvmlite cannot be used ({problem}): pip install --force-reinstall llvmlite"
     if tuple(int(part) for part in _NUMBER_PATTERN.findall(llvmlite.__version__)[:2]) < _OLDEST_LLVMLITE_VERSION:
         return f'llvmlite {llvmlite.__version__} is too old: pip install "llvmlite>=0.45"'

@@ -76,7 +76,7 @@ def infer_result_rate(op: str, args: tuple[PlanNode, ...]) -> UpdateRate:
 
 
 class PlanBuilder:
-    """Builds one list of nodes. `span`: the source location of the next nodes."""
+    """Builds one list of nodes. `span`: the source location of nodes that are added next."""
 
     def __init__(self) -> None:
         self.nodes: list[PlanNode] = []
@@ -130,7 +130,7 @@ class PlanBuilder:
         return self.row(int(value)) if kind is ValueKind.I32 else self.agent_id(int(value))
 
     def all(self, *conditions: PlanNode) -> PlanNode:
-        """Return the conjunction of conditions, in their order."""
+        """Return the conjunction of conditions, in the given order."""
         result = self.true
         for condition in conditions:
             result = self("and", result, condition)

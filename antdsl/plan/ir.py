@@ -4,7 +4,7 @@ A `PlanNode` is pure and interned by its builder: the same operation of the same
 A statement acts on the agents of its region: all agents of the species for which each enclosing `If` holds. Base units: mm, s, g,
 rad. Positions are float32, relative to the origin of the scene."""
 
-# One row per line and one letter per kind keep the table readable.
+# One line per row and one letter per kind keep the table readable.
 
 from __future__ import annotations
 
@@ -175,7 +175,7 @@ TUPLE_KINDS_BY_OPERATION: dict[str, tuple[ValueKind, ...]] = {
     if len(row.kinds) > 1
 }
 
-# Their results are stored for the step, and computed only for agents that need them.
+# Senses with results that are stored for the step, and computed only for agents that need them.
 _REDUCE_OPERATIONS = tuple(name for name in OPERATION_BY_NAME if name.startswith("reduce."))
 SENSE_OPERATIONS = frozenset((*senses.SENSE_BY_OPERATION, *_REDUCE_OPERATIONS, "draw.agent"))
 
@@ -199,7 +199,8 @@ class If:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Store:
-    """Assignment to a register. Other values than finite ones, and +inf if it `allows_infinity`, are a fault (decision 24)."""
+    """Assignment to a register. A value that is not finite is a fault, except +inf if the store `allows_infinity` (decision
+    24)."""
 
     register: str
     value: PlanNode
@@ -209,8 +210,8 @@ class Store:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Claim:
-    """Claim of `amount` (None: all that is left) from an item's attribute. If `item` is None, it is from the agent's cell of the
-    field `of`.
+    """Claim of `amount` (None: the complete remainder) from an item's attribute. If `item` is None, the agent's cell of the field
+    `of` is claimed.
 
     Claims are resolved after decide, in the order of (draw, id), while the remaining amount suffices. The BOOL register
     `won_register` is set for agents with a successful claim. The amount is added to the agent's register `own`, if one is
@@ -241,9 +242,11 @@ class Give:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Request:
-    """A request to the world. `op`: a row of `program.tables.effects`. `of`: the name of its target. `args`: the row's operands
-    (None: absent). `own`: the agent's register to which the result is added after the step's blocks. `target_species`: the
-    species of the one agent, an I64 operand, that receives it."""
+    """A request to the world.
+
+    `op`: a row of `program.tables.effects`. `of`: the name of its target. `args`: the row's operands (None: absent). `own`: the
+    agent's register to which the result is added after the step's blocks. `target_species`: the species of the agent that
+    receives it; its id is an I64 operand."""
 
     op: str
     of: str
@@ -262,10 +265,10 @@ PlanStatement = If | Store | Claim | Give | Request
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Register:
-    """A value per agent. `role`: attribute, memory (keep, latch, held, state of machines), pair (a slot of a pair value) or temp.
-    A temp lasts one step and starts at `initial_value`. The others are stored from step to step and hashed. `language_type`: the
-    type in the language, if there is one. A reload retains the value only if the edited program declares the name with the same
-    type."""
+    """A value per agent.
+    `role`: attribute, memory (keep, latch, held, state of machines), pair (a slot of a pair value) or temp. A temp lasts one step
+    and starts at `initial_value`. The others are stored from step to step and hashed. `language_type`: the type in the language,
+    if there is one. A reload retains the value only if the edited program declares the name with the same type."""
 
     name: str
     kind: ValueKind
@@ -300,7 +303,6 @@ class LayerPlan:
 @dataclass(frozen=True, slots=True)
 class ClipPlan:
     """A clip of the body by its name, on the joints of a transform group (`on`; "": all).
-
     `is_additive`: the differences from the rest pose are added to all other clips. `left_clip`, `right_clip`, `up_clip`,
     `down_clip`: the clips that replace it as an agent turns, climbs or descends."""
 
@@ -321,7 +323,6 @@ class ClipPlan:
 class SpeciesPlan:
     """The plan of one species. `born` fills the registers at birth and runs `on spawn`; position and velocity are already set.
     Each step runs `decide`, `act` and `blend` in this order. Claims are resolved between decide and act.
-
     Vectors are registers NAME.x NAME.y NAME.z. Every species has the registers: position velocity heading up (vectors), push
     (vector, temp), size mass radius clearance max_speed max_force max_turn response group. An infinite max_turn is no limit.
     `response` 0 or `kinematic`: the push changes the velocity at once. All species have `moved` if the program reads how far
@@ -337,23 +338,22 @@ class SpeciesPlan:
     blend: Block
     event_names: tuple[str, ...]  # events
     layers: tuple[LayerPlan, ...]
-    memoised_senses: tuple[PlanNode, ...] = ()  # senses of which the result is stored for the rest of the step
+    memoised_senses: tuple[PlanNode, ...] = ()  # senses with results that are stored for the rest of the step
     pair_rest_values: Mapping[str, PlanNode] = field(default_factory=dict)  # initial and rest value of each pair value; rate RUN
     clips: tuple[ClipPlan, ...] = ()  # clips that its states play; clip registers hold their index
     worn_layers: tuple[str, ...] = ()  # layers of the body that states show: registers `wear#LAYER`
-    channels: tuple[str, ...] = ()  # channels that states set: the value `channel#NAME`, and whether one does, `.said`
+    channels: tuple[str, ...] = ()  # channels that states set: the value `channel#NAME`, and `.said`, whether a state sets it
     look_groups: tuple[str, ...] = ()  # transform groups that states turn towards a point: `look#GROUP.x`, `.y`, `.z`
     clears_body: bool = False  # whether the body, not only the feet, stays outside the ground and obstacles
     has_whole_body: bool = False  # whether head, abdomen and load take room in contacts
-    settings: tuple[str, ...] = ()  # which of height, upright and max_slope are registers that move its agents
+    settings: tuple[str, ...] = ()  # the registers among height, upright and max_slope that move its agents
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FieldPlan:
     """The plan of a field, with nodes at rate RUN. `keep`: a factor per step, computed from half_life, evaporate or keeps.
-
-    `stencil`: the number of neighbour cells, 4 or 8, to which it diffuses. `deposits`: deposits are added before diffusion and
-    evaporation, "first", or after, "last"."""
+    `stencil`: the number of neighbour cells to which it diffuses, 4 or 8. `deposits`: "first" if deposits are added before
+    diffusion and evaporation, "last" if after."""
 
     name: str
     surfaces: tuple[str, ...]
@@ -396,5 +396,5 @@ class Plan:
 
     @property
     def obstacles(self) -> tuple[str, ...]:
-        """Return the names of the things that agents cannot walk through."""
+        """Return the names of the things that block agents."""
         return self.list_things_of_kind(*BLOCKING_KINDS)

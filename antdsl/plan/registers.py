@@ -1,9 +1,8 @@
 """Registers of agents: the registers of pair values, sizes in bytes, and the times at which a block reads registers.
 
-A pair value has slots. Each slot has the id of another agent and the value that is stored about it.
-A `load` is evaluated at its first use. A load may have uses before and after a store to its register, in regions that do not
-share values. Such a load is evaluated before the statement that contains both uses. `find_early_loads` returns these loads by
-place."""
+A pair value has slots. Each slot has the id of another agent and the value that is stored about it. A `load` is evaluated at its
+first use, with one exception. A load may have uses before and after a store to its register, in regions that do not share values.
+It is then evaluated before the statement that contains both uses. `find_early_loads` returns these loads by place."""
 
 from __future__ import annotations
 
@@ -44,8 +43,8 @@ def find_early_loads(block: ir.Block) -> dict[tuple[int, ...], list[ir.PlanNode]
 
 
 def _find_common_place(paths: list[tuple[int, ...]]) -> tuple[int, ...]:
-    """Return the place at which several paths meet. In the smallest block around all of them, it is the statement that contains
-    the first path."""
+    """Return the place at which several paths meet: in the smallest block around all of them, the statement that contains the
+    first path."""
     first, depth = paths[0], min(len(p) for p in paths) - 1
     while any(p[:depth] != first[:depth] for p in paths):
         depth -= 1

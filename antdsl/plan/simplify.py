@@ -104,7 +104,7 @@ def _simplify_not(b: PlanBuilder, args: tuple[PlanNode, ...], v: list[ConstantVa
     inner = args[0]
     if inner.op == "not":
         return inner.args[0]
-    if inner.op in ("eq", "ne"):  # opposites for NaN too, unlike `lt` and `ge`
+    if inner.op in ("eq", "ne"):  # opposites also for NaN, unlike `lt` and `ge`
         return b("ne" if inner.op == "eq" else "eq", *inner.args)
     return None
 

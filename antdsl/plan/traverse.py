@@ -94,8 +94,9 @@ def find_registers_read(nodes: Iterable[PlanNode]) -> set[str]:
 
 
 def find_shared_senses(*phases: Block) -> tuple[PlanNode, ...]:
-    """Return the senses with two or more users, in order of their numbers. A user is a block, or a shared sense that needs the
-    sense as an operand."""
+    """Return the senses with two or more users, in order of their numbers.
+
+    A user is a block, or a shared sense that needs the sense as an operand."""
     users: dict[PlanNode, set[object]] = {}
     for phase in phases:
         for block, statement in iterate_statements(phase):
@@ -104,7 +105,7 @@ def find_shared_senses(*phases: Block) -> tuple[PlanNode, ...]:
     shared_senses: list[PlanNode] = []
     waiting = set(users)
     while waiting:
-        sense = max(waiting, key=lambda node: node.number)  # its users have greater numbers, so they were handled before
+        sense = max(waiting, key=lambda node: node.number)  # its users have greater numbers, so they were processed before
         waiting.remove(sense)
         alone = len(users[sense]) == 1
         if not alone:

@@ -33,7 +33,8 @@ from antdsl.program.tables.senses import SENSE_BY_OPERATION
 from antdsl.program.tables.things import KIND_BY_WORD, list_replacements
 
 _READ_OPERATIONS = ("snap", "load")
-_REDUCES_ITEMS = {"reduce.agent": False, "reduce.nth_agent": False, "reduce.item": True, "reduce.nth_item": True}  # over items
+# whether the operation reduces over items
+_REDUCES_ITEMS = {"reduce.agent": False, "reduce.nth_agent": False, "reduce.item": True, "reduce.nth_item": True}
 _BUILTIN_ITEM_VALUES = {"position", "velocity", "heading", "up"}
 
 
@@ -225,8 +226,9 @@ def _check_request(plan: Plan, species: SpeciesPlan, statement: Request) -> Iter
 
 
 class _LoadState:
-    """The state of the check of loads. `version`: the version of the last load, by register. `stale_registers`: the registers
-    with a store after their last load."""
+    """The state of the check of loads.
+
+    `version`: the version of the last load, by register. `stale_registers`: the registers with a store after their last load."""
 
     def __init__(self) -> None:
         self.version: dict[str, int] = {}

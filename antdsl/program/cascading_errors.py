@@ -1,7 +1,7 @@
-"""Reduces a report to one finding per cause. It drops findings that follow from an earlier error, and merges findings about one
-missing name into one.
+"""Reduces a report to one finding per cause.
 
-`checks.ERROR_FREE_CHECKS` are not run at all for programs with errors. This module handles the other findings."""
+It drops findings that follow from an earlier error, and merges findings about one missing name. `checks.ERROR_FREE_CHECKS` are
+not run at all for programs with errors. This module handles the other findings."""
 
 from __future__ import annotations
 
@@ -83,8 +83,9 @@ def _make_repeat_labels(others: Sequence[Span]) -> list[Label]:
 
 
 def _is_misspelt_declaration(diagnostic: Diagnostic, duplicate_names: set[tuple[Source, str]]) -> bool:
-    """Return whether a duplicate declaration probably explains a missing name. If two declarations of one kind have the same
-    name, one of them was probably meant to have the missing name."""
+    """Return whether a duplicate declaration probably explains a missing name.
+
+    If two declarations of one kind have the same name, one of them was probably meant to have the missing name."""
     if diagnostic.span is None or diagnostic.code not in _MISSING_NAME_CODES:
         return False
     return any(

@@ -1,5 +1,4 @@
-"""Checks the files of one program and returns a Program: first the names, then the types, then the checks of the complete
-program."""
+"""Checks the files of one program and returns a Program: first names, then types, then the checks of the complete program."""
 
 from __future__ import annotations
 
@@ -67,15 +66,16 @@ def check(
         memo.mark_used(() if sound else (*ERROR_FREE_CHECKS, "named"))
         memo.drop_unused()
         if any(each.missing_uses for each in loader.known.values()):
-            memo.known.clear()  # cached parts lack the findings that a missing `use` has suppressed
+            memo.known.clear()  # cached parts lack the findings that the missing `use` suppressed
     repeated_spans = {first: tuple(dict.fromkeys(others)) for first, *others in declared.unknown_names.values() if others}
     program = replace(program, bindings=NameBindings(tuple(declared.name_uses)))
     return program, drop_cascading_errors(*_map_to_files(loader, add_all_locations(report, repeated_spans), recovered))
 
 
 def _run_check(checked: CheckContext, check_function: Check, report: Report) -> None:
-    """Run one check of the complete program. With a memo, checks in OF_EACH and OF_STATES run again only for changed species or
-    states."""
+    """Run one check of the complete program.
+
+    With a memo, checks in OF_EACH and OF_STATES run again only for changed species or states."""
     program = checked.program
     if checked.declared.memo is None or check_function not in PER_SPECIES_CHECKS:
         check_function(checked, report)
@@ -106,8 +106,7 @@ def _restrict_to_state(species: model.Species, machine: model.Machine, state: mo
 
 
 def _map_to_files(loader: FileLoader, report: Report, recovered: Sequence[Span]) -> tuple[Report, list[Span]]:
-    """Return the report and the recovered spans, with each location in a part of a file converted to the location in that
-    file."""
+    """Return the report and the recovered spans, with locations in a part of a file converted to locations in that file."""
     files = {part: file.node for file in loader.known.values() for part in file.node.parts}
     if not files:
         return report, list(recovered)
@@ -119,7 +118,7 @@ def _map_to_files(loader: FileLoader, report: Report, recovered: Sequence[Span])
 
 
 def _make_outside_key(declared: Declarations, loader: FileLoader) -> Hashable:
-    """Return a key of all declarations that a part of the program can see of the other parts, except the types of attributes."""
+    """Return a key of all declarations of other parts that a part of the program can see, except the types of attributes."""
     things = [(t.name, t.kind, tuple((a.name, a.type) for a in t.attributes)) for t in declared.things.values()]
     machines = [
         (s.name, s.edition, s.node is None, tuple((m.name, *m.states) for m in s.machines.values()))

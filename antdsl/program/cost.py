@@ -1,4 +1,4 @@
-"""Estimates the cost of a program in each state, from senses, fields, draws and sums. Each has a rough weight.
+"""Estimates the cost of a program in each state from its senses, fields, draws and sums. Each has a rough weight.
 
 The estimate compares states before a run. Nothing is measured."""
 
@@ -21,8 +21,10 @@ _TAKE_COST = UseCost(40, "takes {thing}")
 
 @dataclass(frozen=True, slots=True)
 class CostEntry:
-    """One use of a sense, field or draw. `kind`: senses, fields or draws. `description`: the text of the table's row, with the
-    count per step. `weight`: the weight of all these uses."""
+    """One use of a sense, field or draw.
+
+    `kind`: senses, fields or draws. `description`: the text of the table's row, with the count per step. `weight`: the weight of
+    all these uses."""
 
     kind: str  # senses, fields or draws
     description: str
@@ -31,8 +33,9 @@ class CostEntry:
 
 @dataclass(frozen=True, slots=True)
 class StateCost:
-    """The uses of one state, named `MACHINE.STATE` (`STATE` if there is only one machine), or those common to all states, named
-    `every state`."""
+    """The uses of one state, or the uses common to all states.
+
+    A state is named `MACHINE.STATE`, or `STATE` if there is only one machine. Common uses are named `every state`."""
 
     name: str
     uses: tuple[CostEntry, ...]
@@ -45,7 +48,7 @@ class StateCost:
 
 
 def estimate_costs(program: model.Program, species: model.Species) -> list[StateCost]:
-    """Return the costs of every state of a species in text order, and last the costs that all states share."""
+    """Return the costs of every state of a species in text order, followed by the costs common to all states."""
     state_parts = [
         StateCost(
             state.name if len(species.machines) == 1 else f"{machine.name}.{state.name}",

@@ -79,12 +79,12 @@ class Expectation:
     - `start_condition`: the time starts whenever this condition becomes true."""
 
     kind: str
-    block_number: int  # 0 is the spec itself, then the `each` blocks in their order
+    block_number: int  # 0: the spec itself; from 1: the `each` blocks in order
     species: str | None
     condition: Expr
     time: Expr | None
     readings: tuple[ExpectationReading, ...]
-    at_end: bool  # it uses a motion measure, which is known only after the run
+    at_end: bool  # it uses a motion measure, which is only known after the run
     span: Span
     hold_time: Expr | None = None
     start_condition: Expr | None = None

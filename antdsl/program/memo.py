@@ -1,4 +1,4 @@
-"""Caches results about parts of a program, for the next check of an edited program. An editor checks at every key press."""
+"""Cache of results about parts of a program, for the next check of an edited program. An editor checks at every key press."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ def get_or_compute_part(declared: Declarations, key: tuple[Any, ...], compute: C
 
 
 def update_outside_number(declared: Declarations, outside: Hashable) -> int:
-    """Set `declared.outside` to a number that stands for the value `outside`, and return it. Equal values have equal numbers.
+    """Set `declared.outside` to a number that identifies the value `outside`, and return it. Equal values have equal numbers.
 
-    `outside`: all declarations that a part can see of other parts. It may be large, so the keys of parts contain
-    its number only."""
+    `outside`: all declarations of other parts that a part can see. It may be large, so the keys of parts contain only its
+    number."""
     declared.outside_number = 0 if declared.memo is None else declared.memo.assign_number(outside)
     return declared.outside_number
 
@@ -55,8 +55,9 @@ class _CachedPart:
 
 
 class _UnknownNames(dict[tuple[str, ...], list[Span]]):
-    """The unknown names that were reported. If `has_omitted_finding`, a part omitted a finding because of an earlier one. Its
-    result must not be cached."""
+    """The unknown names that were reported.
+
+    `has_omitted_finding`: a part omitted a finding because of an earlier one. Its result must not be cached."""
 
     has_omitted_finding = False
 
@@ -121,7 +122,7 @@ class CheckMemo:
         return result
 
     def mark_used(self, kinds: Collection[Hashable]) -> None:
-        """Mark all results of some kinds of parts as used, because this check left them out. The kind is the first element of the
+        """Mark all results of some kinds of parts as used, because this check skipped them. The kind is the first element of the
         key."""
         self.used_keys |= {key for key in self.known if key[0][0] in kinds}
 

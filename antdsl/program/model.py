@@ -48,7 +48,7 @@ class Steer:
 
 @expression_class
 class FaceLine:
-    """Turns the body towards `direction`. The length of the vector has no effect."""
+    """A line that turns the body towards `direction`. The length of the vector has no effect."""
 
     direction: Expr
     span: Span
@@ -119,8 +119,9 @@ class Play:
 
 @expression_class
 class Wear:
-    """Shows the geometry layer `layer` of the body, in addition to the other geometry, on agents in the state. `condition`: only
-    on agents for which it holds (None: all)."""
+    """A line that shows the geometry layer `layer` of the body, in addition to other geometry, on agents in the state.
+
+    `condition`: only on agents for which it holds (None: all)."""
 
     layer: str
     condition: Expr | None

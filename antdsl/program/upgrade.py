@@ -1,6 +1,6 @@
-"""Rewrites a file for a newer edition of the language: the first line, and the previous defaults that its species rely on.
+"""Rewrites a file for a newer edition of the language: the first line, and the previous defaults that its species use.
 
-An upgraded program has the same results until its author deletes the lines that were added."""
+An upgraded program has the same results until its author deletes the added lines."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from antdsl.source import Source
 from antdsl.syntax import nodes
 from antdsl.syntax.parser import parse
 
-_BLANK_REST_PATTERN = re.compile(r"[ \t;]*(?:#[^\n]*)?(?=\n|$)")  # of a line: nothing that the program reads
-Insertion = tuple[int, str]  # where in the text, and what
+_BLANK_REST_PATTERN = re.compile(r"[ \t;]*(?:#[^\n]*)?(?=\n|$)")  # the rest of a line without anything that the program reads
+Insertion = tuple[int, str]  # offset in the text, and the inserted text
 
 
 def upgrade(source: Source, edition: int) -> tuple[Source | None, Report]:
     """Return the text of a file in an edition, with the same meaning, and the report of parsing.
 
     The layout is not standard. Returns None if the text has errors, or names that the newer edition reserves. A file of this
-    edition or a newer one is returned as it is."""
+    edition or a newer one is returned unchanged."""
     file, report = parse(source)
     previous = file.edition_number
     if not report.ok or (file.edition is not None and previous >= edition):
@@ -66,7 +66,7 @@ def _explicit_lines(source: Source, species: nodes.Species, previous: int, editi
 
 
 def _report_reserved(species: nodes.Species, previous: int, edition: int, report: Report) -> None:
-    """Report names of a species that are built in from a newer edition on."""
+    """Report names of a species that are built in since a newer edition."""
     reserved = (builtin_attributes(edition).keys() - builtin_attributes(previous).keys()) | SWITCH_HELP.keys()
     for member in species.members:
         own = member.declaration if isinstance(member, nodes.ParamDecl) else member

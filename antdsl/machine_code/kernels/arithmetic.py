@@ -28,16 +28,17 @@ class ArithmeticEmitter(Vectors[Number]):
     """Writer of operations on numbers."""
 
     mask: Number | None = None  # the active iterations; None if code for one iteration is written
-    reached_mask: Number | None = None  # a mask that holds for at least one iteration while it is `mask`
+    # a condition that is true if the mask holds for at least one iteration, while `mask` is the mask
+    reached_mask: Number | None = None
 
     def any_lane(self, mask: Number) -> Number:
-        """Return whether a mask holds for at least one iteration."""
+        """Return whether a mask holds in at least one lane, as a condition of the written code."""
         bits = self.op("lanes", f"i{LANE_COUNT}", mask, lanes=1)
         return self.op("ne", TRUTH, bits, Number(bits.kind, "0"))
 
     @property
     def is_always_reached(self) -> bool:
-        """Return whether the current code is certain to run for at least one iteration."""
+        """Return whether the current code certainly runs for at least one iteration."""
         return self.mask is None or self.mask.known is not None or self.mask is self.reached_mask
 
     def active_mask(self) -> Number | None:

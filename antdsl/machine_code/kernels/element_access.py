@@ -136,7 +136,7 @@ class ElementAccess(ArithmeticEmitter):
         """Return the address of an element at a loop-invariant index.
 
         If no iteration is active, the index may be out of range; the result is then the address of zeros. The index is compared
-        with the array's length, not combined with the mask, so that LLVM can move the load out of loops."""
+        with the array's length instead of being combined with the mask, so that LLVM can move the load out of loops."""
         place = self._offset_address(array, at)
         if self.mask is None or self.is_always_reached:
             return place

@@ -19,7 +19,7 @@ CHECK_MESSAGES = {  # operations that are checks, with their messages
     "divisor": "integer division by 0",
 }
 Value = TypeVar("Value", bound=Number)
-MAX_CONSECUTIVE_ELEMENTS = 64  # elements in one load
+MAX_CONSECUTIVE_ELEMENTS = 64  # maximum number of elements in one load
 ZEROS_CONSTANT = Number("ptr", "@zeros")  # read by inactive lanes
 LANE_ORDERS_CONSTANT = Number("ptr", "@orders")  # the bytes of `LANES_BY_MASK`
 _LANE_SETS = [[lane for lane in range(LANE_COUNT) if bits >> lane & 1] for bits in range(1 << LANE_COUNT)]
@@ -37,7 +37,7 @@ class NotInSubset(Exception):
 
 
 class InvalidCode(Exception):
-    """Error for instructions of which types or order are invalid. It is a mistake in the code that writes them."""
+    """Error for instructions with invalid types or order. It is a mistake in the code that writes them."""
 
 
 class Instruction(NamedTuple):

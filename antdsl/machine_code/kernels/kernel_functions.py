@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from antdsl.machine_code.kernels.statements import StatementWriter
 
 
-_ROUNDING_MAGIC = 1.5 * 2.0**52  # a sum with it has the rounded integer in its last bits
+_ROUNDING_MAGIC = 1.5 * 2.0**52  # a sum with it has the rounded integer in its lowest bits
 
 
 def simd_range(begin: int, end: int) -> Iterator[int]:
@@ -81,7 +81,7 @@ def _emit_absolute(w: StatementWriter, a: Number) -> Number:
 
 
 def _emit_minimum(w: StatementWriter, *values: Number) -> Number:
-    """Return the minimum as Python defines it: the first value, unless another value is less."""
+    """Return the minimum as Python defines it: the first value, unless a later value is less."""
     best = values[0]
     for each in values[1:]:
         a, b = w.match_kinds(each, best)

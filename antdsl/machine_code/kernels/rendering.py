@@ -73,7 +73,7 @@ def render_function(
 def _render_instruction(each: Instruction, declared: dict[str, str]) -> str:
     """Return the text of an instruction. Add the LLVM function or table that it uses to `declared`."""
     op, result, operands, extra, _ = each
-    if op in ("jump", "branch"):  # the cache does not need lines with unique labels
+    if op in ("jump", "branch"):  # not cached, because lines with unique labels would fill the cache
         return "  " + OPERATION_BY_NAME[op].text.format(*operands, x=extra)
     text, called = _operation_pattern(
         op, tuple([operand.type for operand in operands]), "void" if result is None else result.type, extra

@@ -75,7 +75,7 @@ class SimdWriter(StatementWriter):
             and name not in self.variables
             and assigned_names(self.definition)[name] == 1
         ):
-            self.variables[name] = item  # stays known as consecutive over iterations
+            self.variables[name] = item  # its value is still known to be consecutive over iterations
         else:
             super().assign(node, name, item)
 

@@ -124,8 +124,10 @@ def _lower_operand(w: PlanWriter, arg: model.Expr, per_second: bool) -> PlanNode
 
 
 def _compute_carve_ball(w: PlanWriter, radius_expr: model.Expr | None, direction_expr: model.Expr | None) -> OperandTuple:
-    """Return the operands of a ball to carve. Its centre is half a body length and half its radius ahead of the agent. Its lowest
-    point is level with the feet, so an agent that moves ahead stays level."""
+    """Return the operands of a ball to carve.
+
+    Its centre is half a body length plus half its radius ahead of the agent. Its lowest point is level with the feet, so an agent
+    that moves ahead stays level."""
     assert radius_expr is not None
     b = w.b
     radius = lower_scalar(w, radius_expr)
@@ -140,7 +142,7 @@ def _compute_carve_ball(w: PlanWriter, radius_expr: model.Expr | None, direction
     return radius, middle.x, middle.y, middle.z
 
 
-# Computes the operands of an effect from its arguments, if its row says that they are computed.
+# Functions that compute the operands of an effect from its arguments, for rows with computed operands.
 OPERAND_LOWERERS: dict[str, Callable[..., OperandTuple]] = {"carve": _compute_carve_ball}
 _LOWERER_BY_STATEMENT: dict[type, Callable[[PlanWriter, Any, str], None]] = {
     model.Steer: _lower_steer, model.FaceLine: _lower_face, model.Assign: _lower_assign, model.Give: _lower_give,

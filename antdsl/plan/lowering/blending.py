@@ -1,6 +1,6 @@
-"""Blends the layers into one push with a length of at most 1 (decision 14).
+"""Combines the layers into one push with a length of at most 1 (decision 14).
 
-There are three modes: a priority budget that the layers use from the top down, a sum, or the first layer with a push."""
+There are three modes: a priority budget that the layers use from top to bottom, a sum, or the first layer with a push."""
 
 from __future__ import annotations
 
@@ -57,10 +57,10 @@ def _write_layer(w: PlanWriter, layer: model.Layer, mode: str, is_last: bool) ->
 
 
 def _write_face_direction(w: PlanWriter, layers: Sequence[model.Layer]) -> None:
-    """Write the direction that the body faces, from the topmost `store_face_direction` line with a direction. At the line
-    `state`, the `store_face_direction` lines of the states apply.
+    """Write the direction that the body faces: that of the topmost `face` line with a direction. At the line `state`, the `face`
+    lines of the states apply.
 
-    A `store_face_direction` line uses no strength, so layers above cannot use up its share."""
+    A `face` line uses no strength, so it does not depend on the budget that earlier layers leave."""
     states = f"{GAZE_TEMP}.x" in w.registers
     if not layers and states:
         store_face_direction(w, FACE_REGISTER, w.read_vector(GAZE_TEMP), w.species.span)
@@ -80,7 +80,7 @@ def _write_face_direction(w: PlanWriter, layers: Sequence[model.Layer]) -> None:
 
 
 def _read_state_push(w: PlanWriter) -> VectorNodes:
-    """Return the sum of the pushes that the current states of all machines steer."""
+    """Return the sum of the pushes from the current states of all machines."""
     if f"{STEER_TEMP}.x" not in w.registers:
         return values.zero_vector(w.b)
     return w.read_vector(STEER_TEMP)

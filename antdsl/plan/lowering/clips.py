@@ -100,8 +100,9 @@ def store_fade_time(w: PlanWriter, machine: model.Machine, fade_time: model.Expr
 
 
 def restart_clip(w: PlanWriter, machine: model.Machine, state: model.State) -> None:
-    """Request a restart of the clip of a state, for agents that enter the state. The clip restarts if its `again` holds, even if
-    it plays already."""
+    """Request a restart of the clip of a state, for agents that enter the state.
+
+    If `again` holds, the clip also restarts if it is playing already."""
     line = next((line for line in state.body if isinstance(line, model.Play)), None)
     if line is not None and line.restart_condition is not None:
         w.store(f"{machine.name}.clip_waits", lower_condition(w, line.restart_condition), line.span)
@@ -151,7 +152,7 @@ def _write_clip_step(w: PlanWriter, machine: str, clip: PlanNode, speed: PlanNod
 
 
 def lower_clip_test(w: PlanWriter, e: model.ClipTest) -> PlanNode:
-    """Return whether a clip passed a mark in the last step (`clip at MARK`), or ended since it began (`clip done`)."""
+    """Return whether a clip passed a mark in the last step (`clip at MARK`), or has ended since it began (`clip done`)."""
     b, machine = w.b, e.machine
     names = next(m for m in w.species.machines if m.name == machine)
     if not plays_clips(names):

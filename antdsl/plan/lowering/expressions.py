@@ -27,7 +27,7 @@ from antdsl.program.traverse import iterate_expressions, iterate_parts
 
 
 def lower_expression(w: PlanWriter, expr: model.Expr) -> LoweredValue:
-    """Return the nodes of an expression, as read at the writer's current place."""
+    """Return the nodes of an expression, as read at the writer's current place in the statements."""
     outer, w.b.span = w.b.span, expr.span
     try:
         return _LOWERER_BY_EXPRESSION[type(expr)](w, expr)
@@ -72,7 +72,7 @@ def convert_to_condition(w: PlanWriter, value: LoweredValue, expr: model.Expr) -
 
 
 def lower_presence(w: PlanWriter, value: LoweredValue, expr: model.Expr) -> PlanNode:
-    """Return whether a reference, a hit or a set is not none."""
+    """Return whether a reference, a hit or a set is present (not none)."""
     if isinstance(value, EntityRef):
         if value.kind is model.TypeKind.ITEM:
             return w.b("item.alive", value.node, attrs=(value.of,))
@@ -159,7 +159,7 @@ def _lower_binding(w: PlanWriter, e: model.BindingRef) -> LoweredValue:
 def _lower_let(w: PlanWriter, binding: model.Binding) -> LoweredValue:
     """Lower a `let` once and return its value. Each use advances the memories in it.
 
-    A snapshot holds for the whole step. Other lets, and all lets at birth, hold until the next store."""
+    A snapshot is valid for the whole step. Other lets, and all lets at birth, are valid until the next store."""
     lasting = binding.snapshot and not w.is_birth
     known = w.snapshot_lets if lasting else w.current_lets
     for each in _order_needed_lets(w, binding, known):
@@ -213,8 +213,9 @@ def _lower_plain_let(w: PlanWriter, binding: model.Binding) -> LoweredValue:
 
 
 def _lower_keep(w: PlanWriter, binding: model.Binding) -> LoweredValue:
-    """Lower `keep x = first then next`: `first` in the first step, later `next` computed from the previous value. Memory is
-    written once per step."""
+    """Lower `keep x = first then next`: `first` in the first step, later `next` computed from the previous value.
+
+    Memory is written once per step."""
     assert binding.value is not None and binding.then is not None
     on = f"{binding.key}.on"
     w.declare_typed(binding.key, binding.type, "memory")
@@ -303,7 +304,7 @@ def _lower_attribute(w: PlanWriter, e: model.AttributeRef) -> LoweredValue:
 
 
 def convert_to_typed_value(w: PlanWriter, node: PlanNode, type: model.ValueType) -> LoweredValue:
-    """Return a register's node as a value of the language. A number that stands for a bool becomes a bool."""
+    """Convert a register's node to a value of the language. A number that represents a bool becomes a bool."""
     if type.kind in NONE_BY_KIND:
         return EntityRef(type.kind, type.of or "", node)
     return w.b("ne", node, w.b.number(0)) if type.kind is model.TypeKind.BOOL and node.kind is ValueKind.F32 else node
@@ -331,8 +332,8 @@ def needs_moved_register(program: model.Program) -> bool:
 
 
 def needs_register(species: model.Species, name: str) -> bool:
-    """Return whether agents of a species have the register of an attribute. For one of OPTIONAL_ATTRIBUTES that is so if the
-    species declares or sets it."""
+    """Return whether agents of a species have a register for an attribute.
+    Attributes in OPTIONAL_ATTRIBUTES have one only if the species declares or sets them."""
     if name not in OPTIONAL_ATTRIBUTES or any(a.name == name for a in species.attributes):
         return True
     return any(isinstance(part, model.Assign) and part.attribute == name for part in iterate_parts(species))

@@ -29,7 +29,7 @@ from antdsl.plan.traverse import collect_required_nodes, find_shared_senses, ite
 from antdsl.program import model
 from antdsl.program.tables.things import KIND_BY_WORD
 
-# Python frames for the recursion over expressions; the parser and the checker limit their nesting.
+# maximum number of Python frames for the recursion over expressions; the parser and the checker limit nesting
 MAX_RECURSION_FRAMES = 20_000
 
 
@@ -278,8 +278,7 @@ def declare_touch_registers(w: PlanWriter) -> None:
 
 
 def detect_new_contacts(w: PlanWriter) -> dict[str, PlanNode]:
-    """Return, by species, the id of the other agent that an agent has begun to touch; -1 for none. Afterwards it counts as
-    touched."""
+    """Return, by species, the id of the other agent that an agent has begun to touch, or -1. Afterwards it counts as touched."""
     partners = {}
     for of, handler in _find_collision_handlers(w.species).items():
         names = _name_touch_registers(w.species, of)

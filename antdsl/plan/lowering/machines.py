@@ -19,7 +19,7 @@ from antdsl.plan.lowering.values import EntityRef, NamedThing
 from antdsl.plan.lowering.writer import PlanWriter, UnsupportedConstruct
 from antdsl.program import model
 
-STEP_COUNT_SLACK = 1 - 4e-7  # 0.5 s at 24 frames a second is 12 steps, also where the quotient of two float32 says 12.000001
+STEP_COUNT_SLACK = 1 - 4e-7  # 0.5 s at 24 frames per second is 12 steps, even if the float32 quotient is 12.000001
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,13 +146,14 @@ class MachineWriter:
             return w.b.false
 
     def _is_from_any(self, transition: model.Transition) -> bool:
-        """Return whether a transition was declared `from any`. Such a transition never leads into the current state, which may be
-        known only at run time."""
+        """Return whether a transition was declared `from any`.
+
+        Such a transition never leads into the current state, which may be known only at run time."""
         return transition.key.startswith(f"{self.site}.{model.FROM_ANY_KEY}->")
 
     def _has_held(self, transition: model.Transition, holds: PlanNode, duration: model.Expr) -> PlanNode:
-        """Return whether the condition `holds` is true now and has been true without a break in the steps of `duration` before.
-        Write its step counter."""
+        """Return whether the condition `holds` is true now, and was true in all steps of `duration` before. Write its step
+        counter."""
         b, counter = self.w.b, _name_counter(transition)
         previous_count = self.w.read_previous(counter)
         count = b("where", holds, b("add", previous_count, b.number(1)), b.number(0))
@@ -223,7 +224,7 @@ class MachineWriter:
         self._write_per_state(self.machine.states, self._write_entry)
 
     def _lower_target(self, change: _StateChange) -> PlanNode:
-        """Return the index of the state that a transition leads to; a `choose` draws it."""
+        """Return the index of the state that a transition leads to. A `choose` draws it."""
         w, t, b = self.w, change.transition, self.w.b
         if t.targets_previous:
             return w.read(f"{self.name}.previous")

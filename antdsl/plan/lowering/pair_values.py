@@ -1,7 +1,7 @@
 """Lowers pair values: values that an agent stores about a few other agents. Each slot has two registers, an id and a value.
 
-About an agent without a slot, the value is the initial value, which is also the rest value. If all slots are used, a new agent
-replaces the weakest: the one with the value nearest to rest, and of equal ones the greater id."""
+Agents without a slot have the initial value, which is also the rest value. If all slots are used, a new agent replaces the
+weakest: the agent with the value nearest to rest, or with the greater id among equals."""
 
 from __future__ import annotations
 
@@ -76,8 +76,8 @@ def write_assignment(w: PlanWriter, s: model.Assign, attribute: model.AttributeD
 
 
 def _write_set_assignment(w: PlanWriter, s: model.Assign, attribute: model.AttributeDecl) -> None:
-    """Set the values about all agents of a set. Agents with a slot change in place. Of the others, the strongest get slots, as
-    many as there are slots.
+    """Set the values about all agents of a set. Agents with a slot change in place. The strongest of the others get slots, if
+    there are free ones.
 
     All values are computed before any is stored, because a value may use other pair values."""
     b = w.b
@@ -165,7 +165,7 @@ def _store_in_slot(
     names = name_slot_registers(attribute.name, attribute.slot_count)
     for (who_name, value_name), (who, stored_value) in zip(
         reversed(names), reversed(changed), strict=True
-    ):  # in reverse, so that no store changes a value that a later one reads
+    ):  # in reverse, so that no store changes a value that a later store reads
         held = _freeze_value(w, f"~{attribute.name}.slot", who, s)
         w.store(value_name, stored_value, s.span)
         w.store(who_name, held, s.span)

@@ -17,17 +17,17 @@ from antdsl.program import model
 from antdsl.program.model import Dimension
 
 T = TypeVar("T")
-ANY_DIRECTION_COSINE = -2.0  # below every cosine, so every direction is inside
+ANY_DIRECTION_COSINE = -2.0  # below every cosine, so that every direction is inside
 FULL_TURN_ANGLE = 2 * pi - 1e-5
 _MAX_COUNT_ARGUMENT = {"neighbours": 2, "all": 1}  # index of the argument with the maximum count
 
 
 def choose_quantum_exponent(dim: Dimension) -> int:
-    """Return the exponent of the quantum of sums. Terms are rounded to a multiple of 2**exponent base units, so that the sum is
+    """Return the exponent of the quantum of sums. Terms are rounded to a multiple of 2**exponent base units, so that a sum is
     exact in any order.
 
     A float64 has 53 bits: with exponent -24, the sum may reach 2**28. Lengths, speeds and forces have four bits less resolution
-    for more range (1e-6 mm, sums up to 4 million metres). Areas have fourteen bits less and volumes 24; densities have six
+    for more range (1e-6 mm, sums up to 4 million metres). Areas have 14 bits less, volumes 24 bits less, and densities 6 bits
     more."""
     if dim.length <= 0:
         return -30 if dim.length < 0 else -24
@@ -63,8 +63,9 @@ def lower_set(w: PlanWriter, e: model.SetExpr) -> ElementGroup | RayHits:
 
 
 def _is_among_nearest(w: PlanWriter, nodes: PlanNode, condition: PlanNode, kind: model.TypeKind, max_count: PlanNode) -> PlanNode:
-    """Return whether an element is among the `max_count` nearest elements for which a condition holds. If there are no more than
-    `max_count`, all count. At equal distance, the lower id or row counts as nearer."""
+    """Return whether an element is among the `max_count` nearest elements for which a condition holds.
+
+    If at most `max_count` elements fulfil it, all count. At equal distance, the lower id or row counts as nearer."""
     b, away = w.b, w.b("pair.distance")
     of_items = kind is model.TypeKind.ITEM
     last = b("reduce.nth_item" if of_items else "reduce.nth_agent", nodes, condition, away, max_count)
@@ -171,8 +172,8 @@ def _select_least_element(w: PlanWriter, over: ElementGroup, body: PlanNode) -> 
 
 
 def lower_feelers(w: PlanWriter, e: model.SetExpr) -> tuple[RayHit, ...]:
-    """Return the rays of feelers. They are spread evenly from one side's `spread` to the other's, about up, around the heading
-    (Reynolds 1999, p. 12)."""
+    """Return the rays of feelers around the heading, spread evenly about up from one side's `spread` to the other's (Reynolds
+    1999, p. 12)."""
     b = w.b
     count_expr, spread_expr, reach_expr = e.args
     count = get_constant_value(lower_agent_scalar(w, count_expr, e))
@@ -208,8 +209,7 @@ def _filter_hit(w: PlanWriter, hit: RayHit, element: model.Binding, condition: m
 
 
 def _assume_hit(w: PlanWriter, hit: RayHit) -> RayHit:
-    """Return the ray with a hit that is assumed to exist, for the body of a reduction. Results of missed rays are discarded
-    later."""
+    """Return the ray with its hit assumed to exist, for the body of a reduction. Results of missed rays are discarded later."""
     return RayHit(w.b.true, hit.distance, hit.normal, hit.direction)
 
 
@@ -262,7 +262,7 @@ def _reduce_hit_numbers(w: PlanWriter, reducer: str, over: RayHits, bodies: list
 
 
 def _select_least_hit(w: PlanWriter, over: RayHits, keys: list[PlanNode]) -> RayHit:
-    """Return the hit with the smallest key; of equal ones, the earlier ray."""
+    """Return the hit with the smallest key, or the earlier ray among equals."""
     best, least = over.hits[0], keys[0]
     for hit, key in zip(over.hits[1:], keys[1:], strict=True):
         better = w.b("and", hit.hit, w.b("or", w.b("not", best.hit), w.b("lt", key, least)))

@@ -22,7 +22,7 @@ from antdsl.syntax.words import NUMBER_REGEX, UNITS_REGEX
 
 _JOINING_OPERATIONS = frozenset(("and", "or", "not", "is_some", "is_none", "lt", "le", "gt", "ge", "eq", "ne"))
 _NUMBER_WITH_UNIT = re.compile(rf"(?<![\w.]){NUMBER_REGEX}[ \t]*({UNITS_REGEX})")
-_MAX_NOTED_DEPTH = 6  # levels of nested parts that are noted
+_MAX_NOTED_DEPTH = 6  # maximum depth of recorded nested parts
 _BOOL_TYPE = model.ValueType(model.TypeKind.BOOL)
 _NUMBER_TYPE = model.ValueType(model.TypeKind.NUMBER)
 
@@ -46,8 +46,10 @@ class PartNote:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TimerNote:
-    """A waiting time. `timer_kind`: held, after or at least. `elapsed`, `required`: the elapsed and the required time, in steps
-    for held, in seconds otherwise."""
+    """A waiting time.
+
+    `timer_kind`: held, after or at least. `elapsed`, `required`: the elapsed and the required time, in steps for held, in seconds
+    otherwise."""
 
     timer_kind: str
     elapsed: PlanNode
@@ -233,8 +235,9 @@ class NotingWriter(PlanWriter):
 
 
 def _iterate_inner_parts(e: model.Expr, units: list[str]) -> Iterator[tuple[model.Expr, list[str]]]:
-    """Yield the parts of an expression that are worth displaying, each with its units: sides of a comparison, names in a sum, the
-    values of `let`s."""
+    """Yield the parts of an expression that are worth displaying, each with its units.
+
+    These are sides of a comparison, names in a sum, and the values of `let`s."""
     if isinstance(e, model.BindingRef) and e.binding.role == "let" and e.binding.value is not None:
         if isinstance(e.binding.value, model.OperationExpr):
             yield from _iterate_inner_parts(e.binding.value, _find_written_units(e.binding.value.span))

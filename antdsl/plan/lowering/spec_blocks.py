@@ -263,8 +263,7 @@ class _SpecLowering:
         return self.known[e]
 
     def _check_pure(self, w: _SpecWriter, node: PlanNode, e: model.Expr) -> PlanNode:
-        """Return the node. Raise UnsupportedConstruct if its evaluation has side effects, or if it reads a value that items or
-        cells do not have."""
+        """Return the node. Raise UnsupportedConstruct if it has side effects, or reads a value that items or cells lack."""
         if w.statements:
             w.statements.clear()
             words = "a value with memory in a spec"

@@ -10,7 +10,7 @@ from antdsl.plan.ir import PlanNode
 from antdsl.program.model import TypeKind
 from antdsl.program.tables.things import KIND_BY_WORD, ThingKindRow
 
-MIN_VECTOR_LENGTH = 1e-30  # mm, mm/s, …: shorter vectors have no direction; keeps 1/x finite
+MIN_VECTOR_LENGTH = 1e-30  # mm, mm/s, …; shorter vectors have no direction, so that 1/x stays finite
 
 
 @dataclass(frozen=True, slots=True, eq=False)

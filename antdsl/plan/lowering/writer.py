@@ -1,6 +1,6 @@
-"""The state of lowering one species: the current block, the stores on the path to the current place, and how reads see registers.
+"""The state of lowering one species: the current block, the stores on the path to the current place, and how registers are read.
 
-An own attribute is read by `snap`, its value at the start of the step, while no statement on the path can have written it. Nodes
+While no statement on the path can have written an own attribute, it is read by `snap`, its value at the start of the step. Nodes
 that depend on a `snap` can be shared with all other places. After a possible write, the attribute is read by `load`. A `load` has
 the number of the stores before it in the text."""
 
@@ -38,7 +38,7 @@ class UnsupportedConstruct(Exception):
 
 
 class BodyProportions(NamedTuple):
-    """Proportions of the body of a species that stands; without a scene, those of a person.
+    """Proportions of the body of a species with standing bodies. Without a scene, they are those of a person.
 
     `size_per_height`: its length over its height. `radius_per_size`: half of its width over its length."""
 
@@ -120,7 +120,7 @@ class PlanWriter:
         return self._read(name, self.is_snapshot)
 
     def read_now(self, name: str) -> PlanNode:
-        """Return a register's current value, even inside a snapshot. This is for latches, which are all set before any other code
+        """Return a register's current value, even inside a snapshot. This is for latches, which are set before any other code
         reads them."""
         return self._read(name, False)
 
@@ -205,7 +205,8 @@ class PlanWriter:
         self.mark_written(name)
 
     def store_vector(self, name: str, value: VectorNodes, span: Span | None) -> None:
-        """Set three registers as one. A component that needs the old value of another component does not see the new one."""
+        """Set three registers together. A component that needs the previous value of another component does not read the new
+        one."""
         names = [f"{name}.{axis}" for axis in AXES]
         parts = list(value)
         if any(self._has_load(part, set(names[:place])) for place, part in enumerate(parts)):
@@ -273,8 +274,9 @@ class PlanWriter:
                 self.add_statement(If(condition, Block(tuple(inner)), span))
 
     def write_alternatives(self, cases: Sequence[tuple[PlanNode, Span | None, Callable[[], None]]]) -> None:
-        """Write regions of which at most one applies to an agent. Each case has a condition, a span and a function that writes
-        its statements. Stores in one region are not visible in the others."""
+        """Write regions of which at most one applies to an agent. Stores in one region are not visible in the others.
+
+        Each case has a condition, a span and a function that writes its statements."""
         entered = set(self._written)
         all_written = set(entered)
         for condition, span, write in cases:

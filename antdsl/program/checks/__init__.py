@@ -24,8 +24,8 @@ CHECKS: tuple[Check, ...] = (
     check_step_units,  # for `--strict`: uses of the unit `step`
 )
 
-# Checks for programs without errors only. They report unused or ineffective code, and after an error such code may be what the
-# author meant to use.
+# Checks only for programs without errors. They report unused or ineffective code. If there are errors, the author may have meant
+# to use such code.
 ERROR_FREE_CHECKS: tuple[Check, ...] = (
     check_reachability,  # states that no transition enters or leaves
     check_shadowed_transitions,  # transitions that an earlier one always precedes

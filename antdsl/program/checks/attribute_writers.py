@@ -1,4 +1,4 @@
-"""Reports two machines that set one attribute. Machines run in parallel, so both may add to an attribute, but only one may set
+"""Reports attributes that two machines set. Machines run in parallel. Several may add to an attribute, but only one may set
 it."""
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
-"""Reports random draws inside conditions. Every step draws again, so the frame rate changes how often the condition holds."""
+"""Reports random draws inside conditions. They are repeated in every step, so the frame rate changes how often a condition
+holds."""
 
 from __future__ import annotations
 

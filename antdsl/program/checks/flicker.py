@@ -13,7 +13,7 @@ from antdsl.program.types.descriptions import quote_source
 
 
 def check_flicker(checked: CheckContext, report: Report) -> None:
-    """Report pairs of opposite transitions of which both conditions can hold for the same values."""
+    """Report pairs of opposite transitions with conditions that can both hold for the same values."""
     reader = ConditionReader(checked.program.params)
     for species in checked.program.species.values():
         for machine in species.machines:

@@ -1,6 +1,6 @@
 """Reports species that steer in states but have no layer `state`, and layers without effect.
 
-A layer has no effect if earlier layers always leave no strength, or if its condition never holds."""
+A layer has no effect if earlier layers always use all strength, or if its condition never holds."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def check_idle_layers(checked: CheckContext, report: Report) -> None:
 
 
 def _check_priorities(reader: ConditionReader, species: Species, report: Report) -> None:
-    """Report layers below a layer that always uses the complete priority budget. Layers that are summed are not reported."""
+    """Report layers below a layer that always uses the complete priority budget. Summed layers are not reported."""
     lines = tuple(layer for layer in species.layers.layers if not layer.faces)  # `face` lines use no strength
     enough = {"budget": 1.0, "first": 1e-6}.get(species.layers.mode)
     if enough is None:

@@ -34,7 +34,7 @@ _SIMPLE_TERM_PATTERN = re.compile(r"[\w.]+(\([^()]*\))?")
 
 
 def check_per_frame(checked: CheckContext, report: Report) -> None:
-    """Report assignments, memories and added amounts of which the speed depends on the frame rate."""
+    """Report assignments, memories and added amounts with a speed that depends on the frame rate."""
     for species in checked.program.species.values():
         for machine in species.machines:
             for state in machine.states:
@@ -79,7 +79,7 @@ def _is_dt(expr: Expr | None) -> bool:
 
 
 def _check_assignment(line: Assign, has_other_change: bool, report: Report) -> None:
-    """Report an assignment of which the effect depends on the frame rate. `has_other_change`: another line of the state adds to
+    """Report an assignment with an effect that depends on the frame rate. `has_other_change`: another line of the state adds to
     the attribute."""
     name, value = line.attribute, line.value
     makers = find_changers(value, name, has_other_change)
@@ -182,8 +182,9 @@ def _format_decay(own: Expr, factor: Expr, power: int) -> str:
 
 
 def _format_mix(op: OperationExpr, own: OwnValue) -> str:
-    """Return a rewrite of `mix(x, goal, 0.1)` that does not depend on the frame rate. The original covers a tenth of the distance
-    per step. Empty if there is none."""
+    """Return a rewrite of `mix(x, goal, 0.1)` that does not depend on the frame rate. Empty if there is none.
+
+    The original covers a tenth of the distance per step."""
     a, z, share = op.args
     assert a is not None and z is not None and share is not None
     known = find_constant(share)

@@ -14,7 +14,7 @@ from antdsl.program.types.descriptions import quote_source
 from antdsl.source import Span
 from antdsl.syntax import nodes
 
-FILM_FPS = 24  # frames per second of film, at which replacements have equal values
+FILM_FPS = 24  # frames per second of film; replacements have equal values at this rate
 
 
 def check_step_units(checked: CheckContext, report: Report) -> None:

@@ -29,7 +29,7 @@ def check_reachability(checked: CheckContext, report: Report) -> None:
 
 
 def _find_reachable_states(machine: Machine) -> set[int]:
-    """Return the states that are reachable from the start state. `previous` leads only to states that were active before."""
+    """Return the states that are reachable from the start state. `previous` leads only to states that were active earlier."""
     reached: set[int] = set()
     stack = [machine.start]
     while stack:
@@ -58,7 +58,8 @@ def check_shadowed_transitions(checked: CheckContext, report: Report) -> None:
     reader = ConditionReader(checked.program.params)
     for species in checked.program.species.values():
         for machine in species.machines:
-            above: dict[Span, list[Transition | None]] = {}  # a `from any` is in many states, and may matter in some of them only
+            # a `from any` is in many states, and may be effective in only some of them
+            above: dict[Span, list[Transition | None]] = {}
             changes: dict[Span, Transition] = {}
             for state in machine.states:
                 for place, change in enumerate(state.transitions):
@@ -78,8 +79,9 @@ def _report_shadowed(reader: ConditionReader, change: Transition, first: Transit
 
 
 def _is_shadowing(reader: ConditionReader, first: Transition, change: Transition) -> bool:
-    """Return whether transition `first` happens whenever `change`, a later one, could happen. A transition that takes something
-    hides nothing, because the take may fail."""
+    """Return whether transition `first` happens whenever the later transition `change` could happen.
+
+    A transition with a `take` shadows no other, because the take may fail."""
     if (
         first.take is not None
         or not _is_wait_shorter(first.delay, change.delay)
@@ -100,7 +102,7 @@ def _is_wait_shorter(first: Expr | None, other: Expr | None) -> bool:
 
 
 def check_constant_conditions(checked: CheckContext, report: Report) -> None:
-    """Report transitions of which the condition never or always holds."""
+    """Report transitions with a condition that never or always holds."""
     reader = ConditionReader(checked.program.params)
     for species in checked.program.species.values():
         for machine in species.machines:
@@ -123,8 +125,9 @@ def _check_change(reader: ConditionReader, change: Transition, report: Report) -
 
 
 def _check_clip_waits(species: Species, machine: Machine, state: State, report: Report) -> None:
-    """Report transitions that wait for the clip of a state without a clip. Transitions `from any` are not reported: they may be
-    meant for other states."""
+    """Report transitions that wait for the clip of a state without a clip.
+
+    Transitions `from any` are not reported, because they may be meant for other states."""
     if any(isinstance(line, Play) for line in state.body):
         return
     for change in state.transitions:
@@ -146,5 +149,5 @@ def _split_conjunction(test: Expr) -> list[Expr]:
 
 
 def _is_truth_word(test: Expr) -> bool:
-    """Return whether a condition is the word `true` or `false`. The author means such a condition to be constant."""
+    """Return whether a condition is the word `true` or `false`. The author intends such a condition to be constant."""
     return isinstance(test, Constant)

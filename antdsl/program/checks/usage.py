@@ -28,7 +28,7 @@ def check_empty_program(checked: CheckContext, report: Report) -> None:
         source, items = file.node.source, file.node.items
         if not items or any(isinstance(item, (nodes.Species, nodes.Behaviour)) for item in items):
             continue
-        # with such a word, a declaration could not be parsed, which is already reported
+        # such a word means that a declaration could not be parsed, which is already reported
         if not any(_DECLARING_NODES.search(line.partition("#")[0]) for line in source.text.splitlines()):
             report.error("empty-program", "no species and no behaviour is declared", items[0].span, "write `species ant { … }`")
 
@@ -94,7 +94,8 @@ def check_unused_memory(checked: CheckContext, report: Report) -> None:
 
 
 def _iterate_field_users(program: Program) -> Iterator[object]:
-    """Yield every part of a program that can name a field. States come one by one, because edits mostly change single states."""
+    """Yield every part of a program that can name a field. States are separate parts, because edits mostly change single
+    states."""
     for species in program.species.values():
         yield from (state for machine in species.machines for state in machine.states)
         yield (*species.attributes, *species.lets, *species.latches, *species.handlers, species.layers)
@@ -102,7 +103,7 @@ def _iterate_field_users(program: Program) -> Iterator[object]:
 
 
 def _find_used_names(root: object) -> tuple[frozenset[str], frozenset[str]]:
-    """Return the names of things that are used as values below `root`, and the names of fields that an effect deposits into."""
+    """Return the names of things used as values below `root`, and the names of fields that an effect deposits into."""
     every, laying = list(iterate_parts(root)), list_feeding_effects("field")
     return (
         frozenset(each.name for each in every if isinstance(each, ThingRef)),

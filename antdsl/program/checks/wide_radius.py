@@ -1,4 +1,4 @@
-"""Reports neighbour radii that contain all agents: each agent would then go through the complete crowd in every step."""
+"""Reports neighbour radii that contain all agents. Each agent would then process the complete crowd in every step."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def check_wide_radius(checked: CheckContext, report: Report) -> None:
 
 
 def _is_radius_search(part: SetExpr, is_nearest_only: bool) -> bool:
-    """Return whether a set examines all agents within a radius. The search for the nearest agent alone is faster, so it does not
+    """Return whether a set examines all agents within a radius. A search for only the nearest agent is faster and does not
     count."""
     if part.source == "neighbours":
         return True

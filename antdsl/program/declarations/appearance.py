@@ -1,7 +1,7 @@
 """Checks the lines of a state that change the appearance of its agents.
 
 These lines play a clip (`play walk`), wear a layer, set a channel of the body, or turn a group of joints towards a point. A
-transition may also set how long the previous clip fades out."""
+transition may also set the fade-out time of the previous clip."""
 
 from __future__ import annotations
 

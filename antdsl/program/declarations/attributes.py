@@ -1,5 +1,6 @@
-"""Checks the attributes of a species: initial values and types, with each attribute ordered after those that its initial value
-reads."""
+"""Checks the attributes of a species: initial values and types.
+
+Each attribute is ordered after the attributes that its initial value reads."""
 
 from __future__ import annotations
 
@@ -119,7 +120,7 @@ def default_text(name: str, species: SpeciesNames) -> str | None:
 
 
 def has_usual_value(name: str, species: SpeciesNames) -> bool:
-    """Return whether the default of an attribute is the value that it has in species without its register."""
+    """Return whether the default of an attribute equals its value in species without a register for it."""
     return name in OPTIONAL_ATTRIBUTES and not (species.stands and name in STANDING_DEFAULTS)
 
 
@@ -160,7 +161,7 @@ def _is_settable(scope: NameScope, member: nodes.AnimalProperty) -> bool:
         return False
     known = [n for n, g in scope.builtins.items() if g.is_settable]
     if row is None and scope.species and isinstance(member.value, nodes.NameRef) and is_state_name(scope, member.value.name.text):
-        known = ["start"]  # `strat search`: only `start` is followed by a state
+        known = ["start"]  # as in `strat search`: of these words, only `start` is followed by a state
         if find_nearest_name(name.text, known):
             scope.report.error("unknown-property", f"an animal has no property `{name.text}`", name.span, "did you mean `start`?")
             return False
@@ -182,8 +183,9 @@ def _is_settable(scope: NameScope, member: nodes.AnimalProperty) -> bool:
 
 
 def _suggest_place(word: str) -> str | None:
-    """Return the right place for a line that begins with a sense or another word of the language. Such words cannot be attribute
-    names."""
+    """Return the right place for a line that begins with a word of the language, such as a sense.
+
+    Such words cannot be attribute names."""
     if word in SENSE_REPLACEMENTS:
         return f"write the sense where its value is needed: {SENSE_REPLACEMENTS[word].replace('X', 'food')}"
     if word in BUILTINS_BY_NAME or word in REDUCER_HELP:
@@ -227,7 +229,7 @@ def _check_attribute(scope: NameScope, node: nodes.Declaration | nodes.AnimalPro
 
 
 def _builtin_default(scope: NameScope, node: nodes.AnimalProperty, type: model.ValueType) -> Expr:
-    """Return the initial value of a built-in attribute. `none` stands for no limit, an infinite value."""
+    """Return the initial value of a built-in attribute. `none` means no limit and gives an infinite value."""
     name, limits = node.name.text, BUILTIN_ATTRIBUTE_BY_NAME[node.name.text].limits
     if limits and isinstance(node.value, nodes.NoneOf) and node.value.of is None:
         return model.Constant(type, model.ChangeRate.CONST, node.value.span, inf)

@@ -29,14 +29,14 @@ from antdsl.syntax import nodes
 
 _STORABLE_KINDS = frozenset({TypeKind.NUMBER, TypeKind.VECTOR, TypeKind.BOOL, TypeKind.ITEM, TypeKind.AGENT, TypeKind.BAD})
 _DRAWING_FUNCTIONS = frozenset({"uniform", "normal", "pick", "random"})
-_MAX_NESTED_OPERATIONS = 100  # size limit of an expanded behaviour, in operations
+_MAX_NESTED_OPERATIONS = 100  # maximum size of an expanded behaviour
 
 
 # --- what a behaviour costs ------------------------------------------------------------------------------------------
 
 
 def measure_behaviour(report: Report, info: BehaviourInfo) -> None:
-    """Compute the size and depth of a behaviour and of all behaviours that it calls. A cycle of calls is reported once, with the
+    """Compute the size and depth of a behaviour and of all behaviours that it calls. A cycle of calls is reported once, with its
     names."""
     stack: list[tuple[BehaviourInfo, int]] = [(info, 0)]
     path: list[BehaviourInfo] = []
@@ -151,7 +151,7 @@ def _check_parts(declared: Declarations, info: BehaviourInfo, report: Report) ->
     if not is_compatible(result.type, returns):
         report_mismatch(report, node.result, result.type, returns, f"`{name}`")
     if not report.ok or info.file.node.broken:
-        return  # the erroneous lines may have used them
+        return  # erroneous lines may use the arguments that seem unused
     for argument in node.arguments:
         if ("local", f"{argument.name.span}:{argument.name.text}") not in declared.used_names:
             message = f"`{name}` never uses its argument `{argument.name.text}`"
@@ -217,7 +217,7 @@ def _check_keep(scope: NameScope, line: nodes.Keep) -> Binding:
     key = f"{scope.keys.path}.{line.name.text}"
     binding = Binding(line.name.text, "keep", type, ChangeRate.AGENT, line.name.span, first, None, key)
     inner = scope.with_changes(local_names={**scope.local_names, line.name.text: binding})
-    # the next value may read the one before, so the binding is there first and is closed here, still inside this function
+    # the next value may read the previous one, so the binding must exist first; it is completed below
     object.__setattr__(binding, "then", type_value_as(inner, line.then, type, who))
     return binding
 
@@ -289,8 +289,9 @@ def _find_called_behaviour(scope: NameScope, function: nodes.Expr) -> BehaviourI
 
 
 def _is_allowed(scope: NameScope, info: BehaviourInfo, node: nodes.Call) -> bool:
-    """Return whether the call is allowed at this place; report an error if not. Memory and draws are not allowed everywhere, and
-    the expanded size is limited."""
+    """Return whether the call is allowed at this place; report an error if not.
+
+    Memory and draws are not allowed everywhere, and the expanded size is limited."""
     name, declared = info.node.name.text, scope.declared
     if info.has_memory and scope.no_keep_reason:
         help = "call it in a separate line: `steer …`, or a line of `layers`"
@@ -301,7 +302,7 @@ def _is_allowed(scope: NameScope, info: BehaviourInfo, node: nodes.Call) -> bool
         scope.report.error("draw-in-set", message, node.span, "call it outside of the set")
         return False
     if scope.behaviour is not None:
-        return True  # its size is included in that of the calling behaviour
+        return True  # the calling behaviour includes this size
     previous_size, declared.expanded_count = declared.expanded_count, declared.expanded_count + info.operation_count
     if declared.expanded_count > limits.MAX_TREE_NODES:
         if previous_size <= limits.MAX_TREE_NODES:

@@ -1,4 +1,6 @@
-"""Checks a line with a verb of the world by the verb's row: the named thing, the arguments, and where the line may appear."""
+"""Checks lines with a verb of the world by the verb's row in the table.
+
+The row defines the named thing, the arguments, and the blocks in which the line may appear."""
 
 from __future__ import annotations
 
@@ -159,8 +161,9 @@ def _reports_missing(scope: NameScope, row: Effect, line: nodes.Ask, written_arg
 
 
 def _is_declared(scope: NameScope, row: Effect, name: nodes.Name | None) -> bool:
-    """Return whether the thing that a line names is declared; report an error if not. An event needs no declaration, but must not
-    be a built-in one."""
+    """Return whether the thing that a line names is declared; report an error if not.
+
+    An event needs no declaration, but must not be a built-in one."""
     if name is None:
         return True
     declared, text = scope.declared, name.text
@@ -189,8 +192,9 @@ def _is_declared(scope: NameScope, row: Effect, name: nodes.Name | None) -> bool
 
 
 def _has_max_combination(scope: NameScope, name: str) -> bool:
-    """Return whether a field has `combine max`. Such a field adds no amounts, so a state's line may give a minimum for the
-    agent's cell."""
+    """Return whether a field has `combine max`.
+
+    Such a field adds no amounts, so a state's line may give a minimum for the agent's cell."""
     field = scope.declared.fields.get(name)
     said = [s.value for s in field.settings if s.name.text == "combine"] if field is not None else []
     return any(isinstance(each, nodes.NameRef) and each.name.text == "max" for each in said)

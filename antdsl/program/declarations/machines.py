@@ -185,8 +185,9 @@ def _check_any_change(scope: NameScope, names: MachineNames, node: nodes.Change)
 
 
 def _applies_to(node: nodes.Change, change: model.Transition, state: str, index: int) -> bool:
-    """Return whether a transition applies in a state. A transition `from any` omits its excepted states, and never leads into the
-    current state."""
+    """Return whether a transition applies in a state.
+
+    A transition `from any` omits its excepted states, and never leads into the current state."""
     return change.target != index and all(name.text != state for name in node.any_except or ())
 
 
@@ -209,8 +210,9 @@ def _check_change(scope: NameScope, names: MachineNames, node: nodes.Change, pat
 
 
 def _type_delay(scope: NameScope, node: nodes.Expr | None) -> Expr | None:
-    """Return the time of `after T`, which must be the complete condition. In `after 1 s and meal`, the parser reads the time as
-    part of the condition, which is an error."""
+    """Return the time of `after T`, which must be the complete condition.
+
+    In `after 1 s and meal`, the parser reads the time as part of the condition, which is an error."""
     time = _find_leftmost(node)
     if node is None or time is None or time is node:
         return _type_duration(scope, node, "`after`")
@@ -222,8 +224,9 @@ def _type_delay(scope: NameScope, node: nodes.Expr | None) -> Expr | None:
 
 
 def _type_hold_time(scope: NameScope, node: nodes.Expr | None) -> Expr | None:
-    """Return the time of `held T`, which must end the condition. In `meal held 1 s and scent > 1` it is in the middle, which is
-    an error."""
+    """Return the time of `held T`, which must end the condition.
+
+    In `meal held 1 s and scent > 1` it is in the middle, which is an error."""
     time = _find_leftmost(node)
     if node is None or time is None or time is node:
         return _type_duration(scope, node, "`held`")

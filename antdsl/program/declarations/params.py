@@ -1,6 +1,6 @@
 """Checks the params of a species: each has a value, and a range within which it may change.
 
-If the value and the two ends do not match, the finding marks the number that contradicts the other two."""
+If the value and the range's two ends do not match, the finding marks the number that contradicts the other two."""
 
 from __future__ import annotations
 
@@ -125,8 +125,9 @@ def _report_differing_type(
 
 
 def _suggest_number(param_numbers: Sequence[_ParamNumber], odd_index: int) -> str | None:
-    """Return a replacement for the number `three[odd]` with which all three match. It is the number with another unit, or else
-    the nearer of the other two numbers."""
+    """Return a replacement for the number `three[odd]` that makes all three match.
+
+    It is the number with another unit, or else the nearer of the other two numbers."""
     others = [each for each in param_numbers if each is not param_numbers[odd_index]]
 
     def fit(const: Constant) -> bool:

@@ -1,5 +1,4 @@
-"""Finds states that steer nothing. If other states of the species steer, agents in these states stand still, by the library's
-`halt()`."""
+"""Finds states without steering. If other states of the species steer, agents stand still there, by the library's `halt()`."""
 
 from __future__ import annotations
 
@@ -14,8 +13,8 @@ HALT_LIBRARY, HALT_BEHAVIOUR = "steering", "halt"
 
 
 def find_resting_push(scope: NameScope, machines: Sequence[model.Machine], name: nodes.Name) -> model.RestingPush | None:
-    """Return the push for agents in states that steer nothing. None if a machine steers in all of its states, or if no machine
-    steers at all.
+    """Return the push for agents in states that steer nothing. Return None if a machine steers in all of its states, or if no
+    machine steers at all.
 
     A machine that never steers, such as one for moods, does not count. An agent stands still only if none of the other machines
     steers in its current state. `name`: the name of the species, which is the location of the implicit call."""

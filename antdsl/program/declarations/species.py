@@ -153,7 +153,7 @@ def _check_members(species_draft: SpeciesDraft) -> model.Species:
 
 
 def _add_relaxation(scope: NameScope, attribute: model.AttributeDecl, node: nodes.Declaration | None) -> model.AttributeDecl:
-    """Return the attribute with its rest value and, for a pair value, the species of the other agents."""
+    """Return the attribute with its rest value. A pair value also gets the species of the other agents."""
     if node is None or (node.relax is None and node.each is None):
         return attribute
     to = over = None
@@ -362,7 +362,8 @@ def _check_layer(scope: NameScope, node: nodes.Layer, word_counts: dict[str, int
         push = type_facing_direction(scope, node.push)
     elif isinstance(node.push, nodes.NameRef) and is_state_name(scope, word) and own and word not in taken:
         message = f"`{word}` is a state, but a layer must be a wish"
-        scope.report.error("state-as-value", message, node.push.span, "did you mean `state`?")  # probably means the steering
+        # the author probably means the steering
+        scope.report.error("state-as-value", message, node.push.span, "did you mean `state`?")
         push = make_bad_expression(node.push.span)
     elif not steered:
         push = type_value_as(scope, node.push, PUSH_TYPE, "a layer")

@@ -114,7 +114,7 @@ def _check_assign(scope: NameScope, line: nodes.Assign, block: StatementContext)
 def _find_assigned_attribute(
     scope: NameScope, name: nodes.Name, block: StatementContext, line: nodes.Assign
 ) -> tuple[str, ValueType] | None:
-    """Return the attribute that a bare name on the left of an assignment stands for, and its type; None after an error."""
+    """Return the attribute, and its type, that a bare name on the left of an assignment refers to. None after an error."""
     species, report, text = scope.species, scope.report, name.text
     assert species is not None
     scope.bind_own(name.span, name.text)
@@ -179,8 +179,9 @@ def _check_give(scope: NameScope, line: nodes.Give, block: StatementContext) -> 
 
 
 def check_take(scope: NameScope, line: nodes.Take) -> model.Take | None:
-    """Check `take 1 load from meal` or `take all load from grass`. Such a take is part of a transition, and all agents that claim
-    the same amount compete for it."""
+    """Check `take 1 load from meal` or `take all load from grass`.
+
+    Such a take is part of a transition. All agents that claim the same amount compete for it."""
     source = scope.type_expression(line.source, ValueType(TypeKind.PLACE)) if isinstance(line.source, nodes.NameRef) else None
     if source is None or source.type.kind is not TypeKind.FIELD:
         source = type_point(scope, line.source, "`from`")

@@ -1,4 +1,4 @@
-"""Checks the things of the world and the fields: all that a program needs from a scene. It needs no scene itself."""
+"""Checks the things of the world and the fields: everything that a program needs from a scene. No scene is read."""
 
 from __future__ import annotations
 

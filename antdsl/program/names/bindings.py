@@ -19,9 +19,10 @@ NameKey = tuple[str, ...]
 
 
 class NameUse(NamedTuple):
-    """One use of a name, and its declaration: the key, or the span if the name is visible in part of the text only, such as `n`
-    in `sum(n in …)`.
-    In `take 1 load from meal`, the name `load` has two uses."""
+    """One use of a name, and its declaration.
+
+    The declaration is a key. It is a span if the name is visible in part of the text only, such as `n` in `sum(n in …)`. In `take
+    1 load from meal`, the name `load` has two uses."""
 
     span: Span
     declaration: NameKey | Span

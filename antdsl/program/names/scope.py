@@ -45,30 +45,31 @@ class SpeciesNames:
     name: str
     node: nodes.Species | None
     attributes: dict[str, ValueType] = field(default_factory=dict)
-    pair_value_species: dict[str, str] = field(default_factory=dict)  # pair values, with the species of the other agent
+    pair_value_species: dict[str, str] = field(default_factory=dict)  # pair values, with the species of the other agents
     params: dict[str, ValueType] = field(default_factory=dict)
-    bindings: dict[str, Binding] = field(default_factory=dict)  # lets and latches that are checked
+    bindings: dict[str, Binding] = field(default_factory=dict)  # checked lets and latches
     untyped_names: set[str] = field(default_factory=set)  # declared names without a known type yet
     machines: dict[str, MachineNames] = field(default_factory=dict)
     edition: int = NEWEST_EDITION  # of the file that declares it
 
     @property
     def builtins(self) -> Mapping[str, BuiltinAttribute]:
-        """Return the built-in attributes of its agents."""
+        """Return the built-in attributes of agents of the species."""
         rows = builtin_attributes(self.edition)
         return rows if self.stands else {name: row for name, row in rows.items() if not row.stands}
 
     @property
     def stands(self) -> bool:
-        """Return whether it has standing bodies, because it sets their height."""
+        """Return whether the species has standing bodies, because it sets their height."""
         members = () if self.node is None else self.node.members
         return any(isinstance(each, nodes.AnimalProperty) and each.name.text == STANDING_SETTING for each in members)
 
 
 @dataclass(slots=True)
 class BehaviourInfo:
-    """A behaviour with all information that its calls need. `operation_count`: operations, `depth`: nesting, both with nested
-    behaviours expanded."""
+    """A behaviour with all information for calls of it.
+
+    `operation_count`, `depth`: number and nesting of its operations, with nested behaviours expanded."""
 
     node: nodes.Behaviour
     file: FileNames
@@ -104,7 +105,7 @@ class Declarations:
     rules: TypingRules
     report: Report
     strict: bool = False
-    find_library: Callable[[str], str | None] = lambda name: None  # the library that has a behaviour of a name
+    find_library: Callable[[str], str | None] = lambda name: None  # the library that contains a behaviour
     find_library_behaviour: Callable[[str, str], BehaviourInfo | None] = lambda library, name: (
         None
     )  # a behaviour, by library and name
@@ -125,8 +126,9 @@ class Declarations:
 
 
 def is_known_missing(scope: NameScope, kind: str, name: nodes.Name, owner: str = "") -> bool:
-    """Return whether a missing name is already reported. If not, mark it as reported, because the caller then reports it. Every
-    call records the place of the name.
+    """Return whether a missing name is already reported. If not, mark it as reported, because the caller then reports it.
+
+    Every call records the place of the name.
 
     - `kind`: separates names of different kinds.
     - `owner`: the species to which the name belongs wherever it is used; "" for the species at this place."""
@@ -166,10 +168,10 @@ class NameScope:
     species: SpeciesNames | None = None
     machine: MachineNames | None = None
     local_names: Mapping[str, Binding | Expr] = field(default_factory=dict)
-    element: Binding | None = None  # in `with:`, names mean its attributes first
+    element: Binding | None = None  # in `with:`, names refer to its attributes first
     set_elements: tuple[Binding, ...] = ()  # elements of the enclosing sets
     behaviour: str | None = None  # the behaviour around this place; inside, names of the species are not visible
-    is_generic: bool = False  # a behaviour is checked alone, with argument types that may be open
+    is_generic: bool = False  # whether a behaviour is checked alone, with argument types that may be open
     no_keep_reason: str | None = None  # reason for which no `keep` is allowed here, for messages
     no_let_reason: str | None = None  # reason for which no `let` can be read here, for messages
     allows_degrees: bool = False  # in a rule of `fuzzy`: a bool next to a degree counts as 1 or 0
@@ -199,8 +201,8 @@ class NameScope:
         return make_bad_expression(span)
 
     def bind(self, span: Span, *key: str) -> None:
-        """Record the declaration of the name at a span. Names in an expanded behaviour are not recorded, because they are
-        elsewhere in the text."""
+        """Record the declaration of the name at a span. Names in an expanded behaviour are not recorded: their text is
+        elsewhere."""
         if self.behaviour is None or self.is_generic:
             self.declared.name_uses.append(NameUse(span, key))
 
@@ -260,7 +262,7 @@ def find_highest_rate(parts: Iterable[Expr | None]) -> ChangeRate:
 
 
 def parse_type_words(words: str, owner_name: str | None = None) -> ValueType | None:
-    """Return the type for a word of `TYPE_BY_WORD`, or for words such as `angle / time` in the vocabulary; None if there is
+    """Return the type for a word of `TYPE_BY_WORD`, or for words such as `angle / time` in the vocabulary. None if there is
     none."""
     if "/" in words:
         top, below = (TYPE_BY_WORD.get(part.strip()) for part in words.split("/"))
@@ -279,8 +281,9 @@ def parse_type_words(words: str, owner_name: str | None = None) -> ValueType | N
 
 
 def find_attributes(declared: Declarations, type: ValueType) -> dict[str, ValueType]:
-    """Return the types of the values of an item, agent or hit that can be read by name. For an agent of unknown species, these
-    are the built-in ones."""
+    """Return the types of the values of an item, agent or hit that can be read by name.
+
+    For an agent of unknown species, these are the built-in values."""
     if type.kind is TypeKind.HIT or (type.kind is TypeKind.ITEM and type.of == "hit"):
         return _parse_types(HIT_ATTRIBUTE_TYPES)
     if type.kind is TypeKind.ITEM:
@@ -295,8 +298,9 @@ def find_attributes(declared: Declarations, type: ValueType) -> dict[str, ValueT
 
 
 def builtins_of(declared: Declarations, type: ValueType) -> Mapping[str, BuiltinAttribute]:
-    """Return the built-in attributes of an agent of a type. For an agent of unknown species, these are the ones of edition 1,
-    which every agent has."""
+    """Return the built-in attributes of an agent of a type.
+
+    For an agent of unknown species, these are the attributes of edition 1, which every agent has."""
     names = declared.species.get(type.of or "")
     return builtin_attributes(1) if names is None else names.builtins
 
@@ -306,7 +310,7 @@ def _parse_types(table: Mapping[str, str]) -> dict[str, ValueType]:
 
 
 def suggest_name(word: str, candidates: Iterable[str], default_help: str | None = None) -> str:
-    """Return the help text for an unknown name: the name that was probably meant, or `default_help`, or the known names."""
+    """Return the help text for an unknown name: the probable name, or `default_help`, or the known names."""
     known = list(candidates)
     suggestion = find_nearest_name(word, known)
     if suggestion:

@@ -9,12 +9,12 @@ from dataclasses import dataclass
 from math import inf
 
 NO_LIMIT_WORD = "none"  # the value of a limit that does not apply
-# Settings of a species that are fixed for all agents, with their help. They are no attributes: nothing reads or assigns them.
+# Settings of a species that are equal for all agents, with their help. They are not attributes and cannot be read or assigned.
 SWITCH_HELP = {
     "body_clearance": "whether trunk, head and abdomen stay outside every surface, obstacle and solid",
     "body_contacts": "whether head, abdomen and a carried load take room in contacts, not only a trunk that all bodies share",
 }
-SWITCH_EDITION = 2  # the first edition that has them
+SWITCH_EDITION = 2  # the first edition with switches
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +38,7 @@ class EditionDefault:
 # Defaults of species with standing bodies, which set `height` instead of `size`.
 STANDING_DEFAULTS = {"body_clearance": "false", "upright": "100 %", "max_slope": "40 deg"}
 STANDING_SETTING, CRAWLING_SETTING = "height", "size"
-# Attributes of which only those species have a register that set them, with the value that all other species have.
+# Attributes with a register only in species that set them; all other species have this value.
 OPTIONAL_ATTRIBUTES = {"min_speed": 0.0, "upright": 0.0, "max_slope": inf}
 
 EDITION_DEFAULTS = (
@@ -53,8 +53,9 @@ DEFAULT_BY_SETTING = {row.setting: row for row in EDITION_DEFAULTS}
 
 
 def setting_defaults(edition: int, stands: bool) -> dict[str, str]:
-    """Return the settings of a species that depend on the edition, with their defaults as in the source; "" if the species must
-    set one. `stands`: it sets its height."""
+    """Return the settings of a species that depend on the edition, with their defaults as in the source.
+
+    "" means that the species must set it. `stands`: the species sets its height."""
     defaults = {row.setting: row.in_edition(edition) for row in EDITION_DEFAULTS}
     if stands:
         del defaults[CRAWLING_SETTING]

@@ -10,7 +10,7 @@ from math import pi
 from antdsl import limits
 from antdsl.program.tables.rows import BuiltinRow, ResultPart, SenseRow, UseCost, parse_row
 
-HALF_TURN_INTERVAL = (0.0, pi * (1 + 1e-6))  # an angle in float32 may exceed half a turn slightly
+HALF_TURN_INTERVAL = (0.0, pi * (1 + 1e-6))  # slightly more than half a turn, because of float32 rounding
 SHARE_INTERVAL = (0.0, 1.0)
 POSITIVE_INTERVAL = (0.0, float("inf"))
 

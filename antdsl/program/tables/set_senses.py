@@ -47,10 +47,11 @@ _SET_ROWS = (
             parse_row("nearest(of: species, within: length?, with: condition?) -> agent", "the nearest, or none"),
             parse_row("nearest(of: set) -> any", "the nearest of a set, or none"),
         ),
-        (),  # the nearest of one of the sets above
+        (),  # the nearest element of one of the sets above
         None,
         "nearest(food, within: 40 mm)",
     ),
 )
 SET_SENSE_BY_OPERATION: dict[str, SetSense] = {row.op: row for row in _SET_ROWS}
-SET_RESULT_OPERATIONS = frozenset(row.op for row in _SET_ROWS if row.rows[0].result == "set")  # others return one element
+# the other operations return one element
+SET_RESULT_OPERATIONS = frozenset(row.op for row in _SET_ROWS if row.rows[0].result == "set")

@@ -80,8 +80,9 @@ TYPE_BY_WORD: dict[str, Dimension | str] = {
 
 @dataclass(frozen=True, slots=True)
 class BuiltinAttribute:
-    """An attribute that every agent has. If it is `is_settable`, a species declares it without `=`, and statements may assign
-    it."""
+    """An attribute that every agent has.
+
+    `is_settable`: a species declares it without `=`, and statements may assign it."""
 
     type: str
     is_settable: bool
@@ -89,7 +90,7 @@ class BuiltinAttribute:
     help: str
     edition: int = 1  # the first edition that has it
     limits: bool = False  # whether `none` says that there is no limit
-    stands: bool = False  # whether only species have it that set it: those with standing bodies
+    stands: bool = False  # whether only species with standing bodies, which set it, have it
     most: float = inf  # the greatest value, in base units
 
 

@@ -50,7 +50,7 @@ _VOLUME_TYPE = ValueType(TypeKind.NUMBER, Dimension(length=3))
 
 
 class SpecRules:
-    """The rules of specs, which override those of the language while a condition of a spec is checked."""
+    """The rules of specs. They override the language's rules while a condition of a spec is checked."""
 
     def __init__(self, declared: Declarations, has_reference_run: bool = False) -> None:
         self.language_rules = declared.rules
@@ -58,7 +58,7 @@ class SpecRules:
         if has_reference_run:
             self.comparison_rules["other"] = self._type_other_run
         self.is_in_aggregate = False  # whether the checker is inside an aggregate such as `total(…)`
-        self.cells = ""  # the field of which an aggregate reads the cells
+        self.cells = ""  # the field with the cells that an aggregate reads
         self.other_side: Expr | None = None  # the other side of a comparison with `initial_count` or `other`
         own: dict[type, Callable[..., Expr]] = {
             nodes.Call: self._type_call, nodes.NameRef: self._type_name, nodes.Member: self._type_member,
@@ -282,8 +282,9 @@ class SpecRules:
         return make_bad_expression(node.span)
 
     def _type_set_aggregate(self, scope: NameScope, reduction: ReduceExpr) -> Expr:
-        """Type `count(n in forager: n.load > 0)`. A set of all agents is a population; a smaller set needs an agent as its
-        owner."""
+        """Type `count(n in forager: n.load > 0)`.
+
+        A set of all agents is a population. A smaller set would need an agent as its owner."""
         over = reduction.elements
         if self._reports_nesting(scope, reduction.span):
             return make_bad_expression(reduction.span)
@@ -310,7 +311,7 @@ def _find_result_type(reducer: str, body: Expr | None) -> ValueType:
 
 
 def _uses_word(root: nodes.Expr, words: Container[str]) -> bool:
-    """Return whether an expression has a word such as `initial_count` alone, and not as `initial_count(…)`."""
+    """Return whether an expression contains a word such as `initial_count` alone, and not as a call `initial_count(…)`."""
     called = {id(part.function) for part, _ in iterate_nodes(root) if isinstance(part, nodes.Call)}
     return any(isinstance(p, nodes.NameRef) and p.name.text in words and id(p) not in called for p, _ in iterate_nodes(root))
 
@@ -325,7 +326,7 @@ def _is_set(scope: NameScope, node: nodes.Expr) -> bool:
 
 
 def _find_cell_field(declared: Declarations, operand: nodes.Expr) -> str:
-    """Return the field of which an expression reads cells, as `trail` in `trail.value > 0.1`; empty if there is none."""
+    """Return the field with the cells that an expression reads, as `trail` in `trail.value > 0.1`. Empty if there is none."""
     members = [part for part, _ in iterate_nodes(operand) if isinstance(part, nodes.Member) and part.name.text == "value"]
     owners = [part.owner.name.text for part in members if isinstance(part.owner, nodes.NameRef)]
     return next((name for name in owners if name in declared.fields), "")

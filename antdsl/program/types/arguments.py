@@ -1,7 +1,7 @@
-"""Matches the arguments of a call, by position or by name, with the parameters, and puts them in the order of the parameters.
+"""Matches the arguments of a call, by position or by name, with the parameters, in the order of the parameters.
 
-For a parameter that is a point, items or a species stand for the nearest item or agent. Other values with a position stand for
-themselves."""
+For a parameter that is a point, items or a species mean the nearest item or agent. Other values with a position are used
+directly."""
 
 from __future__ import annotations
 
@@ -187,8 +187,9 @@ def _list_argument_forms(arguments: Sequence[nodes.Argument]) -> list[_ArgumentF
 
 
 def _merge_range_pairs(slots: Sequence[ArgumentSlot], forms: Sequence[_ArgumentForm]) -> list[_ArgumentForm] | None:
-    """Return the arguments, with two positional values joined to a range where a range is expected. None if the second value is
-    missing."""
+    """Return the arguments, with two positional values joined to a range where a range is expected.
+
+    Return None if the second value is missing."""
     paired: list[_ArgumentForm] = []
     left = list(forms)
     while left:

@@ -26,12 +26,12 @@ from antdsl.source import Span
 from antdsl.syntax import nodes
 
 TypeVariables = dict[str, tuple[nodes.Expr, Expr]]
-# Kinds of things of which the bare name is a value.
+# Kinds of things with a bare name that is a value.
 _VALUE_WORDS = {TypeKind(each.args[0].type): (parse_type_words(each.result) or BAD_TYPE).kind for each in find_words("value")}
 
 
 def _make_use_fix(file: nodes.File, library: str) -> Fix | None:
-    """Return a fix that adds a `use` line below the edition and the help of a file."""
+    """Return a fix that adds a `use` line after the edition and the help text of a file."""
     head = file.help or file.edition
     if head is None:
         return None

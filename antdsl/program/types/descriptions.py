@@ -23,7 +23,7 @@ _KIND_PHRASES: dict[TypeKind, str] = {
     **{TypeKind(row.word): row.label for row in KIND_BY_WORD.values() if row.label},
     TypeKind.FIELD: "a field",
 }
-# Kinds of things of which the name alone is not a value; an expression must read a value of them.
+# Kinds of things with a name that alone is not a value; an expression must read a value of them.
 _THING_KINDS = frozenset(TypeKind(word) for word in KIND_BY_WORD) - {TypeKind(each.args[0].type) for each in find_words("value")}
 KINDS_WITH_POSITION = {
     TypeKind.ITEM,
@@ -138,7 +138,7 @@ def _is_negation(node: nodes.Expr) -> bool:
 
 
 def _make_own_text_fix(node: nodes.Expr, advice: str) -> Fix | None:
-    """Return a fix from the first text in backquotes of the advice, if it consists of the source text; else None."""
+    """Return a fix from the first text in backquotes of the advice, if the text contains the source text; else None."""
     text, match = " ".join(node.span.text.split()), re.search("`([^`…]+)`", advice)
     return Fix(node.span, match[1]) if match and text in match[1] else None
 

@@ -77,8 +77,9 @@ def convert_to_bool(scope: NameScope, node: nodes.Expr, expr: Expr, place: str) 
 
 
 def _mentions_event(scope: NameScope, node: nodes.Expr) -> bool:
-    """Return whether a condition mentions an event. An event lasts one step, so a `chance` in the same condition is a probability
-    and not a rate."""
+    """Return whether a condition mentions an event.
+
+    An event lasts one step, so a `chance` in the same condition is a probability and not a rate."""
     stack: list[nodes.Expr] = [node]
     while stack:
         part = stack.pop()
@@ -222,7 +223,7 @@ def _type_logic(scope: NameScope, node: nodes.Binary) -> Expr:
         )  # the invalid operand may have been meant as a degree of truth
     if left.type == NUMBER_TYPE and right.type == NUMBER_TYPE:
         return make_operation("min" if node.op == "and" else "max", NUMBER_TYPE, node.span, left, right)
-    if scope.allows_degrees and NUMBER_TYPE in (left.type, right.type):  # elsewhere, a number next to a bool is mostly a mistake
+    if scope.allows_degrees and NUMBER_TYPE in (left.type, right.type):  # elsewhere, a number next to a bool is usually a mistake
         pairs = ((node.left, left), (node.right, right))
         parts = (e if e.type == NUMBER_TYPE else convert_to_bool(scope, n, e, f"`{node.op}`") for n, e in pairs)
         return make_operation(node.op, NUMBER_TYPE, node.span, *parts)

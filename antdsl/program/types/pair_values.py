@@ -39,9 +39,9 @@ def reject_pair(scope: NameScope, node: nodes.PairOf, expected_type: ValueType |
 
 
 def check_pair_value(scope: NameScope, attribute: AttributeDecl, rest_value: Expr | None) -> None:
-    """Report an invalid pair value. It must be a number, with an initial value that does not depend on the agent. It may relax
-    only to the initial value.
-    The value about an agent without a slot is always the initial value."""
+    """Report an invalid pair value. It must be a number with an initial value that does not depend on the agent.
+
+    It may relax only to the initial value, because agents without a slot always have that value."""
     name, default = attribute.name, attribute.default
     if TypeKind.BAD in (attribute.type.kind, default.type.kind):
         return

@@ -1,4 +1,4 @@
-"""Types questions about states and clips: `state == carry`, `mood.state`, `n.state`, `time_in_state`; `clip done`, `clip at
+"""Types questions about states and clips: `state == carry`, `mood.state`, `n.state`, `time_in_state`, `clip done`, `clip at
 MARK`."""
 
 from __future__ import annotations
@@ -38,8 +38,9 @@ def type_machine_value(scope: NameScope, machine: MachineNames, node: nodes.Memb
 
 
 def type_state_word(scope: NameScope, owner: Expr | None, word: str, span: Span, name_span: Span | None) -> Expr:
-    """Type `state` and similar words, of the agent itself or of the agent `owner`. Of several machines, it means the one at this
-    place in the text, or the first."""
+    """Type `state` and similar words, of the agent itself or of the agent `owner`.
+
+    With several machines, the word means the machine at this place in the text, or the first."""
     names = scope.species if owner is None or owner.type.of is None else scope.declared.species.get(owner.type.of)
     if isinstance(owner, ThingRef) and owner.name == "self":
         owner = None
@@ -58,8 +59,9 @@ def _type_machine_word(machine: MachineNames, owner: Expr | None, word: str, spa
 
 
 def find_state(scope: NameScope, operand: Expr, node: nodes.Expr) -> tuple[Expr, Expr] | None:
-    """Return the compared value and the state for `state == carry`, in the machine that has the state. None if `node` is no bare
-    name."""
+    """Return the compared value and the state for `state == carry`, in the machine that has the state.
+
+    Return None if `node` is not a bare name."""
     if not isinstance(node, nodes.NameRef) or not isinstance(operand, AttributeRef) or node.name.text in STATE_WORDS:
         return None
     species, _, machine_name = (operand.type.of or ".").partition(".")

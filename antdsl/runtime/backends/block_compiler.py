@@ -22,9 +22,7 @@ from antdsl.source import Span
 
 SlotValues = list[Any]
 SlotFunction = Callable[[SlotValues], None]
-SlotFunctionMaker = Callable[
-    [int, tuple[int, ...], "int | None"], SlotFunction
-]  # arguments: slots of the result, the inputs and the buffer
+SlotFunctionMaker = Callable[[int, tuple[int, ...], "int | None"], SlotFunction]  # slots of the result, the inputs and the buffer
 (
     WORLD_SLOT,
     POPULATION_SLOT,
@@ -39,7 +37,7 @@ SlotFunctionMaker = Callable[
 
 
 class InstructionKind(Enum):
-    """The kind of an instruction. The instruction's `what` is its node or statement."""
+    """The kind of an instruction."""
 
     VALUE = "value"  # a node's value for the rows of the scope
     GATHER = "gather"  # a value of the enclosing scope, for the rows of this scope

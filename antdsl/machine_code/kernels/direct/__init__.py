@@ -1,9 +1,9 @@
 """Kernels as built-in functions of CPython: machine code reads their arguments. Such a call costs less than inspecting a single
 array in Python.
 
-All kernels share one function (METH_FASTCALL). Each binds it to bytes that describe the arguments to read. If an object has
-another type than its argument, the function calls `otherwise` with all arguments, and returns its result. The function relies on
-the memory layout of objects in CPython and NumPy (`PyArrayObject_fields` is part of NumPy's binary interface). `is_supported`
+All kernels share one function (METH_FASTCALL). Each binds it to bytes that describe the arguments to read. If an object does not
+have the expected type, the function calls `fallback` with all arguments, and returns its result. The function relies on the
+memory layout of objects in CPython and NumPy (`PyArrayObject_fields` is part of NumPy's binary interface). `is_supported`
 verifies that layout first."""
 
 from __future__ import annotations
@@ -103,7 +103,7 @@ def make_builtin(
     make.argtypes, make.restype = (ctypes.c_void_p, ctypes.py_object, ctypes.py_object), ctypes.py_object
     return make(
         ctypes.addressof(method), descriptor, (method, code, fallback, _load_code(), tuple(specs))
-    )  # the built-in function keeps these alive
+    )  # keeps these objects alive with the built-in function
 
 
 def _pack_argument(each: ArgumentSpec) -> bytes:

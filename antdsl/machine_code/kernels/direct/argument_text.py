@@ -11,11 +11,11 @@ import numpy as np
 from antdsl.machine_code import llvm_compiler
 from antdsl.machine_code.library import library_text, read_llvm_file
 
-MAX_TABLE_WORDS = 256  # limit of a call's table, 2 kB on the stack
-MAX_JOB_PARTS = 64  # limit of a job
+MAX_TABLE_WORDS = 256  # maximum length of a call's table, 2 kB on the stack
+MAX_JOB_PARTS = 64  # maximum number of parts of a job
 RESULT_WORDS = 8  # words for results at the start of a table
-PART_RESULTS_WORD = 40  # first word of a pool with the results of each part of a job
-MAX_TUPLE_DEPTH = 6  # limit of nested tuples
+PART_RESULTS_WORD = 40  # index of the first word in a pool with the results of each part of a job
+MAX_TUPLE_DEPTH = 6  # maximum nesting of tuples
 TYPE_FLAGS_OFFSET, TUPLE_FLAG = 168, 1 << 26  # offset of a type's flags; the flag of tuples and subclasses
 REAL_KIND, INTEGER_KIND, UNSIGNED_KIND, TRUTH_KIND = range(4)  # kinds of numbers
 ARRAY_ARGUMENT, TUPLE_ARGUMENT, NUMBER_ARGUMENT = range(3)
@@ -35,7 +35,7 @@ PYTHON_API_CALLS = (
 
 def bytes_data_offset() -> int:
     """Return the offset of the data in a bytes object."""
-    return object.__basicsize__ + 16  # their number, and a hash
+    return object.__basicsize__ + 16  # after the length and a hash
 
 
 @library_text

@@ -22,8 +22,9 @@ def lower_arguments(w: PlanWriter, e: model.OperationExpr) -> list[PlanNode]:
 
 
 def _lower_both(w: PlanWriter, e: model.OperationExpr) -> tuple[LoweredValue, LoweredValue, Callable[[], list[PlanNode]]]:
-    """Return both operands, and a function that returns them as scalars. Each operand is lowered only once, because two times
-    would double the work at each level of nesting."""
+    """Return both operands, and a function that returns them as scalars.
+
+    Each operand is lowered only once. Lowering it twice would double the work at each level of nesting."""
     first, second = (a for a in e.args if a is not None)
     left, right = lower_expression(w, first), lower_expression(w, second)
     return left, right, lambda: [convert_to_node(w, first, left), convert_to_node(w, second, right)]
@@ -89,7 +90,7 @@ def _lower_clamp(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
 
 
 def compute_share(w: PlanWriter, x: PlanNode, low: PlanNode, high: PlanNode) -> PlanNode:
-    """Return the position of x between low and high, from 0 to 1. If low equals high, the result jumps from 0 to 1 there."""
+    """Return the position of x between low and high, from 0 to 1. If low equals high, the result steps from 0 to 1 there."""
     b = w.b
     wide = b("sub", high, low)
     between = b("min", b("max", b("div", b("sub", x, low), wide), b.number(0)), b.number(1))

@@ -1,4 +1,4 @@
-"""Represents conditions as lists of cases. This decides whether a condition can hold, and whether one condition implies another.
+"""Represents conditions as lists of cases, to decide whether a condition can hold and whether it implies another one.
 
 The analysis understands comparisons with constants, and tests with equal text. It assumes that any other test may be true or
 false."""
@@ -45,7 +45,7 @@ ConditionCases = list[ConditionCase]
 
 
 class TooManyCases(Exception):
-    """A condition has more cases than the analysis allows."""
+    """Error for a condition with more cases than the analysis allows."""
 
 
 # A condition with too many cases, or with lets nested too deeply, is not analysed.
@@ -54,19 +54,20 @@ UNREADABLE_CONDITION_ERRORS = (TooManyCases, RecursionError)
 
 @dataclass(slots=True)
 class ConditionReader:
-    """Reads the conditions of one species. `known`: a range that always contains a number, by the key of its expression."""
+    """Reads the conditions of one species. `known`: by the key of an expression, a range that always contains its number."""
 
     params: Mapping[str, Param]
     known: dict[str, Interval] = field(default_factory=dict)
     key_by_id: dict[int, str] = field(default_factory=dict)
-    retained_parts: list[object] = field(default_factory=list)  # keeps the objects alive of which `keys` has ids
+    retained_parts: list[object] = field(default_factory=list)  # keeps objects alive, because `keys` contains their ids
     # A let may be used in many places and may use other lets, so each is analysed only once.
     range_by_id: dict[int, Interval] = field(default_factory=dict)
     cached_cases: dict[tuple[int, bool], ConditionCases] = field(default_factory=dict)
 
     def read_cases(self, test: Expr | None, holds: bool = True) -> ConditionCases:
-        """Return the cases in which a condition is true, or, if `holds` is False, the cases in which it is false. Raises
-        TooManyCases."""
+        """Return the cases in which a condition is true, or the cases in which it is false if `holds` is False.
+
+        Raises TooManyCases."""
         if test is None:
             return [ConditionCase()] if holds else []
         if isinstance(test, BindingRef) and test.binding.role in ("let", "argument") and test.binding.value is not None:
@@ -97,7 +98,7 @@ class ConditionReader:
         if _find_constant_value(left) is not None:
             left, right, name = right, left, _SWAPPED_COMPARISONS[name]
         edge = _find_constant_value(right)
-        if edge is None:  # two variables: compare their difference with 0
+        if edge is None:  # with two variables, compare their difference with 0
             if self.make_key(left) > self.make_key(right):
                 left, right, name = right, left, _SWAPPED_COMPARISONS[name]
             key = f"{self.make_key(left)} - {self.make_key(right)}"
@@ -119,6 +120,7 @@ class ConditionReader:
 
     def make_key(self, part: object) -> str:
         """Return a key that is equal for expressions of equal meaning. Two random draws, or two memories, never have equal keys.
+
         Long keys are hashed: with nested lets, the length of a key could otherwise double at each level."""
         if isinstance(part, BindingRef) and part.binding.role in ("let", "argument") and part.binding.value is not None:
             return self.make_key(part.binding.value)

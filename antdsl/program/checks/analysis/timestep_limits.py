@@ -20,8 +20,8 @@ OwnValue = str | Binding  # the attribute that an update sets, or the memory
 
 
 class StepInfluence(IntEnum):
-    """The influence of the previous value on a result: none, vanishing in short steps, unchanged (SAME), unknown or changed. For
-    SAME, two updates in a row equal one, so the number of updates per second does not matter."""
+    """The influence of the previous value on a result: none, vanishing in short steps, unchanged (SAME), unknown or changed.
+    For SAME, two updates in a row equal one, so the number of updates per second does not matter."""
 
     NONE = 0
     VANISHING = 1
@@ -61,8 +61,9 @@ _RATE_FREE_OPERATIONS = frozenset(("chance", "event"))  # equally frequent at an
 
 
 def find_changers(value: Expr, own_value: OwnValue, has_other_change: bool = False) -> tuple[Expr, ...]:
-    """Return at most two operations that change a value even for `dt` near 0, or not in proportion to `dt`: none if the update is
-    independent of the frame rate, or uses the unit `step`, which `--strict` reports. `has_other_change`: by another line."""
+    """Return at most two operations that make an update depend on the frame rate. Such operations change a value even for `dt`
+    near 0, or not in proportion to `dt`. `--strict` reports the unit `step` instead. `has_other_change`: another line also
+    changes the value."""
     short = _analyse_value(value, own_value, has_other_change)
     if short.influence is StepInfluence.CHANGED:
         makers = short.changers
@@ -74,7 +75,7 @@ def find_changers(value: Expr, own_value: OwnValue, has_other_change: bool = Fal
 
 
 def is_rate(value: Expr, own_value: OwnValue) -> bool:
-    """Return whether `value` is an amount per second. `value` is the operand that an update multiplies by `dt` and adds."""
+    """Return whether `value`, which an update multiplies by `dt` and adds, is an amount per second."""
     short = _analyse_value(value, own_value, False)
     return short.influence is StepInfluence.UNSURE or _grows_with_time(short.power + 1, value) or _uses_step_unit(value)
 
@@ -358,7 +359,7 @@ def _analyse_clamp(op: OperationExpr, operands: OperandValues) -> ShortStepValue
 
 def _analyse_conditional(op: OperationExpr, operands: OperandValues, own: OwnValue, has_other_change: bool) -> ShortStepValue:
     """Analyse `if`. Changes by chance or by an event happen equally often at any rate. `has_other_change`: another line changes
-    the value. Then a branch may move it back into its range: `if turn > 1 then turn - 1 else turn`."""
+    the value; a branch may then move it back into its range (`if turn > 1 then turn - 1 else turn`)."""
     (test, *ends), branches = op.args, operands[1:]
     assert test is not None
     influence = _find_strongest_influence(branches)
@@ -374,7 +375,7 @@ def _analyse_conditional(op: OperationExpr, operands: OperandValues, own: OwnVal
 
 
 def _analyse_query(op: OperationExpr, operands: OperandValues) -> ShortStepValue:
-    return ShortStepValue()  # a condition; its effect is analysed where it is used
+    return ShortStepValue()  # the effect of a condition is analysed where it is used
 
 
 def _analyse_unknown(op: OperationExpr, operands: OperandValues) -> ShortStepValue:

@@ -24,7 +24,7 @@ class RunningReduction:
 
     builder: LaneBuilder
     node: ir.PlanNode
-    needs_two_words: bool  # more terms than float64 adds exactly
+    needs_two_words: bool  # whether there are more terms than float64 adds exactly
     _parts: list[tuple[Number, str]] = field(default_factory=list)  # stack slots with their kinds
 
     def start(self) -> None:
@@ -79,7 +79,7 @@ class RunningReduction:
         """Return a term rounded to a multiple of the quantum, as `exact_sums.rounded` does."""
         quantum = int(self.node.attrs[0])
         bound, magic = float(np.ldexp(1.0, quantum + exact_sums.MAX_TERM_EXPONENT)), float(np.ldexp(1.5, quantum + 52))
-        if float(np.float32(bound)) == bound:  # clamping before conversion gives the same result
+        if float(np.float32(bound)) == bound:  # then clamping before the conversion gives the same result
             body, bound = self.builder.apply_function(np.clip, body, -np.float32(bound), np.float32(bound)), np.inf
         wide = self.builder.convert(body, F64)
         if bound < np.inf:

@@ -63,7 +63,7 @@ class AddressTables:
         self.pointers = np.zeros(len(code.layout.pointer_indices), np.int64)
         self.pointers[0] = array_address(self.numbers)
         self.lanes = LaneMemories(code)
-        self.version = 0  # of the pointers
+        self.version = 0  # version of the pointers
         self._views = {np.dtype(kind): self.numbers.view(kind) for kind in (np.int64, np.float64, np.float32, np.int32, np.bool_)}
         nodes: list[tuple[ir.PlanNode, int]] = []
         self._draw_entries: dict[tuple[str, str, int], dict[str, int]] = {}  # by species, site and block: the index of each word
@@ -137,7 +137,7 @@ class AddressTables:
         self.version += changed
 
     def largest_species(self, world: World) -> int:
-        """Return the number of agents of the largest species if the block searches for other agents, else 0."""
+        """Return the number of agents of the largest species, or 0 if the block does not search for other agents."""
         return max([len(other) for other in world.populations.values()]) if self.code.near else 0
 
     def prepare_lanes(self, parts: int, rows: int, others: int) -> list[LaneMemory]:
@@ -175,7 +175,7 @@ class AddressTables:
         view = self._views[value.dtype]
         view[place * (8 // value.dtype.itemsize)] = value
 
-    # --- arrays that the world has by name: keys of one holder, and what looks at it ------------------------------------------
+    # --- arrays with names in the world: keys grouped by the object that contains them -----------------------------------------
 
     def _holder_key(self, key: AddressKey) -> AddressKey | None:
         """Return the key of the object that contains a named array, or None."""
@@ -228,7 +228,8 @@ class AddressTables:
 
         return WatchedArrays(of, _make_getter(names), put)
 
-    # --- one kind of key each: gives what looks for its address in a step ---------------------------------------------------
+    # --- functions for other kinds of keys, which find the address in each step
+    # --------------------------------------------------
 
     def _make_mesh_finder(self, key: AddressKey) -> AddressFinder:
         copy = self._get_copy(key)

@@ -117,8 +117,8 @@ def _is_batched_sense(each: BlockInstruction) -> bool:
 def _part_size(count: int, chunk: int, threads: int) -> int:
     """Return the number of rows of a part.
 
-    It is at most a chunk, and smaller where several parts per thread pay off for balance. In one round, the parts of a thread
-    have at most a chunk of rows together. So their data stays in the processor's cache from stage to stage."""
+    It is at most a chunk, and smaller if several parts per thread improve the balance. In one round, the parts of a thread have
+    at most a chunk of rows together. So their data stays in the processor's cache from stage to stage."""
     most = chunk if threads < 2 else chunk // PARTS_PER_THREAD
     parts = max(
         -(-count // max(LANE_COUNT, most)),
@@ -160,7 +160,7 @@ class PartGroup:
         coming = iter(self.chunks)
 
         def run_parts(_: int) -> None:
-            for each in coming:  # the next part that no thread has taken
+            for each in coming:  # the next part that no thread has taken yet
                 work(each)
 
         if len(self.chunks) > 1:

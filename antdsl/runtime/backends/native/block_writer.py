@@ -93,7 +93,7 @@ class BlockCode:
     names: list[str]
     layout: AddressLayout
     schedule: StageSchedule
-    lines: LineCounters | None = None  # for code that is timed by line
+    lines: LineCounters | None = None  # only for code that is timed by line
     faults: list[tuple[str, BlockInstruction]] = field(default_factory=list)  # name of the value and its instruction
     near: list[NeighbourSearch] = field(default_factory=list)
     lazy_nodes: list[ir.PlanNode] = field(default_factory=list)

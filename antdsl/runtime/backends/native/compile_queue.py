@@ -98,8 +98,7 @@ def _unit_text(text: Callable[[], NativeProgram], name: str) -> str:
 
 
 def find_stored_blocks(plan: ir.Plan, blocks: CompiledBlocks, facts: WorldFacts) -> stored_blocks.StoredBlocks | None:
-    """Return the compiled blocks of a plan that an earlier run stored; None if none are stored. With them, code is loaded at
-    once."""
+    """Return the compiled blocks of a plan that an earlier run stored, or None. With them, code is loaded at once."""
     subject = (
         stored_blocks.make_subject(plan, blocks, facts, llvm_compiler.host_target()) if llvm_compiler.is_available() else None
     )

@@ -1,4 +1,4 @@
-"""Scents that are only compared with a bound. If no nearby cell reaches the bound, no cell has to be read."""
+"""Scents that are only compared with a bound. If no nearby cell reaches the bound, no cell is read."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ def may_reach_bound(w: Any, node: ir.PlanNode, bound: ir.PlanNode) -> Lanes:
 
 
 def limit_strength(w: Any, node: ir.PlanNode, bound: ir.PlanNode, stored_strength: Lanes) -> Lanes:
-    """Return `stored_strength` for lanes that may reach the bound.
+    """Return `stored_strength` for lanes that may reach the bound, and 0 for other lanes.
 
-    For others, return 0, which is below the bound, as is the true value."""
+    For the other lanes, the true value is also below the bound."""
     bounded_strength: Lanes = w.builder.select_lanes(
         may_reach_bound(w, node, bound), stored_strength, w.builder.make_constant(0.0, stored_strength.kind)
     )

@@ -111,11 +111,11 @@ class LaneMemories:
     def __init__(self, code: BlockCode) -> None:
         self.code = code
         self.arrays: Arrays = {}
-        self.every: list[LaneMemory] = []  # includes lanes of earlier, larger numbers of parts
+        self.every: list[LaneMemory] = []  # includes lanes of earlier runs with more parts
         self._part_rows = self._largest_species = self._part_count = 0
         self._queries: dict[
             BlockInstruction, tuple[FeelerQuery, list[tuple[ir.PlanNode, Any]]]
-        ] = {}  # query by call, with its uniform operands and their values
+        ] = {}  # the query of each call, with its uniform operands and their values
 
     def prepare_lanes(self, parts: int, rows: int, others: int, pointers: NDArray[np.int64]) -> list[LaneMemory]:
         """Return lanes for `parts` parts of `rows` rows each (multiples of eight if there are several parts), with the shared
