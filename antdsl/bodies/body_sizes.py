@@ -1,4 +1,4 @@
-"""Sizes of species and of their bodies: proportions of bodies that stand, and warnings where the numbers do not fit."""
+"""Sizes of species and of their bodies: proportions of standing bodies, and warnings about numbers that do not fit."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from antdsl.scene.entry_checks import convert_constant
 from antdsl.scene.library_bodies import CAPSULE_BY_BODY
 from antdsl.scene.load import Scene
 
-_GREATEST_RATIO = 2.0  # between numbers about one body
+_GREATEST_RATIO = 2.0  # largest ratio of two numbers about one body
 _LENGTH = Dimension(length=1)
-_STANDING_BODIES = ("person",)  # of the library, with a size of their own; animals of a kind differ by more
+_STANDING_BODIES = ("person",)  # library bodies with a fixed size; animals of one kind differ by more
 
 
 def standing_proportions(
@@ -45,8 +45,9 @@ def _proportions(body: Definition, word: str | None) -> BodyProportions:
 def warn_of_sizes(
     scene: Scene, program: Program, worn: Mapping[str, Definition], words: Mapping[str, str], report: Report
 ) -> None:
-    """Warn where `size`, `height`, `radius` and the body of a species differ by more than a factor of 2. Only constants are
-    compared, and of a random number the first one."""
+    """Warn if `size`, `height`, `radius` and the body of a species differ by more than a factor of 2.
+
+    Only constants are compared, and of a random number its first argument."""
     for line in scene.model.crowd:
         species = program.species.get(line.species)
         word = words.get(line.species)
@@ -84,7 +85,7 @@ def _compare(attribute: AttributeDecl, length: float, body_length: float, words:
 
 
 def _describe(length: float) -> str:
-    """Return a length (mm) in the unit that people use for it."""
+    """Return a length (mm) as text, in the unit that people use for it."""
     return f"{length / 1000:.3g} m" if length >= 300 else f"{length:.3g} mm"
 
 

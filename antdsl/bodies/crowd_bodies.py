@@ -1,4 +1,5 @@
 """The bodies of a scene's crowd: agent definitions from files, checked against the clips, groups and marks that the species use.
+
 Also the body data that a run needs: clip lengths, strides and marks, and the collision size of each body."""
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ from antdsl.scene.setting import BodyCapsuleData, ClipData, LegsData
 from antdsl.source import Span
 
 Body = TypeVar("Body", Definition, str)
-_MAX_LISTED_NAMES = 12  # names in a message
+_MAX_LISTED_NAMES = 12  # maximum number of names in a message
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,9 +201,10 @@ def build_clip_data(clip: Clip, body: Definition) -> ClipData:
 
 
 def compute_collision_size(body: Definition, stands: bool = False) -> BodyCapsuleData:
-    """Return the collision size of a body: its own capsule, else length and width of the box of its layer `collision` in the rest
-    pose, or, if it `stands`, in its idle clip. Without that layer, use the layer that is always displayed. The length is never
-    less than the width."""
+    """Return the collision size of a body.
+
+    It is the body's own capsule, else length and width of the box of its layer `collision` in the rest pose, or, if it `stands`,
+    in its idle clip. Without that layer, the layer that is always displayed is used. The length is never less than the width."""
     if body.capsule is not None:
         length, width, height, ahead = (each / body.length for each in body.capsule)
         return BodyCapsuleData(max(length, width), width, height, ahead)
@@ -258,7 +260,7 @@ def _check_body(
         near = find_nearest_name(name, names)
         listed = ", ".join(f"`{each}`" for each in names[:_MAX_LISTED_NAMES]) + (" …" if len(names) > _MAX_LISTED_NAMES else "")
         has = f"it has {listed}" if names else f"it has no {what}s"
-        help = f"did you mean `{near}`? {has}" if near else has  # more than a word to put in place of the file's path
+        help = f"did you mean `{near}`? {has}" if near else has  # several words, unlike a replacement for the file's path
         lacks.setdefault(f"{what} `{name}`", (help, label))
 
     marks = [mark for clip in body.clips.values() for mark in clip.marks]
@@ -290,8 +292,9 @@ def _check_body(
 
 
 def _find_misplaced_marks(species: Species, body: Definition) -> Iterator[tuple[str, str, Label]]:
-    """Yield misplaced marks: a state waits for the mark, the state's clip lacks it, but other clips of the body have it. Each
-    comes with a message, a help text and its location."""
+    """Yield misplaced marks, each with a message, a help text and its location.
+
+    A mark is misplaced if a state waits for it, the state's clip lacks it, but other clips of the body have it."""
     having: dict[str, list[str]] = {}
     for clip in body.clips.values():
         for mark in clip.marks:

@@ -28,8 +28,8 @@ from antdsl.bodies.body import compute_vertex_normals
 from antdsl.bodies.skinned_mesh import SkinnedMesh, build_skinned_mesh
 
 COARSE_CELLS_PER_BODY_LENGTH = 14  # grid cells of coarse shapes along a body's length
-_CELL_GROWTH = 2.0  # largest factor by which a coarse shape is stretched to its original box
-COARSE_CELLS_PER_SHAPE = 3  # least number of grid cells along the longest side of a shape
+_CELL_GROWTH = 2.0  # maximum factor by which a coarse shape is stretched to its original box
+COARSE_CELLS_PER_SHAPE = 3  # minimum number of grid cells along the longest side of a shape
 
 
 BODY_LAYER, CLOSE_LAYER, COLLISION_LAYER = "body", "close", "collision"  # layers
@@ -123,8 +123,10 @@ class PosedBody:
         return PosedBody(coarsen_definition(replace(self._full_definition, layers=layers, shapes=drawn)), self.clips, self.layers)
 
     def build_idle_clips(self, ids: NDArray[Any], seconds: float) -> tuple[MachineClips, ...]:
-        """Return the clips that agents with these ids play by default: the idle clip of the definition, with a different start
-        for each agent. `seconds`: time since frame 0. Empty if there is no idle clip."""
+        """Return the clips that agents with these ids play by default: the definition's idle clip, with a different start for
+        each agent.
+
+        `seconds`: time since frame 0. Empty if there is no idle clip."""
         clip = self._full_definition.clips.get(self._full_definition.idle)
         if clip is None or clip.duration <= 0:
             return ()
@@ -140,8 +142,8 @@ class PosedBody:
 
     @cached_property
     def layer_masks(self) -> NDArray[np.uint64]:
-        """Return which of `layers` make each vertex visible, uint64[v]: bit k for layer number k. Vertices that are always
-        visible have 0."""
+        """Return the bits of the `layers` that make each vertex visible, uint64[v]: bit k for layer number k. Vertices that are
+        always visible have 0."""
         own, layers = find_base_layer(self._full_definition), self._full_definition.layers
         vertex_masks = []
         for binding in self._bindings:
@@ -187,10 +189,8 @@ class PosedBody:
     ) -> Poses:
         """Return transforms and channels of `count` agents, in the definition's space.
 
-        `machines`: select the clips that agents play.
-        `feet`: if given, legs bend to reach these feet, and trunks move with them.
-        `driven`: values that drive poses in addition to clips.
-        `local`: also return local transforms.
+        `machines`: select the clips that agents play. `feet`: if given, legs bend to reach these feet, and trunks move with them.
+        `driven`: values that drive poses in addition to clips. `local`: also return local transforms.
         """
         playing = build_machine_playback(self._table, self._played, machines, count, driven.lean)
         poses = blend_poses(self._table, self._definition.groups, playing, with_local=local, threads=threads)
@@ -279,7 +279,7 @@ def _split_by_material(
     own = np.array([(0.0, 0.0, 0.0) if each is None else each for each in known], np.float32)[of]
     tint = np.array([each is None for each in known], np.float32)[of]
     colour = shape.attributes.get("Cd")
-    if colour is not None and colour.shape == (len(shape.points), 3):  # a texture or vertex colours
+    if colour is not None and colour.shape == (len(shape.points), 3):  # from a texture or from vertex colours
         bare = np.array([name == "" for name in names])[of]
         own = np.where(bare[:, None], np.float32(1), own) * np.asarray(colour[point], np.float32)
         tint = np.where(bare, np.float32(0), tint)
@@ -298,9 +298,10 @@ def coarsen_definition(definition: Definition) -> Definition:
 
 
 def coarsen_shape(shape: Shape, cell: float) -> Shape:
-    """Return a shape in which the points of each grid cell are replaced by their mean. The mean follows the joints of the first
-    point of the cell. Triangles with two corners in one cell are left out. The bounding box keeps its size, so that the shape
-    does not get thinner."""
+    """Return a shape in which the points of each grid cell are replaced by their mean.
+
+    The mean follows the joints of the first point of the cell. Triangles with two corners in one cell are omitted. The bounding
+    box keeps its size, so that the shape does not get thinner."""
     if not len(shape.points):
         return shape
     size = min(cell, float(np.ptp(shape.points, axis=0).max()) / COARSE_CELLS_PER_SHAPE) or cell

@@ -1,8 +1,6 @@
-"""Small meshes computed from numbers: spheres, stones, and the shapes of items (an apple, a ring (a donut), a crumb of bread, a
-lump of sugar, a nest mound, a plain ball).
+"""Small meshes computed from numbers: spheres, stones, and the shapes of items.
 
-Every shape is `(vertices float64 (n, 3), faces int32 (m, 3))`, y up, counter-clockwise seen from outside. Shapes of items have
-the radius 1, and rest at y = 0 or slightly below.
+The items are an apple, a ring (a donut), a crumb of bread, a lump of sugar, a nest mound, and a plain ball.
 """
 
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""The future positions of agents in the next seconds of a session, simulated in a separate world.
+"""The positions of agents in the next seconds of a session, simulated in a separate world.
 
 The session's world is copied once, when this simulation begins, and never changed."""
 
@@ -10,20 +10,20 @@ from antdsl.preview.timeline import ParamChange, SimulationStretch
 from antdsl.runtime import FaultStop, LimitStop, World, step, take_checkpoint
 
 LOOK_AHEAD_SECONDS = 2.0
-_MAX_POSITION_BYTES = 1 << 26  # of places, at most
+_MAX_POSITION_BYTES = 1 << 26  # maximum size of the stored positions
 
 
 class Ahead:
-    """The frames of the next 2 seconds, or as many as fit in 64 MiB. `frames`: ids and positions of all species by frame; the
-    first is the session's current frame.
+    """The frames of the next 2 seconds, or as many as fit in 64 MiB.
 
-    Without edits, the session later reaches these frames, so only new frames at the far end are simulated. The frames end at an
-    edit, at the end of the existing history after the session went back, or where a step fails.
+    `frames`: ids and positions of all species by frame; the first is the session's current frame. Without edits, the session
+    later reaches these frames, so only new frames at the far end are simulated. The frames end at an edit, at the end of the
+    existing history after the session went back, or where a step fails.
     """
 
     def __init__(self) -> None:
         self.frames: dict[int, dict[str, Arrays]] = {}
-        self.version = 0  # changes whenever they do
+        self.version = 0  # changes whenever the frames change
         self._run_key: tuple[SimulationStretch, tuple[ParamChange, ...]] | None = None
         self._world: World | None = None
         self._stopped = False
@@ -63,7 +63,7 @@ class Ahead:
                 self._stopped = True
                 return
             except FaultStop:
-                pass  # the session would go on after the fault as well
+                pass  # the session would also continue after the fault
         previous = self.frames.get(world.frame - 1, {})
         self.frames[world.frame] = {
             name: reuse_arrays(make_packet_arrays(p, POSITION_COLUMNS), previous.get(name, {}))

@@ -1,5 +1,6 @@
-"""Arrays as one binary message: `ant1`, the length of the header, the header as JSON, then the arrays. Each array begins at a
-multiple of 8 bytes."""
+"""Arrays as one binary message: `ant1`, the length of the header, the header as JSON, then the arrays.
+
+Each array begins at a multiple of 8 bytes."""
 
 from __future__ import annotations
 
@@ -36,7 +37,7 @@ def pack_arrays(slot: str, arrays: Mapping[str, NDArray[Any]], **header: Any) ->
         return json.dumps({**header, "slot": slot, "arrays": listed}, separators=(",", ":"), allow_nan=False).encode(), at
 
     start = 64
-    while True:  # the header has offsets; their digits make it longer
+    while True:  # repeated, because the header contains offsets with digits that make it longer
         said, end = text(start)
         if 8 + len(said) <= start:
             break
@@ -46,7 +47,7 @@ def pack_arrays(slot: str, arrays: Mapping[str, NDArray[Any]], **header: Any) ->
     for (_, _, _, offset), array in zip(listed, little.values(), strict=True):
         parts += [bytes(offset - at), array.astype(array.dtype.newbyteorder("<"), copy=False).reshape(-1).view(np.uint8)]
         at = offset + array.nbytes
-    return b"".join([*parts, bytes(end - at)])  # copied once: a frame has half a megabyte
+    return b"".join([*parts, bytes(end - at)])  # one copy, because a frame has half a megabyte
 
 
 def unpack_arrays(packet: bytes) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:

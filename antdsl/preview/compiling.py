@@ -1,4 +1,4 @@
-"""Opens one scene repeatedly. Parts that have not changed are not read, parsed or computed again."""
+"""Opens one scene repeatedly. Unchanged parts are not read, parsed or computed again."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ class Compiler:
     replacement_texts: dict[Path, str] = field(default_factory=dict)
     binding_cache: BindingCache = field(default_factory=BindingCache)
     _parsed_files: ParsedFileCache = field(default_factory=dict)
-    _files: RequestedPaths = field(default_factory=dict)  # that the last shot was made of
-    _attempted_files: RequestedPaths = field(default_factory=dict)  # the last requested ones, also those that do not exist
+    _files: RequestedPaths = field(default_factory=dict)  # the files from which the last shot was made
+    _attempted_files: RequestedPaths = field(default_factory=dict)  # the last requested files, including those that do not exist
     _precompiled: PrecompiledShot | None = None
 
     def precompile(self, choices: RunChoices | None = None) -> None:
-        """Compile the shot ahead of time, for an `open` that soon follows. `open` then checks whether the files are unchanged."""
+        """Compile the shot in advance, for an `open` that soon follows. `open` then checks whether the files are unchanged."""
         self._precompiled = None
         choices = choices or RunChoices()
         shot, report = self.open(choices)
@@ -89,8 +89,8 @@ class Compiler:
 
 @contextmanager
 def _pause_garbage_collection() -> Iterator[None]:
-    """Pause garbage collection. Compiling creates tens of thousands of small live objects, and scanning them takes as long as
-    creating them."""
+    """Pause garbage collection. Compilation creates tens of thousands of small live objects, which take as long to scan as to
+    create."""
     was = gc.isenabled()
     gc.disable()
     try:

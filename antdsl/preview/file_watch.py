@@ -1,5 +1,6 @@
-"""Detects changed contents of files by polling. So it works on every disk, however editors save
-files. A change is reported once the file has stopped changing."""
+"""Detects changed contents of files by polling. So it works on every disk and with every editor.
+
+A change is reported once the file has stopped changing."""
 
 from __future__ import annotations
 
@@ -13,13 +14,14 @@ from time import monotonic
 
 from antdsl.safe_read import FileTooLarge, open_regular_file, read_blocks
 
-_UNCHANGED_SECONDS = 0.03  # seconds that a file has to stay as it is
-_MISSING_FILE_SECONDS = 0.3  # the same for one that is not there or empty: half of a save by most editors
-_REREAD_SECONDS = 1.0  # seconds after which small files are read though nothing tells of a change: clocks of disks can be coarse
+_UNCHANGED_SECONDS = 0.03  # a file is read after it was unchanged for this time
+_MISSING_FILE_SECONDS = 0.3  # the same for a missing or empty file, which is the middle of a save in most editors
+# small files are read again after this time without a sign of change, because clocks of disks can be coarse
+_REREAD_SECONDS = 1.0
 _SMALL_FILE_BYTES = 1 << 20
-_REREAD_BYTES_PER_POLL = 1 << 20  # bytes of such files that are read in one look
-_MAX_READ_BYTES = 1 << 26  # bytes of one file that are read; a larger one is known by its date and size alone
-_UNKNOWN_HASH = b""  # no hash of any contents
+_REREAD_BYTES_PER_POLL = 1 << 20  # bytes of such files that are read per poll
+_MAX_READ_BYTES = 1 << 26  # maximum number of bytes read from a file; a larger file is identified by its date and size
+_UNKNOWN_HASH = b""  # differs from the hash of any contents
 
 FileStamp = tuple[int, int, int] | None
 
@@ -27,18 +29,18 @@ FileStamp = tuple[int, int, int] | None
 @dataclass(slots=True)
 class _WatchedFile:
     stamp: FileStamp
-    contents: bytes | None  # a hash; None for a file that is not there
-    read_stamp: FileStamp  # when that was read
-    changed_time: float | None = None  # when it was found other than before; None: nothing is up
+    contents: bytes | None  # a hash; None for a missing file
+    read_stamp: FileStamp  # stamp of the file when it was read
+    changed_time: float | None = None  # time at which a change was found; None without a pending change
     read_time: float = 0.0
-    is_unreported: bool = False  # not reported yet
+    is_unreported: bool = False  # whether the current contents are not yet reported
 
 
 class FileWatch:
-    """Watches files. `paths` is called at each poll, because an edit may add files. `opened` returns a handle on a regular file,
-    or raises OSError. `clock` returns seconds.
+    """Watches files for changes.
 
-    A path that is not a regular file counts as missing until a regular file replaces it.
+    `paths` is called at each poll, because an edit may add files. `opened` returns a handle to a regular file, or raises OSError.
+    `clock` returns seconds. A path that is not a regular file counts as missing until a regular file replaces it.
     """
 
     def __init__(
@@ -50,11 +52,11 @@ class FileWatch:
     ) -> None:
         self._list_paths, self._open_file, self._clock = list_paths, open_file, clock
         self._files: dict[Path, _WatchedFile] = {}
-        self._remaining_bytes = 0  # bytes that may still be read in this look without a sign of change
+        self._remaining_bytes = 0  # bytes that this poll may still read without a sign of change
         self.poll()
 
     def poll(self) -> tuple[Path, ...]:
-        """Return the files that have stopped changing and have other contents than when they were last reported or first read."""
+        """Return the files that have stopped changing and differ from their last reported or first read contents."""
         now, paths, self._remaining_bytes = self._clock(), list(dict.fromkeys(self._list_paths())), _REREAD_BYTES_PER_POLL
         changed = [path for path in paths if path in self._files and self._is_changed(path, self._files[path], now)]
         for path in paths:
@@ -65,8 +67,9 @@ class FileWatch:
         return tuple(changed)
 
     def recheck_changing(self) -> None:
-        """Note that other code has just read the files. A file that is changing at this time counts as changed once it stops,
-        even if its contents are then the same as before."""
+        """Record that other code has just read the files.
+
+        A file that is changing at this time counts as changed once it stops, even if its contents are then the same as before."""
         for path, file in self._files.items():
             if _read_stamp(path) != file.read_stamp:
                 file.contents = _UNKNOWN_HASH
@@ -103,7 +106,7 @@ class FileWatch:
         ):
             return False
         contents = self._hash_contents(path)
-        if _read_stamp(path) != stamp:  # written to while it was read
+        if _read_stamp(path) != stamp:  # written while it was read
             watched.changed_time = now
             return False
         watched.changed_time, watched.read_time, watched.is_unreported = None, now, False

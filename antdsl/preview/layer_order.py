@@ -1,5 +1,4 @@
-"""Layers that are switched off in the preview. The program texts without these layers replace the files until the files are
-saved."""
+"""Layers that are switched off in the preview. Program texts without these layers replace the files until the files are saved."""
 
 from __future__ import annotations
 
@@ -15,8 +14,9 @@ DisabledLayers = Mapping[tuple[str, str], Path]
 
 
 def remove_disabled_layers(disabled_layers: DisabledLayers) -> tuple[dict[Path, str], list[tuple[str, str]]]:
-    """Return the files' texts without the disabled layers, and the disabled layers that no longer exist, by species and text. An
-    unreadable file is left out; compiling it reports the error."""
+    """Return the files' texts without the disabled layers, and the disabled layers that no longer exist, by species and text.
+
+    An unreadable file is omitted; compiling it reports the error."""
     texts: dict[Path, str] = {}
     missing_layers: list[tuple[str, str]] = []
     for path in dict.fromkeys(disabled_layers.values()):
@@ -36,7 +36,8 @@ def remove_disabled_layers(disabled_layers: DisabledLayers) -> tuple[dict[Path, 
         missing_layers += sorted(layer_keys)
         text = source.text
         for start, end in sorted(spans, reverse=True):
-            text = text[:start] + re.sub("[^\n]", " ", text[start:end]) + text[end:]  # what follows stays where it is
+            # blanks preserve the positions of the text that follows
+            text = text[:start] + re.sub("[^\n]", " ", text[start:end]) + text[end:]
         if spans:
             texts[Path(os.path.realpath(path))] = text
     return texts, missing_layers

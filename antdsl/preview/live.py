@@ -1,6 +1,6 @@
 """The thread that owns a session. No other thread accesses the session.
 
-Between two steps, it carries out requests of pages, waits for the clock, loads saved files, and sends the state to pages."""
+Between two steps, it processes requests of pages, waits for the clock, loads saved files, and sends the state to pages."""
 
 from __future__ import annotations
 
@@ -26,31 +26,32 @@ from antdsl.runtime import Options
 if TYPE_CHECKING:
     from antdsl.preview.observing.explainer import Explainer
 
-_MAX_QUEUED_REQUESTS = 256  # asks that may wait
-_FILE_POLL_SECONDS = 0.02  # seconds between two looks at the files
-_MAX_SLEEP_SECONDS = 0.5  # seconds that the thread sleeps at most when there is nothing to do
-_MAX_CATCH_UP_SECONDS = 0.1  # seconds of steps that are caught up with; more are left out
-_EMPTY_LOOK = SetDisplay(op="look", columns=(), fields=(), flows=(), planned=None)  # what a page looks at before it says so
-_PAUSE_AFTER_BUG_SECONDS = 0.25  # seconds of rest, lest the terminal run over
-_MAX_REQUEST_SECONDS = 0.05  # seconds of doing what pages ask after which time goes on
-_MAX_SEEK_SECONDS = 0.05  # seconds of going back after which others are heard
-_MAX_LOOK_AHEAD_SECONDS = 0.02  # the same of simulating ahead
+_MAX_QUEUED_REQUESTS = 256  # maximum number of queued requests
+_FILE_POLL_SECONDS = 0.02  # interval between two polls of the files
+_MAX_SLEEP_SECONDS = 0.5  # maximum sleep of the thread when there is nothing to do
+_MAX_CATCH_UP_SECONDS = 0.1  # late steps are caught up within this time; further steps are dropped
+# displayed data of a page before its first request
+_EMPTY_LOOK = SetDisplay(op="look", columns=(), fields=(), flows=(), planned=None)
+_PAUSE_AFTER_BUG_SECONDS = 0.25  # pause after an internal error, so that the terminal is not flooded
+_MAX_REQUEST_SECONDS = 0.05  # after this time, requests give way to the simulation
+_MAX_SEEK_SECONDS = 0.05  # after this time, a seek gives way to requests
+_MAX_LOOK_AHEAD_SECONDS = 0.02  # after this time, simulation of future frames gives way to requests
 _BUG_MESSAGE = "this is a bug in antdsl: the terminal says more"
 O = TypeVar("O")  # noqa: E741
 
 
 class Client(Protocol):
-    """One page. Its methods may be called from any thread, and never wait."""
+    """A connected page. Its methods may be called from any thread, and never wait."""
 
     def tell(self, message: dict[str, Any]) -> None:
         """Send a message. All messages arrive, in order."""
 
     def show(self, slot: str, packet: bytes) -> None:
-        """Send arrays. Only the latest packet of a slot must arrive."""
+        """Send arrays. Only the latest packet of a slot is certain to arrive."""
 
 
 class QueueFull(Exception):
-    """The queue of requests is full."""
+    """Error if the queue of requests is full."""
 
 
 class Live:
@@ -63,8 +64,9 @@ class Live:
     def open(
         cls, scene: Path, choices: RunChoices | None = None, options: Options | None = None, *, watch: bool = True, **how: int
     ) -> Live:
-        """Return a Live for a scene file. If the file has errors, the session opens as soon as they are fixed. `how`: as in
-        `Session.open`."""
+        """Return a Live for a scene file. If the file has errors, the session opens as soon as they are fixed.
+
+        `how`: as in `Session.open`."""
         live, compiler = cls.__new__(cls), Compiler(scene)
         session, report = Session.open(scene, choices, options, compiler=compiler, **how)
         live._initialise(compiler, session, report, watch)
@@ -77,11 +79,11 @@ class Live:
 
         self.compiler, self._session, self.report = compiler, session, report
         self._session_options: tuple[RunChoices | None, Options | None, dict[str, int]] = (None, None, {})
-        self.speed = 1.0  # of the clock; 0: as fast as it goes
-        self.displayed_frame: int | None = None  # a frame that is shown as it is remembered; the session is elsewhere
-        self._target_frame: int | None = None  # a frame on the way to which the session simulates again
-        self._pending_steps = 0  # pending steps, apart from playing
-        self.pause_reason: PauseReason | None = None  # why it paused, if automatic
+        self.speed = 1.0  # speed of the clock; 0 means as fast as possible
+        self.displayed_frame: int | None = None  # a stored frame that is displayed while the session is at another frame
+        self._target_frame: int | None = None  # the frame to which the session is simulating
+        self._pending_steps = 0  # requested steps, apart from play
+        self.pause_reason: PauseReason | None = None  # the reason of an automatic pause
         self.clients: dict[Client, SetDisplay] = {}
         self.screen, self.ahead = PageScreen(self), Ahead()
         self.explainer: Explainer | None = None
@@ -90,7 +92,7 @@ class Live:
             self.observers.append(make(self))
         self._watch = FileWatch(compiler.files, open_file=compiler.open_file) if watch else None
         self._queue: deque[tuple[AnyRequest | str, Client]] = deque()
-        self._postponed_requests: list[tuple[AnyRequest, Client]] = []  # from before the session
+        self._postponed_requests: list[tuple[AnyRequest, Client]] = []  # requests received before the session existed
         self._wake_condition, self._is_stopped = Condition(), False
         self._next_step_time = self._next_poll_time = 0.0
         self._thread = Thread(target=self._run, name="antdsl-preview", daemon=True)
@@ -237,7 +239,7 @@ class Live:
         while not self._is_stopped:
             try:
                 self._run_once()
-            except Exception:  # whatever goes wrong in a step, the page is still there and can restart
+            except Exception:  # after any error in a step, the page still works and can restart
                 traceback.print_exc(file=sys.stderr)
                 if self._session is not None:
                     self._target_frame = None
@@ -251,13 +253,13 @@ class Live:
         while self._queue and not self._is_stopped:
             self._process_item(*self._queue.popleft())
             if monotonic() > until:
-                break  # many requests of one client do not block display to the others
+                break  # limited, so that many requests of one client do not block display to the others
         now = monotonic()
         if self._watch is not None and now >= self._next_poll_time:
             self._next_poll_time = now + _FILE_POLL_SECONDS
             changed = self._watch.poll()
             if not changed and self._watch.is_being_written() and self._session is not None:
-                self._session.precompile()  # a file that has just changed may still be being written: the wait is made use of
+                self._session.precompile()  # a file that has just changed may still be incomplete, so compile while waiting
                 changed = self._watch.poll()
             if changed:
                 self.reload("saved")

@@ -1,4 +1,4 @@
-"""A shot that was compiled ahead of time, and the changed files and lines between two shots."""
+"""A shot that was compiled in advance, and the changed files and lines between two shots."""
 
 from __future__ import annotations
 
@@ -46,13 +46,13 @@ class PrecompiledShot:
             try:
                 place = roots.path(name)
             except PathRefused:
-                continue  # a value, or a file of the library
+                continue  # a value set by hand, or a file of the library
             if place.suffix == ".ant" or name in ("antdsl", "scene") or name.startswith(("--set ", "set ")):
                 continue
             try:
                 data = roots.read_file(name, limits.MAX_MESH_BYTES)
             except PathRefused:
-                return False  # it is gone
+                return False  # the file was removed
             if blake2b(data, digest_size=16).hexdigest() != known:
                 return False
         return True
@@ -92,7 +92,7 @@ def describe_changed_files(old_shot: Shot, new_shot: Shot) -> str:
         if old_texts.get(name) != text
     ]
     others = {name for name in old_shot.inputs.keys() & new_shot.inputs.keys() if old_shot.inputs[name] != new_shot.inputs[name]}
-    differences += sorted(name for name in others if name not in new_texts and Path(name).suffix)  # meshes and such
+    differences += sorted(name for name in others if name not in new_texts and Path(name).suffix)  # meshes and other files
     differences += [f"{name} was removed" for name in old_texts if name not in new_texts]
     remainder = f" and {len(differences) - _MAX_NAMED_FILES} more" if len(differences) > _MAX_NAMED_FILES else ""
     return ", ".join(differences[:_MAX_NAMED_FILES]) + remainder

@@ -9,13 +9,13 @@ from pydantic import BaseModel, ConfigDict, Field, StringConstraints, TypeAdapte
 
 Name = Annotated[str, StringConstraints(min_length=1, max_length=200)]
 Words = Annotated[str, StringConstraints(min_length=1, max_length=2000)]
-Frame = Annotated[int, Field(ge=-(2**53), le=2**53)]  # what a page's numbers hold
+Frame = Annotated[int, Field(ge=-(2**53), le=2**53)]  # the range of integers in JavaScript
 Agent = Annotated[int, Field(ge=0, le=2**53)]
-MAX_PLANNED_AGENTS = 300  # agents with planned paths displayed all at once, at most
+MAX_PLANNED_AGENTS = 300  # maximum number of agents with planned paths displayed at the same time
 
 
 class RequestRefused(Exception):
-    """A request that cannot be carried out: the reason, and an alternative."""
+    """Error for a request that cannot be carried out: the reason, and an alternative."""
 
     def __init__(self, message: str, help: str = "") -> None:
         super().__init__(message)

@@ -1,4 +1,4 @@
-"""A running scene with its history. It steps on, goes back to any simulated frame, and accepts edits at any of them.
+"""A running scene with its history. It advances, goes back to any simulated frame, and accepts edits at any of them.
 
 Going back simulates again from the nearest checkpoint, with identical bits. A change at an earlier frame starts a branch."""
 
@@ -28,17 +28,15 @@ from antdsl.scene.quantities import Quantity, QuantityError, parse_quantity
 from antdsl.scene.scene_checks import check_param
 
 _RESTARTED_TEXT = "simulated again from the first frame"
-_MAX_LAYER_CHARACTERS = 60  # letters of a layer in messages
+_MAX_LAYER_CHARACTERS = 60  # characters of a layer in messages
 
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
     """The result of an edit.
 
-    `report`: if it has errors, nothing has changed.
-    `line`: a summary of what persists, moves and is reset.
-    `text`: the text to write into a file for the same permanent effect.
-    `did`: a description of the edit.
+    `report`: if it has errors, nothing has changed. `line`: a summary of what persists, moves and is reset. `text`: the text to
+    write into a file for a permanent change. `did`: a description of the edit.
     """
 
     report: Report = field(default_factory=Report)
@@ -55,15 +53,15 @@ class Outcome:
 class Session:
     """A running scene with its history. Create one with `Session.open`."""
 
-    world: World  # to be read only
+    world: World  # read-only for callers
 
     def __init__(self, compiler: Compiler, options: Options, timeline: Timeline) -> None:
         self.compiler, self.options, self.timeline = compiler, options, timeline
         self.playing = False
         self.fault_text: str | None = None  # of the last step
-        self._settings_of_disabled_fields: dict[str, dict[str, str]] = {}  # what was set of fields that are off
-        self.meter: StepMeter | None = None  # measures each step while there is one; see `measure`
-        self.on_new_world: Callable[[Session], None] | None = None  # called when `world` is another one than before
+        self._settings_of_disabled_fields: dict[str, dict[str, str]] = {}  # settings of disabled fields
+        self.meter: StepMeter | None = None  # if set, measures each step; see `measure`
+        self.on_new_world: Callable[[Session], None] | None = None  # called when `world` was replaced
         self._current_stretch: SimulationStretch
 
     @classmethod
@@ -310,7 +308,7 @@ class Session:
             return Outcome(report)
         saved, did = did is None, describe_changed_files(self.shot, shot) if did is None else did
         if saved and shot.inputs == self.shot.inputs:
-            if did:  # a comment, or what no result depends on, such as the camera and the last frame
+            if did:  # after a comment or another change without effect on results, such as the camera or the last frame
                 self._current_stretch.shot = shot
             return Outcome(
                 report, self._drop_undone_edit() or ("the run stays as it is" if did else "nothing has changed"), did=did
@@ -329,7 +327,8 @@ class Session:
         return Outcome(report, line, text, did)
 
     def _drop_undone_edit(self) -> str:
-        """If the files are again as they were at this frame, drop the later frames of the undone edit. Return its description."""
+        """Drop the later frames of an undone edit if the files are again as they were at this frame. Return the edit's
+        description."""
         later = [
             each
             for each in self.timeline.stretches

@@ -18,8 +18,8 @@ from antdsl.preview.agent_columns import Arrays, make_light_frame
 from antdsl.runtime import BindingCache, Options, World, restore_checkpoint, set_param, state_hash, take_checkpoint
 from antdsl.runtime.binding.bind_world import bind_empty
 
-_LIGHT_BUDGET_SHARE = 0.25  # of the budget, that light frames keep
-_POSES_BUDGET_SHARE = 0.125  # of the budget, that what bodies did keeps
+_LIGHT_BUDGET_SHARE = 0.25  # share of the budget for light frames
+_POSES_BUDGET_SHARE = 0.125  # share of the budget for poses of bodies
 _MAX_CURVE_FRAMES = 50_000  # frames
 _MAX_BRANCHES = 8
 _MAX_STOPS = 256
@@ -109,7 +109,8 @@ class SimulationStretch:
     checkpoints: dict[int, Arrays] = field(default_factory=dict)
     param_changes: list[ParamChange] = field(default_factory=list)
     is_fresh: bool = True
-    _state_before_edit: tuple[object, str] | None = None  # what an unedited run to its first frame is made of, and the hash there
+    # the inputs of an unedited run up to its first frame, and the hash there
+    _state_before_edit: tuple[object, str] | None = None
 
     def replace(self, previous: SimulationStretch, old_world: World, world: World) -> None:
         """Replace the stretch `previous` at the frame of the world `old_world` by this stretch. `world` was made from
@@ -174,8 +175,8 @@ class Timeline:
         self.curves: dict[int, dict[str, float]] = {}
         self.stop_reasons: dict[int, str] = {}
         self.light_frames = LightFrames()
-        self.poses = StoredPoses()  # of light frames that some page was shown when they were simulated
-        self._checkpoint_bytes = 0  # of checkpoints
+        self.poses = StoredPoses()  # poses of light frames that a page displayed when they were simulated
+        self._checkpoint_bytes = 0  # bytes of checkpoints
 
     @property
     def last_frame(self) -> int:
@@ -221,7 +222,7 @@ class Timeline:
             del self.curves[each]
             self._drop_frame(each)
         if old:
-            self.curves.setdefault(frame, {})  # it may be older than all that there are
+            self.curves.setdefault(frame, {})  # the frame may be older than all existing ones
 
     def make_restarted(self, line: str) -> Timeline:
         """Return an empty timeline. The old history becomes its branch if it has more than one frame."""

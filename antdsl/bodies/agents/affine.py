@@ -120,11 +120,11 @@ def invert_and_transpose(m: Numbers) -> Numbers:
 
 
 def extract_rotations(m: Numbers) -> Numbers:
-    """Return the rotation [3, 3, …] nearest to each matrix, from its polar decomposition M = R S. Where M mirrors, S contains the
-    mirroring, so R never mirrors. Where there is no inverse, R is the identity.
+    """Return the rotation [3, 3, …] nearest to each matrix, from its polar decomposition M = R S.
 
-    Uses Newton's iteration, scaled by Frobenius norms, in float64, with the same number of steps for every matrix (N. J. Higham,
-    Computing the Polar Decomposition, SIAM J. Sci. Stat. Comput. 7, 1986).
+    If M mirrors, S contains the mirroring, so R never mirrors. For a matrix without an inverse, R is the identity. Uses Newton's
+    iteration, scaled by Frobenius norms, in float64, with the same number of steps for every matrix (N. J. Higham, Computing the
+    Polar Decomposition, SIAM J. Sci. Stat. Comput. 7, 1986).
     """
     rotation = m[:, :3].astype(np.float64)
     determinant = compute_determinants(rotation, compute_cofactors(rotation))
@@ -150,8 +150,10 @@ def _sum_squares(m: Numbers) -> Numbers:
 
 
 def matrices_to_quaternions(m: Numbers) -> Numbers:
-    """Return unit quaternions [4, …] of rotation matrices [3, 3 or 4, …], with w not negative. Uses the formula with the largest
-    divisor, out of four (S. W. Shepperd, Quaternion from Rotation Matrix, J. Guidance and Control 1, 1978)."""
+    """Return unit quaternions [4, …] of rotation matrices [3, 3 or 4, …], with w not negative.
+
+    Of four formulas, the one with the largest divisor is used (S. W. Shepperd, Quaternion from Rotation Matrix, J. Guidance and
+    Control 1, 1978)."""
     trace = (m[0, 0] + m[1, 1]) + m[2, 2]
     sizes = np.stack([m[0, 0], m[1, 1], m[2, 2], trace])
     best = sizes.argmax(axis=0)
@@ -168,12 +170,11 @@ def matrices_to_quaternions(m: Numbers) -> Numbers:
 
 
 def decompose_matrices(matrices: NDArray[np.float64]) -> tuple[Numbers, Numbers, Numbers, Numbers]:
-    """Return translation [3, J], rotation [4, J], scale and shear [3, J], float64, of matrices [J, 4, 4]. `compose_matrices` is
-    the inverse.
+    """Return translation [3, J], rotation [4, J], scale and shear [3, J], float64, of matrices [J, 4, 4].
 
-    Uses Gram-Schmidt orthogonalisation, column by column. A mirroring matrix has a negative scale along x. A column of length 0
-    is an axis scaled by 0. If a column lies in the plane of the previous columns, no shear of an axis scaled by 0 can produce it.
-    It is then moved off that plane by a millionth of its length.
+    `compose_matrices` is the inverse. Uses Gram-Schmidt orthogonalisation, column by column. A mirroring matrix has a negative
+    scale along x. A column of length 0 is an axis scaled by 0. A column in the plane of the previous columns cannot result from a
+    shear of an axis scaled by 0. It is moved off that plane by a millionth of its length.
     """
     m = np.moveaxis(np.asarray(matrices, np.float64)[:, :3], 0, -1)
     columns = [m[:, c].copy() for c in range(3)]

@@ -18,15 +18,16 @@ from antdsl.bodies.agents.poses import Poses
 from antdsl.bodies.agents.skinning import DeformedShape, normalise_in_place
 
 _SHAPE_FIELD_BY_ATTRIBUTE = {"P": "points", "N": "normals"}  # attributes that are separate fields of a shape
-_MIN_KNOT_SPACING = 1e-6  # in-betweens with weights nearer than this count as one
+_MIN_KNOT_SPACING = 1e-6  # in-betweens with weights nearer to each other than this count as one
 
 
 def blend_shapes(deformed: DeformedShape, shape: Shape, definition: Definition, poses: Poses) -> DeformedShape:
-    """Return the shape with the inputs of a blend shape added, weighted by the channels of each agent. Only the attributes that
-    the shape blends change (default: P and N). Primitives have no attributes in antdsl, so `Blend.primitive_id` is not matched.
+    """Return the shape with the inputs of a blend shape added, weighted by the channels of each agent.
 
-    Raises ValueError for a shape without blend shapes, for different numbers of inputs and channels, and for in-betweens at
-    weight 0 or 1. Raises KeyError for shapes that the library does not have, and for channels that the rig does not have.
+    Only the attributes that the shape blends change (default: P and N). Primitives have no attributes in antdsl, so
+    `Blend.primitive_id` is not matched. Raises ValueError for a shape without blend shapes, for different numbers of inputs and
+    channels, and for in-betweens at weight 0 or 1. Raises KeyError for shapes that the library lacks, and for channels that the
+    rig lacks.
     """
     blend = shape.blend
     if blend is None:
@@ -93,8 +94,10 @@ def find_blend_knots(definition: Definition, name: str) -> tuple[list[Shape], ND
 
 
 def compute_knot_shares(weights: Floats, knots: NDArray[np.float64]) -> Floats:
-    """Return the share of each of K shapes in an input with weights [n], float32[K, n]. A share multiplies the shape's difference
-    from the base. Weights are interpolated between the two nearest knots; the base is the knot at 0."""
+    """Return the share of each of K shapes in an input with weights [n], float32[K, n].
+
+    A share multiplies the shape's difference from the base. Weights are interpolated between the two nearest knots; the base is
+    the knot at 0."""
     all_knots = np.sort(np.append(knots, 0.0))
     weight = weights.astype(np.float64)
     piece = np.clip(np.searchsorted(all_knots, weight, side="right") - 1, 0, len(all_knots) - 2)
@@ -134,4 +137,5 @@ def compute_attribute_offsets(
     mine, others = get_point_attribute(base, name), get_point_attribute(target, name)
     assert mine is not None and others is not None
     delta = others[target_points].astype(np.float32) - mine[base_points].astype(np.float32)
-    return np.ascontiguousarray(delta.reshape(len(base_points), int(np.prod(delta.shape[1:]))).T)  # also if no point is matched
+    # `int(np.prod())` works even if no point is matched
+    return np.ascontiguousarray(delta.reshape(len(base_points), int(np.prod(delta.shape[1:]))).T)

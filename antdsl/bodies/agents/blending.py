@@ -37,7 +37,7 @@ from antdsl.numerics.float_environment import standard_floats
 
 INTERPOLATE_MODE, ADDITIVE_MODE, OVER_MODE = 0, 1, 2
 NO_PARENT = -1
-_JOINTS_PER_CHUNK = 1 << 15  # joints per chunk: their components fit into the cache of a core
+_JOINTS_PER_CHUNK = 1 << 15  # the components of a chunk fit into the cache of a core
 _FLOAT32_ONE = np.float32(1)
 # limits of weights: float32 cannot resolve shares of larger weights, or of a smaller sum
 _MAX_WEIGHT, _MIN_TOTAL_WEIGHT = np.float32(1e18), np.float32(1e-30)
@@ -93,7 +93,8 @@ class ClipTree:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ClipPlayback:
-    """What each of n agents plays. S is the largest number of clips in a tree. Entries beyond an agent's tree are not read.
+    """The clips that each of n agents plays. S is the largest number of clips in a tree. Entries beyond an agent's tree are not
+    read.
 
     `tree`: int32[n], indices into `trees`.
     `clips`: int32[n, S], numbers of a `ClipTable`, -1 for none (agentclipnames).
@@ -123,11 +124,11 @@ class ClipPlayback:
 def blend_poses(
     table: ClipTable, groups: Mapping[str, TransformGroup], playing: ClipPlayback, *, with_local: bool = False, threads: int = 1
 ) -> Poses:
-    """Return the transforms and channel values of all agents for the clips that they play. `with_local`: also return local
-    transforms. `threads` and the order of agents change no bit.
+    """Return the transforms and channel values of all agents for the clips that they play.
 
-    Raises KeyError for a transform group that does not exist, or that names a joint or channel that the rig does not have. Raises
-    IndexError for a clip or tree number out of range. Raises ValueError for arrays that do not match each other or the trees.
+    `with_local`: also return local transforms. `threads` and the order of agents change no bit. Raises KeyError for a transform
+    group that does not exist, or that names a joint or channel that the rig lacks. Raises IndexError for a clip or tree number
+    out of range. Raises ValueError for arrays that do not match each other or the trees.
     """
     _check_shapes(playing)
     n, joints = len(playing.tree), len(table.joint_order)
@@ -277,8 +278,9 @@ def _pass_single_input(input_layer: _BlendInput, rest: Pose) -> _BlendInput:
 
 
 def _compute_shares(weights: list[tuple[Floats, Floats]]) -> tuple[list[Floats], Floats, NDArray[np.bool_]]:
-    """Return shares that add up to 1, the mean coverage, and a mask of where there is no coverage. `weights`: pairs of a weight
-    and a coverage."""
+    """Return shares that add up to 1, the mean coverage, and a mask of where there is no coverage.
+
+    `weights`: pairs of a weight and a coverage."""
     products = [weight * presence for weight, presence in weights]
     total, weight_sum = products[0], weights[0][0]
     for each, (weight, _) in zip(products[1:], weights[1:], strict=True):

@@ -1,4 +1,4 @@
-"""Extents of bodies as they stand: in their idle clip, because a rest pose may have its arms spread."""
+"""Extents of standing bodies: in their idle clip, because a rest pose may have spread arms."""
 
 from __future__ import annotations
 
@@ -15,8 +15,9 @@ Corners = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 
 def standing_box(body: Definition, layer: Layer) -> Corners:
-    """Return the lowest and highest corners [3] of a layer at the start of the idle clip, in agent space: body lengths, front
-    +x, up +y. Without an idle clip it is the box in the rest pose."""
+    """Return the lowest and highest corners [3] of a layer at the start of the idle clip, in agent space.
+
+    Units are body lengths, with front +x and up +y. Without an idle clip, the rest pose is used."""
     own = replace(body, layers={layer.name: layer})
     if body.idle not in body.clips:
         return turn_box(body, compute_rest_box(own))
@@ -28,7 +29,7 @@ def standing_box(body: Definition, layer: Layer) -> Corners:
 
 
 def turn_box(body: Definition, box: Corners) -> Corners:
-    """Return a box of a definition's space in agent space."""
+    """Convert a box of a definition's space to agent space."""
     corners = np.array([[box[k >> axis & 1][axis] for axis in range(3)] for k in range(8)])
     turned = corners @ body.compute_base_matrix()[:3, :3].T
     return turned.min(axis=0), turned.max(axis=0)

@@ -1,9 +1,8 @@
-"""Bounding boxes of agents from the shapes of their collision layers, or of their current layers if there are no collision
-layers.
+"""Bounding boxes of agents, from the shapes of their collision layers, else from their current layers.
 
 A static shape's box is scaled by its binding's bounds scale and then transformed by its joint. A deforming shape's box is the
 scaled box of the positions of its captured joints (Houdini 20.5, Agent Primitives, Bounding Box). A deforming shape that follows
-a single joint moves as a static one does. Boxes are scaled about their centre, so the result does not depend on their position.
+a single joint moves like a static shape. Boxes are scaled about their centre, so the result does not depend on their position.
 """
 
 from __future__ import annotations
@@ -23,8 +22,9 @@ Floats = NDArray[Any]  # float32 or float64
 
 def compute_layer_boxes(definition: Definition, worlds: Floats, layers: Sequence[str]) -> tuple[Floats, Floats]:
     """Return the lowest and highest corners [n, 3] of agents with joint world matrices `worlds` [n, J, 4, 4], in the dtype of
-    `worlds`. Both corners are NaN for layers without a shape. Raises KeyError for a layer or a shape that the definition does not
-    have."""
+    `worlds`.
+
+    Both corners are NaN for layers without a shape. Raises KeyError for a layer or a shape that the definition lacks."""
     count = len(worlds)
     least = np.full((count, 3), np.inf, worlds.dtype)
     most = np.full((count, 3), -np.inf, worlds.dtype)
@@ -43,8 +43,10 @@ def compute_agent_boxes(
     definition: Definition, worlds: Floats, worn_layers: Sequence[tuple[str, ...]], collision_layers: Sequence[tuple[str, ...]],
     worn_indices: NDArray[np.integer], collision_indices: NDArray[np.integer],
 ) -> tuple[Floats, Floats]:  # fmt: skip
-    """Return boxes as `compute_layer_boxes` does, for agents with different layers. Agent i wears `current[wears[i]]` and
-    collides with `collision[collides[i]]`. Collision layers take precedence where an agent has any."""
+    """Return boxes as `compute_layer_boxes` does, for agents with different layers.
+
+    Agent i wears `current[wears[i]]` and collides with `collision[collides[i]]`. Collision layers take precedence if an agent has
+    any."""
     least = np.full((len(worlds), 3), np.nan, worlds.dtype)
     most = least.copy()
     for a, b in sorted(set(zip(worn_indices.tolist(), collision_indices.tolist(), strict=True))):
@@ -60,7 +62,7 @@ def _compute_binding_box(definition: Definition, binding: Binding, worlds: Float
     if shape.capture is not None and binding.deformer not in ("", "blendshape"):
         followed = _find_followed_joints(shape)
         chosen = [definition.rig.joint(shape.capture.names[number]) for number in followed]
-        if len(chosen) == 1:  # it moves with its joint as a static shape does
+        if len(chosen) == 1:  # a shape with one joint moves like a static shape
             return _transform_box(
                 _compute_shape_extent(definition, shape), scale, worlds[:, chosen[0]], shape.capture.inverse[followed[0]]
             )
@@ -92,7 +94,7 @@ def _transform_box(extent: tuple[Floats, Floats], scale: Floats, worlds: Floats,
         ]
         matrices = np.stack(columns, axis=-1)
     middle, half = _scale_box(extent, scale)
-    # the box of a rotated box: rotated centre; half widths times the absolute values of the matrix's entries
+    # box of a rotated box: rotated centre, and half widths times the absolute values of the matrix's entries
     turned = matrices[:, :3, 0] * middle[0] + matrices[:, :3, 1] * middle[1] + matrices[:, :3, 2] * middle[2] + matrices[:, :3, 3]
     size = np.abs(matrices[:, :3, :3])
     wide = size[:, :, 0] * half[0] + size[:, :, 1] * half[1] + size[:, :, 2] * half[2]
@@ -130,14 +132,16 @@ def _compute_shape_extent(definition: Definition, shape: Shape) -> tuple[NDArray
 
 
 def compute_rest_box(definition: Definition) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the box of the points of all shapes of all layers in the rest pose. It defines a body's length. Without shapes it is
-    the box of the joints."""
+    """Return the box of the points of all shapes of all layers in the rest pose. It defines a body's length.
+
+    Without shapes, return the box of the joints."""
     return posed_box(definition, compute_world_matrices(definition.rig.parents, definition.rig.rest))
 
 
 def posed_box(definition: Definition, world: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the box of the points of all shapes of all layers, with joint world matrices `world` [J, 4, 4]. Without shapes it
-    is the box of the joints."""
+    """Return the box of the points of all shapes of all layers, with joint world matrices `world` [J, 4, 4].
+
+    Without shapes, return the box of the joints."""
     point_sets = [world[:, :3, 3]]
     for layer in definition.layers.values():
         for binding in (*layer.static, *layer.deforming):

@@ -1,5 +1,4 @@
-"""Converts what agents play from the form of a file of agents, one list per agent: clip names, times, weights, groups and
-layers."""
+"""Converts what agents play from lists per agent, as in a file of agents: clip names, times, weights, groups and layers."""
 
 from __future__ import annotations
 
@@ -13,7 +12,7 @@ from antdsl.bodies.agents.blending import NO_PARENT, ClipPlayback, ClipTree
 from antdsl.bodies.agents.poses import REST_CLIP, ClipTable
 
 Numbers = NDArray[Any]
-_PADDING_INDEX = -2  # stands for a clip or layer that an agent does not have
+_PADDING_INDEX = -2  # marks a clip or layer that an agent does not have
 
 
 def build_playback(

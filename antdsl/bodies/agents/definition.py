@@ -17,8 +17,9 @@ _NON_NAME_CHARACTERS = re.compile(r"[^a-z0-9_]+")
 
 
 class BodyError(Exception):
-    """A problem with a body file. The message fits after the file's name, such as `has no meshes`. `code`: a diagnostic's code.
-    `help`: a correction."""
+    """Error for a problem with a body file. The message fits after the file's name, such as `has no meshes`.
+
+    `code`: a diagnostic's code. `help`: a correction."""
 
     def __init__(self, message: str, help: str | None = None, code: str = "bad-body") -> None:
         super().__init__(message)
@@ -77,7 +78,7 @@ class Rig:
 
 
 Floats = NDArray[np.float32]
-STATE_MATERIAL = "state"  # the material that has the colour of the agent's state
+STATE_MATERIAL = "state"  # the material with the colour of the agent's state
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -320,15 +321,16 @@ class Definition:
 
 
 def to_language_name(text: str) -> str:
-    """Return a name in lower-case letters, digits and `_` that begins with a letter. Each run of other characters becomes one
-    `_`."""
+    """Return a name in lower-case letters, digits and `_` that begins with a letter. Other characters become `_`, one for each
+    run."""
     name = _NON_NAME_CHARACTERS.sub("_", text.lower()).strip("_")
     return name if name[:1].isalpha() else f"n{name}"
 
 
 def map_language_names(names: Iterable[str]) -> dict[str, str]:
-    """Return the display name of each name. Names that are valid in the language do not change. If the display names of other
-    names collide, the later ones get `_2`, `_3` and so on."""
+    """Return the display name of each name. Names that are valid in the language do not change.
+
+    If the display names of other names collide, the later ones get `_2`, `_3` and so on."""
     names = list(names)
     translations = {name: name for name in names if to_language_name(name) == name}
     taken = set(translations)
@@ -344,8 +346,9 @@ def map_language_names(names: Iterable[str]) -> dict[str, str]:
 
 
 def use_language_names(body: Definition) -> Definition:
-    """Return the definition with the display names of its clips (also the idle clip), marks, layers and transform groups. Channel
-    names do not change, because clips and shapes refer to them."""
+    """Return the definition with the display names of its clips (also the idle clip), marks, layers and transform groups.
+
+    Channel names do not change, because clips and shapes refer to them."""
     clips, groups, layers = (map_language_names(each) for each in (body.clips, body.groups, body.layers))
     marked = {name: map_language_names(clip.marks) for name, clip in body.clips.items()}
     if all(name == own for each in (clips, groups, layers, *marked.values()) for name, own in each.items()):

@@ -29,11 +29,11 @@ _POINTS_PER_CHUNK = 1 << 15  # points per chunk, over all agents
 
 
 class Deformer(Protocol):
-    """A function that deforms a shape. Its arguments are the current shape, the library shape, the definition, and the poses of n
-    agents. It returns the shape for each agent, and does not modify its arguments.
+    """A function that deforms a shape.
 
-    The current shape of the first deformer is the library shape, shared by all agents (its n is 1). Deformers are called for
-    subsets of agents, so the result for one agent must not depend on the others.
+    Its arguments are the current shape, the library shape, the definition, and the poses of n agents. It returns the shape for
+    each agent, and does not modify its arguments. For the first deformer, the current shape is the library shape, shared by all
+    agents (n is 1). Deformers are called for subsets of agents, so the result for one agent must not depend on the others.
     """
 
     def __call__(self, deformed: DeformedShape, shape: Shape, definition: Definition, poses: Poses) -> DeformedShape: ...
@@ -69,10 +69,10 @@ def find_deformers(name: str) -> tuple[Deformer, ...]:
 
 
 def deform_binding(definition: Definition, binding: Binding, poses: Poses) -> DeformedShape:
-    """Return the shape of a binding for each of n agents, deformed, in agent space. A shape with points that follow no joints
-    moves with the binding's joint.
+    """Return the shape of a binding for each of n agents, deformed, in agent space.
 
-    Raises KeyError for a missing shape, joint or deformer, and the errors of its deformers.
+    A shape with points that follow no joints moves with the binding's joint. Raises KeyError for a missing shape, joint or
+    deformer, and the errors of its deformers.
     """
     shape = definition.shapes[binding.shape]
     n = len(poses.world)

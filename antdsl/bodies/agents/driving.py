@@ -32,7 +32,7 @@ class DrivenPose:
 
 
 def set_pose_channels(table: ClipTable, poses: Poses, channels: Mapping[str, Floats]) -> Poses:
-    """Return poses in which the given channel values are set where finite. Channels that the rig does not have are ignored."""
+    """Return poses with the given channel values set where they are finite. Channels that the rig lacks are ignored."""
     names = {
         language_name: k for k, language_name in enumerate(map_language_names(each.name for each in table.rig.channels).values())
     }
@@ -71,8 +71,9 @@ def turn_towards_looks(
 
 
 def iterate_look_shares(rig: Rig, group: TransformGroup) -> Iterator[tuple[int, float]]:
-    """Yield the joints of a group by number, each with its share of the group's look rotation. The share is the joint's weight,
-    limited to the remainder that its ancestors leave."""
+    """Yield the joints of a group by number, each with its share of the group's look rotation.
+
+    The share is the joint's weight, limited to the remainder that its ancestors leave."""
     left = np.ones(len(rig.names))
     for joint, weight in sorted((rig.joint(member), weight) for member, weight in group.members):
         share = min(weight, float(left[joint]))
@@ -89,7 +90,8 @@ def _compute_shortest_rotation(direction: Sequence[Floats], ahead: Floats) -> Fl
         y * direction[2] - z * direction[1], z * direction[0] - x * direction[2], x * direction[1] - y * direction[0],
         1 + ((direction[0] * x + direction[1] * y) + direction[2] * z),
     ]).astype(np.float32)  # fmt: skip
-    quaternions[:, quaternions[3] < 1e-6] = np.array([[0], [0], [0], [1]], np.float32)  # straight back: no unique rotation
+    # opposite directions have no unique rotation
+    quaternions[:, quaternions[3] < 1e-6] = np.array([[0], [0], [0], [1]], np.float32)
     return np.ascontiguousarray(normalise_quaternions(quaternions).T)
 
 

@@ -21,9 +21,9 @@ from antdsl.bodies.agents.machine_clips import MachineClips, PlayedClip
 from antdsl.bodies.agents.poses import Poses
 
 MAX_LEG_EXTENSION = 0.9995  # share of the length of both bones; in a completely straight leg the knee would have no direction
-_FOLDED_LEG_FACTOR = 1.02  # times the length difference of both bones
-_MAX_TRUNK_SINK = 0.25  # in leg lengths: how far a trunk is lowered at most, so that standing feet are in reach
-_MIN_KNEE_SINE = 1e-3  # sine of the knee angle below which the knee does not define a plane
+_FOLDED_LEG_FACTOR = 1.02  # factor of the length difference of both bones
+_MAX_TRUNK_SINK = 0.25  # leg lengths; maximum lowering of a trunk, so that standing feet are in reach
+_MIN_KNEE_SINE = 1e-3  # sine of the knee angle; below it, the knee does not define a plane
 LEG_BENDING_LIMITS = {
     "straight": MAX_LEG_EXTENSION,
     "folded": _FOLDED_LEG_FACTOR,
@@ -98,7 +98,7 @@ class LegSolver:
         base = body.compute_base_matrix()[:3, :3] * body.length
         self._base_rotation, self._length = base.astype(np.float32), np.float32(body.length)
         self._up_axis = base[1].astype(np.float32)
-        self._standing_positions = (standing @ base * body.length).T.astype(np.float32)  # (3, J), axes of the definition
+        self._standing_positions = (standing @ base * body.length).T.astype(np.float32)  # shape (3, J), axes of the definition
         self._front_axis = base[0].astype(np.float32)
         legs = np.zeros(len(body.rig.names), np.bool_)
         for each in self._chains:
@@ -126,8 +126,9 @@ class LegSolver:
     def compute_stance_weights(
         self, clips: Sequence[tuple[str, str] | PlayedClip], machines: Sequence[MachineClips], count: int
     ) -> Floats:
-        """Return how strongly the feet of `count` agents are placed on the ground, float32[n] from 0 to 1. Clips that do not
-        place feet reduce it, according to their layers and weights in the pose."""
+        """Return how strongly the feet of `count` agents are placed on the ground, float32[n] from 0 to 1.
+
+        Clips that do not place feet reduce it, according to their layers and weights in the pose."""
         stands = np.ones(count, np.float32)
         played = [PlayedClip(*each) for each in clips]
         free = np.array([each.clip in self._clips_without_feet for each in played] + [False])
@@ -147,7 +148,9 @@ class LegSolver:
 
     def bend_legs(self, poses: Poses, feet: BodySpaceFeet, stance_weights: Floats) -> Poses:
         """Return poses with the feet at their targets, weighted by `stance_weights` [n], and with trunks moved by `rise` and
-        `tilt`. `local` is None."""
+        `tilt`.
+
+        `local` is None."""
         world = np.array(poses.world.transpose(2, 3, 1, 0), np.float32, order="C")
         goals = self._compute_foot_goals(feet)
         self._lower_bodies(world, goals, feet.down, stance_weights)

@@ -1,5 +1,6 @@
-"""Converts what the state machines of agents play to a tree of clip layers. Each machine has one layer, over those of the
-machines before it."""
+"""Converts the clips that the state machines of agents play to a tree of clip layers.
+
+Each machine has one layer, above the layers of the machines before it."""
 
 from __future__ import annotations
 
@@ -76,8 +77,10 @@ class PlayedClip(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _ClipSlot:
-    """A clip of each agent. `machine`: the number of its machine. `is_additive`: whether the clip is additive. The arrays: its
-    row among the clips, its times, weights and groups."""
+    """A clip of each agent.
+
+    `machine`: the number of its machine. `is_additive`: whether the clip is additive. The arrays: its row among the clips, its
+    times, weights and groups."""
 
     machine: int
     is_additive: bool
@@ -157,8 +160,9 @@ def _iterate_slots(
 
 
 def _iterate_lean_shares(numbers: NDArray[np.int32], lean: Floats | None) -> Iterator[Floats | None]:
-    """Yield the share of each agent's clip and of its variants to the left, to the right, up and down, [n] each. For a variant
-    that no agent uses, yield None."""
+    """Yield the share of each agent's clip and of its variants to the left, to the right, up and down, [n] each.
+
+    For a variant that no agent uses, yield None."""
     ones = np.ones(len(numbers), np.float32)
     if lean is None or not (numbers[:, 1:] != REST_CLIP).any():
         yield ones

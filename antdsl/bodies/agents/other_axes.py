@@ -16,8 +16,9 @@ Floats = NDArray[np.float64]
 
 def convert_axes(body: Definition, front: AxisVector, up: AxisVector, unit: float) -> Definition:
     """Return the definition with other forward and upward axes (both coordinate axes), and `unit` millimetres per unit of length.
-    All local spaces are transformed alike. So joints keep their names, and posed points their positions in a scene, up to the
-    last digits of float32."""
+
+    All local spaces are transformed in the same way. So joints keep their names, and posed points their positions in a scene, up
+    to the last digits of float32."""
     turn = _build_axis_frame(front, up) @ _build_axis_frame(body.front, body.up).T
     size = body.unit / unit
     if size == 1.0 and (turn == np.eye(3)).all():
@@ -62,7 +63,7 @@ def _convert_clip(clip: Clip, rotation: Floats, inverse_rotation: Floats) -> Cli
     )
     move, _, scale, shear = decompose_matrix(new_matrices)
     axis = rotation[:3, :3] / np.abs(np.linalg.det(rotation[:3, :3])) ** (1 / 3)
-    # only the axis of a rotation changes, not its angle, so signs stay continuous over samples
+    # only the axis of a rotation changes, not its angle, so that signs stay continuous over samples
     turn = np.concatenate([clip.rotation[..., :3] @ axis.T, clip.rotation[..., 3:]], axis=-1)
     return replace(
         clip, translation=move.astype(np.float32), rotation=turn.astype(np.float32), scale=scale.astype(np.float32),

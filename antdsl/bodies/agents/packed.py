@@ -109,9 +109,10 @@ def hash_definition(body: Definition) -> str:
 
 
 def unpack_definition(arrays: Mapping[str, NDArray[Any]]) -> Definition:
-    """Return the definition that `pack_definition` stored in these arrays. Raises BodyError for damaged arrays: none of their
-    content is trusted. Every range, type, shape and index is checked. Names by which one part refers to another are not checked
-    here, but by `body_arrays.unpack_checked_definition` of caches."""
+    """Return the definition that `pack_definition` stored in these arrays.
+
+    Raises BodyError for damaged arrays: none of their content is trusted. Every range, type, shape and index is checked. Names by
+    which parts refer to each other are not checked here, but by `body_arrays.unpack_checked_definition` of caches."""
     try:
         definition = _read_definition(arrays)
         _check_bounds(definition)

@@ -3,11 +3,11 @@ transforms.
 
 The table has one row per sample, so that one gather reads the samples of all agents.
 
-Between two samples, translations, scales, shears and channels are interpolated linearly. Rotations are too, along the shorter
-path, and are then normalised (nlerp). Nlerp needs no sine, so all processors give the same bits. Only nlerp can also blend many
-clips without an order among them. Slerp works for two rotations only, but turns at a constant speed. For samples 10 degrees apart
-the two differ by at most 0.0013 degrees, for 90 degrees by 0.92. A reader of keys that are far apart therefore samples them by
-slerp.
+Between two samples, translations, scales, shears and channels are interpolated linearly. Rotations are interpolated linearly
+along the shorter path, and then normalised (nlerp). Nlerp needs no sine, so all processors give the same bits. Only nlerp can
+also blend many clips without an order among them. Slerp works for two rotations only, but turns at a constant speed. For samples
+10 degrees apart the two differ by at most 0.0013 degrees, for 90 degrees by 0.92. A reader of keys that are far apart therefore
+samples them by slerp.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from antdsl.bodies.agents.affine import (
 )
 from antdsl.bodies.agents.definition import Clip, Definition, Rig, TransformGroup
 
-REST_CLIP = -1  # stands for no clip: the rest pose and the default channel values
+REST_CLIP = -1  # no clip: the rest pose and the default channel values
 
 
 @dataclass(slots=True, eq=False)
@@ -107,16 +107,20 @@ def compute_transforms(table: ClipTable, pose: Pose) -> tuple[Floats, Floats]:
 
 
 def to_world_transforms(table: ClipTable, local: Floats) -> Floats:
-    """Return world transforms float32[n, J, 3, 4] of local ones, joints in the order of the rig. Use this for transforms that do
-    not come from a clip, such as legs after inverse kinematics or a head that looks at a point."""
+    """Return world transforms float32[n, J, 3, 4] of local ones, joints in the order of the rig.
+
+    Use this for transforms that do not come from a clip, such as legs after inverse kinematics or a head that looks at a
+    point."""
     world = np.empty((3, 4, local.shape[1], len(local)), np.float32)
     world[:, :, table.joint_order] = _compute_world_matrices(table, local.transpose(2, 3, 1, 0)[:, :, table.joint_order])
     return world.transpose(3, 2, 0, 1)
 
 
 def to_local_transforms(table: ClipTable, world: Floats) -> Floats:
-    """Return local transforms float32[n, J, 3, 4] of world transforms, joints in the order of the rig. A local transform is the
-    inverse of the parent's world transform times the joint's own. Below a parent with scale 0, the local transforms are lost."""
+    """Return local transforms float32[n, J, 3, 4] of world transforms, joints in the order of the rig.
+
+    A local transform is the inverse of the parent's world transform times the joint's own. Below a parent with scale 0, the local
+    transforms are lost."""
     placed = world.transpose(2, 3, 1, 0)
     local = np.array(placed, np.float32)
     children = np.flatnonzero(np.asarray(table.rig.parents) >= 0)
@@ -138,8 +142,9 @@ def to_square_matrices(matrices: Floats) -> Floats:
 
 
 def _compute_world_matrices(table: ClipTable, local: Floats) -> Floats:
-    """Return world matrices [3, 4, J, n] of local ones, joints in the order of the table. Computed by depth of the rig: the world
-    matrix of a joint is that of its parent times its local matrix."""
+    """Return world matrices [3, 4, J, n] of local ones, joints in the order of the table.
+
+    They are computed by depth of the rig: the world matrix of a joint is its parent's world matrix times its local matrix."""
     world = np.empty(local.shape, np.float32)
     for begin, end, parents in table.depth_levels:
         if not len(parents):
@@ -229,9 +234,10 @@ class ClipTable:
 
 
 def build_clip_table(definition: Definition) -> ClipTable:
-    """Return the table of a definition's clips. Joints and channels of clips that the rig does not have are left out, because
-    clips are shared between rigs. Raises ValueError if arrays of a clip do not match each other, or if the rig's tree has a
-    cycle."""
+    """Return the table of a definition's clips.
+
+    Joints and channels of clips that the rig lacks are omitted, because clips are shared between rigs. Raises ValueError if
+    arrays of a clip do not match each other, or if the rig's tree has a cycle."""
     rig = definition.rig
     order, levels = _order_by_depth(rig)
     clips = tuple(definition.clips.values())
@@ -310,9 +316,10 @@ def _build_clip_rows(
 
 
 def _align_signs(rotation: NDArray[np.float64], rest: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return quaternions [4, F, J] as [F, 4, J] with continuous signs. Each sample has the sign nearest to the previous sample,
-    the first the sign nearest to `rest` [4, J]. Interpolation then takes the shorter path without a test, and signs seldom change
-    between clips."""
+    """Return quaternions [4, F, J] as [F, 4, J] with continuous signs.
+
+    Each sample has the sign nearest to the previous sample, the first the sign nearest to `rest` [4, J]. Interpolation then takes
+    the shorter path without a test, and signs seldom change between clips."""
     previous_rotation = np.concatenate([rest[:, None], rotation[:, :-1]], 1)
     near = previous_rotation * rotation
     dots = ((near[0] + near[1]) + near[2]) + near[3]

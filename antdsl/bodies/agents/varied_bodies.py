@@ -31,8 +31,10 @@ class VariationDraws:
 def scale_groups(
     table: ClipTable, poses: Poses, variation: Variation, groups: Mapping[str, TransformGroup], draws: VariationDraws | None
 ) -> Poses:
-    """Return poses with each transform group scaled to its agent's size. The uppermost joints of the group are scaled about their
-    own positions, together with their descendants, in proportion to their weights."""
+    """Return poses with each transform group scaled to its agent's size.
+
+    The uppermost joints of the group are scaled about their own positions, together with their descendants, in proportion to
+    their weights."""
     if draws is None or not variation.scales or not len(draws.ids):
         return poses
     world = np.array(poses.world, np.float32)
@@ -65,8 +67,8 @@ def iterate_scale_pivots(rig: Rig, group: TransformGroup) -> Iterator[tuple[int,
 
 
 def draw_colour_position(variation: Variation, material: str, draws: VariationDraws) -> Floats:
-    """Return the position of each agent's material on the path through its colours, counted from 0 at the first colour,
-    float32[n]."""
+    """Return the position of each agent's material on the path through its colours, float32[n]. It counts from 0 at the first
+    colour."""
     return draws.of(f"material {material}") * np.float32(len(variation.materials[material]) - 1)
 
 

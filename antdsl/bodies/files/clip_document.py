@@ -23,8 +23,10 @@ _IDENTITY_PARTS = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0)
 
 
 def build_clip(form: ClipForm, root: Node, report: Report, rig: Rig | None = None) -> Clip | None:
-    """Return a clip, or None if it has mistakes. Parts of a joint that the text leaves out are taken from the rig's rest pose,
-    without a rig from the identity transform. Joints that the rig does not have are reported and left out."""
+    """Return a clip, or None if it has mistakes.
+
+    Parts of a joint that the text omits are taken from the rig's rest pose, or from the identity transform if there is no rig.
+    Joints that the rig lacks are reported and omitted."""
     findings = Report()
     samples = max(len(each) for each in form.channels.values())
     joints, numbers = _split_channels(form, root, findings, rig)
@@ -99,8 +101,7 @@ def _compute_rest_parts(joints: tuple[str, ...], rig: Rig | None) -> Floats:
 
 
 def write_clip(clip: Clip) -> str:
-    """Return a clip as text. Rotations are in degrees about x, then y, then z, unwrapped so that they have no jumps of 360
-    degrees."""
+    """Return a clip as text. Rotations are in degrees about x, then y, then z, without jumps of 360 degrees."""
     channels: dict[str, Any] = {}
     angles = np.unwrap(quaternion_to_angles(clip.rotation.astype(np.float64)), axis=0) * (180 / np.pi)
     columns = [clip.translation, angles, clip.scale, *(() if clip.shear is None else (clip.shear,))]

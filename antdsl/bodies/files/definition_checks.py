@@ -1,4 +1,5 @@
-"""Checks that need the complete definition: that named parts exist, and that deformers, legs and gaits have all their inputs.
+"""Checks that need the complete definition: named parts exist, and deformers, legs and gaits have all their inputs.
+
 Also measures the length of the body."""
 
 from __future__ import annotations

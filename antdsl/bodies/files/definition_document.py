@@ -1,5 +1,6 @@
-"""A definition file: antdsl's own JSON that names the parts of an agent definition. Each part is inline in its documented form,
-or `{"file": "rig.json"}`, a path below the file's folder or a granted root."""
+"""A definition file: antdsl's own JSON that names the parts of an agent definition.
+
+Each part is inline in its documented form, or `{"file": "rig.json"}`, a path below the file's folder or a granted root."""
 
 from __future__ import annotations
 
@@ -27,7 +28,7 @@ from antdsl.bodies.files.shape_references import read_includes, read_shapes
 from antdsl.diagnostics import Label, Report
 from antdsl.source import Span
 
-# The keys of parts that may be in separate files, and what a part is.
+# The keys of parts that may be in separate files, with the kind of the part.
 _PART_DESCRIPTIONS = {"rig": "a rig", "metadata": "metadata", "layers": "a layer", "groups": "a transform group"}
 
 

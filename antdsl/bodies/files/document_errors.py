@@ -46,7 +46,7 @@ def read_form(form: type[F], root: Node, report: Report) -> F | None:
             return form.model_validate(tree)
         except ValidationError as problem:
             errors = problem.errors(include_url=False, include_input=False)
-        errors.sort(key=lambda error: _is_ignorable(form, error))  # each round then ends with an error or removes all warnings
+        errors.sort(key=lambda error: _is_ignorable(form, error))  # so that each pass ends with an error, or removes all warnings
         diagnostics = [_diagnose(form, root, error) for error in drop_consequent_errors(errors[:_MAX_ERRORS])]
         report.extend(diagnostics)
         if any(diagnostic.severity == "error" for diagnostic in diagnostics):

@@ -35,7 +35,7 @@ def read_gltf(
     `rate`: approximate samples per second of animations; it is adjusted so that each animation ends on a sample.
     `pose`: its joints' rest pose applies where an animation has no keys; other joints have the rest pose of the file.
     """
-    with np.errstate(all="ignore"):  # values that are not finite are reported where they are detected
+    with np.errstate(all="ignore"):  # values that are not finite are reported where they are used
         try:
             return _read_definition(data, name, read_sibling, rate, pose)
         except GltfError as why:

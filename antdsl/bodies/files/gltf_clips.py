@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 _EXPORT_HELP = "export it again, as glTF 2.0"
 EXTRAS_KEY = "antdsl"  # the key in `extras` of settings that glTF cannot express
-_RATE_TOLERANCE = 1e-6  # relative tolerance of a rate, for the float32 rounding of key times
+_RATE_TOLERANCE = 1e-6  # relative tolerance of a rate, because key times are rounded to float32
 _WIDTH_BY_PATH = {"translation": 3, "rotation": 4, "scale": 3}
 
 
@@ -90,7 +90,7 @@ def _read_clip(
     settings = None if own is None else read_settings(own, "extras", name)
     exact_rate = settings.rate if settings is not None and settings.rate is not None else 0.0
     times, rate = compute_even_times(seconds, exact_rate or rate)
-    if exact_rate and abs(rate - exact_rate) <= _RATE_TOLERANCE * rate:  # float32 key times are not exact to the last bit
+    if exact_rate and abs(rate - exact_rate) <= _RATE_TOLERANCE * rate:  # key times in float32 are not exact to the last bit
         rate = exact_rate
         times = np.arange(len(times)) / rate
     size = len(times) * (len(moved) * 13 + len(shares)) * 8
@@ -131,8 +131,9 @@ def apply_settings(clip: Clip, settings: AnimationSettings) -> Clip:
 
 
 def read_settings(settings: Any, holder: str, name: str) -> AnimationSettings:
-    """Return the settings of a clip called `name`. `holder`: the location of the settings, `extras` in glTF or `customData` in
-    USD. Raises BodyError for wrong values."""
+    """Return the settings of a clip called `name`. Raises BodyError for wrong values.
+
+    `holder`: the location of the settings, `extras` in glTF or `customData` in USD."""
     from pydantic import ValidationError  # imported late, because most files have no such settings
 
     from antdsl.bodies.files.document_model import AnimationSettings

@@ -32,7 +32,7 @@ def with_extras(body: Definition, extras: Any) -> Definition:
     settings = extras.get(EXTRAS_KEY) if isinstance(extras, dict) else None
     if settings is None:
         return replace(body, length=0.0)
-    from pydantic import ValidationError  # late, as what follows: most files have no such settings
+    from pydantic import ValidationError  # imported late, because most files have no such settings
 
     from antdsl.bodies.files.document_model import BodySettings
     from antdsl.bodies.files.documents import build_capsule, build_gaits, build_legs

@@ -24,7 +24,7 @@ from antdsl.scene.geometry.gltf_file import (
 )
 
 Floats = NDArray[np.float64]
-_UNIT_LENGTH_TOLERANCE = 1e-6  # tolerance of the length 1 of normals; normals stored as integers are slightly longer or shorter
+_UNIT_LENGTH_TOLERANCE = 1e-6  # tolerance of the length 1 of normals; normals stored as integers deviate slightly
 _EXPORT_HELP = "export it again, as glTF 2.0"
 
 
@@ -58,8 +58,9 @@ def make_unused_name(name: str, taken: Iterable[str]) -> str:
 
 @dataclass(slots=True)
 class _MeshPieces:
-    """The primitives of a mesh in sequence. Primitives with identical points store them once. `of`: for each primitive, the index
-    of its points."""
+    """The primitives of a mesh in sequence. Primitives with identical points store them once.
+
+    `of`: for each primitive, the index of its points."""
 
     known: dict[str, int] = field(default_factory=dict)
     of: list[int] = field(default_factory=list)
@@ -182,8 +183,9 @@ def _vertex_colours(file: GltfDocument, attributes: dict[str, Any], count: int) 
 
 
 def _point_colours(body: GltfBody, pieces: _MeshPieces, counts: list[int]) -> NDArray[np.float32] | None:
-    """Return the linear colours of all points, float32[P, 3], without the base colours of materials. Return None if no piece has
-    vertex colours or a texture. Points that several materials share have the texture of the first."""
+    """Return the linear colours of all points, float32[P, 3], without the base colours of materials.
+
+    Return None if no piece has vertex colours or a texture. Points that several materials share have the texture of the first."""
     file, known, is_coloured = body.file, body.file.get_top_list("materials"), False
     colours = []
     for number, count in enumerate(counts):
@@ -265,9 +267,10 @@ def _read_capture(body: GltfBody, pieces: _MeshPieces, skin: dict[str, Any], nam
 def normalise_capture(
     joints: NDArray[np.int64], weights: Floats, count: int
 ) -> tuple[NDArray[np.int32], NDArray[np.float32], int]:
-    """Return joints int32[P, K], weights float32[P, K] that add up to 1, and the number of points that followed no joint. Unused
-    columns are removed. Points without a joint then follow joint 0. `count`: number of joints. Raises BodyError for a joint
-    number out of range."""
+    """Return joints int32[P, K], weights float32[P, K] that add up to 1, and the number of points that followed no joint.
+
+    Unused columns are removed. Points without a joint then follow joint 0. `count`: number of joints. Raises BodyError for a
+    joint number out of range."""
     used = weights > 0
     if len(joints) and used.any() and (joints[used].min() < 0 or joints[used].max() >= count):
         raise BodyError(f"has a point that follows a joint which is not among the {count} of its skin", _EXPORT_HELP)
@@ -280,8 +283,9 @@ def normalise_capture(
 
 
 def build_rigid_capture(joint: str, points: int) -> Capture:
-    """Return a capture in which all points follow one joint and are in the space of that joint. With it, a blended shape moves
-    with the joint."""
+    """Return a capture in which all points follow one joint and are in the space of that joint.
+
+    With it, a blended shape moves with the joint."""
     return Capture((joint,), np.zeros((points, 1), np.int32), np.ones((points, 1), np.float32), np.eye(4)[None])
 
 

@@ -22,7 +22,7 @@ _CLAMP, _MIRROR = 33071, 33648
 
 
 class TextureError(Exception):
-    """Error for a texture that is not read. The message says why."""
+    """Error for a texture that cannot be read. The message is the reason."""
 
 
 @dataclass(slots=True)
@@ -93,7 +93,7 @@ def _transform(file: GltfDocument, info: dict[str, Any], uvs: Floats) -> Floats:
 
 
 def _wrap(values: Floats, mode: Any) -> Floats:
-    """Return texture coordinates from 0 to 1 by a sampler's mode; the default repeats the texture."""
+    """Return texture coordinates in the range 0 to 1, wrapped by a sampler's mode. The default repeats the texture."""
     if mode == _CLAMP:
         return np.clip(values, 0.0, 1.0)
     if mode == _MIRROR:

@@ -166,16 +166,17 @@ class ShapeParts:
 
 
 class MorphTargets:
-    """The morph targets of a blend shape, and their weights at given channel values. A target is the difference of an input, or
-    of an in-between, from the base. glTF adds targets linearly. An in-between is a separate target, weighted by its share in
-    `blend_shapes`."""
+    """The morph targets of a blend shape, and their weights at given channel values.
+
+    A target is the difference of an input, or of an in-between, from the base. glTF adds targets linearly. An in-between is a
+    separate target, weighted by its share in `blend_shapes`."""
 
     def __init__(self, body: Definition, shape: Shape) -> None:
         assert shape.blend is not None
         self.names: list[str] = []
         self.offsets: list[tuple[NDArray[np.float32], NDArray[np.float32] | None]] = []
-        self._inputs: list[tuple[int, NDArray[np.float64]]] = []  # channel, weights of its shapes
-        self.is_one_per_channel = True  # exactly one target per channel
+        self._inputs: list[tuple[int, NDArray[np.float64]]] = []  # channel, and weights of its shapes
+        self.is_one_per_channel = True  # whether there is exactly one target per channel
         for name, channel in zip(shape.blend.shapes, shape.blend.channels, strict=True):
             targets, knots = find_blend_knots(body, name)
             self._inputs.append((body.rig.find_channel(channel), knots))

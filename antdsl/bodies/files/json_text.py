@@ -1,6 +1,7 @@
-"""Parses JSON text to a tree in which each value has its location. The format is RFC 8259, but comments (`//`, `/* */`) and a
-comma after the last value are ignored, because users write them. Depth and number of values are checked against limits during
-parsing."""
+"""Parses JSON text to a tree in which each value has its location.
+
+The format is RFC 8259. Comments (`//`, `/* */`) and a comma after the last value are ignored, because users write them. Depth and
+number of values are checked against limits during parsing."""
 
 from __future__ import annotations
 
@@ -115,7 +116,7 @@ def report_unknown(report: Report, span: Span | None, what: str, name: str, know
 
 
 class _SyntaxAborted(Exception):
-    """Reading cannot continue. The finding is already in the report."""
+    """Error that ends reading. The finding is already in the report."""
 
 
 _SPACE_PATTERN = re.compile(r"(?:[ \t\r\n]+|//[^\n]*|/\*(?:[^*]|\*(?!/))*+\*/)*+")
@@ -126,7 +127,7 @@ _WORD_PATTERN = re.compile(r"[A-Za-z0-9_.+'\-]{1,40}")
 _LONE_SURROGATE_PATTERN = re.compile("[\ud800-\udfff]")
 _VALUE_BY_WORD: dict[str, bool | None] = {"true": True, "false": False, "null": None}
 _MAX_MAGNITUDE = 1.7e308
-_MAX_DIGITS = 400  # most characters of a number
+_MAX_DIGITS = 400  # maximum number of characters in a number
 _NON_FINITE_WORDS = frozenset(
     ("nan", "inf", "infinity", "-nan", "-inf", "-infinity", "+inf", "+infinity", "1.#inf", "1.#qnan", "-1.#ind")
 )
@@ -223,7 +224,7 @@ class _Reader:
         inside = inside.removesuffix(",") if inside != "," else inside
         try:
             values = json.loads(f"[{inside}]")
-        except ValueError:  # repeated commas, an invalid number, or a number with thousands of digits
+        except ValueError:  # repeated commas, an invalid number, or a number with thousands separators
             return None
         if not all(-_MAX_MAGNITUDE <= each <= _MAX_MAGNITUDE for each in values):
             return None

@@ -23,7 +23,7 @@ GLTF_ENDINGS, USD_ENDINGS, MESH_ENDINGS = ("glb", "gltf"), ("usd", "usda", "usdc
 DEFAULT_SAMPLE_RATE = 30.0  # samples per second of animations, if the file has no rate
 _ROOT_PREFIX_PATTERN = re.compile("[A-Za-z][A-Za-z0-9_]{1,31}:")
 _VARIABLE_PATTERN = re.compile(r"\$(?:\{([A-Za-z][A-Za-z0-9_]*)\}|([A-Za-z][A-Za-z0-9_]*))/(.*)", re.DOTALL)
-# Formats of other programs that cannot be read, and what to do instead.
+# Formats of other programs that cannot be read, with alternatives.
 _HELP_BY_CLOSED_FORMAT = {
     "bclip": "its format is not published: export the clip as glTF or USD, or write it as a clip in JSON",
     "clip": "it is a channel file of Houdini: export the clip as glTF or USD, or write it as a clip in JSON",
@@ -158,9 +158,10 @@ class BodyFiles:
         return read_usd(roots, text, prim, name, rate)
 
     def resolve_library(self, condensed: str, absolute: str) -> str:
-        """Return the path of a shape library that is named twice. The condensed path (`$HIP/shapes.glb`, `$JOB/…`, or relative)
-        is searched below the definition's folder or a granted root. The absolute path is used only if a granted root contains it.
-        Raises PathRefused if neither can be used."""
+        """Return the path of a shape library that is named twice. Raises PathRefused if neither path can be used.
+
+        The condensed path (`$HIP/shapes.glb`, `$JOB/…`, or relative) is searched below the definition's folder or a granted root.
+        The absolute path is used only if a granted root contains it."""
         match = _VARIABLE_PATTERN.fullmatch(condensed)
         path = condensed
         if match:

@@ -1,4 +1,4 @@
-"""Reads an agent definition from a definition file in JSON, a glTF file or a USD file. All agents of a kind share the definition.
+"""Reads an agent definition, which all agents of a kind share, from a JSON definition file, a glTF file or a USD file.
 
 Definitions are cached as long as their files stay the same, because a preview opens its scene at every edit.
 """
@@ -74,8 +74,9 @@ _definition_cache: OrderedDict[tuple[object, ...], CachedDefinition] = OrderedDi
 
 
 def load_definition(text: str, roots: Roots, place: Span) -> tuple[Definition | None, Report]:
-    """Return the result of `read_definition` for a path in a scene, with names in the spelling of the language. A definition that
-    was read without findings is cached."""
+    """Return the result of `read_definition` for a path in a scene, with names in the spelling of the language.
+
+    A definition that was read without findings is cached."""
     key = (text, str(roots.folder), *((name, str(folder)) for name, folder in sorted(roots.granted.items())))
     known = _definition_cache.get(key)
     if known is not None and all(_compute_stamp(path, root) == stamp for path, (root, stamp) in known.files.items()):

@@ -83,8 +83,9 @@ def _get_file_stem(path: str) -> str:
 def load_shapes(
     files: BodyFiles, path: str, place: Span, materials: Colours, name: str, prim: str | None = None
 ) -> Mapping[str, Shape]:
-    """Return the shapes of a file by name. A glTF file gives all its shapes, a USD file those at and below `prim`. A mesh file
-    gives one shape, called `name`."""
+    """Return the shapes of a file by name.
+
+    A glTF file gives all its shapes, a USD file those at and below `prim`. A mesh file gives one shape, called `name`."""
     kind = get_file_ending(path)
     if files.is_closed_format(path, place):
         return {}

@@ -48,8 +48,10 @@ class _Skeleton:
 
 @wrap_refusals
 def read_body(request: ReaderMessage) -> ReaderAnswer:
-    """Return the arrays that `pack_definition` makes of the definition. Also return `left_out`, sentences about the parts of the
-    file that are not read, and `settings`, JSON of the custom data of clips by their names."""
+    """Return the arrays that `pack_definition` makes of the definition.
+
+    Also return `left_out`, sentences about the parts of the file that are not read, and `settings`, JSON of the custom data of
+    clips by their names."""
     said = request.document
     try:
         definition, body = _read_definition(open_stage(request), str(said["prim"]), str(said["name"]), float(said["rate"]))

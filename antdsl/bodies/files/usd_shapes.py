@@ -230,7 +230,7 @@ def _read_blend_shapes(body: UsdBody, shape: Shape, prim: Any, points: Floats, s
 def _add_blend_target(
     body: UsdBody, shape: Shape, name: str, source: Integers, points: Floats, rows: Integers, offsets: Any, normal_offsets: Any
 ) -> str:
-    """Add a copy of a shape with some points moved by offsets, and return its name."""
+    """Add a copy of a shape with some points moved by offsets. Return its name."""
     _count_points(body, len(source))
     moves = _to_rows(offsets, 3)
     right = len(moves) == len(rows) and (not len(rows) or (rows.min() >= 0 and rows.max() < len(points)))

@@ -29,7 +29,7 @@ from antdsl.scene.scene_model import UNIT_MM
 
 SHAPES_FILE_NAME = "shapes.glb"
 FRONT, UP, METRE = (0.0, 0.0, 1.0), (0.0, 1.0, 0.0), 1000.0
-_DEFAULT_COLOUR = (0.3, 0.3, 0.3)  # colour of materials that have the colour of an agent's state, because a file has no agents
+_DEFAULT_COLOUR = (0.3, 0.3, 0.3)  # for materials with the colour of an agent's state, because a file contains no agents
 _IDENTITY_TRANSFORM: dict[str, tuple[float, ...]] = {"translation": (0, 0, 0), "rotation": (0, 0, 0, 1), "scale": (1, 1, 1)}
 
 
@@ -136,14 +136,14 @@ def _build_shape_reference(body: Definition, shape: Shape, path: str) -> dict[st
 
 
 def _has_lone_material(body: Definition, shape: Shape) -> bool:
-    """Return whether a shape has exactly one material, and this material has no colour, such as `state`. glTF would give it a
-    colour, so the reference names the material."""
+    """Return whether a shape has exactly one material and this material has no colour, such as `state`.
+
+    glTF would give it a colour, so the reference names the material."""
     return len(shape.materials) == 1 and shape.materials[0] not in body.materials
 
 
 def _add_explicit_shear(body: Definition, clip: Clip) -> Clip:
-    """Return a clip with explicit shear if the rest pose has shear. Otherwise a reader would take the shear from the rest
-    pose."""
+    """Return a clip with explicit shear if the rest pose has shear. Otherwise a reader would use the shear of the rest pose."""
     if clip.shear is not None or np.abs(decompose_matrix(body.rig.rest)[3]).max(initial=0.0) < 1e-9:
         return clip
     return replace(clip, shear=np.zeros_like(clip.translation))
@@ -227,8 +227,9 @@ class _GltfParts:
         return self.writer.add_part("materials", {"name": name, "pbrMetallicRoughness": pbr})
 
     def _add_binding(self, binding: Binding) -> None:
-        """Write a mesh. A skinned mesh becomes a node next to the joints. Any other mesh is attached to its joint's node, or to a
-        child of it if that node already has a mesh."""
+        """Write a mesh. A skinned mesh becomes a node next to the joints.
+
+        Any other mesh is attached to its joint's node, or to a child of it if that node already has a mesh."""
         shape = self.body.shapes[binding.shape]
         if binding.shape not in self._shape_parts:
             self._shape_parts[binding.shape] = ShapeParts(self.writer, self.body, shape, shape.normals)

@@ -1,4 +1,4 @@
-"""Finds how clips walk: feet on the ground move backward under a body that stays in place. Their speed is that of the walk."""
+"""Measures how clips walk. Feet on the ground move backward below a body that stays in place, at the speed of the walk."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ from antdsl.bodies.proposing.joint_motion import ClipMotion
 from antdsl.bodies.proposing.leg_search import FoundLeg
 
 Floats = NDArray[np.float64]
-_LOW_SHARE = 0.2  # of a foot's lift: below this it may stand
-_STANCE_SHARE = 0.3  # of the speed: a foot that goes backward at least so fast, and is low, stands
-_MIN_SPEED = 0.25  # leg lengths a second below which a clip stays in place
-_MIN_LIFT = 0.02  # of a leg
-_MIN_AGREEMENT = 0.6  # share of low feet that go the same way
-_SHORT_RUN = 0.06  # of a cycle: shorter stances or swings are noise
-_MAX_CYCLES = 16  # of a clip
+_LOW_SHARE = 0.2  # share of a foot's lift; a foot below this height may stand
+_STANCE_SHARE = 0.3  # share of the speed; a low foot that moves backward at least this fast stands
+_MIN_SPEED = 0.25  # leg lengths per second; a slower clip stays in place
+_MIN_LIFT = 0.02  # share of the leg length
+_MIN_AGREEMENT = 0.6  # share of low feet that move in the same direction
+_SHORT_RUN = 0.06  # share of a cycle; shorter stances or swings are noise
+_MAX_CYCLES = 16  # maximum number of cycles in a clip
 _MIN_GATHERING = 0.45  # mean length of the unit vectors of a foot's phases while it stands; 0.64 for half a cycle on the ground
-_PLANTED_SPEED = 0.35  # leg lengths a second below which a low foot counts as standing still
+_PLANTED_SPEED = 0.35  # leg lengths per second; a slower low foot stands still
 
 
 @dataclass(frozen=True, slots=True)
 class ClipGait:
-    """A clip that walks, with L feet.
+    """A walking clip, with L feet.
 
-    `speed`: definition units per second. `back` float64[3]: the direction in which feet on the ground move.
-    `cycles`: steps of each foot in the clip. `duty`, `lift`, `phases`: as in a gait."""
+    `speed`: definition units per second. `back` float64[3]: the direction in which feet on the ground move. `cycles`: steps of
+    each foot in the clip. `duty`, `lift`, `phases`: as in a gait."""
 
     clip: str
     speed: float
@@ -79,14 +79,14 @@ def foot_paths(motion: ClipMotion, legs: Sequence[FoundLeg], up: Floats) -> Foot
 
 
 def planted_share(motion: ClipMotion, legs: Sequence[FoundLeg], up: Floats, length: float) -> float:
-    """Return the share of a clip in which feet stand still on the ground. `length`: of a leg."""
+    """Return the share of a clip in which feet stand still on the ground. `length`: the length of a leg."""
     paths = foot_paths(motion, legs, up)
     still = (paths.height < 0.05 * length) & (np.linalg.norm(paths.velocity, axis=2) < _PLANTED_SPEED * length)
     return float(still.mean())
 
 
 def find_gait(motion: ClipMotion, legs: Sequence[FoundLeg], up: Floats, length: float) -> ClipGait | None:
-    """Return how a clip walks; None if it does not. `length`: of a leg."""
+    """Return the gait of a clip, or None if the clip does not walk. `length`: the length of a leg."""
     if len(motion.worlds) < 4 or not legs or motion.step <= 0 or not motion.is_cyclic:
         return None
     paths = foot_paths(motion, legs, up)
@@ -117,7 +117,7 @@ def find_gait(motion: ClipMotion, legs: Sequence[FoundLeg], up: Floats, length: 
 
 
 def _cycles(stands: NDArray[np.bool_]) -> int:
-    """Return how many cycles of the feet, bool[F, L], a clip has: the least number in which stances gather at one phase."""
+    """Return the number of cycles of the feet, bool[F, L], in a clip: the least number in which stances occur at one phase."""
     samples = np.arange(len(stands)) / len(stands)
     for cycles in range(1, _MAX_CYCLES + 1):
         turns = np.exp(2j * np.pi * cycles * samples)
@@ -127,7 +127,7 @@ def _cycles(stands: NDArray[np.bool_]) -> int:
 
 
 def _without_short_runs(stands: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return the stances of a foot over a cycle, without swings and stances of a few samples."""
+    """Return the stances of a foot over a cycle, without swings and stances of only a few samples."""
     shortest = max(1, round(_SHORT_RUN * len(stands)))
     for value in (False, True):
         starts = np.flatnonzero((stands == value) & (np.roll(stands, 1) != value))

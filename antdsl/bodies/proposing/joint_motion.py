@@ -13,9 +13,9 @@ from antdsl.bodies.agents.poses import REST_CLIP, Poses, build_clip_table, compu
 from antdsl.bodies.posed_body import find_base_layer
 
 Floats = NDArray[np.float64]
-_MAX_SAMPLES = 1200  # samples of a clip that are examined
-_CYCLE_STEPS = 3  # of the longest step: a longer one from the last pose to the first is a leap
-_CLOSED_SHARE = 1e-3  # of the body's extent: a last pose nearer to the first than this repeats it
+_MAX_SAMPLES = 1200  # maximum number of examined samples of a clip
+_CYCLE_STEPS = 3  # times the longest step; a longer step from the last pose to the first is a jump
+_CLOSED_SHARE = 1e-3  # share of the body's extent; a last pose nearer to the first repeats it
 
 
 def sample_worlds(body: Definition, clip: str, times: Floats) -> NDArray[np.float32]:

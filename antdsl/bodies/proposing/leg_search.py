@@ -12,11 +12,12 @@ from antdsl.bodies.agents.definition import Rig
 from antdsl.bodies.proposing.joint_motion import BodyPoints
 
 Floats = NDArray[np.float64]
-_CONTACT_HEIGHT = 0.05  # of the body's height: points up to here touch the ground
-_MIN_CONTACT_POINTS = 3  # of a joint that touches the ground
-_ANKLE_HEIGHT = 0.2  # of the body's height: a higher joint with points on the ground is a knee, and a joint below it the foot
-_SHORT_BONE = 0.15  # of a leg: a first bone shorter than this belongs to the trunk, as a collar bone or a coxa
-_MIN_LEG_HEIGHT = 0.15  # of the body's height: a lower chain lies on the ground and is no leg
+_CONTACT_HEIGHT = 0.05  # share of the body's height; points up to this height touch the ground
+_MIN_CONTACT_POINTS = 3  # minimum number of points of a joint that touches the ground
+# share of the body's height; a higher joint with points on the ground is a knee, and a joint below it the foot
+_ANKLE_HEIGHT = 0.2
+_SHORT_BONE = 0.15  # share of the leg length; a shorter first bone belongs to the trunk, such as a collar bone or a coxa
+_MIN_LEG_HEIGHT = 0.15  # share of the body's height; a lower chain lies on the ground and is not a leg
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,10 +36,10 @@ class FoundLeg:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LegSearch:
-    """The found legs, and reasons why other parts on the ground are none.
+    """The found legs, and the reasons why other parts on the ground are not legs.
 
-    `feet`: all chains that touch the ground, also those that are no legs, for the motion of their soles.
-    `ground`, `height`: of the body along its up."""
+    `feet`: all chains that touch the ground, including those that are not legs, for the motion of their soles. `ground`,
+    `height`: position of the ground and height of the body along its up."""
 
     legs: tuple[FoundLeg, ...]
     feet: tuple[FoundLeg, ...]
@@ -104,7 +105,7 @@ def _group_by_branch(rig: Rig, touching: list[int]) -> dict[int, list[int]]:
 
 
 def _is_one_chain(rig: Rig, joints: set[int]) -> bool:
-    """Return whether one of the joints is above all others, as an ankle above its toes."""
+    """Return whether one of the joints is above all others, such as an ankle above its toes."""
     top = min(joints, key=lambda joint: len(_ancestors(rig, joint)))
     return all(top in _ancestors(rig, joint) for joint in joints)
 
@@ -132,7 +133,7 @@ def _hip_and_knee(path: list[int], positions: Floats) -> tuple[int, int]:
     """Return the joints of hip and knee of a chain with three joints or more.
 
     The knee is the joint that is farthest from the line from hip to foot, measured against the shorter of both bones, so that it
-    divides the leg into two bones of use."""
+    divides the leg into two usable bones."""
     bones = [float(np.linalg.norm(positions[b] - positions[a])) for a, b in pairwise(path)]
     first, total = 0, max(sum(bones), 1e-12)
     while len(path) - first > 3 and bones[first] < _SHORT_BONE * total:

@@ -1,4 +1,4 @@
-"""Assembles a proposal: a definition file with a reason for each guess, in comments above the lines that they are about."""
+"""Assembles a proposal: a definition file with a reason for each guess, in a comment above its line."""
 
 from __future__ import annotations
 
@@ -19,19 +19,20 @@ from antdsl.bodies.proposing.study import IDLE_WORDS, STILL_SHARE, BodyStudy, st
 from antdsl.scene.scene_model import UNIT_MM
 
 Floats = NDArray[np.float64]
-_PLAUSIBLE_HEIGHT_MM = (2.0, 4000.0)  # of an animal or a person
+_PLAUSIBLE_HEIGHT_MM = (2.0, 4000.0)  # mm; of an animal or a person
 _UNIT_WORDS = ("m", "cm", "mm")
 _GAIT_WORDS = ("walk", "run", "trot", "gallop", "jog", "sprint", "hop", "crawl", "march")
-_NO_NAME = re.compile(r"(?:clip|anim|animation|action|take|armature|mixamo\.com|[\W_\d])*", re.IGNORECASE)  # says nothing
-_UPRIGHT = 1.5  # how much higher than long a body stands upright
-_TRUNK_SHARE = 0.96  # of the trunk's points, which its capsule holds along each axis
+# a name that contains no information
+_NO_NAME = re.compile(r"(?:clip|anim|animation|action|take|armature|mixamo\.com|[\W_\d])*", re.IGNORECASE)
+_UPRIGHT = 1.5  # ratio of height to length; above it, a body stands upright
+_TRUNK_SHARE = 0.96  # share of the trunk's points that its capsule contains along each axis
 _GRAVITY_MM = 9810.0
-_WALK_FROUDE, _WALK_STRIDE, _WALK_DUTY, _WALK_LIFT = 0.16, 1.4, 0.62, 0.1  # of a usual walk, in leg lengths
+_WALK_FROUDE, _WALK_STRIDE, _WALK_DUTY, _WALK_LIFT = 0.16, 1.4, 0.62, 0.1  # values of a normal walk, in leg lengths
 
 
 @dataclass(slots=True, eq=False)
 class Proposal:
-    """A proposed definition. `lines`: keys and values in order. `reasons`: why, by key; "" for the file."""
+    """A proposed definition. `lines`: keys and values in order. `reasons`: the reasons by key; "" for the file."""
 
     lines: dict[str, Any] = field(default_factory=dict)
     reasons: dict[str, list[str]] = field(default_factory=dict)
@@ -83,7 +84,7 @@ def propose(body: Definition, file: str) -> Proposal:
 
 
 def _idle_reason(study: BodyStudy) -> str:
-    """Return why a clip is the one of agents that stand."""
+    """Return the reason for choosing a clip as the idle clip."""
     if any(word in study.idle.lower() for word in IDLE_WORDS):
         return "says so by its name"
     return f"has feet on the ground for {study.planted.get(study.idle, 0.0):.0%} of its time and moves least"
@@ -125,7 +126,7 @@ def _front(study: BodyStudy) -> tuple[Floats, str]:
 
 
 def _toe_direction(study: BodyStudy) -> Floats | None:
-    """Return the mean direction from foot joints to the points of their soles; None if feet point nowhere."""
+    """Return the mean direction from foot joints to the points of their soles. Return None if feet have no clear direction."""
     total = np.zeros(3)
     for leg in study.search.legs:
         below = [k for k in range(len(study.body.rig.names)) if is_below(study.body.rig, k, leg.foot)]
@@ -189,7 +190,8 @@ def _add_length(proposal: Proposal, study: BodyStudy, front: Floats) -> None:
 
 
 def _clip_names(study: BodyStudy) -> dict[str, str]:
-    """Return a short name for each clip: a usual word in its name, else what it does, else its name in the language's letters."""
+    """Return a short name for each clip: a common word in its name, else its activity, else its name in the language's
+    letters."""
     names: dict[str, str] = {}
     taken: set[str] = set()
     by_speed = sorted(study.gaits, key=lambda name: study.gaits[name].speed)
@@ -293,7 +295,7 @@ def _ordered(legs: Sequence[FoundLeg], study: BodyStudy, front: Floats, side: Fl
 
 
 def _usual_phases(names: Iterable[str], count: int) -> list[float]:
-    """Return the phases of a usual walk: two legs alternate, four go one after the other, more go as two tripods."""
+    """Return the phases of a normal walk: two legs alternate, four move one after the other, more move as two tripods."""
     phases = []
     for name in names:
         pair, is_right = int(name.partition("_")[2] or 1) - 1, name.startswith("right")

@@ -1,4 +1,4 @@
-"""Measures a body for a proposal: its standing pose, its legs, and how its clips walk."""
+"""Measures a body for a proposal: its standing pose, its legs, and the gaits of its clips."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from antdsl.bodies.proposing.leg_search import LegSearch, find_legs
 
 Floats = NDArray[np.float64]
 IDLE_WORDS = ("idle", "stand", "breath", "survey", "rest", "wait")
-STILL_SHARE = 0.9  # of a clip in which feet stand: with less, the clip moves them
+STILL_SHARE = 0.9  # share of a clip in which feet stand; with less, the clip moves the feet
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BodyStudy:
-    """What was measured of a body. `idle`: the clip of the standing pose, or "". `length`: of a leg."""
+    """The measurements of a body. `idle`: the clip of the standing pose, or "". `length`: the length of a leg."""
 
     body: Definition
     up: Floats
@@ -53,7 +53,7 @@ def study_body(body: Definition) -> BodyStudy:
 
 
 def _stand(body: Definition, idle: str, up: Floats) -> tuple[Floats, NDArray[np.float32], BodyPoints, LegSearch]:
-    """Return the up axis, joints, points and legs in the standing pose. Another axis counts if only it has legs."""
+    """Return the up axis, joints, points and legs in the standing pose. Another up axis is used if only that axis gives legs."""
     worlds = sample_worlds(body, idle, np.zeros(1))[0]
     points = posed_points(body, worlds)
     others = [sign * axis for axis in np.eye(3)[[1, 2, 0]] for sign in (1.0, -1.0)]
@@ -66,7 +66,7 @@ def _stand(body: Definition, idle: str, up: Floats) -> tuple[Floats, NDArray[np.
 
 
 def _named_idle(body: Definition) -> str:
-    """Return the first clip with a name that says that it stands, or ""."""
+    """Return the first clip with a name that suggests standing, or ""."""
     for word in IDLE_WORDS:
         for name, clip in body.clips.items():
             if word in name.lower() and clip.duration > 0:

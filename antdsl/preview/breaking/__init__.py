@@ -1,4 +1,4 @@
-"""Breakpoints: the session pauses when one is hit. `WATCHER_BY_BREAK_KIND` lists all kinds."""
+"""Breakpoints pause the session when their condition is met. `WATCHER_BY_BREAK_KIND` lists all kinds."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from antdsl.preview.requests import AnyBreak, ConditionBreak, FaultBreak, SpecBr
 from antdsl.preview.session import Session
 from antdsl.runtime import World
 
-# Made for the program that a session has now; Misfit where it does not fit that.
+# A watcher is made for the session's current program. The maker raises BreakpointError if the breakpoint does not fit it.
 WATCHER_BY_BREAK_KIND: Mapping[type, Callable[[Session, Any, SpecObserver], BreakpointWatcher]] = {
     StateBreak: lambda session, ask, specs: StateWatcher(session, ask),
     ConditionBreak: lambda session, ask, specs: ConditionWatcher(session, ask),
@@ -27,11 +27,10 @@ WATCHER_BY_BREAK_KIND: Mapping[type, Callable[[Session, Any, SpecObserver], Brea
 
 @dataclass(slots=True, eq=False)
 class Breakpoint:
-    """A breakpoint.
+    """A breakpoint of a page.
 
-    `ask`: the request.
-    `watcher`: the watcher; None while the breakpoint does not match the program.
-    `error`: the error if it does not match."""
+    `ask`: the request. `watcher`: the watcher; None while the breakpoint does not match the program. `error`: the error if it
+    does not match."""
 
     ask: AnyBreak
     watcher: BreakpointWatcher | None = None
@@ -53,14 +52,14 @@ def describe_breakpoint(request: AnyBreak) -> str:
 class Breakpoints:
     """Checks the breakpoints after each played step.
 
-    `send_message`: receives a message for each breakpoint that does not match the program, and one with all breakpoints when they
-    are built again."""
+    `send_message`: receives a message for each breakpoint that does not match the program. When breakpoints are built again, it
+    receives a message with all of them."""
 
     def __init__(self, specs: SpecObserver, send_message: Callable[[dict[str, Any]], None] = lambda message: None) -> None:
         self.specs, self.send_message = specs, send_message
         self.breakpoints: list[Breakpoint] = []
-        self._shot: Shot | None = None  # that they are made for
-        self._last_seen: tuple[World, int] | None = None  # the world and frame that they have seen
+        self._shot: Shot | None = None  # the shot for which the watchers are made
+        self._last_seen: tuple[World, int] | None = None  # the last world and frame that the watchers received
 
     def set(self, session: Session, requests: Sequence[AnyBreak], candidate: AnyBreak | None = None) -> None:
         """Replace all breakpoints. `candidate`: an additional one. Raises BreakpointError if `candidate` does not match the
@@ -94,9 +93,9 @@ class Breakpoints:
             self._last_seen = session.world, session.frame
 
     def after_step(self, session: Session) -> PauseReason | None:
-        """Return the joined reasons of all breakpoints that were hit, or None."""
+        """Return the reasons of all breakpoints that were hit, joined, or None."""
         if not self.breakpoints or self._last_seen is None or session.world is not self._last_seen[0]:
-            return None  # none waits, or the step led into another program: that is looked at before the next
+            return None  # there are no watchers, or the step led into another program, which is checked before the next step
         looked = [each.watcher.check_frame(session) for each in self.breakpoints if each.watcher is not None]
         self._last_seen = session.world, session.frame
         stops = [stop for stop in looked if stop is not None]

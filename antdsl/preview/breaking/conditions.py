@@ -1,5 +1,6 @@
-"""Breakpoints that are hit when a condition becomes true. The condition is in the language of specs. It is about the complete
-world, or about each agent of a species (`each SPECIES: …`)."""
+"""Breakpoints for a condition that becomes true. The condition is in the language of specs.
+
+It is about the complete world, or about each agent of a species (`each SPECIES: …`)."""
 
 from __future__ import annotations
 
@@ -28,7 +29,7 @@ _ONE_CONDITION_HELP = "write one condition, such as `count(state == carry) > 10`
 
 
 class ConditionWatcher:
-    """Hit when the condition holds, but did not hold at the previous frame.
+    """A breakpoint that is hit when its condition holds but did not hold at the previous frame.
 
     A condition about each agent is evaluated per agent, and the hit names the agents."""
 
@@ -37,7 +38,8 @@ class ConditionWatcher:
         self.plan = compile_condition(session.shot, request.text)
         [self.line] = self.plan.judgements
         self.evaluator: SpecEvaluator | None = None
-        self.previous_ids: NDArray[np.int64] = np.zeros(0, np.int64)  # ids for which it held; 0 alone where it is about the whole
+        # ids for which the condition held; a single 0 for a condition about the complete world
+        self.previous_ids: NDArray[np.int64] = np.zeros(0, np.int64)
 
     def begin(self, session: Session) -> None:
         self.evaluator = SpecEvaluator(self.plan, session.world)

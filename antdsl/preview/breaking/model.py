@@ -9,7 +9,7 @@ from antdsl.preview.session import Session
 
 
 class BreakpointError(Exception):
-    """A breakpoint cannot be hit in this program: the reason, and a correction."""
+    """Error for a breakpoint that cannot be hit in this program: the reason, and a correction."""
 
     def __init__(self, message: str, help: str = "") -> None:
         super().__init__(message)
@@ -17,7 +17,7 @@ class BreakpointError(Exception):
 
 
 class BreakpointWatcher(Protocol):
-    """A waiting breakpoint of one program. Its checks change nothing."""
+    """An active breakpoint of one program. Its checks change nothing."""
 
     def begin(self, session: Session) -> None:
         """Record whether the condition holds at this frame. Only a later change from false to true is a hit."""

@@ -12,12 +12,14 @@ from antdsl.preview.observing.spec_judgement import CURVE_NAME_PREFIX, SpecObser
 from antdsl.preview.requests import FaultBreak, SpecBreak, StateBreak
 from antdsl.preview.session import Session
 
-_MAX_NAMED_AGENTS = 3  # agents that are named in words
-MAX_SELECTED_AGENTS = 500  # agents that a page selects
+_MAX_NAMED_AGENTS = 3  # maximum number of agents named in a message
+MAX_SELECTED_AGENTS = 500  # maximum number of agents that a page selects
 
 
 class StateWatcher:
-    """Hit when an agent enters a state. Neither birth in the state nor a change from the state to itself counts."""
+    """A breakpoint that is hit when an agent enters a state.
+
+    Birth in the state and a change from the state to itself do not count."""
 
     def __init__(self, session: Session, request: StateBreak) -> None:
         plan = session.shot.plan.species.get(request.species)
@@ -31,7 +33,7 @@ class StateWatcher:
         if request.state not in machine.states:
             raise _make_unknown_name_error(f"state of `{request.species}`", request.state, list(machine.states))
         self.ask, self.state = request, machine.states.index(request.state)
-        self.ids_in_other_states: NDArray[np.int64] = np.zeros(0, np.int64)  # ids of those in another state
+        self.ids_in_other_states: NDArray[np.int64] = np.zeros(0, np.int64)  # ids of agents in other states
 
     def begin(self, session: Session) -> None:
         population = session.world.populations[self.ask.species]
@@ -62,7 +64,7 @@ def _make_unknown_name_error(what: str, name: str, known: list[str]) -> Breakpoi
 
 
 class SpecWatcher:
-    """Hit at the first frame at which a spec fails."""
+    """A breakpoint that is hit at the first frame at which a spec fails."""
 
     def __init__(self, session: Session, request: SpecBreak, specs: SpecObserver) -> None:
         known = dict(specs.plan_specs(session.shot, session.compiler.scene))
@@ -85,7 +87,7 @@ class SpecWatcher:
         if curves.get(frame, {}).get(key) != 0.0 or curves.get(frame - 1, {}).get(key) == 0.0:
             return None
         judged = next((each.as_json() for each in self.specs.statuses if each.name == self.ask.spec), None)
-        if judged is None or judged["frame"] != frame:  # it was judged before an edit, and is gone through again
+        if judged is None or judged["frame"] != frame:  # judged before an edit: the frame will be simulated and judged again
             return PauseReason(f"`{self.ask.spec}` fails at frame {frame}")
         return PauseReason(
             f"`{self.ask.spec}` fails at frame {frame}: {judged['message']}", judged["species"], tuple(judged["agents"])
@@ -93,7 +95,7 @@ class SpecWatcher:
 
 
 class FaultWatcher:
-    """Hit when an agent has a fault, even if the fault would otherwise only quarantine the agent."""
+    """A breakpoint that is hit when an agent has a fault, even if the run would only quarantine the agent."""
 
     def __init__(self, session: Session, request: FaultBreak) -> None:
         self.ask = request

@@ -11,7 +11,7 @@ from antdsl.preview.doing import edits, playback, queries
 if TYPE_CHECKING:
     from antdsl.preview.live import Client, Live
 
-# By the kind of request. A handler may raise Refusal; others are reported as bugs and end nothing.
+# By the kind of request. A handler may raise RequestRefused. Other exceptions are reported as bugs, and the preview continues.
 HANDLER_BY_REQUEST: Mapping[type[Any], Callable[[Live, Any, Client], None]] = {
     requests.Play: playback.play,
     requests.Pause: playback.pause,

@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     from antdsl.preview.live import Client, Live
     from antdsl.preview.observing.observer import PauseReason
 
-_MESSAGE_INTERVAL_SECONDS = 0.25  # seconds between two messages
-_MIN_REPORTED_MS = 5e-4  # ms a frame: a faster line is not reported
+_MESSAGE_INTERVAL_SECONDS = 0.25  # interval between two messages
+_MIN_REPORTED_MS = 5e-4  # ms per frame; cheaper lines are not reported
 
 
 class CostReporter:
@@ -38,7 +38,7 @@ class CostReporter:
     def after_step(self, session: Session) -> PauseReason | None:
         """Send the costs if a page requests them and enough time has passed. Never pause."""
         if self._clients:
-            self._clients &= self._live.clients.keys()  # the others have left
+            self._clients &= self._live.clients.keys()  # drop clients that have disconnected
             self._switch_measuring(session)
             self._send_costs(session)
         return None

@@ -1,5 +1,7 @@
-"""Explains why an agent acted as it did in a running session. Its step is repeated in a separate world, from the nearest
-checkpoint of the same stretch of time. The session's own world does not change."""
+"""Explains the decisions of an agent in a running session.
+
+Its step is repeated in a separate world, from the nearest checkpoint of the same stretch of time. The session's own world does
+not change."""
 
 from __future__ import annotations
 
@@ -88,7 +90,7 @@ class Explainer:
             _check_species(species, replay.shot)
         history = replay.history
         assert isinstance(history, StretchHistory)
-        if frame - 1 not in history.extra_checkpoints:  # requests for other agents soon follow the first
+        if frame - 1 not in history.extra_checkpoints:  # requests for other agents usually follow the first one soon
             history.extra_checkpoints = {frame - 1: take_checkpoint(replay.restore_step_start(frame))}
         return [
             None if account is None else replace(account, explanation=self._add_state_history(account))

@@ -1,5 +1,7 @@
-"""The interface of observers of a session. An observer receives each step, may pause the session after it, and receives each
-world that replaces another. Observers change no simulation result."""
+"""The interface of observers of a session.
+
+An observer receives each step, may pause the session after it, and receives each world that replaces another. Observers change no
+simulation result."""
 
 from __future__ import annotations
 
@@ -12,7 +14,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class PauseReason:
-    """The reason for a pause, as text, and the agents concerned, which are all of one species."""
+    """The reason for a pause, as text, and the agents concerned, all of one species."""
 
     line: str
     species: str = ""

@@ -31,8 +31,9 @@ def _make_note_observer(live: Live) -> Observer:
     return NoteObserver()
 
 
-# What each Live makes one of, in this order; a handler gets at its own by `live.observer(Kind)`. A spec is judged before one asks
-# whether it failed.
+# Observers that each Live creates, in this order. A handler gets one by `live.find_observer(Kind)`. Specs come before
+# breakpoints,
+# which check whether a spec failed.
 OBSERVER_MAKERS: tuple[Callable[[Live], Observer], ...] = (
     CostReporter,
     _make_note_observer,

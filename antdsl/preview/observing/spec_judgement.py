@@ -1,5 +1,7 @@
-"""Judges the specs of a scene while it runs, and stores the results as curves. Each frame is judged once, when it is first
-simulated. After an edit, judgement starts again at the edited frame, since expectations apply to one program."""
+"""Judges the specs of a scene while it runs, and stores the results as curves.
+
+Each frame is judged once, when it is first simulated. After an edit, judgement starts again at the edited frame, because
+expectations apply to one program."""
 
 from __future__ import annotations
 
@@ -21,9 +23,9 @@ from antdsl.scene.paths import PathRefused, Roots
 from antdsl.specs.cases import SpecFailure
 from antdsl.specs.judge import SpecJudge
 
-# Of the time that a step takes, and seconds: what judging a spec may take unless it is requested
+# Limits of judging an unrequested spec: share of the time of a step, and seconds
 _MAX_JUDGING_SHARE, _MAX_JUDGING_SECONDS = 0.1, 0.004
-_WARM_UP_FRAMES, _MEASURED_FRAMES = 3, 24  # frames that are not counted, and those after which it is known
+_WARM_UP_FRAMES, _MEASURED_FRAMES = 3, 24  # frames before the measurement, and measured frames
 CURVE_NAME_PREFIX = "spec: "
 
 
@@ -64,15 +66,16 @@ class SpecStatus:
 
 
 class SpecObserver:
-    """Judges all specs of a session's program. Specs that a client requires are judged at any cost. `send_message` receives a
-    message whenever the status of a spec changes."""
+    """Judges all specs of a session's program. Requested specs are judged at any cost.
+
+    `send_message` receives a message whenever the status of a spec changes."""
 
     def __init__(self, send_message: Callable[[dict[str, Any]], None] = lambda message: None) -> None:
         self.send_message, self.wanted = send_message, frozenset[str]()
         self.statuses: list[SpecStatus] = []
         self._cached_plans: tuple[Shot, list[tuple[str, SpecPlan | str]]] | None = None
         self._stretch: SimulationStretch | None = None
-        self._last_judged_frame = 0  # the frame that was judged last
+        self._last_judged_frame = 0  # the last judged frame
         self._last_message: dict[str, Any] = {}
         self._step_start_time = 0.0
 
@@ -81,7 +84,7 @@ class SpecObserver:
         return {"op": "specs", "specs": [each.as_json() for each in self.statuses]}
 
     def require(self, names: Collection[str]) -> None:
-        """Judge these specs whatever the cost. A spec for which judging was stopped is judged again from the next step on."""
+        """Judge these specs at any cost. A spec with stopped judging is judged again from the next step on."""
         self.wanted = frozenset(names)
 
     def plan_specs(self, shot: Shot, scene: Path) -> list[tuple[str, SpecPlan | str]]:
@@ -131,8 +134,9 @@ class SpecObserver:
                 session.timeline.curves[frame].setdefault(CURVE_NAME_PREFIX + each.name, curve)
 
     def _start_judging(self, session: Session, is_selected: Callable[[SpecStatus], bool]) -> list[SpecStatus]:
-        """Start judging, from this frame on, the specs that `is_selected` selects, that are not judged yet, and that can be.
-        Return these specs."""
+        """Start judging specs from this frame on, and return them.
+
+        They are those that `is_selected` selects, that are not judged yet, and that can be judged."""
         candidates = [each for each in self.statuses if each.judge is None and each.plan is not None and is_selected(each)]
         for each in candidates:
             assert each.plan is not None
@@ -142,7 +146,7 @@ class SpecObserver:
 
     def _judge_spec(self, status: SpecStatus, world: World) -> None:
         if status.judge is not None and not status.judge.is_over:
-            began = thread_time()  # of the processor: what others do on this machine is not its fault
+            began = thread_time()  # CPU time of this thread, so that other load on the machine does not count
             status.judge.judge_frame(world)
             status.frames += 1
             if status.frames > _WARM_UP_FRAMES:

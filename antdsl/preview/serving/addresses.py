@@ -11,18 +11,19 @@ from dataclasses import dataclass
 from ipaddress import ip_address
 
 DEFAULT_PORT = 8765
-_MAX_PORT_ATTEMPTS = 64  # ports tried one after the other where none was named
+_MAX_PORT_ATTEMPTS = 64  # ports tried in order if none was requested
 _LOOPBACK_ADDRESSES = ("127.0.0.1", "::1")
-_MISSING_ADDRESS_ERRORS = (errno.EADDRNOTAVAIL, errno.EAFNOSUPPORT)  # as `::1` where a machine has no IPv6
+_MISSING_ADDRESS_ERRORS = (errno.EADDRNOTAVAIL, errno.EAFNOSUPPORT)  # for example `::1` on a machine without IPv6
 
 
 class ListenError(Exception):
-    """No socket can be opened at an address. The message is for the user."""
+    """Error if no socket can be opened at an address. The message is for the user."""
 
 
 @dataclass(frozen=True, slots=True)
 class ListeningSockets:
-    """Bound sockets. `host_names`: hosts with port that a request may have. `addresses`: to open in a browser, the best first."""
+    """Bound sockets. `host_names`: hosts with port that a request may have. `addresses`: addresses to open in a browser, the best
+    first."""
 
     sockets: tuple[socket.socket, ...]
     host_names: frozenset[str]
@@ -99,11 +100,11 @@ def _bind_socket(address: str, port: int) -> socket.socket:
         else:
             server_socket.setsockopt(
                 socket.SOL_SOCKET, socket.SO_REUSEADDR, 1
-            )  # not to wait for what an earlier server left behind
+            )  # do not wait for connections of an earlier server
         if six:
             server_socket.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
         server_socket.bind((address, port))
-        server_socket.listen()  # until then another server may bind the same port
+        server_socket.listen()  # until then, another server may bind the same port
     except OSError:
         server_socket.close()
         raise
@@ -145,7 +146,7 @@ def _find_machine_addresses() -> list[str]:
     with suppress(OSError, UnicodeError):
         addresses += [str(each[4][0]) for each in socket.getaddrinfo(socket.gethostname(), None, type=socket.SOCK_STREAM)]
     for family, far in ((socket.AF_INET, "192.0.2.1"), (socket.AF_INET6, "2001:db8::1")):
-        # connecting a datagram socket sends nothing: it only chooses the way out
+        # connecting a datagram socket sends nothing; it only selects the route
         with suppress(OSError), socket.socket(family, socket.SOCK_DGRAM) as probe:
             probe.connect((far, 9))
             addresses.append(str(probe.getsockname()[0]))

@@ -1,5 +1,7 @@
-"""Limits of connections before and after a client is admitted: the number of connections, the rate of frames, the fragments of a
-message, and the requests of one client in a given time."""
+"""Limits of connections before and after a client is admitted.
+
+They limit the number of connections, the rate of frames, the fragments of a message, and the requests of one client in a given
+time."""
 
 from __future__ import annotations
 
@@ -14,12 +16,13 @@ from antdsl import limits
 
 
 class ConnectionGate:
-    """All connections of a server. Only the newest connections that are not admitted yet stay open. So a client that opens
-    thousands displaces its own connections, not a page that authenticates in time."""
+    """All connections of a server. Of the connections that are not yet admitted, only the newest stay open.
+
+    So a client that opens thousands displaces its own connections, not a page that authenticates in time."""
 
     def __init__(self) -> None:
         self._unadmitted: dict[GatedConnection, None] = {}
-        self._admitted: dict[GatedConnection, bool] = {}  # with whether it came by a code that is good once
+        self._admitted: dict[GatedConnection, bool] = {}  # whether each used a code that is valid once
 
     def make_connection(self, *args: Any, **options: Any) -> GatedConnection:
         """Return a new connection, for `serve` to create connections with."""

@@ -1,12 +1,11 @@
-"""Decides which clients the server admits: by the host name of the request, by the origin of the page, and by a token that only
-the terminal displays.
+"""Decides which clients the server admits: by the host name, the origin of the page, and a token that only the terminal displays.
 
 The three are checked separately. The host name is never compared with the origin: after DNS rebinding both are the attacker's.
 
-After a restart, a server has a new token. It still admits the pages of the previous server of the same scene on the same port.
-An admitted page receives a key. The page never sends the key, but only signs challenges with it. So another program that listens
-at the port in between learns nothing useful. The keys of the last few starts are in a file that only the user may read. If no
-such file is possible, no keys are stored, and the user has to open the page again.
+After a restart, a server has a new token. It still admits the pages of the previous server of the same scene on the same port. An
+admitted page receives a key. The page never sends the key, but only signs challenges with it. So another program that listens at
+the port in between learns nothing useful. The keys of the last few starts are in a file that only the user may read. If no such
+file is possible, no keys are stored, and the user has to open the page again.
 """
 
 from __future__ import annotations
@@ -26,8 +25,8 @@ from pathlib import Path
 from antdsl.atomic_write import write_atomically
 from antdsl.user_folders import make_private_folder, read_private, state_folder
 
-_MAX_STORED_KEYS = 4  # with stored keys
-_MAX_KEY_FILES = 64  # of scenes and ports; the oldest go
+_MAX_STORED_KEYS = 4  # keys per file
+_MAX_KEY_FILES = 64  # files for scenes and ports; the oldest are removed
 _MAX_KEY_FILE_BYTES = 4096
 _KEY_PATTERN = re.compile(r"[A-Za-z0-9_-]{43}")
 WEBSOCKET_PROTOCOL = "antdsl.1"
@@ -36,8 +35,9 @@ _TOKEN_PREFIX = "token."
 
 @dataclass(frozen=True, slots=True)
 class ReturningPages:
-    """Keys by which pages are admitted again after a restart. `key`: for pages that are admitted now. `previous_keys`: those of
-    earlier starts."""
+    """Keys that admit pages again after a restart.
+
+    `key`: for pages that are admitted now. `previous_keys`: keys of earlier starts."""
 
     key: str = field(repr=False)
     previous_keys: tuple[str, ...] = field(default=(), repr=False)
@@ -52,7 +52,7 @@ class ReturningPages:
             place = folder / f"{name}.json"
             returning = cls(secrets.token_urlsafe(32), _read_keys(place))
             _write_keys(place, [returning.key, *returning.previous_keys][:_MAX_STORED_KEYS])
-        except OSError:  # no such folder, not ours alone, or no home
+        except OSError:  # no such folder, a folder of other users, or no home
             return None
         return returning
 
@@ -64,7 +64,8 @@ class ReturningPages:
         answer_bytes = answer.encode("utf-8", "replace")
         words = f"antdsl return\n{host}\n{nonce}".encode()
         proofs = [hmac.new(key.encode(), words, "sha256").hexdigest().encode() for key in self.previous_keys]
-        return any([hmac.compare_digest(answer_bytes, proof) for proof in proofs])  # all of them, in the same time
+        # all of them, so that the time does not depend on the result
+        return any([hmac.compare_digest(answer_bytes, proof) for proof in proofs])
 
 
 def _read_keys(path: Path) -> tuple[str, ...]:
@@ -89,9 +90,9 @@ class ConnectionVerdict(Enum):
     """The decision about a request to open a socket."""
 
     IN = "in"
-    INVITED = "invited"  # by a code that is good for this once: it has to receive the token
-    STRANGER = "stranger"  # called by a wrong name, from a page of others, or by no page and without the token
-    WRONG_TOKEN = "wrong token"  # our own page, from before the server was restarted: it gets a message
+    INVITED = "invited"  # by a code that is valid once; the client must receive the token
+    STRANGER = "stranger"  # a wrong host name, another page, or no page and no token
+    WRONG_TOKEN = "wrong token"  # this server's page from before a restart; it gets a message
 
 
 @dataclass(frozen=True, slots=True)

@@ -40,8 +40,8 @@ class ClientMailbox:
         self._loop, self._hello_fields, self._on_full = loop, hello_fields, on_full
         self._max_message_size, self._max_packet_size = max_message_size, max_packet_size
         self._queue: deque[str | _QueuedPacket] = deque()
-        self._packet_by_slot: dict[str, _QueuedPacket] = {}  # packets that a later one of their slot replaces in place
-        self._earlier_packets: dict[str, _QueuedPacket] = {}  # the same from before the last scene: replaced, but not in place
+        self._packet_by_slot: dict[str, _QueuedPacket] = {}  # packets that a later packet of their slot replaces in place
+        self._earlier_packets: dict[str, _QueuedPacket] = {}  # packets from before the last scene: replaced, but not in place
         self._message_size = self._packet_size = 0  # bytes
         self._lock, self._item_ready = Lock(), asyncio.Event()
         self._is_woken = self._is_closed = False
@@ -57,7 +57,7 @@ class ClientMailbox:
             self._queue.append(text)
             self._message_size += len(text)
             if message.get("op") == "scene":
-                # a packet of the new scene must not take the place of one from before: it would arrive ahead of the scene
+                # A packet of the new scene must not replace an earlier one in place: it would arrive before the scene.
                 self._earlier_packets.update(self._packet_by_slot)
                 self._packet_by_slot.clear()
             self._wake_or_close()
@@ -120,7 +120,7 @@ class ClientMailbox:
         elif self._is_woken:
             return
         self._is_woken = True
-        with suppress(RuntimeError):  # the loop has ended, and with it the client
+        with suppress(RuntimeError):  # the loop has ended, and the client with it
             self._loop.call_soon_threadsafe(self._on_full if over else self._item_ready.set)
 
     def _close(self) -> None:

@@ -31,7 +31,7 @@ def load_pages() -> PageFiles:
     for name in _CONTENT_TYPE_BY_FILE:
         hashed.update(len(bodies[name]).to_bytes(8, "little") + bodies[name])
     build = hashed.hexdigest()[:16]
-    # the page compares this with what the server says when it is connected: one out of a cache finds out that it is old
+    # the page compares it with the server's value when it connects, and so detects an outdated cached page
     bodies["index.html"] = bodies["index.html"].replace(
         _BUILD_PLACEHOLDER, _BUILD_PLACEHOLDER.replace(b'""', f'"{build}"'.encode())
     )

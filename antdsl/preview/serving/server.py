@@ -44,7 +44,7 @@ CONTENT_SECURITY_POLICY: Final = "; ".join(
         "form-action 'none'",
     )
 )
-# No Access-Control-Allow-*: no other page may read an answer.
+# No Access-Control-Allow-*: no other page may read a response.
 RESPONSE_HEADERS: Final = (
     ("Content-Security-Policy", CONTENT_SECURITY_POLICY),
     ("X-Content-Type-Options", "nosniff"),
@@ -55,13 +55,13 @@ RESPONSE_HEADERS: Final = (
     ("Cross-Origin-Resource-Policy", "same-origin"),
     ("Cross-Origin-Embedder-Policy", "require-corp"),
 )
-_REQUEST_TIMEOUT_SECONDS = 10.0  # seconds for a request and its answer
-_CLOSE_TIMEOUT_SECONDS = 2.0  # seconds for a client to say goodbye
-_SEND_TIMEOUT_SECONDS = 60.0  # seconds for one packet to go out
-_PING_INTERVAL_SECONDS = 20.0  # seconds between pings, and for their answers
-_EXCESS_REQUEST_LIMITS = (5, 100)  # asks too many in a second, and at once, after which a client has to go
+_REQUEST_TIMEOUT_SECONDS = 10.0  # for a request and its response
+_CLOSE_TIMEOUT_SECONDS = 2.0  # for a client to complete the close
+_SEND_TIMEOUT_SECONDS = 60.0  # for sending one packet
+_PING_INTERVAL_SECONDS = 20.0  # interval between pings, and limit for their answers
+_EXCESS_REQUEST_LIMITS = (5, 100)  # requests per second, and at once; a client with more rejected requests is disconnected
 
-# A flood of the server must not flood the terminal.
+# Limits messages, so that a flood at the server does not flood the terminal.
 _SILENT_LOGGER = logging.getLogger("antdsl.preview.serving")
 
 
@@ -132,7 +132,8 @@ class PreviewServer:
                         process_response=_add_headers,
                         subprotocols=[Subprotocol(WEBSOCKET_PROTOCOL)],
                         server_header=None,
-                        compression=None,  # what unpacks to gigabytes is never unpacked, and loopback has no need of it
+                        # no compression: compressed data could expand to gigabytes, and loopback does not need it
+                        compression=None,
                         max_size=limits.MAX_PREVIEW_MESSAGE_BYTES,
                         open_timeout=_REQUEST_TIMEOUT_SECONDS,
                         close_timeout=_CLOSE_TIMEOUT_SECONDS,
@@ -144,7 +145,7 @@ class PreviewServer:
             try:
                 yield
             finally:
-                # the library says goodbye and waits until that is sent, which never happens without a reader
+                # the library sends a close frame and waits for it, which never completes if the client does not read
                 asyncio.get_running_loop().call_later(_CLOSE_TIMEOUT_SECONDS, self._gate.close_all)
 
     # --- requests ------------------------------------------------------------------------------------------------------
@@ -152,7 +153,7 @@ class PreviewServer:
     def _answer_request(self, connection: ServerConnection, request: Request) -> Response | None:
         """Return the response to a request, or None to open a socket."""
         hosts, origins = request.headers.get_all("Host"), request.headers.get_all("Origin")
-        if getattr(request, "method", "GET") != "GET":  # earlier versions of websockets read nothing else
+        if getattr(request, "method", "GET") != "GET":  # earlier versions of websockets read no other method
             return _make_response(HTTPStatus.METHOD_NOT_ALLOWED, extra=[("Allow", "GET")])
         if not self._guard.may_load_page(hosts, origins):
             return _make_response(HTTPStatus.FORBIDDEN)
@@ -172,7 +173,7 @@ class PreviewServer:
         if not self._gate.is_admitted(connection) and await self._is_returning(connection):
             self._gate.admit(connection, is_invited=True)
         if not self._gate.is_admitted(connection):
-            # only a page can read why: a browser tells it nothing of an answer that is no socket
+            # only a page can read the reason: a browser hides the content of a response that is not a socket
             await _close_connection(connection, CloseCode.POLICY_VIOLATION, "wrong token")
             return
         if len(self._clients) >= limits.MAX_PREVIEW_CLIENTS:
@@ -259,7 +260,7 @@ async def _send_messages(connection: ServerConnection, mailbox: ClientMailbox) -
                 await connection.send(item)
     except ConnectionClosed:
         return
-    except TimeoutError:  # as of a machine that fell asleep
+    except TimeoutError:  # for example after the machine slept
         connection.transport.abort()
 
 
@@ -297,7 +298,7 @@ def run_server(server: PreviewServer, on_ready: Callable[[], None]) -> None:
 async def _serve_until_stopped(server: PreviewServer, on_ready: Callable[[], None]) -> None:
     stop = asyncio.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
-        with suppress(NotImplementedError):  # on Windows Ctrl-C is an exception, and cancels this
+        with suppress(NotImplementedError):  # on Windows, Ctrl-C is an exception that cancels this
             asyncio.get_running_loop().add_signal_handler(number, stop.set)
     async with server.run():
         on_ready()

@@ -36,11 +36,11 @@ from antdsl.runtime.body_rows import numbers_by_row
 from antdsl.runtime.feet.feet_state import Feet
 from antdsl.runtime.feet.trunk import compute_slope_quaternions
 
-_STEPS_PER_BODY_LENGTH = 4096  # steps in a body's length
+_STEPS_PER_BODY_LENGTH = 4096  # steps per body length
 _UNIT_INT16 = 32767
-_MAX_FEET_BITS = 15  # feet with a bit for whether they stand
+_MAX_FEET_BITS = 15  # feet that have a bit for standing
 Floats = NDArray[np.float32]
-NO_CLIP_CODE = 65535  # the number of no clip
+NO_CLIP_CODE = 65535  # the number that means no clip
 _UNIT_UINT16 = 65535  # one turn of a clip, or a weight of 1
 Arrays = dict[str, NDArray[Any]]
 

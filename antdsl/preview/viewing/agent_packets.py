@@ -41,7 +41,7 @@ class AgentPackets:
         if key[0] is self._last_key[0] and key[1:] == self._last_key[1:]:
             return
         self._last_key = key
-        if view_state.stored_frame is not None:  # also while the session is on its way there
+        if view_state.stored_frame is not None:  # also while the session is simulating towards that frame
             lights = view_state.session.read_light_frame(view_state.stored_frame)
             if lights is not None:
                 plan = view_state.session.timeline.at(view_state.stored_frame).shot.plan
@@ -53,7 +53,7 @@ class AgentPackets:
         arrays: Arrays = {}
         factors = _find_column_factors(world, view_state.shot.program, view_state.interest)
         store_poses(view_state.session)
-        lights = view_state.session.read_light_frame(world.frame) or {}  # what is remembered of it was just made of it
+        lights = view_state.session.read_light_frame(world.frame) or {}  # this also stores the light frame
         poses = read_stored_poses(view_state.session, world.frame)
         for name, population in world.populations.items():
             then = lights[name] if name in lights else make_light_frame(population)

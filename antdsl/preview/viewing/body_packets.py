@@ -1,5 +1,6 @@
-"""The bodies that agents and items are displayed with, each sent once. Bodies of species are skinned meshes with the samples of
-the played clips. The page poses them."""
+"""The bodies of agents and items on pages, each sent once.
+
+Bodies of species are skinned meshes with the samples of the played clips. The page poses them."""
 
 from __future__ import annotations
 
@@ -31,9 +32,9 @@ from antdsl.scene.crowd_model import named_weights
 from antdsl.scene.library_bodies import BODY_WORDS, find_body_for_species
 
 Arrays = dict[str, NDArray[Any]]
-MAX_PAGE_LAYERS = 24  # that pages tell apart: whole numbers of so many bits are exact in float32
-_CACHED_BODIES = 16  # outfits with built bodies
-MAX_BLEND_TARGETS = 48  # of blend shapes, that pages know
+MAX_PAGE_LAYERS = 24  # maximum number of layers on pages; integers of this number of bits are exact in float32
+_CACHED_BODIES = 16  # number of outfits with cached bodies
+MAX_BLEND_TARGETS = 48  # maximum number of blend-shape targets on pages
 
 
 class RigPackets:
