@@ -21,9 +21,11 @@ from antdsl.runtime.binding.binding_cache import BindingCache, compute_digest
 from antdsl.runtime.faults import FaultLog
 from antdsl.runtime.feet import feet_step
 from antdsl.runtime.lifecycle import clear_dead_references
+from antdsl.runtime.line_tables import list_line_names, match_lines
 from antdsl.runtime.motion_measures import MotionMeasures
 from antdsl.runtime.moving.moving_geometry import pose_world
 from antdsl.runtime.world import World
+from antdsl.scene.line_ids import LineIds
 from antdsl.scene.setting import CrowdData, WorldSetting
 
 
@@ -92,20 +94,23 @@ def _migrate_agents(old_world: World, world: World, migration: Migration) -> lis
     for name in old_world.populations:
         if name not in world.populations and len(old_world.populations[name]):
             migration.removed_counts[name] = len(old_world.populations[name])
-    for name, population in world.populations.items():
-        old_lines = _find_crowd_lines(old_world.setting, name) if name in old_world.populations else []
-        for number, crowd in enumerate(_find_crowd_lines(world.setting, name)):
-            joining_count = crowd.count - (old_lines[number].count if number < len(old_lines) else 0)
-            if joining_count > 0:
-                ids = np.arange(population.next_id, population.next_id + joining_count)
-                population.next_id += joining_count
-                joining.append((crowd, ids))
-                migration.added_counts[name] = migration.added_counts.get(name, 0) + joining_count
+    lines = []
+    for crowd, line in _match_crowds(old_world, world.setting):
+        population, old = world.populations[crowd.species], LineIds(crowd.species) if line is None else line
+        lines.append(old.resize(crowd.count, population.next_id))
+        joining_count = crowd.count - len(old)
+        if joining_count > 0:
+            population.next_id += joining_count
+            joining.append((crowd, lines[-1].take(len(old))))
+            migration.added_counts[crowd.species] = migration.added_counts.get(crowd.species, 0) + joining_count
+    world.lines = tuple(lines)
     return joining
 
 
-def _find_crowd_lines(setting: WorldSetting, species: str) -> list[CrowdData]:
-    return [crowd for crowd in setting.crowds if crowd.species == species]
+def _match_crowds(old_world: World, setting: WorldSetting) -> list[tuple[CrowdData, LineIds | None]]:
+    """Return the crowd lines of the new setting, each with the ids of the old line that corresponds to it."""
+    matches = match_lines(list_line_names(old_world.setting), list_line_names(setting))
+    return [(crowd, old_world.lines[k] if k >= 0 else None) for crowd, k in zip(setting.crowds, matches, strict=True)]
 
 
 def _find_staying_rows(old_world: World, setting: WorldSetting, name: str, migration: Migration) -> NDArray[np.intp]:
@@ -113,24 +118,32 @@ def _find_staying_rows(old_world: World, setting: WorldSetting, name: str, migra
     removed."""
     population = old_world.populations[name]
     stays = np.ones(len(population), np.bool_)
-    new_lines = _find_crowd_lines(setting, name)
-    for number, crowd in enumerate(_find_crowd_lines(old_world.setting, name)):
-        rows = np.flatnonzero(population.now["group"] == crowd.line_index)
-        fewer = crowd.count - new_lines[number].count if number < len(new_lines) else len(rows)
-        if fewer > 0:
-            rows = rows[np.argsort(population.ids[rows])]
-            stays[rows[max(0, len(rows) - fewer) :]] = False
+    new_by_old = _number_new_lines(old_world.setting, setting)
+    for crowd, line in zip(old_world.setting.crowds, old_world.lines, strict=True):
+        if crowd.species == name:
+            rows = np.flatnonzero(population.now["group"] == crowd.line_index)
+            new = new_by_old.get(crowd.line_index)
+            fewer = len(rows) if new is None else len(line) - setting.crowds[new].count
+            if fewer > 0:
+                rows = rows[np.argsort(population.ids[rows])]
+                stays[rows[max(0, len(rows) - fewer) :]] = False
     if not stays.all():
         migration.removed_counts[name] = int(np.count_nonzero(~stays))
     return np.flatnonzero(stays)
+
+
+def _number_new_lines(old_setting: WorldSetting, setting: WorldSetting) -> dict[int, int]:
+    """Return the index of the corresponding new crowd line, by the index of the old line."""
+    matches = match_lines(list_line_names(old_setting), list_line_names(setting))
+    return {old: new for new, old in enumerate(matches) if old >= 0}
 
 
 def _update_crowd_groups(old_setting: WorldSetting, world: World, name: str, values: dict[str, NDArray[np.generic]]) -> None:
     """Update the number of each agent's crowd line, because the lines of the scene may have changed."""
     population = world.populations[name]
     group, values["group"] = population.now["group"], population.now["group"].copy()
-    for was, is_now in zip(_find_crowd_lines(old_setting, name), _find_crowd_lines(world.setting, name), strict=False):
-        values["group"][group == was.line_index] = is_now.line_index
+    for old, new in _number_new_lines(old_setting, world.setting).items():
+        values["group"][group == old] = new
     write_registers(population, {"group": values["group"]})
 
 

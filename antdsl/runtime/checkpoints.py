@@ -18,6 +18,7 @@ from antdsl.program.tables.columns import FIXED_COLUMN_BY_NAME
 from antdsl.runtime.feet import feet_step
 from antdsl.runtime.feet.feet_state import feet_from_arrays
 from antdsl.runtime.feet.wearers import sorted_ids_of
+from antdsl.runtime.line_tables import collect_line_arrays, restore_lines
 from antdsl.runtime.motion_measures import MotionMeasures
 from antdsl.runtime.moving.moving_geometry import pose_world
 from antdsl.runtime.world import Population, World, make_fixed_columns
@@ -55,6 +56,7 @@ def take_checkpoint(world: World) -> Arrays:
     arrays["transitions.counts"] = np.array([world.transitions[name] for name in names], np.int64)
     if world.detail is not None:
         arrays["lod.counts"] = world.detail.counts
+    arrays |= collect_line_arrays(world)
     arrays |= {f"motion.{name}": array for name, array in world.motion.checkpoint_arrays().items()}
     arrays |= {f"solid.{name}.{key}": array for name, volume in world.solids.items() for key, array in volume.state().items()}
     return {name: array.copy() for name, array in arrays.items()}
@@ -108,6 +110,7 @@ def _restore_world(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
     text = _read_checked_array(arrays, "transitions.names").astype(np.uint8).tobytes().decode()
     counts = _read_checked_array(arrays, "transitions.counts")
     world.transitions = dict(zip(text.split("\n") if text else [], (int(c) for c in counts), strict=True))
+    restore_lines(world, arrays)
     world.motion = MotionMeasures.of(select_by_prefix(arrays, "motion."))
     if world.detail is not None:
         world.detail.counts = _read_checked_array(arrays, "lod.counts", world.detail.counts.shape).copy()

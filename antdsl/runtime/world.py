@@ -20,6 +20,7 @@ from antdsl.numerics.sorting import invert_order, sort_stably
 from antdsl.plan import ir
 from antdsl.program.tables.columns import FIXED_COLUMN_BY_NAME, REGISTER_COLUMN_BY_NAME
 from antdsl.runtime.requests import EffectRequests
+from antdsl.scene.line_ids import LineIds
 from antdsl.scene.setting import WorldSetting
 
 if TYPE_CHECKING:
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     from antdsl.fields.flow import PaintedMap, SurfaceFlow
     from antdsl.fields.pheromone import PheromoneField
     from antdsl.ground.solid import Volume
+    from antdsl.runtime.binding.overcrowding import OvercrowdedLine
     from antdsl.runtime.faults import FaultLog
     from antdsl.runtime.feet.feet_state import Feet
     from antdsl.runtime.feet.feet_step import LegsOfBody
@@ -201,24 +203,6 @@ class Population:
         return np.stack([source[f"{name}.{axis}"] for axis in AXES], axis=1).astype(np.float64)
 
 
-@dataclass(frozen=True, slots=True)
-class OvercrowdedLine:
-    """A crowd line (number `group`) of the scene without space for all its agents at its place.
-    `fit`: how many of its `count` agents have space. `radius` (mm): least and greatest. `fits_by_area`: `by: area` would fit all.
-    `covered_area`, `available_area` (mm²): the area that all agents would cover, and the available area (None if unknown).
-    `sufficient_radius` (mm): for a place with a radius, the radius with space for all; None if there is none."""
-
-    group: int
-    species: str
-    count: int
-    fit: int
-    radius: tuple[float, float]
-    covered_area: float
-    available_area: float | None
-    sufficient_radius: float | None
-    fits_by_area: bool
-
-
 class StepBackend(Protocol):
     """The interface of backends, which run the blocks of a plan; see `backends`."""
 
@@ -259,6 +243,7 @@ class World:
     backend: StepBackend
     faults: FaultLog
     motion: MotionMeasures
+    lines: tuple[LineIds, ...]  # by the index of the crowd line
     timings: dict[str, float] = field(default_factory=dict)  # wall time (s) by phase, over all steps
     cpu_seconds: dict[str, float] = field(default_factory=dict)  # CPU time (s) of all threads by phase, over all steps
     grids: dict[tuple[str, float], CellGrid] = field(default_factory=dict)  # of this step

@@ -118,10 +118,12 @@ BodyValue = Annotated[
 class CrowdLine(ScenePart):
     """Agents of one species.
 
+    `name`: the name of the line, by which selectors name its agents.
     `body`: the body in pictures, a word or the file of an agent definition. The default depends on the species' name. Several
     bodies have weights: each agent gets one of them, with a probability in proportion.
     `wear`: additional layers of the body that the agents show."""
 
+    name: SceneName | None = None
     species: SceneName
     source: FilePath = Field(alias="from")
     count: Annotated[int, BeforeValidator(parse_integer_between(0, limits.MAX_AGENTS))]

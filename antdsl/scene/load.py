@@ -37,7 +37,7 @@ _MISPLACED_KEY_HELP = {
 }
 
 
-_UNION_TAG_SUFFIXES = ("-thing", "-camera", "-here")  # suffix of the tags of models in a union; no key of a scene ends with it
+_UNION_TAG_SUFFIXES = ("-thing", "-camera", "-here", "-selector", "-region")  # of tags in unions; no key of a scene ends so
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -250,6 +250,7 @@ def _list_allowed_keys(path: tuple[PathKey, ...]) -> list[str]:
     """Return the keys that the model at a path knows."""
     from antdsl.scene import scene_model
     from antdsl.scene.crowd_model import LayerChoice
+    from antdsl.scene.selectors import AgentConditions, Ball, Box
 
     # the last word of the path identifies the model that raised the error; tags of the schema are among the words
     models: dict[str, type[scene_model.ScenePart]] = {
@@ -257,6 +258,9 @@ def _list_allowed_keys(path: tuple[PathKey, ...]) -> list[str]:
         "usd-camera": scene_model.UsdCamera,
         "keys": scene_model.PositionKey,
         "wear": LayerChoice,
+        "mapping-selector": AgentConditions,
+        "box-region": Box,
+        "ball-region": Ball,
         "fields": scene_model.FieldStart,
         **scene_model.MODEL_BY_PATH,
     }

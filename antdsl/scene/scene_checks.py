@@ -23,6 +23,7 @@ from antdsl.scene.field_settings import check_field_dynamics
 from antdsl.scene.load import Scene
 from antdsl.scene.quantities import Quantity
 from antdsl.scene.scene_kinds import SCENE_KINDS
+from antdsl.scene.selectors import SelectorNames
 from antdsl.scene.step_checks import check_step_lengths
 
 
@@ -63,6 +64,7 @@ def _check_crowd(scene: Scene, program: Program, report: Report) -> None:
     total = 0
     for number, line in enumerate(scene.model.crowd):
         total += line.count
+        _check_line_name(scene, program, report, number)
         if line.species not in program.species:
             report_unknown(report, scene, ("crowd", number, "species"), "no program has a species", program.species, key=False)
         _check_placement(scene, program, report, line.place, "crowd", number, "place")
@@ -73,6 +75,34 @@ def _check_crowd(scene: Scene, program: Program, report: Report) -> None:
         report.error(
             "too-large", f"{total:,} agents are more than {limits.MAX_AGENTS:,}", scene.span("crowd"), "write a smaller `count`"
         )
+
+
+def _check_line_name(scene: Scene, program: Program, report: Report, number: int) -> None:
+    """Report a name of a crowd line that also names something else."""
+    name = scene.model.crowd[number].name
+    earlier = [k for k, line in enumerate(scene.model.crowd[:number]) if line.name == name]
+    taken = {**dict.fromkeys(list_item_names(scene), "an item"), **dict.fromkeys(program.species, "a species")}
+    if name in taken:
+        help = f"write another name, such as `{name}_line`"
+        report.error("duplicate-name", f"`{name}` is the name of {taken[name]}", scene.span("crowd", number, "name"), help)
+    elif name is not None and earlier:
+        label = Label(scene.span("crowd", earlier[0], "name"), "here first")
+        help = f"write another name, such as `{name}_{number + 1}`"
+        place = scene.span("crowd", number, "name")
+        report.error("duplicate-name", f"two lines of the crowd are named `{name}`", place, help, labels=(label,))
+
+
+def list_selector_names(scene: Scene, program: Program, cameras: frozenset[str] = frozenset()) -> SelectorNames:
+    """Return the names that selectors of a scene may use."""
+    machines = [machine for species in program.species.values() for machine in species.machines]
+    states = {name for each in machines for state in each.states for name in (state.name, f"{each.name}.{state.name}")}
+    return SelectorNames(
+        {line.name: line.count for line in scene.model.crowd if line.name is not None},
+        frozenset(program.species),
+        frozenset(list_item_names(scene)),
+        frozenset(states),
+        cameras,
+    )
 
 
 def list_item_names(scene: Scene) -> dict[str, tuple[str, str]]:

@@ -183,7 +183,8 @@ class CrowdData:
     `line_index`: the index of this line of the scene, from 0.
     `walk`: agents with a walk do not sense or decide.
     `body`: the name of the body; empty for the body that fits the species' name.
-    `worn_layers`: for each displayed part of the body, the layers from which one is drawn; "" means none."""
+    `worn_layers`: for each displayed part of the body, the layers from which one is drawn; "" means none.
+    `name`: of the line; empty without one."""
 
     species: str
     count: int
@@ -192,6 +193,7 @@ class CrowdData:
     walk: WalkData | None = None
     body: str = ""
     worn_layers: tuple[tuple[str, ...], ...] = ()
+    name: str = ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -41,15 +41,17 @@ def make_error(message: str, help: str = "", **context: Any) -> PydanticCustomEr
     return PydanticCustomError("worded", "{words}", {"words": message, "help": help, **context})
 
 
-def _describe_value(value: Any) -> str:
+def describe_value(value: Any) -> str:
+    """Return a value of a scene for a message: its text, shortened, or its kind."""
     if isinstance(value, str):
         return f"`{value if len(value) <= 60 else value[:57] + '…'}`"
     return "a list" if isinstance(value, list) else "a mapping"
 
 
-def _require_text(value: Any, expected: str) -> str:
+def require_text(value: Any, expected: str) -> str:
+    """Return a text without blanks at its ends. Raises an error for other values and empty texts."""
     if not isinstance(value, str):
-        raise make_error(f"expected {expected} here, not {_describe_value(value)}")
+        raise make_error(f"expected {expected} here, not {describe_value(value)}")
     if not value.strip():
         raise make_error(f"expected {expected} here, but nothing is given")
     return value.strip()
@@ -59,9 +61,9 @@ def parse_integer_between(low: int, high: int) -> Callable[[Any], int]:
     """Return a parser for an integer in decimal digits, from `low` to `high`."""
 
     def read(value: Any) -> int:
-        text = _require_text(value, "a whole number")
+        text = require_text(value, "a whole number")
         if not re.fullmatch(r"[+-]?[0-9]{1,20}", text, re.ASCII):
-            raise make_error(f"{_describe_value(text)} is not a whole number", f"write digits only, {low} to {high}")
+            raise make_error(f"{describe_value(text)} is not a whole number", f"write digits only, {low} to {high}")
         if not low <= int(text) <= high:
             raise make_error(f"`{int(text)}` is not between {low} and {high}")
         return int(text)
@@ -70,12 +72,12 @@ def parse_integer_between(low: int, high: int) -> Callable[[Any], int]:
 
 
 def _parse_quantity_value(value: Any) -> Quantity:
-    text = _require_text(value, "a number")
+    text = require_text(value, "a number")
     try:
         quantity = parse_quantity(text)
     except QuantityError as why:
         usual = "write a number and a unit of mm cm m u s min step rad deg turn mg g kg N uN %"
-        raise make_error(f"{_describe_value(text)} {why}", why.help or usual) from None
+        raise make_error(f"{describe_value(text)} {why}", why.help or usual) from None
     return _limit_quantity(quantity, limits.MAX_SCENE_NUMBER)
 
 
@@ -83,7 +85,7 @@ def _limit_quantity(quantity: Quantity, largest: float, unit: str = "") -> Quant
     """Return the quantity unchanged. Raises an error if it is larger than `largest`."""
     if abs(quantity.number) > largest:
         raise make_error(
-            f"{_describe_value(quantity.text)} is too large", f"write a number from {-largest:g} to {largest:g}{unit}"
+            f"{describe_value(quantity.text)} is too large", f"write a number from {-largest:g} to {largest:g}{unit}"
         )
     return quantity
 
@@ -123,11 +125,11 @@ def parse_number_between(low: float, high: float) -> Callable[[Any], float]:
     """Return a parser for a plain decimal number from `low` to `high`."""
 
     def read(value: Any) -> float:
-        text = _require_text(value, "a number")
+        text = require_text(value, "a number")
         try:
             parsed_number = parse_number(text)
         except QuantityError as why:
-            raise make_error(f"{_describe_value(text)} {why}", why.help) from None
+            raise make_error(f"{describe_value(text)} {why}", why.help) from None
         if not low <= parsed_number <= high:
             raise make_error(f"`{text}` is not between {low:g} and {high:g}")
         return parsed_number
@@ -135,10 +137,18 @@ def parse_number_between(low: float, high: float) -> Callable[[Any], float]:
     return read
 
 
+def parse_share(value: Any) -> float:
+    """Return a share from 0 to 1 of a text such as `30 %` or `0.3`."""
+    quantity = _parse_quantity_value(value)
+    if quantity.dim != Dimension() or not 0 <= quantity.number <= 1:
+        raise make_error(f"`{quantity.text}` is no share", "write a share from `0 %` to `100 %`")
+    return quantity.number
+
+
 def _check_name(value: Any) -> str:
-    text = _require_text(value, "a name")
+    text = require_text(value, "a name")
     if not _NAME_PATTERN.fullmatch(text) or len(text) > limits.MAX_NAME_CHARACTERS:
-        raise make_error(f"{_describe_value(text)} is not a name", "names have letters, digits and `_`, and begin with a letter")
+        raise make_error(f"{describe_value(text)} is not a name", "names have letters, digits and `_`, and begin with a letter")
     return text
 
 
@@ -148,12 +158,12 @@ def parse_one_of(*words: str) -> Callable[[Any], str]:
     def read(value: Any) -> str:
         from antdsl.diagnostics.suggestion import find_nearest_name
 
-        text = _require_text(value, "a word")
+        text = require_text(value, "a word")
         if text not in words:
             near = find_nearest_name(text, words)
             listed = ", ".join(f"`{w}`" for w in words)
             raise make_error(
-                f"{_describe_value(text)} is none of {listed}", f"did you mean `{near}`?" if near else "write one of them"
+                f"{describe_value(text)} is none of {listed}", f"did you mean `{near}`?" if near else "write one of them"
             )
         return text
 
@@ -161,13 +171,13 @@ def parse_one_of(*words: str) -> Callable[[Any], str]:
 
 
 def _parse_fps(value: Any) -> Fraction:
-    text = _require_text(value, "a number of frames a second")
+    text = require_text(value, "a number of frames a second")
     if not re.fullmatch(r"[0-9]{1,7}(\.[0-9]{1,6}|/[0-9]{1,7})?", text, re.ASCII) or text.endswith("/0"):
-        raise make_error(f"{_describe_value(text)} is not a number of frames a second", "write `24`, `23.976` or `24000/1001`")
+        raise make_error(f"{describe_value(text)} is not a number of frames a second", "write `24`, `23.976` or `24000/1001`")
     try:
         rate = Fraction(text)
     except ZeroDivisionError:
-        raise make_error(f"{_describe_value(text)} divides by zero", "write `24000/1001`") from None
+        raise make_error(f"{describe_value(text)} divides by zero", "write `24000/1001`") from None
     # the rates that users write as 23.976 or 29.97 are N·1000/1001
     for nominal in (24, 30, 48, 60, 120):
         exact = Fraction(nominal * 1000, 1001)
@@ -206,18 +216,18 @@ def parse_frames(text: str) -> FrameRange:
 
 def _parse_frame_range(value: Any) -> FrameRange:
     text = ",".join(value) if isinstance(value, list) and all(isinstance(v, str) for v in value) else value
-    text = _require_text(text, "a range of frames")
+    text = require_text(text, "a range of frames")
     try:
         return parse_frames(text)
     except QuantityError as why:
         usual = "write the first and the last with two dots between: `1001..1240`"
-        raise make_error(f"{_describe_value(text)} {why}", why.help or usual) from None
+        raise make_error(f"{describe_value(text)} {why}", why.help or usual) from None
 
 
 def _check_path(value: Any) -> str:
-    text = _require_text(value, "the path of a file")
+    text = require_text(value, "the path of a file")
     if text != value:
-        raise make_error(f"the path {_describe_value(value)} begins or ends with a blank", f"write `{text}`")
+        raise make_error(f"the path {describe_value(value)} begins or ends with a blank", f"write `{text}`")
     return text
 
 
@@ -225,7 +235,7 @@ def parse_word_or_file(*words: str) -> Callable[[Any], str]:
     """Return a parser for one of `words`, or for the path of a file, which has a dot or a slash."""
 
     def read(value: Any) -> str:
-        text = _require_text(value, "a word, or the path of a file,")
+        text = require_text(value, "a word, or the path of a file,")
         if "." in text or "/" in text:
             return _check_path(value)
         if text not in words:
@@ -233,16 +243,16 @@ def parse_word_or_file(*words: str) -> Callable[[Any], str]:
 
             near, listed = find_nearest_name(text, words), ", ".join(f"`{each}`" for each in words)
             help = f"did you mean `{near}`?" if near else f"write one of them, or a file such as `{text[:40]}.glb`"
-            raise make_error(f"{_describe_value(text)} is none of {listed}, and no file", help)
+            raise make_error(f"{describe_value(text)} is none of {listed}, and no file", help)
         return text
 
     return read
 
 
 def _check_word(value: Any) -> str:
-    text = _require_text(value, "a word")
+    text = require_text(value, "a word")
     if len(text) > _MAX_WORD_CHARACTERS:
-        raise make_error(f"{_describe_value(text)} is too long")
+        raise make_error(f"{describe_value(text)} is too long")
     return text
 
 

@@ -53,6 +53,7 @@ ALLOWED = {
     "ground/solid/volume.py": {"skimage": "a mesh to look at; its vertices are rounded to a 4096th of a voxel"},
     "ground/solid/voxelising.py": {"log10": "digits of a size of voxels that is proposed in a message"},
     "scene/staging/stage_things.py": {"interp": "of curves and moves: products and sums of single numbers"},
+    "scene/selection.py": {"scipy": "a tree that says which distances to measure"},
     "scene/staging/mesh_imports.py": {"scipy": "a tree of vertices to weld, compiled for all x86-64 processors alike"},
     "scene/geometry/closed_meshes.py": {"log2": "how many digits a mesh's places keep while it is told whether it is closed"},
 }

@@ -24,6 +24,7 @@ from antdsl.outputs.cache.manifest import (
     FieldEntry,
     ImportEntry,
     ItemsEntry,
+    LineEntry,
     Look,
     MachineEntry,
     Manifest,
@@ -235,6 +236,11 @@ def make_manifest(
                 looks=_list_item_looks(looks.get(name), [item.name for item in items]),
             )
             for name, items in setting.items.items()
+        ),
+        lines=tuple(
+            LineEntry(name=crowd.name, species=crowd.species, ranges=line.ranges)
+            for crowd, line in zip(setting.crowds, world.lines, strict=True)
+            if crowd.name
         ),
         events=event_names(world),
         camera=camera,

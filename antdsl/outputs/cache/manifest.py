@@ -183,6 +183,17 @@ class ItemsEntry(ManifestPart):
     looks: tuple[Look | None, ...] = ()
 
 
+class LineEntry(ManifestPart):
+    """A named crowd line of the scene.
+
+    `ranges`: the ids of its agents in the order of creation, as ranges of (first id, number of ids). Number k of the line is the
+    k-th id, counted from 0."""
+
+    name: Word
+    species: Word
+    ranges: tuple[tuple[Count, Annotated[int, Field(ge=1)]], ...]
+
+
 class CameraEntry(ManifestPart):
     """A camera: points in scene units, focal length in mm for a sensor 36 mm wide.
 
@@ -247,6 +258,7 @@ class Manifest(ManifestPart):
     meshes: tuple[MeshEntry, ...]
     fields: tuple[FieldEntry, ...]
     items: tuple[ItemsEntry, ...]
+    lines: tuple[LineEntry, ...] = ()
     events: tuple[Word, ...] = ()
     camera: CameraEntry | Literal["fit"] | None = None  # `fit`: a camera that shows the crowd in all drawn frames
 

@@ -16,6 +16,7 @@ from antdsl.numerics.vectors import VectorArrays
 from antdsl.plan import ir
 from antdsl.plan.traverse import iterate_with_positions
 from antdsl.program.tables.effects import list_effects_of_phase
+from antdsl.runtime.binding.overcrowding import OvercrowdedLine
 from antdsl.runtime.binding.spacing import Occupancy, StartPositionDraws, has_extent, spread_agents
 from antdsl.runtime.binding.start_positions import FULL_TURN, MAX_RANDOM_COVER, PLACEMENT_FRAME, StartPositionSampler
 from antdsl.runtime.faults import FaultLog
@@ -23,7 +24,7 @@ from antdsl.runtime.lifecycle import apply_deaths_and_births, initialise_newborn
 from antdsl.runtime.moving import scripted_walks
 from antdsl.runtime.moving.clear_steps import settle_clear
 from antdsl.runtime.moving.tilting import tilt_new_bodies
-from antdsl.runtime.world import AXES, OvercrowdedLine, Population, World, add_rows, empty_population, select_rows
+from antdsl.runtime.world import AXES, Population, World, add_rows, empty_population, select_rows
 from antdsl.scene.setting import CrowdData, PlacementData
 
 _MIN_NORMAL_SINE = 1e-3  # if the sine of a direction's angle to the normal is smaller, the direction leads off the ground
@@ -31,14 +32,9 @@ _MIN_NORMAL_SINE = 1e-3  # if the sine of a direction's angle to the normal is s
 
 def place_crowds(world: World) -> None:
     """Add all crowds to the world, with ids in the order of the scene's crowd lines."""
-    counted: dict[str, int] = {}
-    joining: list[tuple[CrowdData, NDArray[np.int64]]] = []
-    for crowd in world.setting.crowds:
-        population = world.populations[crowd.species]
-        ids = np.arange(counted.get(crowd.species, 0), counted.get(crowd.species, 0) + crowd.count)
-        counted[crowd.species] = population.next_id = int(crowd.count + (ids[0] if len(ids) else population.next_id))
-        joining.append((crowd, ids))
-    place_new_agents(world, joining)
+    for line in world.lines:
+        world.populations[line.species].next_id += len(line)
+    place_new_agents(world, [(crowd, line.take()) for crowd, line in zip(world.setting.crowds, world.lines, strict=True)])
     joined: dict[str, NDArray[np.intp]] = {}
     for name, population in world.populations.items():
         if len(population):

@@ -30,6 +30,7 @@ from antdsl.runtime.binding.agent_placement import place_crowds
 from antdsl.runtime.binding.binding_cache import BindingCache
 from antdsl.runtime.faults import FaultLog
 from antdsl.runtime.feet import feet_step
+from antdsl.runtime.line_tables import reserve_ids
 from antdsl.runtime.motion_measures import MotionMeasures
 from antdsl.runtime.moving.moving_geometry import make_curve
 from antdsl.runtime.world import AXES, Items, Options, World, empty_population
@@ -106,6 +107,7 @@ def bind_empty(
         backend=BACKENDS[options.backend](plan),
         faults=FaultLog(),
         motion=MotionMeasures(),
+        lines=reserve_ids(setting),
     )
     _set_params(world)
     stages.begin_stage("fields")

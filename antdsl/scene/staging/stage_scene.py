@@ -168,6 +168,7 @@ def build_setting(
             stage_walk(scene, line.walk),
             _single_library_body(line.body_weights),
             line.layers(),
+            line.name or "",
         )
         for number, line in enumerate(model.crowd)
     )

@@ -1,0 +1,229 @@
+"""Selectors: texts and mappings that name agents, `guards.17` or `{of: guards, near: leaf, within: 50 mm}`.
+
+Notes of scenes and edits of caches share them. `selection` applies them to arrays.
+
+A word names a crowd line or a species, and may add a number or a range: number 17 of the line `guards`, or the agent with the id
+3 of the species `ant`. A list is a union. A mapping is the intersection of its conditions."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Annotated, Any, NamedTuple
+
+from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
+
+from antdsl.diagnostics.suggestion import find_nearest_name
+from antdsl.scene.document import PathKey
+from antdsl.scene.values import (
+    PointOrName,
+    PointValue,
+    PositiveLength,
+    SceneName,
+    ScenePart,
+    SceneWord,
+    describe_value,
+    make_error,
+    parse_integer_between,
+    parse_share,
+    require_text,
+)
+
+_NAME_PATTERN = re.compile(r"([A-Za-z][A-Za-z0-9_]*)(?:\.([0-9]{1,18})(?:\s*\.\.\s*([0-9]{1,18}))?)?", re.ASCII)
+_CALL_PATTERN = re.compile(r"[A-Za-z_]+\s*\(")
+SELECTOR_FORMS = "write a crowd line or a species, such as `guards`, or one of its agents, `guards.17`, or some, `guards.3..9`"
+
+
+class AgentName(NamedTuple):
+    """Agents of a crowd line or species: all, or those from number `first` to `last` of the line, or with these ids of the
+    species."""
+
+    name: str
+    first: int | None = None
+    last: int | None = None
+
+    def __str__(self) -> str:
+        """Return the text of the name as in a scene."""
+        if self.first is None:
+            return self.name
+        return f"{self.name}.{self.first}" + ("" if self.last == self.first else f"..{self.last}")
+
+
+def parse_agent_name(value: Any) -> AgentName:
+    """Return the agents that a text such as `guards.17` names. Raises an error that pydantic reports."""
+    text = require_text(value, "agents")
+    match = _NAME_PATTERN.fullmatch(text)
+    if match is None:
+        help = "write a mapping: `{of: ant, near: leaf, within: 50 mm}`" if _CALL_PATTERN.match(text) else SELECTOR_FORMS
+        raise make_error(f"{describe_value(text)} names no agents", help)
+    if match[2] is None:
+        return AgentName(match[1])
+    first, last = int(match[2]), int(match[3] or match[2])
+    if last < first:
+        raise make_error(f"{describe_value(text)} ends before it begins", f"write `{AgentName(match[1], last, first)}`")
+    return AgentName(match[1], first, last)
+
+
+class Box(ScenePart):
+    """A box along the scene's axes, by two opposite corners."""
+
+    corner: PointValue = Field(alias="from")
+    opposite: PointValue = Field(alias="to")
+
+
+class Ball(ScenePart):
+    """All points within `radius` of a point or an item."""
+
+    around: PointOrName
+    radius: PositiveLength
+
+
+def _find_region_tag(value: Any) -> str:
+    return "ball-region" if isinstance(value, dict) and "around" in value else "box-region"
+
+
+Region = Annotated[Annotated[Box, Tag("box-region")] | Annotated[Ball, Tag("ball-region")], Discriminator(_find_region_tag)]
+
+
+def _find_near_tag(value: Any) -> str:
+    return "point" if isinstance(value, list) else "agent-or-item"
+
+
+NearTarget = Annotated[
+    Annotated[PointValue, Tag("point")] | Annotated[AgentName, BeforeValidator(parse_agent_name), Tag("agent-or-item")],
+    Discriminator(_find_near_tag),
+]
+
+
+def _find_selector_tag(value: Any) -> str:
+    return "mapping-selector" if isinstance(value, dict) else "list-selector" if isinstance(value, list) else "name-selector"
+
+
+def _find_single_tag(value: Any) -> str:
+    return "mapping-selector" if isinstance(value, dict) else "name-selector"
+
+
+_Mapping = Annotated["AgentConditions", Tag("mapping-selector")]
+_Name = Annotated[AgentName, BeforeValidator(parse_agent_name), Tag("name-selector")]
+_Single = Annotated[_Mapping | _Name, Discriminator(_find_single_tag)]
+_List = Annotated[tuple[_Single, ...], Field(min_length=1), Tag("list-selector")]
+Selector = Annotated[_Mapping | _List | _Name, Discriminator(_find_selector_tag)]
+
+
+class SelectorKeys(ScenePart):
+    """Conditions that narrow a selection. Lines of notes and edits have them as their own keys.
+
+    `state`: agents in this state now, `rest` or `MACHINE.rest`.
+    `near`, `within`: agents within this distance of a point, an item, the nearest of some items, or of other agents.
+    `in`: agents in a box or a ball.
+    `share`: each agent with this probability, drawn from `seed` (default: the scene's seed), its species and its id.
+    `in_view`: agents in view of this camera.
+    `without`: all agents except these."""
+
+    state: SceneWord | None = None
+    near: NearTarget | None = None
+    within: PositiveLength | None = None
+    region: Region | None = Field(None, alias="in")
+    share: Annotated[float, BeforeValidator(parse_share)] | None = None
+    seed: Annotated[int, BeforeValidator(parse_integer_between(0, 2**64 - 1))] | None = None
+    in_view: SceneName | None = None
+    without: Selector | None = None
+
+    @model_validator(mode="after")
+    def _check_pairs(self) -> SelectorKeys:
+        if (self.near is None) != (self.within is None):
+            has, lacks, value = ("near", "within", "50 mm") if self.within is None else ("within", "near", "[0, 0, 0]")
+            raise make_error(f"`{has}` has no effect without `{lacks}`", f"add `{lacks}: {value}`")
+        if self.seed is not None and self.share is None:
+            raise make_error("`seed` has no effect without `share`", "add `share: 30 %`")
+        return self
+
+    @property
+    def is_narrow(self) -> bool:
+        """Return whether the keys exclude any agents."""
+        return any(getattr(self, name) is not None for name in SelectorKeys.model_fields if name not in ("within", "seed"))
+
+
+class AgentConditions(SelectorKeys):
+    """The intersection of conditions. `of`: the agents to which they apply; all by default."""
+
+    of: Selector | None = None
+
+
+SelectorKeys.model_rebuild()
+AgentConditions.model_rebuild()
+AnySelector = AgentName | tuple[Any, ...] | AgentConditions
+
+
+def combine_selector(of: AnySelector | None, keys: SelectorKeys) -> AnySelector:
+    """Return the agents `of` that also meet the selector keys of a line."""
+    if of is not None and not keys.is_narrow:
+        return of
+    values = {name: getattr(keys, name) for name in SelectorKeys.model_fields}
+    return AgentConditions.model_construct(of=of, **values)
+
+
+@dataclass(frozen=True, slots=True)
+class SelectorNames:
+    """The names that selectors may use.
+
+    `lines`: the number of agents of each named crowd line. `species`, `items`, `cameras`: by name. `states`: as `STATE` and
+    `MACHINE.STATE`."""
+
+    lines: Mapping[str, int] = field(default_factory=dict)
+    species: frozenset[str] = frozenset()
+    items: frozenset[str] = frozenset()
+    states: frozenset[str] = frozenset()
+    cameras: frozenset[str] = frozenset()
+
+
+class SelectorProblem(NamedTuple):
+    """A name of a selector that does not exist. `path`: the keys that lead to it in the selector."""
+
+    path: tuple[PathKey, ...]
+    message: str
+    help: str
+
+
+def find_problems(selector: AnySelector | SelectorKeys, names: SelectorNames, *path: PathKey) -> Iterator[SelectorProblem]:
+    """Yield the names of a selector, or of the selector keys of a line, that do not exist."""
+    if isinstance(selector, AgentName):
+        yield from _find_name_problems(selector, names, path)
+    elif isinstance(selector, tuple):
+        for number, each in enumerate(selector):
+            yield from find_problems(each, names, *path, number)
+    else:
+        for key in ("of", "without"):
+            inner = getattr(selector, key, None)
+            if inner is not None:
+                yield from find_problems(inner, names, *path, key)
+        if isinstance(selector.near, AgentName) and (selector.near.first is not None or selector.near.name not in names.items):
+            yield from _find_name_problems(selector.near, names, (*path, "near"), names.items)
+        if isinstance(selector.region, Ball) and isinstance(selector.region.around, str):
+            yield from _find_unknown(selector.region.around, names.items, "no item is named", (*path, "in", "around"))
+        for key, known, words in (
+            ("state", names.states, "no species has a state"),
+            ("in_view", names.cameras, "no camera is named"),
+        ):
+            if (value := getattr(selector, key)) is not None:
+                yield from _find_unknown(value, known, words, (*path, key))
+
+
+def _find_name_problems(
+    name: AgentName, names: SelectorNames, path: tuple[PathKey, ...], others: frozenset[str] = frozenset()
+) -> Iterator[SelectorProblem]:
+    count = names.lines.get(name.name)
+    if count is None:
+        what = "no crowd line, species or item is named" if others else "no crowd line or species is named"
+        yield from _find_unknown(name.name, names.species | names.lines.keys() | others, what, path)
+    elif name.last is not None and name.last >= count:
+        numbers = f"write a number from 0 to {count - 1}" if count else "this line has no agents"
+        yield SelectorProblem(path, f"`{name}` does not exist: `{name.name}` has {count:,} agents", numbers)
+
+
+def _find_unknown(name: str, known: frozenset[str], words: str, path: tuple[PathKey, ...]) -> Iterator[SelectorProblem]:
+    if name not in known:
+        near = find_nearest_name(name, known)
+        listed = "known: " + ", ".join(f"`{each}`" for each in sorted(known)[:12]) if known else "none exists here"
+        yield SelectorProblem(path, f"{words} `{name}`", f"did you mean `{near}`?" if near else listed)
