@@ -16,8 +16,8 @@ from antdsl.machine_code.kernels import F32, F64, I64, Array1, inlined, kernel, 
 from antdsl.numerics import parallel, stored_tables
 from antdsl.numerics.vector_rows import dot
 
-_TARGET_CELLS = 250_000  # such a table stays in the processor's cache together with all other data of a step
-_MAX_LISTED_CELLS = 4_000_000  # most pairs of a triangle and a touched cell
+_TARGET_CELLS = 250_000  # a table of this size stays in the processor's cache together with all other data of a step
+_MAX_LISTED_CELLS = 4_000_000  # maximum number of pairs of a triangle and a touched cell
 _MAX_REFINED_CELLS = 150_000  # each takes about 2 microseconds
 
 PointColumns = tuple[Array1[F32], Array1[F32], Array1[F32]]
@@ -50,7 +50,7 @@ class DistanceGrid:
             cell = np.minimum(cell, self._size - 1)
             free[cell[:, 0], cell[:, 1], cell[:, 2]] = False
         away = compute_blocked_distances(free) if len(corners) else np.full(tuple(self._size), np.inf)
-        # The query point and the triangle may be anywhere in their cells: two half diagonals.
+        # The query point and the triangle may be anywhere in their cells: add two half diagonals.
         least = np.maximum((away - np.sqrt(3.0)) * self._width * (1 - 1e-6), 0.0).astype(np.float32).ravel()
         return {"least": least}
 

@@ -16,13 +16,13 @@ from antdsl.numerics.vector_rows import dot, unit
 Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-# Relative to the largest coordinate: several times the float32 rounding error of a corner, a ray and their intersection
+# Share of the largest coordinate: several times the float32 rounding error of a corner, a ray and their intersection
 TOLERANCE_PER_COORDINATE = 1e-6
-# In tolerances: faces are widened by this for rays, so that rounded rays hit them even at an angle of 4 degrees
+# Tolerances by which faces are widened for rays, so that rounded rays hit them even at an angle of 4 degrees
 WIDENING_TOLERANCES = 16.0
-_BORDER_TOLERANCES = 20.0  # in tolerances: nearer to a side than this, the faces at its end are tested too
-RETEST_TOLERANCES = 40.0  # in tolerances: another face up to this far behind a reported face may be the first hit
-_MAX_PRECOMPUTED_FACES = 200_000  # faces: above this number, the tables of each face are computed on demand
+_BORDER_TOLERANCES = 20.0  # tolerances; nearer to a side than this, the faces at its end are also tested
+RETEST_TOLERANCES = 40.0  # tolerances; another face up to this far behind a reported face may be the first hit
+_MAX_PRECOMPUTED_FACES = 200_000  # with more faces, the tables of each face are computed on demand
 _SHARP_CORNER_LIMIT = 1 / 128  # 1 + cosine between the outward directions of two sides; limits how far a sharp corner moves out
 
 # Planes and border widths of faces; vertex number of each corner; start of each vertex's faces in a list; the list.

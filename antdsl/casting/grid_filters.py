@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 T = TypeVar("T", np.bool_, np.int32)
 
-_MAX_SQUARED_CELLS = 1 << 29  # squared cells: more than the length of any grid; the sum of two fits into int32
+_MAX_SQUARED_CELLS = 1 << 29  # exceeds the squared length of any grid; the sum of two fits into int32
 
 
 def filter_maximum(grid: NDArray[T], rings: int) -> NDArray[T]:

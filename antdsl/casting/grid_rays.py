@@ -25,7 +25,7 @@ FeelerResults = tuple[Array1[BOOL], Array1[F32], Array1[F32], Array1[F32], Array
 SevenColumns = tuple[Array1[F32], Array1[F32], Array1[F32], Array1[F32], Array1[F32], Array1[F32], Array1[F32]]
 FLOAT32_ONE, ROUNDING_SLACK, SHORTEST_VECTOR = np.float32(1), np.float32(ROUNDING_BOUND), np.float32(MIN_VECTOR_LENGTH)
 PREFETCH_GROUP_SIZE = 16  # rays or points with faces prefetched together
-_MIN_AXIS_CUBES = 1e-12  # cubes along an axis below which a ray counts as staying in its layer
+_MIN_AXIS_CUBES = 1e-12  # cubes along an axis; a ray with a shorter extent stays in its layer
 
 
 @kernel

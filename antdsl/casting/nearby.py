@@ -24,8 +24,8 @@ Index = NDArray[np.int64]
 
 FeelerQuery = tuple[NDArray[np.bool_], Arrays, Arrays]  # mask of the requesting agents; operands and results, n each
 
-RAY_LENGTH_FACTOR = 1.1  # of the ray's length; Open3D searches this far, more than its rounding error except for tiny rays
-_MIN_POINTS_TO_REFINE = 2_000  # number of simultaneous queries from which refined distances are worthwhile
+RAY_LENGTH_FACTOR = 1.1  # factor of the ray's length for Open3D's search; exceeds its rounding error except for tiny rays
+_MIN_POINTS_TO_REFINE = 2_000  # fewer simultaneous queries are not worth refined distances
 _SHORT_LIVED_GRID_CELLS = 1000
 
 

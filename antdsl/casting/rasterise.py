@@ -12,9 +12,9 @@ _TRIANGLES_PER_CHUNK = 1 << 15  # triangles per batch
 _PAIRS_PER_CHUNK = 1 << 13
 _CELL_SLACK = 1e-9  # cells
 _OTHER_AXES = ((1, 2), (2, 0), (0, 1))
-_MAX_TRIANGLE_CELLS = 2.0  # extent in cells above which a triangle is cut in four
+_MAX_TRIANGLE_CELLS = 2.0  # extent in cells; a larger triangle is cut in four
 _MAX_CELL_NUMBER = float(1 << 62)
-_THIN_TRIANGLE_RATIO = 64.0  # ratio of length in cells to touched cells, from which a triangle is sliced
+_THIN_TRIANGLE_RATIO = 64.0  # ratio of length in cells to touched cells; above it, a triangle is sliced
 
 
 def iterate_triangle_cells(

@@ -36,12 +36,12 @@ RING_ROW_WORDS, LINK_OFFSET, BALL_OFFSET = 32, 24, 28  # 4-byte words per row, a
 _MAX_SEARCHED_FACES, _MAX_WALKED_FACES = (
     4,
     3,
-)  # most faces searched for the start, and most faces of a walk; all are in the ring of the first face
+)  # maximum number of faces searched for the start, and of faces in a walk; all are in the ring of the first face
 _MIN_INSIDE_WEIGHT = 1e-4  # smallest corner weight for which a ray is certainly inside a face
 _MIN_RING_COSINE = 0.2  # smallest cosine between the normals of a face and of a face in its ring
 _MIN_FACE_HEIGHT_CUBES = 1e-3  # in cube edges; faces with a smaller height have no ring
-_SQUARE_ROUNDING_FACTOR = 1 + 1e-5  # factor above the rounding error of a square in float32
-_MIN_FACES_PER_THREAD = 512  # number of faces from which another thread is worthwhile
+_SQUARE_ROUNDING_FACTOR = 1 + 1e-5  # exceeds the rounding error of a square in float32
+_MIN_FACES_PER_THREAD = 512  # fewer faces are not worth another thread
 
 
 def find_rings(faces: Faces, grid: GridTables, store_tables: bool, threads: int = 1) -> Arrays:

@@ -22,10 +22,10 @@ MeshArrays = tuple[Vectors, NDArray[np.int32]]
 RayHits = tuple[Index, Vectors, Index, Vectors]
 
 _RAYS_PER_CHUNK = 1 << 16  # rays per chunk
-_MAX_RECASTS = 16  # most faces that a ray may miss by less than the tolerance
-_NUDGE_TOLERANCES = 8.0  # in tolerances: a point moved this far from its face is nearer to an equally near face on another side
-_MAX_RAYS_CAST_ONCE = 128  # rays: up to this number, one cast to the end of the scene is faster than two queries
-_MAX_NEAREST_DISTANCE_MM = 1e15  # mm; much farther away Open3D reports no nearest face, because squares overflow in float32
+_MAX_RECASTS = 16  # maximum number of faces that a ray may miss by less than the tolerance
+_NUDGE_TOLERANCES = 8.0  # tolerances; a point moved this far from its face is nearer to an equally near face on another side
+_MAX_RAYS_CAST_ONCE = 128  # for up to this number of rays, one cast to the end of the scene is faster than two queries
+_MAX_NEAREST_DISTANCE_MM = 1e15  # much farther away, Open3D reports no nearest face, because squares overflow in float32
 FAR_FROM_ORIGIN_MM = 2000.0  # mm; nearer to zero, float32 is exact to a ten-thousandth of a millimetre
 
 
@@ -98,7 +98,7 @@ class RayScene(ProximityQueries):
         self._first_face = np.cumsum(np.concatenate(([0], counts)))
         self._mesh_of_face = np.repeat(np.arange(len(arrays), dtype=np.int32), counts)
         middle = (corners.min(axis=(0, 1)) + corners.max(axis=(0, 1))) / 2 if corners.size else np.zeros(3)
-        # Multiples of a metre, and zero near the origin: another mesh at the border then changes no bit of other results.
+        # Multiples of a metre, and zero near the origin, so that another mesh at the border changes no bit of other results.
         self.origin = np.round(middle / 1000.0) * 1000.0 if np.abs(middle).max() > FAR_FROM_ORIGIN_MM else np.zeros(3)
         self._faces = Faces(corners - self.origin, self._is_short_lived, self._largest_coordinate)
         self._is_empty = not len(corners)
@@ -346,7 +346,7 @@ class RayScene(ProximityQueries):
     ) -> tuple[Vectors, Vectors, Index]:
         """Return position, distance and face nearest to points relative to the scene's origin, by Open3D."""
         place, square, face = self._faces.find_nearest(local, self._query_open3d_nearest(local, threads))
-        # Slightly farther away, an equally near face on another side is nearer. So both are found in any case.
+        # At a slightly larger distance, an equally near face on another side is nearer. So both are found in any case.
         distance = np.sqrt(square)
         candidates = np.flatnonzero(distance <= max_distance)
         if candidates.size:

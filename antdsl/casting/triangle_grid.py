@@ -32,10 +32,10 @@ Tables = tuple[Floats, Index, NDArray[np.int32], NDArray[np.int32], Float32Array
 _CUBE_WIDTH_IN_FACE_EDGES = 1.0  # edge of a cube, in mean face edges
 _MAX_CUBES = 400_000
 _MAX_LISTED_FACES = 4_000_000  # pairs of a face and a cube that lists it
-_CROWDED_CUBE_FACES = 48.0  # mean number of faces in a face's cube, from which a tree tests fewer faces
-_RAYS_PER_THREAD = 128  # number of rays or points from which another thread is worthwhile
+_CROWDED_CUBE_FACES = 48.0  # mean number of faces in a face's cube; above it, a tree tests fewer faces
+_RAYS_PER_THREAD = 128  # fewer rays or points are not worth another thread
 _CUBE_MARGIN = 1e-6  # in cubes; more than rounding and `EDGE_WEIGHT_TOLERANCE` move a point off a face
-_THIN_CORNER_SINE = 1e-8  # sine of a corner angle below which a face defines no plane; rays pass through it
+_THIN_CORNER_SINE = 1e-8  # sine of a corner angle; below it, a face defines no plane and rays pass through it
 
 
 class TriangleGrid:

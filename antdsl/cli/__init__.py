@@ -2,7 +2,7 @@
 
 from antdsl.child_processes import isolate_search_paths
 
-isolate_search_paths()  # before another import could look into the working directory
+isolate_search_paths()  # before another import could search the working directory
 
 import gc  # noqa: E402
 import os  # noqa: E402
@@ -12,7 +12,8 @@ import warnings  # noqa: E402
 from collections.abc import Callable  # noqa: E402
 from typing import Any, NamedTuple  # noqa: E402
 
-# What starting and checking allocate stays until the end; looking through it for garbage every 700 objects is a tenth of a check.
+# Objects allocated at the start and by a check live until the end. Scanning them for garbage every 700 objects would take 10 % of
+# a
 gc.set_threshold(100_000, 50, 50)
 
 import typer  # noqa: E402
@@ -146,7 +147,7 @@ def main() -> None:
     _restart_with_safe_path()
     guard_streams()
     code = _flush_output(_run_without_warnings())
-    # What is left goes with the process; looking through it for garbage once more would be a tenth of a check.
+    # The end of the process frees the rest. Another garbage collection would take 10 % of a check.
     gc.freeze()
     sys.exit(code)
 
@@ -168,7 +169,7 @@ def _flush_output(code: int) -> int:
     loss."""
     try:
         loss = close_streams()
-    except KeyboardInterrupt:  # the work is done, and nothing reads the rest
+    except KeyboardInterrupt:  # the work is complete, and no reader needs the rest
         return code
     if loss is None or code not in (ExitCode.SUCCESS, ExitCode.FINDINGS):
         return code
@@ -179,7 +180,7 @@ def _flush_output(code: int) -> int:
 def _run_without_warnings() -> int:
     """Run the command with the warnings of libraries disabled. Return its exit code."""
     with warnings.catch_warnings():
-        if not sys.warnoptions:  # what libraries have to say to those who program with them; `python -W default` shows it
+        if not sys.warnoptions:  # warnings of libraries are for developers; `python -W default` shows them
             warnings.simplefilter("ignore")
         return _run_command_line()
 

@@ -33,7 +33,7 @@ class ExitCode(IntEnum):
     USAGE = 2
     INPUT_OUTPUT = 3
     BUG = 70
-    TERMINATED = 75  # by SIGTERM, all completed work is stored: sysexits' EX_TEMPFAIL, "try again later"
+    TERMINATED = 75  # after SIGTERM, with all completed work stored: sysexits' EX_TEMPFAIL, "try again later"
     INTERRUPTED = 130  # what shells expect after Ctrl-C
 
 
@@ -45,7 +45,7 @@ class CommandError(Exception):
         self.code, self.message, self.hint = code, message, hint
 
 
-# What libraries say, in errors of other kinds, when the system gives them no memory.
+# Messages of libraries, in various kinds of errors, when the system has no memory left.
 _OUT_OF_MEMORY_PHRASES = (
     "bad_alloc",
     "cannot allocate memory",
@@ -54,11 +54,11 @@ _OUT_OF_MEMORY_PHRASES = (
     "unable to allocate",
     "not enough memory",
 )
-# What they say when it gives them no thread. An error of a file or a socket says the last of these too, but is an OSError.
+# Messages when the system has no thread left. Errors of files and sockets may contain the last of these, but are OSErrors.
 _OUT_OF_THREADS_PHRASES = ("can't start new thread", "failed to create thread", "resource temporarily unavailable")
 _PROCESS_STARTING_MODULES = frozenset(
     ["subprocess", "multiprocessing.popen_fork", "multiprocessing.util", "antdsl.checking"]
-)  # of processes
+)  # limits the number of processes
 
 
 def is_out_of_memory(problem: BaseException | None) -> bool:
@@ -99,7 +99,7 @@ def report_failures(operation: str, retry_advice: str = RETRY_ADVICE) -> Iterato
     to continue."""
     try:
         yield
-    except (BrokenPipeError, CommandError):  # the reader of standard output is gone: that is not the disk
+    except (BrokenPipeError, CommandError):  # the reader of standard output has closed it; this is not a disk error
         raise
     except Exception as problem:
         cause = find_machine_failure(problem)

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from antdsl.source import Span
 
 ANY_MEMORY_OPTION: bool = typer.Option(False, "--any-memory", help="Start even if the estimate exceeds the available memory.")
-_USABLE_MEMORY_SHARE = 0.8  # of what is available; the rest is for frames, kernels and other programs
-_MAX_LISTED_THINGS = 3  # things that a message names
+_USABLE_MEMORY_SHARE = 0.8  # share of the available memory; the rest is for frames, kernels and other programs
+_MAX_LISTED_THINGS = 3  # maximum number of things named in a message
 
 
 def estimate_work(shot: Shot) -> list[WorkEstimate]:

@@ -142,7 +142,7 @@ def _require_certificates(folder: Path) -> None:
             if certificate_file == authority:
                 context.load_verify_locations(authority)
             else:
-                context.load_cert_chain(certificate, key, password="")  # else it would ask
+                context.load_cert_chain(certificate, key, password="")  # without a password, OpenSSL would prompt for one
         except (OSError, ValueError):  # an SSLError is an OSError
             message = f"`{certificate_file}` {words}; the page on clusters of the documentation has the commands that make them"
             raise typer.BadParameter(message, param_hint="--tls") from None

@@ -71,7 +71,7 @@ def run_shots(
     exit_on_errors(report)
     processes = min(count_available_cores(), len(scenes))
     per = threads or max(1, count_available_cores() // processes)
-    if not ignore_memory_limit and not scheduler[0]:  # a cluster's machines have memory of their own
+    if not ignore_memory_limit and not scheduler[0]:  # machines of a cluster have their own memory
         require_memory([shot for shot in shots if shot is not None], processes)
     files = [path for path in read if path.is_file()]
     failed = 0

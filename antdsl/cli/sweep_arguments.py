@@ -23,7 +23,7 @@ def reject_missing_scene() -> list[str]:
     raise typer.BadParameter("name a scene, or continue a sweep: `--resume --out DIR`", param_hint="SCENE")
 
 
-# Options that define the runs: a sweep that is continued has stored them.
+# Options that define the runs. A continued sweep has them stored.
 _STUDY_OPTIONS = {
     "scenes": "the scenes",
     "vary": "`--vary`",
@@ -81,7 +81,7 @@ def build_study(request: SweepRequest) -> tuple[Study, list[SweepJob], Report]:
     numbers = _parse_seeds(request.seeds)
     _, report = build_jobs(
         make_variations(scenes, build_end_points(sweep_factors) or [{}]), (), **job_options
-    )  # each end once, and not each point beyond one
+    )  # each end once, not once for each point beyond it
     if not report.ok:
         return Study(chosen, (), ()), [], report
     run = make_variations(scenes, chosen.unique_points)

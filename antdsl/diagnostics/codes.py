@@ -195,9 +195,9 @@ CODE_DESCRIPTIONS: dict[str, str] = {
     "no-pictures": "a film or a sheet has no frame to show",
 }
 
-# Warnings that not every look at a file can find, so that a comment which ignores one may have nothing to ignore there.
-STRICT_CODES = frozenset(("per-step",))  # only `check --strict` looks for them
-MESH_CODES = frozenset(  # a scene's meshes have to be read for them
+# Warnings that only some commands can find. So a comment that ignores one may be without effect in other commands.
+STRICT_CODES = frozenset(("per-step",))  # only `check --strict` reports them
+MESH_CODES = frozenset(  # they require reading the meshes of a scene
     ("crossing-face", "degenerate-faces", "far-away", "inside-out", "odd-scale", "off-surface", "unread-content", "usd-left-out")
 )
-RUN_CODES = frozenset(("no-room", "unreachable-target"))  # the agents have to be placed for them
+RUN_CODES = frozenset(("no-room", "unreachable-target"))  # they require placing the agents

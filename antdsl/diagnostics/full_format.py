@@ -8,7 +8,7 @@ from antdsl.diagnostics.model import Diagnostic
 from antdsl.diagnostics.text_positions import count_columns, escape_line, escape_text, find_line_range
 from antdsl.source import Span
 
-_MAX_LINE_WIDTH = 120  # of a source line; a longer one is shown around the place
+_MAX_LINE_WIDTH = 120  # characters of a source line; a longer one is shortened around the location
 
 
 def format_full(diagnostics: Sequence[Diagnostic], omitted_count: int) -> str:

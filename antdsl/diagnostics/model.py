@@ -18,7 +18,7 @@ def replace_unprintable(text: str, allowed_characters: str = "") -> str:
     return "".join(c if c.isprintable() or c in allowed_characters else "\ufffd" for c in text)
 
 
-_MAX_QUOTED_CHARACTERS = 160  # characters of a quoted value; a line of a terminal or two
+_MAX_QUOTED_CHARACTERS = 160  # characters of a quoted value: one or two terminal lines
 _MAX_LINE_CHARACTERS = 1500
 _LONG_VALUE_PATTERN = re.compile(f"`([^`]{{{_MAX_QUOTED_CHARACTERS}}})[^`]+`")
 
@@ -58,7 +58,7 @@ class Diagnostic:
     fix: Fix | None = None
 
     def __post_init__(self) -> None:
-        # Messages quote files of strangers; a control character or a page of text must not reach a terminal.
+        # Messages may quote untrusted files; control characters or long texts must not reach a terminal.
         for name in ("message", "help"):
             text = getattr(self, name)
             if text is None:

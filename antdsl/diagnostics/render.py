@@ -27,7 +27,7 @@ def _format_line(diagnostic: Diagnostic) -> str:
     return f"{escape_text(place.path)}:{place.line}:{place.column}: {text}"
 
 
-# Each takes the complaints to show, in order, and the number of those that are left out.
+# Each formatter takes the findings to display, in order, and the number of omitted findings.
 FORMATTERS: dict[str, Callable[[Sequence[Diagnostic], int], str]] = {
     "full": format_full,
     "concise": format_concise,

@@ -15,10 +15,10 @@ def find_nearest_name(word: str, candidates: Iterable[str]) -> str | None:
     for name in names:
         if name.lower().replace("_", "") == lowered.replace("_", ""):
             return name
-    for name in names:  # two letters changed places
+    for name in names:  # two letters swapped
         if sorted(name.lower()) == sorted(lowered):
             return name
-    # below four letters one wrong letter is already a large part of the word, so more unlikeness is allowed
+    # in a word of fewer than four letters, one wrong letter is a large part, so a larger difference is allowed
     cutoff = 0.5 if len(word) <= 3 else 0.65
     matches = get_close_matches(word[:64], names, n=1, cutoff=cutoff)
     return matches[0] if matches else None

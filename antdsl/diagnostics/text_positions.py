@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from antdsl.source import Span
 
-# What could move a cursor, change a colour, end a line or turn the direction of writing.
+# Characters that could move a cursor, change a colour, end a line or change the direction of writing.
 _UNSAFE_CHARACTERS = re.compile(
     "[\x00-\x1f\x7f-\x9f\u200b-\u200f\u2028\u2029\u202a-\u202e\u2060-\u2069\ufeff\ufffe\uffff\ud800-\udfff]"
 )

@@ -34,9 +34,9 @@ from antdsl.executors.tasks import LOOPBACK, POLL_SECONDS, TLS_FILE_NAMES, Engin
 from antdsl.source_hash import hash_sources
 
 _ROLES = ("scheduler", "worker", "nanny")
-_CONNECT_SECONDS = 15  # seconds to wait for a scheduler
-_FILE_TRANSFER_SECONDS = 5.0  # seconds for the files to be there, until tasks are given
-_MAX_FUTILE_RESUBMITS = 3  # times that all tasks are resubmitted without an answer in between
+_CONNECT_SECONDS = 15  # limit for connecting to a scheduler
+_FILE_TRANSFER_SECONDS = 5.0  # limit for the transfer of files before tasks are submitted
+_MAX_FUTILE_RESUBMITS = 3  # maximum number of resubmissions of all tasks without an answer in between
 _ALL_WORKERS_LOST = "each worker that it was given to was lost"
 _MAX_MESSAGE_CHARACTERS = 2000  # characters of one sentence of a worker
 
@@ -58,7 +58,8 @@ def start_local_cluster(workers: int, threads: int) -> Iterator[tuple[str, Secur
     """
     isolate_search_paths()
     nothing: dict[str, list[str]] = {f"distributed.{role}.http.routes": [] for role in _ROLES}
-    nothing |= {f"distributed.{role}.preload": [] for role in (*_ROLES, "client")}  # modules that a configuration file names
+    # modules that a configuration file names must not be loaded
+    nothing |= {f"distributed.{role}.preload": [] for role in (*_ROLES, "client")}
     with dask.config.set({**nothing, "distributed.worker.memory.terminate": False}):
         security = Security.temporary()
         with LocalCluster(
@@ -83,7 +84,7 @@ def connect_cluster(
     the other files. Raises WorkersLost if no scheduler answers. Raises TaskRefused if no worker is suitable or the files are too
     large."""
     for name in [name for name in logging.root.manager.loggerDict if name.startswith("distributed")]:
-        logging.getLogger(name).setLevel(logging.CRITICAL)  # what there is to tell we tell
+        logging.getLogger(name).setLevel(logging.CRITICAL)  # antdsl reports errors itself
     with ExitStack() as stack:
         try:
             client = stack.enter_context(Client(address, security=security, timeout=_CONNECT_SECONDS, set_as_default=False))
@@ -108,13 +109,13 @@ class Cluster(Engine):
         self._messages: list[str] = []
         self._reported_messages: set[str] = set()
         self._frame_by_key: dict[str, int] = {}
-        self._key_by_future: dict[Future[str], str] = {}  # of running tasks
+        self._key_by_future: dict[Future[str], str] = {}  # keys of running tasks
         self._abandoned_keys: set[str] = set()  # keys of tasks that are not submitted again
-        self._suitable_workers: set[str] = set()  # workers that have said so
-        self._present_workers: set[str] = set()  # those of them that were there when it was looked last
+        self._suitable_workers: set[str] = set()  # workers that reported that they are suitable
+        self._present_workers: set[str] = set()  # suitable workers that were present at the last check
         self._last_check_seconds = -1e9
         self._attempt = 0
-        self._futile_resubmits = 0  # times that all tasks were resubmitted since the last answer
+        self._futile_resubmits = 0  # resubmissions of all tasks since the last answer
 
     def send_files(self) -> None:
         """Send the files to all workers, also to those that join later."""
@@ -130,7 +131,7 @@ class Cluster(Engine):
         if worker_identities and len(unfit) == len(worker_identities):
             raise TaskRefused("\n".join(unfit.values()))
         self._messages += unfit.values()
-        with suppress(ImportError, AttributeError):  # by a worker that has been reported
+        with suppress(ImportError, AttributeError):  # raised for a worker that has already been reported
             client.register_plugin(self._project)
         until = time.monotonic() + _FILE_TRANSFER_SECONDS
         while worker_identities and not self._suitable_workers and time.monotonic() < until:
@@ -174,7 +175,7 @@ class Cluster(Engine):
         self._check_workers()
         messages = [message for message in dict.fromkeys(self._messages) if message not in self._reported_messages]
         self._messages = []
-        self._reported_messages.update(messages)  # a rejected worker reports this too
+        self._reported_messages.update(messages)  # a rejected worker also reports this message
         return messages
 
     def _read_events(self) -> None:
@@ -205,7 +206,7 @@ class Cluster(Engine):
         try:
             present_workers = self._suitable_workers & set(self._client.nthreads())
         except OSError:
-            return  # of a scheduler that is gone; the tasks say so
+            return  # the scheduler has gone; the tasks report this
         if present_workers and not present_workers & self._present_workers:
             self._attempt, self._futile_resubmits = self._attempt + 1, self._futile_resubmits + 1
             if self._futile_resubmits > _MAX_FUTILE_RESUBMITS:
@@ -221,7 +222,7 @@ class Cluster(Engine):
         return _ALL_WORKERS_LOST if isinstance(exception, KilledWorker) else super().describe_failure(exception)
 
     def stop(self) -> None:
-        with suppress(Exception):  # of a scheduler that is gone
+        with suppress(Exception):  # the scheduler may have gone
             self._executor.shutdown(wait=False)
 
     def fetch_file(self, worker: str, file: str, size: int) -> Iterator[bytes]:

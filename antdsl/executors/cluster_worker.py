@@ -27,7 +27,7 @@ from antdsl.limits import MAX_TASK_OUTPUT_BYTES, MIB
 from antdsl.safe_read import open_size_limited
 from antdsl.source_hash import hash_sources
 
-FILE_PART_BYTES = 8 * MIB  # of a file that is fetched, at a time
+FILE_PART_BYTES = 8 * MIB  # bytes per request of a fetched file
 
 
 class ProjectPlugin(WorkerPlugin):  # type: ignore[misc]
@@ -62,7 +62,8 @@ class ProjectPlugin(WorkerPlugin):  # type: ignore[misc]
         self.worker = WorkerContext(
             worker.state.nthreads, find_local_path=local_path, scratch_folder=folder / "made", name=worker.address
         )
-        if self.name not in worker.state.total_resources:  # said again, it would count as free what a task has
+        # set only once: setting it again would free resources that tasks occupy
+        if self.name not in worker.state.total_resources:
             await worker.set_resources(**{self.name: 1})
         worker.log_event(self.name, {"fit": worker.address})
 
@@ -73,7 +74,7 @@ _task_lock = threading.Lock()
 def _unpack_bundle(bundle: FileBundle, folder: Path) -> None:
     """Unpack the files to the folder where tasks look for them, unless an earlier command did."""
     with _task_lock:
-        complete_mark = folder / "whole"  # is there once all the others are
+        complete_mark = folder / "whole"  # exists once all other files are complete
         if complete_mark.is_file():
             return
         shutil.rmtree(folder, ignore_errors=True)

@@ -18,8 +18,8 @@ from multiprocessing.process import BaseProcess
 from antdsl.child_processes import isolate_search_paths
 from antdsl.executors.tasks import Engine, Task, TaskFunction, WorkerContext, run_task
 
-_EXIT_WAIT_SECONDS = 5.0  # seconds to wait for the end of a process
-_NO_FRAME = -(2**62)  # where no frame is known
+_EXIT_WAIT_SECONDS = 5.0  # limit for the end of a process
+_NO_FRAME = -(2**62)  # marks a task without a known frame
 
 
 class ProcessEngine(Engine):
@@ -37,7 +37,8 @@ class ProcessEngine(Engine):
         isolate_search_paths()
         context = multiprocessing.get_context("spawn")
         self._frame_by_slot: MutableSequence[int] = context.RawArray("q", [_NO_FRAME] * self.task_capacity)
-        self._future_by_slot: list[Future[str] | None] = [None] * self.task_capacity  # which task writes which of the frames
+        # the task that reports in each slot of the frames
+        self._future_by_slot: list[Future[str] | None] = [None] * self.task_capacity
         self._other_children, self._own_processes = frozenset(multiprocessing.active_children()), set()
         self._pool = ProcessPoolExecutor(self.task_capacity, context, _start_process, (self._threads, self._frame_by_slot))
 
@@ -59,7 +60,7 @@ class ProcessEngine(Engine):
         for process in self._own_processes:
             process.join(_EXIT_WAIT_SECONDS)
         codes = [process.exitcode for process in self._own_processes]
-        # the pool itself ends the others by SIGTERM once one is gone
+        # when one process has ended, the pool itself ends the others by SIGTERM
         return _describe_exit(next((code for code in codes if code not in (None, 0, -signal.SIGTERM)), -signal.SIGTERM))
 
     def stop(self) -> None:
@@ -95,8 +96,8 @@ def _start_process(threads: int, frame_by_slot: MutableSequence[int]) -> None:
     global _worker, _frame_by_slot
     _worker, _frame_by_slot = WorkerContext(threads), frame_by_slot
     if not sys.warnoptions:
-        warnings.simplefilter("ignore")  # of libraries, as in the process that the terminal has
-    # Ctrl-C reaches the process that requested the tasks, and that one ends this one
+        warnings.simplefilter("ignore")  # warnings of libraries, as in the main process
+    # Ctrl-C reaches the process that requested the tasks, which ends this one
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     threading.Thread(target=_end_with_parent, daemon=True).start()

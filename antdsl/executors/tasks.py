@@ -17,10 +17,10 @@ from typing import Any
 from antdsl.atomic_write import atomic_file, create_folder_durably
 from antdsl.limits import MAX_TASK_ANSWER_BYTES, MAX_TASK_OUTPUT_BYTES
 
-TLS_FILE_NAMES = ("ca.pem", "cert.pem", "key.pem")  # in a folder of certificates: the authority's, one's own, and its key
-LOOPBACK = "127.0.0.1"  # where a cluster of this machine listens
-POLL_SECONDS = 0.5  # seconds between looks at how far tasks are
-_MAX_TASK_ATTEMPTS = 3  # attempts of a task with files that cannot be fetched
+TLS_FILE_NAMES = ("ca.pem", "cert.pem", "key.pem")  # in a folder of certificates: of the authority, own certificate, own key
+LOOPBACK = "127.0.0.1"  # address of a cluster on this machine
+POLL_SECONDS = 0.5  # interval between progress checks
+_MAX_TASK_ATTEMPTS = 3  # maximum number of attempts of a task with files that cannot be fetched
 
 TaskAnswer = dict[str, Any]
 
@@ -130,7 +130,7 @@ class Engine(ABC):
 
     def remove_task_files(self, worker: str, folder: str) -> None:
         """Make a worker remove the files that a task wrote."""
-        return  # tasks on this machine write where the files stay
+        return  # tasks on this machine write directly to the final folder
 
 
 def run_tasks(
@@ -157,7 +157,7 @@ def run_tasks(
         engine.start()
         while True:
             if not running:
-                alone = bool(suspects)  # and it stays so until that one has ended
+                alone = bool(suspects)  # stays set until that task has ended
             while len(running) < (1 if alone else engine.task_capacity):
                 task = suspects.popleft() if alone else lost.popleft() if lost else next(waiting, None)
                 if task is None:
@@ -175,7 +175,8 @@ def run_tasks(
                     report_frame(task, frame)
             is_broken = any(map(_is_broken, finished_futures))
             if is_broken:
-                while len(finished_futures) < len(running):  # with it all the others are broken, or answered just before
+                # if one has broken, all others are broken too, or answered just before
+                while len(finished_futures) < len(running):
                     wait(running, timeout=POLL_SECONDS)
                     finished_futures = _find_finished(running)
             broken_tasks = []

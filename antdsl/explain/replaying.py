@@ -21,7 +21,7 @@ from antdsl.runtime.phases import PHASES
 from antdsl.scene.scene_checks import resolve_layer_order
 
 T = TypeVar("T")
-_TRACED_PHASE = "effects"  # every block has run, and nothing that it read has changed
+_TRACED_PHASE = "effects"  # in this phase every block has run, and its inputs are unchanged
 
 
 TraceReader = Callable[[World, Population, AgentTrace], T]
@@ -49,7 +49,7 @@ class Replay:
         self._world: World | None = None
         self._checkpoint = 0
         self.notes: dict[str, SourceNotes] = {}
-        self.replacement_by_node: dict[PlanNode, PlanNode] = {}  # noted nodes, and what stands for them in the plan
+        self.replacement_by_node: dict[PlanNode, PlanNode] = {}  # noted nodes, and their replacements in the plan
         self.plan = self._build_annotated_plan()
 
     def _build_annotated_plan(self) -> Plan:
@@ -71,7 +71,7 @@ class Replay:
             world = self._restore_checkpoint(frame - 1)
         while world.frame < frame - 1:
             self.history.apply_interventions(world)
-            with suppress(FaultStop):  # it went on after the fault as well
+            with suppress(FaultStop):  # the original run also continued after the fault
                 step(world)
         self._require_known_hash(world)
         self._world = world
@@ -82,7 +82,7 @@ class Replay:
         while other agents, items and fields are in their state at the start of the step."""
         world = self.restore_step_start(frame)
         self.history.apply_interventions(world)
-        self._world = None  # until the step is whole
+        self._world = None  # until the step is complete
         results: tuple[T | None, ...] = ()
         for name, phase in PHASES:
             if name == _TRACED_PHASE:

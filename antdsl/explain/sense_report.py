@@ -15,9 +15,9 @@ from antdsl.program.tables.senses import SENSE_BY_OPERATION
 from antdsl.runtime.backends.reference import SetMember
 from antdsl.runtime.world import Population, World
 
-MAX_LISTED_OBJECTS = 10  # reported others of a set
-NO_AGENT = -1  # the id of no agent
-_MAX_TEXT_CHARACTERS = 72  # letters of a text
+MAX_LISTED_OBJECTS = 10  # maximum number of reported elements of a set
+NO_AGENT = -1  # the id that means no agent
+_MAX_TEXT_CHARACTERS = 72  # characters of a text
 
 
 def list_observed_sets(world: World, trace: AgentTrace) -> tuple[ObservedSet, ...]:

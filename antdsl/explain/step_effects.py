@@ -98,7 +98,7 @@ def _build_vector_change(
         if type is not None
         else ""
     )
-    origin = world.origin if name == "position" else (0.0, 0.0, 0.0)  # registers are relative to it
+    origin = world.origin if name == "position" else (0.0, 0.0, 0.0)  # registers are relative to the origin
     old_vector, new_vector = (
         to_float_triple(convert_to_unit(world, float(x) + o, unit) for x, o in zip(vector, origin, strict=True))
         for vector in old_and_new

@@ -20,7 +20,7 @@ from antdsl.plan.lowering.source_map import make_resting_site
 from antdsl.program.model import Handler, Species
 from antdsl.runtime.world import AXES, Population, World
 
-MAX_NEIGHBOUR_POSITIONS = 256  # of each set
+MAX_NEIGHBOUR_POSITIONS = 256  # maximum per set
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,8 +20,8 @@ from antdsl.explain.model import (
     TransitionReport,
 )
 
-_BAR_CHARACTERS = 20  # characters for the whole budget
-_MAX_INTERVALS = 12  # of a long life, those around the requested frame
+_BAR_CHARACTERS = 20  # width of the complete budget
+_MAX_INTERVALS = 12  # maximum number of intervals; for a long life, those around the requested frame
 _MAX_DRAWS = 40
 
 
@@ -106,7 +106,7 @@ def _transition_lines(transition: TransitionReport, hide_condition: bool) -> Ite
         condition = transition.condition
         for part in (
             condition.parts if condition.role == "joined" and not transition.timers else (condition,)
-        ):  # whether it holds is said already
+        ):  # whether the condition holds is already displayed
             yield from _condition_lines(part, "            ")
     for timer in transition.timers:
         sign = "has passed" if timer.holds else "has not passed"

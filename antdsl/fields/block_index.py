@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
-_MAX_BLOCKS = 8_000_000  # most blocks of an index
+_MAX_BLOCKS = 8_000_000  # maximum number of blocks in an index
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -23,9 +23,9 @@ Floats = NDArray[np.float64]
 Cells = NDArray[np.int32]
 
 NEAREST_CELLS = 16
-_MAX_DENSE_VOXELS = 8_000_000  # most voxels of a box for a table of all voxels
+_MAX_DENSE_VOXELS = 8_000_000  # maximum number of voxels of a box for a table of all voxels
 _MAX_VOXELS_PER_AXIS = 1 << 19  # three packed coordinates and a side fit into 63 bits
-_MAX_SLIVER_CELL_RATIO = 2.0  # factor for triangle cells above the limit: many slivers lie in one cell
+_MAX_SLIVER_CELL_RATIO = 2.0  # factor of triangle cells above the limit: many slivers may lie in one cell
 BLOCK_OFFSETS = tuple((x, y, z) for x, y, z in product((-1, 0, 1), repeat=3))
 _POINTS_PER_CHUNK = 1 << 15
 

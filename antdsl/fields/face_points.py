@@ -16,13 +16,13 @@ from antdsl.scene.setting import BorderFlowData, SolvedFlowData, SpreadFlowData
 _PIECES_PER_RADIUS = 8  # pieces per radius or border, if no cell size is set
 _PIECES_PER_EXTENT = 64  # pieces per extent of the ground, if there is no radius either
 _CROWD_PIECES_PER_EXTENT = 48  # the same, for a flow that is solved repeatedly
-_MAX_DEFAULT_POINTS = 200_000  # most points, if no cell size is set
-_MIN_CELL_EXTENT = 1e-12  # smallest cell, relative to the extent
+_MAX_DEFAULT_POINTS = 200_000  # maximum number of points if no cell size is set
+_MIN_CELL_EXTENT = 1e-12  # smallest cell, as a share of the extent
 Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-_WELD_DISTANCE = 1e-7  # relative to the extent; points nearer than this are merged
-_MAX_CUTS_PER_EDGE = 1024  # most pieces along an edge
+_WELD_DISTANCE = 1e-7  # share of the extent; nearer points are merged
+_MAX_CUTS_PER_EDGE = 1024  # maximum number of pieces along an edge
 
 
 class LatticeTooFine(ValueError):

@@ -23,7 +23,7 @@ VectorColumns = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float
 VectorSource = Callable[[Floats], Floats]  # vectors (n, 3) at positions (n, 3), not projected onto a surface
 
 _CURVE_SPACING_MM = 1.0  # mm, as for curves in nearest-point queries
-_MIN_LAID_COSINE = 0.5  # cosine of the angle to the face below which a projected vector loses length
+_MIN_LAID_COSINE = 0.5  # cosine of the angle to the face; below it, a projected vector loses length
 
 
 def project_to_faces(v: Floats, axis1: Floats, axis2: Floats) -> tuple[Floats, Floats]:

@@ -18,7 +18,7 @@ _GROWTH_DIVISOR = 8  # capacity grows by 1 / this number, so that most steps nee
 _MIN_ADDED_CAPACITY = 1024
 _NO_KEY = -1
 _ISOLATED_VOXEL = -(1 << 60)  # number of a voxel without neighbours
-_MAX_NEIGHBOUR_CELLS = 27 * 6  # most cells in 3³ voxels
+_MAX_NEIGHBOUR_CELLS = 27 * 6  # maximum number of cells in 3³ voxels
 VoxelIndex = tuple[Array1[I64], Array1[I64]]  # voxels and keys of cells
 
 

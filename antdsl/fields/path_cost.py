@@ -12,9 +12,9 @@ Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
-_MAX_BAND_ITERATIONS = 40  # most iterations for a band of points, because its points depend on each other
-_MAX_PASSES = 8  # most passes over all bands, because the order of the points changes
-_CONVERGENCE_TOLERANCE = 0.01  # relative to the median edge length; smaller changes end the iteration
+_MAX_BAND_ITERATIONS = 40  # maximum number of iterations for a band of points, because its points depend on each other
+_MAX_PASSES = 8  # maximum number of passes over all bands, because the order of the points changes
+_CONVERGENCE_TOLERANCE = 0.01  # share of the median edge length; smaller changes end the iteration
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -14,10 +14,10 @@ WHITE: RGB = (1.0, 1.0, 1.0)
 TEXT_COLOUR: RGB = (0.13, 0.13, 0.16)
 FRAME_COLOUR: RGB = (0.84, 0.84, 0.82)
 INTERRUPT_COLOUR: RGB = (0.78, 0.05, 0.16)
-INTERRUPT_LINE_WIDTH, PLAIN_LINE_WIDTH = 2.6, 1.4  # lines of interrupts and of others, px
+INTERRUPT_LINE_WIDTH, PLAIN_LINE_WIDTH = 2.6, 1.4  # px; lines of interrupts and of other transitions
 TITLE_SIZE, TITLE_HEIGHT = 16, 34.0
-CHART_GAP = 28.0  # between charts, px
-MAX_ROW_WIDTH = 1500.0  # a row of charts is not wider, unless one chart is
+CHART_GAP = 28.0  # px between charts
+MAX_ROW_WIDTH = 1500.0  # maximum width of a row of charts, unless one chart is wider
 CORNER_RADIUS = 7.0  # radius where an arrow turns
 ARROW_HEAD_LENGTH = 8.0  # length of an arrow's head
 

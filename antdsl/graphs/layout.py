@@ -26,25 +26,25 @@ Size = tuple[float, float]
 Route = tuple[Point, ...]
 Array = np.ndarray[Any, np.dtype[Any]]
 
-_POSITION_SPACING = 9.0  # px between two places on one line
-_FREE_END_LENGTH = 10.0  # px of a line that stay free before its box, where the head is
-_WORD_CLEARANCE = 3.0  # px between words and what they may not touch
+_POSITION_SPACING = 9.0  # px between two positions on one line
+_FREE_END_LENGTH = 10.0  # px at the end of a line that stay free for the arrowhead
+_WORD_CLEARANCE = 3.0  # px between words and other elements
 _MAX_ROUNDS = 6
-# What a place costs: for each box or word and each line or head that it touches, for a turn that it hides, for being beside the
-# line, and for being off the middle.
+# Costs of a position of words: for each touched box or word, for each touched line or arrowhead, for hiding a turn, for being off
+# the line, and for being off the middle.
 _OVERLAP_COST, _CROSSING_COST, _HIDDEN_TURN_COST, _OFF_LINE_COST, _OFF_MIDDLE_COST = 1000.0, 25.0, 4.0, 2.0, 6.0
-NAME_FONT_SIZE, WORD_FONT_SIZE = 14, 11  # letters, px
-LINE_HEIGHT = 14.0  # from line to line of words, px
-MAX_LINE_CHARACTERS = 30  # letters in a line of words
-MAX_CONDITION_LINES = 6  # lines that one condition may have; the pointer shows all of it
+NAME_FONT_SIZE, WORD_FONT_SIZE = 14, 11  # font sizes, px
+LINE_HEIGHT = 14.0  # px between lines of words
+MAX_LINE_CHARACTERS = 30  # characters in a line of words
+MAX_CONDITION_LINES = 6  # maximum number of lines of a condition; the tooltip shows the complete text
 BOX_PADDING = 12.0
-# Against the flow go the changes that lead back to where the start has come by, not those that make the fewest lines turn.
+# Transitions that return to an earlier state from the start are reversed, not those that minimise the number of reversals.
 _LAYOUT_OPTIONS: dict[str, Any] = {
     "routing": {"style": "orthogonal"},
     "cycles": {"strategy": "follow_flow"},
     "effort": "thorough",
 }
-# Room between lines out of one box, between lines that pass, between boxes, between layers, px: ever more of it.
+# Distances between lines out of one box, between passing lines, between boxes, and between layers, px, increasing.
 _SPACINGS: tuple[dict[str, float], ...] = tuple(
     {"port_gap": port, "dummy_gap": line, "node_gap": box, "layer_gap": layer}
     for port, line, box, layer in (
@@ -57,7 +57,7 @@ _SPACINGS: tuple[dict[str, float], ...] = tuple(
         (260, 260, 160, 240),
     )
 )
-_FIRST_WIDE_SPACING = 4  # from here on they are made only where words would stand on words or boxes
+_FIRST_WIDE_SPACING = 4  # wider spacings are tried only if words would overlap words or boxes
 
 
 def lay_out(charts: Sequence[Chart]) -> tuple[tuple[PlacedChart, ...], Report]:
@@ -214,7 +214,8 @@ def _find_label_positions(number: int, boxes: Sequence[PlacedBox], routes: Seque
     others = [part for n, other in enumerate(routes) if n != number for part in pairwise(other)]
     corners = np.abs(centres[:, None] - np.array(route)) < np.array(size) / 2 + _WORD_CLEARANCE
     turns = corners.all(axis=2)
-    hidden = _count_crossings(centres, size, others) + turns[:, -1]  # the tip of its arrowhead is hidden like a line of others
+    # the tip of its arrowhead is hidden in the same way as other lines
+    hidden = _count_crossings(centres, size, others) + turns[:, -1]
     costs = (
         costs
         + _HIDDEN_TURN_COST * turns.sum(axis=1)
@@ -236,7 +237,7 @@ def _list_route_positions(route: Route, size: Size) -> tuple[Array, Array]:
         for k in range(1 + max(0, int((long - 2 * _FREE_END_LENGTH) / _POSITION_SPACING))):
             share = min(1.0, (_FREE_END_LENGTH + k * _POSITION_SPACING) / long) if long > 2 * _FREE_END_LENGTH else 0.5
             x, y = begin[0] + (end[0] - begin[0]) * share, begin[1] + (end[1] - begin[1]) * share
-            middle = abs((start_length + long * share) / length - 0.42)  # a little nearer to where the arrow comes from
+            middle = abs((start_length + long * share) / length - 0.42)  # slightly nearer to the start of the arrow
             for aside in (0.0, -1.0, 1.0):
                 right, down = (aside * (size[0] / 2 + 2), 0.0) if upright else (0.0, aside * (size[1] / 2 + 2))
                 centres.append((x + right, y + down))

@@ -9,8 +9,8 @@ from collections.abc import Iterator, Sequence
 from antdsl.graphs.drawing import INTERRUPT_LINE_WIDTH, choose_line_colours, choose_text_colour, darken, format_hex_colour
 from antdsl.graphs.model import Arrow, Box, Chart
 
-# What may stand in quotes as it is. Everything else is written as its number: quotes and brackets would end the text, and a
-# star, a backtick or `<` would be taken for Markdown or HTML.
+# Characters that are allowed in quotes. All others are written as their number: quotes and brackets would end the text, and a
+# star, a backtick or `<` would be read as Markdown or HTML.
 _UNESCAPED_CHARACTERS = frozenset("abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789 .,:()/+-=_%")
 _BRACKETS_BY_KIND = {
     "state": ('["', '"]'),

@@ -10,8 +10,8 @@ from antdsl.graphs.drawing import Drawing, TextLine
 from antdsl.graphs.svg import format_svg
 from antdsl.graphs.text_width import has_built_in_glyphs, load_built_in_font
 
-PIXELS_PER_PX = 2.0  # pixels for a px
-MAX_PIXELS = 15_000_000  # pixels of a picture; a larger drawing gets fewer for a px
+PIXELS_PER_PX = 2.0  # pixels per px
+MAX_PIXELS = 15_000_000  # maximum number of pixels; a larger drawing gets fewer pixels per px
 
 
 def render_png(drawing: Drawing) -> bytes:

@@ -9,7 +9,7 @@ from unicodedata import east_asian_width
 if TYPE_CHECKING:
     from PIL.ImageFont import FreeTypeFont
 
-# Beyond ASCII Pillow's own letters have no accents, but these.
+# Beyond ASCII, Pillow's own font has no accented letters except these.
 _NON_ASCII_GLYPHS = frozenset("·…°“”")
 
 

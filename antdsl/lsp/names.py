@@ -66,7 +66,7 @@ class ProgramNames:
     modules: dict[str, Path] = field(default_factory=dict)
     events: dict[str, nodes.Name] = field(default_factory=dict)
     declaration_by_key: dict[NameKey, Declaration] = field(default_factory=dict)
-    key_by_declaration_span: dict[Span, NameKey] = field(default_factory=dict)  # where names are declared, again ones too
+    key_by_declaration_span: dict[Span, NameKey] = field(default_factory=dict)  # spans of declarations, including repeated ones
 
 
 def collect_names(path: Path, file: nodes.File) -> ProgramNames:
@@ -75,7 +75,7 @@ def collect_names(path: Path, file: nodes.File) -> ProgramNames:
     for each in list_declarations(file):
         names.declaration_by_key.setdefault(each.key, each)
         kind, *_, last = each.key
-        if kind != "event":  # to raise one is no declaration
+        if kind != "event":  # emitting an event does not declare it
             names.key_by_declaration_span[each.name.span] = each.key
         if kind == "thing":
             names.things.setdefault(last, each.node)
@@ -203,7 +203,7 @@ class _OccurrenceIndexer:
 
     def setting(self, node: nodes.Setting) -> None:
         if node.name.text in WORD_SETTING_VALUES:
-            self.meaning_by_span[node.value.span] = None  # `add`, `first` and so on are no names there
+            self.meaning_by_span[node.value.span] = None  # `add`, `first` and similar words are not names there
 
     def target(self, node: nodes.Target) -> None:
         if node.previous and node.name is not None:
@@ -266,7 +266,7 @@ class _OccurrenceIndexer:
                 self.meaning_by_span[each.name.span] = (("builtin-argument", function_name, each.name.text), False)
 
 
-# Names of which the place in the tree says what they are, or what they are looked for as: by node and field.
+# Names with a meaning that follows from their place in the tree, by node and field.
 _KINDS_BY_NODE_TYPE: dict[type, tuple[tuple[str, str], ...]] = {
     nodes.TypeName: (("name", "type"), ("of", "?")), nodes.WorldItem: (("kind", "kind"),), nodes.Setting: (("name", "setting"),),
     nodes.AnimalProperty: (("name", "given"),), nodes.Use: (("library", "library"),), nodes.NoneOf: (("of", "?"),),

@@ -18,7 +18,7 @@ from antdsl.source import Source, Span
 from antdsl.syntax.words import FIELD_SETTING_WORDS
 
 _NAME_PATTERN = re.compile(r"[a-z][a-z_0-9]*")
-# Keys with values that name a thing or an item, perhaps one of the scene that this one extends.
+# Keys with values that name a thing or an item, possibly of an extended scene.
 _NAMING_KEYS = frozenset(("on", "around", "toward", "away", "border", "solved", "density"))
 
 

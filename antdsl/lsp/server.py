@@ -42,9 +42,9 @@ class AntLanguageServer(LanguageServer):
         super().__init__("antdsl", __version__)
         self.files = Workspace()
         self.uris: dict[Path, str] = {}
-        self.exited_without_shutdown = False  # the editor ended without a shutdown
+        self.exited_without_shutdown = False  # whether the editor exited without a shutdown request
         self.is_shutdown_requested = False
-        self.pending_paths: set[Path] = set()  # documents with findings to report once there is nothing else to read
+        self.pending_paths: set[Path] = set()  # documents with findings to report when no other message waits
 
     def path(self, uri: str) -> Path:
         """Return the path behind a URI; a document that is no file yet gets a separate one in the current folder."""
@@ -94,7 +94,7 @@ class AntLanguageServer(LanguageServer):
             return
         try:
             diagnostics = [protocol.to_lsp_diagnostic(self.files, document, each) for each in self.files.find_diagnostics(path)]
-        except Exception:  # a bug of ours must not end an editor's session
+        except Exception:  # an internal error must not end an editor's session
             _log.exception("cannot check %s", path)
             return
         self.text_document_publish_diagnostics(lsp.PublishDiagnosticsParams(self.uris[path], diagnostics, document.version))
@@ -377,7 +377,7 @@ def run_server() -> bool:
     logging.basicConfig(level=logging.WARNING, format="%(levelname)s %(name)s: %(message)s")  # to standard error
     output = _MessageOutput(os.dup(1))
     with os.fdopen(os.dup(0), "rb") as reader:
-        os.dup2(2, 1)  # nothing that a library prints can get between the messages
+        os.dup2(2, 1)  # output of libraries must not get between the messages
         language_server.start_io(reader, output)  # type: ignore[arg-type]
     if output.problem is not None:
         raise output.problem

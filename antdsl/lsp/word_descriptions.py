@@ -107,7 +107,7 @@ FORM_HELP = {
     "channel": "the value of a channel of the body in this state",
     "look": "a part of the body turns to something",
 }
-# Words inside a line; some of them begin lines too and mean something else there.
+# Words inside a line. Some of them also begin lines, with another meaning.
 INNER_WORD_HELP = {
     "on": WordHelp("where it lies, or in which scene it is checked", "field trail on ground { cell 4 mm }"),
     "in": WordHelp("the range that a param stays in, or the set that is gone through", "param smell = 40 mm in 0 mm .. 200 mm"),
@@ -171,7 +171,7 @@ PLAY_HELP = {
     "down": "the clip that it gives way to downhill",
 }
 STEP_UNIT_NOTE = "by the step, and so by the frames per second: `antdsl check --strict` tells of it"
-# Units of which more is to be said than what they are worth.
+# Units that need more explanation than their value.
 UNIT_HELP = {
     "step": "one step of the simulation: `response 1 step`, `keeps 90 %/step`. For models that are defined per tick: "
     "how long it lasts depends on the frames per second, and is `dt`: `x + 2 /s * dt`",
@@ -179,7 +179,7 @@ UNIT_HELP = {
     "%": "a hundredth: `30 %` is 0.3, `10 %/s` is a tenth a second",
     "turn": "once round",
 }
-# Types that are no numbers with a unit.
+# Types other than numbers with a unit.
 TYPE_HELP = {
     "number": "a number without a unit",
     "push": "a wish or a direction: a vector without a unit",

@@ -24,7 +24,7 @@ from antdsl.syntax.editions import EDITIONS
 from antdsl.syntax.words import EXAMPLE_LINES
 
 HelpRule = Callable[[NameKey], str | None]
-# The words that members of a species begin with; an attribute has none.
+# The words at the start of species members; attributes have none.
 MEMBER_WORDS: Mapping[type, str] = {nodes.ParamDecl: "param", nodes.Let: "let", nodes.Latch: "latch", nodes.Fuzzy: "fuzzy"}
 
 
@@ -150,7 +150,8 @@ def _describe_unit(key: NameKey) -> str | None:
         return None
     base = choose_default_unit(known.dim)
     base_unit = find_unit_measure(base)
-    factor = known.factor / base_unit.factor if base_unit is not None else known.factor  # angles are in radians behind `deg`
+    # angles are stored in radians, but displayed relative to `deg`
+    factor = known.factor / base_unit.factor if base_unit is not None else known.factor
     worth = f"1 {key[1]} = {factor:.6g} {base}".strip() if key[1] != base and not known.unit_power and not known.step else ""
     rate = f"so much a second: `x += 3 {key[1]}` in a state" if known.dim.time == -1 and not known.step else ""
     of_steps = "" if not known.step or key[1] in tables.UNIT_HELP else tables.STEP_UNIT_NOTE
@@ -230,7 +231,7 @@ HELP_RULES: dict[str, HelpRule] = {
         key[1], "a clip, layer, channel or group of joints of the body that a scene gives the animal"
     ),
 }  # fmt: skip
-# What a bare word may mean: in words, the table it stands in, and the rule that tells it.
+# Possible meanings of a bare word: as text, the table that contains it, and the rule that recognises it.
 _WORD_MEANINGS: tuple[tuple[str, Collection[str], HelpRule], ...] = (
     ("begins a line", tables.FORM_HELP, lambda key: describe_keyword(key[1], True)),
     ("inside a line", tables.INNER_WORD_HELP, lambda key: describe_keyword(key[1], False)),

@@ -34,8 +34,9 @@ if TYPE_CHECKING:
 
 PROGRAM_SUFFIX = ".ant"
 NO_BINDINGS = NameBindings()
-_MAX_OCCURRENCES_AT_OFFSET = 8  # symbols that one word can stand for
-_SCENE_KEY_PATTERN = re.compile(r"^(?:antdsl|crowd|extends)[ \t]*:", re.MULTILINE)  # keys that scenes have, and few other files
+_MAX_OCCURRENCES_AT_OFFSET = 8  # maximum number of symbols that one word can refer to
+# keys that occur in scenes and in few other files
+_SCENE_KEY_PATTERN = re.compile(r"^(?:antdsl|crowd|extends)[ \t]*:", re.MULTILINE)
 
 
 @dataclass(frozen=True)
@@ -66,8 +67,8 @@ class OpenDocument:
     resolve: Callable[[Path], NameBindings]
     file_stamp: tuple[int, int] | None = None
     version: int | None = None
-    last_valid_scene: SceneIndex | None = None  # of the text before, for while this one is no YAML
-    parser: IncrementalParser = field(default_factory=IncrementalParser)  # go from one version of an open buffer to the next
+    last_valid_scene: SceneIndex | None = None  # index of the previous text, used while this text is not valid YAML
+    parser: IncrementalParser = field(default_factory=IncrementalParser)  # parses successive versions of an open buffer
     _cached_index: tuple[NameBindings, NameIndex] | None = None
 
     @property
@@ -175,7 +176,7 @@ class Workspace:
     _check_by_path: dict[Path, tuple[object, DocumentCheck]] = field(default_factory=dict)
     _last_good_programs: dict[Path, Program] = field(default_factory=dict)
     _check_memos: dict[Path, CheckMemo] = field(default_factory=dict)
-    _file_search: tuple[float, list[Path]] = (0.0, [])  # until when these files count as all
+    _file_search: tuple[float, list[Path]] = (0.0, [])  # time until which the list is valid, and the files
 
     # --- documents ---
 
@@ -280,7 +281,7 @@ class Workspace:
 
     def _check_program(self, document: OpenDocument) -> DocumentCheck:
         """Check a program with all files that it uses."""
-        # a text that had to be read as a whole has nothing in common with the one before, which may come back
+        # a text that was parsed completely shares nothing with the previous text, which may return
         has_parts = document.path in self.open_documents and document.parsed[0].parts
         memo = self._check_memos.setdefault(document.path, CheckMemo()) if has_parts else None
         program, report = compile_files([document.path], parsed=self.find_parsed_files(document.path), memo=memo)

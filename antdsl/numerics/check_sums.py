@@ -25,7 +25,7 @@ from antdsl.machine_code.library import library_text
 from antdsl.machine_code.llvm_module import LlvmModule
 from antdsl.machine_code.memory import array_address
 
-MIN_BYTES_FOR_KERNEL = 1_024  # bytes; for fewer, the call costs as much as it saves
+MIN_BYTES_FOR_KERNEL = 1_024  # for fewer bytes, the call costs as much as it saves
 _BLOCK_BYTES = 16  # bytes of a factor
 _REGISTERS_PER_STEP = 4  # registers read at once
 _ALL_32_BITS = 0xFFFFFFFF
@@ -34,7 +34,7 @@ _BYTE_DTYPE = np.dtype(np.uint8)
 # Words of a call's table; the first also holds the result
 _DATA_WORD, _LENGTH_WORD, _PREVIOUS_CRC_WORD = RESULT_WORDS, RESULT_WORDS + 1, RESULT_WORDS + 2
 _CallTable = ctypes.c_int64 * (_PREVIOUS_CRC_WORD + 1)
-# As LLVM names them; the wide ones are used where `machine` does
+# LLVM's names; the wide ones are used on processors that `machine` accepts
 _CARRYLESS_FEATURE, _WIDE_FEATURES = "+pclmul", ("+vpclmulqdq", "+avx512vbmi2")
 
 

@@ -31,7 +31,7 @@ def sum_by_index(index: NDArray[np.integer[Any]], terms: NDArray[np.float32], qu
         return np.zeros(length, np.float32)
     wide = quantise(terms, quantum)
     largest = max(float(wide.max()), -float(wide.min()))
-    if not largest * index.size <= np.ldexp(1.0, quantum + _FLOAT64_BITS):  # NaN too
+    if not largest * index.size <= np.ldexp(1.0, quantum + _FLOAT64_BITS):  # also for NaN
         return _sum_in_two_words(index, wide, quantum, length)
     return np.bincount(index, weights=wide, minlength=length).astype(np.float32)
 

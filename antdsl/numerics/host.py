@@ -17,7 +17,7 @@ _CPUINFO_FILE = Path("/proc/cpuinfo")  # Linux
 _PROCESS_FOLDER = Path("/proc/self")  # Linux
 _MEMINFO_FILE = Path("/proc/meminfo")
 CGROUPS_FOLDER, PROCESS_CGROUP_FILE = Path("/sys/fs/cgroup"), Path("/proc/self/cgroup")
-PARTS_PER_THREAD = 4  # parts per thread; a thread that starts late or has slow parts takes fewer
+PARTS_PER_THREAD = 4  # a thread that starts late or has slow parts takes fewer
 
 
 @cache
@@ -49,12 +49,12 @@ def iterate_core_limits(process_groups: str, groups_folder: Path) -> Iterator[fl
 def _read_quota_v1(folder: Path) -> tuple[int, int]:
     """Return quota and period (µs) of a control group of version 1; a quota of -1 means no limit."""
     quota, period = (int((folder / f"cpu.cfs_{name}_us").read_text()) for name in ("quota", "period"))
-    return quota, period  # a quota of -1 is none
+    return quota, period  # a quota of -1 means no limit
 
 
 def _read_quota_v2(folder: Path) -> tuple[int, int]:
     """Return quota and period (µs) of a control group of version 2."""
-    quota, period = (folder / "cpu.max").read_text().split()  # a quota of `max` is none
+    quota, period = (folder / "cpu.max").read_text().split()  # a quota of `max` means no limit
     return int(quota), int(period)
 
 
@@ -105,7 +105,7 @@ def iterate_free_group_memory(process_groups: str, groups_folder: Path) -> Itera
     Cached files count as free, since the system drops them when necessary."""
     for folder, is_first in iterate_group_folders(process_groups, groups_folder, "memory"):
         names = ("memory.limit_in_bytes", "memory.usage_in_bytes") if is_first else ("memory.max", "memory.current")
-        with suppress(OSError, ValueError):  # a limit of `max` is none
+        with suppress(OSError, ValueError):  # a limit of `max` means no limit
             most, used = (int((folder / name).read_text()) for name in names)
             yield max(0, most - used + _read_reclaimable_bytes(folder))
 

@@ -9,7 +9,7 @@ Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
 CellOffset = tuple[int, int, int]
 
-_CELL_WIDTH_FACTOR = 1.001  # cell width relative to the reach: in spite of rounding, no pair is more than one cell apart
+_CELL_WIDTH_FACTOR = 1.001  # factor of the cell width, so that in spite of rounding no pair is more than one cell apart
 _CELLS_PER_CHUNK = 1 << 20  # cells per chunk
 _NEIGHBOUR_OFFSETS: list[CellOffset] = [(x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)]
 _FORWARD_OFFSETS = _NEIGHBOUR_OFFSETS[len(_NEIGHBOUR_OFFSETS) // 2 :]  # each pair of cells once

@@ -21,7 +21,7 @@ _SIGN_COMBINATIONS = np.array(list(product((-1.0, 1.0), repeat=3)))
 _LATTICE_GRADIENTS = np.concatenate([np.insert(_SIGN_COMBINATIONS, still, 0.0, axis=1) for still in range(4)])
 # The greatest sum is 1.53658: at each corner the three largest offsets, weighted by the fade.
 _NOISE_SCALE = 0.65
-MAX_LATTICE_COORDINATE = 2.0**51  # beyond this lattice coordinate, float64 does not resolve positions within a cell
+MAX_LATTICE_COORDINATE = 2.0**51  # beyond this coordinate, float64 does not resolve positions within a cell
 
 
 def compute_noise(points: Floats, seed: NDArray[np.int64]) -> Floats:

@@ -14,8 +14,8 @@ from antdsl.machine_code.kernels import I64, inlined
 from antdsl.numerics.host import count_available_cores
 
 T = TypeVar("T")
-MIN_AGENTS_PER_THREAD = 1_024  # number of agents from which another thread is worthwhile
-MIN_LIGHT_ITEMS_PER_THREAD = 4_096  # the same, for work of a few operations per item
+MIN_AGENTS_PER_THREAD = 1_024  # fewer agents are not worth another thread
+MIN_LIGHT_ITEMS_PER_THREAD = 4_096  # the same for work of a few operations per item
 
 
 def make_contiguous(*arrays: NDArray[Any]) -> tuple[NDArray[Any], ...]:

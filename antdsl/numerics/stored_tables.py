@@ -26,7 +26,7 @@ from antdsl.safe_read import read_size_limited
 
 Tables = dict[str, NDArray[Any]]
 
-MIN_STORED_SIZE: Final = 10_000  # number of faces or cells from which tables are stored; smaller tables are fast to compute
+MIN_STORED_SIZE: Final = 10_000  # number of faces or cells; smaller tables are fast to compute and not stored
 TABLE_STORE: Final = object_cache.StoreKind(
     "tables",
     "ANTDSL_TABLE_CACHE",

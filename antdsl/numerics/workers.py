@@ -68,7 +68,7 @@ class WorkerPool:
         ]
         for k in range(count):
             self._shared_words[words.FIRST_SLEEP_WORD + words.CACHE_LINE_WORDS * k + 1] = locks[k]
-        ctypes.pythonapi.Py_IncRef(ctypes.py_object(self))  # its threads may work until the process ends
+        ctypes.pythonapi.Py_IncRef(ctypes.py_object(self))  # never freed: its threads may work until the process ends
         self._threads = [Thread(target=self._run_worker, args=(loop, k), name=f"kernels {k}", daemon=True) for k in range(count)]
         for each in self._threads:
             each.start()
@@ -127,7 +127,7 @@ class WorkerPool:
         """Store a job for the workers: a function of machine code, and a table with one row per part."""
         code = ctypes.cast(function, ctypes.c_void_p).value or 0
         self._shared_words[words.JOB_CODE_WORD : words.PART_COUNT_WORD + 1] = code, array_address(table), 0, parts
-        self._shared_words[words.DONE_COUNT_WORD] = parts  # until the job is started, there is nothing to wait for
+        self._shared_words[words.DONE_COUNT_WORD] = parts  # before a job is started, nothing is pending
 
     def _run_call(self, _: int, number: int, __: int) -> None:
         """Call the current work with a number, and record its exception."""
@@ -191,7 +191,7 @@ def _run_exclusively(pool: WorkerPool | ExecutorPool, run_together: Callable[[],
         ):  # a single call registers the caller, so an interrupt comes before or after it
             return run_together()
     finally:
-        # No function calls here: an interrupt after one would leave the pool occupied for ever.
+        # No function calls here: an interrupt after one would leave the pool occupied forever.
         if pool.current_caller == {None: own}:
             del pool.current_caller[None]
     return run_alone()
@@ -205,7 +205,7 @@ def _pull_parts(pool: WorkerPool | ExecutorPool, work: Callable[[int, int], T], 
     coming = iter(range(parts))
 
     def run_parts(_: int) -> None:
-        for k in coming:  # the next part that no thread has taken
+        for k in coming:  # the next part that no thread has taken yet
             try:
                 results[k] = work(count * k // parts, count * (k + 1) // parts)
             except BaseException as problem:

@@ -24,7 +24,7 @@ def hoist_factors(plan: Plan, tracked_nodes: dict[PlanNode, PlanNode] | None = N
 
 
 def _reorder_product(b: PlanBuilder, op: str, args: tuple[PlanNode, ...], attrs: tuple[Any, ...]) -> PlanNode | None:
-    if op == "reduce.sum" and args[2].op == "neg":  # exact: rounding to a multiple is symmetric about zero
+    if op == "reduce.sum" and args[2].op == "neg":  # exact, because rounding to a multiple is symmetric about zero
         return b("neg", b("reduce.sum", *args[:2], args[2].args[0], attrs=attrs))
     if op == "div" and _is_pair_rate(args[0]) and not _is_pair_rate(args[1]):
         return _build_product(b, (args[0], b("div", b.number(1), args[1])))

@@ -14,8 +14,8 @@ from __future__ import annotations
 
 from typing import Final
 
-# Kind of request: the module and the function that answer it in the child. The modules are in higher rooms, so they are named
-# here and imported by the child alone.
+# Kind of request: the module and the function that answer it in the child. These modules are in higher layers, so they are only
+# named here; the child imports them.
 READER_FUNCTIONS: Final = {
     "usd-layer": ("antdsl.scene.geometry.usd.child.stage", "read_layer"),
     "usd-stage": ("antdsl.scene.geometry.usd.child.requests", "open_stage"),
@@ -26,5 +26,5 @@ READER_FUNCTIONS: Final = {
     "usd-body": ("antdsl.bodies.files.usd_body", "read_body"),
     "image": ("antdsl.reader.images", "read_image"),
 }
-# Modules that the child imports before the first request of a format, while the other process does something else.
+# Modules that the child imports before the first request of a format, while the parent process does other work.
 PRELOADED_MODULES: Final = {"usd": ("antdsl.scene.geometry.usd.child.requests", "pxr.Usd", "pxr.UsdGeom")}

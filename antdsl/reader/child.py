@@ -21,7 +21,7 @@ def main() -> None:
     sys.path[:] = configuration["paths"]
     requests, answers = os.fdopen(os.dup(0), "rb", buffering=1 << 16), os.fdopen(os.dup(1), "wb", buffering=1 << 16)
     nothing = os.open(os.devnull, os.O_RDWR)
-    for stream in (0, 1, 2):  # libraries write warnings of their own
+    for stream in (0, 1, 2):  # libraries write their own warnings
         os.dup2(nothing, stream)
     os.close(nothing)
     from antdsl.reader import sandbox
@@ -31,7 +31,7 @@ def main() -> None:
     from antdsl.reader import protocol
 
     protocol.write_message(answers, {"active": active}, {})
-    with suppress(ImportError):  # a request says what is missing
+    with suppress(ImportError):  # the request then reports the missing package
         for module in configuration["modules"]:
             import_module(module)
     while True:
@@ -58,7 +58,7 @@ def _answer_request(request: Any) -> tuple[dict[str, Any], dict[str, Any], bool]
         return {"refusal": why.as_document()}, {}, False
     except MemoryError:
         return {"failure": "memory"}, {}, True
-    except Exception as problem:  # a library's own exception; its text may be of any kind
+    except Exception as problem:  # an exception of a library, with arbitrary text
         return {"failure": "exception", "name": type(problem).__name__[:80]}, {}, False
     return {"answer": document}, arrays, False
 

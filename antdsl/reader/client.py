@@ -26,8 +26,8 @@ from antdsl.reader.private_folder import PrivateFolder
 from antdsl.reader.protocol import Arrays, PipeClosedError, ProtocolError, ReaderMessage, ReadRefusal, read_message, write_message
 
 _CHILD_PROGRAM = Path(__file__).with_name("child.py")
-_MAX_STORED_FAILURES = 256  # failures that are not repeated
-# Codes that a refusal of the reader may have.
+_MAX_STORED_FAILURES = 256  # failed requests that are not repeated
+# Codes that the reader may give in a refusal.
 REFUSAL_CODES: Final = frozenset(["bad-image", "bad-mesh", "bad-path", "bad-rig", "bad-usd", "bad-body", "missing-extra",
                           "moving-topology", "no-such-prim", "too-large"])  # fmt: skip
 
@@ -77,7 +77,7 @@ class _ReaderProcess:
         """Return the CPU seconds used since the last call; if the system does not provide them, the `reported` seconds."""
         total = self._counted_cpu_seconds
         try:
-            total = time.clock_gettime(~self.process.pid << 3 | 2)  # Linux: the number of the clock of a process
+            total = time.clock_gettime(~self.process.pid << 3 | 2)  # Linux: the number of a process's clock
         except (AttributeError, OSError):
             if isinstance(reported, float) and math.isfinite(reported):
                 total = reported
@@ -110,9 +110,9 @@ class _ReaderProcess:
         nothing = os.open(os.devnull, os.O_RDWR)
         for pipe in (self.requests, self.answers):
             with suppress(OSError, ValueError):
-                os.dup2(nothing, pipe.fileno(), inheritable=False)  # what is left in a buffer goes nowhere
+                os.dup2(nothing, pipe.fileno(), inheritable=False)  # remaining buffered data is discarded
         os.close(nothing)
-        self.process.returncode = 0  # nothing is waited for
+        self.process.returncode = 0  # so that nothing waits for it
 
 
 class FileReader:
@@ -173,7 +173,7 @@ class FileReader:
                 raise
             except ReadRefusal:
                 raise
-            except BaseException:  # interrupted between a request and its answer, or no memory or time is left
+            except BaseException:  # interrupted between a request and its answer, or out of memory or time
                 self._end_process(is_counted=False)
                 raise
 
@@ -209,10 +209,10 @@ class FileReader:
         except (PipeClosedError, BrokenPipeError):
             status = self._end_process()
             if status == _KILLED_STATUS and running is previous and not late.is_set():
-                # perhaps it was killed before the request reached it
+                # it may have been killed before the request reached it
                 return self._exchange_messages(kind, document, arrays, size, seconds)
             if status == _OVERDUE_STATUS and left <= allowed:
-                cpu_budget.charge_cpu_seconds(math.inf)  # the budget ended it, not the limit of a request
+                cpu_budget.charge_cpu_seconds(math.inf)  # the budget ended the process, not the limit of a request
             failure = _explain_death(running, status, late.is_set(), memory)
             failure.is_heavy |= self._used_cpu_seconds - previous_seconds > limits.READER_BASE_CPU_SECONDS / 2
             raise failure from None
@@ -245,7 +245,7 @@ class FileReader:
 
     def start_early(self, format: str) -> None:
         """Start the reader in advance, as the function `start_reader_early`."""
-        with self._lock, suppress(OSError):  # a request says why it cannot be started
+        with self._lock, suppress(OSError):  # the next request reports why the process cannot be started
             self._start_process(PRELOADED_MODULES[format])
 
     def _start_process(self, modules: Sequence[str] = ()) -> _ReaderProcess:
@@ -258,7 +258,7 @@ class FileReader:
     def _open_private_folder(self) -> PrivateFolder:
         if self._folder is None:
             self._folder = PrivateFolder()
-            if "multiprocessing.util" in sys.modules:  # a process of a pool leaves without the functions of `atexit`
+            if "multiprocessing.util" in sys.modules:  # a process of a pool exits without calling the functions of `atexit`
                 from multiprocessing.util import Finalize
 
                 Finalize(None, self.end, exitpriority=1)
@@ -289,7 +289,7 @@ class FileReader:
 _DAMAGED_FILE_HELP = "export it again"
 _LIGHTER_FILE_HELP = "use a lighter file, or a part of it"
 _OVERDUE_STATUS = -getattr(signal, "SIGXCPU", 1 << 20)  # exit statuses
-_KILLED_STATUS = -getattr(signal, "SIGKILL", 1 << 20)  # by the system, which has no memory left
+_KILLED_STATUS = -getattr(signal, "SIGKILL", 1 << 20)  # killed by the system when memory runs out
 _INVALID_ANSWER_MESSAGE = "cannot be read: the process that reads it gave an answer that makes no sense"
 
 
@@ -380,7 +380,7 @@ def active_layers() -> dict[str, int]:
     return _file_reader.find_active_layers()
 
 
-_inherited_readers: list[FileReader] = []  # never freed: a thread that is not in this process may hold their locks
+_inherited_readers: list[FileReader] = []  # never freed: a thread of the parent process may hold their locks
 
 
 def end_reader() -> None:

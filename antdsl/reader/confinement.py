@@ -10,12 +10,12 @@ from pathlib import Path
 
 from antdsl.child_processes import INSTALLATION_FOLDER, isolate_search_paths
 
-TRUST_VARIABLE = "ANTDSL_TRUST_USD"  # an environment variable, so that the processes of pools and farms have it too
-# Folders of the system that libraries are loaded from.
+TRUST_VARIABLE = "ANTDSL_TRUST_USD"  # an environment variable, so that processes of pools and farms inherit it
+# System folders from which libraries are loaded.
 _SYSTEM_FOLDERS = ("/lib", "/lib32", "/lib64", "/usr/lib", "/usr/lib32", "/usr/lib64", "/usr/local/lib", "/etc/ld.so.cache",
 "/nix/store",
            "/gnu/store", "/dev/null", "/dev/urandom", "/sys/devices/system/cpu", "/proc/self", "/proc/cpuinfo")  # fmt: skip
-# Variables that a program needs to start at all; others could name code to load (`PXR_PLUGINPATH_NAME`, `PYTHONPATH`).
+# Variables that a program needs to start. Others could name code to load (`PXR_PLUGINPATH_NAME`, `PYTHONPATH`).
 _PASSED_VARIABLES = ("PATH", "LD_LIBRARY_PATH", "DYLD_LIBRARY_PATH", "SYSTEMROOT", "SystemRoot", "LANG", "LC_ALL", "PYTHONHOME")
 _SET_VARIABLES = {
     "PYTHONSAFEPATH": "1",

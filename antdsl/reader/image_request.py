@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from antdsl.reader import client
 from antdsl.reader.protocol import ProtocolError, ReaderMessage, ReadRefusal
 
-# Modes of Pillow that can be requested: type of a sample, channels (0: one, without a separate axis).
+# Modes of Pillow that can be requested: sample type, and channels (0: one, without a separate axis).
 SAMPLE_TYPE_BY_MODE = {
     "F": ("f4", 0),
     "I;16": ("u2", 0),

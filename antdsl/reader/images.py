@@ -14,7 +14,7 @@ from antdsl.reader.protocol import ReadRefusal
 if TYPE_CHECKING:
     from antdsl.reader.protocol import ReaderMessage
 
-_MAX_TEXT_ENTRIES = 64  # text entries of a PNG file that are passed on
+_MAX_TEXT_ENTRIES = 64  # maximum number of text entries of a PNG file
 _MAX_TEXT_CHARACTERS = 1000
 
 
@@ -39,10 +39,10 @@ def read_image(request: ReaderMessage) -> tuple[dict[str, Any], Mapping[str, NDA
                 arrays["samples"] = np.asarray(image.convert(target) if target else image)
                 mode = target or mode
             document = {"mode": mode, "columns": columns, "rows": rows, "pages": pages}
-            return document | {"texts": _read_texts(image.info)}, arrays  # texts may come after the samples
+            return document | {"texts": _read_texts(image.info)}, arrays  # text entries may come after the samples
     except (MemoryError, ReadRefusal):
         raise
-    except Exception as problem:  # a library's reader meets a stranger's file
+    except Exception as problem:  # a library may raise any error for an untrusted file
         raise ReadRefusal("bad-image", type(problem).__name__) from problem
 
 

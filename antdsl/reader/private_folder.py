@@ -70,7 +70,7 @@ def _try_lock(path: Path, flags: int) -> int | None:
     folder is missing."""
     try:
         import fcntl
-    except ImportError:  # Windows: an open file cannot be removed, which is a lock as well
+    except ImportError:  # Windows: an open file cannot be removed, which also acts as a lock
         return os.open(path, os.O_RDWR | flags, 0o600) if flags else None
     try:
         handle = os.open(path, os.O_RDWR | os.O_CLOEXEC | os.O_NOFOLLOW | flags, 0o600)

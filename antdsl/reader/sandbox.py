@@ -17,7 +17,7 @@ import struct
 import sys
 from collections.abc import Sequence
 
-MAX_MEMORY_BYTES = 8 << 30  # bytes of address space that no request can exceed
+MAX_MEMORY_BYTES = 8 << 30  # maximum address space of any request
 _MAX_OPEN_FILES = 256
 _STACK_BYTES = 8 << 20
 
@@ -70,11 +70,11 @@ def _lower_limit(name: str, limit: int, *, hard: bool = False) -> None:
     if which is None:
         return
     own, upper = resource.getrlimit(which)
-    present = own if hard else upper  # once they are lowered for good, no request goes beyond what the person allows
+    present = own if hard else upper  # after a permanent reduction, no request exceeds the user's limit
     value = limit if present == resource.RLIM_INFINITY else min(limit, present)
     try:
         resource.setrlimit(which, (value, value if hard else upper))
-    except (ValueError, OSError):  # macOS refuses a limit of the address space
+    except (ValueError, OSError):  # macOS rejects a limit of the address space
         return
 
 
@@ -82,7 +82,7 @@ def _lower_limit(name: str, limit: int, *, hard: bool = False) -> None:
 
 _LANDLOCK_CREATE_CALL, _LANDLOCK_ADD_CALL, _LANDLOCK_RESTRICT_CALL = 444, 445, 446  # the same numbers on every processor
 _READ_FILE_RIGHT, _READ_FOLDER_RIGHT = 1 << 2, 1 << 3
-_FILE_RIGHT_BITS_BY_ABI = {1: 13, 2: 14, 3: 15, 4: 15, 5: 16}  # bits that each ABI knows
+_FILE_RIGHT_BITS_BY_ABI = {1: 13, 2: 14, 3: 15, 4: 15, 5: 16}  # rights that each ABI supports
 
 
 def restrict_files(folders: Sequence[str]) -> int:
@@ -124,7 +124,7 @@ def _allow_path(libc: ctypes.CDLL, ruleset: int, path: str) -> None:
 
 # ---- seccomp
 
-# Numbers of the calls that are refused, by processor: x86-64, ARM64 (None: it has no such call).
+# Numbers of rejected system calls, by processor: x86-64, ARM64 (None: no such call).
 _REFUSED_CALL_NUMBERS: dict[str, tuple[int | None, int | None]] = {
     "fork": (57, None), "vfork": (58, None), "execve": (59, 221), "execveat": (322, 281),
     "socket": (41, 198), "connect": (42, 203), "accept": (43, 202), "sendto": (44, 206), "sendmsg": (46, 211),
@@ -148,7 +148,8 @@ _REFUSED_CALL_NUMBERS: dict[str, tuple[int | None, int | None]] = {
     "setgroups": (116, 159), "shmget": (29, 194), "shmat": (30, 196), "msgget": (68, 186), "semget": (64, 190),
     "mq_open": (240, 180), "memfd_create": (319, 279), "inotify_init1": (294, 26), "fanotify_init": (300, 262),
 }  # fmt: skip
-# Calls decided by arguments: opening a file, making a thread, limits of a process, a signal to a thread, control of a terminal.
+# Calls that are allowed by their arguments: opening a file, creating a thread, process limits, a signal to a thread, terminal
+# control.
 _OPEN_CALLS, _OPENAT_CALLS, _OPENAT2_CALLS = (2, None), (257, 56), (437, 437)
 _CLONE_CALLS, _CLONE3_CALLS, _PRLIMIT_CALLS, _TGKILL_CALLS, _IOCTL_CALLS = (56, 220), (435, 435), (302, 261), (234, 131), (16, 29)
 _ARCHITECTURE_BY_MACHINE = {"x86_64": (0, 0xC000003E), "aarch64": (1, 0xC00000B7)}
@@ -185,14 +186,11 @@ def _build_filter(architecture_index: int, architecture: int, process: int) -> l
         (_RETURN_OPCODE, 0, 0, _KILL_ACTION),
         (_LOAD_OPCODE, 0, 0, 0),
     ]
-    if architecture_index == 0:  # the x32 calls of x86-64 have numbers of their own
+    if architecture_index == 0:  # the x32 calls of x86-64 have separate numbers
         lines += [(_JUMP_ABOVE_OPCODE, 0, 1, 0x40000000), (_RETURN_OPCODE, 0, 0, refused)]
     for call in _REFUSED_CALL_NUMBERS.values():
         lines += _make_call_rule(call[architecture_index], [(_RETURN_OPCODE, 0, 0, refused)])
-    for call in (
-        _OPENAT2_CALLS,
-        _CLONE3_CALLS,
-    ):  # their arguments are behind a pointer; the C library falls back to the older calls
+    for call in (_OPENAT2_CALLS, _CLONE3_CALLS):  # their arguments are in memory; the C library falls back to older calls
         lines += _make_call_rule(call[architecture_index], [(_RETURN_OPCODE, 0, 0, _FAIL_ACTION | errno.ENOSYS)])
     allow, refuse = (_RETURN_OPCODE, 0, 0, _ALLOW_ACTION), (_RETURN_OPCODE, 0, 0, refused)
     lines += _make_call_rule(

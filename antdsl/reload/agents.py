@@ -37,13 +37,13 @@ class MigratedSpecies:
     agents: int = 0
     moved_count: int = 0
     restart_counts: dict[tuple[str, str], int] = field(default_factory=dict)  # (removed state, start state) -> agents
-    states: list[str] = field(default_factory=list)  # new ones
-    removed_states: list[str] = field(default_factory=list)  # removed states that no agents were in
+    states: list[str] = field(default_factory=list)  # new states
+    removed_states: list[str] = field(default_factory=list)  # removed states without agents
     new_attributes: list[str] = field(default_factory=list)
-    retyped_attributes: list[str] = field(default_factory=list)  # of another type now
-    reset_attributes: list[str] = field(default_factory=list)  # set at birth alone, and set otherwise now
+    retyped_attributes: list[str] = field(default_factory=list)  # attributes with another type now
+    reset_attributes: list[str] = field(default_factory=list)  # attributes that are set only at birth, and have a new value now
     removed_attributes: list[str] = field(default_factory=list)
-    forgotten_memories: int = 0  # memories that are no more, or mean something else
+    forgotten_memories: int = 0  # memories that no longer exist, or have another meaning
 
 
 def migrate_agents(

@@ -12,8 +12,8 @@ from antdsl.numerics.vector_rows import compute_unit_tangents, length
 from antdsl.runtime.binding.binding_cache import compute_digest
 from antdsl.runtime.world import AXES, Population, World
 
-_SAME_POSITION_DISTANCE = 1e-6  # mm: who is put so near to where it was stays there to the last bit
-MIN_REPORTED_DISTANCE = 0.05  # mm: less is the rounding of the nearest place, and not worth a word
+_SAME_POSITION_DISTANCE = 1e-6  # mm; an agent placed this near to its previous position keeps that position exactly
+MIN_REPORTED_DISTANCE = 0.05  # mm; smaller distances are rounding of the nearest point and not reported
 
 
 def is_same_solid(old_world: World, world: World, name: str) -> bool:

@@ -39,7 +39,7 @@ class Migration:
     species: list[MigratedSpecies] = field(default_factory=list)
     added_counts: dict[str, int] = field(default_factory=dict)
     removed_counts: dict[str, int] = field(default_factory=dict)
-    items: list[str] = field(default_factory=list)  # restarted, or new
+    items: list[str] = field(default_factory=list)  # restarted or new items
     reset_fields: list[str] = field(default_factory=list)
     reset_solids: list[str] = field(default_factory=list)
 

@@ -31,7 +31,7 @@ Sizes = tuple[I64, I64, I64]
 _MAX_CELLS_ALONG = 1 << 19  # three packed coordinates stay below 2**62
 _AGENTS_PER_COLUMN = 6
 _LAYERS_PER_COLUMN = 2
-_MIN_CHUNKED_AGENTS = 8_192  # number of agents from which several threads are worthwhile
+_MIN_CHUNKED_AGENTS = 8_192  # fewer agents are not worth several threads
 SHARES_PER_CHUNK = 16  # parts of a chunk; a thread processes at least one chunk
 SPARE_TABLE_ENTRIES = 3  # additional entries in a table of cells
 NO_ORDER = np.empty(0, np.int64)
@@ -91,7 +91,7 @@ class GridShape:
         This holds if few agents, or few layers of cells, lie above each other, as on ground. In a widely scattered crowd,
         several columns may share a number."""
         if not self.extent[2] > 0:
-            return False  # one layer of cells already
+            return False  # there is already only one layer of cells
         occupied = np.zeros((2, max(1 << 16, 64 * len(positions[0]))), np.bool_)
         return bool(
             _can_be_sheet(reorder_axes(self.axes, positions), tuple(self.low), self.cells_per_mm, tuple(self.size), occupied)

@@ -39,12 +39,12 @@ from antdsl.senses import nearest_others as others
 from antdsl.senses.nearest_others import SEARCH_CAPACITY, CrowdTables, RelativeAgent, Requesters, SearchMemory
 
 _FULL_TURN = 2 * np.pi
-_EQUAL_GAP_TOLERANCE = 1e-4  # rad: gaps that differ by less are equally wide
+_EQUAL_GAP_TOLERANCE = 1e-4  # rad; gaps that differ by less count as equally wide
 Floats = NDArray[np.float64]
 Column = Array1[F64]
 BorderColumns = tuple[Column, Column, Column, Column, Array1[I64]]  # px, py, dx, dy of borders, and 1 for a valid border
 
-_MAX_PARALLEL_SINE = 1e-9  # sine of the angle between two borders below which they count as parallel
+_MAX_PARALLEL_SINE = 1e-9  # sine of the angle between two borders; below it, they count as parallel
 _MIN_LENGTH = 1e-30
 _MAX_HORIZON_SECONDS = 1e6  # s, upper limit of a horizon
 _MAX_SPEED = 1e9  # mm/s, upper limit of speeds

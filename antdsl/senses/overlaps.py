@@ -13,7 +13,7 @@ from antdsl.senses.touching import Agents, find_span_end, find_span_start, itera
 Floats = NDArray[np.float32]
 
 _REACH_SLACK, _MIN_REACH_MM = 1 + 1e-6, 1e-9  # factor for rounded distances; mm, reach of bodies without a radius
-_MAX_PAIRS_PER_AGENT = 640  # mean number of pairs per agent from which a nearest-neighbour tree is faster
+_MAX_PAIRS_PER_AGENT = 640  # mean number of pairs per agent; above it, a nearest-neighbour tree is faster
 _FIRST_QUERY_NEIGHBOURS = 8  # neighbours of the first query; each further query doubles the number until the result is certain
 
 

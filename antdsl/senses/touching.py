@@ -40,12 +40,12 @@ Bounds = list[tuple[float, float]]
 Agents = tuple[Array1[F64], Array1[I32], Array1[I64]]
 CandidateBuffers = tuple[Array1[I32], Array1[I32], Array1[I32]]
 
-_MAX_PARTNERS_PER_SPAN = 48  # most partners of an agent in a span of three cells: more than fit next to each other
-_MAX_CELLS_PER_AXIS = 1 << 20  # most cells along an axis
-_MAX_MATES_PER_AGENT = 8  # pairs per agent in the same cell up to which layers are not separated
+_MAX_PARTNERS_PER_SPAN = 48  # maximum number of partners of an agent in a span of three cells; more than fit next to each other
+_MAX_CELLS_PER_AXIS = 1 << 20  # maximum number of cells along an axis
+_MAX_MATES_PER_AGENT = 8  # pairs per agent in the same cell; up to this number, layers are not separated
 _ONE_LAYER_CELLS = 3  # cells along the shortest axis for a single layer; one cell is free at either end
 _AGENTS_PER_BATCH = 64  # agents with candidates listed before distances are measured
-_PREFETCH_DISTANCE = 40  # number of agents by which prefetches are ahead
+_PREFETCH_DISTANCE = 40  # agents between a prefetch and its use
 _MIN_WRITTEN_CANDIDATES = 4  # number of candidates of a span that are always written
 
 

@@ -18,7 +18,7 @@ from antdsl.safe_read import resolve_path
 from antdsl.scene.values import FrameRange
 from antdsl.shots.task_destination import Destination
 
-FRAME_FOLDER_NAMES = ("frames", "checkpoints")  # folders of a cache that have a file a frame
+FRAME_FOLDER_NAMES = ("frames", "checkpoints")  # folders of a cache with one file per frame
 _REFUSED_ERRORS = (
     *(BindError, StartError, ForeignFolder, PathBlocked, DifferentInputs, NothingToResume),
     *(FolderLocked, LimitStop, FaultStop),

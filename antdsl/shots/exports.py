@@ -14,7 +14,7 @@ from antdsl.outputs.gallery import Gallery, PictureUnavailable
 from antdsl.outputs.numbered_files import ExportUnavailable
 from antdsl.shots.task_destination import Destination
 
-FRAMES_PER_TASK = 8  # frames of a task
+FRAMES_PER_TASK = 8  # frames per task
 
 
 def make_export_tasks(

@@ -16,7 +16,7 @@ from antdsl.outputs.drawing import AgentMissing, DrawRequest, FrameDrawer, Still
 from antdsl.outputs.gallery import PictureUnavailable
 from antdsl.shots.task_destination import Destination
 
-FRAMES_PER_TASK = 4  # frames of a task
+FRAMES_PER_TASK = 4  # frames per task
 
 
 def make_still_tasks(

@@ -19,7 +19,7 @@ from antdsl.source import Span
 from antdsl.syntax.nodes import Text
 
 DEFAULT_SCENE = "scene.yaml"
-MAX_NAMED_AGENTS = 8  # ids that a failure names
+MAX_NAMED_AGENTS = 8  # maximum number of ids in a failure
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,7 +120,7 @@ class CaseFinder:
 
     def __init__(self, grants: dict[str, Path], parsed: ParsedFileCache, report: Report) -> None:
         self.grants, self.parsed, self.report = grants, parsed, report
-        self.missing_scene_report = Report()  # scenes that are not there
+        self.missing_scene_report = Report()  # scenes that do not exist
         self.shots: dict[tuple[Path, tuple[str, ...]], Shot | None] = {}
         self.scene_and_spec_by_key: dict[tuple[Path, Span], tuple[Path, Spec]] = {}
 

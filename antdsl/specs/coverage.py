@@ -11,7 +11,7 @@ from antdsl.program.model import Machine, Program
 from antdsl.runtime.world import World
 from antdsl.source import Span
 
-CoverageKey = tuple[str, int, str]  # source, place in it, name
+CoverageKey = tuple[str, int, str]  # source, offset in it, name
 
 
 @dataclass(slots=True)
@@ -92,7 +92,7 @@ def _count_changes(world: World, machine: _MachineCoverage) -> None:
     if previous_states is not None and next_states is not None:
         _count_states(
             machine, np.concatenate([next_states, previous_states[previous_states != next_states]])
-        )  # who was just born may have left already
+        )  # newborn agents may have left the state already
     pending, won = (population.now.get(f"~{machine.name}.{word}") for word in ("pending", "won"))
     if pending is None:
         return

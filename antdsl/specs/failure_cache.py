@@ -29,8 +29,8 @@ from antdsl.scene.setting import WorldSetting
 from antdsl.scene.values import FrameRange
 from antdsl.specs.cases import SavedFrames, SpecCase, SpecRun
 
-COPY_INTERVAL_FRAMES = 12  # frames between two copies of the state
-MAX_STORED_CASES = 5  # cases stored of one `antdsl test`
+COPY_INTERVAL_FRAMES = 12  # frames between two stored states
+MAX_STORED_CASES = 5  # maximum number of stored cases of one `antdsl test`
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +99,7 @@ class FailureSaver:
         words += [f"--set {shlex.quote(f'{name}={text}')}" for name, text in params.items()]
         folder_text, scene = shlex.quote(display_path(folder)), shlex.quote(display_path(case.scene))
         again = " ".join([f"antdsl run {scene} --frames {frames.first}..{frames.last} --seed {run.seed}", *words])
-        failed = failure_point.frame + (failure_point.hash is None)  # a step with a fault is not saved
+        failed = failure_point.frame + (failure_point.hash is None)  # a step with a fault is not stored
         agent_ids = next((f.agents for f in case.failures if f.frame == failed and f.agents), ())
         agents = f" --agents {','.join(map(str, agent_ids))} --show trail,ids" if agent_ids else ""
         first = max(failure_point.first_frame, failure_point.frame - 1)

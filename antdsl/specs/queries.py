@@ -26,7 +26,7 @@ from antdsl.senses.overlaps import measure_worst_overlaps
 from antdsl.specs.aggregates import evaluate_aggregate, evaluate_uniform_node
 
 FloatArray = NDArray[np.float32]
-_UNKNOWN_VALUE = 1e300  # what no float32 can be: of agents that were not there yet
+_UNKNOWN_VALUE = 1e300  # not representable as float32; marks agents that did not exist yet
 
 
 class SpecEvaluator:
@@ -43,7 +43,7 @@ class SpecEvaluator:
             *plan.reference_values,
         ]
         self.value_names = [each.name for each in known] + [f"motion.{name}" for name in MOTION_MEASURES]
-        self.start_values: dict[str, NDArray[np.float64]] = {}  # by id
+        self.start_values: dict[str, NDArray[np.float64]] = {}  # by agent id
         self.field_reading_species = {name for name, species in plan.plan.species.items() if _has_field_requests(species)}
 
     def value(self, world: World, node: ir.PlanNode) -> Any:

@@ -30,10 +30,10 @@ class RunContext:
     golden_comparison: GoldenComparison | None = None
     report_case: Callable[[SpecCase], None] = lambda case: None
     frame: FrameCallback = lambda run, frame, last: None
-    # runs of one scene differ by seeds and params and stand on the same ground
+    # runs of one scene differ only in seeds and params, and share the ground
     binding_cache: BindingCache = field(default_factory=BindingCache)
     messages: dict[str, None] = field(default_factory=dict)
-    worlds: list[World] = field(default_factory=list)  # of the run under way
+    worlds: list[World] = field(default_factory=list)  # worlds of the current run
 
 
 def run_cases(runs: Iterable[SpecRun], context: RunContext) -> None:
@@ -52,7 +52,7 @@ def run_cases(runs: Iterable[SpecRun], context: RunContext) -> None:
             for world in context.worlds:
                 context.messages |= dict.fromkeys(world.backend.messages())
             context.worlds.clear()
-        for case in run.cases:  # what a run took is shared by its cases
+        for case in run.cases:  # the cost of a run is divided among its cases
             case.outcome = "failed" if case.failures else "passed"
             case.seconds = (perf_counter() - started) / len(run.cases)
             if context.failure_saver is not None and id(case) in moments:
@@ -110,7 +110,7 @@ def _make_world(shot: Shot, seed: int, work: RunContext) -> World:
     world = bind(shot.plan, replace(shot.setting, seed=seed), work.options, built=work.binding_cache)
     work.worlds.append(world)
     if world.faults.reported_faults:
-        raise FaultStop(world.faults.reported_faults[0])  # at birth
+        raise FaultStop(world.faults.reported_faults[0])  # a fault at birth
     work.coverage.watch_world(world, shot.program)
     for _ in range(shot.scene.model.preroll):
         step(world)

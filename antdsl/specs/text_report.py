@@ -10,7 +10,7 @@ from antdsl.specs.cases import SavedFrames, SpecCase, SpecFailure, SpecVerdict
 from antdsl.specs.coverage import CoverageEntry, SpecCoverage
 from antdsl.specs.golden.golden_runs import GoldenResult
 
-_MAX_LISTED_UNCOVERED = 20  # unreached states and transitions listed in words
+_MAX_LISTED_UNCOVERED = 20  # maximum number of unreached states and transitions listed by name
 _MAX_LISTED_DIFFERENCES = 6
 
 

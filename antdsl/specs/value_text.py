@@ -12,7 +12,7 @@ from antdsl.program.model import TypeKind, ValueType
 from antdsl.program.tables.units import find_unit_measure
 from antdsl.runtime.world import World
 
-_COORDINATE_DECIMALS = 6  # after the point of a coordinate
+_COORDINATE_DECIMALS = 6  # digits after the point
 
 
 def format_value(world: World, value: Any, type: ValueType, unit: str, is_exact: bool = False) -> str:

@@ -35,11 +35,9 @@ class Design:
 
     name: str
     description: str
-    count_meaning: str = ""  # what `--points` counts; empty where it is not taken
+    count_meaning: str = ""  # the meaning of `--points`; empty if the design has no such option
     sample_shares: Callable[[int, int, int], Shares] | None = None
-    points_per_unit: int | None = (
-        None  # each of what is counted makes so many points, and one more for each factor; None: it makes one
-    )
+    points_per_unit: int | None = None  # points per counted unit, plus one for each factor; None: one point
     needs_power_of_two: bool = False
     needs_ranges: bool = False
     analysis: sensitivity.Analysis | None = None

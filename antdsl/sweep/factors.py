@@ -11,7 +11,7 @@ import numpy as np
 from antdsl.diagnostics import Report
 from antdsl.scene.quantities import QuantityError, parse_number, split_quantity
 
-_SIGNIFICANT_DIGITS = 6  # that a value drawn from a range is written with
+_SIGNIFICANT_DIGITS = 6  # digits of a value that was drawn from a range
 
 
 @dataclass(frozen=True, slots=True)

@@ -63,9 +63,9 @@ def _import_matplotlib() -> Any:
         assert spec is not None and spec.origin is not None
         defaults = str(Path(spec.origin).parent / "mpl-data" / "matplotlibrc")
         own = {"MATPLOTLIBRC": defaults, "MPLCONFIGDIR": str(folder), "MPLBACKEND": "agg"}
-        # Without a search path it does not find `fc-list`, which names more fonts than it needs.
+        # Without a search path, matplotlib does not find `fc-list`, which lists more fonts than needed.
         opened.enter_context(_set_environment({**own, "PATH": str(folder)}))
-        with suppress(FileNotFoundError):  # the working directory was deleted: nothing is found in it
+        with suppress(FileNotFoundError):  # the working directory was deleted, so nothing is found in it
             opened.enter_context(chdir(folder))
         for module in ("font_manager", "style", "figure", "backends.backend_agg"):
             importlib.import_module(f"{PACKAGE_NAME}.{module}")

@@ -13,7 +13,7 @@ from antdsl.atomic_write import create_folder_durably, is_link, write_atomically
 from antdsl.safe_read import read_size_limited
 from antdsl.sweep.jobs import SweepJob
 
-_MAX_RUN_FILE_BYTES = limits.MAX_TASK_ANSWER_BYTES + 64 * limits.KIB  # of the stored data of one run
+_MAX_RUN_FILE_BYTES = limits.MAX_TASK_ANSWER_BYTES + 64 * limits.KIB  # maximum size of the stored data of one run
 
 
 class NotASweepFolder(Exception):

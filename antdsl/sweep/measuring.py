@@ -124,7 +124,7 @@ def _is_run_over(world: World, until: tuple[str, ...]) -> bool:
     )
 
 
-_PROCESS_MEASURES = frozenset(("seconds", "peak_memory"))  # of the process, and of many runs in a row
+_PROCESS_MEASURES = frozenset(("seconds", "peak_memory"))  # measures of the process, which may make many runs in a row
 
 
 def _flatten_measures(name_prefix: str, value: Any) -> Iterator[tuple[str, Any]]:

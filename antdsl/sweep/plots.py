@@ -16,8 +16,8 @@ from antdsl.sweep.table import RunResult, compute_quantile
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-_COLOURS = ("#3b6ea5", "#b5651d", "#4f8a4f", "#8a4f7d", "#7a7a3a", "#555555")  # of scenes
-_TREND_PARTS = 6  # of a range, for each of which a median is drawn
+_COLOURS = ("#3b6ea5", "#b5651d", "#4f8a4f", "#8a4f7d", "#7a7a3a", "#555555")  # colours of scenes
+_TREND_PARTS = 6  # parts of a range; a median is drawn for each
 INSTALL_HINT = "plots need matplotlib: pip install 'antdsl[plots]'"
 
 

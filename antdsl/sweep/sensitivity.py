@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from antdsl.outputs.csv_text import format_csv
 
 INSTALL_HINT = "install it: pip install 'antdsl[sensitivity]'"
-_MORRIS_LEVELS = 4  # of Morris' grid
-_RESAMPLE_COUNT = 1000  # of the bootstrap behind the intervals
-_RESAMPLE_SEED = 1  # of the bootstrap
+_MORRIS_LEVELS = 4  # levels of Morris' grid
+_RESAMPLE_COUNT = 1000  # samples of the bootstrap for the intervals
+_RESAMPLE_SEED = 1  # seed of the bootstrap
 
 Numbers = NDArray[np.float64]
 EffectColumns = Mapping[str, Numbers]

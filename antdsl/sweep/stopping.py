@@ -20,7 +20,7 @@ from antdsl.sweep.jobs import SweepJob
 from antdsl.sweep.table import compute_quantile
 
 CONFIDENCE_LEVEL = Fraction(95, 100)
-_CHECK_GROWTH = Fraction(3, 2)  # of the number of runs, from one look to the next
+_CHECK_GROWTH = Fraction(3, 2)  # growth of the number of runs from one check to the next
 
 
 def compute_interval_rank(count: int, error_probability: Fraction = 1 - CONFIDENCE_LEVEL) -> int:
@@ -93,7 +93,7 @@ class WidthGoal:
         """Return whether an interval is as narrow as requested. `median`: the median inside it."""
         low, high = interval
         if low == high:
-            return True  # all the same, or never
+            return True  # all values are equal, or the event never occurs
         return high - low <= (self.max_width * abs(median) if self.is_relative else self.max_width)
 
 
@@ -121,7 +121,7 @@ class JobChooser:
     _schedule: CheckSchedule | None = field(init=False, default=None)
     _jobs_by_label: dict[str, list[SweepJob]] = field(init=False, default_factory=dict)
     _measures: dict[str, Mapping[str, Any] | None] = field(init=False, default_factory=dict)
-    _final_counts: dict[str, int] = field(init=False, default_factory=dict)  # by label, after how many runs
+    _final_counts: dict[str, int] = field(init=False, default_factory=dict)  # by label, the number of runs at the end
 
     def __post_init__(self) -> None:
         for job in self.jobs:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from antdsl.sweep.stopping import KnownMedian
 
 RunResult = tuple[SweepJob, Mapping[str, Any]]
-MACHINE_DEPENDENT_MEASURES = ("seconds", "fps")  # say something about the machine
+MACHINE_DEPENDENT_MEASURES = ("seconds", "fps")  # they depend on the machine
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +60,7 @@ def build_rows(results: Iterable[RunResult]) -> list[Row]:
 
 
 def _make_row(label: str, name: str, values: list[float], runs: int) -> Row:
-    # a count that a run does not report, such as that of a transition that never occurred, is 0
+    # a missing count, such as that of a transition that never occurred, is 0
     values = sorted(values + [0.0] * (runs - len(values)))
     median, lower, upper = (compute_quantile(values, share) for share in (0.5, 0.25, 0.75))
     return Row(label, name, runs, sum(map(math.isfinite, values)), median, lower, upper, values[0], values[-1])

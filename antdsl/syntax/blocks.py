@@ -42,7 +42,7 @@ class MappedText:
 
     def __init__(self, source: Source, parts: list[tuple[str, int, int]]) -> None:
         self.source = source
-        self.parts = parts  # text, offset in the source, length in the source
+        self.parts = parts  # text, offset and length in the source
         self.text = "".join(part[0] for part in parts)
         self.part_starts: list[int] = []
         begin = 0
@@ -123,7 +123,7 @@ def cut_lines(scan: TokenScan, tokens: list[ScannedToken]) -> list[SourceLine]:
     top: list[SourceLine] = [SourceLine()]
     stack: list[
         tuple[list[SourceLine], ScannedToken, bool]
-    ] = []  # enclosing groups: their lines, their opening brace, whether `choose` precedes it
+    ] = []  # enclosing groups: their lines, their opening brace, and whether `choose` precedes it
     lines = top
     for token in tokens:
         sign = get_token_text(scan, token) if token.kind in ("open", "close") else ""

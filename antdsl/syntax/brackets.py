@@ -11,8 +11,8 @@ from antdsl.syntax.scan import ScannedToken, TokenScan
 from antdsl.syntax.words import BLOCK_WORDS, LINE_WORDS_BY_RULE
 
 _CLOSING_BY_OPENING = {"(": ")", "[": "]", "{": "}"}
-_MAX_LOOK_AHEAD_TOKENS = 200  # tokens; a line is seldom longer
-_MAX_BRACE_REPAIRS = 100  # after this many errors, missing braces are not searched for, as each search scans the text
+_MAX_LOOK_AHEAD_TOKENS = 200  # maximum number of tokens; a line is seldom longer
+_MAX_BRACE_REPAIRS = 100  # with more errors, missing braces are not searched for, because each search scans the text
 _LINE_WORDS = frozenset(word for words in LINE_WORDS_BY_RULE.values() for word in words)
 _JOINING_WORDS = frozenset(("and", "or", "is", "in", "to", "then", "else"))  # words that continue an expression after a name
 
@@ -163,7 +163,7 @@ class _ParenthesisPairer:
         cut = len(self.out)
         for place in range(first + 1, len(self.out) - 1):
             following = self.out[place + 1]
-            if get_token_text(self.scan, following) == "->":  # never inside parentheses
+            if get_token_text(self.scan, following) == "->":  # an arrow never occurs in parentheses
                 cut = place + 1
                 break
             if self.out[place].kind == "soft" and following.kind != "soft":
@@ -195,7 +195,7 @@ class _OpenBrace:
     token: ScannedToken
     indent: int
     line: int
-    inner_indent: int | None = None  # of its first line; -1 if text follows the brace on its line
+    inner_indent: int | None = None  # indent of its first line; -1 if text follows the brace on its line
 
 
 class _BracePairer:

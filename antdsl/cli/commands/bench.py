@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from antdsl.bench.costs import BenchJob, Measurement
     from antdsl.bench.tables import CaseResult
 
-SLOWEST_BACKEND = "reference"  # left out unless it is named: it takes one agent at a time
+SLOWEST_BACKEND = "reference"  # skipped unless named: it runs one agent at a time
 
 
 def bench(

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from antdsl.bodies.agents.definition import Definition
 
 
-_PROPOSAL_RATE = 120.0  # samples per second for the speeds of feet that stand for a few frames
+_PROPOSAL_RATE = 120.0  # samples per second; enough to measure the speeds of feet that stand for a few frames
 
 
 def body(

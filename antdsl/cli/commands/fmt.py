@@ -63,7 +63,7 @@ class _FormatCommand:
     print_diff: bool
     edition: int | None
     changed_names: list[str] = field(default_factory=list)
-    skipped_count: int = 0  # files with mistakes, or that could not be read or written
+    skipped_count: int = 0  # files with mistakes, or files that cannot be read or written
     report: Report = field(default_factory=_empty_report)
 
     def files(self, paths: list[Path]) -> None:

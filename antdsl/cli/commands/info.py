@@ -28,7 +28,7 @@ def info(
     with explain_cache_errors():
         opened_cache = open_cache(cache)
     for line in describe_cache(opened_cache):
-        print_result(replace_unprintable(line))  # the manifest may be a stranger's
+        print_result(replace_unprintable(line))  # the manifest may come from an untrusted source
     if verify:
         _verify_cache(opened_cache)
 

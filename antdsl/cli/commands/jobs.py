@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from antdsl.farm import FarmJob
 
 OPEN_TEMPLATE_SUFFIXES, LINE_SUFFIXES = (".yaml", ".yml", ".json"), (".jsonl",)
-# Words of `antdsl render` that a job writes itself, and what to write instead.
+# Options of `antdsl render` that a job writes itself, and the alternatives.
 RESERVED_RENDER_OPTIONS = {
     "frames": "use the option of the job: `antdsl jobs … --frames A..B`",
     "every": "use the option of the job: `antdsl jobs … --every N`",
@@ -102,7 +102,7 @@ def _parse_render_words(text: str) -> tuple[str, ...]:
     """Return the words of `--render` as extra arguments of `antdsl render`. That command has checked them."""
     from antdsl.cli.commands.render import render
 
-    # typer's versions have click beside them or within
+    # depending on its version, typer has click as a dependency or a part of it
     wrong_use: tuple[type[BaseException], ...] = typer.BadParameter.__bases__
     advice = "`antdsl render --help` lists its words"
     alone = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
@@ -112,7 +112,7 @@ def _parse_render_words(text: str) -> tuple[str, ...]:
         context = typer.main.get_command(alone).make_context("render", ["CACHE", *words])
     except ValueError:
         raise typer.BadParameter(f"`{text}` has a quote that is not closed", param_hint="--render") from None
-    except typer.Exit:  # of `--help`
+    except typer.Exit:  # raised by `--help`
         raise typer.BadParameter(f"`{text}` draws nothing; {advice}", param_hint="--render") from None
     except wrong_use as why:
         raise CommandError(ExitCode.USAGE, f"error: `--render`: {getattr(why, 'message', why)}", advice) from None

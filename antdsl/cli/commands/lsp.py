@@ -19,4 +19,4 @@ def lsp() -> None:
         words = (problem.strerror or str(problem)).lower()
         raise CommandError(ExitCode.INPUT_OUTPUT, f"error: cannot write to standard output: {words}") from None
     if not ended_well:
-        raise CommandError(ExitCode.FINDINGS)  # as the protocol has it: an exit without a shutdown
+        raise CommandError(ExitCode.FINDINGS)  # required by the protocol for an exit without a shutdown

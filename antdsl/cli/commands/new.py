@@ -15,7 +15,7 @@ from antdsl.cli.exits import CommandError, ExitCode
 from antdsl.cli.printing.messages import print_note
 from antdsl.resources import project_template_file
 
-# Where each file goes, and its name among the files that come with antdsl.
+# The path of each file, and its name among the package's templates.
 TEMPLATE_FILES = {
     "walker.ant": "walker.ant",
     "scene.yaml": "scene.yaml",

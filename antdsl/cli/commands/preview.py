@@ -119,7 +119,7 @@ def _serve_preview(
     from antdsl.preview.serving.page_files import load_pages
     from antdsl.preview.serving.server import PreviewServer, run_server
 
-    # what goes over a network is not encrypted: who reads a key there could come back with it
+    # traffic on a network is not encrypted: a reader of a key could use it to return
     returning = ReturningPages.of(scene, listening.port) if allows_reconnect and not allows_others else None
     guard = RequestGuard(listening.host_names, returning_pages=returning)
     server = PreviewServer(live, guard, load_pages(), listening)
@@ -143,7 +143,7 @@ def _serve_preview(
     try:
         run_server(server, tell)
     except KeyboardInterrupt:
-        pass  # the way in which a preview ends
+        pass  # the normal end of a preview
     finally:
         live.stop()
 

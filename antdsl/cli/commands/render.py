@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from antdsl.outputs.drawing import DrawRequest, StillStore
     from antdsl.outputs.gallery import Gallery
 
-SHEET_PICTURES = 9  # pictures on a contact sheet where no frames are named
+SHEET_PICTURES = 9  # pictures on a contact sheet if no frames are named
 MAX_PICTURES = 100
 
 

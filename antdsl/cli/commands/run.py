@@ -113,7 +113,7 @@ def run(
     (scene,) = scenes
     require_writable_file(summary, "--summary")
     folder = out if out is not None else choose_default_path(scene.resolve().parent, "out", scene.stem)
-    if scene.is_file():  # else there is no folder beside it to ask
+    if scene.is_file():  # otherwise there is no folder next to the scene
         require_writable_folder(folder, "--out")
     again = _build_resume_command(scene, out, frames, seed, set_, root, summary, any_memory)
     files, folders = {"--summary": summary}, {"--out": (folder, CACHE_ENTRY_NAMES)}
@@ -131,7 +131,7 @@ def run(
         backend=backend.value, chunk=chunk, threads=choose_threads(threads, quiet), shuffle_rows=shuffle, on_fault=on_fault.value
     )
     writing = report_failures("cannot write the cache", f"go on with: {again}")
-    with writing, _handle_stop_in_set_up(again), protect_inputs(files, folders):  # another cache too, that the scene begins with
+    with writing, _handle_stop_in_set_up(again), protect_inputs(files, folders):  # also another cache from which the scene starts
         recording = _begin_recording(shot, folder, options, choices, resume, force, quiet)
     with redirect_messages(summary) as output:
         if profile:

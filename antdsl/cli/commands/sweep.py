@@ -41,9 +41,9 @@ RESULT_FILE_NAMES = (
     "factors.png",
     "asked.json",
 )
-DEFAULT_DESIGN_SEED = 1  # of a design, where none is named
-MAX_PLOT_PANELS = 24  # of one picture
-MAX_PRINTED_LINES = 60  # of a table that is printed
+DEFAULT_DESIGN_SEED = 1  # seed of a design, if none is named
+MAX_PLOT_PANELS = 24  # maximum number of panels in one picture
+MAX_PRINTED_LINES = 60  # maximum number of printed lines of a table
 
 
 class DesignName(StrEnum):
@@ -139,7 +139,7 @@ def sweep(
     )
     widths, first = parse_widths(request), Path(request.scenes[0])
     folder = out if out is not None else choose_default_path(first.resolve().parent, "out", "sweep")
-    if first.is_file():  # else there is no folder beside it to ask
+    if first.is_file():  # otherwise there is no folder next to the scene
         require_writable_folder(folder, "--out", *RESULT_FILE_NAMES)
     with protect_inputs({}, {"--out": (folder, (*RESULT_FILE_NAMES, "runs"))}) as inputs, record_requested_paths() as read:
         inputs += map(Path, request.scenes)
@@ -171,7 +171,7 @@ def sweep(
         )
     processes = min(jobs or count_available_cores(), max(todo, 1))
     threads = max(1, count_available_cores() // processes)
-    if todo and not any_memory and not scheduler:  # a cluster's machines have memory of their own
+    if todo and not any_memory and not scheduler:  # machines of a cluster have their own memory
         require_memory(open_scene_shots(study, request), processes, len(runs))
     failed: list[JobOutcome] = []
     files = [path for path in read if path.is_file()]

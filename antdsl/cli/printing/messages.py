@@ -11,12 +11,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import Any, TextIO
 
-# Nothing reads the stream any more, or the caller closed it: the text is discarded, as by /dev/null.
+# The reader has gone, or the caller closed the stream: the text is discarded, as by /dev/null.
 _CLOSED_READER_ERRORS = frozenset(
     (errno.EPIPE, errno.EBADF, errno.EIO, errno.ENXIO, errno.ECONNRESET, errno.ESHUTDOWN, errno.EINVAL)
 )
-_MAX_BACKLOG_BYTES = 8 << 20  # bytes of notes that wait for a slow reader; further notes are dropped
-_PIPE_BLOCK_BYTES = 512  # bytes that a pipe takes without blocking once it is ready, at least
+_MAX_BACKLOG_BYTES = 8 << 20  # bytes of notes queued for a slow reader; further notes are dropped
+_PIPE_BLOCK_BYTES = 512  # a ready pipe takes at least this number of bytes without blocking
 
 
 class TerminalWriter(io.RawIOBase):
@@ -73,7 +73,7 @@ class TerminalWriter(io.RawIOBase):
                     if not is_note:
                         self.loss_reason = problem
                     return
-            if count is None:  # the stream is set not to block, and its reader is slow
+            if count is None:  # the stream does not block, and its reader is slow
                 self._can_write(1000)
             else:
                 view = view[count:]
@@ -105,7 +105,7 @@ def guard_streams() -> None:
         _open_null_stream(number)
     if hasattr(os, "set_blocking"):
         with suppress(OSError):
-            os.set_blocking(0, True)  # else a reader takes "nothing yet" for the end
+            os.set_blocking(0, True)  # otherwise a reader treats "nothing yet" as the end
     if sys.stdin is None:
         sys.stdin = open(0, encoding="utf-8", closefd=False)  # noqa: SIM115 - open until the process ends
     for number, name in ((1, "stdout"), (2, "stderr")):

@@ -13,10 +13,10 @@ from rich.text import Text
 from antdsl.cli.printing.messages import print_note
 from antdsl.runtime.profiling import StepProfile
 
-MAX_LISTED_LINES = 10  # number of reported lines
-_FIGURE_CHARACTERS, _SHARE_CHARACTERS = 8, 3  # letters of a figure
-_MAX_LOCATION_CHARACTERS = 28  # letters of a file and a line, at most
-_MIN_TEXT_CHARACTERS = 12  # letters of a text that are shown, however narrow the terminal
+MAX_LISTED_LINES = 10  # maximum number of reported lines
+_FIGURE_CHARACTERS, _SHARE_CHARACTERS = 8, 3  # characters of a number, and of a share
+_MAX_LOCATION_CHARACTERS = 28  # maximum number of characters of a file and a line
+_MIN_TEXT_CHARACTERS = 12  # minimum number of displayed characters of a text, even on a narrow terminal
 
 
 def print_profile(profile: StepProfile, *, show_lines: bool) -> None:

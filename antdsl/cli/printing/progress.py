@@ -13,7 +13,7 @@ from antdsl.numerics import stages
 from antdsl.outputs.recording import Recording
 from antdsl.outputs.summary import count_states
 
-_LINE_INTERVAL_SECONDS = 5.0  # seconds between plain lines
+_LINE_INTERVAL_SECONDS = 5.0  # interval between plain lines
 _BAR_CHARACTER = "█"
 
 

@@ -31,7 +31,7 @@ class CursorContext:
     word_prefix: str
     called_function: str | None
     arguments: str
-    is_in_text_or_comment: bool  # inside a text or a comment
+    is_in_text_or_comment: bool  # whether the cursor is in a text or a comment
 
     @property
     def rule(self) -> str:

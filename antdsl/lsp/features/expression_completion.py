@@ -190,7 +190,7 @@ def propose_argument_names(request: CompletionRequest) -> Iterator[CompletionIte
             yield _make_argument_item(name, detail)
 
 
-# The arguments of statements that have brackets, each with what it is.
+# The arguments of statements with brackets, each with its meaning.
 _STATEMENT_ARGUMENTS = {
     row.op: tuple((arg.name, f"attribute, {arg.display_name}" if arg.type.startswith("own ") else arg.type) for arg in row.args)
     for row in EFFECT_BY_OPERATION.values()

@@ -21,7 +21,7 @@ _DEFAULT_FPS = Fraction(24)
 class InlayHint:
     """A text that the editor displays beside a span. `is_before`: in front of the span instead of after it."""
 
-    span: Span  # it stands before the start of this, or after its end
+    span: Span  # the hint is displayed before the start of this span, or after its end
     is_before: bool
     text: str
     help: str
@@ -62,7 +62,7 @@ def _find_item_hints(item: object, fps: Fraction | None) -> Iterator[InlayHint]:
 def _find_rank_hints(node: nodes.Layers) -> Iterator[InlayHint]:
     mode = node.mode.text if node.mode is not None else "budget"
     if mode == "sum":
-        return  # all count alike
+        return  # all count equally
     rule = "only the first layer that pushes counts" if mode == "first" else "gets what the lines above leave of the budget"
     for rank, layer in enumerate(node.layers, 1):
         yield InlayHint(layer.span, True, f"{rank}.", f"layer {rank} of {len(node.layers)}: {rule}")

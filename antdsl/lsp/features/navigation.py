@@ -18,7 +18,7 @@ from antdsl.program.tables import vocabulary
 from antdsl.program.types.states import STATE_WORDS
 from antdsl.source import Source, Span
 
-# Kinds of names that an author gives; the others are words of the language.
+# Kinds of names that authors choose; the others are words of the language.
 AUTHOR_NAME_KINDS = frozenset(
     ("thing", "attribute", "field", "species", "own", "machine", "state", "let", "event", "behaviour", "inner", "element",
      "alias", "scene-item")

@@ -24,7 +24,7 @@ class OutlineSymbol:
 
     name: str
     kind: str
-    span: Span  # all of it
+    span: Span  # the complete declaration
     name_span: Span
     detail: str = ""
     children: list[OutlineSymbol] = field(default_factory=list)

@@ -21,9 +21,9 @@ from antdsl.runtime.world import Population, World
 from antdsl.specs.aggregates import sum_exactly
 from antdsl.specs.value_text import format_value
 
-_MAX_NAMED_AGENTS = 8  # agents named of those that differ
-MAX_SAMPLED_AGENTS = 64  # agents of a species that a digest tells apart
-_MAX_LISTED_VALUES = 8  # values that are reported one by one
+_MAX_NAMED_AGENTS = 8  # maximum number of named agents that differ
+MAX_SAMPLED_AGENTS = 64  # agents of a species that a digest distinguishes
+_MAX_LISTED_VALUES = 8  # maximum number of values that are reported individually
 _PLAIN_NUMBER_TYPE = ValueType(TypeKind.NUMBER)
 _MOTION_VECTORS = ("velocity", "heading", "up", "position")
 _MIX_MULTIPLIER = np.uint64(0x9E3779B97F4A7C15)

@@ -70,7 +70,7 @@ class GoldenComparison:
         try:
             old = golden_runs.read_golden(path)
         except golden_runs.GoldenError:
-            old = None  # damaged: the reason to rewrite it
+            old = None  # damaged, which is a reason to rewrite it
         fresh = {(tuple(sorted(run.set.items())), run.seed) for run in runs}
         others = [] if old is None else [run for run in old.runs if (tuple(sorted(run.set.items())), run.seed) not in fresh]
         golden_runs.write_golden(path, [*others, *runs])

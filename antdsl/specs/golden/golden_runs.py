@@ -27,11 +27,10 @@ from antdsl.specs.golden.fingerprints import StateDifference, build_columns, dig
 
 MAX_RECORDED_FRAMES = 48
 _MAX_FILE_BYTES = 64 * limits.MIB
-_FIRST_FORMAT_PATTERN = re.compile(rb'\s*\{\s*"golden"\s*:\s*1\b')  # of runs with states hashed as SHA-256 of all rows
+# format of runs with state hashes that are SHA-256 of all rows
+_FIRST_FORMAT_PATTERN = re.compile(rb'\s*\{\s*"golden"\s*:\s*1\b')
 GoldenText = Annotated[str, Field(max_length=2000)]
-ValueSums = tuple[
-    GoldenText, GoldenText, GoldenText
-]  # sum and weighted sum of the bits, hexadecimal; what is reported of the values
+ValueSums = tuple[GoldenText, GoldenText, GoldenText]  # sum and weighted sum of the bits, hexadecimal; reported values
 
 
 class GoldenModel(BaseModel):

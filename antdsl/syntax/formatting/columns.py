@@ -9,7 +9,7 @@ from itertools import groupby
 from antdsl.syntax.formatting.bracket_reader import LayoutNode, TokenLeaf
 from antdsl.syntax.formatting.items import LayoutBlock, LayoutStatement
 
-MAX_ALIGNED_CHARACTERS = 64  # longer text before a mark does not affect the alignment of neighbours
+MAX_ALIGNED_CHARACTERS = 64  # longer text before a mark does not affect the alignment of neighbouring lines
 _MIN_COMMENT_BLANKS = 2  # minimum blanks before a comment
 
 
