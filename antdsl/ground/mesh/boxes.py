@@ -133,7 +133,7 @@ def gather_faces(
         level, node = levels[waiting], nodes[waiting]
         for child in range(node, min(node + BOXES_PER_NODE, first[level + 1] - first[level])):
             b = first[level] + child
-            if _is_disjoint(bounds, b, low_x, low_y, low_z, high_x, high_y, high_z):
+            if is_disjoint(bounds, b, low_x, low_y, low_z, high_x, high_y, high_z):
                 continue
             if level > 0:
                 levels[waiting], nodes[waiting] = level - 1, BOXES_PER_NODE * child
@@ -168,7 +168,7 @@ def find_first_hit(
     high_x, high_y, high_z = max(origin[0], end_x), max(origin[1], end_y), max(origin[2], end_z)
     for k in range(count):
         b = numbers[behind + k]
-        if _is_disjoint(bounds, b, low_x, low_y, low_z, high_x, high_y, high_z):
+        if is_disjoint(bounds, b, low_x, low_y, low_z, high_x, high_y, high_z):
             continue
         f = order[b]
         row = ROW_FLOATS * f
@@ -190,7 +190,7 @@ def find_first_hit(
 
 
 @inlined
-def _is_disjoint(bounds: Array2[F64], b: I64, low_x: F64, low_y: F64, low_z: F64, high_x: F64, high_y: F64, high_z: F64) -> BOOL:
+def is_disjoint(bounds: Array2[F64], b: I64, low_x: F64, low_y: F64, low_z: F64, high_x: F64, high_y: F64, high_z: F64) -> BOOL:
     """Return whether a box does not overlap another one. All axes are tested at once, because both results are equally likely."""
     x = (bounds[b, 0] > high_x) | (bounds[b, 3] < low_x)
     y = (bounds[b, 1] > high_y) | (bounds[b, 4] < low_y)

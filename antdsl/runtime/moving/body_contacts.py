@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from antdsl.ground.mesh.boxes import BoxTree, FaceList, find_first_hit, gather_faces
+from antdsl.ground.mesh.boxes import BoxTree, FaceList, find_first_hit, gather_faces, is_disjoint
 from antdsl.ground.mesh.face_table import CORNER_OFFSET, EDGE1_OFFSET, EDGE2_OFFSET, NORMAL_OFFSET, ROW_FLOATS
-from antdsl.machine_code.kernels import F64, I32, I64, Array1, kernel_helper
+from antdsl.machine_code.kernels import BOOL, F64, I32, I64, Array1, inlined, kernel_helper
 from antdsl.numerics.kernel_vectors import Vec3, dot, load_vector, minus, nearest_weights, plus, times
 from antdsl.runtime.moving.body_paths import BodyShape
 
@@ -37,6 +37,48 @@ class BodyShift(NamedTuple):
     out: Vec3
 
 
+@inlined
+def _get_axis_point(middle: Vec3, heading: Vec3, half: F64, point: I64) -> Vec3:
+    """Return one of the points of a capsule's axis."""
+    return plus(middle, times(heading, half * (2.0 * np.float64(point) / (_AXIS_POINTS - 1) - 1.0)))
+
+
+@kernel_helper
+def _touches(
+    table: Array1[F64], boxes: BoxTree, faces: FaceList, count: I64, shape: BodyShape, anchor: Vec3, middle: Vec3, heading: Vec3
+) -> BOOL:
+    """Return whether a face of a list crosses the axis of a capsule, or the line from its anchor, or is nearer than its radius.
+
+    A face is out of reach if its box is, or if both ends of the axis are on one side of its plane, away from it."""
+    half, radius = times(heading, shape.half), shape.radius
+    tip = times(heading, shape.half + radius)
+    one, two = minus(middle, half), plus(middle, half)
+    low_x, low_y, low_z = min(one[0], two[0]) - radius, min(one[1], two[1]) - radius, min(one[2], two[2]) - radius
+    high_x, high_y, high_z = max(one[0], two[0]) + radius, max(one[1], two[1]) + radius, max(one[2], two[2]) + radius
+    if find_first_hit(table, boxes, faces, count, anchor, minus(middle, anchor), 0.0).face >= 0:
+        return True
+    for k in range(count):
+        b = faces.numbers[faces.begin + k]
+        if is_disjoint(boxes.bounds, b, low_x, low_y, low_z, high_x, high_y, high_z):
+            continue
+        row = ROW_FLOATS * boxes.triangle_order[b]
+        corner, normal = load_vector(table, row + CORNER_OFFSET), load_vector(table, row + NORMAL_OFFSET)
+        at_one, at_two = dot(minus(one, corner), normal), dot(minus(two, corner), normal)
+        if min(at_one, at_two) >= radius or max(at_one, at_two) <= -radius:
+            continue
+        edge1, edge2 = load_vector(table, row + EDGE1_OFFSET), load_vector(table, row + EDGE2_OFFSET)
+        for point in range(_AXIS_POINTS):
+            v = minus(_get_axis_point(middle, heading, shape.half, point), corner)
+            if abs(dot(v, normal)) < radius and nearest_weights(edge1, edge2, v)[2] < radius:
+                return True
+        if at_one * at_two < 0:
+            for end in range(2):
+                step = tip if end == 0 else times(tip, -1.0)
+                if find_first_hit(table, boxes, faces, count, middle, step, 0.0).face >= 0:
+                    return True
+    return False
+
+
 @kernel_helper
 def shift_outside(
     table: Array1[F64],
@@ -59,7 +101,11 @@ def shift_outside(
     anchor = plus(place, times(normal, _ANCHOR_HEIGHT_PER_BODY * size))
     middle = plus(rest, shift)
     away = minus(anchor, middle)
-    wide = max(shape.radius + _MARGIN_PER_BODY * size, np.sqrt(dot(away, away)))
+    near = max(shape.radius, np.sqrt(dot(away, away)))
+    n = gather_faces(pieces, boxes, minus(middle, tip), plus(middle, tip), near, -1, -1, faces)
+    if not _touches(table, boxes, faces, n, shape, anchor, middle, heading):
+        return BodyShift(shift, 0.0, (0.0, 0.0, 0.0))
+    wide = max(shape.radius + _MARGIN_PER_BODY * size, near)
     n = gather_faces(pieces, boxes, minus(middle, tip), plus(middle, tip), wide, -1, -1, faces)
     depth, out = 0.0, (0.0, 0.0, 0.0)
     for turn in range(turns + 1):
@@ -83,7 +129,7 @@ def shift_outside(
                 if turn < turns:
                     shift = plus(shift, times(m, over))
         for point in range(_AXIS_POINTS):
-            center = plus(plus(rest, shift), times(heading, shape.half * (2.0 * np.float64(point) / (_AXIS_POINTS - 1) - 1.0)))
+            center = _get_axis_point(plus(rest, shift), heading, shape.half, point)
             best, away = shape.radius, (0.0, 0.0, 0.0)
             for k in range(n):
                 row = ROW_FLOATS * boxes.triangle_order[faces.numbers[faces.begin + k]]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from antdsl.ground.mesh.face_table import (  # fmt: skip
@@ -14,7 +16,7 @@ from antdsl.ground.mesh.face_table import (  # fmt: skip
 )
 from antdsl.ground.mesh.surroundings import position_on_face
 from antdsl.ground.mesh.walkers import FootingArrays, SurfaceTables
-from antdsl.machine_code.kernels import kernel, kernel_helper, load_consecutive
+from antdsl.machine_code.kernels import kernel, kernel_helper, load_consecutive, simd_range
 from antdsl.machine_code.kernels.types import BOOL, F64, I32, I64, U8, Array1, Array2
 from antdsl.numerics.kernel_vectors import TriangleWeights, Vec3, VectorColumns, dot, load_vector, minus, plus, times
 from antdsl.runtime.moving.body_paths import BodyShape
@@ -54,6 +56,15 @@ def select_rows(
     return begin, count - begin
 
 
+class LiftLists(NamedTuple):
+    """Lists of `rows` with their `levels`, as `lift_bodies` writes them, and its work buffers."""
+
+    rows: Array1[I64]
+    levels: Array1[U8]
+    climbers: Array1[I64]
+    kind: Array1[U8]
+
+
 @kernel
 def lift_bodies(
     surface: SurfaceTables,
@@ -64,37 +75,44 @@ def lift_bodies(
     pose: BodyPoses,
     limits: BodyLimits,
     retained: BodyRegisters,
-    rows: Array1[I64],
-    row_levels: Array1[U8],
+    lists: LiftLists,
     begin: I64,
     end: I64,
 ) -> tuple[I64, I64]:
     """Lift bodies that stand on a wide face off the neighbouring faces, for agents from `begin` to before `end`.
 
     Lists bodies on ground with a level, and bodies that are shifted, waiting or deep inside. Returns `begin` and their number.
-    Their `state` becomes that of a body aligned with its feet. `row_levels` receives their `levels`."""
-    table, link, first = surface.table, surface.link, surface.first
-    count = begin
-    for i in range(begin, end):
-        climbs = feet.mesh[i] >= 0 and feet.face[i] >= 0 and has_bend[first[max(feet.mesh[i], 0)] + max(feet.face[i], 0)]
-        x, y, z = retained.lift[0][i], retained.lift[1][i], retained.lift[2][i]
-        shifted = x != 0 or y != 0 or z != 0 or retained.depth[i] != 0 or retained.wait[i] != 0
-        if levels[i] > 0 or (shifted and state[i] != STANDING_STATE):
-            rows[count], row_levels[count] = i, levels[i]
-            count += 1
-            state[i] = STANDING_STATE
-        elif climbs or shifted:
-            lift, up = 0.0, read_vector(pose.up, i)
-            if climbs:
-                f = first[feet.mesh[i]] + feet.face[i]
-                size = np.float64(limits.size[i])
-                lift = _face_lift(
-                    table, link, f, (feet.b1[i], feet.b2[i]), scale_shape(limits.shape, size), up, read_vector(pose.heading, i)
-                )
-                lift = min(lift, MAX_LIFT_PER_BODY * size)
-            retained.depth[i], retained.wait[i] = _F(0), _F(0)
-            for k in range(3):
-                retained.lift[k][i] = _F(lift * up[k])
+    Their `state` becomes that of a body aligned with its feet."""
+    first, (rows, row_levels, climbers, kind) = surface.first, lists
+    for row in simd_range(begin, end):
+        climbs = False
+        if feet.mesh[row] >= 0 and feet.face[row] >= 0:
+            climbs = has_bend[first[feet.mesh[row]] + feet.face[row]]
+        x, y, z = retained.lift[0][row], retained.lift[1][row], retained.lift[2][row]
+        shifted = (x != 0) | (y != 0) | (z != 0) | (retained.depth[row] != 0) | (retained.wait[row] != 0)
+        is_listed = (levels[row] > 0) | (shifted & (state[row] != STANDING_STATE))
+        kind[row] = 1 if is_listed else 2 if climbs else 0
+        if is_listed:
+            state[row] = STANDING_STATE
+        elif shifted:
+            retained.depth[row], retained.wait[row] = _F(0), _F(0)
+            for axis in range(3):
+                retained.lift[axis][row] = _F(0)
+    count, raised = begin, begin
+    for row in range(begin, end):
+        rows[count], row_levels[count], climbers[raised] = row, levels[row], row
+        count += kind[row] == 1
+        raised += kind[row] == 2
+    for k in simd_range(begin, raised):
+        i = climbers[k]
+        size, up, heading = np.float64(limits.size[i]), read_vector(pose.up, i), read_vector(pose.heading, i)
+        f, weights = first[feet.mesh[i]] + feet.face[i], (feet.b1[i], feet.b2[i])
+        lift = min(
+            _face_lift(surface.table, surface.link, f, weights, scale_shape(limits.shape, size), up, heading),
+            MAX_LIFT_PER_BODY * size,
+        )
+        for axis in range(3):
+            retained.lift[axis][i] = _F(lift * up[axis])
     return begin, count - begin
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from antdsl.ground.mesh.boxes import BoxTree
+from antdsl.ground.mesh.walkers import ClearanceTables
 from antdsl.machine_code.kernels import inlined
 from antdsl.machine_code.kernels.types import BOOL, F32, F64, I32, I64, U8, Array1, Array2, Strided2
 from antdsl.numerics.kernel_vectors import VectorColumns
@@ -74,9 +75,10 @@ class FaceBuffers(NamedTuple):
 class FaceSearch(NamedTuple):
     """Tables for a search of faces: `piece` and the cuts of the topology, a tree of boxes, and buffers.
 
-    `several_pieces`: whether a path may meet another piece, or a face that cuts its own piece."""
+    `several_pieces`: whether a path may meet another piece, or a face that cuts its own piece. `near`: the distances to those."""
 
     several_pieces: BOOL
+    near: ClearanceTables
     pieces: Array1[I32]
     cuts: Array1[I64]
     boxes: BoxTree

@@ -19,7 +19,7 @@ from antdsl.numerics import parallel
 from antdsl.numerics import vectors as vec
 from antdsl.numerics.vectors import VectorArrays
 from antdsl.runtime.moving.body_contacts import SHIFT_TURNS
-from antdsl.runtime.moving.body_lifts import lift_bodies, select_rows
+from antdsl.runtime.moving.body_lifts import LiftLists, lift_bodies, select_rows
 from antdsl.runtime.moving.body_paths import BodyShape
 from antdsl.runtime.moving.body_records import (
     SHARP,
@@ -122,12 +122,16 @@ class ClearStep:
         it."""
         p, now, n = self.population, self.population.now, len(self.population)
         self.previous = previous
-        (rows,), (levels,) = p.get_buffers("uneven", 1, (n,), np.int64), p.get_buffers("bends of rows", 1, (n,), np.uint8)
+        (rows,), (climbers,) = (p.get_buffers(name, 1, (n,), np.int64) for name in ("uneven", "climbers"))
+        (levels,), (kind,) = (p.get_buffers(name, 1, (n,), np.uint8) for name in ("bends of rows", "lifts"))
+        lists = LiftLists(rows, levels, climbers, kind)
         feet = get_footing_arrays(p.footing)
         poses = BodyPoses(vec.get_vector_registers(now, "up"), vec.get_vector_registers(now, "heading"))
-        inputs = (feet, self.has_bend, self.state, self.all_levels, poses, self.limits, _retained_registers(p), rows, levels)
+        inputs = (feet, self.has_bend, self.state, self.all_levels, poses, self.limits, _retained_registers(p), lists)
         parts = parallel.run_in_parts(partial(lift_bodies, self._surface, *inputs), n, self.threads)
-        self.rows, self.levels = rows, levels = parallel.join_parts(parts, rows, levels)
+        rows, levels = parallel.join_parts(parts, rows, levels)
+        order = np.argsort(p.footing.face.take(rows))  # neighbours one after another: they read the same faces
+        self.rows, self.levels = rows, levels = rows.take(order), levels.take(order)
         if not len(rows):
             return
         self.lifts = _read_lift(p, rows)
@@ -299,9 +303,8 @@ def face_search(walk: CrowdWalk, count: int, threads: int) -> FaceSearch:
     several = parallel.count_parts(count, threads, _ROWS_PER_THREAD)
     table, boxes = walk.walk.table, walk.boxes
     buffers = FaceBuffers(np.empty(several * boxes.triangle_order.size, np.int64), several, count)
-    return FaceSearch(
-        table.piece_count > 1 or bool(table.cuts.first[-1]), table.piece, table.cuts.first, boxes.to_box_tree(), buffers
-    )
+    several, near = table.piece_count > 1 or bool(table.cuts.first[-1]), walk.build_tables()[1]
+    return FaceSearch(several, near, table.piece, table.cuts.first, boxes.to_box_tree(), buffers)
 
 
 def body_shape(world: World, population: Population, margin: float = _MARGIN_PER_BODY) -> BodyShape:

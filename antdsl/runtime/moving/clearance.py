@@ -9,13 +9,14 @@ import numpy as np
 
 from antdsl.ground.mesh.boxes import FaceList, gather_faces
 from antdsl.ground.mesh.face_table import AXIS1_OFFSET, AXIS2_OFFSET, NORMAL_OFFSET, ROW_FLOATS  # fmt: skip
-from antdsl.ground.mesh.stretches import project_to_face
+from antdsl.ground.mesh.stretches import get_clearance, project_to_face
 from antdsl.ground.mesh.surroundings import position_on_face
 from antdsl.ground.mesh.walkers import FaceWalker, FootingArrays, SurfaceTables
 from antdsl.machine_code.kernels import allocate_scratch, inlined, kernel, kernel_helper
 from antdsl.machine_code.kernels.types import F32, F64, I64, Array1, Array2
 from antdsl.numerics.elementary_loops import atan2, compute_cos_and_sin
 from antdsl.numerics.kernel_vectors import (
+    TriangleWeights,
     Vec3,
     VectorColumns,
     cross,
@@ -73,10 +74,15 @@ def _buffer(search: FaceSearch, begin: I64) -> I64:
     return compute_buffer_index(begin, search.buffers.count, search.buffers.several) * search.boxes.triangle_order.size
 
 
-@inlined
-def _own_piece(search: FaceSearch, f: I64) -> I64:
-    """Return the piece of face f, which a path on f cannot meet. Return -1 if another face cuts face f."""
-    return -1 if search.cuts[f + 1] > search.cuts[f] else np.int64(search.pieces[f])
+@kernel_helper
+def _gather_others(search: FaceSearch, f: I64, weights: TriangleWeights, place: Vec3, reach: F64, faces: FaceList) -> I64:
+    """Write the faces that a path of length `reach` (mm) from `place`, on face f, may meet into a list; return their number.
+
+    No path meets the piece of face f, unless a face cuts f."""
+    if not search.several_pieces or get_clearance(search.near, f, weights) > reach * (1 + _EYE_PER_BODY):
+        return 0
+    piece = -1 if search.cuts[f + 1] > search.cuts[f] else np.int64(search.pieces[f])
+    return gather_faces(search.pieces, search.boxes, place, place, reach, -1, piece, faces)
 
 
 @inlined
@@ -146,10 +152,7 @@ def limit_steps(
             c, s, left = project_to_face(axis1, axis2, displacement[0], displacement[1], displacement[2], 1.0, 0.0)
             if left > 0:
                 place = position_on_face(table, row, weights, side)
-                count = 0
-                if search.several_pieces:
-                    reach = left + _EYE_PER_BODY * size
-                    count = gather_faces(search.pieces, search.boxes, place, place, reach, -1, _own_piece(search, f), faces)
+                count = _gather_others(search, f, weights, place, left + _EYE_PER_BODY * size, faces)
                 nearby = FacesNearby(search.boxes, faces, count, search.pieces, search.cuts)
                 start = FaceWalker(f, weights, side, (c, s), (c, s))
                 bend = trace_bends(surface, nearby, start, left, _EYE_PER_BODY * size, points)
@@ -227,8 +230,8 @@ def aim_bodies(
             c, s = dot(load_vector(table, row + AXIS1_OFFSET), travel), dot(load_vector(table, row + AXIS2_OFFSET), travel)
             place = position_on_face(table, row, weights, side)
             count = 0
-            if levels[j] == SHARP and search.several_pieces:
-                count = gather_faces(search.pieces, search.boxes, place, place, window, -1, _own_piece(search, f), faces)
+            if levels[j] == SHARP:
+                count = _gather_others(search, f, weights, place, window, faces)
             nearby = FacesNearby(search.boxes, faces, count, search.pieces, search.cuts)
             start, back = FaceWalker(f, weights, side, (c, s), (c, s)), FaceWalker(f, weights, side, (-c, -s), (c, s))
             roll, pitch, ahead_count = trace_bends(surface, nearby, start, window, _EYE_PER_BODY * size, ahead_points)

@@ -28,6 +28,7 @@ from antdsl.numerics import vectors as vec
 from antdsl.numerics.vectors import VectorArrays, VectorComponents
 from antdsl.runtime.moving.body_records import BodyPoses
 from antdsl.runtime.moving.clear_steps import ClearStep, has_clearance
+from antdsl.runtime.moving.clearance import WINDOW_PER_BODY
 from antdsl.runtime.moving.falling import limit_fall_speed
 from antdsl.runtime.moving.head_clearance import MIN_BODY_HEIGHT_SHARE
 from antdsl.runtime.moving.obstacles import slide_steps, slow_velocities
@@ -104,7 +105,8 @@ def _move_clear(world: World, population: Population, dt: np.float32, substep: i
     crowd.prepare_steps(substep)
     crowd.deflect_at_obstacles()
     assert isinstance(world.ground, MeshGround)
-    walk = world.ground.build_crowd_walk(crowd.max_step_length, crowd.max_size)
+    window = WINDOW_PER_BODY * np.fmax(crowd.max_size, 0.0)
+    walk = world.ground.build_crowd_walk(max(crowd.max_step_length, window), crowd.max_size)
     if walk is None:
         return None
     limits = crowd.max_tilts, population.now["max_turn"], dt
