@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from fractions import Fraction
-from itertools import pairwise
+from itertools import islice, pairwise
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,7 +20,9 @@ from antdsl.ground.mesh.walkers import FaceWalker, SurfaceTables
 from antdsl.machine_code.kernels import kernel
 from antdsl.machine_code.kernels.types import F64, I64, Array1
 from antdsl.outputs.cache.agent_arrays import AgentArrayBuilder
+from antdsl.outputs.recording import begin_recording, record_frames
 from antdsl.passes import optimise
+from antdsl.pipeline import open_scene
 from antdsl.runtime import MeshData, Options, World, WorldSetting, bind, state_hash, step
 from antdsl.runtime.body_positions import LIFT_REGISTERS, body_positions
 from antdsl.runtime.body_rows import rows_by_body
@@ -27,7 +30,8 @@ from antdsl.runtime.feet.wearers import wearers_of
 from antdsl.runtime.moving import clearance
 from antdsl.runtime.moving.body_paths import PATH_FLOATS, BodyShape, FacesNearby, profile_lift, trace_bends
 from antdsl.runtime.moving.body_records import BodyLimits, BodyPoses, BodyStances
-from antdsl.runtime.moving.clear_steps import body_shape, face_search
+from antdsl.runtime.moving.clear_steps import body_shapes, face_search
+from antdsl.scene.setting import BodyCapsuleData
 
 Floats = NDArray[np.float64]
 STEP_DEPTH, STEP_HEIGHT, STEPS, WIDTH = 7.0, 3.0, 6, 40.0
@@ -60,10 +64,10 @@ def stairs() -> MeshData:
     return extruded([*profile, (STEPS * STEP_DEPTH + 20.0, STEPS * STEP_HEIGHT)])
 
 
-def walking(mesh: MeshData, count: int, clears: bool = True, options: Options | None = None) -> World:
-    """A crowd of walkers on a mesh; their bodies stay outside it or not."""
+def walking(mesh: MeshData, count: int, clears: bool = True, options: Options | None = None, **fields: Any) -> World:
+    """A crowd of walkers on a mesh; their bodies stay outside it or not. `fields`: further fields of the setting."""
     text = WALKER.replace("SWITCH", "" if clears else "body_clearance false")
-    setting = WorldSetting(fps=Fraction(24), crowds=(crowd(count, radius=25),), surfaces={"ground": mesh}, seed=4)
+    setting = WorldSetting(fps=Fraction(24), crowds=(crowd(count, radius=25),), surfaces={"ground": mesh}, seed=4, **fields)
     return bind(optimise(plan_of(text, "")), setting, options or Options(backend="numpy"))
 
 
@@ -127,7 +131,8 @@ def test_depths_are_those_to_all_faces(turns: int) -> None:
     population, meshes = world.populations["a"], world.ground.meshes
     assert meshes is not None
     walk, n = meshes.build_crowd_walk(1.0, 4.0), len(population)
-    rng, shape = np.random.default_rng(6), body_shape(world, population)
+    rng, (shapes, body) = np.random.default_rng(6), body_shapes(world, population)
+    shape = BodyShape(*shapes[0])
     now = {name: array.copy() for name, array in population.now.items()}
     up = population.read_vector("up") + rng.normal(0, 0.3, (n, 3))
     up /= np.linalg.norm(up, axis=1)[:, None]
@@ -135,7 +140,7 @@ def test_depths_are_those_to_all_faces(turns: int) -> None:
     heading /= np.linalg.norm(heading, axis=1)[:, None]
     columns = [tuple(np.ascontiguousarray(v, np.float32) for v in vectors.T) for vectors in (up, heading, np.zeros((n, 3)))]
     zero, rows = np.zeros(n, np.float32), np.arange(n)
-    limits = BodyLimits(zero, zero, np.float32(1), now["size"], shape, np.inf, np.inf)
+    limits = BodyLimits(zero, zero, np.float32(1), now["size"], shapes, body, np.inf, np.inf)
     old, depths, outs = tuple(v.copy() for v in columns[2]), zero.copy(), np.zeros((3, n), np.float32)
     inputs = (
         rows,
@@ -245,8 +250,7 @@ def test_the_first_edition_has_no_registers_for_bodies() -> None:
 
 
 def test_feet_of_several_bodies_read_the_shift_of_each_body() -> None:
-    world = walking(stairs(), 60)
-    world.setting = replace(world.setting, body_weights={"a": (1.0, 1.0)})
+    world = walking(stairs(), 60, body_weights={"a": (1.0, 1.0)})
     for _ in range(8):
         step(world)
     population = world.populations["a"]
@@ -255,3 +259,38 @@ def test_feet_of_several_bodies_read_the_shift_of_each_body() -> None:
     for key, rows in rows_by_body(population, world.setting):
         assert rows is not None and len(rows) > 10
         assert np.array_equal(body_positions(wearers_of(world, key)), drawn[rows])
+
+
+def test_each_agent_is_held_outside_by_the_capsule_of_its_own_body() -> None:
+    capsules = (BodyCapsuleData(0.7, 0.2, 0.15, 0.0), BodyCapsuleData(1.3, 0.4, 0.3, 0.1))
+    mixed, worlds = {f"a#{k}": each for k, each in enumerate(capsules)}, []
+    for weights, own in (({"a": (1.0, 1.0)}, mixed), *(({}, {"a": each}) for each in capsules)):
+        worlds.append(walking(stairs(), 60, body_weights=weights, body_capsules=own))
+        for _ in range(12):
+            step(worlds[-1])
+    several, *single = (world.populations["a"] for world in worlds)
+    for (_, rows), population in zip(rows_by_body(several, worlds[0].setting), single, strict=True):
+        assert rows is not None and len(rows) > 10
+        for name in ("position", "up", "heading", "~lift"):
+            assert np.array_equal(several.read_vector(name)[rows], population.read_vector(name)[rows])
+    assert not np.array_equal(single[0].read_vector("~lift"), single[1].read_vector("~lift"))
+
+
+def test_a_run_is_continued_with_the_same_bodies(tmp_path: Path) -> None:
+    mesh = stairs()
+    lines = [f"v {x} {y} {z}" for x, y, z in mesh.vertices] + [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in mesh.faces]
+    (tmp_path / "stairs.obj").write_text("\n".join(lines))
+    (tmp_path / "a.ant").write_text(WALKER.replace("SWITCH", ""))
+    (tmp_path / "scene.yaml").write_text(
+        "antdsl: 1\nunits: mm\nup: y\nframes: 1..9\noutput: {checkpoint: 1}\nworld: {ground: {mesh: stairs.obj}}\n"
+        "crowd: [{species: a, from: a.ant, count: 20, place: {on: ground, by: area}}]\n"
+    )
+    shot, _ = open_scene(tmp_path / "scene.yaml")
+    assert shot is not None
+    hashes = {}
+    for folder, count in (("whole", 9), ("part", 4), ("part", 9)):
+        recording = begin_recording(shot, tmp_path / folder, Options(), resume=count == 9, force=False)
+        list(islice(record_frames(recording), count))
+        hashes[folder, count] = state_hash(recording.world)
+    assert recording.resumed_from == 4 and hashes["part", 9] == hashes["whole", 9]
+    assert recording.world.populations["a"].read_vector("~lift").any()

@@ -9,7 +9,7 @@ from antdsl.ground.mesh.surface import MeshGround
 from antdsl.numerics import vectors as vec
 from antdsl.runtime.body_positions import LIFT_REGISTERS
 from antdsl.runtime.moving.body_records import BodyLimits, BodyPoses, BodyStances
-from antdsl.runtime.moving.clear_steps import body_shape, face_search
+from antdsl.runtime.moving.clear_steps import body_shapes, face_search
 from antdsl.runtime.moving.clearance import shift_bodies
 from antdsl.runtime.world import Population, World
 
@@ -33,7 +33,7 @@ def find_bodies_inside(world: World, population: Population, rows: NDArray[np.in
     if a face is nearer to the axis than the radius, less 1 % of the body length. It is inside a solid if the solid is that near
     to an end or the middle of the axis."""
     now, count = population.now, len(rows)
-    size, shape = now["size"].take(rows).astype(np.float64), body_shape(world, population, 0.0)
+    size, (shapes, body) = now["size"].take(rows).astype(np.float64), body_shapes(world, population, 0.0)
     depths, outs = np.zeros(count, np.float32), np.zeros((3, count), np.float32)
     poses = BodyPoses(vec.get_vector_registers(now, "up"), vec.get_vector_registers(now, "heading"))
     zero = np.zeros(len(population), np.float32)
@@ -42,7 +42,7 @@ def find_bodies_inside(world: World, population: Population, rows: NDArray[np.in
     meshes = world.ground.meshes
     walk = None if not isinstance(meshes, MeshGround) else meshes.build_crowd_walk(0.0, float(np.fmax.reduce(size, initial=0.0)))
     if walk is not None and count:
-        limits = BodyLimits(zero, zero, _F(1), now["size"], shape, np.inf, np.inf)
+        limits = BodyLimits(zero, zero, _F(1), now["size"], shapes, body, np.inf, np.inf)
         search, old = face_search(walk, count, 1), vec.take_rows(lift, rows)
         table = walk.build_tables()[0].table
         shift_bodies(
@@ -62,9 +62,10 @@ def find_bodies_inside(world: World, population: Population, rows: NDArray[np.in
     is_inside: NDArray[np.bool_] = depths > _VISIBLE_DEPTH
     place = population.position[rows].T + np.stack(vec.take_rows(lift, rows))
     up, heading = (np.stack(vec.take_rows(each, rows)).astype(np.float64) for each in poses)
+    half, radius, height, ahead = shapes[body[rows]].T
     for volume in world.solids.values():
-        clear = (shape.radius - _VISIBLE_DEPTH) * size - volume.voxel / 2
-        for end in (-shape.half, 0.0, shape.half):
-            point = place + up * (shape.height * size) + heading * ((shape.ahead + end) * size)
+        clear = (radius - _VISIBLE_DEPTH) * size - volume.voxel / 2
+        for end in (-half, 0.0, half):
+            point = place + up * (height * size) + heading * ((ahead + end) * size)
             is_inside |= volume.sample(point.T) < clear
     return is_inside

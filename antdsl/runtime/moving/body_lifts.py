@@ -20,7 +20,7 @@ from antdsl.machine_code.kernels import kernel, kernel_helper, load_consecutive,
 from antdsl.machine_code.kernels.types import BOOL, F64, I32, I64, U8, Array1, Array2
 from antdsl.numerics.kernel_vectors import TriangleWeights, Vec3, VectorColumns, dot, load_vector, minus, plus, times
 from antdsl.runtime.moving.body_paths import BodyShape
-from antdsl.runtime.moving.body_records import MAX_LIFT_PER_BODY, SHARP, BodyLimits, BodyPoses, BodyRegisters, scale_shape
+from antdsl.runtime.moving.body_records import MAX_LIFT_PER_BODY, SHARP, BodyLimits, BodyPoses, BodyRegisters, get_shape
 from antdsl.runtime.moving.postures import read_vector
 from antdsl.runtime.moving.velocities import HURRYING_STATE, STANDING_STATE
 
@@ -108,8 +108,7 @@ def lift_bodies(
         size, up, heading = np.float64(limits.size[i]), read_vector(pose.up, i), read_vector(pose.heading, i)
         f, weights = first[feet.mesh[i]] + feet.face[i], (feet.b1[i], feet.b2[i])
         lift = min(
-            _face_lift(surface.table, surface.link, f, weights, scale_shape(limits.shape, size), up, heading),
-            MAX_LIFT_PER_BODY * size,
+            _face_lift(surface.table, surface.link, f, weights, get_shape(limits, i, size), up, heading), MAX_LIFT_PER_BODY * size
         )
         for axis in range(3):
             retained.lift[axis][i] = _F(lift * up[axis])

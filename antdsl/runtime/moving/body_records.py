@@ -25,14 +25,16 @@ class BodyPoses(NamedTuple):
 class BodyLimits(NamedTuple):
     """Limits of bodies in a step.
 
-    `most`: the largest tilt (radians). `max_turn` (rad/s). `dt` (s). `size` (mm). `shape`: the shape of a body of 1 mm. `ease`,
-    `jump`: how far a body shifts by choice, and at most (body lengths)."""
+    `most`: the largest tilt (radians). `max_turn` (rad/s). `dt` (s). `size` (mm). `shapes`: the numbers of a `BodyShape` of 1 mm
+    for each body of the species. `body`: the index of each agent's body. `ease`, `jump`: how far a body shifts by choice, and at
+    most (body lengths)."""
 
     most: Array1[F32]
     max_turn: Array1[F32]
     dt: F32
     size: Array1[F32]
-    shape: BodyShape
+    shapes: Array2[F64]
+    body: Array1[U8]
     ease: F64
     jump: F64
 
@@ -86,6 +88,7 @@ class FaceSearch(NamedTuple):
 
 
 @inlined
-def scale_shape(shape: BodyShape, size: F64) -> BodyShape:
-    """Return the shape of a body of `size` mm."""
-    return BodyShape(shape.half * size, shape.radius * size, shape.height * size, shape.ahead * size)
+def get_shape(limits: BodyLimits, i: I64, size: F64) -> BodyShape:
+    """Return the shape of the body of agent i, for a body of `size` mm."""
+    k, shapes = limits.body[i], limits.shapes
+    return BodyShape(shapes[k, 0] * size, shapes[k, 1] * size, shapes[k, 2] * size, shapes[k, 3] * size)

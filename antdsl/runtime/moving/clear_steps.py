@@ -18,6 +18,7 @@ from antdsl.ground.protocol import Footing
 from antdsl.numerics import parallel
 from antdsl.numerics import vectors as vec
 from antdsl.numerics.vectors import VectorArrays
+from antdsl.runtime.body_rows import numbers_by_row
 from antdsl.runtime.moving.body_contacts import SHIFT_TURNS
 from antdsl.runtime.moving.body_lifts import LiftLists, lift_bodies, select_rows
 from antdsl.runtime.moving.body_paths import BodyShape
@@ -103,7 +104,7 @@ class ClearStep:
         work = partial(select_rows, levels, heading, *stance, _retained_registers(population), rows, row_levels)
         rows, row_levels = parallel.join_parts(parallel.run_in_parts(work, n, threads), rows, row_levels)
         dt = float(limits[2])
-        bounds = BodyLimits(*limits, now["size"], body_shape(world, population), _SHIFT_SPEED * dt, _JUMP_SPEED * dt)
+        bounds = BodyLimits(*limits, now["size"], *body_shapes(world, population), _SHIFT_SPEED * dt, _JUMP_SPEED * dt)
         step = ClearStep(population, walk, bounds, threads, rows, row_levels)
         step.all_levels, step.has_bend, step.state = levels, has_bend, stance[0]
         return step
@@ -288,7 +289,7 @@ def settle_clear(world: World, population: Population, rows: Rows) -> bool:
     if walk is None:
         return False
     free = np.full(n, np.inf, np.float32)
-    limits = BodyLimits(np.full(n, np.pi, np.float32), free, _F(1), now["size"], body_shape(world, population), np.inf, np.inf)
+    limits = BodyLimits(np.full(n, np.pi, np.float32), free, _F(1), now["size"], *body_shapes(world, population), np.inf, np.inf)
     ClearStep(
         population, walk, limits, world.options.threads, np.asarray(rows, np.int64), np.full(len(rows), SHARP, np.uint8)
     ).settle()
@@ -307,11 +308,18 @@ def face_search(walk: CrowdWalk, count: int, threads: int) -> FaceSearch:
     return FaceSearch(several, near, table.piece, table.cuts.first, boxes.to_box_tree(), buffers)
 
 
-def body_shape(world: World, population: Population, margin: float = _MARGIN_PER_BODY) -> BodyShape:
-    """Return the capsule of a species' body for a body of 1 mm, extended by `margin` at both ends."""
-    capsule = find_capsule(world, population.name)
-    half = max(capsule.length - capsule.width, 0.0) / 2 + margin
-    return BodyShape(half, capsule.width / 2, capsule.height, capsule.forward_offset)
+def body_shapes(
+    world: World, population: Population, margin: float = _MARGIN_PER_BODY
+) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
+    """Return the capsules (k, 4) of a species' bodies, and the index of each agent's body, uint8[n].
+
+    A row has the numbers of a `BodyShape` for a body of 1 mm, extended by `margin` at both ends."""
+    capsules = [find_capsule(world, key) for key in world.setting.list_body_keys(population.name)]
+    shapes = [
+        BodyShape(max(each.length - each.width, 0.0) / 2 + margin, each.width / 2, each.height, each.forward_offset)
+        for each in capsules
+    ]
+    return np.array(shapes, np.float64), numbers_by_row(population, world.setting)
 
 
 def _read_lift(population: Population, rows: Rows) -> VectorArrays:

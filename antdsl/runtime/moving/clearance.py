@@ -50,7 +50,7 @@ from antdsl.runtime.moving.body_records import (
     BodyRows,
     BodyStances,
     FaceSearch,
-    scale_shape,
+    get_shape,
 )
 from antdsl.runtime.moving.postures import perpendicular, read_vector, tilt_within, turn_axis, turn_heading, turn_within
 
@@ -255,7 +255,7 @@ def aim_bodies(
         facing = turn_within(turned, turn_heading(target_heading, target_up, up), up, yaw)
         rise = 0.0
         if ahead_count > 0:
-            shape = scale_shape(limits.shape, size)
+            shape = get_shape(limits, i, size)
             rise = profile_lift(ahead_points, ahead_count, shape, place, up, facing, MAX_LIFT_PER_BODY * size)
             rise = max(rise, profile_lift(behind_points, behind_count, shape, place, up, facing, MAX_LIFT_PER_BODY * size))
         lag = (np.float64(full_tilt) - np.float64(tilt) - _MIN_WAIT_LAG) / (_MAX_WAIT_LAG - _MIN_WAIT_LAG)
@@ -297,7 +297,7 @@ def shift_bodies(
         size = np.float64(limits.size[i])
         position = (place[i, 0], place[i, 1], place[i, 2])
         stance = BodyStance(position, get_row64(normals, i), read_vector(pose.up, i), read_vector(pose.heading, i), size)
-        shape, most = scale_shape(limits.shape, size), MAX_LIFT_PER_BODY * size
+        shape, most = get_shape(limits, i, size), MAX_LIFT_PER_BODY * size
         result = shift_outside(table, search.pieces, search.boxes, faces, shape, stance, read_vector(lift, i), most, turns)
         change = minus(result.shift, read_vector(old, j))
         depths[j] = _F(result.depth / size) if size > 0 else _F(0)

@@ -22,7 +22,7 @@ _HEADER_PATTERN = re.compile(
     r"\{'descr': '([<|][fiub][1248])', 'fortran_order': (False), 'shape': (\((?:[0-9]{1,18}, ?)*(?:[0-9]{1,18})?,?\)), *\} *\n?",
     re.ASCII,
 )
-_MEMBER_NAME_PATTERN = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.\-#>|/]*", re.ASCII)
+_MEMBER_NAME_PATTERN = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.\-#>|~/]*", re.ASCII)
 
 
 class ArrayFileError(Exception):
