@@ -36,6 +36,8 @@ MAX_TOUCHED_AGENTS: Final = 8  # others of a species that one agent can know to 
 
 # scene
 MAX_SCENE_BYTES: Final = 1 * MIB
+MAX_EDITS_BYTES: Final = 1 * MIB  # of the text of a cache's edits
+MAX_EDITS: Final = 1000  # of one cache
 MAX_YAML_DEPTH: Final = 32
 MAX_YAML_NODES: Final = 50_000
 MAX_MESH_BYTES: Final = 512 * MIB

@@ -132,8 +132,8 @@ def _find_cache_advice(why: Exception) -> tuple[ExitCode, str]:
     from antdsl.outputs.cache.cache_writer import DifferentHashes, DifferentInputs, ForeignFolder, PathBlocked
     from antdsl.outputs.cache.lock import FolderLocked
     from antdsl.outputs.cache.manifest import ManifestError
+    from antdsl.outputs.edits.edit_layer import NotEditable
     from antdsl.outputs.gallery import PictureUnavailable
-    from antdsl.outputs.orientation_smoothing import NotEditable
     from antdsl.outputs.recording import NothingToResume
 
     attribute = "add it to `output: {attributes: …}` of the scene and run again"

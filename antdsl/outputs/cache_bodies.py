@@ -36,8 +36,7 @@ class CacheBodies:
 
     def numbers(self, number: int, ids: NDArray[np.int64]) -> NDArray[np.uint8]:
         """Return the index of the body of each agent of a species, uint8[n]."""
-        species = self._manifest.species[number]
-        return body_numbers([each.weight for each in species.bodies], self._manifest.seed, species.name, ids)
+        return find_body_numbers(self._manifest, number, ids)
 
     def body(self, number: int, mask: int = 0, which: int = 0) -> PosedBody:
         """Return a body of a species with the layers of a mask. Raises BodyError if the cache's definition is damaged."""
@@ -65,6 +64,18 @@ class CacheBodies:
         entries = _entries(self._manifest.species[number])
         own = [self.body(number, 0, which).reach for which, each in enumerate(entries) if each.definition is not None]
         return max([1.0, *own])
+
+
+def find_body_numbers(manifest: Manifest, number: int, ids: NDArray[np.int64]) -> NDArray[np.uint8]:
+    """Return the index of the body of each agent of a species, uint8[n]."""
+    species = manifest.species[number]
+    originals = ids
+    for period in reversed(species.copies):
+        originals = originals % period
+    numbers = body_numbers([each.weight for each in species.bodies], manifest.seed, species.name, originals)
+    for each in species.replaced:
+        numbers[(ids >= each.first) & (ids < each.first + each.count)] = each.body
+    return numbers
 
 
 def _entries(species: SpeciesEntry) -> tuple[WornBodyEntry, ...]:

@@ -26,7 +26,7 @@ from antdsl.outputs.cache.cache_writer import (
 )
 from antdsl.outputs.cache.frame_maker import FrameMaker, make_manifest, make_static_arrays
 from antdsl.outputs.cache.hashes import HashLine
-from antdsl.outputs.cache.manifest import CameraEntry, Look, find_relative_path
+from antdsl.outputs.cache.manifest import CameraEntry, EditsEntry, Look, find_relative_path
 from antdsl.outputs.cache.scene_positions import find_scene_origin
 from antdsl.outputs.cache.solid_pieces import PieceMaker
 from antdsl.outputs.cache_start import hash_start_frame, start_from_cache
@@ -75,6 +75,7 @@ class Recording:
     frame_seconds: dict[str, float] = field(default_factory=dict)  # frames: parts of `submit`
     writer_seconds: dict[str, float] = field(default_factory=dict)  # frames and checkpoints written meanwhile
     start_time: float = field(default_factory=time.perf_counter)
+    edits: EditsEntry | None = None  # of the cache that the run continues
     scene_path: str | None = None  # path from the cache to its scene, if it differs from the path between the files in use
     step_meter: StepMeter | None = None  # measures the steps after the first
 
@@ -121,6 +122,7 @@ def begin_recording(shot: Shot, folder: Path, options: Options, *, resume: bool,
     if intact is not None:
         if intact.cache.manifest.origin != find_scene_origin(world):
             raise NothingToResume(f"`{folder}` was written by an antdsl version that measures positions from a different origin")
+        recording.edits = intact.cache.manifest.edits
         _resume_recording(recording, intact, options)
     if recording.resumed_from is None:
         start_from_cache(shot, recording.world)
@@ -236,6 +238,7 @@ def record_frames(recording: Recording, on_frame: Callable[[str, int], None] = l
         camera=_make_camera_entry(shot, world.origin),
         looks=collect_looks(model),
     )
+    manifest = manifest.model_copy(update={"edits": recording.edits})
     made_with = partial(collect_provenance, name, shot.frames, shot.setting.seed, recording.inputs)
     with CacheWriter(recording.folder, manifest, made_with, recording.add_measures) as writer:
         static = {**recording.static_arrays, **stored_bodies.arrays}

@@ -20,6 +20,7 @@ from antdsl.syntax.mistakes.number_slips import COMMA_NUMBER_PATTERN, make_comma
 
 if TYPE_CHECKING:
     from antdsl.scene.scene_model import SceneModel
+    from antdsl.scene.values import ScenePart
 
 # Keys that users look for in a scene although they belong elsewhere.
 _MISPLACED_KEY_HELP = {
@@ -37,7 +38,8 @@ _MISPLACED_KEY_HELP = {
 }
 
 
-_UNION_TAG_SUFFIXES = ("-thing", "-camera", "-here", "-selector", "-region")  # of tags in unions; no key of a scene ends so
+# of tags in unions; no key of a scene ends so
+_UNION_TAG_SUFFIXES = ("-thing", "-camera", "-here", "-selector", "-region", "-edit")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,7 +114,7 @@ def load_text(
             if path[:1] and path[0] in outside and len(path) == 1:
                 report.add(outside[path[0]])
             else:
-                _report_error(report, document, error)
+                report_model_error(report, document, error)
         return None, report
     return Scene(model, document, source, roots), report
 
@@ -168,10 +170,14 @@ def drop_consequent_errors(errors: list[Any]) -> list[Any]:
     return [error for path, error in errors_by_path.items() if error["type"] != "missing" or path not in meant]
 
 
-def _report_error(report: Report, document: MappingNode, error: Any) -> None:
+def report_model_error(
+    report: Report, document: MappingNode, error: Any, models: Mapping[str, type[ScenePart]] | None = None
+) -> None:
+    """Add an error of pydantic to a report, at its location in the text. `models`: further models, by the last word of the path
+    to their keys."""
     kind, path = error["type"], tuple(error["loc"])
     if kind == "extra_forbidden":
-        _report_unknown_key(report, document, path, error.get("meant"))
+        _report_unknown_key(report, document, path, error.get("meant"), models or {})
         return
     if kind == "missing":
         span, walked = find_span(document, path[:-1], key=bool(path[:-1]))
@@ -229,10 +235,16 @@ def _describe_error(kind: str, error: Any) -> str:
     return _SHAPE_MESSAGES.get(kind) or str(error["msg"]).rstrip(".").replace("Input should be", "this should be").lower()
 
 
-def _report_unknown_key(report: Report, document: MappingNode, path: tuple[PathKey, ...], suggestion: str | None) -> None:
+def _report_unknown_key(
+    report: Report,
+    document: MappingNode,
+    path: tuple[PathKey, ...],
+    suggestion: str | None,
+    models: Mapping[str, type[ScenePart]],
+) -> None:
     key = str(path[-1])
     span, _ = find_span(document, path, key=True)
-    allowed = sorted(_list_allowed_keys(path))
+    allowed = sorted(_list_allowed_keys(path, models))
     near = suggestion or find_nearest_name(key, allowed)
     if len(path) == 1 and key in _MISPLACED_KEY_HELP:
         report.error("unknown-key", f"`{key}` is not a scene setting", span, _MISPLACED_KEY_HELP[key])
@@ -246,14 +258,15 @@ def _format_path(path: tuple[PathKey, ...]) -> str:
     return f"`{above[-1]}`" if above else "a scene"
 
 
-def _list_allowed_keys(path: tuple[PathKey, ...]) -> list[str]:
+def _list_allowed_keys(path: tuple[PathKey, ...], further_models: Mapping[str, type[ScenePart]]) -> list[str]:
     """Return the keys that the model at a path knows."""
     from antdsl.scene import scene_model
     from antdsl.scene.crowd_model import LayerChoice
     from antdsl.scene.selectors import AgentConditions, Ball, Box
 
     # the last word of the path identifies the model that raised the error; tags of the schema are among the words
-    models: dict[str, type[scene_model.ScenePart]] = {
+    models: dict[str, type[ScenePart]] = {
+        **further_models,
         **{scene_model.make_thing_tag(head): each for head, each in scene_model.THING_MODELS.items()},
         "usd-camera": scene_model.UsdCamera,
         "keys": scene_model.PositionKey,

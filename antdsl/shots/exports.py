@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from antdsl.executors import Task, TaskRefused, WorkerContext, convert_to_refusal
-from antdsl.outputs.cache.cache_reader import CacheError, open_cache
+from antdsl.outputs.cache.cache_reader import CacheError
 from antdsl.outputs.cache.manifest import ManifestError
+from antdsl.outputs.edits.edited_cache import open_edited_cache
 from antdsl.outputs.exports import AgentSubset, find_export
 from antdsl.outputs.gallery import Gallery, PictureUnavailable
 from antdsl.outputs.numbered_files import ExportUnavailable
@@ -33,9 +34,9 @@ def export_frames(document: Mapping[str, Any], worker: WorkerContext) -> dict[st
     if export is None or document["form"] not in export.per_frame_forms:
         raise TaskRefused(f"`{name}` has no file for each frame")
     with convert_to_refusal(ManifestError, CacheError, PictureUnavailable, ExportUnavailable):
-        cache = open_cache(worker.find_local_path(document["cache"]))
+        cache = open_edited_cache(worker.find_local_path(document["cache"]))
         if document["ids"] is not None:
-            cache = AgentSubset(cache.folder, cache.manifest, frozenset(document["ids"]))
+            cache = AgentSubset.of(cache, frozenset(document["ids"]))
         place = to.choose_task_folder(worker, document["key"])
         notes = export.forms[document["form"]](Gallery(cache), document["frames"], place / name)
     worker.notes += notes or ()

@@ -10,9 +10,10 @@ from typing import Any
 from pydantic import TypeAdapter
 
 from antdsl.executors import Task, WorkerContext, convert_to_refusal
-from antdsl.outputs.cache.cache_reader import CacheError, open_cache
+from antdsl.outputs.cache.cache_reader import CacheError
 from antdsl.outputs.cache.manifest import ManifestError
 from antdsl.outputs.drawing import AgentMissing, DrawRequest, FrameDrawer, StillStore
+from antdsl.outputs.edits.edited_cache import open_edited_cache
 from antdsl.outputs.gallery import PictureUnavailable
 from antdsl.shots.task_destination import Destination
 
@@ -34,7 +35,7 @@ def draw_stills(document: Mapping[str, Any], worker: WorkerContext) -> dict[str,
     with convert_to_refusal(ManifestError, CacheError, PictureUnavailable, AgentMissing, ValueError):
         if worker.cached_values.get("pictures") != pictures:
             picture_request = TypeAdapter(DrawRequest).validate_python(pictures["wanted"])
-            gallery = picture_request.gallery(open_cache(worker.find_local_path(pictures["cache"])))
+            gallery = picture_request.gallery(open_edited_cache(worker.find_local_path(pictures["cache"])))
             drawer = FrameDrawer(gallery, picture_request, pictures["all"], worker.threads)
             worker.cached_values |= {"pictures": pictures, "drawer": drawer}
         drawer = worker.cached_values["drawer"]

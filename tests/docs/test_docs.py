@@ -25,7 +25,7 @@ PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "grammar" / "READM
 DOCUMENTS = [*PAGES, INDEX_OF_CODES, *sorted((ROOT / "docs").glob("*.md"))]
 # A workflow and hooks are run by tests/cli/test_new_project.py; what is written for other systems is not run here.
 THEIRS = ("netlogo", "gaml", "vex")
-BLOCKS = ("ant", "yaml scene", "yaml workflow", "yaml hooks", "python", "console", "text", "json", "bash", *THEIRS)
+BLOCKS = ("ant", "yaml scene", "yaml edits", "yaml workflow", "yaml hooks", "python", "console", "text", "json", "bash", *THEIRS)
 
 # What a fragment stands in. The names are those of the samples in the language reference.
 WORLD = """ant 1
@@ -155,6 +155,22 @@ def test_scenes_read_as_the_documents_say(block: Block) -> None:
     _, report = load_text(block.text.encode(), str(block), Roots(ROOT / "examples" / "foraging", {}))
     codes = [d.code for d in report.errors]
     assert codes == ([] if block.expected_error is None else [block.expected_error]), report.errors
+
+
+@pytest.mark.parametrize("block", [block for block in of_kind("yaml") if block.words[1] == "edits"], ids=str)
+def test_edits_read_as_the_documents_say(block: Block, cache: Path) -> None:
+    from antdsl.outputs.cache.manifest import ItemsEntry, LineEntry, read_manifest
+    from antdsl.outputs.edits.edit_lines import read_edits
+
+    manifest = read_manifest(cache)
+    names = {
+        "species": (manifest.species[0].model_copy(update={"name": "ant"}),),
+        "lines": (LineEntry(name="guards", species="ant", ranges=((0, 40),)),),
+        "items": (ItemsEntry(name="food", names=("leaf",), position=((0, 0, 0),), radius=(1,), attributes=()),),
+        "last": 240,
+    }
+    edits, report = read_edits(block.text.encode(), str(block), manifest.model_copy(update=names))
+    assert edits is not None, report.errors
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from antdsl.cli import app
 from antdsl.outputs.cache.cache_reader import make_frame_path, open_cache
-from antdsl.outputs.orientation_smoothing import FrameOrientations, smooth_frame
+from antdsl.outputs.edits.finishing import FrameOrientations, smooth_frame
 
 RUN = CliRunner()
 PROGRAM = """ant 1
@@ -119,7 +119,7 @@ def test_a_cache_is_made_of_which_only_the_orientations_differ(ran: Path) -> Non
                 last[name][agent] = orient
     assert len({len(old.frame(number)["id"]) for number in (1, 15, 30)}) == 3  # some were born, some have died
     assert turned["new"] < 0.95 * turned["old"]
-    assert new.manifest.inputs["edit 1"] == "smooth orient:9" and new.read_state_hashes() == old.read_state_hashes()
+    assert new.manifest.inputs["edit 1"] == "smooth: {}, orient: 9" and new.read_state_hashes() == old.read_state_hashes()
     checked = RUN.invoke(app, ["info", str(ran / "walk_edited"), "--verify"])
     assert checked.exit_code == 0 and "30 frames" in checked.output, checked.output
     went_on = RUN.invoke(app, ["run", str(ran / "scene.yaml"), "--out", str(ran / "walk_edited"), "--resume", "-q"])

@@ -516,7 +516,7 @@ def test_who_takes_up_a_load_is_an_instance_of_the_body_that_has_one(carriers: C
 
 
 def test_some_agents_wear_what_they_wear_among_all(carriers: Cache) -> None:
-    subset_cache = AgentSubset(carriers.folder, carriers.manifest, frozenset([1, 3]))
+    subset_cache = AgentSubset.of(carriers, frozenset([1, 3]))
     worn = set()
     for frame in carriers.frames():
         all_layers = layers_by_id(Gallery(carriers).make_picture(frame))

@@ -88,7 +88,7 @@ def export(
 ) -> None:
     """Write a cache for other programs: USD (needs the extra [usd]), glTF, points for Houdini, tables, arrays, meshes."""
     from antdsl.cli.arguments import parse_frame_range, parse_number_set, parse_shutter
-    from antdsl.outputs.cache.cache_reader import open_cache
+    from antdsl.outputs.edits.edited_cache import open_edited_cache
     from antdsl.outputs.exports import EXPORT_FORMATS, AgentSubset, find_export
     from antdsl.outputs.gallery import Gallery
     from antdsl.outputs.numbered_files import ExportUnavailable
@@ -140,7 +140,7 @@ def export(
         require_writable_file(to, "--to")
     try:
         with explain_cache_errors(cache, "this makes damaged frames again"):
-            opened_cache = open_cache(cache)
+            opened_cache = open_edited_cache(cache)
             cache_frames = [f for f in opened_cache.frames() if between is None or between.first <= f <= between.last]
             if not cache_frames:
                 advice = "`antdsl info CACHE` says which it has"
@@ -153,7 +153,7 @@ def export(
             else:
                 with protect_inputs({"--to": to}) as inputs:
                     inputs += opened_cache.find_source_files()
-            gallery = Gallery(opened_cache if chosen is None else AgentSubset(opened_cache.folder, opened_cache.manifest, chosen))
+            gallery = Gallery(opened_cache if chosen is None else AgentSubset.of(opened_cache, chosen))
             create_folder_durably(to.parent)
             notes: Sequence[str] | None
             if scheduler:

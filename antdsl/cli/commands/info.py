@@ -23,18 +23,19 @@ def info(
 ) -> None:
     """Say what is in a cache and what it was made from."""
     from antdsl.diagnostics.model import replace_unprintable
-    from antdsl.outputs.cache.cache_reader import open_cache
+    from antdsl.outputs.edits.edited_cache import EditedCache, open_edited_cache
 
     with explain_cache_errors():
-        opened_cache = open_cache(cache)
+        opened_cache = open_edited_cache(cache)
     for line in describe_cache(opened_cache):
         print_result(replace_unprintable(line))  # the manifest may come from an untrusted source
     if verify:
-        _verify_cache(opened_cache)
+        _verify_cache(opened_cache.original if isinstance(opened_cache, EditedCache) else opened_cache)
 
 
 def describe_cache(cache: Cache) -> list[str]:
     """Return the lines that describe a cache."""
+    from antdsl.outputs.edits.edited_cache import EditedCache
     from antdsl.outputs.provenance import make_resume_command
     from antdsl.scene.geometry.import_notes import MeshImport, format_import_report
 
@@ -51,6 +52,7 @@ def describe_cache(cache: Cache) -> list[str]:
     ]
     if any(manifest.origin):
         lines.insert(3, f"origin       {' '.join(f'{x:.15g}' for x in manifest.origin)} {manifest.units}")
+    lines += _describe_agents(cache, inside)
     for species in manifest.species:
         for machine in species.machines:
             lines.append(f"states       {species.name}.{machine.name}: {' '.join(state.name for state in machine.states)}")
@@ -74,12 +76,29 @@ def describe_cache(cache: Cache) -> list[str]:
     lines.append(
         f"complete     {'yes' if len(inside) == frame_count else f'no; go on with: {make_resume_command(cache.folder)}'}"
     )
+    if isinstance(cache, EditedCache):
+        lines.append("edits        applied as frames are read; `antdsl edit CACHE --remove` takes them away")
     if manifest.made_with is not None:
         lines.append("made with")
         lines += [f"  {name:<10} {value or 'none'}" for name, value in manifest.made_with.model_dump().items()]
     lines.append("made from")
     lines += [f"  {value}  {name}" for name, value in manifest.inputs.items()]
     return lines
+
+
+def _describe_agents(cache: Cache, frames: list[int]) -> list[str]:
+    """Return a line with the number of agents in the first and the last frame; nothing if these cannot be read."""
+    from antdsl.outputs.cache.cache_reader import CacheError
+
+    try:
+        counts = [
+            (len(arrays["id"]), frame)
+            for frame in frames[:1] + frames[1:][-1:]
+            if "id" in (arrays := cache.frame(frame, frozenset(["id"])))
+        ]
+    except CacheError:
+        return []
+    return [f"agents       {', '.join(f'{count:,} in frame {frame}' for count, frame in counts)}"] if counts else []
 
 
 def _describe_patches(mesh: MeshEntry, units: str) -> str:

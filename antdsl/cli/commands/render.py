@@ -217,12 +217,13 @@ def _parse_full_strengths(texts: list[str]) -> dict[str, float]:
 
 
 def _open_gallery(folder: Path, settings: DrawRequest) -> Gallery:
-    from antdsl.outputs.cache.cache_reader import CacheError, open_cache
+    from antdsl.outputs.cache.cache_reader import CacheError
     from antdsl.outputs.cache.manifest import ManifestError
+    from antdsl.outputs.edits.edited_cache import open_edited_cache
     from antdsl.outputs.gallery import PictureUnavailable
 
     try:
-        return settings.gallery(open_cache(folder))
+        return settings.gallery(open_edited_cache(folder))
     except (ManifestError, CacheError) as why:
         raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {why}", "name the folder that `antdsl run` printed") from None
     except PictureUnavailable as why:

@@ -13,7 +13,7 @@ import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -155,6 +155,39 @@ class Cache:
         return (find_static_damage(self.folder / STATIC_FILE_NAME, expected) if expected else None) or _find_read_problem(
             self.read_static
         )
+
+
+@dataclass(frozen=True, eq=False)
+class CacheView(Cache):
+    """A view of another cache. Subclasses change what they override; all else is read from `source`."""
+
+    source: Cache
+
+    @classmethod
+    def of(cls, source: Cache, *values: Any) -> Self:
+        """Return the view of a cache. `values`: those of the further fields."""
+        return cls(source.folder, source.manifest, source, *values)
+
+    def frames(self) -> list[int]:
+        """Return the numbers of the existing frames, ascending."""
+        return self.source.frames()
+
+    def checkpoints(self) -> list[int]:
+        """Return the numbers of the frames that have a checkpoint, ascending."""
+        return self.source.checkpoints()
+
+    def frame(self, number: int, names: frozenset[str] | None = None) -> Arrays:
+        """Return the arrays of a frame. `names`: the names to return; None for all."""
+        return self.source.frame(number, names)
+
+    def read_static(self) -> Arrays:
+        """Return the arrays that apply to all frames."""
+        return self.source.read_static()
+
+
+def select_arrays(arrays: Arrays, names: frozenset[str] | None) -> Arrays:
+    """Return the arrays with some names, and the frame's number; all if `names` is None."""
+    return arrays if names is None else {name: array for name, array in arrays.items() if name in names or name == "frame"}
 
 
 def open_cache(folder: Path) -> Cache:

@@ -17,6 +17,12 @@ ALWAYS_SAVED_ARRAYS = frozenset(
 )  # these exist also without `output`
 
 IDENTITY_ARRAYS = frozenset(("id", "species"))
+_SUBJECT_BY_ARRAY_PREFIX = {each.name.partition(".")[0]: each.of for each in FRAME_COLUMNS}  # by the first word of a name
+
+
+def find_array_subject(name: str) -> str | None:
+    """Return the kind of row that an array has (`one`, `pair`, `event`), by the first word of its name; None for others."""
+    return _SUBJECT_BY_ARRAY_PREFIX.get(name.partition(".")[0]) if "." in name else None
 
 
 def list_special_arrays(form: str) -> frozenset[str]:

@@ -91,6 +91,14 @@ class WornBodyEntry(ManifestPart):
     weight: Annotated[float, Field(ge=limits.MIN_BODY_WEIGHT, le=limits.MAX_BODY_WEIGHT)] = 1.0
 
 
+class ReplacedBody(ManifestPart):
+    """Agents with a body of their own: `count` ids from `first` on. `body`: its index among the bodies of the species."""
+
+    first: Annotated[int, Field(ge=0)]
+    count: Annotated[int, Field(ge=1)]
+    body: Annotated[int, Field(ge=0, lt=limits.MAX_SPECIES_BODIES)]
+
+
 class SpeciesEntry(ManifestPart):
     """A species.
 
@@ -101,7 +109,9 @@ class SpeciesEntry(ManifestPart):
     `playing`: the machines that play clips.
     `wears`: body layers that agents may show in addition to the body's own; frames have masks with one bit per layer.
     `channels`: the channels of the body that states set.
-    `looks`: the transform groups of the body that states turn."""
+    `looks`: the transform groups of the body that states turn.
+    `copies`: added by edits, in their order. The agent with the id i + k N is a copy of agent i, with a number N of this list.
+    `replaced`: the agents that edits gave other bodies than those drawn for them."""
 
     name: Word
     body: Word | None = None
@@ -114,6 +124,8 @@ class SpeciesEntry(ManifestPart):
     looks: tuple[Word, ...] = ()
     feelers: tuple[FeelersEntry, ...] = ()
     machines: tuple[MachineEntry, ...]
+    copies: tuple[Annotated[int, Field(ge=1)], ...] = ()
+    replaced: tuple[ReplacedBody, ...] = ()
 
 
 Count = Annotated[int, Field(ge=0)]
@@ -194,6 +206,22 @@ class LineEntry(ManifestPart):
     ranges: tuple[tuple[Count, Annotated[int, Field(ge=1)]], ...]
 
 
+class EditsEntry(ManifestPart):
+    """The edits of the cache that readers apply to its frames.
+
+    `name`: the file that they were read from. `text`: its content.
+    `arrays`: the file next to the manifest with the meshes and bodies that they name; None without any.
+    `caches`: by name in the text, the paths from the cache's folder to other caches.
+    `next_ids`: by species, the first id that no agent has. `counted_frames`: the number of frames that this is known of."""
+
+    name: Word
+    text: Annotated[str, Field(max_length=limits.MAX_EDITS_BYTES)]
+    arrays: Annotated[str, Field(pattern=r"^edits\.[0-9a-f]{32}\.npz$")] | None = None
+    caches: dict[Word, Word] = {}
+    next_ids: dict[Word, Annotated[int, Field(ge=0)]] = {}
+    counted_frames: int = 0
+
+
 class CameraEntry(ManifestPart):
     """A camera: points in scene units, focal length in mm for a sensor 36 mm wide.
 
@@ -260,6 +288,7 @@ class Manifest(ManifestPart):
     items: tuple[ItemsEntry, ...]
     lines: tuple[LineEntry, ...] = ()
     events: tuple[Word, ...] = ()
+    edits: EditsEntry | None = None
     camera: CameraEntry | Literal["fit"] | None = None  # `fit`: a camera that shows the crowd in all drawn frames
 
 

@@ -8,10 +8,10 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from antdsl.outputs.cache.cache_reader import Arrays, Cache
-from antdsl.outputs.cache.frame_agents import ALWAYS_SAVED_ARRAYS, IDENTITY_ARRAYS, find_species_rows, get_agent_ids
+from antdsl.outputs.cache.cache_reader import Arrays, CacheView, select_arrays
+from antdsl.outputs.cache.frame_agents import IDENTITY_ARRAYS, find_array_subject
+from antdsl.outputs.edits.frame_rows import SPECIES_PER_KEY, keep_rows
 from antdsl.outputs.exports.csv_export import export_csv
 from antdsl.outputs.exports.events_export import export_csv_events, export_npz_events
 from antdsl.outputs.exports.geo_export import export_geo
@@ -22,9 +22,6 @@ from antdsl.outputs.exports.poses_export import export_poses
 from antdsl.outputs.exports.solid_export import export_solids, export_volumes
 from antdsl.outputs.numbered_files import make_numbered_path
 from antdsl.outputs.usd.stage import UsdOptions, XformOptions, export_instances, export_xforms
-from antdsl.program.tables.columns import FRAME_COLUMNS
-
-_SUBJECT_BY_ARRAY_PREFIX = {each.name.partition(".")[0]: each.of for each in FRAME_COLUMNS}  # by the first word of a name
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,38 +83,20 @@ def find_export(path: Path) -> ExportFormat | None:
 
 
 @dataclass(frozen=True, eq=False)
-class AgentSubset(Cache):
+class AgentSubset(CacheView):
     """A view of another cache that contains only the agents with some `ids`, in all species. Everything else is unchanged."""
 
-    ids: frozenset[int] = frozenset()
+    ids: frozenset[int]
 
     def frame(self, number: int, names: frozenset[str] | None = None) -> Arrays:
         """Return the arrays of a frame, limited to the rows of the chosen agents. `names`: the names to return; None for all."""
-        arrays = super().frame(number, None if names is None else names | IDENTITY_ARRAYS | self._list_id_arrays(names))
-        if "id" not in arrays:
-            return arrays
-        chosen = np.isin(get_agent_ids(arrays), sorted(self.ids))
-        by_species = {entry.name: chosen[find_species_rows(arrays, k)] for k, entry in enumerate(self.manifest.species)}
-        named = {*self.manifest.attributes, *ALWAYS_SAVED_ARRAYS}
-        chosen_arrays = {name: array for name, array in arrays.items() if names is None or name in names or name == "frame"}
-        for name, array in chosen_arrays.items():
-            rows = chosen if name in named else self._select_rows(name, arrays, by_species)
-            if rows is not None and array.ndim and len(array) == len(rows):
-                chosen_arrays[name] = array[rows]
-        return chosen_arrays
-
-    def _list_id_arrays(self, names: frozenset[str]) -> set[str]:
-        """Return the names of the id arrays that arrays of pairs and events need."""
-        return {f"{name.rpartition('.')[0]}.id" for name in names if _find_array_subject(name) in ("pair", "event")}
-
-    def _select_rows(self, name: str, arrays: Arrays, by_species: dict[str, NDArray[np.bool_]]) -> NDArray[np.bool_] | None:
-        """Return which rows of an array belong to the chosen agents; None for an array that is not about agents."""
-        if _find_array_subject(name) in ("pair", "event"):
-            owners = arrays.get(f"{name.rpartition('.')[0]}.id")
-            return None if owners is None else np.isin(np.asarray(owners), sorted(self.ids))
-        return by_species.get(name.split(".")[1]) if _find_array_subject(name) == "one" else None
+        arrays = self.source.frame(number, None if names is None else names | IDENTITY_ARRAYS | _list_id_arrays(names))
+        if "id" in arrays:
+            chosen = np.array(sorted(self.ids), np.int64)
+            arrays = keep_rows(arrays, self.manifest, lambda keys: np.isin(keys // SPECIES_PER_KEY, chosen))
+        return select_arrays(arrays, names)
 
 
-def _find_array_subject(name: str) -> str | None:
-    """Return the kind of row that an array has (`one`, `pair`, `event`), by the first word of its name; None for others."""
-    return _SUBJECT_BY_ARRAY_PREFIX.get(name.partition(".")[0]) if "." in name else None
+def _list_id_arrays(names: frozenset[str]) -> set[str]:
+    """Return the names of the id arrays that arrays of pairs and events need."""
+    return {f"{name.rpartition('.')[0]}.id" for name in names if find_array_subject(name) in ("pair", "event")}

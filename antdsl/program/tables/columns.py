@@ -14,6 +14,8 @@ from typing import Literal
 
 ColumnKind = Literal["fixed", "register", "derived"]
 RowShape = tuple[int | str, ...]
+Between = Literal["", "linear", "rotation", "direction", "phase", "clip"]
+ColumnTexts = tuple[str, str, RowShape, str] | tuple[str, str, RowShape, str, Between]
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +35,9 @@ class Column:
       `part` of a thing.
     - `exports`: the formats with a separate attribute for it. Formats that write all arrays of agents write it under its name.
     - `packet`: its name and type in the preview's packet of a frame.
-    - `in_preview`: the preview stores it for all frames."""
+    - `in_preview`: the preview stores it for all frames.
+    - `between`: how it changes between two frames: `linear`, as a `rotation`, a `direction` or a `phase` from 0 to 1, or as a
+      `clip`: linear as long as the machine plays the same clips. Values of other arrays are those of the nearer frame."""
 
     name: str
     kind: ColumnKind
@@ -52,6 +56,7 @@ class Column:
     exports: str = ""
     packet: str = ""
     in_preview: bool = False
+    between: Between = ""
 
     @property
     def frame_name(self) -> str:
@@ -90,68 +95,71 @@ AGENT_COLUMNS = (
     Column("born", "fixed", "i8", (), "frame of birth", packet="born i4"),
     Column("quarantined", "fixed", "b1", (), "whether it stopped acting after a fault"),
     Column("position", "fixed", "f8", (3,), "position", "mm", is_migrated=False, save_mode="default", alias="P", exports=_ALL,
-           packet="position f4", in_preview=True),
+           packet="position f4", in_preview=True, between="linear"),
     Column("normal", "fixed", "f4", (3,), "normal of the ground on its side", inherited_array="normal"),
     Column("position", "register", "f4", (3,), "position as programs read it", "mm"),
-    Column("velocity", "register", "f4", (3,), "velocity, per second", "mm/s", save_mode="default", alias="v", exports=_SCENES),
+    Column("velocity", "register", "f4", (3,), "velocity, per second", "mm/s", save_mode="default", alias="v", exports=_SCENES,
+           between="linear"),
     Column("heading", "register", "f4", (3,), "unit vector ahead", packet="heading i1", in_preview=True),
     Column("up", "register", "f4", (3,), "unit vector up", packet="up i1", in_preview=True),
     Column("orient", "derived", "f4", (4,), "quaternion x y z w that turns +x to the heading and +y to the agent's up",
-           save_mode="default", exports=_ALL),
+           save_mode="default", exports=_ALL, between="rotation"),
     Column("ids", "fixed", "i8", (), "number of the agent within its species", is_hashed=False, is_migrated=False,
            save_mode="default", alias="id", exports=_ALL, packet="id i4", in_preview=True),
     Column("size", "register", "f4", (), "body length", "mm", is_migrated=False, save_mode="default", alias="pscale",
-           exports=_ALL, packet="size f4", in_preview=True),
+           exports=_ALL, packet="size f4", in_preview=True, between="linear"),
     Column("Cd", "derived", "f4", (3,), "colour of its state, display (sRGB), 0 to 1",
            save_mode="default", exports="usd gltf geo"),
     Column("state", "derived", "i2", (), "its state in the first machine: an index into the manifest's list", save_mode="default",
            exports=_SCENES),
     Column("species", "derived", "i2", (), "an index into the manifest's list; always present with more than one species",
            save_mode="request", exports=_ALL),
-    Column("age", "derived", "f4", (), "seconds since birth", save_mode="request"),
+    Column("age", "derived", "f4", (), "seconds since birth", save_mode="request", between="linear"),
     Column("group", "register", "f4", (), "which line of the scene's `crowd` made it, from 0", save_mode="request"),
     Column("v_ground", "derived", "f4", (3,), "velocity of the ground below each agent, if a surface moves. `v` is relative to "
-           "it: use `v + v_ground` for motion blur", save_mode="always", exports=_SCENES),
+           "it: use `v + v_ground` for motion blur", save_mode="always", exports=_SCENES, between="linear"),
 )
 
 
-def _make_columns(
-    prefix: str, of: str, *columns: tuple[str, str, RowShape, str], kind: ColumnKind = "derived"
-) -> tuple[Column, ...]:
-    """Return rows of arrays that are always saved. `prefix`: the start of their names. `columns`: name, type, shape and help of
-    each."""
+def _make_columns(prefix: str, of: str, *columns: ColumnTexts, kind: ColumnKind = "derived") -> tuple[Column, ...]:
+    """Return rows of arrays that are always saved. `prefix`: the start of their names. `columns`: name, type, shape, help and, if
+    set, `between` of each."""
     return tuple(
-        Column(f"{prefix}{name}", kind, type, shape, help, of=of, save_mode="always") for name, type, shape, help in columns
+        Column(f"{prefix}{name}", kind, type, shape, help, of=of, save_mode="always", between=rest[0] if rest else "")
+        for name, type, shape, help, *rest in columns
     )
 
 
 CLIP_COLUMNS = _make_columns(
     "clips.SPECIES.MACHINE.", "one",
     ("clip", "i2", (), "of a machine that plays clips: an index into the species' `clips` in the manifest, -1 for none"),
-    ("turns", "f4", (), "how often that clip has played since it began; the fraction is the phase"),
-    ("weight", "f4", (), "its share from 0 to 1"),
+    ("turns", "f4", (), "how often that clip has played since it began; the fraction is the phase", "clip"),
+    ("weight", "f4", (), "its share from 0 to 1", "clip"),
     ("before", "i2", (), "the previous clip, which fades out"),
-    ("before_turns", "f4", (), "how often it has played"),
-    ("before_weight", "f4", (), "its share from 0 to 1"),
-    ("fade", "f4", (), "the share of the pose that the previous clip still has"),
+    ("before_turns", "f4", (), "how often it has played", "clip"),
+    ("before_weight", "f4", (), "its share from 0 to 1", "clip"),
+    ("fade", "f4", (), "the share of the pose that the previous clip still has", "clip"),
     ("earlier", "i2", (), "only if an agent has one: a [third clip](clips.md#how-one-clip-gives-way-to-the-next)"),
-    ("earlier_turns", "f4", (), "how often it has played"),
-    ("earlier_weight", "f4", (), "its share from 0 to 1"),
-    ("earlier_fade", "f4", (), "its share of the part that fades out"), kind="register")
+    ("earlier_turns", "f4", (), "how often it has played", "clip"),
+    ("earlier_weight", "f4", (), "its share from 0 to 1", "clip"),
+    ("earlier_fade", "f4", (), "its share of the part that fades out", "clip"), kind="register")
 STANCE_COLUMNS = _make_columns(
     "feet.SPECIES.", "one",
-    ("P", "f4", ("legs", 3), "position of each foot, in the order of the body's legs, if it [stands on its feet](feet.md)"),
+    ("P", "f4", ("legs", 3), "position of each foot, in the order of the body's legs, if it [stands on its feet](feet.md)",
+     "linear"),
     ("down", "u1", ("legs",), "whether it stands"),
-    ("phase", "f4", (), "of the gait, from 0 to 1"),
-    ("rise", "f4", (), "height of the trunk above its rest height along its up"),
-    ("tilt", "f4", (4,), "rotation of the trunk from `orient` (x y z w)"))
+    ("phase", "f4", (), "of the gait, from 0 to 1", "phase"),
+    ("rise", "f4", (), "height of the trunk above its rest height along its up", "linear"),
+    ("tilt", "f4", (4,), "rotation of the trunk from `orient` (x y z w)", "rotation"))
 OTHER_COLUMNS = (
     *_make_columns(
         "", "one",
         ("wears.SPECIES", "u8", (), "[worn layers](clips.md#layers-that-are-worn): bit b for layer b of `wears` in the manifest"),
-        ("channels.SPECIES.NAME", "f4", (), "the value that a state gives a [channel](clips.md#channels), NaN without one"),
-        ("looks.SPECIES.GROUP", "f4", (3,), "where a transform group [looks](clips.md#looking-at-something): ahead, up, right"),
-        ("leans.SPECIES", "f4", (2,), "how much it [turns left and climbs](clips.md#turns-and-slopes), from -1 to 1")),
+        ("channels.SPECIES.NAME", "f4", (), "the value that a state gives a [channel](clips.md#channels), NaN without one",
+         "linear"),
+        ("looks.SPECIES.GROUP", "f4", (3,), "where a transform group [looks](clips.md#looking-at-something): ahead, up, right",
+         "direction"),
+        ("leans.SPECIES", "f4", (2,), "how much it [turns left and climbs](clips.md#turns-and-slopes), from -1 to 1", "linear")),
     *_make_columns(
         "pairs.SPECIES.NAME.", "pair",
         ("id", "i8", (), "of a value per pair, if `output` requests it: the owner. Rows are by `id` and `other`"),

@@ -1,0 +1,116 @@
+"""Selectors applied to the agents of a cache.
+
+Names, shares and `without` depend on ids alone, so they hold in all frames. Positions and states are those of one frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.outputs.cache.cache_reader import Arrays, Cache
+from antdsl.outputs.cache.frame_agents import LongArray, make_agent_keys
+from antdsl.outputs.cache.manifest import MachineEntry, Manifest, SpeciesEntry
+from antdsl.outputs.edits.frame_rows import SPECIES_PER_KEY
+from antdsl.scene.line_ids import LineIds
+from antdsl.scene.selection import SelectableAgents, SelectableFrame, StateColumn, select_rows
+from antdsl.scene.selectors import AgentName, AnySelector, SelectorNames
+from antdsl.scene.thing_models import UNIT_MM
+
+
+@dataclass(frozen=True, eq=False)
+class Selection:
+    """The agents of a cache that a selector selects. `frame`: the frame in which positions and states are read."""
+
+    selector: AnySelector
+    cache: Cache
+    frame: int
+
+    def find(self, keys: LongArray) -> NDArray[np.bool_]:
+        """Return which agents are selected, by their keys (`make_agent_keys`)."""
+        if needs_frame(self.selector):
+            return np.isin(keys, self._keys_of_frame)
+        return select_agents(
+            self.selector, {"id": keys // SPECIES_PER_KEY, "species": keys % SPECIES_PER_KEY}, self.cache.manifest
+        )
+
+    @cached_property
+    def _keys_of_frame(self) -> LongArray:
+        arrays = self.cache.frame(self.frame)
+        return make_agent_keys(arrays)[select_agents(self.selector, arrays, self.cache.manifest)]
+
+
+def needs_frame(selector: AnySelector) -> bool:
+    """Return whether a selector depends on positions or states."""
+    if isinstance(selector, AgentName):
+        return False
+    if isinstance(selector, tuple):
+        return any(needs_frame(each) for each in selector)
+    own = (selector.state, selector.near, selector.region, selector.in_view)
+    inner = (each for each in (selector.of, selector.without) if each is not None)
+    return any(each is not None for each in own) or any(needs_frame(each) for each in inner)
+
+
+def list_selector_names(manifest: Manifest) -> SelectorNames:
+    """Return the names that selectors of a cache may use."""
+    states = [
+        name
+        for species in manifest.species
+        for _, machine in _list_stored_machines(species, manifest)
+        for state in machine.states
+        for name in (state.name, f"{machine.name}.{state.name}")
+    ]
+    return SelectorNames(
+        lines={line.name: sum(count for _, count in line.ranges) for line in manifest.lines},
+        species=frozenset(species.name for species in manifest.species),
+        items=frozenset(name for group in manifest.items for name in (group.name, *group.names)),
+        states=frozenset(states),
+    )
+
+
+def _list_stored_machines(species: SpeciesEntry, manifest: Manifest) -> list[tuple[str, MachineEntry]]:
+    """Return the machines of a species with states in the frames, each with the name of its array."""
+    names = ("state", *(f"{machine.name}.state" for machine in species.machines[1:]))
+    return [(name, m) for name, m in zip(names, species.machines, strict=False) if name in manifest.attributes]
+
+
+def select_agents(selector: AnySelector, arrays: Arrays, manifest: Manifest) -> NDArray[np.bool_]:
+    """Return which agents of a frame a selector selects."""
+    keys, unit_mm = make_agent_keys(arrays), UNIT_MM[manifest.units]
+    position = (np.asarray(arrays["P"], np.float64) + manifest.origin) * unit_mm if "P" in arrays else np.zeros((len(keys), 3))
+    rows = {entry.name: np.flatnonzero(keys % SPECIES_PER_KEY == number) for number, entry in enumerate(manifest.species)}
+    frame = SelectableFrame(
+        {
+            entry.name: SelectableAgents(
+                keys[rows[entry.name]] // SPECIES_PER_KEY,
+                position[rows[entry.name]],
+                {
+                    machine.name: StateColumn(arrays[name][rows[entry.name]], tuple(state.name for state in machine.states))
+                    for name, machine in _list_stored_machines(entry, manifest)
+                    if name in arrays
+                },
+            )
+            for entry in manifest.species
+        },
+        {line.name: LineIds(line.species, line.ranges) for line in manifest.lines},
+        find_item_points(arrays, manifest, unit_mm),
+        manifest.seed,
+        unit_mm,
+    )
+    is_selected = np.zeros(len(keys), np.bool_)
+    for name, mask in select_rows(selector, frame).items():
+        is_selected[rows[name]] = mask
+    return is_selected
+
+
+def find_item_points(arrays: Arrays, manifest: Manifest, unit_mm: float) -> dict[str, NDArray[np.float64]]:
+    """Return the points of items in a frame, in mm from the scene's zero point, by item and by items."""
+    points: dict[str, NDArray[np.float64]] = {}
+    for group in manifest.items:
+        moved = arrays.get(f"items.{group.name}.P") if group.moves else None
+        positions = np.array(group.position if moved is None else moved, np.float64).reshape(-1, 3)
+        points[group.name] = (positions + manifest.origin) * unit_mm
+        points |= {name: points[group.name][k : k + 1] for k, name in enumerate(group.names)}
+    return points

@@ -1,0 +1,137 @@
+"""One edit of a cache: a view of the cache below it, in which the frames of the selected agents are changed."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections import OrderedDict
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Annotated, Any, ClassVar, Self
+
+from numpy.typing import NDArray
+from pydantic import BeforeValidator
+
+from antdsl.outputs.cache.cache_reader import Arrays, Cache, CacheError, CacheView, make_frame_path, select_arrays
+from antdsl.outputs.cache.manifest import Manifest
+from antdsl.outputs.edits.cache_selection import Selection
+from antdsl.outputs.edits.terrain import Ground
+from antdsl.scene.selectors import AnySelector, Selector, SelectorKeys, combine_selector
+from antdsl.scene.values import FrameRangeValue, parse_one_of
+
+
+class EditLine(SelectorKeys):
+    """One line of `edits:`.
+
+    `agents`: the value of the verb, which is the first key; the keys of selectors narrow them.
+    `frames`: the frames in which the edit applies; all by default.
+    `off`: the line has no effect."""
+
+    verb: ClassVar[str]
+    agents: Selector
+    frames: FrameRangeValue | None = None
+    off: Annotated[str, BeforeValidator(parse_one_of("yes", "no"))] = "no"
+
+    @property
+    def selector(self) -> AnySelector:
+        """Return the selector of the line's agents."""
+        return combine_selector(self.agents, self)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EditInputs:
+    """What edits need in addition to their lines and the cache.
+
+    `ground`: of the cache. `arrays`: meshes and bodies from files. `caches`: other caches, by their paths in the text.
+    `next_ids`: by species, the first id that no agent of the run has."""
+
+    ground: Ground | None = None
+    arrays: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+    caches: Mapping[str, Cache] = field(default_factory=dict)
+    next_ids: Mapping[str, int] = field(default_factory=dict)
+
+
+class NotEditable(Exception):
+    """Error for a cache that cannot be edited. The message is the reason, complete without context."""
+
+
+@dataclass(frozen=True, eq=False)
+class EditLayer(CacheView):
+    """A view of a cache with one edit. Subclasses say how a frame changes.
+
+    `required_arrays`: arrays that the frames must have.
+    `stored_frames`: the number of frames of the cache below that stay in memory, for edits that read several frames for one."""
+
+    line: Any
+    inputs: EditInputs
+    required_arrays: ClassVar[tuple[str, ...]] = ("id", "P")
+    stored_frames: ClassVar[int] = 0
+
+    @classmethod
+    def of(cls, source: Cache, *values: Any) -> Self:
+        """Return the view of a cache. `values`: the line of the edit, and its inputs.
+
+        Raises NotEditable if its frames lack an array, or if the edit does not fit the cache."""
+        line, inputs = values
+        for name in cls.required_arrays:
+            if name not in source.manifest.attributes:
+                raise NotEditable(f"the cache has no attribute `{name}`, which edits such as `{line.verb}` need")
+        below = StoredFrames.of(source, cls.stored_frames) if cls.stored_frames else source
+        return cls(source.folder, cls.change_manifest(source.manifest, line, inputs), below, line, inputs)
+
+    @classmethod
+    def change_manifest(cls, manifest: Manifest, line: Any, inputs: EditInputs) -> Manifest:
+        """Return the manifest of the cache with the edit. Raises NotEditable if the edit does not fit the cache."""
+        return manifest
+
+    def pass_inputs(self) -> EditInputs:
+        """Return the inputs of the next edit."""
+        return self.inputs
+
+    @cached_property
+    def first_frame(self) -> int:
+        """Return the first frame of the edit, in which positions and states for selectors are read."""
+        frames = self.source.frames()
+        return max(self.line.frames.first, self.manifest.first) if self.line.frames else min(frames, default=self.manifest.first)
+
+    @cached_property
+    def selection(self) -> Selection:
+        """Return the agents of the edit."""
+        return Selection(self.line.selector, self.source, self.first_frame)
+
+    def is_active(self, number: int) -> bool:
+        """Return whether the edit changes a frame."""
+        frames = self.line.frames
+        return frames is None or frames.first <= number <= frames.last
+
+    def frame(self, number: int, names: frozenset[str] | None = None) -> Arrays:
+        """Return the arrays of a frame with the edit. `names`: the names to return; None for all."""
+        if not self.is_active(number):
+            return self.source.frame(number, names)
+        arrays = self.source.frame(number)
+        for name in self.required_arrays:
+            if name not in arrays or len(arrays[name]) != len(arrays["id"]):
+                raise CacheError(f"`{make_frame_path(self.folder, number)}` has no `{name}` of each agent, which edits need")
+        return select_arrays(self.change_frame(number, arrays), names)
+
+    @abstractmethod
+    def change_frame(self, number: int, arrays: Arrays) -> Arrays:
+        """Return the arrays of a frame with the edit. `arrays`: those of the frame without it, which stay unchanged."""
+
+
+@dataclass(frozen=True, eq=False)
+class StoredFrames(CacheView):
+    """A view of a cache of which the last `capacity` frames that were read stay in memory."""
+
+    capacity: int
+    _frames: OrderedDict[int, Arrays] = field(default_factory=OrderedDict, init=False)
+
+    def frame(self, number: int, names: frozenset[str] | None = None) -> Arrays:
+        """Return the arrays of a frame. `names`: the names to return; None for all."""
+        if number in self._frames:
+            self._frames.move_to_end(number)
+        else:
+            self._frames[number] = self.source.frame(number)
+            if len(self._frames) > self.capacity:
+                self._frames.popitem(last=False)
+        return select_arrays(self._frames[number], names)

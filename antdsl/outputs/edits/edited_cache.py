@@ -1,0 +1,123 @@
+"""Opens caches with their edits: each edit is a view of the cache below it."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+
+from antdsl import limits
+from antdsl.diagnostics import Report
+from antdsl.outputs.cache.cache_reader import Cache, open_cache
+from antdsl.outputs.cache.frame_agents import IDENTITY_ARRAYS, get_agent_ids, get_species_numbers
+from antdsl.outputs.cache.manifest import EditsEntry, Manifest, ManifestError
+from antdsl.outputs.edits.edit_layer import EditInputs, NotEditable, StoredFrames
+from antdsl.outputs.edits.edit_lines import EditList, read_edits
+from antdsl.outputs.edits.terrain import Ground
+from antdsl.outputs.edits.verbs import VERB_BY_WORD
+from antdsl.scene.paths import PathRefused, read_user_file
+
+INPUT_PREFIX = "edit "  # of the names of edits among the inputs in a manifest
+_MAX_TEXT = 400  # characters of an edit in a manifest
+_STORED_FRAMES = 3  # of the result: exports read a frame and its neighbours several times
+
+
+@dataclass(frozen=True, eq=False)
+class EditedCache(StoredFrames):
+    """A cache with edits that are applied when a frame is read. `original`: the cache without them."""
+
+    original: Cache
+
+
+def open_edited_cache(folder: Path) -> Cache:
+    """Return the cache in a folder, with its edits. Raises ManifestError with the reason if there is none, or if its edits cannot
+    be applied."""
+    cache = open_cache(folder)
+    entry = cache.manifest.edits
+    if entry is None:
+        return cache
+    edits, report = read_edits(entry.text.encode(), entry.name, cache.manifest)
+    try:
+        if edits is not None:
+            return apply_edits(cache, edits, read_inputs(cache, entry))
+        reason = report.errors[0].message
+    except NotEditable as why:
+        reason = str(why)
+    raise ManifestError(f"the edits in `{folder}` cannot be applied: {reason}")
+
+
+def read_inputs(cache: Cache, entry: EditsEntry) -> EditInputs:
+    """Return what the edits of a cache need in addition to it. Raises CacheError if a file is damaged."""
+    is_counted = entry.counted_frames == len(cache.frames())
+    return EditInputs(Ground(cache), next_ids=entry.next_ids if is_counted else find_next_ids(cache))
+
+
+def find_next_ids(cache: Cache) -> dict[str, int]:
+    """Return by species the first id that no agent of a cache has. Raises CacheError if a frame is damaged."""
+    next_ids = {species.name: 0 for species in cache.manifest.species}
+    for line in cache.manifest.lines:
+        next_ids[line.species] = max([next_ids.get(line.species, 0), *(first + count for first, count in line.ranges)])
+    for frame in cache.frames():
+        arrays = cache.frame(frame, IDENTITY_ARRAYS)
+        ids, numbers = get_agent_ids(arrays), get_species_numbers(arrays)
+        for number, species in enumerate(cache.manifest.species):
+            next_ids[species.name] = int(ids[numbers == number].max(initial=next_ids[species.name] - 1)) + 1
+    return next_ids
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LoadedEdits:
+    """The edits of a file for a cache. `view`: the cache with them. `entry`: as they are stored in the cache's manifest."""
+
+    edits: EditList
+    view: EditedCache
+    entry: EditsEntry
+
+
+def load_edits(cache: Cache, path: Path) -> tuple[LoadedEdits | None, Report]:
+    """Return the edits of a file for a cache, and a report. The edits are None if there are errors.
+
+    Raises NotEditable if the frames of the cache lack an array."""
+    try:
+        data = read_user_file(path, limits.MAX_EDITS_BYTES)
+    except PathRefused as refused:
+        report = Report()
+        report.error(refused.code, str(refused), None, refused.help)
+        return None, report
+    edits, report = read_edits(data, str(path), cache.manifest)
+    if edits is None:
+        return None, report
+    next_ids, frames = find_next_ids(cache), len(cache.frames())
+    entry = EditsEntry(name=path.name, text=edits.source.text, next_ids=next_ids, counted_frames=frames)
+    return LoadedEdits(edits, apply_edits(cache, edits, read_inputs(cache, entry)), entry), report
+
+
+def smooth_cache(cache: Cache, width: int) -> Cache:
+    """Return the view of a cache with orientations that are means over `width` frames."""
+    edits, report = read_edits(f"edits: [{{smooth: {{}}, orient: {width}}}]".encode(), "--smooth", cache.manifest)
+    assert edits is not None, report
+    return apply_edits(cache, edits, EditInputs(Ground(cache)))
+
+
+def apply_edits(cache: Cache, edits: EditList, inputs: EditInputs) -> EditedCache:
+    """Return the view of a cache with edits: in the order of the text, and then those that read the result of all others."""
+    layers = sorted(edits.edits, key=lambda edit: VERB_BY_WORD[edit.line.verb].is_last)
+    top: Cache = cache
+    for edit in layers:
+        layer = VERB_BY_WORD[edit.line.verb].layer.of(top, edit.line, inputs)
+        top, inputs = layer, layer.pass_inputs()
+    manifest = top.manifest.model_copy(
+        update={"edits": None, "inputs": {**cache.manifest.inputs, **_list_inputs(cache.manifest, edits)}}
+    )
+    return EditedCache(cache.folder, manifest, top, _STORED_FRAMES, cache)
+
+
+def _list_inputs(manifest: Manifest, edits: EditList) -> dict[str, str]:
+    """Return the entries of edits among the inputs of a manifest."""
+    first = 1 + sum(name.startswith(INPUT_PREFIX) for name in manifest.inputs)
+    return {f"{INPUT_PREFIX}{first + k}": _shorten(edit.text) for k, edit in enumerate(edits.edits)}
+
+
+def _shorten(text: str) -> str:
+    """Return a text of at most a manifest's length. The end of a longer one is replaced by a hash."""
+    return text if len(text) <= _MAX_TEXT else f"{text[:_MAX_TEXT]}… {hashlib.blake2b(text.encode(), digest_size=8).hexdigest()}"

@@ -1,0 +1,52 @@
+"""The table of edits, with one row for each verb."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from antdsl.outputs.edits.copies import DuplicateLayer, DuplicateLine
+from antdsl.outputs.edits.curves import PinLayer, PinLine
+from antdsl.outputs.edits.edit_layer import EditLayer, EditLine
+from antdsl.outputs.edits.finishing import SmoothLayer, SmoothLine
+from antdsl.outputs.edits.placing import (
+    ExpandLayer,
+    ExpandLine,
+    FaceLayer,
+    FaceLine,
+    MoveLayer,
+    MoveLine,
+    RotateLayer,
+    RotateLine,
+    ScaleLayer,
+    ScaleLine,
+)
+from antdsl.outputs.edits.removal import ClipLayer, ClipLine, KillLayer, KillLine
+from antdsl.outputs.edits.timing import HoldLine, RetimeLine, TimeLayer
+from antdsl.scene.selectors import AgentConditions
+
+
+class EditVerb(NamedTuple):
+    """A verb: the model of its lines, and the view that applies one. `is_last`: it reads the result of all other edits."""
+
+    line: type[EditLine]
+    layer: type[EditLayer]
+    is_last: bool = False
+
+
+_ROWS = (
+    EditVerb(KillLine, KillLayer),
+    EditVerb(ClipLine, ClipLayer),
+    EditVerb(DuplicateLine, DuplicateLayer),
+    EditVerb(HoldLine, TimeLayer),
+    EditVerb(RetimeLine, TimeLayer),
+    EditVerb(MoveLine, MoveLayer),
+    EditVerb(RotateLine, RotateLayer),
+    EditVerb(ScaleLine, ScaleLayer),
+    EditVerb(ExpandLine, ExpandLayer),
+    EditVerb(FaceLine, FaceLayer),
+    EditVerb(PinLine, PinLayer),
+    EditVerb(SmoothLine, SmoothLayer, is_last=True),
+)
+for _row in _ROWS:  # selectors name the conditions before these are defined
+    _row.line.model_rebuild(_types_namespace={"AgentConditions": AgentConditions})
+VERB_BY_WORD = {row.line.verb: row for row in _ROWS}

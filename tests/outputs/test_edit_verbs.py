@@ -1,0 +1,221 @@
+"""Each verb of edits, by what it does to the agents that it selects. All others keep their bits."""
+
+from __future__ import annotations
+
+import edit_scenes
+import numpy as np
+import pytest
+
+from antdsl.bodies.body import rotate_vectors
+from antdsl.outputs.cache.cache_reader import Cache, open_cache
+from antdsl.outputs.cache.manifest import EditsEntry, Manifest, ReplacedBody, SpeciesEntry, WornBodyEntry
+from antdsl.outputs.cache_bodies import find_body_numbers
+from antdsl.outputs.edits.edit_lines import read_edits
+from antdsl.outputs.edits.edited_cache import apply_edits, read_inputs
+from antdsl.outputs.edits.frame_rows import SPECIES_PER_KEY, FrameRows
+from antdsl.outputs.edits.terrain import Ground
+from antdsl.outputs.edits.verbs import VERB_BY_WORD
+
+WALKER = 1  # the species' number
+
+
+@pytest.fixture(scope="module")
+def cache(tmp_path_factory: pytest.TempPathFactory) -> Cache:
+    return open_cache(edit_scenes.simulate(tmp_path_factory.mktemp("verbs")))
+
+
+def edited(cache: Cache, *lines: str) -> Cache:
+    """The cache with edits."""
+    text = "edits:\n" + "".join(f"- {{{line}}}\n" for line in lines)
+    edits, report = read_edits(text.encode(), "edits.yaml", cache.manifest)
+    assert edits is not None, [each.message for each in report.diagnostics]
+    return apply_edits(cache, edits, read_inputs(cache, EditsEntry(name="edits.yaml", text=text)))
+
+
+def rows_of(cache: Cache, number: int, keys: list[int]) -> dict[str, np.ndarray]:
+    """The rows of some agents in all arrays of a frame."""
+    arrays = cache.frame(number)
+    return {name: array[np.isin(own, keys)] for name, array, own in edit_scenes.iterate_rows(cache, arrays)}
+
+
+GUARDS = [id * SPECIES_PER_KEY + WALKER for id in range(6, 10)]
+ONE_OF_EACH = {
+    "kill": "kill: guards",
+    "clip": "clip: guards, frames: 6..12",
+    "duplicate": "duplicate: guards, by: [9 mm, 0, 0], later: 3",
+    "hold": "hold: guards, frames: 8..12",
+    "retime": "retime: guards, frames: 5..20, speed: 50 %",
+    "move": "move: guards, by: [4 mm, 0, 0]",
+    "rotate": "rotate: guards, by: 90 deg",
+    "scale": "scale: guards, by: 150 %",
+    "expand": "expand: guards, by: 0.5",
+    "face": "face: guards, to: leaf",
+    "pin": "pin: guards, to: [[-30, 0, 0], [30, 0, 0]]",
+    "smooth": "smooth: guards, orient: 5",
+}
+
+
+def test_each_verb_has_a_case() -> None:
+    assert set(ONE_OF_EACH) == set(VERB_BY_WORD)
+
+
+@pytest.mark.parametrize("verb", ONE_OF_EACH)
+def test_an_edit_changes_the_selected_agents_and_no_bit_of_others(cache: Cache, verb: str) -> None:
+    view, changed = edited(cache, ONE_OF_EACH[verb]), 0
+    for number in cache.frames():
+        keys = FrameRows(cache.frame(number), cache.manifest).keys
+        others = keys[~np.isin(keys, GUARDS)]
+        assert edit_scenes.take_agents(cache, number, others) == edit_scenes.take_agents(view, number, others)
+        new_keys = FrameRows(view.frame(number), view.manifest).keys
+        changed += edit_scenes.take_agents(cache, number, keys) != edit_scenes.take_agents(view, number, new_keys)
+    assert changed > 3
+
+
+def test_an_edit_that_is_off_and_one_without_agents_change_nothing(cache: Cache) -> None:
+    for line in ONE_OF_EACH.values():
+        edit_scenes.assert_same_frames(edited(cache, f"{line}, off: yes"), cache)
+        edit_scenes.assert_same_frames(edited(cache, f"{line}, share: 0 %"), cache)
+
+
+def test_a_hold_stands_still_in_its_frames_and_continues_after_them(cache: Cache) -> None:
+    view = edited(cache, "hold: guards, frames: 8..12, ease: 0")
+    still = rows_of(cache, 8, GUARDS)
+    for number in range(8, 13):
+        held = rows_of(view, number, GUARDS)
+        assert all(np.array_equal(held[name], still[name]) for name in ("P", "orient", "feet.walker.P")) and not held["v"].any()
+    for number in range(13, 25):
+        rows, original_rows = rows_of(view, number, GUARDS), rows_of(cache, number - 4, GUARDS)
+        assert all(rows[name].tobytes() == original_rows[name].tobytes() for name in rows if not name.startswith("events"))
+
+
+def test_a_hold_catches_up(cache: Cache) -> None:
+    view = edited(cache, "hold: guards, frames: 8..12, ease: 1, catch_up: 6")
+    late, now = rows_of(view, 20, GUARDS), rows_of(cache, 20, GUARDS)
+    assert late["P"].tobytes() == now["P"].tobytes()
+    steps = [np.abs(rows_of(view, k + 1, GUARDS)["P"] - rows_of(view, k, GUARDS)["P"]).max() for k in range(5, 22)]
+    assert max(steps) < 4  # no jump
+
+
+def test_half_the_speed_is_half_the_way(cache: Cache) -> None:
+    view = edited(cache, "retime: guards, frames: 5..15, speed: 50 %, ease: 0")
+    for number, time in ((5, 5), (7, 6), (15, 10), (24, 19)):
+        assert rows_of(view, number, GUARDS)["P"].tobytes() == rows_of(cache, time, GUARDS)["P"].tobytes()
+    between, one, two = (rows_of(each, k, GUARDS) for each, k in ((view, 6), (cache, 5), (cache, 6)))
+    assert between["P"] == pytest.approx((one["P"].astype(float) + two["P"]) / 2, abs=1e-5)
+    assert between["v"] == pytest.approx(np.zeros_like(between["v"]) + 0.5 * (one["v"] + two["v"]) / 2, abs=1e-3)
+    assert np.linalg.norm(between["orient"], axis=1) == pytest.approx(np.ones(4), abs=1e-6)
+
+
+def test_moved_agents_stand_on_the_ground_with_all_feet(cache: Cache) -> None:
+    view, ground = edited(cache, "move: guards, by: [14 mm, 0, -9 mm]"), Ground(cache)
+    for number in (1, 13, 24):
+        terrain = ground.at(number)
+        assert terrain is not None
+        original_rows, rows = rows_of(cache, number, GUARDS), rows_of(view, number, GUARDS)
+        up = np.tile((0.0, 1.0, 0.0), (4, 1))
+        wide = np.full(4, 50.0)
+        gaps = [
+            terrain.find_along(each["P"].astype(float), up, wide, wide).position[:, 1] - each["P"][:, 1]
+            for each in (original_rows, rows)
+        ]
+        assert gaps[1] == pytest.approx(gaps[0], abs=0.05)
+        assert (rows["P"] - original_rows["P"])[:, (0, 2)] == pytest.approx(np.tile((14, -9), (4, 1)), abs=4)
+        for k in range(6):
+            feet = [each["feet.walker.P"][:, k].astype(float) for each in (original_rows, rows)]
+            ground_points = [terrain.find_along(each, up, wide, wide) for each in feet]
+            gaps = [(each.position - foot)[ground_points[0].is_hit, 1] for each, foot in zip(ground_points, feet, strict=True)]
+            assert gaps[1] == pytest.approx(gaps[0], abs=0.3)  # a foot beyond the edge goes with its agent
+            assert np.linalg.norm(feet[1] - rows["P"], axis=1) == pytest.approx(
+                np.linalg.norm(feet[0] - original_rows["P"], axis=1), rel=0.35
+            )
+
+
+def test_free_moves_are_rigid(cache: Cache) -> None:
+    view = edited(cache, "move: guards, by: [0, 7 mm, 1 mm], ground: free")
+    original_rows, rows = rows_of(cache, 9, GUARDS), rows_of(view, 9, GUARDS)
+    assert rows["P"] - original_rows["P"] == pytest.approx(np.tile((0, 7, 1), (4, 1)), abs=1e-5)
+    assert rows["feet.walker.P"] - original_rows["feet.walker.P"] == pytest.approx(np.tile((0, 7, 1), (4, 6, 1)), abs=1e-5)
+    assert np.array_equal(rows["orient"], original_rows["orient"]) and np.array_equal(rows["v"], original_rows["v"])
+
+
+def test_moves_begin_and_end_smoothly(cache: Cache) -> None:
+    view = edited(cache, "move: guards, by: [0, 8 mm, 0], frames: 10..14, ease: 3, ground: free")
+    lifts = [float((rows_of(view, k, GUARDS)["P"] - rows_of(cache, k, GUARDS)["P"])[0, 1]) for k in range(5, 20)]
+    assert lifts[:2] == [0, 0] and lifts[5:10] == pytest.approx([8] * 5, abs=1e-5) and lifts[13:] == [0, 0]
+    assert sorted(set(lifts[1:6])) == lifts[1:6]
+
+
+def test_rotation_scale_and_expansion(cache: Cache) -> None:
+    original_rows = rows_of(cache, 4, GUARDS)
+    centre = rows_of(cache, 1, GUARDS)["P"].mean(axis=0)
+    rows = rows_of(edited(cache, "rotate: guards, by: 90 deg, ground: free"), 4, GUARDS)
+    offset, turned = original_rows["P"] - centre, rows["P"] - centre
+    assert turned[:, 0] == pytest.approx(offset[:, 2], abs=1e-4) and turned[:, 2] == pytest.approx(-offset[:, 0], abs=1e-4)
+    ahead = np.tile((1.0, 0.0, 0.0), (4, 1))
+    heading = [rotate_vectors(each["orient"].astype(float), ahead) for each in (original_rows, rows)]
+    assert heading[1][:, 0] == pytest.approx(heading[0][:, 2], abs=1e-5)
+    each = rows_of(edited(cache, "rotate: guards, by: 90 deg, around: each, ground: free"), 4, GUARDS)
+    assert each["P"] == pytest.approx(original_rows["P"], abs=1e-6) and each["orient"] == pytest.approx(rows["orient"], abs=1e-6)
+    large = rows_of(edited(cache, "scale: guards, by: 150 %, ground: free"), 4, GUARDS)
+    assert large["pscale"] == pytest.approx(1.5 * original_rows["pscale"]) and np.array_equal(large["P"], original_rows["P"])
+    arm = original_rows["feet.walker.P"] - original_rows["P"][:, None]
+    assert large["feet.walker.P"] - original_rows["P"][:, None] == pytest.approx(1.5 * arm, abs=1e-4)
+    wide = rows_of(edited(cache, "expand: guards, by: 2, ground: free"), 4, GUARDS)
+    assert wide["P"] - centre == pytest.approx(2 * offset, abs=1e-4)
+
+
+def test_agents_face_an_item_and_a_curve_leads_them(cache: Cache) -> None:
+    view = rows_of(edited(cache, "face: guards, to: leaf, ground: free"), 6, GUARDS)
+    direction = np.array([10, 0, 0]) - view["P"]
+    heading = rotate_vectors(view["orient"].astype(float), np.tile((1.0, 0.0, 0.0), (4, 1)))
+    up = rotate_vectors(view["orient"].astype(float), np.tile((0.0, 1.0, 0.0), (4, 1)))
+    level = direction - up * (direction * up).sum(axis=1, keepdims=True)
+    assert (heading * level).sum(axis=1) == pytest.approx(np.linalg.norm(level, axis=1), rel=1e-4)
+    line = "pin: guards, to: [[-30, 0, 0], [30, 0, 0], [30, 0, 30]], ground: free"
+    pinned = rows_of(edited(cache, line), 6, GUARDS)["P"]
+    assert (np.isclose(pinned[:, 2], 0) | np.isclose(pinned[:, 0], 30)).all() and np.allclose(pinned[:, 1], 0)
+    fast = edited(cache, "pin: guards, to: [[-90, 0, 0], [90, 0, 0]], speed: 24 mm/s, ground: free")
+    distances = [rows_of(fast, k, GUARDS)["P"] for k in (1, 7)]
+    assert np.abs(distances[1] - distances[0]).sum(axis=1) == pytest.approx(np.full(4, 6.0), abs=1e-3)
+
+
+def test_a_clip_retains_agents_in_frames_and_regions(cache: Cache) -> None:
+    view = edited(cache, "clip: guards, frames: 6..12")
+    assert [len(rows_of(view, k, GUARDS)["P"]) for k in (5, 6, 12, 13)] == [0, 4, 4, 0]
+    inside = edited(cache, "clip: {}, inside: {from: [0, -99, -99], to: [99, 99, 99]}")
+    for number in cache.frames():
+        x = cache.frame(number)["P"][:, 0]
+        assert np.array_equal(inside.frame(number)["P"][:, 0], x[x >= 0]) and 0 < (x >= 0).sum() < len(x)
+
+
+def test_copies_have_new_ids_and_live_later(cache: Cache) -> None:
+    view = edited(cache, "duplicate: guards, by: [9 mm, 0, 0], later: 3, count: 2, ground: free")
+    next_id = 10  # of walkers
+    for number in cache.frames():
+        arrays, plain = view.frame(number), cache.frame(number)
+        assert len(arrays["id"]) == len(plain["id"]) + 8
+        keys = FrameRows(arrays, view.manifest).keys
+        assert len(np.unique(keys)) == len(keys)
+        order = np.lexsort((keys // SPECIES_PER_KEY, keys % SPECIES_PER_KEY))
+        assert np.array_equal(order, np.arange(len(keys)))
+        for k in (1, 2):
+            copies = [key + k * next_id * SPECIES_PER_KEY for key in GUARDS]
+            source = rows_of(cache, max(number - 3 * k, 1), GUARDS)
+            rows = rows_of(view, number, copies)
+            assert rows["P"] - source["P"] == pytest.approx(np.tile((9 * k, 0, 0), (4, 1)), abs=1e-5)
+            assert rows["orient"].tobytes() == source["orient"].tobytes()
+            assert rows["feet.walker.P"].shape == source["feet.walker.P"].shape
+    again = edited(cache, "duplicate: guards.0, by: [9 mm, 0, 0]", "duplicate: walker.16, by: [0, 0, 9 mm]", "kill: walker.6")
+    assert set(again.frame(5)["id"].tolist()) - set(cache.frame(5)["id"].tolist()) == {16, 36}
+
+
+def test_copies_have_the_bodies_of_their_originals() -> None:
+    ids = np.arange(40)
+    bodies = (WornBodyEntry(body="ant"), WornBodyEntry(body="human"), WornBodyEntry(body="spider", weight=2))
+    species = SpeciesEntry(name="walker", bodies=bodies, machines=(), copies=(10, 20))
+    manifest = Manifest.model_construct(species=(species,), seed=5)
+    numbers = find_body_numbers(manifest, 0, ids)
+    assert len(set(numbers[:10].tolist())) > 1 and all(np.array_equal(numbers[:10], numbers[k : k + 10]) for k in (10, 20, 30))
+    replaced = species.model_copy(update={"replaced": (ReplacedBody(first=3, count=2, body=2),)})
+    changed = find_body_numbers(manifest.model_copy(update={"species": (replaced,)}), 0, ids)
+    assert changed[3:5].tolist() == [2, 2] and np.array_equal(np.delete(changed, [3, 4]), np.delete(numbers, [3, 4]))
