@@ -79,7 +79,7 @@ def install_browser() -> None:
         packages.insert(0, BROWSERS[0])
     if not packages:
         return
-    words = "the tests of the preview's page will be skipped, as something is missing; on Debian, run as root:"
+    words = "the tests of the preview's page will be skipped, because packages are missing; on Debian, run as root:"
     words += f"\n  {APT_INSTALL_COMMAND} {' '.join(packages)}"
     if not can_install() or not is_debian():
         print(words, flush=True)
@@ -213,7 +213,7 @@ def main() -> int:
         python = ensure_environment(arguments.env.resolve(), arguments.require)
     except subprocess.CalledProcessError as failed:
         words = " ".join(map(str, failed.cmd))
-        sys.exit(f"this failed, for the reason above; correct it and start again:\n  {words}")
+        sys.exit(f"this command failed for the reason above; correct it and run again:\n  {words}")
     if arguments.job == "example":
         return run_example(python, arguments.out.resolve())
     if arguments.job == "gate":

@@ -165,7 +165,7 @@ def _make_overdue_report(file: Path, seconds: float, spent: CpuBudgetSpent) -> R
     stage = next((each for each in reversed(stages) if each in _STAGE_PHRASES), "")
     words = f" while {_STAGE_PHRASES[stage]}" if stage else ""
     report = Report()
-    message = f"checking this file took more than {seconds:g} s of processor time{words}, and was ended"
+    message = f"checking this file took more than {seconds:g} s of processor time{words}, and was stopped"
     help = "make the file or its meshes smaller, or allow more time with `--cpu-limit`"
     report.error("too-large", message, Span(Source(str(file), ""), 0, 0), help)
     return report

@@ -84,7 +84,7 @@ class ShotRequest:
 
 def build_shot_job(shot: ShotRequest, name: str) -> FarmJob:
     """Return the job that simulates and draws a shot."""
-    project = JobPath("Project", shot.scene.parent, "IN", "The folder of the scene, with all that lies below it")
+    project = JobPath("Project", shot.scene.parent, "IN", "The folder of the scene with everything below it")
     cache = JobPath("Cache", shot.cache, "INOUT", "The folder of the cache")
     pictures = JobPath("Pictures", shot.pictures, "INOUT", "The folder of the pictures")
     roots = tuple(
@@ -98,12 +98,12 @@ def build_shot_job(shot: ShotRequest, name: str) -> FarmJob:
     steps = [
         JobStep(
             "simulation",
-            "Frames are simulated one after the other, on one machine; a run that was ended goes on from its last checkpoint",
+            "Frames are simulated in order on one machine; a stopped run continues from its last checkpoint",
             ("antdsl", "run", scene, "--frames", between, "--out", cache_word, *granted, *shot.run, "--resume"),
         ),
         JobStep(
             "frames",
-            "Pictures are drawn in chunks, each on any machine; those that are there, whole, are not drawn again",
+            "Pictures are drawn in chunks on any machine; existing complete pictures are not drawn again",
             (*draw, "--frames", _make_placeholder(_FRAMES_PARAMETER), "--shot", between, *look),
             ("simulation",),
             split_frames(shot.first, shot.last, shot.every, shot.pictures_per_task),

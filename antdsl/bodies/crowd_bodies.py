@@ -174,7 +174,7 @@ def _check_layers(
             if key in worn:
                 _check_worn_layers(line.species, worn[key], dressed, len(keys_by_species[line.species]) > 1, place, report)
         if len(named) > MAX_WORN_LAYERS:
-            words = f"agents of `{line.species}` may wear {len(named)} layers, and {MAX_WORN_LAYERS} at most can be distinguished"
+            words = f"agents of `{line.species}` may wear {len(named)} layers, but at most {MAX_WORN_LAYERS} are possible"
             report.error("too-large", words, place, "combine shapes that are worn together in one layer")
 
 

@@ -104,6 +104,6 @@ def parse_shutter(text: str | None, flag: str = "--shutter") -> tuple[float, flo
     except QuantityError:
         raise typer.BadParameter(f"`{text}` is not a time: write `-0.25..0.25`, in frames", param_hint=flag) from None
     if not -1 <= first < last <= 1 or last - first > 1:
-        words = f"`{text}` is not open for at most one frame, from -1 to 1; write `-0.25..0.25`"
+        words = f"`{text}` must span at most one frame, within -1 to 1; write `-0.25..0.25`"
         raise typer.BadParameter(words, param_hint=flag)
     return first, last

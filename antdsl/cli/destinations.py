@@ -25,7 +25,7 @@ def require_writable_file(path: Path | None, flag: str) -> None:
     if path.is_dir():
         raise typer.BadParameter(f"`{path}` is a folder; name a file", param_hint=flag)
     if path.exists() and not path.is_file():
-        raise typer.BadParameter(f"`{path}` is no regular file", param_hint=flag)
+        raise typer.BadParameter(f"`{path}` is not a regular file", param_hint=flag)
     if not path.absolute().parent.is_dir():
         raise typer.BadParameter(f"there is no folder `{path.parent}`", param_hint=flag)
     _require_writable(path, path, flag)
@@ -64,8 +64,8 @@ def choose_default_path(base: Path, *names: str, flag: str = "--out") -> Path:
 
     link = find_first_link(base, *names)
     if link is not None:
-        words = f"error: `{link}` is a link, and results follow no link that you did not name"
-        raise CommandError(ExitCode.INPUT_OUTPUT, words, f"name the place that it leads to, or another one, with `{flag}`")
+        words = f"error: `{link}` is a link, and results only follow links that you name"
+        raise CommandError(ExitCode.INPUT_OUTPUT, words, f"name its target, or another path, with `{flag}`")
     return base.joinpath(*names)
 
 
@@ -154,4 +154,4 @@ def _require_writable(probe_path: Path, path: Path, flag: str) -> None:
     except OSError as why:
         words = f"error: cannot write `{path}`: {(why.strerror or str(why)).lower()}"
         advice = "free space, or " if why.errno in (errno.ENOSPC, errno.EDQUOT) else ""
-        raise CommandError(ExitCode.INPUT_OUTPUT, words, f"{advice}name another place with `{flag}`") from None
+        raise CommandError(ExitCode.INPUT_OUTPUT, words, f"{advice}name another path with `{flag}`") from None

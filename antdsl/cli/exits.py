@@ -109,7 +109,7 @@ def report_failures(operation: str, retry_advice: str = RETRY_ADVICE) -> Iterato
 
 
 @contextmanager
-def explain_cache_errors(cache: Path | None = None, retry_purpose: str = "to compute damaged frames again") -> Iterator[None]:
+def explain_cache_errors(cache: Path | None = None, retry_purpose: str = "to recompute damaged frames") -> Iterator[None]:
     """End the command with advice if a cache cannot be read or written. `retry_purpose`: the introduction to the command that
     computes damaged frames of `cache` again."""
     try:
@@ -136,7 +136,7 @@ def _find_cache_advice(why: Exception) -> tuple[ExitCode, str]:
     from antdsl.outputs.gallery import PictureUnavailable
     from antdsl.outputs.recording import NothingToResume
 
-    attribute = "add it to `output: {attributes: …}` of the scene and run again"
+    attribute = "add it to the scene's `output: {attributes: …}` and run again"
     rows: dict[type[Exception], tuple[ExitCode, str]] = {
         ManifestError: (ExitCode.INPUT_OUTPUT, "name the folder that `antdsl run` printed"),
         CacheError: (ExitCode.INPUT_OUTPUT, ""),
@@ -199,4 +199,4 @@ def _has_working_directory() -> bool:
 
 def describe_recovery(problem: OSError) -> str:
     """Return what the user must do before the command can continue, as the start of a sentence."""
-    return _ADVICE_BY_ERRNO.get(problem.errno or 0, "once that is mended,")
+    return _ADVICE_BY_ERRNO.get(problem.errno or 0, "once that is corrected,")

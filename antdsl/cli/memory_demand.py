@@ -53,7 +53,7 @@ def require_memory(shots: Sequence[Shot], parallel_runs: int = 1, runs_per_shot:
     names = ", ".join(
         f"{each.thing} {format_bytes(each.bytes)} ({each.part_count:,} {each.unit_name})" for each in largest if each.bytes
     )
-    words = f"this needs at least {format_bytes(needed)}, and 80 % of what is available are "
+    words = f"this needs at least {format_bytes(needed)}, but 80 % of the available memory are "
     words += f"{format_bytes(int(_USABLE_MEMORY_SHARE * available))}: {names}"
     fewer = ", fewer agents or fewer `--jobs`" if parallel_runs > 1 and runs_per_shot > 1 else " or fewer agents"
     hint = f"use larger cells or voxels, a lighter mesh{fewer}; to start anyway, add `--any-memory`"

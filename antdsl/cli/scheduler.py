@@ -41,7 +41,7 @@ TLS_OPTION: Any = typer.Option(
 NO_TLS_OPTION: Any = typer.Option(
     False,
     "--no-tls",
-    help="Use a scheduler on another machine without encryption: everyone who can reach it can run any code on it.",
+    help="Use a scheduler on another machine without encryption: anyone who can reach it can run any code on it.",
 )
 _INSTALL_HINT = "pip install 'antdsl[cluster]'"
 
@@ -53,7 +53,7 @@ def require_scheduler(address: str | None, tls: Path | None, no_tls: bool) -> No
     elif tls is not None or no_tls:
         flag = "--tls" if tls is not None else "--no-tls"
         raise typer.BadParameter(
-            "this is of a scheduler: name it with `--scheduler tls://HOST:8786`, or leave this out", param_hint=flag
+            "this option needs a scheduler: add `--scheduler tls://HOST:8786`, or omit the option", param_hint=flag
         )
 
 
@@ -76,7 +76,7 @@ def open_engine(
     if find_spec("distributed") is None or find_spec("cryptography") is None:
         words = "error: `--scheduler` needs Dask"
         raise CommandError(
-            ExitCode.INPUT_OUTPUT, words, f"install it: {_INSTALL_HINT}; without `--scheduler` all runs on this machine"
+            ExitCode.INPUT_OUTPUT, words, f"install it: {_INSTALL_HINT}; without `--scheduler`, everything runs on this machine"
         )
     from antdsl.executors import TaskRefused
     from antdsl.executors.cluster import connect_cluster, load_security, start_local_cluster
@@ -98,16 +98,16 @@ def _find_certificate_folder(address: str, tls: Path | None, no_tls: bool) -> Pa
     match = re.fullmatch(r"(tls|tcp)://(\[[0-9A-Fa-f:.]{2,45}\]|[A-Za-z0-9_.-]{1,253}):([0-9]{1,5})", address)
     if address == "local":
         if tls is not None or no_tls:
-            raise typer.BadParameter("a cluster that is started here makes its own certificates", param_hint="--tls")
+            raise typer.BadParameter("a local cluster creates its own certificates", param_hint="--tls")
         return None
     if match is None or not 0 < int(match[3]) < 1 << 16:
         raise typer.BadParameter(
-            f"`{address}` is no scheduler: write `local`, or an address such as tls://render1:8786", param_hint="--scheduler"
+            f"`{address}` is not a scheduler: write `local`, or an address such as tls://render1:8786", param_hint="--scheduler"
         )
     if match[1] == "tls":
         if tls is None:
             raise typer.BadParameter(
-                f"`{address}` wants certificates: name their folder with `--tls DIR`", param_hint="--scheduler"
+                f"`{address}` needs certificates: name their folder with `--tls DIR`", param_hint="--scheduler"
             )
         missing = [name for name in TLS_FILE_NAMES if not (tls / name).is_file()]
         if missing:
@@ -115,7 +115,7 @@ def _find_certificate_folder(address: str, tls: Path | None, no_tls: bool) -> Pa
         _require_certificates(tls)
         return tls
     if tls is not None:
-        raise typer.BadParameter(f"`{address}` is in the clear; write tls://{match[2]}:{match[3]}", param_hint="--scheduler")
+        raise typer.BadParameter(f"`{address}` is not encrypted; write tls://{match[2]}:{match[3]}", param_hint="--scheduler")
     if not no_tls and not _is_loopback_address(match[2].strip("[]")):
         raise typer.BadParameter(
             f"`{address}` is not encrypted, so everyone who can reach it can run code on it; write tls:// and `--tls DIR`, or, "

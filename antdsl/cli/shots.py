@@ -110,9 +110,9 @@ def run_shots(
                 if not quiet:
                     print_note(f"{answered.answer['frames']} frames; the cache is in {folder}")
     except KeyboardInterrupt as why:
-        raise CommandError(choose_stop_exit_code(why), "stopped", "go on with the same command and `--resume`") from None
+        raise CommandError(choose_stop_exit_code(why), "stopped", "continue with the same command and `--resume`") from None
     except WorkersLost as why:
-        raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {why}", "go on with the same command and `--resume`") from None
+        raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {why}", "continue with the same command and `--resume`") from None
     if failed:
         raise CommandError(ExitCode.FINDINGS, f"error: {failed} of {len(scenes)} scenes failed")
 

@@ -47,9 +47,9 @@ def load_request(context: typer.Context, out: Path | None) -> SweepRequest:
     for name, words in _STUDY_OPTIONS.items():
         source = context.get_parameter_source(name)
         if source is not None and source.name == "COMMANDLINE":
-            raise typer.BadParameter(f"the sweep continues with its own options: leave out {words}", param_hint="--resume")
+            raise typer.BadParameter(f"the sweep continues with its own options: omit {words}", param_hint="--resume")
     if out is None:
-        raise typer.BadParameter("say which sweep goes on: `--resume --out DIR`", param_hint="--resume")
+        raise typer.BadParameter("name the sweep to continue: `--resume --out DIR`", param_hint="--resume")
     try:
         return read_request(out)
     except NoStoredSweep as why:

@@ -37,7 +37,7 @@ _ROLES = ("scheduler", "worker", "nanny")
 _CONNECT_SECONDS = 15  # limit for connecting to a scheduler
 _FILE_TRANSFER_SECONDS = 5.0  # limit for the transfer of files before tasks are submitted
 _MAX_FUTILE_RESUBMITS = 3  # maximum number of resubmissions of all tasks without an answer in between
-_ALL_WORKERS_LOST = "each worker that it was given to was lost"
+_ALL_WORKERS_LOST = "every worker that received it was lost"
 _MAX_MESSAGE_CHARACTERS = 2000  # characters of one sentence of a worker
 
 
@@ -89,7 +89,7 @@ def connect_cluster(
         try:
             client = stack.enter_context(Client(address, security=security, timeout=_CONNECT_SECONDS, set_as_default=False))
         except (OSError, ValueError) as why:
-            raise WorkersLost(f"no scheduler answers at {address}: {str(why).splitlines()[0]}") from None
+            raise WorkersLost(f"no scheduler responds at {address}: {str(why).splitlines()[0]}") from None
         shared = visible_file is not None and all(
             saw is True for saw in client.run(can_see_file, visible_file, on_error="return").values()
         )
@@ -139,7 +139,7 @@ class Cluster(Engine):
             time.sleep(0.02)
         self._present_workers = set(self._suitable_workers)
         if not worker_identities:
-            self._messages.append("no worker has come to the scheduler yet; it goes on once one does")
+            self._messages.append("no worker has joined the scheduler yet; the run continues once one does")
 
     @property
     def task_capacity(self) -> int:
@@ -216,7 +216,7 @@ class Cluster(Engine):
         self._present_workers = present_workers
 
     def describe_break(self) -> str:
-        return "the scheduler is gone"
+        return "the connection to the scheduler was lost"
 
     def describe_failure(self, exception: BaseException) -> str:
         return _ALL_WORKERS_LOST if isinstance(exception, KilledWorker) else super().describe_failure(exception)

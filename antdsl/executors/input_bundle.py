@@ -25,7 +25,7 @@ class FileBundle:
         """Write the files below a folder. Raises TaskRefused if they do not match the hash, or if a path leads out of the
         folder."""
         if hash_files(self.files) != self.digest:
-            raise TaskRefused("the files of the project did not arrive as they were sent")
+            raise TaskRefused("the project's files were changed during the transfer")
         for name, content in self.files.items():
             path = folder / name
             if not path.resolve().is_relative_to(folder.resolve()):
@@ -66,7 +66,7 @@ def pack_files(paths: Iterable[Path]) -> FileBundle:
         left -= len(content)
         if left < 0:
             raise TaskRefused(
-                f"the files that the scenes read are more than {MAX_BUNDLE_BYTES >> 20} MiB, and more do not travel"
+                f"the files that the scenes read are more than {MAX_BUNDLE_BYTES >> 20} MiB, which is the limit for a transfer"
             )
         files[_make_relative_path(path)] = content
     return FileBundle(files, hash_files(files))

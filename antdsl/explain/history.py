@@ -88,7 +88,7 @@ class CacheHistory:
 
     def make_difference_error(self, frame: int) -> ExplainError:
         return ExplainError(
-            f"frame {frame} is computed differently than `{self.cache.folder}` has it",
+            f"frame {frame} is computed differently than in `{self.cache.folder}`",
             "it was written by another version, or by `antdsl test` with a spec's own settings: run the scene again",
         )
 
@@ -129,7 +129,7 @@ def open_shot(cache: Cache, scene: Path | None = None, grants: Mapping[str, Path
     if different:
         names = ", ".join(f"`{name}`" for name in different[:5])
         other = "" if scene is not None else f"; if `{path}` is not its scene, name the right one: `--scene FILE`"
-        advice = f"an explanation needs the texts that the run was made with: put them back, or run the scene again{other}"
+        advice = f"an explanation needs the original texts of the run: restore them, or run the scene again{other}"
         raise ExplainError(f"the cache was made from other inputs: {names}", advice)
     return shot
 
@@ -144,6 +144,6 @@ def _find_scene(cache: Cache) -> Path:
     for path in (*([then] if then is not None else []), *near):
         if path.is_file():
             return path
-    was = f", nor at its earlier place: `{cache.manifest.scene_path}`" if then is not None else ""
+    was = f", nor at its previous location: `{cache.manifest.scene_path}`" if then is not None else ""
     words = f"the scene `{name}` of `{cache.folder}` is not near it{was}"
     raise ExplainError(words, "name it: `--scene FILE`", usage=True)

@@ -87,7 +87,7 @@ def _require_alive(
         if frame <= lifetime[0]:
             words = f"{species} {agent} had not decided anything by frame {frame}"
             raise ExplainError(words, f"{when}: its first step leads to {lifetime[0] + 1}", usage=True)
-        raise ExplainError(f"{species} {agent} is not there at frame {frame}", when, usage=True)
+        raise ExplainError(f"{species} {agent} does not exist at frame {frame}", when, usage=True)
 
 
 def _describe_agents(cache: Cache, species: str, agent: int, frame: int) -> str:
@@ -109,10 +109,10 @@ def make_absence_error(replay: Replay, species: str, agent: int, frame: int) -> 
     population = world.populations[species]
     row = int(population.find_rows(np.array([agent]))[0])
     if row >= 0 and find_guided_agents(world, population)[row]:
-        return ExplainError(f"{species} {agent} decides nothing: it goes as the `walk` of its line of the crowd says", "")
+        return ExplainError(f"{species} {agent} decides nothing: it follows the `walk` of its crowd line", "")
     if row >= 0:
         return ExplainError(
-            f"{species} {agent} was set aside after a fault, and did nothing in the step to frame {frame}",
+            f"{species} {agent} is quarantined after a fault, and did nothing in the step to frame {frame}",
             "`antdsl run` reported the value that was not a number",
         )
     ids = population.ids

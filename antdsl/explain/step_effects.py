@@ -131,7 +131,7 @@ def describe_effects(effects: EffectRequests) -> tuple[str, ...]:
         f"give {entry.statement.own} {float(entry.amount[0]):.4g} to {entry.statement.items}" for entry in effects.gives
     ]
     sentences += [line for lines in lines_by_effect.values() for line in lines]
-    sentences += [f"a value for `{entry.register}` was not a number and was rejected" for entry in effects.faults]
+    sentences += [f"a value for `{entry.register}` is not a number and was rejected" for entry in effects.faults]
     return tuple(sentences)
 
 

@@ -136,7 +136,7 @@ def _add_effects(replay: Replay, world: World, trace: AgentTrace, explanation: E
     population = world.populations[explanation.species]
     row = int(population.find_rows(np.array([explanation.agent]))[0])
     if row < 0:
-        return replace(explanation, notes=(f"it died in this step: frame {explanation.frame} is without it",))
+        return replace(explanation, notes=(f"it died in this step, so frame {explanation.frame} does not contain it",))
     velocity: FloatTriple = to_float_triple(population.now[f"velocity.{axis}"][row] for axis in AXES)
     gained = to_float_triple(
         (new_component - old_component) / world.dt

@@ -44,7 +44,7 @@ def _report_lines(explanation: Explanation) -> Iterator[str]:
         yield from _machine_lines(machine)
     if explanation.handlers:
         yield ""
-        yield "events that reached it"
+        yield "received events"
         yield from (f"  {each.text}  ({_format_place(each)})" for each in explanation.handlers)
     yield ""
     yield from _push_lines(explanation)
@@ -84,13 +84,13 @@ def _machine_lines(machine_step: MachineStep) -> Iterator[str]:
     else:
         yield f"{head}stays in {machine_step.after}, since {machine_step.since:.4g} s"
     if not machine_step.looked:
-        yield "  no change leads out of it"
+        yield "  no transition leaves it"
     hidden = False
     for looked in machine_step.looked:
         yield from _transition_lines(looked, hidden)
         hidden = hidden or looked.wins
     if machine_step.claim is not None:
-        verdict = "won" if machine_step.claim.won else "lost: others came first, or there was not enough"
+        verdict = "won" if machine_step.claim.won else "lost: other agents came first, or too little was left"
         much = "all" if machine_step.claim.amount is None else f"{machine_step.claim.amount:.4g}"
         what = " ".join(word for word in (much, machine_step.claim.attribute, "of", machine_step.claim.item) if word)
         yield f"  requested {what} (turn {machine_step.claim.draw:.4f}): {verdict}"
@@ -134,9 +134,9 @@ def _condition_lines(part: ExpressionPart, indent: str) -> Iterator[str]:
 
 def _push_lines(explanation: Explanation) -> Iterator[str]:
     yield {
-        "budget": "layers, from the top until the strength is spent",
+        "budget": "layers, from top to bottom until the strength is used",
         "sum": "layers, added",
-        "first": "layers, the first takes all",
+        "first": "layers, the first with a push wins",
     }[explanation.mode]
     for layer in explanation.layers:
         yield f"  {_format_strength_bar(layer)} {layer.place.text}  ({_format_place(layer.place)})"
@@ -198,7 +198,7 @@ def _surroundings_lines(explanation: Explanation) -> Iterator[str]:
             yield from _observed_lines(group)
     if explanation.fields:
         yield ""
-        yield "fields at its place"
+        yield "fields at its position"
         yield from (f"  {name} = {value:.4g}" for name, value in explanation.fields)
     if explanation.senses:
         yield ""

@@ -55,13 +55,13 @@ def format_signature(node: nodes.Behaviour) -> str:
 
 def _describe_event(key: NameKey) -> str | None:
     """Return the help for an event."""
-    known = {"spawn": "happens once, at birth", "collision": "its body begins to touch another's"}
-    return format_markdown(f"on {key[1]}", known.get(key[1], "an event: seen once, in the step after it was raised"))
+    known = {"spawn": "the event at an agent's birth", "collision": "the agent's body begins to touch another one"}
+    return format_markdown(f"on {key[1]}", known.get(key[1], "an event: agents notice it once, in the step after it was emitted"))
 
 
 def _describe_element(key: NameKey) -> str | None:
     """Return the help for the variable of a set query."""
-    return format_markdown(key[-1], "one element of the set at a time")
+    return format_markdown(key[-1], "the current element of the set")
 
 
 def _describe_builtin_attribute(key: NameKey) -> str | None:
@@ -77,7 +77,7 @@ def _describe_builtin_attribute(key: NameKey) -> str | None:
         default + (["may be set"] if row.is_settable else []) + ([f"from `ant {row.edition}` on"] if row.edition > 1 else [])
     )
     form = f"{name} {row.default}" if row.default else f"let mine = {name}"
-    return format_markdown(f"{key[1]}: {row.type}\n{form}", "; ".join([row.help, *details]), "every animal has it")
+    return format_markdown(f"{key[1]}: {row.type}\n{form}", "; ".join([row.help, *details]), "an attribute of every animal")
 
 
 def _describe_defaults(name: str) -> str:
@@ -153,7 +153,7 @@ def _describe_unit(key: NameKey) -> str | None:
     # angles are stored in radians, but displayed relative to `deg`
     factor = known.factor / base_unit.factor if base_unit is not None else known.factor
     worth = f"1 {key[1]} = {factor:.6g} {base}".strip() if key[1] != base and not known.unit_power and not known.step else ""
-    rate = f"so much a second: `x += 3 {key[1]}` in a state" if known.dim.time == -1 and not known.step else ""
+    rate = f"an amount per second: `x += 3 {key[1]}` in a state" if known.dim.time == -1 and not known.step else ""
     of_steps = "" if not known.step or key[1] in tables.UNIT_HELP else tables.STEP_UNIT_NOTE
     return format_markdown(f"3 {key[1]}", describe_dimension(known.dim), tables.UNIT_HELP.get(key[1], ""), worth, rate, of_steps)
 
@@ -205,7 +205,7 @@ def _describe_type_word(key: NameKey) -> str | None:
 
 def _describe_steered_state(key: NameKey) -> str | None:
     """Return the help for `state` in a layer."""
-    return format_markdown("state", "what the states of the animal steer")
+    return format_markdown("state", "the push that the animal's states steer")
 
 
 def _describe_colour(key: NameKey) -> str | None:
@@ -220,15 +220,15 @@ HELP_RULES: dict[str, HelpRule] = {
     "event": _describe_event, "element": _describe_element,
     "setting": _make_word_rule(tables.SETTING_HELP, "setting of a field"),
     "kind": _make_word_rule(KIND_BY_WORD, "kind of thing of the world"), "type": _describe_type_word,
-    "item-given": _make_typed_word_rule(vocabulary.ITEM_ATTRIBUTE_TYPES, "every item has it", "nearest(food).{}"),
+    "item-given": _make_typed_word_rule(vocabulary.ITEM_ATTRIBUTE_TYPES, "a value of every item", "nearest(food).{}"),
     "hit-given": _make_typed_word_rule(
-        vocabulary.HIT_ATTRIBUTE_TYPES, "what a ray met has it", "ray(heading, reach: 20 mm, on: stones).{}"
+        vocabulary.HIT_ATTRIBUTE_TYPES, "a value of a ray's hit", "ray(heading, reach: 20 mm, on: stones).{}"
     ),
-    "motion": _make_typed_word_rule(MOTION_MEASURES, "how the crowd moves", "motion.{}"),
-    "geometry": _make_typed_word_rule(GEOMETRY_MEASURES, "how an animal's body stands: for specs", "any({} > 0)"),
+    "motion": _make_typed_word_rule(MOTION_MEASURES, "a measure of the crowd's motion", "motion.{}"),
+    "geometry": _make_typed_word_rule(GEOMETRY_MEASURES, "a measure of an animal's pose, for specs", "any({} > 0)"),
     "scene": _make_word_rule(tables.SCENE_KEY_HELP, "key of a scene", "yaml"), "colour": _describe_colour,
     "body": lambda key: format_markdown(
-        key[1], "a clip, layer, channel or group of joints of the body that a scene gives the animal"
+        key[1], "a clip, layer, channel or transform group of the animal's body"
     ),
 }  # fmt: skip
 # Possible meanings of a bare word: as text, the table that contains it, and the rule that recognises it.
@@ -238,16 +238,16 @@ _WORD_MEANINGS: tuple[tuple[str, Collection[str], HelpRule], ...] = (
     ("a call", vocabulary.BUILTINS_BY_NAME, _describe_builtin_function),
     ("of a set", vocabulary.REDUCER_HELP, _describe_reducer),
     ("of all agents, in a spec", tables.AGGREGATE_HELP, _describe_aggregate),
-    ("every animal has it", {**vocabulary.BUILTIN_ATTRIBUTE_BY_NAME, **SWITCH_HELP}, _describe_builtin_attribute),
+    ("an attribute of every animal", {**vocabulary.BUILTIN_ATTRIBUTE_BY_NAME, **SWITCH_HELP}, _describe_builtin_attribute),
     ("a value", {**tables.STATE_WORD_HELP, **tables.VALUE_HELP}, _describe_value_word),
     ("a unit", vocabulary.UNIT_BY_NAME, _describe_unit),
     ("kind of thing of the world", KIND_BY_WORD, HELP_RULES["kind"]),
     ("setting of a field", tables.SETTING_HELP, HELP_RULES["setting"]),
     ("a type", vocabulary.TYPE_BY_WORD, _describe_type_word),
-    ("what a ray met has it", vocabulary.HIT_ATTRIBUTE_TYPES, HELP_RULES["hit-given"]),
-    ("every item has it", vocabulary.ITEM_ATTRIBUTE_TYPES, HELP_RULES["item-given"]),
-    ("how the crowd moves", MOTION_MEASURES, HELP_RULES["motion"]),
-    ("how an animal's body stands: for specs", GEOMETRY_MEASURES, HELP_RULES["geometry"]),
+    ("a value of a ray's hit", vocabulary.HIT_ATTRIBUTE_TYPES, HELP_RULES["hit-given"]),
+    ("a value of every item", vocabulary.ITEM_ATTRIBUTE_TYPES, HELP_RULES["item-given"]),
+    ("a measure of the crowd's motion", MOTION_MEASURES, HELP_RULES["motion"]),
+    ("a measure of an animal's pose, for specs", GEOMETRY_MEASURES, HELP_RULES["geometry"]),
     ("key of a scene", tables.SCENE_KEY_HELP, HELP_RULES["scene"]),
     ("a colour", COLOUR_BY_NAME, _describe_colour),
     ("an event", BUILTIN_EVENTS, _describe_event),

@@ -88,7 +88,7 @@ def start_from_cache(shot: Shot, world: World) -> None:
         restore_checkpoint(world, select_by_prefix(arrays, "world."))
     except CheckpointError as why:
         words = f"frame {start.frame} of `{start.cache}` belongs to different programs: {why}"
-        raise _make_error(shot, "wrong-value", words, "cache", "begin with a cache of the same programs") from None
+        raise _make_error(shot, "wrong-value", words, "cache", "start from a cache of the same programs") from None
     shift = first - world.frame
     world.frame = first
     pose_world(world, first)
@@ -101,7 +101,7 @@ def start_from_cache(shot: Shot, world: World) -> None:
         population.born = population.born + shift
         footed = world.ground.position(population.footing)
         if len(footed) and np.abs(footed - population.position).max() > _COINCIDENT_DISTANCE_MM:
-            words = f"the agents of `{start.cache}` stand on different meshes than this scene's"
+            words = f"the agents of `{start.cache}` are on other meshes than those of this scene"
             raise _make_error(shot, "wrong-value", words, "cache", "give the surfaces the same meshes, in the same order")
 
 

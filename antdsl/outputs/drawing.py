@@ -124,7 +124,7 @@ def _describe_missing_agent(picture: Picture, agents: Sequence[int]) -> str:
         counts[crowd.species] = counts.get(crowd.species, 0) + len(crowd.position)
     known = [f"{count} `{species}`" for species, count in counts.items() if count]
     who = f" {agents[0]}" if agents else ""
-    return f"there is no agent{who} to stand beside; this frame has {', '.join(known) or 'nobody'}"
+    return f"there is no agent{who} for the camera to follow; this frame has {', '.join(known) or 'nobody'}"
 
 
 def make_still_path(folder: Path, frame: int) -> Path:

@@ -148,7 +148,7 @@ def _add_option_changes(shot: Shot, inputs: Mapping[str, str], problem: Differen
 
 
 def _resume_recording(recording: Recording, intact: IntactPart, options: Options) -> None:
-    """Restore the world from the last good checkpoint. Record which damaged frames are made again."""
+    """Restore the world from the last good checkpoint. Record which damaged frames are computed again."""
     shot, lines, notes = recording.shot, intact.cache.lines(), [] if intact.damage is None else [intact.damage]
     for frame in intact.checkpoints:
         why = _restore_checkpoint(recording, intact.cache, frame, lines[frame])
@@ -165,9 +165,9 @@ def _resume_recording(recording: Recording, intact: IntactPart, options: Options
     first = shot.frames.first if recording.resumed_from is None else recording.resumed_from + 1
     again = min(shot.frames.last, first if intact.last_frame is None else intact.last_frame)
     if not notes and recording.resumed_from is None and intact.last_frame is not None and intact.last_frame >= first:
-        notes.append(f"`{intact.cache.folder}` has no checkpoint from which all frames are whole")
+        notes.append(f"`{intact.cache.folder}` has no checkpoint with complete frames up to it")
     if len(notes) > len(recording.damaged_checkpoints) and again >= first:
-        notes.append(f"frame {first} is made again" if again == first else f"frames {first} to {again} are made again")
+        notes.append(f"frame {first} is computed again" if again == first else f"frames {first} to {again} are computed again")
     why = intact.cache.find_static_damage()
     if why is not None:
         notes.append(f"{why}; it is written again")

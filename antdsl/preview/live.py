@@ -36,7 +36,7 @@ _PAUSE_AFTER_BUG_SECONDS = 0.25  # pause after an internal error, so that the te
 _MAX_REQUEST_SECONDS = 0.05  # after this time, requests give way to the simulation
 _MAX_SEEK_SECONDS = 0.05  # after this time, a seek gives way to requests
 _MAX_LOOK_AHEAD_SECONDS = 0.02  # after this time, simulation of future frames gives way to requests
-_BUG_MESSAGE = "this is a bug in antdsl: the terminal says more"
+_BUG_MESSAGE = "this is a bug in antdsl: see the terminal for details"
 O = TypeVar("O")  # noqa: E741
 
 
@@ -244,7 +244,9 @@ class Live:
                 if self._session is not None:
                     self._target_frame = None
                     self.pause(PauseReason(_BUG_MESSAGE))
-                self.send_to_all({"op": "refused", "of": "play", "message": _BUG_MESSAGE, "help": "press restart, and report it"})
+                self.send_to_all(
+                    {"op": "refused", "of": "play", "message": _BUG_MESSAGE, "help": "press restart, and please report it"}
+                )
                 with self._wake_condition:
                     self._wake_condition.wait(_PAUSE_AFTER_BUG_SECONDS)
 
@@ -283,7 +285,7 @@ class Live:
         elif session.playing and monotonic() >= self._next_step_time and self.step():
             now, last = monotonic(), session.shot.frames.last
             if session.frame == last:
-                self.pause(PauseReason(f"frame {last} is the scene's last: play goes on behind it"))
+                self.pause(PauseReason(f"frame {last} is the scene's last frame: play continues beyond it"))
             self._next_step_time = (
                 now if self.speed == 0 else max(self._next_step_time + session.world.dt / self.speed, now - _MAX_CATCH_UP_SECONDS)
             )
@@ -351,7 +353,7 @@ class Live:
             return
         try:
             if self._session is None and type(request) not in SESSIONLESS_REQUESTS:
-                words = "there is nothing to play yet: the scene has errors"
+                words = "the preview cannot play yet: the scene has errors"
                 raise RequestRefused(words, "correct them and save; it starts automatically")
             HANDLER_BY_REQUEST[type(request)](self, request, client)
         except RequestRefused as why:

@@ -248,7 +248,7 @@ class Session:
         params = {key: value for key, value in chosen.items() if off.get(key) != value}
         params |= self._settings_of_disabled_fields.pop(name, {}) if on else {}
         text = "" if on else f"set: {{{', '.join(f'{key}: {value}' for key, value in off.items())}}}"
-        did = f"field `{name}` holds scent again" if on else f"field `{name}` holds no scent"
+        did = f"field `{name}` is switched on again" if on else f"field `{name}` is switched off"
         return self._recompile(
             replace(self.choices, params=params if on else {**params, **off}), self._current_stretch.disabled_layers, text, did
         )
@@ -311,14 +311,14 @@ class Session:
             if did:  # after a comment or another change without effect on results, such as the camera or the last frame
                 self._current_stretch.shot = shot
             return Outcome(
-                report, self._drop_undone_edit() or ("the run stays as it is" if did else "nothing has changed"), did=did
+                report, self._drop_undone_edit() or ("the run does not change" if did else "nothing has changed"), did=did
             )
         world, migration, findings = self.compiler.migrate_world(self.world, shot)
         report.extend(findings)
         if world is None:
             return Outcome(report)
         report.extend(find_start_warnings(shot.scene, world))
-        line = " · ".join([describe_migration(migration), *(f"layer `{layer}` is gone" for _, layer in missing_layers)])
+        line = " · ".join([describe_migration(migration), *(f"layer `{layer}` no longer exists" for _, layer in missing_layers)])
         disabled_layers = {key: path for key, path in disabled_layers.items() if key not in missing_layers}
         stretch = SimulationStretch(shot, world.frame, did, world.origin, choices, disabled_layers)
         stretch.replace(self._current_stretch, self.world, world)
@@ -346,7 +346,7 @@ class Session:
         if shot is None or not report.ok:
             return choices, []
         fits = {name: value for name, value in choices.params.items() if _parse_quantity(shot, name, value)[0] is not None}
-        dropped = [f"`{name}: {value}` fits no more" for name, value in choices.params.items() if name not in fits]
+        dropped = [f"`{name}: {value}` no longer fits" for name, value in choices.params.items() if name not in fits]
         return replace(choices, params=fits), dropped
 
 

@@ -71,5 +71,5 @@ def _report_reserved(species: nodes.Species, previous: int, edition: int, report
     for member in species.members:
         own = member.declaration if isinstance(member, nodes.ParamDecl) else member
         if isinstance(own, nodes.Declaration | nodes.Let | nodes.Latch | nodes.Fuzzy) and own.name.text in reserved:
-            message = f"`{own.name.text}` is built in from edition {edition} on"
-            report.error("reserved-name", message, own.name.span, f"call it otherwise, such as `my_{own.name.text}`")
+            message = f"`{own.name.text}` is built in since edition {edition}"
+            report.error("reserved-name", message, own.name.span, f"choose another name, such as `my_{own.name.text}`")

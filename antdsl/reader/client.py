@@ -149,7 +149,7 @@ class FileReader:
             except (OSError, ProtocolError) as problem:
                 self._end_process()
                 if get_address_space_limit() < limits.READER_BASE_MEMORY_BYTES:
-                    raise MemoryError("the process that reads foreign files has no memory to start") from None
+                    raise MemoryError("the process that reads foreign files has too little memory to start") from None
                 raise ReaderFailure("the process that reads foreign files cannot be started") from problem
 
     def ask(
@@ -290,7 +290,7 @@ _DAMAGED_FILE_HELP = "export it again"
 _LIGHTER_FILE_HELP = "use a lighter file, or a part of it"
 _OVERDUE_STATUS = -getattr(signal, "SIGXCPU", 1 << 20)  # exit statuses
 _KILLED_STATUS = -getattr(signal, "SIGKILL", 1 << 20)  # killed by the system when memory runs out
-_INVALID_ANSWER_MESSAGE = "cannot be read: the process that reads it gave an answer that makes no sense"
+_INVALID_ANSWER_MESSAGE = "cannot be read: the process that reads it sent an invalid answer"
 
 
 @contextmanager
@@ -324,7 +324,7 @@ def _explain_death(reader_process: _ReaderProcess, status: int, is_late: bool, m
     if reader_process.active_layers is None:
         words = "cannot be read: the process that reads it ends when it starts"
         return ReaderFailure(words, "run `antdsl doctor`", is_lasting=False)
-    words = "it brings down the library that reads it, as files do that are damaged, too large or nested without end"
+    words = "the library that reads it crashes; the file may be damaged, too large or nested too deeply"
     return ReaderFailure(f"cannot be read: {words}", _DAMAGED_FILE_HELP)
 
 

@@ -79,7 +79,7 @@ def read_image_file(data: bytes, format: str, modes: Collection[str], max_pixels
         raise ImageError(str(why), why.help) from None
     except ProtocolError as why:
         raise ImageError(
-            f"cannot be read as {format}: the reader's answer makes no sense ({why})", "export the image again"
+            f"cannot be read as {format}: the reader sent an invalid answer ({why})", "export the image again"
         ) from None
 
 

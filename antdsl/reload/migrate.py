@@ -271,7 +271,7 @@ def _describe_species(migrated: MigratedSpecies, name_prefix: str) -> list[str]:
     )
     parts += _format_names(
         [name_prefix + _shorten_state_name(name) for name in migrated.removed_states],
-        "is a state no more",
+        "is no longer a state",
         "are no longer states",
     )
     if migrated.moved_count:
@@ -282,12 +282,12 @@ def _describe_species(migrated: MigratedSpecies, name_prefix: str) -> list[str]:
     parts += _format_names([name_prefix + name for name in migrated.new_attributes], "is new", "are new")
     parts += _format_names(
         [name_prefix + name for name in migrated.retyped_attributes],
-        "has another type and starts again",
-        "have other types and start again",
+        "has a different type and starts again",
+        "have different types and start again",
     )
     parts += _format_names(
         [name_prefix + name for name in _drop_derived_names(migrated.reset_attributes)],
-        "is as written now",
+        "has its new value",
         "have their new values",
     )
     parts += _format_names([name_prefix + name for name in migrated.removed_attributes], "is gone", "are gone")

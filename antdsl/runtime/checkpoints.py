@@ -74,7 +74,7 @@ def restore_checkpoint(world: World, arrays: Mapping[str, NDArray[Any]]) -> None
         raise
     # arrays from outside may fail in any of these ways
     except (ValueError, TypeError, IndexError, KeyError, OverflowError) as why:
-        raise CheckpointError(f"it does not hold together ({type(why).__name__})") from why
+        raise CheckpointError(f"it is inconsistent ({type(why).__name__})") from why
 
 
 def _restore_world(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:

@@ -89,7 +89,7 @@ def find_pairs(
         span = _find_set_use(species, node)
         what = "neighbours" if span is None else " ".join(span.text.split())
         why = (
-            f"has more than {limits.MAX_CANDIDATES_IN_RADIUS:,} others in its radius; the {limits.MAX_QUERY_NEIGHBOURS} "
+            f"has more than {limits.MAX_CANDIDATES_IN_RADIUS:,} neighbours in its radius; only the {limits.MAX_QUERY_NEIGHBOURS} "
             f"nearest count"
         )
         fault = Fault(world.frame, population.name, -1, what, span, (), f"{why}: {_advise_on_radius(other, radius)}")
@@ -101,7 +101,7 @@ def _advise_on_radius(other: Population, radius: Any) -> str:
     separate them."""
     widest, body = float(np.max(radius)), float(np.median(other.start["radius"]))
     if 0 < widest < body * np.sqrt(limits.MAX_CANDIDATES_IN_RADIUS):
-        return "they stand in each other, so give them more room, or write a smaller radius"
+        return "they overlap, so give them more space, or write a smaller radius"
     return "write a smaller one"
 
 

@@ -253,7 +253,10 @@ class _DocumentReader:
                     )
                 if documents > 1:
                     raise self.reject(
-                        "scene-syntax", "a second document in one scene", self.span(event), "delete `---` and what follows"
+                        "scene-syntax",
+                        "the scene contains a second document",
+                        self.span(event),
+                        "delete `---` and everything after it",
                     )
                 continue
             if isinstance(event, yaml.AliasEvent) or getattr(event, "anchor", None):
@@ -261,10 +264,10 @@ class _DocumentReader:
                     "yaml-alias",
                     "anchors and aliases are not supported",
                     self.span(event),
-                    "write the value out where it is needed",
+                    "write the value wherever it is needed",
                 )
             if getattr(event, "tag", None) not in (None, "!"):
-                raise self.reject("yaml-tag", "tags such as `!name` are not supported", self.span(event), "write the value alone")
+                raise self.reject("yaml-tag", "tags such as `!name` are not supported", self.span(event), "write only the value")
             if isinstance(event, yaml.NodeEvent):
                 count += 1
                 if count > limits.MAX_YAML_NODES:

@@ -32,7 +32,7 @@ def check_bodies(scene: Scene, program: Program, report: Report) -> None:
         known = scene.model.crowd[earlier]
         if list(known.body_weights.items()) != list(line.body_weights.items()):
             report.error(
-                "wrong-value", f"`{line.species}` has another body in a line above", place,
+                "wrong-value", f"`{line.species}` has a different body in a line above", place,
                 f"write `{scene.span('crowd', earlier, 'body').text.strip()}` in both, or make it another species",
                 labels=(Label(scene.span("crowd", earlier, "body"), "the first one"),),
             )  # fmt: skip
@@ -72,7 +72,7 @@ def check_absent_species(scene: Scene, program: Program, report: Report) -> None
     }
     for name in absent:
         if name in requested_names:
-            message = f"the program asks of the species `{name}`, which no line of the crowd brings"
+            message = f"the program uses the species `{name}`, but no line of the crowd adds it"
             advice = f"add to `crowd`: `- {{species: {name}, from: {name}.ant, count: 0}}`"
             label = Label(program.world[name].span, "declared here")
             report.error("missing-thing", message, scene.span("antdsl", key=True), advice, labels=(label,))
@@ -94,6 +94,6 @@ def check_spec_scenes(program: Program | None, grants: Mapping[str, Path] | None
         except PathRefused as refused:
             near = _SUGGESTION_PATTERN.fullmatch(refused.help or "")
             fix = Fix(text.span, f'"{near[1]}"') if near and "/" not in text.text else None
-            advice = refused.help or "name a scene that lies beside this program or below its folder"
+            advice = refused.help or "name a scene next to this program or below its folder"
             report.error(refused.code, str(refused), text.span, advice, fix=fix)
     return merge_repeated_findings(report)

@@ -105,7 +105,7 @@ def check_field_dynamics(scene: Scene, program: Program, report: Report) -> None
     for name, field in program.fields.items():
         if name not in laid and name not in scene.model.fields:
             report.warning(
-                "unlaid-field", f"no agent lays the field `{name}`, and the scene starts without it", field.span,
+                "unlaid-field", f"no agent lays the field `{name}`, and the scene does not start it", field.span,
                 f"write `deposit {name} 1 /s` in a state, or in the scene `fields: {{{name}: {{start: 1}}}}`",
             )  # fmt: skip
 

@@ -47,7 +47,7 @@ def _read_parent(
         return None
     if "/" in text or "\\" in text:
         words = f"`{text[:80]}` is not next to this scene"
-        report.error("bad-path", words, node.span, "put it into this folder and write its name alone")
+        report.error("bad-path", words, node.span, "move it into this folder and write only its name")
         return None
     if text in scene_names:
         circle = " → ".join(f"`{each}`" for each in [*scene_names[scene_names.index(text) :], text])

@@ -29,12 +29,12 @@ _MISPLACED_KEY_HELP = {
     "root": "give `--root NAME=FOLDER` on the command line",
     "roots": "give `--root NAME=FOLDER` on the command line",
     "out": "give `--out FOLDER` on the command line",
-    "limits": "limits cannot be raised by a scene",
-    "plugin": "a scene can load no code",
-    "plugins": "a scene can load no code",
-    "import": "a scene can load no code",
-    "include": "write `extends: base.yaml` and below it what differs",
-    "base": "write `extends: base.yaml` and below it what differs",
+    "limits": "a scene cannot raise limits",
+    "plugin": "a scene cannot load code",
+    "plugins": "a scene cannot load code",
+    "import": "a scene cannot load code",
+    "include": "write `extends: base.yaml`, and the differences below it",
+    "base": "write `extends: base.yaml`, and the differences below it",
 }
 
 
@@ -140,7 +140,7 @@ def _find_outdented_lines(document: MappingNode) -> dict[PathKey, Diagnostic]:
         source = first.source
         text = source.text[first.start : last.end].replace("\n", "\n  ")
         diagnostic = Diagnostic(
-            "scene-syntax", f"`{inner[0]}` is at the left edge, but `{name}:` has nothing below it", first,
+            "scene-syntax", f"`{inner[0]}` is at the left edge, but nothing is below `{name}:`", first,
             help=f"begin the lines below `{name}:` with 2 spaces",
             fix=Fix(Span(source, first.start, last.end), f"  {text}"),
         )  # fmt: skip

@@ -72,7 +72,7 @@ class Roots:
         if named and len(named[1]) > 1:
             name, rest = named[1], named[2]
             if name in ("http", "https", "file", "ftp", "data"):
-                raise _make_refusal(text, "is an address, not a file", "copy the file beside the scene")
+                raise _make_refusal(text, "is an address, not a file", "copy the file next to the scene")
             if name not in self.granted:
                 known = ", ".join(f"`{n}:`" for n in sorted(self.granted)) or "none"
                 raise PathRefused(
@@ -231,7 +231,7 @@ def _check_characters(text: str, relative_text: str) -> None:
             help = f"name one file; rename a file that has {display_sign} in its name"
             raise _make_refusal(text, f"has {display_sign}, and patterns are not expanded here", help)
         if unicodedata.category(sign) in _INVISIBLE_CATEGORIES:
-            raise _make_refusal(text, f"has a character that cannot be seen, U+{ord(sign):04X}", "rename the file without it")
+            raise _make_refusal(text, f"has an invisible character, U+{ord(sign):04X}", "rename the file without it")
 
 
 def _make_read_refusal(problem: OSError, display_path: str) -> PathRefused:
@@ -252,7 +252,7 @@ def _open_below(root: Path, parts: tuple[str, ...], display_path: str) -> int:
     if os.open not in os.supports_dir_fd or not hasattr(os, "O_NOFOLLOW"):
         full_path = root.joinpath(*parts)
         if not full_path.resolve().is_relative_to(root.resolve()):
-            raise _make_refusal(display_path, "leaves its folder by a link", None)
+            raise _make_refusal(display_path, "leaves its folder through a link", None)
         try:
             return open_regular_file(full_path)
         except OSError as problem:
@@ -290,7 +290,7 @@ def _list_names_below(root: Path, parts: tuple[str, ...], display_path: str) -> 
     if os.open not in os.supports_dir_fd or not hasattr(os, "O_NOFOLLOW"):
         full_path = root.joinpath(*parts)
         if not full_path.resolve().is_relative_to(root.resolve()) or not full_path.is_dir():
-            raise _make_refusal(display_path, "leaves its folder by a link, or is not a folder", None)
+            raise _make_refusal(display_path, "leaves its folder through a link, or is not a folder", None)
         return os.listdir(full_path)
     folder = _open_folder_below(root, parts, display_path)
     try:
@@ -344,6 +344,8 @@ def _make_open_refusal(problem: OSError, folder: int | str, display_path: str) -
         return PathRefused("no-such-file", f"there is no file `{display_path}`", f"did you mean `{near}`?" if near else None)
     if problem.errno in (errno.ELOOP, errno.ENOTDIR):
         return PathRefused(
-            "bad-path", f"a part of `{display_path}` is a link or no folder; links are not followed", "name the file itself"
+            "bad-path",
+            f"a part of `{display_path}` is a link or not a folder; antdsl does not follow links",
+            "name the file itself",
         )
     return _make_read_refusal(problem, display_path)

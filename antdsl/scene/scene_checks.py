@@ -53,7 +53,7 @@ def _check_world(scene: Scene, program: Program, report: Report) -> None:
             advice = f"add `{name}: {row.scene}` to `world`"
             report.error("missing-thing", message, place, advice, labels=(Label(thing.span, "declared here"),))
         elif not isinstance(scene_things[name], kind.models):
-            message = f"`{name}` is {row.scene_form} in the program, and something else here"
+            message = f"`{name}` is {row.scene_form} in the program, but something else here"
             place, advice = scene.span("world", name), f"write `{name}: {row.scene}`"
             report.error("wrong-kind", message, place, advice, labels=(Label(thing.span, "declared here"),))
         else:
@@ -149,16 +149,16 @@ def _check_placement(scene: Scene, program: Program, report: Report, place: Plac
             words = f"agents are placed by `{method}` or by `{other[0]}`, not both"
             report.error("wrong-value", words, scene.span(*path, method, key=True), "keep one of them")
     if place.by == "area" and place.inside is not None:
-        words = "agents that begin `inside` stand where lines from there end, and are not spread by area"
+        words = "agents that start `inside` are placed along lines from there, not by area"
         report.error("wrong-value", words, scene.span(*path, "by", key=True), "leave `by` out")
     for key in ("apart", "seed"):
         if getattr(place, key) is not None and place.points is not None:
-            words = f"agents at `points` stand where these are, and nothing is left for `{key}` to say"
+            words = f"agents at `points` have these positions, so `{key}` has no effect"
             report.error("wrong-value", words, scene.span(*path, key, key=True), f"leave `{key}` out")
     if place.apart == "even" and (place.inside is not None or (place.density is not None and place.by != "area")):
         what, addition = ("inside", "") if place.inside is not None else ("by `density` from above", ", or add `by: area`")
         advice = f"write a length, such as `apart: 10 mm`{addition}"
-        report.error("wrong-value", f"how much room there is {what} is not known", scene.span(*path, "apart", key=True), advice)
+        report.error("wrong-value", f"the available space {what} is unknown", scene.span(*path, "apart", key=True), advice)
     _check_around(scene, report, place.around, place.radius, *path)
 
 
@@ -239,9 +239,12 @@ def _check_layers(scene: Scene, program: Program, report: Report) -> None:
         order, wrong = resolve_layer_order(scene, program, name)
         for number in wrong:
             line = scene.model.layers[name][number]
-            help = "write the beginning of one of: " + ", ".join(f"`{text}`" for text in texts)
+            help = "write the start of one of: " + ", ".join(f"`{text}`" for text in texts)
             report.error(
-                "unknown-thing", f"`{line}` begins no single layer of `{name}`", scene.span("layers", name, number), help
+                "unknown-thing",
+                f"`{line}` does not match exactly one layer of `{name}`",
+                scene.span("layers", name, number),
+                help,
             )
         if order is None and not wrong:
             left = [text for text in texts if not any(text.startswith(line.strip()) for line in scene.model.layers[name])]
@@ -257,11 +260,11 @@ def _check_detail(scene: Scene, program: Program, report: Report) -> None:
         return
     if scene.model.camera is None or isinstance(scene.model.camera, str):
         advice = "write `camera: {at: [200, 150, 300], look_at: [0, 0, 0]}`, or leave `lod` out"
-        words = "`lod` goes by the distance from the camera, and there is none while agents walk"
+        words = "`lod` needs the distance from a camera, but the scene has no camera during the run"
         report.error("missing-key", words, scene.span("lod"), advice)
     unit = scene.model.unit_mm
     if lod.far is not None and lod.far.to_millimetres(unit) < lod.near.to_millimetres(unit):
-        report.error("wrong-value", "`far` is nearer than `near`", scene.span("lod", "far"), "write the greater distance")
+        report.error("wrong-value", "`far` is less than `near`", scene.span("lod", "far"), "write the greater distance")
 
 
 def _check_output(scene: Scene, program: Program, report: Report) -> None:

@@ -59,7 +59,7 @@ class SceneKind:
     def check_voxel(self, entry: Entry, value: forms.ScaledThing) -> None:
         """Report the key `voxel` of a thing that is not a solid."""
         if value.voxel is not None:
-            words = f"`{entry.name}` is {entry.thing.kind} in the program, and only solids have voxels"
+            words = f"`{entry.name}` is {entry.thing.kind} in the program, but only solids have voxels"
             entry.report.error("wrong-value", words, entry.span("voxel"), f"leave it out, or declare `solid {entry.name}`")
 
     def stage_thing(self, staging: SceneStaging, name: str, value: Any) -> Any:
@@ -70,9 +70,9 @@ class SceneKind:
 def _check_scale(entry: Entry, value: forms.ScaledThing) -> None:
     """Report a scale of 0, which would flatten the mesh to a point."""
     if abs(value.scale) < 1e-6:
-        entry.report.error("wrong-value", "a scale of 0 leaves no mesh", entry.span("scale"), "write `scale: 1`")
+        entry.report.error("wrong-value", "a scale of 0 removes the mesh", entry.span("scale"), "write `scale: 1`")
     elif value.scale < 0:
-        help = "its faces are turned so that outside stays outside"
+        help = "its faces are flipped so that the outside stays outside"
         entry.report.warning("mirrored", f"the mesh of `{entry.name}` is mirrored", entry.span("scale"), help)
 
 
@@ -82,7 +82,7 @@ class SolidKind(SceneKind):
     def check(self, entry: Entry, value: Any) -> None:
         if value.keys or (isinstance(value, forms.MeshThing) and entry.scene.roots.is_sequence(value.mesh)):
             words, place = f"the solid `{entry.name}` cannot move", entry.span("keys" if value.keys else "mesh")
-            entry.report.error("wrong-value", words, place, "give it one place for all frames")
+            entry.report.error("wrong-value", words, place, "give it one position for all frames")
         super().check(entry, value)
 
     def check_voxel(self, entry: Entry, value: forms.ScaledThing) -> None:
@@ -140,7 +140,7 @@ class FlowKind(SceneKind):
     def check(self, entry: Entry, value: Any) -> None:
         surfaces = entry.program.list_things_of_kind("surface")
         if not surfaces and not isinstance(value, forms.SpreadFlow):
-            words = f"`{entry.name}` is painted on a surface, and no program has one"
+            words = f"`{entry.name}` is painted on a surface, but no program has one"
             entry.report.error("missing-thing", words, entry.span(), "declare one: `world { surface ground }`")
             return
         for key in ("on", "border"):

@@ -67,11 +67,9 @@ def _check_items(value: Any) -> Any:
     for word, inner in value.items():
         near = None if isinstance(inner, dict) else find_nearest_name(str(word), THING_MODELS)
         if near:
-            raise make_error(f"`{word}` says of no thing of the world what it is", f"did you mean `{near}`?")
+            raise make_error(f"`{word}` is not a kind of thing of the world", f"did you mean `{near}`?")
     if value and not any(isinstance(inner, dict) for inner in value.values()):
-        raise make_error(
-            "no key says what this thing of the world is", "add one of " + ", ".join(f"`{word}`" for word in THING_MODELS)
-        )
+        raise make_error("no key defines the kind of this thing", "add one of " + ", ".join(f"`{word}`" for word in THING_MODELS))
     return value
 
 

@@ -53,7 +53,7 @@ def require_text(value: Any, expected: str) -> str:
     if not isinstance(value, str):
         raise make_error(f"expected {expected} here, not {describe_value(value)}")
     if not value.strip():
-        raise make_error(f"expected {expected} here, but nothing is given")
+        raise make_error(f"expected {expected} here, but the value is missing")
     return value.strip()
 
 
@@ -141,7 +141,7 @@ def parse_share(value: Any) -> float:
     """Return a share from 0 to 1 of a text such as `30 %` or `0.3`."""
     quantity = _parse_quantity_value(value)
     if quantity.dim != Dimension() or not 0 <= quantity.number <= 1:
-        raise make_error(f"`{quantity.text}` is no share", "write a share from `0 %` to `100 %`")
+        raise make_error(f"`{quantity.text}` is not a share", "write a share from `0 %` to `100 %`")
     return quantity.number
 
 
@@ -163,7 +163,7 @@ def parse_one_of(*words: str) -> Callable[[Any], str]:
             near = find_nearest_name(text, words)
             listed = ", ".join(f"`{w}`" for w in words)
             raise make_error(
-                f"{describe_value(text)} is none of {listed}", f"did you mean `{near}`?" if near else "write one of them"
+                f"{describe_value(text)} is none of {listed}", f"did you mean `{near}`?" if near else "write one of these"
             )
         return text
 
@@ -171,9 +171,9 @@ def parse_one_of(*words: str) -> Callable[[Any], str]:
 
 
 def _parse_fps(value: Any) -> Fraction:
-    text = require_text(value, "a number of frames a second")
+    text = require_text(value, "a number of frames per second")
     if not re.fullmatch(r"[0-9]{1,7}(\.[0-9]{1,6}|/[0-9]{1,7})?", text, re.ASCII) or text.endswith("/0"):
-        raise make_error(f"{describe_value(text)} is not a number of frames a second", "write `24`, `23.976` or `24000/1001`")
+        raise make_error(f"{describe_value(text)} is not a number of frames per second", "write `24`, `23.976` or `24000/1001`")
     try:
         rate = Fraction(text)
     except ZeroDivisionError:
@@ -184,7 +184,7 @@ def _parse_fps(value: Any) -> Fraction:
         if "." in text and abs(rate - exact) < Fraction(1, 200):
             rate = exact
     if not 1 <= rate <= limits.MAX_FPS:
-        raise make_error(f"`{text}` frames a second is not between 1 and {limits.MAX_FPS}")
+        raise make_error(f"`{text}` frames per second is not between 1 and {limits.MAX_FPS}")
     return rate
 
 
@@ -220,14 +220,14 @@ def _parse_frame_range(value: Any) -> FrameRange:
     try:
         return parse_frames(text)
     except QuantityError as why:
-        usual = "write the first and the last with two dots between: `1001..1240`"
+        usual = "write the first and the last frame with two dots between: `1001..1240`"
         raise make_error(f"{describe_value(text)} {why}", why.help or usual) from None
 
 
 def _check_path(value: Any) -> str:
     text = require_text(value, "the path of a file")
     if text != value:
-        raise make_error(f"the path {describe_value(value)} begins or ends with a blank", f"write `{text}`")
+        raise make_error(f"the path {describe_value(value)} begins or ends with a space", f"write `{text}`")
     return text
 
 
@@ -242,8 +242,8 @@ def parse_word_or_file(*words: str) -> Callable[[Any], str]:
             from antdsl.diagnostics.suggestion import find_nearest_name
 
             near, listed = find_nearest_name(text, words), ", ".join(f"`{each}`" for each in words)
-            help = f"did you mean `{near}`?" if near else f"write one of them, or a file such as `{text[:40]}.glb`"
-            raise make_error(f"{describe_value(text)} is none of {listed}, and no file", help)
+            help = f"did you mean `{near}`?" if near else f"write one of these, or a file such as `{text[:40]}.glb`"
+            raise make_error(f"{describe_value(text)} is none of {listed}, and not a file", help)
         return text
 
     return read

@@ -32,7 +32,7 @@ def export_frames(document: Mapping[str, Any], worker: WorkerContext) -> dict[st
     to, name = Destination.of(document), document["name"]
     export = find_export(Path(name))
     if export is None or document["form"] not in export.per_frame_forms:
-        raise TaskRefused(f"`{name}` has no file for each frame")
+        raise TaskRefused(f"`{name}` needs `####` for one file per frame")
     with convert_to_refusal(ManifestError, CacheError, PictureUnavailable, ExportUnavailable):
         cache = open_edited_cache(worker.find_local_path(document["cache"]))
         if document["ids"] is not None:

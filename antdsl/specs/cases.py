@@ -139,7 +139,7 @@ class CaseFinder:
                 return file
             if (folder / DEFAULT_SCENE).is_file():
                 return own.parent / DEFAULT_SCENE
-            message = f"the spec `{spec.name}` does not say on which scene it runs, and there is no `{DEFAULT_SCENE}` here"
+            message = f"the spec `{spec.name}` names no scene, and there is no `{DEFAULT_SCENE}` here"
             self.report.error(
                 "no-scene", message, _find_first_line(spec), f'write `spec "{spec.name}" on "{DEFAULT_SCENE}" {{ … }}`'
             )

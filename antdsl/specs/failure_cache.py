@@ -118,7 +118,7 @@ class FailureSaver:
         scene = shot.scene.replace_values(output=output, frames=short, preroll=0)
         begins = find_start_cache(shot)
         if begins is not None and begins.resolve() == folder.resolve():
-            raise ForeignFolder(f"`{folder}` is what the scene begins with")
+            raise ForeignFolder(f"`{folder}` is the cache from which the scene starts")
         prepare_folder(folder, force=False)
         world = bind(shot.plan, shot.setting, self.options, built=binding_cache)
         restore_checkpoint(world, failure_point.arrays)

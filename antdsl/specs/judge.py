@@ -96,10 +96,10 @@ class SpecJudge:
         when = self.reference_run.find_steps_until_held(line.plan)
         lost = when is not None and observation.frame - self.first >= when
         if lost:
-            line.failure_reason = f"in the other run it was so after {self._format_seconds(when or 0)}"
+            line.failure_reason = f"in the reference run it held after {self._format_seconds(when or 0)}"
             line.failure_reason += ", no later than here" if holds else ", but not here yet"
         elif not holds and observation.is_final:
-            lost, line.failure_reason = True, "the run is over, and it did not hold in the other run either"
+            lost, line.failure_reason = True, "the run is over, and it did not hold in the reference run either"
         line.is_open = not holds
         return observation.ids if lost else observation.ids[:0]
 

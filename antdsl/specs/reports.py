@@ -174,6 +174,6 @@ def _junit_case(suite: ElementTree.Element, case: SpecCase) -> None:
         text = "\n".join(line for failure in case.failures for line in describe_failure(failure))
         if case.saved_frames is not None and case.saved_frames.folder is not None:
             text += f"\nsee it: {escape_text(case.saved_frames.view_command)}"
-            text += f"\ngo on from it: {escape_text(case.saved_frames.resume_command)}"
+            text += f"\ncontinue it: {escape_text(case.saved_frames.resume_command)}"
         message = escape_text(case.failures[0].message)
         ElementTree.SubElement(testcase, "failure", message=message, type="spec").text = text

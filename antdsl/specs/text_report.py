@@ -34,7 +34,7 @@ def describe_failure(failure: SpecFailure) -> list[str]:
         when += f", {failure.time:.6g} s from the start" if failure.time is not None else ""
         lines.append(when + (f", by {_list_agent_names(failure)}" if failure.agent else ""))
     if failure.wait_start_frame is not None:
-        lines.append(f"  waiting since frame {failure.wait_start_frame}")
+        lines.append(f"  pending since frame {failure.wait_start_frame}")
     if failure.other_count and (failure.values or failure.whereabouts):
         lines.append(f"  of {_format_agent_name(failure)}:")
     value_names = {text for text, _ in failure.values}
@@ -61,13 +61,13 @@ def _describe_saved(saved: SavedFrames) -> list[str]:
     return [
         *lines,
         f"  see it:         {escape_text(saved.view_command)}",
-        f"  go on from it:  {escape_text(saved.resume_command)}",
+        f"  continue it:    {escape_text(saved.resume_command)}",
     ]
 
 
 def describe_verdict(verdict: SpecVerdict) -> str:
     """Return the verdict over seeds: `"ants come home": 4 of 5 seeds passed, enough for 80 %`."""
-    ends = {True: "enough for", False: "too few for", None: "not all were run, of"}[verdict.holds]
+    ends = {True: "enough for", False: "too few for", None: "not all seeds ran, of"}[verdict.holds]
     share = f"{verdict.spec.pass_share * 100:.6g} %"
     return f'"{escape_text(verdict.spec.name)}": {verdict.passed_count} of {verdict.case_count} seeds passed, {ends} {share}'
 
@@ -81,12 +81,12 @@ def describe_golden(result: GoldenResult) -> str:
     lines = [f"{line}first at frame {result.frame}"]
     lines += [f"  {result.message}"] if result.message else []
     if result.detail_frame is not None and result.detail_frame != result.frame:
-        lines.append(f"  seen at frame {result.detail_frame}, the next that is stored in detail:")
+        lines.append(f"  details of frame {result.detail_frame}, the next frame stored in detail:")
     lines += [f"  {escape_text(str(each))}" for each in result.differences[:_MAX_LISTED_DIFFERENCES]]
     remainder = len(result.differences) - _MAX_LISTED_DIFFERENCES
     lines += [f"  and {remainder} more attributes"] if remainder > 0 else []
-    lines += [f"  it was made with {escape_text(result.origin)}, which is not what runs here"] if result.origin else []
-    return "\n".join([*lines, "  if that is how it should be now, keep it: the same command with --update"])
+    lines += [f"  it was made with {escape_text(result.origin)}, which differs from this machine"] if result.origin else []
+    return "\n".join([*lines, "  if the change is intended, store it: run the same command with --update"])
 
 
 def describe_counts(cases: Sequence[SpecCase], error_count: int, goldens: Sequence[GoldenResult] = ()) -> str:

@@ -88,7 +88,7 @@ DESIGNS = (
     Design("sobol", "points of a Sobol sequence, which fill the space evenly", "points", _sample_sobol, needs_power_of_two=True),
     Design(
         "saltelli",
-        "Saltelli's sample, for Sobol indices: which share of the variance each factor makes",
+        "Saltelli's sample, for Sobol indices: the share of the variance due to each factor",
         "points of the sequence behind it",
         sensitivity.sample_saltelli,
         points_per_unit=2,
@@ -97,7 +97,7 @@ DESIGNS = (
     ),
     Design(
         "morris",
-        "Morris' trajectories, for elementary effects: which factors matter at all",
+        "Morris' trajectories, for elementary effects: which factors have any influence",
         "trajectories",
         sensitivity.sample_morris,
         points_per_unit=1,
@@ -145,8 +145,8 @@ def _check_design_fit(design: Design, factors: Sequence[Factor], point_count: in
             report.error("too-large", words, None, "sample them: `--design latin --points 100`")
         return
     if not factors:
-        advice = "write what to vary: `--vary forager.smell=30mm..90mm`"
-        report.error("missing-argument", f"{said} has nothing to choose values of", None, advice)
+        advice = "add values to vary: `--vary forager.smell=30mm..90mm`"
+        report.error("missing-argument", f"{said} has no values to choose", None, advice)
         return
     if point_count is None:
         usual = 64 if design.needs_power_of_two else 20

@@ -73,7 +73,7 @@ def _simulate_job(job: SweepJob, worker: WorkerContext, binding_cache: BindingCa
         raise TaskRefused("; ".join(problem.message for problem in report.errors))
     if compute_job_key(shot, job.seed, job.until, find_start_hashes(shot)) != job.key:
         raise TaskRefused(
-            "files that the scene reads have changed since the sweep began; the same command begins with them as they are"
+            "files that the scene reads have changed since the sweep began; run the same command again to use the new files"
         )
     began = time.perf_counter()
     world = bind(shot.plan, shot.setting, Options(threads=worker.threads), built=binding_cache)

@@ -98,9 +98,7 @@ def _compute_elementary_effects(shares: Numbers, values: Numbers) -> EffectColum
     return {column: np.asarray(results[theirs], np.float64) for column, theirs in named.items()}
 
 
-SOBOL_INDICES = Analysis(
-    "Sobol indices: the share of the variance that a factor makes", "total", "total_95", _compute_sobol_indices
-)
+SOBOL_INDICES = Analysis("Sobol indices: the share of the variance due to a factor", "total", "total_95", _compute_sobol_indices)
 ELEMENTARY_EFFECTS = Analysis(
     "Elementary effects: the change of a measure over a factor's whole range",
     "mu_star",

@@ -24,7 +24,7 @@ def pair_brackets(scan: TokenScan) -> list[ScannedToken] | None:
         depth += (token.kind == "open") - (token.kind == "close" and depth > 0)
         if depth > limits.MAX_BRACKET_DEPTH:
             message = f"brackets nested more than {limits.MAX_BRACKET_DEPTH} deep"
-            scan.report_error("nesting-too-deep", message, token.start, token.end, "give inner parts a name with `let`")
+            scan.report_error("nesting-too-deep", message, token.start, token.end, "name inner parts with `let`")
             return None
     scan.tokens = join_lines(scan)
     return _BracePairer(scan, _ParenthesisPairer(scan).run()).run()
@@ -83,7 +83,12 @@ class _ParenthesisPairer:
             if not self.open:
                 opening = "(" if text == ")" else "["
                 self.scan.report_error(
-                    "unopened-bracket", f"`{text}` without a `{opening}`", token.start, token.end, "delete it, or open it", ""
+                    "unopened-bracket",
+                    f"`{text}` without a `{opening}`",
+                    token.start,
+                    token.end,
+                    "delete it, or add the opening one",
+                    "",
                 )
                 self.scan.blank_out(token.start, token.end)
                 return
@@ -123,7 +128,12 @@ class _ParenthesisPairer:
         if text not in expected_signs:
             if self.is_closed_later(index, expected_signs[-1]):
                 self.scan.report_error(
-                    "unopened-bracket", f"`{text}` is never opened", token.start, token.end, "delete it, or open it", ""
+                    "unopened-bracket",
+                    f"`{text}` is never opened",
+                    token.start,
+                    token.end,
+                    "delete it, or add the opening one",
+                    "",
                 )
                 self.scan.blank_out(token.start, token.end)
                 return False

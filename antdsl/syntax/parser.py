@@ -72,7 +72,7 @@ def parse(source: Source) -> tuple[n.File, Report]:
     if all(token.kind == "end" for token in scanned.tokens):
         if report.ok:
             advice = f"begin with `{FIRST_LINE}`, then write a `species`"
-            report.error("empty-file", "file has nothing in it", Span(source, 0, 0), advice)
+            report.error("empty-file", "the file is empty", Span(source, 0, 0), advice)
         return n.File(source, None, None, (), tuple(scanned.comments), broken=True), report
     tokens = pair_brackets(scanned)
     if tokens is None:

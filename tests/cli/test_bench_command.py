@@ -68,8 +68,8 @@ def test_a_full_run_of_a_scene_is_measured(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "code", "said"),
     [
-        (["none"], 2, "`none` is no case and no file; the cases are: foraging, "),
-        (["node", "--backend", "fortran"], 2, f"there is no backend `fortran`; there are: {', '.join(BACKENDS)}"),
+        (["none"], 2, "`none` is neither a case nor a file; cases: foraging, "),
+        (["node", "--backend", "fortran"], 2, f"unknown backend `fortran`; backends: {', '.join(BACKENDS)}"),
         (["walkers/walker.ant"], 2, "is a program"),
         (["tunnel", "--agents", "7"], 1, "tunnel: `scene.yaml` cannot have 7 agents"),
         (["bad.yaml"], 1, "no-crowd"),

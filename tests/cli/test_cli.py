@@ -51,7 +51,7 @@ def test_check_finds_programs_and_scenes_in_folders(folder: Path) -> None:
     assert result.returncode == 1
     assert "error[unknown-behaviour]: no behaviour `wonder`" in result.stdout and "sub/bad.ant:6:30" in result.stdout
     assert "nonsense" not in result.stdout and "soup" not in result.stdout
-    assert antdsl("check", "walker.ant", "scene.yaml", cwd=folder).stdout == "checked 2 files, nothing to complain about\n"
+    assert antdsl("check", "walker.ant", "scene.yaml", cwd=folder).stdout == "checked 2 files, no findings\n"
 
 
 @pytest.mark.parametrize("format", ["full", "concise", "json", "sarif", "github", "junit"])
@@ -98,7 +98,7 @@ def test_strict_makes_warnings_errors_and_explain_says_what_a_code_means(folder:
         (["run", "scene.yaml", "--set", "walker.pce=3mm/s"], 1, "no program has a param"),
         (["run", "scene.yaml", "--seed", "-1"], 2, "--seed"),
         (["run", "scene.yaml", "--root", "assets=none"], 2, "there is no folder"),
-        (["run", "scene.yaml", "--out", "."], 3, "has files that are not a cache's"),
+        (["run", "scene.yaml", "--out", "."], 3, "has files that do not belong to a cache"),
         (["run", "scene.yaml", "--out", "walker.ant"], 3, "is a file"),
         (["info", "."], 3, "is not a cache"),
         (["render", "none"], 3, "is not a cache"),

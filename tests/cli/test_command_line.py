@@ -61,18 +61,18 @@ def test_check_without_a_path_checks_the_working_directory(tmp_path: Path, monke
     (tmp_path / "inner").mkdir()
     (tmp_path / "inner" / "a.ant").write_text("ant 1\nspecies a { state s { steer heading } }\n")
     monkeypatch.chdir(tmp_path)
-    assert run("check") == (0, "checked 1 file, nothing to complain about\n")
+    assert run("check") == (0, "checked 1 file, no findings\n")
 
 
 def test_check_of_a_folder_without_programs_says_so(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("no program")
-    assert run("check", str(tmp_path)) == (0, f"checked no file: there is no program and no scene in `{tmp_path}`\n")
+    assert run("check", str(tmp_path)) == (0, f"no file was checked: there is no program and no scene in `{tmp_path}`\n")
 
 
 def test_check_reads_a_program_from_standard_input(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "mine.ant").write_text("ant 1\nbehaviour go() -> push { heading }\n")
     monkeypatch.chdir(tmp_path)
-    assert run("check", "-", text=PROGRAM) == (0, "checked 1 file, nothing to complain about\n")
+    assert run("check", "-", text=PROGRAM) == (0, "checked 1 file, no findings\n")
     code, text = run("check", "-", "--format", "concise", text=PROGRAM.replace("go()", "gone()"))
     assert code == 1 and text.startswith("<stdin>:3:34: error[unknown-behaviour]")
     code, text = run(

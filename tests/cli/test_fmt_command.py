@@ -83,10 +83,10 @@ def test_standard_input_comes_out_laid_out() -> None:
     ("words", "code", "said"),
     [
         ((), 2, "name a file or a folder"),
-        (("-", "neat.ant"), 2, "standard input goes alone"),
+        (("-", "neat.ant"), 2, "standard input cannot be combined with other inputs"),
         (("nowhere.ant",), 3, "cannot read `nowhere.ant`"),
         (("scene.yaml",), 1, "`scene.yaml` is not an .ant file"),
-        (("empty",), 0, "no .ant files here"),
+        (("empty",), 0, "this folder has no .ant files"),
     ],
 )
 def test_wrong_use_is_reported(folder: Path, words: tuple[str, ...], code: int, said: str) -> None:

@@ -15,7 +15,7 @@ from antdsl.runtime.backends.native import compile_queue
 from antdsl.runtime.backends.native import native_backend as native_backend
 
 WHY = "llvmlite is not there: install it"
-NOTE = f"NumPy runs instead of machine code, slower and with the same result: {WHY}\n"
+NOTE = f"NumPy runs instead of machine code, more slowly but with the same result: {WHY}\n"
 
 
 @pytest.fixture

@@ -43,10 +43,10 @@ def test_no_memory_is_exit_code_3_and_no_bug(tmp_path: Path, problem: Exception)
 
 @pytest.mark.parametrize("problem", PROBLEMS, ids=lambda each: f"{type(each).__name__} {each}")
 def test_no_memory_while_writing_says_how_to_continue(problem: Exception) -> None:
-    with pytest.raises(CommandError) as stop, report_failures("the export stopped", "go on with: antdsl run"):
+    with pytest.raises(CommandError) as stop, report_failures("the export stopped", "continue with: antdsl run"):
         raise problem
     assert stop.value.code == 3 and stop.value.message.startswith("error: out of memory")
-    assert stop.value.hint.endswith("go on with: antdsl run")
+    assert stop.value.hint.endswith("continue with: antdsl run")
 
 
 def test_errors_that_are_bugs_stay_errors_while_writing() -> None:

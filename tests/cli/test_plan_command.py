@@ -39,7 +39,7 @@ def test_machine_code_is_that_of_the_scene_that_runs_it_and_lines_have_their_fil
     shutil.copytree(EXAMPLES / "foraging", tmp_path / "far", ignore=shutil.ignore_patterns("out"))
     scene = tmp_path / "far" / "scene.yaml"
     still = plan("far/scene.yaml", "--native", cwd=tmp_path)
-    assert plan("far/forager.ant", "--native", cwd=tmp_path).startswith("as on ground that stands still, without `lod`")
+    assert plan("far/forager.ant", "--native", cwd=tmp_path).startswith("for static ground without `lod`")
     scene.write_text(scene.read_text(encoding="utf-8") + "lod: {near: 60 mm, far: 80 mm}\n", encoding="utf-8")
     shot, _ = open_scene(scene)
     assert shot is not None and shot.setting.level_of_detail is not None

@@ -22,14 +22,14 @@ def scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (("render1:8786",), "is no scheduler: write `local`"),
+        (("render1:8786",), "is not a scheduler: write `local`"),
         (("tls://render1:8786",), "name their folder with `--tls DIR`"),
         (("tls://render1:8786", "--tls", "walkers"), "has no `ca.pem`"),
         (("tcp://render1:8786",), "is not encrypted"),
         (("tcp://10.0.0.7:8786",), "is not encrypted"),
         (("tcp://127.0.0.1:8786", "--tls", "walkers"), "write tls://127.0.0.1:8786"),
-        (("local", "--tls", "walkers"), "makes its own certificates"),
-        (("tcp://127.0.0.1:99999",), "is no scheduler"),
+        (("local", "--tls", "walkers"), "creates its own certificates"),
+        (("tcp://127.0.0.1:99999",), "is not a scheduler"),
     ],
 )
 def test_only_safe_schedulers_are_contacted(words: tuple[str, ...], message: str) -> None:
@@ -43,7 +43,7 @@ def test_options_of_an_unnamed_scheduler_are_refused(flag: tuple[str, ...]) -> N
     scene = "walkers/scene.yaml"
     for command in (("sweep", scene), ("run", scene), ("render", "walkers"), ("export", "walkers", "--to", "a.ply")):
         result = CliRunner().invoke(app, [*command, *flag], env={"COLUMNS": "400"})
-        assert result.exit_code == 2 and "name it with `--scheduler tls://HOST:8786`" in result.output
+        assert result.exit_code == 2 and "add `--scheduler tls://HOST:8786`" in result.output
 
 
 def test_bad_certificates_are_reported(tmp_path: Path) -> None:

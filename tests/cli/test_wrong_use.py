@@ -15,7 +15,7 @@ from commands import run
         (("check", "a.yaml", "--trust-usd"), "write: antdsl --trust-usd check a.yaml"),
         (("export", ".", "--to", "x.abc"), "`.usdc` with `--as meshes`"),
         (("export", ".", "--to", "x.FBX"), "`.glb`"),
-        (("export", ".", "--to", "-"), "into a file and not to standard output"),
+        (("export", ".", "--to", "-"), "an export needs a file"),
         (("run", "."), "`./shot.yaml`"),
         (("sweep", "."), "`./shot.yaml`"),
         (("jobs", ".", "--to", "j.json"), "`./shot.yaml`"),

@@ -260,7 +260,7 @@ def test_a_life_is_explained_from_birth_to_death(cache: Cache) -> None:
     assert [stretch.state for stretch in last.strip] == ["young", "old"] or last.strip[-1].last >= 15
     died = next(frame for frame in range(2, LAST) if frame > (last.alive or (0, 0))[1])
     end = explain(cache, 0, died, species="fly")
-    assert end.notes == (f"it died in this step: frame {died} is without it",) and "die" in end.did
+    assert end.notes == (f"it died in this step, so frame {died} does not contain it",) and "die" in end.did
     assert json.loads(json.dumps(as_json(end), allow_nan=False))["velocity"][1] is None
 
 
@@ -292,7 +292,7 @@ def test_what_cannot_be_explained_is_said(cache: Cache) -> None:
     assert refused(cache, 1, 1, "bug").help == "ask for a later one: `--frame 2`"
     assert str(refused(cache, 1, 61, "bug")) == "no frame 61" and "2 to 60" in refused(cache, 1, 61, "bug").help
     refusal = refused(cache, 0, 50, "fly")
-    assert str(refusal) == "fly 0 is not there at frame 50" and "from frame 1 to" in refusal.help
+    assert str(refusal) == "fly 0 does not exist at frame 50" and "from frame 1 to" in refusal.help
     born = next(k for k in range(2, 9) if "had not decided" in str(refused(cache, k, 3, "fly")))
     assert "its first step leads to" in refused(cache, born, 3, "fly").help
 

@@ -100,7 +100,7 @@ def test_places_that_a_template_may_not_name_are_reported(folder: Path) -> None:
     (folder / "jobs").mkdir()
     (folder / "assets").mkdir()
     output = run_jobs(folder, "--to", "jobs/job.yaml", "--root", "kit=assets", "--pictures", "jobs/drawn")
-    assert f"name them when you submit it:\n  Project={folder}\n  Root_kit={folder / 'assets'}\n  Cache={folder}" in output
+    assert f"name them when you submit the job:\n  Project={folder}\n  Root_kit={folder / 'assets'}\n  Cache={folder}" in output
     document = yaml.safe_load((folder / "jobs" / "job.yaml").read_text())
     assert [each.get("default") for each in document["parameterDefinitions"]] == [None, None, None, "drawn"]
     words = step(document, "simulation")["script"]["actions"]["onRun"]["args"]

@@ -232,7 +232,7 @@ def test_a_run_reports_how_many_no_path_leads_on_from_and_a_spec_can_ask(tmp_pat
     (tmp_path / "scene.yaml").write_text(SCENE.replace("COUNT", "7"))
     result = command("run", "scene.yaml", "-q", cwd=tmp_path)
     assert result.returncode == 0
-    assert "warning[unreachable-target]: 7 of 7 `walker` stand where no path leads to the target of `drift`" in result.stderr
+    assert "warning[unreachable-target]: 7 of 7 `walker` have no path to the target of `drift`" in result.stderr
     assert "scene.yaml:6:19" in result.stderr and "`bird`" not in result.stderr and "when not reachable(drift)" in result.stderr
     aware = WALKER.replace(
         "steer along(drift) }", "steer along(drift); when not reachable(drift) -> idle }; state idle { steer halt() }"

@@ -47,20 +47,20 @@ pytestmark = pytest.mark.asyncio(loop_scope="module")
         ("carry {", 0, ["state carry", "Takes food home", "leads to `set_out`", "state of `forager`"]),
         ("food { load", 0, ["items food { load = 0 }", "Sources, each with a quantity"]),
         ("trail track", 0, ["field trail on ground, boulder { cell 6 mm; half_life 12 s }"]),
-        ("half_life", 0, ["half of it is gone"]),
+        ("half_life", 0, ["half of the amount disappears"]),
         ("wander(swing", 0, ["behaviour wander(swing: angle = ", "-> push", "steering.ant"]),
         ("swing: swing", 0, ["argument of `wander`", "angle"]),
         ("nearest(nest", 0, ["nearest(of: items", "the nearest, or none"]),
         ("within: smell", 0, ["within: length", "may be left out"]),
         ("size)", 0, ["size: length", "body length", "default 4 mm", "may be set"]),
-        ("time_in_state", 0, ["how long it has been in its state"]),
+        ("time_in_state", 0, ["the time since the agent entered its state"]),
         ("mm/s", 0, ["a speed"]),
-        ("steer wander", 0, ["what the animal wants in this state", "steer seek(meal)"]),
-        ("turn_p99", 0, ["how the crowd moves"]),
-        ("on ground, boulder", 0, ["where it lies"]),
-        ("from meal", 0, ["the agent or item that it is taken from"]),
+        ("steer wander", 0, ["the push of the animal in this state", "steer seek(meal)"]),
+        ("turn_p99", 0, ["a measure of the crowd's motion"]),
+        ("on ground, boulder", 0, ["the surface of a field"]),
+        ("from meal", 0, ["the agent or item that gives an amount"]),
         ("total(food", 0, ["the sum over all"]),
-        ("state  # whatever", 0, ["what the states of the animal steer"]),
+        ("state  # whatever", 0, ["the push that the animal's states steer"]),
     ],
 )
 async def test_hover_tells_what_a_word_is(client, word: str, nth: int, expected: list[str]) -> None:
@@ -78,7 +78,7 @@ async def test_hover_says_which_states_stand_still(client) -> None:
     await Editor(client).open(path, text)
     for word, still in (("rest {", True), ("drift {", False), ("go {", False)):
         hover = await client.text_document_hover_async(lsp.HoverParams(**ask(path.resolve().as_uri(), place_of(text, word))))
-        assert hover is not None and ("does not move" in hover.contents.value) is still
+        assert hover is not None and ("agents stand still" in hover.contents.value) is still
     hover = await client.text_document_hover_async(lsp.HoverParams(**ask(path.resolve().as_uri(), place_of(text, "coast"))))
     assert hover is not None and "Go on as it goes" in hover.contents.value
 

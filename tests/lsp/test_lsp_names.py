@@ -220,5 +220,5 @@ async def test_renaming_begins_on_a_name(client) -> None:
     uri = (client.folder / "foraging" / "forager.ant").as_uri()
     where = await client.text_document_prepare_rename_async(lsp.PrepareRenameParams(**ask(uri, place_of(FORAGER, "smell)"))))
     assert cut_out(FORAGER, where) == "smell"
-    with pytest.raises(JsonRpcException, match="no name here"):
+    with pytest.raises(JsonRpcException, match="no name at this position"):
         await client.text_document_prepare_rename_async(lsp.PrepareRenameParams(**ask(uri, place_of(FORAGER, "40 mm", inside=0))))

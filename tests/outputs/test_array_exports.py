@@ -155,7 +155,7 @@ def test_a_machine_over_another_takes_what_it_weighs() -> None:
 def test_meshes_have_the_same_points_in_each_frame(cache: Path, tmp_path: Path) -> None:
     trimesh = pytest.importorskip("trimesh")
     output = exported(cache, tmp_path / "bugs.####.ply", "--ids", "0..12")
-    assert "bugs.0003.ply .. bugs.0026.ply" in output and "not there in all of these frames, and are left out" in output
+    assert "bugs.0003.ply .. bugs.0026.ply" in output and "do not exist in all of these frames, and are omitted" in output
     exported(cache, tmp_path / "bugs.obj", "--ids", "0..12", "--frames", "26..26")
     gallery = Gallery(open_cache(cache))
     first, last = (trimesh.load(tmp_path / f"bugs.{frame:04d}.ply", process=False) for frame in (3, 26))
@@ -204,5 +204,5 @@ def test_impossible_exports_are_reported(cache: Path, tmp_path: Path, words: tup
 
 def test_agents_that_never_live_leave_an_empty_file_and_a_note(cache: Path, tmp_path: Path) -> None:
     process = run("export", str(cache), "--to", "a.glb", "--ids", "900", cwd=tmp_path)
-    assert process.returncode == 0 and "no agent is there in these frames" in process.stdout + process.stderr
+    assert process.returncode == 0 and "these frames have no agents" in process.stdout + process.stderr
     assert (tmp_path / "a.glb").is_file()

@@ -336,19 +336,19 @@ def in_line_of(folder: Path, frame: int) -> int:
 # What may happen to a cache of 60 frames with checkpoints at 1, 9, 17, …; the frame that a run goes on after; the message.
 DAMAGE: dict[str, tuple[Callable[[Path], object], int | None, str]] = {
     "nothing": (lambda f: None, 60, ""),
-    "a frame cut off": (lambda f: os.truncate(make_frame_path(f, 12), 100), 9, "frame.0012.npz` is not what was written there"),
-    "an empty frame": (lambda f: os.truncate(make_frame_path(f, 30), 0), 25, "frame.0030.npz` is not what was written there"),
-    "a bit of a frame": (lambda f: flipped(make_frame_path(f, 47), 0.5), 41, "frame.0047.npz` is not what was written there"),
+    "a frame cut off": (lambda f: os.truncate(make_frame_path(f, 12), 100), 9, "frame.0012.npz` differs from what was"),
+    "an empty frame": (lambda f: os.truncate(make_frame_path(f, 30), 0), 25, "frame.0030.npz` differs from what was"),
+    "a bit of a frame": (lambda f: flipped(make_frame_path(f, 47), 0.5), 41, "frame.0047.npz` differs from what was"),
     "a bit of a name in a frame": (
-        lambda f: flipped(make_frame_path(f, 47), 0.999), 41, "frame.0047.npz` is not what was written",
+        lambda f: flipped(make_frame_path(f, 47), 0.999), 41, "frame.0047.npz` differs from what was",
     ),
-    "the first frame": (lambda f: flipped(make_frame_path(f, 1), 0.7), None, "frames 1 to 60 are made again"),
+    "the first frame": (lambda f: flipped(make_frame_path(f, 1), 0.7), None, "frames 1 to 60 are computed again"),
     "two frames swapped": (
-        lambda f: swapped(make_frame_path(f, 20), make_frame_path(f, 22)), 17, "frames 18 to 60 are made again",
+        lambda f: swapped(make_frame_path(f, 20), make_frame_path(f, 22)), 17, "frames 18 to 60 are computed again",
     ),
-    "a whole frame with another's number": (lambda f: renumbered(f, 34), 33, "frame.0034.npz` is not what was written there"),
-    "a missing frame": (lambda f: make_frame_path(f, 26).unlink(), 25, "frame.0026.npz` is not there"),
-    "missing frames": (lambda f: [make_frame_path(f, n).unlink() for n in range(20, 50)], 17, "frame.0020.npz` is not there"),
+    "a whole frame with another's number": (lambda f: renumbered(f, 34), 33, "frame.0034.npz` differs from what was"),
+    "a missing frame": (lambda f: make_frame_path(f, 26).unlink(), 25, "frame.0026.npz` does not exist"),
+    "missing frames": (lambda f: [make_frame_path(f, n).unlink() for n in range(20, 50)], 17, "frame.0020.npz` does not exist"),
     "a pipe for a frame": (
         lambda f: (make_frame_path(f, 40).unlink(), os.mkfifo(make_frame_path(f, 40))), 33, "not a regular file",
     ),
@@ -356,25 +356,25 @@ DAMAGE: dict[str, tuple[Callable[[Path], object], int | None, str]] = {
         lambda f: (make_frame_path(f, 40).rename(f / "x"), make_frame_path(f, 40).symlink_to(f / "x")), 33, "it is a link",
     ),
     "a bit of a checkpoint": (lambda f: flipped(make_checkpoint_path(f, 60), 0.5), 57, "checkpoint.0060.npz"),
-    "a checkpoint cut off": (lambda f: os.truncate(make_checkpoint_path(f, 60), 5000), 57, "frames 58 to 60 are made again"),
+    "a checkpoint cut off": (lambda f: os.truncate(make_checkpoint_path(f, 60), 5000), 57, "frames 58 to 60 are computed again"),
     "an early checkpoint": (lambda f: flipped(make_checkpoint_path(f, 9), 0.5), 60, "and is removed"),
     "two checkpoints swapped": (
-        lambda f: swapped(make_checkpoint_path(f, 60), make_checkpoint_path(f, 49)), 57, "0060.npz` is not what was written",
+        lambda f: swapped(make_checkpoint_path(f, 60), make_checkpoint_path(f, 49)), 57, "0060.npz` differs from what was",
     ),
     "a checkpoint of another run": (
-        lambda f: of_another_run(make_checkpoint_path(f, 60)), 57, "checkpoint.0060.npz` is not what was",
+        lambda f: of_another_run(make_checkpoint_path(f, 60)), 57, "checkpoint.0060.npz` differs from what was",
     ),
     "an early one of another run": (
-        lambda f: of_another_run(make_checkpoint_path(f, 9)), 60, "checkpoint.0009.npz` is not what was",
+        lambda f: of_another_run(make_checkpoint_path(f, 9)), 60, "checkpoint.0009.npz` differs from what was",
     ),
     "other meshes": (
-        lambda f: swapped(f / "static.npz", make_checkpoint_path(f, 9)), 60, "static.npz` is not what was written there",
+        lambda f: swapped(f / "static.npz", make_checkpoint_path(f, 9)), 60, "static.npz` differs from what was",
     ),
-    "no meshes": (lambda f: (f / "static.npz").unlink(), 60, "static.npz` is not there; it is written again"),
-    "no checkpoints": (lambda f: [p.unlink() for p in (f / "checkpoints").iterdir()], None, "no checkpoint from which"),
-    "a hash of another state": (lambda f: lines_changed(f, 33, hash="0" * 32), 25, "frame.0033.npz` is not what was written"),
-    "a hash of another file": (lambda f: lines_changed(f, 12, file="0" * 32), 9, "frame.0012.npz` is not what was written"),
-    "a hash of other feet": (lambda f: lines_changed(f, 33, feet="0" * 32), 25, "frame.0033.npz` is not what was written"),
+    "no meshes": (lambda f: (f / "static.npz").unlink(), 60, "static.npz` does not exist; it is written again"),
+    "no checkpoints": (lambda f: [p.unlink() for p in (f / "checkpoints").iterdir()], None, "no checkpoint with complete frames"),
+    "a hash of another state": (lambda f: lines_changed(f, 33, hash="0" * 32), 25, "frame.0033.npz` differs from what was"),
+    "a hash of another file": (lambda f: lines_changed(f, 12, file="0" * 32), 9, "frame.0012.npz` differs from what was"),
+    "a hash of other feet": (lambda f: lines_changed(f, 33, feet="0" * 32), 25, "frame.0033.npz` differs from what was"),
     "no hash of a checkpoint": (lambda f: lines_changed(f, 60, checkpoint=""), 57, "checkpoint.0060.npz` has no hash in"),
     "a cut line": (lambda f: os.truncate(f / HASHES_FILE_NAME, in_line_of(f, 31)), 25, "has no hash in `hashes.jsonl`"),
     "no hashes": (lambda f: (f / HASHES_FILE_NAME).unlink(), None, "frame.0001.npz` has no hash in `hashes.jsonl`"),
@@ -520,8 +520,8 @@ def test_a_damaged_frame_is_reported_and_rewritten(tmp_path: Path) -> None:
     with pytest.raises(CacheError):
         open_cache(folder).frame(12)
     code, words = ran(scene, "--frames", "1..20", "--resume")
-    assert code == 0 and "goes on after frame 9" in words, words
-    assert "frame.0012.npz` is not what was written there" in words and "frames 10 to 20 are made again" in words
+    assert code == 0 and "continues after frame 9" in words, words
+    assert "frame.0012.npz` differs from what was" in words and "frames 10 to 20 are computed again" in words
     assert make_frame_path(folder, 12).read_bytes() == intact_bytes
 
 
@@ -704,7 +704,9 @@ def test_a_folder_in_the_place_of_a_file_is_reported_before_anything_is_removed(
         assert sorted(path for path in folder.rglob("*")) == initial_paths
 
 
-@pytest.mark.parametrize(("number", "advice"), [("ENOSPC", "make room, then go on"), ("EIO", "once that is mended, go on")])
+@pytest.mark.parametrize(
+    ("number", "advice"), [("ENOSPC", "make room, then continue"), ("EIO", "once that is corrected, continue")]
+)
 def test_only_a_full_disk_is_to_be_made_room_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: str, advice: str
 ) -> None:

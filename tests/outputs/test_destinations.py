@@ -51,7 +51,7 @@ def invoke(*words: str) -> Result:
         (("run", "scene.yaml", "--summary", "folder"), "--summary", "is a folder"),
         (("run", "scene.yaml", "--summary", "none/x.json"), "--summary", "there is no folder `none`"),
         (("run", "scene.yaml", "--summary", "taken/x.json"), "--summary", "there is no folder `taken`"),
-        (("run", "scene.yaml", "--summary", "pipe"), "--summary", "is no regular file"),
+        (("run", "scene.yaml", "--summary", "pipe"), "--summary", "is not a regular file"),
         (("test", ".", "--json", "-", "--junit", "/dev/stdout"), "--junit", "is named by `--json` too"),
         (("test", ".", "--junit", "."), "--junit", "is a folder"),
         (("test", ".", "--json", "folder"), "--json", "is a folder"),

@@ -134,7 +134,7 @@ def test_a_cache_is_made_of_which_only_the_orientations_differ(ran: Path) -> Non
         (("--smooth", "orient"), 2, "odd number"),
         (("--smooth", "P:9"), 2, "orientations"),
         (("--smooth", "orient:9", "--out", "walk"), 2, "would be lost"),
-        (("--smooth", "orient:9", "--out", "."), 3, "not a cache's"),
+        (("--smooth", "orient:9", "--out", "."), 3, "do not belong to a cache"),
         ((), 2, "--smooth"),
     ],
 )

@@ -151,7 +151,7 @@ def test_every_camera_draws_frames_without_agents(cache: Cache, camera: str) -> 
     drawer = FrameDrawer(options.gallery(cache), options, chosen, 1)
     assert all(drawer.draw(frame).shape == (27, 48, 3) for frame in dict.fromkeys(chosen))
     if camera == "eye" and not min(counts):
-        with pytest.raises(AgentMissing, match="no agent 7 to stand beside; this frame has nobody"):
+        with pytest.raises(AgentMissing, match="no agent 7 for the camera to follow; this frame has nobody"):
             FrameDrawer(options.gallery(cache), DrawRequest(48, 27, camera, (), agents=(7,)), chosen[1:], 1)
 
 
@@ -192,5 +192,5 @@ def test_every_command_answers(tmp_path: Path, case: str) -> None:
     for species in ("person", "ant", "egg"):
         process = run("explain", "out", "--agent", "0", "--frame", str(FIRST + 3), "--species", species, cwd=scene.parent)
         assert process.returncode in (0, 2) and (
-            process.returncode == 0 or "is not there" in process.stderr or "no " in process.stderr
+            process.returncode == 0 or "does not exist" in process.stderr or "no " in process.stderr
         )

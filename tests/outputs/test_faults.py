@@ -207,7 +207,7 @@ def test_a_clock_that_is_set_back_or_ahead_changes_nothing(unbroken: Path, tmp_p
         os.utime(path, (1.7e9 + (-1) ** number * seconds,) * 2)
     flip(make_frame_path(folder / "out" / "scene", 4))
     process = ran(folder, "--resume")
-    assert process.returncode == 0 and "frames 4 to 5 are made again" in process.stderr, process.stderr
+    assert process.returncode == 0 and "frames 4 to 5 are computed again" in process.stderr, process.stderr
     assert_same(folder, unbroken)
 
 

@@ -183,7 +183,7 @@ def test_a_body_that_was_changed_is_not_drawn(cache: Cache, tmp_path: Path) -> N
     manifest = json.loads(path.read_text(encoding="utf-8"))
     manifest["bodies"][0]["digest"] = "0" * 32
     path.write_text(json.dumps(manifest), encoding="utf-8")
-    with pytest.raises(PictureUnavailable, match="is not the one that was written"):
+    with pytest.raises(PictureUnavailable, match="is not the written one"):
         crowd_at(open_cache(tmp_path / "out"), 1)
 
 

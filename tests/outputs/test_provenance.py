@@ -129,7 +129,7 @@ def test_the_command_that_continues_a_cache_is_that_of_its_manifest(tmp_path: Pa
         "run", str(cache.parents[1] / "scene.yaml"), "--frames", "1..2", "--seed", "7", "--out", str(cache), "--resume",
     ]  # fmt: skip
     process = run("info", str(cache), cwd=tmp_path)
-    assert f"no; go on with: {shlex.join(words)}" in process.stdout
+    assert f"no; continue with: {shlex.join(words)}" in process.stdout
     assert run(*words[1:], "-q", cwd=tmp_path).returncode == 0
     assert "complete     yes" in run("info", str(cache), cwd=tmp_path).stdout
     process = run(*words[1:5], "--seed", "8", *words[7:], cwd=tmp_path)

@@ -165,7 +165,7 @@ def test_simultaneous_stops_are_reported_together(scene: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "message", "help"),
     [
-        ("load > 0", "no `load` is known here", "write `each walker: load > 0` to ask every agent, or ask for a `count` of all"),
+        ("load > 0", "no `load` is known here", "write `each walker: load > 0` to test every agent, or use a `count` of all"),
         ("coun(walker) > 1", "no behaviour `coun`", "did you mean `count`?"),
         ("each waker: load > 0", "no species `waker`", "did you mean `walker`?"),
         ("each walker: speed > 1 kg", "`speed` is a speed and `1 kg` is a mass", "write"),
@@ -173,7 +173,7 @@ def test_simultaneous_stops_are_reported_together(scene: Path) -> None:
         ('true\n}\nspecies moth { start go; state go { } }\nspec "x" { never: true', "is not one condition", "write one"),
         ("true\n never: true", "is not one condition", "write one"),
         ("count(walker) > 1 held 2 s", "is not one condition", "write one"),
-        ("each walker: chance 3 /s", "draws a random number, and a spec only looks", "leave it out"),
+        ("each walker: chance 3 /s", "draws a random number, but a spec must not change the run", "leave it out"),
     ],
 )
 def test_a_condition_that_is_none_is_refused_in_words(scene: Path, text: str, message: str, help: str) -> None:
@@ -192,7 +192,7 @@ def test_a_condition_that_is_none_is_refused_in_words(scene: Path, text: str, me
         (StateBreak(kind="state", species="walker", machine="mood", state="x"), "there is no machine of `walker` `mood`", ""),
         (StateBreak(kind="state", species="moth", machine="main", state="x"), "there is no species `moth`", "there is `walker`"),
         (spec("nobody restes"), "there is no spec `nobody restes`", "did you mean `nobody rests`?"),
-        (spec("elsewhere"), "`elsewhere` is not judged here: it is about `other.yaml`", "`antdsl test`"),
+        (spec("elsewhere"), "`elsewhere` is not judged here: its scene is `other.yaml`", "`antdsl test`"),
         (spec("brisker"), "`brisker` is not judged here: it sets `walker.brisk`", "`antdsl test`"),
     ],
 )
@@ -343,7 +343,7 @@ def test_play_stops_at_the_scenes_last_frame_and_is_marked_for_all(scene: Path) 
         page.ask("play")
         assert page.until(lambda: page.last("scene"))["last"] == 9
         status = page.status(playing=False, frame=9)
-        assert status["paused_by"] == "frame 9 is the scene's last: play goes on behind it"
+        assert status["paused_by"] == "frame 9 is the scene's last frame: play continues beyond it"
         marks = [{"frame": 9, "line": status["paused_by"]}]
         page.until(lambda: page.last("stops")["stops"] == marks)
         other = Page(live)
@@ -393,7 +393,7 @@ def test_a_spec_that_takes_long_is_let_go_of_unless_it_is_waited_for(scene: Path
     assert driver.spec("they are three")["holds"] is True
     let_go = driver.spec("soon")
     assert let_go["holds"] is None
-    assert let_go["message"].endswith("ms a frame: with a breakpoint on it, it is judged all the same")
+    assert let_go["message"].endswith("ms per frame; set a breakpoint on it to judge it anyway")
     assert "spec: soon" not in driver.session.timeline.curves[31]
     driver.set(spec("soon"), spec("they are three"))
     driver.play(1)
@@ -441,4 +441,4 @@ def test_behind_a_fault_it_is_explained_as_it_went_on(scene: Path, on_fault: Any
     if on_fault == "stop":
         assert (message["message"], message["explanation"]["hash"]) == ("", driver.session.hash)
     else:
-        assert message["message"].startswith("walker 1 was set aside after a fault")
+        assert message["message"].startswith("walker 1 is quarantined after a fault")

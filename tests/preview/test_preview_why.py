@@ -92,10 +92,10 @@ def test_a_page_that_asks_receives_the_reason(live: Live, tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("ask", "message"),
     [
-        ({"species": "forager", "agent": 3, "frame": 1}, "frame 1 is the first: no step led to it: ask at frame 2, or later"),
+        ({"species": "forager", "agent": 3, "frame": 1}, "frame 1 is the first: no step led to it: choose frame 2 or later"),
         (
             {"species": "forager", "agent": 3, "frame": 99},
-            "frame 99 was not simulated, or is forgotten: frames 2 to 4 can be explained",
+            "frame 99 was not simulated, or is no longer stored: frames 2 to 4 can be explained",
         ),
         ({"species": "foragr", "agent": 3, "frame": 3}, "no species `foragr`: did you mean `forager`?"),
         ({"species": "forager", "agent": 500, "frame": 3}, "no forager 500 at frame 2: there are 40, from 0 to 39"),

@@ -68,7 +68,7 @@ def test_going_back_crosses_edits(shot: Path) -> None:
     old_hashes = go(session, 12)
     edit(shot, "30 mm/s", "45 mm/s")
     outcome = session.reload()
-    assert outcome.line == "kept 40 agents · `max_speed` is as written now"
+    assert outcome.line == "kept 40 agents · `max_speed` has its new value"
     new_hashes = go(session, 10)
     for frame in (22, 4, 13, 12, 17, 2):
         session.seek(frame)
@@ -201,20 +201,20 @@ def test_edits_are_described(shot: Path) -> None:
     go(session, 2)
     outcome = session.set("forager.smell", "60 mm")
     assert (outcome.did, outcome.line) == ("`forager.smell` is 60 mm", "from the next frame on")
-    assert session.switch_field("trail", on=False).did == "field `trail` holds no scent"
+    assert session.switch_field("trail", on=False).did == "field `trail` is switched off"
     session.restart()
     edit(shot, "  state search ", "  state idle gray { when after 1 s -> search }\n  state search ")
     outcome = session.reload()
     assert outcome.did.startswith("forager.ant line ") and "`idle` is a new state" in outcome.line
     edit(shot, "  state idle gray { when after 1 s -> search }\n", "")
     outcome = session.reload()
-    assert outcome.did.startswith("forager.ant: 1 line gone after line ") and "`idle` is a state no more" in outcome.line
+    assert outcome.did.startswith("forager.ant: 1 line gone after line ") and "`idle` is no longer a state" in outcome.line
     edit(shot, "ant 1\n", "ant 1\n# a comment\n")
     assert session.reload().did == "forager.ant line 2"
     scene = shot.read_text()
     shot.write_text(scene.replace("frames: 1..960", "frames: 1..30"))
     outcome = session.reload()
-    assert (outcome.did, outcome.line) == ("scene.yaml line 6", "the run stays as it is")
+    assert (outcome.did, outcome.line) == ("scene.yaml line 6", "the run does not change")
     assert session.shot.frames.last == 30
     assert session.reload().line == "nothing has changed"
 
@@ -275,7 +275,7 @@ def test_what_was_set_by_hand_goes_with_the_param_it_was_for(shot: Path) -> None
     program.write_text(program.read_text().replace("swing", "stray").replace("(stray: ", "(swing: "))
     outcome = session.reload()
     assert outcome.ok, [d.message for d in outcome.report.errors]
-    assert outcome.line.endswith("`forager.swing: 120 deg` fits no more")
+    assert outcome.line.endswith("`forager.swing: 120 deg` no longer fits")
     assert session.choices.params == {"forager.track": "0.01 /s"}
 
 

@@ -33,12 +33,12 @@ def row_results() -> Any:
         ("scratc ground(depth: 1 mm)", "unknown-line", "`scratc` does not begin a line here", "did you mean `scratch`?"),
         ("scratch ground()", "missing-argument", "`scratch` needs a depth", "write `scratch ground(depth: 1 mm)`"),
         ("scratch floor(depth: 1 mm)", "unknown-name", "no surface `floor` to scratch", "`world { surface floor }`"),
-        ("scratch ground(depth: 1 s)", "wrong-unit", "`depth` of `scratch` wants a length", "write a length"),
+        ("scratch ground(depth: 1 s)", "wrong-unit", "`depth` of `scratch` needs a length", "write a length"),
         ("scratch ground(depht: 1 mm)", "unknown-argument", "has no argument `depht`", "did you mean `depth`?"),
         ("scratch ground(depth: 0 mm)", "out-of-range", "`0 mm` is no depth of a scratch", "write a length above 0"),
-        ("scratch ground(depth: 1 mm, into: claw)", "wrong-unit", "`into` of `scratch` wants an area", "write an area"),
+        ("scratch ground(depth: 1 mm, into: claw)", "wrong-unit", "`into` of `scratch` needs an area", "write an area"),
         ("scratch ground(depth: 1 mm, into: sand)", "unknown-name", "and `sand` is none", "`sand = 0 mm^2`"),
-        ("misplaced", "misplaced-line", "`scratch` does not stand here", "in a state"),
+        ("misplaced", "misplaced-line", "`scratch` is not allowed here", "in a state"),
     ],
 )
 def test_what_is_wrong_with_its_line_is_said(row_results: Any, line: str, code: str, message: str, help: str) -> None:

@@ -68,7 +68,7 @@ EDITS = [
     ("forager", "obstacle stones ", "surface  stones ", None, "", ""),
     ("forager", "chance 20 %/s", "chance 20 %", "not-a-rate", "20 %", "%/s"),
     ("forager", "when scent > faint", "when scent > smell", "units-differ", "scent > smell", "a length"),
-    ("forager", "when after 0.5 s -> previous", "", "trap", "dig", "leads out"),
+    ("forager", "when after 0.5 s -> previous", "", "trap", "dig", "leaves state"),
     ("forager", "start search", "start serch", "unknown-state", "serch", "`search`"),
     ("forager", "use steering", "", "unknown-behaviour", "wander", "`use steering`"),
     ("hunters", "none of rabbit", "none of rabit", "unknown-name", "rabit", "`rabbit`"),

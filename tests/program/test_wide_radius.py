@@ -46,7 +46,7 @@ def test_a_radius_with_the_whole_crowd_in_it_stops_at_its_line(tmp_path: Path) -
     words = str(stop.value)
     assert (
         "walker.ant:6:35: walker at frame 1: `separate(radius: sight)" in words
-        and "more than 8,192 others in its radius" in words
+        and "more than 8,192 neighbours in its radius" in words
     ), words
 
 
@@ -123,13 +123,18 @@ def test_the_nearest_one_is_found_however_many_are_within(tmp_path: Path, query:
 @pytest.mark.parametrize(
     ("query", "place", "marked", "advice"),
     [
-        ("count(neighbours(900 m)) > 5", "{on: ground}", "count(neighbours(900 m))", "others in its radius; the 256 nearest"),
+        (
+            "count(neighbours(900 m)) > 5",
+            "{on: ground}",
+            "count(neighbours(900 m))",
+            "neighbours in its radius; only the 256 nearest",
+        ),
         ("count(all(walker, within: 900 m)) > 5", "{on: ground}", "count(all(walker, within: 900 m))", "write a smaller one"),
         (
             "count(neighbours(30 mm)) > 5",
             "{on: ground, radius: 10 mm}",
             "count(neighbours(30 mm))",
-            "they stand in each other, so give them more room, or write a smaller radius",
+            "they overlap, so give them more space, or write a smaller radius",
         ),
     ],
 )

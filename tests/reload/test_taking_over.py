@@ -155,7 +155,7 @@ def test_what_only_birth_sets_follows_the_text_and_its_params(scene: Path) -> No
     now, what = taken(world, scene, life="quick = 30 mm/s => quick = 45 mm/s")
     assert (now.populations["ant"].now["max_speed"] == 45).all()
     assert np.array_equal(now.populations["ant"].now["size"], size)  # drawn at birth, and not again
-    assert describe_migration(what) == "kept 20 agents · `max_speed` is as written now"
+    assert describe_migration(what) == "kept 20 agents · `max_speed` has its new value"
     now, _ = taken(world, scene, life="uniform(3 mm, 5 mm) => uniform(7 mm, 9 mm)")
     assert now.populations["ant"].now["size"].min() >= 7
 
@@ -166,7 +166,7 @@ def test_a_value_of_another_dimension_starts_again(scene: Path) -> None:
     scene.with_name("life.ant").write_text(PROGRAM.replace("load   = 1", "load   = 3 g").replace("load += 1 /s", "load += 1 g/s"))
     now, what = taken(world, scene)
     assert (now.populations["ant"].now["load"] == 3).all()
-    assert describe_migration(what) == "kept 20 agents · `load` has another type and starts again"
+    assert describe_migration(what) == "kept 20 agents · `load` has a different type and starts again"
 
 
 COUNTING = """
@@ -305,7 +305,7 @@ def test_values_per_pair_go_on_by_name_and_type_the_strongest_where_fewer_fit(sc
     lengths = LIKING.replace("0 relax to 0", "0 mm relax to 0 mm").replace("strongest 5", "strongest 7").replace("/ 1 m *", "*")
     scene.with_name("life.ant").write_text(lengths)
     fresh, what = taken(world, scene)
-    assert describe_migration(what) == "kept 20 agents · `likes` has another type and starts again"
+    assert describe_migration(what) == "kept 20 agents · `likes` has a different type and starts again"
     assert not any(likings(fresh, 7).values())
     scene.with_name("life.ant").write_text(PROGRAM)
     _, what = taken(world, scene)

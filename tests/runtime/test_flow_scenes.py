@@ -155,7 +155,7 @@ def test_attributes_of_ply_files_turn_with_their_mesh(folder: Path, text: bool) 
     ("old", "new", "code", "words"),
     [
         ("{tangent: way, ", "{tangnt: way, ", "wrong-value", "did you mean `tangent`?"),
-        (DRIFT, "{slope: 2}", "wrong-value", "no key says what this thing of the world is | add one of `mesh`"),
+        (DRIFT, "{slope: 2}", "wrong-value", "no key defines the kind of this thing | add one of `mesh`"),
         ("{tangent: way, ", "{tangent: wy, ", "unknown-thing", "did you mean `way`?"),
         ("{tangent: way, ", "{tangent: nest, ", "unknown-thing", "no curve is named `nest`"),
         ("{tangent: way, ", "{toward: hom, ", "unknown-thing", "did you mean `home`?"),
@@ -202,7 +202,7 @@ def test_paint_that_is_no_paint(folder: Path) -> None:
     np.savez(folder / "damp.npz", damp=np.full(POINTS, np.nan))
     assert [d.message for d in opened(folder)[1].errors] == ["`damp.npz` has a value (number 0) that is not finite"]
     np.savez(folder / "damp.npz", damp=np.full(POINTS, 1e300))
-    assert [d.message for d in opened(folder)[1].errors] == ["`damp.npz` has a value (number 0) that is too large to keep"]
+    assert [d.message for d in opened(folder)[1].errors] == ["`damp.npz` has a value (number 0) that is too large to store"]
     np.savez_compressed(folder / "damp.npz", damp=np.zeros(POINTS))
     assert "uncompressed" in str(opened(folder)[1].errors[0].help)
     np.savez(folder / "damp.npz", damp=np.array([{"a": 1}], dtype=object), allow_pickle=True)
@@ -211,7 +211,7 @@ def test_paint_that_is_no_paint(folder: Path) -> None:
     assert [d.code for d in opened(folder)[1].errors] == ["bad-paint"]
     np.savez(folder / "damp.npz", damp=-np.ones(POINTS))
     report = opened(folder, SCENE.replace("{on: ground}", "{density: damp}"))[1]
-    assert "nowhere above 0" in report.errors[0].message
+    assert "0 everywhere" in report.errors[0].message
     body = (folder / "ground.ply").read_bytes()
     (folder / "cut.ply").write_bytes(body[: len(body) // 2])
     report = opened(folder, SCENE.replace("damp.npz", "cut.ply"))[1]

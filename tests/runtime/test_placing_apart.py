@@ -203,7 +203,7 @@ def test_a_place_without_room_says_how_many_fit(folder: Path) -> None:  # noqa: 
     assert diagnostic.code == "no-room" and diagnostic.severity == "warning"
     assert diagnostic.span is not None and diagnostic.span.text == "{on: ground, around: apple, radius: 20 mm}"
     assert diagnostic.message == (
-        f"only {line.fit} of 200 `ant` find room where they begin: with a radius of 2 mm they cover 2,513 of 1,257 mm²"
+        f"only {line.fit} of 200 `ant` have space at the start: with a radius of 2 mm they cover 2,513 of 1,257 mm²"
     )
     assert diagnostic.help == "write `radius: 44 mm`, a smaller `count`, or a smaller `radius` in the program"
     # as many as it says do not meet each other
@@ -419,7 +419,7 @@ def test_a_density_goes_by_the_map_on_the_underside_too() -> None:
 @pytest.mark.parametrize(
     ("place", "words"),
     [
-        ("{inside: apple, by: area}", "agents that begin `inside` stand where lines from there end"),
+        ("{inside: apple, by: area}", "agents that start `inside` are placed along lines from there"),
         ("{on: ground, by: volume}", "`volume` is none of `above`, `area`"),
     ],
 )

@@ -95,7 +95,7 @@ def test_a_scene_leads_a_line_of_its_crowd_and_explain_says_so(tmp_path: Path) -
     run_result = run.invoke(app, ["run", str(tmp_path / "scene.yaml"), "--out", str(tmp_path / "c"), "--backend", "numpy", "-q"])
     assert run_result.exit_code == 0, run_result.output
     walker_result = run.invoke(app, ["explain", str(tmp_path / "c"), "--agent", "1", "--frame", "9"])
-    assert "as the `walk` of its line" in str(getattr(walker_result.exception, "message", walker_result.output))
+    assert "it follows the `walk` of its crowd line" in str(getattr(walker_result.exception, "message", walker_result.output))
     free = run.invoke(app, ["explain", str(tmp_path / "c"), "--agent", "3", "--frame", "9"])
     assert free.exit_code == 0 and "wander" in free.output
 

@@ -118,7 +118,7 @@ def test_keys_of_a_line_narrow_its_agents() -> None:
         ({"within": "3 mm"}, "add `near: [0, 0, 0]`"),
         ({"seed": "3"}, "add `share: 30 %`"),
         ({"share": "130 %"}, "write a share from `0 %` to `100 %`"),
-        ({"share": "3 mm"}, "is no share"),
+        ({"share": "3 mm"}, "is not a share"),
         ({"wihtin": "3 mm"}, "extra_forbidden"),
         ({"in": {"from": ["0", "0", "0"]}}, "missing"),
     ],

@@ -104,7 +104,7 @@ def test_what_a_newcomer_reads(folder: Path, run) -> None:  # type: ignore[no-un
         "  saved: frames 35 to 42 in out/failed/nobody-rests-long-5",
         "    see it:         antdsl render out/failed/nobody-rests-long-5 --frames 41..42 --agents "
         f"{','.join(agents(out))} --show trail,ids",
-        "    go on from it:  antdsl run scene.yaml --frames 35..90 --seed 5 --set a.pace=30mm/s --set scent.half_life=4.0s "
+        "    continue it:    antdsl run scene.yaml --frames 35..90 --seed 5 --set a.pace=30mm/s --set scent.half_life=4.0s "
         "--out out/failed/nobody-rests-long-5 --resume",
     ]
 
@@ -129,7 +129,7 @@ def test_what_is_saved_is_the_run_that_was_judged_and_goes_on(folder: Path, run)
     assert cache.frames() == cache.checkpoints() == list(range(35, 43))
     assert cache.read_state_hashes() == {frame: hash_by_frame[frame] for frame in cache.frames()}
     _, text = run("test", "a.ant", "-k", "rests")
-    command = next(line.split(":  ")[1] for line in text.splitlines() if "go on from it" in line)
+    command = next(line.split(":  ")[1] for line in text.splitlines() if "continue it" in line)
     process = antdsl(*shlex.split(command.replace("35..90", "35..60"))[1:], cwd=folder)
     assert process.returncode == 0, process.stdout + process.stderr
     assert open_cache(out).read_state_hashes() == {frame: hash_by_frame[frame] for frame in range(35, 61)}
@@ -248,7 +248,7 @@ def test_a_golden_run_of_states_hashed_differently_is_reported_and_rewritten(fol
     text = path.read_text()
     path.write_text(text.replace('{"golden": 2', '{"golden": 1', 1))
     code, out = golden("test", "a.ant")
-    assert code == 1 and "hashes states in another way" in out and "--update" in out and "differs" not in out, out
+    assert code == 1 and "another method of state hashes" in out and "--update" in out and "differs" not in out, out
     assert golden("test", "a.ant", "--update")[0] == 0 and path.read_text() == text
 
 
@@ -287,7 +287,7 @@ def test_a_golden_run_is_not_made_of_a_failure_and_damage_is_reported(folder: Pa
     old_text = path.read_text()
     change(folder, "count(a) == 20", "count(a) == 21")
     code, text = golden("test", "a.ant", "--update", "--no-keep")
-    assert code == 1 and "not written: its specs failed" in text and path.read_text() == old_text
+    assert code == 1 and "not written, because its specs failed" in text and path.read_text() == old_text
     change(folder, "count(a) == 21", "count(a) == 20")
     path.write_text(old_text.replace('"hash"', '"hush"'))
     code, text = golden("test", "a.ant")
@@ -298,7 +298,7 @@ def test_a_golden_run_is_not_made_of_a_failure_and_damage_is_reported(folder: Pa
     change(folder, "param pace  = 20", "param pace  = 21")
     assert "it was made with antdsl " in golden("test", "a.ant")[1]
     (folder / "scene.yaml").write_text(SCENE.replace("11..90", "21..90"))
-    assert "the run begins at frame 21, it began at frame 11" in golden("test", "a.ant")[1]
+    assert "the run starts at frame 21, but it started at frame 11" in golden("test", "a.ant")[1]
 
 
 def test_build_servers_read_golden_runs_and_what_may_fail(folder: Path, golden) -> None:  # type: ignore[no-untyped-def]
@@ -331,5 +331,5 @@ def test_coverage_is_listed_and_bounded(folder: Path, run) -> None:  # type: ign
     assert code == 0 and any(re.fullmatch(r"[0-9,]+ +a\.go", line) for line in lines)
     assert "0    a.rest -> go" in lines
     code, text = run("test", "a.ant", "-k", "there", "--fail-under", "100")
-    assert code == 1 and "83.33 % of states and changes were met, less than 100 %" in text
+    assert code == 1 and "83.33 % of states and transitions were reached, less than 100 %" in text
     assert run("test", "a.ant", "--fail-under", "101")[0] == 2

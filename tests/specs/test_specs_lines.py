@@ -219,7 +219,7 @@ def test_cells_of_a_field_are_counted(folder: Path) -> None:  # noqa: F811
 @pytest.mark.parametrize(
     ("line", "code", "help"),
     [
-        ("always: count(walker) > 0 held 1 s", "wrong-argument", "leave `held` out"),
+        ("always: count(walker) > 0 held 1 s", "wrong-argument", "delete `held`"),
         ("sooner: count(walker) > 0", "misplaced-line", "add a line such as `against"),
         ("pass 0 %; always: count(walker) > 0", "out-of-range", "`pass 80 %`"),
         ("pass 120 %; always: count(walker) > 0", "out-of-range", "`pass 80 %`"),

@@ -179,7 +179,7 @@ def test_the_command_goes_on_where_it_was_stopped(
 
     monkeypatch.setattr("antdsl.sweep.run_jobs", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
     code, _, err = sweep("--seeds", "2")
-    assert code == 130 and "0 of 2 runs are finished" in err and "the same command goes on" in err
+    assert code == 130 and "0 of 2 runs are finished" in err and "run the same command again" in err
     monkeypatch.undo()
     out = folder / "out" / "sweep"
     (job, _) = make_jobs(folder)

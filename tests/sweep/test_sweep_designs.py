@@ -81,7 +81,7 @@ def test_a_latin_hypercube_is_run_point_by_point_and_its_values_are_columns(swee
     code, output, _ = sweep(
         "scene.yaml", *PACE, *SWING, "--design", "latin", "--points", "62", "--seeds", "1", "--show", "motion.turn"
     )
-    assert code == 0 and "62 of 62" in output and "… and 2 lines more, in table.txt" in output
+    assert code == 0 and "62 of 62" in output and "… and 2 more lines, in table.txt" in output
     runs = lines(folder / "out" / "sweep" / "runs.csv")
     assert len(runs) == 62 == len({run["walker.pace (mm/s)"] for run in runs})
     assert all(10 <= float(run["walker.pace (mm/s)"]) <= 90 and 0 <= float(run["walker.swing"]) <= 1 for run in runs)
@@ -129,16 +129,16 @@ def test_a_sweep_that_was_ended_goes_on_as_requested(sweep: Sweep, folder: Path)
     assert (folder / "moved" / "swept" / "runs.csv").read_text() == (folder / "whole" / "runs.csv").read_text()
     (folder / "walker.ant").write_text(PROGRAM + "\n# another\n")
     code, output, err = sweep("--resume", "--out", "moved/swept")
-    assert code == 0 and "16 runs in moved/swept are of files, values or sources of antdsl that are others now" in err
+    assert code == 0 and "16 runs in moved/swept used different files, values or versions of antdsl" in err
 
 
 @pytest.mark.parametrize(
     ("words", "code", "says"),
     [
         ((), 2, "name a scene"),
-        (("--resume",), 2, "say which sweep goes on"),
-        (("--resume", "--out", "out", "scene.yaml"), 2, "leave out the scenes"),
-        (("--resume", "--out", "out", "--vary", "a=1"), 2, "leave out `--vary`"),
+        (("--resume",), 2, "name the sweep to continue"),
+        (("--resume", "--out", "out", "scene.yaml"), 2, "omit the scenes"),
+        (("--resume", "--out", "out", "--vary", "a=1"), 2, "omit `--vary`"),
         (("--resume", "--out", "out"), 3, "has no sweep to continue"),
         (("scene.yaml", *PACE), 2, "--design latin --points 20"),
         (("scene.yaml", *PACE, "--design", "latin"), 2, "--design latin --points 20"),
@@ -201,7 +201,7 @@ def test_runs_of_other_sources_do_not_count(sweep: Sweep, folder: Path, monkeypa
     monkeypatch.setattr(importlib.import_module("antdsl.sweep.jobs"), "hash_sources", lambda: "0" * 24)
     code, output, err = sweep("--resume", "--out", "swept")
     assert code == 0 and "finished before" not in output and "3 of 3" in output
-    assert "3 runs in swept are of files, values or sources of antdsl that are others now" in err
+    assert "3 runs in swept used different files, values or versions of antdsl" in err
 
 
 def test_factors_are_drawn(sweep: Sweep, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -143,7 +143,7 @@ def test_a_behaviour_keeps_its_arguments() -> None:
         ("frames: 1-480", "write `1..480`"),
         ("frames: [1, 480]", "write `1..480`"),
         ("frames: 480 - 1", "write `1..480`"),
-        ("frames: a..b", "write the first and the last with two dots between: `1001..1240`"),
+        ("frames: a..b", "write the first and the last frame with two dots between: `1001..1240`"),
     ],
 )
 def test_a_scene_says_it_too(scene: str, help: str) -> None:

@@ -117,7 +117,7 @@ def unpack_definition(arrays: Mapping[str, NDArray[Any]]) -> Definition:
         definition = _read_definition(arrays)
         _check_bounds(definition)
     except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError, RecursionError):
-        raise BodyError("is damaged: what it says of a body does not hold together") from None
+        raise BodyError("is damaged: its data of a body is inconsistent") from None
     return definition
 
 

@@ -32,8 +32,8 @@ def build_clip(form: ClipForm, root: Node, report: Report, rig: Rig | None = Non
     joints, numbers = _split_channels(form, root, findings, rig)
     columns = len(joints) + len(numbers)
     if samples > limits.MAX_CLIP_SAMPLES or samples * columns * 13 * 8 > limits.MAX_CLIP_BYTES:
-        words = f"a clip of {samples:,} samples of {columns:,} joints and channels is larger than is read"
-        findings.error("too-large", words, find_span(root, ("channels",)), "give fewer samples a second")
+        words = f"a clip of {samples:,} samples of {columns:,} joints and channels is too large"
+        findings.error("too-large", words, find_span(root, ("channels",)), "use fewer samples per second")
     check_marks(form.marks, (samples - 1) / form.rate, root, findings)
     report.extend(findings)
     if not findings.ok:

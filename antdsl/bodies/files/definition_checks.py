@@ -89,7 +89,7 @@ def _check_sizes(definition: Definition, place: Span | None, report: Report) -> 
     size = sum(c.translation.nbytes + c.rotation.nbytes + c.scale.nbytes + c.values.nbytes for c in definition.clips.values())
     if size > limits.MAX_CLIP_BYTES:
         report.error(
-            "too-large", f"the clips take more than {limits.MAX_CLIP_BYTES:,} bytes", place, "give fewer samples a second"
+            "too-large", f"the clips take more than {limits.MAX_CLIP_BYTES:,} bytes", place, "use fewer samples per second"
         )
     for what, named in (("shapes", definition.shapes), ("layers", definition.layers), ("clips", definition.clips)):
         if len(named) > limits.MAX_BODY_PARTS:
@@ -110,14 +110,14 @@ def _check_binding(parts: ReadDefinition, layer: str, binding: Binding, report: 
     span = parts.find_text_span("layers", layer, binding.deformer)
     if binding.deformer not in DOCUMENTED_DEFORMERS:
         near = find_nearest_name(binding.deformer, DOCUMENTED_DEFORMERS)
-        words = f"no deformer `{binding.deformer[:60]}` comes with antdsl"
-        report.warning("unknown-name", words, span, f'write `"{near}"`' if near else "a deformer of your own must be registered")
+        words = f"antdsl has no deformer `{binding.deformer[:60]}`"
+        report.warning("unknown-name", words, span, f'write `"{near}"`' if near else "register your own deformers first")
     elif shape is not None:
         if binding.deformer.rpartition("+")[2] in SKINNING_DEFORMER_NAMES and shape.capture is None:
-            words = f"no point of `{shape.name}` follows a joint, and `{binding.deformer}` needs that"
+            words = f"no point of `{shape.name}` follows a joint, but `{binding.deformer}` needs joints"
             report.error("bad-body", words, span, "take the shape from a glTF or USD file with a skin, or bind it under `static`")
         if binding.deformer.startswith("blendshape") and shape.blend is None:
-            words = f"`{shape.name}` has no shapes to blend, and `{binding.deformer}` needs them"
+            words = f"`{shape.name}` has no shapes to blend, but `{binding.deformer}` needs them"
             help = "take it from a file with morph targets, or add `blendshape_shapenames` and `blendshape_channels`"
             report.error("bad-body", words, span, help)
 
@@ -137,7 +137,7 @@ def _check_shape(definition: Definition, shape: Shape, place: Span | None, repor
     for name in blended:
         if name not in definition.shapes:
             near = find_nearest_name(name, definition.shapes)
-            words = f"`{shape.name}` blends with the shape `{name[:60]}`, which is not there"
+            words = f"`{shape.name}` blends with the missing shape `{name[:60]}`"
             report.error("unknown-name", words, place, f"did you mean `{near}`?" if near else None)
     for name in shape.blend.channels if shape.blend else ():
         if name not in channels:

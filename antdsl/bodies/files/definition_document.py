@@ -138,7 +138,7 @@ def _report_part_file(root: Node, report: Report) -> bool:
         return False
     for key, what, line in _PART_FILE_KEYS:
         if key in root.value:
-            words = f"this is {what}, not a definition; a definition names it as one of its parts"
+            words = f"this is {what}, not a definition; a definition refers to it as a part"
             report.error("wrong-kind", words, find_span(root, (key,), key=True), f'write a file `{{"antdsl_body": 1, {line}}}`')
             return True
     return False
@@ -244,7 +244,7 @@ def _fit_to_rig(files: BodyFiles, clip: Clip, rig: Rig, place: Span) -> Clip:
     if not strangers:
         return clip
     stranger_names = ", ".join(f"`{each[:40]}`" for each in strangers[:4]) + (" …" if len(strangers) > 4 else "")
-    words = f"the clip `{clip.name}` moves what the rig does not have: {stranger_names}"
+    words = f"the clip `{clip.name}` moves joints or channels that the rig does not have: {stranger_names}"
     files.report.warning("body-left-out", words, place)
     return replace(
         clip, joints=tuple(clip.joints[k] for k in joints), translation=clip.translation[:, joints],

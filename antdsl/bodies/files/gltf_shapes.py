@@ -121,7 +121,7 @@ def _read_piece(body: GltfBody, pieces: _MeshPieces, primitive: dict[str, Any], 
         body.omissions["points and lines of meshes are not read"] = None
         return
     if "KHR_draco_mesh_compression" in file.get_object(primitive, "extensions"):
-        body.omissions["what is compressed with Draco is not read"] = None
+        body.omissions["meshes compressed with Draco are not read"] = None
         return
     attributes = file.get_object(primitive, "attributes")
     if "POSITION" not in attributes:
@@ -134,7 +134,7 @@ def _read_piece(body: GltfBody, pieces: _MeshPieces, primitive: dict[str, Any], 
         return
     body.point_count += len(points) * (1 + len(file.get_list(primitive, "targets")))
     if body.point_count > limits.MAX_BODY_POINTS:
-        raise BodyError(f"has more than {limits.MAX_BODY_POINTS:,} points, morph targets among them", code="too-large")
+        raise BodyError(f"has more than {limits.MAX_BODY_POINTS:,} points, including morph targets", code="too-large")
     if not np.isfinite(points).all() or (len(points) and np.abs(points).max() > 1e30):
         raise BodyError("has a point that is not finite", _EXPORT_HELP)
     if not _read_faces(

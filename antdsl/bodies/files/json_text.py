@@ -274,7 +274,7 @@ class _Reader:
         word = match[0] if match else self.text[at]
         bare = word.strip("'")
         help = f'write `"{bare}"`' if re.fullmatch("[A-Za-z0-9_.-]+", bare) else 'write `"key": value`'
-        raise self.report_error(at, at + len(word), f"a key stands in double quotes, and `{word}` does not", help)
+        raise self.report_error(at, at + len(word), f"a key needs double quotes, but `{word}` has none", help)
 
     def require_text(self, at: int, opened: int, closing: str) -> int:
         """Return the position of a required value; report an error if the text ends before it."""
@@ -326,7 +326,7 @@ class _Reader:
         elif word in _WORD_CORRECTIONS:
             help = f"write `{_WORD_CORRECTIONS[word]}`"
         elif word.startswith("'"):
-            message, help = "text stands in double quotes", 'write `"…"`'
+            message, help = "text needs double quotes", 'write `"…"`'
         elif re.match(r"[-+.]?[0-9.]", word):
             message, help = f"`{word}` is not a valid number", "write `0.5`, `-2` or `1e-3`"
         elif match:

@@ -133,7 +133,7 @@ def _iterate_skeleton_bindings(stage: OpenStage) -> Iterator[tuple[Any, Any, lis
 def _read_skeleton(body: UsdBody, prim: Any, query: Any) -> _Skeleton:
     """Add the joints of a skeleton to the body."""
     if not query:
-        raise BodyError(f"has a skeleton `{prim.GetPath()}` that does not hold together", "export it again")
+        raise BodyError(f"has a skeleton `{prim.GetPath()}` with inconsistent data", "export it again")
     paths = [str(path) for path in query.GetJointOrder()]
     parents = list(query.GetTopology().GetParentIndices())
     rest = query.ComputeJointLocalTransforms(body.stage.first, True)

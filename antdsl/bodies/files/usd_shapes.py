@@ -98,7 +98,7 @@ def _count_points(body: UsdBody, new_points: int) -> None:
     """Add to the number of points. Raises BodyError above the limit."""
     body.point_count += new_points
     if body.point_count > limits.MAX_BODY_POINTS:
-        raise BodyError(f"has more than {limits.MAX_BODY_POINTS:,} points, blend shapes among them", code="too-large")
+        raise BodyError(f"has more than {limits.MAX_BODY_POINTS:,} points, including blend shapes", code="too-large")
 
 
 def _to_rows(raw_values: Any, width: int) -> Floats:
@@ -198,7 +198,7 @@ def _read_blend_shapes(body: UsdBody, shape: Shape, prim: Any, points: Floats, s
     for token, path in zip(tokens, targets, strict=True):
         blend_shape = skel.BlendShape(prim.GetStage().GetPrimAtPath(path))
         if not blend_shape:
-            raise BodyError(f"has a mesh `{prim.GetPath()}` that names a blend shape `{path}` which is not there", _EXPORT_HELP)
+            raise BodyError(f"has a mesh `{prim.GetPath()}` that names a blend shape `{path}` which is missing", _EXPORT_HELP)
         indices = blend_shape.GetPointIndicesAttr().Get()
         rows = np.arange(len(points)) if indices is None or not len(indices) else np.array(indices, np.int64)
         name = _add_blend_target(body, shape, make_unused_name(f"{shape.name}.{token}", body.shapes), source, points, rows,

@@ -70,10 +70,10 @@ def find_legs(rig: Rig, points: BodyPoints, worlds: NDArray[np.float32], up: Flo
         feet.append(FoundLeg(path[0], path[0], contacts[0], tuple(path), soles))
         rise = float((positions[chain_start] - positions[contacts[0]]) @ up)
         if len(path) < 3:
-            reasons.append(f"`{name}` touches the ground, but has no hip and knee above it, so it is no leg")
+            reasons.append(f"`{name}` touches the ground, but has no hip and knee above it, so it is not a leg")
             continue
         if rise < _MIN_LEG_HEIGHT * height:
-            reasons.append(f"`{name}` touches the ground, but its chain lies on it, so it is no leg")
+            reasons.append(f"`{name}` touches the ground, but its chain lies on it, so it is not a leg")
             continue
         upper, lower = _hip_and_knee(path, positions)
         legs.append(FoundLeg(upper, lower, contacts[0], tuple(path), soles))

@@ -75,7 +75,7 @@ def propose(body: Definition, file: str) -> Proposal:
         proposal.add("idle", names[study.idle], f"`{study.idle}` {_idle_reason(study)}")
     else:
         proposal.reasons.setdefault("clips", []).append(
-            "no clip stands still: agents that play nothing, and the standing height of legs, have the rest pose of the file"
+            "no clip stands still, so the rest pose is used for idle agents and for the standing height of legs"
         )
     _add_clips(proposal, study, names)
     _add_legs(proposal, study, names, front, unit)
@@ -86,8 +86,8 @@ def propose(body: Definition, file: str) -> Proposal:
 def _idle_reason(study: BodyStudy) -> str:
     """Return the reason for choosing a clip as the idle clip."""
     if any(word in study.idle.lower() for word in IDLE_WORDS):
-        return "says so by its name"
-    return f"has feet on the ground for {study.planted.get(study.idle, 0.0):.0%} of its time and moves least"
+        return "its name suggests this"
+    return f"has feet on the ground for {study.planted.get(study.idle, 0.0):.0%} of its time, and moves least"
 
 
 # ---- axes, units and length
@@ -113,7 +113,7 @@ def _front(study: BodyStudy) -> tuple[Floats, str]:
     """Return the front axis and the reason for it."""
     if study.gaits:
         gait = max(study.gaits.values(), key=lambda each: each.speed)
-        return _nearest_axis(-gait.back, study.up), f"in `{gait.clip}`, feet on the ground move the other way"
+        return _nearest_axis(-gait.back, study.up), f"in `{gait.clip}`, feet on the ground move in the opposite direction"
     toes = _toe_direction(study)
     if toes is not None:
         return _nearest_axis(toes, study.up), "feet point this way; no clip walks"
@@ -121,8 +121,8 @@ def _front(study: BodyStudy) -> tuple[Floats, str]:
     if abs(float(default @ study.up)) > 0.5:
         return _nearest_axis(
             np.cross(study.up, [0.36, 0.48, 0.8]), study.up
-        ), "no clip walks and no foot points anywhere: a guess"
-    return default, "that of the file; no clip walks"
+        ), "a guess: no clip walks, and feet have no clear direction"
+    return default, "as in the file; no clip walks"
 
 
 def _toe_direction(study: BodyStudy) -> Floats | None:
@@ -155,13 +155,13 @@ def _add_unit(proposal: Proposal, study: BodyStudy) -> float:
     own = next((word for word, mm in UNIT_MM.items() if mm == body.unit), f"{body.unit:.15g} mm")
     height = study.search.height
     if low <= height * body.unit <= high or height <= 0:
-        proposal.add("units", own, f"units: those of the file; the body is {_metres(height * body.unit)} high")
+        proposal.add("units", own, f"units: as in the file; the body is {_metres(height * body.unit)} high")
         return body.unit
     fitting = [word for word in _UNIT_WORDS if low <= height * UNIT_MM[word] <= high]
     word = fitting[0] if fitting else own
     unit = UNIT_MM.get(word, body.unit)
     high_words, fitting_words = _metres(height * body.unit), _metres(height * unit)
-    reason = f"units: in the file's {own} the body would be {high_words} high; so it is {fitting_words}"
+    reason = f"units: in the file's {own} the body would be {high_words} high; so they are {fitting_words}"
     proposal.add("units", word, reason)
     return unit
 
@@ -182,7 +182,7 @@ def _add_length(proposal: Proposal, study: BodyStudy, front: Floats) -> None:
         proposal.add("length", _rounded(along), "length: along its front in the standing pose; `size` of an agent is this length")
     if abs(study.search.ground) > 0.05 * height:
         proposal.reasons["length"].append(
-            f"the lowest point is at {_rounded(study.search.ground):g}, not at 0: move the model onto its ground, or it hovers"
+            f"the lowest point is at {_rounded(study.search.ground):g}, not at 0: move the model onto the ground"
         )
 
 
@@ -228,7 +228,9 @@ def _add_clips(proposal: Proposal, study: BodyStudy, names: Mapping[str, str]) -
             )
         elif study.search.feet and study.planted[name] < STILL_SHARE:
             entry["feet"] = False
-            reasons.append(f"`{names[name]}`: feet leave the ground ({study.planted[name]:.0%} stand), so it moves legs itself")
+            reasons.append(
+                f"`{names[name]}`: feet leave the ground ({study.planted[name]:.0%} stand), so the clip moves the legs"
+            )
         if gait is None and name != study.idle and not study.motions[name].is_cyclic:
             entry["loop"] = False
             reasons.append(f"`{names[name]}`: its last pose does not lead to its first, so it plays once")
@@ -263,7 +265,7 @@ def _add_legs(proposal: Proposal, study: BodyStudy, clip_names: Mapping[str, str
     gaits, gait_reasons, speeds = [], [], list[float]()
     for name, gait in sorted(study.gaits.items(), key=lambda each: each[1].speed):
         if any(abs(gait.speed - speed) < 0.1 * speed for speed in speeds):
-            gait_reasons.append(f"`{clip_names[name]}` is as fast as another one, so it gives no gait")
+            gait_reasons.append(f"`{clip_names[name]}` is as fast as another clip, so it defines no gait")
             continue
         speeds.append(gait.speed)
         phases = [round((gait.phases[k] - gait.phases[feet[0]]) % 1.0, 2) % 1.0 for k in feet]
@@ -273,7 +275,7 @@ def _add_legs(proposal: Proposal, study: BodyStudy, clip_names: Mapping[str, str
         speed = (_WALK_FROUDE * _GRAVITY_MM * study.length * unit) ** 0.5 / unit
         leg = study.length
         gaits.append(_gait("walk", speed, _WALK_STRIDE * leg, _WALK_DUTY, _WALK_LIFT * leg, _usual_phases(names, len(legs))))
-        gait_reasons.append(f"no clip walks: a usual walk for legs of {_metres(leg * unit)}")
+        gait_reasons.append(f"no clip walks: a typical walk for legs of {_metres(leg * unit)}")
     proposal.add("gaits", gaits, *gait_reasons)
 
 

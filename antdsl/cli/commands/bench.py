@@ -20,10 +20,10 @@ SLOWEST_BACKEND = "reference"  # skipped unless named: it runs one agent at a ti
 
 def bench(
     cases: list[str] = typer.Argument(None, metavar="[CASE…]", help="Cases of --list, or scenes. [default: a quick selection]"),
-    agents: list[int] = typer.Option([], "--agents", metavar="N", min=1, help="So many agents; may be given several times."),
-    backend: list[str] = typer.Option([], "--backend", metavar="NAME", help="Backend; with several, show their ratios."),
-    pairs: int = typer.Option(20, "--pairs", min=1, max=10_000, help="Rounds of each; below 20 no interval is shown."),
-    steps: int = typer.Option(0, "--steps", min=0, max=100_000, help="Steps in a turn; 0: as many as take 20 ms."),
+    agents: list[int] = typer.Option([], "--agents", metavar="N", min=1, help="Number of agents; may be given several times."),
+    backend: list[str] = typer.Option([], "--backend", metavar="NAME", help="Backend; several backends also show ratios."),
+    pairs: int = typer.Option(20, "--pairs", min=1, max=10_000, help="Rounds per case; at least 20 give an interval."),
+    steps: int = typer.Option(0, "--steps", min=0, max=100_000, help="Steps per turn; 0: enough for 20 ms."),
     threads: int = typer.Option(1, "--threads", min=1, max=256, help="Threads for rays, kernels and NumPy's chunks."),
     steps_only: bool = typer.Option(False, "--steps-only", help="Measure bare steps without full runs."),
     json_: Path = typer.Option(None, "--json", metavar="FILE", help="Write all measurements as JSON; `-` prints them."),
@@ -67,7 +67,7 @@ def _choose_backends(names: list[str]) -> list[str]:
 
     for name in names:
         if name not in BACKENDS:
-            raise typer.BadParameter(f"there is no backend `{name}`; there are: {', '.join(BACKENDS)}", param_hint="--backend")
+            raise typer.BadParameter(f"unknown backend `{name}`; backends: {', '.join(BACKENDS)}", param_hint="--backend")
     return list(dict.fromkeys(names)) or [name for name in BACKENDS if name != SLOWEST_BACKEND]
 
 
@@ -83,7 +83,7 @@ def _choose_jobs(cases: list[str], agents: list[int]) -> list[tuple[str, int | N
     for name in cases:
         case = CASES.get(name)
         if case is None and not Path(name).is_file():
-            raise typer.BadParameter(f"`{name}` is no case and no file; the cases are: {', '.join(CASES)}", param_hint="CASE")
+            raise typer.BadParameter(f"`{name}` is neither a case nor a file; cases: {', '.join(CASES)}", param_hint="CASE")
         if Path(name).suffix == ".ant":
             raise typer.BadParameter(f"`{name}` is a program; name a scene that uses it", param_hint="CASE")
         jobs += [(name, count) for count in agents or (case.agents if case is not None else ()) or (None,)]

@@ -23,30 +23,28 @@ def body(
         ..., help="A definition file (.json), a glTF file (.glb, .gltf), a USD file, or a word of the library: ant."
     ),
     as_json: bool = typer.Option(False, "--json", help="Print the body and its findings as JSON, for other programs."),
-    prim: str = typer.Option("", "--prim", metavar="PATH", help="Of a USD file: read what lies at and below this prim."),
+    prim: str = typer.Option("", "--prim", metavar="PATH", help="USD: read this prim and everything below it."),
     rate: float = typer.Option(
-        0.0,
-        "--rate",
-        min=0.0,
-        max=1000.0,
-        help="Samples per second of animations; 0: the frame rate of a USD file, 30 for a glTF file.",
+        0.0, "--rate", min=0.0, max=1000.0, help="Samples per second of animations; 0: a USD file's frame rate, or 30 for glTF."
     ),
     to: Path = typer.Option(
         None,
         "--to",
         metavar="FILE",
-        help="Write it: a .glb or .gltf file, or a .json definition with the folder of its parts beside it.",
+        help="Write the body: a .glb or .gltf file, or a .json definition with its parts in a folder next to it.",
     ),
     layer: str = typer.Option(
-        "", "--layer", metavar="NAME", help="For .glb and .gltf: the layer of shapes to write. [default: the drawn one]"
+        "", "--layer", metavar="NAME", help="For .glb and .gltf: the layer of shapes to write. [default: the displayed layer]"
     ),
     propose: bool = typer.Option(
-        False, "--propose", help="Propose a definition file to correct: legs, gaits, axes, units, strides, idle clip and capsule."
+        False,
+        "--propose",
+        help="Propose a definition file for you to correct: legs, gaits, axes, units, strides, idle clip and capsule.",
     ),
     quiet: bool = typer.Option(False, "--quiet", "-q", help="Print findings only."),
     root: list[str] = typer.Option([], "--root", metavar="NAME=DIR", help="Grant a folder outside the file's own."),
 ) -> None:
-    """Say what is in the body of an agent: joints, shapes, layers, clips, groups, metadata, and what is wrong with it."""
+    """List the contents of an agent's body (joints, shapes, layers, clips, groups, metadata), and report mistakes."""
     from antdsl.bodies.files.reading import read_definition
     from antdsl.bodies.library import load_library_body
     from antdsl.cli.arguments import parse_grants
@@ -97,14 +95,14 @@ def _propose(body: Definition, source: Path, to: Path | None, quiet: bool) -> No
         raise typer.BadParameter(f"`{to.name}` must end in .json", param_hint="--to")
     folder = to.resolve().parent
     if folder not in source.resolve().parents:
-        advice = f"write it beside the file: `--to {source.with_suffix('.json')}`"
+        advice = f"write it next to the file: `--to {source.with_suffix('.json')}`"
         raise typer.BadParameter(f"`{source}` is not in the folder of `{to}` or below it; {advice}", param_hint="--to")
     require_writable_file(to, "--to")
     with protect_inputs({"--to": to}) as inputs:
         inputs.append(source)
     write_atomically(to, propose(body, source.resolve().relative_to(folder).as_posix()).text().encode())
     if not quiet:
-        print_note(f"{to}: read the reasons in it, correct what is wrong, and name it in a scene: `body: {to.name}`")
+        print_note(f"{to}: read its reasons, correct mistakes, and name it in a scene: `body: {to.name}`")
 
 
 def _write_body(body: Definition, source: Path, to: Path, layer: str, quiet: bool) -> None:

@@ -42,9 +42,9 @@ def check(
     cost: bool = typer.Option(
         False,
         "--cost",
-        help="List what each state asks for, the memory an agent takes, and the faces, voxels, cells and points of a scene.",
+        help="List the senses and cost of each state, the memory per agent, and the faces, voxels, cells and points of a scene.",
     ),
-    imports: bool = typer.Option(False, "--imports", help="List, for each mesh of a scene, what was read and what was changed."),
+    imports: bool = typer.Option(False, "--imports", help="List for each mesh of a scene what was read and changed."),
     cpu_limit: float = typer.Option(
         300.0, "--cpu-limit", metavar="SECONDS", min=0, max=1e6, help="Limit of processor time per file; 0: no limit."
     ),
@@ -58,7 +58,7 @@ def check(
         if is_requested and format not in (ReportFormat.full, ReportFormat.concise):
             raise typer.BadParameter("this list is available as text only; leave out `--format`", param_hint=flag)
     if STDIN_PATH in (paths or []) and len(paths) > 1:
-        raise typer.BadParameter("standard input must be alone", param_hint="-")
+        raise typer.BadParameter("standard input cannot be combined with other inputs", param_hint="-")
     from antdsl.checking import check_files, check_text
     from antdsl.cli.printing.reports import choose_exit_code, print_report
     from antdsl.diagnostics import Report
@@ -120,9 +120,9 @@ def check(
         warnings = len(report.diagnostics)
         if not files and not warnings:
             folders = ", ".join(f"`{path}`" for path in paths or [Path()])
-            print_result(f"checked no file: there is no program and no scene in {folders}")
+            print_result(f"no file was checked: there is no program and no scene in {folders}")
             return
-        tail = f", {warnings} warning{'s' if warnings > 1 else ''}" if warnings else ", nothing to complain about"
+        tail = f", {warnings} warning{'s' if warnings > 1 else ''}" if warnings else ", no findings"
         print_result(f"checked {len(files)} file{'' if len(files) == 1 else 's'}{tail}")
 
 
@@ -154,11 +154,15 @@ def _print_explanation(word: str) -> None:
         return
     slip = [part for part in re.findall("[A-Za-z]+", word) if part not in UNIT_NAMES] if re.search("[/*^%]", word) else []
     if slip:
-        raise CommandError(ExitCode.USAGE, f"error: no unit `{slip[0]}` as in `{word}`", find_unit_help(slip[0]))
+        raise CommandError(ExitCode.USAGE, f"error: unknown unit `{slip[0]}` in `{word}`", find_unit_help(slip[0]))
     near = (
         find_nearest_name(word, CODE_DESCRIPTIONS)
         if "-" in word
         else find_nearest_name(word, {*list_known_words(), *CODE_DESCRIPTIONS})
     )
-    usual = "codes stand in brackets after `error`; words are those of the language and the names of its behaviours"
-    raise CommandError(ExitCode.USAGE, f"error: no code and no word `{word}`", f"did you mean `{near}`?" if near else usual)
+    usual = "codes are in brackets after `error`; words are words of the language and names of behaviours"
+    raise CommandError(
+        ExitCode.USAGE,
+        f"error: `{word}` is neither a code nor a word of the language",
+        f"did you mean `{near}`?" if near else usual,
+    )

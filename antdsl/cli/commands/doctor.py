@@ -129,7 +129,7 @@ def _check_kernels() -> None:
 
     host = llvm_compiler.host_target()
     if shipped_objects.find_object(cosines.text_key(host), host) is None:
-        print_result(f"-       {'kernels':<16} compiled when they are first used, which takes some seconds once")
+        print_result(f"-       {'kernels':<16} compiled on first use, which takes some seconds once")
     else:
         print_result(f"ok      {'kernels':<16} compiled in advance for {shipped_objects.target_name(host)}")
 
@@ -152,7 +152,7 @@ def _check_sandbox(problems: list[str]) -> None:
         active = active_layers()
     except ReaderFailure as why:
         _print_check("reader", False, str(why))
-        problems.append("allow this user to start processes and to write below the folder for temporary files")
+        problems.append("allow this user to start processes and to write to the folder for temporary files")
         return
     landlock = f"Landlock {active['landlock']}" if active["landlock"] else "no Landlock"
     layers = ["rlimits" if active["rlimits"] else "no rlimits", landlock, "seccomp" if active["seccomp"] else "no seccomp"]

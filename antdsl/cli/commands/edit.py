@@ -34,8 +34,8 @@ def edit(
         None,
         "--smooth",
         metavar="orient:N",
-        help="Write a new cache in which orientations are means over N frames, centred on each frame. [default folder: "
-        "CACHE_edited beside the old one]",
+        help="Write a new cache with orientations replaced by means over N frames, centred on each frame. [default folder: "
+        "CACHE_edited next to the old one]",
     ),
     force: bool = typer.Option(False, "--force", help="Write even into a folder that has other files."),
     quiet: bool = typer.Option(False, "--quiet", "-q", help="Print problems only."),

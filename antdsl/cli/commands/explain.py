@@ -13,13 +13,13 @@ from antdsl.cli.printing.messages import print_result
 def explain(
     cache: Path = typer.Argument(..., help="A folder that `antdsl run` wrote."),
     agent: int = typer.Option(..., "--agent", metavar="ID", min=0, help="The agent's id."),
-    frame: int = typer.Option(..., "--frame", metavar="N", help="The frame that the step led to."),
-    species: str = typer.Option(None, "--species", metavar="NAME", help="Its species, where the scene has several."),
+    frame: int = typer.Option(..., "--frame", metavar="N", help="The frame after the step."),
+    species: str = typer.Option(None, "--species", metavar="NAME", help="The agent's species, if the scene has several."),
     scene: Path = typer.Option(None, "--scene", metavar="FILE", help="The scene, if it is not near the cache."),
     root: list[str] = typer.Option([], "--root", metavar="NAME=DIR", help="Grant the scene a folder of assets outside its own."),
     json: bool = typer.Option(False, "--json", help="Print JSON."),
 ) -> None:
-    """Say why an agent did what it did in a frame: each change looked at, each layer's push, what it sensed and drew."""
+    """Explain an agent's decisions in a frame: transitions, the push of each layer, senses and random draws."""
     from antdsl.cli.arguments import parse_grants
     from antdsl.cli.printing.reports import exit_on_errors, print_report
     from antdsl.explain import ExplainError, as_json, tell

@@ -23,7 +23,7 @@ def _explain_missing_export(to: Path) -> str:
     from antdsl.outputs.exports import ALTERNATIVE_ADVICE, EXPORT_FORMATS
 
     if str(to) == "-":
-        return "an export goes into a file and not to standard output: its ending says the form, and some forms are several files"
+        return "an export needs a file: its ending selects the format, and some formats have several files"
     if to.suffix.lower() in ALTERNATIVE_ADVICE:
         return (
             f"`{to.suffix}` is not supported: write {ALTERNATIVE_ADVICE[to.suffix.lower()]} (docs/exports.md#what-is-not-written)"
@@ -41,7 +41,7 @@ def _describe_unknown_ids(cache: Cache, frames: Sequence[int], chosen: frozenset
             return None
     if len(missing) == len(chosen):
         return (
-            f"no agent of these frames has {'the id' if len(chosen) == 1 else 'an id such as'} {min(missing)}, so none is written"
+            f"no agent of these frames has {'the id' if len(chosen) == 1 else 'an id such as'} {min(missing)}; nothing is written"
         )
     return f"no agent of these frames has {len(missing):,} of the ids, such as {min(missing)}"
 
@@ -70,21 +70,23 @@ def export(
         metavar="N",
         min=0,
         max=100_000,
-        help="Of USD: up to N agents of a species have a skeleton each, more are instances of a bank of poses. [default: 200]",
+        help="USD: species of up to N agents get one skeleton per agent, others instances of a pose bank. [default: 200]",
     ),
     shutter: str = typer.Option(
         None, "--shutter", metavar="A..B", help="USD: add samples around each frame, from A to B, for motion blur."
     ),
     samples: int = typer.Option(None, "--samples", metavar="N", min=2, max=33, help="Number of such samples. [default: 3]"),
     chunk: int = typer.Option(
-        None, "--chunk", metavar="N", min=1, max=100_000, help="Of USD: values of N frames to a file. [default: one]"
+        None, "--chunk", metavar="N", min=1, max=100_000, help="USD: number of frames per file of values. [default: one file]"
     ),
-    copies: bool = typer.Option(None, "--copies", help="Of USD: agents with skeletons are no instances, as Blender needs them."),
+    copies: bool = typer.Option(
+        None, "--copies", help="USD: write agents with skeletons as copies instead of instances, for Blender."
+    ),
     close: bool = typer.Option(None, "--close", help="USD: write bodies in close-up quality."),
     scheduler: str = SCHEDULER_OPTION,
     tls: Path = TLS_OPTION,
     no_tls: bool = NO_TLS_OPTION,
-    quiet: bool = typer.Option(False, "--quiet", "-q", help="Print nothing but problems."),
+    quiet: bool = typer.Option(False, "--quiet", "-q", help="Print only problems."),
 ) -> None:
     """Write a cache for other programs: USD (needs the extra [usd]), glTF, points for Houdini, tables, arrays, meshes."""
     from antdsl.cli.arguments import parse_frame_range, parse_number_set, parse_shutter
@@ -108,7 +110,7 @@ def export(
         if part in to.name:
             raise typer.BadParameter(f"a `{to.suffix}` file cannot have `{part}` in its name", param_hint="--to")
     if word not in export.per_frame_forms and "####" in to.name:
-        words = f"`{to.name}` as `{word}` is one file with all frames: leave out `####`"
+        words = f"`{to.name}` as `{word}` is one file with all frames: remove `####`"
         raise typer.BadParameter(words, param_hint="--to")
     between, chosen = parse_frame_range(frames), parse_number_set(ids, "--ids")
     all_options = {
@@ -139,11 +141,11 @@ def export(
     else:
         require_writable_file(to, "--to")
     try:
-        with explain_cache_errors(cache, "this makes damaged frames again"):
+        with explain_cache_errors(cache, "this recomputes damaged frames"):
             opened_cache = open_edited_cache(cache)
             cache_frames = [f for f in opened_cache.frames() if between is None or between.first <= f <= between.last]
             if not cache_frames:
-                advice = "`antdsl info CACHE` says which it has"
+                advice = "`antdsl info CACHE` lists its frames"
                 raise CommandError(ExitCode.INPUT_OUTPUT, "error: the cache has none of these frames", advice)
             paths = export.paths(word, to, cache_frames)
             if word in export.per_frame_forms:

@@ -26,7 +26,7 @@ def fmt(
     check: bool = typer.Option(False, "--check", help="Change nothing; name the files that would change, with exit code 1."),
     diff: bool = typer.Option(False, "--diff", help="Change nothing; show what would change, with exit code 1."),
     edition: int | None = typer.Option(
-        None, "--edition", help="Rewrite files for this edition of the language, and write the old defaults that they rely on."
+        None, "--edition", help="Rewrite files for this edition of the language, and write out the old defaults that they use."
     ),
 ) -> None:
     """Format .ant files: blanks, columns and line breaks. Meaning and comments stay the same."""
@@ -36,7 +36,7 @@ def fmt(
     if not paths:
         raise typer.BadParameter("name a file or a folder, or - for standard input", param_hint="PATH")
     if STDIN_PATH in paths and len(paths) > 1:
-        raise typer.BadParameter("standard input goes alone", param_hint="-")
+        raise typer.BadParameter("standard input cannot be combined with other inputs", param_hint="-")
     from antdsl.cli.printing.reports import exit_on_errors
 
     work = _FormatCommand(check, diff, edition)
@@ -82,13 +82,13 @@ class _FormatCommand:
                 self.file(path)
                 continue
             self.skipped_count += 1
-            words = f"`{path}` is a link to a file outside the folder", "name that file to format it"
+            words = f"`{path}` is a link to a file outside the folder", "name that file directly to format it"
             self.report.error("cannot-write", words[0], None, words[1])
         same = len(programs) - len(self.changed_names) - self.skipped_count
         word = "would change" if self.only_check or self.print_diff else "changed"
         counts = ((len(self.changed_names), word), (same, "laid out well"), (self.skipped_count, "left alone"))
         summary = [f"{count} file{'' if count == 1 else 's'} {what}" for count, what in counts if count]
-        print_note(", ".join(summary) or "no .ant files here", to_stderr=True)
+        print_note(", ".join(summary) or "this folder has no .ant files", to_stderr=True)
 
     def file(self, path: Path) -> None:
         """Format one file, or only report the change with `--check` or `--diff`."""

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 def info(
     cache: Path = typer.Argument(..., help="A folder that `antdsl run` wrote."),
-    verify: bool = typer.Option(False, "--verify", help="Read everything, and compare it with what was written."),
+    verify: bool = typer.Option(False, "--verify", help="Read all files, and compare them with their hashes."),
 ) -> None:
     """Say what is in a cache and what it was made from."""
     from antdsl.diagnostics.model import replace_unprintable
@@ -74,7 +74,7 @@ def describe_cache(cache: Cache) -> list[str]:
     if inside and inside[-1] in hashes:
         lines.append(f"state hash   {hashes[inside[-1]]} (frame {inside[-1]})")
     lines.append(
-        f"complete     {'yes' if len(inside) == frame_count else f'no; go on with: {make_resume_command(cache.folder)}'}"
+        f"complete     {'yes' if len(inside) == frame_count else f'no; continue with: {make_resume_command(cache.folder)}'}"
     )
     if isinstance(cache, EditedCache):
         lines.append("edits        applied as frames are read; `antdsl edit CACHE --remove` takes them away")
@@ -133,9 +133,7 @@ def _verify_cache(cache: Cache) -> None:
             continue
         if frame > next_frame:
             bad.append(
-                f"frame {next_frame} is not there"
-                if frame == next_frame + 1
-                else f"frames {next_frame} to {frame - 1} are not there"
+                f"frame {next_frame} is missing" if frame == next_frame + 1 else f"frames {next_frame} to {frame - 1} are missing"
             )
         next_frame = max(next_frame, frame + 1)
         why = cache.find_frame_damage(frame, lines.get(frame))
@@ -148,8 +146,8 @@ def _verify_cache(cache: Cache) -> None:
     if bad or strays:
         overflow_note = [f"… and {len(bad) - 50} more"] if len(bad) > 50 else []
         words = "\n".join([*(f"error: {why}" for why in bad[:50]), *overflow_note, *(f"error: {why}" for why in strays[:50])])
-        advice = [f"to compute damaged frames again: {make_resume_command(cache.folder)}"] if bad else []
-        advice += ["move away files that are not of this cache"] if strays else []
+        advice = [f"to recompute damaged frames: {make_resume_command(cache.folder)}"] if bad else []
+        advice += ["move away files that do not belong to this cache"] if strays else []
         raise CommandError(ExitCode.FINDINGS, words, "\n".join(advice))
     unknown = [] if cache.manifest.static else [f"`{STATIC_FILE_NAME}`"]
     points = [str(frame) for frame in checkpoints if not lines[frame].checkpoint]
@@ -157,7 +155,7 @@ def _verify_cache(cache: Cache) -> None:
     count = len(checkpoints) - len(points)
     print_result(f"verified     {len(frames)} frames, {count} checkpoint{'' if count == 1 else 's'}")
     if unknown:
-        print_result(f"not checked  {', '.join(unknown)}: read, but written by a version without hashes of them")
+        print_result(f"not checked  {', '.join(unknown)}: readable, but written by a version without hashes for them")
 
 
 def _find_read_errors(read: Callable[[], object]) -> list[str]:

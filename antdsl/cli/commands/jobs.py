@@ -23,10 +23,10 @@ RESERVED_RENDER_OPTIONS = {
     "frames": "use the option of the job: `antdsl jobs … --frames A..B`",
     "every": "use the option of the job: `antdsl jobs … --every N`",
     "out": "write `antdsl jobs … --pictures DIR`",
-    "shot": "leave it out: the job writes it",
-    "resume": "leave it out: the job writes it",
-    "film": "leave it out: the job makes a film, unless `--no-film` says otherwise",
-    "sheet": "leave it out: a job draws single pictures",
+    "shot": "omit it: the job adds it",
+    "resume": "omit it: the job adds it",
+    "film": "omit it: the job makes a film unless you add `--no-film`",
+    "sheet": "omit it: a job draws single pictures",
 }
 
 
@@ -36,7 +36,7 @@ def jobs(
         ...,
         "--to",
         metavar="FILE",
-        help="Where to: .yaml or .json is a template of Open Job Description, .jsonl a line a command.",
+        help="Output file: .yaml or .json for a template of Open Job Description, .jsonl for one command per line.",
     ),
     frames: str = typer.Option(None, "--frames", metavar="A..B", help="Frame range; overrides the scene."),
     chunk: int = typer.Option(10, "--chunk", metavar="N", min=1, max=1_000_000, help="Pictures per task."),
@@ -44,13 +44,13 @@ def jobs(
     seed: int = typer.Option(None, "--seed", min=0, max=2**64 - 1, help="Seed; overrides the scene."),
     set_: list[str] = typer.Option([], "--set", metavar="NAME=VALUE", help="Value of a param, such as forager.smell=50mm"),
     root: list[str] = typer.Option([], "--root", metavar="NAME=DIR", help="Grant the scene a folder of assets outside its own."),
-    render: str = typer.Option("", "--render", metavar="'WORDS'", help="How pictures look: '--camera eye --width 1920'."),
-    out: Path = typer.Option(None, "--out", metavar="DIR", help="Folder of the cache. [default: out/SCENE beside the scene]"),
+    render: str = typer.Option("", "--render", metavar="'WORDS'", help="Options for pictures: '--camera eye --width 1920'."),
+    out: Path = typer.Option(None, "--out", metavar="DIR", help="Folder of the cache. [default: out/SCENE next to the scene]"),
     pictures: Path = typer.Option(
         None, "--pictures", metavar="DIR", help="Folder of the pictures. [default: pictures in the cache]"
     ),
     film: bool = typer.Option(True, "--film/--no-film", help="Make a film of the pictures at the end; needs the extra [video]."),
-    quiet: bool = typer.Option(False, "--quiet", "-q", help="Print nothing but problems."),
+    quiet: bool = typer.Option(False, "--quiet", "-q", help="Print only problems."),
 ) -> None:
     """Write a shot as a job for a render farm: simulation, then frames in chunks, then the film."""
     import sys
@@ -104,7 +104,7 @@ def _parse_render_words(text: str) -> tuple[str, ...]:
 
     # depending on its version, typer has click as a dependency or a part of it
     wrong_use: tuple[type[BaseException], ...] = typer.BadParameter.__bases__
-    advice = "`antdsl render --help` lists its words"
+    advice = "`antdsl render --help` lists its options"
     alone = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
     alone.command()(render)
     try:
@@ -135,7 +135,7 @@ def _require_template(job: FarmJob, every: int, frames: int) -> None:
     for text in (text for step in job.steps for text in step.find_fixed_texts()):
         if "{{" in text:
             words = f"error: `{text}` has `{{{{`, which marks parameters in a template"
-            raise CommandError(ExitCode.USAGE, words, "give it another name, or write lines: `--to job.jsonl`")
+            raise CommandError(ExitCode.USAGE, words, "rename it, or export lines: `--to job.jsonl`")
 
 
 def _format_template(document: dict[str, object], suffix: str) -> bytes:
@@ -153,6 +153,6 @@ def _print_summary(job: FarmJob, to: Path) -> None:
     print_note(f"{to}: {', '.join(counts)}")
     missing = find_external_paths(job, to.resolve().parent) if to.suffix in OPEN_TEMPLATE_SUFFIXES else []
     if missing:
-        print_note("these do not lie below it, so name them when you submit it:")
+        print_note("these are not below it, so name them when you submit the job:")
         for place in missing:
             print_note(f"  {place.name}={place.path.resolve()}")

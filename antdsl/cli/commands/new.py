@@ -35,7 +35,7 @@ def read_template_file(name: str) -> str:
     )
 
 
-def new(folder: Path = typer.Argument(..., metavar="DIR", help="A folder that is not there yet, or is empty.")) -> None:
+def new(folder: Path = typer.Argument(..., metavar="DIR", help="A new or empty folder.")) -> None:
     """Write a small project to start from, with its specs and what checks it in CI."""
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise CommandError(ExitCode.INPUT_OUTPUT, f"error: `{folder}` already exists and is not empty", "name another folder")
@@ -46,7 +46,7 @@ def new(folder: Path = typer.Argument(..., metavar="DIR", help="A folder that is
     print_note(f"walker.ant, scene.yaml and ground.ply are in {folder}; now:")
     for words in (("run", folder / "scene.yaml"), ("test", folder), ("render", folder / "out" / "scene", "--sheet")):
         print_note(f"  {shlex.join(['antdsl', *map(str, words)])}")
-    print_note(f"{folder / 'README.md'} says more; a workflow for GitHub and hooks for pre-commit are there too")
+    print_note(f"{folder / 'README.md'} explains more; a GitHub workflow and pre-commit hooks are included")
 
 
 def build_ground_ply(side: int = 49, width: float = 200.0) -> bytes:

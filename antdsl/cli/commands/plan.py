@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 def plan(
     file: Path = typer.Argument(..., help="A program (.ant) or a scene (.yaml)."),
-    raw: bool = typer.Option(False, "--raw", help="Print the plan before any pass has improved it."),
+    raw: bool = typer.Option(False, "--raw", help="Print the plan before optimisation."),
     native: bool = typer.Option(
         False, "--native", help="List which parts become machine code: stages, instruction counts, calls of NumPy."
     ),
@@ -57,11 +57,13 @@ def _list_machine_code(final_plan: Plan, setting: WorldSetting | None, include_c
     from antdsl.runtime.backends.native.programs import WorldFacts
 
     if why := llvm_compiler.unavailability_reason():
-        raise CommandError(ExitCode.FINDINGS, f"error: no machine code can be made here: {why}")
+        raise CommandError(ExitCode.FINDINGS, f"error: this machine cannot make machine code: {why}")
     code_listing = program_listing.build_program(
         final_plan, llvm_compiler.host_target(), program_listing.STATIC_WORLD if setting is None else WorldFacts.of(setting)
     )
     words = (
-        "as on ground that stands still, without `lod`: a scene that uses this may have other code\n" if setting is None else ""
+        "for static ground without `lod`; a scene with moving ground or `lod` may have different code\n"
+        if setting is None
+        else ""
     )
     return words + program_listing.format_listing(code_listing) + (f"\n{code_listing.text}" if include_code else "")

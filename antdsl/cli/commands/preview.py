@@ -19,24 +19,24 @@ if TYPE_CHECKING:
 def preview(
     scene: Path = typer.Argument(..., help="A scene.yaml."),
     port: int = typer.Option(
-        None, "--port", min=0, max=65535, help="Where to listen; 0 takes any. [default: 8765, or the next that is free]"
+        None, "--port", min=0, max=65535, help="Port to listen on; 0: any free port. [default: 8765, or the next free port]"
     ),
     no_open: bool = typer.Option(False, "--no-open", help="Print the address without opening a browser."),
-    seed: int = typer.Option(None, "--seed", min=0, max=2**64 - 1, help="Another seed than the scene's."),
-    set_: list[str] = typer.Option([], "--set", metavar="NAME=VALUE", help="Another value for a param: forager.smell=50mm"),
+    seed: int = typer.Option(None, "--seed", min=0, max=2**64 - 1, help="Seed; overrides the scene."),
+    set_: list[str] = typer.Option([], "--set", metavar="NAME=VALUE", help="Value of a param, such as forager.smell=50mm"),
     root: list[str] = typer.Option([], "--root", metavar="NAME=DIR", help="Grant the scene a folder of assets outside its own."),
     threads: int = typer.Option(
         0,
         "--threads",
         min=0,
         max=256,
-        help="Threads for rays, kernels and NumPy's chunks; 0 takes all cores that it may use. Changes no result.",
+        help="Threads for rays, kernels and NumPy's chunks; 0: all available cores. Does not change results.",
     ),
     host: str = typer.Option(
         None, "--host", metavar="HOST", help="Listen at this address instead of this machine's own; needs --let-others-in."
     ),
     let_others_in: bool = typer.Option(
-        False, "--let-others-in", help="With --host: everyone who has the address may watch and steer."
+        False, "--let-others-in", help="With --host: anyone with the address may watch and steer."
     ),
 ) -> None:
     """Watch a scene while you write it: a page in the browser that reloads, rewinds and explains. Needs the extra [preview]."""
@@ -73,14 +73,14 @@ def _open_sockets(host: str | None, port: int | None, let_others_in: bool) -> Li
             raise CommandError(
                 ExitCode.USAGE,
                 f"error: `--host {host}` gives other machines access",
-                "who has the address with its token could watch this scene, read its programs and steer the run; who can\n"
-                "listen to the network could read the token. Say that it is meant with `--let-others-in`, or leave `--host`\n"
-                "out and reach this machine through `ssh -L 8765:127.0.0.1:8765`",
+                "anyone with the address and its token could watch this scene, read its programs and steer the run; anyone who\n"
+                "can read the network traffic could read the token. Confirm with `--let-others-in`, or omit `--host`\n"
+                "and connect through `ssh -L 8765:127.0.0.1:8765`",
             )
         return open_listening_sockets(host, port)
     except ListenError as why:
         raise CommandError(
-            ExitCode.INPUT_OUTPUT, f"error: {why}", "name another with `--port` or `--host`, or leave them out"
+            ExitCode.INPUT_OUTPUT, f"error: {why}", "choose another with `--port` or `--host`, or omit them"
         ) from None
 
 
@@ -129,13 +129,11 @@ def _serve_preview(
             print_note(f"{address}#{guard.token}")
         if allows_others:
             print_note(
-                "Other machines can reach this: who has the address with its token can watch the scene, read its programs\n"
-                "and steer the run, and can read and write no other file. What goes over the network is not encrypted."
+                "Other machines can reach this preview. Anyone with the address and its token can watch the scene, read its\n"
+                "programs and steer the run, but cannot read or write other files. Network traffic is not encrypted."
             )
-        waiting = (
-            "" if live.report.ok else f" {scene} has errors: the page shows them, and the ants appear once you correct them."
-        )
-        print_note(f"Ctrl-C ends it.{waiting}")
+        waiting = "" if live.report.ok else f" {scene} has errors. The page shows them; the agents appear once you correct them."
+        print_note(f"Press Ctrl-C to end it.{waiting}")
         if opens_browser:
             _open_browser(f"{listening.addresses[0]}#{guard.make_invitation_code()}")
 

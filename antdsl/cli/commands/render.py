@@ -52,69 +52,69 @@ class LegendPlacement(StrEnum):
     none = "none"
 
 
-@report_failures("drawing stopped", "the same command with `--resume` draws the others")
+@report_failures("drawing stopped", "run the same command with `--resume` to draw the others")
 def render(
     cache: Path = typer.Argument(..., help="A folder that `antdsl run` wrote."),
-    frames: str = typer.Option(None, "--frames", metavar="A..B", help="Which frames. [default: the last; all with --film]"),
+    frames: str = typer.Option(None, "--frames", metavar="A..B", help="Frames to draw. [default: the last; with --film, all]"),
     every: int = typer.Option(None, "--every", min=1, metavar="N", help="Draw only every Nth frame."),
-    sheet: bool = typer.Option(False, "--sheet", help="One picture with several frames on it, and the last frame as a picture."),
+    sheet: bool = typer.Option(
+        False, "--sheet", help="Draw several frames on one picture, and the last frame as a separate picture."
+    ),
     film: bool = typer.Option(False, "--film", help="Make an .mp4 film; needs the extra [video]."),
     show: str = typer.Option(
-        "trail",
-        "--show",
-        metavar="WORD,…",
-        help="What else to draw: trail, flow, feelers, velocity, paths, ids; `none` for nothing.",
+        "trail", "--show", metavar="WORD,…", help="Overlays: trail, flow, feelers, velocity, paths, ids; `none`: no overlays."
     ),
     window: str = typer.Option(
-        "1..2", "--window", metavar="A..B", help="Paths: so many seconds before the frame and after it, 60 at most."
+        "1..2", "--window", metavar="A..B", help="Length of paths in seconds before and after the frame, at most 60."
     ),
     agents: str = typer.Option(
         None,
         "--agents",
         metavar="ID,…",
-        help="Only these agents' ids, velocities, paths, feelers; the eye camera follows the first.",
+        help="Draw ids, velocities, paths and feelers of these agents only; the eye camera follows the first.",
     ),
     width: int = typer.Option(960, "--width", min=16, max=8192, help="Pixels."),
     height: int = typer.Option(540, "--height", min=16, max=8192, help="Pixels."),
     camera: CameraView = typer.Option(
         CameraView.scene,
         "--camera",
-        help="The scene's own; one that fits the crowd; one from above; one straight above, at one scale; one at an agent's eye "
-        "level; one close to it.",
+        help="Camera: the scene's own, fitted to the crowd, from above, straight above without perspective, at an agent's eye "
+        "level, or close to an agent.",
     ),
-    blur: float = typer.Option(0.0, "--blur", min=0.0, max=1.0, metavar="SHARE", help="Motion blur, as a share of a frame."),
+    blur: float = typer.Option(
+        0.0, "--blur", min=0.0, max=1.0, metavar="SHARE", help="Motion blur: shutter time as a share of a frame."
+    ),
     least: float = typer.Option(
         None,
         "--least",
         min=0.0,
         max=1000.0,
         metavar="PIXELS",
-        help="Draw shorter agents so long. [default: 7, up to three times their size]",
+        help="Minimum drawn length of agents in pixels. [default: 7, up to three times their size]",
     ),
     marks: float = typer.Option(
-        0.0, "--marks", min=0.0, max=200.0, metavar="PIXELS", help="Draw agents as discs of this diameter."
+        0.0, "--marks", min=0.0, max=200.0, metavar="PIXELS", help="Draw agents as discs of this diameter in pixels."
     ),
     full: list[str] = typer.Option(
-        [], "--full", metavar="FIELD=VALUE", help="The strength at the end of a field's scale of colours."
+        [], "--full", metavar="FIELD=VALUE", help="The strength that a field's last colour represents."
     ),
     legend: LegendPlacement = typer.Option(
-        LegendPlacement.beside, "--legend", help="States and scales: in a strip beside it, or nowhere."
+        LegendPlacement.beside, "--legend", help="Legend with states and scales: in a strip at the side, or none."
     ),
     cut: str = typer.Option(
-        None, "--cut", metavar="'z > 0'", help="Leave out what lies beyond a plane, in the scene's units, and look into solids."
+        None, "--cut", metavar="'z > 0'", help="Section view: omit everything beyond a plane, in the scene's units."
     ),
     shot: str = typer.Option(
-        None,
-        "--shot",
-        metavar="A..B",
-        help="These are some of the frames of a film: the camera and the strip are those of the whole film, from A to B.",
+        None, "--shot", metavar="A..B", help="Frames A to B of the complete film: use its camera and legend for these pictures."
     ),
     resume: bool = typer.Option(False, "--resume", help="Draw only frames without a complete and current picture."),
-    threads: int = typer.Option(0, "--threads", min=0, max=256, help="0 takes all cores that it may use."),
+    threads: int = typer.Option(0, "--threads", min=0, max=256, help="Number of threads; 0: all available cores."),
     scheduler: str = SCHEDULER_OPTION,
     tls: Path = TLS_OPTION,
     no_tls: bool = NO_TLS_OPTION,
-    out: Path = typer.Option(None, "--out", metavar="DIR", help="Where pictures go. [default: pictures in the cache]"),
+    out: Path = typer.Option(
+        None, "--out", metavar="DIR", help="Folder or file of the pictures. [default: pictures in the cache]"
+    ),
 ) -> None:
     """Draw frames of a cache."""
     from antdsl.cli.arguments import parse_frame_range
@@ -178,7 +178,7 @@ def render(
             else:
                 _write_stills(pictures, stills)
     except KeyboardInterrupt as why:
-        advice = "the same command with `--resume` draws the others"
+        advice = "run the same command with `--resume` to draw the others"
         raise CommandError(choose_stop_exit_code(why), "stopped: all written pictures are complete", advice) from None
 
 
@@ -227,9 +227,9 @@ def _open_gallery(folder: Path, settings: DrawRequest) -> Gallery:
     except (ManifestError, CacheError) as why:
         raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {why}", "name the folder that `antdsl run` printed") from None
     except PictureUnavailable as why:
-        advice = "add it to `output: {attributes: …}` of the scene and run again"
+        advice = "add it to the scene's `output: {attributes: …}` and run again"
         if "field" in str(why):
-            advice = "`antdsl info CACHE` names its fields"
+            advice = "`antdsl info CACHE` lists its fields"
         raise CommandError(ExitCode.FINDINGS, f"error: {why}", advice) from None
 
 
@@ -239,7 +239,7 @@ def _choose_frames(gallery: Gallery, frame_range: Any, every: int | None, sheet:
         cache_frames = [frame for frame in cache_frames if frame_range.first <= frame <= frame_range.last]
     if not cache_frames:
         message = "error: the cache has none of these frames"
-        raise CommandError(ExitCode.INPUT_OUTPUT, message, "`antdsl info CACHE` says which it has")
+        raise CommandError(ExitCode.INPUT_OUTPUT, message, "`antdsl info CACHE` lists its frames")
     if every is not None:
         cache_frames = cache_frames[::every]
         if not sheet or film or len(cache_frames) <= MAX_PICTURES:
@@ -286,7 +286,7 @@ def _draw_frames(
             drawer = drawer or FrameDrawer(gallery, settings, camera_frames, threads)
             yield frame, drawer.draw(frame), True
     except CacheError as why:
-        advice = f"to compute damaged frames again: {make_resume_command(gallery.cache.folder)}"
+        advice = f"to recompute damaged frames: {make_resume_command(gallery.cache.folder)}"
         raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {why}", advice) from None
     except PictureUnavailable as why:
         raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {why}", "run the scene again into another folder") from None

@@ -50,14 +50,14 @@ def run(
     scenes: list[Path] = typer.Argument(
         ..., metavar="SCENE…", help="A scene (.yaml); several scenes run in parallel, each independently."
     ),
-    frames: str = typer.Option(None, "--frames", metavar="A..B", help="Other frames than the scene's."),
-    seed: int = typer.Option(None, "--seed", min=0, max=2**64 - 1, help="Another seed than the scene's."),
-    set_: list[str] = typer.Option([], "--set", metavar="NAME=VALUE", help="Another value for a param: forager.smell=50mm"),
+    frames: str = typer.Option(None, "--frames", metavar="A..B", help="Frame range; overrides the scene."),
+    seed: int = typer.Option(None, "--seed", min=0, max=2**64 - 1, help="Seed; overrides the scene."),
+    set_: list[str] = typer.Option([], "--set", metavar="NAME=VALUE", help="Value of a param, such as forager.smell=50mm"),
     out: Path = typer.Option(
         None,
         "--out",
         metavar="DIR",
-        help="Folder of the cache; with several scenes, it has a folder for each. [default: out/SCENE beside the scene]",
+        help="Folder of the cache; several scenes get one folder each. [default: out/SCENE next to the scene]",
     ),
     root: list[str] = typer.Option([], "--root", metavar="NAME=DIR", help="Grant the scene a folder of assets outside its own."),
     threads: int = typer.Option(
@@ -65,32 +65,32 @@ def run(
         "--threads",
         min=0,
         max=256,
-        help="Threads for rays, kernels and NumPy's chunks; 0 takes all cores that it may use. Changes no result.",
+        help="Threads for rays, kernels and NumPy's chunks; 0: all available cores. Does not change results.",
     ),
-    chunk: int = typer.Option(16_384, "--chunk", min=1, max=10_000_000, help="Agents per chunk. No result changes."),
-    summary: Path = typer.Option(None, "--summary", metavar="FILE", help="Write counts, speeds and measures as JSON."),
-    resume: bool = typer.Option(False, "--resume", help="Go on with the cache of an earlier run that was stopped."),
+    chunk: int = typer.Option(16_384, "--chunk", min=1, max=10_000_000, help="Agents per chunk. Does not change results."),
+    summary: Path = typer.Option(None, "--summary", metavar="FILE", help="Write counts, timings and measures as JSON."),
+    resume: bool = typer.Option(False, "--resume", help="Continue the cache of a run that was stopped."),
     force: bool = typer.Option(False, "--force", help="Write even into a folder that has other files."),
     any_memory: bool = ANY_MEMORY_OPTION,
     backend: BackendName = typer.Option(
         BackendName.native,
         "--backend",
-        help="`native`: as machine code once that is made; `numpy`: without; `reference`: one agent at a time, slow and plain. "
-        "Changes no result.",
+        help="`native`: machine code once it is ready; `numpy`: no machine code; `reference`: one agent at a time, slow but "
+        "simple. Does not change results.",
     ),
     shuffle: int = typer.Option(
-        None, "--shuffle-rows", metavar="N", min=0, help="Put agents into rows in another order. Changes no result."
+        None, "--shuffle-rows", metavar="N", min=0, help="Store agents in a random row order. Does not change results."
     ),
     on_fault: FaultReaction = typer.Option(
-        FaultReaction.stop, "--on-fault", help="What follows when an agent gets a number that is none."
+        FaultReaction.stop, "--on-fault", help="Reaction to an agent with a value that is not a number."
     ),
     profile: bool = typer.Option(
-        False, "--profile", help="Report at the end where the time went: phases, layers, lines. No result changes."
+        False, "--profile", help="Report the time of phases, layers and lines at the end. Does not change results."
     ),
     scheduler: str = SCHEDULER_OPTION,
     tls: Path = TLS_OPTION,
     no_tls: bool = NO_TLS_OPTION,
-    quiet: bool = typer.Option(False, "--quiet", "-q", help="Print nothing but problems."),
+    quiet: bool = typer.Option(False, "--quiet", "-q", help="Print only problems."),
 ) -> None:
     """Simulate scenes and write their caches."""
     from antdsl.cli.arguments import parse_frame_range, parse_grants, parse_pairs, require_scene
@@ -105,7 +105,7 @@ def run(
     if scheduler or len(scenes) > 1:
         if summary is not None or profile:
             flag = "--summary" if summary is not None else "--profile"
-            raise typer.BadParameter("this is of one scene that runs here", param_hint=flag)
+            raise typer.BadParameter("this option is only for a single scene that runs on this machine", param_hint=flag)
         words: dict[str, object] = {"backend": backend.value, "chunk": chunk, "shuffle_rows": shuffle, "on_fault": on_fault.value}
         words |= {"resume": resume, "force": force}
         run_shots(scenes, choices, out, words, threads, (scheduler, tls, no_tls), quiet, any_memory)
@@ -130,7 +130,7 @@ def run(
     options = Options(
         backend=backend.value, chunk=chunk, threads=choose_threads(threads, quiet), shuffle_rows=shuffle, on_fault=on_fault.value
     )
-    writing = report_failures("cannot write the cache", f"go on with: {again}")
+    writing = report_failures("cannot write the cache", f"continue with: {again}")
     with writing, _handle_stop_in_set_up(again), protect_inputs(files, folders):  # also another cache from which the scene starts
         recording = _begin_recording(shot, folder, options, choices, resume, force, quiet)
     with redirect_messages(summary) as output:
@@ -142,7 +142,7 @@ def run(
         if summary is not None:
             from antdsl.outputs.summary import encode_summary
 
-            with report_failures("the cache is complete; cannot write its summary", f"go on with: {again}"):
+            with report_failures("the cache is complete; cannot write its summary", f"continue with: {again}"):
                 write_result(summary, encode_summary(recording), output)
         if recording.step_meter is not None:
             from antdsl.cli.printing.profile_table import print_profile
@@ -247,7 +247,7 @@ def _record_to_end(recording: Recording, quiet: bool, resume_command: str) -> No
 
     previous_handlers = {number: signal.signal(number, ask_to_stop) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
-        failures = report_failures("cannot write the cache", f"go on with: {resume_command}")
+        failures = report_failures("cannot write the cache", f"continue with: {resume_command}")
         with explain_cache_errors(), failures, show_progress(recording, quiet) as watch:
             for _ in record_frames(recording, watch.show_preroll):
                 watch.frame()
@@ -258,7 +258,7 @@ def _record_to_end(recording: Recording, quiet: bool, resume_command: str) -> No
         raise CommandError(
             ExitCode.FINDINGS,
             f"error: {why}",
-            "mend the program, or go on without such agents: `--on-fault quarantine`\n"
+            "correct the program, or continue without such agents: `--on-fault quarantine`\n"
             f"the frames before are in {recording.folder}",
         ) from None
     finally:
@@ -270,5 +270,5 @@ def _record_to_end(recording: Recording, quiet: bool, resume_command: str) -> No
         if recording.frame is None:
             raise CommandError(code, "stopped before the first frame", f"begin with: {resume_command}")
         raise CommandError(
-            code, f"stopped after frame {recording.frame}, which has a checkpoint", f"go on with: {resume_command}"
+            code, f"stopped after frame {recording.frame}, which has a checkpoint", f"continue with: {resume_command}"
         )

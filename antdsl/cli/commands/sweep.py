@@ -56,21 +56,21 @@ class DesignName(StrEnum):
     morris = "morris"
 
 
-@report_failures("the sweep stopped", "the same command goes on with the runs that are left, and so does `--resume`")
+@report_failures("the sweep stopped", "run the same command again, or add `--resume`, to complete the remaining runs")
 def sweep(
     context: typer.Context,
-    scenes: list[Path] = typer.Argument(None, metavar="SCENE…", help="Scenes; the table has a line for each."),
+    scenes: list[Path] = typer.Argument(None, metavar="SCENE…", help="Scenes; the table has one line per scene."),
     vary: list[str] = typer.Option(
         [],
         "--vary",
         metavar="NAME=A,B,C",
-        help="Values of a param: forager.smell=30mm,50mm, or a range: 30mm..90mm. Several params give all combinations.",
+        help="Values of a param: forager.smell=30mm,50mm, or a range: 30mm..90mm. Several params are combined.",
     ),
     design: DesignName = typer.Option(
         DesignName.grid,
         "--design",
-        help="Which values are run: all combinations; points of a Latin hypercube or of a Sobol sequence; Saltelli's sample or "
-        "Morris' trajectories, which tell how much each param matters.",
+        help="Choice of values: all combinations, points of a Latin hypercube or a Sobol sequence, Saltelli's sample or Morris' "
+        "trajectories. The last two measure the influence of each param.",
     ),
     points: int = typer.Option(None, "--points", metavar="N", min=2, max=1_000_000, help="Number of points of a design."),
     design_seed: int = typer.Option(
@@ -78,23 +78,23 @@ def sweep(
     ),
     seeds: str = typer.Option("5", "--seeds", metavar="N", help="Run each combination with the seeds 1 to N, or A..B."),
     jobs: int = typer.Option(
-        0, "--jobs", min=0, max=256, help="Runs at a time; 0 takes all cores that it may use. Changes no result."
+        0, "--jobs", min=0, max=256, help="Number of parallel runs; 0: all available cores. Does not change results."
     ),
     out: Path = typer.Option(
-        None, "--out", metavar="DIR", help="Folder of the table. [default: out/sweep beside the first scene]"
+        None, "--out", metavar="DIR", help="Folder of the table. [default: out/sweep next to the first scene]"
     ),
     frames: str = typer.Option(None, "--frames", metavar="A..B", help="Frame range; overrides the scenes."),
     until: list[str] = typer.Option(
-        [], "--until-empty", metavar="NAME", help="End a run once this amount is used up: food.load, food.apple.load."
+        [], "--until-empty", metavar="NAME", help="End a run once this amount is 0, such as food.load or food.apple.load."
     ),
     until_known: list[str] = typer.Option(
         [],
         "--until-known",
         metavar="NAME=WIDTH",
-        help="Run no more seeds once the median of a measure is known so closely: motion.turn_p99=0.5, or 10%. "
-        "Then `--seeds` is how many at most.",
+        help="Stop adding seeds once the median of a measure is this precise: motion.turn_p99=0.5, or 10%. "
+        "`--seeds` is then the maximum number.",
     ),
-    show: list[str] = typer.Option([], "--show", metavar="NAME", help="Measures of the table, by the beginning of their name."),
+    show: list[str] = typer.Option([], "--show", metavar="NAME", help="Measures in the table, by the start of their names."),
     root: list[str] = typer.Option([], "--root", metavar="NAME=DIR", help="Grant scenes a folder of assets outside their own."),
     resume: bool = typer.Option(
         False, "--resume", help="Continue the sweep in --out with its own options. Repeating its command does the same."
@@ -103,7 +103,7 @@ def sweep(
     scheduler: str = SCHEDULER_OPTION,
     tls: Path = TLS_OPTION,
     no_tls: bool = NO_TLS_OPTION,
-    plots: bool = typer.Option(True, "--plots/--no-plots", help="Draw the table as well, if matplotlib is installed."),
+    plots: bool = typer.Option(True, "--plots/--no-plots", help="Also plot the table, if matplotlib is installed."),
     any_memory: bool = ANY_MEMORY_OPTION,
     quiet: bool = typer.Option(False, "--quiet", "-q", help="Print the table and problems only."),
 ) -> None:
@@ -166,8 +166,7 @@ def sweep(
     others = run_store.count_other_runs(runs) if resume else 0
     if others:
         print_note(
-            f"{others} runs in {folder} are of files, values or sources of antdsl that are others now, and are not counted",
-            to_stderr=True,
+            f"{others} runs in {folder} used different files, values or versions of antdsl, and are not counted", to_stderr=True
         )
     processes = min(jobs or count_available_cores(), max(todo, 1))
     threads = max(1, count_available_cores() // processes)
@@ -194,7 +193,7 @@ def sweep(
             (ExitCode.INPUT_OUTPUT, f"error: {why}") if isinstance(why, WorkersLost) else (choose_stop_exit_code(why), "stopped")
         )
         raise CommandError(
-            code, f"{words}: {finished}", "the same command goes on with the others, and so does `--resume`"
+            code, f"{words}: {finished}", "run the same command again, or add `--resume`, to complete the others"
         ) from None
     _require_measures(chooser)
     _write_tables(run_store, study, chooser, finished_measures, show, plots)
@@ -280,7 +279,7 @@ def _truncate_table(lines: str) -> str:
     each = lines.splitlines(keepends=True)
     omitted_count = len(each) - 1 - MAX_PRINTED_LINES
     return "".join(each[: MAX_PRINTED_LINES + 1]) + (
-        f"… and {omitted_count} lines more, in table.txt\n" if omitted_count > 0 else ""
+        f"… and {omitted_count} more lines, in table.txt\n" if omitted_count > 0 else ""
     )
 
 

@@ -27,30 +27,33 @@ if TYPE_CHECKING:
 def test(
     paths: list[Path] = typer.Argument(..., help="Programs (.ant), scenes (.yaml), or folders to search."),
     name_filter: str = typer.Option("", "-k", metavar="NAME", help="Only specs with this in their name."),
-    seeds: int = typer.Option(None, "--seeds", metavar="N", min=1, max=1000, help="Run each spec with the seeds 1 to N."),
+    seeds: int = typer.Option(None, "--seeds", metavar="N", min=1, max=1000, help="Run each spec with seeds 1 to N."),
     junit: Path = typer.Option(None, "--junit", metavar="FILE", help="Write the results as JUnit XML, for build servers."),
     json: Path = typer.Option(None, "--json", metavar="FILE", help="Write the results and the coverage as JSON."),
     keep: Path = typer.Option(
-        None, "--keep", metavar="DIR", help="Folder for saved failures. [default: out/failed beside the scene]"
+        None, "--keep", metavar="DIR", help="Folder for saved failures. [default: out/failed next to the scene]"
     ),
     no_keep: bool = typer.Option(False, "--no-keep", help="Save no failures."),
-    update: bool = typer.Option(False, "--update", help="Store these runs as golden runs; later runs are compared with them."),
-    show_coverage: bool = typer.Option(
-        False, "--coverage", help="List all states and transitions, with how often each was reached."
-    ),
+    update: bool = typer.Option(False, "--update", help="Store these runs as golden runs, which later runs are compared with."),
+    show_coverage: bool = typer.Option(False, "--coverage", help="List all states and transitions with their counts."),
     min_coverage: float = typer.Option(
-        None, "--fail-under", metavar="N", min=0, max=100, help="Fail if less than N % of the states and changes were met."
+        None,
+        "--fail-under",
+        metavar="N",
+        min=0,
+        max=100,
+        help="Fail if runs reached less than N % of the states and transitions.",
     ),
     root: list[str] = typer.Option([], "--root", metavar="NAME=DIR", help="Grant scenes a folder of assets outside their own."),
     threads: int = typer.Option(
-        0, "--threads", min=0, max=256, help="Threads for rays, kernels and NumPy's chunks; 0 takes all cores that it may use."
+        0, "--threads", min=0, max=256, help="Threads for rays, kernels and NumPy's chunks; 0: all available cores."
     ),
     backend: BackendName = typer.Option(
         BackendName.native,
         "--backend",
-        help="Like in `run`; `reference` is slow but simple: one agent at a time. No verdict changes.",
+        help="As in `run`; `reference` is slow but simple: one agent at a time. Does not change verdicts.",
     ),
-    quiet: bool = typer.Option(False, "--quiet", "-q", help="Print nothing but failures and how many there are."),
+    quiet: bool = typer.Option(False, "--quiet", "-q", help="Print only failures and their number."),
 ) -> None:
     """Run the specs of programs and say what was not as expected."""
     from antdsl.cli.arguments import parse_grants
@@ -83,7 +86,7 @@ def test(
     print_report(report, to_stderr=True)
     everything = [case for run in runs for case in run.cases]
     if not everything and report.ok:
-        what = f"no spec here has `{name_filter}` in its name" if name_filter else "there is no spec here"
+        what = f"no spec has `{name_filter}` in its name" if name_filter else "no spec was found"
         raise CommandError(ExitCode.USAGE, f"error: {what}", 'write one in a program: `spec "…" on "scene.yaml" { always: … }`')
 
     with redirect_messages(junit, json) as output:
@@ -128,7 +131,9 @@ def test(
         lines += [] if quiet else [describe_coverage(coverage)] * show_coverage + [describe_uncovered(coverage)]
         low = min_coverage is not None and not stopped and coverage.covered_share * 100 < min_coverage
         lines += (
-            [f"{coverage.covered_share * 100:.4g} % of states and changes were met, less than {min_coverage:g} %"] if low else []
+            [f"{coverage.covered_share * 100:.4g} % of states and transitions were reached, less than {min_coverage:g} %"]
+            if low
+            else []
         )
         print_note("\n".join(line for line in lines if line))
         write_result(junit, as_junit(everything, report, goldens.results).encode(), output)

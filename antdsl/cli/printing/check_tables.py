@@ -102,7 +102,7 @@ def format_cost_table(programs: CheckedPrograms) -> Iterator[str]:
         sizes = _describe_memory(program) if new else {}
         for species in new:
             yield f"{file}: {species.name}{sizes.get(species.name, '')}"
-            yield from _align_rows([("state", "cost", "sums", "what it asks for"), *_make_state_rows(program, species)])
+            yield from _align_rows([("state", "cost", "sums", "senses, fields and draws"), *_make_state_rows(program, species)])
     if not listed:
         yield "no program without errors here has a species"
 

@@ -123,7 +123,7 @@ def show_progress(recording: Recording, quiet: bool) -> Iterator[ProgressDisplay
     """Yield a display of each frame that suits the output stream. At the end, print the location of the cache."""
     frames, preroll = recording.shot.frames, recording.shot.scene.model.preroll
     if recording.resumed_from is not None and not quiet:
-        print_note(f"goes on after frame {recording.resumed_from}")
+        print_note(f"continues after frame {recording.resumed_from}")
     if quiet:
         yield ProgressDisplay(recording)
         return
@@ -172,5 +172,5 @@ def _print_cache_location(recording: Recording) -> None:
             f"level of detail, agents on the average: {', '.join(f'{name} {count:,.0f}' for name, count in levels.items())}"
         )
     if recording.world.faults.count:
-        print_note(f"{recording.world.faults.count} faults: agents with a value that is not a number")
+        print_note(f"{recording.world.faults.count} faults: values that are not numbers")
     print_note(f"the cache is in {recording.folder}")

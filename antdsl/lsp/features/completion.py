@@ -96,7 +96,7 @@ def _propose_line_start(request: CompletionRequest, rule: str) -> Iterator[Compl
     elif rule == "weight":
         yield from _propose_states(request)
     elif rule == "layer":
-        yield CompletionItem("state", "keyword", "what the current state steers")
+        yield CompletionItem("state", "keyword", "the push of the current state")
         yield from propose_behaviours(request)
     elif rule in ("behaviour_line", "rule"):
         yield from propose_values(request)
@@ -170,7 +170,9 @@ def _propose_all_states(request: CompletionRequest) -> Iterator[CompletionItem]:
 def _propose_handled_events(request: CompletionRequest) -> Iterator[CompletionItem]:
     """Propose the events that a handler may name."""
     yield CompletionItem("spawn", "keyword", "once, at birth")
-    yield CompletionItem("collision", "keyword", "its body begins to touch another's", "", "collision(${1:other})", True)
+    yield CompletionItem(
+        "collision", "keyword", "the agent's body begins to touch another one", "", "collision(${1:other})", True
+    )
     yield from _propose_events(request)
 
 

@@ -63,7 +63,7 @@ def _find_rank_hints(node: nodes.Layers) -> Iterator[InlayHint]:
     mode = node.mode.text if node.mode is not None else "budget"
     if mode == "sum":
         return  # all count equally
-    rule = "only the first layer that pushes counts" if mode == "first" else "gets what the lines above leave of the budget"
+    rule = "only the first layer with a push counts" if mode == "first" else "uses the strength that the lines above leave"
     for rank, layer in enumerate(node.layers, 1):
         yield InlayHint(layer.span, True, f"{rank}.", f"layer {rank} of {len(node.layers)}: {rule}")
 

@@ -200,7 +200,7 @@ def find_renamable_name(workspace: Workspace, document: OpenDocument, offset: in
     """Return the renamable name at an offset. Raises RenameRefused when there is none."""
     occurrence = find_occurrence_at(document, offset)
     if occurrence is None:
-        raise RenameRefused("there is no name here")
+        raise RenameRefused("no name at this position")
     occurrence = replace(occurrence, key=resolve_key(workspace, document, occurrence.key))
     word = occurrence.span.text.strip('"')
     if occurrence.key[0] not in AUTHOR_NAME_KINDS or (
@@ -215,7 +215,7 @@ def rename_symbol(workspace: Workspace, document: OpenDocument, offset: int, new
     together."""
     first = find_renamable_name(workspace, document, offset)
     if not _NAME_PATTERN.fullmatch(new_name) or len(new_name) > limits.MAX_NAME_CHARACTERS:
-        raise RenameRefused(f"`{new_name[:80]}` is no name: small letters, digits and `_`, beginning with a letter")
+        raise RenameRefused(f"`{new_name[:80]}` is not a name: write small letters, digits and `_`, beginning with a letter")
     called = first.key[0] == "behaviour" and (new_name in vocabulary.BUILTINS_BY_NAME or new_name in vocabulary.REDUCER_HELP)
     if new_name in _RESERVED_NAMES or new_name in list_keywords() or called or _is_built_in(first.key, new_name):
         raise RenameRefused(f"`{new_name}` is a word of the language")
@@ -280,7 +280,7 @@ def _refuse_collision(workspace: Workspace, document: OpenDocument, key: NameKey
         names = other.names.declaration_by_key if other.is_program else {}
         for rival_key in rivals:
             if rival_key in names or (rival_key[0] == "scene-item" and not other.is_program and new_name in other.scene.items):
-                raise RenameRefused(f"there is a `{new_name}` already: {other.path.name}")
+                raise RenameRefused(f"`{new_name}` already exists: {other.path.name}")
         if not (hiding and other.is_program):
             continue
         for each in names:

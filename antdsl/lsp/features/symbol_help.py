@@ -126,9 +126,9 @@ def _describe_state(symbol: SymbolDeclaration, node: nodes.State) -> str:
     least = f"at least {collapse_whitespace(node.at_least.span.text)}" if node.at_least is not None else ""
     targets = [line.target for line in node.body if isinstance(line, nodes.Change)]
     names = dict.fromkeys(n.text for t in targets for n in ([t.name] if t.name is not None else [c.target for c in t.choices]))
-    leads = f"leads to {', '.join(f'`{name}`' for name in names)}" if names else "nothing leads out of it"
+    leads = f"leads to {', '.join(f'`{name}`' for name in names)}" if names else "no transition leaves it"
     where = f"state of `{key[1]}`" + (f", machine `{key[2]}`" if key[2] != "main" else "")
-    still = "does not move: no line in it steers" if _is_resting_state(symbol, node) else ""
+    still = "agents stand still: no line steers" if _is_resting_state(symbol, node) else ""
     return format_markdown(f"state {node.name.text}{label}{colour}", least, leads, still, where)
 
 

@@ -167,11 +167,11 @@ def _describe_array(name: str, spec: ArgumentSpec, array: Any) -> tuple[int, ...
     dtype, shape = spec.dtype, array.shape
     assert dtype is not None
     if (dtype is not array.dtype and dtype != array.dtype) or len(shape) != spec.axes:
-        raise ValueError(f"{name} wants an array of {dtype} with {spec.axes} axes, not of {array.dtype} with {array.ndim}")
+        raise ValueError(f"{name} needs an array of {dtype} with {spec.axes} axes, not of {array.dtype} with {array.ndim}")
     if spec.is_written and not array.flags.writeable:
         raise ValueError(f"{name} writes to an array that is read-only")
     if not array.flags.aligned:
-        raise ValueError(f"{name} wants an array that is aligned to its elements")
+        raise ValueError(f"{name} needs an array that is aligned to its elements")
     if not spec.is_strided:
         return (array_address(array), *shape)
     size, (one, two) = dtype.itemsize, array.strides

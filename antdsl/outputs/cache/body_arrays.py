@@ -63,7 +63,7 @@ def load_definition(manifest: Manifest, static: Arrays, number: int) -> Definiti
         raise BodyError("is not there")
     definition = unpack_checked_definition(arrays)
     if hash_definition(definition) != manifest.bodies[number].digest:
-        raise BodyError("is not the one that was written")
+        raise BodyError("is not the written one")
     return definition
 
 

@@ -117,7 +117,7 @@ class Cache:
         arrays = _read_arrays(self.folder / STATIC_FILE_NAME, None)
         for name in _list_required_arrays(self.manifest, arrays):
             if name not in arrays:
-                raise CacheError(f"`{self.folder / STATIC_FILE_NAME}` has no `{name}`, and the manifest names it")
+                raise CacheError(f"`{self.folder / STATIC_FILE_NAME}` has no `{name}`, although the manifest names it")
         return arrays
 
     def find_source_files(self) -> list[Path]:
@@ -220,7 +220,7 @@ def _read_arrays(path: Path, number: int | None, names: frozenset[str] | None = 
     try:
         arrays = read_npz(path, None if names is None else names | {"frame"})
     except FileNotFoundError:
-        raise CacheError(f"`{path}` is not there") from None
+        raise CacheError(f"`{path}` does not exist") from None
     except OSError as why:
         raise CacheError(f"`{path}` cannot be read: {(why.strerror or str(why)).lower()}") from None
     except ArrayFileError as why:

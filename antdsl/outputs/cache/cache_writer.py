@@ -76,9 +76,9 @@ def prepare_folder(folder: Path, *, force: bool) -> None:
     create_folder_durably(folder)
     for name in ("frames", "checkpoints"):
         if is_link(folder / name):
-            raise PathBlocked(f"`{folder / name}` is a link, but a folder is needed there")
+            raise PathBlocked(f"`{folder / name}` is a link, but must be a folder")
         if (folder / name).exists() and not (folder / name).is_dir():
-            raise PathBlocked(f"`{folder / name}` is a file, but a folder is needed there")
+            raise PathBlocked(f"`{folder / name}` is a file, but must be a folder")
     for path in _list_cache_files(folder):
         if path.is_dir() and not path.is_symlink():
             raise PathBlocked(f"`{path}` is a folder, but a file of the cache is needed there")
@@ -94,7 +94,7 @@ def prepare_folder(folder: Path, *, force: bool) -> None:
             if name.name != LOCK_FILE_NAME and not name.match(f".{MARKER_FILE_NAME}.*{PART_SUFFIX}")
         )
         if others and not force:
-            raise ForeignFolder(f"`{folder}` has files that are not a cache's, such as `{others[0]}`")
+            raise ForeignFolder(f"`{folder}` has files that do not belong to a cache, such as `{others[0]}`")
         write_atomically(marker, b"This folder is written by antdsl; what is in it may be replaced by the next run.\n")
     for name in ("frames", "checkpoints"):
         create_folder_durably(folder / name)

@@ -119,7 +119,7 @@ def _find_hash_problem(path: Path, prefix: bytes, expected: str) -> str | None:
     try:
         handle = open_regular_file(path, follow=False)
     except FileNotFoundError:
-        return f"`{path}` is not there"
+        return f"`{path}` does not exist"
     except OSError as why:
         return f"`{path}` cannot be read: {(why.strerror or str(why)).lower()}"
     try:
@@ -135,7 +135,7 @@ def _find_hash_problem(path: Path, prefix: bytes, expected: str) -> str | None:
         return f"`{path}` cannot be read: {(why.strerror or str(why)).lower()}"
     finally:
         os.close(handle)
-    return None if actual == expected else f"`{path}` is not what was written there"
+    return None if actual == expected else f"`{path}` differs from what was written"
 
 
 _STATIC_PREFIX = b"static "

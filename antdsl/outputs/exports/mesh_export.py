@@ -108,11 +108,9 @@ def _find_common_agents(gallery: Gallery, frames: list[int]) -> tuple[dict[BodyK
     if not all_ids:
         return {}, [NO_AGENTS_MESSAGE]
     if not any(common_ids.values()):
-        raise ExportUnavailable(
-            "no agent with a body is there in all of these frames", "choose others with `--ids` or `--frames`"
-        )
+        raise ExportUnavailable("no agent with a body exists in all of these frames", "choose others with `--ids` or `--frames`")
     left = sum(len(ids - common_ids.get(key, set())) for key, ids in all_ids.items())
-    return common_ids, [f"{left} agents are not there in all of these frames, and are left out"] if left else []
+    return common_ids, [f"{left} agents do not exist in all of these frames, and are omitted"] if left else []
 
 
 def _pose_meshes(gallery: Gallery, frame: int, common_ids: dict[BodyKey, set[int]]) -> Iterator[MeshPart]:
@@ -124,7 +122,7 @@ def _pose_meshes(gallery: Gallery, frame: int, common_ids: dict[BodyKey, set[int
         total += len(rows) * len(worn.material_colours)
         if total > _MAX_FRAME_POINTS:
             raise ExportUnavailable(
-                f"the meshes of so many agents have more than {_MAX_FRAME_POINTS:,} points a frame", FEWER_AGENTS_ADVICE
+                f"the meshes of these agents have more than {_MAX_FRAME_POINTS:,} points a frame", FEWER_AGENTS_ADVICE
             )
         for a in range(0, len(rows), _AGENTS_PER_BATCH):
             parts += _pose_batch(key[0], crowd, rows[a : a + _AGENTS_PER_BATCH])

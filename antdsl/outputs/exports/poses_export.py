@@ -49,7 +49,7 @@ class _PoseRows:
     arrays: dict[str, list[NDArray[Any]]] = field(default_factory=dict)
 
 
-NO_AGENTS_MESSAGE = "no agent is there in these frames"
+NO_AGENTS_MESSAGE = "these frames have no agents"
 
 
 def export_poses(gallery: Gallery, frames: Iterable[int], path: Path) -> list[str]:
@@ -67,7 +67,7 @@ def export_poses(gallery: Gallery, frames: Iterable[int], path: Path) -> list[st
             size += len(crowd.position) * (len(worn.definition.rig.names) * 128 + 200)
             if size > _MAX_FILE_BYTES:
                 raise ExportUnavailable(
-                    f"poses of so many agents and frames take more than {_MAX_FILE_BYTES >> 30} GiB", FEWER_AGENTS_ADVICE
+                    f"the poses of these agents and frames take more than {_MAX_FILE_BYTES >> 30} GiB", FEWER_AGENTS_ADVICE
                 )
             arrays = make_pose_arrays(crowd)
             arrays["place"][:, :3, 3] += gallery.origin

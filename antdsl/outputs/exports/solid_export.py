@@ -18,7 +18,7 @@ from antdsl.outputs.gallery import Gallery
 from antdsl.outputs.numbered_files import ExportUnavailable, make_numbered_path
 from antdsl.scene.scene_model import UNIT_MM
 
-_NO_SOLIDS_ERROR = ExportUnavailable("the scene has no solid that agents can dig", "`kind: solid` of a mesh in `world` makes one")
+_NO_SOLIDS_ERROR = ExportUnavailable("the scene has no solid for agents to dig", "add a mesh with `kind: solid` to `world`")
 
 
 def export_solids(gallery: Gallery, frames: Iterable[int], path: Path) -> None:

@@ -50,7 +50,7 @@ def write_film(images: Iterable[Image], path: Path, fps: float) -> Report:
     pictures = iter(images)
     first = next(pictures, None)
     if first is None:
-        report.error("no-pictures", "a film needs at least one frame", None, help="ask for frames that the cache holds")
+        report.error("no-pictures", "a film needs at least one frame", None, help="request frames that the cache contains")
         return report
     height, width = first.shape[0] // 2 * 2, first.shape[1] // 2 * 2
     try:
@@ -70,7 +70,7 @@ def write_film(images: Iterable[Image], path: Path, fps: float) -> Report:
     except OSError as problem:
         why = (problem.strerror or "the encoder stopped").lower()
         message = f"cannot write the film `{path.name}`: {why}"
-        report.error("cannot-write", message, None, "name a folder that is there, with room")
+        report.error("cannot-write", message, None, "name an existing folder with free space")
     return report
 
 

@@ -60,7 +60,7 @@ class Renderer:
         if not (1 <= width <= 8192 and 1 <= height <= 8192 and 1 <= samples <= 4):
             raise ValueError("a picture must be 1 to 8192 pixels wide and high, with 1 to 4 samples along a pixel's edge")
         if not 0 <= blur <= 1:
-            raise ValueError("the shutter is open for 0 to 1 of a frame")
+            raise ValueError("the shutter must be open for 0 to 1 of a frame")
         self.width, self.height, self.samples = width, height, samples
         self.threads, self.least, self.enlarged, self.marks, self.blur = max(1, threads), least, enlarged, marks, blur
         self._cached_settings: list[tuple[tuple[int, ...], StaticSetting, tuple[object, ...]]] = []

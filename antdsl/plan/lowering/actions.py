@@ -82,7 +82,7 @@ def _lower_assign(w: PlanWriter, s: model.Assign, site: str) -> None:
             value = values.add(b, old, change) if s.op == "+=" else values.sub(b, old, change)
         else:
             if not isinstance(value, PlanNode) or not isinstance(old, PlanNode):
-                raise PlanError(f"`{s.op}` on something that is no number: {s.span.text!r}")
+                raise PlanError(f"`{s.op}` on a value that is not a number: {s.span.text!r}")
             value = b("add" if s.op == "+=" else "sub", old, _scale_by_step(w, value, s.per_second))
     if s.attribute == "heading" and isinstance(value, VectorNodes):
         size = values.length(b, value)

@@ -131,7 +131,7 @@ def order_layers(w: PlanWriter, order: Sequence[str] | None) -> tuple[model.Laye
     missing = [layer for layer in layers if layer not in result]
     if missing:
         names = ", ".join(f"`{layer.text}`" for layer in missing)
-        message = f"the order of the layers of `{w.species.name}` leaves out {names}"
+        message = f"the order of the layers of `{w.species.name}` omits {names}"
         w.report.error("layer-order", message, span, "name every layer once")
         return tuple(layers)
     return tuple(result)

@@ -94,9 +94,7 @@ def compile_condition(shot: Shot, text: str) -> SpecPlan:
         raise BreakpointError(f"`{' '.join(text.split())[:80]}` is not one condition", _ONE_CONDITION_HELP)
     loaded = shot.loaded
     program, report = check([*loaded.files, file], loaded.find_library, loaded.module_by_path)
-    words = (
-        f"write `each {next(iter(shot.plan.species))}: {' '.join(text.split())}` to ask every agent, or ask for a `count` of all"
-    )
+    words = f"write `each {next(iter(shot.plan.species))}: {' '.join(text.split())}` to test every agent, or use a `count` of all"
     _raise_first_error(report, "" if _EACH_PATTERN.fullmatch(text) else words)
     plan, report = lower_spec(program.specs[-1], program, shot.plan)
     _raise_first_error(report)

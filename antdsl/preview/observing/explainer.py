@@ -121,10 +121,10 @@ class Explainer:
         """Return the replay for the step to a frame. It belongs to the stretch in which the step began."""
         first, head = self.session.first, self.session.last_frame
         if frame == first:
-            raise ExplainError(f"frame {frame} is the first: no step led to it", f"ask at frame {frame + 1}, or later")
+            raise ExplainError(f"frame {frame} is the first: no step led to it", f"choose frame {frame + 1} or later")
         if not first < frame <= head:
             stored = f"frames {first + 1} to {head} can be explained" if head > first else "no step has been simulated yet"
-            raise ExplainError(f"frame {frame} was not simulated, or is forgotten", stored)
+            raise ExplainError(f"frame {frame} was not simulated, or is no longer stored", stored)
         stretch = self.session.timeline.at(frame - 1)
         key = tuple(stretch.param_changes)
         self._cached_replays = [stored for stored in self._cached_replays if stored[0] in self.session.timeline.stretches]

@@ -161,7 +161,7 @@ class SpecObserver:
         takes = status.seconds / (status.frames - _WARM_UP_FRAMES)
         if not status.judge.is_over and takes > max(_MAX_JUDGING_SHARE * step_seconds, _MAX_JUDGING_SECONDS):
             status.judge = None
-            status.reason = f"judging it takes {1000 * takes:.1f} ms a frame: with a breakpoint on it, it is judged all the same"
+            status.reason = f"judging it takes {1000 * takes:.1f} ms per frame; set a breakpoint on it to judge it anyway"
 
 
 def _make_status(name: str, plan: SpecPlan | str) -> SpecStatus:
@@ -189,7 +189,7 @@ def _find_obstacle(spec: Spec, shot: Shot, scene: Path) -> str:
         except PathRefused as why:
             return str(why)
         if realpath(place) != realpath(scene):
-            return f"it is about `{spec.scene.text}`"
+            return f"its scene is `{spec.scene.text}`"
     if spec.reference_run is not None:
         return "it compares with another run, as `antdsl test` does"
     if spec.changes:

@@ -61,7 +61,7 @@ def open_listening_sockets(host: str | None = None, port: int | None = None) -> 
         return ListeningSockets(
             sockets, frozenset(f"{name}:{taken}" for name in names), tuple(f"http://{name}:{taken}/" for name in display_names)
         )
-    raise ListenError(f"the ports {DEFAULT_PORT} to {DEFAULT_PORT + _MAX_PORT_ATTEMPTS - 1} are all taken")
+    raise ListenError(f"the ports {DEFAULT_PORT} to {DEFAULT_PORT + _MAX_PORT_ATTEMPTS - 1} are all in use")
 
 
 def _bind_sockets(addresses: Iterable[str], port: int) -> tuple[tuple[socket.socket, ...], int]:
@@ -159,9 +159,9 @@ def _format_url_host(name: str) -> str:
 
 def _describe_listen_error(error: OSError, host: str | None, port: int) -> str:
     if error.errno == errno.EADDRINUSE:
-        return f"port {port} is taken"
+        return f"port {port} is in use"
     if error.errno in (errno.EACCES, errno.EPERM):
-        return f"this user may not listen on port {port}"
+        return f"you may not listen on port {port}"
     if error.errno in _MISSING_ADDRESS_ERRORS:
         return f"this machine has no address `{host or 'localhost'}`"
     return f"cannot listen on port {port}: {(error.strerror or str(error)).lower()}"

@@ -86,11 +86,11 @@ def read_request(text: str) -> AnyRequest | RefusedRequest:
         first = why.errors(include_url=False, include_context=False, include_input=False)[0]
     kind, place = first["type"], [str(part) for part in first["loc"]]
     if kind == "json_invalid":
-        return RefusedRequest("", "a message is not valid JSON", "load this page again")
+        return RefusedRequest("", "a message is not valid JSON", "reload this page")
     if kind in ("union_tag_invalid", "union_tag_not_found") and not place:
-        return RefusedRequest("", "a message requests nothing that a preview supports", "load this page again")
+        return RefusedRequest("", "a message has an unknown request", "reload this page")
     if not place:
-        return RefusedRequest("", "a message is not a list of names and values", "load this page again")
+        return RefusedRequest("", "a message is not a list of names and values", "reload this page")
     where = " ".join(f"`{part}`" for part in place[1:]) or "the message"
     words = first["msg"][:1].lower() + first["msg"][1:]
     return RefusedRequest(place[0], f"{where} of `{place[0]}`: {words}")
@@ -238,14 +238,14 @@ class PreviewServer:
         try:
             self._live.ask(request, mailbox)
         except QueueFull:
-            mailbox.tell(RefusedRequest(request.op, "too many requests are waiting", "try again in a moment").make_message())
+            mailbox.tell(RefusedRequest(request.op, "too many requests are pending", "try again in a moment").make_message())
         except Exception:
             traceback.print_exc(file=sys.stderr)
             mailbox.tell(RefusedRequest(request.op, "this is a bug in antdsl: see the terminal for details").make_message())
 
     def _drop_slow_client(self, connection: ServerConnection) -> None:
         closing = asyncio.create_task(
-            _close_connection(connection, CloseCode.TRY_AGAIN_LATER, "too many messages wait for this page")
+            _close_connection(connection, CloseCode.TRY_AGAIN_LATER, "too many messages are pending for this page")
         )
         self._closing_tasks.add(closing)
         closing.add_done_callback(self._closing_tasks.discard)

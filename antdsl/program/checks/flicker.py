@@ -50,7 +50,7 @@ def _check_pair(
             f"{quote_source(change.condition.span)} and {quote_source(returning.condition.span)} can hold at once: "
             f"`{state.name}` and `{other.name}` would alternate",
             returning.condition.span,
-            "leave a gap between the two numbers, or wait: `held 0.5 s`, or `for at least 1 s` in a state",
+            "use two different limits, or wait: `held 0.5 s`, or `for at least 1 s` in a state",
             labels=(Label(change.condition.span, f"from `{state.name}` to `{other.name}`"),),
         )
 

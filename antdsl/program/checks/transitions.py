@@ -25,7 +25,7 @@ def check_reachability(checked: CheckContext, report: Report) -> None:
                     _report_unreachable(machine, state, report)
                 elif len(machine.states) > 1 and _is_stuck(state):
                     advice = f"write `when … -> {machine.states[machine.start].name}` in it, or `die` if the animal leaves"
-                    report.warning("trap", f"nothing leads out of state `{state.name}`", state.span, advice)
+                    report.warning("trap", f"no transition leaves state `{state.name}`", state.span, advice)
 
 
 def _find_reachable_states(machine: Machine) -> set[int]:
@@ -45,7 +45,7 @@ def _find_reachable_states(machine: Machine) -> set[int]:
 def _report_unreachable(machine: Machine, state: State, report: Report) -> None:
     start = machine.states[machine.start].name
     advice = f"write `when … -> {state.name}` in state `{start}` or another, or delete it"
-    report.warning("unreachable-state", f"no change leads to state `{state.name}`", state.span, advice)
+    report.warning("unreachable-state", f"no transition leads to state `{state.name}`", state.span, advice)
 
 
 def _is_stuck(state: State) -> bool:
@@ -73,9 +73,9 @@ def check_shadowed_transitions(checked: CheckContext, report: Report) -> None:
 
 def _report_shadowed(reader: ConditionReader, change: Transition, first: Transition, report: Report) -> None:
     certain = first.delay is None and first.hold_time is None and is_always(reader, first.condition)
-    label = "this one always happens" if certain else "this one happens whenever the other could"
+    label = "this one always happens" if certain else "this one happens whenever the later one could"
     advice = f"move it above the one that {'always happens' if certain else 'comes first'}"
-    report.warning("shadowed-change", "this change is never looked at", change.span, advice, labels=(Label(first.span, label),))
+    report.warning("shadowed-change", "this transition never happens", change.span, advice, labels=(Label(first.span, label),))
 
 
 def _is_shadowing(reader: ConditionReader, first: Transition, change: Transition) -> bool:
@@ -118,7 +118,7 @@ def _check_change(reader: ConditionReader, change: Transition, report: Report) -
         return
     if is_never(reader, test):
         message = f"{quote_source(test.span)} can never hold"
-        report.warning("never-fires", message, test.span, "change one of its numbers, or delete the change")
+        report.warning("never-fires", message, test.span, "change one of its numbers, or delete the transition")
     elif is_always(reader, test):
         message = f"{quote_source(test.span)} always holds"
         report.warning("always-fires", message, test.span, "change one of its numbers, or write `when true` if that is meant")

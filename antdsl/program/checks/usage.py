@@ -39,7 +39,7 @@ def check_unused_names(checked: CheckContext, report: Report) -> None:
         _check_species(checked, species, report)
     for field in checked.program.fields.values():
         if not checked.is_used("field", field.name):
-            message = f"field `{field.name}` is never laid and never smelled"
+            message = f"field `{field.name}` is never laid or smelled"
             report.warning("unused-field", message, field.span, f"write `deposit {field.name} 1 /s` in a state, or delete it")
     _check_behaviours(checked, report)
 
@@ -90,7 +90,7 @@ def check_unused_memory(checked: CheckContext, report: Report) -> None:
     for field in checked.program.fields.values():
         if field.name in laid and field.name not in read and not checked.is_used("smelled", field.name):
             advice = f"let agents follow it: `steer climb({field.name})`, or delete it"
-            report.warning("unread-field", f"field `{field.name}` is laid and never smelled", field.span, advice)
+            report.warning("unread-field", f"field `{field.name}` is laid but never smelled", field.span, advice)
 
 
 def _iterate_field_users(program: Program) -> Iterator[object]:
@@ -115,8 +115,8 @@ def _check_attribute(checked: CheckContext, species: Species, attribute: Attribu
     name = f"{species.name}.{attribute.name}"
     read, written = checked.is_used("attribute", name), name in checked.declared.written_attributes
     if written and not read:
-        hint = f"ask for it: `when {attribute.name} … -> …`, name it in `output: {{attributes: […]}}` of the scene, or delete it"
-        report.warning("unread-attribute", f"attribute `{attribute.name}` is set and never read", attribute.span, hint)
+        hint = f"test it: `when {attribute.name} … -> …`, name it in `output: {{attributes: […]}}` of the scene, or delete it"
+        report.warning("unread-attribute", f"attribute `{attribute.name}` is set but never read", attribute.span, hint)
     elif read and not written and attribute.relax_to is None and isinstance(attribute.default, (Constant, NoneRef)):
         value = quote_source(attribute.default.span)
         advice = f"set it where it changes: `{attribute.name} = …`, or make it a `param` if all agents share it"
@@ -136,10 +136,10 @@ def check_events(checked: CheckContext, report: Report) -> None:
         near = find_nearest_name(event, others)
         if raised and not noticed:
             advice = f"did you mean `{near}`?" if near else f"write `on {event} {{ … }}`, or ask for it: `when {event} -> …`"
-            report.warning("unheard-event", f"no agent notices the event `{event}`", span, advice)
+            report.warning("unheard-event", f"no agent handles the event `{event}`", span, advice)
         elif noticed and not raised:
             advice = f"did you mean `{near}`?" if near else f"write `emit {event}(within: 20 mm)` where it happens"
-            report.warning("silent-event", f"no agent raises the event `{event}`", span, advice)
+            report.warning("silent-event", f"no agent emits the event `{event}`", span, advice)
 
 
 def _report_unhandled_event(checked: CheckContext, event: str, span: Span, report: Report) -> None:

@@ -37,10 +37,8 @@ def check_wide_radius(checked: CheckContext, report: Report) -> None:
                 continue
             own = [each.span for each in _follow_names(written) if each.span.source.path == species.span.source.path]
             span = own[-1] if own else written.span
-            message = f"within {quote_source(span)} there are all agents: that is {radius.number / size:,.0f} body lengths"
-            advice = (
-                f"write some body lengths, such as `3 * size`; of all within it the {limits.MAX_QUERY_NEIGHBOURS} nearest count"
-            )
+            message = f"within {quote_source(span)} contains all agents: it is {radius.number / size:,.0f} body lengths"
+            advice = f"write a few body lengths, such as `3 * size`; only the {limits.MAX_QUERY_NEIGHBOURS} nearest agents count"
             report.warning("wide-radius", message, span, advice)
 
 

@@ -56,12 +56,12 @@ def type_amount_or_rate(
     if block.is_state_body and is_compatible(expr.type, type):
         better = _format_rate(node, text)
         message = f"{quote_source(node.span)} is an amount, and this line runs in every step"
-        advice = f"say per what time: `{prefix}{better}{suffix}`"
+        advice = f"write an amount per time: `{prefix}{better}{suffix}`"
         scope.report.error("not-a-rate", message, node.span, advice, fix=Fix(node.span, better))
     elif not block.is_state_body and is_compatible(expr.type, per_second):
         better = text[: -len("/s")].rstrip() if text.endswith("/s") else f"{_add_brackets(node, text)} * 1 s"
-        message = f"{quote_source(node.span)} is a rate, and this happens once"
-        advice = f"say how much: `{prefix}{better}{suffix}`"
+        message = f"{quote_source(node.span)} is a rate, but this line runs once"
+        advice = f"write an amount: `{prefix}{better}{suffix}`"
         scope.report.error("not-an-amount", message, node.span, advice, fix=Fix(node.span, better))
     else:
         report_mismatch(scope.report, node, expr.type, want, f"`{prefix.strip()}`")

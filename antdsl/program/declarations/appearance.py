@@ -86,7 +86,7 @@ def check_duplicates(scope: NameScope, node: nodes.State) -> None:
         first_line = first.setdefault((line.verb, line.name.text), line)
         if first_line is not line:
             does = "sets channel" if line.verb == "channel" else "turns"
-            words = f"`{node.name.text}` {does} `{line.name.text}` already, and only the second would count"
+            words = f"`{node.name.text}` {does} `{line.name.text}` already; only the second would apply"
             advice = "keep one of them; choose with `if … then … else …`"
             scope.report.error("two-writers", words, line.span, advice, labels=(Label(first_line.span, "first here"),))
 
@@ -96,7 +96,7 @@ def _is_misplaced(scope: NameScope, line: nodes.Ask, block: StatementContext) ->
     if not block.is_state_body:
         form = f"{line.verb} {line.name.text if line.name is not None else ''}"
         advice = f"write `{' '.join(line.span.text.split())}` as a line of the state itself"
-        scope.report.error("misplaced", f"`{form}` is in an action, but it is shown as long as a state lasts", line.span, advice)
+        scope.report.error("misplaced", f"`{form}` is in an action, but it applies as long as a state lasts", line.span, advice)
     return not block.is_state_body
 
 

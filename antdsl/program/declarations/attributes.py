@@ -87,8 +87,8 @@ def _check_extent(scope: NameScope, node: nodes.Species, written: Mapping[str, S
         labels = (Label(height, "the height is here"),)
         scope.report.error("duplicate-name", message, size, "delete one of the two lines", labels=labels)
     elif size is None and height is None and node.members:
-        message = f"`{node.name.text}` does not say how large it is"
-        advice = "write `size 4 mm`, or `height 1.7 m` for a body that stands"
+        message = f"`{node.name.text}` has no size"
+        advice = "write `size 4 mm`, or `height 1.7 m` for a standing body"
         scope.report.error("missing-setting", message, node.name.span, advice)
 
 
@@ -190,7 +190,7 @@ def _suggest_place(word: str) -> str | None:
         return f"write the sense where its value is needed: {SENSE_REPLACEMENTS[word].replace('X', 'food')}"
     if word in BUILTINS_BY_NAME or word in REDUCER_HELP:
         return f"`{word}` belongs where its value is needed: `let x = {word}(…)`"
-    return f"`{word}` is a word of the language and begins no line here" if word in LANGUAGE_WORDS else None
+    return f"`{word}` is a word of the language that cannot begin a line here" if word in LANGUAGE_WORDS else None
 
 
 def is_state_name(scope: NameScope, word: str) -> bool:

@@ -98,7 +98,7 @@ def _add_call_sizes(report: Report, info: BehaviourInfo) -> None:
     info.state = "circular" if any(called.state == "circular" for called in info.calls) else "sized"
     if info.state == "sized" and info.depth > _MAX_NESTED_OPERATIONS + limits.MAX_EXPRESSION_DEPTH:
         message = f"behaviour `{info.node.name.text}` calls others too many levels deep"
-        report.error("too-deep", message, info.node.name.span, "put some of them together")
+        report.error("too-deep", message, info.node.name.span, "merge some of them")
         info.state = "circular"
 
 
@@ -277,8 +277,8 @@ def _find_called_behaviour(scope: NameScope, function: nodes.Expr) -> BehaviourI
     if module is None:
         advice = "only behaviours of a file in a `use` line are called this way"
         if alias:
-            advice = f'bring it: `use "./{alias}.ant" as {alias}`'
-        message = f"no file is used as {quote_source(function.owner.span)}"
+            advice = f'add it: `use "./{alias}.ant" as {alias}`'
+        message = f"no file is used under the name {quote_source(function.owner.span)}"
         scope.report.error("unknown-module", message, function.owner.span, suggest_name(alias or "", scope.file.aliases, advice))
         return None
     info = module.own.get(function.name.text)
@@ -306,7 +306,7 @@ def _is_allowed(scope: NameScope, info: BehaviourInfo, node: nodes.Call) -> bool
     previous_size, declared.expanded_count = declared.expanded_count, declared.expanded_count + info.operation_count
     if declared.expanded_count > limits.MAX_TREE_NODES:
         if previous_size <= limits.MAX_TREE_NODES:
-            message = f"with `{name}` put in place this is more than {limits.MAX_TREE_NODES:,} operations"
+            message = f"with `{name}` expanded, this has more than {limits.MAX_TREE_NODES:,} operations"
             scope.report.error("too-large", message, node.span, "call fewer or smaller behaviours")
         return False
     return True

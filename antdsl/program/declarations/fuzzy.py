@@ -50,8 +50,8 @@ def _type_degree(scope: NameScope, node: nodes.Expr) -> Expr:
         return convert_to_bool(scope, node, expr, "a rule")
     if not is_compatible(expr.type, NUMBER_TYPE):
         text = " ".join(node.span.text.split())
-        message = f"{quote_source(node.span)} is {describe_type(expr.type)}, and a rule wants a share from 0 to 1"
-        advice = f"say where it begins and where it is full: `rising({text if len(text) <= 30 else '…'}, a .. b)`"
+        message = f"{quote_source(node.span)} is {describe_type(expr.type)}, but a rule needs a share from 0 to 1"
+        advice = f"define its start and its end: `rising({text if len(text) <= 30 else '…'}, a .. b)`"
         return scope.reject("wrong-unit", message, node.span, advice)
     known = find_constant(expr)
     if known is not None and not 0 <= known.number <= 1:

@@ -76,7 +76,7 @@ def _find_start_index(scope: NameScope, names: MachineNames, members: Sequence[o
     if starts:
         return _find_state_index(scope, names, starts[0].state) or 0
     if len(names.states) > 1:
-        message = f"nothing says which of the states {list_names(names.states)} comes first"
+        message = f"no `start` selects one of the states {list_names(names.states)} comes first"
         scope.report.error("missing-start", message, span, f"write `start {next(iter(names.states))}`")
     return 0
 
@@ -164,8 +164,8 @@ def _type_duration(scope: NameScope, node: nodes.Expr | None, subject: str) -> E
     duration = type_value_as(scope, node, TIME_TYPE, subject)
     constant = find_constant(duration)
     if constant is not None and constant.number < 0:
-        message = f"{subject} wants a time, and {quote_source(node.span)} is before now"
-        scope.report.error("out-of-range", message, node.span, "write a time of `0 s` or more")
+        message = f"{subject} needs a time that is not negative, but {quote_source(node.span)} is before now"
+        scope.report.error("out-of-range", message, node.span, "write `0 s` or more")
     elif constant is not None and not constant.unit_power and constant.number > limits.MAX_FRAMES:
         advice = f"write a shorter time: a run has {limits.MAX_FRAMES:,} frames at most"
         scope.report.warning("never-fires", f"{quote_source(node.span)} is longer than any run", node.span, advice)
@@ -230,8 +230,8 @@ def _type_hold_time(scope: NameScope, node: nodes.Expr | None) -> Expr | None:
     time = _find_leftmost(node)
     if node is None or time is None or time is node:
         return _type_duration(scope, node, "`held`")
-    message = f"`held {' '.join(time.span.text.split())}` is in the middle of a condition"
-    scope.report.error("wrong-kind", message, time.span, "write it at the end: the whole condition must hold that long")
+    message = f"`held {' '.join(time.span.text.split())}` is inside a condition"
+    scope.report.error("wrong-kind", message, time.span, "write it at the end: it applies to the complete condition")
     return make_bad_expression(node.span)
 
 
@@ -273,5 +273,5 @@ def _type_choices(scope: NameScope, names: MachineNames, target: nodes.Target) -
         scope.report.error("out-of-range", words, target.span, "give at least one state a weight above 0")
     if target.name is None and not target.previous and not target.choices:
         advice = "write `choose { rest: 2; roam: 1 }` with states of this machine"
-        scope.report.error("missing-target", "`choose` has nothing to choose from", target.span, advice)
+        scope.report.error("missing-target", "`choose` has no states", target.span, advice)
     return tuple(choices)

@@ -47,7 +47,7 @@ def check_param(scope: NameScope, node: nodes.Declaration) -> model.Param | None
     for extra, word in ((node.relax, "relax"), (node.each, "for each")):
         if extra is not None:
             message = f"a param has one value for all agents, so it cannot have `{word}`"
-            scope.report.error("wrong-kind", message, extra.span, f"leave `param` out to make `{name}` an attribute")
+            scope.report.error("wrong-kind", message, extra.span, f"delete `param` to make `{name}` an attribute")
     default = _type_constant(scope, node.value, f"param `{name}`")
     if default is None:
         return None
@@ -73,7 +73,7 @@ def _type_constant(scope: NameScope, node: nodes.Expr, subject: str) -> Constant
     expr = type_value(scope, node)
     constant = find_constant(expr)
     if constant is None and expr.type.kind is not TypeKind.BAD:
-        message = f"{quote_source(node.span)} is not a plain number, which {subject} starts with"
+        message = f"{quote_source(node.span)} is not a constant number, which {subject} needs"
         scope.report.error("wrong-rate", message, node.span, "write a number with its unit, such as `40 mm`")
     return constant
 
@@ -94,7 +94,7 @@ def _unify_types(scope: NameScope, node: nodes.Declaration, param_numbers: list[
             what = ", ".join(f"{quote_source(each.node.span)} is {describe_type(each.constant.type)}" for each in param_numbers)
             assert node.range is not None
             span = Span(node.value.span.source, node.value.span.start, node.range.span.end)
-            scope.report.error("units-differ", f"{what}: a param and its range want all alike", span, "give them one unit")
+            scope.report.error("units-differ", f"{what}: a param and its range must match", span, "give them one unit")
         else:
             reference = param_numbers[odd - 1].constant
             who = f"the range of `{node.name.text}`" if odd else f"`{node.name.text}`, which has such a range,"
@@ -118,7 +118,7 @@ def _report_differing_type(
         return
     want = describe_dimension(expected.dimension)
     instead = _suggest_number(param_numbers, odd_index)
-    message = f"{quote_source(node.span)} is {describe_type(type)}, and {subject} wants {want}"
+    message = f"{quote_source(node.span)} is {describe_type(type)}, but {subject} needs {want}"
     advice = f"write {want}" if odd_index else f"write {want} inside the range"
     fix = None if instead is None else Fix(node.span, instead)
     scope.report.error("wrong-unit", message, node.span, advice if fix is None else f"{advice}, such as `{instead}`", fix=fix)

@@ -172,7 +172,7 @@ def _add_relaxation(scope: NameScope, attribute: model.AttributeDecl, node: node
         each = node.each.species.text
         check_pair_value(scope, attribute, to)
         if node.each.strongest is None:
-            message = f"`{attribute.name}` does not say for how many others it is stored"
+            message = f"`{attribute.name}` has no maximum number of other agents"
             scope.report.error("missing-bound", message, node.each.span, f"write `for each {each}, strongest 8`")
         else:
             count = find_constant(type_value_as(scope, node.each.strongest, ValueType(TypeKind.NUMBER), "`strongest`"))
@@ -180,7 +180,7 @@ def _add_relaxation(scope: NameScope, attribute: model.AttributeDecl, node: node
             if count is None or not 1 <= count.number <= limits.MAX_PAIR_VALUES or count.number != strongest:
                 scope.report.error(
                     "wrong-count",
-                    f"`strongest` wants a whole number from 1 to {limits.MAX_PAIR_VALUES}, "
+                    f"`strongest` needs a whole number from 1 to {limits.MAX_PAIR_VALUES}, "
                     f"not {quote_source(node.each.strongest.span)}",
                     node.each.strongest.span,
                     "write `strongest 8`",

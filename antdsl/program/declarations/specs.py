@@ -66,7 +66,7 @@ def check_spec(
     for line in spec.lines:
         _check_line(work, line)
     if not any((line.condition is not None and line.kind not in _SETTING_WORDS) or line.kind == "each" for line in spec.lines):
-        message = f"the spec {quote_source(spec.name.span)} expects nothing"
+        message = f"the spec {quote_source(spec.name.span)} has no expectations"
         declared.report.warning("empty-spec", message, spec.name.span, "write `always: …` or `within 20 s: …`")
     return Spec(
         spec.name.text, spec.scene, work.duration, tuple(dict.fromkeys(work.seeds)), tuple(work.changes),
@@ -124,7 +124,7 @@ def _read_pass_share(work: _SpecCheck, line: nodes.SpecLine) -> float | None:
     if known is not None and 0 < known.number <= 1:
         return known.number
     if expr.type.kind is not TypeKind.BAD:
-        words = f"`pass` wants a share of the seeds, not {quote_source(line.condition.span)}"
+        words = f"`pass` needs a share of the seeds, not {quote_source(line.condition.span)}"
         work.declared.report.error("out-of-range", words, line.condition.span, "write a share up to `100 %`, such as `pass 80 %`")
     return None
 
@@ -276,11 +276,11 @@ def _allows_time(work: _SpecCheck, line: nodes.SpecLine) -> bool:
     report = work.declared.report
     if line.held is not None and line.kind in ("always", "for"):
         words = f"`{line.kind}` with `held` fails in the first frame, where nothing has held yet"
-        advice = "leave `held` out: a condition that is always true has held all the time"
+        advice = "delete `held`: a condition that is always true has always held"
         report.error("wrong-argument", words, line.held.span, advice)
         return False
     if line.kind == "sooner" and not work.has_reference_run:
-        words = "`sooner` compares with another run, and there is none"
+        words = "`sooner` compares with a reference run, but there is none"
         report.error("misplaced-line", words, line.span, "add a line such as `against { set forager.reward = 0 /s }`")
         return False
     return True
@@ -302,7 +302,7 @@ def _is_judgeable(work: _SpecCheck, line: nodes.SpecLine, species: str | None, e
         return False
     draw = next((p for p in iterate_parts(expr) if isinstance(p, OperationExpr) and p.name in DRAWING_OPERATIONS), None)
     if draw is not None:
-        message = f"{quote_source(draw.span)} draws a random number, and a spec only looks"
+        message = f"{quote_source(draw.span)} draws a random number, but a spec must not change the run"
         report.error("draw-in-spec", message, draw.span, "leave it out")
         return False
     return True

@@ -39,7 +39,7 @@ def check_statements(scope: NameScope, lines: Iterable[object], block: Statement
 
 def _report_duplicates(scope: NameScope, name: nodes.Name, first_spans: dict[str, Span]) -> None:
     if name.text in first_spans:
-        message = f"`{name.text}` is set twice in one block, and only the second counts"
+        message = f"`{name.text}` is set twice in one block; only the second applies"
         advice = f"keep one of them, or add: `{name.text} += …`"
         scope.report.error("two-writers", message, name.span, advice, labels=(Label(first_spans[name.text], "first here"),))
     first_spans.setdefault(name.text, name.span)
@@ -87,8 +87,8 @@ def _check_assign(scope: NameScope, line: nodes.Assign, block: StatementContext)
         name, type = own
     else:
         type_value(scope, line.value)
-        message = f"{quote_source(target.span)} belongs to another; an agent sets only its own values"
-        scope.report.error("not-own", message, target.span, "raise an event with `emit`, and let the other set it in `on`")
+        message = f"{quote_source(target.span)} belongs to another agent; an agent sets only its own values"
+        scope.report.error("not-own", message, target.span, "send an event with `emit`; the other agent can set it in `on`")
         return None
     scope.declared.written_attributes.add(f"{species.name}.{name}")
     if line.op != "=":
@@ -103,7 +103,7 @@ def _check_assign(scope: NameScope, line: nodes.Assign, block: StatementContext)
         return None if change is None else model.Assign(name, line.op, change, block.is_state_body, line.span, of, over, element)
     if block.must_commute and name not in ("heading", "velocity") and type.kind not in (TypeKind.AGENT, TypeKind.ITEM):
         text, what = (" ".join(each.span.text.split()) for each in (line.value, target))
-        words = f"`{what}` is set in a handler, where several events may come at once"
+        words = f"`{what}` is set in a handler, but several events may occur at once"
         advice = f"add to it: `{what} += {text}`, or set it in a change that asks for it: `when … -> … {{ {what} = {text} }}`"
         scope.report.error("not-commuting", words, line.span, advice)
         return None
@@ -136,7 +136,7 @@ def _find_assigned_attribute(
         report.error("not-settable", message, name.span, f"make it an attribute: `{text} = …` without `param`")
     elif text in species.bindings:
         message = f"`{text}` is a `let` or `latch`, which follows from other values"
-        report.error("not-settable", message, name.span, "set what it follows from, or make it an attribute")
+        report.error("not-settable", message, name.span, "set the values that it depends on, or make it an attribute")
     elif builtin is not None or text in ("state", "previous", "next", "time_in_state"):
         advice = "it moves by `steer`" if text in ("position", "speed") else "it follows from other values"
         if builtin is None:
@@ -213,7 +213,7 @@ def check_take(scope: NameScope, line: nodes.Take) -> model.Take | None:
             return None
     elif line.attribute is None:
         if source.type.kind is not TypeKind.BAD:
-            message = f"`take` does not say what is taken from {quote_source(line.source.span)}"
+            message = f"`take` does not name the attribute to take from {quote_source(line.source.span)}"
             advice = f"name the attribute: `take 1 load from {' '.join(line.source.span.text.split())}`"
             scope.report.error("missing-argument", message, line.span, advice)
         return None
@@ -266,7 +266,7 @@ def _has_attribute(scope: NameScope, node: nodes.Expr, item_expr: Expr, attribut
     if item_expr.type.kind is TypeKind.BAD:
         return False
     if item_expr.type.kind is not TypeKind.ITEM:
-        report_mismatch(scope.report, node, item_expr.type, ValueType(TypeKind.ITEM), "`take` and `give`")
+        report_mismatch(scope.report, node, item_expr.type, ValueType(TypeKind.ITEM), "`take` or `give`")
         return False
     thing = scope.declared.things.get(item_expr.type.of or "")
     held = {a.name: a.type for a in thing.attributes} if thing else {}

@@ -87,7 +87,7 @@ def _check_attribute(
     taken = ITEM_ATTRIBUTE_TYPES if item.kind.text == "items" else builtin_attributes(names.node.edition_number)
     if name in taken:
         message = f"every one of `{item.name.text}` has a `{name}` already"
-        report.error("reserved-name", message, node.name.span, f"call it otherwise, such as `my_{name}`")
+        report.error("reserved-name", message, node.name.span, f"choose another name, such as `my_{name}`")
     expr = type_value(make_outer_scope(declared, names, f"world.{item.name.text}"), node.value)
     constant = find_constant(expr)
     if constant is None or constant.type.kind is not TypeKind.NUMBER:
@@ -171,7 +171,7 @@ def check_field(declared: Declarations, names: FileNames, node: nodes.FieldDecl)
     _check_single_decay(report, settings)
     setting_values = {word: SETTING_RULES[word](scope, setting) for word, setting in settings.items()}
     if "cell" not in settings:
-        message = f"field `{node.name.text}` does not say how large its cells are"
+        message = f"field `{node.name.text}` has no cell size"
         report.error("missing-setting", message, node.name.span, "write `cell 4 mm` between its braces")
     cell = setting_values.get("cell") or make_number(1, node.span)
     return model.Field(
@@ -204,7 +204,7 @@ def _is_ground(declared: Declarations, name: nodes.Name) -> bool:
 def _check_single_decay(report: Report, settings: dict[str, nodes.Setting]) -> None:
     decays = [settings[word] for word in ("half_life", "evaporate", "keeps") if word in settings]
     for extra in decays[1:]:
-        message = f"`{decays[0].name.text}` and `{extra.name.text}` both say how fast it fades"
+        message = f"`{decays[0].name.text}` and `{extra.name.text}` both define how fast it fades"
         report.error("two-decays", message, extra.span, "keep one of them", labels=(Label(decays[0].span, "the other one"),))
 
 
@@ -237,7 +237,7 @@ def is_run_constant(report: Report, expr: Expr, subject: str) -> bool:
     if expr.rate <= ChangeRate.RUN:
         return True
     differs = "changes from step to step" if expr.rate is ChangeRate.STEP else "differs from agent to agent"
-    message = f"{quote_source(expr.span)} {differs}, and {subject} is one value for the whole run"
+    message = f"{quote_source(expr.span)} {differs}, but {subject} must be one value for the whole run"
     report.error("wrong-rate", message, expr.span, "write a number")
     return False
 
@@ -287,7 +287,7 @@ def _check_stencil(scope: NameScope, node: nodes.Setting) -> Expr | None:
         return None
     constant = find_constant(expr)
     if constant is None or constant.number not in STENCIL_SIZES:
-        advice = "write `stencil 4`, cells beside it, or `stencil 8`, those at its corners too"
+        advice = "write `stencil 4` for adjacent cells, or `stencil 8` to include those at the corners"
         scope.report.error("out-of-range", f"`stencil` is 4 or 8, not {quote_source(node.value.span)}", node.value.span, advice)
         return None
     return make_number(constant.number, node.value.span)

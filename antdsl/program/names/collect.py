@@ -102,7 +102,7 @@ class FileLoader:
             report_duplicate(self.report, "behaviour", node.name, names.own[name].node.name.span)
         elif name in BUILTINS_BY_NAME or name in REDUCER_HELP or name in RESERVED_WORDS:
             message = f"`{name}` is a word of the language"
-            self.report.error("reserved-name", message, node.name.span, f"call it otherwise, such as `my_{name}`")
+            self.report.error("reserved-name", message, node.name.span, f"choose another name, such as `my_{name}`")
         else:
             names.own[name] = BehaviourInfo(node, names)
 
@@ -125,7 +125,7 @@ class FileLoader:
                 "unknown-library",
                 f"no library `{name.text}`",
                 name.span,
-                suggest_name(name.text, LIBRARY_NAMES, "the library that comes with antdsl is `steering`"),
+                suggest_name(name.text, LIBRARY_NAMES, "antdsl has one library: `steering`"),
             )
             return
         names.libraries.append(name.text)
@@ -144,9 +144,9 @@ class FileLoader:
                 f"`{each.source.path}`" for each in [*using_files[[id(e) for e in using_files].index(id(node)) :], node]
             )
             message = f"files use each other in a circle: {circle}"
-            self.report.error("circle", message, path.span, "put what both need into a third file")
+            self.report.error("circle", message, path.span, "move the common parts to a third file")
         elif len(using_files) >= limits.MAX_USE_DEPTH:
-            message = f"files use files more than {limits.MAX_USE_DEPTH} levels deep"
+            message = f"files are nested more than {limits.MAX_USE_DEPTH} levels deep"
             self.report.error("too-deep", message, path.span, "use the file directly")
         elif alias.text in names.aliases:
             message = f"two files are both named `{alias.text}`"
@@ -181,7 +181,7 @@ def check_free_name(report: Report, name: nodes.Name) -> bool:
     """Return whether a name may be declared. Report an error if it is a word of the language."""
     if name.text in _RESERVED_NAMES:
         message = f"`{name.text}` is a word of the language"
-        report.error("reserved-name", message, name.span, f"call it otherwise, such as `my_{name.text}`")
+        report.error("reserved-name", message, name.span, f"choose another name, such as `my_{name.text}`")
         return False
     return True
 
@@ -199,7 +199,7 @@ def check_free_member_name(report: Report, name: nodes.Name, value: Span, builti
         report.error("reserved-name", words, name.span, advice, fix=Fix(name.span.to(value), f"{name.text} {text}"))
     else:
         message = f"every agent has a `{name.text}` already: {builtin.help}"
-        report.error("reserved-name", message, name.span, f"call it otherwise, such as `my_{name.text}`")
+        report.error("reserved-name", message, name.span, f"choose another name, such as `my_{name.text}`")
     return False
 
 

@@ -59,5 +59,5 @@ def _find_used_names(declaration: T, declared: Mapping[str, T], find_used_trees:
 
 def _report_cycle(report: Report, kind_words: str, names: Sequence[nodes.Name]) -> None:
     text = " → ".join(f"`{name.text}`" for name in [*names, names[0]])
-    message = f"{kind_words} follow from each other in a circle: {text}"
-    report.error("circle", message, names[0].span, "take one out of the circle, or make it an attribute that is set")
+    message = f"{kind_words} depend on each other in a circle: {text}"
+    report.error("circle", message, names[0].span, "remove one dependency, or make one of them an attribute that statements set")

@@ -74,7 +74,7 @@ class SpecRules:
             if self.other_side is not None:
                 return self.comparison_rules[name](scope, self.other_side, node.span)
             when = "was" if name == "at_start" else "is in the other run"
-            message = f"`{name}` is what the other side of a comparison {when}, and there is none"
+            message = f"`{name}` needs the other side of a comparison, which it {when}"
             advice = f"write `total(food.load) == {name}`, or `{name}(total(food.load))`"
             return scope.reject("at-start-alone", message, node.span, advice)
         species = scope.species
@@ -90,7 +90,7 @@ class SpecRules:
         if expr.type.kind is TypeKind.BAD:
             return make_bad_expression(span)
         if expr.type.kind is not TypeKind.NUMBER:
-            words = f"`at_start` is for numbers, and this is {describe_type(expr.type)}"
+            words = f"`at_start` needs a number, but this is {describe_type(expr.type)}"
             return scope.reject("wrong-kind", words, span, "compare numbers")
         return StartValue(expr.type, expr.rate, span, expr)
 
@@ -212,8 +212,8 @@ class SpecRules:
 
     def _reports_nesting(self, scope: NameScope, span: Span) -> bool:
         if self.is_in_aggregate:
-            message = f"{quote_source(span)} stands inside an expression for each agent"
-            scope.report.error("set-in-set", message, span, "write one next to the other")
+            message = f"{quote_source(span)} is inside an expression for each agent"
+            scope.report.error("set-in-set", message, span, "write the two next to each other")
         return self.is_in_aggregate
 
     def _type_aggregate(self, scope: NameScope, node: nodes.Call, name: str, operand: nodes.Expr) -> Expr:
@@ -262,7 +262,7 @@ class SpecRules:
 
     @staticmethod
     def _report_no_sum(scope: NameScope, node: nodes.Call, field: str) -> Expr:
-        words = f"{quote_source(node.span)} works something out for each cell of `{field}`"
+        words = f"{quote_source(node.span)} computes a value for each cell of `{field}`"
         known = f"write `{node.function.span.text}({field}.value)`, or `count({field}.value > 0)` or similar"
         return scope.reject("wrong-argument", words, node.span, known)
 
@@ -271,13 +271,13 @@ class SpecRules:
         value = f"{subject}.{'size' if subject in scope.declared.species else 'radius'}"
         advice = f"name one, such as `{value}`, or write `count({subject})` for how many there are"
         return scope.reject(
-            "wrong-argument", f"{quote_source(node.span)} does not say which value of `{subject}`", node.span, advice
+            "wrong-argument", f"{quote_source(node.span)} does not name a value of `{subject}`", node.span, advice
         )
 
     @staticmethod
     def _report_vector(scope: NameScope, node: nodes.Call, operand: nodes.Expr) -> Expr:
         text = " ".join(operand.span.text.split())
-        message = f"{quote_source(node.span)} would be a vector, and a spec bounds numbers"
+        message = f"{quote_source(node.span)} would be a vector, but a spec compares numbers"
         scope.report.error("wrong-kind", message, operand.span, f"write `length({text})`")
         return make_bad_expression(node.span)
 
@@ -292,7 +292,7 @@ class SpecRules:
         is_number = reduction.type.kind in (TypeKind.NUMBER, TypeKind.BOOL)
         if not is_complete_set or reduction.reducer in ("best", "nearest") or not is_number:
             message = f"{quote_source(reduction.span)} needs an agent, but none is named"
-            advice = "ask it in `each SPECIES { … }`, or ask for a `total`, `share`, `mean`, `min`, `max` or `count` of all"
+            advice = "move it to `each SPECIES { … }`, or use a `total`, `share`, `mean`, `min`, `max` or `count` of all"
             return scope.reject("wrong-rate", message, reduction.span, advice)
         kind = TypeKind.ITEMS if over.element.type.kind is TypeKind.ITEM else TypeKind.SPECIES
         counts_all = reduction.reducer == "count" and reduction.body is not None and reduction.body.rate <= ChangeRate.CONST
@@ -348,7 +348,7 @@ def _find_subject(scope: NameScope, node: nodes.Call, operand: nodes.Expr) -> Va
         return ValueType(kind, of=things[0])
     if len(things) > 1:
         parts = " and ".join(f"`{name}`" for name in things)
-        message = f"{quote_source(node.span)} asks of {parts} at once"
+        message = f"{quote_source(node.span)} uses values of {parts} together"
         scope.report.error("wrong-argument", message, node.span, "use each one separately, and add the results")
         return None
     if scope.species is not None:
@@ -363,7 +363,7 @@ def _find_subject(scope: NameScope, node: nodes.Call, operand: nodes.Expr) -> Va
         advice = f"name the species: `{node.function.span.text}({name}.{text})`"
     else:  # a sense is not an attribute, so it has no owner
         advice = f"name the species: `count(a in {name}: {text})`, or test it in `each {name} {{ … }}`"
-    scope.report.error("wrong-argument", f"{quote_source(node.span)} does not say of which agents", node.span, advice)
+    scope.report.error("wrong-argument", f"{quote_source(node.span)} does not name the agents", node.span, advice)
     return None
 
 

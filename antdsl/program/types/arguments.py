@@ -42,7 +42,7 @@ def arrange_arguments(
     for argument in node.arguments:
         if isinstance(argument, nodes.Comprehension):
             message = f"`{function_name}` cannot take `… in …: …`"
-            scope.report.error("wrong-argument", message, argument.span, "that is for `sum mean min max count any every best`")
+            scope.report.error("wrong-argument", message, argument.span, "only `sum mean min max count any every best` do")
             return None
     arguments = [each for each in node.arguments if isinstance(each, nodes.Argument)]
     comma = _find_decimal_comma(slots, arguments)
@@ -73,7 +73,7 @@ def arrange_arguments(
         return None
     missing = [slot.name for slot in slots if slot.is_required and slot.name not in arguments_by_slot]
     if missing and sound:
-        words = f"`{function_name}` wants {list_names(missing)}"
+        words = f"`{function_name}` needs {list_names(missing)}"
         scope.report.error("missing-argument", words, node.span, f"write `{_format_call(form, slots)}`")
     return None if missing or not sound else arguments_by_slot
 
@@ -97,7 +97,7 @@ def _add_named(
     if name.text in arguments_by_slot:
         first = arguments_by_slot[name.text][0].span
         message = f"`{name.text}` is given twice"
-        hint = "leave one of them out"
+        hint = "delete one of them"
         scope.report.error("duplicate-argument", message, argument.span, hint, labels=(Label(first, "first here"),))
         return False
     arguments_by_slot[name.text] = [argument]
@@ -138,8 +138,8 @@ def _report_late_positions(
         text += f"{span.source.text[copied_end : argument.span.start]}{slot}: "
         copied_end = argument.span.start
     text += span.source.text[copied_end : span.end]
-    message = f"{quote_source(late_arguments[0][0].span)} has no name and stands behind `{first_named.text}:`, which has one"
-    advice = f"say which it is: `{' '.join(text.split())}`, or write it before the first with a name"
+    message = f"{quote_source(late_arguments[0][0].span)} has no name, but comes after the named argument `{first_named.text}:`"
+    advice = f"name it: `{' '.join(text.split())}`, or write it before the first with a name"
     scope.report.error("argument-order", message, late_arguments[0][0].span, advice, fix=Fix(span, text))
 
 

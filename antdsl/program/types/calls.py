@@ -67,7 +67,7 @@ def type_call(scope: NameScope, node: nodes.Call, expected_type: ValueType | Non
 def _report_unknown(scope: NameScope, node: nodes.Call, name: nodes.Name, expected_type: ValueType | None) -> None:
     if name.text in vocabulary.RESERVED_WORDS:
         words = f"`{name.text}` is a word of the language that does not work yet"
-        scope.report.error("not-yet", words, name.span, "leave it out for now")
+        scope.report.error("not-yet", words, name.span, "do not use it yet")
         return
     if name.text in vocabulary.REDUCER_HELP:
         message = f"`{name.text}` needs a set"
@@ -231,7 +231,7 @@ def check_row_limits(scope: NameScope, arg: ArgumentRow, subject: str, span: Spa
         help = f"write {describe_type(expr.type)} above {arg.lower_bound:g}" + (f": `{sample}`" if sample else "")
         scope.report.error("out-of-range", message, span, help)
     if arg.is_integer and known.number % 1 != 0:
-        words = f"{subject} wants a whole number, not {quote_source(span)}"
+        words = f"{subject} needs a whole number, not {quote_source(span)}"
         scope.report.error("wrong-count", words, span, "write a number such as `3`")
 
 
@@ -265,7 +265,7 @@ def _type_range(
     if not isinstance(node, nodes.RangeExpr):
         expr = scope.type_expression(node)
         if expr.type.kind is not TypeKind.BAD:
-            message = f"{subject} wants a range, and {quote_source(node.span)} is one value"
+            message = f"{subject} needs a range, but {quote_source(node.span)} is one value"
             scope.report.error("wrong-kind", message, node.span, "write two values with `..` between: `0 mm .. 5 mm`")
         return [make_bad_expression(node.span), make_bad_expression(node.span)]
     low, high = (type_value(scope, end) for end in (node.low, node.high))
@@ -333,7 +333,7 @@ def _check_first(scope: NameScope, node: nodes.Call, operation: OperationExpr) -
     if operation.type.kind not in (*OPTIONAL_KINDS, TypeKind.BAD):
         scope.report.error(
             "wrong-kind",
-            f"`first` is for things that may be none, and {quote_source(node.arguments[0].span)} "
+            f"`first` needs things that may be none, but {quote_source(node.arguments[0].span)} "
             f"is {describe_type(operation.type)}",
             node.span,
             "write `first(nearest(food, with: load > 0), nearest(food))` or `max(a, b)`",

@@ -85,8 +85,8 @@ def report_mismatch(
     `expr`: its typed expression, if known. Returns a replacement for the expression."""
     if isinstance(expr, OperationExpr) and expr.name == "map_value" and expected.kind is TypeKind.VECTOR:
         text = " ".join(node.span.text.split())
-        message = f"`{text}` is a map of plain numbers, and {place} wants {describe_type(expected)}"
-        advice = f"what is painted with directions is a flow: `world {{ flow {text} }}`"
+        message = f"`{text}` is a map of numbers, but {place} needs {describe_type(expected)}"
+        advice = f"for painted directions, use a flow: `world {{ flow {text} }}`"
         report.add(Diagnostic("wrong-kind", message, node.span, help=advice))
     else:
         report.add(_make_mismatch(node, actual, expected, place))
@@ -98,9 +98,9 @@ def _make_mismatch(node: nodes.Expr, actual: ValueType, expected: ValueType, pla
     both_numbers = actual.kind is TypeKind.NUMBER and expected.kind is TypeKind.NUMBER
     if both_numbers and isinstance(node, nodes.Number):
         write = format_with_unit(node.value, expected.dimension)
-        message = f"{text} has no unit, and {place} wants {want}"
+        message = f"{text} has no unit, but {place} needs {want}"
         return Diagnostic("missing-unit", message, node.span, help=f"write `{write}`", fix=Fix(node.span, write))
-    message = f"{text} is {describe_type(actual)}, and {place} wants {want}"
+    message = f"{text} is {describe_type(actual)}, but {place} needs {want}"
     if both_numbers:
         fix = None
         advice = f"write {want}"
@@ -148,9 +148,9 @@ def _choose_advice(node: nodes.Expr, actual: ValueType, expected: ValueType) -> 
     short = text if len(text) <= 30 else "…"
     if expected.kind is TypeKind.BOOL and actual.kind in _THING_KINDS:
         any_there = (
-            f", or `nearest({short})` for whether there is any" if actual.kind in (TypeKind.ITEMS, TypeKind.SPECIES) else ""
+            f", or `nearest({short})` to test whether there is one" if actual.kind in (TypeKind.ITEMS, TypeKind.SPECIES) else ""
         )
-        return f"ask something of it: `touching({short})`, `distance({short}) < 20 mm`{any_there}"
+        return f"use a value of it: `touching({short})`, `distance({short}) < 20 mm`{any_there}"
     if expected.kind is TypeKind.PLACE:
         fix = _make_vector_units_fix(node) if actual.kind is TypeKind.VECTOR else None
         if fix is not None:
@@ -196,7 +196,7 @@ def report_disagreement(
         f"{quote_source(left_node.span)} is {describe_type(a.type)} "
         f"and {quote_source(right_node.span)} is {describe_type(b.type)}"
     )
-    message = f"{both}: `{op}` wants both alike"
+    message = f"{both}: the operands of `{op}` must match"
     advice, fix = None, None
     for node, other in ((right_node, a), (left_node, b)):
         if isinstance(node, (nodes.Number, nodes.Quantity)) and other.type.kind is TypeKind.NUMBER:
@@ -207,4 +207,4 @@ def report_disagreement(
     missing = any(isinstance(n, nodes.Number) for n in (left_node, right_node)) and a.type.kind is b.type.kind
     code = "missing-unit" if missing and fix else "units-differ" if a.type.kind is b.type.kind else "kinds-differ"
     place = span if fix is None else fix.span
-    report.add(Diagnostic(code, message, place, help=advice or "make both sides alike", labels=labels, fix=fix))
+    report.add(Diagnostic(code, message, place, help=advice or "give both sides the same type", labels=labels, fix=fix))

@@ -67,7 +67,7 @@ def type_quantity(scope: NameScope, node: nodes.Quantity, expected_type: ValueTy
     expr = make_constant(node.value, node.unit, node.span)
     if expr is not None:
         if abs(expr.number) > limits.MAX_NUMBER:
-            message = f"{quote_source(node.span)} is too large to keep"
+            message = f"{quote_source(node.span)} is too large to store"
             scope.report.error("number-too-large", message, node.span, "write a smaller number")
         return expr
     units = ", ".join(f"`{unit}`" for unit in UNIT_BY_NAME)
@@ -82,7 +82,7 @@ def type_none(scope: NameScope, node: nodes.NoneOf, expected_type: ValueType | N
         if expected_type is not None and expected_type.kind in OPTIONAL_KINDS:
             return NoneRef(expected_type, ChangeRate.CONST, node.span)
         advice = "write `none of food` or `none of rabbit`, with the name that is meant"
-        return scope.reject("none-of-what", "`none` alone does not say of what", node.span, advice)
+        return scope.reject("none-of-what", "the kind of `none` is not clear here", node.span, advice)
     type = find_reference_type(scope, node.of)
     return make_bad_expression(node.span) if type is None else NoneRef(type, ChangeRate.CONST, node.span)
 
@@ -158,7 +158,7 @@ def _report_early_use(scope: NameScope, name: str, span: Span) -> None:
 
 def report_pair_value(scope: NameScope, node: nodes.Name, owner: str = "") -> Expr:
     """Report a pair value that is used without another agent in brackets."""
-    help = f"the agent that has it reads it: `{node.text}[other]`" if owner else f"write `{node.text}[other]`"
+    help = f"read it as the agent that stores it: `{node.text}[other]`" if owner else f"write `{node.text}[other]`"
     return scope.reject("wrong-kind", f"`{node.text}` is a value per pair: name the other agent", node.span, help)
 
 
@@ -273,9 +273,9 @@ def _report_unknown(scope: NameScope, node: nodes.NameRef, expected_type: ValueT
     if is_known_missing(scope, "name", node.name):
         return make_bad_expression(node.span)
     if name in RESERVED_WORDS:
-        report.error("not-yet", f"`{name}` is a word of the language that does not work yet", node.span, "leave it out for now")
+        report.error("not-yet", f"`{name}` is a word of the language that does not work yet", node.span, "do not use it yet")
     elif scope.species is not None and any(name in m.states for m in scope.species.machines.values()):
-        report.error("state-as-value", f"`{name}` is a state and has no value", node.span, f"ask for it with `state == {name}`")
+        report.error("state-as-value", f"`{name}` is a state and has no value", node.span, f"test it with `state == {name}`")
     elif scope.species is not None and scope.behaviour is not None and name in scope.species.attributes:
         message = f"a behaviour cannot read `{name}` of the species that calls it"
         report.error("unknown-name", message, node.span, f"pass it as an argument: `{name}: …`")
@@ -283,7 +283,7 @@ def _report_unknown(scope: NameScope, node: nodes.NameRef, expected_type: ValueT
         behaviour = scope.file.find_behaviour(name)
         defaults = [None] if behaviour is None else [argument.default for argument in behaviour.node.arguments]
         alone = None not in defaults or (name in BUILTINS_BY_NAME and not BUILTINS_BY_NAME[name][0].args)
-        report.error("call-without-brackets", f"`{name}` wants brackets", node.span, f"write `{name}({'' if alone else '…'})`")
+        report.error("call-without-brackets", f"`{name}` needs brackets", node.span, f"write `{name}({'' if alone else '…'})`")
     else:
         advice, fix = suggest_missing_thing(scope, name, expected_type) or _make_foreign_word_fix(name, node.span)
         if advice is None:
@@ -347,7 +347,9 @@ def _report_no_member(scope: NameScope, owner: Expr, node: nodes.Member, known: 
     name, kind, text = node.name.text, owner.type.kind, " ".join(node.owner.span.text.split())
     if kind is TypeKind.ITEMS:
         advice = f"name one: `nearest({text}).{name}`" if name != "position" else f"`position({text})`"
-        scope.report.error("wrong-kind", f"`{text}` is all items of that name, but `{name}` is a value of one", node.span, advice)
+        scope.report.error(
+            "wrong-kind", f"`{text}` means all items of that name, but `{name}` is a value of one item", node.span, advice
+        )
     elif known:
         advice = suggest_name(name, known, f"there is {list_names(known)}")
         scope.report.error("unknown-name", f"{describe_type(owner.type)} has no `{name}`", node.name.span, advice)
@@ -390,5 +392,5 @@ def type_bad_expression(scope: NameScope, node: nodes.BadExpr, expected_type: Va
 def reject_range(scope: NameScope, node: nodes.RangeExpr, expected_type: ValueType | None) -> Expr:
     scope.type_expression(node.low)
     scope.type_expression(node.high)
-    message = f"a range {quote_source(node.span)} cannot stand here"
+    message = f"a range {quote_source(node.span)} is not allowed here"
     return scope.reject("wrong-kind", message, node.span, "ranges are for arguments such as `from: 0 mm .. 5 mm`")

@@ -17,7 +17,7 @@ def fold_operation(report: Report, op: OperationExpr) -> Expr:
     """Return the operation, or its constant value. Reports a division by 0 and numbers that are too large to store."""
     values = [find_constant(arg) if arg is not None else None for arg in op.args]
     if op.name == "div" and len(values) == 2 and values[1] is not None and values[1].number == 0:
-        report.error("division-by-zero", "this divides by 0", op.span, "divide by something that is never 0")
+        report.error("division-by-zero", "this divides by 0", op.span, "divide by a value that is never 0")
         return op
     if op.name == "sqrt" and values[0] is not None and values[0].number < 0:
         report.error("root-of-negative", "the root of a number below 0 does not exist", op.span, "take the root of `abs(…)`")
@@ -26,7 +26,7 @@ def fold_operation(report: Report, op: OperationExpr) -> Expr:
     if folded is None:
         return op
     if not math.isfinite(folded.number) or abs(folded.number) > limits.MAX_NUMBER:
-        report.error("number-too-large", "this comes to a number that is too large to keep", op.span, "write a smaller number")
+        report.error("number-too-large", "the result is too large to store", op.span, "write a smaller number")
         return op
     return folded
 

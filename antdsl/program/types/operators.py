@@ -154,8 +154,8 @@ def _type_chance(scope: NameScope, node: nodes.Unary) -> Expr:
         text = " ".join(node.operand.span.text.split())
         if isinstance(node.operand, nodes.Number | nodes.Quantity):
             text = text.replace(",", ".")
-        message = f"{quote_source(node.operand.span)} does not say per what time"
-        advice = f"write `chance {text}{'/s' if text.endswith('%') else ' /s'}` for so much a second"
+        message = f"{quote_source(node.operand.span)} has no time unit"
+        advice = f"write `chance {text}{'/s' if text.endswith('%') else ' /s'}` for a rate per second"
         scope.report.error("not-a-rate", message, node.operand.span, advice)
     else:
         report_mismatch(scope.report, node.operand, expr.type, PER_SECOND_TYPE, "`chance`")
@@ -191,7 +191,7 @@ def type_count(scope: NameScope, node: nodes.Expr, subject: str) -> Expr:
     known = find_constant(expr)
     if known is not None and known.type == NUMBER_TYPE and 1 <= known.number <= 64 and known.number == int(known.number):
         return Constant(NUMBER_TYPE, ChangeRate.CONST, node.span, known.number)
-    message = f"{subject} wants a whole number from 1 to 64, not {quote_source(node.span)}"
+    message = f"{subject} needs a whole number from 1 to 64, not {quote_source(node.span)}"
     return scope.reject("wrong-count", message, node.span, "write a number such as `3`")
 
 
@@ -260,7 +260,7 @@ def _type_equality(scope: NameScope, node: nodes.Binary) -> Expr:
     if is_compatible(left.type, right.type) and left.type.kind not in THING_KINDS | {TypeKind.SET, TypeKind.VECTOR}:
         return make_operation(OPERATION_BY_SIGN[node.op], BOOL_TYPE, node.span, left, right)
     if left.type.kind is right.type.kind and left.type.kind is not TypeKind.NUMBER:
-        message = f"{quote_source(node.span)} compares what cannot be compared"
+        message = f"{quote_source(node.span)} compares values that cannot be compared"
         scope.report.error("kinds-differ", message, node.span, "compare numbers, states, items or agents")
     else:
         report_disagreement(scope.report, node.op, node.span, (left_node, left), (right_node, right))
@@ -349,7 +349,7 @@ _MAKER_BY_SIGN = {"+": _type_sum, "-": _type_sum, "*": _type_product, "/": _type
 
 def type_if_else(scope: NameScope, node: nodes.IfElse, expected_type: ValueType | None) -> Expr:
     test = type_condition(scope, node.condition, "`if`")
-    inner = scope.with_changes(no_keep_reason="under `if` it would not be clear when it moves on")
+    inner = scope.with_changes(no_keep_reason="inside `if` it is not clear when it advances")
     bare = isinstance(node.then, nodes.NoneOf) and node.then.of is None
     if bare:
         otherwise = type_value(inner, node.otherwise, expected_type)

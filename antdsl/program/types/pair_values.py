@@ -29,7 +29,7 @@ def type_pair_index(scope: NameScope, node: nodes.Index, expected_type: ValueTyp
         return AttributeRef(species.attributes[name], max(index.rate, ChangeRate.AGENT), node.span, index, name)
     if scope.type_expression(owner).type.kind is TypeKind.BAD:
         return make_bad_expression(node.span)
-    advice = "a value per pair is declared so: `likes = 0 for each roach, strongest 8`"
+    advice = "declare a value per pair like this: `likes = 0 for each roach, strongest 8`"
     return scope.reject("wrong-kind", f"{quote_source(owner.span)} has no value per agent", node.span, advice)
 
 
@@ -47,10 +47,10 @@ def check_pair_value(scope: NameScope, attribute: AttributeDecl, rest_value: Exp
         return
     text = " ".join(default.span.text.split())
     if attribute.type.kind is not TypeKind.NUMBER:
-        message = f"`{name}` is {describe_type(attribute.type)}, and a value per pair is a number"
+        message = f"`{name}` is {describe_type(attribute.type)}, but a value per pair must be a number"
         scope.report.error("wrong-kind", message, default.span, f"start with a number: `{name} = 0 for each …`")
     elif default.rate > ChangeRate.RUN:
-        message = f"`{name}` begins with {quote_source(default.span)}, and it has to begin the same about all"
+        message = f"`{name}` begins with {quote_source(default.span)}, but it must begin equally for all"
         scope.report.error("wrong-rate", message, default.span, "write a number or a param, and set it where the agents meet")
     elif rest_value is not None and rest_value.type.kind is not TypeKind.BAD and not _is_same(default, rest_value):
         message = f"`{name}` begins at {text} for all others, and cannot return to {quote_source(rest_value.span)}"

@@ -51,7 +51,7 @@ def _type_things(scope: NameScope, function_name: str, node: nodes.Expr, kinds: 
         return expr
     if expr.type.kind is not TypeKind.BAD:
         names = "items or a species" if kinds == _SET_OWNER_KINDS else "a species"
-        message = f"`{function_name}` looks for {names}, and {quote_source(node.span)} is {describe_type(expr.type)}"
+        message = f"`{function_name}` needs {names}, but {quote_source(node.span)} is {describe_type(expr.type)}"
         scope.report.error("wrong-kind", message, node.span, f"write a name of {names}")
     return None
 
@@ -105,7 +105,8 @@ def _type_count_limit(
     most = _type_optional(scope, function_name, arg, arguments_by_slot, node) if arg is not None else None
     known = find_constant(most) if most is not None else None
     if known is not None and (known.number < 1 or known.number != int(known.number)):
-        message = f"`most` of `{function_name}` is how many count, not {quote_source(arguments_by_slot['most'][0].value.span)}"
+        text = quote_source(arguments_by_slot["most"][0].value.span)
+        message = f"`most` of `{function_name}` is the number of elements that count, not {text}"
         advice = "write a whole number, 1 or more: `most: 3`"
         scope.report.error("out-of-range", message, arguments_by_slot["most"][0].value.span, advice)
     return most
@@ -141,7 +142,7 @@ def type_all(scope: NameScope, node: nodes.Call, name: str, row: BuiltinRow) -> 
 
 def _enter_set(scope: NameScope, element: Binding) -> NameScope:
     return scope.with_changes(
-        set_elements=(*scope.set_elements, element), no_keep_reason="inside a set it would not be clear which agent remembers"
+        set_elements=(*scope.set_elements, element), no_keep_reason="inside a set it is not clear which agent's memory is meant"
     )
 
 
@@ -155,9 +156,7 @@ def type_nearest(scope: NameScope, node: nodes.Call, name: str, row: BuiltinRow)
         if expr.type.kind in _SET_OWNER_KINDS:
             return make_nearest_reduction(expr, node.span)
         if expr.type.kind is not TypeKind.BAD:
-            message = (
-                f"`nearest` looks for items, a species or a set, and {quote_source(first.span)} is {describe_type(expr.type)}"
-            )
+            message = f"`nearest` needs items, a species or a set, but {quote_source(first.span)} is {describe_type(expr.type)}"
             scope.report.error("wrong-kind", message, first.span, "write `nearest(food)` or `nearest(neighbours(20 mm))`")
         return make_bad_expression(node.span)
     over = type_all(scope, node, name, row)
@@ -219,12 +218,12 @@ def type_reduction(scope: NameScope, node: nodes.Call, reducer: str) -> Expr:
         over, variable = scope.type_expression(argument.value), None
     if not isinstance(over, SetExpr):
         if over.type.kind is not TypeKind.BAD:
-            message = f"`{reducer}` goes over a set, and {quote_source(over.span)} is {describe_type(over.type)}"
+            message = f"`{reducer}` needs a set, but {quote_source(over.span)} is {describe_type(over.type)}"
             scope.report.error("wrong-kind", message, over.span, "write a set, such as `neighbours(20 mm)` or `all(food)`")
         return make_bad_expression(node.span)
     if variable is None or not isinstance(argument, nodes.Comprehension):
         if reducer not in ("count", "any"):
-            message = f"`{reducer}` does not know what to take of each"
+            message = f"`{reducer}` needs a value of each element"
             return scope.reject(
                 "wrong-argument", message, node.span, f"write `{reducer}(n in {' '.join(over.span.text.split())}: …)`"
             )
@@ -281,7 +280,7 @@ def type_reduction_body(scope: NameScope, reducer: str, node: nodes.Expr) -> Exp
     if expr.type.kind in allowed:
         return expr
     if expr.type.kind is TypeKind.BOOL and reducer in ("sum", "mean"):
-        message = f"`{reducer}` adds numbers, and {quote_source(node.span)} is a yes or no"
+        message = f"`{reducer}` adds numbers, but {quote_source(node.span)} is a yes or no"
         scope.report.error("wrong-kind", message, node.span, "use `count` to count how many meet a condition")
     else:
         report_mismatch(
@@ -309,5 +308,5 @@ def _check_nesting(scope: NameScope, expr: Expr, node: nodes.Call) -> None:
     used = find_bindings(expr)
     outer = next((element for element in scope.set_elements if element in used), None)
     if outer is not None:
-        message = f"{quote_source(node.span)} would look at the neighbours of neighbours, through `{outer.name}`"
+        message = f"{quote_source(node.span)} would search the neighbours of neighbours, through `{outer.name}`"
         scope.report.error("set-in-set", message, node.span, "store the inner result in an attribute, and read that")

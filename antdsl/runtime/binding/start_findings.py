@@ -15,10 +15,10 @@ from antdsl.scene import Scene
 from antdsl.scene.setting import SolvedFlowData
 from antdsl.scene.staging.item_placement import is_away_from_surfaces
 
-_GAP_HELP = "open a way for it, move the target or the crowd, or write what they do there: `when not reachable({flow}) -> …`"
+_GAP_HELP = "open a path, move the target or the crowd, or handle the case: `when not reachable({flow}) -> …`"
 _REACHABLE_OPERATION = "flow.reachable"
 _UNREACHABLE_HELP = (
-    "open a way for it, or move the target or the crowd; if it is meant: `# antdsl: ignore[unreachable-target] WHY`"
+    "open a path, or move the target or the crowd; if this is intended: `# antdsl: ignore[unreachable-target] WHY`"
 )
 
 
@@ -30,7 +30,7 @@ def find_start_warnings(scene: Scene, world: World) -> Report:
             continue
         gap = _measure_excessive_gap(world, name)
         if gap:
-            words = f"the target of `{name}` is {gap:.4g} mm away from the ground, and the way ends at its nearest place"
+            words = f"the target of `{name}` is {gap:.4g} mm away from the ground, so paths end at the nearest ground point"
             help = "move the target onto the ground, or give it a radius that reaches the ground"
             report.warning("unreachable-target", words, scene.span("world", name, key=True), help)
         for species, plan in world.plan.species.items():
@@ -38,7 +38,7 @@ def find_start_warnings(scene: Scene, world: World) -> Report:
             uses = _find_flow_operations(plan).get(name, set())
             cut_off = count - count_agents_with_path(world, species, name) if count and uses - {_REACHABLE_OPERATION} else 0
             if cut_off:
-                words = f"{cut_off:,} of {count:,} `{species}` stand where no path leads to the target of `{name}`"
+                words = f"{cut_off:,} of {count:,} `{species}` have no path to the target of `{name}`"
                 help = _UNREACHABLE_HELP if _REACHABLE_OPERATION in uses else _GAP_HELP.format(flow=name)
                 report.warning("unreachable-target", words, scene.span("world", name, "solved"), help)
     return report
@@ -89,7 +89,7 @@ def find_crowding_warnings(scene: Scene, world: World) -> Report:
             if line.available_area is None
             else f"{line.covered_area:,.0f} of {line.available_area:,.0f} mm²"
         )
-        words = f"only {line.fit:,} of {line.count:,} `{line.species}` find room where they begin"
+        words = f"only {line.fit:,} of {line.count:,} `{line.species}` have space at the start"
         place = scene.model.crowd[line.group].place
         words += f": with a radius of {wide} {'or half of `apart` ' if place.apart is not None else ''}they cover {cover}"
         help = "write a smaller `count`, or a smaller `radius` in the program"
@@ -99,7 +99,7 @@ def find_crowding_warnings(scene: Scene, world: World) -> Report:
             larger = f"`radius: {_round_up(line.sufficient_radius / scene.model.unit_mm)} {scene.model.units}`"
             help = f"write {larger}, a smaller `count`, or a smaller `radius` in the program"
         elif line.fits_by_area:
-            help = "cover its sides and its underside too with `by: area`, or write a smaller `count`"
+            help = "use all sides with `by: area`, or write a smaller `count`"
         elif place.inside is not None or place.density is not None:
             help = "write a larger place, a smaller `count`, or a smaller `radius` in the program"
         report.warning("no-room", words, scene.span("crowd", line.group, "place"), help)

@@ -51,7 +51,7 @@ def _read_members(archive: zipfile.ZipFile, size: int, names: Container[str] | N
     if len(entries) > MAX_ARCHIVE_MEMBERS:
         raise ArrayFileError(f"has {len(entries):,} arrays, more than {MAX_ARCHIVE_MEMBERS:,}")
     if sum(entry.file_size for entry in entries) > size:
-        raise ArrayFileError("says it holds more than its own size")
+        raise ArrayFileError("declares more data than its size")
     arrays: dict[str, NDArray[Any]] = {}
     for entry in entries:
         name = entry.filename.removesuffix(".npy")

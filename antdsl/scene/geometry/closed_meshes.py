@@ -120,8 +120,10 @@ def check_obstacle_sides(staging: SceneStaging) -> None:
     for name, mesh in staging.obstacles.items():
         inward, mixed = _count_wrong_sides(mesh)
         if inward or mixed:
-            words = f"parts of the obstacle `{name}` look inward" if inward else f"faces of the obstacle `{name}` look either way"
-            help = "turn its faces so that all look outward; leave it if it is a room that keeps agents in"
+            words = (
+                f"parts of the obstacle `{name}` point inward" if inward else f"faces of the obstacle `{name}` point both ways"
+            )
+            help = "flip faces so that all point outward; ignore this if the obstacle is a room that encloses agents"
             staging.report.warning("inside-out", words, staging.scene.span("world", name), help)
 
 

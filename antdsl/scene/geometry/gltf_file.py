@@ -90,7 +90,7 @@ class GltfDocument:
         """Return the list at a key. It is empty if the key is absent."""
         items = holder.get(key, [])
         if not isinstance(items, list):
-            raise GltfError(f"has `{key}` that are no list", _EXPORT_AGAIN_HELP)
+            raise GltfError(f"has `{key}` that are not a list", _EXPORT_AGAIN_HELP)
         return items
 
     def get_objects(self, holder: dict[str, Any], key: str) -> list[dict[str, Any]]:
@@ -232,7 +232,7 @@ class GltfDocument:
         if uri is None and number == 0 and self._binary is not None:
             return self._binary
         if not isinstance(uri, str):
-            raise GltfError(f"has a buffer {number} that lies nowhere", "a part of it is missing")
+            raise GltfError(f"has a buffer {number} without data", "a part of it is missing")
         if uri[:5].lower() == "data:":
             head, comma, body = uri.partition(",")
             if not comma or not head.lower().endswith(";base64"):
@@ -360,5 +360,5 @@ def make_primitive_triangles(file: GltfDocument, primitive: dict[str, Any], poin
     if len(triangles) > limits.MAX_MESH_FACES:
         raise GltfError(f"has more than {limits.MAX_MESH_FACES:,} triangles", code="too-large")
     if len(triangles) and (triangles.min() < 0 or triangles.max() >= points):
-        raise GltfError("has a triangle that names a point which is not there", _EXPORT_AGAIN_HELP)
+        raise GltfError("has a triangle that names a missing point", _EXPORT_AGAIN_HELP)
     return triangles, over

@@ -110,7 +110,7 @@ def _triangulate(mesh: PolygonMesh, notes: ImportNotes) -> tuple[Floats, Faces]:
     wrong = np.flatnonzero((mesh.point_indices < 0) | (mesh.point_indices >= len(mesh.points)))
     if len(wrong):
         face = int(np.searchsorted(np.cumsum(mesh.corner_counts), wrong[0], side="right"))
-        raise MeshError(f"has a face (number {face}) that names a vertex which is not there")
+        raise MeshError(f"has a face (number {face}) that names a missing vertex")
     if np.maximum(mesh.corner_counts - 2, 0).sum() > limits.MAX_MESH_FACES:
         raise MeshError(f"has more than {limits.MAX_MESH_FACES:,} faces", "use a lighter mesh")
     points = mesh.points
@@ -140,7 +140,7 @@ def check_mesh(vertices: Floats, faces: Faces, notes: ImportNotes | None = None)
         raise MeshError(f"has {len(faces):,} faces, more than {limits.MAX_MESH_FACES:,}", "use a lighter mesh")
     bad = np.flatnonzero((faces < 0).any(axis=1) | (faces >= len(vertices)).any(axis=1))
     if len(bad):
-        raise MeshError(f"has a face (number {bad[0]}) that names a vertex which is not there")
+        raise MeshError(f"has a face (number {bad[0]}) that names a missing vertex")
     used = np.zeros(len(vertices), bool)
     used[faces.ravel()] = True
     wrong = np.flatnonzero(used & ~(np.isfinite(vertices).all(axis=1) & (np.abs(vertices) < 1e30).all(axis=1)))
@@ -240,7 +240,7 @@ def place_mesh(
 def make_limited_mesh(vertices: Floats, faces: NDArray[np.integer]) -> MeshData:
     """Return vertices in mm and faces as a mesh. Raises MeshError if a vertex is too far out."""
     if not np.isfinite(vertices).all() or np.abs(vertices).max() > _MAX_COORDINATE_MM:
-        raise MeshError("lies more than a thousand kilometres out", "move it with `at`, or check its `units`")
+        raise MeshError("is more than 1000 km from the origin", "move it with `at`, or check its `units`")
     return MeshData(np.ascontiguousarray(vertices), np.ascontiguousarray(faces, np.int32))
 
 

@@ -142,7 +142,7 @@ class _ObjReader:
 
 
 def _describe_missing_vertex(vertex: int, line: int) -> str:
-    return f"names a vertex {vertex} that is not there in line {line:,}"
+    return f"names the missing vertex {vertex} in line {line:,}"
 
 
 def _describe_missing_group(group: str, names: list[str]) -> str:

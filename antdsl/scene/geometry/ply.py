@@ -81,7 +81,7 @@ def read_header(data: bytes) -> PlyHeader:
         else:
             raise HeaderError(f"has a header line that is not understood: `{format_word(line, 40)}`")
     if order is None:
-        raise HeaderError("does not say its format")
+        raise HeaderError("has no format line")
     header = PlyHeader(order, tuple(elements), body, len(lines) + 3)
     _check_size(header, len(data))
     return header

@@ -61,7 +61,7 @@ def _place_item(staging: SceneStaging, name: str, item: str, thing: ItemThing) -
         frame_mesh = mesh if moves is None or k == 0 else stage_of.MeshData(moves.compute_vertices(mesh.vertices, k), mesh.faces)
         height = find_surface_height(frame_mesh, to_tuple(place), staging.scene.model.up)
         if height is None:
-            words = f"`{item}` is neither over nor under `{thing.on}`"
+            words = f"`{item}` is neither above nor below `{thing.on}`"
             if k:
                 words += f" at frame {list_simulated_frames(staging)[k]}"
             span = staging.scene.span("world", name, item, "keys" if k else "at")
@@ -75,7 +75,7 @@ def check_crowds(staging: SceneStaging, crowds: Sequence[stage_of.CrowdData]) ->
     """Warn about a crowd that would start where there is no surface. It starts at the nearest surface point instead."""
     for crowd in crowds:
         if crowd.count and is_away_from_surfaces(crowd.place, staging, staging.scene.model.up):
-            words = f"there is no surface where `{crowd.species}` is to begin, so it begins at the nearest"
+            words = f"there is no surface where `{crowd.species}` starts, so it starts at the nearest point"
             ball = ", write a larger `radius`" if crowd.place.is_by_area else ""
             help = f"move it with `around`{ball}, or check the `units` of the mesh"
             staging.report.warning("off-surface", words, staging.scene.span("crowd", crowd.line_index, "place"), help)

@@ -45,8 +45,8 @@ def report_losses(staging: SceneStaging, display_name: str, raw: RawMesh, span: 
     report, notes = staging.report, raw.notes
     if raw.dropped_faces:
         faces = "face" if raw.dropped_faces == 1 else "faces"
-        words = f"{raw.dropped_faces:,} {faces} of `{display_name}` without area or given twice left out"
-        report.warning("degenerate-faces", words, span, "merge doubled points and faces in the program that made the mesh")
+        words = f"{raw.dropped_faces:,} {faces} of `{display_name}` without area or duplicated were omitted"
+        report.warning("degenerate-faces", words, span, "merge duplicate points and faces in the program that made the mesh")
     if notes.crossing_polygons:
         faces = "face crosses itself" if notes.crossing_polygons == 1 else "faces intersect themselves"
         words = f"{notes.crossing_polygons:,} {faces} in `{display_name}`, the first is face {notes.crossing_face:,}"
@@ -55,7 +55,7 @@ def report_losses(staging: SceneStaging, display_name: str, raw: RawMesh, span: 
     if skipped:
         remainder = f" and {len(skipped) - 8} more" if len(skipped) > 8 else ""
         words = f"`{display_name}` has content that is not read: {', '.join(skipped[:8])}{remainder}"
-        report.warning("unread-content", words, span, "export as triangles or polygons what agents should meet")
+        report.warning("unread-content", words, span, "export everything that agents should meet as triangles or polygons")
 
 
 def check_origin_distances(staging: SceneStaging, setting: stage_of.WorldSetting) -> None:
@@ -77,14 +77,14 @@ def weld_thing(
     if isinstance(value, HeightThing) or value.weld is None:
         return mesh
     if name in staging.moves:
-        words, span = f"`{name}` moves, and only what stands still is welded", staging.scene.span("world", name, "weld")
+        words, span = f"`{name}` moves, but only static meshes can be welded", staging.scene.span("world", name, "weld")
         staging.report.error("wrong-value", words, span, "delete `weld`, and weld it in the program that made the mesh")
         return mesh
     tolerance, span = value.weld.to_millimetres(staging.scene.model.unit_mm), staging.scene.span("world", name, "weld")
     written = f"`weld: {span.text if span is not None else f'{tolerance:g} mm'}`"
     lengths = compute_edge_lengths(mesh.vertices, mesh.faces)
     shortest = float(lengths[lengths > 0].min())
-    words, welding = f"{written} moves corners of every face of `{name}` to one place", None
+    words, welding = f"{written} moves corners of every face of `{name}` to one position", None
     if (lengths > tolerance).any():
         try:
             welding = _weld_mesh(mesh, tolerance)

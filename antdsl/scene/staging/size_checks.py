@@ -70,7 +70,7 @@ def _check_scale(staging: SceneStaging) -> None:
             if not 3 * length <= width <= _MAX_WORLD_BODY_LENGTHS * length:
                 words = f"`{name}` is {width:.3g} mm wide, and a `{line.species}` about {length:.3g} mm long"
                 staging.report.warning(
-                    "odd-scale", words, staging.scene.span("world", name), "say the mesh's `units`, such as `units: m`"
+                    "odd-scale", words, staging.scene.span("world", name), "define the mesh's `units`, such as `units: m`"
                 )
         for name, solid in staging.solids.items():
             if solid.voxel > _MAX_VOXEL_PER_BODY * length:

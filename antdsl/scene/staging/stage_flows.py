@@ -122,7 +122,7 @@ def _stage_painted(staging: SceneStaging, name: str, thing: model.PaintedThing, 
     own = _select_used_rows(rows, raw)
     if own is None:
         has = "`{}` has {:,} vertices and {:,} triangles".format(surface, *raw.file_counts)
-        help = "paint on the mesh that the surface is made from, its points in the same order"
+        help = "paint on the surface's own mesh, with points in the same order"
         staging.report.error("bad-paint", f"`{thing.painted}` has {len(rows):,} values, and {has}", span, help)
         return None
     values, of_faces = own
@@ -154,7 +154,7 @@ def check_densities(staging: SceneStaging) -> None:
         span = staging.scene.span("crowd", number, "place", "density")
         painted = staging.maps[name]
         if line.place.on not in (None, painted.surface):
-            words = f"`{name}` is painted on `{painted.surface}`, and the crowd is placed on `{line.place.on}`"
+            words = f"`{name}` is painted on `{painted.surface}`, but the crowd is placed on `{line.place.on}`"
             staging.report.error("bad-paint", words, span, f"write `on: {painted.surface}`")
         elif not (painted.values > 0).any():
-            staging.report.error("bad-paint", f"`{name}` is nowhere above 0, so no agent can be placed by it", span)
+            staging.report.error("bad-paint", f"`{name}` is 0 everywhere, so it cannot place agents", span)

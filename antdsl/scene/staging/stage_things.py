@@ -222,7 +222,7 @@ def stage_usd_paint(staging: SceneStaging, name: str, thing: PaintedThing, mesh:
     values = painted_mesh.values[attribute] * thing.strength
     if values.ndim != (1 if width == 1 else 2):
         has, expected = ("vectors", "numbers") if width == 1 else ("numbers", "vectors")
-        staging.report.error("bad-paint", f"the primvar `{attribute}` holds {has}, and `{name}` wants {expected}", span)
+        staging.report.error("bad-paint", f"the primvar `{attribute}` contains {has}, but `{name}` needs {expected}", span)
         return None
     if not np.isfinite(values).all():
         staging.report.error("bad-paint", f"the primvar `{attribute}` has a value that is not finite", span)

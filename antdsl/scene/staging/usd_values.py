@@ -54,7 +54,7 @@ def read_in_base_units(file: UsdFile, key: str, dim: Dimension) -> NDArray[np.fl
             return column
         if quantity.dim != dim:
             words = f"{where} has `{text}`, but `{key}` is {describe_dimension(dim)}"
-            report.error("wrong-unit", words, file.span, f"write it like `{format_with_unit(1, dim)}`")
+            report.error("wrong-unit", words, file.span, f"write it as `{format_with_unit(1, dim)}`")
             return column
         column[number] = quantity.to_base_units(model.unit_mm, float(1 / model.fps))
     if (np.abs(column) > limits.MAX_NUMBER).any():

@@ -59,7 +59,7 @@ class GoldenComparison:
         new: dict[Path, list[golden_runs.GoldenRun]] = {}
         for run, recorder in self.recorder_by_key.values():
             if any(case.outcome == "failed" for case in run.cases):
-                recorder.result.message = "not written: its specs failed"
+                recorder.result.message = "not written, because its specs failed"
             elif recorder.golden_run is not None:
                 new.setdefault(golden_runs.find_golden_path(run.cases[0].scene), []).append(recorder.golden_run)
                 recorder.result.outcome = "written"

@@ -118,7 +118,7 @@ def read_golden(path: Path) -> Golden | None:
     try:
         data = read_size_limited(path, _MAX_FILE_BYTES)
         if _FIRST_FORMAT_PATTERN.match(data):
-            raise GoldenError(f"`{path.name}` is of an antdsl that hashes states in another way, and cannot be compared")
+            raise GoldenError(f"`{path.name}` uses another method of state hashes, so it cannot be compared")
         return Golden.model_validate_json(data)
     except FileNotFoundError:
         return None
@@ -127,7 +127,7 @@ def read_golden(path: Path) -> Golden | None:
     except OSError as problem:
         raise GoldenError(f"`{path.name}` cannot be read: {(problem.strerror or str(problem)).lower()}") from None
     except (ValidationError, RecursionError):
-        raise GoldenError(f"`{path.name}` is damaged, or of another version") from None
+        raise GoldenError(f"`{path.name}` is damaged, or has another version") from None
 
 
 def write_golden(path: Path, runs: Iterable[GoldenRun]) -> None:
@@ -193,7 +193,9 @@ class GoldenComparer:
             return
         golden_frame = self.golden.frames[self.result.frames]
         if golden_frame.frame != world.frame:
-            self._record_difference(world.frame, f"the run begins at frame {world.frame}, it began at frame {golden_frame.frame}")
+            self._record_difference(
+                world.frame, f"the run starts at frame {world.frame}, but it started at frame {golden_frame.frame}"
+            )
             self.is_over = True
             return
         self.result.frames += 1

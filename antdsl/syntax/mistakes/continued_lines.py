@@ -92,9 +92,9 @@ def _report_continuations(scan: TokenScan, tokens: list[ScannedToken], line_end_
         better += text[copied_end : tokens[joint - 1].end] + " "
         copied_end = tokens[joint + 1].start
     comment = any(start <= each.span.start < end for each in scan.comments)
-    what = f"`{word}` begins no line" if word in _CONTINUING_WORDS else "nothing is finished there"
+    what = f"`{word}` cannot begin a line" if word in _CONTINUING_WORDS else "the previous line is incomplete"
     span = Span(scan.source, following.start, following.end)
-    help = "write it on one line, or put round brackets around what takes several"
+    help = "write it on one line, or put a part with several lines in round brackets"
     fix = None if comment else Fix(Span(scan.source, start, end), better)
-    scan.report.error("continued-line", f"this line goes on with the one above: {what}", span, help, fix=fix)
+    scan.report.error("continued-line", f"this line continues the line above: {what}", span, help, fix=fix)
     scan.faults.append(following.start)

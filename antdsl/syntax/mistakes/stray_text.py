@@ -90,7 +90,7 @@ def _report_invisible(scan: TokenScan) -> None:
     for said in _TEXT_OR_COMMENT_PATTERN.finditer(text) if not text.isascii() else ():
         for match in _INVISIBLE_CHARACTERS.finditer(text, said.start(), said.end()):
             name = unicodedata.name(match.group(), "character").lower()
-            message = f"{name} (U+{ord(match.group()):04X}), which does not show"
+            message = f"{name} (U+{ord(match.group()):04X}), which is invisible"
             scan.report_error("control-character", message, match.start(), match.end(), "delete it", "")
 
 

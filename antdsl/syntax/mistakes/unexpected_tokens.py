@@ -121,7 +121,11 @@ def _explain_quoted_library(unexpected: UnexpectedToken) -> Diagnostic | None:
     start = unexpected.span.source.text.rindex(unexpected.previous_text, 0, unexpected.span.start)
     span = Span(unexpected.span.source, start, start + len(unexpected.previous_text))
     return Diagnostic(
-        "unexpected-text", f"`{unexpected.previous_text}` in quotes is no file", span, help=f"write `{name}`", fix=Fix(span, name)
+        "unexpected-text",
+        f"`{unexpected.previous_text}` in quotes is not a file",
+        span,
+        help=f"write `{name}`",
+        fix=Fix(span, name),
     )
 
 
@@ -163,7 +167,7 @@ def make_plain_diagnostic(unexpected: UnexpectedToken) -> Diagnostic:
     if not unexpected.token_text:
         return Diagnostic("unfinished-line", f"line ends after {_quote_text(unexpected.previous_text)}", unexpected.span)
     return Diagnostic(
-        "unexpected-text", f"found {_quote_text(unexpected.token_text)} where the line cannot go on with it", unexpected.span
+        "unexpected-text", f"found {_quote_text(unexpected.token_text)}, but the line cannot continue with it", unexpected.span
     )
 
 
@@ -201,7 +205,7 @@ def _explain_misplaced(unexpected: UnexpectedToken) -> Diagnostic | None:
 
 def make_misplaced_diagnostic(word: str, span: Span) -> Diagnostic:
     """Return the error about a line that begins with a word which belongs elsewhere."""
-    return Diagnostic("misplaced-line", f"`{word}` does not stand here", span, help=f"it belongs {LINE_CONTEXT_BY_WORD[word]}")
+    return Diagnostic("misplaced-line", f"`{word}` is not allowed here", span, help=f"it belongs {LINE_CONTEXT_BY_WORD[word]}")
 
 
 def _explain_no_line(unexpected: UnexpectedToken) -> Diagnostic | None:

@@ -37,6 +37,6 @@ ROWS = [
         "link",
         make=lambda f: ((f / "walker.ant").unlink(), (f / "walker.ant").symlink_to("/dev/zero")),
     ),
-    Row("R8 a scene asks for code", "unknown-key", "a scene can load no code", edits={"scene.yaml": ("seed: 1", "plugin: x.py")}),
+    Row("R8 a scene asks for code", "unknown-key", "a scene cannot load code", edits={"scene.yaml": ("seed: 1", "plugin: x.py")}),
     Row("R8 a program asks for code", "unknown-library", "", edits={"walker.ant": ("use steering", "use os")}),
 ]

@@ -58,7 +58,7 @@ def _behaviours(first: str, count: int) -> str:
 
 
 ROWS = [
-    program_row("A1 an empty file", "", "empty-file", "nothing in it"),
+    program_row("A1 an empty file", "", "empty-file", "the file is empty"),
     program_row("A1 comments only", "# nothing\n# here\n", "empty-file"),
     program_row("A1 a byte order mark only", b"\xef\xbb\xbf", "empty-file"),
     program_row("A1 a byte order mark", b"\xef\xbb\xbf" + PROGRAM, ""),

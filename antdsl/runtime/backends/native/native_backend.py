@@ -127,13 +127,13 @@ class NativeBackend(NumpyBackend):
             try:
                 ready = self._pending_code.result()
             except CodeUnavailable as why:
-                self._unavailable_reason = f"NumPy runs instead of machine code, slower and with the same result: {why}"
+                self._unavailable_reason = f"NumPy runs instead of machine code, more slowly but with the same result: {why}"
             except Exception as problem:
                 if must_wait:
                     raise
                 self._unavailable_reason = (
-                    "NumPy runs instead of machine code, slower and with the same result: making it failed, which is a mistake "
-                    f"in antdsl ({type(problem).__name__}: {problem})"
+                    "NumPy runs instead of machine code, more slowly but with the same result: compilation failed, which is a "
+                    f"bug in antdsl ({type(problem).__name__}: {problem})"
                 )
         if ready is not None:
             self.ready_code = ready

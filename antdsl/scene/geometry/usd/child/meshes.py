@@ -101,7 +101,7 @@ def _read_shape(stage: OpenStage, placed: PlacedMesh) -> _MeshShape:
     if counts.sum() != len(corners) or (counts < 0).any():
         raise MeshError(f"has at `{path}` another number of corners than its faces say")
     if len(corners) and (corners.min() < 0 or corners.max() >= len(points)):
-        raise MeshError(f"has at `{path}` a face that names a point which is not there")
+        raise MeshError(f"has at `{path}` a face that names a missing point")
     for attribute in (mesh.GetFaceVertexCountsAttr(), mesh.GetFaceVertexIndicesAttr()):
         if len(stage.times) > 1 and attribute.ValueMightBeTimeVarying():
             _check_same_faces(stage, attribute, path)
