@@ -14,6 +14,7 @@ from antdsl.program.names.file_declarations import find_declaring_node
 from antdsl.program.tables.columns import COLUMN_BY_ATTRIBUTE
 from antdsl.program.tables.things import KIND_BY_WORD, KINDS_WITH_FACES
 from antdsl.scene import scene_model
+from antdsl.scene.casting_model import FACING_WORDS
 from antdsl.scene.thing_models import ItemThing
 from antdsl.syntax import nodes
 from antdsl.syntax.words import FIELD_SETTING_WORDS, FIXED_FIELD_SETTINGS
@@ -100,6 +101,8 @@ def _propose_keys(workspace: Workspace, document: OpenDocument, path: tuple[str,
             for p in _find_crowd_programs(workspace, document)
             for name in p.names.species
         )
+    elif path[-1:] == ("each",) and path[:1] == ("crowd",):
+        yield from _propose_initial_values(workspace, document)
     elif path[:1] == ("fields",):
         yield from _propose_model_fields(scene_model.FieldStart)
     elif path == ("output", "attributes"):
@@ -108,6 +111,17 @@ def _propose_keys(workspace: Workspace, document: OpenDocument, path: tuple[str,
         part_model = next((scene_model.MODEL_BY_PATH[part] for part in reversed(path) if part in scene_model.MODEL_BY_PATH), None)
         if part_model is not None:
             yield from _propose_model_fields(part_model)
+
+
+def _propose_initial_values(workspace: Workspace, document: OpenDocument) -> Iterator[CompletionItem]:
+    """Yield the attributes that a crowd line may set at birth, and `state`."""
+    yield CompletionItem("state", "property", "the first state", "", "state: ")
+    for program in _find_crowd_programs(workspace, document):
+        for table in program.names.species.values():
+            for name, member in table.own.items():
+                node = find_declaring_node(member)
+                if isinstance(node, nodes.Declaration):
+                    yield CompletionItem(name, "property", "attribute", find_help_text(node), f"{name}: ")
 
 
 def _propose_model_fields(part: type[scene_model.ScenePart]) -> Iterator[CompletionItem]:
@@ -171,9 +185,12 @@ def _propose_values(workspace: Workspace, document: OpenDocument, key: str, path
                 yield CompletionItem(file.relative_to(document.path.parent).as_posix(), "file")
     elif key in ("units", "up"):
         yield from (CompletionItem(word, "unit") for word in (("mm", "cm", "m") if key == "units" else ("x", "y", "z")))
-    elif key in ("on", "border"):
+    elif key == "along":
+        yield from (CompletionItem(n, "thing", "curve") for n, i in things.items() if i.kind.text == "curve")
+    elif key in ("on", "border", "edge"):
         yield from (CompletionItem(n, "thing", i.kind.text) for n, i in things.items() if i.kind.text in KINDS_WITH_FACES)
-    elif key in ("around", "toward", "away", "solved"):
+    elif key in ("around", "toward", "away", "solved", "facing"):
+        yield from (CompletionItem(word, "keyword") for word in (FACING_WORDS if key == "facing" else ()))
         yield from (CompletionItem(n, "thing", i.kind.text) for n, i in things.items() if i.kind.text in ("items", "curve"))
         yield from (CompletionItem(name, "thing", "item") for name in document.scene.items)
     elif key == "density":

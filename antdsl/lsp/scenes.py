@@ -126,8 +126,15 @@ def _index_crowd(index: SceneIndex, node: DocumentNode) -> None:
                 for key, _, inner in _list_mapping_entries(value):
                     if key == "points":
                         _index_file(index, inner)
-                    elif key in ("on", "around", "density"):
+                    elif key in ("on", "around", "density", "along", "edge", "facing"):
                         _index_named_thing(index, key, inner, things)
+                    elif key == "in":
+                        for name, _, part in _list_mapping_entries(inner):
+                            _index_named_thing(index, name, part, things)
+            elif word == "each":
+                for _, _, draw in _list_mapping_entries(value):
+                    for name, _, part in _list_mapping_entries(draw):
+                        _index_named_thing(index, name, part, things if name == "painted" else set())
 
 
 def _index_changed_values(index: SceneIndex, node: DocumentNode) -> None:

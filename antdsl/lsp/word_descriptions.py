@@ -204,6 +204,7 @@ _HEIGHT_SAMPLE = "world: {arena: {height: hills.png, extent: [400 mm, 400 mm], s
 _WALK_SAMPLE = (
     "crowd: [{species: forager, from: forager.ant, count: 1, walk: {direction: [1, 0, 0], speed: 30 mm/s, length: 40 mm}}]"
 )
+_RATE_SAMPLE = "crowd: [{species: forager, from: forager.ant, rate: 20 /s, frames: 49..96, place: {around: home, radius: 9 mm}}]"
 
 
 def _make_crowd_sample(part: str) -> str:
@@ -238,6 +239,24 @@ SCENE_KEY_HELP = {
     "output": WordHelp("what a cache holds", "output: {checkpoint: 48}"),
     "species": WordHelp("a species of the program", "crowd: [{species: forager, from: forager.ant, count: 50}]"),
     "count": WordHelp("how many agents", "crowd: [{species: forager, from: forager.ant, count: 50}]"),
+    "name": WordHelp("of the line; notes and edits name its agents by it", _make_crowd_sample("name: guards")),
+    "rate": WordHelp("how many are created per second", _RATE_SAMPLE),
+    "seconds": WordHelp(
+        "when they are created, from the first frame on", _RATE_SAMPLE.replace("frames: 49..96", "seconds: 2 s .. 4 s")
+    ),
+    "each": WordHelp("attributes at birth, and the first `state`", _make_crowd_sample("each: {size: {normal: [4 mm, 0.5 mm]}}")),
+    "uniform": WordHelp("evenly between two numbers", _make_crowd_sample("each: {size: {uniform: [3 mm, 5 mm]}}")),
+    "normal": WordHelp("around a mean, with a deviation", _make_crowd_sample("each: {size: {normal: [4 mm, 0.5 mm]}}")),
+    "choice": WordHelp("one of several values, by weight", _make_crowd_sample("each: {size: {choice: {3 mm: 3, 5 mm: 1}}}")),
+    "along": WordHelp("a curve on which they begin", _make_crowd_sample("place: {along: way_in}")),
+    "edge": WordHelp("a surface with open borders on which they begin", _make_crowd_sample("place: {edge: ground, facing: in}")),
+    "in": WordHelp("a box or a ball", _make_crowd_sample("place: {in: {from: [0, 0, 0], to: [90, 20, 90]}}")),
+    "ranks": WordHelp("rows behind each other", _make_crowd_sample("place: {ranks: {columns: 5, spacing: 8 mm}}")),
+    "clumps": WordHelp("groups", _make_crowd_sample("place: {on: ground, clumps: {number: 4, radius: 30 mm}}")),
+    "facing": WordHelp(
+        "`out`, `in`, `along`, a point, an item or a direction",
+        _make_crowd_sample("place: {around: home, radius: 40 mm, facing: out}"),
+    ),
     "place": WordHelp("where they begin", _make_crowd_sample("place: {on: ground}")),
     "body": WordHelp("what pictures draw", _make_crowd_sample("body: ant")),
     "on": WordHelp("the surface", _make_crowd_sample("place: {on: ground}")),

@@ -15,6 +15,7 @@ from antdsl.outputs.cache.manifest import ManifestError
 from antdsl.outputs.cache.npz import MAX_FILE_BYTES
 from antdsl.pipeline import Shot
 from antdsl.runtime import CheckpointError, World, restore_checkpoint
+from antdsl.runtime.line_tables import restore_lines
 from antdsl.runtime.moving.moving_geometry import pose_world
 from antdsl.safe_read import read_blocks
 from antdsl.scene.paths import PathRefused
@@ -83,14 +84,15 @@ def start_from_cache(shot: Shot, world: World) -> None:
         a, b = (" ".join(f"{x / 1000:.15g}" for x in each) for each in (source_origin, world.origin))
         words = f"the world of `{start.cache}` has its origin at {a} m, and this scene's world at {b} m"
         raise _make_error(shot, "wrong-value", words, "cache", "give the surfaces the same meshes at the same places")
-    first, params = world.frame, dict(world.params)
+    first, params, state = world.frame, dict(world.params), select_by_prefix(arrays, "world.")
     try:
-        restore_checkpoint(world, select_by_prefix(arrays, "world."))
+        restore_checkpoint(world, state)
     except CheckpointError as why:
         words = f"frame {start.frame} of `{start.cache}` belongs to different programs: {why}"
         raise _make_error(shot, "wrong-value", words, "cache", "start from a cache of the same programs") from None
     shift = first - world.frame
     world.frame = first
+    restore_lines(world, state, as_start=True)
     pose_world(world, first)
     world.params = params
     world.transitions.clear()

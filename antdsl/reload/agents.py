@@ -16,9 +16,9 @@ from antdsl.plan.registers import find_pair_values
 from antdsl.plan.traverse import collect_required_nodes
 from antdsl.program.tables.columns import FIXED_COLUMN_BY_NAME, MIGRATED_REGISTERS
 from antdsl.reload.footing import MIN_REPORTED_DISTANCE, align_with_ground, find_footings
-from antdsl.runtime.binding.agent_placement import write_place_values
 from antdsl.runtime.binding.bind_world import compute_run_value
 from antdsl.runtime.binding.binding_cache import compute_digest
+from antdsl.runtime.binding.initial_attributes import write_initial_values
 from antdsl.runtime.lifecycle import initialise_newborn
 from antdsl.runtime.requests import EffectRequests
 from antdsl.runtime.world import Population, World, add_rows, stored_registers
@@ -84,10 +84,9 @@ def fill_registers(world: World, name: str, values: dict[str, NDArray[Any]]) -> 
     lasting = (register for register, each in population.plan.registers.items() if each.role != "temp")
     if not len(population) or all(register in values for register in lasting):
         return
-    for crowd in world.setting.crowds:
-        if crowd.species == name and crowd.place.values:
-            first = (population.born == world.setting.first_frame) & (population.now["group"] == crowd.line_index)
-            write_place_values(population, np.flatnonzero(first), crowd.place)
+    for crowd, line in zip(world.setting.crowds, world.lines, strict=True):
+        if crowd.species == name and (crowd.place.values or crowd.each):
+            write_initial_values(world, population, np.flatnonzero(line.find_numbers(population.ids) >= 0), crowd)
     initialise_newborn(world, {name: np.arange(len(population))})
     population.effects = EffectRequests()
     write_registers(population, values)
@@ -164,8 +163,9 @@ def _find_changed_defaults(old_world: World, world: World, old_plan: ir.SpeciesP
 
 
 def _compute_place_digests(setting: WorldSetting, species: str, attribute: str) -> list[str]:
-    """Return a digest of the attribute's values at the start places of each crowd line of the scene."""
-    return [compute_digest(crowd.place.values.get(attribute)) for crowd in setting.crowds if crowd.species == species]
+    """Return a digest of the attribute's values at birth that each crowd line of the scene gives."""
+    crowds = (crowd for crowd in setting.crowds if crowd.species == species)
+    return [compute_digest((crowd.place.values.get(attribute), crowd.each.get(attribute))) for crowd in crowds]
 
 
 def _add_register_name(names: list[str], register: str) -> None:

@@ -21,12 +21,14 @@ from antdsl.runtime.binding.binding_cache import BindingCache, compute_digest
 from antdsl.runtime.faults import FaultLog
 from antdsl.runtime.feet import feet_step
 from antdsl.runtime.lifecycle import clear_dead_references
-from antdsl.runtime.line_tables import list_line_names, match_lines
+from antdsl.runtime.line_tables import count_released, list_line_names, match_lines
 from antdsl.runtime.motion_measures import MotionMeasures
 from antdsl.runtime.moving.moving_geometry import pose_world
 from antdsl.runtime.world import World
 from antdsl.scene.line_ids import LineIds
 from antdsl.scene.setting import CrowdData, WorldSetting
+
+_NO_IDS = np.empty(0, np.int64)
 
 
 @dataclass(slots=True)
@@ -80,7 +82,6 @@ def migrate_world(
 
 def _migrate_agents(old_world: World, world: World, migration: Migration) -> list[tuple[CrowdData, NDArray[np.int64]]]:
     """Move all agents that stay; return the crowd lines to add, each with the ids of its new agents."""
-    joining: list[tuple[CrowdData, NDArray[np.int64]]] = []
     values = {}
     for name in world.populations:
         if name in old_world.populations:
@@ -89,28 +90,36 @@ def _migrate_agents(old_world: World, world: World, migration: Migration) -> lis
             )
             migration.species.append(migrated)
             _update_crowd_groups(old_world.setting, world, name, values[name])
+    lines, created_ids = [], []
+    for crowd, old in _match_crowds(old_world, world.setting):
+        population = world.populations[crowd.species]
+        line = LineIds(crowd.species) if old is None else old[1]
+        released = 0 if old is None else count_released(*old, world.frame)
+        due = crowd.count_created(world.frame)
+        joining_count = due - (0 if old is None else old[0].count_created(world.frame))
+        if joining_count < 0:  # ids of removed agents are not used again
+            line = line.resize(released + joining_count, population.next_id)
+        total = released + joining_count + crowd.count - due
+        lines.append(line.resize(total, population.next_id))
+        population.next_id += max(0, total - len(line))
+        created_ids.append(lines[-1].take(released, released + joining_count - 1) if joining_count > 0 else _NO_IDS)
+    world.lines = tuple(lines)
     for name, known in values.items():
         fill_registers(world, name, known)
     for name in old_world.populations:
         if name not in world.populations and len(old_world.populations[name]):
             migration.removed_counts[name] = len(old_world.populations[name])
-    lines = []
-    for crowd, line in _match_crowds(old_world, world.setting):
-        population, old = world.populations[crowd.species], LineIds(crowd.species) if line is None else line
-        lines.append(old.resize(crowd.count, population.next_id))
-        joining_count = crowd.count - len(old)
-        if joining_count > 0:
-            population.next_id += joining_count
-            joining.append((crowd, lines[-1].take(len(old))))
-            migration.added_counts[crowd.species] = migration.added_counts.get(crowd.species, 0) + joining_count
-    world.lines = tuple(lines)
+    joining = [(crowd, ids) for crowd, ids in zip(world.setting.crowds, created_ids, strict=True) if len(ids)]
+    for crowd, ids in joining:
+        migration.added_counts[crowd.species] = migration.added_counts.get(crowd.species, 0) + len(ids)
     return joining
 
 
-def _match_crowds(old_world: World, setting: WorldSetting) -> list[tuple[CrowdData, LineIds | None]]:
-    """Return the crowd lines of the new setting, each with the ids of the old line that corresponds to it."""
+def _match_crowds(old_world: World, setting: WorldSetting) -> list[tuple[CrowdData, tuple[CrowdData, LineIds] | None]]:
+    """Return the crowd lines of the new setting, each with the old line that corresponds to it and the ids of that line."""
     matches = match_lines(list_line_names(old_world.setting), list_line_names(setting))
-    return [(crowd, old_world.lines[k] if k >= 0 else None) for crowd, k in zip(setting.crowds, matches, strict=True)]
+    old = list(zip(old_world.setting.crowds, old_world.lines, strict=True))
+    return [(crowd, old[k] if k >= 0 else None) for crowd, k in zip(setting.crowds, matches, strict=True)]
 
 
 def _find_staying_rows(old_world: World, setting: WorldSetting, name: str, migration: Migration) -> NDArray[np.intp]:
@@ -119,11 +128,12 @@ def _find_staying_rows(old_world: World, setting: WorldSetting, name: str, migra
     population = old_world.populations[name]
     stays = np.ones(len(population), np.bool_)
     new_by_old = _number_new_lines(old_world.setting, setting)
-    for crowd, line in zip(old_world.setting.crowds, old_world.lines, strict=True):
+    frame = old_world.frame
+    for crowd in old_world.setting.crowds:
         if crowd.species == name:
             rows = np.flatnonzero(population.now["group"] == crowd.line_index)
             new = new_by_old.get(crowd.line_index)
-            fewer = len(rows) if new is None else len(line) - setting.crowds[new].count
+            fewer = len(rows) if new is None else crowd.count_created(frame) - setting.crowds[new].count_created(frame)
             if fewer > 0:
                 rows = rows[np.argsort(population.ids[rows])]
                 stays[rows[max(0, len(rows) - fewer) :]] = False

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from antdsl.runtime.world import World
 from antdsl.scene.line_ids import LineIds
-from antdsl.scene.setting import WorldSetting
+from antdsl.scene.setting import CrowdData, WorldSetting
 
-_NAMES, _RANGES = "lines.names", "lines.ranges"
+_NAMES, _RANGES, _CREATED = "lines.names", "lines.ranges", "lines.created"
 LineName = tuple[str, str]  # species, and the name of the line or an empty text
 
 
@@ -33,6 +33,19 @@ def reserve_ids(setting: WorldSetting) -> tuple[LineIds, ...]:
     return tuple(lines)
 
 
+def count_released(crowd: CrowdData, line: LineIds, frame: int) -> int:
+    """Return how many agents of a line's table were created up to a frame.
+
+    The last ones of the table are still to be created. The first ones may be of another scene that this one continues."""
+    return len(line) - crowd.count + crowd.count_created(frame)
+
+
+def take_created_ids(crowd: CrowdData, line: LineIds, previous: int | None, frame: int) -> NDArray[np.int64]:
+    """Return the ids of the agents of a line that are created after the frame `previous` (None: ever) up to a frame."""
+    first = 0 if previous is None else count_released(crowd, line, previous)
+    return line.take(first, count_released(crowd, line, frame) - 1)
+
+
 def match_lines(old: Sequence[LineName], new: Sequence[LineName]) -> list[int]:
     """Return for each new line the index of the old line that corresponds to it; -1 for none.
 
@@ -47,26 +60,44 @@ def match_lines(old: Sequence[LineName], new: Sequence[LineName]) -> list[int]:
 
 
 def collect_line_arrays(world: World) -> dict[str, NDArray[Any]]:
-    """Return the tables as arrays: species and names as text, and rows of (index of the line, first id, number of ids)."""
+    """Return the tables as arrays: species and names as text, rows of (index of the line, first id, number of ids), and how many
+    agents of each line were created."""
+    crowds = world.setting.crowds
     text = "\n".join(" ".join(line) for line in list_line_names(world.setting))
     rows = [(number, *each) for number, line in enumerate(world.lines) for each in line.ranges]
-    return {_NAMES: np.frombuffer(text.encode(), np.uint8), _RANGES: np.array(rows, np.int64).reshape(-1, 3)}
+    created = [count_released(*each, world.frame) for each in zip(crowds, world.lines, strict=True)]
+    return {
+        _NAMES: np.frombuffer(text.encode(), np.uint8),
+        _RANGES: np.array(rows, np.int64).reshape(-1, 3),
+        _CREATED: np.array(created, np.int64),
+    }
 
 
-def restore_lines(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
+def restore_lines(world: World, arrays: Mapping[str, NDArray[Any]], *, as_start: bool = False) -> None:
     """Restore the tables of a checkpoint. Older checkpoints have none, and the world's own tables stay.
 
-    Raises ValueError for arrays that do not match."""
+    With `as_start`, the world begins with the checkpoint. Its lines continue those of the checkpoint: agents to be created get
+    new ids. Raises ValueError for arrays that do not match."""
     if _NAMES not in arrays:
         return
     text = arrays[_NAMES].astype(np.uint8).tobytes().decode()
     old: list[LineName] = [(species, name) for species, _, name in (each.partition(" ") for each in text.split("\n") if each)]
+    created = arrays[_CREATED].astype(np.int64).reshape(len(old)).tolist()
     ranges: list[list[tuple[int, int]]] = [[] for _ in old]
     for number, first, count in arrays[_RANGES].reshape(-1, 3).tolist():
         if not (0 <= number < len(old) and first >= 0 and count > 0):
             raise ValueError(f"`{_RANGES}` has an invalid row")
         ranges[number].append((first, count))
-    world.lines = tuple(
-        line if number < 0 else LineIds(line.species, tuple(ranges[number]))
-        for number, line in zip(match_lines(old, list_line_names(world.setting)), world.lines, strict=True)
-    )
+    lines = []
+    matches = match_lines(old, list_line_names(world.setting))
+    for crowd, number, line in zip(world.setting.crowds, matches, world.lines, strict=True):
+        stored = LineIds(crowd.species, tuple(ranges[number])) if number >= 0 else LineIds(crowd.species)
+        if as_start:
+            population = world.populations[crowd.species]
+            stored = stored.resize(min(created[number], len(stored)) if number >= 0 else 0, 0)
+            due = crowd.count - crowd.count_created(world.frame)
+            lines.append(stored.resize(len(stored) + due, population.next_id))
+            population.next_id += due
+        else:
+            lines.append(stored if number >= 0 else line)
+    world.lines = tuple(lines)

@@ -18,6 +18,7 @@ from antdsl.numerics.sorting import compute_morton_codes, sort_stably
 from antdsl.plan.ir import ValueKind
 from antdsl.program.tables.effects import list_effects_of_phase
 from antdsl.runtime import claims, digging, faults, lifecycle
+from antdsl.runtime.binding import releases
 from antdsl.runtime.faults import FaultStop
 from antdsl.runtime.feet import feet_step
 from antdsl.runtime.moving import contacts, crowd_substep, moving_geometry, scripted_walks, tilting
@@ -130,9 +131,10 @@ def record_measures(world: World) -> None:
 
 
 def apply_births(world: World) -> None:
-    """Remove dead agents from the populations and add newborn ones."""
+    """Remove dead agents from the populations, add newborn ones, and those of crowd lines that are due."""
     _settle_requests("births", world)
     lifecycle.settle_newborn(world)
+    releases.release_agents(world)
     faults.collect_faults(world)  # count the faults of births before rows and frame change
 
 

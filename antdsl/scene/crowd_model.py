@@ -3,22 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from fractions import Fraction
 from typing import Annotated, Any
 
-from pydantic import BeforeValidator, Discriminator, Field, Tag
+from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
 
 from antdsl import limits
 from antdsl.program.tables.vocabulary import LENGTH_DIMENSION
+from antdsl.scene.casting_model import Clumps, EachValues, Facing, Ranks, Rate, SecondsValue, Volume, convert_rate
 from antdsl.scene.library_bodies import BODY_WORDS
 from antdsl.scene.quantities import Quantity
 from antdsl.scene.values import (
     FilePath,
+    FrameRangeValue,
     PointOrName,
     PositiveLength,
     PositiveSpeed,
     SceneName,
     ScenePart,
     SceneWord,
+    make_error,
     parse_integer_between,
     parse_number_between,
     parse_one_of,
@@ -63,7 +67,11 @@ class Placement(ScenePart):
     `inside`: a point or an item; agents start at the first hits of lines from there with a surface.
     `by`: `above` drops agents onto surfaces, `area` spreads them over the area, undersides included.
     `apart`: the least distance between agents, or `even`: as large as space allows.
-    `seed`: replaces the scene's seed."""
+    `seed`: replaces the scene's seed.
+    `along`: on a curve of the world. `edge`: on the open borders of a surface. `radius`: within this distance of them.
+    `in`: at the surface points nearest to a box or a ball.
+    `ranks`: in ranks around `around`. `clumps`: in discs around positions of the place.
+    `facing`: `out`, `in`, `along`, a point or item, or a direction."""
 
     on: SceneName | None = None
     inside: PointOrName | None = None
@@ -79,6 +87,12 @@ class Placement(ScenePart):
     by: PlacementMethod = "above"
     apart: SpacingValue | None = None
     seed: Annotated[int, BeforeValidator(parse_integer_between(0, 2**64 - 1))] | None = None
+    along: SceneName | None = None
+    edge: SceneName | None = None
+    volume: Volume | None = Field(default=None, alias="in")
+    ranks: Ranks | None = None
+    clumps: Clumps | None = None
+    facing: Facing | None = None
 
 
 class Walk(ScenePart):
@@ -118,6 +132,8 @@ BodyValue = Annotated[
 class CrowdLine(ScenePart):
     """Agents of one species.
 
+    `count`: how many. `rate`: how many per second, in these `frames` or in these `seconds` from the first frame on.
+    `each`: the values of attributes at birth, and the initial `state`.
     `name`: the name of the line, by which selectors name its agents.
     `body`: the body in pictures, a word or the file of an agent definition. The default depends on the species' name. Several
     bodies have weights: each agent gets one of them, with a probability in proportion.
@@ -126,11 +142,46 @@ class CrowdLine(ScenePart):
     name: SceneName | None = None
     species: SceneName
     source: FilePath = Field(alias="from")
-    count: Annotated[int, BeforeValidator(parse_integer_between(0, limits.MAX_AGENTS))]
+    count: Annotated[int, BeforeValidator(parse_integer_between(0, limits.MAX_AGENTS))] | None = None
+    rate: Rate | None = None
+    frames: FrameRangeValue | None = None
+    seconds: SecondsValue | None = None
+    each: EachValues = Field(default_factory=dict)
     place: Placement = Placement()
     walk: Walk | None = None
     body: BodyValue | None = None
     wear: Annotated[tuple[WornLayer, ...], Field(max_length=limits.MAX_WORN_LAYERS)] = ()
+
+    @model_validator(mode="after")
+    def _check_number(self) -> CrowdLine:
+        if self.count is None and self.rate is None:
+            raise make_error("this line has no `count`", "add `count: 100`", code="missing-key")
+        if self.count is not None and self.rate is not None:
+            raise make_error("`count` and `rate` both say how many agents there are", "leave one of them out")
+        if self.frames is not None and self.seconds is not None:
+            raise make_error("`frames` and `seconds` both say when agents are created", "leave one of them out")
+        if self.rate is not None and self.frames is None and self.seconds is None:
+            raise make_error("`rate` has no effect without frames", "add `frames: 49..96` or `seconds: 2 s .. 4 s`")
+        return self
+
+    def find_release(self, first: int, fps: Fraction) -> tuple[Fraction, Fraction, int]:
+        """Return when agents are created: the begin and the interval in frames, and their number.
+
+        `first`: the scene's first frame. Without frames, the interval is 0 and the begin is the first frame."""
+        begin, duration = Fraction(first), Fraction(0)
+        if self.frames is not None:
+            begin, duration = Fraction(self.frames.first), Fraction(self.frames.last - self.frames.first + 1)
+        elif self.seconds is not None:
+            begin, duration = first + self.seconds.begin * fps, (self.seconds.end - self.seconds.begin) * fps
+        if self.rate is not None:
+            interval = fps / convert_rate(self.rate.text, fps)
+            return begin, interval, int(duration / interval + Fraction(1, 2))
+        count = self.count or 0
+        return begin, duration / count if count and duration > 1 else Fraction(0), count
+
+    def count_agents(self, first: int, fps: Fraction) -> int:
+        """Return how many agents the line creates in all."""
+        return self.find_release(first, fps)[2]
 
     @property
     def body_weights(self) -> dict[str, float]:

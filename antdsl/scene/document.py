@@ -12,6 +12,7 @@ from typing import Any
 
 from antdsl import limits
 from antdsl.diagnostics import Diagnostic, Label, Report
+from antdsl.scene.cut_calls import find_closing_parenthesis, suggest_mapping
 from antdsl.scene.indentation import explain_indentation, explain_missing_colon
 from antdsl.source import Source, Span
 from antdsl.syntax.mistakes.number_slips import find_comma_number, make_comma_diagnostic
@@ -291,6 +292,20 @@ class _DocumentReader:
                     root = node
         return root
 
+    def report_cut_call(self, open_node: _OpenNode) -> None:
+        """Report a comma in parentheses, which ends a value in `{…}` and `[…]`: `{kill: all(ant, within: 9 mm)}`."""
+        for item in open_node.items:
+            if not isinstance(item, ScalarNode) or item.is_quoted or item.text.count("(") <= item.text.count(")"):
+                continue
+            text = self.source.text
+            end = find_closing_parenthesis(text, item.span.start, len(text))
+            if end is None or "," not in text[item.span.start : end] or item.span.end >= end:
+                continue
+            call = Span(self.source, item.span.start, end)
+            message = "the comma in these parentheses ends the value here"
+            self.report.error("scene-syntax", message, call, suggest_mapping(call.text))
+            raise _DocumentError
+
     def finish_node(self, open_node: _OpenNode, end: int) -> DocumentNode:
         """Return the node of a finished mapping or sequence. `end`: the offset of its end."""
         text = self.source.text
@@ -298,7 +313,11 @@ class _DocumentReader:
             end -= 1
         span = Span(self.source, open_node.start, end)
         if not open_node.is_mapping:
+            if text[open_node.start : open_node.start + 1] == "[":
+                self.report_cut_call(open_node)
             return SequenceNode(tuple(open_node.items), span)
+        if text[open_node.start : open_node.start + 1] == "{":
+            self.report_cut_call(open_node)
         entries: dict[str, DocumentNode] = {}
         keys: dict[str, Span] = {}
         folded: dict[str, str] = {}

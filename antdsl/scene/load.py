@@ -39,7 +39,7 @@ _MISPLACED_KEY_HELP = {
 
 
 # of tags in unions; no key of a scene ends so
-_UNION_TAG_SUFFIXES = ("-thing", "-camera", "-here", "-selector", "-region", "-edit")
+_UNION_TAG_SUFFIXES = ("-thing", "-camera", "-here", "-selector", "-region", "-edit", "-draw", "-facing")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,7 +69,9 @@ class Scene:
         without = {"output", "frames", "extends"} | ({"camera"} if self.model.lod is None else set())
         relevant_keys = sorted(set(type(self.model).model_fields) - without)
         values = [(name, getattr(self.model, name)) for name in relevant_keys if name != "crowd"]
-        relevant = [*values, *((line.species, line.count, line.place) for line in self.model.crowd), self.model.frames.first]
+        drawn = {"name", "source", "body", "wear"}
+        lines = [[getattr(line, key) for key in sorted(set(type(line).model_fields) - drawn)] for line in self.model.crowd]
+        relevant = [*values, *lines, self.model.frames.first]
         return hashlib.blake2b(repr(relevant).encode(), digest_size=16).hexdigest()
 
 
@@ -198,7 +200,7 @@ def report_model_error(
         return
     if kind == "worded":
         context = error["ctx"]
-        report.error("wrong-value", context["words"], span, context["help"] or None)
+        report.error(context.get("code", "wrong-value"), context["words"], span, context["help"] or None)
     else:
         report.error(
             "wrong-value",
@@ -261,6 +263,7 @@ def _format_path(path: tuple[PathKey, ...]) -> str:
 def _list_allowed_keys(path: tuple[PathKey, ...], further_models: Mapping[str, type[ScenePart]]) -> list[str]:
     """Return the keys that the model at a path knows."""
     from antdsl.scene import scene_model
+    from antdsl.scene.casting_model import DRAW_MODELS
     from antdsl.scene.crowd_model import LayerChoice
     from antdsl.scene.selectors import AgentConditions, Ball, Box
 
@@ -274,6 +277,7 @@ def _list_allowed_keys(path: tuple[PathKey, ...], further_models: Mapping[str, t
         "mapping-selector": AgentConditions,
         "box-region": Box,
         "ball-region": Ball,
+        **{f"{key}-draw": each for key, each in DRAW_MODELS.items()},
         "fields": scene_model.FieldStart,
         **scene_model.MODEL_BY_PATH,
     }

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from antdsl import limits
 from antdsl.diagnostics import Label, Report
 from antdsl.diagnostics.suggestion import find_nearest_name
 from antdsl.program.model import Constant, Program, TypeKind
@@ -15,15 +14,16 @@ from antdsl.program.tables.columns import COLUMN_BY_ATTRIBUTE
 from antdsl.program.tables.things import KIND_BY_WORD
 from antdsl.program.tables.units import format_number
 from antdsl.scene import field_settings
-from antdsl.scene.crowd_model import Placement, UsdPositions
+from antdsl.scene.crowd_checks import check_around, check_crowd, count_agents
 from antdsl.scene.document import PathKey
-from antdsl.scene.entry_checks import Entry, check_dimension, check_file, convert_constant, report_unknown
+from antdsl.scene.entry_checks import Entry, check_dimension, convert_constant, report_unknown
 from antdsl.scene.existence_checks import check_absent_species, check_bodies
 from antdsl.scene.field_settings import check_field_dynamics
 from antdsl.scene.load import Scene
 from antdsl.scene.quantities import Quantity
 from antdsl.scene.scene_kinds import SCENE_KINDS
 from antdsl.scene.selectors import SelectorNames
+from antdsl.scene.shape_checks import list_item_names
 from antdsl.scene.step_checks import check_step_lengths
 
 
@@ -60,106 +60,17 @@ def _check_world(scene: Scene, program: Program, report: Report) -> None:
             kind.check(Entry(scene, program, report, name, thing), scene_things[name])
 
 
-def _check_crowd(scene: Scene, program: Program, report: Report) -> None:
-    total = 0
-    for number, line in enumerate(scene.model.crowd):
-        total += line.count
-        _check_line_name(scene, program, report, number)
-        if line.species not in program.species:
-            report_unknown(report, scene, ("crowd", number, "species"), "no program has a species", program.species, key=False)
-        _check_placement(scene, program, report, line.place, "crowd", number, "place")
-        if line.walk is not None and not any(line.walk.direction):
-            where = scene.span("crowd", number, "walk", "direction")
-            report.error("wrong-value", "`[0, 0, 0]` leads nowhere", where, "write a direction, such as `[1, 0, 0]`")
-    if total > limits.MAX_AGENTS:
-        report.error(
-            "too-large", f"{total:,} agents are more than {limits.MAX_AGENTS:,}", scene.span("crowd"), "write a smaller `count`"
-        )
-
-
-def _check_line_name(scene: Scene, program: Program, report: Report, number: int) -> None:
-    """Report a name of a crowd line that also names something else."""
-    name = scene.model.crowd[number].name
-    earlier = [k for k, line in enumerate(scene.model.crowd[:number]) if line.name == name]
-    taken = {**dict.fromkeys(list_item_names(scene), "an item"), **dict.fromkeys(program.species, "a species")}
-    if name in taken:
-        help = f"write another name, such as `{name}_line`"
-        report.error("duplicate-name", f"`{name}` is the name of {taken[name]}", scene.span("crowd", number, "name"), help)
-    elif name is not None and earlier:
-        label = Label(scene.span("crowd", earlier[0], "name"), "here first")
-        help = f"write another name, such as `{name}_{number + 1}`"
-        place = scene.span("crowd", number, "name")
-        report.error("duplicate-name", f"two lines of the crowd are named `{name}`", place, help, labels=(label,))
-
-
 def list_selector_names(scene: Scene, program: Program, cameras: frozenset[str] = frozenset()) -> SelectorNames:
     """Return the names that selectors of a scene may use."""
     machines = [machine for species in program.species.values() for machine in species.machines]
     states = {name for each in machines for state in each.states for name in (state.name, f"{each.name}.{state.name}")}
     return SelectorNames(
-        {line.name: line.count for line in scene.model.crowd if line.name is not None},
+        {line.name: count for line, count in zip(scene.model.crowd, count_agents(scene), strict=True) if line.name is not None},
         frozenset(program.species),
         frozenset(list_item_names(scene)),
         frozenset(states),
         cameras,
     )
-
-
-def list_item_names(scene: Scene) -> dict[str, tuple[str, str]]:
-    """Return the names that `around` accepts, each as (items, item). For the name of items, the first item counts."""
-    names: dict[str, tuple[str, str]] = {}
-    for name, value in scene.model.world.items():
-        if isinstance(value, dict) and value:
-            names[name] = (name, next(iter(value)))
-    for name, value in scene.model.world.items():
-        if isinstance(value, dict):
-            for item in value:
-                names.setdefault(item, (name, item))
-    return names
-
-
-def _check_around(scene: Scene, report: Report, around: object, radius: object, *path: PathKey) -> None:
-    if isinstance(around, str) and around not in list_item_names(scene) and not scene.model.has_usd_items:
-        report_unknown(report, scene, (*path, "around"), "no item is named", list_item_names(scene), key=False)
-    if around is not None and radius is None:
-        at = scene.span(*path, "around", key=True)
-        report.error("missing-key", "`around` has no effect without `radius`", at, "add `radius: 50 mm`")
-
-
-def _check_placement(scene: Scene, program: Program, report: Report, place: Placement, *path: PathKey) -> None:
-    grounds = [name for name, thing in program.world.items() if KIND_BY_WORD[thing.kind].is_ground]
-    if place.on is not None and place.on not in grounds:
-        report_unknown(report, scene, (*path, "on"), "no surface is named", grounds, key=False)
-    if place.points is not None:
-        if isinstance(place.points, UsdPositions):
-            check_file(scene, report, place.points.usd, *path, "points", "usd")
-        else:
-            check_file(scene, report, place.points, *path, "points")
-        if place.around is not None:
-            words = "agents are placed at points or around a place, not both"
-            report.error("wrong-value", words, scene.span(*path, "around", key=True), "keep one of them")
-    if place.density is not None:
-        maps = program.list_things_of_kind("map")
-        if place.density not in maps:
-            report_unknown(report, scene, (*path, "density"), "no map is named", maps, key=False)
-    used_keys = [name for name in ("points", "around", "radius", "density") if getattr(place, name) is not None]
-    for method in ("density", "inside"):
-        other = [name for name in used_keys if name != method]
-        if getattr(place, method) is not None and other:
-            words = f"agents are placed by `{method}` or by `{other[0]}`, not both"
-            report.error("wrong-value", words, scene.span(*path, method, key=True), "keep one of them")
-    if place.by == "area" and place.inside is not None:
-        words = "agents that start `inside` are placed along lines from there, not by area"
-        report.error("wrong-value", words, scene.span(*path, "by", key=True), "leave `by` out")
-    for key in ("apart", "seed"):
-        if getattr(place, key) is not None and place.points is not None:
-            words = f"agents at `points` have these positions, so `{key}` has no effect"
-            report.error("wrong-value", words, scene.span(*path, key, key=True), f"leave `{key}` out")
-    if place.apart == "even" and (place.inside is not None or (place.density is not None and place.by != "area")):
-        what, addition = ("inside", "") if place.inside is not None else ("by `density` from above", ", or add `by: area`")
-        advice = f"write a length, such as `apart: 10 mm`{addition}"
-        report.error("wrong-value", f"the available space {what} is unknown", scene.span(*path, "apart", key=True), advice)
-    _check_around(scene, report, place.around, place.radius, *path)
 
 
 def _check_params(scene: Scene, program: Program, report: Report) -> None:
@@ -209,7 +120,7 @@ def _check_fields(scene: Scene, program: Program, report: Report) -> None:
     for name, start in scene.model.fields.items():
         if name not in program.fields:
             report_unknown(report, scene, ("fields", name), "no program has a field", program.fields)
-        _check_around(scene, report, start.around, start.radius, "fields", name)
+        check_around(scene, report, start.around, start.radius, "fields", name)
 
 
 def resolve_layer_order(scene: Scene, program: Program, species: str) -> tuple[list[str] | None, list[int]]:
@@ -279,7 +190,7 @@ def _check_output(scene: Scene, program: Program, report: Report) -> None:
 
 SCENE_CHECKS: tuple[Callable[[Scene, Program, Report], None], ...] = (
     _check_world,  # the names that `around` and `on` refer to
-    _check_crowd,
+    check_crowd,
     check_bodies,
     check_absent_species,
     _check_params,

@@ -10,6 +10,7 @@ from pydantic import BeforeValidator, Discriminator, Field, Tag
 from antdsl import limits
 from antdsl.diagnostics.suggestion import find_nearest_name
 from antdsl.program.tables.columns import DEFAULT_ATTRIBUTE_NAMES
+from antdsl.scene.casting_model import Clumps, Ranks
 from antdsl.scene.crowd_model import CrowdLine as CrowdLine
 from antdsl.scene.crowd_model import Placement as Placement
 from antdsl.scene.crowd_model import Walk as Walk
@@ -139,7 +140,7 @@ class StartFrom(ScenePart):
 
 MODEL_BY_PATH: dict[str, type[ScenePart]] = {  # the models of mappings, by key
     "place": Placement, "camera": Camera, "lod": LevelOfDetail, "output": Output, "from": StartFrom, "crowd": CrowdLine,
-    "walk": Walk,
+    "walk": Walk, "ranks": Ranks, "clumps": Clumps,
 }  # fmt: skip
 
 

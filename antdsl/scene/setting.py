@@ -13,6 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.scene.body_choice import body_keys
+from antdsl.scene.crowd_data import CrowdData as CrowdData
+from antdsl.scene.crowd_data import PlacementData as PlacementData
+from antdsl.scene.crowd_data import PointMm as PointMm
+from antdsl.scene.crowd_data import WalkData as WalkData
 from antdsl.scene.geometry.import_notes import MeshImport
 from antdsl.scene.staging.motion import GeometryMoves
 from antdsl.source import Span
@@ -20,7 +24,6 @@ from antdsl.source import Span
 _MAX_ORIGIN_OFFSET_MM = 1e5  # mm; if the middle of the world is nearer to the zero point, the zero point is the origin
 
 
-PointMm = tuple[float, float, float]
 ContactMode = Literal["off", "soft", "hard"]
 
 
@@ -131,69 +134,6 @@ class ItemData:
     position: PointMm
     radius: float
     attributes: Mapping[str, float] = field(default_factory=dict)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class PlacementData:
-    """The starting positions of a crowd. The first of these that is set applies:
-
-    `points` (n, 3): one per agent, in order, repeated after the last.
-    `radius`: a disc of `radius` mm around `disc_centre`, dropped along the scene's up onto the surfaces.
-    `ray_origin`: the first hits of lines from this point in all directions, on the side of the point. Otherwise: evenly over the
-    surfaces, or with the density of the map `density`.
-
-    `on`: the surfaces; empty for all.
-    `is_by_area`: agents stand on the front of faces of any direction. `radius` is then that of a ball, and `points` move to the
-    nearest surface point.
-    `spacing`: the least distance (mm) between centres; inf: as large as the space allows for all lines with equal settings.
-    `seed`: for the positions; None for the setting's seed.
-    `headings` (n, 3): the unit vector of the heading at each point; nan for a random heading.
-    `values` (n,): by name, attributes of the agent at each point, in base units; nan for the species' value."""
-
-    on: tuple[str, ...] = ()
-    disc_centre: PointMm | None = None
-    ray_origin: PointMm | None = None
-    radius: float | None = None
-    points: NDArray[np.float64] | None = None
-    density: str | None = None
-    is_by_area: bool = False
-    spacing: float = 0.0
-    seed: int | None = None
-    headings: NDArray[np.float64] | None = None
-    values: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
-
-
-@dataclass(frozen=True, slots=True)
-class WalkData:
-    """A walk of agents.
-
-    `direction`: a unit vector, projected onto the ground at the start.
-    `speed`: in mm/s.
-    `length`: in mm."""
-
-    direction: PointMm
-    speed: float
-    length: float
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class CrowdData:
-    """`count` agents of one species.
-
-    `line_index`: the index of this line of the scene, from 0.
-    `walk`: agents with a walk do not sense or decide.
-    `body`: the name of the body; empty for the body that fits the species' name.
-    `worn_layers`: for each displayed part of the body, the layers from which one is drawn; "" means none.
-    `name`: of the line; empty without one."""
-
-    species: str
-    count: int
-    place: PlacementData = PlacementData()
-    line_index: int = 0
-    walk: WalkData | None = None
-    body: str = ""
-    worn_layers: tuple[tuple[str, ...], ...] = ()
-    name: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -352,10 +292,11 @@ class WorldSetting:
 
     @property
     def initial_attributes(self) -> dict[str, frozenset[str]]:
-        """Return, by species, the attributes that the starting positions of its crowds set at birth."""
+        """Return, by species, the attributes that its crowd lines set at birth, and `MACHINE.state` for machines."""
         attributes: dict[str, frozenset[str]] = {}
         for crowd in self.crowds:
-            attributes[crowd.species] = attributes.get(crowd.species, frozenset()) | crowd.place.values.keys()
+            names = crowd.place.values.keys() | crowd.each.keys()
+            attributes[crowd.species] = attributes.get(crowd.species, frozenset()) | names
         return attributes
 
 

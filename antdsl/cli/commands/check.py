@@ -117,6 +117,10 @@ def check(
     if not report.ok:
         raise CommandError(choose_exit_code(report))
     if format is ReportFormat.full:
+        from antdsl.cli.printing.check_tables import format_agent_counts
+
+        for line in format_agent_counts(files, choices):
+            print_result(line)
         warnings = len(report.diagnostics)
         if not files and not warnings:
             folders = ", ".join(f"`{path}`" for path in paths or [Path()])

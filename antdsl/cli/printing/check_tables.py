@@ -173,6 +173,21 @@ def explain_missing_table(table_kind: str, file: Path, report: Report) -> str:
 # --- work of a scene -------------------------------------------------------------------------------------------------
 
 
+def format_agent_counts(files: Sequence[Path], choices: RunChoices) -> Iterator[str]:
+    """Yield, for each scene that creates agents during the run, how many its crowd has at most."""
+    from antdsl.scene.crowd_checks import count_agents
+    from antdsl.scene.load import load_scene
+
+    for file in files:
+        scene = load_scene(file, choices.grants)[0] if file.suffix != ".ant" else None
+        if scene is None or all(line.frames is None and line.seconds is None for line in scene.model.crowd):
+            continue
+        counts = list(zip(scene.model.crowd, count_agents(scene), strict=True))
+        later = sum(count for line, count in counts if line.frames is not None or line.seconds is not None)
+        total = sum(count for _, count in counts)
+        yield f"{file}: at most {total:,} agents of the crowd, {later:,} of them created in given frames"
+
+
 def format_work_table(file: Path, shot: Shot) -> Iterator[str]:
     """Yield the allocations of a scene's world and crowd: counts and bytes, estimated before anything is allocated."""
     from antdsl.cli.memory_demand import estimate_work, format_bytes

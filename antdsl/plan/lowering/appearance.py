@@ -9,7 +9,7 @@ The requests of a step are collected in temps with these names after `~`."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from math import pi
 from typing import Any
 
@@ -55,19 +55,17 @@ def declare_registers(w: PlanWriter) -> None:
         w.declare(f"~look#{group}.over", ValueKind.F32, "temp", DEFAULT_LOOK_SECONDS)
 
 
-def write_start_appearance(w: PlanWriter, start_states: Sequence[model.State]) -> None:
-    """Write the appearance at birth, which is that of the start states. Looks begin straight ahead."""
-    for state in start_states:
-        for line in state.body:
-            if isinstance(line, (model.Wear, model.Channel)):
-                w.b.span = line.span
-                LOWERER_BY_STATEMENT[type(line)](w, line, "")
-    _store_display(w)
+def write_state_appearance(w: PlanWriter, state: model.State) -> None:
+    """Request the appearance of a state at birth. Looks begin straight ahead."""
+    for line in state.body:
+        if isinstance(line, (model.Wear, model.Channel)):
+            w.b.span = line.span
+            LOWERER_BY_STATEMENT[type(line)](w, line, "")
 
 
 def apply_appearance(w: PlanWriter) -> None:
     """Store the requested layers and channels after all machines have acted, and turn look directions by one step."""
-    _store_display(w)
+    store_display(w)
     b = w.b
     for group in list_look_groups(w.species):
         name = f"look#{group}"
@@ -79,7 +77,8 @@ def apply_appearance(w: PlanWriter) -> None:
         w.store_vector(name, values.choose_vector(b, has_direction, turned, now), None)
 
 
-def _store_display(w: PlanWriter) -> None:
+def store_display(w: PlanWriter) -> None:
+    """Store the layers and channels that were requested."""
     for layer in list_worn_layers(w.species):
         w.store(f"wear#{layer}", w.read(f"~wear#{layer}"), None)
     for name in list_channels(w.species):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from graphlib import TopologicalSorter
 from math import inf
 
@@ -114,7 +115,9 @@ def write_birth(w: PlanWriter, machines: list[MachineWriter]) -> None:
         write_statements(w, handler.actions, f"{w.species.name}.on.spawn#{number + 1}")
     for machine in machines:
         machine.write_start_actions()
-    appearance.write_start_appearance(w, [machine.machine.states[machine.machine.start] for machine in machines])
+    for machine in machines:
+        machine.write_for_start(partial(appearance.write_state_appearance, w))
+    appearance.store_display(w)
     clips.store_start_heading(w)
 
 

@@ -77,9 +77,9 @@ def declare_registers(w: PlanWriter, machine: model.Machine) -> None:
     w.declare(f"{name}.clip_waits", ValueKind.BOOL, "memory")
 
 
-def write_start_clip(w: PlanWriter, machine: model.Machine) -> None:
-    """Write the clip of the start state at birth. It begins at its start or, if it loops, at a random time."""
-    line = next((line for line in machine.states[machine.start].body if isinstance(line, model.Play)), None)
+def write_start_clip(w: PlanWriter, machine: model.Machine, state: model.State) -> None:
+    """Write the clip of the state at birth. It begins at its start or, if it loops, at a random time."""
+    line = next((line for line in state.body if isinstance(line, model.Play)), None)
     if line is None:
         return
     b, name, clip = w.b, machine.name, _find_clip_number(w, line)

@@ -9,6 +9,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import partial
+from math import inf
 
 from antdsl.plan import ir
 from antdsl.plan.ir import PlanNode, ValueKind
@@ -88,14 +89,36 @@ class MachineWriter:
 
     def begin(self) -> None:
         """Write the start state, before all other parts of birth."""
+        first = self._choose_start()
         for part in ("state", "previous", "next"):
-            self.w.store(f"{self.name}.{part}", self.w.b.row(self.machine.start), self.machine.span)
-        clips.write_start_clip(self.w, self.machine)
+            self.w.store(f"{self.name}.{part}", first, self.machine.span)
+        self.write_for_start(partial(clips.write_start_clip, self.w, self.machine))
+
+    def _choose_start(self) -> PlanNode:
+        """Return the index of the state at birth: the scene's if it sets one, else that of the start state."""
+        b = self.w.b
+        first = b.row(self.machine.start)
+        if self._scene_key in self.w.scene_attributes:
+            self.w.declare(ir.birth_register(self._scene_key), ValueKind.F32, "temp", inf)
+            scene_value = self.w.read(ir.birth_register(self._scene_key))
+            for state in self.machine.states:
+                first = b("where", b("eq", scene_value, b.number(state.index)), b.row(state.index), first)
+        return first
+
+    @property
+    def _scene_key(self) -> str:
+        return f"{self.name}.state"
+
+    def write_for_start(self, write: Callable[[model.State], None]) -> None:
+        """Write what depends on the state at birth: for the start state alone, or for each state that the scene may set."""
+        if self._scene_key in self.w.scene_attributes:
+            self._write_per_state(self.machine.states, write)
+        else:
+            write(self.machine.states[self.machine.start])
 
     def write_start_actions(self) -> None:
-        """Write the enter actions of the start state, at birth."""
-        start = self.machine.states[self.machine.start]
-        write_statements(self.w, start.enter, f"{self.site}.{start.name}.enter")
+        """Write the enter actions of the state at birth."""
+        self.write_for_start(lambda state: write_statements(self.w, state.enter, f"{self.site}.{state.name}.enter"))
 
     # --- decide ------------------------------------------------------------------------------------------------------
 

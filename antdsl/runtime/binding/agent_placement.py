@@ -16,11 +16,14 @@ from antdsl.numerics.vectors import VectorArrays
 from antdsl.plan import ir
 from antdsl.plan.traverse import iterate_with_positions
 from antdsl.program.tables.effects import list_effects_of_phase
+from antdsl.runtime.binding.initial_attributes import write_initial_values
 from antdsl.runtime.binding.overcrowding import OvercrowdedLine
 from antdsl.runtime.binding.spacing import Occupancy, StartPositionDraws, has_extent, spread_agents
-from antdsl.runtime.binding.start_positions import FULL_TURN, MAX_RANDOM_COVER, PLACEMENT_FRAME, StartPositionSampler
+from antdsl.runtime.binding.start_positions import MAX_RANDOM_COVER, PLACEMENT_FRAME, StartPositionSampler
+from antdsl.runtime.binding.start_shapes import FULL_TURN, compute_facing
 from antdsl.runtime.faults import FaultLog
 from antdsl.runtime.lifecycle import apply_deaths_and_births, initialise_newborn, settle_newborn
+from antdsl.runtime.line_tables import take_created_ids
 from antdsl.runtime.moving import scripted_walks
 from antdsl.runtime.moving.clear_steps import settle_clear
 from antdsl.runtime.moving.tilting import tilt_new_bodies
@@ -34,7 +37,8 @@ def place_crowds(world: World) -> None:
     """Add all crowds to the world, with ids in the order of the scene's crowd lines."""
     for line in world.lines:
         world.populations[line.species].next_id += len(line)
-    place_new_agents(world, [(crowd, line.take()) for crowd, line in zip(world.setting.crowds, world.lines, strict=True)])
+    lines = zip(world.setting.crowds, world.lines, strict=True)
+    place_new_agents(world, [(crowd, take_created_ids(crowd, line, None, world.frame)) for crowd, line in lines])
     joined: dict[str, NDArray[np.intp]] = {}
     for name, population in world.populations.items():
         if len(population):
@@ -67,7 +71,7 @@ def place_new_agents(world: World, new_crowds: Sequence[tuple[CrowdData, NDArray
         if k not in draws:
             draws[k], fits = spread_agents(occupancy, starts[k].draw, ids, radius[k], first)
             first += len(ids)
-            if not fits.all():
+            if not fits.all() and not world.is_stepping:  # at a rate, agents stand in the way only until they walk on
                 wide = radius[k][has_extent(radius[k])]
                 ends = (float(wide.min(initial=np.inf)), float(wide.max(initial=0.0)))
                 cover = float(np.pi * (wide * wide).sum())
@@ -85,11 +89,11 @@ def place_new_agents(world: World, new_crowds: Sequence[tuple[CrowdData, NDArray
 def _place_crowd(world: World, crowd: CrowdData, ids: NDArray[np.int64], drawn: StartPositionDraws) -> NDArray[np.intp]:
     """Add the agents of one crowd line at drawn positions; return their rows."""
     population = world.populations[crowd.species]
-    rows = add_rows(population, ids, world.frame, drawn.position, drawn.footing)
+    rows = add_rows(population, ids, world.display_frame, drawn.position, drawn.footing)
     for k, axis in enumerate(AXES):
         population.now[f"up.{axis}"][rows] = drawn.up[:, k]
     population.now["group"][rows] = crowd.line_index
-    write_place_values(population, np.arange(rows.start, rows.stop), crowd.place)
+    write_initial_values(world, population, np.arange(rows.start, rows.stop), crowd)
     return np.arange(rows.start, rows.stop)
 
 
@@ -158,7 +162,7 @@ def _position_precision(world: World) -> float:
 def initialise_agents(world: World, new_rows: Mapping[str, NDArray[np.intp]]) -> None:
     """Set stance, birth values and start velocity of new agents. `new_rows`: their rows, by species.
 
-    Events that they emit at birth are visible in the first step."""
+    Events that they emit at birth are visible in the first step, or, within a step, in the next one."""
     for name, rows in new_rows.items():
         _orient_agents(world, world.populations[name], rows)
     initialise_newborn(world, new_rows)
@@ -172,7 +176,7 @@ def initialise_agents(world: World, new_rows: Mapping[str, NDArray[np.intp]]) ->
     if any(births & p.effects.requests.keys() for p in world.populations.values()):
         apply_deaths_and_births(world)
         settle_newborn(world)
-    for population in world.populations.values():
+    for population in () if world.is_stepping else world.populations.values():
         for name in population.events:
             population.events[name] |= population.raised_events[name]
             population.raised_events[name].fill(False)
@@ -187,24 +191,20 @@ def _shuffle_rows(world: World, population: Population) -> None:
         select_rows(population, np.random.default_rng(world.options.shuffle_rows).permutation(len(population)))
 
 
-def write_place_values(population: Population, rows: NDArray[np.intp], place: PlacementData) -> None:
-    """Write the values of a place's points into registers of `rows`. The block `born` reads them afterwards."""
-    for name, column in place.values.items():
-        if (register := ir.birth_register(name)) in population.now:
-            point_values = column[population.ids[rows] % len(column)]
-            population.now[register][rows] = np.where(np.isfinite(point_values), point_values, np.inf)
-
-
 def _choose_headings(
     world: World, population: Population, rows: NDArray[np.intp], up: VectorArrays, drawn: VectorArrays
 ) -> VectorArrays:
     """Return headings along the ground: the heading of the start point if it has one, else the drawn heading."""
     heading = drawn
     for crowd in world.setting.crowds:
-        if crowd.species != population.name or crowd.place.headings is None:
+        if crowd.species != population.name or (crowd.place.headings is None and crowd.place.facing is None):
             continue
         own = np.flatnonzero(population.now["group"][rows] == crowd.line_index)
-        ahead = vec.split_columns(crowd.place.headings[population.ids[rows[own]] % len(crowd.place.headings)], np.float32)
+        directions = compute_facing(world, crowd, population.position[rows[own]])
+        if directions is None and crowd.place.headings is not None:
+            directions = crowd.place.headings[population.ids[rows[own]] % len(crowd.place.headings)]
+        assert directions is not None
+        ahead = vec.split_columns(directions, np.float32)
         heading = vec.copy(heading)
         for component, value in zip(
             heading,

@@ -25,9 +25,9 @@ from antdsl.fields.flow import (
 )
 from antdsl.fields.path_cost import WalkableSurface
 from antdsl.fields.path_flow import CrossableGround, PathFlow, raise_to_min_cost
-from antdsl.ground.mesh.topology import NO_LINK
 from antdsl.ground.protocol import Flags, Floats, Index, MeshSurfaces
 from antdsl.runtime.binding.binding_cache import BindingCache
+from antdsl.runtime.binding.border_edges import find_border_edges
 from antdsl.runtime.moving.obstacles import find_obstacle_mesh
 from antdsl.scene.setting import BorderFlowData, FlowData, FlowTarget, PaintedValues, SolvedFlowData, SpreadFlowData
 
@@ -213,21 +213,16 @@ def _make_spread_flow(world: World, flow: SpreadFlowData) -> SurfaceFlow:
 
 
 def _make_border_flow(world: World, flow: BorderFlowData) -> SurfaceFlow:
-    vertices, faces, _, table = _ground_meshes(world).triangles
     chosen = _select_faces(world, flow.on)
-    half = np.flatnonzero((table.link[0] == NO_LINK) & np.repeat(chosen, 3))
-    own, k = half // 3, half % 3
-    one, two = vertices[faces[own, (k + 1) % 3]], vertices[faces[own, (k + 2) % 3]]
+    one, two, inward = find_border_edges(_ground_meshes(world), chosen)
     edge = two - one
     length = np.sqrt((edge * edge).sum(axis=1))
     longest, middle = _longest_edges(world)
     cell = choose_cell_size(flow, _ground_meshes(world).extent)
     pieces = np.clip(np.ceil(2 * length / cell), 1, 4096).astype(np.int64)
-    which = np.repeat(np.arange(len(half)), pieces)
+    which = np.repeat(np.arange(len(edge)), pieces)
     part = (np.arange(len(which)) - np.repeat(np.cumsum(pieces) - pieces, pieces) + 0.5) / pieces[which]
     rim = one[which] + part[:, None] * edge[which]
-    # in the face, perpendicular to its edge: the inward direction for points on the border
-    inward = np.cross(table.normal.T[own], edge / np.where(length > 0, length, 1.0)[:, None])
     near = chosen.copy()
     target = FlowTarget(rim, np.zeros(len(rim)))
     if len(rim):

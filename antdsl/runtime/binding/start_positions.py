@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from antdsl.numerics import elementary, randomness
 from antdsl.numerics import vectors as vec
 from antdsl.runtime.binding.spacing import StartPositionDraws
+from antdsl.runtime.binding.start_shapes import FULL_TURN, draw_disc, draw_shape_points, has_shape, locate_place
 from antdsl.runtime.binding.surface_area import FaceArea, find_face_area
 from antdsl.runtime.moving.obstacles import find_obstacle_mesh
 from antdsl.runtime.world import World
@@ -20,7 +21,6 @@ Ids = NDArray[np.int64]
 Floats = NDArray[np.float64]
 
 PLACEMENT_FRAME = 0  # random draws of placement use no frame
-FULL_TURN = np.float32(2 * np.pi)
 MAX_RANDOM_COVER = 0.42  # up to this cover, randomly placed agents all find space without touching
 _AREA_SAMPLE_POINTS = 1 << 14  # sample points to measure the area where agents can start
 _COINCIDENT_DISTANCE_MM = 1e-3  # mm
@@ -32,8 +32,8 @@ class StartPositionSampler:
     """Draws the start positions of one crowd line."""
 
     def __init__(self, world: World, crowd: CrowdData) -> None:
-        self._world, self._crowd, self._species, self.place = world, crowd, crowd.species, crowd.place
-        self.has_points = crowd.place.points is not None and len(crowd.place.points) > 0
+        self._world, self._crowd, self._species, self.place = world, crowd, crowd.species, locate_place(world, crowd.place)
+        self.has_points = (crowd.place.points is not None and len(crowd.place.points) > 0) or crowd.place.ranks is not None
         setting = world.setting
         self._ground_meshes = {**setting.surfaces, **{name: solid.mesh for name, solid in setting.solids.items()}}
         self._surface_names = crowd.place.on or tuple(setting.surfaces) or tuple(self._ground_meshes)
@@ -41,13 +41,15 @@ class StartPositionSampler:
         self._density_faces: FaceArea | None = None
         if crowd.place.is_by_area and not self.has_points and self._ground_meshes:
             self._faces = find_face_area(
-                world, self._surface_names, crowd.place.density, crowd.place.disc_centre, crowd.place.radius
+                world, self._surface_names, crowd.place.density, self.place.disc_centre, crowd.place.radius
             )
 
     def estimate_area(self) -> float | None:
         """Return the ground area (mm²) on which agents can start, or None if unknown. A sampled area is rounded to two digits."""
         place = self.place
-        if self.has_points or place.ray_origin is not None or (place.density is not None and not place.is_by_area):
+        if self.has_points or has_shape(place) or place.ray_origin is not None:
+            return None
+        if place.density is not None and not place.is_by_area:
             return None
         ids = np.arange(_AREA_SAMPLE_POINTS)
         drawn = self.draw(ids, range(1))
@@ -86,6 +88,7 @@ class StartPositionSampler:
         place = self.place
         if (
             self.has_points
+            or has_shape(place)
             or place.is_by_area
             or not place.on
             or any((place.ray_origin, place.density, place.disc_centre, place.radius))
@@ -97,6 +100,8 @@ class StartPositionSampler:
     def draw(self, ids: Ids, tries: range) -> StartPositionDraws:
         """Return start positions for each try in `tries`: all agents for the first try, then for the next."""
         world, place = self._world, self.place
+        if has_shape(place):
+            return self._draw_by_shape(ids, tries)
         if place.ray_origin is not None and world.ground.meshes is not None:
             return self._draw_by_rays(np.asarray(place.ray_origin, np.float64) - world.origin, ids, tries)
         if self._faces is not None:
@@ -112,29 +117,59 @@ class StartPositionSampler:
             footing, at, up, has_ground & ~is_inside_obstacle(world, at) if not self.has_points else has_ground
         )
 
+    def _draw_by_shape(self, ids: Ids, tries: range) -> StartPositionDraws:
+        """Return positions of ranks, lines, volumes and clumps: dropped onto the ground, or its nearest points to edges, volumes
+        and places by area."""
+        world, place = self._world, self.place
+        points = np.concatenate([self._shape_points(ids, attempt) for attempt in tries])
+        has_ground = np.ones(len(points), np.bool_)
+        if place.is_by_area or place.volume is not None or place.edge_of is not None:
+            footing = world.ground.find_nearest(points, place.on or None)[0]
+            at, up = world.ground.position(footing), world.ground.normal(footing)
+        else:
+            footing, has_ground = world.ground.place_points(points, world.up, place.on or None)
+            at = world.ground.position(footing)
+            up = np.array(np.broadcast_to(world.up, at.shape))
+        is_allowed = has_ground if self.has_points else has_ground & ~is_inside_obstacle(world, at)
+        return StartPositionDraws(footing, at, up, is_allowed)
+
+    def _shape_points(self, ids: Ids, attempt: int) -> Floats:
+        """Return the requested positions (n, 3) mm. Agents of a clump stand around one position of the place."""
+        world, place = self._world, self.place
+        numbers = world.lines[self._crowd.line_index].find_numbers(ids)
+        if place.clumps is None:
+            return draw_shape_points(world, place, numbers, lambda k: self._draw_uniform(ids, 4 * attempt + k))
+        clumps = numbers % place.clumps.number
+        u, v = (self._draw_uniform(ids, 2 * attempt + k, "clump") for k in range(2))
+        return self._clump_centres(clumps) + draw_disc(world, place.clumps.radius, u, v)
+
+    def _clump_centres(self, clumps: Ids) -> Floats:
+        site = f"clump centre {self._crowd.line_index}"
+        place = replace(self.place, clumps=None)
+        if has_shape(place):
+            return draw_shape_points(self._world, place, clumps, lambda k: self._draw_uniform(clumps, k, site))
+        if self._faces is not None:
+            return self._faces.draw_points(*(self._draw_uniform(clumps, k, site) for k in range(4)))[3]
+        return self._target_points(clumps, 0, site)
+
     def _draw_uniform(self, ids: Ids, index: int, site: str = "place") -> NDArray[np.float32]:
         seed = self._world.setting.seed if self.place.seed is None else self.place.seed
         return randomness.draw_uniform(seed, PLACEMENT_FRAME, self._species, site, index, ids)
 
-    def _target_points(self, ids: Ids, attempt: int) -> Floats:
+    def _target_points(self, ids: Ids, attempt: int, site: str = "place") -> Floats:
         """Return the requested positions (n, 3) mm, from which agents are dropped onto the ground."""
         world, place = self._world, self.place
         if place.points is not None and len(place.points):
             return np.asarray(place.points, np.float64)[ids % len(place.points)] - world.origin
-        u, v, w = (self._draw_uniform(ids, 4 * attempt + k) for k in range(3))
+        u, v, w = (self._draw_uniform(ids, 4 * attempt + k, site) for k in range(3))
         if place.disc_centre is not None or not self._ground_meshes:
             middle = np.zeros(3) if place.disc_centre is None else np.asarray(place.disc_centre, np.float64) - world.origin
             radius = _DEFAULT_DISC_RADIUS_MM if place.radius is None else place.radius
-            away, angle = np.sqrt(u).astype(np.float64) * radius, v * FULL_TURN
-            up = vec.split_columns(np.broadcast_to(world.up, (len(ids), 3)), np.float64)
-            side = vec.find_perpendicular(up)
-            ahead = vec.cross(up, side)
-            disc = vec.add(vec.scale(side, away * elementary.cos(angle)), vec.scale(ahead, away * elementary.sin(angle)))
-            return middle + vec.stack_rows(disc)
+            return middle + draw_disc(world, radius, u, v)
         if place.density is not None:
             if self._density_faces is None:
                 self._density_faces = find_face_area(world, place.on or tuple(world.surface_index), place.density, None, None)
-            return self._density_faces.draw_points(u, v, w, self._draw_uniform(ids, 4 * attempt + 3))[3]
+            return self._density_faces.draw_points(u, v, w, self._draw_uniform(ids, 4 * attempt + 3, site))[3]
         return _draw_points_on_faces([self._ground_meshes[name] for name in self._surface_names], u, v, w) - world.origin
 
     def _draw_by_area(self, faces: FaceArea, ids: Ids, tries: range) -> StartPositionDraws:

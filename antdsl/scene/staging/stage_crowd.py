@@ -1,4 +1,4 @@
-"""Crowd lines of a scene: the starting positions of their agents, and their walks."""
+"""Crowd lines of a scene: when and where their agents begin, with which attributes, and their walks."""
 
 from __future__ import annotations
 
@@ -9,48 +9,46 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.diagnostics.suggestion import find_nearest_name
+from antdsl.diagnostics import Report
 from antdsl.program.model import Dimension, TypeKind
 from antdsl.scene import setting as stage_of
+from antdsl.scene.crowd_data import ReleaseData
 from antdsl.scene.crowd_model import Placement, UsdPositions, Walk
 from antdsl.scene.document import PathKey
+from antdsl.scene.initial_values import stage_initial_values
+from antdsl.scene.library_bodies import BODY_WORDS
 from antdsl.scene.load import Scene
 from antdsl.scene.quantities import Quantity
+from antdsl.scene.staging.stage_shapes import PointsByName, convert_length, stage_point, stage_shapes
 from antdsl.scene.staging.stage_things import stage_usd_places
 from antdsl.scene.staging.usd_values import UsdFile, read_in_base_units, warn_misspelled_names
-from antdsl.scene.thing_models import convert_point
-from antdsl.scene.values import PointValue
 
 if TYPE_CHECKING:
     from antdsl.scene.staging.stage_scene import SceneStaging
 
 
-def convert_length(scene: Scene, value: Quantity | None) -> float | None:
-    """Return a length of the scene in mm; None for None."""
-    return None if value is None else value.to_millimetres(scene.model.unit_mm)
+def stage_crowd(staging: SceneStaging, item_points: PointsByName, number: int) -> stage_of.CrowdData:
+    """Return a crowd line of the scene. Errors go into the report."""
+    scene = staging.scene
+    model, line = scene.model, scene.model.crowd[number]
+    begin, interval, count = line.find_release(model.frames.first, model.fps)
+    return stage_of.CrowdData(
+        line.species,
+        count,
+        stage_placement(staging, item_points, line.place, "crowd", number, "place"),
+        number,
+        stage_walk(scene, line.walk),
+        _single_library_body(line.body_weights),
+        line.layers(),
+        line.name or "",
+        None if line.frames is None and line.seconds is None else ReleaseData(begin, interval),
+        stage_initial_values(scene, staging.program, Report(), number),
+    )
 
 
-PointsByName = Mapping[str, stage_of.PointMm]
-
-
-def stage_point(
-    staging: SceneStaging,
-    item_points: PointsByName,
-    around: PointValue | str | None,
-    radius: Quantity | None,
-    *path: PathKey,
-    key: str = "around",
-) -> stage_of.PointMm | None:
-    """Return a centre in mm: a point, an item's position, or the origin if only a radius is given."""
-    if around is None:
-        return None if radius is None else (0.0, 0.0, 0.0)
-    if not isinstance(around, str):
-        return convert_point(around, staging.scene.model.unit_mm)
-    if around not in item_points and staging.report.ok:
-        near = find_nearest_name(around, item_points)
-        help = f"did you mean `{near}`?" if near else None
-        staging.report.error("unknown-thing", f"no item is named `{around}`", staging.scene.span(*path, key), help)
-    return item_points.get(around)
+def _single_library_body(weights: Mapping[str, float]) -> str:
+    """Return the word of a crowd line's body if it is the only one and from the library, else an empty text."""
+    return next((text for text in weights if len(weights) == 1 and text in BODY_WORDS), "")
 
 
 def stage_placement(
@@ -84,6 +82,7 @@ def stage_placement(
         seed=placement.seed,
         headings=ahead,
         values=values,
+        **stage_shapes(staging, item_points, placement, *path),
     )
 
 

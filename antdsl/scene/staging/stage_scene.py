@@ -21,7 +21,6 @@ from antdsl.scene.geometry.closed_meshes import check_obstacle_sides
 from antdsl.scene.geometry.import_notes import MeshImport
 from antdsl.scene.geometry.mesh_files import RawMesh
 from antdsl.scene.geometry.points import MAX_POINT_FILE_BYTES, PointsError, read_points
-from antdsl.scene.library_bodies import BODY_WORDS
 from antdsl.scene.load import Scene
 from antdsl.scene.paths import PathRefused
 from antdsl.scene.quantities import Quantity
@@ -31,9 +30,10 @@ from antdsl.scene.staging.item_placement import check_crowds, place_items
 from antdsl.scene.staging.mesh_imports import check_live_faces, check_origin_distances, collect_imports
 from antdsl.scene.staging.motion import GeometryMoves, MeshMoves
 from antdsl.scene.staging.size_checks import check_sizes
-from antdsl.scene.staging.stage_crowd import convert_length, stage_placement, stage_point, stage_walk
+from antdsl.scene.staging.stage_crowd import stage_crowd
 from antdsl.scene.staging.stage_flows import check_densities, stage_flow, stage_map
 from antdsl.scene.staging.stage_meshes import stage_mesh, stage_solid
+from antdsl.scene.staging.stage_shapes import convert_length, stage_point
 from antdsl.scene.staging.stage_things import stage_curve, stage_usd_camera
 from antdsl.scene.thing_models import convert_point
 
@@ -140,11 +140,6 @@ def _stage_things(staging: SceneStaging, *groups: str) -> None:
             CHECKS[group](staging)
 
 
-def _single_library_body(weights: Mapping[str, float]) -> str:
-    """Return the word of a crowd line's body if it is the only one and from the library, else an empty text."""
-    return next((text for text in weights if len(weights) == 1 and text in BODY_WORDS), "")
-
-
 def build_setting(
     scene: Scene, program: Program, overrides: Mapping[str, Quantity] | None = None
 ) -> tuple[stage_of.WorldSetting | None, Report, dict[str, str]]:
@@ -159,19 +154,7 @@ def build_setting(
     item_points = {item.name: item.position for group in staging.items.values() for item in group} | {
         name: group[0].position for name, group in staging.items.items() if group
     }
-    crowds = tuple(
-        stage_of.CrowdData(
-            line.species,
-            line.count,
-            stage_placement(staging, item_points, line.place, "crowd", number, "place"),
-            number,
-            stage_walk(scene, line.walk),
-            _single_library_body(line.body_weights),
-            line.layers(),
-            line.name or "",
-        )
-        for number, line in enumerate(model.crowd)
-    )
+    crowds = tuple(stage_crowd(staging, item_points, number) for number in range(len(model.crowd)))
     check_densities(staging)
     check_crowds(staging, crowds)
     camera = stage_usd_camera(staging, model.camera) if isinstance(model.camera, UsdCamera) else None

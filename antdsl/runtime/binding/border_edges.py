@@ -1,0 +1,31 @@
+"""The open borders of surfaces, as edges with their inward directions."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.ground.mesh.topology import NO_LINK
+from antdsl.ground.protocol import Floats, MeshSurfaces
+
+
+class BorderEdges(NamedTuple):
+    """Edges (m, 3) in mm from `start` to `end`. `inward`: in the face of the edge, perpendicular to it."""
+
+    start: Floats
+    end: Floats
+    inward: Floats
+
+
+def find_border_edges(meshes: MeshSurfaces, is_chosen: NDArray[np.bool_]) -> BorderEdges:
+    """Return the edges without a neighbour of the chosen faces. `is_chosen` (faces): over all surfaces."""
+    vertices, faces, _, table = meshes.triangles
+    half = np.flatnonzero((table.link[0] == NO_LINK) & np.repeat(is_chosen, 3))
+    own, k = half // 3, half % 3
+    start, end = vertices[faces[own, (k + 1) % 3]], vertices[faces[own, (k + 2) % 3]]
+    edge = end - start
+    length = np.sqrt((edge * edge).sum(axis=1))
+    inward = np.cross(table.normal.T[own], edge / np.where(length > 0, length, 1.0)[:, None])
+    return BorderEdges(start, end, inward)

@@ -1,0 +1,39 @@
+"""Creates agents of crowd lines during the run: those that are due at a frame, at their places and with their ids.
+
+How many agents a line has created is a function of the frame. Their ids are reserved in `World.lines`, so no id is used twice,
+and a run that continues from a checkpoint creates the same agents."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl import limits
+from antdsl.runtime.binding.agent_placement import initialise_agents, place_new_agents
+from antdsl.runtime.line_tables import take_created_ids
+
+if TYPE_CHECKING:
+    from antdsl.runtime.world import World
+    from antdsl.scene.crowd_data import CrowdData
+
+
+def release_agents(world: World) -> None:
+    """Add the agents of crowd lines that are due in the frame of the step in progress."""
+    frame = world.display_frame
+    joining: list[tuple[CrowdData, NDArray[np.int64]]] = []
+    capacity = limits.MAX_AGENTS - len(world)
+    for crowd, line in zip(world.setting.crowds, world.lines, strict=True):
+        if crowd.release is None:
+            continue
+        ids = take_created_ids(crowd, line, frame - 1, frame)
+        if len(ids) > capacity:
+            world.faults.rejected_births += len(ids) - capacity
+            ids = ids[:capacity]
+        capacity -= len(ids)
+        if len(ids):
+            joining.append((crowd, ids))
+    if joining:
+        with np.errstate(all="ignore"):
+            initialise_agents(world, place_new_agents(world, joining))

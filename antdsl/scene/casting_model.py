@@ -1,0 +1,190 @@
+"""The keys of a crowd line that say how agents begin: attributes, shapes of places, directions, and frames.
+
+Numbers of attributes stay text here. Their dimensions are known with the program."""
+
+from __future__ import annotations
+
+import re
+from fractions import Fraction
+from typing import Annotated, Any, NamedTuple
+
+from pydantic import BeforeValidator, Discriminator, Field, Tag
+
+from antdsl import limits
+from antdsl.diagnostics.suggestion import find_nearest_name
+from antdsl.program.model import Dimension
+from antdsl.scene.quantities import Quantity, QuantityError, parse_quantity, split_quantity
+from antdsl.scene.selectors import Ball, Box
+from antdsl.scene.values import (
+    AnyQuantity,
+    PointOrName,
+    PositiveLength,
+    SceneName,
+    ScenePart,
+    describe_value,
+    make_error,
+    parse_integer_between,
+    parse_number_between,
+    require_text,
+)
+
+_KEY_PATTERN = re.compile(r"[A-Za-z][A-Za-z0-9_]*(\.state)?", re.ASCII)
+_SECONDS_PATTERN = re.compile(r"([0-9]{1,7}(?:\.[0-9]{1,6})?)\s*(?:s\s*)?\.\.\s*([0-9]{1,7}(?:\.[0-9]{1,6})?)\s*(?:s)?", re.ASCII)
+
+
+def _parse_rate(value: Any) -> Quantity:
+    text = require_text(value, "a rate such as `20 /s`")
+    try:
+        quantity = parse_quantity(text)
+    except QuantityError as why:
+        raise make_error(f"{describe_value(text)} {why}", why.help or "write `20 /s`") from None
+    if quantity.dim != Dimension(time=-1):
+        raise make_error(f"`{quantity.text}` is not a rate", f"write `{quantity.text.split()[0][:20]} /s`")
+    if not 0 < quantity.number <= limits.MAX_SCENE_NUMBER:
+        raise make_error(f"`{quantity.text}` is not above zero" if quantity.number <= 0 else f"`{quantity.text}` is too large")
+    return quantity
+
+
+Weight = Annotated[float, BeforeValidator(parse_number_between(limits.MIN_BODY_WEIGHT, limits.MAX_BODY_WEIGHT))]
+Rate = Annotated[Quantity, BeforeValidator(_parse_rate)]
+Count = Annotated[int, BeforeValidator(parse_integer_between(1, limits.MAX_AGENTS))]
+
+
+class Seconds(NamedTuple):
+    """A time interval in seconds from the scene's first frame."""
+
+    begin: Fraction
+    end: Fraction
+
+
+def _parse_seconds(value: Any) -> Seconds:
+    text = require_text(value, "two times")
+    match = _SECONDS_PATTERN.fullmatch(text)
+    if match is None:
+        raise make_error(
+            f"{describe_value(text)} is not a time interval", "write two times from the first frame on: `2 s .. 4 s`"
+        )
+    begin, end = Fraction(match[1]), Fraction(match[2])
+    if end <= begin:
+        raise make_error(f"{describe_value(text)} ends before it begins", f"write `{match[2]} s .. {match[1]} s`")
+    return Seconds(begin, end)
+
+
+SecondsValue = Annotated[Seconds, BeforeValidator(_parse_seconds)]
+
+
+class UniformDraw(ScenePart):
+    """A number between two bounds; all are equally likely."""
+
+    uniform: tuple[AnyQuantity, AnyQuantity]
+
+
+class NormalDraw(ScenePart):
+    """A number around a mean with a standard deviation. Draws farther than three deviations from the mean are cut off there."""
+
+    normal: tuple[AnyQuantity, AnyQuantity]
+
+
+class ChoiceDraw(ScenePart):
+    """One of several values, with their weights: `{choice: {0: 3, 5: 1}}`."""
+
+    choice: Annotated[dict[str, Weight], Field(min_length=1, max_length=64)]
+
+
+class PaintedDraw(ScenePart):
+    """The number of a map at the position: `from` where it is 0, `to` where it is 1."""
+
+    painted: SceneName
+    low: AnyQuantity | None = Field(None, alias="from")
+    high: AnyQuantity | None = Field(None, alias="to")
+
+
+DRAW_MODELS: dict[str, type[ScenePart]] = {
+    "uniform": UniformDraw, "normal": NormalDraw, "choice": ChoiceDraw, "painted": PaintedDraw,
+}  # fmt: skip
+
+
+def _find_draw_tag(value: Any) -> str:
+    if not isinstance(value, dict):
+        return "one-value"
+    known = next((key for key in DRAW_MODELS if key in value), None)
+    meant = (find_nearest_name(str(key), DRAW_MODELS) for key in value)
+    return f"{known or next((key for key in meant if key), 'uniform')}-draw"
+
+
+def _check_value(value: Any) -> str:
+    return require_text(value, "a value or one of `{uniform: [A, B]}`, `{normal: [A, B]}`, `{choice: {A: 3, B: 1}}`")
+
+
+def _check_key(value: Any) -> str:
+    text = require_text(value, "the name of an attribute")
+    if not _KEY_PATTERN.fullmatch(text):
+        raise make_error(f"{describe_value(text)} is no attribute", "write an attribute, `state`, or `MACHINE.state`")
+    return text
+
+
+EachValue = Annotated[
+    Annotated[str, BeforeValidator(_check_value), Tag("one-value")]
+    | Annotated[UniformDraw, Tag("uniform-draw")]
+    | Annotated[NormalDraw, Tag("normal-draw")]
+    | Annotated[ChoiceDraw, Tag("choice-draw")]
+    | Annotated[PaintedDraw, Tag("painted-draw")],
+    Discriminator(_find_draw_tag),
+]
+EachValues = dict[Annotated[str, BeforeValidator(_check_key)], EachValue]
+
+
+class Ranks(ScenePart):
+    """Ranks of agents around `around`, in the order of creation; the first rank is ahead.
+
+    `columns`: agents of each rank. `spacing`: the distance of neighbours, or [within, between] ranks."""
+
+    columns: Count
+    spacing: PositiveLength | tuple[PositiveLength, PositiveLength]
+
+
+class Clumps(ScenePart):
+    """Agents in `number` discs of a radius, each around a random position of the place."""
+
+    number: Annotated[int, BeforeValidator(parse_integer_between(1, 100_000))]
+    radius: PositiveLength
+
+
+class FacingDirection(ScenePart):
+    """A direction in the scene's axes."""
+
+    direction: tuple[
+        Annotated[float, BeforeValidator(parse_number_between(-1e6, 1e6))],
+        Annotated[float, BeforeValidator(parse_number_between(-1e6, 1e6))],
+        Annotated[float, BeforeValidator(parse_number_between(-1e6, 1e6))],
+    ]
+
+
+FACING_WORDS = ("out", "in", "along")
+
+
+def _find_facing_tag(value: Any) -> str:
+    return "direction-facing" if isinstance(value, dict) else "place-facing"
+
+
+Facing = Annotated[
+    Annotated[FacingDirection, Tag("direction-facing")] | Annotated[PointOrName, Tag("place-facing")],
+    Discriminator(_find_facing_tag),
+]
+Volume = Annotated[
+    Annotated[Box, Tag("box-region")] | Annotated[Ball, Tag("ball-region")],
+    Discriminator(lambda value: "ball-region" if isinstance(value, dict) and "around" in value else "box-region"),
+]
+
+
+def convert_rate(text: str, fps: Fraction) -> Fraction:
+    """Return a rate such as `20 /s` as an exact number per second."""
+    from antdsl.program.tables.units import find_unit_measure
+
+    try:
+        digits, unit = split_quantity(text)
+    except QuantityError:  # the model has parsed it
+        return Fraction(0)
+    known = find_unit_measure(unit)
+    factor = Fraction(1) if known is None else Fraction(known.factor).limit_denominator(1_000_000)
+    return Fraction(digits) * factor * (fps ** int(-known.step) if known is not None and known.step else 1)

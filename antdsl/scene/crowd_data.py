@@ -1,0 +1,172 @@
+"""The crowd lines of a setting: how many agents, when, where, with which attributes, in mm, seconds and the scene's axes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from fractions import Fraction
+from math import ceil
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+PointMm = tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class ItemCentre:
+    """A centre of a place that is an item of `items`. It moves with the item."""
+
+    items: str
+    index: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class VolumeData:
+    """A volume, from which agents go to the nearest surface point: a box with two corners, or a ball."""
+
+    low: PointMm = (0.0, 0.0, 0.0)
+    high: PointMm = (0.0, 0.0, 0.0)
+    radius: float = 0.0  # mm; above 0 for a ball with the centre `low`
+
+
+@dataclass(frozen=True, slots=True)
+class RanksData:
+    """Ranks of agents, the first one ahead. `across`, `along`: the distances (mm) of neighbours within and between ranks."""
+
+    columns: int
+    rows: int
+    across: float
+    along: float
+
+
+@dataclass(frozen=True, slots=True)
+class ClumpsData:
+    """`number` discs with a radius (mm), each around a random position of the place."""
+
+    number: int
+    radius: float
+
+
+@dataclass(frozen=True, slots=True)
+class FacingData:
+    """The direction in which agents begin, along the ground.
+
+    `out`, `in`: away from the centre or line of the place, or towards it; from an edge into the surface is `in`. `along`: the
+    direction of a line. `point`: towards a point (mm). `direction`: a direction of the scene's axes."""
+
+    kind: Literal["out", "in", "along", "point", "direction"]
+    vector: PointMm = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlacementData:
+    """The starting positions of a crowd. The first of these that is set applies:
+
+    `points` (n, 3): one per agent, in order, repeated after the last.
+    `ranks`: ranks around `disc_centre`.
+    `line`: along a curve of the world; `edge_of`: along the open borders of a surface. Both within `radius` of it.
+    `volume`: the nearest surface points to a volume.
+    `radius`: a disc of `radius` mm around `disc_centre`, dropped along the scene's up onto the surfaces.
+    `ray_origin`: the first hits of lines from this point in all directions, on the side of the point. Otherwise: evenly over the
+    surfaces, or with the density of the map `density`.
+
+    `centre_item`: the item that is the centre.
+    `clumps`: agents stand in discs around positions of the place.
+    `facing`: the direction of the heading; None for a random one.
+    `on`: the surfaces; empty for all.
+    `is_by_area`: agents stand on the front of faces of any direction. `radius` is then that of a ball, and `points` move to the
+    nearest surface point.
+    `spacing`: the least distance (mm) between centres; inf: as large as the space allows for all lines with equal settings.
+    `seed`: for the positions; None for the setting's seed.
+    `headings` (n, 3): the unit vector of the heading at each point; nan for a random heading.
+    `values` (n,): by name, attributes of the agent at each point, in base units; nan for the species' value."""
+
+    on: tuple[str, ...] = ()
+    disc_centre: PointMm | None = None
+    ray_origin: PointMm | None = None
+    radius: float | None = None
+    points: NDArray[np.float64] | None = None
+    density: str | None = None
+    is_by_area: bool = False
+    spacing: float = 0.0
+    seed: int | None = None
+    headings: NDArray[np.float64] | None = None
+    values: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
+    ranks: RanksData | None = None
+    line: str | None = None
+    edge_of: str | None = None
+    volume: VolumeData | None = None
+    clumps: ClumpsData | None = None
+    facing: FacingData | None = None
+    centre_item: ItemCentre | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class WalkData:
+    """A walk of agents.
+
+    `direction`: a unit vector, projected onto the ground at the start.
+    `speed`: in mm/s.
+    `length`: in mm."""
+
+    direction: PointMm
+    speed: float
+    length: float
+
+
+@dataclass(frozen=True, slots=True)
+class ReleaseData:
+    """The frames in which the agents of a line are created: number k in the frame `begin` + k · `interval`, rounded down."""
+
+    begin: Fraction
+    interval: Fraction
+
+
+@dataclass(frozen=True, slots=True)
+class ValueDraw:
+    """The value of an attribute at birth, in base units, or the index of a state.
+
+    `uniform`: between `low` and `high`. `normal`: around `low` with the deviation `high`, cut off at three deviations. `choice`:
+    one of `values`, with these weights. `painted`: from `low` to `high`, where the map `of` is 0 to 1. `number`: `low`."""
+
+    kind: Literal["number", "uniform", "normal", "choice", "painted"]
+    low: float = 0.0
+    high: float = 0.0
+    values: tuple[float, ...] = ()
+    weights: tuple[float, ...] = ()
+    of: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CrowdData:
+    """`count` agents of one species.
+
+    `line_index`: the index of this line of the scene, from 0.
+    `walk`: agents with a walk do not sense or decide.
+    `body`: the name of the body; empty for the body that fits the species' name.
+    `worn_layers`: for each displayed part of the body, the layers from which one is drawn; "" means none.
+    `name`: the name of the line; empty without one.
+    `release`: when agents are created; None for all in the first frame.
+    `each`: by name, attributes at birth, and the initial states of machines as `MACHINE.state`."""
+
+    species: str
+    count: int
+    place: PlacementData = PlacementData()
+    line_index: int = 0
+    walk: WalkData | None = None
+    body: str = ""
+    worn_layers: tuple[tuple[str, ...], ...] = ()
+    name: str = ""
+    release: ReleaseData | None = None
+    each: Mapping[str, ValueDraw] = field(default_factory=dict)
+
+    def count_created(self, frame: int) -> int:
+        """Return how many agents of the line were created up to a frame. Each is created once, whenever a run begins."""
+        if self.release is None:
+            return self.count
+        frames = frame + 1 - self.release.begin
+        if frames <= 0:
+            return 0
+        return self.count if not self.release.interval else min(self.count, ceil(frames / self.release.interval))

@@ -1,0 +1,109 @@
+"""The shapes of places in crowd lines: ranks, clumps, lines and volumes, and the directions in which agents begin."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from antdsl.diagnostics.suggestion import find_nearest_name
+from antdsl.scene import setting as stage_of
+from antdsl.scene.casting_model import FACING_WORDS, Facing, FacingDirection, Ranks, Volume
+from antdsl.scene.crowd_data import ClumpsData, FacingData, ItemCentre, RanksData, VolumeData
+from antdsl.scene.crowd_model import Placement
+from antdsl.scene.document import PathKey
+from antdsl.scene.load import Scene
+from antdsl.scene.quantities import Quantity
+from antdsl.scene.selectors import Box
+from antdsl.scene.thing_models import convert_point
+from antdsl.scene.values import PointValue
+
+if TYPE_CHECKING:
+    from antdsl.scene.staging.stage_scene import SceneStaging
+
+
+def convert_length(scene: Scene, value: Quantity | None) -> float | None:
+    """Return a length of the scene in mm; None for None."""
+    return None if value is None else value.to_millimetres(scene.model.unit_mm)
+
+
+PointsByName = Mapping[str, stage_of.PointMm]
+
+
+def stage_point(
+    staging: SceneStaging,
+    item_points: PointsByName,
+    around: PointValue | str | None,
+    radius: Quantity | None,
+    *path: PathKey,
+    key: str = "around",
+) -> stage_of.PointMm | None:
+    """Return a centre in mm: a point, an item's position, or the origin if only a radius is given."""
+    if around is None:
+        return None if radius is None else (0.0, 0.0, 0.0)
+    if not isinstance(around, str):
+        return convert_point(around, staging.scene.model.unit_mm)
+    if around not in item_points and staging.report.ok:
+        near = find_nearest_name(around, item_points)
+        help = f"did you mean `{near}`?" if near else None
+        staging.report.error("unknown-thing", f"no item is named `{around}`", staging.scene.span(*path, key), help)
+    return item_points.get(around)
+
+
+def stage_shapes(staging: SceneStaging, item_points: PointsByName, placement: Placement, *path: PathKey) -> dict[str, Any]:
+    """Return the values of `PlacementData` for the shapes and directions of a place."""
+    scene, clumps = staging.scene, placement.clumps
+    return {
+        "ranks": None if placement.ranks is None else _stage_ranks(scene, placement.ranks, int(path[1])),
+        "line": placement.along,
+        "edge_of": placement.edge,
+        "volume": None if placement.volume is None else _stage_volume(staging, item_points, placement.volume, *path),
+        "clumps": None if clumps is None else ClumpsData(clumps.number, _read_length(scene, clumps.radius)),
+        "facing": None if placement.facing is None else _stage_facing(staging, item_points, placement.facing, *path),
+        "centre_item": _find_centre_item(staging, placement.around),
+    }
+
+
+def _read_length(scene: Scene, value: Quantity) -> float:
+    return value.to_millimetres(scene.model.unit_mm)
+
+
+def _stage_ranks(scene: Scene, ranks: Ranks, number: int) -> RanksData:
+    """Return ranks with as many rows as the crowd line needs."""
+    model = scene.model
+    count = model.crowd[number].count_agents(model.frames.first, model.fps)
+    across, along = ranks.spacing if isinstance(ranks.spacing, tuple) else (ranks.spacing, ranks.spacing)
+    columns = min(ranks.columns, max(count, 1))
+    return RanksData(columns, -(-count // columns), _read_length(scene, across), _read_length(scene, along))
+
+
+def _stage_volume(staging: SceneStaging, item_points: PointsByName, volume: Volume, *path: PathKey) -> VolumeData | None:
+    unit_mm = staging.scene.model.unit_mm
+    if isinstance(volume, Box):
+        corner, opposite = convert_point(volume.corner, unit_mm), convert_point(volume.opposite, unit_mm)
+        (x, to_x), (y, to_y), (z, to_z) = (sorted(pair) for pair in zip(corner, opposite, strict=True))
+        return VolumeData((x, y, z), (to_x, to_y, to_z))
+    centre = stage_point(staging, item_points, volume.around, volume.radius, *path, "in")
+    return None if centre is None else VolumeData(centre, radius=_read_length(staging.scene, volume.radius))
+
+
+def _stage_facing(staging: SceneStaging, item_points: PointsByName, facing: Facing, *path: PathKey) -> FacingData | None:
+    if isinstance(facing, FacingDirection):
+        x, y, z = facing.direction
+        size = math.sqrt((x * x + y * y) + z * z)
+        return FacingData("direction", (x / size, y / size, z / size))
+    if isinstance(facing, str) and facing in FACING_WORDS:
+        return FacingData(facing)  # type: ignore[arg-type]
+    point = stage_point(staging, item_points, facing, None, *path, key="facing")
+    return None if point is None else FacingData("point", point)
+
+
+def _find_centre_item(staging: SceneStaging, around: PointValue | str | None) -> ItemCentre | None:
+    """Return the item that a place is around; None for points."""
+    if not isinstance(around, str):
+        return None
+    for name, items in staging.items.items():
+        names = [item.name for item in items]
+        if items and (around == name or around in names):
+            return ItemCentre(name, 0 if around == name else names.index(around))
+    return None
