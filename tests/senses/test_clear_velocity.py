@@ -8,13 +8,14 @@ from pathlib import Path
 import numpy as np
 import plans
 import pytest
-from neighbour_columns import Moves, Neighbours, clear_velocities, nearest_others
+from neighbour_columns import Moves, Neighbours, clear_velocities, fill_neighbours, nearest_others
 from plan_text import plan_of
 
 from antdsl.bench import programs
 from antdsl.bench.cases import open_shot
 from antdsl.runtime import Options, bind, step
 from antdsl.runtime.checkpoints import state_hash
+from antdsl.runtime.neighbourhood import build_nearest_search
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 
@@ -142,6 +143,8 @@ def test_the_nearest_of_all_species_on_their_side_are_those_to_keep_off(most: in
         for axis in "xyz":  # as near as each other
             population.start[f"position.{axis}"][9:] += draw.normal(0, 40, len(population) - 9).astype(np.float32)
             population.start[f"position.{axis}"][5:9] = together[f"position.{axis}"][5]
+        for axis, offset in (("x", 6000), ("y", -9000), ("z", 2500)):
+            population.start[f"position.{axis}"] += np.float32(offset)
         population.start["radius"][:3] = [np.nan, -1, np.inf]
         population.start["velocity.y"][7] = np.nan
     asking, rows = world.populations["dog"], draw.permutation(60)[:50]
@@ -176,6 +179,18 @@ def test_the_nearest_of_all_species_on_their_side_are_those_to_keep_off(most: in
             assert np.isclose(columns.radius_sum[a, c], sum(radius if 0 < radius < np.inf else 0.0 for radius in radii))
             assert columns.first[a, c] == (asking.ids[row] < name_id if other is asking else asking.name < name)
     assert columns.is_present.sum() > 30 * min(most, 5)
+
+
+def test_agents_of_one_species_have_the_order_of_their_ids() -> None:
+    """The memory behind the empty table of names has the opposite order."""
+    world, rows = bind(plan_of(PROGRAM), plans.crowd(40), Options(shuffle_rows=3)), np.arange(40)
+    (population,) = world.populations.values()
+    crowd, requesters = build_nearest_search(world, population, rows, np.full(40, 1e6), np.full(40, 39.0))
+    assert not crowd.name_ranks.size
+    columns = Neighbours(*np.zeros((5, 40, 40)), *np.zeros((2, 40, 40), np.bool_))
+    opposite = np.arange(40, dtype=np.int32)[::-1].copy()
+    fill_neighbours(crowd._replace(name_ranks=opposite[:0]), requesters, columns, np.empty((9, 40)))
+    assert np.array_equal(columns.first.sum(axis=1), np.sum(population.ids > population.ids[:, None], axis=1))
 
 
 PROGRAM = """species ant {
