@@ -137,6 +137,39 @@ def test_the_field_between_nodes_is_a_weighted_mean_of_eight(voxel: float) -> No
     assert [len(each) for each in trilinear.sample_with_gradients(solid.bricks, *none)] == [0] * 4
 
 
+def test_points_are_projected_by_limited_newton_steps() -> None:
+    """Against the same steps for all points at once. Where the field is flat, as deep in the solid, they follow hints."""
+    rng, solid = np.random.default_rng(6), ball()
+    solid.carve_balls(rng.normal(size=(30, 3)) * 6, rng.uniform(1, 4, 30), np.arange(30))
+    voxel, n = solid.voxel, 3000
+    start, hints = rng.uniform(-15, 15, (n, 3)), random_directions(n, 7)
+    start[:3] = np.nan, np.inf, -np.inf
+    tolerance, landed, normals, is_on_surface = 1e-5 * voxel, np.empty((n, 3)), np.empty((n, 3)), np.empty(n, np.bool_)
+    trilinear.project_points(trilinear.to_brick_tables(solid.bricks), start, hints, tolerance, landed, normals, is_on_surface)
+    place, pending = start.copy(), np.isfinite(start).all(axis=1)
+    expected, expected_normals, is_expected = start.copy(), hints.copy(), np.zeros(n, np.bool_)
+    for turn in range(60):
+        distance, *slope = trilinear.sample_with_gradients(solid.bricks, *place.T)
+        gradient = np.stack(slope, axis=1)
+        size = np.linalg.norm(gradient, axis=1)
+        is_new = pending & (np.abs(distance) <= tolerance)
+        expected[is_new], is_expected[is_new], pending = place[is_new], True, pending & ~is_new
+        unit = gradient / np.maximum(size, 1e-300)[:, None]
+        expected_normals[is_new] = np.where(size[:, None] > 0, unit, hints)[is_new]
+        is_flat = (size * size < 0.01) | (turn % 3 == 2)
+        with np.errstate(all="ignore"):
+            newton = (
+                gradient
+                * np.where(np.abs(distance) > voxel * size, voxel * -np.sign(distance) / size, -distance / size**2)[:, None]
+            )
+        place = np.where(pending[:, None], place + np.where(is_flat[:, None], -distance[:, None] * hints, newton), place)
+    assert np.array_equal(is_on_surface, is_expected) and 100 < n - is_on_surface.sum() < n / 2
+    assert np.abs(landed[is_on_surface] - expected[is_on_surface]).max() < 1e-9
+    assert np.abs(normals - expected_normals)[is_on_surface].max() < 1e-7
+    for own, other in ((landed, start), (normals, hints)):
+        assert np.array_equal(own[~is_on_surface], other[~is_on_surface], equal_nan=True)
+
+
 def test_a_cavity_a_shell_turned_inside_out_and_overlapping_balls_have_the_right_inside() -> None:
     v1, f1 = meshes.ball(15.0)
     v2, f2 = meshes.ball(8.0)
@@ -238,10 +271,12 @@ def test_what_two_dig_at_once_goes_to_the_deeper_and_at_a_tie_to_the_least_owner
 
 @pytest.mark.parametrize("voxel", [1.0, 0.7])
 def test_digging_is_that_of_every_ball_at_every_node(voxel: float) -> None:
-    solid = ball(voxel=voxel)
+    (vertices, faces), offset = meshes.ball(12.0, rings=24), np.array([3.3, 40.1, -7.7])
+    solid = make_solid((vertices + offset, faces), voxel)
     for seed in range(3):
         centres, radii, owners = digging(60, seed)
         centres[5], radii[5] = [37.0 - seed, 3.0, 2.0], 28.0  # a great one, of another kind
+        centres += offset
         old_distances, mark, points = solid.bricks.to_dense().ravel(), solid.bricks.node_hash_sum, nodes(solid)
         removed = solid.carve_balls(centres, radii, owners)
         order = np.lexsort((radii, centres[:, 2], centres[:, 1], centres[:, 0], owners))
