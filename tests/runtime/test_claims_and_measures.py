@@ -179,6 +179,17 @@ def test_measures_of_motion_are_those_of_plain_numpy(threads, monkeypatch):
     assert result["ways"] > 100 and result["standing"] > 0 and result["circling"] > 0
 
 
+def test_the_longest_step_is_a_share_of_the_longest_allowed_one():
+    world = flock(60)
+    population, share = world.populations["boid"], np.linspace(0, 0.5, 60, dtype=np.float32)
+    for axis in "xyz":
+        population.start[f"position.{axis}"][:] = population.now[f"position.{axis}"]
+    population.now["max_speed"][:] = 1000
+    population.now["position.x"] += 1000 * np.float32(world.dt) * share
+    world.motion._add_step(world, population)
+    assert world.motion.step_max == pytest.approx(0.5, rel=1e-3)
+
+
 def test_ways_go_with_their_agents_when_rows_change():
     world, rng = flock(60), np.random.default_rng(4)
     population, motion = world.populations["boid"], world.motion
