@@ -8,13 +8,17 @@ import pytest
 
 from antdsl.bodies.body import rotate_vectors
 from antdsl.outputs.cache.cache_reader import Cache, open_cache
-from antdsl.outputs.cache.manifest import EditsEntry, Manifest, ReplacedBody, SpeciesEntry, WornBodyEntry
+from antdsl.outputs.cache.manifest import Manifest, ReplacedBody, SpeciesEntry, WornBodyEntry
 from antdsl.outputs.cache_bodies import find_body_numbers
+from antdsl.outputs.edits.edit_files import read_edit_files
+from antdsl.outputs.edits.edit_layer import EditInputs, NotEditable
 from antdsl.outputs.edits.edit_lines import read_edits
-from antdsl.outputs.edits.edited_cache import apply_edits, read_inputs
+from antdsl.outputs.edits.edited_cache import apply_edits, find_next_ids
 from antdsl.outputs.edits.frame_rows import SPECIES_PER_KEY, FrameRows
 from antdsl.outputs.edits.terrain import Ground
 from antdsl.outputs.edits.verbs import VERB_BY_WORD
+from antdsl.outputs.gallery import Gallery
+from antdsl.program.tables.colours import COLOUR_BY_NAME
 
 WALKER = 1  # the species' number
 
@@ -29,7 +33,9 @@ def edited(cache: Cache, *lines: str) -> Cache:
     text = "edits:\n" + "".join(f"- {{{line}}}\n" for line in lines)
     edits, report = read_edits(text.encode(), "edits.yaml", cache.manifest)
     assert edits is not None, [each.message for each in report.diagnostics]
-    return apply_edits(cache, edits, read_inputs(cache, EditsEntry(name="edits.yaml", text=text)))
+    arrays, caches, report = read_edit_files(edits, cache.manifest, cache.folder.parent)
+    assert report.ok, report.errors
+    return apply_edits(cache, edits, EditInputs(Ground(cache), arrays, caches, find_next_ids(cache)))
 
 
 def rows_of(cache: Cache, number: int, keys: list[int]) -> dict[str, np.ndarray]:
@@ -51,6 +57,10 @@ ONE_OF_EACH = {
     "expand": "expand: guards, by: 0.5",
     "face": "face: guards, to: leaf",
     "pin": "pin: guards, to: [[-30, 0, 0], [30, 0, 0]]",
+    "drop": "drop: guards, onto: ground",
+    "replace": "replace: guards, colour: red",
+    "merge": "merge: cache",
+    "mirror": "mirror: guards, axis: x",
     "smooth": "smooth: guards, orient: 5",
 }
 
@@ -72,9 +82,10 @@ def test_an_edit_changes_the_selected_agents_and_no_bit_of_others(cache: Cache, 
 
 
 def test_an_edit_that_is_off_and_one_without_agents_change_nothing(cache: Cache) -> None:
-    for line in ONE_OF_EACH.values():
-        edit_scenes.assert_same_frames(edited(cache, f"{line}, off: yes"), cache)
-        edit_scenes.assert_same_frames(edited(cache, f"{line}, share: 0 %"), cache)
+    number = 9
+    for verb, line in ONE_OF_EACH.items():
+        for end in ("off: yes", *(() if verb == "merge" else ("share: 0 %",))):
+            edit_scenes.assert_same_arrays(edited(cache, f"{line}, {end}").frame(number), cache.frame(number), number)
 
 
 def test_a_hold_stands_still_in_its_frames_and_continues_after_them(cache: Cache) -> None:
@@ -219,3 +230,92 @@ def test_copies_have_the_bodies_of_their_originals() -> None:
     replaced = species.model_copy(update={"replaced": (ReplacedBody(first=3, count=2, body=2),)})
     changed = find_body_numbers(manifest.model_copy(update={"species": (replaced,)}), 0, ids)
     assert changed[3:5].tolist() == [2, 2] and np.array_equal(np.delete(changed, [3, 4]), np.delete(numbers, [3, 4]))
+
+
+def test_agents_are_dropped_onto_the_mesh_of_a_file(cache: Cache) -> None:
+    (cache.folder.parent / "plain.obj").write_text("v -99 -40 -99\nv 99 -40 -99\nv 99 -40 99\nv -99 -40 99\nf 1 4 3\nf 1 3 2\n")
+    view = edited(cache, "drop: guards, onto: plain.obj", "move: guards, by: [3 mm, 0, 0]")
+    assert view.manifest.meshes[-1].name == "plain" and view.read_static()["mesh.plain.faces"].shape == (2, 3)
+    for number in (1, 20):
+        rows, feet = rows_of(view, number, GUARDS), rows_of(cache, number, GUARDS)["feet.walker.down"] > 0
+        assert rows["P"][:, 1] == pytest.approx(np.full(4, -40), abs=1.5)
+        assert rows["feet.walker.P"][feet][:, 1] == pytest.approx(np.full(feet.sum(), -40), abs=0.05)
+
+
+def test_a_mirrored_agent_has_its_left_on_the_right(cache: Cache) -> None:
+    rows, original_rows = rows_of(edited(cache, "mirror: guards, axis: x, at: 5 mm"), 7, GUARDS), rows_of(cache, 7, GUARDS)
+    sign = np.array([-1, 1, 1])
+    assert rows["P"][:, (0, 2)] == pytest.approx((original_rows["P"] * sign + (10, 0, 0))[:, (0, 2)], abs=2)
+    ahead = np.tile((1.0, 0.0, 0.0), (4, 1))
+    headings = [rotate_vectors(each["orient"].astype(float), ahead) for each in (rows, original_rows)]
+    assert ((headings[0] * headings[1] * sign).sum(axis=1) > 0.8).all()
+    left = rotate_vectors(rows["orient"].astype(float), np.tile((0.0, 0.0, -1.0), (4, 1)))
+    front = rows["feet.walker.P"][:, 0] - rows["P"]  # legs of the left side come first
+    assert ((front * left).sum(axis=1) > 0).all()
+
+
+def test_bodies_colours_and_layers_are_replaced(cache: Cache) -> None:
+    view = edited(cache, "replace: guards, body: person, colour: red")
+    rows = rows_of(view, 9, GUARDS)
+    assert rows["Cd"] == pytest.approx(np.tile(np.array(COLOUR_BY_NAME["red"]) / 255, (4, 1)), abs=1e-6)
+    arrays = view.frame(9)
+    assert "feet.walker.P" not in arrays and arrays["feet.walker#0.P"].shape == (6, 6, 3) and "feet.walker#1.P" not in arrays
+    crowds = {(crowd.species, crowd.body.name): len(crowd.position) for crowd in Gallery(view).make_picture(9).crowds}
+    assert crowds["walker", "person"] == 4 and sum(count for (name, _), count in crowds.items() if name == "walker") == 10
+    six_legs = edited(cache, "replace: walker, body: ant").frame(9)
+    assert six_legs["feet.walker#1.P"].tobytes() == cache.frame(9)["feet.walker.P"].tobytes()
+    from_file = edited(cache, "replace: bug.2, body: body.json")
+    assert from_file.manifest.bodies[-1].name == "body.json"
+    assert {crowd.body_key for crowd in Gallery(from_file).make_picture(2).crowds if crowd.species == "bug"} == {"bug#0", "bug#1"}
+    with pytest.raises(NotEditable, match="no body of these agents has a layer `hat`"):
+        edited(cache, "replace: guards, wear: [hat]")
+
+
+def test_agents_of_another_cache_are_added(cache: Cache) -> None:
+    view = edited(cache, "merge: cache, by: [0, 0, 5 mm], later: 2", "kill: bug")
+    for number in (1, 2, 3, 24):
+        arrays, other = view.frame(number), cache.frame(number - 2) if number > 2 else None
+        keys = FrameRows(arrays, view.manifest).keys
+        assert len(np.unique(keys)) == len(keys) == (20 if other is not None else 10)
+        if other is not None:
+            added = keys[keys // SPECIES_PER_KEY >= 10]
+            rows, source = (
+                rows_of(view, number, added.tolist()),
+                rows_of(cache, number - 2, (added - 10 * SPECIES_PER_KEY).tolist()),
+            )
+            assert rows["P"] - source["P"] == pytest.approx(np.tile((0, 0, 5), (10, 1)), abs=1e-5)
+            assert rows["feet.walker.P"] - source["feet.walker.P"] == pytest.approx(np.tile((0, 0, 5), (10, 6, 1)), abs=1e-5)
+            assert rows["orient"].tobytes() == source["orient"].tobytes()
+    assert [species.name for species in view.manifest.species] == ["bug", "walker"]
+
+
+LINES = [
+    "kill: bug.0..2",
+    "clip: bug, frames: 1..20",
+    "duplicate: hunters.1, by: [6 mm, 0, 0], later: 2",
+    "hold: guards.0, frames: 8..12",
+    "retime: hunters.4, frames: 5..20, speed: 150 %",
+    "move: guards.1, by: [4 mm, 0, 0]",
+    "rotate: guards.2, by: 40 deg",
+    "scale: hunters.2, by: 150 %",
+    "expand: [guards.3, hunters.3], by: 2",
+    "face: hunters.5, to: leaf",
+    "pin: hunters.0, to: [[-30, 0, 0], [30, 0, 0]]",
+    "replace: bug.5, colour: blue",
+    "smooth: guards, orient: 5",
+    "mirror: guards.3, axis: z",
+]
+
+
+def test_random_subsets_of_edits_equal_those_where_the_others_were_never_written(cache: Cache) -> None:
+    random = np.random.default_rng(3)
+    for _ in range(20):
+        chosen = random.random(len(LINES)) < 0.5
+        view = edited(cache, *(line if is_on else f"{line}, off: yes" for line, is_on in zip(LINES, chosen, strict=True)))
+        plain = edited(cache, *(line for line, is_on in zip(LINES, chosen, strict=True) if is_on)) if chosen.any() else cache
+        number = int(random.integers(1, 25))
+        edit_scenes.assert_same_arrays(view.frame(number), plain.frame(number), number)
+        untouched = [key for key in FrameRows(cache.frame(number), cache.manifest).keys.tolist() if key % SPECIES_PER_KEY == 0]
+        others = np.array([key for key in untouched if key // SPECIES_PER_KEY not in (0, 1, 2, 5)])
+        if not chosen[1] or number <= 20:
+            assert edit_scenes.take_agents(cache, number, others) == edit_scenes.take_agents(view, number, others)

@@ -90,7 +90,7 @@ def _store_edits(folder: Path, edits: Path) -> tuple[int, str]:
     from antdsl.outputs.edits.stored_edits import store_edits
 
     loaded = _load_edits(folder, edits)
-    store_edits(folder, loaded.entry)
+    store_edits(folder, loaded.entry, loaded.arrays)
     return len(loaded.edits.edits), f"edits are applied when {folder} is read; `antdsl edit {folder} --remove` takes them away"
 
 

@@ -17,6 +17,7 @@ from antdsl.safe_read import FileTooLarge, read_size_limited
 
 FORMAT_VERSION = 1
 MANIFEST_FILE_NAME = "manifest.json"
+EDIT_ARRAYS_PATTERN = re.compile(r"^edits\.[0-9a-f]{32}\.npz$")  # the name of the file with arrays of edits
 _MAX_MANIFEST_BYTES = 16 * limits.MIB
 
 Word = Annotated[str, Field(max_length=500)]
@@ -84,11 +85,11 @@ class WornBodyEntry(ManifestPart):
 
     `body`: its word or file in the scene; None selects a body by the species' name.
     `definition`: the index of its agent definition in the manifest's `bodies`; None for a body of the library.
-    `weight`: its share among the bodies of the species."""
+    `weight`: its share among the bodies of the species; 0 for a body that only edits give."""
 
     body: Word | None = None
     definition: Annotated[int, Field(ge=0, lt=limits.MAX_BODY_PARTS)] | None = None
-    weight: Annotated[float, Field(ge=limits.MIN_BODY_WEIGHT, le=limits.MAX_BODY_WEIGHT)] = 1.0
+    weight: Annotated[float, Field(ge=0, le=limits.MAX_BODY_WEIGHT)] = 1.0
 
 
 class ReplacedBody(ManifestPart):
@@ -216,7 +217,7 @@ class EditsEntry(ManifestPart):
 
     name: Word
     text: Annotated[str, Field(max_length=limits.MAX_EDITS_BYTES)]
-    arrays: Annotated[str, Field(pattern=r"^edits\.[0-9a-f]{32}\.npz$")] | None = None
+    arrays: Annotated[str, Field(pattern=EDIT_ARRAYS_PATTERN.pattern)] | None = None
     caches: dict[Word, Word] = {}
     next_ids: dict[Word, Annotated[int, Field(ge=0)]] = {}
     counted_frames: int = 0

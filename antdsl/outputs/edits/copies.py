@@ -18,7 +18,7 @@ from antdsl.outputs.edits.edit_layer import EditInputs, EditLayer, NotEditable
 from antdsl.outputs.edits.edit_values import FrameOffset
 from antdsl.outputs.edits.frame_rows import SPECIES_PER_KEY, join_frames
 from antdsl.outputs.edits.grounding import Grounds, move_on_ground
-from antdsl.outputs.edits.placing import REQUIRED_ARRAYS, PlacingLine, convert_displacement
+from antdsl.outputs.edits.placing import REQUIRED_ARRAYS, GroundLine, convert_displacement
 from antdsl.outputs.edits.timing import TimeMap, read_shifted
 from antdsl.scene.selectors import Selector
 from antdsl.scene.values import PointValue, parse_integer_between
@@ -27,7 +27,7 @@ MAX_COPIES = 1000
 _MAX_ID = 2**62 // SPECIES_PER_KEY
 
 
-class DuplicateLine(PlacingLine):
+class DuplicateLine(GroundLine):
     """Adds `count` copies of agents, each `by` a displacement from the one before and `later` by some frames.
 
     Copy k of agent i has the id i + k N, with N the first id of the species that no agent has."""

@@ -7,7 +7,7 @@ from collections import OrderedDict
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Annotated, Any, ClassVar, Self
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self
 
 from numpy.typing import NDArray
 from pydantic import BeforeValidator
@@ -17,20 +17,36 @@ from antdsl.outputs.cache.manifest import Manifest
 from antdsl.outputs.edits.cache_selection import Selection
 from antdsl.outputs.edits.terrain import Ground
 from antdsl.scene.selectors import AnySelector, Selector, SelectorKeys, combine_selector
-from antdsl.scene.values import FrameRangeValue, parse_one_of
+from antdsl.scene.values import FrameRangeValue, ScenePart, parse_one_of
 
 
-class EditLine(SelectorKeys):
-    """One line of `edits:`.
+class EditLine(ScenePart):
+    """One line of `edits:`. The verb is the first key.
 
-    `agents`: the value of the verb, which is the first key; the keys of selectors narrow them.
     `frames`: the frames in which the edit applies; all by default.
     `off`: the line has no effect."""
 
     verb: ClassVar[str]
-    agents: Selector
     frames: FrameRangeValue | None = None
     off: Annotated[str, BeforeValidator(parse_one_of("yes", "no"))] = "no"
+
+    def list_files(self, manifest: Manifest) -> tuple[EditFile, ...]:
+        """Return the files that the line names and the cache lacks."""
+        return ()
+
+
+class EditFile(NamedTuple):
+    """A file that a line names by its key `key`: a `mesh`, a `body` or a `cache`."""
+
+    key: str
+    path: str
+    kind: Literal["mesh", "body", "cache"]
+
+
+class AgentsLine(EditLine, SelectorKeys):
+    """A line for some agents. `agents`: the value of the verb; the keys of selectors narrow them."""
+
+    agents: Selector
 
     @property
     def selector(self) -> AnySelector:

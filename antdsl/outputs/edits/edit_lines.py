@@ -10,7 +10,7 @@ from antdsl.diagnostics import Report
 from antdsl.diagnostics.suggestion import find_nearest_name
 from antdsl.outputs.cache.manifest import Manifest
 from antdsl.outputs.edits.cache_selection import list_selector_names
-from antdsl.outputs.edits.edit_layer import EditLine
+from antdsl.outputs.edits.edit_layer import AgentsLine, EditLine
 from antdsl.outputs.edits.verbs import VERB_BY_WORD
 from antdsl.scene.document import (
     DocumentNode,
@@ -115,11 +115,10 @@ def _join_text(node: DocumentNode) -> str:
 
 def _check_names(report: Report, edits: EditList, edit: PlacedEdit, manifest: Manifest) -> None:
     """Report names of a line that the cache does not have, and frames that it does not have."""
-    line = edit.line
-    problems = [
-        *find_problems(line.agents, list_selector_names(manifest), line.verb),
-        *find_problems(line, list_selector_names(manifest)),
-    ]
+    line, names = edit.line, list_selector_names(manifest)
+    problems = (
+        [*find_problems(line.agents, names, line.verb), *find_problems(line, names)] if isinstance(line, AgentsLine) else []
+    )
     for problem in problems:
         help = problem.help
         if not manifest.lines:

@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
+
+from numpy.typing import NDArray
 
 from antdsl import limits
 from antdsl.diagnostics import Report
-from antdsl.outputs.cache.cache_reader import Cache, open_cache
+from antdsl.outputs.cache.cache_reader import Cache, CacheError, open_cache
 from antdsl.outputs.cache.frame_agents import IDENTITY_ARRAYS, get_agent_ids, get_species_numbers
 from antdsl.outputs.cache.manifest import EditsEntry, Manifest, ManifestError
+from antdsl.outputs.cache.npz import ArrayFileError, read_npz
+from antdsl.outputs.edits.edit_files import encode_edit_arrays, find_cache_path, read_edit_files
 from antdsl.outputs.edits.edit_layer import EditInputs, NotEditable, StoredFrames
 from antdsl.outputs.edits.edit_lines import EditList, read_edits
 from antdsl.outputs.edits.terrain import Ground
@@ -47,9 +53,17 @@ def open_edited_cache(folder: Path) -> Cache:
 
 
 def read_inputs(cache: Cache, entry: EditsEntry) -> EditInputs:
-    """Return what the edits of a cache need in addition to it. Raises CacheError if a file is damaged."""
+    """Return what the edits of a cache need in addition to it. Raises CacheError if a file is damaged, ManifestError if another
+    cache is missing."""
+    arrays: Mapping[str, NDArray[Any]] = {}
+    if entry.arrays is not None:
+        try:
+            arrays = read_npz(cache.folder / entry.arrays)
+        except (OSError, ArrayFileError) as why:
+            raise CacheError(f"`{cache.folder / entry.arrays}`, which its edits need, cannot be read: {why}") from None
+    caches = {text: open_cache(cache.folder / path) for text, path in entry.caches.items()}
     is_counted = entry.counted_frames == len(cache.frames())
-    return EditInputs(Ground(cache), next_ids=entry.next_ids if is_counted else find_next_ids(cache))
+    return EditInputs(Ground(cache), arrays, caches, entry.next_ids if is_counted else find_next_ids(cache))
 
 
 def find_next_ids(cache: Cache) -> dict[str, int]:
@@ -67,11 +81,13 @@ def find_next_ids(cache: Cache) -> dict[str, int]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LoadedEdits:
-    """The edits of a file for a cache. `view`: the cache with them. `entry`: as they are stored in the cache's manifest."""
+    """The edits of a file for a cache. `view`: the cache with them. `entry`: as they are stored in the cache's manifest.
+    `arrays`: of meshes and bodies from files."""
 
     edits: EditList
     view: EditedCache
     entry: EditsEntry
+    arrays: Mapping[str, NDArray[Any]]
 
 
 def load_edits(cache: Cache, path: Path) -> tuple[LoadedEdits | None, Report]:
@@ -87,9 +103,19 @@ def load_edits(cache: Cache, path: Path) -> tuple[LoadedEdits | None, Report]:
     edits, report = read_edits(data, str(path), cache.manifest)
     if edits is None:
         return None, report
-    next_ids, frames = find_next_ids(cache), len(cache.frames())
-    entry = EditsEntry(name=path.name, text=edits.source.text, next_ids=next_ids, counted_frames=frames)
-    return LoadedEdits(edits, apply_edits(cache, edits, read_inputs(cache, entry)), entry), report
+    arrays, caches, report = read_edit_files(edits, cache.manifest, path.resolve().parent)
+    if not report.ok:
+        return None, report
+    entry = EditsEntry(
+        name=path.name,
+        text=edits.source.text,
+        arrays=encode_edit_arrays(arrays)[0] if arrays else None,
+        caches={text: find_cache_path(other, cache.folder) for text, other in caches.items()},
+        next_ids=find_next_ids(cache),
+        counted_frames=len(cache.frames()),
+    )
+    inputs = EditInputs(Ground(cache), arrays, caches, entry.next_ids)
+    return LoadedEdits(edits, apply_edits(cache, edits, inputs), entry, arrays), report
 
 
 def smooth_cache(cache: Cache, width: int) -> Cache:

@@ -1,6 +1,4 @@
-"""Agents that move on ground: they stay at their height above it and turn as its normal turns, and each foot likewise.
-
-Also the edit `drop`, which puts agents on another mesh."""
+"""Agents that move on ground: they stay at their height above it and turn as its normal turns, and each foot likewise."""
 
 from __future__ import annotations
 
@@ -15,7 +13,7 @@ from antdsl.outputs.cache.cache_reader import Arrays
 from antdsl.outputs.cache.manifest import Manifest
 from antdsl.outputs.edits.agent_moves import AgentMoves, find_axes, find_shortest_rotations, move_agents, rotate
 from antdsl.outputs.edits.frame_rows import FrameRows, match_rows
-from antdsl.outputs.edits.terrain import Terrain
+from antdsl.outputs.edits.terrain import MirroredTerrain, Terrain
 
 _GROUND_REACH = 10.0  # body lengths in which ground is searched along an agent's up, in addition to the agent's displacement
 _LIFT = 0.5  # body lengths: ground up to there above a point counts as below it
@@ -26,7 +24,7 @@ class Grounds:
     """The ground that agents leave, and the one that they come to. `down`: the unit vector along which they fall onto it; None
     if they only follow it along their own up."""
 
-    old: Terrain
+    old: Terrain | MirroredTerrain
     new: Terrain
     down: Floats | None = None
 

@@ -16,7 +16,7 @@ from antdsl.outputs.cache.cache_reader import Arrays
 from antdsl.outputs.cache.manifest import Manifest
 from antdsl.outputs.edits.agent_moves import AgentMoves, find_axes, make_moves, make_rotation, move_agents, rotate
 from antdsl.outputs.edits.cache_selection import find_item_points
-from antdsl.outputs.edits.edit_layer import EditLayer, EditLine
+from antdsl.outputs.edits.edit_layer import AgentsLine, EditLayer
 from antdsl.outputs.edits.edit_values import DEFAULT_EASE_FRAMES, Factor, FrameCount
 from antdsl.outputs.edits.frame_rows import FrameRows
 from antdsl.outputs.edits.grounding import Grounds, move_on_ground
@@ -24,19 +24,23 @@ from antdsl.scene.selectors import Selector
 from antdsl.scene.thing_models import UNIT_MM
 from antdsl.scene.values import Angle, PointOrName, PointValue, make_error, parse_one_of
 
-_UPS = {"y": np.array([0.0, 1.0, 0.0]), "z": np.array([0.0, 0.0, 1.0])}
+UP_BY_AXIS = {"y": np.array([0.0, 1.0, 0.0]), "z": np.array([0.0, 0.0, 1.0])}
 _EACH = "each"
 REQUIRED_ARRAYS = ("id", "P", "orient", "pscale")
 
 
-class PlacingLine(EditLine):
-    """A line that moves agents.
+class GroundLine(AgentsLine):
+    """A line that moves agents. `ground`: `follow` keeps them on the ground, at their height above it; `free` moves them
+    rigidly."""
 
-    `ease`: the number of frames before and after `frames` in which the change begins and ends.
-    `ground`: `follow` keeps agents on the ground, at their height above it; `free` moves them rigidly."""
+    ground: Annotated[str, BeforeValidator(parse_one_of("follow", "free"))] = "follow"
+
+
+class PlacingLine(GroundLine):
+    """A line that moves agents in `frames`. `ease`: the number of frames before and after these in which the change begins and
+    ends."""
 
     ease: FrameCount = DEFAULT_EASE_FRAMES
-    ground: Annotated[str, BeforeValidator(parse_one_of("follow", "free"))] = "follow"
 
 
 class MoveLine(PlacingLine):
@@ -145,7 +149,7 @@ class PlacingLayer(EditLayer):
     @property
     def up(self) -> Floats:
         """Return the scene's unit vector up."""
-        return _UPS[self.manifest.up]
+        return UP_BY_AXIS[self.manifest.up]
 
     @cached_property
     def first_agents(self) -> MovedAgents:

@@ -10,20 +10,20 @@ from pydantic import Field, model_validator
 from antdsl.outputs.cache.cache_reader import Arrays
 from antdsl.outputs.cache.frame_agents import make_agent_keys
 from antdsl.outputs.edits.cache_selection import select_agents
-from antdsl.outputs.edits.edit_layer import EditLayer, EditLine
+from antdsl.outputs.edits.edit_layer import AgentsLine, EditLayer
 from antdsl.outputs.edits.frame_rows import keep_rows
 from antdsl.scene.selectors import AgentConditions, Region, Selector
 from antdsl.scene.values import make_error
 
 
-class KillLine(EditLine):
+class KillLine(AgentsLine):
     """Takes agents out of the frames."""
 
     verb = "kill"
     agents: Selector = Field(alias="kill")
 
 
-class ClipLine(EditLine):
+class ClipLine(AgentsLine):
     """Keeps agents in `frames`, and in the region `inside` only."""
 
     verb = "clip"

@@ -3,25 +3,35 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Any
+
+from numpy.typing import NDArray
 
 from antdsl.atomic_write import sync_files, write_atomically
 from antdsl.outputs.cache.cache_reader import STATIC_FILE_NAME, Cache, make_frame_path
 from antdsl.outputs.cache.cache_writer import clear_folder, prepare_folder
 from antdsl.outputs.cache.hashes import HASHES_FILE_NAME, hash_static_file, make_line
 from antdsl.outputs.cache.lock import FolderLock
-from antdsl.outputs.cache.manifest import EditsEntry, find_relative_path, read_manifest, write_manifest
+from antdsl.outputs.cache.manifest import EDIT_ARRAYS_PATTERN, EditsEntry, find_relative_path, read_manifest, write_manifest
 from antdsl.outputs.cache.npz import make_npz_file
+from antdsl.outputs.edits.edit_files import encode_edit_arrays
 
 
-def store_edits(folder: Path, entry: EditsEntry | None) -> bool:
+def store_edits(folder: Path, entry: EditsEntry | None, arrays: Mapping[str, NDArray[Any]] | None = None) -> bool:
     """Write edits into the manifest of a cache, or take them away with None. Return whether the cache had edits before.
 
+    `arrays`: of the meshes and bodies that they name; they are written first, into a file next to the manifest.
     Raises ManifestError if there is no cache, FolderLocked while a run writes to it."""
     with FolderLock(folder):
         manifest = read_manifest(folder)
+        if entry is not None and entry.arrays is not None:
+            write_atomically(folder / entry.arrays, encode_edit_arrays(dict(arrays or {}))[1])
         write_manifest(folder, manifest.model_copy(update={"edits": entry}))
+        for path in folder.glob("edits.*.npz"):
+            if EDIT_ARRAYS_PATTERN.fullmatch(path.name) and (entry is None or path.name != entry.arrays):
+                path.unlink(missing_ok=True)
     return manifest.edits is not None
 
 

@@ -14,6 +14,7 @@ from antdsl.bodies.body import compute_vertex_normals
 from antdsl.casting.rays import RayScene
 from antdsl.outputs.cache.cache_reader import Arrays, Cache
 from antdsl.outputs.cache.dug_solids import DugSolids
+from antdsl.outputs.cache.manifest import MeshEntry
 from antdsl.scene.thing_models import UNIT_MM
 
 Mesh = tuple[Floats, NDArray[np.int32]]
@@ -78,11 +79,12 @@ class Terrain:
 
 
 class Ground:
-    """The ground of a cache, frame by frame. It is built once if nothing of it moves."""
+    """The ground of a cache, frame by frame: some meshes, by default all that agents walk on. It is built once if nothing of it
+    moves."""
 
-    def __init__(self, cache: Cache) -> None:
+    def __init__(self, cache: Cache, entries: Sequence[MeshEntry] | None = None) -> None:
         self._cache = cache
-        self._entries = [mesh for mesh in cache.manifest.meshes if mesh.row.is_ground]
+        self._entries = [mesh for mesh in cache.manifest.meshes if mesh.row.is_ground] if entries is None else entries
         self._last: tuple[int, Terrain] | None = None
 
     @cached_property
@@ -108,11 +110,23 @@ class Ground:
                 for mesh in self._entries
                 if not mesh.row.is_dug
             ]
-            meshes += [(solid.vertices, solid.faces) for solid in self._dug_solids.at(number)]
+            dug = {mesh.name for mesh in self._entries if mesh.row.is_dug}
+            solids = self._dug_solids.at(number) if dug else ()
+            meshes += [(solid.vertices, solid.faces) for solid in solids if solid.name in dug]
             self._last = number, Terrain(meshes, UNIT_MM[self._cache.manifest.units])
         return self._last[1]
 
-    def find_mesh(self, name: str) -> Terrain:
-        """Return a mesh of `static.npz` as ground."""
-        mesh = self._static[f"mesh.{name}.vertices"], self._static[f"mesh.{name}.faces"]
-        return Terrain([(np.asarray(mesh[0], np.float64), np.asarray(mesh[1], np.int32))], UNIT_MM[self._cache.manifest.units])
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MirroredTerrain:
+    """Ground mirrored across a plane. `sign` [3] has -1 for the axis across it, `shift` [3] has twice the plane's coordinate
+    there."""
+
+    terrain: Terrain
+    sign: Floats
+    shift: Floats
+
+    def find_along(self, points: Floats, up: Floats, lift: Floats, reach: Floats) -> GroundPoints:
+        """Return the ground nearest to points along their up or down, as `Terrain.find_along`."""
+        hits = self.terrain.find_along(points * self.sign + self.shift, up * self.sign, lift, reach)
+        return GroundPoints(hits.is_hit, hits.position * self.sign + self.shift, hits.normal * self.sign)

@@ -13,14 +13,14 @@ from antdsl.outputs.cache.cache_reader import Arrays, Cache, CacheError
 from antdsl.outputs.cache.frame_agents import find_array_subject
 from antdsl.outputs.edits.agent_moves import blend_frames
 from antdsl.outputs.edits.cache_selection import Selection
-from antdsl.outputs.edits.edit_layer import EditLayer, EditLine
+from antdsl.outputs.edits.edit_layer import AgentsLine, EditLayer
 from antdsl.outputs.edits.edit_values import DEFAULT_EASE_FRAMES, FrameCount, FrameOffset, Speed
 from antdsl.outputs.edits.frame_rows import join_frames, keep_rows
 from antdsl.scene.selectors import Selector
 from antdsl.scene.values import FrameRangeValue, make_error
 
 
-class TimeLine(EditLine):
+class TimeLine(AgentsLine):
     """A line that changes when agents do what they do. Afterwards they continue with a delay.
 
     `ease`: the number of frames before and after `frames` in which the speed changes.

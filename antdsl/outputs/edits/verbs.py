@@ -6,8 +6,11 @@ from typing import NamedTuple
 
 from antdsl.outputs.edits.copies import DuplicateLayer, DuplicateLine
 from antdsl.outputs.edits.curves import PinLayer, PinLine
+from antdsl.outputs.edits.dropping import DropLayer, DropLine
 from antdsl.outputs.edits.edit_layer import EditLayer, EditLine
-from antdsl.outputs.edits.finishing import SmoothLayer, SmoothLine
+from antdsl.outputs.edits.finishing import MirrorLayer, MirrorLine, SmoothLayer, SmoothLine
+from antdsl.outputs.edits.looks import ReplaceLayer, ReplaceLine
+from antdsl.outputs.edits.merging import MergeLayer, MergeLine
 from antdsl.outputs.edits.placing import (
     ExpandLayer,
     ExpandLine,
@@ -37,6 +40,7 @@ _ROWS = (
     EditVerb(KillLine, KillLayer),
     EditVerb(ClipLine, ClipLayer),
     EditVerb(DuplicateLine, DuplicateLayer),
+    EditVerb(MergeLine, MergeLayer),
     EditVerb(HoldLine, TimeLayer),
     EditVerb(RetimeLine, TimeLayer),
     EditVerb(MoveLine, MoveLayer),
@@ -45,7 +49,10 @@ _ROWS = (
     EditVerb(ExpandLine, ExpandLayer),
     EditVerb(FaceLine, FaceLayer),
     EditVerb(PinLine, PinLayer),
+    EditVerb(DropLine, DropLayer),
+    EditVerb(ReplaceLine, ReplaceLayer),
     EditVerb(SmoothLine, SmoothLayer, is_last=True),
+    EditVerb(MirrorLine, MirrorLayer, is_last=True),
 )
 for _row in _ROWS:  # selectors name the conditions before these are defined
     _row.line.model_rebuild(_types_namespace={"AgentConditions": AgentConditions})

@@ -1,0 +1,71 @@
+"""Files that edits name: meshes and bodies, stored as arrays with the edits, and other caches."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from numpy.typing import NDArray
+
+from antdsl import limits
+from antdsl.bodies.agents.packed import pack_definition
+from antdsl.bodies.files.reading import read_definition
+from antdsl.diagnostics import Report
+from antdsl.outputs.cache.cache_reader import Cache, open_cache
+from antdsl.outputs.cache.manifest import Manifest, ManifestError
+from antdsl.outputs.cache.npz import encode_npz
+from antdsl.outputs.edits.edit_layer import EditFile
+from antdsl.outputs.edits.edit_lines import EditList
+from antdsl.scene.geometry.mesh_files import read_mesh
+from antdsl.scene.geometry.mesh_text import MeshError
+from antdsl.scene.paths import PathRefused, Roots
+from antdsl.source import Span
+
+ArrayDict = dict[str, NDArray[Any]]
+
+
+def read_edit_files(edits: EditList, manifest: Manifest, folder: Path) -> tuple[ArrayDict, dict[str, Cache], Report]:
+    """Return the arrays of the meshes and bodies that edits name, as `PATH.PART`, the caches by their paths, and a report.
+
+    `folder`: the folder of the edits, which the files are in."""
+    arrays: ArrayDict = {}
+    caches: dict[str, Cache] = {}
+    report, roots = Report(), Roots(folder)
+    for edit in edits.edits:
+        for file in edit.line.list_files(manifest):
+            span = edits.span(edit, file.key)
+            try:
+                if file.kind == "cache":
+                    caches[file.path] = open_cache(roots.path(file.path))
+                elif file.kind == "mesh":
+                    mesh = read_mesh(roots.read_file(file.path, limits.MAX_MESH_BYTES), file.path)
+                    arrays |= {f"{file.path}.vertices": mesh.vertices, f"{file.path}.faces": mesh.faces}
+                else:
+                    arrays |= _read_body(file, roots, report, span)
+            except PathRefused as refused:
+                report.error(refused.code, str(refused), span, refused.help)
+            except MeshError as why:
+                report.error("bad-mesh", f"the mesh `{file.path}` {why}", span, why.help)
+            except ManifestError as why:
+                report.error("cannot-read", str(why), span, "name the folder of a cache")
+    return arrays, caches, report
+
+
+def _read_body(file: EditFile, roots: Roots, report: Report, span: Span) -> Mapping[str, NDArray[Any]]:
+    definition, findings = read_definition(file.path, roots, span)
+    report.extend(findings)
+    return {} if definition is None else {f"{file.path}.{part}": array for part, array in pack_definition(definition).items()}
+
+
+def encode_edit_arrays(arrays: ArrayDict) -> tuple[str, bytes]:
+    """Return the name of the file with these arrays next to a manifest, and its content."""
+    data = encode_npz(arrays)
+    return f"edits.{hashlib.blake2b(data, digest_size=16).hexdigest()}.npz", data
+
+
+def find_cache_path(cache: Cache, folder: Path) -> str:
+    """Return the path from a cache's folder to another cache."""
+    return Path(os.path.relpath(cache.folder.resolve(), folder.resolve())).as_posix()
