@@ -132,6 +132,7 @@ def open_scene(
     from antdsl import passes, plan
     from antdsl.bodies.crowd_bodies import load_crowd_bodies
     from antdsl.scene.field_settings import replace_field_settings
+    from antdsl.scene.note_programs import add_note_machines
     from antdsl.scene.overrides import apply_field_changes, apply_param_changes, read_overrides
     from antdsl.scene.scene_checks import resolve_layer_order
     from antdsl.scene.staging.stage_scene import build_setting
@@ -142,7 +143,7 @@ def open_scene(
         return None, report
     param_overrides = read_overrides(scene, program, choices.params, Report())
     program = replace_field_settings(program, scene, {**scene.model.set, **param_overrides})
-    program = apply_field_changes(program, choices.changes)
+    program = add_note_machines(apply_field_changes(program, choices.changes), scene)
     orders = {name: order for name in scene.model.layers if (order := resolve_layer_order(scene, program, name)[0]) is not None}
     setting, findings, meshes = build_setting(scene, program, param_overrides)
     report.extend(findings)
@@ -287,15 +288,27 @@ def check_path(
     setting = None
     if scene is not None and program is not None and report.ok and scene.model.world:
         from antdsl.bodies.crowd_bodies import load_crowd_bodies
+        from antdsl.scene.notes_model import GOAL_VERBS
         from antdsl.scene.overrides import read_overrides
         from antdsl.scene.staging.stage_scene import build_setting
 
         setting, findings, _ = build_setting(scene, program, read_overrides(scene, program, choices.params, Report()))
         report.extend(findings)
         report.extend(load_crowd_bodies(scene, program)[1])
+        if report.ok and any(note.verb in GOAL_VERBS for note in scene.model.notes):
+            report.extend(_find_far_targets(path, choices, parsed))
     if scene is not None and program is not None:
         report.drop_warnings(_find_stale_attribute_warnings(report, scene, program, setting))
     return program, report
+
+
+def _find_far_targets(path: Path, choices: RunChoices, parsed: ParsedFileCache | None) -> Report:
+    """Return the warnings about targets of notes, for which the agents of a scene have to be placed."""
+    from antdsl.runtime import Options, bind
+    from antdsl.runtime.notes.target_findings import find_far_targets
+
+    shot, _ = open_scene(path, choices, parsed=parsed)
+    return Report() if shot is None else find_far_targets(shot.scene, bind(shot.plan, shot.setting, Options(backend="numpy")))
 
 
 def read_mesh_imports(path: Path, choices: RunChoices) -> tuple[Mapping[str, MeshImport], str]:

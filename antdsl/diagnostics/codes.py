@@ -182,6 +182,7 @@ CODE_DESCRIPTIONS: dict[str, str] = {
     "field-setting": "a setting of a field has an invalid value",
     "field-too-fine": "a field would need too many cells",
     "flow-too-fine": "a flow would need too many points",
+    "far-target": "agents of a note cannot be at their target in time, or were not",
     "unreachable-target": "agents follow a flow, but no path leads from them to its target",
     # --- running specs ---
     "no-scene": "a spec names no scene, and there is none next to its program",
@@ -200,4 +201,4 @@ STRICT_CODES = frozenset(("per-step",))  # only `check --strict` reports them
 MESH_CODES = frozenset(  # they require reading the meshes of a scene
     ("crossing-face", "degenerate-faces", "far-away", "inside-out", "odd-scale", "off-surface", "unread-content", "usd-left-out")
 )
-RUN_CODES = frozenset(("no-room", "unreachable-target"))  # they require placing the agents
+RUN_CODES = frozenset(("far-target", "no-room", "unreachable-target"))  # they require placing the agents

@@ -249,6 +249,8 @@ def _migrate_counts(old_world: World, world: World) -> None:
     world.motion = MotionMeasures.of(old_world.motion.checkpoint_arrays())
     world.faults = FaultLog(old_world.faults.count, old_world.faults.rejected_births, list(old_world.faults.reported_faults))
     world.watchers = list(old_world.watchers)
+    if world.notes is not None and old_world.notes is not None:
+        world.notes.restore_memory(old_world.notes.memory)
     world.dug_balls = None if old_world.dug_balls is None else {}
     world.emissions = None if old_world.emissions is None else []
     if world.detail is not None and old_world.detail is not None:

@@ -26,6 +26,7 @@ from antdsl.runtime.world import Population, World, make_fixed_columns
 STATE_HASH_VERSION = 2  # version of the hash method; hashes of other versions are not comparable
 _HASHED_COLUMNS = tuple(name for name, column in FIXED_COLUMN_BY_NAME.items() if column.is_hashed)
 _STORED_COLUMNS = ("ids", *(name for name, column in FIXED_COLUMN_BY_NAME.items() if name != "ids" and column.is_checkpointed))
+NOTE_PREFIX = "notes."  # of the arrays that notes remember
 Arrays = dict[str, NDArray[Any]]
 
 
@@ -57,6 +58,7 @@ def take_checkpoint(world: World) -> Arrays:
     if world.detail is not None:
         arrays["lod.counts"] = world.detail.counts
     arrays |= collect_line_arrays(world)
+    arrays |= {} if world.notes is None else {f"{NOTE_PREFIX}{name}": array for name, array in world.notes.memory.items()}
     arrays |= {f"motion.{name}": array for name, array in world.motion.checkpoint_arrays().items()}
     arrays |= {f"solid.{name}.{key}": array for name, volume in world.solids.items() for key, array in volume.state().items()}
     return {name: array.copy() for name, array in arrays.items()}
@@ -111,6 +113,8 @@ def _restore_world(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
     counts = _read_checked_array(arrays, "transitions.counts")
     world.transitions = dict(zip(text.split("\n") if text else [], (int(c) for c in counts), strict=True))
     restore_lines(world, arrays)
+    if world.notes is not None:
+        world.notes.restore_memory(select_by_prefix(arrays, NOTE_PREFIX))
     world.motion = MotionMeasures.of(select_by_prefix(arrays, "motion."))
     if world.detail is not None:
         world.detail.counts = _read_checked_array(arrays, "lod.counts", world.detail.counts.shape).copy()
@@ -185,7 +189,7 @@ def _read_checked_array(arrays: Mapping[str, NDArray[Any]], name: str, shape: tu
 def state_hash(world: World) -> str:
     """Return a hash of the state: the first 128 bits of a SHA-256 hash, in hexadecimal.
 
-    It includes the `hash_rows` of each species, and items, fields, solids and flows."""
+    It includes the `hash_rows` of each species, items, fields, solids and flows, and what notes remember."""
     digest, threads = sha256(), world.options.threads
     digest.update(np.int64(world.frame).tobytes())
     for name in sorted(world.populations):
@@ -204,6 +208,8 @@ def state_hash(world: World) -> str:
     for name in sorted(world.flows):
         for key, array in sorted(world.flows[name].state().items()):
             digest.update(f"\0{name}\0{key}\0".encode() + array.tobytes())
+    for name, array in sorted(world.notes.memory.items()) if world.notes is not None else ():
+        digest.update(f"\0{name}\0".encode() + array.tobytes())
     return digest.hexdigest()[:32]
 
 

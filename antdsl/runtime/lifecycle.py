@@ -173,6 +173,8 @@ def _add_newborn(world: World, population: Population, births: BirthRows) -> NDA
         for arrays, inherited in ((population.now, registers), (population.columns, columns)):
             for name, value in inherited.items():
                 arrays[name][new] = value[:count]
+    if world.notes is not None:
+        world.notes.remove_absent(world, {population.name: old})
     return np.arange(old, len(population))
 
 

@@ -22,6 +22,7 @@ from antdsl.runtime.binding import releases
 from antdsl.runtime.faults import FaultStop
 from antdsl.runtime.feet import feet_step
 from antdsl.runtime.moving import contacts, crowd_substep, moving_geometry, scripted_walks, tilting
+from antdsl.runtime.notes.wishes import FINAL_WISH, STATE_WISH
 from antdsl.runtime.world import PUSHED_REGISTER, Population, World, publish_state
 
 _SORT_INTERVAL_FRAMES, _MIN_AGENTS_TO_SORT = 16, 2048  # frames, agents
@@ -47,6 +48,8 @@ def prepare_senses(world: World) -> None:
         population.clear_temps(world.options.threads)
     if world.detail is not None:
         world.detail.count_step(world)
+    if world.notes is not None:
+        world.notes.begin_step(world)
     world.backend.begin(world)
 
 
@@ -71,7 +74,12 @@ def run_actions(world: World) -> None:
 
 def combine_layers(world: World) -> None:
     """Run the layers, and combine their wishes into one push for each agent."""
+    if world.notes is not None:
+        world.notes.change_wishes(world, STATE_WISH)
     _run_block(world, "blend")
+    if world.notes is not None:
+        world.notes.change_wishes(world, FINAL_WISH)
+        world.notes.set_values(world)
     faults.collect_faults(world)
 
 
@@ -108,6 +116,8 @@ def advance_fields(world: World) -> None:
 def move_all(world: World) -> None:
     """Move all agents along their surfaces, substep by substep. Overlapping bodies are then separated."""
     with np.errstate(all="ignore"):
+        if world.notes is not None:
+            world.notes.begin_move(world)
         for population in world.populations.values():
             tilting.restore_bodies(population)
             if PUSHED_REGISTER in population.now:
@@ -122,6 +132,8 @@ def move_all(world: World) -> None:
                 contacts.resolve_contacts(world, stances, world.dt / world.setting.substeps)
                 for step in clear_steps:
                     step.correct()
+        if world.notes is not None:
+            world.notes.end_move(world)
 
 
 def record_measures(world: World) -> None:

@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from antdsl.runtime.feet.foothold_search import FootGround
     from antdsl.runtime.level_of_detail import DetailLevels
     from antdsl.runtime.motion_measures import MotionMeasures
+    from antdsl.runtime.notes.note_run import NoteRun
     from antdsl.senses.neighbours import CellGrid
 from antdsl.senses.touching import TouchingAgents
 
@@ -255,6 +256,7 @@ class World:
     emissions: list[dict[str, NDArray[Any]]] | None = None  # columns of `EMIT` since the last retrieval; None: not recorded
     spec_values: dict[str, np.float32] = field(default_factory=dict)  # aggregate values that a spec requests, by name
     detail: DetailLevels | None = None
+    notes: NoteRun | None = None  # None: the scene has none
     overcrowded_lines: list[OvercrowdedLine] = field(default_factory=list)  # crowd lines without space for all agents
     watchers: list[Callable[[World], None]] = field(default_factory=list)  # called in each step after the phase `act`
     feet: dict[str, Feet] = field(default_factory=dict)  # by body key; only those with computed feet

@@ -68,7 +68,8 @@ class Scene:
         can be continued past it."""
         without = {"output", "frames", "extends"} | ({"camera"} if self.model.lod is None else set())
         relevant_keys = sorted(set(type(self.model).model_fields) - without)
-        values = [(name, getattr(self.model, name)) for name in relevant_keys if name != "crowd"]
+        values = [(name, getattr(self.model, name)) for name in relevant_keys if name not in ("crowd", "notes")]
+        values += [("notes", self.model.notes)] if self.model.notes else []
         drawn = {"name", "source", "body", "wear"}
         lines = [[getattr(line, key) for key in sorted(set(type(line).model_fields) - drawn)] for line in self.model.crowd]
         relevant = [*values, *lines, self.model.frames.first]
@@ -256,8 +257,10 @@ def _report_unknown_key(
 
 
 def _format_path(path: tuple[PathKey, ...]) -> str:
+    from antdsl.scene.notes_model import NOTE_TAG_SUFFIX
+
     above = [part for part in path[:-1] if isinstance(part, str) and not part.endswith(_UNION_TAG_SUFFIXES)]
-    return f"`{above[-1]}`" if above else "a scene"
+    return f"`{above[-1].removesuffix(NOTE_TAG_SUFFIX)}`" if above else "a scene"
 
 
 def _list_allowed_keys(path: tuple[PathKey, ...], further_models: Mapping[str, type[ScenePart]]) -> list[str]:
@@ -265,6 +268,7 @@ def _list_allowed_keys(path: tuple[PathKey, ...], further_models: Mapping[str, t
     from antdsl.scene import scene_model
     from antdsl.scene.casting_model import DRAW_MODELS
     from antdsl.scene.crowd_model import LayerChoice
+    from antdsl.scene.notes_model import NOTE_MODELS, make_note_tag
     from antdsl.scene.selectors import AgentConditions, Ball, Box
 
     # the last word of the path identifies the model that raised the error; tags of the schema are among the words
@@ -279,6 +283,7 @@ def _list_allowed_keys(path: tuple[PathKey, ...], further_models: Mapping[str, t
         "ball-region": Ball,
         **{f"{key}-draw": each for key, each in DRAW_MODELS.items()},
         "fields": scene_model.FieldStart,
+        **{make_note_tag(verb): model for verb, model in NOTE_MODELS.items()},
         **scene_model.MODEL_BY_PATH,
     }
     for part in reversed(path[:-1]):

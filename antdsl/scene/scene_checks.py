@@ -20,6 +20,7 @@ from antdsl.scene.entry_checks import Entry, check_dimension, convert_constant, 
 from antdsl.scene.existence_checks import check_absent_species, check_bodies
 from antdsl.scene.field_settings import check_field_dynamics
 from antdsl.scene.load import Scene
+from antdsl.scene.note_checks import check_notes
 from antdsl.scene.quantities import Quantity
 from antdsl.scene.scene_kinds import SCENE_KINDS
 from antdsl.scene.selectors import SelectorNames
@@ -188,6 +189,10 @@ def _check_output(scene: Scene, program: Program, report: Report) -> None:
             report_unknown(report, scene, ("output", "attributes", number), "no attribute is named", known, key=False)
 
 
+def _check_notes(scene: Scene, program: Program, report: Report) -> None:
+    check_notes(scene, program, report, list_selector_names(scene, program))
+
+
 SCENE_CHECKS: tuple[Callable[[Scene, Program, Report], None], ...] = (
     _check_world,  # the names that `around` and `on` refer to
     check_crowd,
@@ -199,5 +204,6 @@ SCENE_CHECKS: tuple[Callable[[Scene, Program, Report], None], ...] = (
     _check_layers,
     _check_detail,
     _check_output,
+    _check_notes,
     check_step_lengths,  # last, because it warns about values that the others have checked
 )

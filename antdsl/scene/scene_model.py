@@ -14,6 +14,7 @@ from antdsl.scene.casting_model import Clumps, Ranks
 from antdsl.scene.crowd_model import CrowdLine as CrowdLine
 from antdsl.scene.crowd_model import Placement as Placement
 from antdsl.scene.crowd_model import Walk as Walk
+from antdsl.scene.notes_model import AnyNote
 from antdsl.scene.scene_kinds import SCENE_KINDS
 from antdsl.scene.thing_models import UNIT_MM as UNIT_MM
 from antdsl.scene.thing_models import Axis, ItemThing, ThingModel, Unit, UsdThing
@@ -160,6 +161,7 @@ class SceneModel(ScenePart):
     start: StartFrom | None = Field(None, alias="from")
     world: dict[SceneName, WorldThing] = {}
     crowd: tuple[CrowdLine, ...] = ()
+    notes: Annotated[tuple[AnyNote, ...], Field(max_length=limits.MAX_NOTES)] = ()
     set: dict[str, AnyQuantity] = {}
     fields: dict[SceneName, FieldStart] = {}
     layers: dict[SceneName, tuple[str, ...]] = {}

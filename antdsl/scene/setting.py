@@ -18,6 +18,7 @@ from antdsl.scene.crowd_data import PlacementData as PlacementData
 from antdsl.scene.crowd_data import PointMm as PointMm
 from antdsl.scene.crowd_data import WalkData as WalkData
 from antdsl.scene.geometry.import_notes import MeshImport
+from antdsl.scene.notes_model import Note
 from antdsl.scene.staging.motion import GeometryMoves
 from antdsl.source import Span
 
@@ -247,7 +248,8 @@ class WorldSetting:
     `legs`: the legs of bodies with gaits.
     `undrawn_things`: things that are not drawn, on which no foot stands.
     `imports`: by mesh, the import report of its file.
-    `spans`: where the scene defines each thing of the world."""
+    `spans`: where the scene defines each thing of the world.
+    `notes`: what agents do in some frames."""
 
     fps: Fraction = Fraction(24)
     substeps: int = 1
@@ -279,6 +281,7 @@ class WorldSetting:
     undrawn_things: frozenset[str] = frozenset()
     imports: Mapping[str, MeshImport] = field(default_factory=dict)
     spans: Mapping[str, Span] = field(default_factory=dict)
+    notes: tuple[Note, ...] = ()
 
     def list_body_keys(self, species: str) -> tuple[str, ...]:
         """Return the keys of all bodies of a species (`scene.body_choice`); at least one."""

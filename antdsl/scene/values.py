@@ -71,7 +71,8 @@ def parse_integer_between(low: int, high: int) -> Callable[[Any], int]:
     return read
 
 
-def _parse_quantity_value(value: Any) -> Quantity:
+def parse_any_quantity(value: Any) -> Quantity:
+    """Return a number with any unit or none. Raises an error that pydantic reports."""
     text = require_text(value, "a number")
     try:
         quantity = parse_quantity(text)
@@ -94,7 +95,7 @@ def parse_quantity_of(dim: Dimension) -> Callable[[Any], Quantity]:
     """Return a parser for quantities of one dimension. A bare number is in the scene's own unit (degrees for an angle)."""
 
     def read(value: Any) -> Quantity:
-        quantity = _parse_quantity_value(value)
+        quantity = parse_any_quantity(value)
         if quantity.is_bare and dim == ANGLE_DIMENSION:
             quantity = parse_quantity(f"{quantity.text} deg")
         if quantity.dim != dim and not quantity.is_bare:
@@ -139,7 +140,7 @@ def parse_number_between(low: float, high: float) -> Callable[[Any], float]:
 
 def parse_share(value: Any) -> float:
     """Return a share from 0 to 1 of a text such as `30 %` or `0.3`."""
-    quantity = _parse_quantity_value(value)
+    quantity = parse_any_quantity(value)
     if quantity.dim != Dimension() or not 0 <= quantity.number <= 1:
         raise make_error(f"`{quantity.text}` is not a share", "write a share from `0 %` to `100 %`")
     return quantity.number
@@ -259,7 +260,7 @@ def _check_word(value: Any) -> str:
 SceneWord = Annotated[str, BeforeValidator(_check_word)]
 SceneName = Annotated[str, BeforeValidator(_check_name)]
 FilePath = Annotated[str, BeforeValidator(_check_path)]
-AnyQuantity = Annotated[Quantity, BeforeValidator(_parse_quantity_value)]
+AnyQuantity = Annotated[Quantity, BeforeValidator(parse_any_quantity)]
 Length = Annotated[Quantity, BeforeValidator(parse_quantity_of(LENGTH_DIMENSION))]
 
 

@@ -40,6 +40,7 @@ ALLOWED = {
     "runtime/neighbourhood.py": {"log2": "the width of cells: which pairs are found does not depend on it"},
     "runtime/pairs.py": {"scipy": "a tree that says how far to look: which pairs are the nearest does not depend on it"},
     "runtime/backends/native/search/search_grids.py": {"log2": "the same"},
+    "runtime/notes/targets.py": {"scipy": "a tree that says which distances to measure"},
     "fields/pheromone.py": {"scipy": "a sparse matrix, compiled for all processors alike"},
     "fields/path_cost.py": {"scipy": "Dijkstra's search, compiled alike for all x86-64; only a beginning"},
     "fields/flow.py": {"scipy": "a tree of places, compiled for all x86-64 processors alike"},

@@ -232,8 +232,10 @@ def _record_to_end(recording: Recording, quiet: bool, resume_command: str) -> No
     import signal
 
     from antdsl.cli.printing.progress import show_progress
+    from antdsl.cli.printing.reports import print_report
     from antdsl.outputs.recording import record_frames
     from antdsl.runtime import FaultStop, LimitStop
+    from antdsl.runtime.notes.target_findings import report_missed_targets
 
     code = ExitCode.INTERRUPTED
 
@@ -266,6 +268,7 @@ def _record_to_end(recording: Recording, quiet: bool, resume_command: str) -> No
             signal.signal(number, handler)
         for note in recording.world.backend.messages():
             print_note(note, to_stderr=True)
+        print_report(report_missed_targets(recording.shot.scene, recording.world), to_stderr=True)
     if recording.stop_requested and not recording.is_complete:
         if recording.frame is None:
             raise CommandError(code, "stopped before the first frame", f"begin with: {resume_command}")

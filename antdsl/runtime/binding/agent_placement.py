@@ -80,10 +80,12 @@ def place_new_agents(world: World, new_crowds: Sequence[tuple[CrowdData, NDArray
                 world.overcrowded_lines.append(
                     OvercrowdedLine(crowd.line_index, crowd.species, len(ids), fit, ends, cover, *room_for)
                 )
-    rows: dict[str, list[NDArray[np.intp]]] = {}
+    first_rows = {crowd.species: len(world.populations[crowd.species]) for crowd, _ in new_crowds}
     for k, (crowd, ids) in enumerate(new_crowds):
-        rows.setdefault(crowd.species, []).append(_place_crowd(world, crowd, ids, draws[k]))
-    return {name: np.concatenate(parts) for name, parts in rows.items()}
+        _place_crowd(world, crowd, ids, draws[k])
+    if world.notes is not None:
+        world.notes.remove_absent(world, first_rows, is_start=not world.is_stepping)
+    return {name: np.arange(row, len(world.populations[name])) for name, row in first_rows.items()}
 
 
 def _place_crowd(world: World, crowd: CrowdData, ids: NDArray[np.int64], drawn: StartPositionDraws) -> NDArray[np.intp]:

@@ -33,6 +33,7 @@ from antdsl.runtime.feet import feet_step
 from antdsl.runtime.line_tables import reserve_ids
 from antdsl.runtime.motion_measures import MotionMeasures
 from antdsl.runtime.moving.moving_geometry import make_curve
+from antdsl.runtime.notes.note_run import NoteRun
 from antdsl.runtime.world import AXES, Items, Options, World, empty_population
 from antdsl.scene.setting import FlowData, MeshData, WorldSetting, compute_world_origin
 
@@ -108,6 +109,7 @@ def bind_empty(
         faults=FaultLog(),
         motion=MotionMeasures(),
         lines=reserve_ids(setting),
+        notes=NoteRun.of(setting),
     )
     _set_params(world)
     stages.begin_stage("fields")

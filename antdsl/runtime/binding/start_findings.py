@@ -10,6 +10,7 @@ from antdsl.diagnostics import Report
 from antdsl.fields.path_flow import PathFlow
 from antdsl.plan.ir import SpeciesPlan
 from antdsl.plan.traverse import collect_required_nodes, iterate_statements, list_blocks, list_operands
+from antdsl.runtime.notes.target_findings import find_far_targets
 from antdsl.runtime.world import World
 from antdsl.scene import Scene
 from antdsl.scene.setting import SolvedFlowData
@@ -25,6 +26,7 @@ _UNREACHABLE_HELP = (
 def find_start_warnings(scene: Scene, world: World) -> Report:
     """Return warnings about the crowd of a world, each located in the scene."""
     report = find_crowding_warnings(scene, world)
+    report.extend(find_far_targets(scene, world))
     for name, flow in world.setting.flows.items():
         if not isinstance(flow, SolvedFlowData) or name not in world.flows:
             continue

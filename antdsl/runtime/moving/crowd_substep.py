@@ -33,6 +33,7 @@ from antdsl.runtime.moving.falling import limit_fall_speed
 from antdsl.runtime.moving.head_clearance import MIN_BODY_HEIGHT_SHARE
 from antdsl.runtime.moving.obstacles import slide_steps, slow_velocities
 from antdsl.runtime.moving.orienting import orient_bodies
+from antdsl.runtime.moving.pacing import find_paces
 from antdsl.runtime.moving.postures import Posture, posture_of
 from antdsl.runtime.moving.scripted_walks import compute_guided_velocities, find_guided_agents, find_walks_by_line
 from antdsl.runtime.moving.slopes import SlopeStart, deflect_steps, find_walls_of_slope, has_slope_limit, lay_pushes
@@ -173,6 +174,9 @@ class _CrowdSubstep:
         outset = IntendedMotion(
             self.velocity, self.step, self.level_headings, self.step_lengths, self.max_tilts, self.wall_reach, self.state
         )
+        paces = find_paces(self.world, p)
+        if paces is not None:
+            paces.prepare_substep(p, substep, self.dt)
         work = partial(prepare_steps, drive, abilities, keeps, least, now["size"], p.quarantined, times, outset)
         results = parallel.run_in_parts(work, len(p), self.threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD)
         self.max_step_length, self.max_size = results[0] if len(results) == 1 else map(max, zip(*results, strict=True))
@@ -185,6 +189,10 @@ class _CrowdSubstep:
             self.step = vec.scale(self.velocity, self.dt)
             self.step_lengths = vec.length(self.step)
             self.max_step_length = float(self.step_lengths.max(initial=0.0, where=np.isfinite(self.step_lengths)))
+        if paces is not None:
+            paces.slow_steps(p, self.velocity, self.step, self.step_lengths)
+        if self.world.notes is not None:
+            self.world.notes.cut_steps(self.world, p, (self.step, self.velocity), float(self.dt))
 
     def deflect_at_obstacles(self) -> None:
         """Deflect steps along obstacles, and update the velocities of agents with deflected steps."""

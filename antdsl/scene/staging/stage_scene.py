@@ -197,6 +197,7 @@ def build_setting(
         deviations=staging.deviations,
         imports=collect_imports(staging),
         spans={name: scene.span("world", name) for name in model.world},
+        notes=model.notes,
         **things,
     )
     check_origin_distances(staging, setting)

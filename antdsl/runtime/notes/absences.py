@@ -1,0 +1,46 @@
+"""Agents that never appear, because of `without` and `thin`: they are removed at their birth, before they act.
+
+Their ids and start positions stay reserved, so all other agents are the same as without the note."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.numerics.randomness import draw_uniform
+from antdsl.runtime.selectable_agents import collect_selectable_frame
+from antdsl.runtime.world import World, select_rows
+from antdsl.scene.notes_model import Note, ThinNote, WithoutNote
+from antdsl.scene.selection import select_rows as select_agents
+
+_THIN_SITE = "note.thin"
+
+
+def remove_absent(world: World, notes: Iterable[Note], first_rows: dict[str, int], is_start: bool) -> None:
+    """Remove agents that never appear. `first_rows`: by species, the first row of the agents that are just born.
+
+    `is_start`: whether these are the agents of the crowd; only these are thinned."""
+    absences = [note for note in notes if isinstance(note, WithoutNote) or (is_start and isinstance(note, ThinNote))]
+    if not absences:
+        return
+    frame = collect_selectable_frame(world)
+    is_absent = {name: np.zeros(len(population), np.bool_) for name, population in world.populations.items()}
+    for note in absences:
+        for name, mask in select_agents(note.selector, frame).items():
+            is_absent[name] |= _thin_out(world, name, mask, note.to) if isinstance(note, ThinNote) else mask
+    for name, first in first_rows.items():
+        is_absent[name][:first] = False
+        if is_absent[name].any():
+            select_rows(world.populations[name], np.flatnonzero(~is_absent[name]))
+
+
+def _thin_out(world: World, species: str, mask: NDArray[np.bool_], share: float) -> NDArray[np.bool_]:
+    """Return which of the agents in a mask are absent, so that a share of them stays: those with the greatest draws."""
+    rows = np.flatnonzero(mask)
+    ids = world.populations[species].ids[rows]
+    draws = draw_uniform(world.setting.seed, 0, species, _THIN_SITE, 0, ids)
+    absent = np.zeros(len(mask), np.bool_)
+    absent[rows[np.lexsort((ids, draws))[round(share * len(rows)) :]]] = True
+    return absent

@@ -1,0 +1,52 @@
+"""Verbs that raise the events of `note_programs`: changes of state, clips and looks."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from antdsl.runtime.notes.active_notes import NoteAgents
+from antdsl.runtime.notes.targets import find_target
+from antdsl.runtime.world import AXES, Population, World
+from antdsl.scene.note_programs import LOOK_MACHINE, OFF_STATE, ON_STATE, PLAY_MACHINE, name_event, name_look_target
+from antdsl.scene.notes_model import ChangeNote
+
+
+def change_states(agents: NoteAgents) -> None:
+    """Raise the event of a `change` in its frame."""
+    note, population = agents.active.note, agents.population
+    assert isinstance(note, ChangeNote)
+    if agents.world.display_frame == note.frame:
+        for machine in population.plan.machines:
+            _raise_event(agents, machine.name, note.to.removeprefix(f"{machine.name}."))
+
+
+def show_displays(agents: NoteAgents) -> None:
+    """Raise the events of the clip and the looks of a note, and set the points that its agents look at."""
+    note, population, rows = agents.active.note, agents.population, agents.rows
+    if agents.world.display_frame > note.last_frame:
+        return  # they fade out
+    if note.played_clip:
+        _raise_event(agents, PLAY_MACHINE, note.played_clip)
+    for group, target in note.looks.items():
+        offset, distance = find_target(agents.world, target).find_nearest(population.position[rows])
+        if not np.isfinite(distance).all():
+            continue  # the agents that it looked at are dead
+        points = population.position[rows] + offset
+        for k, axis in enumerate(AXES):
+            population.now[f"{name_look_target(group)}.{axis}"][rows] = points[:, k]
+        _raise_event(agents, f"{LOOK_MACHINE}{group}", ON_STATE)
+
+
+def end_displays(world: World, population: Population) -> None:
+    """Raise the events that end clips and looks of all agents for which no note requests any in this step."""
+    for machine in population.plan.machines:
+        off = name_event(machine.name, OFF_STATE)
+        if off in population.events:
+            requested = [population.events[name_event(machine.name, state)] for state in machine.states if state != OFF_STATE]
+            population.events[off][:] = ~np.logical_or.reduce(requested) & (population.now[f"{machine.name}.state"] != 0)
+
+
+def _raise_event(agents: NoteAgents, machine: str, state: str) -> None:
+    flags = agents.population.events.get(name_event(machine, state))
+    if flags is not None:
+        flags[agents.rows] = True

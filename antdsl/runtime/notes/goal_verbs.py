@@ -1,0 +1,113 @@
+"""Verbs that lead agents somewhere: `reach` and `path`."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.numerics import elementary
+from antdsl.numerics.records import match_ids
+from antdsl.numerics.vector_rows import dot, length
+from antdsl.runtime.notes.active_notes import NoteAgents, smooth_share
+from antdsl.runtime.notes.targets import TargetPoints, drop_points, find_curve, find_curve_point, find_goal
+from antdsl.runtime.notes.wishes import Floats, lay_on_ground, read_max_speeds, wish_velocities
+from antdsl.scene.notes_model import PathNote, ReachNote
+
+_CRUISE_SHARE = 0.75  # of the greatest speed: agents leave in time to go so fast
+_URGENT_SHARES = 0.85, 0.95  # of the greatest speed: the share of the other layers falls from 1 to 0 in between
+_CATCH_UP_SECONDS = 0.25  # s, in which an agent comes back to the moving point of its path
+_AVOIDED_SIZES = 4.0  # bodies: how far agents keep away from their target before they leave for it
+_NOT_LEFT = np.iinfo(np.int64).min  # stands for the frame of a departure that has not been
+ARRIVAL_SIZES = 0.1  # of a body: an agent this near has reached its target
+
+
+class Journey(NamedTuple):
+    """Agents on their way to a target, at the start of a step.
+
+    `velocity` (k, 3) mm/s: takes them there in time. `share` (k,): how much of their wish that is. `urgency` (k,): how much of
+    the result of all layers it is."""
+
+    velocity: Floats
+    share: Floats
+    urgency: Floats
+
+
+def lead_to_target(agents: NoteAgents, register: str, is_final: bool) -> None:
+    """Lead agents of a `reach` to their target."""
+    note = agents.active.note
+    assert isinstance(note, ReachNote)
+    _wish_journey(agents, find_journey(agents, find_goal(agents.world, note.target), note.frame), register, is_final)
+
+
+def lead_along_path(agents: NoteAgents, register: str, is_final: bool) -> None:
+    """Lead agents of a `path` to its beginning, then along it."""
+    note, world = agents.active.note, agents.world
+    assert isinstance(note, PathNote)
+    curve, first, last = find_curve(world, note.along), note.frames.first, note.frames.last
+    if world.display_frame <= first:
+        start = TargetPoints(drop_points(world, find_curve_point(curve, 0.0)[None]), np.zeros(1))
+        _wish_journey(agents, find_journey(agents, start, first), register, is_final)
+        return
+    points = [find_curve_point(curve, (frame - first) / max(last - first, 1)) for frame in (world.frame, world.display_frame)]
+    now, then = drop_points(world, np.array(points))
+    position, rows = agents.population.position[agents.rows], agents.rows
+    velocity = (then - now) / world.dt + (now - position) * (1.0 / _CATCH_UP_SECONDS)
+    speed = length(velocity)
+    most = read_max_speeds(agents.population, rows)
+    velocity = lay_on_ground(agents.population, rows, velocity) * np.minimum(speed, most)[:, None]
+    share = np.full(len(rows), agents.weight)
+    _wish_journey(agents, Journey(velocity, share, share * _compute_urgency(speed, most)), register, is_final)
+
+
+def find_journey(agents: NoteAgents, target: TargetPoints, frame: int) -> Journey:
+    """Return the journey of agents that are to be at a target in a frame.
+
+    Each leaves as late as it can without haste, and keeps away from the target before."""
+    world, p, rows = agents.world, agents.population, agents.rows
+    offset, distance = target.find_nearest(p.position[rows])
+    direction, most = lay_on_ground(p, rows, offset), read_max_speeds(p, rows)
+    seconds = max(frame - world.frame, 1) * world.dt
+    heading = np.stack([p.now[f"heading.{axis}"][rows] for axis in "xyz"], axis=1).astype(np.float64)
+    turn = compute_turn_seconds(heading, direction, p.now["max_turn"][rows].astype(np.float64))
+    needs = np.where(distance > 0, distance / np.maximum(most * _CRUISE_SHARE, 1e-9), 0.0) + turn
+    left_at = _record_departures(agents, needs + world.dt * agents.active.note.ease_frames >= seconds)
+    since = np.where(left_at == _NOT_LEFT, 0, world.display_frame + 1 - left_at)
+    share = smooth_share(since / (agents.active.note.ease_frames + 1)) * agents.weight
+    size = p.now["size"][rows].astype(np.float64)
+    early = np.where(left_at == _NOT_LEFT, smooth_share(1.0 - distance / (_AVOIDED_SIZES * size)), 0.0)
+    speed = np.where(np.isfinite(distance), distance / seconds, 0.0)
+    velocity = direction * np.where(left_at == _NOT_LEFT, -most, np.minimum(speed, most))[:, None]
+    return Journey(velocity, np.maximum(share, early), np.maximum(share * _compute_urgency(speed, most), early))
+
+
+def compute_turn_seconds(heading: Floats, direction: Floats, max_turn: Floats) -> Floats:
+    """Return how long (s) agents take to turn to a direction (k, 3); 0 where it is zero."""
+    across = length(np.cross(heading, direction))
+    angle = elementary.atan2(across.astype(np.float32), dot(heading, direction).astype(np.float32)).astype(np.float64)
+    return np.where(np.isfinite(max_turn), angle / np.maximum(max_turn, 1e-6), 0.0)
+
+
+def _compute_urgency(speed: Floats, most: Floats) -> Floats:
+    low, high = _URGENT_SHARES
+    return smooth_share((speed / np.maximum(most, 1e-9) - low) / (high - low))
+
+
+def _record_departures(agents: NoteAgents, leaves: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Return the frame in which each agent left for its target; `_NOT_LEFT` for agents that have not.
+
+    `leaves`: those that leave now, if they have not left before."""
+    known = agents.recall("departures", np.empty((0, 2), np.int64))
+    at, has_left = match_ids(agents.ids, known[:, 0])
+    frames = np.where(leaves, agents.world.display_frame, _NOT_LEFT)
+    frames[has_left] = known[at[has_left], 1]
+    walkers = np.flatnonzero(frames != _NOT_LEFT)
+    walkers = walkers[np.argsort(agents.ids[walkers])]
+    agents.remember("departures", np.stack([agents.ids[walkers], frames[walkers]], axis=1))
+    return frames
+
+
+def _wish_journey(agents: NoteAgents, journey: Journey, register: str, is_final: bool) -> None:
+    share = journey.urgency if is_final else journey.share
+    wish_velocities(agents.world, agents.population, agents.rows, journey.velocity, share, register)

@@ -1,0 +1,174 @@
+"""The notes of a running world: which agents they act on, and what they remember between steps."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.numerics import vectors as vec
+from antdsl.numerics.vectors import VectorArrays
+from antdsl.runtime.moving.pacing import Paces
+from antdsl.runtime.notes.absences import remove_absent
+from antdsl.runtime.notes.active_notes import ActiveNote, NoteAgents, Rows, compute_weight
+from antdsl.runtime.notes.display_verbs import end_displays
+from antdsl.runtime.notes.outlines import Outline
+from antdsl.runtime.notes.target_findings import MissedTarget, find_missed_target
+from antdsl.runtime.notes.verbs import VERBS, VerbFunctions
+from antdsl.runtime.notes.wishes import FINAL_WISH, has_state_wish
+from antdsl.runtime.selectable_agents import collect_selectable_frame
+from antdsl.runtime.world import Population, World
+from antdsl.scene.notes_model import Note
+from antdsl.scene.selection import SelectableFrame, select_ids
+from antdsl.scene.selectors import AgentConditions, AgentName, AnySelector
+from antdsl.scene.setting import WorldSetting
+
+_PACE_KEY = "pace"  # of the shares of the speed in the last step
+
+
+@dataclass(slots=True, eq=False)
+class NoteRun:
+    """The notes of a world, by the keys that identify them in the memory.
+
+    `memory`: arrays by name that a later step needs: the ids that a selector of positions or states found, and the shares of the
+    speed in the last step. `active`: the notes of this step. `paces`: by species, of this step. `outlines`: a
+    cache, by thing and frame."""
+
+    notes: Mapping[str, Note]
+    memory: dict[str, NDArray[Any]] = field(default_factory=dict)
+    active: list[ActiveNote] = field(default_factory=list)
+    paces: dict[str, Paces] = field(default_factory=dict)
+    missed_targets: list[MissedTarget] = field(default_factory=list)
+    outlines: dict[tuple[str, int], list[Outline]] = field(default_factory=dict)
+
+    @staticmethod
+    def of(setting: WorldSetting) -> NoteRun | None:
+        """Return the notes of a setting; None without notes."""
+        notes = {
+            hashlib.blake2b(repr(note).encode(), digest_size=8).hexdigest(): note for note in setting.notes if note.off == "no"
+        }
+        return NoteRun(notes) if notes else None
+
+    def restore_memory(self, memory: Mapping[str, NDArray[Any]]) -> None:
+        """Remember copies of the arrays that belong to these notes, and nothing else."""
+        self.memory = {n: array.copy() for n, array in memory.items() if n.partition(".")[0] in {_PACE_KEY, *self.notes}}
+
+    # --- stages of a step ---------------------------------------------------------------------------------------------
+
+    def begin_step(self, world: World) -> None:
+        """Find the active notes and their agents, and the agents that move at another speed."""
+        frame: SelectableFrame | None = None
+        self.active.clear()
+        for key, note in self.notes.items():
+            weight = compute_weight(note, world.display_frame)
+            if weight and VERBS[note.verb] != VerbFunctions():
+                frame = frame or collect_selectable_frame(world)
+                self.active.append(ActiveNote(note, key, weight, self._find_rows(world, key, note, frame)))
+        for functions, agents in self._iterate_agents(world):
+            if functions.begin is not None:
+                functions.begin(agents)
+        for population in world.populations.values():
+            end_displays(world, population)
+        self._begin_paces(world)
+
+    def change_wishes(self, world: World, register: str) -> None:
+        """Mix the wishes of notes into what states steer, or into the result of the layers."""
+        for functions, agents in self._iterate_agents(world):
+            is_mixed = has_state_wish(agents.population)
+            if functions.wish is not None and (is_mixed or register == FINAL_WISH):
+                functions.wish(agents, register, is_mixed and register == FINAL_WISH)
+
+    def set_values(self, world: World) -> None:
+        """Set the attributes of agents."""
+        for functions, agents in self._iterate_agents(world):
+            if functions.values is not None:
+                functions.values(agents)
+
+    def remove_absent(self, world: World, first_rows: dict[str, int], *, is_start: bool = False) -> None:
+        """Remove agents that never appear, among those that are just born: of each species from its first row on."""
+        remove_absent(world, self.notes.values(), first_rows, is_start)
+
+    def begin_move(self, world: World) -> None:
+        """Prepare the species with agents that move at another speed."""
+        for name, paces in self.paces.items():
+            paces.begin_move(world.populations[name])
+
+    def cut_steps(self, world: World, population: Population, motion: tuple[VectorArrays, VectorArrays], dt: float) -> None:
+        """Cut the steps of a species, and its velocities, where notes forbid them. `motion`: steps (mm) and velocities (mm/s) of
+        a substep of `dt` s."""
+        for active in self.active:
+            cut = VERBS[active.note.verb].step
+            if cut is None or population.name not in active.rows:
+                continue
+            rows = active.rows[population.name]
+            full_steps = vec.stack_rows(vec.take_rows(motion[0], rows))
+            steps = cut(NoteAgents(world, active, population), full_steps)
+            at = np.flatnonzero((steps != full_steps).any(axis=1))
+            for k in range(3):
+                motion[0][k][rows[at]] = steps[at, k]
+                motion[1][k][rows[at]] = steps[at, k] / dt
+
+    def end_move(self, world: World) -> None:
+        """Restore the limits of agents that moved at another speed, and record those that missed their target."""
+        for name, paces in self.paces.items():
+            paces.end_move(world.populations[name])
+        missed = (find_missed_target(agents) for _, agents in self._iterate_agents(world))
+        self.missed_targets += [each for each in missed if each is not None]
+
+    # --- agents -------------------------------------------------------------------------------------------------------
+
+    def _find_rows(self, world: World, key: str, note: Note, frame: SelectableFrame) -> dict[str, Rows]:
+        """Return the living agents of a note, by species. Positions and states are read once, when the note begins."""
+        selector = note.selector
+        names = {species: f"{key}.{species}.ids" for species in world.populations}
+        if not _reads_frame(selector):
+            selected = select_ids(selector, frame)
+        elif not names.values() & self.memory.keys():
+            selected = select_ids(selector, frame)
+            self.memory |= {name: selected.get(species, np.empty(0, np.int64)) for species, name in names.items()}
+        else:
+            selected = {species: self.memory[name] for species, name in names.items() if name in self.memory}
+        rows = {species: world.populations[species].find_rows(ids) for species, ids in selected.items()}
+        return {species: own[own >= 0] for species, own in rows.items() if (own >= 0).any()}
+
+    def _iterate_agents(self, world: World) -> Iterator[tuple[VerbFunctions, NoteAgents]]:
+        for active in self.active:
+            for species in active.rows:
+                yield VERBS[active.note.verb], NoteAgents(world, active, world.populations[species])
+
+    def _begin_paces(self, world: World) -> None:
+        """Compute the share of its speed at which each agent moves: the product over all notes."""
+        shares: dict[str, NDArray[np.float32]] = {}
+        for functions, agents in self._iterate_agents(world):
+            if functions.pace is not None:
+                own = shares.setdefault(agents.population.name, np.ones(len(agents.population), np.float32))
+                own[agents.rows] *= functions.pace(agents)
+        self.paces.clear()
+        for name, population in world.populations.items():
+            previous = np.ones(len(population), np.float32)
+            ids_name, shares_name = (f"{_PACE_KEY}.{name}.{part}" for part in ("ids", "shares"))
+            if ids_name in self.memory:
+                rows = population.find_rows(self.memory.pop(ids_name))
+                previous[rows[rows >= 0]] = self.memory.pop(shares_name)[rows >= 0]
+            own = shares.get(name, np.ones(len(population), np.float32))
+            rows = np.flatnonzero((own != 1) | (previous != 1))
+            if len(rows):
+                self.paces[name] = paces = Paces(rows, own[rows], previous[rows])
+                paces.restore_velocities(population)
+                slow = rows[own[rows] != 1]
+                slow = slow[np.argsort(population.ids[slow])]
+                self.memory[ids_name], self.memory[shares_name] = population.ids[slow], own[slow]
+
+
+def _reads_frame(selector: AnySelector | None) -> bool:
+    """Return whether a selector depends on positions or states, and not only on ids."""
+    if selector is None or isinstance(selector, AgentName):
+        return False
+    if isinstance(selector, AgentConditions):
+        own = (selector.state, selector.near, selector.region, selector.in_view)
+        return any(each is not None for each in own) or _reads_frame(selector.of) or _reads_frame(selector.without)
+    return any(map(_reads_frame, selector))

@@ -1,0 +1,123 @@
+"""Outlines of things, seen from above: convex polygons of meshes, and circles of items, now and in coming frames."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.numerics.vector_rows import find_rows_in_box
+from antdsl.runtime.moving.moving_geometry import compute_vertices
+from antdsl.runtime.world import World
+
+Floats = NDArray[np.float64]
+_PAIRS_PER_BLOCK = 1 << 18  # pairs of a point and an edge that are measured at once
+
+
+class Outline(NamedTuple):
+    """A convex polygon along the ground's two axes, with corners (k, 2) mm in order, widened by `margin` mm.
+
+    Fewer than three corners are points or a line."""
+
+    corners: Floats
+    margin: float
+
+
+def find_outlines(world: World, name: str, frame: int) -> list[Outline]:
+    """Return the outlines of a mesh, an item or items at a frame. They are cached: the frames ahead come later."""
+    assert world.notes is not None
+    cache, key = world.notes.outlines, (name, frame if world.setting.motion else 0)
+    if key not in cache:
+        for old in [each for each in cache if each[1] < world.frame]:
+            del cache[old]
+        cache[key] = _compute_outlines(world, name, frame)
+    return cache[key]
+
+
+def _compute_outlines(world: World, name: str, frame: int) -> list[Outline]:
+    axes = find_level_axes(world)
+    setting = world.setting
+    for meshes in (setting.obstacles, setting.surfaces):
+        if name in meshes:
+            moves = name in setting.motion.meshes
+            vertices = compute_vertices(world, name, frame) if moves else meshes[name].vertices - world.origin
+            return [Outline(_find_hull(vertices[:, axes]), 0.0)]
+    outlines = []
+    for group, items in setting.items.items():
+        tracks = setting.motion.items.get(group)
+        for k, item in enumerate(items):
+            if name in (group, item.name):
+                position = item.position if tracks is None else setting.motion.find_positions(tracks, frame)[k]
+                outlines.append(Outline((np.asarray(position) - world.origin)[None, axes], item.radius))
+    return outlines
+
+
+def find_level_axes(world: World) -> NDArray[np.intp]:
+    """Return the two axes along the ground: x and z, or x and y."""
+    return np.flatnonzero(np.arange(3) != int(np.abs(world.up).argmax()))
+
+
+def find_centre(world: World, outlines: list[Outline]) -> Floats:
+    """Return the middle (3,) of outlines, along the ground's axes; 0 along the world's up."""
+    centre = np.zeros(3)
+    centre[find_level_axes(world)] = np.mean([outline.corners.mean(axis=0) for outline in outlines], axis=0) if outlines else 0.0
+    return centre
+
+
+def measure_outlines(world: World, outlines: list[Outline], position: Floats, reach: float) -> tuple[Floats, Floats]:
+    """Return the distances (n,) mm of positions (n, 3) from the nearest outline, negative inside, and the directions out
+    (n, 3). Beyond `reach` (mm) the distance is inf."""
+    axes = find_level_axes(world)
+    nearest, outward = np.full(len(position), np.inf), np.zeros((len(position), 3))
+    for outline in outlines:
+        far = outline.margin + reach
+        low, high = np.full(3, -np.inf), np.full(3, np.inf)
+        low[axes], high[axes] = outline.corners.min(axis=0) - far, outline.corners.max(axis=0) + far
+        every = find_rows_in_box(position, low, high)
+        for first in range(0, len(every), max(1, _PAIRS_PER_BLOCK // len(outline.corners))):
+            rows = every[first : first + max(1, _PAIRS_PER_BLOCK // len(outline.corners))]
+            distance, out = _measure_polygon(outline.corners, position[np.ix_(rows, axes)])
+            distance -= outline.margin
+            nearer = np.flatnonzero(distance < nearest[rows])
+            nearest[rows[nearer]] = distance[nearer]
+            outward[np.ix_(rows[nearer], axes)] = out[nearer]
+    return np.where(nearest <= reach, nearest, np.inf), outward
+
+
+def _find_hull(points: Floats) -> Floats:
+    """Return the corners of the convex hull of points (n, 2), counter-clockwise: A. M. Andrew, Another efficient algorithm for
+    convex hulls in two dimensions, IPL 1979."""
+    ordered = np.unique(points, axis=0)
+    chains = []
+    for chain_points in (ordered, ordered[::-1]):
+        chain: list[tuple[float, float]] = []
+        for x, y in chain_points.tolist():
+            while len(chain) > 1 and _turns_right(chain[-2], chain[-1], (x, y)):
+                chain.pop()
+            chain.append((x, y))
+        chains += chain[:-1] if len(ordered) > 1 else chain[:1]
+    return np.array(chains).reshape(-1, 2)
+
+
+def _turns_right(a: tuple[float, float], b: tuple[float, float], c: tuple[float, float]) -> bool:
+    return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]) <= 0
+
+
+def _measure_polygon(corners: Floats, points: Floats) -> tuple[Floats, Floats]:
+    """Return the distances (n,) of points (n, 2) from a convex polygon, negative inside, and the directions out (n, 2)."""
+    edge = np.roll(corners, -1, axis=0) - corners
+    square = edge[:, 0] * edge[:, 0] + edge[:, 1] * edge[:, 1]
+    divisor = np.where(square > 0, square, 1.0)
+    x, y = (points[:, None, k] - corners[:, k] for k in range(2))
+    share = np.clip((x * edge[:, 0] + y * edge[:, 1]) / divisor, 0.0, 1.0)
+    away_x, away_y = x - share * edge[:, 0], y - share * edge[:, 1]
+    distances = np.sqrt(away_x * away_x + away_y * away_y)
+    size = np.sqrt(divisor)
+    depths = (x * edge[:, 1] - y * edge[:, 0]) / size
+    rows, nearest, shallowest = np.arange(len(points)), distances.argmin(axis=1), depths.argmax(axis=1)
+    distance, depth = distances[rows, nearest], depths[rows, shallowest]
+    out = np.stack([away_x[rows, nearest], away_y[rows, nearest]], axis=1) / np.where(distance > 0, distance, np.inf)[:, None]
+    inner = (np.stack([edge[:, 1], -edge[:, 0]], axis=1) / size[:, None])[shallowest]
+    is_inside = (depth <= 0) & (len(corners) > 2)
+    return np.where(is_inside, depth, distance), np.where(is_inside[:, None], inner, out)

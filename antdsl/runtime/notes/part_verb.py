@@ -1,0 +1,76 @@
+"""The verb `part`: agents make way for something before it reaches them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from antdsl.numerics.vector_rows import dot, length
+from antdsl.runtime.notes.active_notes import NoteAgents, smooth_share
+from antdsl.runtime.notes.outlines import find_centre, find_outlines, measure_outlines
+from antdsl.runtime.notes.regions import RegionDistances, cut_inward_steps
+from antdsl.runtime.notes.wishes import Floats, lay_on_ground, read_max_speeds, wish_velocities
+from antdsl.runtime.world import World
+from antdsl.scene.notes_model import PartNote
+
+_AHEAD_SECONDS = (0.0, 0.25, 0.5, 1.0, 1.5, 2.0, 3.0)  # s, at which agents compare their position with the outline
+_TURN_SECONDS, _SPARE_SECONDS = 0.25, 0.5  # s, to turn away; and to spare, from which on agents begin to make way
+_CLEAR_SHARE = 0.25  # of the distance: how far agents are outside the outline when it passes
+_URGENT_SHARE = 0.6  # of the need, from which on the other layers count less
+
+
+def make_way(agents: NoteAgents, register: str, is_final: bool) -> None:
+    """Lead agents of a `part` away from the outline, and out of its way."""
+    p, rows = agents.population, agents.rows
+    need, direction = _find_needs(agents)
+    share = smooth_share((need - _URGENT_SHARE) / (1.0 - _URGENT_SHARE)) if is_final else need
+    velocity = lay_on_ground(p, rows, direction) * read_max_speeds(p, rows)[:, None]
+    wish_velocities(agents.world, p, rows, velocity, share * agents.weight, register)
+
+
+def stop_at_outline(agents: NoteAgents, step: Floats) -> Floats:
+    """Return the steps (k, 3) mm of agents, cut at the outline in the new frame."""
+    note, world, p, rows = agents.active.note, agents.world, agents.population, agents.rows
+    assert isinstance(note, PartNote)
+    outlines = find_outlines(world, note.thing, world.display_frame)
+    reach = float(p.now["radius"][rows].max(initial=0.0) + read_max_speeds(p, rows).max(initial=0.0) * world.dt)
+    outside, outward = measure_outlines(world, outlines, p.position[rows], reach)
+    distances = RegionDistances(outside - p.now["radius"][rows], outward)
+    return cut_inward_steps(distances, step, p.normal[rows].astype(np.float64)) if agents.weight == 1.0 else step
+
+
+def _find_needs(agents: NoteAgents) -> tuple[Floats, Floats]:
+    """Return how much agents need to make way, from 0 to 1, and the direction (k, 3)."""
+    note, world, p, rows = agents.active.note, agents.world, agents.population, agents.rows
+    assert isinstance(note, PartNote)
+    distance, moves = note.distance.to_millimetres(world.setting.unit_mm), world.setting.motion
+    speed = np.maximum(read_max_speeds(p, rows), 1e-6)
+    clear = p.now["radius"][rows] + distance * _CLEAR_SHARE
+    need, direction = np.zeros(len(rows)), np.zeros((len(rows), 3))
+    reach = max(distance, float(clear.max(initial=0.0)))
+    centre = find_centre(world, find_outlines(world, note.thing, world.display_frame))
+    for seconds in _AHEAD_SECONDS if moves else _AHEAD_SECONDS[:1]:
+        outlines = find_outlines(world, note.thing, world.display_frame + round(seconds / world.dt))
+        outside, outward = measure_outlines(world, outlines, p.position[rows], reach)
+        outward = _turn_aside(world, outward, find_centre(world, outlines) - centre)
+        if seconds:
+            spare = seconds - np.maximum(clear - np.minimum(outside, clear), 0.0) / speed - _TURN_SECONDS
+            own = np.where(outside < clear, smooth_share(1.0 - spare / _SPARE_SECONDS), 0.0)
+        else:
+            own = smooth_share(1.0 - outside / distance)
+        direction += own[:, None] * outward
+        need = np.maximum(need, own)
+    return need, direction
+
+
+def _turn_aside(world: World, outward: Floats, travel: Floats) -> Floats:
+    """Return directions out (k, 3) turned to the side of a thing that moves by `travel` (3,) mm, so that no agent runs
+    ahead of it."""
+    (distance,) = length(travel[None]).tolist()
+    if distance < 1e-6:
+        return outward
+    ahead = travel / distance
+    left = np.cross(world.up, ahead)
+    side = np.where(dot(outward, np.broadcast_to(left, outward.shape)) < 0, -1.0, 1.0)
+    has_direction = (outward != 0).any(axis=1)
+    turned: Floats = np.where(has_direction[:, None], side[:, None] * left, 0.0)
+    return turned

@@ -1,0 +1,87 @@
+"""Verbs with a region: `slow`, `forbid`, `attract`, `repel` and `lane`."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from antdsl.numerics.vector_rows import length
+from antdsl.runtime.notes.active_notes import NoteAgents, smooth_share
+from antdsl.runtime.notes.pace_verbs import Shares
+from antdsl.runtime.notes.regions import compute_region_share, cut_inward_steps, measure_note_region
+from antdsl.runtime.notes.targets import find_curve, find_goal
+from antdsl.runtime.notes.wishes import Floats, lay_on_ground, read_max_speeds, wish_velocities
+from antdsl.scene.notes_model import AttractNote, ForbidNote, LaneNote, RepelNote, SlowNote
+
+
+def slow_in_region(agents: NoteAgents) -> Shares:
+    """Return the shares of a `slow`."""
+    note, distances = agents.active.note, measure_note_region(agents)
+    assert isinstance(note, SlowNote)
+    share = compute_region_share(agents, None if distances is None else distances.outside)
+    return (1.0 - share * (1.0 - note.speed)).astype(np.float32)
+
+
+def lead_out_of_region(agents: NoteAgents, register: str, is_final: bool) -> None:
+    """Lead agents out of the region of a `forbid`, and away from it in its falloff."""
+    distances = measure_note_region(agents)
+    assert distances is not None
+    _wish_direction(agents, distances.outward, compute_region_share(agents, distances.outside), register, is_final)
+
+
+def stop_at_region(agents: NoteAgents, step: Floats) -> Floats:
+    """Return the steps (k, 3) mm of agents, cut at the border of a `forbid`."""
+    distances = measure_note_region(agents)
+    assert isinstance(agents.active.note, ForbidNote) and distances is not None
+    normal = agents.population.normal[agents.rows].astype(np.float64)
+    return cut_inward_steps(distances, step, normal) if agents.weight == 1.0 else step
+
+
+def lead_towards(agents: NoteAgents, register: str, is_final: bool) -> None:
+    """Lead agents towards the target of an `attract`, until they reach it."""
+    note = agents.active.note
+    assert isinstance(note, AttractNote)
+    offset, distance = find_goal(agents.world, note.target).find_nearest(agents.population.position[agents.rows])
+    _lead_by_distance(agents, note, offset, np.where(distance > 0, distance, np.inf), register, is_final)
+
+
+def lead_away(agents: NoteAgents, register: str, is_final: bool) -> None:
+    """Lead agents away from the target of a `repel`."""
+    note = agents.active.note
+    assert isinstance(note, RepelNote)
+    offset, distance = find_goal(agents.world, note.target).find_nearest(agents.population.position[agents.rows])
+    _lead_by_distance(agents, note, -offset, distance, register, is_final)
+
+
+def lead_along_lane(agents: NoteAgents, register: str, is_final: bool) -> None:
+    """Lead agents along the curve of a `lane`, and back to its middle."""
+    note, world, position = agents.active.note, agents.world, agents.population.position[agents.rows]
+    assert isinstance(note, LaneNote)
+    closest = find_curve(world, note.along).find_closest(*position.T)
+    nearest, tangent = (
+        np.stack([getattr(closest, f"{part}{axis}") for axis in "xyz"], axis=1).astype(np.float64) for part in ("p", "t")
+    )
+    half = note.width.to_millimetres(world.setting.unit_mm) / 2
+    offset = nearest - position
+    distance = length(offset)
+    share = compute_region_share(agents, distance - half)
+    _wish_direction(agents, tangent + offset / half, share, register, is_final)
+
+
+def _lead_by_distance(
+    agents: NoteAgents, note: AttractNote | RepelNote, direction: Floats, distance: Floats, register: str, is_final: bool
+) -> None:
+    """Lead agents in a direction: fully at the target, and not at all from the radius of the note on."""
+    share = compute_region_share(agents, None) * np.isfinite(distance)
+    if note.radius is not None:
+        share *= smooth_share(2.0 - 2.0 * distance / note.radius.to_millimetres(agents.world.setting.unit_mm))
+    _wish_direction(agents, direction, share, register, is_final)
+
+
+def _wish_direction(agents: NoteAgents, direction: Floats, share: Floats, register: str, is_final: bool) -> None:
+    """Mix a wish for full speed in a direction into what agents steer."""
+    if is_final:
+        return
+    p, chosen = agents.population, np.flatnonzero(share > 0)
+    rows = agents.rows[chosen]
+    velocity = lay_on_ground(p, rows, direction[chosen]) * read_max_speeds(p, rows)[:, None]
+    wish_velocities(agents.world, p, rows, velocity, share[chosen], register)

@@ -1,0 +1,102 @@
+"""Regions of notes: how far agents are outside them, and which direction leads out."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from antdsl.numerics.vector_rows import dot, length
+from antdsl.runtime.notes.active_notes import NoteAgents, smooth_share
+from antdsl.runtime.notes.targets import find_curve, find_item_points
+from antdsl.runtime.notes.wishes import Floats
+from antdsl.runtime.world import World
+from antdsl.scene.notes_model import Band, NoteRegion, RegionNote
+from antdsl.scene.selectors import Ball, Box
+from antdsl.scene.thing_models import convert_point
+
+
+class RegionDistances(NamedTuple):
+    """How agents are to a region. `outside` (n,): the distance (mm) to it, negative inside. `outward` (n, 3): the unit direction
+    out, or away from it."""
+
+    outside: Floats
+    outward: Floats
+
+
+def measure_region(world: World, region: NoteRegion, position: Floats) -> RegionDistances:
+    """Return the distances of positions (n, 3) from a region."""
+    if isinstance(region, Box):
+        return _measure_box(world, region, position)
+    if isinstance(region, Band):
+        closest = find_curve(world, region.along).find_closest(*position.T)
+        nearest = np.stack([closest.px, closest.py, closest.pz], axis=1).astype(np.float64)
+        half = region.width.to_millimetres(world.setting.unit_mm) / 2
+    else:
+        nearest, half = _find_centre(world, region), region.radius.to_millimetres(world.setting.unit_mm)
+    offset = position - nearest
+    distance = length(offset)
+    return RegionDistances(distance - half, offset / np.where(distance > 1e-9, distance, np.inf)[:, None])
+
+
+def _find_centre(world: World, ball: Ball) -> Floats:
+    if isinstance(ball.around, str):
+        return find_item_points(world, ball.around).points[:1]
+    return np.array([convert_point(ball.around, world.setting.unit_mm)], np.float64) - world.origin
+
+
+def _measure_box(world: World, box: Box, position: Floats) -> RegionDistances:
+    """Return the distances from a box. Inside, the direction leads along the ground: not to the top or bottom of the box."""
+    corners = np.array([convert_point(point, world.setting.unit_mm) for point in (box.corner, box.opposite)]) - world.origin
+    middle, half = corners.mean(axis=0), np.abs(corners[1] - corners[0]) / 2
+    offset = position - middle
+    beyond = np.abs(offset) - half
+    side = np.where(offset < 0, -1.0, 1.0)
+    past = np.maximum(beyond, 0.0) * side
+    outside = length(past)
+    level = np.where(np.abs(world.up) > 0.5, -np.inf, beyond)  # of the axes along the ground
+    axis = level.argmax(axis=1)
+    rows = np.arange(len(position))
+    inward = np.zeros_like(position)
+    inward[rows, axis] = side[rows, axis]
+    is_outside = outside > 0
+    outward = np.where(is_outside[:, None], past / np.where(is_outside, outside, 1.0)[:, None], inward)
+    return RegionDistances(np.where(is_outside, outside, level[rows, axis]), outward)
+
+
+def compute_region_share(agents: NoteAgents, outside: Floats | None) -> Floats:
+    """Return the share (k,) of a note that its region, its falloff, its strength and its map leave for each agent.
+
+    `outside`: the distances from the region; None if the note has none."""
+    note, world = agents.active.note, agents.world
+    assert isinstance(note, RegionNote)
+    share = np.full(len(agents.rows), agents.weight * note.strength)
+    if outside is not None:
+        falloff = 0.0 if note.falloff is None else note.falloff.to_millimetres(world.setting.unit_mm)
+        share *= smooth_share(1.0 - outside / falloff) if falloff else (outside <= 0)
+    if note.painted is not None and world.ground.meshes is not None:
+        footing = agents.population.footing.take_rows(agents.rows)
+        share *= np.clip(world.maps[note.painted].at(world.ground.meshes, footing).astype(np.float64), 0.0, 1.0)
+    return share
+
+
+def measure_note_region(agents: NoteAgents) -> RegionDistances | None:
+    """Return the distances of the agents of a note from its region; None if it has none."""
+    note = agents.active.note
+    assert isinstance(note, RegionNote)
+    if note.region is None:
+        return None
+    return measure_region(agents.world, note.region, agents.population.position[agents.rows])
+
+
+def cut_inward_steps(distances: RegionDistances, step: Floats, normal: Floats) -> Floats:
+    """Return steps (k, 3) mm that end outside a region, or no deeper inside: they slide along its border.
+
+    `normal` (k, 3): of the ground."""
+    flat = distances.outward - dot(distances.outward, normal)[:, None] * normal
+    size = length(flat)
+    out = flat / np.where(size > 1e-6, size, np.inf)[:, None]
+    reach = np.maximum(distances.outside, 0.0) / np.maximum(size, 1e-6)
+    excess = np.maximum(-dot(step, out) - reach, 0.0)
+    cut: Floats = step + excess[:, None] * out
+    return cut

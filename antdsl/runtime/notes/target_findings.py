@@ -1,0 +1,101 @@
+"""Findings about targets of notes: agents that cannot be there in time, before a run, and agents that were not, after it."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from antdsl.diagnostics import Report
+from antdsl.numerics.vector_rows import length
+from antdsl.runtime.notes.active_notes import NoteAgents
+from antdsl.runtime.notes.targets import drop_points, find_curve, find_curve_point, find_goal, find_item_points
+from antdsl.runtime.notes.wishes import Floats, read_max_speeds
+from antdsl.runtime.selectable_agents import collect_selectable_frame
+from antdsl.runtime.world import World
+from antdsl.scene import Scene
+from antdsl.scene.notes_model import Note, PathNote, ReachNote
+from antdsl.scene.selection import select_rows
+from antdsl.scene.selectors import AgentName
+
+_HELP = "write a later frame, choose nearer agents, or give them a larger `max_speed`"
+
+
+class MissedTarget(NamedTuple):
+    """Agents that were not at the target of a note in its frame: how many, and the one that was farthest from it."""
+
+    note: Note
+    species: str
+    late_count: int
+    agent: int
+    distance: float
+
+
+def find_missed_target(agents: NoteAgents) -> MissedTarget | None:
+    """Return the agents of a note that are too late at the end of a step; None if all are in time.
+
+    Those that are there one step later are in time."""
+    note, world, p = agents.active.note, agents.world, agents.population
+    if not isinstance(note, ReachNote) or world.display_frame != note.frame:
+        return None
+    _, distance = find_goal(world, note.target).find_nearest(p.position[agents.rows])
+    late = np.flatnonzero(distance > read_max_speeds(p, agents.rows) * world.dt)
+    if not len(late):
+        return None
+    farthest = late[np.lexsort((agents.ids[late], -distance[late]))[0]]
+    return MissedTarget(note, p.name, len(late), int(agents.ids[farthest]), float(distance[farthest]))
+
+
+def report_missed_targets(scene: Scene, world: World) -> Report:
+    """Return warnings about agents that were not at the targets of notes during a run."""
+    report = Report()
+    for miss in world.notes.missed_targets if world.notes is not None else ():
+        subject = f"`{miss.species}.{miss.agent}`" + (f" and {miss.late_count - 1:,} others" if miss.late_count > 1 else "")
+        words = f"{subject} missed the target of this note: `{miss.species}.{miss.agent}` was {miss.distance:.1f} mm away from it"
+        report.warning("far-target", words, scene.span("notes", scene.model.notes.index(miss.note)), _HELP)
+    return report
+
+
+def find_far_targets(scene: Scene, world: World) -> Report:
+    """Return warnings about agents that are too far from the targets of notes to be there in time, at the start of a run."""
+    report = Report()
+    for number, note in enumerate(world.setting.notes):
+        if not isinstance(note, ReachNote | PathNote) or note.off == "yes":
+            continue
+        for name, mask in select_rows(note.selector, collect_selectable_frame(world)).items():
+            p, rows = world.populations[name], np.flatnonzero(mask)
+            for goal in _find_goals(world, note, p.position[rows]) if len(rows) else ():
+                most = read_max_speeds(p, rows) * goal.seconds
+                worst = int((goal.distance - most).argmax())
+                missing = goal.distance[worst] - most[worst]
+                if missing > 0:
+                    text = f"`{name}.{p.ids[rows[worst]]}` cannot {goal.words} in time: it walks {most[worst]:.0f} mm at most in "
+                    text += f"{goal.seconds:.3g} s, and {missing:.1f} mm are missing"
+                    report.warning("far-target", text, scene.span("notes", number), _HELP)
+    return report
+
+
+class _Goal(NamedTuple):
+    """What a note requires: each agent walks a `distance` (n,) mm in `seconds`. `words`: what that is."""
+
+    distance: Floats
+    seconds: float
+    words: str
+
+
+def _find_goals(world: World, note: ReachNote | PathNote, position: Floats) -> list[_Goal]:
+    """Return what a note requires of agents at their positions (n, 3). Targets that move are left out."""
+    moves = world.setting.motion
+    if isinstance(note, ReachNote):
+        named = note.target.name if isinstance(note.target, AgentName) else ""
+        moving = named in moves.items or any(named in world.items[each].names for each in moves.items if each in world.items)
+        if named and (moving or not len(find_item_points(world, named).points)):
+            return []
+        distance = find_goal(world, note.target).find_nearest(position)[1]
+        return [_Goal(distance, max(note.frame - world.frame, 0) * world.dt, "reach the target")]
+    curve, (first, last) = find_curve(world, note.along), note.frames
+    to_start = length(position - drop_points(world, find_curve_point(curve, 0.0)[None]))
+    return [
+        _Goal(to_start, max(first - world.frame, 0) * world.dt, "be at the beginning of the path"),
+        _Goal(np.full(len(position), curve.length), (last - first) * world.dt, "walk along the path"),
+    ]

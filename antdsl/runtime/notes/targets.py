@@ -1,0 +1,92 @@
+"""Targets of notes: points, items, agents and curves, in the world's own coordinates."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.casting.curves import SampledCurve
+from antdsl.numerics.vector_rows import length
+from antdsl.runtime.moving.moving_geometry import make_curve
+from antdsl.runtime.selectable_agents import collect_selectable_frame
+from antdsl.runtime.world import World
+from antdsl.scene.selection import select_rows
+from antdsl.scene.selectors import AgentName
+from antdsl.scene.thing_models import convert_point
+from antdsl.scene.values import PointValue
+
+Floats = NDArray[np.float64]
+
+
+class TargetPoints(NamedTuple):
+    """Points (k, 3) in mm, and the radius (mm) around each that counts as reached."""
+
+    points: Floats
+    radii: Floats
+
+    def find_nearest(self, position: Floats) -> tuple[Floats, Floats]:
+        """Return the offset (n, 3) to the nearest point of each position, and how far (n,) it is to its radius (mm).
+
+        Without points, both are 0 and nan."""
+        if not len(self.points):
+            return np.zeros_like(position), np.full(len(position), np.nan)
+        from scipy.spatial import cKDTree
+
+        nearest = cKDTree(self.points).query(position)[1]
+        offset = self.points[nearest] - position
+        return offset, np.maximum(length(offset) - self.radii[nearest], 0.0)
+
+
+def find_goal(world: World, target: PointValue | AgentName) -> TargetPoints:
+    """Return the points of a target that agents walk to: points are dropped onto the ground."""
+    goal = find_target(world, target)
+    return goal if isinstance(target, AgentName) else TargetPoints(drop_points(world, goal.points), goal.radii)
+
+
+def drop_points(world: World, points: Floats) -> Floats:
+    """Return the points (k, 3) of the ground below or above points, from the top; the nearest ones where there are none."""
+    return world.ground.position(world.ground.place_points(points, world.up)[0])
+
+
+def find_target(world: World, target: PointValue | AgentName) -> TargetPoints:
+    """Return the points of a target at the start of the step."""
+    if not isinstance(target, AgentName):
+        point = np.array([convert_point(target, world.setting.unit_mm)], np.float64) - world.origin
+        return TargetPoints(point, np.zeros(1))
+    items = find_item_points(world, target.name)
+    if target.first is None and len(items.points):
+        return items
+    masks = select_rows(target, collect_selectable_frame(world))
+    parts = [(world.populations[name], mask) for name, mask in masks.items()]
+    return TargetPoints(
+        np.concatenate([np.empty((0, 3)), *(p.position[mask] for p, mask in parts)]),
+        np.concatenate([np.empty(0), *(p.start["radius"][mask].astype(np.float64) for p, mask in parts)]),
+    )
+
+
+def find_item_points(world: World, name: str) -> TargetPoints:
+    """Return the points of an item, or of all items of a name; no points without such items."""
+    for items_name, items in world.items.items():
+        rows = np.arange(len(items)) if items_name == name else np.flatnonzero([each == name for each in items.names])
+        if len(rows):
+            return TargetPoints(items.position[rows], items.visible_values["radius"][rows].astype(np.float64))
+    return TargetPoints(np.empty((0, 3)), np.empty(0))
+
+
+def find_curve(world: World, along: str | tuple[PointValue, ...]) -> SampledCurve:
+    """Return a curve of the scene in its present position, or the curve through points."""
+    if isinstance(along, str):
+        return world.curves[along]
+    return make_curve(np.array([convert_point(point, world.setting.unit_mm) for point in along], np.float64) - world.origin)
+
+
+def find_curve_point(curve: SampledCurve, share: float) -> Floats:
+    """Return the point (3,) at a share from 0 to 1 of the length of a curve with evenly spaced samples."""
+    at = min(max(share, 0.0), 1.0) * (len(curve.samples) - 1)
+    first = min(int(at), max(len(curve.samples) - 2, 0))
+    point: Floats = curve.samples[first] + (at - first) * (
+        curve.samples[min(first + 1, len(curve.samples) - 1)] - curve.samples[first]
+    )
+    return point

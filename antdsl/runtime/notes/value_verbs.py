@@ -1,0 +1,29 @@
+"""The verb `set`: attributes have other values."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from antdsl.plan.ir import ValueKind
+from antdsl.runtime.notes.active_notes import NoteAgents, compute_weight
+from antdsl.scene.notes_model import SetNote
+
+
+def set_attributes(agents: NoteAgents) -> None:
+    """Set the attributes of a `set`, after the program has set its own."""
+    note, p, rows, setting = agents.active.note, agents.population, agents.rows, agents.world.setting
+    assert isinstance(note, SetNote)
+    weight, previous = agents.weight, compute_weight(note, agents.world.display_frame - 1)
+    growth = max(weight - previous, 0.0) / max(1.0 - previous, 1e-9)  # of what is left to the value
+    for name, value in note.to.items():
+        if name not in p.now:
+            continue  # another species of the selection has it
+        register = p.now[name]
+        if p.plan.registers[name].kind is ValueKind.BOOL:
+            register[rows] = bool(value) if weight == 1.0 else register[rows]
+            continue
+        goal = np.float32(value if isinstance(value, bool) else value.to_base_units(setting.unit_mm, setting.dt))
+        own = register[rows]
+        # the program may set the value in each step, or it may have stayed as the last step left it
+        share = np.where(own != p.start[name][rows], np.float32(weight), np.float32(1.0 if weight == 1.0 else growth))
+        register[rows] = own + (goal - own) * share if weight < 1.0 else goal

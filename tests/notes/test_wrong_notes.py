@@ -1,0 +1,78 @@
+"""What is said of wrong notes: the place in the text, what is wrong, and what to write instead."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from directed import PROGRAM, open_directed
+
+from antdsl.pipeline import RunChoices, check_path, open_scene
+
+WRONG = [
+    ("{hald: ant}", "wrong-value", "`hald` is no verb of a note", "did you mean `hold`?", "{hald: ant}"),
+    ("{frames: 1..2, hold: ant}",
+     "wrong-value", "`frames` comes before the verb of this note", "write `{hold: ant, frames: …}`", None),
+    ("{hold: gards.17}", "unknown-thing", "no crowd line or species is named `gards`", "did you mean `guards`?", "gards.17"),
+    ("{hold: guards.99}",
+     "unknown-thing", "`guards.99` does not exist: `guards` has 60 agents", "write a number from 0 to 59", "guards.99"),
+    ("{hold: guards, frame: 3}", "unknown-key", "`frame` is not a key of `hold`", "did you mean `frames`?", "frame"),
+    ("{hold: guards, look_at: {head: leef}}", "unknown-thing", "named `leef`", "did you mean `leaf`?", "leef"),
+    ("{reach: guards.1, target: leaf}", "missing-key", "has no `frame`", "add `frame: …`", None),
+    ("{reach: guards.1, target: [0, 0], frame: 9}",
+     "wrong-value", "this list has too few values", "a point is `[x, y, z]`", None),
+    ("{path: guards.1, along: wey, frames: 1..9}", "unknown-thing", "no program has a curve `wey`", "did you mean `way`?", "wey"),
+    ("{set: guards, to: {moood: 1}}", "unknown-thing", "`ant` has no attribute `moood`", "did you mean `mood`?", "moood"),
+    ("{set: guards, to: {max_speed: 5}}", "missing-unit", "`max_speed` is a speed, and `5` has no unit", "write `5 mm/s`", "5"),
+    ("{set: guards, to: {brave: 3}}", "wrong-value", "`brave` cannot have this value", "write `true` or `false`", "3"),
+    ("{change: guards, to: wolk, frame: 3}", "unknown-thing", "no species has a state `wolk`", "did you mean `walk`?", "wolk"),
+    ("{retime: ant, speed: 150 %}", "wrong-value", "`150 %` is not a share", "write a share from `0 %` to `100 %`", "150 %"),
+    ("{part: ant, for: food, distance: 4 mm}",
+     "unknown-thing", "no mesh or item is named `food`", "did you mean `foot`?", "food"),
+    ("{slow: ant, in: {around: stome, radius: 4 mm}}",
+     "unknown-thing", "no item is named `stome`", "did you mean `stone`?", "stome"),
+    ("{slow: ant, painted: mad}", "unknown-thing", "no program has a map `mad`", "did you mean `mud`?", "mad"),
+    ("{slow: ant, falloff: 4 mm}", "wrong-value", "`falloff` has no effect without `in`", "add `in:", None),
+    ("{forbid: ant}", "missing-key", "has no `in`", "add `in: …`", None),
+    ("{look: ant, at: {}}", "wrong-value", "this list has too few values", None, None),
+    ("{play: ant, clip: fly}", "unknown-name", "`ant` has no clip `fly`", None, None),
+    ("{lane: ant, along: [[0, 0, 0]], width: 4 mm}", "wrong-value", "this list has too few values", None, None),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("note", "code", "message", "help", "place"), WRONG)
+def test_wrong_notes(tmp_path: Path, note: str, code: str, message: str, help: str | None, place: str | None) -> None:
+    open_directed(tmp_path)
+    scene = tmp_path / "scene.yaml"
+    scene.write_text(scene.read_text() + f"notes:\n  - {note}\n")
+    shot, report = open_scene(scene)
+    assert shot is None
+    first = report.errors[0]
+    assert first.code == code and message in first.message, first.message
+    assert help is None or help in (first.help or ""), first.help
+    assert first.span is not None and (place is None or first.span.text.strip() == place), first.span.text
+
+
+def test_machines_of_notes_have_reserved_names(tmp_path: Path) -> None:
+    program = PROGRAM.replace("  start walk", "  machine notes_play { start on; state on { play walk } }\n  start walk")
+    open_directed(tmp_path, program=program)
+    scene = tmp_path / "scene.yaml"
+    scene.write_text(scene.read_text() + "notes:\n  - {play: ant, clip: run}\n")
+    _, report = open_scene(scene)
+    assert [each.code for each in report.errors] == ["reserved-name"] and "notes_play" in report.errors[0].message
+
+
+def test_check_warns_of_targets_that_are_too_far(tmp_path: Path) -> None:
+    open_directed(tmp_path, "{path: guards.0, along: [[0, 0, 0], [100, 0, 0]], frames: 200..210}", last=210)
+    _, report = check_path(tmp_path / "scene.yaml", RunChoices())
+    (warning,) = [each for each in report.diagnostics if each.code == "far-target"]
+    assert "cannot walk along the path in time: it walks 12 mm at most in 0.417 s" in warning.message
+    assert warning.span is not None and warning.span.text.startswith("{path: guards.0")
+
+
+def test_a_scene_without_notes_pays_nothing(tmp_path: Path) -> None:
+    shot = open_directed(tmp_path)
+    assert shot.setting.notes == () and shot.program.species["ant"].machines[0].states[0].transitions[0].key.endswith("rest#1")
+    from directed import start
+
+    assert start(shot).notes is None
