@@ -123,9 +123,9 @@ def laid_out(example: Example, folder: Path) -> Iterator[None]:
 
 def _hide(package: str) -> None:
     """Importing the package fails from now on, as where it is not installed."""
-    from antdsl.scene.geometry.usd.errors import pxr
+    from antdsl.scene.geometry.usd.errors import import_pxr_module
 
-    pxr.cache_clear()
+    import_pxr_module.cache_clear()
     for name in [name for name in sys.modules if name.split(".")[0] == package]:
         del sys.modules[name]
     sys.modules[package] = None  # type: ignore[assignment]

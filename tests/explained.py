@@ -110,7 +110,7 @@ def fact_of(world: World, picks: random.Random, drawn: list[tuple[str, str, int,
 
 
 def explanations(cache: Cache, scene: Path, run_facts: list[Fact]) -> Iterator[tuple[Fact, Explanation]]:
-    replay = Replay(CacheHistory.of(cache, open_shot(cache, scene)))
+    replay = Replay(CacheHistory.from_cache(cache, open_shot(cache, scene)))
     for frame in sorted({fact.frame for fact in run_facts}):
         mine = [fact for fact in run_facts if fact.frame == frame]
         for fact, explanation in zip(mine, explain_agents(replay, frame, [(f.species, f.agent) for f in mine]), strict=True):

@@ -84,7 +84,7 @@ class RayScene(ProximityQueries):
         self._set_meshes([(vertices, faces)])
 
     @classmethod
-    def of(cls, meshes: Sequence[MeshArrays]) -> RayScene:
+    def from_meshes(cls, meshes: Sequence[MeshArrays]) -> RayScene:
         """Return a scene of several meshes; `RayHitArrays.mesh` counts them from 0."""
         scene = cls.__new__(cls)
         scene._set_meshes(meshes)
@@ -185,7 +185,7 @@ class RayScene(ProximityQueries):
         """Return the grid for short rays and near faces, built on first use; None for a scene of a single step."""
         if not self._has_built_grid:
             self._has_built_grid = True
-            self._short_ray_grid = TriangleGrid.of(self._faces, self.origin, self._stores_tables)
+            self._short_ray_grid = TriangleGrid.from_faces(self._faces, self.origin, self._stores_tables)
         return self._short_ray_grid
 
     def _find_hits_within(

@@ -72,7 +72,7 @@ class TriangleGrid:
         self.mean_faces_per_cube = float((many * many).sum() / max(many.sum(), 1.0))
 
     @staticmethod
-    def of(faces: Faces, origin: Floats, store_tables: bool = True) -> TriangleGrid | None:
+    def from_faces(faces: Faces, origin: Floats, store_tables: bool = True) -> TriangleGrid | None:
         """Return a grid if it is useful and not too large; otherwise None. Its size is computed before any allocation.
 
         - `origin`: the world position that the corners of the faces are relative to

@@ -205,7 +205,7 @@ def run_cache_tasks(
     print_warning = partial(print_note, to_stderr=True)
     try:
         with (
-            open_engine(scheduler, count_available_cores(), 1, files, VisibleFile.of(cache / HASHES_FILE_NAME)) as engine,
+            open_engine(scheduler, count_available_cores(), 1, files, VisibleFile.from_path(cache / HASHES_FILE_NAME)) as engine,
             mark_folder(folder) as place,
         ):
             for answered in run_tasks(

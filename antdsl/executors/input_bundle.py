@@ -43,7 +43,7 @@ class VisibleFile:
     digest: str
 
     @classmethod
-    def of(cls, path: Path) -> VisibleFile:
+    def from_path(cls, path: Path) -> VisibleFile:
         """Return the visible file for a path. Raises OSError if there is no such file."""
         absolute_path = os.path.abspath(path)
         return cls(absolute_path, hash_files({"": read_size_limited(absolute_path, MAX_BUNDLE_BYTES)}))
@@ -51,7 +51,7 @@ class VisibleFile:
     def is_visible(self) -> bool:
         """Return whether this machine has the file."""
         try:
-            return VisibleFile.of(Path(self.path)) == self
+            return VisibleFile.from_path(Path(self.path)) == self
         except OSError:
             return False
 

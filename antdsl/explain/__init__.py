@@ -5,7 +5,7 @@ from antdsl.explain.model import Explanation, as_json
 from antdsl.explain.queries import explain, make_absence_error
 from antdsl.explain.replaying import Replay
 from antdsl.explain.state_timeline import merge_state_frames
-from antdsl.explain.step_report import LocatedExplanation, explain_agents, locate_explanations
+from antdsl.explain.step_report import LocatedExplanation, explain_agents, explain_agents_with_positions
 from antdsl.explain.text_report import tell
 
 __all__ = [
@@ -18,7 +18,7 @@ __all__ = [
     "as_json",
     "explain",
     "explain_agents",
-    "locate_explanations",
+    "explain_agents_with_positions",
     "make_absence_error",
     "merge_state_frames",
     "open_shot",

@@ -21,7 +21,7 @@ from antdsl.runtime.checkpoints import STATE_HASH_VERSION
 from antdsl.scene.values import FrameRange
 
 _SET_PREFIX = "--set "
-_SPEC_SET_PREFIX = "set "
+_SPEC_INPUT_PREFIX = "set "
 
 
 class History(Protocol):
@@ -59,7 +59,7 @@ class CacheHistory:
     hashes: dict[int, str]
 
     @classmethod
-    def of(cls, cache: Cache, shot: Shot, threads: int = 1) -> CacheHistory:
+    def from_cache(cls, cache: Cache, shot: Shot, threads: int = 1) -> CacheHistory:
         """Return the history of a cache. `threads`: threads of the replay."""
         return cls(cache, shot, threads, cache.read_state_hashes())
 
@@ -107,9 +107,9 @@ def open_shot(cache: Cache, scene: Path | None = None, grants: Mapping[str, Path
     from."""
     manifest = cache.manifest
     path = scene or _find_scene(cache)
-    spec = [name for name in manifest.inputs if name.startswith(_SPEC_SET_PREFIX)]
+    spec = [name for name in manifest.inputs if name.startswith(_SPEC_INPUT_PREFIX)]
     if spec:
-        words = f"the cache was made by a spec that sets `{spec[0].removeprefix(_SPEC_SET_PREFIX)}`"
+        words = f"the cache was made by a spec that sets `{spec[0].removeprefix(_SPEC_INPUT_PREFIX)}`"
         raise ExplainError(words, "only caches of `antdsl run` can be explained")
     if manifest.state_hash != STATE_HASH_VERSION:
         words = f"`{cache.folder}` was written by an antdsl that hashes states in another way"

@@ -36,7 +36,7 @@ def explain(
     _require_frame(cache, frame)
     stretches, alive = read_state_timeline(cache, name, agent)
     _require_alive(cache, name, agent, frame, stretches, alive)
-    replay = Replay(CacheHistory.of(cache, open_shot(cache, scene, grants), threads))
+    replay = Replay(CacheHistory.from_cache(cache, open_shot(cache, scene, grants), threads))
     explanation = explain_agents(replay, frame, [(name, agent)])[0]
     if explanation is None:
         raise make_absence_error(replay, name, agent, frame)

@@ -36,10 +36,12 @@ class LocatedExplanation:
 def explain_agents(replay: Replay, frame: int, agents: Sequence[tuple[str, int]]) -> list[Explanation | None]:
     """Return what each agent (species, id) did in the step to a frame, without its state timeline. None for an agent that did not
     live when the step began, or was in quarantine. Raises ExplainError if the step cannot be repeated."""
-    return [None if each is None else each.explanation for each in locate_explanations(replay, frame, agents)]
+    return [None if each is None else each.explanation for each in explain_agents_with_positions(replay, frame, agents)]
 
 
-def locate_explanations(replay: Replay, frame: int, agents: Sequence[tuple[str, int]]) -> list[LocatedExplanation | None]:
+def explain_agents_with_positions(
+    replay: Replay, frame: int, agents: Sequence[tuple[str, int]]
+) -> list[LocatedExplanation | None]:
     """Return explanations as `explain_agents` does, with positions."""
 
     def look(world: World, population: Population, trace: AgentTrace) -> tuple[AgentTrace, LocatedExplanation]:

@@ -24,7 +24,7 @@ class BlockIndex:
     bisection_steps: int
 
     @staticmethod
-    def of(numbers: NDArray[np.int64], end: int) -> BlockIndex:
+    def build(numbers: NDArray[np.int64], end: int) -> BlockIndex:
         """Return the index of ascending numbers from 0 to before `end`."""
         shift = max(0, int(end // min(_MAX_BLOCKS, 4 * len(numbers) + 1)).bit_length())
         start = np.zeros((end >> shift) + 2, np.int32)

@@ -251,7 +251,7 @@ class SurfaceCells:
 
     @cached_property
     def _block_index(self) -> BlockIndex:
-        return BlockIndex.of(self._keys, 6 * int(self._size[0]) * int(self._size[1]) * int(self._size[2]))
+        return BlockIndex.build(self._keys, 6 * int(self._size[0]) * int(self._size[1]) * int(self._size[2]))
 
     @cached_property
     def _direct_table(self) -> Cells | None:

@@ -58,7 +58,7 @@ class FaceLattice:
     start: Index
 
     @staticmethod
-    def of(cuts: Index) -> FaceLattice:
+    def from_cuts(cuts: Index) -> FaceLattice:
         """Return the lattice with `cuts` pieces along an edge of each face."""
         sizes = (cuts + 1) * (cuts + 2) // 2
         return FaceLattice(cuts, np.concatenate(([0], np.cumsum(sizes)))[:-1])

@@ -153,7 +153,7 @@ class PheromoneField:
         self._has_pending = False
         if self.deposits_first:
             step(_NO_SHARES, self._pending, 0.0, 1.0, DEPOSIT_UNIT, self.limit, -np.inf, lands)
-        change = self._laplacian.of(self._padded, threads) if spread > 0 else _NO_SHARES
+        change = self._laplacian.compute(self._padded, threads) if spread > 0 else _NO_SHARES
         last = (0.0, np.inf, 0) if self.deposits_first else (DEPOSIT_UNIT, self.limit, lands)
         step(change, self._pending, spread, remaining_share, *last[:2], FLUSH_THRESHOLD, last[2])
 
@@ -267,7 +267,7 @@ class _DiffusionFlow:
         self._inflow_matrix = inward.data, inward.indices.astype(np.int32, copy=False), inward.indptr.astype(np.int64, copy=False)
         self._inflow = np.empty(0)
 
-    def of(self, held: NDArray[np.float64], threads: int) -> NDArray[np.float64]:
+    def compute(self, held: NDArray[np.float64], threads: int) -> NDArray[np.float64]:
         """Return the flow into each cell, in an array that the next call overwrites. `held` may have extra entries after the
         cells."""
         if not len(self._inflow):

@@ -31,7 +31,7 @@ class CellsAboveThreshold:
         self._is_above = np.zeros(0 if self._is_always_above else len(cells), np.bool_)
         self._changed_buffer = np.empty(len(self._is_above), np.int64)
 
-    def of(self, field: PheromoneField, least: np.float32) -> bool:
+    def matches(self, field: PheromoneField, least: np.float32) -> bool:
         """Return whether this object is valid for a field with its current cells and for the threshold `least`."""
         known, version, strength = self._inputs
         return known is field and version == field.version and strength == least

@@ -74,7 +74,7 @@ def run_in_threads(work: Callable[[int], object], threads: int) -> None:
     workers.run_in_threads(work, threads)
 
 
-def call_with_rows(function: Callable[[int, int, int], None], parts: NDArray[np.int64], threads: int) -> None:
+def call_for_each_row(function: Callable[[int, int, int], None], parts: NDArray[np.int64], threads: int) -> None:
     """Call a function of machine code in parallel with each row of `parts` [k,3]: address, begin, end."""
     threads = min(threads, count_available_cores())
     if threads < 2 or len(parts) < 2:
@@ -83,7 +83,7 @@ def call_with_rows(function: Callable[[int, int, int], None], parts: NDArray[np.
         return
     from antdsl.numerics import workers
 
-    workers.call_with_rows(function, parts, threads)
+    workers.call_for_each_row(function, parts, threads)
 
 
 @inlined

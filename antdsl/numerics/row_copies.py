@@ -41,7 +41,7 @@ class RowCopier:
             self._arrays, self._threads = arrays, threads
             self._table = _build_copy_table([pair for pair in zip(targets, sources, strict=True) if pair[0] is not pair[1]], None)
             self._parts = _build_part_rows(self._table, len(arrays[0]), threads)
-        parallel.call_with_rows(_load_function(), self._parts, threads)
+        parallel.call_for_each_row(_load_function(), self._parts, threads)
 
 
 def copy_rows(pairs: ArrayPairs, rows: NDArray[np.intp], threads: int) -> None:
@@ -50,7 +50,7 @@ def copy_rows(pairs: ArrayPairs, rows: NDArray[np.intp], threads: int) -> None:
         return
     rows = np.ascontiguousarray(rows)  # keeps the array alive while its address is in use
     table = _build_copy_table(pairs, rows)
-    parallel.call_with_rows(_load_function(), _build_part_rows(table, len(rows), threads), threads)
+    parallel.call_for_each_row(_load_function(), _build_part_rows(table, len(rows), threads), threads)
 
 
 def _build_copy_table(pairs: ArrayPairs, rows: NDArray[np.intp] | None) -> NDArray[np.int64]:
@@ -65,7 +65,7 @@ def _build_copy_table(pairs: ArrayPairs, rows: NDArray[np.intp] | None) -> NDArr
 
 
 def _build_part_rows(table: NDArray[np.int64], count: int, threads: int) -> NDArray[np.int64]:
-    """Return the parts of `count` rows as rows for `parallel.call_with_rows`."""
+    """Return the parts of `count` rows as rows for `parallel.call_for_each_row`."""
     most = max(1, min(PARTS_PER_THREAD * threads, count // parallel.MIN_AGENTS_PER_THREAD))
     ends = [count * k // most for k in range(most + 1)]
     return np.array([(array_address(table), *ends[k : k + 2]) for k in range(most)], np.int64)

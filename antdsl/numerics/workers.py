@@ -110,7 +110,7 @@ class WorkerPool:
         results: list[T] = run(*work.args, 0, count, parts, self.address)
         return results
 
-    def call_with_rows(self, function: Callable[[int, int, int], None], rows: NDArray[np.int64]) -> None:
+    def call_for_each_row(self, function: Callable[[int, int, int], None], rows: NDArray[np.int64]) -> None:
         """Call a function of machine code with each row of an array [k,3]."""
         for first in range(0, len(rows), MAX_JOB_PARTS):
             batch = np.ascontiguousarray(rows[first : first + MAX_JOB_PARTS])
@@ -224,15 +224,15 @@ def run_in_threads(work: Callable[[int], object], threads: int) -> None:
     _run_exclusively(pool, lambda: pool.do(work, threads - 1), lambda: work(0))
 
 
-def call_with_rows(function: Callable[[int, int, int], None], parts: NDArray[np.int64], threads: int) -> None:
-    """Call a function of machine code with each row, as `parallel.call_with_rows`."""
+def call_for_each_row(function: Callable[[int, int, int], None], parts: NDArray[np.int64], threads: int) -> None:
+    """Call a function of machine code with each row, as `parallel.call_for_each_row`."""
     pool = _get_pool(threads)
 
     def alone() -> None:
         for part in parts.tolist():
             function(*part)
 
-    _run_exclusively(pool, partial(pool.call_with_rows, function, parts) if isinstance(pool, WorkerPool) else alone, alone)
+    _run_exclusively(pool, partial(pool.call_for_each_row, function, parts) if isinstance(pool, WorkerPool) else alone, alone)
 
 
 @cache

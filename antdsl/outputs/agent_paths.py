@@ -32,7 +32,7 @@ class PathWindow:
     seconds_after: float = 2.0
 
     @staticmethod
-    def of(text: str) -> PathWindow | None:
+    def parse(text: str) -> PathWindow | None:
         """Return the window of a text such as `1..2`. Return None for other text, or for more than MAX_WINDOW_SECONDS on one
         side."""
         try:

@@ -27,7 +27,7 @@ class CutPlane:
     cuts_below: bool
 
     @staticmethod
-    def of(text: str) -> CutPlane | None:
+    def parse(text: str) -> CutPlane | None:
         """Return the plane of a text such as `z > 0`; None for any other text."""
         match = _PLANE.fullmatch(text)
         try:

@@ -66,8 +66,8 @@ class DrawRequest:
 
     def gallery(self, cache: Cache) -> Gallery:
         """Return a gallery that builds the cache's pictures. Raises PictureUnavailable as `Gallery` does."""
-        window = PathWindow.of(self.window) if "paths" in self.show else None
-        cut = CutPlane.of(self.cut) if self.cut is not None else None
+        window = PathWindow.parse(self.window) if "paths" in self.show else None
+        cut = CutPlane.parse(self.cut) if self.cut is not None else None
         return Gallery(cache, cut, window, blurred=self.blur > 0, full=dict(self.full))
 
 
@@ -142,7 +142,7 @@ class StillStore:
     _inputs_json: str
 
     @classmethod
-    def of(cls, folder: Path, cache: Cache, request: DrawRequest, camera_frames: Sequence[int]) -> StillStore:
+    def build(cls, folder: Path, cache: Cache, request: DrawRequest, camera_frames: Sequence[int]) -> StillStore:
         """Return the store for the stills of a cache. A still's hash covers data that identifies the cache's frames.
 
         `camera_frames`: the frames that a common camera is chosen for."""

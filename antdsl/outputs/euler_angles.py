@@ -21,7 +21,7 @@ class EulerAngles:
         self._ids: NDArray[np.int64] = np.empty(0, np.int64)
         self._last_angles: Floats = np.empty((0, 3))
 
-    def of(self, ids: NDArray[np.int64], orient: NDArray[np.floating]) -> Floats:
+    def compute_angles(self, ids: NDArray[np.int64], orient: NDArray[np.floating]) -> Floats:
         """Return the angles (n, 3) in degrees of quaternions (n, 4: x, y, z, w). A quaternion of zero length means no rotation.
 
         `ids` (n,): the agents, ascending."""

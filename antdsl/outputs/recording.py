@@ -214,7 +214,7 @@ def record_frames(recording: Recording, on_frame: Callable[[str, int], None] = l
     model = shot.scene.model
     pieces = PieceMaker(shot.frames.first, model.output.checkpoint, 1.0 / shot.setting.unit_mm)
     maker = FrameMaker(world, shot.program, model.output.attributes, pieces, model.output.events)
-    stored_bodies = StoredBodies.of(shot.bodies, named_weights(model.crowd))
+    stored_bodies = StoredBodies.from_definitions(shot.bodies, named_weights(model.crowd))
     name = Path(shot.scene.source.path).name
     manifest = make_manifest(
         world,

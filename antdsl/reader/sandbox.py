@@ -30,11 +30,11 @@ def limit_resources() -> bool:
         import resource
     except ImportError:
         return False
-    _lower_limit("RLIMIT_AS", MAX_MEMORY_BYTES, hard=True)
-    _lower_limit("RLIMIT_NOFILE", _MAX_OPEN_FILES, hard=True)
-    _lower_limit("RLIMIT_FSIZE", 0, hard=True)
-    _lower_limit("RLIMIT_CORE", 0, hard=True)
-    _lower_limit("RLIMIT_STACK", _STACK_BYTES)
+    _reduce_process_limit("RLIMIT_AS", MAX_MEMORY_BYTES, hard=True)
+    _reduce_process_limit("RLIMIT_NOFILE", _MAX_OPEN_FILES, hard=True)
+    _reduce_process_limit("RLIMIT_FSIZE", 0, hard=True)
+    _reduce_process_limit("RLIMIT_CORE", 0, hard=True)
+    _reduce_process_limit("RLIMIT_STACK", _STACK_BYTES)
     del resource
     return True
 
@@ -46,8 +46,8 @@ def limit_request(seconds: int, memory: int) -> None:
     except ImportError:
         return
     used = resource.getrusage(resource.RUSAGE_SELF)
-    _lower_limit("RLIMIT_CPU", int(used.ru_utime + used.ru_stime) + 1 + seconds)
-    _lower_limit("RLIMIT_AS", memory)
+    _reduce_process_limit("RLIMIT_CPU", int(used.ru_utime + used.ru_stime) + 1 + seconds)
+    _reduce_process_limit("RLIMIT_AS", memory)
 
 
 def allow_memory(extra_bytes: int) -> None:
@@ -63,7 +63,7 @@ def allow_memory(extra_bytes: int) -> None:
         resource.setrlimit(resource.RLIMIT_AS, (most if hard == resource.RLIM_INFINITY else min(most, hard), hard))
 
 
-def _lower_limit(name: str, limit: int, *, hard: bool = False) -> None:
+def _reduce_process_limit(name: str, limit: int, *, hard: bool = False) -> None:
     import resource
 
     which = getattr(resource, name, None)

@@ -246,7 +246,7 @@ def _migrate_feet(old_world: World, world: World) -> None:
 def _migrate_counts(old_world: World, world: World) -> None:
     """Transfer counts, measurements and watchers."""
     world.transitions = dict(old_world.transitions)
-    world.motion = MotionMeasures.of(old_world.motion.checkpoint_arrays())
+    world.motion = MotionMeasures.from_arrays(old_world.motion.checkpoint_arrays())
     world.faults = FaultLog(old_world.faults.count, old_world.faults.rejected_births, list(old_world.faults.reported_faults))
     world.watchers = list(old_world.watchers)
     if world.notes is not None and old_world.notes is not None:

@@ -115,7 +115,7 @@ def _restore_world(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
     restore_lines(world, arrays)
     if world.notes is not None:
         world.notes.restore_memory(select_by_prefix(arrays, NOTE_PREFIX))
-    world.motion = MotionMeasures.of(select_by_prefix(arrays, "motion."))
+    world.motion = MotionMeasures.from_arrays(select_by_prefix(arrays, "motion."))
     if world.detail is not None:
         world.detail.counts = _read_checked_array(arrays, "lod.counts", world.detail.counts.shape).copy()
     world.grids.clear()
@@ -202,7 +202,7 @@ def state_hash(world: World) -> str:
             digest.update(f"\0{name}\0{attribute}\0".encode() + amounts.tobytes())
     for name in sorted(world.fields):
         values = world.fields[name].values
-        digest.update(f"\0{name}\0{len(values)}".encode() + world.fields[name].row_hasher.of(None, [values], threads))
+        digest.update(f"\0{name}\0{len(values)}".encode() + world.fields[name].row_hasher.hash_rows(None, [values], threads))
     for name in sorted(world.solids):
         digest.update(f"\0{name}\0".encode() + world.solids[name].compute_digest())
     for name in sorted(world.flows):
@@ -220,4 +220,4 @@ def _hash_rows(population: Population, threads: int) -> bytes:
     columns += [(name, population.now[name]) for name in population.state_registers()]
     columns += [(f"event.{name}", flags) for name, flags in sorted(population.events.items())]
     names, arrays = zip(*columns, strict=True)
-    return describe_columns(names, arrays) + population.row_hasher.of(population.ids, arrays, threads)
+    return describe_columns(names, arrays) + population.row_hasher.hash_rows(population.ids, arrays, threads)

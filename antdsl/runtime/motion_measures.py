@@ -113,7 +113,7 @@ class MotionMeasures:
         return named_arrays
 
     @classmethod
-    def of(cls, arrays: dict[str, NDArray[Any]]) -> MotionMeasures:
+    def from_arrays(cls, arrays: dict[str, NDArray[Any]]) -> MotionMeasures:
         """Return the measures from the arrays of a checkpoint. Missing measures restart."""
         motion = cls()
         for name in _CHECKPOINT_FIELDS:

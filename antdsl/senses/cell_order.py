@@ -51,7 +51,7 @@ class GridShape:
     size: list[int]
 
     @classmethod
-    def of(cls, low: list[float], high: list[float], cell: float) -> GridShape:
+    def from_bounds(cls, low: list[float], high: list[float], cell: float) -> GridShape:
         """Return the cells of the box between two corners (mm), for queries with radius `cell` (mm)."""
         x, y, z = high[0] - low[0], high[1] - low[1], high[2] - low[2]
         axes: tuple[int, ...] = (0, 1, 2)

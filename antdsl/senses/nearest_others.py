@@ -44,8 +44,8 @@ from antdsl.senses.neighbours import (
     RADIUS_SLACK,
     SQUARED_RADIUS_SLACK,
     CellGridTables,
-    find_lower_cell,
-    find_upper_cell,
+    find_first_cell,
+    find_last_cell,
 )
 
 SEARCH_CAPACITY = 576  # entries in each array of a search
@@ -163,11 +163,11 @@ def find_nearest(crowd: CrowdTables, requesters: Requesters, k: I64, up: Vec3, m
         np.float64(grid.axis_positions[2][at]),
     )
     r = np.float64(reach) * RADIUS_SLACK + (1e-14 * max(max(abs(a), abs(b)), abs(c)) + 1e-18)
-    a0, a1 = find_lower_cell(a - r, low[0], inverse[0], size[0]), find_upper_cell(a + r, low[0], inverse[0], size[0])
-    b0, b1 = find_lower_cell(b - r, low[1], inverse[1], size[1]), find_upper_cell(b + r, low[1], inverse[1], size[1])
+    a0, a1 = (find_first_cell(a - r, low[0], inverse[0], size[0]), find_last_cell(a + r, low[0], inverse[0], size[0]))
+    b0, b1 = (find_first_cell(b - r, low[1], inverse[1], size[1]), find_last_cell(b + r, low[1], inverse[1], size[1]))
     c0, c1 = 0, 0
     if not (size[2] == 1 and abs(c - low[2]) <= grid.width[2]):
-        c0, c1 = find_lower_cell(c - r, low[2], inverse[2], size[2]), find_upper_cell(c + r, low[2], inverse[2], size[2])
+        c0, c1 = (find_first_cell(c - r, low[2], inverse[2], size[2]), find_last_cell(c + r, low[2], inverse[2], size[2]))
     count, capacity, beyond = 0, 2 * most + _SPARE_CANDIDATES, reach * reach * SQUARED_RADIUS_SLACK + np.float32(1e-30)
     for cz in range(c0, c1 + 1):
         for cy in range(b0, b1 + 1):

@@ -109,7 +109,7 @@ class CellGrid:
     def __init__(self, x: Floats, y: Floats, z: Floats, ids: NDArray[np.int64], cell: float, threads: int = 1) -> None:
         self.x, self.y, self.z, self.ids = x, y, z, ids
         x, y, z = parallel.make_contiguous(x, y, z)
-        shape = GridShape.of(*find_bounding_box((x, y, z)), cell)
+        shape = GridShape.from_bounds(*find_bounding_box((x, y, z)), cell)
         self.shape = shape.to_sheet() if shape.can_be_sheet((x, y, z)) else shape
         self.order = CellOrder(x.size, threads)
         self.order.sort(self.shape, (x, y, z), NO_ORDER if (ids[1:] >= ids[:-1]).all() else sort_stably(ids))
@@ -212,13 +212,13 @@ def _find_pairs(
 
 
 @inlined
-def find_lower_cell(q: F64, low: F64, inverse: F64, size: I64) -> I64:
+def find_first_cell(q: F64, low: F64, inverse: F64, size: I64) -> I64:
     """Return the cell of the lower end of a span, at least 0 and at most `size`."""
     return math.floor(min(max((q - low) * inverse, 0.0), float(size)))
 
 
 @inlined
-def find_upper_cell(q: F64, low: F64, inverse: F64, size: I64) -> I64:
+def find_last_cell(q: F64, low: F64, inverse: F64, size: I64) -> I64:
     """Return the cell of the upper end of a span, at least -1 and below `size`."""
     return math.floor(min(max((q - low) * inverse, -1.0), size - 1.0))
 
@@ -250,12 +250,12 @@ def _find_spans(
     Returns the number of spans and of agents in them; or -1 and the required length of `spans`."""
     tiny = 1e-14 * max(max(abs(a), abs(b)), abs(c)) + 1e-18
     r = radius * RADIUS_SLACK + tiny
-    b0, b1 = find_lower_cell(b - r, low[1], inverse[1], size[1]), find_upper_cell(b + r, low[1], inverse[1], size[1])
+    b0, b1 = find_first_cell(b - r, low[1], inverse[1], size[1]), find_last_cell(b + r, low[1], inverse[1], size[1])
     sheet = size[2] == 1 and abs(c - low[2]) <= width[2]
     c0, c1 = (
         (0, 0)
         if sheet
-        else (find_lower_cell(c - r, low[2], inverse[2], size[2]), find_upper_cell(c + r, low[2], inverse[2], size[2]))
+        else (find_first_cell(c - r, low[2], inverse[2], size[2]), find_last_cell(c + r, low[2], inverse[2], size[2]))
     )
     number, total = 0, 0
     if b0 > b1 or c0 > c1:
@@ -271,8 +271,8 @@ def _find_spans(
                 continue
             half = math.sqrt(left) * RADIUS_SLACK + tiny
             a0, a1 = (
-                find_lower_cell(a - half, low[0], inverse[0], size[0]),
-                find_upper_cell(a + half, low[0], inverse[0], size[0]),
+                find_first_cell(a - half, low[0], inverse[0], size[0]),
+                find_last_cell(a + half, low[0], inverse[0], size[0]),
             )
             if a0 > a1:
                 continue

@@ -122,13 +122,13 @@ def _iterate_searches(
     """Yield the searches for pairs among rows (empty: all) within bounds. `widen_cells`: whether sparse grids get wider cells."""
     low, high = bounds[3]
     if 2 * low >= high:
-        yield _TouchGrid.of(place, reach, rows, bounds, widen_cells).build_own_search()
+        yield _TouchGrid.build(place, reach, rows, bounds, widen_cells).build_own_search()
         return
     rows = rows if rows.size else np.arange(len(reach))
     sizes = np.frexp(reach[rows])[1]
     for size in np.unique(sizes):
         members, smaller = rows[sizes == size], rows[sizes < size]
-        grid = _TouchGrid.of(place, reach, members, _find_bounds((*place, reach), members), widen_cells)
+        grid = _TouchGrid.build(place, reach, members, _find_bounds((*place, reach), members), widen_cells)
         yield grid.build_own_search()
         if smaller.size:
             yield grid.build_query_search(place, reach, smaller)
@@ -182,7 +182,7 @@ class _TouchGrid(NamedTuple):
     starts: NDArray[np.int32]
 
     @staticmethod
-    def of(place: PositionColumns, reach: Floats, rows: Rows, bounds: Bounds, widen_cells: bool) -> _TouchGrid:
+    def build(place: PositionColumns, reach: Floats, rows: Rows, bounds: Bounds, widen_cells: bool) -> _TouchGrid:
         """Return the grid of rows (empty: all) within bounds. `widen_cells`: whether cells become wider until a table can hold
         all of them."""
         low, extent = [low for low, _ in bounds[:3]], [high - low for low, high in bounds[:3]]

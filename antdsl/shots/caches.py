@@ -57,7 +57,7 @@ def simulate_cache(document: Mapping[str, Any], worker: WorkerContext) -> dict[s
         raise TaskRefused("; ".join(problem.message for problem in report.errors))
     options = dict(document["options"])
     resume, force = options.pop("resume"), options.pop("force")
-    to = Destination.of(document)
+    to = Destination.from_document(document)
     place = to.choose_task_folder(worker, document["key"])
     with convert_to_refusal(*_REFUSED_ERRORS):
         if hash_document({**shot.inputs, **hash_start_frame(shot)}) != document["inputs"]:

@@ -29,7 +29,7 @@ def make_export_tasks(
 
 def export_frames(document: Mapping[str, Any], worker: WorkerContext) -> dict[str, Any]:
     """Write the files of some frames."""
-    to, name = Destination.of(document), document["name"]
+    to, name = Destination.from_document(document), document["name"]
     export = find_export(Path(name))
     if export is None or document["form"] not in export.per_frame_forms:
         raise TaskRefused(f"`{name}` needs `####` for one file per frame")

@@ -31,7 +31,7 @@ def make_still_tasks(
 
 def draw_stills(document: Mapping[str, Any], worker: WorkerContext) -> dict[str, Any]:
     """Draw some frames. The drawing state is cached in the process for the next task with the same picture settings."""
-    to, pictures = Destination.of(document), document["pictures"]
+    to, pictures = Destination.from_document(document), document["pictures"]
     with convert_to_refusal(ManifestError, CacheError, PictureUnavailable, AgentMissing, ValueError):
         if worker.cached_values.get("pictures") != pictures:
             picture_request = TypeAdapter(DrawRequest).validate_python(pictures["wanted"])
@@ -40,7 +40,7 @@ def draw_stills(document: Mapping[str, Any], worker: WorkerContext) -> dict[str,
             worker.cached_values |= {"pictures": pictures, "drawer": drawer}
         drawer = worker.cached_values["drawer"]
         place = to.choose_task_folder(worker, document["key"])
-        output = StillStore.of(place, drawer.gallery.cache, drawer.wanted, pictures["all"])
+        output = StillStore.build(place, drawer.gallery.cache, drawer.wanted, pictures["all"])
         for frame in document["frames"]:
             output.write_still(frame, drawer.draw(frame))
             worker.report_frame(frame)

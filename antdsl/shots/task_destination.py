@@ -25,7 +25,7 @@ class Destination:
     token: str
 
     @classmethod
-    def of(cls, document: Mapping[str, Any]) -> Destination:
+    def from_document(cls, document: Mapping[str, Any]) -> Destination:
         """Return the destination that the document of a task contains."""
         return cls(document["folder"], document["token"])
 

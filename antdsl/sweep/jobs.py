@@ -59,7 +59,7 @@ class SweepJob:
         return asdict(self)
 
     @classmethod
-    def of(cls, document: Mapping[str, Any]) -> SweepJob:
+    def from_document(cls, document: Mapping[str, Any]) -> SweepJob:
         """Return the job that `document` describes; the inverse of `Job.document`."""
         return _JOB_ADAPTER.validate_python(document)
 

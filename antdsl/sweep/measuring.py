@@ -44,10 +44,12 @@ def run_jobs(
     `report_note`: is called with messages about deviations from the request, one sentence for each run and cause.
     """
     tasks = (Task(job.key, measure_job, job.document()) for job in jobs)
-    for outcome in run_tasks(tasks, engine, lambda task, frame: report_frame(SweepJob.of(task.document), frame), report_note):
+    for outcome in run_tasks(
+        tasks, engine, lambda task, frame: report_frame(SweepJob.from_document(task.document), frame), report_note
+    ):
         for sentence in outcome.notes:
             report_note(sentence)
-        yield JobOutcome(SweepJob.of(outcome.task.document), outcome.answer, outcome.problem)
+        yield JobOutcome(SweepJob.from_document(outcome.task.document), outcome.answer, outcome.problem)
 
 
 def measure_job(document: Mapping[str, Any], worker: WorkerContext) -> dict[str, Any]:
@@ -57,7 +59,7 @@ def measure_job(document: Mapping[str, Any], worker: WorkerContext) -> dict[str,
     Equal jobs with the same antdsl give equal measures, except `seconds`, `fps` and `processor`.
     """
     built: BindingCache = worker.cached_values.setdefault("built", BindingCache())
-    job = SweepJob.of(document)
+    job = SweepJob.from_document(document)
     grants = tuple((name, str(worker.find_local_path(folder))) for name, folder in job.grants)
     job = replace(job, scene=str(worker.find_local_path(job.scene)), grants=grants)
     try:

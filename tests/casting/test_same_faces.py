@@ -57,7 +57,7 @@ def rays_at_edges() -> tuple[np.ndarray, np.ndarray]:
     origin = np.concatenate([at - displacement * part for displacement, part in zip(displacements, (0.7, 1.0, 0.4), strict=True)])
     displacement = np.repeat(displacements, len(at), axis=0)
     # Less those that pass a face at its edge almost along it: no rounding tells on which side.
-    scene = RayScene.of(meshes())
+    scene = RayScene.from_meshes(meshes())
     first = scene.find_first_hits(origin, displacement)
     hit = np.flatnonzero(first.is_hit)
     face = scene._first_face[first.mesh[hit]] + first.face[hit]
@@ -112,7 +112,7 @@ def test_rays_at_edges_and_corners_give_the_same_bits_whatever_open3d_rounds(bri
 
 def test_a_ray_meets_what_float64_says_it_meets():
     """All triangles tested in float64, at edges too: the least distance, then the first face."""
-    scene = RayScene.of(meshes())
+    scene = RayScene.from_meshes(meshes())
     origin, displacement = (v[::41] for v in rays_at_edges())
     faces = scene._faces
     every = np.arange(len(faces.corners))
@@ -143,10 +143,10 @@ def test_open3d_is_shown_triangles_that_miss_none_of_a_face():
 
 def test_two_sheets_in_one_place_are_distinguished_by_their_number():
     sheet = terrain(R, 12)
-    scene = RayScene.of([sheet, sheet, sheet])
+    scene = RayScene.from_meshes([sheet, sheet, sheet])
     origin = np.random.default_rng(3).uniform(-100, 100, (500, 3)) + np.array([0, 200, 0])
     down = np.broadcast_to([0.0, -400.0, 0.0], origin.shape)
-    alone, among = RayScene.of([sheet]).find_first_hits(origin, down), scene.find_first_hits(origin, down)
+    alone, among = RayScene.from_meshes([sheet]).find_first_hits(origin, down), scene.find_first_hits(origin, down)
     assert np.array_equal(alone.t, among.t) and np.array_equal(alone.face, among.face)
     assert (among.mesh == 0).all() and (scene.find_closest(origin)[0] == 0).all()
 

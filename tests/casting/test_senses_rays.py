@@ -40,7 +40,7 @@ def test_distances_faces_and_normals_on_a_box():
 
 def test_mesh_and_face_of_several_meshes():
     meshes = [box((0, 0, 0), (1, 1, 1)), (np.empty((0, 3)), np.empty((0, 3), np.int32)), ball(1.0, (5, 0, 0))]
-    scene = RayScene.of(meshes)
+    scene = RayScene.from_meshes(meshes)
     hits = scene.find_first_hits(np.array([[0.4, 5, 0.3], [5.1, 5, 0.1]]), np.array([[0, -1, 0], [0, -1, 0]], np.float64))
     assert hits.mesh.tolist() == [0, 2]
     v, f = meshes[2]
@@ -85,7 +85,7 @@ def test_nothing_to_hit():
 
 def test_feelers_find_what_rays_without_culling_find():
     stones = [ball(9.0, (x, 0, z), 8) for x, z in ((-60, 20), (40, 50), (90, -80), (0, 0))]
-    scene = RayScene.of([*stones, box((-150, -5, 100), (150, 20, 103))])
+    scene = RayScene.from_meshes([*stones, box((-150, -5, 100), (150, 20, 103))])
     n = 20_000
     rng = np.random.default_rng(4)
     x, y, z = (rng.uniform(-a, a, n).astype(np.float32) for a in (160, 6, 160))

@@ -131,8 +131,8 @@ def same_places(scene: RayScene, grid: TriangleGrid, points: np.ndarray) -> int:
 
 
 def make_grid(name: str) -> tuple[RayScene, TriangleGrid]:
-    scene = RayScene.of(MESHES[name]())
-    grid = TriangleGrid.of(scene._faces, scene.origin)
+    scene = RayScene.from_meshes(MESHES[name]())
+    grid = TriangleGrid.from_faces(scene._faces, scene.origin)
     assert grid is not None
     return scene, grid
 
@@ -206,7 +206,7 @@ def test_normals_of_first_faces_are_those_named(name: str, threads: int):
 
 def test_feelers_and_gaps_are_the_same_with_and_without_a_grid():
     scene, grid = make_grid("a few of them")
-    far = RayScene.of(MESHES["a few of them"]())
+    far = RayScene.from_meshes(MESHES["a few of them"]())
     far._has_built_grid = True
     origin, displacement = rays(scene, grid, 3000)
     length = np.sqrt(dot(displacement, displacement))
@@ -244,8 +244,8 @@ def test_feelers_and_gaps_are_the_same_with_and_without_a_grid():
 def test_a_grid_is_made_only_where_it_is_small_and_of_use(monkeypatch: pytest.MonkeyPatch):
     vertices, faces = terrain(100, 20)
     assert RayScene(vertices, faces, is_short_lived=True)._get_triangle_grid() is None
-    assert TriangleGrid.of(Faces(np.empty((0, 3, 3))), np.zeros(3)) is None
-    dense = RayScene.of([terrain(10_000, 1), ball(1.0, (0, 200, 0), 60)])
+    assert TriangleGrid.from_faces(Faces(np.empty((0, 3, 3))), np.zeros(3)) is None
+    dense = RayScene.from_meshes([terrain(10_000, 1), ball(1.0, (0, 200, 0), 60)])
     assert dense._get_triangle_grid() is None  # thousands of faces in one cube
     listed = []
     monkeypatch.setattr(triangle_grid, "iterate_triangle_cells", lambda *a, **k: listed.append(a) or iter(()))

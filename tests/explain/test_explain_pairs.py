@@ -73,7 +73,7 @@ def test_frames_hold_values_per_pair_in_scene_units(cache: Cache) -> None:
 
 
 def test_explain_tells_how_values_per_pair_changed(cache: Cache) -> None:
-    replay = Replay(CacheHistory.of(cache, open_shot(cache)))
+    replay = Replay(CacheHistory.from_cache(cache, open_shot(cache)))
     previous_pairs, next_pairs = pairs(cache, 5), pairs(cache, 6)
     (explanation,) = explain_agents(replay, 6, [("bug", 4)])
     assert explanation is not None

@@ -103,7 +103,7 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> Cache:
 @pytest.fixture(scope="module")
 def bug_explanations(cache: Cache) -> list[Explanation]:
     """Every bug in every step."""
-    replay = Replay(CacheHistory.of(cache, open_shot(cache)))
+    replay = Replay(CacheHistory.from_cache(cache, open_shot(cache)))
     results = [each for frame in range(2, LAST + 1) for each in explain_agents(replay, frame, [("bug", k) for k in range(12)])]
     return [each for each in results if each is not None]
 

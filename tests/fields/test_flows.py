@@ -104,7 +104,7 @@ def run(built: World, steps: int) -> np.ndarray:
 def test_what_is_linear_is_read_exactly_wherever_a_face_is_cut() -> None:
     rng = np.random.default_rng(1)
     cuts = np.array([1, 2, 8, 64, 1])
-    lattice = FaceLattice.of(cuts)
+    lattice = FaceLattice.from_cuts(cuts)
     b1, b2 = lattice.compute_slot_weights()
     face = lattice.faces()
     value = 3 * b1 - 7 * b2 + face

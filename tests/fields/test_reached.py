@@ -45,9 +45,13 @@ def test_what_no_scent_is_below_is_reached_everywhere(least: float) -> None:
 def test_it_tells_of_one_field_and_strength() -> None:
     field, other = (PheromoneField(SurfaceCells([meshes.grid(40, 4)], 4.0)) for _ in range(2))
     reached = CellsAboveThreshold(field, np.float32(1), 9)
-    assert reached.of(field, np.float32(1)) and not reached.of(field, np.float32(2)) and not reached.of(other, np.float32(1))
+    assert (
+        reached.matches(field, np.float32(1))
+        and not reached.matches(field, np.float32(2))
+        and not reached.matches(other, np.float32(1))
+    )
     field.extend_arrays(np.empty(0, np.int64))
-    assert not reached.of(field, np.float32(1))
+    assert not reached.matches(field, np.float32(1))
 
 
 def program(asks: str) -> str:

@@ -85,8 +85,8 @@ def test_refitted_boxes_are_those_that_are_built_afresh() -> None:
     moved_vertices[np.setdiff1d(np.arange(len(vertices)), loose)] = vertices[np.setdiff1d(np.arange(len(vertices)), loose)]
     faces = faces.copy()
     held = np.isin(faces, loose).any(axis=1)
-    boxes = FaceBoxes.of(vertices, faces, live, held.astype(np.int32))
-    fresh = FaceBoxes.of(moved_vertices, faces, live, held.astype(np.int32))
+    boxes = FaceBoxes.build(vertices, faces, live, held.astype(np.int32))
+    fresh = FaceBoxes.build(moved_vertices, faces, live, held.astype(np.int32))
     boxes.refit(moved_vertices, faces, int((~held[live]).sum()))
     moved, corners = moved_vertices[faces], faces
     low = rng.uniform(-15, 30, (3, 50))

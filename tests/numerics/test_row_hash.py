@@ -144,8 +144,8 @@ def test_blocks_and_chunks_of_rows_add_up(count: int) -> None:
     assert row_hash.hash_rows(ids, parts) == expected == added
     table_hash, numbered = row_hash.RowHasher(), row_hash.RowHasher()
     for threads in (1, 2, 3, 1, 2):
-        assert table_hash.of(ids, parts, threads) == expected
-        assert numbered.of(None, parts[:3], threads) == row_hash.hash_rows(None, parts[:3])
+        assert table_hash.hash_rows(ids, parts, threads) == expected
+        assert numbered.hash_rows(None, parts[:3], threads) == row_hash.hash_rows(None, parts[:3])
 
 
 def test_tables_that_lie_elsewhere_time_after_time_have_the_hash_of_their_rows() -> None:
@@ -163,12 +163,12 @@ def test_tables_that_lie_elsewhere_time_after_time_have_the_hash_of_their_rows()
             elif turn == 3:
                 columns |= {"i4": columns["i8"], "f4": columns["place"][:, 1], "more": columns["zero"]}
             parts = [part for array in columns.values() for part in array.T.reshape(-1, count)] if count else []
-            assert known.of(ids, list(columns.values())) == row_hash.hash_rows(ids, parts)
-            assert numbered.of(None, [columns["f8"]]) == row_hash.hash_rows(None, [columns["f8"]])
+            assert known.hash_rows(ids, list(columns.values())) == row_hash.hash_rows(ids, parts)
+            assert numbered.hash_rows(None, [columns["f8"]]) == row_hash.hash_rows(None, [columns["f8"]])
 
 
 def test_a_column_of_one_row_lies_in_one_piece_and_one_of_more_with_its_step_may_not() -> None:
     matrix, known = np.arange(15.0).reshape(5, 3), row_hash.RowHasher()
     for count in (1, 5, 1, 3):
         columns = [matrix[:count, 0]]
-        assert known.of(np.arange(count), columns) == row_hash.hash_rows(np.arange(count), columns)
+        assert known.hash_rows(np.arange(count), columns) == row_hash.hash_rows(np.arange(count), columns)

@@ -57,7 +57,7 @@ def topology(mesh: Mesh) -> MeshTopology:
 def arrays(mesh: Mesh) -> list[NDArray[np.generic]]:
     """All that is stored of a mesh, computed or not."""
     table, corners = topology(mesh), mesh[0][mesh[1]]
-    grid = TriangleGrid.of(Faces(corners), np.zeros(3))
+    grid = TriangleGrid.from_faces(Faces(corners), np.zeros(3))
     assert grid is not None
     cells = SurfaceCells([mesh], 3.0)
     plain = [getattr(table, each.name) for each in fields(table) if each.name != "cuts"]

@@ -185,7 +185,7 @@ def test_who_is_interrupted_as_a_job_starts_waits_for_what_has_begun(is_running:
 def test_functions_of_machine_code_are_called_with_each_row() -> None:
     buffer = np.zeros(8, np.int64)  # `turns` reads one word, and only waits
     for count in (1, 3, MAX_JOB_PARTS, 3 * MAX_JOB_PARTS + 5):
-        parallel.call_with_rows(
+        parallel.call_for_each_row(
             workers_text.load_code().function("turns"), np.array([(buffer.ctypes.data, 3, 0)] * count, np.int64), 3
         )
     pool = workers._pool_by_threads[3]

@@ -226,8 +226,8 @@ def test_pictures_are_those_of_the_near_world(pair: Pair) -> None:
 
 
 def test_a_cut_is_at_a_place_of_the_scene(pair: Pair) -> None:
-    near = Gallery(open_cache(pair[0]), CutPlane.of("x > 1")).make_picture(4)
-    far = Gallery(open_cache(pair[1]), CutPlane.of("x > 530001")).make_picture(4)
+    near = Gallery(open_cache(pair[0]), CutPlane.parse("x > 1")).make_picture(4)
+    far = Gallery(open_cache(pair[1]), CutPlane.parse("x > 530001")).make_picture(4)
     full_picture = Gallery(open_cache(pair[0])).make_picture(4)
     assert 0 < len(near.crowds[0].position) < len(full_picture.crowds[0].position)
     assert np.array_equal(near.crowds[0].position, far.crowds[0].position)

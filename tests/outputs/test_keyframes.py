@@ -93,16 +93,16 @@ def test_curves_go_on_over_whole_turns_and_past_the_quarter() -> None:
     angles, curves = EulerAngles(), []
     ids = np.array([4, 9])
     for k in range(200):
-        curves.append(angles.of(ids, quaternions(composed(np.stack([yaw[k], roll[k]])))))
+        curves.append(angles.compute_angles(ids, quaternions(composed(np.stack([yaw[k], roll[k]])))))
     assert np.abs(np.array(curves)[:, 0] - yaw).max() < 1e-4 and np.abs(np.array(curves)[:, 1] - roll).max() < 1e-4
 
 
 def test_new_agents_start_afresh_and_others_continue() -> None:
     angles = EulerAngles()
     for degrees in (170.0, 190.0):
-        both = angles.of(np.array([1, 5]), quaternions(axis_rotations(0, np.array([degrees, 10.0]))))
+        both = angles.compute_angles(np.array([1, 5]), quaternions(axis_rotations(0, np.array([degrees, 10.0]))))
     assert both[0, 0] == pytest.approx(190)
-    later = angles.of(np.array([1, 3, 5]), quaternions(axis_rotations(0, np.array([200.0, 200.0, 10.0]))))
+    later = angles.compute_angles(np.array([1, 3, 5]), quaternions(axis_rotations(0, np.array([200.0, 200.0, 10.0]))))
     assert later[:, 0] == pytest.approx([200, -160, 10])
 
 

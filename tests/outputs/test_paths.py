@@ -94,7 +94,7 @@ def test_named_agents_alone_have_paths_and_a_cut_keeps_rows_together(cache: Path
     window = PathWindow(0.1, 0.1)
     named, others = Gallery(open_cache(cache), window=window).make_picture(20, agents=frozenset([3])).crowds
     assert named.paths is not None and len(named.paths.positions) == 1 and others.paths is None
-    part = Gallery(open_cache(cache), CutPlane.of("x > 0"), window).make_picture(20).crowds[0]
+    part = Gallery(open_cache(cache), CutPlane.parse("x > 0"), window).make_picture(20).crowds[0]
     assert part.paths is not None and 0 < len(part.position) == len(part.paths.positions)
     assert np.abs(part.paths.positions[:, part.paths.now] - part.position).max() < 0.5
     assert Gallery(open_cache(cache)).make_picture(20).crowds[0].paths is None
@@ -154,13 +154,13 @@ def test_what_is_behind_a_wall_is_not_drawn() -> None:
 
 @pytest.mark.parametrize(("text", "window"), [("1..2", (1, 2)), (" 0 .. 2.5 ", (0, 2.5)), ("60..60", (60, 60))])
 def test_windows_are_read(text: str, window: tuple[float, float]) -> None:
-    result = PathWindow.of(text)
+    result = PathWindow.parse(text)
     assert result is not None and (result.seconds_before, result.seconds_after) == window
 
 
 @pytest.mark.parametrize("text", ["", "2", "-1..2", "1..61", "nan..2", "1..", "1..2..3", "1e9..2"])
 def test_windows_that_are_none_are_refused(text: str, cache: Path) -> None:
-    assert PathWindow.of(text) is None
+    assert PathWindow.parse(text) is None
     result = RUN.invoke(app, ["render", str(cache), "--show", "paths", "--window", text])
     assert result.exit_code == 2 and "1..2" in result.output
 

@@ -36,7 +36,7 @@ from antdsl.bodies.agents.leg_ik import LegSolver, PlacedFeet
 from antdsl.bodies.agents.machine_clips import EARLIER_FIELDS, MachineClips, PlayedClip, build_machine_playback
 from antdsl.bodies.agents.poses import ClipTable, build_clip_table
 from antdsl.bodies.agents.transforms import compute_world_matrices
-from antdsl.bodies.agents.varied_bodies import VariationDraws, draw_colour_position, draw_group_scale
+from antdsl.bodies.agents.varied_bodies import VariationDraws, draw_colour_path_positions, draw_group_scale
 from antdsl.bodies.body import build_orientations
 from antdsl.bodies.posed_body import PosedBody
 from antdsl.bodies.skinned_mesh import compute_blend_targets
@@ -293,7 +293,7 @@ def trait_arrays(worn: BodyOutfit, plays: tuple[MachineClips, ...], driven: Driv
         ).T
     ]
     parts += [draw_group_scale(differ, name, driven.variation_draws) for name in body_traits.scales]
-    parts += [draw_colour_position(differ, name, driven.variation_draws) for name in body_traits.materials]
+    parts += [draw_colour_path_positions(differ, name, driven.variation_draws) for name in body_traits.materials]
     padded_array = np.zeros((-(-len(parts) // 3) * 3, len(driven.variation_draws.ids)), np.float32)
     for k, part in enumerate(parts):
         padded_array[k] = part

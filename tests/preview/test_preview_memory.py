@@ -222,13 +222,13 @@ def test_sliders_return_to_their_values_at_the_selected_frame(scene: Path) -> No
 def test_the_box_about_all_stays_while_agents_fly_out_of_it(scene: Path) -> None:
     """The page looks at the whole again where the box is another one: not each time that a slider is moved."""
     session, box = opened(scene), BoundingBox()
-    first = box.of(session)
+    first = box.find_corners(session)
     ants = session.world.populations["forager"]
     ants.position[0] = 1e5
-    assert box.of(session) == first and BoundingBox().of(session)[1] == pytest.approx([1e5] * 3)
+    assert box.find_corners(session) == first and BoundingBox().find_corners(session)[1] == pytest.approx([1e5] * 3)
     scene.write_text(scene.read_text().replace("mesh: boulder.ply", "mesh: boulder.ply, at: [0, 900, 0]"))
     assert session.reload().ok
-    assert box.of(session) != first
+    assert box.find_corners(session) != first
 
 
 def test_each_page_learns_which_agent_each_feeler_belongs_to(scene: Path) -> None:

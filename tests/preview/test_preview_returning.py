@@ -30,12 +30,12 @@ def proof(key: str, host: str, nonce: str) -> str:
 
 def test_keys_of_the_last_starts_are_known_to_this_scene_and_port_alone(tmp_path: Path) -> None:
     folder = tmp_path / "kept"
-    starts = [ReturningPages.of(SCENE, 8765, folder) for _ in range(6)]
+    starts = [ReturningPages.open_for_server(SCENE, 8765, folder) for _ in range(6)]
     assert all(starts) and len({each.key for each in starts if each}) == 6
     last = starts[-1]
     assert last is not None
     assert last.previous_keys == tuple(each.key for each in reversed(starts[1:5]) if each)
-    known, forgotten, other = (starts[4], starts[0], ReturningPages.of(SCENE, 8766, folder))
+    known, forgotten, other = (starts[4], starts[0], ReturningPages.open_for_server(SCENE, 8766, folder))
     assert known is not None and forgotten is not None and other is not None and other.previous_keys == ()
     host = "127.0.0.1:8765"
     assert last.is_proof(proof(known.key, host, "n"), host, "n")
@@ -48,29 +48,29 @@ def test_keys_of_the_last_starts_are_known_to_this_scene_and_port_alone(tmp_path
 @pytest.mark.skipif(not hasattr(os, "geteuid"), reason="this system has other ways to keep files private")
 def test_only_private_files_of_keys_are_read(tmp_path: Path) -> None:
     folder = tmp_path / "kept"
-    first = ReturningPages.of(SCENE, 1, folder)
+    first = ReturningPages.open_for_server(SCENE, 1, folder)
     assert first is not None
     [place] = folder.iterdir()
     assert place.stat().st_mode & 0o777 == 0o600 and folder.stat().st_mode & 0o777 == 0o700
     original_text = place.read_text()
     for text in ("", "{", "[]", '{"keys": 3}', '{"keys": ["short", 5, null]}', "[" * 3000):
         place.write_text(text)
-        assert (returning := ReturningPages.of(SCENE, 1, folder)) is not None and returning.previous_keys == ()
+        assert (returning := ReturningPages.open_for_server(SCENE, 1, folder)) is not None and returning.previous_keys == ()
     place.write_text(original_text)
     place.chmod(0o644)  # others may have read it
-    assert (returning := ReturningPages.of(SCENE, 1, folder)) is not None and returning.previous_keys == ()
+    assert (returning := ReturningPages.open_for_server(SCENE, 1, folder)) is not None and returning.previous_keys == ()
     place.unlink()
     elsewhere = tmp_path / "elsewhere.json"
     elsewhere.write_text(original_text)
     elsewhere.chmod(0o600)
     place.symlink_to(elsewhere)
-    assert (returning := ReturningPages.of(SCENE, 1, folder)) is not None and returning.previous_keys == ()
+    assert (returning := ReturningPages.open_for_server(SCENE, 1, folder)) is not None and returning.previous_keys == ()
     assert elsewhere.read_text() == original_text, "what a link leads to is left alone"
     place.unlink()
     os.mkfifo(place)
-    assert (returning := ReturningPages.of(SCENE, 1, folder)) is not None and returning.previous_keys == ()
+    assert (returning := ReturningPages.open_for_server(SCENE, 1, folder)) is not None and returning.previous_keys == ()
     folder.chmod(0o777)
-    assert ReturningPages.of(SCENE, 1, folder) is None, "a folder that others may write to keeps nothing"
+    assert ReturningPages.open_for_server(SCENE, 1, folder) is None, "a folder that others may write to keeps nothing"
 
 
 def test_a_server_lets_in_who_proves_a_key_and_tells_the_token(tmp_path: Path) -> None:
@@ -79,8 +79,8 @@ def test_a_server_lets_in_who_proves_a_key_and_tells_the_token(tmp_path: Path) -
 
     async def test() -> None:
         listening = open_listening_sockets(port=0)
-        previous_returning = ReturningPages.of(SCENE, listening.port, tmp_path / "kept")
-        now = ReturningPages.of(SCENE, listening.port, tmp_path / "kept")
+        previous_returning = ReturningPages.open_for_server(SCENE, listening.port, tmp_path / "kept")
+        now = ReturningPages.open_for_server(SCENE, listening.port, tmp_path / "kept")
         assert previous_returning is not None and now is not None
         guard = RequestGuard(listening.host_names, returning_pages=now)
         live = Noted()

@@ -95,7 +95,7 @@ def test_a_spec_sees_the_same_frame_and_time_as_the_animals(scene: Path, backend
 
 def test_explain_describes_the_requested_frame(scene: Path) -> None:
     cache = cached(scene, 20, scene.parent / "out")
-    replay = Replay(CacheHistory.of(cache, open_shot(cache)))
+    replay = Replay(CacheHistory.from_cache(cache, open_shot(cache)))
     for frame, fires in ((11, False), (12, True)):
         (step_report,) = explain_agents(replay, frame, [("walker", 0)])
         assert step_report is not None

@@ -113,7 +113,7 @@ def test_explain_says_why_it_stands_still(tmp_path: Path, rest: str, words: str)
     for name, content in (("a.ant", text), ("scene.yaml", scene), ("ground.ply", GROUND)):
         (tmp_path / name).write_text(content)
     cache = cached(tmp_path / "scene.yaml", 12, tmp_path / "out")
-    replay = Replay(CacheHistory.of(cache, open_shot(cache)))
+    replay = Replay(CacheHistory.from_cache(cache, open_shot(cache)))
     (step_report,) = explain_agents(replay, 3, [("a", 0)])
     assert step_report is not None
     words_of_strip = tell(explain(cache, 0, 3)).splitlines()[3]

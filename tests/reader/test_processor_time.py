@@ -19,7 +19,7 @@ from antdsl.reader import client
 from antdsl.reader.client import FileReader, ReaderFailure
 from antdsl.scene import Roots
 from antdsl.scene.geometry import usd
-from antdsl.scene.geometry.usd.errors import pxr
+from antdsl.scene.geometry.usd.errors import import_pxr_module
 
 SPIN = """import sys, json, struct, time, os, resource
 def send(document):
@@ -240,8 +240,8 @@ def test_a_reader_that_cannot_start_for_want_of_memory(
 
 def test_a_library_that_cannot_be_mapped_is_out_of_memory() -> None:
     words = "libusd_usd.so: failed to map segment from shared object"
-    pxr.cache_clear()
+    import_pxr_module.cache_clear()
     with patch("importlib.import_module", side_effect=ImportError(words)), pytest.raises(MemoryError):
-        pxr("Usd")
+        import_pxr_module("Usd")
     with patch("importlib.import_module", side_effect=ImportError("undefined symbol")), pytest.raises(usd.UsdError):
-        pxr("Usd")
+        import_pxr_module("Usd")

@@ -35,7 +35,7 @@ def test_parts_are_sorted_as_the_whole(monkeypatch: pytest.MonkeyPatch) -> None:
         cell_grids = search_grids.SearchGrids()
         for cell in (2.0, 9.0, 1.0, 2.0):  # fewer cells and more
             cell_grids.begin_step()
-            tables = cell_grids.of(SimpleNamespace(options=SimpleNamespace(threads=threads)), crowd, cell)  # type: ignore[arg-type]
+            tables = cell_grids.build_tables(SimpleNamespace(options=SimpleNamespace(threads=threads)), crowd, cell)  # type: ignore[arg-type]
             cells = int(np.prod(tables["whole"][3:6]))  # type: ignore[index]
             names = ("x", "y", "z", "places", "at")
             own = {name: np.array(tables[name][:COUNT]) for name in names}  # type: ignore[index]

@@ -349,8 +349,8 @@ def test_a_cut_shows_the_inside(scene, shot):
     world = bound(shot)
     hill = world.solids["hill"]
     hill.carve_balls(np.array([[0.0, 6.0, 0.0]]), np.array([4.0]), np.zeros(1, np.int64))
-    cut = CutPlane.of("z > 0.5")
-    assert cut is not None and CutPlane.of("z = 3") is None and CutPlane.of("z > 0; x") is None
+    cut = CutPlane.parse("z > 0.5")
+    assert cut is not None and CutPlane.parse("z = 3") is None and CutPlane.parse("z > 0; x") is None
     opened = cut.cut_volume(hill, np.zeros(3), 1.0)
     vertices = np.concatenate([v for _, v, f in opened.iterate_brick_meshes(changed_only=False)])
     assert vertices[:, 2].max() == pytest.approx(0.5, abs=0.01)

@@ -78,7 +78,7 @@ def expected_steps(scene: RayScene, place, step, up, radius, clear) -> np.ndarra
 def test_steps_past_an_obstacle_keep_their_margin_and_slide(
     name: str, by_grid: bool, threads: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    scene = RayScene.of(MESHES[name]())
+    scene = RayScene.from_meshes(MESHES[name]())
     grid = scene._get_triangle_grid()
     assert grid is not None
     rng = np.random.default_rng(3)

@@ -167,6 +167,6 @@ def test_on_ground_that_has_moved_the_cells_go_along() -> None:
     moves = GeometryMoves(meshes={"ground": MeshMoves.from_transforms(poses, len(ground[0]))})
     got, world = smelled(setting(ground, 1, motion=moves), [(0.2, 0, 0.2)], [(0, 0, -1)], (0, 1, 0), "10 mm", start_steps=2)
     assert got == [cell(world, (10, 0, 0), (0, 1, 0))]
-    assert moving_geometry.get_moving_ground(world) is not None and WorldFacts.of(world.setting) == WorldFacts(
+    assert moving_geometry.get_moving_ground(world) is not None and WorldFacts.from_setting(world.setting) == WorldFacts(
         has_moving_ground=True, has_detail_levels=False
     )

@@ -510,12 +510,12 @@ def test_without_usd_core_the_extra_is_named(tmp_path: Path, monkeypatch: pytest
     from antdsl.scene.geometry.usd import errors
 
     usd_sets.write_usd(tmp_path / "assets", tmp_path)
-    errors.pxr.cache_clear()
+    errors.import_pxr_module.cache_clear()
     for name in [name for name in sys.modules if name.split(".")[0] == "pxr"]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "pxr", None)
     _, report = scene(tmp_path, usd_sets.FROM_USD, grants={"assets": tmp_path / "assets"})
-    errors.pxr.cache_clear()
+    errors.import_pxr_module.cache_clear()
     assert {d.code for d in report.errors} == {"missing-extra"}
     assert report.errors[0].help == 'install it: pip install "antdsl[usd]"'
 

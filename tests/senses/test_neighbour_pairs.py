@@ -107,7 +107,7 @@ def test_agents_are_put_in_the_order_of_cells(monkeypatch: pytest.MonkeyPatch, e
         assert high == [float(each[finite].max()) if finite.any() else 0 for each in columns]
         order = CellOrder(count, threads)
         for cell in (6.0, 80.0, 0.0, 5e4, 2.0, np.inf):  # arrays serve again
-            shape = GridShape.of(low, high, cell)
+            shape = GridShape.from_bounds(low, high, cell)
             for each in (shape, shape.to_sheet() if shape.extent[2] > 0 else shape):
                 key = cells_of(each, columns)
                 for names in (NO_ORDER, sort_stably(ids[:count])):
@@ -143,11 +143,11 @@ def test_a_crowd_of_few_layers_is_a_sheet(layers: int, agents: int, sheet: bool)
     x, z = rng.uniform(0, 300, (2, agents)).astype(np.float32)
     y = (rng.integers(0, layers, agents) * 20 + rng.uniform(0, 1, agents)).astype(np.float32)
     x[::50] = np.nan
-    shape = GridShape.of(*find_bounding_box((x, y, z)), 20.0)
+    shape = GridShape.from_bounds(*find_bounding_box((x, y, z)), 20.0)
     assert shape.can_be_sheet((x, y, z)) == sheet
-    assert not GridShape.of([0, 0, 0], [300, 0, 300], 20.0).can_be_sheet((x, y, z))
+    assert not GridShape.from_bounds([0, 0, 0], [300, 0, 300], 20.0).can_be_sheet((x, y, z))
     x[1:3], z[1:3] = (-1e6, 1e6), (-1e6, 1e6)
-    shape = GridShape.of(*find_bounding_box((x, y, z)), 20.0)
+    shape = GridShape.from_bounds(*find_bounding_box((x, y, z)), 20.0)
     assert not shape.has_cell_table(agents) and shape.can_be_sheet((x, y, z)) == sheet
 
 

@@ -127,12 +127,12 @@ def test_stills_of_another_machine_are_those_of_this_one(walkers: Path) -> None:
     drawer = FrameDrawer(still_options.gallery(open_cache(cache)), still_options, range(1, 7), 1)
     local_folder = walkers / "here"
     local_folder.mkdir()
-    local_stills = StillStore.of(local_folder, open_cache(cache), still_options, range(1, 7))
+    local_stills = StillStore.build(local_folder, open_cache(cache), still_options, range(1, 7))
     for frame in range(1, 7):
         local_stills.write_still(frame, drawer.draw(frame))
     assert files(remote_folder) == files(local_folder) and len(files(local_folder)) == 6
     assert all(
-        StillStore.of(remote_folder, open_cache(cache), still_options, range(1, 7)).read_still(frame) is not None
+        StillStore.build(remote_folder, open_cache(cache), still_options, range(1, 7)).read_still(frame) is not None
         for frame in range(1, 7)
     )
 
@@ -160,7 +160,7 @@ def test_a_bundle_is_known_by_its_hash_and_stays_in_its_folder(tmp_path: Path) -
     outside = {"../x": b"1"}
     with pytest.raises(TaskRefused, match="outside"):
         FileBundle(outside, hash_files(outside)).unpack(tmp_path / "third")
-    visible_file = VisibleFile.of(tmp_path / "a" / "x.txt")
+    visible_file = VisibleFile.from_path(tmp_path / "a" / "x.txt")
     assert visible_file.is_visible() and os.path.isabs(visible_file.path)
     (tmp_path / "a" / "x.txt").write_bytes(b"two")
     assert not visible_file.is_visible()

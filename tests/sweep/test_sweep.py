@@ -119,7 +119,7 @@ def test_processes_change_no_result_and_a_run_that_fails_stops_no_other(folder: 
 
 def test_a_job_goes_to_another_process_as_json(folder: Path) -> None:
     for job in make_jobs(folder, smell=("30mm",), until=("food.load",)):
-        assert SweepJob.of(json.loads(json.dumps(job.document()))) == job
+        assert SweepJob.from_document(json.loads(json.dumps(job.document()))) == job
 
 
 @pytest.mark.slow

@@ -22,7 +22,7 @@ class VariationDraws:
     seed: int = 0
     species: str = ""
 
-    def of(self, property_name: str) -> Floats:
+    def draw(self, property_name: str) -> Floats:
         """Return a random number from 0 to 1 per agent for the property `property_name`, float32[n]. It is constant for the
         agent's life."""
         return draw_uniform(self.seed, 0, self.species, f"variation {property_name}", 0, self.ids)
@@ -53,7 +53,7 @@ def scale_groups(
 def draw_group_scale(variation: Variation, group: str, draws: VariationDraws) -> Floats:
     """Return the scale of a transform group for each agent, float32[n]."""
     low, high = variation.scales[group]
-    return np.float32(low) + np.float32(high - low) * draws.of(f"scale {group}")
+    return np.float32(low) + np.float32(high - low) * draws.draw(f"scale {group}")
 
 
 def iterate_scale_pivots(rig: Rig, group: TransformGroup) -> Iterator[tuple[int, float]]:
@@ -66,10 +66,10 @@ def iterate_scale_pivots(rig: Rig, group: TransformGroup) -> Iterator[tuple[int,
             yield joint, weight
 
 
-def draw_colour_position(variation: Variation, material: str, draws: VariationDraws) -> Floats:
+def draw_colour_path_positions(variation: Variation, material: str, draws: VariationDraws) -> Floats:
     """Return the position of each agent's material on the path through its colours, float32[n]. It counts from 0 at the first
     colour."""
-    return draws.of(f"material {material}") * np.float32(len(variation.materials[material]) - 1)
+    return draws.draw(f"material {material}") * np.float32(len(variation.materials[material]) - 1)
 
 
 def compute_vertex_colours(
@@ -86,7 +86,7 @@ def compute_vertex_colours(
     colours = np.repeat(base_colours[None], len(draws.ids), axis=0)
     for name in varied:
         key_colours = np.array(variation.materials[name], np.float32)
-        at = draw_colour_position(variation, name, draws)
+        at = draw_colour_path_positions(variation, name, draws)
         first = np.minimum(at.astype(np.intp), len(key_colours) - 2)
         share = (at - first.astype(np.float32))[:, None]
         colours[:, material == name] = (key_colours[first] + (key_colours[first + 1] - key_colours[first]) * share)[:, None]

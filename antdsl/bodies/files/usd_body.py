@@ -27,7 +27,7 @@ from antdsl.reader.protocol import ReadRefusal
 from antdsl.scene.geometry.matrices import has_inverse, invert_transforms
 from antdsl.scene.geometry.usd.child.guard import ReaderAnswer, wrap_refusals
 from antdsl.scene.geometry.usd.child.stage import OpenStage, open_stage
-from antdsl.scene.geometry.usd.errors import pxr
+from antdsl.scene.geometry.usd.errors import import_pxr_module
 
 if TYPE_CHECKING:
     from antdsl.reader.protocol import ReaderMessage
@@ -71,7 +71,7 @@ def _read_definition(stage: OpenStage, prim: str, name: str, rate: float) -> tup
         str(target.GetPrim().GetPath()): (number, target) for number, (*_, targets) in enumerate(bindings) for target in targets
     }
     for mesh in stage.find_visible_prims(stage.prim):
-        if not mesh.IsA(pxr("UsdGeom").Mesh):
+        if not mesh.IsA(import_pxr_module("UsdGeom").Mesh):
             continue
         path = str(mesh.GetPath())
         skin = None
@@ -99,7 +99,7 @@ def _read_definition(stage: OpenStage, prim: str, name: str, rate: float) -> tup
         tuple(body.channels.values()),
     )
     layer = Layer(BASE_LAYER, tuple(static), tuple(deforming))
-    geom = pxr("UsdGeom")
+    geom = import_pxr_module("UsdGeom")
     z_up = str(geom.GetStageUpAxis(stage.stage)).lower() == "z"
     front, up = ((0.0, -1.0, 0.0), (0.0, 0.0, 1.0)) if z_up else ((0.0, 0.0, 1.0), (0.0, 1.0, 0.0))
     clips = {clip.name: clip for clip in _read_clips(body, skeletons, rate)}
@@ -114,7 +114,7 @@ def _read_definition(stage: OpenStage, prim: str, name: str, rate: float) -> tup
 
 def _iterate_skeleton_bindings(stage: OpenStage) -> Iterator[tuple[Any, Any, list[Any]]]:
     """Yield each skeleton with its UsdSkel query and the queries of the meshes that follow it, in file order."""
-    skel, usd = pxr("UsdSkel"), pxr("Usd")
+    skel, usd = import_pxr_module("UsdSkel"), import_pxr_module("Usd")
     cache, visited = skel.Cache(), set()
     predicate = usd.TraverseInstanceProxies()
     for prim in stage.find_visible_prims(stage.prim):
@@ -161,14 +161,14 @@ def to_column_matrix(matrix: Any) -> Floats:
 
 def _read_rest_matrix(stage: OpenStage, prim: Any) -> Floats:
     """Return the matrix float64[4, 4] of a prim in the stage, at rest (`stage.first`)."""
-    cache = pxr("UsdGeom").XformCache(stage.first)
+    cache = import_pxr_module("UsdGeom").XformCache(stage.first)
     return to_column_matrix(cache.GetLocalToWorldTransform(prim))
 
 
 def _read_skin(skeleton: _Skeleton, mesh: Any, target: Any) -> Skin:
     """Return the joints that a mesh follows: their names, and matrices from the mesh's space to that of each joint in the bind
     pose."""
-    own = pxr("UsdSkel").BindingAPI(mesh).GetJointsAttr().Get()
+    own = import_pxr_module("UsdSkel").BindingAPI(mesh).GetJointsAttr().Get()
     paths = [str(path) for path in own] if own is not None and len(own) else skeleton.paths
     number = {path: count for count, path in enumerate(skeleton.paths)}
     missing = next((path for path in paths if path not in number), None)
@@ -191,7 +191,7 @@ def _read_skin(skeleton: _Skeleton, mesh: Any, target: Any) -> Skin:
 
 def _read_clips(body: UsdBody, skeletons: list[_Skeleton], rate: float) -> list[Clip]:
     """Return the animations that skeletons are bound to, then other animations of the file that match one of the skeletons."""
-    skel = pxr("UsdSkel")
+    skel = import_pxr_module("UsdSkel")
     clips: dict[str, Clip] = {}
     known_paths: set[str] = set()
     cache = skel.Cache()
@@ -243,7 +243,11 @@ def _read_clip(body: UsdBody, query: Any, skeleton: Any, name: str, rate: float,
     rotation = np.empty((len(times), len(joints), 4))
     weights = np.zeros((len(times), len(shares)))
     for count, time in enumerate(times):
-        code = pxr("Usd").TimeCode(codes[0] + float(time) * per_second) if codes else pxr("Usd").TimeCode.Default()
+        code = (
+            import_pxr_module("Usd").TimeCode(codes[0] + float(time) * per_second)
+            if codes
+            else import_pxr_module("Usd").TimeCode.Default()
+        )
         if joints:
             parts = query.ComputeJointLocalTransformComponents(code)
             if parts is None or any(len(part) != len(paths) for part in parts):

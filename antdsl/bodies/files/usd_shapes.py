@@ -14,7 +14,7 @@ from antdsl.bodies.agents.definition import BlendTargets, BodyError, Capture, Ch
 from antdsl.bodies.files.gltf_shapes import make_unused_name, normalise_capture
 from antdsl.scene.geometry.polygons import TooManyCorners, triangulate
 from antdsl.scene.geometry.usd.child.stage import OpenStage
-from antdsl.scene.geometry.usd.errors import pxr
+from antdsl.scene.geometry.usd.errors import import_pxr_module
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -64,7 +64,7 @@ class UsdBody:
 
 def read_usd_shape(body: UsdBody, prim: Any, skin: Skin | None) -> Shape | None:
     """Return the shape of a mesh prim, and add it to the library with its blend shapes. Return None if the mesh has no faces."""
-    mesh, time = pxr("UsdGeom").Mesh(prim), body.stage.first
+    mesh, time = import_pxr_module("UsdGeom").Mesh(prim), body.stage.first
     points = _to_rows(mesh.GetPointsAttr().Get(time), 3)
     _count_points(body, len(points))
     if not np.isfinite(points).all() or (len(points) and np.abs(points).max() > 1e30):
@@ -130,7 +130,7 @@ def _triangulate_faces(mesh: Any, prim: Any, time: Any, points: Floats) -> tuple
 
 def _read_normals(mesh: Any, prim: Any, time: Any, points: Floats, corners: Integers) -> Floats | None:
     """Return a normal for each corner, or None."""
-    primvar = pxr("UsdGeom").PrimvarsAPI(prim).GetPrimvar("normals")
+    primvar = import_pxr_module("UsdGeom").PrimvarsAPI(prim).GetPrimvar("normals")
     if primvar and primvar.HasValue():
         return _expand_to_corners(primvar.ComputeFlattened(time), str(primvar.GetInterpolation()), 3, len(points), corners)
     return _expand_to_corners(mesh.GetNormalsAttr().Get(time), str(mesh.GetNormalsInterpolation()), 3, len(points), corners)
@@ -138,7 +138,7 @@ def _read_normals(mesh: Any, prim: Any, time: Any, points: Floats, corners: Inte
 
 def _read_uvs(prim: Any, time: Any, points: int, corners: Integers) -> Floats | None:
     """Return texture coordinates for each corner: the primvar `st`, else the first that exists."""
-    primvars = pxr("UsdGeom").PrimvarsAPI(prim).GetPrimvarsWithValues()
+    primvars = import_pxr_module("UsdGeom").PrimvarsAPI(prim).GetPrimvarsWithValues()
     known = [each for each in primvars if str(each.GetTypeName()) in ("texCoord2f[]", "texCoord2d[]", "texCoord2h[]", "float2[]")]
     known.sort(key=lambda each: each.GetPrimvarName() != "st")
     if not known:
@@ -188,7 +188,7 @@ def _read_capture(body: UsdBody, prim: Any, skin: Skin, points: int, source: Int
 
 def _read_blend_shapes(body: UsdBody, shape: Shape, prim: Any, points: Floats, source: Integers) -> BlendTargets | None:
     """Add the blend shapes of a mesh to the library as shapes. The channel of the same name weights each blend shape."""
-    skel = pxr("UsdSkel")
+    skel = import_pxr_module("UsdSkel")
     binding = skel.BindingAPI(prim)
     tokens = [str(each) for each in binding.GetBlendShapesAttr().Get() or []]
     targets = binding.GetBlendShapeTargetsRel().GetForwardedTargets()
@@ -270,7 +270,7 @@ def _read_materials(body: UsdBody, prim: Any, face: Integers) -> tuple[tuple[str
         return names.index(name)
 
     mesh_material = _read_bound_material(body, prim) or _read_display_colour(prim)
-    subsets = pxr("UsdShade").MaterialBindingAPI(prim).GetMaterialBindSubsets()
+    subsets = import_pxr_module("UsdShade").MaterialBindingAPI(prim).GetMaterialBindSubsets()
     if mesh_material is None and not subsets:
         return (), None
     most = int(face.max()) + 1
@@ -285,7 +285,7 @@ def _read_materials(body: UsdBody, prim: Any, face: Integers) -> tuple[tuple[str
 
 def _read_bound_material(body: UsdBody, prim: Any) -> tuple[str, tuple[float, float, float]] | None:
     """Return the material that is bound to a prim, with its base colour. The colour is white if it comes from a texture."""
-    material = pxr("UsdShade").MaterialBindingAPI(prim).ComputeBoundMaterial()[0]
+    material = import_pxr_module("UsdShade").MaterialBindingAPI(prim).ComputeBoundMaterial()[0]
     if not material:
         return None
     shader = material.ComputeSurfaceSource()[0]
@@ -299,7 +299,7 @@ def _read_bound_material(body: UsdBody, prim: Any) -> tuple[str, tuple[float, fl
 
 def _read_display_colour(prim: Any) -> tuple[str, tuple[float, float, float]] | None:
     """Return a name and the display colour of a mesh; None if it does not have exactly one colour."""
-    primvar = pxr("UsdGeom").Gprim(prim).GetDisplayColorPrimvar()
+    primvar = import_pxr_module("UsdGeom").Gprim(prim).GetDisplayColorPrimvar()
     value = primvar.Get() if primvar and primvar.HasValue() else None
     if value is None or len(value) != 1:
         return None

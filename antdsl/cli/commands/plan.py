@@ -59,7 +59,9 @@ def _list_machine_code(final_plan: Plan, setting: WorldSetting | None, include_c
     if why := llvm_compiler.unavailability_reason():
         raise CommandError(ExitCode.FINDINGS, f"error: this machine cannot make machine code: {why}")
     code_listing = program_listing.build_program(
-        final_plan, llvm_compiler.host_target(), program_listing.STATIC_WORLD if setting is None else WorldFacts.of(setting)
+        final_plan,
+        llvm_compiler.host_target(),
+        program_listing.STATIC_WORLD if setting is None else WorldFacts.from_setting(setting),
     )
     words = (
         "for static ground without `lod`; a scene with moving ground or `lod` may have different code\n"

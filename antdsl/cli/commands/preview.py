@@ -120,7 +120,7 @@ def _serve_preview(
     from antdsl.preview.serving.server import PreviewServer, run_server
 
     # traffic on a network is not encrypted: a reader of a key could use it to return
-    returning = ReturningPages.of(scene, listening.port) if allows_reconnect and not allows_others else None
+    returning = ReturningPages.open_for_server(scene, listening.port) if allows_reconnect and not allows_others else None
     guard = RequestGuard(listening.host_names, returning_pages=returning)
     server = PreviewServer(live, guard, load_pages(), listening)
 

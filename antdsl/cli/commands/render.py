@@ -150,7 +150,7 @@ def render(
     if film:
         _require_film_support()
     together = drawn if shot is None else _choose_frames(gallery, parse_frame_range(shot, "--shot"), every, False, True)
-    stills = StillStore.of(folder, gallery.cache, settings, together)
+    stills = StillStore.build(folder, gallery.cache, settings, together)
     try:
         with raise_on_sigterm():
             if scheduler:
@@ -185,7 +185,7 @@ def render(
 def _parse_cut(text: str | None) -> CutPlane | None:
     from antdsl.outputs.cut_plane import CutPlane
 
-    cut = CutPlane.of(text) if text is not None else None
+    cut = CutPlane.parse(text) if text is not None else None
     if text is not None and cut is None:
         raise typer.BadParameter(f"`{text}` is not a plane such as `z > 0` or `x < -12.5`", param_hint="--cut")
     return cut
@@ -194,7 +194,7 @@ def _parse_cut(text: str | None) -> CutPlane | None:
 def _parse_window(text: str) -> PathWindow:
     from antdsl.outputs.agent_paths import MAX_WINDOW_SECONDS, PathWindow
 
-    window = PathWindow.of(text)
+    window = PathWindow.parse(text)
     if window is None:
         words = f"`{text}` is not a range of seconds such as `1..2`, of at most {MAX_WINDOW_SECONDS:g}"
         raise typer.BadParameter(words, param_hint="--window")

@@ -62,7 +62,7 @@ class FaceBoxes:
     bounds: Floats
 
     @staticmethod
-    def of(vertices: Floats, faces: NDArray[np.int32], live_faces: Index, group: NDArray[np.int32]) -> FaceBoxes:
+    def build(vertices: Floats, faces: NDArray[np.int32], live_faces: Index, group: NDArray[np.int32]) -> FaceBoxes:
         """Build the tree of the `live_faces` triangles.
 
         The triangles of one `group` int32[m] are consecutive. Within a group they are in Morton order, so that neighbours share

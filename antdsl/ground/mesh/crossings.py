@@ -39,7 +39,7 @@ def find_crossing(
     Feet keep more than `touch` (mm) away from the cutting face, on their side. That is a thousand times the rounding error of
     float64, so their side is always certain."""
     table, link, f, side = surface.table, surface.link, walker.face, walker.side
-    (first, others), touch = cuts, around.lengths.touch_distance
+    (first, others), touch = cuts, around.length_tolerances.touch_distance
     place, up, direction = compute_stance(table, walker)
     face, best, best_distance, soonest = -1, np.inf, length, np.inf
     for k in range(first[f], first[f + 1]):

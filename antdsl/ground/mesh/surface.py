@@ -53,8 +53,8 @@ class MeshGround:
         self._facing_side = find_facing_sides(self._topology.normal.T)
         self._ray_scenes: dict[tuple[int, ...], tuple[RayScene, Index]] = {}
         corners = self._vertices[self._faces]
-        self._scale = GroundScale.of(self.extent)
-        self._box_tree = FaceBoxes.of(self._vertices, self._faces, np.flatnonzero(self._topology.live), self._group_surfaces())
+        self._scale = GroundScale.from_extent(self.extent)
+        self._box_tree = FaceBoxes.build(self._vertices, self._faces, np.flatnonzero(self._topology.live), self._group_surfaces())
         self._clearances = PieceClearances(
             corners, self._topology.piece, self._topology.cuts.is_cut, self.low, self._scale.distance_noise
         )

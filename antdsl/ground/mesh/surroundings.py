@@ -69,7 +69,7 @@ class GroundScale:
     max_below_height: float
 
     @staticmethod
-    def of(extent: float) -> GroundScale:
+    def from_extent(extent: float) -> GroundScale:
         """Return the lengths for a ground of size `extent` (mm)."""
         return GroundScale(
             RELATIVE_DISTANCE_NOISE * extent,
@@ -79,7 +79,7 @@ class GroundScale:
             10 * RELATIVE_COINCIDENT_DISTANCE * extent,
         )
 
-    def lengths(self) -> LengthTolerances:
+    def get_length_tolerances(self) -> LengthTolerances:
         """Return the lengths that kernels read."""
         return LengthTolerances(self.min_eye_height, self.coincident_distance, self.max_below_height, self.touch_distance)
 
@@ -120,7 +120,7 @@ def find_piece_ahead(
     If the agent's own piece hides it, the search is repeated from a minimal height. Otherwise feet would pass under the agent's
     own piece."""
     pieces, boxes, face_list, f = around.sides.piece, around.boxes, around.face_list, walker.face
-    least, fine = around.lengths.min_eye_height, around.lengths.coincident_distance
+    least, fine = around.length_tolerances.min_eye_height, around.length_tolerances.coincident_distance
     ground = compute_stance(table, walker)
     place, _, direction = ground
     high = fmax(fmin(EYE_HEIGHT_PER_BODY * body, remaining / MIN_LOOK_AHEAD_FACTOR), least)
@@ -156,8 +156,8 @@ def _find_visible_piece(
     boxes, face_list, fine, under = (
         around.boxes,
         around.face_list,
-        around.lengths.coincident_distance,
-        around.lengths.max_below_height,
+        around.length_tolerances.coincident_distance,
+        around.length_tolerances.max_below_height,
     )
     place, up, direction = ground
     roof, part, _ = find_first_hit(table, boxes, face_list, face_count, place, times(up, eye_height), fine)
@@ -180,7 +180,12 @@ def _is_hidden(
     table: Array1[F64], around: NearbySurfaces, f: I64, ground: SurfaceStance, length: F64, eye_height: F64, towards: Vec3
 ) -> BOOL:
     """Return whether the agent's own piece hides face `f`, seen from eye height `eye_height`."""
-    pieces, boxes, face_list, fine = around.sides.piece, around.boxes, around.face_list, around.lengths.coincident_distance
+    pieces, boxes, face_list, fine = (
+        around.sides.piece,
+        around.boxes,
+        around.face_list,
+        around.length_tolerances.coincident_distance,
+    )
     place, up, direction = ground
     step, piece = times(direction, length), pieces[f]
     eye = plus(place, times(up, eye_height))
@@ -210,7 +215,7 @@ def find_landing_beyond_border(
     Each part of the path begins at the end of the previous part, and stops at the first surface. So the agent never steps onto
     anything behind a sheet. On both sides of the border, the path is one gap away from it."""
     sides, boxes, face_list, f = around.sides, around.boxes, around.face_list, walker.face
-    pieces, least, fine = sides.piece, around.lengths.min_eye_height, around.lengths.coincident_distance
+    pieces, least, fine = sides.piece, around.length_tolerances.min_eye_height, around.length_tolerances.coincident_distance
     row = ROW_FLOATS * f
     place, up = (
         position_on_face(table, row, walker.weights, walker.side),

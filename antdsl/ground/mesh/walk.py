@@ -210,7 +210,7 @@ def continue_walks(
         piece_tables.buffer,
         compute_buffer_index(begin, piece_tables.count, piece_tables.buffer_count) * boxes.triangle_order.size,
     )
-    around = NearbySurfaces(piece_tables.sides, boxes, piece_tables.lengths, face_list)
+    around = NearbySurfaces(piece_tables.sides, boxes, piece_tables.length_tolerances, face_list)
     for k in range(begin, end):
         i = integer_rows[AGENT_ROW, k]
         size = float_rows[BODY_SIZE_ROW, k]

@@ -32,7 +32,7 @@ class WaitingAgents:
     left_out_count: int
 
     @staticmethod
-    def of(parts: list[tuple[int, int, int]], reals: Floats, wholes: NDArray[np.int64]) -> WaitingAgents:
+    def merge_parts(parts: list[tuple[int, int, int]], reals: Floats, wholes: NDArray[np.int64]) -> WaitingAgents:
         """Merge the results of kernels that ran the loop in parts."""
         own = parallel.join_parts(parts, reals, wholes)
         return WaitingAgents(own[0], own[1], sum([left for _, _, left in parts]))
@@ -116,7 +116,7 @@ class CrowdWalk:
         placed, moved, blocked = walkers.FootingArrays._make(results[:5]), walkers.PoseArrays._make(results[5:10]), results[10]
         reals, wholes = np.empty((loop.FLOAT_ROW_COUNT, n)), np.empty((loop.INTEGER_ROW_COUNT, n), np.int64)
         work = partial(loop.walk_all, *self.build_tables(), start, body, vectors, reals, wholes, how, placed, moved)
-        waiting = WaitingAgents.of(parallel.run_in_parts(work, n, threads), reals, wholes)
+        waiting = WaitingAgents.merge_parts(parallel.run_in_parts(work, n, threads), reals, wholes)
         self.continue_waiting(waiting, how, placed, moved, blocked, threads, stop_at_borders)
 
     def continue_waiting(
@@ -139,7 +139,7 @@ class CrowdWalk:
         count = wholes.shape[1]
         parts = parallel.count_parts(count, threads, _WAITING_PER_THREAD)
         buffer = np.empty(parts * boxes.triangle_order.size, np.int64)
-        known = walkers.PieceTables(sides, cuts, boxes.to_box_tree(), scale.lengths(), buffer, parts, count)
+        known = walkers.PieceTables(sides, cuts, boxes.to_box_tree(), scale.get_length_tolerances(), buffer, parts, count)
         further = partial(
             loop.continue_walks, *self.build_tables(), known, stop_at_borders, reals, wholes, statuses, placed, moved, blocked
         )

@@ -62,7 +62,7 @@ class NearbySurfaces(NamedTuple):
 
     sides: SideGroups
     boxes: BoxTree
-    lengths: LengthTolerances
+    length_tolerances: LengthTolerances
     face_list: FaceList
 
 
@@ -117,7 +117,7 @@ class PieceTables(NamedTuple):
     sides: SideGroups
     cuts: CutTables
     boxes: BoxTree
-    lengths: LengthTolerances
+    length_tolerances: LengthTolerances
     buffer: Array1[I64]
     buffer_count: I64
     count: I64

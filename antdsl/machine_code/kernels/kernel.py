@@ -185,7 +185,7 @@ def _build_entry(kernel: Kernel, unit: KernelUnit, module: LlvmModule, tables: L
         raise TypeError(f"{kernel.__name__} gives back more than {RESULT_WORDS} numbers")
     code = kernel.part.function.__code__
     line_table = "" if tables is None else tables.begin_function(kernel.__name__, code.co_filename, code.co_firstlineno)
-    call = f"call {result_type(result)} {name}({arguments})" + ("" if tables is None else tables.of(0))
+    call = f"call {result_type(result)} {name}({arguments})" + ("" if tables is None else tables.format_location(0))
     body.append(f"  {call}" if not results else f"  %given = {call}")
     for k, each in enumerate(results):
         value = "%given"

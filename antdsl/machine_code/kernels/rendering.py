@@ -61,7 +61,7 @@ def render_function(
                 lines.append(
                     _render_instruction(each, declared)
                     if tables is None
-                    else _render_instruction(each, declared) + tables.of(each.line)
+                    else _render_instruction(each, declared) + tables.format_location(each.line)
                 )
             elif checks is not None:
                 lines += checks.lines(function, each)

@@ -74,7 +74,7 @@ class RowHasher:
             ]
         return self._split_columns
 
-    def of(self, ids: NDArray[np.int64] | None, columns: Sequence[NDArray[Any]], threads: int = 1) -> bytes:
+    def hash_rows(self, ids: NDArray[np.int64] | None, columns: Sequence[NDArray[Any]], threads: int = 1) -> bytes:
         """Return the hash of columns [n] or [n, k]; the latter count as k columns. Columns with fewer than four bytes per value
         must be contiguous."""
         arrays = list(columns) if ids is None else [ids, *columns]
@@ -192,7 +192,7 @@ class HashTable:
             ends = [count * k // chunks for k in range(chunks + 1)]
             self._chunks = np.array([(array_address(self._chunk_headers[k]), *ends[k : k + 2]) for k in range(chunks)], np.int64)
         self._chunk_headers[:, :2] = 0
-        parallel.call_with_rows(_load_function(), self._chunks, threads)
+        parallel.call_for_each_row(_load_function(), self._chunks, threads)
         first, second = (sum(column) for column in self._chunk_headers[:, :2].T.tolist())
         return first, second
 

@@ -32,7 +32,7 @@ class StoredBodies:
     arrays: Arrays
 
     @staticmethod
-    def of(definitions: Mapping[str, Definition], named: Mapping[str, Mapping[str, float]]) -> StoredBodies:
+    def from_definitions(definitions: Mapping[str, Definition], named: Mapping[str, Mapping[str, float]]) -> StoredBodies:
         """Build from definitions by body key. `named`: by species, the words and files that the scene names, with their
         weights."""
         numbers: dict[int, int] = {}

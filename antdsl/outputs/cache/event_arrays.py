@@ -55,7 +55,7 @@ def _make_contact_arrays(world: World, scale: float) -> Arrays:
     pairs = np.flatnonzero(near.gap < 0)
     i, j, points = near.rows[near.i[pairs]], near.rows[near.j[pairs]], _compute_contact_points(near, pairs)
     direction, gap = near.direction[:, pairs], near.gap[pairs]
-    ids = crowd.of(lambda p: p.ids)
+    ids = crowd.concatenate_species(lambda p: p.ids)
     names = sorted(world.populations)
     species = np.repeat([names.index(p.name) for p in crowd.species], np.diff(crowd.first)).astype(np.int16)
     order = np.lexsort((ids[j], species[j], ids[i], species[i]))

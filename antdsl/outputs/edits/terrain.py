@@ -34,7 +34,7 @@ class Terrain:
 
     def __init__(self, meshes: Sequence[Mesh], unit_mm: float) -> None:
         self._unit_mm = unit_mm
-        self._rays = RayScene.of([(vertices * unit_mm, faces) for vertices, faces in meshes])
+        self._rays = RayScene.from_meshes([(vertices * unit_mm, faces) for vertices, faces in meshes])
         self._faces = [faces for _, faces in meshes]
         self._normals = [compute_vertex_normals(vertices, faces).astype(np.float64) for vertices, faces in meshes]
 

@@ -36,7 +36,7 @@ def export_csv(gallery: Gallery, frames: Iterable[int], path: Path) -> None:
                 rows = rows[np.argsort(numbers[rows], kind="stable")]
                 table = np.empty((len(rows), 11))
                 table[:, 0], table[:, 1], table[:, 2:5] = numbers[rows], frame, arrays["P"][rows] + gallery.origin
-                table[:, 5:8] = angles[number].of(numbers[rows], arrays["orient"][rows])
+                table[:, 5:8] = angles[number].compute_angles(numbers[rows], arrays["orient"][rows])
                 table[:, 8:] = arrays["pscale"][rows, None]
                 text = (row + name) * len(rows) % tuple(table.ravel().tolist())
                 file.write(text.encode())

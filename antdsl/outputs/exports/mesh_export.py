@@ -28,7 +28,7 @@ from antdsl.outputs.usd.values import (
     to_identifier,
     to_vector_array,
 )
-from antdsl.scene.geometry.usd import pxr
+from antdsl.scene.geometry.usd import import_pxr_module
 from antdsl.scene.scene_model import UNIT_MM
 
 _MAX_FRAME_POINTS = 20_000_000  # maximum number of points in a frame
@@ -57,7 +57,7 @@ def export_usd_meshes(gallery: Gallery, frames: Iterable[int], path: Path) -> li
     The meshes are `/World/SPECIES/agent_ID`. Raises UsdError without usd-core."""
     frames = list(frames)
     common_ids, notes = _find_common_agents(gallery, frames)
-    usd, geom = pxr("Usd"), pxr("UsdGeom")
+    usd, geom = import_pxr_module("Usd"), import_pxr_module("UsdGeom")
     with raise_disk_errors(path), atomic_path(path, path.suffix) as part:
         stage = usd.Stage.CreateNew(str(part))
         geom.SetStageMetersPerUnit(stage, UNIT_MM[gallery.manifest.units] / 1000)
@@ -83,7 +83,7 @@ def export_usd_meshes(gallery: Gallery, frames: Iterable[int], path: Path) -> li
 
 def _add_usd_mesh(out: StageOutput, part: MeshPart) -> tuple[ValueSamples, ...]:
     species, _, number = part.name.rpartition("_")
-    pxr("UsdGeom").Xform.Define(out.stage, f"{ROOT_PATH}/{to_identifier(species)}")
+    import_pxr_module("UsdGeom").Xform.Define(out.stage, f"{ROOT_PATH}/{to_identifier(species)}")
     usd_mesh = add_mesh(out.stage, f"{ROOT_PATH}/{to_identifier(species)}/agent_{number}", part.points, part.faces, part.normals)
     assert part.colours is not None
     usd_mesh.CreateDisplayColorPrimvar("vertex").Set(to_vector_array(decode_srgb(part.colours)))

@@ -127,7 +127,7 @@ def make_eye_level_camera(
         if item.shape != "none" and item.remaining_share > 0 and item.radius > 0
     ]
     around = [(solid.vertices, solid.faces) for solid in picture.solids if len(solid.faces)]
-    solids = RayScene.of(around + [(mesh.vertices, mesh.faces) for mesh in placed])
+    solids = RayScene.from_meshes(around + [(mesh.vertices, mesh.faces) for mesh in placed])
     best: tuple[float, Camera] | None = None
     for row in rows.tolist():
         for camera in _make_candidate_cameras(crowd, row, focal, np.asarray(picture.up, np.float64), close):

@@ -25,7 +25,7 @@ from antdsl.outputs.usd.values import (
     to_usd_matrix,
     to_vector_array,
 )
-from antdsl.scene.geometry.usd import pxr
+from antdsl.scene.geometry.usd import import_pxr_module
 
 _SAME_POSE_TOLERANCE = 1e-5  # body lengths; bind poses that differ less are merged
 
@@ -54,7 +54,7 @@ def write_definition(stage: Any, path: str, body: PosedBody, looks: MaterialBind
 
     `looks`: the body's materials. A body with a close-up form has a variant set `detail` with the variants `crowd` and `close`.
     `close`: selects the variant `close`."""
-    skel, definition = pxr("UsdSkel"), body.drawn_definition
+    skel, definition = import_pxr_module("UsdSkel"), body.drawn_definition
     root = skel.Root.Define(stage, path)
     joints = make_joint_paths(definition)
     details = {"crowd": body} | ({"close": body.fine} if body.fine is not body else {})
@@ -69,11 +69,11 @@ def write_definition(stage: Any, path: str, body: PosedBody, looks: MaterialBind
         for channel in blend.channels
     )
     skel_definition = SkelDefinition(path, joints, tuple(channels))
-    rig = pxr("UsdGeom").Xform.Define(stage, f"{path}/rig")
+    rig = import_pxr_module("UsdGeom").Xform.Define(stage, f"{path}/rig")
     rig.AddTransformOp().Set(to_usd_matrix(definition.compute_base_matrix()))
     skeletons = _SkeletonTable(stage, f"{path}/rig", definition, joints)
     for name, each in details.items():
-        pxr("UsdGeom").Xform.Define(stage, f"{path}/rig/{name}")
+        import_pxr_module("UsdGeom").Xform.Define(stage, f"{path}/rig/{name}")
         names: set[str] = set()
         for binding in drawn[name]:
             shape = make_unique(to_identifier(binding.shape), names)
@@ -143,11 +143,11 @@ class _SkeletonTable:
         bind[numbers], known[numbers] = target, True
         number = len(self._skeletons) + 1
         path = f"{self._path}/skeleton" + (f"_{number}" if number > 1 else "")
-        skeleton = pxr("UsdSkel").Skeleton.Define(self._stage, path)
-        skeleton.CreateJointsAttr(pxr("Vt").TokenArray(list(self._joints)))
+        skeleton = import_pxr_module("UsdSkel").Skeleton.Define(self._stage, path)
+        skeleton.CreateJointsAttr(import_pxr_module("Vt").TokenArray(list(self._joints)))
         skeleton.CreateRestTransformsAttr(to_usd_matrices(np.asarray(self._definition.rig.rest)))
         self._skeletons.append((path, bind, known, skeleton.CreateBindTransformsAttr(to_usd_matrices(bind))))
-        pxr("UsdSkel").BindingAPI.Apply(skeleton.GetPrim())
+        import_pxr_module("UsdSkel").BindingAPI.Apply(skeleton.GetPrim())
         return path
 
     def find_bind_pose(self, path: str, joint: int) -> Array:
@@ -172,7 +172,7 @@ def _write_shape(
     material = np.zeros(len(shape.faces), np.int64) if shape.material is None else shape.material
     if looks.bind_faces(drawn, shape.materials or ("",), material):
         skel_definition.tinted_meshes.append(path.removeprefix(f"{skel_definition.path}/"))
-    api = pxr("UsdSkel").BindingAPI.Apply(drawn.GetPrim())
+    api = import_pxr_module("UsdSkel").BindingAPI.Apply(drawn.GetPrim())
     steps = binding.deformer.split("+") if binding.deformer else []
     skinned = [step for step in steps if step.endswith("skinning")]
     _add_difference_notes(skel_definition, binding, shape, steps)
@@ -181,11 +181,11 @@ def _write_shape(
     if skinned and shape.capture is not None:
         _write_capture(api, definition, shape)
         api.CreateSkinningMethodAttr("classicLinear" if skinned[0] == "linearskinning" else "dualQuaternion")
-        api.CreateGeomBindTransformAttr(pxr("Gf").Matrix4d(1))
+        api.CreateGeomBindTransformAttr(import_pxr_module("Gf").Matrix4d(1))
     else:
         joint = definition.rig.joint(binding.transform) if binding.transform else 0
         api.CreateJointIndicesPrimvar(True, 1).Set(to_integer_array(np.array([joint])))
-        api.CreateJointWeightsPrimvar(True, 1).Set(pxr("Vt").FloatArray([1.0]))
+        api.CreateJointWeightsPrimvar(True, 1).Set(import_pxr_module("Vt").FloatArray([1.0]))
         api.CreateGeomBindTransformAttr(
             to_usd_matrix(skeletons.find_bind_pose(skeleton, joint) if binding.transform else np.eye(4))
         )
@@ -216,12 +216,12 @@ def _write_capture(api: Any, definition: Definition, shape: Shape) -> None:
     used = int(np.flatnonzero((capture.weights != 0).any(axis=0)).max(initial=0)) + 1
     api.CreateJointIndicesPrimvar(False, used).Set(to_integer_array(numbers[capture.joints[:, :used]].ravel()))
     weights = np.ascontiguousarray(capture.weights[:, :used], np.float32).ravel()
-    api.CreateJointWeightsPrimvar(False, used).Set(pxr("Vt").FloatArray.FromNumpy(weights))
+    api.CreateJointWeightsPrimvar(False, used).Set(import_pxr_module("Vt").FloatArray.FromNumpy(weights))
 
 
 def _write_blend_shapes(stage: Any, path: str, api: Any, definition: Definition, shape: Shape) -> None:
     """Write the inputs of a blend shape, each as a BlendShape weighted by the channel of the same name."""
-    blend, skel = shape.blend, pxr("UsdSkel")
+    blend, skel = shape.blend, import_pxr_module("UsdSkel")
     assert blend is not None
     targets: list[Any] = []
     taken = {"st"}
@@ -242,7 +242,7 @@ def _write_blend_shapes(stage: Any, path: str, api: Any, definition: Definition,
                 into.SetOffsets(to_vector_array(offsets))
                 into.CreateNormalOffsetsAttr(to_vector_array(normals))
         targets.append(blend_shape.GetPath())
-    api.CreateBlendShapesAttr(pxr("Vt").TokenArray([to_identifier(channel) for channel in blend.channels]))
+    api.CreateBlendShapesAttr(import_pxr_module("Vt").TokenArray([to_identifier(channel) for channel in blend.channels]))
     api.CreateBlendShapeTargetsRel().SetTargets(targets)
 
 

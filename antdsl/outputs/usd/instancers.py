@@ -26,7 +26,7 @@ from antdsl.outputs.usd.values import (
     to_vector_array,
     write_state_names,
 )
-from antdsl.scene.geometry.usd import pxr
+from antdsl.scene.geometry.usd import import_pxr_module
 
 
 class InstancerWriter:
@@ -37,16 +37,16 @@ class InstancerWriter:
     def __init__(self, out: StageOutput, species: SpeciesEntry, number: int, close: bool = False) -> None:
         self._out, self._number, stage = out, number, out.stage
         path = f"{ROOT_PATH}/{out.name('species', species.name)}"
-        self.instancer = pxr("UsdGeom").PointInstancer.Define(stage, path)
-        pxr("UsdGeom").Scope.Define(stage, f"{path}/prototypes")
+        self.instancer = import_pxr_module("UsdGeom").PointInstancer.Define(stage, path)
+        import_pxr_module("UsdGeom").Scope.Define(stage, f"{path}/prototypes")
         write_state_names(self.instancer.GetPrim(), species)
         self._bank = PrototypeBank(out, species, close)
         self._prototype_count = 0
         self._samples: dict[str, ValueSamples] = {}
         self._previous_quaternions = (np.zeros(0, np.int64), np.zeros((0, 4)))
-        self._primvars_api = pxr("UsdGeom").PrimvarsAPI(self.instancer)
+        self._primvars_api = import_pxr_module("UsdGeom").PrimvarsAPI(self.instancer)
         self._state_names = [state.name for state in species.machines[0].states] if species.machines else []
-        vt = pxr("Vt")
+        vt = import_pxr_module("Vt")
         self._conversion_by_attribute: dict[str, tuple[Callable[[Any], Any], Any]] = {
             "orientations": (vt.QuathArray.FromNumpy, np.float16),
             "orientationsf": (vt.QuatfArray.FromNumpy, np.float32),
@@ -117,7 +117,7 @@ class InstancerWriter:
     def _write_primvar(self, time: float, name: str, values: Any) -> None:
         """Write one value per agent as a primvar. States are written as indices of their names."""
         if name not in self._samples:
-            types, vt = pxr("Sdf").ValueTypeNames, pxr("Vt")
+            types, vt = import_pxr_module("Sdf").ValueTypeNames, import_pxr_module("Vt")
             is_integer = np.asarray(values).dtype.kind in "iu"
             if name == "state":
                 primvar = self._primvars_api.CreatePrimvar("state", types.TokenArray, "vertex")

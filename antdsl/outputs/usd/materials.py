@@ -14,7 +14,7 @@ from antdsl.bodies.agents.definition import STATE_MATERIAL
 from antdsl.bodies.agents.machine_clips import MachineClips
 from antdsl.bodies.posed_body import PosedBody
 from antdsl.outputs.usd.values import Array, to_identifier, to_integer_array
-from antdsl.scene.geometry.usd import pxr
+from antdsl.scene.geometry.usd import import_pxr_module
 
 Floats = NDArray[np.float32]
 _EXTENT_SAMPLES = 8  # samples of each clip to measure an extent
@@ -29,7 +29,7 @@ class MaterialBinder:
     def __init__(self, stage: Any, path: str, colours: Mapping[str, tuple[float, float, float]]) -> None:
         self._stage, self._path, self._colour_by_material = stage, path, colours
         for scope in (path.rpartition("/")[0], path):
-            pxr("UsdGeom").Scope.Define(stage, scope)
+            import_pxr_module("UsdGeom").Scope.Define(stage, scope)
         self._materials: dict[str, Any] = {}
 
     def bind_material(self, prim: Any, name: str) -> bool:
@@ -40,7 +40,7 @@ class MaterialBinder:
         if known not in self._materials:
             colour = self._colour_by_material[name] if own else None
             self._materials[known] = _make_material(self._stage, f"{self._path}/{to_identifier(known)}", colour)
-        pxr("UsdShade").MaterialBindingAPI.Apply(prim).Bind(self._materials[known])
+        import_pxr_module("UsdShade").MaterialBindingAPI.Apply(prim).Bind(self._materials[known])
         return not own
 
     def bind_faces(self, mesh: Any, names: tuple[str, ...], material: Array) -> bool:
@@ -50,7 +50,7 @@ class MaterialBinder:
         used = np.unique(material).tolist() if len(material) else [0]
         if len(used) == 1:
             return self.bind_material(mesh.GetPrim(), names[used[0]])
-        shade, tinted = pxr("UsdShade").MaterialBindingAPI.Apply(mesh.GetPrim()), False
+        shade, tinted = import_pxr_module("UsdShade").MaterialBindingAPI.Apply(mesh.GetPrim()), False
         for each in used:
             faces = to_integer_array(np.flatnonzero(material == each))
             subset = shade.CreateMaterialBindSubset(to_identifier(names[each] or STATE_MATERIAL), faces, "face")
@@ -61,7 +61,7 @@ class MaterialBinder:
 
 def _make_material(stage: Any, path: str, colour: tuple[float, float, float] | None) -> Any:
     """Return a material of one colour (linear). If `colour` is None, it takes the colour of the primvar displayColor."""
-    shade, types, gf = pxr("UsdShade"), pxr("Sdf").ValueTypeNames, pxr("Gf")
+    shade, types, gf = import_pxr_module("UsdShade"), import_pxr_module("Sdf").ValueTypeNames, import_pxr_module("Gf")
     material = shade.Material.Define(stage, path)
     surface = shade.Shader.Define(stage, f"{path}/surface")
     surface.CreateIdAttr("UsdPreviewSurface")

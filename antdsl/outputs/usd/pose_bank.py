@@ -31,7 +31,7 @@ from antdsl.outputs.usd.values import (
     to_identifier,
     to_vector_array,
 )
-from antdsl.scene.geometry.usd import pxr
+from antdsl.scene.geometry.usd import import_pxr_module
 
 POSES_PER_CLIP = 16  # poses per clip on the complete body
 _POSES_PER_GROUP_CLIP = 4  # poses per clip on a transform group
@@ -122,7 +122,11 @@ def add_coloured_mesh(stage: Any, path: str, pose: str) -> Any:
     The mesh is a payload, so it is loaded only where it is drawn."""
     prim = stage.DefinePrim(path, "Mesh")
     prim.GetPayloads().AddInternalPayload(pose)
-    return pxr("UsdGeom").PrimvarsAPI(prim).CreatePrimvar("displayColor", pxr("Sdf").ValueTypeNames.Color3fArray, "constant")
+    return (
+        import_pxr_module("UsdGeom")
+        .PrimvarsAPI(prim)
+        .CreatePrimvar("displayColor", import_pxr_module("Sdf").ValueTypeNames.Color3fArray, "constant")
+    )
 
 
 class _PoseBody:

@@ -26,7 +26,7 @@ from antdsl.outputs.usd.values import (
     to_identifier,
     write_state_names,
 )
-from antdsl.scene.geometry.usd import pxr
+from antdsl.scene.geometry.usd import import_pxr_module
 
 _MAX_IGNORED_SHEAR = 1e-4  # shear of a joint; larger values are reported, because UsdSkel omits shear
 
@@ -40,8 +40,8 @@ class SkeletonWriter:
     def __init__(self, out: StageOutput, species: SpeciesEntry, number: int, copies: bool = False, close: bool = False) -> None:
         self._out, self._species, self._number, stage = out, species, number, out.stage
         self._path = f"{ROOT_PATH}/{out.name('species', species.name)}"
-        write_state_names(pxr("UsdGeom").Scope.Define(stage, self._path).GetPrim(), species)
-        pxr("UsdGeom").Scope.Define(stage, f"{self._path}/motion")
+        write_state_names(import_pxr_module("UsdGeom").Scope.Define(stage, self._path).GetPrim(), species)
+        import_pxr_module("UsdGeom").Scope.Define(stage, f"{self._path}/motion")
         self._bodies: dict[int, tuple[PosedBody, SkelDefinition]] = {}
         self._agents = dict[tuple[int, int], _AgentPrim]()  # by agent id and body
         self._hideable_agents: set[tuple[int, int]] = set()
@@ -167,7 +167,13 @@ class _AgentPrim:
         time: float,
         copies: bool,
     ) -> None:
-        geom, skel, types, vt, gf = pxr("UsdGeom"), pxr("UsdSkel"), pxr("Sdf").ValueTypeNames, pxr("Vt"), pxr("Gf")
+        geom, skel, types, vt, gf = (
+            import_pxr_module("UsdGeom"),
+            import_pxr_module("UsdSkel"),
+            import_pxr_module("Sdf").ValueTypeNames,
+            import_pxr_module("Vt"),
+            import_pxr_module("Gf"),
+        )
         stage, self._out = out.stage, out
         moves = skel.Animation.Define(stage, f"{parent_path}/motion/{path}")
         moves.CreateJointsAttr(vt.TokenArray(list(body.joints)))
@@ -232,7 +238,7 @@ class _AgentPrim:
 
     def _write_number(self, name: str, value: Any, time: float) -> None:
         if name not in self._numbers:
-            types, names = pxr("Sdf").ValueTypeNames, self._names
+            types, names = import_pxr_module("Sdf").ValueTypeNames, self._names
             is_integer = np.asarray(value).dtype.kind in "iu"
             if name == "state":
                 primvar = self._api.CreatePrimvar("state", types.Token, "constant")

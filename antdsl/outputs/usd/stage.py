@@ -29,7 +29,7 @@ from antdsl.outputs.usd.time_samples import TimeSamples
 from antdsl.outputs.usd.values import BODIES_PATH, ROOT_PATH, StageOutput, add_root, raise_disk_errors
 from antdsl.outputs.usd.world import WorldWriter
 from antdsl.outputs.usd.xforms import XformWriter
-from antdsl.scene.geometry.usd import pxr
+from antdsl.scene.geometry.usd import import_pxr_module
 from antdsl.scene.scene_model import UNIT_MM
 
 _DEFAULT_CLIP_SET = "default"  # the name of a prim's first set of clips
@@ -117,8 +117,8 @@ def _export_stage(
 ) -> list[str]:
     with raise_disk_errors(path), atomic_path(path, path.suffix) as part:
         try:
-            stage = pxr("Usd").Stage.CreateNew(str(part))
-        except pxr("Tf").ErrorException as problem:
+            stage = import_pxr_module("Usd").Stage.CreateNew(str(part))
+        except import_pxr_module("Tf").ErrorException as problem:
             raise OSError(None, "cannot be written", str(path)) from problem
         out = StageOutput(stage)
         with ValueFiles(out, path, frames, options.chunk) as files:
@@ -169,7 +169,7 @@ def _write_frames(shot: _FrameWriters, files: ValueFiles, frames: list[int], opt
 
 
 def _write_metadata(stage: Any, gallery: Gallery, frames: list[int]) -> None:
-    geom, manifest = pxr("UsdGeom"), gallery.manifest
+    geom, manifest = import_pxr_module("UsdGeom"), gallery.manifest
     geom.SetStageMetersPerUnit(stage, UNIT_MM[manifest.units] / 1000)
     geom.SetStageUpAxis(stage, manifest.up.upper())
     stage.SetTimeCodesPerSecond(1 / gallery.dt)
@@ -178,7 +178,7 @@ def _write_metadata(stage: Any, gallery: Gallery, frames: list[int]) -> None:
     stage.SetEndTimeCode(frames[-1])
     stage.SetMetadata("comment", f"antdsl {__version__}: {manifest.scene}, seed {manifest.seed}")
     world = add_root(stage, gallery.origin)
-    pxr("Usd").ModelAPI(world).SetKind("assembly")
+    import_pxr_module("Usd").ModelAPI(world).SetKind("assembly")
     stage.SetDefaultPrim(world.GetPrim())
     stage.CreateClassPrim(BODIES_PATH)
 
@@ -193,7 +193,7 @@ class ValueFiles:
         self._unfinished_files = ExitStack()
         self._layer: Any = None
         if self._first_frames:
-            out.manifest_layer = pxr("Sdf").Layer.CreateAnonymous("manifest.usda")
+            out.manifest_layer = import_pxr_module("Sdf").Layer.CreateAnonymous("manifest.usda")
 
     def starts_new_file(self, frame: int) -> bool:
         """Return whether a new file begins with this frame."""
@@ -206,7 +206,7 @@ class ValueFiles:
         self._save_file()
         part = self._unfinished_files.enter_context(atomic_path(self._make_file_path(f"{frame:04d}.usdc"), ".usdc"))
         part.unlink()
-        self._layer = pxr("Sdf").Layer.CreateNew(str(part))
+        self._layer = import_pxr_module("Sdf").Layer.CreateNew(str(part))
         self._out.begin(self._layer)
 
     def _save_file(self) -> None:
@@ -235,11 +235,14 @@ class ValueFiles:
         self._out.clip = None
         manifest = self._make_file_path("manifest.usda")
         self._out.manifest_layer.Export(str(self._unfinished_files.enter_context(atomic_path(manifest, ".usda"))))
-        gf, vt = pxr("Gf"), pxr("Vt")
-        clips = pxr("Usd").ClipsAPI(self._out.stage.GetPrimAtPath(ROOT_PATH))
+        gf, vt = import_pxr_module("Gf"), import_pxr_module("Vt")
+        clips = import_pxr_module("Usd").ClipsAPI(self._out.stage.GetPrimAtPath(ROOT_PATH))
         names = [f"./{self._make_file_path(f'{frame:04d}.usdc').name}" for frame in self._first_frames]
-        clips.SetClipAssetPaths(pxr("Sdf").AssetPathArray([pxr("Sdf").AssetPath(name) for name in names]), _DEFAULT_CLIP_SET)
-        clips.SetClipManifestAssetPath(pxr("Sdf").AssetPath(f"./{manifest.name}"), _DEFAULT_CLIP_SET)
+        clips.SetClipAssetPaths(
+            import_pxr_module("Sdf").AssetPathArray([import_pxr_module("Sdf").AssetPath(name) for name in names]),
+            _DEFAULT_CLIP_SET,
+        )
+        clips.SetClipManifestAssetPath(import_pxr_module("Sdf").AssetPath(f"./{manifest.name}"), _DEFAULT_CLIP_SET)
         clips.SetClipPrimPath(ROOT_PATH, _DEFAULT_CLIP_SET)
         ends = (self._frames[0] - 1, self._frames[-1] + 2)  # samples of a shutter interval are around the frames
         begins = [ends[0], *self._first_frames[1:]]

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.outputs.cache.manifest import SpeciesEntry
-from antdsl.scene.geometry.usd import pxr
+from antdsl.scene.geometry.usd import import_pxr_module
 
 _DISK_ERRORS = (
     errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS, errno.EACCES, errno.EPERM, errno.EMFILE, errno.ENOENT,
@@ -29,9 +29,11 @@ Array = NDArray[Any]
 def add_root(stage: Any, origin: NDArray[np.float64]) -> Any:
     """Return the root prim of a stage, moved in double precision by `origin` (scene units), which its positions are relative
     to."""
-    world = pxr("UsdGeom").Xform.Define(stage, ROOT_PATH)
+    world = import_pxr_module("UsdGeom").Xform.Define(stage, ROOT_PATH)
     if origin.any():
-        world.AddTranslateOp(pxr("UsdGeom").XformOp.PrecisionDouble, "origin").Set(pxr("Gf").Vec3d(*origin.tolist()))
+        world.AddTranslateOp(import_pxr_module("UsdGeom").XformOp.PrecisionDouble, "origin").Set(
+            import_pxr_module("Gf").Vec3d(*origin.tolist())
+        )
     return world
 
 
@@ -71,8 +73,10 @@ class ValueSamples:
 
     def _declare_attribute(self, layer: Any) -> None:
         kind = self._attribute.GetTypeName()
-        pxr("Sdf").JustCreatePrimAttributeInLayer(layer, self._path, kind, pxr("Sdf").VariabilityVarying)
-        if layer is self._out.manifest_layer and self._path.name == pxr("UsdGeom").Tokens.visibility:
+        import_pxr_module("Sdf").JustCreatePrimAttributeInLayer(
+            layer, self._path, kind, import_pxr_module("Sdf").VariabilityVarying
+        )
+        if layer is self._out.manifest_layer and self._path.name == import_pxr_module("UsdGeom").Tokens.visibility:
             layer.GetAttributeAtPath(self._path).default = "invisible"  # hidden in files without a value for the prim
 
 
@@ -122,23 +126,23 @@ class Visibility:
 
 def to_vector_array(values: Array) -> Any:
     """Return rows (n, 3) as USD's array of vectors."""
-    return pxr("Vt").Vec3fArray.FromNumpy(np.ascontiguousarray(values, np.float32))
+    return import_pxr_module("Vt").Vec3fArray.FromNumpy(np.ascontiguousarray(values, np.float32))
 
 
 def to_integer_array(values: Array) -> Any:
     """Return numbers (n,) as USD's array of integers."""
-    return pxr("Vt").IntArray.FromNumpy(np.ascontiguousarray(values, np.int32))
+    return import_pxr_module("Vt").IntArray.FromNumpy(np.ascontiguousarray(values, np.int32))
 
 
 def to_usd_matrix(columns: Array) -> Any:
     """Return a matrix (4, 4) for column vectors in USD's form for row vectors."""
-    return pxr("Gf").Matrix4d(*np.asarray(columns, np.float64).T.ravel().tolist())
+    return import_pxr_module("Gf").Matrix4d(*np.asarray(columns, np.float64).T.ravel().tolist())
 
 
 def to_usd_matrices(columns: Array) -> Any:
     """Return matrices (n, 4, 4) for column vectors as USD's array of matrices for row vectors."""
     turned = np.ascontiguousarray(np.asarray(columns, np.float64).transpose(0, 2, 1))
-    return pxr("Vt").Matrix4dArray.FromNumpy(turned)
+    return import_pxr_module("Vt").Matrix4dArray.FromNumpy(turned)
 
 
 def compute_box(points: Array) -> Array:
@@ -148,7 +152,7 @@ def compute_box(points: Array) -> Array:
 
 def add_mesh(stage: Any, path: str, points: Array, faces: Array, normals: Array | None = None, uvs: Array | None = None) -> Any:
     """Add a static mesh of triangles and return it. `normals` (n, 3) and `uvs` (n, 2) are per point."""
-    usd_mesh = pxr("UsdGeom").Mesh.Define(stage, path)
+    usd_mesh = import_pxr_module("UsdGeom").Mesh.Define(stage, path)
     usd_mesh.CreatePointsAttr(to_vector_array(points))
     usd_mesh.CreateFaceVertexCountsAttr(to_integer_array(np.full(len(faces), 3)))
     usd_mesh.CreateFaceVertexIndicesAttr(to_integer_array(np.ravel(faces)))
@@ -158,9 +162,9 @@ def add_mesh(stage: Any, path: str, points: Array, faces: Array, normals: Array 
         usd_mesh.CreateNormalsAttr(to_vector_array(normals))
         usd_mesh.SetNormalsInterpolation("vertex")
     if uvs is not None:
-        kind = pxr("Sdf").ValueTypeNames.TexCoord2fArray
-        made_uvs = pxr("UsdGeom").PrimvarsAPI(usd_mesh).CreatePrimvar("st", kind, "vertex")
-        made_uvs.Set(pxr("Vt").Vec2fArray.FromNumpy(np.ascontiguousarray(uvs, np.float32)))
+        kind = import_pxr_module("Sdf").ValueTypeNames.TexCoord2fArray
+        made_uvs = import_pxr_module("UsdGeom").PrimvarsAPI(usd_mesh).CreatePrimvar("st", kind, "vertex")
+        made_uvs.Set(import_pxr_module("Vt").Vec2fArray.FromNumpy(np.ascontiguousarray(uvs, np.float32)))
     return usd_mesh
 
 
@@ -168,7 +172,9 @@ def write_state_names(prim: Any, species: SpeciesEntry) -> None:
     """Write the names of the state numbers into a prim's custom data."""
     for machine in species.machines:
         name = "states" if machine is species.machines[0] else f"{machine.name}.states"
-        prim.SetCustomDataByKey(to_identifier(name), pxr("Vt").StringArray([state.name for state in machine.states]))
+        prim.SetCustomDataByKey(
+            to_identifier(name), import_pxr_module("Vt").StringArray([state.name for state in machine.states])
+        )
 
 
 def make_unique(name: str, used_names: set[str]) -> str:
@@ -195,7 +201,7 @@ def raise_disk_errors(path: Path) -> Iterator[None]:
     All other errors pass unchanged."""
     try:
         yield
-    except pxr("Tf").ErrorException as problem:
+    except import_pxr_module("Tf").ErrorException as problem:
         said = str(problem)
         number = next((each for each in _DISK_ERRORS if os.strerror(each) in said), None)
         if number is None:

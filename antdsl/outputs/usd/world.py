@@ -26,7 +26,7 @@ from antdsl.outputs.usd.values import (
     to_integer_array,
     to_vector_array,
 )
-from antdsl.scene.geometry.usd import pxr
+from antdsl.scene.geometry.usd import import_pxr_module
 from antdsl.scene.scene_model import UNIT_MM
 
 _APERTURE_MM = 36.0  # mm
@@ -75,7 +75,7 @@ class WorldWriter:
         `number`: the index of the item among all items."""
         if item.shape == "none" or item.radius <= 0:
             return
-        geom, stage = pxr("UsdGeom"), self._out.stage
+        geom, stage = import_pxr_module("UsdGeom"), self._out.stage
         if number not in self._items:
             if not self._items:
                 geom.Xform.Define(stage, f"{ROOT_PATH}/items")
@@ -100,12 +100,14 @@ class _CameraWriter:
 
     def __init__(self, out: StageOutput, gallery: Gallery) -> None:
         self._gallery, self._has_clipping_range = gallery, False
-        camera = pxr("UsdGeom").Camera.Define(out.stage, f"{ROOT_PATH}/camera")
+        camera = import_pxr_module("UsdGeom").Camera.Define(out.stage, f"{ROOT_PATH}/camera")
         self._tenths_per_mm = 10.0 / UNIT_MM[gallery.manifest.units]  # tenths of the stage's unit per millimetre
         camera.CreateHorizontalApertureAttr(_APERTURE_MM * self._tenths_per_mm)
         camera.CreateVerticalApertureAttr(_APERTURE_MM * 9 / 16 * self._tenths_per_mm)
         self._clipping_range = camera.CreateClippingRangeAttr()
-        self._transform = out.add_samples(camera.AddTransformOp(), lambda rows: pxr("Gf").Matrix4d(*rows.ravel().tolist()))
+        self._transform = out.add_samples(
+            camera.AddTransformOp(), lambda rows: import_pxr_module("Gf").Matrix4d(*rows.ravel().tolist())
+        )
         self._focal, self._focus_distance = (
             out.add_samples(a, lambda v: float(v[0])) for a in (camera.CreateFocalLengthAttr(), camera.CreateFocusDistanceAttr())
         )
@@ -127,7 +129,7 @@ class _CameraWriter:
         self._focal.set(frame, [camera.focal * self._tenths_per_mm])
         self._focus_distance.set(frame, [far])
         if not self._has_clipping_range:
-            self._clipping_range.Set(pxr("Gf").Vec2f(far / 1000, far * 1000))
+            self._clipping_range.Set(import_pxr_module("Gf").Vec2f(far / 1000, far * 1000))
             self._has_clipping_range = True
 
 
@@ -135,7 +137,7 @@ class _MeshWriter:
     """Writer of one mesh of the world. It writes only what changed since the previous frame."""
 
     def __init__(self, out: StageOutput, path: str, up: str = "y") -> None:
-        usd_mesh = pxr("UsdGeom").Mesh.Define(out.stage, path)
+        usd_mesh = import_pxr_module("UsdGeom").Mesh.Define(out.stage, path)
         usd_mesh.CreateSubdivisionSchemeAttr("none")
         usd_mesh.CreateDoubleSidedAttr(True)
         self._counts = out.add_samples(usd_mesh.CreateFaceVertexCountsAttr(), to_integer_array, np.int32)
@@ -144,9 +146,9 @@ class _MeshWriter:
         self._normals = out.add_samples(usd_mesh.CreateNormalsAttr(), to_vector_array, np.float32)
         usd_mesh.SetNormalsInterpolation("faceVarying")
         self._extent = out.add_samples(usd_mesh.CreateExtentAttr(), to_vector_array, np.float32)
-        kind = pxr("Sdf").ValueTypeNames.TexCoord2fArray
-        uvs = pxr("UsdGeom").PrimvarsAPI(usd_mesh).CreatePrimvar("st", kind, "vertex")
-        self._uvs = out.add_samples(uvs, pxr("Vt").Vec2fArray.FromNumpy, np.float32)
+        kind = import_pxr_module("Sdf").ValueTypeNames.TexCoord2fArray
+        uvs = import_pxr_module("UsdGeom").PrimvarsAPI(usd_mesh).CreatePrimvar("st", kind, "vertex")
+        self._uvs = out.add_samples(uvs, import_pxr_module("Vt").Vec2fArray.FromNumpy, np.float32)
         self._up = 1 if up == "y" else 2
         self._current_solid: Solid | None = None
         self._current_uvs = np.zeros((0, 2), np.float32)
@@ -170,15 +172,15 @@ class _FieldWriter:
     """Writer of a field as points in its colour, at the cells with some strength. The width of a point shows the strength."""
 
     def __init__(self, out: StageOutput, trail: Trail) -> None:
-        geom = pxr("UsdGeom")
+        geom = import_pxr_module("UsdGeom")
         geom.Xform.Define(out.stage, f"{ROOT_PATH}/fields")
         usd_points = geom.Points.Define(out.stage, f"{ROOT_PATH}/fields/{to_identifier(trail.name)}")
         usd_points.CreatePurposeAttr("guide")
-        floats = pxr("Vt").FloatArray.FromNumpy
+        floats = import_pxr_module("Vt").FloatArray.FromNumpy
         self._points = out.add_samples(usd_points.CreatePointsAttr(), to_vector_array, np.float32)
         self._widths = out.add_samples(usd_points.CreateWidthsAttr(), floats, np.float32)
         usd_points.SetWidthsInterpolation("vertex")
-        kind = pxr("Sdf").ValueTypeNames.FloatArray
+        kind = import_pxr_module("Sdf").ValueTypeNames.FloatArray
         self._strength = out.add_samples(
             geom.PrimvarsAPI(usd_points).CreatePrimvar("strength", kind, "vertex"), floats, np.float32
         )
@@ -242,4 +244,4 @@ def _rotate_to_z_up(directions: Array) -> Array:
 
 
 def _to_usd_vector(values: Array) -> Any:
-    return pxr("Gf").Vec3d(*values.tolist())
+    return import_pxr_module("Gf").Vec3d(*values.tolist())

@@ -14,7 +14,7 @@ from antdsl.outputs.pictures.light import decode_srgb
 from antdsl.outputs.usd.pose_bank import PrototypeBank, add_coloured_mesh
 from antdsl.outputs.usd.time_samples import TimeSample
 from antdsl.outputs.usd.values import ROOT_PATH, StageOutput, Visibility, write_state_names
-from antdsl.scene.geometry.usd import pxr
+from antdsl.scene.geometry.usd import import_pxr_module
 
 
 class XformWriter:
@@ -26,7 +26,7 @@ class XformWriter:
 
     def __init__(self, out: StageOutput, species: SpeciesEntry, number: int, close: bool = False) -> None:
         self._out, self._number, self._path = out, number, f"{ROOT_PATH}/{out.name('species', species.name)}"
-        write_state_names(pxr("UsdGeom").Scope.Define(out.stage, self._path).GetPrim(), species)
+        write_state_names(import_pxr_module("UsdGeom").Scope.Define(out.stage, self._path).GetPrim(), species)
         self._bank = PrototypeBank(out, species, close)
         self._euler_angles, self._agents, self._hideable_agents = EulerAngles(), dict[int, _AgentPrim](), np.empty(0, np.int64)
         self._first_time: float | None = None
@@ -36,7 +36,7 @@ class XformWriter:
         """Write the agents at a time. Agents that are missing at this time are hidden."""
         agents, time = time_sample.agents(self._number), time_sample.time
         self._first_time = time if self._first_time is None else self._first_time
-        turn = self._euler_angles.of(agents.ids, agents.orient)
+        turn = self._euler_angles.compute_angles(agents.ids, agents.orient)
         colour = decode_srgb(agents.colour)
         visible_ids = agents.ids[agents.is_visible]
         if self._file_number != self._out.file_number:  # a new file of values first hides all agents that may appear in it later
@@ -58,7 +58,12 @@ class _AgentPrim:
     """The Xform of one agent."""
 
     def __init__(self, out: StageOutput, path: str, shape: str, name: int, first: float, time: float) -> None:
-        geom, types, gf, vt = pxr("UsdGeom"), pxr("Sdf").ValueTypeNames, pxr("Gf"), pxr("Vt")
+        geom, types, gf, vt = (
+            import_pxr_module("UsdGeom"),
+            import_pxr_module("Sdf").ValueTypeNames,
+            import_pxr_module("Gf"),
+            import_pxr_module("Vt"),
+        )
         xform = geom.Xform.Define(out.stage, path)
         double = geom.XformOp.PrecisionDouble
         ops = (xform.AddTranslateOp(double), xform.AddRotateXYZOp(double), xform.AddScaleOp(double))

@@ -23,7 +23,7 @@ def switch_layer(live: Live, request: requests.SwitchLayer, client: Client) -> N
     live.show_exact_frame()
     plan = live.session.shot.plan.species.get(request.species)
     layer_plan = next((each for each in plan.layers if each.span.text == request.layer), None) if plan is not None else None
-    file = live.screen.names.of(layer_plan.span.source.path) if layer_plan is not None else ""
+    file = live.screen.names.get_short_name(layer_plan.span.source.path) if layer_plan is not None else ""
     _send_outcome(live, "layer", live.session.layer(request.species, request.layer, request.on), file)
 
 

@@ -19,7 +19,7 @@ def explain_agent(live: Live, request: requests.Explain, client: Client) -> None
     """Send the explanation of an agent's step to the page that requested it."""
     if live.explainer is None or live.explainer.session is not live.session:
         live.explainer = Explainer(live.session)
-    client.tell(live.explainer.make_message(request.species, request.agent, request.frame, live.screen.names.of))
+    client.tell(live.explainer.make_message(request.species, request.agent, request.frame, live.screen.names.get_short_name))
 
 
 def set_breakpoints(live: Live, request: requests.SetBreakpoints, client: Client) -> None:

@@ -75,14 +75,14 @@ def make_profile_message(profile: StepProfile, names: FileNames) -> dict[str, An
             {
                 "species": each.species,
                 "text": each.span.text,
-                "file": names.of(each.span.source.path),
+                "file": names.get_short_name(each.span.source.path),
                 "line": each.span.source.find_line_column(each.span.start)[0],
                 "ms": round(each.ms, 4),
             }
             for each in profile.layers
         ],
         "lines": [
-            {"file": names.of(each.file), "line": each.line, "text": each.text, "ms": round(each.ms, 4)}
+            {"file": names.get_short_name(each.file), "line": each.line, "text": each.text, "ms": round(each.ms, 4)}
             for each in profile.lines
             if each.ms >= _MIN_REPORTED_MS
         ],

@@ -17,7 +17,7 @@ from antdsl.explain import (
     LocatedExplanation,
     Replay,
     as_json,
-    locate_explanations,
+    explain_agents_with_positions,
     make_absence_error,
     merge_state_frames,
     tell,
@@ -94,7 +94,7 @@ class Explainer:
             history.extra_checkpoints = {frame - 1: take_checkpoint(replay.restore_step_start(frame))}
         return [
             None if account is None else replace(account, explanation=self._add_state_history(account))
-            for account in locate_explanations(replay, frame, agents)
+            for account in explain_agents_with_positions(replay, frame, agents)
         ]
 
     def make_message(self, species: str, agent: int, frame: int, name_file: Callable[[str], str] = str) -> dict[str, Any]:

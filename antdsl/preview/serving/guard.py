@@ -43,7 +43,7 @@ class ReturningPages:
     previous_keys: tuple[str, ...] = field(default=(), repr=False)
 
     @classmethod
-    def of(cls, scene: Path, port: int, folder: Path | None = None) -> ReturningPages | None:
+    def open_for_server(cls, scene: Path, port: int, folder: Path | None = None) -> ReturningPages | None:
         """Return the keys for a server of a scene that starts now; None if no private file can store them."""
         try:
             name = sha256(f"{os.path.realpath(scene)}|{port}".encode("utf-8", "surrogateescape")).hexdigest()[:32]

@@ -59,7 +59,10 @@ _REQUEST_TIMEOUT_SECONDS = 10.0  # for a request and its response
 _CLOSE_TIMEOUT_SECONDS = 2.0  # for a client to complete the close
 _SEND_TIMEOUT_SECONDS = 60.0  # for sending one packet
 _PING_INTERVAL_SECONDS = 20.0  # interval between pings, and limit for their answers
-_EXCESS_REQUEST_LIMITS = (5, 100)  # requests per second, and at once; a client with more rejected requests is disconnected
+_EXCESS_REQUEST_RATE_AND_BURST = (
+    5,
+    100,
+)  # requests per second, and at once; a client with more rejected requests is disconnected
 
 # Limits messages, so that a flood at the server does not flood the terminal.
 _SILENT_LOGGER = logging.getLogger("antdsl.preview.serving")
@@ -214,7 +217,7 @@ class PreviewServer:
     async def _read_requests(self, connection: ServerConnection, mailbox: ClientMailbox) -> None:
         """Read requests until the client disconnects or must be disconnected."""
         bucket = TokenBucket(limits.MAX_PREVIEW_REQUESTS_PER_SECOND, 2 * limits.MAX_PREVIEW_REQUESTS_PER_SECOND)
-        patience, tell = TokenBucket(*_EXCESS_REQUEST_LIMITS), TokenBucket(1, 1)
+        patience, tell = TokenBucket(*_EXCESS_REQUEST_RATE_AND_BURST), TokenBucket(1, 1)
         with suppress(ConnectionClosed):
             async for message in connection:
                 if not isinstance(message, str):

@@ -17,7 +17,7 @@ from antdsl.bodies.agents.driving import set_pose_channels
 from antdsl.bodies.agents.leg_ik import LegSolver
 from antdsl.bodies.agents.machine_clips import MachineClips, PlayedClip, build_machine_playback
 from antdsl.bodies.agents.poses import ClipTable, build_clip_table
-from antdsl.bodies.agents.varied_bodies import VariationDraws, draw_colour_position, draw_group_scale
+from antdsl.bodies.agents.varied_bodies import VariationDraws, draw_colour_path_positions, draw_group_scale
 from antdsl.bodies.skinned_mesh import compute_target_weights, reduce_to_channels
 from antdsl.numerics.vector_rows import normalise_or_fallback
 from antdsl.outputs.cache.pose_arrays import (
@@ -145,7 +145,7 @@ def _make_trait_arrays(
     draws = VariationDraws(ids, world.setting.seed, population.name)
     trait_values = np.zeros((count, -(-differ.count // 3) * 3), np.float32)
     parts = [draw_group_scale(varied, name, draws) for name in differ.scales]
-    parts += [draw_colour_position(varied, name, draws) for name in differ.materials]
+    parts += [draw_colour_path_positions(varied, name, draws) for name in differ.materials]
     first = len(differ.targets)
     if first:
         said = {each: stored[f"channels.{population.name}.{each}"] for each in population.plan.channels}

@@ -21,7 +21,7 @@ class ChartMessages:
         """Return whether the existing layouts cover the charts of a program."""
         return all(_remove_positions(chart) in self._layout_by_chart for chart in graphs.charts(program))
 
-    def of(self, program: Program) -> list[dict[str, Any]]:
+    def list_charts(self, program: Program) -> list[dict[str, Any]]:
         """Return one message per state machine of a program. Layouts that do not exist yet are computed."""
         machines = [(name, m.name) for name, species in program.species.items() for m in species.machines if m.states]
         charts = graphs.charts(program)

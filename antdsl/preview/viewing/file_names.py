@@ -27,7 +27,7 @@ class FileNames:
         self._folder_prefixes = [os.path.join(each, "") for each in (self._folder, scene.parent) if os.path.isabs(each)]
         self._name_by_path: dict[Path, str] = {}
 
-    def of(self, path: str | Path) -> str:
+    def get_short_name(self, path: str | Path) -> str:
         """Return the name of a file from a source or a list of files. Names are unique."""
         text = os.fspath(path)
         if text.startswith("<"):
@@ -56,8 +56,9 @@ class FileNames:
             text = diagnostic.span.source.text
             line, column = diagnostic.span.source.find_line_column(diagnostic.span.start)
             fields |= {
-                "file": self.of(diagnostic.span.source.path), "start": count_utf16_units(text[: diagnostic.span.start]),
-                "end": count_utf16_units(text[: diagnostic.span.end]), "line": line, "column": column,
+                "file": self.get_short_name(diagnostic.span.source.path), "line": line, "column": column,
+                "start": count_utf16_units(text[: diagnostic.span.start]),
+                "end": count_utf16_units(text[: diagnostic.span.end]),
             }  # fmt: skip
         return fields
 

@@ -25,7 +25,7 @@ def make_hello(live: Live) -> JsonMessage:
 
 def find_scene_name(live: Live) -> str:
     """Return the page's name of the scene file."""
-    return live.screen.names.of(live.compiler.scene)
+    return live.screen.names.get_short_name(live.compiler.scene)
 
 
 def make_texts_message(live: Live) -> JsonMessage:
@@ -38,7 +38,7 @@ def make_texts_message(live: Live) -> JsonMessage:
         if (text := read_file_text(each, live.compiler.open_file)) is not None:
             known_paths.add(path)
             kind = "library" if is_library_file(path) else "ant" if path.suffix == ".ant" else "yaml"
-            entries.append({"file": live.screen.names.of(path), "text": text, "kind": kind})
+            entries.append({"file": live.screen.names.get_short_name(path), "text": text, "kind": kind})
     return {"op": "texts", "texts": entries}
 
 

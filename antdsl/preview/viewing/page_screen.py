@@ -198,7 +198,7 @@ class PageScreen:
         return lays_out_charts
 
     def _make_scene_message(self, lays_out_charts: bool = True) -> dict[str, Any]:
-        charts = self._charts.of(self.live.session.shot.program) if lays_out_charts else self._scene.get("charts", [])
+        charts = self._charts.list_charts(self.live.session.shot.program) if lays_out_charts else self._scene.get("charts", [])
         return make_scene_message(self.live, self._bounding_box, charts, self._charts.missing_package)
 
     def _send_progress(self, session: Session | None) -> None:

@@ -29,9 +29,10 @@ def make_scene_message(live: Live, box: BoundingBox, charts: list[dict[str, Any]
     """Return the scene message for the session's current program."""
     session, names = live.session, live.screen.names
     world, program = session.world, session.shot.program
-    low, high = box.of(session)
+    low, high = box.find_corners(session)
     return {
-        "op": "scene", "name": names.of(live.compiler.scene), "fps": float(world.setting.fps), "last": session.shot.frames.last,
+        "op": "scene", "name": names.get_short_name(live.compiler.scene), "fps": float(world.setting.fps),
+        "last": session.shot.frames.last,
         "unit_mm": world.setting.unit_mm,
         "up": [float(x) for x in world.up], "low": low, "high": high,
         "camera": _make_camera_entry(session),
@@ -51,7 +52,7 @@ class BoundingBox:
         self._input_key: tuple[list[list[float]], bool] = [], False
         self._box: tuple[list[float], list[float]] | None = None
 
-    def of(self, session: Session) -> tuple[list[float], list[float]]:
+    def find_corners(self, session: Session) -> tuple[list[float], list[float]]:
         """Return the lowest and the highest corner of the box for a session, in mm."""
         world = session.world
         meshes = [mesh.vertices for mesh in (*world.setting.surfaces.values(), *world.setting.obstacles.values())]
@@ -106,13 +107,13 @@ def _list_layers(session: Session, names: FileNames, population: Population) -> 
     for layer in population.plan.layers:
         span = layer.span
         line = span.source.find_line_column(span.start)[0]
-        entries.append({"text": span.text, "file": names.of(span.source.path), "line": line, "on": True})
+        entries.append({"text": span.text, "file": names.get_short_name(span.source.path), "line": line, "on": True})
     for (species, text), path in session.disabled_layers.items():
         if species == population.name:
             file_text = read_file_text(path, session.compiler.open_file) or ""
             own = re.search(rf"^\s*species\s+{re.escape(species)}\b", file_text, re.MULTILINE)
             line = file_text.count("\n", 0, max(file_text.find(text, own.start() if own else 0), 0)) + 1
-            entries.append({"text": text, "file": names.of(path), "line": line, "on": False})
+            entries.append({"text": text, "file": names.get_short_name(path), "line": line, "on": False})
     return sorted(entries, key=lambda each: (each["file"], each["line"]))
 
 
@@ -130,7 +131,7 @@ def _make_param_entry(session: Session, names: FileNames, name: str, param: Para
     return {
         "name": name, "value": value, "number": number / one, "unit": param.unit,
         "low": low, "high": high, "help": param.help,
-        "file": names.of(param.span.source.path), "line": param.span.source.find_line_column(param.span.start)[0],
+        "file": names.get_short_name(param.span.source.path), "line": param.span.source.find_line_column(param.span.start)[0],
         "written": written,
     }  # fmt: skip
 

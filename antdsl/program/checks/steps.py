@@ -27,7 +27,7 @@ def check_step_units(checked: CheckContext, report: Report) -> None:
             if isinstance(part, nodes.Setting | nodes.AnimalProperty):
                 around[id(part.value)] = part
             elif isinstance(part, nodes.Quantity) and (known := find_unit_measure(part.unit)) is not None and known.step:
-                fix, help = _make_replacement(part, known.step, around.get(id(part)))
+                fix, help = _suggest_step_free_quantity(part, known.step, around.get(id(part)))
                 message = f"{quote_source(part.span)} depends on the frames per second"
                 report.warning("per-step", message, part.span, help, fix=fix)
 
@@ -43,7 +43,7 @@ def _iterate_files(files: Sequence[FileNames]) -> Iterator[FileNames]:
             yield file
 
 
-def _make_replacement(
+def _suggest_step_free_quantity(
     node: nodes.Quantity, power: float, parent: nodes.Setting | nodes.AnimalProperty | None
 ) -> tuple[Fix | None, str]:
     """Return a fix for a quantity in steps, and the help text about it. The fix is None if there is no replacement."""

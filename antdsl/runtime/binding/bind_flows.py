@@ -100,11 +100,10 @@ def _recompute_flow(world: World, bound_flow: SurfaceFlow, flow: SpreadFlowData 
     """Replace a flow's values by those for the current positions of its inputs."""
     if isinstance(flow, SolvedFlowData):
         assert isinstance(bound_flow, PathFlow) and bound_flow.crossable_ground is not None
-        bound_flow.crossable_ground = _make_crossable_ground(
-            world, bound_flow.lattice, bound_flow.crossable_ground.faces, bound_flow.crossable_ground.slot_points
-        )
-        bound_flow.cost = _triangle_costs(world, flow, bound_flow.crossable_ground)
-        bound_flow.start, bound_flow.first, bound_flow.target_gap = _find_goal_points(world, flow, bound_flow.crossable_ground)
+        known = bound_flow.crossable_ground
+        bound_flow.crossable_ground = ground = _make_crossable_ground(world, bound_flow.lattice, known.faces, known.slot_points)
+        bound_flow.cost = _triangle_costs(world, flow, ground)
+        bound_flow.start, bound_flow.first, bound_flow.target_gap = _find_goal_points(world, flow, ground)
         return
     now = _make_flow(world, flow)
     bound_flow.lattice, bound_flow.c, bound_flow.s, bound_flow.source = now.lattice, now.c, now.s, now.source
@@ -138,7 +137,7 @@ def _make_painted_flow(world: World, painted: PaintedValues) -> SurfaceFlow:
     corners = _corner_values(world, painted)
     parts = [project_to_faces(corners[k], table.axis1, table.axis2) for k in range(3)]
     c, s = (np.stack([part[k] for part in parts], axis=1).ravel() for k in range(2))
-    return SurfaceFlow(FaceLattice.of(np.ones(corners.shape[1], np.int64)), c, s)
+    return SurfaceFlow(FaceLattice.from_cuts(np.ones(corners.shape[1], np.int64)), c, s)
 
 
 # --- points over the ground ------------------------------------------------------------------------------------------
@@ -162,7 +161,8 @@ def _longest_edges(world: World) -> tuple[Floats, Floats]:
 
 def _make_lattice(world: World, chosen: Flags, flow: SpreadFlowData | BorderFlowData | SolvedFlowData) -> FaceLattice:
     """Return a lattice with the flow's resolution on the chosen faces. Raises LatticeTooFine if the flow's cell is too small."""
-    return FaceLattice.of(count_edge_pieces(flow, np.where(chosen, _longest_edges(world)[0], 0.0), _ground_meshes(world).extent))
+    edges = np.where(chosen, _longest_edges(world)[0], 0.0)
+    return FaceLattice.from_cuts(count_edge_pieces(flow, edges, _ground_meshes(world).extent))
 
 
 def _locate_slots(world: World, lattice: FaceLattice) -> tuple[Index, Floats]:
@@ -199,7 +199,7 @@ def _make_spread_flow(world: World, flow: SpreadFlowData) -> SurfaceFlow:
     target = _locate_target(world, flow.target)
     source = make_spread_source(flow, target)
     if world.ground.meshes is None:
-        return SurfaceFlow(FaceLattice.of(np.ones(0, np.int64)), np.zeros(0), np.zeros(0), source)
+        return SurfaceFlow(FaceLattice.from_cuts(np.ones(0, np.int64)), np.zeros(0), np.zeros(0), source)
     chosen = near = _select_faces(world, flow.on)
     if flow.radius is not None:
         longest, middle = _longest_edges(world)

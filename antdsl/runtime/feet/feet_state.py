@@ -168,7 +168,7 @@ def feet_hash(feet: Mapping[str, Feet], threads: int = 1) -> str:
         arrays = feet[name].stored_arrays()
         ids = arrays.pop("ids")
         columns = feet[name].row_hasher.split_columns(list(arrays.values()), [_agent_axis(key) == 1 for key in arrays])
-        digest.update(describe_columns(tuple(arrays), arrays.values()) + feet[name].row_hasher.of(ids, columns, threads))
+        digest.update(describe_columns(tuple(arrays), arrays.values()) + feet[name].row_hasher.hash_rows(ids, columns, threads))
     return digest.hexdigest()[:32]
 
 

@@ -176,7 +176,7 @@ class _FeetStep:
                 goals,
                 self.foot_ground.find_start_faces(self.population),
             )
-            seeking = FootholdRequests.of(requests, aim_inputs, self.threads)
+            seeking = FootholdRequests.build(requests, aim_inputs, self.threads)
             hits = find_footholds(self.world, self.foot_ground, seeking)
             columns = tuple(_transpose_legs(each) for each in (feet.place, feet.on, feet.face, feet.weight))
             seeking.store_ground(hits, columns, self.threads)

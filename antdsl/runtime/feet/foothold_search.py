@@ -242,7 +242,7 @@ class FootholdRequests:
     is_quick: NDArray[np.bool_]
 
     @staticmethod
-    def of(requests: Rows, aim_inputs: tuple[Any, ...], threads: int) -> FootholdRequests:
+    def build(requests: Rows, aim_inputs: tuple[Any, ...], threads: int) -> FootholdRequests:
         """Return the requests with their columns and rays. `aim_inputs`: the arguments of
         `foothold_kernels.aim_first_rays` after the requests."""
         count = len(requests)

@@ -57,7 +57,7 @@ _MAX_OFFSET_REACHES = _F(1.25)  # multiple of the reach: a foot farther from res
 _NEW_SEARCH_LEG_SHARE = _F(0.45)  # share of the leg length: a target farther from the needed position is searched again
 _STRETCHED_LEG_SHARE = _F(0.99)  # share of the leg length: a foot farther from its hip is lifted
 _SMALL_SWING_STRIDE_SHARE = _F(0.4)  # share of a stride: shorter swings are lower
-_LATEST_LIFT_SWING_SHARE = _F(0.6)  # share of a swing; a foot that missed its turn may lift until then
+_MAX_LATE_LIFT_SWING_SHARE = _F(0.6)  # share of a swing; a foot that missed its turn may lift until then
 _MISSED_LIFT_REACH_SHARE = _F(0.3)  # share of the reach: a foot farther behind has missed its turn
 _MIN_HIP_HEIGHT_SHARE = _F(0.1)  # share of the leg length: least height of the hip above the foot in distance tests
 _PHASE_OVERSHOOT = _F(1e-3)  # share of a cycle; the phase starts this much after the turn of the first foot
@@ -203,7 +203,7 @@ def plan_steps(
                 # The foot missed its turn, for example because the gait changed: it is behind its rest position and may still
                 # swing.
                 behind = x * cover_x + z * cover_z < _ZERO
-                late = leg_phase >= duty and leg_phase < duty + _LATEST_LIFT_SWING_SHARE * (_ONE - duty)
+                late = leg_phase >= duty and leg_phase < duty + _MAX_LATE_LIFT_SWING_SHARE * (_ONE - duty)
                 late = late and behind and off[leg, i] > _MISSED_LIFT_REACH_SHARE * legs[LEG_REACH, leg]
                 due = (crosses or late) and (not still or off[leg, i] > _HALF * legs[REST_OFFSET, leg] + rest_offset[leg, i])
                 lost = (

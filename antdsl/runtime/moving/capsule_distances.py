@@ -16,7 +16,7 @@ from antdsl.numerics.sorting import compact_indices
 _SEARCH_RADII = 1.6
 _CANDIDATE_DISTANCE_WIDTHS = 1.5  # widths; pairs farther apart cannot touch in this substep
 _OPPOSITE_SIDES_COSINE = -0.5  # cosine between two up directions; below it, the agents are on opposite sides of something
-_MIN_AXIS_DISTANCE_WIDTHS = 1e-6  # widths; two axes this near to each other define no direction
+_COINCIDENT_AXES_WIDTHS = 1e-6  # widths; two axes this near to each other define no direction
 _FLOAT32_ZERO = np.float32(0)
 _AGENTS_PER_BATCH = 64  # agents with bounds computed in SIMD lanes
 _EMPTY_EXTREMES = np.repeat([np.inf, -np.inf, 0.0], [4 * _AGENTS_PER_BATCH, 4 * _AGENTS_PER_BATCH, _AGENTS_PER_BATCH]).reshape(
@@ -186,9 +186,9 @@ def _measure_gap(
     margin = radius_sum * radius_sum - over * over
     gap = distance - np.sqrt(margin) if margin > 0 else np.inf
     lost = False
-    if distance <= radius_sum * _MIN_AXIS_DISTANCE_WIDTHS:
+    if distance <= radius_sum * _COINCIDENT_AXES_WIDTHS:
         separation, distance = flat, np.sqrt(dot(flat, flat))
-        lost = distance <= radius_sum * _MIN_AXIS_DISTANCE_WIDTHS
+        lost = distance <= radius_sum * _COINCIDENT_AXES_WIDTHS
     size = max(distance, 1e-300)
     return gap, (separation[0] / size, separation[1] / size, separation[2] / size), lost
 

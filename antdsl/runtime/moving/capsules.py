@@ -85,7 +85,9 @@ class CapsuleCrowd:
         self.species = [population for population in world.populations.values() if len(population)]
         self.species = self.species or list(world.populations.values())[:1]  # without agents, arrays have no rows
         self.first = np.array([*accumulate(map(len, self.species), initial=0)], np.intp)
-        self.agent_keys = self.of(lambda p: p.ids + k * _SPECIES_KEY_STEP if (k := self.species.index(p)) else p.ids)
+        self.agent_keys = self.concatenate_species(
+            lambda p: p.ids + k * _SPECIES_KEY_STEP if (k := self.species.index(p)) else p.ids
+        )
         self.bounds = self._place_capsules()  # bounds of x, y and z of the middles, and of the reach
 
     def _place_capsules(self) -> Bounds | None:
@@ -114,7 +116,7 @@ class CapsuleCrowd:
     def __len__(self) -> int:
         return int(self.first[-1])
 
-    def of(self, read: Callable[[Population], NDArray[Any]], axis: int = 0) -> NDArray[Any]:
+    def concatenate_species(self, read: Callable[[Population], NDArray[Any]], axis: int = 0) -> NDArray[Any]:
         """Apply `read` to each species, and return the results concatenated along an axis."""
         arrays = [read(population) for population in self.species]
         return arrays[0] if len(arrays) == 1 else np.concatenate(arrays, axis=axis)
@@ -131,7 +133,7 @@ class CapsuleCrowd:
 
     def read_vector(self, name: str) -> vec.VectorArrays:
         """Return the three registers of a vector, concatenated over all species."""
-        x, y, z = (self.of(lambda p, axis=axis: self._select_registers(p)[f"{name}.{axis}"]) for axis in AXES)  # type: ignore[misc]
+        x, y, z = (self.concatenate_species(lambda p, axis=axis: self._select_registers(p)[f"{name}.{axis}"]) for axis in AXES)  # type: ignore[misc]
         return x, y, z
 
     def _select_registers(self, population: Population) -> dict[str, NDArray[Any]]:

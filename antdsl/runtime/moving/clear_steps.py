@@ -84,7 +84,7 @@ class ClearStep:
     recorded: tuple[tuple[Footing, NDArray[np.float64], NDArray[np.float32]], list[NDArray[np.float32]]] = field(init=False)
 
     @staticmethod
-    def of(
+    def build(
         world: World,
         population: Population,
         walk: CrowdWalk,

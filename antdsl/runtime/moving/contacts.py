@@ -87,7 +87,7 @@ def resolve_contacts(world: World, step_start: StartStances, dt: float) -> None:
     if not len(near.i) and long is None:
         return
     share = 1.0 if is_hard else 1.0 - float(elementary.exp(_F(-dt / _SOFT_CONTACT_SECONDS)))
-    agents, walked = _PairAgents.of(crowd, near, step_start, dt)
+    agents, walked = _PairAgents.build(crowd, near, step_start, dt)
     gap, direction, depth = near.measure_before_step(walked)
     cut = np.zeros_like(near.middle)
     if is_hard and len(near.i):
@@ -98,7 +98,7 @@ def resolve_contacts(world: World, step_start: StartStances, dt: float) -> None:
     if long is not None and stop_long_steps(world, step_start, long, near, cut, dt):
         crowd = CapsuleCrowd(world)
         near = find_near_pairs(crowd)
-        agents, walked = _PairAgents.of(crowd, near, step_start, dt)
+        agents, walked = _PairAgents.build(crowd, near, step_start, dt)
         _, _, depth = near.measure_before_step(walked)
         cut = np.zeros_like(near.middle)
     elif is_hard and len(near.i):
@@ -173,7 +173,7 @@ class _PairAgents:
     is_frozen: Flags
 
     @staticmethod
-    def of(crowd: CapsuleCrowd, near: NearbyPairs, began: StartStances, dt: float) -> tuple[_PairAgents, Floats]:
+    def build(crowd: CapsuleCrowd, near: NearbyPairs, began: StartStances, dt: float) -> tuple[_PairAgents, Floats]:
         """Return these values, and the displacement (3, k) mm of each row from its start."""
         rows = near.rows
         vectors, (reach, mass), first = np.empty((3, 3, len(rows))), np.empty((2, len(rows))), 0
@@ -190,7 +190,9 @@ class _PairAgents:
             for k, other in ((near.i, near.j), (near.j, near.i)):
                 one, two = mass.take(k), mass.take(other)
                 np.maximum.at(yields, k, np.minimum(2 * two / (one + two), 1.0))
-        return _PairAgents(start, reach, mass, yields, normal, crowd.of(lambda p: p.quarantined).take(rows)), walked
+        return _PairAgents(
+            start, reach, mass, yields, normal, crowd.concatenate_species(lambda p: p.quarantined).take(rows)
+        ), walked
 
 
 def _solve_separation(

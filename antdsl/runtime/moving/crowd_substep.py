@@ -76,9 +76,9 @@ def move_agents(world: World, population: Population, substep: int) -> ClearStep
         return clear
     posture = posture_of(world, population)
     others = world.setting.orient != "normal"
-    crowd = _CrowdSubstep.of(world, population, dt, others or posture.is_set or has_slope_limit(population))
+    crowd = _CrowdSubstep.build(world, population, dt, others or posture.is_set or has_slope_limit(population))
     previous_pose = (vec.copy(crowd.registers[1]), vec.copy(crowd.registers[3]), population.normal) if others else None
-    slopes = SlopeStart.of(population) if has_slope_limit(population) else None
+    slopes = SlopeStart.from_population(population) if has_slope_limit(population) else None
     if slopes is not None:
         lay_pushes(world, population)
     crowd.prepare_steps(substep)
@@ -102,7 +102,7 @@ def move_agents(world: World, population: Population, substep: int) -> ClearStep
 
 def _move_clear(world: World, population: Population, dt: np.float32, substep: int) -> ClearStep | None:
     """Move agents with bodies that stay outside their ground. Return None if the ground does not consist of triangles."""
-    crowd = _CrowdSubstep.of(world, population, dt, False)
+    crowd = _CrowdSubstep.build(world, population, dt, False)
     crowd.prepare_steps(substep)
     crowd.deflect_at_obstacles()
     assert isinstance(world.ground, MeshGround)
@@ -111,7 +111,7 @@ def _move_clear(world: World, population: Population, dt: np.float32, substep: i
     if walk is None:
         return None
     limits = crowd.max_tilts, population.now["max_turn"], dt
-    clear = ClearStep.of(world, population, walk, (crowd.state, crowd.level_headings), limits)
+    clear = ClearStep.build(world, population, walk, (crowd.state, crowd.level_headings), limits)
     clear.limit(crowd.step, crowd.velocity)
     outset = population.footing, population.position, population.normal
     crowd.walk(world.ground)
@@ -146,7 +146,7 @@ class _CrowdSubstep:
     max_size: float = nan  # largest size (mm); NaN without a valid size
 
     @staticmethod
-    def of(world: World, population: Population, dt: np.float32, align_all: bool) -> _CrowdSubstep:
+    def build(world: World, population: Population, dt: np.float32, align_all: bool) -> _CrowdSubstep:
         """Return the state of a substep before the first stage."""
         now, n = population.now, len(population)
         buffer = population.get_buffers("on the way", 17, (n,), np.float32)
@@ -285,7 +285,7 @@ class _CrowdSubstep:
         work = partial(walk_triangles, *tables, *stride_inputs, arrival, held, placed, place)
         parts = parallel.run_in_parts(work, n, self.threads)
         if any([waiting or left for _, waiting, left in parts]):
-            self._walk_pending(ground, arrival, walk, WaitingAgents.of(parts, reals, wholes), to, place, how)
+            self._walk_pending(ground, arrival, walk, WaitingAgents.merge_parts(parts, reals, wholes), to, place, how)
         p.footing, p.position, p.normal = to, place.T, arrival.normals
         return True
 

@@ -37,7 +37,7 @@ class SlopeStart:
     heading: Floats
 
     @staticmethod
-    def of(population: Population) -> SlopeStart:
+    def from_population(population: Population) -> SlopeStart:
         return SlopeStart(population.footing, population.position, population.normal, population.read_vector("heading"))
 
     def find_steep(self, world: World, population: Population, rows: Rows, footing: Footing, pose: tuple[Floats, Floats]) -> Rows:

@@ -42,7 +42,7 @@ class LineTables:
         self._function = f"!{self._add_node(f'distinct !DISubprogram({fields}, spFlags: DISPFlagDefinition)')}"
         return f" !dbg {self._function}"
 
-    def of(self, line: int) -> str:
+    def format_location(self, line: int) -> str:
         """Return the suffix that an instruction of this line needs; line 0 means the first line of the function."""
         return f", !dbg !{self._add_node(f'!DILocation(line: {line or self._first_line}, scope: {self._function})')}"
 

@@ -203,7 +203,7 @@ def _lower_project(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     return values.scale(w.b, direction, values.dot(w.b, lower_vector(w, e.args[0]), direction))  # type: ignore[arg-type]
 
 
-def _lower_limit(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
+def _lower_limit_length(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     return values.limit_length(w.b, lower_vector(w, e.args[0]), lower_scalar(w, e.args[1]))  # type: ignore[arg-type]
 
 
@@ -213,5 +213,5 @@ def _lower_vector(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
 
 VECTOR_RULES = {
     "length": _lower_length, "unit": _lower_unit, "dot": _lower_dot, "cross": _lower_cross, "angle": _lower_angle,
-    "rotate": _lower_rotate, "project": _lower_project, "limit": _lower_limit, "vector": _lower_vector,
+    "rotate": _lower_rotate, "project": _lower_project, "limit": _lower_limit_length, "vector": _lower_vector,
 }  # fmt: skip

@@ -38,18 +38,18 @@ TableWords = NDArray[np.int64]
 class WatchedArrays:
     """Arrays of one object of the world.
 
-    `of`: finds the object. `get`: returns its arrays, or an object that changes when they change.
+    `find_holder`: finds the object. `get`: returns its arrays, or an object that changes when they change.
     `put`: writes the addresses of all arrays if the result of `get` differs from `seen`. It may replace arrays by padded ones."""
 
-    __slots__ = ("get", "of", "put", "seen")
+    __slots__ = ("find_holder", "get", "put", "seen")
 
     def __init__(
         self,
-        of: HolderFinder,
+        find_holder: HolderFinder,
         get: Callable[[Any], Iterable[NDArray[Any]]],
         put: Callable[[World, Population, Any, TableWords], None],
     ) -> None:
-        self.of, self.get, self.put = of, get, put
+        self.find_holder, self.get, self.put = find_holder, get, put
         self.seen: Iterable[Any] = repeat(None)
 
 
@@ -114,7 +114,7 @@ class AddressTables:
         self._update_numbers(world, values, run_values)
         words, changed = self.pointers, False
         for held in self._watched_arrays:
-            holder = held.of(world, population)
+            holder = held.find_holder(world, population)
             if any(map(is_not, held.seen, held.get(holder))):
                 held.put(world, population, holder, words)
                 held.seen, changed = held.get(holder), True
@@ -233,7 +233,7 @@ class AddressTables:
 
     def _make_mesh_finder(self, key: AddressKey) -> AddressFinder:
         copy = self._get_copy(key)
-        return lambda world, population: copy.of(population.footing.mesh, np.int64)
+        return lambda world, population: copy.update(population.footing.mesh, np.int64)
 
     def _make_event_finder(self, key: AddressKey) -> AddressFinder:
         """Return a function that finds the flags of agents that an event has reached, as a new array in each step.
@@ -242,7 +242,7 @@ class AddressTables:
         name = str(key[1])
         if name not in self.code.species.event_names:
             copy = self._get_copy(key)
-            return lambda world, population: copy.of(np.zeros(len(population), np.bool_), np.bool_, len(population))
+            return lambda world, population: copy.update(np.zeros(len(population), np.bool_), np.bool_, len(population))
 
         def find(world: World, population: Population) -> int:
             population.events[name], place = self._padded_arrays.pad_array(population.events[name])
@@ -256,13 +256,13 @@ class AddressTables:
 
         def find(world: World, population: Population) -> int:
             other = world.populations[species]
-            return copy.of(other.sorted_ids()[which], np.int64, (other.version, len(other)))
+            return copy.update(other.sorted_ids()[which], np.int64, (other.version, len(other)))
 
         return find
 
     def _make_clearance_finder(self, key: AddressKey) -> AddressFinder:
         copy, name = self._get_copy(key), str(key[1])
-        return lambda world, population: copy.of(get_clearance(world, population, name), np.float32)
+        return lambda world, population: copy.update(get_clearance(world, population, name), np.float32)
 
     def _make_clip_finder(self, key: AddressKey) -> AddressFinder:
         copy, what = self._get_copy(key), str(key[1])
@@ -273,7 +273,7 @@ class AddressTables:
         copy = self._get_copy(key)
 
         def find(world: World, population: Population) -> int:
-            return copy.of(table_starts(world, population), np.int32, (population.version, len(population)))
+            return copy.update(table_starts(world, population), np.int32, (population.version, len(population)))
 
         return find
 
@@ -286,7 +286,7 @@ class AddressTables:
         def find(world: World, population: Population) -> int:
             nonlocal reached
             field, least = world.fields[str(name)], numbers[place]
-            if reached is None or not reached.of(field, least):
+            if reached is None or not reached.matches(field, least):
                 reached = CellsAboveThreshold(field, least, int(str(count)))
             return array_address(reached.now(world.options.threads))
 

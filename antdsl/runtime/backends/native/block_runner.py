@@ -150,7 +150,7 @@ class PartGroup:
             if timed:
                 self._run_in_threads(partial(RowChunk.run_stage, function=function))
             else:
-                parallel.call_with_rows(function, self._table, self._threads)
+                parallel.call_for_each_row(function, self._table, self._threads)
             if calls:
                 self._run_needed_calls(world, population, values, calls)
         return [part for each, part in zip(chunks, self._bounds, strict=True) if not each.end()]

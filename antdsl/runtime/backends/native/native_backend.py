@@ -112,7 +112,7 @@ class NativeBackend(NumpyBackend):
             return
         if self._is_timed and llvm_compiler.is_available() and not llvm_compiler.host_target().x86:
             return  # other processors may forbid reading the counter
-        facts = WorldFacts.of(world.setting, timed=self._is_timed)
+        facts = WorldFacts.from_setting(world.setting, timed=self._is_timed)
         ready = find_ready_code(world.plan, facts)
         pays = len(world) >= _MIN_AGENTS_FOR_CODE or sum(world.cpu_seconds.values()) >= _MIN_STEP_SECONDS
         if ready is None and self._pending_code is None and (must_wait or pays):
@@ -180,7 +180,7 @@ class NativeBackend(NumpyBackend):
             self._search_radii[key] = _estimate_radius(world, population, other, [chosen.args[0] for chosen in search.sets])
         widest = self._search_radii[key]
         beside = [(names, [other.start[name] for name in names.split()]) for names in search.extra_registers]
-        return self._grids.of(world, other, widest if widest > 0 else 1.0, beside)
+        return self._grids.build_tables(world, other, widest if widest > 0 else 1.0, beside)
 
 
 def _estimate_radius(world: World, population: Population, other: Population, radii: list[ir.PlanNode]) -> float:

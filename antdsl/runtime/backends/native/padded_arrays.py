@@ -83,7 +83,7 @@ class PaddedCopy:
         self._source_stamp: Any = None
         self._padded: NDArray[Any] = np.zeros(0)
 
-    def of(self, array: NDArray[Any], dtype: Any, stamp: Any = None) -> int:
+    def update(self, array: NDArray[Any], dtype: Any, stamp: Any = None) -> int:
         """Return the address of a padded copy of an array. The copy stays valid while `stamp` is unchanged; without a stamp,
         for one step."""
         stamp = self._owner.step if stamp is None else stamp

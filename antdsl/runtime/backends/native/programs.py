@@ -65,7 +65,7 @@ class WorldFacts:
     is_timed: bool = False
 
     @classmethod
-    def of(cls, setting: WorldSetting, *, timed: bool = False) -> WorldFacts:
+    def from_setting(cls, setting: WorldSetting, *, timed: bool = False) -> WorldFacts:
         """Return the properties of a world that is bound to a setting."""
         return cls(any(name in setting.surfaces for name in setting.motion.meshes), setting.level_of_detail is not None, timed)
 

@@ -21,15 +21,25 @@ if TYPE_CHECKING:
         read_usd_points,
     )
     from antdsl.scene.geometry.usd.closure import Closure
-    from antdsl.scene.geometry.usd.errors import UsdError, pxr
+    from antdsl.scene.geometry.usd.errors import UsdError, import_pxr_module
     from antdsl.scene.geometry.usd.points import UsdPoints
     from antdsl.scene.geometry.usd.stage import UsdStage, open_stage
 
 __all__ = [
-    "Closure", "UsdCamera", "UsdError", "UsdMesh", "UsdPoints", "UsdStage",
-    "open_stage", "pxr", "read_usd_camera", "read_usd_curve", "read_usd_mesh", "read_usd_points",
+    "Closure",
+    "UsdCamera",
+    "UsdError",
+    "UsdMesh",
+    "UsdPoints",
+    "UsdStage",
+    "import_pxr_module",
+    "open_stage",
+    "read_usd_camera",
+    "read_usd_curve",
+    "read_usd_mesh",
+    "read_usd_points",
 ]  # fmt: skip
-_MODULES = {"Closure": "closure", "UsdError": "errors", "UsdPoints": "points", "pxr": "errors", "UsdStage": "stage",
+_MODULES = {"Closure": "closure", "UsdError": "errors", "UsdPoints": "points", "import_pxr_module": "errors", "UsdStage": "stage",
             "open_stage": "stage"}  # fmt: skip
 
 

@@ -43,7 +43,7 @@ def clean_usd_text(text: str, folder: str) -> str:
 
 
 @cache
-def pxr(module: str) -> Any:
+def import_pxr_module(module: str) -> Any:
     """Return a module of usd-core, such as `UsdGeom`. Raises UsdError if it is not installed."""
     from importlib import import_module
 

@@ -257,7 +257,7 @@ class _SetTest:
         self.builder.store_number(place, value)
         return place
 
-    def of(self, lane: Lanes) -> Callable[[list[Lanes]], Lanes]:
+    def build_test(self, lane: Lanes) -> Callable[[list[Lanes]], Lanes]:
         """Return the test for one agent. The input of the test is the positions of eight candidates."""
         e = self.builder
 
@@ -306,7 +306,7 @@ def _list_candidates(
 
     def write_lane(lane: Lanes, rows: Lanes) -> None:
         """Write the candidates of one agent in the given rows of cells."""
-        test = set_test.of(lane)
+        test = set_test.build_test(lane)
         mine = None if own_row is None else e.broadcast(e.load_scalar(own_place, lane, I32))
         own = e.address(buffer, lane * _LIST_STRIDE, I32)
         so_far = e.address(match_count, lane, I32)

@@ -92,7 +92,7 @@ class SearchGrids:
         ]:
             del self._stored_grids[key]
 
-    def of(self, world: World, other: Population, radius: float, extra_registers: RegisterGroups = ()) -> Arrays:
+    def build_tables(self, world: World, other: Population, radius: float, extra_registers: RegisterGroups = ()) -> Arrays:
         """Return the arrays for a search, with cells that suit the radius `radius` (mm). `extra_registers`: registers needed in
         the order of the cells."""
         size = float(ceil(4 * log2(radius))) if len(other) > _MAX_AGENTS_IN_ONE_CELL and radius < inf else inf
@@ -127,7 +127,7 @@ class SearchGrids:
         """Return the cells for a crowd in a box; a single cell if there are very few agents."""
         if size == inf:
             return GridShape((0, 1, 2), box.low, [0.0] * 3, [_UNBOUNDED_WIDTH] * 3, [1] * 3)
-        shape = GridShape.of(box.low, box.high, 2.0 ** (size / 4))
+        shape = GridShape.from_bounds(box.low, box.high, 2.0 ** (size / 4))
         if self._is_sheet(other, positions, shape):
             shape = shape.to_sheet()
         return _coarsen_shape(shape, _MAX_CELLS_PER_AGENT * len(other))

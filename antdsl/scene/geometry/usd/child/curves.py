@@ -13,7 +13,7 @@ from antdsl import limits
 from antdsl.scene.geometry.matrices import apply_transforms
 from antdsl.scene.geometry.usd.child.shapes import BAKE_HELP, check_motion_bytes
 from antdsl.scene.geometry.usd.child.stage import Floats, OpenStage
-from antdsl.scene.geometry.usd.errors import UsdError, pxr
+from antdsl.scene.geometry.usd.errors import UsdError, import_pxr_module
 
 _SEGMENTS_PER_CUBIC = 16  # number of straight pieces per cubic piece
 # Weights of four points for 1, t, t², t³ (Foley, van Dam, Computer Graphics: Principles and Practice, 1990, 11.2).
@@ -28,7 +28,7 @@ def read_curve_positions(stage: OpenStage) -> Floats:
     """Return the points (frames, k, 3) of the one BasisCurves at or below the prim; a single frame if it is static.
 
     Raises UsdError if there is none or more than one."""
-    geom = pxr("UsdGeom")
+    geom = import_pxr_module("UsdGeom")
     curves = [prim for prim in stage.find_visible_prims(stage.prim) if prim.IsA(geom.BasisCurves)]
     path = stage.prim.GetPath()
     if not curves:
@@ -54,7 +54,7 @@ def read_curve_positions(stage: OpenStage) -> Floats:
     check_motion_bytes(len(first) * len(times) * 24, f"`{prim.GetPath()}`")
     positions = np.empty((len(times), len(first), 3))
     for k, time in enumerate(times):
-        line = _read_polyline(curve, pxr("Usd").TimeCode(time), prim) if k and bends else first
+        line = _read_polyline(curve, import_pxr_module("Usd").TimeCode(time), prim) if k and bends else first
         if len(line) != len(first):
             raise UsdError("moving-topology", f"the curve `{prim.GetPath()}` has other points at other frames", BAKE_HELP)
         positions[k] = apply_transforms(transforms[min(k, len(transforms) - 1)], line)

@@ -10,7 +10,7 @@ import numpy as np
 
 from antdsl.reader.protocol import ReadRefusal
 from antdsl.scene.geometry.mesh_text import MeshError
-from antdsl.scene.geometry.usd.errors import format_usd_error, pxr
+from antdsl.scene.geometry.usd.errors import format_usd_error, import_pxr_module
 
 if TYPE_CHECKING:
     from antdsl.reader.protocol import ReaderMessage
@@ -30,7 +30,7 @@ def wrap_refusals(read: Callable[[ReaderMessage], ReaderAnswer]) -> Callable[[Re
                 return read(request)
         except MeshError as why:
             raise ReadRefusal("bad-mesh", str(why), why.help, "prim", "mesh") from why
-        except pxr("Tf").ErrorException as why:
+        except import_pxr_module("Tf").ErrorException as why:
             raise ReadRefusal(
                 "bad-usd", format_usd_error(why, str(request.document["folder"])), None, "prim", "exception"
             ) from why

@@ -29,7 +29,7 @@ from antdsl.scene.geometry.usd.child.shapes import (
     list_unread_types,
 )
 from antdsl.scene.geometry.usd.child.stage import Floats, OpenStage
-from antdsl.scene.geometry.usd.errors import UsdError, pxr
+from antdsl.scene.geometry.usd.errors import UsdError, import_pxr_module
 
 Faces = NDArray[np.int64]
 
@@ -93,7 +93,7 @@ def join_meshes(stage: OpenStage, primvars: Iterable[str] = ()) -> JoinedMesh:
 
 def _read_shape(stage: OpenStage, placed: PlacedMesh) -> _MeshShape:
     """Return the points and triangles of a mesh prim. Holes and left-handed orientation are respected, subdivision is not."""
-    prim, mesh = placed.prim, pxr("UsdGeom").Mesh(placed.prim)
+    prim, mesh = placed.prim, import_pxr_module("UsdGeom").Mesh(placed.prim)
     path = prim.GetPath()
     counts = np.array(mesh.GetFaceVertexCountsAttr().Get(stage.first) or [], np.int64)
     corners = np.array(mesh.GetFaceVertexIndicesAttr().Get(stage.first) or [], np.int64)
@@ -114,14 +114,14 @@ def _read_shape(stage: OpenStage, placed: PlacedMesh) -> _MeshShape:
 
 
 def _read_points(mesh: Any, time: float) -> Floats:
-    values = mesh.GetPointsAttr().Get(pxr("Usd").TimeCode(time))
+    values = mesh.GetPointsAttr().Get(import_pxr_module("Usd").TimeCode(time))
     return np.array([] if values is None else values, np.float64).reshape(-1, 3)
 
 
 def _check_same_faces(stage: OpenStage, attribute: Any, path: Any) -> None:
     first = attribute.Get(stage.first)
     for time in stage.times[1:]:
-        if attribute.Get(pxr("Usd").TimeCode(time)) != first:
+        if attribute.Get(import_pxr_module("Usd").TimeCode(time)) != first:
             raise UsdError("moving-topology", f"the mesh `{path}` has other faces at other frames", BAKE_HELP)
 
 
@@ -208,7 +208,9 @@ def _find_free_places(shape: _MeshShape) -> NDArray[np.bool_]:
 
 def _compute_free_offsets(stage: OpenStage, shape: _MeshShape, free: NDArray[np.bool_], k: int) -> Floats:
     """Return the offsets of vertices from their rest positions at frame `k`, for the places in `free`."""
-    points = _read_points(pxr("UsdGeom").Mesh(shape.placed.prim), stage.times[k]) if shape.is_deformed else shape.points
+    points = (
+        _read_points(import_pxr_module("UsdGeom").Mesh(shape.placed.prim), stage.times[k]) if shape.is_deformed else shape.points
+    )
     if len(points) != len(shape.points):
         path = shape.placed.prim.GetPath()
         raise UsdError("moving-topology", f"the mesh `{path}` has other points at other frames", BAKE_HELP)
@@ -222,7 +224,7 @@ def _compute_free_offsets(stage: OpenStage, shape: _MeshShape, free: NDArray[np.
 def _read_values(stage: OpenStage, shape: _MeshShape, name: str) -> Floats:
     """Return a primvar on the points of a shape, at each of its places. Vectors rotate with the mesh and keep their length."""
     prim = shape.placed.prim
-    primvar = pxr("UsdGeom").PrimvarsAPI(prim).FindPrimvarWithInheritance(name)
+    primvar = import_pxr_module("UsdGeom").PrimvarsAPI(prim).FindPrimvarWithInheritance(name)
     if not primvar or not primvar.HasValue():
         raise UsdError("no-such-prim", f"`{prim.GetPath()}` has no primvar `{name}`", f"paint `primvars:{name}` on it")
     values = np.array(primvar.ComputeFlattened(stage.first), np.float64)
@@ -249,7 +251,7 @@ def _rotate_vectors(transforms: Floats, vectors: Floats) -> Floats:
 
 def _find_hidden_reason(stage: OpenStage) -> str | None:
     """Return a help text for a prim without readable meshes. Either they have another purpose, are invisible, or do not exist."""
-    usd, geom = pxr("Usd"), pxr("UsdGeom")
+    usd, geom = import_pxr_module("Usd"), import_pxr_module("UsdGeom")
     every = [p for p in usd.PrimRange(stage.prim, usd.TraverseInstanceProxies()) if p.IsA(geom.Mesh)]
     if not every:
         return "name a prim that holds meshes"

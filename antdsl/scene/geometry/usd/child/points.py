@@ -11,7 +11,7 @@ from antdsl.diagnostics.suggestion import find_nearest_name
 from antdsl.scene.geometry.matrices import apply_transforms, find_uniform_scale
 from antdsl.scene.geometry.usd.child.shapes import BAKE_HELP, check_motion_bytes
 from antdsl.scene.geometry.usd.child.stage import Floats, OpenStage
-from antdsl.scene.geometry.usd.errors import UsdError, pxr
+from antdsl.scene.geometry.usd.errors import UsdError, import_pxr_module
 from antdsl.scene.geometry.usd.points import UsdPoints
 
 _USER_NAMESPACE = "userProperties"  # the namespace into which Blender, Maya and others export custom properties of objects
@@ -23,7 +23,7 @@ def read_point_arrays(stage: OpenStage, kind: str | None = None) -> UsdPoints:
     position.
 
     `kind`: return instead all prims below it, at any depth, with this `userProperties:kind`."""
-    geom = pxr("UsdGeom")
+    geom = import_pxr_module("UsdGeom")
     clouds = [prim for prim in stage.find_visible_prims(stage.prim) if prim.IsA(geom.Points)] if kind is None else []
     empties = [] if clouds else _find_placed_children(stage) if kind is None else _find_prims_of_kind(stage, kind)
     if len(empties) > limits.MAX_AGENTS:
@@ -63,7 +63,7 @@ def read_point_arrays(stage: OpenStage, kind: str | None = None) -> UsdPoints:
 
 
 def _read_cloud(stage: OpenStage, prim: Any) -> UsdPoints:
-    points = pxr("UsdGeom").Points(prim)
+    points = import_pxr_module("UsdGeom").Points(prim)
     attribute, path = points.GetPointsAttr(), prim.GetPath()
     moving = len(stage.times) > 1 and attribute.ValueMightBeTimeVarying()
     transforms = stage.compute_scene_transforms(prim, stage.is_moving(prim))
@@ -72,7 +72,7 @@ def _read_cloud(stage: OpenStage, prim: Any) -> UsdPoints:
     check_motion_bytes(count * len(times) * 24, f"`{path}`")
     positions = np.empty((len(times), count, 3))
     for k, time in enumerate(times):
-        frame_points = np.array(attribute.Get(pxr("Usd").TimeCode(time)) or [], np.float64).reshape(-1, 3)
+        frame_points = np.array(attribute.Get(import_pxr_module("Usd").TimeCode(time)) or [], np.float64).reshape(-1, 3)
         if len(frame_points) != count:
             raise UsdError("moving-topology", f"`{path}` has other points at other frames", BAKE_HELP)
         positions[k] = apply_transforms(transforms[min(k, len(transforms) - 1)], frame_points)
@@ -88,7 +88,7 @@ def _read_cloud(stage: OpenStage, prim: Any) -> UsdPoints:
 
 def _read_names(prim: Any, count: int) -> list[str]:
     """Return the primvar `name` if it has one word per point, else the prim's name with numbers."""
-    primvar = pxr("UsdGeom").PrimvarsAPI(prim).GetPrimvar("name")
+    primvar = import_pxr_module("UsdGeom").PrimvarsAPI(prim).GetPrimvar("name")
     words = list(primvar.ComputeFlattened() or []) if primvar and primvar.HasValue() else []
     if len(words) == count and len(set(words)) == count:
         return [str(word)[: limits.MAX_NAME_CHARACTERS] for word in words]
@@ -97,7 +97,7 @@ def _read_names(prim: Any, count: int) -> list[str]:
 
 def _read_numbers(stage: OpenStage, prim: Any, count: int) -> dict[str, Floats]:
     values_by_name = {}
-    for primvar in pxr("UsdGeom").PrimvarsAPI(prim).GetPrimvarsWithValues():
+    for primvar in import_pxr_module("UsdGeom").PrimvarsAPI(prim).GetPrimvarsWithValues():
         value = primvar.ComputeFlattened(stage.first)
         numbers = np.atleast_1d(np.array(value)) if value is not None else np.empty(0)
         if numbers.dtype.kind in "fiu" and numbers.ndim == 1 and len(numbers) in (1, count):
@@ -108,8 +108,8 @@ def _read_numbers(stage: OpenStage, prim: Any, count: int) -> dict[str, Floats]:
 def _find_placed_children(stage: OpenStage) -> list[Any]:
     return [
         p
-        for p in stage.prim.GetFilteredChildren(pxr("Usd").TraverseInstanceProxies())
-        if stage.is_visible(p) and p.IsA(pxr("UsdGeom").Xformable)
+        for p in stage.prim.GetFilteredChildren(import_pxr_module("Usd").TraverseInstanceProxies())
+        if stage.is_visible(p) and p.IsA(import_pxr_module("UsdGeom").Xformable)
     ]
 
 
@@ -121,7 +121,7 @@ def _find_prims_of_kind(stage: OpenStage, kind: str) -> list[Any]:
     for prim in stage.find_visible_prims(stage.prim):
         attribute = prim.GetAttribute(f"{_USER_NAMESPACE}:kind")
         word = attribute.Get(stage.first) if attribute and attribute.HasValue() else None
-        if word is not None and str(word) == kind and prim.IsA(pxr("UsdGeom").Xformable):
+        if word is not None and str(word) == kind and prim.IsA(import_pxr_module("UsdGeom").Xformable):
             prims.append(prim)
         elif word is not None and len(others) < _MAX_LISTED_KINDS:
             others.add(str(word)[: limits.MAX_NAME_CHARACTERS])

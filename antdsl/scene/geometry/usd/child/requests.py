@@ -15,7 +15,7 @@ from antdsl.scene.geometry.usd.child.guard import ReaderAnswer, wrap_refusals
 from antdsl.scene.geometry.usd.child.meshes import join_meshes
 from antdsl.scene.geometry.usd.child.points import read_point_arrays
 from antdsl.scene.geometry.usd.child.stage import Floats, OpenStage
-from antdsl.scene.geometry.usd.errors import UsdError, pxr
+from antdsl.scene.geometry.usd.errors import UsdError, import_pxr_module
 
 if TYPE_CHECKING:
     from antdsl.reader.protocol import ReaderMessage
@@ -76,7 +76,7 @@ def read_camera(request: ReaderMessage) -> ReaderAnswer:
 def read_camera_arrays(stage: OpenStage) -> dict[str, Floats]:
     """Return the camera at the stage's prim, or the only camera below it: `at`, `look_at`, `up` (frames, 3) and `focal`
     (frames,)."""
-    geom = pxr("UsdGeom")
+    geom = import_pxr_module("UsdGeom")
     cameras = [prim for prim in stage.find_visible_prims(stage.prim) if prim.IsA(geom.Camera)]
     if len(cameras) != 1:
         path = stage.prim.GetPath()
@@ -89,7 +89,7 @@ def read_camera_arrays(stage: OpenStage) -> dict[str, Floats]:
     transforms = stage.compute_scene_transforms(prim, stage.is_moving(prim))
     times = stage.times if changes or len(transforms) > 1 else stage.times[:1]
     transforms = np.broadcast_to(transforms, (len(times), 3, 4))
-    lens = np.array([[float(a.Get(pxr("Usd").TimeCode(time))) for a in attributes] for time in times])
+    lens = np.array([[float(a.Get(import_pxr_module("Usd").TimeCode(time))) for a in attributes] for time in times])
     unit = find_uniform_scale(stage.to_scene)
     at, ahead, up = transforms[:, :, 3], -vector_rows.unit(transforms[:, :, 2]), vector_rows.unit(transforms[:, :, 1])
     far = np.where(lens[:, 2] > 0, lens[:, 2] * unit, _DEFAULT_FOCUS_MM)[:, None]

@@ -13,7 +13,7 @@ from antdsl import limits
 from antdsl.reader.sandbox import allow_memory
 from antdsl.scene.geometry.matrices import compose_transforms
 from antdsl.scene.geometry.usd.child.stage import Floats, OpenStage, to_column_matrix
-from antdsl.scene.geometry.usd.errors import UsdError, pxr
+from antdsl.scene.geometry.usd.errors import UsdError, import_pxr_module
 
 _MAX_NESTED_INSTANCERS = 8  # maximum nesting of point instancers
 
@@ -56,9 +56,9 @@ def find_placed_meshes(stage: OpenStage) -> Iterator[PlacedMesh]:
     """Yield every mesh at or below the stage's prim, in the order of the file."""
     count = PlaceCounter(str(stage.prim.GetPath()))
     for prim in stage.find_visible_prims(stage.prim):
-        if prim.IsA(pxr("UsdGeom").Mesh):
+        if prim.IsA(import_pxr_module("UsdGeom").Mesh):
             yield PlacedMesh(prim, stage.compute_scene_transforms(prim, stage.is_moving(prim))[None])
-        elif prim.IsA(pxr("UsdGeom").PointInstancer):
+        elif prim.IsA(import_pxr_module("UsdGeom").PointInstancer):
             yield from _find_placed_instances(
                 stage, prim, stage.compute_scene_transforms(prim, stage.is_moving(prim))[None], count, 1
             )
@@ -66,7 +66,7 @@ def find_placed_meshes(stage: OpenStage) -> Iterator[PlacedMesh]:
 
 def list_unread_types(stage: OpenStage) -> list[str]:
     """Return the types of the shapes at or below the prim that are not read, since they are not meshes."""
-    geom = pxr("UsdGeom")
+    geom = import_pxr_module("UsdGeom")
     read = (geom.Mesh, geom.PointInstancer, geom.Curves, geom.Points)
     type_names = {
         str(p.GetTypeName())
@@ -84,7 +84,7 @@ def _find_placed_instances(
         raise UsdError(
             "too-large", f"`{prim.GetPath()}` has point instancers nested more than {_MAX_NESTED_INSTANCERS} levels deep"
         )
-    instancer = pxr("UsdGeom").PointInstancer(prim)
+    instancer = import_pxr_module("UsdGeom").PointInstancer(prim)
     index = np.array(instancer.GetProtoIndicesAttr().Get(stage.first) or [], np.int64)
     if not len(index):
         return
@@ -100,7 +100,7 @@ def _find_placed_instances(
             inside = _compose_pairs(transforms, own[of_this])
             for child, transform in _find_prototype_meshes(stage, root):
                 child_transforms = _compose_pairs(inside, transform[None])
-                if child.IsA(pxr("UsdGeom").Mesh):
+                if child.IsA(import_pxr_module("UsdGeom").Mesh):
                     count.add_mesh(len(child_transforms))
                     yield PlacedMesh(child, child_transforms)
                 else:
@@ -123,11 +123,14 @@ def _compute_instance_transforms(stage: OpenStage, instancer: Any, count: int) -
     """Return the transforms (instances, frames, 3, 4) of all instances into the instancer's space.
 
     They include the prototypes' own transforms."""
-    usd, path = pxr("Usd"), instancer.GetPath()
+    usd, path = import_pxr_module("Usd"), instancer.GetPath()
     attributes = (instancer.GetPositionsAttr(), instancer.GetOrientationsAttr(), instancer.GetScalesAttr())
     roots = [instancer.GetPrim().GetStage().GetPrimAtPath(p) for p in instancer.GetPrototypesRel().GetForwardedTargets()]
     moved = any(a.ValueMightBeTimeVarying() for a in (*attributes, instancer.GetProtoIndicesAttr())) or any(
-        r and pxr("UsdGeom").Xformable(r) and pxr("UsdGeom").Xformable(r).TransformMightBeTimeVarying() for r in roots
+        r
+        and import_pxr_module("UsdGeom").Xformable(r)
+        and import_pxr_module("UsdGeom").Xformable(r).TransformMightBeTimeVarying()
+        for r in roots
     )
     times = stage.times if moved else stage.times[:1]
     check_motion_bytes(count * len(times) * 96, f"the instances of `{path}`")
@@ -139,7 +142,10 @@ def _compute_instance_transforms(stage: OpenStage, instancer: Any, count: int) -
             words = "moving-topology"
             raise UsdError(words, f"the instances of `{path}` appear, disappear or change their shape over time", BAKE_HELP)
         matrices = instancer.ComputeInstanceTransformsAtTime(
-            code, code, pxr("UsdGeom").PointInstancer.IncludeProtoXform, pxr("UsdGeom").PointInstancer.IgnoreMask
+            code,
+            code,
+            import_pxr_module("UsdGeom").PointInstancer.IncludeProtoXform,
+            import_pxr_module("UsdGeom").PointInstancer.IgnoreMask,
         )
         if len(matrices) != count:
             raise UsdError("bad-usd", f"`{path}` does not have one position for each of its {count:,} instances")
@@ -155,7 +161,7 @@ def _find_prototype_meshes(stage: OpenStage, root: Any) -> Iterator[tuple[Any, F
     """Yield the meshes and instancers of a prototype, with transforms (frames, 3, 4) into the space of its root.
 
     The root's own transform is not included."""
-    usd, geom = pxr("Usd"), pxr("UsdGeom")
+    usd, geom = import_pxr_module("Usd"), import_pxr_module("UsdGeom")
     # `over` and `class` prims are not drawn on their own, but can be prototypes
     walk = iter(usd.PrimRange(root, usd.TraverseInstanceProxies(usd.PrimIsActive & usd.PrimIsLoaded)))
     for prim in walk:
@@ -171,15 +177,15 @@ def _find_prototype_meshes(stage: OpenStage, root: Any) -> Iterator[tuple[Any, F
 
 
 def _compute_relative_transforms(stage: OpenStage, prim: Any, root: Any) -> Floats:
-    geom = pxr("UsdGeom")
+    geom = import_pxr_module("UsdGeom")
     moved, above = False, prim
     while above and above != root:
         moved |= bool(geom.Xformable(above)) and geom.Xformable(above).TransformMightBeTimeVarying()
         above = above.GetParent()
     cache, matrices = geom.XformCache(), []
     for time in stage.times if moved else stage.times[:1]:
-        cache.SetTime(pxr("Usd").TimeCode(time))
-        matrix = pxr("Gf").Matrix4d(1.0) if prim == root else cache.ComputeRelativeTransform(prim, root)[0]
+        cache.SetTime(import_pxr_module("Usd").TimeCode(time))
+        matrix = import_pxr_module("Gf").Matrix4d(1.0) if prim == root else cache.ComputeRelativeTransform(prim, root)[0]
         matrices.append(to_column_matrix(matrix))
     return np.array(matrices)
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from antdsl import limits
 from antdsl.scene.geometry.matrices import compose_transforms
 from antdsl.scene.geometry.usd.child.guard import ReaderAnswer, wrap_refusals
-from antdsl.scene.geometry.usd.errors import UsdError, clean_usd_text, format_usd_error, pxr
+from antdsl.scene.geometry.usd.errors import UsdError, clean_usd_text, format_usd_error, import_pxr_module
 
 if TYPE_CHECKING:
     from antdsl.reader.protocol import ReaderMessage
@@ -43,18 +43,18 @@ class OpenStage:
     @property
     def first(self) -> Any:
         """Return USD's time code of the first requested frame."""
-        return pxr("Usd").TimeCode(self.times[0])
+        return import_pxr_module("Usd").TimeCode(self.times[0])
 
     def is_visible(self, prim: Any) -> bool:
         """Return whether a prim has the requested purpose and is visible at the first frame."""
-        image = pxr("UsdGeom").Imageable(prim)
+        image = import_pxr_module("UsdGeom").Imageable(prim)
         if not image:
             return True
         return image.ComputePurpose() in ("default", self.purpose) and image.ComputeVisibility(self.first) != "invisible"
 
     def find_visible_prims(self, prim: Any) -> Iterator[Any]:
         """Yield the prim and its visible descendants. Instances are included, prototypes of point instancers are not."""
-        usd, geom = pxr("Usd"), pxr("UsdGeom")
+        usd, geom = import_pxr_module("Usd"), import_pxr_module("UsdGeom")
         walk = iter(usd.PrimRange(prim, usd.TraverseInstanceProxies()))
         for descendant in walk:
             if not self.is_visible(descendant):
@@ -69,16 +69,16 @@ class OpenStage:
         """Return the transforms (frames, 3, 4) from a prim's own space to the scene.
 
         `all_frames`: return all frames; otherwise only the first."""
-        cache = pxr("UsdGeom").XformCache()
+        cache = import_pxr_module("UsdGeom").XformCache()
         found = []
         for time in self.times if all_frames else self.times[:1]:
-            cache.SetTime(pxr("Usd").TimeCode(time))
+            cache.SetTime(import_pxr_module("Usd").TimeCode(time))
             found.append(to_column_matrix(cache.GetLocalToWorldTransform(prim)))
         return compose_transforms(self.to_scene, np.array(found))
 
     def is_moving(self, prim: Any) -> bool:
         """Return whether the transform of a prim may change over time."""
-        geom = pxr("UsdGeom")
+        geom = import_pxr_module("UsdGeom")
         while prim and not prim.IsPseudoRoot():
             moved = geom.Xformable(prim)
             if moved:
@@ -121,7 +121,7 @@ def open_stage(request: ReaderMessage) -> OpenStage:
 def _open_layer(
     path: str, folder: str, text: str, prim: str, up: str, purpose: str, fps: Fraction, frames: list[int]
 ) -> OpenStage:
-    usd, geom, sdf = pxr("Usd"), pxr("UsdGeom"), pxr("Sdf")
+    usd, geom, sdf = import_pxr_module("Usd"), import_pxr_module("UsdGeom"), import_pxr_module("Sdf")
     if not prim.startswith("/") or not sdf.Path.IsValidPathString(prim)[0] or not sdf.Path(prim).IsAbsoluteRootOrPrimPath():
         raise UsdError("no-such-prim", f"`{prim}` is not the path of a prim", "write it from the root: `/set/stones`")
     place, top = sdf.Path(prim), open_layer(path, folder, text)
@@ -151,7 +151,7 @@ def _open_layer(
 
 
 def _check_prim_count(stage: Any, text: str, prim: str) -> None:
-    usd = pxr("Usd")
+    usd = import_pxr_module("Usd")
     for number, descendant in enumerate(usd.PrimRange(stage.GetPseudoRoot(), usd.TraverseInstanceProxies())):
         if number >= limits.MAX_USD_PRIMS:
             words = f"`{text}` has more than {limits.MAX_USD_PRIMS:,} prims for `{prim}`"
@@ -181,7 +181,7 @@ def _make_missing_prim_error(layer: Any, text: str, path: Any, inactive: bool) -
 
     if inactive:
         return UsdError("no-such-prim", f"the prim `{path}` of `{text}` is inactive", "make it active, or name another")
-    usd = pxr("Usd")
+    usd = import_pxr_module("Usd")
     above = path.GetParentPath()
     while True:
         stage = usd.Stage.OpenMasked(layer, usd.StagePopulationMask([above]), usd.Stage.LoadNone)
@@ -209,7 +209,7 @@ def read_layer(request: ReaderMessage) -> ReaderAnswer:
     path, folder, text = (str(said[key]) for key in ("path", "folder", "text"))
     layer = open_layer(path, folder, text)
     spec_paths: list[Any] = []
-    layer.Traverse(pxr("Sdf").Path.absoluteRootPath, spec_paths.append)
+    layer.Traverse(import_pxr_module("Sdf").Path.absoluteRootPath, spec_paths.append)
     if any(place.pathElementCount > limits.MAX_USD_PRIM_DEPTH for place in spec_paths):
         words = f"`{text}` cannot be read as USD: it has prims more than {limits.MAX_USD_PRIM_DEPTH} levels deep"
         raise UsdError("bad-usd", words, "flatten its hierarchy", "usd")
@@ -239,10 +239,10 @@ def open_layer(path: str, folder: str, text: str) -> Any:
 def _open_checked_layer(path: str, folder: str, text: str) -> Any:
     why = "it is not a format that USD knows"
     try:
-        layer = pxr("Sdf").Layer.FindOrOpen(path)
+        layer = import_pxr_module("Sdf").Layer.FindOrOpen(path)
         if layer is not None:
             return layer
-    except pxr("Tf").ErrorException as problem:
+    except import_pxr_module("Tf").ErrorException as problem:
         why = format_usd_error(problem, folder).replace(os.path.relpath(path, folder), text)
     except UnicodeDecodeError:  # USD's message would repeat the invalid bytes
         why = "it has bytes that are no UTF-8 text"
