@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 from test_crowd_lines import ranges, shot_of, world_of
 from test_scene_files import SCENE, folder, opened  # noqa: F401
+from typer.testing import CliRunner
 
+from antdsl.cli import app
 from antdsl.outputs.cache.cache_reader import open_cache
 from antdsl.outputs.recording import begin_recording, record_frames
 from antdsl.reload import migrate_world
@@ -257,3 +259,13 @@ def test_ids_are_used_once_and_memory_stays(folder: Path) -> None:  # noqa: F811
 def test_twenty_thousand_births_and_deaths(folder: Path) -> None:  # noqa: F811
     count, sizes = _live_and_die(folder, 2000, 240)
     assert count == 20_000 and max(sizes) < sizes[0] + 1_000_000
+
+
+def test_check_reports_the_maximum_number_of_agents(folder: Path) -> None:  # noqa: F811
+    path = folder / "scene.yaml"
+    path.write_text(scene("count: 5", f"frames: 49..96, rate: 20 /s, {HOLE}"))
+    result = CliRunner().invoke(app, ["check", str(path)])
+    assert result.exit_code == 0, result.output
+    assert "at most 45 agents of the crowd, 40 of them created in given frames" in " ".join(result.output.split())
+    path.write_text(scene("count: 5"))
+    assert "at most" not in CliRunner().invoke(app, ["check", str(path)]).output
