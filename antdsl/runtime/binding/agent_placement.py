@@ -18,7 +18,7 @@ from antdsl.plan.traverse import iterate_with_positions
 from antdsl.program.tables.effects import list_effects_of_phase
 from antdsl.runtime.binding.initial_attributes import write_initial_values
 from antdsl.runtime.binding.overcrowding import OvercrowdedLine
-from antdsl.runtime.binding.spacing import Occupancy, StartPositionDraws, has_extent, spread_agents
+from antdsl.runtime.binding.spacing import RELEASE_ROUNDS, Occupancy, StartPositionDraws, has_extent, spread_agents
 from antdsl.runtime.binding.start_positions import MAX_RANDOM_COVER, PLACEMENT_FRAME, StartPositionSampler
 from antdsl.runtime.binding.start_shapes import FULL_TURN, compute_facing
 from antdsl.runtime.faults import FaultLog
@@ -59,8 +59,12 @@ def place_new_agents(world: World, new_crowds: Sequence[tuple[CrowdData, NDArray
     starts = [StartPositionSampler(world, crowd) for crowd, _ in new_crowds]
     radius = _compute_spacing_radii(world, new_crowds, starts, _compute_birth_radii(world, new_crowds, starts))
     occupancy = Occupancy(_position_precision(world))
+    rounds = RELEASE_ROUNDS if world.is_stepping else None
+    box = None if rounds is None else _find_reach(new_crowds, starts, radius, sum(rounds))
     for population in world.populations.values():
-        occupancy.add_fixed(population.position, population.now["radius"].astype(np.float64))
+        own_radius = population.now["radius"].astype(np.float64)
+        near = slice(None) if box is None else _find_rows_in_reach(population.position, own_radius, box)
+        occupancy.add_fixed(population.position[near], own_radius[near])
     draws: dict[int, StartPositionDraws] = {}
     for k, (_, ids) in enumerate(new_crowds):
         if starts[k].has_points:
@@ -69,7 +73,7 @@ def place_new_agents(world: World, new_crowds: Sequence[tuple[CrowdData, NDArray
     first = 0
     for k, (crowd, ids) in enumerate(new_crowds):
         if k not in draws:
-            draws[k], fits = spread_agents(occupancy, starts[k].draw, ids, radius[k], first)
+            draws[k], fits = spread_agents(occupancy, starts[k].draw, ids, radius[k], first, rounds)
             first += len(ids)
             if not fits.all() and not world.is_stepping:  # at a rate, agents stand in the way only until they walk on
                 wide = radius[k][has_extent(radius[k])]
@@ -86,6 +90,28 @@ def place_new_agents(world: World, new_crowds: Sequence[tuple[CrowdData, NDArray
     if world.notes is not None:
         world.notes.remove_absent(world, first_rows, is_start=not world.is_stepping)
     return {name: np.arange(row, len(world.populations[name])) for name, row in first_rows.items()}
+
+
+def _find_reach(
+    new_crowds: Sequence[tuple[CrowdData, NDArray[np.int64]]],
+    starts: Sequence[StartPositionSampler],
+    radius: Sequence[NDArray[np.float64]],
+    tries: int,
+) -> NDArray[np.float64]:
+    """Return the corners (2, 3) of a box around all positions that new agents try, with their radii."""
+    places = [start.draw(ids, range(tries)).position for (_, ids), start in zip(new_crowds, starts, strict=True)]
+    widest = max(float(own[has_extent(own)].max(initial=0.0)) for own in radius)
+    points = np.concatenate(places)
+    return np.stack([points.min(axis=0) - 1.01 * widest, points.max(axis=0) + 1.01 * widest])
+
+
+def _find_rows_in_reach(
+    position: NDArray[np.float64], radius: NDArray[np.float64], box: NDArray[np.float64]
+) -> NDArray[np.bool_]:
+    """Return which agents reach into a box."""
+    reach = 1.01 * np.where(has_extent(radius), radius, 0.0)[:, None]
+    is_near: NDArray[np.bool_] = ((position >= box[0] - reach) & (position <= box[1] + reach)).all(axis=1)
+    return is_near
 
 
 def _place_crowd(world: World, crowd: CrowdData, ids: NDArray[np.int64], drawn: StartPositionDraws) -> NDArray[np.intp]:

@@ -26,6 +26,7 @@ Flags = NDArray[np.bool_]
 # Positions tried in each round, by the share of the previous batch without space: 384, 128 or 4 in total.
 _TRIES_PER_ROUND = (1,) * 8 + (2,) * 4 + (4,) * 4 + (8,) * 4 + (16,) * 4
 _SPACING_ROUNDS = ((0.005, _TRIES_PER_ROUND + (32,) * 8), (0.1, _TRIES_PER_ROUND), (1.0, (1,) * 4))
+RELEASE_ROUNDS = (1,) * 4 + (2,) * 2 + (4,) * 2  # for agents that are created during the run: 16 positions
 _FIRST_BATCH_AGENTS = 64  # agents of the first batch; each later batch is as large as all earlier ones together
 _GAP_FACTOR = 1.001  # factor on the distance at contact, because float32 rounds
 # Smaller neighbours of the first query; each further query doubles the number until the result is certain
@@ -213,15 +214,21 @@ def has_extent(radius: NDArray[np.floating[Any]]) -> Flags:
 
 
 def spread_agents(
-    occupancy: Occupancy, draw: PositionDrawer, ids: NDArray[np.int64], radius: Floats, first: int
+    occupancy: Occupancy,
+    draw: PositionDrawer,
+    ids: NDArray[np.int64],
+    radius: Floats,
+    first: int,
+    max_rounds: tuple[int, ...] | None = None,
 ) -> tuple[StartPositionDraws, Flags]:
     """Return positions for agents in id order, and which agents have a position at which they touch no other.
 
     All other agents get the position at which they touch earlier agents least. `first`: the number of the first agent in the
-    order of all starting agents. Only agents with a free position are added to `occupancy`."""
+    order of all starting agents. Only agents with a free position are added to `occupancy`. `max_rounds`: the
+    positions tried in each round; None for as many as pay off."""
     chosen: StartPositionDraws | None = None
     fits = np.zeros(len(ids), np.bool_)
-    rounds: tuple[int, ...] = _SPACING_ROUNDS[0][1]
+    rounds: tuple[int, ...] = _SPACING_ROUNDS[0][1] if max_rounds is None else max_rounds
     begin, size = 0, _FIRST_BATCH_AGENTS
     while begin < len(ids):
         part = slice(begin, begin + size)
@@ -229,7 +236,7 @@ def spread_agents(
         fits[part] = held
         chosen = drawn if chosen is None else _join_draws(chosen, drawn)
         failed = np.count_nonzero(~held)
-        rounds = next(rounds for share, rounds in _SPACING_ROUNDS if failed <= share * held.size)
+        rounds = max_rounds or next(rounds for share, rounds in _SPACING_ROUNDS if failed <= share * held.size)
         begin += size
         size = begin
     return draw(ids, range(1)) if chosen is None else chosen, fits
