@@ -106,7 +106,7 @@ def test_the_outcome_of_a_save_is_announced(page: Stage) -> None:
     page.tell(outcome(of="layer", did="layer `wander()` is off"))
     assert announced_text() == "layer `wander()` is off · kept 3 agents"
     page.tell(outcome(ok=False, line="", did="", problems=problems()["problems"]))
-    assert announced_text() == "saved: no `pase` is known here — the last good program runs on"
+    assert announced_text() == "saved: no `pase` is known here — the last good program continues"
     page.tell({"op": "refused", "of": "seek", "message": "there is no frame 9", "help": "one of 1 to 5"})
     assert announced_text() == "there is no frame 9 — one of 1 to 5"
 
@@ -323,7 +323,7 @@ def test_costs_are_measured_on_request(page: Stage) -> None:
     page.tell(
         {"op": "profile", "frames": 24, "total": 4.0, "phases": [{"name": "decide", "ms": 3.0}], "layers": [], "lines": [line]}
     )
-    assert "4.00 ms a frame" in page.find("profile-total").inner_text()
+    assert "4.00 ms per frame" in page.find("profile-total").inner_text()
     assert page.page.locator("#editor .cost").all_inner_texts() == ["1.5"]
     page.find("profile").get_by_text("when pase").click()
     assert "pase" in page.page.locator("#editor .pointed").inner_text()

@@ -72,7 +72,7 @@ def test_an_ant_is_where_it_is_said_to_be_in_the_colour_of_its_state(browser: Br
         amber = (red > 1.4 * green) & (green > 1.6 * blue) & (red > 110)  # `search` is amber
         assert amber.mean() > 0.02
         keys(preview, "Escape")
-        assert said(preview) == "nobody is selected"
+        assert said(preview) == "no agent is selected"
 
 
 def test_keys_go_from_ant_to_ant(browser: Browser, foraging: str) -> None:
@@ -123,7 +123,7 @@ def test_a_click_selects_the_agent_there_and_beside_it_none(browser: Browser, fo
         keys(preview, "f")
         settled(preview)
         preview.page.mouse.click(box["x"] + box["width"] - 40, box["y"] + 40)  # no agent is in the sky
-        assert said(preview) == "nobody is selected"
+        assert said(preview) == "no agent is selected"
 
 
 @pytest.mark.slow

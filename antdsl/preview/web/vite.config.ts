@@ -11,7 +11,7 @@ function files(path: string): string[] {
   return entries.flatMap((entry) => (entry.isDirectory() ? files(`${path}/${entry.name}`) : [`${path}/${entry.name}`]));
 }
 
-/** What the page was built from: a test without node tells by it that sources were changed and not built. */
+/** A hash of the sources, so that a test without node detects changed sources without a build. */
 function stamp(): Plugin {
   return {
     name: "stamp",
@@ -26,7 +26,7 @@ function stamp(): Plugin {
   };
 }
 
-/** The licences of what is built in, which ask to be handed on with it. */
+/** The licences of the built-in packages, which must accompany them. */
 function licences(): Plugin {
   return {
     name: "licences",
@@ -46,7 +46,7 @@ function licences(): Plugin {
   };
 }
 
-// Fixed names and no maps: what ships is listed by name on the server, and comes out the same wherever it is built.
+// Fixed file names and no source maps: the server lists the files by name, and the build is the same everywhere.
 export default defineConfig({
   base: "./",
   plugins: [stamp(), licences()],

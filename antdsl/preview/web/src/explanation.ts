@@ -1,4 +1,4 @@
-// Why an agent did what it did: a page is told what `antdsl explain --json` prints.
+// The explanation of an agent's step: the output of `antdsl explain --json`.
 
 import type { Triple } from "./protocol";
 
@@ -37,7 +37,7 @@ export interface Explanation {
   hash: string;
   checkpoint: number;
   mode: string;
-  strip: { machine: string; state: string; first: number; last: number }[]; // machine after machine, each in order of time
+  strip: { machine: string; state: string; first: number; last: number }[]; // machine by machine, each in order of time
   alive: [number, number] | null;
   notes: string[];
   machines: {

@@ -1,3 +1,3 @@
-// Colours of a few things side by side, such as layers: the same in the panels and in space. None of them is that of an error.
+// Colours for a few things side by side, such as layers; panels and view use the same. None of them is the error colour.
 
 export const HUES: readonly string[] = ["#4a90d9", "#d98c3a", "#5aa864", "#b169c4", "#d0b52e", "#3fa7a0", "#d9709f", "#a58a68"];

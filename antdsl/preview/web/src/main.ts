@@ -1,4 +1,4 @@
-// The page: one connection, one store, and the parts that show it. A new part is one file and one line here.
+// The page: one connection, one store, and the parts of the page. A new part is one file and one line here.
 
 import { Connection } from "./connection";
 import { Store } from "./store";
@@ -24,7 +24,7 @@ const PARTS: [string, Part][] = [
 function token(): string {
   const given = location.hash.slice(1);
   if (given) {
-    sessionStorage.setItem("token", given); // a reload of this tab still has it; the address no longer shows it
+    sessionStorage.setItem("token", given); // still there after a reload of this tab; the address no longer contains it
     history.replaceState(null, "", location.pathname);
   }
   return given || (sessionStorage.getItem("token") ?? "");
@@ -34,15 +34,15 @@ const connection = new Connection(`${location.protocol === "https:" ? "wss" : "w
 const store = new Store(connection);
 for (const [id, part] of PARTS) part(store, document.getElementById(id) as HTMLElement);
 const stale = document.getElementById("stale") as HTMLElement;
-connection.onState((open, words) => {
+connection.onState((open, message) => {
   stale.hidden = open;
-  stale.textContent = words;
+  stale.textContent = message;
 });
-// The server writes its build into the page it sends; a page of another build, out of a cache or from before the server was
-// started anew, loads itself again: once, or a cache that holds on to it would go round for ever.
+// The server writes its build number into the page. A page with another build number (from a cache, or older than the server)
+// reloads once. A second reload could loop for ever with a cache that always returns the old page.
 connection.on("hello", ({ build, token: fresh, key }) => {
   if (fresh) sessionStorage.setItem("token", fresh);
-  void connection.keep(fresh, key);
+  void connection.storeKeys(fresh, key);
   const own = document.querySelector<HTMLMetaElement>('meta[name="build"]')?.content;
   if (!own || own === build || sessionStorage.getItem("build") === build) return;
   sessionStorage.setItem("build", build);

@@ -1,14 +1,14 @@
-// What goes over the wire. Text messages are JSON with an `op`; binary ones are a header and arrays, see `unpack`.
-// The Python side is antdsl/preview/requests.py (what a page may ask) and antdsl/preview/viewing (what it is shown).
-// Places are in mm of the world, less its origin; turns are unit vectors; colours are display values 0..1.
+// The messages between page and server. Text messages are JSON with an `op`; binary ones are a header and arrays, see `unpack`.
+// The Python side: antdsl/preview/requests.py (requests of the page) and antdsl/preview/viewing (messages to the page).
+// Positions are in mm, relative to the origin of the world; directions are unit vectors; colours are display values 0..1.
 
 import type { Explanation } from "./explanation";
 
 export type Triple = [number, number, number];
 
-// --- what a page asks ----------------------------------------------------------------------------------------------
+// --- requests of the page --------------------------------------------------------------------------------------------
 
-/** How many agents have their planned paths shown at most: of those who are named, and of all when nobody is. */
+/** Maximum number of agents with planned paths: of the named agents, and of all agents if none is named. */
 export const MOST_PLANNED = { chosen: 60, all: 300 };
 
 export type Break =
@@ -21,40 +21,40 @@ export type Ask =
   | { op: "play" }
   | { op: "pause" }
   | { op: "step"; count?: number }
-  | { op: "speed"; times: number } // 1: as fast as the scene's clock; 0: as fast as it goes
-  | { op: "seek"; frame: number; exact: boolean } // not exact: show what is remembered of it, simulate nothing
+  | { op: "speed"; times: number } // 1: real time; 0: as fast as possible
+  | { op: "seek"; frame: number; exact: boolean } // not exact: display the stored data and simulate nothing
   | { op: "set"; name: string; value: string }
   | { op: "layer"; species: string; layer: string; on: boolean }
   | { op: "field"; name: string; on: boolean }
   | { op: "reload" }
-  | { op: "restart" } // simulate it again from the first frame: a run that nobody edited on the way
+  | { op: "restart" } // simulate the files again from the first frame, without edits during the run
   | {
-      op: "look"; // what this page shows, all of it each time
+      op: "look"; // what this page displays, complete in each message
       columns: { species: string; name: string }[];
       fields: string[];
       flows: string[];
       solids: boolean;
-      follow: { species: string; agent: number } | null; // whose feelers are felt in each frame
-      planned?: { species: string; agent: number }[]; // whose paths in the time to come; of nobody named those of all, if few
+      follow: { species: string; agent: number } | null; // the agent with feelers in each frame
+      planned?: { species: string; agent: number }[]; // agents with planned paths; if empty, all agents, unless they are too many
     }
   | { op: "explain"; species: string; agent: number; frame: number }
-  | { op: "breaks"; breaks: Break[]; tried?: Break } // all there are; one more, which is added if it fits the program
+  | { op: "breaks"; breaks: Break[]; tried?: Break } // all breakpoints; `tried` is added if it fits the program
   | { op: "profile"; on: boolean };
 
-// --- what a page is told -------------------------------------------------------------------------------------------
+// --- messages of the server ------------------------------------------------------------------------------------------
 
 export interface Hello {
   op: "hello";
   version: string;
-  build: string; // of the page that the server has: another one than this page's means to load it again
+  build: string; // build number of the server's page; a page with another number reloads
   scene: string;
-  token?: string; // to come back with, for a page that was let in without it
-  key?: string; // proves to a server that is started again that this page was let in here
+  token?: string; // for reconnections, if the page has none yet
+  key?: string; // with it the page proves to a restarted server that it had access before
 }
 
 export interface Attribute {
   name: string;
-  unit: string; // as authors write it; empty for a plain number
+  unit: string; // as authors write it; empty for plain numbers
 }
 
 export interface Machine {
@@ -72,8 +72,8 @@ export interface LayerInfo {
 
 export interface Species {
   name: string;
-  bodies: string[]; // the keys of its bodies, one or more
-  attributes: Attribute[]; // numbers that agents can be coloured by
+  bodies: string[]; // keys of its bodies, at least one
+  attributes: Attribute[]; // numeric attributes, for colouring
   machines: Machine[];
   layers: LayerInfo[];
   feelers: { count: number; spread: number; reach: number; per_length: number }[]; // radians, mm, body lengths
@@ -82,14 +82,14 @@ export interface Species {
 export interface Param {
   name: string; // qualified: forager.smell
   value: string; // as written now: `50 mm`
-  number: number; // in `unit`
+  number: number; // the current value as text: `50 mm`
   unit: string;
   low: number | null;
   high: number | null;
   help: string;
   file: string;
   line: number;
-  written: string; // the value that the files have
+  written: string; // the value in the files
 }
 
 export interface ChartBox {
@@ -135,40 +135,40 @@ export interface Scene {
   op: "scene";
   name: string;
   fps: number;
-  last: number; // the last frame that the scene asks for
+  last: number; // the last frame of the scene
   unit_mm: number;
   up: Triple;
-  low: Triple; // of all ground and agents
+  low: Triple; // bounds of ground and agents
   high: Triple;
-  camera: Camera | null; // the scene's own, as it is in the first frame
+  camera: Camera | null; // the scene's camera in the first frame
   species: Species[];
   params: Param[];
-  fields: { name: string; unit: string; colour: Triple; on: boolean; full: number }[]; // `full`: where its colours end at first
+  fields: { name: string; unit: string; colour: Triple; on: boolean; full: number }[]; // `full`: the initial value of full colour
   flows: string[];
   curves: string[];
   solids: string[];
-  items: { name: string; kind: string; names: string[]; amounts: (Attribute & { first: number[] })[] }[]; // what each had at first
+  items: { name: string; kind: string; names: string[]; amounts: (Attribute & { first: number[] })[] }[]; // initial amounts
   specs: string[];
   charts: Chart[];
-  charts_need: string; // why there are no charts: what to install; empty where there are
+  charts_need: string; // why there are no charts (what to install); empty if there are charts
 }
 
 export interface Status {
   op: "status";
   frame: number;
-  first: number; // of what can be gone back to
-  head: number; // the last one simulated
+  first: number; // the first available frame
+  head: number; // the last simulated frame
   playing: boolean;
   speed: number;
-  rate: number; // frames simulated in a second, lately
-  edited: boolean; // changed while it ran: not what a fresh run gives
+  rate: number; // frames simulated per second, lately
+  edited: boolean; // changed during the run: differs from a fresh run
   fault: string | null;
-  paused_by: string | null; // the breakpoint that did it, in words
-  paused_agents: { species: string; agents: number[] } | null; // whom it was about, by id; the first few
-  hash: string | null; // of the whole state, while it stands still
+  paused_by: string | null; // the breakpoint, as text
+  paused_agents: { species: string; agents: number[] } | null; // the agents that caused the stop, by id; only the first few
+  hash: string | null; // of the whole state; null while it plays
   agents: number;
-  transitions: Record<string, number>; // changes of state so far, by `SPECIES.FROM->TO`
-  light: boolean; // what is shown is remembered, not simulated again: seek exactly to look closer
+  transitions: Record<string, number>; // number of transitions so far, by `SPECIES.FROM->TO`
+  light: boolean; // whether stored data is displayed; an exact seek simulates it again
 }
 
 export interface Problem {
@@ -177,7 +177,7 @@ export interface Problem {
   message: string;
   help: string;
   file: string | null;
-  start: number; // offsets in UTF-16 units, as CodeMirror counts
+  start: number; // offsets in UTF-16 units, as in CodeMirror
   end: number;
   line: number;
   column: number;
@@ -185,7 +185,7 @@ export interface Problem {
 
 export interface Problems {
   op: "problems";
-  problems: Problem[]; // of the files as they are; the last good program runs on while there are errors
+  problems: Problem[]; // of the current files; while there are errors, the last good program continues
 }
 
 export interface Texts {
@@ -195,27 +195,27 @@ export interface Texts {
 
 export interface Outcome {
   op: "outcome";
-  of: string; // the op that it answers, or `saved`
+  of: string; // the `op` that it answers, or `saved`
   ok: boolean;
   did: string; // what was edited: a line of a file, a value, a switch
-  line: string; // what was kept, moved and reset
-  text: string; // what to write into a file to have the same for good
-  file: string; // where it would stand; empty where nothing is to be written
+  line: string; // what was preserved, moved and reset
+  text: string; // text to write into a file for the same effect
+  file: string; // the file for `text`; empty if there is nothing to write
   problems: Problem[];
 }
 
 export interface Curves {
   op: "curves";
-  reset: boolean; // what one has is to be forgotten from `frames[0]` on, or altogether when there are none
+  reset: boolean; // forget the data from `frames[0]` on, or all data if there are no frames
   frames: number[];
-  values: Record<string, (number | null)[]>; // by name, as specs call them: `forager.state.carry`; specs: `spec: NAME`, 1 or 0
+  values: Record<string, (number | null)[]>; // by name, as in specs: `forager.state.carry`; specs: `spec: NAME`, 1 or 0
   branches: { first: number; line: string; frames: number[]; values: Record<string, (number | null)[]> }[] | null;
 }
 
 export interface Profile {
   op: "profile";
   frames: number;
-  total: number; // ms a frame
+  total: number; // ms per frame
   phases: { name: string; ms: number }[];
   layers: { species: string; text: string; file: string; line: number; ms: number }[];
   lines: { file: string; line: number; text: string; ms: number }[];
@@ -227,36 +227,36 @@ export interface Explained {
   agent: number;
   frame: number;
   explanation: Explanation | null;
-  told: string; // the same in words, as `antdsl explain` prints it
-  message: string; // why there is none
-  place: Triple | null; // where it stood as the step began
-  neighbours: Triple[]; // where those stood that it looked at
+  told: string; // the explanation as text, as `antdsl explain` prints it
+  message: string; // why there is no explanation
+  place: Triple | null; // position at the start of the step
+  neighbours: Triple[]; // positions of the neighbours that it observed
 }
 
 export interface Specs {
-  op: "specs"; // whenever one of them changes; their curves are `spec: NAME`
+  op: "specs"; // sent when a spec changes; the curves of specs are `spec: NAME`
   specs: {
     name: string;
-    holds: boolean | null; // so far; null: it is not judged here
-    since: number | null; // the frame from which on it is judged: the first one, or that of the last edit
-    frame: number | null; // where it failed
-    message: string; // how it failed, or why it is not judged
-    species: string; // whom a failure is about; empty where it is about the whole
+    holds: boolean | null; // up to now; null: not checked here
+    since: number | null; // the first frame that is checked: the first of the run, or that of the last edit
+    frame: number | null; // the frame of the failure
+    message: string; // how it failed, or why it is not checked
+    species: string; // species of the failing agents; empty if the failure is about the whole run
     agents: number[];
   }[];
 }
 
 export interface BreaksSet {
-  op: "breaks"; // all breakpoints that there are, whoever set them
-  breaks: { made: Break; why: string }[]; // `why` it does not fit the program, which it waits for; empty where it does
+  op: "breaks"; // all breakpoints, of all pages
+  breaks: { made: Break; why: string }[]; // `why` it does not fit the program; empty if it fits
 }
 
 export interface Stops {
-  op: "stops"; // the frames at which play was stopped by itself, and why; all of them each time
+  op: "stops"; // all frames at which play stopped by itself, with the reason
   stops: { frame: number; line: string }[];
 }
 
-/** Asks a page with an old token to prove that it was let in before: see connection.ts. Comes before anything else. */
+/** Requests a proof of earlier access from a page with an old token: see connection.ts. It precedes all other messages. */
 export interface Return {
   op: "return";
   nonce: string;
@@ -269,7 +269,7 @@ export interface Refused {
   help: string;
 }
 
-export type Told =
+export type ServerMessage =
   | Hello
   | Scene
   | Status
@@ -288,7 +288,7 @@ export type Told =
 // --- arrays --------------------------------------------------------------------------------------------------------
 
 // A binary message: 4 bytes `ant1`, uint32 length of the header, the header as JSON, then the arrays, each at a multiple of
-// 8 bytes from the message's start. Little-endian throughout. A packet replaces the one before of the same `slot`.
+// 8 bytes from the start of the message. All little-endian. A packet replaces the previous one with the same `slot`.
 //
 // slot            arrays
 // frame           NAME/id i32[n] NAME/position f32[n,3] NAME/heading i8[n,3] NAME/up i8[n,3] NAME/size f32[n] NAME/speed f32[n]
@@ -299,9 +299,9 @@ export type Told =
 //                 of a species with several bodies NAME/body u8[n]; its plays, wears, look, lean, traits, feet and stance are
 //                 KEY/… for the agents of each body;
 //                 item/NAME/position f32[m,3] item/NAME/size f32[m] item/NAME/amount/ATTRIBUTE f32[m];
-//                 feelers f32[k,2,3] feelers/hit u8[k] of those who are followed; rows by id. header: frame, light,
-//                 felt (whose feelers: lists of species, agent and how many, one after the other).
-//                 A light one has id, position, heading, up, size and state alone. Turns: 127 is 1
+// feelers f32[k,2,3] feelers/hit u8[k] of the followed agents; rows by id. header: frame, light,
+// felt (the agents of the feelers: triples of species, agent and number of feelers).
+// A light frame has only id, position, heading, up, size and state. In directions, 127 is 1
 // paths           NAME/id i32[n] NAME/path f32[n,count,3]: where agents will be, from `frame` of the header on, nan where one is not
 //                 there; header: frame, count
 // mesh:NAME       position f32[n,3] face u32[m,3]; header: role `ground`, `obstacle`; moves: comes each frame

@@ -1,4 +1,4 @@
-// What the parts of the page share: what is selected and looked at. Each part reads it, sets it, and hears of changes.
+// The state that all parts of the page share, such as the selection. Parts read it, set it and listen for changes.
 
 import type { Connection } from "./connection";
 import type { Curves, Explained, Problems, Profile, Scene, Status, Texts } from "./protocol";
@@ -14,21 +14,21 @@ export interface Shared {
   texts: Texts | null;
   problems: Problems | null;
   curves: Curves | null;
-  selected: Agent[]; // one of them explains itself, more are marked
+  selected: Agent[]; // the last one is explained, all are marked
   explained: Explained | null;
-  profile: Profile | null; // none while nothing is measured
+  profile: Profile | null; // null while nothing is measured
   camera: "orbit" | "follow" | "ride";
-  colour: string; // `state`, `state/MACHINE`, `speed`, or an attribute's name
-  fields: string[]; // shown on the ground
-  full: Record<string, number>; // where the colours of a field end, of those for which somebody chose it
+  colour: string; // `state`, `state/MACHINE`, `speed`, or the name of an attribute
+  fields: string[]; // fields displayed on the ground
+  full: Record<string, number>; // by field: the value of full colour, where the user chose one
   flows: string[];
   trails: boolean;
-  paths: boolean; // planned ones
+  paths: boolean; // planned paths
   feelers: boolean;
   neighbours: boolean;
   curvesShown: boolean;
-  glass: boolean; // what hides ants is seen through: solids, stones, things to walk on
-  goto: { file: string; line: number; mistake?: boolean } | null; // a place in the text to be shown
+  glass: boolean; // whether solids, stones and walkable meshes are transparent
+  goto: { file: string; line: number; mistake?: boolean } | null; // a line of the text to display
 }
 
 type Key = keyof Shared;

@@ -18,10 +18,10 @@ function shown(plays: Plays, row: number, t: number) {
 function playing(...frames: number[][]): Plays {
   const plays = new Plays();
   plays.begin(["main"], [true, false]);
-  for (const told of frames) {
-    const count = told.length / 6;
+  for (const values of frames) {
+    const count = values.length / 6;
     plays.take(
-      [Uint16Array.from(told)],
+      [Uint16Array.from(values)],
       count,
       Int32Array.from({ length: count }, (_, k) => k),
       1,
@@ -69,18 +69,18 @@ describe("what agents play between two frames", () => {
 
 describe("feet between two frames", () => {
   const stance = (rise: number, down: number) => [rise * 4096, 0, 0, 0, 32767, down];
-  const told = (x: number) => Int16Array.of(4096 * x, 0, 0, 0, 0, 4096);
+  const places = (x: number) => Int16Array.of(4096 * x, 0, 0, 0, 0, 4096);
 
   test("go from where they are shown to where they are", () => {
     const feet = new Feet();
     feet.begin(2);
-    expect(feet.told).toBe(false);
-    feet.take(told(0.5), Int16Array.from(stance(0.25, 1)), 1, Int32Array.of(-1), 1);
+    expect(feet.hasData).toBe(false);
+    feet.take(places(0.5), Int16Array.from(stance(0.25, 1)), 1, Int32Array.of(-1), 1);
     const first = 4 * STANCE;
     expect([...feet.data.subarray(0, 8)]).toEqual([0.25, 0, 0, 0, 0.25, 0, 0, 0]);
     expect([...feet.data.subarray(first, first + 8)]).toEqual([0.5, 0, 0, 1, 0.5, 0, 0, 1]);
-    feet.take(told(1), Int16Array.from(stance(0.5, 2)), 1, Int32Array.of(0), 1);
-    feet.take(told(2), Int16Array.from(stance(0.5, 2)), 1, Int32Array.of(0), 0.5);
+    feet.take(places(1), Int16Array.from(stance(0.5, 2)), 1, Int32Array.of(0), 1);
+    feet.take(places(2), Int16Array.from(stance(0.5, 2)), 1, Int32Array.of(0), 0.5);
     expect([...feet.data.subarray(first, first + 8)]).toEqual([0.75, 0, 0, 0.5, 2, 0, 0, 0]);
     expect([...feet.data.subarray(first + 8, first + 16)]).toEqual([0, 0, 1, 0.5, 0, 0, 1, 1]);
     expect([...feet.data.subarray(8, 10)]).toEqual([1, 1]);
@@ -90,8 +90,8 @@ describe("feet between two frames", () => {
     const feet = new Feet();
     feet.begin(2);
     feet.take(undefined, undefined, 1, Int32Array.of(-1), 1);
-    expect(feet.told).toBe(false);
-    feet.take(told(0.5), Int16Array.from(stance(0.25, 1)), 1, Int32Array.of(-1), 1);
+    expect(feet.hasData).toBe(false);
+    feet.take(places(0.5), Int16Array.from(stance(0.25, 1)), 1, Int32Array.of(-1), 1);
     feet.take(undefined, undefined, 1, Int32Array.of(0), 1);
     expect([...feet.data.subarray(4 * STANCE, 4 * STANCE + 8)]).toEqual([0.5, 0, 0, 1, 0.5, 0, 0, 1]);
   });
@@ -99,7 +99,7 @@ describe("feet between two frames", () => {
   test("are none of a body without legs", () => {
     const feet = new Feet();
     feet.begin(0);
-    feet.take(told(0.5), Int16Array.from(stance(0, 0)), 1, Int32Array.of(-1), 1);
-    expect(feet.told).toBe(false);
+    feet.take(places(0.5), Int16Array.from(stance(0, 0)), 1, Int32Array.of(-1), 1);
+    expect(feet.hasData).toBe(false);
   });
 });

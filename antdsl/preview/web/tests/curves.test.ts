@@ -5,7 +5,7 @@ import { named } from "../src/panels/time/naming";
 import type { Curves } from "../src/protocol";
 import { MACHINE, scene, species, wired } from "./made";
 
-function told(frames: number[], values: Curves["values"], more: Partial<Curves> = {}): Curves {
+function curves(frames: number[], values: Curves["values"], more: Partial<Curves> = {}): Curves {
   return { op: "curves", reset: false, frames, values, branches: null, ...more };
 }
 
@@ -19,62 +19,62 @@ describe("curves", () => {
   let data: CurveData;
   beforeEach(() => {
     data = new CurveData();
-    data.take(told([1, 2], { a: [10, 20] }));
+    data.take(curves([1, 2], { a: [10, 20] }));
   });
 
   test("grow by the frames that come", () => {
-    data.take(told([3], { a: [30] }));
+    data.take(curves([3], { a: [30] }));
     expect(data.now.frames).toEqual([1, 2, 3]);
     expect(data.now.values.get("a")).toEqual([10, 20, 30]);
     expect(data.changes).toBe(2);
   });
 
-  test("have nothing where they were not told: before a name came, and after it is told no more", () => {
-    data.take(told([3], { b: [5] }));
+  test("have no value before the first and after the last message about them", () => {
+    data.take(curves([3], { b: [5] }));
     expect(data.now.values.get("a")).toEqual([10, 20, null]);
     expect(data.now.values.get("b")).toEqual([null, null, 5]);
     expect(data.names).toEqual(["a", "b"]);
   });
 
-  test("have what is told again of a frame, and keep the others' values there", () => {
-    data.take(told([3], { b: [5] }));
-    data.take(told([2], { a: [21] }));
+  test("take a new value of a frame, and keep the other values there", () => {
+    data.take(curves([3], { b: [5] }));
+    data.take(curves([2], { a: [21] }));
     expect(data.now.frames).toEqual([1, 2, 3]);
     expect(data.now.values.get("a")).toEqual([10, 21, null]);
     expect(data.now.values.get("b")).toEqual([null, null, 5]);
   });
 
   test("pass over a frame that lies before all that is kept", () => {
-    data.take(told([0], { a: [1] }));
+    data.take(curves([0], { a: [1] }));
     expect(data.now.frames).toEqual([1, 2]);
     expect(data.now.values.get("a")).toEqual([10, 20]);
   });
 
   test("are forgotten from the first frame of a reset on", () => {
-    data.take(told([2, 3], { a: [7, 8] }, { reset: true }));
+    data.take(curves([2, 3], { a: [7, 8] }, { reset: true }));
     expect(data.now.frames).toEqual([1, 2, 3]);
     expect(data.now.values.get("a")).toEqual([10, 7, 8]);
   });
 
   test("are forgotten altogether, with their names, by a reset without frames", () => {
-    data.take(told([], {}, { reset: true }));
+    data.take(curves([], {}, { reset: true }));
     expect(data.now.frames).toEqual([]);
     expect(data.names).toEqual([]);
   });
 
-  test("are asked for at a frame: the value there or the last before", () => {
+  test("return the value at a frame, or the last one before", () => {
     expect(data.valueAt("a", 2)).toBe(20);
     expect(data.valueAt("a", 50)).toBe(20);
     expect(data.valueAt("a", 0)).toBeNull();
     expect(data.valueAt("b", 2)).toBeNull();
   });
 
-  test("keep the branches that were left until others are told", () => {
-    data.take(told([], {}, { branches: [{ first: 2, line: "smell 3", frames: [2], values: { a: [9] } }] }));
-    data.take(told([3], { a: [1] }));
+  test("keep the abandoned branches until the next message about branches", () => {
+    data.take(curves([], {}, { branches: [{ first: 2, line: "smell 3", frames: [2], values: { a: [9] } }] }));
+    data.take(curves([3], { a: [1] }));
     expect(data.branches).toHaveLength(1);
     expect(data.branches[0]?.values.get("a")).toEqual([9]);
-    data.take(told([], {}, { branches: [] }));
+    data.take(curves([], {}, { branches: [] }));
     expect(data.branches).toEqual([]);
   });
 });

@@ -1,5 +1,5 @@
 import { afterEach, beforeEach, describe, expect, test, vi } from "vitest";
-import { css, keyed, type Row, shown, throttled } from "../src/panels/dom";
+import { css, keyed, type Row, formatNumber, throttled } from "../src/panels/dom";
 
 describe("a number as people write it", () => {
   test.each([
@@ -16,11 +16,11 @@ describe("a number as people write it", () => {
     [Number.NaN, "—"],
     [Number.POSITIVE_INFINITY, "—"],
   ])("%d is %s", (value, words) => {
-    expect(shown(value)).toBe(words);
+    expect(formatNumber(value)).toBe(words);
   });
 });
 
-test("a colour is told to style sheets in bytes", () => {
+test("a colour has bytes in style sheets", () => {
   expect(css([0, 0.5, 1])).toBe("rgb(0 128 255)");
 });
 
@@ -57,7 +57,7 @@ class Box {
 describe("a list by keys", () => {
   let place: Box;
   let made: string[];
-  let told: string[];
+  let updates: string[];
   let show: (items: readonly { key: string; words: string }[]) => void;
   const names = () => place.inside.map((each) => each.name);
   const items = (keys: string) => [...keys].map((key) => ({ key, words: `${key}!` }));
@@ -65,18 +65,18 @@ describe("a list by keys", () => {
   beforeEach(() => {
     place = new Box();
     made = [];
-    told = [];
+    updates = [];
     const row = ({ key }: { key: string }): Row<{ key: string; words: string }> => {
       made.push(key);
-      return { element: new Box(key) as unknown as Element, update: ({ words }) => told.push(words) };
+      return { element: new Box(key) as unknown as Element, update: ({ words }) => updates.push(words) };
     };
     show = keyed(place as unknown as Element, (each) => each.key, row);
   });
 
-  test("has a row for each, in order, that is told what it shows", () => {
+  test("has a row for each, in order, with its contents", () => {
     show(items("abc"));
     expect(names()).toEqual(["a", "b", "c"]);
-    expect(told).toEqual(["a!", "b!", "c!"]);
+    expect(updates).toEqual(["a!", "b!", "c!"]);
   });
 
   test("makes no row twice, and moves none that stays", () => {
@@ -126,7 +126,7 @@ describe("what is throttled", () => {
   beforeEach(() => void vi.useFakeTimers());
   afterEach(() => void vi.useRealTimers());
 
-  test("is done at once, then at most once in a while, with the last of what was asked", () => {
+  test("runs at once, then at most once in a while, with the last arguments", () => {
     const done: number[] = [];
     const act = throttled(100, (value: number) => done.push(value));
     act(1);

@@ -46,7 +46,7 @@ describe("a herd between two frames", () => {
     expect(placed(ants, 0, 0)).toEqual([40, 0, 0]);
   });
 
-  test("turns with the way, and looks along +x where no turn is told", () => {
+  test("turns gradually, and looks along +x without a direction", () => {
     const ants = herd(frame([1], [0, 0, 0]));
     ants.take(frame([1], [0, 0, 0], { heading: Int8Array.of(0, 0, 127) }), 1, false);
     const at = { x: 0, y: 0, z: 0 };

@@ -82,9 +82,9 @@ export function param(more: Partial<Param> = {}): Param {
 
 type Listener = (message: unknown) => void;
 
-/** A connection that nothing goes over: it keeps what was asked, and `hear` is the server's side. */
+/** A connection without a server: it stores what the page sends in `sent`; `receive` passes a message to the page. */
 export class Wire extends Connection {
-  readonly asked: Ask[] = [];
+  readonly sent: Ask[] = [];
   private readonly listening = new Map<string, Listener[]>();
 
   constructor() {
@@ -96,10 +96,10 @@ export class Wire extends Connection {
   }
 
   override ask(message: Ask): void {
-    this.asked.push(message);
+    this.sent.push(message);
   }
 
-  hear(message: { op: string }): void {
+  receive(message: { op: string }): void {
     for (const listener of this.listening.get(message.op) ?? []) listener(message);
   }
 }

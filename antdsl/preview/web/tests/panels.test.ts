@@ -59,13 +59,13 @@ describe("the traffic between states", () => {
   let wire: Wire;
   let flow: Flow;
   const tell = (frame: number, count: number, more = {}) =>
-    wire.hear(status({ frame, transitions: { "ant.search->carry": count, "antlion.sit->leap": 50 * count }, ...more }));
+    wire.receive(status({ frame, transitions: { "ant.search->carry": count, "antlion.sit->leap": 50 * count }, ...more }));
 
   beforeEach(() => {
     const made = wired();
     wire = made.wire;
     flow = new Flow(made.store);
-    wire.hear(scene());
+    wire.receive(scene());
   });
 
   test("is not known from one frame", () => {
@@ -96,7 +96,7 @@ describe("the traffic between states", () => {
     expect(flow.rates(chart)).toEqual(new Map());
     tell(4, 5);
     expect(flow.rates(chart).get("search->carry")).toBe(5);
-    wire.hear(scene());
+    wire.receive(scene());
     expect(flow.rates(chart)).toEqual(new Map());
   });
 
@@ -112,27 +112,27 @@ describe("time by keys and buttons", () => {
     vi.resetModules(); // what was wished for is kept by the module
     const playing = await import("../src/panels/playing");
     const { store, wire } = wired();
-    playing.heedStatus(store);
-    wire.hear(status(now));
+    playing.watchStatus(store);
+    wire.receive(status(now));
     return { ...playing, store, wire };
   };
 
-  test("plays and pauses, and counts as done before it is told", async () => {
+  test("plays and pauses, and counts as done before the server confirms it", async () => {
     const { toggle, playing, store, wire } = await open({ playing: false });
     toggle(store);
     expect(playing(store)).toBe(true);
     toggle(store);
     expect(playing(store)).toBe(false);
-    expect(wire.asked).toEqual([{ op: "play" }, { op: "pause" }]);
+    expect(wire.sent).toEqual([{ op: "play" }, { op: "pause" }]);
   });
 
-  test("is what is told again, once that is about the wish", async () => {
+  test("follows the status again after the server confirms the request", async () => {
     const { toggle, playing, store, wire } = await open({ playing: false });
     toggle(store);
-    wire.hear(status({ playing: false })); // was on its way
+    wire.receive(status({ playing: false })); // was on its way
     expect(playing(store)).toBe(true);
-    wire.hear(status({ playing: true }));
-    wire.hear(status({ playing: false }));
+    wire.receive(status({ playing: true }));
+    wire.receive(status({ playing: false }));
     expect(playing(store)).toBe(false);
   });
 
@@ -140,7 +140,7 @@ describe("time by keys and buttons", () => {
     const { move, store, wire } = await open({ frame: 5, first: 3, head: 9 });
     move(store, 2);
     move(store, -10);
-    expect(wire.asked).toEqual([
+    expect(wire.sent).toEqual([
       { op: "seek", frame: 7, exact: true },
       { op: "seek", frame: 3, exact: true },
     ]);
@@ -149,7 +149,7 @@ describe("time by keys and buttons", () => {
   test("simulates past the last frame, from there", async () => {
     const { move, store, wire } = await open({ frame: 8, head: 9 });
     move(store, 10);
-    expect(wire.asked).toEqual([
+    expect(wire.sent).toEqual([
       { op: "seek", frame: 9, exact: true },
       { op: "step", count: 9 },
     ]);
@@ -158,7 +158,7 @@ describe("time by keys and buttons", () => {
   test("stands still before it goes elsewhere", async () => {
     const { seek, store, wire } = await open({ playing: true });
     seek(store, 4, false);
-    expect(wire.asked).toEqual([{ op: "pause" }, { op: "seek", frame: 4, exact: false }]);
+    expect(wire.sent).toEqual([{ op: "pause" }, { op: "seek", frame: 4, exact: false }]);
   });
 });
 

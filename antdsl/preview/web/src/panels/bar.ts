@@ -1,9 +1,9 @@
-// The bar above: the scene, play and pace, where in time it is, what came of the last edit, and how the run stands.
+// The bar at the top: scene, play controls, speed, current frame, result of the last edit, and state of the run.
 
 import type { Problem } from "../protocol";
 import type { Store } from "../store";
-import { button, el, say, shown } from "./dom";
-import { heedStatus, listenToKeys, move, playing, toggle } from "./playing";
+import { button, el, setText, formatNumber } from "./dom";
+import { watchStatus, listenToKeys, move, playing, toggle } from "./playing";
 import { nextTheme, startTheme, themeWords } from "./theme";
 
 const SPEEDS: [number, string][] = [
@@ -15,14 +15,14 @@ const SPEEDS: [number, string][] = [
   [4, "4 ×"],
   [0, "fastest"],
 ];
-const IDLE = "Edit the files in your own editor: each save goes on from this frame.";
-const BROKEN = "There are errors: mend them and save, and it starts by itself.";
-const NEWS = 12; // of what was told last, that can be read by resting on it
-const REFUSED = 12_000; // ms that it stands there why something was refused
+const IDLE = "Edit the files in your own editor: after each save, the run continues from this frame.";
+const BROKEN = "There are errors. Fix them and save; then it starts by itself.";
+const MAX_PAST_MESSAGES = 12; // number of past messages in the tooltip
+const REFUSAL_MS = 12_000; // ms for which a refusal stays visible
 
 export function bar(store: Store, place: HTMLElement): void {
   startTheme();
-  heedStatus(store);
+  watchStatus(store);
   listenToKeys(store);
   const above = el("div", { class: "bar-row" }, title(store), controls(store), clock(store), marks(store), themeButton());
   place.append(above, el("div", { class: "bar-row news" }, outcome(store), ...stops(store)));
@@ -31,10 +31,10 @@ export function bar(store: Store, place: HTMLElement): void {
 function title(store: Store): HTMLElement {
   const name = el("h1", { class: "scene", test: "scene" });
   store.connection.on("hello", (hello) => {
-    if (!store.now.scene) say(name, hello.scene);
+    if (!store.now.scene) setText(name, hello.scene);
   });
   store.on("scene", () => {
-    say(name, store.now.scene?.name ?? "");
+    setText(name, store.now.scene?.name ?? "");
     document.title = `${store.now.scene?.name ?? "antdsl"} · antdsl preview`;
   });
   return name;
@@ -43,17 +43,21 @@ function title(store: Store): HTMLElement {
 function controls(store: Store): HTMLElement {
   const play = button("", () => toggle(store), { id: "play", test: "play", class: "play" });
   const back = button("◂", () => move(store, -1), { test: "back", "aria-label": "one frame back", title: "one frame back (,)" });
-  const on = button("▸", () => move(store, 1), { test: "step", "aria-label": "one frame on", title: "one frame on (.)" });
+  const on = button("▸", () => move(store, 1), {
+    test: "step",
+    "aria-label": "one frame forward",
+    title: "one frame forward (.)",
+  });
   const speed = el("select", {
     test: "speed",
-    "aria-label": "pace",
-    title: "pace: 1 × is the scene's own clock; fastest is as fast as it goes",
+    "aria-label": "speed",
+    title: "speed: 1 × is real time; fastest is as fast as possible",
   });
   for (const [times, words] of SPEEDS) speed.append(el("option", { value: times, text: words }));
   speed.addEventListener("change", () => store.connection.ask({ op: "speed", times: Number(speed.value) }));
   const show = () => {
     const now = playing(store);
-    say(play, now ? "❚❚ pause" : "▶ play");
+    setText(play, now ? "❚❚ pause" : "▶ play");
     play.title = now ? "pause (space)" : "play (space)";
     const times = String(store.now.status?.speed ?? 1);
     if (document.activeElement !== speed && speed.value !== times) {
@@ -70,36 +74,36 @@ function controls(store: Store): HTMLElement {
 function clock(store: Store): HTMLElement {
   const frame = el("span", { class: "frame", test: "frame" });
   const seconds = el("span", { class: "quiet", test: "seconds" });
-  const rate = el("span", { class: "quiet", test: "rate", title: "frames simulated in a second, and how many agents there are" });
+  const rate = el("span", { class: "quiet", test: "rate", title: "simulated frames per second, and the number of agents" });
   store.on(["status", "scene"], () => {
     const status = store.now.status;
     if (!status) return;
-    say(frame, `frame ${status.frame}`);
+    setText(frame, `frame ${status.frame}`);
     const fps = store.now.scene?.fps ?? 0;
-    say(seconds, fps ? `${(status.frame / fps).toFixed(2)} s` : "");
+    setText(seconds, fps ? `${(status.frame / fps).toFixed(2)} s` : "");
     const agents = `${status.agents.toLocaleString("en")} agent${status.agents === 1 ? "" : "s"}`;
-    say(rate, status.playing ? `${shown(Math.round(status.rate))} frames/s · ${agents}` : agents);
+    setText(rate, status.playing ? `${formatNumber(Math.round(status.rate))} frames/s · ${agents}` : agents);
   });
   return el("div", { class: "clock" }, frame, seconds, rate);
 }
 
-/** What came of the last edit: told aloud to those who do not see it. */
+/** The result of the last edit; screen readers announce it. */
 function outcome(store: Store): HTMLElement {
   const line = el("div", { class: "outcome", test: "outcome", role: "status", "aria-live": "polite" });
   let timer = 0;
   const past: string[] = [];
-  const tell = (words: string, kind: string) => {
+  const display = (words: string, kind: string) => {
     clearTimeout(timer);
     line.className = `outcome ${kind}`;
     line.title = [words, ...past].join("\n");
-    say(line, words);
+    setText(line, words);
   };
-  /** Something was done, and when: told anew also where the words are those of before. */
-  const news = (words: string, kind: string) => {
+  /** Display a message with its time. It flashes, even if the text is the same as before. */
+  const report = (words: string, kind: string) => {
     const when = `${new Date().toLocaleTimeString("en-GB")}, frame ${store.now.status?.frame ?? 0}`;
-    tell(words, kind);
+    display(words, kind);
     past.unshift(`${when}: ${words}`);
-    past.length = Math.min(past.length, NEWS);
+    past.length = Math.min(past.length, MAX_PAST_MESSAGES);
     line.title = past.join("\n");
     line.prepend(el("span", { class: "quiet when", text: `${when}: ` }));
     for (const each of line.getAnimations()) each.cancel();
@@ -108,33 +112,33 @@ function outcome(store: Store): HTMLElement {
       1200,
     );
   };
-  tell(IDLE, "");
+  display(IDLE, "");
   store.on("problems", () => {
     const errors = store.now.problems?.problems.some((each) => each.severity === "error");
     if (!errors || store.now.scene) return;
-    tell(BROKEN, "bad");
+    display(BROKEN, "bad");
     goToFirst(store, store.now.problems?.problems ?? []);
   });
-  store.on("scene", () => line.textContent === BROKEN && tell(IDLE, ""));
+  store.on("scene", () => line.textContent === BROKEN && display(IDLE, ""));
   store.connection.on("outcome", (message) => {
     const first = message.problems.find((each) => each.severity === "error") ?? message.problems[0];
     if (!message.ok && message.of === "saved") goToFirst(store, message.problems);
     const of = message.of === "saved" ? "saved: " : "";
-    if (message.ok) news(of + [message.did, message.line].filter(Boolean).join(" · "), "good");
+    if (message.ok) report(of + [message.did, message.line].filter(Boolean).join(" · "), "good");
     else
-      news(
-        `${of}${message.line || first?.message || "that does not go"}${message.of === "saved" ? " — the last good program runs on" : ""}`,
+      report(
+        `${of}${message.line || first?.message || "this edit is not possible"}${message.of === "saved" ? " — the last good program continues" : ""}`,
         "bad",
       );
   });
   store.connection.on("refused", (message) => {
-    news([message.message, message.help].filter(Boolean).join(" — "), "bad");
-    timer = window.setTimeout(() => tell(IDLE, ""), REFUSED);
+    report([message.message, message.help].filter(Boolean).join(" — "), "bad");
+    timer = window.setTimeout(() => display(IDLE, ""), REFUSAL_MS);
   });
   return line;
 }
 
-/** What it stopped at: a breakpoint, or a value at fault. */
+/** The reason for a stop: a breakpoint or a faulty value. */
 function stops(store: Store): HTMLElement[] {
   const paused = el("span", { class: "chip warn", test: "paused-by", hidden: true, role: "status" });
   const fault = el("span", { class: "chip bad", test: "fault", hidden: true, role: "alert" });
@@ -144,7 +148,7 @@ function stops(store: Store): HTMLElement[] {
       [paused, store.now.status?.paused_by],
     ] as const) {
       chip.hidden = !words;
-      say(chip, words ?? "");
+      setText(chip, words ?? "");
       chip.title = words ?? "";
     }
   });
@@ -154,10 +158,10 @@ function stops(store: Store): HTMLElement[] {
 function marks(store: Store): HTMLElement {
   const again = button("simulate again", () => store.connection.ask({ op: "restart" }), {
     test: "restart",
-    title: "simulate the files as they are from the first frame: a run that nobody edited on the way",
+    title: "simulate the current files from the first frame, without edits during the run",
   });
-  const edited = el("span", { class: "chip warn edited", test: "edited", hidden: true }, "edited on the way ", again);
-  edited.title = "edited on the way: not what a fresh run gives";
+  const edited = el("span", { class: "chip warn edited", test: "edited", hidden: true }, "edited ", again);
+  edited.title = "edited during the run: differs from a fresh run";
   const hash = button("", () => void navigator.clipboard?.writeText(store.now.status?.hash ?? ""), {
     test: "hash",
     class: "chip mono",
@@ -172,13 +176,13 @@ function marks(store: Store): HTMLElement {
     const status = store.now.status;
     edited.hidden = !status?.edited;
     hash.hidden = !status?.hash;
-    say(hash, `# ${status?.hash?.slice(0, 8) ?? ""}`);
-    hash.title = `hash of the whole state at frame ${status?.frame}: ${status?.hash} — press to copy`;
+    setText(hash, `# ${status?.hash?.slice(0, 8) ?? ""}`);
+    hash.title = `hash of the whole state at frame ${status?.frame}: ${status?.hash} — click to copy`;
   });
   store.on("problems", () => {
     const errors = store.now.problems?.problems.filter((each) => each.severity === "error").length ?? 0;
     count.hidden = errors === 0;
-    say(count, errors === 1 ? "1 error" : `${errors} errors`);
+    setText(count, errors === 1 ? "1 error" : `${errors} errors`);
   });
   return el("div", { class: "marks" }, count, edited, hash);
 }
@@ -195,7 +199,7 @@ function themeButton(): HTMLElement {
       nextTheme();
       made.title = `colours: ${themeWords()}`;
     },
-    { test: "theme", "aria-label": "dark or light", title: `colours: ${themeWords()}` },
+    { test: "theme", "aria-label": "dark or light theme", title: `colours: ${themeWords()}` },
   );
   return made;
 }

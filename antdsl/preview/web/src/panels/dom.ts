@@ -1,38 +1,38 @@
-// Elements, built without markup: words from users are always text. `keyed` renews a list and leaves alone what stays in it.
+// Helpers for elements. Texts from users are never parsed as markup. `keyed` updates a list and keeps unchanged rows.
 
 type Child = Node | string | null | undefined | false;
 interface Props {
   class?: string;
-  test?: string; // what tests find it by: data-test
+  test?: string; // value of data-test, by which tests find the element
   text?: string | number;
   on?: { [K in keyof HTMLElementEventMap]?: (event: HTMLElementEventMap[K]) => void };
   [attribute: string]: unknown;
 }
 
-/** An element with attributes: `true` gives an empty one, `false`, null and undefined none. */
+/** Return an element with attributes. `true` gives an empty attribute; `false`, null and undefined give none. */
 export function el<K extends keyof HTMLElementTagNameMap>(
   tag: K,
   props: Props = {},
   ...children: Child[]
 ): HTMLElementTagNameMap[K] {
-  const made = document.createElement(tag);
+  const element = document.createElement(tag);
   for (const [name, value] of Object.entries(props)) {
     if (value === null || value === undefined || value === false) continue;
-    if (name === "class") made.className = String(value);
-    else if (name === "text") made.textContent = String(value);
-    else if (name === "test") made.dataset.test = String(value);
-    else if (name === "on") listen(made, value as NonNullable<Props["on"]>);
-    else made.setAttribute(name, value === true ? "" : String(value));
+    if (name === "class") element.className = String(value);
+    else if (name === "text") element.textContent = String(value);
+    else if (name === "test") element.dataset.test = String(value);
+    else if (name === "on") listen(element, value as NonNullable<Props["on"]>);
+    else element.setAttribute(name, value === true ? "" : String(value));
   }
-  made.append(...(children.filter(Boolean) as (Node | string)[]));
-  return made;
+  element.append(...(children.filter(Boolean) as (Node | string)[]));
+  return element;
 }
 
 function listen(element: HTMLElement, on: NonNullable<Props["on"]>): void {
-  for (const [event, heard] of Object.entries(on)) element.addEventListener(event, heard as EventListener);
+  for (const [event, listener] of Object.entries(on)) element.addEventListener(event, listener as EventListener);
 }
 
-/** A button with words, or with a sign and words for those who do not see it. */
+/** Return a button with a text. If the text is a symbol, pass an `aria-label` too. */
 export function button(words: string, pressed: () => void, props: Props = {}): HTMLButtonElement {
   return el("button", { type: "button", text: words, ...props, on: { click: pressed } });
 }
@@ -41,13 +41,13 @@ export function svg<K extends keyof SVGElementTagNameMap>(
   tag: K,
   props: Record<string, string | number> = {},
 ): SVGElementTagNameMap[K] {
-  const made = document.createElementNS("http://www.w3.org/2000/svg", tag);
-  for (const [name, value] of Object.entries(props)) made.setAttribute(name, String(value));
-  return made;
+  const element = document.createElementNS("http://www.w3.org/2000/svg", tag);
+  for (const [name, value] of Object.entries(props)) element.setAttribute(name, String(value));
+  return element;
 }
 
-/** Set an element's words only where they are other ones: no reader is told of the same twice. */
-export function say(element: Element, words: string): void {
+/** Set the text of an element if it differs: screen readers announce each text only once. */
+export function setText(element: Element, words: string): void {
   if (element.textContent !== words) element.textContent = words;
 }
 
@@ -56,7 +56,7 @@ export interface Row<T> {
   update: (item: T) => void;
 }
 
-/** Show a list: a row for each key, made once and then only renewed, so that nothing moves away under a pointer. */
+/** Return a function that displays a list. Each key has one row, which is created once and then updated in place. */
 export function keyed<T>(place: Element, key: (item: T) => string, make: (item: T) => Row<T>): (items: readonly T[]) => void {
   const rows = new Map<string, Row<T>>();
   return (items) => {
@@ -71,14 +71,14 @@ export function keyed<T>(place: Element, key: (item: T) => string, make: (item: 
       const row = rows.get(key(item)) ?? make(item);
       rows.set(key(item), row);
       row.update(item);
-      const wanted: Element | null = before ? before.nextElementSibling : place.firstElementChild;
-      if (row.element !== wanted) place.insertBefore(row.element, wanted);
+      const expected: Element | null = before ? before.nextElementSibling : place.firstElementChild;
+      if (row.element !== expected) place.insertBefore(row.element, expected);
       before = row.element;
     }
   };
 }
 
-/** Do it at most once in `wait` ms, with the last arguments, which always get through. */
+/** Limit a function to one call in `wait` ms. The last arguments are always passed on, if necessary later. */
 export function throttled<A extends unknown[]>(wait: number, act: (...args: A) => void): (...args: A) => void {
   let last = Number.NEGATIVE_INFINITY;
   let waiting: A | null = null;
@@ -98,14 +98,14 @@ export function throttled<A extends unknown[]>(wait: number, act: (...args: A) =
   };
 }
 
-/** Do it before the page is drawn again, once however often it was asked for. */
-export function painted(act: () => void): () => void {
-  let asked = false;
+/** Run a function before the next repaint, once even after several requests. */
+export function oncePerRepaint(act: () => void): () => void {
+  let isRequested = false;
   return () => {
-    if (asked) return;
-    asked = true;
+    if (isRequested) return;
+    isRequested = true;
     requestAnimationFrame(() => {
-      asked = false;
+      isRequested = false;
       act();
     });
   };
@@ -115,8 +115,8 @@ export function css([r, g, b]: readonly [number, number, number]): string {
   return `rgb(${Math.round(r * 255)} ${Math.round(g * 255)} ${Math.round(b * 255)})`;
 }
 
-/** A number as people write it: four digits, no tail of zeros. */
-export function shown(value: number): string {
+/** Format a number with at most four digits and without trailing zeros. */
+export function formatNumber(value: number): string {
   if (!Number.isFinite(value)) return "—";
   return Math.abs(value) >= 10000 || Number.isInteger(value) ? String(Math.round(value)) : String(Number(value.toPrecision(4)));
 }

@@ -1,33 +1,33 @@
-// What keys and buttons do with time: play, pause, one frame on or back.
+// Play, pause, step and seek, for buttons and keys.
 
 import type { Store } from "../store";
 
-const LATE = 400; // ms after which what is told comes from behind what was asked
-let wish: { playing: boolean; since: number } | null = null; // asked for, and not told yet: a long step may lie between
+const LATE = 400; // ms after a request from which on a status is its result
+let request: { playing: boolean; since: number } | null = null; // a request without a matching status yet: a long step can delay it
 
-/** Whether it plays, or will as soon as what was asked is done. */
+/** Return whether it plays, or will play after the pending request. */
 export function playing(store: Store): boolean {
-  return wish?.playing ?? store.now.status?.playing ?? false;
+  return request?.playing ?? store.now.status?.playing ?? false;
 }
 
 export function toggle(store: Store): void {
-  wish = { playing: !playing(store), since: performance.now() };
-  store.connection.ask({ op: wish.playing ? "play" : "pause" });
-  if (store.now.status) store.set("status", store.now.status); // the button shows it at once
+  request = { playing: !playing(store), since: performance.now() };
+  store.connection.ask({ op: request.playing ? "play" : "pause" });
+  if (store.now.status) store.set("status", store.now.status); // shows the button at once
 }
 
-/** Forget the wish once what is told is about it. */
-export function heedStatus(store: Store): void {
+/** Forget the pending request after a status that matches it. */
+export function watchStatus(store: Store): void {
   store.connection.on("status", (status) => {
-    if (!wish) return;
-    const done = status.playing === wish.playing;
-    if (!done && performance.now() - wish.since < LATE) return;
-    wish = null;
-    if (!done) store.set("status", status); // it was stopped otherwise, such as by a breakpoint
+    if (!request) return;
+    const done = status.playing === request.playing;
+    if (!done && performance.now() - request.since < LATE) return;
+    request = null;
+    if (!done) store.set("status", status); // something else stopped it, such as a breakpoint
   });
 }
 
-/** Some frames on or back. Past the last simulated one it simulates; before the first it stays. */
+/** Move by some frames. Beyond the last simulated frame it simulates; before the first frame it stops. */
 export function move(store: Store, frames: number): void {
   const status = store.now.status;
   if (!status) return;
@@ -47,13 +47,13 @@ export function seek(store: Store, frame: number, exact = true): void {
 
 const OWN_KEYS = "input, select, textarea, [contenteditable], [role=tablist], [role=separator], [data-keys=own], dialog";
 
-/** Keys that hold wherever nothing else wants them: space, left and right, comma and dot, home and end. */
+/** Keys that work unless another element uses them: space, left, right, comma, dot, home and end. */
 export function listenToKeys(store: Store): void {
   document.addEventListener("keydown", (event) => {
     const path = event.composedPath()[0];
     const element = path instanceof Element ? path : null;
     if (event.ctrlKey || event.metaKey || event.altKey || element?.closest(OWN_KEYS)) return;
-    if (event.key === " " && element?.closest("button, summary, a")) return; // it presses those
+    if (event.key === " " && element?.closest("button, summary, a")) return; // here, space activates the element
     const inView = Boolean(element?.closest("#view"));
     const frames = event.shiftKey ? 10 : 1;
     const acts: Record<string, () => void> = {

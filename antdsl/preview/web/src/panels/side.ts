@@ -1,4 +1,4 @@
-// The panels at the side, one at a time. A new one is a file and a line of PANELS.
+// The panels at the side, of which one is visible. A new panel is one file and one line of PANELS.
 
 import type { Store } from "../store";
 import { el } from "./dom";
@@ -10,10 +10,10 @@ import { sliders } from "./side/sliders";
 import { why } from "./side/why";
 import { Tabs } from "./tabs";
 
-/** What a panel is shown with: `shown` says whether it is the one in front; `heard` is called as that changes. */
+/** What a panel gets. `shown`: whether it is visible; `onVisibilityChange`: adds a listener; `mark`: sets its tab's mark. */
 export interface Shown {
   shown: () => boolean;
-  heard: (listener: () => void) => void;
+  onVisibilityChange: (listener: () => void) => void;
   mark: (words: string) => void;
 }
 export type Panel = (store: Store, place: HTMLElement, shown: Shown) => void;
@@ -21,10 +21,10 @@ export type Panel = (store: Store, place: HTMLElement, shown: Shown) => void;
 const PANELS: [id: string, label: string, title: string, panel: Panel][] = [
   ["why", "Why", "why the selected agent did what it did", why],
   ["sliders", "Sliders", "numbers of the program, layers and fields", sliders],
-  ["view", "View", "what is shown of the agents, and how", look],
-  ["machine", "States", "the states, and who goes from one to the other", machine],
-  ["profile", "Cost", "where the time goes", profile],
-  ["breaks", "Stops", "what to stop at", breaks],
+  ["view", "View", "what the view displays, and how", look],
+  ["machine", "States", "the states and the changes between them", machine],
+  ["profile", "Cost", "the cost of a step", profile],
+  ["breaks", "Stops", "breakpoints", breaks],
 ];
 
 export function side(store: Store, place: HTMLElement): void {
@@ -55,13 +55,13 @@ export function side(store: Store, place: HTMLElement): void {
     own.hidden = id !== tabs.now;
     panel(store, own, {
       shown: () => tabs.now === id,
-      heard: (listener) => listeners.push(listener),
+      onVisibilityChange: (listener) => listeners.push(listener),
       mark: (words) => tabs.mark(id, words),
     });
   }
   let before = 0;
   store.on("selected", () => {
-    // the first ant that one clicks on opens the panel that is about it; afterwards one stays where one is
+    // the first selection opens the panel Why; later selections keep the current panel
     if (before === 0 && store.now.selected.length === 1) tabs.choose("why");
     before = store.now.selected.length;
   });

@@ -1,12 +1,12 @@
-// The borders between text, view and panels: dragged, or moved by left and right; remembered by the browser.
+// The borders between text, view and panels. The pointer and the left and right keys move them; the browser stores them.
 
 import { el } from "./dom";
 
 interface Split {
-  name: string; // the variable that has the column's share
+  name: string; // CSS variable with the width of the column
   words: string;
-  first: number; // percent of the window
-  before: boolean; // whether its column is the one before the border
+  first: number; // initial width, percent of the window
+  before: boolean; // whether the column is to the left of the border
 }
 const SPLITS: Split[] = [
   { name: "--text-wide", words: "width of the text", first: 29, before: true },
@@ -21,8 +21,8 @@ export function splits(_: unknown, place: HTMLElement): void {
 }
 
 function border(split: Split, main: HTMLElement): HTMLElement {
-  const kept = `antdsl${split.name}`;
-  const made = el("div", {
+  const storageKey = `antdsl${split.name}`;
+  const element = el("div", {
     class: "splitter",
     role: "separator",
     tabindex: 0,
@@ -35,24 +35,24 @@ function border(split: Split, main: HTMLElement): HTMLElement {
   const set = (share: number) => {
     now = Math.min(MOST, Math.max(LEAST, share));
     document.documentElement.style.setProperty(split.name, `${now}%`);
-    made.style[split.before ? "left" : "right"] = `${now}%`;
-    if (!split.before) made.style.marginRight = "-4px";
-    made.setAttribute("aria-valuenow", String(Math.round(now)));
-    localStorage.setItem(kept, String(now));
+    element.style[split.before ? "left" : "right"] = `${now}%`;
+    if (!split.before) element.style.marginRight = "-4px";
+    element.setAttribute("aria-valuenow", String(Math.round(now)));
+    localStorage.setItem(storageKey, String(now));
   };
-  set(Number.parseFloat(localStorage.getItem(kept) ?? "") || split.first);
-  made.addEventListener("pointerdown", (event) => made.setPointerCapture(event.pointerId));
-  made.addEventListener("pointermove", (event) => {
-    if (!made.hasPointerCapture(event.pointerId)) return;
+  set(Number.parseFloat(localStorage.getItem(storageKey) ?? "") || split.first);
+  element.addEventListener("pointerdown", (event) => element.setPointerCapture(event.pointerId));
+  element.addEventListener("pointermove", (event) => {
+    if (!element.hasPointerCapture(event.pointerId)) return;
     const box = main.getBoundingClientRect();
     set(((split.before ? event.clientX - box.left : box.right - event.clientX) / box.width) * 100);
   });
-  made.addEventListener("dblclick", () => set(split.first));
-  made.addEventListener("keydown", (event) => {
+  element.addEventListener("dblclick", () => set(split.first));
+  element.addEventListener("keydown", (event) => {
     const step = { ArrowLeft: -1, ArrowRight: 1 }[event.key];
     if (!step) return;
     event.preventDefault();
     set(now + (split.before ? step : -step));
   });
-  return made;
+  return element;
 }

@@ -1,4 +1,4 @@
-// Tabs that keys move through: left and right, home and end; one of them is in the order of the tab key.
+// Tabs with keyboard navigation: left, right, home and end. Only the selected tab is in the tab order.
 
 import { el } from "./dom";
 
@@ -12,42 +12,42 @@ export class Tabs {
   readonly list: HTMLElement;
   private readonly buttons = new Map<string, HTMLButtonElement>();
   private shown = "";
-  private wanted = ""; // what was chosen by a person
-  private missed = ""; // the same, while there is no such tab: a file that is gone for a moment
+  private chosenByUser = ""; // the tab that the user chose
+  private missingChoice = ""; // the same tab while it does not exist, such as a file that is missing for a moment
 
   constructor(
     label: string,
     private readonly prefix: string,
-    private readonly panel: (id: string) => string, // the id of the panel that a tab opens
+    private readonly panel: (id: string) => string, // returns the id of the panel that a tab opens
     private readonly chosen: (id: string) => void,
   ) {
-    this.list = el("div", { role: "tablist", "aria-label": label, class: "tabs", on: { keydown: (event) => this.moved(event) } });
+    this.list = el("div", { role: "tablist", "aria-label": label, class: "tabs", on: { keydown: (event) => this.onKey(event) } });
   }
 
   get now(): string {
     return this.shown;
   }
 
-  /** Have these tabs; the one that was shown stays shown while it is there. */
+  /** Replace the tabs. The selected tab stays selected while it exists. */
   renew(tabs: readonly Tab[]): void {
     for (const [id, button] of this.buttons) {
       if (tabs.some((tab) => tab.id === id)) continue;
       button.remove();
       this.buttons.delete(id);
-      if (id === this.wanted || (id === this.shown && !this.missed)) this.missed = id;
+      if (id === this.chosenByUser || (id === this.shown && !this.missingChoice)) this.missingChoice = id;
     }
     for (const [number, tab] of tabs.entries()) {
-      const button = this.buttons.get(tab.id) ?? this.made(tab.id);
+      const button = this.buttons.get(tab.id) ?? this.createButton(tab.id);
       if (button.firstChild) button.firstChild.textContent = tab.label;
       else button.append(tab.label);
       if (tab.title) button.title = tab.title;
       if (this.list.children[number] !== button) this.list.insertBefore(button, this.list.children[number] ?? null);
     }
-    if (this.buttons.has(this.missed)) this.want(this.missed);
+    if (this.buttons.has(this.missingChoice)) this.chooseForUser(this.missingChoice);
     else if (!this.buttons.has(this.shown) && tabs[0]) this.choose(tabs[0].id);
   }
 
-  /** Hang a mark on a tab, such as how many errors there are; an empty one is none. */
+  /** Show a mark on a tab, such as a count of errors; an empty string removes it. */
   mark(id: string, words: string): void {
     const button = this.buttons.get(id);
     if (!button) return;
@@ -65,14 +65,14 @@ export class Tabs {
     this.chosen(id);
   }
 
-  /** Choose as a person does: it is come back to when it was gone for a moment. */
-  want(id: string): void {
-    this.wanted = id;
-    this.missed = "";
+  /** Select a tab for the user. It is selected again after a moment in which it did not exist. */
+  chooseForUser(id: string): void {
+    this.chosenByUser = id;
+    this.missingChoice = "";
     this.choose(id);
   }
 
-  private made(id: string): HTMLButtonElement {
+  private createButton(id: string): HTMLButtonElement {
     const button = el("button", {
       type: "button",
       role: "tab",
@@ -80,20 +80,20 @@ export class Tabs {
       test: `${this.prefix}-tab-${id}`,
       "aria-controls": this.panel(id),
       "aria-selected": "false",
-      on: { click: () => this.want(id) },
+      on: { click: () => this.chooseForUser(id) },
     });
     button.tabIndex = -1;
     this.buttons.set(id, button);
     return button;
   }
 
-  private moved(event: KeyboardEvent): void {
+  private onKey(event: KeyboardEvent): void {
     const all = [...this.buttons.keys()];
     const at = all.indexOf(this.shown);
     const to = { ArrowRight: at + 1, ArrowLeft: at - 1, Home: 0, End: all.length - 1 }[event.key];
     if (to === undefined) return;
     const id = all[(to + all.length) % all.length] as string;
-    this.want(id);
+    this.chooseForUser(id);
     this.buttons.get(id)?.focus();
     event.preventDefault();
   }

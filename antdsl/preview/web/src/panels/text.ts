@@ -1,8 +1,8 @@
-// The program and the scene as they are in their files: to be read here and edited in one's own editor.
+// The texts of the program and the scene, read-only. Users edit them in their own editor.
 
 import type { Problem } from "../protocol";
 import type { Store } from "../store";
-import { el, keyed, say } from "./dom";
+import { el, keyed, setText } from "./dom";
 import { Tabs } from "./tabs";
 import { Editor } from "./text/editor";
 import { same, shortName } from "./text/files";
@@ -21,7 +21,7 @@ export function text(store: Store, place: HTMLElement): void {
       point(store, editor, file);
     },
   );
-  const list = el("ul", { class: "problems", test: "problems", "aria-label": "Complaints" });
+  const list = el("ul", { class: "problems", test: "problems", "aria-label": "Problems" });
   const rows = keyed<Problem>(list, problemKey, () => problemRow(store));
   place.append(tabs.list, host, list);
 
@@ -37,7 +37,7 @@ export function text(store: Store, place: HTMLElement): void {
       })),
     );
     const program = texts.find((each) => each.kind === "ant");
-    if (fresh && program) tabs.want(program.file);
+    if (fresh && program) tabs.chooseForUser(program.file);
     showProblems(store, editor, tabs);
   });
   store.on("problems", () => {
@@ -102,8 +102,8 @@ function problemRow(store: Store) {
     update: (problem: Problem) => {
       now = problem;
       element.className = problem.severity;
-      say(where, problem.file ? `${shortName(problem.file)}:${problem.line}` : "");
-      say(words, problem.message);
+      setText(where, problem.file ? `${shortName(problem.file)}:${problem.line}` : "");
+      setText(words, problem.message);
       button.title = [problem.message, problem.help, `(${problem.code})`].filter(Boolean).join("\n");
     },
   };

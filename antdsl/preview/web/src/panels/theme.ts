@@ -1,15 +1,15 @@
-// Dark, light, or as the system has it; remembered by the browser. `theme` is told to whoever draws on a canvas.
+// The colour theme: dark, light, or the system's. The browser stores it; a `theme` event informs canvases of a change.
 
 const KEY = "antdsl.theme";
-const WORDS = { system: "as the system", dark: "dark", light: "light" } as const;
+const WORDS = { system: "same as the system", dark: "dark", light: "light" } as const;
 type Theme = keyof typeof WORDS;
 
-function remembered(): Theme {
-  const kept = localStorage.getItem(KEY);
-  return kept === "dark" || kept === "light" ? kept : "system";
+function readStored(): Theme {
+  const stored = localStorage.getItem(KEY);
+  return stored === "dark" || stored === "light" ? stored : "system";
 }
 
-let now: Theme = remembered();
+let now: Theme = readStored();
 
 function apply(): void {
   document.documentElement.style.colorScheme = now === "system" ? "dark light" : now;
@@ -17,7 +17,7 @@ function apply(): void {
   document.dispatchEvent(new Event("theme"));
 }
 
-/** Whether it is dark now, by whatever says so. */
+/** Return whether the theme is dark now. */
 export function dark(): boolean {
   return now === "system" ? matchMedia("(prefers-color-scheme: dark)").matches : now === "dark";
 }
@@ -26,7 +26,7 @@ export function themeWords(): string {
   return WORDS[now];
 }
 
-/** From one to the next: as the system, the other one, this one. */
+/** Switch to the next theme: system, then the other one, then the same as the system's. */
 export function nextTheme(): void {
   const order: Theme[] = matchMedia("(prefers-color-scheme: dark)").matches
     ? ["system", "light", "dark"]

@@ -1,14 +1,14 @@
-// The foot: a slider over all that was simulated, with the curves above it on the same scale of frames.
+// The time line: a slider over all simulated frames, and the curves over the same frames.
 
 import type { Store } from "../store";
-import { el, painted, say, throttled } from "./dom";
+import { el, oncePerRepaint, setText, throttled } from "./dom";
 import { seek, toggle } from "./playing";
 import { Chart } from "./time/chart";
 import { CurveData } from "./time/data";
 import { chooser } from "./time/chooser";
 import { legend } from "./time/legend";
 
-const DRAGGED = 40; // ms between two frames that are asked for while one drags
+const DRAGGED = 40; // minimum ms between two requests while the slider is dragged
 
 export function time(store: Store, place: HTMLElement): void {
   const data = new CurveData();
@@ -27,7 +27,7 @@ export function time(store: Store, place: HTMLElement): void {
   const head = el("span", { class: "end" });
   const mode = el("span", { class: "mode", test: "light", role: "status" });
   const chart = new Chart(canvas, store, data);
-  const draw = painted(() => chart.draw());
+  const draw = oncePerRepaint(() => chart.draw());
   const pick = chooser(store, data, draw);
   const track = el("div", { class: "track" }, canvas, slider);
   const aside = el("div", { class: "aside" }, el("div", { class: "row" }, pick, mode), legend(store, data, chart));
@@ -43,9 +43,9 @@ export function time(store: Store, place: HTMLElement): void {
     showTime(store, slider);
     const status = store.now.status;
     const last = store.now.scene?.last;
-    say(first, status ? String(status.first) : "");
-    say(head, status ? [String(status.head), last && `the scene ends at ${last}`].filter(Boolean).join(" · ") : "");
-    say(mode, status?.light ? "remembered: let go to see all of it" : "");
+    setText(first, status ? String(status.first) : "");
+    setText(head, status ? [String(status.head), last && `the scene ends at ${last}`].filter(Boolean).join(" · ") : "");
+    setText(mode, status?.light ? "stored data: release the slider to see everything" : "");
     draw();
   });
   store.connection.on("stops", ({ stops }) => {
@@ -68,7 +68,7 @@ function showTime(store: Store, slider: HTMLInputElement): void {
   slider.setAttribute("aria-valuetext", `frame ${status.frame} of ${status.head}`);
 }
 
-/** While it is dragged what is remembered is shown; once it is let go the frame is simulated. */
+/** While the slider is dragged, stored frames are displayed; the frame is simulated after the release. */
 function dragging(store: Store, slider: HTMLInputElement, draw: () => void): void {
   let byPointer = false;
   const light = throttled(DRAGGED, (frame: number) => byPointer && seek(store, frame, false));
@@ -85,7 +85,7 @@ function dragging(store: Store, slider: HTMLInputElement, draw: () => void): voi
   });
   slider.addEventListener("keydown", (event) => {
     const to = { ArrowLeft: -10, ArrowRight: 10 }[event.key];
-    if (!event.shiftKey || to === undefined) return; // without shift the slider itself goes one frame
+    if (!event.shiftKey || to === undefined) return; // without shift, the slider itself moves by one frame
     event.preventDefault();
     slider.value = String(Number(slider.value) + to);
     seek(store, Number(slider.value));

@@ -1,5 +1,5 @@
-// Bodies: one call to draw for each body of a species. They are posed by what they play, and turned and moved between two frames, where
-// they are drawn. Below each body lies a soft shadow, so that it stands on its ground. Those near by are drawn in full.
+// Bodies: one draw call for each body of a species. They are posed by their clips and interpolated between two frames. Each body
+// has a soft shadow, so that it stands on its ground. Near bodies are drawn in full detail.
 
 import * as THREE from "three";
 import type { Packet } from "../protocol";
@@ -13,14 +13,14 @@ import { changed, rowAttributes } from "./shapes";
 import { speck } from "./speck";
 import type { Stage } from "./stage";
 
-const CROWD = { software: 3000, hardware: 120_000 }; // agents from which on each is a speck
+const CROWD = { software: 3000, hardware: 120_000 }; // number of agents from which each is drawn as a speck
 
 const MANY = 2000;
 
 type Level = "fine" | "low" | "speck";
 
 export class Bodies {
-  private readonly rigs = new Map<string, { made: Rigged; levels: Record<Level, Form> }>(); // by key
+  private readonly rigs = new Map<string, { made: Rigged; levels: Record<Level, Form> }>(); // by body key
   private readonly drawn = new Map<string, Drawn>();
 
   constructor(
@@ -47,7 +47,7 @@ export class Bodies {
     this.stage.wake();
   }
 
-  /** What one agent is drawn by, with its place among those that are: for tests. */
+  /** Return the drawn figure of an agent, with its index in it: for tests. */
   posed(species: string, row: number): { figure: Figure; place: number } | null {
     const one = this.drawn.get(species);
     if (one) return one.posed(row);
@@ -59,7 +59,7 @@ export class Bodies {
     return null;
   }
 
-  /** Colours were changed: hand them over again. */
+  /** Upload the colours after a change. */
   recolour(): void {
     for (const each of this.drawn.values()) each.recolour();
     this.stage.wake();
@@ -75,7 +75,7 @@ export class Bodies {
     for (const each of this.drawn.values()) each.refresh();
   }
 
-  /** Choose how fine each species is drawn, by how large it is seen where one looks. */
+  /** Choose the level of detail of each species by its size on the screen. */
   private place(): boolean {
     const kind = this.stage.software || this.stage.slow ? "software" : "hardware";
     const crowd = this.herds.count;
@@ -90,7 +90,7 @@ export class Bodies {
   }
 }
 
-/** The agents of one body as they are drawn. */
+/** The drawn agents of one body. */
 class Drawn {
   readonly close: Close;
   private readonly figure: Figure;
@@ -132,7 +132,7 @@ class Drawn {
   show(form: Form, t: number, shadow: boolean): void {
     const { figure, herd } = this;
     if (form !== figure.form || this.version !== herd.rows.version) this.build(form);
-    figure.uniforms.least.value = herd.count > MANY ? 4 : 6; // px: so long a body is seen from however far
+    figure.uniforms.least.value = herd.count > MANY ? 4 : 6; // px: minimum length of a body on the screen
     figure.show(herd.count, t, herd, null);
     this.shadow.geometry.instanceCount = herd.count;
     this.shadow.visible = shadow && herd.count > 0;

@@ -1,11 +1,11 @@
-// How bodies, their shadows and the rings around selected ones are drawn. All stand by the same rows: see `Rows`.
+// The shaders of bodies, their shadows and the rings around selected agents. All read the same rows, see `Rows`.
 
 import * as THREE from "three";
 import { TRAIT } from "./poseshaders";
 import { WIDE } from "./rig";
 import type { Stage } from "./stage";
 
-/** Where a row stands: `here`, the turn `turned` (ahead, up, aside), and `long`, its body's length, never less than a few px. */
+/** The pose of a row: `here`, the rotation `turned` (ahead, up, aside), and `long`, the body's length, at least a few px. */
 const STAND = /* glsl */ `
 attribute vec3 placeA;
 attribute vec3 placeB;
@@ -34,7 +34,7 @@ void stand() {
   bodyLength = max(size, least * depth / focal);
 }`;
 
-/** As it is at rest, in the agent's colour. */
+/** A rigid shape in the agent's colour. */
 const STILL = /* glsl */ `
 vec4 painted() { return vec4(1.0); }
 bool bare() { return false; }
@@ -43,12 +43,12 @@ void posed(out vec3 place, out vec3 across) {
   across = normal;
 }`;
 
-/** Blend shapes, then linear skinning: the mean of the matrices of up to four bones. Normals go by its cofactors, which scales do not bend. */
+/** Blend shapes, then linear skinning: the mean of the matrices of up to four bones. Normals use its cofactors, so scales keep them right. */
 const SKIN = /* glsl */ `
 attribute vec4 colour;
 attribute vec4 bone;
 attribute vec4 weight;
-attribute vec3 worn; // the layers that show it; the trait that its colour goes by, or -1, and the first of its colours
+attribute vec3 worn; // the layers that show it; the trait that sets its colour, or -1, and the first of its colours
 attribute float wears;
 uniform highp sampler2D firstRow;
 uniform highp sampler2D secondRow;
@@ -58,13 +58,13 @@ uniform int perRow;
 uniform highp sampler2D gazes;
 uniform highp sampler2D targetList;
 uniform highp sampler2D palette;
-uniform int told;
+uniform int gazeTexels;
 uniform int traitAt;
 uniform int targets;
 uniform int vertices;
 ${TRAIT}
 vec4 listed(highp sampler2D list, int number) { return texelFetch(list, ivec2(number % ${WIDE}, number / ${WIDE}), 0); }
-float trait(int number) { return traitOf(gazes, gl_InstanceID, told, traitAt, number, t); }
+float trait(int number) { return traitOf(gazes, gl_InstanceID, gazeTexels, traitAt, number, t); }
 vec4 painted() {
   if (worn.y < 0.0) return vec4(colour.rgb * colour.rgb, colour.a);
   float place = trait(int(worn.y + 0.5)), whole = floor(place);
@@ -72,7 +72,7 @@ vec4 painted() {
   vec3 from = listed(palette, first).rgb;
   return vec4(place > whole ? mix(from, listed(palette, first + 1).rgb, place - whole) : from, colour.a);
 }
-bool bare() { return worn.x > 0.5 && (uint(worn.x + 0.5) & uint(wears + 0.5)) == 0u; } // of a layer that it does not wear
+bool bare() { return worn.x > 0.5 && (uint(worn.x + 0.5) & uint(wears + 0.5)) == 0u; } // part of a layer that the agent does not wear
 void posed(out vec3 place, out vec3 across) {
   int left = (gl_InstanceID % perRow) * bones;
   int row = gl_InstanceID / perRow;
@@ -189,7 +189,7 @@ void main() {
   #include <colorspace_fragment>
 }`;
 
-/** What the shaders of bodies, shadows and rings are told beside the rows. */
+/** The uniforms of the shaders of bodies, shadows and rings, besides the rows. */
 export type Uniforms = Record<
   | "t"
   | "focal"
@@ -204,7 +204,7 @@ export type Uniforms = Record<
   | "gazes"
   | "targetList"
   | "palette"
-  | "told"
+  | "gazeTexels"
   | "traitAt"
   | "targets"
   | "vertices"
@@ -227,7 +227,7 @@ export function standing(stage: Stage): Uniforms {
     gazes: { value: null },
     targetList: { value: null },
     palette: { value: null },
-    told: { value: 1 }, // threes of numbers that the rows of `gazes` have, and from which on these are traits
+    gazeTexels: { value: 1 }, // number of vec3 entries per row of `gazes`, and index of the first trait in it
     traitAt: { value: 0 },
     targets: { value: 0 },
     vertices: { value: 1 },
@@ -235,7 +235,7 @@ export function standing(stage: Stage): Uniforms {
   };
 }
 
-/** `skinned`: for meshes that follow bones, else for such as are drawn as they are. */
+/** Return the materials. `skinned`: for meshes that follow bones, otherwise for rigid meshes. */
 export function bodyMaterial(uniforms: Uniforms, skinned: boolean): THREE.ShaderMaterial {
   const vertexShader = BODY_VERTEX.replace("POSE\n", `${skinned ? SKIN : STILL}\n`);
   return new THREE.ShaderMaterial({ vertexShader, fragmentShader: BODY_FRAGMENT, uniforms, side: THREE.DoubleSide });
@@ -243,18 +243,18 @@ export function bodyMaterial(uniforms: Uniforms, skinned: boolean): THREE.Shader
 
 export function shadowMaterial(uniforms: Uniforms): THREE.ShaderMaterial {
   const blended = { blending: THREE.CustomBlending, blendSrc: THREE.SrcAlphaFactor, blendDst: THREE.OneMinusSrcAlphaFactor };
-  const seen = { ...blended, transparent: false, depthWrite: false, side: THREE.DoubleSide }; // before bodies: never on them
+  const seen = { ...blended, transparent: false, depthWrite: false, side: THREE.DoubleSide }; // drawn before bodies
   return new THREE.ShaderMaterial({ vertexShader: SHADOW_VERTEX, fragmentShader: SHADOW_FRAGMENT, uniforms, ...seen });
 }
 
-/** Rings, drawn twice: in full, and `through` what hides them, faintly. */
+/** Return the material of rings. They are drawn twice: in full, and faintly `through` what hides them. */
 export function ringMaterial(uniforms: Uniforms, through: boolean): THREE.ShaderMaterial {
   const seen = { transparent: true, depthWrite: false, depthTest: !through, side: THREE.DoubleSide };
   const own = { ...uniforms, fade: { value: through ? 0.35 : 1 } };
   return new THREE.ShaderMaterial({ vertexShader: RING_VERTEX, fragmentShader: RING_FRAGMENT, uniforms: own, ...seen });
 }
 
-/** A square from -1 to 1, to be laid flat below a body. */
+/** Return a square from -1 to 1, to lie flat below a body. */
 export function square(): THREE.InstancedBufferGeometry {
   const made = new THREE.InstancedBufferGeometry();
   made.setAttribute("position", new THREE.BufferAttribute(new Float32Array([-1, -1, 0, 1, -1, 0, 1, 1, 0, -1, 1, 0]), 3));

@@ -1,4 +1,4 @@
-// The few agents that are seen large, drawn in full; their rows are left out where the crowd is drawn.
+// The few agents that appear large, drawn in full detail. The crowd is drawn without their rows.
 
 import * as THREE from "three";
 import { Figure, type Form } from "./figure";
@@ -6,7 +6,7 @@ import { type Herd, Rows } from "./herd";
 import { changed, rowAttributes } from "./shapes";
 import type { Stage } from "./stage";
 
-const LARGE = 24; // px that a body is long on the screen
+const LARGE = 24; // px of a body's length on the screen
 const MOST = { software: 40, hardware: 400 };
 const POINT = new THREE.Vector3();
 
@@ -14,20 +14,20 @@ export class Close {
   private readonly rows = new Rows();
   private readonly figure: Figure;
   private attributes = new Map<string, THREE.InstancedBufferAttribute>();
-  private chosen: number[] = []; // rows, in order
+  private chosen: number[] = []; // rows, sorted
   private readonly found: number[] = [];
-  private far = new Float32Array(0); // of each row, where it was measured
+  private far = new Float32Array(0); // distance of each row
 
   constructor(
     private readonly stage: Stage,
     private readonly herd: Herd,
-    private readonly marked: () => void, // rows came to be left out, or no longer
+    private readonly marked: () => void, // called when the set of left-out rows changes
   ) {
     this.figure = new Figure(stage);
     this.rows.reserve(MOST[stage.software ? "software" : "hardware"]);
   }
 
-  /** What is drawn of an agent, if it is drawn in full: for tests. */
+  /** Return the drawn figure of an agent that is drawn in full, with its index: for tests. */
   posed(row: number): { figure: Figure; place: number } | null {
     const place = this.chosen.indexOf(row);
     return place < 0 ? null : { figure: this.figure, place };
@@ -61,7 +61,7 @@ export class Close {
     this.figure.dispose();
   }
 
-  /** The rows that are seen large, the nearest ones where they are many. */
+  /** Return the rows of agents that appear large, the nearest ones if there are many. */
   private near(t: number): number[] {
     const { herd, found } = this;
     if (this.far.length < herd.count) this.far = new Float32Array(herd.rows.capacity);

@@ -1,4 +1,4 @@
-// Keeps the agents' colours: with each frame, and when another way to colour them is chosen. The legend reads it.
+// Updates the agents' colours, for each frame and after a new choice of colouring. The legend reads the current colouring.
 
 import type { Herds } from "./herds";
 import { type Range, paint, ranged } from "./colours";

@@ -1,10 +1,10 @@
-// What colour each agent has: by state, speed or any attribute. One entry for each way.
+// The colour of each agent: by state, speed or any attribute. One entry for each way.
 
 import type { Attribute, NumberArray, Species, Triple } from "../protocol";
 import type { Herd } from "./herd";
 import { RAMP } from "./palette";
 
-/** How numbers become colours now: the ends of the ramp, in `unit`. */
+/** How numbers become colours: the ends of the colour ramp, in `unit`. */
 export interface Range {
   low: number;
   high: number;
@@ -13,13 +13,13 @@ export interface Range {
 
 const PLAIN: Triple = [0.62, 0.6, 0.57];
 
-/** The machine whose states are shown, if colour goes by states. */
+/** Return the machine of the displayed states, if agents are coloured by states. */
 export function machineOf(species: Species, colour: string) {
   if (colour === "state") return species.machines[0];
   return colour.startsWith("state/") ? species.machines.find((each) => each.name === colour.slice(6)) : undefined;
 }
 
-/** The numbers that colour goes by, or undefined where the species has none such. */
+/** Return the numbers that set the colour, or undefined if the species has none. */
 export function numbersOf(herd: Herd, colour: string): { values: NumberArray; unit: string } | undefined {
   if (colour === "speed") {
     const values = herd.column("speed");
@@ -30,7 +30,7 @@ export function numbersOf(herd: Herd, colour: string): { values: NumberArray; un
   return values && about && { values, unit: about.unit };
 }
 
-/** Give all rows their colours. `range` is where the ramp begins and ends. */
+/** Set the colours of all rows. `range`: start and end of the colour ramp. */
 export function paint(herd: Herd, colour: string, range: Range | null): void {
   const { tone } = herd.rows;
   const machine = machineOf(herd.species, colour);
@@ -38,7 +38,7 @@ export function paint(herd: Herd, colour: string, range: Range | null): void {
   if (machine && states) {
     const table = Uint8Array.from(machine.colours.flat(), (part) => Math.round(255 * part));
     const plain = PLAIN.map((part) => Math.round(255 * part));
-    const entries = Uint8Array.from([...table, ...plain]); // the last for states of a program that is another one now
+    const entries = Uint8Array.from([...table, ...plain]); // the last colour is for states of an earlier program
     const known = machine.colours.length;
     for (let row = 0; row < herd.count; row++) copy(tone, row, entries, Math.min(states[row] as number, known));
     return;
@@ -63,7 +63,7 @@ function copy(tone: Uint8Array, row: number, table: Uint8Array, entry: number): 
   tone[4 * row + 3] = 255;
 }
 
-/** The least and the most of what is shown, kept steady: wider at once, narrower only when most of it is empty. */
+/** A smoothed range of the displayed values: it widens at once, and narrows only when most of it is unused. */
 export function ranged(herds: Iterable<Herd>, colour: string, before: Range | null): Range | null {
   let low = Number.POSITIVE_INFINITY;
   let high = Number.NEGATIVE_INFINITY;

@@ -1,14 +1,14 @@
-// Normals of a mesh that has both: smooth ground, and edges that are meant.
+// Normals for meshes with smooth ground and sharp edges.
 
 import * as THREE from "three";
 
-const SHARP = Math.cos(Math.PI / 5); // a face turned further than so from the mean of those around a corner has its own normal
+const SHARP = Math.cos(Math.PI / 5); // a face at a larger angle to the mean of the faces at a corner gets its own normal
 
-/** Vertices and faces with normals; corners of sharp edges stand once for each face. */
+/** Return vertices and faces with normals. Corners at sharp edges are repeated for each face. */
 export function creased(position: Float32Array, face: Uint32Array): THREE.BufferGeometry {
   const normals = faceNormals(position, face);
   const smooth = vertexNormals(position.length, face, normals);
-  const own: number[] = []; // corners that stand for themselves
+  const own: number[] = []; // corners with their own normal
   for (let corner = 0; corner < face.length; corner++) {
     const v = 3 * (face[corner] as number);
     const f = 3 * Math.floor(corner / 3);
@@ -40,7 +40,7 @@ export function creased(position: Float32Array, face: Uint32Array): THREE.Buffer
   return made;
 }
 
-/** Across each face, twice its area long. */
+/** Return the normals of all faces, with a length of twice the area. */
 function faceNormals(position: Float32Array, face: Uint32Array): Float32Array {
   const found = new Float32Array(face.length);
   const at = (corner: number, axis: number) => position[3 * (face[corner] as number) + axis] as number;
@@ -54,7 +54,7 @@ function faceNormals(position: Float32Array, face: Uint32Array): Float32Array {
   return found;
 }
 
-/** The mean over the faces around each vertex, of length 1. */
+/** Return the mean normal of the faces around each vertex, of length 1. */
 function vertexNormals(length: number, face: Uint32Array, normals: Float32Array): Float32Array {
   const found = new Float32Array(length);
   for (let corner = 0; corner < face.length; corner++) {

@@ -1,5 +1,5 @@
-// The stuff that ground, stones and dug solids are made of: matt, with a grain that gives the eye a measure and fades where it
-// would only flicker.
+// The material of ground, stones and dug solids: matt, with a grain that shows the scale and fades out at a distance, where it
+// would flicker.
 
 import * as THREE from "three";
 import type { Sight } from "./sight";
@@ -28,7 +28,7 @@ float grain(vec3 p, float size) {
 
 export type Stuff = "ground" | "shape" | "obstacle" | "earth";
 
-/** A material of the palette; it follows dark and light, and all but the ground can be as glass. `grains`: mm that a grain is wide. */
+/** Return a material of the palette that follows the theme; all but the ground can be transparent. `grains`: grain size in mm. */
 export function earth({ stage, store }: Sight, stuff: Stuff, grains: { value: number }): THREE.MeshLambertMaterial {
   const material = new THREE.MeshLambertMaterial({ side: THREE.DoubleSide });
   const dress = () => material.color.copy(stage.palette[stuff]);
@@ -41,7 +41,7 @@ export function earth({ stage, store }: Sight, stuff: Stuff, grains: { value: nu
     material.needsUpdate = true;
     stage.wake();
   });
-  if (stage.software) return material; // the grain takes longer than all else together there
+  if (stage.software) return material; // in software, the grain would take longer than all other drawing
   material.onBeforeCompile = (shader) => {
     shader.uniforms.grains = grains;
     shader.vertexShader = shader.vertexShader

@@ -1,4 +1,4 @@
-// The camera: around a point, after an agent, or on its back.
+// The camera: free around a point, following an agent, or riding on its back.
 
 import * as THREE from "three";
 import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
@@ -7,22 +7,22 @@ import type { Agent, Store } from "../store";
 import type { Herds } from "./herds";
 import type { Stage } from "./stage";
 
-const EASE = 160; // ms in which a rider's look has come most of the way
-const FROM = new THREE.Vector3(0.2, 0.72, 0.8); // where one looks from at first, with y up
+const EASE = 160; // ms in which the camera of a rider approaches a new direction
+const FROM = new THREE.Vector3(0.2, 0.72, 0.8); // direction of the first view, with y up
 const UP = new THREE.Vector3(0, 1, 0);
-const AROUND = 0.22; // of what one looks at is left free around it
-const WIDE = 16 / 9; // of the pictures that the scene's camera is meant for
-const ENOUGH = 0.5; // of the agents are seen by the scene's camera: it is a good one to begin with
+const AROUND = 0.22; // free margin around the target, as a share of the view
+const WIDE = 16 / 9; // aspect ratio of the scene's camera
+const ENOUGH = 0.5; // share of agents that the scene's camera must see to be used for the first view
 
 export class Eye {
   private controls: OrbitControls;
-  private seen = ""; // of which scene one has looked at all of it
+  private seen = ""; // the scene of the last overview
   private at = 0;
   private placed = false;
-  private fresh = false; // nothing of this scene was looked at yet
-  private first: (() => void) | null = null; // looks again as at first, until somebody moves the camera
+  private fresh = false; // whether this scene has no view yet
+  private first: (() => void) | null = null; // repeats the first view, until the user moves the camera
   private readonly look = new THREE.Vector3();
-  private readonly clipped = new THREE.Vector3(Number.POSITIVE_INFINITY, 0, 0); // where the camera was as that was set
+  private readonly clipped = new THREE.Vector3(Number.POSITIVE_INFINITY, 0, 0); // camera position at the last change of the clipping planes
   private readonly seat = new THREE.Vector3();
   private readonly here = new THREE.Vector3();
   private readonly head = new THREE.Vector3();
@@ -37,11 +37,11 @@ export class Eye {
     store.on("scene", () => this.scene(store.now.scene as Scene));
     store.on(["camera", "selected"], () => this.mode());
     herds.onFrame(() => this.begin());
-    stage.onResize(() => this.first?.()); // the page may still be coming to its size as the first frame arrives
+    stage.onResize(() => this.first?.()); // the page may still change its size when the first frame arrives
     stage.add((now) => this.move(now));
   }
 
-  /** The agent that the camera keeps to: the last one selected, else the first there is. */
+  /** Return the agent that the camera follows: the last selected one, or the first of all. */
   get follows(): Agent | null {
     const last = this.store.now.selected.at(-1);
     if (last && (this.herds.byName.get(last.species)?.row(last.id) ?? -1) >= 0) return last;
@@ -49,18 +49,18 @@ export class Eye {
     return null;
   }
 
-  /** What is looked at, and from where, in mm. */
+  /** Return target and position in mm. */
   get place(): { at: THREE.Vector3; target: THREE.Vector3 } {
     return { at: this.stage.camera.position, target: this.controls.target };
   }
 
-  /** See all there is. */
+  /** Show everything. */
   all(): void {
     this.first = null;
     this.fit(this.stage.low, this.stage.high);
   }
 
-  /** See all agents, from where one looks at them or from straight above. */
+  /** Show all agents, from the current direction or from above. */
   crowd(fromAbove: boolean): void {
     this.first = null;
     const { camera, up } = this.stage;
@@ -77,13 +77,13 @@ export class Eye {
     const way = camera.position.clone().sub(this.controls.target).normalize();
     if (fromAbove) {
       const aside = new THREE.Vector3(0, 0, 1).applyQuaternion(new THREE.Quaternion().setFromUnitVectors(UP, up));
-      way.copy(up).addScaledVector(aside, 1e-3); // so that it is told what is up in the picture
+      way.copy(up).addScaledVector(aside, 1e-3); // defines the up direction of the picture
     }
     box.expandByScalar(long);
     this.fit(box.min, box.max, way.normalize());
   }
 
-  /** See what the scene's own camera sees, from as far as it takes in a view of another shape. Whether the scene has one. */
+  /** Use the scene's own camera, from farther away if the view has another shape. Return whether the scene has a camera. */
   own(): boolean {
     this.first = null;
     return this.likeScene();
@@ -106,10 +106,10 @@ export class Eye {
     return true;
   }
 
-  /** Which part of some places lies within the view. */
+  /** Return the share of positions that lie within the view. */
   private share(places: readonly NumberArray[]): number {
     const { camera } = this.stage;
-    this.clip(); // the distance that is drawn to is that of the camera before
+    this.clip(); // the far plane still belongs to the previous camera
     camera.updateMatrixWorld();
     let seen = 0;
     let all = 0;
@@ -122,7 +122,7 @@ export class Eye {
     return all ? seen / all : 0;
   }
 
-  /** At first: as the scene's camera, or else see the agents and the things they have to do with, which may be a small part of
+  /** Show the first view: the scene's camera, or else the agents and the items around them, which may be a small part of
    * the ground. */
   private begin(): void {
     if (!this.fresh || this.herds.count === 0) return;
@@ -144,7 +144,7 @@ export class Eye {
     else this.fit(box.min, box.max);
   }
 
-  /** See all between two corners, from the way that `from` says. */
+  /** Show everything between two corners, from the direction `from`. */
   private fit(low: THREE.Vector3, high: THREE.Vector3, from = this.usual()): void {
     const { stage } = this;
     const { camera } = stage;
@@ -169,12 +169,12 @@ export class Eye {
     stage.wake();
   }
 
-  /** Where one looks from at first, with the way up as the scene has it. */
+  /** Return the direction of the first view, for the up direction of the scene. */
   private usual(): THREE.Vector3 {
     return FROM.clone().normalize().applyQuaternion(new THREE.Quaternion().setFromUnitVectors(UP, this.stage.up));
   }
 
-  /** Go near the agent that is followed. */
+  /** Move close to the followed agent. */
   near(): void {
     this.first = null;
     const agent = this.follows;
@@ -188,7 +188,7 @@ export class Eye {
     this.stage.wake();
   }
 
-  /** Turn around the point looked at, by radians across and up; `closer` is a factor of the distance. */
+  /** Turn around the target, by radians across and up. `closer`: factor of the distance. */
   turn(across: number, up: number, closer = 1): void {
     this.first = null;
     const { camera } = this.stage;
@@ -203,7 +203,7 @@ export class Eye {
     this.stage.wake();
   }
 
-  /** Leave the camera alone, or no longer. */
+  /** Stop or resume the control of the camera by the user. */
   rest(still: boolean): void {
     this.controls.enabled = !still && this.store.now.camera !== "ride";
   }
@@ -228,7 +228,7 @@ export class Eye {
     stage.frame(low, high, new THREE.Vector3(...scene.up));
     this.controls.dispose();
     const target = this.controls.target.clone();
-    this.controls = this.control(); // takes the way up as it is made
+    this.controls = this.control(); // the controls read the up direction when they are created
     this.controls.target.copy(target);
     this.controls.minDistance = stage.extent * 5e-4;
     this.controls.maxDistance = stage.extent * 4;
@@ -304,7 +304,7 @@ export class Eye {
     return left > size * 0.01;
   }
 
-  /** The nearest and farthest that is drawn, by where one stands. */
+  /** Set the near and far clipping planes by the camera's position. */
   private clip(): void {
     const { stage } = this;
     const { camera } = stage;

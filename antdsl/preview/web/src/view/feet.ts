@@ -1,20 +1,20 @@
-// Where the feet of the agents of one species are, and how their trunks stand over them, row by row as the shaders read it: as it
-// was and as it is.
+// The feet of the agents of one species, and the position of their trunks above them, row by row for the shaders: previous and
+// current values.
 
 import type { NumberArray } from "../protocol";
 
-export const STANCE = 3; // texels of four numbers before those of feet: rise and tilt as they were, as they are, how much feet stand
-const LENGTH = 4096; // in a body's length
+export const STANCE = 3; // texels of four numbers before those of feet: previous rise and tilt, current rise and tilt, share of standing feet
+const LENGTH = 4096; // units per body length
 const WHOLE = 32767;
 
 export class Feet {
   data = new Float32Array(0);
-  version = 0; // changes with each frame
-  told = false; // whether some frame told of feet
+  version = 0; // increases with each frame
+  hasData = false; // whether a frame contained feet
   private legs = 0;
   private was = new Float32Array(0);
 
-  /** Numbers that a row has. */
+  /** Numbers per row. */
   get width(): number {
     return 4 * (STANCE + 2 * this.legs);
   }
@@ -23,34 +23,34 @@ export class Feet {
     this.legs = legs;
     this.data = new Float32Array(0);
     this.was = this.data;
-    this.told = false;
+    this.hasData = false;
     this.version++;
   }
 
-  /** Take a frame: `places` int16 [n, legs, 3], `stances` int16 [n, 6]; nothing where it does not tell, and they stay. `from`: the
-   * row before of each row, or -1. Rows go on from what they show, `t` of the way. */
+  /** Take a frame: `places` int16 [n, legs, 3], `stances` int16 [n, 6]. Without data the values stay. `from`: the previous
+   * row of each row, or -1. Rows continue from the displayed values, `t` of the way between frames. */
   take(places: NumberArray | undefined, stances: NumberArray | undefined, count: number, from: Int32Array, t: number): void {
     const { width, legs } = this;
-    if (legs === 0 || !(this.told || places)) return;
+    if (legs === 0 || !(this.hasData || places)) return;
     [this.was, this.data] = [this.data, this.was];
     if (this.data.length < count * width) this.data = new Float32Array(Math.ceil(count * 1.3 + 8) * width);
     const { was } = this;
     for (let row = 0; row < count; row++) {
       const k = row * width;
       const other = (from[row] as number) * width;
-      const known = this.told && other >= 0 && other + width <= was.length;
+      const known = this.hasData && other >= 0 && other + width <= was.length;
       if (places && stances) this.go(k, places, stances, row);
-      const told = places !== undefined;
-      for (let part = 0; part < 4; part++) this.step(k + part, 4, known ? other + part : -1, t, told);
-      this.step(k + 8, 1, known ? other + 8 : -1, t, told);
+      const isGiven = places !== undefined;
+      for (let part = 0; part < 4; part++) this.step(k + part, 4, known ? other + part : -1, t, isGiven);
+      this.step(k + 8, 1, known ? other + 8 : -1, t, isGiven);
       for (let foot = 4 * STANCE; foot < width; foot += 8)
-        for (let part = 0; part < 4; part++) this.step(k + foot + part, 4, known ? other + foot + part : -1, t, told);
+        for (let part = 0; part < 4; part++) this.step(k + foot + part, 4, known ? other + foot + part : -1, t, isGiven);
     }
-    this.told = true;
+    this.hasData = true;
     this.version++;
   }
 
-  /** What a row is told, as what it goes to. */
+  /** Write the new values of a row. */
   private go(k: number, places: NumberArray, stances: NumberArray, row: number): void {
     const { data, legs } = this;
     const at = 6 * row;
@@ -65,13 +65,13 @@ export class Feet {
     }
   }
 
-  /** One number that goes from `k` to `k + apart`: on from where it is shown, or there at once where nothing was. */
-  private step(k: number, apart: number, before: number, t: number, told: boolean): void {
+  /** Set the previous value `k` of a number from the displayed value, or from the new value `k + apart` if there was none. */
+  private step(k: number, apart: number, before: number, t: number, isGiven: boolean): void {
     const { data, was } = this;
     const shown =
-      before < 0 ? (told ? (data[k + apart] as number) : 0) : mixed(was[before] as number, was[before + apart] as number, t);
+      before < 0 ? (isGiven ? (data[k + apart] as number) : 0) : mixed(was[before] as number, was[before + apart] as number, t);
     data[k] = shown;
-    if (!told) data[k + apart] = shown;
+    if (!isGiven) data[k + apart] = shown;
   }
 }
 

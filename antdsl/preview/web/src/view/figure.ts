@@ -1,4 +1,4 @@
-// Many bodies of one shape, drawn in one call: one that follows the bones of a rig, or one that is drawn as it is.
+// Many bodies of one shape in one draw call: skinned bodies that follow the bones of a rig, or rigid ones.
 
 import * as THREE from "three";
 import { bodyMaterial, standing, type Uniforms } from "./bodyshaders";
@@ -24,7 +24,7 @@ export class Figure {
     stage.scene.add(this.mesh);
   }
 
-  /** Take a form, with the rows that stand for agents. */
+  /** Set the shape, with the rows of the agents. */
   take(form: Form, rows: Map<string, THREE.InstancedBufferAttribute>): void {
     const skinned = "rig" in form;
     const geometry = skinned ? instanced(form.geometry) : bodyGeometry(form);
@@ -40,7 +40,7 @@ export class Figure {
     if (skinned) this.dress(form);
   }
 
-  /** Draw so many, `t` of the way to the frame, posed by what they do: the first rows, or the `chosen` ones. */
+  /** Draw the first `count` rows, or the `chosen` ones, `t` of the way to the frame, posed by their clips. */
   show(count: number, t: number, acting: Acting, chosen: readonly number[] | null): void {
     const { mesh, uniforms, poser } = this;
     mesh.geometry.instanceCount = count;
@@ -60,7 +60,7 @@ export class Figure {
     uniforms.bones.value = bones;
     uniforms.targetList.value = targets;
     uniforms.palette.value = rig.palette;
-    uniforms.told.value = first + Math.ceil(rig.traits / 3);
+    uniforms.gazeTexels.value = first + Math.ceil(rig.traits / 3);
     uniforms.traitAt.value = first;
     uniforms.targets.value = rig.targets;
     uniforms.vertices.value = rest.length / 3;
@@ -74,7 +74,7 @@ export class Figure {
   }
 }
 
-/** The same attributes, to be drawn many times. */
+/** Return the same attributes for instanced drawing. */
 function instanced(from: THREE.BufferGeometry): THREE.InstancedBufferGeometry {
   const made = new THREE.InstancedBufferGeometry();
   for (const [name, attribute] of Object.entries(from.attributes)) made.setAttribute(name, attribute);

@@ -1,18 +1,18 @@
-// Where the agents of one species look with parts of their bodies, how they lean and what their bodies differ by, row by row as the
-// shaders read it: as it was and as it is.
+// Where the agents of one species look, how they lean and how their bodies differ, row by row for the shaders: previous and
+// current values.
 
 import type { NumberArray } from "../protocol";
 
-const PART = 8; // numbers that a group has: a direction as it was, and as it is, each in four
+const PART = 8; // numbers of a group: previous and current direction, four each
 const WHOLE = 127;
 
 export class Gaze {
   data = new Float32Array(0);
   groups: string[] = [];
-  version = 0; // changes with each frame
+  version = 0; // increases with each frame
   private was = new Float32Array(0);
 
-  /** Numbers that a row has. */
+  /** Numbers per row. */
   get width(): number {
     return PART * this.groups.length;
   }
@@ -24,9 +24,9 @@ export class Gaze {
     this.version++;
   }
 
-  /** Take a frame: of each group int8 [n, 3] (127 is 1) or, of traits, float32 [n, 3]; or nothing where it does not tell, and they stay. `from`: the row before of each row,
-   * or -1; rows go on from what they show, `t` of the way. */
-  take(told: (NumberArray | undefined)[], count: number, from: Int32Array, t: number): void {
+  /** Take a frame: for each group int8 [n, 3] (127 is 1), for traits float32 [n, 3], or undefined for no data. `from`: the previous
+   * row of each row, or -1. Rows continue from the displayed values, `t` of the way between frames. */
+  take(values: (NumberArray | undefined)[], count: number, from: Int32Array, t: number): void {
     const { width } = this;
     if (width === 0) return;
     [this.was, this.data] = [this.data, this.was];
@@ -37,7 +37,7 @@ export class Gaze {
         const k = row * width + PART * group;
         const other = (from[row] as number) * width + PART * group;
         const known = (from[row] as number) >= 0 && other + PART <= was.length;
-        const now = told[group];
+        const now = values[group];
         for (let axis = 0; axis < 3; axis++) {
           const straight = axis === 0 && (this.groups[group] as string).startsWith("look") ? 1 : 0;
           const here = now ? (now[3 * row + axis] as number) / (now instanceof Int8Array ? WHOLE : 1) : null;

@@ -1,11 +1,11 @@
-// The agents of one species as they are shown: where each was and is, row by row, for what draws between the two.
+// The agents of one species: previous and current positions, row by row, for interpolation between frames.
 
 import type { NumberArray, Packet, Species } from "../protocol";
 import { Feet } from "./feet";
 import { Gaze } from "./gaze";
 import { NONE, Plays } from "./plays";
 
-/** What is drawn of an agent: one row in each array. Places and sizes in mm, turns as signed bytes. */
+/** The drawn values of agents, one row in each array. Positions and sizes in mm, directions as signed bytes. */
 export class Rows {
   placeA = new Float32Array(0);
   placeB = new Float32Array(0);
@@ -14,15 +14,15 @@ export class Rows {
   upA = new Int8Array(0);
   upB = new Int8Array(0);
   size = new Float32Array(0);
-  wears = new Float32Array(0); // layers beside the body's own, a bit for each
-  tone = new Uint8Array(0); // display colour and a fourth
-  version = 0; // changes when the arrays are other ones
+  wears = new Float32Array(0); // layers beside the body's own, one bit each
+  tone = new Uint8Array(0); // display colour and a fourth value
+  version = 0; // increases when the arrays are replaced
 
   get capacity(): number {
     return this.tone.length / 4;
   }
 
-  /** Room for so many; what was there is gone. */
+  /** Make room for `count` rows. Earlier values are lost. */
   reserve(count: number): void {
     if (count <= this.capacity) return;
     const room = Math.ceil(count * 1.3) + 8;
@@ -34,7 +34,7 @@ export class Rows {
     this.version++;
   }
 
-  /** Take a row of another herd's. */
+  /** Copy a row of another herd. */
   copy(row: number, from: Rows, other: number): void {
     for (let axis = 0; axis < 3; axis++) {
       for (const name of ["placeA", "placeB"] as const) this[name][3 * row + axis] = from[name][3 * other + axis] as number;
@@ -46,18 +46,18 @@ export class Rows {
   }
 }
 
-const GOLDEN = (Math.sqrt(5) - 1) / 2; // multiples of it are spread evenly over a turn
+const GOLDEN = (Math.sqrt(5) - 1) / 2; // its multiples are evenly distributed over a cycle
 
-/** What a species can do with its body: the machines that play clips, which clips begin again when they are over, how many legs
- * it stands on. */
+/** What a body of a species can do: the machines that play clips, which clips loop, and its number
+ * of legs. */
 export interface Acts {
   machines: string[];
   loops: boolean[];
   legs: number;
-  looks: string[]; // the transform groups that it looks with
-  leans: boolean; // clips give way to others as it turns and climbs
-  traits: number; // numbers that its bodies differ by beside that
-  idle: [number, number] | null; // the clip that lies below all others, and the seconds that it takes
+  looks: string[]; // transform groups for looking
+  leans: boolean; // whether other clips replace a clip as the agent turns and climbs
+  traits: number; // number of other values by which bodies differ
+  idle: [number, number] | null; // the clip below all others, and its duration in seconds
 }
 
 export class Herd {
@@ -65,16 +65,16 @@ export class Herd {
   readonly plays = new Plays();
   readonly feet = new Feet();
   readonly gaze = new Gaze();
-  clock = 0; // seconds from frame 0
+  clock = 0; // seconds since frame 0
   private machines: string[] = [];
   private idle: Acts["idle"] = null;
   ids: NumberArray = new Int32Array(0);
   arrays: Packet["arrays"] = new Map();
   count = 0;
-  private readonly was = new Rows(); // the rows before, while they are matched
-  private from = new Int32Array(0); // the row before of each row, -1 of who is new
+  private readonly was = new Rows(); // the previous rows, during matching
+  private from = new Int32Array(0); // the previous row of each row, -1 for new agents
 
-  /** All agents of a species, or, with the key of a body, those that have it. */
+  /** All agents of a species; with a body key, only the agents with that body. */
   constructor(
     readonly species: Species,
     readonly key = species.name,
@@ -84,7 +84,7 @@ export class Herd {
     return this.arrays.get(`${this.key}/${name}`) ?? this.arrays.get(`${this.species.name}/${name}`);
   }
 
-  /** Take a frame. Rows go on from where they are shown, `t` of the way, unless time leaps. */
+  /** Take a frame. Rows continue from the displayed values, `t` of the way between frames, unless time jumps. */
   take(packet: Packet, t: number, leap: boolean): void {
     const name = this.species.name;
     const ids = packet.arrays.get(`${name}/id`) ?? new Int32Array(0);
@@ -119,7 +119,7 @@ export class Herd {
     this.act(t);
   }
 
-  /** What it can do with its body is other than before. */
+  /** Set what the body can do. */
   acting({ machines, loops, legs, looks, leans, traits, idle }: Acts): void {
     this.machines = machines;
     this.idle = idle;
@@ -132,14 +132,14 @@ export class Herd {
   }
 
   private act(t: number): void {
-    const told = this.machines.map((machine) => this.column(`plays/${machine}`));
-    this.plays.take(this.idle ? [this.idling(...this.idle), ...told] : told, this.count, this.from, t);
+    const values = this.machines.map((machine) => this.column(`plays/${machine}`));
+    this.plays.take(this.idle ? [this.idling(...this.idle), ...values] : values, this.count, this.from, t);
     this.feet.take(this.column("feet"), this.column("stance"), this.count, this.from, t);
     const looks = this.gaze.groups.map((group) => this.column(group));
     this.gaze.take(looks, this.count, this.from, t);
   }
 
-  /** What agents play where no machine says otherwise: each from a start of its own, by the clock of the frame. */
+  /** Return the clips of agents without clips from machines. Each agent has its own offset to the time of the frame. */
   private idling(clip: number, seconds: number): Uint16Array {
     const made = new Uint16Array(6 * this.count);
     for (let row = 0; row < this.count; row++) {
@@ -168,7 +168,7 @@ export class Herd {
       rows.placeA[3 * row + axis] = a + (b - a) * t;
     }
     far = Math.sqrt(far);
-    leapt ||= far > 40 * size; // born anew or thrown: nobody walks so far in a frame
+    leapt ||= far > 40 * size; // born again or thrown: nobody walks so far in a frame
     for (let axis = 0; axis < 3; axis++) {
       const k = 4 * row + axis;
       const o = 4 * before + axis;
@@ -183,7 +183,7 @@ export class Herd {
     rows.size[row] = size;
   }
 
-  /** The row of an agent, or -1: rows stand by id. */
+  /** Return the row of an agent, or -1. Rows are sorted by id. */
   row(id: number): number {
     let low = 0;
     let high = this.count - 1;
@@ -197,7 +197,7 @@ export class Herd {
     return -1;
   }
 
-  /** Where a row is shown. */
+  /** Return the displayed position of a row. */
   place(row: number, t: number, into: { x: number; y: number; z: number }): void {
     const { placeA, placeB } = this.rows;
     const k = 3 * row;
@@ -206,7 +206,7 @@ export class Herd {
     into.z = mixed(placeA[k + 2] as number, placeB[k + 2] as number, t);
   }
 
-  /** A row's heading or up, about of length 1. */
+  /** Return heading or up direction of a row, of length about 1. */
   turn(which: "head" | "up", row: number, t: number, into: { x: number; y: number; z: number }): void {
     const a = which === "head" ? this.rows.headA : this.rows.upA;
     const b = which === "head" ? this.rows.headB : this.rows.upB;

@@ -1,22 +1,22 @@
-// All agents: takes the frames that come, keeps the time between two of them, and tells who wants to know.
+// All agents: takes frames, keeps the time between two of them, and informs listeners.
 
 import type { NumberArray, Packet, Scene } from "../protocol";
 import type { Store } from "../store";
 import { type Acts, Herd } from "./herd";
 import type { Stage } from "./stage";
 
-const LONGEST = 300; // ms that the way from one frame to the next takes at most
+const LONGEST = 300; // ms; maximum duration of the motion from one frame to the next
 
 export class Herds {
   readonly byName = new Map<string, Herd>();
-  readonly byBody = new Map<string, Herd>(); // those of one body each, by its key
+  readonly byBody = new Map<string, Herd>(); // agents of each body, by body key
   frame = -1;
   light = false;
-  t = 1; // how far between the last two frames
+  t = 1; // progress between the last two frames, 0 to 1
   packet: Packet | null = null;
   private readonly acts = new Map<string, Acts>();
   private arrived = 0;
-  private lasts = 40; // ms between two frames, as they have come lately
+  private lasts = 40; // recent ms between two frames
   private readonly listeners: (() => void)[] = [];
   private readonly peopled: (() => void)[] = [];
 
@@ -32,12 +32,12 @@ export class Herds {
     this.onFrame(() => stage.wake());
   }
 
-  /** After each frame that came. */
+  /** Add a listener for each frame. */
   onFrame(listener: () => void): void {
     this.listeners.push(listener);
   }
 
-  /** When the species are other ones. */
+  /** Add a listener for changes of the set of species. */
   onPeople(listener: () => void): void {
     this.peopled.push(listener);
   }
@@ -48,12 +48,12 @@ export class Herds {
     return sum;
   }
 
-  /** All herds: of species, and of their bodies where there are several. */
+  /** Return all herds: of species, and of bodies where a species has several. */
   get all(): Set<Herd> {
     return new Set([...this.byName.values(), ...this.byBody.values()]);
   }
 
-  /** What agents can do with a body. */
+  /** Set what agents can do with a body. */
   acting(key: string, acts: Acts): void {
     this.acts.set(key, acts);
     this.byBody.get(key)?.acting(acts);
@@ -116,7 +116,7 @@ export class Herds {
   }
 }
 
-/** A frame with the agents of a species that have one of its bodies alone. */
+/** Return a frame of a species with only the agents of one body. */
 export function partOf(packet: Packet, species: string, body: number): Packet {
   const arrays: Packet["arrays"] = new Map(packet.arrays);
   const bodies = packet.arrays.get(`${species}/body`);

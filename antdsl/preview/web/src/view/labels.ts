@@ -1,5 +1,5 @@
-// Words that stand at places of the world: HTML over the picture. They stay within the view, and where two would lie over each other
-// the one that is farther away has its name alone, or nothing.
+// Labels at positions of the world, as HTML over the picture. They stay within the view. If two would overlap, the farther one is
+// reduced to its name, or hidden.
 
 import * as THREE from "three";
 import type { Stage } from "./stage";
@@ -10,12 +10,12 @@ interface Label {
   about: HTMLElement;
   at: THREE.Vector3;
   shown: string;
-  wide: [number, number]; // px, with what it holds and without
+  wide: [number, number]; // px, with and without the contents
   high: number;
-  measured: string; // what was measured: digits are all as wide
+  measured: string; // the measured text, with all digits replaced by one: digits have equal widths
 }
 
-/** Where a label is to stand: its lower middle in px, how far away that is, and how large it is. */
+/** The desired position of a label: its bottom centre in px, its distance, and its size. */
 export interface Wish {
   x: number;
   y: number;
@@ -24,10 +24,10 @@ export interface Wish {
   high: number;
 }
 
-/** Left and top edge, and whether it has all of its words; null of what has no room. */
+/** Left and top edge, and whether its text is complete; null for a label without space. */
 export type Spot = { left: number; top: number; whole: boolean } | null;
 
-/** Where labels stand in a view that is `width` wide, the nearest first. */
+/** Return the positions of labels in a view of width `width`, nearest first. */
 export function arranged(wishes: readonly Wish[], width: number): Spot[] {
   const found: Spot[] = wishes.map(() => null);
   const taken: [number, number, number, number][] = [];
@@ -47,7 +47,7 @@ export function arranged(wishes: readonly Wish[], width: number): Spot[] {
   return found;
 }
 
-const EDGE = 4; // px that labels stay away from the edges of the view
+const EDGE = 4; // px between labels and the edges of the view
 
 const POINT = new THREE.Vector3();
 const AWAY = new THREE.Vector3();
@@ -58,12 +58,12 @@ export class Labels {
 
   constructor(private readonly stage: Stage) {
     this.layer.className = "sight-labels";
-    this.layer.setAttribute("aria-hidden", "true"); // the panels say the same in order
+    this.layer.setAttribute("aria-hidden", "true"); // panels contain the same information for screen readers
     stage.place.append(this.layer);
     stage.add(() => this.move());
   }
 
-  /** A label `high` above a place. */
+  /** Return a label that is `high` above a position. */
   set(key: string, name: string, about: string, at: THREE.Vector3, up: THREE.Vector3, high: number): void {
     const label = this.all.get(key) ?? this.make(key);
     label.at.copy(at).addScaledVector(up, high);
@@ -83,7 +83,7 @@ export class Labels {
       HTMLElement,
     ];
     box.append(name, about);
-    box.style.visibility = "hidden"; // until it is known where it stands
+    box.style.visibility = "hidden"; // until its position is known
     this.layer.append(box);
     const label: Label = {
       box,

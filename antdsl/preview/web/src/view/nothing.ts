@@ -1,4 +1,4 @@
-// What stands in the view while there is nothing to see: the mistakes that have to be mended first.
+// The text in the view while nothing can be displayed: first fix the errors.
 
 import type { Store } from "../store";
 import { shortName } from "../panels/text/files";
@@ -19,7 +19,7 @@ export function nothing(store: Store, place: HTMLElement): void {
     if (box.hidden) return;
     const title = document.createElement("h2");
     title.textContent =
-      errors.length === 1 ? "Nothing to see yet: there is an error" : `Nothing to see yet: there are ${errors.length} errors`;
+      errors.length === 1 ? "Nothing to display: there is an error" : `Nothing to display: there are ${errors.length} errors`;
     const rows = errors.slice(0, MOST).map((each) => {
       const row = document.createElement("button");
       row.type = "button";
@@ -32,7 +32,7 @@ export function nothing(store: Store, place: HTMLElement): void {
       return row;
     });
     const words = document.createElement("p");
-    words.textContent = "Mend them in your editor and save: it starts by itself.";
+    words.textContent = "Fix them in your editor and save. Then it starts by itself.";
     box.replaceChildren(title, ...rows, words);
   }
 

@@ -1,4 +1,4 @@
-// The colours of the stage, as the style sheet has them for dark and light; and the ramp for numbers, even to the eye.
+// The colours of the view from the style sheet, for dark and light themes; and the perceptually uniform colour ramp for numbers.
 
 import * as THREE from "three";
 
@@ -49,7 +49,7 @@ export class Palette {
   }
 }
 
-/** 256 display colours (r, g, b bytes) of even steps in lightness, from violet to yellow: seen right by the colour-blind too. */
+/** Return 256 display colours (r, g, b bytes) in even steps of lightness, from violet to yellow, also for the colour-blind. */
 export const RAMP = ramp();
 
 function ramp(): Uint8Array {
@@ -64,7 +64,7 @@ function ramp(): Uint8Array {
   return table;
 }
 
-/** Display bytes of a colour in Oklab (B. Ottosson, A perceptual color space for image processing, 2020). */
+/** Return the display bytes of a colour in Oklab (B. Ottosson, A perceptual color space for image processing, 2020). */
 function fromOklab(light: number, a: number, b: number): number[] {
   const l = (light + 0.3963377774 * a + 0.2158037573 * b) ** 3;
   const m = (light - 0.1055613458 * a - 0.0638541728 * b) ** 3;

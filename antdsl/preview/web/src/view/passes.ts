@@ -1,5 +1,5 @@
-// One pass that works something out for each item (a joint, a leg, a bone) of each agent: a pixel each, of textures that the next
-// pass reads.
+// A pass computes a value for each item (joint, leg, bone) of each agent, one pixel each, in textures that the next pass
+// reads.
 
 import * as THREE from "three";
 import { POSE_VERTEX } from "./poseshaders";
@@ -40,7 +40,7 @@ export class Pass {
     return this.target?.textures ?? [];
   }
 
-  /** Make room for agents: so many beside each other, in so many rows. */
+  /** Make room for agents: `perRow` in each row of the texture, in so many rows. */
   room(perRow: number, rows: number): void {
     this.target?.dispose();
     this.target = new THREE.WebGLRenderTarget(perRow * this.items, rows, {
@@ -65,7 +65,7 @@ export class Pass {
     this.renderer.setRenderTarget(before);
   }
 
-  /** One output of all items of an agent: for tests. */
+  /** Return one output of all items of an agent: for tests. */
   read(output: number, x: number, y: number): Float32Array {
     const pixels = new Float32Array(4 * this.items);
     if (this.target) {

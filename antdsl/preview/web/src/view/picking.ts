@@ -1,4 +1,4 @@
-// Which agent a click means: the nearest on the screen that nothing hides; and where an agent is seen.
+// Which agent a click selects: the nearest visible one on the screen; and where an agent is on the screen.
 
 import * as THREE from "three";
 import type { Agent } from "../store";
@@ -6,7 +6,7 @@ import type { Herd } from "./herd";
 import type { Sight } from "./sight";
 
 const REACH = 14; // px
-const ASKED = 6; // so many of the nearest are tried for being hidden
+const ASKED = 6; // number of nearest candidates that are tested for visibility
 
 interface Found {
   species: string;
@@ -20,7 +20,7 @@ const TURN = new THREE.Vector3();
 const MATRIX = new THREE.Matrix4();
 const RAY = new THREE.Raycaster();
 
-/** Where on the canvas (CSS px) an agent's middle is seen, or null when it is behind or unknown. */
+/** Return the position of an agent's centre on the canvas (CSS px), or null if it is behind the camera or unknown. */
 export function onScreen(sight: Sight, agent: Agent): [number, number] | null {
   const herd = sight.herds.byName.get(agent.species);
   const row = herd?.row(agent.id) ?? -1;
@@ -31,7 +31,7 @@ export function onScreen(sight: Sight, agent: Agent): [number, number] | null {
   return [((POINT.x + 1) / 2) * sight.stage.width, ((1 - POINT.y) / 2) * sight.stage.height];
 }
 
-/** The agent at a place of the canvas (CSS px), if there is one. */
+/** Return the agent at a position of the canvas (CSS px), if any. */
 export function pick(sight: Sight, x: number, y: number): Agent | null {
   const near = candidates(sight, x, y).sort((a, b) => a.off - b.off);
   const open = near.slice(0, ASKED).find((found) => !hidden(sight, found));
@@ -50,7 +50,7 @@ function candidates(sight: Sight, x: number, y: number): Found[] {
       if (w <= 0) continue;
       const px = (((e[0] * POINT.x + e[4] * POINT.y + e[8] * POINT.z + e[12]) / w + 1) / 2) * width;
       const py = ((1 - (e[1] * POINT.x + e[5] * POINT.y + e[9] * POINT.z + e[13]) / w) / 2) * height;
-      const body = (0.45 * herd.size(row) * sight.stage.focal) / w; // who is clicked on is meant, however large
+      const body = (0.45 * herd.size(row) * sight.stage.focal) / w; // a click on a body selects it, whatever its size
       const off = Math.hypot(px - x, py - y);
       if (off <= Math.max(REACH, body)) found.push({ species, herd, row, off });
     }
@@ -72,7 +72,7 @@ function hidden(sight: Sight, found: Found): boolean {
   return RAY.intersectObjects(things, false).length > 0;
 }
 
-/** An agent's middle, a little above its ground, into POINT. */
+/** Write the centre of an agent, a little above its ground, into POINT. */
 function middle(herd: Herd, row: number, t: number): void {
   herd.place(row, t, POINT);
   herd.turn("up", row, t, TURN);

@@ -1,14 +1,14 @@
-// What the agents of one species play, row by row as the shader that poses them reads it: as it was and as it is.
+// The clips that the agents of one species play, row by row for the pose shader: previous and current values.
 
 import type { NumberArray } from "../protocol";
 
-export const TEXELS = 4; // of four numbers, of what one machine of an agent plays
-export const NONE = 65535; // the number of no clip
+export const TEXELS = 4; // texels of four numbers for one machine of an agent
+export const NONE = 65535; // the number for no clip
 const PART = 4 * TEXELS;
 const WHOLE = 65535;
 
-// Places in a part: the clip and those before it, then by slot how far through each is, at first and at last, and how much it
-// weighs.
+// Offsets in a part: three clip numbers (the clip and those before it), then for each slot previous and current progress, and
+// previous and current weight.
 const SLOTS = [
   { turn: [4, 5], weight: [10, 11] },
   { turn: [6, 7], weight: [12, 13] },
@@ -18,16 +18,16 @@ const SLOTS = [
 export class Plays {
   data = new Float32Array(0);
   machines: string[] = [];
-  version = 0; // changes with each frame
+  version = 0; // increases with each frame
   private loops: boolean[] = [];
   private was = new Float32Array(0);
 
-  /** Numbers that a row has. */
+  /** Numbers per row. */
   get width(): number {
     return PART * this.machines.length;
   }
 
-  /** The machines that play, and of each clip whether it begins again when it is over. What was known is forgotten. */
+  /** Set the machines that play clips, and for each clip whether it loops. Earlier values are lost. */
   begin(machines: string[], loops: boolean[]): void {
     this.machines = machines;
     this.loops = loops;
@@ -36,14 +36,14 @@ export class Plays {
     this.version++;
   }
 
-  /** Take a frame: of each machine uint16 [n, 3, 2 or 3], or nothing where the frame does not tell. `from`: the row before of each row, or
-   * -1; rows go on from what they show, `t` of the way. */
-  take(told: (NumberArray | undefined)[], count: number, from: Int32Array, t: number): void {
+  /** Take a frame: for each machine uint16 [n, 3, 2 or 3], or undefined for no data. `from`: the previous row of each row, or
+   * -1. Rows continue from the displayed values, `t` of the way between frames. */
+  take(values: (NumberArray | undefined)[], count: number, from: Int32Array, t: number): void {
     const { width } = this;
     [this.was, this.data] = [this.data, this.was];
     if (this.data.length < count * width) this.data = new Float32Array(Math.ceil(count * 1.3 + 8) * width);
     for (let machine = 0; machine < this.machines.length; machine++) {
-      const now = told[machine];
+      const now = values[machine];
       for (let row = 0; row < count; row++) {
         const k = row * width + PART * machine;
         const other = from[row] as number;
@@ -55,15 +55,15 @@ export class Plays {
     this.version++;
   }
 
-  /** A part goes from what it showed to what it is told, `many` clips a row. */
-  private go(k: number, told: NumberArray, many: number, row: number, before: number, t: number): void {
+  /** Move a part from the displayed values to the new ones, with `many` clips per row. */
+  private go(k: number, values: NumberArray, many: number, row: number, before: number, t: number): void {
     const { data } = this;
     for (let slot = 0; slot < SLOTS.length; slot++) {
       const { turn, weight } = SLOTS[slot] as (typeof SLOTS)[number];
       const at = 3 * many * row + slot;
       const there = slot < many;
-      data[k + slot] = there ? (told[at] as number) : NONE;
-      const [far, much] = there ? [(told[at + many] as number) / WHOLE, (told[at + 2 * many] as number) / WHOLE] : [0, 0];
+      data[k + slot] = there ? (values[at] as number) : NONE;
+      const [far, much] = there ? [(values[at + many] as number) / WHOLE, (values[at + 2 * many] as number) / WHOLE] : [0, 0];
       data[k + turn[0]] = far;
       data[k + turn[1]] = far;
       data[k + weight[0]] = much;
@@ -73,7 +73,7 @@ export class Plays {
     for (let slot = 0; slot < SLOTS.length; slot++) this.follow(k, slot, before, t);
   }
 
-  /** Whether what was played is played still, if only as what gives way: else it is done at once. */
+  /** Return whether the previous clip still plays, perhaps while it fades out. Otherwise the change is immediate. */
   private known(k: number, before: number): boolean {
     const last = this.was[before] as number;
     return last === NONE || SLOTS.some((_, slot) => this.data[k + slot] === last);
@@ -92,10 +92,10 @@ export class Plays {
     const here = data[k + turn[1]] as number;
     let way = here - mixed(was, before, old.turn, t);
     if (this.loops[clip]) way -= Math.round(way);
-    data[k + turn[0]] = here - (this.loops[clip] ? way : Math.max(way, 0)); // played again it begins at once
+    data[k + turn[0]] = here - (this.loops[clip] ? way : Math.max(way, 0)); // a repeated clip starts at once
   }
 
-  /** A part stays as it is shown. */
+  /** Keep the displayed values of a part. */
   private stay(k: number, before: number, t: number): void {
     const { data, was } = this;
     for (let slot = 0; slot < SLOTS.length; slot++) {

@@ -1,4 +1,4 @@
-// Poses agents on the graphics card: the matrices of all bones of all of them, as three textures that bodies are drawn by.
+// Poses agents on the graphics card: computes the matrices of all their bones as three textures for the drawing of bodies.
 
 import * as THREE from "three";
 import type { Feet } from "./feet";
@@ -8,20 +8,20 @@ import type { Plays } from "./plays";
 import { BENT, BONES, JOINTS, LEGS } from "./poseshaders";
 import { type Skin, WIDE } from "./rig";
 
-const LONGEST = 8192; // texels that a side of the textures has at most
+const LONGEST = 8192; // maximum side length of the textures in texels
 
-/** What agents of a species do with their bodies. */
+/** What the bodies of a species can do. */
 export interface Acting {
   plays: Plays;
   feet: Feet;
   gaze: Gaze;
 }
 
-/** Rows of four numbers each, as a texture that grows. */
+/** Rows of numbers as a texture that grows, four numbers per texel. */
 class Lines {
   texture = new THREE.DataTexture(new Float32Array(4), 1, 1, THREE.RGBAFormat, THREE.FloatType);
 
-  /** The first `count` rows of so many numbers, or the `chosen` ones. */
+  /** Write the first `count` rows, or the `chosen` ones, of `width` numbers each. */
   fill(data: Float32Array, width: number, count: number, chosen: readonly number[] | null): void {
     const rows = Math.max(Math.ceil((count * width) / (4 * WIDE)), 1);
     if (this.texture.image.height < rows || this.texture.image.width !== WIDE) {
@@ -45,7 +45,7 @@ export class Poser {
   private readonly plays = new Lines();
   private readonly stances = new Lines();
   private readonly gazes = new Lines();
-  private rows = 0; // of agents that there is room for
+  private rows = 0; // capacity in rows of agents
   private perRow = 1;
   private known = "";
   private filled = "";
@@ -60,7 +60,7 @@ export class Poser {
       looks: rig.looks.length,
       leans: Number(rig.leans),
       lookAt: rig.lookAt,
-      told: rig.looks.length + Number(rig.leans) + Math.ceil(rig.traits / 3),
+      gazeTexels: rig.looks.length + Number(rig.leans) + Math.ceil(rig.traits / 3),
       targets: rig.targets,
       sizes: rig.scales,
       scaleAt: rig.scaleAt,
@@ -80,7 +80,7 @@ export class Poser {
     this.bones = new Pass(renderer, BONES, 3, Math.max(skin.bones, 1), { ...all, ...legs, bones: skin.list });
   }
 
-  /** How many agents there is room for on this graphics card. */
+  /** Return the maximum number of agents on this graphics card. */
   get most(): number {
     return Math.floor(this.side / this.items) * this.side;
   }
@@ -89,7 +89,7 @@ export class Poser {
     return this.bones.textures;
   }
 
-  /** What agents look at, lean and differ by, as they were posed last. */
+  /** Return the looks, leans and traits of agents in their last pose. */
   get traits(): THREE.Texture {
     return this.gazes.texture;
   }
@@ -106,24 +106,24 @@ export class Poser {
     return Math.min(this.renderer.capabilities.maxTextureSize, LONGEST);
   }
 
-  /** Pose agents as they are `t` of the way: the first `count` rows, or the `chosen` ones. Nothing is done where nothing has
+  /** Pose agents at `t` of the way: the first `count` rows, or the `chosen` ones. Does nothing if nothing has
    * changed. */
   pose({ plays, feet, gaze }: Acting, count: number, t: number, chosen: readonly number[] | null): void {
-    const told = `${plays.version} ${feet.version} ${gaze.version} ${count} ${chosen ? chosen.join() : ""}`;
-    const now = `${told} ${t}`;
+    const pose = `${plays.version} ${feet.version} ${gaze.version} ${count} ${chosen ? chosen.join() : ""}`;
+    const now = `${pose} ${t}`;
     if (now === this.known || count === 0 || this.skin.bones === 0) return;
     this.known = now;
     this.room(count);
-    if (told !== this.filled) {
-      this.filled = told;
+    if (pose !== this.filled) {
+      this.filled = pose;
       this.plays.fill(plays.data, plays.width, count, chosen);
       if (gaze.width) this.gazes.fill(gaze.data, gaze.width, count, chosen);
-      if (feet.told) this.stances.fill(feet.data, feet.width, count, chosen);
+      if (feet.hasData) this.stances.fill(feet.data, feet.width, count, chosen);
     }
-    this.run({ count, perRow: this.perRow, t }, feet.told);
+    this.run({ count, perRow: this.perRow, t }, feet.hasData);
   }
 
-  /** The matrices of all bones of an agent as it was posed last, each row by row: for tests. */
+  /** Return the matrices of all bones of an agent in its last pose, row by row: for tests. */
   all(agent: number): number[][] {
     if (agent < 0 || agent >= this.rows) return [];
     const [x, y] = [agent % this.perRow, Math.floor(agent / this.perRow)];

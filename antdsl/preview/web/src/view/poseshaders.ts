@@ -1,9 +1,9 @@
-// How agents are posed, pass by pass, one pixel for each joint, leg or bone of each agent:
-// - joints: what is played, blended joint by joint as antdsl/bodies/agents/machine_clips.py says: the clips of a machine to
-//   their mean, each machine over those before it, what is added over all; all rotations by normalised linear interpolation on the shorter way;
-// - legs: where hip, knee and foot of each leg are; then how each leg is bent so that its foot is where it stands, by two-bone
-//   inverse kinematics as antdsl/bodies/agents/leg_ik.py says;
-// - bones: the matrix that the vertices of a mesh go by.
+// The shaders that pose agents, pass by pass, one pixel for each joint, leg or bone of each agent:
+// - joints: the clips, blended for each joint as in antdsl/bodies/agents/machine_clips.py: the mean of the clips of a machine,
+// each machine over the ones before it, added clips over all. Rotations use normalised linear interpolation on the shorter arc;
+// - legs: the positions of hip, knee and foot of each leg; then the bend of each leg that puts its foot on its stand, by two-bone
+// inverse kinematics as in antdsl/bodies/agents/leg_ik.py;
+// - bones: the matrices that move the vertices of a mesh.
 
 import { STANCE } from "./feet";
 import { TEXELS } from "./plays";
@@ -52,7 +52,7 @@ uniform int groups;
 uniform sampler2D gazes;
 uniform int looks;
 uniform int leans;
-uniform int told;
+uniform int gazeTexels;
 
 struct Joint { vec3 move; vec4 turn; vec3 scale; vec3 shear; };
 
@@ -80,14 +80,14 @@ void add(inout Joint sum, Joint more, float part) {
   sum.turn += more.turn * (dot(sum.turn, more.turn) < 0.0 ? -part : part);
 }
 
-/** Adds a part of a clip, less what it gives way to as the agent turns and climbs. */
+/** Adds a part of a clip, less the share of other clips that replace it as the agent turns and climbs. */
 void addClip(inout Joint sum, int number, float turn, float part) {
   int k = clips + 3 * number;
   vec4 clip = at(table, k), side = at(table, k + 1), slope = at(table, k + 2);
   float far = mod(clip.z, 2.0) > 0.5 ? fract(turn) : clamp(turn, 0.0, 1.0);
   vec4 share = vec4(0.0);
   if (leans > 0) {
-    int here = 2 * (agent * told + looks);
+    int here = 2 * (agent * gazeTexels + looks);
     vec2 lean = mix(at(gazes, here).xy, at(gazes, here + 1).xy, t);
     share = clamp(vec4(lean.x, -lean.x, lean.y, -lean.y), 0.0, 1.0);
     share *= vec4(greaterThanEqual(vec4(side.x, side.z, slope.x, slope.z), vec4(0.0)));
@@ -101,7 +101,7 @@ void addClip(inout Joint sum, int number, float turn, float part) {
   if (share.w > 0.0) add(sum, played(slope.z, slope.w, far), part * share.w);
 }
 
-/** How much of a clip there is at the joint, of those that are added or of the others. */
+/** Returns the weight of a clip at the joint, among added clips or among the others. */
 float share(float number, float weight, bool added) {
   if (number > 65534.5 || weight <= 0.0) return 0.0;
   vec4 clip = at(table, clips + 3 * int(number + 0.5));
@@ -109,7 +109,7 @@ float share(float number, float weight, bool added) {
   return weight * at(table, groups + int(clip.w + 0.5) * joints + item).x;
 }
 
-/** The mean of what a machine plays at the joint, and how much of it there is. */
+/** Computes the mean of the clips of a machine at the joint, and their total weight. */
 float mean(int machine, bool added, out Joint found) {
   int k = (agent * machines + machine) * ${TEXELS};
   vec4 number = at(plays, k), a = at(plays, k + 1), b = at(plays, k + 2), c = at(plays, k + 3);
@@ -181,23 +181,23 @@ mat4 local(int joint) {
   return mat4(vec4(x, 0.0), vec4(y, 0.0), vec4(z, 0.0), vec4(texelFetch(moves, here, 0).xyz, 1.0));
 }`;
 
-/** A number that the body of an agent differs by. */
+/** Returns a trait: a number by which bodies differ. */
 export const TRAIT = /* glsl */ `
-float traitOf(sampler2D gazes, int row, int told, int first, int number, float t) {
-  int here = 2 * (row * told + first + number / 3);
+float traitOf(sampler2D gazes, int row, int gazeTexels, int first, int number, float t) {
+  int here = 2 * (row * gazeTexels + first + number / 3);
   vec4 a = texelFetch(gazes, ivec2(here % ${WIDE}, here / ${WIDE}), 0);
   vec4 b = texelFetch(gazes, ivec2((here + 1) % ${WIDE}, (here + 1) / ${WIDE}), 0);
   return mix(a[number % 3], b[number % 3], t);
 }`;
 
-/** Joints in the space of the agent, turned to where it looks as antdsl/bodies/agents/driving.py says, and as large as
- * antdsl/bodies/agents/varied_bodies.py says. */
+/** Joints in the agent's space, rotated to its gaze as in antdsl/bodies/agents/driving.py, and scaled as in
+ * antdsl/bodies/agents/varied_bodies.py. */
 const WORLD = /* glsl */ `
 ${TRAIT}
 uniform sampler2D gazes;
 uniform int looks;
 uniform int leans;
-uniform int told;
+uniform int gazeTexels;
 uniform int lookAt;
 uniform int targets;
 uniform int sizes;
@@ -209,7 +209,7 @@ mat4 looking(mat4 m, int joint) {
   for (int k = 0; k < looks; k++) {
     float weight = at(table, lookAt + k * joints + joint).x;
     if (weight <= 0.0) continue;
-    int here = 2 * (agent * told + k);
+    int here = 2 * (agent * gazeTexels + k);
     vec3 way = mix(at(gazes, here).xyz, at(gazes, here + 1).xyz, t) * base;
     way /= max(length(way), 1e-12);
     vec4 q = 1.0 + dot(ahead, way) < 1e-6 ? vec4(0.0, 0.0, 0.0, 1.0) : unit(vec4(cross(ahead, way), 1.0 + dot(ahead, way)));
@@ -219,7 +219,7 @@ mat4 looking(mat4 m, int joint) {
   for (int k = 0; k < sizes; k++) {
     float weight = at(table, scaleAt + k * joints + joint).x;
     if (weight == 0.0) continue;
-    float size = 1.0 + weight * (traitOf(gazes, agent, told, looks + leans, targets + k, t) - 1.0);
+    float size = 1.0 + weight * (traitOf(gazes, agent, gazeTexels, looks + leans, targets + k, t) - 1.0);
     m = mat4(vec4(m[0].xyz * size, 0.0), vec4(m[1].xyz * size, 0.0), vec4(m[2].xyz * size, 0.0), m[3]);
   }
   return m;
@@ -235,7 +235,7 @@ int above(int joint) {
   return found;
 }`;
 
-/** Hip, knee and foot of each leg by the clips. */
+/** Hip, knee and foot of each leg in the clips. */
 export const LEGS = /* glsl */ `
 ${COMMON}
 ${LOCAL}
@@ -273,7 +273,7 @@ vec3 goal(int leg) {
   return (mix(a.xyz, b.xyz, t) * base) * unitLength * unitLength;
 }
 
-/** How far the body comes down so that feet that stand are in reach. */
+/** Returns how far the body sinks so that standing feet are in reach. */
 float sinks() {
   float most = 0.0;
   vec3 up = upward();
@@ -290,7 +290,7 @@ float sinks() {
   return most * stands();
 }`;
 
-/** How each leg is bent: the turn of the shank about the knee, of the whole about the hip, and how far the foot is moved. */
+/** The bend of each leg: rotation of the shank about the knee and of the leg about the hip, and displacement of the foot. */
 export const BENT = /* glsl */ `
 ${COMMON}
 ${STANCES}
@@ -339,7 +339,7 @@ mat4 turn(mat4 m, vec4 q, vec3 about) {
     vec4(turned(q, m[3].xyz - about) + about, 1.0));
 }
 
-/** A joint's matrix with the legs bent; \`part\`: 0 none of a leg, else 3 times the leg and 1 thigh, 2 shank, 3 foot. */
+/** Returns the matrix of a joint with bent legs. \`part\`: 0 outside legs, else 3 times the leg plus 1 thigh, 2 shank, 3 foot. */
 mat4 standing(mat4 m, int part) {
   vec3 down = upward() * texelFetch(footMoves, place(0, legs), 0).w;
   m[3].xyz -= down;

@@ -1,48 +1,48 @@
-// The body of a species as it is posed: the clips that are played, sample by sample, and meshes whose vertices follow bones.
+// The posed body of a species: the samples of its clips, and meshes with vertices that follow bones.
 
 import * as THREE from "three";
 import type { NumberArray, Packet } from "../protocol";
 
 export const WIDE = 1024; // texels in a row of a texture that holds a list
 
-/** Clips and joints, as textures that hold lists of four numbers. `table`: first the parent of each joint; from `clips` on each
- * clip's first sample, how many, how it plays and its transform group, with those that it gives way to; from `groups` on the weights of joints. */
+/** Clips and joints as textures that hold lists of four numbers. `table`: first the parent of each joint. From `clips` on, for
+ * each clip: first sample, sample count, mode, transform group, clips that replace it. From `groups` on: weights of joints. */
 export interface Rig {
   joints: number;
-  texels: number; // of a joint in a sample: translation, rotation, scale and shear where there are any
-  base: THREE.Matrix3; // from the definition's space to body lengths, ahead +x, up +y
+  texels: number; // of a joint in a sample: translation, rotation, and scale and shear if there are any
+  base: THREE.Matrix3; // from the space of the definition to body lengths, ahead +x, up +y
   samples: THREE.DataTexture;
   table: THREE.DataTexture;
   clips: number;
   groups: number;
   machines: string[];
   loops: boolean[];
-  idle: [number, number] | null; // the clip that lies below all others, and the seconds that it takes
+  idle: [number, number] | null; // the clip below all others, and its duration in seconds
   leans: boolean;
-  looks: string[]; // transform groups; from `lookAt` on in the table: the weights of joints
+  looks: string[]; // transform groups; their weights of joints start at `lookAt` in the table
   lookAt: number;
-  traits: number; // numbers that bodies differ by: first weights of `targets` of blend shapes, then sizes of `scales` groups
+  traits: number; // number of traits: first weights of `targets` blend shapes, then sizes of `scales` groups
   targets: number;
   scales: number;
-  scaleAt: number; // in the table: by how much of a group's size each joint and all below it is scaled
+  scaleAt: number; // in the table: how much the size of a group scales each joint and all joints below it
   palette: THREE.DataTexture; // colours of materials that vary
   legs: number;
-  legAt: number; // in the table: of each leg hip, knee and foot as joints, and the axis of a straight knee
-  length: number; // of the body, in the definition's units
-  bending: { straight: number; folded: number; sunk: number; plane: number }; // as antdsl/bodies/agents/leg_ik.py has them
+  legAt: number; // in the table, for each leg: hip, knee and foot as joints, and the axis of a straight knee
+  length: number; // body length, in units of the definition
+  bending: { straight: number; folded: number; sunk: number; plane: number }; // parameters of antdsl/bodies/agents/leg_ik.py
 }
 
-/** A mesh that follows a rig. `list`: of each bone its joint, the part of a leg that it is, and
- * the three rows of what takes a point of rest to it. */
+/** A mesh that follows a rig. `list`: for each bone its joint, its part of a leg, and
+ * the three rows of its inverse bind matrix. */
 export interface Skin {
   rig: Rig;
   bones: number;
   list: THREE.DataTexture;
-  targets: THREE.DataTexture; // of each target and vertex what is added to place and normal
-  rest: Float32Array; // places in the rest pose, in body lengths
+  targets: THREE.DataTexture; // for each target and vertex, offsets of position and normal
+  rest: Float32Array; // positions in the rest pose, in body lengths
   geometry: THREE.BufferGeometry;
-  trunk: Float32Array; // those of the rest pose that are no part of a leg
-  half: [number, number]; // how far it reaches ahead and aside of its middle, in body lengths
+  trunk: Float32Array; // positions in the rest pose that belong to no leg
+  half: [number, number]; // extent ahead and aside from its centre, in body lengths
 }
 
 export interface Rigged {
@@ -50,7 +50,7 @@ export interface Rigged {
   fine: Skin;
 }
 
-/** A list of texels as a texture that is read by number. */
+/** Return a list of texels as a texture that is read by index. */
 export function list(values: ArrayLike<number>): THREE.DataTexture {
   const count = Math.max(Math.ceil(values.length / 4), 1);
   const rows = Math.ceil(count / WIDE);
@@ -61,7 +61,7 @@ export function list(values: ArrayLike<number>): THREE.DataTexture {
   return made;
 }
 
-/** Of a packet `rig:KEY`. */
+/** Return the rig of a packet `rig:KEY`. */
 export function rigOf(packet: Packet): Rigged {
   const parent = packet.arrays.get("parent") as NumberArray;
   const clip = packet.arrays.get("clip") as NumberArray;

@@ -1,16 +1,16 @@
-// Bodies as the shaders read them: meshes, and the rows of agents as attributes of instances.
+// Meshes for the shaders, and the rows of agents as instanced attributes.
 
 import * as THREE from "three";
 import type { Rows } from "./herd";
 
-/** A mesh that is drawn as it is. */
+/** A rigid mesh. */
 export interface Shape {
   position: Float32Array;
   normal: Float32Array;
   face: Uint32Array;
 }
 
-/** The arrays of rows as attributes of instances, under the names that the shaders have for them. */
+/** Return the arrays of rows as instanced attributes, under the names in the shaders. */
 export function rowAttributes(rows: Rows): Map<string, THREE.InstancedBufferAttribute> {
   const made = new Map<string, THREE.InstancedBufferAttribute>();
   for (const name of ["placeA", "placeB"] as const) made.set(name, new THREE.InstancedBufferAttribute(rows[name], 3));

@@ -1,4 +1,4 @@
-// What the parts of the view share, and the two kinds of parts: such as draw packets of some slots, and such as act by themselves.
+// What the parts of the view share, and the two kinds of parts: parts that draw packets of some slots, and independent parts.
 
 import type { Packet } from "../protocol";
 import type { Store } from "../store";
@@ -15,7 +15,7 @@ export interface Sight {
   eye: Eye;
 }
 
-/** Draws what packets of a slot hold; `slot` is the part of the slot's name before the first colon. */
+/** Draws the packets of a slot; `slot` is the part of the slot's name before the first colon. */
 export interface Scenery {
   slots: string[];
   take(packet: Packet): void;

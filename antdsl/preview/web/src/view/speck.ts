@@ -1,4 +1,4 @@
-// A body for crowds that a slow machine draws: eight faces, pointed in front, as long and wide as the body it stands for.
+// A simple body for crowds on slow machines: eight faces, pointed in front, as long and wide as the body it represents.
 
 import type { Shape } from "./shapes";
 
@@ -12,7 +12,7 @@ const CORNERS = [
 ] as const;
 const FACES = [0, 4, 2, 0, 3, 4, 1, 2, 4, 1, 4, 3, 0, 2, 5, 0, 5, 3, 1, 5, 2, 1, 3, 5];
 
-/** Of the places of a body, those of its trunk alone: legs make it no wider. */
+/** Return the positions of a body's trunk only: legs do not widen the speck. */
 export function speck(places: Float32Array): Shape {
   const low = new Array<number>(3).fill(Number.POSITIVE_INFINITY);
   const high = new Array<number>(3).fill(Number.NEGATIVE_INFINITY);

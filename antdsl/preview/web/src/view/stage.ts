@@ -1,13 +1,13 @@
-// The stage: canvas, camera, light and the loop. It draws only when something has changed, or while something moves.
+// The stage: canvas, camera, light and the drawing loop. It draws only after changes and during motion.
 
 import * as THREE from "three";
 import { Palette } from "./palette";
 
-/** Called before each picture; true means that it goes on moving and another picture is wanted. */
+/** Called before each picture. Return true to request another picture, for motion. */
 export type Task = (now: number) => boolean;
 
-const SLOW = 90; // ms between pictures from which on bodies are drawn with less detail
-const OFTEN = 40; // so many slow pictures on end: not only the first ones, for which much is made
+const SLOW = 90; // ms between pictures above which bodies are drawn with less detail
+const OFTEN = 40; // number of slow pictures in a row that count; the first ones are always slow
 const SUN = new THREE.Vector3(0.45, 0.8, 0.4);
 
 export class Stage {
@@ -23,19 +23,19 @@ export class Stage {
   width = 1;
   height = 1;
   pictures = 0;
-  slow = false; // pictures take long: draw less
+  slow = false; // whether drawing is slow and needs less detail
   private readonly sky = new THREE.HemisphereLight();
   private readonly light = new THREE.DirectionalLight();
   private readonly tasks: Task[] = [];
   private readonly resized: (() => void)[] = [];
-  private asked = false;
+  private isRequested = false;
   private before = 0;
-  private late = 0; // slow pictures on end
+  private late = 0; // number of slow pictures in a row
 
   constructor(readonly place: HTMLElement) {
     const plain = document.createElement("canvas");
     this.software = isSoftware(plain);
-    // The context without antialiasing is the one to draw with in software: to make another takes a third of a second there.
+    // The context without antialiasing is used for drawing in software: a second context would take a third of a second.
     const canvas = this.software ? plain : document.createElement("canvas");
     canvas.tabIndex = 0;
     this.renderer = new THREE.WebGLRenderer({ canvas, antialias: !this.software, powerPreference: "high-performance" });
@@ -44,7 +44,7 @@ export class Stage {
     this.renderer.shadowMap.type = this.software ? THREE.BasicShadowMap : THREE.PCFShadowMap;
     this.light.castShadow = true;
     this.light.shadow.mapSize.setScalar(this.software ? 1024 : 2048);
-    this.light.shadow.autoUpdate = false; // nothing that throws a real shadow moves in most scenes
+    this.light.shadow.autoUpdate = false; // nothing that casts a real shadow moves in most scenes
     this.scene.add(this.sky, this.light, this.light.target);
     place.append(canvas);
     this.palette = new Palette(place);
@@ -60,12 +60,12 @@ export class Stage {
     return this.renderer.domElement;
   }
 
-  /** Length of the diagonal of everything. */
+  /** Return the length of the diagonal of the whole scene. */
   get extent(): number {
     return Math.max(this.low.distanceTo(this.high), 1e-6);
   }
 
-  /** CSS pixels that 1 mm is wide at a distance of 1 mm. */
+  /** Return the CSS pixels of 1 mm at a distance of 1 mm. */
   get focal(): number {
     return this.height / (2 * Math.tan((this.camera.fov * Math.PI) / 360));
   }
@@ -78,14 +78,14 @@ export class Stage {
     this.resized.push(listener);
   }
 
-  /** Draw again, soon. */
+  /** Request another picture. */
   wake(): void {
-    if (this.asked || document.hidden) return;
-    this.asked = true;
+    if (this.isRequested || document.hidden) return;
+    this.isRequested = true;
     requestAnimationFrame((now) => this.draw(now));
   }
 
-  /** Light everything between two corners. */
+  /** Set up the light for everything between two corners. */
   frame(low: THREE.Vector3Like, high: THREE.Vector3Like, up: THREE.Vector3Like): void {
     this.low.copy(low);
     this.high.copy(high);
@@ -110,14 +110,14 @@ export class Stage {
     this.relight();
   }
 
-  /** Shadows are cast anew: something that throws one has come, gone or moved. */
+  /** Update the shadows, because an object that casts one has appeared, disappeared or moved. */
   relight(): void {
     this.light.shadow.needsUpdate = true;
     this.wake();
   }
 
   private draw(now: number): void {
-    this.asked = false;
+    this.isRequested = false;
     const gap = now - this.before;
     this.before = now;
     this.late = gap > SLOW && gap < 1000 ? this.late + 1 : 0;
@@ -127,7 +127,7 @@ export class Stage {
     this.renderer.render(this.scene, this.camera);
     this.pictures++;
     if (moving) this.wake();
-    else this.before = Number.NEGATIVE_INFINITY; // a rest is no slow picture
+    else this.before = Number.NEGATIVE_INFINITY; // a pause is not a slow picture
   }
 
   private resize(): void {
@@ -153,7 +153,7 @@ export class Stage {
   }
 }
 
-/** Whether the processor draws on a canvas, and no graphics card: then much is left out. The context of a card is given back. */
+/** Return whether the processor draws instead of a graphics card; then details are left out. The tested context is released. */
 function isSoftware(canvas: HTMLCanvasElement): boolean {
   const gl = canvas.getContext("webgl2", { antialias: false, powerPreference: "high-performance" });
   if (!gl) return true;

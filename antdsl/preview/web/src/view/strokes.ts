@@ -1,5 +1,5 @@
-// Lines and arrows of a width in pixels: instances of a quad, stretched between two ends on the screen. A head is a stroke that
-// ends in a point, one of no length a dot. One batch is one call to draw, however many there are.
+// Lines and arrows with widths in pixels: instances of a quad between two ends on the screen. An arrow head is a stroke with a
+// pointed end, a stroke of length 0 is a dot. A batch is one draw call for any number of strokes.
 
 import * as THREE from "three";
 import type { Stage } from "./stage";
@@ -53,7 +53,7 @@ void main() {
 
 export interface Kind {
   dash?: number; // px
-  through?: boolean; // shown faintly where something hides it
+  through?: boolean; // drawn faintly where an object hides it
   order?: number;
 }
 
@@ -106,7 +106,7 @@ export class Strokes {
     this.count = 0;
   }
 
-  /** A stroke from a to b (x, y, z from an index on), `wide` px at either end, of a colour (0..1). */
+  /** Add a stroke from a to b (x, y, z at the given indices), with widths in px at both ends and a colour (0..1). */
   add(
     a: ArrayLike<number>,
     ai: number,
@@ -133,19 +133,19 @@ export class Strokes {
     this.ends[2 * k + 1] = 1;
   }
 
-  /** The stroke that was added last grows paler towards its end, down to this part of its colour. */
+  /** Fade the last stroke towards its end, down to this share of its colour. */
   pale(part: number): void {
     this.ends[2 * this.count - 1] = part;
   }
 
-  /** An arrow from a to b: a shaft and a head, which takes `part` of its length. */
+  /** Add an arrow from a to b: a shaft, and a head with a share `part` of the length. */
   arrow(a: ArrayLike<number>, b: ArrayLike<number>, wide: number, colour: THREE.Color, alpha = 1, part = 0.25): void {
     for (let axis = 0; axis < 3; axis++) NECK[axis] = (b[axis] as number) + ((a[axis] as number) - (b[axis] as number)) * part;
     this.add(a, 0, NECK, 0, wide, wide, colour, alpha);
     this.add(NECK, 0, b, 0, wide * 3.6, 0, colour, alpha);
   }
 
-  /** Show what was added. */
+  /** Upload the added strokes for drawing. */
   done(): void {
     this.geometry.instanceCount = this.count;
     this.object.visible = this.count > 0;

@@ -1,4 +1,4 @@
-// The ants in space: a stage, what stands on it, and what one can do there. Parts stand in two tables, scenery/ and acts/.
+// The 3D view of the ants: stage, scenery and user actions. The parts are listed in two tables, scenery/ and acts/.
 
 import type { Store } from "../store";
 import { ACTS } from "./acts/list";

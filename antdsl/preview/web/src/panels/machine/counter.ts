@@ -1,4 +1,4 @@
-// Who is in which state, from the packet of the frame that is shown.
+// Counts of agents in each state, from the packet of the displayed frame.
 
 import type { Packet } from "../../protocol";
 import type { Agent, Store } from "../../store";
@@ -15,7 +15,7 @@ export class Counter {
     });
   }
 
-  /** Agents in each state, by the state's name. */
+  /** Return the number of agents in each state, by name of the state. */
   states(species: string, machine: string): Map<string, number> {
     const names = this.names(species, machine);
     const counts = new Array<number>(names.length).fill(0);
@@ -24,11 +24,11 @@ export class Counter {
   }
 
   agents(species: string, machine: string, state: string): Agent[] {
-    const wanted = this.names(species, machine).indexOf(state);
+    const index = this.names(species, machine).indexOf(state);
     const ids = this.frame?.arrays.get(`${species}/id`) ?? [];
     const found: Agent[] = [];
     for (const [k, each] of this.row(species, machine).entries())
-      if (each === wanted) found.push({ species, id: ids[k] as number });
+      if (each === index) found.push({ species, id: ids[k] as number });
     return found;
   }
 

@@ -1,11 +1,11 @@
-// A chart as SVG, from places that the server laid out: states are buttons with their counts, arrows are as wide as the traffic.
+// A state chart as SVG, with the server's layout. States are buttons with counts; the width of arrows shows the rate of changes.
 
 import type { Chart, ChartArrow, ChartBox } from "../../protocol";
-import { css, say, svg, shown } from "../dom";
+import { css, setText, svg, formatNumber } from "../dom";
 
 const HEAD = 7;
-const RATE = 21; // px that half of a rate is wide
-const LARGEST = 1.25; // small machines are not blown up beyond that
+const RATE = 21; // px; width of an arrow at half of the maximum rate
+const LARGEST = 1.25; // maximum magnification of small charts
 
 export class ChartDrawing {
   readonly element: SVGSVGElement;
@@ -18,7 +18,7 @@ export class ChartDrawing {
     title: SVGTitleElement;
   }[] = [];
   private readonly names: Map<string, string>;
-  private readonly fitted: (() => void)[] = []; // each fits one thing to the size of letters
+  private readonly fitted: (() => void)[] = []; // each fits one element to the font size
 
   constructor(
     private readonly chart: Chart,
@@ -36,7 +36,7 @@ export class ChartDrawing {
     for (const box of chart.boxes) this.element.append(this.box(box, chosen));
   }
 
-  /** Letters as large as elsewhere on the page, however small the drawing is shown; its words only where there is room for them. */
+  /** Keep the font as large as elsewhere on the page, even in a small chart. Arrow labels without space are hidden. */
   fit(): void {
     const room = this.element.getBoundingClientRect();
     if (!room.width) return;
@@ -45,7 +45,7 @@ export class ChartDrawing {
     this.element.style.setProperty("--letter", `${letter}px`);
     this.element.classList.toggle("small", scale < 0.8);
     for (const fit of this.fitted) fit();
-    const all = this.element.getBBox(); // boxes may stand out by now
+    const all = this.element.getBBox(); // boxes may exceed the view box now
     this.element.setAttribute("viewBox", [all.x - 4, all.y - 4, all.width + 8, all.height + 8].join(" "));
     const [least, most] = [all.x + RATE * letter, all.x + all.width - RATE * letter];
     for (const { rate, x } of this.arrows) rate.setAttribute("x", String(Math.min(Math.max(x, least), most)));
@@ -54,13 +54,13 @@ export class ChartDrawing {
   counts(counts: ReadonlyMap<string, number>): void {
     for (const [name, box] of this.boxes) {
       const count = counts.get(name) ?? 0;
-      say(box.count, String(count));
+      setText(box.count, String(count));
       box.group.setAttribute("aria-label", `${name}: ${count} agents`);
       box.group.classList.toggle("empty", count === 0);
     }
   }
 
-  /** Rates by `from->to` or `from to`: names as the server counts them. */
+  /** Set the rates, by `from->to` or `from to`, with names as in the server's counts. */
   flow(rates: ReadonlyMap<string, number>): void {
     const most = Math.max(...rates.values(), 1);
     for (const { arrow, line, rate, title } of this.arrows) {
@@ -68,8 +68,11 @@ export class ChartDrawing {
       const now = rates.get(`${from}->${to}`) ?? 0;
       line.style.strokeWidth = String(1 + (now / most) * 4);
       line.classList.toggle("busy", now > 0);
-      say(rate, now > 0 ? `${shown(Number(now.toPrecision(2)))}/s` : "");
-      say(title, [arrow.lines.join("\n"), arrow.details, now > 0 ? `${shown(now)} a second` : ""].filter(Boolean).join("\n"));
+      setText(rate, now > 0 ? `${formatNumber(Number(now.toPrecision(2)))}/s` : "");
+      setText(
+        title,
+        [arrow.lines.join("\n"), arrow.details, now > 0 ? `${formatNumber(now)} a second` : ""].filter(Boolean).join("\n"),
+      );
     }
   }
 
@@ -160,7 +163,7 @@ export class ChartDrawing {
   }
 }
 
-/** How large the browser's letters are, of those that the page was drawn for. */
+/** Return the ratio between the browser's font size and the font size of the layout. */
 function fontScale(): number {
   return Number.parseFloat(getComputedStyle(document.documentElement).fontSize) / 13;
 }
@@ -174,7 +177,7 @@ function head(points: Point[]): SVGElement {
   return svg("polygon", { points: `${tip.join(",")} ${at(HEAD + 2, HEAD / 2)} ${at(HEAD + 2, -HEAD / 2)}` });
 }
 
-/** The way without the length of its head, so that a wide line does not stand out beyond it. */
+/** Return the points of an arrow's path without its head, so that a wide line stays within the head. */
 function shortened(points: Point[]): Point[] {
   const tip = points.at(-1) as Point;
   const [ux, uy] = towards(points);
@@ -191,7 +194,7 @@ function middle(points: Point[]): Point {
   return points[points.length >> 1] as Point;
 }
 
-/** Black or white, whichever reads better on a colour: by relative luminance. */
+/** Return black or white, whichever has more contrast with a colour, by relative luminance. */
 function onTop([r, g, b]: readonly [number, number, number]): string {
   const linear = (v: number) => (v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4);
   return 0.2126 * linear(r) + 0.7152 * linear(g) + 0.0722 * linear(b) > 0.18 ? "#101010" : "#ffffff";

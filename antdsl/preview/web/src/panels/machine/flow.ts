@@ -1,4 +1,4 @@
-// How many went from one state to another lately, from the counts of all changes that the server tells with the frame.
+// Rates of state changes, from the total counts that the server sends with each frame.
 
 import type { Chart } from "../../protocol";
 import type { Store } from "../../store";
@@ -18,7 +18,7 @@ export class Flow {
     });
   }
 
-  /** Changes a second of the scene's time, by `from->to`, over about the last second; empty where it is not known. */
+  /** Return changes per second of scene time over about the last second, by `from->to`; empty if unknown. */
   rates(chart: Chart): Map<string, number> {
     const rates = new Map<string, number>();
     const last = this.samples.at(-1);
@@ -40,7 +40,7 @@ export class Flow {
     if (!status?.transitions || status.light) return;
     const last = this.samples.at(-1);
     if (last && last.frame === status.frame) return;
-    if (last && last.frame > status.frame) this.samples.length = 0; // gone back
+    if (last && last.frame > status.frame) this.samples.length = 0; // the frame is earlier than before
     this.samples.push({ frame: status.frame, counts: status.transitions });
     while (this.samples.length > 2 && (this.samples[1] as Sample).frame <= status.frame - fps) this.samples.shift();
   }

@@ -1,8 +1,8 @@
-// What to stop at: an agent comes into a state, a condition comes true, a spec fails, a value is at fault.
+// Breakpoints: an agent enters a state, a condition becomes true, a spec fails, or a value is faulty.
 
 import type { Break } from "../../protocol";
 import type { Store } from "../../store";
-import { button, el, keyed, type Row, say } from "../dom";
+import { button, el, keyed, type Row, setText } from "../dom";
 import type { Panel } from "../side";
 import { specs } from "./specs";
 
@@ -10,8 +10,8 @@ export const breaks: Panel = (store, place, shown) => {
   const all: Break[] = [];
   const list = el("ul", { class: "breaks", test: "breaks" });
   const fired = el("p", { class: "fired", test: "fired", hidden: true });
-  const unfit = new Map<string, string>(); // why one does not fit the program and waits for another, by its JSON
-  const none = el("p", { class: "note", text: "Nothing stops it. Add what to stop at; play goes on from there." });
+  const unfit = new Map<string, string>(); // by breakpoint as JSON: why it does not fit the program
+  const none = el("p", { class: "note", text: "No breakpoints. After a stop, press play to continue." });
   const rows = keyed<Break>(
     list,
     (each) => JSON.stringify(each),
@@ -27,10 +27,10 @@ export const breaks: Panel = (store, place, shown) => {
     show(now);
     store.connection.ask({ op: "breaks", breaks: [...all] }, true);
   };
-  let asked: { made: string; done: ((wrong: string) => void) | undefined } | null = null; // what was added, and is not answered yet
+  let pending: { made: string; done: ((wrong: string) => void) | undefined } | null = null; // a breakpoint without an answer yet
   const add: Add = (made, done) => {
     if (all.some((each) => JSON.stringify(each) === JSON.stringify(made))) return done?.("");
-    asked = { made: JSON.stringify(made), done };
+    pending = { made: JSON.stringify(made), done };
     store.connection.ask({ op: "breaks", breaks: [...all], tried: made });
   };
   place.append(
@@ -46,42 +46,42 @@ export const breaks: Panel = (store, place, shown) => {
   store.on("status", () => {
     const by = store.now.status?.paused_by ?? "";
     fired.hidden = !by;
-    say(fired, by && `stopped: ${by}`);
+    setText(fired, by && `stopped: ${by}`);
     selectPaused(store);
   });
   store.connection.on("breaks", (message) => {
-    // what is set, by whichever page, and told again as the program changes
+    // all breakpoints, of all pages; sent again after changes of the program
     unfit.clear();
     for (const each of message.breaks) unfit.set(JSON.stringify(each.made), each.why);
     show(message.breaks.map((each) => each.made));
     store.connection.remember({ op: "breaks", breaks: [...all] });
-    if (asked && all.some((each) => JSON.stringify(each) === asked?.made)) answer("");
+    if (pending && all.some((each) => JSON.stringify(each) === pending?.made)) answer("");
   });
   store.connection.on(
     "refused",
     (message) => message.of === "breaks" && answer([message.message, message.help].filter(Boolean).join(": ")),
   );
   const answer = (wrong: string) => {
-    asked?.done?.(wrong);
-    asked = null;
+    pending?.done?.(wrong);
+    pending = null;
   };
 };
 
-/** Add a breakpoint; `done` hears what is wrong with it, or nothing. */
+/** Add a breakpoint. `done` receives an error message, or an empty string. */
 type Add = (made: Break, done?: (wrong: string) => void) => void;
 
-let told = ""; // the stop whose agents were selected: once, so that one may then select others
+let handledStop = ""; // the last stop; its agents are selected only once, so that users can select others
 
 function selectPaused(store: Store): void {
   const status = store.now.status;
   const about = status?.paused_agents;
   const key = about && status ? `${status.frame} ${status.paused_by}` : "";
-  if (key && key !== told && about)
+  if (key && key !== handledStop && about)
     store.set(
       "selected",
       about.agents.map((id) => ({ species: about.species, id })),
     );
-  told = key;
+  handledStop = key;
 }
 
 function words(each: Break): string {
@@ -93,7 +93,7 @@ function words(each: Break): string {
     case "spec":
       return `spec "${each.spec}" fails`;
     case "fault":
-      return "a value is at fault";
+      return "a value is faulty";
   }
 }
 
@@ -106,20 +106,25 @@ function row(unfit: ReadonlyMap<string, string>, remove: (gone: Break) => void):
     element: el("li", {}, el("span", { class: "dot" }), text, gone, misfit),
     update: (each) => {
       now = each;
-      say(text, words(each));
+      setText(text, words(each));
       const why = unfit.get(JSON.stringify(each));
       misfit.hidden = !why;
-      say(misfit, why ? `does not fit this program: ${why}` : "");
-      gone.setAttribute("aria-label", `no longer stop: ${words(each)}`);
+      setText(misfit, why ? `does not fit this program: ${why}` : "");
+      gone.setAttribute("aria-label", `remove breakpoint: ${words(each)}`);
     },
   };
 }
 
-function form(title: string, test: string, add: (tell: (wrong: string) => void) => void, ...children: Node[]): HTMLFormElement {
+function form(
+  title: string,
+  test: string,
+  add: (showError: (wrong: string) => void) => void,
+  ...children: Node[]
+): HTMLFormElement {
   const wrong = el("p", { class: "bad-note", test: `${test}-wrong`, role: "alert", hidden: true });
-  const tell = (what: string) => {
+  const showError = (what: string) => {
     wrong.hidden = !what;
-    say(wrong, what);
+    setText(wrong, what);
   };
   const made = el(
     "form",
@@ -128,10 +133,10 @@ function form(title: string, test: string, add: (tell: (wrong: string) => void) 
     el("div", { class: "row" }, ...children, el("button", { type: "submit", text: "Add" })),
     wrong,
   );
-  made.addEventListener("input", () => tell(""));
+  made.addEventListener("input", () => showError(""));
   made.addEventListener("submit", (event) => {
     event.preventDefault();
-    add(tell);
+    add(showError);
   });
   return made;
 }
@@ -182,11 +187,11 @@ function conditionForm(store: Store, add: Add): HTMLElement {
   return form(
     "A condition becomes true",
     "break-condition-form",
-    (tell) => {
+    (showError) => {
       const text = field.value.trim();
       if (!text) return;
       add({ kind: "condition", text }, (wrong) => {
-        tell(wrong);
+        showError(wrong);
         if (!wrong && field.value.trim() === text) field.value = "";
       });
     },
@@ -199,7 +204,7 @@ function specForm(store: Store, add: Add): HTMLElement {
   const made = form(
     "A spec fails",
     "break-spec-form",
-    (tell) => select.value && add({ kind: "spec", spec: select.value }, tell),
+    (showError) => select.value && add({ kind: "spec", spec: select.value }, showError),
     select,
   );
   let seen = "";
@@ -215,9 +220,9 @@ function specForm(store: Store, add: Add): HTMLElement {
 
 function faultForm(add: Add): HTMLElement {
   return form(
-    "A value is at fault",
+    "A value is faulty",
     "break-fault-form",
     () => add({ kind: "fault" }),
-    el("span", { class: "quiet", text: "no number, or far away" }),
+    el("span", { class: "quiet", text: "not a number, or far outside" }),
   );
 }

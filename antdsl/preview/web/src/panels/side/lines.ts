@@ -1,11 +1,11 @@
-// The lines that stand for what was changed by hand: with them in the files a fresh run does the same.
+// Lines for changes by hand: a fresh run with these lines in its files gives the same result.
 
 import type { Outcome } from "../../protocol";
 import type { Store } from "../../store";
-import { button, el, keyed, say } from "../dom";
+import { button, el, keyed, setText } from "../dom";
 
 interface Line {
-  key: string; // what it is about: a later line about the same takes its place
+  key: string; // identifies the subject: a later line with the same key replaces this one
   text: string;
   file: string;
 }
@@ -19,24 +19,24 @@ export class Lines {
 
   constructor(store: Store) {
     const list = el("ul", { class: "lines", test: "lines" });
-    this.element = el("section", { hidden: true }, el("h3", { text: "To have the same for good, write" }), list);
+    this.element = el("section", { hidden: true }, el("h3", { text: "To keep these changes, write" }), list);
     this.show = keyed<Line>(
       list,
       (line) => line.key,
       () => this.row(),
     );
-    store.connection.on("outcome", (outcome) => this.heard(outcome));
+    store.connection.on("outcome", (outcome) => this.addOutcome(outcome));
     store.on("scene", () => this.forget(store));
   }
 
-  private heard(outcome: Outcome): void {
+  private addOutcome(outcome: Outcome): void {
     if (!ABOUT.has(outcome.of) || !outcome.ok || !outcome.text) return;
     const key = /^set: \{([^:]+):/.exec(outcome.text)?.[1]?.trim() ?? `${outcome.file}\u0000${outcome.text}`;
     this.lines.set(key, { key, text: outcome.text, file: outcome.file });
     this.renew();
   }
 
-  /** What the files have by now, or what was put back, needs no line any more. */
+  /** Remove lines that the files contain already, and lines for values that were reset. */
   private forget(store: Store): void {
     const scene = store.now.scene;
     for (const param of scene?.params ?? []) if (param.value === param.written) this.lines.delete(param.name);
@@ -60,23 +60,23 @@ export class Lines {
     return {
       element: el("li", {}, el("span", {}, code, where), copy),
       update: (line: Line) => {
-        say(code, line.text);
-        say(where, line.file ? ` in ${line.file}` : "");
+        setText(code, line.text);
+        setText(where, line.file ? ` in ${line.file}` : "");
         copy.setAttribute("aria-label", `copy ${line.text}`);
       },
     };
   }
 
-  /** To the clipboard; where a browser has none for this page, the text is marked, for the copy key. */
+  /** Copy a line to the clipboard. If the browser has none for this page, select the text for the copy key. */
   private copy(code: HTMLElement, copied: HTMLButtonElement): void {
     const done = navigator.clipboard?.writeText(code.textContent ?? "");
     const mark = () => getSelection()?.selectAllChildren(code);
-    if (done) void done.then(() => this.said(copied), mark);
+    if (done) void done.then(() => this.confirmCopy(copied), mark);
     else mark();
   }
 
-  private said(copied: HTMLButtonElement): void {
-    say(copied, "Copied");
-    setTimeout(() => say(copied, "Copy"), 1500);
+  private confirmCopy(copied: HTMLButtonElement): void {
+    setText(copied, "Copied");
+    setTimeout(() => setText(copied, "Copy"), 1500);
   }
 }

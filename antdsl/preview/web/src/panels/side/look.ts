@@ -1,35 +1,35 @@
-// What the view shows: colours, fields, flows, marks about the selected agent, the camera. Asks the server for what that needs.
+// What the view displays: colours, fields, flows, marks of the selected agent, camera. Requests the data for it from the server.
 
 import { type Ask, MOST_PLANNED } from "../../protocol";
 import type { Shared, Store } from "../../store";
-import { button, el, keyed, type Row, say } from "../dom";
+import { button, el, keyed, type Row, setText } from "../dom";
 import { fullOf } from "../../view/scales";
 import type { Panel } from "../side";
 
 type Toggle = "trails" | "paths" | "feelers" | "neighbours" | "curvesShown" | "glass";
 const TOGGLES: [Toggle, string][] = [
   ["trails", "trails"],
-  ["paths", "planned paths: where ants will be in the next 2 seconds"],
+  ["paths", "planned paths: the next 2 seconds"],
   ["feelers", "feelers of the selected agent, and what they hit"],
-  ["neighbours", "neighbours that it looked at"],
+  ["neighbours", "neighbours that it observed"],
   ["curvesShown", "curves of the scene"],
-  ["glass", "solids, stones and shapes as of glass"],
+  ["glass", "transparent solids, stones and shapes"],
 ];
 const CAMERAS: [Shared["camera"], string, string][] = [
-  ["orbit", "free", "turn about with the pointer"],
+  ["orbit", "free", "turn with the pointer"],
   ["follow", "follow", "stay with the selected agent"],
   ["ride", "ride", "sit on the selected agent"],
 ];
 const KEYS: [string, string][] = [
-  ["n p", "the next ant, the one before"],
-  ["g f c", "near the selected ant, all of the ground, as the scene's camera"],
+  ["n p", "the next ant, the previous ant"],
+  ["g f c", "near the selected ant, the whole ground, the scene's camera"],
   ["h v", "all ants; all ants from above"],
   ["1 2 3", "free, follow, ride"],
   ["t a x", "trails; planned paths; see through solids and stones"],
   ["arrows + −", "turn, come closer"],
-  ["Esc", "select nobody"],
-  ["shift", "with a click: one more; dragged: all in a box"],
-  ["space , .", "play or pause; one frame back or on"],
+  ["Esc", "clear the selection"],
+  ["shift", "with a click: add an agent; dragged: select all in a box"],
+  ["space , .", "play or pause; one frame back or forward"],
 ];
 
 export const look: Panel = (store, place) => {
@@ -58,7 +58,7 @@ function colouring(store: Store): HTMLElement {
   return el("section", { class: "row" }, el("label", { for: "colour", text: "Colour by" }), select);
 }
 
-/** State, each machine where there are several, speed, and all attributes of all species, each name once. */
+/** Return the options: state, state of each machine (if several), speed, all attributes of all species without repeats. */
 function colours(store: Store): [string, string][] {
   const species = store.now.scene?.species ?? [];
   const machines = new Set(
@@ -93,7 +93,7 @@ function camera(store: Store): HTMLElement {
   );
 }
 
-/** What can be done by keys while the view has the focus. */
+/** List the keys of the view. */
 function keys(): HTMLElement {
   const rows = KEYS.flatMap(([key, words]) => [el("dt", { class: "mono", text: key }), el("dd", { text: words })]);
   return el(
@@ -159,12 +159,12 @@ function nameRow(store: Store, key: "fields" | "flows"): Row<string> {
       if (document.activeElement !== full) full.value = String(fullOf(store.now, name));
       box.dataset.test = `view-${key}-${name}`;
       box.checked = store.now[key].includes(name);
-      say(words, name);
+      setText(words, name);
     },
   };
 }
 
-/** Tell the server what this page shows, all of it, whenever that is another thing; a server that comes back is told again. */
+/** Send what this page displays to the server, complete, after each change and after each reconnection. */
 function askOnChange(store: Store): void {
   let last = "";
   const ask = () => {

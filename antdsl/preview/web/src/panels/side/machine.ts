@@ -1,18 +1,18 @@
-// The state machines, live: how many are in each state, and who went where lately. Choosing a state selects its agents.
+// The state machines during the run: counts per state and recent changes. A click on a state selects its agents.
 
 import type { Chart } from "../../protocol";
-import { button, el, say } from "../dom";
+import { button, el, setText } from "../dom";
 import { Counter } from "../machine/counter";
 import { ChartDrawing } from "../machine/drawing";
 import { Flow } from "../machine/flow";
 import type { Panel } from "../side";
 
-const EVERY = 150; // ms between two countings
+const EVERY = 150; // ms between two counts
 
 export const machine: Panel = (store, place, shown) => {
   const note = el("p", {
     class: "note",
-    text: "Choose a state to select its agents. Arrows are as wide as many went along in the last second; rest on one for its conditions.",
+    text: "Click a state to select its agents. The width of an arrow shows the changes in the last second; rest the pointer on it for its conditions.",
   });
   const need = el("p", { class: "note", test: "charts-need", hidden: true });
   const pick = el("select", { "aria-label": "Machine", test: "machine-pick" });
@@ -38,7 +38,7 @@ export const machine: Panel = (store, place, shown) => {
     const scene = store.now.scene;
     const charts = scene?.charts ?? [];
     need.hidden = !scene?.charts_need;
-    say(need, scene?.charts_need ?? "");
+    setText(need, scene?.charts_need ?? "");
     const titles = charts.map((each) => each.title);
     if (titles.join("\n") !== [...pick.options].map((each) => each.value).join("\n")) {
       pick.replaceChildren(...titles.map((value) => el("option", { value, text: value })));
@@ -65,7 +65,7 @@ export const machine: Panel = (store, place, shown) => {
   store.on("scene", redraw);
   pick.addEventListener("change", redraw);
   store.on("selected", mark);
-  shown.heard(() => {
+  shown.onVisibilityChange(() => {
     count();
     mark();
   });
@@ -77,7 +77,7 @@ export const machine: Panel = (store, place, shown) => {
   }, EVERY);
 };
 
-/** The same drawing, as large as the window; it is put back where it was. */
+/** Enlarge the chart to the size of the window, in a dialog; closing the dialog moves it back. */
 function enlarged(host: HTMLElement, fit: () => void) {
   const close = button("Close", () => element.close(), { class: "small larger" });
   const element = el("dialog", { class: "enlarged", "aria-label": "States" }, close);

@@ -1,8 +1,8 @@
-// Where a step's time goes: by phase, by layer, by line. Measuring is off until it is asked for.
+// The cost of a step: by phase, by layer, by line. Measuring is off at first.
 
 import type { Profile } from "../../protocol";
 import type { Store } from "../../store";
-import { el, keyed, type Row, say } from "../dom";
+import { el, keyed, type Row, setText } from "../dom";
 import type { Panel } from "../side";
 import { shortName } from "../text/files";
 
@@ -12,7 +12,7 @@ interface Cost {
   file: string;
   line: number;
   ms: number;
-  share: number; // of the dearest of its list
+  share: number; // relative to the maximum of its list
 }
 const LINES = 20;
 const LATE = 2000; // ms
@@ -45,15 +45,15 @@ export const profile: Panel = (store, place) => {
   });
   place.append(
     el("label", { class: "tick switch" }, box, "measure where the time goes"),
-    el("p", { class: "note", text: "The run stays the same to the bit; costs stand beside the lines of the text as well." }),
+    el("p", { class: "note", text: "The results stay the same to the bit. The costs also appear beside the lines of the text." }),
     body,
   );
   store.connection.on("profile", (message) => {
-    if (!box.checked && performance.now() - off < LATE) return; // what was on its way as it was switched off
-    box.checked = true; // also where another page has asked for it
+    if (!box.checked && performance.now() - off < LATE) return; // a message from before measuring was switched off
+    box.checked = true; // also if another page switched it on
     store.set("profile", message);
     body.hidden = false;
-    say(total, `${ms(message.total)} a frame, over the last ${message.frames} frames`);
+    setText(total, `${ms(message.total)} per frame, over the last ${message.frames} frames`);
     for (const [k, each] of costs(message).entries()) lists[k]?.(each);
   });
 };
@@ -99,8 +99,8 @@ function row(store: Store): Row<Cost> {
     element,
     update: (cost) => {
       now = cost;
-      say(words, cost.words);
-      say(number, ms(cost.ms));
+      setText(words, cost.words);
+      setText(number, ms(cost.ms));
       go.disabled = !cost.file;
       go.title = cost.file ? `${cost.words}\n${shortName(cost.file)}:${cost.line}` : cost.words;
       element.style.setProperty("--share", String(cost.share));

@@ -1,8 +1,8 @@
-// From where to where a slider goes, and in what steps.
+// Ranges and steps of sliders.
 
 import type { Param } from "../../protocol";
 
-/** The range of a param. Where the text gives none, or one end only, one that fits its value is offered, and said. */
+/** Return the range of a param. If the text gives no range or only one end, propose one that fits the value, with a note. */
 export function range(param: Param): { low: number; high: number; offered: string } {
   const base = written(param);
   const size = Math.max(Math.abs(base), Math.abs(param.number)) || 1;
@@ -13,7 +13,7 @@ export function range(param: Param): { low: number; high: number; offered: strin
   return { low, high, offered: `(The text gives no range: ${ends} is offered.)` };
 }
 
-/** About two hundred steps, each 1, 2 or 5 of some decimal place. */
+/** Return a step for about two hundred steps: 1, 2 or 5 times a power of ten. */
 export function stepOf(low: number, high: number): number {
   const rough = (high - low) / 200;
   if (!(rough > 0)) return 1;
@@ -22,7 +22,7 @@ export function stepOf(low: number, high: number): number {
   return Number(step.toPrecision(6));
 }
 
-/** The number that the files have, in the param's unit. */
+/** Return the value in the files, in the param's unit. */
 export function written(param: Param): number {
   const found = Number.parseFloat(param.written);
   return Number.isFinite(found) ? found : param.number;

@@ -1,20 +1,20 @@
-// What can be turned while it runs: params, layers, fields; and the lines that stand for it, to be copied into the files.
+// Values that can change during the run: params, layers, fields; and the lines for them, to be copied into the files.
 
 import type { Param } from "../../protocol";
 import type { Store } from "../../store";
-import { button, el, keyed, type Row, say, throttled } from "../dom";
+import { button, el, keyed, type Row, setText, throttled } from "../dom";
 import type { Panel } from "../side";
 import { Lines } from "./lines";
 import { range, stepOf, written } from "./ranges";
 import { switches } from "./switches";
 
-const EVERY = 100; // ms between two values while one drags
+const EVERY = 100; // ms between two values while a slider is dragged
 
 export const sliders: Panel = (store, place) => {
   const list = el("div", { class: "params", test: "params" });
   const none = el("p", {
     class: "note",
-    text: "The program has no `param`. Write one, such as `param swing = 50 deg in 0 deg .. 180 deg`, and it stands here.",
+    text: "The program has no `param`. Write one, such as `param swing = 50 deg in 0 deg .. 180 deg`, and it appears here.",
   });
   const rows = keyed<Param>(list, paramKey, () => paramRow(store));
   const lines = new Lines(store);
@@ -38,7 +38,7 @@ function paramRow(store: Store): Row<Param> {
   const field = el("input", { type: "number", class: "number" });
   const unit = el("span", { class: "unit" });
   const back = button("↺", () => now && send(written(now)), { class: "small" });
-  let sent: string | null = null; // what was asked for last and is not answered yet by a scene
+  let sent: string | null = null; // the last value sent, until a scene confirms it
   const ask = throttled(EVERY, (value: string) => now && store.connection.ask({ op: "set", name: now.name, value }));
 
   const send = (value: number) => {
@@ -73,10 +73,10 @@ function paramRow(store: Store): Row<Param> {
         element.dataset.param = param.name;
         slider.dataset.test = `param-${param.name}`;
       }
-      say(name, param.name);
+      setText(name, param.name);
       name.title = `${param.name} — go to where it is written, ${param.file}:${param.line}`;
-      say(unit, param.unit);
-      say(help, [param.help, offered].filter(Boolean).join(" "));
+      setText(unit, param.unit);
+      setText(help, [param.help, offered].filter(Boolean).join(" "));
       help.hidden = !help.textContent;
       const answered =
         sent === null ||

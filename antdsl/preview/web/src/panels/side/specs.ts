@@ -1,8 +1,8 @@
-// How the specs stand: whether each holds so far, from which frame on it is judged, and where it failed.
+// The state of the specs: whether each holds up to now, since which frame it is checked, and where it failed.
 
 import type { Specs } from "../../protocol";
 import type { Store } from "../../store";
-import { el, keyed, type Row, say } from "../dom";
+import { el, keyed, type Row, setText } from "../dom";
 import { seek } from "../playing";
 
 type Spec = Specs["specs"][number];
@@ -34,12 +34,12 @@ function row(store: Store): Row<Spec> {
     update: (spec) => {
       now = spec;
       element.className = spec.holds === null ? "" : spec.holds ? "holds" : "fails";
-      say(name, spec.name);
-      say(verdict, spec.holds === null ? "not judged" : spec.holds ? "holds" : "fails");
+      setText(name, spec.name);
+      setText(verdict, spec.holds === null ? "not judged" : spec.holds ? "holds" : "fails");
       const since = spec.holds !== null && spec.since !== null ? `judged from frame ${spec.since} on` : "";
-      say(words, [spec.message, since].filter(Boolean).join(" · "));
+      setText(words, [spec.message, since].filter(Boolean).join(" · "));
       go.hidden = spec.frame === null;
-      say(go, spec.frame === null ? "" : `show frame ${spec.frame}`);
+      setText(go, spec.frame === null ? "" : `show frame ${spec.frame}`);
     },
   };
 }

@@ -1,8 +1,8 @@
-// Layers and fields, on and off while it runs.
+// Switches for layers and fields during the run.
 
 import type { LayerInfo } from "../../protocol";
 import type { Store } from "../../store";
-import { css, el, keyed, type Row, say } from "../dom";
+import { css, el, keyed, type Row, setText } from "../dom";
 
 interface Layer extends LayerInfo {
   species: string;
@@ -59,9 +59,9 @@ function layerRow(store: Store): Row<Layer> {
     update: (layer) => {
       now = layer;
       box.checked = layer.on;
-      say(words, layer.text);
+      setText(words, layer.text);
       words.title = `${layer.text} — of ${layer.species}`;
-      say(go, `:${layer.line}`);
+      setText(go, `:${layer.line}`);
       go.setAttribute("aria-label", `go to line ${layer.line}`);
     },
   };
@@ -79,7 +79,7 @@ function fieldRow(store: Store): Row<Field> {
       now = field;
       box.checked = field.on;
       swatch.style.background = css(field.colour);
-      say(words, field.name);
+      setText(words, field.name);
     },
   };
 }

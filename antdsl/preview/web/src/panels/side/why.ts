@@ -1,8 +1,8 @@
-// Why the selected agent did what it did: the step that led to the frame one is at, as the server explains it.
+// Why the selected agent did what it did: the server's explanation of the step to the current frame.
 
 import type { Explained } from "../../protocol";
 import type { Store } from "../../store";
-import { button, el, say } from "../dom";
+import { button, el, setText } from "../dom";
 import type { Panel } from "../side";
 import { around } from "../why/around";
 import { decided } from "../why/decided";
@@ -13,7 +13,7 @@ export const why: Panel = (store, place) => {
   const hint = el("p", {
     class: "note",
     test: "why-hint",
-    text: "Click an agent, and what it looked at, wished and drew in its last step stands here. Without a pointer: tab into the view and press n for the next one.",
+    text: "Click an agent to see what it observed, decided and drew in its last step. By keyboard: tab into the view and press n for the next agent.",
   });
   const title = el("h2", { test: "why-title", "aria-live": "polite" });
   const copy = button("Copy as text", () => void navigator.clipboard?.writeText(store.now.explained?.told ?? ""), {
@@ -21,7 +21,7 @@ export const why: Panel = (store, place) => {
   });
   const again = button("Explain", () => ask(store), {
     class: "small",
-    title: "explain the step to the frame one is at now",
+    title: "explain the step to the current frame",
     test: "explain",
   });
   const about = el("p", { test: "why-about" });
@@ -32,7 +32,7 @@ export const why: Panel = (store, place) => {
   head.hidden = true;
 
   let several = "";
-  /** What is told is of a frame: where another one is shown it is dimmed, and says so. */
+  /** The explanation belongs to one frame. If another frame is displayed, dim it and say so. */
   const age = () => {
     const explained = store.now.explained;
     const status = store.now.status;
@@ -40,9 +40,9 @@ export const why: Panel = (store, place) => {
     const old = explained.frame !== status.frame;
     body.classList.toggle("old", old);
     const now = old
-      ? `, and now it is frame ${status.frame}: ${status.playing ? "pause it, or press Explain" : "it is asked again"}`
+      ? `, and now it is frame ${status.frame}: ${status.playing ? "pause it, or press Explain" : "it is being updated"}`
       : several;
-    say(about, `the step to frame ${explained.frame}${now}`);
+    setText(about, `the step to frame ${explained.frame}${now}`);
   };
   const show = () => {
     const one = store.now.selected.at(-1);
@@ -51,24 +51,24 @@ export const why: Panel = (store, place) => {
     hint.hidden = Boolean(one);
     head.hidden = !one;
     if (!one || !fits) {
-      say(title, one ? `${one.species} ${one.id}` : "");
-      say(about, "its step is done again…");
+      setText(title, one ? `${one.species} ${one.id}` : "");
+      setText(about, "its step is simulated again…");
       body.classList.remove("old");
       body.replaceChildren();
       message.hidden = true;
       return;
     }
     const all = store.now.selected.length;
-    say(title, `${one.species} ${one.id}`);
-    several = all > 1 ? `; the last one of ${all} that are selected` : "";
+    setText(title, `${one.species} ${one.id}`);
+    several = all > 1 ? `; the last of ${all} selected agents` : "";
     age();
     message.hidden = !explained.message;
-    say(message, explained.message);
+    setText(message, explained.message);
     fill(store, body, explained);
   };
   store.on(["explained", "selected"], show);
   store.on("status", () => about.textContent?.startsWith("the step") && age());
-  keepAsking(store);
+  requestUpdates(store);
   leadToText(store);
 };
 
@@ -93,27 +93,27 @@ function ask(store: Store): void {
   if (one && status) store.connection.ask({ op: "explain", species: one.species, agent: one.id, frame: status.frame });
 }
 
-/** Ask for whoever is selected, and again wherever one stands still; not while it plays or is dragged through. */
-function keepAsking(store: Store): void {
-  let asked = "";
+/** Request an explanation of the selected agent whenever play stands still, but not while it plays or the slider is dragged. */
+function requestUpdates(store: Store): void {
+  let requestedKey = "";
   const renew = (chosen: boolean) => {
     const one = store.now.selected.at(-1);
     const status = store.now.status;
     if (!one || !status) {
-      asked = "";
+      requestedKey = "";
       return;
     }
     if (!chosen && (status.playing || status.light)) return;
     const key = [one.species, one.id, status.frame, status.hash].join(" ");
-    if (key === asked) return;
-    asked = key;
+    if (key === requestedKey) return;
+    requestedKey = key;
     ask(store);
   };
   store.on("selected", () => renew(true));
   store.on("status", () => renew(false));
 }
 
-/** The line of the change that was taken is pointed out in the text. */
+/** Mark the line of the executed state change in the text. */
 function leadToText(store: Store): void {
   store.on("explained", () => {
     const machines = store.now.explained?.explanation?.machines ?? [];

@@ -1,4 +1,4 @@
-// Colours of programs and scenes. Programs by the language's own patterns, those that editors get; the first that fits wins.
+// Colours for programs and scenes. Programs use the language's patterns for editors; the first matching pattern wins.
 
 import { HighlightStyle, StreamLanguage, type StreamParser } from "@codemirror/language";
 import { Tag } from "@lezer/highlight";
@@ -6,7 +6,7 @@ import grammar from "./antdsl.tmLanguage.json";
 
 interface Pattern {
   match: RegExp;
-  classes: string[]; // of the groups from the first on; one for the whole where there are none
+  classes: string[]; // classes of the groups, from the first group on; one class for the whole match if there are no groups
 }
 interface Rule {
   match: string;
@@ -14,7 +14,7 @@ interface Rule {
   captures?: Record<string, { name: string }>;
 }
 
-// What a scope begins with, and how that is shown. Both colours have 4.5:1 and more on their ground.
+// Prefixes of scopes, with their colours. Both colours have a contrast of at least 4.5:1.
 const SHOWN: [string, string, Record<string, string>][] = [
   ["comment", "light-dark(#6b6658, #8f9199)", { fontStyle: "italic" }],
   ["string", "light-dark(#3f6b21, #a8cf8e)", {}],
@@ -39,7 +39,7 @@ export const colours = HighlightStyle.define(
   SHOWN.map(([scope, color, more]) => ({ tag: TAGS.get(scope) as Tag, color, ...more })),
 );
 
-/** The name of a scope's colour; without dots, which would mean something else there. */
+/** Return the class name for a scope's colour, without dots, which are separators there. */
 function family(scope: string): string {
   return (SHOWN.find(([start]) => scope.startsWith(start))?.[0] ?? "").replaceAll(".", "-");
 }
@@ -49,7 +49,7 @@ const ANT: Pattern[] = (grammar.patterns as Rule[]).map((rule) => ({
   classes: rule.captures ? Object.values(rule.captures).map((each) => family(each.name)) : [family(rule.name ?? "")],
 }));
 
-// Scenes: comments, keys, words, numbers with their unit.
+// Scenes: comments, keys, words, numbers with unit.
 const YAML: Pattern[] = (
   [
     ["#.*$", ["comment"]],
@@ -96,7 +96,7 @@ function parser(name: string, patterns: Pattern[]): StreamParser<{ pieces: Piece
   };
 }
 
-/** What the first pattern that fits makes of a line from a place on. */
+/** Return the match of the first matching pattern at a position of a line. */
 function pieces(patterns: Pattern[], line: string, at: number): Piece[] {
   for (const { match, classes } of patterns) {
     match.lastIndex = at;

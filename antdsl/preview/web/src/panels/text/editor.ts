@@ -1,4 +1,4 @@
-// One text to be read: CodeMirror in a shadow root, where its styles go without leave of the content policy.
+// A read-only text: CodeMirror in a shadow root, where the content security policy allows its styles.
 
 import { defaultKeymap } from "@codemirror/commands";
 import { foldGutter, foldKeymap, syntaxHighlighting } from "@codemirror/language";
@@ -7,7 +7,7 @@ import { EditorState, type StateEffect } from "@codemirror/state";
 import { EditorView, drawSelection, highlightActiveLine, keymap, lineNumbers } from "@codemirror/view";
 import type { Problem, Texts } from "../../protocol";
 import { ant, colours, yaml } from "./colouring";
-import { complain, marks, pointOut, tellCosts } from "./marks";
+import { complain, marks, pointOut, setCosts } from "./marks";
 
 type Text = Texts["texts"][number];
 
@@ -68,7 +68,7 @@ function fresh({ file: name, text, kind }: Text): EditorState {
       keymap.of([...searchKeymap, ...foldKeymap, ...defaultKeymap]),
       EditorState.readOnly.of(true),
       EditorState.tabSize.of(2),
-      EditorView.contentAttributes.of({ "aria-label": `${name}, to be read`, "aria-readonly": "true", "data-keys": "own" }),
+      EditorView.contentAttributes.of({ "aria-label": `${name}, read-only`, "aria-readonly": "true", "data-keys": "own" }),
       look,
     ],
   });
@@ -76,7 +76,7 @@ function fresh({ file: name, text, kind }: Text): EditorState {
 
 export class Editor {
   private readonly view: EditorView;
-  private readonly kept = new Map<string, { state: EditorState; scroll: StateEffect<unknown> | null }>();
+  private readonly cachedStates = new Map<string, { state: EditorState; scroll: StateEffect<unknown> | null }>();
   private file = "";
 
   constructor(place: HTMLElement) {
@@ -87,33 +87,34 @@ export class Editor {
     this.view = new EditorView({ root, parent: inner });
   }
 
-  /** The files there are now; one that changed keeps its place, as far as it was not edited there. */
+  /** Replace the files. A changed file keeps its scroll position and folds, except in the changed part. */
   renew(texts: readonly Text[]): void {
-    for (const file of this.kept.keys()) if (!texts.some((each) => each.file === file)) this.kept.delete(file);
+    for (const file of this.cachedStates.keys()) if (!texts.some((each) => each.file === file)) this.cachedStates.delete(file);
     for (const each of texts) {
       const { file, text } = each;
-      const old = file === this.file ? this.view.state : this.kept.get(file)?.state;
+      const old = file === this.file ? this.view.state : this.cachedStates.get(file)?.state;
       if (!old) {
-        this.kept.set(file, { state: fresh(each), scroll: null });
+        this.cachedStates.set(file, { state: fresh(each), scroll: null });
         continue;
       }
       const change = difference(old.doc.toString(), text);
       if (!change) continue;
       if (file === this.file) this.view.dispatch({ changes: change });
-      else this.kept.set(file, { state: old.update({ changes: change }).state, scroll: null });
+      else this.cachedStates.set(file, { state: old.update({ changes: change }).state, scroll: null });
     }
   }
 
   open(file: string): void {
-    const next = this.kept.get(file);
+    const next = this.cachedStates.get(file);
     if (file === this.file || !next) return;
-    if (this.kept.has(this.file)) this.kept.set(this.file, { state: this.view.state, scroll: this.view.scrollSnapshot() });
+    if (this.cachedStates.has(this.file))
+      this.cachedStates.set(this.file, { state: this.view.state, scroll: this.view.scrollSnapshot() });
     this.file = file;
     this.view.setState(next.state);
     if (next.scroll) this.view.dispatch({ effects: next.scroll });
   }
 
-  /** Point out a line of the open file and bring it into view; null points at none. */
+  /** Highlight a line of the open file and scroll to it; null removes the highlight. */
   point(line: number | null): void {
     const { doc } = this.view.state;
     const effects: StateEffect<unknown>[] = [pointOut.of(line)];
@@ -129,19 +130,19 @@ export class Editor {
   }
 
   costs(file: string, byLine: ReadonlyMap<number, number>): void {
-    this.apply(file, tellCosts.of(byLine));
+    this.apply(file, setCosts.of(byLine));
   }
 
   private apply(file: string, effects: StateEffect<unknown>): void {
     if (file === this.file) this.view.dispatch({ effects });
     else {
-      const other = this.kept.get(file);
-      if (other) this.kept.set(file, { ...other, state: other.state.update({ effects }).state });
+      const other = this.cachedStates.get(file);
+      if (other) this.cachedStates.set(file, { ...other, state: other.state.update({ effects }).state });
     }
   }
 }
 
-/** The one stretch in which two texts differ; null where they are the same. */
+/** Return the one range in which two texts differ; null if they are equal. */
 function difference(old: string, now: string): { from: number; to: number; insert: string } | null {
   if (old === now) return null;
   let start = 0;

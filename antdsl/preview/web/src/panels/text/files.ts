@@ -1,6 +1,6 @@
-// Names of files: the server says the same file in short or with its folders.
+// Names of files: the server sends the same file with a short name or with its folders.
 
-/** Whether two names mean one file: the same, or one the end of the other. */
+/** Return whether two names refer to the same file: they are equal, or one is the end of the other. */
 export function same(one: string, other: string): boolean {
   return one === other || one.endsWith(`/${other}`) || other.endsWith(`/${one}`);
 }

@@ -1,4 +1,4 @@
-// What is drawn into a text: the line one was led to, complaints below their lines, what each line costs beside it.
+// Marks in a text: the highlighted line, problems below their lines, and the cost of each line.
 
 import { type Extension, RangeSet, StateEffect, StateField } from "@codemirror/state";
 import { Decoration, type DecorationSet, EditorView, GutterMarker, WidgetType, gutter } from "@codemirror/view";
@@ -7,7 +7,7 @@ import { el } from "../dom";
 
 export const pointOut = StateEffect.define<number | null>(); // a line, from 1
 export const complain = StateEffect.define<readonly Problem[]>();
-export const tellCosts = StateEffect.define<ReadonlyMap<number, number>>(); // ms a frame by line
+export const setCosts = StateEffect.define<ReadonlyMap<number, number>>(); // ms per frame, by line
 
 class Complaint extends WidgetType {
   constructor(private readonly problem: Problem) {
@@ -22,7 +22,7 @@ class Complaint extends WidgetType {
     const { severity, message, help, code } = this.problem;
     const words = el("div", { class: `complaint ${severity}`, test: "complaint", title: code }, el("strong", { text: message }));
     if (help) words.append(el("span", { text: help }));
-    return el("div", { class: "below" }, words); // margins would not be counted in where the next lines stand
+    return el("div", { class: "below" }, words); // an outer element: CodeMirror ignores margins when it places the next lines
   }
 }
 
@@ -90,7 +90,7 @@ const costs = StateField.define<RangeSet<GutterMarker>>({
   update(old, transaction) {
     let now = old.map(transaction.changes);
     for (const effect of transaction.effects) {
-      if (!effect.is(tellCosts)) continue;
+      if (!effect.is(setCosts)) continue;
       const { doc } = transaction.state;
       const dearest = Math.max(...effect.value.values(), 1e-9);
       const lines = [...effect.value]

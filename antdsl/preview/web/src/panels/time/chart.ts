@@ -1,4 +1,4 @@
-// The drawing of the curves: counts of states on one scale, each other curve on its own, specs as bands below.
+// The drawing of the curves: state counts on a common scale, each other curve on its own scale, specs as bands below.
 
 import type { Store } from "../../store";
 import { dark } from "../theme";
@@ -6,12 +6,12 @@ import { chosen } from "./chooser";
 import { type CurveData, nearest, type Series } from "./data";
 import type { Named } from "./naming";
 
-export const EDGE = 8; // px at both sides: half of the slider's thumb, so that frames stand above it
+export const EDGE = 8; // px on both sides: half the slider's thumb, so that frames are in line with the slider
 const BAND = 5;
 
 export class Chart {
   hover: number | null = null;
-  stops: ReadonlyMap<number, string> = new Map(); // the frames at which play was stopped, and why
+  stops: ReadonlyMap<number, string> = new Map(); // by frame: why play stopped there
   drawn: (() => void) | null = null;
   private readonly context: CanvasRenderingContext2D;
   private width = 0;
@@ -25,7 +25,7 @@ export class Chart {
     this.context = canvas.getContext("2d") as CanvasRenderingContext2D;
   }
 
-  /** The frame under a place of the canvas, among those simulated. */
+  /** Return the simulated frame at a horizontal position of the canvas. */
   frameAt(x: number): number | null {
     const status = this.store.now.status;
     if (!status || this.width <= 2 * EDGE) return null;
@@ -79,7 +79,7 @@ export class Chart {
     pen.globalAlpha = 1;
   }
 
-  /** The scene's last frame, once one has come as far. */
+  /** Draw the last frame of the scene, if the run has reached it. */
   private end(colour: string): void {
     const last = this.store.now.scene?.last;
     const { first, head } = this.store.now.status as { first: number; head: number };
@@ -130,7 +130,7 @@ export class Chart {
     pen.beginPath();
     const { first, head } = this.store.now.status as { first: number; head: number };
     const [from, to] = [Math.max(0, nearest(frames, first - 1)), nearest(frames, head)];
-    const step = Math.max(1, Math.floor((to - from) / (2 * this.width))); // two values a pixel are enough
+    const step = Math.max(1, Math.floor((to - from) / (2 * this.width))); // two values per pixel are enough
     let pen_down = false;
     for (let k = from; k <= to; k = k === to ? to + 1 : Math.min(to, k + step)) {
       const value = values[k];
@@ -147,7 +147,7 @@ export class Chart {
     pen.globalAlpha = 1;
   }
 
-  /** Whether a spec held, frame by frame: quiet while it does, plain to see where it does not. */
+  /** Draw whether a spec held at each frame, with a bright colour where it failed. */
   private band(spec: Named, y: number): void {
     const { frames, values } = this.data.now;
     const held = values.get(spec.name);
@@ -166,7 +166,7 @@ export class Chart {
   }
 }
 
-/** What all of these curves stay below. */
+/** Return an upper bound of the curves. */
 function top(all: readonly Named[], series: readonly Series[]): number {
   let high = 0;
   for (const each of all)

@@ -1,7 +1,7 @@
-// Which curves are shown: a list to tick, by what they are of. At first those of the states, and the specs.
+// The list of curves with check boxes, in groups. At first, curves of states and specs are displayed.
 
 import type { Store } from "../../store";
-import { el, keyed, type Row, say } from "../dom";
+import { el, keyed, type Row, setText } from "../dom";
 import type { CurveData } from "./data";
 import { type Group, type Named, named } from "./naming";
 
@@ -10,13 +10,13 @@ const GROUPS: [Group, string][] = [
   ["counts", "Agents and items"],
   ["specs", "Specs: whether they hold"],
 ];
-const FIRST = 12; // of the states, as many are shown unasked
+const FIRST = 12; // maximum number of state curves at first
 
-/** The names that are shown, and all that there are; `changes` counts up. */
+/** The names of displayed curves and of all curves. `changes` counts the changes. */
 export class Chosen {
   all: Named[] = [];
   shown: Named[] = [];
-  readonly hand = new Map<string, boolean>(); // what was ticked by hand
+  readonly hand = new Map<string, boolean>(); // choices of the user
 
   renew(names: readonly string[], store: Store): void {
     this.all = names.map((name, order) => named(name, store.now.scene, order));
@@ -90,7 +90,7 @@ function row(renew: () => void): Row<Named> {
       box.checked = chosen.shown.some((one) => one.name === name);
       box.dataset.test = `curve-${name}`;
       swatch.style.background = each.colour;
-      say(words, each.words);
+      setText(words, each.words);
     },
   };
 }

@@ -1,4 +1,4 @@
-// The curves as they came: values by name and frame, and those of branches that were left.
+// The data of the curves: values by name and frame, and those of abandoned branches.
 
 import type { Curves } from "../../protocol";
 
@@ -14,7 +14,7 @@ export interface Branch extends Series {
 export class CurveData {
   now: Series = { frames: [], values: new Map() };
   branches: Branch[] = [];
-  changes = 0; // counts up with each change: who keeps something derived sees by it that it is old
+  changes = 0; // number of changes, by which caches detect that they are stale
 
   take(curves: Curves): void {
     this.changes++;
@@ -27,7 +27,7 @@ export class CurveData {
     curves.frames.forEach((frame, k) => {
       const last = frames.at(-1);
       const at = last === undefined || frame > last ? frames.push(frame) - 1 : frames.indexOf(frame);
-      if (at < 0) return; // older than all that is kept
+      if (at < 0) return; // older than the stored data
       for (const [name, all] of values) all[at] = curves.values[name]?.[k] ?? (at < start ? (all[at] ?? null) : null);
     });
   }
@@ -36,7 +36,7 @@ export class CurveData {
     return [...this.now.values.keys()];
   }
 
-  /** The value at a frame; of one that was not told yet, which may come a moment later, the last one before. */
+  /** Return the value at a frame. If it has not arrived yet, return the last one before. */
   valueAt(name: string, frame: number): number | null {
     const at = nearest(this.now.frames, frame);
     return at < 0 ? null : (this.now.values.get(name)?.[at] ?? null);
@@ -54,7 +54,7 @@ export class CurveData {
   }
 }
 
-/** Where in sorted frames the last one stands that is not after `frame`; -1 where all are. */
+/** Return the index of the last of the sorted frames that is not after `frame`; -1 if all are after it. */
 export function nearest(frames: readonly number[], frame: number): number {
   let low = 0;
   let high = frames.length;

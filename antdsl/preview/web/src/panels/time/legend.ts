@@ -1,7 +1,7 @@
-// The names of the curves that are shown, with their values where one points, or now.
+// The names of the displayed curves, with their values at the pointer or at the current frame.
 
 import type { Store } from "../../store";
-import { el, keyed, painted, type Row, say, shown } from "../dom";
+import { el, keyed, oncePerRepaint, type Row, setText, formatNumber } from "../dom";
 import type { Chart } from "./chart";
 import { chosen } from "./chooser";
 import type { CurveData } from "./data";
@@ -12,12 +12,12 @@ export function legend(store: Store, data: CurveData, chart: Chart): HTMLElement
   const where = el("span", { class: "quiet at" });
   const branch = el("span", { class: "quiet branches", test: "branches" });
   const rows = keyed<[Named, number | null]>(list, ([each]) => each.name, row);
-  const show = painted(() => {
+  const show = oncePerRepaint(() => {
     const frame = chart.hover ?? store.now.status?.frame ?? 0;
-    say(where, [chart.hover === null ? "now" : `at frame ${frame}`, chart.stops.get(frame)].filter(Boolean).join(": "));
+    setText(where, [chart.hover === null ? "now" : `at frame ${frame}`, chart.stops.get(frame)].filter(Boolean).join(": "));
     rows(chosen.shown.map((each) => [each, data.valueAt(each.name, frame)]));
     const last = data.branches.at(-1);
-    say(branch, last ? `╌╌ before: ${last.line || "edited"}, at frame ${last.first}` : "");
+    setText(branch, last ? `╌╌ before: ${last.line || "edited"}, at frame ${last.first}` : "");
     branch.title = data.branches.map((each) => `at frame ${each.first}: ${each.line}`).join("\n");
   });
   chart.drawn = show;
@@ -32,9 +32,9 @@ function row(): Row<[Named, number | null]> {
     element: el("li", {}, swatch, words, value),
     update: ([each, now]) => {
       swatch.style.background = each.colour;
-      say(words, each.words);
+      setText(words, each.words);
       words.title = each.name;
-      say(
+      setText(
         value,
         now === null
           ? "–"
@@ -44,7 +44,7 @@ function row(): Row<[Named, number | null]> {
               : "fails"
             : Number.isInteger(now)
               ? now.toLocaleString("en")
-              : shown(now),
+              : formatNumber(now),
       );
     },
   };

@@ -1,4 +1,4 @@
-// What curves are of, and their colours: states have their own, the others take one in turn.
+// Names and colours of curves: states have their own colours, other curves use a list of colours in turn.
 
 import type { Scene } from "../../protocol";
 import { css } from "../dom";
@@ -14,7 +14,7 @@ export interface Named {
 const TURN = ["#4aa3f0", "#f0a04a", "#7fcf6b", "#d67fe0", "#e06a6a", "#5fd0c8", "#cdbb4f", "#a58af5"];
 const SPEC = "spec: ";
 
-/** A curve's words, colour and group, by its name as the server has it. */
+/** Return the label, colour and group of a curve, by the server's name for it. */
 export function named(name: string, scene: Scene | null, order: number): Named {
   const turn = TURN[order % TURN.length] as string;
   if (name.startsWith(SPEC)) return { name, words: name.slice(SPEC.length), colour: turn, group: "specs" };

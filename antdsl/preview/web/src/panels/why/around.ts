@@ -1,8 +1,8 @@
-// What it looked at, felt and drew, what it asked of the world, and what has changed of it.
+// What the agent observed, felt, drew and did, and what changed in it.
 
 import type { Explanation } from "../../explanation";
 import type { Store } from "../../store";
-import { button, el, shown } from "../dom";
+import { button, el, formatNumber } from "../dom";
 import { folded } from "./parts";
 
 export function around(store: Store, e: Explanation): HTMLElement[] {
@@ -14,11 +14,11 @@ export function around(store: Store, e: Explanation): HTMLElement[] {
     felt.set(words, (felt.get(words) ?? 0) + 1);
   }
   const parts: [string, number, HTMLElement][] = [
-    ["Looked at", e.seen.length, el("ul", {}, ...e.seen.map((group) => seen(store, e, group)))],
-    ["Fields where it stood", e.fields.length, pairs(e.fields.map(([name, value]) => [name, shown(value)]))],
-    ["Felt", felt.size, el("ul", {}, ...[...felt].map(([words, times]) => sense(words, times)))],
-    ["Drew", e.draws.length, pairs(e.draws.map((draw) => [draw.text || draw.site, draw.value.toFixed(6), draw.site]))],
-    ["Asked of the world", e.did.length, el("ul", {}, ...e.did.map((each) => el("li", {}, el("code", { text: each }))))],
+    ["Observed", e.seen.length, el("ul", {}, ...e.seen.map((group) => seen(store, e, group)))],
+    ["Fields at its position", e.fields.length, pairs(e.fields.map(([name, value]) => [name, formatNumber(value)]))],
+    ["Sensed", felt.size, el("ul", {}, ...[...felt].map(([words, times]) => sense(words, times)))],
+    ["Random draws", e.draws.length, pairs(e.draws.map((draw) => [draw.text || draw.site, draw.value.toFixed(6), draw.site]))],
+    ["Actions", e.did.length, el("ul", {}, ...e.did.map((each) => el("li", {}, el("code", { text: each }))))],
     ["Changed", own.length, pairs(own.map((each) => [each.name, `${each.shown[0]} → ${each.shown[1]}`]))],
     ["Memory", memory.length, pairs(memory.map((each) => [each.name, `${each.shown[0]} → ${each.shown[1]}`]))],
   ];
@@ -34,11 +34,11 @@ function pairs(rows: [string, string, string?][]): HTMLElement {
 }
 
 function sense(words: string, times: number): HTMLElement {
-  const [said, text] = words.split("\u0000") as [string, string];
-  return el("li", { title: text }, said, times > 1 && el("span", { class: "quiet", text: ` ${times} times` }));
+  const [summary, text] = words.split("\u0000") as [string, string];
+  return el("li", { title: text }, summary, times > 1 && el("span", { class: "quiet", text: ` ${times} times` }));
 }
 
-/** A set that was looked through, with the nearest of it; other agents can be chosen from there. */
+/** Return a row for an observed set, with its nearest members. Agents among them can be selected. */
 function seen(store: Store, e: Explanation, group: Explanation["seen"][number]): HTMLElement {
   const species = store.now.scene?.species.some((each) => each.name === group.of);
   const near = group.nearest.map((each) => {
@@ -54,7 +54,7 @@ function seen(store: Store, e: Explanation, group: Explanation["seen"][number]):
       "li",
       {},
       name,
-      el("span", { class: "quiet", text: ` ${shown(each.distance)} mm${each.about ? ` · ${each.about}` : ""}` }),
+      el("span", { class: "quiet", text: ` ${formatNumber(each.distance)} mm${each.about ? ` · ${each.about}` : ""}` }),
     );
   });
   const more = group.count - group.nearest.length;
@@ -64,7 +64,7 @@ function seen(store: Store, e: Explanation, group: Explanation["seen"][number]):
     {},
     el("b", { text: `${group.count} ${group.of}` }),
     " ",
-    el("code", { class: "quiet", text: group.asked, title: `${group.asked} — asked by ${e.species}` }),
+    el("code", { class: "quiet", text: group.asked, title: `${group.asked} — observed by ${e.species}` }),
     el("ul", {}, ...near),
   );
 }

@@ -1,8 +1,8 @@
-// The changes of state that were looked at, in their order: what each asked, with values, and which one won.
+// The state changes that the program checked, in order: the condition of each with values, and which one won.
 
 import type { Explanation, Looked } from "../../explanation";
 import type { Store } from "../../store";
-import { el, shown } from "../dom";
+import { el, formatNumber } from "../dom";
 import { conditionParts, link, section } from "./parts";
 
 type Machine = Explanation["machines"][number];
@@ -12,18 +12,18 @@ export function decided(store: Store, e: Explanation): HTMLElement[] {
   const machines = e.machines.map((machine) =>
     section(headline(machine, e.machines.length > 1), changes(store, machine), claim(store, machine), choice(machine)),
   );
-  const events = e.handlers.length ? [section("Events that reached it", ...e.handlers.map((each) => link(store, each)))] : [];
+  const events = e.handlers.length ? [section("Events", ...e.handlers.map((each) => link(store, each)))] : [];
   return [...notes, ...machines, ...events];
 }
 
 function headline(m: Machine, several: boolean): string {
   const name = several ? `${m.machine}: ` : "";
-  if (m.changed || m.before !== m.after) return `${name}${m.before} → ${m.after}, after ${shown(m.since)} s`;
-  return `${name}stays in ${m.after}, for ${shown(m.since)} s so far`;
+  if (m.changed || m.before !== m.after) return `${name}${m.before} → ${m.after}, after ${formatNumber(m.since)} s`;
+  return `${name}stays in ${m.after}, for ${formatNumber(m.since)} s so far`;
 }
 
 function changes(store: Store, m: Machine): HTMLElement {
-  if (!m.looked.length) return el("p", { class: "note", text: "No change leads out of it." });
+  if (!m.looked.length) return el("p", { class: "note", text: "This state has no transitions." });
   let won = false;
   const rows = m.looked.map((each) => {
     const row = looked(store, each, won);
@@ -58,20 +58,20 @@ function timerRow(timer: Looked["timers"][number]): HTMLElement {
     { class: "timed" },
     el("code", { text: timer.what }),
     meter,
-    el("span", { text: `${shown(timer.has)} of ${shown(timer.needs)} ${timer.unit}` }),
+    el("span", { text: `${formatNumber(timer.has)} of ${formatNumber(timer.needs)} ${timer.unit}` }),
   );
 }
 
-function claim(store: Store, { claim: asked }: Machine): HTMLElement | null {
-  if (!asked) return null;
-  const much = asked.amount === null ? "all" : shown(asked.amount);
-  const words = asked.won ? "got it" : "did not get it: others came first, or there was not enough";
+function claim(store: Store, { claim: request }: Machine): HTMLElement | null {
+  if (!request) return null;
+  const much = request.amount === null ? "all" : formatNumber(request.amount);
+  const words = request.won ? "received" : "not received: others came first, or there was not enough";
   return el(
     "p",
     { class: "claim", test: "claim" },
-    el("b", { class: asked.won ? "yes" : "no", text: words }),
-    ` — ${[much, asked.attribute, "of", asked.item].filter(Boolean).join(" ")}, turn ${shown(asked.draw)} `,
-    link(store, asked.place),
+    el("b", { class: request.won ? "yes" : "no", text: words }),
+    ` — ${[much, request.attribute, "of", request.item].filter(Boolean).join(" ")}, turn ${formatNumber(request.draw)} `,
+    link(store, request.place),
   );
 }
 
@@ -83,7 +83,7 @@ function choice({ choice: drawn }: Machine): HTMLElement | null {
     const piece = el("span", {
       class: name === drawn.chosen ? "yes" : "",
       text: name,
-      title: `${name}: from ${shown(from)} to ${shown(to)}`,
+      title: `${name}: from ${formatNumber(from)} to ${formatNumber(to)}`,
     });
     piece.style.width = `${(to - from) * 100}%`;
     bar.append(piece);
@@ -92,5 +92,5 @@ function choice({ choice: drawn }: Machine): HTMLElement | null {
   const needle = el("i");
   needle.style.left = `${drawn.draw * 100}%`;
   bar.append(needle);
-  return el("div", {}, el("p", { text: `drew ${shown(drawn.draw)}: ${drawn.chosen}` }), bar);
+  return el("div", {}, el("p", { text: `drew ${formatNumber(drawn.draw)}: ${drawn.chosen}` }), bar);
 }

@@ -1,22 +1,22 @@
-// The layers: one bar for the whole strength, with what each got of it; and what was cut from those below.
+// The layers: one bar for the whole strength with the share of each layer, and the parts that were cut.
 
 import { HUES } from "../../hues";
 import type { Explanation } from "../../explanation";
 import type { Triple } from "../../protocol";
 import type { Store } from "../../store";
-import { el, shown } from "../dom";
+import { el, formatNumber } from "../dom";
 import { conditionParts, link, section } from "./parts";
 
 type Layer = Explanation["layers"][number];
 
 const TITLES: Record<string, string> = {
-  budget: "Layers, from the top until the strength is spent",
+  budget: "Layers, from top to bottom until the strength is used",
   sum: "Layers, added",
   first: "Layers, the first takes all",
 };
 
 export function layers(store: Store, e: Explanation): HTMLElement {
-  if (!e.layers.length) return section("Where to", together(e));
+  if (!e.layers.length) return section("Direction", together(e));
   const bar = el("div", {
     class: "budget",
     test: "budget",
@@ -32,7 +32,7 @@ export function layers(store: Store, e: Explanation): HTMLElement {
   });
   const rows = e.layers.map((layer, k) => row(store, layer, HUES[k % HUES.length] as string));
   const steers = e.steers.map((each) =>
-    el("p", { class: "quiet" }, el("code", { text: each.text }), ` length ${shown(each.length)}`),
+    el("p", { class: "quiet" }, el("code", { text: each.text }), ` length ${formatNumber(each.length)}`),
   );
   return section(
     TITLES[e.mode] ?? "Layers",
@@ -72,14 +72,16 @@ function words(layer: Layer): string {
   if (layer.state === "no strength") return "not evaluated: no strength is left";
   if (layer.state === "off") return "off: its condition does not hold";
   if (layer.state === "nothing") return "no push";
-  const push = `push ${shown(layer.length)}`;
-  return layer.cut > 1e-6 ? `${push}, got ${shown(layer.share)}, ${shown(layer.cut)} was cut` : `${push}, got all of it`;
+  const push = `push ${formatNumber(layer.length)}`;
+  return layer.cut > 1e-6
+    ? `${push}, got ${formatNumber(layer.share)}, ${formatNumber(layer.cut)} was cut`
+    : `${push}, got all of it`;
 }
 
 function together(e: Explanation): HTMLElement {
   const [before, after] = e.velocity;
-  const speed = after ? `; speed ${shown(length(before))} → ${shown(length(after))} mm/s` : "";
-  return el("p", { text: `together ${shown(length(e.push))} of 1${speed}` });
+  const speed = after ? `; speed ${formatNumber(length(before))} → ${formatNumber(length(after))} mm/s` : "";
+  return el("p", { text: `together ${formatNumber(length(e.push))} of 1${speed}` });
 }
 
 function length(vector: Triple): number {

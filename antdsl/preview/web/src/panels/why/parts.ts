@@ -1,11 +1,11 @@
-// A condition with the values of all that it is made of, indented; and links to places of the text.
+// A condition with the values of its parts, indented; and links to lines of the text.
 
 import type { Part, Place } from "../../explanation";
 import type { Store } from "../../store";
 import { el } from "../dom";
 import { shortName } from "../text/files";
 
-/** Words of the program that lead to their line. */
+/** Return code that links to its line. */
 export function link(store: Store, place: Place, words = place.text): HTMLElement {
   return el("button", {
     type: "button",
@@ -16,7 +16,7 @@ export function link(store: Store, place: Place, words = place.text): HTMLElemen
   });
 }
 
-/** The parts of a condition that say more than whether it holds: of one that is joined, what it joins. */
+/** Return the parts of a condition that add information; for joined conditions, the joined ones. */
 export function conditionParts(whole: Part, timed: boolean): HTMLElement | null {
   const parts = whole.role === "joined" && !timed ? whole.parts : [whole];
   return parts.length ? el("ul", { class: "parts" }, ...parts.map(partRow)) : null;
@@ -40,7 +40,7 @@ export function section(title: string, ...children: (Node | null)[]): HTMLElemen
   return el("section", {}, el("h3", { text: title }), ...children);
 }
 
-/** A section that is closed at first; what was open stays so, by its name. */
+/** Return a section that is closed at first. Later, sections with the same name keep their open or closed state. */
 export function folded(title: string, count: number, ...children: Node[]): HTMLElement {
   const details = el(
     "details",

@@ -1,4 +1,4 @@
-// The states of an agent over its life, one strip a machine, in the colours of the states. A click goes to that frame.
+// The states of an agent over its life, one strip per machine, in the colours of the states. A click seeks to that frame.
 
 import type { Explanation } from "../../explanation";
 import type { Store } from "../../store";
@@ -11,7 +11,7 @@ type Stretch = Explanation["strip"][number];
 export function strips(store: Store, e: Explanation): HTMLElement[] {
   const machines = [...new Set(e.strip.map((each) => each.machine))];
   const rows = machines.map((machine) => strip(store, e, machine, machines.length > 1));
-  return rows.length ? [section("Its states", ...rows)] : [];
+  return rows.length ? [section("States over time", ...rows)] : [];
 }
 
 function strip(store: Store, e: Explanation, machine: string, several: boolean): HTMLElement {
@@ -44,7 +44,7 @@ function strip(store: Store, e: Explanation, machine: string, several: boolean):
   );
 }
 
-/** For keys too: to where it came into this state, and to where it leaves it. */
+/** Return buttons, for keys too: to the start of this state, and to the next state. */
 function moves(store: Store, e: Explanation, stretches: Stretch[], at: number): HTMLElement {
   const now = stretches[at];
   const before = now && now.first < e.frame ? now.first : stretches[at - 1]?.first;
@@ -59,7 +59,7 @@ function moves(store: Store, e: Explanation, stretches: Stretch[], at: number): 
   return el(
     "div",
     { class: "strip-words" },
-    move("◂", before, "to the change before"),
+    move("◂", before, "to the previous change"),
     el("span", { text: now ? `${now.state || "alive"} ${now.first === now.last ? now.first : `${now.first}–${now.last}`}` : "" }),
     move("▸", after, "to the next change"),
   );

@@ -1,4 +1,4 @@
-// The feelers of the agent that is looked at, as far as they reach, with a knob where they hit something.
+// The feelers of the followed agent, at full length, with a knob where they hit something.
 
 import * as THREE from "three";
 import type { NumberArray } from "../../protocol";
@@ -13,7 +13,7 @@ export function feelers(sight: Sight): void {
   const free = new THREE.Color("#7fd08f");
   const struck = new THREE.Color("#ff6a5a");
 
-  /** From the height of the head, not from between the feet, where the ground would hide them. */
+  /** Start at the height of the head. At ground level, the ground would hide the feelers. */
   function raise(lines: NumberArray): Float32Array {
     const agent = eye.follows;
     const herd = agent ? herds.byName.get(agent.species) : undefined;
@@ -23,7 +23,7 @@ export function feelers(sight: Sight): void {
     return Float32Array.from(lines, (part, k) => part + UP.getComponent(k % 3) * 0.16 * herd.size(row));
   }
 
-  /** Which of the feelers are those of the agent that this page follows: other pages may follow others. */
+  /** Return which feelers belong to the agent that this page follows; other pages may follow other agents. */
   function own(felt: [string, number, number][]): [number, number] {
     const agent = eye.follows;
     let first = 0;
@@ -44,7 +44,7 @@ export function feelers(sight: Sight): void {
       for (let k = first; k < last; k++) {
         const colour = hit[k] ? struck : free;
         strokes.add(raised, 6 * k, raised, 6 * k + 3, 1.8, 1.8, colour, 0.95);
-        if (hit[k]) strokes.add(raised, 6 * k + 3, raised, 6 * k + 3, 8, 8, colour, 1); // of no length: drawn as a dot
+        if (hit[k]) strokes.add(raised, 6 * k + 3, raised, 6 * k + 3, 8, 8, colour, 1); // of length 0: a dot
       }
     }
     if (strokes.count || strokes.object.visible) strokes.done();

@@ -1,5 +1,5 @@
-// What pushed the agent that is explained: an arrow for each layer, solid as far as it got its way and pale where it was cut,
-// their sum, the velocity that came of it, and lines to the neighbours it looked at. A key in the corner names them.
+// The pushes on the explained agent. Each layer has an arrow: solid for its share, pale for the part that was cut. Further lines
+// show the sum, the resulting velocity and the observed neighbours. A key in the corner names them.
 
 import * as THREE from "three";
 import { HUES } from "../../hues";
@@ -8,7 +8,7 @@ import type { Explained, Triple } from "../../protocol";
 import type { Sight } from "../sight";
 import { Strokes } from "../strokes";
 
-const FAR = 5; // body lengths that an arrow of length 1 is long
+const FAR = 5; // body lengths of an arrow for a push of length 1
 
 export function forces(sight: Sight): void {
   const { stage, store, herds } = sight;
@@ -24,28 +24,28 @@ export function forces(sight: Sight): void {
   function draw(): void {
     arrows.clear();
     cut.clear();
-    const told = store.now.explained;
-    const now = told !== null && current(sight, told);
+    const explained = store.now.explained;
+    const now = explained !== null && current(sight, explained);
     if (now) {
-      if (store.now.neighbours) neighbours(told);
-      layers(told);
+      if (store.now.neighbours) neighbours(explained);
+      layers(explained);
     }
-    name(now ? told : null);
+    name(now ? explained : null);
     for (const strokes of [arrows, cut]) if (strokes.count || strokes.object.visible) strokes.done();
   }
 
-  function neighbours(told: Explained): void {
-    for (const each of told.neighbours) {
-      arrows.add(told.place as Triple, 0, each, 0, 1.2, 1.2, stage.palette.ink, 0.55);
+  function neighbours(explained: Explained): void {
+    for (const each of explained.neighbours) {
+      arrows.add(explained.place as Triple, 0, each, 0, 1.2, 1.2, stage.palette.ink, 0.55);
       arrows.pale(0.5);
     }
   }
 
-  function layers(told: Explained): void {
-    const { explanation, place } = told;
+  function layers(explained: Explained): void {
+    const { explanation, place } = explained;
     if (!explanation || !place) return;
-    const herd = herds.byName.get(told.species);
-    const size = herd?.size(herd.row(told.agent)) ?? 1;
+    const herd = herds.byName.get(explained.species);
+    const size = herd?.size(herd.row(explained.agent)) ?? 1;
     const root = place.map((part, axis) => part + stage.up.getComponent(axis) * size * 0.45) as Triple;
     const tip = (push: Triple, times: number) => root.map((part, axis) => part + (push[axis] as number) * times * size) as Triple;
     if (length(explanation.push) > 1e-4) arrows.arrow(root, tip(explanation.push, FAR), 6.5, stage.palette.ink, 0.6, 0.2); // below the others
@@ -64,8 +64,8 @@ export function forces(sight: Sight): void {
     if (speed > 1e-6) arrows.arrow(root, tip(velocity, (FAR * 0.8) / speed), 1.8, stage.palette.mark, 1, 0.16);
   }
 
-  function name(told: Explained | null): void {
-    const rows = keyRows(told?.explanation?.layers ?? [], stage.palette);
+  function name(explained: Explained | null): void {
+    const rows = keyRows(explained?.explanation?.layers ?? [], stage.palette);
     const all = JSON.stringify(rows);
     if (all === named) return;
     named = all;
@@ -81,7 +81,7 @@ export function forces(sight: Sight): void {
 type Layer = Explanation["layers"][number];
 type KeyRow = [colour: string, words: string, cut: boolean];
 
-/** What the key says of the arrows: the layers that pushed, then what came of them. */
+/** Return the rows of the key: the layers with pushes, then their results. */
 export function keyRows(layers: readonly Layer[], { ink, mark }: Record<"ink" | "mark", THREE.Color>): KeyRow[] {
   const rows: KeyRow[] = [];
   for (const [number, layer] of layers.entries()) {
@@ -95,11 +95,11 @@ export function keyRows(layers: readonly Layer[], { ink, mark }: Record<"ink" | 
   ];
 }
 
-/** Whether the explanation is of the agent one looks at, at the frame that is shown. */
-function current(sight: Sight, told: Explained): boolean {
+/** Return whether the explanation is of the selected agent at the displayed frame. */
+function current(sight: Sight, explained: Explained): boolean {
   const last = sight.store.now.selected.at(-1);
-  if (!told.explanation || !told.place || !last) return false;
-  return told.species === last.species && told.agent === last.id && told.frame === sight.herds.frame;
+  if (!explained.explanation || !explained.place || !last) return false;
+  return explained.species === last.species && explained.agent === last.id && explained.frame === sight.herds.frame;
 }
 
 function layerColour(number: number): THREE.Color {

@@ -1,4 +1,4 @@
-// `window.antdsl`: plain numbers of what is seen, for tests in a browser and for the curious. It reads, and changes nothing.
+// `window.antdsl`: read-only numbers about the view, for tests in a browser and for curious users.
 
 import { onScreen } from "../picking";
 import { drawnItems } from "../scenery/items";
@@ -6,18 +6,18 @@ import type { Sight } from "../sight";
 import { tally } from "./legend";
 
 export interface Hook {
-  readonly frame: number; // shown, or on its way to be
+  readonly frame: number; // the displayed frame, or the one that the motion leads to
   readonly light: boolean;
   readonly agents: number;
-  readonly pictures: number; // drawn so far
-  readonly still: boolean; // what is seen is the frame, not the way to it
-  counts(): Record<string, number>; // agents by `species.machine.state`
+  readonly pictures: number; // number of drawn pictures
+  readonly still: boolean; // whether the view shows the frame itself, without motion towards it
+  counts(): Record<string, number>; // number of agents by `species.machine.state`
   screen(species: string, id: number): [number, number] | null; // CSS px in the view
   ids(species: string): number[];
   position(species: string, id: number): [number, number, number] | null;
-  item(names: string, name: string): number | null; // mm that it is drawn large
-  bones(species: string, id: number): number[][]; // as it was drawn last: the three rows of each bone's matrix
-  camera(): number[]; // where it is and what it looks at, in mm
+  item(names: string, name: string): number | null; // drawn size in mm
+  bones(species: string, id: number): number[][]; // of the last picture: the three rows of the matrix of each bone
+  camera(): number[]; // position and target in mm
 }
 
 declare global {

@@ -1,4 +1,4 @@
-// The view by keyboard, and what is selected in words for those who hear it. One entry for each key.
+// Keyboard control of the view, and the selection as text for screen readers. One entry for each key.
 
 import type { Agent } from "../../store";
 import { machineOf } from "../colours";
@@ -43,7 +43,7 @@ export function keys(sight: Sight): void {
     const act = KEYS.get(event.key.length === 1 ? event.key.toLowerCase() : event.key);
     if (!act) return;
     event.preventDefault();
-    event.stopPropagation(); // arrows turn the camera here, and do not step through time
+    event.stopPropagation(); // here, arrow keys turn the camera and do not step through frames
     act(sight);
   });
   const words = document.createElement("p");
@@ -51,11 +51,11 @@ export function keys(sight: Sight): void {
   words.setAttribute("role", "status");
   stage.place.append(words);
   store.on("selected", () => {
-    words.textContent = said(sight);
+    words.textContent = describeSelection(sight);
   });
 }
 
-/** Follow or ride: the first agent where none is selected. */
+/** Follow or ride the selected agent, or the first agent if none is selected. */
 function keep({ store, eye }: Sight, camera: "follow" | "ride"): void {
   const agent = eye.follows;
   if (!agent) return;
@@ -83,10 +83,10 @@ function next({ store, herds }: Sight, way: 1 | -1): void {
   store.set("selected", [{ species, id: herd.ids[row] as number }]);
 }
 
-function said({ store, herds }: Sight): string {
+function describeSelection({ store, herds }: Sight): string {
   const { selected } = store.now;
   const last = selected.at(-1);
-  if (!last) return "nobody is selected";
+  if (!last) return "no agent is selected";
   if (selected.length > 1) return `${selected.length.toLocaleString("en")} selected`;
   const herd = herds.byName.get(last.species);
   const row = herd?.row(last.id) ?? -1;

@@ -1,4 +1,4 @@
-// What the colours mean, with how many there are of each now; a state's row selects who is in it.
+// The meaning of the colours, with current counts. A click on the row of a state selects its agents.
 
 import type { Machine, Species } from "../../protocol";
 import type { Agent } from "../../store";
@@ -8,7 +8,7 @@ import type { Herd } from "../herd";
 import { RAMP } from "../palette";
 import type { Sight } from "../sight";
 
-const EVERY = 120; // ms between two counts on the page
+const EVERY = 120; // ms between two counts
 
 export function legend(sight: Sight): void {
   const { stage, store, herds } = sight;
@@ -68,7 +68,7 @@ export function legend(sight: Sight): void {
     const rows = machine.states.map((_, number) => row(sight, herd.species, machine, number));
     for (const each of rows) part.append(each.button);
     counts.push(() => {
-      const now = herds.byName.get(herd.species.name) ?? herd; // an edit makes herds anew, with the same states
+      const now = herds.byName.get(herd.species.name) ?? herd; // an edit replaces the herds; their states stay the same
       title.textContent = `${herd.species.name}${several} · ${now.count.toLocaleString("en")}`;
       const found = tally(now, machine);
       rows.forEach((each, number) => {
@@ -80,7 +80,7 @@ export function legend(sight: Sight): void {
   colouring.onChange(refresh);
 }
 
-/** A state with its colour and its count; pressed, it selects who is in it. */
+/** Return the row of a state with colour and count. A click selects the agents in this state. */
 function row({ herds, store }: Sight, species: Species, machine: Machine, number: number) {
   const state = machine.states[number] as string;
   const button = document.createElement("button");
@@ -105,7 +105,7 @@ function row({ herds, store }: Sight, species: Species, machine: Machine, number
   return { button, count };
 }
 
-/** How many agents are in each state of a machine. */
+/** Return the number of agents in each state of a machine. */
 export function tally(herd: Herd, machine: Machine): number[] {
   const found = new Array<number>(machine.states.length).fill(0);
   const states = herd.column(`state/${machine.name}`);

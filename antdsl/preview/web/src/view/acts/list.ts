@@ -1,4 +1,4 @@
-// What the view does besides drawing packets. A new act is one file and one entry here.
+// The functions of the view besides the drawing of packets. A new one is one file and one entry here.
 
 import type { Act } from "../sight";
 import { feelers } from "./feelers";

@@ -1,4 +1,4 @@
-// A ring around each selected agent: bright for the one that is explained, quieter for the others.
+// A ring around each selected agent: bright for the explained agent, paler for the others.
 
 import * as THREE from "three";
 import { changed, rowAttributes } from "../shapes";
@@ -41,7 +41,7 @@ export function marks(sight: Sight): void {
       const agent = selected[k] as { species: string; id: number };
       const herd = herds.byName.get(agent.species);
       const row = herd?.row(agent.id) ?? -1;
-      if (!herd || row < 0 || (store.now.camera === "ride" && k === selected.length - 1)) continue; // one sits on that one
+      if (!herd || row < 0 || (store.now.camera === "ride" && k === selected.length - 1)) continue; // the camera rides on this agent
       rows.copy(count, herd.rows, row);
       tone(rows.tone, count, k === selected.length - 1 ? mark : ink);
       count++;

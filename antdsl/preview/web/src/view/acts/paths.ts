@@ -1,5 +1,5 @@
-// Where agents will be in the next seconds, as the server has simulated them ahead: a dashed line from where each is now, paler the
-// later it is, with a knob where it ends. Of those who are selected, or of all when they are few.
+// Planned paths: where agents will be in the next seconds, simulated ahead by the server. A dashed line from an agent gets paler
+// with time and ends in a knob. Drawn for the selected agents; without a selection for all agents, unless they are too many.
 
 import * as THREE from "three";
 import type { NumberArray, Packet } from "../../protocol";
@@ -23,9 +23,9 @@ export function paths(sight: Sight): void {
   function draw(): void {
     strokes.clear();
     ends.clear();
-    const { paths: wanted, selected } = store.now;
+    const { paths: isEnabled, selected } = store.now;
     const marked = new Set(selected.map((agent) => `${agent.species} ${agent.id}`));
-    for (const [name, ids, places, count] of wanted && latest ? planned(latest) : []) {
+    for (const [name, ids, places, count] of isEnabled && latest ? planned(latest) : []) {
       const herd = herds.byName.get(name);
       ids.forEach((id, number) => {
         const chosen = marked.has(`${name} ${id}`);
@@ -43,12 +43,12 @@ export function paths(sight: Sight): void {
       });
     }
     for (const each of [strokes, ends]) if (each.count || each.object.visible) each.done();
-    const words = wanted ? unseen(selected.length, herds.count, strokes.count) : "";
+    const words = isEnabled ? unseen(selected.length, herds.count, strokes.count) : "";
     note.hidden = !words;
     if (note.textContent !== words) note.textContent = words;
   }
 
-  /** From the frame that is shown on; what lies before it is past by now. */
+  /** Return the part of a path from the displayed frame on. */
   function line(places: NumberArray, first: number, count: number, from: number, wide: number): void {
     if (from < 0) return;
     let last = from;
@@ -70,7 +70,7 @@ export function paths(sight: Sight): void {
   store.on(["paths", "selected"], draw);
 }
 
-/** Species, ids, places (n, count, 3) and how many frames of each there are. */
+/** Return species, ids, positions (n, count, 3) and the number of frames. */
 export function* planned(packet: Packet): Generator<[string, NumberArray, NumberArray, number]> {
   const count = packet.header.count ?? 0;
   for (const [key, places] of packet.arrays) {
@@ -80,7 +80,7 @@ export function* planned(packet: Packet): Generator<[string, NumberArray, Number
   }
 }
 
-/** Why there are no planned paths, or not all; nothing where they are as one expects. */
+/** Return why planned paths are missing; empty if they are complete. */
 export function unseen(chosen: number, all: number, drawn: number): string {
   if (chosen > MOST_PLANNED.chosen)
     return `planned paths of the last ${MOST_PLANNED.chosen} of ${chosen.toLocaleString("en")} that are selected`;

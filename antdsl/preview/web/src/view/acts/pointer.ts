@@ -1,11 +1,11 @@
-// Clicks: one selects the agent below the pointer, with shift it is added or taken away; beside all agents nobody is selected.
-// Dragging with shift selects all within a box.
+// Clicks: a click selects the agent at the pointer; with shift it adds or removes the agent. A click beside all agents clears the
+// selection. Dragging with shift selects all agents within a box.
 
 import type { Agent } from "../../store";
 import { onScreen, pick } from "../picking";
 import type { Sight } from "../sight";
 
-const STILL = 5; // px that a click may slip
+const STILL = 5; // px that the pointer may move during a click
 
 export function pointer(sight: Sight): void {
   const { stage, store, eye } = sight;

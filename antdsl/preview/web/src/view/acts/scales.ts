@@ -1,10 +1,10 @@
-// The scale of each field that is shown: its colours with numbers below them.
+// The colour scale of each displayed field, with numbers.
 
 import * as THREE from "three";
 import { SHOWN, fullOf } from "../scales";
 import type { Sight } from "../sight";
 
-const TICKS = [0, 2, 3, 5]; // powers of ten above the least, of SHOWN in all
+const TICKS = [0, 2, 3, 5]; // powers of ten above the minimum, of SHOWN in total
 
 export function scales({ stage, store }: Sight): void {
   const box = document.createElement("div");
@@ -41,7 +41,7 @@ export function scales({ stage, store }: Sight): void {
     return made;
   }
 
-  /** As it lies on the ground: strong colours cover it, faint ones let it be seen. */
+  /** Return the colour as on the ground: opaque for high values, transparent for low ones. */
   function paint(canvas: HTMLCanvasElement, colour: THREE.Color): void {
     const pen = canvas.getContext("2d") as CanvasRenderingContext2D;
     const image = pen.createImageData(256, 1);

@@ -1,4 +1,4 @@
-// Where agents have been lately: those who are selected, or all of them when they are few.
+// Trails: where agents were lately. Drawn for the selected agents; without a selection for all agents, unless they are too many.
 
 import * as THREE from "three";
 import type { NumberArray } from "../../protocol";
@@ -7,8 +7,8 @@ import type { Sight } from "../sight";
 import { Strokes } from "../strokes";
 
 const LONG = 96; // frames
-const FEW = 300; // agents who all leave one when nobody is selected
-const MOST = 60; // selected ones who leave one
+const FEW = 300; // maximum number of agents with trails if none is selected
+const MOST = 60; // maximum number of selected agents with trails
 
 interface Past {
   frame: number;
@@ -30,44 +30,44 @@ export function trails(sight: Sight): void {
 
   function remember(): void {
     for (const [name, herd] of herds.byName) {
-      const kept = past.get(name) ?? [];
-      while (kept.length && (kept.at(-1) as Past).frame >= herds.frame) kept.pop(); // gone back: what came later is not yet
-      if (kept.length && herds.frame - (kept.at(-1) as Past).frame > 48) kept.length = 0;
+      const history = past.get(name) ?? [];
+      while (history.length && (history.at(-1) as Past).frame >= herds.frame) history.pop(); // after a step back, forget later frames
+      if (history.length && herds.frame - (history.at(-1) as Past).frame > 48) history.length = 0;
       const place = herd.column("position");
-      if (place) kept.push({ frame: herds.frame, ids: herd.ids, place: Float32Array.from(place) });
-      if (kept.length > LONG) kept.shift();
-      past.set(name, kept);
+      if (place) history.push({ frame: herds.frame, ids: herd.ids, place: Float32Array.from(place) });
+      if (history.length > LONG) history.shift();
+      past.set(name, history);
     }
   }
 
   function draw(): void {
     strokes.clear();
-    const { trails: wanted, selected } = store.now;
-    if (wanted) {
+    const { trails: isEnabled, selected } = store.now;
+    if (isEnabled) {
       for (const [name, herd] of herds.byName) {
-        const kept = past.get(name) ?? [];
+        const history = past.get(name) ?? [];
         const ids = selected.filter((agent) => agent.species === name).slice(-MOST);
-        if (ids.length) for (const agent of ids) trail(kept, agent.id, herd, 2.2, true);
-        else if (selected.length === 0 && herds.count <= FEW) for (const id of herd.ids) trail(kept, id, herd, 1.2, false);
+        if (ids.length) for (const agent of ids) trail(history, agent.id, herd, 2.2, true);
+        else if (selected.length === 0 && herds.count <= FEW) for (const id of herd.ids) trail(history, id, herd, 1.2, false);
       }
     }
     if (strokes.count || strokes.object.visible) strokes.done();
-    const words = wanted ? missing(selected.length, herds.count, strokes.count) : "";
+    const words = isEnabled ? missing(selected.length, herds.count, strokes.count) : "";
     note.hidden = !words;
     if (note.textContent !== words) note.textContent = words;
   }
 
-  function trail(kept: Past[], id: number, herd: Herd, wide: number, marked: boolean): void {
+  function trail(history: Past[], id: number, herd: Herd, wide: number, marked: boolean): void {
     const row = herd.row(id);
     if (row < 0) return;
     if (marked) colour.copy(stage.palette.mark);
     else colour.setRGB(part(herd, row, 0), part(herd, row, 1), part(herd, row, 2), THREE.SRGBColorSpace);
     let before: Past | null = null;
     let at = -1;
-    kept.forEach((now, number) => {
+    history.forEach((now, number) => {
       const here = rowOf(now, id, row);
       if (before && at >= 0 && here >= 0 && near(before.place, at, now.place, here, herd.size(row))) {
-        const age = number / kept.length;
+        const age = number / history.length;
         strokes.add(before.place, 3 * at, now.place, 3 * here, wide * age, wide * age, colour, 0.75 * age);
       }
       before = now;
@@ -83,7 +83,7 @@ export function trails(sight: Sight): void {
   store.on(["trails", "selected"], draw);
 }
 
-/** Why there are no trails, or not all; nothing where they are as one expects. */
+/** Return why trails are missing; empty if they are complete. */
 export function missing(chosen: number, all: number, drawn: number): string {
   if (chosen > MOST) return `trails of the last ${MOST} of ${chosen.toLocaleString("en")} that are selected`;
   if (!chosen && all > FEW)
@@ -95,7 +95,7 @@ function part(herd: Herd, row: number, axis: number): number {
   return (herd.rows.tone[4 * row + axis] as number) / 255;
 }
 
-/** Mostly the row is the same in all frames: nobody came or went. */
+/** Return the row of an id in an earlier frame, or -1. `guess` is right in most frames. */
 function rowOf(past: Past, id: number, guess: number): number {
   if (past.ids[guess] === id) return guess;
   let low = 0;
@@ -110,7 +110,7 @@ function rowOf(past: Past, id: number, guess: number): number {
   return -1;
 }
 
-/** Whether one can have walked from the one to the other: who is put elsewhere leaves no line through the air. */
+/** Return whether an agent can have walked from one position to the other. Agents that were moved elsewhere get no line. */
 function near(a: Float32Array, i: number, b: Float32Array, k: number, size: number): boolean {
   const far = Math.hypot(
     (a[3 * i] as number) - (b[3 * k] as number),

@@ -1,4 +1,4 @@
-// `rig:KEY`: what agents look like. Where they are, and what they play, comes with frames.
+// `rig:KEY`: the bodies of agents. Frames contain their positions and clips.
 
 import type { Scenery, Sight } from "../sight";
 

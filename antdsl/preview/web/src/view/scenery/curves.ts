@@ -1,4 +1,4 @@
-// `curve:NAME`: lines that agents follow or gather around.
+// `curve:NAME`: curves of the scene.
 
 import * as THREE from "three";
 import type { Scenery, Sight } from "../sight";

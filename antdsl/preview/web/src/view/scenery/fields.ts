@@ -1,4 +1,4 @@
-// `fieldmesh:NAME` and `field:NAME`: what is laid on the ground, as colour over it, the stronger the more there is.
+// `fieldmesh:NAME` and `field:NAME`: fields as colour over the ground. High values are opaque.
 
 import * as THREE from "three";
 import { DECADES, LEAST, SHOWN, fullOf } from "../scales";
@@ -13,7 +13,7 @@ void main() {
   gl_Position.z -= 6e-5 * gl_Position.w;
 }`;
 
-// One hue to the middle, then lighter: faint traces are seen, and strong ones still differ. The same as `shade` of scales.ts.
+// One hue up to the middle, then lighter: low values are visible, and high values still differ. The same as `shade` of scales.ts.
 const FRAGMENT = /* glsl */ `
 uniform vec3 colour;
 uniform vec3 strong;
@@ -71,7 +71,7 @@ export function fields(sight: Sight): Scenery {
     refresh();
     if (store.now.scene?.name === scene) return;
     scene = store.now.scene?.name ?? "";
-    store.set("fields", [...names]); // what is laid is seen, until somebody does not want it
+    store.set("fields", [...names]); // a field with content is displayed until the user hides it
   });
 
   function spread(name: string, position: Float32Array, face: Uint32Array): void {
@@ -117,7 +117,7 @@ function made(): FieldMesh {
   return mesh;
 }
 
-/** The ground with a value for each vertex, nothing at first. */
+/** Return the mesh of the ground with a value for each vertex, all 0. */
 function ground(position: Float32Array, face: Uint32Array): THREE.BufferGeometry {
   const geometry = new THREE.BufferGeometry();
   geometry.setAttribute("position", new THREE.BufferAttribute(position, 3));

@@ -1,4 +1,4 @@
-// `flow:NAME`: the ways that a flow leads, as arrows on the ground.
+// `flow:NAME`: flow directions, as arrows on the ground.
 
 import * as THREE from "three";
 import { HUES } from "../../hues";

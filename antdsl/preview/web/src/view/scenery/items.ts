@@ -1,4 +1,4 @@
-// `item:KIND:NAME`: things such as food and nests, with a label of what they hold. They shrink as they are eaten.
+// `item:KIND:NAME`: items such as food and nests, with labels for their amounts. They shrink as their amounts decrease.
 
 import * as THREE from "three";
 import type { Packet, Scene } from "../../protocol";
@@ -6,7 +6,7 @@ import { Labels } from "../labels";
 import type { Scenery, Sight } from "../sight";
 
 interface Item {
-  group: string; // its arrays are item/GROUP/… in frames
+  group: string; // name of its arrays in frames: item/GROUP/…
   index: number;
   name: string;
   object: THREE.Object3D;
@@ -16,7 +16,7 @@ type Amount = Scene["items"][number]["amounts"][number];
 
 const UP = new THREE.Vector3(0, 1, 0);
 const BEFORE = new THREE.Vector3();
-const LEAST = 0.25; // of its width: something that is nearly eaten is still seen
+const LEAST = 0.25; // minimum share of its width, so that a nearly empty item stays visible
 
 export function items(sight: Sight): Scenery {
   const { stage, herds, store } = sight;
@@ -42,7 +42,7 @@ export function items(sight: Sight): Scenery {
     if (moved) stage.relight();
   }
 
-  /** Put an item where it is now; whether it is to be seen otherwise than before. */
+  /** Update the position and size of an item. Return whether its appearance changes. */
   function set(slot: string, item: Item): boolean {
     const arrays = herds.packet?.arrays;
     const position = arrays?.get(`item/${item.group}/position`);
@@ -81,7 +81,7 @@ export function items(sight: Sight): Scenery {
   };
 }
 
-/** How much is left, as a part of what it had at first, and in words. What had nothing at first, such as a nest, is whole. */
+/** Return the remaining share of the initial amount, with a text. Items without an initial amount, such as nests, are whole. */
 export function left(amounts: readonly Amount[], index: number, value: (name: string) => number | undefined): [number, string] {
   let part: number | null = null;
   const words: string[] = [];
@@ -95,7 +95,7 @@ export function left(amounts: readonly Amount[], index: number, value: (name: st
   return [part ?? 1, words.join(" · ")];
 }
 
-/** How large items are drawn now, in mm, by `NAMES.NAME`. */
+/** Return the drawn sizes of items in mm, by `NAMES.NAME`. */
 export const drawnItems = new Map<string, number>();
 
 function made(packet: Packet): Item {
@@ -103,7 +103,7 @@ function made(packet: Packet): Item {
   const face = packet.arrays.get("face");
   const group = String(packet.header.items ?? kind);
   const index = Number(packet.header.index ?? 0);
-  if (!face?.length) return { group, index, name, object: new THREE.Object3D() }; // a place, not a thing
+  if (!face?.length) return { group, index, name, object: new THREE.Object3D() }; // an item without a mesh
   const geometry = new THREE.BufferGeometry();
   geometry.setAttribute("position", new THREE.BufferAttribute(packet.arrays.get("position") as Float32Array, 3));
   const display = packet.arrays.get("colour") as Float32Array;

@@ -1,4 +1,4 @@
-// What packets are drawn by. A new kind of thing to see is one file and one entry here.
+// The table of packet kinds and their drawing. A new kind is one file and one entry here.
 
 import type { MakeScenery } from "../sight";
 import { agents } from "./agents";

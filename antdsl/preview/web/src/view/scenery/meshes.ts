@@ -1,4 +1,4 @@
-// `mesh:NAME`: ground and obstacles, which also may come again, moved. One without faces is taken away.
+// `mesh:NAME`: ground and obstacles. A new packet replaces a moved mesh; a packet without faces removes it.
 
 import * as THREE from "three";
 import { creased } from "../creases";
@@ -20,7 +20,7 @@ export function meshes(sight: Sight): Scenery {
   }
   herds.onFrame(measure);
 
-  /** The first ground is the ground; what else can be walked on is told apart from it. */
+  /** The first ground mesh gets the colour of ground; other walkable meshes get another colour. */
   function of(name: string, obstacle: boolean): Stuff {
     if (obstacle) return "obstacle";
     first ??= name;

@@ -1,4 +1,4 @@
-// `solid:NAME:N`: solids piece by piece, as they are dug. A piece that comes empty is taken away.
+// `solid:NAME:N`: pieces of solids as they are dug. An empty packet removes a piece.
 
 import * as THREE from "three";
 import { earth } from "../earth";
