@@ -99,9 +99,9 @@ def _find_reach(
     tries: int,
 ) -> NDArray[np.float64]:
     """Return the corners (2, 3) of a box around all positions that new agents try, with their radii."""
-    places = [start.draw(ids, range(tries)).position for (_, ids), start in zip(new_crowds, starts, strict=True)]
+    drawn = [start.draw(ids, range(tries)).position for (_, ids), start in zip(new_crowds, starts, strict=True)]
     widest = max(float(own[has_extent(own)].max(initial=0.0)) for own in radius)
-    points = np.concatenate(places)
+    points = np.concatenate(drawn)
     return np.stack([points.min(axis=0) - 1.01 * widest, points.max(axis=0) + 1.01 * widest])
 
 
