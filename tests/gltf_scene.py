@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 WIDTH = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
-KIND = {5121: "u1", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+KIND = {5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 
 
 class Scene:
@@ -33,18 +33,29 @@ class Scene:
         entry = self.tree["accessors"][number]
         view = self.tree["bufferViews"][entry["bufferView"]]
         kind, width = KIND[entry["componentType"]], WIDTH[entry["type"]]
-        return np.frombuffer(self.buffer, kind, entry["count"] * width, view["byteOffset"]).reshape(-1, width)
+        start = view["byteOffset"] + entry.get("byteOffset", 0)
+        values = np.frombuffer(self.buffer, kind, entry["count"] * width, start).reshape(-1, width)
+        return np.maximum(values / 32767, -1.0) if entry.get("normalized") else values
 
     def check(self) -> None:
         """Alignment, bounds and what must be there."""
+        parts: dict[int, list[tuple[int, int]]] = {}
         for number, entry in enumerate(self.tree["accessors"]):
             view = self.tree["bufferViews"][entry["bufferView"]]
             size = np.dtype(KIND[entry["componentType"]]).itemsize
+            start, length = entry.get("byteOffset", 0), entry["count"] * WIDTH[entry["type"]] * size
             assert view["byteOffset"] % 4 == 0 and view["byteOffset"] + view["byteLength"] <= len(self.buffer)
-            assert view["byteLength"] == entry["count"] * WIDTH[entry["type"]] * size and entry["count"] > 0
+            assert start % 4 == 0 and start + length <= view["byteLength"] and entry["count"] > 0
+            assert entry.get("normalized", False) == (entry["componentType"] == 5122)
+            parts.setdefault(entry["bufferView"], []).append((start, start + length))
             if "min" in entry:
                 values = self.array(number)
                 assert values.min(axis=0).tolist() == entry["min"] and values.max(axis=0).tolist() == entry["max"]
+        assert len(parts) == len(self.tree["bufferViews"])
+        for number, inside in parts.items():  # accessors fill their view, and none overlaps another
+            ends = [0, *(end for _, end in sorted(inside))]
+            assert all(0 <= start - end < 4 for (start, _), end in zip(sorted(inside), ends[:-1], strict=True))
+            assert ends[-1] == self.tree["bufferViews"][number]["byteLength"]
         for mesh in self.tree["meshes"]:
             for each in mesh["primitives"]:
                 count = self.tree["accessors"][each["attributes"]["POSITION"]]["count"]
@@ -66,6 +77,12 @@ class Scene:
             for sampler in animation["samplers"]:
                 times = self.array(sampler["input"])[:, 0]
                 assert (np.diff(times) > 0).all() and {"min", "max"} <= set(self.tree["accessors"][sampler["input"]])
+            for channel in animation["channels"]:  # section 3.11: floats, or normalized integers of rotations and weights
+                output = self.tree["accessors"][animation["samplers"][channel["sampler"]]["output"]]
+                assert output["componentType"] == 5126 or channel["target"]["path"] == "rotation"
+                if output["componentType"] == 5122:
+                    lengths = np.linalg.norm(self.array(animation["samplers"][channel["sampler"]]["output"]), axis=1)
+                    assert np.abs(lengths - 1).max() < 1e-4
 
     def at(self, seconds: float, animation: int = 0) -> tuple[list[np.ndarray], dict[int, np.ndarray]]:
         """World matrices of all nodes, and the world points of each node that has a mesh."""

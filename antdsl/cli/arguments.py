@@ -107,3 +107,20 @@ def parse_shutter(text: str | None, flag: str = "--shutter") -> tuple[float, flo
         words = f"`{text}` must span at most one frame, within -1 to 1; write `-0.25..0.25`"
         raise typer.BadParameter(words, param_hint=flag)
     return first, last
+
+
+def parse_tolerance(text: str | None, flag: str = "--tolerance") -> float | None:
+    """Return a share from 0 to 0.1 written as a percentage, `0.5%`. Return None for None."""
+    if text is None:
+        return None
+    from antdsl.scene.quantities import QuantityError, parse_number, split_quantity
+
+    try:
+        digits, unit = split_quantity(text)
+        percentage = parse_number(digits)
+    except QuantityError:
+        percentage, unit = -1.0, ""
+    if unit != "%" or not 0 <= percentage <= 10:
+        words = f"`{text}` is not a share of the body's length from 0% to 10%: write `0.5%`"
+        raise typer.BadParameter(words, param_hint=flag)
+    return percentage / 100

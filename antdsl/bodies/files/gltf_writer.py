@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 import struct
 from base64 import b64encode
+from hashlib import blake2b
 from typing import Any
 
 import numpy as np
@@ -23,7 +24,7 @@ from antdsl.bodies.body import normalise_normals
 from antdsl.bodies.files.gltf_textures import COLOUR
 
 VERTEX_BUFFER_TARGET, INDEX_BUFFER_TARGET = 34962, 34963  # `target` of a buffer view
-_COMPONENT_CODES = {"f4": 5126, "u2": 5123, "u4": 5125}
+_COMPONENT_CODES = {"f4": 5126, "u2": 5123, "u4": 5125, "i2": 5122}
 _ACCESSOR_TYPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
 _JSON, _BIN = 0x4E4F534A, 0x004E4942
 
@@ -37,6 +38,8 @@ class GltfWriter:
         self.data = bytearray()
         self._asset = {"version": "2.0", "generator": generator}
         self._lists: dict[str, list[Entry]] = {}
+        self._packed_view: int | None = None  # the buffer view of packed accessors
+        self._accessors: dict[tuple[Any, ...], int] = {}  # by their values and use
 
     def add_part(self, key: str, entry: Entry) -> int:
         """Add a part to one of the lists (`nodes`, `meshes`) and return its number."""
@@ -47,21 +50,47 @@ class GltfWriter:
         """Return a part that was added, so that the caller can extend it."""
         return self._lists[key][number]
 
-    def add_accessor(self, values: NDArray[Any], kind: str = "f4", target: int = 0, bounds: bool = False) -> int:
-        """Add an accessor with values (n,) or (n, k) as `f4`, `u2` or `u4`, and return its number. `bounds`: write the least and
-        greatest value of each column; positions and times must have these."""
+    def add_accessor(
+        self, values: NDArray[Any], kind: str = "f4", target: int = 0, bounds: bool = False, *, is_packed: bool = False
+    ) -> int:
+        """Return the number of an accessor with values (n,) or (n, k) as `f4`, `u2`, `u4` or normalized `i2`, which is added
+        unless there is an equal one.
+
+        `bounds`: write the least and greatest value of each column; positions and times must have these. `is_packed`: the buffer
+        view is that of the previous packed accessor, if nothing came in between."""
         rows = np.ascontiguousarray(values, f"<{kind}").reshape(len(values), -1)
-        self.data += bytes(-len(self.data) % 4)
         raw = rows.tobytes()
-        view: Entry = {"buffer": 0, "byteOffset": len(self.data), "byteLength": len(raw)}
+        key = kind, rows.shape[1], target, bounds, is_packed, blake2b(raw, digest_size=16).digest()
+        if key not in self._accessors:
+            self._accessors[key] = self._add_accessor(rows, raw, kind, target, bounds, is_packed)
+        return self._accessors[key]
+
+    def _add_accessor(self, rows: NDArray[Any], raw: bytes, kind: str, target: int, bounds: bool, is_packed: bool) -> int:
+        self.data += bytes(-len(self.data) % 4)
+        start = len(self.data)
         self.data += raw
         entry: Entry = {
-            "bufferView": self.add_part("bufferViews", view | ({"target": target} if target else {})),
-            "componentType": _COMPONENT_CODES[kind], "count": len(rows), "type": _ACCESSOR_TYPES[rows.shape[1]],
+            "bufferView": self._add_view(start, len(raw), target, is_packed), "componentType": _COMPONENT_CODES[kind],
+            "count": len(rows), "type": _ACCESSOR_TYPES[rows.shape[1]],
         }  # fmt: skip
+        if offset := start - self.get_part("bufferViews", entry["bufferView"])["byteOffset"]:
+            entry["byteOffset"] = offset
+        if kind == "i2":
+            entry["normalized"] = True
         if bounds:
             entry |= {"min": rows.min(axis=0).tolist(), "max": rows.max(axis=0).tolist()}
         return self.add_part("accessors", entry)
+
+    def _add_view(self, start: int, size: int, target: int, is_packed: bool) -> int:
+        """Return the number of a buffer view for `size` bytes from `start`, which was extended to them or added."""
+        views = self._lists.get("bufferViews", [])
+        if is_packed and self._packed_view is not None and self._packed_view == len(views) - 1:
+            views[-1]["byteLength"] = start + size - views[-1]["byteOffset"]
+            return self._packed_view
+        view: Entry = {"buffer": 0, "byteOffset": start, "byteLength": size}
+        number = self.add_part("bufferViews", view | ({"target": target} if target else {}))
+        self._packed_view = number if is_packed else self._packed_view
+        return number
 
     def to_bytes(self, as_text: bool, **top_entries: Any) -> bytes:
         """Return the bytes of the file: a .gltf with an embedded buffer if `as_text`, else a .glb. `top_entries`: `scene` and
@@ -108,13 +137,19 @@ class ShapeParts:
         self._indices_by_material = self._add_material_triangles()
 
     def _add_capture(self) -> None:
-        """Write the joints that points follow, in sets of four, sorted by descending weight."""
+        """Write the joints that points follow, each once, in sets of four, sorted by descending weight."""
         capture = self.shape.capture
         if capture is None:
             return
         count = capture.joints.shape[1]
-        order = np.argsort(-capture.weights, axis=1, kind="stable")
-        joints, weights = (np.take_along_axis(each, order, axis=1) for each in (capture.joints, capture.weights))
+        sums = capture.weights.copy()
+        for k in range(1, count):  # a joint's first column gets the weights of the others
+            same = capture.joints[:, :k] == capture.joints[:, k : k + 1]
+            first, is_repeated = np.argmax(same, axis=1), same.any(axis=1)
+            sums[np.flatnonzero(is_repeated), first[is_repeated]] += sums[is_repeated, k]
+            sums[is_repeated, k] = 0
+        order = np.argsort(-sums, axis=1, kind="stable")
+        joints, weights = (np.take_along_axis(each, order, axis=1) for each in (capture.joints, sums))
         for k in range(0, count, 4):
             influences = [np.pad(each[:, k : k + 4], ((0, 0), (0, max(0, k + 4 - count)))) for each in (joints, weights)]
             influences[0][influences[1] <= 0] = 0
@@ -154,15 +189,43 @@ class ShapeParts:
             entry["extras"] = {"targetNames": list(self.targets.names)}
         return self.writer.add_part("meshes", entry)
 
+    def measure_radii(self, joints: tuple[str, ...]) -> NDArray[np.float64]:
+        """Return the largest distance of the points that follow each of some `joints` from it, offsets of targets included."""
+        capture, shape = self.shape.capture, self.shape
+        assert capture is not None
+        at = np.einsum("pkij,pj->pki", capture.inverse[capture.joints][..., :3, :3], shape.points.astype(np.float64))
+        at += capture.inverse[capture.joints][..., :3, 3]
+        distances = np.where(capture.weights > 0, np.sqrt((at**2).sum(axis=2)) + self._measure_offsets(), 0.0)
+        captured = np.zeros(len(capture.names))
+        np.maximum.at(captured, capture.joints, distances)
+        by_name = dict(zip(capture.names, captured.tolist(), strict=True))
+        return np.array([by_name.get(name, 0.0) for name in joints])
+
+    def measure_radius(self) -> float:
+        """Return the largest distance of a point from the zero point, offsets of targets included."""
+        distances = np.sqrt((self.shape.points.astype(np.float64) ** 2).sum(axis=1))
+        return float(distances.max(initial=0.0)) + self._measure_offsets()
+
+    def _measure_offsets(self) -> float:
+        """Return an upper bound for the distance by which targets with weights up to 1 move a point."""
+        targets = [] if self.targets is None else self.targets.offsets
+        return sum(float(np.sqrt((offsets**2).sum(axis=1)).max(initial=0.0)) for offsets, _ in targets)
+
+    @property
+    def followed_joints(self) -> tuple[str, ...]:
+        """Return the names of the joints that points follow."""
+        capture = self.shape.capture
+        assert capture is not None
+        return tuple(capture.names[k] for k in np.unique(capture.joints[capture.weights > 0]).tolist())
+
     def add_skin(self, nodes: dict[str, int], top: int) -> int:
         """Add the skin with which the shape follows its joints, and return its number. `nodes`: node numbers of joints by
         name."""
         capture = self.shape.capture
         assert capture is not None
-        if not hasattr(self, "_inverse"):
-            self._inverse = self.writer.add_accessor(capture.inverse.transpose(0, 2, 1).reshape(-1, 16))
+        inverse = self.writer.add_accessor(capture.inverse.transpose(0, 2, 1).reshape(-1, 16))
         joints = [nodes[name] for name in capture.names]
-        return self.writer.add_part("skins", {"joints": joints, "inverseBindMatrices": self._inverse, "skeleton": top})
+        return self.writer.add_part("skins", {"joints": joints, "inverseBindMatrices": inverse, "skeleton": top})
 
 
 class MorphTargets:

@@ -83,13 +83,20 @@ def export(
         None, "--copies", help="USD: write agents with skeletons as copies instead of instances, for Blender."
     ),
     close: bool = typer.Option(None, "--close", help="USD: write bodies in close-up quality."),
+    tolerance: str = typer.Option(
+        None,
+        "--tolerance",
+        metavar="PERCENT",
+        help="glTF: largest distance of a joint from its pose, in percent of the body's length; 0% writes all keys. "
+        "[default: 0.5%]",
+    ),
     scheduler: str = SCHEDULER_OPTION,
     tls: Path = TLS_OPTION,
     no_tls: bool = NO_TLS_OPTION,
     quiet: bool = typer.Option(False, "--quiet", "-q", help="Print only problems."),
 ) -> None:
     """Write a cache for other programs: USD (needs the extra [usd]), glTF, points for Houdini, tables, arrays, meshes."""
-    from antdsl.cli.arguments import parse_frame_range, parse_number_set, parse_shutter
+    from antdsl.cli.arguments import parse_frame_range, parse_number_set, parse_shutter, parse_tolerance
     from antdsl.outputs.edits.edited_cache import open_edited_cache
     from antdsl.outputs.exports import EXPORT_FORMATS, AgentSubset, find_export
     from antdsl.outputs.gallery import Gallery
@@ -120,6 +127,7 @@ def export(
         "chunk": chunk,
         "copies": copies,
         "close": close,
+        "tolerance": parse_tolerance(tolerance),
     }
     set_options = {name: value for name, value in all_options.items() if value is not None}
     for name in sorted(set_options.keys() - export.list_option_names(word)):

@@ -15,7 +15,7 @@ from antdsl.outputs.edits.frame_rows import SPECIES_PER_KEY, keep_rows
 from antdsl.outputs.exports.csv_export import export_csv
 from antdsl.outputs.exports.events_export import export_csv_events, export_npz_events
 from antdsl.outputs.exports.geo_export import export_geo
-from antdsl.outputs.exports.gltf_export import export_gltf
+from antdsl.outputs.exports.gltf_export import GltfOptions, export_gltf
 from antdsl.outputs.exports.mesh_export import export_meshes, export_usd_meshes
 from antdsl.outputs.exports.npz_export import export_arrays
 from antdsl.outputs.exports.poses_export import export_poses
@@ -57,7 +57,7 @@ EXPORT_FORMATS = (
         options={"instances": UsdOptions, "xforms": XformOptions},
         forbidden_strings=("\\", ":SDF_FORMAT_ARGS:"),
     ),
-    ExportFormat((".glb", ".gltf"), {"skinned": export_gltf}),
+    ExportFormat((".glb", ".gltf"), {"skinned": export_gltf}, options={"skinned": GltfOptions}),
     ExportFormat((".geo",), {"points": export_geo}, frozenset({"points"})),
     ExportFormat((".csv",), {"keyframes": export_csv, "events": export_csv_events}),
     ExportFormat(

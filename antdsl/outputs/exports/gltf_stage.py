@@ -21,6 +21,7 @@ from antdsl.scene.scene_model import UNIT_MM
 
 _SENSOR_WIDTH_MM, _DEFAULT_ASPECT = 36.0, 16 / 9
 _SQRT_HALF = float(np.sqrt(0.5))
+_DEFAULT_BY_PATH = {"translation": (0, 0, 0), "rotation": (0, 0, 0, 1), "scale": (1, 1, 1)}
 _RIGID_TOLERANCE = 1e-4  # share of the mesh's size; a motion with smaller deviations counts as rigid
 
 Floats = NDArray[np.float64]
@@ -48,7 +49,7 @@ class GltfStage:
         self.notes: list[str] = []
         self._samplers: list[dict[str, Any]] = []
         self._channels: list[dict[str, Any]] = []
-        self._time_accessors: dict[bytes, int] = {}
+        self._sampler_numbers: dict[tuple[int, int, str], int] = {}  # by the accessors of times and values, and their kind
         self._materials: dict[Any, int] = {}
         self._solids: dict[str, tuple[_MovingNode, Floats]] = {}
         self._items: dict[int, _MovingNode] = {}
@@ -79,72 +80,60 @@ class GltfStage:
             self.writer.get_part("nodes", parent).setdefault("children", []).append(number)
         return number
 
-    def add_agent(self, name: str, frames: NDArray[np.int64], translations: Floats, rotations: Floats, sizes: Floats) -> int:
-        """Add the node of an agent, with its transforms in some frames, and return its number. In other frames its scale is 0."""
-        node = self._add_node(self._world_node, {"name": name})
-        self._write_keys(node, frames, translations, rotations, None)
-        is_present = np.zeros(len(self.frames), np.bool_)
-        is_present[frames] = True
-        if is_present.all():
-            self._write_keys(node, frames, None, None, sizes)
-            return node
-        edges = np.flatnonzero(np.diff(is_present, prepend=not is_present[0]) != 0)
-        scales = np.where(is_present[edges, None], sizes[0], 0.0)
-        self._write_channel(node, "scale", edges, scales, "STEP")
-        return node
+    def add_agent(self, name: str, extras: dict[str, Any]) -> int:
+        """Add the node of an agent with its `extras`, and return its number."""
+        return self._add_node(self._world_node, {"name": name, "extras": extras})
 
-    def add_joint(
-        self, parent: int, name: str, frames: NDArray[np.int64], translations: Floats, rotations: Floats, scales: Floats
-    ) -> int:
-        """Add the node of a joint, with keys for the components that change, and return its number."""
-        node = self._add_node(parent, {"name": name})
-        self._write_keys(node, frames, translations, rotations, scales)
-        return node
+    def add_joint(self, parent: int, name: str) -> int:
+        """Add the node of a joint and return its number."""
+        return self._add_node(parent, {"name": name})
 
     def add_body(self, parent: int | None, name: str, mesh: int, skin: int | None) -> int:
         """Add a node with a mesh and return its number. `parent`: the parent, None for a root. Nodes with a skin must be
         roots."""
         return self._add_node(parent, {"name": name, "mesh": mesh} | ({} if skin is None else {"skin": skin}))
 
+    def write_presence(self, node: int, frames: NDArray[np.int64], scales: Floats | None = None) -> None:
+        """Write the scale of a node that exists in some `frames` only. In others it is 0. `scales` (n, 3): by default 1."""
+        shown = np.zeros((len(self.frames), 3))
+        shown[frames] = 1.0 if scales is None else scales
+        keys = np.flatnonzero(np.append(True, (shown[1:] != shown[:-1]).any(axis=1)))
+        self.write_keys(node, "scale", keys, shown[keys], "STEP")
+
     def write_weights(self, node: int, frames: NDArray[np.int64], values: NDArray[np.float32]) -> None:
         """Write the weights (n, targets) of a node's morph targets over frames."""
         mesh = self.writer.get_part("nodes", node)["mesh"]
         self.writer.get_part("meshes", mesh).setdefault("weights", [0.0] * values.shape[1])
-        self.writer.get_part("nodes", node)["weights"] = values[0].tolist()
-        if (values != values[0]).any():
-            self._write_channel(node, "weights", frames, values, "LINEAR")
+        self.write_keys(node, "weights", frames, values)
 
-    def _write_keys(
-        self, node: int, frames: NDArray[np.int64], translations: Floats | None, rotations: Floats | None, scales: Floats | None
-    ) -> None:
-        """Write translation, rotation and scale of a node. Constant components become values of the node, others become keys."""
-        entry = self.writer.get_part("nodes", node)
-        rotations = None if rotations is None else align_signs(rotations)
-        for path, values, still in (
-            ("translation", translations, (0, 0, 0)), ("rotation", rotations, (0, 0, 0, 1)), ("scale", scales, (1, 1, 1)),
-        ):  # fmt: skip
-            if values is None:
-                continue
-            samples = values.astype(np.float32)
-            if (samples[0] != np.array(still, np.float32)).any():
-                entry[path] = samples[0].tolist()
-            if (samples != samples[0]).any():
-                self._write_channel(node, path, frames, samples, "LINEAR")
+    def write_value(self, node: int, path: str, value: NDArray[Any]) -> None:
+        """Write a constant property of a node, `path`. The default value is left out."""
+        single = np.asarray(value, np.float32)
+        if path == "weights" or (single != np.array(_DEFAULT_BY_PATH[path], np.float32)).any():
+            digits = 7 if path == "rotation" else 9  # components of rotations are at most 1, so these are float32 too
+            self.writer.get_part("nodes", node)[path] = [float(f"{part:.{digits}g}") for part in single.tolist()]
 
-    def _write_channel(self, node: int, path: str, frames: NDArray[np.int64], values: NDArray[Any], kind: str) -> None:
-        """Write keys for one property (`path`) of a node. Keys between equal neighbours are left out."""
-        is_key = np.ones(len(frames), np.bool_)
-        if kind == "LINEAR" and len(frames) > 2:
-            same = (values[1:] == values[:-1]).all(axis=1)
-            is_key[1:-1] = ~(same[1:] & same[:-1])
-        key = frames[is_key].tobytes()
-        if key not in self._time_accessors:
-            since = np.array(self.frames)[frames[is_key]] - self.frames[0]
-            self._time_accessors[key] = self.writer.add_accessor(since * self.gallery.dt, bounds=True)
-        output = values[is_key].reshape(-1) if path == "weights" else values[is_key]
-        sampler = {"input": self._time_accessors[key], "output": self.writer.add_accessor(output), "interpolation": kind}
-        self._channels.append({"sampler": len(self._samplers), "target": {"node": node, "path": path}})
-        self._samplers.append(sampler)
+    def write_keys(
+        self, node: int, path: str, frames: NDArray[np.int64], values: NDArray[Any], interpolation: str = "LINEAR",
+        is_short: bool = False,
+    ) -> None:  # fmt: skip
+        """Write keys (n, k) of one property of a node, and its first value as that of the node. `is_short`: as int16, of values
+        up to 1."""
+        values = align_signs(values) if path == "rotation" else values
+        self.write_value(node, path, values[0])
+        keys = np.rint(values * 32767).astype(np.int16) if is_short else np.asarray(values, np.float32)
+        if (keys == keys[0]).all():
+            return
+        seconds = (np.array(self.frames)[frames] - self.frames[0]) * self.gallery.dt
+        accessors = (
+            self.writer.add_accessor(seconds, bounds=True, is_packed=True),
+            self.writer.add_accessor(keys.reshape(-1) if path == "weights" else keys, "i2" if is_short else "f4", is_packed=True),
+        )
+        key = *accessors, interpolation
+        if key not in self._sampler_numbers:
+            self._sampler_numbers[key] = len(self._samplers)
+            self._samplers.append({"input": accessors[0], "output": accessors[1], "interpolation": interpolation})
+        self._channels.append({"sampler": self._sampler_numbers[key], "target": {"node": node, "path": path}})
 
     def find_or_add_material(self, name: str, colour: tuple[float, ...], *, has_vertex_colours: bool = False) -> int:
         """Return the number of the material with this name and base colour (linear). It is added at its first use."""
@@ -220,13 +209,13 @@ class GltfStage:
 
     def write_motion(self) -> None:
         """Write the collected motion of meshes and items, dug solids, and the animation."""
-        for moving, _ in self._solids.values():
-            if moving.frames:
-                self._write_keys(
-                    moving.node, np.array(moving.frames), np.array(moving.translations), np.array(moving.rotations), None
-                )
-        for moving in self._items.values():
-            self._write_keys(moving.node, np.array(moving.frames), np.array(moving.translations), None, np.array(moving.scales))
+        for moving in [*(solid for solid, _ in self._solids.values()), *self._items.values()]:
+            frames = np.array(moving.frames, np.int64)
+            for path, values in (
+                ("translation", moving.translations), ("rotation", moving.rotations), ("scale", moving.scales),
+            ):  # fmt: skip
+                if values:
+                    self.write_keys(moving.node, path, frames, np.array(values))
         for name, solid in self._dug_solids.items():
             self.add_body(self._world_node, name, self._write_mesh(name, solid.vertices, solid.faces, None), None)
             self.add_note(f"`{name}` is written as in frame {self.frames[-1]}")
@@ -260,7 +249,8 @@ class GltfStage:
             turns.append(matrix_to_quaternion(np.stack([side, np.cross(back, side), back], axis=1)))
             if camera.focal != first.focal:
                 self.add_note("the camera's focal length is that of the first frame")
-        self._write_keys(node, np.arange(len(camera_frames)), np.array(moves), np.array(turns), None)
+        self.write_keys(node, "translation", np.arange(len(camera_frames)), np.array(moves))
+        self.write_keys(node, "rotation", np.arange(len(camera_frames)), np.array(turns))
 
 
 def _fit_rigid(first: Floats, later: Floats) -> tuple[Floats, Floats, float]:

@@ -1,0 +1,45 @@
+"""The states of agents over the frames of a glTF file, as `extras` of their nodes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from antdsl.outputs.cache.frame_agents import IDENTITY_ARRAYS, find_species_rows, get_agent_ids
+from antdsl.outputs.gallery import Gallery
+
+_STATE_ARRAYS = IDENTITY_ARRAYS | {"state"}
+
+
+@dataclass(slots=True, eq=False)
+class StateChanges:
+    """By species and agent, the frames in which states begin, and their names. Empty if the cache has no states."""
+
+    changes: dict[tuple[str, int], list[dict[str, Any]]] = field(default_factory=dict)
+
+    @staticmethod
+    def gather(gallery: Gallery, frames: list[int]) -> StateChanges:
+        """Return the states of all agents in some frames."""
+        output = StateChanges()
+        last: dict[str, dict[int, int]] = {}
+        for frame in frames:
+            arrays = gallery.cache.frame(frame, _STATE_ARRAYS)
+            if "state" not in arrays:
+                continue
+            for number, species in enumerate(gallery.manifest.species):
+                if not species.machines:
+                    continue
+                rows = find_species_rows(arrays, number)
+                current = dict(zip(get_agent_ids(arrays)[rows].tolist(), np.asarray(arrays["state"])[rows].tolist(), strict=True))
+                for one, state in current.items() - last.get(species.name, {}).items():
+                    entry = {"frame": frame, "state": species.machines[0].states[state].name}
+                    output.changes.setdefault((species.name, one), []).append(entry)
+                last[species.name] = current
+        return output
+
+    def describe(self, species: str, one: int) -> dict[str, Any]:
+        """Return the `extras` about the states of an agent; empty if they are unknown."""
+        changes = self.changes.get((species, one))
+        return {} if changes is None else {"states": changes}
