@@ -102,17 +102,17 @@ def test_agents_have_their_id_species_and_states(ants: Cache, tmp_path: Path) ->
     for frame in ants.frames():
         arrays = ants.frame(frame)
         for one, state in zip(arrays["id"].tolist(), arrays["state"].tolist(), strict=True):
-            begun = [each for each in agents[one]["extras"]["states"] if each["frame"] <= frame]
-            assert begun[-1]["state"] == names[state] and agents[one]["name"] == f"forager_{one}"
+            entries = [each for each in agents[one]["extras"]["states"] if each["frame"] <= frame]
+            assert entries[-1]["state"] == names[state] and agents[one]["name"] == f"forager_{one}"
             assert agents[one]["extras"]["species"] == "forager"
-            changes += begun[-1]["frame"] == frame > 1
+            changes += entries[-1]["frame"] == frame > 1
     assert changes > 2
 
 
 def test_a_load_is_there_in_the_frames_in_which_it_is_worn(ants: Cache, tmp_path: Path) -> None:
     scene = written(ants, tmp_path / "ants.glb")
     numbers = {node["name"]: n for n, node in enumerate(scene.tree["nodes"])}
-    seen = {True: 0, False: 0}
+    counts_by_worn = {True: 0, False: 0}
     for frame in range(1, FRAMES + 1, 9):
         worn = {one for crowd in Gallery(ants).make_picture(frame).crowds if crowd.body.layers for one in crowd.ids.tolist()}
         points = scene.at((frame - 1) / 24)[1]
@@ -120,10 +120,10 @@ def test_a_load_is_there_in_the_frames_in_which_it_is_worn(ants: Cache, tmp_path
             assert np.ptp(points[numbers[f"forager_{one}_ant"]], axis=0).max() > 1e-3
             if f"forager_{one}_crumb" in numbers:
                 assert (np.ptp(points[numbers[f"forager_{one}_crumb"]], axis=0).max() > 1e-4) == (one in worn)
-                seen[one in worn] += 1
+                counts_by_worn[one in worn] += 1
             else:
                 assert one not in worn
-    assert min(seen.values()) > 1
+    assert min(counts_by_worn.values()) > 1
 
 
 def test_keys_are_as_far_apart_as_the_tolerance_permits() -> None:
@@ -137,7 +137,7 @@ def test_keys_are_as_far_apart_as_the_tolerance_permits() -> None:
     angles *= 40
     moves = np.stack([angles, np.cos(angles), 0 * angles], axis=1)
     turns = Rotation.from_rotvec(angles[:, None] * (0.6, 0, 0.8)).as_quat()
-    found = set()
+    steps = set()
     for values in (moves, turns):
         for agent, step in enumerate(rows.choose_steps(values, tolerances).tolist()):
             own, at = (each[starts[agent] : starts[agent + 1]] for each in (values, frames))
@@ -148,8 +148,8 @@ def test_keys_are_as_far_apart_as_the_tolerance_permits() -> None:
                 assert measure_key_error(own, at, keys) <= tolerances[agent] + 1e-12
                 coarser = rows.list_keys(agent, 2 * step) - starts[agent]
                 assert len(coarser) == len(keys) or measure_key_error(own, at, coarser) > tolerances[agent]
-            found.add(step)
-    assert {0, 1, 2, 4} <= found
+            steps.add(step)
+    assert {0, 1, 2, 4} <= steps
 
 
 def measure_key_error(values: np.ndarray, times: np.ndarray, keys: np.ndarray) -> float:

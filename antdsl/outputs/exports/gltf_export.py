@@ -265,7 +265,7 @@ class _AgentWriter:
             if not is_always_worn:
                 stage.write_presence(node, frames)
             return node
-        if not is_always_worn:  # points follow nodes at the joints, whose scale hides them
+        if not is_always_worn:  # points follow nodes at the joints: their scale hides the shape
             for joint in worn.parts.followed_joints:
                 followed[joint] = stage.add_joint(followed[joint], f"{joint}_{binding.shape}")
                 stage.write_presence(followed[joint], frames)

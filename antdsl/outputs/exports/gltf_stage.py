@@ -95,10 +95,10 @@ class GltfStage:
 
     def write_presence(self, node: int, frames: NDArray[np.int64], scales: Floats | None = None) -> None:
         """Write the scale of a node that exists in some `frames` only. In others it is 0. `scales` (n, 3): by default 1."""
-        shown = np.zeros((len(self.frames), 3))
-        shown[frames] = 1.0 if scales is None else scales
-        keys = np.flatnonzero(np.append(True, (shown[1:] != shown[:-1]).any(axis=1)))
-        self.write_keys(node, "scale", keys, shown[keys], "STEP")
+        track = np.zeros((len(self.frames), 3))
+        track[frames] = 1.0 if scales is None else scales
+        keys = np.flatnonzero(np.append(True, (track[1:] != track[:-1]).any(axis=1)))
+        self.write_keys(node, "scale", keys, track[keys], "STEP")
 
     def write_weights(self, node: int, frames: NDArray[np.int64], values: NDArray[np.float32]) -> None:
         """Write the weights (n, targets) of a node's morph targets over frames."""
