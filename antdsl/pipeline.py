@@ -165,6 +165,7 @@ def open_scene(
     )  # fmt: skip
     inputs = {"antdsl": __version__, "scene": scene.compute_digest(), **loaded.hash_texts(), **meshes, **bodies.hashes}
     inputs |= {f"--set {name}": text for name, text in choices.params.items()}
+    inputs |= {f"camera {name}": scene.hash_camera(name) for name in program.list_things_of_kind("camera")}
     inputs |= {f"set {change.name}": change.value.span.text for change in choices.changes}
     final_plan = lowered if raw else passes.optimise(lowered, thorough=thorough)
     return Shot(scene, program, final_plan, setting, inputs, loaded, bodies.definitions, bodies.proportions), report
@@ -224,7 +225,7 @@ def _notify_format_reader(scene: Scene) -> None:
         from antdsl.reader import client
 
         client.begin_scene()
-    if any(getattr(thing, "usd", None) for thing in (*scene.model.world.values(), scene.model.camera)):
+    if any(getattr(thing, "usd", None) for thing in (*scene.model.world.values(), *scene.model.named_cameras.values())):
         from antdsl.reader import client
 
         client.start_reader_early("usd")

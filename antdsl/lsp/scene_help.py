@@ -14,6 +14,7 @@ from antdsl.program.names.file_declarations import find_declaring_node
 from antdsl.program.tables.columns import COLUMN_BY_ATTRIBUTE
 from antdsl.program.tables.things import KIND_BY_WORD, KINDS_WITH_FACES
 from antdsl.scene import scene_model
+from antdsl.scene.camera_models import CAMERA_MODEL_BY_TAG
 from antdsl.scene.casting_model import FACING_WORDS
 from antdsl.scene.thing_models import ItemThing
 from antdsl.syntax import nodes
@@ -85,7 +86,7 @@ def _propose_keys(workspace: Workspace, document: OpenDocument, path: tuple[str,
     """Yield the keys that fit at a position. `path`: the keys above it. `line`: its line up to the position."""
     if not path and not line.lstrip().startswith("-"):
         yield from _propose_model_fields(scene_model.SceneModel)
-    elif path[:1] == ("world",):
+    elif path[:1] in (("world",), ("cameras",)):
         yield from _propose_world_keys(workspace, document, path)
     elif path == ("set",):
         yield from _propose_settings(workspace, document)
@@ -134,12 +135,19 @@ def _propose_model_fields(part: type[scene_model.ScenePart]) -> Iterator[Complet
 
 
 def _propose_world_keys(workspace: Workspace, document: OpenDocument, path: tuple[str, ...]) -> Iterator[CompletionItem]:
-    """Yield keys below `world`: names of things, or keys of one thing."""
+    """Yield keys below `world` or `cameras`: names of things, or keys of one thing."""
     things = {name: item for each in _find_crowd_programs(workspace, document) for name, item in each.names.things.items()}
     if len(path) == 1:
         for name, item in things.items():
-            form = KIND_BY_WORD[item.kind.text].snippet if item.kind.text in KIND_BY_WORD else ""
+            kind = KIND_BY_WORD.get(item.kind.text)
+            if kind is not None and kind.section != path[0]:
+                continue
+            form = "" if kind is None else kind.snippet
             yield CompletionItem(name, "thing", item.kind.text, find_help_text(item), f"{name}: {form}", bool(form))
+        return
+    if path[0] == "cameras":
+        for model in CAMERA_MODEL_BY_TAG.values():
+            yield from _propose_model_fields(model)
         return
     thing = things.get(path[1])
     if thing is not None and thing.kind.text == "items":

@@ -183,7 +183,15 @@ def _index_camera(index: SceneIndex, node: DocumentNode) -> None:
             _index_file(index, value)
 
 
+def _index_cameras(index: SceneIndex, node: DocumentNode) -> None:
+    """Record the names below `cameras`, which programs may use, and their files."""
+    for name, span, value in _list_mapping_entries(node):
+        index.add_occurrence(span, ("thing", name))
+        _index_camera(index, value)
+
+
 _INDEXERS_BY_KEY: dict[str, Any] = {
     "world": _index_world, "extends": _index_extends, "crowd": _index_crowd, "set": _index_changed_values,
     "fields": _index_fields, "layers": _index_layers, "camera": _index_camera,
+    "cameras": _index_cameras,
 }  # fmt: skip

@@ -60,3 +60,16 @@ def compute_unit_tangents(v: Floats, normal: Floats) -> Floats:
     flat = v - (v * normal).sum(axis=1)[:, None] * normal
     level: Floats = flat / np.maximum(length(flat), 1e-12)[:, None]
     return level
+
+
+def compute_view_axes(eye: Floats, aim: Floats, up: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return the unit axes (3,) of a camera: to the right and the top of its picture, and ahead.
+
+    A camera that is aimed at its own position looks along x. `up`: the direction that points to the top."""
+    ahead = normalise_or_fallback(aim - eye, np.array([1.0, 0.0, 0.0]))
+    upward = normalise_or_fallback(up, np.array([0.0, 1.0, 0.0]))
+    right = np.cross(ahead, upward)
+    if dot(right, right) < 1e-12:  # looking straight down: the picture's top is along the next axis
+        right = np.cross(ahead, np.roll(upward, 1))
+    right = normalise_or_fallback(right, np.array([1.0, 0.0, 0.0]))
+    return right, np.cross(right, ahead), ahead

@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from hashlib import blake2b
 from pathlib import Path
 
@@ -22,16 +23,22 @@ from antdsl.outputs.cache.cache_reader import Cache
 from antdsl.outputs.cache.hashes import HashLine
 from antdsl.outputs.cut_plane import CutPlane
 from antdsl.outputs.gallery import Gallery
-from antdsl.outputs.pictures.cameras import make_eye_level_camera, make_fitted_camera, make_overview_camera, make_top_camera
+from antdsl.outputs.pictures.camera import to_tuple
+from antdsl.outputs.pictures.cameras import find_agent_view, make_fitted_camera, make_overview_camera, make_top_camera
+from antdsl.outputs.pictures.following import CLOSE_FOCAL_MM, EYE_FOCAL_MM, SMOOTH_SECONDS, FollowingCamera
 from antdsl.outputs.pictures.legend import add_legend, compute_legend_width
 from antdsl.outputs.pictures.model import Camera, Picture
 from antdsl.outputs.pictures.render import Renderer
+from antdsl.outputs.scene_cameras import SceneCameras, choose_direction, make_stable_track, read_track
 from antdsl.safe_read import read_size_limited
+from antdsl.scene.camera_models import DEFAULT_CAMERA
+from antdsl.scene.setting import DEFAULT_FOCAL_MM
 
 _PNG_HASH_KEYWORD = "antdsl"  # the key of the hash among the texts of a PNG file
 MAX_STILL_BYTES = 512 * limits.MIB
 
 Image = NDArray[np.uint8]
+Point = tuple[float, float, float]
 # Shorter agents are enlarged to this length (pixels), but by at most this factor
 MIN_AGENT_PIXELS, MAX_AGENT_ENLARGEMENT = 7.0, 3.0
 
@@ -44,11 +51,12 @@ class AgentMissing(Exception):
 class DrawRequest:
     """The options of pictures.
 
-    `camera`: `scene`, `fit`, `above`, `top`, `eye` or `close`.
+    `camera`: one of `CAMERA_VIEWS`, or the name of a camera of the scene.
     `agents`: ids of the agents with ids, paths and similar overlays; a camera at eye level follows the first.
     `cut`, `window`: the texts of the command-line options.
     `least`: bodies are enlarged to this length in pixels; None for the default.
-    `rest`: a camera at eye level stays where the first frame placed it, as films need."""
+    `at`, `look_at`: points in scene units, of a camera instead of `camera`; both or none.
+    `focal`: a focal length in mm instead of the camera's own."""
 
     width: int
     height: int
@@ -62,7 +70,9 @@ class DrawRequest:
     marks: float = 0.0
     blur: float = 0.0
     legend: bool = True
-    rest: bool = False
+    at: Point | None = None
+    look_at: Point | None = None
+    focal: float | None = None
 
     def gallery(self, cache: Cache) -> Gallery:
         """Return a gallery that builds the cache's pictures. Raises PictureUnavailable as `Gallery` does."""
@@ -82,7 +92,10 @@ class FrameDrawer:
         least, enlarged = (MIN_AGENT_PIXELS, MAX_AGENT_ENLARGEMENT) if request.least is None else (request.least, float("inf"))
         size = request.width - self._legend_width, request.height
         self._renderer = Renderer(*size, threads=threads, marks=request.marks, blur=request.blur, least=least, enlarged=enlarged)
-        self._fixed_camera = self._choose_camera(first)
+        self._aspect = self._renderer.width / self._renderer.height
+        self._cameras, self._up = SceneCameras(gallery), np.asarray(first.up, np.float64)
+        self._name = DEFAULT_CAMERA if request.camera == "scene" else request.camera
+        self._find_camera = self._choose_camera(first)
 
     def draw(self, frame: int) -> NDArray[np.uint8]:
         """Return the picture of one frame (height, width, 3).
@@ -90,31 +103,56 @@ class FrameDrawer:
         Raises CacheError if the frame is damaged, PictureUnavailable if it cannot be drawn. Raises AgentMissing if a camera
         finds no agent, ValueError for an unknown word in `show`."""
         request, picture = self.wanted, self.gallery.make_picture(frame, agents=self._agents)
-        follows = request.camera in ("eye", "close") and not request.rest
-        moves = request.camera == "scene" and self.gallery.has_moving_camera
-        camera = self._choose_camera(picture) if follows or moves else self._fixed_camera
+        camera = self._find_camera(frame)
+        if request.focal is not None:
+            camera = replace(camera, focal=request.focal)
         return add_legend(self._renderer.draw(picture, camera, show=request.show), picture, self._legend_width, request.show)
 
-    def _choose_camera(self, picture: Picture) -> Camera:
-        """Return the requested camera for a picture. Raises AgentMissing if the followed agent is not in it."""
-        which, agents = self.wanted.camera, self.wanted.agents
-        aspect = self._renderer.width / self._renderer.height
-        if which in ("eye", "close"):
-            close = which == "close"
-            camera = make_eye_level_camera(picture, agents[0] if agents else None, focal=35.0 if close else 26.0, close=close)
-            if camera is not None:
-                return camera
-            if agents or any(len(crowd.position) for crowd in picture.crowds):
-                raise AgentMissing(_describe_missing_agent(picture, agents))
-            which = "fit"  # a frame without agents, such as the end of a hunt; the other frames of a film still show agents
-        if which == "top":
-            return make_top_camera(picture, aspect=aspect)
-        if which == "fit" or (which == "scene" and self.gallery.has_fitted_camera):
-            return make_fitted_camera(
-                self.gallery.find_outline_points(self.frames), np.asarray(picture.up, np.float64), aspect=aspect
-            )
-        own = self.gallery.make_camera(picture.frame or 0) if which == "scene" else None
-        return own if own is not None else make_overview_camera(picture, aspect=aspect)
+    def _choose_camera(self, first: Picture) -> Callable[[int], Camera]:
+        """Return the function that gives the requested camera at a frame. `first`: the picture of the first frame.
+
+        Raises AgentMissing if no frame has the agent to follow."""
+        request, name = self.wanted, self._name
+        if request.at is not None and request.look_at is not None:
+            eye, aim = (to_tuple(np.array(point) - self.gallery.origin) for point in (request.at, request.look_at))
+            return _constant(Camera(eye, aim))
+        if name in ("eye", "close") and (following := self._follow_agent(first, is_close=name == "close")) is not None:
+            return following.make_camera
+        if name == "top":
+            return _constant(make_top_camera(first, aspect=self._aspect))
+        if name in ("fit", "eye", "close") or self._cameras.is_fitted(name):
+            points, focal = self.gallery.find_outline_points(self.frames), request.focal or DEFAULT_FOCAL_MM
+            return _constant(make_fitted_camera(points, self._up, aspect=self._aspect, focal=focal))
+        own = self._cameras.make_camera(first.frame or 0, name)
+        if own is None:
+            return _constant(make_overview_camera(first, aspect=self._aspect, focal=request.focal or DEFAULT_FOCAL_MM))
+        return (lambda frame: self._cameras.make_camera(frame, name) or own) if self._cameras.is_moving(name) else _constant(own)
+
+    def _follow_agent(self, first: Picture, *, is_close: bool) -> FollowingCamera | None:
+        """Return the camera beside the requested agent, or beside one with others nearby in the first frame that has agents.
+
+        None if no frame has agents. `first`: the picture of the first frame. Raises AgentMissing if no frame has the requested
+        agent."""
+        focal = self.wanted.focal or (CLOSE_FOCAL_MM if is_close else EYE_FOCAL_MM)
+        view, agents = None, self.wanted.agents
+        for picture in map(self.gallery.make_picture, self.frames):
+            view = find_agent_view(picture, next(iter(agents), None), focal=focal, close=is_close)
+            if view is not None:
+                break
+        if view is None and agents:
+            raise AgentMissing(_describe_missing_agent(first, agents))
+        if view is None or view.crowd.ids is None:  # as at the end of a hunt
+            return None
+        number = [species.name for species in self.gallery.manifest.species].index(view.crowd.species)
+        agent, reach = int(view.crowd.ids[view.row]), math.ceil(SMOOTH_SECONDS / self.gallery.dt)
+        near = range(min(self.frames) - reach, max(self.frames) + reach + 1)
+        track = read_track(self.gallery.cache, number, agent, [f for f in self.gallery.cache.frames() if f in near])
+        stable = make_stable_track(self.gallery, track)
+        return choose_direction(self.gallery, number, agent, stable, focal, is_close=is_close)
+
+
+def _constant(camera: Camera) -> Callable[[int], Camera]:
+    return lambda frame: camera
 
 
 def _describe_missing_agent(picture: Picture, agents: Sequence[int]) -> str:
@@ -123,8 +161,7 @@ def _describe_missing_agent(picture: Picture, agents: Sequence[int]) -> str:
     for crowd in picture.crowds:
         counts[crowd.species] = counts.get(crowd.species, 0) + len(crowd.position)
     known = [f"{count} `{species}`" for species, count in counts.items() if count]
-    who = f" {agents[0]}" if agents else ""
-    return f"there is no agent{who} for the camera to follow; this frame has {', '.join(known) or 'nobody'}"
+    return f"there is no agent {agents[0]} for the camera to follow; frame {picture.frame} has {', '.join(known) or 'nobody'}"
 
 
 def make_still_path(folder: Path, frame: int) -> Path:

@@ -21,26 +21,16 @@ from antdsl.outputs.agent_paths import AgentPaths, PathWindow, match_agents
 from antdsl.outputs.cache.cache_reader import Arrays, Cache, CacheError
 from antdsl.outputs.cache.dug_solids import DugSolids
 from antdsl.outputs.cache.frame_agents import find_species_rows, get_agent_ids
-from antdsl.outputs.cache.manifest import CameraEntry, MeshEntry, SpeciesEntry
+from antdsl.outputs.cache.manifest import MeshEntry, SpeciesEntry
 from antdsl.outputs.cache.pose_arrays import read_all_machine_clips, read_driven_pose, read_feet, read_layer_masks
 from antdsl.outputs.cache_bodies import CacheBodies
 from antdsl.outputs.cut_plane import CutPlane
 from antdsl.outputs.feelers import compute_feeler_rays
 from antdsl.outputs.flow_arrows import read_flow_arrows
 from antdsl.outputs.pictures.camera import to_tuple
-from antdsl.outputs.pictures.model import (
-    Camera,
-    Crowd,
-    FlowArrows,
-    Item,
-    ItemShapeName,
-    LegendRow,
-    Picture,
-    Solid,
-    SurfaceKind,
-    Trail,
-)
+from antdsl.outputs.pictures.model import Crowd, FlowArrows, Item, ItemShapeName, LegendRow, Picture, Solid, SurfaceKind, Trail
 from antdsl.outputs.pictures.trail_colours import estimate_full_strength
+from antdsl.scene.thing_models import UP_VECTORS
 
 _SURFACE_KIND_BY_NAME: tuple[tuple[str, SurfaceKind], ...] = (
     ("boulder", "boulder"),
@@ -49,7 +39,6 @@ _SURFACE_KIND_BY_NAME: tuple[tuple[str, SurfaceKind], ...] = (
     ("stone", "stone"),
 )
 _SURFACE_KIND_BY_MATERIAL: dict[str, SurfaceKind] = {"metal": "metal", "soil": "hill", "leaf": "leaf", "light": "light"}
-_UP_VECTORS = {"y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 REQUIRED_ATTRIBUTES = ("P", "orient", "pscale")
 # colours of the fields, in their order
 _FIELD_COLOURS = ((0.68, 0.10, 0.46), (0.05, 0.46, 0.62), (0.80, 0.40, 0.05), (0.30, 0.22, 0.66))
@@ -129,22 +118,12 @@ class Gallery:
             items=self._make_items(arrays),
             trails=self._make_trails(arrays),
             flows=self.flows,
-            up=_UP_VECTORS[self.manifest.up],
+            up=UP_VECTORS[self.manifest.up],
             legend=legend,
             frame=frame,
             grain=self._measure_grain(self._first_frame),
         )
         return whole if self._cut_plane is None else self._cut_plane.cut_picture(whole)
-
-    @property
-    def has_moving_camera(self) -> bool:
-        """Return whether the scene's own camera changes between frames."""
-        return isinstance(self.manifest.camera, CameraEntry) and self.manifest.camera.moves
-
-    @property
-    def has_fitted_camera(self) -> bool:
-        """Return whether the scene requests a camera that shows the complete crowd in all drawn frames."""
-        return self.manifest.camera == "fit"
 
     def find_outline_points(self, frames: Sequence[int]) -> NDArray[np.float64]:
         """Return points (n, 3) that enclose the agents of the frames: a camera that shows the points shows all agents.
@@ -178,17 +157,6 @@ class Gallery:
         if "species" not in arrays or not len(reach):
             return float(reach.max(initial=1.0))
         return reach[np.clip(np.asarray(arrays["species"], np.int64), 0, len(reach) - 1)]
-
-    def make_camera(self, frame: int) -> Camera | None:
-        """Return the scene's own camera at a frame, or None if it has none."""
-        own = self.manifest.camera
-        if not isinstance(own, CameraEntry):
-            return None
-        if not own.moves:
-            return Camera(own.at, own.look_at, focal=own.focal or 35.0, up=own.up)
-        k = min(max(frame - self.manifest.first, 0), len(self.static["camera.at"]) - 1)
-        at, look_at, up = (to_tuple(self.static[f"camera.{name}"][k]) for name in ("at", "look_at", "up"))
-        return Camera(at, look_at, focal=float(self.static["camera.focal"][k]) or 35.0, up=up)
 
     def _make_dug_solids(self, frame: int) -> tuple[Solid, ...]:
         """Return the solids as dug at a frame."""

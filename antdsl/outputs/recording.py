@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,11 +26,12 @@ from antdsl.outputs.cache.cache_writer import (
 )
 from antdsl.outputs.cache.frame_maker import FrameMaker, make_manifest, make_static_arrays
 from antdsl.outputs.cache.hashes import HashLine
-from antdsl.outputs.cache.manifest import CameraEntry, EditsEntry, Look, find_relative_path
+from antdsl.outputs.cache.manifest import AnyCameraEntry, CameraEntry, EditsEntry, FollowEntry, Look, find_relative_path
 from antdsl.outputs.cache.scene_positions import find_scene_origin
 from antdsl.outputs.cache.solid_pieces import PieceMaker
 from antdsl.outputs.cache_start import hash_start_frame, start_from_cache
 from antdsl.outputs.feelers import list_feelers
+from antdsl.outputs.pictures.camera import to_tuple
 from antdsl.outputs.provenance import collect_provenance
 from antdsl.pipeline import Shot
 from antdsl.runtime import (
@@ -45,8 +46,9 @@ from antdsl.runtime import (
     step,
 )
 from antdsl.runtime.profiling import StepMeter
+from antdsl.scene.camera_models import FollowCamera
 from antdsl.scene.crowd_model import named_weights
-from antdsl.scene.scene_model import Camera, SceneModel
+from antdsl.scene.scene_model import SceneModel
 from antdsl.scene.setting import CameraData
 from antdsl.scene.thing_models import PlacedThing, convert_point
 from antdsl.scene.values import FrameRange
@@ -235,7 +237,7 @@ def record_frames(recording: Recording, on_frame: Callable[[str, int], None] = l
         feelers={
             name: list_feelers(shot.program, name, world.params, shot.setting.unit_mm, world.dt) for name in world.populations
         },
-        camera=_make_camera_entry(shot, world.origin),
+        cameras=_make_camera_entries(shot, world.origin),
         looks=collect_looks(model),
     )
     manifest = manifest.model_copy(update={"edits": recording.edits})
@@ -299,26 +301,27 @@ def _write_frame(recording: Recording, writer: CacheWriter) -> None:
     recording.add_time("hand_over", began)
 
 
-def _make_camera_entry(shot: Shot, origin: NDArray[np.float64]) -> CameraEntry | Literal["fit"] | None:
-    """Return the manifest's entry for the scene's camera, `fit`, or None without a camera."""
-    camera = shot.scene.model.camera
-    if shot.setting.camera is not None:
-        return _make_file_camera_entry(shot.setting.camera, origin, 1.0 / shot.setting.unit_mm)
-    if not isinstance(camera, Camera):
-        return "fit" if camera == "fit" else None
-    unit_mm = shot.scene.model.unit_mm
-    points: list[Any] = [
-        tuple(float(part) / unit_mm for part in np.subtract(convert_point(point, unit_mm), origin))
-        for point in (camera.at, camera.look_at)
-    ]
-    return CameraEntry(at=points[0], look_at=points[1], focal=camera.focal.number if camera.focal is not None else None)
+def _make_camera_entries(shot: Shot, origin: NDArray[np.float64]) -> dict[str, AnyCameraEntry]:
+    """Return the manifest's entries for the cameras of a scene, by name."""
+    model, entries = shot.scene.model, dict[str, AnyCameraEntry]()
+    for name, value in model.named_cameras.items():
+        if name in shot.setting.cameras:
+            entries[name] = _make_placed_entry(shot.setting.cameras[name], origin, 1.0 / model.unit_mm)
+        elif isinstance(value, FollowCamera):
+            by = None if value.by is None else to_tuple(np.array(convert_point(value.by, model.unit_mm)) / model.unit_mm)
+            smooth = None if value.smooth is None else value.smooth.to_base_units(model.unit_mm, float(1 / model.fps))
+            focal = None if value.focal is None else value.focal.number
+            entries[name] = FollowEntry(follow=str(value.follow), by=by, smooth=smooth, focal=focal)
+        else:
+            entries[name] = "fit"
+    return entries
 
 
-def _make_file_camera_entry(camera: CameraData, origin: NDArray[np.float64], scale: float) -> CameraEntry:
-    """Return the manifest's entry for a camera from a file, with the values of the first frame."""
-    rows = ((camera.at[0] - origin) * scale, (camera.look_at[0] - origin) * scale, camera.up[0])
-    at, look_at, up = (tuple(float(v) for v in row) for row in rows)
-    return CameraEntry(at=at, look_at=look_at, focal=float(camera.focal[0]), up=up, moves=len(camera.at) > 1)  # type: ignore[arg-type]
+def _make_placed_entry(camera: CameraData, origin: NDArray[np.float64], scale: float) -> CameraEntry:
+    """Return the manifest's entry for a camera that does not depend on agents, with the values of the first frame."""
+    at, look_at, up = ((camera.at[0] - origin) * scale, (camera.look_at[0] - origin) * scale, camera.up[0])
+    focal = float(camera.focal[0]) or None
+    return CameraEntry(at=to_tuple(at), look_at=to_tuple(look_at), focal=focal, up=to_tuple(up), moves=camera.moves)
 
 
 def collect_looks(model: SceneModel) -> Mapping[str, Look | Mapping[str, Look]]:

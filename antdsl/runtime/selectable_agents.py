@@ -2,6 +2,12 @@
 
 from __future__ import annotations
 
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.runtime.sensed_camera import SensedCamera
 from antdsl.runtime.world import Population, World
 from antdsl.scene.selection import SelectableAgents, SelectableFrame, StateColumn
 
@@ -16,7 +22,12 @@ def collect_selectable_frame(world: World) -> SelectableFrame:
         single | points,
         world.setting.seed,
         world.setting.unit_mm,
+        partial(_find_in_view, world),
     )
+
+
+def _find_in_view(world: World, camera: str, place: NDArray[np.float64]) -> NDArray[np.bool_]:
+    return SensedCamera(world.setting.cameras[camera], np.zeros(3)).find_in_view(world.frame, place, np.zeros(len(place)))
 
 
 def _collect_agents(world: World, population: Population) -> SelectableAgents:

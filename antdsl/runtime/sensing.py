@@ -24,10 +24,9 @@ from antdsl.runtime.collisions import find_new_contacts
 from antdsl.runtime.moving import moving_geometry
 from antdsl.runtime.moving.obstacle_clearance import get_clearance, may_touch
 from antdsl.runtime.neighbourhood import compute_clear_velocity, find_widest_gap
+from antdsl.runtime.thing_senses import PLACED_THING_SENSES, Rows, SenseValue, read_positions, row_count, spread_rows
 from antdsl.runtime.world import AXES, Population, World
 
-SenseValue = Any
-Rows = slice | NDArray[np.intp]
 FLOAT32_MIN_VECTOR_LENGTH = np.float32(MIN_VECTOR_LENGTH)
 NO_HIT = (np.False_, np.float32(np.inf), np.float32(0), np.float32(0), np.float32(0))  # result of a ray without a hit
 _PULL_INSIDE_SHARE = 1e-6  # share of the path from a border point to the middle of its face
@@ -66,19 +65,6 @@ def compute_uniform_leaf(world: World, node: ir.PlanNode) -> SenseValue:
     raise AssertionError(f"{node.op} is not a value of the run")
 
 
-def _row_count(rows: Rows) -> int:
-    return rows.stop - rows.start if isinstance(rows, slice) else len(rows)
-
-
-def _spread_rows(value: SenseValue, rows: Rows) -> NDArray[Any]:
-    """Return an array with one value for each row."""
-    return np.full(_row_count(rows), value) if np.ndim(value) == 0 else value
-
-
-def _read_positions(world: World, population: Population, rows: Rows) -> tuple[NDArray[np.float32], ...]:
-    return tuple(population.start[f"position.{axis}"][rows] for axis in AXES)
-
-
 def _sense_id(world: World, population: Population, node: ir.PlanNode, rows: Rows) -> SenseValue:
     return population.ids[rows]
 
@@ -106,7 +92,7 @@ def _sense_drawn_agent(world: World, population: Population, node: ir.PlanNode, 
 
 def _sense_event(world: World, population: Population, node: ir.PlanNode, rows: Rows) -> SenseValue:
     flags = population.events.get(node.attrs[0])
-    return np.zeros(_row_count(rows), np.bool_) if flags is None else flags[rows]
+    return np.zeros(row_count(rows), np.bool_) if flags is None else flags[rows]
 
 
 def _sense_touched_surface(world: World, population: Population, node: ir.PlanNode, rows: Rows) -> SenseValue:
@@ -117,7 +103,7 @@ def _sense_agent_register(world: World, population: Population, node: ir.PlanNod
     """Return a register of other agents at the start of the step, by id; 0 for none and for dead agents."""
     species, register = node.attrs
     other = world.populations[species]
-    at = other.find_rows(_spread_rows(ids, rows))
+    at = other.find_rows(spread_rows(ids, rows))
     source = other.start[register]
     is_alive = at >= 0
     return (
@@ -129,20 +115,20 @@ def _sense_agent_register(world: World, population: Population, node: ir.PlanNod
 
 def _sense_agent_age(world: World, population: Population, node: ir.PlanNode, rows: Rows, ids: SenseValue) -> SenseValue:
     other = world.populations[node.attrs[0]]
-    at = other.find_rows(_spread_rows(ids, rows))
+    at = other.find_rows(spread_rows(ids, rows))
     if not len(other):
         return np.zeros(len(at), np.float32)
     return np.where(at >= 0, _age_from_birth(world, other.born[np.where(at >= 0, at, 0)]), np.float32(0))
 
 
 def _sense_agent_alive(world: World, population: Population, node: ir.PlanNode, rows: Rows, ids: SenseValue) -> SenseValue:
-    return world.populations[node.attrs[0]].find_rows(_spread_rows(ids, rows)) >= 0
+    return world.populations[node.attrs[0]].find_rows(spread_rows(ids, rows)) >= 0
 
 
 def _sense_item_amount(world: World, population: Population, node: ir.PlanNode, rows: Rows, item: SenseValue) -> SenseValue:
     items, attribute = node.attrs
     source = world.items[items].visible_values[attribute]
-    item = _spread_rows(item, rows)
+    item = spread_rows(item, rows)
     has_item = (item >= 0) & (item < len(source))
     return (
         np.where(has_item, source[np.where(has_item, item, 0)], np.float32(0)) if len(source) else np.zeros(len(item), np.float32)
@@ -150,7 +136,7 @@ def _sense_item_amount(world: World, population: Population, node: ir.PlanNode, 
 
 
 def _sense_item_alive(world: World, population: Population, node: ir.PlanNode, rows: Rows, item: SenseValue) -> SenseValue:
-    item = _spread_rows(item, rows)
+    item = spread_rows(item, rows)
     return (item >= 0) & (item < len(world.items[node.attrs[0]]))
 
 
@@ -165,8 +151,8 @@ def _sense_ray(
     reach: SenseValue,
 ) -> SenseValue:
     """Return the result of one feeler of each row, as `_sense_rays` does."""
-    n = _row_count(rows)
-    rays = tuple(np.ascontiguousarray(_spread_rows(v, rows), np.float32) for v in (dx, dy, dz, reach))
+    n = row_count(rows)
+    rays = tuple(np.ascontiguousarray(spread_rows(v, rows), np.float32) for v in (dx, dy, dz, reach))
     hits = tuple(np.full(n, value) for value in NO_HIT)
     _sense_rays(world, population, node, rows, [(np.ones(n, np.bool_), rays, hits)])
     return hits
@@ -222,8 +208,8 @@ def _cast_remaining_feelers(
 
 
 def _sense_obstacle_near(world: World, population: Population, node: ir.PlanNode, rows: Rows, reach: SenseValue) -> SenseValue:
-    reach = _spread_rows(reach, rows)
-    x, y, z = _read_positions(world, population, rows)
+    reach = spread_rows(reach, rows)
+    x, y, z = read_positions(world, population, rows)
     hits = world.obstacles[node.attrs[0]].find_nearest_within(x, y, z, reach, threads=world.options.threads)
     return hits.hit, hits.t, hits.nx, hits.ny, hits.nz
 
@@ -240,7 +226,7 @@ def _sense_field_ahead(
     Headings are along the ground below the feet; `up` is the normal of this ground."""
     up = vec.split_columns(population.normal[rows], np.float32)
     heading = vec.take_rows(vec.get_vector_registers(population.start, "heading"), rows)
-    ahead, turn = (_spread_rows(each, rows) for each in (ahead, turn))
+    ahead, turn = (spread_rows(each, rows) for each in (ahead, turn))
     with np.errstate(all="ignore"):
         sound = np.isfinite(ahead) & np.isfinite(turn)
         ahead, turn = np.where(sound, ahead, np.float32(0)), np.where(sound, turn, np.float32(0))
@@ -286,7 +272,7 @@ def _sense_field_strongest(world: World, population: Population, node: ir.PlanNo
     value, x, y, z = world.fields[field].sample_strongest(population.cells[field][rows], int(count))
     nothing = ~(value > 0)
     positions = moving_geometry.move_from_rest(world, population, rows, (x, y, z))
-    return value, *(np.where(nothing, own, k) for own, k in zip(_read_positions(world, population, rows), positions, strict=True))
+    return value, *(np.where(nothing, own, k) for own, k in zip(read_positions(world, population, rows), positions, strict=True))
 
 
 def _sense_field_gradient(world: World, population: Population, node: ir.PlanNode, rows: Rows) -> SenseValue:
@@ -294,34 +280,11 @@ def _sense_field_gradient(world: World, population: Population, node: ir.PlanNod
     return moving_geometry.rotate_from_rest(world, population, rows, slope)
 
 
-def _sense_curve_closest(world: World, population: Population, node: ir.PlanNode, rows: Rows) -> SenseValue:
-    nearest = world.curves[node.attrs[0]].find_closest(*_read_positions(world, population, rows))
-    return nearest.distance, nearest.px, nearest.py, nearest.pz, nearest.tx, nearest.ty, nearest.tz
-
-
-def _sense_flow_value(world: World, population: Population, node: ir.PlanNode, rows: Rows) -> SenseValue:
-    place = np.stack(_read_positions(world, population, rows), axis=1).astype(np.float64)
-    up = population.normal[rows].astype(np.float64)
-    return world.flows[node.attrs[0]].at(world.ground.meshes, population.footing.take_rows(rows), place, up)
-
-
-def _sense_flow_reachable(world: World, population: Population, node: ir.PlanNode, rows: Rows) -> SenseValue:
-    place = np.stack(_read_positions(world, population, rows), axis=1).astype(np.float64)
-    up = population.normal[rows].astype(np.float64)
-    return world.flows[node.attrs[0]].has_flow_at(world.ground.meshes, population.footing.take_rows(rows), place, up)
-
-
-def _sense_map_value(world: World, population: Population, node: ir.PlanNode, rows: Rows) -> SenseValue:
-    meshes = world.ground.meshes
-    assert meshes is not None  # maps are painted on them
-    return world.maps[node.attrs[0]].at(meshes, population.footing.take_rows(rows))
-
-
 def _sense_noise(world: World, population: Population, node: ir.PlanNode, rows: Rows, *arguments: SenseValue) -> SenseValue:
     """Return noise at the agents' positions in the scene's axes, at the time of the step. `arguments`: scale, seed and period."""
-    scale, seed, period = (np.float64(1) * _spread_rows(each, rows) for each in arguments)
-    place = np.stack(_read_positions(world, population, rows)).astype(np.float64) + world.origin[:, None]
-    step_time = np.full((1, _row_count(rows)), world.display_frame * world.dt)
+    scale, seed, period = (np.float64(1) * spread_rows(each, rows) for each in arguments)
+    place = np.stack(read_positions(world, population, rows)).astype(np.float64) + world.origin[:, None]
+    step_time = np.full((1, row_count(rows)), world.display_frame * world.dt)
     unit = np.stack((scale, scale, scale, period))
     cells = np.concatenate((place, step_time)) / np.where(unit > 0, unit, np.nan)
     which = np.floor(np.where(np.abs(seed) < noise.MAX_LATTICE_COORDINATE, seed, 0.0)).astype(np.int64)
@@ -338,15 +301,15 @@ def _sense_clear_velocity(
     """Return a collision-free velocity. `arguments`: the wish x y z (mm/s), `within` (mm), `horizon` (s) and the largest number
     of others."""
     which = _row_numbers(rows)
-    wx, wy, wz = (_spread_rows(each, rows) for each in arguments[:3])
-    within, horizon, most = (_spread_rows(np.float64(1) * each, rows) for each in arguments[3:])
+    wx, wy, wz = (spread_rows(each, rows) for each in arguments[:3])
+    within, horizon, most = (spread_rows(np.float64(1) * each, rows) for each in arguments[3:])
     return compute_clear_velocity(world, population, which, (wx, wy, wz), within, horizon, most)
 
 
 def _sense_widest_gap(
     world: World, population: Population, node: ir.PlanNode, rows: Rows, within: SenseValue, most: SenseValue
 ) -> SenseValue:
-    within, most = (_spread_rows(np.float64(1) * each, rows) for each in (within, most))
+    within, most = (spread_rows(np.float64(1) * each, rows) for each in (within, most))
     return find_widest_gap(world, population, _row_numbers(rows), within, most)
 
 
@@ -356,12 +319,13 @@ def _sense_clip_value(world: World, population: Population, node: ir.PlanNode, r
 
 def _sense_contact(world: World, population: Population, node: ir.PlanNode, rows: Rows, *touched: SenseValue) -> SenseValue:
     """Return the new contact and all touched ids. `touched`: the ids of agents touched so far."""
-    known = np.stack([np.asarray(_spread_rows(each, rows), np.int64) for each in touched], axis=1)
+    known = np.stack([np.asarray(spread_rows(each, rows), np.int64) for each in touched], axis=1)
     contact_ids, known = find_new_contacts(world, population, node.attrs[0], _row_numbers(rows), known)
     return contact_ids, *(np.ascontiguousarray(ids) for ids in known.T)
 
 
 SENSE_FUNCTIONS: Mapping[str, Callable[..., SenseValue]] = {
+    **PLACED_THING_SENSES,
     "id": _sense_id,
     "age": _sense_age,
     "draw": _sense_draw,
@@ -379,10 +343,6 @@ SENSE_FUNCTIONS: Mapping[str, Callable[..., SenseValue]] = {
     "field.ahead": _sense_field_ahead,
     "field.strongest": _sense_field_strongest,
     "field.gradient": _sense_field_gradient,
-    "curve.closest": _sense_curve_closest,
-    "flow.value": _sense_flow_value,
-    "flow.reachable": _sense_flow_reachable,
-    "map.value": _sense_map_value,
     "noise": _sense_noise,
     "clear.velocity": _sense_clear_velocity,
     "gap.widest": _sense_widest_gap,

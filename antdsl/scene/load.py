@@ -61,12 +61,16 @@ class Scene:
         changes = {name: value for name, value in values.items() if value is not None}
         return replace(self, model=self.model.model_copy(update=changes)) if changes else self
 
+    def hash_camera(self, name: str) -> str:
+        """Return a hash of a camera as in the source."""
+        return hashlib.blake2b(repr(self.model.named_cameras[name]).encode(), digest_size=16).hexdigest()
+
     def compute_digest(self) -> str:
         """Return a digest of everything in the scene that affects results.
 
-        It leaves out the output, and a camera that no level of detail uses. It also leaves out the last frame, so that a cache
-        can be continued past it."""
-        without = {"output", "frames", "extends"} | ({"camera"} if self.model.lod is None else set())
+        It leaves out the output, and cameras that no level of detail uses: `hash_camera` is for those that agents sense. It also
+        leaves out the last frame, so that a cache can be continued past it."""
+        without = {"output", "frames", "extends", "cameras"} | ({"camera"} if self.model.lod is None else set())
         relevant_keys = sorted(set(type(self.model).model_fields) - without)
         values = [(name, getattr(self.model, name)) for name in relevant_keys if name not in ("crowd", "notes")]
         values += [("notes", self.model.notes)] if self.model.notes else []
@@ -122,7 +126,7 @@ def load_text(
     return Scene(model, document, source, roots), report
 
 
-_KEYS_WITH_LINES = frozenset(("world", "set", "fields", "layers", "camera", "lod", "output"))
+_KEYS_WITH_LINES = frozenset(("world", "set", "fields", "layers", "camera", "cameras", "lod", "output"))
 
 
 def _find_outdented_lines(document: MappingNode) -> dict[PathKey, Diagnostic]:
@@ -266,6 +270,7 @@ def _format_path(path: tuple[PathKey, ...]) -> str:
 def _list_allowed_keys(path: tuple[PathKey, ...], further_models: Mapping[str, type[ScenePart]]) -> list[str]:
     """Return the keys that the model at a path knows."""
     from antdsl.scene import scene_model
+    from antdsl.scene.camera_models import CAMERA_MODEL_BY_TAG, CameraKey
     from antdsl.scene.casting_model import DRAW_MODELS
     from antdsl.scene.crowd_model import LayerChoice
     from antdsl.scene.notes_model import NOTE_MODELS, make_note_tag
@@ -275,8 +280,8 @@ def _list_allowed_keys(path: tuple[PathKey, ...], further_models: Mapping[str, t
     models: dict[str, type[ScenePart]] = {
         **further_models,
         **{scene_model.make_thing_tag(head): each for head, each in scene_model.THING_MODELS.items()},
-        "usd-camera": scene_model.UsdCamera,
-        "keys": scene_model.PositionKey,
+        **CAMERA_MODEL_BY_TAG,
+        "keys": CameraKey if "camera-here" in path else scene_model.PositionKey,
         "wear": LayerChoice,
         "mapping-selector": AgentConditions,
         "box-region": Box,

@@ -5,7 +5,7 @@ No mesh is read here; only the existence of files is checked. `CHECKS` lists the
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 from antdsl.diagnostics import Label, Report
 from antdsl.diagnostics.suggestion import find_nearest_name
@@ -14,6 +14,7 @@ from antdsl.program.tables.columns import COLUMN_BY_ATTRIBUTE
 from antdsl.program.tables.things import KIND_BY_WORD
 from antdsl.program.tables.units import format_number
 from antdsl.scene import field_settings
+from antdsl.scene.camera_models import CAMERA_VIEWS, DEFAULT_CAMERA, Camera, FollowCamera, UsdCamera
 from antdsl.scene.crowd_checks import check_around, check_crowd, count_agents
 from antdsl.scene.document import PathKey
 from antdsl.scene.entry_checks import Entry, check_dimension, convert_constant, report_unknown
@@ -23,7 +24,7 @@ from antdsl.scene.load import Scene
 from antdsl.scene.note_checks import check_notes
 from antdsl.scene.quantities import Quantity
 from antdsl.scene.scene_kinds import SCENE_KINDS
-from antdsl.scene.selectors import SelectorNames
+from antdsl.scene.selectors import SelectorNames, find_problems
 from antdsl.scene.shape_checks import list_item_names
 from antdsl.scene.step_checks import check_step_lengths
 
@@ -37,21 +38,22 @@ def match_scene(scene: Scene, program: Program) -> Report:
 
 
 def _check_world(scene: Scene, program: Program, report: Report) -> None:
-    scene_things = scene.model.world
     program_things = {name: thing for name, thing in program.world.items() if thing.kind in SCENE_KINDS}
+    placed_things = [name for name, thing in program_things.items() if KIND_BY_WORD[thing.kind].section == "world"]
     misspelt = set()
-    for name in scene_things:
-        if name not in program_things:
-            report_unknown(report, scene, ("world", name), "no program has a thing of the world named", program_things)
-            misspelt.add(find_nearest_name(name, program_things))
+    for name in scene.model.world:
+        if name not in placed_things:
+            report_unknown(report, scene, ("world", name), "no program has a thing of the world named", placed_things)
+            misspelt.add(find_nearest_name(name, placed_things))
     for name, thing in program_things.items():
         row, kind = KIND_BY_WORD[thing.kind], SCENE_KINDS[thing.kind]
+        scene_things: Mapping[str, object] = scene.model.world if row.section == "world" else scene.model.named_cameras
         if name not in scene_things and name in misspelt:
             continue  # one message per mistake
         if name not in scene_things:
-            place = scene.span("world", key=True) if "world" in scene.document.entries else scene.span("antdsl", key=True)
+            place = scene.span(row.section if row.section in scene.document.entries else "antdsl", key=True)
             message = f"the program's {thing.kind} `{name}` has no {kind.missing_data} in the scene"
-            advice = f"add `{name}: {row.scene}` to `world`"
+            advice = f"add `{name}: {row.scene}` to `{row.section}`"
             report.error("missing-thing", message, place, advice, labels=(Label(thing.span, "declared here"),))
         elif not isinstance(scene_things[name], kind.models):
             message = f"`{name}` is {row.scene_form} in the program, but something else here"
@@ -61,7 +63,7 @@ def _check_world(scene: Scene, program: Program, report: Report) -> None:
             kind.check(Entry(scene, program, report, name, thing), scene_things[name])
 
 
-def list_selector_names(scene: Scene, program: Program, cameras: frozenset[str] = frozenset()) -> SelectorNames:
+def list_selector_names(scene: Scene, program: Program) -> SelectorNames:
     """Return the names that selectors of a scene may use."""
     machines = [machine for species in program.species.values() for machine in species.machines]
     states = {name for each in machines for state in each.states for name in (state.name, f"{each.name}.{state.name}")}
@@ -70,7 +72,7 @@ def list_selector_names(scene: Scene, program: Program, cameras: frozenset[str] 
         frozenset(program.species),
         frozenset(list_item_names(scene)),
         frozenset(states),
-        cameras,
+        frozenset(name for name, camera in scene.model.named_cameras.items() if isinstance(camera, Camera | UsdCamera)),
     )
 
 
@@ -166,11 +168,29 @@ def _check_layers(scene: Scene, program: Program, report: Report) -> None:
             )
 
 
+def _check_cameras(scene: Scene, program: Program, report: Report) -> None:
+    """Report names of cameras that `render --camera` would understand otherwise, and files and agents that do not exist."""
+    for name, camera in scene.model.named_cameras.items():
+        path = scene.model.find_camera_path(name)
+        if isinstance(camera, UsdCamera):
+            check_file(scene, report, camera.usd, *path, "usd")
+        if isinstance(camera, FollowCamera):
+            for problem in find_problems(camera.follow, list_selector_names(scene, program)):
+                report.error("unknown-thing", problem.message, scene.span(*path, "follow"), problem.help)
+        if name in CAMERA_VIEWS:
+            words = f"`{name}` is a view that every cache has, so no camera of the scene can have this name"
+            report.error("duplicate-name", words, scene.span(*path, key=True), "write another name")
+    if scene.model.camera is not None and DEFAULT_CAMERA in scene.model.cameras:
+        words = f"the camera of `camera` has the name `{DEFAULT_CAMERA}` too"
+        place, label = scene.span("cameras", DEFAULT_CAMERA, key=True), Label(scene.span("camera", key=True), "the other one")
+        report.error("duplicate-name", words, place, "keep one of them", labels=(label,))
+
+
 def _check_detail(scene: Scene, program: Program, report: Report) -> None:
     lod = scene.model.lod
     if lod is None:
         return
-    if scene.model.camera is None or isinstance(scene.model.camera, str):
+    if not isinstance(scene.model.named_cameras.get(DEFAULT_CAMERA), Camera | UsdCamera):
         advice = "write `camera: {at: [200, 150, 300], look_at: [0, 0, 0]}`, or leave `lod` out"
         words = "`lod` needs the distance from a camera, but the scene has no camera during the run"
         report.error("missing-key", words, scene.span("lod"), advice)
@@ -202,6 +222,7 @@ SCENE_CHECKS: tuple[Callable[[Scene, Program, Report], None], ...] = (
     _check_fields,
     check_field_dynamics,
     _check_layers,
+    _check_cameras,
     _check_detail,
     _check_output,
     _check_notes,

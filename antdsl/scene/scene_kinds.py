@@ -13,6 +13,7 @@ from antdsl.program.model import Dimension
 from antdsl.program.tables.things import KIND_BY_WORD
 from antdsl.program.tables.units import describe_dimension
 from antdsl.scene import thing_models as forms
+from antdsl.scene.camera_models import Camera, FollowCamera, UsdCamera
 from antdsl.scene.document import PathKey
 from antdsl.scene.entry_checks import Entry, check_attributes, report_unknown
 
@@ -123,6 +124,18 @@ class ItemsKind(SceneKind):
                 entry.report.error("wrong-unit", message, entry.span(*path), help)
 
 
+class CameraKind(SceneKind):
+    """Cameras, which are below `cameras` and not below `world`. Agents sense those that do not depend on agents."""
+
+    def check(self, entry: Entry, value: Any) -> None:
+        if isinstance(value, FollowCamera | str):
+            words = "it follows one of them" if isinstance(value, FollowCamera) else "it is placed when pictures are made"
+            place = entry.scene.span(*entry.scene.model.find_camera_path(entry.name))
+            message = f"agents cannot sense the camera `{entry.name}`: {words}"
+            advice = f"write `{entry.name}: {KIND_BY_WORD[entry.thing.kind].scene}`, or name another one in the program"
+            entry.report.error("wrong-kind", message, place, advice)
+
+
 def is_file_path(text: str) -> bool:
     """Return whether a target is the path of a file and not the name of a thing."""
     return any(sign in text for sign in "./:")
@@ -209,4 +222,5 @@ SCENE_KINDS: Mapping[str, SceneKind] = {
     "items": ItemsKind((dict, forms.UsdThing), "items", missing_data="place"),
     "flow": FlowKind(_FLOW_FORMS, "flows"),
     "map": FlowKind((forms.PaintedThing,), "maps"),
+    "camera": CameraKind((Camera, UsdCamera, FollowCamera, str), "cameras", missing_data="place"),
 }

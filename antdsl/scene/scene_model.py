@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from fractions import Fraction
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Union
 
@@ -10,6 +11,7 @@ from pydantic import BeforeValidator, Discriminator, Field, Tag
 from antdsl import limits
 from antdsl.diagnostics.suggestion import find_nearest_name
 from antdsl.program.tables.columns import DEFAULT_ATTRIBUTE_NAMES
+from antdsl.scene.camera_models import DEFAULT_CAMERA, Camera, Cameras, CameraValue
 from antdsl.scene.casting_model import Clumps, Ranks
 from antdsl.scene.crowd_model import CrowdLine as CrowdLine
 from antdsl.scene.crowd_model import Placement as Placement
@@ -27,7 +29,6 @@ from antdsl.scene.values import (
     PointOrName,
     PositiveLength,
     SceneName,
-    SceneWord,
     make_error,
     parse_integer_between,
     parse_number_between,
@@ -94,28 +95,6 @@ class FieldStart(ScenePart):
     radius: PositiveLength | None = None
 
 
-class Camera(ScenePart):
-    at: PointValue
-    look_at: PointValue
-    focal: PositiveLength | None = None
-
-
-class UsdCamera(ScenePart):
-    """A camera of a USD file, with its motion."""
-
-    usd: FilePath
-    prim: SceneWord
-
-
-Fit = Annotated[str, BeforeValidator(parse_one_of("fit"))]
-
-
-def _find_camera_tag(value: Any) -> str:
-    if isinstance(value, str):
-        return "camera-word"
-    return "usd-camera" if isinstance(value, dict) and "usd" in value else "camera-here"
-
-
 class LevelOfDetail(ScenePart):
     """Level of detail by distance from the camera.
 
@@ -165,13 +144,8 @@ class SceneModel(ScenePart):
     set: dict[str, AnyQuantity] = {}
     fields: dict[SceneName, FieldStart] = {}
     layers: dict[SceneName, tuple[str, ...]] = {}
-    camera: (
-        Annotated[
-            Annotated[Camera, Tag("camera-here")] | Annotated[UsdCamera, Tag("usd-camera")] | Annotated[Fit, Tag("camera-word")],
-            Discriminator(_find_camera_tag),
-        ]
-        | None
-    ) = None
+    camera: CameraValue | None = None
+    cameras: Cameras = {}
     lod: LevelOfDetail | None = None
     output: Output = Output()
 
@@ -179,6 +153,15 @@ class SceneModel(ScenePart):
     def unit_mm(self) -> float:
         """Return the scene's unit of length in millimetres."""
         return UNIT_MM[self.units]
+
+    @property
+    def named_cameras(self) -> Mapping[str, CameraValue]:
+        """Return all cameras by name. That of the key `camera` is the default one."""
+        return self.cameras if self.camera is None else {DEFAULT_CAMERA: self.camera, **self.cameras}
+
+    def find_camera_path(self, name: str) -> tuple[str, ...]:
+        """Return the keys that lead to a camera."""
+        return ("cameras", name) if name in self.cameras else ("camera",)
 
     @property
     def has_usd_items(self) -> bool:

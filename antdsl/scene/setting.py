@@ -22,6 +22,7 @@ from antdsl.scene.notes_model import Note
 from antdsl.scene.staging.motion import GeometryMoves
 from antdsl.source import Span
 
+SENSOR_WIDTH_MM, DEFAULT_FOCAL_MM = 36.0, 35.0  # of cameras
 _MAX_ORIGIN_OFFSET_MM = 1e5  # mm; if the middle of the world is nearer to the zero point, the zero point is the origin
 
 
@@ -205,12 +206,23 @@ class CameraData:
     """A camera over the written frames: one row per frame, or a single row for a static camera.
 
     Positions are in mm, directions in the scene's axes.
-    `focal`: the focal length in mm for a sensor 36 mm wide."""
+    `focal`: the focal length in mm for a sensor of `SENSOR_WIDTH_MM`; 0 for `DEFAULT_FOCAL_MM`.
+    `first`: the frame of the first row. The first and last rows hold outside."""
 
     at: NDArray[np.float64]
     look_at: NDArray[np.float64]
     up: NDArray[np.float64]
     focal: NDArray[np.float64]
+    first: int = 0
+
+    @property
+    def moves(self) -> bool:
+        """Return whether the camera has a row for each frame."""
+        return len(self.at) > 1
+
+    def find_row(self, frame: int) -> int:
+        """Return the row of a frame of the scene."""
+        return min(max(frame - self.first, 0), len(self.at) - 1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -236,7 +248,7 @@ class WorldSetting:
     `params`: by qualified name (`forager.smell`); absent params have their default.
     `first_frame`: the number of the first simulated frame.
     `motion`: the motion of meshes, items and curves.
-    `camera`: a camera from a file.
+    `cameras`: the cameras that do not depend on agents, by name.
     `uses_rays`: agents find meshes by two rays per step and do not walk over triangles.
     `orient`: bodies stand perpendicular to the ground's smooth `normal`, to the last two directions of motion (`turns`), or to
     the directions to two `probes`.
@@ -271,7 +283,7 @@ class WorldSetting:
     field_start: Mapping[str, FieldStartData] = field(default_factory=dict)
     solids: Mapping[str, SolidData] = field(default_factory=dict)
     motion: GeometryMoves = field(default_factory=GeometryMoves)
-    camera: CameraData | None = None
+    cameras: Mapping[str, CameraData] = field(default_factory=dict)
     level_of_detail: DetailData | None = None
     deviations: Mapping[str, float] = field(default_factory=dict)
     body_weights: Mapping[str, tuple[float, ...]] = field(default_factory=dict)

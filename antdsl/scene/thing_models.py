@@ -24,6 +24,7 @@ from antdsl.scene.values import (
 )
 
 UNIT_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
+UP_VECTORS = {"y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
 Unit = Annotated[str, BeforeValidator(parse_one_of(*UNIT_MM))]
 Axis = Annotated[str, BeforeValidator(parse_one_of("y", "z"))]

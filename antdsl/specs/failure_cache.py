@@ -53,7 +53,7 @@ class StateCopies:
     is stored, because the run can only continue from there."""
 
     def __init__(self, setting: WorldSetting) -> None:
-        self.keeps_first_copy = bool(setting.motion) or (setting.camera is not None and len(setting.camera.at) > 1)
+        self.keeps_first_copy = bool(setting.motion) or any(camera.moves for camera in setting.cameras.values())
         self.last: Arrays | None = None
 
     def store_copy(self, world: World) -> None:

@@ -13,6 +13,7 @@ from antdsl.outputs.cache.cache_reader import open_cache
 from antdsl.outputs.drawing import DrawRequest, FrameDrawer
 from antdsl.outputs.gallery import Gallery
 from antdsl.outputs.pictures.camera import make_view
+from antdsl.outputs.scene_cameras import SceneCameras
 from antdsl.pipeline import open_scene
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
@@ -30,10 +31,11 @@ def flock(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize("frames", [[1], [240], [1, 60, 120, 180, 240], list(range(1, 241))])
 def test_the_flock_is_in_its_own_picture(flock: Path, frames: list[int]) -> None:
     gallery = Gallery(open_cache(flock))
-    assert gallery.has_fitted_camera and gallery.make_camera(1) is None and not gallery.has_moving_camera
+    cameras = SceneCameras(gallery)
+    assert cameras.is_fitted() and cameras.make_camera(1) is None and not cameras.is_moving()
     width, height = 960, 540
     options = DrawRequest(width, height, "scene", (), legend=False)
-    camera = FrameDrawer(gallery, options, frames, threads=1)._choose_camera(gallery.make_picture(frames[0]))
+    camera = FrameDrawer(gallery, options, frames, threads=1)._find_camera(frames[0])
     camera_view = make_view(camera, width, height, (0.0, 1.0, 0.0))
     widest = 0.0
     for frame in frames:

@@ -123,7 +123,7 @@ def test_meshes_and_camera_come_back_through_a_scene(
             < 1e-4
         )
     camera = read_usd_camera(open_stage(Roots(tmp_path, {}), "out.usdc", "/World/camera", **stage_arguments))
-    own = shot.setting.camera
+    own = shot.setting.cameras["shot"]
     assert own is not None and np.allclose(camera.at, own.at) and np.allclose(camera.look_at, own.look_at, atol=1e-3)
     assert np.allclose(camera.up, own.up) and np.allclose(camera.focal, 35)
     from pxr import Usd, UsdGeom

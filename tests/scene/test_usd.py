@@ -389,8 +389,8 @@ def test_the_set_is_what_was_baked_by_hand(both: tuple[Shot, Shot]) -> None:
     for one, two in zip(usd.items["food"], baked.items["food"], strict=True):
         assert one.name == two.name and np.allclose(one.position, two.position, atol=1e-5) and one.attributes == two.attributes
         assert one.radius == pytest.approx(two.radius)
-    assert usd.camera is not None and len(usd.camera.at) == 40
-    assert np.allclose(usd.camera.at[[0, -1]], [(-50, 282.8427, 282.8427), (50, 282.8427, 282.8427)], atol=1e-3)
+    assert len(usd.cameras["shot"].at) == 40
+    assert np.allclose(usd.cameras["shot"].at[[0, -1]], [(-50, 282.8427, 282.8427), (50, 282.8427, 282.8427)], atol=1e-3)
     assert {"assets:set/set.usda", "assets:set/parts/stone.usdc"} <= set(both[0].inputs)
     assert {"roller.0001.obj", "roller.0040.obj"} <= set(both[1].inputs)
 

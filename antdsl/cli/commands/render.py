@@ -12,6 +12,7 @@ import typer
 from antdsl.atomic_write import create_folder_durably, sync_files
 from antdsl.cli.destinations import choose_default_path, require_writable_folder
 from antdsl.cli.exits import CommandError, ExitCode, report_failures
+from antdsl.cli.picture_arguments import check_camera, parse_cut, parse_full_strengths, parse_ids, parse_point, parse_window
 from antdsl.cli.printing.messages import print_note
 from antdsl.cli.scheduler import (
     NO_TLS_OPTION,
@@ -25,24 +26,11 @@ from antdsl.cli.scheduler import (
 )
 
 if TYPE_CHECKING:
-    from antdsl.outputs.agent_paths import PathWindow
-    from antdsl.outputs.cut_plane import CutPlane
     from antdsl.outputs.drawing import DrawRequest, StillStore
     from antdsl.outputs.gallery import Gallery
 
 SHEET_PICTURES = 9  # pictures on a contact sheet if no frames are named
 MAX_PICTURES = 100
-
-
-class CameraView(StrEnum):
-    """Views of `--camera`."""
-
-    scene = "scene"
-    fit = "fit"
-    above = "above"
-    top = "top"
-    eye = "eye"
-    close = "close"
 
 
 class LegendPlacement(StrEnum):
@@ -75,12 +63,16 @@ def render(
     ),
     width: int = typer.Option(960, "--width", min=16, max=8192, help="Pixels."),
     height: int = typer.Option(540, "--height", min=16, max=8192, help="Pixels."),
-    camera: CameraView = typer.Option(
-        CameraView.scene,
+    camera: str = typer.Option(
+        "scene",
         "--camera",
-        help="Camera: the scene's own, fitted to the crowd, from above, straight above without perspective, at an agent's eye "
-        "level, or close to an agent.",
+        metavar="VIEW",
+        help="The scene's own (`scene`), NAME of another of its cameras, fitted to the crowd (`fit`), from `above`, straight above "
+        "without perspective (`top`), at an agent's `eye` level, or `close` to an agent.",
     ),
+    at: str = typer.Option(None, "--at", metavar="X,Y,Z", help="A camera at this point, in the scene's units, with `--look-at`."),
+    look_at: str = typer.Option(None, "--look-at", metavar="X,Y,Z", help="What that camera looks at."),
+    focal: float = typer.Option(None, "--focal", min=1.0, max=10_000.0, metavar="MM", help="Another focal length. [default: 35]"),
     blur: float = typer.Option(
         0.0, "--blur", min=0.0, max=1.0, metavar="SHARE", help="Motion blur: shutter time as a share of a frame."
     ),
@@ -123,26 +115,29 @@ def render(
 
     require_scheduler(scheduler, tls, no_tls)
     words = tuple(word for word in show.replace(" ", "").split(",") if word and word != "none")
-    _parse_window(window)
-    _parse_cut(cut)
+    parse_window(window)
+    parse_cut(cut)
     settings = DrawRequest(
         *(
             width,
             height,
-            camera.value,
+            camera,
             words,
-            _parse_ids(agents),
+            parse_ids(agents),
             cut,
             window,
-            tuple(_parse_full_strengths(full).items()),
+            tuple(parse_full_strengths(full).items()),
             least,
             marks,
             blur,
         ),
         legend=legend is LegendPlacement.beside,
-        rest=(film or shot is not None) and agents is None,
+        at=parse_point(at, "--at"),
+        look_at=parse_point(look_at, "--look-at"),
+        focal=focal,
     )
     gallery = _open_gallery(cache, settings)
+    check_camera(gallery, settings)
     drawn = _choose_frames(gallery, parse_frame_range(frames), every, sheet, film)
     folder = out if out is not None else choose_default_path(cache, "pictures")
     require_writable_folder(folder, "--out", *(["film.mp4"] if film else ["sheet.png"] if sheet else []))
@@ -182,40 +177,6 @@ def render(
         raise CommandError(choose_stop_exit_code(why), "stopped: all written pictures are complete", advice) from None
 
 
-def _parse_cut(text: str | None) -> CutPlane | None:
-    from antdsl.outputs.cut_plane import CutPlane
-
-    cut = CutPlane.parse(text) if text is not None else None
-    if text is not None and cut is None:
-        raise typer.BadParameter(f"`{text}` is not a plane such as `z > 0` or `x < -12.5`", param_hint="--cut")
-    return cut
-
-
-def _parse_window(text: str) -> PathWindow:
-    from antdsl.outputs.agent_paths import MAX_WINDOW_SECONDS, PathWindow
-
-    window = PathWindow.parse(text)
-    if window is None:
-        words = f"`{text}` is not a range of seconds such as `1..2`, of at most {MAX_WINDOW_SECONDS:g}"
-        raise typer.BadParameter(words, param_hint="--window")
-    return window
-
-
-def _parse_full_strengths(texts: list[str]) -> dict[str, float]:
-    from antdsl.scene.quantities import QuantityError, parse_number
-
-    strengths = {}
-    for text in texts:
-        name, _, value = text.partition("=")
-        try:
-            strengths[name.strip()] = parse_number(value)
-        except QuantityError:
-            strengths[name.strip()] = 0.0
-        if strengths[name.strip()] <= 0:
-            raise typer.BadParameter(f"`{text}` is not a field with a strength, such as `trail=20`", param_hint="--full")
-    return strengths
-
-
 def _open_gallery(folder: Path, settings: DrawRequest) -> Gallery:
     from antdsl.outputs.cache.cache_reader import CacheError
     from antdsl.outputs.cache.manifest import ManifestError
@@ -250,15 +211,6 @@ def _choose_frames(gallery: Gallery, frame_range: Any, every: int | None, sheet:
         steps = min(SHEET_PICTURES, len(cache_frames))
         return sorted({cache_frames[round(k * (len(cache_frames) - 1) / max(steps - 1, 1))] for k in range(steps)})
     return cache_frames if frame_range is not None or film else cache_frames[-1:]
-
-
-def _parse_ids(text: str | None) -> tuple[int, ...]:
-    if text is None:
-        return ()
-    try:
-        return tuple(int(word) for word in text.split(",") if word.strip())
-    except ValueError:
-        raise typer.BadParameter(f"`{text}` is not a list of ids such as 3,17", param_hint="--agents") from None
 
 
 def _draw_frames(

@@ -26,7 +26,14 @@ from antdsl.outputs.cache.hashes import (
     find_static_damage,
     read_lines,
 )
-from antdsl.outputs.cache.manifest import MANIFEST_FILE_NAME, CameraEntry, Manifest, read_manifest
+from antdsl.outputs.cache.manifest import (
+    CAMERA_PARTS,
+    MANIFEST_FILE_NAME,
+    CameraEntry,
+    Manifest,
+    make_camera_array_name,
+    read_manifest,
+)
 from antdsl.outputs.cache.npz import ArrayFileError, read_npz
 
 MARKER_FILE_NAME = ".antdsl-cache"
@@ -210,8 +217,9 @@ def _list_required_arrays(manifest: Manifest, arrays: Arrays) -> Iterator[str]:
     for mesh in manifest.meshes:
         if not mesh.row.is_dug:
             yield from (f"mesh.{mesh.name}.vertices", f"mesh.{mesh.name}.faces")
-    if isinstance(manifest.camera, CameraEntry) and manifest.camera.moves:
-        yield from (f"camera.{name}" for name in ("at", "look_at", "up", "focal"))
+    for name, camera in manifest.named_cameras.items():
+        if isinstance(camera, CameraEntry) and camera.moves:
+            yield from (make_camera_array_name(name, part) for part in CAMERA_PARTS)
     yield from (f"field.{field.name}.P" for field in manifest.fields)
     yield from (f"{name.removesuffix('P')}V" for name in arrays if name.startswith("flow.") and name.endswith(".P"))
 

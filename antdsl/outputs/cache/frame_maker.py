@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,11 +17,13 @@ from antdsl.outputs.cache import frame_loops
 from antdsl.outputs.cache.agent_arrays import AgentArrayBuilder
 from antdsl.outputs.cache.event_arrays import make_event_arrays
 from antdsl.outputs.cache.manifest import (
+    CAMERA_PARTS,
+    AnyCameraEntry,
     BodyEntry,
-    CameraEntry,
     ClipEntry,
     FeelersEntry,
     FieldEntry,
+    FollowEntry,
     ImportEntry,
     ItemsEntry,
     LineEntry,
@@ -32,6 +34,7 @@ from antdsl.outputs.cache.manifest import (
     SpeciesEntry,
     StateEntry,
     WornBodyEntry,
+    make_camera_array_name,
 )
 from antdsl.outputs.cache.pose_arrays import (
     list_playing_machines,
@@ -49,6 +52,7 @@ from antdsl.runtime.checkpoints import STATE_HASH_VERSION
 from antdsl.runtime.lifecycle import event_names
 from antdsl.runtime.moving.moving_geometry import compute_vertices, measure_ground_velocity
 from antdsl.runtime.world import Population, World
+from antdsl.scene.camera_models import DEFAULT_CAMERA
 from antdsl.scene.setting import WorldSetting
 
 Arrays = dict[str, NDArray[Any]]
@@ -157,10 +161,10 @@ def make_static_arrays(world: World, setting: WorldSetting) -> Arrays:
         arrays[f"mesh.{name}.vertices"] = (mesh.vertices - world.origin) * scale
         arrays[f"mesh.{name}.faces"] = mesh.faces
     arrays |= make_start_arrays(world, scale)
-    if setting.camera is not None and len(setting.camera.at) > 1:
-        for name in ("at", "look_at"):
-            arrays[f"camera.{name}"] = (getattr(setting.camera, name) - world.origin) * scale
-        arrays |= {"camera.up": setting.camera.up, "camera.focal": setting.camera.focal}
+    for name, camera in setting.cameras.items():
+        if camera.moves:
+            parts = ((camera.at - world.origin) * scale, (camera.look_at - world.origin) * scale, camera.up, camera.focal)
+            arrays |= {make_camera_array_name(name, part): each for part, each in zip(CAMERA_PARTS, parts, strict=True)}
     for name, field in world.fields.items():
         arrays[f"field.{name}.P"] = to_scene_positions(_find_start_positions(field), scale)
     return arrays | make_flow_arrows(world, scale)
@@ -190,7 +194,7 @@ def make_manifest(
     definitions: tuple[BodyEntry, ...],
     definition_by_species: Mapping[str, tuple[WornBodyEntry, ...]],
     feelers: Mapping[str, tuple[FeelersEntry, ...]],
-    camera: CameraEntry | Literal["fit"] | None,
+    cameras: Mapping[str, AnyCameraEntry],
     looks: Mapping[str, Look | Mapping[str, Look]],
 ) -> Manifest:
     """Return the manifest of a run that begins with this world.
@@ -243,7 +247,8 @@ def make_manifest(
             if crowd.name
         ),
         events=event_names(world),
-        camera=camera,
+        camera=None if isinstance(default := cameras.get(DEFAULT_CAMERA), FollowEntry) else default,
+        cameras=dict(cameras),
     )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -14,9 +15,11 @@ from antdsl import limits
 from antdsl.atomic_write import write_atomically
 from antdsl.program.tables.things import KIND_BY_WORD, KINDS_WITH_FACES, ThingKindRow
 from antdsl.safe_read import FileTooLarge, read_size_limited
+from antdsl.scene.camera_models import DEFAULT_CAMERA
 
 FORMAT_VERSION = 1
 MANIFEST_FILE_NAME = "manifest.json"
+CAMERA_PARTS = ("at", "look_at", "up", "focal")
 EDIT_ARRAYS_PATTERN = re.compile(r"^edits\.[0-9a-f]{32}\.npz$")  # the name of the file with arrays of edits
 _MAX_MANIFEST_BYTES = 16 * limits.MIB
 
@@ -235,6 +238,26 @@ class CameraEntry(ManifestPart):
     moves: bool = False
 
 
+class FollowEntry(ManifestPart):
+    """A camera that follows an agent, named as in the scene.
+
+    `by`: from the agent to the camera in scene units; None for a close one.
+    `smooth`: the time in seconds over which the agent's motion is averaged, before and after a frame."""
+
+    follow: Word
+    by: Triple | None = None
+    smooth: float | None = None
+    focal: float | None = None
+
+
+AnyCameraEntry = CameraEntry | FollowEntry | Literal["fit"]  # `fit`: one that holds the crowd in the frames that are drawn
+
+
+def make_camera_array_name(camera: str, part: str) -> str:
+    """Return the name of an array of `static.npz`: one of `CAMERA_PARTS` of a moving camera at each frame."""
+    return f"camera.{part}" if camera == DEFAULT_CAMERA else f"camera.{camera}.{part}"
+
+
 class Provenance(ManifestPart):
     """The environment in which a cache was made. Readers do not depend on it.
 
@@ -261,7 +284,8 @@ class Manifest(ManifestPart):
     `static`: the hash of `static.npz`; None if none was stored.
     `state_hash`: the method of state hashes, a `STATE_HASH_VERSION`.
     `scene_path`: the path from the cache's folder to the scene file; None if `find_relative_path` returned none.
-    `origin`: the point, in scene units, that all positions are relative to; the zero point in caches without it."""
+    `origin`: the point, in scene units, that all positions are relative to; the zero point in caches without it.
+    `camera`: the default camera if it does not depend on agents. `cameras`: all cameras of the scene, by name."""
 
     format: Literal[1] = 1
     antdsl: Word
@@ -290,7 +314,13 @@ class Manifest(ManifestPart):
     lines: tuple[LineEntry, ...] = ()
     events: tuple[Word, ...] = ()
     edits: EditsEntry | None = None
-    camera: CameraEntry | Literal["fit"] | None = None  # `fit`: a camera that shows the crowd in all drawn frames
+    camera: CameraEntry | Literal["fit"] | None = None
+    cameras: dict[Word, AnyCameraEntry] = {}
+
+    @property
+    def named_cameras(self) -> Mapping[str, AnyCameraEntry]:
+        """Return all cameras by name. Caches that antdsl 0.9 wrote have only the default one."""
+        return self.cameras or ({} if self.camera is None else {DEFAULT_CAMERA: self.camera})
 
 
 class ManifestError(Exception):

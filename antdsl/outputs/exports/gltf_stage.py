@@ -17,6 +17,7 @@ from antdsl.numerics.vector_rows import normalise_or_fallback
 from antdsl.outputs.gallery import Gallery
 from antdsl.outputs.pictures.light import decode_srgb
 from antdsl.outputs.pictures.model import Item, Picture, Solid
+from antdsl.outputs.scene_cameras import SceneCameras
 from antdsl.scene.scene_model import UNIT_MM
 
 _SENSOR_WIDTH_MM, _DEFAULT_ASPECT = 36.0, 16 / 9
@@ -225,7 +226,8 @@ class GltfStage:
             self.writer.add_part("animations", {"name": "shot", "samplers": self._samplers, "channels": self._channels})
 
     def _write_camera(self) -> None:
-        first = self.gallery.make_camera(self.frames[0])
+        cameras = SceneCameras(self.gallery)
+        first = cameras.make_camera(self.frames[0])
         if first is None:
             return
         angle = 2 * np.arctan(_SENSOR_WIDTH_MM / _DEFAULT_ASPECT / 2 / first.focal)
@@ -234,9 +236,9 @@ class GltfStage:
         lens = {"yfov": float(angle), "aspectRatio": _DEFAULT_ASPECT, "znear": reach * 1e-3, "zfar": reach * 1e3}
         number = self.writer.add_part("cameras", {"type": "perspective", "perspective": lens})
         node = self._add_node(self._world_node, {"name": "camera", "camera": number})
-        moves, turns, camera_frames = [], [], self.frames if self.gallery.has_moving_camera else self.frames[:1]
+        moves, turns, camera_frames = [], [], self.frames if cameras.is_moving() else self.frames[:1]
         for frame in camera_frames:
-            camera = self.gallery.make_camera(frame)
+            camera = cameras.make_camera(frame)
             assert camera is not None
             eye, aim = np.asarray(camera.at, np.float64), np.asarray(camera.look_at, np.float64)
             upward = (0.0, 1.0, 0.0) if self.gallery.manifest.up == "y" else (0.0, 0.0, 1.0)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.numerics.vector_rows import normalise_or_fallback
+from antdsl.numerics.vector_rows import compute_view_axes
 from antdsl.outputs.pictures.model import Camera
 from antdsl.outputs.pictures.shading_rows import Floats
 
@@ -72,18 +72,13 @@ def make_view(camera: Camera, width: int, height: int, up: tuple[float, float, f
     """Return `camera` prepared for a picture of `width` × `height` pixels. If it is aimed at its own position, it looks along
     x."""
     eye = np.asarray(camera.at, np.float64)
-    ahead = normalise_or_fallback(np.asarray(camera.look_at, np.float64) - eye, np.array([1.0, 0.0, 0.0]))
-    upward = normalise_or_fallback(np.asarray(camera.up or up, np.float64), np.array([0.0, 1.0, 0.0]))
-    right = np.cross(ahead, upward)
-    if np.linalg.norm(right) < 1e-6:  # looking straight down: the picture's top is along the next axis
-        right = np.cross(ahead, np.roll(upward, 1))
-    right = normalise_or_fallback(right, np.array([1.0, 0.0, 0.0]))
+    right, top, ahead = compute_view_axes(eye, np.asarray(camera.look_at, np.float64), np.asarray(camera.up or up, np.float64))
     if camera.wide is not None:
         across = camera.wide / 2
     else:
         across = tan(radians(min(max(camera.fov, 1.0), 170.0)) / 2) if camera.fov is not None else 18.0 / max(camera.focal, 1.0)
     half = (across, across * height / width)
-    return CameraView(eye, right, np.cross(right, ahead), ahead, half, width, height, camera.wide is not None)
+    return CameraView(eye, right, top, ahead, half, width, height, camera.wide is not None)
 
 
 def to_tuple(values: Array) -> tuple[float, float, float]:

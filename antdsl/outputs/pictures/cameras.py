@@ -1,11 +1,13 @@
 """Default cameras: one that shows the complete scene, and one at the eye level of an agent with others nearby."""
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.bodies.body import rotate_vectors
 from antdsl.casting.rays import RayScene
 from antdsl.outputs.pictures.camera import make_view, to_tuple
+from antdsl.outputs.pictures.following import EYE_FOCAL_MM, FollowingCamera, StableTrack, measure_body, take_track
 from antdsl.outputs.pictures.light import make_sun
 from antdsl.outputs.pictures.model import Camera, Crowd, Picture
 from antdsl.outputs.pictures.moving_bodies import make_item_mesh
@@ -14,6 +16,8 @@ from antdsl.outputs.pictures.static_setting import TABLE_DEPTH_SHARE
 Array = NDArray[np.float64]
 
 _MAX_TRIED_AGENTS = 24  # agents tried for an eye-level camera
+# Directions from an agent, to the right of its heading. Those behind its shoulder and in front of it come first.
+CAMERA_ANGLES = tuple(np.radians((150.0, -150.0, 35.0, -35.0, 115.0, -115.0, 75.0, -75.0)).tolist())
 
 
 def make_overview_camera(picture: Picture, *, aspect: float = 16 / 9, focal: float = 35.0, slant: float = 38.0) -> Camera:
@@ -102,13 +106,29 @@ def _centre_camera(position: Array, aim: Array, points: Array, up: Array, focal:
 
 
 def make_eye_level_camera(
-    picture: Picture, agent: int | None = None, *, species: str | None = None, focal: float = 26.0, close: bool = False
+    picture: Picture, agent: int | None = None, *, species: str | None = None, focal: float = EYE_FOCAL_MM, close: bool = False
 ) -> Camera | None:
-    """Return a camera a few body lengths from an agent, at the height of its back. None if there is no such agent.
+    """Return a camera beside an agent, at the height of its back. None if there is no such agent.
 
     Nothing hides the agent, and many agents are behind it. With `close`, the agent fills the picture.
     `agent`: an id; None chooses an agent with others nearby.
     `species`: the agent's species; by default, the first that has the id."""
+    best = find_agent_view(picture, agent, species=species, focal=focal, close=close)
+    return best.camera if best else None
+
+
+class AgentView(NamedTuple):
+    """A camera beside an agent: the agent's crowd and its row there."""
+
+    crowd: Crowd
+    row: int
+    camera: Camera
+
+
+def find_agent_view(
+    picture: Picture, agent: int | None = None, *, species: str | None = None, focal: float = EYE_FOCAL_MM, close: bool = False
+) -> AgentView | None:
+    """Return the camera of `make_eye_level_camera`, and the agent that it shows."""
     crowds = [crowd for crowd in picture.crowds if len(crowd.position) and species in (None, crowd.species)]
     if not crowds:
         return None
@@ -121,20 +141,27 @@ def make_eye_level_camera(
     else:
         crowd = max((each for each in crowds if each.species == crowds[0].species), key=lambda each: len(each.position))
         rows = _find_crowded_rows(crowd)
+    rays, upright = make_ray_scene(picture), np.asarray(picture.up, np.float64)
+    best: tuple[float, AgentView] | None = None
+    for row in rows.tolist():
+        track, body = StableTrack.of(take_track(crowd, row, 0), 0.0, upright), measure_body(crowd, row)
+        for angle in CAMERA_ANGLES:
+            camera = FollowingCamera.of(track, body, focal, angle, close).make_camera(0)
+            score = score_camera(crowd, row, body.longest, camera, rays)
+            if best is None or score > best[0]:
+                best = (score, AgentView(crowd, row, camera))
+    return best[1] if best else None
+
+
+def make_ray_scene(picture: Picture) -> RayScene:
+    """Return the solids and items of a picture as a ray scene."""
     placed = [
         make_item_mesh(item, picture.up)
         for item in picture.items
         if item.shape != "none" and item.remaining_share > 0 and item.radius > 0
     ]
     around = [(solid.vertices, solid.faces) for solid in picture.solids if len(solid.faces)]
-    solids = RayScene.from_meshes(around + [(mesh.vertices, mesh.faces) for mesh in placed])
-    best: tuple[float, Camera] | None = None
-    for row in rows.tolist():
-        for camera in _make_candidate_cameras(crowd, row, focal, np.asarray(picture.up, np.float64), close):
-            score = _score_camera(crowd, row, camera, solids)
-            if best is None or score > best[0]:
-                best = (score, camera)
-    return best[1] if best else None
+    return RayScene.from_meshes(around + [(mesh.vertices, mesh.faces) for mesh in placed])
 
 
 def _find_crowded_rows(crowd: Crowd) -> NDArray[np.int64]:
@@ -149,28 +176,11 @@ def _find_crowded_rows(crowd: Crowd) -> NDArray[np.int64]:
     return order[: _MAX_TRIED_AGENTS * 4 : 4] if len(order) >= _MAX_TRIED_AGENTS * 4 else order[:_MAX_TRIED_AGENTS]
 
 
-def _make_candidate_cameras(crowd: Crowd, row: int, focal: float, upright: Array, close: bool) -> list[Camera]:
-    """Return camera positions around one agent. Positions behind its shoulder and in front of it come first."""
-    scale = float(crowd.scale[row])
-    orient = np.asarray(crowd.orient, np.float64)[row : row + 1]
-    ahead, up, side = (rotate_vectors(orient, np.array([axis]))[0] for axis in ((1.0, 0, 0), (0, 1.0, 0), (0, 0, 1.0)))
-    position = np.asarray(crowd.position, np.float64)[row]
-    # The horizon stays level unless the agent walks on a wall or overhead.
-    top = upright if float(up @ upright) > 0.5 else up
-    cameras = []
-    for angle in (150, -150, 35, -35, 115, -115, 75, -75):
-        turn = np.radians(angle)
-        level = np.cos(turn) * ahead + np.sin(turn) * side
-        at = position + scale * ((1.5 * level + 0.62 * up) if close else (3.1 * level + 0.95 * up))
-        aim = position + scale * ((0.17 * up) if close else (0.22 * up - 0.9 * level))
-        cameras.append(Camera(to_tuple(at), to_tuple(aim), focal=focal, up=to_tuple(top)))
-    return cameras
+def score_camera(crowd: Crowd, row: int, scale: float, camera: Camera, rays: RayScene) -> float:
+    """Return a score for how much of the crowd a camera shows. It is far below zero where ground or stone blocks the view.
 
-
-def _score_camera(crowd: Crowd, row: int, camera: Camera, rays: RayScene) -> float:
-    """Return a score for how much of the crowd a camera shows. It is far below zero where ground or stone blocks the view."""
+    `scale`: the longest side of the agent's body."""
     camera_view = make_view(camera, 160, 90, camera.up or (0.0, 1.0, 0.0))
-    scale = float(crowd.scale[row])
     target = np.asarray(crowd.position, np.float64)[row] + scale * 0.2 * np.asarray(camera.up)
     directions = np.stack(
         [

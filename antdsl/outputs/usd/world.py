@@ -12,6 +12,7 @@ from antdsl.numerics.vector_rows import normalise_or_fallback
 from antdsl.outputs.gallery import Gallery
 from antdsl.outputs.pictures.light import decode_srgb
 from antdsl.outputs.pictures.model import Item, Picture, Solid, Trail
+from antdsl.outputs.scene_cameras import SceneCameras
 from antdsl.outputs.usd.materials import MaterialBinder
 from antdsl.outputs.usd.values import (
     MATERIALS_PATH,
@@ -46,7 +47,8 @@ class WorldWriter:
         self._items: dict[int, tuple[ValueSamples, ValueSamples]] = {}
         self._item_names: set[str] = set()
         self._fields: dict[str, _FieldWriter] = {}
-        self._camera = _CameraWriter(out, gallery) if gallery.make_camera(frames[0]) else None
+        cameras = SceneCameras(gallery)
+        self._camera = _CameraWriter(out, gallery, cameras) if cameras.make_camera(frames[0]) else None
 
     def frame(self, frame: int, picture: Picture) -> None:
         """Write the world in a frame."""
@@ -96,10 +98,10 @@ class WorldWriter:
 
 
 class _CameraWriter:
-    """Writer of the scene's own camera."""
+    """Writer of the scene's default camera."""
 
-    def __init__(self, out: StageOutput, gallery: Gallery) -> None:
-        self._gallery, self._has_clipping_range = gallery, False
+    def __init__(self, out: StageOutput, gallery: Gallery, cameras: SceneCameras) -> None:
+        self._gallery, self._cameras, self._has_clipping_range = gallery, cameras, False
         camera = import_pxr_module("UsdGeom").Camera.Define(out.stage, f"{ROOT_PATH}/camera")
         self._tenths_per_mm = 10.0 / UNIT_MM[gallery.manifest.units]  # tenths of the stage's unit per millimetre
         camera.CreateHorizontalApertureAttr(_APERTURE_MM * self._tenths_per_mm)
@@ -114,7 +116,7 @@ class _CameraWriter:
 
     def frame(self, frame: int) -> None:
         """Write the camera's transform and lens in a frame."""
-        camera = self._gallery.make_camera(frame)
+        camera = self._cameras.make_camera(frame)
         assert camera is not None
         eye, aim = np.asarray(camera.at), np.asarray(camera.look_at)
         upward = camera.up or ((0.0, 1.0, 0.0) if self._gallery.manifest.up == "y" else (0.0, 0.0, 1.0))

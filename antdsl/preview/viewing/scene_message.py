@@ -14,15 +14,14 @@ from antdsl.preview.viewing.file_names import FileNames, read_file_text
 from antdsl.preview.viewing.page_units import choose_unit, convert_constant, find_unit_size, list_colour_attributes
 from antdsl.program.model import ItemAttribute, Param
 from antdsl.runtime import Population
+from antdsl.scene.camera_models import DEFAULT_CAMERA
 from antdsl.scene.quantities import parse_quantity
-from antdsl.scene.scene_model import Camera
-from antdsl.scene.thing_models import convert_point
+from antdsl.scene.setting import DEFAULT_FOCAL_MM
 
 if TYPE_CHECKING:
     from antdsl.preview.live import Live
 
 _SPECIES_COLOURS = ((0.98, 0.75, 0.24), (0.35, 0.75, 0.95), (0.62, 0.86, 0.42), (0.93, 0.47, 0.65), (0.70, 0.60, 0.96))
-_FOCAL_LENGTH_MM = 35.0  # mm, as for pictures
 
 
 def make_scene_message(live: Live, box: BoundingBox, charts: list[dict[str, Any]], missing_package: str) -> dict[str, Any]:
@@ -69,16 +68,12 @@ class BoundingBox:
 
 
 def _make_camera_entry(session: Session) -> dict[str, Any] | None:
-    """Return the scene's own camera in the first frame, relative to the world's origin."""
-    setting, origin, own = session.world.setting, session.world.origin, session.shot.scene.model.camera
-    if setting.camera is not None:
-        at, look_at, focal = setting.camera.at[0], setting.camera.look_at[0], float(setting.camera.focal[0]) or _FOCAL_LENGTH_MM
-    elif isinstance(own, Camera):
-        at, look_at = (np.asarray(convert_point(point, setting.unit_mm)) for point in (own.at, own.look_at))
-        focal = own.focal.number if own.focal is not None else _FOCAL_LENGTH_MM
-    else:
+    """Return the scene's default camera in the first frame, relative to the world's origin."""
+    camera, origin = session.world.setting.cameras.get(DEFAULT_CAMERA), session.world.origin
+    if camera is None:
         return None
-    return {"at": [float(x) for x in at - origin], "look_at": [float(x) for x in look_at - origin], "focal": focal}
+    at, look_at = ([float(x) for x in points[0] - origin] for points in (camera.at, camera.look_at))
+    return {"at": at, "look_at": look_at, "focal": float(camera.focal[0]) or DEFAULT_FOCAL_MM}
 
 
 def _make_species_entry(session: Session, names: FileNames, population: Population) -> dict[str, Any]:

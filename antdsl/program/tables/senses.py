@@ -181,6 +181,29 @@ _SENSE_ROWS = (
         ),
     ),
     SenseRow(
+        "camera.position",
+        "camera",
+        (ResultPart("", component_count=3),),
+        "where a camera is in the frame from which the step begins",
+        is_untraced=True,  # equal for all agents; what is computed from it is traced
+    ),
+    SenseRow(
+        "camera.in_view",
+        "camera",
+        (ResultPart("", "b"),),
+        "whether the agent's position is in a camera's view, or outside of it by at most a distance (mm)",
+        (
+            parse_row(
+                "in_view(of: camera, margin: length = 0 mm) -> bool",
+                "a 16:9 picture of the camera shows its position, or would with `margin` more room on each side",
+                sense=True,
+                cost=UseCost(20, "view of {thing}"),
+                sample="in_view(shot, margin: size)",
+            ),
+        ),
+        operands="f",
+    ),
+    SenseRow(
         "noise",
         "",
         (ResultPart("value"),),

@@ -25,7 +25,8 @@ class ThingKindRow:
     - `is_ground`: agents walk on it.
     - `is_blocking`: agents cannot walk through it.
     - `is_dug`: agents change its shape, and its total is a volume.
-    - `look`: the default look of its meshes in pictures."""
+    - `look`: the default look of its meshes in pictures.
+    - `section`: the key of a scene that holds its entries."""
 
     word: str
     help: str
@@ -43,6 +44,7 @@ class ThingKindRow:
     is_blocking: bool = False
     is_dug: bool = False
     look: Literal["ground", "stone"] = "ground"
+    section: str = "world"
 
     @property
     def has_faces(self) -> bool:
@@ -83,6 +85,12 @@ _THING_ROWS = (
         "map", "numbers painted on the ground", "world { map damp }", label="a map", typed="the name of a map",
         scene_form="a map", scene="{painted: ground.ply, attribute: NAME}",
         snippet="{painted: ${1:ground.ply}, attribute: ${2:damp}}",
+    ),
+    ThingKindRow(
+        "camera", "a camera of the scene, which agents know", "world { camera shot }", label="a camera",
+        typed="the name of a camera", nearest_op="camera.position", section="cameras",
+        scene_form="a camera", scene="{at: [200, 150, 300], look_at: [0, 0, 0]}",
+        snippet="{at: [${1:200}, ${2:150}, ${3:300}], look_at: [${4:0}, 0, ${5:0}]}",
     ),
     ThingKindRow(
         "species", "agents that another file describes", "world { species beetle { hunger = 0 } }",

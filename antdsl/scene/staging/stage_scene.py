@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from antdsl.diagnostics import Report
 from antdsl.program.model import Program
 from antdsl.scene import setting as stage_of
+from antdsl.scene.camera_models import DEFAULT_CAMERA
 from antdsl.scene.document import PathKey
 from antdsl.scene.geometry.closed_meshes import check_obstacle_sides
 from antdsl.scene.geometry.import_notes import MeshImport
@@ -25,19 +26,17 @@ from antdsl.scene.load import Scene
 from antdsl.scene.paths import PathRefused
 from antdsl.scene.quantities import Quantity
 from antdsl.scene.scene_kinds import SCENE_KINDS
-from antdsl.scene.scene_model import UsdCamera
 from antdsl.scene.staging.item_placement import check_crowds, place_items
 from antdsl.scene.staging.mesh_imports import check_live_faces, check_origin_distances, collect_imports
 from antdsl.scene.staging.motion import GeometryMoves, MeshMoves
 from antdsl.scene.staging.size_checks import check_sizes
+from antdsl.scene.staging.stage_cameras import stage_cameras
 from antdsl.scene.staging.stage_crowd import stage_crowd
 from antdsl.scene.staging.stage_flows import check_densities, stage_flow, stage_map
 from antdsl.scene.staging.stage_meshes import stage_mesh, stage_solid
 from antdsl.scene.staging.stage_shapes import convert_length, stage_point
-from antdsl.scene.staging.stage_things import stage_curve, stage_usd_camera
-from antdsl.scene.thing_models import convert_point
-
-_UP_VECTORS = {"y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+from antdsl.scene.staging.stage_things import stage_curve
+from antdsl.scene.thing_models import UP_VECTORS
 
 
 @dataclass(slots=True)
@@ -157,7 +156,7 @@ def build_setting(
     crowds = tuple(stage_crowd(staging, item_points, number) for number in range(len(model.crowd)))
     check_densities(staging)
     check_crowds(staging, crowds)
-    camera = stage_usd_camera(staging, model.camera) if isinstance(model.camera, UsdCamera) else None
+    cameras = stage_cameras(staging)
     starts = {
         name: stage_of.FieldStartData(
             start.start,
@@ -179,7 +178,7 @@ def build_setting(
         uses_rays=model.stick == "rays",
         orient=model.orient,
         contacts=model.contacts,
-        up=_UP_VECTORS[model.up],
+        up=UP_VECTORS[model.up],
         unit_mm=model.unit_mm,
         seed=model.seed,
         first_frame=model.frames.first - model.preroll,
@@ -192,8 +191,8 @@ def build_setting(
             items=staging.item_tracks,
             curves={name: positions for name, positions in staging.curves.items() if len(positions) > 1},
         ),
-        camera=camera,
-        level_of_detail=_stage_detail(scene, camera),
+        cameras=cameras,
+        level_of_detail=_stage_detail(scene, cameras.get(DEFAULT_CAMERA)),
         deviations=staging.deviations,
         imports=collect_imports(staging),
         spans={name: scene.span("world", name) for name in model.world},
@@ -213,14 +212,9 @@ def collect_import_reports(scene: Scene, program: Program) -> dict[str, MeshImpo
 
 
 def _stage_detail(scene: Scene, camera: stage_of.CameraData | None) -> stage_of.DetailData | None:
-    """Return the level of detail, or None if the scene has none. `camera`: a camera from a file."""
-    model = scene.model
-    if model.lod is None or model.camera is None or isinstance(model.camera, str):
+    """Return the level of detail, or None if the scene has none. `camera`: the default camera."""
+    lod = scene.model.lod
+    if lod is None or camera is None:
         return None
-    near, far = model.lod.near.to_millimetres(model.unit_mm), convert_length(scene, model.lod.far)
-    if camera is not None:
-        camera_positions = camera.at
-    else:
-        assert not isinstance(model.camera, UsdCamera)
-        camera_positions = np.array([convert_point(model.camera.at, model.unit_mm)])
-    return stage_of.DetailData(camera_positions, near, float("inf") if far is None else far, model.frames.first)
+    near, far = lod.near.to_millimetres(scene.model.unit_mm), convert_length(scene, lod.far)
+    return stage_of.DetailData(camera.at, near, float("inf") if far is None else far, camera.first)

@@ -20,7 +20,6 @@ from antdsl.scene.geometry.mesh_files import RawMesh, check_mesh, read_mesh_arra
 from antdsl.scene.geometry.mesh_text import MeshError
 from antdsl.scene.paths import PathRefused
 from antdsl.scene.quantities import Quantity
-from antdsl.scene.scene_model import UsdCamera
 from antdsl.scene.staging.motion import MeshMoves
 from antdsl.scene.thing_models import (
     UNIT_MM,
@@ -91,13 +90,14 @@ def interpolate_keys(
         at = {0: convert_point(own_at, unit_mm)}
     if not turn:
         turn = {0: tuple(a.number for a in own_rotation) if own_rotation else (0.0, 0.0, 0.0)}
-    return _interpolate_values(at, frames), _interpolate_values(turn, frames)
+    return interpolate_values(at, frames), interpolate_values(turn, frames)
 
 
-def _interpolate_values(keys: Mapping[int, tuple[float, ...]], frames: Sequence[int]) -> Floats:
+def interpolate_values(keys: Mapping[int, tuple[float, ...]], frames: Sequence[int]) -> Floats:
+    """Return values (frames, k) that change linearly between keys."""
     times = sorted(keys)
     values = np.array([keys[time] for time in times], np.float64)
-    return np.stack([np.interp(np.array(frames, np.float64), times, values[:, axis]) for axis in range(3)], axis=1)
+    return np.stack([np.interp(np.array(frames, np.float64), times, column) for column in values.T], axis=1)
 
 
 def _make_key_transforms(staging: SceneStaging, value: PlacedThing | CurveThing, factor: float, own_up: str) -> Floats | None:
@@ -165,7 +165,7 @@ def stage_usd_mesh(staging: SceneStaging, name: str, value: UsdThing) -> tuple[R
     """Return the meshes below a prim and their motion, in mm and the scene's axes."""
     from antdsl.scene.geometry.usd import read_usd_mesh
 
-    mesh = _read_usd(staging, value.usd, value.path, value.purpose, ("world", name), read_usd_mesh)
+    mesh = read_usd(staging, value.usd, value.path, value.purpose, ("world", name), read_usd_mesh)
     if mesh is None:
         return None
     if mesh.unread_shape_types:
@@ -214,7 +214,7 @@ def stage_usd_paint(staging: SceneStaging, name: str, thing: PaintedThing, mesh:
     if not isinstance(attribute, str):
         staging.report.error("bad-paint", "a primvar has one name", span, f"write `attribute: {attribute[0]}`")
         return None
-    painted_mesh = _read_usd(
+    painted_mesh = read_usd(
         staging, mesh.usd, mesh.path, mesh.purpose, ("world", name), lambda stage: read_usd_mesh(stage, [attribute])
     )
     if painted_mesh is None:
@@ -242,7 +242,7 @@ def stage_curve(staging: SceneStaging, name: str, value: CurveThing | UsdThing) 
     if isinstance(value, UsdThing):
         from antdsl.scene.geometry.usd import read_usd_curve
 
-        positions = _read_usd(staging, value.usd, value.path, value.purpose, ("world", name), read_usd_curve)
+        positions = read_usd(staging, value.usd, value.path, value.purpose, ("world", name), read_usd_curve)
         factor, own_up = value.scale, model.up
     else:
         files = (
@@ -305,7 +305,7 @@ def stage_usd_items(staging: SceneStaging, name: str, value: UsdThing) -> UsdPoi
     from antdsl.scene.geometry.usd import read_usd_points
 
     kind = name if value.kind is None and value.prim is None else value.kind
-    points = _read_usd(staging, value.usd, value.path, value.purpose, ("world", name), lambda stage: read_usd_points(stage, kind))
+    points = read_usd(staging, value.usd, value.path, value.purpose, ("world", name), lambda stage: read_usd_points(stage, kind))
     if points is None:
         return None
     transforms = _make_key_transforms(staging, value, value.scale, staging.scene.model.up)
@@ -330,7 +330,7 @@ def stage_usd_places(staging: SceneStaging, value: UsdPositions, *path: PathKey)
     species = staging.scene.model.crowd[int(path[1])].species
     kind = species if value.kind is None and value.prim is None else value.kind
     place = (*path, "points")
-    return _read_usd(staging, value.usd, value.prim or "/", "render", place, lambda stage: read_usd_points(stage, kind))
+    return read_usd(staging, value.usd, value.prim or "/", "render", place, lambda stage: read_usd_points(stage, kind))
 
 
 def follow_surface(mesh: stage_of.MeshData, moves: MeshMoves, point: stage_of.PointMm) -> Floats:
@@ -356,7 +356,7 @@ def follow_surface(mesh: stage_of.MeshData, moves: MeshMoves, point: stage_of.Po
 # ---- USD
 
 
-def _read_usd(
+def read_usd(
     staging: SceneStaging, text: str, prim: str, purpose: str, path: tuple[PathKey, ...], read: Callable[[UsdStage], T]
 ) -> T | None:
     """Return the result of a reader at a prim. On failure, report an error at the location in the scene and return None."""
@@ -384,16 +384,3 @@ def _read_usd(
             "bad-mesh", words, staging.scene.span(*path, "prim"), "repair it in the program that made it, and export it again"
         )
     return None
-
-
-def stage_usd_camera(staging: SceneStaging, value: UsdCamera) -> stage_of.CameraData | None:
-    """Return the camera at a prim, over the written frames."""
-    from antdsl.scene.geometry.usd import read_usd_camera
-
-    camera = _read_usd(staging, value.usd, value.prim, "render", ("camera",), read_usd_camera)
-    if camera is None:
-        return None
-    written_frames = slice(staging.scene.model.preroll if len(camera.at) > 1 else 0, None)
-    return stage_of.CameraData(
-        camera.at[written_frames], camera.look_at[written_frames], camera.up[written_frames], camera.focal[written_frames]
-    )

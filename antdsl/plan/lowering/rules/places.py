@@ -45,6 +45,9 @@ def compute_offset(w: PlanWriter, value: LoweredValue, e: model.Expr) -> tuple[P
     if isinstance(value, NamedThing) and value.row.nearest_op == "curve.closest":
         is_present: PlanNode = b.true
         point = _find_curve_point(w, value.name)
+    elif isinstance(value, NamedThing) and value.row.nearest_op == "camera.position":
+        is_present, camera = b.true, b(value.row.nearest_op, attrs=(value.name,))
+        point = VectorNodes(*(b("get", camera, attrs=(i,)) for i in range(3)))
     elif isinstance(value, VectorNodes | OwnPosition | EntityRef):
         is_present, point = locate_point(w, value, e)
     else:

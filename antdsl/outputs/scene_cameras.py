@@ -1,0 +1,142 @@
+"""The cameras of a cache: those of its scene, by name, and those that stay beside an agent in a range of frames."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.outputs.cache.cache_reader import Cache
+from antdsl.outputs.cache.frame_agents import get_agent_ids, get_species_numbers
+from antdsl.outputs.cache.manifest import CameraEntry, FollowEntry, Manifest, make_camera_array_name
+from antdsl.outputs.gallery import Gallery, PictureUnavailable
+from antdsl.outputs.pictures.camera import to_tuple
+from antdsl.outputs.pictures.cameras import CAMERA_ANGLES, make_ray_scene, score_camera
+from antdsl.outputs.pictures.following import (
+    CLOSE_FOCAL_MM,
+    SMOOTH_SECONDS,
+    AgentTrack,
+    FollowingCamera,
+    StableTrack,
+    measure_body,
+)
+from antdsl.outputs.pictures.model import Camera, Crowd, Picture
+from antdsl.scene.camera_models import DEFAULT_CAMERA
+from antdsl.scene.line_ids import LineIds
+from antdsl.scene.selectors import parse_agent_name
+from antdsl.scene.setting import DEFAULT_FOCAL_MM
+from antdsl.scene.thing_models import UP_VECTORS
+
+Array = NDArray[np.float64]
+
+_TRACK_ARRAYS = frozenset(("P", "orient", "id", "species"))
+_MAX_SCORED_FRAMES = 4  # frames for which a direction is examined
+
+
+class SceneCameras:
+    """The cameras of the scene of a gallery's cache."""
+
+    def __init__(self, gallery: Gallery) -> None:
+        self._gallery, self._entries = gallery, gallery.manifest.named_cameras
+        self._following: dict[str, FollowingCamera] = {}
+
+    @property
+    def names(self) -> list[str]:
+        return list(self._entries)
+
+    def is_fitted(self, name: str = DEFAULT_CAMERA) -> bool:
+        """Return whether a camera shows the complete crowd in all drawn frames."""
+        return self._entries.get(name) == "fit"
+
+    def is_moving(self, name: str = DEFAULT_CAMERA) -> bool:
+        """Return whether a camera changes between frames."""
+        entry = self._entries.get(name)
+        return isinstance(entry, FollowEntry) or (isinstance(entry, CameraEntry) and entry.moves)
+
+    def make_camera(self, frame: int, name: str = DEFAULT_CAMERA) -> Camera | None:
+        """Return a camera at a frame, or None if the scene has no such camera or it depends on the drawn frames."""
+        entry, static = self._entries.get(name), self._gallery.static
+        if isinstance(entry, FollowEntry):
+            if name not in self._following:
+                self._following[name] = _make_following_camera(self._gallery, entry)
+            return self._following[name].make_camera(frame)
+        if not isinstance(entry, CameraEntry):
+            return None
+        if not entry.moves:
+            return Camera(entry.at, entry.look_at, focal=entry.focal or DEFAULT_FOCAL_MM, up=entry.up)
+        row = min(max(frame - self._gallery.manifest.first, 0), len(static[make_camera_array_name(name, "at")]) - 1)
+        at, look_at, up = (to_tuple(static[make_camera_array_name(name, part)][row]) for part in ("at", "look_at", "up"))
+        return Camera(at, look_at, focal=float(static[make_camera_array_name(name, "focal")][row]) or DEFAULT_FOCAL_MM, up=up)
+
+
+def find_agent(manifest: Manifest, text: str) -> tuple[int, int]:
+    """Return the index of the species and the id of an agent, named as in a scene: `guards.17`. Raises PictureUnavailable if the
+    cache has no such line or species, or the line no such number."""
+    name, lines = parse_agent_name(text), {line.name: line for line in manifest.lines}
+    species, ids = name.name, np.array([] if name.first is None else [name.first], np.int64)
+    if name.name in lines and name.first is not None:
+        line = lines[name.name]
+        species, ids = line.species, LineIds(line.species, line.ranges).take(name.first, name.first)
+    numbers = [number for number, each in enumerate(manifest.species) if each.name == species]
+    if not numbers or not len(ids):
+        raise PictureUnavailable(f"the cache has no agent `{text}`")
+    return numbers[0], int(ids[0])
+
+
+def read_track(cache: Cache, species: int, agent: int, frames: Sequence[int]) -> AgentTrack:
+    """Return the track of an agent in those of the frames that have it. Raises CacheError for damaged frames."""
+    rows = []
+    for frame in frames:
+        arrays = cache.frame(frame, _TRACK_ARRAYS)
+        at = np.flatnonzero((get_agent_ids(arrays) == agent) & (get_species_numbers(arrays) == species))
+        if len(at):
+            rows.append((frame, arrays["P"][at[0]], arrays["orient"][at[0]]))
+    numbers = np.array([row[0] for row in rows], np.int64)
+    return AgentTrack(numbers, *(np.array([row[k] for row in rows], np.float64).reshape(len(rows), -1) for k in (1, 2)))
+
+
+def make_stable_track(gallery: Gallery, track: AgentTrack, seconds: float = SMOOTH_SECONDS) -> StableTrack:
+    """Return a track smoothed over a time before and after each frame."""
+    return StableTrack.of(track, seconds / gallery.dt, np.array(UP_VECTORS[gallery.manifest.up]))
+
+
+def find_crowd_row(picture: Picture, species: str, agent: int) -> tuple[Crowd, int] | None:
+    """Return the crowd of an agent in a picture, and its row."""
+    for crowd in picture.crowds:
+        if crowd.species == species and crowd.ids is not None and len(rows := np.flatnonzero(np.asarray(crowd.ids) == agent)):
+            return crowd, int(rows[0])
+    return None
+
+
+def _make_following_camera(gallery: Gallery, entry: FollowEntry) -> FollowingCamera:
+    """Return the camera that an entry describes. Raises PictureUnavailable if no frame has the agent."""
+    number, agent = find_agent(gallery.manifest, entry.follow)
+    track = read_track(gallery.cache, number, agent, gallery.cache.frames())
+    if not len(track.frames):
+        raise PictureUnavailable(f"no frame of the cache has the agent `{entry.follow}`, which a camera follows")
+    stable = make_stable_track(gallery, track, SMOOTH_SECONDS if entry.smooth is None else entry.smooth)
+    offset = None if entry.by is None else np.array(entry.by)
+    return choose_direction(gallery, number, agent, stable, entry.focal or CLOSE_FOCAL_MM, is_close=True, offset=offset)
+
+
+def choose_direction(
+    gallery: Gallery, number: int, agent: int, track: StableTrack, focal: float, *, is_close: bool, offset: Array | None = None
+) -> FollowingCamera:
+    """Return the camera beside an agent from the direction that shows it best in a few frames of its track.
+
+    `number`: the index of its species. `offset`: from the agent to the camera; then nothing is chosen."""
+    count = 1 if offset is not None else _MAX_SCORED_FRAMES
+    frames = track.frames[np.unique(np.linspace(0, len(track.frames) - 1, count).astype(np.int64))].tolist()
+    species = gallery.manifest.species[number].name
+    samples = [(picture, find_crowd_row(picture, species, agent)) for picture in map(gallery.make_picture, frames)]
+    views = [(picture, *place) for picture, place in samples if place is not None]
+    body = measure_body(*views[0][1:])
+    if offset is not None:
+        return FollowingCamera.of(track, body, focal, offset=offset)
+    cameras = [FollowingCamera.of(track, body, focal, angle, is_close) for angle in CAMERA_ANGLES]
+    scores = np.zeros(len(cameras))
+    for frame, (picture, crowd, row) in zip(frames, views, strict=True):
+        rays = make_ray_scene(picture)
+        scores += [score_camera(crowd, row, body.longest, each.make_camera(frame), rays) for each in cameras]
+    return cameras[int(scores.argmax())]

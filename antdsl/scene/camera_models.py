@@ -1,0 +1,100 @@
+"""The forms that a camera can have in a `scene.yaml`, each as a pydantic model."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, Any
+
+from pydantic import BeforeValidator, Discriminator, Tag
+
+from antdsl import limits
+from antdsl.scene.selectors import AgentName, parse_agent_name
+from antdsl.scene.values import (
+    FilePath,
+    PointValue,
+    PositiveLength,
+    PositiveTime,
+    SceneName,
+    ScenePart,
+    SceneWord,
+    make_error,
+    parse_integer_between,
+    parse_one_of,
+)
+
+DEFAULT_CAMERA = "shot"  # the name of the camera that pictures have by default
+CAMERA_VIEWS = ("scene", "fit", "above", "top", "eye", "close")  # words of `render --camera` that name no camera of the scene
+
+
+class CameraKey(ScenePart):
+    """A camera at one frame. It changes linearly between keys, and is constant before the first and after the last."""
+
+    at: PointValue | None = None
+    look_at: PointValue | None = None
+    focal: PositiveLength | None = None
+
+
+FrameNumber = Annotated[int, BeforeValidator(parse_integer_between(-limits.MAX_FRAMES, limits.MAX_FRAMES * 1000))]
+
+
+CameraKeys = dict[FrameNumber, CameraKey]
+
+
+class Camera(ScenePart):
+    """A camera at a point. `keys`: what differs at frames."""
+
+    at: PointValue
+    look_at: PointValue
+    focal: PositiveLength | None = None
+    keys: CameraKeys = {}
+
+
+class UsdCamera(ScenePart):
+    """A camera of a USD file, with its motion."""
+
+    usd: FilePath
+    prim: SceneWord
+
+
+def _parse_single_agent(value: Any) -> AgentName:
+    name = parse_agent_name(value)
+    if name.first is None or name.last != name.first:
+        raise make_error(f"`{name}` is not a single agent", f"write `{name.name}.{name.first or 0}`")
+    return name
+
+
+class FollowCamera(ScenePart):
+    """A camera that moves with one agent, and does not turn with it.
+
+    `follow`: the agent, such as `guards.17`.
+    `by`: from the agent to the camera; by default, as `render --camera close` chooses it.
+    `smooth`: the motion of the agent is averaged over this time before and after each frame."""
+
+    follow: Annotated[AgentName, BeforeValidator(_parse_single_agent)]
+    by: PointValue | None = None
+    smooth: PositiveTime | None = None
+    focal: PositiveLength | None = None
+
+
+Fit = Annotated[str, BeforeValidator(parse_one_of("fit"))]
+CAMERA_MODEL_BY_TAG: dict[str, type[ScenePart]] = {
+    "camera-here": Camera, "usd-camera": UsdCamera, "follow-camera": FollowCamera,
+}  # fmt: skip
+
+
+def _find_camera_tag(value: Any) -> str:
+    if isinstance(value, str):
+        return "camera-word"
+    return next((f"{key}-camera" for key in ("usd", "follow") if isinstance(value, dict) and key in value), "camera-here")
+
+
+if TYPE_CHECKING:
+    CameraValue = Camera | UsdCamera | FollowCamera | str
+else:
+    CameraValue = Annotated[
+        Annotated[Camera, Tag("camera-here")]
+        | Annotated[UsdCamera, Tag("usd-camera")]
+        | Annotated[FollowCamera, Tag("follow-camera")]
+        | Annotated[Fit, Tag("camera-word")],
+        Discriminator(_find_camera_tag),
+    ]
+Cameras = dict[SceneName, CameraValue]
