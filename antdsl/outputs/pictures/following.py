@@ -84,7 +84,7 @@ class StableTrack:
         low, high = _LEVEL_COSINES
         share = np.clip((dot(up, upright) - low) / (high - low), 0.0, 1.0)
         share = (share * share * (3 - 2 * share))[:, None]
-        level = unit(share * upright + (1 - share) * up)
+        level = unit(_smooth(share * upright + (1 - share) * up, track.frames, reach))
         return cls(
             track.frames, reach, track.position, _smooth(track.position, track.frames, reach, has_trend=True), up, ahead, level
         )
@@ -151,7 +151,8 @@ class FollowingCamera:
         level = np.cos(self.angle) * ahead + np.sin(self.angle) * np.cross(ahead, up)
         aim, top = place + self.body.height / 2 * up, track.level[row]
         if self.offset is not None:
-            eye, top = place + self.offset, track.level[0]
+            top = track.level[0]
+            eye, aim = place + self.offset, place + self.body.height / 2 * top
         elif self.is_close:
             eye = aim + self._find_close_distance() * (np.cos(_CLOSE_ELEVATION) * level + np.sin(_CLOSE_ELEVATION) * up)
         else:
