@@ -11,8 +11,11 @@ from typer.testing import CliRunner
 
 from antdsl.cli import app
 from antdsl.outputs.cache.cache_reader import Cache, open_cache
+from antdsl.outputs.cache.frame_agents import make_agent_keys
 from antdsl.outputs.cache.manifest import FollowEntry, Manifest
 from antdsl.outputs.drawing import DrawRequest, FrameDrawer
+from antdsl.outputs.edits.cache_selection import Selection, list_selector_names
+from antdsl.outputs.edits.frame_rows import SPECIES_PER_KEY
 from antdsl.outputs.gallery import Gallery, PictureUnavailable
 from antdsl.outputs.pictures.camera import make_view
 from antdsl.outputs.pictures.following import AgentTrack, BodySize, FollowingCamera, StableTrack
@@ -21,7 +24,7 @@ from antdsl.outputs.recording import begin_recording, record_frames
 from antdsl.outputs.scene_cameras import SceneCameras, find_agent
 from antdsl.runtime import Options, bind, step
 from antdsl.runtime.selectable_agents import collect_selectable_frame
-from antdsl.scene.selection import select_rows
+from antdsl.scene.selection import select_ids, select_rows
 from antdsl.scene.selectors import AgentConditions
 
 SHOT = "camera: {at: [80, 60, 80], look_at: [10, 0, 10], focal: 30 mm}"
@@ -67,6 +70,20 @@ def test_a_cache_has_the_cameras_of_its_scene(cache: Cache) -> None:
     for wrong in ("guards.9", "bee.1"):
         with pytest.raises(PictureUnavailable, match=f"no agent `{wrong}`"):
             find_agent(cache.manifest, wrong)
+
+
+@pytest.mark.parametrize("camera", ["shot", "wide", "dolly"])
+def test_edits_and_notes_select_by_the_same_view(folder: Path, camera: str) -> None:  # noqa: F811
+    cache = record(folder, NAMED.replace("count: 5", "count: 60").replace("radius: 20", "radius: 60"))
+    shot, _ = opened(folder, NAMED.replace("count: 5", "count: 60").replace("radius: 20", "radius: 60"))
+    assert shot is not None and list_selector_names(cache.manifest).cameras == {"shot", "wide", "dolly"}
+    world = bind(shot.plan, shot.setting, Options(backend="numpy"))
+    for frame in (1, 2, 3):
+        selector = AgentConditions(in_view=camera)
+        keys = make_agent_keys(cache.frame(frame))
+        ids = keys[Selection(selector, cache, frame).find(keys)] // SPECIES_PER_KEY
+        assert ids.tolist() == select_ids(selector, collect_selectable_frame(world))["ant"].tolist() and 0 < len(ids) <= 60
+        step(world)
 
 
 def test_a_manifest_without_names_has_its_default_camera(cache: Cache) -> None:

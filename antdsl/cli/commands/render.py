@@ -67,8 +67,8 @@ def render(
         "scene",
         "--camera",
         metavar="VIEW",
-        help="The scene's own (`scene`), NAME of another of its cameras, fitted to the crowd (`fit`), from `above`, straight above "
-        "without perspective (`top`), at an agent's `eye` level, or `close` to an agent.",
+        help="The scene's own (`scene`), NAME of another of its cameras, fitted to the crowd (`fit`), from `above`, straight "
+        "above without perspective (`top`), at an agent's `eye` level, or `close` to an agent.",
     ),
     at: str = typer.Option(None, "--at", metavar="X,Y,Z", help="A camera at this point, in the scene's units, with `--look-at`."),
     look_at: str = typer.Option(None, "--look-at", metavar="X,Y,Z", help="What that camera looks at."),

@@ -35,6 +35,8 @@ from antdsl.outputs.cache.manifest import (
     read_manifest,
 )
 from antdsl.outputs.cache.npz import ArrayFileError, read_npz
+from antdsl.scene.setting import CameraData
+from antdsl.scene.thing_models import UNIT_MM, UP_VECTORS
 
 MARKER_FILE_NAME = ".antdsl-cache"
 STATIC_FILE_NAME = "static.npz"
@@ -200,6 +202,21 @@ def select_arrays(arrays: Arrays, names: frozenset[str] | None) -> Arrays:
 def open_cache(folder: Path) -> Cache:
     """Return the cache in a folder. Raises ManifestError with the reason if there is none."""
     return Cache(folder, read_manifest(folder))
+
+
+def read_camera(cache: Cache, name: str) -> CameraData:
+    """Return a camera that follows no agent, in mm from the scene's zero point. Raises CacheError if `static.npz` is damaged."""
+    manifest, entry = cache.manifest, cache.manifest.named_cameras[name]
+    assert isinstance(entry, CameraEntry)
+    if entry.moves:
+        static = cache.read_static()
+        at, look_at, up, focal = (np.asarray(static[make_camera_array_name(name, part)], np.float64) for part in CAMERA_PARTS)
+    else:
+        points = (entry.at, entry.look_at, entry.up or UP_VECTORS[manifest.up])
+        at, look_at, up = (np.array([point], np.float64) for point in points)
+        focal = np.array([entry.focal or 0.0])
+    at, look_at = ((rows + manifest.origin) * UNIT_MM[manifest.units] for rows in (at, look_at))
+    return CameraData(at, look_at, up, focal, manifest.first)
 
 
 def _find_read_problem(read: Callable[[], object]) -> str | None:

@@ -319,7 +319,7 @@ class Manifest(ManifestPart):
 
     @property
     def named_cameras(self) -> Mapping[str, AnyCameraEntry]:
-        """Return all cameras by name. Caches that antdsl 0.9 wrote have only the default one."""
+        """Return all cameras by name. A manifest without `cameras` has only the default one."""
         return self.cameras or ({} if self.camera is None else {DEFAULT_CAMERA: self.camera})
 
 

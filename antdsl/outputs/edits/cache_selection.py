@@ -4,20 +4,24 @@ Names, shares and `without` depend on ids alone, so they hold in all frames. Pos
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.outputs.cache.cache_reader import Arrays, Cache
+from antdsl.outputs.cache.cache_reader import Arrays, Cache, read_camera
 from antdsl.outputs.cache.frame_agents import LongArray, make_agent_keys
-from antdsl.outputs.cache.manifest import MachineEntry, Manifest, SpeciesEntry
+from antdsl.outputs.cache.manifest import CameraEntry, MachineEntry, Manifest, SpeciesEntry
 from antdsl.outputs.edits.frame_rows import SPECIES_PER_KEY
+from antdsl.runtime.sensed_camera import SensedCamera
 from antdsl.scene.line_ids import LineIds
 from antdsl.scene.selection import SelectableAgents, SelectableFrame, StateColumn, select_rows
 from antdsl.scene.selectors import AgentName, AnySelector, SelectorNames
 from antdsl.scene.thing_models import UNIT_MM
+
+ViewFinder = Callable[[str, NDArray[np.float64]], NDArray[np.bool_]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +43,13 @@ class Selection:
     @cached_property
     def _keys_of_frame(self) -> LongArray:
         arrays = self.cache.frame(self.frame)
-        return make_agent_keys(arrays)[select_agents(self.selector, arrays, self.cache.manifest)]
+        find_in_view = partial(_find_in_view, self.cache, self.frame)
+        return make_agent_keys(arrays)[select_agents(self.selector, arrays, self.cache.manifest, find_in_view)]
+
+
+def _find_in_view(cache: Cache, frame: int, camera: str, place: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return which positions (n, 3), in mm from the scene's zero point, a camera sees in a frame."""
+    return SensedCamera(read_camera(cache, camera), np.zeros(3)).find_in_view(frame, place, np.zeros(len(place)))
 
 
 def needs_frame(selector: AnySelector) -> bool:
@@ -67,6 +77,7 @@ def list_selector_names(manifest: Manifest) -> SelectorNames:
         species=frozenset(species.name for species in manifest.species),
         items=frozenset(name for group in manifest.items for name in (group.name, *group.names)),
         states=frozenset(states),
+        cameras=frozenset(name for name, camera in manifest.named_cameras.items() if isinstance(camera, CameraEntry)),
     )
 
 
@@ -76,8 +87,10 @@ def _list_stored_machines(species: SpeciesEntry, manifest: Manifest) -> list[tup
     return [(name, m) for name, m in zip(names, species.machines, strict=False) if name in manifest.attributes]
 
 
-def select_agents(selector: AnySelector, arrays: Arrays, manifest: Manifest) -> NDArray[np.bool_]:
-    """Return which agents of a frame a selector selects."""
+def select_agents(
+    selector: AnySelector, arrays: Arrays, manifest: Manifest, find_in_view: ViewFinder | None = None
+) -> NDArray[np.bool_]:
+    """Return which agents of a frame a selector selects. `find_in_view`: as in `SelectableFrame`."""
     keys, unit_mm = make_agent_keys(arrays), UNIT_MM[manifest.units]
     position = (np.asarray(arrays["P"], np.float64) + manifest.origin) * unit_mm if "P" in arrays else np.zeros((len(keys), 3))
     rows = {entry.name: np.flatnonzero(keys % SPECIES_PER_KEY == number) for number, entry in enumerate(manifest.species)}
@@ -98,6 +111,7 @@ def select_agents(selector: AnySelector, arrays: Arrays, manifest: Manifest) -> 
         find_item_points(arrays, manifest, unit_mm),
         manifest.seed,
         unit_mm,
+        find_in_view,
     )
     is_selected = np.zeros(len(keys), np.bool_)
     for name, mask in select_rows(selector, frame).items():
