@@ -137,8 +137,8 @@ def test_a_camera_does_not_tremble_or_turn_with_its_agent(is_close: bool) -> Non
     assert (views @ views[0]).min() > np.cos(0.02), "the agent's up never changes, so neither does the direction"
     far = np.linalg.norm(aims[0] - eyes[0])
     assert np.linalg.norm(following.centre - track.position, axis=1).max() < 0.2 * far
-    before, after = following.make_camera(-50), following.make_camera(500)
-    assert (before, after) == (cameras[0], cameras[-1])
+    ends = following.make_camera(-50), following.make_camera(500)
+    assert ends == (cameras[0], cameras[-1])
 
 
 def test_a_camera_goes_over_an_edge_with_its_agent() -> None:
@@ -172,8 +172,8 @@ def test_options_place_a_camera(cache: Cache) -> None:
     drawer = FrameDrawer(request.gallery(cache), request, [1], 1)
     assert drawer.draw(1).shape == (180, 320, 3) and drawer._find_camera(1) == Camera((1, 2, 3), (4, 5, 6))
     words = ["render", str(cache.folder), "--width", "64", "--height", "36", "--out", str(cache.folder / "stills")]
-    for more in ("--at 9,8,7 --look-at 1,0,-2.5 --focal 20", "--camera wide", "--camera hero --sheet"):
-        result = CliRunner().invoke(app, [*words, *more.split()])
+    for options in ("--at 9,8,7 --look-at 1,0,-2.5 --focal 20", "--camera wide", "--camera hero --sheet"):
+        result = CliRunner().invoke(app, [*words, *options.split()])
         assert result.exit_code == 0, result.output
 
 
