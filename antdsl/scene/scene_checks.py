@@ -17,7 +17,7 @@ from antdsl.scene import field_settings
 from antdsl.scene.camera_models import CAMERA_VIEWS, DEFAULT_CAMERA, Camera, FollowCamera, UsdCamera
 from antdsl.scene.crowd_checks import check_around, check_crowd, count_agents
 from antdsl.scene.document import PathKey
-from antdsl.scene.entry_checks import Entry, check_dimension, convert_constant, report_unknown
+from antdsl.scene.entry_checks import Entry, check_dimension, check_file, convert_constant, report_unknown
 from antdsl.scene.existence_checks import check_absent_species, check_bodies
 from antdsl.scene.field_settings import check_field_dynamics
 from antdsl.scene.load import Scene
