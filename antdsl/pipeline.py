@@ -165,7 +165,8 @@ def open_scene(
     )  # fmt: skip
     inputs = {"antdsl": __version__, "scene": scene.compute_digest(), **loaded.hash_texts(), **meshes, **bodies.hashes}
     inputs |= {f"--set {name}": text for name, text in choices.params.items()}
-    inputs |= {f"camera {name}": scene.hash_camera(name) for name in program.list_things_of_kind("camera")}
+    sensed_cameras = setting.cameras if scene.model.notes else program.list_things_of_kind("camera")  # notes select by any
+    inputs |= {f"camera {name}": scene.hash_camera(name) for name in sensed_cameras}
     inputs |= {f"set {change.name}": change.value.span.text for change in choices.changes}
     final_plan = lowered if raw else passes.optimise(lowered, thorough=thorough)
     return Shot(scene, program, final_plan, setting, inputs, loaded, bodies.definitions, bodies.proportions), report
