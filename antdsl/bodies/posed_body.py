@@ -19,7 +19,7 @@ from antdsl.bodies.agents.blending import blend_poses
 from antdsl.bodies.agents.boxes import compute_rest_box
 from antdsl.bodies.agents.definition import STATE_MATERIAL, Binding, Capture, Definition, Layer, Shape
 from antdsl.bodies.agents.deformers import deform_binding
-from antdsl.bodies.agents.driving import DrivenPose, set_pose_channels, turn_towards_looks
+from antdsl.bodies.agents.driving import DrivenPose, offset_joints, set_pose_channels, turn_towards_looks
 from antdsl.bodies.agents.leg_ik import BodySpaceFeet, LegSolver
 from antdsl.bodies.agents.machine_clips import MachineClips, PlayedClip, build_machine_playback
 from antdsl.bodies.agents.poses import Poses, build_clip_table, to_local_transforms
@@ -198,6 +198,7 @@ class PosedBody:
         poses = turn_towards_looks(
             self._table, poses, driven.look_directions, self._definition.groups, self._definition.compute_base_matrix()[:3, :3]
         )
+        poses = offset_joints(self._table, poses, driven.joint_offsets, self._definition.compute_base_matrix()[:3, :3])
         poses = scale_groups(self._table, poses, self._definition.variation, self._definition.groups, driven.variation_draws)
         if self.leg_solver is not None and feet is not None:
             stands = self.leg_solver.compute_stance_weights(self._played, machines, count)

@@ -197,8 +197,13 @@ def run_cache_tasks(
     from antdsl.shots.task_destination import mark_folder
 
     cache = resolve_path(cache)
+    edits = open_cache(cache).manifest.edits
+    if edits is not None and edits.caches:
+        message = "error: the cache has edits that merge other caches, which a cluster does not read"
+        raise CommandError(ExitCode.FINDINGS, message, f"write them into a cache first: `antdsl edit {cache} --to DIR`")
     files = [
         *(cache / name for name in (MANIFEST_FILE_NAME, STATIC_FILE_NAME, HASHES_FILE_NAME)),
+        *((cache / edits.arrays,) if edits is not None and edits.arrays is not None else ()),
         *(make_frame_path(cache, f) for f in open_cache(cache).frames()),
     ]
     failed = 0

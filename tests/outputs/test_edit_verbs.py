@@ -60,6 +60,7 @@ ONE_OF_EACH = {
     "drop": "drop: guards, onto: ground",
     "replace": "replace: guards, colour: red",
     "merge": "merge: cache",
+    "offset": "offset: guards, joint: root, rotate: [0, 90 deg, 0]",
     "mirror": "mirror: guards, axis: x",
     "smooth": "smooth: guards, orient: 5",
 }
@@ -75,7 +76,9 @@ def test_an_edit_changes_the_selected_agents_and_no_bit_of_others(cache: Cache, 
     for number in cache.frames():
         keys = FrameRows(cache.frame(number), cache.manifest).keys
         others = keys[~np.isin(keys, GUARDS)]
-        assert edit_scenes.take_agents(cache, number, others) == edit_scenes.take_agents(view, number, others)
+        plain, rows = edit_scenes.take_agents(cache, number, others), edit_scenes.take_agents(view, number, others)
+        assert plain == {name: rows[name] for name in plain}
+        assert [name for name in rows if name not in plain] == (["joints.walker.root"] if verb == "offset" else [])
         new_keys = FrameRows(view.frame(number), view.manifest).keys
         changed += edit_scenes.take_agents(cache, number, keys) != edit_scenes.take_agents(view, number, new_keys)
     assert changed > 3
@@ -287,6 +290,29 @@ def test_agents_of_another_cache_are_added(cache: Cache) -> None:
             assert rows["feet.walker.P"] - source["feet.walker.P"] == pytest.approx(np.tile((0, 0, 5), (10, 6, 1)), abs=1e-5)
             assert rows["orient"].tobytes() == source["orient"].tobytes()
     assert [species.name for species in view.manifest.species] == ["bug", "walker"]
+
+
+def test_a_joint_is_shifted_and_turned_with_all_below_it(cache: Cache) -> None:
+    view = edited(cache, "offset: bug.3, joint: head, rotate: [0, 90 deg, 0], by: [0, 2 mm, 0], frames: 9..9, ease: 0")
+    (crowd, plain) = (next(c for c in Gallery(each).make_picture(9).crowds if c.species == "bug") for each in (view, cache))
+    assert crowd.ids is not None and plain.ids is not None
+    rig, base = crowd.body.definition.rig, crowd.body.definition.compute_base_matrix()[:3, :3]
+    poses = [np.asarray(each.compute_poses().world, float) for each in (crowd, plain)]
+    row, head = crowd.ids.tolist().index(3), rig.names.index("head")
+    below = rig.find_descendants(head)
+    others = np.setdiff1d(np.arange(len(rig.names)), below)
+    legs = {joint for leg in crowd.body.definition.legs for joint in rig.find_descendants(rig.joint(leg.upper)).tolist()}
+    assert np.array_equal(np.delete(poses[0], row, axis=0), np.delete(poses[1], row, axis=0))
+    trunk = [joint for joint in others.tolist() if joint not in legs]
+    assert np.array_equal(poses[0][row, trunk], poses[1][row, trunk])
+    lift = base @ (poses[0] - poses[1])[row, head, :, 3]
+    assert lift == pytest.approx([0, 2 / crowd.scale[row], 0], abs=0.02)  # the trunk tilts on its feet
+    assert np.linalg.norm(lift) == pytest.approx(2 / crowd.scale[row], rel=1e-4)
+    turns = [base @ each[row, head, :, :3] for each in poses]
+    assert turns[0][0] == pytest.approx(turns[1][2], abs=0.03) and turns[0][2] == pytest.approx(-turns[1][0], abs=0.03)
+    assert not any(name.startswith("joints.") for name in view.frame(8))
+    with pytest.raises(NotEditable, match="did you mean `head`"):
+        edited(cache, "offset: bug, joint: hed, rotate: [0, 1, 0]")
 
 
 LINES = [

@@ -13,6 +13,7 @@ from edit_scenes import fail, run
 from antdsl.outputs.cache.cache_reader import open_cache
 from antdsl.outputs.edits.edited_cache import open_edited_cache
 from antdsl.outputs.edits.frame_rows import SPECIES_PER_KEY, FrameRows
+from antdsl.outputs.edits.side_effects import measure_segment_distances
 
 KILLS = "edits:\n- {kill: guards}  # they distract\n- {kill: bug, share: 50 %, seed: 4}\n"
 
@@ -132,3 +133,25 @@ def test_flags_that_contradict_are_usage_errors(cache: Path) -> None:
     for flags in ((), ("--remove", "--to", "x"), ("--remove", "--edits", cache.parent / "edits.yaml")):
         assert "--edits" in fail("edit", cache, *flags)
     assert "no file" in fail("edit", cache, "--edits", cache.parent / "other.yaml")
+
+
+def test_overlaps_and_gaps_that_edits_cause_are_reported(cache: Path) -> None:
+    (cache.parent / "edits.yaml").write_text("edits: [{duplicate: walker.7}, {move: walker.2, by: [0, 30 mm, 0], ground: free}]")
+    result = edit_scenes.RUN.invoke(edit_scenes.app, ["edit", str(cache), "--edits", str(cache.parent / "edits.yaml")])
+    words = result.output + result.stderr
+    assert "1 pair of agents overlaps because of edits: `walker.7` and `walker.17` in frame 1" in words, words
+    assert "1 agent is off the ground because of edits: `walker.2` in frame 1" in words
+    quiet = edit(cache, "edits: [{kill: guards}, {replace: bug, colour: red}]")
+    assert "because of edits" not in quiet
+
+
+def test_distances_of_segments() -> None:
+    random = np.random.default_rng(1)
+    a, u, b, v = random.normal(size=(4, 40, 3))
+    u[:3], v[2:5] = 0, 0
+    share = np.linspace(-1, 1, 201)
+    one = a[:, None] + share[None, :, None] * u[:, None]
+    other = b[:, None] + share[None, :, None] * v[:, None]
+    nearest = np.sqrt(((one[:, :, None] - other[:, None]) ** 2).sum(axis=3)).min(axis=(1, 2))
+    distance = measure_segment_distances(a, u, b, v)
+    assert (distance <= nearest + 1e-9).all() and distance == pytest.approx(nearest, abs=0.02)

@@ -23,12 +23,14 @@ class DrivenPose:
     clips. `look_directions`: float32[n, 3] by transform group, unit vectors in the agent's space (+x ahead, +y up); (1, 0, 0) is
     straight ahead. `variation_draws`: the random variation of bodies.
     `lean`: float32[n, 2], how much each agent turns (positive: left) and climbs, from -1 to 1; None if no clip depends on it.
+    `joint_offsets`: float32[n, 7] by joint, a shift in body lengths and a rotation x y z w, both in the agent's space.
     """
 
     channels: Mapping[str, Floats] = field(default_factory=dict)
     look_directions: Mapping[str, Floats] = field(default_factory=dict)
     variation_draws: VariationDraws | None = None
     lean: Floats | None = None
+    joint_offsets: Mapping[str, Floats] = field(default_factory=dict)
 
 
 def set_pose_channels(table: ClipTable, poses: Poses, channels: Mapping[str, Floats]) -> Poses:
@@ -67,6 +69,29 @@ def turn_towards_looks(
         turn = _compute_shortest_rotation(direction, axes[0])
         for joint, share in iterate_look_shares(table.rig, groups[name]):
             _turn_joints(world, joint, table.rig.find_descendants(joint), _scale_rotation(turn, share))
+    return Poses(world, None, poses.channels)
+
+
+def offset_joints(table: ClipTable, poses: Poses, offsets: Mapping[str, Floats], base: NDArray[np.float64]) -> Poses:
+    """Return poses in which joints are shifted and turned about their own positions, together with all joints below them.
+
+    `base` [3, 3] transforms from the body's space to that of agents. Joints that the rig does not have are ignored. If anything
+    was moved, `local` is None."""
+    known = {table.rig.names.index(name): offset for name, offset in offsets.items() if name in table.rig.names and len(offset)}
+    if not known:
+        return poses
+    world = np.array(poses.world, np.float32)
+    x, y, z = base[0]
+    scale = np.sqrt((x * x + y * y) + z * z)
+    axes = base / scale
+    for joint, offset in sorted(known.items(), key=lambda each: each[0]):
+        wide = np.asarray(offset, np.float64)
+        shift, turn = (
+            (wide[:, k : k + 1] * axes[0] + wide[:, k + 1 : k + 2] * axes[1]) + wide[:, k + 2 : k + 3] * axes[2] for k in (0, 3)
+        )
+        below = table.rig.find_descendants(joint)
+        _turn_joints(world, joint, below, np.concatenate([turn, wide[:, 6:]], axis=1).astype(np.float32))
+        world[:, below, :, 3] += (shift / scale).astype(np.float32)  # indexed so, joints come before agents
     return Poses(world, None, poses.channels)
 
 

@@ -78,10 +78,13 @@ def _load_edits(folder: Path, edits: Path) -> LoadedEdits:
     from antdsl.cli.printing.reports import exit_on_errors
     from antdsl.outputs.cache.cache_reader import open_cache
     from antdsl.outputs.edits.edited_cache import load_edits
+    from antdsl.outputs.edits.side_effects import describe_side_effects
 
     loaded, report = load_edits(open_cache(folder), edits)
     exit_on_errors(report)
     assert loaded is not None, "it has no errors"
+    for words in describe_side_effects(loaded.view):
+        print_note(f"warning: {words}", to_stderr=True)
     return loaded
 
 

@@ -36,7 +36,14 @@ from antdsl.outputs.cache.frame_maker import FrameMaker
 from antdsl.outputs.cache.frame_writer import BackgroundWorker, CacheFileWriter
 from antdsl.outputs.cache.hashes import HASHES_FILE_NAME, HashLine, hash_static_file, make_line, read_lines
 from antdsl.outputs.cache.lock import LOCK_FILE_NAME, FolderLock, FolderLocked
-from antdsl.outputs.cache.manifest import MANIFEST_FILE_NAME, Manifest, ManifestError, Provenance, write_manifest
+from antdsl.outputs.cache.manifest import (
+    EDIT_ARRAYS_PATTERN,
+    MANIFEST_FILE_NAME,
+    Manifest,
+    ManifestError,
+    Provenance,
+    write_manifest,
+)
 from antdsl.outputs.cache.npz import make_npz_file
 from antdsl.outputs.surface_error import measure_surface_error
 from antdsl.runtime import World, feet_hash, state_hash, take_checkpoint
@@ -133,7 +140,8 @@ def clear_folder(folder: Path, last_retained: int | None = None, damaged: Contai
     for number in list_numbered_files(folder, make_checkpoint_path)[0]:
         if last_retained is None or number > last_retained or number in damaged:
             make_checkpoint_path(folder, number).unlink(missing_ok=True)
-    for part in _find_unfinished_files(folder):
+    edit_arrays = [path for path in folder.glob("edits.*.npz") if EDIT_ARRAYS_PATTERN.fullmatch(path.name)]
+    for part in (*_find_unfinished_files(folder), *(edit_arrays if last_retained is None else ())):
         part.unlink(missing_ok=True)
 
 

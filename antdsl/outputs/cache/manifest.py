@@ -115,6 +115,7 @@ class SpeciesEntry(ManifestPart):
     `channels`: the channels of the body that states set.
     `looks`: the transform groups of the body that states turn.
     `copies`: added by edits, in their order. The agent with the id i + k N is a copy of agent i, with a number N of this list.
+    `joints`: the joints of the body that edits shift and turn.
     `replaced`: the agents that edits gave other bodies than those drawn for them."""
 
     name: Word
@@ -129,6 +130,7 @@ class SpeciesEntry(ManifestPart):
     feelers: tuple[FeelersEntry, ...] = ()
     machines: tuple[MachineEntry, ...]
     copies: tuple[Annotated[int, Field(ge=1)], ...] = ()
+    joints: tuple[Word, ...] = ()
     replaced: tuple[ReplacedBody, ...] = ()
 
 

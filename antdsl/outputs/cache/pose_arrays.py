@@ -180,11 +180,13 @@ def read_driven_pose(species: SpeciesEntry, arrays: Arrays, ids: NDArray[np.int6
     of, count = species.name, len(ids)
     channels = {name: _find_array(arrays, f"channels.{of}.{name}", "f4", count) for name in species.channels}
     looks = {name: _find_array(arrays, f"looks.{of}.{name}", "f4", count, 3) for name in species.looks}
+    joints = {name: _find_array(arrays, f"joints.{of}.{name}", "f4", count, 7) for name in species.joints}
     return DrivenPose(
         {name: values for name, values in channels.items() if values is not None},
         {name: values for name, values in looks.items() if values is not None},
         VariationDraws(ids, seed, of),
         _find_array(arrays, f"leans.{of}", "f4", count, 2),
+        {name: values for name, values in joints.items() if values is not None},
     )
 
 

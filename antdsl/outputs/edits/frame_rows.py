@@ -109,7 +109,7 @@ def _find_lacking_keys(table: FrameRows, name: str) -> LongArray:
 def _make_neutral_rows(name: str, sample: NDArray[Any], count: int) -> NDArray[Any]:
     fill = _FLOAT_FILLS.get(name.partition(".")[0], _FILL_BY_FIELD.get(name.rpartition(".")[2], 0))
     rows = np.empty((count, *sample.shape[1:]), sample.dtype)
-    rows[...] = fill
+    rows[...] = (0, 0, 0, 0, 0, 0, 1) if name.startswith("joints.") else fill
     return rows
 
 

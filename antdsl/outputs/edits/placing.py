@@ -36,11 +36,14 @@ class GroundLine(AgentsLine):
     ground: Annotated[str, BeforeValidator(parse_one_of("follow", "free"))] = "follow"
 
 
-class PlacingLine(GroundLine):
-    """A line that moves agents in `frames`. `ease`: the number of frames before and after these in which the change begins and
-    ends."""
+class EasedLine(AgentsLine):
+    """A line for some `frames`. `ease`: the number of frames before and after these in which the change begins and ends."""
 
     ease: FrameCount = DEFAULT_EASE_FRAMES
+
+
+class PlacingLine(GroundLine, EasedLine):
+    """A line that moves agents in some frames."""
 
 
 class MoveLine(PlacingLine):
@@ -113,23 +116,14 @@ class PlacingLayer(EditLayer):
 
     def is_active(self, number: int) -> bool:
         """Return whether the edit changes a frame."""
-        return self.compute_share(number) > 0
-
-    def compute_share(self, number: int) -> float:
-        """Return how far the edit has begun in a frame, from 0 to 1."""
-        frames, ease = self.line.frames, self.line.ease + 1
-        if frames is None:
-            return 1.0
-        away = max(frames.first - number, number - frames.last, 0)
-        share = max(1.0 - away / ease, 0.0)
-        return float(share * share * (3 - 2 * share))
+        return compute_ease(self.line, number) > 0
 
     def change_frame(self, number: int, arrays: Arrays) -> Arrays:
         """Return a frame with the selected agents elsewhere."""
         agents = self.take_agents(number, arrays)
         if not len(agents.rows):
             return arrays
-        moves = self.place(agents, arrays).scale(self.compute_share(number), agents.position)
+        moves = self.place(agents, arrays).scale(compute_ease(self.line, number), agents.position)
         ground = self.inputs.ground.at(number) if self.line.ground == "follow" and self.inputs.ground else None
         if ground is None:
             return move_agents(arrays, self.manifest, moves)
@@ -166,6 +160,15 @@ class PlacingLayer(EditLayer):
             place: Floats = find_item_points(arrays, self.manifest, unit_mm)[value].mean(axis=0)
             return place / unit_mm - self.manifest.origin
         return convert_displacement(value, self.manifest) - self.manifest.origin
+
+
+def compute_ease(line: EasedLine, number: int) -> float:
+    """Return how far a line applies in a frame, from 0 to 1."""
+    if line.frames is None:
+        return 1.0
+    away = max(line.frames.first - number, number - line.frames.last, 0)
+    share = max(1.0 - away / (line.ease + 1), 0.0)
+    return float(share * share * (3 - 2 * share))
 
 
 def convert_displacement(value: Any, manifest: Manifest) -> Floats:

@@ -9,6 +9,7 @@ from antdsl.outputs.edits.curves import PinLayer, PinLine
 from antdsl.outputs.edits.dropping import DropLayer, DropLine
 from antdsl.outputs.edits.edit_layer import EditLayer, EditLine
 from antdsl.outputs.edits.finishing import MirrorLayer, MirrorLine, SmoothLayer, SmoothLine
+from antdsl.outputs.edits.joints import OffsetLayer, OffsetLine
 from antdsl.outputs.edits.looks import ReplaceLayer, ReplaceLine
 from antdsl.outputs.edits.merging import MergeLayer, MergeLine
 from antdsl.outputs.edits.placing import (
@@ -50,6 +51,7 @@ _ROWS = (
     EditVerb(FaceLine, FaceLayer),
     EditVerb(PinLine, PinLayer),
     EditVerb(DropLine, DropLayer),
+    EditVerb(OffsetLine, OffsetLayer),
     EditVerb(ReplaceLine, ReplaceLayer),
     EditVerb(SmoothLine, SmoothLayer, is_last=True),
     EditVerb(MirrorLine, MirrorLayer, is_last=True),

@@ -159,6 +159,8 @@ OTHER_COLUMNS = (
          "linear"),
         ("looks.SPECIES.GROUP", "f4", (3,), "where a transform group [looks](clips.md#looking-at-something): ahead, up, right",
          "direction"),
+        ("joints.SPECIES.JOINT", "f4", (7,), "what an [edit](directing.md#edits) adds to a joint: shift ahead, up, right in body "
+         "lengths, rotation x y z w"),
         ("leans.SPECIES", "f4", (2,), "how much it [turns left and climbs](clips.md#turns-and-slopes), from -1 to 1", "linear")),
     *_make_columns(
         "pairs.SPECIES.NAME.", "pair",
