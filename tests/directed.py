@@ -37,6 +37,7 @@ world:
   mud: {{painted: mud.npz, attribute: mud}}
   leaves: {{leaf: {{at: [90, 0, -60], on: ground, radius: 6 mm}}}}
   stones: {{stone: {{at: [-60, 0, -60], on: ground, radius: 10 mm}}}}
+cameras: {{front: {{at: [20, 90, -150], look_at: [20, 0, -60], focal: 50 mm}}}}
 crowd:
   - {{name: guards, species: ant, from: a.ant, count: {count}, place: {{on: ground, radius: 130 mm}}, body: ant}}
 {notes}"""

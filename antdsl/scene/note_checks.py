@@ -11,7 +11,18 @@ from antdsl.scene.document import PathKey
 from antdsl.scene.entry_checks import check_dimension, report_unknown
 from antdsl.scene.load import Scene
 from antdsl.scene.note_programs import LOOK_MACHINE, PLAY_MACHINE
-from antdsl.scene.notes_model import AttractNote, ChangeNote, Note, PartNote, ReachNote, RegionNote, RepelNote, SetNote, Target
+from antdsl.scene.notes_model import (
+    AttractNote,
+    ChangeNote,
+    Note,
+    PartNote,
+    ReachNote,
+    RegionNote,
+    RepelNote,
+    SetNote,
+    Target,
+    View,
+)
 from antdsl.scene.scene_kinds import SCENE_KINDS
 from antdsl.scene.selectors import AgentConditions, AgentName, AnySelector, Ball, SelectorKeys, SelectorNames, find_problems
 
@@ -70,6 +81,8 @@ class _NoteCheck:
                 self._report_unknown("no program has a curve", curves, *path, help=_CURVE_HELP)
         if isinstance(region, Ball) and isinstance(region.around, str) and region.around not in self.names.items:
             self._report_unknown("no item is named", self.names.items, "in", "around")
+        if isinstance(region, View) and region.in_view not in self.names.cameras:
+            self._report_unknown("no camera is named", self.names.cameras, "in", "in_view")
         maps = self._list_things("maps")
         if isinstance(note, RegionNote) and note.painted is not None and note.painted not in maps:
             self._report_unknown("no program has a map", maps, "painted")

@@ -248,13 +248,23 @@ class Band(ScenePart):
     width: PositiveLength
 
 
+class View(ScenePart):
+    """All points that a camera sees, without regard to what hides them."""
+
+    in_view: SceneName
+
+
 def _find_region_tag(value: Any) -> str:
     keys = value if isinstance(value, dict) else ()
-    return "band-region" if "along" in keys else "ball-region" if "around" in keys else "box-region"
+    tags = {"along": "band-region", "around": "ball-region", "in_view": "view-region"}
+    return next((tag for key, tag in tags.items() if key in keys), "box-region")
 
 
 NoteRegion = Annotated[
-    Annotated[Box, Tag("box-region")] | Annotated[Ball, Tag("ball-region")] | Annotated[Band, Tag("band-region")],
+    Annotated[Box, Tag("box-region")]
+    | Annotated[Ball, Tag("ball-region")]
+    | Annotated[Band, Tag("band-region")]
+    | Annotated[View, Tag("view-region")],
     Discriminator(_find_region_tag),
 ]
 
@@ -262,9 +272,9 @@ NoteRegion = Annotated[
 class RegionNote(TimedNote):
     """A note about a part of the world.
 
-    `in`: a box, a ball or a band along a curve. `falloff`: outside it, the effect decreases over this distance. `strength`: the
-    share of the agents' wish that the note replaces. `painted`: a map with values from 0 to 1 that
-    multiply the strength."""
+    `in`: a box, a ball, a band along a curve or a view. `falloff`: outside it, the effect decreases over this distance.
+    `strength`: the share of the agents' wish that the note replaces. `painted`: a map with values from 0 to 1 that multiply the
+    strength."""
 
     region: NoteRegion | None = Field(None, alias="in")
     falloff: PositiveLength | None = None

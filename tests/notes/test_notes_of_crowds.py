@@ -8,6 +8,7 @@ import numpy as np
 from directed import Track, follow, open_directed, start
 
 from antdsl.runtime import World, step
+from antdsl.runtime.sensed_camera import SensedCamera
 
 
 def mean_speed(track: Track, first: int, last: int, chosen: np.ndarray | slice = slice(None)) -> float:
@@ -135,3 +136,44 @@ def test_memory_and_selections_follow_agents_through_deaths(tmp_path: Path) -> N
         step(world)
     (active,) = world.notes.active
     assert np.array_equal(np.sort(world.populations["ant"].ids[active.rows["ant"]]), ids)
+
+
+def test_no_agent_is_in_view_before_a_frame(tmp_path: Path) -> None:
+    """Agents that would begin in view never appear, and the others stay outside until frame 50."""
+
+    def count_in_view(*notes: str) -> list[int]:
+        counts: list[int] = []
+
+        def look(world: World) -> None:
+            place = world.populations["ant"].position
+            counts.append(
+                int(
+                    SensedCamera(world.setting.cameras["front"], world.origin)
+                    .find_in_view(world.frame, place, np.zeros(len(place)))
+                    .sum()
+                )
+            )
+
+        world = start(open_directed(tmp_path / str(len(notes)), *notes, count=120, last=110))
+        look(world)
+        while world.frame < 110:
+            step(world)
+            look(world)
+        return counts
+
+    assert min(count_in_view()) > 3
+    counts = count_in_view("{without: ant, in_view: front}", "{forbid: ant, in: {in_view: front}, falloff: 15 mm, frames: 1..49}")
+    assert counts[:49] == [0] * 49 and max(counts[49:]) > 2
+
+
+def test_half_as_many_in_the_foreground(tmp_path: Path) -> None:
+    worlds = [
+        start(open_directed(tmp_path / str(len(notes)), *notes, count=120))
+        for notes in ((), ("{thin: ant, to: 50 %, in_view: front}",))
+    ]
+    seen = []
+    for world in worlds:
+        place = world.populations["ant"].position
+        camera = SensedCamera(world.setting.cameras["front"], world.origin)
+        seen.append(int(camera.find_in_view(world.frame, place, np.zeros(len(place))).sum()))
+    assert seen[0] > 10 and seen[1] == round(seen[0] / 2)
