@@ -5,6 +5,7 @@ keeps its pose. A body deep inside a surface, for example after a birth in a gap
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -44,6 +45,7 @@ _MAX_DEPTH = _F(0.008)  # body lengths; a shallower overlap has no effect
 _YIELD_DEPTH = _F(0.003)
 _STRANDED_DEPTH = _F(0.08)  # body lengths; a body this deep inside moves freely
 _MIN_LEAN_COSINE = _F(0.5)  # cosine of the angle between body and ground; contacts cannot tilt a body further
+_LOST_COSINE = _F(-0.087)  # of the angle between body and ground, 95 degrees, that no body has after a step over an edge
 _MARGIN_PER_BODY = 0.04  # body lengths that are added at both ends of the capsule
 _ROWS_PER_THREAD = 32  # fewer rows are not worth another thread
 _POSE_REGISTERS = tuple(f"{name}.{axis}" for name in ("up", "heading", "~lift") for axis in AXES)
@@ -144,13 +146,15 @@ class ClearStep:
         self._aim(rows, self.levels, previous)
         uneven = np.flatnonzero(self.levels == SHARP)
         depth, out = self._shift(rows[uneven], vec.take_rows(self.lifts, uneven))
-        old = depths[uneven]
-        deeper = np.flatnonzero((depth > np.maximum(old, _MAX_DEPTH)) & (old < _STRANDED_DEPTH))
+        old, footing, (position, normal) = depths[uneven], outset[0], (each[rows[uneven]] for each in outset[1:])
+        cosine = _dot_rows(vec.take_rows(vec.get_vector_registers(now, "up"), rows[uneven]), p.normal[rows[uneven]])
+        is_lost = (cosine < _LOST_COSINE) & (_dot_rows(vec.take_rows(previous.up, rows[uneven]), normal) >= _LOST_COSINE)
+        out[:, is_lost] = (position - p.position[rows[uneven]])[is_lost].T
+        deeper = np.flatnonzero(is_lost | ((depth > np.maximum(old, _MAX_DEPTH)) & (old < _STRANDED_DEPTH)))
         if deeper.size:
             at = uneven[deeper]
             back = rows[at]
-            footing, position, normal = outset
-            self._put(back, (footing.take_rows(back), position[back], normal[back]))
+            self._put(back, (footing.take_rows(back), position[deeper], normal[deeper]))
             for k, axis in enumerate(AXES):
                 now[f"~out.{axis}"][back] = out[k, deeper]
             self._stand_up(at)
@@ -185,13 +189,8 @@ class ClearStep:
         self._aim(moved, levels, self.previous)
         sharp, depth = np.flatnonzero(levels == SHARP), np.zeros(len(at), np.float32)
         depth[sharp], _ = self._shift(moved[sharp], vec.take_rows(self.lifts, at[sharp]))
-        cosine, old_cosine = (
-            (c[0] * n[:, 0] + c[1] * n[:, 1]) + c[2] * n[:, 2]
-            for c, n in (
-                ([now[f"up.{axis}"].take(moved) for axis in AXES], p.normal[moved]),
-                ([c[at] for c in columns[:3]], normal[at]),
-            )
-        )
+        cosine = _dot_rows(vec.take_rows(vec.get_vector_registers(now, "up"), moved), p.normal[moved])
+        old_cosine = _dot_rows([c[at] for c in columns[:3]], normal[at])
         old = columns[-1][at]
         bad = (depth > np.maximum(old, _MAX_DEPTH)) | (cosine < np.minimum(old_cosine, _MIN_LEAN_COSINE))
         now["~depth"][moved] = depth
@@ -320,6 +319,12 @@ def body_shapes(
         for each in capsules
     ]
     return np.array(shapes, np.float64), numbers_by_row(population, world.setting)
+
+
+def _dot_rows(columns: Sequence[NDArray[np.float32]], vectors: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the dot products of vectors, given as three columns, with vectors (k, 3)."""
+    result: NDArray[np.float32] = (columns[0] * vectors[:, 0] + columns[1] * vectors[:, 1]) + columns[2] * vectors[:, 2]
+    return result
 
 
 def _read_lift(population: Population, rows: Rows) -> VectorArrays:

@@ -57,10 +57,11 @@ from antdsl.runtime.moving.postures import perpendicular, read_vector, tilt_with
 _F = np.float32
 WINDOW_PER_BODY = 1.0  # body lengths; length of the path ahead of the feet, and of the path behind them
 _EYE_PER_BODY = 0.03  # body lengths above the ground at which a path meets other pieces
-_MAX_LEAN = 0.92  # radians between body and the ground below the feet (53 degrees)
+_MAX_LEAN = 1.0  # radians between body and the ground below the feet (57 degrees)
 _LEAN_PER_BODY = 0.65  # radians that the limit grows per body length of distance
 _MIN_WAIT_LAG, _MAX_WAIT_LAG = 0.087, 0.35  # radians; from the first lag on feet slow down, at the second they stop
-_KNIFE_SLACK = 0.1  # radians beyond half the turn of a sharp edge; the feet then step over it
+_KNIFE_SLACK = 0.05  # radians beyond half the turn of a sharp edge, by which a body is off the ground beyond after a step
+_LEAN_SLACK = 0.03  # radians by which a body may lean less than it should when its feet step over an edge
 _MIN_VELOCITY_SHARE = 0.3  # share of the velocity that an agent retains while it waits for its body
 _RETREAT_SHARE = 0.2  # share of the step by which an agent retreats from a surface that its body touched
 _EDGE_GAP_PER_BODY = 0.002  # body lengths between an edge and waiting feet
@@ -78,10 +79,10 @@ def _buffer(search: FaceSearch, begin: I64) -> I64:
 def _gather_others(search: FaceSearch, f: I64, weights: TriangleWeights, place: Vec3, reach: F64, faces: FaceList) -> I64:
     """Write the faces that a path of length `reach` (mm) from `place`, on face f, may meet into a list; return their number.
 
-    No path meets the piece of face f, unless a face cuts f."""
+    No path meets the piece of face f, unless faces cut their own piece."""
     if not search.several_pieces or get_clearance(search.near, f, weights) > reach * (1 + _EYE_PER_BODY):
         return 0
-    piece = -1 if search.cuts[f + 1] > search.cuts[f] else np.int64(search.pieces[f])
+    piece = -1 if search.cuts[search.cuts.size - 1] > 0 else np.int64(search.pieces[f])
     return gather_faces(search.pieces, search.boxes, place, place, reach, -1, piece, faces)
 
 
@@ -101,6 +102,14 @@ def _approach_normal(up: Vec3, normal: Vec3, most: F64, ahead: Vec3) -> Vec3:
         c, s = compute_cos_and_sin(_F(angle - most))
         result = normalise_vector(rotate_about_axis(up, axis, np.float64(c), np.float64(s)))
     return result
+
+
+@inlined
+def _find_largest_lean(turn: F64, most: F64) -> F64:
+    """Return how far (radians) a body leans before an edge at which the ground turns by `turn`, if it tilts by `most` in a step.
+
+    It leans no farther than it must, so that it is seldom far from the ground on either side."""
+    return max(_MAX_LEAN, 0.5 * turn - most - _KNIFE_SLACK)
 
 
 @kernel
@@ -159,8 +168,8 @@ def limit_steps(
                 free, up = left, read_vector(body_up, i)
                 for k in range(1, bend.count - 1):
                     n = load_vector(points, POINT_FLOATS * k + NORMAL_AT)
-                    most = max(_MAX_LEAN, 0.5 * _angle(own, n) + _KNIFE_SLACK) + np.float64(limits.most[i])
-                    if _angle(up, n) > most:
+                    turn, most = _angle(own, n), np.float64(limits.most[i])
+                    if _angle(up, n) > max(_MAX_LEAN + most, turn - _find_largest_lean(turn, most)) + _LEAN_SLACK:
                         free = min(free, max(points[POINT_FLOATS * k + DISTANCE_AT] - _EDGE_GAP_PER_BODY * size, 0.0))
                 # A body at its nearest possible distance from the surface beyond an edge cannot cross that edge.
                 turns_away = free < _EDGE_REACH_PER_BODY * size and free < left and retained.wait[i] == 0
@@ -245,9 +254,9 @@ def aim_bodies(
             for back_k in range(ahead_count - 1):
                 k = ahead_count - 2 - back_k
                 n = load_vector(ahead_points, POINT_FLOATS * k + NORMAL_AT)
-                extra, half = _LEAN_PER_BODY * ahead_points[POINT_FLOATS * k + DISTANCE_AT] / size, 0.5 * _angle(own, n)
-                lean = max(lean, half - 4.0 * extra)
-                target_up = _approach_normal(target_up, n, max(_MAX_LEAN + extra, half), travel)
+                extra, beyond = _LEAN_PER_BODY * ahead_points[POINT_FLOATS * k + DISTANCE_AT] / size, _angle(own, n)
+                lean = max(lean, _find_largest_lean(beyond, np.float64(limits.most[i])) - 4.0 * extra)
+                target_up = _approach_normal(target_up, n, max(_MAX_LEAN + extra, 0.5 * beyond), travel)
             target_up = _approach_normal(target_up, normal, lean, travel)
             target_heading = turn_heading(target_heading, mean, target_up)
         up, turned, (tilt, full_tilt) = tilt_within(stands, look, target_up, limits.most[i])
