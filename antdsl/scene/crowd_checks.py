@@ -8,7 +8,7 @@ from antdsl.program.model import Program
 from antdsl.program.tables.things import KIND_BY_WORD
 from antdsl.scene.crowd_model import Placement, UsdPositions
 from antdsl.scene.document import PathKey
-from antdsl.scene.entry_checks import check_file, report_unknown
+from antdsl.scene.entry_checks import check_file, check_map_name, report_unknown
 from antdsl.scene.initial_values import stage_initial_values
 from antdsl.scene.load import Scene
 from antdsl.scene.shape_checks import check_shapes, list_item_names
@@ -103,9 +103,7 @@ def _check_placement(scene: Scene, program: Program, report: Report, place: Plac
             words = "agents are placed at points or around a place, not both"
             report.error("wrong-value", words, scene.span(*path, "around", key=True), "keep one of them")
     if place.density is not None:
-        maps = program.list_things_of_kind("map")
-        if place.density not in maps:
-            report_unknown(report, scene, (*path, "density"), "no map is named", maps, key=False)
+        check_map_name(scene, report, program, place.density, *path, "density")
     check_shapes(scene, program, report, place, *path)
     used_keys = [name for name in ("points", "around", "radius", "density") if getattr(place, name) is not None]
     for method in ("density", "inside"):

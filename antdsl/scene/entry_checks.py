@@ -54,6 +54,15 @@ def report_unknown(
     report.error("unknown-thing", f"{kind} `{name}`", scene.span(*path, key=key), help)
 
 
+def check_map_name(scene: Scene, report: Report, program: Program, name: str, *path: PathKey) -> bool:
+    """Return whether a map of the program has this name. If not, report it at its key."""
+    maps = program.list_things_of_kind("map")
+    if name in maps:
+        return True
+    report_unknown(report, scene, path, "no map is named", maps, key=False)
+    return False
+
+
 def check_file(scene: Scene, report: Report, text: str, *path: PathKey) -> None:
     """Report an error if a file, or a file of a sequence, does not exist."""
     try:

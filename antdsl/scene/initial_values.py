@@ -11,7 +11,7 @@ from antdsl.program.model import AttributeDecl, Dimension, Machine, Program, Spe
 from antdsl.scene.casting_model import ChoiceDraw, NormalDraw, PaintedDraw, UniformDraw
 from antdsl.scene.crowd_data import ValueDraw
 from antdsl.scene.document import PathKey
-from antdsl.scene.entry_checks import check_dimension, report_unknown
+from antdsl.scene.entry_checks import check_dimension, check_map_name, report_unknown
 from antdsl.scene.quantities import Quantity, QuantityError, parse_quantity
 from antdsl.scene.values import ScenePart
 
@@ -98,9 +98,7 @@ def _stage_value(line: _Line, value: str | ScenePart, target: AttributeDecl | Ma
 
 
 def _stage_painted(line: _Line, value: PaintedDraw, target: AttributeDecl, *path: PathKey) -> ValueDraw | None:
-    maps = line.program.list_things_of_kind("map")
-    if value.painted not in maps:
-        report_unknown(line.report, line.scene, (*path, "painted"), "no map is named", maps, key=False)
+    if not check_map_name(line.scene, line.report, line.program, value.painted, *path, "painted"):
         return None
     if (value.low is None) != (value.high is None) or (value.low is None and target.type.dimension != Dimension()):
         help = "add `from` and `to`: the values where the map is 0 and where it is 1"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from antdsl.diagnostics import Report
 from antdsl.program.model import Program
-from antdsl.program.tables.things import KIND_BY_WORD
+from antdsl.program.tables.things import MESH_GROUND_KIND
 from antdsl.scene.casting_model import FACING_WORDS, FacingDirection
 from antdsl.scene.crowd_model import Placement
 from antdsl.scene.document import PathKey
@@ -46,7 +46,7 @@ def check_shapes(scene: Scene, program: Program, report: Report, place: Placemen
     curves = program.list_things_of_kind("curve")
     if place.along is not None and place.along not in curves:
         report_unknown(report, scene, (*path, "along"), "no curve is named", curves, key=False)
-    surfaces = [name for name, thing in program.world.items() if KIND_BY_WORD[thing.kind].is_ground and thing.kind == "surface"]
+    surfaces = program.list_things_of_kind(MESH_GROUND_KIND)
     if place.edge is not None and place.edge not in surfaces:
         report_unknown(report, scene, (*path, "edge"), "no surface is named", surfaces, key=False)
     items = list_item_names(scene)

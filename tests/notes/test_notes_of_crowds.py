@@ -171,9 +171,9 @@ def test_half_as_many_in_the_foreground(tmp_path: Path) -> None:
         start(open_directed(tmp_path / str(len(notes)), *notes, count=120))
         for notes in ((), ("{thin: ant, to: 50 %, in_view: front}",))
     ]
-    seen = []
+    counts = []
     for world in worlds:
         place = world.populations["ant"].position
         camera = SensedCamera(world.setting.cameras["front"], world.origin)
-        seen.append(int(camera.find_in_view(world.frame, place, np.zeros(len(place))).sum()))
-    assert seen[0] > 10 and seen[1] == round(seen[0] / 2)
+        counts.append(int(camera.find_in_view(world.frame, place, np.zeros(len(place))).sum()))
+    assert counts[0] > 10 and counts[1] == round(counts[0] / 2)

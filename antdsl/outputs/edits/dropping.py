@@ -18,6 +18,7 @@ from antdsl.outputs.edits.edit_layer import AgentsLine, EditFile, EditInputs, Ed
 from antdsl.outputs.edits.grounding import Grounds, move_on_ground
 from antdsl.outputs.edits.placing import REQUIRED_ARRAYS, UP_BY_AXIS
 from antdsl.outputs.edits.terrain import Ground
+from antdsl.program.tables.things import MESH_GROUND_KIND
 from antdsl.scene.selectors import Selector
 from antdsl.scene.values import SceneWord
 
@@ -50,7 +51,7 @@ class DropLayer(EditLayer):
         """Return the manifest with the mesh of a file."""
         if _find_mesh(line, manifest):
             return manifest
-        entry = MeshEntry(name=_make_name(line.onto, manifest), kind="surface")
+        entry = MeshEntry(name=_make_name(line.onto, manifest), kind=MESH_GROUND_KIND)
         return manifest.model_copy(update={"meshes": (*manifest.meshes, entry)})
 
     @cached_property

@@ -98,6 +98,7 @@ _THING_ROWS = (
     ),
 )  # fmt: skip
 KIND_BY_WORD: dict[str, ThingKindRow] = {row.word: row for row in _THING_ROWS}
+MESH_GROUND_KIND = next(row.word for row in _THING_ROWS if row.is_ground and not row.is_dug)  # the kind of ground that is a mesh
 KINDS_WITH_FACES = tuple(row.word for row in _THING_ROWS if row.has_faces)
 BLOCKING_KINDS = tuple(row.word for row in _THING_ROWS if row.is_blocking)
 
