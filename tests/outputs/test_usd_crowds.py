@@ -541,10 +541,8 @@ def test_things_of_one_name_and_a_field_that_is_gone_keep_apart() -> None:
     assert out.name("mesh", "ant") == "ant"
 
     class Nothing:
-        manifest = type("Manifest", (), {"up": "y", "units": "mm"})
-
-        def make_camera(self, frame: int) -> None:
-            return None
+        manifest = type("Manifest", (), {"up": "y", "units": "mm", "named_cameras": {}})
+        static = None
 
     writer = WorldWriter(out, Nothing(), [1, 2, 3])  # type: ignore[arg-type]
     items = tuple(Item("it", (float(x), 0.0, 0.0), 1.0, 1.0, "apple") for x in (0, 5))

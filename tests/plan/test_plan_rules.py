@@ -200,7 +200,7 @@ def test_a_scene_may_order_the_layers_by_their_text_or_first_word():
     assert Agent(plan_of(LAYERS), "a").step().push == pytest.approx((0.5, 0.5, 0))
 
 
-@pytest.mark.parametrize(("order", "word"), [(["state"], "leaves out"), (["state", "nonsense", "up * 0.5"], "nonsense")])
+@pytest.mark.parametrize(("order", "word"), [(["state"], "omits"), (["state", "nonsense", "up * 0.5"], "nonsense")])
 def test_an_order_that_does_not_fit_is_refused(order, word):
     _, report = lowered(LAYERS, orders={"a": order})
     assert codes(report) == ["layer-order"]

@@ -167,7 +167,7 @@ def test_a_run_says_how_many_were_at_which_level(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "place", "words"),
     [
-        ("camera: {at: [0, 50, 0], look_at: [0, 0, 1]}\n", "", "lod", "there is none"),
+        ("camera: {at: [0, 50, 0], look_at: [0, 0, 1]}\n", "", "lod", "no camera during the run"),
         ("far: 80 mm", "far: 50 mm", "50 mm", "`far` is less than `near`"),
         ("near: 60 mm", "near: 0 mm", "0 mm", ""),
         ("near: 60 mm, ", "", "lod", "`lod` has no `near`"),

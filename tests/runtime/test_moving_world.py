@@ -16,6 +16,7 @@ from antdsl.ground.moving import MovingGround
 from antdsl.outputs.cache.cache_reader import open_cache
 from antdsl.outputs.gallery import Gallery
 from antdsl.outputs.recording import begin_recording, record_frames
+from antdsl.outputs.scene_cameras import SceneCameras
 from antdsl.pipeline import RunChoices, Shot, open_scene, simulate
 from antdsl.runtime import Options, World, restore_checkpoint, state_hash, step, take_checkpoint
 from antdsl.scene import PathRefused, Roots
@@ -458,9 +459,9 @@ def test_a_camera_of_a_usd_file_moves_in_pictures(tmp_path: Path) -> None:
     run = begin_recording(opened_shot, tmp_path / "cache", Options(), resume=False, force=False)
     for state in record_frames(run):
         state.stop_requested = state.frame == 2
-    gallery = Gallery(open_cache(tmp_path / "cache"))
-    assert gallery.has_moving_camera
-    cameras = [gallery.make_camera(frame) for frame in (1, 40, 90)]
+    scene_cameras = SceneCameras(Gallery(open_cache(tmp_path / "cache")))
+    assert scene_cameras.is_moving()
+    cameras = [scene_cameras.make_camera(frame) for frame in (1, 40, 90)]
     assert all(camera is not None and camera.focal == 35 for camera in cameras)
     assert np.allclose([camera.at[0] for camera in cameras if camera], [-50, 50, 50])
     assert opened_shot.setting.fps == Fraction(24)

@@ -105,7 +105,7 @@ def test_substeps_are_those_of_one_agent_after_another(
     setting = SimpleNamespace(substeps=2, orient="normal", crowds=())
     options, plan = SimpleNamespace(threads=2), SimpleNamespace(obstacles=(), list_things_of_kind=lambda kind: ())
     world = SimpleNamespace(
-        ground=world_ground, options=options, dt=float(DT), setting=setting, plan=plan, solids={}, up=(0, 1, 0)
+        ground=world_ground, options=options, dt=float(DT), setting=setting, plan=plan, solids={}, up=(0, 1, 0), notes=None
     )
     walls = 0
     with np.errstate(all="ignore"):

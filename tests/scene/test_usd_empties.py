@@ -221,12 +221,12 @@ def test_too_many_are_refused_before_they_are_placed(tmp_path: Path, monkeypatch
 def test_without_usd_core_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from antdsl.scene.geometry.usd import errors
 
-    errors.pxr.cache_clear()
+    errors.import_pxr_module.cache_clear()
     for name in [name for name in sys.modules if name.split(".")[0] == "pxr"]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "pxr", None)
     _, report = opened(tmp_path)
-    errors.pxr.cache_clear()
+    errors.import_pxr_module.cache_clear()
     assert {d.code for d in report.errors} == {"missing-extra"}
     assert report.errors[0].help == 'install it: pip install "antdsl[usd]"'
 

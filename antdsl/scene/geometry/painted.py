@@ -41,7 +41,7 @@ def read_painted_values(data: bytes, name: str, attribute: str | tuple[str, ...]
         raise PaintError(f"has a value (number {wrong[0]}) that is not finite")
     wrong = np.flatnonzero((np.abs(rows) > limits.MAX_NUMBER).any(axis=1))
     if len(wrong):
-        raise PaintError(f"has a value (number {wrong[0]}) that is too large to keep", "paint numbers below 3e38")
+        raise PaintError(f"has a value (number {wrong[0]}) that is too large to store", "paint numbers below 3e38")
     return rows
 
 

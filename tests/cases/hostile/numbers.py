@@ -35,7 +35,7 @@ ROWS = [
     program("N9 numbers too small to be whole", "n = 1", "n = n * 1e-30", frames=6),
     program("N10 everyone dies", "n = 0", "when after 2 step -> gone { die }\n  }\n  state gone red {\n    n = 1", frames=6),
     Row("N10 nobody from the start", "", edits={"scene.yaml": ("count: 20", "count: 0")}, frames=6),
-    Row("N4 the ground 5,000 km out", "bad-mesh", "thousand kilometres", edits=named("ground.ply", ", at: [5000000 m, 0, 0]")),
+    Row("N4 the ground 5,000 km out", "bad-mesh", "1000 km", edits=named("ground.ply", ", at: [5000000 m, 0, 0]")),
     Row("N4 the ground 50 km out", "", edits=named("ground.ply", ", at: [50000 m, 0, 0]"), frames=4),
     Row("N7 frames a second of 0", "wrong-value", "", edits={"scene.yaml": ("fps: 24", "fps: 0")}),
     Row("N7 no substeps", "wrong-value", "", edits={"scene.yaml": ("fps: 24", "fps: 24\nsubsteps: 0")}),

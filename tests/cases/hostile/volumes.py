@@ -71,7 +71,7 @@ ROWS = [
         "V2 a bomb",
         lambda: raw(SHAPE % "9000000,", bytes(36_000_000), compression=zipfile.ZIP_DEFLATED),
         "bad-paint",
-        "more than its own size",
+        "more data than its size",
     ),
     painted("V2 a name that leaves", raw(SHAPE % "4, 3", bytes(48), "../wind.npy"), "bad-paint", "invalid name"),
     painted("V2 a number that was changed", npz(wind=np.zeros((4, 3))).replace(bytes(40), bytes(39) + b"\1", 1), "bad-paint"),
