@@ -69,12 +69,21 @@ class CacheBodies:
 def find_body_numbers(manifest: Manifest, number: int, ids: NDArray[np.int64]) -> NDArray[np.uint8]:
     """Return the index of the body of each agent of a species, uint8[n]."""
     species = manifest.species[number]
-    originals = ids
-    for period in reversed(species.copies):
-        originals = originals % period
-    numbers = body_numbers([each.weight for each in species.bodies], manifest.seed, species.name, originals)
+    own, merged = np.asarray(ids, np.int64), np.full(len(ids), -1)  # `own` is -1 below the level of the other cache
+    levels = [own]
+    for level, period in reversed(list(enumerate(species.copies))):
+        if level in species.merged:
+            is_merged = own >= period
+            merged, own = np.where(is_merged, own - period, merged), np.where(is_merged, -1, own)
+        else:
+            own = np.where(own < 0, own, own % period)
+        levels.insert(0, own)
+    originals = np.where(merged < 0, own, merged)
+    weights, name = [each.weight for each in species.bodies], species.drawn_as or species.name
+    numbers = body_numbers(weights, manifest.seed, name, originals)
     for each in species.replaced:
-        numbers[(ids >= each.first) & (ids < each.first + each.count)] = each.body
+        known = levels[min(each.level, len(species.copies))]
+        numbers[(known >= each.first) & (known < each.first + each.count)] = each.body
     return numbers
 
 

@@ -232,7 +232,37 @@ def test_copies_have_the_bodies_of_their_originals() -> None:
     assert len(set(numbers[:10].tolist())) > 1 and all(np.array_equal(numbers[:10], numbers[k : k + 10]) for k in (10, 20, 30))
     replaced = species.model_copy(update={"replaced": (ReplacedBody(first=3, count=2, body=2),)})
     changed = find_body_numbers(manifest.model_copy(update={"species": (replaced,)}), 0, ids)
+    everywhere = [k + i for k in (0, 10, 20, 30) for i in (3, 4)]
+    assert (changed[everywhere] == 2).all() and np.array_equal(np.delete(changed, everywhere), np.delete(numbers, everywhere))
+    later = species.model_copy(update={"replaced": (ReplacedBody(first=3, count=2, body=2, level=2),)})
+    changed = find_body_numbers(manifest.model_copy(update={"species": (later,)}), 0, ids)
     assert changed[3:5].tolist() == [2, 2] and np.array_equal(np.delete(changed, [3, 4]), np.delete(numbers, [3, 4]))
+
+
+def test_agents_of_another_cache_have_their_own_bodies() -> None:
+    ids = np.arange(200)
+    bodies = (WornBodyEntry(body="ant"), WornBodyEntry(body="spider"))
+    plain = SpeciesEntry(name="walker", bodies=bodies, machines=())
+    manifest = Manifest.model_construct(species=(plain,), seed=5)
+    own = find_body_numbers(manifest, 0, ids)
+    # 10 agents, 10 copies, 40 agents of another cache, and a copy of each of these 60
+    species = plain.model_copy(update={"copies": (10, 20, 60), "merged": (1,)})
+    expected = np.tile(np.concatenate([own[:10], own[:10], own[:40]]), 2)
+    assert np.array_equal(find_body_numbers(manifest.model_copy(update={"species": (species,)}), 0, ids[:120]), expected)
+    renamed = plain.model_copy(update={"name": "walker_2", "drawn_as": "walker"})
+    assert np.array_equal(find_body_numbers(manifest.model_copy(update={"species": (renamed,)}), 0, ids), own)
+
+
+def test_a_copy_and_a_merged_agent_have_the_feet_of_their_bodies(cache: Cache) -> None:
+    copied = edited(cache, "replace: guards.0, body: ant", "duplicate: guards.0, by: [9 mm, 0, 0], ground: free").frame(9)
+    feet = copied["feet.walker#1.P"]
+    assert feet.shape == (2, 6, 3) and feet[1] - feet[0] == pytest.approx(np.tile((9, 0, 0), (6, 1)), abs=1e-5)
+    merged = edited(cache, "replace: guards.0, body: ant", "merge: cache", "kill: bug")
+    names = [species.name for species in merged.manifest.species]
+    arrays = merged.frame(9)
+    assert names == ["bug", "walker", "walker_2"]
+    assert arrays["feet.walker_2.P"].tobytes() == cache.frame(9)["feet.walker.P"].tobytes()
+    assert np.array_equal(arrays["id"][arrays["species"] == 2], np.arange(10))
 
 
 def test_agents_are_dropped_onto_the_mesh_of_a_file(cache: Cache) -> None:

@@ -96,11 +96,14 @@ class WornBodyEntry(ManifestPart):
 
 
 class ReplacedBody(ManifestPart):
-    """Agents with a body of their own: `count` ids from `first` on. `body`: its index among the bodies of the species."""
+    """Agents with a body of their own: `count` ids from `first` on. `body`: its index among the bodies of the species.
+
+    `level`: the ids are those with this many of the species' `copies`; later copies have the bodies of their originals."""
 
     first: Annotated[int, Field(ge=0)]
     count: Annotated[int, Field(ge=1)]
     body: Annotated[int, Field(ge=0, lt=limits.MAX_SPECIES_BODIES)]
+    level: Annotated[int, Field(ge=0)] = 0
 
 
 class SpeciesEntry(ManifestPart):
@@ -115,6 +118,8 @@ class SpeciesEntry(ManifestPart):
     `channels`: the channels of the body that states set.
     `looks`: the transform groups of the body that states turn.
     `copies`: added by edits, in their order. The agent with the id i + k N is a copy of agent i, with a number N of this list.
+    `merged`: the indices in `copies` of numbers N of another cache: the agent with the id i + N is its agent i.
+    `drawn_as`: the name with which bodies are drawn, if an edit gave the species another one.
     `joints`: the joints of the body that edits shift and turn.
     `replaced`: the agents that edits gave other bodies than those drawn for them."""
 
@@ -130,6 +135,8 @@ class SpeciesEntry(ManifestPart):
     feelers: tuple[FeelersEntry, ...] = ()
     machines: tuple[MachineEntry, ...]
     copies: tuple[Annotated[int, Field(ge=1)], ...] = ()
+    merged: tuple[Annotated[int, Field(ge=0)], ...] = ()
+    drawn_as: Word = ""
     joints: tuple[Word, ...] = ()
     replaced: tuple[ReplacedBody, ...] = ()
 

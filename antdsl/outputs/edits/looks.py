@@ -177,7 +177,10 @@ def _add_body(view: ReplaceLayer, manifest: Manifest) -> Manifest:
             own = species.bodies or (WornBodyEntry(body=species.body, definition=species.definition),)
             if len(own) == limits.MAX_SPECIES_BODIES:
                 raise NotEditable(f"`{species.name}` has more than {limits.MAX_SPECIES_BODIES} bodies")
-            ranges = tuple(ReplacedBody(first=first, count=count, body=len(own)) for first, count in _find_runs(is_selected))
+            level, body = len(species.copies), len(own)
+            ranges = tuple(
+                ReplacedBody(first=first, count=count, body=body, level=level) for first, count in _find_runs(is_selected)
+            )
             change = {"bodies": (*own, worn), "replaced": (*species.replaced, *ranges)}
             entries[number] = species.model_copy(update=change)
     return manifest.model_copy(update={"species": tuple(entries), "bodies": bodies})

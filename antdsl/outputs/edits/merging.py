@@ -26,7 +26,8 @@ _COMPARED_FIELDS = ("units", "up", "fps", "seed")
 class MergeLine(EditLine):
     """Adds the agents of another cache, displaced `by`, and `later` by some frames. Its own edits do not count.
 
-    The agent i of a species gets the id i + N, with N the first id of the species that no agent has."""
+    The agent i of a species gets the id i + N, with N the first id of the species that no agent has, or 0 for a species that this
+    cache lacks."""
 
     verb = "merge"
     path: FilePath = Field(alias="merge")
@@ -54,9 +55,11 @@ class MergeLayer(EditLayer):
                 raise NotEditable(f"`{line.path}` has `{name}: {theirs}`, this cache `{own}`: caches to merge have the same")
         numbers, entries = find_matching_species(manifest, other), list(manifest.species)
         for number, species in zip(numbers, other.species, strict=True):
-            period = max(inputs.next_ids.get(species.name, 0), 1)
             if number < len(manifest.species):
-                entries[number] = entries[number].model_copy(update={"copies": (*entries[number].copies, period)})
+                copies, merged = entries[number].copies, entries[number].merged
+                period = max(inputs.next_ids[species.name], 1)
+                change = {"copies": (*copies, period), "merged": (*merged, len(copies))}
+                entries[number] = entries[number].model_copy(update=change)
             else:
                 entries.append(_renumber_bodies(species, len(manifest.bodies), {each.name for each in entries}))
         if len(entries) > SPECIES_PER_KEY:
@@ -91,7 +94,8 @@ class MergeLayer(EditLayer):
     @cached_property
     def _offsets(self) -> list[int]:
         """Return by species of the merged cache what is added to ids of the other one."""
-        return [max(self.inputs.next_ids.get(entry.name, 0), 1) for entry in self.manifest.species]
+        own = [max(self.inputs.next_ids[entry.name], 1) for entry in self.source.manifest.species]
+        return own + [0] * (len(self.manifest.species) - len(own))
 
     @cached_property
     def _counts(self) -> list[int]:
@@ -154,11 +158,14 @@ class MergeLayer(EditLayer):
 
 
 def find_matching_species(manifest: Manifest, other: Manifest) -> list[int]:
-    """Return for each species of another cache the index of the equal one, or of the one that is added."""
+    """Return for each species of another cache the index of the equal one, or of the one that is added.
+
+    A species with copies or replaced bodies is added: its bodies depend on its ids in more than one way."""
     numbers, added = [], len(manifest.species)
     for species in other.species:
         described = _describe(species, other)
-        match = next((k for k, each in enumerate(manifest.species) if _describe(each, manifest) == described), None)
+        equal = (k for k, each in enumerate(manifest.species) if _describe(each, manifest) == described)
+        match = None if species.copies or species.replaced else next(equal, None)
         numbers.append(added if match is None else match)
         added += match is None
     return numbers
@@ -168,7 +175,7 @@ def _describe(species: SpeciesEntry, manifest: Manifest) -> Any:
     """Return what two species have in common that are the same."""
     worn = species.bodies or (WornBodyEntry(body=species.body, definition=species.definition),)
     digests = [None if each.definition is None else manifest.bodies[each.definition].digest for each in worn]
-    plain = species.model_dump(exclude={"definition", "bodies", "copies"})
+    plain = species.model_dump(exclude={"definition", "bodies", "copies", "merged"})
     return plain, digests, [(each.body, each.weight) for each in worn]
 
 
@@ -176,7 +183,8 @@ def _renumber_bodies(species: SpeciesEntry, first: int, names: set[str]) -> Spec
     """Return a species with another name, if it has one of `names`, and with the numbers of its bodies after `first` others."""
     name = next(each for k in range(len(names) + 1) if (each := f"{species.name}_{k + 1}" if k else species.name) not in names)
     bodies = tuple(each.model_copy(update={"definition": _add(each.definition, first)}) for each in species.bodies)
-    return species.model_copy(update={"name": name, "definition": _add(species.definition, first), "bodies": bodies})
+    change = {"name": name, "definition": _add(species.definition, first), "bodies": bodies}
+    return species.model_copy(update={**change, "drawn_as": species.drawn_as or (species.name if name != species.name else "")})
 
 
 def _add(number: int | None, first: int) -> int | None:
