@@ -116,9 +116,13 @@ def decode_source(data: bytes, name: str, file_kind: str = "a scene") -> tuple[S
     return source, report
 
 
-def read_document(source: Source) -> tuple[MappingNode | None, Report]:
-    """Return the tree of a scene's text and a report. The tree is None if the text has no usable one."""
-    reader = _DocumentReader(source)
+def read_document(
+    source: Source, subject: str = "the scene", example: str = "begin with `antdsl: 1`"
+) -> tuple[MappingNode | None, Report]:
+    """Return the tree of a text and a report. The tree is None if the text has no usable one.
+
+    `subject`: what the text is, and `example`: advice for an empty one."""
+    reader = _DocumentReader(source, subject, example)
     try:
         root = reader.read_root()
     except _DocumentError:
@@ -138,8 +142,8 @@ class _OpenNode:
 class _DocumentReader:
     """Reader of one source. Errors go into `report`."""
 
-    def __init__(self, source: Source) -> None:
-        self.source = source
+    def __init__(self, source: Source, subject: str, example: str) -> None:
+        self.source, self.subject, self.example = source, subject, example
         self.report = Report()
         self.lines = [0]
         for match in re.finditer("\r\n|\r|\n", source.text):
@@ -171,9 +175,9 @@ class _DocumentReader:
             raise self.reject_syntax(problem) from None
         start_span = Span(self.source, 0, min(len(self.source.text), 1))
         if root is None or (isinstance(root, ScalarNode) and not root.text):
-            raise self.reject("empty-scene", "the scene is empty", start_span, "begin with `antdsl: 1`")
+            raise self.reject("empty-scene", f"{self.subject} is empty", start_span, self.example)
         if not isinstance(root, MappingNode):
-            raise self.reject("wrong-value", "a scene is a list of `key: value` lines", root.span, "begin with `antdsl: 1`")
+            raise self.reject("wrong-value", f"{self.subject} is a list of `key: value` lines", root.span, self.example)
         return root
 
     def reject_depth(self, span: Span) -> _DocumentError:

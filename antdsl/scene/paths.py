@@ -96,6 +96,12 @@ class Roots:
         record_request(root.joinpath(*parts), root)
         return _open_below(root, parts, text)
 
+    def find_folder(self, text: str) -> Path:
+        """Return the full path of a folder that no link leads to. Raises PathRefused with the reason."""
+        root, parts = self.locate(text)
+        _list_names_below(root, parts, text)
+        return root.joinpath(*parts)
+
     def measure_file_size(self, text: str) -> int:
         """Return the size of a regular file in bytes, without reading it. Raises PathRefused with the reason."""
         handle = self.open_file(text)

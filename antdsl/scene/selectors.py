@@ -201,13 +201,13 @@ def find_problems(selector: AnySelector | SelectorKeys, names: SelectorNames, *p
         if isinstance(selector.near, AgentName) and (selector.near.first is not None or selector.near.name not in names.items):
             yield from _find_name_problems(selector.near, names, (*path, "near"), names.items)
         if isinstance(selector.region, Ball) and isinstance(selector.region.around, str):
-            yield from _find_unknown(selector.region.around, names.items, "no item is named", (*path, "in", "around"))
+            yield from find_unknown_name(selector.region.around, names.items, "no item is named", (*path, "in", "around"))
         for key, known, words in (
             ("state", names.states, "no species has a state"),
             ("in_view", names.cameras, "no camera is named"),
         ):
             if (value := getattr(selector, key)) is not None:
-                yield from _find_unknown(value, known, words, (*path, key))
+                yield from find_unknown_name(value, known, words, (*path, key))
 
 
 def _find_name_problems(
@@ -216,13 +216,14 @@ def _find_name_problems(
     count = names.lines.get(name.name)
     if count is None:
         what = "no crowd line, species or item is named" if others else "no crowd line or species is named"
-        yield from _find_unknown(name.name, names.species | names.lines.keys() | others, what, path)
+        yield from find_unknown_name(name.name, names.species | names.lines.keys() | others, what, path)
     elif name.last is not None and name.last >= count:
         numbers = f"write a number from 0 to {count - 1}" if count else "this line has no agents"
         yield SelectorProblem(path, f"`{name}` does not exist: `{name.name}` has {count:,} agents", numbers)
 
 
-def _find_unknown(name: str, known: frozenset[str], words: str, path: tuple[PathKey, ...]) -> Iterator[SelectorProblem]:
+def find_unknown_name(name: str, known: frozenset[str], words: str, path: tuple[PathKey, ...]) -> Iterator[SelectorProblem]:
+    """Yield the problem of a name that is not among the known ones. `words`: the message before the name."""
     if name not in known:
         near = find_nearest_name(name, known)
         listed = "known: " + ", ".join(f"`{each}`" for each in sorted(known)[:12]) if known else "none exists here"

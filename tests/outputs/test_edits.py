@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from pathlib import Path
+from typing import Any
 
 import edit_scenes
 import numpy as np
@@ -117,6 +119,14 @@ def strip_texts(png: bytes) -> bytes:
         ("edits: [kill]", "expected an edit"),
         ("edits: {kill: bug}", "a list `edits`"),
         ("kill: bug", "is not a key of edits"),
+        ("# none yet", "the file of edits is empty"),
+        ("# none yet", "write `edits:`"),
+        ("edits: [{move: bug, to: lef}]", "did you mean `leaf`"),
+        ("edits: [{face: bug, to: nosuch}]", "no item is named `nosuch`"),
+        ("edits: [{rotate: bug, by: 9 deg, around: nosuch}]", "known: `food`, `leaf`, `seed`"),
+        ("edits: [{expand: bug, by: 2, around: each}]", "no item is named `each`"),
+        ("edits: [{clip: bug, inside: {around: sed, radius: 5 mm}}]", "did you mean `seed`"),
+        ("edits: [{merge: link}]", "does not follow links"),
         ("edits: [{smooth: bug, orient: 8}]", "write `9`"),
         ("edits: [" + "{kill: bug}," * 1001 + "]", "limit of 1,000"),
     ],
@@ -124,6 +134,7 @@ def strip_texts(png: bytes) -> bytes:
 def test_mistakes_are_reported_at_their_place_and_change_nothing(cache: Path, text: str, words: str) -> None:
     manifest = (cache / "manifest.json").read_bytes()
     (cache.parent / "edits.yaml").write_text(text)
+    (cache.parent / "link").symlink_to(cache)
     assert words in fail("edit", cache, "--edits", cache.parent / "edits.yaml")
     assert (cache / "manifest.json").read_bytes() == manifest
 
@@ -133,6 +144,43 @@ def test_flags_that_contradict_are_usage_errors(cache: Path) -> None:
     for flags in ((), ("--remove", "--to", "x"), ("--remove", "--edits", cache.parent / "edits.yaml")):
         assert "--edits" in fail("edit", cache, *flags)
     assert "no file" in fail("edit", cache, "--edits", cache.parent / "other.yaml")
+
+
+def test_a_merged_cache_is_an_input(cache: Path) -> None:
+    other = cache.parent / "other"
+    shutil.copytree(cache, other)
+    assert "1 edit is applied" in edit(cache, "edits: [{merge: other}]")
+    files = sorted(path.name for path in (other / "frames").iterdir())
+    for flags in (("edit", cache, "--to", other, "--force"), ("edit", cache, "--smooth", "orient:3", "--to", other, "--force")):
+        assert "is an input and would be lost" in fail(*flags)
+    assert sorted(path.name for path in (other / "frames").iterdir()) == files
+    assert open_cache(other).manifest == open_cache(cache).manifest.model_copy(update={"edits": None})
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"next_ids": {}}, "their ids of `bug` are missing"),
+        ({"next_ids": {"bug": 2**80, "walker": 1}}, "is damaged"),
+        ({"arrays": None}, "`plain.obj`, which they need, is missing"),
+        ({"caches": {}}, "`other`, which they need, is missing"),
+        ({"caches": {"other": "/tmp"}}, "the path of `other` does not begin at the cache"),
+        ({"caches": {"other": "C:/other"}}, "the path of `other` does not begin at the cache"),
+    ],
+)
+def test_damaged_edits_are_reported(cache: Path, change: dict[str, Any], words: str) -> None:
+    shutil.copytree(cache, cache.parent / "other")
+    (cache.parent / "plain.obj").write_text("v -99 -40 -99\nv 99 -40 -99\nv 99 -40 99\nf 1 3 2\n")
+    edit(cache, "edits: [{merge: other}, {drop: bug, onto: plain.obj}, {duplicate: bug, by: [9 mm, 0, 0]}]")
+    manifest = json.loads((cache / "manifest.json").read_text())
+    manifest["edits"] |= change
+    (cache / "manifest.json").write_text(json.dumps(manifest))
+    for command in (
+        ("info", cache),
+        ("export", cache, "--to", cache.parent / "all.csv"),
+        ("edit", cache, "--to", cache.parent / "x"),
+    ):
+        assert words in fail(*command)
 
 
 def test_overlaps_and_gaps_that_edits_cause_are_reported(cache: Path) -> None:

@@ -57,7 +57,8 @@ def edit(
             count, note = _store_edits(cache, edits)
         else:
             count = _write_view(_open_view(cache, edits, width), cache, folder, force)
-            note = f"frames, {'edited' if width is None else f'orientations smoothed over {width}'}, are in {folder}"
+            words, are = ("frame", "is") if count == 1 else ("frames", "are")
+            note = f"{words}, {'edited' if width is None else f'orientations smoothed over {width}'}, {are} in {folder}"
     if not quiet:
         print_note(f"{count} {note}")
 
@@ -94,7 +95,9 @@ def _store_edits(folder: Path, edits: Path) -> tuple[int, str]:
 
     loaded = _load_edits(folder, edits)
     store_edits(folder, loaded.entry, loaded.arrays)
-    return len(loaded.edits.edits), f"edits are applied when {folder} is read; `antdsl edit {folder} --remove` takes them away"
+    count = len(loaded.edits.edits)
+    words, them = ("edit is", "it") if count == 1 else ("edits are", "them")
+    return count, f"{words} applied when {folder} is read; `antdsl edit {folder} --remove` takes {them} away"
 
 
 def _write_view(view: Cache, cache: Path, folder: Path, force: bool) -> int:

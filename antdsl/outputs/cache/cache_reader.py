@@ -193,6 +193,10 @@ class CacheView(Cache):
         """Return the arrays that apply to all frames."""
         return self.source.read_static()
 
+    def find_source_files(self) -> list[Path]:
+        """Return the files that the view was made from, without those that no longer exist."""
+        return self.source.find_source_files()
+
 
 def select_arrays(arrays: Arrays, names: frozenset[str] | None) -> Arrays:
     """Return the arrays with some names, and the frame's number; all if `names` is None."""

@@ -21,6 +21,7 @@ FORMAT_VERSION = 1
 MANIFEST_FILE_NAME = "manifest.json"
 CAMERA_PARTS = ("at", "look_at", "up", "focal")
 EDIT_ARRAYS_PATTERN = re.compile(r"^edits\.[0-9a-f]{32}\.npz$")  # the name of the file with arrays of edits
+MAX_COUNTED_ID = 2**50  # that edits can count on from
 _MAX_MANIFEST_BYTES = 16 * limits.MIB
 
 Word = Annotated[str, Field(max_length=500)]
@@ -231,7 +232,7 @@ class EditsEntry(ManifestPart):
     text: Annotated[str, Field(max_length=limits.MAX_EDITS_BYTES)]
     arrays: Annotated[str, Field(pattern=EDIT_ARRAYS_PATTERN.pattern)] | None = None
     caches: dict[Word, Word] = {}
-    next_ids: dict[Word, Annotated[int, Field(ge=0)]] = {}
+    next_ids: dict[Word, Annotated[int, Field(ge=0, le=MAX_COUNTED_ID)]] = {}
     counted_frames: int = 0
 
 

@@ -12,11 +12,11 @@ from pydantic import BeforeValidator, Field
 from antdsl import limits
 from antdsl.outputs.cache.cache_reader import Arrays, CacheError
 from antdsl.outputs.cache.frame_agents import find_array_subject, get_species_numbers
-from antdsl.outputs.cache.manifest import Manifest
+from antdsl.outputs.cache.manifest import MAX_COUNTED_ID, Manifest
 from antdsl.outputs.edits.agent_moves import make_moves, move_agents
 from antdsl.outputs.edits.edit_layer import EditInputs, EditLayer, NotEditable
 from antdsl.outputs.edits.edit_values import FrameOffset
-from antdsl.outputs.edits.frame_rows import SPECIES_PER_KEY, join_frames
+from antdsl.outputs.edits.frame_rows import join_frames
 from antdsl.outputs.edits.grounding import Grounds, move_on_ground
 from antdsl.outputs.edits.placing import REQUIRED_ARRAYS, GroundLine, convert_displacement
 from antdsl.outputs.edits.timing import TimeMap, read_shifted
@@ -24,7 +24,6 @@ from antdsl.scene.selectors import Selector
 from antdsl.scene.values import PointValue, parse_integer_between
 
 MAX_COPIES = 1000
-_MAX_ID = 2**62 // SPECIES_PER_KEY
 
 
 class DuplicateLine(GroundLine):
@@ -51,7 +50,7 @@ class DuplicateLayer(EditLayer):
     def change_manifest(cls, manifest: Manifest, line: Any, inputs: EditInputs) -> Manifest:
         """Return the manifest in which copies have the bodies of their originals."""
         for species in manifest.species:
-            if inputs.next_ids[species.name] * (line.count + 1) > _MAX_ID:
+            if inputs.next_ids[species.name] * (line.count + 1) > MAX_COUNTED_ID:
                 raise NotEditable(f"the ids of so many copies of copies of `{species.name}` are too large: use fewer `duplicate`")
         entries = (
             each.model_copy(update={"copies": (*each.copies, max(inputs.next_ids[each.name], 1))}) for each in manifest.species

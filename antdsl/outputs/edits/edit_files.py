@@ -11,7 +11,7 @@ from typing import Any
 from numpy.typing import NDArray
 
 from antdsl import limits
-from antdsl.bodies.agents.packed import pack_definition
+from antdsl.bodies.agents.packed import ARRAY_NAMES, pack_definition
 from antdsl.bodies.files.reading import read_definition
 from antdsl.diagnostics import Report
 from antdsl.outputs.cache.cache_reader import Cache, open_cache
@@ -25,6 +25,7 @@ from antdsl.scene.paths import PathRefused, Roots
 from antdsl.source import Span
 
 ArrayDict = dict[str, NDArray[Any]]
+_PARTS_BY_KIND = {"mesh": ("vertices", "faces"), "body": ARRAY_NAMES}
 
 
 def read_edit_files(edits: EditList, manifest: Manifest, folder: Path) -> tuple[ArrayDict, dict[str, Cache], Report]:
@@ -39,7 +40,7 @@ def read_edit_files(edits: EditList, manifest: Manifest, folder: Path) -> tuple[
             span = edits.span(edit, file.key)
             try:
                 if file.kind == "cache":
-                    caches[file.path] = open_cache(roots.path(file.path))
+                    caches[file.path] = open_cache(roots.find_folder(file.path))
                 elif file.kind == "mesh":
                     mesh = read_mesh(roots.read_file(file.path, limits.MAX_MESH_BYTES), file.path)
                     arrays |= {f"{file.path}.vertices": mesh.vertices, f"{file.path}.faces": mesh.faces}
@@ -52,6 +53,16 @@ def read_edit_files(edits: EditList, manifest: Manifest, folder: Path) -> tuple[
             except ManifestError as why:
                 report.error("cannot-read", str(why), span, "name the folder of a cache")
     return arrays, caches, report
+
+
+def find_missing_file(edits: EditList, manifest: Manifest, arrays: Mapping[str, Any], caches: Mapping[str, Any]) -> str | None:
+    """Return a file that edits name and that the stored inputs of edits lack, or None."""
+    for edit in edits.edits:
+        for file in edit.line.list_files(manifest):
+            names = (f"{file.path}.{part}" for part in _PARTS_BY_KIND.get(file.kind, ()))
+            if not all(name in arrays for name in names) or (file.kind == "cache" and file.path not in caches):
+                return file.path
+    return None
 
 
 def _read_body(file: EditFile, roots: Roots, report: Report, span: Span) -> Mapping[str, NDArray[Any]]:

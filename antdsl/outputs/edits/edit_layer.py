@@ -34,6 +34,10 @@ class EditLine(ScenePart):
         """Return the files that the line names and the cache lacks."""
         return ()
 
+    def list_items(self) -> tuple[tuple[tuple[str, ...], str], ...]:
+        """Return the names of items outside selectors, each after the keys that lead to it."""
+        return ()
+
 
 class EditFile(NamedTuple):
     """A file that a line names by its key `key`: a `mesh`, a `body` or a `cache`."""

@@ -23,7 +23,7 @@ from antdsl.scene.document import (
     to_plain_tree,
 )
 from antdsl.scene.load import drop_consequent_errors, report_model_error
-from antdsl.scene.selectors import find_problems
+from antdsl.scene.selectors import find_problems, find_unknown_name
 from antdsl.source import Source, Span
 
 _EXAMPLE = "write `edits:` and below it lines such as `- {kill: ant, share: 30 %}`"
@@ -59,7 +59,7 @@ def read_edits(data: bytes, name: str, manifest: Manifest) -> tuple[EditList | N
     source, report = decode_source(data, name, "edits")
     document = None
     if report.ok:
-        document, report = read_document(source)
+        document, report = read_document(source, "the file of edits", _EXAMPLE)
     if document is None:
         return None, report
     nodes = document.entries.get(EDITS_KEY)
@@ -124,6 +124,9 @@ def _check_names(report: Report, edits: EditList, edit: PlacedEdit, manifest: Ma
         if not manifest.lines:
             help += "; this cache has no names of crowd lines: the scene gives none, or an older version wrote it"
         report.error("unknown-name", problem.message, edits.span(edit, *problem.path), help)
+    for path, name in line.list_items():
+        for problem in find_unknown_name(name, names.items, "no item is named", path):
+            report.error("unknown-name", problem.message, edits.span(edit, *path), problem.help)
     if line.frames and (line.frames.last < manifest.first or line.frames.first > manifest.last):
         message = f"the cache has no frames {line.frames.first} to {line.frames.last}"
         help = f"it has {manifest.first} to {manifest.last}"

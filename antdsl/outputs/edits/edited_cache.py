@@ -5,18 +5,19 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Any
 
 from numpy.typing import NDArray
 
 from antdsl import limits
+from antdsl.bodies.agents.definition import BodyError
 from antdsl.diagnostics import Report
 from antdsl.outputs.cache.cache_reader import Cache, CacheError, open_cache
 from antdsl.outputs.cache.frame_agents import IDENTITY_ARRAYS, get_agent_ids, get_species_numbers
-from antdsl.outputs.cache.manifest import EditsEntry, Manifest, ManifestError
+from antdsl.outputs.cache.manifest import MANIFEST_FILE_NAME, EditsEntry, Manifest, ManifestError
 from antdsl.outputs.cache.npz import ArrayFileError, read_npz
-from antdsl.outputs.edits.edit_files import encode_edit_arrays, find_cache_path, read_edit_files
+from antdsl.outputs.edits.edit_files import encode_edit_arrays, find_cache_path, find_missing_file, read_edit_files
 from antdsl.outputs.edits.edit_layer import EditInputs, NotEditable, StoredFrames
 from antdsl.outputs.edits.edit_lines import EditList, read_edits
 from antdsl.outputs.edits.terrain import Ground
@@ -45,24 +46,33 @@ def open_edited_cache(folder: Path) -> Cache:
     edits, report = read_edits(entry.text.encode(), entry.name, cache.manifest)
     try:
         if edits is not None:
-            return apply_edits(cache, edits, read_inputs(cache, entry))
+            return apply_edits(cache, edits, read_inputs(cache, entry, edits))
         reason = report.errors[0].message
-    except NotEditable as why:
+    except (NotEditable, BodyError) as why:
         reason = str(why)
     raise ManifestError(f"the edits in `{folder}` cannot be applied: {reason}")
 
 
-def read_inputs(cache: Cache, entry: EditsEntry) -> EditInputs:
-    """Return what the edits of a cache need in addition to it. Raises CacheError if a file is damaged, ManifestError if another
-    cache is missing."""
+def read_inputs(cache: Cache, entry: EditsEntry, edits: EditList) -> EditInputs:
+    """Return what the edits of a cache need in addition to it. Raises CacheError if a file or the entry is damaged, ManifestError
+    if another cache is missing."""
     arrays: Mapping[str, NDArray[Any]] = {}
     if entry.arrays is not None:
         try:
             arrays = read_npz(cache.folder / entry.arrays)
         except (OSError, ArrayFileError) as why:
             raise CacheError(f"`{cache.folder / entry.arrays}`, which its edits need, cannot be read: {why}") from None
-    caches = {text: open_cache(cache.folder / path) for text, path in entry.caches.items()}
     is_counted = entry.counted_frames == len(cache.frames())
+    missing_species = (each.name for each in cache.manifest.species if is_counted and each.name not in entry.next_ids)
+    damage = next((f"their ids of `{name}` are missing" for name in missing_species), None)
+    for text, path in entry.caches.items():
+        if PurePosixPath(path).is_absolute() or PureWindowsPath(path).anchor:
+            damage = f"the path of `{text}` does not begin at the cache"
+    if missing := find_missing_file(edits, cache.manifest, arrays, entry.caches):
+        damage = f"`{missing}`, which they need, is missing"
+    if damage:
+        raise CacheError(f"the edits in `{cache.folder / MANIFEST_FILE_NAME}` are damaged: {damage}")
+    caches = {text: open_cache(cache.folder / path) for text, path in entry.caches.items()}
     return EditInputs(Ground(cache), arrays, caches, entry.next_ids if is_counted else find_next_ids(cache))
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from antdsl import limits
-from antdsl.outputs.cache.cache_reader import Arrays, Cache, CacheError
+from antdsl.outputs.cache.cache_reader import CACHE_ENTRY_NAMES, Arrays, Cache, CacheError
 from antdsl.outputs.cache.frame_agents import find_array_subject, get_species_numbers
 from antdsl.outputs.cache.manifest import Manifest, SpeciesEntry, WornBodyEntry
 from antdsl.outputs.edits.edit_layer import EditFile, EditInputs, EditLayer, EditLine, NotEditable
@@ -82,6 +83,11 @@ class MergeLayer(EditLayer):
                 _, number, part = name.split(".", 2)
                 bodies[f"body.{first + int(number)}.{part}"] = array
         return {**self.source.read_static(), **bodies}
+
+    def find_source_files(self) -> list[Path]:
+        """Return the files that the view was made from, with those of the other cache."""
+        own = (self._other.folder / name for name in CACHE_ENTRY_NAMES)
+        return [*super().find_source_files(), *self._other.find_source_files(), *own]
 
     @property
     def _other(self) -> Cache:

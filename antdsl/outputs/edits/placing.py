@@ -45,6 +45,11 @@ class EasedLine(AgentsLine):
 class PlacingLine(GroundLine, EasedLine):
     """A line that moves agents in some frames."""
 
+    def list_items(self) -> tuple[tuple[tuple[str, ...], str], ...]:
+        """Return the names of items outside selectors, each after the keys that lead to it."""
+        values = {key: getattr(self, key, None) for key in ("to", "around")}
+        return tuple(((key,), value) for key, value in values.items() if isinstance(value, str))
+
 
 class MoveLine(PlacingLine):
     """Moves agents `by` a displacement, or their middle `to` a point or an item."""
@@ -68,6 +73,10 @@ class RotateLine(PlacingLine):
     agents: Selector = Field(alias="rotate")
     by: Angle
     around: PointOrName | None = None
+
+    def list_items(self) -> tuple[tuple[tuple[str, ...], str], ...]:
+        """Return the names of items outside selectors, each after the keys that lead to it."""
+        return () if self.around == _EACH else super().list_items()
 
 
 class ScaleLine(PlacingLine):

@@ -12,7 +12,7 @@ from antdsl.outputs.cache.frame_agents import make_agent_keys
 from antdsl.outputs.edits.cache_selection import select_agents
 from antdsl.outputs.edits.edit_layer import AgentsLine, EditLayer
 from antdsl.outputs.edits.frame_rows import keep_rows
-from antdsl.scene.selectors import AgentConditions, Region, Selector
+from antdsl.scene.selectors import AgentConditions, Ball, Region, Selector
 from antdsl.scene.values import make_error
 
 
@@ -35,6 +35,11 @@ class ClipLine(AgentsLine):
         if self.frames is None and self.inside is None:
             raise make_error("`clip` has `frames` or `inside`", "write `inside: {from: [0, 0, 0], to: [50, 20, 50]}`")
         return self
+
+    def list_items(self) -> tuple[tuple[tuple[str, ...], str], ...]:
+        """Return the names of items outside selectors, each after the keys that lead to it."""
+        name = self.inside.around if isinstance(self.inside, Ball) else None
+        return ((("inside", "around"), name),) if isinstance(name, str) else ()
 
 
 @dataclass(frozen=True, eq=False)
