@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from math import isfinite
 
 from antdsl.diagnostics import Report
 from antdsl.program.model import AttributeDecl, Program, TypeKind
+from antdsl.scene.casting_model import FacingDirection
 from antdsl.scene.document import PathKey
 from antdsl.scene.entry_checks import check_dimension, report_unknown
 from antdsl.scene.load import Scene
@@ -18,6 +20,7 @@ from antdsl.scene.notes_model import (
     PartNote,
     ReachNote,
     RegionNote,
+    ReleaseNote,
     RepelNote,
     SetNote,
     Target,
@@ -55,11 +58,15 @@ class _NoteCheck:
             problems += find_problems(note, self.names, *self.path)
         with_items = replace(self.names, species=self.names.species | self.names.items)
         for path, target in self._iterate_targets():
+            if isinstance(target, FacingDirection) and not any(target.direction):
+                help = "write one that is not zero, such as `{direction: [0, 1, 0]}`"
+                self.report.error("wrong-value", "this is no direction", self.scene.span(*self.path, *path), help)
             if isinstance(target, AgentName) and (target.first is not None or target.name not in self.names.items):
                 problems += find_problems(target, with_items, *self.path, *path)
         for problem in problems:
             self.report.error("unknown-thing", problem.message, self.scene.span(*problem.path), problem.help)
         self._check_things()
+        self._check_frames()
         if isinstance(note, SetNote):
             self._check_values(note)
         if isinstance(note, ChangeNote) and note.to not in self.names.states:
@@ -90,6 +97,26 @@ class _NoteCheck:
             things = self._list_things("obstacles", "surfaces") | self.names.items
             if note.thing not in things:
                 self._report_unknown("no mesh or item is named", things, "for")
+
+    def _check_frames(self) -> None:
+        """Warn if the note has no effect, because it is outside of the frames of the scene."""
+        note, model = self.note, self.scene.model
+        first, last = model.frames.first - model.preroll, model.frames.last
+        begins = note.last_frame if isinstance(note, ReachNote | ReleaseNote) else note.first_frame
+        key = "frame" if "frame" in type(note).model_fields else "frames"
+        if isfinite(begins) and begins > last:
+            message, help = (
+                f"the scene ends at frame {last}, before this note",
+                "write an earlier frame, or more `frames` of the scene",
+            )
+        elif isinstance(note, ChangeNote) and note.frame <= first:
+            message = f"the scene begins at frame {first}, and agents begin in a state without a change"
+            help = f"write `each: {{state: {note.to}}}` in their crowd line, or a later frame"
+        elif isfinite(note.last_frame) and note.last_frame + note.ease_frames < first:
+            message, help = f"the scene begins at frame {first}, after this note", "write a later frame"
+        else:
+            return
+        self.report.warning("out-of-range", message, self.scene.span(*self.path, key), help)
 
     def _list_things(self, *groups: str) -> frozenset[str]:
         """Return the names of the things of the world with data in some mappings of the setting."""

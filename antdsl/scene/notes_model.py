@@ -13,6 +13,7 @@ from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
 
 from antdsl import limits
 from antdsl.diagnostics.suggestion import find_nearest_name
+from antdsl.scene.casting_model import FacingDirection
 from antdsl.scene.quantities import Quantity
 from antdsl.scene.selectors import AgentConditions as AgentConditions
 from antdsl.scene.selectors import AgentName, AnySelector, Ball, Box, NearTarget, Selector, SelectorKeys, combine_selector
@@ -48,8 +49,16 @@ CurveOrPoints = Annotated[
     Discriminator(_find_curve_tag),
 ]
 
-Target = PointValue | AgentName
-LookTargets = dict[SceneName, NearTarget]
+
+def _find_look_tag(value: Any) -> str:
+    return "look-direction" if isinstance(value, dict) else "look-target"
+
+
+LookTarget = Annotated[
+    Annotated[FacingDirection, Tag("look-direction")] | Annotated[NearTarget, Tag("look-target")], Discriminator(_find_look_tag)
+]
+Target = PointValue | AgentName | FacingDirection
+LookTargets = dict[SceneName, LookTarget]
 
 
 def _parse_set_value(value: Any) -> Quantity | bool:
@@ -144,7 +153,7 @@ class HoldNote(TimedNote, SelectorKeys):
 
 
 class LookNote(TimedNote, SelectorKeys):
-    """Parts of bodies look at points, items or agents."""
+    """Parts of bodies look at points, items or agents, or in a direction."""
 
     verb = "look"
     agents: Selector = Field(alias="look")
@@ -229,12 +238,13 @@ class ReachNote(EasedNote, SelectorKeys):
 
 class PathNote(EasedNote, SelectorKeys):
     """Agents walk along a curve of the scene, or through points: they are at its beginning and end in the first and last of
-    the frames."""
+    the frames. `apart`: each is so far behind the one before, in the order of ids."""
 
     verb = "path"
     agents: Selector = Field(alias="path")
     along: CurveOrPoints
     frames: FrameRangeValue
+    apart: PositiveLength | None = None
 
     @property
     def last_frame(self) -> float:

@@ -154,6 +154,60 @@ def test_a_path_is_walked_in_time_from_end_to_end(tmp_path: Path) -> None:
     assert not find_far_targets(shot.scene, start(shot)).diagnostics
 
 
+def test_agents_apart_on_a_path_walk_in_single_file(tmp_path: Path) -> None:
+    note = "{path: guards.36..39, along: [[-40, 0, -20], [60, 0, -20]], frames: 90..210, apart: 9 mm}"
+    shot = open_directed(tmp_path, note, last=210)
+    track = follow(shot, 210)
+    goal = -40 + 100 * (180 - 90) / 120
+    for k in range(4):
+        x, z = track.at("position", 180, 36 + k)[[0, 2]]
+        assert abs(x - (goal - 9 * k)) < 3 and abs(z + 20) < 3, k
+    assert (track.speeds()[track.frames.index(90) :, 36:40] <= 30 * 1.005).all()  # the ball pushes no agent any more
+
+
+def test_agents_that_miss_a_path_are_reported_after_the_run(tmp_path: Path) -> None:
+    shot = open_directed(tmp_path, "{path: guards, along: [[0, 0, 0], [20, 0, 0]], frames: 10..20}", last=21)
+    world = start(shot)
+    for _ in range(20):
+        step(world)
+    (warning,) = report_missed_targets(shot.scene, world).diagnostics  # one for each note
+    assert "missed the target of this note" in warning.message
+
+
+def test_agents_ignore_a_target_that_does_not_exist(tmp_path: Path) -> None:
+    notes = ("{without: [guards.59]}", "{reach: guards.3, target: guards.59, frame: 60}")
+    assert np.isfinite(follow(open_directed(tmp_path, *notes), 30).of("position", 3)).all()
+
+
+def test_equal_notes_count_twice(tmp_path: Path) -> None:
+    note = "{retime: guards, frames: 5..30, speed: 50 %}"
+    speeds = [np.median(follow(open_directed(tmp_path / str(n), *[note] * n), 25).speeds()[-1]) for n in (1, 2)]
+    assert speeds[1] == pytest.approx(speeds[0] / 2, rel=0.15)
+
+
+@pytest.mark.parametrize(
+    ("note", "message"),
+    [
+        ("{hold: guards, frames: 500..600}", "the scene ends at frame 80, before this note"),
+        ("{release: guards, frame: 900000}", "the scene ends at frame 80, before this note"),
+        ("{hold: guards, frames: -30..-20}", "the scene begins at frame 1, after this note"),
+        ("{change: guards, to: rest, frame: 1}", "agents begin in a state without a change"),
+    ],
+)
+def test_notes_outside_of_the_frames_are_reported(tmp_path: Path, note: str, message: str) -> None:
+    open_directed(tmp_path, note)
+    _, report = open_scene(tmp_path / "scene.yaml")
+    (warning,) = (each for each in report.diagnostics if each.code == "out-of-range")
+    assert message in warning.message
+
+
+def test_heads_look_in_a_direction(tmp_path: Path) -> None:
+    track = follow(
+        open_directed(tmp_path, "{look: guards.2, at: {head: {direction: [0, 2, 0]}}, frames: 5..20}"), 12, names=("look#head.y",)
+    )
+    assert track.of("look#head.y", 2)[-1] > 0.5
+
+
 def test_values_ease_in_and_states_change_with_their_actions(tmp_path: Path) -> None:
     notes = (
         "{set: guards.4, to: {max_speed: 12 mm/s, brave: true}, frames: 20..30, ease: 4}",

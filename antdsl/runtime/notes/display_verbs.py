@@ -7,8 +7,11 @@ import numpy as np
 from antdsl.runtime.notes.active_notes import NoteAgents
 from antdsl.runtime.notes.targets import find_target
 from antdsl.runtime.world import AXES, Population, World
+from antdsl.scene.casting_model import FacingDirection
 from antdsl.scene.note_programs import LOOK_MACHINE, OFF_STATE, ON_STATE, PLAY_MACHINE, name_event, name_look_target
 from antdsl.scene.notes_model import ChangeNote
+
+_FAR_MM = 1e6  # mm, at which agents look that look in a direction
 
 
 def change_states(agents: NoteAgents) -> None:
@@ -28,9 +31,14 @@ def show_displays(agents: NoteAgents) -> None:
     if note.played_clip:
         _raise_event(agents, PLAY_MACHINE, note.played_clip)
     for group, target in note.looks.items():
-        offset, distance = find_target(agents.world, target).find_nearest(population.position[rows])
-        if not np.isfinite(distance).all():
-            continue  # the agents that it looked at are dead
+        if isinstance(target, FacingDirection):
+            offset = np.broadcast_to(
+                np.array(target.direction) * (_FAR_MM / max(np.linalg.norm(target.direction), 1e-9)), (len(rows), 3)
+            )
+        else:
+            offset, distance = find_target(agents.world, target).find_nearest(population.position[rows])
+            if not np.isfinite(distance).all():
+                continue  # the agents that it looked at are dead
         points = population.position[rows] + offset
         for k, axis in enumerate(AXES):
             population.now[f"{name_look_target(group)}.{axis}"][rows] = points[:, k]

@@ -11,7 +11,7 @@ from antdsl.numerics import elementary
 from antdsl.numerics.records import match_ids
 from antdsl.numerics.vector_rows import dot, length
 from antdsl.runtime.notes.active_notes import NoteAgents, smooth_share
-from antdsl.runtime.notes.targets import TargetPoints, drop_points, find_curve, find_curve_point, find_goal
+from antdsl.runtime.notes.targets import OwnPoints, TargetPoints, find_goal, find_path_points
 from antdsl.runtime.notes.wishes import Floats, lay_on_ground, read_max_speeds, wish_velocities
 from antdsl.scene.notes_model import PathNote, ReachNote
 
@@ -45,13 +45,10 @@ def lead_along_path(agents: NoteAgents, register: str, is_final: bool) -> None:
     """Lead agents of a `path` to its beginning, then along it."""
     note, world = agents.active.note, agents.world
     assert isinstance(note, PathNote)
-    curve, first, last = find_curve(world, note.along), note.frames.first, note.frames.last
-    if world.display_frame <= first:
-        start = TargetPoints(drop_points(world, find_curve_point(curve, 0.0)[None]), np.zeros(1))
-        _wish_journey(agents, find_journey(agents, start, first), register, is_final)
+    now, then = (find_path_points(world, note, agents.ids, frame) for frame in (world.frame, world.display_frame))
+    if world.display_frame <= note.frames.first:
+        _wish_journey(agents, find_journey(agents, OwnPoints(then), note.frames.first), register, is_final)
         return
-    points = [find_curve_point(curve, (frame - first) / max(last - first, 1)) for frame in (world.frame, world.display_frame)]
-    now, then = drop_points(world, np.array(points))
     position, rows = agents.population.position[agents.rows], agents.rows
     velocity = (then - now) / world.dt + (now - position) * (1.0 / _CATCH_UP_SECONDS)
     speed = length(velocity)
@@ -61,7 +58,7 @@ def lead_along_path(agents: NoteAgents, register: str, is_final: bool) -> None:
     _wish_journey(agents, Journey(velocity, share, share * _compute_urgency(speed, most)), register, is_final)
 
 
-def find_journey(agents: NoteAgents, target: TargetPoints, frame: int) -> Journey:
+def find_journey(agents: NoteAgents, target: TargetPoints | OwnPoints, frame: int) -> Journey:
     """Return the journey of agents that are to be at a target in a frame.
 
     Each leaves as late as it can without haste, and keeps away from the target before."""
@@ -76,8 +73,10 @@ def find_journey(agents: NoteAgents, target: TargetPoints, frame: int) -> Journe
     since = np.where(left_at == _NOT_LEFT, 0, world.display_frame + 1 - left_at)
     share = smooth_share(since / (agents.active.note.ease_frames + 1)) * agents.weight
     size = p.now["size"][rows].astype(np.float64)
-    early = np.where(left_at == _NOT_LEFT, smooth_share(1.0 - distance / (_AVOIDED_SIZES * size)), 0.0)
-    speed = np.where(np.isfinite(distance), distance / seconds, 0.0)
+    exists = np.isfinite(distance)  # targets that are not born yet, or dead, have no distance
+    early = np.where(exists & (left_at == _NOT_LEFT), smooth_share(1.0 - distance / (_AVOIDED_SIZES * size)), 0.0)
+    share = np.where(exists, share, 0.0)
+    speed = np.where(exists, distance / seconds, 0.0)
     velocity = direction * np.where(left_at == _NOT_LEFT, -most, np.minimum(speed, most))[:, None]
     return Journey(velocity, np.maximum(share, early), np.maximum(share * _compute_urgency(speed, most), early))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -48,9 +49,13 @@ class NoteRun:
     @staticmethod
     def of(setting: WorldSetting) -> NoteRun | None:
         """Return the notes of a setting; None without notes."""
-        notes = {
-            hashlib.blake2b(repr(note).encode(), digest_size=8).hexdigest(): note for note in setting.notes if note.off == "no"
-        }
+        notes: dict[str, Note] = {}
+        counts: Counter[str] = Counter()  # equal notes have different keys
+        for note in setting.notes:
+            if note.off == "no":
+                text = repr(note)
+                notes[hashlib.blake2b(f"{text}{counts[text] or ''}".encode(), digest_size=8).hexdigest()] = note
+                counts[text] += 1
         return NoteRun(notes) if notes else None
 
     def restore_memory(self, memory: Mapping[str, NDArray[Any]]) -> None:

@@ -5,11 +5,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from antdsl.diagnostics import Report
 from antdsl.numerics.vector_rows import length
 from antdsl.runtime.notes.active_notes import NoteAgents
-from antdsl.runtime.notes.targets import drop_points, find_curve, find_curve_point, find_goal, find_item_points
+from antdsl.runtime.notes.targets import find_curve, find_goal, find_item_points, find_path_points
 from antdsl.runtime.notes.wishes import Floats, read_max_speeds
 from antdsl.runtime.selectable_agents import collect_selectable_frame
 from antdsl.runtime.world import World
@@ -34,12 +35,18 @@ class MissedTarget(NamedTuple):
 def find_missed_target(agents: NoteAgents) -> MissedTarget | None:
     """Return the agents of a note that are too late at the end of a step; None if all are in time.
 
-    Those that are there one step later are in time."""
+    Those that are there one step later are in time. On a path, the first and the last frame count."""
     note, world, p = agents.active.note, agents.world, agents.population
-    if not isinstance(note, ReachNote) or world.display_frame != note.frame:
+    near = read_max_speeds(p, agents.rows) * world.dt
+    if isinstance(note, ReachNote) and world.display_frame == note.frame:
+        _, distance = find_goal(world, note.target).find_nearest(p.position[agents.rows])
+    elif isinstance(note, PathNote) and world.display_frame in (note.frames.first, note.frames.last):
+        points = find_path_points(world, note, agents.ids, world.display_frame)
+        distance = length(points - p.position[agents.rows])
+        near = near + p.now["size"][agents.rows]  # agents keep apart from others on the same path
+    else:
         return None
-    _, distance = find_goal(world, note.target).find_nearest(p.position[agents.rows])
-    late = np.flatnonzero(distance > read_max_speeds(p, agents.rows) * world.dt)
+    late = np.flatnonzero(distance > near)
     if not len(late):
         return None
     farthest = late[np.lexsort((agents.ids[late], -distance[late]))[0]]
@@ -64,7 +71,7 @@ def find_far_targets(scene: Scene, world: World) -> Report:
             continue
         for name, mask in select_rows(note.selector, collect_selectable_frame(world)).items():
             p, rows = world.populations[name], np.flatnonzero(mask)
-            for goal in _find_goals(world, note, p.position[rows]) if len(rows) else ():
+            for goal in _find_goals(world, note, p.position[rows], p.ids[rows]) if len(rows) else ():
                 most = read_max_speeds(p, rows) * goal.seconds
                 worst = int((goal.distance - most).argmax())
                 missing = goal.distance[worst] - most[worst]
@@ -83,8 +90,8 @@ class _Goal(NamedTuple):
     words: str
 
 
-def _find_goals(world: World, note: ReachNote | PathNote, position: Floats) -> list[_Goal]:
-    """Return what a note requires of agents at their positions (n, 3). Targets that move are left out."""
+def _find_goals(world: World, note: ReachNote | PathNote, position: Floats, ids: NDArray[np.int64]) -> list[_Goal]:
+    """Return what a note requires of agents with these ids at their positions (n, 3). Targets that move are left out."""
     moves = world.setting.motion
     if isinstance(note, ReachNote):
         named = note.target.name if isinstance(note.target, AgentName) else ""
@@ -94,7 +101,7 @@ def _find_goals(world: World, note: ReachNote | PathNote, position: Floats) -> l
         distance = find_goal(world, note.target).find_nearest(position)[1]
         return [_Goal(distance, max(note.frame - world.frame, 0) * world.dt, "reach the target")]
     curve, (first, last) = find_curve(world, note.along), note.frames
-    to_start = length(position - drop_points(world, find_curve_point(curve, 0.0)[None]))
+    to_start = length(position - find_path_points(world, note, ids, first))
     return [
         _Goal(to_start, max(first - world.frame, 0) * world.dt, "be at the beginning of the path"),
         _Goal(np.full(len(position), curve.length), (last - first) * world.dt, "walk along the path"),

@@ -12,6 +12,7 @@ from antdsl.numerics.vector_rows import length
 from antdsl.runtime.moving.moving_geometry import make_curve
 from antdsl.runtime.selectable_agents import collect_selectable_frame
 from antdsl.runtime.world import World
+from antdsl.scene.notes_model import PathNote
 from antdsl.scene.selection import select_rows
 from antdsl.scene.selectors import AgentName
 from antdsl.scene.thing_models import convert_point
@@ -82,11 +83,29 @@ def find_curve(world: World, along: str | tuple[PointValue, ...]) -> SampledCurv
     return make_curve(np.array([convert_point(point, world.setting.unit_mm) for point in along], np.float64) - world.origin)
 
 
-def find_curve_point(curve: SampledCurve, share: float) -> Floats:
-    """Return the point (3,) at a share from 0 to 1 of the length of a curve with evenly spaced samples."""
-    at = min(max(share, 0.0), 1.0) * (len(curve.samples) - 1)
-    first = min(int(at), max(len(curve.samples) - 2, 0))
-    point: Floats = curve.samples[first] + (at - first) * (
-        curve.samples[min(first + 1, len(curve.samples) - 1)] - curve.samples[first]
-    )
-    return point
+class OwnPoints(NamedTuple):
+    """A point (n, 3) mm for each agent."""
+
+    points: Floats
+
+    def find_nearest(self, position: Floats) -> tuple[Floats, Floats]:
+        """Return the offset (n, 3) to the point of each position (n, 3), and its length (n,) in mm."""
+        offset = self.points - position
+        return offset, length(offset)
+
+
+def find_path_points(world: World, note: PathNote, ids: NDArray[np.int64], frame: int) -> Floats:
+    """Return where the agents of a `path` are to be in a frame (n, 3), on the ground.
+
+    Agents that are `apart` follow each other in the order of their ids. Before the curve begins, their places are on its straight
+    continuation."""
+    curve, (first, last) = find_curve(world, note.along), note.frames
+    share = min(max((frame - first) / max(last - first, 1), 0.0), 1.0)
+    distance = np.full(len(ids), share * curve.length)
+    if note.apart is not None:
+        distance -= np.argsort(np.argsort(ids)) * note.apart.to_millimetres(world.setting.unit_mm)
+    last_segment = max(len(curve.samples) - 2, 0)
+    at = distance / max(curve.length, 1e-9) * (last_segment + 1)
+    segment = np.clip(np.floor(at), 0, last_segment).astype(np.intp)
+    starts, ends = curve.samples[segment], curve.samples[np.minimum(segment + 1, len(curve.samples) - 1)]
+    return drop_points(world, starts + (at - segment)[:, None] * (ends - starts))
