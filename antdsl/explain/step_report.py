@@ -101,7 +101,7 @@ def _build_explanation(replay: Replay, frame: int, world: World, population: Pop
         mode=program.layers.mode,
         strip=(),
         alive=None,
-        notes=(),
+        notes=_list_scene_notes(replay, world, population, trace.row),
         machines=machines,
         handlers=handlers,
         steers=find_steering_lines(population.name, notes, trace, _find_active_sites(program, machines)),
@@ -115,6 +115,21 @@ def _build_explanation(replay: Replay, frame: int, world: World, population: Pop
         draws=list_random_draws(trace),
         did=describe_effects(trace.effects),
         changes=(),
+    )
+
+
+def _list_scene_notes(replay: Replay, world: World, population: Population, row: int) -> tuple[str, ...]:
+    """Return a sentence for each note of the scene that directs the agent in a row in this step."""
+    scene = replay.shot.scene
+    directing = [
+        active
+        for active in (world.notes.active if world.notes is not None else ())
+        if row in active.rows.get(population.name, ())
+    ]
+    spans = [(active, locate_span(scene.span("notes", scene.model.notes.index(active.note)))) for active in directing]
+    return tuple(
+        f"the scene directs it by {where.text} in {Path(where.file).name}:{where.line}, with weight {active.weight:.3g}"
+        for active, where in spans
     )
 
 
@@ -138,7 +153,8 @@ def _add_effects(replay: Replay, world: World, trace: AgentTrace, explanation: E
     population = world.populations[explanation.species]
     row = int(population.find_rows(np.array([explanation.agent]))[0])
     if row < 0:
-        return replace(explanation, notes=(f"it died in this step, so frame {explanation.frame} does not contain it",))
+        death = f"it died in this step, so frame {explanation.frame} does not contain it"
+        return replace(explanation, notes=(*explanation.notes, death))
     velocity: FloatTriple = to_float_triple(population.now[f"velocity.{axis}"][row] for axis in AXES)
     gained = to_float_triple(
         (new_component - old_component) / world.dt

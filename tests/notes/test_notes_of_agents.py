@@ -7,7 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from directed import Track, follow, open_directed, row_of, start
+from explained import cached
 
+from antdsl.explain import explain
 from antdsl.pipeline import open_scene
 from antdsl.runtime import Options, World, restore_checkpoint, state_hash, step, take_checkpoint
 from antdsl.runtime.notes.target_findings import find_far_targets, report_missed_targets
@@ -284,3 +286,11 @@ def test_agents_of_a_line_with_a_rate_can_be_without(tmp_path: Path) -> None:
             step(worlds[-1])
     every, fewer = (sorted(world.populations["ant"].ids.tolist()) for world in worlds)
     assert every == [0, 1, 2, 3, 4, 5] and fewer == [0, 1, 5]
+
+
+def test_an_explanation_names_the_notes_that_direct_an_agent(tmp_path: Path) -> None:
+    open_directed(tmp_path, "{hold: guards.3, frames: 10..20}", count=6, last=24)
+    cache = cached(tmp_path / "scene.yaml", 24, tmp_path / "cache")
+    held, free, later = (explain(cache, agent, frame).notes for agent, frame in ((3, 15), (2, 15), (3, 8)))
+    assert held == ("the scene directs it by {hold: guards.3, frames: 10..20} in scene.yaml:16, with weight 1",) and free == ()
+    assert "with weight 0." in later[0]

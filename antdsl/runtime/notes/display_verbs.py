@@ -32,9 +32,8 @@ def show_displays(agents: NoteAgents) -> None:
         _raise_event(agents, PLAY_MACHINE, note.played_clip)
     for group, target in note.looks.items():
         if isinstance(target, FacingDirection):
-            offset = np.broadcast_to(
-                np.array(target.direction) * (_FAR_MM / max(np.linalg.norm(target.direction), 1e-9)), (len(rows), 3)
-            )
+            direction = np.array(target.direction, np.float64)
+            offset = np.broadcast_to(direction * (_FAR_MM / float(np.linalg.norm(direction))), (len(rows), 3))
         else:
             offset, distance = find_target(agents.world, target).find_nearest(population.position[rows])
             if not np.isfinite(distance).all():
