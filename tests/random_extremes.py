@@ -31,13 +31,15 @@ from antdsl.program.tables.vocabulary import (
 )
 from antdsl.program.traverse import iterate_parts
 from antdsl.runtime import FieldStartData, MeshData, World, WorldSetting, set_param
-from antdsl.scene.setting import DetailData, FlowTarget, GeometryMoves, PaintedValues, SolidData, SpreadFlowData
+from antdsl.scene.setting import CameraData, DetailData, FlowTarget, GeometryMoves, PaintedValues, SolidData, SpreadFlowData
 from antdsl.scene.staging.motion import MeshMoves
 
 ODD = (np.nan, np.inf, -np.inf, 1e30, -1e30, 3.4e38, 1e-40, -1e-45, 1e-30, -0.0, 0.0, 1.0, -1.0, 16777217.0, 2147483648.0)
 BODY = ("size", "mass", "max_speed", "radius")  # spoiled more seldom: who has no size is soon out of all that happens
 SPOILED = ("fear", "luck", "load", "mood", *BODY)
-WORLD = random_sensing.WORLD.replace("  curve way_in\n", "  curve way_in\n  solid hill\n  flow drift\n  map damp\n")
+WORLD = random_sensing.WORLD.replace(
+    "  curve way_in\n", "  curve way_in\n  solid hill\n  flow drift\n  map damp\n  camera shot\n"
+)
 
 NUMBERS = (
     *random_sensing.NUMBERS,
@@ -223,6 +225,11 @@ def setting(extremes: Extremes, agents: int = 21) -> WorldSetting:
         seed=extremes.seed,
         contacts=("off", "soft", "hard")[extremes.seed % 3],
         obstacles={"stones": stones},
+        cameras={
+            "shot": CameraData(
+                *(np.array([each]) for each in ((0.0, 60.0, 90.0), (0.0, 0.0, 0.0), (0.0, 1.0, 0.0))), np.array([35.0])
+            )
+        },
         curves={"way_in": np.array([[-80.0, 0, -80], [0, 0, 10], [80, 0, 60]])},
         items={"food": (item("f", 20, -20, 8, load=5), item("g", -40, 10, 8, load=2.5)), "nest": (item("n", 0, 0, 12),)},
         crowds=(crowd(agents, radius=60), crowd(4, species="other", radius=60)),

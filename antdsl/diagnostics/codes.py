@@ -179,10 +179,10 @@ CODE_DESCRIPTIONS: dict[str, str] = {
     # --- from a program to a plan (`not-yet` is also said of what checks but cannot run) ---
     "layer-order": "an order of layers names a missing line, or omits one",
     # --- binding a program to a scene ---
+    "far-target": "agents of a note cannot be at their target in time, or were not",
     "field-setting": "a setting of a field has an invalid value",
     "field-too-fine": "a field would need too many cells",
     "flow-too-fine": "a flow would need too many points",
-    "far-target": "agents of a note cannot be at their target in time, or were not",
     "unreachable-target": "agents follow a flow, but no path leads from them to its target",
     # --- running specs ---
     "no-scene": "a spec names no scene, and there is none next to its program",

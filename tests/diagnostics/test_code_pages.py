@@ -280,7 +280,7 @@ def _samples_of(table: Any) -> dict[str, str]:
 
 AROUND = """ant 1
 use steering
-world { surface ground; obstacle stones; curve path; flow drift; items food { load = 0 }; items nest { load = 0 } }
+world { surface ground; obstacle stones; curve path; flow drift; camera shot; items food { load = 0 }; items nest { load = 0 } }
 field trail on ground { cell 4 mm; half_life 8 s }
 species rabbit { load = 0 }
 species forager {

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,9 +34,11 @@ from antdsl.runtime.feet import feet_step
 from antdsl.runtime.line_tables import reserve_ids
 from antdsl.runtime.motion_measures import MotionMeasures
 from antdsl.runtime.moving.moving_geometry import make_curve
-from antdsl.runtime.notes.note_run import NoteRun
 from antdsl.runtime.world import AXES, Items, Options, World, empty_population
 from antdsl.scene.setting import FlowData, MeshData, WorldSetting, compute_world_origin
+
+if TYPE_CHECKING:
+    from antdsl.runtime.notes.note_run import NoteRun
 
 
 class BindError(ValueError):
@@ -44,6 +47,15 @@ class BindError(ValueError):
     def __init__(self, report: Report) -> None:
         super().__init__("; ".join(d.message for d in report.errors))
         self.report = report
+
+
+def _make_note_run(setting: WorldSetting) -> NoteRun | None:
+    """Return the notes of a setting; None without notes. Only they need the models of scenes."""
+    if not setting.notes:
+        return None
+    from antdsl.runtime.notes.note_run import NoteRun
+
+    return NoteRun.of(setting)
 
 
 @standard_floats()
@@ -109,7 +121,7 @@ def bind_empty(
         faults=FaultLog(),
         motion=MotionMeasures(),
         lines=reserve_ids(setting),
-        notes=NoteRun.of(setting),
+        notes=_make_note_run(setting),
     )
     _set_params(world)
     stages.begin_stage("fields")

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.runtime.world import Population, World
-from antdsl.scene.notes_model import Note
+
+if TYPE_CHECKING:
+    from antdsl.scene.notes_model import Note
 
 Rows = NDArray[np.intp]
 
