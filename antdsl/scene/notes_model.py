@@ -50,15 +50,11 @@ CurveOrPoints = Annotated[
 ]
 
 
-def _find_look_tag(value: Any) -> str:
-    return "look-direction" if isinstance(value, dict) else "look-target"
-
-
-LookTarget = Annotated[
-    Annotated[FacingDirection, Tag("look-direction")] | Annotated[NearTarget, Tag("look-target")], Discriminator(_find_look_tag)
-]
+_Direction = Annotated[FacingDirection, Tag("direction")]
+_NearTarget = Annotated[NearTarget, Tag("near")]
+_LookTarget = Annotated[_Direction | _NearTarget, Discriminator(lambda value: "direction" if isinstance(value, dict) else "near")]
+LookTargets = dict[SceneName, _LookTarget]
 Target = PointValue | AgentName | FacingDirection
-LookTargets = dict[SceneName, LookTarget]
 
 
 def _parse_set_value(value: Any) -> Quantity | bool:
@@ -237,14 +233,15 @@ class ReachNote(EasedNote, SelectorKeys):
 
 
 class PathNote(EasedNote, SelectorKeys):
-    """Agents walk along a curve of the scene, or through points: they are at its beginning and end in the first and last of
-    the frames. `apart`: each is so far behind the one before, in the order of ids."""
+    """Agents walk along a curve, or through points: from its beginning in the first frame to its end in the last one.
+
+    `spacing`: each is so far behind the one before, in the order of ids."""
 
     verb = "path"
     agents: Selector = Field(alias="path")
     along: CurveOrPoints
     frames: FrameRangeValue
-    apart: PositiveLength | None = None
+    spacing: PositiveLength | None = Field(None, alias="apart")
 
     @property
     def last_frame(self) -> float:

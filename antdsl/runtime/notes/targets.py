@@ -102,8 +102,8 @@ def find_path_points(world: World, note: PathNote, ids: NDArray[np.int64], frame
     curve, (first, last) = find_curve(world, note.along), note.frames
     share = min(max((frame - first) / max(last - first, 1), 0.0), 1.0)
     distance = np.full(len(ids), share * curve.length)
-    if note.apart is not None:
-        distance -= np.argsort(np.argsort(ids)) * note.apart.to_millimetres(world.setting.unit_mm)
+    if note.spacing is not None:
+        distance -= np.argsort(np.argsort(ids)) * note.spacing.to_millimetres(world.setting.unit_mm)
     last_segment = max(len(curve.samples) - 2, 0)
     at = distance / max(curve.length, 1e-9) * (last_segment + 1)
     segment = np.clip(np.floor(at), 0, last_segment).astype(np.intp)
