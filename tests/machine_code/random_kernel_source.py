@@ -189,8 +189,9 @@ class Source:
 
     def _i64(self, depth: int) -> str:
         options = (
-            "int({d})", "np.int64({f})", "np.int64({u})", "np.int32({i})", "np.uint32({i})", "round_to_int({d})", "int({b})",
-            "({i} + {b})", "abs({i})", "(-{i})", "math.floor({d})", "float_to_bits(float({i}))", "np.int64({d})",
+            "int({d})", "np.int64({f})", "np.int64({u})", "np.int32({i})", "np.uint32({i})", "int({b})",
+            "round_to_int(np.float64(np.int32({i})) * 0.37)", "({i} + {b})",
+            "abs({i})", "(-{i})", "math.floor({d})", "float_to_bits(float({i}))", "np.int64({d})",
         )  # fmt: skip
         return self._integer("I64", depth) or self.filled(self.draw.choice(options), depth)
 
