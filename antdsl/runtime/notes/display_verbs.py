@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from antdsl.numerics.vector_rows import length
 from antdsl.runtime.notes.active_notes import NoteAgents
 from antdsl.runtime.notes.targets import find_target
 from antdsl.runtime.world import AXES, Population, World
@@ -32,8 +33,8 @@ def show_displays(agents: NoteAgents) -> None:
         _raise_event(agents, PLAY_MACHINE, note.played_clip)
     for group, target in note.looks.items():
         if isinstance(target, FacingDirection):
-            direction = np.array(target.direction, np.float64)
-            offset = np.broadcast_to(direction * (_FAR_MM / float(np.linalg.norm(direction))), (len(rows), 3))
+            direction = np.array([target.direction], np.float64)
+            offset = np.broadcast_to(direction * (_FAR_MM / length(direction)), (len(rows), 3))
         else:
             offset, distance = find_target(agents.world, target).find_nearest(population.position[rows])
             if not np.isfinite(distance).all():
