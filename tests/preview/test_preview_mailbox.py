@@ -175,7 +175,7 @@ def test_a_port_that_is_taken_leads_to_the_next() -> None:
         assert addresses.DEFAULT_PORT <= ports[0] < ports[1]
         assert two.addresses == (f"http://127.0.0.1:{ports[1]}/",)
         assert two.host_names == {f"{name}:{ports[1]}" for name in ("localhost", "127.0.0.1", "[::1]")}
-        with pytest.raises(ListenError, match=f"port {ports[0]} is taken"):
+        with pytest.raises(ListenError, match=f"port {ports[0]} is in use"):
             open_listening_sockets(port=ports[0])
     finally:
         one.close()
@@ -197,7 +197,7 @@ def test_a_port_taken_at_the_other_loopback_is_refused() -> None:
     with socket.socket(socket.AF_INET6) as other:
         other.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
         other.bind(("::1", 0))
-        with pytest.raises(ListenError, match="is taken"):
+        with pytest.raises(ListenError, match="is in use"):
             open_listening_sockets(port=other.getsockname()[1])
 
 
