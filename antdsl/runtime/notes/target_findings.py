@@ -65,11 +65,11 @@ def report_missed_targets(scene: Scene, world: World) -> Report:
 
 def find_far_targets(scene: Scene, world: World) -> Report:
     """Return warnings about agents that are too far from the targets of notes to be there in time, at the start of a run."""
-    report = Report()
+    report, frame = Report(), collect_selectable_frame(world)
     for number, note in enumerate(world.setting.notes):
         if not isinstance(note, ReachNote | PathNote) or note.off == "yes":
             continue
-        for name, mask in select_rows(note.selector, collect_selectable_frame(world)).items():
+        for name, mask in select_rows(note.selector, frame).items():
             p, rows = world.populations[name], np.flatnonzero(mask)
             for goal in _find_goals(world, note, p.position[rows], p.ids[rows]) if len(rows) else ():
                 most = read_max_speeds(p, rows) * goal.seconds

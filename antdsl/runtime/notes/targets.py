@@ -84,7 +84,7 @@ def find_curve(world: World, along: str | tuple[PointValue, ...]) -> SampledCurv
 
 
 class OwnPoints(NamedTuple):
-    """A point (n, 3) mm for each agent."""
+    """A point (n, 3) mm for each agent, or one (1, 3) for all."""
 
     points: Floats
 
@@ -95,15 +95,15 @@ class OwnPoints(NamedTuple):
 
 
 def find_path_points(world: World, note: PathNote, ids: NDArray[np.int64], frame: int) -> Floats:
-    """Return where the agents of a `path` are to be in a frame (n, 3), on the ground.
+    """Return where the agents of a `path` are to be in a frame, on the ground: (n, 3), or (1, 3) for all at one point.
 
     Agents that are `apart` follow each other in the order of their ids. Before the curve begins, their places are on its straight
     continuation."""
     curve, (first, last) = find_curve(world, note.along), note.frames
     share = min(max((frame - first) / max(last - first, 1), 0.0), 1.0)
-    distance = np.full(len(ids), share * curve.length)
+    distance = np.full(1, share * curve.length)
     if note.spacing is not None:
-        distance -= np.argsort(np.argsort(ids)) * note.spacing.to_millimetres(world.setting.unit_mm)
+        distance = distance - np.argsort(np.argsort(ids)) * note.spacing.to_millimetres(world.setting.unit_mm)
     last_segment = max(len(curve.samples) - 2, 0)
     at = distance / max(curve.length, 1e-9) * (last_segment + 1)
     segment = np.clip(np.floor(at), 0, last_segment).astype(np.intp)
