@@ -161,7 +161,7 @@ def _describe_missing_agent(picture: Picture, agents: Sequence[int]) -> str:
     for crowd in picture.crowds:
         counts[crowd.species] = counts.get(crowd.species, 0) + len(crowd.position)
     known = [f"{count} `{species}`" for species, count in counts.items() if count]
-    return f"there is no agent {agents[0]} for the camera to follow; frame {picture.frame} has {', '.join(known) or 'nobody'}"
+    return f"there is no agent {agents[0]} for the camera to follow; frame {picture.frame} has {', '.join(known) or 'no agents'}"
 
 
 def make_still_path(folder: Path, frame: int) -> Path:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, NamedTuple
 
 from antdsl.diagnostics import Report
@@ -55,14 +55,13 @@ def _find_machine(species: Species, key: str) -> Machine | None:
     return next((each for each in species.machines if word == "state" and each.name == name), None)
 
 
-def _settable_attributes(species: Species) -> dict[str, AttributeDecl]:
-    """Return the attributes with one number or truth value per agent, by name."""
-    kinds = (TypeKind.NUMBER, TypeKind.BOOL)
-    return {each.name: each for each in species.attributes if each.each is None and each.type.kind in kinds}
+def is_settable(attribute: AttributeDecl) -> bool:
+    """Return whether scenes may set an attribute: it has one number or truth value per agent."""
+    return attribute.each is None and attribute.type.kind in (TypeKind.NUMBER, TypeKind.BOOL)
 
 
 def _stage_attribute(line: _Line, key: str, value: str | ScenePart, *path: PathKey) -> ValueDraw | None:
-    known = _settable_attributes(line.species)
+    known = {each.name: each for each in line.species.attributes if is_settable(each)}
     if key not in known:
         names = [*known, *(f"{each.name}.state" for each in line.species.machines)]
         report_unknown(line.report, line.scene, path, f"agents of `{line.species.name}` have no attribute", names)
@@ -146,8 +145,3 @@ def _find_word(line: _Line, text: str, known: Mapping[str, float], words: str, *
         line.report.error("unknown-thing", f"{words} `{text[:60]}`", span, f"did you mean `{near}`?" if near else listed)
         return None
     return known[text]
-
-
-def iterate_used_maps(draws: Mapping[str, ValueDraw]) -> Iterator[str]:
-    """Yield the maps from which attributes are painted."""
-    return (draw.of for draw in draws.values() if draw.kind == "painted")

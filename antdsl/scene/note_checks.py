@@ -7,10 +7,11 @@ from dataclasses import replace
 from math import isfinite
 
 from antdsl.diagnostics import Report
-from antdsl.program.model import AttributeDecl, Program, TypeKind
+from antdsl.program.model import Program, TypeKind
 from antdsl.scene.casting_model import FacingDirection
 from antdsl.scene.document import PathKey
 from antdsl.scene.entry_checks import check_dimension, report_unknown
+from antdsl.scene.initial_values import is_settable
 from antdsl.scene.load import Scene
 from antdsl.scene.note_programs import LOOK_MACHINE, PLAY_MACHINE
 from antdsl.scene.notes_model import (
@@ -136,19 +137,15 @@ class _NoteCheck:
         species = sorted(_find_species(note.agents, self.scene) & self.program.species.keys()) or sorted(self.program.species)
         for name, value in note.to.items():
             path = (*self.path, "to", name)
-            fitting = [a for s in species for a in self.program.species[s].attributes if a.name == name and _is_settable(a)]
+            fitting = [a for s in species for a in self.program.species[s].attributes if a.name == name and is_settable(a)]
             if not fitting:
-                known = {a.name for s in species for a in self.program.species[s].attributes if _is_settable(a)}
+                known = {a.name for s in species for a in self.program.species[s].attributes if is_settable(a)}
                 report_unknown(self.report, self.scene, path, f"`{'`, `'.join(species)}` has no attribute", known)
             elif isinstance(value, bool) != (fitting[0].type.kind is TypeKind.BOOL):
                 help = "write `true` or `false`" if fitting[0].type.kind is TypeKind.BOOL else "write a number"
                 self.report.error("wrong-value", f"`{name}` cannot have this value", self.scene.span(*path), help)
             elif not isinstance(value, bool):
                 check_dimension(self.scene, self.report, value, fitting[0].type.dimension, name, *path)
-
-
-def _is_settable(attribute: AttributeDecl) -> bool:
-    return attribute.each is None and attribute.type.kind in (TypeKind.NUMBER, TypeKind.BOOL)
 
 
 def _find_species(selector: AnySelector | None, scene: Scene) -> set[str]:

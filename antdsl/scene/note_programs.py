@@ -5,7 +5,7 @@ and checks of bodies treat the additions like the program's own."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 from antdsl.program.kinds import BOOL_TYPE, LENGTH_TYPE, TIME_TYPE, ChangeRate, Dimension, TypeKind, ValueType
@@ -42,9 +42,9 @@ def name_look_target(group: str) -> str:
     return f"note#{group}"
 
 
-def split_state_name(name: str, machine: Machine) -> str:
+def split_state_name(name: str, machine: str) -> str:
     """Return the state's name in a machine from `STATE` or `MACHINE.STATE`."""
-    return name.removeprefix(f"{machine.name}.")
+    return name.removeprefix(f"{machine}.")
 
 
 def add_note_machines(program: Program, scene: Scene) -> Program:
@@ -80,7 +80,7 @@ def _extend_species(species: Species, notes: list[tuple[Note, Span]], scene: Sce
 
 def _add_changes(species: Species, machine: Machine, notes: Iterable[tuple[Note, Span]]) -> Machine:
     """Return a machine with a transition from every state to each state that a `change` names."""
-    spans = {split_state_name(note.to, machine): span for note, span in notes if isinstance(note, ChangeNote)}
+    spans = {split_state_name(note.to, machine.name): span for note, span in notes if isinstance(note, ChangeNote)}
     targets = [state for state in machine.states if state.name in spans]
     if not targets:
         return machine
@@ -112,8 +112,3 @@ def _make_transition(species: Species, machine: str, state: State, span: Span, f
         OperationExpr(BOOL_TYPE, ChangeRate.AGENT, span, "event", (event,)), None, None, None,
         state.index, False, (), (), span, fade,
     )  # fmt: skip
-
-
-def list_note_machines(species: Species) -> Iterator[str]:
-    """Yield the names that a species' own machines cannot have in a scene with notes."""
-    yield from (m.name for m in species.machines if m.name == PLAY_MACHINE or m.name.startswith(LOOK_MACHINE))

@@ -9,7 +9,15 @@ from antdsl.runtime.notes.active_notes import NoteAgents
 from antdsl.runtime.notes.targets import find_target
 from antdsl.runtime.world import AXES, Population, World
 from antdsl.scene.casting_model import FacingDirection
-from antdsl.scene.note_programs import LOOK_MACHINE, OFF_STATE, ON_STATE, PLAY_MACHINE, name_event, name_look_target
+from antdsl.scene.note_programs import (
+    LOOK_MACHINE,
+    OFF_STATE,
+    ON_STATE,
+    PLAY_MACHINE,
+    name_event,
+    name_look_target,
+    split_state_name,
+)
 from antdsl.scene.notes_model import ChangeNote
 
 _FAR_MM = 1e6  # mm, at which agents look that look in a direction
@@ -21,7 +29,7 @@ def change_states(agents: NoteAgents) -> None:
     assert isinstance(note, ChangeNote)
     if agents.world.display_frame == note.frame:
         for machine in population.plan.machines:
-            _raise_event(agents, machine.name, note.to.removeprefix(f"{machine.name}."))
+            _raise_event(agents, machine.name, split_state_name(note.to, machine.name))
 
 
 def show_displays(agents: NoteAgents) -> None:
