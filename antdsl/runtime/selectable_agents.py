@@ -27,7 +27,7 @@ def collect_selectable_frame(world: World) -> SelectableFrame:
 
 
 def _find_in_view(world: World, camera: str, place: NDArray[np.float64]) -> NDArray[np.bool_]:
-    return SensedCamera(world.setting.cameras[camera], np.zeros(3)).find_in_view(world.frame, place, np.zeros(len(place)))
+    return SensedCamera(world.setting.cameras[camera], np.zeros(3)).find_in_view(world.frame, place)
 
 
 def _collect_agents(world: World, population: Population) -> SelectableAgents:

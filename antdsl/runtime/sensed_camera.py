@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,17 @@ from antdsl.scene.setting import DEFAULT_FOCAL_MM, SENSOR_WIDTH_MM, CameraData
 
 VIEW_ASPECT = 16 / 9  # width over height of the picture that `in_view` is about
 Floats = NDArray[np.float64]
+
+
+class ViewPyramid(NamedTuple):
+    """What a camera sees: all between four planes through the `eye` (3,).
+
+    `ahead` (3,): the unit axis of the view. `sides`: the unit axes (3,) to the right and the top of the picture, each with the
+    tangent of half the angle of view along it."""
+
+    eye: Floats
+    ahead: Floats
+    sides: tuple[tuple[Floats, float], tuple[Floats, float]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -27,17 +39,22 @@ class SensedCamera:
         place: Floats = self.data.at[self.data.find_row(frame)] - self.origin
         return place
 
-    def find_in_view(self, frame: int, place: Floats, margin: Floats) -> NDArray[np.bool_]:
-        """Return which positions (n, 3) the picture at a frame shows, or would show with `margin` (mm) more room on each side.
-
-        A margin below 0 leaves out what is near the edge."""
+    def find_pyramid(self, frame: int) -> ViewPyramid:
+        """Return what the camera sees at a frame."""
         row = self.data.find_row(frame)
         eye, aim = self.data.at[row] - self.origin, self.data.look_at[row] - self.origin
         right, up, ahead = compute_view_axes(eye, aim, self.data.up[row])
+        across = SENSOR_WIDTH_MM / 2 / (float(self.data.focal[row]) or DEFAULT_FOCAL_MM)
+        return ViewPyramid(eye, ahead, ((right, across), (up, across / VIEW_ASPECT)))
+
+    def find_in_view(self, frame: int, place: Floats, margin: Floats | float = 0.0) -> NDArray[np.bool_]:
+        """Return which positions (n, 3) the picture at a frame shows, or would show with `margin` (mm) more room on each side.
+
+        A margin below 0 leaves out what is near the edge."""
+        eye, ahead, sides = self.find_pyramid(frame)
         offset = vec.subtract(place.T, eye)
         depth = vec.dot(offset, ahead)
-        across = SENSOR_WIDTH_MM / 2 / (float(self.data.focal[row]) or DEFAULT_FOCAL_MM)
         is_in_view: NDArray[np.bool_] = depth > -margin
-        for axis, tangent in ((right, across), (up, across / VIEW_ASPECT)):
+        for axis, tangent in sides:
             is_in_view &= np.abs(vec.dot(offset, axis)) - depth * tangent <= margin * np.sqrt(1 + tangent * tangent)
         return is_in_view

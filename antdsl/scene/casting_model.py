@@ -14,7 +14,6 @@ from antdsl import limits
 from antdsl.diagnostics.suggestion import find_nearest_name
 from antdsl.program.model import Dimension
 from antdsl.scene.quantities import Quantity, QuantityError, parse_quantity, split_quantity
-from antdsl.scene.selectors import Ball, Box
 from antdsl.scene.values import (
     AnyQuantity,
     PointOrName,
@@ -170,10 +169,6 @@ def _find_facing_tag(value: Any) -> str:
 Facing = Annotated[
     Annotated[FacingDirection, Tag("direction-facing")] | Annotated[PointOrName, Tag("place-facing")],
     Discriminator(_find_facing_tag),
-]
-Volume = Annotated[
-    Annotated[Box, Tag("box-region")] | Annotated[Ball, Tag("ball-region")],
-    Discriminator(lambda value: "ball-region" if isinstance(value, dict) and "around" in value else "box-region"),
 ]
 
 

@@ -10,9 +10,10 @@ from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
 
 from antdsl import limits
 from antdsl.program.tables.vocabulary import LENGTH_DIMENSION
-from antdsl.scene.casting_model import Clumps, EachValues, Facing, Ranks, Rate, SecondsValue, Volume, convert_rate
+from antdsl.scene.casting_model import Clumps, EachValues, Facing, Ranks, Rate, SecondsValue, convert_rate
 from antdsl.scene.library_bodies import BODY_WORDS
 from antdsl.scene.quantities import Quantity
+from antdsl.scene.selectors import Region
 from antdsl.scene.values import (
     FilePath,
     FrameRangeValue,
@@ -89,7 +90,7 @@ class Placement(ScenePart):
     seed: Annotated[int, BeforeValidator(parse_integer_between(0, 2**64 - 1))] | None = None
     along: SceneName | None = None
     edge: SceneName | None = None
-    volume: Volume | None = Field(default=None, alias="in")
+    volume: Region | None = Field(default=None, alias="in")
     ranks: Ranks | None = None
     clumps: Clumps | None = None
     facing: Facing | None = None

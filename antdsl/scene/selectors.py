@@ -164,6 +164,16 @@ def combine_selector(of: AnySelector | None, keys: SelectorKeys) -> AnySelector:
     return AgentConditions.model_construct(of=of, **values)
 
 
+def reads_frame(selector: AnySelector | None) -> bool:
+    """Return whether a selector depends on positions or states of a frame, and not only on ids."""
+    if selector is None or isinstance(selector, AgentName):
+        return False
+    if isinstance(selector, tuple):
+        return any(map(reads_frame, selector))
+    own = (selector.state, selector.near, selector.region, selector.in_view)
+    return any(each is not None for each in own) or reads_frame(selector.of) or reads_frame(selector.without)
+
+
 @dataclass(frozen=True, slots=True)
 class SelectorNames:
     """The names that selectors may use.

@@ -18,7 +18,7 @@ from antdsl.outputs.edits.frame_rows import SPECIES_PER_KEY
 from antdsl.runtime.sensed_camera import SensedCamera
 from antdsl.scene.line_ids import LineIds
 from antdsl.scene.selection import SelectableAgents, SelectableFrame, StateColumn, select_rows
-from antdsl.scene.selectors import AgentName, AnySelector, SelectorNames
+from antdsl.scene.selectors import AnySelector, SelectorNames, reads_frame
 from antdsl.scene.thing_models import UNIT_MM
 
 ViewFinder = Callable[[str, NDArray[np.float64]], NDArray[np.bool_]]
@@ -34,7 +34,7 @@ class Selection:
 
     def find(self, keys: LongArray) -> NDArray[np.bool_]:
         """Return which agents are selected, by their keys (`make_agent_keys`)."""
-        if needs_frame(self.selector):
+        if reads_frame(self.selector):
             return np.isin(keys, self._keys_of_frame)
         return select_agents(
             self.selector, {"id": keys // SPECIES_PER_KEY, "species": keys % SPECIES_PER_KEY}, self.cache.manifest
@@ -49,18 +49,7 @@ class Selection:
 
 def _find_in_view(cache: Cache, frame: int, camera: str, place: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Return which positions (n, 3), in mm from the scene's zero point, a camera sees in a frame."""
-    return SensedCamera(read_camera(cache, camera), np.zeros(3)).find_in_view(frame, place, np.zeros(len(place)))
-
-
-def needs_frame(selector: AnySelector) -> bool:
-    """Return whether a selector depends on positions or states."""
-    if isinstance(selector, AgentName):
-        return False
-    if isinstance(selector, tuple):
-        return any(needs_frame(each) for each in selector)
-    own = (selector.state, selector.near, selector.region, selector.in_view)
-    inner = (each for each in (selector.of, selector.without) if each is not None)
-    return any(each is not None for each in own) or any(needs_frame(each) for each in inner)
+    return SensedCamera(read_camera(cache, camera), np.zeros(3)).find_in_view(frame, place)
 
 
 def list_selector_names(manifest: Manifest) -> SelectorNames:

@@ -16,10 +16,11 @@ from antdsl.outputs.cache.manifest import Manifest, MeshEntry
 from antdsl.outputs.edits.agent_moves import make_moves
 from antdsl.outputs.edits.edit_layer import AgentsLine, EditFile, EditInputs, EditLayer
 from antdsl.outputs.edits.grounding import Grounds, move_on_ground
-from antdsl.outputs.edits.placing import REQUIRED_ARRAYS, UP_BY_AXIS
+from antdsl.outputs.edits.placing import REQUIRED_ARRAYS
 from antdsl.outputs.edits.terrain import Ground
 from antdsl.program.tables.things import MESH_GROUND_KIND
 from antdsl.scene.selectors import Selector
+from antdsl.scene.thing_models import UP_VECTORS
 from antdsl.scene.values import SceneWord
 
 
@@ -89,7 +90,7 @@ class DropLayer(EditLayer):
         if not len(rows) or new is None or old is None:
             return arrays
         moves = make_moves(rows, np.asarray(arrays["P"], np.float64)[rows])
-        return move_on_ground(arrays, self.manifest, moves, Grounds(old, new, -UP_BY_AXIS[self.manifest.up]))
+        return move_on_ground(arrays, self.manifest, moves, Grounds(old, new, -np.array(UP_VECTORS[self.manifest.up])))
 
 
 def _make_name(path: str, manifest: Manifest) -> str:

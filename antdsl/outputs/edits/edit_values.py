@@ -9,12 +9,12 @@ from pydantic import BeforeValidator
 
 from antdsl import limits
 from antdsl.program.model import Dimension
+from antdsl.scene.notes_model import DEFAULT_EASE_FRAMES as DEFAULT_EASE_FRAMES
+from antdsl.scene.notes_model import FrameCount as FrameCount
 from antdsl.scene.quantities import Quantity, QuantityError, parse_quantity
 from antdsl.scene.values import make_error, parse_integer_between
 
 MAX_FACTOR = 100.0
-DEFAULT_EASE_FRAMES = 6
-FrameCount = Annotated[int, BeforeValidator(parse_integer_between(0, 10_000))]
 FrameOffset = Annotated[int, BeforeValidator(parse_integer_between(-limits.MAX_FRAMES, limits.MAX_FRAMES))]
 
 

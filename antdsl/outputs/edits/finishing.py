@@ -20,7 +20,7 @@ from antdsl.outputs.cache.frame_agents import IDENTITY_ARRAYS, get_species_numbe
 from antdsl.outputs.cache_bodies import CacheBodies
 from antdsl.outputs.edits.agent_moves import find_axes, make_moves
 from antdsl.outputs.edits.edit_layer import AgentsLine, EditLayer
-from antdsl.outputs.edits.frame_rows import FrameRows
+from antdsl.outputs.edits.frame_rows import FrameRows, match_rows
 from antdsl.outputs.edits.grounding import Grounds, move_on_ground
 from antdsl.outputs.edits.terrain import MirroredTerrain
 from antdsl.scene.body_choice import number_of_key, species_of_key
@@ -198,9 +198,8 @@ def _collect_side_orientations(
         if other is None or not len(other.key):
             is_present[:] = False
         else:
-            order = np.argsort(other.key, kind="stable")
-            at = order[np.minimum(np.searchsorted(other.key[order], current.key), len(order) - 1)]
-            is_present &= other.key[at] == current.key
+            at, is_there = match_rows(current.key, other.key)
+            is_present &= is_there
             orient = np.where(is_present[:, None], other.orient[at], last)
             last = np.where((orient * last).sum(axis=1)[:, None] < 0, -orient, orient)
         count[is_present] = k

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.numerics.records import match_ids
 from antdsl.outputs.cache.cache_reader import Arrays
 from antdsl.outputs.cache.frame_agents import (
     ALWAYS_SAVED_ARRAYS,
@@ -134,8 +135,8 @@ def match_rows(keys: LongArray, others: LongArray) -> tuple[NDArray[np.intp], ND
     if not len(others):
         return np.zeros(len(keys), np.intp), np.zeros(len(keys), np.bool_)
     order = np.argsort(others, kind="stable")
-    at = order[np.minimum(np.searchsorted(others[order], keys), len(others) - 1)]
-    return at, others[at] == keys
+    at, is_there = match_ids(keys, others[order])
+    return order[at], is_there
 
 
 def _split_name(name: str) -> tuple[str, str]:

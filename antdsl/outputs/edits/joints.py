@@ -16,7 +16,7 @@ from antdsl.outputs.cache_bodies import CacheBodies
 from antdsl.outputs.edits.agent_moves import IDENTITY
 from antdsl.outputs.edits.edit_layer import EditLayer, NotEditable
 from antdsl.outputs.edits.frame_rows import FrameRows
-from antdsl.outputs.edits.placing import EasedLine, compute_ease, convert_displacement
+from antdsl.outputs.edits.placing import EasedLine, compute_line_ease, convert_displacement
 from antdsl.scene.selectors import Selector
 from antdsl.scene.values import Angle, PointValue, SceneWord, make_error
 
@@ -62,12 +62,12 @@ class OffsetLayer(EditLayer):
 
     def is_active(self, number: int) -> bool:
         """Return whether the edit changes a frame."""
-        return compute_ease(self.line, number) > 0
+        return compute_line_ease(self.line, number) > 0
 
     def change_frame(self, number: int, arrays: Arrays) -> Arrays:
         """Return a frame in which the joint of the selected agents is elsewhere."""
         angles = np.array([each.number for each in self.line.rotate or ()] or [0.0, 0.0, 0.0])
-        share = compute_ease(self.line, number)
+        share = compute_line_ease(self.line, number)
         turn = slerp(IDENTITY[None], angles_to_quaternion(angles[None], "xyz"), np.array([share]))
         by = np.zeros(3) if self.line.by is None else share * convert_displacement(self.line.by, self.manifest)
         selected = np.flatnonzero(self.selection.find(make_agent_keys(arrays)))

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field, model_validator
 
 from antdsl.bodies.agents.transforms import Floats
+from antdsl.numerics.easing import compute_ease
 from antdsl.outputs.cache.cache_reader import Arrays
 from antdsl.outputs.cache.manifest import Manifest
 from antdsl.outputs.edits.agent_moves import AgentMoves, find_axes, make_moves, make_rotation, move_agents, rotate
@@ -21,10 +22,9 @@ from antdsl.outputs.edits.edit_values import DEFAULT_EASE_FRAMES, Factor, FrameC
 from antdsl.outputs.edits.frame_rows import FrameRows
 from antdsl.outputs.edits.grounding import Grounds, move_on_ground
 from antdsl.scene.selectors import Selector
-from antdsl.scene.thing_models import UNIT_MM
+from antdsl.scene.thing_models import UNIT_MM, UP_VECTORS
 from antdsl.scene.values import Angle, PointOrName, PointValue, make_error, parse_one_of
 
-UP_BY_AXIS = {"y": np.array([0.0, 1.0, 0.0]), "z": np.array([0.0, 0.0, 1.0])}
 _EACH = "each"
 REQUIRED_ARRAYS = ("id", "P", "orient", "pscale")
 
@@ -125,14 +125,14 @@ class PlacingLayer(EditLayer):
 
     def is_active(self, number: int) -> bool:
         """Return whether the edit changes a frame."""
-        return compute_ease(self.line, number) > 0
+        return compute_line_ease(self.line, number) > 0
 
     def change_frame(self, number: int, arrays: Arrays) -> Arrays:
         """Return a frame with the selected agents elsewhere."""
         agents = self.take_agents(number, arrays)
         if not len(agents.rows):
             return arrays
-        moves = self.place(agents, arrays).scale(compute_ease(self.line, number), agents.position)
+        moves = self.place(agents, arrays).scale(compute_line_ease(self.line, number), agents.position)
         ground = self.inputs.ground.at(number) if self.line.ground == "follow" and self.inputs.ground else None
         if ground is None:
             return move_agents(arrays, self.manifest, moves)
@@ -152,7 +152,7 @@ class PlacingLayer(EditLayer):
     @property
     def up(self) -> Floats:
         """Return the scene's unit vector up."""
-        return UP_BY_AXIS[self.manifest.up]
+        return np.array(UP_VECTORS[self.manifest.up])
 
     @cached_property
     def first_agents(self) -> MovedAgents:
@@ -171,13 +171,9 @@ class PlacingLayer(EditLayer):
         return convert_displacement(value, self.manifest) - self.manifest.origin
 
 
-def compute_ease(line: EasedLine, number: int) -> float:
+def compute_line_ease(line: EasedLine, number: int) -> float:
     """Return how far a line applies in a frame, from 0 to 1."""
-    if line.frames is None:
-        return 1.0
-    away = max(line.frames.first - number, number - line.frames.last, 0)
-    share = max(1.0 - away / (line.ease + 1), 0.0)
-    return float(share * share * (3 - 2 * share))
+    return 1.0 if line.frames is None else compute_ease(*line.frames, line.ease, number)
 
 
 def convert_displacement(value: Any, manifest: Manifest) -> Floats:

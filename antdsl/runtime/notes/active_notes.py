@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.numerics.easing import compute_ease
 from antdsl.runtime.world import Population, World
 
 if TYPE_CHECKING:
@@ -60,14 +61,4 @@ class NoteAgents:
 
 def compute_weight(note: Note, frame: int) -> float:
     """Return the share of a note in a frame: 1 in its frames, rising and falling smoothly in the frames of its ease."""
-    if note.first_frame <= frame <= note.last_frame:
-        return 1.0
-    distance = note.first_frame - frame if frame < note.first_frame else frame - note.last_frame
-    return float(smooth_share(np.array(1.0 - distance / (note.ease_frames + 1))))
-
-
-def smooth_share(share: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return shares cut to 0 to 1, with a smooth beginning and end."""
-    cut = np.clip(share, 0.0, 1.0)
-    smooth: NDArray[np.float64] = cut * cut * (3.0 - 2.0 * cut)
-    return smooth
+    return compute_ease(note.first_frame, note.last_frame, note.ease_frames, frame)

@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.numerics import elementary
+from antdsl.numerics.easing import smooth_share
 from antdsl.numerics.records import match_ids
 from antdsl.numerics.vector_rows import dot, length
-from antdsl.runtime.notes.active_notes import NoteAgents, smooth_share
+from antdsl.runtime.notes.active_notes import NoteAgents
 from antdsl.runtime.notes.targets import OwnPoints, TargetPoints, find_goal, find_path_points
 from antdsl.runtime.notes.wishes import Floats, lay_on_ground, read_max_speeds, wish_velocities
 from antdsl.scene.notes_model import PathNote, ReachNote
@@ -20,7 +21,6 @@ _URGENT_SHARES = 0.85, 0.95  # of the greatest speed: the share of the other lay
 _CATCH_UP_SECONDS = 0.25  # s, in which an agent comes back to the moving point of its path
 _AVOIDED_SIZES = 4.0  # bodies: how far agents keep away from their target before they leave for it
 _NOT_LEFT = np.iinfo(np.int64).min  # stands for the frame of a departure that has not been
-ARRIVAL_SIZES = 0.1  # of a body: an agent this near has reached its target
 
 
 class Journey(NamedTuple):

@@ -25,7 +25,7 @@ from antdsl.runtime.selectable_agents import collect_selectable_frame
 from antdsl.runtime.world import Population, World
 from antdsl.scene.notes_model import Note
 from antdsl.scene.selection import SelectableFrame, select_ids
-from antdsl.scene.selectors import AgentConditions, AgentName, AnySelector
+from antdsl.scene.selectors import reads_frame
 from antdsl.scene.setting import WorldSetting
 
 _PACE_KEY = "pace"  # of the shares of the speed in the last step
@@ -130,7 +130,7 @@ class NoteRun:
         """Return the living agents of a note, by species. Positions and states are read once, when the note begins."""
         selector = note.selector
         names = {species: f"{key}.{species}.ids" for species in world.populations}
-        if not _reads_frame(selector):
+        if not reads_frame(selector):
             selected = select_ids(selector, frame)
         elif not names.values() & self.memory.keys():
             selected = select_ids(selector, frame)
@@ -167,13 +167,3 @@ class NoteRun:
                 slow = rows[own[rows] != 1]
                 slow = slow[np.argsort(population.ids[slow])]
                 self.memory[ids_name], self.memory[shares_name] = population.ids[slow], own[slow]
-
-
-def _reads_frame(selector: AnySelector | None) -> bool:
-    """Return whether a selector depends on positions or states, and not only on ids."""
-    if selector is None or isinstance(selector, AgentName):
-        return False
-    if isinstance(selector, AgentConditions):
-        own = (selector.state, selector.near, selector.region, selector.in_view)
-        return any(each is not None for each in own) or _reads_frame(selector.of) or _reads_frame(selector.without)
-    return any(map(_reads_frame, selector))

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.numerics.easing import smooth_share
 from antdsl.numerics.randomness import draw_uniform
-from antdsl.runtime.notes.active_notes import NoteAgents, smooth_share
+from antdsl.runtime.notes.active_notes import NoteAgents
 from antdsl.scene.notes_model import ReleaseNote, RetimeNote
 
 Shares = NDArray[np.float32]

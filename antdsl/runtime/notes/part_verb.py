@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from antdsl.numerics.easing import smooth_share
 from antdsl.numerics.vector_rows import dot, length
-from antdsl.runtime.notes.active_notes import NoteAgents, smooth_share
+from antdsl.runtime.notes.active_notes import NoteAgents
 from antdsl.runtime.notes.outlines import find_centre, find_outlines, measure_outlines
 from antdsl.runtime.notes.regions import RegionDistances, cut_inward_steps
 from antdsl.runtime.notes.wishes import Floats, lay_on_ground, read_max_speeds, wish_velocities

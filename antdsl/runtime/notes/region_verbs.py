@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from antdsl.numerics.easing import smooth_share
 from antdsl.numerics.vector_rows import length
-from antdsl.runtime.notes.active_notes import NoteAgents, smooth_share
+from antdsl.runtime.notes.active_notes import NoteAgents
 from antdsl.runtime.notes.pace_verbs import Shares
 from antdsl.runtime.notes.regions import compute_region_share, cut_inward_steps, measure_note_region
 from antdsl.runtime.notes.targets import find_curve, find_goal

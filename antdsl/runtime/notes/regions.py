@@ -6,15 +6,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from antdsl.numerics.vector_rows import compute_view_axes, dot, length
-from antdsl.runtime.notes.active_notes import NoteAgents, smooth_share
+from antdsl.numerics.easing import smooth_share
+from antdsl.numerics.vector_rows import dot, length
+from antdsl.runtime.notes.active_notes import NoteAgents
 from antdsl.runtime.notes.targets import find_curve, find_item_points
 from antdsl.runtime.notes.wishes import Floats
-from antdsl.runtime.sensed_camera import VIEW_ASPECT
+from antdsl.runtime.sensed_camera import SensedCamera
 from antdsl.runtime.world import World
 from antdsl.scene.notes_model import Band, NoteRegion, RegionNote, View
 from antdsl.scene.selectors import Ball, Box
-from antdsl.scene.setting import DEFAULT_FOCAL_MM, SENSOR_WIDTH_MM
 from antdsl.scene.thing_models import convert_point
 
 
@@ -51,13 +51,9 @@ def _find_centre(world: World, ball: Ball) -> Floats:
 
 def _measure_view(world: World, view: View, position: Floats) -> RegionDistances:
     """Return the distances from the pyramid that a camera sees in the new frame: of its planes, the one that is farthest out."""
-    camera = world.setting.cameras[view.in_view]
-    row = camera.find_row(world.display_frame)
-    eye = camera.at[row] - world.origin
-    right, up, ahead = compute_view_axes(eye, camera.look_at[row] - world.origin, camera.up[row])
-    across = SENSOR_WIDTH_MM / 2 / (float(camera.focal[row]) or DEFAULT_FOCAL_MM)
-    sides = ((right, across), (-right, across), (up, across / VIEW_ASPECT), (-up, across / VIEW_ASPECT))
-    normals = [-ahead, *((axis - tangent * ahead) / np.sqrt(1 + tangent * tangent) for axis, tangent in sides)]
+    eye, ahead, sides = SensedCamera(world.setting.cameras[view.in_view], world.origin).find_pyramid(world.display_frame)
+    outward = ((sign * axis, tangent) for axis, tangent in sides for sign in (1, -1))
+    normals = [-ahead, *((axis - tangent * ahead) / np.sqrt(1 + tangent * tangent) for axis, tangent in outward)]
     offset = position - eye
     beyond = np.stack([dot(offset, np.broadcast_to(normal, offset.shape)) for normal in normals], axis=1)
     farthest = beyond.argmax(axis=1)

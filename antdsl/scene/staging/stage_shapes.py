@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 from antdsl.diagnostics.suggestion import find_nearest_name
 from antdsl.scene import setting as stage_of
-from antdsl.scene.casting_model import FACING_WORDS, Facing, FacingDirection, Ranks, Volume
+from antdsl.scene.casting_model import FACING_WORDS, Facing, FacingDirection, Ranks
 from antdsl.scene.crowd_data import ClumpsData, FacingData, ItemCentre, RanksData, VolumeData
 from antdsl.scene.crowd_model import Placement
 from antdsl.scene.document import PathKey
 from antdsl.scene.load import Scene
 from antdsl.scene.quantities import Quantity
-from antdsl.scene.selectors import Box
+from antdsl.scene.selectors import Box, Region
 from antdsl.scene.thing_models import convert_point
 from antdsl.scene.values import PointValue
 
@@ -77,7 +77,7 @@ def _stage_ranks(scene: Scene, ranks: Ranks, number: int) -> RanksData:
     return RanksData(columns, -(-count // columns), _read_length(scene, across), _read_length(scene, along))
 
 
-def _stage_volume(staging: SceneStaging, item_points: PointsByName, volume: Volume, *path: PathKey) -> VolumeData | None:
+def _stage_volume(staging: SceneStaging, item_points: PointsByName, volume: Region, *path: PathKey) -> VolumeData | None:
     unit_mm = staging.scene.model.unit_mm
     if isinstance(volume, Box):
         corner, opposite = convert_point(volume.corner, unit_mm), convert_point(volume.opposite, unit_mm)
