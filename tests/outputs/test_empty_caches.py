@@ -151,7 +151,7 @@ def test_every_camera_draws_frames_without_agents(cache: Cache, camera: str) -> 
     drawer = FrameDrawer(options.gallery(cache), options, chosen, 1)
     assert all(drawer.draw(frame).shape == (27, 48, 3) for frame in dict.fromkeys(chosen))
     if camera == "eye" and not min(counts):
-        with pytest.raises(AgentMissing, match=f"no agent 7 for the camera to follow; frame {chosen[1]} has nobody"):
+        with pytest.raises(AgentMissing, match=f"no agent 7 for the camera to follow; frame {chosen[1]} has no agents"):
             FrameDrawer(options.gallery(cache), DrawRequest(48, 27, camera, (), agents=(7,)), chosen[1:2], 1)
 
 
