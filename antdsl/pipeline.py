@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from antdsl import __version__
 from antdsl.diagnostics import Report
 from antdsl.loading import LoadedSources, ParsedFileCache, SharedParsedFiles
-from antdsl.numerics.float_environment import standard_floats
+from antdsl.numerics.processor.float_environment import standard_floats
 from antdsl.safe_read import resolve_path
 
 if TYPE_CHECKING:
@@ -131,10 +131,10 @@ def open_scene(
     path = Path(path)
     from antdsl import passes, plan
     from antdsl.bodies.crowd_bodies import load_crowd_bodies
+    from antdsl.scene.checks.scene_checks import resolve_layer_order
     from antdsl.scene.field_settings import replace_field_settings
-    from antdsl.scene.note_programs import add_note_machines
+    from antdsl.scene.notes.note_programs import add_note_machines
     from antdsl.scene.overrides import apply_field_changes, apply_param_changes, read_overrides
-    from antdsl.scene.scene_checks import resolve_layer_order
     from antdsl.scene.staging.stage_scene import build_setting
 
     choices = choices or RunChoices()
@@ -186,10 +186,10 @@ def _read_scene(
     texts: Mapping[Path, bytes] | None = None,
 ) -> tuple[Scene | None, Program | None, LoadedSources, Report]:
     """Return the scene, its programs checked together, their sources, and a report of how scene and programs match."""
+    from antdsl.scene.checks.scene_checks import match_scene
     from antdsl.scene.load import load_scene, load_text
     from antdsl.scene.overrides import read_overrides
     from antdsl.scene.paths import Roots
-    from antdsl.scene.scene_checks import match_scene
 
     if data is None:
         scene, report = load_scene(path, choices.grants)
@@ -278,7 +278,7 @@ def check_path(
     `parsed`: a cache for many files. With it, findings about a program have one location, whichever file names the program.
     `specs`: also check that the scenes of the program's specs exist.
     """
-    from antdsl.scene.existence_checks import check_spec_scenes
+    from antdsl.scene.checks.existence_checks import check_spec_scenes
 
     choices = choices or RunChoices()
     if path.suffix == ".ant":
@@ -290,7 +290,7 @@ def check_path(
     setting = None
     if scene is not None and program is not None and report.ok and scene.model.world:
         from antdsl.bodies.crowd_bodies import load_crowd_bodies
-        from antdsl.scene.notes_model import GOAL_VERBS
+        from antdsl.scene.notes.notes_model import GOAL_VERBS
         from antdsl.scene.overrides import read_overrides
         from antdsl.scene.staging.stage_scene import build_setting
 

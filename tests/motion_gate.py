@@ -23,7 +23,7 @@ from torture_walks import shapes
 from antdsl.outputs.recording import begin_recording, record_frames
 from antdsl.pipeline import RunChoices, Shot, open_scene
 from antdsl.runtime import Options
-from antdsl.runtime.moving.capsules import find_capsule
+from antdsl.runtime.moving.contacts.capsules import find_capsule
 from antdsl.scene.values import FrameRange
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -8,7 +8,7 @@ import numpy as np
 
 from antdsl.machine_code.kernels import BOOL, F64, I64, Array1, Array2, allocate_scratch, kernel
 from antdsl.runtime import World
-from antdsl.runtime.neighbourhood import build_nearest_search
+from antdsl.runtime.sensing.neighbourhood import build_nearest_search
 from antdsl.runtime.world import Population
 from antdsl.senses import nearest_others as others
 from antdsl.senses.clear_velocity import find_nearest_velocity, set_velocity_border

@@ -20,7 +20,7 @@ from antdsl.bench.ratios import measure_in_turn
 from antdsl.machine_code import llvm_compiler
 from antdsl.machine_code.object_cache import CACHE_VARIABLE
 from antdsl.numerics import stored_tables
-from antdsl.numerics.host import measure_memory
+from antdsl.numerics.processor.host import measure_memory
 from antdsl.pipeline import Shot
 from antdsl.plan.traverse import collect_required_nodes, iterate_statements, list_blocks, list_operands
 from antdsl.runtime import Options, World, bind, step

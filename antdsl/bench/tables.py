@@ -15,7 +15,7 @@ from antdsl import __version__
 from antdsl.bench.cases import CASES
 from antdsl.bench.costs import Measurement
 from antdsl.bench.ratios import MIN_PAIRS, compute_bootstrap_interval
-from antdsl.numerics.host import read_processor_name
+from antdsl.numerics.processor.host import read_processor_name
 
 REPORTED_PACKAGES = ("numpy", "scipy", "llvmlite", "open3d", "open3d-cpu")
 

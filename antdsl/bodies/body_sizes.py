@@ -13,7 +13,7 @@ from antdsl.plan.lowering.birth import is_standing
 from antdsl.plan.lowering.writer import BodyProportions
 from antdsl.program.kinds import Dimension
 from antdsl.program.model import AttributeDecl, Constant, Expr, OperationExpr, ParamRef, Program, Species
-from antdsl.scene.entry_checks import convert_constant
+from antdsl.scene.checks.entry_checks import convert_constant
 from antdsl.scene.library_bodies import CAPSULE_BY_BODY
 from antdsl.scene.load import Scene
 

@@ -24,8 +24,8 @@ from antdsl.limits import MAX_WORN_LAYERS
 from antdsl.plan.lowering.writer import BodyProportions
 from antdsl.program.model import Channel, ClipTest, Look, Machine, Play, Program, Species, Wear
 from antdsl.program.traverse import iterate_parts
-from antdsl.scene.body_choice import body_key, number_of_key, species_of_key
-from antdsl.scene.existence_checks import body_span
+from antdsl.scene.checks.existence_checks import body_span
+from antdsl.scene.crowds.body_choice import body_key, number_of_key, species_of_key
 from antdsl.scene.library_bodies import BODY_WORDS, CAPSULE_BY_BODY, find_body_for_species
 from antdsl.scene.load import Scene
 from antdsl.scene.setting import BodyCapsuleData, ClipData, LegsData

@@ -177,7 +177,7 @@ def limit_threads() -> None:
     """Limit threads if the address space of this process is limited. The linear algebra library of NumPy, not loaded yet,
     reserves memory for each thread, and ends the process if it gets none. Raises CommandError if the limit is too low even for
     one thread."""
-    from antdsl.numerics.host import get_address_space_limit
+    from antdsl.numerics.processor.host import get_address_space_limit
 
     most = get_address_space_limit()
     if most == inf:

@@ -25,7 +25,7 @@ def estimate_work(shot: Shot) -> list[WorkEstimate]:
     from antdsl.plan.registers import count_bytes_by_purpose
     from antdsl.program.model import Constant
     from antdsl.runtime.binding.work_estimates import estimate_world_work
-    from antdsl.scene.entry_checks import convert_constant
+    from antdsl.scene.checks.entry_checks import convert_constant
 
     sizes = {name: sum(count_bytes_by_purpose(species).values()) for name, species in shot.plan.species.items()}
     fields = {
@@ -39,7 +39,7 @@ def estimate_work(shot: Shot) -> list[WorkEstimate]:
 def require_memory(shots: Sequence[Shot], parallel_runs: int = 1, runs_per_shot: int = 1) -> None:
     """End the command if the `parallel_runs` largest runs need more than 80 % of the available memory. Each shot is run
     `runs_per_shot` times. The message names the largest allocations; its location is where the scene causes the largest one."""
-    from antdsl.numerics.host import measure_available_memory
+    from antdsl.numerics.processor.host import measure_available_memory
 
     available = measure_available_memory()
     works = sorted(

@@ -19,7 +19,7 @@ import typer
 
 from antdsl.cli.exits import CommandError, ExitCode
 from antdsl.cli.printing.messages import print_note
-from antdsl.numerics.host import count_available_cores
+from antdsl.numerics.processor.host import count_available_cores
 
 if TYPE_CHECKING:
     from antdsl.executors import Engine, Task, TaskOutcome

@@ -15,7 +15,7 @@ from antdsl.cli.exits import CommandError, ExitCode
 from antdsl.cli.memory_demand import require_memory
 from antdsl.cli.printing.messages import print_note
 from antdsl.cli.scheduler import SchedulerAddress, choose_stop_exit_code, open_engine, raise_on_sigterm
-from antdsl.numerics.host import count_available_cores
+from antdsl.numerics.processor.host import count_available_cores
 
 if TYPE_CHECKING:
     from antdsl.executors import Task

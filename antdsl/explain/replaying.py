@@ -18,7 +18,7 @@ from antdsl.plan.lowering.source_map import SourceNotes
 from antdsl.runtime import FaultStop, Population, World, state_hash, step
 from antdsl.runtime.moving.scripted_walks import find_guided_agents
 from antdsl.runtime.phases import PHASES
-from antdsl.scene.scene_checks import resolve_layer_order
+from antdsl.scene.checks.scene_checks import resolve_layer_order
 
 T = TypeVar("T")
 _TRACED_PHASE = "effects"  # in this phase every block has run, and its inputs are unchanged

@@ -15,7 +15,7 @@ from antdsl.program.tables.columns import COLUMN_BY_ATTRIBUTE
 from antdsl.program.tables.things import KIND_BY_WORD, KINDS_WITH_FACES
 from antdsl.scene import scene_model
 from antdsl.scene.camera_models import CAMERA_MODEL_BY_TAG
-from antdsl.scene.casting_model import FACING_WORDS
+from antdsl.scene.crowds.casting_model import FACING_WORDS
 from antdsl.scene.thing_models import ItemThing
 from antdsl.syntax import nodes
 from antdsl.syntax.words import FIELD_SETTING_WORDS, FIXED_FIELD_SETTINGS

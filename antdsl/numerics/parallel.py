@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.machine_code.kernels import I64, inlined
-from antdsl.numerics.host import count_available_cores
+from antdsl.numerics.processor.host import count_available_cores
 
 T = TypeVar("T")
 MIN_AGENTS_PER_THREAD = 1_024  # fewer agents are not worth another thread

@@ -16,7 +16,7 @@ from antdsl.machine_code.library import library_text
 from antdsl.machine_code.llvm_module import LlvmModule
 from antdsl.machine_code.memory import array_address
 from antdsl.numerics import parallel
-from antdsl.numerics.host import PARTS_PER_THREAD
+from antdsl.numerics.processor.host import PARTS_PER_THREAD
 
 ArrayPairs = Sequence[tuple[NDArray[Any], NDArray[Any]]]  # target and source of each copy
 _KERNEL_ROW_BYTES = (1, 4, 8)  # row sizes in bytes with a separate loop for selected rows

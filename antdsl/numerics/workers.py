@@ -24,8 +24,8 @@ from antdsl.machine_code import workers_text as words
 from antdsl.machine_code.kernels import direct
 from antdsl.machine_code.kernels.direct.argument_text import MAX_JOB_PARTS
 from antdsl.machine_code.memory import array_address
-from antdsl.numerics.float_environment import set_standard_floats
-from antdsl.numerics.host import PARTS_PER_THREAD
+from antdsl.numerics.processor.float_environment import set_standard_floats
+from antdsl.numerics.processor.host import PARTS_PER_THREAD
 
 T = TypeVar("T")
 _LOCK_FUNCTIONS = ("PyThread_allocate_lock", "PyThread_acquire_lock", "PyThread_release_lock")

@@ -15,7 +15,7 @@ from antdsl.bodies.posed_body import PosedBody
 from antdsl.outputs.cache.body_arrays import load_definition
 from antdsl.outputs.cache.manifest import ClipEntry, Manifest, SpeciesEntry, WornBodyEntry
 from antdsl.outputs.cache.pose_arrays import list_mask_layers
-from antdsl.scene.body_choice import body_key, body_numbers
+from antdsl.scene.crowds.body_choice import body_key, body_numbers
 from antdsl.scene.library_bodies import BODY_WORDS, find_body_for_species
 
 

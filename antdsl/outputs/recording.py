@@ -47,7 +47,7 @@ from antdsl.runtime import (
 )
 from antdsl.runtime.profiling import StepMeter
 from antdsl.scene.camera_models import FollowCamera
-from antdsl.scene.crowd_model import named_weights
+from antdsl.scene.crowds.crowd_model import named_weights
 from antdsl.scene.scene_model import SceneModel
 from antdsl.scene.setting import CameraData
 from antdsl.scene.thing_models import PlacedThing, convert_point

@@ -23,8 +23,8 @@ from antdsl.outputs.pictures.following import (
 )
 from antdsl.outputs.pictures.model import Camera, Crowd, Picture
 from antdsl.scene.camera_models import DEFAULT_CAMERA
-from antdsl.scene.line_ids import LineIds
-from antdsl.scene.selectors import parse_agent_name
+from antdsl.scene.crowds.line_ids import LineIds
+from antdsl.scene.notes.selectors import parse_agent_name
 from antdsl.scene.setting import DEFAULT_FOCAL_MM
 from antdsl.scene.thing_models import UP_VECTORS
 

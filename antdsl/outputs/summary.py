@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from typing import Any
 
-from antdsl.numerics.host import measure_peak_memory
+from antdsl.numerics.processor.host import measure_peak_memory
 from antdsl.outputs.recording import Recording
 
 

@@ -23,9 +23,9 @@ from antdsl.reload import describe_migration
 from antdsl.runtime import BindError, FaultStop, LimitStop, Options, World, bind, state_hash, step
 from antdsl.runtime.binding.start_findings import find_start_warnings
 from antdsl.runtime.profiling import StepMeter
+from antdsl.scene.checks.scene_checks import check_param
 from antdsl.scene.field_settings import list_settable_names
 from antdsl.scene.quantities import Quantity, QuantityError, parse_quantity
-from antdsl.scene.scene_checks import check_param
 
 _RESTARTED_TEXT = "simulated again from the first frame"
 _MAX_LAYER_CHARACTERS = 60  # characters of a layer in messages

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from antdsl import cpu_budget, limits
-from antdsl.numerics.host import get_address_space_limit
+from antdsl.numerics.processor.host import get_address_space_limit
 from antdsl.reader import PRELOADED_MODULES, READER_FUNCTIONS, confinement
 from antdsl.reader.private_folder import PrivateFolder
 from antdsl.reader.protocol import Arrays, PipeClosedError, ProtocolError, ReaderMessage, ReadRefusal, read_message, write_message

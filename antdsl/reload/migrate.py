@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.numerics.float_environment import standard_floats
+from antdsl.numerics.processor.float_environment import standard_floats
 from antdsl.plan import ir
 from antdsl.reload.agents import MigratedSpecies, fill_registers, migrate_agents, write_registers
 from antdsl.reload.footing import is_same_solid
@@ -25,7 +25,7 @@ from antdsl.runtime.line_tables import count_released, list_line_names, match_li
 from antdsl.runtime.motion_measures import MotionMeasures
 from antdsl.runtime.moving.moving_geometry import pose_world
 from antdsl.runtime.world import World
-from antdsl.scene.line_ids import LineIds
+from antdsl.scene.crowds.line_ids import LineIds
 from antdsl.scene.setting import CrowdData, WorldSetting
 
 _NO_IDS = np.empty(0, np.int64)

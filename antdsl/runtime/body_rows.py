@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.runtime.world import Population
-from antdsl.scene.body_choice import body_numbers
+from antdsl.scene.crowds.body_choice import body_numbers
 from antdsl.scene.setting import WorldSetting
 
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.runtime.moving.capsules import CapsuleCrowd, find_near_pairs
+from antdsl.runtime.moving.contacts.capsules import CapsuleCrowd, find_near_pairs
 from antdsl.runtime.world import Population, World
 from antdsl.senses.touching import TouchingAgents
 

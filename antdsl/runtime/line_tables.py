@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.runtime.world import World
-from antdsl.scene.line_ids import LineIds
+from antdsl.scene.crowds.line_ids import LineIds
 from antdsl.scene.setting import CrowdData, WorldSetting
 
 _NAMES, _RANGES, _CREATED = "lines.names", "lines.ranges", "lines.created"

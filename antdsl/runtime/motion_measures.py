@@ -19,9 +19,9 @@ from antdsl.numerics import vectors as vec
 from antdsl.numerics.kernel_vectors import VectorColumns
 from antdsl.numerics.parallel import compute_buffer_index
 from antdsl.runtime.binding.spacing import has_extent
-from antdsl.runtime.moving.bodies_inside import find_sampled_bodies_inside
-from antdsl.runtime.moving.capsules import measure_overlap_depths
-from antdsl.runtime.moving.head_clearance import find_heads_inside
+from antdsl.runtime.moving.clearance.bodies_inside import find_sampled_bodies_inside
+from antdsl.runtime.moving.clearance.head_clearance import find_heads_inside
+from antdsl.runtime.moving.contacts.capsules import measure_overlap_depths
 from antdsl.runtime.world import AXES
 from antdsl.senses.overlaps import measure_worst_overlaps
 

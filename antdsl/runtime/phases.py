@@ -13,7 +13,7 @@ from time import perf_counter, process_time
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.numerics.float_environment import has_standard_floats, standard_floats
+from antdsl.numerics.processor.float_environment import has_standard_floats, standard_floats
 from antdsl.numerics.sorting import compute_morton_codes, sort_stably
 from antdsl.plan.ir import ValueKind
 from antdsl.program.tables.effects import list_effects_of_phase
@@ -21,7 +21,8 @@ from antdsl.runtime import claims, digging, faults, lifecycle
 from antdsl.runtime.binding import releases
 from antdsl.runtime.faults import FaultStop
 from antdsl.runtime.feet import feet_step
-from antdsl.runtime.moving import contacts, crowd_substep, moving_geometry, scripted_walks, tilting
+from antdsl.runtime.moving import crowd_substep, moving_geometry, scripted_walks, tilting
+from antdsl.runtime.moving.contacts import contact_solver
 from antdsl.runtime.notes.wishes import FINAL_WISH, STATE_WISH
 from antdsl.runtime.world import PUSHED_REGISTER, Population, World, publish_state
 
@@ -123,13 +124,13 @@ def move_all(world: World) -> None:
             if PUSHED_REGISTER in population.now:
                 population.now[PUSHED_REGISTER].fill(0)
         for substep in range(world.setting.substeps):
-            stances = contacts.record_stances(world)
+            stances = contact_solver.record_stances(world)
             steps = [crowd_substep.move_agents(world, population, substep) for population in world.populations.values()]
             if stances is not None:
                 clear_steps = [step for step in steps if step is not None]
                 for step in clear_steps:
                     step.record()
-                contacts.resolve_contacts(world, stances, world.dt / world.setting.substeps)
+                contact_solver.resolve_contacts(world, stances, world.dt / world.setting.substeps)
                 for step in clear_steps:
                     step.correct()
         if world.notes is not None:

@@ -20,7 +20,7 @@ from antdsl.numerics.sorting import invert_order, sort_stably
 from antdsl.plan import ir
 from antdsl.program.tables.columns import FIXED_COLUMN_BY_NAME, REGISTER_COLUMN_BY_NAME
 from antdsl.runtime.requests import EffectRequests
-from antdsl.scene.line_ids import LineIds
+from antdsl.scene.crowds.line_ids import LineIds
 from antdsl.scene.setting import WorldSetting
 
 if TYPE_CHECKING:

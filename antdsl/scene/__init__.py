@@ -3,7 +3,8 @@
 `document` reads YAML and stores the location of every value.
 `inheritance` merges the scenes that a scene extends.
 `scene_model` gives the scene types.
-`scene_checks` checks it against a program.
+`crowds` and `notes` contain the models of crowd lines and of notes.
+`checks` checks a scene against a program.
 `staging` reads its files (with `geometry`) and returns the `Setting`.
 `paths` opens all files that a scene or a program names.
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from pydantic import BeforeValidator, Discriminator, Tag
 
 from antdsl import limits
-from antdsl.scene.selectors import AgentName, parse_agent_name
+from antdsl.scene.notes.selectors import AgentName, parse_agent_name
 from antdsl.scene.values import (
     FilePath,
     PointValue,

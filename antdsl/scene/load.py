@@ -261,7 +261,7 @@ def _report_unknown_key(
 
 
 def _format_path(path: tuple[PathKey, ...]) -> str:
-    from antdsl.scene.notes_model import NOTE_TAG_SUFFIX
+    from antdsl.scene.notes.notes_model import NOTE_TAG_SUFFIX
 
     above = [part for part in path[:-1] if isinstance(part, str) and not part.endswith(_UNION_TAG_SUFFIXES)]
     return f"`{above[-1].removesuffix(NOTE_TAG_SUFFIX)}`" if above else "a scene"
@@ -271,10 +271,10 @@ def _list_allowed_keys(path: tuple[PathKey, ...], further_models: Mapping[str, t
     """Return the keys that the model at a path knows."""
     from antdsl.scene import scene_model
     from antdsl.scene.camera_models import CAMERA_MODEL_BY_TAG, CameraKey
-    from antdsl.scene.casting_model import DRAW_MODELS
-    from antdsl.scene.crowd_model import LayerChoice
-    from antdsl.scene.notes_model import NOTE_MODELS, make_note_tag
-    from antdsl.scene.selectors import AgentConditions, Ball, Box
+    from antdsl.scene.crowds.casting_model import DRAW_MODELS
+    from antdsl.scene.crowds.crowd_model import LayerChoice
+    from antdsl.scene.notes.notes_model import NOTE_MODELS, make_note_tag
+    from antdsl.scene.notes.selectors import AgentConditions, Ball, Box
 
     # the last word of the path identifies the model that raised the error; tags of the schema are among the words
     models: dict[str, type[ScenePart]] = {

@@ -10,11 +10,11 @@ from antdsl.diagnostics import Report
 from antdsl.program.expectations import SpecChange
 from antdsl.program.model import Program
 from antdsl.program.types.folding import find_constant
-from antdsl.scene.entry_checks import convert_constant
+from antdsl.scene.checks.entry_checks import convert_constant
+from antdsl.scene.checks.scene_checks import check_param
 from antdsl.scene.field_settings import replace_field_setting
 from antdsl.scene.load import Scene
 from antdsl.scene.quantities import Quantity, QuantityError, parse_quantity
-from antdsl.scene.scene_checks import check_param
 
 if TYPE_CHECKING:
     from antdsl.scene.setting import WorldSetting  # imported late, because it imports NumPy and a check does not need it

@@ -14,8 +14,8 @@ from antdsl.program.tables.things import KIND_BY_WORD
 from antdsl.program.tables.units import describe_dimension
 from antdsl.scene import thing_models as forms
 from antdsl.scene.camera_models import Camera, FollowCamera, UsdCamera
+from antdsl.scene.checks.entry_checks import Entry, check_attributes, report_unknown
 from antdsl.scene.document import PathKey
-from antdsl.scene.entry_checks import Entry, check_attributes, report_unknown
 
 if TYPE_CHECKING:
     from antdsl.scene.load import Scene

@@ -12,11 +12,11 @@ from antdsl import limits
 from antdsl.diagnostics.suggestion import find_nearest_name
 from antdsl.program.tables.columns import DEFAULT_ATTRIBUTE_NAMES
 from antdsl.scene.camera_models import DEFAULT_CAMERA, Camera, Cameras, CameraValue
-from antdsl.scene.casting_model import Clumps, Ranks
-from antdsl.scene.crowd_model import CrowdLine as CrowdLine
-from antdsl.scene.crowd_model import Placement as Placement
-from antdsl.scene.crowd_model import Walk as Walk
-from antdsl.scene.notes_model import AnyNote
+from antdsl.scene.crowds.casting_model import Clumps, Ranks
+from antdsl.scene.crowds.crowd_model import CrowdLine as CrowdLine
+from antdsl.scene.crowds.crowd_model import Placement as Placement
+from antdsl.scene.crowds.crowd_model import Walk as Walk
+from antdsl.scene.notes.notes_model import AnyNote
 from antdsl.scene.scene_kinds import SCENE_KINDS
 from antdsl.scene.thing_models import UNIT_MM as UNIT_MM
 from antdsl.scene.thing_models import Axis, ItemThing, ThingModel, Unit, UsdThing

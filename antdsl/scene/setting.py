@@ -12,17 +12,17 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.scene.body_choice import body_keys
-from antdsl.scene.crowd_data import CrowdData as CrowdData
-from antdsl.scene.crowd_data import PlacementData as PlacementData
-from antdsl.scene.crowd_data import PointMm as PointMm
-from antdsl.scene.crowd_data import WalkData as WalkData
+from antdsl.scene.crowds.body_choice import body_keys
+from antdsl.scene.crowds.crowd_data import CrowdData as CrowdData
+from antdsl.scene.crowds.crowd_data import PlacementData as PlacementData
+from antdsl.scene.crowds.crowd_data import PointMm as PointMm
+from antdsl.scene.crowds.crowd_data import WalkData as WalkData
 from antdsl.scene.geometry.import_notes import MeshImport
 from antdsl.scene.staging.motion import GeometryMoves
 from antdsl.source import Span
 
 if TYPE_CHECKING:
-    from antdsl.scene.notes_model import Note
+    from antdsl.scene.notes.notes_model import Note
 
 SENSOR_WIDTH_MM, DEFAULT_FOCAL_MM = 36.0, 35.0  # of cameras
 _MAX_ORIGIN_OFFSET_MM = 1e5  # mm; if the middle of the world is nearer to the zero point, the zero point is the origin

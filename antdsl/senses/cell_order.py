@@ -17,7 +17,7 @@ from antdsl.machine_code.kernels import inlined, kernel, load_consecutive, round
 from antdsl.machine_code.kernels.types import BOOL, F32, F64, I32, I64, Array1, Array2
 from antdsl.machine_code.number_kinds import LANE_COUNT
 from antdsl.numerics import parallel
-from antdsl.numerics.host import count_available_cores
+from antdsl.numerics.processor.host import count_available_cores
 from antdsl.numerics.sorting import find_lower_bound, sort_stably
 
 Floats = NDArray[np.float32]

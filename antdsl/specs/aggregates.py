@@ -17,7 +17,7 @@ from antdsl.numerics.elementwise import FUNCTION_BY_NAME
 from antdsl.plan import ir
 from antdsl.plan.lowering.spec_blocks import AggregatePlan
 from antdsl.plan.traverse import collect_required_nodes
-from antdsl.runtime.sensing import compute_uniform_leaf
+from antdsl.runtime.sensing.world_senses import compute_uniform_leaf
 from antdsl.runtime.world import Population, World
 
 _EXACT_OPERATIONS = frozenset(("add", "sub", "neg", "abs", "min", "max", "mul", "lt", "le", "gt", "ge", "eq", "ne", "where"))

@@ -23,7 +23,7 @@ from antdsl.program.tables.units import choose_default_unit, find_unit_measure
 from antdsl.program.types.folding import find_constant
 from antdsl.runtime import BindingCache, CheckpointError, Options, World, bind, restore_checkpoint, state_hash, take_checkpoint
 from antdsl.runtime.checkpoints import Arrays
-from antdsl.scene.entry_checks import convert_constant
+from antdsl.scene.checks.entry_checks import convert_constant
 from antdsl.scene.quantities import QuantityError, parse_quantity
 from antdsl.scene.setting import WorldSetting
 from antdsl.scene.values import FrameRange

@@ -12,7 +12,7 @@ from typing import Any
 
 from antdsl import __version__
 from antdsl.executors import Engine, Task, TaskRefused, WorkerContext, convert_to_refusal, run_tasks
-from antdsl.numerics.host import read_processor_name
+from antdsl.numerics.processor.host import read_processor_name
 from antdsl.outputs.cache_start import StartError, start_from_cache
 from antdsl.outputs.recording import Recording
 from antdsl.outputs.summary import summarise_run

@@ -62,7 +62,7 @@ def shot_of(case: str, agents: int | None) -> tuple[Any, Any]:
 
 def rays_timed() -> list[float]:
     """Seconds that senses of rays take from now on, summed up."""
-    from antdsl.runtime import sensing
+    from antdsl.runtime.sensing import world_senses as sensing
 
     spent = [0.0]
 

@@ -19,7 +19,7 @@ from PIL import Image
 from antdsl import limits
 from antdsl.bodies.agents.boxes import compute_rest_box
 from antdsl.bodies.agents.definition import Binding, BodyError, Definition
-from antdsl.bodies.files.gltf_body import read_gltf
+from antdsl.bodies.files.gltf.gltf_body import read_gltf
 from antdsl.bodies.files.reading import read_definition
 from antdsl.bodies.files.writing import write_gltf
 from antdsl.bodies.posed_body import PosedBody

@@ -21,8 +21,8 @@ from antdsl.preview.viewing.action_arrays import make_action_arrays
 from antdsl.preview.viewing.body_packets import outfits
 from antdsl.runtime import Options, World, bind, feet_hash, restore_checkpoint, state_hash, step, take_checkpoint
 from antdsl.runtime.clip_values import clip_value
-from antdsl.runtime.moving.capsules import CapsuleCrowd
-from antdsl.scene.body_choice import body_numbers
+from antdsl.runtime.moving.contacts.capsules import CapsuleCrowd
+from antdsl.scene.crowds.body_choice import body_numbers
 from antdsl.scene.library_bodies import CAPSULE_BY_BODY
 
 HILL = Path(__file__).parents[2] / "examples" / "walker" / "hill.ply"

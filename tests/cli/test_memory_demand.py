@@ -7,7 +7,7 @@ from pathlib import Path
 import commands
 import pytest
 
-import antdsl.numerics.host as available
+import antdsl.numerics.processor.host as available
 from antdsl.cli.exits import CommandError, ExitCode
 from antdsl.cli.memory_demand import estimate_work, require_memory
 from antdsl.pipeline import Shot, open_scene

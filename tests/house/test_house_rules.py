@@ -132,7 +132,7 @@ OWN_FILES = {
     "machine_code/library.py": "text in LLVM's language that comes with antdsl",
     "outputs/cache/lock.py": "its own lock, and what the system tells about a process",
     "preview/serving/page_files.py": "the page that comes with antdsl",
-    "numerics/host.py": "what the system tells about processors and memory",
+    "numerics/processor/host.py": "what the system tells about processors and memory",
     "cli/printing/messages.py": "the null device",
     "scene/paths.py": "folders, part by part",
     "scene/library_bodies.py": "the list of the bodies that come with the package",

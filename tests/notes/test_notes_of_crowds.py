@@ -8,7 +8,7 @@ import numpy as np
 from directed import Track, follow, open_directed, start
 
 from antdsl.runtime import World, step
-from antdsl.runtime.sensed_camera import SensedCamera
+from antdsl.runtime.sensing.sensed_camera import SensedCamera
 
 
 def mean_speed(track: Track, first: int, last: int, chosen: np.ndarray | slice = slice(None)) -> float:

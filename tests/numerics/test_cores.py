@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from antdsl.numerics import host as module
+from antdsl.numerics.processor import host as module
 
 
 @pytest.fixture

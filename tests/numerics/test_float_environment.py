@@ -18,7 +18,7 @@ from antdsl.machine_code import llvm_compiler
 from antdsl.machine_code.entry_functions import write_inner_function
 from antdsl.machine_code.llvm_module import LlvmModule
 from antdsl.numerics import parallel
-from antdsl.numerics.float_environment import has_standard_floats, set_standard_floats, standard_floats
+from antdsl.numerics.processor.float_environment import has_standard_floats, set_standard_floats, standard_floats
 from antdsl.passes import optimise
 from antdsl.plan import ir
 from antdsl.runtime import Options, WorldSetting, bind, state_hash, step

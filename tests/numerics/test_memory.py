@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-import antdsl.numerics.host as module
+import antdsl.numerics.processor.host as module
 
 MIB = 1 << 20
 

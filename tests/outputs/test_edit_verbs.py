@@ -15,8 +15,8 @@ from antdsl.outputs.edits.edit_layer import EditInputs, NotEditable
 from antdsl.outputs.edits.edit_lines import read_edits
 from antdsl.outputs.edits.edited_cache import apply_edits, find_next_ids
 from antdsl.outputs.edits.frame_rows import SPECIES_PER_KEY, FrameRows
-from antdsl.outputs.edits.terrain import Ground
-from antdsl.outputs.edits.verbs import VERB_BY_WORD
+from antdsl.outputs.edits.verb_table import VERB_BY_WORD
+from antdsl.outputs.edits.verbs.terrain import Ground
 from antdsl.outputs.gallery import Gallery
 from antdsl.program.tables.colours import COLOUR_BY_NAME
 

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from antdsl.cli import app
 from antdsl.outputs.cache.cache_reader import make_frame_path, open_cache
-from antdsl.outputs.edits.finishing import FrameOrientations, smooth_frame
+from antdsl.outputs.edits.verbs.finishing import FrameOrientations, smooth_frame
 
 RUN = CliRunner()
 PROGRAM = """ant 1

@@ -23,9 +23,9 @@ from antdsl.outputs.pictures.model import Camera
 from antdsl.outputs.recording import begin_recording, record_frames
 from antdsl.outputs.scene_cameras import SceneCameras, find_agent
 from antdsl.runtime import Options, bind, step
-from antdsl.runtime.selectable_agents import collect_selectable_frame
-from antdsl.scene.selection import select_ids, select_rows
-from antdsl.scene.selectors import AgentConditions
+from antdsl.runtime.sensing.selectable_agents import collect_selectable_frame
+from antdsl.scene.notes.selection import select_ids, select_rows
+from antdsl.scene.notes.selectors import AgentConditions
 
 SHOT = "camera: {at: [80, 60, 80], look_at: [10, 0, 10], focal: 30 mm}"
 CAMERAS = (

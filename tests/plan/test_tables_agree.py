@@ -29,7 +29,8 @@ from antdsl.program.tables.set_senses import SET_SENSE_BY_OPERATION
 from antdsl.program.tables.things import KIND_BY_WORD
 from antdsl.program.tables.vocabulary import BUILTINS_BY_NAME, COST_BY_OPERATION, INTERVAL_BY_OPERATION, SENSE_TYPE_BY_NAME
 from antdsl.program.types import sets
-from antdsl.runtime import Options, bind, phases, sensing, step
+from antdsl.runtime import Options, bind, phases, step
+from antdsl.runtime.sensing import world_senses as sensing
 from antdsl.runtime.world import World
 from antdsl.scene.scene_kinds import SCENE_KINDS
 from antdsl.syntax.verbs import VERB_BY_WORD

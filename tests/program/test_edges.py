@@ -11,7 +11,7 @@ import pytest
 from antdsl.pipeline import RunChoices, Shot, open_scene
 from antdsl.runtime import Options, World, bind, state_hash, step
 from antdsl.runtime.checkpoints import restore_checkpoint, take_checkpoint
-from antdsl.runtime.moving.head_clearance import find_heads_inside
+from antdsl.runtime.moving.clearance.head_clearance import find_heads_inside
 from antdsl.runtime.world import Population
 from antdsl.senses.overlaps import measure_worst_overlaps
 

@@ -13,7 +13,7 @@ from plan_text import WORLD, plan_of
 from antdsl.bench.cases import find_case
 from antdsl.passes import optimise
 from antdsl.runtime import MeshData, Options, WorldSetting, bind, step
-from antdsl.runtime.moving.head_clearance import find_heads_inside
+from antdsl.runtime.moving.clearance.head_clearance import find_heads_inside
 
 ALL = (*OPTION_SETS, Options(backend="native", wait_for_code=True))
 SET_OUT = "on spawn { velocity = vector(20 mm/s, 0 mm/s, 0 mm/s); heading = vector(1, 0, 0) }\n"

@@ -8,7 +8,7 @@ from test_contacts import plan_of, points
 
 from antdsl.bodies.library import load_library_body
 from antdsl.runtime import Options, World, bind, state_hash, step
-from antdsl.runtime.moving.capsules import CapsuleCrowd, measure_overlap_depths
+from antdsl.runtime.moving.contacts.capsules import CapsuleCrowd, measure_overlap_depths
 from antdsl.scene.library_bodies import CAPSULE_BY_BODY, LOAD_FRONT_BY_BODY, WHOLE_CAPSULE_BY_BODY
 from antdsl.scene.setting import CrowdData, WorldSetting
 

@@ -27,10 +27,10 @@ from antdsl.runtime import MeshData, Options, World, WorldSetting, bind, state_h
 from antdsl.runtime.body_positions import LIFT_REGISTERS, body_positions
 from antdsl.runtime.body_rows import rows_by_body
 from antdsl.runtime.feet.wearers import wearers_of
-from antdsl.runtime.moving import clearance
-from antdsl.runtime.moving.body_paths import PATH_FLOATS, BodyShape, FacesNearby, profile_lift, trace_bends
 from antdsl.runtime.moving.body_records import BodyLimits, BodyPoses, BodyStances
-from antdsl.runtime.moving.clear_steps import body_shapes, face_search
+from antdsl.runtime.moving.clearance import clearance_kernels as clearance
+from antdsl.runtime.moving.clearance.body_paths import PATH_FLOATS, BodyShape, FacesNearby, profile_lift, trace_bends
+from antdsl.runtime.moving.clearance.clear_steps import body_shapes, face_search
 from antdsl.scene.setting import BodyCapsuleData
 
 Floats = NDArray[np.float64]

@@ -8,8 +8,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from antdsl.runtime.moving import capsule_distances, capsules, contacts, correction_walks, separation, step_clamping
-from antdsl.runtime.moving.capsules import CapsuleCrowd, NearbyPairs, find_near_pairs, measure_overlap_depths
+from antdsl.runtime.moving import correction_walks
+from antdsl.runtime.moving.contacts import capsule_distances, capsules, contact_solver, separation, step_clamping
+from antdsl.runtime.moving.contacts.capsules import CapsuleCrowd, NearbyPairs, find_near_pairs, measure_overlap_depths
 from tests.runtime.test_contacts import CrowdData, cluster, world
 
 ROWS = 60
@@ -218,7 +219,7 @@ def shares(near, pairs, depth, light, dense_share, normal) -> dict[tuple[int, in
 
 
 def part_bodies(near: NearbyPairs, agents, which, held, walked, depth, looks, sweeps, share, cut) -> np.ndarray:
-    """As `contacts._apart` gives, from one pair after another."""
+    """As `contact_solver` gives, from one pair after another."""
     size = np.linalg.norm(walked, axis=0)
     most = np.maximum(agents.reach, size)
     extent = np.minimum(most * 0.3 + depth, most) * agents.push_share
@@ -259,7 +260,7 @@ def part_bodies(near: NearbyPairs, agents, which, held, walked, depth, looks, sw
     return moved
 
 
-def agents_of(seed: int) -> tuple[contacts._PairAgents, dict[str, np.ndarray]]:
+def agents_of(seed: int) -> tuple[contact_solver._PairAgents, dict[str, np.ndarray]]:
     rng = np.random.default_rng(seed)
     normal = unit(rng.normal(0, 0.2, (3, ROWS)) + np.array([[0.0], [1], [0]]))
     mass, still = rng.choice([1.0, 1.0, 5.0], ROWS), rng.random(ROWS) < 0.2
@@ -267,7 +268,7 @@ def agents_of(seed: int) -> tuple[contacts._PairAgents, dict[str, np.ndarray]]:
     reach = rng.uniform(0, 0.8, ROWS)
     stand = {"held": rng.random(ROWS) < 0.15, "walked": walked, "deep": rng.uniform(0, 0.4, ROWS) * (rng.random(ROWS) < 0.6)}
     stand["cut"] = rng.normal(0, 0.05, (3, ROWS)) * (rng.random(ROWS) < 0.3)
-    return contacts._PairAgents(0 * walked, reach, mass, rng.choice([1.0, 0.4], ROWS), normal, still), stand
+    return contact_solver._PairAgents(0 * walked, reach, mass, rng.choice([1.0, 0.4], ROWS), normal, still), stand
 
 
 @pytest.mark.parametrize("looks, sweeps, share", [(1, 1, 0.4), (1, 4, 1.0), (5, 3, 1.0)])
@@ -277,13 +278,13 @@ def test_bodies_part_as_one_pair_after_another_says(looks: int, sweeps: int, sha
     near, again = near_of(built), near_of(built)
     which = np.random.default_rng(seed).random(len(near.i)) < (0.8 if looks > 1 else 1.1)
     which[near.gap == np.inf] = True
-    effort, work = contacts.SolverEffort(looks, sweeps, 1), separation.make_buffers(ROWS, len(near.i))
+    effort, work = contact_solver.SolverEffort(looks, sweeps, 1), separation.make_buffers(ROWS, len(near.i))
     for each in (near, again):
         each.measure(stand["cut"], np.ones(ROWS, np.bool_))
     inputs = (stand["held"], stand["walked"], stand["deep"])
     expected = part_bodies(again, agents, which, *inputs, looks, sweeps, share, stand["cut"])
     cached = which.copy()
-    result = contacts._solve_separation(near, agents, which, *inputs, effort, share, stand["cut"], work)
+    result = contact_solver._solve_separation(near, agents, which, *inputs, effort, share, stand["cut"], work)
     assert np.allclose(result, expected, atol=1e-7) and np.array_equal(which, cached)
     assert (np.abs(result - stand["cut"]).max(axis=0) > 1e-4).sum() > 20
 

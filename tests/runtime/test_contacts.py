@@ -11,8 +11,8 @@ from test_program import checked, complaints
 
 from antdsl import passes, plan
 from antdsl.runtime import Options, World, bind, restore_checkpoint, state_hash, step, take_checkpoint
-from antdsl.runtime.moving import capsules, contacts
-from antdsl.runtime.moving.capsules import CapsuleCrowd, find_near_pairs, measure_overlap_depths
+from antdsl.runtime.moving.contacts import capsules, contact_solver
+from antdsl.runtime.moving.contacts.capsules import CapsuleCrowd, find_near_pairs, measure_overlap_depths
 from antdsl.scene.setting import CrowdData, MeshData, PlacementData, WorldSetting
 
 RESTING = """ant 1
@@ -253,7 +253,7 @@ def test_a_crowd_goes_through_a_doorway_and_does_not_shiver_in_front_of_it(count
 
 def test_who_faces_as_before_has_its_trunk_where_that_puts_it(monkeypatch: pytest.MonkeyPatch) -> None:
     bound_world = world(CrowdData("ant", 80, cluster(80, 9.0)), text=WALKING)
-    separate, face = contacts._solve_separation, contacts._restore_headings
+    separate, face = contact_solver._solve_separation, contact_solver._restore_headings
     as_before: list[int] = []
     faced: list[float] = []
 
@@ -266,8 +266,8 @@ def test_who_faces_as_before_has_its_trunk_where_that_puts_it(monkeypatch: pytes
             faced.append(float(np.abs(near.middle - CapsuleCrowd(bound_world).middle[:, near.rows]).max()))
         return separate(near, *rest)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(contacts, "_restore_headings", counted)
-    monkeypatch.setattr(contacts, "_solve_separation", looked_at)
+    monkeypatch.setattr(contact_solver, "_restore_headings", counted)
+    monkeypatch.setattr(contact_solver, "_solve_separation", looked_at)
     for _ in range(20):
         step(bound_world)
     assert sum(as_before) > 20 and max(faced) < 1e-6

@@ -13,10 +13,10 @@ from antdsl.outputs.recording import begin_recording, record_frames
 from antdsl.pipeline import Shot
 from antdsl.reload import migrate_world
 from antdsl.runtime import Options, bind, restore_checkpoint, step, take_checkpoint
-from antdsl.runtime.selectable_agents import collect_selectable_frame
+from antdsl.runtime.sensing.selectable_agents import collect_selectable_frame
 from antdsl.runtime.world import World
-from antdsl.scene.selection import select_ids
-from antdsl.scene.selectors import AgentName
+from antdsl.scene.notes.selection import select_ids
+from antdsl.scene.notes.selectors import AgentName
 
 LINE = "  - {{name: {name}, species: ant, from: ant.ant, count: {count}, place: {{on: ground}}}}\n"
 

@@ -11,9 +11,9 @@ from test_contact_kernels import bodies, closest
 from test_contacts import points, positions_by_id, world
 
 from antdsl.runtime import Options, World, state_hash, step
-from antdsl.runtime.moving.capsules import CapsuleCrowd, find_capsule, measure_overlap_depths
-from antdsl.runtime.moving.impacts import NEVER, PathArrays, PathPairs
-from antdsl.runtime.moving.long_steps import StartPositions, _fill_paths, _list_pairs
+from antdsl.runtime.moving.contacts.capsules import CapsuleCrowd, find_capsule, measure_overlap_depths
+from antdsl.runtime.moving.contacts.impacts import NEVER, PathArrays, PathPairs
+from antdsl.runtime.moving.contacts.long_steps import StartPositions, _fill_paths, _list_pairs
 from antdsl.runtime.moving.stopping import find_next_impacts
 from antdsl.scene.setting import CrowdData, MeshData, PlacementData
 

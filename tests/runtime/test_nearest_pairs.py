@@ -8,8 +8,9 @@ from meaning import OPTION_SETS, crowd, play
 from plan_text import plan_of
 
 from antdsl.passes import optimise
-from antdsl.runtime import Options, World, bind, nearest_pairs, pairs, step
-from antdsl.runtime.nearest_pairs import find_nearest_agents
+from antdsl.runtime import Options, World, bind, step
+from antdsl.runtime.sensing import nearest_pairs, pairs
+from antdsl.runtime.sensing.nearest_pairs import find_nearest_agents
 from antdsl.runtime.world import AXES, Population
 from antdsl.scene.setting import WorldSetting
 

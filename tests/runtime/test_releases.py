@@ -18,7 +18,7 @@ from antdsl.outputs.recording import begin_recording, record_frames
 from antdsl.reload import migrate_world
 from antdsl.runtime import Options, bind, restore_checkpoint, state_hash, step, take_checkpoint
 from antdsl.runtime.world import World
-from antdsl.scene.crowd_data import CrowdData, ReleaseData
+from antdsl.scene.crowds.crowd_data import CrowdData, ReleaseData
 
 HEAD = SCENE[: SCENE.index("crowd:\n")].replace("frames: 1..3", "frames: 1..120")
 HOLE = "place: {around: apple, radius: 20 mm}"

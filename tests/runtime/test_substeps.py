@@ -9,7 +9,8 @@ import pytest
 
 from antdsl.ground.mesh.surface import MeshGround
 from antdsl.ground.plane import PlaneGround
-from antdsl.runtime.moving import crowd_substep, tilting, walls_ahead
+from antdsl.runtime.moving import crowd_substep, tilting
+from antdsl.runtime.moving.clearance import walls_ahead
 from antdsl.runtime.moving.velocities import LEANING_STATE, STANDING_STATE
 from antdsl.runtime.world import Population
 from tests.meshes import box, terrain

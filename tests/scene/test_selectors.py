@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from pydantic import TypeAdapter, ValidationError
 
-from antdsl.scene.line_ids import LineIds
-from antdsl.scene.selection import SelectableAgents, SelectableFrame, StateColumn, select_ids
-from antdsl.scene.selectors import (
+from antdsl.scene.crowds.line_ids import LineIds
+from antdsl.scene.notes.selection import SelectableAgents, SelectableFrame, StateColumn, select_ids
+from antdsl.scene.notes.selectors import (
     AgentConditions,
     AgentName,
     Selector,

@@ -15,7 +15,7 @@ from antdsl.bench import programs
 from antdsl.bench.cases import open_shot
 from antdsl.runtime import Options, bind, step
 from antdsl.runtime.checkpoints import state_hash
-from antdsl.runtime.neighbourhood import build_nearest_search
+from antdsl.runtime.sensing.neighbourhood import build_nearest_search
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 

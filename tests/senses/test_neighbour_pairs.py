@@ -9,7 +9,8 @@ from foraging_shots import EXAMPLE, world
 from antdsl import limits
 from antdsl.numerics import parallel
 from antdsl.numerics.sorting import sort_stably
-from antdsl.runtime import Options, item_pairs, state_hash, step
+from antdsl.runtime import Options, state_hash, step
+from antdsl.runtime.sensing import item_pairs
 from antdsl.senses import cell_order, neighbours
 from antdsl.senses.cell_order import NO_ORDER, CellOrder, GridShape, find_bounding_box, store_registers
 from antdsl.senses.neighbours import CellGrid, NeighbourPairs, TooManyNeighbours

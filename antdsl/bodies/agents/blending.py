@@ -33,7 +33,7 @@ from antdsl.bodies.agents.affine import Floats, multiply_quaternions, normalise_
 from antdsl.bodies.agents.definition import TransformGroup
 from antdsl.bodies.agents.poses import REST_CLIP, ClipTable, Pose, Poses, build_rest_pose, compute_transforms, sample_poses
 from antdsl.numerics import parallel
-from antdsl.numerics.float_environment import standard_floats
+from antdsl.numerics.processor.float_environment import standard_floats
 
 INTERPOLATE_MODE, ADDITIVE_MODE, OVER_MODE = 0, 1, 2
 NO_PARENT = -1

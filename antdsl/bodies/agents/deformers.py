@@ -23,7 +23,7 @@ from antdsl.bodies.agents.skinning import (
     normalise_in_place,
     transform_points,
 )
-from antdsl.numerics.float_environment import standard_floats
+from antdsl.numerics.processor.float_environment import standard_floats
 
 _POINTS_PER_CHUNK = 1 << 15  # points per chunk, over all agents
 

@@ -6,6 +6,6 @@
 - `definition_document` builds the definition, and `documents`, `clip_document` and `shape_references` its parts.
 - `named_files` opens the files that a definition names.
 - `definition_checks` checks the complete definition.
-- `gltf_body` and `usd_body` convert a glTF or a USD file to a definition. `usd_body` runs only in the reader's process.
+- `gltf` and `usd_body` convert a glTF or a USD file to a definition. `usd_body` runs only in the reader's process.
 - `writing` writes a definition.
 """

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from antdsl import limits
 from antdsl.bodies.agents.definition import BodyError, Definition, Rig
-from antdsl.bodies.files.gltf_body import read_gltf
+from antdsl.bodies.files.gltf.gltf_body import read_gltf
 from antdsl.bodies.files.json_text import Node, read_tree
 from antdsl.diagnostics import Report
 from antdsl.scene.geometry.usd.errors import UsdError

@@ -20,8 +20,8 @@ from antdsl import limits
 from antdsl.bodies.agents.definition import Binding, BodyError, Clip, Definition, Layer, Rig
 from antdsl.bodies.agents.packed import pack_definition
 from antdsl.bodies.agents.transforms import align_signs, compose_transforms, normalise_quaternion
-from antdsl.bodies.files.gltf_clips import EXTRAS_KEY, compute_even_times
-from antdsl.bodies.files.gltf_shapes import build_rigid_capture, make_unused_name
+from antdsl.bodies.files.gltf.gltf_clips import EXTRAS_KEY, compute_even_times
+from antdsl.bodies.files.gltf.gltf_shapes import build_rigid_capture, make_unused_name
 from antdsl.bodies.files.usd_shapes import Skin, UsdBody, read_usd_shape
 from antdsl.reader.protocol import ReadRefusal
 from antdsl.scene.geometry.matrices import has_inverse, invert_transforms

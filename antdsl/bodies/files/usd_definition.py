@@ -9,7 +9,7 @@ from typing import Any
 
 from antdsl.bodies.agents.definition import BodyError, Definition
 from antdsl.bodies.agents.packed import ARRAY_NAMES, unpack_definition
-from antdsl.bodies.files.gltf_clips import apply_settings, read_settings
+from antdsl.bodies.files.gltf.gltf_clips import apply_settings, read_settings
 from antdsl.reader.protocol import ProtocolError, ReaderMessage, ReadRefusal, clean_for_display
 from antdsl.scene.geometry.usd import UsdError, open_stage
 from antdsl.scene.paths import Roots

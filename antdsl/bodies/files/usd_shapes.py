@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from antdsl import limits
 from antdsl.bodies.agents.definition import BlendTargets, BodyError, Capture, Channel, InBetweens, Shape
-from antdsl.bodies.files.gltf_shapes import make_unused_name, normalise_capture
+from antdsl.bodies.files.gltf.gltf_shapes import make_unused_name, normalise_capture
 from antdsl.scene.geometry.polygons import TooManyCorners, triangulate
 from antdsl.scene.geometry.usd.child.stage import OpenStage
 from antdsl.scene.geometry.usd.errors import import_pxr_module

@@ -21,10 +21,10 @@ from antdsl.bodies.agents.transforms import compose_matrix, decompose_matrix
 from antdsl.bodies.files.clip_document import write_clip
 from antdsl.bodies.files.document_values import format_axis, parse_unit_mm
 from antdsl.bodies.files.documents import format_json, write_group, write_layer, write_metadata, write_rig
-from antdsl.bodies.files.gltf_clips import build_settings_extras
-from antdsl.bodies.files.gltf_settings import CAPSULE_KEYS, body_extras
-from antdsl.bodies.files.gltf_textures import COLOUR
-from antdsl.bodies.files.gltf_writer import Entry, GltfWriter, ShapeParts
+from antdsl.bodies.files.gltf.gltf_clips import build_settings_extras
+from antdsl.bodies.files.gltf.gltf_settings import CAPSULE_KEYS, body_extras
+from antdsl.bodies.files.gltf.gltf_textures import COLOUR
+from antdsl.bodies.files.gltf.gltf_writer import Entry, GltfWriter, ShapeParts
 from antdsl.scene.scene_model import UNIT_MM
 
 SHAPES_FILE_NAME = "shapes.glb"

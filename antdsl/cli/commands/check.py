@@ -64,7 +64,7 @@ def check(
     from antdsl.diagnostics import Report
     from antdsl.diagnostics.ignore_comments import apply_ignores, remove_ignored
     from antdsl.files import find_files
-    from antdsl.numerics.host import count_available_cores
+    from antdsl.numerics.processor.host import count_available_cores
     from antdsl.pipeline import RunChoices, open_scene
 
     choices = RunChoices(parse_grants(root))

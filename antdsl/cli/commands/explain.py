@@ -24,7 +24,7 @@ def explain(
     from antdsl.cli.printing.reports import exit_on_errors, print_report
     from antdsl.explain import ExplainError, as_json, tell
     from antdsl.explain import explain as explained
-    from antdsl.numerics.host import count_available_cores
+    from antdsl.numerics.processor.host import count_available_cores
     from antdsl.outputs.cache.cache_reader import open_cache
     from antdsl.runtime import BindError
 

@@ -23,7 +23,7 @@ from antdsl.cli.memory_demand import ANY_MEMORY_OPTION, require_memory
 from antdsl.cli.printing.messages import print_note
 from antdsl.cli.scheduler import NO_TLS_OPTION, SCHEDULER_OPTION, TLS_OPTION, require_scheduler
 from antdsl.cli.shots import run_shots
-from antdsl.numerics.host import count_available_cores
+from antdsl.numerics.processor.host import count_available_cores
 
 if TYPE_CHECKING:
     from antdsl.outputs.recording import Recording

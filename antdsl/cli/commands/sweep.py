@@ -112,7 +112,7 @@ def sweep(
     from antdsl.cli.printing.reports import exit_on_errors
     from antdsl.cli.sweep_arguments import build_study, load_request, open_scene_shots, parse_widths, reject_missing_scene
     from antdsl.executors import WorkersLost
-    from antdsl.numerics.host import count_available_cores
+    from antdsl.numerics.processor.host import count_available_cores
     from antdsl.scene.paths import record_requested_paths
     from antdsl.sweep import JobChooser, RunStore, run_jobs
     from antdsl.sweep.finished_runs import NotASweepFolder

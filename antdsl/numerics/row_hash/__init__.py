@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from antdsl.machine_code.memory import array_address
 from antdsl.numerics import parallel
-from antdsl.numerics.host import PARTS_PER_THREAD
+from antdsl.numerics.processor.host import PARTS_PER_THREAD
 from antdsl.numerics.row_hash.loops import (
     CONTIGUOUS_WORD,
     HALVES_WORD,

@@ -14,7 +14,7 @@ from antdsl.bodies.agents.packed import ARRAY_NAMES, hash_definition, pack_defin
 from antdsl.bodies.files.definition_checks import ReadDefinition, check_definition
 from antdsl.diagnostics import Report
 from antdsl.outputs.cache.manifest import BodyEntry, Manifest, WornBodyEntry
-from antdsl.scene.body_choice import body_key
+from antdsl.scene.crowds.body_choice import body_key
 
 Arrays = Mapping[str, NDArray[Any]]
 

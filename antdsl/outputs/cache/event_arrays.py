@@ -30,7 +30,7 @@ from antdsl.numerics.vectors import dot
 from antdsl.outputs.cache.scene_positions import to_scene_positions
 from antdsl.program.tables.columns import CONTACT_COLUMNS
 from antdsl.runtime import World, collect_emissions
-from antdsl.runtime.moving.capsules import CapsuleCrowd, NearbyPairs, find_near_pairs
+from antdsl.runtime.moving.contacts.capsules import CapsuleCrowd, NearbyPairs, find_near_pairs
 
 Arrays = dict[str, NDArray[Any]]
 

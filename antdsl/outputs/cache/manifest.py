@@ -112,7 +112,7 @@ class SpeciesEntry(ManifestPart):
 
     `body`: the body in pictures; None chooses one by the species' name.
     `definition`: the index of its agent definition in the manifest's `bodies`.
-    `bodies`: the bodies of a species with several; `antdsl.scene.body_choice` says which agent has which. Empty for one body.
+    `bodies`: the bodies of a species with several; `body_choice` says which agent has which. Empty for one body.
     `clips`: the clips of its states; frames contain indices into this list.
     `playing`: the machines that play clips.
     `wears`: body layers that agents may show in addition to the body's own; frames have masks with one bit per layer.

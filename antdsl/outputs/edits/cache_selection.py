@@ -15,10 +15,10 @@ from antdsl.outputs.cache.cache_reader import Arrays, Cache, read_camera
 from antdsl.outputs.cache.frame_agents import LongArray, make_agent_keys
 from antdsl.outputs.cache.manifest import CameraEntry, MachineEntry, Manifest, SpeciesEntry
 from antdsl.outputs.edits.frame_rows import SPECIES_PER_KEY
-from antdsl.runtime.sensed_camera import SensedCamera
-from antdsl.scene.line_ids import LineIds
-from antdsl.scene.selection import SelectableAgents, SelectableFrame, StateColumn, select_rows
-from antdsl.scene.selectors import AnySelector, SelectorNames, reads_frame
+from antdsl.runtime.sensing.sensed_camera import SensedCamera
+from antdsl.scene.crowds.line_ids import LineIds
+from antdsl.scene.notes.selection import SelectableAgents, SelectableFrame, StateColumn, select_rows
+from antdsl.scene.notes.selectors import AnySelector, SelectorNames, reads_frame
 from antdsl.scene.thing_models import UNIT_MM
 
 ViewFinder = Callable[[str, NDArray[np.float64]], NDArray[np.bool_]]

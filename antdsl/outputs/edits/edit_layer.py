@@ -15,8 +15,8 @@ from pydantic import BeforeValidator
 from antdsl.outputs.cache.cache_reader import Arrays, Cache, CacheError, CacheView, make_frame_path, select_arrays
 from antdsl.outputs.cache.manifest import Manifest
 from antdsl.outputs.edits.cache_selection import Selection
-from antdsl.outputs.edits.terrain import Ground
-from antdsl.scene.selectors import AnySelector, Selector, SelectorKeys, combine_selector
+from antdsl.outputs.edits.verbs.terrain import Ground
+from antdsl.scene.notes.selectors import AnySelector, Selector, SelectorKeys, combine_selector
 from antdsl.scene.values import FrameRangeValue, ScenePart, parse_one_of
 
 

@@ -11,7 +11,7 @@ from antdsl.diagnostics.suggestion import find_nearest_name
 from antdsl.outputs.cache.manifest import Manifest
 from antdsl.outputs.edits.cache_selection import list_selector_names
 from antdsl.outputs.edits.edit_layer import AgentsLine, EditLine
-from antdsl.outputs.edits.verbs import VERB_BY_WORD
+from antdsl.outputs.edits.verb_table import VERB_BY_WORD
 from antdsl.scene.document import (
     DocumentNode,
     MappingNode,
@@ -23,7 +23,7 @@ from antdsl.scene.document import (
     to_plain_tree,
 )
 from antdsl.scene.load import drop_consequent_errors, report_model_error
-from antdsl.scene.selectors import find_problems, find_unknown_name
+from antdsl.scene.notes.selectors import find_problems, find_unknown_name
 from antdsl.source import Source, Span
 
 _EXAMPLE = "write `edits:` and below it lines such as `- {kill: ant, share: 30 %}`"

@@ -20,8 +20,8 @@ from antdsl.outputs.cache.npz import ArrayFileError, read_npz
 from antdsl.outputs.edits.edit_files import encode_edit_arrays, find_cache_path, find_missing_file, read_edit_files
 from antdsl.outputs.edits.edit_layer import EditInputs, NotEditable, StoredFrames
 from antdsl.outputs.edits.edit_lines import EditList, read_edits
-from antdsl.outputs.edits.terrain import Ground
-from antdsl.outputs.edits.verbs import VERB_BY_WORD
+from antdsl.outputs.edits.verb_table import VERB_BY_WORD
+from antdsl.outputs.edits.verbs.terrain import Ground
 from antdsl.scene.paths import PathRefused, read_user_file
 
 INPUT_PREFIX = "edit "  # of the names of edits among the inputs in a manifest

@@ -22,7 +22,7 @@ from antdsl.outputs.cache.frame_agents import (
 from antdsl.outputs.cache.manifest import Manifest
 from antdsl.outputs.cache_bodies import find_body_numbers
 from antdsl.program.tables.columns import FRAME_COLUMNS
-from antdsl.scene.body_choice import number_of_key, species_of_key
+from antdsl.scene.crowds.body_choice import number_of_key, species_of_key
 
 SPECIES_PER_KEY = 4096  # of `make_agent_keys`
 _FILL_BY_FIELD = {"clip": -1, "before": -1, "earlier": -1, "weight": 1, "tilt": (0, 0, 0, 1)}  # of rows without a value; else 0

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from antdsl.bodies.agents.transforms import Floats, multiply_quaternions
 from antdsl.outputs.cache.cache_reader import Arrays
 from antdsl.outputs.cache.manifest import Manifest
-from antdsl.outputs.edits.agent_moves import AgentMoves, find_axes, find_shortest_rotations, move_agents, rotate
 from antdsl.outputs.edits.frame_rows import FrameRows, match_rows
-from antdsl.outputs.edits.terrain import MirroredTerrain, Terrain
+from antdsl.outputs.edits.verbs.agent_moves import AgentMoves, find_axes, find_shortest_rotations, move_agents, rotate
+from antdsl.outputs.edits.verbs.terrain import MirroredTerrain, Terrain
 
 _GROUND_REACH = 10.0  # body lengths in which ground is searched along an agent's up, in addition to the agent's displacement
 _LIFT = 0.5  # body lengths: ground up to there above a point counts as below it

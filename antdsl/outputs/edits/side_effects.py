@@ -15,10 +15,10 @@ from antdsl.outputs.cache.cache_reader import Arrays, Cache
 from antdsl.outputs.cache.frame_agents import LongArray, get_agent_ids, get_species_numbers, make_agent_keys
 from antdsl.outputs.cache.manifest import WornBodyEntry
 from antdsl.outputs.cache_bodies import CacheBodies, find_body_numbers
-from antdsl.outputs.edits.agent_moves import find_axes
 from antdsl.outputs.edits.edited_cache import EditedCache
 from antdsl.outputs.edits.frame_rows import SPECIES_PER_KEY, match_rows
-from antdsl.outputs.edits.terrain import Ground, Terrain
+from antdsl.outputs.edits.verbs.agent_moves import find_axes
+from antdsl.outputs.edits.verbs.terrain import Ground, Terrain
 from antdsl.scene.library_bodies import CAPSULE_BY_BODY, find_body_for_species
 from antdsl.scene.setting import BodyCapsuleData
 

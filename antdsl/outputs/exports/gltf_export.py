@@ -17,7 +17,7 @@ from antdsl.atomic_write import write_atomically
 from antdsl.bodies.agents.definition import STATE_MATERIAL, Binding
 from antdsl.bodies.agents.transforms import align_signs, decompose_matrix
 from antdsl.bodies.body import compute_vertex_normals
-from antdsl.bodies.files.gltf_writer import GltfWriter, ShapeParts
+from antdsl.bodies.files.gltf.gltf_writer import GltfWriter, ShapeParts
 from antdsl.bodies.posed_body import PosedBody
 from antdsl.outputs.exports.gltf_keys import PATHS, AgentRows, NodeTracks, plan_keys
 from antdsl.outputs.exports.gltf_stage import GltfStage

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from antdsl import __version__
 from antdsl.bodies.agents.transforms import align_signs, matrix_to_quaternion
 from antdsl.bodies.body import compute_vertex_normals
-from antdsl.bodies.files.gltf_writer import INDEX_BUFFER_TARGET, VERTEX_BUFFER_TARGET, GltfWriter
+from antdsl.bodies.files.gltf.gltf_writer import INDEX_BUFFER_TARGET, VERTEX_BUFFER_TARGET, GltfWriter
 from antdsl.bodies.shapes import build_item_mesh
 from antdsl.numerics.vector_rows import normalise_or_fallback
 from antdsl.outputs.gallery import Gallery

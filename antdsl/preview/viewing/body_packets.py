@@ -27,8 +27,8 @@ from antdsl.pipeline import Shot
 from antdsl.preview.binary_packets import pack_arrays
 from antdsl.preview.viewing.view_state import SlotPackets, ViewState
 from antdsl.runtime import Population, World
-from antdsl.scene.body_choice import number_of_key, species_of_key
-from antdsl.scene.crowd_model import named_weights
+from antdsl.scene.crowds.body_choice import number_of_key, species_of_key
+from antdsl.scene.crowds.crowd_model import named_weights
 from antdsl.scene.library_bodies import BODY_WORDS, find_body_for_species
 
 Arrays = dict[str, NDArray[Any]]

@@ -1,7 +1,7 @@
 """The table of the senses. Each row defines the words, types, costs, ranges, plan operation, trace and editor help of one sense.
 
-To add a sense, add a row here and a function of the same `op` in `antdsl.runtime.sensing`. Only a sense with computed operands
-needs a separate rule in `antdsl.plan.lowering.rules.senses`."""
+To add a sense, add a row here and a function of the same `op` in `antdsl.runtime.sensing.world_senses`. Only a sense with
+computed operands needs a separate rule in `antdsl.plan.lowering.rules.senses`."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ from antdsl.numerics.elementwise import FUNCTION_BY_NAME, UFUNC_BY_NAME
 from antdsl.plan import ir
 from antdsl.plan.registers import find_cacheable_senses, find_early_loads, find_written_register
 from antdsl.plan.traverse import collect_required_nodes, iterate_with_positions, list_operands
-from antdsl.runtime.pairs import is_nearest_only
+from antdsl.runtime.sensing.pairs import is_nearest_only
 from antdsl.runtime.world import DTYPE_BY_KIND
 from antdsl.source import Span
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.numerics.elementwise import FUNCTION_BY_NAME
-from antdsl.numerics.float_environment import set_standard_floats
+from antdsl.numerics.processor.float_environment import set_standard_floats
 from antdsl.plan import ir
 from antdsl.plan.registers import find_cacheable_senses, number_statements
 from antdsl.plan.traverse import collect_required_nodes
@@ -29,9 +29,9 @@ from antdsl.runtime.backends.block_compiler import (
     bind_calls,
 )
 from antdsl.runtime.backends.metering import MeteredBlock
-from antdsl.runtime.pairs import MAX_PAIRS_PER_CHUNK
 from antdsl.runtime.requests import EffectRequests
-from antdsl.runtime.sensing import compute_uniform_leaf, constant_scalar
+from antdsl.runtime.sensing.pairs import MAX_PAIRS_PER_CHUNK
+from antdsl.runtime.sensing.world_senses import compute_uniform_leaf, constant_scalar
 from antdsl.runtime.world import DTYPE_BY_KIND, Population, World
 from antdsl.scene.setting import WorldSetting
 

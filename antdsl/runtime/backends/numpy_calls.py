@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from antdsl.numerics import randomness
 from antdsl.numerics.elementwise import FUNCTION_BY_NAME, UFUNC_BY_NAME
 from antdsl.plan import ir
-from antdsl.runtime import pairs as sets
 from antdsl.runtime.backends.block_compiler import (
     BUFFERS_SLOT,
     LAZY_VALUES_SLOT,
@@ -30,7 +29,8 @@ from antdsl.runtime.backends.block_compiler import (
     SlotValues,
 )
 from antdsl.runtime.backends.numpy_statements import as_row_array, make_statement_call
-from antdsl.runtime.sensing import SENSE_FUNCTIONS
+from antdsl.runtime.sensing import pairs as sets
+from antdsl.runtime.sensing.world_senses import SENSE_FUNCTIONS
 
 
 def make_call(instruction: BlockInstruction, compiler: BlockCompiler) -> SlotFunctionMaker:

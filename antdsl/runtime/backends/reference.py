@@ -21,7 +21,7 @@ from antdsl.plan.registers import find_early_loads, number_statements
 from antdsl.plan.traverse import collect_required_nodes
 from antdsl.program.tables.effects import EFFECT_BY_OPERATION
 from antdsl.runtime.requests import ClaimEntry, EffectRequests, FaultEntry, GiftEntry, RequestEntry
-from antdsl.runtime.sensing import SENSE_FUNCTIONS, compute_uniform_leaf
+from antdsl.runtime.sensing.world_senses import SENSE_FUNCTIONS, compute_uniform_leaf
 from antdsl.runtime.world import AXES, Population, World
 from antdsl.source import Span
 

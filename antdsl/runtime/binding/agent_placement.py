@@ -25,7 +25,7 @@ from antdsl.runtime.faults import FaultLog
 from antdsl.runtime.lifecycle import apply_deaths_and_births, initialise_newborn, settle_newborn
 from antdsl.runtime.line_tables import take_created_ids
 from antdsl.runtime.moving import scripted_walks
-from antdsl.runtime.moving.clear_steps import settle_clear
+from antdsl.runtime.moving.clearance.clear_steps import settle_clear
 from antdsl.runtime.moving.tilting import tilt_new_bodies
 from antdsl.runtime.world import AXES, Population, World, add_rows, empty_population, select_rows
 from antdsl.scene.setting import CrowdData, PlacementData

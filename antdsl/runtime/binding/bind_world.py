@@ -22,7 +22,7 @@ from antdsl.ground.solid import UnusableMesh, Volume
 from antdsl.ground.solid_feelers import SolidFeelers
 from antdsl.machine_code import llvm_compiler
 from antdsl.numerics import stages
-from antdsl.numerics.float_environment import standard_floats
+from antdsl.numerics.processor.float_environment import standard_floats
 from antdsl.plan import ir
 from antdsl.plan.traverse import collect_required_nodes
 from antdsl.runtime.backends import BACKENDS

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from antdsl.numerics import elementary, randomness
 from antdsl.plan import ir
 from antdsl.runtime.world import Population, World
-from antdsl.scene.crowd_data import CrowdData, ValueDraw
+from antdsl.scene.crowds.crowd_data import CrowdData, ValueDraw
 
 Rows = NDArray[np.intp]
 _F = np.float32

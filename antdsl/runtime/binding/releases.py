@@ -16,7 +16,7 @@ from antdsl.runtime.line_tables import take_created_ids
 
 if TYPE_CHECKING:
     from antdsl.runtime.world import World
-    from antdsl.scene.crowd_data import CrowdData
+    from antdsl.scene.crowds.crowd_data import CrowdData
 
 
 def release_agents(world: World) -> None:

@@ -15,7 +15,7 @@ from antdsl.numerics import vectors as vec
 from antdsl.numerics.vector_rows import unit
 from antdsl.runtime.binding.border_edges import BorderEdges, find_border_edges
 from antdsl.runtime.world import World
-from antdsl.scene.crowd_data import CrowdData, PlacementData, RanksData, VolumeData
+from antdsl.scene.crowds.crowd_data import CrowdData, PlacementData, RanksData, VolumeData
 
 Ids = NDArray[np.int64]
 Floats = NDArray[np.float64]

@@ -16,7 +16,7 @@ from antdsl.runtime.feet.foothold_search import FootGround, FootholdRequests, fi
 from antdsl.runtime.feet.gaits import REST_X, REST_Z, Gaits
 from antdsl.runtime.feet.wearers import Wearers, wearers_of
 from antdsl.runtime.world import World
-from antdsl.scene.body_choice import species_of_key
+from antdsl.scene.crowds.body_choice import species_of_key
 from antdsl.scene.setting import LegsData
 
 _F = np.float32

@@ -13,7 +13,7 @@ from antdsl.ground.protocol import Footing
 from antdsl.runtime.body_positions import LIFT_REGISTERS
 from antdsl.runtime.body_rows import numbers_by_row, rows_by_body
 from antdsl.runtime.world import AXES, Population, World
-from antdsl.scene.body_choice import number_of_key, species_of_key
+from antdsl.scene.crowds.body_choice import number_of_key, species_of_key
 
 _REGISTERS = (*(f"{name}.{axis}" for name in ("heading", "up") for axis in AXES), "size")
 

@@ -9,7 +9,7 @@ from antdsl.ground.mesh.walkers import ClearanceTables
 from antdsl.machine_code.kernels import inlined
 from antdsl.machine_code.kernels.types import BOOL, F32, F64, I32, I64, U8, Array1, Array2, Strided2
 from antdsl.numerics.kernel_vectors import VectorColumns
-from antdsl.runtime.moving.body_paths import BodyShape
+from antdsl.runtime.moving.clearance.body_paths import BodyShape
 
 SHARP = 2  # level of ground with sharp edges, other pieces or cuts; see `MeshGround.mark_bends`
 MAX_LIFT_PER_BODY = 0.6  # body lengths; the largest shift of a body

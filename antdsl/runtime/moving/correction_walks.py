@@ -15,7 +15,7 @@ from antdsl.machine_code.kernels import BOOL, F32, F64, I64, Array1, Array2, Str
 from antdsl.numerics import vectors as vec
 from antdsl.numerics.kernel_vectors import Vec3, Vec3F32, VectorColumns, dot, get_column, minus, plus, store_column, times
 from antdsl.numerics.vectors import VectorArrays, VectorComponents
-from antdsl.runtime.moving.capsules import CapsuleCrowd, NearbyPairs
+from antdsl.runtime.moving.contacts.capsules import CapsuleCrowd, NearbyPairs
 from antdsl.runtime.moving.falling import find_airborne, move_airborne
 from antdsl.runtime.moving.obstacles import slide_rows
 from antdsl.runtime.world import Population

@@ -27,10 +27,11 @@ from antdsl.numerics import parallel
 from antdsl.numerics import vectors as vec
 from antdsl.numerics.vectors import VectorArrays, VectorComponents
 from antdsl.runtime.moving.body_records import BodyPoses
-from antdsl.runtime.moving.clear_steps import ClearStep, has_clearance
-from antdsl.runtime.moving.clearance import WINDOW_PER_BODY
+from antdsl.runtime.moving.clearance.clear_steps import ClearStep, has_clearance
+from antdsl.runtime.moving.clearance.clearance_kernels import WINDOW_PER_BODY
+from antdsl.runtime.moving.clearance.head_clearance import MIN_BODY_HEIGHT_SHARE
+from antdsl.runtime.moving.clearance.walls_ahead import NO_WALLS, WallsAhead, find_walls
 from antdsl.runtime.moving.falling import limit_fall_speed
-from antdsl.runtime.moving.head_clearance import MIN_BODY_HEIGHT_SHARE
 from antdsl.runtime.moving.obstacles import slide_steps, slow_velocities
 from antdsl.runtime.moving.orienting import orient_bodies
 from antdsl.runtime.moving.pacing import find_paces
@@ -56,7 +57,6 @@ from antdsl.runtime.moving.velocities import (
     heading_share,
     update_arrived_rows,
 )
-from antdsl.runtime.moving.walls_ahead import NO_WALLS, WallsAhead, find_walls
 from antdsl.runtime.world import Population, World
 
 MIN_SPEED_REGISTER = "min_speed"  # only species that use it have this register

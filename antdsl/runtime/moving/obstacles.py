@@ -18,7 +18,7 @@ from antdsl.numerics import parallel
 from antdsl.numerics import vectors as vec
 from antdsl.numerics.kernel_vectors import Vec3F32, VectorColumns, dot, minus, plus, times
 from antdsl.numerics.vectors import VectorArrays, VectorComponents
-from antdsl.runtime.moving.obstacle_clearance import get_clearance
+from antdsl.runtime.moving.clearance.obstacle_clearance import get_clearance
 from antdsl.runtime.world import Population, World
 
 Floats = NDArray[np.float32]

@@ -6,8 +6,8 @@ from antdsl.machine_code.kernels import kernel, simd_range
 from antdsl.machine_code.kernels.types import BOOL, F64, I64, Array1, Array2
 from antdsl.numerics.kernel_vectors import dot, get_column, minus, store_column, times
 from antdsl.numerics.sorting import compact_indices
-from antdsl.runtime.moving.impacts import NEVER, PathArrays, PathPairs, find_impact
-from antdsl.runtime.moving.step_clamping import ClampBuffers, bend_along, compute_heavier_share, negate
+from antdsl.runtime.moving.contacts.impacts import NEVER, PathArrays, PathPairs, find_impact
+from antdsl.runtime.moving.contacts.step_clamping import ClampBuffers, bend_along, compute_heavier_share, negate
 
 _STOP_OVERLAP_SHARE = 2e-3  # share of both radii; bodies with smaller overlaps slide along each other
 _PRESSING_SHARE = 0.5  # share of both radii; how far a heavy body enters a light one and then pushes it

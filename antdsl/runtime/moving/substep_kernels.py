@@ -26,6 +26,7 @@ from antdsl.ground.plane import walk_straight
 from antdsl.machine_code.kernels import inlined, kernel, load3, prefetch, simd_range
 from antdsl.machine_code.kernels.types import BOOL, F32, F64, I32, I64, U8, Array1, Array2
 from antdsl.numerics.kernel_vectors import Vec3, VectorColumns, dot, times
+from antdsl.runtime.moving.clearance.walls_ahead import MAX_TILT_DISTANCE_HALVES, compute_half_size
 from antdsl.runtime.moving.tilting import compute_stance
 from antdsl.runtime.moving.velocities import (
     STANDING_STATE,
@@ -36,7 +37,6 @@ from antdsl.runtime.moving.velocities import (
     apply_push,
     update_arrived_agent,
 )
-from antdsl.runtime.moving.walls_ahead import MAX_TILT_DISTANCE_HALVES, compute_half_size
 
 _F = np.float32
 _FLOAT32_ZERO = _F(0)

@@ -30,6 +30,7 @@ from antdsl.numerics.kernel_vectors import (
     times,
 )  # fmt: skip
 from antdsl.numerics.vectors import VectorArrays
+from antdsl.runtime.moving.clearance.walls_ahead import find_walls, write_wall_reach
 from antdsl.runtime.moving.postures import (
     Posture,
     perpendicular,
@@ -41,7 +42,6 @@ from antdsl.runtime.moving.postures import (
     turn_within,
 )
 from antdsl.runtime.moving.velocities import LEANING_STATE, STANDING_STATE, maximum
-from antdsl.runtime.moving.walls_ahead import find_walls, write_wall_reach
 from antdsl.runtime.world import Population, World
 
 # Walls: normals (3, k), directions ahead (3, k), angles, distances, tilt distances.

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.numerics.randomness import draw_uniform
-from antdsl.runtime.selectable_agents import collect_selectable_frame
+from antdsl.runtime.sensing.selectable_agents import collect_selectable_frame
 from antdsl.runtime.world import World, select_rows
-from antdsl.scene.notes_model import Note, ThinNote, WithoutNote
-from antdsl.scene.selection import select_rows as select_agents
+from antdsl.scene.notes.notes_model import Note, ThinNote, WithoutNote
+from antdsl.scene.notes.selection import select_rows as select_agents
 
 _THIN_SITE = "note.thin"
 

@@ -12,7 +12,7 @@ from antdsl.numerics.easing import compute_ease
 from antdsl.runtime.world import Population, World
 
 if TYPE_CHECKING:
-    from antdsl.scene.notes_model import Note
+    from antdsl.scene.notes.notes_model import Note
 
 Rows = NDArray[np.intp]
 

@@ -8,8 +8,8 @@ from antdsl.numerics.vector_rows import length
 from antdsl.runtime.notes.active_notes import NoteAgents
 from antdsl.runtime.notes.targets import find_target
 from antdsl.runtime.world import AXES, Population, World
-from antdsl.scene.casting_model import FacingDirection
-from antdsl.scene.note_programs import (
+from antdsl.scene.crowds.casting_model import FacingDirection
+from antdsl.scene.notes.note_programs import (
     LOOK_MACHINE,
     OFF_STATE,
     ON_STATE,
@@ -18,7 +18,7 @@ from antdsl.scene.note_programs import (
     name_look_target,
     split_state_name,
 )
-from antdsl.scene.notes_model import ChangeNote
+from antdsl.scene.notes.notes_model import ChangeNote
 
 _FAR_MM = 1e6  # mm, at which agents look that look in a direction
 

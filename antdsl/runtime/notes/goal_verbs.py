@@ -14,7 +14,7 @@ from antdsl.numerics.vector_rows import dot, length
 from antdsl.runtime.notes.active_notes import NoteAgents
 from antdsl.runtime.notes.targets import OwnPoints, TargetPoints, find_goal, find_path_points
 from antdsl.runtime.notes.wishes import Floats, lay_on_ground, read_max_speeds, wish_velocities
-from antdsl.scene.notes_model import PathNote, ReachNote
+from antdsl.scene.notes.notes_model import PathNote, ReachNote
 
 _CRUISE_SHARE = 0.75  # of the greatest speed: agents leave in time to go so fast
 _URGENT_SHARES = 0.85, 0.95  # of the greatest speed: the share of the other layers falls from 1 to 0 in between

@@ -21,11 +21,11 @@ from antdsl.runtime.notes.outlines import Outline
 from antdsl.runtime.notes.target_findings import MissedTarget, find_missed_target
 from antdsl.runtime.notes.verbs import VERBS, VerbFunctions
 from antdsl.runtime.notes.wishes import FINAL_WISH, has_state_wish
-from antdsl.runtime.selectable_agents import collect_selectable_frame
+from antdsl.runtime.sensing.selectable_agents import collect_selectable_frame
 from antdsl.runtime.world import Population, World
-from antdsl.scene.notes_model import Note
-from antdsl.scene.selection import SelectableFrame, select_ids
-from antdsl.scene.selectors import reads_frame
+from antdsl.scene.notes.notes_model import Note
+from antdsl.scene.notes.selection import SelectableFrame, select_ids
+from antdsl.scene.notes.selectors import reads_frame
 from antdsl.scene.setting import WorldSetting
 
 _PACE_KEY = "pace"  # of the shares of the speed in the last step

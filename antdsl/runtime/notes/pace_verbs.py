@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from antdsl.numerics.easing import smooth_share
 from antdsl.numerics.randomness import draw_uniform
 from antdsl.runtime.notes.active_notes import NoteAgents
-from antdsl.scene.notes_model import ReleaseNote, RetimeNote
+from antdsl.scene.notes.notes_model import ReleaseNote, RetimeNote
 
 Shares = NDArray[np.float32]
 _RELEASE_SITE = "note.release"

@@ -11,7 +11,7 @@ from antdsl.runtime.notes.outlines import find_centre, find_outlines, measure_ou
 from antdsl.runtime.notes.regions import RegionDistances, cut_inward_steps
 from antdsl.runtime.notes.wishes import Floats, lay_on_ground, read_max_speeds, wish_velocities
 from antdsl.runtime.world import World
-from antdsl.scene.notes_model import PartNote
+from antdsl.scene.notes.notes_model import PartNote
 
 _AHEAD_SECONDS = (0.0, 0.25, 0.5, 1.0, 1.5, 2.0, 3.0)  # s, at which agents compare their position with the outline
 _TURN_SECONDS, _SPARE_SECONDS = 0.25, 0.5  # s, to turn away; and to spare, from which on agents begin to make way

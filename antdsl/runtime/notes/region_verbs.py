@@ -11,7 +11,7 @@ from antdsl.runtime.notes.pace_verbs import Shares
 from antdsl.runtime.notes.regions import compute_region_share, cut_inward_steps, measure_note_region
 from antdsl.runtime.notes.targets import find_curve, find_goal
 from antdsl.runtime.notes.wishes import Floats, lay_on_ground, read_max_speeds, wish_velocities
-from antdsl.scene.notes_model import AttractNote, ForbidNote, LaneNote, RepelNote, SlowNote
+from antdsl.scene.notes.notes_model import AttractNote, ForbidNote, LaneNote, RepelNote, SlowNote
 
 
 def slow_in_region(agents: NoteAgents) -> Shares:

@@ -11,10 +11,10 @@ from antdsl.numerics.vector_rows import dot, length
 from antdsl.runtime.notes.active_notes import NoteAgents
 from antdsl.runtime.notes.targets import find_curve, find_item_points
 from antdsl.runtime.notes.wishes import Floats
-from antdsl.runtime.sensed_camera import SensedCamera
+from antdsl.runtime.sensing.sensed_camera import SensedCamera
 from antdsl.runtime.world import World
-from antdsl.scene.notes_model import Band, NoteRegion, RegionNote, View
-from antdsl.scene.selectors import Ball, Box
+from antdsl.scene.notes.notes_model import Band, NoteRegion, RegionNote, View
+from antdsl.scene.notes.selectors import Ball, Box
 from antdsl.scene.thing_models import convert_point
 
 

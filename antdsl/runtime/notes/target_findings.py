@@ -12,12 +12,12 @@ from antdsl.numerics.vector_rows import length
 from antdsl.runtime.notes.active_notes import NoteAgents
 from antdsl.runtime.notes.targets import find_curve, find_goal, find_item_points, find_path_points
 from antdsl.runtime.notes.wishes import Floats, read_max_speeds
-from antdsl.runtime.selectable_agents import collect_selectable_frame
+from antdsl.runtime.sensing.selectable_agents import collect_selectable_frame
 from antdsl.runtime.world import World
 from antdsl.scene import Scene
-from antdsl.scene.notes_model import Note, PathNote, ReachNote
-from antdsl.scene.selection import select_rows
-from antdsl.scene.selectors import AgentName
+from antdsl.scene.notes.notes_model import Note, PathNote, ReachNote
+from antdsl.scene.notes.selection import select_rows
+from antdsl.scene.notes.selectors import AgentName
 
 _HELP = "write a later frame, choose nearer agents, or give them a larger `max_speed`"
 

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from antdsl.casting.curves import SampledCurve
 from antdsl.numerics.vector_rows import length
 from antdsl.runtime.moving.moving_geometry import make_curve
-from antdsl.runtime.selectable_agents import collect_selectable_frame
+from antdsl.runtime.sensing.selectable_agents import collect_selectable_frame
 from antdsl.runtime.world import World
-from antdsl.scene.notes_model import PathNote
-from antdsl.scene.selection import select_rows
-from antdsl.scene.selectors import AgentName
+from antdsl.scene.notes.notes_model import PathNote
+from antdsl.scene.notes.selection import select_rows
+from antdsl.scene.notes.selectors import AgentName
 from antdsl.scene.thing_models import convert_point
 from antdsl.scene.values import PointValue
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from antdsl.plan.ir import ValueKind
 from antdsl.runtime.notes.active_notes import NoteAgents, compute_weight
-from antdsl.scene.notes_model import SetNote
+from antdsl.scene.notes.notes_model import SetNote
 
 
 def set_attributes(agents: NoteAgents) -> None:

@@ -10,8 +10,8 @@ from antdsl import limits
 from antdsl.diagnostics import Label
 from antdsl.program.model import Constant, Expr, OperationExpr, ParamRef
 from antdsl.program.tables.vocabulary import LENGTH_DIMENSION
+from antdsl.scene.checks.entry_checks import convert_constant
 from antdsl.scene.document import PathKey
-from antdsl.scene.entry_checks import convert_constant
 from antdsl.scene.geometry.mesh_files import compute_mesh_area
 
 if TYPE_CHECKING:

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from antdsl.diagnostics import Report
 from antdsl.program.model import Dimension, TypeKind
 from antdsl.scene import setting as stage_of
-from antdsl.scene.crowd_data import ReleaseData
-from antdsl.scene.crowd_model import Placement, UsdPositions, Walk
+from antdsl.scene.crowds.crowd_data import ReleaseData
+from antdsl.scene.crowds.crowd_model import Placement, UsdPositions, Walk
+from antdsl.scene.crowds.initial_values import stage_initial_values
 from antdsl.scene.document import PathKey
-from antdsl.scene.initial_values import stage_initial_values
 from antdsl.scene.library_bodies import BODY_WORDS
 from antdsl.scene.load import Scene
 from antdsl.scene.quantities import Quantity

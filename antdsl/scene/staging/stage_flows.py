@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from antdsl import limits
 from antdsl.scene import setting as stage_of
 from antdsl.scene import thing_models as model
-from antdsl.scene.entry_checks import report_unknown
+from antdsl.scene.checks.entry_checks import report_unknown
 from antdsl.scene.geometry.mesh_files import RawMesh, rotate_points, rotate_up
 from antdsl.scene.geometry.painted import PaintError, read_painted_values
 from antdsl.scene.quantities import Quantity

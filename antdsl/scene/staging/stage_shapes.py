@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 from antdsl.diagnostics.suggestion import find_nearest_name
 from antdsl.scene import setting as stage_of
-from antdsl.scene.casting_model import FACING_WORDS, Facing, FacingDirection, Ranks
-from antdsl.scene.crowd_data import ClumpsData, FacingData, ItemCentre, RanksData, VolumeData
-from antdsl.scene.crowd_model import Placement
+from antdsl.scene.crowds.casting_model import FACING_WORDS, Facing, FacingDirection, Ranks
+from antdsl.scene.crowds.crowd_data import ClumpsData, FacingData, ItemCentre, RanksData, VolumeData
+from antdsl.scene.crowds.crowd_model import Placement
 from antdsl.scene.document import PathKey
 from antdsl.scene.load import Scene
+from antdsl.scene.notes.selectors import Box, Region
 from antdsl.scene.quantities import Quantity
-from antdsl.scene.selectors import Box, Region
 from antdsl.scene.thing_models import convert_point
 from antdsl.scene.values import PointValue
 

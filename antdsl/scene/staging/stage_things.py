@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from antdsl import limits
 from antdsl.scene import setting as stage_of
-from antdsl.scene.crowd_model import UsdPositions
+from antdsl.scene.crowds.crowd_model import UsdPositions
 from antdsl.scene.document import PathKey
 from antdsl.scene.geometry.import_notes import ImportNotes
 from antdsl.scene.geometry.matrices import apply_transforms, has_inverse

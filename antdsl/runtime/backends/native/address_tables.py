@@ -26,7 +26,7 @@ from antdsl.runtime.backends.native.block_writer import BlockCode
 from antdsl.runtime.backends.native.lane_memory import LaneMemories, LaneMemory
 from antdsl.runtime.backends.native.padded_arrays import PaddedArrays, PaddedCopy
 from antdsl.runtime.clip_values import clip_table, table_starts
-from antdsl.runtime.moving.obstacle_clearance import get_clearance
+from antdsl.runtime.moving.clearance.obstacle_clearance import get_clearance
 from antdsl.runtime.world import Population, World
 
 AddressFinder = Callable[[World, Population], int]

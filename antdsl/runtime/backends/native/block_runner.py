@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from antdsl.machine_code.number_kinds import LANE_COUNT
 from antdsl.numerics import parallel
-from antdsl.numerics.host import PARTS_PER_THREAD, count_available_cores
+from antdsl.numerics.processor.host import PARTS_PER_THREAD, count_available_cores
 from antdsl.plan import ir
 from antdsl.runtime.backends.block_compiler import (
     EFFECTS_SLOT,
@@ -35,7 +35,7 @@ from antdsl.runtime.backends.native.line_profiling import LineTimes
 from antdsl.runtime.backends.native.padded_arrays import PaddedArrays
 from antdsl.runtime.backends.native.request_emission import record_request
 from antdsl.runtime.requests import FaultEntry
-from antdsl.runtime.sensing import BATCHED_SENSES, SENSE_FUNCTIONS
+from antdsl.runtime.sensing.world_senses import BATCHED_SENSES, SENSE_FUNCTIONS
 from antdsl.runtime.world import Population, World
 
 _PART_ROW_MULTIPLE = 64  # part sizes are multiples of this, so that few births change no size

@@ -22,7 +22,7 @@ from antdsl.runtime.backends.block_compiler import BlockInstruction, Instruction
 from antdsl.runtime.backends.native import stored_blocks
 from antdsl.runtime.backends.native.block_writer import BlockCode
 from antdsl.runtime.backends.native.programs import CompiledBlocks, NativeProgram, WorldFacts, write_program
-from antdsl.runtime.sensing import SENSE_FUNCTIONS
+from antdsl.runtime.sensing.world_senses import SENSE_FUNCTIONS
 
 _code_by_plan: WeakKeyDictionary[ir.Plan, dict[WorldFacts, ReadyCode]] = WeakKeyDictionary()
 _pending_requests: list[tuple[ReferenceType[Future[ReadyCode]], Generator[None, None, ReadyCode]]] = []

@@ -17,8 +17,8 @@ from antdsl.runtime.backends.native.address_layout import LANE_TYPE_BY_KIND
 from antdsl.runtime.backends.native.block_writer import FunctionWriter, NodeLowerer
 from antdsl.runtime.backends.native.field_threshold import read_own_cell
 from antdsl.runtime.backends.native.float4 import load_quadruples
-from antdsl.runtime.moving.obstacle_clearance import may_touch
-from antdsl.runtime.sensing import NO_HIT
+from antdsl.runtime.moving.clearance.obstacle_clearance import may_touch
+from antdsl.runtime.sensing.world_senses import NO_HIT
 from antdsl.runtime.world import AXES
 
 _CELL_STRIDE = 4  # neighbour cells are sorted: about this many share a cache line

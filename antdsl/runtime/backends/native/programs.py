@@ -24,7 +24,7 @@ from antdsl.runtime.backends.native.native_senses import (
 )
 from antdsl.runtime.backends.native.request_emission import emit_request
 from antdsl.runtime.backends.native.stage_schedule import PAIR_INSTRUCTION_KINDS, make_schedule
-from antdsl.runtime.pairs import is_nearest_only
+from antdsl.runtime.sensing.pairs import is_nearest_only
 from antdsl.scene.setting import WorldSetting
 
 CompiledBlocks = Mapping[tuple[str, str], BlockCompiler]

@@ -31,7 +31,7 @@ from antdsl.runtime.backends.native.search.cell_rows import SEARCH_SLACK_FACTOR,
 from antdsl.runtime.backends.native.search.dense_neighbours import write_dense_search
 from antdsl.runtime.backends.native.search.search_pairs import OPERAND_STRIDE_BYTES, POSITION_REGISTERS, SearchCode, measure_pairs
 from antdsl.runtime.backends.native.stage_schedule import reduction_operands
-from antdsl.runtime.pairs import count_nearest
+from antdsl.runtime.sensing.pairs import count_nearest
 from antdsl.runtime.world import AXES
 
 # Candidates of one agent that are gone through here, so that the cap leaves out none

@@ -1,0 +1,1 @@
+"""Bodies in glTF files: read as agent definitions, and written."""

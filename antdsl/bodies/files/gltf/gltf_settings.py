@@ -1,0 +1,50 @@
+"""Settings of a body in the extras of a glTF file, in metres: length, legs, gaits, idle clip and capsule."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, replace
+from typing import Any
+
+from antdsl.bodies.agents.definition import BodyError, Definition
+from antdsl.bodies.files.gltf.gltf_clips import EXTRAS_KEY
+
+CAPSULE_KEYS = ("length", "width", "height", "ahead")
+
+
+def body_extras(body: Definition) -> dict[str, Any]:
+    """Return the extras of a glTF file for a body in metres."""
+    settings: dict[str, Any] = {"length": body.length}
+    if body.legs:
+        settings["legs"] = [asdict(leg) for leg in body.legs]
+    if body.gaits:
+        settings["gaits"] = [asdict(gait) for gait in body.gaits]
+    if body.idle:
+        settings["idle"] = body.idle
+    if body.capsule is not None:
+        settings["capsule"] = dict(zip(CAPSULE_KEYS, body.capsule, strict=True))
+    return {EXTRAS_KEY: settings}
+
+
+def with_extras(body: Definition, extras: Any) -> Definition:
+    """Return a body with the settings in the extras of its file. Raises BodyError for wrong values.
+
+    Without a length, the length is 0 and must be measured."""
+    settings = extras.get(EXTRAS_KEY) if isinstance(extras, dict) else None
+    if settings is None:
+        return replace(body, length=0.0)
+    from pydantic import ValidationError  # imported late, because most files have no such settings
+
+    from antdsl.bodies.files.document_model import BodySettings
+    from antdsl.bodies.files.documents import build_capsule, build_gaits, build_legs
+
+    try:
+        form = BodySettings.model_validate(settings)
+    except ValidationError as problem:
+        error = problem.errors(include_url=False, include_input=False)[0]
+        path = "".join(f" at `{str(key)[:60]}`" for key in error["loc"])
+        advice = "the extras must be an object of length, legs, gaits, idle and capsule: delete or correct it"
+        raise BodyError(f"has unknown extras `{EXTRAS_KEY}`{path}", advice) from None
+    return replace(
+        body, length=form.length or 0.0, legs=build_legs(form.legs), gaits=build_gaits(form.gaits), idle=form.idle or "",
+        capsule=None if form.capsule is None else build_capsule(form.capsule),
+    )  # fmt: skip

@@ -1,0 +1,1 @@
+"""The machine a process runs on: what it grants the process, and the floating-point environment of a thread."""

@@ -1,0 +1,74 @@
+"""Edits that take agents out of frames: `kill` and `clip`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from antdsl.outputs.cache.cache_reader import Arrays
+from antdsl.outputs.cache.frame_agents import make_agent_keys
+from antdsl.outputs.edits.cache_selection import select_agents
+from antdsl.outputs.edits.edit_layer import AgentsLine, EditLayer
+from antdsl.outputs.edits.frame_rows import keep_rows
+from antdsl.scene.notes.selectors import AgentConditions, Ball, Region, Selector
+from antdsl.scene.values import make_error
+
+
+class KillLine(AgentsLine):
+    """Takes agents out of the frames."""
+
+    verb = "kill"
+    agents: Selector = Field(alias="kill")
+
+
+class ClipLine(AgentsLine):
+    """Keeps agents in `frames`, and in the region `inside` only."""
+
+    verb = "clip"
+    agents: Selector = Field(alias="clip")
+    inside: Region | None = None
+
+    @model_validator(mode="after")
+    def _check_one(self) -> ClipLine:
+        if self.frames is None and self.inside is None:
+            raise make_error("`clip` has `frames` or `inside`", "write `inside: {from: [0, 0, 0], to: [50, 20, 50]}`")
+        return self
+
+    def list_items(self) -> tuple[tuple[tuple[str, ...], str], ...]:
+        """Return the names of items outside selectors, each after the keys that lead to it."""
+        name = self.inside.around if isinstance(self.inside, Ball) else None
+        return ((("inside", "around"), name),) if isinstance(name, str) else ()
+
+
+@dataclass(frozen=True, eq=False)
+class KillLayer(EditLayer):
+    """A view of a cache without some agents."""
+
+    line: KillLine
+    required_arrays = ("id",)
+
+    def change_frame(self, number: int, arrays: Arrays) -> Arrays:
+        """Return a frame without the selected agents."""
+        return keep_rows(arrays, self.manifest, lambda keys: ~self.selection.find(keys))
+
+
+@dataclass(frozen=True, eq=False)
+class ClipLayer(EditLayer):
+    """A view of a cache with some agents in some frames and places only."""
+
+    line: ClipLine
+
+    def is_active(self, number: int) -> bool:
+        """Return whether the edit changes a frame."""
+        return self.line.inside is not None or not super().is_active(number)
+
+    def change_frame(self, number: int, arrays: Arrays) -> Arrays:
+        """Return a frame without the selected agents that are outside."""
+        keys, frames = make_agent_keys(arrays), self.line.frames
+        removed = self.selection.find(keys)
+        if self.line.inside is not None and (frames is None or frames.first <= number <= frames.last):
+            region = AgentConditions.model_construct(region=self.line.inside)
+            removed = removed & ~select_agents(region, arrays, self.manifest)
+        return keep_rows(arrays, self.manifest, lambda each: ~np.isin(each, keys[removed]))

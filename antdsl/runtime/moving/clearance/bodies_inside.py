@@ -1,0 +1,71 @@
+"""Find bodies that are inside the ground or inside a solid."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.ground.mesh.surface import MeshGround
+from antdsl.numerics import vectors as vec
+from antdsl.runtime.body_positions import LIFT_REGISTERS
+from antdsl.runtime.moving.body_records import BodyLimits, BodyPoses, BodyStances
+from antdsl.runtime.moving.clearance.clear_steps import body_shapes, face_search
+from antdsl.runtime.moving.clearance.clearance_kernels import shift_bodies
+from antdsl.runtime.world import Population, World
+
+_F = np.float32
+_MAX_BODIES_MEASURED_AT_ONCE = 250  # a larger species is sampled: only every k-th agent is measured
+_VISIBLE_DEPTH = _F(0.01)  # body lengths; a shallower overlap counts as contact
+
+
+def find_sampled_bodies_inside(world: World, population: Population) -> NDArray[np.bool_]:
+    """Return which sampled bodies are inside the ground or a solid, bool[k].
+
+    The sample has up to about 250 agents: those with an id that is a multiple of one number."""
+    rows = np.flatnonzero(population.ids % (1 + len(population) // _MAX_BODIES_MEASURED_AT_ONCE) == 0)
+    return find_bodies_inside(world, population, rows)
+
+
+def find_bodies_inside(world: World, population: Population, rows: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Return which bodies of `rows` are inside the ground or a solid in the current state, bool[k].
+
+    A body is the capsule of its trunk, with head and abdomen. It is inside a mesh if a face crosses its axis. It is also inside
+    if a face is nearer to the axis than the radius, less 1 % of the body length. It is inside a solid if the solid is that near
+    to an end or the middle of the axis."""
+    now, count = population.now, len(rows)
+    size, (shapes, body) = now["size"].take(rows).astype(np.float64), body_shapes(world, population, 0.0)
+    depths, outs = np.zeros(count, np.float32), np.zeros((3, count), np.float32)
+    poses = BodyPoses(vec.get_vector_registers(now, "up"), vec.get_vector_registers(now, "heading"))
+    zero = np.zeros(len(population), np.float32)
+    lift = vec.get_vector_registers(now, "~lift") if LIFT_REGISTERS[0] in now else (zero, zero.copy(), zero.copy())
+    lift = (lift[0].copy(), lift[1].copy(), lift[2].copy())
+    meshes = world.ground.meshes
+    walk = None if not isinstance(meshes, MeshGround) else meshes.build_crowd_walk(0.0, float(np.fmax.reduce(size, initial=0.0)))
+    if walk is not None and count:
+        limits = BodyLimits(zero, zero, _F(1), now["size"], shapes, body, np.inf, np.inf)
+        search, old = face_search(walk, count, 1), vec.take_rows(lift, rows)
+        table = walk.build_tables()[0].table
+        shift_bodies(
+            table,
+            search,
+            rows,
+            BodyStances(population.position, population.normal, poses),
+            limits,
+            lift,
+            old,
+            depths,
+            outs,
+            0,
+            0,
+            count,
+        )
+    is_inside: NDArray[np.bool_] = depths > _VISIBLE_DEPTH
+    place = population.position[rows].T + np.stack(vec.take_rows(lift, rows))
+    up, heading = (np.stack(vec.take_rows(each, rows)).astype(np.float64) for each in poses)
+    half, radius, height, ahead = shapes[body[rows]].T
+    for volume in world.solids.values():
+        clear = (radius - _VISIBLE_DEPTH) * size - volume.voxel / 2
+        for end in (-half, 0.0, half):
+            point = place + up * (height * size) + heading * ((ahead + end) * size)
+            is_inside |= volume.sample(point.T) < clear
+    return is_inside

@@ -1,0 +1,159 @@
+"""Select the bodies that need more than their feet, and lift bodies on wide faces over the ground beyond the edges."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from antdsl.ground.mesh.face_table import (  # fmt: skip
+    CORNER_OFFSET,
+    EDGE1_OFFSET,
+    EDGE2_OFFSET,
+    NORMAL_OFFSET,
+    RATE1_OFFSET,
+    ROW_FLOATS,
+)
+from antdsl.ground.mesh.surroundings import position_on_face
+from antdsl.ground.mesh.walkers import FootingArrays, SurfaceTables
+from antdsl.machine_code.kernels import kernel, kernel_helper, load_consecutive, simd_range
+from antdsl.machine_code.kernels.types import BOOL, F64, I32, I64, U8, Array1, Array2
+from antdsl.numerics.kernel_vectors import TriangleWeights, Vec3, VectorColumns, dot, load_vector, minus, plus, times
+from antdsl.runtime.moving.body_records import MAX_LIFT_PER_BODY, SHARP, BodyLimits, BodyPoses, BodyRegisters, get_shape
+from antdsl.runtime.moving.clearance.body_paths import BodyShape
+from antdsl.runtime.moving.postures import read_vector
+from antdsl.runtime.moving.velocities import HURRYING_STATE, STANDING_STATE
+
+_F = np.float32
+
+
+@kernel
+def select_rows(
+    levels: Array1[U8],
+    heading: VectorColumns,
+    state: Array1[I32],
+    looking: VectorColumns,
+    retained: BodyRegisters,
+    rows: Array1[I64],
+    row_levels: Array1[U8],
+    begin: I64,
+    end: I64,
+) -> tuple[I64, I64]:
+    """List the agents from `begin` to before `end` that may need shorter steps; return `begin` and their number.
+
+    All agents on ground with a level get a `state` that aligns their bodies after the walk. `looking` receives their headings.
+    `row_levels` receives the `levels` of the listed agents."""
+    count = begin
+    for i in range(begin, end):
+        if levels[i] > 0 and state[i] == STANDING_STATE:
+            state[i] = HURRYING_STATE
+            for k in range(3):
+                looking[k][i] = heading[k][i]
+        waits = retained.wait[i] != 0 or retained.out[0][i] != 0 or retained.out[1][i] != 0 or retained.out[2][i] != 0
+        if levels[i] == SHARP or waits:
+            rows[count], row_levels[count] = i, levels[i]
+            count += 1
+    return begin, count - begin
+
+
+class LiftLists(NamedTuple):
+    """Lists of `rows` with their `levels`, as `lift_bodies` writes them, and its work buffers."""
+
+    rows: Array1[I64]
+    levels: Array1[U8]
+    climbers: Array1[I64]
+    kind: Array1[U8]
+
+
+@kernel
+def lift_bodies(
+    surface: SurfaceTables,
+    feet: FootingArrays,
+    has_bend: Array1[BOOL],
+    state: Array1[I32],
+    levels: Array1[U8],
+    pose: BodyPoses,
+    limits: BodyLimits,
+    retained: BodyRegisters,
+    lists: LiftLists,
+    begin: I64,
+    end: I64,
+) -> tuple[I64, I64]:
+    """Lift bodies that stand on a wide face off the neighbouring faces, for agents from `begin` to before `end`.
+
+    Lists bodies on ground with a level, and bodies that are shifted, waiting or deep inside. Returns `begin` and their number.
+    Their `state` becomes that of a body aligned with its feet."""
+    first, (rows, row_levels, climbers, kind) = surface.first, lists
+    for row in simd_range(begin, end):
+        climbs = False
+        if feet.mesh[row] >= 0 and feet.face[row] >= 0:
+            climbs = has_bend[first[feet.mesh[row]] + feet.face[row]]
+        x, y, z = retained.lift[0][row], retained.lift[1][row], retained.lift[2][row]
+        shifted = (x != 0) | (y != 0) | (z != 0) | (retained.depth[row] != 0) | (retained.wait[row] != 0)
+        is_listed = (levels[row] > 0) | (shifted & (state[row] != STANDING_STATE))
+        kind[row] = 1 if is_listed else 2 if climbs else 0
+        if is_listed:
+            state[row] = STANDING_STATE
+        elif shifted:
+            retained.depth[row], retained.wait[row] = _F(0), _F(0)
+            for axis in range(3):
+                retained.lift[axis][row] = _F(0)
+    count, raised = begin, begin
+    for row in range(begin, end):
+        rows[count], row_levels[count], climbers[raised] = row, levels[row], row
+        count += kind[row] == 1
+        raised += kind[row] == 2
+    for k in simd_range(begin, raised):
+        i = climbers[k]
+        size, up, heading = np.float64(limits.size[i]), read_vector(pose.up, i), read_vector(pose.heading, i)
+        f, weights = first[feet.mesh[i]] + feet.face[i], (feet.b1[i], feet.b2[i])
+        lift = min(
+            _face_lift(surface.table, surface.link, f, weights, get_shape(limits, i, size), up, heading), MAX_LIFT_PER_BODY * size
+        )
+        for axis in range(3):
+            retained.lift[axis][i] = _F(lift * up[axis])
+    return begin, count - begin
+
+
+@kernel_helper
+def _face_lift(
+    table: Array1[F64], link: Array2[I32], f: I64, weights: TriangleWeights, shape: BodyShape, up: Vec3, heading: Vec3
+) -> F64:
+    """Return how far (mm) both ends of a body must rise along its up, to clear its face and the faces that rise beyond its
+    edges."""
+    row, lift = ROW_FLOATS * f, 0.0
+    own = load_vector(table, row + NORMAL_OFFSET)
+    side = -1.0 if dot(own, up) < 0 else 1.0
+    own, place = times(own, side), position_on_face(table, row, weights, side)
+    middle = plus(times(up, shape.height), times(heading, shape.ahead))
+    _, along, slant, shear = load_consecutive(table, row + RATE1_OFFSET - 1, 4)
+    for edge in range(4):
+        normal, corner = own, place
+        if edge < 3:
+            # Distance from an edge: the weight of the opposite corner, divided by the gradient of that weight.
+            weight, x, y = 1.0 - weights[0] - weights[1], -along, shear - slant
+            if edge == 1:
+                weight, x, y = weights[0], along, -shear
+            if edge == 2:
+                weight, x, y = weights[1], 0.0, slant
+            reach = shape.half + shape.radius + abs(shape.ahead)
+            if weight * weight > (x * x + y * y) * reach * reach:
+                continue
+            beyond = np.int64(link[1 if side < 0 else 0, 3 * f + edge])
+            if beyond < 0:
+                continue
+            other = ROW_FLOATS * (beyond >> 3)
+            normal = times(load_vector(table, other + NORMAL_OFFSET), -side if (beyond & 1) == 1 else side)
+            corner = load_vector(table, other + CORNER_OFFSET)
+            # The face beyond the edge rises if a corner of the own face lies above its plane.
+            center = plus(
+                load_vector(table, row + CORNER_OFFSET),
+                times(plus(load_vector(table, row + EDGE1_OFFSET), load_vector(table, row + EDGE2_OFFSET)), 1 / 3.0),
+            )
+            if dot(minus(center, corner), normal) <= 0:
+                continue
+        for end in range(2):
+            tip = plus(middle, times(heading, shape.half if end == 0 else -shape.half))
+            gap = dot(minus(plus(place, tip), corner), normal)
+            lift = max(lift, (shape.radius - gap) / max(dot(normal, up), 0.5))
+    return lift

@@ -1,0 +1,317 @@
+"""Kernels that hold bodies outside their ground. They shorten steps, turn bodies over the path below them, and shift bodies.
+
+A body follows the mean turn of the ground along its path (`body_paths`), no faster than it can turn. Its angle to the ground's
+normal is limited. So a step ends before an edge until the body can stand beyond the edge."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from antdsl.ground.mesh.boxes import FaceList, gather_faces
+from antdsl.ground.mesh.face_table import AXIS1_OFFSET, AXIS2_OFFSET, NORMAL_OFFSET, ROW_FLOATS  # fmt: skip
+from antdsl.ground.mesh.stretches import get_clearance, project_to_face
+from antdsl.ground.mesh.surroundings import position_on_face
+from antdsl.ground.mesh.walkers import FaceWalker, FootingArrays, SurfaceTables
+from antdsl.machine_code.kernels import allocate_scratch, inlined, kernel, kernel_helper
+from antdsl.machine_code.kernels.types import F32, F64, I64, Array1, Array2
+from antdsl.numerics.elementary_loops import atan2, compute_cos_and_sin
+from antdsl.numerics.kernel_vectors import (
+    TriangleWeights,
+    Vec3,
+    VectorColumns,
+    cross,
+    dot,
+    get_row64,
+    load_vector,
+    minus,
+    normalise_vector,
+    plus,
+    rotate_about_axis,
+    times,
+)  # fmt: skip
+from antdsl.numerics.parallel import compute_buffer_index
+from antdsl.runtime.moving.body_records import (
+    MAX_LIFT_PER_BODY,
+    SHARP,
+    BodyLimits,
+    BodyPoses,
+    BodyRegisters,
+    BodyRows,
+    BodyStances,
+    FaceSearch,
+    get_shape,
+)
+from antdsl.runtime.moving.clearance.body_paths import (
+    DISTANCE_AT,
+    NORMAL_AT,
+    PATH_FLOATS,
+    POINT_FLOATS,
+    RISE_AT,
+    FacesNearby,
+    profile_lift,
+    trace_bends,
+)
+from antdsl.runtime.moving.contacts.body_contacts import BodyStance, shift_outside
+from antdsl.runtime.moving.postures import perpendicular, read_vector, tilt_within, turn_axis, turn_heading, turn_within
+
+_F = np.float32
+WINDOW_PER_BODY = 1.0  # body lengths; length of the path ahead of the feet, and of the path behind them
+_EYE_PER_BODY = 0.03  # body lengths above the ground at which a path meets other pieces
+_MAX_LEAN = 1.0  # radians between body and the ground below the feet (57 degrees)
+_LEAN_PER_BODY = 0.65  # radians that the limit grows per body length of distance
+_MIN_WAIT_LAG, _MAX_WAIT_LAG = 0.087, 0.35  # radians; from the first lag on feet slow down, at the second they stop
+_KNIFE_SLACK = 0.05  # radians beyond half the turn of a sharp edge, by which a body is off the ground beyond after a step
+_LEAN_SLACK = 0.03  # radians by which a body may lean less than it should when its feet step over an edge
+_MIN_VELOCITY_SHARE = 0.3  # share of the velocity that an agent retains while it waits for its body
+_RETREAT_SHARE = 0.2  # share of the step by which an agent retreats from a surface that its body touched
+_EDGE_GAP_PER_BODY = 0.002  # body lengths between an edge and waiting feet
+_EDGE_REACH_PER_BODY = 0.05  # body lengths; feet this near to an edge stand at the edge
+_VALLEY_GAP_PER_BODY = 0.01  # body lengths; the same for a valley that is too narrow for the body
+
+
+@inlined
+def _buffer(search: FaceSearch, begin: I64) -> I64:
+    """Return the index at which the buffer of a chunk begins."""
+    return compute_buffer_index(begin, search.buffers.count, search.buffers.several) * search.boxes.triangle_order.size
+
+
+@kernel_helper
+def _gather_others(search: FaceSearch, f: I64, weights: TriangleWeights, place: Vec3, reach: F64, faces: FaceList) -> I64:
+    """Write the faces that a path of length `reach` (mm) from `place`, on face f, may meet into a list; return their number.
+
+    No path meets the piece of face f, unless faces cut their own piece."""
+    if not search.several_pieces or get_clearance(search.near, f, weights) > reach * (1 + _EYE_PER_BODY):
+        return 0
+    piece = -1 if search.cuts[search.cuts.size - 1] > 0 else np.int64(search.pieces[f])
+    return gather_faces(search.pieces, search.boxes, place, place, reach, -1, piece, faces)
+
+
+@inlined
+def _angle(a: Vec3, b: Vec3) -> F64:
+    """Return the angle (radians) between two vectors."""
+    side = cross(a, b)
+    return np.float64(atan2(_F(np.sqrt(dot(side, side))), _F(dot(a, b))))
+
+
+@kernel_helper
+def _approach_normal(up: Vec3, normal: Vec3, most: F64, ahead: Vec3) -> Vec3:
+    """Return the up direction. If it is more than `most` radians away from a normal, rotate it towards the normal."""
+    angle, result = _angle(up, normal), up
+    if angle > most:
+        axis, _, _ = turn_axis(up, normal, ahead)
+        c, s = compute_cos_and_sin(_F(angle - most))
+        result = normalise_vector(rotate_about_axis(up, axis, np.float64(c), np.float64(s)))
+    return result
+
+
+@inlined
+def _find_largest_lean(turn: F64, most: F64) -> F64:
+    """Return how far (radians) a body leans before an edge at which the ground turns by `turn`, if it tilts by `most` in a step.
+
+    It leans no farther than it must, so that it is seldom far from the ground on either side."""
+    return max(_MAX_LEAN, 0.5 * turn - most - _KNIFE_SLACK)
+
+
+@kernel
+def limit_steps(
+    surface: SurfaceTables,
+    search: FaceSearch,
+    feet: FootingArrays,
+    listed: BodyRows,
+    body_up: VectorColumns,
+    normals: Array2[F32],
+    step: VectorColumns,
+    velocity: VectorColumns,
+    limits: BodyLimits,
+    retained: BodyRegisters,
+    begin: I64,
+    end: I64,
+) -> None:
+    """Shorten the steps (mm) of the listed agents from `begin` to before `end` so that their bodies can follow.
+
+    A step leads away from the surface that the body touched in the last step. It ends before an edge if the body cannot stand
+    beyond it. It also ends before a valley that is too narrow for the body."""
+    table, first, rows, levels = surface.table, surface.first, listed.rows, listed.levels
+    points, faces = allocate_scratch(PATH_FLOATS, F64), FaceList(search.buffers.numbers, _buffer(search, begin))
+    for j in range(begin, end):
+        i = rows[j]
+        displacement = read_vector(step, i)
+        length = np.sqrt(dot(displacement, displacement))
+        if feet.mesh[i] < 0 or feet.face[i] < 0 or feet.over[i] != 0 or not (length > 0 and length < np.inf):
+            continue
+        wall, ground, size = read_vector(retained.out, i), get_row64(normals, i), np.float64(limits.size[i])
+        if dot(wall, wall) > 0:
+            displacement = _retreat(
+                displacement,
+                length,
+                minus(wall, times(ground, dot(wall, ground))),
+                _RETREAT_SHARE * (length + limits.ease * size),
+            )
+            for k in range(3):
+                step[k][i] = _F(displacement[k])
+                velocity[k][i], retained.out[k][i] = step[k][i] / limits.dt, _F(0)
+        part = _F(1) - retained.wait[i]
+        if levels[j] == SHARP:
+            f = first[feet.mesh[i]] + feet.face[i]
+            row = ROW_FLOATS * f
+            own = load_vector(table, row + NORMAL_OFFSET)
+            side = -1.0 if dot(own, ground) < 0 else 1.0
+            own, weights = times(own, side), (feet.b1[i], feet.b2[i])
+            axis1, axis2 = load_vector(table, row + AXIS1_OFFSET), load_vector(table, row + AXIS2_OFFSET)
+            c, s, left = project_to_face(axis1, axis2, displacement[0], displacement[1], displacement[2], 1.0, 0.0)
+            if left > 0:
+                place = position_on_face(table, row, weights, side)
+                count = _gather_others(search, f, weights, place, left + _EYE_PER_BODY * size, faces)
+                nearby = FacesNearby(search.boxes, faces, count, search.pieces, search.cuts)
+                start = FaceWalker(f, weights, side, (c, s), (c, s))
+                bend = trace_bends(surface, nearby, start, left, _EYE_PER_BODY * size, points)
+                free, up = left, read_vector(body_up, i)
+                for k in range(1, bend.count - 1):
+                    n = load_vector(points, POINT_FLOATS * k + NORMAL_AT)
+                    turn, most = _angle(own, n), np.float64(limits.most[i])
+                    if _angle(up, n) > max(_MAX_LEAN + most, turn - _find_largest_lean(turn, most)) + _LEAN_SLACK:
+                        free = min(free, max(points[POINT_FLOATS * k + DISTANCE_AT] - _EDGE_GAP_PER_BODY * size, 0.0))
+                # A body at its nearest possible distance from the surface beyond an edge cannot cross that edge.
+                turns_away = free < _EDGE_REACH_PER_BODY * size and free < left and retained.wait[i] == 0
+                last = POINT_FLOATS * (bend.count - 1)
+                if points[last + RISE_AT] < 0:
+                    free = min(free, max(points[last + DISTANCE_AT] - _VALLEY_GAP_PER_BODY * size, 0.0))
+                    turns_away = True
+                if turns_away:
+                    for k in range(3):
+                        retained.out[k][i] = _F(-displacement[k] / length)
+                part = _F(min(free / left, 1.0)) * part
+        for k in range(3):
+            step[k][i] = step[k][i] * part
+            velocity[k][i] = velocity[k][i] * max(part, _F(_MIN_VELOCITY_SHARE))
+
+
+@inlined
+def _retreat(step: Vec3, length: F64, wall: Vec3, distance: F64) -> Vec3:
+    """Return a step of the given length without its component into a wall, moved `distance` away from the wall.
+
+    `wall`: the direction away from the wall, along the ground. A step that leads along the wall is reversed."""
+    size = np.sqrt(dot(wall, wall))
+    into = dot(step, wall)
+    out, inside = times(step, -1 / length), -length
+    if size > 0.1 and into < -0.1 * size * length:
+        out, inside = times(wall, 1 / size), into / size
+    changed = plus(step, times(out, distance - inside))
+    return times(changed, min(max(length, distance) / max(np.sqrt(dot(changed, changed)), 1e-300), 1.0))
+
+
+@kernel
+def aim_bodies(
+    surface: SurfaceTables,
+    search: FaceSearch,
+    feet: FootingArrays,
+    listed: BodyRows,
+    previous: BodyPoses,
+    now: BodyPoses,
+    limits: BodyLimits,
+    retained: BodyRegisters,
+    begin: I64,
+    end: I64,
+) -> None:
+    """Turn the listed bodies from `begin` to before `end` towards their feet, and lift them off the path below them.
+
+    `previous`: poses before the step. `now`: poses of the feet; they are replaced by the poses of the bodies."""
+    table, first, rows, levels = surface.table, surface.first, listed.rows, listed.levels
+    faces = FaceList(search.buffers.numbers, _buffer(search, begin))
+    ahead_points, behind_points = allocate_scratch(PATH_FLOATS, F64), allocate_scratch(PATH_FLOATS, F64)
+    for j in range(begin, end):
+        i = rows[j]
+        stands = read_vector(previous.up, i)
+        look = perpendicular(read_vector(previous.heading, i), stands)
+        normal, heading = read_vector(now.up, i), read_vector(now.heading, i)
+        long = limits.size[i]
+        size = np.float64(long if long > 0 and np.isfinite(long) else _F(0))
+        limited = np.isfinite(limits.max_turn[i])
+        turn = np.float64(min(max(limits.max_turn[i], _F(0)) * limits.dt, _F(4))) if limited else np.float64(4)
+        target_up, target_heading, place, ahead_count, behind_count = normal, heading, (0.0, 0.0, 0.0), 0, 0
+        if feet.mesh[i] >= 0 and feet.face[i] >= 0 and feet.over[i] == 0 and size > 0 and levels[j] > 0:
+            f = first[feet.mesh[i]] + feet.face[i]
+            row = ROW_FLOATS * f
+            own = load_vector(table, row + NORMAL_OFFSET)
+            side = -1.0 if dot(own, normal) < 0 else 1.0
+            own, weights, window = times(own, side), (feet.b1[i], feet.b2[i]), WINDOW_PER_BODY * size
+            travel = turn_within(turn_heading(look, stands, own), perpendicular(heading, own), own, turn)
+            c, s = dot(load_vector(table, row + AXIS1_OFFSET), travel), dot(load_vector(table, row + AXIS2_OFFSET), travel)
+            place = position_on_face(table, row, weights, side)
+            count = 0
+            if levels[j] == SHARP:
+                count = _gather_others(search, f, weights, place, window, faces)
+            nearby = FacesNearby(search.boxes, faces, count, search.pieces, search.cuts)
+            start, back = FaceWalker(f, weights, side, (c, s), (c, s)), FaceWalker(f, weights, side, (-c, -s), (c, s))
+            roll, pitch, ahead_count = trace_bends(surface, nearby, start, window, _EYE_PER_BODY * size, ahead_points)
+            roll2, pitch2, behind_count = trace_bends(surface, nearby, back, window, _EYE_PER_BODY * size, behind_points)
+            bend = plus(times(travel, roll - roll2), times(cross(own, travel), pitch - pitch2))
+            angle = np.sqrt(dot(bend, bend))
+            axis, (c32, s32) = times(bend, 1 / max(angle, 1e-300)), compute_cos_and_sin(_F(angle))
+            mean = normalise_vector(rotate_about_axis(own, axis, np.float64(c32), np.float64(s32)))
+            target_heading = perpendicular(rotate_about_axis(travel, axis, np.float64(c32), np.float64(s32)), mean)
+            target_up, lean = mean, _MAX_LEAN
+            for back_k in range(ahead_count - 1):
+                k = ahead_count - 2 - back_k
+                n = load_vector(ahead_points, POINT_FLOATS * k + NORMAL_AT)
+                extra, beyond = _LEAN_PER_BODY * ahead_points[POINT_FLOATS * k + DISTANCE_AT] / size, _angle(own, n)
+                lean = max(lean, _find_largest_lean(beyond, np.float64(limits.most[i])) - 4.0 * extra)
+                target_up = _approach_normal(target_up, n, max(_MAX_LEAN + extra, 0.5 * beyond), travel)
+            target_up = _approach_normal(target_up, normal, lean, travel)
+            target_heading = turn_heading(target_heading, mean, target_up)
+        up, turned, (tilt, full_tilt) = tilt_within(stands, look, target_up, limits.most[i])
+        yaw = np.sqrt(max(turn * turn - np.float64(tilt) * np.float64(tilt), 0.0)) if limited else 4.0
+        facing = turn_within(turned, turn_heading(target_heading, target_up, up), up, yaw)
+        rise = 0.0
+        if ahead_count > 0:
+            shape = get_shape(limits, i, size)
+            rise = profile_lift(ahead_points, ahead_count, shape, place, up, facing, MAX_LIFT_PER_BODY * size)
+            rise = max(rise, profile_lift(behind_points, behind_count, shape, place, up, facing, MAX_LIFT_PER_BODY * size))
+        lag = (np.float64(full_tilt) - np.float64(tilt) - _MIN_WAIT_LAG) / (_MAX_WAIT_LAG - _MIN_WAIT_LAG)
+        retained.wait[i] = _F(min(max(lag, 0.0), 1.0))
+        retained.depth[i] = _F(0)
+        lift = read_vector(retained.lift, i)
+        change = minus(times(up, rise), lift)
+        distance = np.sqrt(dot(change, change))
+        lift = plus(lift, times(change, min(limits.ease * size / max(distance, 1e-300), 1.0)))
+        for k in range(3):
+            now.up[k][i], now.heading[k][i] = _F(up[k]), _F(facing[k])
+            retained.lift[k][i] = _F(lift[k])
+
+
+@kernel
+def shift_bodies(
+    table: Array1[F64],
+    search: FaceSearch,
+    rows: Array1[I64],
+    stands: BodyStances,
+    limits: BodyLimits,
+    lift: VectorColumns,
+    old: VectorColumns,
+    depths: Array1[F32],
+    outs: Array2[F32],
+    turns: I64,
+    begin: I64,
+    end: I64,
+) -> None:
+    """Shift the bodies of `rows` from `begin` to before `end` out of the faces around them, starting from their `lift` (mm).
+
+    `old`: the shift of each of `rows` before the step. A body that would have to shift too far from it counts as deep inside.
+    `turns`: as in `shift_outside`. `depths`, `outs` (3, k): receive the remaining depth of each of `rows` (body lengths), and the
+    direction out."""
+    faces = FaceList(search.buffers.numbers, _buffer(search, begin))
+    place, normals, pose = stands
+    for j in range(begin, end):
+        i = rows[j]
+        size = np.float64(limits.size[i])
+        position = (place[i, 0], place[i, 1], place[i, 2])
+        stance = BodyStance(position, get_row64(normals, i), read_vector(pose.up, i), read_vector(pose.heading, i), size)
+        shape, most = get_shape(limits, i, size), MAX_LIFT_PER_BODY * size
+        result = shift_outside(table, search.pieces, search.boxes, faces, shape, stance, read_vector(lift, i), most, turns)
+        change = minus(result.shift, read_vector(old, j))
+        depths[j] = _F(result.depth / size) if size > 0 else _F(0)
+        if dot(change, change) > limits.jump * limits.jump * size * size:
+            depths[j] = _F(1)
+        for k in range(3):
+            outs[k, j] = _F(result.out[k])
+            lift[k][i] = _F(result.shift[k])

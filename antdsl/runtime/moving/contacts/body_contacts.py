@@ -1,0 +1,155 @@
+"""Contacts of bodies with the triangles around them: the shift that moves a body outside, and the depth that remains."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from antdsl.ground.mesh.boxes import BoxTree, FaceList, find_first_hit, gather_faces, is_disjoint
+from antdsl.ground.mesh.face_table import CORNER_OFFSET, EDGE1_OFFSET, EDGE2_OFFSET, NORMAL_OFFSET, ROW_FLOATS
+from antdsl.machine_code.kernels import BOOL, F64, I32, I64, Array1, inlined, kernel_helper
+from antdsl.numerics.kernel_vectors import Vec3, dot, load_vector, minus, nearest_weights, plus, times
+from antdsl.runtime.moving.clearance.body_paths import BodyShape
+
+SHIFT_TURNS = 4  # shifts of a body out of its contacts before the depth is measured
+_ANCHOR_HEIGHT_PER_BODY = 0.02  # body lengths above the feet; the middle must be visible from this point
+_AXIS_POINTS = 9  # points on the axis of a capsule from which the nearest face is searched
+_SLACK_PER_BODY = 0.004  # body lengths; a shallower overlap needs no shift
+_MARGIN_PER_BODY = 0.3  # body lengths around a body within which faces are searched
+
+
+class BodyStance(NamedTuple):
+    """A body of `size` mm that stands at `place` on ground with a `normal`."""
+
+    place: Vec3
+    normal: Vec3
+    up: Vec3
+    heading: Vec3
+    size: F64
+
+
+class BodyShift(NamedTuple):
+    """The shift of a body from its stance (mm), its remaining depth inside a surface (mm), and the direction out."""
+
+    shift: Vec3
+    depth: F64
+    out: Vec3
+
+
+@inlined
+def _get_axis_point(middle: Vec3, heading: Vec3, half: F64, point: I64) -> Vec3:
+    """Return one of the points of a capsule's axis."""
+    return plus(middle, times(heading, half * (2.0 * np.float64(point) / (_AXIS_POINTS - 1) - 1.0)))
+
+
+@kernel_helper
+def _touches(
+    table: Array1[F64], boxes: BoxTree, faces: FaceList, count: I64, shape: BodyShape, anchor: Vec3, middle: Vec3, heading: Vec3
+) -> BOOL:
+    """Return whether a face of a list crosses the axis of a capsule, or the line from its anchor, or is nearer than its radius.
+
+    A face is out of reach if its box is, or if both ends of the axis are on one side of its plane, away from it."""
+    half, radius = times(heading, shape.half), shape.radius
+    tip = times(heading, shape.half + radius)
+    one, two = minus(middle, half), plus(middle, half)
+    low_x, low_y, low_z = min(one[0], two[0]) - radius, min(one[1], two[1]) - radius, min(one[2], two[2]) - radius
+    high_x, high_y, high_z = max(one[0], two[0]) + radius, max(one[1], two[1]) + radius, max(one[2], two[2]) + radius
+    if find_first_hit(table, boxes, faces, count, anchor, minus(middle, anchor), 0.0).face >= 0:
+        return True
+    for k in range(count):
+        b = faces.numbers[faces.begin + k]
+        if is_disjoint(boxes.bounds, b, low_x, low_y, low_z, high_x, high_y, high_z):
+            continue
+        row = ROW_FLOATS * boxes.triangle_order[b]
+        corner, normal = load_vector(table, row + CORNER_OFFSET), load_vector(table, row + NORMAL_OFFSET)
+        at_one, at_two = dot(minus(one, corner), normal), dot(minus(two, corner), normal)
+        if min(at_one, at_two) >= radius or max(at_one, at_two) <= -radius:
+            continue
+        edge1, edge2 = load_vector(table, row + EDGE1_OFFSET), load_vector(table, row + EDGE2_OFFSET)
+        for point in range(_AXIS_POINTS):
+            v = minus(_get_axis_point(middle, heading, shape.half, point), corner)
+            if abs(dot(v, normal)) < radius and nearest_weights(edge1, edge2, v)[2] < radius:
+                return True
+        if at_one * at_two < 0:
+            for end in range(2):
+                step = tip if end == 0 else times(tip, -1.0)
+                if find_first_hit(table, boxes, faces, count, middle, step, 0.0).face >= 0:
+                    return True
+    return False
+
+
+@kernel_helper
+def shift_outside(
+    table: Array1[F64],
+    pieces: Array1[I32],
+    boxes: BoxTree,
+    faces: FaceList,
+    shape: BodyShape,
+    stance: BodyStance,
+    shift: Vec3,
+    most: F64,
+    turns: I64,
+) -> BodyShift:
+    """Return the shift that brings a capsule outside all faces around it, starting from `shift`, and its remaining depth.
+
+    Each of `turns` first moves the body off the faces that its axis crosses, then off the faces nearer than its radius. With 0
+    turns, only the depth is measured. The shift is at most `most` mm."""
+    place, normal, up, heading, size = stance
+    rest = plus(place, plus(times(up, shape.height), times(heading, shape.ahead)))
+    tip = times(heading, shape.half + shape.radius)
+    anchor = plus(place, times(normal, _ANCHOR_HEIGHT_PER_BODY * size))
+    middle = plus(rest, shift)
+    away = minus(anchor, middle)
+    near = max(shape.radius, np.sqrt(dot(away, away)))
+    n = gather_faces(pieces, boxes, minus(middle, tip), plus(middle, tip), near, -1, -1, faces)
+    if not _touches(table, boxes, faces, n, shape, anchor, middle, heading):
+        return BodyShift(shift, 0.0, (0.0, 0.0, 0.0))
+    wide = max(shape.radius + _MARGIN_PER_BODY * size, near)
+    n = gather_faces(pieces, boxes, minus(middle, tip), plus(middle, tip), wide, -1, -1, faces)
+    depth, out = 0.0, (0.0, 0.0, 0.0)
+    for turn in range(turns + 1):
+        depth = 0.0
+        for part in range(3):
+            middle = plus(rest, shift)
+            start, step, extra = middle, tip, 0.0
+            if part == 0:
+                start, step, extra = anchor, minus(middle, anchor), shape.radius
+            if part == 2:
+                step = times(tip, -1.0)
+            hit = find_first_hit(table, boxes, faces, n, start, step, 0.0)
+            if hit.face >= 0:
+                m = load_vector(table, ROW_FLOATS * hit.face + NORMAL_OFFSET)
+                along = dot(m, step)
+                if along > 0:
+                    m, along = times(m, -1.0), -along
+                over = (1.0 - min(hit.path_fraction, 1.0)) * -along + extra
+                if over > depth:
+                    depth, out = over, m
+                if turn < turns:
+                    shift = plus(shift, times(m, over))
+        for point in range(_AXIS_POINTS):
+            center = _get_axis_point(plus(rest, shift), heading, shape.half, point)
+            best, away = shape.radius, (0.0, 0.0, 0.0)
+            for k in range(n):
+                row = ROW_FLOATS * boxes.triangle_order[faces.numbers[faces.begin + k]]
+                v = minus(center, load_vector(table, row + CORNER_OFFSET))
+                # All points of a face are at least as far away as its plane.
+                if abs(dot(v, load_vector(table, row + NORMAL_OFFSET))) >= best:
+                    continue
+                edge1, edge2 = load_vector(table, row + EDGE1_OFFSET), load_vector(table, row + EDGE2_OFFSET)
+                b1, b2, distance = nearest_weights(edge1, edge2, v)
+                if distance < best:
+                    best, away = distance, minus(minus(v, times(edge1, b1)), times(edge2, b2))
+            if best < shape.radius:
+                over = shape.radius - best
+                if over > depth and best > 1e-9:
+                    depth, out = over, times(away, 1.0 / best)
+                if turn < turns and best > 1e-9:
+                    shift = plus(shift, times(away, over / best))
+        if depth <= _SLACK_PER_BODY * size:
+            break
+        long = np.sqrt(dot(shift, shift))
+        if long > most:
+            shift = times(shift, most / long)
+    return BodyShift(shift, depth, out)

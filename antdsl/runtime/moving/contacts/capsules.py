@@ -1,0 +1,266 @@
+"""Bodies as capsules: the trunks of all agents, and the distance between any two.
+
+A capsule is a segment along the heading with a radius, at the height of the trunk above the feet. The distance of two capsules
+is measured in the plane between their up directions, and separately across it. So neither a slope nor bodies above each other
+count as an overlap."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from itertools import accumulate
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.numerics import elementary, parallel, randomness
+from antdsl.numerics import vectors as vec
+from antdsl.runtime.body_rows import rows_by_body
+from antdsl.runtime.moving.contacts.capsule_distances import (
+    CapsuleArrays,
+    CapsuleShape,
+    CrowdCapsules,
+    TrunkCapsules,
+    empty_extremes,
+    gather_capsules,
+    measure_before_step,
+    measure_changed,
+    place_trunks,
+    select_touching_pairs,
+)
+from antdsl.runtime.moving.contacts.loads import LOAD_REGISTER, extend_trunks
+from antdsl.runtime.world import AXES, Population, World
+from antdsl.scene.crowds.body_choice import species_of_key
+from antdsl.scene.library_bodies import (
+    CAPSULE_BY_BODY,
+    LOAD_FRONT_BY_BODY,
+    WHOLE_CAPSULE_BY_BODY,
+    TrunkCapsule,
+    find_body_for_species,
+)
+from antdsl.senses.touching import Bounds, find_touching
+
+Floats = NDArray[np.float64]
+Rows = NDArray[np.intp]
+Flags = NDArray[np.bool_]
+
+_PAIR_ID_MULTIPLIER = 0x9E3779B1  # an odd multiplier that combines two ids into one key
+_SPECIES_KEY_STEP = 1 << 40  # larger than any id of a species
+
+
+def find_capsule(world: World, key: str) -> TrunkCapsule:
+    """Return the capsule of a body.
+
+    The shape comes from the body's own file. Without one, it comes from the body that the first crowd line names, then from the
+    body with the species' name."""
+    own, species = world.setting.body_capsules.get(key), species_of_key(key)
+    if own is not None:
+        return TrunkCapsule(own.length, own.width, own.height, own.forward_offset)
+    capsules = WHOLE_CAPSULE_BY_BODY if world.plan.species[species].has_whole_body else CAPSULE_BY_BODY
+    return capsules[_library_body(world, species)]
+
+
+def _library_body(world: World, species: str) -> str:
+    """Return the name of the library body of a species."""
+    bodies = (crowd.body for crowd in world.setting.crowds if crowd.species == species and crowd.body)
+    return next(bodies, None) or find_body_for_species(species)
+
+
+def _load_front(world: World, species: str) -> float | None:
+    """Return how far (body lengths) the front of a load is ahead of the feet. Return None if agents of the species hold no loads
+    with a size."""
+    if world.setting.body_capsules.get(species) is not None or not world.plan.species[species].has_whole_body:
+        return None
+    return LOAD_FRONT_BY_BODY.get(_library_body(world, species))
+
+
+class CapsuleCrowd:
+    """The capsules of all agents of a world, species by species.
+
+    Each property is read on access as one array, from the current values, or from those at the `start` of the step."""
+
+    def __init__(self, world: World, start: bool = False) -> None:
+        self.world, self._start = world, start
+        self.species = [population for population in world.populations.values() if len(population)]
+        self.species = self.species or list(world.populations.values())[:1]  # without agents, arrays have no rows
+        self.first = np.array([*accumulate(map(len, self.species), initial=0)], np.intp)
+        self.agent_keys = self.concatenate_species(
+            lambda p: p.ids + k * _SPECIES_KEY_STEP if (k := self.species.index(p)) else p.ids
+        )
+        self.bounds = self._place_capsules()  # bounds of x, y and z of the middles, and of the reach
+
+    def _place_capsules(self) -> Bounds | None:
+        """Compute the capsules of each species. Return the bounds of all capsules, or None if they are unknown."""
+        self.half, self.radius, self.ahead, self.reach = np.empty((4, len(self)))
+        self.middle = np.empty((3, len(self)))
+        has_loads = False
+        capsules, extremes = TrunkCapsules(self.half, self.radius, self.ahead, self.reach, self.middle), empty_extremes()
+        bounds: Any = ()
+        for population, first in zip(self.species, self.first.tolist(), strict=False):
+            own = self._select_registers(population)
+            place = np.ascontiguousarray(population.position.T)
+            stands = (place, vec.get_vector_registers(own, "heading"), vec.get_vector_registers(own, "up"), own["size"])
+            for key, rows in rows_by_body(population, self.world.setting):
+                capsule = find_capsule(self.world, key)
+                shape = CapsuleShape(*map(float, (capsule.length, capsule.width, capsule.height, capsule.forward_offset)))
+                if rows is None:
+                    bounds = place_trunks(*stands, shape, first, capsules, extremes)
+                else:
+                    bounds = _place_some_trunks(stands, rows, shape, first, capsules, extremes)
+            front = _load_front(self.world, population.name)
+            if front is not None and LOAD_REGISTER in own:
+                has_loads |= extend_trunks(own[LOAD_REGISTER], stands[1], own["size"], front, first, capsules)
+        return None if has_loads else list(zip(bounds[:4], bounds[4:], strict=True))
+
+    def __len__(self) -> int:
+        return int(self.first[-1])
+
+    def concatenate_species(self, read: Callable[[Population], NDArray[Any]], axis: int = 0) -> NDArray[Any]:
+        """Apply `read` to each species, and return the results concatenated along an axis."""
+        arrays = [read(population) for population in self.species]
+        return arrays[0] if len(arrays) == 1 else np.concatenate(arrays, axis=axis)
+
+    def split_rows(self, rows: Rows) -> Iterator[tuple[Population, Rows]]:
+        """Yield each species with its part of the given ascending rows. The parts are counted from the first agent of the
+        species."""
+        if len(self.species) == 1:
+            yield self.species[0], rows
+            return
+        bounds, firsts = np.searchsorted(rows, self.first).tolist(), self.first.tolist()
+        for population, begin, end, first in zip(self.species, bounds, bounds[1:], firsts, strict=False):
+            yield population, rows[begin:end] - first if first else rows[begin:end]
+
+    def read_vector(self, name: str) -> vec.VectorArrays:
+        """Return the three registers of a vector, concatenated over all species."""
+        x, y, z = (self.concatenate_species(lambda p, axis=axis: self._select_registers(p)[f"{name}.{axis}"]) for axis in AXES)  # type: ignore[misc]
+        return x, y, z
+
+    def _select_registers(self, population: Population) -> dict[str, NDArray[Any]]:
+        return population.start if self._start else population.now
+
+
+def _place_some_trunks(
+    stands: tuple[Floats, vec.VectorArrays, vec.VectorArrays, NDArray[np.float32]],
+    rows: Rows,
+    shape: CapsuleShape,
+    first: int,
+    capsules: TrunkCapsules,
+    extremes: Floats,
+) -> Any:
+    """Compute the capsules of some rows of a species, as `place_trunks` does for all, and store them from index `first` on.
+
+    Returns the bounds, as `place_trunks` does."""
+    place, heading, up, size = stands
+    half, radius, ahead, reach = np.empty((4, len(rows)))
+    subset = TrunkCapsules(half, radius, ahead, reach, np.empty((3, len(rows))))
+    own = np.ascontiguousarray(place.take(rows, axis=1)), vec.take_rows(heading, rows), vec.take_rows(up, rows), size.take(rows)
+    bounds = place_trunks(*own, shape, 0, subset, extremes)
+    for column, part in zip(capsules, subset, strict=True):
+        column[..., first + rows] = part
+    return bounds
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NearbyPairs:
+    """Pairs of capsules that are near each other. Lengths are in mm.
+
+    - `rows`: ascending rows of the crowd that occur in a pair.
+    - `i`, `j`: indices of both agents in `rows`. The first agent comes first by species and id.
+    - `middle`, `ahead`, `up` (3, k); `half`, `radius` (k): the capsule of each row when the pairs were listed. `max_radius`: the
+      largest radius.
+    - `gap` (m): last measured distance to contact of each pair, negative for overlaps.
+    - `direction` (3, m): last measured separation axis, a unit vector from the second agent to the first."""
+
+    crowd: CapsuleCrowd
+    rows: Rows
+    i: Rows
+    j: Rows
+    middle: Floats
+    ahead: Floats
+    up: Floats
+    half: Floats
+    radius: Floats
+    max_radius: float
+    gap: Floats
+    direction: Floats
+
+    @property
+    def bodies(self) -> CapsuleArrays:
+        """Return the capsules of the rows as kernels read them."""
+        return CapsuleArrays(self.middle, self.ahead, self.up, self.half, self.radius)
+
+    def measure_before_step(self, walked: Floats) -> tuple[Floats, Floats, Floats]:
+        """Return gaps and separation axes of all pairs before the rows `walked` (3, k) mm, with current headings.
+
+        Also returns the greatest overlap (k) mm of each row."""
+        pairs, rows = len(self.i), len(self.rows)
+        gap, direction, depth, lost = np.empty(pairs), np.empty((3, pairs)), np.empty(rows), np.empty(pairs, np.intp)
+        count = measure_before_step(self.bodies, walked, self.i, self.j, gap, direction, depth, lost)
+        self.draw_directions(direction, lost[:count])
+        return gap, direction, depth
+
+    def measure(self, displacement: Floats, changed: Flags) -> None:
+        """Measure all pairs with a row that has `changed` (k), after displacements of the rows by (3, k) mm."""
+        pair_numbers, lost = np.empty((2, len(self.i)), np.intp)
+        count = measure_changed(self.bodies, displacement, self.i, self.j, changed, self.gap, self.direction, pair_numbers, lost)
+        self.draw_directions(self.direction, lost[:count])
+
+    def draw_directions(self, direction: Floats, pair_indices: Rows) -> None:
+        """Draw separation axes (3, m) for pairs with equal positions. Each lies along the ground of the first agent and
+        depends on the seed and both ids."""
+        if not len(pair_indices):
+            return
+        crowd, i, j = self.crowd, self.i.take(pair_indices), self.j.take(pair_indices)
+        first, second = (crowd.agent_keys.take(self.rows.take(k)) for k in (i, j))
+        kinds = (first // _SPECIES_KEY_STEP) * len(crowd.species) + second // _SPECIES_KEY_STEP
+        turn = np.empty(len(i), np.float32)
+        for kind in np.unique(kinds):
+            subset = np.flatnonzero(kinds == kind)
+            one, other = (crowd.species[number].name for number in divmod(int(kind), len(crowd.species)))
+            ids = (first[subset] % _SPECIES_KEY_STEP) * _PAIR_ID_MULTIPLIER + second[subset] % _SPECIES_KEY_STEP
+            turn[subset] = randomness.draw_uniform(crowd.world.setting.seed, 0, one, f"parts from {other}", 0, ids)
+        angle = turn * np.float32(2 * np.pi)
+        normal = self.up.take(i, axis=1)
+        side = np.stack(vec.find_perpendicular((normal[0], normal[1], normal[2])))
+        direction[:, pair_indices] = side * elementary.cos(angle) + vec.compute_stacked_cross(normal, side) * elementary.sin(
+            angle
+        )
+
+
+def find_near_pairs(crowd: CapsuleCrowd, dead_zone_share: float | None = None) -> NearbyPairs:
+    """Return the pairs of a crowd that may touch.
+
+    With `dead_zone_share`, return only pairs with a row that overlaps another row by more than this share of both radii."""
+    x, y, z = crowd.middle
+    pairs = find_touching((x, y, z), crowd.reach, crowd.agent_keys, crowd.bounds)
+    i, j, m = *parallel.make_contiguous(pairs.i, pairs.j), len(pairs.i)
+    gap, direction, known = np.empty(m), np.empty((3, m)), np.empty(m, np.intp)
+    rows, number = np.empty((2, len(crowd)), np.intp)
+    stand = CrowdCapsules(crowd.middle, crowd.read_vector("heading"), crowd.read_vector("up"), crowd.half, crowd.radius)
+    every = (True, 0.0) if dead_zone_share is None else (False, dead_zone_share)
+    m, count, lost, widest = select_touching_pairs(stand, crowd.agent_keys, i, j, gap, direction, known, rows, number, *every)
+    rows, (middle, ahead, up), (half, radius) = rows[:count], np.empty((3, 3, count)), np.empty((2, count))
+    own = CapsuleArrays(middle, ahead, up, half, radius)
+    gather_capsules(rows, stand, own)
+    near = NearbyPairs(crowd, rows, i[:m], j[:m], *own, widest, gap[:m], np.ascontiguousarray(direction[:, :m]))
+    near.draw_directions(near.direction, known[:lost])
+    return near
+
+
+def measure_overlap_depths(world: World) -> Floats:
+    """Return each agent's greatest penetration depth in widths of its trunk, 0 without overlap. The result is float64[n],
+    species by species."""
+    crowd = CapsuleCrowd(world)
+    near = find_near_pairs(crowd)
+    depth = np.zeros(len(crowd))
+    depth[near.rows] = find_greatest_depths(len(near.rows), near.i, near.j, near.gap) / (2 * near.radius)
+    return depth
+
+
+def find_greatest_depths(count: int, i: Rows, j: Rows, gap: Floats) -> Floats:
+    """Return the greatest overlap (mm) of each of `count` rows, from the gaps of pairs; 0 without overlap."""
+    depth, inside = np.zeros(count), np.flatnonzero(gap < 0)
+    for k in (i.take(inside), j.take(inside)):
+        np.maximum.at(depth, k, -gap.take(inside))
+    return depth

@@ -1,0 +1,236 @@
+"""Contacts: bodies that overlap after all agents have walked are separated along the surface, all species together.
+
+Position-based contacts (M. Müller et al., Position Based Dynamics, VRIPHYS 2006, 3.3) in Jacobi sweeps. Each agent takes the mean
+of its contacts (M. Macklin et al., Unified Particle Physics for Real-Time Applications, SIGGRAPH 2014, 4.2). A sweep adds over
+pairs exactly, so the result does not depend on their order. Two bodies separate in shares by their masses.
+
+No agent moves farther from its position at the start of the step than it can walk in the step's duration. A step into another
+agent is shortened and slides along that agent. Agents that overlapped before the step separate at their walking speed.
+`motion_measures` measures the remaining overlap. Surface and obstacles take precedence over contacts. An agent loses the part of
+its velocity that leads into another agent. A push by others adds no velocity; otherwise resting agents would never stop
+moving."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.numerics import elementary
+from antdsl.numerics import vectors as vec
+from antdsl.numerics.vectors import VectorArrays, dot
+from antdsl.runtime.moving import correction_walks
+from antdsl.runtime.moving.contacts import step_clamping
+from antdsl.runtime.moving.contacts.capsules import CapsuleCrowd, NearbyPairs, find_near_pairs
+from antdsl.runtime.moving.contacts.long_steps import StartPositions, find_long_steps, stop_long_steps
+from antdsl.runtime.moving.contacts.separation import DEAD_ZONE_SHARE, SUM_BITS, make_buffers, restore_headings, separate_pairs
+from antdsl.runtime.moving.correction_walks import CorrectionWalker, FootPositions, write_approach, write_stances
+from antdsl.runtime.world import PUSHED_REGISTER, World
+
+Floats = NDArray[np.float64]
+Rows = NDArray[np.intp]
+Flags = NDArray[np.bool_]
+
+_F = np.float32
+_SOFT_CONTACT_SECONDS = 0.1  # time constant of soft contacts
+
+
+@dataclass(frozen=True, slots=True)
+class SolverEffort:
+    """The number of iterations against overlaps in a substep.
+
+    `outer_iterations`: how often pairs are measured again. `sweeps`: the number of sweeps after each measurement. `passes`: the
+    number of passes. Passes after the first are for agents that the ground deflected or that could not move."""
+
+    outer_iterations: int
+    sweeps: int
+    passes: int
+
+    @property
+    def is_single(self) -> bool:
+        """Return whether there is one outer iteration, one sweep and one pass. Then only agents that overlap at the first
+        measurement move."""
+        return self.outer_iterations == self.sweeps == self.passes == 1
+
+
+SOLVER_EFFORTS: Mapping[str, SolverEffort] = {"soft": SolverEffort(1, 1, 1), "hard": SolverEffort(12, 4, 3)}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StartStances(StartPositions):
+    """Positions and ground normals of agents at the start of a substep, by species; with hard contacts also their headings."""
+
+    headings: Mapping[str, VectorArrays]
+
+
+def record_stances(world: World) -> StartStances | None:
+    """Return the current positions and headings of agents, for `resolve_contacts`; None if contacts are off."""
+    if world.setting.contacts == "off":
+        return None
+    species, headings = world.populations.items(), {}
+    if world.setting.contacts == "hard":
+        headings = {name: vec.copy(vec.get_vector_registers(population.now, "heading")) for name, population in species}
+    normals = {name: population.normal for name, population in species}
+    return StartStances({name: population.position for name, population in species}, normals, headings)
+
+
+def resolve_contacts(world: World, step_start: StartStances, dt: float) -> None:
+    """Separate overlapping agents after a substep of `dt` s. `step_start`: the stances at its start."""
+    if len(world) < 2:
+        return
+    effort, crowd = SOLVER_EFFORTS[world.setting.contacts], CapsuleCrowd(world)
+    is_hard = world.setting.contacts == "hard"
+    long = find_long_steps(crowd, step_start) if is_hard else None
+    near = find_near_pairs(crowd, DEAD_ZONE_SHARE if effort.is_single else None)
+    if not len(near.i) and long is None:
+        return
+    share = 1.0 if is_hard else 1.0 - float(elementary.exp(_F(-dt / _SOFT_CONTACT_SECONDS)))
+    agents, walked = _PairAgents.build(crowd, near, step_start, dt)
+    gap, direction, depth = near.measure_before_step(walked)
+    cut = np.zeros_like(near.middle)
+    if is_hard and len(near.i):
+        cut, stopped, changed = step_clamping.clamp_steps(
+            near, _find_approach(crowd, near.rows, dt), agents.mass, walked, gap, direction
+        )
+        _restore_headings(crowd, near, stopped, step_start.headings)
+    if long is not None and stop_long_steps(world, step_start, long, near, cut, dt):
+        crowd = CapsuleCrowd(world)
+        near = find_near_pairs(crowd)
+        agents, walked = _PairAgents.build(crowd, near, step_start, dt)
+        _, _, depth = near.measure_before_step(walked)
+        cut = np.zeros_like(near.middle)
+    elif is_hard and len(near.i):
+        near.measure(cut, changed)
+    if not len(near.i):
+        return
+    which, held, walking = np.ones(len(near.i), np.bool_), agents.is_frozen, CorrectionWalker(crowd, step_start.positions, dt)
+    work = make_buffers(len(near.rows), len(near.i))
+    for left in range(effort.passes - 1, -1, -1):
+        asked = _solve_separation(near, agents, which, held, walked, depth, effort, share, cut, work)
+        moved_rows, requested_moves = correction_walks.select_displaced(asked)
+        rows = near.rows.take(moved_rows)
+        got = walking.walk(rows, requested_moves)
+        _record_pushes(crowd, rows, cut, moved_rows, requested_moves, got)
+        if not left:
+            break
+        cut, held = np.zeros_like(cut), held.copy()
+        touched = correction_walks.find_unresolved_rows(near, moved_rows, requested_moves, got, held)
+        if not touched.any():
+            break
+        near.measure(cut, touched)
+        visible_pairs = correction_walks.find_overlapping_pairs(near, touched)
+        if visible_pairs is None:
+            break
+        which = visible_pairs
+        at = [population.position[own].T for population, own in crowd.split_rows(rows)]
+        walked[:, moved_rows] = (at[0] if len(at) == 1 else np.concatenate(at, axis=1)) - agents.start.take(moved_rows, axis=1)
+
+
+def _find_approach(crowd: CapsuleCrowd, rows: Rows, dt: float) -> Floats:
+    """Return the previous displacement (3, k) mm of the given rows: their velocity before this substep times `dt`."""
+    first, displacement = 0, np.empty((3, len(rows)))
+    for population, own in crowd.split_rows(rows):
+        write_approach(own, first, vec.get_vector_registers(population.start, "velocity"), dt, displacement)
+        first += len(own)
+    return displacement
+
+
+def _record_pushes(
+    crowd: CapsuleCrowd, rows: Rows, cut: Floats, moved_rows: Rows, requested_moves: Floats, reached_moves: Floats
+) -> None:
+    """Add the distance that each row was pushed in this step, for species with a program that reads it.
+
+    Only displacements by other agents count. The correction `cut` (3, k) of the row's own step does not.
+    `rows`: ascending rows of the crowd. `moved_rows`: indices of moved rows among these.
+    `requested_moves` (3, k) mm: the requested displacements. `reached_moves`: the actual displacements; only these count."""
+    if not any(PUSHED_REGISTER in population.now for population in crowd.species):
+        return
+    pushed = requested_moves - cut.take(moved_rows, axis=1)
+    short = np.where((pushed == 0).all(axis=0), 0.0, reached_moves - (requested_moves - pushed))
+    far = np.sqrt(dot(short, short)).astype(_F)
+    first = 0
+    for population, own in crowd.split_rows(rows):
+        if PUSHED_REGISTER in population.now:
+            population.now[PUSHED_REGISTER][own] += far[first : first + len(own)]
+        first += len(own)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _PairAgents:
+    """Values of the rows in pairs for one substep.
+
+    `start` (3, k) mm: positions at the start. `reach` (k) mm: the distance that each row may walk.
+    `mass`: masses. `push_share`: limits the distance that neighbours can push a row; at most 1.
+    `normal` (3, k): normals of the ground below the feet. `is_frozen`: stopped by a fault."""
+
+    start: Floats
+    reach: Floats
+    mass: Floats
+    push_share: Floats
+    normal: Floats
+    is_frozen: Flags
+
+    @staticmethod
+    def build(crowd: CapsuleCrowd, near: NearbyPairs, began: StartStances, dt: float) -> tuple[_PairAgents, Floats]:
+        """Return these values, and the displacement (3, k) mm of each row from its start."""
+        rows = near.rows
+        vectors, (reach, mass), first = np.empty((3, 3, len(rows))), np.empty((2, len(rows))), 0
+        for p, own in crowd.split_rows(rows):
+            feet = FootPositions(began.positions[p.name], p.position, p.normal, p.now["max_speed"], p.now["mass"])
+            write_stances(own, first, feet, dt, *vectors, reach, mass)
+            first += len(own)
+        start, walked, normal = vectors
+        yields = np.ones(len(rows))
+        if (
+            len(rows) and mass.min() < mass.max()
+        ):  # otherwise the sweeps would push a heavy agent as often as a light one cannot move away
+            yields[:] = 0.0
+            for k, other in ((near.i, near.j), (near.j, near.i)):
+                one, two = mass.take(k), mass.take(other)
+                np.maximum.at(yields, k, np.minimum(2 * two / (one + two), 1.0))
+        return _PairAgents(
+            start, reach, mass, yields, normal, crowd.concatenate_species(lambda p: p.quarantined).take(rows)
+        ), walked
+
+
+def _solve_separation(
+    near: NearbyPairs,
+    agents: _PairAgents,
+    is_selected: Flags,
+    is_held: Flags,
+    walked: Floats,
+    depth: Floats,
+    effort: SolverEffort,
+    share: float,
+    cut: Floats,
+    work: tuple[Any, ...],
+) -> Floats:
+    """Return the displacements (3, k) mm of rows that separate the pairs flagged in `is_selected` (m).
+
+    Pairs are measured after steps were changed by `cut` (3, k) mm. `is_held`: rows that must not move farther.
+    `walked` (3, k) mm: the displacement of each row. `depth` (k) mm: the overlap of each row before the step. `work`: buffers for
+    kernels."""
+    magic = np.ldexp(1.5, int(np.frexp(near.max_radius)[1]) + 1 - SUM_BITS + 52)
+    is_selected, displacement = is_selected.copy(), cut.copy()
+    looks, lost = effort.outer_iterations, np.empty(len(near.i), np.intp)
+    bodies = (near.middle, near.ahead, near.up, near.half, near.radius)
+    pairs = (near.i, near.j, near.gap, near.direction, is_selected)
+    stand = (agents.mass, agents.push_share, agents.reach, depth, is_held, agents.normal, walked, cut)
+    while looks:
+        looks, count = separate_pairs(bodies, pairs, stand, displacement, magic, looks, effort.sweeps, share, lost, work)
+        near.draw_directions(near.direction, lost[:count])
+    return displacement
+
+
+def _restore_headings(crowd: CapsuleCrowd, near: NearbyPairs, stopped: Rows, facing: Mapping[str, VectorArrays]) -> None:
+    """Reset the headings of the `stopped` rows of `near` to those before the substep.
+
+    An agent that cannot walk because others surround it cannot turn either."""
+    rows, last = near.rows.take(stopped), 0
+    for population, own in crowd.split_rows(rows):
+        first, last = last, last + len(own)
+        vectors = (facing[population.name], *(vec.get_vector_registers(population.now, name) for name in ("up", "heading")))
+        restore_headings(own, stopped[first:last], rows[first:last], *vectors, crowd.ahead, near.ahead, near.middle)

@@ -1,0 +1,131 @@
+"""Long steps: agents with steps longer than a body do not pass through each other (continuous contacts).
+
+After all agents have walked, pairs are listed by their distance at the end. This list lacks bodies that met during the step and
+separated again. This module finds them along the straight lines between start and end. Each such body continues from the impact
+along the other one. Then changed paths are shortened until no two bodies meet on these lines. Agents with short steps cannot pass
+each other, so a step without long ones costs one loop over all agents."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import count
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.numerics import vectors as vec
+from antdsl.numerics.sorting import invert_order, sort_stably
+from antdsl.runtime.moving.contacts.capsules import CapsuleCrowd, NearbyPairs
+from antdsl.runtime.moving.contacts.impacts import PathArrays, PathPairs, PathSearch, fill_paths, flag_long_steps, list_path_pairs
+from antdsl.runtime.moving.contacts.step_clamping import ClampBuffers, sum_magic
+from antdsl.runtime.moving.correction_walks import CorrectionWalker, write_approach
+from antdsl.runtime.moving.stopping import bend_paths, find_next_impacts, list_corrections, shorten_paths
+from antdsl.runtime.world import World
+from antdsl.senses.touching import iterate_neighbour_searches
+
+Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+_FIRST_PAIRS_PER_AGENT = 2  # initial capacity for pairs
+_EXACT_PASSES = 16  # the first passes use only impacts that are the first of both agents
+_MAX_PASSES = 64  # after these passes, agents that still meet others do not move
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StartPositions:
+    """Positions (n, 3) mm and ground normals (n, 3) of agents at the start of a substep, by species."""
+
+    positions: Mapping[str, Floats]
+    normals: Mapping[str, NDArray[np.float32]]
+
+
+def find_long_steps(crowd: CapsuleCrowd, began: StartPositions) -> NDArray[np.int64] | None:
+    """Return flags (n) of the agents of a crowd with long steps; None if no agent has one."""
+    flags, total = np.empty(len(crowd), np.int64), 0
+    for population, first in zip(crowd.species, crowd.first.tolist(), strict=False):
+        start = began.positions[population.name]
+        total += flag_long_steps(population.position, start, crowd.half, crowd.radius, first, flags)
+    return flags if total else None
+
+
+def stop_long_steps(
+    world: World, began: StartPositions, long: NDArray[np.int64], near: NearbyPairs, cut: Floats, dt: float
+) -> bool:
+    """Stop agents that would pass through others in a substep of `dt` s. Return whether there was such an agent.
+
+    `long` (n): flags of long steps. `near`: pairs that are near each other at the end. `cut` (3, k) mm: the corrections of their
+    steps by contacts. If any agent is stopped, this function also applies these corrections."""
+    crowd = CapsuleCrowd(world)
+    paths, rank = _fill_paths(crowd, began), invert_order(sort_stably(crowd.agent_keys)).astype(np.int64)
+    walked = paths.displacement.copy()
+    paths.displacement[:, near.rows] += cut
+    hits = _without_near(_list_pairs(paths, rank, long, True), near, rank)
+    if not len(hits.i):
+        return False
+    touched = _bend_paths(crowd, paths, hits, dt)
+    _shorten_paths(paths, _list_pairs(paths, rank, long | touched, False), touched)
+    moved, corrections = np.empty(len(crowd), np.int64), np.empty_like(walked)
+    size = list_corrections(paths.displacement, walked, moved, corrections)
+    CorrectionWalker(crowd, began.positions, dt).walk(moved[:size], corrections[:, :size])
+    return True
+
+
+def _without_near(hits: PathPairs, near: NearbyPairs, rank: NDArray[np.int64]) -> PathPairs:
+    """Return the pairs that meet on their paths and are not near each other at the end."""
+    known = rank[near.rows.take(near.i)] * len(rank) + rank[near.rows.take(near.j)]
+    others = np.flatnonzero(~np.isin(rank[hits.i] * len(rank) + rank[hits.j], known))
+    return PathPairs(hits.i.take(others), hits.j.take(others), hits.time.take(others), hits.direction.take(others, axis=1))
+
+
+def _fill_paths(crowd: CapsuleCrowd, began: StartPositions) -> PathArrays:
+    """Return the capsules and straight paths of all agents in this substep."""
+    (displacement, ahead, up), (sag, mass) = np.empty((3, 3, len(crowd))), np.empty((2, len(crowd)))
+    paths = PathArrays(crowd.middle.copy(), displacement, ahead, up, crowd.half, crowd.radius, sag, mass)
+    for population, first in zip(crowd.species, crowd.first.tolist(), strict=False):
+        now, name = population.now, population.name
+        axes = (vec.get_vector_registers(now, "heading"), vec.get_vector_registers(now, "up"))
+        fill_paths(population.position, began.positions[name], began.normals[name], *axes, now["mass"], first, paths)
+    return paths
+
+
+def _list_pairs(paths: PathArrays, rank: NDArray[np.int64], active: NDArray[np.int64], only_impacts: bool) -> PathPairs:
+    """Return the pairs with an active row and near paths, as `impacts.list_path_pairs` does."""
+    middle = paths.middle + paths.displacement / 2
+    reach = np.sqrt(vec.dot(paths.displacement, paths.displacement)) / 2 + paths.half + paths.radius + paths.sag
+    searches = [PathSearch(*search) for search in iterate_neighbour_searches((middle[0], middle[1], middle[2]), reach)]
+    space = _FIRST_PAIRS_PER_AGENT * len(rank)
+    while True:
+        (i, j), used = np.empty((2, space), np.int64), 0
+        pairs = PathPairs(i, j, np.empty(space), np.empty((3, space)))
+        for search in searches:
+            used = list_path_pairs(search, paths, rank, active, only_impacts, used, pairs)
+            if used < 0:
+                break
+        if used >= 0:
+            order = sort_stably(rank[i[:used]] * len(rank) + rank[j[:used]])
+            return PathPairs(i.take(order), j.take(order), pairs.time.take(order), pairs.direction.take(order, axis=1))
+        space *= 4
+
+
+def _bend_paths(crowd: CapsuleCrowd, paths: PathArrays, hits: PathPairs, dt: float) -> Flags:
+    """Deflect paths along the bodies that they meet. Return flags (n) of the rows that meet another one."""
+    n, m, approach = len(crowd), len(hits.i), np.empty((3, len(crowd)))
+    for population, first in zip(crowd.species, crowd.first.tolist(), strict=False):
+        write_approach(np.arange(len(population)), first, vec.get_vector_registers(population.start, "velocity"), dt, approach)
+    (cut, sums), part, changed = np.empty((2, 3, n)), np.empty(n), np.empty(n, np.bool_)
+    meeting_counts, bent_rows, stopped = np.empty((3, n), np.int64)
+    buffers = ClampBuffers(np.empty((2, m)), sums, part, meeting_counts, bent_rows, np.empty(m, np.int64))
+    bend_paths(hits, paths, approach, sum_magic(paths.displacement), buffers, cut, stopped, changed)
+    paths.displacement[:] += cut
+    changed[hits.i], changed[hits.j] = True, True
+    return changed
+
+
+def _shorten_paths(paths: PathArrays, pairs: PathPairs, touched: Flags) -> None:
+    """Shorten paths until no pair with a `touched` row (n) meets. Each shortened row becomes touched, too."""
+    latest, first, factor = touched.copy(), *np.empty((2, len(touched)))
+    for turn in count():
+        if not find_next_impacts(pairs, paths, touched, latest, first):
+            return
+        shorten_paths(pairs, paths, first, turn < _EXACT_PASSES, turn >= _MAX_PASSES, factor, touched, latest)

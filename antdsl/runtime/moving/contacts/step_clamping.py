@@ -1,0 +1,187 @@
+"""Deflect steps into other agents along these agents, then shorten them. No agent walks farther than half of the free gap."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.machine_code.kernels import BOOL, F64, I64, Array1, Array2, inlined, kernel, kernel_helper, simd_range
+from antdsl.numerics.kernel_vectors import Vec3, dot, get_column, minus, store_column, times
+from antdsl.numerics.sorting import compact_indices
+from antdsl.runtime.moving.contacts.capsules import NearbyPairs
+
+Floats = NDArray[np.float64]
+Rows = NDArray[np.intp]
+Flags = NDArray[np.bool_]
+
+_SUM_BITS = 40  # bits of a term in a sum, below the largest overlap
+_STOPPED_DISTANCE_SHARE = 0.5  # share of the step; an agent that can walk less is stopped
+_MAX_DEFLECTIONS = 3  # deflections of a step along agents ahead, before it is shortened
+
+
+def clamp_steps(
+    near: NearbyPairs, approach: Floats, mass: Floats, walked: Floats, gap: Floats, direction: Floats
+) -> tuple[Floats, Rows, Flags]:
+    """Cut and deflect the steps of rows that `walked` (3, k) mm, so that no agent enters another.
+
+    Returns the corrections (3, k) mm, the stopped rows, and flags (k) of rows that are cut or stopped. An agent is stopped if
+    less than half of its step remains.
+    `approach` (3, k) mm: displacements in the previous period of equal length.
+    `gap` (m), `direction` (3, m): gaps and separation axes of pairs before the steps.
+
+    As in J. van den Berg et al., Reciprocal n-Body Collision Avoidance, 2011, each agent observes half-planes independently.
+    Towards a neighbour it walks at most half of the gap, plus the neighbour's withdrawal if that continues its previous
+    displacement. Since limits are shared in this way, agents need no iteration, and a pressing crowd comes to rest. Of two
+    masses, the heavier is cut less."""
+    magic = sum_magic(walked)
+    rows, pairs = len(near.rows), len(gap)
+    (short, sums), part, changed = np.empty((2, 3, rows)), np.empty(rows), np.empty(rows, np.bool_)
+    meeting_counts, bent_rows, stopped = np.empty((3, rows), np.intp)
+    buffers = ClampBuffers(np.empty((2, pairs)), sums, part, meeting_counts, bent_rows, np.empty(pairs, np.intp))
+    count = _deflect_steps(near.i, near.j, gap, direction, approach, mass, walked, magic, buffers, short, stopped, changed)
+    return short, stopped[:count], changed
+
+
+def sum_magic(walked: Floats) -> float:
+    """Return the number that defines the rounding quantum of sums of steps of the given lengths, for `add_rounded`."""
+    most = max(walked.max(), -walked.min(), 1e-30)
+    return float(np.ldexp(1.5, int(np.frexp(most)[1]) + 2 - _SUM_BITS + 52))
+
+
+@inlined
+def add_rounded(sums: Array2[F64], i: I64, v: Vec3, magic: F64) -> None:
+    """Add a vector to a sum, after rounding it to the quantum that `magic` defines."""
+    for axis in range(3):
+        sums[axis, i] += (v[axis] + magic) - magic
+
+
+@inlined
+def negate(v: Vec3) -> Vec3:
+    return -v[0], -v[1], -v[2]
+
+
+@inlined
+def compute_heavier_share(mass: Array1[F64], own: I64, other: I64) -> F64:
+    """Return by how much the first of two rows is heavier: 0 for equal masses or a lighter row, almost 1 for a much heavier
+    row."""
+    return 1 - min(2 * mass[other] / (mass[own] + mass[other]), 1.0)
+
+
+class ClampBuffers(NamedTuple):
+    """Work buffers. `free_gaps` is (2, m), `sums` (3, k); `step_share`, `contact_counts` and `deflected_rows` are (k), `pairs` is
+    (m)."""
+
+    free_gaps: Array2[F64]
+    sums: Array2[F64]
+    step_share: Array1[F64]
+    contact_counts: Array1[I64]
+    deflected_rows: Array1[I64]
+    pairs: Array1[I64]
+
+
+@kernel_helper
+def bend_along(
+    i: Array1[I64],
+    j: Array1[I64],
+    direction: Array2[F64],
+    walked: Array2[F64],
+    magic: F64,
+    buffers: ClampBuffers,
+    cut: Array2[F64],
+    stopped: Array1[I64],
+    changed: Array1[BOOL],
+) -> I64:
+    """Deflect and cut steps along the limits in `buffers.free_gaps`. Return the number of stopped rows.
+
+    `buffers.pairs` flags the pairs with a step beyond a limit.
+    `cut` (3, k): receives the corrections (mm). `changed`: receives flags of changed rows.
+    `stopped`: receives the stopped rows at its start.
+    After a pass over all pairs, only pairs with a deflected row are visited again, because no other step has changed."""
+    free, sums, part, meeting_counts, bent_rows, pairs = buffers
+    count, rows = compact_indices(pairs, i.size), 0
+    meeting_counts[:] = 0
+    part[:] = 1.0
+    for k in simd_range(0, part.size):
+        store_column(cut, k, get_column(walked, k))
+    for bend in range(_MAX_DEFLECTIONS):
+        has_overlap = False
+        for n in range(count):
+            pair = pairs[n]
+            pair_direction = get_column(direction, pair)
+            for side in range(2):
+                k = j[pair] if side else i[pair]
+                over = -dot(pair_direction, get_column(cut, k)) - free[side, pair]
+                if over > 0:
+                    if meeting_counts[k] == 0:
+                        sums[0, k], sums[1, k], sums[2, k] = 0.0, 0.0, 0.0
+                        if bend == 0:
+                            bent_rows[rows] = k
+                            rows += 1
+                    add_rounded(sums, k, times(pair_direction, over), magic)
+                    meeting_counts[k] += 1
+                    has_overlap = True
+                pair_direction = negate(pair_direction)
+        if not has_overlap:
+            break
+        for n in range(rows):
+            k = bent_rows[n]
+            if meeting_counts[k]:
+                for axis in range(3):
+                    cut[axis, k] += sums[axis, k] / meeting_counts[k]
+        if bend == 0:
+            for pair in simd_range(0, i.size):
+                pairs[pair] = 1 if (meeting_counts[i[pair]] != 0) | (meeting_counts[j[pair]] != 0) else 0
+            count = compact_indices(pairs, i.size)
+        for n in range(rows):
+            meeting_counts[bent_rows[n]] = 0
+    for n in range(count):
+        pair = pairs[n]
+        pair_direction = get_column(direction, pair)
+        for side in range(2):
+            k = j[pair] if side else i[pair]
+            towards = -dot(pair_direction, get_column(cut, k))
+            if towards > free[side, pair]:
+                part[k] = min(part[k], free[side, pair] / max(towards, 1e-300))
+            pair_direction = negate(pair_direction)
+    for k in simd_range(0, part.size):
+        way_on = get_column(walked, k)
+        step = times(get_column(cut, k), part[k])
+        short = minus(step, way_on)
+        store_column(cut, k, short)
+        held = dot(step, step) < _STOPPED_DISTANCE_SHARE * _STOPPED_DISTANCE_SHARE * dot(way_on, way_on)
+        stopped[k] = 1 if held else 0
+        changed[k] = held | (short[0] != 0) | (short[1] != 0) | (short[2] != 0)
+    return compact_indices(stopped, part.size)
+
+
+@kernel
+def _deflect_steps(
+    i: Array1[I64],
+    j: Array1[I64],
+    gap: Array1[F64],
+    direction: Array2[F64],
+    approach: Array2[F64],
+    mass: Array1[F64],
+    walked: Array2[F64],
+    magic: F64,
+    buffers: ClampBuffers,
+    cut: Array2[F64],
+    stopped: Array1[I64],
+    changed: Array1[BOOL],
+) -> I64:
+    """Deflect and cut steps as `clamp_steps` describes. Return the number of stopped rows. The results are as in `bend_along`."""
+    free, pairs = buffers.free_gaps, buffers.pairs
+    for pair in simd_range(0, i.size):
+        pair_direction, over = get_column(direction, pair), 0
+        for side in range(2):
+            own, other = (j[pair], i[pair]) if side else (i[pair], j[pair])
+            towards = -dot(pair_direction, get_column(walked, own))
+            far = max(gap[pair], 0.0) * 0.5 + max(-dot(pair_direction, get_column(approach, other)), 0.0)
+            far += compute_heavier_share(mass, own, other) * max(towards - far, 0.0)
+            free[side, pair] = far
+            over = 1 if towards - far > 0 else over
+            pair_direction = negate(pair_direction)
+        pairs[pair] = over
+    return bend_along(i, j, direction, walked, magic, buffers, cut, stopped, changed)

@@ -1,0 +1,335 @@
+"""Sets as lists of pairs (requesting row, other agent or item), and reductions over these pairs.
+
+Pairs are sorted by the requesting row. Every reduction gives the same bits for any order within a row."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl import limits
+from antdsl.numerics import exact_sums
+from antdsl.plan import ir
+from antdsl.plan.traverse import collect_required_nodes, iterate_statements, list_blocks, list_operands
+from antdsl.runtime.faults import Fault, LimitStop
+from antdsl.runtime.sensing.item_pairs import find_items_within
+from antdsl.runtime.sensing.nearest_pairs import find_nearest_agents
+from antdsl.runtime.sensing.neighbourhood import find_species_grid
+from antdsl.runtime.world import AXES, Items, Population, World
+from antdsl.senses.neighbours import TooManyNeighbours, View
+from antdsl.source import Span
+
+Floats = NDArray[np.float32]
+Index = NDArray[np.integer[Any]]
+NO_AGENT = np.int64(-1)
+NO_ITEM = np.int32(-1)
+_DISTANCE_SLACK_FACTOR = 1 + 1e-6  # exceeds the float32 rounding of a distance
+MAX_PAIRS_PER_CHUNK = 1 << 22  # limit for a chunk that compares all agents with all
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PairRows:
+    """The pairs of a set.
+
+    `of`: the other agents or items. `count`: the number of requesting rows. `i`: index of the requesting row, from 0. `j`: row in
+    `of`. `dx`, `dy`, `dz`: position of the other minus own position, float32 mm. `distance`: the length of that vector."""
+
+    of: Population | Items
+    count: int  # requesting rows
+    i: Index
+    j: Index
+    dx: Floats
+    dy: Floats
+    dz: Floats
+    distance: Floats
+
+    def select_rows(self, rows: NDArray[np.intp]) -> PairRows:
+        """Return only the pairs of the given requesting rows, numbered from 0."""
+        number = np.full(self.count, -1)
+        number[rows] = np.arange(len(rows))
+        i = number.take(self.i)
+        keep = np.flatnonzero(i >= 0)
+        rest: Any = (a.take(keep) for a in (self.j, self.dx, self.dy, self.dz, self.distance))
+        return PairRows(self.of, len(rows), i.take(keep), *rest)
+
+
+def find_pairs(
+    world: World, population: Population, node: ir.PlanNode, rows: Any, args: tuple[Any, ...], threads: int = 1
+) -> PairRows:
+    """Return the pairs of a set for the given rows (a slice or an array). `args`: the values of the set's operands."""
+    own = tuple(np.ascontiguousarray(population.start[f"position.{axis}"][rows]) for axis in AXES)
+    if node.op == "set.items":
+        items = world.items[node.attrs[0]]
+        return PairRows(items, len(own[0]), *find_items_within(items, own, args[0]))
+    other = world.populations[node.attrs[0]]
+    ids = population.ids[rows] if other is population else None
+    if node.op == "set.every":
+        nearest = (
+            find_nearest_agents(world, other, own, ids) if is_nearest_only(world.plan.species[population.name], node) else None
+        )
+        return _make_all_pairs(other, own, ids) if nearest is None else PairRows(other, len(own[0]), *nearest)
+    radius, cosine = args
+    view = None if node.attrs[1] else _read_view_cones(population, rows, cosine, len(own[0]))
+    try:
+        return _find_pairs_within(world, other, own, ids, radius, view, threads)
+    except TooManyNeighbours:
+        pass
+    species = world.plan.species[population.name]
+    count = count_nearest(species, node)
+    try:
+        if count is None:
+            raise TooManyNeighbours
+        return _find_pairs_within(world, other, own, ids, _shorten_radii(other, own, ids, radius, count), view, threads)
+    except TooManyNeighbours:
+        span = _find_set_use(species, node)
+        what = "neighbours" if span is None else " ".join(span.text.split())
+        why = (
+            f"has more than {limits.MAX_CANDIDATES_IN_RADIUS:,} neighbours in its radius; only the {limits.MAX_QUERY_NEIGHBOURS} "
+            f"nearest count"
+        )
+        fault = Fault(world.frame, population.name, -1, what, span, (), f"{why}: {_advise_on_radius(other, radius)}")
+        raise LimitStop(fault) from None
+
+
+def _advise_on_radius(other: Population, radius: Any) -> str:
+    """Return advice for a radius with too many agents. If more agents are in it than fit without overlap, the advice is to
+    separate them."""
+    widest, body = float(np.max(radius)), float(np.median(other.start["radius"]))
+    if 0 < widest < body * np.sqrt(limits.MAX_CANDIDATES_IN_RADIUS):
+        return "they overlap, so give them more space, or write a smaller radius"
+    return "write a smaller one"
+
+
+def is_nearest_only(species: ir.SpeciesPlan, node: ir.PlanNode) -> bool:
+    """Return whether a set is a complete species of which only the nearest agent is used. Only that agent is then in the set."""
+    return node.op == "set.every" and count_nearest(species, node) == 1
+
+
+@lru_cache(256)
+def count_nearest(species: ir.SpeciesPlan, node: ir.PlanNode) -> int | None:
+    """Return the number of nearest agents that determine all results of a set; None if results need more than the nearest
+    agents."""
+    every = collect_required_nodes(
+        n for _, block in list_blocks(species) for _, statement in iterate_statements(block) for n in list_operands(statement)
+    )
+    reductions = [each for each in every if each.op.startswith("reduce.") and each.args[0] is node]
+    if not reductions or any(each.op != "reduce.agent" or each.args[2].op != "pair.distance" for each in reductions):
+        return None
+    all_round = node.op == "set.every" or node.attrs[1]
+    plain = all_round and all(each.args[1].op == "const.bool" and each.args[1].attrs[0] for each in reductions)
+    return 1 if plain else limits.MAX_QUERY_NEIGHBOURS
+
+
+def _shorten_radii(other: Population, own: tuple[Floats, ...], ids: NDArray[np.int64] | None, radius: Any, count: int) -> Floats:
+    """Return the radii (mm), reduced so that they still reach the nearest `count` others."""
+    from scipy.spatial import cKDTree
+
+    theirs = np.stack([other.start[f"position.{axis}"] for axis in AXES], axis=1).astype(np.float64)
+    mine = np.stack(own, axis=1).astype(np.float64)
+    known, is_finite = np.isfinite(theirs).all(axis=1), np.isfinite(mine).all(axis=1)
+    away = np.full(len(mine), np.inf)
+    away[is_finite] = cKDTree(theirs[known]).query(mine[is_finite], [count + (ids is not None)])[0][:, 0]
+    shorter: Floats = np.minimum(radius, away * _DISTANCE_SLACK_FACTOR).astype(np.float32)
+    return shorter
+
+
+def _find_set_use(species: ir.SpeciesPlan, node: ir.PlanNode) -> Span | None:
+    """Return the smallest part of the species' own source that uses a set, because the set may be defined in a library."""
+    if _is_own_text(node.span):
+        return node.span
+    for _, block in list_blocks(species):
+        for _, statement in iterate_statements(block):
+            below = collect_required_nodes(list_operands(statement))
+            if node not in below or not _is_own_text(statement.span):
+                continue
+            using = {node.number}
+            using.update(each.number for each in below if any(arg.number in using for arg in each.args))
+            spans = [each.span for each in below if each.number in using and each.span is not None and _is_own_text(each.span)]
+            return min(spans, key=lambda span: span.end - span.start, default=statement.span)
+    return node.span
+
+
+def _is_own_text(span: Span | None) -> bool:
+    return span is not None and not span.source.path.startswith("<")
+
+
+def _read_view_cones(population: Population, rows: Any, cosine: Any, count: int) -> View:
+    """Return the heading of each requesting row, and the cosine of half its field of view."""
+    hx, hy, hz = (population.start[f"heading.{axis}"][rows] for axis in AXES)
+    return hx, hy, hz, np.full(count, cosine) if np.ndim(cosine) == 0 else cosine
+
+
+def _find_pairs_within(
+    world: World,
+    other: Population,
+    own: tuple[Floats, ...],
+    ids: NDArray[np.int64] | None,
+    radius: Any,
+    view: View | None,
+    threads: int,
+) -> PairRows:
+    """Return the pairs within a radius (mm) and in view, found with a cell grid."""
+    widest = float(np.max(radius, initial=0.0)) if np.size(radius) else 0.0
+    widest = widest if np.isfinite(widest) and widest > 0 else 1.0
+    grid = find_species_grid(world, other, widest)
+    p = grid.find_pairs(
+        None, radius, qx=own[0], qy=own[1], qz=own[2], qid=ids, view=view, threads=threads, limit=limits.MAX_CANDIDATES_IN_RADIUS
+    )
+    return PairRows(other, len(own[0]), p.i, p.j, p.dx, p.dy, p.dz, p.distance)
+
+
+def _make_all_pairs(other: Population, own: tuple[Floats, ...], ids: NDArray[np.int64] | None) -> PairRows:
+    """Return the pairs of each requesting row with all agents of a species except itself."""
+    n, m = len(own[0]), len(other)
+    i, j = np.repeat(np.arange(n), m), np.tile(np.arange(m), n)
+    if ids is not None:
+        keep = np.flatnonzero(other.ids.take(j) != ids.take(i))
+        i, j = i.take(keep), j.take(keep)
+    dx, dy, dz = (other.start[f"position.{axis}"].take(j) - own[k].take(i) for k, axis in enumerate(AXES))
+    return PairRows(other, n, i, j, dx, dy, dz, np.sqrt((dx * dx + dy * dy) + dz * dz))
+
+
+# --- reductions ------------------------------------------------------------------------------------------------------
+
+
+def _select_rows(pairs: PairRows, condition: Any) -> tuple[Index, NDArray[np.intp] | None]:
+    """Return the requesting rows of the pairs that satisfy the condition, and the indices of these pairs (None: all)."""
+    if np.ndim(condition) == 0:
+        return (pairs.i, None) if condition else (pairs.i[:0], np.empty(0, np.intp))
+    keep = np.flatnonzero(condition)
+    return (pairs.i, None) if len(keep) == len(pairs.i) else (pairs.i.take(keep), keep)
+
+
+def _select_body_values(pairs: PairRows, body: Any, keep: NDArray[np.intp] | None) -> Floats:
+    """Return the values of a reduction's body for the selected pairs."""
+    values: Floats = np.full(len(pairs.i), body) if np.ndim(body) == 0 else body
+    return values if keep is None else values.take(keep)
+
+
+def _reduce_sum(pairs: PairRows, node: ir.PlanNode, condition: Any, body: Any) -> Any:
+    i, keep = _select_rows(pairs, condition)
+    return exact_sums.sum_by_index(i, _select_body_values(pairs, body, keep), int(node.attrs[0]), pairs.count)
+
+
+def _reduce_count(pairs: PairRows, node: ir.PlanNode, condition: Any) -> Any:
+    return np.bincount(_select_rows(pairs, condition)[0], minlength=pairs.count).astype(np.float32)
+
+
+def _reduce_any(pairs: PairRows, node: ir.PlanNode, condition: Any) -> Any:
+    has_any = np.zeros(pairs.count, np.bool_)
+    has_any[_select_rows(pairs, condition)[0]] = True
+    return has_any
+
+
+def _find_row_starts(i: Index) -> NDArray[np.intp]:
+    return np.flatnonzero(np.concatenate(([True], i[1:] != i[:-1])))
+
+
+def _row_minimum(i: Index, body: Floats, count: int) -> Floats:
+    """Return the least `body` of each row, ignoring NaN; inf for rows without pairs."""
+    result = np.full(count, np.inf, np.float32)
+    if len(i):
+        starts = _find_row_starts(i)
+        result[i[starts]] = np.minimum.reduceat(np.where(body == body, body, np.float32(np.inf)) + np.float32(0), starts)
+    return result
+
+
+def _reduce_min(pairs: PairRows, node: ir.PlanNode, condition: Any, body: Any) -> Any:
+    i, keep = _select_rows(pairs, condition)
+    return _row_minimum(i, _select_body_values(pairs, body, keep), pairs.count)
+
+
+def _reduce_max(pairs: PairRows, node: ir.PlanNode, condition: Any, body: Any) -> Any:
+    i, keep = _select_rows(pairs, condition)
+    return -_row_minimum(i, -_select_body_values(pairs, body, keep), pairs.count) + np.float32(0)
+
+
+def _best_label(pairs: PairRows, condition: Any, body: Any, label: NDArray[Any], none: Any) -> Any:
+    """Return the label of the pair with the least `body` for each row. Among equals, the least label is chosen."""
+    result = np.full(pairs.count, none)
+    i, keep = _select_rows(pairs, condition)
+    if not len(i):
+        return result
+    body = _select_body_values(pairs, body, keep)
+    label = label if keep is None else label.take(keep)
+    best = np.flatnonzero(body == _row_minimum(i, body, pairs.count).take(i))
+    if len(best):
+        i, label = i.take(best), label.take(best)
+        starts = _find_row_starts(i)
+        result[i[starts]] = np.minimum.reduceat(label, starts)
+    return result
+
+
+def _best_agent(pairs: PairRows, node: ir.PlanNode, condition: Any, body: Any) -> Any:
+    assert isinstance(pairs.of, Population)
+    return _best_label(pairs, condition, body, pairs.of.ids.take(pairs.j), NO_AGENT)
+
+
+def _best_item(pairs: PairRows, node: ir.PlanNode, condition: Any, body: Any) -> Any:
+    return _best_label(pairs, condition, body, pairs.j.astype(np.int32), NO_ITEM)
+
+
+def _nth_label(pairs: PairRows, condition: Any, body: Any, number: Any, label: NDArray[Any], none: Any) -> Any:
+    """Return the label of the pair with the n-th least `body` for each row. Equals are ordered by label."""
+    result = np.full(pairs.count, none)
+    i, keep = _select_rows(pairs, condition)
+    body, number = _select_body_values(pairs, body, keep), np.floor(_select_body_values(pairs, number, keep))
+    label = label if keep is None else label.take(keep)
+    order = np.lexsort((label, body, i))
+    order = order[body[order] == body[order]]
+    if not len(order):
+        return result
+    i, starts = i.take(order), _find_row_starts(i.take(order))
+    place = np.arange(len(i)) - np.repeat(starts, np.diff(np.append(starts, len(i))))
+    those = np.flatnonzero(place == number.take(order) - 1)
+    result[i.take(those)] = label.take(order.take(those))
+    return result
+
+
+def _nth_agent(pairs: PairRows, node: ir.PlanNode, condition: Any, body: Any, number: Any) -> Any:
+    assert isinstance(pairs.of, Population)
+    return _nth_label(pairs, condition, body, number, pairs.of.ids.take(pairs.j), NO_AGENT)
+
+
+def _nth_item(pairs: PairRows, node: ir.PlanNode, condition: Any, body: Any, number: Any) -> Any:
+    return _nth_label(pairs, condition, body, number, pairs.j.astype(np.int32), NO_ITEM)
+
+
+REDUCTION_FUNCTIONS: Mapping[str, Callable[..., Any]] = {
+    "reduce.sum": _reduce_sum,
+    "reduce.count": _reduce_count,
+    "reduce.any": _reduce_any,
+    "reduce.min": _reduce_min,
+    "reduce.max": _reduce_max,
+    "reduce.agent": _best_agent,
+    "reduce.item": _best_item,
+    "reduce.nth_agent": _nth_agent,
+    "reduce.nth_item": _nth_item,
+}
+
+
+def read_pair_value(pairs: PairRows, node: ir.PlanNode) -> NDArray[Any]:
+    """Return a value of the other agent or item, or of the pair."""
+    match node.op:
+        case "pair.x":
+            return pairs.dx
+        case "pair.y":
+            return pairs.dy
+        case "pair.z":
+            return pairs.dz
+        case "pair.distance":
+            return pairs.distance
+        case "other.row":
+            return pairs.j.astype(np.int32)
+        case "other.id":
+            assert isinstance(pairs.of, Population)
+            return pairs.of.ids.take(pairs.j)
+        case "other":
+            source = pairs.of.start if isinstance(pairs.of, Population) else pairs.of.visible_values
+            return source[node.attrs[0]].take(pairs.j)
+    raise AssertionError(f"{node.op} is not of a pair")

@@ -1,0 +1,37 @@
+"""The arrays of a running world that selectors read."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.runtime.sensing.sensed_camera import SensedCamera
+from antdsl.runtime.world import Population, World
+from antdsl.scene.notes.selection import SelectableAgents, SelectableFrame, StateColumn
+
+
+def collect_selectable_frame(world: World) -> SelectableFrame:
+    """Return the living agents, crowd lines and items of a world between two steps."""
+    points = {name: items.position + world.origin for name, items in world.items.items() if len(items)}
+    single = {item: points[name][k : k + 1] for name, items in world.items.items() for k, item in enumerate(items.names)}
+    return SelectableFrame(
+        {name: _collect_agents(world, population) for name, population in world.populations.items()},
+        {crowd.name: line for crowd, line in zip(world.setting.crowds, world.lines, strict=True) if crowd.name},
+        single | points,
+        world.setting.seed,
+        world.setting.unit_mm,
+        partial(_find_in_view, world),
+    )
+
+
+def _find_in_view(world: World, camera: str, place: NDArray[np.float64]) -> NDArray[np.bool_]:
+    return SensedCamera(world.setting.cameras[camera], np.zeros(3)).find_in_view(world.frame, place)
+
+
+def _collect_agents(world: World, population: Population) -> SelectableAgents:
+    states = {
+        machine.name: StateColumn(population.now[f"{machine.name}.state"], machine.states) for machine in population.plan.machines
+    }
+    return SelectableAgents(population.ids, population.position + world.origin, states)

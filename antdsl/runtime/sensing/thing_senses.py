@@ -1,0 +1,80 @@
+"""The senses of curves, flows, maps and cameras at the agents' own positions, and what all senses need of rows."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.plan import ir
+from antdsl.runtime.sensing.sensed_camera import SensedCamera
+from antdsl.runtime.world import AXES, Population, World
+
+SenseValue = Any
+Rows = slice | NDArray[np.intp]
+
+
+def row_count(rows: Rows) -> int:
+    return rows.stop - rows.start if isinstance(rows, slice) else len(rows)
+
+
+def spread_rows(value: SenseValue, rows: Rows) -> NDArray[Any]:
+    """Return an array with one value for each row."""
+    return np.full(row_count(rows), value) if np.ndim(value) == 0 else value
+
+
+def read_positions(world: World, population: Population, rows: Rows) -> tuple[NDArray[np.float32], ...]:
+    return tuple(population.start[f"position.{axis}"][rows] for axis in AXES)
+
+
+def _read_places(world: World, population: Population, rows: Rows) -> NDArray[np.float64]:
+    return np.stack(read_positions(world, population, rows), axis=1).astype(np.float64)
+
+
+def _sense_curve_closest(world: World, population: Population, node: ir.PlanNode, rows: Rows) -> SenseValue:
+    nearest = world.curves[node.attrs[0]].find_closest(*read_positions(world, population, rows))
+    return nearest.distance, nearest.px, nearest.py, nearest.pz, nearest.tx, nearest.ty, nearest.tz
+
+
+def _sense_flow_value(world: World, population: Population, node: ir.PlanNode, rows: Rows) -> SenseValue:
+    place = _read_places(world, population, rows)
+    up = population.normal[rows].astype(np.float64)
+    return world.flows[node.attrs[0]].at(world.ground.meshes, population.footing.take_rows(rows), place, up)
+
+
+def _sense_flow_reachable(world: World, population: Population, node: ir.PlanNode, rows: Rows) -> SenseValue:
+    place = _read_places(world, population, rows)
+    up = population.normal[rows].astype(np.float64)
+    return world.flows[node.attrs[0]].has_flow_at(world.ground.meshes, population.footing.take_rows(rows), place, up)
+
+
+def _sense_map_value(world: World, population: Population, node: ir.PlanNode, rows: Rows) -> SenseValue:
+    meshes = world.ground.meshes
+    assert meshes is not None  # maps are painted on them
+    return world.maps[node.attrs[0]].at(meshes, population.footing.take_rows(rows))
+
+
+def _find_camera(world: World, node: ir.PlanNode) -> SensedCamera:
+    return SensedCamera(world.setting.cameras[node.attrs[0]], world.origin)
+
+
+def _sense_camera_position(world: World, population: Population, node: ir.PlanNode, rows: Rows) -> SenseValue:
+    place = _find_camera(world, node).find_position(world.frame).astype(np.float32)
+    return tuple(np.full(row_count(rows), part) for part in place)
+
+
+def _sense_camera_view(world: World, population: Population, node: ir.PlanNode, rows: Rows, margin: SenseValue) -> SenseValue:
+    place = _read_places(world, population, rows)
+    return _find_camera(world, node).find_in_view(world.frame, place, np.float64(1) * spread_rows(margin, rows))
+
+
+PLACED_THING_SENSES: Mapping[str, Callable[..., SenseValue]] = {
+    "curve.closest": _sense_curve_closest,
+    "flow.value": _sense_flow_value,
+    "flow.reachable": _sense_flow_reachable,
+    "map.value": _sense_map_value,
+    "camera.position": _sense_camera_position,
+    "camera.in_view": _sense_camera_view,
+}

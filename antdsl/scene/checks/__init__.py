@@ -1,0 +1,1 @@
+"""Checks of a scene against its program. `scene_checks` runs them."""

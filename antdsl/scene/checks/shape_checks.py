@@ -1,0 +1,78 @@
+"""Checks of the shapes of places in crowd lines, and of the directions in which agents begin."""
+
+from __future__ import annotations
+
+from antdsl.diagnostics import Report
+from antdsl.program.model import Program
+from antdsl.program.tables.things import MESH_GROUND_KIND
+from antdsl.scene.checks.entry_checks import report_unknown
+from antdsl.scene.crowds.casting_model import FACING_WORDS, FacingDirection
+from antdsl.scene.crowds.crowd_model import Placement
+from antdsl.scene.document import PathKey
+from antdsl.scene.load import Scene
+from antdsl.scene.notes.selectors import Ball
+
+_KEY_BY_FIELD = {"volume": "in"}  # keys that are no names in Python
+_SHAPES = ("points", "inside", "along", "edge", "volume", "ranks")  # of which a place has one at most
+
+
+def list_item_names(scene: Scene) -> dict[str, tuple[str, str]]:
+    """Return the names that `around` accepts, each as (items, item). For the name of items, the first item counts."""
+    names: dict[str, tuple[str, str]] = {}
+    for name, value in scene.model.world.items():
+        if isinstance(value, dict) and value:
+            names[name] = (name, next(iter(value)))
+    for name, value in scene.model.world.items():
+        if isinstance(value, dict):
+            for item in value:
+                names.setdefault(item, (name, item))
+    return names
+
+
+def check_shapes(scene: Scene, program: Program, report: Report, place: Placement, *path: PathKey) -> None:
+    """Report shapes of a place that exclude each other, unknown names in them, and directions without a meaning there."""
+    shapes = [name for name in _SHAPES if getattr(place, name) is not None]
+    disc = ["around"] if place.around is not None and place.ranks is None else []
+    disc += ["radius"] if place.radius is not None and place.along is None and place.edge is None else []
+    density = ["density"] if place.density is not None else []
+    if (shapes and shapes[0] in ("along", "edge", "volume", "ranks")) or len(shapes) > 1:
+        for other in [*shapes[1:], *disc, *density]:
+            one, two = (_KEY_BY_FIELD.get(name, name) for name in (shapes[0], other))
+            place_of = scene.span(*path, two, key=True)
+            report.error("wrong-value", f"agents are placed by `{one}` or by `{two}`, not both", place_of, "keep one of them")
+    if place.clumps is not None and shapes and shapes[0] in ("points", "inside", "ranks"):
+        words = f"agents at `{shapes[0]}` have these positions, so `clumps` has no effect"
+        report.error("wrong-value", words, scene.span(*path, "clumps", key=True), "leave `clumps` out")
+    curves = program.list_things_of_kind("curve")
+    if place.along is not None and place.along not in curves:
+        report_unknown(report, scene, (*path, "along"), "no curve is named", curves, key=False)
+    surfaces = program.list_things_of_kind(MESH_GROUND_KIND)
+    if place.edge is not None and place.edge not in surfaces:
+        report_unknown(report, scene, (*path, "edge"), "no surface is named", surfaces, key=False)
+    items = list_item_names(scene)
+    around = place.volume.around if isinstance(place.volume, Ball) else None
+    if isinstance(around, str) and around not in items and not scene.model.has_usd_items:
+        report_unknown(report, scene, (*path, "in", "around"), "no item is named", items, key=False)
+    _check_facing(scene, report, place, items, *path)
+
+
+def _check_facing(scene: Scene, report: Report, place: Placement, items: dict[str, tuple[str, str]], *path: PathKey) -> None:
+    """Report a direction without a meaning in its place."""
+    facing, span = place.facing, scene.span(*path, "facing")
+    if isinstance(facing, FacingDirection):
+        if not any(facing.direction):
+            report.error("wrong-value", "`[0, 0, 0]` leads nowhere", span, "write a direction, such as `[1, 0, 0]`")
+    elif facing == "along" and place.along is None and place.edge is None:
+        report.error("wrong-value", "`facing: along` has no line to follow", span, "place agents `along` a curve or an `edge`")
+    elif facing in ("out", "in") and not _has_centre(place):
+        help = "add `around` and `radius`, or write a point or `{direction: [1, 0, 0]}`"
+        report.error("wrong-value", f"`facing: {facing}` has no centre here", span, help)
+    elif isinstance(facing, str) and facing not in (*FACING_WORDS, *items) and not scene.model.has_usd_items:
+        words = "no direction or item is named"
+        report_unknown(report, scene, (*path, "facing"), words, [*FACING_WORDS, *items], key=False)
+
+
+def _has_centre(place: Placement) -> bool:
+    """Return whether a place has a centre or a line from which directions lead outward."""
+    keys = ("around", "radius", "inside", "along", "edge", "volume")
+    return any(getattr(place, key) is not None for key in keys)

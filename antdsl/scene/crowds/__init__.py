@@ -1,0 +1,1 @@
+"""Crowd lines of a scene: how many agents, when, where, and with which values they begin."""

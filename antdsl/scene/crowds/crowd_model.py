@@ -1,0 +1,206 @@
+"""The contents of one line of a scene's crowd: species, count, starting positions, and an optional walk."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from fractions import Fraction
+from typing import Annotated, Any
+
+from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
+
+from antdsl import limits
+from antdsl.program.tables.vocabulary import LENGTH_DIMENSION
+from antdsl.scene.crowds.casting_model import Clumps, EachValues, Facing, Ranks, Rate, SecondsValue, convert_rate
+from antdsl.scene.library_bodies import BODY_WORDS
+from antdsl.scene.notes.selectors import Region
+from antdsl.scene.quantities import Quantity
+from antdsl.scene.values import (
+    FilePath,
+    FrameRangeValue,
+    PointOrName,
+    PositiveLength,
+    PositiveSpeed,
+    SceneName,
+    ScenePart,
+    SceneWord,
+    make_error,
+    parse_integer_between,
+    parse_number_between,
+    parse_one_of,
+    parse_positive_quantity,
+    parse_word_or_file,
+    parse_word_or_quantity,
+)
+
+NO_LAYER = "none"  # stands for no layer of a part
+# Of the library of bodies.
+BodyText = Annotated[str, BeforeValidator(parse_word_or_file(*BODY_WORDS))]
+BodyWeight = Annotated[float, BeforeValidator(parse_number_between(limits.MIN_BODY_WEIGHT, limits.MAX_BODY_WEIGHT))]
+SpacingValue = Annotated[
+    Quantity | str, BeforeValidator(parse_word_or_quantity("even", parse_positive_quantity(LENGTH_DIMENSION)))
+]
+DirectionComponent = Annotated[float, BeforeValidator(parse_number_between(-1e6, 1e6))]
+PlacementMethod = Annotated[str, BeforeValidator(parse_one_of("above", "area"))]
+
+
+class UsdPositions(ScenePart):
+    """Positions from a USD file: the points or empties below a prim, or all empties of a kind.
+
+    The default kind is the name of the species."""
+
+    usd: FilePath
+    prim: SceneWord | None = None
+    kind: SceneWord | None = None
+
+
+def _find_points_tag(value: Any) -> str:
+    return "usd-places" if isinstance(value, dict) else "points-file"
+
+
+class Placement(ScenePart):
+    """The starting positions of a crowd.
+
+    By default, agents are scattered over the surfaces.
+    `on`: the surface to use.
+    `radius`, `around`: scatter only within a radius of a point or an item (default: the scene's origin).
+    `density`: a map that paints the density of agents.
+    `points`: given positions.
+    `inside`: a point or an item; agents start at the first hits of lines from there with a surface.
+    `by`: `above` drops agents onto surfaces, `area` spreads them over the area, undersides included.
+    `apart`: the least distance between agents, or `even`: as large as space allows.
+    `seed`: replaces the scene's seed.
+    `along`: on a curve of the world. `edge`: on the open borders of a surface. `radius`: within this distance of them.
+    `in`: at the surface points nearest to a box or a ball.
+    `ranks`: in ranks around `around`. `clumps`: in discs around positions of the place.
+    `facing`: `out`, `in`, `along`, a point or item, or a direction."""
+
+    on: SceneName | None = None
+    inside: PointOrName | None = None
+    around: PointOrName | None = None
+    radius: PositiveLength | None = None
+    points: (
+        Annotated[
+            Annotated[FilePath, Tag("points-file")] | Annotated[UsdPositions, Tag("usd-places")], Discriminator(_find_points_tag)
+        ]
+        | None
+    ) = None
+    density: SceneName | None = None
+    by: PlacementMethod = "above"
+    apart: SpacingValue | None = None
+    seed: Annotated[int, BeforeValidator(parse_integer_between(0, 2**64 - 1))] | None = None
+    along: SceneName | None = None
+    edge: SceneName | None = None
+    volume: Region | None = Field(default=None, alias="in")
+    ranks: Ranks | None = None
+    clumps: Clumps | None = None
+    facing: Facing | None = None
+
+
+class Walk(ScenePart):
+    """A walk that replaces the decisions of agents: a direction in the scene's axes, a speed, and a length.
+
+    Agents stand still at the end of the walk."""
+
+    direction: tuple[DirectionComponent, DirectionComponent, DirectionComponent]
+    speed: PositiveSpeed
+    length: PositiveLength
+
+
+class LayerChoice(ScenePart):
+    """A choice of one layer, or `none`, drawn for each agent. Listing a layer twice doubles its probability."""
+
+    any: Annotated[tuple[SceneName, ...], Field(min_length=1, max_length=limits.MAX_WORN_LAYERS)]
+
+
+def _find_layer_tag(value: Any) -> str:
+    return "any" if isinstance(value, dict) else "layer"
+
+
+WornLayer = Annotated[Annotated[SceneName, Tag("layer")] | Annotated[LayerChoice, Tag("any")], Discriminator(_find_layer_tag)]
+
+
+def _text_or_weights(value: Any) -> str:
+    return "body-weights" if isinstance(value, dict) else "one-body"
+
+
+BodyValue = Annotated[
+    Annotated[BodyText, Tag("one-body")]
+    | Annotated[dict[BodyText, BodyWeight], Field(min_length=1, max_length=limits.MAX_SPECIES_BODIES), Tag("body-weights")],
+    Discriminator(_text_or_weights),
+]
+
+
+class CrowdLine(ScenePart):
+    """Agents of one species.
+
+    `count`: how many. `rate`: how many per second, in these `frames` or in these `seconds` from the first frame on.
+    `each`: the values of attributes at birth, and the initial `state`.
+    `name`: the name of the line, by which selectors name its agents.
+    `body`: the body in pictures, a word or the file of an agent definition. The default depends on the species' name. Several
+    bodies have weights: each agent gets one of them, with a probability in proportion.
+    `wear`: additional layers of the body that the agents show."""
+
+    name: SceneName | None = None
+    species: SceneName
+    source: FilePath = Field(alias="from")
+    count: Annotated[int, BeforeValidator(parse_integer_between(0, limits.MAX_AGENTS))] | None = None
+    rate: Rate | None = None
+    frames: FrameRangeValue | None = None
+    seconds: SecondsValue | None = None
+    each: EachValues = Field(default_factory=dict)
+    place: Placement = Placement()
+    walk: Walk | None = None
+    body: BodyValue | None = None
+    wear: Annotated[tuple[WornLayer, ...], Field(max_length=limits.MAX_WORN_LAYERS)] = ()
+
+    @model_validator(mode="after")
+    def _check_number(self) -> CrowdLine:
+        if self.count is None and self.rate is None:
+            raise make_error("this line has no `count`", "add `count: 100`", code="missing-key")
+        if self.count is not None and self.rate is not None:
+            raise make_error("`count` and `rate` both say how many agents there are", "leave one of them out")
+        if self.frames is not None and self.seconds is not None:
+            raise make_error("`frames` and `seconds` both say when agents are created", "leave one of them out")
+        if self.rate is not None and self.frames is None and self.seconds is None:
+            raise make_error("`rate` has no effect without frames", "add `frames: 49..96` or `seconds: 2 s .. 4 s`")
+        return self
+
+    def find_release(self, first: int, fps: Fraction) -> tuple[Fraction, Fraction, int]:
+        """Return when agents are created: the begin and the interval in frames, and their number.
+
+        `first`: the scene's first frame. Without frames, the interval is 0 and the begin is the first frame."""
+        begin, duration = Fraction(first), Fraction(0)
+        if self.frames is not None:
+            begin, duration = Fraction(self.frames.first), Fraction(self.frames.last - self.frames.first + 1)
+        elif self.seconds is not None:
+            begin, duration = first + self.seconds.begin * fps, (self.seconds.end - self.seconds.begin) * fps
+        if self.rate is not None:
+            interval = fps / convert_rate(self.rate.text, fps)
+            return begin, interval, int(duration / interval + Fraction(1, 2))
+        count = self.count or 0
+        return begin, duration / count if count and duration > 1 else Fraction(0), count
+
+    def count_agents(self, first: int, fps: Fraction) -> int:
+        """Return how many agents the line creates in all."""
+        return self.find_release(first, fps)[2]
+
+    @property
+    def body_weights(self) -> dict[str, float]:
+        """Return the bodies of this line with their weights. A single body has the weight 1; a line without `body` has none."""
+        if isinstance(self.body, dict):
+            return self.body
+        return {} if self.body is None else {self.body: 1.0}
+
+    def layers(self) -> tuple[tuple[str, ...], ...]:
+        """Return, for each part of `wear`, the layers from which one is drawn per agent. "" means no layer."""
+        chosen = (each.any if isinstance(each, LayerChoice) else (each,) for each in self.wear)
+        return tuple(tuple("" if name == NO_LAYER else name for name in names) for names in chosen)
+
+
+def named_weights(crowd: Iterable[CrowdLine]) -> dict[str, dict[str, float]]:
+    """Return, by species, the bodies that crowd lines name, with their weights. The first line that names any applies."""
+    weights: dict[str, dict[str, float]] = {}
+    for line in crowd:
+        if line.body is not None:
+            weights.setdefault(line.species, line.body_weights)
+    return weights

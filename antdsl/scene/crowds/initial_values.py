@@ -1,0 +1,147 @@
+"""The values `each` of a crowd line: checked against the attributes and states of the species, and converted to draws."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, NamedTuple
+
+from antdsl.diagnostics import Report
+from antdsl.diagnostics.suggestion import find_nearest_name
+from antdsl.program.model import AttributeDecl, Dimension, Machine, Program, Species, TypeKind
+from antdsl.scene.checks.entry_checks import check_dimension, check_map_name, report_unknown
+from antdsl.scene.crowds.casting_model import ChoiceDraw, NormalDraw, PaintedDraw, UniformDraw
+from antdsl.scene.crowds.crowd_data import ValueDraw
+from antdsl.scene.document import PathKey
+from antdsl.scene.quantities import Quantity, QuantityError, parse_quantity
+from antdsl.scene.values import ScenePart
+
+if TYPE_CHECKING:
+    from antdsl.scene.load import Scene
+
+_BOOL_TEXTS = {"true": 1.0, "false": 0.0, "yes": 1.0, "no": 0.0}
+
+
+class _Line(NamedTuple):
+    """A crowd line with its species, and where its findings go."""
+
+    scene: Scene
+    program: Program
+    report: Report
+    number: int
+    species: Species
+
+
+def stage_initial_values(scene: Scene, program: Program, report: Report, number: int) -> dict[str, ValueDraw]:
+    """Return the draws of a crowd line by attribute, and by `MACHINE.state`. Errors go into the report."""
+    model = scene.model.crowd[number]
+    if model.species not in program.species:
+        return {}
+    line = _Line(scene, program, report, number, program.species[model.species])
+    draws = {}
+    for key, value in model.each.items():
+        path = ("crowd", number, "each", key)
+        machine = _find_machine(line.species, key)
+        draw = _stage_value(line, value, machine, *path) if machine is not None else _stage_attribute(line, key, value, *path)
+        if draw is not None:
+            draws[key if machine is None else f"{machine.name}.state"] = draw
+    return draws
+
+
+def _find_machine(species: Species, key: str) -> Machine | None:
+    """Return the machine with the state that a key sets: `state` is that of the first machine."""
+    if key == "state":
+        return species.machines[0] if species.machines else None
+    name, _, word = key.partition(".")
+    return next((each for each in species.machines if word == "state" and each.name == name), None)
+
+
+def is_settable(attribute: AttributeDecl) -> bool:
+    """Return whether scenes may set an attribute: it has one number or truth value per agent."""
+    return attribute.each is None and attribute.type.kind in (TypeKind.NUMBER, TypeKind.BOOL)
+
+
+def _stage_attribute(line: _Line, key: str, value: str | ScenePart, *path: PathKey) -> ValueDraw | None:
+    known = {each.name: each for each in line.species.attributes if is_settable(each)}
+    if key not in known:
+        names = [*known, *(f"{each.name}.state" for each in line.species.machines)]
+        report_unknown(line.report, line.scene, path, f"agents of `{line.species.name}` have no attribute", names)
+        return None
+    return _stage_value(line, value, known[key], *path)
+
+
+def _stage_value(line: _Line, value: str | ScenePart, target: AttributeDecl | Machine, *path: PathKey) -> ValueDraw | None:
+    if isinstance(value, str):
+        number = _convert_text(line, value, target, *path)
+        return None if number is None else ValueDraw("number", number)
+    if isinstance(value, ChoiceDraw):
+        numbers = [_convert_text(line, text, target, *path, "choice", text) for text in value.choice]
+        if any(number is None for number in numbers):
+            return None
+        return ValueDraw("choice", values=tuple(n for n in numbers if n is not None), weights=tuple(value.choice.values()))
+    if isinstance(target, Machine) or target.type.kind is TypeKind.BOOL:
+        words = f"`{target.name}` has no number to draw"
+        line.report.error("wrong-value", words, line.scene.span(*path), "write one value, or `{choice: {A: 3, B: 1}}`")
+        return None
+    if isinstance(value, UniformDraw | NormalDraw):
+        word, pair = ("uniform", value.uniform) if isinstance(value, UniformDraw) else ("normal", value.normal)
+        low, high = (_convert_quantity(line, each, target, *path, word, k) for k, each in enumerate(pair))
+        if low is None or high is None:
+            return None
+        if (word == "uniform" and high < low) or (word == "normal" and high < 0):
+            help = "write the lesser bound first" if word == "uniform" else "write the mean and then a deviation above zero"
+            line.report.error("wrong-value", f"`{pair[1].text}` is too small here", line.scene.span(*path, word, 1), help)
+            return None
+        return ValueDraw("uniform" if word == "uniform" else "normal", low, high)
+    assert isinstance(value, PaintedDraw)
+    return _stage_painted(line, value, target, *path)
+
+
+def _stage_painted(line: _Line, value: PaintedDraw, target: AttributeDecl, *path: PathKey) -> ValueDraw | None:
+    if not check_map_name(line.scene, line.report, line.program, value.painted, *path, "painted"):
+        return None
+    if (value.low is None) != (value.high is None) or (value.low is None and target.type.dimension != Dimension()):
+        help = "add `from` and `to`: the values where the map is 0 and where it is 1"
+        line.report.error("missing-key", f"the numbers of `{value.painted}` have no unit", line.scene.span(*path), help)
+        return None
+    if value.low is None or value.high is None:
+        return ValueDraw("painted", 0.0, 1.0, of=value.painted)
+    low, high = (
+        _convert_quantity(line, value.low, target, *path, "from"),
+        _convert_quantity(line, value.high, target, *path, "to"),
+    )
+    return None if low is None or high is None else ValueDraw("painted", low, high, of=value.painted)
+
+
+def _convert_quantity(line: _Line, quantity: Quantity, target: AttributeDecl, *path: PathKey) -> float | None:
+    """Return a quantity in base units; None, with an error, for another dimension."""
+    model = line.scene.model
+    if not check_dimension(line.scene, line.report, quantity, target.type.dimension, target.name, *path):
+        return None
+    return quantity.to_base_units(model.unit_mm, float(1 / model.fps))
+
+
+def _convert_text(line: _Line, text: str, target: AttributeDecl | Machine, *path: PathKey) -> float | None:
+    """Return the number of a value: in base units, 1 or 0 for a truth value, the index of a state."""
+    if isinstance(target, Machine):
+        indices = {state.name: float(state.index) for state in target.states}
+        return _find_word(line, text, indices, f"`{line.species.name}` has no state", *path)
+    if target.type.kind is TypeKind.BOOL:
+        return _find_word(line, text, _BOOL_TEXTS, f"`{target.name}` is true or false, not", *path)
+    try:
+        quantity = parse_quantity(text)
+    except QuantityError as why:
+        help = why.help or "write a number with a unit, or `{uniform: [A, B]}`, `{normal: [A, B]}`, `{choice: {A: 3, B: 1}}`"
+        line.report.error("wrong-value", f"`{text[:60]}` {why}", line.scene.span(*path), help)
+        return None
+    return _convert_quantity(line, quantity, target, *path)
+
+
+def _find_word(line: _Line, text: str, known: Mapping[str, float], words: str, *path: PathKey) -> float | None:
+    if text not in known:
+        near = find_nearest_name(text, known)
+        listed = "known: " + ", ".join(f"`{each}`" for each in known)
+        is_key = "choice" in path
+        span = line.scene.span(*path, key=is_key)
+        line.report.error("unknown-thing", f"{words} `{text[:60]}`", span, f"did you mean `{near}`?" if near else listed)
+        return None
+    return known[text]

@@ -1,0 +1,158 @@
+"""Checks of notes against the scene and its programs: names of agents, targets, curves, maps, attributes and states."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from math import isfinite
+
+from antdsl.diagnostics import Report
+from antdsl.program.model import Program, TypeKind
+from antdsl.scene.checks.entry_checks import check_dimension, report_unknown
+from antdsl.scene.crowds.casting_model import FacingDirection
+from antdsl.scene.crowds.initial_values import is_settable
+from antdsl.scene.document import PathKey
+from antdsl.scene.load import Scene
+from antdsl.scene.notes.note_programs import LOOK_MACHINE, PLAY_MACHINE
+from antdsl.scene.notes.notes_model import (
+    AttractNote,
+    ChangeNote,
+    Note,
+    PartNote,
+    ReachNote,
+    RegionNote,
+    ReleaseNote,
+    RepelNote,
+    SetNote,
+    Target,
+    View,
+)
+from antdsl.scene.notes.selectors import AgentConditions, AgentName, AnySelector, Ball, SelectorKeys, SelectorNames, find_problems
+from antdsl.scene.scene_kinds import SCENE_KINDS
+
+_CURVE_HELP = "declare it in the program, `world { curve NAME }`, or write its points: `[[0, 0, 0], [50, 0, 0]]`"
+
+
+def check_notes(scene: Scene, program: Program, report: Report, names: SelectorNames) -> None:
+    """Report everything in the notes of a scene that does not match the scene and its programs."""
+    for number, note in enumerate(scene.model.notes):
+        _NoteCheck(scene, program, report, names, note, ("notes", number)).run()
+    reserved = [m for s in program.species.values() for m in s.machines if m.name.startswith((PLAY_MACHINE, LOOK_MACHINE))]
+    for machine in reserved if scene.model.notes else ():
+        words = f"notes of a scene use the name `{machine.name}` for a machine of their own"
+        report.error("reserved-name", words, machine.span, "rename the machine")
+
+
+class _NoteCheck:
+    """The check of one note. `path`: where the scene has it."""
+
+    def __init__(
+        self, scene: Scene, program: Program, report: Report, names: SelectorNames, note: Note, path: tuple[PathKey, ...]
+    ) -> None:
+        self.scene, self.program, self.report, self.names, self.note, self.path = scene, program, report, names, note, path
+
+    def run(self) -> None:
+        """Check all names and values of the note."""
+        note = self.note
+        problems = [*find_problems(note.agents, self.names, *self.path, note.verb)]
+        if isinstance(note, SelectorKeys):
+            problems += find_problems(note, self.names, *self.path)
+        with_items = replace(self.names, species=self.names.species | self.names.items)
+        for path, target in self._iterate_targets():
+            if isinstance(target, FacingDirection) and not any(target.direction):
+                help = "write one that is not zero, such as `{direction: [0, 1, 0]}`"
+                self.report.error("wrong-value", "this is no direction", self.scene.span(*self.path, *path), help)
+            if isinstance(target, AgentName) and (target.first is not None or target.name not in self.names.items):
+                problems += find_problems(target, with_items, *self.path, *path)
+        for problem in problems:
+            self.report.error("unknown-thing", problem.message, self.scene.span(*problem.path), problem.help)
+        self._check_things()
+        self._check_frames()
+        if isinstance(note, SetNote):
+            self._check_values(note)
+        if isinstance(note, ChangeNote) and note.to not in self.names.states:
+            self._report_unknown("no species has a state", self.names.states, "to")
+
+    def _iterate_targets(self) -> Iterator[tuple[tuple[PathKey, ...], Target]]:
+        note = self.note
+        if isinstance(note, ReachNote | AttractNote | RepelNote):
+            yield (type(note).model_fields["target"].alias or "target",), note.target
+        for group, target in note.looks.items():
+            yield ("at" if note.verb == "look" else "look_at", group), target
+
+    def _check_things(self) -> None:
+        """Check curves, maps, regions, and the thing of a `part`."""
+        note, curves = self.note, self._list_things("curves")
+        region = note.region if isinstance(note, RegionNote) else None
+        for path, along in ((("along",), getattr(note, "along", None)), (("in", "along"), getattr(region, "along", None))):
+            if isinstance(along, str) and along not in curves:
+                self._report_unknown("no program has a curve", curves, *path, help=_CURVE_HELP)
+        if isinstance(region, Ball) and isinstance(region.around, str) and region.around not in self.names.items:
+            self._report_unknown("no item is named", self.names.items, "in", "around")
+        if isinstance(region, View) and region.in_view not in self.names.cameras:
+            self._report_unknown("no camera is named", self.names.cameras, "in", "in_view")
+        maps = self._list_things("maps")
+        if isinstance(note, RegionNote) and note.painted is not None and note.painted not in maps:
+            self._report_unknown("no program has a map", maps, "painted")
+        if isinstance(note, PartNote):
+            things = self._list_things("obstacles", "surfaces") | self.names.items
+            if note.thing not in things:
+                self._report_unknown("no mesh or item is named", things, "for")
+
+    def _check_frames(self) -> None:
+        """Warn if the note has no effect, because it is outside of the frames of the scene."""
+        note, model = self.note, self.scene.model
+        first, last = model.frames.first - model.preroll, model.frames.last
+        begins = note.last_frame if isinstance(note, ReachNote | ReleaseNote) else note.first_frame
+        key = "frame" if "frame" in type(note).model_fields else "frames"
+        if isfinite(begins) and begins > last:
+            message, help = (
+                f"the scene ends at frame {last}, before this note",
+                "write an earlier frame, or more `frames` of the scene",
+            )
+        elif isinstance(note, ChangeNote) and note.frame <= first:
+            message = f"the scene begins at frame {first}, and agents begin in a state without a change"
+            help = f"write `each: {{state: {note.to}}}` in their crowd line, or a later frame"
+        elif isfinite(note.last_frame) and note.last_frame + note.ease_frames < first:
+            message, help = f"the scene begins at frame {first}, after this note", "write a later frame"
+        else:
+            return
+        self.report.warning("out-of-range", message, self.scene.span(*self.path, key), help)
+
+    def _list_things(self, *groups: str) -> frozenset[str]:
+        """Return the names of the things of the world with data in some mappings of the setting."""
+        things = self.program.world.items()
+        return frozenset(name for name, t in things if t.kind in SCENE_KINDS and SCENE_KINDS[t.kind].group in groups)
+
+    def _report_unknown(self, words: str, names: frozenset[str], *path: PathKey, help: str = "") -> None:
+        if help and not names:
+            name = self.scene.span(*self.path, *path).text
+            self.report.error("unknown-thing", f"{words} `{name}`", self.scene.span(*self.path, *path), help)
+        else:
+            report_unknown(self.report, self.scene, (*self.path, *path), words, names, key=False)
+
+    # --- attributes ---------------------------------------------------------------------------------------------------
+
+    def _check_values(self, note: SetNote) -> None:
+        species = sorted(_find_species(note.agents, self.scene) & self.program.species.keys()) or sorted(self.program.species)
+        for name, value in note.to.items():
+            path = (*self.path, "to", name)
+            fitting = [a for s in species for a in self.program.species[s].attributes if a.name == name and is_settable(a)]
+            if not fitting:
+                known = {a.name for s in species for a in self.program.species[s].attributes if is_settable(a)}
+                report_unknown(self.report, self.scene, path, f"`{'`, `'.join(species)}` has no attribute", known)
+            elif isinstance(value, bool) != (fitting[0].type.kind is TypeKind.BOOL):
+                help = "write `true` or `false`" if fitting[0].type.kind is TypeKind.BOOL else "write a number"
+                self.report.error("wrong-value", f"`{name}` cannot have this value", self.scene.span(*path), help)
+            elif not isinstance(value, bool):
+                check_dimension(self.scene, self.report, value, fitting[0].type.dimension, name, *path)
+
+
+def _find_species(selector: AnySelector | None, scene: Scene) -> set[str]:
+    """Return the names of the species that a selector names, directly or by their crowd lines; none for all."""
+    if isinstance(selector, AgentName):
+        lines = {line.name: line.species for line in scene.model.crowd}
+        return {lines.get(selector.name, selector.name)}
+    if isinstance(selector, AgentConditions):
+        return _find_species(selector.of, scene)
+    return set().union(*(_find_species(each, scene) for each in selector or ()))

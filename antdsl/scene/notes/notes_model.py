@@ -1,0 +1,400 @@
+"""Notes of a scene: what agents do in some frames, whatever their program says. One model for each verb.
+
+The verb is the first key of a note, and names the agents. All notes that move agents act within the limits of speed and turn,
+contacts and obstacles."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import inf
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Union
+
+from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
+
+from antdsl import limits
+from antdsl.diagnostics.suggestion import find_nearest_name
+from antdsl.scene.crowds.casting_model import FacingDirection
+from antdsl.scene.notes.selectors import AgentConditions as AgentConditions
+from antdsl.scene.notes.selectors import AgentName, AnySelector, Ball, Box, NearTarget, Selector, SelectorKeys, combine_selector
+from antdsl.scene.quantities import Quantity
+from antdsl.scene.values import (
+    FrameRangeValue,
+    PointValue,
+    PositiveLength,
+    SceneName,
+    ScenePart,
+    SceneWord,
+    make_error,
+    parse_any_quantity,
+    parse_integer_between,
+    parse_one_of,
+    parse_share,
+)
+
+DEFAULT_EASE_FRAMES = 6
+NOTE_TAG_SUFFIX = "-note"  # of the tag of a verb's model
+_MAX_EASE_FRAMES = 10_000
+FrameNumber = Annotated[int, BeforeValidator(parse_integer_between(-limits.MAX_FRAMES, limits.MAX_FRAMES * 1000))]
+FrameCount = Annotated[int, BeforeValidator(parse_integer_between(0, _MAX_EASE_FRAMES))]
+Share = Annotated[float, BeforeValidator(parse_share)]
+
+
+def _find_curve_tag(value: Any) -> str:
+    return "points" if isinstance(value, list) else "curve-name"
+
+
+CurveOrPoints = Annotated[
+    Annotated[tuple[PointValue, ...], Field(min_length=2, max_length=limits.MAX_NOTE_POINTS), Tag("points")]
+    | Annotated[SceneName, Tag("curve-name")],
+    Discriminator(_find_curve_tag),
+]
+
+
+_Direction = Annotated[FacingDirection, Tag("direction")]
+_NearTarget = Annotated[NearTarget, Tag("near")]
+_LookTarget = Annotated[_Direction | _NearTarget, Discriminator(lambda value: "direction" if isinstance(value, dict) else "near")]
+LookTargets = dict[SceneName, _LookTarget]
+Target = PointValue | AgentName | FacingDirection
+
+
+def _parse_set_value(value: Any) -> Quantity | bool:
+    if isinstance(value, str) and value.strip() in ("true", "false"):
+        return value.strip() == "true"
+    return parse_any_quantity(value)
+
+
+SetValue = Annotated[Quantity | bool, BeforeValidator(_parse_set_value)]
+
+
+class Note(ScenePart):
+    """What all notes have. `agents`: written after the verb. `off`: the note has no effect."""
+
+    verb: ClassVar[str]
+
+    agents: Selector
+    off: Annotated[str, BeforeValidator(parse_one_of("yes", "no"))] = "no"
+
+    @property
+    def selector(self) -> AnySelector:
+        """Return the agents of the note, with the conditions among its own keys."""
+        return combine_selector(self.agents, self) if isinstance(self, SelectorKeys) else self.agents
+
+    @property
+    def ease_frames(self) -> int:
+        """Return the number of frames in which the note begins, and in which it ends."""
+        return 0
+
+    @property
+    def played_clip(self) -> str:
+        """Return the clip that the agents play; empty for their own."""
+        return ""
+
+    @property
+    def looks(self) -> Mapping[str, Target]:
+        """Return what parts of bodies look at, by transform group."""
+        return {}
+
+    @property
+    def first_frame(self) -> float:
+        """Return the first frame in which the note holds completely. It begins `ease` frames earlier."""
+        return -inf
+
+    @property
+    def last_frame(self) -> float:
+        """Return the last frame in which the note holds completely. It ends `ease` frames later."""
+        return inf
+
+
+class EasedNote(Note):
+    """A note that begins and ends smoothly, within `ease` frames."""
+
+    ease: FrameCount = DEFAULT_EASE_FRAMES
+
+    @property
+    def ease_frames(self) -> int:
+        return self.ease
+
+
+class TimedNote(EasedNote):
+    """A note with `frames` in which it holds completely; by default in all."""
+
+    frames: FrameRangeValue | None = None
+
+    @property
+    def first_frame(self) -> float:
+        return -inf if self.frames is None else self.frames.first
+
+    @property
+    def last_frame(self) -> float:
+        return inf if self.frames is None else self.frames.last
+
+
+class HoldNote(TimedNote, SelectorKeys):
+    """Agents stand still: their feet stay where they are, and neither walk nor contacts move them.
+
+    `look_at`: what parts of their bodies look at. `play`: the clip that they play."""
+
+    verb = "hold"
+    agents: Selector = Field(alias="hold")
+    look_at: LookTargets = Field(default_factory=dict)
+    play: SceneName | None = None
+
+    @property
+    def played_clip(self) -> str:
+        return self.play or ""
+
+    @property
+    def looks(self) -> Mapping[str, Target]:
+        return self.look_at
+
+
+class LookNote(TimedNote, SelectorKeys):
+    """Parts of bodies look at points, items or agents, or in a direction."""
+
+    verb = "look"
+    agents: Selector = Field(alias="look")
+    at: Annotated[LookTargets, Field(min_length=1)]
+
+    @property
+    def looks(self) -> Mapping[str, Target]:
+        return self.at
+
+
+class PlayNote(TimedNote, SelectorKeys):
+    """Agents play a clip instead of those of their states."""
+
+    verb = "play"
+    agents: Selector = Field(alias="play")
+    clip: SceneName
+
+    @property
+    def played_clip(self) -> str:
+        return self.clip
+
+
+class SetNote(TimedNote, SelectorKeys):
+    """Attributes of agents have these values. Numbers reach them smoothly; afterwards they keep them until the program changes
+    them."""
+
+    verb = "set"
+    agents: Selector = Field(alias="set")
+    to: Annotated[dict[SceneName, SetValue], Field(min_length=1)]
+
+
+class ChangeNote(Note, SelectorKeys):
+    """Agents are in a state in `frame`, as by a transition to it. They leave it as their program says."""
+
+    verb = "change"
+    agents: Selector = Field(alias="change")
+    to: SceneWord
+    frame: FrameNumber
+
+    @property
+    def first_frame(self) -> float:
+        return self.frame
+
+    @property
+    def last_frame(self) -> float:
+        return self.frame
+
+
+class RetimeNote(TimedNote, SelectorKeys):
+    """Agents move at a share of their speed."""
+
+    verb = "retime"
+    agents: Selector = Field(alias="retime")
+    speed: Share
+
+
+class ReleaseNote(EasedNote, SelectorKeys):
+    """Agents stand still until `frame`. With `spread`, each begins up to so many frames later, at random."""
+
+    verb = "release"
+    agents: Selector = Field(alias="release")
+    frame: FrameNumber
+    spread: FrameCount = 0
+
+    @property
+    def last_frame(self) -> float:
+        return self.frame - 1 + self.spread
+
+
+class ReachNote(EasedNote, SelectorKeys):
+    """Agents are at the target in `frame`: at an item or agent they touch it. Each leaves as late as it can without haste."""
+
+    verb = "reach"
+    agents: Selector = Field(alias="reach")
+    target: NearTarget
+    frame: FrameNumber
+
+    @property
+    def last_frame(self) -> float:
+        return self.frame
+
+
+class PathNote(EasedNote, SelectorKeys):
+    """Agents walk along a curve, or through points: from its beginning in the first frame to its end in the last one.
+
+    `spacing`: each is so far behind the one before, in the order of ids."""
+
+    verb = "path"
+    agents: Selector = Field(alias="path")
+    along: CurveOrPoints
+    frames: FrameRangeValue
+    spacing: PositiveLength | None = Field(None, alias="apart")
+
+    @property
+    def last_frame(self) -> float:
+        return self.frames.last
+
+
+class Band(ScenePart):
+    """All points within half of `width` of a curve."""
+
+    along: CurveOrPoints
+    width: PositiveLength
+
+
+class View(ScenePart):
+    """All points that a camera sees, without regard to what hides them."""
+
+    in_view: SceneName
+
+
+def _find_region_tag(value: Any) -> str:
+    keys = value if isinstance(value, dict) else ()
+    tags = {"along": "band-region", "around": "ball-region", "in_view": "view-region"}
+    return next((tag for key, tag in tags.items() if key in keys), "box-region")
+
+
+NoteRegion = Annotated[
+    Annotated[Box, Tag("box-region")]
+    | Annotated[Ball, Tag("ball-region")]
+    | Annotated[Band, Tag("band-region")]
+    | Annotated[View, Tag("view-region")],
+    Discriminator(_find_region_tag),
+]
+
+
+class RegionNote(TimedNote):
+    """A note about a part of the world.
+
+    `in`: a box, a ball, a band along a curve or a view. `falloff`: outside it, the effect decreases over this distance.
+    `strength`: the share of the agents' wish that the note replaces. `painted`: a map with values from 0 to 1 that multiply the
+    strength."""
+
+    region: NoteRegion | None = Field(None, alias="in")
+    falloff: PositiveLength | None = None
+    strength: Share = 1.0
+    painted: SceneName | None = None
+
+    @model_validator(mode="after")
+    def _check_falloff(self) -> RegionNote:
+        if self.falloff is not None and self.region is None and not isinstance(self, LaneNote):
+            raise make_error("`falloff` has no effect without `in`", "add `in: {around: [0, 0, 0], radius: 50 mm}`")
+        return self
+
+
+class SlowNote(RegionNote):
+    """Agents move at a share of their speed in a region."""
+
+    verb = "slow"
+    agents: Selector = Field(alias="slow")
+    speed: Share = 0.5
+
+
+class ForbidNote(RegionNote):
+    """Agents do not enter a region. Those inside leave it."""
+
+    verb = "forbid"
+    agents: Selector = Field(alias="forbid")
+    region: NoteRegion = Field(alias="in")
+
+
+class AttractNote(RegionNote):
+    """Agents go to a point, an item or other agents: from half of `radius` on with full strength, beyond it not at all."""
+
+    verb = "attract"
+    agents: Selector = Field(alias="attract")
+    target: NearTarget = Field(alias="to")
+    radius: PositiveLength | None = None
+
+
+class RepelNote(RegionNote):
+    """Agents go away from a point, an item or other agents: from half of `radius` on with full strength, beyond it not at all."""
+
+    verb = "repel"
+    agents: Selector = Field(alias="repel")
+    target: NearTarget = Field(alias="from")
+    radius: PositiveLength
+
+
+class LaneNote(RegionNote):
+    """Agents walk along a curve, within a lane of this width. `falloff`: the width of its soft border."""
+
+    verb = "lane"
+    agents: Selector = Field(alias="lane")
+    along: CurveOrPoints
+    width: PositiveLength
+
+
+class PartNote(TimedNote, SelectorKeys):
+    """Agents make way for a mesh or an item: from `distance` around its outline seen from above, and where it is going."""
+
+    verb = "part"
+    agents: Selector = Field(alias="part")
+    thing: SceneName = Field(alias="for")
+    distance: PositiveLength
+
+
+class WithoutNote(Note, SelectorKeys):
+    """Agents never appear. Conditions of positions are about the start of each agent."""
+
+    verb = "without"
+    without: ClassVar[None] = None  # type: ignore[misc]  # the key is the verb
+    agents: Selector = Field(alias="without")
+
+
+class ThinNote(Note, SelectorKeys):
+    """Only a share of the selected agents is there at the start."""
+
+    verb = "thin"
+    agents: Selector = Field(alias="thin")
+    to: Share
+
+
+NOTE_MODELS: dict[str, type[Note]] = {model.verb: model for model in (
+    HoldNote, LookNote, PlayNote, SetNote, ChangeNote, RetimeNote, ReleaseNote, ReachNote, PathNote, SlowNote, ForbidNote,
+    AttractNote, RepelNote, LaneNote, PartNote, WithoutNote, ThinNote,
+)}  # fmt: skip
+
+
+GOAL_VERBS = frozenset((ReachNote.verb, PathNote.verb))  # agents may be too far away to do as these say
+
+
+def make_note_tag(verb: str) -> str:
+    """Return the tag of a verb's model. It is the last word in the location of an error."""
+    return f"{verb}{NOTE_TAG_SUFFIX}"
+
+
+def _find_note_tag(value: Any) -> str:
+    return make_note_tag(next(iter(value))) if isinstance(value, dict) and value else make_note_tag(HoldNote.verb)
+
+
+def _check_verb(value: Any) -> Any:
+    """Return the value unchanged. Raises an error if its first key is no verb."""
+    verb = next(iter(value), "") if isinstance(value, dict) else None
+    if verb is None or verb in NOTE_MODELS:
+        return value
+    known = next((key for key in value if key in NOTE_MODELS), None)
+    if known is not None:
+        raise make_error(f"`{verb}` comes before the verb of this note", f"write `{{{known}: {value[known]}, {verb}: …}}`")
+    near, listed = find_nearest_name(str(verb), NOTE_MODELS), ", ".join(f"`{each}`" for each in NOTE_MODELS)
+    raise make_error(f"`{verb}` is no verb of a note", f"did you mean `{near}`?" if near else f"write one of {listed}")
+
+
+if TYPE_CHECKING:
+    AnyNote = Note
+else:
+    _FORMS = tuple(Annotated[model, Tag(make_note_tag(verb))] for verb, model in NOTE_MODELS.items())
+    AnyNote = Annotated[Union[(*_FORMS,)], Discriminator(_find_note_tag), BeforeValidator(_check_verb)]

@@ -1,0 +1,155 @@
+"""Applies selectors to arrays of one frame, of a running world or of a cache, and returns the ids of the selected agents."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.numerics.randomness import draw_uniform
+from antdsl.numerics.vector_rows import length
+from antdsl.scene.crowds.line_ids import LineIds
+from antdsl.scene.notes.selectors import AgentConditions, AgentName, AnySelector, Ball, Box
+from antdsl.scene.thing_models import convert_point
+
+SHARE_SITE = "share"  # of the random draws of `share`
+Floats = NDArray[np.float64]
+Mask = dict[str, NDArray[np.bool_]]  # by species, one flag for each row
+
+
+class StateColumn(NamedTuple):
+    """The states of agents in one machine. `numbers` (n,): indices into `names`."""
+
+    numbers: NDArray[Any]
+    names: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SelectableAgents:
+    """The living agents of one species in one frame.
+
+    `ids` int64 (n,). `position` float64 (n, 3): in mm, from the scene's zero point. `states`: by machine."""
+
+    ids: NDArray[np.int64]
+    position: Floats
+    states: Mapping[str, StateColumn] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SelectableFrame:
+    """All that selectors read of one frame.
+
+    `lines`: the ids of named crowd lines. `item_points` (k, 3): by item, and by items, in mm from the scene's zero point.
+    `seed`: of shares without a seed. `unit_mm`: the scene's unit of length. `find_in_view`: returns which positions (n, 3) a
+    camera sees, by the camera's name."""
+
+    agents: Mapping[str, SelectableAgents]
+    lines: Mapping[str, LineIds] = field(default_factory=dict)
+    item_points: Mapping[str, Floats] = field(default_factory=dict)
+    seed: int = 0
+    unit_mm: float = 1.0
+    find_in_view: Callable[[str, Floats], NDArray[np.bool_]] | None = None
+
+
+def select_ids(selector: AnySelector, frame: SelectableFrame) -> dict[str, NDArray[np.int64]]:
+    """Return the ids of the selected agents in ascending order, by species. Species without selected agents are left out."""
+    masks = select_rows(selector, frame)
+    return {name: np.sort(frame.agents[name].ids[mask]) for name, mask in masks.items() if mask.any()}
+
+
+def select_rows(selector: AnySelector, frame: SelectableFrame) -> Mask:
+    """Return for each row of each species whether a selector selects it."""
+    if isinstance(selector, AgentName):
+        return {name: _find_named(selector, name, agents, frame) for name, agents in frame.agents.items()}
+    if isinstance(selector, AgentConditions):
+        return _select_by_conditions(selector, frame)
+    masks = [select_rows(each, frame) for each in selector]
+    return {name: np.logical_or.reduce([mask[name] for mask in masks]) for name in frame.agents}
+
+
+def _find_named(name: AgentName, species: str, agents: SelectableAgents, frame: SelectableFrame) -> NDArray[np.bool_]:
+    """Return which agents of a species a name selects."""
+    line = frame.lines.get(name.name)
+    if line is None:
+        numbers = agents.ids if name.name == species else np.full(len(agents.ids), -1, np.int64)
+    else:
+        numbers = line.find_numbers(agents.ids) if line.species == species else np.full(len(agents.ids), -1, np.int64)
+    if name.first is None or name.last is None:
+        return numbers >= 0
+    return (numbers >= name.first) & (numbers <= name.last)
+
+
+def _select_by_conditions(conditions: AgentConditions, frame: SelectableFrame) -> Mask:
+    masks = (
+        {name: np.ones(len(agents.ids), np.bool_) for name, agents in frame.agents.items()}
+        if conditions.of is None
+        else select_rows(conditions.of, frame)
+    )
+    without = None if conditions.without is None else select_rows(conditions.without, frame)
+    targets, is_target = _find_targets(conditions, frame)
+    for name, agents in frame.agents.items():
+        mask = masks[name]
+        if conditions.state is not None:
+            mask &= _find_in_state(conditions.state, agents)
+        if targets is not None and conditions.within is not None:
+            mask &= _measure_nearest(agents.position, targets) <= conditions.within.to_millimetres(frame.unit_mm)
+            mask &= ~is_target[name] if is_target else True
+        if conditions.region is not None:
+            mask &= _find_in_region(conditions.region, agents.position, frame)
+        if conditions.share is not None:
+            seed = frame.seed if conditions.seed is None else conditions.seed
+            mask &= draw_uniform(seed, 0, name, SHARE_SITE, 0, agents.ids) < np.float32(conditions.share)
+        if conditions.in_view is not None and frame.find_in_view is not None:
+            mask &= frame.find_in_view(conditions.in_view, agents.position)
+        if without is not None:
+            mask &= ~without[name]
+    return masks
+
+
+def _find_in_state(state: str, agents: SelectableAgents) -> NDArray[np.bool_]:
+    """Return which agents are in a state, named `STATE` or `MACHINE.STATE`, in any of their machines."""
+    mask = np.zeros(len(agents.ids), np.bool_)
+    for machine, column in agents.states.items():
+        numbers = [k for k, name in enumerate(column.names) if state in (name, f"{machine}.{name}")]
+        mask |= np.isin(column.numbers, numbers)
+    return mask
+
+
+def _find_targets(conditions: AgentConditions, frame: SelectableFrame) -> tuple[Floats | None, Mask | None]:
+    """Return the points (k, 3) of `near`, and the agents that are these points, which are not near themselves."""
+    near = conditions.near
+    if near is None:
+        return None, None
+    if not isinstance(near, AgentName):
+        return np.array([convert_point(near, frame.unit_mm)], np.float64), None
+    if near.first is None and near.name in frame.item_points:
+        return frame.item_points[near.name], None
+    masks = select_rows(near, frame)
+    return np.concatenate([np.empty((0, 3)), *(frame.agents[name].position[mask] for name, mask in masks.items())]), masks
+
+
+def _measure_nearest(position: Floats, targets: Floats) -> Floats:
+    """Return the distance (mm) of each position to the nearest target; inf without targets."""
+    from scipy.spatial import cKDTree
+
+    if not len(targets) or not len(position):
+        return np.full(len(position), np.inf)
+    nearest = cKDTree(targets).query(position)[1]
+    return length(position - targets[nearest])
+
+
+def _find_in_region(region: Box | Ball, position: Floats, frame: SelectableFrame) -> NDArray[np.bool_]:
+    if isinstance(region, Ball):
+        around = region.around
+        centres = (
+            frame.item_points.get(around, np.empty((0, 3)))[:1]
+            if isinstance(around, str)
+            else np.array([convert_point(around, frame.unit_mm)], np.float64)
+        )
+        return _measure_nearest(position, centres) <= region.radius.to_millimetres(frame.unit_mm)
+    corners = np.array([convert_point(point, frame.unit_mm) for point in (region.corner, region.opposite)], np.float64)
+    is_inside: NDArray[np.bool_] = ((position >= corners.min(axis=0)) & (position <= corners.max(axis=0))).all(axis=1)
+    return is_inside
