@@ -1,6 +1,6 @@
 import { describe, expect, test } from "vitest";
-import { Feet, STANCE } from "../src/view/feet";
-import { NONE, Plays, TEXELS } from "../src/view/plays";
+import { Feet, STANCE } from "../src/view/herds/feet";
+import { NONE, Plays, TEXELS } from "../src/view/herds/plays";
 
 const HALF = 32768;
 const ALL = 65535;

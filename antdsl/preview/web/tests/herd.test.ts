@@ -1,8 +1,8 @@
 import { describe, expect, test } from "vitest";
 import { creased } from "../src/view/creases";
-import { Herd, Rows } from "../src/view/herd";
-import { partOf } from "../src/view/herds";
-import { speck } from "../src/view/speck";
+import { Herd, Rows } from "../src/view/herds/herd";
+import { partOf } from "../src/view/herds/herds";
+import { speck } from "../src/view/bodies/speck";
 import { frame, herd, species } from "./made";
 
 function placed(of: Herd, row: number, t: number): number[] {

@@ -3,7 +3,7 @@
 import { Connection } from "../src/connection";
 import type { Ask, Machine, Packet, Param, Scene, Species, Status } from "../src/protocol";
 import { Store } from "../src/store";
-import { Herd } from "../src/view/herd";
+import { Herd } from "../src/view/herds/herd";
 
 export const MACHINE: Machine = {
   name: "main",

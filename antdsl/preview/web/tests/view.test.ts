@@ -5,7 +5,7 @@ import { keyRows } from "../src/view/acts/forces";
 import { tally } from "../src/view/acts/legend";
 import { planned, unseen } from "../src/view/acts/paths";
 import { missing } from "../src/view/acts/trails";
-import { machineOf, numbersOf, paint, ranged } from "../src/view/colours";
+import { machineOf, numbersOf, paint, ranged } from "../src/view/herds/colours";
 import { arranged } from "../src/view/labels";
 import { RAMP } from "../src/view/palette";
 import { fullOf, level, SHOWN } from "../src/view/scales";

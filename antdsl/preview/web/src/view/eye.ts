@@ -4,7 +4,7 @@ import * as THREE from "three";
 import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
 import type { NumberArray, Scene } from "../protocol";
 import type { Agent, Store } from "../store";
-import type { Herds } from "./herds";
+import type { Herds } from "./herds/herds";
 import type { Stage } from "./stage";
 
 const EASE = 160; // ms in which the camera of a rider approaches a new direction

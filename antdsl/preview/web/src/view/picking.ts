@@ -2,7 +2,7 @@
 
 import * as THREE from "three";
 import type { Agent } from "../store";
-import type { Herd } from "./herd";
+import type { Herd } from "./herds/herd";
 import type { Sight } from "./sight";
 
 const REACH = 14; // px

@@ -2,9 +2,9 @@
 
 import type { Packet } from "../protocol";
 import type { Store } from "../store";
-import type { Bodies } from "./bodies";
+import type { Bodies } from "./bodies/bodies";
 import type { Eye } from "./eye";
-import type { Herds } from "./herds";
+import type { Herds } from "./herds/herds";
 import type { Stage } from "./stage";
 
 export interface Sight {

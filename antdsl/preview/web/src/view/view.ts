@@ -2,9 +2,9 @@
 
 import type { Store } from "../store";
 import { ACTS } from "./acts/list";
-import { Bodies } from "./bodies";
+import { Bodies } from "./bodies/bodies";
 import { Eye } from "./eye";
-import { Herds } from "./herds";
+import { Herds } from "./herds/herds";
 import { nothing } from "./nothing";
 import { SCENERY } from "./scenery/list";
 import type { Scenery, Sight } from "./sight";

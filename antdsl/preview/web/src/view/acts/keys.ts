@@ -1,7 +1,7 @@
 // Keyboard control of the view, and the selection as text for screen readers. One entry for each key.
 
 import type { Agent } from "../../store";
-import { machineOf } from "../colours";
+import { machineOf } from "../herds/colours";
 import type { Sight } from "../sight";
 
 const TURN = Math.PI / 24;

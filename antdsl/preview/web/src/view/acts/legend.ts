@@ -2,9 +2,9 @@
 
 import type { Machine, Species } from "../../protocol";
 import type { Agent } from "../../store";
-import { Colouring } from "../colouring";
-import { machineOf, numbersOf } from "../colours";
-import type { Herd } from "../herd";
+import { Colouring } from "../herds/colouring";
+import { machineOf, numbersOf } from "../herds/colours";
+import type { Herd } from "../herds/herd";
 import { RAMP } from "../palette";
 import type { Sight } from "../sight";
 

@@ -1,9 +1,9 @@
 // A ring around each selected agent: bright for the explained agent, paler for the others.
 
 import * as THREE from "three";
-import { changed, rowAttributes } from "../shapes";
-import { ringMaterial, square, standing } from "../bodyshaders";
-import { Rows } from "../herd";
+import { changed, rowAttributes } from "../bodies/shapes";
+import { ringMaterial, square, standing } from "../bodies/bodyshaders";
+import { Rows } from "../herds/herd";
 import type { Sight } from "../sight";
 
 export function marks(sight: Sight): void {

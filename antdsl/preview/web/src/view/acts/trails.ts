@@ -2,7 +2,7 @@
 
 import * as THREE from "three";
 import type { NumberArray } from "../../protocol";
-import type { Herd } from "../herd";
+import type { Herd } from "../herds/herd";
 import type { Sight } from "../sight";
 import { Strokes } from "../strokes";
 

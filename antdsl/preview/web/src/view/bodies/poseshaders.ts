@@ -5,8 +5,8 @@
 // inverse kinematics as in antdsl/bodies/agents/leg_ik.py;
 // - bones: the matrices that move the vertices of a mesh.
 
-import { STANCE } from "./feet";
-import { TEXELS } from "./plays";
+import { STANCE } from "../herds/feet";
+import { TEXELS } from "../herds/plays";
 import { WIDE } from "./rig";
 
 export const POSE_VERTEX = /* glsl */ `

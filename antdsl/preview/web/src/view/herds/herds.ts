@@ -1,9 +1,9 @@
 // All agents: takes frames, keeps the time between two of them, and informs listeners.
 
-import type { NumberArray, Packet, Scene } from "../protocol";
-import type { Store } from "../store";
+import type { NumberArray, Packet, Scene } from "../../protocol";
+import type { Store } from "../../store";
 import { type Acts, Herd } from "./herd";
-import type { Stage } from "./stage";
+import type { Stage } from "../stage";
 
 const LONGEST = 300; // ms; maximum duration of the motion from one frame to the next
 

@@ -2,16 +2,16 @@
 // has a soft shadow, so that it stands on its ground. Near bodies are drawn in full detail.
 
 import * as THREE from "three";
-import type { Packet } from "../protocol";
+import type { Packet } from "../../protocol";
 import { shadowMaterial, square } from "./bodyshaders";
 import { Close } from "./close";
 import { Figure, type Form } from "./figure";
-import type { Herd } from "./herd";
-import type { Herds } from "./herds";
+import type { Herd } from "../herds/herd";
+import type { Herds } from "../herds/herds";
 import { forgetRig, type Rigged, rigOf } from "./rig";
 import { changed, rowAttributes } from "./shapes";
 import { speck } from "./speck";
-import type { Stage } from "./stage";
+import type { Stage } from "../stage";
 
 const CROWD = { software: 3000, hardware: 120_000 }; // number of agents from which each is drawn as a speck
 

@@ -1,7 +1,7 @@
 // The posed body of a species: the samples of its clips, and meshes with vertices that follow bones.
 
 import * as THREE from "three";
-import type { NumberArray, Packet } from "../protocol";
+import type { NumberArray, Packet } from "../../protocol";
 
 export const WIDE = 1024; // texels in a row of a texture that holds a list
 

@@ -1,7 +1,7 @@
 // Where the agents of one species look, how they lean and how their bodies differ, row by row for the shaders: previous and
 // current values.
 
-import type { NumberArray } from "../protocol";
+import type { NumberArray } from "../../protocol";
 
 const PART = 8; // numbers of a group: previous and current direction, four each
 const WHOLE = 127;

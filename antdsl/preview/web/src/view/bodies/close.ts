@@ -2,9 +2,9 @@
 
 import * as THREE from "three";
 import { Figure, type Form } from "./figure";
-import { type Herd, Rows } from "./herd";
+import { type Herd, Rows } from "../herds/herd";
 import { changed, rowAttributes } from "./shapes";
-import type { Stage } from "./stage";
+import type { Stage } from "../stage";
 
 const LARGE = 24; // px of a body's length on the screen
 const MOST = { software: 40, hardware: 400 };

@@ -3,7 +3,7 @@
 import * as THREE from "three";
 import { TRAIT } from "./poseshaders";
 import { WIDE } from "./rig";
-import type { Stage } from "./stage";
+import type { Stage } from "../stage";
 
 /** The pose of a row: `here`, the rotation `turned` (ahead, up, aside), and `long`, the body's length, at least a few px. */
 const STAND = /* glsl */ `

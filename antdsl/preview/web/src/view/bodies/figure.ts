@@ -5,7 +5,7 @@ import { bodyMaterial, standing, type Uniforms } from "./bodyshaders";
 import { type Acting, Poser } from "./poser";
 import type { Skin } from "./rig";
 import { bodyGeometry, type Shape } from "./shapes";
-import type { Stage } from "./stage";
+import type { Stage } from "../stage";
 
 export type Form = Shape | Skin;
 

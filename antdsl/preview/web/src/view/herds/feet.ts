@@ -1,7 +1,7 @@
 // The feet of the agents of one species, and the position of their trunks above them, row by row for the shaders: previous and
 // current values.
 
-import type { NumberArray } from "../protocol";
+import type { NumberArray } from "../../protocol";
 
 export const STANCE = 3; // texels of four numbers before those of feet: previous rise and tilt, current rise and tilt, share of standing feet
 const LENGTH = 4096; // units per body length

@@ -1,8 +1,8 @@
 // The colour of each agent: by state, speed or any attribute. One entry for each way.
 
-import type { Attribute, NumberArray, Species, Triple } from "../protocol";
+import type { Attribute, NumberArray, Species, Triple } from "../../protocol";
 import type { Herd } from "./herd";
-import { RAMP } from "./palette";
+import { RAMP } from "../palette";
 
 /** How numbers become colours: the ends of the colour ramp, in `unit`. */
 export interface Range {

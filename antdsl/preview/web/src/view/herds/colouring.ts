@@ -2,7 +2,7 @@
 
 import type { Herds } from "./herds";
 import { type Range, paint, ranged } from "./colours";
-import type { Sight } from "./sight";
+import type { Sight } from "../sight";
 
 export class Colouring {
   range: Range | null = null;

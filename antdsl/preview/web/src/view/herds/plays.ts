@@ -1,6 +1,6 @@
 // The clips that the agents of one species play, row by row for the pose shader: previous and current values.
 
-import type { NumberArray } from "../protocol";
+import type { NumberArray } from "../../protocol";
 
 export const TEXELS = 4; // texels of four numbers for one machine of an agent
 export const NONE = 65535; // the number for no clip

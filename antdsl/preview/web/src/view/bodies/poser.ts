@@ -1,10 +1,10 @@
 // Poses agents on the graphics card: computes the matrices of all their bones as three textures for the drawing of bodies.
 
 import * as THREE from "three";
-import type { Feet } from "./feet";
-import type { Gaze } from "./gaze";
+import type { Feet } from "../herds/feet";
+import type { Gaze } from "../herds/gaze";
 import { Pass } from "./passes";
-import type { Plays } from "./plays";
+import type { Plays } from "../herds/plays";
 import { BENT, BONES, JOINTS, LEGS } from "./poseshaders";
 import { type Skin, WIDE } from "./rig";
 

@@ -1,6 +1,6 @@
 // The agents of one species: previous and current positions, row by row, for interpolation between frames.
 
-import type { NumberArray, Packet, Species } from "../protocol";
+import type { NumberArray, Packet, Species } from "../../protocol";
 import { Feet } from "./feet";
 import { Gaze } from "./gaze";
 import { NONE, Plays } from "./plays";

@@ -1,7 +1,7 @@
 // Meshes for the shaders, and the rows of agents as instanced attributes.
 
 import * as THREE from "three";
-import type { Rows } from "./herd";
+import type { Rows } from "../herds/herd";
 
 /** A rigid mesh. */
 export interface Shape {
