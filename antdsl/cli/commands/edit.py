@@ -8,12 +8,14 @@ from typing import TYPE_CHECKING
 import typer
 
 from antdsl.cli.destinations import choose_default_path, protect_inputs, require_writable_folder
-from antdsl.cli.exits import explain_cache_errors, report_failures
+from antdsl.cli.exits import CommandError, ExitCode, explain_cache_errors, report_failures
 from antdsl.cli.printing.messages import print_note
 
 if TYPE_CHECKING:
     from antdsl.outputs.cache.cache_reader import Cache
     from antdsl.outputs.edits.edited_cache import LoadedEdits
+
+_Settling = tuple[Path | None, tuple[str, ...]]  # the scene, and the roots that it may read
 
 
 @report_failures("the edit stopped")
@@ -30,6 +32,11 @@ def edit(
         help="Write the edited frames as a new cache into this folder; CACHE stays as it is.",
     ),
     remove: bool = typer.Option(False, "--remove", help="Take the edits of the cache away."),
+    settle: bool = typer.Option(
+        False, "--settle", help="Simulate agents again that the edits of --edits make overlap, or leave without a neighbour."
+    ),
+    scene: Path = typer.Option(None, "--scene", metavar="FILE", help="For --settle: the scene, if it is not near the cache."),
+    root: list[str] = typer.Option([], "--root", metavar="NAME=DIR", help="For --settle: grant the scene a folder of assets."),
     smooth: str = typer.Option(
         None,
         "--smooth",
@@ -43,8 +50,13 @@ def edit(
     """Change agents of a finished cache, reversibly, or write the changed frames as a new cache."""
     if (edits is not None) + remove + (smooth is not None) > 1 or (remove and to is not None):
         raise typer.BadParameter("use one of `--edits`, `--remove` and `--smooth`", param_hint="--edits")
+    if settle and edits is None:
+        raise typer.BadParameter("`--settle` needs a file of edits, `--edits edits.yaml`", param_hint="--settle")
+    if (scene is not None or root) and not settle:
+        raise typer.BadParameter("`--scene` and `--root` have no effect without `--settle`", param_hint="--settle")
     if edits is None and not remove and smooth is None and to is None:
         raise typer.BadParameter("name a file of edits, or use `--remove`, `--smooth` or `--to`", param_hint="--edits")
+    settling = (scene, tuple(root)) if settle else None
     width = None if smooth is None else _parse_smoothing_width(smooth)
     if remove:
         _remove_edits(cache, quiet)
@@ -54,16 +66,16 @@ def edit(
         require_writable_folder(folder, "--to")
     with explain_cache_errors(cache):
         if folder is None:
-            count, note = _store_edits(cache, edits)
+            count, note = _store_edits(cache, edits, settling)
         else:
-            count = _write_view(_open_view(cache, edits, width), cache, folder, force)
+            count = _write_view(_open_view(cache, edits, width, settling), cache, folder, force)
             words, are = ("frame", "is") if count == 1 else ("frames", "are")
             note = f"{words}, {'edited' if width is None else f'orientations smoothed over {width}'}, {are} in {folder}"
     if not quiet:
         print_note(f"{count} {note}")
 
 
-def _open_view(folder: Path, edits: Path | None, width: int | None) -> Cache:
+def _open_view(folder: Path, edits: Path | None, width: int | None, settling: _Settling | None) -> Cache:
     """Return the cache with the edits of a file, with smooth orientations, or with its own edits."""
     from antdsl.outputs.edits.edited_cache import open_edited_cache, smooth_cache
 
@@ -71,11 +83,11 @@ def _open_view(folder: Path, edits: Path | None, width: int | None) -> Cache:
         return smooth_cache(open_edited_cache(folder), width)
     if edits is None:
         return open_edited_cache(folder)
-    return _load_edits(folder, edits).view
+    return _load_edits(folder, edits, settling).view
 
 
-def _load_edits(folder: Path, edits: Path) -> LoadedEdits:
-    """Return the edits of a file for a cache. The command ends if they have errors."""
+def _load_edits(folder: Path, edits: Path, settling: _Settling | None) -> LoadedEdits:
+    """Return the edits of a file for a cache, with settled agents. The command ends if they have errors."""
     from antdsl.cli.printing.reports import exit_on_errors
     from antdsl.outputs.cache.cache_reader import open_cache
     from antdsl.outputs.edits.edited_cache import load_edits
@@ -84,17 +96,46 @@ def _load_edits(folder: Path, edits: Path) -> LoadedEdits:
     loaded, report = load_edits(open_cache(folder), edits)
     exit_on_errors(report)
     assert loaded is not None, "it has no errors"
+    if settling is not None:
+        loaded = _settle(loaded, *settling)
     for words in describe_side_effects(loaded.view):
         print_note(f"warning: {words}", to_stderr=True)
     return loaded
 
 
-def _store_edits(folder: Path, edits: Path) -> tuple[int, str]:
+def _settle(loaded: LoadedEdits, scene: Path | None, roots: tuple[str, ...]) -> LoadedEdits:
+    """Simulate the agents that edits affect again, and report how many."""
+    from antdsl.cli.arguments import parse_grants
+    from antdsl.cli.printing.reports import exit_on_errors, print_report
+    from antdsl.explain import ExplainError
+    from antdsl.numerics.processor.host import count_available_cores
+    from antdsl.runtime import BindError
+    from antdsl.settling.resimulation import SettlingError, settle_cache
+
+    try:
+        settlement = settle_cache(loaded.view, scene, parse_grants(list(roots)), count_available_cores())
+    except BindError as why:
+        exit_on_errors(why.report)
+        raise CommandError(ExitCode.FINDINGS) from None
+    except (SettlingError, ExplainError) as why:
+        if isinstance(why, ExplainError) and why.report is not None:
+            print_report(why.report, to_stderr=True)
+        code = ExitCode.USAGE if isinstance(why, ExplainError) and why.usage else ExitCode.FINDINGS
+        raise CommandError(code, f"error: {why}", f"help: {why.help}" if why.help else "") from None
+    if settlement is None:
+        print_note("nothing to settle: edits make no agents overlap, and leave none without a neighbour")
+        return loaded
+    left = f"; {settlement.left_out:,} others have another body or species and stay" if settlement.left_out else ""
+    print_note(f"settled {settlement.frames.describe()}, from the checkpoint of frame {settlement.checkpoint}{left}")
+    return loaded.add_settled(settlement.frames)
+
+
+def _store_edits(folder: Path, edits: Path, settling: _Settling | None) -> tuple[int, str]:
     """Store the edits of a file with a cache. Return their number, and a note on where they are."""
     from antdsl.outputs.edits.stored_edits import store_edits
 
-    loaded = _load_edits(folder, edits)
-    store_edits(folder, loaded.entry, loaded.arrays)
+    loaded = _load_edits(folder, edits, settling)
+    store_edits(folder, loaded.entry, loaded.inputs.arrays)
     count = len(loaded.edits.edits)
     words, them = ("edit is", "it") if count == 1 else ("edits are", "them")
     return count, f"{words} applied when {folder} is read; `antdsl edit {folder} --remove` takes {them} away"

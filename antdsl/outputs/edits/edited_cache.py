@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Any
 
@@ -20,11 +20,13 @@ from antdsl.outputs.cache.npz import ArrayFileError, read_npz
 from antdsl.outputs.edits.edit_files import encode_edit_arrays, find_cache_path, find_missing_file, read_edit_files
 from antdsl.outputs.edits.edit_layer import EditInputs, NotEditable, StoredFrames
 from antdsl.outputs.edits.edit_lines import EditList, read_edits
+from antdsl.outputs.edits.settled_layer import SettledFrames, SettledLayer
 from antdsl.outputs.edits.verb_table import VERB_BY_WORD
 from antdsl.outputs.edits.verbs.terrain import Ground
 from antdsl.scene.paths import PathRefused, read_user_file
 
 INPUT_PREFIX = "edit "  # of the names of edits among the inputs in a manifest
+SETTLED_INPUT = "settled"
 _MAX_TEXT = 400  # characters of an edit in a manifest
 _STORED_FRAMES = 3  # of the result: exports read a frame and its neighbours several times
 
@@ -92,12 +94,18 @@ def find_next_ids(cache: Cache) -> dict[str, int]:
 @dataclass(frozen=True, slots=True, eq=False)
 class LoadedEdits:
     """The edits of a file for a cache. `view`: the cache with them. `entry`: as they are stored in the cache's manifest.
-    `arrays`: of meshes and bodies from files."""
+    `inputs`: with the arrays of meshes and bodies from files, and of settled agents."""
 
     edits: EditList
     view: EditedCache
     entry: EditsEntry
-    arrays: Mapping[str, NDArray[Any]]
+    inputs: EditInputs
+
+    def add_settled(self, settled: SettledFrames) -> LoadedEdits:
+        """Return the edits with agents that were simulated again."""
+        inputs = replace(self.inputs, arrays={**self.inputs.arrays, **settled.pack()})
+        entry = self.entry.model_copy(update={"arrays": encode_edit_arrays(dict(inputs.arrays))[0]})
+        return LoadedEdits(self.edits, apply_edits(self.view.original, self.edits, inputs), entry, inputs)
 
 
 def load_edits(cache: Cache, path: Path) -> tuple[LoadedEdits | None, Report]:
@@ -125,7 +133,7 @@ def load_edits(cache: Cache, path: Path) -> tuple[LoadedEdits | None, Report]:
         counted_frames=len(cache.frames()),
     )
     inputs = EditInputs(Ground(cache), arrays, caches, entry.next_ids)
-    return LoadedEdits(edits, apply_edits(cache, edits, inputs), entry, arrays), report
+    return LoadedEdits(edits, apply_edits(cache, edits, inputs), entry, inputs), report
 
 
 def smooth_cache(cache: Cache, width: int) -> Cache:
@@ -136,15 +144,19 @@ def smooth_cache(cache: Cache, width: int) -> Cache:
 
 
 def apply_edits(cache: Cache, edits: EditList, inputs: EditInputs) -> EditedCache:
-    """Return the view of a cache with edits: in the order of the text, and then those that read the result of all others."""
+    """Return the view of a cache with edits: in the order of the text, those that read the result of all others, and then the
+    settled agents.
+
+    Raises CacheError if the settled agents among the inputs are damaged."""
+    listed, settled = _list_inputs(cache.manifest, edits), SettledFrames.unpack(inputs.arrays)
     layers = sorted(edits.edits, key=lambda edit: VERB_BY_WORD[edit.line.verb].is_last)
     top: Cache = cache
     for edit in layers:
         layer = VERB_BY_WORD[edit.line.verb].layer.of(top, edit.line, inputs)
         top, inputs = layer, layer.pass_inputs()
-    manifest = top.manifest.model_copy(
-        update={"edits": None, "inputs": {**cache.manifest.inputs, **_list_inputs(cache.manifest, edits)}}
-    )
+    if settled is not None:
+        top, listed = SettledLayer.of(top, settled), {**listed, SETTLED_INPUT: settled.describe()}
+    manifest = top.manifest.model_copy(update={"edits": None, "inputs": {**cache.manifest.inputs, **listed}})
     return EditedCache(cache.folder, manifest, top, _STORED_FRAMES, cache)
 
 

@@ -28,7 +28,7 @@ _GAP_REACH = 50.0  # body lengths in which ground is searched
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Trunks:
+class Trunks:
     """The trunks of a frame's agents as capsules: `middle` [n, 3], unit `axis` [n, 3], `half` lengths and radii [n]."""
 
     keys: LongArray
@@ -45,7 +45,7 @@ def describe_side_effects(cache: EditedCache) -> list[str]:
     frames = cache.frames()
     count = min(len(frames), EXAMINED_FRAMES)
     chosen = sorted({frames[round(k * (len(frames) - 1) / max(count - 1, 1))] for k in range(count)})
-    sizes = [list(_iterate_capsules(each)) for each in (cache.original, cache)]
+    sizes = [list(iterate_capsules(each)) for each in (cache.original, cache)]
     overlaps: dict[tuple[int, int], int] = {}
     gaps: dict[int, int] = {}
     ground = Ground(cache)
@@ -53,10 +53,10 @@ def describe_side_effects(cache: EditedCache) -> list[str]:
         old, new = cache.original.frame(number), cache.frame(number)
         if any(name not in arrays for arrays in (old, new) for name in ("id", "P", "orient", "pscale")):
             return []
-        old_trunks, new_trunks = _make_trunks(cache.original, old, sizes[0]), _make_trunks(cache, new, sizes[1])
-        changed = _find_changed(old_trunks, new_trunks)
-        known = set(_find_overlaps(old_trunks, np.ones(len(old_trunks.keys), np.bool_)))
-        for pair in _find_overlaps(new_trunks, changed):
+        old_trunks, new_trunks = make_trunks(cache.original, old, sizes[0]), make_trunks(cache, new, sizes[1])
+        changed = find_changed(old_trunks, new_trunks)
+        known = set(find_overlaps(old_trunks, np.ones(len(old_trunks.keys), np.bool_)))
+        for pair in find_overlaps(new_trunks, changed):
             if pair not in known:
                 overlaps.setdefault(pair, number)
         terrain = ground.at(number)
@@ -85,7 +85,7 @@ def _name(cache: Cache, key: int) -> str:
     return f"{cache.manifest.species[key % SPECIES_PER_KEY].name}.{key // SPECIES_PER_KEY}"
 
 
-def _iterate_capsules(cache: Cache) -> Iterator[list[BodyCapsuleData]]:
+def iterate_capsules(cache: Cache) -> Iterator[list[BodyCapsuleData]]:
     """Yield by species the collision sizes of its bodies."""
     bodies = CacheBodies(cache.manifest, cache.read_static())
     for number, species in enumerate(cache.manifest.species):
@@ -101,7 +101,7 @@ def _iterate_capsules(cache: Cache) -> Iterator[list[BodyCapsuleData]]:
         yield sizes
 
 
-def _make_trunks(cache: Cache, arrays: Arrays, sizes: list[list[BodyCapsuleData]]) -> _Trunks:
+def make_trunks(cache: Cache, arrays: Arrays, sizes: list[list[BodyCapsuleData]]) -> Trunks:
     numbers, ids = get_species_numbers(arrays), get_agent_ids(arrays)
     shape = np.zeros((len(ids), 4))
     for number, own in enumerate(sizes):
@@ -112,10 +112,10 @@ def _make_trunks(cache: Cache, arrays: Arrays, sizes: list[list[BodyCapsuleData]
     heading, up = find_axes(np.asarray(arrays["orient"], np.float64))
     length, width, height, ahead = shape.T * scale
     middle = position + up * height[:, None] + heading * ahead[:, None]
-    return _Trunks(make_agent_keys(arrays), middle, heading, np.maximum(length - width, 0) / 2, width / 2)
+    return Trunks(make_agent_keys(arrays), middle, heading, np.maximum(length - width, 0) / 2, width / 2)
 
 
-def _find_changed(old: _Trunks, new: _Trunks) -> NDArray[np.bool_]:
+def find_changed(old: Trunks, new: Trunks) -> NDArray[np.bool_]:
     """Return which agents are new, or elsewhere than before."""
     at, is_there = match_rows(new.keys, old.keys)
     if not len(old.keys):
@@ -125,21 +125,21 @@ def _find_changed(old: _Trunks, new: _Trunks) -> NDArray[np.bool_]:
     return is_changed
 
 
-def _find_overlaps(trunks: _Trunks, chosen: NDArray[np.bool_]) -> Iterator[tuple[int, int]]:
-    """Yield the keys of agents that overlap, at least one of them chosen."""
+def find_overlaps(trunks: Trunks, chosen: NDArray[np.bool_], min_depth: float = _MIN_DEPTH) -> Iterator[tuple[int, int]]:
+    """Yield the keys of agents that overlap, at least one of them chosen: by more than `min_depth` of the smaller width."""
     from scipy.spatial import cKDTree
 
     good = np.flatnonzero(np.isfinite(trunks.middle).all(axis=1) & (trunks.radius > 0))
     if len(good) < 2 or not chosen.any():
         return
-    reach = float((trunks.half + trunks.radius)[good].max())
+    reach = float((trunks.half + (1 + max(-min_depth, 0)) * trunks.radius)[good].max())
     pairs = cKDTree(trunks.middle[good]).query_pairs(2 * reach, output_type="ndarray")
     pairs = good[pairs][(chosen[good[pairs]]).any(axis=1)] if len(pairs) else np.empty((0, 2), np.intp)
     one, other = pairs[:, 0], pairs[:, 1]
     arm = trunks.axis * trunks.half[:, None]
     distance = measure_segment_distances(trunks.middle[one], arm[one], trunks.middle[other], arm[other])
     depth = trunks.radius[one] + trunks.radius[other] - distance
-    is_overlap = depth > _MIN_DEPTH * 2 * np.minimum(trunks.radius[one], trunks.radius[other])
+    is_overlap = depth > min_depth * 2 * np.minimum(trunks.radius[one], trunks.radius[other])
     for first, second in zip(trunks.keys[one[is_overlap]].tolist(), trunks.keys[other[is_overlap]].tolist(), strict=True):
         yield min(first, second), max(first, second)
 

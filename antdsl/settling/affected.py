@@ -1,0 +1,52 @@
+"""The agents that edits affect without selecting them: in overlaps because of edits, or left by agents that they touched."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from antdsl.outputs.edits.edited_cache import EditedCache
+from antdsl.outputs.edits.frame_rows import match_rows
+from antdsl.outputs.edits.side_effects import Trunks, find_changed, find_overlaps, iterate_capsules, make_trunks
+
+_TOUCH_DEPTH = -0.05  # of the smaller width: a wider gap between two bodies is no contact
+
+
+def find_affected(cache: EditedCache, *, with_touched: bool = True) -> dict[int, int]:
+    """Return the affected agents by key, each with the first frame in which it is affected.
+
+    Of two agents that overlap because of edits, it is the one that edits leave as it is; of two that edits changed, the one with
+    the greater id. `with_touched`: an agent that touched another one, which edits removed or moved away, is
+    affected too."""
+    sizes = [list(iterate_capsules(each)) for each in (cache.original, cache)]
+    affected: dict[int, int] = {}
+    for number in cache.frames():
+        old, new = cache.original.frame(number), cache.frame(number)
+        if any(name not in arrays for arrays in (old, new) for name in ("id", "P", "orient", "pscale")):
+            return {}
+        old_trunks, new_trunks = make_trunks(cache.original, old, sizes[0]), make_trunks(cache, new, sizes[1])
+        for key in _find_affected_in_frame(old_trunks, new_trunks, with_touched):
+            affected.setdefault(key, number)
+    return affected
+
+
+def _find_affected_in_frame(old: Trunks, new: Trunks, with_touched: bool) -> set[int]:
+    is_changed = find_changed(old, new)
+    at, is_left = match_rows(old.keys, new.keys)
+    is_gone = ~is_left
+    is_gone[is_left] = is_changed[at[is_left]]
+    if not is_changed.any() and not is_gone.any():
+        return set()
+    changed, gone = set(new.keys[is_changed].tolist()), set(old.keys[is_gone].tolist())
+    known = set(find_overlaps(old, np.ones(len(old.keys), np.bool_)))
+    pairs = [pair for pair in find_overlaps(new, is_changed) if pair not in known]
+    affected = {max(pair) if pair[0] in changed and pair[1] in changed else _pick_other(pair, changed) for pair in pairs}
+    if not with_touched:
+        return affected
+    touched = [pair for pair in find_overlaps(old, is_gone, _TOUCH_DEPTH) if (pair[0] in gone) != (pair[1] in gone)]
+    still = set(find_overlaps(new, is_changed, _TOUCH_DEPTH)) if touched else set()
+    return affected | {_pick_other(pair, gone) for pair in touched if pair not in still}
+
+
+def _pick_other(pair: tuple[int, int], known: set[int]) -> int:
+    """Return the agent of a pair that is not known."""
+    return pair[1] if pair[0] in known else pair[0]

@@ -1,0 +1,136 @@
+"""Agents of a world that a cache places: in each frame they are where the cache has them, whatever their program did."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.bodies.agents.transforms import Floats, normalise_quaternion, quaternion_to_matrix
+from antdsl.numerics.vector_rows import length
+from antdsl.outputs.cache.cache_reader import Arrays
+from antdsl.outputs.cache.frame_agents import get_agent_ids, get_species_numbers
+from antdsl.outputs.cache.manifest import Manifest
+from antdsl.outputs.edits.frame_rows import match_rows
+from antdsl.runtime.world import AXES, Population, World, add_rows, select_rows
+from antdsl.scene.thing_models import UNIT_MM
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+_SAME_SIZE = 1e-5  # the greatest relative difference by rounding
+_HEAVY = np.float32(1e6)  # times their mass: contacts push the other agent
+Ids = NDArray[np.int64]
+
+
+def place_scripted_agents(
+    world: World, arrays: Arrays, following: Arrays, manifest: Manifest, free: Mapping[str, Ids], next_ids: Mapping[str, int]
+) -> None:
+    """Put all agents of a frame into a world, except the `free` ones by species, which keep what they did.
+
+    Their velocities lead to where they are in the `following` frame, so that free agents meet them there.
+
+    Agents that the frame lacks are removed, and those that the world lacks are added: copies of an edit as their original
+    (`next_ids`: the first id of a copy), else as the agent with the nearest lower id."""
+    numbers, ids = get_species_numbers(arrays), get_agent_ids(arrays)
+    for number, entry in enumerate(manifest.species):
+        population = world.populations.get(entry.name)
+        if population is None:
+            continue
+        own = np.flatnonzero((numbers == number) & ~np.isin(ids, free[entry.name]))
+        kept = np.flatnonzero(np.isin(population.ids, ids[own]) | np.isin(population.ids, free[entry.name]))
+        rows = _place(world, population, arrays, own, manifest, kept, next_ids.get(entry.name, 0))
+        _aim(world, population, rows, following, number, UNIT_MM[manifest.units])
+
+
+def _place(
+    world: World,
+    population: Population,
+    arrays: Arrays,
+    own: NDArray[np.intp],
+    manifest: Manifest,
+    kept: NDArray[np.intp],
+    period: int,
+) -> NDArray[np.intp]:
+    """Put agents of one species, the rows `own` of a frame, into a world, and return their rows there."""
+    unit_mm, ids = UNIT_MM[manifest.units], get_agent_ids(arrays)[own]
+    position = np.asarray(arrays["P"], np.float64)[own] * unit_mm
+    footing = world.ground.find_nearest(position)[0]
+    missing = np.flatnonzero(population.find_rows(ids) < 0)
+    if len(missing) and len(population):
+        known, rows = population.sorted_ids()
+        originals = population.find_rows(ids[missing] % max(period, 1))
+        nearest = rows[np.maximum(np.searchsorted(known, ids[missing], side="right") - 1, 0)]
+        templates = np.where(originals >= 0, originals, nearest)
+        added = add_rows(population, ids[missing], world.frame, position[missing], footing.take_rows(missing))
+        for registers in {id(table): table for table in (population.now, population.start)}.values():
+            for array in registers.values():
+                array[added] = array[templates]
+        population.normal[added] = population.normal[templates]
+        kept = np.concatenate([kept, np.arange(added.start, added.stop)])
+    if len(kept) < len(population):
+        select_rows(population, kept)
+    rows = population.find_rows(ids)
+    found = np.flatnonzero(rows >= 0)
+    rows = rows[found]
+    population.position[rows] = world.ground.position(footing)[found]
+    population.footing.put_rows(rows, footing.take_rows(found))
+    heading, up, _ = np.moveaxis(
+        quaternion_to_matrix(normalise_quaternion(np.asarray(arrays["orient"], np.float64)[own[found]])), 2, 0
+    )
+    population.normal[rows] = up
+    _write_vector(population, "position", rows, population.position[rows])
+    _write_vector(population, "heading", rows, heading)
+    _write_vector(population, "up", rows, up)
+    size = np.asarray(arrays["pscale"], np.float32)[own[found]] * np.float32(unit_mm)
+    factor = size / np.where(population.now["size"][rows] > 0, population.now["size"][rows], np.float32(1))
+    factor = np.where(np.abs(factor - 1) < _SAME_SIZE, np.float32(1), factor)
+    for name in ("size", "radius"):
+        _write(population, name, rows, population.now[name][rows] * factor)
+    population.cells.clear()
+    population.version += 1
+    return rows
+
+
+def _aim(world: World, population: Population, rows: NDArray[np.intp], following: Arrays, number: int, unit_mm: float) -> None:
+    """Give agents the velocities that lead to their positions in the next frame; 0 if they are not there."""
+    own = np.flatnonzero(get_species_numbers(following) == number)
+    at, is_there = match_rows(population.ids[rows], get_agent_ids(following)[own])
+    goal = np.asarray(following["P"], np.float64)[own][at] * unit_mm if len(own) else np.zeros((len(rows), 3))
+    offset = np.where(is_there[:, None], goal - population.position[rows], 0.0)
+    _write_vector(population, "velocity", rows, offset / world.dt)
+
+
+def _write_vector(population: Population, name: str, rows: NDArray[np.intp], values: Floats) -> None:
+    for k, axis in enumerate(AXES):
+        _write(population, f"{name}.{axis}", rows, values[:, k])
+
+
+def _write(population: Population, name: str, rows: NDArray[np.intp], values: NDArray[np.floating]) -> None:
+    """Write a register as it is at the start of a step and now."""
+    for registers in (population.now, population.start):
+        registers[name][rows] = values
+
+
+@contextmanager
+def hold_against_pushes(world: World, free: Mapping[str, Ids]) -> Iterator[None]:
+    """Make all agents except the `free` ones so heavy that contacts push the free ones only, and fast enough for their paths."""
+    limits = {}
+    for name, population in world.populations.items():
+        own = population.ids[~np.isin(population.ids, free[name])]
+        rows = population.find_rows(own)
+        limits[name] = own, {key: population.now[key][rows] for key in ("mass", "max_speed")}
+        _write(population, "mass", rows, limits[name][1]["mass"] * _HEAVY)
+        speed = length(population.read_vector("velocity")[rows]).astype(np.float32)
+        _write(population, "max_speed", rows, np.maximum(limits[name][1]["max_speed"], speed * np.float32(1.01)))
+    try:
+        yield
+    finally:
+        for name, (own, values) in limits.items():
+            population = world.populations[name]
+            rows = population.find_rows(own)
+            for key, array in values.items():
+                _write(population, key, rows[rows >= 0], array[rows >= 0])
