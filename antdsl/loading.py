@@ -116,8 +116,8 @@ class LoadedSources:
         try:
             roots.measure_file_size(text)
             return roots.path(text)
-        except PathRefused as refused:
-            self.report.error(refused.code, str(refused), span, refused.help)
+        except PathRefused as error:
+            self.report.error(error.code, str(error), span, error.help)
             return None
 
     def _parse_file(
@@ -137,8 +137,8 @@ class LoadedSources:
         else:
             try:
                 source, report = syntax.read(path, None if origin is None else origin[0].open_file(origin[1]))
-            except PathRefused as refused:  # it has changed since it was looked for
-                self.report.error(refused.code, str(refused), span, refused.help)
+            except PathRefused as error:  # it has changed since it was looked for
+                self.report.error(error.code, str(error), span, error.help)
                 return None
             if source is None:
                 self.report.extend(report)

@@ -16,8 +16,8 @@ def main() -> None:
 
     try:
         measurement = measure_job(JOB_ADAPTER.validate_json(sys.argv[1]))
-    except CaseError as why:
-        raise SystemExit(str(why)) from None
+    except CaseError as error:
+        raise SystemExit(str(error)) from None
     print(MEASUREMENT_ADAPTER.dump_json(measurement).decode())
 
 

@@ -64,8 +64,8 @@ def open_shot(path: Path, agents: int | None, *, frames: int = MAX_MEASURED_FRAM
         return shot
     try:
         return replace(shot, setting=scale_setting(shot.setting, agents))
-    except ValueError as why:
-        raise CaseError(f"`{path.name}` cannot have {agents:,} agents: {why}") from None
+    except ValueError as error:
+        raise CaseError(f"`{path.name}` cannot have {agents:,} agents: {error}") from None
 
 
 def _open_shot_from_texts(texts: Mapping[str, str]) -> Shot:

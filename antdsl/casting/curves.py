@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.casting.nearby import Vectors
-from antdsl.numerics.vector_rows import unit
+from antdsl.numerics.vector_rows import normalise
 
 _MAX_SAMPLES = 4096
 _NEAREST_SAMPLES = 6  # samples of the first query; sufficient except for agents far from a bend
@@ -44,8 +44,8 @@ class SampledCurve:
         self._segment_vectors = np.diff(self.samples, axis=0)
         self._segment_lengths = np.sqrt((self._segment_vectors * self._segment_vectors).sum(axis=1))
         self.length = float(self._segment_lengths.sum())
-        directions = unit(self._segment_vectors)
-        self._tangent = unit(np.concatenate([directions[:1], directions[:-1] + directions[1:], directions[-1:]]))
+        directions = normalise(self._segment_vectors)
+        self._tangent = normalise(np.concatenate([directions[:1], directions[:-1] + directions[1:], directions[-1:]]))
         self._sample_tree: Any = None
 
     def find_closest(self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any]) -> CurvePoints:
@@ -64,25 +64,25 @@ class SampledCurve:
             point, tangent = np.broadcast_to(self.samples[0], place.shape), np.zeros_like(place)
         else:
             point, tangent = self._find_nearest_points(place)
-        away = point - place
-        distance = np.where(finite, np.sqrt((away[:, 0] ** 2 + away[:, 1] ** 2) + away[:, 2] ** 2), np.inf)
+        offset = point - place
+        distance = np.where(finite, np.sqrt((offset[:, 0] ** 2 + offset[:, 1] ** 2) + offset[:, 2] ** 2), np.inf)
         columns = (distance, *point.T, *tangent.T)
         return CurvePoints(*(np.ascontiguousarray(c, np.float32) for c in columns))
 
     def _find_nearest_points(self, positions: Vectors) -> tuple[Vectors, Vectors]:
         """Return the nearest point and tangent, from the segments with samples that are near enough."""
-        few = min(_NEAREST_SAMPLES, len(self.samples))
-        gap, sample = self._sample_tree.query(positions, k=list(range(1, few + 1)))
+        neighbour_count = min(_NEAREST_SAMPLES, len(self.samples))
+        gap, sample = self._sample_tree.query(positions, k=list(range(1, neighbour_count + 1)))
         best = self._find_nearest_segment(positions, sample)
         # A segment nearer than the nearest sample has an end within that distance plus half a piece.
         reach = np.sqrt(gap[:, 0] ** 2 + (self._segment_lengths.max() / 2) ** 2) * (1 + 1e-9) + 1e-12
-        for row in np.flatnonzero((gap[:, -1] <= reach) & (few < len(self.samples))):
+        for row in np.flatnonzero((gap[:, -1] <= reach) & (neighbour_count < len(self.samples))):
             near = self._sample_tree.query_ball_point(positions[row], reach[row])
             best[row] = self._find_nearest_segment(positions[row : row + 1], np.asarray(near, np.int64)[None])[0]
         part = self._project_on_segment(positions, best)[0][:, None]
         # The tangent rotates evenly along each piece, so that agents that follow the curve do not jerk.
         tangent = self._tangent[best] * (1 - part) + self._tangent[best + 1] * part
-        return self.samples[best] + part * self._segment_vectors[best], unit(tangent)
+        return self.samples[best] + part * self._segment_vectors[best], normalise(tangent)
 
     def _find_nearest_segment(self, positions: Vectors, sample: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return the nearest of the segments next to samples int[n,k]; of equally near ones, the first."""
@@ -95,24 +95,24 @@ class SampledCurve:
         self, positions: Vectors, segment: NDArray[np.int64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the position of the nearest point along its segment (0 to 1), and the squared distance."""
-        away, step = positions - self.samples[segment], self._segment_vectors[segment]
+        offset, step = positions - self.samples[segment], self._segment_vectors[segment]
         square = self._segment_lengths[segment] ** 2
-        along = (away[:, 0] * step[:, 0] + away[:, 1] * step[:, 1]) + away[:, 2] * step[:, 2]
-        part = np.clip(along / np.where(square > 0, square, 1.0), 0.0, 1.0)
-        away = away - part[:, None] * step
-        return part, (away[:, 0] ** 2 + away[:, 1] ** 2) + away[:, 2] ** 2
+        projection = (offset[:, 0] * step[:, 0] + offset[:, 1] * step[:, 1]) + offset[:, 2] * step[:, 2]
+        part = np.clip(projection / np.where(square > 0, square, 1.0), 0.0, 1.0)
+        offset = offset - part[:, None] * step
+        return part, (offset[:, 0] ** 2 + offset[:, 1] ** 2) + offset[:, 2] ** 2
 
 
 def resample(points: Vectors, spacing: float) -> Vectors:
     """Return points [k,3] at equal spacing along a polyline [n,3], both ends included. The spacing is at most `spacing`, unless
     the number of points reaches its limit."""
     step = np.sqrt((np.diff(points, axis=0) ** 2).sum(axis=1))
-    keep = np.concatenate(([True], step > 0))
-    points, at = points[keep], np.concatenate(([0.0], np.cumsum(step[step > 0])))
+    has_length = np.concatenate(([True], step > 0))
+    points, arc_lengths = points[has_length], np.concatenate(([0.0], np.cumsum(step[step > 0])))
     if len(points) == 1:
         return points
-    pieces = int(min(max(np.ceil(at[-1] / spacing - 1e-9), 1), _MAX_SAMPLES))
-    where = np.linspace(0.0, at[-1], pieces + 1)
-    even = np.stack([np.interp(where, at, points[:, axis]) for axis in range(3)], axis=1)
-    even[0], even[-1] = points[0], points[-1]
-    return even
+    pieces = int(min(max(np.ceil(arc_lengths[-1] / spacing - 1e-9), 1), _MAX_SAMPLES))
+    sample_lengths = np.linspace(0.0, arc_lengths[-1], pieces + 1)
+    samples = np.stack([np.interp(sample_lengths, arc_lengths, points[:, axis]) for axis in range(3)], axis=1)
+    samples[0], samples[-1] = points[0], points[-1]
+    return samples

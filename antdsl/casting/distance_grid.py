@@ -28,7 +28,7 @@ CellLayout = tuple[Array1[F64], Array1[F64], Array1[I64], F64]  # lowest and hig
 class DistanceGrid:
     """Lower bounds of the distance to a set of triangles, with corners float64[m,3,3] (mm).
 
-    If `lasting`, the bounds are stored for other runs that may need them."""
+    `store_tables`: store the bounds for later runs that need them."""
 
     def __init__(self, corners: NDArray[np.float64], target_cells: int = _TARGET_CELLS, store_tables: bool = True) -> None:
         self._low = corners.min(axis=(0, 1)) if len(corners) else np.zeros(3)
@@ -49,10 +49,10 @@ class DistanceGrid:
         for cell, _ in iterate_triangle_cells((corners - self._low) / self._width, exact=False):
             cell = np.minimum(cell, self._size - 1)
             free[cell[:, 0], cell[:, 1], cell[:, 2]] = False
-        away = compute_blocked_distances(free) if len(corners) else np.full(tuple(self._size), np.inf)
+        cell_distances = compute_blocked_distances(free) if len(corners) else np.full(tuple(self._size), np.inf)
         # The query point and the triangle may be anywhere in their cells: add two half diagonals.
-        least = np.maximum((away - np.sqrt(3.0)) * self._width * (1 - 1e-6), 0.0).astype(np.float32).ravel()
-        return {"least": least}
+        bounds = np.maximum((cell_distances - np.sqrt(3.0)) * self._width * (1 - 1e-6), 0.0).astype(np.float32).ravel()
+        return {"least": bounds}
 
     def refine_near_cells(self, distance: Callable[[NDArray[np.float64]], NDArray[np.float64]]) -> None:
         """Raise the bounds of cells near triangles. `distance` measures the distance (mm) of the cell centres [n,3].
@@ -65,8 +65,8 @@ class DistanceGrid:
         cells = np.stack(np.unravel_index(near, tuple(self._size)), axis=1)
         measured_distances = distance(self._low + (cells + 0.5) * self._width)
         error = 2e-3 + 2e-6 * float((self._high - self._low).max())  # mm: rounding error of float32
-        least = measured_distances - np.sqrt(0.75) * self._width * (1 + 1e-6) - error
-        self._cell_bounds[near] = np.maximum(self._cell_bounds[near], least.astype(np.float32))
+        refined_bounds = measured_distances - np.sqrt(0.75) * self._width * (1 + 1e-6) - error
+        self._cell_bounds[near] = np.maximum(self._cell_bounds[near], refined_bounds.astype(np.float32))
 
     def compute_lower_bounds(self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], threads: int = 1) -> NDArray[np.float32]:
         """Return a distance (mm, float32[n]) from each position within which there is no triangle; 0 near triangles."""
@@ -86,7 +86,7 @@ class DistanceGrid:
 
 
 @inlined
-def _compute_lower_bound(cells: CellLayout, least: Array1[F32], px: F64, py: F64, pz: F64) -> F32:
+def _compute_lower_bound(cells: CellLayout, cell_bounds: Array1[F32], px: F64, py: F64, pz: F64) -> F32:
     """Return a lower bound (mm) of the distance from a position to all triangles."""
     low, high, size, width = cells
     part = 1.0 / width
@@ -97,10 +97,10 @@ def _compute_lower_bound(cells: CellLayout, least: Array1[F32], px: F64, py: F64
         _to_cell_number((iy - low[1]) * part), size[1] - 1
     )
     cell = cell * size[2] + min(_to_cell_number((iz - low[2]) * part), size[2] - 1)
-    away = least[cell]
+    cell_bound = cell_bounds[cell]
     # The position in the box is a projection, so the angle between both distances is at least a right angle.
-    further = np.float32(np.sqrt(np.float64(away * away) + outside) * (1 - 1e-5))
-    return further if outside > 0 else away
+    bound = np.float32(np.sqrt(np.float64(cell_bound * cell_bound) + outside) * (1 - 1e-5))
+    return bound if outside > 0 else cell_bound
 
 
 @kernel
@@ -157,8 +157,8 @@ def limit_cell_width(corners: NDArray[np.float64], width: float) -> float:
 
     The triangles have corners float64[m,3,3]."""
     lengths, area = measure_sides_and_area(corners)
-    around = float(lengths.sum())
-    while 3 * area / width**2 + 2 * around / width > _MAX_LISTED_CELLS + 8.0 * len(corners):
+    perimeter = float(lengths.sum())
+    while 3 * area / width**2 + 2 * perimeter / width > _MAX_LISTED_CELLS + 8.0 * len(corners):
         width *= 1.25
     return width
 

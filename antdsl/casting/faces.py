@@ -11,7 +11,7 @@ from antdsl.casting.tolerances import EDGE_WEIGHT_TOLERANCE
 from antdsl.machine_code.kernels import BOOL, F64, I64, Array1, Array2, Array3, Strided2, inlined, kernel
 from antdsl.numerics.kernel_vectors import Vec3, minus
 from antdsl.numerics.kernel_vectors import dot as dot_of
-from antdsl.numerics.vector_rows import dot, unit
+from antdsl.numerics.vector_rows import dot, normalise
 
 Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -30,7 +30,7 @@ FaceTable = tuple[Array3[F64], Array1[F64], Array1[I64], Array1[I64], Array1[I64
 
 
 class Faces:
-    """Triangles with corners float64[m,3,3] (mm). `is_short_lived`: build no tables, since few faces are queried.
+    """Triangles with corners float64[m,3,3] (mm). `is_short_lived`: build no tables, because few faces are queried.
     `largest_coordinate`: the coordinate (mm) that `tolerance` is relative to; by default the largest of all corners."""
 
     def __init__(self, corners: Floats, is_short_lived: bool = False, largest_coordinate: float | None = None) -> None:
@@ -45,26 +45,26 @@ class Faces:
 
     def compute_widened_corners(self) -> NDArray[np.float32]:
         """Return corners float32[3m,3] of slightly enlarged triangles, so that float32 rays miss no face. Each side is moved out
-        by a few `hair`."""
+        by a few times the tolerance."""
         a, b, c = (self.corners[:, k] for k in range(3))
-        normal = unit(np.cross(b - a, c - a))
-        ab, bc, ca = (np.cross(unit(side), normal) for side in (b - a, c - b, a - c))
-        moved = []
+        normal = normalise(np.cross(b - a, c - a))
+        ab, bc, ca = (np.cross(normalise(side), normal) for side in (b - a, c - b, a - c))
+        moved_corners = []
         for corner, one, two in ((a, ca, ab), (b, ab, bc), (c, bc, ca)):
-            moved.append(
+            moved_corners.append(
                 corner
                 + (one + two)
                 * (WIDENING_TOLERANCES * self.tolerance / np.maximum(1.0 + dot(one, two), _SHARP_CORNER_LIMIT))[:, None]
             )
-        return np.stack(moved, axis=1).reshape(-1, 3).astype(np.float32)
+        return np.stack(moved_corners, axis=1).reshape(-1, 3).astype(np.float32)
 
     def get_normals(self, face: Index) -> Floats:
         """Return unit normals [k,3] of faces, by their winding; 0 for faces without area."""
         if self._is_short_lived:
             corners = self.corners.take(face, axis=0)
-            return unit(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
+            return normalise(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
         if self._normals is None:
-            self._normals = unit(np.cross(self.corners[:, 1] - self.corners[:, 0], self.corners[:, 2] - self.corners[:, 0]))
+            self._normals = normalise(np.cross(self.corners[:, 1] - self.corners[:, 0], self.corners[:, 2] - self.corners[:, 0]))
         return self._normals.take(face, axis=0)
 
     def _get_planes_and_borders(self, face: Index) -> tuple[Floats, Floats]:
@@ -93,14 +93,14 @@ class Faces:
         Returns the ray parameter in lengths of `displacement`; the corner weights [k,3] of the intersection; whether it is in the
         face; and whether it is within float32 error of the border."""
         rows, rim = self._get_planes_and_borders(face)
-        at = ((rows[:, :, 0] * origin[:, 0:1] + rows[:, :, 1] * origin[:, 1:2]) + rows[:, :, 2] * origin[:, 2:]) + rows[:, :, 3]
-        to = (rows[:, :, 0] * displacement[:, 0:1] + rows[:, :, 1] * displacement[:, 1:2]) + rows[:, :, 2] * displacement[:, 2:]
+        base = ((rows[:, :, 0] * origin[:, 0:1] + rows[:, :, 1] * origin[:, 1:2]) + rows[:, :, 2] * origin[:, 2:]) + rows[:, :, 3]
+        rate = (rows[:, :, 0] * displacement[:, 0:1] + rows[:, :, 1] * displacement[:, 1:2]) + rows[:, :, 2] * displacement[:, 2:]
         with np.errstate(all="ignore"):
-            t = -at[:, 0] / to[:, 0]
-            weights = at + t[:, None] * to
+            t = -base[:, 0] / rate[:, 0]
+            weights = base + t[:, None] * rate
             weights[:, 0] = (1.0 - weights[:, 1]) - weights[:, 2]
-            least = np.minimum(np.minimum(weights[:, 0], weights[:, 1]), weights[:, 2])
-            return t, weights, (least >= -EDGE_WEIGHT_TOLERANCE) & (np.abs(t) < np.inf), ~(np.abs(least) > rim)
+            least_weights = np.minimum(np.minimum(weights[:, 0], weights[:, 1]), weights[:, 2])
+            return t, weights, (least_weights >= -EDGE_WEIGHT_TOLERANCE) & (np.abs(t) < np.inf), ~(np.abs(least_weights) > rim)
 
     def check_hits(
         self, reported_faces: Index, origin: Floats, displacement: Floats, ray_parameters: NDArray[np.floating]
@@ -108,37 +108,37 @@ class Faces:
         """Check hits that Open3D reports: on the faces `reported_faces`, at approximate ray parameters `ray_parameters` (in
         lengths of `displacement`).
 
-        Returns the exact ray parameter, the corner weights, whether the ray hits, and `hair` in lengths of `displacement`. Near
-        the border of a named face, the first hit among the faces that meet there counts, and `reported_faces` is changed to that
-        face."""
+        Returns the exact ray parameter, the corner weights, whether the ray hits, and the tolerance in lengths of `displacement`.
+        Near the border of a reported face, the first hit among the faces that meet there counts, and `reported_faces` is changed
+        to that face."""
         tables = self.build_tables()
         if tables is not None:
             n = len(reported_faces)
-            fractions, hair, weights, hit = np.empty(n), np.empty(n), np.empty((n, 3)), np.empty(n, np.bool_)
+            fractions, tolerances, weights, hit = np.empty(n), np.empty(n), np.empty((n, 3)), np.empty(n, np.bool_)
             write_checked_hits(
                 tables, self.tolerance, RETEST_TOLERANCES, ray_parameters.astype(np.float64), origin, displacement,
-                reported_faces, fractions, weights, hit, hair,
+                reported_faces, fractions, weights, hit, tolerances,
             )  # fmt: skip
-            return fractions, weights, hit, hair
-        hair = self.tolerance / np.sqrt(
+            return fractions, weights, hit, tolerances
+        tolerances = self.tolerance / np.sqrt(
             (displacement[:, 0] * displacement[:, 0] + displacement[:, 1] * displacement[:, 1])
             + displacement[:, 2] * displacement[:, 2]
         )
-        fractions, weights, hit, beside = self.intersect_planes(reported_faces, origin, displacement)
-        hit &= fractions > hair
-        unsure = np.flatnonzero(beside)
+        fractions, weights, hit, is_near_border = self.intersect_planes(reported_faces, origin, displacement)
+        hit &= fractions > tolerances
+        unsure = np.flatnonzero(is_near_border)
         if unsure.size:
-            which, other = self.find_faces_at_corner(reported_faces[unsure], weights[unsure])
-            row = unsure[which]
+            query, other = self.find_faces_at_corner(reported_faces[unsure], weights[unsure])
+            row = unsure[query]
             t, other_weights, inside, _ = self.intersect_planes(other, origin[row], displacement[row])
-            near = (t <= ray_parameters[row] + RETEST_TOLERANCES * hair[row]) | (other == reported_faces[row])
-            good = np.flatnonzero(inside & near & (t > hair[row]))
-            order = good[np.lexsort((other[good], t[good], row[good]))]
+            near = (t <= ray_parameters[row] + RETEST_TOLERANCES * tolerances[row]) | (other == reported_faces[row])
+            usable = np.flatnonzero(inside & near & (t > tolerances[row]))
+            order = usable[np.lexsort((other[usable], t[usable], row[usable]))]
             first = order[np.concatenate(([True], row[order[1:]] != row[order[:-1]]))] if order.size else order
             hit[unsure] = False
             row = row[first]
             reported_faces[row], fractions[row], weights[row], hit[row] = other[first], t[first], other_weights[first], True
-        return fractions, weights, hit, hair
+        return fractions, weights, hit, tolerances
 
     def build_tables(self) -> tuple[Floats, Floats, Index, Index, Index] | None:
         """Return the tables that kernels read, for all faces: planes, border widths, and the results of `_weld_corners`. None for
@@ -163,16 +163,16 @@ class Faces:
         rows, rim = self._get_planes_and_borders(face)
         weights = ((rows[:, :, 0] * place[:, 0:1] + rows[:, :, 1] * place[:, 1:2]) + rows[:, :, 2] * place[:, 2:]) + rows[:, :, 3]
         weights[:, 0] = (1.0 - weights[:, 1]) - weights[:, 2]
-        beside = np.flatnonzero(~(np.minimum(np.minimum(weights[:, 0], weights[:, 1]), weights[:, 2]) > rim))
-        if beside.size:
-            which, other = self.find_faces_at_corner(face[beside], weights[beside])
-            other_places = find_nearest_on_triangle(points[beside[which]], self.corners.take(other, axis=0))
-            gap = other_places - points[beside[which]]
+        border_rows = np.flatnonzero(~(np.minimum(np.minimum(weights[:, 0], weights[:, 1]), weights[:, 2]) > rim))
+        if border_rows.size:
+            query, other = self.find_faces_at_corner(face[border_rows], weights[border_rows])
+            other_places = find_nearest_on_triangle(points[border_rows[query]], self.corners.take(other, axis=0))
+            gap = other_places - points[border_rows[query]]
             other_squares = dot(gap, gap)
-            order = np.lexsort((other, other_squares, which))
-            first = order[np.concatenate(([True], which[1:] != which[:-1]))]  # `which` is ascending already
+            order = np.lexsort((other, other_squares, query))
+            first = order[np.concatenate(([True], query[1:] != query[:-1]))]  # `query` already ascends
             face = face.copy()
-            face[beside], place[beside], square[beside] = other[first], other_places[first], other_squares[first]
+            face[border_rows], place[border_rows], square[border_rows] = other[first], other_places[first], other_squares[first]
         return place, square, face
 
     def find_faces_at_corner(self, face: Index, weights: Floats) -> tuple[Index, Index]:
@@ -183,9 +183,9 @@ class Faces:
         weld, first, faces = self._corner_tables
         corner = weld.take(3 * face + np.argmax(weights, axis=1))
         count = first.take(corner + 1) - first.take(corner)
-        which = np.repeat(np.arange(face.size), count)
-        step = np.arange(which.size) - np.repeat(np.cumsum(count) - count, count)
-        return which, faces.take(np.repeat(first.take(corner), count) + step)
+        query = np.repeat(np.arange(face.size), count)
+        step = np.arange(query.size) - np.repeat(np.cumsum(count) - count, count)
+        return query, faces.take(np.repeat(first.take(corner), count) + step)
 
     def _find_duplicates(self) -> NDArray[np.bool_]:
         """Return which faces have the same corners as another face."""
@@ -193,9 +193,9 @@ class Faces:
             self._corner_tables = self._weld_corners()
         three = np.sort(self._corner_tables[0].reshape(-1, 3), axis=1)
         order = np.lexsort((three[:, 2], three[:, 1], three[:, 0]))
-        same = (three[order[1:]] == three[order[:-1]]).all(axis=1)
+        is_equal = (three[order[1:]] == three[order[:-1]]).all(axis=1)
         is_doubled = np.zeros(len(three), bool)
-        is_doubled[order[1:][same]] = is_doubled[order[:-1][same]] = True
+        is_doubled[order[1:][is_equal]] = is_doubled[order[:-1][is_equal]] = True
         return is_doubled
 
     def _weld_corners(self) -> tuple[Index, Index, Index]:
@@ -217,9 +217,9 @@ def compute_planes(corners: Floats) -> Floats:
     a, one, two = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     normal = np.cross(one, two)
     size = dot(normal, normal)[:, None]
-    over = np.where(size > 0, size, np.inf)
+    divisor = np.where(size > 0, size, np.inf)
     rows = np.empty((len(corners), 3, 4))
-    for k, row in enumerate((normal, np.cross(two, normal) / over, np.cross(normal, one) / over)):
+    for k, row in enumerate((normal, np.cross(two, normal) / divisor, np.cross(normal, one) / divisor)):
         rows[:, k, :3] = row
         rows[:, k, 3] = -dot(row, a)
     return rows
@@ -237,9 +237,9 @@ def find_nearest_on_triangle(points: Floats, corners: Floats) -> Floats:
     s, t = (vv * wu - uv * wv) / size, (uu * wv - uv * wu) / size
     inside = ~flat & (s >= 0) & (t >= 0) & (s + t <= 1)
     best = (a + s[:, None] * u) + t[:, None] * v
-    out = np.flatnonzero(~inside)
-    if out.size:
-        best[out] = _find_nearest_on_sides(points[out], corners[out])
+    outside = np.flatnonzero(~inside)
+    if outside.size:
+        best[outside] = _find_nearest_on_sides(points[outside], corners[outside])
     return best
 
 
@@ -252,10 +252,10 @@ def _find_nearest_on_sides(points: Floats, corners: Floats) -> Floats:
         length = dot(side, side)
         s = np.minimum(np.maximum(dot(points - p, side) / np.where(length > 0, length, 1.0), 0.0), 1.0)
         place = p + s[:, None] * side
-        away = place - points
-        square = dot(away, away)
-        closer = square < gap
-        best[closer], gap[closer] = place[closer], square[closer]
+        offset = place - points
+        square = dot(offset, offset)
+        is_closer = square < gap
+        best[is_closer], gap[is_closer] = place[is_closer], square[is_closer]
     return best
 
 
@@ -273,17 +273,19 @@ def write_checked_hits(
         a, b, c = origin[i, 0], origin[i, 1], origin[i, 2]
         h = tolerance / np.sqrt((x * x + y * y) + z * z)
         face = reported_faces[i]
-        t, (w0, w1, w2), least = _intersect_plane(planes, face, a, b, c, x, y, z)
-        ray_tolerances[i], fractions[i], hit[i] = h, t, least >= -EDGE_WEIGHT_TOLERANCE and abs(t) < np.inf and t > h
+        t, (w0, w1, w2), least_weight = _intersect_plane(planes, face, a, b, c, x, y, z)
+        ray_tolerances[i], fractions[i], hit[i] = h, t, least_weight >= -EDGE_WEIGHT_TOLERANCE and abs(t) < np.inf and t > h
         weights[i, 0], weights[i, 1], weights[i, 2] = w0, w1, w2
-        if not abs(least) > rims[face]:
+        if not abs(least_weight) > rims[face]:
             hit[i] = False
             place = weld[3 * face + _greatest_index(w0, w1, w2)]
-            most = ray_parameters[i] + retest_tolerances * h
+            limit = ray_parameters[i] + retest_tolerances * h
             for k in range(first[place], first[place + 1]):
-                t, (w0, w1, w2), least = _intersect_plane(planes, faces[k], a, b, c, x, y, z)
-                good = least >= -EDGE_WEIGHT_TOLERANCE and abs(t) < np.inf and t > h and (t <= most or faces[k] == face)
-                if good and (not hit[i] or t < fractions[i]):
+                t, (w0, w1, w2), least_weight = _intersect_plane(planes, faces[k], a, b, c, x, y, z)
+                is_better = (
+                    least_weight >= -EDGE_WEIGHT_TOLERANCE and abs(t) < np.inf and t > h and (t <= limit or faces[k] == face)
+                )
+                if is_better and (not hit[i] or t < fractions[i]):
                     reported_faces[i], fractions[i], hit[i] = faces[k], t, True
                     weights[i, 0], weights[i, 1], weights[i, 2] = w0, w1, w2
 
@@ -297,7 +299,7 @@ def write_nearest(
     positions: Array2[F64],
     squared_distances: Array1[F64],
 ) -> None:
-    """Write the results of `Faces.write_nearest` to the last three arrays. At the start, `face` has the faces that Open3D
+    """Write the results of `Faces.find_nearest` to the last three arrays. At the start, `face` has the faces that Open3D
     reports."""
     planes, rims, weld, first, faces = table
     for i in range(face.size):
@@ -309,9 +311,9 @@ def write_nearest(
         w1, w2 = evaluate_point(planes, f, 1, q[0], q[1], q[2]), evaluate_point(planes, f, 2, q[0], q[1], q[2])
         w0 = (1.0 - w1) - w2
         if not _minimum(w0, w1, w2) > rims[f]:
-            at = weld[3 * f + _greatest_index(w0, w1, w2)]
+            vertex = weld[3 * f + _greatest_index(w0, w1, w2)]
             begin = True
-            for k in range(first[at], first[at + 1]):
+            for k in range(first[vertex], first[vertex + 1]):
                 q = find_nearest_on_face(corners, faces[k], p)
                 d = compute_squared_length(minus(q, p))
                 if begin or d < squared_distances[i]:

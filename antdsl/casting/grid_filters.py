@@ -30,12 +30,12 @@ def _filter_neighbourhood(grid: NDArray[T], rings: int, combine: Any) -> NDArray
         for flip in (False, True):  # first the following cells, then the preceding ones
             line = np.moveaxis(grid, axis, 0)
             line = line[::-1] if flip else line
-            covered, window = 1, min(rings + 1, len(line))
-            while covered < window:
-                step = min(covered, window - covered)
+            width, window = 1, min(rings + 1, len(line))
+            while width < window:
+                step = min(width, window - width)
                 ahead = line.copy()
                 combine(line[:-step], line[step:], out=ahead[:-step])
-                line, covered = ahead, covered + step
+                line, width = ahead, width + step
             grid = np.moveaxis(line[::-1] if flip else line, 0, axis)
     return np.ascontiguousarray(grid)
 

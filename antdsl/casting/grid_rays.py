@@ -32,7 +32,7 @@ _MIN_AXIS_CUBES = 1e-12  # cubes along an axis; a ray with a shorter extent stay
 def write_first_hits(
     grid: GridTables, origin: Strided2[F64], displacement: Strided2[F64], t: Array1[F64], face: Array1[I64], begin: I64, end: I64
 ) -> None:
-    """Write the results of `TriangleGrid.first` to `t` and `face`, for rays `begin` to `end` (exclusive)."""
+    """Write the results of `TriangleGrid.find_first_faces` to `t` and `face`, for rays `begin` to `end` (exclusive)."""
     cells = allocate_scratch(2 * PREFETCH_GROUP_SIZE, I64)
     for low in range(begin, end, PREFETCH_GROUP_SIZE):
         high = min(low + PREFETCH_GROUP_SIZE, end)
@@ -55,7 +55,7 @@ def write_hit_normals(
     begin: I64,
     end: I64,
 ) -> tuple[I64, I64, I64]:
-    """Write the results of `TriangleGrid.write_hit_normals` for rays `begin` to `end` (exclusive), to the last two arrays from
+    """Write the results of `TriangleGrid.find_hit_normals` for rays `begin` to `end` (exclusive), to the last two arrays from
     index `begin` on.
 
     - `hit_rays`: the rays that hit
@@ -64,7 +64,7 @@ def write_hit_normals(
     Returns `begin`, the number of hits, and the number of rays beyond the grid's reach."""
     shape, count, left = grid[0], 0, 0
     zero = shape[6], shape[7], shape[8]
-    cells, faces, many = (
+    cells, faces, column_count = (
         allocate_scratch(2 * PREFETCH_GROUP_SIZE, I64),
         allocate_scratch(PREFETCH_GROUP_SIZE, I64),
         normals.shape[1],
@@ -85,7 +85,7 @@ def write_hit_normals(
         for n in range(hit):
             faces[n] = normal_columns[faces[n]]
             for axis in range(3):
-                prefetch(normals, axis * many + faces[n])
+                prefetch(normals, axis * column_count + faces[n])
         for n in range(hit):
             for axis in range(3):
                 results[1 + axis, begin + count + n] = normals[axis, faces[n]]
@@ -106,7 +106,7 @@ def _prefetch_faces(
 
 @kernel
 def write_feeler_hits(grid: GridTables, rays: SevenColumns, results: Array2[F32]) -> I64:
-    """Write the results of `TriangleGrid.write_feeler_hits` to the last array: distance and normal.
+    """Write the results of `TriangleGrid.cast_feelers` to the last array: distance and normal.
 
     The distance is NaN for feelers that the grid cannot resolve. Returns the number of these."""
     x, y, z, dx, dy, dz, reach = rays
@@ -130,7 +130,7 @@ def write_requested_feelers(
     begin: I64,
     end: I64,
 ) -> I64:
-    """Write the results of `TriangleGrid.write_requested_feelers`, for agents `begin` to `end` (exclusive).
+    """Write the results of `TriangleGrid.cast_requested_feelers`, for agents `begin` to `end` (exclusive).
 
     The distance is NaN for feelers that the grid cannot resolve. Returns the number of these."""
     x, y, z, clear = positions
@@ -177,7 +177,7 @@ def cast_feeler(grid: GridTables, p: Vec3F32, d: Vec3F32, reach: F32) -> tuple[t
 @kernel_helper
 def find_first_hit(grid: GridTables, a: Vec3, w: Vec3) -> tuple[F64, I64]:
     """Return the ray parameter (0 to 1) at which a ray from `a` by `w` hits its first face, and the face."""
-    shape, size, first, listed, bound, planes = grid[0], grid[1], grid[2], grid[3], grid[4], grid[5]
+    shape, size, first, face_list, bound, planes = grid[0], grid[1], grid[2], grid[3], grid[4], grid[5]
     part = 1.0 / shape[3]
     px, py, pz = (a[0] - shape[0]) * part, (a[1] - shape[1]) * part, (a[2] - shape[2]) * part
     dx, dy, dz = w[0] * part, w[1] * part, w[2] * part
@@ -189,10 +189,10 @@ def find_first_hit(grid: GridTables, a: Vec3, w: Vec3) -> tuple[F64, I64]:
     # A ray that stays in a layer never reaches the layer's borders; a ray outside a layer never enters it.
     mx, my, mz = abs(dx) > _MIN_AXIS_CUBES, abs(dy) > _MIN_AXIS_CUBES, abs(dz) > _MIN_AXIS_CUBES
     ix, iy, iz = 1.0 / dx if mx else np.inf, 1.0 / dy if my else np.inf, 1.0 / dz if mz else np.inf
-    bx, ex = _intersect_axis(px, ix, mx, np.float64(size[0]))
-    by, ey = _intersect_axis(py, iy, my, np.float64(size[1]))
-    bz, ez = _intersect_axis(pz, iz, mz, np.float64(size[2]))
-    begin, end = max(max(max(bx, by), bz), 0.0), min(min(min(ex, ey), ez), 1.0)
+    begin_x, end_x = _intersect_axis(px, ix, mx, np.float64(size[0]))
+    begin_y, end_y = _intersect_axis(py, iy, my, np.float64(size[1]))
+    begin_z, end_z = _intersect_axis(pz, iz, mz, np.float64(size[2]))
+    begin, end = max(max(max(begin_x, begin_y), begin_z), 0.0), min(min(min(end_x, end_y), end_z), 1.0)
     if begin > end:
         return np.inf, NO_FACE
     x = min(max(np.int64(np.floor(px + dx * begin)), 0), size[0] - 1)
@@ -200,26 +200,26 @@ def find_first_hit(grid: GridTables, a: Vec3, w: Vec3) -> tuple[F64, I64]:
     z = min(max(np.int64(np.floor(pz + dz * begin)), 0), size[2] - 1)
     ux, uy, uz = 1 if dx > 0 else 0, 1 if dy > 0 else 0, 1 if dz > 0 else 0
     square = (w[0] * w[0] + w[1] * w[1]) + w[2] * w[2]
-    h, over, off = shape[5] / np.sqrt(square), 1.0 / square, shape[4]
-    best, face, most = np.inf, NO_FACE, 1.0
+    h, inverse_square, slack = shape[5] / np.sqrt(square), 1.0 / square, shape[4]
+    best, face, max_parameter = np.inf, NO_FACE, 1.0
     while x >= 0 and x < size[0] and y >= 0 and y < size[1] and z >= 0 and z < size[2]:
         cell = (x * size[1] + y) * size[2] + z
         for k in range(first[cell], first[cell + 1]):
             # Most faces have both ends of the ray on one side of their plane, or the ray misses their ball.
             nx, ny, nz = np.float64(bound[k, 0]), np.float64(bound[k, 1]), np.float64(bound[k, 2])
             start_distance = ((nx * a[0] + ny * a[1]) + nz * a[2]) + np.float64(bound[k, 3])
-            distance = start_distance + ((nx * w[0] + ny * w[1]) + nz * w[2]) * most
-            if abs(start_distance + distance) - abs(start_distance - distance) > 2.0 * off:
+            distance = start_distance + ((nx * w[0] + ny * w[1]) + nz * w[2]) * max_parameter
+            if abs(start_distance + distance) - abs(start_distance - distance) > 2.0 * slack:
                 continue
             cx, cy, cz = np.float64(bound[k, 4]) - a[0], np.float64(bound[k, 5]) - a[1], np.float64(bound[k, 6]) - a[2]
-            away = np.float64(bound[k, 7]) + off
-            distance = min(max((cx * w[0] + cy * w[1] + cz * w[2]) * over, 0.0), most)
+            radius = np.float64(bound[k, 7]) + slack
+            distance = min(max((cx * w[0] + cy * w[1] + cz * w[2]) * inverse_square, 0.0), max_parameter)
             cx, cy, cz = cx - distance * w[0], cy - distance * w[1], cz - distance * w[2]
-            if cx * cx + cy * cy + cz * cz > away * away:
+            if cx * cx + cy * cy + cz * cz > radius * radius:
                 continue
-            f = listed[k]
+            f = face_list[k]
             t = -evaluate_point(planes, f, 0, a[0], a[1], a[2]) / evaluate_direction(planes, f, 0, w[0], w[1], w[2])
-            if t > h and t <= most:
+            if t > h and t <= max_parameter:
                 w1 = evaluate_point(planes, f, 1, a[0], a[1], a[2]) + t * evaluate_direction(planes, f, 1, w[0], w[1], w[2])
                 w2 = evaluate_point(planes, f, 2, a[0], a[1], a[2]) + t * evaluate_direction(planes, f, 2, w[0], w[1], w[2])
                 if (
@@ -228,17 +228,17 @@ def find_first_hit(grid: GridTables, a: Vec3, w: Vec3) -> tuple[F64, I64]:
                     and w2 >= -EDGE_WEIGHT_TOLERANCE
                     and (t < best or f < face)
                 ):
-                    best, face, most = t, f, t
+                    best, face, max_parameter = t, f, t
         # Where the ray leaves the cube: all earlier hits are listed in this cube.
         tx = (np.float64(x + ux) - px) * ix if mx else np.inf
         ty = (np.float64(y + uy) - py) * iy if my else np.inf
         tz = (np.float64(z + uz) - pz) * iz if mz else np.inf
-        out = min(min(tx, ty), tz)
-        if best <= out or out > end:
+        cube_end = min(min(tx, ty), tz)
+        if best <= cube_end or cube_end > end:
             break
-        if tx == out:
+        if tx == cube_end:
             x += 2 * ux - 1
-        elif ty == out:
+        elif ty == cube_end:
             y += 2 * uy - 1
         else:
             z += 2 * uz - 1
@@ -293,9 +293,9 @@ def _prefetch_cube(grid: GridTables, a: Vec3) -> I64:
 @inlined
 def _prefetch_list(grid: GridTables, cell: I64) -> None:
     """Prefetch the first faces of a cube: one cache line has two faces."""
-    first, listed, bound = grid[2], grid[3], grid[4]
+    first, face_list, bound = grid[2], grid[3], grid[4]
     k: I64 = first[cell]
-    prefetch(listed, k)
+    prefetch(face_list, k)
     prefetch(bound, 8 * k)
     prefetch(bound, 8 * k + 16)
     prefetch(bound, 8 * k + 32)

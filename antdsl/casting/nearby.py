@@ -46,7 +46,7 @@ class FeelerHits:
 
 def list_query_rows(queries: Sequence[FeelerQuery]) -> list[tuple[int, NDArray[np.intp]]]:
     """Return, for each request, its number and the rows of its agents."""
-    return [(number, np.flatnonzero(asking)) for number, (asking, *_) in enumerate(queries)]
+    return [(number, np.flatnonzero(is_requested)) for number, (is_requested, *_) in enumerate(queries)]
 
 
 class ProximityQueries(ABC):
@@ -133,21 +133,21 @@ class ProximityQueries(ABC):
     def cast_feeler_batch(
         self, positions: Arrays, queries: Sequence[FeelerQuery], threads: int = 1
     ) -> list[tuple[int, NDArray[np.intp]]]:
-        """Write the results of `write_feeler_hits` for several requests together, each for some of n agents.
+        """Write the results of `cast_feelers` for several requests together, each for some of n agents.
 
         - `positions`: x y z, and a distance (mm) within which there is no face, [n] each
         - `queries`: each request has directions (x y z) of any length and their reach, [n] each, and its result arrays
         - result arrays: hit, distance and normal (x y z), [n] each, initialised to no hit
 
-        All arrays are contiguous float32. Returns, for each request, its number and the rows that still need `write_feeler_hits`;
+        All arrays are contiguous float32. Returns, for each request, its number and the rows that still need `cast_feelers`;
         these are all rows if there is no grid."""
         grid = self._get_triangle_grid()
         if grid is None:
             return list_query_rows(queries)
         left = []
-        for number, (asking, directions, results) in enumerate(queries):
-            if grid.cast_requested_feelers(positions, asking, directions, results, threads):
-                unknown_rows = np.flatnonzero(asking & np.isnan(results[1]))
+        for number, (is_requested, directions, results) in enumerate(queries):
+            if grid.cast_requested_feelers(positions, is_requested, directions, results, threads):
+                unknown_rows = np.flatnonzero(is_requested & np.isnan(results[1]))
                 results[1][unknown_rows] = np.inf
                 left.append((number, unknown_rows))
         return left
@@ -198,9 +198,9 @@ class ProximityQueries(ABC):
             points = np.stack([x[candidates], y[candidates], z[candidates]], axis=1).astype(np.float64)
             _, _, place, distance = self.find_closest(points, threads, reach[candidates] * RAY_LENGTH_FACTOR)
             hit_rows = np.flatnonzero(distance.astype(np.float32) <= reach[candidates])
-            away = (points[hit_rows] - place[hit_rows]) / np.maximum(distance[hit_rows], 1e-12)[:, None]
+            unit_offsets = (points[hit_rows] - place[hit_rows]) / np.maximum(distance[hit_rows], 1e-12)[:, None]
             t[candidates[hit_rows]] = distance[hit_rows]
-            normal[:, candidates[hit_rows]] = away.T
+            normal[:, candidates[hit_rows]] = unit_offsets.T
         return FeelerHits(np.isfinite(t), t, *normal)
 
     def measure_signed_distances(
@@ -216,23 +216,23 @@ class ProximityQueries(ABC):
         if left:
             unknown_rows = np.flatnonzero(np.isnan(results[0]))
             points = np.stack([each.take(unknown_rows) for each in (x, y, z)], axis=1).astype(np.float64)
-            most = np.broadcast_to(np.asarray(max_distance), (len(x),)).take(unknown_rows)
-            results[0, unknown_rows], results[1:, unknown_rows] = self._measure_from_faces(points, most, threads)
+            max_distances = np.broadcast_to(np.asarray(max_distance), (len(x),)).take(unknown_rows)
+            results[0, unknown_rows], results[1:, unknown_rows] = self._measure_from_faces(points, max_distances, threads)
         return results[0], results[1:]
 
     def _measure_from_faces(
         self, points: Vectors, max_distance: NDArray[Any] | float, threads: int
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Return the results of `signed_distances` for points [n,3], from their nearest faces."""
+        """Return the results of `measure_signed_distances` for points [n,3], from their nearest faces."""
         mesh, face, place, distance = self.find_closest(points, threads, max_distance)
         if self._is_empty or not len(points):
             return distance.astype(np.float32), np.zeros((3, len(points)), np.float32)
         normal = self._faces.get_normals(face + self._first_face[mesh])
-        away = points - place
-        side = np.where((away[:, 0] * normal[:, 0] + away[:, 1] * normal[:, 1]) + away[:, 2] * normal[:, 2] < 0, -1.0, 1.0)
+        offset = points - place
+        side = np.where((offset[:, 0] * normal[:, 0] + offset[:, 1] * normal[:, 1]) + offset[:, 2] * normal[:, 2] < 0, -1.0, 1.0)
         touching = distance < TOUCHING_DISTANCE_MM
-        out = np.where(touching[:, None], normal, away * (side / np.maximum(distance, TOUCHING_DISTANCE_MM))[:, None])
-        return (distance * side).astype(np.float32), np.ascontiguousarray(out.T, np.float32)
+        outward = np.where(touching[:, None], normal, offset * (side / np.maximum(distance, TOUCHING_DISTANCE_MM))[:, None])
+        return (distance * side).astype(np.float32), np.ascontiguousarray(outward.T, np.float32)
 
     def _select_reachable(self, rays: Arrays, reach: NDArray[Any]) -> NDArray[np.int64]:
         """Return the rows of feelers that may hit. A feeler is excluded if the ball around its middle that contains it is known
@@ -243,5 +243,5 @@ class ProximityQueries(ABC):
             self._grid = self._get_distance_grid()
         x, y, z, dx, dy, dz = rays
         half = reach * np.float32(0.5)
-        least = self._grid.compute_lower_bounds(x + dx * half, y + dy * half, z + dz * half)
-        return np.flatnonzero(least <= half * np.float32(1 + 1e-4) + np.float32(1e-4))
+        clearance = self._grid.compute_lower_bounds(x + dx * half, y + dy * half, z + dz * half)
+        return np.flatnonzero(clearance <= half * np.float32(1 + 1e-4) + np.float32(1e-4))

@@ -23,16 +23,16 @@ _PREFETCHED_FACES = 12  # prefetched faces of a row of cubes
 
 @kernel
 def write_signed_distances(grid: GridTables, positions: ThreeColumns, results: Array2[F32], begin: I64, end: I64) -> I64:
-    """Write the results of `TriangleGrid.write_signed_distances` for positions `begin` to `end` (exclusive): signed distance and
-    direction out.
+    """Write the results of `TriangleGrid.measure_signed_distances` for positions `begin` to `end` (exclusive): signed distance
+    and direction out.
 
     The distance is NaN if the grid cannot tell. Returns the number of these positions."""
     x, y, z = positions
     count = 0
     for i in range(begin, end):
-        gap, out = measure_signed_distance(grid, (x[i], y[i], z[i]), np.inf)
+        gap, outward = measure_signed_distance(grid, (x[i], y[i], z[i]), np.inf)
         count += 1 if gap != gap else 0
-        results[0, i], results[1, i], results[2, i], results[3, i] = gap, out[0], out[1], out[2]
+        results[0, i], results[1, i], results[2, i], results[3, i] = gap, outward[0], outward[1], outward[2]
     return count
 
 
@@ -51,14 +51,14 @@ def measure_signed_distance(grid: GridTables, place: Vec3F32, max_distance: F64)
     if face >= 0:
         distance = np.sqrt(square)
         n = normals[face, 0], normals[face, 1], normals[face, 2]
-        away = p[0] - (q[0] + shape[6]), p[1] - (q[1] + shape[7]), p[2] - (q[2] + shape[8])
-        side = -1.0 if (away[0] * n[0] + away[1] * n[1]) + away[2] * n[2] < 0 else 1.0
+        offset = p[0] - (q[0] + shape[6]), p[1] - (q[1] + shape[7]), p[2] - (q[2] + shape[8])
+        side = -1.0 if (offset[0] * n[0] + offset[1] * n[1]) + offset[2] * n[2] < 0 else 1.0
         gap = np.float32(distance * side)
         part = side / max(distance, TOUCHING_DISTANCE_MM)
         if distance < TOUCHING_DISTANCE_MM:
             x, y, z = np.float32(n[0]), np.float32(n[1]), np.float32(n[2])
         else:
-            x, y, z = np.float32(away[0] * part), np.float32(away[1] * part), np.float32(away[2] * part)
+            x, y, z = np.float32(offset[0] * part), np.float32(offset[1] * part), np.float32(offset[2] * part)
     elif face == NEAREST_BEYOND_RANGE:
         gap = np.float32(np.inf)
     return gap, (x, y, z)
@@ -68,7 +68,7 @@ def measure_signed_distance(grid: GridTables, place: Vec3F32, max_distance: F64)
 def write_nearest_points(
     grid: GridTables, points: Strided2[F64], positions: Array2[F64], squared_distances: Array1[F64], face: Array1[I64]
 ) -> None:
-    """Write the results of `TriangleGrid.nearest` to the last three arrays."""
+    """Write the results of `TriangleGrid.find_nearest` to the last three arrays."""
     for i in range(face.size):
         p = (points[i, 0], points[i, 1], points[i, 2])
         squared_distances[i], face[i], q = find_nearest_face(grid, p, np.inf)
@@ -95,20 +95,20 @@ def prefetch_around(grid: GridTables, place: Vec3F32, rows: Array1[I64], k: I64)
 @inlined
 def prefetch_lists(grid: GridTables, rows: Array1[I64], count: I64) -> None:
     """Prefetch the first faces of `count` rows of three cubes."""
-    first, listed, bound = grid[2], grid[3], grid[4]
+    first, face_list, bound = grid[2], grid[3], grid[4]
     last = first.size - 1
     for n in range(count):
         begin, end = first[rows[n]], first[min(rows[n] + 3, last)]
         for k in range(begin, min(end, begin + _PREFETCHED_FACES), 2):
             prefetch(bound, 8 * k)
         if begin < end:
-            prefetch(listed, begin)
+            prefetch(face_list, begin)
 
 
 @inlined
-def _find_layer(at: F64, low: F64, part: F64, size: I64) -> I64:
+def _find_layer(coordinate: F64, low: F64, part: F64, size: I64) -> I64:
     """Return the layer of cubes at a coordinate (mm), limited to the grid."""
-    return min(max(round_to_int(np.floor((at - low) * part)), 0), size - 1)
+    return min(max(round_to_int(np.floor((coordinate - low) * part)), 0), size - 1)
 
 
 @kernel_helper
@@ -119,13 +119,13 @@ def find_nearest_face(grid: GridTables, p: Vec3, max_distance: F64) -> tuple[F64
     face. NEAREST_BEYOND_RANGE means that the point is in front of the nearest face, which then need not be measured. Two facts
     are sufficient: an upper bound of the distance of a face that has the point in front; and that faces with the point behind
     them are farther."""
-    shape, size, first, listed, bound, corners = grid[0], grid[1], grid[2], grid[3], grid[4], grid[6]
-    width, off = shape[3], shape[4]
+    shape, size, first, face_list, bound, corners = grid[0], grid[1], grid[2], grid[3], grid[4], grid[6]
+    width, slack = shape[3], shape[4]
     part = 1.0 / width
     ax, ay, az = (p[0] - shape[0]) * part, (p[1] - shape[1]) * part, (p[2] - shape[2]) * part
-    best, face, place, least = np.inf, FACE_BEYOND_GRID, p, np.inf
+    best, face, place, bound_of_best = np.inf, FACE_BEYOND_GRID, p, np.inf
     # Upper bounds: of the nearest face in front, and of any face; limits for faces in front and behind.
-    ahead, until, before_it, behind_it = np.inf, np.inf, max_distance + off, np.inf
+    ahead, square_limit, front_limit, back_limit = np.inf, np.inf, max_distance + slack, np.inf
     latest, second, third = (
         FACE_BEYOND_GRID,
         FACE_BEYOND_GRID,
@@ -134,12 +134,12 @@ def find_nearest_face(grid: GridTables, p: Vec3, max_distance: F64) -> tuple[F64
     if not (_is_near_grid(ax, size[0]) and _is_near_grid(ay, size[1]) and _is_near_grid(az, size[2])):
         return best, face, place
     mx, my, mz = _clamp_index(ax, size[0]), _clamp_index(ay, size[1]), _clamp_index(az, size[2])
-    ring, looking = 0, True
-    while looking and ring <= MAX_SEARCH_RINGS:
+    ring, is_searching = 0, True
+    while is_searching and ring <= MAX_SEARCH_RINGS:
         low, high = max(mz - ring, 0), min(mz + ring, size[2] - 1)
         for x in range(max(mx - ring, 0), min(mx + ring, size[0] - 1) + 1):
             for y in range(max(my - ring, 0), min(my + ring, size[1] - 1) + 1):
-                if _measure_squared_gap(ax, x) + _measure_squared_gap(ay, y) > until * part * part * (1 + 1e-6):
+                if _measure_squared_gap(ax, x) + _measure_squared_gap(ay, y) > square_limit * part * part * (1 + 1e-6):
                     continue
                 # On the sides of the ring all cubes of a row are new and contiguous; elsewhere only its two ends are new.
                 side = abs(x - mx) == ring or abs(y - my) == ring
@@ -149,35 +149,39 @@ def find_nearest_face(grid: GridTables, p: Vec3, max_distance: F64) -> tuple[F64
                     last = high if side else z
                     if side or abs(z - mz) == ring:
                         for k in range(first[row + z], first[row + last + 1]):
-                            above, from_ball = _measure_plane_and_ball(bound, k, p)
-                            if above > off:
+                            height, from_ball = _measure_plane_and_ball(bound, k, p)
+                            if height > slack:
                                 if from_ball < ahead:
                                     ahead = from_ball
-                                    limit = np.sqrt(ahead) + off
-                                    until = min(until, limit * limit)
-                                    behind_it = min(behind_it, limit + off)
-                                if _is_farther(np.float64(bound[k, 7]) + off, above, from_ball, before_it):
+                                    limit = np.sqrt(ahead) + slack
+                                    square_limit = min(square_limit, limit * limit)
+                                    back_limit = min(back_limit, limit + slack)
+                                if _is_farther(np.float64(bound[k, 7]) + slack, height, from_ball, front_limit):
                                     continue
-                            elif _is_farther(np.float64(bound[k, 7]) + off, above, from_ball, behind_it):
+                            elif _is_farther(np.float64(bound[k, 7]) + slack, height, from_ball, back_limit):
                                 continue
-                            f = listed[k]
+                            f = face_list[k]
                             if f == face or latest == f or second == f or third == f:
                                 continue
                             latest, second, third = f, latest, second
                             q = find_nearest_on_face(corners, f, p)
                             d = compute_squared_length(minus(q, p))
                             if d < best or (d == best and f < face):
-                                best, face, place, least = d, f, q, np.sqrt(d) + off
-                                until, before_it, behind_it = min(until, d), min(before_it, least), min(behind_it, least)
+                                best, face, place, bound_of_best = d, f, q, np.sqrt(d) + slack
+                                square_limit, front_limit, back_limit = (
+                                    min(square_limit, d),
+                                    min(front_limit, bound_of_best),
+                                    min(back_limit, bound_of_best),
+                                )
                     z = last + 1 if side or z == high else high
-        known = _measure_searched_distance(ax, mx, ring, size[0])
-        known = min(known, _measure_searched_distance(ay, my, ring, size[1]))
-        known = min(known, _measure_searched_distance(az, mz, ring, size[2])) * width
-        looking = not until <= known * known
+        searched = _measure_searched_distance(ax, mx, ring, size[0])
+        searched = min(searched, _measure_searched_distance(ay, my, ring, size[1]))
+        searched = min(searched, _measure_searched_distance(az, mz, ring, size[2])) * width
+        is_searching = not square_limit <= searched * searched
         ring += 1
-    if max_distance < np.inf and (looking or best > max_distance * max_distance):
-        return np.inf, NEAREST_BEYOND_RANGE if until < best and not looking else NEAREST_UNKNOWN, p
-    if looking:
+    if max_distance < np.inf and (is_searching or best > max_distance * max_distance):
+        return np.inf, NEAREST_BEYOND_RANGE if square_limit < best and not is_searching else NEAREST_UNKNOWN, p
+    if is_searching:
         best, face, place = np.inf, FACE_BEYOND_GRID, p
     return best, face, place
 
@@ -186,48 +190,48 @@ def find_nearest_face(grid: GridTables, p: Vec3, max_distance: F64) -> tuple[F64
 def _measure_plane_and_ball(bound: Array2[F32], k: I64, p: Vec3) -> tuple[F64, F64]:
     """Return a point's height above a face's plane, and its squared distance from the centre of the face's bounding ball."""
     nx, ny, nz = np.float64(bound[k, 0]), np.float64(bound[k, 1]), np.float64(bound[k, 2])
-    above = ((nx * p[0] + ny * p[1]) + nz * p[2]) + np.float64(bound[k, 3])
+    height = ((nx * p[0] + ny * p[1]) + nz * p[2]) + np.float64(bound[k, 3])
     x, y, z = p[0] - np.float64(bound[k, 4]), p[1] - np.float64(bound[k, 5]), p[2] - np.float64(bound[k, 6])
-    return above, x * x + y * y + z * z
+    return height, x * x + y * y + z * z
 
 
 @inlined
-def _is_farther(away: F64, above: F64, square: F64, least: F64) -> BOOL:
-    """Return whether a face is certainly farther than `least`: by its plane, or within the plane by its bounding ball of radius
-    `away`."""
-    if abs(above) > least:
+def _is_farther(radius: F64, height: F64, square: F64, distance: F64) -> BOOL:
+    """Return whether a face is certainly farther than `distance`: by its plane, or within the plane by its bounding ball of
+    `radius`."""
+    if abs(height) > distance:
         return True
-    across = square - above * above
-    # The largest distance along the plane for which the total distance is at most `least`.
-    margin = least * least - above * above
-    return across > away * away and across > away * away + margin + 2.0 * away * np.sqrt(margin)
+    square_in_plane = square - height * height
+    # The largest distance along the plane for which the total distance is at most `distance`.
+    margin = distance * distance - height * height
+    return square_in_plane > radius * radius and square_in_plane > radius * radius + margin + 2.0 * radius * np.sqrt(margin)
 
 
 @inlined
-def _is_near_grid(at: F64, size: I64) -> BOOL:
+def _is_near_grid(coordinate: F64, size: I64) -> BOOL:
     """Return whether a coordinate (in cubes) is at most the search range outside the grid."""
-    return at >= -MAX_SEARCH_RINGS and at <= size + MAX_SEARCH_RINGS
+    return coordinate >= -MAX_SEARCH_RINGS and coordinate <= size + MAX_SEARCH_RINGS
 
 
 @inlined
-def _clamp_index(at: F64, size: I64) -> I64:
+def _clamp_index(coordinate: F64, size: I64) -> I64:
     """Return the layer of cubes at a coordinate (in cubes), limited to the grid."""
-    return min(np.int64(np.floor(max(at, 0.0))), size - 1)
+    return min(np.int64(np.floor(max(coordinate, 0.0))), size - 1)
 
 
 @inlined
-def _measure_searched_distance(at: F64, middle: I64, ring: I64, size: I64) -> F64:
+def _measure_searched_distance(coordinate: F64, middle: I64, ring: I64, size: I64) -> F64:
     """Return the distance (in cubes) along an axis up to which the rings so far contain all faces."""
-    below, above = middle - ring, middle + ring + 1
-    low = np.inf if below <= 0 else at - np.float64(below)
-    high = np.inf if above >= size else np.float64(above) - at
+    begin, end = middle - ring, middle + ring + 1
+    low = np.inf if begin <= 0 else coordinate - np.float64(begin)
+    high = np.inf if end >= size else np.float64(end) - coordinate
     return min(low, high)
 
 
 @inlined
-def _measure_squared_gap(at: F64, cell: I64) -> F64:
+def _measure_squared_gap(coordinate: F64, cell: I64) -> F64:
     """Return the squared distance (in cubes) of a point from a layer of cubes along one axis.
 
     A tolerance allows for faces that extend beyond their cubes."""
-    off = max(max(np.float64(cell) - at, at - np.float64(cell + 1)) - 1e-5, 0.0)
-    return off * off
+    gap = max(max(np.float64(cell) - coordinate, coordinate - np.float64(cell + 1)) - 1e-5, 0.0)
+    return gap * gap

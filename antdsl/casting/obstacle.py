@@ -35,7 +35,7 @@ class Obstacle(Protocol):
         - `queries`: each request has directions (x y z) of any length and their reach, and its result arrays
         - result arrays: hit, distance and normal (x y z), initialised to no hit
 
-        Returns, for each request, its number and the rows that still need `write_feeler_hits`."""
+        Returns, for each request, its number and the rows that still need `cast_feelers`."""
 
     def find_nearest_within(
         self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], reach: NDArray[Any] | float, threads: int = 1

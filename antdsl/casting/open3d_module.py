@@ -19,10 +19,10 @@ class _DeferredModule(ModuleType):
         if name.startswith("__"):
             raise AttributeError(name)
 
-        def call(*arguments: Any, **named: Any) -> Any:
+        def call(*arguments: Any, **keywords: Any) -> Any:
             if sys.modules.get(self.__name__) is self:
                 del sys.modules[self.__name__]
-            return getattr(import_module(self.__name__), name)(*arguments, **named)
+            return getattr(import_module(self.__name__), name)(*arguments, **keywords)
 
         return call
 
@@ -42,10 +42,10 @@ def load_open3d() -> Any:
     return open3d
 
 
-def _describe_load_failure(why: str) -> str:
+def _describe_load_failure(reason: str) -> str:
     """Return the message of a failed import, with a correction."""
     return (
-        f"open3d cannot be loaded ({why}): install the package `open3d-cpu`; on a bare Linux system it also needs "
+        f"open3d cannot be loaded ({reason}): install the package `open3d-cpu`; on a bare Linux system it also needs "
         "the system packages libegl1 libgl1 libusb-1.0-0"
     )
 

@@ -51,15 +51,15 @@ class PictureRays:
         t, face = np.full(n, np.inf, np.float32), np.full(n, -1, np.int32)
         u, v, normal = np.zeros(n, np.float32), np.zeros(n, np.float32), np.zeros((n, 3), np.float32)
         for start in range(0, n if self.faces else 0, _RAYS_PER_CHUNK):
-            own = slice(start, min(start + _RAYS_PER_CHUNK, n))
-            answer = self._scene.cast_rays(_to_tensor(self._prepare_rays(origin, direction, own)), nthreads=threads)
-            t[own] = answer["t_hit"].numpy()
-            named = answer["primitive_ids"].numpy()
-            face[own] = np.where(np.isfinite(t[own]), named, 0).astype(np.int32) - ~np.isfinite(t[own])
-            u[own], v[own] = answer["primitive_uvs"].numpy().T
-            normal[own] = answer["primitive_normals"].numpy()
-        away = (normal[:, 0] * direction[:, 0] + normal[:, 1] * direction[:, 1]) + normal[:, 2] * direction[:, 2] > 0
-        normal[away] *= -1
+            chunk = slice(start, min(start + _RAYS_PER_CHUNK, n))
+            answer = self._scene.cast_rays(_to_tensor(self._prepare_rays(origin, direction, chunk)), nthreads=threads)
+            t[chunk] = answer["t_hit"].numpy()
+            reported_faces = answer["primitive_ids"].numpy()
+            face[chunk] = np.where(np.isfinite(t[chunk]), reported_faces, 0).astype(np.int32) - ~np.isfinite(t[chunk])
+            u[chunk], v[chunk] = answer["primitive_uvs"].numpy().T
+            normal[chunk] = answer["primitive_normals"].numpy()
+        faces_away = (normal[:, 0] * direction[:, 0] + normal[:, 1] * direction[:, 1]) + normal[:, 2] * direction[:, 2] > 0
+        normal[faces_away] *= -1
         return PictureHits(t, face, u, v, normal)
 
     def find_occluded(
@@ -69,9 +69,9 @@ class PictureRays:
         n = len(direction)
         is_occluded = np.zeros(n, np.bool_)
         for start in range(0, n if self.faces else 0, _RAYS_PER_CHUNK):
-            own = slice(start, min(start + _RAYS_PER_CHUNK, n))
-            rays = _to_tensor(self._prepare_rays(origin, direction, own))
-            is_occluded[own] = self._scene.test_occlusions(rays, tnear=0.0, tfar=max_parameter, nthreads=threads).numpy()
+            chunk = slice(start, min(start + _RAYS_PER_CHUNK, n))
+            rays = _to_tensor(self._prepare_rays(origin, direction, chunk))
+            is_occluded[chunk] = self._scene.test_occlusions(rays, tnear=0.0, tfar=max_parameter, nthreads=threads).numpy()
         return is_occluded
 
     def _prepare_rays(self, origin: NDArray[Any], direction: NDArray[np.float32], rows: slice) -> NDArray[np.float32]:

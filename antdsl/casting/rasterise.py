@@ -37,7 +37,7 @@ def iterate_triangle_cells(
 def _iterate_touched_cells(
     tri: NDArray[np.float64], triangle_numbers: NDArray[np.int64], exact: bool, margin: float
 ) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
-    """Yield cells as `iterate_triangle_cells`, for at most `_PIECE` triangles with numbers `triangle_numbers`.
+    """Yield cells as `iterate_triangle_cells`, for at most `_TRIANGLES_PER_CHUNK` triangles with numbers `triangle_numbers`.
 
     A needle triangle is cut into slices across its length, each as wide as the needle. Quarters would still be needles: a needle
     of n cells length would need n²/4 of them."""
@@ -58,20 +58,20 @@ def _iterate_touched_cells(
             for a in range(0, len(quarters), _TRIANGLES_PER_CHUNK):
                 todo.append((quarters[a : a + _TRIANGLES_PER_CHUNK], names[a : a + _TRIANGLES_PER_CHUNK]))
         if thin.any():
-            for slices, which in _slice_triangles(tri[thin]):
-                for pairs in _iterate_touched_cells(slices, triangle_numbers[thin][which], exact, margin):
+            for slices, slice_rows in _slice_triangles(tri[thin]):
+                for pairs in _iterate_touched_cells(slices, triangle_numbers[thin][slice_rows], exact, margin):
                     yield _drop_repeats(*pairs)
 
 
 def _drop_repeats(cells: NDArray[np.int64], triangle_numbers: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return the pairs of cell and triangle without most duplicates. Duplicates occur because halves of a slice, and neighbouring
     parts, share cells."""
-    least = cells.min(axis=0, initial=np.iinfo(np.int64).max)
+    lowest = cells.min(axis=0, initial=np.iinfo(np.int64).max)
     key = triangle_numbers - triangle_numbers.min(initial=0)
     key_count = float(key.max(initial=0)) + 1
     for axis in range(3):
-        span = int(cells[:, axis].max(initial=least[axis]) - least[axis]) + 1
-        key, key_count = key * span + (cells[:, axis] - least[axis]), key_count * span
+        span = int(cells[:, axis].max(initial=lowest[axis]) - lowest[axis]) + 1
+        key, key_count = key * span + (cells[:, axis] - lowest[axis]), key_count * span
     if key_count >= _MAX_CELL_NUMBER:
         return cells, triangle_numbers
     first_rows = np.unique(key, return_index=True)[1]
@@ -82,21 +82,22 @@ def _find_thin_triangles(tri: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Return which triangles are thin: cut into quarters, they would have far more parts than cells."""
     sides = [tri[:, (k + 1) % 3] - tri[:, k] for k in range(3)]
     square = np.max([(side * side).sum(axis=1) for side in sides], axis=0)
-    across = np.cross(sides[0], sides[1])
-    thin: NDArray[np.bool_] = square > _THIN_TRIANGLE_RATIO * (np.sqrt((across * across).sum(axis=1)) + np.sqrt(square))
+    normal = np.cross(sides[0], sides[1])
+    thin: NDArray[np.bool_] = square > _THIN_TRIANGLE_RATIO * (np.sqrt((normal * normal).sum(axis=1)) + np.sqrt(square))
     return thin
 
 
 def _slice_triangles(tri: NDArray[np.float64]) -> Iterator[tuple[NDArray[np.float64], NDArray[np.int64]]]:
-    """Yield triangles cut across their longest side: at most `_PIECE` parts per batch, and the triangle number of each.
+    """Yield triangles cut across their longest side: at most `_TRIANGLES_PER_CHUNK` parts per batch, and the triangle number of
+    each.
 
     The height cuts a triangle in two. Each half is cut along the height, from its tip on, and each slice into two triangles."""
     sides = np.stack([((tri[:, (k + 1) % 3] - tri[:, k]) ** 2).sum(axis=1) for k in range(3)])
     first, row = sides.argmax(axis=0), np.arange(len(tri))
     start, end, apex = (tri[row, (first + k) % 3] for k in range(3))
-    along = end - start
-    part = ((apex - start) * along).sum(axis=1) / (along * along).sum(axis=1)
-    foot = start + np.clip(part, 0.0, 1.0)[:, None] * along
+    base_vector = end - start
+    part = ((apex - start) * base_vector).sum(axis=1) / (base_vector * base_vector).sum(axis=1)
+    foot = start + np.clip(part, 0.0, 1.0)[:, None] * base_vector
     tip, foot, apex = np.concatenate([start, end]), np.tile(foot, (2, 1)), np.tile(apex, (2, 1))
     height = np.sqrt(((apex - foot) ** 2).sum(axis=1))
     length = np.sqrt(((foot - tip) ** 2).sum(axis=1))
@@ -107,8 +108,8 @@ def _slice_triangles(tri: NDArray[np.float64]) -> Iterator[tuple[NDArray[np.floa
         half = np.searchsorted(stop, step, "right")
         near = (step - (stop[half] - count[half])) / count[half]
         far = (step + 1 - (stop[half] - count[half])) / count[half]
-        low, high = (tip[half] + at[:, None] * (foot[half] - tip[half]) for at in (near, far))
-        left, right = (tip[half] + at[:, None] * (apex[half] - tip[half]) for at in (near, far))
+        low, high = (tip[half] + share[:, None] * (foot[half] - tip[half]) for share in (near, far))
+        left, right = (tip[half] + share[:, None] * (apex[half] - tip[half]) for share in (near, far))
         parts = np.concatenate([np.stack([low, high, right], axis=1), np.stack([low, right, left], axis=1)])
         yield parts, np.tile(half % len(tri), 2)
 
@@ -133,24 +134,24 @@ def _find_cells_by_box(
     tri: NDArray[np.float64], triangle_numbers: NDArray[np.int64], exact: bool, margin: float
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return the touched cells in the bounding box of each triangle, and their triangles."""
-    least, most = _compute_bounds(tri)
-    low, high = np.floor(least - margin).astype(np.int64), np.floor(most + margin).astype(np.int64)
+    lowest, highest = _compute_bounds(tri)
+    low, high = np.floor(lowest - margin).astype(np.int64), np.floor(highest + margin).astype(np.int64)
     size = high - low + 1
     count = size[:, 0] * size[:, 1] * size[:, 2]
-    which = np.repeat(np.arange(len(tri)), count)
-    step = np.arange(which.size) - np.repeat(np.cumsum(count) - count, count)
-    nx, ny = size[which, 0], size[which, 1]
-    cells = low[which]
-    rows, along = np.divmod(step, nx)
-    layers, across = np.divmod(rows, ny)
-    for axis, offsets in enumerate((along, across, layers)):
+    row = np.repeat(np.arange(len(tri)), count)
+    step = np.arange(row.size) - np.repeat(np.cumsum(count) - count, count)
+    nx, ny = size[row, 0], size[row, 1]
+    cells = low[row]
+    rows, x_steps = np.divmod(step, nx)
+    layers, y_steps = np.divmod(rows, ny)
+    for axis, offsets in enumerate((x_steps, y_steps, layers)):
         cells[:, axis] += offsets
     if exact:
         flat = np.ascontiguousarray(tri.reshape(-1, 9).T)
-        parts = [slice(at, at + _PAIRS_PER_CHUNK) for at in range(0, len(which), _PAIRS_PER_CHUNK)]
-        touched = np.concatenate([_find_touching_cells(flat, which[part], cells[part], 0.5 + margin) for part in parts])
-        cells, which = cells[touched], which[touched]
-    return cells, triangle_numbers[which]
+        parts = [slice(begin, begin + _PAIRS_PER_CHUNK) for begin in range(0, len(row), _PAIRS_PER_CHUNK)]
+        is_touched = np.concatenate([_find_touching_cells(flat, row[part], cells[part], 0.5 + margin) for part in parts])
+        cells, row = cells[is_touched], row[is_touched]
+    return cells, triangle_numbers[row]
 
 
 def _find_touching_cells(
@@ -164,13 +165,13 @@ def _find_touching_cells(
     v = [[tri[3 * corner + axis].take(triangle_rows) - middle[axis] for axis in range(3)] for corner in range(3)]
     e = [[w - u for u, w in zip(v[one], v[other], strict=True)] for one, other in ((0, 1), (1, 2), (2, 0))]
     normal = [e[0][p] * e[1][q] - e[0][q] * e[1][p] for p, q in _OTHER_AXES]
-    away = np.abs(normal[0] * v[0][0] + normal[1] * v[0][1] + normal[2] * v[0][2])
-    touch: NDArray[np.bool_] = away <= half * (np.abs(normal[0]) + np.abs(normal[1]) + np.abs(normal[2])) + _CELL_SLACK
+    distance = np.abs(normal[0] * v[0][0] + normal[1] * v[0][1] + normal[2] * v[0][2])
+    touch: NDArray[np.bool_] = distance <= half * (np.abs(normal[0]) + np.abs(normal[1]) + np.abs(normal[2])) + _CELL_SLACK
     for edge in e:
         length = [np.abs(part) for part in edge]
         for p, q in _OTHER_AXES:
             reach = half * (length[p] + length[q]) + _CELL_SLACK
-            at = [edge[p] * w[q] - edge[q] * w[p] for w in v]
-            touch &= np.minimum(np.minimum(at[0], at[1]), at[2]) <= reach
-            touch &= np.maximum(np.maximum(at[0], at[1]), at[2]) >= -reach
+            projections = [edge[p] * w[q] - edge[q] * w[p] for w in v]
+            touch &= np.minimum(np.minimum(projections[0], projections[1]), projections[2]) <= reach
+            touch &= np.maximum(np.maximum(projections[0], projections[1]), projections[2]) >= -reach
     return touch

@@ -48,8 +48,8 @@ def find_rings(faces: Faces, grid: GridTables, store_tables: bool, threads: int 
     """Return a row of two cache lines for each face, as three views of one table:
 
     - float64[16 m]: the three planes of a face
-    - int32[32 m]: at LINK, the face across the side opposite each corner, -1 for none
-    - float32[32 m]: at BALL, the middle and squared radius of the ball; the radius is 0 if the ring is open or not flat
+    - int32[32 m]: at LINK_OFFSET, the face across the side opposite each corner, -1 for none
+    - float32[32 m]: at BALL_OFFSET, the middle and squared radius of the ball; the radius is 0 if the ring is open or not flat
 
     If `store_tables`, the table is stored for other runs."""
     count = len(faces.corners) if store_tables else 0
@@ -67,7 +67,7 @@ def _compute_rings(faces: Faces, grid: GridTables, threads: int) -> stored_table
     """Compute the links and balls of `find_rings`."""
     tables = faces.build_tables()
     assert tables is not None
-    weld, first, listed = tables[2:]
+    weld, first, face_list = tables[2:]
     three = weld.reshape(-1, 3)
     links = _find_side_links(three)
     closed = np.ones(len(first) - 1, np.bool_)
@@ -78,7 +78,7 @@ def _compute_rings(faces: Faces, grid: GridTables, threads: int) -> stored_table
     closed[three[thin]] = False
     balls = np.zeros((len(links), 4), np.float32)
     parallel.run_in_parts(
-        partial(_find_balls, grid, (weld, first, listed, closed), balls), len(links), threads, _MIN_FACES_PER_THREAD
+        partial(_find_balls, grid, (weld, first, face_list, closed), balls), len(links), threads, _MIN_FACES_PER_THREAD
     )
     return {"links": links, "balls": balls}
 
@@ -89,8 +89,8 @@ def _find_side_links(weld: NDArray[np.int64]) -> NDArray[np.int32]:
     one, two = np.roll(weld, -1, axis=1).ravel(), np.roll(weld, -2, axis=1).ravel()
     key = np.minimum(one, two) * (int(weld.max(initial=0)) + 1) + np.maximum(one, two)
     order = np.argsort(key, kind="stable")
-    same = key[order[1:]] == key[order[:-1]]
-    pair = same & ~np.concatenate(([False], same[:-1])) & ~np.concatenate((same[1:], [False]))
+    is_equal = key[order[1:]] == key[order[:-1]]
+    pair = is_equal & ~np.concatenate(([False], is_equal[:-1])) & ~np.concatenate((is_equal[1:], [False]))
     half, other = order[:-1][pair], order[1:][pair]
     alike = one[half] == two[other]
     half, other = half[alike], other[alike]
@@ -103,7 +103,7 @@ def _find_side_links(weld: NDArray[np.int64]) -> NDArray[np.int32]:
 def _find_balls(grid: GridTables, corners: CornerTables, balls: Array2[F32], begin: I64, end: I64) -> None:
     """Write the balls of faces `begin` to `end` (exclusive).
 
-    `corners` has the last three arrays of `Faces.tables`, and which corners have no open side."""
+    `corners` has the last three arrays of `Faces.build_tables`, and which corners have no open side."""
     points, weld = grid[6], corners[0]
     for f in range(begin, end):
         middle = 0.0, 0.0, 0.0
@@ -120,54 +120,54 @@ def _find_balls(grid: GridTables, corners: CornerTables, balls: Array2[F32], beg
 def _has_flat_ring(grid: GridTables, corners: CornerTables, f: I64, middle: Vec3) -> BOOL:
     """Return whether the ring of a face is closed and, seen along the normal, its border goes once around the middle."""
     points, normals = grid[6], grid[7]
-    weld, first, listed, closed = corners
+    weld, first, face_list, closed = corners
     up = normals[f, 0], normals[f, 1], normals[f, 2]
-    good, ahead, turns, sides = dot(up, up) > 0, (0.0, 0.0, 0.0), 0, 0
+    is_flat, ahead, turns, sides = dot(up, up) > 0, (0.0, 0.0, 0.0), 0, 0
     for c in range(3):
         v = weld[3 * f + c]
-        good = good and closed[v]
+        is_flat = is_flat and closed[v]
         for k in range(first[v], first[v + 1]):
-            g = listed[k]
+            g = face_list[k]
             if g == f:
                 continue
-            good = good and dot(up, (normals[g, 0], normals[g, 1], normals[g, 2])) > _MIN_RING_COSINE
+            is_flat = is_flat and dot(up, (normals[g, 0], normals[g, 1], normals[g, 2])) > _MIN_RING_COSINE
             shared, j = 0, 0
             for n in range(3):
                 if _has_corner(weld, f, weld[3 * g + n]):
                     shared, j = shared + 1, n
-            good = good and shared < 3
+            is_flat = is_flat and shared < 3
             if shared == 1:
                 j1, j2 = (j + 1) % 3, (j + 2) % 3
                 one = minus((points[g, j1, 0], points[g, j1, 1], points[g, j1, 2]), middle)
                 two = minus((points[g, j2, 0], points[g, j2, 1], points[g, j2, 2]), middle)
                 if sides == 0:
                     ahead = plus(one, two)
-                good = good and dot(cross(one, two), up) > 0
+                is_flat = is_flat and dot(cross(one, two), up) > 0
                 turns += 1 if dot(cross(one, ahead), up) >= 0 and dot(cross(ahead, two), up) >= 0 else 0
                 sides += 1
-    return good and turns == 1
+    return is_flat and turns == 1
 
 
 @kernel_helper
 def _measure_ring_clearance(grid: GridTables, weld: Array1[I64], f: I64, middle: Vec3) -> F64:
     """Return the distance of a position from all faces outside the ring of face `f`. It is limited by the border of the cubes
     next to the position's cube."""
-    shape, size, first, listed, bound, corners = grid[0], grid[1], grid[2], grid[3], grid[4], grid[6]
-    width, least = shape[3], np.inf
-    at = (middle[0] - shape[0]) / width, (middle[1] - shape[1]) / width, (middle[2] - shape[2]) / width
-    x, y, z = round_to_int(np.floor(at[0])), round_to_int(np.floor(at[1])), round_to_int(np.floor(at[2]))
+    shape, size, first, face_list, bound, corners = grid[0], grid[1], grid[2], grid[3], grid[4], grid[6]
+    width, clearance = shape[3], np.inf
+    p = (middle[0] - shape[0]) / width, (middle[1] - shape[1]) / width, (middle[2] - shape[2]) / width
+    x, y, z = (round_to_int(np.floor(p[0])), round_to_int(np.floor(p[1])), round_to_int(np.floor(p[2])))
     for axis in range(3):
-        part = at[axis] - np.floor(at[axis])
-        least = min(least, (1.0 + min(part, 1.0 - part)) * width)
+        part = p[axis] - np.floor(p[axis])
+        clearance = min(clearance, (1.0 + min(part, 1.0 - part)) * width)
     for i in range(max(x - 1, 0), min(x + 1, size[0] - 1) + 1):
         for j in range(max(y - 1, 0), min(y + 1, size[1] - 1) + 1):
             row = (i * size[1] + j) * size[2]
             row_begin: I64 = first[row + max(z - 1, 0)]
             row_end: I64 = first[row + min(z + 1, size[2] - 1) + 1]
             for k in range(row_begin, row_end):
-                g = listed[k]
+                g = face_list[k]
                 ball = np.float64(bound[k, 4]), np.float64(bound[k, 5]), np.float64(bound[k, 6])
-                gap, far = minus(ball, middle), least + np.float64(bound[k, 7]) + shape[4]
+                gap, far = minus(ball, middle), clearance + np.float64(bound[k, 7]) + shape[4]
                 if dot(gap, gap) < far * far:
                     near = (
                         _has_corner(weld, f, weld[3 * g])
@@ -176,8 +176,8 @@ def _measure_ring_clearance(grid: GridTables, weld: Array1[I64], f: I64, middle:
                     )
                     if not near:
                         gap = minus(find_nearest_on_face(corners, g, middle), middle)
-                        least = min(least, np.sqrt(dot(gap, gap)))
-    return least
+                        clearance = min(clearance, np.sqrt(dot(gap, gap)))
+    return clearance
 
 
 @inlined
@@ -208,26 +208,26 @@ def find_hit_by_walk(grid: GridTables, rings: Rings, start: I64, a: Vec3, w: Vec
     g, count = f, 0
     while g >= 0 and count < _MAX_WALKED_FACES:
         plane, plane1, plane2 = _load_planes(rings, g)
-        at, to = _evaluate_plane(plane, a), _evaluate_plane_slope(plane, w)
+        height, slope = _evaluate_plane(plane, a), _evaluate_plane_slope(plane, w)
         a1, d1 = _evaluate_plane(plane1, a), _evaluate_plane_slope(plane1, w)
         a2, d2 = _evaluate_plane(plane2, a), _evaluate_plane_slope(plane2, w)
-        t = -at / to
+        t = -height / slope
         if t > h and t <= 1.0:
             w1, w2 = a1 + t * d1, a2 + t * d2
-            least = min(min((1.0 - w1) - w2, w1), w2)
-            if least >= _MIN_INSIDE_WEIGHT and _is_in_ball(balls, f, (a[0] + t * w[0], a[1] + t * w[1], a[2] + t * w[2])):
+            least_weight = min(min((1.0 - w1) - w2, w1), w2)
+            if least_weight >= _MIN_INSIDE_WEIGHT and _is_in_ball(balls, f, (a[0] + t * w[0], a[1] + t * w[1], a[2] + t * w[2])):
                 return t, g
-            if least > -_MIN_INSIDE_WEIGHT:
+            if least_weight > -_MIN_INSIDE_WEIGHT:
                 break
         # Weights of the ray's projection along the first face's normal: at the origin, and their change along the ray.
         rise = _evaluate_plane_slope(plane, up)
         r1, r2 = _evaluate_plane_slope(plane1, up) / rise, _evaluate_plane_slope(plane2, up) / rise
-        a1, d1, a2, d2 = a1 - r1 * at, d1 - r1 * to, a2 - r2 * at, d2 - r2 * to
+        a1, d1, a2, d2 = a1 - r1 * height, d1 - r1 * slope, a2 - r2 * height, d2 - r2 * slope
         a0, d0 = (1.0 - a1) - a2, -d1 - d2
         out0, out1 = -a0 / d0 if d0 < 0 else 1.0, -a1 / d1 if d1 < 0 else 1.0
-        out = min(min(min(out0, out1), -a2 / d2 if d2 < 0 else 1.0), 1.0)
-        w0, w1, w2 = a0 + out * d0, a1 + out * d1, a2 + out * d2
-        if out == 1.0:
+        face_end = min(min(min(out0, out1), -a2 / d2 if d2 < 0 else 1.0), 1.0)
+        w0, w1, w2 = a0 + face_end * d0, a1 + face_end * d1, a2 + face_end * d2
+        if face_end == 1.0:
             if min(min(w0, w1), w2) >= _MIN_INSIDE_WEIGHT and _is_in_ball(balls, f, plus(a, w)):
                 return np.inf, NO_FACE
             break
@@ -247,10 +247,10 @@ def _find_face_below(rings: Rings, start: I64, place: Vec3) -> I64:
         _, plane1, plane2 = _load_planes(rings, f)
         w1, w2 = _evaluate_plane(plane1, place), _evaluate_plane(plane2, place)
         w0 = (1.0 - w1) - w2
-        least = min(min(w0, w1), w2)
-        if least >= _MIN_INSIDE_WEIGHT:
+        least_weight = min(min(w0, w1), w2)
+        if least_weight >= _MIN_INSIDE_WEIGHT:
             return f
-        f = np.int64(rings[1][RING_ROW_WORDS * f + LINK_OFFSET + _find_least_index(w0, w1, w2)]) if least < 0 else -1
+        f = np.int64(rings[1][RING_ROW_WORDS * f + LINK_OFFSET + _find_least_index(w0, w1, w2)]) if least_weight < 0 else -1
         count += 1
     return -1
 

@@ -60,8 +60,8 @@ class RayScene(ProximityQueries):
     face.
 
     A short-lived scene, for a single step, is faster to build but has coarser lower bounds of distances. Without
-    `store_tables`, it stores no table for other runs. The smallest resolved length, `hair`, is relative to the largest
-    coordinate, or to `largest_coordinate` (mm) if anything beyond that is a backdrop.
+    `store_tables`, it stores no table for other runs. The smallest resolved length, the tolerance of `Faces`, is relative to the
+    largest coordinate, or to `largest_coordinate` (mm) if anything beyond that is a backdrop.
 
     Rays with an end, and nearest-face queries within a distance, use a `TriangleGrid` if that is useful. The grid measures all
     nearby faces in float64. Open3D answers longer rays, and queries too far from all faces. The choice depends on the scene and
@@ -140,11 +140,11 @@ class RayScene(ProximityQueries):
         for start in range(0, n, _RAYS_PER_CHUNK):
             rays = slice(start, start + _RAYS_PER_CHUNK)
             directions = np.ascontiguousarray(direction[rays], np.float64)
-            hit_rows, fractions, face, at = self._find_open3d_hits(
+            hit_rows, fractions, face, hit_weights = self._find_open3d_hits(
                 np.asarray(origin[rays], np.float64) - self.origin, directions, np.inf, threads
             )
             rows = start + hit_rows
-            t[rows], weights[rows], normal[rows] = fractions, at, self._get_facing_normals(face, directions[hit_rows])
+            t[rows], weights[rows], normal[rows] = fractions, hit_weights, self._get_facing_normals(face, directions[hit_rows])
             mesh[rows], local[rows] = self._split_face_numbers(face)
         return RayHitArrays(t, mesh, local, weights[:, 1], weights[:, 2], normal)
 
@@ -154,8 +154,8 @@ class RayScene(ProximityQueries):
         """Return the rays that hit between `origin` [n,3] and `origin + step`, ascending, with ray parameter, mesh and face.
 
         `most_hit`: skip the occlusion query, because most rays hit."""
-        which, t, face = self._find_hits_within(origin - self.origin, step, threads, most_hit)
-        return which, t, *self._split_face_numbers(face)
+        hit_rays, t, face = self._find_hits_within(origin - self.origin, step, threads, most_hit)
+        return hit_rays, t, *self._split_face_numbers(face)
 
     def find_hit_normals(
         self, origin: Vectors, displacement: Vectors, normals: Vectors, normal_columns: Index, threads: int = 1
@@ -170,8 +170,8 @@ class RayScene(ProximityQueries):
             results, left = grid.find_hit_normals(origin, displacement, normals, normal_columns, threads)
             if not left:
                 return results
-        which, part, face = self._find_hits_within(origin - self.origin, displacement, threads)
-        return which, part, normals.take(normal_columns.take(face), axis=1)
+        hit_rays, part, face = self._find_hits_within(origin - self.origin, displacement, threads)
+        return hit_rays, part, normals.take(normal_columns.take(face), axis=1)
 
     def get_ring_tables(self, threads: int = 1) -> Arrays | None:
         """Return the tables that walks of rays need in addition to `tables`, computed at the first call; None if there is no
@@ -196,12 +196,12 @@ class RayScene(ProximityQueries):
         grid = self._get_triangle_grid()
         if grid is None:
             return self._find_open3d_hits(origin, displacement, 1.0, threads, most_hit)[:3]
-        t, face = grid.first(origin, displacement, threads)
-        further = np.flatnonzero(face == FACE_BEYOND_GRID)
-        if further.size:
-            face[further] = NO_FACE
-            rows, part, named, _ = self._find_open3d_hits(origin[further], displacement[further], 1.0, threads, most_hit)
-            t[further[rows]], face[further[rows]] = part, named
+        t, face = grid.find_first_faces(origin, displacement, threads)
+        distant = np.flatnonzero(face == FACE_BEYOND_GRID)
+        if distant.size:
+            face[distant] = NO_FACE
+            rows, part, faces, _ = self._find_open3d_hits(origin[distant], displacement[distant], 1.0, threads, most_hit)
+            t[distant[rows]], face[distant[rows]] = part, faces
         hit_rows = np.flatnonzero(face >= 0)
         return hit_rows, t.take(hit_rows), face.take(hit_rows)
 
@@ -214,11 +214,12 @@ class RayScene(ProximityQueries):
         The result has their numbers, ascending, ray parameters (in lengths of `displacement`), faces over all meshes, and corner
         weights.
 
-        Hits within a `hair` of a ray's start are ignored. So Open3D searches slightly farther than the end. It searches again
-        behind each reported face that the ray does not hit: the ray starts from that face, or misses it by less than a `hair`."""
-        nothing = np.empty(0, np.int64), np.empty(0), np.empty(0, np.int64), np.empty((0, 3))
+        Hits within the tolerance of a ray's start are ignored. So Open3D searches slightly farther than the end. It searches
+        again behind each reported face that the ray does not hit: the ray starts from that face, or misses it by less than the
+        tolerance."""
+        no_hits = np.empty(0, np.int64), np.empty(0), np.empty(0, np.int64), np.empty((0, 3))
         if self._is_empty:
-            return nothing
+            return no_hits
         rows, a, w = np.arange(len(origin)), origin, displacement
         begin: Vectors | None = None
         batches: list[RayHits] = []
@@ -228,8 +229,8 @@ class RayScene(ProximityQueries):
             rays = np.empty((len(rows), 6), np.float32)
             rays[:, :3] = a if begin is None else a + w * begin[:, None]
             rays[:, 3:] = w
-            many = len(rows) > _MAX_RAYS_CAST_ONCE and not most_hit
-            if max_parameter < np.inf and many:
+            are_many = len(rows) > _MAX_RAYS_CAST_ONCE and not most_hit
+            if max_parameter < np.inf and are_many:
                 # A ray without a hit traverses the complete scene. Only occlusion queries can limit its length.
                 maybe = self._test_occlusions(rays, max_parameter * RAY_LENGTH_FACTOR, threads).nonzero()[0]
                 rows, rays = rows.take(maybe), rays.take(maybe, axis=0)
@@ -237,39 +238,39 @@ class RayScene(ProximityQueries):
                 begin = None if begin is None else begin[maybe]
             if not rows.size:
                 break
-            part, named = self._cast_open3d_rays(rays, threads)
+            part, reported = self._cast_open3d_rays(rays, threads)
             if (
-                max_parameter < np.inf and not many
+                max_parameter < np.inf and not are_many
             ):  # a ray is occluded before the end exactly if its first hit lies before the end
-                named[part > np.float32(max_parameter * RAY_LENGTH_FACTOR)] = -1
-            at: NDArray[Any] = part if begin is None else begin + part
-            if named.min() < 0:
-                named_rows = np.flatnonzero(named >= 0)
+                reported[part > np.float32(max_parameter * RAY_LENGTH_FACTOR)] = -1
+            t: NDArray[Any] = part if begin is None else begin + part
+            if reported.min() < 0:
+                named_rows = np.flatnonzero(reported >= 0)
                 if not named_rows.size:
                     break
-                rows, at, named = rows.take(named_rows), at.take(named_rows), named.take(named_rows)
+                rows, t, reported = (rows.take(named_rows), t.take(named_rows), reported.take(named_rows))
                 a, w = a.take(named_rows, axis=0), w.take(named_rows, axis=0)
-            fractions, weights, hit, hair = self._faces.check_hits(named, a, w, at)
+            fractions, weights, hit, tolerances = self._faces.check_hits(reported, a, w, t)
             if hit.all():
-                batches.append((rows, fractions, named, weights))
+                batches.append((rows, fractions, reported, weights))
                 break
-            batches.append((rows[hit], fractions[hit], named[hit], weights[hit]))
-            behind = np.flatnonzero(~hit)
-            rows, a, w, begin = rows[behind], a[behind], w[behind], (at + 2.0 * hair)[behind]
+            batches.append((rows[hit], fractions[hit], reported[hit], weights[hit]))
+            rays_behind = np.flatnonzero(~hit)
+            rows, a, w, begin = rows[rays_behind], a[rays_behind], w[rays_behind], (t + 2.0 * tolerances)[rays_behind]
         if not batches:
-            return nothing
+            return no_hits
         if len(batches) > 1:
-            every, parts, faces, at_weights = zip(*batches, strict=True)
-            rows, fractions = np.concatenate(every), np.concatenate(parts)
-            named, weights = np.concatenate(faces), np.concatenate(at_weights)
+            row_batches, parts, faces, at_weights = zip(*batches, strict=True)
+            rows, fractions = np.concatenate(row_batches), np.concatenate(parts)
+            reported, weights = np.concatenate(faces), np.concatenate(at_weights)
             order = np.argsort(rows)
-            batches = [(rows[order], fractions[order], named[order], weights[order])]
-        rows, fractions, named, weights = batches[0]
+            batches = [(rows[order], fractions[order], reported[order], weights[order])]
+        rows, fractions, reported, weights = batches[0]
         near = fractions <= max_parameter
         if near.all():
             return batches[0]
         near_rows = np.flatnonzero(near)
-        return rows.take(near_rows), fractions.take(near_rows), named.take(near_rows), weights.take(near_rows, axis=0)
+        return rows.take(near_rows), fractions.take(near_rows), reported.take(near_rows), weights.take(near_rows, axis=0)
 
     def _cast_open3d_rays(self, rays: NDArray[np.float32], threads: int) -> tuple[NDArray[np.float32], Index]:
         """Return, for prepared rays, the approximate ray parameter at which Open3D reports a face, and the face over all meshes
@@ -277,9 +278,9 @@ class RayScene(ProximityQueries):
         answer = self._widened_scene.cast_rays(self._to_tensor(rays), nthreads=threads)
         t = answer["t_hit"].numpy()
         face = answer["primitive_ids"].numpy().astype(np.int64)
-        nothing = ~np.isfinite(t)
-        if nothing.any():
-            face[nothing] = -1
+        is_miss = ~np.isfinite(t)
+        if is_miss.any():
+            face[is_miss] = -1
         return t, face
 
     def _split_face_numbers(self, face: Index) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
@@ -290,9 +291,9 @@ class RayScene(ProximityQueries):
     def _get_facing_normals(self, face: Index, direction: NDArray[Any]) -> NDArray[np.float32]:
         """Return the normals of faces, on the sides that rays with these directions hit."""
         normal = self._faces.get_normals(face)
-        along = (normal[:, 0] * direction[:, 0] + normal[:, 1] * direction[:, 1]) + normal[:, 2] * direction[:, 2]
-        turned: NDArray[np.float32] = np.where(along[:, None] > 0, -normal, normal).astype(np.float32)
-        return turned
+        projection = (normal[:, 0] * direction[:, 0] + normal[:, 1] * direction[:, 1]) + normal[:, 2] * direction[:, 2]
+        facing: NDArray[np.float32] = np.where(projection[:, None] > 0, -normal, normal).astype(np.float32)
+        return facing
 
     def find_occluded(
         self, origin: Vectors, direction: Vectors, max_parameter: float = np.inf, threads: int = 1
@@ -325,8 +326,8 @@ class RayScene(ProximityQueries):
         Beyond `max_distance` (mm, one or float[n]) the result may be an equally near face on another side."""
         n = len(points)
         if self._is_empty or n == 0:
-            nothing = np.full(n, -1, np.int32)
-            return nothing, nothing.copy(), np.array(points, np.float64).reshape(-1, 3), np.full(n, np.inf)
+            no_faces = np.full(n, -1, np.int32)
+            return no_faces, no_faces.copy(), np.array(points, np.float64).reshape(-1, 3), np.full(n, np.inf)
         local = np.asarray(points, np.float64) - self.origin
         endless = isinstance(max_distance, float) and max_distance == np.inf
         grid = None if endless else self._get_triangle_grid()
@@ -337,8 +338,8 @@ class RayScene(ProximityQueries):
             distance = np.sqrt(square)
             rows = np.flatnonzero(face == FACE_BEYOND_GRID)
             if rows.size:
-                most = np.broadcast_to(np.asarray(max_distance), (n,))[rows]
-                place[rows], distance[rows], face[rows] = self._find_closest_by_open3d(local[rows], threads, most)
+                max_distances = np.broadcast_to(np.asarray(max_distance), (n,))[rows]
+                place[rows], distance[rows], face[rows] = self._find_closest_by_open3d(local[rows], threads, max_distances)
         return *self._split_face_numbers(face), place + self.origin, distance
 
     def _find_closest_by_open3d(
@@ -351,15 +352,15 @@ class RayScene(ProximityQueries):
         candidates = np.flatnonzero(distance <= max_distance)
         if candidates.size:
             local, square, one = local[candidates], square[candidates], face[candidates]
-            away = (local - place[candidates]) * (
+            nudge = (local - place[candidates]) * (
                 _NUDGE_TOLERANCES * self._faces.tolerance / np.maximum(distance[candidates], 1e-30)
             )[:, None]
             other_places, other_squares, other = self._faces.find_nearest(
-                local, self._query_open3d_nearest(local + away, threads)
+                local, self._query_open3d_nearest(local + nudge, threads)
             )
             nearer = np.flatnonzero((other_squares < square) | ((other_squares == square) & (other < one)))
             rows = candidates[nearer]
-            place[rows], face[rows], distance[rows] = other_places[nearer], other[nearer], np.sqrt(other_squares[nearer])
+            place[rows], face[rows], distance[rows] = (other_places[nearer], other[nearer], np.sqrt(other_squares[nearer]))
         return place, distance, face
 
     def _bound_distances(self, points: Vectors) -> Vectors:

@@ -41,7 +41,7 @@ _THIN_CORNER_SINE = 1e-8  # sine of a corner angle; below it, a face defines no 
 class TriangleGrid:
     """A grid of all faces. `tables` contains:
 
-    - lowest corner, edge of a cube, error of a bound, `hair` of the faces, and origin (mm, float64[9])
+    - lowest corner, edge of a cube, error of a bound, tolerance of the faces, and origin (mm, float64[9])
     - number of cubes along each axis, int64[3]
     - the start of each cube's faces in a list, and the list of face numbers, int32
     - plane and bounding ball of each listed face, float32[e,8]
@@ -53,23 +53,23 @@ class TriangleGrid:
         size = np.floor((corners.max(axis=(0, 1)) + width / 4 - low) / width).astype(np.int64) + 1
         work, count = partial(_list_cube_faces, corners, low, size, width), len(corners) if store_tables else 0
         lists = stored_tables.get_or_compute("triangle grid", count, (corners, width), work)
-        first, listed = lists["first"], lists["listed"]
+        first, face_list = lists["first"], lists["listed"]
         normals = faces.get_normals(np.arange(len(corners)))
-        off = 1e-6 * (
+        slack = 1e-6 * (
             float(np.abs(corners).max()) + (MAX_RAY_CUBES + MAX_SEARCH_RINGS) * width
         )  # several times the rounding error of float32
         self.tables: Tables = (
-            np.array([*low, width, off, faces.tolerance, *origin]),  # lowest corner of the grid; world position of its zero
+            np.array([*low, width, slack, faces.tolerance, *origin]),  # lowest corner of the grid; world position of its zero
             size,
             first,
-            listed,
-            _compute_face_bounds(corners, normals)[listed],
+            face_list,
+            _compute_face_bounds(corners, normals)[face_list],
             np.ascontiguousarray(_drop_thin_planes(corners, planes)),
             np.ascontiguousarray(corners),
             normals,
         )
-        many = np.diff(first).astype(np.float64)
-        self.mean_faces_per_cube = float((many * many).sum() / max(many.sum(), 1.0))
+        faces_per_cube = np.diff(first).astype(np.float64)
+        self.mean_faces_per_cube = float((faces_per_cube * faces_per_cube).sum() / max(faces_per_cube.sum(), 1.0))
 
     @staticmethod
     def from_faces(faces: Faces, origin: Floats, store_tables: bool = True) -> TriangleGrid | None:
@@ -86,11 +86,11 @@ class TriangleGrid:
 
     # ---- rays
 
-    def first(self, origin: Floats, displacement: Floats, threads: int = 1) -> tuple[Floats, Index]:
+    def find_first_faces(self, origin: Floats, displacement: Floats, threads: int = 1) -> tuple[Floats, Index]:
         """Return the first face that each ray hits between `origin` [n,3] and `origin + displacement`, and the ray parameter.
 
-        The ray parameter is in lengths of `displacement`. Hits within a `hair` of the start are ignored. The face is NO_FACE if
-        there is none, and FACE_BEYOND_GRID for rays that are too long."""
+        The ray parameter is in lengths of `displacement`. Hits within the tolerance of the start are ignored. The face is NO_FACE
+        if there is none, and FACE_BEYOND_GRID for rays that are too long."""
         t, face = np.empty(len(origin)), np.empty(len(origin), np.int64)
         work = partial(grid_rays.write_first_hits, self.tables, origin, displacement, t, face)
         parallel.run_in_parts(work, len(origin), threads, _RAYS_PER_THREAD)
@@ -99,16 +99,16 @@ class TriangleGrid:
     def find_hit_normals(
         self, origin: Floats, displacement: Floats, normals: Floats, normal_columns: Index, threads: int = 1
     ) -> tuple[tuple[Index, Floats, Floats], int]:
-        """Return the rays from world positions for which `first` finds a face: their numbers, ascending, ray parameters, and
-        normals (3, k).
+        """Return the rays from world positions for which `find_first_faces` finds a face: their numbers, ascending, ray
+        parameters, and normals (3, k).
 
         Normals are columns of `normals` (3, m); `normal_columns` has the column of each face. Returns also the number of rays
         that the grid cannot resolve."""
-        which, results = np.empty(len(origin), np.int64), np.empty((4, len(origin)))
-        work = partial(grid_rays.write_hit_normals, self.tables, origin, displacement, normals, normal_columns, which, results)
+        hit_rays, results = np.empty(len(origin), np.int64), np.empty((4, len(origin)))
+        work = partial(grid_rays.write_hit_normals, self.tables, origin, displacement, normals, normal_columns, hit_rays, results)
         parts = parallel.run_in_parts(work, len(origin), threads, _RAYS_PER_THREAD)
-        which, results = parallel.join_parts(parts, which, results)
-        return (which, results[0], results[1:]), sum([left for _, _, left in parts])
+        hit_rays, results = parallel.join_parts(parts, hit_rays, results)
+        return (hit_rays, results[0], results[1:]), sum([unanswered for _, _, unanswered in parts])
 
     def cast_feelers(self, positions: PointColumns, direction: PointColumns, reach: Float32Array) -> tuple[Float32Array, int]:
         """Return the hits of feelers from positions along unit directions, up to `reach` (mm). Inputs are float32 columns in the
@@ -162,10 +162,10 @@ def _list_cube_faces(corners: Floats, low: Floats, size: Index, width: float) ->
     for cell, face in iterate_triangle_cells((corners - low) / width, margin=_CUBE_MARGIN):
         cell = np.minimum(np.maximum(cell, 0), size - 1)
         keys.append(((cell[:, 0] * size[1] + cell[:, 1]) * size[2] + cell[:, 2]) * count + face)
-    cells, listed = np.divmod(np.unique(np.concatenate(keys)), count)
+    cells, face_list = np.divmod(np.unique(np.concatenate(keys)), count)
     first = np.zeros(int(np.prod(size)) + 1, np.int32)
     np.cumsum(np.bincount(cells, minlength=len(first) - 1), out=first[1:])
-    return {"first": first, "listed": listed.astype(np.int32)}
+    return {"first": first, "listed": face_list.astype(np.int32)}
 
 
 def _choose_cube_width(corners: Floats) -> float | None:
@@ -174,14 +174,14 @@ def _choose_cube_width(corners: Floats) -> float | None:
     if not len(corners):
         return None
     lengths, area = measure_sides_and_area(corners)
-    around = lengths.sum()
+    perimeter = lengths.sum()
     extent = corners.max(axis=(0, 1)) - corners.min(axis=(0, 1))
     width = max(float(lengths.mean()) * _CUBE_WIDTH_IN_FACE_EDGES, choose_cell_width(extent, _MAX_CUBES))
     if not 0 < width < np.inf:
         return None
     # A face touches cubes by its area, its sides and its corners.
     for _ in range(40):
-        if 3 * area / width**2 + 2 * around / width + 8.0 * len(corners) <= _MAX_LISTED_FACES:
+        if 3 * area / width**2 + 2 * perimeter / width + 8.0 * len(corners) <= _MAX_LISTED_FACES:
             return width
         width *= 1.25
     return None
@@ -194,8 +194,8 @@ def _compute_face_bounds(corners: Floats, normals: Floats) -> Float32Array:
     radius."""
     plane = np.concatenate([normals, -dot(normals, corners[:, 0])[:, None]], axis=1)
     middle = (corners[:, 0] + corners[:, 1] + corners[:, 2]) / 3.0
-    away = corners - middle[:, None]
-    radius = np.sqrt(((away[:, :, 0] ** 2 + away[:, :, 1] ** 2) + away[:, :, 2] ** 2).max(axis=1))
+    offset = corners - middle[:, None]
+    radius = np.sqrt(((offset[:, :, 0] ** 2 + offset[:, :, 1] ** 2) + offset[:, :, 2] ** 2).max(axis=1))
     return np.concatenate([plane, middle, radius[:, None]], axis=1).astype(np.float32)
 
 
@@ -206,6 +206,6 @@ def _drop_thin_planes(corners: Floats, planes: Floats) -> Floats:
     thin = ~(size > _THIN_CORNER_SINE * _THIN_CORNER_SINE * (dot(one, one) * dot(two, two)))
     if not thin.any():
         return planes
-    sound: Floats = planes.copy()
-    sound[thin] = 0.0
-    return sound
+    valid_planes: Floats = planes.copy()
+    valid_planes[thin] = 0.0
+    return valid_planes

@@ -201,8 +201,8 @@ def _require_utf8_arguments(words: list[str]) -> None:
 def _require_flag_order(words: list[str]) -> None:
     """Raise CommandError if `--trust-usd` follows the command. The flag belongs to all commands, so it must precede the
     command."""
-    own = words[: words.index("--")] if "--" in words else words
-    if "--trust-usd" in own and not own[0].startswith("-"):
+    own_words = words[: words.index("--")] if "--" in words else words
+    if "--trust-usd" in own_words and not own_words[0].startswith("-"):
         rest = [word for word in words if word != "--trust-usd"]
         message = "error: write `--trust-usd` before the command"
         raise CommandError(ExitCode.USAGE, message, f"write: {shlex.join(['antdsl', '--trust-usd', *rest])}")

@@ -70,8 +70,8 @@ def parse_frame_range(text: str | None, flag: str = "--frames") -> FrameRange | 
 
     try:
         return parse_frames(text)
-    except QuantityError as why:
-        raise typer.BadParameter(f"`{text}` {why}: {why.help or 'write A..B'}", param_hint=flag) from None
+    except QuantityError as error:
+        raise typer.BadParameter(f"`{text}` {error}: {error.help or 'write A..B'}", param_hint=flag) from None
 
 
 def parse_number_set(text: str | None, flag: str) -> frozenset[int] | None:

@@ -98,10 +98,10 @@ def protect_inputs(
     from antdsl.resources import behaviours_folder
     from antdsl.scene.paths import record_requested_paths
 
-    named: list[Path] = []
+    named_inputs: list[Path] = []
     with record_requested_paths() as sought_files:
-        yield named
-    inputs = [*named, *sought_files, *behaviours_folder().glob("*.ant")]
+        yield named_inputs
+    inputs = [*named_inputs, *sought_files, *behaviours_folder().glob("*.ant")]
     results = {flag: path for flag, path in files.items() if path is not None and not _is_same_file(path, Path(os.devnull))}
     for flag, path in results.items():
         if not is_standard_output(path) and any(_is_same_file(path, each) for each in inputs):
@@ -111,13 +111,13 @@ def protect_inputs(
             raise typer.BadParameter(f"`{path}` is named by `{others[0]}` too; name another file", param_hint=flag)
     for flag, (folder, names) in (folders or {}).items():
         result_names = set(names)
-        lost = (
+        lost_files = (
             []
             if folder is None
             else [each for each in inputs if each.exists() and _find_first_name_below(each, folder) in result_names]
         )
-        if lost:
-            words = f"error: `{lost[0]}` is an input and would be lost"
+        if lost_files:
+            words = f"error: `{lost_files[0]}` is an input and would be lost"
             raise CommandError(ExitCode.USAGE, words, f"name another folder with `{flag}`")
         for other, path in results.items():
             if folder is not None and _find_first_name_below(path, folder) in result_names:
@@ -151,7 +151,7 @@ def _require_writable(probe_path: Path, path: Path, flag: str) -> None:
     """Exit with a message about `flag` if no file can be created next to `probe_path`. The message names `path`."""
     try:
         create_sibling_file(probe_path).unlink()
-    except OSError as why:
-        words = f"error: cannot write `{path}`: {(why.strerror or str(why)).lower()}"
-        advice = "free space, or " if why.errno in (errno.ENOSPC, errno.EDQUOT) else ""
+    except OSError as error:
+        words = f"error: cannot write `{path}`: {(error.strerror or str(error)).lower()}"
+        advice = "free space, or " if error.errno in (errno.ENOSPC, errno.EDQUOT) else ""
         raise CommandError(ExitCode.INPUT_OUTPUT, words, f"{advice}name another path with `{flag}`") from None

@@ -114,18 +114,18 @@ def explain_cache_errors(cache: Path | None = None, retry_purpose: str = "to rec
     computes damaged frames of `cache` again."""
     try:
         yield
-    except Exception as why:
-        code, advice = _find_cache_advice(why)
+    except Exception as error:
+        code, advice = _find_cache_advice(error)
         if code is ExitCode.BUG:
             raise
         if cache is not None and not advice:
             from antdsl.outputs.provenance import make_resume_command
 
             advice = f"{retry_purpose}: {make_resume_command(cache)}"
-        raise CommandError(code, f"error: {why}", advice) from None
+        raise CommandError(code, f"error: {error}", advice) from None
 
 
-def _find_cache_advice(why: Exception) -> tuple[ExitCode, str]:
+def _find_cache_advice(error: Exception) -> tuple[ExitCode, str]:
     """Return the exit code for an error of a cache, and advice; the code is BUG for any other error. Damaged frames have no
     advice here: the caller adds the command that computed them."""
     from antdsl.outputs.cache.cache_reader import CacheError
@@ -149,7 +149,7 @@ def _find_cache_advice(why: Exception) -> tuple[ExitCode, str]:
         DifferentHashes: (ExitCode.FINDINGS, "run without `--resume` to begin again"),
         NothingToResume: (ExitCode.INPUT_OUTPUT, "run without `--resume` to begin again"),
     }
-    return rows.get(type(why), (ExitCode.BUG, ""))
+    return rows.get(type(error), (ExitCode.BUG, ""))
 
 
 def find_machine_failure(problem: Exception) -> OSError | MemoryError | None:
@@ -179,12 +179,12 @@ def limit_threads() -> None:
     one thread."""
     from antdsl.numerics.processor.host import get_address_space_limit
 
-    most = get_address_space_limit()
-    if most == inf:
+    memory_limit = get_address_space_limit()
+    if memory_limit == inf:
         return
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    if most < limits.COMMAND_MEMORY_BYTES:
-        needed, have = (f"{size / limits.MIB:,.0f} MiB" for size in (limits.COMMAND_MEMORY_BYTES, most))
+    if memory_limit < limits.COMMAND_MEMORY_BYTES:
+        needed, have = (f"{size / limits.MIB:,.0f} MiB" for size in (limits.COMMAND_MEMORY_BYTES, memory_limit))
         words = f"error: out of memory: this process may have {have} of address space, and needs {needed}"
         raise CommandError(ExitCode.INPUT_OUTPUT, words, f"allow more (`ulimit -v`), then {RETRY_ADVICE}")
 

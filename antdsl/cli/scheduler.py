@@ -78,7 +78,7 @@ def open_engine(
         raise CommandError(
             ExitCode.INPUT_OUTPUT, words, f"install it: {_INSTALL_HINT}; without `--scheduler`, everything runs on this machine"
         )
-    from antdsl.executors import TaskRefused
+    from antdsl.executors import TaskRejected
     from antdsl.executors.cluster import connect_cluster, load_security, start_local_cluster
 
     try:
@@ -87,8 +87,8 @@ def open_engine(
             if address == "local":
                 address, security = stack.enter_context(start_local_cluster(workers, threads))
             yield stack.enter_context(connect_cluster(address, security, files, visible_file))
-    except TaskRefused as why:
-        raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {why}") from None
+    except TaskRejected as error:
+        raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {error}") from None
 
 
 def _find_certificate_folder(address: str, tls: Path | None, no_tls: bool) -> Path | None:
@@ -206,7 +206,7 @@ def run_cache_tasks(
         *((cache / edits.arrays,) if edits is not None and edits.arrays is not None else ()),
         *(make_frame_path(cache, f) for f in open_cache(cache).frames()),
     ]
-    failed = 0
+    failure_count = 0
     print_warning = partial(print_note, to_stderr=True)
     try:
         with (
@@ -217,12 +217,12 @@ def run_cache_tasks(
                 make_tasks(cache, place), engine, report_note=print_warning, choose_folder=lambda task: folder
             ):
                 if answered.answer is None:
-                    failed += 1
+                    failure_count += 1
                     first, last = (answered.task.document["frames"][number] for number in (0, -1))
                     print_warning(f"failed: frames {first}..{last}: {answered.problem}")
                 else:
                     yield answered
-    except WorkersLost as why:
-        raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {why}", "the same command computes all frames again") from None
-    if failed:
+    except WorkersLost as error:
+        raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {error}", "the same command computes all frames again") from None
+    if failure_count:
         raise CommandError(ExitCode.FINDINGS, "error: the failed frames are missing")

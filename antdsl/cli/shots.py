@@ -65,8 +65,8 @@ def run_shots(
                 try:
                     if shot is not None:
                         find_start_hashes(shot)
-                except StartError as why:
-                    report.extend(why.report)
+                except StartError as error:
+                    report.extend(error.report)
             shots.append(shot)
     exit_on_errors(report)
     processes = min(count_available_cores(), len(scenes))
@@ -74,7 +74,7 @@ def run_shots(
     if not ignore_memory_limit and not scheduler[0]:  # machines of a cluster have their own memory
         require_memory([shot for shot in shots if shot is not None], processes)
     files = [path for path in read if path.is_file()]
-    failed = 0
+    failure_count = 0
     print_warning = partial(print_note, to_stderr=True)
     try:
         with ExitStack() as stack:
@@ -82,9 +82,9 @@ def run_shots(
             try:
                 for folder in folders:
                     prepare_folder(folder, force=options["force"])
-            except (ForeignFolder, PathBlocked) as why:
+            except (ForeignFolder, PathBlocked) as error:
                 raise CommandError(
-                    ExitCode.INPUT_OUTPUT, f"error: {why}", "name another folder with `--out`, or add `--force`"
+                    ExitCode.INPUT_OUTPUT, f"error: {error}", "name another folder with `--out`, or add `--force`"
                 ) from None
             parents = {folder.parent: stack.enter_context(mark_folder(folder.parent)) for folder in dict.fromkeys(folders)}
             tasks = []
@@ -102,29 +102,29 @@ def run_shots(
                 for note in answered.notes:
                     print_warning(f"{folder.name}: {note}")
                 if answered.answer is None:
-                    failed += 1
+                    failure_count += 1
                     print_warning(f"failed: {answered.task.document['scene']}: {answered.problem}")
                     continue
                 if answered.answer["files"]:
                     remove_other_frames(folder, answered.answer["files"], folder.name)
                 if not quiet:
                     print_note(f"{answered.answer['frames']} frames; the cache is in {folder}")
-    except KeyboardInterrupt as why:
-        raise CommandError(choose_stop_exit_code(why), "stopped", "continue with the same command and `--resume`") from None
-    except WorkersLost as why:
-        raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {why}", "continue with the same command and `--resume`") from None
-    if failed:
-        raise CommandError(ExitCode.FINDINGS, f"error: {failed} of {len(scenes)} scenes failed")
+    except KeyboardInterrupt as error:
+        raise CommandError(choose_stop_exit_code(error), "stopped", "continue with the same command and `--resume`") from None
+    except WorkersLost as error:
+        raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {error}", "continue with the same command and `--resume`") from None
+    if failure_count:
+        raise CommandError(ExitCode.FINDINGS, f"error: {failure_count} of {len(scenes)} scenes failed")
 
 
-def _choose_cache_folders(scenes: Sequence[Path], out: Path | None) -> list[Path]:
+def _choose_cache_folders(scenes: Sequence[Path], parent_folder: Path | None) -> list[Path]:
     """Return the folder of each scene's cache."""
-    one = len(scenes) == 1 and out is not None
+    is_single = len(scenes) == 1 and parent_folder is not None
     folders = [
-        out
-        if one and out
-        else choose_default_path(out, scene.stem)
-        if out
+        parent_folder
+        if is_single and parent_folder
+        else choose_default_path(parent_folder, scene.stem)
+        if parent_folder
         else choose_default_path(scene.resolve().parent, "out", scene.stem)
         for scene in scenes
     ]

@@ -39,7 +39,7 @@ _STUDY_OPTIONS = {
 }
 
 
-def load_request(context: typer.Context, out: Path | None) -> SweepRequest:
+def load_request(context: typer.Context, folder: Path | None) -> SweepRequest:
     """Return the request of the earlier sweep in a folder. Raises BadParameter if other options that define the runs are given,
     CommandError if the folder has no sweep."""
     from antdsl.sweep.study import NoStoredSweep, read_request
@@ -48,12 +48,12 @@ def load_request(context: typer.Context, out: Path | None) -> SweepRequest:
         source = context.get_parameter_source(name)
         if source is not None and source.name == "COMMANDLINE":
             raise typer.BadParameter(f"the sweep continues with its own options: omit {words}", param_hint="--resume")
-    if out is None:
+    if folder is None:
         raise typer.BadParameter("name the sweep to continue: `--resume --out DIR`", param_hint="--resume")
     try:
-        return read_request(out)
-    except NoStoredSweep as why:
-        raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {why}", "start one: `antdsl sweep SCENE… --out DIR`") from None
+        return read_request(folder)
+    except NoStoredSweep as error:
+        raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {error}", "start one: `antdsl sweep SCENE… --out DIR`") from None
 
 
 def build_study(request: SweepRequest) -> tuple[Study, list[SweepJob], Report]:

@@ -93,8 +93,8 @@ def _format_github_command(diagnostic: Diagnostic) -> str:
         if place.line == place.end_line:
             properties["endColumn"] = str(place.end_column)
         properties["title"] = diagnostic.code
-    written = ",".join(f"{key}={_escape_github_property(value)}" for key, value in properties.items())
-    return f"::{diagnostic.severity} {written}::{_escape_github_data(text)}"
+    property_text = ",".join(f"{key}={_escape_github_property(value)}" for key, value in properties.items())
+    return f"::{diagnostic.severity} {property_text}::{_escape_github_data(text)}"
 
 
 def _escape_github_data(text: str) -> str:

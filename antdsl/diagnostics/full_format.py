@@ -45,8 +45,8 @@ def _format_snippet(span: Span, margin: int, arrow: str, mark: str, text: str) -
     end = min(len(line), start + max(1, span.end - span.start))
     left_text, marked, right_text = _cut_line(line, start, end)
     marks = mark * max(1, count_columns(marked))
-    under = f"{bar} {' ' * count_columns(left_text)}{marks} {escape_text(text)}".rstrip()
-    return [head, bar, f"{place.line:>{margin}} | {left_text}{marked}{right_text}".rstrip(), under]
+    mark_line = f"{bar} {' ' * count_columns(left_text)}{marks} {escape_text(text)}".rstrip()
+    return [head, bar, f"{place.line:>{margin}} | {left_text}{marked}{right_text}".rstrip(), mark_line]
 
 
 def _cut_line(line: str, start: int, end: int) -> tuple[str, str, str]:

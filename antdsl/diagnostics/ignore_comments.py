@@ -32,9 +32,9 @@ def find_ignore_comments(source: Source) -> Iterator[IgnoreComment]:
         prefix = source.text[: match.start(1)].rpartition("\n")[2]
         if prefix.count('"') % 2:
             continue
-        at = match.start(2)
+        offset = match.start(2)
         codes = [
-            (part.group().strip(), Span(source, at + part.start(), at + part.end()))
+            (part.group().strip(), Span(source, offset + part.start(), offset + part.end()))
             for part in re.finditer(r"[^\s,](?:[^,]*[^\s,])?", match[2])
         ]
         line = number if prefix.strip() else _find_next_code_line(source, number)
@@ -54,10 +54,10 @@ def _find_next_code_line(source: Source, number: int) -> int:
 
 def remove_ignored(report: Report) -> Report:
     """Return the report without the warnings that a comment ignores."""
-    known = {d.span.source for d in report.diagnostics if d.span is not None and d.severity == "warning"}
+    warned_sources = {d.span.source for d in report.diagnostics if d.span is not None and d.severity == "warning"}
     ignored_places = {
         (source.path, ignore.line, code)
-        for source in known
+        for source in warned_sources
         for ignore in find_ignore_comments(source)
         for code, _ in ignore.codes
     }
@@ -87,8 +87,10 @@ def apply_ignores(
     suppress most warnings too: `has_no_errors` says that there are no errors; the default is taken from the report."""
     has_no_errors = report.ok if has_no_errors is None else has_no_errors
     unknown = RUN_CODES | (frozenset() if strict else STRICT_CODES) | (frozenset() if meshes_checked else MESH_CODES)
-    every = [*report.diagnostics, *report.dropped_warnings]
-    warned_places = {(d.span.source.path, d.span.source.find_line_column(d.span.start)[0], d.code) for d in every if d.span}
+    all_diagnostics = [*report.diagnostics, *report.dropped_warnings]
+    warned_places = {
+        (d.span.source.path, d.span.source.find_line_column(d.span.start)[0], d.code) for d in all_diagnostics if d.span
+    }
     result = remove_ignored(report)
     for source in sources:
         for ignore in find_ignore_comments(source):
@@ -97,8 +99,8 @@ def apply_ignores(
                     "ignore-without-reason", "this comment does not say why", ignore.span, "write the reason after the bracket"
                 )
             for code, span in ignore.codes:
-                looked = code not in CODE_DESCRIPTIONS or (has_no_errors and code not in unknown)
-                if looked and (source.path, ignore.line, code) not in warned_places:
+                is_checked = code not in CODE_DESCRIPTIONS or (has_no_errors and code not in unknown)
+                if is_checked and (source.path, ignore.line, code) not in warned_places:
                     _warn_unused_ignore(result, ignore, code, span)
             if not ignore.codes:
                 result.warning("ignored-nothing", "this comment has no code", ignore.span, "write `ignore[CODE] why`")

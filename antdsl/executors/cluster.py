@@ -30,7 +30,7 @@ from antdsl.executors.cluster_worker import (
     run_task_on_worker,
 )
 from antdsl.executors.input_bundle import FileBundle, VisibleFile, pack_files
-from antdsl.executors.tasks import LOOPBACK, POLL_SECONDS, TLS_FILE_NAMES, Engine, Task, TaskRefused, WorkersLost
+from antdsl.executors.tasks import LOOPBACK, POLL_SECONDS, TLS_FILE_NAMES, Engine, Task, TaskRejected, WorkersLost
 from antdsl.source_hash import hash_sources
 
 _ROLES = ("scheduler", "worker", "nanny")
@@ -57,10 +57,10 @@ def start_local_cluster(workers: int, threads: int) -> Iterator[tuple[str, Secur
     in each worker. Without an explicit address, that server would listen on every interface.
     """
     isolate_search_paths()
-    nothing: dict[str, list[str]] = {f"distributed.{role}.http.routes": [] for role in _ROLES}
+    settings: dict[str, list[str]] = {f"distributed.{role}.http.routes": [] for role in _ROLES}
     # modules that a configuration file names must not be loaded
-    nothing |= {f"distributed.{role}.preload": [] for role in (*_ROLES, "client")}
-    with dask.config.set({**nothing, "distributed.worker.memory.terminate": False}):
+    settings |= {f"distributed.{role}.preload": [] for role in (*_ROLES, "client")}
+    with dask.config.set({**settings, "distributed.worker.memory.terminate": False}):
         security = Security.temporary()
         with LocalCluster(
             n_workers=workers,
@@ -81,17 +81,17 @@ def connect_cluster(
     address: str, security: Security | None, files: Iterable[Path], visible_file: VisibleFile | None = None
 ) -> Iterator[Cluster]:
     """Yield a connection to a cluster. Its workers have received the files, or they all see `visible_file` and are assumed to see
-    the other files. Raises WorkersLost if no scheduler answers. Raises TaskRefused if no worker is suitable or the files are too
+    the other files. Raises WorkersLost if no scheduler answers. Raises TaskRejected if no worker is suitable or the files are too
     large."""
     for name in [name for name in logging.root.manager.loggerDict if name.startswith("distributed")]:
         logging.getLogger(name).setLevel(logging.CRITICAL)  # antdsl reports errors itself
     with ExitStack() as stack:
         try:
             client = stack.enter_context(Client(address, security=security, timeout=_CONNECT_SECONDS, set_as_default=False))
-        except (OSError, ValueError) as why:
-            raise WorkersLost(f"no scheduler responds at {address}: {str(why).splitlines()[0]}") from None
+        except (OSError, ValueError) as error:
+            raise WorkersLost(f"no scheduler responds at {address}: {str(error).splitlines()[0]}") from None
         shared = visible_file is not None and all(
-            saw is True for saw in client.run(can_see_file, visible_file, on_error="return").values()
+            is_visible is True for is_visible in client.run(can_see_file, visible_file, on_error="return").values()
         )
         cluster = Cluster(client, pack_files([] if shared else files), visible_file if shared else None)
         cluster.send_files()
@@ -123,18 +123,18 @@ class Cluster(Engine):
         client.subscribe_topic(self.name, lambda event: self._event_queue.put(event[1]))
         worker_identities = client.run(describe_worker, on_error="return")
         unfit = {}
-        for address, has in worker_identities.items():
-            if isinstance(has, BaseException):
-                unfit[address] = f"worker {address} cannot run this antdsl, so it gets no tasks: {has}"
-            elif has["sources"] != hash_sources():
-                unfit[address] = explain_mismatch(address, has, hash_sources())
+        for address, identity in worker_identities.items():
+            if isinstance(identity, BaseException):
+                unfit[address] = f"worker {address} cannot run this antdsl, so it gets no tasks: {identity}"
+            elif identity["sources"] != hash_sources():
+                unfit[address] = explain_mismatch(address, identity, hash_sources())
         if worker_identities and len(unfit) == len(worker_identities):
-            raise TaskRefused("\n".join(unfit.values()))
+            raise TaskRejected("\n".join(unfit.values()))
         self._messages += unfit.values()
         with suppress(ImportError, AttributeError):  # raised for a worker that has already been reported
             client.register_plugin(self._project)
-        until = time.monotonic() + _FILE_TRANSFER_SECONDS
-        while worker_identities and not self._suitable_workers and time.monotonic() < until:
+        deadline = time.monotonic() + _FILE_TRANSFER_SECONDS
+        while worker_identities and not self._suitable_workers and time.monotonic() < deadline:
             self._read_events()
             time.sleep(0.02)
         self._present_workers = set(self._suitable_workers)
@@ -155,7 +155,7 @@ class Cluster(Engine):
         self._frame_by_key.pop(task.key, None)
         future: Future[str] = Future()
         if task.key in self._abandoned_keys:
-            future.set_exception(TaskRefused(_ALL_WORKERS_LOST))
+            future.set_exception(TaskRejected(_ALL_WORKERS_LOST))
         else:
             words = task.function, json.dumps(task.document), self.name, task.key, self._attempt
             future = self._executor.submit(run_task_on_worker, *words)
@@ -182,13 +182,13 @@ class Cluster(Engine):
         """Read the messages of workers: frames of tasks, and whether a worker can run tasks."""
         with suppress(Empty):
             while True:
-                said = self._event_queue.get_nowait()
-                if isinstance(said.get("frame"), int):
-                    self._frame_by_key[str(said.get("key"))] = said["frame"]
-                elif "fit" in said:
-                    self._suitable_workers.add(str(said["fit"]))
-                elif "refused" in said:
-                    message = str(said["refused"])[:_MAX_MESSAGE_CHARACTERS]
+                event = self._event_queue.get_nowait()
+                if isinstance(event.get("frame"), int):
+                    self._frame_by_key[str(event.get("key"))] = event["frame"]
+                elif "fit" in event:
+                    self._suitable_workers.add(str(event["fit"]))
+                elif "refused" in event:
+                    message = str(event["refused"])[:_MAX_MESSAGE_CHARACTERS]
                     self._messages.append("".join(s if s.isprintable() else " " for s in message))
 
     def _check_workers(self) -> None:
@@ -230,8 +230,8 @@ class Cluster(Engine):
         while start < size:
             try:
                 part = self._client.run(read_file_part, self.name, file, start, workers=[worker])[worker]
-            except (OSError, KeyError) as why:
-                raise WorkersLost(f"worker {worker} was lost: {why}") from None
+            except (OSError, KeyError) as error:
+                raise WorkersLost(f"worker {worker} was lost: {error}") from None
             if not part:
                 raise WorkersLost(f"`{file}` of worker {worker} is shorter than expected")
             start += len(part)

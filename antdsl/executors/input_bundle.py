@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path, PurePath
 
-from antdsl.executors.tasks import TaskRefused
+from antdsl.executors.tasks import TaskRejected
 from antdsl.limits import MAX_BUNDLE_BYTES
 from antdsl.safe_read import read_size_limited
 
@@ -22,14 +22,14 @@ class FileBundle:
     digest: str
 
     def unpack(self, folder: Path) -> None:
-        """Write the files below a folder. Raises TaskRefused if they do not match the hash, or if a path leads out of the
+        """Write the files below a folder. Raises TaskRejected if they do not match the hash, or if a path leads out of the
         folder."""
         if hash_files(self.files) != self.digest:
-            raise TaskRefused("the project's files were changed during the transfer")
+            raise TaskRejected("the project's files were changed during the transfer")
         for name, content in self.files.items():
             path = folder / name
             if not path.resolve().is_relative_to(folder.resolve()):
-                raise TaskRefused(f"a file of the project would be put outside of its folder: `{name}`")
+                raise TaskRejected(f"a file of the project would be put outside of its folder: `{name}`")
             path.parent.mkdir(parents=True, exist_ok=True)
             with open(path, "xb") as file:
                 file.write(content)
@@ -57,7 +57,7 @@ class VisibleFile:
 
 
 def pack_files(paths: Iterable[Path]) -> FileBundle:
-    """Return an input bundle of regular files. Raises TaskRefused if their total size exceeds `MAX_BUNDLE_BYTES`, OSError if one
+    """Return an input bundle of regular files. Raises TaskRejected if their total size exceeds `MAX_BUNDLE_BYTES`, OSError if one
     cannot be read."""
     files: dict[str, bytes] = {}
     left = MAX_BUNDLE_BYTES
@@ -65,7 +65,7 @@ def pack_files(paths: Iterable[Path]) -> FileBundle:
         content = read_size_limited(path, MAX_BUNDLE_BYTES)
         left -= len(content)
         if left < 0:
-            raise TaskRefused(
+            raise TaskRejected(
                 f"the files that the scenes read are more than {MAX_BUNDLE_BYTES >> 20} MiB, which is the limit for a transfer"
             )
         files[_make_relative_path(path)] = content

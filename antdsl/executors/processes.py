@@ -69,9 +69,9 @@ class ProcessEngine(Engine):
         self._pool.shutdown(wait=False, cancel_futures=True)
         for process in self._own_processes:
             process.terminate()
-        until = time.monotonic() + _EXIT_WAIT_SECONDS
+        deadline = time.monotonic() + _EXIT_WAIT_SECONDS
         for process in self._own_processes:
-            process.join(max(0.0, until - time.monotonic()))
+            process.join(max(0.0, deadline - time.monotonic()))
             if process.is_alive():
                 process.kill()
                 process.join()

@@ -25,7 +25,7 @@ _MAX_TASK_ATTEMPTS = 3  # maximum number of attempts of a task with files that c
 TaskAnswer = dict[str, Any]
 
 
-class TaskRefused(Exception):
+class TaskRejected(Exception):
     """Error for a task that cannot be carried out. The message is for the requester. The task does not run again."""
 
 
@@ -119,7 +119,7 @@ class Engine(ABC):
 
     def describe_failure(self, exception: BaseException) -> str:
         """Return the message for a task that ended with an exception. Raises the exception if it is an error of antdsl itself."""
-        if isinstance(exception, TaskRefused | MemoryError | OSError):
+        if isinstance(exception, TaskRejected | MemoryError | OSError):
             return str(exception) or "out of memory"
         raise exception
 
@@ -149,17 +149,17 @@ def run_tasks(
     If a process is lost, the cause is unknown, so all running tasks run again, one by one. A task that breaks the engine while it
     runs alone is given up. Raises WorkersLost if the engine cannot start again.
     """
-    waiting, suspects, lost = iter(tasks), deque[Task](), deque[Task]()
+    waiting, suspects, lost_tasks = iter(tasks), deque[Task](), deque[Task]()
     running: dict[Future[str], Task] = {}
     attempts: dict[str, int] = {}
-    alone = False
+    runs_alone = False
     try:
         engine.start()
         while True:
             if not running:
-                alone = bool(suspects)  # stays set until that task has ended
-            while len(running) < (1 if alone else engine.task_capacity):
-                task = suspects.popleft() if alone else lost.popleft() if lost else next(waiting, None)
+                runs_alone = bool(suspects)  # stays set until that task has ended
+            while len(running) < (1 if runs_alone else engine.task_capacity):
+                task = suspects.popleft() if runs_alone else lost_tasks.popleft() if lost_tasks else next(waiting, None)
                 if task is None:
                     break
                 running[engine.submit(task)] = task
@@ -183,19 +183,19 @@ def run_tasks(
             for future in finished_futures:
                 task = running.pop(future)
                 if future.cancelled():
-                    lost.append(task)
+                    lost_tasks.append(task)
                 elif _is_broken(future):
                     broken_tasks.append(task)
                 elif (outcome := _fetch_outcome(task, future, engine, choose_folder, attempts)) is None:
-                    lost.append(task)
+                    lost_tasks.append(task)
                 else:
                     yield outcome
             if is_broken:
-                why = engine.describe_break()
+                reason = engine.describe_break()
                 engine.stop()
                 engine.start()
-                if alone:
-                    yield TaskOutcome(broken_tasks[0], None, why)
+                if runs_alone:
+                    yield TaskOutcome(broken_tasks[0], None, reason)
                 else:
                     suspects.extend(broken_tasks)
     finally:
@@ -217,9 +217,9 @@ def _fetch_outcome(
 ) -> TaskOutcome | None:
     """Return the outcome of a task that has ended, after its files were fetched. Return None if the files are lost and the task
     is tried again. `attempts`: the numbers of failed fetches, by the keys of tasks."""
-    why = future.exception()
-    if why is not None:
-        return TaskOutcome(task, None, engine.describe_failure(why))
+    exception = future.exception()
+    if exception is not None:
+        return TaskOutcome(task, None, engine.describe_failure(exception))
     document = json.loads(future.result())
     answer, notes = document["answer"], tuple(document["notes"])
     try:
@@ -228,8 +228,8 @@ def _fetch_outcome(
     except WorkersLost as lost:
         attempts[task.key] = attempts.get(task.key, 0) + 1
         return None if attempts[task.key] < _MAX_TASK_ATTEMPTS else TaskOutcome(task, None, str(lost), notes)
-    except (OSError, TaskRefused) as refused:
-        return TaskOutcome(task, None, str(refused), notes)
+    except (OSError, TaskRejected) as error:
+        return TaskOutcome(task, None, str(error), notes)
     return TaskOutcome(task, answer, notes=notes)
 
 
@@ -239,7 +239,7 @@ def _fetch_files(answer: TaskAnswer, engine: Engine, folder: Path) -> None:
     for name, size, digest in answer["files"]:
         path, left = (root / name).resolve(), left - size
         if not path.is_relative_to(root) or left < 0:
-            raise TaskRefused(f"a worker made `{name}` of {size:,} bytes, which does not fit in `{folder}`")
+            raise TaskRejected(f"a worker made `{name}` of {size:,} bytes, which does not fit in `{folder}`")
         create_folder_durably(path.parent)
         hashed = hashlib.blake2b(digest_size=16)
         with atomic_file(path) as file:
@@ -256,12 +256,12 @@ def run_task(
 ) -> str:
     """Run a task in the current process. `document_text`: its argument as JSON. Returns its answer as JSON. `send_frame`: is
     called from time to time with the current frame."""
-    said = time.monotonic()
+    last_report = time.monotonic()
 
     def report_frame(frame: int) -> None:
-        nonlocal said
-        if time.monotonic() - said > POLL_SECONDS:
-            said = time.monotonic()
+        nonlocal last_report
+        if time.monotonic() - last_report > POLL_SECONDS:
+            last_report = time.monotonic()
             send_frame(frame)
 
     worker.report_frame = report_frame
@@ -269,17 +269,17 @@ def run_task(
     answer = work(json.loads(document_text), worker)
     document_text = json.dumps({"answer": answer, "notes": worker.notes})
     if len(document_text) > MAX_TASK_ANSWER_BYTES:
-        raise TaskRefused(f"its result has {len(document_text):,} bytes, and more than {MAX_TASK_ANSWER_BYTES:,} are not sent")
+        raise TaskRejected(f"its result has {len(document_text):,} bytes, and more than {MAX_TASK_ANSWER_BYTES:,} are not sent")
     return document_text
 
 
 @contextmanager
 def convert_to_refusal(*kinds: type[Exception]) -> Iterator[None]:
-    """Raise TaskRefused in place of exceptions of these kinds, with the same message."""
+    """Raise TaskRejected in place of exceptions of these kinds, with the same message."""
     try:
         yield
-    except kinds as why:
-        raise TaskRefused(str(why)) from None
+    except kinds as error:
+        raise TaskRejected(str(error)) from None
 
 
 def hash_document(document: Mapping[str, Any]) -> str:

@@ -6,7 +6,7 @@ from antdsl.explain.queries import explain, make_absence_error
 from antdsl.explain.replaying import Replay
 from antdsl.explain.state_timeline import merge_state_frames
 from antdsl.explain.step_report import LocatedExplanation, explain_agents, explain_agents_with_positions
-from antdsl.explain.text_report import tell
+from antdsl.explain.text_report import format_explanation
 
 __all__ = [
     "CacheHistory",
@@ -19,8 +19,8 @@ __all__ = [
     "explain",
     "explain_agents",
     "explain_agents_with_positions",
+    "format_explanation",
     "make_absence_error",
     "merge_state_frames",
     "open_shot",
-    "tell",
 ]

@@ -82,8 +82,8 @@ class CacheHistory:
         """Do nothing: the run of a cache has no changes from outside."""
 
     def make_missing_error(self, frame: int) -> ExplainError:
-        what = "no good checkpoint" if any(point <= frame for point in self.checkpoint_frames()) else "no checkpoint"
-        words = f"`{self.cache.folder}` has {what} up to frame {frame}"
+        missing = "no good checkpoint" if any(point <= frame for point in self.checkpoint_frames()) else "no checkpoint"
+        words = f"`{self.cache.folder}` has {missing} up to frame {frame}"
         return ExplainError(words, "run the scene again: each run writes checkpoints")
 
     def make_difference_error(self, frame: int) -> ExplainError:
@@ -121,11 +121,13 @@ def open_shot(cache: Cache, scene: Path | None = None, grants: Mapping[str, Path
         other = "" if scene is not None else f"if `{path}` is not its scene, name the right one: `--scene FILE`"
         raise ExplainError(f"`{path}` has errors", other, report=report)
     try:
-        now = {**shot.inputs, **hash_start_frame(shot)}
-    except StartError as why:
-        raise ExplainError(str(why), report=why.report) from None
-    then = manifest.inputs
-    different = sorted(name for name in {**then, **now} if then.get(name) != now.get(name))
+        current_inputs = {**shot.inputs, **hash_start_frame(shot)}
+    except StartError as error:
+        raise ExplainError(str(error), report=error.report) from None
+    recorded_inputs = manifest.inputs
+    different = sorted(
+        name for name in {**recorded_inputs, **current_inputs} if recorded_inputs.get(name) != current_inputs.get(name)
+    )
     if different:
         names = ", ".join(f"`{name}`" for name in different[:5])
         other = "" if scene is not None else f"; if `{path}` is not its scene, name the right one: `--scene FILE`"
@@ -144,6 +146,6 @@ def _find_scene(cache: Cache) -> Path:
     for path in (*([then] if then is not None else []), *near):
         if path.is_file():
             return path
-    was = f", nor at its previous location: `{cache.manifest.scene_path}`" if then is not None else ""
-    words = f"the scene `{name}` of `{cache.folder}` is not near it{was}"
+    previous_location = f", nor at its previous location: `{cache.manifest.scene_path}`" if then is not None else ""
+    words = f"the scene `{name}` of `{cache.folder}` is not near it{previous_location}"
     raise ExplainError(words, "name it: `--scene FILE`", usage=True)

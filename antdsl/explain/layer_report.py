@@ -25,16 +25,16 @@ def build_layer_reports(world: World, mode: str, notes: SourceNotes, trace: Agen
 def _build_layer_report(world: World, mode: str, note: LayerNote, trace: AgentTrace) -> LayerReport:
     """Return the report on one layer."""
     where, left = locate_span(note.layer.span, note.layer.text), float(trace.values.get(note.budget_left, 0.0))
-    nothing = (0.0, 0.0, 0.0)
+    no_push = (0.0, 0.0, 0.0)
     if not trace.values.get(note.has_budget, False):
-        return LayerReport(where, "no strength", None, left, None, 0.0, nothing, 0.0, 0.0)
+        return LayerReport(where, "no strength", None, left, None, 0.0, no_push, 0.0, 0.0)
     condition = build_condition_part(world, note.condition, trace.values)
     if not trace.values.get(note.holds, False):
-        return LayerReport(where, "off", condition, left, None, 0.0, nothing, 0.0, 0.0)
+        return LayerReport(where, "off", condition, left, None, 0.0, no_push, 0.0, 0.0)
     push = np.array([trace.values[node] for node in note.push], _F32)
     size = compute_length(push)
     granted_push = _grant_push(mode, push, size, _F32(left))
-    had = float(compute_length(granted_push))
+    granted_strength = float(compute_length(granted_push))
     state = "pushed" if size > 0 else "nothing"
     return LayerReport(
         where,
@@ -44,8 +44,8 @@ def _build_layer_report(world: World, mode: str, note: LayerNote, trace: AgentTr
         to_float_triple(push),
         float(size),
         to_float_triple(granted_push),
-        had,
-        max(float(size) - had, 0.0),
+        granted_strength,
+        max(float(size) - granted_strength, 0.0),
     )
 
 
@@ -54,8 +54,8 @@ def _grant_push(mode: str, push: PushVector, size: np.float32, budget: np.float3
     takes all."""
     if mode == "sum":
         return push
-    most = budget if mode == "budget" else _F32(1)
-    return push * (most / size if size > most else _F32(1))
+    limit = budget if mode == "budget" else _F32(1)
+    return push * (limit / size if size > limit else _F32(1))
 
 
 def compute_length(push: PushVector) -> np.float32:

@@ -21,18 +21,22 @@ def build_machine_step(
     """Return the report on one machine of an agent. `world`: the world at the start of the step."""
     old_state = int(trace.start[f"{machine.name}.state"])
     new_state = int(trace.now[f"{machine.name}.state"])
-    mine = [n for n in notes.changes if n.machine == machine.name and n.state.index == old_state]
-    winner = int(trace.now[f"~{machine.name}.pending"]) if mine else 0
-    won = next((note for note in mine if note.number == winner), None)
-    claim = _build_claim_result(world, population, won, trace) if won is not None and won.transition.take is not None else None
-    changed = won is not None and (claim is None or claim.won)
-    choice = notes.choices.get(won.transition.key) if won is not None and changed else None
+    own_changes = [n for n in notes.changes if n.machine == machine.name and n.state.index == old_state]
+    winner = int(trace.now[f"~{machine.name}.pending"]) if own_changes else 0
+    winning_change = next((note for note in own_changes if note.number == winner), None)
+    claim = (
+        _build_claim_result(world, population, winning_change, trace)
+        if winning_change is not None and winning_change.transition.take is not None
+        else None
+    )
+    changed = winning_change is not None and (claim is None or claim.won)
+    choice = notes.choices.get(winning_change.transition.key) if winning_change is not None and changed else None
     return MachineStep(
         machine.name,
         machine.states[old_state],
         machine.states[new_state],
         float(trace.start[f"{machine.name}.time_in_state"]),
-        tuple(_build_transition_report(world, machine, note, winner, trace) for note in mine),
+        tuple(_build_transition_report(world, machine, note, winner, trace) for note in own_changes),
         changed,
         claim,
         None if choice is None else _build_choice_result(machine, choice, trace, new_state),

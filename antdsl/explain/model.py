@@ -101,7 +101,7 @@ class MachineStep:
 
 @dataclass(frozen=True, slots=True)
 class LayerReport:
-    """A layer's wish. `left`: strength left before it; `length` of its `push`; `given`: the part it received, `share` of the
+    """A layer's wish. `left`: strength left before it; `length` of its `push`; `given`: the part that it received, `share` of the
     whole budget, `cut` of its length. `state`: pushed, nothing (its push was zero), off (its condition is false), no strength."""
 
     place: SourceLocation
@@ -189,7 +189,7 @@ class StateInterval:
 @dataclass(frozen=True, slots=True)
 class Explanation:
     """The report on one agent in the step to `frame`. `push` has no unit and a length of at most 1; velocities are mm/s,
-    `acceleration` mm/s². `hash`: of the complete state at `frame`, equal to the cache's. `state_timeline`: each machine's states
+    `acceleration` mm/s². `hash`: of the complete state at `frame`, equal to the cache's. `strip`: each machine's states
     in order of time; a cache stores only the states of the first machine."""
 
     scene: str

@@ -47,14 +47,16 @@ def _require_species(cache: Cache, requested_species: str | None) -> str:
     names = [entry.name for entry in cache.manifest.species]
     if requested_species in names:
         return str(requested_species)
-    listed = ", ".join(f"`{name}`" for name in names)
+    species_list = ", ".join(f"`{name}`" for name in names)
     if requested_species is None:
         if len(names) == 1:
             return names[0]
-        raise ExplainError(f"`{cache.folder}` has more than one species", f"name one with `--species`: {listed}", usage=True)
+        raise ExplainError(
+            f"`{cache.folder}` has more than one species", f"name one with `--species`: {species_list}", usage=True
+        )
     near = find_nearest_name(requested_species, names)
     words = f"no species `{requested_species}`"
-    raise ExplainError(words, f"did you mean `{near}`?" if near else f"the species are: {listed}", usage=True)
+    raise ExplainError(words, f"did you mean `{near}`?" if near else f"the species are: {species_list}", usage=True)
 
 
 def _require_frame(cache: Cache, frame: int) -> None:
@@ -83,11 +85,11 @@ def _require_alive(
     if lifetime is None:
         raise ExplainError(f"no {species} {agent}", _describe_agents(cache, species, agent, frame), usage=True)
     if not any(s.first <= frame - 1 <= s.last for s in state_intervals):
-        when = f"{species} {agent} exists from frame {lifetime[0]} to {lifetime[1]}"
+        lifetime_text = f"{species} {agent} exists from frame {lifetime[0]} to {lifetime[1]}"
         if frame <= lifetime[0]:
             words = f"{species} {agent} had not decided anything by frame {frame}"
-            raise ExplainError(words, f"{when}: its first step leads to {lifetime[0] + 1}", usage=True)
-        raise ExplainError(f"{species} {agent} does not exist at frame {frame}", when, usage=True)
+            raise ExplainError(words, f"{lifetime_text}: its first step leads to {lifetime[0] + 1}", usage=True)
+        raise ExplainError(f"{species} {agent} does not exist at frame {frame}", lifetime_text, usage=True)
 
 
 def _describe_agents(cache: Cache, species: str, agent: int, frame: int) -> str:

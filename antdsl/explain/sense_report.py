@@ -25,21 +25,21 @@ def list_observed_sets(world: World, trace: AgentTrace) -> tuple[ObservedSet, ..
     sets_by_key: dict[tuple[str, tuple[int, ...]], ObservedSet] = {}
     for node, members in trace.set_members.items():
         nearest = sorted(members, key=lambda m: (float(m[4]), m[0]))
-        of = str(node.attrs[0])
-        key = (of, tuple(m[0] for m in nearest))
+        set_name = str(node.attrs[0])
+        key = (set_name, tuple(m[0] for m in nearest))
         if key not in sets_by_key:
             near = tuple(_build_nearby_object(world, node, member) for member in nearest[:MAX_LISTED_OBJECTS])
-            sets_by_key[key] = ObservedSet(_find_node_text(node), of, len(members), near)
+            sets_by_key[key] = ObservedSet(_find_node_text(node), set_name, len(members), near)
     return tuple(sets_by_key.values())
 
 
 def _build_nearby_object(world: World, node: PlanNode, member: SetMember) -> NearbyObject:
-    row, distance, of = member[0], float(member[4]), str(node.attrs[0])
+    row, distance, set_name = member[0], float(member[4]), str(node.attrs[0])
     if node.op == "set.items":
-        items = world.items[of]
+        items = world.items[set_name]
         amounts = ", ".join(f"{name} {float(items.visible_values[name][row]):.4g}" for name in items.amounts)
         return NearbyObject(items.names[row], distance, amounts)
-    population = world.populations[of]
+    population = world.populations[set_name]
     machines = population.plan.machines
     state = machines[0].states[int(population.start[f"{machines[0].name}.state"][row])] if machines else ""
     return NearbyObject(str(int(population.ids[row])), distance, state)
@@ -64,9 +64,9 @@ def _build_sense_readings(node: PlanNode, value: Any) -> Iterator[SenseReading]:
     row = SENSE_BY_OPERATION[node.op]
     if row.is_untraced or (row.results[0].kind == "l" and value[0] == NO_AGENT):
         return
-    kind, _, what = node.op.partition(".")
+    kind, _, operation = node.op.partition(".")
     values = tuple(bool(v) if isinstance(v, np.bool_) else float(v) for v in (value if isinstance(value, tuple) else (value,)))
-    label, name = (f"{kind} {what}".strip(), str(node.attrs[0])) if row.of else ("sense", node.op)
+    label, name = (f"{kind} {operation}".strip(), str(node.attrs[0])) if row.of else ("sense", node.op)
     yield SenseReading(label, name, _find_node_text(node), _describe_sense(row, values), values)
 
 

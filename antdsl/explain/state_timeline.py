@@ -19,8 +19,8 @@ def read_state_timeline(cache: Cache, species: str, agent: int) -> tuple[tuple[S
     number = names.index(species)
     machine = next(iter(cache.manifest.species[number].machines), None)
     states = [state.name for state in machine.states] if machine is not None else []
-    known = ((frame, _find_state(cache, frame, number, agent)) for frame in cache.frames())
-    frame_states = ((frame, _find_state_name(states, state)) for frame, state in known if state is not None)
+    numbers_by_frame = ((frame, _find_state(cache, frame, number, agent)) for frame in cache.frames())
+    frame_states = ((frame, _find_state_name(states, state)) for frame, state in numbers_by_frame if state is not None)
     parts = merge_state_frames("" if machine is None else machine.name, frame_states)
     return parts, (parts[0].first, parts[-1].last) if parts else None
 
@@ -45,10 +45,10 @@ def _find_state(cache: Cache, frame: int, species: int, agent: int) -> int | Non
     arrays = cache.frame(frame, _FRAME_ARRAYS)
     if "id" not in arrays:
         return None
-    mine = arrays["id"] == agent
+    is_agent = arrays["id"] == agent
     if "species" in arrays:
-        mine &= arrays["species"] == species
-    rows = mine.nonzero()[0]
+        is_agent &= arrays["species"] == species
+    rows = is_agent.nonzero()[0]
     if not len(rows):
         return None
     return int(arrays["state"][rows[0]]) if "state" in arrays else -1

@@ -70,7 +70,11 @@ def _find_changed_registers(
 
 def _find_pair_values(registers: Mapping[str, Any], slots: list[tuple[str, str]]) -> dict[int, Any]:
     """Return an agent's values per pair, by the other agent's id."""
-    return {int(registers[who]): registers[held] for who, held in slots if registers[who] >= 0}
+    return {
+        int(registers[id_register]): registers[value_register]
+        for id_register, value_register in slots
+        if registers[id_register] >= 0
+    }
 
 
 def _describe_value(world: World, value: Any, type: ValueType, unit: str) -> tuple[PlainValue, str]:

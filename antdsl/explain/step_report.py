@@ -61,14 +61,14 @@ def explain_agents_with_positions(
 
 def _find_positions(trace: AgentTrace) -> tuple[FloatTriple, tuple[FloatTriple, ...]]:
     """Return the position of the agent at the start of the step, and those of the agents that it looked at, each once."""
-    own = to_float_triple(trace.start[f"position.{axis}"] for axis in AXES)
+    position = to_float_triple(trace.start[f"position.{axis}"] for axis in AXES)
     near = [
         member
         for members in trace.set_members.values()
         for member in sorted(members, key=lambda m: float(m[4]))[:MAX_NEIGHBOUR_POSITIONS]
     ]
-    positions = (to_float_triple(own[k] + float(member[1 + k]) for k in range(3)) for member in near)
-    return own, tuple(dict.fromkeys(positions))
+    positions = (to_float_triple(position[k] + float(member[1 + k]) for k in range(3)) for member in near)
+    return position, tuple(dict.fromkeys(positions))
 
 
 def _has_collided(handler: Handler, trace: AgentTrace) -> bool:

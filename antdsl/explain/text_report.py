@@ -25,7 +25,7 @@ _MAX_INTERVALS = 12  # maximum number of intervals; for a long life, those aroun
 _MAX_DRAWS = 40
 
 
-def tell(explanation: Explanation) -> str:
+def format_explanation(explanation: Explanation) -> str:
     """Return the complete explanation as lines of text."""
     return "\n".join(_report_lines(explanation)) + "\n"
 
@@ -37,8 +37,10 @@ def _report_lines(explanation: Explanation) -> Iterator[str]:
         yield ""
         yield "its states"
         for name in dict.fromkeys(each.machine for each in explanation.strip):
-            mine = tuple(each for each in explanation.strip if each.machine == name)
-            yield from _timeline_lines(mine, explanation.frame, f"{name}: " if len(mine) < len(explanation.strip) else "")
+            machine_intervals = tuple(each for each in explanation.strip if each.machine == name)
+            yield from _timeline_lines(
+                machine_intervals, explanation.frame, f"{name}: " if len(machine_intervals) < len(explanation.strip) else ""
+            )
     for machine in explanation.machines:
         yield ""
         yield from _machine_lines(machine)
@@ -59,14 +61,14 @@ def _format_place(place: SourceLocation) -> str:
 
 def _timeline_lines(timeline: tuple[StateInterval, ...], frame: int, name: str) -> Iterator[str]:
     """Yield the states over frames, with the state of this frame in brackets."""
-    at = next((k for k, s in enumerate(timeline) if s.first <= frame <= s.last), len(timeline) - 1)
-    first = max(0, min(at - _MAX_INTERVALS // 2, len(timeline) - _MAX_INTERVALS))
+    current = next((k for k, s in enumerate(timeline) if s.first <= frame <= s.last), len(timeline) - 1)
+    first = max(0, min(current - _MAX_INTERVALS // 2, len(timeline) - _MAX_INTERVALS))
     part = timeline[first : first + _MAX_INTERVALS]
     words = []
     for k, stretch in enumerate(part, first):
         state = stretch.state or "alive"
         frames = f"{stretch.first}..{stretch.last}" if stretch.first != stretch.last else f"{stretch.first}"
-        words.append(f"[{state} {frames}]" if k == at else f"{state} {frames}")
+        words.append(f"[{state} {frames}]" if k == current else f"{state} {frames}")
     prefix, suffix = "… > " if first else "", " > …" if first + _MAX_INTERVALS < len(timeline) else ""
     yield f"  {name}{prefix}{' > '.join(words)}{suffix}"
     gaps = [f"{a.last + 1}..{b.first - 1}" for a, b in pairwise(part) if b.first > a.last + 1]
@@ -86,14 +88,14 @@ def _machine_lines(machine_step: MachineStep) -> Iterator[str]:
     if not machine_step.looked:
         yield "  no transition leaves it"
     hidden = False
-    for looked in machine_step.looked:
-        yield from _transition_lines(looked, hidden)
-        hidden = hidden or looked.wins
+    for transition in machine_step.looked:
+        yield from _transition_lines(transition, hidden)
+        hidden = hidden or transition.wins
     if machine_step.claim is not None:
         verdict = "won" if machine_step.claim.won else "lost: other agents came first, or too little was left"
         much = "all" if machine_step.claim.amount is None else f"{machine_step.claim.amount:.4g}"
-        what = " ".join(word for word in (much, machine_step.claim.attribute, "of", machine_step.claim.item) if word)
-        yield f"  requested {what} (turn {machine_step.claim.draw:.4f}): {verdict}"
+        claim_text = " ".join(word for word in (much, machine_step.claim.attribute, "of", machine_step.claim.item) if word)
+        yield f"  requested {claim_text} (turn {machine_step.claim.draw:.4f}): {verdict}"
     if machine_step.choice is not None:
         bars = ", ".join(f"{name} up to {bar:.4g}" for name, bar in machine_step.choice.bars)
         yield f"  drew {machine_step.choice.draw:.4f} among {bars}: {machine_step.choice.chosen}"
@@ -158,11 +160,11 @@ def _push_lines(explanation: Explanation) -> Iterator[str]:
 
 def _format_strength_bar(layer: LayerReport) -> str:
     """Return a bar of a layer's share of the whole strength, after the share spent before it."""
-    had = round(min(layer.share, 1.0) * _BAR_CHARACTERS)
+    granted = round(min(layer.share, 1.0) * _BAR_CHARACTERS)
     if layer.share > 0:
-        had = max(had, 1)
-    spent = min(round((1 - min(layer.left, 1.0)) * _BAR_CHARACTERS), _BAR_CHARACTERS - had)
-    return f"[{'.' * spent}{'#' * had}{' ' * (_BAR_CHARACTERS - spent - had)}]"
+        granted = max(granted, 1)
+    spent = min(round((1 - min(layer.left, 1.0)) * _BAR_CHARACTERS), _BAR_CHARACTERS - granted)
+    return f"[{'.' * spent}{'#' * granted}{' ' * (_BAR_CHARACTERS - spent - granted)}]"
 
 
 def _format_layer_line(layer: LayerReport) -> str:

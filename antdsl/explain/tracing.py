@@ -104,11 +104,11 @@ class TracedAgent(AgentRun):
 
     def _record_values(self, nodes: list[ir.PlanNode]) -> None:
         for node in nodes:
-            now = self.replacement_by_node[node]
-            if now in self.values:
-                self.trace.values[node] = self.values[now]
-            elif now.rate <= ir.UpdateRate.STEP:
-                self.trace.values[node] = self.value(now)
+            current_node = self.replacement_by_node[node]
+            if current_node in self.values:
+                self.trace.values[node] = self.values[current_node]
+            elif current_node.rate <= ir.UpdateRate.STEP:
+                self.trace.values[node] = self.value(current_node)
 
 
 def trace_agent(
@@ -143,8 +143,8 @@ def list_part_nodes(note: PartNote | None) -> list[ir.PlanNode]:
 def list_change_nodes(note: ChangeNote) -> list[ir.PlanNode]:
     """Return all nodes of a noted transition."""
     timers = [node for timer in note.timers for node in (timer.elapsed, timer.required, timer.holds)]
-    own = [note.fires] if note.holds is None else [note.fires, note.holds]
-    return [*own, *timers, *list_part_nodes(note.condition), *list_part_nodes(note.take)]
+    condition_nodes = [note.fires] if note.holds is None else [note.fires, note.holds]
+    return [*condition_nodes, *timers, *list_part_nodes(note.condition), *list_part_nodes(note.take)]
 
 
 def list_layer_nodes(note: LayerNote) -> list[ir.PlanNode]:

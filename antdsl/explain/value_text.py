@@ -76,11 +76,11 @@ def to_plain_value(world: World, raw: Any, type: ValueType, unit: str) -> PlainV
 
 def convert_to_unit(world: World, raw: Any, unit: str) -> float:
     """Convert a number in base units to a unit."""
-    known = find_unit_measure(unit) if unit else None
+    measure = find_unit_measure(unit) if unit else None
     return (
         float(raw)
-        if known is None
-        else float(raw) / (known.factor * world.setting.unit_mm**known.unit_power * world.dt**known.step)
+        if measure is None
+        else float(raw) / (measure.factor * world.setting.unit_mm**measure.unit_power * world.dt**measure.step)
     )
 
 

@@ -66,13 +66,13 @@ def locate_cells(
     `previous_keys` [n]: key of each point at the previous call, -1 outside the box; updated.
     `previous_cells` [n]: cell of each point at the previous call; updated."""
     cell, box, size, direct, keys, shift, start = index
-    listed = direct.size > 0
-    point_keys, moved, others = (
+    has_direct_table = direct.size > 0
+    point_keys, is_changed, others = (
         allocate_scratch(_PREFETCH_GROUP_SIZE, I64),
         allocate_scratch(_PREFETCH_GROUP_SIZE, I64),
         allocate_scratch(_PREFETCH_GROUP_SIZE, I64),
     )
-    missed = 0
+    missing_count = 0
     for low in range(begin, end, _PREFETCH_GROUP_SIZE):
         high = min(low + _PREFETCH_GROUP_SIZE, end)
         for n in simd_range(low, high):
@@ -83,26 +83,26 @@ def locate_cells(
             if x >= 0 and y >= 0 and z >= 0:
                 key = ((x * size[1] + y) * size[2] + z) * 6 + side[n]
             point_keys[n - low] = key
-            moved[n - low] = 1 if key != previous_keys[n] or previous_cells[n] < 0 else 0
+            is_changed[n - low] = 1 if key != previous_keys[n] or previous_cells[n] < 0 else 0
         count = 0
         for n in range(low, high):
             others[count] = n
-            count += moved[n - low]
+            count += is_changed[n - low]
         for k in range(count):
             key = max(point_keys[others[k] - low], 0)
-            if listed:
+            if has_direct_table:
                 prefetch(direct, key)
             else:
                 prefetch(start, key >> shift)
-        if not listed:
+        if not has_direct_table:
             for k in range(count):
                 prefetch(keys, start[max(point_keys[others[k] - low], 0) >> shift])
         for k in range(count):
             n = others[k]
             key = point_keys[n - low]
             previous_keys[n] = key
-            previous_cells[n] = _find_cell(direct, listed, keys, shift, start, key) if key >= 0 else -1
-            missed += 1 if previous_cells[n] < 0 else 0
+            previous_cells[n] = _find_cell(direct, has_direct_table, keys, shift, start, key) if key >= 0 else -1
+            missing_count += 1 if previous_cells[n] < 0 else 0
         for n in simd_range(low, high):
             cells[n] = previous_cells[n]
-    return missed
+    return missing_count

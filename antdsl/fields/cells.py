@@ -60,23 +60,23 @@ class SurfaceCells:
         self.cell = float(cell)
         arrays = [np.asarray(v, np.float64).reshape(-1, 3)[np.asarray(f, np.int64).reshape(-1, 3)] for v, f in surfaces]
         corners = np.concatenate(arrays) if arrays else np.empty((0, 3, 3))
-        across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        area = np.sqrt((across * across).sum(axis=1))
-        corners, across, area = (a[area > 0] for a in (corners, across, area))
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        area = np.sqrt((normals * normals).sum(axis=1))
+        corners, normals, area = (a[area > 0] for a in (corners, normals, area))
         needed = float(area.sum() / 2 / self.cell**2)
         extent = corners.max(axis=(0, 1)) - corners.min(axis=(0, 1)) if len(corners) else np.zeros(3)
         if needed > cap:
             raise FieldTooFine(int(needed), cap)
-        along = float(extent.max()) / self.cell
-        if along > _MAX_VOXELS_PER_AXIS:
-            raise FieldTooFine(int(along), _MAX_VOXELS_PER_AXIS, is_axis_limit=True)
-        touched = float((corners.max(axis=1) - corners.min(axis=1)).max(axis=1).sum()) / self.cell
-        if touched > _MAX_SLIVER_CELL_RATIO * cap:
-            raise FieldTooFine(int(touched), cap)
+        voxels_along_axis = float(extent.max()) / self.cell
+        if voxels_along_axis > _MAX_VOXELS_PER_AXIS:
+            raise FieldTooFine(int(voxels_along_axis), _MAX_VOXELS_PER_AXIS, is_axis_limit=True)
+        touched_count = float((corners.max(axis=1) - corners.min(axis=1)).max(axis=1).sum()) / self.cell
+        if touched_count > _MAX_SLIVER_CELL_RATIO * cap:
+            raise FieldTooFine(int(touched_count), cap)
         scaled = corners / self.cell + 0.5
         self._low = np.floor(scaled.min(axis=(0, 1))).astype(np.int64) if len(corners) else np.zeros(3, np.int64)
         self._size = np.floor(scaled.max(axis=(0, 1))).astype(np.int64) - self._low + 1 if len(corners) else np.ones(3, np.int64)
-        normal = across / np.maximum(area, 1e-300)[:, None]
+        normal = normals / np.maximum(area, 1e-300)[:, None]
         work = partial(self._build_cell_tables, corners, scaled, normal, cap)
         tables = stored_tables.get_or_compute("surface cells", len(corners), (corners, self.cell), work)
         if len(tables["keys"]) > cap:
@@ -137,13 +137,13 @@ class SurfaceCells:
     def _find_cell_ranges(self, voxel: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Return the first cell and the number of cells of voxels [n,3], relative to the box's corner. Voxels outside the box
         have 0 cells."""
-        within = ((voxel >= 0) & (voxel < self._size)).all(axis=1)
-        flat = np.where(within, (voxel[:, 0] * self._size[1] + voxel[:, 1]) * self._size[2] + voxel[:, 2], 0)
+        is_in_box = ((voxel >= 0) & (voxel < self._size)).all(axis=1)
+        flat = np.where(is_in_box, (voxel[:, 0] * self._size[1] + voxel[:, 1]) * self._size[2] + voxel[:, 2], 0)
         if self._start_table is not None:
             first, last = (self._start_table.take(v).astype(np.int64) for v in (flat, flat + 1))
         else:
             first, last = (self._voxel_numbers.searchsorted(v).astype(np.int64) for v in (flat, flat + 1))
-        return first, np.where(within, last - first, 0)
+        return first, np.where(is_in_box, last - first, 0)
 
     def _iterate_voxel_cells(self, voxel: NDArray[np.int64]) -> Iterator[tuple[NDArray[np.int64], NDArray[np.bool_]]]:
         """Yield pairs of arrays for voxels [n,3]: the k-th cell of each voxel, and whether the voxel has a k-th cell."""
@@ -167,52 +167,52 @@ class SurfaceCells:
         points: Floats,
         side: NDArray[np.int8],
         previous_cells: CellLookupState | None,
-        out: Cells | None = None,
+        result: Cells | None = None,
         threads: int = 1,
     ) -> tuple[Cells, CellLookupState | None]:
         """Return cells as `find_cells_by_side` does, and the state for the next call (None if keys are unordered).
-        Only points with a changed voxel or side are searched. `out`: int32[n] for the result.
+        Only points with a changed voxel or side are searched. `result`: int32[n] for the result.
         `previous_cells`: the state that the previous call returned for the same number of points."""
         points = np.asarray(points, np.float64).reshape(-1, 3)
-        cell = np.empty(len(points), np.int32) if out is None or len(out) != len(points) else out
+        cell = np.empty(len(points), np.int32) if result is None or len(result) != len(points) else result
         if not len(self):
             cell.fill(-1)
             return cell, None
-        known = None
+        state = None
         if self._has_kernel_lookup:
-            missing, known = self._locate_cells(points, side, previous_cells, cell, threads)
+            missing, state = self._locate_cells(points, side, previous_cells, cell, threads)
         else:
             missing = self._search_cells(points, side, cell)
         if missing:
-            missed = np.flatnonzero(cell < 0)
-            missed = missed[np.isfinite(points[missed]).all(axis=1)]
-            bounded = np.clip(points[missed] / self.cell + 0.5, -1e15, 1e15)
+            missing_points = np.flatnonzero(cell < 0)
+            missing_points = missing_points[np.isfinite(points[missing_points]).all(axis=1)]
+            bounded = np.clip(points[missing_points] / self.cell + 0.5, -1e15, 1e15)
             voxel = np.floor(bounded).astype(np.int64) - self._low
-            cell[missed] = self._find_nearby_cells(points[missed], voxel, side[missed].astype(np.int64))
-        return cell, known
+            cell[missing_points] = self._find_nearby_cells(points[missing_points], voxel, side[missing_points].astype(np.int64))
+        return cell, state
 
     def _locate_cells(
         self, points: Floats, side: NDArray[np.int8], previous_cells: CellLookupState | None, cell: Cells, threads: int
     ) -> tuple[int, CellLookupState]:
         """Write the cell of each point's voxel and side, -1 for none. Return the number of points without a cell, and the
         state for the next call."""
-        known = previous_cells
-        if known is None or known.of is not self or len(known.keys) != len(points):
-            known = CellLookupState(self, np.full(len(points), -1), np.full(len(points), -1, np.int32))
+        state = previous_cells
+        if state is None or state.of is not self or len(state.keys) != len(points):
+            state = CellLookupState(self, np.full(len(points), -1), np.full(len(points), -1, np.int32))
         index, direct = (self._block_index, NO_CELLS) if self._direct_table is None else (NO_INDEX, self._direct_table)
         keys = CellIndex(self.cell, self._low, self._size, direct, self._keys, index.shift, index.start)
-        along = tuple(np.ascontiguousarray(points[:, axis]) for axis in range(3))
-        work = partial(locate_cells, along, side, keys, known.keys, known.cells, cell)
-        return sum(parallel.run_in_parts(work, len(points), threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD)), known
+        columns = tuple(np.ascontiguousarray(points[:, axis]) for axis in range(3))
+        work = partial(locate_cells, columns, side, keys, state.keys, state.cells, cell)
+        return sum(parallel.run_in_parts(work, len(points), threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD)), state
 
     def _search_cells(self, points: Floats, side: NDArray[np.int8], cell: Cells) -> int:
         """Write the cell of each point's voxel and side, for unordered keys; return how many points have no cell."""
         key = np.empty(len(points), np.int64)
-        within = np.empty(len(points), np.bool_)
+        is_in_box = np.empty(len(points), np.bool_)
         for a in range(0, len(points), _POINTS_PER_CHUNK):
             rows = slice(a, a + _POINTS_PER_CHUNK)
-            self._write_keys(points[rows], side[rows], key[rows], within[rows])
-        cell[:] = self._find_cells_by_key(key, within)
+            self._write_keys(points[rows], side[rows], key[rows], is_in_box[rows])
+        cell[:] = self._find_cells_by_key(key, is_in_box)
         return int(np.count_nonzero(cell < 0))
 
     @property
@@ -244,9 +244,9 @@ class SurfaceCells:
         for a in range(0, len(key), _POINTS_PER_CHUNK):
             rows = a + np.flatnonzero(is_in_box[a : a + _POINTS_PER_CHUNK])
             row_keys = key[rows]
-            at = self._block_index.count_smaller(self._keys, row_keys)
-            matches = np.flatnonzero(self._keys.take(np.minimum(at, len(self) - 1)) == row_keys)
-            cell[rows[matches]] = at[matches]
+            indices = self._block_index.count_smaller(self._keys, row_keys)
+            matches = np.flatnonzero(self._keys.take(np.minimum(indices, len(self) - 1)) == row_keys)
+            cell[rows[matches]] = indices[matches]
         return cell
 
     @cached_property
@@ -270,10 +270,10 @@ class SurfaceCells:
     def _find_nearby_cells(self, points: Floats, voxel: NDArray[np.int64], side: NDArray[np.int64]) -> NDArray[np.int64]:
         best, distance = np.full(len(points), -1, np.int64), np.full(len(points), np.inf)
         for offset in BLOCK_OFFSETS:
-            for at, has_cell in self._iterate_voxel_cells(voxel + np.array(offset)):
-                gap = ((self.position[at] - points) ** 2).sum(axis=1)
-                closer = has_cell & are_sides_compatible(self.get_sides(at), side) & (gap < distance)
-                best, distance = np.where(closer, at, best), np.where(closer, gap, distance)
+            for candidate, has_cell in self._iterate_voxel_cells(voxel + np.array(offset)):
+                gap = ((self.position[candidate] - points) ** 2).sum(axis=1)
+                is_closer = has_cell & are_sides_compatible(self.get_sides(candidate), side) & (gap < distance)
+                best, distance = np.where(is_closer, candidate, best), np.where(is_closer, gap, distance)
         return best
 
     def _find_neighbour_pairs(
@@ -296,10 +296,10 @@ class SurfaceCells:
             firsts.append(first)
             counts.append(np.where(is_inside, last - first, 0))
         first, count = np.stack(firsts, axis=1).ravel(), np.stack(counts, axis=1)
-        own, flat = np.repeat(np.arange(len(cells)), count.sum(axis=1)), count.ravel()
-        other = np.arange(own.size) + np.repeat(first - (np.cumsum(flat) - flat), flat)
-        compatible_pairs = np.flatnonzero(are_sides_compatible(self.get_sides(other), self.get_sides(cells).take(own)))
-        return own.take(compatible_pairs), other.take(compatible_pairs)
+        one, flat = np.repeat(np.arange(len(cells)), count.sum(axis=1)), count.ravel()
+        other = np.arange(one.size) + np.repeat(first - (np.cumsum(flat) - flat), flat)
+        compatible_pairs = np.flatnonzero(are_sides_compatible(self.get_sides(other), self.get_sides(cells).take(one)))
+        return one.take(compatible_pairs), other.take(compatible_pairs)
 
     def _count_earlier_cells(self, voxel: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return, for each voxel number in the box, how many cells lie in voxels with smaller numbers."""
@@ -323,10 +323,10 @@ class SurfaceCells:
         counts, cells = [np.zeros(1, np.int64)], [np.empty(0, np.int32)]
         for a in range(0, len(self), _POINTS_PER_CHUNK):
             chosen = np.arange(a, min(a + _POINTS_PER_CHUNK, len(self)))
-            own, other = self._find_neighbour_pairs(chosen, lambda x, y: min(steps - abs(x) - abs(y), 1))
-            is_neighbour = self._count_voxel_steps(chosen.take(own), other) == 2 if steps == 2 else other != own + a
+            one, other = self._find_neighbour_pairs(chosen, lambda x, y: min(steps - abs(x) - abs(y), 1))
+            is_neighbour = self._count_voxel_steps(chosen.take(one), other) == 2 if steps == 2 else other != one + a
             others = np.flatnonzero(is_neighbour)
-            counts.append(np.bincount(own.take(others), minlength=len(chosen)))
+            counts.append(np.bincount(one.take(others), minlength=len(chosen)))
             cells.append(other.take(others).astype(np.int32))
         return CellLinks(np.cumsum(np.concatenate(counts)), np.concatenate(cells))
 
@@ -359,27 +359,27 @@ class SurfaceCells:
         return {"nearest": self._compute_nearest_cells(np.arange(len(self)), k)}
 
     def _compute_nearest_cells(self, cells: NDArray[np.int64], k: int) -> Cells:
-        """Return the rows of `nearest` for `cells`."""
+        """Return the rows of `get_nearest_cells` for `cells`."""
         table = np.full((len(cells), k), len(self), np.int32)
         for a in range(0, len(cells), _POINTS_PER_CHUNK):
             chosen = cells[a : a + _POINTS_PER_CHUNK]
-            own, other = self._find_neighbour_pairs(chosen, lambda x, y: 1)
-            count = np.bincount(own, minlength=len(chosen))
+            cell_rows, other = self._find_neighbour_pairs(chosen, lambda x, y: 1)
+            count = np.bincount(cell_rows, minlength=len(chosen))
             crowded = np.flatnonzero(count > k)
             if crowded.size:  # most cells have no more neighbours than this
-                crowded_pairs = np.flatnonzero((count > k).take(own))
-                one, two = own.take(crowded_pairs), other.take(crowded_pairs)
+                crowded_pairs = np.flatnonzero((count > k).take(cell_rows))
+                one, two = cell_rows.take(crowded_pairs), other.take(crowded_pairs)
                 place, other_place = self.position.take(chosen.take(one), axis=0), self.position.take(two, axis=0)
                 gap = np.zeros(len(crowded_pairs))
                 for axis in range(3):
                     gap += (other_place[:, axis] - place[:, axis]) ** 2
                 order = np.lexsort((two, gap, one))
                 left = crowded_pairs[order[compute_group_ranks(count[crowded]) >= k]]
-                is_nearest = np.ones(len(own), np.bool_)
+                is_nearest = np.ones(len(cell_rows), np.bool_)
                 is_nearest[left] = False
-                own, other = own[is_nearest], other[is_nearest]
+                cell_rows, other = cell_rows[is_nearest], other[is_nearest]
                 count = np.minimum(count, k)
-            table[a + own, compute_group_ranks(count)] = other
+            table[a + cell_rows, compute_group_ranks(count)] = other
         return table
 
 

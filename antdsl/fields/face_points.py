@@ -75,8 +75,8 @@ class FaceLattice:
         u, v = u - i, v - j
         upper = (u + v > 1) & (i + j < n - 1)  # the inverted triangle
         slot = start + j * (n + 1) - j * (j - 1) // 2 + i
-        above = slot + n + 1 - j
-        slots = np.stack([np.where(upper, above + 1, slot), slot + 1, above])
+        next_row_slot = slot + n + 1 - j
+        slots = np.stack([np.where(upper, next_row_slot + 1, slot), slot + 1, next_row_slot])
         weights = np.stack([np.where(upper, u + v - 1, 1 - u - v), np.where(upper, 1 - v, u), np.where(upper, 1 - u, v)])
         return slots, weights
 
@@ -88,17 +88,17 @@ class FaceLattice:
         """Return the barycentric weights of the face's second and third corner, for each slot."""
         b1, b2 = np.empty(len(self)), np.empty(len(self))
         for n, chosen, i, j in self._group_by_cuts():
-            at = self.start[chosen][:, None] + np.arange(len(i))
-            b1[at], b2[at] = i / n, j / n
+            slots = self.start[chosen][:, None] + np.arange(len(i))
+            b1[slots], b2[slots] = i / n, j / n
         return b1, b2
 
     def compute_triangles(self) -> tuple[Index, Index]:
         """Return the small triangles as slots (t, 3), with the winding of their face, and the face of each (t,)."""
         parts, owners = [np.empty((0, 3), np.int64)], [np.empty(0, np.int64)]
         for n, chosen, i, j in self._group_by_cuts():
-            own = np.arange(len(i))
-            low = own[i + j < n]
-            high = own[i + j < n - 1]
+            slots = np.arange(len(i))
+            low = slots[i + j < n]
+            high = slots[i + j < n - 1]
             up = n + 1 - j
             standing = np.stack([low, low + 1, low + up[low]], axis=1)
             on_head = np.stack([high + 1, high + up[high] + 1, high + up[high]], axis=1)
@@ -142,8 +142,8 @@ def choose_cell_size(flow: SpreadFlowData | BorderFlowData | SolvedFlowData, ext
         return flow.max_distance / _PIECES_PER_RADIUS
     if isinstance(flow, SpreadFlowData):
         return extent / _PIECES_PER_EXTENT if flow.radius is None else flow.radius / _PIECES_PER_RADIUS
-    across = extent / (_CROWD_PIECES_PER_EXTENT if flow.crowding else _PIECES_PER_EXTENT)
-    return min(across, flow.clearance / 2) if flow.clearance else across
+    cell_size = extent / (_CROWD_PIECES_PER_EXTENT if flow.crowding else _PIECES_PER_EXTENT)
+    return min(cell_size, flow.clearance / 2) if flow.clearance else cell_size
 
 
 def count_edge_pieces(flow: SpreadFlowData | BorderFlowData | SolvedFlowData, edge_lengths: Floats, extent: float) -> Index:

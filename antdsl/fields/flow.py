@@ -38,9 +38,9 @@ def project_to_faces(v: Floats, axis1: Floats, axis2: Floats) -> tuple[Floats, F
 
 def project_across_up(v: Floats, up: Floats) -> Floats:
     """Project vectors onto the plane perpendicular to `up` (n, 3), for agents that stand on no face."""
-    across = v - (v * up).sum(axis=1)[:, None] * up
-    flat, length = (np.sqrt((w * w).sum(axis=1)) for w in (across, v))
-    down: Floats = across * (np.minimum(length, flat / _MIN_LAID_COSINE) / np.where(flat > 1e-150, flat, 1.0))[:, None]
+    tangential = v - (v * up).sum(axis=1)[:, None] * up
+    flat, length = (np.sqrt((w * w).sum(axis=1)) for w in (tangential, v))
+    down: Floats = tangential * (np.minimum(length, flat / _MIN_LAID_COSINE) / np.where(flat > 1e-150, flat, 1.0))[:, None]
     return down
 
 
@@ -76,24 +76,24 @@ class SurfaceFlow:
         slots, weights = self.lattice.locate(face, b1, b2)
         return (self.c.take(slots) * weights).sum(axis=0), (self.s.take(slots) * weights).sum(axis=0)
 
-    def at(self, meshes: MeshSurfaces | None, footing: Footing, place: Floats, up: Floats) -> VectorColumns:
+    def sample(self, meshes: MeshSurfaces | None, footing: Footing, place: Floats, up: Floats) -> VectorColumns:
         """Return the flow at the agents' positions, as float32 x, y, z.
 
         `meshes`: the part of the ground that consists of meshes, or None.
         `place`, `up` (n, 3): position and up of each agent, used for agents that stand on no face."""
-        vectors, known = np.zeros((3, len(place))), np.zeros(len(place), bool)
+        vectors, is_on_mesh = np.zeros((3, len(place))), np.zeros(len(place), bool)
         if meshes is not None:
-            face, known = meshes.get_face_numbers(footing)
+            face, is_on_mesh = meshes.get_face_numbers(footing)
             vectors = meshes.to_world_vectors(face, *self.sample_on_faces(face, footing.b1, footing.b2))
-        if not known.all():
-            vectors[:, ~known] = 0.0
+        if not is_on_mesh.all():
+            vectors[:, ~is_on_mesh] = 0.0
             if self.source is not None:
-                vectors[:, ~known] = project_across_up(self.source(place[~known]), up[~known]).T
+                vectors[:, ~is_on_mesh] = project_across_up(self.source(place[~is_on_mesh]), up[~is_on_mesh]).T
         return tuple(np.ascontiguousarray(part, np.float32) for part in vectors)  # type: ignore[return-value]
 
     def has_flow_at(self, meshes: MeshSurfaces | None, footing: Footing, place: Floats, up: Floats) -> NDArray[np.bool_]:
-        """Return whether the flow is non-zero at each agent's position, bool[n]. Arguments as for `at`."""
-        x, y, z = self.at(meshes, footing, place, up)
+        """Return whether the flow is non-zero at each agent's position, bool[n]. Arguments as for `sample`."""
+        x, y, z = self.sample(meshes, footing, place, up)
         is_flowing: NDArray[np.bool_] = (x != 0) | (y != 0) | (z != 0)
         return is_flowing
 
@@ -119,12 +119,12 @@ class PaintedMap:
 
     corners: Floats
 
-    def at(self, meshes: MeshSurfaces, footing: Footing) -> NDArray[np.float32]:
+    def sample(self, meshes: MeshSurfaces, footing: Footing) -> NDArray[np.float32]:
         """Return the numbers at the agents' footings, float32[n]; 0 for agents that stand on no face. `meshes`: as in
-        `SurfaceFlow.at`."""
-        face, known = meshes.get_face_numbers(footing)
+        `SurfaceFlow.sample`."""
+        face, is_on_mesh = meshes.get_face_numbers(footing)
         a, b, c = (corner.take(face) for corner in self.corners)
-        return np.where(known, a * (1 - footing.b1 - footing.b2) + b * footing.b1 + c * footing.b2, 0.0).astype(np.float32)
+        return np.where(is_on_mesh, a * (1 - footing.b1 - footing.b2) + b * footing.b1 + c * footing.b2, 0.0).astype(np.float32)
 
 
 # --- about a curve or places -----------------------------------------------------------------------------------------
@@ -142,8 +142,8 @@ def find_nearest_on_target(target: FlowTarget, positions: Floats) -> tuple[Float
         return closest.distance.astype(np.float64), np.stack([px, py, pz], axis=1), np.stack([tx, ty, tz], axis=1)
     from scipy.spatial import cKDTree
 
-    distance, which = cKDTree(target.positions).query(positions)
-    return distance, target.positions[which], np.zeros_like(positions)
+    distance, nearest = cKDTree(target.positions).query(positions)
+    return distance, target.positions[nearest], np.zeros_like(positions)
 
 
 def make_spread_source(flow: SpreadFlowData, target: FlowTarget) -> VectorSource:
@@ -151,15 +151,15 @@ def make_spread_source(flow: SpreadFlowData, target: FlowTarget) -> VectorSource
     origin."""
 
     def vectors(positions: Floats) -> Floats:
-        distance, point, along = find_nearest_on_target(target, positions)
-        direction = along
+        distance, point, tangent = find_nearest_on_target(target, positions)
+        direction = tangent
         if flow.gather and flow.radius is not None:
-            direction = along + (point - positions) * (flow.gather / flow.radius)
+            direction = tangent + (point - positions) * (flow.gather / flow.radius)
             direction /= np.maximum(np.sqrt((direction * direction).sum(axis=1)), 1e-12)[:, None]
         if flow.direction != "tangent":
-            away = positions - point
-            away /= np.where(distance > 1e-9, distance, 1.0)[:, None]
-            direction = away if flow.direction == "away" else -away
+            offset = positions - point
+            offset /= np.where(distance > 1e-9, distance, 1.0)[:, None]
+            direction = offset if flow.direction == "away" else -offset
         return direction * (compute_falloff(distance, flow.radius, flow.falloff) * flow.strength)[:, None]
 
     return vectors

@@ -37,7 +37,7 @@ class GrowingCells(SurfaceCells):
 
     @property
     def added_cells(self) -> dict[str, NDArray[np.generic]]:
-        """Return the keys and positions of all cells added since the start, as arguments for `add`."""
+        """Return the keys and positions of all cells added since the start, as arguments of `add_cells`."""
         new = slice(self.initial_count, self.used_count)
         return {"keys": self._keys[new], "places": np.concatenate([self.position[new], self.normal[new]], axis=1)}
 
@@ -45,8 +45,8 @@ class GrowingCells(SurfaceCells):
         """Add cells for points [n,3] of new surface with unit normals [n,3], where no cell exists yet. Return the numbers of the
         new cells."""
         voxel = np.floor(points / self.cell + 0.5).astype(np.int64) - self._low
-        within = ((voxel >= 0) & (voxel < self._size)).all(axis=1)
-        points, normals, voxel = points[within], normals[within], voxel[within]
+        is_in_box = ((voxel >= 0) & (voxel < self._size)).all(axis=1)
+        points, normals, voxel = points[is_in_box], normals[is_in_box], voxel[is_in_box]
         key = self._pack_keys(voxel, find_facing_sides(normals))
         fresh = self._find_cells_by_key(key, np.ones(len(key), np.bool_)) < 0
         keys, sums = sum_by_key(key[fresh], np.column_stack([points[fresh], normals[fresh], np.ones(int(fresh.sum()))]))
@@ -96,9 +96,9 @@ class GrowingCells(SurfaceCells):
         self._voxel_numbers = np.concatenate([self._voxel_numbers, np.full(added_count, _ISOLATED_VOXEL)])
         self.position, self.normal = (np.concatenate([v, np.zeros((added_count, 3))]) for v in (self.position, self.normal))
         for k, table in self._tables.items():
-            grown = np.full((old_count + added_count, k), old_count + added_count, np.int32)
-            grown[:old_count] = np.where(table == old_count, old_count + added_count, table)
-            self._tables[k] = grown
+            larger = np.full((old_count + added_count, k), old_count + added_count, np.int32)
+            larger[:old_count] = np.where(table == old_count, old_count + added_count, table)
+            self._tables[k] = larger
 
     @property
     def _has_kernel_lookup(self) -> bool:
@@ -111,38 +111,42 @@ class GrowingCells(SurfaceCells):
         if not len(self._sorted):
             return np.full(len(key), -1, np.int32)
         keys = self._keys.take(self._sorted)
-        at = np.minimum(keys.searchsorted(key), len(keys) - 1)
-        return np.where(is_in_box & (keys.take(at) == key), self._sorted.take(at), -1).astype(np.int32)
+        indices = np.minimum(keys.searchsorted(key), len(keys) - 1)
+        return np.where(is_in_box & (keys.take(indices) == key), self._sorted.take(indices), -1).astype(np.int32)
 
     def _find_neighbour_pairs(
         self, cells: NDArray[np.int64], column: Callable[[int, int], int]
     ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Return pairs as `SurfaceCells._find_neighbour_pairs` does, but with all voxels and sides in one pass, since a step adds
         few cells."""
-        at = self._voxel_numbers[cells]
-        voxel = np.stack([at // (self._size[1] * self._size[2]), at // self._size[2] % self._size[1], at % self._size[2]])
+        numbers = self._voxel_numbers[cells]
+        voxel = np.stack(
+            [numbers // (self._size[1] * self._size[2]), numbers // self._size[2] % self._size[1], numbers % self._size[2]]
+        )
         block = [offset for offset in BLOCK_OFFSETS if abs(offset[2]) <= column(*offset[:2])]
         neighbour_voxels = voxel[:, None, :] + np.array(block).T[:, :, None]
         inbound: NDArray[np.bool_] = (neighbour_voxels >= 0) & (neighbour_voxels < self._size[:, None, None])
-        within: NDArray[np.bool_] = np.logical_and.reduce(inbound, axis=0)
+        is_in_box: NDArray[np.bool_] = np.logical_and.reduce(inbound, axis=0)
         key = (
-            np.where(within, (neighbour_voxels[0] * self._size[1] + neighbour_voxels[1]) * self._size[2] + neighbour_voxels[2], 0)
+            np.where(
+                is_in_box, (neighbour_voxels[0] * self._size[1] + neighbour_voxels[1]) * self._size[2] + neighbour_voxels[2], 0
+            )
             * 6
         )
         keys = key[:, None, :] + np.arange(6)[None, :, None]
-        inside = np.repeat(within[:, None, :], 6, axis=1)
+        inside = np.repeat(is_in_box[:, None, :], 6, axis=1)
         near_cells = self._find_cells_by_key(keys.ravel(), inside.ravel()).reshape(-1, len(cells))
         near = are_sides_compatible(self.get_sides(np.maximum(near_cells, 0)), self.get_sides(cells))
         other = np.sort(np.where(near, near_cells, -1).astype(np.int64), axis=0).T
-        own, which = np.nonzero(other >= 0)
-        return own, other[own, which]
+        rows, columns = np.nonzero(other >= 0)
+        return rows, other[rows, columns]
 
     def _iterate_voxel_cells(self, voxel: NDArray[np.int64]) -> Iterator[tuple[NDArray[np.int64], NDArray[np.bool_]]]:
-        within: NDArray[np.bool_] = np.logical_and.reduce((voxel >= 0) & (voxel < self._size), axis=1)
-        key = np.where(within, (voxel[:, 0] * self._size[1] + voxel[:, 1]) * self._size[2] + voxel[:, 2], 0) * 6
+        is_in_box: NDArray[np.bool_] = np.logical_and.reduce((voxel >= 0) & (voxel < self._size), axis=1)
+        key = np.where(is_in_box, (voxel[:, 0] * self._size[1] + voxel[:, 1]) * self._size[2] + voxel[:, 2], 0) * 6
         for side in range(6):
-            at = self._find_cells_by_key(key + side, within).astype(np.int64)
-            yield np.maximum(at, 0), at >= 0
+            candidate = self._find_cells_by_key(key + side, is_in_box).astype(np.int64)
+            yield np.maximum(candidate, 0), candidate >= 0
 
 
 @inlined
@@ -162,35 +166,39 @@ def fill_nearest_cells(
     Missing cells are `missing_cell`."""
     gaps, candidates = allocate_scratch(_MAX_NEIGHBOUR_CELLS, F64), allocate_scratch(_MAX_NEIGHBOUR_CELLS, I64)
     voxels, keys = numbers
-    across = size[1] * size[2]
-    for own in cells:
-        voxel, side = voxels[own], keys[own] % 6
-        x, y, z = voxel // across, voxel // size[2] % size[1], voxel % size[2]
+    layer_size = size[1] * size[2]
+    for cell in cells:
+        voxel, side = voxels[cell], keys[cell] % 6
+        x, y, z = voxel // layer_size, voxel // size[2] % size[1], voxel % size[2]
         count = 0
         for i in range(max(x - 1, 0), min(x + 2, size[0])):
             for j in range(max(y - 1, 0), min(y + 2, size[1])):
                 for m in range(max(z - 1, 0), min(z + 2, size[2])):
                     for s in range(6):
-                        at = direct_table[((i * size[1] + j) * size[2] + m) * 6 + s]
-                        if at < 0 or (s ^ 1) == side:
+                        candidate = direct_table[((i * size[1] + j) * size[2] + m) * 6 + s]
+                        if candidate < 0 or (s ^ 1) == side:
                             continue
-                        gap = _compute_squared_distance(position, at, position[own, 0], position[own, 1], position[own, 2])
+                        gap = _compute_squared_distance(
+                            position, candidate, position[cell, 0], position[cell, 1], position[cell, 2]
+                        )
                         place = count
-                        while place > 0 and (gaps[place - 1] > gap or (gaps[place - 1] == gap and candidates[place - 1] > at)):
+                        while place > 0 and (
+                            gaps[place - 1] > gap or (gaps[place - 1] == gap and candidates[place - 1] > candidate)
+                        ):
                             gaps[place], candidates[place] = gaps[place - 1], candidates[place - 1]
                             place -= 1
-                        gaps[place], candidates[place] = gap, at
+                        gaps[place], candidates[place] = gap, candidate
                         count += 1
         count = min(count, k)
         for n in range(1, count):
-            at = candidates[n]
+            candidate = candidates[n]
             place = n
-            while place > 0 and candidates[place - 1] > at:
+            while place > 0 and candidates[place - 1] > candidate:
                 candidates[place] = candidates[place - 1]
                 place -= 1
-            candidates[place] = at
+            candidates[place] = candidate
         for n in range(k):
-            table[own, n] = candidates[n] if n < count else missing_cell
+            table[cell, n] = candidates[n] if n < count else missing_cell
 
 
 @kernel
@@ -200,7 +208,7 @@ def fill_nearby_cells(
 ) -> None:  # fmt: skip
     """Write to `best` the nearest cell of a compatible side in the 27 voxels around each point, -1 for none."""
     for n in range(best.size):
-        least = np.inf
+        least_gap = np.inf
         best[n] = -1
         for i in range(voxel[n, 0] - 1, voxel[n, 0] + 2):
             for j in range(voxel[n, 1] - 1, voxel[n, 1] + 2):
@@ -208,9 +216,9 @@ def fill_nearby_cells(
                     if i < 0 or j < 0 or m < 0 or i >= size[0] or j >= size[1] or m >= size[2]:
                         continue
                     for s in range(6):
-                        at = direct_table[((i * size[1] + j) * size[2] + m) * 6 + s]
-                        if at < 0 or (s ^ 1) == side[n]:
+                        candidate = direct_table[((i * size[1] + j) * size[2] + m) * 6 + s]
+                        if candidate < 0 or (s ^ 1) == side[n]:
                             continue
-                        gap = _compute_squared_distance(position, at, points[n, 0], points[n, 1], points[n, 2])
-                        if gap < least:
-                            least, best[n] = gap, at
+                        gap = _compute_squared_distance(position, candidate, points[n, 0], points[n, 1], points[n, 2])
+                        if gap < least_gap:
+                            least_gap, best[n] = gap, candidate

@@ -43,13 +43,13 @@ def compute_path_costs(surface: WalkableSurface, cost: Floats, start: Index, sta
     their update."""
     bound = _compute_edge_costs(surface, cost, start, start_costs)
     halves = _make_corner_edges(surface, cost)
-    enough = _CONVERGENCE_TOLERANCE * float(np.median(halves.length)) if len(halves.length) else 0.0
+    tolerance = _CONVERGENCE_TOLERANCE * float(np.median(halves.length)) if len(halves.length) else 0.0
     for _ in range(_MAX_PASSES):
         previous_bound = bound.copy()
         _straighten_costs(bound, halves)
         _relax_links(surface, cost, bound)
-        reached = np.isfinite(bound)
-        if (previous_bound[reached] - bound[reached]).max(initial=0.0) <= enough:
+        is_reachable = np.isfinite(bound)
+        if (previous_bound[is_reachable] - bound[is_reachable]).max(initial=0.0) <= tolerance:
             break
     return bound
 
@@ -59,11 +59,11 @@ def compute_directions(surface: WalkableSurface, path_costs: Floats) -> Floats:
 
     It is zero at the goal and where there is no path."""
     corners, values = surface.points[surface.triangles], path_costs[surface.triangles]
-    known = surface.is_open & np.isfinite(values).all(axis=1)
-    corners, values, triangles = corners[known], values[known], surface.triangles[known]
-    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    twice = np.sqrt((across * across).sum(axis=1))
-    normal = across / np.where(twice > 0, twice, 1.0)[:, None]
+    is_usable = surface.is_open & np.isfinite(values).all(axis=1)
+    corners, values, triangles = corners[is_usable], values[is_usable], surface.triangles[is_usable]
+    area_vectors = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    twice = np.sqrt((area_vectors * area_vectors).sum(axis=1))
+    normal = area_vectors / np.where(twice > 0, twice, 1.0)[:, None]
     uphill = np.zeros_like(normal)
     for k in range(3):
         edge = corners[:, (k + 2) % 3] - corners[:, (k + 1) % 3]
@@ -108,8 +108,8 @@ def _compute_edge_costs(surface: WalkableSurface, cost: Floats, start: Index, st
     # 32 bits: older SciPy versions need them, and there are far fewer points
     ends = tuple(np.concatenate(numbers).astype(np.int32) for numbers in (rows, columns))
     graph = coo_array((np.concatenate(weights), ends), shape=(n + 1, n + 1))
-    reached: Floats = dijkstra(graph.tocsr(), directed=False, indices=n)[:n]
-    bound: Floats = np.maximum(reached - 1.0, 0.0)
+    costs: Floats = dijkstra(graph.tocsr(), directed=False, indices=n)[:n]
+    bound: Floats = np.maximum(costs - 1.0, 0.0)
     return bound
 
 
@@ -162,18 +162,18 @@ def _make_corner_edges(surface: WalkableSurface, cost: Floats) -> _CornerEdges:
     length = np.sqrt((edge * edge).sum(axis=1))
     foot = (edge * side).sum(axis=1) / np.where(length > 0, length, 1.0)
     height = np.sqrt(np.maximum((side * side).sum(axis=1) - foot * foot, 0.0))
-    sound = (length > 0) & (height > 0)
-    return _CornerEdges(corner, one, two, length, foot, height, np.tile(cost[surface.is_open], 3)).take_rows(sound)
+    has_area = (length > 0) & (height > 0)
+    return _CornerEdges(corner, one, two, length, foot, height, np.tile(cost[surface.is_open], 3)).take_rows(has_area)
 
 
 def _straighten_costs(bound: Floats, edges: _CornerEdges) -> None:
     """Lower `bound` where a straight path across a triangle is cheaper. Points are processed in bands of ascending cost."""
-    reached = np.isfinite(bound)
+    is_reachable = np.isfinite(bound)
     rank = np.empty(len(bound), np.int64)
     rank[np.argsort(bound, kind="stable")] = np.arange(len(bound))
-    bands = max(1, int(2 * np.sqrt(reached.sum())))
-    band = rank * bands // max(1, int(reached.sum()))
-    usable = np.flatnonzero(reached[edges.corner] & reached[edges.edge_start] & reached[edges.edge_end])
+    bands = max(1, int(2 * np.sqrt(is_reachable.sum())))
+    band = rank * bands // max(1, int(is_reachable.sum()))
+    usable = np.flatnonzero(is_reachable[edges.corner] & is_reachable[edges.edge_start] & is_reachable[edges.edge_end])
     usable = usable[np.lexsort((usable, edges.corner[usable], band[edges.corner[usable]]))]
     ordered = edges.take_rows(usable)
     ends = np.searchsorted(band[ordered.corner], np.arange(bands + 1))
@@ -194,5 +194,5 @@ def _compute_corner_costs(bound: Floats, edges: _CornerEdges) -> Floats:
     from_one, rise = bound[edges.edge_start], (bound[edges.edge_end] - bound[edges.edge_start]) / edges.length
     share = np.clip(rise / edges.cost, -1 + 1e-12, 1 - 1e-12)
     left = np.clip(edges.perpendicular_foot - share * edges.height / np.sqrt(1 - share * share), 0.0, edges.length)
-    aside = edges.perpendicular_foot - left
-    return from_one + rise * left + edges.cost * np.sqrt(aside * aside + edges.height * edges.height)
+    offset = edges.perpendicular_foot - left
+    return from_one + rise * left + edges.cost * np.sqrt(offset * offset + edges.height * edges.height)

@@ -79,9 +79,9 @@ class PathFlow(SurfaceFlow):
         g = self.crossable_ground
         if meshes is None or g is None or self.reached is None:
             return np.zeros(len(place), bool)
-        face, known = meshes.get_face_numbers(footing)
+        face, is_on_mesh = meshes.get_face_numbers(footing)
         slot = self._find_nearest_slot(face, footing)
-        return known & g.faces[face] & self.reached[g.slot_points[slot]]
+        return is_on_mesh & g.faces[face] & self.reached[g.slot_points[slot]]
 
     def _find_nearest_slot(self, face: Index, footing: Footing) -> Index:
         """Return the slot of largest weight at each footing."""
@@ -125,11 +125,11 @@ class PathFlow(SurfaceFlow):
         assert g is not None and meshes is not None
         coverage = np.zeros(len(g.surface.points), np.int64)
         for population in world.populations.values():
-            face, known = meshes.get_face_numbers(population.footing)
+            face, is_on_mesh = meshes.get_face_numbers(population.footing)
             slot = self._find_nearest_slot(face, population.footing)
             radius = population.start["radius"].astype(np.float64)
             parts = np.rint(np.pi * radius * radius * _COVERAGE_PARTS_PER_MM2)
-            counted = known & g.faces[face] & (parts > 0) & (parts < 2.0**40)
+            counted = is_on_mesh & g.faces[face] & (parts > 0) & (parts < 2.0**40)
             # integers: exact in any order
             coverage += np.bincount(g.slot_points[slot[counted]], parts[counted], len(coverage)).astype(np.int64)
         return coverage

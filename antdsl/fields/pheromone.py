@@ -102,10 +102,11 @@ class PheromoneField:
         return self.cells.added_cells if isinstance(self.cells, GrowingCells) else {}
 
     def restore_added_cells(self, keys: NDArray[np.int64], positions: NDArray[np.float64]) -> None:
-        """Add those cells reported by `added` that are missing. Other fields may share the cells and have added them already."""
+        """Add those cells reported by `added_cells` that are missing. Other fields may share the cells and have added them
+        already."""
         assert isinstance(self.cells, GrowingCells)
-        known = self.cells.used_count - self.cells.initial_count
-        self.cells.add_cells(keys[known:], positions[known:])
+        added_count = self.cells.used_count - self.cells.initial_count
+        self.cells.add_cells(keys[added_count:], positions[added_count:])
         self.extend_arrays(np.arange(self.cells.initial_count, self.cells.used_count))
 
     def deposit(self, cells: Cells, amounts: Floats) -> int:
@@ -113,12 +114,12 @@ class PheromoneField:
 
         NaN is rejected. Amounts above `MAX_DEPOSIT` are reduced to it. With `combine` max, only amounts above 0 count."""
         cells, amounts = np.asarray(cells), np.asarray(amounts, np.float64)
-        good = np.isfinite(amounts)
-        wrong = int(np.count_nonzero(~good | (np.abs(amounts) > MAX_DEPOSIT)))
-        laid = np.flatnonzero(good & (cells >= 0) & (amounts != 0))
-        if laid.size:
-            unit_counts = np.rint(np.clip(amounts[laid], -MAX_DEPOSIT, MAX_DEPOSIT) / DEPOSIT_UNIT).astype(np.int64)
-            (np.add if self.combine == "add" else np.maximum).at(self._pending, cells[laid], unit_counts)
+        is_finite = np.isfinite(amounts)
+        wrong = int(np.count_nonzero(~is_finite | (np.abs(amounts) > MAX_DEPOSIT)))
+        rows = np.flatnonzero(is_finite & (cells >= 0) & (amounts != 0))
+        if rows.size:
+            unit_counts = np.rint(np.clip(amounts[rows], -MAX_DEPOSIT, MAX_DEPOSIT) / DEPOSIT_UNIT).astype(np.int64)
+            (np.add if self.combine == "add" else np.maximum).at(self._pending, cells[rows], unit_counts)
             self._has_pending = True
         return wrong
 
@@ -136,17 +137,19 @@ class PheromoneField:
         for cells, amounts in self._remaining_amounts:
             values[cells] = amounts
         self._remaining_amounts.clear()
-        most = compute_max_diffusion(self.cells.cell, dt)
-        if diffusion > most * (1 + 1e-9):
-            raise ValueError(f"a diffusion of {diffusion:g} mm²/s is unstable here, the largest that is stable is {most:g} mm²/s")
+        max_diffusion = compute_max_diffusion(self.cells.cell, dt)
+        if diffusion > max_diffusion * (1 + 1e-9):
+            raise ValueError(
+                f"a diffusion of {diffusion:g} mm²/s is unstable here, the largest that is stable is {max_diffusion:g} mm²/s"
+            )
         self._run_step_kernels(float(np.float32(remaining_share)), diffusion * dt / self.cells.cell**2, threads)
 
     def _run_step_kernels(self, remaining_share: float, spread: float, threads: int) -> None:
         """Diffuse, evaporate and add deposits with kernels."""
 
-        def step(*how: Any) -> None:
+        def step(*arguments: Any) -> None:
             parallel.run_in_parts(
-                partial(step_cells, self._padded, *how), len(self._pending), threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD
+                partial(step_cells, self._padded, *arguments), len(self._pending), threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD
             )
 
         lands = 0 if not self._has_pending else 1 if self.combine == "add" else 2
@@ -178,8 +181,8 @@ class PheromoneField:
         from scipy.sparse import csr_array
 
         count = np.diff(links.start)
-        own = np.repeat(np.arange(len(self.cells)), count)
-        weight = share * 4.0 / np.maximum(np.maximum(count[own], count[links.cell]), 4)
+        rows = np.repeat(np.arange(len(self.cells)), count)
+        weight = share * 4.0 / np.maximum(np.maximum(count[rows], count[links.cell]), 4)
         return csr_array((weight, links.cell, links.start), shape=(len(self.cells), len(self.cells)))
 
     def sample(self, cells: Cells) -> Floats:
@@ -191,9 +194,9 @@ class PheromoneField:
 
         Results are amount, x, y, z (mm), float32[n] each. Of cells with equal amounts, the first counts. If all amounts are 0,
         the position is that of the agent's cell. For cell -1 the position is (0, 0, 0)."""
-        own = np.asarray(cells).astype(np.int32, copy=False)
-        best, value = np.empty(own.size, np.int64), np.empty(own.size)
-        find_strongest(own, self._get_nearest_cells(k), self._padded, best, value)
+        agent_cells = np.asarray(cells).astype(np.int32, copy=False)
+        best, value = np.empty(agent_cells.size, np.int64), np.empty(agent_cells.size)
+        find_strongest(agent_cells, self._get_nearest_cells(k), self._padded, best, value)
         x, y, z = (self._seen[:, k].take(best) for k in range(3))
         return value.astype(np.float32), x, y, z
 
@@ -208,23 +211,26 @@ class PheromoneField:
     def sample_gradient(self, cells: Cells, k: int = NEAREST_CELLS) -> tuple[Floats, Floats, Floats]:
         """Return direction and strength (per mm) of the gradient along the surface: a least-squares fit over the nearest `k`
         cells."""
-        own = np.asarray(cells, np.int64)
-        known = (own >= 0) & (len(self.cells) > 0)
-        own = np.where(known, own, 0)
+        agent_cells = np.asarray(cells, np.int64)
+        has_cell = (agent_cells >= 0) & (len(self.cells) > 0)
+        agent_cells = np.where(has_cell, agent_cells, 0)
         if not len(self.cells):
-            nothing = np.zeros(own.size, np.float32)
-            return nothing, nothing.copy(), nothing.copy()
+            zeros = np.zeros(agent_cells.size, np.float32)
+            return zeros, zeros.copy(), zeros.copy()
         positions = self._places
-        own_positions, normal = positions.take(own, axis=1), np.ascontiguousarray(self.cells.normal.take(own, axis=0).T)
-        held = self._padded.take(own)
-        moments = np.zeros((6, own.size))
-        slope = np.zeros((3, own.size))
-        for column in np.ascontiguousarray(self._get_nearest_cells(k).take(own, axis=0).T).astype(np.int64):
+        own_positions, normal = (
+            positions.take(agent_cells, axis=1),
+            np.ascontiguousarray(self.cells.normal.take(agent_cells, axis=0).T),
+        )
+        amounts = self._padded.take(agent_cells)
+        moments = np.zeros((6, agent_cells.size))
+        slope = np.zeros((3, agent_cells.size))
+        for column in np.ascontiguousarray(self._get_nearest_cells(k).take(agent_cells, axis=0).T).astype(np.int64):
             real = column < len(self.cells)
             # A missing cell is replaced by the agent's own cell, which adds nothing.
-            column = np.where(real, column, own)
+            column = np.where(real, column, agent_cells)
             d = positions.take(column, axis=1) - own_positions
-            rise = self._padded.take(column) - held
+            rise = self._padded.take(column) - amounts
             for m, (a, b) in enumerate(_SYMMETRIC_ENTRIES):
                 moments[m] += d[a] * d[b]
             slope += d * rise
@@ -232,7 +238,7 @@ class PheromoneField:
         stiff = moments[0] + moments[1] + moments[2] + 1e-30
         for m, (a, b) in enumerate(_SYMMETRIC_ENTRIES):
             moments[m] += stiff * normal[a] * normal[b] * 1e3 + (1e-9 * stiff if m < 3 else 0.0)
-        return tuple(np.where(known, g, 0.0).astype(np.float32) for g in _solve_symmetric(moments, slope))  # type: ignore[return-value]
+        return tuple(np.where(has_cell, g, 0.0).astype(np.float32) for g in _solve_symmetric(moments, slope))  # type: ignore[return-value]
 
     def _get_nearest_cells(self, k: int) -> Cells:
         return self.cells.get_nearest_cells(k)
@@ -262,17 +268,17 @@ class _DiffusionFlow:
     """A symmetric flow between cells: inflow from the linked cells minus outflow."""
 
     def __init__(self, inward: Any) -> None:
-        own = np.repeat(np.arange(inward.shape[0]), np.diff(inward.indptr))
-        self._outflow_shares = np.bincount(own, inward.data, inward.shape[0]).astype(np.float64)
+        rows = np.repeat(np.arange(inward.shape[0]), np.diff(inward.indptr))
+        self._outflow_shares = np.bincount(rows, inward.data, inward.shape[0]).astype(np.float64)
         self._inflow_matrix = inward.data, inward.indices.astype(np.int32, copy=False), inward.indptr.astype(np.int64, copy=False)
         self._inflow = np.empty(0)
 
-    def compute(self, held: NDArray[np.float64], threads: int) -> NDArray[np.float64]:
-        """Return the flow into each cell, in an array that the next call overwrites. `held` may have extra entries after the
+    def compute(self, amounts: NDArray[np.float64], threads: int) -> NDArray[np.float64]:
+        """Return the flow into each cell, in an array that the next call overwrites. `amounts` may have extra entries after the
         cells."""
         if not len(self._inflow):
             self._inflow = np.empty(len(self._outflow_shares))
-        work = partial(compute_cell_inflow, held, *self._inflow_matrix, self._outflow_shares, self._inflow)
+        work = partial(compute_cell_inflow, amounts, *self._inflow_matrix, self._outflow_shares, self._inflow)
         parallel.run_in_parts(work, len(self._outflow_shares), threads)
         return self._inflow
 
@@ -366,12 +372,12 @@ def find_strongest(
     none = values.size - 1
     for n in range(agent_cells.size):
         cell = agent_cells[n]
-        where, most = cell, 0.0
+        strongest_cell, strongest = cell, 0.0
         if cell < 0:
-            where = none
+            strongest_cell = none
         else:
             for k in range(block.shape[1]):
-                at = block[cell, k]
-                if values[at] > most:
-                    where, most = at, values[at]
-        best[n], value[n] = where, most
+                candidate = block[cell, k]
+                if values[candidate] > strongest:
+                    strongest_cell, strongest = candidate, values[candidate]
+        best[n], value[n] = strongest_cell, strongest

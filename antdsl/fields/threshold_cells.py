@@ -17,26 +17,27 @@ _CELLS_PER_CHUNK = 512  # cells per chunk: compared first, then the changed ones
 
 
 class CellsAboveThreshold:
-    """For each cell of a field: whether one of the `k` nearest cells of its block has an amount of at least `least` (float32).
+    """For each cell of a field: whether one of the `k` nearest cells of its block has an amount of at least `threshold`
+    (float32).
 
-    The answer is true for all cells if `least` is not above 0, if cells can grow, or if there are too many cells."""
+    The answer is true for all cells if `threshold` is not above 0, if cells can grow, or if there are too many cells."""
 
-    def __init__(self, field: PheromoneField, least: np.float32, k: int) -> None:
-        self._inputs, self._k = (field, field.version, least), k
+    def __init__(self, field: PheromoneField, threshold: np.float32, k: int) -> None:
+        self._inputs, self._k = (field, field.version, threshold), k
         cells = field.cells
-        self._is_always_above = not least > 0 or isinstance(cells, GrowingCells) or len(cells) * k > _MAX_LISTED_NUMBERS
+        self._is_always_above = not threshold > 0 or isinstance(cells, GrowingCells) or len(cells) * k > _MAX_LISTED_NUMBERS
         self._near_counts = np.full(
             len(cells) + 1, self._is_always_above, np.uint8
         )  # number of cells above the threshold in each block
         self._is_above = np.zeros(0 if self._is_always_above else len(cells), np.bool_)
         self._changed_buffer = np.empty(len(self._is_above), np.int64)
 
-    def matches(self, field: PheromoneField, least: np.float32) -> bool:
-        """Return whether this object is valid for a field with its current cells and for the threshold `least`."""
-        known, version, strength = self._inputs
-        return known is field and version == field.version and strength == least
+    def matches(self, field: PheromoneField, threshold: np.float32) -> bool:
+        """Return whether this object is valid for a field with its current cells and for this threshold."""
+        own_field, own_version, own_threshold = self._inputs
+        return own_field is field and own_version == field.version and own_threshold == threshold
 
-    def now(self, threads: int = 1) -> NDArray[np.uint8]:
+    def get_current_counts(self, threads: int = 1) -> NDArray[np.uint8]:
         """Return uint8[cells + 1], above 0 for cells near which the current amounts reach the threshold.
 
         The last entry stands for "no cell". The next call overwrites the array."""
@@ -48,25 +49,26 @@ class CellsAboveThreshold:
 
     def _find_changed_cells(self, threads: int) -> NDArray[np.int64]:
         """Return the cells with an amount that crossed the threshold since the last call, in either direction."""
-        (field, _, least), holds = self._inputs, self._is_above
-        work = partial(write_changed_cells, field.padded_values, least, holds, self._changed_buffer)
+        (field, _, threshold), is_above = self._inputs, self._is_above
+        work = partial(write_changed_cells, field.padded_values, threshold, is_above, self._changed_buffer)
         return parallel.join_parts(
-            parallel.run_in_parts(work, len(holds), threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD), self._changed_buffer
+            parallel.run_in_parts(work, len(is_above), threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD), self._changed_buffer
         )[0]
 
 
 @kernel
 def write_changed_cells(
-    values: Array1[F64], least: F32, is_above: Array1[BOOL], changed: Array1[I64], begin: I64, end: I64
+    values: Array1[F64], threshold: F32, is_above: Array1[BOOL], changed: Array1[I64], begin: I64, end: I64
 ) -> tuple[I64, I64]:
     """Write the cells from `begin` to before `end` with an outdated flag in `is_above` into `changed`, from index `begin` on.
 
-    `is_above`: whether each cell's amount, in float32, is at least `least`. Returns `begin` and the number of cells written."""
+    `is_above`: whether each cell's amount, in float32, is at least `threshold`. Returns `begin` and the number of cells
+    written."""
     other, count = allocate_scratch(_CELLS_PER_CHUNK, I32), 0
     for low in range(begin, end, 512):
         high = min(low + _CELLS_PER_CHUNK, end)
         for n in simd_range(low, high):
-            other[n - low] = 1 if (np.float32(values[n]) >= least) != is_above[n] else 0
+            other[n - low] = 1 if (np.float32(values[n]) >= threshold) != is_above[n] else 0
         for n in range(low, high):
             if other[n - low] != 0:
                 changed[begin + count] = n

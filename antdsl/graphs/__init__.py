@@ -19,19 +19,19 @@ def _write_svg(charts: Sequence[Chart]) -> FileResult:
     from antdsl.graphs.drawing import draw_charts
     from antdsl.graphs.svg import format_svg
 
-    placed, report = lay_out(charts)
-    return (format_svg(draw_charts(placed)).encode() if report.ok else None), report
+    placed_charts, report = lay_out(charts)
+    return (format_svg(draw_charts(placed_charts)).encode() if report.ok else None), report
 
 
 def _write_png(charts: Sequence[Chart]) -> FileResult:
     from antdsl.graphs.drawing import draw_charts
     from antdsl.graphs.png import render_png
 
-    placed, report = lay_out(charts)
+    placed_charts, report = lay_out(charts)
     if not report.ok:
         return None, report
     try:
-        return render_png(draw_charts(placed)), report
+        return render_png(draw_charts(placed_charts)), report
     except ImportError:
         advice = 'run `pip install "antdsl[graph]"`, or write `--format svg`'
         report.error("missing-extra", "pictures in PNG need the package resvg_py", None, advice)

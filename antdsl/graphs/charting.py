@@ -21,8 +21,8 @@ def charts(program: Program) -> tuple[Chart, ...]:
     for species in program.species.values():
         for machine in species.machines:
             if machine.states:
-                alone = len(species.machines) == 1
-                all_charts.append(_build_chart(species.name if alone else f"{species.name}.{machine.name}", machine))
+                has_one_machine = len(species.machines) == 1
+                all_charts.append(_build_chart(species.name if has_one_machine else f"{species.name}.{machine.name}", machine))
     return tuple(all_charts)
 
 
@@ -30,9 +30,9 @@ def _build_chart(title: str, machine: Machine) -> Chart:
     """Return the chart of one machine."""
     sketch = _ChartBuilder(machine)
     for state in machine.states:
-        own = [change for change in state.transitions if not _is_from_any(change)]
-        for number, change in enumerate(own, 1):
-            sketch.add_change(f"s{state.index}", change, state.name, f"{number}: " if len(own) > 1 else "")
+        own_changes = [change for change in state.transitions if not _is_from_any(change)]
+        for number, change in enumerate(own_changes, 1):
+            sketch.add_change(f"s{state.index}", change, state.name, f"{number}: " if len(own_changes) > 1 else "")
     everywhere = _find_changes_from_any(machine)
     for number, (change, left_out) in enumerate(everywhere, 1):
         sketch.add_change(sketch.add_any_box(left_out), change, "any", f"{number}: " if len(everywhere) > 1 else "")

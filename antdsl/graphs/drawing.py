@@ -52,7 +52,7 @@ class Line:
 
 @dataclass(frozen=True, slots=True)
 class TextLine:
-    """One line of words with its middle at `centre`; always `measure_text_width` px wide."""
+    """One line of words with its middle at `centre`; always `width` px wide."""
 
     text: str
     centre: Point
@@ -66,7 +66,7 @@ Shape = Rectangle | Line | TextLine
 
 @dataclass(frozen=True, slots=True)
 class Drawing:
-    """All shapes, on a white ground of `measure_text_width` × `height` px."""
+    """All shapes, on a white ground of `width` × `height` px."""
 
     width: float
     height: float
@@ -137,11 +137,13 @@ def _round_corners(points: Sequence[Point]) -> tuple[Point, ...]:
     """Return the path with rounded corners of six points each."""
     curve = [points[0]]
     for previous_point, corner, next_point in zip(points, points[1:], points[2:], strict=False):
-        into, out = _move_towards(corner, previous_point), _move_towards(corner, next_point)
+        curve_start, curve_end = _move_towards(corner, previous_point), _move_towards(corner, next_point)
         for k in range(7):
             t = k / 6
             a, b, c = (1 - t) ** 2, 2 * t * (1 - t), t * t
-            curve.append((a * into[0] + b * corner[0] + c * out[0], a * into[1] + b * corner[1] + c * out[1]))
+            curve.append(
+                (a * curve_start[0] + b * corner[0] + c * curve_end[0], a * curve_start[1] + b * corner[1] + c * curve_end[1])
+            )
     return (*curve, points[-1])
 
 

@@ -87,10 +87,10 @@ def _place_chart(chart: Chart) -> PlacedChart:
     for number, spacing in enumerate(_SPACINGS):
         if best is not None and (best[:2] == (0, 0) or (best[0] == 0 and number >= _FIRST_WIDE_SPACING)):
             break
-        placed, placement = _try_spacing(chart, spacing)
+        placed_chart, placement = _try_spacing(chart, spacing)
         value = (placement.touching_count, placement.hidden_line_count, number)
         if best is None or value < best:
-            best, best_chart = value, placed
+            best, best_chart = value, placed_chart
     assert best_chart is not None
     return best_chart
 
@@ -108,12 +108,12 @@ def _try_spacing(chart: Chart, spacing: dict[str, float]) -> tuple[PlacedChart, 
     for arrow, extent in zip(chart.arrows, extents, strict=True):
         label_options: dict[str, Any] = {"label_size": {"width": extent[0], "height": extent[1]}} if extent else {}
         graph.edge(arrow.source, arrow.target, **label_options)
-    laid = graphlay.layout(graph, preset="process_map", options={**_LAYOUT_OPTIONS, "spacing": spacing})
+    layout = graphlay.layout(graph, preset="process_map", options={**_LAYOUT_OPTIONS, "spacing": spacing})
     node_boxes = [
         PlacedBox((node["center"]["x"], node["center"]["y"]), *compute_box_size(box))
-        for box, node in zip(chart.boxes, laid.nodes, strict=True)
+        for box, node in zip(chart.boxes, layout.nodes, strict=True)
     ]
-    routes = [tuple((point["x"], point["y"]) for point in edge["points"]) for edge in laid.edges]
+    routes = [tuple((point["x"], point["y"]) for point in edge["points"]) for edge in layout.edges]
     placement = place_words(node_boxes, routes, extents)
     arrows = [PlacedArrow(*all_of_it) for all_of_it in zip(chart.arrows, routes, placement.word_boxes, folded, strict=True)]
     return _shift_to_zero(chart, list(zip(chart.boxes, node_boxes, strict=True)), arrows), placement
@@ -238,10 +238,10 @@ def _list_route_positions(route: Route, size: Size) -> tuple[Array, Array]:
             share = min(1.0, (_FREE_END_LENGTH + k * _POSITION_SPACING) / long) if long > 2 * _FREE_END_LENGTH else 0.5
             x, y = begin[0] + (end[0] - begin[0]) * share, begin[1] + (end[1] - begin[1]) * share
             middle = abs((start_length + long * share) / length - 0.42)  # slightly nearer to the start of the arrow
-            for aside in (0.0, -1.0, 1.0):
-                right, down = (aside * (size[0] / 2 + 2), 0.0) if upright else (0.0, aside * (size[1] / 2 + 2))
+            for side in (0.0, -1.0, 1.0):
+                right, down = (side * (size[0] / 2 + 2), 0.0) if upright else (0.0, side * (size[1] / 2 + 2))
                 centres.append((x + right, y + down))
-                costs.append(_OFF_LINE_COST * abs(aside) + _OFF_MIDDLE_COST * middle)
+                costs.append(_OFF_LINE_COST * abs(side) + _OFF_MIDDLE_COST * middle)
         start_length += long
     return np.array(centres), np.array(costs)
 

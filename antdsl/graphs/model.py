@@ -94,11 +94,11 @@ class PlacedChart:
     def shifted_by(self, right: float, down: float) -> PlacedChart:
         """Return the chart, moved by `right` and `down` px."""
 
-        def at(place: PlacedBox) -> PlacedBox:
+        def shift(place: PlacedBox) -> PlacedBox:
             return replace(place, centre=(place.centre[0] + right, place.centre[1] + down))
 
         arrows = tuple(
-            replace(a, points=tuple((x + right, y + down) for x, y in a.points), words=at(a.words) if a.words else None)
+            replace(a, points=tuple((x + right, y + down) for x, y in a.points), words=shift(a.words) if a.words else None)
             for a in self.arrows
         )
-        return replace(self, boxes=tuple((box, at(place)) for box, place in self.boxes), arrows=arrows)
+        return replace(self, boxes=tuple((box, shift(place)) for box, place in self.boxes), arrows=arrows)

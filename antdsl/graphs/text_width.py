@@ -17,9 +17,9 @@ def measure_text_width(text: str, size: int) -> float:
     """Return the width of a line of text, px. `size`: the font size, px.
 
     Characters of Pillow's font have measured widths. The width of any other character is estimated from its kind."""
-    known = "".join(sign for sign in text if _has_built_in_glyph(sign))
+    built_in_text = "".join(sign for sign in text if _has_built_in_glyph(sign))
     wide = sum(1.0 if east_asian_width(sign) in "WF" else 0.65 for sign in text if not _has_built_in_glyph(sign))
-    return round(load_built_in_font(size).getlength(known) + wide * size, 2)
+    return round(load_built_in_font(size).getlength(built_in_text) + wide * size, 2)
 
 
 def has_built_in_glyphs(text: str) -> bool:

@@ -148,7 +148,7 @@ class CombinedGround:
         return normal
 
     def find_sides(self, footing: Footing, threads: int = 1) -> NDArray[np.int8]:
-        """Return the axis direction nearest to each normal, numbered as in `MeshGround.sides`."""
+        """Return the axis direction nearest to each normal, numbered as in `MeshGround.find_sides`."""
         rows = self._find_mesh_rows(footing)
         if rows.size == len(footing) and self.meshes is not None:
             return self.meshes.find_sides(footing.take_on_meshes(rows), threads)

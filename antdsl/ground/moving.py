@@ -138,7 +138,7 @@ class _RayScenePair:
         self._first_scene, self._second_scene, self._first_face_count = one, two, faces
 
     def find_first_hits(self, origin: Floats, direction: Floats, threads: int = 1) -> RayHitArrays:
-        """Return the first hits in both scenes, as `RayScene.cast`."""
+        """Return the first hits in both scenes, as `RayScene.find_first_hits`."""
         a, b = (scene.find_first_hits(origin, direction, threads) for scene in (self._first_scene, self._second_scene))
         second = b.is_hit & (b.t < a.t)
         face = np.where(second, b.face + np.int32(self._first_face_count), a.face)

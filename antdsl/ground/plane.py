@@ -66,7 +66,7 @@ class PlaneGround:
         return np.broadcast_to(self._up, footing.point.shape)
 
     def find_sides(self, footing: Footing, threads: int = 1) -> NDArray[np.int8]:
-        """Return the axis direction nearest to the plane's normal, int8[n], as `Ground.sides`."""
+        """Return the axis direction nearest to the plane's normal, int8[n], as `Ground.find_sides`."""
         return find_facing_sides(self.normal(footing))
 
     def compute_upright_normals(self, footing: Footing, up: Floats) -> Floats:

@@ -95,8 +95,8 @@ def collect_names(path: Path, file: nodes.File) -> ProgramNames:
             names.species[each.key[1]].machines.setdefault(last, {})
         elif kind == "state":
             names.species[each.key[1]].machines.setdefault(each.key[2], {}).setdefault(last, each.node)
-    used = [item.library.text for item in file.items if isinstance(item, nodes.Use) and item.library is not None]
-    names.libraries = {name: library_path for name in used if (library_path := find_library_file(name)) is not None}
+    library_names = [item.library.text for item in file.items if isinstance(item, nodes.Use) and item.library is not None]
+    names.libraries = {name: library_path for name in library_names if (library_path := find_library_file(name)) is not None}
     return names
 
 
@@ -161,17 +161,17 @@ class _OccurrenceIndexer:
             self.occurrences.append(NameOccurrence(span, declared, True))
         elif name.span in self.bound_keys:
             self.occurrences += [NameOccurrence(span, key) for key in self.bound_keys[name.span]]
-        elif (meant := self.meaning_by_span.get(name.span)) is not None:
-            self.occurrences.append(NameOccurrence(span, self.resolve_nearby(meant[0], item), meant[1]))
+        elif (meaning := self.meaning_by_span.get(name.span)) is not None:
+            self.occurrences.append(NameOccurrence(span, self.resolve_nearby(meaning[0], item), meaning[1]))
 
     def resolve_nearby(self, key: NameKey, item: nodes.TopItem) -> NameKey:
         """Return the key of a name that the checker did not reach: the name of that kind in the enclosing behaviour or species,
         if there is one."""
         if key[0] in ("?", "?state") and isinstance(item, (nodes.Behaviour, nodes.Species)):
-            around = ("inner", str(self.names.path), item.name.text) if isinstance(item, nodes.Behaviour) else (item.name.text,)
+            scope = ("inner", str(self.names.path), item.name.text) if isinstance(item, nodes.Behaviour) else (item.name.text,)
             for each in self.names.declaration_by_key:
-                inner = each[0] in ("own", "machine", "state") and each[1:2] == around
-                if each[-1] == key[-1] and (inner or each[:-1] == around):
+                inner = each[0] in ("own", "machine", "state") and each[1:2] == scope
+                if each[-1] == key[-1] and (inner or each[:-1] == scope):
                     return each
         return key
 
@@ -243,13 +243,13 @@ class _OccurrenceIndexer:
     def mark_call(self, node: nodes.Call) -> None:
         """Record the meanings of a called function's name and of its argument names."""
         function = node.function
-        called = function.name.text if isinstance(function, (nodes.NameRef, nodes.Member)) else ""
+        function_name = function.name.text if isinstance(function, (nodes.NameRef, nodes.Member)) else ""
         if isinstance(function, (nodes.NameRef, nodes.Member)):
             bare = isinstance(function, nodes.NameRef)
-            self.mark_by_position(function.name, "builtin" if bare and called in _CALLED_WORDS else "?behaviour")
-        self.mark_arguments(called, node)
+            self.mark_by_position(function.name, "builtin" if bare and function_name in _CALLED_WORDS else "?behaviour")
+        self.mark_arguments(function_name, node)
 
-    def ask(self, node: nodes.Ask) -> None:
+    def mark_verb_line(self, node: nodes.VerbLine) -> None:
         """Record the meanings of the names in a statement with a verb, such as `deposit`."""
         row = EFFECT_BY_OPERATION.get(node.verb)
         if row is not None and row.target:
@@ -259,7 +259,7 @@ class _OccurrenceIndexer:
             self.mark_by_position(node.name, "body")
         self.mark_arguments(node.verb, node)
 
-    def mark_arguments(self, function_name: str, node: nodes.Call | nodes.Ask) -> None:
+    def mark_arguments(self, function_name: str, node: nodes.Call | nodes.VerbLine) -> None:
         """Record the names of arguments. `function_name`: the function or verb."""
         for each in node.arguments:
             if isinstance(each, nodes.Argument) and each.name is not None:
@@ -283,5 +283,5 @@ _MARKERS_BY_NODE_TYPE: dict[type, Callable[[_OccurrenceIndexer, Any], None]] = {
     nodes.Comprehension: _OccurrenceIndexer.mark_comprehension, nodes.IndexAll: _OccurrenceIndexer.mark_each_of,
     nodes.Member: _OccurrenceIndexer.mark_member,
     nodes.Call: _OccurrenceIndexer.mark_call,
-    nodes.Ask: _OccurrenceIndexer.ask, nodes.Target: _OccurrenceIndexer.target,
+    nodes.VerbLine: _OccurrenceIndexer.mark_verb_line, nodes.Target: _OccurrenceIndexer.target,
 }  # fmt: skip

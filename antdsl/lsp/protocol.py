@@ -1,4 +1,4 @@
-"""Answers of this package in the terms of the language server protocol. The only file except `server` that imports lsprotocol."""
+"""Converts answers of this package to messages of the language server protocol. Only this file and `server` import lsprotocol."""
 
 from __future__ import annotations
 

@@ -29,7 +29,7 @@ def find_key_path(text: str, offset: int) -> tuple[tuple[str, ...], str]:
     begin = text.rfind("\n", 0, offset) + 1
     line = text[begin:offset]
     indent = len(line) - len(line.lstrip())
-    above: list[str] = []
+    outer_keys: list[str] = []
     level = indent if line.strip() else 10**9 if indent else 0
     level = indent
     for earlier in reversed(text[:begin].splitlines()):
@@ -38,9 +38,9 @@ def find_key_path(text: str, offset: int) -> tuple[tuple[str, ...], str]:
             continue
         depth = len(match.group(1))
         if depth < level:
-            above.insert(0, match.group(2))
+            outer_keys.insert(0, match.group(2))
             level = depth
-    return (*above, *_find_open_keys(line)), line
+    return (*outer_keys, *_find_open_keys(line)), line
 
 
 def _find_open_keys(line: str) -> list[str]:
@@ -69,8 +69,8 @@ def complete_scene(workspace: Workspace, document: OpenDocument, offset: int) ->
     if "#" in line:
         return []
     if value is not None:
-        above = tuple(part for part in path if not part.endswith(":"))
-        return list(_propose_values(workspace, document, value.group(1), above))
+        outer_keys = tuple(part for part in path if not part.endswith(":"))
+        return list(_propose_values(workspace, document, value.group(1), outer_keys))
     return list(_propose_keys(workspace, document, tuple(part for part in path if not part.endswith(":")), line))
 
 

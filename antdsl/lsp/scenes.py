@@ -95,9 +95,9 @@ def _index_item(index: SceneIndex, thing: str, node: DocumentNode, things: set[s
 
 def _index_attributes(index: SceneIndex, thing: str, node: DocumentNode) -> None:
     """Record the keys of an item that are attributes of the program."""
-    known = {*ItemThing.model_fields, *ITEM_ATTRIBUTE_TYPES}
+    built_in_names = {*ItemThing.model_fields, *ITEM_ATTRIBUTE_TYPES}
     for word, span, _ in _list_mapping_entries(node):
-        if word not in known:
+        if word not in built_in_names:
             index.add_occurrence(span, ("attribute", thing, word))
 
 

@@ -70,7 +70,7 @@ class AntLanguageServer(LanguageServer):
         item = completion.completion_item if completion is not None else None
         return bool(item is not None and item.snippet_support)
 
-    # --- complaints ---
+    # --- findings ---
 
     def schedule_check(self, path: Path) -> None:
         """Check a file when all pending messages have been read. Of ten key presses at once, only the last is answered."""
@@ -198,20 +198,21 @@ def _answer_at_position(ls: AntLanguageServer, params: Any, answer: Callable[[Op
 @language_server.feature(lsp.TEXT_DOCUMENT_HOVER)
 def _hover(ls: AntLanguageServer, params: lsp.HoverParams) -> lsp.Hover | None:
     def answer(document: OpenDocument, offset: int) -> lsp.Hover | None:
-        names = document.at(offset)
-        said = {
+        names = document.find_occurrences(offset)
+        occurrence_by_text = {
             text: each.span
             for each in names
             if (text := describe_symbol(ls.files, document, navigation.resolve_key(ls.files, document, each.key))) is not None
         }
-        if not said:
+        if not occurrence_by_text:
             start, end = document.find_word_at(offset)
             word = document.text.text[start:end]
             is_first = is_line_start(document.text.text, start)
             text = describe_keyword(word, is_first) if document.is_program else find_scene_key_help(word)
             return lsp.Hover(_make_markdown(text), protocol.to_lsp_range(document.text.range(start, end))) if text else None
         return lsp.Hover(
-            _make_markdown("\n\n---\n\n".join(said)), protocol.to_lsp_range(document.range(next(iter(said.values()))))
+            _make_markdown("\n\n---\n\n".join(occurrence_by_text)),
+            protocol.to_lsp_range(document.range(next(iter(occurrence_by_text.values())))),
         )
 
     return _answer_at_position(ls, params, answer)
@@ -270,8 +271,8 @@ def _prepare_rename(ls: AntLanguageServer, params: lsp.PrepareRenameParams) -> l
     def answer(document: OpenDocument, offset: int) -> lsp.Range:
         try:
             return protocol.to_lsp_range(document.range(navigation.find_renamable_name(ls.files, document, offset).span))
-        except navigation.RenameRefused as why:
-            raise JsonRpcInvalidParams(str(why)) from None
+        except navigation.RenameRejected as error:
+            raise JsonRpcInvalidParams(str(error)) from None
 
     return _answer_at_position(ls, params, answer)
 
@@ -281,8 +282,8 @@ def _rename(ls: AntLanguageServer, params: lsp.RenameParams) -> lsp.WorkspaceEdi
     def answer(document: OpenDocument, offset: int) -> lsp.WorkspaceEdit:
         try:
             locations = navigation.rename_symbol(ls.files, document, offset, params.new_name)
-        except navigation.RenameRefused as why:
-            raise JsonRpcInvalidParams(str(why)) from None
+        except navigation.RenameRejected as error:
+            raise JsonRpcInvalidParams(str(error)) from None
         edits: dict[Path, list[lsp.TextEdit]] = {}
         for each in locations:
             edits.setdefault(each.document.path, []).append(lsp.TextEdit(protocol.to_lsp_range(each.range), params.new_name))

@@ -57,11 +57,11 @@ class DocumentText:
         text, start = self.line(line), self.line_starts[line]
         if text.isascii() or self.encoding == "utf-32":
             return start + min(max(column, 0), len(text))
-        taken = 0
+        columns = 0
         for count, character in enumerate(text):
-            if taken >= column:
+            if columns >= column:
                 return start + count
-            taken += self._count_character_columns(character)
+            columns += self._count_character_columns(character)
         return start + len(text)
 
     def find_line_column(self, offset: int) -> LineColumn:

@@ -55,8 +55,10 @@ def format_signature(node: nodes.Behaviour) -> str:
 
 def _describe_event(key: NameKey) -> str | None:
     """Return the help for an event."""
-    known = {"spawn": "the event at an agent's birth", "collision": "the agent's body begins to touch another one"}
-    return format_markdown(f"on {key[1]}", known.get(key[1], "an event: agents notice it once, in the step after it was emitted"))
+    text_by_event = {"spawn": "the event at an agent's birth", "collision": "the agent's body begins to touch another one"}
+    return format_markdown(
+        f"on {key[1]}", text_by_event.get(key[1], "an event: agents notice it once, in the step after it was emitted")
+    )
 
 
 def _describe_element(key: NameKey) -> str | None:
@@ -84,8 +86,8 @@ def _describe_defaults(name: str) -> str:
     """The defaults of a setting: of edition 1, and of later ones where they differ."""
     row = DEFAULT_BY_SETTING[name]
     texts = [row.in_edition(edition) or "none" for edition in EDITIONS]
-    later = [f"in `ant {edition}`: {text}" for edition, text in zip(EDITIONS, texts, strict=True) if text != texts[0]]
-    return ", ".join([f"default {texts[0]}", *later])
+    changed_defaults = [f"in `ant {edition}`: {text}" for edition, text in zip(EDITIONS, texts, strict=True) if text != texts[0]]
+    return ", ".join([f"default {texts[0]}", *changed_defaults])
 
 
 def format_builtin(name: str, row: BuiltinRow) -> str:
@@ -99,8 +101,8 @@ def format_builtin(name: str, row: BuiltinRow) -> str:
 
 def _describe_builtin(key: NameKey) -> str | None:
     """Return the help for a word that is called: a function, a reducer or an aggregate."""
-    said = [rule(key) for rule in (_describe_builtin_function, _describe_reducer, _describe_aggregate)]
-    return "\n\n".join(each for each in said if each) or None
+    texts = [rule(key) for rule in (_describe_builtin_function, _describe_reducer, _describe_aggregate)]
+    return "\n\n".join(each for each in texts if each) or None
 
 
 def _describe_builtin_function(key: NameKey) -> str | None:
@@ -145,17 +147,19 @@ def _describe_value_word(key: NameKey) -> str | None:
 
 def _describe_unit(key: NameKey) -> str | None:
     """Describe a unit, alone or made of others: `mm/s`, `%/s`. None for an unknown one."""
-    known = find_unit_measure(key[1])
-    if known is None:
+    measure = find_unit_measure(key[1])
+    if measure is None:
         return None
-    base = choose_default_unit(known.dim)
+    base = choose_default_unit(measure.dim)
     base_unit = find_unit_measure(base)
     # angles are stored in radians, but displayed relative to `deg`
-    factor = known.factor / base_unit.factor if base_unit is not None else known.factor
-    worth = f"1 {key[1]} = {factor:.6g} {base}".strip() if key[1] != base and not known.unit_power and not known.step else ""
-    rate = f"an amount per second: `x += 3 {key[1]}` in a state" if known.dim.time == -1 and not known.step else ""
-    of_steps = "" if not known.step or key[1] in tables.UNIT_HELP else tables.STEP_UNIT_NOTE
-    return format_markdown(f"3 {key[1]}", describe_dimension(known.dim), tables.UNIT_HELP.get(key[1], ""), worth, rate, of_steps)
+    factor = measure.factor / base_unit.factor if base_unit is not None else measure.factor
+    worth = f"1 {key[1]} = {factor:.6g} {base}".strip() if key[1] != base and not measure.unit_power and not measure.step else ""
+    rate = f"an amount per second: `x += 3 {key[1]}` in a state" if measure.dim.time == -1 and not measure.step else ""
+    of_steps = "" if not measure.step or key[1] in tables.UNIT_HELP else tables.STEP_UNIT_NOTE
+    return format_markdown(
+        f"3 {key[1]}", describe_dimension(measure.dim), tables.UNIT_HELP.get(key[1], ""), worth, rate, of_steps
+    )
 
 
 def _make_typed_word_rule(table: Any, explanation: str, form: str) -> HelpRule:
@@ -194,10 +198,10 @@ def describe_keyword(word: str, begins_line: bool) -> str | None:
 
 def _describe_type_word(key: NameKey) -> str | None:
     """Return the help for a type; None for another word."""
-    known = vocabulary.TYPE_BY_WORD.get(key[1])
-    if known is None:
+    value_type = vocabulary.TYPE_BY_WORD.get(key[1])
+    if value_type is None:
         return None
-    unit = choose_default_unit(known) if isinstance(known, Dimension) else ""
+    unit = choose_default_unit(value_type) if isinstance(value_type, Dimension) else ""
     return format_markdown(
         f"behaviour mine(x: {key[1]}) -> push {{ … }}", f"numbers in `{unit}`" if unit else tables.TYPE_HELP[key[1]], "a type"
     )
@@ -256,14 +260,14 @@ _WORD_MEANINGS: tuple[tuple[str, Collection[str], HelpRule], ...] = (
 
 def list_known_words() -> set[str]:
     """Return all words that `explain_word` knows, except compound units."""
-    own = {
+    own_words = {
         word
         for _, node in _list_library_behaviours()
         for word in (node.name.text, *(argument.name.text for argument in node.arguments))
     }
     arguments = {arg.name for rows in vocabulary.BUILTINS_BY_NAME.values() for row in rows for arg in row.args}
-    meant = {word for _, table, _ in _WORD_MEANINGS for word in table}
-    return {*meant, *own, *arguments, *list_library_names(), *vocabulary.RESERVED_WORDS}
+    words_with_meaning = {word for _, table, _ in _WORD_MEANINGS for word in table}
+    return {*words_with_meaning, *own_words, *arguments, *list_library_names(), *vocabulary.RESERVED_WORDS}
 
 
 def explain_word(word: str) -> str | None:
@@ -271,8 +275,8 @@ def explain_word(word: str) -> str | None:
     unknown word. A unit may be compound, and have a number before it."""
     meanings = [(title, rule(("", word))) for title, table, rule in _WORD_MEANINGS if word in table]
     unit = word.lstrip("0123456789. ")
-    if not meanings and (known := _describe_unit(("unit", unit))):
-        meanings, word = [("a unit", known)], unit
+    if not meanings and (unit_text := _describe_unit(("unit", unit))):
+        meanings, word = [("a unit", unit_text)], unit
     meanings += [("argument of a call", "\n\n".join(_describe_argument_uses(word)))]
     for brings, node in _list_library_behaviours():
         if node.name.text == word:
@@ -283,14 +287,14 @@ def explain_word(word: str) -> str | None:
     if word in list_library_names():
         names = ", ".join(f"`{node.name.text}`" for brings, node in _list_library_behaviours() if brings == word)
         meanings.append(("a library", format_markdown(f"use {word}", f"the library: {names}")))
-    said = [(title, text) for title, text in meanings if text]
-    if not said and word in vocabulary.RESERVED_WORDS:
-        said = [("", "a word of the language that does not work yet")]
-    if not said:
+    texts = [(title, text) for title, text in meanings if text]
+    if not texts and word in vocabulary.RESERVED_WORDS:
+        texts = [("", "a word of the language that does not work yet")]
+    if not texts:
         return None
-    if len(said) == 1:
-        return f"# {word}\n\n{said[0][1]}\n"
-    parts = (f"## {title}\n\n{text.removesuffix(f'{_PARAGRAPH_BREAK}{title}')}" for title, text in said)
+    if len(texts) == 1:
+        return f"# {word}\n\n{texts[0][1]}\n"
+    parts = (f"## {title}\n\n{text.removesuffix(f'{_PARAGRAPH_BREAK}{title}')}" for title, text in texts)
     return f"# {word}\n\n" + "\n\n".join(parts) + "\n"
 
 
@@ -299,11 +303,12 @@ _PARAGRAPH_BREAK = "\n\n"
 
 def _describe_argument_uses(word: str) -> Iterator[str]:
     """Yield the help for each call that takes an argument of this name."""
-    for called, rows in vocabulary.BUILTINS_BY_NAME.items():
+    for function_name, rows in vocabulary.BUILTINS_BY_NAME.items():
         for row in rows:
             if any(arg.name == word for arg in row.args):
                 yield format_markdown(
-                    f"{format_builtin(called, row)}\n{sample_lines.CALL_SAMPLES[called]}", f"argument of `{called}`"
+                    f"{format_builtin(function_name, row)}\n{sample_lines.CALL_SAMPLES[function_name]}",
+                    f"argument of `{function_name}`",
                 )
     if word in tables.PLAY_HELP:
         yield format_markdown(f"play CLIP({word}: …)\n{tables.PLAY_HELP[word]}", "argument of `play`")

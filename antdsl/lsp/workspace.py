@@ -89,8 +89,8 @@ class OpenDocument:
     @cached_property
     def used_files(self) -> list[Path]:
         """Return the files that the program uses by `use "PATH"`."""
-        written = (item.path for item in self.parsed[0].items if isinstance(item, nodes.Use))
-        return [resolve_path(self.path.parent.joinpath(path.text)) for path in written if path is not None]
+        paths = (item.path for item in self.parsed[0].items if isinstance(item, nodes.Use))
+        return [resolve_path(self.path.parent.joinpath(path.text)) for path in paths if path is not None]
 
     @property
     def index(self) -> NameIndex:
@@ -135,7 +135,7 @@ class OpenDocument:
         """Return the lines and columns of a span."""
         return self.text.range(self.start(span), self.end(span))
 
-    def at(self, offset: int) -> list[NameOccurrence]:
+    def find_occurrences(self, offset: int) -> list[NameOccurrence]:
         """Return the names at an offset. A name that starts at or covers the offset precedes one that ends there."""
         index = self.index
         name_occurrences: list[NameOccurrence] = []
@@ -213,15 +213,15 @@ class Workspace:
             self._disk_documents.pop(path, None)
             return None
         stamp = (status.st_mtime_ns, status.st_size)
-        known = self._disk_documents.get(path)
-        if known is None or known.file_stamp != stamp:
+        stored = self._disk_documents.get(path)
+        if stored is None or stored.file_stamp != stamp:
             source, _ = syntax.read(path)
             if source is None:
                 return None
-            known = self._disk_documents[path] = OpenDocument(
+            stored = self._disk_documents[path] = OpenDocument(
                 path, DocumentText(source.text, self.encoding), self.find_bindings, stamp
             )
-        return known
+        return stored
 
     def locate_span(self, span: Span) -> tuple[OpenDocument, TextRange] | None:
         """Return the document that contains a span, and the span's location in it."""
@@ -230,8 +230,8 @@ class Workspace:
                 file = document.parsed[0]
                 if span.source is file.source or span.source in file.parts:
                     return document, document.range(span)
-        named = self.document(Path(os.path.realpath(span.source.path)))
-        return (named, named.range(span)) if named is not None else None
+        named_document = self.document(Path(os.path.realpath(span.source.path)))
+        return (named_document, named_document.range(span)) if named_document is not None else None
 
     # --- checking ---
 
@@ -241,14 +241,14 @@ class Workspace:
         document = self.document(path)
         if document is None:
             return None
-        known = self._check_by_path.get(path)
-        if known is not None and known[0] == self._find_dependency_state(path):
-            return known[1]
-        checked = self._check_program(document) if document.is_program else self._check_scene(document)
-        if checked.program is not None and checked.report.ok:
-            self._last_good_programs[path] = checked.program
-        self._check_by_path[path] = (self._find_dependency_state(path), checked)
-        return checked
+        stored = self._check_by_path.get(path)
+        if stored is not None and stored[0] == self._find_dependency_state(path):
+            return stored[1]
+        result = self._check_program(document) if document.is_program else self._check_scene(document)
+        if result.program is not None and result.report.ok:
+            self._last_good_programs[path] = result.program
+        self._check_by_path[path] = (self._find_dependency_state(path), result)
+        return result
 
     def _find_dependency_state(self, path: Path) -> object:
         """Return all inputs of a check: the related documents in their current state."""
@@ -256,13 +256,13 @@ class Workspace:
 
     def find_bindings(self, path: Path) -> NameBindings:
         """Return the resolved names of a program, as far as its text is valid."""
-        checked = self.check_document(path)
-        return NO_BINDINGS if checked is None or checked.program is None else checked.program.bindings
+        result = self.check_document(path)
+        return NO_BINDINGS if result is None or result.program is None else result.program.bindings
 
     def find_last_good_program(self, path: Path) -> Program | None:
         """Return the last program of this document that checked without errors, for queries during an edit."""
-        checked = self.check_document(path)
-        return self._last_good_programs.get(path) or (checked.program if checked is not None else None)
+        result = self.check_document(path)
+        return self._last_good_programs.get(path) or (result.program if result is not None else None)
 
     def find_parsed_files(self, path: Path) -> ParsedFileCache:
         """Return the cached parse results for the chain. Documents open in the editor have priority."""
@@ -300,15 +300,17 @@ class Workspace:
         document = self.document(path)
         if document is not None and not document.is_program and not _SCENE_KEY_PATTERN.search(document.text.text):
             return []
-        checked = self.check_document(path)
-        if checked is None:
+        result = self.check_document(path)
+        if result is None:
             return []
-        document, own = self.document(path), str(path)
-        said = [d for d in checked.report.sort_by_place() if d.span is None or os.path.realpath(d.span.source.path) == own]
+        document, own_path = self.document(path), str(path)
+        diagnostics = [
+            d for d in result.report.sort_by_place() if d.span is None or os.path.realpath(d.span.source.path) == own_path
+        ]
         if document is None:
-            return said
+            return diagnostics
         return apply_ignores(
-            Report(said), [Source(own, document.text.text)], has_no_errors=checked.report.ok, meshes_checked=False
+            Report(diagnostics), [Source(own_path, document.text.text)], has_no_errors=result.report.ok, meshes_checked=False
         ).sort_by_place()
 
     # --- which files belong together ---
@@ -332,24 +334,24 @@ class Workspace:
         links = {each: set(self.find_linked_files(each)) for each in self.files()}
         links.setdefault(path, set(self.find_linked_files(path)))
         members = set(links[path]) | {path}
-        grown = True
-        while grown:
-            grown = False
+        has_grown = True
+        while has_grown:
+            has_grown = False
             for linked in links.values():
                 if linked & members and not linked <= members:
                     members |= linked
-                    grown = True
+                    has_grown = True
         return sorted(members)
 
     def find_extending_scenes(self, path: Path) -> list[Path]:
         """Return a scene, the scenes that it extends, and all scenes that extend one of these."""
-        behind = {
+        linked_files = {
             each: {p for p in self.find_linked_files(each) if p.suffix != PROGRAM_SUFFIX}
             for each in self.files()
             if each.suffix != PROGRAM_SUFFIX
         }
-        mine = behind.get(path, {p for p in self.find_linked_files(path) if p.suffix != PROGRAM_SUFFIX})
-        others = {each for each, linked in behind.items() if linked & mine} | mine
+        own_files = linked_files.get(path, {p for p in self.find_linked_files(path) if p.suffix != PROGRAM_SUFFIX})
+        others = {each for each, linked in linked_files.items() if linked & own_files} | own_files
         return [path, *sorted(others - {path})]
 
     def find_scenes_using(self, path: Path) -> list[Path]:
@@ -361,11 +363,11 @@ class Workspace:
 
         Large folders are not searched at every request. A result is valid for twenty times the duration of its search, or until
         the editor reports a change."""
-        now = monotonic()
-        if now >= self._file_search[0]:
+        time = monotonic()
+        if time >= self._file_search[0]:
             paths, _ = find_files(root for root in self.roots if root.is_dir())
             real = [Path(os.path.realpath(each)) for each in paths]
-            self._file_search = (monotonic() + 20 * (monotonic() - now), real)
+            self._file_search = (monotonic() + 20 * (monotonic() - time), real)
         return list(dict.fromkeys([*self.open_documents, *self._file_search[1]]))
 
     def invalidate_file_list(self) -> None:

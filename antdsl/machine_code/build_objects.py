@@ -29,7 +29,7 @@ _CompileTask = tuple[_QualifiedName, tuple[str, ...]]  # an entry, and the names
 def build_object_files(folder: Path, entries: Sequence[library.LibraryEntry], targets: Iterable[str], processes: int = 1) -> int:
     """Write the object files of targets into a folder, which is created if needed. Return the number of newly compiled objects.
 
-    Objects that exist in the folder are not compiled again. `entry_functions`: the kernels and texts to compile. With several
+    Objects that exist in the folder are not compiled again. `entries`: the kernels and texts to compile. With several
     `processes`, they must be those of the package."""
     keys: dict[str, dict[_QualifiedName, str]] = {}
     objects_by_target: dict[str, dict[str, bytes]] = {}

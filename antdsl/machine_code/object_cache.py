@@ -122,8 +122,8 @@ class ObjectCache:
 
     - `folder`: None means the folder in the environment variable of the `kind`, or no folder if the variable is empty. Without
       the variable, it is the kind's folder in the user's cache folder.
-    - `cap`: the maximum size of all files together, in bytes; the least recently used are removed first
-    - `largest`: the maximum size of one result, in bytes
+    - `max_bytes`: the maximum size of all files together, in bytes; the least recently used are removed first
+    - `max_result_bytes`: the maximum size of one result, in bytes
     - `messages`: sentences for the user on why a result is not stored or was not used, each once"""
 
     def __init__(

@@ -4,8 +4,8 @@ The method is that of V. Gopal, E. Ozturk, J. Guilford, G. Wolrich, W. Feghali, 
 Generic Polynomials Using PCLMULQDQ Instruction, Intel 2009. Four registers represent the data so far: they have the same
 remainder. They consist of blocks of 16 bytes. To advance a block by n bits, each half of it is multiplied by the remainder of
 x**n. The last 16 bytes of state, and the fewer than 16 bytes of data after it, are processed byte by byte with a table. A
-register has 16 bytes. It has 64 if the processor multiplies 64 bytes at once (VPCLMULQDQ) and registers of that width slow
-nothing down (`machine`). This is almost three times as fast."""
+register has 16 bytes. It has 64 if the processor multiplies 64 bytes at once (VPCLMULQDQ) without slowing down; this is almost
+three times as fast."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _BYTE_DTYPE = np.dtype(np.uint8)
 # Words of a call's table; the first also holds the result
 _DATA_WORD, _LENGTH_WORD, _PREVIOUS_CRC_WORD = RESULT_WORDS, RESULT_WORDS + 1, RESULT_WORDS + 2
 _CallTable = ctypes.c_int64 * (_PREVIOUS_CRC_WORD + 1)
-# LLVM's names; the wide ones are used on processors that `machine` accepts
+# LLVM's names; `count_blocks_per_register` says which processors use the wide ones
 _CARRYLESS_FEATURE, _WIDE_FEATURES = "+pclmul", ("+vpclmulqdq", "+avx512vbmi2")
 
 
@@ -110,36 +110,38 @@ def build_llvm_text(target: llvm_compiler.Target) -> str:
     in the first word of the table. The text is empty if the processor has no carry-less products."""
     if not has_carryless_products(target):
         return ""
-    module, many = LlvmModule(target), count_blocks_per_register(target)
-    kinds = {count: (f"<{2 * count} x i64>", "" if count == 1 else f".{128 * count}") for count in {1, many}}
+    module, block_count = LlvmModule(target), count_blocks_per_register(target)
+    kinds = {count: (f"<{2 * count} x i64>", "" if count == 1 else f".{128 * count}") for count in {1, block_count}}
     for kind, ending in kinds.values():
         module.declare(f"llvm.x86.pclmulqdq{ending}", kind, [kind, kind, "i8"])
-    wide, _ = kinds[many]
+    wide, _ = kinds[block_count]
     numbers = iter(range(1000))
     lines: list[str] = []
 
-    def put(value: str) -> str:
+    def add_value(value: str) -> str:
         name = f"%v{next(numbers)}"
         lines.append(f"  {name} = {value}")
         return name
 
-    def loaded(at: str, register: int) -> str:
-        where = put(f"getelementptr i8, ptr {at}, i64 {_BLOCK_BYTES * many * register}")
-        return put(f"load {wide}, ptr {where}, align 1")
+    def load_register(address: str, register: int) -> str:
+        where = add_value(f"getelementptr i8, ptr {address}, i64 {_BLOCK_BYTES * block_count * register}")
+        return add_value(f"load {wide}, ptr {where}, align 1")
 
-    def moved(remainder: str, bits: int, onto: str, count: int) -> str:
-        """Return the state in `count` blocks, advanced by `bits`, combined with the data `onto`."""
+    def advance(remainder: str, bits: int, addend: str, count: int) -> str:
+        """Return the state in `count` blocks, advanced by `bits`, combined with the data `addend`."""
         kind, ending = kinds[count]
-        by = (
+        factors = (
             f"{kind} <"
             + ", ".join([f"i64 {_compute_power_remainder(bits + 32)}, i64 {_compute_power_remainder(bits - 32)}"] * count)
             + ">"
         )
-        call = f"call {kind} @llvm.x86.pclmulqdq{ending}({kind} {remainder}, {by}, i8"
-        low, high = (put(f"{call} {which})") for which in (0x00, 0x11))
-        return put(f"xor {kind} {put(f'xor {kind} {low}, {high}')}, {onto}")
+        call = f"call {kind} @llvm.x86.pclmulqdq{ending}({kind} {remainder}, {factors}, i8"
+        low, high = (add_value(f"{call} {which})") for which in (0x00, 0x11))
+        return add_value(f"xor {kind} {add_value(f'xor {kind} {low}, {high}')}, {addend}")
 
-    def going_on(label: str, previous: str, first: Sequence[str], step: int, turn: Callable[[str, str], str]) -> tuple[str, str]:
+    def write_loop(
+        label: str, previous: str, first: Sequence[str], step: int, turn: Callable[[str, str], str]
+    ) -> tuple[str, str]:
         """Write a loop that runs while there are `step` more bytes, after the block `previous`.
 
         `first`: the first position, and the type and value of the state. `turn` computes the next state from a state and the
@@ -151,55 +153,60 @@ def build_llvm_text(target: llvm_compiler.Target) -> str:
         lines.append(f"  %{label}.next = add i64 %{label}.at, {step}")
         lines.append(f"  %{label}.more = icmp sle i64 %{label}.next, {length}")
         lines.append(f"  br i1 %{label}.more, label %{label}.turn, label %{label}.end\n{label}.turn:")
-        accumulator = turn(f"%{label}.state", put(f"getelementptr i8, ptr {place}, i64 %{label}.at"))
+        accumulator = turn(f"%{label}.state", add_value(f"getelementptr i8, ptr {place}, i64 %{label}.at"))
         lines.append(f"  %{label}.then = bitcast {kind} {accumulator} to {kind}\n  br label %{label}\n{label}.end:")
         return f"%{label}.at", f"%{label}.state"
 
-    def with_byte(state: str, byte: str) -> str:
-        wide = put(f"zext i8 {byte} to i32")
-        low = put(f"and i32 {put(f'xor i32 {state}, {wide}')}, 255")
-        left = put(f"load i32, ptr {put(f'getelementptr i32, ptr @table, i32 {low}')}")
-        return put(f"xor i32 {put(f'lshr i32 {state}, 8')}, {left}")
+    def add_byte(state: str, byte: str) -> str:
+        wide = add_value(f"zext i8 {byte} to i32")
+        low = add_value(f"and i32 {add_value(f'xor i32 {state}, {wide}')}, 255")
+        left = add_value(f"load i32, ptr {add_value(f'getelementptr i32, ptr @table, i32 {low}')}")
+        return add_value(f"xor i32 {add_value(f'lshr i32 {state}, 8')}, {left}")
 
     place, length, previous = (
-        put(f"load {kind}, ptr {put(f'getelementptr i64, ptr %t, i64 {k}')}")
+        add_value(f"load {kind}, ptr {add_value(f'getelementptr i64, ptr %t, i64 {k}')}")
         for kind, k in (("ptr", _DATA_WORD), ("i64", _LENGTH_WORD), ("i64", _PREVIOUS_CRC_WORD))
     )
-    stride = _REGISTERS_PER_STEP * _BLOCK_BYTES * many
-    words = put(f"udiv i64 {length}, {stride}"), put(f"xor i64 {previous}, {_ALL_32_BITS}")
-    first = [loaded(place, register) for register in range(_REGISTERS_PER_STEP)]
-    first[0] = put(f"xor {wide} {first[0]}, {put(f'insertelement {wide} zeroinitializer, i64 {words[1]}, i64 0')}")
+    stride = _REGISTERS_PER_STEP * _BLOCK_BYTES * block_count
+    words = add_value(f"udiv i64 {length}, {stride}"), add_value(f"xor i64 {previous}, {_ALL_32_BITS}")
+    first = [load_register(place, register) for register in range(_REGISTERS_PER_STEP)]
+    first[0] = add_value(f"xor {wide} {first[0]}, {add_value(f'insertelement {wide} zeroinitializer, i64 {words[1]}, i64 0')}")
     lines.append("  br label %head\nhead:")
     remainder = [f"%remainder{register}" for register in range(_REGISTERS_PER_STEP)]
     lines.append("  %done = phi i64 [ 1, %inside ], [ %next, %turn ]")
     lines += [f"  {remainder[k]} = phi {wide} [ {first[k]}, %inside ], [ %then{k}, %turn ]" for k in range(_REGISTERS_PER_STEP)]
     lines.append(f"  %more = icmp slt i64 %done, {words[0]}\n  br i1 %more, label %turn, label %last\nturn:")
-    at = put(f"getelementptr i8, ptr {place}, i64 {put(f'mul i64 %done, {stride}')}")
+    address = add_value(f"getelementptr i8, ptr {place}, i64 {add_value(f'mul i64 %done, {stride}')}")
     for k in range(_REGISTERS_PER_STEP):
-        then = moved(remainder[k], 8 * stride, loaded(at, k), many)
+        then = advance(remainder[k], 8 * stride, load_register(address, k), block_count)
         lines.append(f"  %then{k} = bitcast {wide} {then} to {wide}")
     lines.append("  %next = add i64 %done, 1\n  br label %head\nlast:")
     accumulator = remainder[0]
     for k in range(1, _REGISTERS_PER_STEP):
-        accumulator = moved(accumulator, 8 * _BLOCK_BYTES * many, remainder[k], many)
+        accumulator = advance(accumulator, 8 * _BLOCK_BYTES * block_count, remainder[k], block_count)
     parts = [
-        put(f"shufflevector {wide} {accumulator}, {wide} poison, <2 x i32> <i32 {2 * k}, i32 {2 * k + 1}>") for k in range(many)
+        add_value(f"shufflevector {wide} {accumulator}, {wide} poison, <2 x i32> <i32 {2 * k}, i32 {2 * k + 1}>")
+        for k in range(block_count)
     ]
     accumulator = parts[0]
     for part in parts[1:]:
-        accumulator = moved(accumulator, 8 * _BLOCK_BYTES, part, 1)
+        accumulator = advance(accumulator, 8 * _BLOCK_BYTES, part, 1)
     sixteen = ("<2 x i64>", accumulator)
-    at, accumulator = going_on(
-        "blocks", "last", (put(f"mul i64 {words[0]}, {stride}"), *sixteen), _BLOCK_BYTES,
-        lambda remainder, at: moved(remainder, 8 * _BLOCK_BYTES, put(f"load <2 x i64>, ptr {at}, align 1"), 1),
+    address, accumulator = write_loop(
+        "blocks", "last", (add_value(f"mul i64 {words[0]}, {stride}"), *sixteen), _BLOCK_BYTES,
+        lambda remainder, address: advance(remainder, 8 * _BLOCK_BYTES, add_value(f"load <2 x i64>, ptr {address}, align 1"), 1),
     )  # fmt: skip
-    state, block_bytes = "0", put(f"bitcast <2 x i64> {accumulator} to <16 x i8>")
+    state, block_bytes = "0", add_value(f"bitcast <2 x i64> {accumulator} to <16 x i8>")
     for k in range(_BLOCK_BYTES):
-        state = with_byte(state, put(f"extractelement <16 x i8> {block_bytes}, i32 {k}"))
-    _, state = going_on(
-        "bytes", "blocks.end", (at, "i32", state), 1, lambda remainder, at: with_byte(remainder, put(f"load i8, ptr {at}"))
+        state = add_byte(state, add_value(f"extractelement <16 x i8> {block_bytes}, i32 {k}"))
+    _, state = write_loop(
+        "bytes",
+        "blocks.end",
+        (address, "i32", state),
+        1,
+        lambda remainder, address: add_byte(remainder, add_value(f"load i8, ptr {address}")),
     )
-    state = put(f"xor i32 {state}, -1")
-    lines.append(f"  store i64 {put(f'zext i32 {state} to i64')}, ptr %t, align 8")
+    state = add_value(f"xor i32 {state}, -1")
+    lines.append(f"  store i64 {add_value(f'zext i32 {state} to i64')}, ptr %t, align 8")
     body = "  br label %inside\ninside:\n" + "\n".join(lines)
     return module.text() + "\n" + _build_table_text() + "\n" + write_inner_function(module, "fold", body) + "\n"

@@ -66,7 +66,7 @@ def sin(x: FloatValue) -> FloatValue:
     represents it."""
     if np.ndim(x) == 0:
         return _get_cached_value(sin_float64, np.float64(x).tobytes())
-    values = _run_kernel("sines", x)
+    values = _run_kernel("write_sines", x)
     return _to_float32(sin_float64(x)) if values is None else values
 
 
@@ -74,7 +74,7 @@ def cos(x: FloatValue) -> FloatValue:
     """Return the cosine of an angle (rad), with the properties of `sin`."""
     if np.ndim(x) == 0:
         return _get_cached_value(cos_float64, np.float64(x).tobytes())
-    values = _run_kernel("cosines", x)
+    values = _run_kernel("write_cosines", x)
     return _to_float32(cos_float64(x)) if values is None else values
 
 
@@ -110,21 +110,21 @@ def _log_float64(wide: FloatValue) -> FloatValue:
     power = power - low * 1.0
     s = (mantissa - 1.0) / (mantissa + 1.0)
     value = (s * _evaluate_series(s * s, LOG_COEFFICIENTS) + power * LN2_LOW) + power * LN2_HIGH
-    odd = np.where(wide == 0.0, -np.inf, np.where(wide == np.inf, np.inf, np.nan))
-    return np.where(usual, value, odd)
+    special = np.where(wide == 0.0, -np.inf, np.where(wide == np.inf, np.inf, np.nan))
+    return np.where(usual, value, special)
 
 
 def exp(x: FloatValue) -> FloatValue:
     """Return e to the power x."""
     if np.ndim(x) == 0:
         return _get_cached_value(_exp_float64, np.float64(x).tobytes())
-    values = _run_kernel("exponentials", x)
+    values = _run_kernel("write_exponentials", x)
     return _to_float32(_exp_float64(_to_float64(x))) if values is None else values
 
 
 def log(x: FloatValue) -> FloatValue:
     """Return the natural logarithm; -inf at 0, NaN below."""
-    values = _run_kernel("logarithms", x)
+    values = _run_kernel("write_logarithms", x)
     return _to_float32(_log_float64(_to_float64(x))) if values is None else values
 
 
@@ -134,14 +134,14 @@ def power(a: FloatValue, b: FloatValue) -> FloatValue:
     wide_a, wide_b = _to_float64(a), _to_float64(b)
     value = _exp_float64(wide_b * _log_float64(np.abs(wide_a)))
     is_integer = np.floor(wide_b) == wide_b
-    odd = is_integer & (np.floor(wide_b * 0.5) * 2.0 != wide_b)
-    value = np.where(wide_a < 0.0, np.where(is_integer, np.where(odd, -value, value), np.nan), value)
+    is_odd = is_integer & (np.floor(wide_b * 0.5) * 2.0 != wide_b)
+    value = np.where(wide_a < 0.0, np.where(is_integer, np.where(is_odd, -value, value), np.nan), value)
     return _to_float32(np.where((wide_b == 0.0) | (wide_a == 1.0), 1.0, value))
 
 
 def atan2(y: FloatValue, x: FloatValue) -> FloatValue:
     """Return the angle of (x, y) from the x axis in rad, -pi .. pi; 0 for (0, 0)."""
-    values = _run_kernel("angles", y, x)
+    values = _run_kernel("write_angles", y, x)
     return _to_float32(atan2_float64(y, x)) if values is None else values
 
 

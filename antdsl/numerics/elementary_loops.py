@@ -50,8 +50,8 @@ def compute_cos_and_sin(x: F32) -> tuple[F32, F32]:
     quarter = turns - np.floor(turns * 0.25) * 4.0
     square = rest * rest
     sine, cosine = rest * _evaluate_series(square, SIN_COEFFICIENTS), _evaluate_series(square, COS_COEFFICIENTS)
-    odd = quarter == 1.0 or quarter == 3.0
-    c, s = (sine, cosine) if odd else (cosine, sine)
+    is_odd = quarter == 1.0 or quarter == 3.0
+    c, s = (sine, cosine) if is_odd else (cosine, sine)
     return _F(-c if quarter == 1.0 or quarter == 2.0 else c), _F(-s if quarter >= 2.0 else s)
 
 
@@ -72,16 +72,16 @@ def atan2(y: F32, x: F32) -> F32:
 
 
 @inlined
-def _are_all_between(x: Array1[F32], least: F64, most: F64) -> BOOL:
-    """Return whether all numbers lie between `least` and `most`."""
-    usual = True
+def _are_all_between(x: Array1[F32], lower: F64, upper: F64) -> BOOL:
+    """Return whether all numbers lie between `lower` and `upper`."""
+    is_between = True
     for k in range(x.size):
-        usual &= np.float64(x[k]) > least and np.float64(x[k]) < most
-    return usual
+        is_between &= np.float64(x[k]) > lower and np.float64(x[k]) < upper
+    return is_between
 
 
 @kernel
-def sines(x: Array1[F32], output: Array1[F32]) -> BOOL:
+def write_sines(x: Array1[F32], output: Array1[F32]) -> BOOL:
     """Write `elementary.sin` of all numbers; return False if an angle is not below 1e6 rad."""
     if not _are_all_between(x, -LARGE_ANGLE, LARGE_ANGLE):
         return False
@@ -91,7 +91,7 @@ def sines(x: Array1[F32], output: Array1[F32]) -> BOOL:
 
 
 @kernel
-def cosines(x: Array1[F32], output: Array1[F32]) -> BOOL:
+def write_cosines(x: Array1[F32], output: Array1[F32]) -> BOOL:
     """Write `elementary.cos` of all numbers; return False if an angle is not below 1e6 rad."""
     if not _are_all_between(x, -LARGE_ANGLE, LARGE_ANGLE):
         return False
@@ -101,7 +101,7 @@ def cosines(x: Array1[F32], output: Array1[F32]) -> BOOL:
 
 
 @kernel
-def angles(y: Array1[F32], x: Array1[F32], output: Array1[F32]) -> BOOL:
+def write_angles(y: Array1[F32], x: Array1[F32], output: Array1[F32]) -> BOOL:
     """Write `elementary.atan2` of all numbers; return False if a number is not finite."""
     if not (_are_all_between(y, -np.inf, np.inf) and _are_all_between(x, -np.inf, np.inf)):
         return False
@@ -111,15 +111,15 @@ def angles(y: Array1[F32], x: Array1[F32], output: Array1[F32]) -> BOOL:
 
 
 @kernel
-def exponentials(x: Array1[F32], output: Array1[F32]) -> BOOL:
+def write_exponentials(x: Array1[F32], output: Array1[F32]) -> BOOL:
     """Write `elementary.exp` of all numbers; return False if a number is NaN."""
     for k in range(x.size):
         if x[k] != x[k]:
             return False
     for k in simd_range(0, x.size):
-        held = min(max(np.float64(x[k]), -200.0), 200.0)
-        power = np.rint(held * LOG2_E)
-        rest = (held - power * LN2_HIGH) - power * LN2_LOW
+        clamped = min(max(np.float64(x[k]), -200.0), 200.0)
+        power = np.rint(clamped * LOG2_E)
+        rest = (clamped - power * LN2_HIGH) - power * LN2_LOW
         output[k] = _F(
             _evaluate_series(rest, EXP_COEFFICIENTS) * bits_to_float((np.int64(power) + _EXPONENT_BIAS) << _FRACTION_BITS)
         )
@@ -127,7 +127,7 @@ def exponentials(x: Array1[F32], output: Array1[F32]) -> BOOL:
 
 
 @kernel
-def logarithms(x: Array1[F32], output: Array1[F32]) -> BOOL:
+def write_logarithms(x: Array1[F32], output: Array1[F32]) -> BOOL:
     """Write `elementary.log` of all numbers; return False if a number is not above 0, or not finite."""
     if not _are_all_between(x, 0.0, np.inf):
         return False

@@ -24,7 +24,7 @@ class AgentPose(NamedTuple):
     direction: Vec3
 
 
-_MIN_LENGTH, _STEEP_COSINE = 1e-12, 0.9  # as `vectors.normalise_vector` and `vectors.across`
+_MIN_LENGTH, _STEEP_COSINE = 1e-12, 0.9  # as in `vectors.normalise_or_fallback` and `vectors.find_perpendicular`
 
 
 @inlined
@@ -35,21 +35,21 @@ def load_vector(table: Array1[F64], k: I64) -> Vec3:
 
 @inlined
 def get_column(vectors: Any, i: I64) -> Vec3:
-    """Return vector `i` of vectors (3, n)."""
+    """Return column `i` of vectors (3, n)."""
     return vectors[0, i], vectors[1, i], vectors[2, i]
 
 
 @inlined
-def finite_vector(x: Any, y: Any, z: Any) -> Vec3:
+def replace_non_finite_vector(x: Any, y: Any, z: Any) -> Vec3:
     """Return a vector in float64, 0 if a component is not finite."""
     a, b, c = np.float64(x), np.float64(y), np.float64(z)
-    good = np.isfinite(a) and np.isfinite(b) and np.isfinite(c)
-    return (a if good else 0.0), (b if good else 0.0), (c if good else 0.0)
+    is_finite = np.isfinite(a) and np.isfinite(b) and np.isfinite(c)
+    return (a if is_finite else 0.0), (b if is_finite else 0.0), (c if is_finite else 0.0)
 
 
 @inlined
 def store_column(vectors: Any, i: I64, v: Vec3) -> None:
-    """Write vector `i` of vectors (3, n)."""
+    """Write column `i` of vectors (3, n)."""
     vectors[0, i], vectors[1, i], vectors[2, i] = v
 
 
@@ -93,7 +93,7 @@ def find_perpendicular(up: Vec3) -> Vec3:
 
 
 @inlined
-def unit_or_perpendicular(v: Vec3, up: Vec3) -> Vec3:
+def normalise_or_perpendicular(v: Vec3, up: Vec3) -> Vec3:
     """Return the unit vector along `v` in float64, or a unit vector perpendicular to `up` if `v` is zero."""
     size = np.sqrt(dot(v, v))
     if size > _MIN_LENGTH and np.isfinite(size):
@@ -115,7 +115,7 @@ def fmin(a: F64, b: F64) -> F64:
 
 @inlined
 def clamp_weights(b1: F64, b2: F64) -> TriangleWeights:
-    """Return the nearest weights of a point in the triangle, to correct rounding errors."""
+    """Return the weights of the nearest point in the triangle. This corrects rounding errors."""
     b1, b2 = min(max(b1, 0.0), 1.0), min(max(b2, 0.0), 1.0)
     total = b1 + b2
     if total > 1.0:
@@ -137,7 +137,7 @@ def rotate_between_normals(v: Vec3, source: Vec3, target: Vec3, direction: Vec3)
 
 
 @inlined
-def unit_or_first_axis(c: F64, s: F64) -> tuple[F64, F64]:
+def normalise_or_first_axis(c: F64, s: F64) -> tuple[F64, F64]:
     """Return a direction in a face as a unit vector; the first axis if its length is zero."""
     size = np.sqrt(c * c + s * s)
     if size > 1e-9:
@@ -146,7 +146,7 @@ def unit_or_first_axis(c: F64, s: F64) -> tuple[F64, F64]:
 
 
 @inlined
-def nearest_weights(edge1: Vec3, edge2: Vec3, v: Vec3) -> tuple[F64, F64, F64]:
+def find_nearest_weights(edge1: Vec3, edge2: Vec3, v: Vec3) -> tuple[F64, F64, F64]:
     """Return the weights of the triangle's point nearest to `v`, and its distance. `v` is relative to the first corner. The point
     is the projection onto the plane if that is inside the triangle, else a point of an edge."""
     edge3 = minus(edge2, edge1)
@@ -159,11 +159,11 @@ def nearest_weights(edge1: Vec3, edge2: Vec3, v: Vec3) -> tuple[F64, F64, F64]:
         three = min(max(dot(minus(v, edge1), edge3) / d33, 0.0), 1.0)
         best = np.inf
         for x, y in ((one, 0.0), (0.0, two), (1.0 - three, three)):
-            off = minus(minus(v, times(edge1, x)), times(edge2, y))
-            if dot(off, off) < best:
-                b1, b2, best = x, y, dot(off, off)
-    off = minus(minus(v, times(edge1, b1)), times(edge2, b2))
-    return b1, b2, np.sqrt(dot(off, off))
+            offset = minus(minus(v, times(edge1, x)), times(edge2, y))
+            if dot(offset, offset) < best:
+                b1, b2, best = x, y, dot(offset, offset)
+    offset = minus(minus(v, times(edge1, b1)), times(edge2, b2))
+    return b1, b2, np.sqrt(dot(offset, offset))
 
 
 @inlined
@@ -180,13 +180,13 @@ def normalise_vector(v: Vec3) -> Vec3:
 
 @inlined
 def get_row64(vectors: Array2[F32], i: I64) -> Vec3:
-    """Return vector `i` of vectors (n, 3), in float64."""
+    """Return row `i` of vectors (n, 3), in float64."""
     return np.float64(vectors[i, 0]), np.float64(vectors[i, 1]), np.float64(vectors[i, 2])
 
 
 @inlined
 def get_column64(vectors: Strided2[F64], i: I64) -> Vec3:
-    """Return vector `i` of vectors (3, n), in float64."""
+    """Return column `i` of vectors (3, n), in float64."""
     return np.float64(vectors[0, i]), np.float64(vectors[1, i]), np.float64(vectors[2, i])
 
 

@@ -39,8 +39,8 @@ def _find_pairs(points: Floats, others: Floats, reach: float, cells: list[CellOf
     pairs = [(empty, empty)]
     with np.errstate(over="ignore"):  # distant cells may share a number, so distances are measured
         point_keys, key = ((each[:, 0] * ny + each[:, 1]) * nz + each[:, 2] for each in (point_cells, other_cells))
-        own, order = np.argsort(point_keys, kind="stable"), np.argsort(key, kind="stable")
-        point_keys, key = point_keys[own], key[order]
+        point_order, order = np.argsort(point_keys, kind="stable"), np.argsort(key, kind="stable")
+        point_keys, key = point_keys[point_order], key[order]
         shift = np.array([(x * ny + y) * nz + z for x, y, z in cells])
     for first in range(0, len(shift), size := 1 + _CELLS_PER_CHUNK // len(points)):
         with np.errstate(over="ignore"):
@@ -50,9 +50,9 @@ def _find_pairs(points: Floats, others: Floats, reach: float, cells: list[CellOf
         begin = begin[hit]
         count = np.searchsorted(key, target_keys[hit], "right") - begin
         step = np.arange(int(count.sum())) - np.repeat(np.cumsum(count) - count, count)
-        one, other = own[np.repeat(hit % len(points), count)], order[np.repeat(begin, count) + step]
-        away = points[one] - others[other]
-        square = (away[:, 0] * away[:, 0] + away[:, 1] * away[:, 1]) + away[:, 2] * away[:, 2]
+        one, other = point_order[np.repeat(hit % len(points), count)], order[np.repeat(begin, count) + step]
+        offset = points[one] - others[other]
+        square = (offset[:, 0] * offset[:, 0] + offset[:, 1] * offset[:, 1]) + offset[:, 2] * offset[:, 2]
         near = square <= reach * reach
         if cells is _FORWARD_OFFSETS:  # pairs within a cell occur in both orders
             near &= (one < other) | (np.repeat(first + hit // len(points), count) > 0)

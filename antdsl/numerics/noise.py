@@ -26,8 +26,8 @@ MAX_LATTICE_COORDINATE = 2.0**51  # beyond this coordinate, float64 does not res
 
 def compute_noise(points: Floats, seed: NDArray[np.int64]) -> Floats:
     """Return noise values in -1 .. 1 at points (4, n), in lattice cells; NaN where a point is not finite or too far away."""
-    sound = (np.abs(points) < MAX_LATTICE_COORDINATE).all(axis=0)
-    points = np.where(sound, points, 0.0)
+    is_valid = (np.abs(points) < MAX_LATTICE_COORDINATE).all(axis=0)
+    points = np.where(is_valid, points, 0.0)
     cell = np.floor(points)
     inside = points - cell
     lattice = cell.astype(np.int64) + _compute_lattice_offset(seed)
@@ -40,7 +40,7 @@ def compute_noise(points: Floats, seed: NDArray[np.int64]) -> Floats:
     )
     for share in compute_fade(inside)[::-1]:  # time first, because it changes first among the corners
         value = value[0::2] + share * (value[1::2] - value[0::2])
-    return np.where(sound, value[0] * _NOISE_SCALE, np.nan)
+    return np.where(is_valid, value[0] * _NOISE_SCALE, np.nan)
 
 
 def compute_fade(t: Floats) -> Floats:

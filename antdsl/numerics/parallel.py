@@ -55,14 +55,14 @@ def join_parts(parts: Sequence[tuple[int, ...]], *arrays: NDArray[Any]) -> list[
     if len(parts) == 1:
         begin, count, *_ = parts[0]
         return [each[..., begin : begin + count] for each in arrays]
-    own = [slice(begin, begin + count) for begin, count, *_ in parts if count]
-    if len(own) < 2:
-        return [each[..., own[0] if own else slice(0)] for each in arrays]
-    return [np.concatenate([each[..., chunk] for chunk in own], axis=-1) for each in arrays]
+    chunks = [slice(begin, begin + count) for begin, count, *_ in parts if count]
+    if len(chunks) < 2:
+        return [each[..., chunks[0] if chunks else slice(0)] for each in arrays]
+    return [np.concatenate([each[..., chunk] for chunk in chunks], axis=-1) for each in arrays]
 
 
 def run_in_threads(work: Callable[[int], object], threads: int) -> None:
-    """Call `work(0)` in this thread, and `work(1)` to `work(threads - 1)` in parallel if threads are free.
+    """Call `work(0)` in this thread, and `work(1)` to `work(threads - 1)` in parallel if workers are free.
 
     Each call takes work until none is left. All calls have ended on return, even after an interruption."""
     threads = min(threads, count_available_cores())

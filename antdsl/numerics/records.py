@@ -49,5 +49,5 @@ def match_ids(ids: NDArray[np.int64], others: NDArray[np.int64]) -> tuple[NDArra
     """Return the index of each id among `others`, which ascend, and whether the id is one of them."""
     if len(ids) == len(others) and np.array_equal(ids, others):
         return np.arange(len(ids)), np.ones(len(ids), np.bool_)
-    at = np.minimum(np.searchsorted(others, ids), max(len(others) - 1, 0))
-    return at, others[at] == ids if len(others) else np.zeros(len(ids), np.bool_)
+    indices = np.minimum(np.searchsorted(others, ids), max(len(others) - 1, 0))
+    return indices, others[indices] == ids if len(others) else np.zeros(len(ids), np.bool_)

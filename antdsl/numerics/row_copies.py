@@ -59,16 +59,16 @@ def _build_copy_table(pairs: ArrayPairs, rows: NDArray[np.intp] | None) -> NDArr
     It has the address of the row numbers (0: all rows in order) and the number of arrays. For each array follow its address, the
     address of its target and its bytes per row."""
     words = [0 if rows is None else array_address(rows), len(pairs)]
-    for to, of in pairs:
-        words += [array_address(of), array_address(to), of.strides[0]]
+    for target, source in pairs:
+        words += [array_address(source), array_address(target), source.strides[0]]
     return np.array(words, np.int64)
 
 
 def _build_part_rows(table: NDArray[np.int64], count: int, threads: int) -> NDArray[np.int64]:
     """Return the parts of `count` rows as rows for `parallel.call_for_each_row`."""
-    most = max(1, min(PARTS_PER_THREAD * threads, count // parallel.MIN_AGENTS_PER_THREAD))
-    ends = [count * k // most for k in range(most + 1)]
-    return np.array([(array_address(table), *ends[k : k + 2]) for k in range(most)], np.int64)
+    part_count = max(1, min(PARTS_PER_THREAD * threads, count // parallel.MIN_AGENTS_PER_THREAD))
+    ends = [count * k // part_count for k in range(part_count + 1)]
+    return np.array([(array_address(table), *ends[k : k + 2]) for k in range(part_count)], np.int64)
 
 
 @cache

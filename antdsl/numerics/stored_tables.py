@@ -124,11 +124,11 @@ def _pack(tables: Mapping[str, NDArray[Any]]) -> bytes:
     """Return arrays as bytes: a line of JSON with the name, type and shape of each array, then their data."""
     arrays = {name: np.ascontiguousarray(array) for name, array in tables.items()}
     line = json.dumps([[name, array.dtype.str, array.shape] for name, array in arrays.items()]).encode() + b"\n"
-    parts, at = [line], len(line)
+    parts, offset = [line], len(line)
     for array in arrays.values():
-        gap = -at % _ALIGNMENT_BYTES
+        gap = -offset % _ALIGNMENT_BYTES
         parts += [bytes(gap), array.tobytes()]
-        at += gap + array.nbytes
+        offset += gap + array.nbytes
     return b"".join(parts)
 
 
@@ -138,14 +138,14 @@ def _unpack(data: bytes | None) -> Tables | None:
         return None
     tables: Tables = {}
     try:
-        at = data.index(b"\n") + 1
-        for name, kind, shape in json.loads(data[:at]):
+        offset = data.index(b"\n") + 1
+        for name, kind, shape in json.loads(data[:offset]):
             if kind not in _ALLOWED_DTYPES or min(shape, default=0) < 0:
                 return None
-            at += -at % _ALIGNMENT_BYTES
+            offset += -offset % _ALIGNMENT_BYTES
             count = math.prod(shape)
-            tables[name] = np.frombuffer(data, kind, count, at).reshape(shape).copy()
-            at += tables[name].nbytes
+            tables[name] = np.frombuffer(data, kind, count, offset).reshape(shape).copy()
+            offset += tables[name].nbytes
     except (ValueError, TypeError):
         return None
-    return tables if at == len(data) else None
+    return tables if offset == len(data) else None

@@ -25,8 +25,8 @@ def find_rows_in_box(place: Floats, low: Floats, high: Floats) -> Rows:
     """Return the rows of positions that lie in a box."""
     inside = np.ones(len(place), np.bool_)
     for axis in range(3):
-        along = place[:, axis]
-        inside &= (along >= low[axis]) & (along <= high[axis])
+        coordinates = place[:, axis]
+        inside &= (coordinates >= low[axis]) & (coordinates <= high[axis])
     return np.flatnonzero(inside)
 
 
@@ -42,7 +42,7 @@ def dot(a: Floats, b: Floats) -> Floats:
     return total
 
 
-def unit(v: Floats) -> Floats:
+def normalise(v: Floats) -> Floats:
     """Return vectors (…, 3) scaled to unit length; zero stays zero."""
     size = np.sqrt(dot(v, v))
     unit_vectors: Floats = v / np.where(size > 0, size, 1.0)[..., None]
@@ -52,7 +52,9 @@ def unit(v: Floats) -> Floats:
 def normalise_or_fallback(v: Floats, fallback: Floats) -> Floats:
     """Return vectors (…, 3) scaled to unit length. For a zero vector, return the direction of `fallback`, which is broadcast."""
     size = np.sqrt(dot(v, v))[..., None]
-    return np.where(size > 1e-9, v / np.maximum(size, 1e-9), unit(np.broadcast_to(np.asarray(fallback, np.float64), v.shape)))
+    return np.where(
+        size > 1e-9, v / np.maximum(size, 1e-9), normalise(np.broadcast_to(np.asarray(fallback, np.float64), v.shape))
+    )
 
 
 def compute_unit_tangents(v: Floats, normal: Floats) -> Floats:

@@ -70,8 +70,8 @@ def project_to_plane(a: VectorComponents, up: VectorComponents) -> VectorArrays:
 def normalise_or_fallback(a: VectorArrays, fallback: VectorArrays, min_length: float = 1e-12) -> VectorArrays:
     """Return the unit vector, or `fallback` where the vector is shorter than `min_length`."""
     size = length(a)
-    good = (size > min_length) & np.isfinite(size)
-    return select_vectors(good, scale(a, 1 / np.where(good, size, 1)), fallback)
+    has_length = (size > min_length) & np.isfinite(size)
+    return select_vectors(has_length, scale(a, 1 / np.where(has_length, size, 1)), fallback)
 
 
 def rotate_between_normals(v: Array, source: Array, target: Array, direction: Array) -> Array:
@@ -81,9 +81,9 @@ def rotate_between_normals(v: Array, source: Array, target: Array, direction: Ar
     opposite = cosine < -1 + 1e-9
     axis = compute_stacked_cross(source, target)
     part = dot(axis, v) / np.where(opposite, 1.0, 1 + cosine)
-    around = cosine * v + compute_stacked_cross(axis, v) + part * axis
+    rotated = cosine * v + compute_stacked_cross(axis, v) + part * axis
     hinge = compute_stacked_cross(source, direction)
-    return np.where(opposite, 2 * dot(hinge, v) * hinge - v, around)
+    return np.where(opposite, 2 * dot(hinge, v) * hinge - v, rotated)
 
 
 def find_perpendicular(up: VectorArrays) -> VectorArrays:

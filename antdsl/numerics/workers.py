@@ -95,9 +95,9 @@ class WorkerPool:
                 raise
             finally:
                 self._work = int
-        failed, self._exceptions = self._exceptions, []
-        if failed:
-            raise failed[0]
+        exceptions, self._exceptions = self._exceptions, []
+        if exceptions:
+            raise exceptions[0]
 
     def run_kernel(self, work: Callable[[int, int], T], count: int, parts: int) -> list[T] | None:
         """Return the results of a kernel for each part, if `work` is a `partial` of a kernel that can run in parts; else None."""
@@ -175,24 +175,24 @@ def run_in_parts(work: Callable[[int, int], T], count: int, threads: int, max_th
     pool = _get_pool(threads)
 
     def together() -> list[T]:
-        least = min(max_threads, threads, MAX_JOB_PARTS)
-        results = pool.run_kernel(work, count, count_parts(count, least)) if isinstance(pool, WorkerPool) else None
-        return _pull_parts(pool, work, count, least) if results is None else results
+        thread_count = min(max_threads, threads, MAX_JOB_PARTS)
+        results = pool.run_kernel(work, count, count_parts(count, thread_count)) if isinstance(pool, WorkerPool) else None
+        return _pull_parts(pool, work, count, thread_count) if results is None else results
 
     return _run_exclusively(pool, together, lambda: [work(0, count)])
 
 
 def _run_exclusively(pool: WorkerPool | ExecutorPool, run_together: Callable[[], T], run_alone: Callable[[], T]) -> T:
     """Return the result of `run_together` if no other caller uses the pool, else that of `run_alone`."""
-    own = object()
+    caller = object()
     try:
         if (
-            pool.current_caller.setdefault(None, own) is own
+            pool.current_caller.setdefault(None, caller) is caller
         ):  # a single call registers the caller, so an interrupt comes before or after it
             return run_together()
     finally:
         # No function calls here: an interrupt after one would leave the pool occupied forever.
-        if pool.current_caller == {None: own}:
+        if pool.current_caller == {None: caller}:
             del pool.current_caller[None]
     return run_alone()
 
@@ -201,20 +201,20 @@ def _pull_parts(pool: WorkerPool | ExecutorPool, work: Callable[[int, int], T], 
     """Return the results of parts that are Python functions. Raises the exception of the first failed part; later parts may not
     have started."""
     results: dict[int, T] = {}
-    failed: dict[int, BaseException] = {}
-    coming = iter(range(parts))
+    exception_by_part: dict[int, BaseException] = {}
+    next_parts = iter(range(parts))
 
     def run_parts(_: int) -> None:
-        for k in coming:  # the next part that no thread has taken yet
+        for k in next_parts:  # the next part that no thread has taken yet
             try:
                 results[k] = work(count * k // parts, count * (k + 1) // parts)
             except BaseException as problem:
-                failed[k] = problem
+                exception_by_part[k] = problem
                 return
 
     pool.do(run_parts, parts - 1)
-    if failed:
-        raise failed[min(failed)]
+    if exception_by_part:
+        raise exception_by_part[min(exception_by_part)]
     return [results[k] for k in range(parts)]
 
 

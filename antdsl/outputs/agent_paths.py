@@ -51,7 +51,7 @@ class AgentPaths:
         self._existing_frames = frozenset(cache.frames())
         self._cached_frames: OrderedDict[int, dict[str, NDArray[Any]] | None] = OrderedDict()
 
-    def at(self, frame: int, species: int, ids: NDArray[np.int64]) -> AgentPathLines:
+    def get_paths(self, frame: int, species: int, ids: NDArray[np.int64]) -> AgentPathLines:
         """Return the paths of some agents of one species. Positions are NaN in frames that do not exist or lack the agent."""
         positions = np.full((len(ids), self._frames_before + 1 + self._frames_after, 3), np.nan)
         for k in range(positions.shape[1]):

@@ -39,8 +39,8 @@ def find_start_cache(shot: Shot) -> Path | None:
         return None
     try:
         return shot.scene.roots.path(start.cache)
-    except PathRefused as refused:
-        raise _make_error(shot, refused.code, str(refused), "cache", refused.help) from None
+    except PathRefused as error:
+        raise _make_error(shot, error.code, str(error), "cache", error.help) from None
 
 
 def hash_start_frame(shot: Shot) -> dict[str, str]:
@@ -52,10 +52,10 @@ def hash_start_frame(shot: Shot) -> dict[str, str]:
     hashed = hashlib.blake2b(digest_size=16)
     try:
         handle = shot.scene.roots.open_file(make_checkpoint_path(Path(start.cache), start.frame).as_posix())
-    except PathRefused as refused:
-        if refused.code == "no-such-file":
+    except PathRefused as error:
+        if error.code == "no-such-file":
             raise _make_missing_error(shot, folder) from None
-        raise _make_error(shot, refused.code, str(refused), "cache", refused.help) from None
+        raise _make_error(shot, error.code, str(error), "cache", error.help) from None
     try:
         for block in read_blocks(handle, MAX_FILE_BYTES):
             hashed.update(block)
@@ -74,8 +74,8 @@ def start_from_cache(shot: Shot, world: World) -> None:
     try:
         cache = open_cache(folder)
         arrays = cache.read_checkpoint(start.frame)
-    except ManifestError as why:
-        raise _make_error(shot, "no-such-file", str(why), "cache", "name the folder of a cache below the scene's own") from None
+    except ManifestError as error:
+        raise _make_error(shot, "no-such-file", str(error), "cache", "name the folder of a cache below the scene's own") from None
     except CacheError:
         raise _make_missing_error(shot, folder) from None
     source_origin = np.array(cache.manifest.origin) * UNIT_MM[cache.manifest.units]
@@ -87,8 +87,8 @@ def start_from_cache(shot: Shot, world: World) -> None:
     first, params, state = world.frame, dict(world.params), select_by_prefix(arrays, "world.")
     try:
         restore_checkpoint(world, state)
-    except CheckpointError as why:
-        words = f"frame {start.frame} of `{start.cache}` belongs to different programs: {why}"
+    except CheckpointError as error:
+        words = f"frame {start.frame} of `{start.cache}` belongs to different programs: {error}"
         raise _make_error(shot, "wrong-value", words, "cache", "start from a cache of the same programs") from None
     shift = first - world.frame
     world.frame = first
@@ -112,8 +112,8 @@ def _make_missing_error(shot: Shot, folder: Path) -> StartError:
     assert start is not None
     try:
         checkpoints = open_cache(folder).checkpoints()
-    except ManifestError as why:
-        return _make_error(shot, "no-such-file", str(why), "cache", "name the folder of a cache below the scene's own")
+    except ManifestError as error:
+        return _make_error(shot, "no-such-file", str(error), "cache", "name the folder of a cache below the scene's own")
     near = sorted(checkpoints, key=lambda frame: abs(frame - start.frame))[:3]
     help = "write one of " + ", ".join(map(str, sorted(near))) if near else "run the other scene first"
     return _make_error(shot, "no-such-file", f"`{start.cache}` has no intact checkpoint at frame {start.frame}", "frame", help)

@@ -56,8 +56,8 @@ def _body_problems(species: SpeciesEntry) -> Iterator[None]:
     """Raise PictureUnavailable for a damaged body of a species."""
     try:
         yield
-    except BodyError as why:
-        raise PictureUnavailable(f"the body of `{species.name}` in the cache {why}") from None
+    except BodyError as error:
+        raise PictureUnavailable(f"the body of `{species.name}` in the cache {error}") from None
 
 
 class Gallery:
@@ -261,7 +261,7 @@ class Gallery:
     def _add_lines(self, crowd: Crowd, species: SpeciesEntry, number: int, frame: int) -> Crowd:
         """Return the crowd with the paths and feelers of its agents, if these are displayed."""
         if crowd.ids is not None and self._agent_paths is not None:
-            crowd = replace(crowd, paths=self._agent_paths.at(frame, number, np.asarray(crowd.ids, np.int64)))
+            crowd = replace(crowd, paths=self._agent_paths.get_paths(frame, number, np.asarray(crowd.ids, np.int64)))
         if not species.feelers or crowd.ids is None or not len(crowd.position):
             return crowd
         ahead, up = (

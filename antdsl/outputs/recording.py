@@ -112,8 +112,8 @@ def begin_recording(shot: Shot, folder: Path, options: Options, *, resume: bool,
     if resume:
         try:
             intact = find_intact_part(folder, inputs, shot.frames.first, shot.frames.last)
-        except DifferentInputs as why:
-            raise _add_option_changes(shot, inputs, why) from None
+        except DifferentInputs as error:
+            raise _add_option_changes(shot, inputs, error) from None
         if intact is None and any((folder / "frames").glob("frame.*.npz")):
             raise NothingToResume(f"`{folder}` has frames but no readable manifest")
     prepare_folder(folder, force=force)

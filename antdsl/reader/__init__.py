@@ -1,6 +1,6 @@
 """Reads foreign formats that C and C++ libraries parse, in a separate, confined process.
 
-The process receives a request (`ask` in `client`), and returns plain values and arrays. READERS lists all requests.
+The process receives a request (`send_request` in `client`), and returns plain values and arrays. READERS lists all requests.
 
 - `protocol`: the messages
 - `child`: the program of the process

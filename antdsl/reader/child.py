@@ -20,10 +20,10 @@ def main() -> None:
     configuration = json.loads(sys.argv[1])
     sys.path[:] = configuration["paths"]
     requests, answers = os.fdopen(os.dup(0), "rb", buffering=1 << 16), os.fdopen(os.dup(1), "wb", buffering=1 << 16)
-    nothing = os.open(os.devnull, os.O_RDWR)
+    null_device = os.open(os.devnull, os.O_RDWR)
     for stream in (0, 1, 2):  # libraries write their own warnings
-        os.dup2(nothing, stream)
-    os.close(nothing)
+        os.dup2(null_device, stream)
+    os.close(null_device)
     from antdsl.reader import sandbox
 
     active = sandbox.confine_process(configuration["readable"])
@@ -54,8 +54,8 @@ def _answer_request(request: Any) -> tuple[dict[str, Any], dict[str, Any], bool]
     try:
         module, function = READER_FUNCTIONS[request.document["kind"]]
         document, arrays = getattr(import_module(module), function)(request)
-    except ReadRefusal as why:
-        return {"refusal": why.as_document()}, {}, False
+    except ReadRefusal as error:
+        return {"refusal": error.as_document()}, {}, False
     except MemoryError:
         return {"failure": "memory"}, {}, True
     except Exception as problem:  # an exception of a library, with arbitrary text

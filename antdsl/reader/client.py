@@ -66,11 +66,11 @@ class _ReaderProcess:
     def read_greeting(self) -> dict[str, int]:
         """Read the start message of the child, and return the layers that confine it."""
         if self.active_layers is None:
-            said = read_message(self.answers, 0).document.get("active")
+            active_layers = read_message(self.answers, 0).document.get("active")
             names = ("rlimits", "landlock", "seccomp")
-            if not isinstance(said, dict) or not all(type(said.get(name)) is int for name in names):
+            if not isinstance(active_layers, dict) or not all(type(active_layers.get(name)) is int for name in names):
                 raise ProtocolError("the reader did not report its sandbox limits")
-            self.active_layers = {name: said[name] for name in names}
+            self.active_layers = {name: active_layers[name] for name in names}
         return self.active_layers
 
     def count_new_cpu_seconds(self, reported: object = None) -> float:
@@ -90,9 +90,9 @@ class _ReaderProcess:
             with suppress(OSError):
                 pipe.close()
         if self.process.returncode is None and hasattr(os, "wait4"):
-            _, status, used = os.wait4(self.process.pid, 0)
+            _, status, usage = os.wait4(self.process.pid, 0)
             self.process.returncode = os.waitstatus_to_exitcode(status)
-            return self.process.returncode, self._count_cpu_seconds(used.ru_utime + used.ru_stime)
+            return self.process.returncode, self._count_cpu_seconds(usage.ru_utime + usage.ru_stime)
         return self.process.wait(), 0.0
 
     def kill(self) -> None:
@@ -107,11 +107,11 @@ class _ReaderProcess:
 
     def close_pipes(self) -> None:
         """Close this process's ends of the pipes, in a forked process: the child belongs to its parent."""
-        nothing = os.open(os.devnull, os.O_RDWR)
+        null_device = os.open(os.devnull, os.O_RDWR)
         for pipe in (self.requests, self.answers):
             with suppress(OSError, ValueError):
-                os.dup2(nothing, pipe.fileno(), inheritable=False)  # remaining buffered data is discarded
-        os.close(nothing)
+                os.dup2(null_device, pipe.fileno(), inheritable=False)  # remaining buffered data is discarded
+        os.close(null_device)
         self.process.returncode = 0  # so that nothing waits for it
 
 
@@ -152,7 +152,7 @@ class FileReader:
                     raise MemoryError("the process that reads foreign files has too little memory to start") from None
                 raise ReaderFailure("the process that reads foreign files cannot be started") from problem
 
-    def ask(
+    def send_request(
         self, kind: str, document: Mapping[str, Any], arrays: Arrays, *, size: int, seconds: int, digest: str, files: str
     ) -> ReaderMessage:
         """Return the answer to a request, as the function `send_request`."""
@@ -163,11 +163,11 @@ class FileReader:
             self._reject_repeated_request(digest, files)
             try:
                 return self._exchange_messages(kind, document, arrays, size, seconds)
-            except ReaderFailure as why:
-                if files and why.is_heavy:
-                    self._heavy_failures[files] = (str(why), why.help)
-                if digest and why.is_lasting:
-                    self._failures[digest] = (str(why), why.help)
+            except ReaderFailure as error:
+                if files and error.is_heavy:
+                    self._heavy_failures[files] = (str(error), error.help)
+                if digest and error.is_lasting:
+                    self._failures[digest] = (str(error), error.help)
                     if len(self._failures) > _MAX_STORED_FAILURES:
                         self._failures.popitem(last=False)
                 raise
@@ -194,7 +194,7 @@ class FileReader:
         allowed = seconds + limits.READER_BASE_CPU_SECONDS + size // limits.READER_BYTES_PER_CPU_SECOND
         left = cpu_budget.remaining_cpu_seconds()
         memory = min(limits.READER_BASE_MEMORY_BYTES + limits.READER_MEMORY_PER_FILE_BYTE * size, limits.MAX_READER_MEMORY_BYTES)
-        said = {**document, "kind": kind, "seconds": allowed if left > allowed else math.ceil(left), "memory": memory}
+        request_document = {**document, "kind": kind, "seconds": allowed if left > allowed else math.ceil(left), "memory": memory}
         previous, late, previous_seconds = self._reader_process, threading.Event(), self._used_cpu_seconds
         try:
             running = self._start_process()
@@ -204,7 +204,7 @@ class FileReader:
         try:
             with _kill_after_deadline(running, limits.READER_BASE_WALL_SECONDS + 4 * allowed, late):
                 running.read_greeting()
-                write_message(running.requests, said, arrays)
+                write_message(running.requests, request_document, arrays)
                 answer = read_message(running.answers, limits.MAX_READER_ARRAY_BYTES)
         except (PipeClosedError, BrokenPipeError):
             status = self._end_process()
@@ -228,17 +228,17 @@ class FileReader:
         cpu_budget.charge_cpu_seconds(seconds)
 
     def _check_answer(self, answer: ReaderMessage, memory: int) -> ReaderMessage:
-        said = answer.document
-        if isinstance(said.get("answer"), dict):
-            return ReaderMessage(said["answer"], answer.arrays)
-        if "refusal" in said:
-            refusal = ReadRefusal.from_document(said["refusal"], REFUSAL_CODES)
+        document = answer.document
+        if isinstance(document.get("answer"), dict):
+            return ReaderMessage(document["answer"], answer.arrays)
+        if "refusal" in document:
+            refusal = ReadRefusal.from_document(document["refusal"], REFUSAL_CODES)
             if refusal is not None:
                 raise refusal
-        if said.get("failure") == "memory":
+        if document.get("failure") == "memory":
             self._end_process()
             raise _make_memory_failure(memory)
-        if said.get("failure") == "exception":
+        if document.get("failure") == "exception":
             raise ReaderFailure("cannot be read: it is damaged", _DAMAGED_FILE_HELP)
         self._end_process()
         raise ReaderFailure(_INVALID_ANSWER_MESSAGE, _DAMAGED_FILE_HELP)
@@ -355,7 +355,7 @@ def send_request(
     Raises ReadRefusal if the child reports why it does not read something, and ReaderFailure if it gives no answer. Raises
     MemoryError if this process cannot grant enough, and CpuBudgetSpent if the budget of a check is spent. No answer is trusted.
     """
-    return _file_reader.ask(
+    return _file_reader.send_request(
         kind, document, arrays or {}, size=file_bytes, seconds=extra_cpu_seconds, digest=request_digest, files=files_digest
     )
 

@@ -55,37 +55,37 @@ def read_image_file(data: bytes, format: str, modes: Collection[str], max_pixels
     - `modes`: the accepted modes, keys of MODES
     - `max_pixels`: the maximum number of pixels
     - `convert`: a key of MODES to which an image of any mode is converted; it is one of `modes`"""
-    said: dict[str, Any] = {
+    request_document: dict[str, Any] = {
         "format": format,
         "modes": [mode for mode in modes if mode in SAMPLE_TYPE_BY_MODE],
         "pixels": max_pixels,
     }
     if convert:
-        said["convert"] = convert
-    digest = blake2b(repr(sorted(said.items())).encode() + data, digest_size=16).hexdigest()
+        request_document["convert"] = convert
+    digest = blake2b(repr(sorted(request_document.items())).encode() + data, digest_size=16).hexdigest()
     try:
         answer = client.send_request(
             "image",
-            said,
+            request_document,
             {"data": np.frombuffer(data, np.uint8)},
             file_bytes=len(data),
             request_digest=digest,
             files_digest=digest,
         )
-        return _check_image_answer(answer, said["modes"], max_pixels)
-    except ReadRefusal as why:
-        raise ImageError(f"cannot be read as {format} ({why})", "export the image again") from None
-    except client.ReaderFailure as why:
-        raise ImageError(str(why), why.help) from None
-    except ProtocolError as why:
+        return _check_image_answer(answer, request_document["modes"], max_pixels)
+    except ReadRefusal as error:
+        raise ImageError(f"cannot be read as {format} ({error})", "export the image again") from None
+    except client.ReaderFailure as error:
+        raise ImageError(str(error), error.help) from None
+    except ProtocolError as error:
         raise ImageError(
-            f"cannot be read as {format}: the reader sent an invalid answer ({why})", "export the image again"
+            f"cannot be read as {format}: the reader sent an invalid answer ({error})", "export the image again"
         ) from None
 
 
 def _check_image_answer(answer: ReaderMessage, modes: Any, max_pixels: int) -> ImageFile:
-    said = answer.document
-    mode, texts = said.get("mode"), said.get("texts")
+    document = answer.document
+    mode, texts = document.get("mode"), document.get("texts")
     rows, columns, pages = (int(answer.require_number(name)) for name in ("rows", "columns", "pages"))
     if not isinstance(mode, str) or not isinstance(texts, dict) or not all(isinstance(text, str) for text in texts.values()):
         raise ProtocolError("`mode` or `texts` is missing")

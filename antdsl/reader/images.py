@@ -26,15 +26,15 @@ def read_image(request: ReaderMessage) -> tuple[dict[str, Any], Mapping[str, NDA
     of `modes`. `format` is Pillow's name of the format. `convert`: the mode that an image of any mode is converted to."""
     from PIL import Image
 
-    said = request.document
+    request_document = request.document
     data = io.BytesIO(request.require_array("data", "|u1", None).tobytes())
     arrays: dict[str, NDArray[Any]] = {}
     try:
-        with Image.open(data, formats=(said["format"],)) as image:
+        with Image.open(data, formats=(request_document["format"],)) as image:
             columns, rows = image.size
             pages = getattr(image, "n_frames", 1)
-            mode, target = image.mode, str(said.get("convert", ""))
-            if pages == 1 and columns * rows <= int(said["pixels"]) and (target or mode in said["modes"]):
+            mode, target = image.mode, str(request_document.get("convert", ""))
+            if pages == 1 and columns * rows <= int(request_document["pixels"]) and (target or mode in request_document["modes"]):
                 _require_all_parts(image)
                 arrays["samples"] = np.asarray(image.convert(target) if target else image)
                 mode = target or mode
@@ -50,8 +50,8 @@ def _require_all_parts(image: Any) -> None:
     """Reject a file with strips or tiles that do not cover the image: Pillow leaves the other pixels black."""
     boxes = [part[1] for part in image.tile]
     if boxes and all(boxes):
-        covered = sum((right - left) * (bottom - top) for left, top, right, bottom in boxes)
-        if covered < image.width * image.height:
+        covered_pixels = sum((right - left) * (bottom - top) for left, top, right, bottom in boxes)
+        if covered_pixels < image.width * image.height:
             raise ReadRefusal("bad-image", "parts of the image are missing")
 
 

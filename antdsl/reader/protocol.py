@@ -56,7 +56,8 @@ class ReaderMessage:
         return found
 
     def require_indices(self, name: str, dtype: str, count: int, *shape: int | None, lowest: int = 0) -> NDArray[Any]:
-        """Return an array as `array`. Raises ProtocolError unless every number is at least `lowest` and below `count`."""
+        """Return an array as `require_array` does. Raises ProtocolError unless every number is at least `lowest` and below
+        `count`."""
         array = self.require_array(name, dtype, *shape)
         if array.size and (array.min() < lowest or array.max() >= count):
             raise ProtocolError(f"`{name}` has an index that is out of range")
@@ -102,14 +103,14 @@ def pack_texts(name: str, texts: tuple[str, ...] | list[str]) -> dict[str, NDArr
 
 def write_message(file: IO[bytes], document: Mapping[str, Any], arrays: Arrays) -> None:
     """Write a message. Raises ValueError if the document is not JSON or too large, or an array has an unsupported type."""
-    listed, parts = [], []
+    array_entries, parts = [], []
     for name, array in arrays.items():
         little = np.ascontiguousarray(array, array.dtype.newbyteorder("<"))
         if little.dtype.str not in ALLOWED_DTYPES:
             raise ValueError(f"arrays of the type {little.dtype.str} are not sent")
-        listed.append([name, little.dtype.str, list(array.shape)])
+        array_entries.append([name, little.dtype.str, list(array.shape)])
         parts.append(little)
-    header = json.dumps({"document": document, "arrays": listed}, allow_nan=False).encode("ascii")
+    header = json.dumps({"document": document, "arrays": array_entries}, allow_nan=False).encode("ascii")
     if len(header) > limits.MAX_READER_HEADER_BYTES:
         raise ValueError("the document of a message is too large")
     file.write(_PREFIX_STRUCT.pack(MESSAGE_MAGIC, len(header)) + header)

@@ -45,8 +45,8 @@ def limit_request(seconds: int, memory: int) -> None:
         import resource
     except ImportError:
         return
-    used = resource.getrusage(resource.RUSAGE_SELF)
-    _reduce_process_limit("RLIMIT_CPU", int(used.ru_utime + used.ru_stime) + 1 + seconds)
+    usage = resource.getrusage(resource.RUSAGE_SELF)
+    _reduce_process_limit("RLIMIT_CPU", int(usage.ru_utime + usage.ru_stime) + 1 + seconds)
     _reduce_process_limit("RLIMIT_AS", memory)
 
 
@@ -59,21 +59,21 @@ def allow_memory(extra_bytes: int) -> None:
         return
     soft, hard = resource.getrlimit(resource.RLIMIT_AS)
     if soft != resource.RLIM_INFINITY:
-        most = soft + max(extra_bytes, 0)
-        resource.setrlimit(resource.RLIMIT_AS, (most if hard == resource.RLIM_INFINITY else min(most, hard), hard))
+        limit = soft + max(extra_bytes, 0)
+        resource.setrlimit(resource.RLIMIT_AS, (limit if hard == resource.RLIM_INFINITY else min(limit, hard), hard))
 
 
 def _reduce_process_limit(name: str, limit: int, *, hard: bool = False) -> None:
     import resource
 
-    which = getattr(resource, name, None)
-    if which is None:
+    resource_number = getattr(resource, name, None)
+    if resource_number is None:
         return
-    own, upper = resource.getrlimit(which)
-    present = own if hard else upper  # after a permanent reduction, no request exceeds the user's limit
+    soft_limit, upper = resource.getrlimit(resource_number)
+    present = soft_limit if hard else upper  # after a permanent reduction, no request exceeds the user's limit
     value = limit if present == resource.RLIM_INFINITY else min(limit, present)
     try:
-        resource.setrlimit(which, (value, value if hard else upper))
+        resource.setrlimit(resource_number, (value, value if hard else upper))
     except (ValueError, OSError):  # macOS rejects a limit of the address space
         return
 
@@ -167,8 +167,8 @@ def install_call_filter() -> bool:
     libc = _load_libc()
     if libc is None or sys.platform != "linux" or os.uname().machine not in _ARCHITECTURE_BY_MACHINE or sys.maxsize < 1 << 32:
         return False
-    which, architecture = _ARCHITECTURE_BY_MACHINE[os.uname().machine]
-    program = _build_filter(which, architecture, os.getpid())
+    architecture_code, architecture = _ARCHITECTURE_BY_MACHINE[os.uname().machine]
+    program = _build_filter(architecture_code, architecture, os.getpid())
     code = b"".join(struct.pack("<HBBI", *each) for each in program)
     buffer = ctypes.create_string_buffer(code, len(code))
     head = struct.pack("@HxxxxxxP", len(program), ctypes.addressof(buffer))

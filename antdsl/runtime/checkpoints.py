@@ -75,8 +75,8 @@ def restore_checkpoint(world: World, arrays: Mapping[str, NDArray[Any]]) -> None
     except CheckpointError:
         raise
     # arrays from outside may fail in any of these ways
-    except (ValueError, TypeError, IndexError, KeyError, OverflowError) as why:
-        raise CheckpointError(f"it is inconsistent ({type(why).__name__})") from why
+    except (ValueError, TypeError, IndexError, KeyError, OverflowError) as error:
+        raise CheckpointError(f"it is inconsistent ({type(error).__name__})") from error
 
 
 def _restore_world(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
@@ -101,8 +101,8 @@ def _restore_world(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
         solid_state = {key: _read_checked_array(arrays, f"solid.{name}.{key}") for key in volume.state()}
         try:
             volume.restore_changes(solid_state)
-        except ValueError as why:
-            raise CheckpointError(f"`solid.{name}`: {why}") from None
+        except ValueError as error:
+            raise CheckpointError(f"`solid.{name}`: {error}") from None
     for name, flow in world.flows.items():
         state = flow.state()
         if state:
@@ -136,8 +136,8 @@ def _restore_feet(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
             return
         try:
             restored_feet[name] = feet_from_arrays(foot_arrays, feet.legs, sorted_ids_of(world, name))
-        except ValueError as why:
-            raise CheckpointError(f"`feet.{name}`: {why}") from None
+        except ValueError as error:
+            raise CheckpointError(f"`feet.{name}`: {error}") from None
     world.feet = restored_feet
 
 

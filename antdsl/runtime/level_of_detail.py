@@ -56,9 +56,9 @@ class DetailLevels:
     def count_step(self, world: World) -> None:
         """Count the agents at each level, at the start of a step."""
         self.counts[0] += 1
-        self.counts[1:] += self.now(world)
+        self.counts[1:] += self.count_agents(world)
 
-    def now(self, world: World) -> NDArray[np.int64]:
+    def count_agents(self, world: World) -> NDArray[np.int64]:
         """Return the current number of agents at each of the levels, int64[3]."""
         each = [np.bincount(self._cached_levels(world, p)[1], minlength=len(DETAIL_LEVELS)) for p in world.populations.values()]
         return np.sum(each, axis=0, dtype=np.int64) if each else np.zeros(len(DETAIL_LEVELS), np.int64)
@@ -67,7 +67,7 @@ class DetailLevels:
         """Return the number of agents at each level: at the end, and as the mean over all steps."""
         steps = max(int(self.counts[0]), 1)
         return {
-            "end": {name: int(count) for name, count in zip(DETAIL_LEVELS, self.now(world), strict=True)},
+            "end": {name: int(count) for name, count in zip(DETAIL_LEVELS, self.count_agents(world), strict=True)},
             "mean": {name: round(int(count) / steps, 3) for name, count in zip(DETAIL_LEVELS, self.counts[1:], strict=True)},
         }
 

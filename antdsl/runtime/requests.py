@@ -76,7 +76,7 @@ class EffectRequests:
         """Return whether any request, claim or gift is still pending."""
         return bool(self.requests or self.claims or self.gives)
 
-    def ask(self, entry: RequestEntry) -> None:
+    def add_request(self, entry: RequestEntry) -> None:
         """Add a request."""
         self.requests.setdefault(entry.request.op, []).append(entry)
 

@@ -63,8 +63,8 @@ def _read_parent(
     try:
         held = unsaved_texts.get(roots.path(text))
         data = roots.read_file(text, limits.MAX_SCENE_BYTES) if held is None else held
-    except PathRefused as refused:
-        report.error(refused.code, str(refused), node.span, refused.help)
+    except PathRefused as error:
+        report.error(error.code, str(error), node.span, error.help)
         return None
     head, sign, _ = name.replace("\\", "/").rpartition("/")
     source, findings = decode_source(data, f"{head}{sign}{text}")

@@ -86,9 +86,9 @@ def load_scene(path: Path, grants: Mapping[str, Path] | None = None) -> tuple[Sc
     Files that the scene names are not accessed. They may only be in the scene's own folder and in `grants`."""
     try:
         data = read_user_file(path, limits.MAX_SCENE_BYTES)
-    except PathRefused as refused:
+    except PathRefused as error:
         report = Report()
-        report.error(refused.code, str(refused), None, refused.help)
+        report.error(error.code, str(error), None, error.help)
         return None, report
     return load_text(data, str(path), Roots(path.resolve().parent, dict(grants or {})))
 

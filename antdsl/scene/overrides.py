@@ -26,9 +26,9 @@ def read_overrides(scene: Scene, program: Program, params: Mapping[str, str], re
     for name, text in params.items():
         try:
             quantities[name] = parse_quantity(text)
-        except QuantityError as why:
+        except QuantityError as error:
             usual = "write a number and a unit: `--set NAME=50mm`"
-            report.error("wrong-value", f"`--set {name}={text}`: `{text}` {why}", None, why.help or usual)
+            report.error("wrong-value", f"`--set {name}={text}`: `{text}` {error}", None, error.help or usual)
             continue
         check_param(scene, program, report, name, quantities[name])
     return quantities

@@ -116,8 +116,8 @@ class Roots:
             return False
         try:
             self.measure_file_size(text)
-        except PathRefused as refused:
-            return refused.code == "no-such-file"
+        except PathRefused as error:
+            return error.code == "no-such-file"
         return False
 
     def find_sequence(self, text: str) -> dict[int, str]:
@@ -163,8 +163,8 @@ def reopen_file(path: Path, root: Path | None) -> int:
         return open_regular_file(path)
     try:
         return _open_below(root, path.relative_to(root).parts, path.name)
-    except PathRefused as refused:
-        raise OSError(str(refused)) from None
+    except PathRefused as error:
+        raise OSError(str(error)) from None
 
 
 def record_request(path: Path, root: Path | None) -> None:

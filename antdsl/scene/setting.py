@@ -245,7 +245,7 @@ class DetailData:
 class WorldSetting:
     """Everything that binding a plan needs. Meshes, items and curves are at their positions of the first simulated frame.
 
-    `parse_unit_mm`: the length of `u` in mm.
+    `unit_mm`: the length of `u` in mm.
     `up`: a unit vector.
     `params`: by qualified name (`forager.smell`); absent params have their default.
     `first_frame`: the number of the first simulated frame.

@@ -76,9 +76,9 @@ def parse_any_quantity(value: Any) -> Quantity:
     text = require_text(value, "a number")
     try:
         quantity = parse_quantity(text)
-    except QuantityError as why:
+    except QuantityError as error:
         usual = "write a number and a unit of mm cm m u s min step rad deg turn mg g kg N uN %"
-        raise make_error(f"{describe_value(text)} {why}", why.help or usual) from None
+        raise make_error(f"{describe_value(text)} {error}", error.help or usual) from None
     return _limit_quantity(quantity, limits.MAX_SCENE_NUMBER)
 
 
@@ -129,8 +129,8 @@ def parse_number_between(low: float, high: float) -> Callable[[Any], float]:
         text = require_text(value, "a number")
         try:
             parsed_number = parse_number(text)
-        except QuantityError as why:
-            raise make_error(f"{describe_value(text)} {why}", why.help) from None
+        except QuantityError as error:
+            raise make_error(f"{describe_value(text)} {error}", error.help) from None
         if not low <= parsed_number <= high:
             raise make_error(f"`{text}` is not between {low:g} and {high:g}")
         return parsed_number
@@ -220,9 +220,9 @@ def _parse_frame_range(value: Any) -> FrameRange:
     text = require_text(text, "a range of frames")
     try:
         return parse_frames(text)
-    except QuantityError as why:
+    except QuantityError as error:
         usual = "write the first and the last frame with two dots between: `1001..1240`"
-        raise make_error(f"{describe_value(text)} {why}", why.help or usual) from None
+        raise make_error(f"{describe_value(text)} {error}", error.help or usual) from None
 
 
 def _check_path(value: Any) -> str:

@@ -61,8 +61,8 @@ class GridShape:
             low, extent = ([values[axis] for axis in axes] for values in (low, extent))
         cell = cell if 0 < cell < np.inf else max(extent[0], 1.0)
         # Wider cells only add candidates. The packed key of a widely scattered crowd must not overflow.
-        least = max(extent[0] / (_MAX_CELLS_ALONG - 4), 1e-30)
-        fine, width = max(cell / 4, least), max(cell, least)
+        min_width = max(extent[0] / (_MAX_CELLS_ALONG - 4), 1e-30)
+        fine, width = max(cell / 4, min_width), max(cell, min_width)
         size = [int(extent[0] / fine) + 1, int(extent[1] / width) + 1, int(extent[2] / width) + 1]
         return cls(axes, low, extent, [fine, width, width], size)
 
@@ -183,12 +183,12 @@ class CellOrder:
         self.shape, self._cell_numbering = shape, (tuple(shape.low), shape.cells_per_mm, tuple(shape.size), 0)
         self._shape_floats[:] = *shape.low, *shape.width, *shape.cells_per_mm
         self._shape_integers[:] = *shape.axes, *shape.size, self.count
-        listed, needed = shape.has_cell_table(self.count), shape.cell_count + SPARE_TABLE_ENTRIES
-        if listed and self._table.shape[1] < needed:
+        has_table, needed = shape.has_cell_table(self.count), shape.cell_count + SPARE_TABLE_ENTRIES
+        if has_table and self._table.shape[1] < needed:
             self._table = np.empty((self._chunks, needed + (needed >> 3)), np.int32)
-        self._counts = self._table if listed else self._table[:, :0]
+        self._counts = self._table if has_table else self._table[:, :0]
         self.starts = self._counts[-1]
-        self.tables = {**self.tables, "starts": self.starts if listed else None}
+        self.tables = {**self.tables, "starts": self.starts if has_table else None}
 
 
 def run_in_chunks(work: partial[Any], chunks: int, threads: int) -> None:
@@ -209,9 +209,13 @@ def _fill_box(x: Array1[F32], y: Array1[F32], z: Array1[F32], lanes: Array2[F32]
         high_x, high_y, high_z = np.float32(-np.inf), np.float32(-np.inf), np.float32(-np.inf)
         for first in range(0, even, 8):
             a, b, c = x[first + lane], y[first + lane], z[first + lane]
-            good = np.isfinite(a) & np.isfinite(b) & np.isfinite(c)
-            low_x, low_y, low_z = _minimum(low_x, a, good), _minimum(low_y, b, good), _minimum(low_z, c, good)
-            high_x, high_y, high_z = _maximum(high_x, a, good), _maximum(high_y, b, good), _maximum(high_z, c, good)
+            is_finite = np.isfinite(a) & np.isfinite(b) & np.isfinite(c)
+            low_x, low_y, low_z = _minimum(low_x, a, is_finite), _minimum(low_y, b, is_finite), _minimum(low_z, c, is_finite)
+            high_x, high_y, high_z = (
+                _maximum(high_x, a, is_finite),
+                _maximum(high_y, b, is_finite),
+                _maximum(high_z, c, is_finite),
+            )
         lanes[0, lane], lanes[1, lane], lanes[2, lane] = low_x, low_y, low_z
         lanes[3, lane], lanes[4, lane], lanes[5, lane] = high_x, high_y, high_z
     for axis in range(3):
@@ -220,8 +224,8 @@ def _fill_box(x: Array1[F32], y: Array1[F32], z: Array1[F32], lanes: Array2[F32]
             low, high = min(low, lanes[axis, lane]), max(high, lanes[axis + 3, lane])
         for k in range(even, x.size):
             place = x[k] if axis == 0 else (y[k] if axis == 1 else z[k])
-            good = np.isfinite(x[k]) & np.isfinite(y[k]) & np.isfinite(z[k])
-            low, high = _minimum(low, place, good), _maximum(high, place, good)
+            is_finite = np.isfinite(x[k]) & np.isfinite(y[k]) & np.isfinite(z[k])
+            low, high = _minimum(low, place, is_finite), _maximum(high, place, is_finite)
         corners[0, axis], corners[1, axis] = (np.float64(low), np.float64(high)) if low <= high else (0.0, 0.0)
 
 
@@ -238,13 +242,13 @@ def _maximum(high: F32, place: F32, is_valid: BOOL) -> F32:
 
 
 @kernel
-def _can_be_sheet(along: Columns, low: FloatTriple, inverse: FloatTriple, size: Sizes, occupied: Array2[BOOL]) -> BOOL:
+def _can_be_sheet(axis_positions: Columns, low: FloatTriple, inverse: FloatTriple, size: Sizes, occupied: Array2[BOOL]) -> BOOL:
     """Return whether the columns of cells contain few agents or few layers.
 
     `occupied` (2, k): buffers that mark the columns and the cells with agents."""
     agents, columns, cells = 0, 0, 0
-    for row in range(along[0].size):
-        a, b, c = along[0][row], along[1][row], along[2][row]
+    for row in range(axis_positions[0].size):
+        a, b, c = axis_positions[0][row], axis_positions[1][row], axis_positions[2][row]
         if not (np.isfinite(a) and np.isfinite(b) and np.isfinite(c)):
             continue
         agents += 1
@@ -266,15 +270,15 @@ def _compute_cell_index(place: Any, low: F64, inverse: F64, size: I64) -> F64:
 
 
 @inlined
-def compute_cell_number(along: AnyColumns, row: I64, low: FloatTriple, inverse: FloatTriple, size: Sizes) -> I64:
+def compute_cell_number(axis_positions: AnyColumns, row: I64, low: FloatTriple, inverse: FloatTriple, size: Sizes) -> I64:
     """Return the index of an agent's cell. Agents without a finite position get the index after the last cell."""
-    fast, middle, slow = along[0][row], along[1][row], along[2][row]
+    fast, middle, slow = axis_positions[0][row], axis_positions[1][row], axis_positions[2][row]
     line = _compute_cell_index(slow, low[2], inverse[2], size[2]) * np.float64(size[1]) + _compute_cell_index(
         middle, low[1], inverse[1], size[1]
     )
     key = round_to_int(line) * size[0] + round_to_int(_compute_cell_index(fast, low[0], inverse[0], size[0]))
-    good = np.isfinite(fast) & np.isfinite(middle) & np.isfinite(slow)
-    return key if good else size[0] * size[1] * size[2]
+    is_finite = np.isfinite(fast) & np.isfinite(middle) & np.isfinite(slow)
+    return key if is_finite else size[0] * size[1] * size[2]
 
 
 @inlined
@@ -286,8 +290,8 @@ def _compute_chunk_range(chunk: I64, chunks: I64, count: I64) -> tuple[I64, I64]
 
 @inlined
 def count_cells(
-    along: AnyColumns, low: FloatTriple, inverse: FloatTriple, size: Sizes, shift: I64, order: Array1[I64], keys: Array1[I64],
-    counts: Array2[I32], begin: I64, end: I64,
+    axis_positions: AnyColumns, low: FloatTriple, inverse: FloatTriple, size: Sizes, shift: I64, order: Array1[I64],
+    keys: Array1[I64], counts: Array2[I32], begin: I64, end: I64,
 ) -> I64:  # fmt: skip
     """Store the cell of each agent, `compute_cell_number` plus `shift`, and count the agents of each cell at index cell + 2.
 
@@ -298,10 +302,10 @@ def count_cells(
         first, last = _compute_chunk_range(chunk, counts.shape[0], keys.size)
         if order.size > 0:
             for k in simd_range(first, last):
-                keys[k] = compute_cell_number(along, order[k], low, inverse, size) + shift
+                keys[k] = compute_cell_number(axis_positions, order[k], low, inverse, size) + shift
         else:
             for k in simd_range(first, last):
-                keys[k] = compute_cell_number(along, k, low, inverse, size) + shift
+                keys[k] = compute_cell_number(axis_positions, k, low, inverse, size) + shift
         if counts.shape[1] > 0:
             for k in range(size[0] * size[1] * size[2] + SPARE_TABLE_ENTRIES):
                 counts[chunk, k] = 0
@@ -314,11 +318,11 @@ def count_cells(
 
 @kernel
 def _count_cells(
-    along: Columns, low: FloatTriple, inverse: FloatTriple, size: Sizes, shift: I64, order: Array1[I64], keys: Array1[I64],
-    counts: Array2[I32], begin: I64, end: I64,
+    axis_positions: Columns, low: FloatTriple, inverse: FloatTriple, size: Sizes, shift: I64, order: Array1[I64],
+    keys: Array1[I64], counts: Array2[I32], begin: I64, end: I64,
 ) -> None:  # fmt: skip
     """Store and count cells as `count_cells` does, without a result."""
-    count_cells(along, low, inverse, size, shift, order, keys, counts, begin, end)
+    count_cells(axis_positions, low, inverse, size, shift, order, keys, counts, begin, end)
 
 
 @kernel
@@ -328,16 +332,16 @@ def accumulate_counts(counts: Array2[I32], cells: I64) -> None:
     After all agents are placed, the last chunk's row contains the first agent of each cell."""
     last, position = counts.shape[0] - 1, 0
     for chunk in range(last):
-        for at in range(cells + 2):
-            counts[last, at] += counts[chunk, at]
-    for at in range(cells + 2):
-        position += counts[last, at]
-        counts[last, at] = position
+        for cell in range(cells + 2):
+            counts[last, cell] += counts[chunk, cell]
+    for cell in range(cells + 2):
+        position += counts[last, cell]
+        counts[last, cell] = position
     for chunk in range(last):
-        for at in range(cells + 2):
-            count = counts[chunk, at + 1]
-            counts[chunk, at] = counts[last, at]
-            counts[last, at] += count
+        for cell in range(cells + 2):
+            count = counts[chunk, cell + 1]
+            counts[chunk, cell] = counts[last, cell]
+            counts[last, cell] += count
 
 
 @inlined

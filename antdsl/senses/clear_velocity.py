@@ -34,7 +34,7 @@ from antdsl.machine_code.kernels import (
     simd_range,
 )
 from antdsl.numerics import elementary
-from antdsl.numerics.kernel_vectors import dot, finite_vector
+from antdsl.numerics.kernel_vectors import dot, replace_non_finite_vector
 from antdsl.senses import nearest_others as others
 from antdsl.senses.nearest_others import SEARCH_CAPACITY, CrowdTables, RelativeAgent, Requesters, SearchMemory
 
@@ -84,7 +84,7 @@ def fill_clear_velocities(
         allocate_scratch(SEARCH_CAPACITY, F64),
         allocate_scratch(SEARCH_CAPACITY, I64),
     )
-    between = (
+    line_buffers = (
         allocate_scratch(SEARCH_CAPACITY, F64),
         allocate_scratch(SEARCH_CAPACITY, F64),
         allocate_scratch(SEARCH_CAPACITY, F64),
@@ -93,18 +93,18 @@ def fill_clear_velocities(
     )
     others.reset_candidates(memory)
     for k in range(begin, end):
-        plane, at = others.compute_tangent_plane(crowd, requesters, k), requesters.positions[k]
+        plane, agent = others.compute_tangent_plane(crowd, requesters, k), requesters.positions[k]
         count = others.find_nearest(crowd, requesters, k, plane.up, memory)
-        own, (a, b, c) = others.load_vector(crowd.motion, at), wishes.velocity
-        wish, speed = finite_vector(a[k], b[k], c[k]), np.float64(wishes.max_speed[requesters.rows[k]])
-        own_x, own_y = dot(own, plane.ahead), dot(own, plane.left)
+        velocity, (a, b, c) = others.load_vector(crowd.motion, agent), wishes.velocity
+        wish, speed = replace_non_finite_vector(a[k], b[k], c[k]), np.float64(wishes.max_speed[requesters.rows[k]])
+        own_x, own_y = dot(velocity, plane.ahead), dot(velocity, plane.left)
         horizon = min(wishes.horizon[k], _MAX_HORIZON_SECONDS) if wishes.horizon[k] > 0.0 else _MAX_HORIZON_SECONDS
         for n in simd_range(0, max(count, (count + 5) & -8)):  # a remainder of one or two is faster without SIMD
-            q, key = memory.nearest[n] if n < count else at, memory.nearest_keys[n] if n < count else 0
-            other, side = others.compute_relative_agent(crowd, plane, at, q), others.compare_names(crowd, at, key)
+            q, key = memory.nearest[n] if n < count else agent, memory.nearest_keys[n] if n < count else 0
+            other, side = others.compute_relative_agent(crowd, plane, agent, q), others.compare_names(crowd, agent, key)
             set_velocity_border(other, side, n, own_x, own_y, horizon, dt, borders)
         fastest = min(speed if speed > 0.0 else 0.0, _MAX_SPEED)
-        x, y = find_nearest_velocity(borders, between, count, fastest, dot(wish, plane.ahead), dot(wish, plane.left))
+        x, y = find_nearest_velocity(borders, line_buffers, count, fastest, dot(wish, plane.ahead), dot(wish, plane.left))
         for axis in range(3):
             velocities[axis, k] = np.float32(plane.ahead[axis] * x + plane.left[axis] * y)
 
@@ -117,29 +117,29 @@ def set_velocity_border(
     everything.
 
     `side`: the direction to use if both agents have the same position and velocity."""
-    px, py, dx, dy, sound = borders
+    px, py, dx, dy, is_sound = borders
     x, y, r = other.x, other.y, other.radius_sum
     square, square_radius = x * x + y * y, r * r
     is_separate = square > square_radius
     seconds = horizon if is_separate else dt
     wx, wy = other.vx - x / seconds, other.vy - y / seconds
     size = math.sqrt(wx * wx + wy * wy)
-    along = wx * x + wy * y
-    is_round = not is_separate or (along < 0.0 and along * along > square_radius * (size * size))
+    projection = wx * x + wy * y
+    is_round = not is_separate or (projection < 0.0 and projection * projection > square_radius * (size * size))
     leg = math.sqrt(max(square - square_radius, 0.0))
     hand = 1.0 if x * wy - y * wx > 0.0 else -1.0
     # Divisions take most of the time: one per component, for the round end or for the leg.
-    over = size if is_round else (square if square > _MIN_LENGTH else 1.0)
-    ahead = (wy if is_round else hand * (x * leg - hand * (y * r))) / over
-    aside = (-wx if is_round else hand * (hand * (x * r) + y * leg)) / over
+    divisor = size if is_round else (square if square > _MIN_LENGTH else 1.0)
+    ahead = (wy if is_round else hand * (x * leg - hand * (y * r))) / divisor
+    side_y = (-wx if is_round else hand * (hand * (x * r) + y * leg)) / divisor
     if is_round and not size > _MIN_LENGTH:
-        ahead, aside = 0.0, side
-    change, reach = r / seconds - size, other.vx * ahead + other.vy * aside
-    border_x = own_x + 0.5 * (change * -aside if is_round else reach * ahead - other.vx)
-    border_y = own_y + 0.5 * (change * ahead if is_round else reach * aside - other.vy)
-    good = math.isfinite(border_x) and math.isfinite(border_y) and math.isfinite(ahead) and math.isfinite(aside)
-    px[index], py[index] = border_x if good else 0.0, border_y if good else 0.0
-    dx[index], dy[index], sound[index] = ahead if good else 0.0, aside if good else 0.0, good
+        ahead, side_y = 0.0, side
+    change, reach = r / seconds - size, other.vx * ahead + other.vy * side_y
+    border_x = own_x + 0.5 * (change * -side_y if is_round else reach * ahead - other.vx)
+    border_y = own_y + 0.5 * (change * ahead if is_round else reach * side_y - other.vy)
+    is_finite = math.isfinite(border_x) and math.isfinite(border_y) and math.isfinite(ahead) and math.isfinite(side_y)
+    px[index], py[index] = border_x if is_finite else 0.0, border_y if is_finite else 0.0
+    dx[index], dy[index], is_sound[index] = ahead if is_finite else 0.0, side_y if is_finite else 0.0, is_finite
 
 
 @kernel_helper
@@ -152,9 +152,9 @@ def find_nearest_velocity(
     part = 1.0
     if size > max_speed:
         part = max_speed / (size if size > 0.0 else 1.0)
-    vx, vy, failed = _find_nearest_allowed(borders, border_count, max_speed, wx, wy, wx * part, wy * part, False)
-    if failed < border_count:
-        vx, vy = _find_least_violation(borders, line_buffers, border_count, max_speed, vx, vy, failed)
+    vx, vy, failed_border = _find_nearest_allowed(borders, border_count, max_speed, wx, wy, wx * part, wy * part, False)
+    if failed_border < border_count:
+        vx, vy = _find_least_violation(borders, line_buffers, border_count, max_speed, vx, vy, failed_border)
     return vx, vy
 
 
@@ -162,8 +162,8 @@ def find_nearest_velocity(
 def _compute_violation(borders: BorderColumns, k: I64, x: F64, y: F64) -> F64:
     """Return how far (mm/s) a velocity violates border k; above 0 it is not allowed."""
     px, py, dx, dy, _ = borders
-    away: float = dx[k] * (py[k] - y) - dy[k] * (px[k] - x)
-    return away
+    violation: float = dx[k] * (py[k] - y) - dy[k] * (px[k] - x)
+    return violation
 
 
 @kernel_helper
@@ -175,49 +175,50 @@ def _find_nearest_allowed(
     With `seek_farthest`, return the allowed point that is farthest in the wish's direction. Also return the index of the border
     that left no allowed point."""
     px, py, dx, dy, _ = borders
-    bx, by = x, y
+    best_x, best_y = x, y
     for k in range(border_count):
-        if not _compute_violation(borders, k, bx, by) > 0.0:
+        if not _compute_violation(borders, k, best_x, best_y) > 0.0:
             continue
         middle = px[k] * dx[k] + py[k] * dy[k]
         discriminant = middle * middle + max_speed * max_speed - (px[k] * px[k] + py[k] * py[k])
         if not discriminant >= 0.0:
-            return bx, by, k
+            return best_x, best_y, k
         half = math.sqrt(discriminant)
         low, high = -middle - half, -middle + half
         for q in range(k):
             cross = dx[k] * dy[q] - dy[k] * dx[q]
-            away = dx[q] * (py[k] - py[q]) - dy[q] * (px[k] - px[q])
+            offset = dx[q] * (py[k] - py[q]) - dy[q] * (px[k] - px[q])
             if abs(cross) <= _MAX_PARALLEL_SINE:
-                if away < 0.0:
-                    return bx, by, k
+                if offset < 0.0:
+                    return best_x, best_y, k
                 continue
             # Either bound is equally likely: both are computed, so no branch has to be predicted.
-            at, above = away / cross, cross > 0.0
-            high = min(high, at if above else np.inf)
-            low = max(low, -np.inf if above else at)
+            parameter, is_upper_end = offset / cross, cross > 0.0
+            high = min(high, parameter if is_upper_end else np.inf)
+            low = max(low, -np.inf if is_upper_end else parameter)
         if not low <= high:
-            return bx, by, k
+            return best_x, best_y, k
         t = high
         if seek_farthest:
             if not wx * dx[k] + wy * dy[k] > 0.0:
                 t = low
         else:
             t = min(max(dx[k] * (wx - px[k]) + dy[k] * (wy - py[k]), low), high)
-        bx, by = px[k] + t * dx[k], py[k] + t * dy[k]
-    return bx, by, border_count
+        best_x, best_y = px[k] + t * dx[k], py[k] + t * dy[k]
+    return best_x, best_y, border_count
 
 
 @kernel_helper
 def _find_least_violation(
-    borders: BorderColumns, line_buffers: BorderColumns, border_count: I64, max_speed: F64, x: F64, y: F64, failed: I64
+    borders: BorderColumns, line_buffers: BorderColumns, border_count: I64, max_speed: F64, x: F64, y: F64, failed_border: I64
 ) -> tuple[F64, F64]:
-    """Return the point that violates the borders least. It starts from the point that the borders before `failed` allow."""
+    """Return the point that violates the borders least. It starts from the point that the borders before `failed_border`
+    allow."""
     px, py, dx, dy, is_sound = borders
     qx, qy, ex, ey, _ = line_buffers
-    bx, by, deepest = x, y, 0.0
-    for k in range(failed, border_count):
-        if is_sound[k] == 0 or not _compute_violation(borders, k, bx, by) > deepest:
+    best_x, best_y, deepest = x, y, 0.0
+    for k in range(failed_border, border_count):
+        if is_sound[k] == 0 or not _compute_violation(borders, k, best_x, best_y) > deepest:
             continue
         for q in simd_range(0, (k + 7) & -8):
             cross = dx[k] * dy[q] - dy[k] * dx[q]
@@ -229,15 +230,15 @@ def _find_least_violation(
             size = math.sqrt(wx * wx + wy * wy)
             opposed = not (level and dx[k] * dx[q] + dy[k] * dy[q] > 0.0)
             usable = is_sound[q] != 0 and size > _MIN_LENGTH and opposed
-            over = size if size > _MIN_LENGTH else 1.0
-            ex[q], ey[q] = wx / over if usable else 0.0, wy / over if usable else 0.0
-        nx, ny, missed = _find_nearest_allowed(
+            divisor = size if size > _MIN_LENGTH else 1.0
+            ex[q], ey[q] = wx / divisor if usable else 0.0, wy / divisor if usable else 0.0
+        nx, ny, failed_line = _find_nearest_allowed(
             line_buffers, k, max_speed, -dy[k], dx[k], -dy[k] * max_speed, dx[k] * max_speed, True
         )
-        if missed == k:
-            bx, by = nx, ny
-        deepest = _compute_violation(borders, k, bx, by)
-    return bx, by
+        if failed_line == k:
+            best_x, best_y = nx, ny
+        deepest = _compute_violation(borders, k, best_x, best_y)
+    return best_x, best_y
 
 
 def find_widest_gaps(x: Floats, y: Floats, is_present: NDArray[np.bool_]) -> tuple[Floats, Floats]:
@@ -247,23 +248,23 @@ def find_widest_gaps(x: Floats, y: Floats, is_present: NDArray[np.bool_]) -> tup
     `x`, `y` float64[n,m]: positions of neighbours, ahead and to the left. `is_present`: which of them exist.
     A single neighbour leaves a gap all round, with its middle opposite to that neighbour. Of equally wide gaps, the one
     nearest to straight ahead is chosen, then the one to the left. Without neighbours, the result is 0."""
-    n, most = x.shape
-    if not most:
+    n, width = x.shape
+    if not width:
         return np.zeros(n), np.zeros(n)
     is_present = is_present & ((x != 0) | (y != 0))  # an agent at the same position has no bearing
     bearing = elementary.atan2(y.astype(np.float32), x.astype(np.float32)).astype(np.float64)
     bearing = np.sort(np.where(is_present, bearing, np.inf), axis=1)
-    known = np.isfinite(bearing)
-    count = known.sum(axis=1)
+    has_neighbour = np.isfinite(bearing)
+    count = has_neighbour.sum(axis=1)
     following = np.concatenate([bearing[:, 1:], np.full((n, 1), np.inf)], axis=1)
-    last = known & ~np.isfinite(following)
+    last = has_neighbour & ~np.isfinite(following)
     following = np.where(last, bearing[:, :1] + _FULL_TURN, following)
-    gap = np.where(known, following, 0.0) - np.where(known, bearing, 0.0)
-    middle = np.where(known, bearing, 0.0) + gap / 2
+    gap = np.where(has_neighbour, following, 0.0) - np.where(has_neighbour, bearing, 0.0)
+    middle = np.where(has_neighbour, bearing, 0.0) + gap / 2
     middle = np.where(middle > np.pi, middle - _FULL_TURN, middle)
-    wide = known & (gap >= gap.max(axis=1, keepdims=True) - _EQUAL_GAP_TOLERANCE)
-    off = np.where(wide, np.abs(middle), np.inf)
-    best = wide & (off <= off.min(axis=1, keepdims=True) + _EQUAL_GAP_TOLERANCE)
+    wide = has_neighbour & (gap >= gap.max(axis=1, keepdims=True) - _EQUAL_GAP_TOLERANCE)
+    deviation = np.where(wide, np.abs(middle), np.inf)
+    best = wide & (deviation <= deviation.min(axis=1, keepdims=True) + _EQUAL_GAP_TOLERANCE)
     chosen = np.where(best, middle, -np.inf).max(axis=1)  # angles to the left are positive
     angle = np.where(count > 0, chosen, 0.0).astype(np.float32)
     weight = np.where(count > 0, 1.0, 0.0)

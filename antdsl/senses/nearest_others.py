@@ -33,10 +33,10 @@ from antdsl.numerics.kernel_vectors import (
     VectorColumns,
     cross,
     dot,
-    finite_vector,
     minus,
+    normalise_or_perpendicular,
     project_to_plane,
-    unit_or_perpendicular,
+    replace_non_finite_vector,
 )
 from antdsl.senses.cell_order import count_agents_before
 from antdsl.senses.neighbours import (
@@ -124,7 +124,7 @@ def compute_tangent_plane(crowd: CrowdTables, requesters: Requesters, k: I64) ->
     """Return the tangent plane of requester k at the start of the step."""
     x, y, z = requesters.heading
     row, up = requesters.rows[k], load_vector(crowd.up, requesters.positions[k])
-    ahead = unit_or_perpendicular(project_to_plane(finite_vector(x[row], y[row], z[row]), up), up)
+    ahead = normalise_or_perpendicular(project_to_plane(replace_non_finite_vector(x[row], y[row], z[row]), up), up)
     return TangentPlane(up, ahead, cross(up, ahead))
 
 
@@ -147,20 +147,20 @@ def find_nearest(crowd: CrowdTables, requesters: Requesters, k: I64, up: Vec3, m
     """Write the nearest others of requester k to `memory.nearest`, ordered by distance, species and id; return their number.
 
     Only others on the side of the ground that `up` points to count."""
-    grid, at = crowd.grid, requesters.positions[k]
+    grid, agent = crowd.grid, requesters.positions[k]
     low, inverse, size = grid.low, grid.cells_per_mm, grid.size
-    x, y, z = grid.positions[0][at], grid.positions[1][at], grid.positions[2][at]
-    within, requested = requesters.radius[k], requesters.max_others[k]
-    if not (within > 0.0 and requested >= 1.0 and math.isfinite(x) and math.isfinite(y) and math.isfinite(z)):
+    x, y, z = grid.positions[0][agent], grid.positions[1][agent], grid.positions[2][agent]
+    radius, requested = requesters.radius[k], requesters.max_others[k]
+    if not (radius > 0.0 and requested >= 1.0 and math.isfinite(x) and math.isfinite(y) and math.isfinite(z)):
         return 0
-    reach, most = (
-        np.float32(within),
+    reach, max_count = (
+        np.float32(radius),
         np.int64(requested if requested < float(MAX_QUERY_NEIGHBOURS) else float(MAX_QUERY_NEIGHBOURS)),
     )
     a, b, c = (
-        np.float64(grid.axis_positions[0][at]),
-        np.float64(grid.axis_positions[1][at]),
-        np.float64(grid.axis_positions[2][at]),
+        np.float64(grid.axis_positions[0][agent]),
+        np.float64(grid.axis_positions[1][agent]),
+        np.float64(grid.axis_positions[2][agent]),
     )
     r = np.float64(reach) * RADIUS_SLACK + (1e-14 * max(max(abs(a), abs(b)), abs(c)) + 1e-18)
     a0, a1 = (find_first_cell(a - r, low[0], inverse[0], size[0]), find_last_cell(a + r, low[0], inverse[0], size[0]))
@@ -168,7 +168,7 @@ def find_nearest(crowd: CrowdTables, requesters: Requesters, k: I64, up: Vec3, m
     c0, c1 = 0, 0
     if not (size[2] == 1 and abs(c - low[2]) <= grid.width[2]):
         c0, c1 = (find_first_cell(c - r, low[2], inverse[2], size[2]), find_last_cell(c + r, low[2], inverse[2], size[2]))
-    count, capacity, beyond = 0, 2 * most + _SPARE_CANDIDATES, reach * reach * SQUARED_RADIUS_SLACK + np.float32(1e-30)
+    count, capacity, square_limit = 0, 2 * max_count + _SPARE_CANDIDATES, reach * reach * SQUARED_RADIUS_SLACK + np.float32(1e-30)
     for cz in range(c0, c1 + 1):
         for cy in range(b0, b1 + 1):
             line = (cz * size[1] + cy) * size[0]
@@ -179,16 +179,16 @@ def find_nearest(crowd: CrowdTables, requesters: Requesters, k: I64, up: Vec3, m
                 for p in range(first, end):  # always written, to avoid an unpredictable branch
                     dx, dy, dz = grid.positions[0][p] - x, grid.positions[1][p] - y, grid.positions[2][p] - z
                     memory.candidates[count] = p
-                    count += (dx * dx + dy * dy) + dz * dz <= beyond
+                    count += (dx * dx + dy * dy) + dz * dz <= square_limit
                 first = end
                 if count + 8 > capacity:
-                    count = _select_nearest(crowd, at, reach, up, count, most, memory)
+                    count = _select_nearest(crowd, agent, reach, up, count, max_count, memory)
                     for p in range(count):
                         memory.candidates[p] = memory.nearest[p]
-                    if count == most:
-                        farthest = np.float32(bits_to_float(memory.nearest_keys[most - 1] & ~_ZERO_BITS_MASK))
-                        beyond = farthest * farthest * SQUARED_RADIUS_SLACK + np.float32(1e-30)
-    return _select_nearest(crowd, at, reach, up, count, most, memory)
+                    if count == max_count:
+                        farthest = np.float32(bits_to_float(memory.nearest_keys[max_count - 1] & ~_ZERO_BITS_MASK))
+                        square_limit = farthest * farthest * SQUARED_RADIUS_SLACK + np.float32(1e-30)
+    return _select_nearest(crowd, agent, reach, up, count, max_count, memory)
 
 
 @kernel_helper
@@ -206,8 +206,8 @@ def _select_nearest(
         dx, dy, dz = u - x, v - y, w - z
         length = np.sqrt((dx * dx + dy * dy) + dz * dz)
         side = dot(up, (np.float64(ux), np.float64(uy), np.float64(uz)))
-        good = (p < count) & (length <= reach) & (q != position) & (side > 0.0)
-        memory.keys[p] = float_to_bits(np.float64(length)) | np.int64(number) if good else MAX_INT64
+        is_candidate = (p < count) & (length <= reach) & (q != position) & (side > 0.0)
+        memory.keys[p] = float_to_bits(np.float64(length)) | np.int64(number) if is_candidate else MAX_INT64
     for p in simd_range(0, padded):
         key, rank = memory.keys[p], 0
         for q in range(count):
@@ -239,10 +239,10 @@ def compute_relative_agent(crowd: CrowdTables, plane: TangentPlane, own_position
 def compare_names(crowd: CrowdTables, position: I64, key: I64) -> F64:
     """Return -1 if the agent at position `position` comes before the agent with `key` in the order of species names and ids, else
     1."""
-    own, other = np.int64(crowd.up[4 * position + 3]), key & _ZERO_BITS_MASK
+    own_name, other = np.int64(crowd.up[4 * position + 3]), key & _ZERO_BITS_MASK
     if crowd.name_ranks.size > 0:
-        own, other = crowd.name_ranks[own], crowd.name_ranks[other]
-    return -1.0 if own < other else 1.0
+        own_name, other = crowd.name_ranks[own_name], crowd.name_ranks[other]
+    return -1.0 if own_name < other else 1.0
 
 
 @kernel
@@ -253,8 +253,8 @@ def store_up_and_motion(
     """Write `up` and `motion` of a `CrowdTables`, for rows from `begin` to before `end`."""
     for row in range(begin, end):
         first, wide = 4 * position_by_row[row], np.isfinite(radius[row]) & (radius[row] > np.float32(0.0))
-        u = finite_vector(up[0][row], up[1][row], up[2][row])
-        v = finite_vector(velocity[0][row], velocity[1][row], velocity[2][row])
+        u = replace_non_finite_vector(up[0][row], up[1][row], up[2][row])
+        v = replace_non_finite_vector(velocity[0][row], velocity[1][row], velocity[2][row])
         for axis in range(3):
             ordered[first + axis], motion[first + axis] = np.float32(u[axis]), np.float32(v[axis])
         ordered[first + 3], motion[first + 3] = np.float32(numbers[row]), radius[row] if wide else np.float32(0.0)
@@ -278,9 +278,9 @@ def fill_nearest_offsets(
     )
     reset_candidates(memory)
     for k in range(begin, end):
-        plane, at = compute_tangent_plane(crowd, requesters, k), requesters.positions[k]
+        plane, agent = compute_tangent_plane(crowd, requesters, k), requesters.positions[k]
         axes[0, k], axes[1, k], axes[2, k] = plane.ahead
         axes[3, k], axes[4, k], axes[5, k] = plane.left
         for c in range(find_nearest(crowd, requesters, k, plane.up, memory)):
-            other = compute_relative_agent(crowd, plane, at, memory.nearest[c])
+            other = compute_relative_agent(crowd, plane, agent, memory.nearest[c])
             x[k, c], y[k, c], is_present[k, c] = other.x, other.y, True

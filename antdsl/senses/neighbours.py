@@ -165,8 +165,8 @@ class CellGrid:
     ) -> NeighbourPairs:
         """Return the pairs of all queries, searched in parallel chunks. Arguments as for `find_pairs`."""
         none, grid, axes = np.empty(0, np.float32), self.table(), self.shape.axes
-        who = np.empty(0, np.int64) if qid is None else qid
-        values: tuple[NDArray[Any], ...] = (*query, who, reach, *(view or (none,) * 4))
+        ids = np.empty(0, np.int64) if qid is None else qid
+        values: tuple[NDArray[Any], ...] = (*query, ids, reach, *(view or (none,) * 4))
 
         def part(begin: int, end: int) -> tuple[NDArray[Any], ...] | None:
             pair_columns = _find_pairs(grid, axes, [np.ascontiguousarray(value[begin:end]) for value in values], limit)
@@ -175,13 +175,13 @@ class CellGrid:
             return pair_columns
 
         pair_columns = parallel.run_in_parts(part, query[0].size, threads)
-        good = [columns for columns in pair_columns if columns is not None]
-        if len(good) < len(pair_columns):
+        filled = [columns for columns in pair_columns if columns is not None]
+        if len(filled) < len(pair_columns):
             raise TooManyNeighbours
         return (
-            NeighbourPairs(*good[0])
-            if len(good) == 1
-            else NeighbourPairs(*(np.concatenate(column) for column in zip(*good, strict=True)))
+            NeighbourPairs(*filled[0])
+            if len(filled) == 1
+            else NeighbourPairs(*(np.concatenate(column) for column in zip(*filled, strict=True)))
         )
 
 
@@ -193,22 +193,22 @@ def _find_pairs(
 
     `query`: x, y, z, ids (empty if they are not the grid's own), radius; then heading x, y, z and cosine of half the view,
         empty for all-round queries."""
-    positions, (who, radius, hx, hy, hz, cosine) = query[:3], query[3:]
-    asking = (tuple(positions), tuple(positions[axis] for axis in axes), who, radius, (hx, hy, hz), cosine)
+    positions, (ids, radius, hx, hy, hz, cosine) = query[:3], query[3:]
+    queries = (tuple(positions), tuple(positions[axis] for axis in axes), ids, radius, (hx, hy, hz), cosine)
     m = radius.size
     spans, near = np.empty(64, np.int64), np.empty(1024, np.int64)
     kinds = (np.int64, np.int64, np.float32, np.float32, np.float32, np.float32)
     pairs = tuple(np.empty(max(16 * m, 1024), kind) for kind in kinds)  # pages that are not written take no memory
-    k, used, along, wide = _fill_pairs(grid, asking, limit, spans, near, pairs, 0, 0)
+    k, pair_count, span_length, wide = _fill_pairs(grid, queries, limit, spans, near, pairs, 0, 0)
     while k < m:
         if wide < 0:
             return None
-        if along > spans.size or wide > near.size:
-            spans, near = np.empty(2 * along, np.int64), np.empty(2 * wide, np.int64)
+        if span_length > spans.size or wide > near.size:
+            spans, near = np.empty(2 * span_length, np.int64), np.empty(2 * wide, np.int64)
         else:
-            pairs = tuple(np.concatenate([a[:used], np.empty(a.size + near.size, a.dtype)]) for a in pairs)
-        k, used, along, wide = _fill_pairs(grid, asking, limit, spans, near, pairs, k, used)
-    return tuple(a[:used] for a in pairs)
+            pairs = tuple(np.concatenate([a[:pair_count], np.empty(a.size + near.size, a.dtype)]) for a in pairs)
+        k, pair_count, span_length, wide = _fill_pairs(grid, queries, limit, spans, near, pairs, k, pair_count)
+    return tuple(a[:pair_count] for a in pairs)
 
 
 @inlined
@@ -295,30 +295,30 @@ def _find_nearest_bound(
     Only the first `candidate_count` agents of `candidates` count, without the agent with id `own_id`. The search bisects the bits
     of the distance, then the ids at that distance."""
     low, high = 0, float_to_bits(np.float64(reach)) >> _FLOAT32_ZERO_BITS
-    nearer_count, closer = 0, 0
+    nearer_count, closer_count = 0, 0
     while low < high:
         middle = (low + high) >> 1
         bound, nearer_count = bits_to_float(middle << _FLOAT32_ZERO_BITS), 0
         for p in range(candidate_count):
-            at = candidates[p]
-            ux, uy, uz = sx[at] - x, sy[at] - y, sz[at] - z
-            nearer_count += (np.float64(np.sqrt((ux * ux + uy * uy) + uz * uz)) <= bound) & (ids[at] != own_id)
+            candidate = candidates[p]
+            ux, uy, uz = sx[candidate] - x, sy[candidate] - y, sz[candidate] - z
+            nearer_count += (np.float64(np.sqrt((ux * ux + uy * uy) + uz * uz)) <= bound) & (ids[candidate] != own_id)
         if nearer_count >= MAX_QUERY_NEIGHBOURS:
             high = middle
         else:
-            low, closer = middle + 1, nearer_count
+            low, closer_count = middle + 1, nearer_count
     farthest = np.float32(bits_to_float(low << _FLOAT32_ZERO_BITS))
     first, last = MAX_INT64, np.int64(-1)
     for p in range(candidate_count):
         first, last = min(first, ids[candidates[p]]), max(last, ids[candidates[p]])
     while first < last:
         middle = (first + last) >> 1
-        nearer_count = closer
+        nearer_count = closer_count
         for p in range(candidate_count):
-            at = candidates[p]
-            ux, uy, uz = sx[at] - x, sy[at] - y, sz[at] - z
-            same = np.sqrt((ux * ux + uy * uy) + uz * uz) == farthest
-            nearer_count += same & (ids[at] <= middle) & (ids[at] != own_id)
+            candidate = candidates[p]
+            ux, uy, uz = sx[candidate] - x, sy[candidate] - y, sz[candidate] - z
+            is_at_distance = np.sqrt((ux * ux + uy * uy) + uz * uz) == farthest
+            nearer_count += is_at_distance & (ids[candidate] <= middle) & (ids[candidate] != own_id)
         if nearer_count >= MAX_QUERY_NEIGHBOURS:
             last = middle
         else:
@@ -341,17 +341,17 @@ def _fill_pairs(
 
     If a query has more than `MAX_QUERY_NEIGHBOURS` others, the nearest by distance and id are used."""
     (sx, sy, sz), _, _, rows, names, keys, starts, low, inverse, width, size = grid
-    (qx, qy, qz), (fast, middle, slow), who, radius, (hx, hy, hz), cosine = query
+    (qx, qy, qz), (fast, middle, slow), query_ids, radius, (hx, hy, hz), cosine = query
     i, j, dx, dy, dz, distance = pairs
-    own, limited = who.size > 0, cosine.size > 0
+    has_ids, limited = query_ids.size > 0, cosine.size > 0
     while first_query < qx.size:
         reach, x, y, z = radius[first_query], qx[first_query], qy[first_query], qz[first_query]
         if not (reach >= 0 and math.isfinite(x) and math.isfinite(y) and math.isfinite(z)):
             first_query += 1
             continue
-        name = who[first_query] if own else np.int64(-1)
+        name = query_ids[first_query] if has_ids else np.int64(-1)
         if limited:
-            gx, gy, gz, least = hx[first_query], hy[first_query], hz[first_query], cosine[first_query]
+            gx, gy, gz, min_cosine = hx[first_query], hy[first_query], hz[first_query], cosine[first_query]
         number, total = _find_spans(
             float(fast[first_query]), float(middle[first_query]), float(slow[first_query]), float(reach),
             keys, starts, low, inverse, width, size, spans,
@@ -360,21 +360,21 @@ def _fill_pairs(
             return SearchProgress(first_query, pair_count, total, candidates.size)
         if total > candidates.size:
             return SearchProgress(first_query, pair_count, spans.size, total)
-        beyond = reach * reach * SQUARED_RADIUS_SLACK + np.float32(1e-30)
+        square_limit = reach * reach * SQUARED_RADIUS_SLACK + np.float32(1e-30)
         candidate_count = 0
         for s in range(number):
             # Always written, and overwritten if too far: this avoids an unpredictable branch.
-            for at in range(spans[2 * s], spans[2 * s + 1]):
-                ux, uy, uz = sx[at] - x, sy[at] - y, sz[at] - z
-                candidates[candidate_count] = at
-                candidate_count += (ux * ux + uy * uy) + uz * uz <= beyond
+            for agent in range(spans[2 * s], spans[2 * s + 1]):
+                ux, uy, uz = sx[agent] - x, sy[agent] - y, sz[agent] - z
+                candidates[candidate_count] = agent
+                candidate_count += (ux * ux + uy * uy) + uz * uz <= square_limit
         farthest, last = np.float32(np.inf), MAX_INT64
         if candidate_count > MAX_QUERY_NEIGHBOURS:
             count = 0
             for p in range(candidate_count):
-                at = candidates[p]
-                ux, uy, uz = sx[at] - x, sy[at] - y, sz[at] - z
-                count += (np.sqrt((ux * ux + uy * uy) + uz * uz) <= reach) & (not own or names[at] != name)
+                agent = candidates[p]
+                ux, uy, uz = sx[agent] - x, sy[agent] - y, sz[agent] - z
+                count += (np.sqrt((ux * ux + uy * uy) + uz * uz) <= reach) & (not has_ids or names[agent] != name)
             if count > limit:
                 return SearchProgress(first_query, pair_count, spans.size, -1)
             if count > MAX_QUERY_NEIGHBOURS:
@@ -382,17 +382,17 @@ def _fill_pairs(
         if pair_count + candidate_count > i.size:
             return SearchProgress(first_query, pair_count, spans.size, candidates.size)
         for p in range(candidate_count):
-            at = candidates[p]
-            ux, uy, uz = sx[at] - x, sy[at] - y, sz[at] - z
+            agent = candidates[p]
+            ux, uy, uz = sx[agent] - x, sy[agent] - y, sz[agent] - z
             length = np.sqrt((ux * ux + uy * uy) + uz * uz)
-            good = length <= reach
-            if own:
-                good &= names[at] != name
-            good &= (length < farthest) | ((length == farthest) & (names[at] <= last))
+            is_pair = length <= reach
+            if has_ids:
+                is_pair &= names[agent] != name
+            is_pair &= (length < farthest) | ((length == farthest) & (names[agent] <= last))
             if limited:
-                good &= (ux * gx + uy * gy) + uz * gz >= least * length
-            i[pair_count], j[pair_count] = first_query, rows[at]
+                is_pair &= (ux * gx + uy * gy) + uz * gz >= min_cosine * length
+            i[pair_count], j[pair_count] = first_query, rows[agent]
             dx[pair_count], dy[pair_count], dz[pair_count], distance[pair_count] = ux, uy, uz, length
-            pair_count += good
+            pair_count += is_pair
         first_query += 1
     return SearchProgress(first_query, pair_count, spans.size, candidates.size)

@@ -54,29 +54,29 @@ def _measure_by_nearest(place: Floats, radius: Floats) -> Floats:
     order = np.lexsort((-radius, place[:, 2], place[:, 1], place[:, 0]))
     fresh = np.ones(len(order), np.bool_)
     fresh[1:] = (place[order][1:] != place[order][:-1]).any(axis=1)
-    single, which = order[fresh], np.cumsum(fresh) - 1
-    alone = np.bincount(which) == 1
+    single, groups = order[fresh], np.cumsum(fresh) - 1
+    is_single = np.bincount(groups) == 1
     worst = np.ones(len(place), np.float32)
-    overlap = np.where(alone, 0, 1).astype(np.float32)
+    overlap = np.where(is_single, 0, 1).astype(np.float32)
     classes = np.frexp(radius[single])[1]
     for size in np.unique(classes)[::-1]:  # a large agent has many small neighbours, of which only near ones matter
         others = single[classes == size]
         tree, widest = cKDTree(place[others].astype(np.float64)), float(radius[others].max())
-        pending_rows, count = np.flatnonzero(alone), _FIRST_QUERY_NEIGHBOURS
+        pending_rows, count = np.flatnonzero(is_single), _FIRST_QUERY_NEIGHBOURS
         while len(pending_rows):
             count = min(count, len(others))
             rows = single[pending_rows]
-            away, near = tree.query(place[rows].astype(np.float64), count)
-            away, near = away.reshape(len(rows), count), others[near.reshape(len(rows), count)]
+            distances, near = tree.query(place[rows].astype(np.float64), count)
+            distances, near = distances.reshape(len(rows), count), others[near.reshape(len(rows), count)]
             d = [place[near, axis] - place[rows, axis][:, None] for axis in range(3)]
             distance = np.sqrt((d[0] * d[0] + d[1] * d[1]) + d[2] * d[2])
             part = _compute_overlap_share(distance, radius[rows][:, None], radius[near])
             part[near == rows[:, None]] = 0
             overlap[pending_rows] = np.maximum(overlap[pending_rows], part.max(axis=1))
-            beyond = 1 - away[:, -1] / np.maximum(radius[rows].astype(np.float64) + widest, 1e-9)
-            pending_rows = pending_rows[(beyond > overlap[pending_rows]) & (count < len(others))]
+            next_overlap = 1 - distances[:, -1] / np.maximum(radius[rows].astype(np.float64) + widest, 1e-9)
+            pending_rows = pending_rows[(next_overlap > overlap[pending_rows]) & (count < len(others))]
             count *= 2
-    worst[order] = overlap[which]
+    worst[order] = overlap[groups]
     return worst
 
 
@@ -88,13 +88,13 @@ def fill_worst_overlaps(
     """Raise `overlap` of each agent to its greatest overlap in the pairs of a search.
 
     Returns how many pairs of `budget` are left. If negative, only a part of the pairs was measured."""
-    (asks, asking_rows, asking_keys), (ordered, rows, _) = searching_agents, agents
-    for at in range(asking_rows.size):
-        (x, y, z, wide), a = load_consecutive(asks, 4 * at, 4), asking_rows[at]
+    (query_positions, query_rows, query_keys), (ordered, rows, _) = searching_agents, agents
+    for agent in range(query_rows.size):
+        (x, y, z, wide), a = load_consecutive(query_positions, 4 * agent, 4), query_rows[agent]
         for span in range(shifts.size):
-            key = asking_keys[at] + shifts[span]
+            key = query_keys[agent] + shifts[span]
             first, last = (
-                find_span_start(agents, starts, cells, is_self_search, at, span, key),
+                find_span_start(agents, starts, cells, is_self_search, agent, span, key),
                 find_span_end(agents, starts, cells, key),
             )
             budget -= max(last - first, 0)

@@ -140,12 +140,12 @@ def _find_pairs(search: PairSearch) -> TouchingPairs:
     buffers = tuple(
         np.empty((3, _AGENTS_PER_BATCH * search.span_offsets.size * _MAX_PARTNERS_PER_SPAN + _MIN_WRITTEN_CANDIDATES), np.int32)
     )
-    used, most_pairs, left_out = -1, 4 * count + 256, 0
-    while used < 0:
+    pair_count, most_pairs, left_out = -1, 4 * count + 256, 0
+    while pair_count < 0:
         i, j = np.empty((2, most_pairs), np.int64)
-        used, left_out = _fill_pairs(*search, _MAX_PARTNERS_PER_SPAN, buffers, i, j)
+        pair_count, left_out = _fill_pairs(*search, _MAX_PARTNERS_PER_SPAN, buffers, i, j)
         most_pairs *= 4
-    return TouchingPairs(i[:used], j[:used], not left_out)
+    return TouchingPairs(i[:pair_count], j[:pair_count], not left_out)
 
 
 class PairSearch(NamedTuple):
@@ -191,15 +191,15 @@ class _TouchGrid(NamedTuple):
         count = rows.size or reach.size
         if widen_cells:
             cell = max(cell, (extent[axes[0]] * extent[axes[1]] / max(1 << 14, 8 * count)) ** 0.5)
-        across, broad, depth = (int(extent[axis] / cell) + 3 for axis in axes)
+        width, broad, depth = (int(extent[axis] / cell) + 3 for axis in axes)
         agents = np.empty(4 * count), np.empty(count, np.int32), np.empty(count, np.int64)
         start = tuple(low[axis] for axis in axes)
-        grid = _TouchGrid(axes, start, 1 / cell, (across, broad, 1), agents, np.empty(0, np.int32))
-        most, flat, keys = max(1 << 16, 16 * count), depth == _ONE_LAYER_CELLS, np.empty(count, np.int64)
-        counts, mates = grid._count_agents(place, rows, keys, most)
+        grid = _TouchGrid(axes, start, 1 / cell, (width, broad, 1), agents, np.empty(0, np.int32))
+        max_cells, flat, keys = max(1 << 16, 16 * count), depth == _ONE_LAYER_CELLS, np.empty(count, np.int64)
+        counts, mates = grid._count_agents(place, rows, keys, max_cells)
         if not (flat or (counts.size and mates <= _MAX_MATES_PER_AGENT * count)):
-            grid = grid._replace(size=(across, broad, depth))
-            counts, _ = grid._count_agents(place, rows, keys, most)
+            grid = grid._replace(size=(width, broad, depth))
+            counts, _ = grid._count_agents(place, rows, keys, max_cells)
         if counts.size:
             accumulate_counts(counts, grid.cell_count)
         else:
@@ -216,8 +216,8 @@ class _TouchGrid(NamedTuple):
     def _get_cell_numbering(self) -> tuple[Any, ...]:
         """Return the inputs of kernels that number cells: low corners, cells per mm, sizes, and the index of the first cell in
         use."""
-        across, broad, depth = self.size
-        first, rate = (broad + 1) * across + 1 if depth > 1 else across + 1, self.cells_per_mm
+        width, broad, depth = self.size
+        first, rate = (broad + 1) * width + 1 if depth > 1 else width + 1, self.cells_per_mm
         return self.low, (rate, rate, rate if depth > 1 else 0.0), self.size, first
 
     def _count_agents(
@@ -236,29 +236,33 @@ class _TouchGrid(NamedTuple):
         """Return the search for pairs among the grid's agents.
 
         Each agent is paired with later agents of its cell, and with all agents in the later half of the neighbour cells."""
-        across, layer = self.size[0], self.size[0] * self.size[1]
-        shifts = [0, across, layer - across, layer, layer + across][: 2 if self.size[2] == 1 else 5]
+        width, layer = self.size[0], self.size[0] * self.size[1]
+        shifts = [0, width, layer - width, layer, layer + width][: 2 if self.size[2] == 1 else 5]
         return PairSearch(self.agents, self.agents, self.starts, self.cell_count, np.array(shifts), True)
 
     def build_query_search(self, place: PositionColumns, reach: Floats, rows: Rows) -> PairSearch:
         """Return the search for pairs of other rows with the grid's agents. Each row is paired with all agents in and around
         its cell."""
-        across, layer = self.size[0], self.size[0] * self.size[1]
-        shifts = [depth * layer + aside * across for depth in (0, -1, 1) for aside in (-1, 0, 1)][: 3 if self.size[2] == 1 else 9]
-        positions, own, keys = np.empty(4 * rows.size), np.empty(rows.size, np.int32), np.empty(rows.size, np.int64)
-        used = _store_queries(
-            place, reorder_axes(self.axes, place), reach, *self._get_cell_numbering(), rows, positions, own, keys
+        width, layer = self.size[0], self.size[0] * self.size[1]
+        shifts = [depth * layer + row_offset * width for depth in (0, -1, 1) for row_offset in (-1, 0, 1)][
+            : 3 if self.size[2] == 1 else 9
+        ]
+        positions, query_rows, keys = np.empty(4 * rows.size), np.empty(rows.size, np.int32), np.empty(rows.size, np.int64)
+        query_count = _store_queries(
+            place, reorder_axes(self.axes, place), reach, *self._get_cell_numbering(), rows, positions, query_rows, keys
         )
-        return PairSearch((positions, own[:used], keys), self.agents, self.starts, self.cell_count, np.array(shifts), False)
+        return PairSearch(
+            (positions, query_rows[:query_count], keys), self.agents, self.starts, self.cell_count, np.array(shifts), False
+        )
 
 
 @kernel
 def _count_cells(
-    along: Columns, low: Corner, inverse: Corner, size: Sizes, shift: I64, order: Array1[I64], keys: Array1[I64],
+    axis_positions: Columns, low: Corner, inverse: Corner, size: Sizes, shift: I64, order: Array1[I64], keys: Array1[I64],
     counts: Array2[I32], begin: I64, end: I64,
 ) -> I64:  # fmt: skip
     """Store and count cells as `cell_order.count_cells` does, with float64 positions."""
-    return count_cells(along, low, inverse, size, shift, order, keys, counts, begin, end)
+    return count_cells(axis_positions, low, inverse, size, shift, order, keys, counts, begin, end)
 
 
 @kernel
@@ -279,24 +283,24 @@ def _store_agents(
 
 @kernel
 def _store_queries(
-    positions: Columns, along: Columns, reach: Array1[F64], low: Corner, inverse: Corner, size: Sizes, shift: I64,
+    positions: Columns, axis_positions: Columns, reach: Array1[F64], low: Corner, inverse: Corner, size: Sizes, shift: I64,
     order: Array1[I64], searching_agents: Array1[F64], rows: Array1[I32], cells: Array1[I64],
 ) -> I64:  # fmt: skip
     """Write the rows that are at most one cell away from used cells; return their number."""
-    used = 0
+    count = 0
     for k in range(order.size):
         row = order[k]
-        a, b = np.floor((along[0][row] - low[0]) * inverse[0]), np.floor((along[1][row] - low[1]) * inverse[1])
-        c = np.floor((along[2][row] - low[2]) * inverse[2])
+        a, b = np.floor((axis_positions[0][row] - low[0]) * inverse[0]), np.floor((axis_positions[1][row] - low[1]) * inverse[1])
+        c = np.floor((axis_positions[2][row] - low[2]) * inverse[2])
         if not (a >= -1.0 and b >= -1.0 and c >= -1.0):
             continue
         if not (a <= np.float64(size[0] - 2) and b <= np.float64(size[1] - 2) and c <= np.float64(max(size[2] - 2, 0))):
             continue
-        searching_agents[4 * used], searching_agents[4 * used + 1] = positions[0][row], positions[1][row]
-        searching_agents[4 * used + 2], searching_agents[4 * used + 3] = positions[2][row], reach[row]
-        rows[used], cells[used] = row, (round_to_int(c) * size[1] + round_to_int(b)) * size[0] + round_to_int(a) + shift
-        used += 1
-    return used
+        searching_agents[4 * count], searching_agents[4 * count + 1] = positions[0][row], positions[1][row]
+        searching_agents[4 * count + 2], searching_agents[4 * count + 3] = positions[2][row], reach[row]
+        rows[count], cells[count] = row, (round_to_int(c) * size[1] + round_to_int(b)) * size[0] + round_to_int(a) + shift
+        count += 1
+    return count
 
 
 @inlined
@@ -323,36 +327,36 @@ def _fill_pairs(
 
     An agent is paired with at most `max_partners` agents of a span. `buffers`: work memory for candidates and for those in
     reach."""
-    (asks, asking_rows, asking_keys), (ordered, rows, _), (one, other, near) = searching_agents, agents, buffers
-    used, count, left_out = 0, asking_rows.size, 0
+    (query_positions, query_rows, query_keys), (ordered, rows, _), (one, other, near) = searching_agents, agents, buffers
+    pair_count, count, left_out = 0, query_rows.size, 0
     for begin in range(0, count, _AGENTS_PER_BATCH):
         candidates = 0
-        for at in range(begin, min(begin + _AGENTS_PER_BATCH, count)):
+        for agent in range(begin, min(begin + _AGENTS_PER_BATCH, count)):
             for span in range(shifts.size):
-                key = asking_keys[at] + shifts[span]
+                key = query_keys[agent] + shifts[span]
                 last = find_span_end(agents, starts, cells, key)
-                first = find_span_start(agents, starts, cells, is_self_search, at, span, key)
+                first = find_span_start(agents, starts, cells, is_self_search, agent, span, key)
                 if last - first > max_partners:
                     left_out += 1
-                    turned = (at * max_partners) % (last - first)
+                    rotation = (agent * max_partners) % (last - first)
                     for k in range(max_partners):
-                        one[candidates + k], other[candidates + k] = at, first + (k + turned) % (last - first)
+                        one[candidates + k], other[candidates + k] = agent, first + (k + rotation) % (last - first)
                     candidates += max_partners
                     continue
                 for k in range(4):  # always written, and overwritten if there were fewer
-                    one[candidates + k], other[candidates + k] = at, first + k
+                    one[candidates + k], other[candidates + k] = agent, first + k
                 for k in range(4, last - first):
-                    one[candidates + k], other[candidates + k] = at, first + k
+                    one[candidates + k], other[candidates + k] = agent, first + k
                 candidates += last - first
         for n in simd_range(0, candidates):
             p, q = one[n], other[n]
-            (x, y, z, wide), (u, v, w, far) = load_consecutive(asks, 4 * p, 4), load_consecutive(ordered, 4 * q, 4)
+            (x, y, z, wide), (u, v, w, far) = load_consecutive(query_positions, 4 * p, 4), load_consecutive(ordered, 4 * q, 4)
             x, y, z, reach = u - x, v - y, w - z, wide + far
             near[n] = 1 if (x * x + y * y) + z * z <= reach * reach else 0
         near_count = compact_indices(near, candidates)
-        if used + near_count > i.size:
+        if pair_count + near_count > i.size:
             return -1, 0
         for n in range(near_count):
-            i[used + n], j[used + n] = asking_rows[one[near[n]]], rows[other[near[n]]]
-        used += near_count
-    return used, left_out
+            i[pair_count + n], j[pair_count + n] = query_rows[one[near[n]]], rows[other[near[n]]]
+        pair_count += near_count
+    return pair_count, left_out

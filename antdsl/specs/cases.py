@@ -94,12 +94,12 @@ class SpecRun:
 
 
 def collect_cases(
-    paths: Iterable[Path], *, grants: Mapping[str, Path] | None = None, seeds: int | None = None, named: str = ""
+    paths: Iterable[Path], *, grants: Mapping[str, Path] | None = None, seeds: int | None = None, name_filter: str = ""
 ) -> tuple[list[SpecRun], Report]:
     """Return what to run for programs, scenes and folders, and a report on files, scenes and specs.
 
     Folders are searched for programs; a scene counts when it is named. `seeds`: 1 to this number instead of each spec's own.
-    `named`: only specs with this text in their name."""
+    `name_filter`: only specs with this text in their name."""
     paths = list(paths)
     files, report = find_files(paths)
     parsed = SharedParsedFiles()
@@ -110,7 +110,7 @@ def collect_cases(
         if program is None or not findings.ok:
             continue
         for spec in program.specs:
-            if named.lower() in spec.name.lower():
+            if name_filter.lower() in spec.name.lower():
                 finder.add_spec(file, spec)
     return finder.make_runs(seeds), report
 
@@ -126,36 +126,36 @@ class CaseFinder:
 
     def add_spec(self, file: Path, spec: Spec) -> None:
         """Add a spec with its scene, only once for any number of paths. A scene adds the specs that run on it."""
-        own = Path(spec.span.source.path)
-        scene = self._find_scene(own, spec, file)
+        program_path = Path(spec.span.source.path)
+        scene = self._find_scene(program_path, spec, file)
         if scene is not None and (file.suffix == ".ant" or scene.resolve() == file.resolve()):
             self.scene_and_spec_by_key.setdefault((scene.resolve(), spec.span), (scene, spec))
 
-    def _find_scene(self, own: Path, spec: Spec, file: Path) -> Path | None:
+    def _find_scene(self, program_path: Path, spec: Spec, file: Path) -> Path | None:
         """Return the scene of a spec; without `on`, the scene of the path, or `scene.yaml` next to the program."""
-        folder = own.resolve().parent
+        folder = program_path.resolve().parent
         if spec.scene is None:
             if file.suffix != ".ant":
                 return file
             if (folder / DEFAULT_SCENE).is_file():
-                return own.parent / DEFAULT_SCENE
+                return program_path.parent / DEFAULT_SCENE
             message = f"the spec `{spec.name}` names no scene, and there is no `{DEFAULT_SCENE}` here"
             self.report.error(
                 "no-scene", message, _find_first_line(spec), f'write `spec "{spec.name}" on "{DEFAULT_SCENE}" {{ … }}`'
             )
             return None
-        return self._find_named_scene(own, spec.scene)
+        return self._find_named_scene(program_path, spec.scene)
 
-    def _find_named_scene(self, own: Path, name: Text) -> Path | None:
+    def _find_named_scene(self, program_path: Path, name: Text) -> Path | None:
         """Return the named scene next to a program, or in a granted root."""
-        roots = Roots(own.resolve().parent, self.grants)
+        roots = Roots(program_path.resolve().parent, self.grants)
         try:
             roots.measure_file_size(name.text)
-        except PathRefused as refused:
-            self.missing_scene_report.error(refused.code, str(refused), name.span, refused.help)
+        except PathRefused as error:
+            self.missing_scene_report.error(error.code, str(error), name.span, error.help)
             return None
         path = roots.path(name.text)
-        return own.parent / name.text if (own.parent / name.text).resolve() == path.resolve() else path
+        return program_path.parent / name.text if (program_path.parent / name.text).resolve() == path.resolve() else path
 
     def make_runs(self, seeds: int | None) -> list[SpecRun]:
         """Return the runs of all added specs. `seeds`: run each spec with seeds 1 to this number, not with its listed seeds."""
@@ -181,8 +181,8 @@ class CaseFinder:
             if scene_path is None:
                 return None
             scene = scene_path
-        mine = {change.name for change in spec.reference_run.changes}
-        shot = self._open_shot(scene, (*(c for c in spec.changes if c.name not in mine), *spec.reference_run.changes))
+        reference_names = {change.name for change in spec.reference_run.changes}
+        shot = self._open_shot(scene, (*(c for c in spec.changes if c.name not in reference_names), *spec.reference_run.changes))
         plan = None if shot is None else self._find_plan(shot, spec, scene)
         return None if shot is None or plan is None else ComparisonShot(shot, plan)
 
@@ -197,13 +197,13 @@ class CaseFinder:
 
     def _find_plan(self, shot: Shot, spec: Spec, scene: Path) -> SpecPlan | None:
         """Return the spec as the scene's own program has it, which may have more species than the file alone."""
-        mine = _find_same_spec(shot.program, spec)
-        if mine is None:
+        same_spec = _find_same_spec(shot.program, spec)
+        if same_spec is None:
             message = f"`{scene.name}` has no crowd from `{Path(spec.span.source.path).name}`"
             advice = "name a scene that uses this program, or add a line to its `crowd`"
             self.report.error("other-scene", message, _find_first_line(spec), advice)
             return None
-        plan, report = lower_spec(mine, shot.program, shot.plan)
+        plan, report = lower_spec(same_spec, shot.program, shot.plan)
         self.report.extend(report)
         return plan
 
@@ -241,11 +241,11 @@ def settle_verdicts(cases: Sequence[SpecCase]) -> list[SpecVerdict]:
 
 
 def _settle_group(group: list[SpecCase]) -> SpecVerdict:
-    passed = sum(case.outcome == "passed" for case in group)
+    pass_count = sum(case.outcome == "passed" for case in group)
     if any(case.outcome == "waiting" for case in group):
-        return SpecVerdict(group[0].spec, passed, len(group), None)
-    holds = passed >= group[0].spec.pass_share * len(group) * (1 - 1e-9)
+        return SpecVerdict(group[0].spec, pass_count, len(group), None)
+    holds = pass_count >= group[0].spec.pass_share * len(group) * (1 - 1e-9)
     for case in group:
         if holds and case.outcome == "failed":
             case.outcome = "allowed"
-    return SpecVerdict(group[0].spec, passed, len(group), holds)
+    return SpecVerdict(group[0].spec, pass_count, len(group), holds)

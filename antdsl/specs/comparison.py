@@ -35,7 +35,7 @@ class ComparedRun:
 
     def record_frame(self, world: World) -> None:
         """Store the numbers of this frame, and whether it is the first in which the condition of a `sooner` holds."""
-        self.evaluator.ask(world, self.blank_values)
+        self.evaluator.evaluate_frame(world, self.blank_values)
         self.values_by_frame.append({each.name: self.evaluator.value(world, each.value) for each in self.plan.reference_values})
         for place, line in self.lines.items():
             assert isinstance(line.plan.condition, ir.PlanNode)

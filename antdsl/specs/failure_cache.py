@@ -80,10 +80,10 @@ class FailureSaver:
         self.count += 1
         if self.count > MAX_STORED_CASES:
             return SavedFrames(None, f"not saved: only the first {MAX_STORED_CASES} are")
-        above = self.folder if self.folder is not None else case.scene.parent / "out" / "failed"
-        folder = above / f"{make_folder_name(case.name)}-{case.seed}"
-        named = (case.scene.parent, "out", "failed") if self.folder is None else (above,)
-        link = find_first_link(*named, folder.name)
+        parent_folder = self.folder if self.folder is not None else case.scene.parent / "out" / "failed"
+        folder = parent_folder / f"{make_folder_name(case.name)}-{case.seed}"
+        folder_names = (case.scene.parent, "out", "failed") if self.folder is None else (parent_folder,)
+        link = find_first_link(*folder_names, folder.name)
         if link is not None:
             return SavedFrames(None, f"not saved: `{display_path(link)}` is a link; name a folder with `--keep`")
         params = {change.name: _format_flag_value(run.shot, change.value) for change in case.spec.changes}
@@ -93,21 +93,21 @@ class FailureSaver:
             return SavedFrames(None, f"not saved: {report.errors[0].message}")
         try:
             last_hash = self._record_frames(shot, folder, failure_point, binding_cache)
-        except (OSError, ForeignFolder, PathBlocked, StartError, CheckpointError) as why:
-            return SavedFrames(None, f"not saved: {str(why).lower()}")
+        except (OSError, ForeignFolder, PathBlocked, StartError, CheckpointError) as error:
+            return SavedFrames(None, f"not saved: {str(error).lower()}")
         words = [f"--root {shlex.quote(f'{name}={path}')}" for name, path in self.grants.items()]
         words += [f"--set {shlex.quote(f'{name}={text}')}" for name, text in params.items()]
         folder_text, scene = shlex.quote(display_path(folder)), shlex.quote(display_path(case.scene))
-        again = " ".join([f"antdsl run {scene} --frames {frames.first}..{frames.last} --seed {run.seed}", *words])
-        failed = failure_point.frame + (failure_point.hash is None)  # a step with a fault is not stored
-        agent_ids = next((f.agents for f in case.failures if f.frame == failed and f.agents), ())
+        rerun_command = " ".join([f"antdsl run {scene} --frames {frames.first}..{frames.last} --seed {run.seed}", *words])
+        failed_frame = failure_point.frame + (failure_point.hash is None)  # a step with a fault is not stored
+        agent_ids = next((f.agents for f in case.failures if f.frame == failed_frame and f.agents), ())
         agents = f" --agents {','.join(map(str, agent_ids))} --show trail,ids" if agent_ids else ""
         first = max(failure_point.first_frame, failure_point.frame - 1)
         look = f"antdsl render {folder_text} --frames {first}..{failure_point.frame}{agents}"
-        same = failure_point.hash is None or last_hash == failure_point.hash
-        note = "" if same else "the saved run gave other results, which is a bug in antdsl"
+        is_reproduced = failure_point.hash is None or last_hash == failure_point.hash
+        note = "" if is_reproduced else "the saved run gave other results, which is a bug in antdsl"
         return SavedFrames(
-            folder, note, failure_point.first_frame, failure_point.frame, look, f"{again} --out {folder_text} --resume"
+            folder, note, failure_point.first_frame, failure_point.frame, look, f"{rerun_command} --out {folder_text} --resume"
         )
 
     def _record_frames(self, shot: Shot, folder: Path, failure_point: FailurePoint, binding_cache: BindingCache) -> str:
@@ -142,9 +142,9 @@ def _format_flag_value(shot: Shot, value: Expr) -> str:
     try:
         parse_quantity(text)
     except QuantityError:
-        known = find_constant(value)
-        assert isinstance(known, Constant)
-        unit = choose_default_unit(known.type.dimension)
+        constant = find_constant(value)
+        assert isinstance(constant, Constant)
+        unit = choose_default_unit(constant.type.dimension)
         one = find_unit_measure(unit)
-        return f"{convert_constant(known, shot.scene) / (1.0 if one is None else one.factor)!r}{unit}"
+        return f"{convert_constant(constant, shot.scene) / (1.0 if one is None else one.factor)!r}{unit}"
     return text

@@ -41,7 +41,7 @@ class SpecJudge:
         """Judge the world as it is at this frame."""
         if self.is_over:
             return
-        spec_world = self.evaluator.ask(
+        spec_world = self.evaluator.evaluate_frame(
             world, {} if self.reference_run is None else self.reference_run.values(world.frame - self.first)
         )
         final = world.frame >= self.last
@@ -50,9 +50,11 @@ class SpecJudge:
         for line in self.lines:
             if line.is_open and line.plan.kind != "until" and (final or not line.plan.at_end):
                 observation = self._observe_line(world, spec_world, line, final)
-                failed = self._judge_sooner(line, observation) if line.plan.kind == "sooner" else line.find_failed(observation)
-                if len(failed):
-                    self._record_failure(world, spec_world, line, failed)
+                failing_agents = (
+                    self._judge_sooner(line, observation) if line.plan.kind == "sooner" else line.find_failed(observation)
+                )
+                if len(failing_agents):
+                    self._record_failure(world, spec_world, line, failing_agents)
         for line in self.lines:
             if line.plan.kind == "until" and line.plan.species is not None:
                 released_ids = line.find_failed(self._observe_line(world, spec_world, line, final))
@@ -64,8 +66,8 @@ class SpecJudge:
         """Evaluate the condition of a line in this frame."""
         plan = line.plan
         if plan.species is None:
-            since = None if plan.start_condition is None else self._evaluate_condition(world, plan.start_condition)
-            return observe_aggregate(world.frame, final, self.first, self._evaluate_condition(world, plan.condition), since)
+            start_holds = None if plan.start_condition is None else self._evaluate_condition(world, plan.start_condition)
+            return observe_aggregate(world.frame, final, self.first, self._evaluate_condition(world, plan.condition), start_holds)
         judged = spec_world.populations[plan.species]
         assert isinstance(plan.condition, str)
         since_flags = None if plan.start_condition is None else judged.now[str(plan.start_condition)].astype(np.bool_)
@@ -93,15 +95,15 @@ class SpecJudge:
         first of each run."""
         assert self.reference_run is not None
         holds = bool(len(line.find_failed(observation)))
-        when = self.reference_run.find_steps_until_held(line.plan)
-        lost = when is not None and observation.frame - self.first >= when
-        if lost:
-            line.failure_reason = f"in the reference run it held after {self._format_seconds(when or 0)}"
+        reference_steps = self.reference_run.find_steps_until_held(line.plan)
+        is_lost = reference_steps is not None and observation.frame - self.first >= reference_steps
+        if is_lost:
+            line.failure_reason = f"in the reference run it held after {self._format_seconds(reference_steps or 0)}"
             line.failure_reason += ", no later than here" if holds else ", but not here yet"
         elif not holds and observation.is_final:
-            lost, line.failure_reason = True, "the run is over, and it did not hold in the reference run either"
+            is_lost, line.failure_reason = True, "the run is over, and it did not hold in the reference run either"
         line.is_open = not holds
-        return observation.ids if lost else observation.ids[:0]
+        return observation.ids if is_lost else observation.ids[:0]
 
     def _format_seconds(self, steps: int) -> str:
         return f"{steps * self.reference_run.dt:.6g} s" if self.reference_run is not None else ""
@@ -124,10 +126,10 @@ class SpecJudge:
         """Close a line and store its failure, with aggregate values or those of the failed agent with the least id."""
         line.is_open = False
         plan, fps = line.plan, float(world.setting.fps)
-        least = int(agents.min())
+        first_agent = int(agents.min())
         row = None
         if plan.species is not None:
-            row = int(spec_world.populations[plan.species].find_rows(np.array([least]))[0])
+            row = int(spec_world.populations[plan.species].find_rows(np.array([first_agent]))[0])
             if row >= 0:
                 self.evaluator.run(spec_world, "blend", plan.species, np.array([row]))
         values = self._format_values(world, spec_world, plan, row)
@@ -135,11 +137,11 @@ class SpecJudge:
         message = f"{text}{f' ({line.failure_reason})' if line.failure_reason else ''}"
         failure = SpecFailure(message, plan.span, world.frame, (world.frame - self.first) / fps, values)
         if plan.species is not None:
-            named = tuple(int(each) for each in np.sort(agents)[:MAX_NAMED_AGENTS])
+            named_agents = tuple(int(each) for each in np.sort(agents)[:MAX_NAMED_AGENTS])
             there_still = row is not None and row >= 0
             failure = replace(
-                failure, agent=(plan.species, least), other_count=len(agents) - 1, agents=named,
-                wait_start_frame=line.find_start_frame(least),
+                failure, agent=(plan.species, first_agent), other_count=len(agents) - 1, agents=named_agents,
+                wait_start_frame=line.find_start_frame(first_agent),
                 whereabouts=describe_whereabouts(world, plan.species, row or 0) if there_still else (),
             )  # fmt: skip
         self.failures.append(failure)
@@ -156,8 +158,8 @@ def _format_readings(world: World, reading_values: list[tuple[ReadingPlan, Any]]
     and a number of the line, would otherwise look alike."""
     texts = [" ".join(reading.span.text.split()) for reading, _ in reading_values]
     values = [format_value(world, value, reading.type, reading.unit) for reading, value in reading_values]
-    written = {float(number) for number in _NUMBER_PATTERN.findall(line)}
+    written_numbers = {float(number) for number in _NUMBER_PATTERN.findall(line)}
     alike = len(set(values)) < len({float(value) for _, value in reading_values})
-    if alike or any(float(number) in written for text in values for number in _NUMBER_PATTERN.findall(text)[:1]):
+    if alike or any(float(number) in written_numbers for text in values for number in _NUMBER_PATTERN.findall(text)[:1]):
         values = [format_value(world, value, reading.type, reading.unit, True) for reading, value in reading_values]
     return tuple(dict.fromkeys(zip(texts, values, strict=True)))

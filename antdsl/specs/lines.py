@@ -38,9 +38,9 @@ class FrameObservation:
     is_released: BoolArray
 
 
-def observe_aggregate(frame: int, is_final: bool, first_frame: int, holds: bool, since: bool | None) -> FrameObservation:
+def observe_aggregate(frame: int, is_final: bool, first_frame: int, holds: bool, start_holds: bool | None) -> FrameObservation:
     """Return one frame of a line about aggregates."""
-    since_flags = None if since is None else np.array([since])
+    since_flags = None if start_holds is None else np.array([start_holds])
     return FrameObservation(
         frame, is_final, np.zeros(1, np.int64), np.full(1, first_frame), np.array([holds]), since_flags, np.zeros(1, np.bool_)
     )
@@ -72,7 +72,8 @@ class JudgementLine:
     waiting_ids: AgentIds = field(default_factory=_NO_IDS.copy)
 
     def find_failed(self, observation: FrameObservation) -> AgentIds:
-        """Return which agents fail in this frame. `why`: the reason in words, empty if the condition alone is the reason."""
+        """Return which agents fail in this frame. `failure_reason` gets the reason in words, empty if the condition alone is the
+        reason."""
         self.failure_reason = ""
         if self.held_steps is not None:
             self.count = extend_table(self.count, observation.ids, 0)
@@ -84,8 +85,8 @@ class JudgementLine:
 
     def find_start_frame(self, agent: int) -> int | None:
         """Return the frame in which an agent's expired waiting time began, if the line has a `when`."""
-        known = self.plan.start_condition is not None and agent < len(self.pending_since_frames)
-        return int(self.pending_since_frames[agent]) if known and self.pending_since_frames[agent] != _NEVER_FRAME else None
+        is_pending = self.plan.start_condition is not None and agent < len(self.pending_since_frames)
+        return int(self.pending_since_frames[agent]) if is_pending and self.pending_since_frames[agent] != _NEVER_FRAME else None
 
     def _find_removed(self, observation: FrameObservation, waiting: BoolArray) -> AgentIds:
         """Return the agents that waited before and no longer exist. `waiting`: by row, whether the agent waits now."""
@@ -98,8 +99,8 @@ class JudgementLine:
 
 def _judge_always(line: JudgementLine, observation: FrameObservation) -> AgentIds:
     """Return the agents for which the condition does not hold."""
-    failed: AgentIds = observation.ids[~observation.condition_holds & ~observation.is_released]
-    return failed
+    failing_agents: AgentIds = observation.ids[~observation.condition_holds & ~observation.is_released]
+    return failing_agents
 
 
 def _judge_never(line: JudgementLine, observation: FrameObservation) -> AgentIds:
@@ -180,8 +181,8 @@ def _judge_since_within(line: JudgementLine, observation: FrameObservation) -> A
             return late
     elif observation.is_final and waiting.any():
         line.failure_reason = RUN_OVER_REASON
-        still: AgentIds = observation.ids[waiting]
-        return still
+        late_agents: AgentIds = observation.ids[waiting]
+        return late_agents
     return _NO_IDS
 
 

@@ -30,19 +30,19 @@ _UNKNOWN_VALUE = 1e300  # not representable as float32; marks agents that did no
 
 
 class SpecEvaluator:
-    """Evaluates the expressions of a spec. Call `ask` at each frame from the first on; then `values` has the aggregates by
-    name."""
+    """Evaluates the expressions of a spec. Call `evaluate_frame` at each frame from the first on; then `values` has the
+    aggregates by name."""
 
     def __init__(self, plan: SpecPlan, world: World) -> None:
         self.plan = plan
         self.backend: Any = BACKENDS[world.options.backend](plan.plan)
         self.values: dict[str, Any] = {}
-        known: list[AggregatePlan | StartValuePlan | ReferenceValuePlan] = [
+        value_plans: list[AggregatePlan | StartValuePlan | ReferenceValuePlan] = [
             *plan.aggregates,
             *plan.start_values,
             *plan.reference_values,
         ]
-        self.value_names = [each.name for each in known] + [f"motion.{name}" for name in MOTION_MEASURES]
+        self.value_names = [each.name for each in value_plans] + [f"motion.{name}" for name in MOTION_MEASURES]
         self.start_values: dict[str, NDArray[np.float64]] = {}  # by agent id
         self.field_reading_species = {name for name, species in plan.plan.species.items() if _has_field_requests(species)}
 
@@ -50,7 +50,7 @@ class SpecEvaluator:
         """Return the value of a node that is equal for all agents."""
         return evaluate_uniform_node(world, node, self.values)
 
-    def ask(self, world: World, compared_values: Mapping[str, Any]) -> World:
+    def evaluate_frame(self, world: World, compared_values: Mapping[str, Any]) -> World:
         """Return a copy of the world with the results of the expressions in its registers. `compared_values`: values of the
         reference run."""
         self._store_motion_measures(world)
@@ -136,9 +136,9 @@ class SpecEvaluator:
 
     def _record_first_values(self, judged: Population, name: str, register: str) -> None:
         """Copy the value of a number in each agent's first frame to the register that the conditions read."""
-        ids, now = judged.ids, judged.now[register]
+        ids, current_values = judged.ids, judged.now[register]
         values = self.start_values[name] = extend_table(self.start_values.get(name, np.zeros(0)), ids, _UNKNOWN_VALUE)
-        values[ids] = np.where(values[ids] == _UNKNOWN_VALUE, now, values[ids])
+        values[ids] = np.where(values[ids] == _UNKNOWN_VALUE, current_values, values[ids])
         judged.start[name] = values[ids].astype(np.float32)
 
 
@@ -158,10 +158,12 @@ def _make_population(
     )
 
 
-def _make_result_arrays(registers: Mapping[str, ir.Register], known: Mapping[str, Any], count: int) -> dict[str, NDArray[Any]]:
+def _make_result_arrays(
+    registers: Mapping[str, ir.Register], given_arrays: Mapping[str, Any], count: int
+) -> dict[str, NDArray[Any]]:
     """Return arrays for the results of the blocks; a number that is not computed stays NaN."""
-    own = [register for register in registers.values() if register.name not in known]
-    return {r.name: np.full(count, np.nan if r.kind is ir.ValueKind.F32 else 0, DTYPE_BY_KIND[r.kind]) for r in own}
+    result_registers = [register for register in registers.values() if register.name not in given_arrays]
+    return {r.name: np.full(count, np.nan if r.kind is ir.ValueKind.F32 else 0, DTYPE_BY_KIND[r.kind]) for r in result_registers}
 
 
 def _has_field_requests(species: ir.SpeciesPlan) -> bool:
@@ -183,12 +185,14 @@ def measure_geometry(world: World, population: Population, name: str) -> FloatAr
 def _measure_overlap(world: World, population: Population) -> FloatArray:
     """Return the worst overlap of each agent with any other of all species: 0 apart, 1 at the same position."""
     populations = list(world.populations.values())
-    known = [each for each in populations if "radius" in each.start and "position.x" in each.start and each.footing is not None]
+    measured = [
+        each for each in populations if "radius" in each.start and "position.x" in each.start and each.footing is not None
+    ]
     x, y, z, radius = (
-        np.concatenate([each.start[name] for each in known]) for name in ("position.x", "position.y", "position.z", "radius")
+        np.concatenate([each.start[name] for each in measured]) for name in ("position.x", "position.y", "position.z", "radius")
     )
-    own = next(k for k, each in enumerate(known) if each.name == population.name)
-    first = sum(len(each) for each in known[:own])
+    own_index = next(k for k, each in enumerate(measured) if each.name == population.name)
+    first = sum(len(each) for each in measured[:own_index])
     worst = measure_worst_overlaps(x, y, z, radius)
     return worst[first : first + len(population)]
 
@@ -207,13 +211,13 @@ def _measure_penetration(world: World, population: Population) -> FloatArray:
 
 def _measure_surface_distance(world: World, population: Population) -> FloatArray:
     """Return the distance of each agent from where it should be: its clearance above its point on a triangle or a solid."""
-    away: NDArray[np.float64] = np.linalg.norm(population.position - world.ground.position(population.footing), axis=1)
+    distance: NDArray[np.float64] = np.linalg.norm(population.position - world.ground.position(population.footing), axis=1)
     for number, volume in enumerate(world.solids.values(), len(world.setting.surfaces)):
         rows = np.flatnonzero(population.footing.mesh == number)
-        away[rows] = np.maximum(away[rows], np.abs(volume.sample(population.position[rows])))
+        distance[rows] = np.maximum(distance[rows], np.abs(volume.sample(population.position[rows])))
     clearance = population.start.get("clearance", np.zeros(len(population)))
-    off: FloatArray = np.abs(away - clearance).astype(np.float32)
-    return off
+    deviation: FloatArray = np.abs(distance - clearance).astype(np.float32)
+    return deviation
 
 
 _MEASURE_FUNCTIONS: Mapping[str, Callable[[World, Population], FloatArray]] = {

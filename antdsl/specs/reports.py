@@ -122,9 +122,9 @@ def as_junit(cases: Sequence[SpecCase], report: Report, goldens: Sequence[Golden
         for problem in errors:
             _junit_error(suite, problem)
     for path in dict.fromkeys(case.spec.span.source.path for case in cases):
-        mine = [case for case in cases if case.spec.span.source.path == path]
-        suite = ElementTree.SubElement(root, "testsuite", {"name": escape_text(path)} | _junit_counts(mine))
-        for case in mine:
+        file_cases = [case for case in cases if case.spec.span.source.path == path]
+        suite = ElementTree.SubElement(root, "testsuite", {"name": escape_text(path)} | _junit_counts(file_cases))
+        for case in file_cases:
             _junit_case(suite, case)
     if goldens:
         suite = ElementTree.SubElement(

@@ -43,11 +43,11 @@ def run_cases(runs: Iterable[SpecRun], context: RunContext) -> None:
         moments: dict[int, FailurePoint] = {}
         try:
             _judge_run(run, context, moments)
-        except BindError as why:
-            for problem in why.report.errors:
+        except BindError as error:
+            for problem in error.report.errors:
                 _fail_cases(run, SpecFailure(problem.message, problem.span))
-        except (OSError, MemoryError) as why:
-            _fail_cases(run, SpecFailure(f"the run was aborted: {why or type(why).__name__}".lower(), None))
+        except (OSError, MemoryError) as error:
+            _fail_cases(run, SpecFailure(f"the run was aborted: {error or type(error).__name__}".lower(), None))
         finally:
             for world in context.worlds:
                 context.messages |= dict.fromkeys(world.backend.messages())
@@ -72,8 +72,8 @@ def _judge_run(run: SpecRun, work: RunContext, failure_points: dict[int, Failure
     rivals = _run_compared(run, work)
     try:
         world = _make_world(run.shot, run.seed, work)
-    except FaultStop as why:
-        return _fail_with_fault(run, why)
+    except FaultStop as error:
+        return _fail_with_fault(run, error)
     first, trail = world.frame, None if work.failure_saver is None else StateCopies(run.shot.setting)
     judges = [
         (case, SpecJudge(case.plan, world, run.shot.frames.last, rivals.get(id(case)))) for case in run.cases if not case.failures
@@ -98,11 +98,11 @@ def _judge_run(run: SpecRun, work: RunContext, failure_points: dict[int, Failure
         frame_number = world.frame
         try:
             step(world)
-        except FaultStop as why:
+        except FaultStop as error:
             if trail is not None and trail.last is not None:
                 failure_point = FailurePoint(frame_number, None, trail.last)
                 failure_points |= {id(case): failure_point for case in run.cases if id(case) not in failure_points}
-            return _fail_with_fault(run, why)
+            return _fail_with_fault(run, error)
 
 
 def _make_world(shot: Shot, seed: int, work: RunContext) -> World:
@@ -118,13 +118,13 @@ def _make_world(shot: Shot, seed: int, work: RunContext) -> World:
     return world
 
 
-def _fail_with_fault(run: SpecRun, why: FaultStop) -> None:
-    _fail_cases(run, _describe_fault(why, ""))
+def _fail_with_fault(run: SpecRun, stop: FaultStop) -> None:
+    _fail_cases(run, _describe_fault(stop, ""))
 
 
-def _describe_fault(why: FaultStop, where: str) -> SpecFailure:
+def _describe_fault(stop: FaultStop, where: str) -> SpecFailure:
     """Return a fault as a failure. `where`: text in front of its message."""
-    fault = why.fault
+    fault = stop.fault
     culprit = (fault.species, fault.agent)
     words = f"{where}`{fault.value_name}` {fault.reason}"
     return SpecFailure(words, fault.span, fault.frame, None, fault.operands, culprit, 0, (fault.agent,))
@@ -137,12 +137,12 @@ def _run_compared(run: SpecRun, work: RunContext) -> dict[int, ComparedRun]:
     for shot in {
         id(case.comparison_shot.shot): case.comparison_shot.shot for case in run.cases if case.comparison_shot is not None
     }.values():
-        mine = [case for case in run.cases if case.comparison_shot is not None and case.comparison_shot.shot is shot]
+        compared_cases = [case for case in run.cases if case.comparison_shot is not None and case.comparison_shot.shot is shot]
         try:
-            compared_runs |= _simulate_compared(run, work, shot, mine)
-        except FaultStop as why:
-            for case in mine:
-                case.failures.append(_describe_fault(why, "in the run that is compared with, "))
+            compared_runs |= _simulate_compared(run, work, shot, compared_cases)
+        except FaultStop as error:
+            for case in compared_cases:
+                case.failures.append(_describe_fault(error, "in the run that is compared with, "))
     return compared_runs
 
 

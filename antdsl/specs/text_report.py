@@ -30,9 +30,9 @@ def describe_failure(failure: SpecFailure) -> list[str]:
     where = f"{failure.span}: " if failure.span is not None else ""
     lines = [f"{escape_text(where)}{escape_text(failure.message)}"]
     if failure.frame is not None:
-        when = f"  first at frame {failure.frame}"
-        when += f", {failure.time:.6g} s from the start" if failure.time is not None else ""
-        lines.append(when + (f", by {_list_agent_names(failure)}" if failure.agent else ""))
+        time_text = f"  first at frame {failure.frame}"
+        time_text += f", {failure.time:.6g} s from the start" if failure.time is not None else ""
+        lines.append(time_text + (f", by {_list_agent_names(failure)}" if failure.agent else ""))
     if failure.wait_start_frame is not None:
         lines.append(f"  pending since frame {failure.wait_start_frame}")
     if failure.other_count and (failure.values or failure.whereabouts):
@@ -48,9 +48,9 @@ def _format_agent_name(failure: SpecFailure) -> str:
 
 def _list_agent_names(failure: SpecFailure) -> str:
     assert failure.agent is not None
-    named = failure.agents or (failure.agent[1],)
-    remainder = failure.other_count + 1 - len(named)
-    return f"{failure.agent[0]} {', '.join(map(str, named))}" + (f" and {remainder} more" if remainder > 0 else "")
+    agents = failure.agents or (failure.agent[1],)
+    remainder = failure.other_count + 1 - len(agents)
+    return f"{failure.agent[0]} {', '.join(map(str, agents))}" + (f" and {remainder} more" if remainder > 0 else "")
 
 
 def _describe_saved(saved: SavedFrames) -> list[str]:
@@ -108,17 +108,17 @@ def describe_coverage(coverage: SpecCoverage) -> str:
     both = [(each, "state") for each in coverage.states.values()] + [(each, "change") for each in coverage.changes.values()]
     both.sort(key=lambda pair: (pair[0].span.source.path, pair[0].span.start, pair[1] == "change"))
     wide = max((len(f"{each.count:,}") for each, _ in both), default=0)
-    lines = [f"{each.count:>{wide},}  {'  ' if what == 'change' else ''}{_short_name(each.name)}" for each, what in both]
+    lines = [f"{each.count:>{wide},}  {'  ' if noun == 'change' else ''}{_short_name(each.name)}" for each, noun in both]
     return "\n".join(lines)
 
 
 def describe_uncovered(coverage: SpecCoverage) -> str:
     """Return how many states and changes occurred, and the names of those that never occurred."""
     lines = []
-    for what, verb, table in (("states", "entered", coverage.states), ("changes", "made", coverage.changes)):
+    for noun, verb, table in (("states", "entered", coverage.states), ("changes", "made", coverage.changes)):
         if table:
             covered_count = sum(each.count > 0 for each in table.values())
-            lines.append(f"{what} {verb}: {covered_count} of {len(table)}")
+            lines.append(f"{noun} {verb}: {covered_count} of {len(table)}")
     never = _find_uncovered(coverage)
     lines += [f"  {each.span}: `{_short_name(each.name)}` was never {verb}" for each, verb in never[:_MAX_LISTED_UNCOVERED]]
     if len(never) > _MAX_LISTED_UNCOVERED:

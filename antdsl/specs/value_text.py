@@ -36,8 +36,8 @@ def describe_whereabouts(world: World, species: str, row: int) -> tuple[tuple[st
     entries = []
     for machine in population.plan.machines:
         state = machine.states[int(population.now[f"{machine.name}.state"][row])]
-        since = float(population.now[f"{machine.name}.time_in_state"][row])
-        entries.append(("state" if machine.name == "main" else machine.name, f"{state}, for {since:.4g} s"))
+        seconds_in_state = float(population.now[f"{machine.name}.time_in_state"][row])
+        entries.append(("state" if machine.name == "main" else machine.name, f"{state}, for {seconds_in_state:.4g} s"))
     return (*entries, ("position", format_position(population.position[row], world.origin, world.setting.unit_mm)))
 
 
@@ -65,8 +65,8 @@ def _format_number(world: World, value: Any, unit: str, is_exact: bool) -> str:
         return "no number"
     if np.isinf(value):
         return "endless" if value > 0 else "minus endless"
-    known = find_unit_measure(unit) if unit else None
-    one = 1.0 if known is None else known.factor * world.setting.unit_mm**known.unit_power * world.dt**known.step
+    measure = find_unit_measure(unit) if unit else None
+    one = 1.0 if measure is None else measure.factor * world.setting.unit_mm**measure.unit_power * world.dt**measure.step
     number = type(value)(float(value) / one)
     text = np.format_float_positional(number, trim="-") if is_exact else f"{number:.6g}"
     return f"{text} {unit}".strip()

@@ -119,18 +119,20 @@ def choose_design(name: str, factors: Sequence[Factor], point_count: int | None,
         combined = tuple(dict(zip((f.name for f in factors), values, strict=True)) for values in itertools.product(*levels))
         return ChosenPoints(design, tuple(factors), combined), report
     shares = design.sample_shares(len(factors), point_count, seed)
-    named = tuple({factor.name: factor.at(float(share)) for factor, share in zip(factors, row, strict=True)} for row in shares)
-    return ChosenPoints(design, tuple(factors), named, shares), report
+    points = tuple(
+        {factor.name: factor.format_value_at(float(share)) for factor, share in zip(factors, row, strict=True)} for row in shares
+    )
+    return ChosenPoints(design, tuple(factors), points, shares), report
 
 
 def _check_design_fit(design: Design, factors: Sequence[Factor], point_count: int | None, report: Report) -> None:
     ranges = [factor for factor in factors if not factor.levels]
-    said = f"`--design {design.name}`"
+    flag = f"`--design {design.name}`"
     if design.sample_shares is None:
-        most = math.prod(len(factor.levels) for factor in factors)
+        total_points = math.prod(len(factor.levels) for factor in factors)
         for factor in ranges:
             low, high = factor.find_end_values()
-            middle = factor.at(0.5)
+            middle = factor.format_value_at(0.5)
             advice = f"write `--vary {factor.name}={low},{middle},{high}`, or choose points within: `--design latin --points 20`"
             report.error("wrong-value", f"a grid needs separate values, but `{factor.name}` is a range", None, advice)
         if point_count is not None:
@@ -140,37 +142,40 @@ def _check_design_fit(design: Design, factors: Sequence[Factor], point_count: in
                 None,
                 f"leave out `--points {point_count}`",
             )
-        if most > limits.MAX_SWEEP_POINTS:
-            words = f"these values make {most:,} combinations, and more than {limits.MAX_SWEEP_POINTS:,} are not run"
+        if total_points > limits.MAX_SWEEP_POINTS:
+            words = f"these values make {total_points:,} combinations, and more than {limits.MAX_SWEEP_POINTS:,} are not run"
             report.error("too-large", words, None, "sample them: `--design latin --points 100`")
         return
     if not factors:
         advice = "add values to vary: `--vary forager.smell=30mm..90mm`"
-        report.error("missing-argument", f"{said} has no values to choose", None, advice)
+        report.error("missing-argument", f"{flag} has no values to choose", None, advice)
         return
     if point_count is None:
         usual = 64 if design.needs_power_of_two else 20
         report.error(
             "missing-argument",
-            f"{said} needs the number of {design.count_meaning}",
+            f"{flag} needs the number of {design.count_meaning}",
             None,
-            f"write `{said[1:-1]} --points {usual}`",
+            f"write `{flag[1:-1]} --points {usual}`",
         )
         return
     for factor in factors:
         if factor.levels and design.needs_ranges:
             first, last = factor.levels[0], factor.levels[-1]
             advice = f"write its ends: `--vary {factor.name}={first}..{last}`"
-            report.error("wrong-value", f"{said} steps along ranges, but `{factor.name}` has separate values", None, advice)
+            report.error("wrong-value", f"{flag} steps along ranges, but `{factor.name}` has separate values", None, advice)
     if design.needs_power_of_two and point_count & (point_count - 1):
         near = 1 << point_count.bit_length()
         advice = f"write `--points {near}` or `--points {near >> 1}`"
         report.error(
             "wrong-count", f"a Sobol sequence fills space evenly only at powers of 2, but {point_count} is not one", None, advice
         )
-    most = point_count * (1 if design.points_per_unit is None else len(factors) + design.points_per_unit)
-    if most > limits.MAX_SWEEP_POINTS:
-        words = f"{said} with `--points {point_count}` has {most:,} points, and more than {limits.MAX_SWEEP_POINTS:,} are not run"
+    total_points = point_count * (1 if design.points_per_unit is None else len(factors) + design.points_per_unit)
+    if total_points > limits.MAX_SWEEP_POINTS:
+        words = (
+            f"{flag} with `--points {point_count}` has {total_points:,} points, "
+            f"and more than {limits.MAX_SWEEP_POINTS:,} are not run"
+        )
         report.error("too-large", words, None, "write a smaller `--points`")
     if design.analysis is not None and not sensitivity.is_available():
-        report.error("missing-extra", f"{said} needs SALib", None, sensitivity.INSTALL_HINT)
+        report.error("missing-extra", f"{flag} needs SALib", None, sensitivity.INSTALL_HINT)

@@ -29,7 +29,7 @@ class Factor:
         """Return the name without its species or field."""
         return self.name.rpartition(".")[2]
 
-    def at(self, share: float) -> str:
+    def format_value_at(self, share: float) -> str:
         """Return a value as text. `share`: the position from 0 (first value) to 1 (last value). Each level covers an equal
         part."""
         if self.levels:
@@ -69,25 +69,29 @@ def _parse_levels(name: str, text: str, report: Report) -> Factor | None:
 
 
 def _parse_range(name: str, text: str, report: Report) -> Factor | None:
-    said = f"`--vary {name}={text}`"
+    flag = f"`--vary {name}={text}`"
     try:
         (first, first_unit), (last, unit) = map(split_quantity, text.split("..") if text.count("..") == 1 else ("", ""))
     except QuantityError:
         usual = f"write `--vary {name}=30mm..90mm`, or separate values: `--vary {name}=30mm,60mm`"
-        report.error("wrong-value", f"{said} is not a range of two numbers", None, usual)
+        report.error("wrong-value", f"{flag} is not a range of two numbers", None, usual)
         return None
     if first_unit not in ("", unit):
-        better = f"write both ends in one unit: `--vary {name}={first}{first_unit}..90{first_unit}`"
-        report.error("units-differ", f"{said} begins in `{first_unit}` and ends in `{unit or 'no unit'}`", None, better)
+        advice = f"write both ends in one unit: `--vary {name}={first}{first_unit}..90{first_unit}`"
+        report.error("units-differ", f"{flag} begins in `{first_unit}` and ends in `{unit or 'no unit'}`", None, advice)
         return None
     try:
         low, high = parse_number(first), parse_number(last)
-    except QuantityError as why:
-        report.error("wrong-value", f"an end of {said} {why}", None, why.help or f"write `--vary {name}=30mm..90mm`")
+    except QuantityError as error:
+        report.error("wrong-value", f"an end of {flag} {error}", None, error.help or f"write `--vary {name}=30mm..90mm`")
         return None
     if low >= high:
-        turned = f"write `--vary {name}={last}{unit}..{first}{unit}`" if low > high else "write one value, or a wider range"
-        report.error("empty-range", f"{said} ends before it begins" if low > high else f"{said} has no width", None, turned)
+        swapped_advice = (
+            f"write `--vary {name}={last}{unit}..{first}{unit}`" if low > high else "write one value, or a wider range"
+        )
+        report.error(
+            "empty-range", f"{flag} ends before it begins" if low > high else f"{flag} has no width", None, swapped_advice
+        )
         return None
     return Factor(name, (), low, high, unit)
 
@@ -95,8 +99,8 @@ def _parse_range(name: str, text: str, report: Report) -> Factor | None:
 def build_end_points(factors: Iterable[Factor]) -> list[dict[str, str]]:
     """Return the fewest points that cover every end of every factor."""
     chosen = list(factors)
-    most = max((len(factor.find_end_values()) for factor in chosen), default=0)
+    value_count = max((len(factor.find_end_values()) for factor in chosen), default=0)
     return [
         {factor.name: factor.find_end_values()[min(k, len(factor.find_end_values()) - 1)] for factor in chosen}
-        for k in range(most)
+        for k in range(value_count)
     ]

@@ -62,9 +62,9 @@ def _import_matplotlib() -> Any:
         spec = find_spec(PACKAGE_NAME)
         assert spec is not None and spec.origin is not None
         defaults = str(Path(spec.origin).parent / "mpl-data" / "matplotlibrc")
-        own = {"MATPLOTLIBRC": defaults, "MPLCONFIGDIR": str(folder), "MPLBACKEND": "agg"}
+        environment = {"MATPLOTLIBRC": defaults, "MPLCONFIGDIR": str(folder), "MPLBACKEND": "agg"}
         # Without a search path, matplotlib does not find `fc-list`, which lists more fonts than needed.
-        opened.enter_context(_set_environment({**own, "PATH": str(folder)}))
+        opened.enter_context(_set_environment({**environment, "PATH": str(folder)}))
         with suppress(FileNotFoundError):  # the working directory was deleted, so nothing is found in it
             opened.enter_context(chdir(folder))
         for module in ("font_manager", "style", "figure", "backends.backend_agg"):

@@ -107,15 +107,15 @@ def build_jobs(
             _check_amounts(shot, until, report)
             try:
                 shots.append((variation, shot.frames, shot.scene, {**shot.inputs, **find_start_hashes(shot)}))
-            except StartError as why:
-                report.extend(why.report)
+            except StartError as error:
+                report.extend(error.report)
     granted = tuple((name, str(folder)) for name, folder in grants.items())
     job_list = []
     for seed in seeds:
-        for variation, between, scene, inputs in shots:
+        for variation, job_frames, scene, inputs in shots:
             params = tuple(variation.params.items())
-            key = _compute_key(scene, inputs, between, seed, until)
-            frame_range = (between.first, between.last)
+            key = _compute_key(scene, inputs, job_frames, seed, until)
+            frame_range = (job_frames.first, job_frames.last)
             job_list.append(
                 SweepJob(str(resolve_path(variation.scene)), variation.label, params, seed, frame_range, until, granted, key)
             )
@@ -145,10 +145,10 @@ def _compute_key(scene: Scene, inputs: Mapping[str, str], frames: FrameRange, se
 
 def _check_amounts(shot: Shot, until: tuple[str, ...], report: Report) -> None:
     """Report amounts that the scene does not have."""
-    known = list(list_amount_names(shot))
+    amount_names = list(list_amount_names(shot))
     for requested_name in until:
-        if not any(is_amount_match(requested_name, name) for name in known):
-            display_names = ", ".join(f"`{name}`" for name in known[:6]) or "none: it has no items"
+        if not any(is_amount_match(requested_name, name) for name in amount_names):
+            display_names = ", ".join(f"`{name}`" for name in amount_names[:6]) or "none: it has no items"
             report.error(
                 "unknown-thing",
                 f"`{shot.scene.source.path}` has no amount `{requested_name}`",

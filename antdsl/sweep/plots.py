@@ -25,16 +25,16 @@ def draw_measures(results: Sequence[RunResult], measures: Sequence[str], path: P
     """Write one PNG with a panel per measure. Runs in which the measured event did not happen are above the dashed line."""
     labels = list(dict.fromkeys(job.label for job, _ in results))
     height = max(2.0, 0.45 * len(labels) + 1.0)
-    with open_figure(9.0, height * len(measures), path) as drawn:
-        panels = drawn.subplots(len(measures), 1, squeeze=False)[:, 0]
+    with open_figure(9.0, height * len(measures), path) as figure:
+        panels = figure.subplots(len(measures), 1, squeeze=False)[:, 0]
         for panel, measure in zip(panels, measures, strict=True):
             _draw_panel(panel, results, labels, measure)
 
 
 def _draw_panel(panel: Axes, results: Sequence[RunResult], labels: Sequence[str], measure: str) -> None:
-    known = [float(v) for _, measures in results if (v := measures.get(measure)) is not None]
-    edge = max(known, default=1.0)
-    margin = 0.08 * (edge - min(known, default=0.0)) or 1.0
+    known_values = [float(v) for _, measures in results if (v := measures.get(measure)) is not None]
+    edge = max(known_values, default=1.0)
+    margin = 0.08 * (edge - min(known_values, default=0.0)) or 1.0
     never = edge + margin
     for number, label in enumerate(labels):
         values = [measures.get(measure) for job, measures in results if job.label == label]
@@ -65,8 +65,8 @@ def draw_factors(
     columns = len(study.range_factors) + bool(effects)
     names = [str(scene) for scene in study.scenes]
     scenes = {variation.label: str(variation.scene) for variation in study.variations}
-    with open_figure(1.0 + 3.6 * columns, 0.6 + 2.6 * len(measures), path) as drawn:
-        panels = drawn.subplots(len(measures), columns, squeeze=False)
+    with open_figure(1.0 + 3.6 * columns, 0.6 + 2.6 * len(measures), path) as figure:
+        panels = figure.subplots(len(measures), columns, squeeze=False)
         for row, measure in zip(panels, measures, strict=True):
             for panel, factor in zip(row, study.range_factors, strict=False):
                 _draw_over_range(panel, factor, results, names, scenes, measure)
@@ -76,7 +76,7 @@ def draw_factors(
         if len(names) > 1:
             marks = [panels[0, 0].plot([], [], "o", color=_choose_colour(k), markersize=5)[0] for k in range(len(names))]
             stems = [scene.stem for scene in study.scenes]
-            drawn.legend(marks, stems, loc="outside lower center", ncols=4, fontsize=9, frameon=False)
+            figure.legend(marks, stems, loc="outside lower center", ncols=4, fontsize=9, frameon=False)
 
 
 def _draw_over_range(
@@ -87,19 +87,21 @@ def _draw_over_range(
     scene_by_label: Mapping[str, str],
     measure: str,
 ) -> None:
-    known = [float(v) for _, measures in results if (v := measures.get(measure)) is not None]
-    edge, least = max(known, default=1.0), min(known, default=0.0)
-    margin = 0.08 * (edge - least) or 1.0
+    values = [float(v) for _, measures in results if (v := measures.get(measure)) is not None]
+    edge, lowest = max(values, default=1.0), min(values, default=0.0)
+    margin = 0.08 * (edge - lowest) or 1.0
     for number, scene in enumerate(scenes):
         points: dict[str, tuple[float, list[float]]] = {}
         for job, measures in results:
             if scene_by_label[job.label] == scene and measure in measures:
                 value = factor.parse_number(dict(job.params)[factor.name])
-                at = measures[measure]
-                points.setdefault(job.label, (value, []))[1].append(edge + margin if at is None else float(at))
+                measured_value = measures[measure]
+                points.setdefault(job.label, (value, []))[1].append(
+                    edge + margin if measured_value is None else float(measured_value)
+                )
         medians = []
-        for value, of in points.values():
-            lower, middle, upper = (compute_quantile(sorted(of), share) for share in (0.25, 0.5, 0.75))
+        for value, marks in points.values():
+            lower, middle, upper = (compute_quantile(sorted(marks), share) for share in (0.25, 0.5, 0.75))
             panel.plot([value, value], [lower, upper], "-", color=_choose_colour(number), alpha=0.35, linewidth=1)
             panel.plot([value], [middle], "o", color=_choose_colour(number), alpha=0.6, markersize=4, markeredgewidth=0)
             medians.append((value, middle))
@@ -134,10 +136,14 @@ def _draw_bars(panel: Any, analysis: Analysis, effects: Sequence[Effect], scenes
     factors = list(dict.fromkeys(effect.factor for effect in effects))
     high = 0.8 / max(len(scenes), 1)
     for number, scene in enumerate(scenes):
-        of = [effect for effect in effects if effect.scene == scene]
-        at = [factors.index(effect.factor) + (number - (len(scenes) - 1) / 2) * high for effect in of]
-        widths, errors = ([effect.columns[name] for effect in of] for name in (analysis.first, analysis.half_width_column))
-        panel.barh(at, widths, height=high * 0.9, xerr=errors, color=_choose_colour(number), alpha=0.7, error_kw={"linewidth": 1})
+        scene_effects = [effect for effect in effects if effect.scene == scene]
+        positions = [factors.index(effect.factor) + (number - (len(scenes) - 1) / 2) * high for effect in scene_effects]
+        widths, errors = (
+            [effect.columns[name] for effect in scene_effects] for name in (analysis.first, analysis.half_width_column)
+        )
+        panel.barh(
+            positions, widths, height=high * 0.9, xerr=errors, color=_choose_colour(number), alpha=0.7, error_kw={"linewidth": 1}
+        )
     panel.set_yticks(range(len(factors)), factors)
     panel.invert_yaxis()
     panel.set_xlabel(analysis.first.replace("_", " "), fontsize=9)

@@ -94,8 +94,8 @@ def _compute_elementary_effects(shares: Numbers, values: Numbers) -> EffectColum
     results = morris.analyze(
         problem, shares, values, num_levels=_MORRIS_LEVELS, num_resamples=_RESAMPLE_COUNT, seed=_RESAMPLE_SEED
     )
-    named = {"mu_star": "mu_star", "mu_star_95": "mu_star_conf", "mu": "mu", "sigma": "sigma"}
-    return {column: np.asarray(results[theirs], np.float64) for column, theirs in named.items()}
+    salib_names = {"mu_star": "mu_star", "mu_star_95": "mu_star_conf", "mu": "mu", "sigma": "sigma"}
+    return {column: np.asarray(results[salib_name], np.float64) for column, salib_name in salib_names.items()}
 
 
 SOBOL_INDICES = Analysis("Sobol indices: the share of the variance due to a factor", "total", "total_95", _compute_sobol_indices)
@@ -154,13 +154,13 @@ def format_effects(analysis: Analysis, effect_list: Sequence[Effect]) -> str:
     width = max(len(effect.factor) for effect in effect_list)
     several = len({effect.scene for effect in effect_list}) > 1
     for scene, measure in dict.fromkeys((effect.scene, effect.measure) for effect in effect_list):
-        of = sorted(
+        scene_effects = sorted(
             (e for e in effect_list if (e.scene, e.measure) == (scene, measure)), key=lambda e: -e.columns[analysis.first]
         )
-        names = list(of[0].columns)
+        names = list(scene_effects[0].columns)
         lines += ["", f"{measure}{f' of {scene}' if several else ''}"]
         lines.append(f"  {'':<{width}}  " + "  ".join(f"{name.replace('_95', ' ±'):>14}" for name in names))
-        lines += [f"  {e.factor:<{width}}  " + "  ".join(f"{e.columns[n]:>14.4g}" for n in names) for e in of]
+        lines += [f"  {e.factor:<{width}}  " + "  ".join(f"{e.columns[n]:>14.4g}" for n in names) for e in scene_effects]
     return "\n".join(line.rstrip() for line in lines) + "\n"
 
 

@@ -26,11 +26,11 @@ _CHECK_GROWTH = Fraction(3, 2)  # growth of the number of runs from one check to
 def compute_interval_rank(count: int, error_probability: Fraction = 1 - CONFIDENCE_LEVEL) -> int:
     """Return the largest rank l of an interval from the l-th to the l-th last draw. The interval may miss the median with a
     probability of at most `error_probability`. Return 0 if `count` draws are too few."""
-    least, below = 0, 0
-    while 2 * (below + math.comb(count, least)) <= error_probability * 2**count:
-        below += math.comb(count, least)
-        least += 1
-    return min(least, (count + 1) // 2)
+    rank, cumulative = 0, 0
+    while 2 * (cumulative + math.comb(count, rank)) <= error_probability * 2**count:
+        cumulative += math.comb(count, rank)
+        rank += 1
+    return min(rank, (count + 1) // 2)
 
 
 def find_interval(values: Sequence[float], error_probability: Fraction = 1 - CONFIDENCE_LEVEL) -> tuple[float, float] | None:
@@ -60,10 +60,10 @@ def plan_checks(max_runs: int) -> CheckSchedule | None:
     few."""
     for count in range(1, max_runs + 1):
         doubt = (1 - CONFIDENCE_LEVEL) / count
-        least = next((n for n in range(1, max_runs + 1) if compute_interval_rank(n, doubt)), None)
-        if least is None:
+        min_runs = next((n for n in range(1, max_runs + 1) if compute_interval_rank(n, doubt)), None)
+        if min_runs is None:
             return None
-        run_counts = [least]
+        run_counts = [min_runs]
         while run_counts[-1] < max_runs:
             run_counts.append(min(math.ceil(run_counts[-1] * _CHECK_GROWTH), max_runs))
         if len(run_counts) <= count:
@@ -140,28 +140,30 @@ class JobChooser:
         self._measures[job.key] = measures
         if self._schedule is None or job.label in self._final_counts:
             return
-        of = self._jobs_by_label[job.label]
+        jobs = self._jobs_by_label[job.label]
         for count in self._schedule.run_counts:
-            if any(each.key not in self._measures for each in of[:count]):
+            if any(each.key not in self._measures for each in jobs[:count]):
                 return
-            if all(known.met for known in self._find_medians_after(job.label, count)):
+            if all(median.met for median in self._find_medians_after(job.label, count)):
                 self._final_counts[job.label] = count
                 return
 
     @property
     def counted_jobs(self) -> list[SweepJob]:
         """Return the jobs of the table: all that have measures. A complete variation counts only the jobs that completed it."""
-        within = {job.key for label, of in self._jobs_by_label.items() for job in of[: self._final_counts.get(label, len(of))]}
-        return [job for job in self.jobs if job.key in within and self._measures.get(job.key) is not None]
+        counted_keys = {
+            job.key for label, jobs in self._jobs_by_label.items() for job in jobs[: self._final_counts.get(label, len(jobs))]
+        }
+        return [job for job in self.jobs if job.key in counted_keys and self._measures.get(job.key) is not None]
 
     def list_known_medians(self) -> list[KnownMedian]:
         """Return the final intervals of all measures with a requested width."""
         if self._schedule is None:
             return []
         return [
-            known
-            for label, of in self._jobs_by_label.items()
-            for known in self._find_medians_after(label, self._final_counts.get(label, len(of)))
+            median
+            for label, jobs in self._jobs_by_label.items()
+            for median in self._find_medians_after(label, self._final_counts.get(label, len(jobs)))
         ]
 
     def list_missing_measures(self) -> list[str]:
@@ -191,8 +193,8 @@ class JobChooser:
                 if not all(value is None or isinstance(value, int | float) for value in numbers):
                     continue
                 values = sorted(math.inf if value is None else float(value) for value in numbers)
-                median, between = compute_quantile(values, 0.5), find_interval(values, self._schedule.error_probability)
-                low, high = between or (-math.inf, math.inf)
-                is_reached = between is not None and width.is_reached(between, median)
+                median, interval = compute_quantile(values, 0.5), find_interval(values, self._schedule.error_probability)
+                low, high = interval or (-math.inf, math.inf)
+                is_reached = interval is not None and width.is_reached(interval, median)
                 entries.append(KnownMedian(label, name, len(values), median, low, high, is_reached))
         return entries

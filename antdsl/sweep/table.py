@@ -162,26 +162,26 @@ def format_known_medians(medians: Sequence[KnownMedian]) -> str:
     lines = ["Medians, with 95 % between"]
     label_width, width = (max(map(len, words)) for words in zip(*((k.label, k.measure) for k in medians), strict=True))
     for each in medians:
-        between = (
+        interval_text = (
             f"{_format_number(each.low)} and {_format_number(each.high)}"
             if each.runs and each.low > -math.inf
             else "too few runs"
         )
         late = "" if each.met else ", not as close as requested"
-        lines.append(f"  {each.label:<{label_width}}  {each.measure:<{width}}  {between}, {each.runs} runs{late}")
+        lines.append(f"  {each.label:<{label_width}}  {each.measure:<{width}}  {interval_text}, {each.runs} runs{late}")
     return "\n".join(lines) + "\n"
 
 
 def as_json(
-    results: Sequence[RunResult], table: Sequence[Row], known: Sequence[KnownMedian] = (), effects: Sequence[Effect] = ()
+    results: Sequence[RunResult], table: Sequence[Row], medians: Sequence[KnownMedian] = (), effects: Sequence[Effect] = ()
 ) -> str:
     """Return all runs, the table, and known medians and effects as one JSON document."""
     document: dict[str, Any] = {
         "runs": [describe_job(job) | {"measures": dict(measures)} for job, measures in results],
         "table": [_finite_entry(row) for row in table],
     }
-    if known:
-        document["medians"] = [_finite_entry(each) for each in known]
+    if medians:
+        document["medians"] = [_finite_entry(each) for each in medians]
     if effects:
         document["sensitivity"] = [asdict(effect) for effect in effects]
     return json.dumps(document, indent=1) + "\n"

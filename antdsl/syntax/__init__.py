@@ -2,8 +2,8 @@
 replaces the file.
 
 `scan` makes tokens, `brackets` pairs them, `blocks` cuts the text into lines and blocks. Then lark's tables (`parse_tables`, made
-by `grammar`) parse each line separately and `builder` makes the `nodes`, so that an error affects only its line. Names of errors
-are in `mistakes`; the layout is in `formatting`. `incremental_parser` parses only what changed for an editor."""
+by `grammar`) parse each line separately and `builder` makes the `nodes`, so that an error affects only its line. Messages about
+mistakes are in `mistakes`; the layout is in `formatting`. `incremental_parser` parses only what changed for an editor."""
 
 from pathlib import Path
 
@@ -18,14 +18,14 @@ __all__ = ["format", "parse", "read", "read_bytes", "write"]
 
 
 def format(source: Source) -> tuple[str | None, Report]:
-    """As `formatting.format`."""
+    """Return the text in the standard layout, and the report of parsing; see `formatting.layout.format`."""
     from antdsl.syntax.formatting import layout
 
     return layout.format(source)
 
 
 def write(path: Path, text: str) -> None:
-    """As `writing.write`."""
+    """Replace the file `path` with a text by an atomic write; see `text_files.write`."""
     from antdsl.syntax import text_files
 
     text_files.write(path, text)

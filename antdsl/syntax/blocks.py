@@ -112,10 +112,10 @@ def map_text(scan: TokenScan, line: SourceLine) -> MappedText:
     return MappedText(scan.source, parts)
 
 
-def _make_brace_fix(scan: TokenScan, above: int, brace: ScannedToken) -> Fix | None:
+def _make_brace_fix(scan: TokenScan, line_end: int, brace: ScannedToken) -> Fix | None:
     """Return the fix that moves the brace to the end of the line above, or None if a comment is between them."""
-    between = scan.source.text[above : brace.start]
-    return None if between.strip() else Fix(Span(scan.source, above, brace.end), " {")
+    text = scan.source.text[line_end : brace.start]
+    return None if text.strip() else Fix(Span(scan.source, line_end, brace.end), " {")
 
 
 def cut_lines(scan: TokenScan, tokens: list[ScannedToken]) -> list[SourceLine]:
@@ -133,12 +133,12 @@ def cut_lines(scan: TokenScan, tokens: list[ScannedToken]) -> list[SourceLine]:
                 lines.pop()
                 line = lines[-1]
                 if not token.inserted_text:
-                    above = line.tokens[-1].end
+                    line_end = line.tokens[-1].end
                     scan.report.error(
                         "brace-on-own-line", "`{` on a separate line", Span(scan.source, token.start, token.end),
-                        "put it at the end of the line above", fix=_make_brace_fix(scan, above, token),
+                        "put it at the end of the line above", fix=_make_brace_fix(scan, line_end, token),
                     )  # fmt: skip
-                    scan.blank_out(above, token.start)
+                    scan.blank_out(line_end, token.start)
             chooses = bool(line.tokens) and get_token_text(scan, line.tokens[-1]) == "choose"
             line.tokens.append(token)
             stack.append((lines, token, chooses))

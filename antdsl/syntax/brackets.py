@@ -113,14 +113,14 @@ class _ParenthesisPairer:
         start = self.find_line_start(index)
         if any(self.scan.clean_characters[token.start] == "{" for token in tokens[start:index]):
             return False
-        first, below = tokens[start], tokens[index + 2]
+        first, next_line = tokens[start], tokens[index + 2]
         word = get_token_text(self.scan, first)
-        if word not in BLOCK_WORDS or below.indent <= first.indent:
+        if word not in BLOCK_WORDS or next_line.indent <= first.indent:
             return False
         next_token = next((token for token in tokens[index + 3 :] if token.kind != "end"), None)
         if word == "behaviour" and next_token is not None and get_token_text(self.scan, next_token) == ":":
             return False  # the word is the name of an argument
-        return get_token_text(self.scan, below) in _LINE_WORDS
+        return get_token_text(self.scan, next_line) in _LINE_WORDS
 
     def close_bracket(self, index: int, token: ScannedToken, text: str) -> bool:
         """Pair a closing bracket with an open one of its kind. Brackets opened after that one are never closed."""
@@ -146,9 +146,9 @@ class _ParenthesisPairer:
             while expected_signs.pop() != text:
                 inner = self.out[self.open.pop()]
                 sign = get_token_text(self.scan, inner)
-                at = self.out[-1].end
-                _report_unclosed(self.scan, inner, sign, at)
-                self.out.append(ScannedToken("close", at, at, -1, _CLOSING_BY_OPENING[sign]))
+                end = self.out[-1].end
+                _report_unclosed(self.scan, inner, sign, end)
+                self.out.append(ScannedToken("close", end, end, -1, _CLOSING_BY_OPENING[sign]))
                 self.origin.append(index)
         self.open.pop()
         return True
@@ -184,11 +184,11 @@ class _ParenthesisPairer:
         while self.out[cut - 1].kind == "soft":
             cut -= 1
         text = get_token_text(self.scan, last)
-        at = self.out[cut - 1].end
-        _report_unclosed(self.scan, last, text, at)
+        end = self.out[cut - 1].end
+        _report_unclosed(self.scan, last, text, end)
         go_on = self.origin[cut] if cut < len(self.out) else index
         closing = [
-            ScannedToken("close", at, at, -1, _CLOSING_BY_OPENING[get_token_text(self.scan, self.out[place])])
+            ScannedToken("close", end, end, -1, _CLOSING_BY_OPENING[get_token_text(self.scan, self.out[place])])
             for place in reversed(self.open)
         ]
         del self.out[cut:], self.origin[cut:]
@@ -304,7 +304,7 @@ class _BracePairer:
                 continue
             if candidate.indent < token.indent or get_token_text(self.scan, candidate) not in BLOCK_WORDS:
                 break
-            stop = next((at for at in range(place, len(self.out)) if self.out[at].kind == "end"), len(self.out))
+            stop = next((index for index in range(place, len(self.out)) if self.out[index].kind == "end"), len(self.out))
             if any(t.kind == "open" and get_token_text(self.scan, t) == "{" for t in self.out[place:stop]):
                 break
             last = self.out[stop - 1]
@@ -321,9 +321,9 @@ class _BracePairer:
         place = len(self.out)
         while place and self.out[place - 1].kind == "end":
             place -= 1
-        at = self.out[place - 1].end
-        _report_unclosed(self.scan, entry.token, "{", at)
-        self.out.insert(place, ScannedToken("close", at, at, -1, "}"))
+        end = self.out[place - 1].end
+        _report_unclosed(self.scan, entry.token, "{", end)
+        self.out.insert(place, ScannedToken("close", end, end, -1, "}"))
 
 
 def _report_unclosed(scan: TokenScan, token: ScannedToken, sign: str, end: int) -> None:

@@ -68,7 +68,7 @@ class Builder:
 
     # --- places and leaves ---
 
-    def at(self, part: Any) -> Span:
+    def get_span(self, part: Any) -> Span:
         """Return the span of a token, or of a node that is already built."""
         span: Span = self.span_maker.span(part.start_pos, part.end_pos) if hasattr(part, "start_pos") else part.span
         return span
@@ -76,28 +76,28 @@ class Builder:
     def join_spans(self, parts: Sequence[Any]) -> Span:
         """Return the span from the first to the last part that exists."""
         present_parts = [part for part in parts if part is not None]
-        return self.at(present_parts[0]).to(self.at(present_parts[-1]))
+        return self.get_span(present_parts[0]).to(self.get_span(present_parts[-1]))
 
     @overload
     def make_name(self, token: None) -> None: ...
     @overload
     def make_name(self, token: Token) -> n.Name: ...
     def make_name(self, token: Token | None) -> n.Name | None:
-        return None if token is None else n.Name(str(token.value), self.at(token))
+        return None if token is None else n.Name(str(token.value), self.get_span(token))
 
     @overload
     def text(self, token: None) -> None: ...
     @overload
     def text(self, token: Token) -> n.Text: ...
     def text(self, token: Token | None) -> n.Text | None:
-        return None if token is None else n.Text(token.value[1:-1], self.at(token))
+        return None if token is None else n.Text(token.value[1:-1], self.get_span(token))
 
     def body(self, parts: list[Any]) -> BracedBody:
-        lines = tuple(parts[1:-1]) or self.body_by_offset.get(self.at(parts[0]).start, ())
+        lines = tuple(parts[1:-1]) or self.body_by_offset.get(self.get_span(parts[0]).start, ())
         return BracedBody(lines, self.join_spans(parts))
 
     def names(self, parts: list[Any]) -> tuple[n.Name, ...]:
-        return tuple(n.Name(str(token.value), self.at(token)) for token in parts)
+        return tuple(n.Name(str(token.value), self.get_span(token)) for token in parts)
 
     # --- the top of a file ---
 
@@ -178,8 +178,8 @@ class Builder:
         return n.Let(self.make_name(parts[1]), parts[3], self.text(parts[4]), self.join_spans(parts))
 
     def latch(self, parts: list[Any]) -> n.Latch:
-        _, name, _, on, _, until, help = parts
-        return n.Latch(self.make_name(name), on, until, self.join_spans(parts), self.text(help))
+        _, name, _, condition, _, end_condition, help = parts
+        return n.Latch(self.make_name(name), condition, end_condition, self.join_spans(parts), self.text(help))
 
     def fuzzy(self, parts: list[Any]) -> n.Fuzzy:
         _, name, help, body = parts
@@ -248,8 +248,8 @@ class Builder:
 
     def take(self, parts: list[Any]) -> n.Take:
         _, amount, attribute, _, source = parts
-        every = getattr(amount, "type", None) == "ALL"
-        return n.Take(None if every else amount, self.make_name(attribute), source, self.join_spans(parts))
+        takes_all = getattr(amount, "type", None) == "ALL"
+        return n.Take(None if takes_all else amount, self.make_name(attribute), source, self.join_spans(parts))
 
     def target_state(self, parts: list[Any]) -> n.Target:
         return n.Target(self.make_name(parts[0]), False, (), self.join_spans(parts))
@@ -266,23 +266,23 @@ class Builder:
     def assign(self, parts: list[Any]) -> n.Assign:
         return n.Assign(parts[0], str(parts[1].value), parts[2], self.join_spans(parts))
 
-    def ask(self, parts: list[Any]) -> n.Ask:
+    def ask(self, parts: list[Any]) -> n.VerbLine:
         name = self.make_name(parts[1]) if len(parts) > 1 else None
-        return n.Ask(str(parts[0].value), name, None, _drop_absent(parts[3:-1]), None, self.join_spans(parts))
+        return n.VerbLine(str(parts[0].value), name, None, _drop_absent(parts[3:-1]), None, self.join_spans(parts))
 
-    def ask_open(self, parts: list[Any]) -> n.Ask:
+    def ask_open(self, parts: list[Any]) -> n.VerbLine:
         name, arguments = self.make_name(parts[1]), _drop_absent(parts[3:-2])
-        return n.Ask(str(parts[0].value), name, None, arguments, parts[-1], self.join_spans(parts))
+        return n.VerbLine(str(parts[0].value), name, None, arguments, parts[-1], self.join_spans(parts))
 
-    def ask_amount(self, parts: list[Any]) -> n.Ask:
-        return n.Ask(str(parts[0].value), self.make_name(parts[1]), parts[-1], (), None, self.join_spans(parts))
+    def ask_amount(self, parts: list[Any]) -> n.VerbLine:
+        return n.VerbLine(str(parts[0].value), self.make_name(parts[1]), parts[-1], (), None, self.join_spans(parts))
 
-    def ask_when(self, parts: list[Any]) -> n.Ask:
-        return n.Ask(str(parts[0].value), self.make_name(parts[1]), None, (), None, self.join_spans(parts), parts[-1])
+    def ask_when(self, parts: list[Any]) -> n.VerbLine:
+        return n.VerbLine(str(parts[0].value), self.make_name(parts[1]), None, (), None, self.join_spans(parts), parts[-1])
 
     def give(self, parts: list[Any]) -> n.Give:
-        every = getattr(parts[1], "type", None) == "ALL"
-        return n.Give(None if every else parts[1], self.make_name(parts[2]), parts[3], self.join_spans(parts))
+        gives_all = getattr(parts[1], "type", None) == "ALL"
+        return n.Give(None if gives_all else parts[1], self.make_name(parts[2]), parts[3], self.join_spans(parts))
 
     # --- lines of a behaviour and of a spec ---
 
@@ -337,11 +337,11 @@ class Builder:
 
     def binary(self, parts: list[Any]) -> n.Binary:
         left, op, right = parts
-        return n.Binary(str(op.value), left, right, self.at(op), left.span.to(right.span))
+        return n.Binary(str(op.value), left, right, self.get_span(op), left.span.to(right.span))
 
     def unary(self, parts: list[Any]) -> n.Unary:
         op, operand = parts
-        return n.Unary(str(op.value), operand, self.at(op), self.join_spans(parts))
+        return n.Unary(str(op.value), operand, self.get_span(op), self.join_spans(parts))
 
     def is_none(self, parts: list[Any]) -> n.IsNone:
         return n.IsNone(parts[0], parts[2] is not None, self.join_spans(parts))
@@ -353,18 +353,18 @@ class Builder:
         return n.PairOf(parts[0], parts[1], self.join_spans(parts))
 
     def number(self, parts: list[Any]) -> n.Number:
-        return n.Number(float(parts[0].value), self.at(parts[0]))
+        return n.Number(float(parts[0].value), self.get_span(parts[0]))
 
     def quantity(self, parts: list[Any]) -> n.Quantity:
         token: Token = parts[0]
-        written = QUANTITY_PATTERN.match(token.value)
-        assert written is not None
-        digits, unit = written[1], written[2] or ""
+        match = QUANTITY_PATTERN.match(token.value)
+        assert match is not None
+        digits, unit = match[1], match[2] or ""
         unit_span = self.span_maker.span(token.end_pos - len(unit), token.end_pos)
-        return n.Quantity(float(digits), unit, unit_span, self.at(token))
+        return n.Quantity(float(digits), unit, unit_span, self.get_span(token))
 
     def name(self, parts: list[Any]) -> n.NameRef:
-        return n.NameRef(self.make_name(parts[0]), self.at(parts[0]))
+        return n.NameRef(self.make_name(parts[0]), self.get_span(parts[0]))
 
     def none(self, parts: list[Any]) -> n.NoneOf:
         return n.NoneOf(self.make_name(parts[1]), self.join_spans(parts))
@@ -386,7 +386,7 @@ class Builder:
         return n.IndexAll(parts[0], self.make_name(parts[1]), parts[2], self.join_spans(parts))
 
     def unreadable(self, parts: list[Any]) -> n.BadExpr:
-        return n.BadExpr(self.at(parts[0]))
+        return n.BadExpr(self.get_span(parts[0]))
 
     def argument(self, parts: list[Any]) -> n.Argument:
         return n.Argument(self.make_name(parts[0]), parts[1], self.join_spans(parts))

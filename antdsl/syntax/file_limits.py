@@ -39,11 +39,11 @@ def report_too_many(scanned: TokenScan, lines: list[SourceLine]) -> bool:
     species = _find_species_words(scanned, lines)
     statements = [line.tokens[0] for line in _iterate_lines(lines)]
     counts = ((species, limits.MAX_FILE_SPECIES, "species"), (statements, limits.MAX_FILE_STATEMENTS, "statements"))
-    for entries, most, what in (*counts, (scanned.tokens, limits.MAX_FILE_TOKENS, "words, numbers and signs")):
-        if len(entries) > most:
-            words = f"{len(entries):,} {what} in one file, at most {most:,} are allowed"
+    for entries, limit, noun in (*counts, (scanned.tokens, limits.MAX_FILE_TOKENS, "words, numbers and signs")):
+        if len(entries) > limit:
+            words = f"{len(entries):,} {noun} in one file, at most {limit:,} are allowed"
             help = "move some of them to another file, and write `use NAME`"
-            scanned.report_error("too-many", words, entries[most].start, entries[most].end, help)
+            scanned.report_error("too-many", words, entries[limit].start, entries[limit].end, help)
             return True
     return False
 

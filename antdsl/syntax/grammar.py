@@ -56,17 +56,18 @@ def number_tokens(table: dict[str, Any]) -> dict[str, Any]:
         for old, actions in table["states"].items()
     }
     order = list(dict.fromkeys(table["start_states"][start] for start in START_RULES))
-    known = set(order)
+    seen_states = set(order)
     for state in order:  # the loop appends to this list
-        for _, reduces, to in states[state]:
-            if not reduces and to not in known:
-                known.add(to)
-                order.append(to)
+        for _, reduces, target in states[state]:
+            if not reduces and target not in seen_states:
+                seen_states.add(target)
+                order.append(target)
     number = {old: new for new, old in enumerate(order)}
     return {
         "tokens": dict(enumerate(names)),
         "states": {
-            number[old]: {key: [reduces, to if reduces else number[to]] for key, reduces, to in states[old]} for old in order
+            number[old]: {key: [reduces, target if reduces else number[target]] for key, reduces, target in states[old]}
+            for old in order
         },
         "start_states": {start: number[table["start_states"][start]] for start in START_RULES},
         "end_states": {start: number[table["end_states"][start]] for start in START_RULES},

@@ -123,7 +123,7 @@ class IncrementalParser:
         texts = [source.text[cut.start : cut.end] + ("}" if cut.rule == "species" else "") for cut in cut_list]
         head_count, tail_count = self._count_unchanged(cut_list, texts)
         last = len(cut_list) - tail_count
-        known: list[tuple[TextBlock, str, ParsedPart]] = []
+        new_blocks: list[tuple[TextBlock, str, ParsedPart]] = []
         sizes = NO_SIZES
         for number, (cut, text) in enumerate(zip(cut_list, texts, strict=True)):
             part = (
@@ -131,28 +131,28 @@ class IncrementalParser:
                 else self._cached_blocks[number - len(cut_list)][2] if number >= last
                 else self._parse_block(source, cut, text)
             )  # fmt: skip
-            known.append((cut, text, part))
+            new_blocks.append((cut, text, part))
             sizes = add_sizes(sizes, part.sizes)
             if not is_within_limits(sizes):
                 return parse(source)  # which reports the exceeded limit
-        self._cached_blocks = known
+        self._cached_blocks = new_blocks
         parts = [(cut, part) for cut, _, part in self._cached_blocks]
-        said = [d for _, part in parts for d in part.report.diagnostics]
+        diagnostics = [d for _, part in parts for d in part.report.diagnostics]
         species_parts = [part for cut, part in parts if cut.rule == "species"]
         hard = any(part.report.diagnostics or not _is_species(part) for part in species_parts)
-        if hard or len(said) > _MAX_DIAGNOSTICS or sum(d.code in _ONCE_PER_FILE_CODES for d in said) > 1:
+        if hard or len(diagnostics) > _MAX_DIAGNOSTICS or sum(d.code in _ONCE_PER_FILE_CODES for d in diagnostics) > 1:
             return parse(source)
         return _join_parts(source, parts)
 
     def _count_unchanged(self, blocks: list[TextBlock], texts: list[str]) -> tuple[int, int]:
         """Return how many blocks at the beginning and at the end are unchanged. Blocks with equal text have different locations,
         so their order identifies them."""
-        known, most = self._cached_blocks, min(len(self._cached_blocks), len(blocks))
+        cached_blocks, limit = self._cached_blocks, min(len(self._cached_blocks), len(blocks))
         head_count = tail_count = 0
-        while head_count < most and self._is_unchanged(known[head_count], blocks[head_count], texts[head_count]):
+        while head_count < limit and self._is_unchanged(cached_blocks[head_count], blocks[head_count], texts[head_count]):
             head_count += 1
-        while tail_count < most - head_count and self._is_unchanged(
-            known[-1 - tail_count], blocks[-1 - tail_count], texts[-1 - tail_count]
+        while tail_count < limit - head_count and self._is_unchanged(
+            cached_blocks[-1 - tail_count], blocks[-1 - tail_count], texts[-1 - tail_count]
         ):
             tail_count += 1
         return head_count, tail_count

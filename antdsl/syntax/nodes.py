@@ -263,7 +263,7 @@ class Assign:
 
 
 @node_class
-class Ask:
+class VerbLine:
     """A line that begins with a verb of `antdsl.syntax.verbs`: `die`, `spawn worker`, `carve hill(radius: 2 mm)` (`arguments`).
     Others are `deposit trail 2 /s` and `channel jaw = load` (`amount`), `emit hit to other` (`to`), `wear load when load > 0`
     (`when`)."""
@@ -287,7 +287,7 @@ class Give:
     span: Span
 
 
-Action = Assign | Ask | Give
+Action = Assign | VerbLine | Give
 
 
 @node_class
@@ -601,11 +601,11 @@ class File:
     @property
     def edition_number(self) -> int:
         """Return the edition of the language that the file has; the newest one if it names none, or none that exists."""
-        known = self.edition is not None and self.edition.value in EDITIONS
-        return int(self.edition.value) if self.edition is not None and known else NEWEST_EDITION
+        exists = self.edition is not None and self.edition.value in EDITIONS
+        return int(self.edition.value) if self.edition is not None and exists else NEWEST_EDITION
 
     def file_span(self, span: Span) -> Span:
-        """Return the location in `source` of a location in one of `incremental_parser`, which are separate sources with known
-        offsets."""
+        """Return the span in the complete file of a span in one of its parts, which `incremental_parser` parses as separate
+        sources with known offsets."""
         base = self.parts.get(span.source)
         return span if base is None else Span(self.source, base + span.start, base + span.end)

@@ -41,8 +41,8 @@ def load_parser(transformer: object) -> Lark:
     """Return the shipped parser, which calls the methods of `transformer` when it recognises rules."""
     from lark import Lark
 
-    stored = json.loads(resources.grammar_file(TABLES_FILE).read_text(encoding="utf-8"))
-    data, memo = stored["data"], _convert_keys_to_int(stored["memo"])
+    tables = json.loads(resources.grammar_file(TABLES_FILE).read_text(encoding="utf-8"))
+    data, memo = tables["data"], _convert_keys_to_int(tables["memo"])
     table = data["parser"]["parser"]
     table["tokens"] = _convert_keys_to_int(table["tokens"])
     table["states"] = {int(state): _convert_keys_to_int(actions) for state, actions in table["states"].items()}

@@ -318,9 +318,9 @@ class _FileParser:
     def iterate_repairs(
         self, line: SourceLine, text: MappedText, rule: str, unexpected: UnexpectedToken, position: int
     ) -> Iterator[MappedText]:
-        better = suggest_first_word(unexpected)
-        if better is not None:
-            yield text.replace_range(0, len(unexpected.first), better)
+        suggestion = suggest_first_word(unexpected)
+        if suggestion is not None:
+            yield text.replace_range(0, len(unexpected.first), suggestion)
         if unexpected.token_text == "=" and "SAME" in unexpected.expected_terminals:
             yield text.replace_range(position, position + 1, ":")
             yield text.replace_range(position, position + 1, "==")

@@ -200,24 +200,24 @@ class _Scanner:
         if hyphened and self.token_scan.tokens and get_last_token_text(self.token_scan) in _NAMING_WORDS:
             return self.repair_hyphens(start, hyphened.end(), hyphened.group())
         if not re.fullmatch(r"[a-z][a-z_0-9]*", piece):
-            better = re.sub(r"[^a-z0-9_]", "_", re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", piece).lower()).strip("_") or "name"
+            suggestion = re.sub(r"[^a-z0-9_]", "_", re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", piece).lower()).strip("_") or "name"
             if piece not in self.reported_texts:
                 self.reported_texts.add(piece)
                 wrong = "begins with `_`" if piece[0] == "_" else "is not written in lower case"
                 message = f"name `{piece[:80]}` {wrong}"
-                help = f"write `{better[:80]}`; names are small letters, digits and `_`, and begin with a letter"
-                self.token_scan.report_error("bad-name", message, start, end, help, better)
-            self.token_scan.replace(start, re.sub("^_+", lambda under: "x" * len(under.group()), piece.lower()))
+                help = f"write `{suggestion[:80]}`; names are small letters, digits and `_`, and begin with a letter"
+                self.token_scan.report_error("bad-name", message, start, end, help, suggestion)
+            self.token_scan.replace(start, re.sub("^_+", lambda match: "x" * len(match.group()), piece.lower()))
         return self.add_token("word", start, end)
 
     def repair_hyphens(self, start: int, end: int, piece: str) -> int:
         """Correct hyphens, such as `turn-home`, in a name that is declared or names a state."""
-        better = piece.replace("-", "_").lower()
+        suggestion = piece.replace("-", "_").lower()
         if piece not in self.reported_texts:
             self.reported_texts.add(piece)
-            help = f"write `{better[:80]}`; names are small letters, digits and `_`, and begin with a letter"
-            self.token_scan.report_error("bad-name", f"name `{piece[:80]}` has a `-` in it", start, end, help, better)
-        self.token_scan.replace(start, better)
+            help = f"write `{suggestion[:80]}`; names are small letters, digits and `_`, and begin with a letter"
+            self.token_scan.report_error("bad-name", f"name `{piece[:80]}` has a `-` in it", start, end, help, suggestion)
+        self.token_scan.replace(start, suggestion)
         return self.add_token("word", start, end)
 
     def repair_foreign_word(self, start: int) -> int:
@@ -232,8 +232,8 @@ class _Scanner:
             return self.add_token("word", start, end)
         if piece not in self.reported_texts:
             self.reported_texts.add(piece)
-            odd = next(character for character in piece if character > "\x7f")
-            name = unicodedata.name(odd, f"U+{ord(odd):04X}").lower()
+            foreign_character = next(character for character in piece if character > "\x7f")
+            name = unicodedata.name(foreign_character, f"U+{ord(foreign_character):04X}").lower()
             if all(find_ascii_lookalike(character) for character in piece):
                 message = f"`{piece[:80]}` looks like `{plain[:80]}`, but has a {name} in it"
                 self.token_scan.report_error("look-alike", message, start, end, f"type `{plain[:80]}`", plain)
@@ -356,7 +356,7 @@ class _Scanner:
         quotes = DOUBLE_QUOTES + '"' if piece in DOUBLE_QUOTES else SINGLE_QUOTES
         line_end = self.characters.find("\n", start)
         line_end = len(self.characters) if line_end < 0 else line_end
-        stop = next((at for at in range(start + 1, line_end) if self.characters[at] in quotes), -1)
+        stop = next((index for index in range(start + 1, line_end) if self.characters[index] in quotes), -1)
         if stop < 0:
             message = f"`{piece}` is not a sign of the language"
             self.token_scan.report_error("unknown-sign", message, start, start + 1, 'put text in `"` quotes')
@@ -376,7 +376,7 @@ class _Scanner:
     def text(self, start: int, end: int, piece: str) -> int:
         if len(piece) > 1 and piece.endswith('"'):
             return self.add_token("text", start, end)
-        smart = next((at for at in range(start + 1, end) if self.characters[at] in DOUBLE_QUOTES), -1)
+        smart = next((index for index in range(start + 1, end) if self.characters[index] in DOUBLE_QUOTES), -1)
         if smart > 0:
             message = f"text ends in a `{self.characters[smart]}` quote"
             self.token_scan.report_error("wrong-quotes", message, smart, smart + 1, 'write `"`', '"')

@@ -88,9 +88,9 @@ def _read_file(name: str, handle: int | None, report: Report) -> bytes | None:
 
 
 def _report_too_large(name: str, report: Report) -> None:
-    most = limits.MAX_PROGRAM_BYTES // limits.KIB
+    max_kib = limits.MAX_PROGRAM_BYTES // limits.KIB
     help = 'split it, and bring the parts in with `use "./part.ant" as part`'
-    report.error("file-too-large", f"`{name}` is larger than {most} KiB", None, help)
+    report.error("file-too-large", f"`{name}` is larger than {max_kib} KiB", None, help)
 
 
 def _decode(name: str, data: bytes, report: Report) -> str | None:

@@ -103,7 +103,7 @@ def of_all(faces: Faces, origin: np.ndarray, displacement: np.ndarray) -> np.nda
 
 def same_rays(scene: RayScene, grid: TriangleGrid, origin: np.ndarray, displacement: np.ndarray) -> int:
     """How many rays meet another face or place by Open3D; a reason is known for each."""
-    t, face = grid.first(origin, displacement)
+    t, face = grid.find_first_faces(origin, displacement)
     near = face != FACE_BEYOND_GRID
     assert near.mean() > 0.95 and (face >= 0).sum() > len(face) // 20
     other_t, other = by_open3d(scene, origin, displacement)
@@ -162,7 +162,7 @@ def test_a_short_ray_meets_what_it_meets_of_all_faces(name: str):
     origin[5], displacement[6], origin[7], displacement[8] = np.nan, np.nan, np.inf, 0.0
     points = sample_points(scene, grid, 100)
     points[3], points[4] = np.nan, 1e30
-    (t, face), (place, square, nearest) = grid.first(origin, displacement), grid.find_nearest(points)
+    (t, face), (place, square, nearest) = grid.find_first_faces(origin, displacement), grid.find_nearest(points)
     assert (
         (face[[5, 6, 7, 8]] == NO_FACE).all() and np.isinf(t[[5, 6, 7, 8]]).all() and (nearest[[3, 4]] == FACE_BEYOND_GRID).all()
     )
@@ -182,7 +182,7 @@ def test_a_short_ray_meets_what_it_meets_of_all_faces(name: str):
         else:
             assert nearest[k] == np.argmin(squares) and square[k] == squares.min()
             assert np.array_equal(place[k], nearest_points[nearest[k]])
-    assert len(grid.first(origin[:0], displacement[:0])[0]) == 0 and len(grid.find_nearest(points[:0])[0]) == 0
+    assert len(grid.find_first_faces(origin[:0], displacement[:0])[0]) == 0 and len(grid.find_nearest(points[:0])[0]) == 0
 
 
 @pytest.mark.parametrize("threads", [1, 2])
@@ -194,7 +194,7 @@ def test_normals_of_first_faces_are_those_named(name: str, threads: int):
     origin, displacement = rays(scene, grid, 2000)
     origin, named = origin + scene.origin, np.random.default_rng(4).permutation(len(scene._faces.corners))
     normals = np.random.default_rng(5).normal(size=(3, len(named)))
-    short = np.flatnonzero(grid.first(origin - scene.origin, displacement)[1] != FACE_BEYOND_GRID)
+    short = np.flatnonzero(grid.find_first_faces(origin - scene.origin, displacement)[1] != FACE_BEYOND_GRID)
     assert 0 < len(short) < len(origin)
     for subset in (slice(None), short, slice(0, 0)):  # of some rays, and of none, the grid cannot tell
         which, part, normal = scene.find_hit_normals(origin[subset], displacement[subset], normals, named, threads)

@@ -9,12 +9,12 @@ from typing import Any
 import pytest
 from executed import InThisProcess
 
-from antdsl.executors import Task, TaskRefused, WorkerContext, run_tasks
+from antdsl.executors import Task, TaskRejected, WorkerContext, run_tasks
 
 
 def doubled(document: Mapping[str, Any], worker: WorkerContext) -> dict[str, Any]:
     if document["n"] < 0:
-        raise TaskRefused(f"{document['n']} is below 0")
+        raise TaskRejected(f"{document['n']} is below 0")
     worker.notes.append(f"had {document['n']}")
     return {"n": 2 * document["n"]}
 

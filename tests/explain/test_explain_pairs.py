@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from explained import cached
 
-from antdsl.explain import CacheHistory, Replay, explain_agents, open_shot, tell
+from antdsl.explain import CacheHistory, Replay, explain_agents, format_explanation, open_shot
 from antdsl.outputs.cache.cache_reader import Cache
 from antdsl.plan.registers import name_slot_registers
 from antdsl.runtime import Options, bind, step
@@ -86,4 +86,4 @@ def test_explain_tells_how_values_per_pair_changed(cache: Cache) -> None:
             assert each.after == pytest.approx(next_pairs[4, other] * 10, rel=1e-5) and each.unit == "mm"
         else:
             assert each.after == "nothing"
-    assert any(f"near[{other}]: " in tell(explanation) for other in others)
+    assert any(f"near[{other}]: " in format_explanation(explanation) for other in others)

@@ -14,7 +14,17 @@ from explained import cached, differences, explanations, facts, shot_of
 from sampling import sampled
 
 from antdsl.cli import _run_without_warnings as run_in_process
-from antdsl.explain import CacheHistory, ExplainError, Explanation, Replay, as_json, explain, explain_agents, open_shot, tell
+from antdsl.explain import (
+    CacheHistory,
+    ExplainError,
+    Explanation,
+    Replay,
+    as_json,
+    explain,
+    explain_agents,
+    format_explanation,
+    open_shot,
+)
 from antdsl.outputs.cache.cache_reader import Cache, open_cache
 from antdsl.outputs.cache.manifest import ManifestError, find_relative_path
 
@@ -224,7 +234,7 @@ def test_claims_say_who_won(bug_explanations: list[Explanation]) -> None:
     for frame in {e.frame for e, _ in won}:
         turns = [(c.draw, c.won) for e, c in claims if e.frame == frame]
         assert sorted(turns) == sorted(turns, key=lambda turn: (not turn[1], turn[0]))  # the winner had fewer turns
-    assert all(("load: 0 -> 1" in tell(e)) and c.item == "crumb" for e, c in won)
+    assert all(("load: 0 -> 1" in format_explanation(e)) and c.item == "crumb" for e, c in won)
 
 
 def test_the_budget_is_spent_from_the_top_and_the_rest_is_cut(bug_explanations: list[Explanation]) -> None:
@@ -326,11 +336,11 @@ def test_states_hashed_in_another_way_are_refused(copy: Cache) -> None:
 def test_a_damaged_checkpoint_is_passed_over_and_none_is_said(copy: Cache) -> None:
     points = copy.checkpoints()
     assert explain(copy, 1, 50, species="bug").checkpoint == 41
-    explanation_text = tell(explain(copy, 1, 50, species="bug"))
+    explanation_text = format_explanation(explain(copy, 1, 50, species="bug"))
     path = copy.folder / "checkpoints" / "checkpoint.0041.npz"
     path.write_bytes(path.read_bytes()[:-40])
     again = explain(copy, 1, 50, species="bug")
-    assert again.checkpoint == 21 and tell(again) == explanation_text
+    assert again.checkpoint == 21 and format_explanation(again) == explanation_text
     for point in points:
         (copy.folder / "checkpoints" / f"checkpoint.{point:04d}.npz").unlink()
     assert "no checkpoint up to frame 49" in str(refused(copy, 1, 50, "bug"))

@@ -80,7 +80,7 @@ def read(built: World, *points: tuple[float, float]) -> np.ndarray:
     up = np.tile([0.0, 1.0, 0.0], (len(positions), 1))
     footing, result = built.ground.place_points(positions, built.up)
     assert result.all()
-    return np.stack(built.flows["drift"].at(built.ground.meshes, footing, positions, up), axis=1).astype(float)
+    return np.stack(built.flows["drift"].sample(built.ground.meshes, footing, positions, up), axis=1).astype(float)
 
 
 def away(built: World, x: float, z: float) -> np.ndarray:
@@ -281,10 +281,10 @@ def test_painted_vectors_lie_along_the_ground_and_keep_their_length() -> None:
     run(built, 5)
     ants = built.populations["ant"]
     place, up = ants.position, np.tile([0.0, 1.0, 0.0], (len(ants), 1))
-    result = np.stack(built.flows["drift"].at(built.ground.meshes, ants.footing, place, up), axis=1).astype(float)
+    result = np.stack(built.flows["drift"].sample(built.ground.meshes, ants.footing, place, up), axis=1).astype(float)
     assert np.abs((result * built.ground.normal(ants.footing)).sum(axis=1)).max() < 1e-6
     assert np.abs(np.linalg.norm(result, axis=1) - 0.6).max() < 1e-6 and (result[:, 0] > 0.5).all()
-    height = built.maps["damp"].at(built.ground.meshes, ants.footing)
+    height = built.maps["damp"].sample(built.ground.meshes, ants.footing)
     assert np.abs(height - place[:, 1]).max() < 1e-4  # what is linear on each face is read exactly
 
 
@@ -297,9 +297,9 @@ def test_faces_may_be_painted_and_other_surfaces_have_nothing() -> None:
         PaintedValues("ground", values, is_per_face=True), surfaces=surfaces, maps={"damp": PaintedValues("plate", np.ones(8))}
     )
     on_floor, _ = built.ground.place_points(np.array([[-150.0, 0, -120], [-210, 9, 0]]), built.up)
-    result = built.flows["drift"].at(built.ground.meshes, on_floor, np.zeros((2, 3)), np.zeros((2, 3)))[2]
+    result = built.flows["drift"].sample(built.ground.meshes, on_floor, np.zeros((2, 3)), np.zeros((2, 3)))[2]
     assert result[0] in np.float32(values[:, 2]) and result[1] == 0
-    assert built.maps["damp"].at(built.ground.meshes, on_floor).tolist() == [0, 1]
+    assert built.maps["damp"].sample(built.ground.meshes, on_floor).tolist() == [0, 1]
 
 
 def test_a_map_is_a_density_for_placing() -> None:

@@ -31,15 +31,15 @@ def test_it_is_reached_where_as_much_is_smelled(k: int, monkeypatch: pytest.Monk
     for share in (0.0, 0.01, 0.012, 0.5, 1.0, 0.02, 0.0):
         held = rng.choice([0.1 - 1e-12, float(least), 3.0, np.inf], len(every))  # the first is 0.1 in float32
         field.values[:] = np.where(rng.random(len(every)) < share, held, rng.choice([0.0, 0.0999, np.nan], len(every)))
-        is_reached = reached.now(3)
+        is_reached = reached.get_current_counts(3)
         assert np.array_equal(is_reached[:-1] > 0, field.sample_strongest(every, k)[0] >= least) and is_reached[-1] == 0
-        assert np.array_equal(reached.now(), is_reached)
+        assert np.array_equal(reached.get_current_counts(), is_reached)
 
 
 @pytest.mark.parametrize("least", [0.0, -1.0, np.nan])
 def test_what_no_scent_is_below_is_reached_everywhere(least: float) -> None:
     field = PheromoneField(SurfaceCells([meshes.grid(40, 4)], 4.0))
-    assert CellsAboveThreshold(field, np.float32(least), 16).now().all()
+    assert CellsAboveThreshold(field, np.float32(least), 16).get_current_counts().all()
 
 
 def test_it_tells_of_one_field_and_strength() -> None:

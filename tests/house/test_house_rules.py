@@ -344,3 +344,30 @@ def test_scenes_of_the_examples_check_clean(path: Path) -> None:
 
 def test_no_modules_import_each_other_in_a_circle() -> None:
     assert not find_places(ROOT)["circles of modules"]
+
+
+_DESCRIBED_NAME = re.compile(r"(?:^|[.\n;-] ?)`([a-z_]\w*)`(?: \w*[\[(][^\])]*[\])])?:")
+
+
+def _names_in(node: ast.AST) -> set[str]:
+    """All names and constants of a function or class, as text."""
+    names = set()
+    for each in ast.walk(node):
+        match each:
+            case ast.arg(arg=name) | ast.Attribute(attr=name) | ast.Name(id=name) | ast.FunctionDef(name=name):
+                names.add(name)
+            case ast.Constant(value=value):
+                names.add(str(value))
+    return names
+
+
+def test_docstrings_describe_names_that_exist() -> None:
+    """`name: text` in a docstring is about a parameter, attribute or local name; a rename must change both."""
+    stale = []
+    for path in FILES:
+        for node in nodes(path):
+            if isinstance(node, ast.FunctionDef | ast.ClassDef) and (text := ast.get_docstring(node, clean=False)):
+                described = {name for name in _DESCRIBED_NAME.findall(text) if isinstance(node, ast.FunctionDef) or "_" in name}
+                if missing := sorted(described - _names_in(node)) if described else []:
+                    stale += [f"{path.relative_to(PACKAGE)}:{node.lineno} {name}" for name in missing]
+    assert not stale

@@ -10,7 +10,7 @@ from compilers import need_llvmlite
 from antdsl.fields.pheromone import step_cells
 from antdsl.machine_code import llvm_compiler
 from antdsl.machine_code.kernels.kernel import Kernel
-from antdsl.numerics.elementary_loops import cosines
+from antdsl.numerics.elementary_loops import write_cosines
 from antdsl.runtime.moving.substep_kernels import prepare_steps
 from antdsl.runtime.moving.velocities import update_arrived_rows
 
@@ -26,7 +26,7 @@ def ptx_of(kernel: Kernel) -> str:
         pytest.skip(f"llvmlite is made without PTX: {problem}")
 
 
-@pytest.mark.parametrize("kernel", [cosines, prepare_steps, update_arrived_rows], ids=lambda kernel: kernel.__name__)
+@pytest.mark.parametrize("kernel", [write_cosines, prepare_steps, update_arrived_rows], ids=lambda kernel: kernel.__name__)
 def test_a_kernel_becomes_ptx_without_fused_operations(kernel: Kernel) -> None:
     operations = set(re.findall(r"\b((?:fma|mad|add|sub|mul|div|sqrt)\.[a-z.]*f(?:32|64))\b", ptx_of(kernel)))
     assert operations, "it calculates"

@@ -23,9 +23,9 @@ from antdsl.machine_code.build_objects import build_object_files
 from antdsl.machine_code.kernels.direct import argument_text
 from antdsl.machine_code.llvm_compiler import Target
 from antdsl.numerics import row_copies
-from antdsl.numerics.elementary_loops import cosines
+from antdsl.numerics.elementary_loops import write_cosines
 
-ENTRIES: list[library.LibraryEntry] = [cosines, row_copies.build_llvm_text]  # type: ignore[list-item]
+ENTRIES: list[library.LibraryEntry] = [write_cosines, row_copies.build_llvm_text]  # type: ignore[list-item]
 KERNEL = """from antdsl.machine_code.kernels import F64, kernel
 from shipped_numbers import NUMBER
 @kernel
@@ -89,9 +89,9 @@ from antdsl.machine_code import shipped_objects
 from antdsl.machine_code.build_objects import build_object_files
 from antdsl.machine_code.kernels.direct import argument_text
 from antdsl.numerics import row_copies
-from antdsl.numerics.elementary_loops import cosines
+from antdsl.numerics.elementary_loops import write_cosines
 names = reversed(list(shipped_objects.TARGET_BY_NAME))
-print(build_object_files(Path(sys.argv[1]), [row_copies.build_llvm_text, cosines], names))
+print(build_object_files(Path(sys.argv[1]), [row_copies.build_llvm_text, write_cosines], names))
 """
 
 
@@ -118,13 +118,13 @@ def test_code_of_the_installation_is_used_before_any_is_compiled(
     monkeypatch.setenv(object_cache.CACHE_VARIABLE, str(tmp_path / "user"))
     build_object_files(folder, [*ENTRIES, argument_text.text], [own()])  # type: ignore[list-item]
     compiled.clear()
-    kernel = type(cosines)(cosines.part.function)
+    kernel = type(write_cosines)(write_cosines.part.function)
     code_cache.release_unused_code()
     assert kernel.has_code()
     angles = np.linspace(-7, 7, 50, dtype=np.float32)
     result, expected = np.empty_like(angles), np.empty_like(angles)
     kernel(angles, result)
-    cosines(angles, expected)
+    write_cosines(angles, expected)
     rows()
     assert not compiled and np.array_equal(result, expected)
     assert not list((tmp_path / "user").iterdir()) and code_cache.messages() == []
@@ -272,7 +272,7 @@ def test_an_older_processor_loads_none(folder: Path, compiled: list[str], monkey
 
 def reload_cosines() -> Any:
     code_cache.release_unused_code()
-    return type(cosines)(cosines.part.function)
+    return type(write_cosines)(write_cosines.part.function)
 
 
 @pytest.mark.parametrize("name", shipped_objects.TARGET_BY_NAME)

@@ -462,7 +462,7 @@ def test_agents_without_a_place_are_invisible(people: Cache, tmp_path: Path) -> 
 
     gallery, stage = Gallery(people), Usd.Stage.CreateInMemory()
     writer = InstancerWriter(StageOutput(stage), people.manifest.species[0], 0)
-    time_sample = TimeSamples(gallery).at(2, 2)
+    time_sample = TimeSamples(gallery).build_sample(2, 2)
     agents = time_sample.species[0]
     is_visible = agents.is_visible.copy()
     is_visible[3] = False

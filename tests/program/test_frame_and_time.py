@@ -10,7 +10,7 @@ from explained import cached
 from meaning import play
 from test_specs import GROUND
 
-from antdsl.explain import CacheHistory, Replay, explain_agents, open_shot, tell
+from antdsl.explain import CacheHistory, Replay, explain_agents, format_explanation, open_shot
 from antdsl.pipeline import open_scene
 from antdsl.runtime import FaultStop, Options, bind, restore_checkpoint, state_hash, step, take_checkpoint
 from antdsl.specs import RunContext, collect_cases, run_cases
@@ -101,7 +101,7 @@ def test_explain_describes_the_requested_frame(scene: Path) -> None:
         assert step_report is not None
         (looked,) = step_report.machines[0].looked
         assert looked.fires is fires and step_report.machines[0].after == ("go" if fires else "wait")
-        assert f"frame = {frame}" in tell(step_report)
+        assert f"frame = {frame}" in format_explanation(step_report)
 
 
 def test_a_run_goes_on_from_a_checkpoint_with_the_same_frames(scene: Path) -> None:

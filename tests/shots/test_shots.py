@@ -11,7 +11,7 @@ import commands
 import pytest
 from executed import InThisProcess
 
-from antdsl.executors import Task, TaskRefused, WorkerContext, WorkersLost, run_tasks
+from antdsl.executors import Task, TaskRejected, WorkerContext, WorkersLost, run_tasks
 from antdsl.executors.input_bundle import FileBundle, VisibleFile, find_unpacked_path, hash_files, pack_files
 from antdsl.outputs.cache.cache_reader import open_cache
 from antdsl.outputs.drawing import DrawRequest, FrameDrawer, StillStore
@@ -155,10 +155,10 @@ def test_a_bundle_is_known_by_its_hash_and_stays_in_its_folder(tmp_path: Path) -
     bundle = pack_files([tmp_path / "a" / "x.txt", tmp_path / "a" / ".." / "a" / "x.txt"])
     bundle.unpack(tmp_path / "to")
     assert find_unpacked_path(tmp_path / "to", str(tmp_path / "a" / "x.txt")).read_bytes() == b"one"
-    with pytest.raises(TaskRefused, match="were changed during the transfer"):
+    with pytest.raises(TaskRejected, match="were changed during the transfer"):
         FileBundle(dict.fromkeys(bundle.files, b"two"), bundle.digest).unpack(tmp_path / "other")
     outside = {"../x": b"1"}
-    with pytest.raises(TaskRefused, match="outside"):
+    with pytest.raises(TaskRejected, match="outside"):
         FileBundle(outside, hash_files(outside)).unpack(tmp_path / "third")
     visible_file = VisibleFile.from_path(tmp_path / "a" / "x.txt")
     assert visible_file.is_visible() and os.path.isabs(visible_file.path)

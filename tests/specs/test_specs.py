@@ -298,7 +298,7 @@ def test_one_simulation_serves_all_specs_of_a_scene(folder: Path) -> None:
     assert [[(c.name, c.seed) for c in run.cases] for run in runs] == [
         [("a", 1), ("c", 1)], [("a", 2), ("c", 2)], [("b", 1)], [("b", 2)],
     ]  # fmt: skip
-    runs, _ = collect_runs(folder, text, named="B")
+    runs, _ = collect_runs(folder, text, name_filter="B")
     assert [c.name for run in runs for c in run.cases] == ["b"]
 
 
@@ -435,7 +435,7 @@ def test_check_finds_scenes_of_specs_that_are_not_there(tmp_path: Path) -> None:
             ("bad-path", '"../scene.yaml"'),
         ]
         assert all(e.help for e in errors) and errors[0].fix is not None and errors[0].fix.text == '"scene.yaml"'
-    runs, report = collect_cases([program], named="a")
+    runs, report = collect_cases([program], name_filter="a")
     assert report.ok and len(runs) == 1
 
 

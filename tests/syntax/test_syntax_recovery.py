@@ -160,7 +160,7 @@ def test_what_is_left_of_broken_lines() -> None:
     first, second = [m for m in species.members if isinstance(m, n.State)]
     assert [type(part).__name__ for part in first.body] == ["Steer", "Change", "Change", "Steer", "Change"]
     assert [part.target.name.text for part in first.body if isinstance(part, n.Change)] == ["t", "t", "t"]
-    assert [type(action).__name__ for action in first.body[2].actions] == ["Assign", "Ask"]
+    assert [type(action).__name__ for action in first.body[2].actions] == ["Assign", "VerbLine"]
     assert [type(part).__name__ for part in second.body] == ["Steer"]
 
 

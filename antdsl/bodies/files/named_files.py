@@ -85,8 +85,8 @@ class BodyFiles:
             return None
         try:
             data = self.read_file(self.to_root_path(path), limits.MAX_BODY_JSON_BYTES)
-        except PathRefused as why:
-            self.report_refusal(why, place)
+        except PathRefused as error:
+            self.report_refusal(error, place)
             return None
         root, report = read_tree(data, self.display_path(path), what)
         self.report.extend(report)
@@ -129,14 +129,14 @@ class BodyFiles:
             else:
                 data = self.read_file(full, limits.MAX_BODY_FILE_BYTES)
                 definition, left_out = read_gltf(data, name, self._build_sibling_reader(full), rate or DEFAULT_SAMPLE_RATE, pose)
-        except UsdError as why:
-            self.report.error(why.code, str(why), place, why.help)
+        except UsdError as error:
+            self.report.error(error.code, str(error), place, error.help)
             return None
-        except PathRefused as why:
-            self.report_refusal(why, place)
+        except PathRefused as error:
+            self.report_refusal(error, place)
             return None
-        except BodyError as why:
-            self.report.error(why.code, f"`{self.display_path(path)}` {why}", place, why.help)
+        except BodyError as error:
+            self.report.error(error.code, f"`{self.display_path(path)}` {error}", place, error.help)
             return None
         for sentence in left_out:
             self.report.warning("body-left-out", f"of `{self.display_path(path)}`: {sentence}", place)

@@ -102,11 +102,11 @@ def load_shapes(
         return {}
     try:
         mesh = read_mesh(files.read_file(files.to_root_path(path), limits.MAX_MESH_BYTES), path)
-    except PathRefused as why:
-        files.report_refusal(why, place)
+    except PathRefused as error:
+        files.report_refusal(error, place)
         return {}
-    except MeshError as why:
-        files.report.error("bad-mesh", f"the mesh `{path[-80:]}` {why}", place, why.help)
+    except MeshError as error:
+        files.report.error("bad-mesh", f"the mesh `{path[-80:]}` {error}", place, error.help)
         return {}
     if len(mesh.vertices) > limits.MAX_BODY_POINTS:
         words = f"`{path[-80:]}` has more than {limits.MAX_BODY_POINTS:,} points"
@@ -124,8 +124,8 @@ def read_includes(form: BodyForm, root: Node, files: BodyFiles, shapes: dict[str
             continue
         try:
             path = files.resolve_library(condensed, absolute)
-        except PathRefused as why:
-            files.report_refusal(why, place)
+        except PathRefused as error:
+            files.report_refusal(error, place)
             continue
         for name, shape in load_shapes(files, path, place, materials, _get_file_stem(path)).items():
             if name in shapes:

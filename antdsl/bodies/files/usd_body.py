@@ -55,8 +55,8 @@ def read_body(request: ReaderMessage) -> ReaderAnswer:
     said = request.document
     try:
         definition, body = _read_definition(open_stage(request), str(said["prim"]), str(said["name"]), float(said["rate"]))
-    except BodyError as why:
-        raise ReadRefusal(why.code, str(why), why.help, "prim", "body") from why
+    except BodyError as error:
+        raise ReadRefusal(error.code, str(error), error.help, "prim", "body") from error
     return {"left_out": list(body.omissions), "settings": json.dumps(body.settings, default=str)}, pack_definition(definition)
 
 

@@ -22,17 +22,17 @@ def read_usd(roots: Roots, text: str, prim: str, name: str, rate: float) -> tupl
     second of animations, 0 for the stage's own. Raises UsdError or BodyError if there is no definition."""
     stage = open_stage(roots, text, prim, up="y", frames=range(1), fps=Fraction(24))
     try:
-        answer = stage.ask("usd-body", {"name": name, "rate": rate})
+        answer = stage.send_request("usd-body", {"name": name, "rate": rate})
         left_out = [clean_for_display(sentence) for sentence in answer.require_texts("left_out", _MAX_SENTENCES)]
         settings = _read_clip_settings(answer)
         if set(answer.arrays) != set(ARRAY_NAMES):
             raise ProtocolError("a part of the body is missing")
     except UsdError:
         raise
-    except ReadRefusal as why:
-        raise BodyError(str(why), why.help, why.code) from None
-    except ProtocolError as why:
-        raise stage.make_answer_error(why) from None
+    except ReadRefusal as error:
+        raise BodyError(str(error), error.help, error.code) from None
+    except ProtocolError as error:
+        raise stage.make_answer_error(error) from None
     definition = unpack_definition(answer.arrays)
     known = {name: each for name, each in settings.items() if name in definition.clips}
     clips = {

@@ -120,8 +120,8 @@ def _triangulate_faces(mesh: Any, prim: Any, time: Any, points: Floats) -> tuple
         raise BodyError(f"has a mesh `{prim.GetPath()}` with faces that use missing points", _EXPORT_HELP)
     try:
         cut = triangulate(points, counts, corners)
-    except TooManyCorners as why:
-        raise BodyError(f"has a mesh `{prim.GetPath()}` that {why}", "cut it into smaller faces", "too-large") from None
+    except TooManyCorners as error:
+        raise BodyError(f"has a mesh `{prim.GetPath()}` that {error}", "cut it into smaller faces", "too-large") from None
     triangles, face = cut.corners, cut.polygon_indices
     if str(mesh.GetOrientationAttr().Get(time)) == "leftHanded":
         triangles = triangles[:, ::-1]

@@ -106,9 +106,9 @@ def _measure_case(
     from antdsl.bench import BenchJob
     from antdsl.bench.tables import CaseResult
 
-    alone = [_measure_job(BenchJob(name, agents, (each,), turns, steps, threads, full_run)) for each in backends]
-    together = _measure_job(BenchJob(name, agents, tuple(backends), turns, steps, threads)) if len(backends) > 1 else None
-    return CaseResult(tuple(alone), together)
+    separate_results = [_measure_job(BenchJob(name, agents, (each,), turns, steps, threads, full_run)) for each in backends]
+    joint_result = _measure_job(BenchJob(name, agents, tuple(backends), turns, steps, threads)) if len(backends) > 1 else None
+    return CaseResult(tuple(separate_results), joint_result)
 
 
 def _measure_job(job: BenchJob) -> Measurement:
@@ -116,8 +116,8 @@ def _measure_job(job: BenchJob) -> Measurement:
 
     try:
         return measure_in_process(job)
-    except MeasuringError as why:
-        raise CommandError(ExitCode.FINDINGS, f"error: {job.case}: {why}") from None
+    except MeasuringError as error:
+        raise CommandError(ExitCode.FINDINGS, f"error: {job.case}: {error}") from None
 
 
 def _print_result(result: CaseResult) -> None:

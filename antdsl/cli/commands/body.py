@@ -80,59 +80,63 @@ def body(
         )
 
 
-def _propose(body: Definition, source: Path, to: Path | None, quiet: bool) -> None:
-    """Print a proposed definition file, or write it to `to`."""
+def _propose(body: Definition, source: Path, target: Path | None, quiet: bool) -> None:
+    """Print a proposed definition file, or write it to `target`."""
     from antdsl.atomic_write import write_atomically
     from antdsl.bodies.proposing.proposal import propose
     from antdsl.cli.destinations import protect_inputs, require_writable_file
 
     if source.suffix.lower() == ".json" or not source.is_file():
         raise typer.BadParameter(f"`{source.name}` is not a glTF or USD file", param_hint="FILE")
-    if to is None:
+    if target is None:
         print_result(propose(body, source.name).text(), newline=False)
         return
-    if to.suffix.lower() != ".json":
-        raise typer.BadParameter(f"`{to.name}` must end in .json", param_hint="--to")
-    folder = to.resolve().parent
+    if target.suffix.lower() != ".json":
+        raise typer.BadParameter(f"`{target.name}` must end in .json", param_hint="--to")
+    folder = target.resolve().parent
     if folder not in source.resolve().parents:
         advice = f"write it next to the file: `--to {source.with_suffix('.json')}`"
-        raise typer.BadParameter(f"`{source}` is not in the folder of `{to}` or below it; {advice}", param_hint="--to")
-    require_writable_file(to, "--to")
-    with protect_inputs({"--to": to}) as inputs:
+        raise typer.BadParameter(f"`{source}` is not in the folder of `{target}` or below it; {advice}", param_hint="--to")
+    require_writable_file(target, "--to")
+    with protect_inputs({"--to": target}) as inputs:
         inputs.append(source)
-    write_atomically(to, propose(body, source.resolve().relative_to(folder).as_posix()).text().encode())
+    write_atomically(target, propose(body, source.resolve().relative_to(folder).as_posix()).text().encode())
     if not quiet:
-        print_note(f"{to}: read its reasons, correct mistakes, and name it in a scene: `body: {to.name}`")
+        print_note(f"{target}: read its reasons, correct mistakes, and name it in a scene: `body: {target.name}`")
 
 
-def _write_body(body: Definition, source: Path, to: Path, layer: str, quiet: bool) -> None:
+def _write_body(body: Definition, source: Path, target: Path, layer: str, quiet: bool) -> None:
     """Write a definition as another kind of file, and report the parts that are left out."""
     from antdsl.atomic_write import create_folder_durably, write_atomically
     from antdsl.bodies.files.writing import build_definition_files, write_gltf
     from antdsl.bodies.posed_body import find_base_layer
     from antdsl.cli.destinations import protect_inputs, require_writable_file, require_writable_folder
 
-    kind = to.suffix.lower()
+    kind = target.suffix.lower()
     if kind not in (".json", ".glb", ".gltf"):
-        raise typer.BadParameter(f"`{to.name}` must end in .json, .glb or .gltf", param_hint="--to")
+        raise typer.BadParameter(f"`{target.name}` must end in .json, .glb or .gltf", param_hint="--to")
     if layer and layer not in body.layers:
-        known = ", ".join(f"`{name}`" for name in body.layers) or "no layer"
-        raise typer.BadParameter(f"the body has no layer `{layer}`: there is {known}", param_hint="--layer")
-    require_writable_file(to, "--to")
+        layer_names = ", ".join(f"`{name}`" for name in body.layers) or "no layer"
+        raise typer.BadParameter(f"the body has no layer `{layer}`: there is {layer_names}", param_hint="--layer")
+    require_writable_file(target, "--to")
     notes: list[str] = []
     if kind == ".json":
-        files = build_definition_files(body, to.stem)
-        parts = [path for path in files if path != to.name]
-        require_writable_folder(to.parent / to.stem, "--to", *(path.partition("/")[2] for path in parts))
+        files = build_definition_files(body, target.stem)
+        parts = [path for path in files if path != target.name]
+        require_writable_folder(target.parent / target.stem, "--to", *(path.partition("/")[2] for path in parts))
     else:
         data, notes = write_gltf(body, body.layers[layer] if layer else find_base_layer(body), text=kind == ".gltf")
-        files, parts = {to.name: data}, []
-    with protect_inputs({"--to": to}, {"--to": (to.parent, [to.stem])} if parts else None) as inputs:
+        files, parts = {target.name: data}, []
+    with protect_inputs({"--to": target}, {"--to": (target.parent, [target.stem])} if parts else None) as inputs:
         inputs.append(source)
-    for path in (*parts, to.name):
-        create_folder_durably((to.parent / path).parent)
-        write_atomically(to.parent / path, files[path])
+    for path in (*parts, target.name):
+        create_folder_durably((target.parent / path).parent)
+        write_atomically(target.parent / path, files[path])
     if not quiet:
-        print_note(f"{to}, and {len(parts)} files in {to.parent / to.stem}" if parts else f"{to}: {len(files[to.name]):,} bytes")
+        print_note(
+            f"{target}, and {len(parts)} files in {target.parent / target.stem}"
+            if parts
+            else f"{target}: {len(files[target.name]):,} bytes"
+        )
         for note in notes:
             print_note(f"note: {note}")

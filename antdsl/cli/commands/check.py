@@ -69,16 +69,16 @@ def check(
 
     choices = RunChoices(parse_grants(root))
     if paths == [STDIN_PATH]:
-        checked = check_text(read_standard_input(), choices, strict=strict, cpu_seconds=cpu_limit)
-        files, report = list(checked.reports), Report()
+        result = check_text(read_standard_input(), choices, strict=strict, cpu_seconds=cpu_limit)
+        files, report = list(result.reports), Report()
     else:
         files, report = find_files(paths or [Path()])
-        checked = check_files(
+        result = check_files(
             files, choices, strict=strict, cores=count_available_cores(), programs=params or cost, cpu_seconds=cpu_limit
         )
     for file in files:
-        report.extend(checked.reports[file])
-    report = apply_ignores(report, checked.sources, strict=strict)
+        report.extend(result.reports[file])
+    report = apply_ignores(report, result.sources, strict=strict)
     if strict:
         report = _treat_warnings_as_errors(report)
     print_report(report, format.value)
@@ -96,23 +96,23 @@ def check(
             settings_table,
         )
 
-        programs = [(file, checked.programs[file]) for file in files if file in checked.programs]
-        sound = [(file, program) for file, program in programs if checked.reports[file].ok]
+        programs = [(file, result.programs[file]) for file in files if file in result.programs]
+        error_free = [(file, program) for file, program in programs if result.reports[file].ok]
         for line in (*format_params_table(programs), *settings_table(programs)) if params else ():
             print_result(line)
-        for line in format_cost_table(sound) if cost else ():
+        for line in format_cost_table(error_free) if cost else ():
             print_result(line)
         for file in files if cost else ():
-            if not checked.reports[file].ok:
-                print_result(explain_missing_table("costs", file, checked.reports[file]))
-        for file, _ in sound if cost else ():
+            if not result.reports[file].ok:
+                print_result(explain_missing_table("costs", file, result.reports[file]))
+        for file, _ in error_free if cost else ():
             shot = open_scene(file, choices)[0] if file.suffix != ".ant" else None
             for line in format_work_table(file, shot) if shot is not None else ():
                 print_result(line)
     if imports:
         from antdsl.cli.printing.check_tables import format_import_table
 
-        for line in format_import_table(files, checked.reports, choices):
+        for line in format_import_table(files, result.reports, choices):
             print_result(line)
     if not report.ok:
         raise CommandError(choose_exit_code(report))

@@ -47,9 +47,9 @@ def _check_python(problems: list[str]) -> None:
     import platform
     import sys
 
-    good = sys.version_info >= (3, 11)
-    _print_check("python", good, f"{platform.python_version()} on {platform.system()} {platform.machine()}")
-    if not good:
+    is_supported = sys.version_info >= (3, 11)
+    _print_check("python", is_supported, f"{platform.python_version()} on {platform.system()} {platform.machine()}")
+    if not is_supported:
         problems.append("install Python 3.11 or newer")
 
 
@@ -110,25 +110,25 @@ def _check_machine_code(problems: list[str]) -> None:
     from antdsl.machine_code import llvm_compiler
     from antdsl.machine_code.object_cache import ObjectCache
 
-    why = llvm_compiler.unavailability_reason()
-    _print_check("machine code", not why, why or f"for {llvm_compiler.host_target().cpu}")
-    if why:
-        problems.append(why)
+    reason = llvm_compiler.unavailability_reason()
+    _print_check("machine code", not reason, reason or f"for {llvm_compiler.host_target().cpu}")
+    if reason:
+        problems.append(reason)
         return
     _check_kernels()
-    stored = ObjectCache()
-    stored.prepare_folder()
-    for sentence in stored.messages:
+    object_cache = ObjectCache()
+    object_cache.prepare_folder()
+    for sentence in object_cache.messages:
         print_result(f"-       {'folder of code':<16} {sentence}")
 
 
 def _check_kernels() -> None:
     """Print whether the installation has compiled kernels for this processor, this LLVM version and these sources."""
     from antdsl.machine_code import llvm_compiler, shipped_objects
-    from antdsl.numerics.elementary_loops import cosines
+    from antdsl.numerics.elementary_loops import write_cosines
 
     host = llvm_compiler.host_target()
-    if shipped_objects.find_object(cosines.text_key(host), host) is None:
+    if shipped_objects.find_object(write_cosines.text_key(host), host) is None:
         print_result(f"-       {'kernels':<16} compiled on first use, which takes some seconds once")
     else:
         print_result(f"ok      {'kernels':<16} compiled in advance for {shipped_objects.target_name(host)}")
@@ -138,9 +138,9 @@ def _check_tables() -> None:
     """Print whether tables of meshes are stored for later runs, and if not, why."""
     from antdsl.numerics import stored_tables
 
-    stored = stored_tables.open_store()
-    stored.prepare_folder()
-    for sentence in stored.messages:
+    table_store = stored_tables.open_store()
+    table_store.prepare_folder()
+    for sentence in table_store.messages:
         print_result(f"-       {'folder of tables':<16} {sentence}")
 
 
@@ -150,8 +150,8 @@ def _check_sandbox(problems: list[str]) -> None:
 
     try:
         active = active_layers()
-    except ReaderFailure as why:
-        _print_check("reader", False, str(why))
+    except ReaderFailure as error:
+        _print_check("reader", False, str(error))
         problems.append("allow this user to start processes and to write to the folder for temporary files")
         return
     landlock = f"Landlock {active['landlock']}" if active["landlock"] else "no Landlock"
@@ -163,7 +163,9 @@ def _check_sandbox(problems: list[str]) -> None:
 def _check_files(problems: list[str]) -> None:
     from antdsl.resources import grammar_file, list_library_names
 
-    good = grammar_file("tables.json").is_file() and "steering" in list_library_names()
-    _print_check("antdsl's files", good, "grammar, library of behaviours" if good else "grammar or behaviours not found")
-    if not good:
+    is_complete = grammar_file("tables.json").is_file() and "steering" in list_library_names()
+    _print_check(
+        "antdsl's files", is_complete, "grammar, library of behaviours" if is_complete else "grammar or behaviours not found"
+    )
+    if not is_complete:
         problems.append("install antdsl again")

@@ -22,7 +22,7 @@ def explain(
     """Explain an agent's decisions in a frame: transitions, the push of each layer, senses and random draws."""
     from antdsl.cli.arguments import parse_grants
     from antdsl.cli.printing.reports import exit_on_errors, print_report
-    from antdsl.explain import ExplainError, as_json, tell
+    from antdsl.explain import ExplainError, as_json, format_explanation
     from antdsl.explain import explain as explained
     from antdsl.numerics.processor.host import count_available_cores
     from antdsl.outputs.cache.cache_reader import open_cache
@@ -34,18 +34,18 @@ def explain(
             explanation = explained(
                 open_cache(cache), agent, frame, species=species, scene=scene, grants=grants, threads=count_available_cores()
             )
-    except BindError as why:
-        exit_on_errors(why.report)
+    except BindError as error:
+        exit_on_errors(error.report)
         raise CommandError(ExitCode.FINDINGS) from None
-    except ExplainError as why:
-        if why.report is not None:
-            print_report(why.report, to_stderr=True)
+    except ExplainError as error:
+        if error.report is not None:
+            print_report(error.report, to_stderr=True)
         raise CommandError(
-            ExitCode.USAGE if why.usage else ExitCode.FINDINGS, f"error: {why}", f"help: {why.help}" if why.help else ""
+            ExitCode.USAGE if error.usage else ExitCode.FINDINGS, f"error: {error}", f"help: {error.help}" if error.help else ""
         ) from None
     if json:
         from json import dumps
 
         print_result(dumps(as_json(explanation), indent=1, ensure_ascii=False, allow_nan=False))
         return
-    print_result(tell(explanation), newline=False)
+    print_result(format_explanation(explanation), newline=False)

@@ -18,17 +18,16 @@ if TYPE_CHECKING:
     from antdsl.outputs.cache.cache_reader import Cache
 
 
-def _explain_missing_export(to: Path) -> str:
+def _explain_missing_export(path: Path) -> str:
     """Return why there is no export to files of this suffix, and which suffix to use instead."""
     from antdsl.outputs.exports import ALTERNATIVE_ADVICE, EXPORT_FORMATS
 
-    if str(to) == "-":
+    if str(path) == "-":
         return "an export needs a file: its ending selects the format, and some formats have several files"
-    if to.suffix.lower() in ALTERNATIVE_ADVICE:
-        return (
-            f"`{to.suffix}` is not supported: write {ALTERNATIVE_ADVICE[to.suffix.lower()]} (docs/exports.md#what-is-not-written)"
-        )
-    return f"`{to.name}` is none of {', '.join(ending for each in EXPORT_FORMATS for ending in each.endings)}"
+    if path.suffix.lower() in ALTERNATIVE_ADVICE:
+        advice = ALTERNATIVE_ADVICE[path.suffix.lower()]
+        return f"`{path.suffix}` is not supported: write {advice} (docs/exports.md#what-is-not-written)"
+    return f"`{path.name}` is none of {', '.join(ending for each in EXPORT_FORMATS for ending in each.endings)}"
 
 
 def _describe_unknown_ids(cache: Cache, frames: Sequence[int], chosen: frozenset[int]) -> str | None:
@@ -119,7 +118,7 @@ def export(
     if word not in export.per_frame_forms and "####" in to.name:
         words = f"`{to.name}` as `{word}` is one file with all frames: remove `####`"
         raise typer.BadParameter(words, param_hint="--to")
-    between, chosen = parse_frame_range(frames), parse_number_set(ids, "--ids")
+    frame_range, chosen = parse_frame_range(frames), parse_number_set(ids, "--ids")
     all_options = {
         "skeletons": skeletons,
         "shutter": parse_shutter(shutter),
@@ -151,7 +150,7 @@ def export(
     try:
         with explain_cache_errors(cache, "this recomputes damaged frames"):
             opened_cache = open_edited_cache(cache)
-            cache_frames = [f for f in opened_cache.frames() if between is None or between.first <= f <= between.last]
+            cache_frames = [f for f in opened_cache.frames() if frame_range is None or frame_range.first <= f <= frame_range.last]
             if not cache_frames:
                 advice = "`antdsl info CACHE` lists its frames"
                 raise CommandError(ExitCode.INPUT_OUTPUT, "error: the cache has none of these frames", advice)
@@ -181,8 +180,8 @@ def export(
                 sync_files(paths)
             unknown = None if chosen is None else _describe_unknown_ids(opened_cache, cache_frames, chosen)
             notes = [*(notes or ()), *([] if unknown is None else [unknown])]
-    except (UsdError, ExportUnavailable) as why:
-        raise CommandError(ExitCode.FINDINGS, f"error: {why}", why.help or "") from None
+    except (UsdError, ExportUnavailable) as error:
+        raise CommandError(ExitCode.FINDINGS, f"error: {error}", error.help or "") from None
     if not quiet:
         files = f"{paths[0]} .. {paths[-1].name}" if len(paths) > 1 else str(paths[0])
         print_note(f"{files}: frames {cache_frames[0]}..{cache_frames[-1]}, {len(gallery.manifest.species)} species")

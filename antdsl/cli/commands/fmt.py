@@ -31,8 +31,8 @@ def fmt(
 ) -> None:
     """Format .ant files: blanks, columns and line breaks. Meaning and comments stay the same."""
     if edition is not None and edition not in EDITIONS:
-        known = " or ".join(str(each) for each in EDITIONS)
-        raise typer.BadParameter(f"no edition {edition}; write {known}", param_hint="--edition")
+        editions = " or ".join(str(each) for each in EDITIONS)
+        raise typer.BadParameter(f"no edition {edition}; write {editions}", param_hint="--edition")
     if not paths:
         raise typer.BadParameter("name a file or a folder, or - for standard input", param_hint="PATH")
     if STDIN_PATH in paths and len(paths) > 1:
@@ -84,10 +84,10 @@ class _FormatCommand:
             self.skipped_count += 1
             words = f"`{path}` is a link to a file outside the folder", "name that file directly to format it"
             self.report.error("cannot-write", words[0], None, words[1])
-        same = len(programs) - len(self.changed_names) - self.skipped_count
+        unchanged_count = len(programs) - len(self.changed_names) - self.skipped_count
         word = "would change" if self.only_check or self.print_diff else "changed"
-        counts = ((len(self.changed_names), word), (same, "laid out well"), (self.skipped_count, "left alone"))
-        summary = [f"{count} file{'' if count == 1 else 's'} {what}" for count, what in counts if count]
+        counts = ((len(self.changed_names), word), (unchanged_count, "laid out well"), (self.skipped_count, "left alone"))
+        summary = [f"{count} file{'' if count == 1 else 's'} {label}" for count, label in counts if count]
         print_note(", ".join(summary) or "this folder has no .ant files", to_stderr=True)
 
     def file(self, path: Path) -> None:

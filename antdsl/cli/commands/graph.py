@@ -51,38 +51,38 @@ def graph(
     if not charts:
         words = f"error: `{file}` has no species with states"
         raise CommandError(ExitCode.FINDINGS, words, "`antdsl graph` draws states and transitions")
-    written, report = graphs.write(charts, chosen)
+    data, report = graphs.write(charts, chosen)
     exit_on_errors(report)
-    assert written is not None
-    write_result(target, written, sys.stdout)
+    assert data is not None
+    write_result(target, data, sys.stdout)
     if not is_standard_output(target):
         print_note(str(target))
 
 
-def _choose_format(format: GraphFormat | None, out: Path | None) -> str:
+def _choose_format(format: GraphFormat | None, target: Path | None) -> str:
     """Return the requested format, or else the format of the file's suffix, or else the default."""
     from antdsl.graphs import FORMATS
 
     if format is not None:
         return format.value
-    if out is None or is_standard_output(out):
+    if target is None or is_standard_output(target):
         return next(iter(FORMATS))
     for name, (endings, _) in FORMATS.items():
-        if out.suffix.lower() in endings:
+        if target.suffix.lower() in endings:
             return name
-    known = ", ".join(ending for endings, _ in FORMATS.values() for ending in endings)
-    raise typer.BadParameter(f"`{out}` has no known ending ({known}): add `--format`", param_hint="--out")
+    all_endings = ", ".join(ending for endings, _ in FORMATS.values() for ending in endings)
+    raise typer.BadParameter(f"`{target}` has no known ending ({all_endings}): add `--format`", param_hint="--out")
 
 
 def _select_charts(charts: tuple[Chart, ...], names: list[str]) -> tuple[Chart, ...]:
     """Return the charts of the named species and machines, in the order of the text."""
     from antdsl.diagnostics.suggestion import find_nearest_name
 
-    known = dict.fromkeys(part for chart in charts for part in (chart.title.partition(".")[0], chart.title))
+    known_names = dict.fromkeys(part for chart in charts for part in (chart.title.partition(".")[0], chart.title))
     for name in names:
-        if name not in known:
-            near = find_nearest_name(name, known)
-            hint = f"did you mean `{near}`?" if near else "there is " + ", ".join(f"`{k}`" for k in known)
+        if name not in known_names:
+            near = find_nearest_name(name, known_names)
+            hint = f"did you mean `{near}`?" if near else "there is " + ", ".join(f"`{k}`" for k in known_names)
             raise CommandError(ExitCode.USAGE, f"error: no species or machine `{name}`", hint)
     requested_names = set(names)
     return tuple(

@@ -110,8 +110,8 @@ def _describe_patches(mesh: MeshEntry, units: str) -> str:
 
 
 def _format_fps(text: str) -> str:
-    above, below = text.split("/")
-    return above if below == "1" else text
+    numerator, denominator = text.split("/")
+    return numerator if denominator == "1" else text
 
 
 def _verify_cache(cache: Cache) -> None:
@@ -136,16 +136,18 @@ def _verify_cache(cache: Cache) -> None:
                 f"frame {next_frame} is missing" if frame == next_frame + 1 else f"frames {next_frame} to {frame - 1} are missing"
             )
         next_frame = max(next_frame, frame + 1)
-        why = cache.find_frame_damage(frame, lines.get(frame))
-        bad += _find_read_errors(partial(cache.frame, frame)) if why is None else [why]
+        damage = cache.find_frame_damage(frame, lines.get(frame))
+        bad += _find_read_errors(partial(cache.frame, frame)) if damage is None else [damage]
     for frame in checkpoints:
-        why = cache.find_checkpoint_damage(frame, lines.get(frame))
-        bad += [] if why is None else [why]
-    why = cache.find_static_damage()
-    bad += [] if why is None else [why]
+        damage = cache.find_checkpoint_damage(frame, lines.get(frame))
+        bad += [] if damage is None else [damage]
+    damage = cache.find_static_damage()
+    bad += [] if damage is None else [damage]
     if bad or strays:
         overflow_note = [f"… and {len(bad) - 50} more"] if len(bad) > 50 else []
-        words = "\n".join([*(f"error: {why}" for why in bad[:50]), *overflow_note, *(f"error: {why}" for why in strays[:50])])
+        words = "\n".join(
+            [*(f"error: {damage}" for damage in bad[:50]), *overflow_note, *(f"error: {damage}" for damage in strays[:50])]
+        )
         advice = [f"to recompute damaged frames: {make_resume_command(cache.folder)}"] if bad else []
         advice += ["move away files that do not belong to this cache"] if strays else []
         raise CommandError(ExitCode.FINDINGS, words, "\n".join(advice))
@@ -164,6 +166,6 @@ def _find_read_errors(read: Callable[[], object]) -> list[str]:
 
     try:
         read()
-    except CacheError as why:
-        return [str(why)]
+    except CacheError as error:
+        return [str(error)]
     return []

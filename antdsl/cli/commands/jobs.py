@@ -105,33 +105,33 @@ def _parse_render_words(text: str) -> tuple[str, ...]:
     # depending on its version, typer has click as a dependency or a part of it
     wrong_use: tuple[type[BaseException], ...] = typer.BadParameter.__bases__
     advice = "`antdsl render --help` lists its options"
-    alone = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
-    alone.command()(render)
+    app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
+    app.command()(render)
     try:
         words = tuple(shlex.split(text))
-        context = typer.main.get_command(alone).make_context("render", ["CACHE", *words])
+        context = typer.main.get_command(app).make_context("render", ["CACHE", *words])
     except ValueError:
         raise typer.BadParameter(f"`{text}` has a quote that is not closed", param_hint="--render") from None
     except typer.Exit:  # raised by `--help`
         raise typer.BadParameter(f"`{text}` draws nothing; {advice}", param_hint="--render") from None
-    except wrong_use as why:
-        raise CommandError(ExitCode.USAGE, f"error: `--render`: {getattr(why, 'message', why)}", advice) from None
-    for name, instead in RESERVED_RENDER_OPTIONS.items():
+    except wrong_use as error:
+        raise CommandError(ExitCode.USAGE, f"error: `--render`: {getattr(error, 'message', error)}", advice) from None
+    for name, replacement in RESERVED_RENDER_OPTIONS.items():
         source = context.get_parameter_source(name)
         if source is not None and source.name == "COMMANDLINE":
-            raise typer.BadParameter(f"`--{name}` does not affect how pictures look; {instead}", param_hint="--render")
+            raise typer.BadParameter(f"`--{name}` does not affect how pictures look; {replacement}", param_hint="--render")
     return words
 
 
-def _require_template(job: FarmJob, every: int, frames: int) -> None:
+def _require_template(job: FarmJob, frame_step: int, frames: int) -> None:
     """Raise CommandError for a job that a template cannot express: too many tasks, or text that contains `{{`."""
     from antdsl.farm import MAX_TASKS
 
     tasks = max(len(step.chunk_ranges) for step in job.steps)
     if tasks > MAX_TASKS:
-        enough = math.ceil(math.ceil(frames / every) / MAX_TASKS)
+        chunk_size = math.ceil(math.ceil(frames / frame_step) / MAX_TASKS)
         words = f"error: {tasks:,} tasks are more than a template may list ({MAX_TASKS:,})"
-        raise CommandError(ExitCode.USAGE, words, f"write `--chunk {enough}`, or export lines: `--to job.jsonl`")
+        raise CommandError(ExitCode.USAGE, words, f"write `--chunk {chunk_size}`, or export lines: `--to job.jsonl`")
     for text in (text for step in job.steps for text in step.find_fixed_texts()):
         if "{{" in text:
             words = f"error: `{text}` has `{{{{`, which marks parameters in a template"
@@ -146,12 +146,12 @@ def _format_template(document: dict[str, object], suffix: str) -> bytes:
     return yaml.safe_dump(document, sort_keys=False, allow_unicode=True, width=120).encode()
 
 
-def _print_summary(job: FarmJob, to: Path) -> None:
+def _print_summary(job: FarmJob, target: Path) -> None:
     from antdsl.farm import find_external_paths
 
     counts = [f"{step.name} ({len(step.chunk_ranges)} tasks)" if step.chunk_ranges else step.name for step in job.steps]
-    print_note(f"{to}: {', '.join(counts)}")
-    missing = find_external_paths(job, to.resolve().parent) if to.suffix in OPEN_TEMPLATE_SUFFIXES else []
+    print_note(f"{target}: {', '.join(counts)}")
+    missing = find_external_paths(job, target.resolve().parent) if target.suffix in OPEN_TEMPLATE_SUFFIXES else []
     if missing:
         print_note("these are not below it, so name them when you submit the job:")
         for place in missing:

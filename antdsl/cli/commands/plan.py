@@ -56,8 +56,8 @@ def _list_machine_code(final_plan: Plan, setting: WorldSetting | None, include_c
     from antdsl.runtime.backends.native import program_listing
     from antdsl.runtime.backends.native.programs import WorldFacts
 
-    if why := llvm_compiler.unavailability_reason():
-        raise CommandError(ExitCode.FINDINGS, f"error: this machine cannot make machine code: {why}")
+    if reason := llvm_compiler.unavailability_reason():
+        raise CommandError(ExitCode.FINDINGS, f"error: this machine cannot make machine code: {reason}")
     code_listing = program_listing.build_program(
         final_plan,
         llvm_compiler.host_target(),

@@ -78,9 +78,9 @@ def _open_sockets(host: str | None, port: int | None, let_others_in: bool) -> Li
                 "and connect through `ssh -L 8765:127.0.0.1:8765`",
             )
         return open_listening_sockets(host, port)
-    except ListenError as why:
+    except ListenError as error:
         raise CommandError(
-            ExitCode.INPUT_OUTPUT, f"error: {why}", "choose another with `--port` or `--host`, or omit them"
+            ExitCode.INPUT_OUTPUT, f"error: {error}", "choose another with `--port` or `--host`, or omit them"
         ) from None
 
 

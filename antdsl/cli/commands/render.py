@@ -138,14 +138,16 @@ def render(
     )
     gallery = _open_gallery(cache, settings)
     check_camera(gallery, settings)
-    drawn = _choose_frames(gallery, parse_frame_range(frames), every, sheet, film)
+    drawn_frames = _choose_frames(gallery, parse_frame_range(frames), every, sheet, film)
     folder = out if out is not None else choose_default_path(cache, "pictures")
     require_writable_folder(folder, "--out", *(["film.mp4"] if film else ["sheet.png"] if sheet else []))
     create_folder_durably(folder)
     if film:
         _require_film_support()
-    together = drawn if shot is None else _choose_frames(gallery, parse_frame_range(shot, "--shot"), every, False, True)
-    stills = StillStore.build(folder, gallery.cache, settings, together)
+    camera_frames = (
+        drawn_frames if shot is None else _choose_frames(gallery, parse_frame_range(shot, "--shot"), every, False, True)
+    )
+    stills = StillStore.build(folder, gallery.cache, settings, camera_frames)
     try:
         with raise_on_sigterm():
             if scheduler:
@@ -157,24 +159,26 @@ def render(
                         "`--shot A..B --resume`, then the film here",
                         param_hint="--resume",
                     )
-                existing_frames = [frame for frame in drawn if resume and stills.read_still(frame) is not None]
-                new = [frame for frame in drawn if frame not in set(existing_frames)]
+                existing_frames = [frame for frame in drawn_frames if resume and stills.read_still(frame) is not None]
+                new = [frame for frame in drawn_frames if frame not in set(existing_frames)]
                 if new:
                     _draw_on_cluster(
-                        (scheduler, tls, no_tls), cache, settings, new, together, folder, 1 / gallery.dt if film else None
+                        (scheduler, tls, no_tls), cache, settings, new, camera_frames, folder, 1 / gallery.dt if film else None
                     )
                 _report_skipped(len(existing_frames))
                 return
-            pictures = _draw_frames(gallery, settings, drawn, together, choose_threads(threads), stills if resume else None)
+            pictures = _draw_frames(
+                gallery, settings, drawn_frames, camera_frames, choose_threads(threads), stills if resume else None
+            )
             if film:
                 _write_film((image for _, image, _ in pictures), gallery, folder)
             elif sheet:
                 _write_sheet([(frame, image) for frame, image, _ in pictures], stills)
             else:
                 _write_stills(pictures, stills)
-    except KeyboardInterrupt as why:
+    except KeyboardInterrupt as error:
         advice = "run the same command with `--resume` to draw the others"
-        raise CommandError(choose_stop_exit_code(why), "stopped: all written pictures are complete", advice) from None
+        raise CommandError(choose_stop_exit_code(error), "stopped: all written pictures are complete", advice) from None
 
 
 def _open_gallery(folder: Path, settings: DrawRequest) -> Gallery:
@@ -185,24 +189,24 @@ def _open_gallery(folder: Path, settings: DrawRequest) -> Gallery:
 
     try:
         return settings.gallery(open_edited_cache(folder))
-    except (ManifestError, CacheError) as why:
-        raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {why}", "name the folder that `antdsl run` printed") from None
-    except PictureUnavailable as why:
+    except (ManifestError, CacheError) as error:
+        raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {error}", "name the folder that `antdsl run` printed") from None
+    except PictureUnavailable as error:
         advice = "add it to the scene's `output: {attributes: …}` and run again"
-        if "field" in str(why):
+        if "field" in str(error):
             advice = "`antdsl info CACHE` lists its fields"
-        raise CommandError(ExitCode.FINDINGS, f"error: {why}", advice) from None
+        raise CommandError(ExitCode.FINDINGS, f"error: {error}", advice) from None
 
 
-def _choose_frames(gallery: Gallery, frame_range: Any, every: int | None, sheet: bool, film: bool) -> list[int]:
+def _choose_frames(gallery: Gallery, frame_range: Any, frame_step: int | None, sheet: bool, film: bool) -> list[int]:
     cache_frames = gallery.cache.frames()
     if frame_range is not None:
         cache_frames = [frame for frame in cache_frames if frame_range.first <= frame <= frame_range.last]
     if not cache_frames:
         message = "error: the cache has none of these frames"
         raise CommandError(ExitCode.INPUT_OUTPUT, message, "`antdsl info CACHE` lists its frames")
-    if every is not None:
-        cache_frames = cache_frames[::every]
+    if frame_step is not None:
+        cache_frames = cache_frames[::frame_step]
         if not sheet or film or len(cache_frames) <= MAX_PICTURES:
             return cache_frames
         words = f"error: {len(cache_frames)} pictures do not fit on a sheet"
@@ -237,15 +241,15 @@ def _draw_frames(
                 continue
             drawer = drawer or FrameDrawer(gallery, settings, camera_frames, threads)
             yield frame, drawer.draw(frame), True
-    except CacheError as why:
+    except CacheError as error:
         advice = f"to recompute damaged frames: {make_resume_command(gallery.cache.folder)}"
-        raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {why}", advice) from None
-    except PictureUnavailable as why:
-        raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {why}", "run the scene again into another folder") from None
-    except AgentMissing as why:
-        raise CommandError(ExitCode.FINDINGS, f"error: {why}") from None
-    except ValueError as why:
-        raise typer.BadParameter(str(why), param_hint="--show") from None
+        raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {error}", advice) from None
+    except PictureUnavailable as error:
+        raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {error}", "run the scene again into another folder") from None
+    except AgentMissing as error:
+        raise CommandError(ExitCode.FINDINGS, f"error: {error}") from None
+    except ValueError as error:
+        raise typer.BadParameter(str(error), param_hint="--show") from None
 
 
 def _draw_on_cluster(
@@ -264,7 +268,10 @@ def _draw_on_cluster(
     stills = folder if fps is None else choose_default_path(folder, "film.frames")
     create_folder_durably(stills)
     for answered in run_cache_tasks(
-        scheduler, cache, stills, lambda real_cache, to: make_still_tasks(real_cache, settings, frames, camera_frames, to)
+        scheduler,
+        cache,
+        stills,
+        lambda real_cache, destination: make_still_tasks(real_cache, settings, frames, camera_frames, destination),
     ):
         for frame in answered.task.document["frames"] if fps is None else ():
             print_note(str(make_still_path(folder, frame)))
@@ -289,8 +296,8 @@ def _join_stills(paths: list[Path], path: Path, fps: float, pixels_per_picture: 
         for each in paths:
             try:
                 image = read_image_file(read_size_limited(each, MAX_STILL_BYTES), "PNG", ("RGB",), pixels_per_picture)
-            except ImageError as why:
-                raise OSError(None, str(why), str(each)) from None
+            except ImageError as error:
+                raise OSError(None, str(error), str(each)) from None
             if image.samples is None:
                 raise OSError(None, "is not the picture that was drawn", str(each))
             yield image.samples

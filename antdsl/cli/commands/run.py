@@ -115,9 +115,9 @@ def run(
     folder = out if out is not None else choose_default_path(scene.resolve().parent, "out", scene.stem)
     if scene.is_file():  # otherwise there is no folder next to the scene
         require_writable_folder(folder, "--out")
-    again = _build_resume_command(scene, out, frames, seed, set_, root, summary, any_memory)
+    resume_command = _build_resume_command(scene, out, frames, seed, set_, root, summary, any_memory)
     files, folders = {"--summary": summary}, {"--out": (folder, CACHE_ENTRY_NAMES)}
-    with _handle_stop_in_set_up(again), protect_inputs(files, folders) as inputs:
+    with _handle_stop_in_set_up(resume_command), protect_inputs(files, folders) as inputs:
         inputs.append(scene)
         shot, report = open_scene(scene, choices, thorough=False)
     exit_on_errors(report)
@@ -130,19 +130,23 @@ def run(
     options = Options(
         backend=backend.value, chunk=chunk, threads=choose_threads(threads, quiet), shuffle_rows=shuffle, on_fault=on_fault.value
     )
-    writing = report_failures("cannot write the cache", f"continue with: {again}")
-    with writing, _handle_stop_in_set_up(again), protect_inputs(files, folders):  # also another cache from which the scene starts
+    writing = report_failures("cannot write the cache", f"continue with: {resume_command}")
+    with (
+        writing,
+        _handle_stop_in_set_up(resume_command),
+        protect_inputs(files, folders),
+    ):  # also another cache from which the scene starts
         recording = _begin_recording(shot, folder, options, choices, resume, force, quiet)
     with redirect_messages(summary) as output:
         if profile:
             from antdsl.runtime.profiling import StepMeter
 
             recording.step_meter = StepMeter(None)
-        _record_to_end(recording, quiet, again)
+        _record_to_end(recording, quiet, resume_command)
         if summary is not None:
             from antdsl.outputs.summary import encode_summary
 
-            with report_failures("the cache is complete; cannot write its summary", f"continue with: {again}"):
+            with report_failures("the cache is complete; cannot write its summary", f"continue with: {resume_command}"):
                 write_result(summary, encode_summary(recording), output)
         if recording.step_meter is not None:
             from antdsl.cli.printing.profile_table import print_profile
@@ -166,7 +170,7 @@ def choose_threads(requested_threads: int, quiet: bool = False) -> int:
 
 def _build_resume_command(
     scene: Path,
-    out: Path | None,
+    folder: Path | None,
     frames: str | None,
     seed: int | None,
     set_: list[str],
@@ -180,7 +184,7 @@ def _build_resume_command(
 
     words = ["antdsl", "run", str(scene)]
     flag_values: dict[str, Sequence[object]] = {
-        "--frames": [frames], "--seed": [seed], "--set": set_, "--root": root, "--out": [out], "--summary": [summary],
+        "--frames": [frames], "--seed": [seed], "--set": set_, "--root": root, "--out": [folder], "--summary": [summary],
     }  # fmt: skip
     for flag, values in flag_values.items():
         for value in values:
@@ -222,8 +226,8 @@ def _begin_recording(
         for note in recording.notes:
             print_note(note, to_stderr=True)
         return recording
-    except (BindError, StartError) as why:
-        exit_on_errors(why.report)
+    except (BindError, StartError) as error:
+        exit_on_errors(error.report)
         raise CommandError(ExitCode.FINDINGS) from None
 
 
@@ -253,13 +257,13 @@ def _record_to_end(recording: Recording, quiet: bool, resume_command: str) -> No
         with explain_cache_errors(), failures, show_progress(recording, quiet) as watch:
             for _ in record_frames(recording, watch.show_preroll):
                 watch.frame()
-    except LimitStop as why:
+    except LimitStop as error:
         words = f"correct the program; the earlier frames are in {recording.folder}"
-        raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {why}", words) from None
-    except FaultStop as why:
+        raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {error}", words) from None
+    except FaultStop as error:
         raise CommandError(
             ExitCode.FINDINGS,
-            f"error: {why}",
+            f"error: {error}",
             "correct the program, or continue without such agents: `--on-fault quarantine`\n"
             f"the frames before are in {recording.folder}",
         ) from None

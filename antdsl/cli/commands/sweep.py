@@ -147,8 +147,8 @@ def sweep(
     exit_on_errors(report)
     try:
         run_store = RunStore(folder)
-    except NotASweepFolder as why:
-        raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {why}", "name another folder with `--out`") from None
+    except NotASweepFolder as error:
+        raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {error}", "name another folder with `--out`") from None
     request.write(folder)
 
     chooser = JobChooser(runs, widths)
@@ -172,7 +172,7 @@ def sweep(
     threads = max(1, count_available_cores() // processes)
     if todo and not any_memory and not scheduler:  # machines of a cluster have their own memory
         require_memory(open_scene_shots(study, request), processes, len(runs))
-    failed: list[JobOutcome] = []
+    failed_outcomes: list[JobOutcome] = []
     files = [path for path in read if path.is_file()]
     where = open_engine((scheduler, tls, no_tls), processes, threads, files)
     try:
@@ -180,25 +180,29 @@ def sweep(
             for outcome in run_jobs(chooser.needed_jobs(), engine, watch.frame, watch.show_note):
                 watch.show_finished(outcome)
                 if outcome.measures is None:
-                    failed.append(outcome)
+                    failed_outcomes.append(outcome)
                 else:
                     run_store.write_measures(outcome.job, outcome.measures)
                     finished_measures[outcome.job.key] = outcome.measures
                 chooser.record_result(outcome.job, outcome.measures)
                 _require_measures(chooser)
-    except (KeyboardInterrupt, WorkersLost) as why:
+    except (KeyboardInterrupt, WorkersLost) as error:
         _write_tables(run_store, study, chooser, finished_measures, show, plots=False)
         finished = f"{len(finished_measures)} of {len(runs)} runs are finished and stored"
         code, words = (
-            (ExitCode.INPUT_OUTPUT, f"error: {why}") if isinstance(why, WorkersLost) else (choose_stop_exit_code(why), "stopped")
+            (ExitCode.INPUT_OUTPUT, f"error: {error}")
+            if isinstance(error, WorkersLost)
+            else (choose_stop_exit_code(error), "stopped")
         )
         raise CommandError(
             code, f"{words}: {finished}", "run the same command again, or add `--resume`, to complete the others"
         ) from None
     _require_measures(chooser)
     _write_tables(run_store, study, chooser, finished_measures, show, plots)
-    if failed:
-        raise CommandError(ExitCode.FINDINGS, f"error: {len(failed)} of {len(runs)} runs failed and are not in the table")
+    if failed_outcomes:
+        raise CommandError(
+            ExitCode.FINDINGS, f"error: {len(failed_outcomes)} of {len(runs)} runs failed and are not in the table"
+        )
 
 
 def _require_measures(chooser: JobChooser) -> None:
@@ -234,21 +238,21 @@ def _write_tables(
     results: list[RunResult] = [(job, finished_measures[job.key]) for job in chooser.counted_jobs]
     if not results:
         return
-    table, known = build_rows(results), chooser.list_known_medians()
+    table, known_medians = build_rows(results), chooser.list_known_medians()
     measures = choose_measures(table, show)
     if show and not measures:
         names = ", ".join(dict.fromkeys(row.measure.split(".")[0] for row in table))
         raise CommandError(ExitCode.USAGE, f"error: no measure begins with `{show[0]}`", f"there are: {names}")
     effects, remarks = study.find_effects(table, measures)
     lines = format_table(table, measures)
-    words = f"\n{format_known_medians(known)}" if known else ""
+    words = f"\n{format_known_medians(known_medians)}" if known_medians else ""
     if effects and study.chosen_points.design.analysis is not None:
         words += f"\n{effects_text(study.chosen_points.design.analysis, effects)}"
     texts = {
         "table.txt": lines + words,
         "table.csv": as_csv(table),
         "runs.csv": format_runs_csv(results, study.unit_by_factor),
-        "sweep.json": as_json(results, table, known, effects),
+        "sweep.json": as_json(results, table, known_medians, effects),
     }
     if effects:
         texts["sensitivity.csv"] = effects_csv(effects)
@@ -261,15 +265,15 @@ def _write_tables(
     print_note((_truncate_table(lines) + words).rstrip("\n"))
     for remark in remarks:
         print_note(f"note: {remark}", to_stderr=True)
-    drawn = []
+    picture_names = []
     if plots and is_available() and len(measures) <= MAX_PLOT_PANELS:
         if study.range_factors:
             draw_factors(study, results, measures, effects, run_store.folder / "factors.png")
-            drawn.append("factors.png")
+            picture_names.append("factors.png")
         else:
             draw_measures(results, measures, run_store.folder / "table.png")
-            drawn.append("table.png")
-    print_note(f"in {run_store.folder}: {', '.join([*files, *drawn])}")
+            picture_names.append("table.png")
+    print_note(f"in {run_store.folder}: {', '.join([*files, *picture_names])}")
     if plots and not is_available():
         print_note(INSTALL_HINT)
 

@@ -81,13 +81,13 @@ def test(
     require_writable_file(json, "--json")
     require_writable_folder(keep, "--keep")
     with protect_inputs({"--junit": junit, "--json": json}) as inputs:
-        runs, report = collect_cases(paths, grants=parse_grants(root), seeds=seeds, named=name_filter)
+        runs, report = collect_cases(paths, grants=parse_grants(root), seeds=seeds, name_filter=name_filter)
         inputs += [*find_files(paths)[0], *(find_golden_path(case.scene) for run in runs for case in run.cases)]
     print_report(report, to_stderr=True)
-    everything = [case for run in runs for case in run.cases]
-    if not everything and report.ok:
-        what = f"no spec has `{name_filter}` in its name" if name_filter else "no spec was found"
-        raise CommandError(ExitCode.USAGE, f"error: {what}", 'write one in a program: `spec "…" on "scene.yaml" { always: … }`')
+    all_cases = [case for run in runs for case in run.cases]
+    if not all_cases and report.ok:
+        reason = f"no spec has `{name_filter}` in its name" if name_filter else "no spec was found"
+        raise CommandError(ExitCode.USAGE, f"error: {reason}", 'write one in a program: `spec "…" on "scene.yaml" { always: … }`')
 
     with redirect_messages(junit, json) as output:
         progress = _TestProgress(quiet, len(runs))
@@ -106,42 +106,42 @@ def test(
         )
         coverage, goldens = work.coverage, work.golden_comparison
         assert goldens is not None
-        stopped = False
+        is_stopped = False
         try:
-            with _interrupt_between_frames() as ask:
+            with _interrupt_between_frames() as check_interrupt:
 
                 def frame(run: SpecRun, number: int, last: int) -> None:
-                    ask()
+                    check_interrupt()
                     progress.frame(run, number, last)
 
                 work.frame = frame
                 run_cases(runs, work)
                 goldens.write_golden_files()
         except KeyboardInterrupt:
-            stopped = True
+            is_stopped = True
             progress.clear_line()
         for note in work.messages:
             print_note(note, to_stderr=True)
         print_report(goldens.report, to_stderr=True)
         report.extend(goldens.report)
-        verdicts = settle_verdicts(everything)
+        verdicts = settle_verdicts(all_cases)
         lines = [describe_verdict(verdict) for verdict in verdicts]
         lines += [describe_golden(result) for result in goldens.results if not quiet or result.outcome == "differs"]
-        lines.append(describe_counts(everything, len(report.errors), goldens.results))
+        lines.append(describe_counts(all_cases, len(report.errors), goldens.results))
         lines += [] if quiet else [describe_coverage(coverage)] * show_coverage + [describe_uncovered(coverage)]
-        low = min_coverage is not None and not stopped and coverage.covered_share * 100 < min_coverage
+        low = min_coverage is not None and not is_stopped and coverage.covered_share * 100 < min_coverage
         lines += (
             [f"{coverage.covered_share * 100:.4g} % of states and transitions were reached, less than {min_coverage:g} %"]
             if low
             else []
         )
         print_note("\n".join(line for line in lines if line))
-        write_result(junit, as_junit(everything, report, goldens.results).encode(), output)
-        write_result(json, as_json(everything, coverage, report, goldens.results).encode(), output)
-    if stopped:
+        write_result(junit, as_junit(all_cases, report, goldens.results).encode(), output)
+        write_result(json, as_json(all_cases, coverage, report, goldens.results).encode(), output)
+    if is_stopped:
         raise CommandError(ExitCode.INTERRUPTED, "stopped by Ctrl-C; the specs above were finished")
     differ = any(result.outcome == "differs" for result in goldens.results)
-    if low or differ or any(case.outcome == "failed" for case in everything):
+    if low or differ or any(case.outcome == "failed" for case in all_cases):
         raise CommandError(ExitCode.FINDINGS)
     if not report.ok:
         raise CommandError(choose_exit_code(report))
@@ -160,13 +160,13 @@ def _interrupt_between_frames() -> Iterator[Callable[[], None]]:
             raise KeyboardInterrupt
         interrupts.append(number)
 
-    def ask() -> None:
+    def check_interrupt() -> None:
         if interrupts:
             raise KeyboardInterrupt
 
     previous_handler = signal.signal(signal.SIGINT, stop)
     try:
-        yield ask
+        yield check_interrupt
     finally:
         signal.signal(signal.SIGINT, previous_handler)
 

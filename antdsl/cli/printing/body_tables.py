@@ -24,8 +24,8 @@ def format_body(body: Definition) -> Iterator[str]:
     yield f"joints       {len(body.rig.names)}"
     yield from format_joint_tree(body)
     for each in body.rig.channels:
-        at = f" of {each.transform}" if each.transform else ""
-        yield escape_line(f"channel      {each.name}{at}: {each.default:g} where no clip says otherwise")
+        transform_text = f" of {each.transform}" if each.transform else ""
+        yield escape_line(f"channel      {each.name}{transform_text}: {each.default:g} where no clip says otherwise")
     for shape in body.shapes.values():
         yield escape_line(f"shape        {shape.name}: {', '.join(_describe_shape(shape))}")
     for layer in body.layers.values():
@@ -56,14 +56,14 @@ def format_body(body: Definition) -> Iterator[str]:
 
 def _format_language_names(body: Definition) -> Iterator[str]:
     """Yield the spelling in programs and scenes of names that the language cannot write unchanged."""
-    named: list[tuple[str, Iterable[str]]] = [
+    names_by_kind: list[tuple[str, Iterable[str]]] = [
         ("clip", body.clips), ("layer", body.layers), ("group", body.groups), ("channel", (c.name for c in body.rig.channels)),
         *((f"mark of {clip.name}", clip.marks) for clip in body.clips.values()),
     ]  # fmt: skip
-    for what, names in named:
-        for name, written in map_language_names(names).items():
-            if name != written:
-                yield escape_line(f"written      {what} {name}: {written}")
+    for kind, names in names_by_kind:
+        for name, language_name in map_language_names(names).items():
+            if name != language_name:
+                yield escape_line(f"written      {kind} {name}: {language_name}")
 
 
 def format_joint_tree(body: Definition) -> Iterator[str]:
@@ -117,7 +117,7 @@ def _is_clip_closed(body: Definition, clip: Clip) -> bool:
     if len(gaps) == 3:
         gaps[1] = min(gaps[1], np.abs(clip.rotation[0] + clip.rotation[-1]).max(initial=0.0))
     values = np.abs(clip.values[0] - clip.values[-1]).max(initial=0.0) if len(clip.values) else 0.0
-    return bool(values <= 1e-3 and all(a <= most for a, most in zip(gaps, near, strict=False)))
+    return bool(values <= 1e-3 and all(a <= tolerance for a, tolerance in zip(gaps, near, strict=False)))
 
 
 def _shorten_list(words: list[str]) -> str:

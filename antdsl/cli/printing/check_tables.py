@@ -35,34 +35,34 @@ def _align_rows(rows: Sequence[Sequence[str]]) -> Iterator[str]:
 
 def format_params_table(programs: CheckedPrograms) -> Iterator[str]:
     """Yield the params of all programs. A param appears below the first file that has it."""
-    listed: set[Span] = set()
+    listed_spans: set[Span] = set()
     for file, program in programs:
-        new = [param for param in program.params.values() if param.span not in listed]
-        listed.update(param.span for param in new)
+        new = [param for param in program.params.values() if param.span not in listed_spans]
+        listed_spans.update(param.span for param in new)
         if new:
             yield f"{file}:"
             yield from _align_rows([("param", "default", "unit", "range", "help"), *(_make_param_row(param) for param in new)])
-    if not listed:
+    if not listed_spans:
         yield "no program here has a param"
 
 
 def settings_table(programs: CheckedPrograms) -> Iterator[str]:
     """Yield the settings with defaults that depend on the edition, of all species: value, and where it comes from."""
-    listed: set[Span] = set()
+    listed_spans: set[Span] = set()
     for file, program in programs:
-        rows = [row for source in program.sources for row in _setting_rows(source, program, listed)]
+        rows = [row for source in program.sources for row in _setting_rows(source, program, listed_spans)]
         if rows:
             yield f"{file}:"
             yield from _align_rows([("setting", "value", "from"), *rows])
 
 
-def _setting_rows(source: nodes.File, program: Program, listed: set[Span]) -> Iterator[tuple[str, str, str]]:
-    """Yield the rows of the species of one file that are not in `listed`, and add them to it."""
+def _setting_rows(source: nodes.File, program: Program, listed_spans: set[Span]) -> Iterator[tuple[str, str, str]]:
+    """Yield the rows of the species of one file that are not in `listed_spans`, and add them to it."""
     edition = source.edition_number
     for species in source.items:
-        if not isinstance(species, nodes.Species) or species.span in listed or species.name.text not in program.species:
+        if not isinstance(species, nodes.Species) or species.span in listed_spans or species.name.text not in program.species:
             continue
-        listed.add(species.span)
+        listed_spans.add(species.span)
         lines = {each.name.text: each for each in species.members if isinstance(each, nodes.AnimalProperty)}
         for name, default in setting_defaults(edition, STANDING_SETTING in lines).items():
             line = lines.get(name)
@@ -74,16 +74,16 @@ def _setting_rows(source: nodes.File, program: Program, listed: set[Span]) -> It
 def _make_param_row(param: Param) -> tuple[str, ...]:
     """Return name, default, unit, range and help. Numbers are in the author's unit; values of other kinds are as in the
     source."""
-    known = find_unit_measure(param.unit) if param.unit else None
+    measure = find_unit_measure(param.unit) if param.unit else None
 
     def cell(value: Constant | None) -> str:
         if value is None:
             return "…"
         if param.type.kind is TypeKind.BOOL:
             return "true" if value.number else "false"
-        if known is None or (known.unit_power, known.step) != (value.unit_power, value.step):
+        if measure is None or (measure.unit_power, measure.step) != (value.unit_power, value.step):
             return " ".join(value.span.text.split()) if param.unit else f"{value.number:.6g}"
-        return f"{value.number / known.factor:.6g}"
+        return f"{value.number / measure.factor:.6g}"
 
     bounded = param.low is not None or param.high is not None
     range = f"{cell(param.low)} .. {cell(param.high)}" if bounded else "any"
@@ -95,15 +95,15 @@ def _make_param_row(param: Param) -> tuple[str, ...]:
 
 def format_cost_table(programs: CheckedPrograms) -> Iterator[str]:
     """Yield the queries of each state and the memory of an agent. A species appears below the first file that has it."""
-    listed: set[Span] = set()
+    listed_spans: set[Span] = set()
     for file, program in programs:
-        new = [species for species in program.species.values() if species.span not in listed]
-        listed.update(species.span for species in new)
+        new = [species for species in program.species.values() if species.span not in listed_spans]
+        listed_spans.update(species.span for species in new)
         sizes = _describe_memory(program) if new else {}
         for species in new:
             yield f"{file}: {species.name}{sizes.get(species.name, '')}"
             yield from _align_rows([("state", "cost", "sums", "senses, fields and draws"), *_make_state_rows(program, species)])
-    if not listed:
+    if not listed_spans:
         yield "no program without errors here has a species"
 
 
@@ -183,9 +183,9 @@ def format_agent_counts(files: Sequence[Path], choices: RunChoices) -> Iterator[
         if scene is None or all(line.frames is None and line.seconds is None for line in scene.model.crowd):
             continue
         counts = list(zip(scene.model.crowd, count_agents(scene), strict=True))
-        later = sum(count for line, count in counts if line.frames is not None or line.seconds is not None)
+        later_count = sum(count for line, count in counts if line.frames is not None or line.seconds is not None)
         total = sum(count for _, count in counts)
-        yield f"{file}: at most {total:,} agents of the crowd, {later:,} of them created in given frames"
+        yield f"{file}: at most {total:,} agents of the crowd, {later_count:,} of them created in given frames"
 
 
 def format_work_table(file: Path, shot: Shot) -> Iterator[str]:

@@ -25,7 +25,7 @@ class ProgressDisplay:
         self.start_seconds = time.perf_counter()
         self.written_frames = 0
 
-    def show_preroll(self, what: str, frame: int) -> None:
+    def show_preroll(self, label: str, frame: int) -> None:
         """Display that a preroll frame was simulated."""
 
     def frame(self) -> None:
@@ -48,7 +48,7 @@ class LineProgress(ProgressDisplay):
         super().__init__(recording)
         self.last_line_seconds = 0.0
 
-    def show_preroll(self, what: str, frame: int) -> None:
+    def show_preroll(self, label: str, frame: int) -> None:
         self._print_line(f"preroll {frame}")
 
     def frame(self) -> None:
@@ -60,9 +60,9 @@ class LineProgress(ProgressDisplay):
         )
 
     def _print_line(self, line: str, force: bool = False) -> None:
-        now = time.perf_counter()
-        if force or now - self.last_line_seconds > _LINE_INTERVAL_SECONDS:
-            self.last_line_seconds = now
+        seconds = time.perf_counter()
+        if force or seconds - self.last_line_seconds > _LINE_INTERVAL_SECONDS:
+            self.last_line_seconds = seconds
             print_note(line)
 
 
@@ -74,15 +74,15 @@ class BarProgress(ProgressDisplay):
         self.bar, self.task = bar, task
         self.last_drawn_seconds = 0.0
 
-    def show_preroll(self, what: str, frame: int) -> None:
+    def show_preroll(self, label: str, frame: int) -> None:
         self.bar.update(self.task, advance=1, words=f"preroll {frame}")
 
     def frame(self) -> None:
         super().frame()
-        now = time.perf_counter()
+        seconds = time.perf_counter()
         complete = self.recording.is_complete
-        if now - self.last_drawn_seconds > 0.2 or complete:
-            self.last_drawn_seconds = now
+        if seconds - self.last_drawn_seconds > 0.2 or complete:
+            self.last_drawn_seconds = seconds
             self.bar.update(
                 self.task, words=f"frame {self.recording.frame} · {self.compute_frame_rate():.1f} fps · {self.describe_states()}"
             )
@@ -107,12 +107,12 @@ def show_set_up(quiet: bool) -> Iterator[None]:
 
 
 def _make_stage_printer() -> Callable[[str], None]:
-    said = time.perf_counter()
+    last_report = time.perf_counter()
 
     def show(words: str) -> None:
-        nonlocal said
-        if (now := time.perf_counter()) - said > _LINE_INTERVAL_SECONDS:
-            said = now
+        nonlocal last_report
+        if (seconds := time.perf_counter()) - last_report > _LINE_INTERVAL_SECONDS:
+            last_report = seconds
             print_note(f"set up: {words}")
 
     return show
@@ -161,11 +161,11 @@ def _print_cache_location(recording: Recording) -> None:
     spent = {**recording.seconds, **recording.world.timings}
     set_up = spent.pop("bind", 0.0) + spent.pop("first_step", 0.0)
     spent.pop("preroll", None)
-    parts, hand_over_parts, behind = (
+    parts, hand_over_parts, parallel_parts = (
         _format_milliseconds(each, recording.steps) for each in (spent, recording.frame_seconds, recording.writer_seconds)
     )
     print_note(f"{len(recording.world):,} agents; set up in {set_up:.1f} s; milliseconds a frame: {parts or 'none'}")
-    print_note(f"of `hand_over`: {hand_over_parts or 'none'}; meanwhile, behind the simulation: {behind or 'none'}")
+    print_note(f"of `hand_over`: {hand_over_parts or 'none'}; meanwhile, behind the simulation: {parallel_parts or 'none'}")
     if recording.world.detail is not None:
         levels = recording.world.detail.summary(recording.world)["mean"]
         print_note(

@@ -27,15 +27,15 @@ from antdsl.numerics.kernel_vectors import (
     Vec3,
     clamp_weights,
     dot,
+    find_nearest_weights,
     fmax,
     fmin,
     load_vector,
     minus,
-    nearest_weights,
+    normalise_or_first_axis,
     plus,
     rotate_between_normals,
     times,
-    unit_or_first_axis,
 )
 
 EYE_HEIGHT_PER_BODY = 0.02  # body lengths; eye height above the surface
@@ -263,7 +263,7 @@ def find_landing_beyond_border(
                 load_vector(table, face_row + EDGE1_OFFSET),
                 load_vector(table, face_row + EDGE2_OFFSET),
             )
-            b1, b2, away = nearest_weights(edge1, edge2, minus(above, corner))
+            b1, b2, away = find_nearest_weights(edge1, edge2, minus(above, corner))
             onto = minus(plus(plus(corner, times(edge1, b1)), times(edge2, b2)), above)
             rise, distance, weights = height, away, (b1, b2)
             first, part, nearer = find_first_hit(table, boxes, face_list, n, above, onto, 0.0)
@@ -305,7 +305,7 @@ def turn_to_face(table: Array1[F64], walker: FaceWalker, face: I64, side: F64) -
     new_direction = rotate_between_normals(direction, old_normal, new_normal, direction)
     heading = rotate_between_normals(_to_world_direction(table, row, walker.heading), old_normal, new_normal, direction)
     axis1, axis2 = load_vector(table, other_row + AXIS1_OFFSET), load_vector(table, other_row + AXIS2_OFFSET)
-    return unit_or_first_axis(dot(axis1, new_direction), dot(axis2, new_direction)), unit_or_first_axis(
+    return normalise_or_first_axis(dot(axis1, new_direction), dot(axis2, new_direction)), normalise_or_first_axis(
         dot(axis1, heading), dot(axis2, heading)
     )
 

@@ -138,7 +138,7 @@ class BrickGrid:
         }
 
     def restore_changes(self, arrays: Mapping[str, NDArray[Any]]) -> None:
-        """Restore a stored state, as `Volume.restore`."""
+        """Restore a stored state, as `Volume.restore_changes`."""
         bricks, values, start = (np.asarray(arrays[name]) for name in ("bricks", "values", "start"))
         if start.tobytes() != self.start_digest:
             raise ValueError("the solid is not made from the same mesh")

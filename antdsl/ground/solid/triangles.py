@@ -24,7 +24,8 @@ _NEIGHBOUR_STEPS = ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0,
 
 
 def compute_node_distances(shape: tuple[int, int, int], near: Index, corners: Floats, band: float) -> Distances:
-    """Return the distances (voxels) of the nodes of bricks `near`, float32[len(near) * 4096]; `FAR` for nodes beyond `band`.
+    """Return the distances (voxels) of the nodes of bricks `near`, float32[len(near) * 4096]; FAR_DISTANCE for nodes beyond
+    `band`.
 
     `corners` float64[n,3,3] are the triangles in voxels. The distance of a node next to a triangle is measured to that triangle.
     From these nodes outwards, layer by layer, nodes are measured to their neighbours' nearest triangles (Bridson, Fluid

@@ -40,10 +40,10 @@ def find_edit(document: OpenDocument, diagnostic: Diagnostic) -> TextEdit | None
     if diagnostic.fix is not None:
         span = diagnostic.fix.span
         return TextEdit(document.start(span), document.end(span), diagnostic.fix.text)
-    meant = _SUGGESTION_PATTERN.search(diagnostic.help or "")
-    if meant is None or diagnostic.span is None or not _NAME_PATTERN.fullmatch(diagnostic.span.text):
+    suggestion = _SUGGESTION_PATTERN.search(diagnostic.help or "")
+    if suggestion is None or diagnostic.span is None or not _NAME_PATTERN.fullmatch(diagnostic.span.text):
         return None
-    return TextEdit(document.start(diagnostic.span), document.end(diagnostic.span), meant.group(1))
+    return TextEdit(document.start(diagnostic.span), document.end(diagnostic.span), suggestion.group(1))
 
 
 def _format_title(document: OpenDocument, edit: TextEdit) -> str:

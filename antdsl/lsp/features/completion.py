@@ -131,9 +131,9 @@ def _propose_units(prefix: str) -> Iterator[CompletionItem]:
     head = prefix[: max(prefix.rfind("/"), prefix.rfind("*")) + 1]
     units = (*UNIT_NAMES, "%", "mm/s", "deg/s", "/s", "%/s", "/step") if not head else UNIT_NAMES
     for unit in units:
-        known = find_unit_measure(head + unit)
-        if known is not None:
-            yield CompletionItem(unit, "unit", describe_dimension(known.dim))
+        measure = find_unit_measure(head + unit)
+        if measure is not None:
+            yield CompletionItem(unit, "unit", describe_dimension(measure.dim))
 
 
 def _propose_targets(request: CompletionRequest) -> Iterator[CompletionItem]:
@@ -153,9 +153,9 @@ def _propose_states(request: CompletionRequest, all_machines: bool = False) -> I
     table = request.names.species.get(request.species or "")
     tables = [table] if table is not None else list(request.names.species.values())
     for each in tables:
-        own = request.machine if request.machine in each.machines and not all_machines and table is not None else None
+        own_machine = request.machine if request.machine in each.machines and not all_machines and table is not None else None
         for machine, states in each.machines.items():
-            if own is None or machine == own:
+            if own_machine is None or machine == own_machine:
                 for name, state in states.items():
                     yield CompletionItem(
                         name, "state", f"state of {each.name}", state.label.text if state.label is not None else ""

@@ -40,12 +40,12 @@ class CursorContext:
 
     def find_enclosing_name(self, rule: str, word: str) -> str | None:
         """Return the name of the enclosing block of a kind: ("top", "species") gives `forager`."""
-        above = "top"
+        outer_rule = "top"
         for block in self.blocks:
             words = _HEAD_WORD_PATTERN.findall(block.opening_line)
-            if above == rule and words[:1] == [word]:
+            if outer_rule == rule and words[:1] == [word]:
                 return words[1] if len(words) > 1 else ""
-            above = block.rule
+            outer_rule = block.rule
         return None
 
 
@@ -87,9 +87,9 @@ def find_context(text: str, offset: int) -> CursorContext:
             begin = piece.end()
     line = text[begin:offset].lstrip()
     word = re.search(r"[A-Za-z_0-9]*$", line)
-    called, arguments = None, ""
+    called_function, arguments = None, ""
     if brackets and text[brackets[-1]] == "(":
         match = _CALLED_NAME_PATTERN.search(text, begin, brackets[-1])
-        called = match.group(1) if match is not None else ""
+        called_function = match.group(1) if match is not None else ""
         arguments = text[brackets[-1] + 1 : offset]
-    return CursorContext(tuple(blocks), line, word.group() if word else "", called, arguments, quiet)
+    return CursorContext(tuple(blocks), line, word.group() if word else "", called_function, arguments, quiet)

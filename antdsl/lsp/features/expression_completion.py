@@ -68,12 +68,12 @@ class CompletionRequest:
 def make_thing_proposer(*kinds: str) -> Callable[[CompletionRequest], Iterator[CompletionItem]]:
     """Return a function that proposes things of these kinds, or all things without a kind."""
 
-    def give(request: CompletionRequest) -> Iterator[CompletionItem]:
+    def propose(request: CompletionRequest) -> Iterator[CompletionItem]:
         for name, item in request.names.things.items():
             if not kinds or item.kind.text in kinds:
                 yield CompletionItem(name, "thing", item.kind.text, find_help_text(item))
 
-    return give
+    return propose
 
 
 def propose_fields(request: CompletionRequest) -> Iterator[CompletionItem]:
@@ -93,17 +93,20 @@ def _find_local_names(request: CompletionRequest) -> dict[str, tuple[str, ValueT
     behaviour = request.names.behaviours.get(request.context.find_enclosing_name("top", "behaviour") or "")
     known_names: dict[str, tuple[str, ValueType | None]] = {}
     for each in (*behaviour.arguments, *behaviour.body) if behaviour is not None else ():
-        written = each.type if isinstance(each, nodes.BehaviourArgument) else None
-        of = written.of.text if written is not None and written.of is not None else None
-        known_names[each.name.text] = ("argument", parse_type_words(written.name.text, of) if written is not None else None)
-    for variable, over, first in re.findall(r"\(\s*(\w+)\s+in\s+(\w+)(?:\(\s*([a-z_]\w*))?", request.context.line):
+        declared_type = each.type if isinstance(each, nodes.BehaviourArgument) else None
+        element = declared_type.of.text if declared_type is not None and declared_type.of is not None else None
+        known_names[each.name.text] = (
+            "argument",
+            parse_type_words(declared_type.name.text, element) if declared_type is not None else None,
+        )
+    for variable, set_name, first in re.findall(r"\(\s*(\w+)\s+in\s+(\w+)(?:\(\s*([a-z_]\w*))?", request.context.line):
         type: ValueType | None
-        if over == "neighbours":
+        if set_name == "neighbours":
             type = ValueType(TypeKind.AGENT, of=request.species)
-        elif over in ("feelers", "ray"):
+        elif set_name in ("feelers", "ray"):
             type = ValueType(TypeKind.HIT)
         else:
-            type = _find_type(request, first if over in ("all", "nearest") else over, {})
+            type = _find_type(request, first if set_name in ("all", "nearest") else set_name, {})
         known_names[variable] = ("element", type)
     return known_names
 
@@ -114,8 +117,8 @@ def _find_type(request: CompletionRequest, name: str, local: Mapping[str, tuple[
         return local[name][1]
     if name == "self" and request.species:
         return ValueType(TypeKind.AGENT, of=request.species)
-    checked, path = request.workspace.check_document(request.document.path), request.document.path
-    for program in (checked.program if checked is not None else None, request.workspace.find_last_good_program(path)):
+    check_result, path = request.workspace.check_document(request.document.path), request.document.path
+    for program in (check_result.program if check_result is not None else None, request.workspace.find_last_good_program(path)):
         species = program.species.get(request.species or "") if program is not None else None
         known_type = species.own_types.get(name) if species is not None else None
         if known_type is not None and known_type.kind is not TypeKind.BAD:
@@ -173,19 +176,21 @@ def propose_argument_names(request: CompletionRequest) -> Iterator[CompletionIte
     if not re.search(r"(^|[,(])\s*[a-z_0-9]*$", "(" + context.arguments):
         return
     passed_names = set(re.findall(r"([a-z_][a-z_0-9]*)\s*:", context.arguments))
-    called = context.called_function or ""
-    behaviour = _find_behaviour(request, called)
+    function_name = context.called_function or ""
+    behaviour = _find_behaviour(request, function_name)
     if behaviour is not None:
         for argument in behaviour.arguments:
             if argument.name.text not in passed_names:
                 default = f" = {argument.default.span.text}" if argument.default is not None else ""
                 yield _make_argument_item(argument.name.text, argument.type.span.text + default)
         return
-    for row in vocabulary.BUILTINS_BY_NAME.get(called, ()):
+    for row in vocabulary.BUILTINS_BY_NAME.get(function_name, ()):
         for arg in row.args:
             if arg.name not in passed_names:
                 yield _make_argument_item(arg.name, arg.type + (f" = {arg.default}" if arg.default is not None else ""))
-    for name, detail in _STATEMENT_ARGUMENTS.get(called if called in _STATEMENT_ARGUMENTS else context.line.split(" ")[0], ()):
+    for name, detail in _STATEMENT_ARGUMENTS.get(
+        function_name if function_name in _STATEMENT_ARGUMENTS else context.line.split(" ")[0], ()
+    ):
         if name not in passed_names and context.line.startswith(tuple(_STATEMENT_ARGUMENTS)):
             yield _make_argument_item(name, detail)
 
@@ -202,13 +207,13 @@ def _make_argument_item(name: str, detail: str) -> CompletionItem:
     return CompletionItem(f"{name}:", "argument", detail, "", f"{name}: ")
 
 
-def _find_behaviour(request: CompletionRequest, called: str) -> nodes.Behaviour | None:
+def _find_behaviour(request: CompletionRequest, function_name: str) -> nodes.Behaviour | None:
     """Return the behaviour with this name, or with this name after the alias of a file; None if there is none."""
-    alias, dot, name = called.partition(".")
+    alias, dot, name = function_name.partition(".")
     if dot:
         module = request.workspace.document(request.names.modules[alias]) if alias in request.names.modules else None
         return module.names.behaviours.get(name) if module is not None else None
-    return dict(_list_known_behaviours(request)).get(called)
+    return dict(_list_known_behaviours(request)).get(function_name)
 
 
 def _list_known_behaviours(request: CompletionRequest) -> Iterator[tuple[str, nodes.Behaviour]]:
@@ -256,8 +261,8 @@ _INSIDE_EXPRESSIONS = (
 
 def propose_values(request: CompletionRequest) -> Iterator[CompletionItem]:
     """Propose everything that is a value or may begin one."""
-    for name, (what, _) in _find_local_names(request).items():
-        yield CompletionItem(name, "variable", what)
+    for name, (description, _) in _find_local_names(request).items():
+        yield CompletionItem(name, "variable", description)
     if request.context.find_enclosing_name("top", "behaviour") is None:
         yield from propose_own_names(request)
         table = request.names.species.get(request.species or "")

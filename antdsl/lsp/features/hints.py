@@ -70,11 +70,11 @@ def _find_rank_hints(node: nodes.Layers) -> Iterator[InlayHint]:
 
 def _make_frame_hint(node: nodes.Quantity, fps: Fraction | None) -> InlayHint | None:
     """Return how many frames a duration takes, rounded up to whole steps."""
-    known = find_unit_measure(node.unit)
-    if known is None or known.dim != TIME_DIMENSION or known.step:
+    measure = find_unit_measure(node.unit)
+    if measure is None or measure.dim != TIME_DIMENSION or measure.step:
         return None
     rate = fps or _DEFAULT_FPS
-    exact = Fraction(str(node.value)) * Fraction(str(known.factor)) * rate
+    exact = Fraction(str(node.value)) * Fraction(str(measure.factor)) * rate
     count = ceil(exact)
     frame_text = f"{count} frame{'' if count == 1 else 's'}"
     where = f"at {float(rate):g} fps" if fps is not None else "at 24 fps, as no scene says otherwise"

@@ -42,7 +42,7 @@ _CANDIDATE_KINDS = {
 }  # fmt: skip
 
 
-class RenameRefused(Exception):
+class RenameRejected(Exception):
     """Error for a rename that would change the meaning of a program. The message is the reason."""
 
 
@@ -91,7 +91,7 @@ def _list_candidate_keys(document: OpenDocument, key: NameKey) -> Iterator[NameK
 
 def find_occurrence_at(document: OpenDocument, offset: int) -> NameOccurrence | None:
     """Return the name at an offset, or None."""
-    occurrences = document.at(offset)
+    occurrences = document.find_occurrences(offset)
     return occurrences[0] if occurrences else None
 
 
@@ -99,7 +99,7 @@ def find_definition(workspace: Workspace, document: OpenDocument, offset: int) -
     """Return where the name at an offset is declared: in this file, another file or the library. If a file is named, return that
     file."""
     locations: dict[tuple[Path, int], NameLocation] = {}
-    for occurrence in document.at(offset):
+    for occurrence in document.find_occurrences(offset):
         key = occurrence.key
         if key[0] in ("file", "library"):
             for other in _find_related_documents(workspace, key):
@@ -114,7 +114,7 @@ def find_definition(workspace: Workspace, document: OpenDocument, offset: int) -
                 locations.setdefault(
                     (place[0].path, place[0].start(place[1].name.span)), NameLocation(place[0], place[1].name.span)
                 )
-        if locations and occurrence.span != document.at(offset)[0].span:
+        if locations and occurrence.span != document.find_occurrences(offset)[0].span:
             break
     return list(locations.values())
 
@@ -167,7 +167,7 @@ def resolve_key(workspace: Workspace, document: OpenDocument, key: NameKey) -> N
 
 
 def _find_occurrences_at(document: OpenDocument, offset: int) -> list[NameOccurrence]:
-    occurrences = document.at(offset)
+    occurrences = document.find_occurrences(offset)
     return [each for each in occurrences if each.span == occurrences[0].span]
 
 
@@ -181,12 +181,12 @@ def _find_all_occurrences(
     else:
         paths = workspace.find_related_files(document.path)
         paths += [Path(key[1]) for key in keys if key[0] in ("behaviour", "inner") and Path(key[1]) not in paths]
-    known = {key[-1]: key for key in keys}
+    key_by_name = {key[-1]: key for key in keys}
     for path in paths:
         other = workspace.document(path)
         for occurrence in other.occurrences if other is not None else ():
             key = occurrence.key
-            known_key = known.get(key[-1]) if key[0] in _CANDIDATE_KINDS else None
+            known_key = key_by_name.get(key[-1]) if key[0] in _CANDIDATE_KINDS else None
             elsewhere = key[0] == "?layer" and known_key is not None and known_key[0] == "own" and known_key[1] != key[1]
             if key in keys or (known_key is not None and known_key[0] in _CANDIDATE_KINDS[key[0]] and not elsewhere):
                 assert other is not None
@@ -197,16 +197,16 @@ def _find_all_occurrences(
 
 
 def find_renamable_name(workspace: Workspace, document: OpenDocument, offset: int) -> NameOccurrence:
-    """Return the renamable name at an offset. Raises RenameRefused when there is none."""
+    """Return the renamable name at an offset. Raises RenameRejected when there is none."""
     occurrence = find_occurrence_at(document, offset)
     if occurrence is None:
-        raise RenameRefused("no name at this position")
+        raise RenameRejected("no name at this position")
     occurrence = replace(occurrence, key=resolve_key(workspace, document, occurrence.key))
     word = occurrence.span.text.strip('"')
     if occurrence.key[0] not in AUTHOR_NAME_KINDS or (
         occurrence.key[0] == "event" and occurrence.key[1] in ("spawn", "collision")
     ):
-        raise RenameRefused(f"`{word}` is a word of the language, or is declared nowhere")
+        raise RenameRejected(f"`{word}` is a word of the language, or is declared nowhere")
     return occurrence
 
 
@@ -215,10 +215,10 @@ def rename_symbol(workspace: Workspace, document: OpenDocument, offset: int, new
     together."""
     first = find_renamable_name(workspace, document, offset)
     if not _NAME_PATTERN.fullmatch(new_name) or len(new_name) > limits.MAX_NAME_CHARACTERS:
-        raise RenameRefused(f"`{new_name[:80]}` is not a name: write small letters, digits and `_`, beginning with a letter")
-    called = first.key[0] == "behaviour" and (new_name in vocabulary.BUILTINS_BY_NAME or new_name in vocabulary.REDUCER_HELP)
-    if new_name in _RESERVED_NAMES or new_name in list_keywords() or called or _is_built_in(first.key, new_name):
-        raise RenameRefused(f"`{new_name}` is a word of the language")
+        raise RenameRejected(f"`{new_name[:80]}` is not a name: write small letters, digits and `_`, beginning with a letter")
+    is_function = first.key[0] == "behaviour" and (new_name in vocabulary.BUILTINS_BY_NAME or new_name in vocabulary.REDUCER_HELP)
+    if new_name in _RESERVED_NAMES or new_name in list_keywords() or is_function or _is_built_in(first.key, new_name):
+        raise RenameRejected(f"`{new_name}` is a word of the language")
     keys = _find_jointly_bound_keys(
         workspace, document, {resolve_key(workspace, document, each.key) for each in _find_occurrences_at(document, offset)}
     )
@@ -228,8 +228,8 @@ def rename_symbol(workspace: Workspace, document: OpenDocument, offset: int, new
     for key in keys:
         place = find_declaration(workspace, document, key)
         if place is not None and not _is_own_file(workspace, place[0].path):
-            raise RenameRefused(f"`{first.span.text}` belongs to the library, which cannot be changed here")
-        _refuse_collision(workspace, document, key, new_name)
+            raise RenameRejected(f"`{first.span.text}` belongs to the library, which cannot be changed here")
+        _reject_collision(workspace, document, key, new_name)
     return [NameLocation(other, each.span) for other, each in occurrences.values()]
 
 
@@ -257,16 +257,16 @@ def _find_jointly_bound_keys(workspace: Workspace, document: OpenDocument, keys:
             assert other is not None
             by_place.setdefault(other.start(each.span), set()).add(each.key)
         pairs += [key_set for key_set in by_place.values() if len(key_set) > 1]
-    grown = True
-    while grown:
+    has_grown = True
+    while has_grown:
         old_count = len(keys)
         keys = keys.union(*(pair for pair in pairs if pair & keys))
-        grown = len(keys) > old_count
+        has_grown = len(keys) > old_count
     return keys
 
 
-def _refuse_collision(workspace: Workspace, document: OpenDocument, key: NameKey, new_name: str) -> None:
-    """Raise RenameRefused for a name that is already in use in the scope of the renamed one, or that would hide it."""
+def _reject_collision(workspace: Workspace, document: OpenDocument, key: NameKey, new_name: str) -> None:
+    """Raise RenameRejected for a name that is already in use in the scope of the renamed one, or that would hide it."""
     rivals: set[NameKey] = {(*key[:-1], new_name)}
     if key[0] in ("own", "let", "machine"):
         rivals |= {("own", key[1], new_name), ("machine", key[1], new_name)}
@@ -280,7 +280,7 @@ def _refuse_collision(workspace: Workspace, document: OpenDocument, key: NameKey
         names = other.names.declaration_by_key if other.is_program else {}
         for rival_key in rivals:
             if rival_key in names or (rival_key[0] == "scene-item" and not other.is_program and new_name in other.scene.items):
-                raise RenameRefused(f"`{new_name}` already exists: {other.path.name}")
+                raise RenameRejected(f"`{new_name}` already exists: {other.path.name}")
         if not (hiding and other.is_program):
             continue
         for each in names:
@@ -289,9 +289,9 @@ def _refuse_collision(workspace: Workspace, document: OpenDocument, key: NameKey
                 and each[0] in ("own", "let", "inner", "thing", "field", "species", "event")
                 and _share_scope(key, each)
             ):
-                raise RenameRefused(f"`{new_name}` already exists and would be used instead: {other.path.name}")
+                raise RenameRejected(f"`{new_name}` already exists and would be used instead: {other.path.name}")
         if any(each.key[0] == "element" and each.span.text == new_name for each in other.occurrences):
-            raise RenameRefused(f"a local `{new_name}` in {other.path.name} would hide it")
+            raise RenameRejected(f"a local `{new_name}` in {other.path.name} would hide it")
 
 
 def _share_scope(key: NameKey, other: NameKey) -> bool:

@@ -123,13 +123,13 @@ def _describe_state(symbol: SymbolDeclaration, node: nodes.State) -> str:
     key = symbol.key
     label = f' "{node.label.text}"' if node.label is not None else ""
     colour = f" {node.colour.text}" if node.colour is not None else ""
-    least = f"at least {collapse_whitespace(node.at_least.span.text)}" if node.at_least is not None else ""
+    min_time = f"at least {collapse_whitespace(node.at_least.span.text)}" if node.at_least is not None else ""
     targets = [line.target for line in node.body if isinstance(line, nodes.Change)]
     names = dict.fromkeys(n.text for t in targets for n in ([t.name] if t.name is not None else [c.target for c in t.choices]))
     leads = f"leads to {', '.join(f'`{name}`' for name in names)}" if names else "no transition leaves it"
     where = f"state of `{key[1]}`" + (f", machine `{key[2]}`" if key[2] != "main" else "")
-    still = "agents stand still: no line steers" if _is_resting_state(symbol, node) else ""
-    return format_markdown(f"state {node.name.text}{label}{colour}", least, leads, still, where)
+    resting = "agents stand still: no line steers" if _is_resting_state(symbol, node) else ""
+    return format_markdown(f"state {node.name.text}{label}{colour}", min_time, leads, resting, where)
 
 
 def _is_resting_state(symbol: SymbolDeclaration, state: nodes.State) -> bool:
@@ -137,9 +137,9 @@ def _is_resting_state(symbol: SymbolDeclaration, state: nodes.State) -> bool:
     key = symbol.key
     target = find_declaration(symbol.workspace, symbol.document, ("species", key[1]))
     members = target[1].node.members if target is not None else ()
-    beside = next((m.members for m in members if isinstance(m, nodes.Machine) and m.name.text == key[2]), members)
+    machine_members = next((m.members for m in members if isinstance(m, nodes.Machine) and m.name.text == key[2]), members)
     silent = not any(isinstance(line, nodes.Steer) for line in state.body)
-    return silent and any(isinstance(line, nodes.Steer) for m in beside if isinstance(m, nodes.State) for line in m.body)
+    return silent and any(isinstance(line, nodes.Steer) for m in machine_members if isinstance(m, nodes.State) for line in m.body)
 
 
 def _describe_behaviour(symbol: SymbolDeclaration, node: nodes.Behaviour) -> str:

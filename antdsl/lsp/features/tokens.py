@@ -43,13 +43,13 @@ def encode_tokens(document: OpenDocument, first_line: int = 0, last_line: int | 
     text, words = document.text, list_keywords()
     begin = text.line_starts[min(first_line, len(text.line_starts) - 1)]
     end = len(text.text) if last_line is None or last_line + 1 >= len(text.line_starts) else text.line_starts[last_line + 1]
-    known = document.index.meaning_by_offset
+    meaning_by_offset = document.index.meaning_by_offset
     data: list[int] = []
     line, column = 0, 0
     for piece in _PIECE_PATTERN.finditer(text.text, begin, end):
         kind, modifiers = piece.lastgroup or "", 0
         if kind == "word":
-            meaning = known.get(piece.start())
+            meaning = meaning_by_offset.get(piece.start())
             if meaning is not None and meaning[0] in _TOKEN_BY_NAME_KIND:
                 kind, modifiers = _TOKEN_BY_NAME_KIND[meaning[0]]
                 modifiers |= int(meaning[1])
@@ -57,13 +57,13 @@ def encode_tokens(document: OpenDocument, first_line: int = 0, last_line: int | 
                 kind = "keyword"
             else:
                 continue
-        at, where = text.find_line_column(piece.start())
+        token_line, token_column = text.find_line_column(piece.start())
         data += [
-            at - line,
-            where - column if at == line else where,
+            token_line - line,
+            token_column - column if token_line == line else token_column,
             text.count_columns(piece.group()),
             TOKEN_TYPES.index(kind),
             modifiers,
         ]
-        line, column = at, where
+        line, column = token_line, token_column
     return data

@@ -248,7 +248,7 @@ class ExpressionEmitter(ElementAccess, ABC):
             self._fail_no_field(node, type(value), attribute)
         self.fail(node, f"no `{attribute}`")
 
-    def at(self, node: ast.AST, array: Array, index: ast.expr) -> Number:
+    def compute_offset(self, node: ast.AST, array: Array, index: ast.expr) -> Number:
         """Return the offset of an index from the first element of an array, in elements."""
         parts = index.elts if isinstance(index, ast.Tuple) else [index]
         if len(parts) != len(array.lengths):
@@ -268,7 +268,7 @@ class ExpressionEmitter(ElementAccess, ABC):
             self.fail(node, "only arrays and tuples have elements")
         if not isinstance(index, ast.Tuple) and len(of.lengths) > 1:
             return self.row(node, of, self.emit_number(index))
-        return self.load_element(of, self.at(node, of, index))
+        return self.load_element(of, self.compute_offset(node, of, index))
 
     def _constant_index(self, node: ast.AST, number: ast.expr | None) -> int | None:
         """Return the integer literal of a tuple index; None if it is absent."""

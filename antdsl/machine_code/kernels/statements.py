@@ -127,7 +127,7 @@ class StatementWriter(ExpressionEmitter):
                 array = self.value(of)
                 if not isinstance(array, Array) or not isinstance(item, Number):
                     self.fail(node, "only numbers are put into arrays")
-                self._store_item(node, array, self.at(node, array, index), item)
+                self._store_item(node, array, self.compute_offset(node, array, index), item)
             case _:
                 self.fail(node, "cannot be assigned to")
 
@@ -182,7 +182,7 @@ class StatementWriter(ExpressionEmitter):
                     self.fail(node, "only an array's elements change")
                 old_value = self._emit_index(augmented_target(node), array, index)
                 new_value = self.apply_operator(node, operator, old_value, self.emit_number(value))
-                self._store_item(node, array, self.at(node, array, index), new_value)
+                self._store_item(node, array, self.compute_offset(node, array, index), new_value)
             case ast.If(test=test, body=then, orelse=other):
                 self.write_if(test, then, other)
             case ast.While(test=test, body=body, orelse=[]):

@@ -26,10 +26,10 @@ def count_available_cores() -> int:
     limit the number; fractions are rounded up."""
     available = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     try:
-        own = PROCESS_CGROUP_FILE.read_text(encoding="utf-8", errors="surrogateescape")
+        process_groups = PROCESS_CGROUP_FILE.read_text(encoding="utf-8", errors="surrogateescape")
     except OSError:
         return available
-    return max(1, min([available, *map(math.ceil, iterate_core_limits(own, CGROUPS_FOLDER))]))
+    return max(1, min([available, *map(math.ceil, iterate_core_limits(process_groups, CGROUPS_FOLDER))]))
 
 
 def iterate_core_limits(process_groups: str, groups_folder: Path) -> Iterator[float]:
@@ -80,8 +80,8 @@ def get_address_space_limit() -> float:
         import resource
     except ImportError:  # Windows
         return inf
-    most, _ = resource.getrlimit(resource.RLIMIT_AS)
-    return inf if most == resource.RLIM_INFINITY else most
+    limit, _ = resource.getrlimit(resource.RLIMIT_AS)
+    return inf if limit == resource.RLIM_INFINITY else limit
 
 
 def measure_available_memory() -> int | None:
@@ -106,8 +106,8 @@ def iterate_free_group_memory(process_groups: str, groups_folder: Path) -> Itera
     for folder, is_first in iterate_group_folders(process_groups, groups_folder, "memory"):
         names = ("memory.limit_in_bytes", "memory.usage_in_bytes") if is_first else ("memory.max", "memory.current")
         with suppress(OSError, ValueError):  # a limit of `max` means no limit
-            most, used = (int((folder / name).read_text()) for name in names)
-            yield max(0, most - used + _read_reclaimable_bytes(folder))
+            limit, usage = (int((folder / name).read_text()) for name in names)
+            yield max(0, limit - usage + _read_reclaimable_bytes(folder))
 
 
 def _read_reclaimable_bytes(folder: Path) -> int:

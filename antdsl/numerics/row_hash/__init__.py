@@ -131,7 +131,7 @@ class HashTable:
     """The memory layout of a table's columns, for machine code.
 
     - `columns`: arrays [n] or [n, k], of 1, 2, 4 or 8 bytes per value; the table does not store the arrays
-    - `compute_word_keys`: a function that returns the four keys of a word by its number
+    - `keys`: a function that returns the four keys of a word by its number
     - `ids`: whether the first column is the ids of the rows; otherwise row numbers are used"""
 
     def __init__(self, columns: Sequence[NDArray[Any]], keys: Callable[[int], NDArray[np.int64]], *, ids: bool) -> None:

@@ -30,23 +30,23 @@ class _TextBuilder:
         self.lines: list[str] = []
         self._count = 0
 
-    def do(self, line: str) -> None:
+    def append(self, line: str) -> None:
         """Append an instruction."""
         self.lines.append("  " + line)
 
-    def at(self, label: str) -> None:
+    def begin_block(self, label: str) -> None:
         """Begin a block of code with a label."""
         self.lines.append(f"{label}:")
 
     def add_value(self, value: str) -> str:
         """Append an instruction with a result, and return the result's name."""
         self._count += 1
-        self.do(f"%v{self._count} = {value}")
+        self.append(f"%v{self._count} = {value}")
         return f"%v{self._count}"
 
-    def add_pointer(self, begin: str, of: str, number: str) -> str:
+    def add_pointer(self, begin: str, kind: str, number: str) -> str:
         """Append a pointer computation, and return the pointer's name."""
-        return self.add_value(f"getelementptr {of}, ptr {begin}, i64 {number}")
+        return self.add_value(f"getelementptr {kind}, ptr {begin}, i64 {number}")
 
     def add_broadcast(self, value: str, kind: str = "i64") -> str:
         """Write a number to all lanes."""
@@ -68,42 +68,42 @@ def build_llvm_text(target: llvm_compiler.Target) -> str:
     module = LlvmModule(target)
     module.declare("llvm.memset.p0.i64", "void", ["ptr", "i8", "i64", "i1"])
     w = _TextBuilder()
-    w.do("%words.at = getelementptr i64, ptr %t, i64 2\n  %words = load i64, ptr %words.at")
-    w.do("%table.at = getelementptr i64, ptr %t, i64 3\n  %table = load ptr, ptr %table.at")
+    w.append("%words.at = getelementptr i64, ptr %t, i64 2\n  %words = load i64, ptr %words.at")
+    w.append("%table.at = getelementptr i64, ptr %t, i64 3\n  %table = load ptr, ptr %table.at")
     for name in ("lane0", "lane1", "values"):
-        w.do(f"%{name} = alloca [{_BLOCK_ROWS} x i64], align 64")
-    w.do("call void @llvm.memset.p0.i64(ptr align 64 %values, i8 0, i64 64, i1 false)")  # for lanes without a row
-    w.do("br label %blocks")
-    w.at("blocks")
-    w.do("%first = phi i64 [ %begin, %entry ], [ %next, %mixed ]")
+        w.append(f"%{name} = alloca [{_BLOCK_ROWS} x i64], align 64")
+    w.append("call void @llvm.memset.p0.i64(ptr align 64 %values, i8 0, i64 64, i1 false)")  # for lanes without a row
+    w.append("br label %blocks")
+    w.begin_block("blocks")
+    w.append("%first = phi i64 [ %begin, %entry ], [ %next, %mixed ]")
     for lane in (0, 1):
-        w.do(f"%sum{lane} = phi i64 [ 0, %entry ], [ %mix.sum{lane}, %mixed ]")
-    w.do("%left = sub i64 %end, %first\n  %more = icmp sgt i64 %left, 0\n  br i1 %more, label %block, label %over")
+        w.append(f"%sum{lane} = phi i64 [ 0, %entry ], [ %mix.sum{lane}, %mixed ]")
+    w.append("%left = sub i64 %end, %first\n  %more = icmp sgt i64 %left, 0\n  br i1 %more, label %block, label %over")
     # The remaining rows, fewer than lanes, form a separate block; all its words are gathered.
-    w.at("block")
-    w.do(f"%long = icmp slt i64 %left, {_BLOCK_ROWS}\n  %most = select i1 %long, i64 %left, i64 {_BLOCK_ROWS}")
-    w.do(f"%few = icmp slt i64 %most, {ROWS_PER_STEP}\n  %even = and i64 %most, {-ROWS_PER_STEP}")
-    w.do("%count = select i1 %few, i64 %most, i64 %even\n  %next = add i64 %first, %count")
-    w.do(f"%up = add i64 %count, {ROWS_PER_STEP - 1}\n  %room = and i64 %up, {-ROWS_PER_STEP}\n  %bytes = shl i64 %room, 3")
+    w.begin_block("block")
+    w.append(f"%long = icmp slt i64 %left, {_BLOCK_ROWS}\n  %most = select i1 %long, i64 %left, i64 {_BLOCK_ROWS}")
+    w.append(f"%few = icmp slt i64 %most, {ROWS_PER_STEP}\n  %even = and i64 %most, {-ROWS_PER_STEP}")
+    w.append("%count = select i1 %few, i64 %most, i64 %even\n  %next = add i64 %first, %count")
+    w.append(f"%up = add i64 %count, {ROWS_PER_STEP - 1}\n  %room = and i64 %up, {-ROWS_PER_STEP}\n  %bytes = shl i64 %room, 3")
     for lane in (0, 1):
-        w.do(f"call void @llvm.memset.p0.i64(ptr align 64 %lane{lane}, i8 0, i64 %bytes, i1 false)")
-    w.do("br label %words.loop")
+        w.append(f"call void @llvm.memset.p0.i64(ptr align 64 %lane{lane}, i8 0, i64 %bytes, i1 false)")
+    w.append("br label %words.loop")
     _write_word_sums(w)
     _mix_rows(w)
-    w.at("over")
+    w.begin_block("over")
     for lane in (0, 1):
         place = w.add_pointer("%t", "i64", str(lane))
         old_sum = w.add_value(f"load i64, ptr {place}")
-        w.do(f"store i64 {w.add_value(f'add i64 {old_sum}, %sum{lane}')}, ptr {place}")
+        w.append(f"store i64 {w.add_value(f'add i64 {old_sum}, %sum{lane}')}, ptr {place}")
     return f"{module.text()}\n{write_inner_function(module, 'rows', chr(10).join(w.lines))}\n"
 
 
 def _write_word_sums(w: _TextBuilder) -> None:
     """Add up both lanes of a block, word by word."""
-    w.at("words.loop")
-    w.do("%w = phi i64 [ 0, %block ], [ %w.next, %added ]")
-    w.do("%w.more = icmp slt i64 %w, %words\n  br i1 %w.more, label %word, label %mix")
-    w.at("word")
+    w.begin_block("words.loop")
+    w.append("%w = phi i64 [ 0, %block ], [ %w.next, %added ]")
+    w.append("%w.more = icmp slt i64 %w, %words\n  br i1 %w.more, label %word, label %mix")
+    w.begin_block("word")
     word = w.add_pointer("%table", "i64", w.add_value(f"mul i64 %w, {TABLE_WORDS_PER_WORD}"))
     addresses = [w.add_pointer(word, "i64", str(k)) for k in range(TABLE_WORDS_PER_WORD)]
     kind, *steps = (w.add_value(f"load i64, ptr {addresses[k]}") for k in (0, 2, 4))
@@ -117,32 +117,32 @@ def _write_word_sums(w: _TextBuilder) -> None:
     pairs = kind_tests[1]
     for step in steps:
         pairs = w.add_value(f"and i1 {pairs}, {w.add_value(f'icmp eq i64 {step}, 4')}")
-    w.do(f"%as.it.is = and i1 {kind_tests[0]}, {in_place}\n  %as.pairs = and i1 {pairs}, {in_place}")
-    w.do("br i1 %as.it.is, label %add, label %other\nother:\n  br i1 %as.pairs, label %pairs, label %gather")
-    w.at("gather")
-    w.do(
+    w.append(f"%as.it.is = and i1 {kind_tests[0]}, {in_place}\n  %as.pairs = and i1 {pairs}, {in_place}")
+    w.append("br i1 %as.it.is, label %add, label %other\nother:\n  br i1 %as.pairs, label %pairs, label %gather")
+    w.begin_block("gather")
+    w.append(
         f"switch i64 {kind}, label %halves [ i64 {CONTIGUOUS_WORD}, label %strided  i64 {STRIDED_WORD}, label %strided"
         f"  i64 {ROW_NUMBER_WORD}, label %numbers ]"
     )
-    w.at("strided")
+    w.begin_block("strided")
     _gather_values(w, "strided.loop", "strided", begins[0], steps[0], "i64", None)
-    w.do("br label %add")
-    w.at("numbers")
+    w.append("br label %add")
+    w.begin_block("numbers")
     _write_row_numbers(w)
-    w.at("halves")
+    w.begin_block("halves")
     _write_halves(w, "low", begins[0], steps[0])
-    w.at("low.done")
+    w.begin_block("low.done")
     _write_halves(w, "high", begins[1], steps[1])
-    w.at("high.done")
-    w.do("br label %add")
+    w.begin_block("high.done")
+    w.append("br label %add")
     sources = [(begins[0], "word"), *(("%values", label) for label in ("strided.loop.end", "numbers.of.end", "high.done"))]
-    w.at("add")
-    w.do("%of = phi ptr " + ", ".join(f"[ {value}, %{label} ]" for value, label in sources))
+    w.begin_block("add")
+    w.append("%of = phi ptr " + ", ".join(f"[ {value}, %{label} ]" for value, label in sources))
     _add_products(w, "adding", "add", ["%of"], keys)
-    w.at("pairs")
+    w.begin_block("pairs")
     _add_products(w, "pairing", "pairs", begins, keys)
-    w.at("added")
-    w.do("%w.next = add i64 %w, 1\n  br label %words.loop")
+    w.begin_block("added")
+    w.append("%w.next = add i64 %w, 1\n  br label %words.loop")
 
 
 def _add_products(w: _TextBuilder, label: str, predecessor: str, columns: Sequence[str], keys: Sequence[str]) -> None:
@@ -157,81 +157,83 @@ def _add_products(w: _TextBuilder, label: str, predecessor: str, columns: Sequen
         halves = [low, w.add_value(f"lshr {_LONG_LANES_TYPE} {low}, {_format_vector_constant(32)}")]
     else:
         addresses = [w.add_pointer(column, "i32", f"%{label}.i") for column in columns]
-        loaded = [w.add_value(f"load {_HALF_LANES_TYPE}, ptr {place}, align 1") for place in addresses]
-        halves = [w.add_value(f"zext {_HALF_LANES_TYPE} {half} to {_LONG_LANES_TYPE}") for half in loaded]
+        loaded_halves = [w.add_value(f"load {_HALF_LANES_TYPE}, ptr {place}, align 1") for place in addresses]
+        halves = [w.add_value(f"zext {_HALF_LANES_TYPE} {half} to {_LONG_LANES_TYPE}") for half in loaded_halves]
     for lane in (0, 1):
         sums = [w.add_value(f"add {_LONG_LANES_TYPE} {half}, {keys[2 * lane + k]}") for k, half in enumerate(halves)]
         cut = [w.add_value(f"and {_LONG_LANES_TYPE} {value}, {_format_vector_constant(0xFFFFFFFF)}") for value in sums]
         place = w.add_pointer(f"%lane{lane}", "i64", f"%{label}.i")
-        known = w.add_value(f"load {_LONG_LANES_TYPE}, ptr {place}, align 64")
+        previous = w.add_value(f"load {_LONG_LANES_TYPE}, ptr {place}, align 64")
         product = w.add_value(f"mul {_LONG_LANES_TYPE} {cut[0]}, {cut[1]}")
-        w.do(f"store {_LONG_LANES_TYPE} {w.add_value(f'add {_LONG_LANES_TYPE} {known}, {product}')}, ptr {place}, align 64")
+        w.append(
+            f"store {_LONG_LANES_TYPE} {w.add_value(f'add {_LONG_LANES_TYPE} {previous}, {product}')}, ptr {place}, align 64"
+        )
     _end_loop(w, label)
-    w.do("br label %added")
+    w.append("br label %added")
 
 
 def _write_halves(w: _TextBuilder, name: str, begin: str, step: str) -> None:
     """Write the low or the `high` halves of words from a column of values of at most 4 bytes. Then continue at the label
     `name`.done."""
     shift = 32 if name == "high" else 0
-    w.do(f"br i1 %few, label %{name}.few, label %{name}.many")
-    for many in (True, False):
-        mode = "many" if many else "few"
-        w.at(f"{name}.{mode}")
-        sizes = (1, 2, 4) if many else (1, 2)
-        w.do(
+    w.append(f"br i1 %few, label %{name}.few, label %{name}.many")
+    for is_full in (True, False):
+        mode = "many" if is_full else "few"
+        w.begin_block(f"{name}.{mode}")
+        sizes = (1, 2, 4) if is_full else (1, 2)
+        w.append(
             f"switch i64 {step}, label %{name}.{mode}.0 [ "
             + "  ".join(f"i64 {size}, label %{name}.{mode}.{size}" for size in sizes)
             + " ]"
         )
         for size in (0, *sizes):
             label, kind = f"{name}.{mode}.{size}", f"i{8 * size}" if size else "i32"
-            w.at(label)
-            if size and many:
+            w.begin_block(label)
+            if size and is_full:
                 _read_halves(w, f"{label}.loop", label, begin, kind, shift)
             else:
                 _gather_values(w, f"{label}.loop", label, begin, step, kind, shift)
-            w.do(f"br label %{name}.done")
+            w.append(f"br label %{name}.done")
 
 
 def _begin_loop(w: _TextBuilder, label: str, predecessor: str, step: int, count: str) -> None:
     """Begin a loop over the rows of a block. `predecessor` is the label of the block of code before."""
-    w.do(f"br label %{label}")
-    w.at(label)
-    w.do(f"%{label}.i = phi i64 [ 0, %{predecessor} ], [ %{label}.next, %{label}.turn ]")
-    w.do(f"%{label}.more = icmp slt i64 %{label}.i, {count}\n  br i1 %{label}.more, label %{label}.turn, label %{label}.end")
-    w.at(f"{label}.turn")
-    w.do(f"%{label}.next = add i64 %{label}.i, {step}")
+    w.append(f"br label %{label}")
+    w.begin_block(label)
+    w.append(f"%{label}.i = phi i64 [ 0, %{predecessor} ], [ %{label}.next, %{label}.turn ]")
+    w.append(f"%{label}.more = icmp slt i64 %{label}.i, {count}\n  br i1 %{label}.more, label %{label}.turn, label %{label}.end")
+    w.begin_block(f"{label}.turn")
+    w.append(f"%{label}.next = add i64 %{label}.i, {step}")
 
 
 def _end_loop(w: _TextBuilder, label: str) -> None:
     """Jump back to the label of a loop, and begin the block of code after it."""
-    w.do(f"br label %{label}")
-    w.at(f"{label}.end")
+    w.append(f"br label %{label}")
+    w.begin_block(f"{label}.end")
 
 
 def _read_halves(w: _TextBuilder, label: str, predecessor: str, begin: str, kind: str, shift: int) -> None:
     """Emit a loop that adds contiguous values in memory as halves of 64-bit values."""
     _begin_loop(w, label, predecessor, ROWS_PER_STEP, "%room")
-    at = w.add_pointer(begin, kind, f"%{label}.i")
-    half = w.add_value(f"load <{ROWS_PER_STEP} x {kind}>, ptr {at}, align 1")
+    address = w.add_pointer(begin, kind, f"%{label}.i")
+    half = w.add_value(f"load <{ROWS_PER_STEP} x {kind}>, ptr {address}, align 1")
     if kind != "i32":
         half = w.add_value(f"sext <{ROWS_PER_STEP} x {kind}> {half} to {_HALF_LANES_TYPE}")
     half = w.add_value(f"zext {_HALF_LANES_TYPE} {half} to {_LONG_LANES_TYPE}")
     place = w.add_pointer("%values", "i64", f"%{label}.i")
     if shift:
         low = w.add_value(f"load {_LONG_LANES_TYPE}, ptr {place}, align 64")
-        moved = w.add_value(f"shl {_LONG_LANES_TYPE} {half}, {_format_vector_constant(shift)}")
-        half = w.add_value(f"or {_LONG_LANES_TYPE} {low}, {moved}")
-    w.do(f"store {_LONG_LANES_TYPE} {half}, ptr {place}, align 64")
+        shifted = w.add_value(f"shl {_LONG_LANES_TYPE} {half}, {_format_vector_constant(shift)}")
+        half = w.add_value(f"or {_LONG_LANES_TYPE} {low}, {shifted}")
+    w.append(f"store {_LONG_LANES_TYPE} {half}, ptr {place}, align 64")
     _end_loop(w, label)
 
 
 def _gather_values(w: _TextBuilder, label: str, predecessor: str, begin: str, step: str, kind: str, shift: int | None) -> None:
     """Write values that are `step` bytes apart, one by one, as complete words or as halves."""
     _begin_loop(w, label, predecessor, 1, "%count")
-    at = w.add_pointer(begin, "i8", w.add_value(f"mul i64 %{label}.i, {step}"))
-    word = w.add_value(f"load {kind}, ptr {at}, align 1")
+    address = w.add_pointer(begin, "i8", w.add_value(f"mul i64 %{label}.i, {step}"))
+    word = w.add_value(f"load {kind}, ptr {address}, align 1")
     place = w.add_pointer("%values", "i64", f"%{label}.i")
     if shift is not None:
         if kind != "i32":
@@ -239,9 +241,9 @@ def _gather_values(w: _TextBuilder, label: str, predecessor: str, begin: str, st
         word = w.add_value(f"zext i32 {word} to i64")
         if shift:
             low = w.add_value(f"load i64, ptr {place}, align 8")
-            moved = w.add_value(f"shl i64 {word}, {shift}")
-            word = w.add_value(f"or i64 {low}, {moved}")
-    w.do(f"store i64 {word}, ptr {place}, align 8")
+            shifted = w.add_value(f"shl i64 {word}, {shift}")
+            word = w.add_value(f"or i64 {low}, {shifted}")
+    w.append(f"store i64 {word}, ptr {place}, align 8")
     _end_loop(w, label)
 
 
@@ -252,23 +254,23 @@ def _write_row_numbers(w: _TextBuilder) -> None:
         f"add {_LONG_LANES_TYPE} {w.add_broadcast(w.add_value('add i64 %first, %numbers.of.i'))}, {_LANE_NUMBERS}"
     )
     place = w.add_pointer("%values", "i64", "%numbers.of.i")
-    w.do(f"store {_LONG_LANES_TYPE} {number}, ptr {place}, align 64")
+    w.append(f"store {_LONG_LANES_TYPE} {number}, ptr {place}, align 64")
     _end_loop(w, "numbers.of")
-    w.do("br label %add")
+    w.append("br label %add")
 
 
 def _mix_rows(w: _TextBuilder) -> None:
     """Mix both lanes of each row of a block and add them to the sums.
 
     It works row by row, because few processors multiply 64-bit numbers in SIMD lanes."""
-    w.at("mix")
-    w.do("br label %mixing")
-    w.at("mixing")
-    w.do("%m = phi i64 [ 0, %mix ], [ %m.next, %mixing.turn ]")
+    w.begin_block("mix")
+    w.append("br label %mixing")
+    w.begin_block("mixing")
+    w.append("%m = phi i64 [ 0, %mix ], [ %m.next, %mixing.turn ]")
     for lane in (0, 1):
-        w.do(f"%mix.sum{lane} = phi i64 [ %sum{lane}, %mix ], [ %mix.then{lane}, %mixing.turn ]")
-    w.do("%m.more = icmp slt i64 %m, %count\n  br i1 %m.more, label %mixing.turn, label %mixed")
-    w.at("mixing.turn")
+        w.append(f"%mix.sum{lane} = phi i64 [ %sum{lane}, %mix ], [ %mix.then{lane}, %mixing.turn ]")
+    w.append("%m.more = icmp slt i64 %m, %count\n  br i1 %m.more, label %mixing.turn, label %mixed")
+    w.begin_block("mixing.turn")
     for lane in (0, 1):
         place = w.add_pointer(f"%lane{lane}", "i64", "%m")
         h = w.add_value(f"load i64, ptr {place}, align 8")
@@ -276,7 +278,7 @@ def _mix_rows(w: _TextBuilder) -> None:
             shifted = w.add_value(f"lshr i64 {h}, 33")
             h = w.add_value(f"xor i64 {h}, {shifted}")
             h = h if factor is None else w.add_value(f"mul i64 {h}, {factor}")
-        w.do(f"%mix.then{lane} = add i64 %mix.sum{lane}, {h}")
-    w.do("%m.next = add i64 %m, 1\n  br label %mixing")
-    w.at("mixed")
-    w.do("br label %blocks")
+        w.append(f"%mix.then{lane} = add i64 %mix.sum{lane}, {h}")
+    w.append("%m.next = add i64 %m, 1\n  br label %mixing")
+    w.begin_block("mixed")
+    w.append("br label %blocks")

@@ -227,8 +227,8 @@ def _find_read_problem(read: Callable[[], object]) -> str | None:
     """Return the message of the CacheError that `read` raises, or None."""
     try:
         read()
-    except CacheError as why:
-        return str(why)
+    except CacheError as error:
+        return str(error)
     return None
 
 
@@ -250,10 +250,10 @@ def _read_arrays(path: Path, number: int | None, names: frozenset[str] | None = 
         arrays = read_npz(path, None if names is None else names | {"frame"})
     except FileNotFoundError:
         raise CacheError(f"`{path}` does not exist") from None
-    except OSError as why:
-        raise CacheError(f"`{path}` cannot be read: {(why.strerror or str(why)).lower()}") from None
-    except ArrayFileError as why:
-        raise CacheError(f"`{path}` {why}") from None
+    except OSError as error:
+        raise CacheError(f"`{path}` cannot be read: {(error.strerror or str(error)).lower()}") from None
+    except ArrayFileError as error:
+        raise CacheError(f"`{path}` {error}") from None
     if number is not None:
         said = arrays.get("frame")
         if said is None or said.shape != () or said.dtype.kind not in "iu" or int(said) != number:

@@ -157,7 +157,7 @@ class IntactPart:
     """The part of a cache that a run can continue.
 
     `checkpoints`: checkpoints to continue from, the latest first.
-    `find_last_frame`: the last frame in the cache.
+    `last_frame`: the last frame in the cache.
     `damage`: a message on the first incomplete frame, or None if all frames are complete."""
 
     cache: Cache
@@ -213,11 +213,11 @@ class CacheWriter:
 
     After an error, nothing more is written.
 
-    `made_with`: returns the provenance for the manifest. It reads all of antdsl's files, so the writing thread calls it.
+    `get_provenance`: returns the provenance for the manifest. It reads all of antdsl's files, so the writing thread calls it.
     `report`: a callback for the results of each frame. It is called some frames later, and always before `__exit__` returns.
 
-    Once a frame is written, its results contain `hash`, `measure_surface_error` and `seconds`.
-    `measure_surface_error`: the greatest of all frames so far, in body lengths; None if the error of earlier frames is unknown.
+    Once a frame is written, its results contain `hash`, `surface_error` and `seconds`.
+    `surface_error`: the greatest of all frames so far, in body lengths; None if the error of earlier frames is unknown.
     `seconds`: the time spent, by name."""
 
     def __init__(

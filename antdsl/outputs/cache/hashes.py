@@ -120,8 +120,8 @@ def _find_hash_problem(path: Path, prefix: bytes, expected: str) -> str | None:
         handle = open_regular_file(path, follow=False)
     except FileNotFoundError:
         return f"`{path}` does not exist"
-    except OSError as why:
-        return f"`{path}` cannot be read: {(why.strerror or str(why)).lower()}"
+    except OSError as error:
+        return f"`{path}` cannot be read: {(error.strerror or str(error)).lower()}"
     try:
         if not expected:
             return f"`{path}` has no hash in `{HASHES_FILE_NAME}`"
@@ -131,8 +131,8 @@ def _find_hash_problem(path: Path, prefix: bytes, expected: str) -> str | None:
         )
     except NotStored:
         actual = ""
-    except OSError as why:
-        return f"`{path}` cannot be read: {(why.strerror or str(why)).lower()}"
+    except OSError as error:
+        return f"`{path}` cannot be read: {(error.strerror or str(error)).lower()}"
     finally:
         os.close(handle)
     return None if actual == expected else f"`{path}` differs from what was written"

@@ -86,9 +86,9 @@ class FolderLock:
             try:
                 _try_lock(handle)
                 return
-            except OSError as why:
-                if why.errno not in _HELD_LOCK_ERRORS:  # for example a network disk without its lock service
-                    raise OSError(why.errno, os.strerror(why.errno or 0), str(self.path)) from None
+            except OSError as error:
+                if error.errno not in _HELD_LOCK_ERRORS:  # for example a network disk without its lock service
+                    raise OSError(error.errno, os.strerror(error.errno or 0), str(self.path)) from None
                 process, host = _read_holder(handle)
                 if not _has_ended(process, host) or time.monotonic() - began > _MAX_WAIT_SECONDS:
                     where = f" of {host}" if host not in ("", _find_host_name()) else ""

@@ -91,5 +91,5 @@ def read_npz(path: Path, names: Container[str] | None = None) -> dict[str, NDArr
     try:
         with open_size_limited(path, MAX_FILE_BYTES, follow=False) as file:
             return read_archive(file, os.fstat(file.fileno()).st_size, names)
-    except FileTooLarge as why:
-        raise ArrayFileError(f"has {why.size:,} bytes, more than the limit of {why.cap:,}") from None
+    except FileTooLarge as error:
+        raise ArrayFileError(f"has {error.size:,} bytes, more than the limit of {error.cap:,}") from None

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.bodies.body import rotate_vectors
-from antdsl.numerics.vector_rows import dot, unit
+from antdsl.numerics.vector_rows import dot, normalise
 from antdsl.outputs.pictures.camera import to_tuple
 from antdsl.outputs.pictures.model import Camera, Crowd
 
@@ -75,16 +75,18 @@ class StableTrack:
     @classmethod
     def of(cls, track: AgentTrack, reach: float, upright: Array) -> StableTrack:
         """Return the smoothed motion."""
-        up = unit(_smooth(rotate_vectors(track.orient, np.tile([0.0, 1.0, 0.0], (len(track.frames), 1))), track.frames, reach))
+        up = normalise(
+            _smooth(rotate_vectors(track.orient, np.tile([0.0, 1.0, 0.0], (len(track.frames), 1))), track.frames, reach)
+        )
         ahead = np.empty_like(up)
         ahead[0] = rotate_vectors(track.orient[:1], np.array([[1.0, 0.0, 0.0]]))[0]
         for row in range(len(up)):
             previous = ahead[max(row - 1, 0)]
-            ahead[row] = unit(previous - dot(previous, up[row]) * up[row])
+            ahead[row] = normalise(previous - dot(previous, up[row]) * up[row])
         low, high = _LEVEL_COSINES
         share = np.clip((dot(up, upright) - low) / (high - low), 0.0, 1.0)
         share = (share * share * (3 - 2 * share))[:, None]
-        level = unit(_smooth(share * upright + (1 - share) * up, track.frames, reach))
+        level = normalise(_smooth(share * upright + (1 - share) * up, track.frames, reach))
         return cls(
             track.frames, reach, track.position, _smooth(track.position, track.frames, reach, has_trend=True), up, ahead, level
         )

@@ -97,7 +97,7 @@ class Crowd:
         )
 
     def select_feet(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> BodySpaceFeet | None:
-        """Return the feet of some agents as `PosedBody.posed` expects them. Return None if the feet are unknown."""
+        """Return the feet of some agents as `PosedBody.pose_vertices` expects them. Return None if the feet are unknown."""
         if self.feet is None:
             return None
         return take_rows(self.feet, rows).relative_to(

@@ -63,7 +63,7 @@ class BodyMesh:
     colour: Floats
     gloss: Floats
 
-    def at(self, time_offset: float) -> Array:
+    def compute_vertices(self, time_offset: float) -> Array:
         """Return vertices (b, v, 3) at `time_offset` frames later. Each vertex moves in a straight line."""
         if self.next_frame is None or time_offset == 0:
             return self.local_vertices + self.positions[:, None]
@@ -169,7 +169,7 @@ def _choose_shutter_times(parts: list[BodyMesh], view: CameraView, blur: float) 
     longest = 0.0
     for part in parts:
         if part.next_frame is not None and part.local_vertices.size:
-            ends = [part.at(time_offset)[:, ::7].reshape(-1, 3) for time_offset in (0.0, blur)]
+            ends = [part.compute_vertices(time_offset)[:, ::7].reshape(-1, 3) for time_offset in (0.0, blur)]
             (a, first), (b, last) = (view.project(end) for end in ends)
             displacement = np.linalg.norm(b - a, axis=1)[(first > 0) & (last > 0)]
             longest = max(longest, float(np.quantile(displacement, 0.99)) if len(displacement) else 0.0)
@@ -181,7 +181,7 @@ def _join_parts(parts: list[BodyMesh], time_offset: float) -> ActorMesh:
     if not parts:
         none = np.zeros((0, 3), np.float32)
         return ActorMesh(none.astype(np.float64), np.zeros((0, 3), np.int32), none, none, none[:, 0])
-    points = [part.at(time_offset).reshape(-1, 3) for part in parts]
+    points = [part.compute_vertices(time_offset).reshape(-1, 3) for part in parts]
     starts = np.cumsum([0] + [len(each) for each in points])
     return ActorMesh(
         np.concatenate(points),
@@ -198,7 +198,7 @@ def _compute_boxes(parts: list[BodyMesh], blur: float) -> tuple[Array, Array]:
     for part in parts:
         low, high = part.local_vertices.min(axis=1) + part.positions, part.local_vertices.max(axis=1) + part.positions
         if part.next_frame is not None and blur > 0:
-            end = part.at(blur)
+            end = part.compute_vertices(blur)
             low, high = np.minimum(low, end.min(axis=1)), np.maximum(high, end.max(axis=1))
         corners.append((low, high))
     lows, highs = zip(*corners, strict=True)

@@ -140,9 +140,9 @@ class _FrameWriters:
     crowds: list[CrowdWriter]
     time_samples: TimeSamples
 
-    def at(self, time: float, frame: int) -> None:
+    def write_time(self, time: float, frame: int) -> None:
         """Write the agents at a time. If the time is that of the frame itself, also write the world."""
-        time_sample = self.time_samples.at(time, frame)
+        time_sample = self.time_samples.build_sample(time, frame)
         if time == frame:
             self.world.frame(frame, time_sample.picture)
         for crowd in self.crowds:
@@ -158,9 +158,9 @@ def _write_frames(shot: _FrameWriters, files: ValueFiles, frames: list[int], opt
             if written == -np.inf:
                 files.begin(frame)
             elif time == frame and files.starts_new_file(frame):
-                shot.at(time, frame)  # completes the previous file
+                shot.write_time(time, frame)  # completes the previous file
                 files.begin(frame)
-            shot.at(time, frame)
+            shot.write_time(time, frame)
             written = time
         if number % _FRAMES_PER_SAVE == _FRAMES_PER_SAVE - 1:
             stage.Save()

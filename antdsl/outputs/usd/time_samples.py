@@ -92,7 +92,7 @@ class TimeSamples:
     def __post_init__(self) -> None:
         self._frame_numbers = set(self.gallery.cache.frames())
 
-    def at(self, time: float, frame: int) -> TimeSample:
+    def build_sample(self, time: float, frame: int) -> TimeSample:
         """Return the agents at `time`, which belongs to `frame`, a frame of the cache. Raises CacheError if a frame is
         damaged."""
         first = int(np.floor(time + 1e-9))

@@ -66,7 +66,7 @@ class ConditionWatcher:
         )
 
     def _find_matching_ids(self, evaluator: SpecEvaluator, world: World) -> NDArray[np.int64]:
-        judged_world = evaluator.ask(world, {})
+        judged_world = evaluator.evaluate_frame(world, {})
         if self.line.species is None:
             assert not isinstance(self.line.condition, str)
             return np.zeros(int(bool(evaluator.value(world, self.line.condition))), np.int64)

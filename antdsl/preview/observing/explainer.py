@@ -18,9 +18,9 @@ from antdsl.explain import (
     Replay,
     as_json,
     explain_agents_with_positions,
+    format_explanation,
     make_absence_error,
     merge_state_frames,
-    tell,
 )
 from antdsl.explain.model import StateInterval as StateStretch
 from antdsl.pipeline import Shot
@@ -112,7 +112,7 @@ class Explainer:
             return reply | {"explanation": None, "told": "", "place": None, "neighbours": []}
         return reply | {
             "explanation": _rename_files(as_json(account.explanation), name_file),
-            "told": tell(account.explanation),
+            "told": format_explanation(account.explanation),
             "place": list(account.position),
             "neighbours": [list(place) for place in account.neighbour_positions],
         }

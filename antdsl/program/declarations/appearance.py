@@ -35,7 +35,7 @@ _ANGLE_TYPE = ValueType(TypeKind.NUMBER, Dimension(angle=1))
 _MAX_ANGLE = 3.1415927  # rad
 
 
-def check_wear(scope: NameScope, line: nodes.Ask, block: StatementContext) -> model.Wear | None:
+def check_wear(scope: NameScope, line: nodes.VerbLine, block: StatementContext) -> model.Wear | None:
     """Check a line such as `wear helmet` or `wear load when load > 0`. Return None after an error."""
     assert line.name is not None
     when = None if line.when is None else type_condition(scope, line.when, "`when`")
@@ -44,7 +44,7 @@ def check_wear(scope: NameScope, line: nodes.Ask, block: StatementContext) -> mo
     return model.Wear(line.name.text, when, line.span)
 
 
-def check_channel(scope: NameScope, line: nodes.Ask, block: StatementContext) -> model.Channel | None:
+def check_channel(scope: NameScope, line: nodes.VerbLine, block: StatementContext) -> model.Channel | None:
     """Check a line such as `channel jaw = load`. Return None after an error."""
     assert line.name is not None and line.amount is not None
     value = type_value_as(scope, line.amount, NUMBER_TYPE, f"`channel {line.name.text}`")
@@ -53,7 +53,7 @@ def check_channel(scope: NameScope, line: nodes.Ask, block: StatementContext) ->
     return model.Channel(line.name.text, value, line.span)
 
 
-def check_look(scope: NameScope, line: nodes.Ask, block: StatementContext) -> model.Look | None:
+def check_look(scope: NameScope, line: nodes.VerbLine, block: StatementContext) -> model.Look | None:
     """Check a line such as `look head(at: meal, within: 60 deg, over: 0.2 s)`. Return None after an error."""
     assert line.name is not None
     arguments_by_slot = arrange_arguments(scope, "look", _LOOK_SLOTS, line, f"look {line.name.text}")
@@ -79,9 +79,9 @@ def check_look(scope: NameScope, line: nodes.Ask, block: StatementContext) -> mo
 
 def check_duplicates(scope: NameScope, node: nodes.State) -> None:
     """Report a state that sets one channel twice, or turns one transform group towards two points."""
-    first: dict[tuple[str, str], nodes.Ask] = {}
+    first: dict[tuple[str, str], nodes.VerbLine] = {}
     for line in node.body:
-        if not isinstance(line, nodes.Ask) or line.verb not in ("channel", "look") or line.name is None:
+        if not isinstance(line, nodes.VerbLine) or line.verb not in ("channel", "look") or line.name is None:
             continue
         first_line = first.setdefault((line.verb, line.name.text), line)
         if first_line is not line:
@@ -91,7 +91,7 @@ def check_duplicates(scope: NameScope, node: nodes.State) -> None:
             scope.report.error("two-writers", words, line.span, advice, labels=(Label(first_line.span, "first here"),))
 
 
-def _is_misplaced(scope: NameScope, line: nodes.Ask, block: StatementContext) -> bool:
+def _is_misplaced(scope: NameScope, line: nodes.VerbLine, block: StatementContext) -> bool:
     """Return whether a line is in an action instead of a state's body; report an error if so."""
     if not block.is_state_body:
         form = f"{line.verb} {line.name.text if line.name is not None else ''}"
@@ -100,7 +100,7 @@ def _is_misplaced(scope: NameScope, line: nodes.Ask, block: StatementContext) ->
     return not block.is_state_body
 
 
-def check_play(scope: NameScope, line: nodes.Ask, block: StatementContext) -> model.Play | None:
+def check_play(scope: NameScope, line: nodes.VerbLine, block: StatementContext) -> model.Play | None:
     """Check a line such as `play walk`, `play walk(speed: 0.5)` or `play wave(on: arms, weight: 0.8)`. Return None after an
     error."""
     assert line.name is not None
@@ -136,7 +136,7 @@ def check_play(scope: NameScope, line: nodes.Ask, block: StatementContext) -> mo
     )  # fmt: skip
 
 
-def _drop_name_arguments(line: nodes.Ask) -> nodes.Ask:
+def _drop_name_arguments(line: nodes.VerbLine) -> nodes.VerbLine:
     """Return the line without the arguments that are names of clips or transform groups. Such names are not expressions."""
     named = [
         isinstance(each, nodes.Argument) and each.name is not None and each.name.text in _NAME_ARGUMENTS
@@ -176,7 +176,7 @@ def _is_valid_value(scope: NameScope, clip: str, argument: str, expr: Expr) -> b
 
 def check_single_clip(scope: NameScope, node: nodes.State) -> None:
     """Report a state that plays several clips."""
-    lines = [line for line in node.body if isinstance(line, nodes.Ask) and line.verb == "play"]
+    lines = [line for line in node.body if isinstance(line, nodes.VerbLine) and line.verb == "play"]
     for line in lines[1:]:
         message = f"`{node.name.text}` plays a clip already, and a state can play only one"
         advice = "play it in a separate machine, `machine arms { … }`"

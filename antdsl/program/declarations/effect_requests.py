@@ -24,7 +24,7 @@ from antdsl.syntax import nodes
 WrittenArguments = dict[str, nodes.Expr]
 
 
-def check_request(scope: NameScope, line: nodes.Ask, block: StatementContext) -> model.EffectRequest | None:
+def check_request(scope: NameScope, line: nodes.VerbLine, block: StatementContext) -> model.EffectRequest | None:
     """Return the checked statement, or None after an error."""
     row = EFFECT_BY_OPERATION[line.verb]
     of = line.name.text if line.name is not None else ""
@@ -70,7 +70,7 @@ def find_argument_type(arg: ArgumentRow) -> ValueType:
     return parse_type_words(rest if first in ("added", "own") else arg.type) or BAD_TYPE
 
 
-def _match_arguments(scope: NameScope, row: Effect, line: nodes.Ask, form: str) -> WrittenArguments | None:
+def _match_arguments(scope: NameScope, row: Effect, line: nodes.VerbLine, form: str) -> WrittenArguments | None:
     """Return the argument nodes by name; None after an error."""
     if line.amount is not None:
         return {row.args[0].name: line.amount}
@@ -90,7 +90,7 @@ def _match_arguments(scope: NameScope, row: Effect, line: nodes.Ask, form: str) 
 def _type_argument(
     scope: NameScope,
     row: Effect,
-    line: nodes.Ask,
+    line: nodes.VerbLine,
     arg: ArgumentRow,
     written_arguments: WrittenArguments,
     block: StatementContext,
@@ -110,7 +110,7 @@ def _type_argument(
     ) or make_bad_expression(node.span)
 
 
-def _type_recipient(scope: NameScope, row: Effect, line: nodes.Ask, node: nodes.Expr) -> Expr:
+def _type_recipient(scope: NameScope, row: Effect, line: nodes.VerbLine, node: nodes.Expr) -> Expr:
     """Return the agent that a line addresses with `to`. Report an error if it is not a single agent of a known species."""
     expr = type_value(scope, node)
     if expr.type.kind is TypeKind.BAD:
@@ -150,7 +150,7 @@ def _find_own_attribute(scope: NameScope, row: Effect, arg: ArgumentRow, node: n
     return None
 
 
-def _reports_missing(scope: NameScope, row: Effect, line: nodes.Ask, written_arguments: WrittenArguments, form: str) -> bool:
+def _reports_missing(scope: NameScope, row: Effect, line: nodes.VerbLine, written_arguments: WrittenArguments, form: str) -> bool:
     """Report required arguments that a line lacks. Return whether there are any."""
     missing = [arg for arg in row.args if arg.default is None and not arg.optional and arg.name not in written_arguments]
     if missing:

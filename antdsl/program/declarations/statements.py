@@ -153,7 +153,7 @@ def _find_assigned_attribute(
     return None
 
 
-def _check_ask(scope: NameScope, line: nodes.Ask, block: StatementContext) -> model.Statement | None:
+def _check_ask(scope: NameScope, line: nodes.VerbLine, block: StatementContext) -> model.Statement | None:
     return _CHECKER_BY_DISPLAY_WORD.get(line.verb, check_request)(scope, line, block)
 
 
@@ -302,6 +302,6 @@ _CHECKER_BY_DISPLAY_WORD: dict[str, Callable[..., model.Statement | None]] = {
     "look": check_look,
 }
 _CHECKER_BY_STATEMENT: dict[type, Callable[..., model.Statement | None]] = {
-    nodes.Steer: _check_steer, nodes.Face: _check_face, nodes.Assign: _check_assign, nodes.Ask: _check_ask,
+    nodes.Steer: _check_steer, nodes.Face: _check_face, nodes.Assign: _check_assign, nodes.VerbLine: _check_ask,
     nodes.Give: _check_give,
 }  # fmt: skip

@@ -246,8 +246,8 @@ def _iterate_events(species: nodes.Species) -> Iterator[tuple[str, Span]]:
 
 def find_emitted_event(part: object) -> nodes.Name | None:
     """Return the name of the event that a line emits, or None."""
-    row = EFFECT_BY_OPERATION.get(part.verb) if isinstance(part, nodes.Ask) else None
-    return part.name if isinstance(part, nodes.Ask) and row is not None and row.target == "event" else None
+    row = EFFECT_BY_OPERATION.get(part.verb) if isinstance(part, nodes.VerbLine) else None
+    return part.name if isinstance(part, nodes.VerbLine) and row is not None and row.target == "event" else None
 
 
 def iterate_action_blocks(species: nodes.Species) -> Iterator[tuple[object, ...]]:

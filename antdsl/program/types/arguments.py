@@ -18,7 +18,7 @@ from antdsl.source import Span
 from antdsl.syntax import nodes
 from antdsl.syntax.mistakes.number_slips import find_comma_number, make_comma_diagnostic
 
-CallNode = nodes.Call | nodes.Ask
+CallNode = nodes.Call | nodes.VerbLine
 ArgumentsBySlot = dict[str, list[nodes.Argument]]
 
 

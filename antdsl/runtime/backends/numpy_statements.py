@@ -156,10 +156,10 @@ def _make_request_call(statement: ir.Request, block: str, scope: RowScope, order
             if row.needs_positive_operand and args[0] is not None:
                 good &= args[0] > 0
             if good.all():
-                v[EFFECTS_SLOT].ask(RequestEntry(statement, order, rows.copy(), tuple(args)))
+                v[EFFECTS_SLOT].add_request(RequestEntry(statement, order, rows.copy(), tuple(args)))
             else:
                 finite_args = tuple(None if arg is None else arg[good] for arg in args)
-                v[EFFECTS_SLOT].ask(RequestEntry(statement, order, rows[good], finite_args))
+                v[EFFECTS_SLOT].add_request(RequestEntry(statement, order, rows[good], finite_args))
 
         return run
 

@@ -144,7 +144,7 @@ class AgentRun:
         if row.needs_positive_operand and not (values[0] or 0) > 0:
             return
         args = tuple(None if value is None else np.array([value]) for value in values)
-        self.effects.ask(RequestEntry(s, self.order[s], self.rows, args))
+        self.effects.add_request(RequestEntry(s, self.order[s], self.rows, args))
 
     # --- values --------------------------------------------------------------------------------------------------------
 

@@ -52,7 +52,8 @@ def place_new_agents(world: World, new_crowds: Sequence[tuple[CrowdData, NDArray
     """Add agents of crowd lines and return their rows, by species. Only their positions are set.
 
     Agents overlap neither each other nor existing agents. Positions that the scene gives as points come first and are used
-    unchanged. Each line avoids the agents of earlier lines. `world.crowded` lists the lines without space for all agents."""
+    unchanged. Each line avoids the agents of earlier lines. `world.overcrowded_lines` lists the lines without space for all
+    agents."""
     new_crowds = [(crowd, ids) for crowd, ids in new_crowds if len(ids)]
     if not new_crowds:
         return {}

@@ -41,9 +41,9 @@ def bind_fields(
                 make_cells = partial(kind, surfaces, size)
                 keep_all = built.get_deep_copy if kind is GrowingCells else built.get_or_make
                 cells[key] = keep_all(kind.__name__, (surfaces, size), make_cells)
-            except FieldTooFine as why:
-                row = " in a row" if why.is_axis_limit else ""
-                words = f"about {why.needed:,} cells of {size:g} mm{row}; {why.cap:,} are allowed"
+            except FieldTooFine as error:
+                row = " in a row" if error.is_axis_limit else ""
+                words = f"about {error.needed:,} cells of {size:g} mm{row}; {error.cap:,} are allowed"
                 report.error("field-too-fine", f"field `{plan.name}` needs {words}", plan.span, "write a larger `cell`")
                 continue
         field = PheromoneField(

@@ -68,10 +68,10 @@ def bind_flow(world: World, name: str, flow: FlowData, report: Report) -> None:
         world.flows[name] = bound_flow = _make_flow(world, flow)
         if not isinstance(flow, PaintedValues) and _may_change(world, flow):
             bound_flow.updater = lambda now: _recompute_flow(now, bound_flow, flow)
-    except LatticeTooFine as why:
+    except LatticeTooFine as error:
         report.error(
             "flow-too-fine",
-            f"flow `{name}` would have about {why.needed:,} points; {limits.MAX_FLOW_POINTS:,} are allowed",
+            f"flow `{name}` would have about {error.needed:,} points; {limits.MAX_FLOW_POINTS:,} are allowed",
             world.setting.spans.get(name),
             "give it a larger `cell`, or a smaller `radius`",
         )

@@ -39,7 +39,7 @@ def _draw_values(world: World, population: Population, rows: Rows, name: str, dr
         meshes = world.ground.meshes
         if meshes is None:
             return np.full(len(rows), low)
-        return low + (high - low) * world.maps[draw.of].at(meshes, population.footing.take_rows(rows))
+        return low + (high - low) * world.maps[draw.of].sample(meshes, population.footing.take_rows(rows))
     u, v = (
         randomness.draw_uniform(world.setting.seed, 0, population.name, f"each {name}", k, population.ids[rows]) for k in range(2)
     )

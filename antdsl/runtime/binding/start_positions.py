@@ -175,7 +175,7 @@ class StartPositionSampler:
     def _draw_by_area(self, faces: FaceArea, ids: Ids, tries: range) -> StartPositionDraws:
         """Return positions spread evenly over faces of any orientation, with up along the normals."""
         draws = [np.concatenate([self._draw_uniform(ids, 4 * attempt + k) for attempt in tries]) for k in range(4)]
-        footing, up, can_stand = faces.at(*draws)
+        footing, up, can_stand = faces.draw_footings(*draws)
         at = self._world.ground.position(footing)
         return StartPositionDraws(footing, at, up, can_stand & ~is_inside_obstacle(self._world, at))
 

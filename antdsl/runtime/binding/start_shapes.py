@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from antdsl.numerics import elementary
 from antdsl.numerics import vectors as vec
-from antdsl.numerics.vector_rows import unit
+from antdsl.numerics.vector_rows import normalise
 from antdsl.runtime.binding.border_edges import BorderEdges, find_border_edges
 from antdsl.runtime.world import World
 from antdsl.scene.crowds.crowd_data import CrowdData, PlacementData, RanksData, VolumeData
@@ -107,7 +107,7 @@ def _compute_ranks(world: World, place: PlacementData, ranks: RanksData, numbers
         vector = np.asarray(facing.vector, np.float64)
         ahead = vector - world.origin - middle if facing.kind == "point" else vector
     flat = ahead - ((ahead[0] * up[0] + ahead[1] * up[1]) + ahead[2] * up[2]) * up
-    ahead = unit(flat[None])[0]
+    ahead = normalise(flat[None])[0]
     right = np.cross(ahead, up)
     row, column = numbers // ranks.columns, numbers % ranks.columns
     across = (column - (ranks.columns - 1) / 2) * ranks.across

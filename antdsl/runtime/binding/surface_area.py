@@ -63,7 +63,7 @@ class FaceArea:
         place = self.corner[face] + b1[:, None] * self.edge1[face] + b2[:, None] * self.edge2[face]
         return face, b1, b2, place
 
-    def at(self, *draws: NDArray[np.float32]) -> tuple[Footing, Floats, Flags]:
+    def draw_footings(self, *draws: NDArray[np.float32]) -> tuple[Footing, Floats, Flags]:
         """Return footings, ups perpendicular to the faces (n, 3), and whether an agent can stand there: inside the ball and in no
         solid."""
         face, b1, b2, place = self.draw_points(*draws)

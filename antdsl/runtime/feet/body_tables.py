@@ -22,8 +22,8 @@ from antdsl.numerics.kernel_vectors import (
     cross,
     dot,
     minus,
+    normalise_or_perpendicular,
     project_to_plane,
-    unit_or_perpendicular,
 )
 from antdsl.runtime.body_positions import LIFT_REGISTERS, body_positions
 from antdsl.runtime.feet.wearers import Wearers
@@ -72,8 +72,8 @@ def _place_bodies(
 @inlined
 def orthonormal_axes(heading: Vec3, up: Vec3) -> tuple[Vec3, Vec3, Vec3]:
     """Return the unit vectors ahead, up and aside of a body. Ahead is the heading; up is made perpendicular to it."""
-    ahead = unit_or_perpendicular(heading, up)
-    straight = unit_or_perpendicular(project_to_plane(up, ahead), ahead)
+    ahead = normalise_or_perpendicular(heading, up)
+    straight = normalise_or_perpendicular(project_to_plane(up, ahead), ahead)
     return ahead, straight, cross(ahead, straight)
 
 

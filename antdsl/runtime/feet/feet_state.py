@@ -173,7 +173,8 @@ def feet_hash(feet: Mapping[str, Feet], threads: int = 1) -> str:
 
 
 def feet_from_arrays(arrays: Mapping[str, Array], legs: int, ids: NDArray[np.int64]) -> Feet:
-    """Return the feet from arrays that `Feet.arrays` returned. Raises ValueError if the arrays do not match the legs and ids."""
+    """Return the feet from arrays that `Feet.stored_arrays` returned. Raises ValueError if the arrays do not match the legs and
+    ids."""
     columns = _empty_columns(len(ids), legs)
     for name, column in columns.items():
         array = arrays.get(name)

@@ -232,7 +232,7 @@ class FootholdRequests:
     `columns`: hip, target position and up of the body, (3, k); then two heights or lengths (mm), [k]. These are the largest
     distance of the foot joint from the hip, and the joint's height above its ground.
     `displacement` (3, k): from the hip to beyond the target (mm).
-    `start_faces`: start faces of the rays, as returned by `FootGround.start_faces`.
+    `start_faces`: start faces of the rays, as returned by `FootGround.find_start_faces`.
     `is_quick`: the foot lifts, and searches again when it lands."""
 
     requests: Rows

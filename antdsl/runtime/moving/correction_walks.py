@@ -169,7 +169,7 @@ def write_stances(
     """Write the stances of the given rows of a species after a substep of `dt` s, from index `first` on among all rows in
     pairs.
 
-    The outputs are as in `contacts._PairAgents`; `walked` (3, k) is the displacement (mm)."""
+    The outputs are as in `contact_solver._PairAgents`; `walked` (3, k) is the displacement (mm)."""
     began, place, feet, max_speed, weight = species
     for n in simd_range(0, rows.size):
         row, k = rows[n], first + n

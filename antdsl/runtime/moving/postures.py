@@ -30,7 +30,7 @@ UPRIGHT_REGISTER = "upright"  # for species that set it in `SpeciesPlan.settings
 _F = np.float32
 # Sine of an angle near half a turn. Below it, rounding hides the rotation axis, and the body turns over its head.
 _FLIP_SINE = 0.05
-_STEEP_COSINE = 0.9  # as `vectors.across`
+_STEEP_COSINE = 0.9  # as in `vectors.find_perpendicular`
 _OPPOSITE_SINE = 1e-6  # sine of an angle near half a turn, without a rotation axis: such bodies keep their up
 
 

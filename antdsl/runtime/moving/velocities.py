@@ -18,7 +18,7 @@ from antdsl.numerics.kernel_vectors import AgentPose, Vec3F32, VectorColumns, cr
 
 _F = np.float32
 _FLOAT32_ZERO, _FLOAT32_HALF, _FLOAT32_ONE = _F(0), _F(0.5), _F(1)
-_MIN_VECTOR_LENGTH, _STEEP_COSINE = _F(1e-12), _F(0.9)  # as `vectors.unit` and `vectors.across`
+_MIN_VECTOR_LENGTH, _STEEP_COSINE = _F(1e-12), _F(0.9)  # as in `vectors.normalise_or_fallback` and `find_perpendicular`
 _FLOAT32_PI = _F(np.pi)
 _SAFE_COSINE_MARGIN = _F(1e-3)  # an angle with a cosine smaller by this margin needs no inverse tangent
 _HEADING_SECONDS = 0.1  # s; time constant of the heading towards the direction of movement (T22)

@@ -91,7 +91,7 @@ def compute_region_share(agents: NoteAgents, outside: Floats | None) -> Floats:
         share *= smooth_share(1.0 - outside / falloff) if falloff else (outside <= 0)
     if note.painted is not None and world.ground.meshes is not None:
         footing = agents.population.footing.take_rows(agents.rows)
-        share *= np.clip(world.maps[note.painted].at(world.ground.meshes, footing).astype(np.float64), 0.0, 1.0)
+        share *= np.clip(world.maps[note.painted].sample(world.ground.meshes, footing).astype(np.float64), 0.0, 1.0)
     return share
 
 

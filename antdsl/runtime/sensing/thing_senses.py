@@ -41,7 +41,7 @@ def _sense_curve_closest(world: World, population: Population, node: ir.PlanNode
 def _sense_flow_value(world: World, population: Population, node: ir.PlanNode, rows: Rows) -> SenseValue:
     place = _read_places(world, population, rows)
     up = population.normal[rows].astype(np.float64)
-    return world.flows[node.attrs[0]].at(world.ground.meshes, population.footing.take_rows(rows), place, up)
+    return world.flows[node.attrs[0]].sample(world.ground.meshes, population.footing.take_rows(rows), place, up)
 
 
 def _sense_flow_reachable(world: World, population: Population, node: ir.PlanNode, rows: Rows) -> SenseValue:
@@ -53,7 +53,7 @@ def _sense_flow_reachable(world: World, population: Population, node: ir.PlanNod
 def _sense_map_value(world: World, population: Population, node: ir.PlanNode, rows: Rows) -> SenseValue:
     meshes = world.ground.meshes
     assert meshes is not None  # maps are painted on them
-    return world.maps[node.attrs[0]].at(meshes, population.footing.take_rows(rows))
+    return world.maps[node.attrs[0]].sample(meshes, population.footing.take_rows(rows))
 
 
 def _find_camera(world: World, node: ir.PlanNode) -> SensedCamera:

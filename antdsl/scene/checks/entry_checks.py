@@ -68,8 +68,8 @@ def check_file(scene: Scene, report: Report, text: str, *path: PathKey) -> None:
     try:
         files = scene.roots.find_sequence(text).values() if scene.roots.is_sequence(text) else (text,)
         size = max(scene.roots.measure_file_size(file) for file in files)
-    except PathRefused as refused:
-        report.error(refused.code, str(refused), scene.span(*path), refused.help)
+    except PathRefused as error:
+        report.error(error.code, str(error), scene.span(*path), error.help)
         return
     if size > limits.MAX_MESH_BYTES:
         report.error("too-large", f"`{text}` has {size:,} bytes, more than {limits.MAX_MESH_BYTES:,}", scene.span(*path))

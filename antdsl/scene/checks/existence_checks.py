@@ -54,8 +54,8 @@ def _check_body_file(scene: Scene, text: str, place: Span, report: Report) -> No
     """Report a body's file that does not exist or is too large."""
     try:
         size = scene.roots.measure_file_size(text)
-    except PathRefused as refused:
-        report.error(refused.code, str(refused), place, refused.help)
+    except PathRefused as error:
+        report.error(error.code, str(error), place, error.help)
         return
     if size > limits.MAX_BODY_FILE_BYTES:
         report.error("too-large", f"`{text}` has {size:,} bytes, more than {limits.MAX_BODY_FILE_BYTES:,}", place)
@@ -91,9 +91,9 @@ def check_spec_scenes(program: Program | None, grants: Mapping[str, Path] | None
         roots = Roots(Path(text.span.source.path).resolve().parent, grants or {})
         try:
             roots.measure_file_size(text.text)
-        except PathRefused as refused:
-            near = _SUGGESTION_PATTERN.fullmatch(refused.help or "")
+        except PathRefused as error:
+            near = _SUGGESTION_PATTERN.fullmatch(error.help or "")
             fix = Fix(text.span, f'"{near[1]}"') if near and "/" not in text.text else None
-            advice = refused.help or "name a scene next to this program or below its folder"
-            report.error(refused.code, str(refused), text.span, advice, fix=fix)
+            advice = error.help or "name a scene next to this program or below its folder"
+            report.error(error.code, str(error), text.span, advice, fix=fix)
     return merge_repeated_findings(report)

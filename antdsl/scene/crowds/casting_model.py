@@ -35,8 +35,8 @@ def _parse_rate(value: Any) -> Quantity:
     text = require_text(value, "a rate such as `20 /s`")
     try:
         quantity = parse_quantity(text)
-    except QuantityError as why:
-        raise make_error(f"{describe_value(text)} {why}", why.help or "write `20 /s`") from None
+    except QuantityError as error:
+        raise make_error(f"{describe_value(text)} {error}", error.help or "write `20 /s`") from None
     if quantity.dim != Dimension(time=-1):
         raise make_error(f"`{quantity.text}` is not a rate", f"write `{quantity.text.split()[0][:20]} /s`")
     if not 0 < quantity.number <= limits.MAX_SCENE_NUMBER:

@@ -129,9 +129,9 @@ def _convert_text(line: _Line, text: str, target: AttributeDecl | Machine, *path
         return _find_word(line, text, _BOOL_TEXTS, f"`{target.name}` is true or false, not", *path)
     try:
         quantity = parse_quantity(text)
-    except QuantityError as why:
-        help = why.help or "write a number with a unit, or `{uniform: [A, B]}`, `{normal: [A, B]}`, `{choice: {A: 3, B: 1}}`"
-        line.report.error("wrong-value", f"`{text[:60]}` {why}", line.scene.span(*path), help)
+    except QuantityError as error:
+        help = error.help or "write a number with a unit, or `{uniform: [A, B]}`, `{normal: [A, B]}`, `{choice: {A: 3, B: 1}}`"
+        line.report.error("wrong-value", f"`{text[:60]}` {error}", line.scene.span(*path), help)
         return None
     return _convert_quantity(line, quantity, target, *path)
 

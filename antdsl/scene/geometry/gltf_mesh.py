@@ -43,8 +43,8 @@ def read_gltf_mesh(data: bytes, notes: ImportNotes, node_name: str | None, read_
     try:
         with np.errstate(all="ignore"):
             return _read_scene(gltf_file.GltfDocument(data, read_sibling), notes, node_name)
-    except gltf_file.GltfError as why:
-        raise MeshError(str(why), why.help) from None
+    except gltf_file.GltfError as error:
+        raise MeshError(str(error), error.help) from None
 
 
 def _read_scene(file: gltf_file.GltfDocument, notes: ImportNotes, node_name: str | None) -> PolygonMesh:

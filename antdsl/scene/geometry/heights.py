@@ -47,8 +47,8 @@ def _read_image(data: bytes, form: str) -> Floats:
 
     try:
         image = read_image_file(data, form, _PIXEL_MODES, 2 * limits.MAX_MESH_FACES)
-    except ImageError as why:
-        raise MeshError(str(why), *([why.help] if why.help else [])) from None
+    except ImageError as error:
+        raise MeshError(str(error), *([error.help] if error.help else [])) from None
     _check_size(image.rows, image.columns)
     if image.pages != 1:
         raise MeshError("has several pages", "save one of them")
@@ -61,8 +61,8 @@ def _read_image(data: bytes, form: str) -> Floats:
 def _read_array(data: bytes, array: str | None, layer: int | None) -> Floats:
     try:
         arrays = read_archive(io.BytesIO(data), len(data), None if array is None else {array})
-    except ArrayFileError as why:
-        raise MeshError(str(why)) from None
+    except ArrayFileError as error:
+        raise MeshError(str(error)) from None
     if array is None and len(arrays) != 1:
         names = ", ".join(f"`{each}`" for each in arrays) or "none"
         raise MeshError(f"has {len(arrays)} arrays, {names}", "name one: `array: …`")

@@ -97,10 +97,10 @@ def read_mesh_arrays(
         return _triangulate(read_gltf_mesh(data, notes, group, read_sibling or _reject_sibling), notes)
     except (MeshError, PathRefused, MemoryError):
         raise
-    except HeaderError as why:
-        raise MeshError(str(why)) from None
-    except TooManyCorners as why:
-        raise MeshError(str(why), "cut it into smaller faces in the program that made the mesh") from None
+    except HeaderError as error:
+        raise MeshError(str(error)) from None
+    except TooManyCorners as error:
+        raise MeshError(str(error), "cut it into smaller faces in the program that made the mesh") from None
     except Exception as problem:  # a library may raise any error for an untrusted file
         raise MeshError(f"cannot be read ({type(problem).__name__})") from problem
 

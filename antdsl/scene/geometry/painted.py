@@ -59,8 +59,8 @@ def _read_ply_attribute(data: bytes, attribute: str | tuple[str, ...], width: in
             columns = _find_columns(element, attribute, width)
             if element.name in ("vertex", "face") and columns is not None:
                 return _read_scaled(data, header, element, columns, width)
-    except HeaderError as why:
-        raise PaintError(str(why)) from None
+    except HeaderError as error:
+        raise PaintError(str(error)) from None
     painted = [p.name for e in header.elements if e.name in ("vertex", "face") for p in e.properties if not p.count]
     words = " ".join(attribute) if isinstance(attribute, tuple) else attribute
     sample = "attribute: [nx, ny, nz]" if width == 3 else "attribute: NAME"
@@ -98,8 +98,8 @@ def _read_scaled(data: bytes, header: PlyHeader, element: PlyElement, columns: t
 def _read_npz_array(data: bytes, attribute: str | tuple[str, ...], width: int) -> Floats:
     try:
         arrays = read_arrays(data)
-    except ArrayFileError as why:
-        raise PaintError(str(why), "write it with `numpy.savez`, uncompressed") from None
+    except ArrayFileError as error:
+        raise PaintError(str(error), "write it with `numpy.savez`, uncompressed") from None
     names = attribute if isinstance(attribute, tuple) else (attribute,)
     missing = [name for name in names if name not in arrays]
     if missing:

@@ -100,8 +100,8 @@ def read_columns(data: bytes, header: PlyHeader, element: PlyElement, names: Seq
     Raises HeaderError if the body does not match the header."""
     try:
         columns = read_elements(data, header, {id(element): names}, ImportNotes())[id(element)]
-    except MeshError as why:
-        raise HeaderError(str(why)) from None
+    except MeshError as error:
+        raise HeaderError(str(error)) from None
     return convert_to_float64(np.stack([columns[name].values for name in names], axis=1)).reshape(-1, len(names))
 
 

@@ -31,7 +31,7 @@ def cached_per_mesh(work: Callable[Concatenate[M, P], T]) -> Callable[Concatenat
         return {}
 
     @wraps(work)
-    def ask(mesh: M, /, *words: P.args, **named: P.kwargs) -> T:
+    def get_or_compute(mesh: M, /, *words: P.args, **named: P.kwargs) -> T:
         if mesh.vertices.flags.writeable:
             return work(mesh, *words, **named)
         known, key = get_answers(mesh), (words, tuple(sorted(named.items())))  # type: ignore[arg-type]
@@ -41,4 +41,4 @@ def cached_per_mesh(work: Callable[Concatenate[M, P], T]) -> Callable[Concatenat
             known[key] = work(mesh, *words, **named)
         return known[key]
 
-    return ask
+    return get_or_compute

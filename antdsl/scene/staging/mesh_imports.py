@@ -88,8 +88,8 @@ def weld_thing(
     if (lengths > tolerance).any():
         try:
             welding = _weld_mesh(mesh, tolerance)
-        except WeldError as why:
-            words = f"{written} {why} of `{name}`"
+        except WeldError as error:
+            words = f"{written} {error} of `{name}`"
     is_dug = KIND_BY_WORD[staging.program.world[name].kind].is_dug
     if welding is not None and is_dug and is_flat(welding.mesh.vertices, welding.mesh.faces):
         words, welding = f"{written} leaves the solid `{name}` without a volume", None

@@ -116,8 +116,8 @@ def _stage_painted(staging: SceneStaging, name: str, thing: model.PaintedThing, 
     attribute = name if thing.attribute is None else thing.attribute
     try:
         rows = read_painted_values(data, thing.painted, attribute, width)
-    except PaintError as why:
-        staging.report.error("bad-paint", f"`{thing.painted}` {why}", span, why.help)
+    except PaintError as error:
+        staging.report.error("bad-paint", f"`{thing.painted}` {error}", span, error.help)
         return None
     own = _select_used_rows(rows, raw)
     if own is None:

@@ -53,8 +53,8 @@ def stage_mesh(staging: SceneStaging, name: str, value: MeshThing | HeightThing 
             mesh = make_limited_mesh(rest, mesh.faces)
             if moves is not None:
                 staging.moves[name] = moves
-    except MeshError as why:
-        report.error("bad-mesh", f"the mesh `{display_name}` {why}", span, why.help)
+    except MeshError as error:
+        report.error("bad-mesh", f"the mesh `{display_name}` {error}", span, error.help)
         return None
     staging.raw_meshes[name] = raw
     mesh = weld_thing(staging, name, value, mesh)
@@ -68,9 +68,9 @@ def _read_static_mesh(staging: SceneStaging, name: str, value: MeshThing) -> tup
         return None
     try:
         return read_mesh(data, value.mesh, value.group, staging.make_sibling_reader(value.mesh)), None
-    except PathRefused as refused:
-        words = f"the mesh `{value.mesh}` names a buffer: {refused}"
-        staging.report.error(refused.code, words, staging.scene.span("world", name, "mesh"), refused.help)
+    except PathRefused as error:
+        words = f"the mesh `{value.mesh}` names a buffer: {error}"
+        staging.report.error(error.code, words, staging.scene.span("world", name, "mesh"), error.help)
         return None
     except MeshError as why:
         key = "mesh" if value.group is None else "group"
@@ -89,9 +89,9 @@ def _read_height_mesh(staging: SceneStaging, name: str, value: HeightThing) -> t
         heights = offset + value.scale.to_millimetres(unit_mm) * read_heights(data, value.height, value.array, value.layer)
         x, z = (side.to_millimetres(unit_mm) for side in value.extent)
         raw = check_mesh(*make_height_surface(heights, (x, z)))
-    except MeshError as why:
+    except MeshError as error:
         span = staging.scene.span("world", name, "height")
-        staging.report.error("bad-mesh", f"the heights `{value.height}` {why}", span, why.help)
+        staging.report.error("bad-mesh", f"the heights `{value.height}` {error}", span, error.help)
         return None
     staging.deviations[name] = compute_deviation(heights)
     return raw, None

@@ -70,8 +70,8 @@ class SceneStaging:
         """Return a file's bytes. On failure, report an error at the path that names the file, and return None."""
         try:
             data = self.scene.roots.read_file(text, max_bytes)
-        except PathRefused as refused:
-            self.report.error(refused.code, str(refused), self.scene.span(*path), refused.help)
+        except PathRefused as error:
+            self.report.error(error.code, str(error), self.scene.span(*path), error.help)
             return None
         self.hashes[text] = hashlib.blake2b(data, digest_size=16).hexdigest()
         return data
@@ -99,16 +99,16 @@ class SceneStaging:
             return None
         try:
             return read_points(data, min_count)
-        except PointsError as why:
-            self.report.error("bad-points", f"`{text}` {why}", self.scene.span(*path), "write `[[0, 0, 0], [50, 0, 0]]`")
+        except PointsError as error:
+            self.report.error("bad-points", f"`{text}` {error}", self.scene.span(*path), "write `[[0, 0, 0], [50, 0, 0]]`")
             return None
 
     def find_sequence(self, text: str, *path: PathKey) -> dict[int, str] | None:
         """Return the files of a path with `####`, by frame. On failure, report an error and return None."""
         try:
             return self.scene.roots.find_sequence(text)
-        except PathRefused as refused:
-            self.report.error(refused.code, str(refused), self.scene.span(*path), refused.help)
+        except PathRefused as error:
+            self.report.error(error.code, str(error), self.scene.span(*path), error.help)
             return None
 
 

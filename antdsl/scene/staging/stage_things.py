@@ -153,8 +153,8 @@ def read_moving_mesh(staging: SceneStaging, name: str, value: MeshThing) -> tupl
         except MeshError as why:
             staging.report.error("bad-mesh", f"the mesh `{file}` {why}", span, why.help)
             return None
-        except PathRefused as refused:
-            staging.report.error(refused.code, f"the mesh `{file}` names a buffer: {refused}", span, refused.help)
+        except PathRefused as error:
+            staging.report.error(error.code, f"the mesh `{file}` names a buffer: {error}", span, error.help)
             return None
         read = {file: positions[k]}
     assert raw is not None and positions is not None
@@ -376,10 +376,10 @@ def read_usd(
         )
         staging.hashes |= stage.hashes
         return read(stage)
-    except UsdError as why:
-        staging.report.error(why.code, str(why), staging.scene.span(*path, why.key), why.help)
-    except MeshError as why:
-        words = f"the mesh `{prim}` of `{text}` {why}"
+    except UsdError as error:
+        staging.report.error(error.code, str(error), staging.scene.span(*path, error.key), error.help)
+    except MeshError as error:
+        words = f"the mesh `{prim}` of `{text}` {error}"
         staging.report.error(
             "bad-mesh", words, staging.scene.span(*path, "prim"), "repair it in the program that made it, and export it again"
         )

@@ -48,9 +48,9 @@ def read_in_base_units(file: UsdFile, key: str, dim: Dimension) -> NDArray[np.fl
         where = f"`{key}` of `{points.names[number]}` in `{file.name}`"
         try:
             quantity = parse_quantity(text)
-        except QuantityError as why:
-            help = why.help or f"write a number, or one with a unit: `{format_with_unit(1, dim)}`"
-            report.error("bad-usd", f"{where} has `{text}`, which {why}", file.span, help)
+        except QuantityError as error:
+            help = error.help or f"write a number, or one with a unit: `{format_with_unit(1, dim)}`"
+            report.error("bad-usd", f"{where} has `{text}`, which {error}", file.span, help)
             return column
         if quantity.dim != dim:
             words = f"{where} has `{text}`, but `{key}` is {describe_dimension(dim)}"

@@ -66,8 +66,8 @@ class FingerprintColumn:
     def find_only_change(self, old_sums: tuple[int, int]) -> tuple[int, Any] | None:
         """Return the row and the old value of the only value that changed since the sums were `old_sums`; None if several
         changed."""
-        now = self.compute_sums()
-        changed, weighted = ((b - a) % 2**64 for a, b in zip(old_sums, now, strict=True))
+        new_sums = self.compute_sums()
+        changed, weighted = ((b - a) % 2**64 for a, b in zip(old_sums, new_sums, strict=True))
         matching_rows = np.flatnonzero((self.ids + 1).astype(np.uint64) * np.uint64(changed) == np.uint64(weighted))
         if not changed or len(matching_rows) != 1:
             return None
@@ -138,13 +138,13 @@ def _make_agent_columns(world: World, program: Program, population: Population) 
     rows = population.rows_by_id()
     ids, name = population.ids[rows], population.name
     species = program.species[name]
-    mine = {a.name: a.type for a in species.attributes}
+    type_by_attribute = {a.name: a.type for a in species.attributes}
     agent_columns = [FingerprintColumn(name, "id", 0, ids, ids, is_opaque=True)]
     rest = np.zeros(len(ids), np.uint64)
     for key, register in sorted(population.plan.registers.items()):
         if register.role == "temp":
             continue
-        column = _make_column(name, key, mine, ids, population.now[key][rows])
+        column = _make_column(name, key, type_by_attribute, ids, population.now[key][rows])
         if column is None:
             rest = rest * _MIX_MULTIPLIER + FingerprintColumn(name, key, 9, ids, population.now[key][rows]).find_value_bits()
         else:
@@ -165,8 +165,8 @@ def _make_column(
 ) -> FingerprintColumn | None:
     machine, _, word = key.rpartition(".")
     if word == "state" and machine:
-        what = "state" if machine == "main" else key
-        return FingerprintColumn(owner, what, 1, ids, values, ValueType(TypeKind.STATE, of=f"{owner}.{machine}"))
+        value_name = "state" if machine == "main" else key
+        return FingerprintColumn(owner, value_name, 1, ids, values, ValueType(TypeKind.STATE, of=f"{owner}.{machine}"))
     base, axis = (machine, f".{word}") if word in ("x", "y", "z") else (key, "")
     if base in type_by_attribute or base in BUILTIN_ATTRIBUTE_BY_NAME:
         type = type_by_attribute.get(base) or parse_type_words(BUILTIN_ATTRIBUTE_BY_NAME[base].type) or _PLAIN_NUMBER_TYPE
@@ -190,8 +190,8 @@ def digest_agents(world: World, population: Population, program: Program) -> str
     mixed = np.zeros(len(population), np.uint64)
     for column in _make_agent_columns(world, program, population):
         mixed = (mixed ^ column.find_value_bits()) * _MIX_MULTIPLIER
-    picked = choose_sample_indices(len(population))
-    return (mixed >> np.uint64(48)).astype(">u2")[picked].tobytes().hex()
+    sample = choose_sample_indices(len(population))
+    return (mixed >> np.uint64(48)).astype(">u2")[sample].tobytes().hex()
 
 
 def choose_sample_indices(count: int) -> NDArray[np.int64]:
@@ -223,14 +223,14 @@ def find_differences(
 ) -> list[StateDifference]:
     """Return all attributes that differ, the most informative first. `recorded_sums`: sums and words by key; `recorded_digests`:
     digests by species."""
-    now = build_columns(world, program)
+    columns = build_columns(world, program)
     differing_agents = {
         name: _name_differing(world, program, name, text) for name, text in recorded_digests.items() if name in world.populations
     }
     ranked_differences: list[tuple[int, StateDifference]] = []
-    others = {name: len(world.populations[name]) for name in world.populations if _has_other_agents(now, recorded_sums, name)}
+    others = {name: len(world.populations[name]) for name in world.populations if _has_other_agents(columns, recorded_sums, name)}
     ranked_differences += [(0, StateDifference(name, "", "", f"{count} agents", "others")) for name, count in others.items()]
-    for key, column in now.items():
+    for key, column in columns.items():
         if column.owner in others:
             continue
         if key not in recorded_sums:
@@ -240,9 +240,9 @@ def find_differences(
         sums = (int(first, 16), int(second, 16))
         if column.compute_sums() != sums:
             ranked_differences.append((column.report_rank, _describe_difference(world, column, sums, words, differing_agents)))
-    for key in recorded_sums.keys() - now.keys():
-        who, _, what = key.partition(".")
-        ranked_differences.append((0, StateDifference(who, what, "", "not there", "there")))
+    for key in recorded_sums.keys() - columns.keys():
+        owner, _, value_name = key.partition(".")
+        ranked_differences.append((0, StateDifference(owner, value_name, "", "not there", "there")))
     ranked_differences.sort(key=lambda pair: pair[0])
     return [difference for _, difference in ranked_differences]
 
@@ -291,13 +291,13 @@ def _find_member_name(column: FingerprintColumn, row: int) -> str:
 def _name_differing(world: World, program: Program, name: str, recorded_digest: str) -> str:
     """Return which of the agents in a digest differ; empty if the digest is not about the same agents."""
     population = world.populations[name]
-    rows, now = choose_sample_indices(len(population)), digest_agents(world, population, program)
-    if len(now) != len(recorded_digest):
+    rows, digest = choose_sample_indices(len(population)), digest_agents(world, population, program)
+    if len(digest) != len(recorded_digest):
         return ""
     ids = population.ids[population.rows_by_id()][rows]
-    differ = [int(id) for k, id in enumerate(ids) if now[4 * k : 4 * k + 4] != recorded_digest[4 * k : 4 * k + 4]]
+    differ = [int(id) for k, id in enumerate(ids) if digest[4 * k : 4 * k + 4] != recorded_digest[4 * k : 4 * k + 4]]
     if not differ:
         return ""
     remainder = f" and {len(differ) - _MAX_NAMED_AGENTS} more" if len(differ) > _MAX_NAMED_AGENTS else ""
-    named = f"{name} {', '.join(map(str, differ[:_MAX_NAMED_AGENTS]))}{remainder}"
-    return named if len(ids) == len(population) else f"{named} of {len(ids)} looked at"
+    names = f"{name} {', '.join(map(str, differ[:_MAX_NAMED_AGENTS]))}{remainder}"
+    return names if len(ids) == len(population) else f"{names} of {len(ids)} looked at"

@@ -49,8 +49,8 @@ class GoldenComparison:
             self.files[path] = None
             try:
                 self.files[path] = golden_runs.read_golden(path)
-            except golden_runs.GoldenError as why:
-                self.report.error("wrong-value", str(why), None, "record it again with `antdsl test … --update`")
+            except golden_runs.GoldenError as error:
+                self.report.error("wrong-value", str(error), None, "record it again with `antdsl test … --update`")
         return self.files[path]
 
     def write_golden_files(self) -> None:

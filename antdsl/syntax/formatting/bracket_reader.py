@@ -122,22 +122,27 @@ class BracketReader:
         """Assign a comment before `token` to the slots so far, or to `remaining` if it comes after the last of them."""
         slot = slots[-1]
         assert self.last is not None
-        beside = "\n" not in self.scan.source.text[self.last.end : comment.span.start] and not remaining
+        is_on_same_line = "\n" not in self.scan.source.text[self.last.end : comment.span.start] and not remaining
         if not slot.nodes:
             previous_slot = slots[-2] if len(slots) > 1 else None
-            if beside and previous_slot is not None and previous_slot.trailing_comment is None and not slot.leading_comments:
+            if (
+                is_on_same_line
+                and previous_slot is not None
+                and previous_slot.trailing_comment is None
+                and not slot.leading_comments
+            ):
                 previous_slot.trailing_comment = comment
             elif token.kind == "close":
                 remaining.append(comment)
             else:
                 slot.leading_comments.append(comment)
         elif token.kind == "close" or self.scan.clean_characters[token.start] == ",":
-            if beside and slot.trailing_comment is None:
+            if is_on_same_line and slot.trailing_comment is None:
                 slot.trailing_comment = comment
             else:
                 remaining.append(comment)
         else:
-            slot.inner_comments.append((len(slot.nodes), comment, beside))
+            slot.inner_comments.append((len(slot.nodes), comment, is_on_same_line))
 
     def read_leaf(self, token: ScannedToken) -> TokenLeaf:
         text = "".join(self.scan.clean_characters[token.start : token.end])
@@ -193,12 +198,12 @@ def _place_inner_comments(slot: BracketSlot) -> BracketSlot:
     starts = [0]
     for operand in cut:
         starts.append(starts[-1] + len(operand.nodes))
-    for place, comment, beside in slot.inner_comments:
+    for place, comment, is_on_same_line in slot.inner_comments:
         number = next(k for k in range(len(cut)) if place < starts[k + 1])
         operand = cut[number]
         if (
             place == starts[number]
-            and beside
+            and is_on_same_line
             and number
             and cut[number - 1].trailing_comment is None
             and not operand.leading_comments
@@ -207,7 +212,7 @@ def _place_inner_comments(slot: BracketSlot) -> BracketSlot:
         elif place == starts[number]:
             operand.leading_comments.append(comment)
         else:
-            operand.inner_comments.append((place - starts[number], comment, beside))
+            operand.inner_comments.append((place - starts[number], comment, is_on_same_line))
     slot.inner_comments = []
     cut = [_place_inner_comments(operand) for operand in cut]
     if any(operand.leading_comments for operand in cut[1:]) or any(

@@ -89,7 +89,7 @@ def align_rows(rows: Sequence[LayoutRow], indent: int) -> list[str]:
     for run in _split_runs(rows):
         if run[0].blank_before:
             lines.append("")
-        texts = [text for _, same in groupby(run, key=lambda row: row.kind) for text in _align_run(list(same))]
+        texts = [text for _, group in groupby(run, key=lambda row: row.kind) for text in _align_run(list(group))]
         column = _compute_next_column([text for row, text in zip(run, texts, strict=True) if row.comment], _MIN_COMMENT_BLANKS)
         for row, text in zip(run, texts, strict=True):
             first = (
@@ -118,8 +118,11 @@ def _align_run(rows: Sequence[LayoutRow]) -> list[str]:
     texts = [row.cells[0] for row in rows]
     for k in range(1, max(len(row.cells) for row in rows)):
         has_cell = [len(row.cells) > k and row.cells[k] != "" for row in rows]
-        column = _compute_next_column([text for text, has in zip(texts, has_cell, strict=True) if has], 1)
-        texts = [_pad_text(t, column, r.cells[k], 1) if has else t for t, r, has in zip(texts, rows, has_cell, strict=True)]
+        column = _compute_next_column([text for text, is_aligned in zip(texts, has_cell, strict=True) if is_aligned], 1)
+        texts = [
+            _pad_text(t, column, r.cells[k], 1) if is_aligned else t
+            for t, r, is_aligned in zip(texts, rows, has_cell, strict=True)
+        ]
     return texts
 
 

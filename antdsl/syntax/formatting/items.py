@@ -39,7 +39,7 @@ class LayoutBlock:
 
 @dataclass(slots=True)
 class LayoutStatement:
-    """A statement: its words and brackets, with a `Block` in place of each pair of braces. `rule`: the grammar rule of its
+    """A statement: its words and brackets, with a `LayoutBlock` in place of each pair of braces. `rule`: the grammar rule of its
     block's lines. `comment`: the comment after the statement."""
 
     rule: str
@@ -96,7 +96,7 @@ def _find_marks(file: n.File) -> tuple[frozenset[int], frozenset[int]]:
 
 def _find_called_name(part: object) -> n.Name | None:
     """Return the function or verb that a node names, after which arguments in brackets may follow; None if there is none."""
-    if isinstance(part, n.Ask):
+    if isinstance(part, n.VerbLine):
         return part.name if part.amount is None else None
     return part.event if isinstance(part, n.On) else part.name if isinstance(part, n.Behaviour) else None
 

@@ -32,9 +32,9 @@ def format(source: Source) -> tuple[str | None, Report]:
         return text, report
     if report_too_long(source, text, report):
         return None, report
-    again, findings = parse(Source(source.path, text))
-    if not findings.ok or find_first_difference(file, again):
-        raise LayoutError(f"{source.path}: {find_first_difference(file, again) or findings.diagnostics[0].message}")
+    reparsed, findings = parse(Source(source.path, text))
+    if not findings.ok or find_first_difference(file, reparsed):
+        raise LayoutError(f"{source.path}: {find_first_difference(file, reparsed) or findings.diagnostics[0].message}")
     return text, report
 
 
@@ -54,9 +54,12 @@ def report_too_long(source: Source, text: str, report: Report) -> bool:
 def find_first_difference(first: n.File, second: n.File) -> str | None:
     """Return the first difference between two files, except locations, in a few words. None if they are the same program with the
     same comments."""
-    ours, theirs = ([comment.text.rstrip() for comment in file.comments] for file in (first, second))
-    if ours != theirs:
-        return next((f"comment `{a}` became `{b}`" for a, b in zip(ours, theirs, strict=False) if a != b), "a comment was lost")
+    first_comments, second_comments = ([comment.text.rstrip() for comment in file.comments] for file in (first, second))
+    if first_comments != second_comments:
+        return next(
+            (f"comment `{a}` became `{b}`" for a, b in zip(first_comments, second_comments, strict=False) if a != b),
+            "a comment was lost",
+        )
     left, right = flatten_tree(first), flatten_tree(second)
     for a, b in zip(left, right, strict=False):
         if a != b:

@@ -73,8 +73,8 @@ def _is_continuation(scan: TokenScan, tokens: list[ScannedToken], index: int, in
         return False
     word = _get_token_text(scan, following)
     if word in _CONTINUING_WORDS:
-        behind = _get_token_text(scan, tokens[index + 2]) if index + 2 < len(tokens) else ""
-        return not word.isalpha() or behind not in ("=", ":")
+        second_word = _get_token_text(scan, tokens[index + 2]) if index + 2 < len(tokens) else ""
+        return not word.isalpha() or second_word not in ("=", ":")
     return (
         _get_token_text(scan, previous_token) in _INCOMPLETE_ENDINGS
         and following.indent > indent
@@ -87,14 +87,14 @@ def _report_continuations(scan: TokenScan, tokens: list[ScannedToken], line_end_
     text, following = scan.source.text, tokens[line_end_indices[0] + 1]
     word = text[following.start : following.end]
     start, end = tokens[line_end_indices[0] - 1].end, tokens[line_end_indices[-1] + 1].start
-    better, copied_end = "", start
+    joined_text, copied_end = "", start
     for joint in line_end_indices:
-        better += text[copied_end : tokens[joint - 1].end] + " "
+        joined_text += text[copied_end : tokens[joint - 1].end] + " "
         copied_end = tokens[joint + 1].start
     comment = any(start <= each.span.start < end for each in scan.comments)
-    what = f"`{word}` cannot begin a line" if word in _CONTINUING_WORDS else "the previous line is incomplete"
+    reason = f"`{word}` cannot begin a line" if word in _CONTINUING_WORDS else "the previous line is incomplete"
     span = Span(scan.source, following.start, following.end)
     help = "write it on one line, or put a part with several lines in round brackets"
-    fix = None if comment else Fix(Span(scan.source, start, end), better)
-    scan.report.error("continued-line", f"this line continues the line above: {what}", span, help, fix=fix)
+    fix = None if comment else Fix(Span(scan.source, start, end), joined_text)
+    scan.report.error("continued-line", f"this line continues the line above: {reason}", span, help, fix=fix)
     scan.faults.append(following.start)

@@ -87,8 +87,8 @@ def _report_forbidden(scan: TokenScan) -> None:
 def _report_invisible(scan: TokenScan) -> None:
     """Report invisible characters in comments and texts, except characters that join or separate letters in some languages."""
     text = scan.source.text
-    for said in _TEXT_OR_COMMENT_PATTERN.finditer(text) if not text.isascii() else ():
-        for match in _INVISIBLE_CHARACTERS.finditer(text, said.start(), said.end()):
+    for passage in _TEXT_OR_COMMENT_PATTERN.finditer(text) if not text.isascii() else ():
+        for match in _INVISIBLE_CHARACTERS.finditer(text, passage.start(), passage.end()):
             name = unicodedata.name(match.group(), "character").lower()
             message = f"{name} (U+{ord(match.group()):04X}), which is invisible"
             scan.report_error("control-character", message, match.start(), match.end(), "delete it", "")

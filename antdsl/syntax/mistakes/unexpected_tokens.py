@@ -25,8 +25,8 @@ from antdsl.syntax.words import (
 
 @dataclass(frozen=True, slots=True)
 class UnexpectedToken:
-    """A position where a line could not be read further. `previous_text` and `get_token_text`: the texts on both sides
-    (`get_token_text` is empty at the line's end). `expected_terminals`: the names of the terminals that were possible there.
+    """A position where a line could not be read further. `previous_text` and `token_text`: the texts on both sides
+    (`token_text` is empty at the line's end). `expected_terminals`: the names of the terminals that were possible there.
     `rule`: the grammar rule that reads the line."""
 
     rule: str
@@ -38,7 +38,7 @@ class UnexpectedToken:
     span: Span
     first_span: Span
     expected_terminals: frozenset[str]
-    following_text: str = ""  # the text after `get_token_text`
+    following_text: str = ""  # the text after `token_text`
     earlier_text: str = ""  # the text before `previous_text`
 
 
@@ -158,8 +158,8 @@ def has_missing_brackets(unexpected: UnexpectedToken) -> bool:
 
 def _has_missing_colon(unexpected: UnexpectedToken) -> bool:
     arguments = {"RPAR", "_COMMA"} <= unexpected.expected_terminals and unexpected.rule != "top"
-    between = arguments and unexpected.earlier_text in ("(", ",") and unexpected.following_text in (",", ")")
-    return between and unexpected.previous_kind == "word" and unexpected.token_kind in ("number", "word")
+    is_single_argument = arguments and unexpected.earlier_text in ("(", ",") and unexpected.following_text in (",", ")")
+    return is_single_argument and unexpected.previous_kind == "word" and unexpected.token_kind in ("number", "word")
 
 
 def make_plain_diagnostic(unexpected: UnexpectedToken) -> Diagnostic:
@@ -188,12 +188,16 @@ def suggest_first_word(unexpected: UnexpectedToken) -> str | None:
 
 
 def _explain_misspelling(unexpected: UnexpectedToken) -> Diagnostic | None:
-    better = suggest_first_word(unexpected)
-    if better is None:
+    suggestion = suggest_first_word(unexpected)
+    if suggestion is None:
         return None
     message = f"`{unexpected.first}` does not begin a line here"
     return Diagnostic(
-        "unknown-line", message, unexpected.first_span, help=f"did you mean `{better}`?", fix=Fix(unexpected.first_span, better)
+        "unknown-line",
+        message,
+        unexpected.first_span,
+        help=f"did you mean `{suggestion}`?",
+        fix=Fix(unexpected.first_span, suggestion),
     )
 
 
@@ -275,10 +279,10 @@ def _explain_equals(unexpected: UnexpectedToken) -> Diagnostic | None:
         return Diagnostic("unexpected-text", message, unexpected.span, help=help, fix=Fix(unexpected.span, "="))
     if unexpected.token_text != "=" or "SAME" not in unexpected.expected_terminals:
         return None
-    named = (
+    is_named_argument = (
         unexpected.previous_kind == "word" and unexpected.earlier_text in ("(", ",") and "RPAR" in unexpected.expected_terminals
     )
-    if named and not _QUERY_START_PATTERN.search(unexpected.span.source.text, 0, unexpected.span.start):
+    if is_named_argument and not _QUERY_START_PATTERN.search(unexpected.span.source.text, 0, unexpected.span.start):
         name = unexpected.previous_text
         message, help = f"found `=` after the argument's name `{name}`", f"write `{name}: …`"
         return Diagnostic("unexpected-text", message, unexpected.span, help=help, fix=Fix(unexpected.span, ":"))

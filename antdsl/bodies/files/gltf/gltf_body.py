@@ -38,8 +38,8 @@ def read_gltf(
     with np.errstate(all="ignore"):  # values that are not finite are reported where they are used
         try:
             return _read_definition(data, name, read_sibling, rate, pose)
-        except GltfError as why:
-            raise BodyError(str(why), why.help, why.code or "bad-body") from None
+        except GltfError as error:
+            raise BodyError(str(error), error.help, error.code or "bad-body") from None
 
 
 def _read_definition(

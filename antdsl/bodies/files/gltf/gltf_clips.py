@@ -102,8 +102,8 @@ def _read_clip(
     for number, each in enumerate(joints):
         for path, array in (("translation", translation), ("rotation", rotation), ("scale", scale)):
             if path in moved[each]:
-                array[:, number] = moved[each][path].at(times, path == "rotation")
-    values = np.array([keys.at(times)[:, column] for keys, column in shares.values()]).reshape(len(shares), len(times)).T
+                array[:, number] = moved[each][path].sample(times, path == "rotation")
+    values = np.array([keys.sample(times)[:, column] for keys, column in shares.values()]).reshape(len(shares), len(times)).T
     if not all((np.abs(part) <= limits.MAX_NUMBER).all() for part in (translation, rotation, scale, shear, values)):
         raise BodyError(f"has a clip `{name}` with a value that is not finite", _EXPORT_HELP)
     clip = Clip(
@@ -167,7 +167,7 @@ class _SamplerKeys:
             raise BodyError(f"has {values.size:,} values for {count:,} keys of {width}, or one that is not finite", _EXPORT_HELP)
         self.values = values.reshape(count, each, width)
 
-    def at(self, times: Floats, rotation: bool = False) -> Floats:
+    def sample(self, times: Floats, rotation: bool = False) -> Floats:
         """Return the values at `times` float64[F]. Before the first key and after the last, return the value of that key."""
         keys, own = self.times, self.values[:, len(self.values[0]) // 2]
         if len(keys) == 1:

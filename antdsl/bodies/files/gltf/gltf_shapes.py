@@ -201,8 +201,8 @@ def _point_colours(body: GltfBody, pieces: _MeshPieces, counts: list[int]) -> ND
                     raise TextureError("its mesh has no texture coordinates")
                 own = own * body.textures.colours(file.get_object(pbr, "baseColorTexture"), uvs)
                 is_coloured = True
-            except (TextureError, GltfError) as why:
-                body.omissions[f"the texture of `{name}` is not read, its base colour is: {why}"] = None
+            except (TextureError, GltfError) as error:
+                body.omissions[f"the texture of `{name}` is not read, its base colour is: {error}"] = None
         colours.append(own)
     return np.concatenate(colours).astype(np.float32) if is_coloured else None
 

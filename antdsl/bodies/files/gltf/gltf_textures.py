@@ -63,15 +63,15 @@ class Textures:
         if number not in self._images:
             try:
                 data = self.file.read_image_bytes(number)
-            except GltfError as why:
-                raise TextureError(f"the file {why}") from None
+            except GltfError as error:
+                raise TextureError(f"the file {error}") from None
             format = next((name for magic, name in _FORMATS if data.startswith(magic)), "")
             if not format:
                 raise TextureError("its image is neither PNG nor JPEG")
             try:
                 image = read_image_file(data, format, ("RGB",), self._left, convert="RGB")
-            except ImageError as why:
-                raise TextureError(f"its image {why}") from None
+            except ImageError as error:
+                raise TextureError(f"its image {error}") from None
             if image.samples is None:
                 raise TextureError(f"its image has {image.rows * image.columns:,} pixels, more than are read")
             self._left -= image.rows * image.columns

@@ -76,7 +76,7 @@ class RunningReduction:
         self.builder.store_number(self._parts[part][0], value)
 
     def _round_term(self, body: Lanes) -> Lanes:
-        """Return a term rounded to a multiple of the quantum, as `exact_sums.rounded` does."""
+        """Return a term rounded to a multiple of the quantum, as `exact_sums.quantise` does."""
         quantum = int(self.node.attrs[0])
         bound, magic = float(np.ldexp(1.0, quantum + exact_sums.MAX_TERM_EXPONENT)), float(np.ldexp(1.5, quantum + 52))
         if float(np.float32(bound)) == bound:  # then clamping before the conversion gives the same result

@@ -288,7 +288,7 @@ class AddressTables:
             field, least = world.fields[str(name)], numbers[place]
             if reached is None or not reached.matches(field, least):
                 reached = CellsAboveThreshold(field, least, int(str(count)))
-            return array_address(reached.now(world.options.threads))
+            return array_address(reached.get_current_counts(world.options.threads))
 
         return find
 

@@ -192,14 +192,16 @@ class PartGroup:
         began, block, node = perf_counter(), self._block, instructions[0].subject
         assert isinstance(node, ir.PlanNode)
         answer, nothing = BATCHED_SENSES[node.op]
-        asks = [block.tables.lanes.ask(each, self._end - self._begin, block.uniform_nodes, values) for each in instructions]
-        for each, (_, _, results) in zip(instructions, asks, strict=True):
+        queries = [
+            block.tables.lanes.build_query(each, self._end - self._begin, block.uniform_nodes, values) for each in instructions
+        ]
+        for each, (_, _, results) in zip(instructions, queries, strict=True):
             if each not in block.code.guarded:
                 for array, value in zip(results, nothing, strict=True):
                     array.fill(value)
-        answer(world, population, node, slice(self._begin, self._end), asks)
+        answer(world, population, node, slice(self._begin, self._end), queries)
         if self.chunks[0].line_times is not None:
-            self.chunks[0].add_call_time(began, instructions, [int(np.count_nonzero(asking)) for asking, _, _ in asks])
+            self.chunks[0].add_call_time(began, instructions, [int(np.count_nonzero(asking)) for asking, _, _ in queries])
 
 
 class RowChunk:

@@ -77,7 +77,7 @@ class FunctionWriter:
 
 @dataclass(slots=True, eq=False)
 class NeighbourSearch:
-    """Reductions over neighbours of one species that share one search. `reduction_loops`: the sets that they reduce.
+    """Reductions over neighbours of one species that share one search. `sets`: the sets that they reduce.
     `extra_registers`: registers of the others, needed in the order of the cell grid; each text names up to four."""
 
     species: str
@@ -117,11 +117,11 @@ class BlockWriter(FunctionWriter):
     def __init__(
         self, module: LlvmModule, code: BlockCode, compiler: BlockCompiler, stage: int, senses: dict[str, NodeLowerer],
         reduce: Callable[[BlockWriter, BlockInstruction], None], guards: Mapping[str, tuple[NodeLowerer, tuple[Any, ...]]],
-        ask: Callable[[BlockWriter, BlockInstruction], None], combine: Callable[[str], str],
+        write_request: Callable[[BlockWriter, BlockInstruction], None], combine: Callable[[str], str],
     ) -> None:  # fmt: skip
         super().__init__(module, code.layout)
         self.code, self.compiler, self.stage, self.senses, self._emit_reduction = code, compiler, stage, senses, reduce
-        self.guards, self.ask, self.field_combination = guards, ask, combine
+        self.guards, self.write_request, self.field_combination = guards, write_request, combine
         self.schedule, self.species = code.schedule, code.species.name
         self._uniform_nodes = {slot: node for node, slot in compiler.uniform_slots.items()}
         self._instruction_by_slot: dict[int, BlockInstruction] = {}
@@ -373,7 +373,7 @@ class BlockWriter(FunctionWriter):
         if isinstance(what, ir.Store):
             self._write_store(each, what)
         else:
-            self.ask(self, each)
+            self.write_request(self, each)
 
     def _write_store(self, each: BlockInstruction, what: ir.Store) -> None:
         value, mask = self.slot_value(each.inputs[0]), self.mask[-1]

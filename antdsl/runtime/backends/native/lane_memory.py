@@ -147,7 +147,7 @@ class LaneMemories:
             own = {key: array[k * rows : (k + 1) * rows + LANE_COUNT] for key, array in self.arrays.items()}
             lane.allocate(own, rows, self._largest_species)
 
-    def ask(
+    def build_query(
         self, each: BlockInstruction, rows: int, uniform: Mapping[int, ir.PlanNode], values: Mapping[ir.PlanNode, Any]
     ) -> FeelerQuery:
         """Return the query for a call: which of `rows` rows of all parts need it, its arguments, and the arrays for its

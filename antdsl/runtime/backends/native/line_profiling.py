@@ -27,7 +27,7 @@ class LineCounters:
     """Counters of a block: one for each source line within each layer. The first counter is for instructions without a line.
 
     `number_by_instruction`: the index of each instruction among the instructions of `MeteredBlock`.
-    The other list has, for each counter, the index of an instruction on its line, -1 for none."""
+    `instruction_numbers`: for each counter, the index of an instruction on its line, -1 for none."""
 
     def __init__(self, compiler: BlockCompiler) -> None:
         self.number_by_instruction = {each: k for k, each in enumerate(list_instructions(compiler.root_scope))}

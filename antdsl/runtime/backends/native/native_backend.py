@@ -126,8 +126,8 @@ class NativeBackend(NumpyBackend):
         if self._pending_code is not None and (must_wait or self._pending_code.done()):
             try:
                 ready = self._pending_code.result()
-            except CodeUnavailable as why:
-                self._unavailable_reason = f"NumPy runs instead of machine code, more slowly but with the same result: {why}"
+            except CodeUnavailable as error:
+                self._unavailable_reason = f"NumPy runs instead of machine code, more slowly but with the same result: {error}"
             except Exception as problem:
                 if must_wait:
                     raise

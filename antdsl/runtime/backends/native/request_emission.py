@@ -161,4 +161,4 @@ def record_request(each: BlockInstruction, columns: Sequence[NDArray[Any]], effe
         case ir.Request():
             rest = iter(columns[1:])
             args = tuple(None if node is None else next(rest) for node in what.args)
-            effects.ask(RequestEntry(what, each.order, columns[0], args))
+            effects.add_request(RequestEntry(what, each.order, columns[0], args))

@@ -9,7 +9,7 @@ import numpy as np
 from antdsl.ground.mesh.boxes import BoxTree, FaceList, find_first_hit, gather_faces, is_disjoint
 from antdsl.ground.mesh.face_table import CORNER_OFFSET, EDGE1_OFFSET, EDGE2_OFFSET, NORMAL_OFFSET, ROW_FLOATS
 from antdsl.machine_code.kernels import BOOL, F64, I32, I64, Array1, inlined, kernel_helper
-from antdsl.numerics.kernel_vectors import Vec3, dot, load_vector, minus, nearest_weights, plus, times
+from antdsl.numerics.kernel_vectors import Vec3, dot, find_nearest_weights, load_vector, minus, plus, times
 from antdsl.runtime.moving.clearance.body_paths import BodyShape
 
 SHIFT_TURNS = 4  # shifts of a body out of its contacts before the depth is measured
@@ -69,7 +69,7 @@ def _touches(
         edge1, edge2 = load_vector(table, row + EDGE1_OFFSET), load_vector(table, row + EDGE2_OFFSET)
         for point in range(_AXIS_POINTS):
             v = minus(_get_axis_point(middle, heading, shape.half, point), corner)
-            if abs(dot(v, normal)) < radius and nearest_weights(edge1, edge2, v)[2] < radius:
+            if abs(dot(v, normal)) < radius and find_nearest_weights(edge1, edge2, v)[2] < radius:
                 return True
         if at_one * at_two < 0:
             for end in range(2):
@@ -138,7 +138,7 @@ def shift_outside(
                 if abs(dot(v, load_vector(table, row + NORMAL_OFFSET))) >= best:
                     continue
                 edge1, edge2 = load_vector(table, row + EDGE1_OFFSET), load_vector(table, row + EDGE2_OFFSET)
-                b1, b2, distance = nearest_weights(edge1, edge2, v)
+                b1, b2, distance = find_nearest_weights(edge1, edge2, v)
                 if distance < best:
                     best, away = distance, minus(minus(v, times(edge1, b1)), times(edge2, b2))
             if best < shape.radius:

@@ -40,7 +40,7 @@ _MIN_SQUARED_GROUND_PART = 0.1
 _CLUSTER_DEPTH_RADII = 0.4
 _RESTING_DISTANCE_SHARE = 0.01  # share of the allowed distance; an agent that moves less rests and presses no other
 _FREE_AGENT_PUSH_SHARE = 0.3  # share of the allowed distance that others push an agent that was free
-_FLOAT32_ONE, _MIN_VECTOR_LENGTH = np.float32(1), np.float32(1e-12)  # as `vectors.unit`
+_FLOAT32_ONE, _MIN_VECTOR_LENGTH = np.float32(1), np.float32(1e-12)  # as in `vectors.normalise_or_fallback`
 _ROUNDING_MAGIC = 1.5 * 2.0 ** (52 - SUM_BITS)
 
 # i, j, gap, direction, and which pairs count

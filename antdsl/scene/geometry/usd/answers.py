@@ -55,7 +55,7 @@ def read_usd_mesh(stage: UsdStage, primvars: Iterable[str] = ()) -> UsdMesh:
 
     Raises UsdError if there are no meshes, MeshError if they are not usable."""
     names = tuple(primvars)
-    answer = stage.ask("usd-mesh", {"primvars": names})
+    answer = stage.send_request("usd-mesh", {"primvars": names})
     try:
         vertices = answer.require_array("vertices", "f8", None, 3)
         faces = answer.require_array("faces", "i8", None, 3)
@@ -65,8 +65,8 @@ def read_usd_mesh(stage: UsdStage, primvars: Iterable[str] = ()) -> UsdMesh:
         moves = _read_moves(answer, len(vertices), len(stage.frames)) if "moves:group" in answer.arrays else None
         values = {name: _read_values(answer, f"value:{number}", len(vertices)) for number, name in enumerate(names)}
         passed_over = tuple(text[:_MAX_NAME_CHARACTERS] for text in answer.require_texts("passed_over", 1000))
-    except ProtocolError as why:
-        raise stage.make_answer_error(why) from None
+    except ProtocolError as error:
+        raise stage.make_answer_error(error) from None
     raw = check_mesh(vertices, faces)  # `check_mesh` examines each index and each used vertex
     used_values = {name: value[raw.own_vertices] for name, value in values.items()}
     return UsdMesh(raw, None if moves is None else moves.select_vertices(raw.own_vertices), used_values, passed_over)
@@ -97,8 +97,8 @@ def wrap_usd_errors(read: Callable[[UsdStage], T]) -> Callable[[UsdStage], T]:
     def judged(stage: UsdStage) -> T:
         try:
             return read(stage)
-        except ProtocolError as why:
-            raise stage.make_answer_error(why) from None
+        except ProtocolError as error:
+            raise stage.make_answer_error(error) from None
 
     return judged
 
@@ -108,7 +108,7 @@ def read_usd_points(stage: UsdStage, kind: str | None = None) -> UsdPoints:
     position.
 
     `kind`: return instead all prims below it, at any depth, with this `userProperties:kind`."""
-    answer = stage.ask("usd-points", {"of_kind": kind})
+    answer = stage.send_request("usd-points", {"of_kind": kind})
     try:
         positions = answer.require_array("places", "f8", None, None, 3)
         frames, count = positions.shape[:2]
@@ -126,8 +126,8 @@ def read_usd_points(stage: UsdStage, kind: str | None = None) -> UsdPoints:
             ahead=answer.require_array("ahead", "f8", count, 3),
             unit=answer.require_number("unit"),
         )
-    except ProtocolError as why:
-        raise stage.make_answer_error(why) from None
+    except ProtocolError as error:
+        raise stage.make_answer_error(error) from None
 
 
 @wrap_usd_errors
@@ -135,7 +135,7 @@ def read_usd_curve(stage: UsdStage) -> Floats:
     """Return the points (frames, k, 3) of the one BasisCurves at or below the prim; a single frame if it is static.
 
     Raises UsdError if there is none or more than one."""
-    positions = stage.ask("usd-curve").require_array("places", "f8", None, None, 3)
+    positions = stage.send_request("usd-curve").require_array("places", "f8", None, None, 3)
     if len(positions) not in (1, len(stage.frames)) or not positions.shape[1] >= 2 or not np.isfinite(positions).all():
         raise ProtocolError("`places` has other frames, too few points, or one that is not finite")
     return positions
@@ -144,7 +144,7 @@ def read_usd_curve(stage: UsdStage) -> Floats:
 @wrap_usd_errors
 def read_usd_camera(stage: UsdStage) -> UsdCamera:
     """Return the camera at the stage's prim, or the only camera below it."""
-    answer = stage.ask("usd-camera")
+    answer = stage.send_request("usd-camera")
     at = answer.require_array("at", "f8", None, 3)
     if len(at) not in (1, len(stage.frames)):
         raise ProtocolError("`at` has the wrong frames")

@@ -111,8 +111,8 @@ class Closure:
             )
         try:
             return os.path.abspath(self._roots.path(text))
-        except PathRefused as refused:
-            raise _make_refusal_error(refused, naming_layer) from None
+        except PathRefused as error:
+            raise _make_refusal_error(error, naming_layer) from None
 
     def _copy_file(self, text: str, naming_layer: LayerLocation | None) -> LayerLocation:
         """Copy a file and return the copy's location. `text`: its name in a scene; `naming_layer`: the layer that names the
@@ -121,8 +121,8 @@ class Closure:
         if path not in self._files:
             try:
                 data = self._roots.read_file(text, limits.MAX_MESH_BYTES)
-            except PathRefused as refused:
-                raise _make_refusal_error(refused, naming_layer) from None
+            except PathRefused as error:
+                raise _make_refusal_error(error, naming_layer) from None
             self.size += len(data)
             if len(self._files) >= limits.MAX_USD_LAYERS or self.size > 4 * limits.MAX_MESH_BYTES:
                 raise self._make_size_error(text)
@@ -136,8 +136,8 @@ class Closure:
     def _unpack_package(self, path: str, text: str, data: bytes) -> bytes:
         try:
             self._packages[path] = read_layers(data)
-        except PackageError as why:
-            raise UsdError("bad-usd", f"the package `{text}` {why}", "export it again", "usd") from None
+        except PackageError as error:
+            raise UsdError("bad-usd", f"the package `{text}` {error}", "export it again", "usd") from None
         return make_package(self._packages[path])
 
     def _write_copy(self, path: Path, data: bytes) -> None:
@@ -161,14 +161,14 @@ class Closure:
     def _read_assets(self, document: dict[str, str], name: str, digest: str) -> list[str]:
         try:
             return client.send_request("usd-layer", document, file_bytes=self.size, request_digest=digest).require_texts("assets")
-        except ReadRefusal as why:
-            if why.subject == "exception":
-                raise UsdError("bad-usd", f"`{name}` cannot be read as USD: {why}", why.help, "usd") from None
-            raise UsdError(why.code, str(why), why.help, "usd") from None
-        except client.ReaderFailure as why:
-            raise UsdError("bad-usd", f"`{name}` {why}", why.help, "usd") from None
-        except ProtocolError as why:
-            raise UsdError("bad-usd", f"`{name}` cannot be read: {why}", "export it again", "usd") from None
+        except ReadRefusal as error:
+            if error.subject == "exception":
+                raise UsdError("bad-usd", f"`{name}` cannot be read as USD: {error}", error.help, "usd") from None
+            raise UsdError(error.code, str(error), error.help, "usd") from None
+        except client.ReaderFailure as error:
+            raise UsdError("bad-usd", f"`{name}` {error}", error.help, "usd") from None
+        except ProtocolError as error:
+            raise UsdError("bad-usd", f"`{name}` cannot be read: {error}", "export it again", "usd") from None
 
     def _find_package_layer(self, layer: LayerLocation, asset: str) -> LayerLocation:
         """Return the layer of a package that another layer of the package names."""
@@ -215,8 +215,8 @@ class Closure:
         reason."""
         try:
             return self._roots.measure_file_size(name) >= 0
-        except PathRefused as refused:
-            return refused.code != "no-such-file"
+        except PathRefused as error:
+            return error.code != "no-such-file"
 
     def _reject_outside(self, named: str) -> NoReturn:
         message = f"{named} lies outside the scene's folder and of every granted root, or is absolute"

@@ -37,7 +37,7 @@ class UsdStage:
         """Return the hashes of all files, by name."""
         return self.closure.hashes
 
-    def ask(self, kind: str, document: Mapping[str, Any] | None = None) -> ReaderMessage:
+    def send_request(self, kind: str, document: Mapping[str, Any] | None = None) -> ReaderMessage:
         """Return the reader's answer about this stage. The answer is not checked.
 
         Raises UsdError, or MeshError for an invalid mesh. A ReadRefusal about anything else passes to the caller."""
@@ -65,16 +65,16 @@ class UsdStage:
                 request_digest=digest.hexdigest(),
                 files_digest=self.closure.closure_digest,
             )
-        except client.ReaderFailure as why:
-            raise self.make_error(str(why), why.help) from None
-        except ReadRefusal as why:
-            if why.subject == "mesh":
-                raise MeshError(str(why), why.help) from None
-            if why.subject == "exception":
-                raise self.make_error(f"cannot be read: {why}", why.help) from None
-            if why.subject:
+        except client.ReaderFailure as error:
+            raise self.make_error(str(error), error.help) from None
+        except ReadRefusal as error:
+            if error.subject == "mesh":
+                raise MeshError(str(error), error.help) from None
+            if error.subject == "exception":
+                raise self.make_error(f"cannot be read: {error}", error.help) from None
+            if error.subject:
                 raise
-            raise UsdError(why.code, str(why), why.help, why.key) from None
+            raise UsdError(error.code, str(error), error.help, error.key) from None
 
     def make_error(self, message: str, help: str | None = None) -> UsdError:
         """Return an error about the prim. `message`: a text that fits after the prim's name."""
@@ -108,13 +108,13 @@ def open_stage(
     if text not in stored:
         try:
             stored[text] = Closure(roots, text)
-        except UsdError as why:
-            stored[text] = why
+        except UsdError as error:
+            stored[text] = error
     closure = stored[text]
     if isinstance(closure, UsdError):
         raise UsdError(closure.code, str(closure), closure.help, closure.key)
     stage = UsdStage(closure, prim, up, frames, fps, purpose)
-    stage.ask("usd-stage")
+    stage.send_request("usd-stage")
     return stage
 
 
@@ -126,8 +126,8 @@ def _check_sandbox(text: str) -> None:
         raise make_missing_extra_error()
     try:
         is_confined = bool(client.active_layers()["seccomp"])
-    except client.ReaderFailure as why:
-        raise UsdError("bad-usd", f"`{text}` cannot be read: {why}", "run `antdsl doctor`", "usd") from None
+    except client.ReaderFailure as error:
+        raise UsdError("bad-usd", f"`{text}` cannot be read: {error}", "run `antdsl doctor`", "usd") from None
     if not is_confined and not confinement.is_usd_trusted():
         words = f"`{text}` is not opened: this system has no sandbox for the library that reads USD"
         raise UsdError("bad-usd", words, "if you trust all USD files of the scene, run `antdsl --trust-usd …`", "usd")

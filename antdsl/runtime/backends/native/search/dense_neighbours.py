@@ -63,7 +63,7 @@ def write_dense_search(b: BlockWriter, near: SearchCode) -> None:
         for each in sums:
             each.start()
         with e.write_loop(e.load(crowd.count_address, I64), LANE_COUNT) as at:
-            others = crowd.at(at)
+            others = crowd.load_others(at)
 
             def inside(chosen: ir.PlanNode) -> Lanes:
                 reached = others.is_present & (others.distance <= radius[chosen])
@@ -122,7 +122,7 @@ class _DenseNeighbours:
         self._pad_list(count)
         self.keys = e.address(self.buffer, count + LANE_COUNT, I32)
         with e.write_loop(count, LANE_COUNT) as index:
-            others = self.at(index)
+            others = self.load_others(index)
             within = others.is_present & (others.distance <= search.max_radius)
             if self.own_row is not None:
                 within = within & (others.rows != self.own_row)
@@ -136,7 +136,7 @@ class _DenseNeighbours:
         """Append eight zeros to the list, because it is read eight entries at a time."""
         self.writer.builder.store_lanes(self.buffer, count, self.writer.builder.make_constant(0, I32))
 
-    def at(self, index: Lanes) -> NeighbourLanes:
+    def load_others(self, index: Lanes) -> NeighbourLanes:
         """Return eight of the listed others, from `index` on."""
         e = self.writer.builder
         is_present = index + e.lane_numbers() < e.load(self.count_address, I64)
@@ -200,7 +200,10 @@ class _DenseNeighbours:
 
                 def by_id(middle: Lanes) -> Lanes:
                     bound = e.broadcast(middle)
-                    return self._count_passing(lambda index, keys: (keys == reach) & (self.at(index).ids() <= bound)) >= rest
+                    return (
+                        self._count_passing(lambda index, keys: (keys == reach) & (self.load_others(index).ids() <= bound))
+                        >= rest
+                    )
 
                 with e.write_if(equal > rest):
                     self._bisect_least(last, I64, NO_LABEL, by_id)
@@ -212,7 +215,7 @@ class _DenseNeighbours:
             keys = e.load_lanes(self.keys, index, I32)
             e.store_number(good, e.mask_to_i8(keys <= reach))
             with e.write_if(ties):
-                first = (keys < reach) | ((keys == reach) & (self.at(index).ids() <= label))
+                first = (keys < reach) | ((keys == reach) & (self.load_others(index).ids() <= label))
                 e.store_number(good, e.mask_to_i8(first))
             append_numbers(e, self.buffer, out, e.load_lanes(self.buffer, index, I32), e.mask_from_i8(e.load(good, I8)))
         e.store_number(self.count_address, e.load(out, I64))

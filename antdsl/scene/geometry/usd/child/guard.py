@@ -28,13 +28,13 @@ def wrap_refusals(read: Callable[[ReaderMessage], ReaderAnswer]) -> Callable[[Re
         try:
             with np.errstate(all="ignore"):  # values that are not finite are reported by the code that uses them
                 return read(request)
-        except MeshError as why:
-            raise ReadRefusal("bad-mesh", str(why), why.help, "prim", "mesh") from why
-        except import_pxr_module("Tf").ErrorException as why:
+        except MeshError as error:
+            raise ReadRefusal("bad-mesh", str(error), error.help, "prim", "mesh") from error
+        except import_pxr_module("Tf").ErrorException as error:
             raise ReadRefusal(
-                "bad-usd", format_usd_error(why, str(request.document["folder"])), None, "prim", "exception"
-            ) from why
-        except UnicodeDecodeError as why:  # USD does not validate names and texts of the file
-            raise ReadRefusal("bad-usd", "it has bytes that are no UTF-8 text", "export it again", "prim", "exception") from why
+                "bad-usd", format_usd_error(error, str(request.document["folder"])), None, "prim", "exception"
+            ) from error
+        except UnicodeDecodeError as error:  # USD does not validate names and texts of the file
+            raise ReadRefusal("bad-usd", "it has bytes that are no UTF-8 text", "export it again", "prim", "exception") from error
 
     return answer

@@ -145,8 +145,8 @@ def _make_triangles(
         raise MeshError(f"has at `{path}` a vertex that is not a finite point")
     try:
         return np.asarray(filled_corners[triangulate(points, counts[is_filled], filled_corners).corners])
-    except TooManyCorners as why:
-        raise MeshError(f"has at `{path}` a part that {why}", "cut it into smaller faces in the program that made it") from None
+    except TooManyCorners as error:
+        raise MeshError(f"has at `{path}` a part that {error}", "cut it into smaller faces in the program that made it") from None
 
 
 def _join_shapes(shapes: list[_MeshShape]) -> tuple[Floats, Faces]:

@@ -91,7 +91,7 @@ def read_camera_arrays(stage: OpenStage) -> dict[str, Floats]:
     transforms = np.broadcast_to(transforms, (len(times), 3, 4))
     lens = np.array([[float(a.Get(import_pxr_module("Usd").TimeCode(time))) for a in attributes] for time in times])
     unit = find_uniform_scale(stage.to_scene)
-    at, ahead, up = transforms[:, :, 3], -vector_rows.unit(transforms[:, :, 2]), vector_rows.unit(transforms[:, :, 1])
+    at, ahead, up = transforms[:, :, 3], -vector_rows.normalise(transforms[:, :, 2]), vector_rows.normalise(transforms[:, :, 1])
     far = np.where(lens[:, 2] > 0, lens[:, 2] * unit, _DEFAULT_FOCUS_MM)[:, None]
     # both values are in tenths of the stage's unit, so their ratio does not depend on it
     focal = lens[:, 0] / np.where(lens[:, 1] > 0, lens[:, 1], 20.955) * _SENSOR_WIDTH_MM
